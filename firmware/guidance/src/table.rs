@@ -1,91 +1,60 @@
 //! The transition table: data, not code.
 
 use vigil_types::GuidanceState::{self, Engaging, Guided, Hold, Land, Ready, Standby};
+use vigil_types::named;
 
-/// A named condition of a transition; [`Guard::name`] is what the documentation calls it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Guard {
-    /// The autopilot started anew.
-    VehicleRestarted,
-    /// The motors are disarmed.
-    MotorsOff,
-    /// A condition that demands landing is present.
-    LandDemanded,
-    /// The vehicle was landing and is now in another mode.
-    LandingTakenOver,
-    /// An operator wants to fly, and nothing demands landing.
-    Reengaged,
-    /// The hand-over failed.
-    HandoverFailed,
-    /// An operator disengaged.
-    Disengaged,
-    /// The hand-over is done, no condition demands hold.
-    HandedOver,
-    /// The hand-over is done, a condition demands hold.
-    HandedOverUnclear,
-    /// A condition demands hold.
-    HoldDemanded,
-    /// The vehicle is in its own failsafe hold, guidance engages by itself, and everything else has been clear long enough.
-    FailsafeHoldRegainable,
-    /// The vehicle has been out of its external mode for long enough, and it is not a failsafe hold to be regained.
-    VehicleTaken,
-    /// No condition has demanded hold for long enough.
-    ClearLongEnough,
-    /// Nothing that guidance needs has been missing for long enough.
-    InputsGood,
-    /// Something that guidance needs is missing.
-    InputsMissing,
-    /// An operator wants to fly, or the policy does and no person has the vehicle; no failed hand-over has to be waited for.
-    EngageWanted,
-}
-
-impl Guard {
-    /// What the documentation calls the condition.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::VehicleRestarted => "vehicle restarted",
-            Self::MotorsOff => "motors off",
-            Self::LandDemanded => "land demanded",
-            Self::LandingTakenOver => "landing taken over",
-            Self::Reengaged => "re-engaged",
-            Self::HandoverFailed => "hand-over failed",
-            Self::Disengaged => "disengaged",
-            Self::HandedOver => "handed over",
-            Self::HandedOverUnclear => "handed over, not clear",
-            Self::HoldDemanded => "hold demanded",
-            Self::FailsafeHoldRegainable => "failsafe hold regainable",
-            Self::VehicleTaken => "vehicle taken over",
-            Self::ClearLongEnough => "clear long enough",
-            Self::InputsGood => "inputs good",
-            Self::InputsMissing => "inputs missing",
-            Self::EngageWanted => "engage wanted",
-        }
+named! {
+    /// A named condition of a transition; [`Guard::name`] is what the documentation calls it.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Guard {
+        /// The autopilot started anew.
+        VehicleRestarted => "vehicle restarted",
+        /// The motors are disarmed.
+        MotorsOff => "motors off",
+        /// A condition that demands landing is present.
+        LandDemanded => "land demanded",
+        /// The vehicle was landing and is now in another mode.
+        LandingTakenOver => "landing taken over",
+        /// An operator wants to fly, and nothing demands landing.
+        Reengaged => "re-engaged",
+        /// The hand-over failed.
+        HandoverFailed => "hand-over failed",
+        /// An operator disengaged.
+        Disengaged => "disengaged",
+        /// The hand-over is done, no condition demands hold.
+        HandedOver => "handed over",
+        /// The hand-over is done, a condition demands hold.
+        HandedOverUnclear => "handed over, not clear",
+        /// A condition demands hold.
+        HoldDemanded => "hold demanded",
+        /// The vehicle is in its own failsafe hold, guidance engages by itself, and everything else has been clear long enough.
+        FailsafeHoldRegainable => "failsafe hold regainable",
+        /// The vehicle has been out of its external mode for long enough, and it is not a failsafe hold to be regained.
+        VehicleTaken => "vehicle taken over",
+        /// No condition has demanded hold for long enough.
+        ClearLongEnough => "clear long enough",
+        /// Nothing that guidance needs has been missing for long enough.
+        InputsGood => "inputs good",
+        /// Something that guidance needs is missing.
+        InputsMissing => "inputs missing",
+        /// An operator wants to fly, or the policy does and no person has the vehicle; no failed hand-over has to be waited for.
+        EngageWanted => "engage wanted",
     }
 }
 
-/// Whether guidance still wants to fly after a transition.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Intent {
-    /// As before.
-    Keep,
-    /// Only an operator's engage brings it back.
-    Clear,
-    /// Kept by the policy *auto*; an operator's engage is spent with the policy *command*.
-    Spend,
-    /// As [`Intent::Spend`], and the policy *auto* wants to fly again when all that ended the flight was a vehicle that was
-    /// unreachable and came back disarmed: that was the restart itself.
-    Renew,
-}
-
-impl Intent {
-    /// What the documentation calls it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Keep => "kept",
-            Self::Clear => "cleared",
-            Self::Spend => "kept by *auto*, cleared by *command*",
-            Self::Renew => "kept by *auto*, also when the restart itself disarmed the vehicle; cleared by *command*",
-        }
+named! {
+    /// Whether guidance still wants to fly after a transition.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Intent {
+        /// As before.
+        Keep => "kept",
+        /// Only an operator's engage brings it back.
+        Clear => "cleared",
+        /// Kept by the policy *auto*; an operator's engage is spent with the policy *command*.
+        Spend => "kept by *auto*, cleared by *command*",
+        /// As [`Intent::Spend`], and the policy *auto* wants to fly again when all that ended the flight was a vehicle that was
+        /// unreachable and came back disarmed: that was the restart itself.
+        Renew => "kept by *auto*, also when the restart itself disarmed the vehicle; cleared by *command*",
     }
 }
 

@@ -32,6 +32,38 @@ pub trait Choice: Copy + PartialEq + 'static {
     }
 }
 
+/// An enum of which each value has a name: of `Colour { Red => "red" }` the values `Colour::ALL`, in this order, and
+/// `Colour::Red.name()`; `Colour::from_name` finds one again.
+#[macro_export]
+macro_rules! named {
+    ($(#[$meta:meta])* $vis:vis enum $name:ident {
+        $($(#[$of_value:meta])* $variant:ident $(= $number:literal)? => $word:literal,)+
+    }) => {
+        $(#[$meta])*
+        $vis enum $name {
+            $($(#[$of_value])* $variant $(= $number)?,)+
+        }
+
+        #[allow(dead_code, reason = "the same for all")]
+        impl $name {
+            /// All, in the order of their numbers.
+            pub const ALL: [Self; [$($word),+].len()] = [$(Self::$variant),+];
+
+            /// Name as it stands in files, reports, messages and documentation.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $word,)+
+                }
+            }
+
+            /// The value of a name; `None` when there is none.
+            pub fn from_name(name: &str) -> Option<Self> {
+                Self::ALL.into_iter().find(|value| value.name() == name)
+            }
+        }
+    };
+}
+
 macro_rules! choices {
     ($($(#[$meta:meta])* $name:ident {
         $($(#[$default:meta])? $variant:ident = $word:literal: $text:literal,)+

@@ -1,200 +1,106 @@
 //! Names of guidance states and of the reasons that move guidance between them; telemetry and log share them.
 
-/// Where guidance is. The numbers are telemetry (`NAMED_VALUE_FLOAT` "gd_state") and never change meaning.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, PartialOrd, Ord)]
-#[repr(u8)]
-pub enum GuidanceState {
-    /// Something needed is missing; nothing is sent to the vehicle.
-    #[default]
-    Standby = 0,
-    /// All inputs are good; waiting to be engaged; nothing is sent to the vehicle.
-    Ready = 1,
-    /// Handing over: streams zero setpoints while the vehicle arms, takes off and changes to its external mode.
-    Engaging = 2,
-    /// The pilot's action is sent.
-    Guided = 3,
-    /// Zero setpoints are sent while a named condition lasts, or at the goal.
-    Hold = 4,
-    /// The vehicle was told to land.
-    Land = 5,
+use crate::named;
+
+named! {
+    /// Where guidance is. The numbers are telemetry (`NAMED_VALUE_FLOAT` "gd_state") and never change meaning.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, PartialOrd, Ord)]
+    #[repr(u8)]
+    pub enum GuidanceState {
+        /// Something needed is missing; nothing is sent to the vehicle.
+        #[default]
+        Standby = 0 => "standby",
+        /// All inputs are good; waiting to be engaged; nothing is sent to the vehicle.
+        Ready = 1 => "ready",
+        /// Handing over: streams zero setpoints while the vehicle arms, takes off and changes to its external mode.
+        Engaging = 2 => "engaging",
+        /// The pilot's action is sent.
+        Guided = 3 => "guided",
+        /// Zero setpoints are sent while a named condition lasts, or at the goal.
+        Hold = 4 => "hold",
+        /// The vehicle was told to land.
+        Land = 5 => "land",
+    }
 }
 
 impl GuidanceState {
-    /// All states, in the order of their numbers.
-    pub const ALL: [Self; 6] = [
-        Self::Standby,
-        Self::Ready,
-        Self::Engaging,
-        Self::Guided,
-        Self::Hold,
-        Self::Land,
-    ];
-
-    /// Lower-case name as it appears in STATUSTEXT, log and documentation.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Standby => "standby",
-            Self::Ready => "ready",
-            Self::Engaging => "engaging",
-            Self::Guided => "guided",
-            Self::Hold => "hold",
-            Self::Land => "land",
-        }
-    }
-
     /// The state of a telemetry number.
     pub fn from_code(code: u8) -> Option<Self> {
         Self::ALL.get(usize::from(code)).copied()
     }
 }
 
-/// A named condition that guidance acts on. The value is the bit in [`Reasons`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-#[repr(u8)]
-pub enum Reason {
-    /// No valid depth frame within the age limit.
-    StaleFrame = 0,
-    /// A frame arrived and was refused (size, sensor, checksum, range, pose, stamp).
-    BadFrame = 1,
-    /// Position or attitude older than the age limit, or never received.
-    StaleTelemetry = 2,
-    /// The vehicle's heartbeat is missing.
-    LinkLost = 3,
-    /// A value that decides motion is NaN or infinite.
-    NotFinite = 4,
-    /// The vehicle left its external mode by itself or by another's command.
-    ModeLost = 5,
-    /// The vehicle is disarmed.
-    Disarmed = 6,
-    /// The loop missed steps.
-    Slip = 7,
-    /// Outside the permitted region.
-    Geofence = 8,
-    /// Within the goal's radius.
-    GoalReached = 9,
-    /// No goal is set.
-    NoGoal = 10,
-    /// An operator disengaged guidance.
-    Operator = 11,
-    /// The hand-over did not finish in time or was refused.
-    HandoverFailed = 12,
-    /// Battery below its limit.
-    LowBattery = 13,
-    /// The vehicle itself reports a failsafe.
-    VehicleFailsafe = 14,
-    /// The flight took longer than its limit.
-    TimeLimit = 15,
-    /// The detector judged the actor's explanations to be those of an attack; the vehicle is being stopped.
-    Attack = 16,
-    /// The detector had no verdict on the flying actor for too long; the vehicle is being stopped.
-    NoVerdict = 17,
-    /// The recovery pilot flies in the actor's place.
-    Recovering = 18,
-    /// The actor was about to fly into something; the vehicle is being stopped.
-    CollisionCourse = 19,
-    /// The depth frames show nothing where something must be seen.
-    BlindSensor = 20,
-    /// The picture, or a part of it, stays as it is although the vehicle moves.
-    FrozenSensor = 21,
-    /// The pose in the frames' header is not the vehicle's.
-    ImplausiblePose = 22,
-    /// The picture does not move as the vehicle does: mirrored, turned, or of another place.
-    InconsistentPicture = 23,
-    /// The vehicle did not get nearer to the goal for too long.
-    NoProgress = 24,
-    /// Position or attitude arrive so rarely that little is left to the age limit. A warning: nothing is held for it.
-    SlowTelemetry = 26,
-    /// A person has the vehicle: guidance does not take it by itself.
-    PilotInCommand = 27,
-    /// A frame arrived that was not made with the sensor's key.
-    UnauthenticatedFrame = 28,
-    /// The actor did not bring the vehicle on along the guard's way; the vehicle is being stopped.
-    LedAstray = 29,
-    /// The actor and the guard's planner went on turning apart; the vehicle is being stopped.
-    Disagreement = 30,
-    /// The depth frames are rough, as no surface is; the vehicle is being stopped.
-    RoughPicture = 31,
-    /// The second sensor is configured and nothing usable came from it for too long.
-    SecondSensorSilent = 32,
-    /// The second sensor saw something nearer than the depth frames show there.
-    SensorsDisagree = 33,
-}
-
-impl Reason {
-    /// All reasons, in the order of their bits.
-    pub const ALL: [Self; 33] = [
-        Self::StaleFrame,
-        Self::BadFrame,
-        Self::StaleTelemetry,
-        Self::LinkLost,
-        Self::NotFinite,
-        Self::ModeLost,
-        Self::Disarmed,
-        Self::Slip,
-        Self::Geofence,
-        Self::GoalReached,
-        Self::NoGoal,
-        Self::Operator,
-        Self::HandoverFailed,
-        Self::LowBattery,
-        Self::VehicleFailsafe,
-        Self::TimeLimit,
-        Self::Attack,
-        Self::NoVerdict,
-        Self::Recovering,
-        Self::CollisionCourse,
-        Self::BlindSensor,
-        Self::FrozenSensor,
-        Self::ImplausiblePose,
-        Self::InconsistentPicture,
-        Self::NoProgress,
-        Self::SlowTelemetry,
-        Self::PilotInCommand,
-        Self::UnauthenticatedFrame,
-        Self::LedAstray,
-        Self::Disagreement,
-        Self::RoughPicture,
-        Self::SecondSensorSilent,
-        Self::SensorsDisagree,
-    ];
-
-    /// Name as it appears in STATUSTEXT, log and documentation.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::StaleFrame => "stale frame",
-            Self::BadFrame => "bad frame",
-            Self::StaleTelemetry => "stale telemetry",
-            Self::LinkLost => "link lost",
-            Self::NotFinite => "not finite",
-            Self::ModeLost => "vehicle mode lost",
-            Self::Disarmed => "disarmed",
-            Self::Slip => "slip",
-            Self::Geofence => "geofence",
-            Self::GoalReached => "goal reached",
-            Self::NoGoal => "no goal",
-            Self::Operator => "operator",
-            Self::HandoverFailed => "hand-over failed",
-            Self::LowBattery => "low battery",
-            Self::VehicleFailsafe => "vehicle failsafe",
-            Self::TimeLimit => "time limit",
-            Self::Attack => "attack",
-            Self::NoVerdict => "no verdict",
-            Self::Recovering => "recovering",
-            Self::CollisionCourse => "collision course",
-            Self::BlindSensor => "blind sensor",
-            Self::FrozenSensor => "frozen sensor",
-            Self::ImplausiblePose => "implausible pose",
-            Self::InconsistentPicture => "inconsistent picture",
-            Self::NoProgress => "no progress",
-            Self::SlowTelemetry => "slow telemetry",
-            Self::PilotInCommand => "pilot in command",
-            Self::UnauthenticatedFrame => "unauthenticated frame",
-            Self::LedAstray => "led astray",
-            Self::Disagreement => "disagreement",
-            Self::RoughPicture => "rough picture",
-            Self::SecondSensorSilent => "second sensor silent",
-            Self::SensorsDisagree => "sensors disagree",
-        }
+named! {
+    /// A named condition that guidance acts on. The value is the bit in [`Reasons`].
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+    #[repr(u8)]
+    pub enum Reason {
+        /// No valid depth frame within the age limit.
+        StaleFrame = 0 => "stale frame",
+        /// A frame arrived and was refused (size, sensor, checksum, range, pose, stamp).
+        BadFrame = 1 => "bad frame",
+        /// Position or attitude older than the age limit, or never received.
+        StaleTelemetry = 2 => "stale telemetry",
+        /// The vehicle's heartbeat is missing.
+        LinkLost = 3 => "link lost",
+        /// A value that decides motion is NaN or infinite.
+        NotFinite = 4 => "not finite",
+        /// The vehicle left its external mode by itself or by another's command.
+        ModeLost = 5 => "vehicle mode lost",
+        /// The vehicle is disarmed.
+        Disarmed = 6 => "disarmed",
+        /// The loop missed steps.
+        Slip = 7 => "slip",
+        /// Outside the permitted region.
+        Geofence = 8 => "geofence",
+        /// Within the goal's radius.
+        GoalReached = 9 => "goal reached",
+        /// No goal is set.
+        NoGoal = 10 => "no goal",
+        /// An operator disengaged guidance.
+        Operator = 11 => "operator",
+        /// The hand-over did not finish in time or was refused.
+        HandoverFailed = 12 => "hand-over failed",
+        /// Battery below its limit.
+        LowBattery = 13 => "low battery",
+        /// The vehicle itself reports a failsafe.
+        VehicleFailsafe = 14 => "vehicle failsafe",
+        /// The flight took longer than its limit.
+        TimeLimit = 15 => "time limit",
+        /// The detector judged the actor's explanations to be those of an attack; the vehicle is being stopped.
+        Attack = 16 => "attack",
+        /// The detector had no verdict on the flying actor for too long; the vehicle is being stopped.
+        NoVerdict = 17 => "no verdict",
+        /// The recovery pilot flies in the actor's place.
+        Recovering = 18 => "recovering",
+        /// The actor was about to fly into something; the vehicle is being stopped.
+        CollisionCourse = 19 => "collision course",
+        /// The depth frames show nothing where something must be seen.
+        BlindSensor = 20 => "blind sensor",
+        /// The picture, or a part of it, stays as it is although the vehicle moves.
+        FrozenSensor = 21 => "frozen sensor",
+        /// The pose in the frames' header is not the vehicle's.
+        ImplausiblePose = 22 => "implausible pose",
+        /// The picture does not move as the vehicle does: mirrored, turned, or of another place.
+        InconsistentPicture = 23 => "inconsistent picture",
+        /// The vehicle did not get nearer to the goal for too long.
+        NoProgress = 24 => "no progress",
+        /// Position or attitude arrive so rarely that little is left to the age limit. A warning: nothing is held for it.
+        SlowTelemetry = 26 => "slow telemetry",
+        /// A person has the vehicle: guidance does not take it by itself.
+        PilotInCommand = 27 => "pilot in command",
+        /// A frame arrived that was not made with the sensor's key.
+        UnauthenticatedFrame = 28 => "unauthenticated frame",
+        /// The actor did not bring the vehicle on along the guard's way; the vehicle is being stopped.
+        LedAstray = 29 => "led astray",
+        /// The actor and the guard's planner went on turning apart; the vehicle is being stopped.
+        Disagreement = 30 => "disagreement",
+        /// The depth frames are rough, as no surface is; the vehicle is being stopped.
+        RoughPicture = 31 => "rough picture",
+        /// The second sensor is configured and nothing usable came from it for too long.
+        SecondSensorSilent = 32 => "second sensor silent",
+        /// The second sensor saw something nearer than the depth frames show there.
+        SensorsDisagree = 33 => "sensors disagree",
     }
 }
 

@@ -1,33 +1,23 @@
 //! What the detector says of the actor's decision, and what guidance makes of it.
 
+use crate::named;
+
 /// Values at the actor's split point whose contributions are judged.
 pub const EXPLAINED_STATE: usize = 48;
 
-/// Whether an explanation looks like those of an attacked actor. The numbers are telemetry (`NAMED_VALUE_FLOAT`
-/// "dt_state") and never change meaning.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, PartialOrd, Ord)]
-#[repr(u8)]
-pub enum Verdict {
-    /// There is no verdict in this step: too few explanations yet, or one that is not finite. Never taken for clean.
-    #[default]
-    Unknown = 0,
-    /// The score is not above the threshold.
-    Clean = 1,
-    /// The score is above the threshold.
-    Attack = 2,
-}
-
-impl Verdict {
-    /// All verdicts, in the order of their numbers.
-    pub const ALL: [Self; 3] = [Self::Unknown, Self::Clean, Self::Attack];
-
-    /// Lower-case name as it appears in the log and documentation.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Unknown => "unknown",
-            Self::Clean => "clean",
-            Self::Attack => "attack",
-        }
+named! {
+    /// Whether an explanation looks like those of an attacked actor. The numbers are telemetry (`NAMED_VALUE_FLOAT`
+    /// "dt_state") and never change meaning.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, PartialOrd, Ord)]
+    #[repr(u8)]
+    pub enum Verdict {
+        /// There is no verdict in this step: too few explanations yet, or one that is not finite. Never taken for clean.
+        #[default]
+        Unknown = 0 => "unknown",
+        /// The score is not above the threshold.
+        Clean = 1 => "clean",
+        /// The score is above the threshold.
+        Attack = 2 => "attack",
     }
 }
 
@@ -73,35 +63,27 @@ impl Judgement {
     }
 }
 
-/// Why the alarm is raised.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-#[repr(u8)]
-pub enum AlarmCause {
-    /// The verdict was attack.
-    Attack = 0,
-    /// There was no verdict for too long.
-    NoVerdict = 1,
-    /// The actor was about to fly into something, whatever the verdict.
-    CollisionCourse = 2,
-    /// The actor did not bring the vehicle on along the way that the guard plans, whatever the verdict.
-    LedAstray = 3,
-    /// The actor and the guard's planner went on turning apart, whatever the verdict.
-    Disagreement = 4,
-    /// The depth frames were rough, as no surface is, whatever the verdict.
-    RoughPicture = 5,
+named! {
+    /// Why the alarm is raised.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+    #[repr(u8)]
+    pub enum AlarmCause {
+        /// The verdict was attack.
+        Attack = 0 => "attack",
+        /// There was no verdict for too long.
+        NoVerdict = 1 => "no verdict",
+        /// The actor was about to fly into something, whatever the verdict.
+        CollisionCourse = 2 => "collision course",
+        /// The actor did not bring the vehicle on along the way that the guard plans, whatever the verdict.
+        LedAstray = 3 => "led astray",
+        /// The actor and the guard's planner went on turning apart, whatever the verdict.
+        Disagreement = 4 => "disagreement",
+        /// The depth frames were rough, as no surface is, whatever the verdict.
+        RoughPicture = 5 => "rough picture",
+    }
 }
 
 impl AlarmCause {
-    /// All causes, in the order of their numbers.
-    pub const ALL: [Self; 6] = [
-        Self::Attack,
-        Self::NoVerdict,
-        Self::CollisionCourse,
-        Self::LedAstray,
-        Self::Disagreement,
-        Self::RoughPicture,
-    ];
-
     /// Whether the guard raised it: by what the vehicle would do, whatever the verdict on the actor's explanation.
     pub const fn is_of_guard(self) -> bool {
         match self {
@@ -109,43 +91,19 @@ impl AlarmCause {
             Self::Attack | Self::NoVerdict => false,
         }
     }
-
-    /// Name as it appears in STATUSTEXT, log and documentation.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Attack => "attack",
-            Self::NoVerdict => "no verdict",
-            Self::CollisionCourse => "collision course",
-            Self::LedAstray => "led astray",
-            Self::Disagreement => "disagreement",
-            Self::RoughPicture => "rough picture",
-        }
-    }
 }
 
-/// What the raised alarm makes guidance do in this step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-#[repr(u8)]
-pub enum AlarmResponse {
-    /// Nothing: the policy only tells.
-    Ignored = 0,
-    /// Zero setpoints.
-    Stop = 1,
-    /// The recovery pilot's action takes the actor's place.
-    Recovery = 2,
-}
-
-impl AlarmResponse {
-    /// All responses, in the order of their numbers.
-    pub const ALL: [Self; 3] = [Self::Ignored, Self::Stop, Self::Recovery];
-
-    /// Name as it appears in STATUSTEXT, log and documentation.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Ignored => "ignored",
-            Self::Stop => "stopping",
-            Self::Recovery => "recovery pilot flies",
-        }
+named! {
+    /// What the raised alarm makes guidance do in this step.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+    #[repr(u8)]
+    pub enum AlarmResponse {
+        /// Nothing: the policy only tells.
+        Ignored = 0 => "ignored",
+        /// Zero setpoints.
+        Stop = 1 => "stopping",
+        /// The recovery pilot's action takes the actor's place.
+        Recovery = 2 => "recovery pilot flies",
     }
 }
 

@@ -3,108 +3,70 @@
 use serde::{Deserialize, Serialize};
 use vigil_detector::ShapError;
 use vigil_nnet::ShapeError;
+use vigil_types::named;
 
 /// A change of the yaw output by as much counts as effective: 30 °/s (docs/paper.md, "Attack in flight").
 pub const EFFECTIVE_YAW: f32 = 1.0;
 
-/// How the pixels are altered. ε is [`AttackConfig::epsilon_255`] / 255 of the image's range; g the gradient of the loss.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum Method {
-    /// One step of ε · sign(g), whatever `iterations` says (Goodfellow et al., 2015).
-    Fgsm,
-    /// Basic iterative method: steps of 2.5 ε / iterations, at most ε, along sign(g); the total stays within ε of the clean frame (Kurakin
-    /// et al., 2017).
-    BimClipped,
-    /// Steps of ε · sign(g) without projection, as the paper writes it: up to iterations · ε.
-    BimAccumulating,
-    /// As clipped, from a random start within ε (Madry et al., 2018).
-    Pgd,
-    /// Steps of ε / iterations along the sign of g's running sum, each normalised by its mean size; within ε (Dong et al.,
-    /// 2018, μ = 1).
-    Momentum,
-    /// Steps along g itself, within a root mean square of ε over all pixels: few pixels move far.
-    L2,
-    /// Only the 32 × 32 pixels that count most, each within 32 ε: the whole frame's budget in one place.
-    Patch,
-    /// The control: random signs of size iterations · ε, as large as [`Method::BimAccumulating`] may get. With one iteration it is
-    /// as large as the others.
-    Noise,
-    /// No gradient: everything above and ahead is shown farther away, by iterations · ε. It deceives whoever believes the frames, the recovery
-    /// pilot and the guard as well as the actor; the ground below stays where it is.
-    Recede,
-    /// No gradient: every pixel is shown as one without a return.
-    Blind,
-    /// No gradient: the first two seconds of what passed while attacking are shown again and again.
-    Replay,
-    /// Black box: as [`Method::BimAccumulating`], by an estimate of the gradient from the yaw output alone, asked [`SPSA_QUERIES`] times in each
-    /// iteration (simultaneous perturbation; Spall 1992, Uesato et al. 2018). Finds more with [`AttackConfig::region_pixels`].
-    Spsa,
+named! {
+    /// How the pixels are altered. ε is [`AttackConfig::epsilon_255`] / 255 of the image's range; g the gradient of the loss.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum Method {
+        /// One step of ε · sign(g), whatever `iterations` says (Goodfellow et al., 2015).
+        Fgsm => "fgsm",
+        /// Basic iterative method: steps of 2.5 ε / iterations, at most ε, along sign(g); the total stays within ε of the clean frame (Kurakin
+        /// et al., 2017).
+        BimClipped => "bim-clipped",
+        /// Steps of ε · sign(g) without projection, as the paper writes it: up to iterations · ε.
+        BimAccumulating => "bim-accumulating",
+        /// As clipped, from a random start within ε (Madry et al., 2018).
+        Pgd => "pgd",
+        /// Steps of ε / iterations along the sign of g's running sum, each normalised by its mean size; within ε (Dong et al.,
+        /// 2018, μ = 1).
+        Momentum => "momentum",
+        /// Steps along g itself, within a root mean square of ε over all pixels: few pixels move far.
+        L2 => "l2",
+        /// Only the 32 × 32 pixels that count most, each within 32 ε: the whole frame's budget in one place.
+        Patch => "patch",
+        /// The control: random signs of size iterations · ε, as large as [`Method::BimAccumulating`] may get. With one iteration it is
+        /// as large as the others.
+        Noise => "noise",
+        /// No gradient: everything above and ahead is shown farther away, by iterations · ε. It deceives whoever believes the frames, the recovery
+        /// pilot and the guard as well as the actor; the ground below stays where it is.
+        Recede => "recede",
+        /// No gradient: every pixel is shown as one without a return.
+        Blind => "blind",
+        /// No gradient: the first two seconds of what passed while attacking are shown again and again.
+        Replay => "replay",
+        /// Black box: as [`Method::BimAccumulating`], by an estimate of the gradient from the yaw output alone, asked [`SPSA_QUERIES`] times in each
+        /// iteration (simultaneous perturbation; Spall 1992, Uesato et al. 2018). Finds more with [`AttackConfig::region_pixels`].
+        Spsa => "spsa",
+    }
 }
 
 impl Method {
-    /// All of them.
-    pub const ALL: [Self; 12] = [
-        Self::Fgsm,
-        Self::BimClipped,
-        Self::BimAccumulating,
-        Self::Pgd,
-        Self::Momentum,
-        Self::L2,
-        Self::Patch,
-        Self::Noise,
-        Self::Recede,
-        Self::Blind,
-        Self::Replay,
-        Self::Spsa,
-    ];
-
     /// Whether it follows a gradient, known or estimated: to a yaw that is aimed at.
     pub fn aims(self) -> bool {
         !matches!(self, Self::Noise | Self::Recede | Self::Blind | Self::Replay)
     }
-
-    /// Its name on the command line and in reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Fgsm => "fgsm",
-            Self::BimClipped => "bim-clipped",
-            Self::BimAccumulating => "bim-accumulating",
-            Self::Pgd => "pgd",
-            Self::Momentum => "momentum",
-            Self::L2 => "l2",
-            Self::Patch => "patch",
-            Self::Noise => "noise",
-            Self::Recede => "recede",
-            Self::Blind => "blind",
-            Self::Replay => "replay",
-            Self::Spsa => "spsa",
-        }
-    }
 }
 
-/// The yaw limit that the attack aims at.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum Towards {
-    /// −1.5: counter-clockwise.
-    Left,
-    /// 1.5: clockwise.
-    Right,
-    /// The one farther from the clean decision.
-    Away,
+named! {
+    /// The yaw limit that the attack aims at.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum Towards {
+        /// −1.5: counter-clockwise.
+        Left => "left",
+        /// 1.5: clockwise.
+        Right => "right",
+        /// The one farther from the clean decision.
+        Away => "away",
+    }
 }
 
 impl Towards {
-    /// Its name on the command line and in reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Left => "left",
-            Self::Right => "right",
-            Self::Away => "away",
-        }
-    }
-
     /// −1 to aim left, 1 to aim right, for a clean yaw output.
     pub(crate) fn sign(self, clean_yaw: f32) -> f32 {
         match self {

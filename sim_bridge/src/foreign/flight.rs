@@ -6,6 +6,7 @@ use crate::world::{Course, Lidar, LidarConfig, LidarConfigError, Referee, Shot, 
 use mavlink::dialects::common::{HIL_STATE_QUATERNION_DATA, MavMessage};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{self, FramingCounters, Packet};
+use vigil_types::named;
 use vigil_types::{Attitude, DepthFrame, FrameKey, Nanos, NedVector, VehicleMode, VehicleTelemetry};
 
 /// A report older than this is no pose; the firmware's own limit of telemetry.
@@ -22,46 +23,33 @@ const LIFT_OFF_M: f32 = 0.5;
 /// below where the estimator errs, and from the plane of the ground no ground is seen.
 const LOWEST_SENSOR_M: f32 = 0.1;
 
-/// What is known of the vehicle's pose.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PoseState {
-    /// Nothing was heard of an autopilot.
-    Silent,
-    /// Two autopilots are heard and none was named: whose pose would be rendered is chance, so none is.
-    TwoVehicles,
-    /// An autopilot is heard, but never a LOCAL_POSITION_NED.
-    NoPosition,
-    /// Position is reported, but never ATTITUDE or ATTITUDE_QUATERNION.
-    NoAttitude,
-    /// The true pose is to be rendered, but it is not reported (HIL_STATE_QUATERNION and GPS_GLOBAL_ORIGIN).
-    NoTruth,
-    /// All is fresh: frames are rendered.
-    Tracking,
-    /// Position or attitude is older than 0.3 s: no frames until both are fresh again.
-    Stopped,
-    /// The reported position jumped in flight. It cannot be told where the vehicle was in between, so there are no further
-    /// frames and no verdict: the flight is to be flown anew.
-    Jumped,
-    /// A position, velocity or attitude is not finite, or a quaternion is not of unit length: no frames until one is good.
-    NotFinite,
+named! {
+    /// What is known of the vehicle's pose.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum PoseState {
+        /// Nothing was heard of an autopilot.
+        Silent => "no autopilot is heard",
+        /// Two autopilots are heard and none was named: whose pose would be rendered is chance, so none is.
+        TwoVehicles => "two vehicles are heard: name one by the link's option system=",
+        /// An autopilot is heard, but never a LOCAL_POSITION_NED.
+        NoPosition => "the vehicle never reports LOCAL_POSITION_NED",
+        /// Position is reported, but never ATTITUDE or ATTITUDE_QUATERNION.
+        NoAttitude => "the vehicle reports neither ATTITUDE nor ATTITUDE_QUATERNION",
+        /// The true pose is to be rendered, but it is not reported (HIL_STATE_QUATERNION and GPS_GLOBAL_ORIGIN).
+        NoTruth => "the vehicle does not report HIL_STATE_QUATERNION and GPS_GLOBAL_ORIGIN",
+        /// All is fresh: frames are rendered.
+        Tracking => "pose is tracked",
+        /// Position or attitude is older than 0.3 s: no frames until both are fresh again.
+        Stopped => "the vehicle's pose stopped",
+        /// The reported position jumped in flight. It cannot be told where the vehicle was in between, so there are no further
+        /// frames and no verdict: the flight is to be flown anew.
+        Jumped => "the vehicle's position jumped in flight",
+        /// A position, velocity or attitude is not finite, or a quaternion is not of unit length: no frames until one is good.
+        NotFinite => "the vehicle's pose is not finite",
+    }
 }
 
 impl PoseState {
-    /// What a person is told.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Silent => "no autopilot is heard",
-            Self::TwoVehicles => "two vehicles are heard: name one by the link's option system=",
-            Self::NoPosition => "the vehicle never reports LOCAL_POSITION_NED",
-            Self::NoAttitude => "the vehicle reports neither ATTITUDE nor ATTITUDE_QUATERNION",
-            Self::NoTruth => "the vehicle does not report HIL_STATE_QUATERNION and GPS_GLOBAL_ORIGIN",
-            Self::Tracking => "pose is tracked",
-            Self::Stopped => "the vehicle's pose stopped",
-            Self::Jumped => "the vehicle's position jumped in flight",
-            Self::NotFinite => "the vehicle's pose is not finite",
-        }
-    }
-
     /// Whether it gets better by itself only if somebody does something about it: a flight need not be waited for.
     pub const fn is_final(self) -> bool {
         matches!(self, Self::Jumped)

@@ -4,6 +4,7 @@ use crate::world::mover::Mover;
 use crate::world::solid::{Solid, radians};
 use serde::{Deserialize, Serialize};
 use vigil_types::NedVector;
+use vigil_types::named;
 use vigil_types::settings::named_setting;
 
 /// A course. Everything is measured from the vehicle's home: north, east and height above ground in metres, angles in
@@ -58,32 +59,19 @@ pub struct Course {
     pub movers: Vec<Mover>,
 }
 
-/// Families of generated courses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Family {
-    /// What policies are trained on.
-    Training,
-    /// Other layouts and densities, for judging.
-    Validation,
-    /// Doors, pockets, gaps near 2 m and moving obstacles: where pilots fail.
-    Hard,
-    /// Validation's layouts filled up, with gaps from 1.8 m.
-    Dense,
-}
-
-impl Family {
-    /// All families.
-    pub const ALL: [Self; 4] = [Self::Training, Self::Validation, Self::Hard, Self::Dense];
-
-    /// The name used in files and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Training => "training",
-            Self::Validation => "validation",
-            Self::Hard => "hard",
-            Self::Dense => "dense",
-        }
+named! {
+    /// Families of generated courses.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum Family {
+        /// What policies are trained on.
+        Training => "training",
+        /// Other layouts and densities, for judging.
+        Validation => "validation",
+        /// Doors, pockets, gaps near 2 m and moving obstacles: where pilots fail.
+        Hard => "hard",
+        /// Validation's layouts filled up, with gaps from 1.8 m.
+        Dense => "dense",
     }
 }
 
@@ -97,10 +85,7 @@ pub struct UnknownFamily(pub String);
 impl core::str::FromStr for Family {
     type Err = UnknownFamily;
     fn from_str(name: &str) -> Result<Self, UnknownFamily> {
-        Self::ALL
-            .into_iter()
-            .find(|f| f.name() == name)
-            .ok_or_else(|| UnknownFamily(name.to_owned()))
+        Self::from_name(name).ok_or_else(|| UnknownFamily(name.to_owned()))
     }
 }
 

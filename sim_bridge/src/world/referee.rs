@@ -4,6 +4,7 @@ use crate::world::World;
 use crate::world::course::{Checkpoint, Course};
 use crate::world::solid::radians;
 use crate::world::vehicle::VEHICLE;
+use vigil_types::named;
 use vigil_types::{Attitude, Nanos, NedVector};
 
 /// Touching the ground faster than this, downwards, is a crash. A quadcopter's landing descends at 0.3 to 0.7 m/s.
@@ -15,31 +16,18 @@ const SWEEP_STEP_M: f32 = 0.1;
 /// A way longer than this many sweep steps between two truths is not a flight.
 const MAX_SWEEP_STEPS: usize = 1000;
 
-/// How a flight ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Outcome {
-    /// The vehicle came within the goal's radius.
-    Success,
-    /// The vehicle touched an obstacle or the ceiling, or hit the ground.
-    Collision,
-    /// The vehicle left the bounds, or its position was not a number.
-    OutOfBounds,
-    /// The time limit passed.
-    TimeOut,
-}
-
-impl Outcome {
-    /// All outcomes.
-    pub const ALL: [Self; 4] = [Self::Success, Self::Collision, Self::OutOfBounds, Self::TimeOut];
-
-    /// Name in tables and files; [`core::str::FromStr`] reads it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Success => "success",
-            Self::Collision => "collision",
-            Self::OutOfBounds => "out of bounds",
-            Self::TimeOut => "time-out",
-        }
+named! {
+    /// How a flight ended.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+    pub enum Outcome {
+        /// The vehicle came within the goal's radius.
+        Success => "success",
+        /// The vehicle touched an obstacle or the ceiling, or hit the ground.
+        Collision => "collision",
+        /// The vehicle left the bounds, or its position was not a number.
+        OutOfBounds => "out of bounds",
+        /// The time limit passed.
+        TimeOut => "time-out",
     }
 }
 
@@ -52,8 +40,7 @@ impl core::str::FromStr for Outcome {
     type Err = UnknownOutcome;
 
     fn from_str(name: &str) -> Result<Self, UnknownOutcome> {
-        let known = Self::ALL.into_iter().find(|outcome| outcome.name() == name);
-        known.ok_or(UnknownOutcome)
+        Self::from_name(name).ok_or(UnknownOutcome)
     }
 }
 

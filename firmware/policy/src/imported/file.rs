@@ -101,9 +101,9 @@ impl FrozenPolicy {
             return Err(wrong("frame", &frame));
         };
         let order = read.text("channels")?;
-        let order = Channels::named(&order).ok_or_else(|| wrong("channels", &order))?;
+        let order = Channels::from_name(&order).ok_or_else(|| wrong("channels", &order))?;
         let depth = read.text("depth")?;
-        let depth = Depth::named(&depth).ok_or_else(|| wrong("depth", &depth))?;
+        let depth = Depth::from_name(&depth).ok_or_else(|| wrong("depth", &depth))?;
         let layers = read.text("layers")?.parse::<Network>();
         let policy = Self {
             network: layers.map_err(|e| KIND.content_error(file, format!("cannot be flown: {e}")))?,

@@ -11,65 +11,30 @@ use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
 use vigil_nnet::{Activation, Aligned, Graph, Isa, NodeId, Purpose};
+use vigil_types::named;
 use vigil_types::{Action, DEPTH_COLS, DEPTH_ROWS};
 
-/// What a policy's pixels are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Depth {
-    /// The range over 100 m, 0 to 1: as our frames are.
-    #[default]
-    Range,
-    /// `1 / (1 + range / 3 m)`: near is bright.
-    Contrast,
-}
-
-impl Depth {
-    /// All, each with the word that files and options have for it.
-    const WORDS: [(Self, &'static str); 2] = [(Self::Range, "range"), (Self::Contrast, "contrast")];
-
-    /// The word that files and options have for it.
-    pub fn name(self) -> &'static str {
-        Self::WORDS
-            .iter()
-            .find_map(|(value, name)| (*value == self).then_some(*name))
-            .unwrap_or_default()
-    }
-
-    /// What a word stands for.
-    pub fn named(word: &str) -> Option<Self> {
-        Self::WORDS
-            .iter()
-            .find_map(|(value, name)| (*name == word).then_some(*value))
+named! {
+    /// What a policy's pixels are.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub enum Depth {
+        /// The range over 100 m, 0 to 1: as our frames are.
+        #[default]
+        Range => "range",
+        /// `1 / (1 + range / 3 m)`: near is bright.
+        Contrast => "contrast",
     }
 }
 
-/// What a policy's channels are, if it has several.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Channels {
-    /// The last frames, the newest in the last channel.
-    #[default]
-    Stack,
-    /// The newest frame in each.
-    Repeat,
-}
-
-impl Channels {
-    /// All, each with the word that files and options have for it.
-    const WORDS: [(Self, &'static str); 2] = [(Self::Stack, "stack"), (Self::Repeat, "repeat")];
-
-    /// The word that files and options have for it.
-    pub fn name(self) -> &'static str {
-        Self::WORDS
-            .iter()
-            .find_map(|(value, name)| (*value == self).then_some(*name))
-            .unwrap_or_default()
-    }
-
-    /// What a word stands for.
-    pub fn named(word: &str) -> Option<Self> {
-        Self::WORDS
-            .iter()
-            .find_map(|(value, name)| (*name == word).then_some(*value))
+named! {
+    /// What a policy's channels are, if it has several.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub enum Channels {
+        /// The last frames, the newest in the last channel.
+        #[default]
+        Stack => "stack",
+        /// The newest frame in each.
+        Repeat => "repeat",
     }
 }
 

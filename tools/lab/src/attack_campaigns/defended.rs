@@ -21,6 +21,7 @@ use vigil_sim::world::Outcome;
 use vigil_tools::cli::output::{self, say};
 use vigil_types::AlarmPolicy;
 use vigil_types::STEP_S;
+use vigil_types::named;
 
 /// Arguments of `vigil attack defended`.
 #[derive(Debug, Clone, clap::Args)]
@@ -97,44 +98,27 @@ pub struct DefendedArgs {
     common: Common,
 }
 
-/// Who flies against what.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum Arm {
-    /// Not attacked, no detector.
-    None,
-    /// Not attacked, detector and recovery on: what do they cost?
-    NoneWatched,
-    /// Attacked, no detector.
-    Undefended,
-    /// Attacked; an alarm stops the vehicle.
-    Stop,
-    /// Attacked; an alarm stops the vehicle, then the recovery pilot flies on.
-    Recover,
+named! {
+    /// Who flies against what.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum Arm {
+        /// Not attacked, no detector.
+        None => "none",
+        /// Not attacked, detector and recovery on: what do they cost?
+        NoneWatched => "none-watched",
+        /// Attacked, no detector.
+        Undefended => "undefended",
+        /// Attacked; an alarm stops the vehicle.
+        Stop => "stop",
+        /// Attacked; an alarm stops the vehicle, then the recovery pilot flies on.
+        Recover => "recover",
+    }
 }
 
 impl Arm {
-    const ALL: [Self; 5] = [
-        Self::None,
-        Self::NoneWatched,
-        Self::Undefended,
-        Self::Stop,
-        Self::Recover,
-    ];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::NoneWatched => "none-watched",
-            Self::Undefended => "undefended",
-            Self::Stop => "stop",
-            Self::Recover => "recover",
-        }
-    }
-
     fn named(name: &str) -> Result<Self> {
-        let arm = Self::ALL.into_iter().find(|arm| arm.name() == name);
-        arm.with_context(|| format!("there is no arm {name}"))
+        Self::from_name(name).with_context(|| format!("there is no arm {name}"))
     }
 
     fn attacked(self) -> bool {

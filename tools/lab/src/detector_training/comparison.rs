@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use vigil_detector::{IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, Pca, cnn_ad, fcn_ad};
 use vigil_nnet::{Activation, Graph, Isa};
 use vigil_policy::FrozenPilot;
+use vigil_types::named;
 
 /// A detector's row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -51,24 +52,18 @@ pub fn image_fit(epochs: usize, seed: u64) -> FitConfig {
     }
 }
 
-/// Which image network.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ImageNetwork {
-    /// Convolutions.
-    Cnn,
-    /// Dense layers only.
-    Fcn,
+named! {
+    /// Which image network.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum ImageNetwork {
+        /// Convolutions.
+        Cnn => "CNN-AD",
+        /// Dense layers only.
+        Fcn => "FCN-AD",
+    }
 }
 
 impl ImageNetwork {
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Cnn => "CNN-AD",
-            Self::Fcn => "FCN-AD",
-        }
-    }
-
     pub(crate) fn graph(self, output: Activation) -> Result<Graph, DetectError> {
         Ok(match self {
             Self::Cnn => cnn_ad(output)?,

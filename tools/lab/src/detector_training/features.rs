@@ -8,35 +8,25 @@ use vigil_detector::{Background, DeepShap, ROW, row_of};
 use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS};
 use vigil_policy::{ExplainedHead, FrozenPilot};
+use vigil_types::named;
 
-/// What a row of a window holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Feature {
-    /// SHAP values of the yaw output at the split point.
-    Shap,
-    /// The split point's values themselves.
-    State,
-    /// The two outputs.
-    Action,
-    /// Gradient of the yaw output with respect to the split point.
-    Gradient,
+named! {
+    /// What a row of a window holds.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum Feature {
+        /// SHAP values of the yaw output at the split point.
+        Shap => "SHAP values",
+        /// The split point's values themselves.
+        State => "actor state",
+        /// The two outputs.
+        Action => "actions",
+        /// Gradient of the yaw output with respect to the split point.
+        Gradient => "gradients",
+    }
 }
 
 impl Feature {
-    /// All of them.
-    pub const ALL: [Self; 4] = [Self::Shap, Self::State, Self::Action, Self::Gradient];
-
-    /// Its name in reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Shap => "SHAP values",
-            Self::State => "actor state",
-            Self::Action => "actions",
-            Self::Gradient => "gradients",
-        }
-    }
-
     /// Values of a row.
     pub fn width(self) -> usize {
         match self {

@@ -2,6 +2,7 @@
 
 use super::ObservedStep;
 use std::fmt;
+use vigil_types::named;
 use vigil_types::{StepReport, Verdict};
 
 /// A step that begins later, or takes so much longer than usual, is asked for its cause.
@@ -48,45 +49,32 @@ impl fmt::Display for Work {
     }
 }
 
-/// What kept a step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Cause {
-    /// The step before ran past the deadline.
-    Overrun,
-    /// Others had the processors while the thread was ready.
-    Queued,
-    /// The hypervisor had given the processor to another machine.
-    Stolen,
-    /// The kernel woke the thread late, though a processor was free for it.
-    WokenLate,
-    /// Pages came from the disk.
-    Disk,
-    /// It waited for something within the step: a lock, a full pipe.
-    Blocked,
-    /// Pages were touched for the first time.
-    Pages,
-    /// It computed longer.
-    Computed,
-    /// It was off the processor for a reason that is not counted.
-    Unknown,
+named! {
+    /// What kept a step.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum Cause {
+        /// The step before ran past the deadline.
+        Overrun => "overrun",
+        /// Others had the processors while the thread was ready.
+        Queued => "queued",
+        /// The hypervisor had given the processor to another machine.
+        Stolen => "stolen",
+        /// The kernel woke the thread late, though a processor was free for it.
+        WokenLate => "woken late",
+        /// Pages came from the disk.
+        Disk => "disk",
+        /// It waited for something within the step: a lock, a full pipe.
+        Blocked => "blocked",
+        /// Pages were touched for the first time.
+        Pages => "pages",
+        /// It computed longer.
+        Computed => "computed",
+        /// It was off the processor for a reason that is not counted.
+        Unknown => "unknown",
+    }
 }
 
 impl Cause {
-    /// In one or two words.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Overrun => "overrun",
-            Self::Queued => "queued",
-            Self::Stolen => "stolen",
-            Self::WokenLate => "woken late",
-            Self::Disk => "disk",
-            Self::Blocked => "blocked",
-            Self::Pages => "pages",
-            Self::Computed => "computed",
-            Self::Unknown => "unknown",
-        }
-    }
-
     /// In words, with the step's figures.
     pub fn told(self, step: &ObservedStep) -> String {
         let c = &step.counted;
