@@ -20,7 +20,7 @@ use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceInput, Guidance
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, LET_GO, LinkCounters, MavHeader, Parameters, StatusText, framing};
 use vigil_policy::actor::Actor;
-use vigil_policy::{FlightPilot, GeometricPilot, PilotInput, PlausibilityJudge, SecondSensor};
+use vigil_policy::{FlightPilot, GeometricPilot, PilotInput, PlausibilityCheck, SecondSensor};
 use vigil_types::{
     Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal, GuardNotice, GuidanceState, Nanos, OperatorRequest,
     Reason, Reasons, RequestOutcome, StepReport, StepTiming, VehicleRequest, VehicleTelemetry, Verdict,
@@ -62,8 +62,8 @@ pub struct TickOutput {
 /// The flight stack. A large value without pointers: box it once at start.
 pub struct FlightStack {
     frames: FrameKeeper,
-    /// Judges each new frame; `None` when that is switched off.
-    plausibility: Option<PlausibilityJudge>,
+    /// Checks each new frame; `None` when that is switched off.
+    plausibility: Option<PlausibilityCheck>,
     /// Compares the frames with the second sensor; `None` where there is none.
     second_sensor: Option<SecondSensor>,
     companion: Companion,
@@ -117,7 +117,7 @@ impl FlightStack {
         }
         Ok(Self {
             frames: FrameKeeper::new(config.sensor_id),
-            plausibility: config.plausibility.then(PlausibilityJudge::new),
+            plausibility: config.plausibility.then(PlausibilityCheck::new),
             second_sensor: config.second_sensor.then(SecondSensor::new),
             companion: Companion::new(config.companion).with_parameters(tunables.parameters()),
             tunables,
@@ -167,14 +167,14 @@ impl FlightStack {
         let limits = *self.guidance.config();
         let motion = Motion::of(&telemetry, now_ns, limits.telemetry_age_limit_ns);
         let is_new = taken == Some(Ok(()));
-        let doubts = match (&mut self.plausibility, self.frames.newest()) {
-            (Some(judge), Some(frame)) if is_new => judge.judge(frame, &telemetry),
-            (Some(judge), _) => judge.doubts(),
+        let sensor_faults = match (&mut self.plausibility, self.frames.newest()) {
+            (Some(plausibility), Some(frame)) if is_new => plausibility.check(frame, &telemetry),
+            (Some(plausibility), _) => plausibility.sensor_faults(),
             (None, _) => Reasons::NONE,
         };
-        let doubts = doubts.union(self.second_opinion(now_ns, &telemetry, motion));
+        let sensor_faults = sensor_faults.union(self.second_opinion(now_ns, &telemetry, motion));
         let goal = self.guidance.goal();
-        let is_fresh = self.frames.fresh(now_ns, limits.frame_age_limit_ns).is_some() && doubts.is_empty();
+        let is_fresh = self.frames.fresh(now_ns, limits.frame_age_limit_ns).is_some() && sensor_faults.is_empty();
         Observation {
             now_ns,
             telemetry,
@@ -186,14 +186,14 @@ impl FlightStack {
                 motion,
             }),
             smooth_share: match &self.plausibility {
-                Some(judge) if is_new => judge.smooth_share(),
+                Some(plausibility) if is_new => plausibility.smooth_share(),
                 _ => None,
             },
             frame: FrameStatus {
                 age_ns: self.frames.newest().map(|f| now_ns.saturating_sub(f.header.stamp_ns)),
                 refused: matches!(taken, Some(Err(_))),
                 unauthenticated: taken == Some(Err(Refusal::Defect(FrameDefect::BadTag))),
-                doubts,
+                sensor_faults,
             },
             is_fresh,
         }
@@ -303,7 +303,7 @@ impl FlightStack {
         let input = motion
             .zip(self.frames.fresh(now_ns, self.guidance.config().frame_age_limit_ns))
             .map(|(motion, depth)| motion.pilot_input(now_ns, depth, self.guidance.home_ned_m()));
-        second.judge(
+        second.check(
             now_ns,
             self.companion.sector_ranges(),
             input.as_ref(),

@@ -20,7 +20,7 @@ pub struct StackConfig {
     pub speed_limit_m_s: f32,
     /// Where to fly, from home; `None` waits for an operator.
     pub goal: Option<Goal>,
-    /// Whether frames are judged before the pilots see them (docs/sensor-faults.md).
+    /// Whether frames are checked before the pilots see them (docs/sensor-faults.md).
     pub plausibility: bool,
     /// Whether a second sensor must see nothing nearer than the frames show (docs/second-sensor.md).
     pub second_sensor: bool,

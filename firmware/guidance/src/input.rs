@@ -16,7 +16,7 @@ pub struct FrameStatus {
     /// It was refused because it was not made with the sensor's key.
     pub unauthenticated: bool,
     /// What is implausible about the newest valid frame: [`vigil_types::Reason::BlindSensor`] and its like; no pilot was shown it then.
-    pub doubts: Reasons,
+    pub sensor_faults: Reasons,
 }
 
 /// What the recovery pilot foresees.

@@ -27,7 +27,7 @@ enum Event {
     Position([f32; 3]),
     Battery(Option<f32>),
     Frame(Option<u64>, bool),
-    Doubts(Reasons),
+    SensorFaults(Reasons),
     TelemetryAge(u64),
     HeartbeatAge(Option<u64>),
     Action(Option<[f32; 2]>),
@@ -85,7 +85,7 @@ fn event() -> impl Strategy<Value = Event> {
         2 => [number(), number(), number()].prop_map(Event::Position),
         1 => proptest::option::of(0.0f32..1.0).prop_map(Event::Battery),
         2 => (proptest::option::of(0u64..500_000_000), any::<bool>()).prop_map(|(age, refused)| Event::Frame(age, refused)),
-        2 => prop_oneof![Just(Reasons::NONE), Just(Reasons::of(Reason::BlindSensor)), Just(Reasons::of(Reason::FrozenSensor))].prop_map(Event::Doubts),
+        2 => prop_oneof![Just(Reasons::NONE), Just(Reasons::of(Reason::BlindSensor)), Just(Reasons::of(Reason::FrozenSensor))].prop_map(Event::SensorFaults),
         1 => (0u64..600_000_000).prop_map(Event::TelemetryAge),
         1 => proptest::option::of(0u64..3_000_000_000).prop_map(Event::HeartbeatAge),
         3 => proptest::option::of([number(), number()]).prop_map(Event::Action),
@@ -169,7 +169,7 @@ fn apply(s: &mut Story, event: &Event) -> usize {
                 ..s.frame
             }
         }
-        Event::Doubts(doubts) => s.frame.doubts = doubts,
+        Event::SensorFaults(sensor_faults) => s.frame.sensor_faults = sensor_faults,
         Event::TelemetryAge(age_ns) => s.telemetry_age_ns = age_ns,
         Event::HeartbeatAge(age_ns) => s.heartbeat_age_ns = age_ns,
         Event::Action(action) => {
@@ -200,7 +200,7 @@ fn something_is_wrong(s: &Story) -> bool {
     let t = s.telemetry();
     let p = s.position_ned_m;
     s.frame.refused
-        || !s.frame.doubts.is_empty()
+        || !s.frame.sensor_faults.is_empty()
         || s.frame.age_ns.is_none_or(|age| age > 250_000_000)
         || s.telemetry_age_ns > 300_000_000
         || s.heartbeat_age_ns.is_none_or(|age| age > 1_500_000_000)

@@ -1,11 +1,11 @@
-//! What a decision of the geometric pilot costs, reading a frame alone, and judging it: `cargo bench -p vigil-policy`.
+//! What a decision of the geometric pilot costs, reading a frame alone, and checking it: `cargo bench -p vigil-policy`.
 
 #[path = "../tests/common/mod.rs"]
 mod common;
 
 use common::{Scene, block, column, input};
 use divan::Bencher;
-use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PlausibilityJudge, RangeScan};
+use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PlausibilityCheck, RangeScan};
 use vigil_types::{
     Attitude, AttitudeSample, DepthFrame, FrdVector, Heartbeat, Kinematics, NedVector, VehicleMode, VehicleTelemetry,
 };
@@ -62,9 +62,9 @@ fn decide(bencher: Bencher) {
 
 /// Plausibility of a frame in flight, compared with the one before and with two kept ones.
 #[divan::bench]
-fn judge(bencher: Bencher) {
+fn check(bencher: Bencher) {
     let frames = frames();
-    let mut judge = Box::new(PlausibilityJudge::new());
+    let mut plausibility = Box::new(PlausibilityCheck::new());
     let mut i = 0;
     bencher.bench_local(|| {
         i = (i + 1) % frames.len();
@@ -88,8 +88,8 @@ fn judge(bencher: Bencher) {
             }),
             ..VehicleTelemetry::default()
         };
-        let doubts = judge.judge(&frames[i], &telemetry);
-        assert!(doubts.is_empty());
-        doubts
+        let faults = plausibility.check(&frames[i], &telemetry);
+        assert!(faults.is_empty());
+        faults
     });
 }

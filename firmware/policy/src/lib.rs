@@ -1,7 +1,7 @@
 //! Pilots: what turns a depth frame and a goal into an action.
 //!
 //! [`ActorPilot`] flies the frozen network ([`actor::ActorSpec`]), [`GeometricPilot`] needs none, [`RecoveryPilot`] takes over after an alarm;
-//! [`PlausibilityJudge`] says before all of them whether a frame can be believed. None of them moves the vehicle: guidance does.
+//! [`PlausibilityCheck`] says before all of them whether a frame can be believed. None of them moves the vehicle: guidance does.
 //!
 //! ```
 //! use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PilotInput};
@@ -43,7 +43,7 @@ pub use geometric::{GeometricConfig, GeometricPilot, Lookout, RangeScan, Recover
 #[cfg(feature = "actor-file")]
 pub use imported::FrozenPolicy;
 pub use imported::ImportedPilot;
-pub use plausibility::PlausibilityJudge;
+pub use plausibility::PlausibilityCheck;
 pub use second_sensor::SecondSensor;
 
 use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector, Nanos};

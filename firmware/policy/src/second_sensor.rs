@@ -54,7 +54,7 @@ impl SecondSensor {
 
     /// What is wrong now: [`Reason::SecondSensorSilent`], [`Reason::SensorsDisagree`]. `newest` is the sensor's newest report, `input` the newest
     /// frame with where the vehicle is, `None` while either is stale. To be asked once in every step.
-    pub fn judge(
+    pub fn check(
         &mut self,
         now_ns: Nanos,
         newest: Option<&SectorRanges>,
@@ -149,7 +149,7 @@ mod tests {
     }
 
     /// Judges so many reports of something at `near_m` against frames that show a wall at `wall_m` all around.
-    fn judge(sensor: &mut SecondSensor, from: u64, reports: u64, near_m: f32, wall_m: f32, airborne: bool) -> Reasons {
+    fn check(sensor: &mut SecondSensor, from: u64, reports: u64, near_m: f32, wall_m: f32, airborne: bool) -> Reasons {
         let mut frame = DepthFrame::EMPTY;
         frame.depth.fill(wall_m / 100.0);
         let mut found = Reasons::NONE;
@@ -157,7 +157,7 @@ mod tests {
             let now_ns = i * REPORT_NS;
             frame.header.stamp_ns = now_ns;
             let input = hovering(now_ns, &frame);
-            found = sensor.judge(now_ns, Some(&report(now_ns, near_m)), Some(&input), airborne);
+            found = sensor.check(now_ns, Some(&report(now_ns, near_m)), Some(&input), airborne);
         }
         found
     }
@@ -166,36 +166,36 @@ mod tests {
     fn three_reports_of_what_the_frames_hide_hold_the_flight_until_fifteen_agree() {
         let mut sensor = SecondSensor::new();
         let disagrees = Reasons::of(Reason::SensorsDisagree);
-        assert_eq!(judge(&mut sensor, 0, 20, 2.0, 2.2, true), Reasons::NONE, "both see it");
+        assert_eq!(check(&mut sensor, 0, 20, 2.0, 2.2, true), Reasons::NONE, "both see it");
         assert_eq!(
-            judge(&mut sensor, 20, 20, f32::INFINITY, 2.2, true),
+            check(&mut sensor, 20, 20, f32::INFINITY, 2.2, true),
             Reasons::NONE,
             "it sees less"
         );
-        assert_eq!(judge(&mut sensor, 40, 2, 2.0, 9.8, true), Reasons::NONE);
-        assert_eq!(judge(&mut sensor, 42, 1, 2.0, 9.8, true), disagrees);
-        assert_eq!(judge(&mut sensor, 43, 14, 2.0, 2.0, true), disagrees);
-        assert_eq!(judge(&mut sensor, 57, 1, 2.0, 2.0, true), Reasons::NONE);
+        assert_eq!(check(&mut sensor, 40, 2, 2.0, 9.8, true), Reasons::NONE);
+        assert_eq!(check(&mut sensor, 42, 1, 2.0, 9.8, true), disagrees);
+        assert_eq!(check(&mut sensor, 43, 14, 2.0, 2.0, true), disagrees);
+        assert_eq!(check(&mut sensor, 57, 1, 2.0, 2.0, true), Reasons::NONE);
         // The second time is for the rest of the flight.
-        assert_eq!(judge(&mut sensor, 58, 5, 2.0, 9.8, true), disagrees);
-        assert_eq!(judge(&mut sensor, 63, 100, 2.0, 2.0, true), disagrees);
-        assert_eq!(judge(&mut sensor, 163, 1, 2.0, 9.8, false), Reasons::NONE, "landed");
-        assert_eq!(judge(&mut sensor, 164, 2, 2.0, 9.8, true), Reasons::NONE, "begins anew");
+        assert_eq!(check(&mut sensor, 58, 5, 2.0, 9.8, true), disagrees);
+        assert_eq!(check(&mut sensor, 63, 100, 2.0, 2.0, true), disagrees);
+        assert_eq!(check(&mut sensor, 163, 1, 2.0, 9.8, false), Reasons::NONE, "landed");
+        assert_eq!(check(&mut sensor, 164, 2, 2.0, 9.8, true), Reasons::NONE, "begins anew");
     }
 
     #[test]
     fn a_sensor_that_is_silent_or_stale_is_named_and_one_that_speaks_again_is_not() {
         let mut sensor = SecondSensor::new();
         let silent = Reasons::of(Reason::SecondSensorSilent);
-        assert_eq!(sensor.judge(0, None, None, false), silent);
+        assert_eq!(sensor.check(0, None, None, false), silent);
         let old = report(1_000, 2.0);
         assert_eq!(
-            sensor.judge(1_000 + AGE_LIMIT_NS, Some(&old), None, true),
+            sensor.check(1_000 + AGE_LIMIT_NS, Some(&old), None, true),
             Reasons::NONE
         );
-        assert_eq!(sensor.judge(1_001 + AGE_LIMIT_NS, Some(&old), None, true), silent);
+        assert_eq!(sensor.check(1_001 + AGE_LIMIT_NS, Some(&old), None, true), silent);
         let new = report(2 * AGE_LIMIT_NS, 2.0);
-        assert_eq!(sensor.judge(2 * AGE_LIMIT_NS, Some(&new), None, true), Reasons::NONE);
+        assert_eq!(sensor.check(2 * AGE_LIMIT_NS, Some(&new), None, true), Reasons::NONE);
     }
 
     #[test]

@@ -204,7 +204,7 @@ impl ForeignFlight {
         {
             self.note_position(motion);
             if !self.wants_truth {
-                self.judge(now_ns);
+                self.referee_step(now_ns);
             }
         }
     }
@@ -222,7 +222,7 @@ impl ForeignFlight {
             velocity_ned_m_s: NedVector::new(m_s(m.vx), m_s(m.vy), m_s(m.vz)),
         };
         self.truth = Some((motion, Attitude { w, x, y, z }));
-        self.judge(now_ns);
+        self.referee_step(now_ns);
     }
 
     /// The position that the vehicle reported last.
@@ -270,7 +270,7 @@ impl ForeignFlight {
     }
 
     /// Shows the referee what was just reported.
-    fn judge(&mut self, now_ns: Nanos) {
+    fn referee_step(&mut self, now_ns: Nanos) {
         if self.pose_state(now_ns) != PoseState::Tracking || self.ending.is_some() {
             return;
         }

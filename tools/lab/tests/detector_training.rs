@@ -178,8 +178,8 @@ fn the_built_in_detector_judges_the_built_in_actor() {
         bursts: std::iter::once(30..60).collect(),
     });
     let bent = fly(Isa::detect(), &actor, &scenario, &mut ()).unwrap();
-    let judge = vigil_lab::detector_training::Judge::from_frozen(&frozen);
-    let scores = judge.scores(Isa::detect(), &actor, &[quiet, bent]).unwrap();
+    let scorer = vigil_lab::detector_training::WindowScorer::from_frozen(&frozen);
+    let scores = scorer.scores(Isa::detect(), &actor, &[quiet, bent]).unwrap();
     let alarms = |flight: usize| scores[flight].iter().flatten().filter(|s| **s > 0.5).count();
     assert_eq!(
         scores[0].iter().flatten().count(),

@@ -27,7 +27,7 @@ impl Guidance {
         let pilot_could = self.expects_action(input.vehicle.handover)
             && !stale_frame
             && !input.frame.refused
-            && input.frame.doubts.is_empty()
+            && input.frame.sensor_faults.is_empty()
             && !stale_telemetry
             && !bad_telemetry
             && self.goal.is_some();
@@ -87,7 +87,7 @@ impl Guidance {
             .with_if(pilot_in_command, Reason::PilotInCommand)
             .with_if(input.frame.unauthenticated, Reason::UnauthenticatedFrame)
             .union(alarm.map_or(Reasons::NONE, of_alarm))
-            .union(input.frame.doubts)
+            .union(input.frame.sensor_faults)
     }
 
     fn note_fence(&mut self, position_ned_m: NedVector) {

@@ -197,19 +197,19 @@ fn every_bad_input_is_a_hold_with_its_name_within_one_step() {
         (|s| s.frame.age_ns = None, Reason::StaleFrame),
         (|s| s.frame.refused = true, Reason::BadFrame),
         (
-            |s| s.frame.doubts = Reasons::of(Reason::BlindSensor),
+            |s| s.frame.sensor_faults = Reasons::of(Reason::BlindSensor),
             Reason::BlindSensor,
         ),
         (
-            |s| s.frame.doubts = Reasons::of(Reason::FrozenSensor),
+            |s| s.frame.sensor_faults = Reasons::of(Reason::FrozenSensor),
             Reason::FrozenSensor,
         ),
         (
-            |s| s.frame.doubts = Reasons::of(Reason::ImplausiblePose),
+            |s| s.frame.sensor_faults = Reasons::of(Reason::ImplausiblePose),
             Reason::ImplausiblePose,
         ),
         (
-            |s| s.frame.doubts = Reasons::of(Reason::InconsistentPicture),
+            |s| s.frame.sensor_faults = Reasons::of(Reason::InconsistentPicture),
             Reason::InconsistentPicture,
         ),
         (|s| s.telemetry_age_ns = 300_000_001, Reason::StaleTelemetry),
@@ -263,11 +263,11 @@ fn nothing_is_sent_and_nothing_engages_while_an_input_is_missing() {
         (|s| s.frame.age_ns = None, Reason::StaleFrame),
         (|s| s.frame.refused = true, Reason::BadFrame),
         (
-            |s| s.frame.doubts = Reasons::of(Reason::BlindSensor),
+            |s| s.frame.sensor_faults = Reasons::of(Reason::BlindSensor),
             Reason::BlindSensor,
         ),
         (
-            |s| s.frame.doubts = Reasons::of(Reason::ImplausiblePose),
+            |s| s.frame.sensor_faults = Reasons::of(Reason::ImplausiblePose),
             Reason::ImplausiblePose,
         ),
         (|s| s.telemetry_age_ns = 2_000_000_000, Reason::StaleTelemetry),

@@ -276,7 +276,7 @@ impl Track {
         self.unseen_s = 0.0;
         self.refuted = 0;
         self.seen_m = (self.north_m, self.east_m);
-        self.judge();
+        self.classify();
         if self.moves {
             self.moving_frames = self.moving_frames.saturating_add(1);
             let apart_m = |a: (f32, f32), b: (f32, f32)| libm::hypotf(a.0 - b.0, a.1 - b.1);
@@ -316,7 +316,7 @@ impl Track {
         }
     }
 
-    fn judge(&mut self) {
+    fn classify(&mut self) {
         let speed_m_s = self.speed_m_s();
         let slow = speed_m_s < STANDS_M_S && self.frames >= MOVER_FRAMES;
         self.slow_frames = if slow { self.slow_frames.saturating_add(1) } else { 0 };

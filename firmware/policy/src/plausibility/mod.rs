@@ -1,6 +1,6 @@
 //! Judges, before any pilot sees them, whether the depth frames can be what the sensor of this vehicle sees here and now.
 //!
-//! A valid frame may still be wrong: dead, frozen, mirrored, turned on its mount, of another place. The judge compares each
+//! A valid frame may still be wrong: dead, frozen, mirrored, turned on its mount, of another place. The check compares each
 //! frame with what must be seen (the ground), its pose with the telemetry, and its picture with earlier ones and the way flown
 //! between them: every surface of one picture, moved as the vehicle moved, must be found in the other. docs/sensor-faults.md
 //! explains what is found, and how fast. No allocation, no panic, no clock.
@@ -22,7 +22,7 @@ const GROUND_M: f32 = 15.0;
 const LOW_M: f32 = 0.5;
 /// Higher than this the ground may be too far to be seen at all.
 const HIGH_M: f32 = 0.4 * GROUND_M;
-/// Columns of cells that are judged together: 7.5°.
+/// Columns of cells that are checked together: 7.5°.
 const STRIP: usize = 4;
 const STRIPS: usize = COLS / STRIP;
 /// Strips without a ground that make a sensor blind, and cells of zeros, with many of them, and of ranges of anywhere that do.
@@ -231,9 +231,9 @@ struct Raised {
     stays: bool,
 }
 
-/// The judge. A large value without pointers; no allocation.
+/// The check. A large value without pointers; no allocation.
 #[derive(Debug, Clone)]
-pub struct PlausibilityJudge {
+pub struct PlausibilityCheck {
     directions: Directions,
     picture: Picture,
     before: Picture,
@@ -241,7 +241,7 @@ pub struct PlausibilityJudge {
     pose_before: Option<Pose>,
     /// What the last frame's cells show.
     counts: CellCounts,
-    doubts: Reasons,
+    faults: Reasons,
     blind_frames: u8,
     seeing_frames: u8,
     blind: bool,
@@ -253,7 +253,7 @@ pub struct PlausibilityJudge {
     bad_poses: u8,
     good_poses: u8,
     bad_pose: bool,
-    /// What the vehicle told when the frame before was judged.
+    /// What the vehicle told when the frame before was checked.
     kinematics_before: Option<Kinematics>,
     anchors: [Anchor; ANCHORS],
     anchors_used: usize,
@@ -275,20 +275,20 @@ pub fn has_jumped(before: &Kinematics, now: &Kinematics) -> bool {
     (now.position_ned_m - led_to_ned_m).norm() > JUMP_M + JUMP_M_S * passed_s
 }
 
-impl Default for PlausibilityJudge {
+impl Default for PlausibilityCheck {
     fn default() -> Self {
         Self::new()
     }
 }
 
-/// What [`PlausibilityJudge::smooth_share`] would be of this frame: for those who look at a sensor before it flies. A frame of any header.
+/// What [`PlausibilityCheck::smooth_share`] would be of this frame: for those who look at a sensor before it flies. A frame of any header.
 pub fn smooth_share_of(frame: &DepthFrame) -> Option<f32> {
     let mut picture = Picture::EMPTY;
     picture.take(frame).smooth_share()
 }
 
-impl PlausibilityJudge {
-    /// A judge that has seen nothing.
+impl PlausibilityCheck {
+    /// A check that has seen nothing.
     pub fn new() -> Self {
         const NOWHERE: Pose = Pose {
             position_ned_m: NedVector::ZERO,
@@ -305,7 +305,7 @@ impl PlausibilityJudge {
             before: Picture::EMPTY,
             pose_before: None,
             counts: CellCounts::default(),
-            doubts: Reasons::NONE,
+            faults: Reasons::NONE,
             blind_frames: 0,
             seeing_frames: 0,
             blind: false,
@@ -330,20 +330,20 @@ impl PlausibilityJudge {
         }
     }
 
-    /// Of the cells of the last frame judged in which something is seen, the share that shows one surface (4 × 4 pixels whose ranges differ
+    /// Of the cells of the last frame checked in which something is seen, the share that shows one surface (4 × 4 pixels whose ranges differ
     /// by no more than 0.16 m and a fifth of the range); `None` where next to nothing is seen.
     pub fn smooth_share(&self) -> Option<f32> {
         self.counts.smooth_share()
     }
 
-    /// What is implausible about the last frame judged.
-    pub fn doubts(&self) -> Reasons {
-        self.doubts
+    /// What is implausible about the last frame checked.
+    pub fn sensor_faults(&self) -> Reasons {
+        self.faults
     }
 
-    /// Judges a valid frame that is newer than the last. Telemetry that is missing or not finite is judged by nobody here: only
+    /// Checks a valid frame that is newer than the last. Telemetry that is missing or not finite is checked by nobody here: only
     /// what needs none of it is then looked at.
-    pub fn judge(&mut self, frame: &DepthFrame, telemetry: &VehicleTelemetry) -> Reasons {
+    pub fn check(&mut self, frame: &DepthFrame, telemetry: &VehicleTelemetry) -> Reasons {
         self.step = self.step.wrapping_add(1);
         core::mem::swap(&mut self.picture, &mut self.before);
         self.counts = self.picture.take(frame);
@@ -399,11 +399,11 @@ impl PlausibilityJudge {
             self.compare(&pose, stamp_ns);
         }
         self.pose_before = in_flight.then_some(pose);
-        self.doubts = Reasons::NONE
+        self.faults = Reasons::NONE
             .with_if(blind, Reason::BlindSensor)
             .with_if(self.bad_pose, Reason::ImplausiblePose)
             .union(self.raised.map_or(Reasons::NONE, |raised| Reasons::of(raised.reason)));
-        self.doubts
+        self.faults
     }
 
     /// What is remembered of pictures is of no use any more; what was raised stays.

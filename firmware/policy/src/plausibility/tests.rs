@@ -11,7 +11,7 @@ use vigil_types::{
 
 /// A hall with a floor and pillars, and a vehicle that flies through it at 1.5 m/s while it turns and sways.
 struct Flight {
-    judge: Box<PlausibilityJudge>,
+    plausibility: Box<PlausibilityCheck>,
     frame: Box<DepthFrame>,
     telemetry: VehicleTelemetry,
     step: u64,
@@ -60,7 +60,7 @@ fn range_m(from: NedVector, ray: NedVector) -> f32 {
 impl Flight {
     fn new() -> Self {
         let mut flight = Self {
-            judge: Box::default(),
+            plausibility: Box::default(),
             frame: Box::new(DepthFrame::EMPTY),
             telemetry: VehicleTelemetry::default(),
             step: 20,
@@ -122,20 +122,20 @@ impl Flight {
         };
     }
 
-    /// Flies on; each frame is spoiled before it is judged. The doubts after each step.
+    /// Flies on; each frame is spoiled before it is checked. The faults after each step.
     fn fly(&mut self, steps: usize, mut spoil: impl FnMut(&mut DepthFrame)) -> Vec<Reasons> {
         let step = |_| {
             self.look();
             spoil(&mut self.frame);
-            self.judge.judge(&self.frame, &self.telemetry)
+            self.plausibility.check(&self.frame, &self.telemetry)
         };
         (0..steps).map(step).collect()
     }
 
     /// The first doubt of the next steps and after how many steps it came.
-    fn first_doubt(&mut self, steps: usize, spoil: impl FnMut(&mut DepthFrame)) -> Option<(usize, Reasons)> {
-        let doubts = self.fly(steps, spoil).into_iter().enumerate();
-        doubts.into_iter().find(|(_, doubts)| !doubts.is_empty())
+    fn first_fault(&mut self, steps: usize, spoil: impl FnMut(&mut DepthFrame)) -> Option<(usize, Reasons)> {
+        let faults = self.fly(steps, spoil).into_iter().enumerate();
+        faults.into_iter().find(|(_, faults)| !faults.is_empty())
     }
 }
 
@@ -155,26 +155,26 @@ fn good(_: &mut DepthFrame) {}
 /// A story in which the sensor fails after 2 s of good flight, and how soon it is found at the latest.
 fn found(name: &str, reason: Reason, within_steps: usize, spoil: impl FnMut(&mut DepthFrame)) -> Flight {
     let mut flight = Flight::new();
-    assert_eq!(flight.first_doubt(40, good), None, "{name}: before");
-    let (steps, doubts) = flight
-        .first_doubt(60, spoil)
+    assert_eq!(flight.first_fault(40, good), None, "{name}: before");
+    let (steps, faults) = flight
+        .first_fault(60, spoil)
         .unwrap_or_else(|| panic!("{name} is not found"));
     assert!(
-        doubts.contains(reason) && steps < within_steps,
-        "{name}: {doubts:?} after {steps} steps"
+        faults.contains(reason) && steps < within_steps,
+        "{name}: {faults:?} after {steps} steps"
     );
     flight
 }
 
 #[test]
 fn a_good_flight_is_not_doubted_nor_is_one_at_half_the_frame_rate() {
-    assert_eq!(Flight::new().first_doubt(200, good), None);
+    assert_eq!(Flight::new().first_fault(200, good), None);
     let mut flight = Flight::new();
     for step in 0..200 {
         flight.look();
         if step % 2 == 0 {
             assert_eq!(
-                flight.judge.judge(&flight.frame, &flight.telemetry),
+                flight.plausibility.check(&flight.frame, &flight.telemetry),
                 Reasons::NONE,
                 "step {step}"
             );
@@ -188,8 +188,8 @@ fn what_a_sensor_sees_is_smooth_for_the_most_part_and_what_an_attacker_adds_pixe
     let mut least = 1.0_f32;
     for _ in 0..60 {
         flight.look();
-        flight.judge.judge(&flight.frame, &flight.telemetry);
-        least = least.min(flight.judge.smooth_share().expect("something is seen"));
+        flight.plausibility.check(&flight.frame, &flight.telemetry);
+        least = least.min(flight.plausibility.smooth_share().expect("something is seen"));
     }
     assert!(least > 0.7, "{least}");
     let mut state = 1_u32;
@@ -200,26 +200,26 @@ fn what_a_sensor_sees_is_smooth_for_the_most_part_and_what_an_attacker_adds_pixe
             let sign = if state >> 31 == 0 { 1.0 } else { -1.0 };
             *depth = (*depth + sign * size / 255.0).clamp(0.0, 1.0);
         }
-        flight.judge.judge(&flight.frame, &flight.telemetry);
-        flight.judge.smooth_share().expect("something is seen")
+        flight.plausibility.check(&flight.frame, &flight.telemetry);
+        flight.plausibility.smooth_share().expect("something is seen")
     };
     for size in [1.0, 5.0, 20.0] {
         assert!(rough(size) < 0.6, "{size}/255: {}", rough(size));
     }
     // A sky says nothing.
     flight.frame.depth = [1.0; DEPTH_PIXELS];
-    flight.judge.judge(&flight.frame, &flight.telemetry);
-    assert_eq!(flight.judge.smooth_share(), None);
+    flight.plausibility.check(&flight.frame, &flight.telemetry);
+    assert_eq!(flight.plausibility.smooth_share(), None);
 }
 
 #[test]
 fn a_sensor_that_sees_nothing_is_blind_within_two_frames_and_sees_again_after_three() {
     found("zeros", Reason::BlindSensor, 2, |f| f.depth = [0.0; DEPTH_PIXELS]);
     let mut flight = found("ones", Reason::BlindSensor, 2, |f| f.depth = [1.0; DEPTH_PIXELS]);
-    let doubts = flight.fly(4, good);
+    let faults = flight.fly(4, good);
     assert!(
-        doubts[1].contains(Reason::BlindSensor) && doubts[2].is_empty(),
-        "{doubts:?}"
+        faults[1].contains(Reason::BlindSensor) && faults[2].is_empty(),
+        "{faults:?}"
     );
     let half = |columns: core::ops::Range<usize>, value: f32| {
         move |frame: &mut DepthFrame| {
@@ -257,10 +257,10 @@ fn a_sensor_that_sees_nothing_is_blind_within_two_frames_and_sees_again_after_th
     let mut flight = found("upper half dead", Reason::BlindSensor, 2, |f| {
         f.depth[..DEPTH_PIXELS / 2].fill(1.0)
     });
-    let doubts = flight.fly(4, good);
+    let faults = flight.fly(4, good);
     assert!(
-        doubts[1].contains(Reason::BlindSensor) && doubts[2].is_empty(),
-        "{doubts:?}"
+        faults[1].contains(Reason::BlindSensor) && faults[2].is_empty(),
+        "{faults:?}"
     );
 }
 
@@ -277,12 +277,12 @@ fn what_leaves_the_view_by_itself_is_no_dead_side() {
     let mut flight = Flight::new();
     flight.yaw_rate_rad_s = 0.0;
     flight.position.x = 20.0;
-    assert_eq!(flight.first_doubt(200, without_wall), None);
+    assert_eq!(flight.first_fault(200, without_wall), None);
     // A single frame without an upper half: a hiccup, no dead sensor.
     let mut flight = Flight::new();
-    assert_eq!(flight.first_doubt(40, good), None);
+    assert_eq!(flight.first_fault(40, good), None);
     flight.fly(1, |f| f.depth[..DEPTH_PIXELS / 2].fill(1.0));
-    assert_eq!(flight.first_doubt(40, good), None);
+    assert_eq!(flight.first_fault(40, good), None);
 }
 
 #[test]
@@ -292,7 +292,7 @@ fn what_moves_beside_the_vehicle_and_goes_away_is_no_fault() {
         let mut flight = Flight::new();
         flight.speed_m_s = 0.3;
         let mut step = 0_usize;
-        let doubts = flight.fly(200, |frame| {
+        let faults = flight.fly(200, |frame| {
             step += 1;
             let moving = if step < 90 {
                 step
@@ -309,9 +309,9 @@ fn what_moves_beside_the_vehicle_and_goes_away_is_no_fault() {
             }
         });
         assert!(
-            doubts.iter().all(|doubts| doubts.is_empty()),
+            faults.iter().all(|faults| faults.is_empty()),
             "stays {stays}: {:?}",
-            doubts.iter().position(|d| !d.is_empty())
+            faults.iter().position(|d| !d.is_empty())
         );
     }
 }
@@ -348,8 +348,8 @@ fn a_picture_that_thaws_is_known_again_from_an_earlier_one_even_while_the_vehicl
     let mut kept: Option<Box<DepthFrame>> = None;
     let mut freeze = |f: &mut DepthFrame| f.depth = kept.get_or_insert_with(|| Box::new(f.clone())).depth;
     let mut flight = Flight::new();
-    assert_eq!(flight.first_doubt(40, good), None);
-    assert!(flight.first_doubt(5, &mut freeze).is_some());
+    assert_eq!(flight.first_fault(40, good), None);
+    assert!(flight.first_fault(5, &mut freeze).is_some());
     // It stops within a metre.
     flight.fly(10, &mut freeze);
     flight.speed_m_s = 0.0;
@@ -360,26 +360,29 @@ fn a_picture_that_thaws_is_known_again_from_an_earlier_one_even_while_the_vehicl
             .all(|d| d.contains(Reason::FrozenSensor)),
         "held while it is frozen"
     );
-    let doubts = flight.fly(40, good);
-    assert!(doubts[39].is_empty(), "{:?}", doubts[39]);
+    let faults = flight.fly(40, good);
+    assert!(faults[39].is_empty(), "{:?}", faults[39]);
     // The second time it stays until the motors are off.
     flight.speed_m_s = 1.5;
     flight.fly(20, good);
     kept = None;
     let mut freeze = |f: &mut DepthFrame| f.depth = kept.get_or_insert_with(|| Box::new(f.clone())).depth;
-    assert!(flight.first_doubt(40, &mut freeze).is_some());
+    assert!(flight.first_fault(40, &mut freeze).is_some());
     assert!(flight.fly(40, good).iter().all(|d| d.contains(Reason::FrozenSensor)));
     flight.look();
     flight.telemetry.heartbeat.as_mut().unwrap().armed = false;
-    assert_eq!(flight.judge.judge(&flight.frame, &flight.telemetry), Reasons::NONE);
+    assert_eq!(
+        flight.plausibility.check(&flight.frame, &flight.telemetry),
+        Reasons::NONE
+    );
 }
 
 #[test]
 fn a_mirrored_or_turned_sensor_is_found_by_the_way_its_picture_moves() {
     let mirror = |f: &mut DepthFrame| f.depth.chunks_exact_mut(DEPTH_COLS).for_each(<[f32]>::reverse);
     let mut flight = Flight::new();
-    let (_, doubts) = flight.first_doubt(80, mirror).expect("mirrored from the start");
-    assert_eq!(doubts, Reasons::of(Reason::InconsistentPicture));
+    let (_, faults) = flight.first_fault(80, mirror).expect("mirrored from the start");
+    assert_eq!(faults, Reasons::of(Reason::InconsistentPicture));
     assert!(
         flight.fly(40, good).iter().all(|d| !d.is_empty()),
         "until the end of the flight"
@@ -388,7 +391,7 @@ fn a_mirrored_or_turned_sensor_is_found_by_the_way_its_picture_moves() {
     for degrees in [-5.0_f32, 5.0] {
         let mut flight = Flight::new();
         flight.mount_rad = degrees.to_radians();
-        let found = flight.first_doubt(80, good);
+        let found = flight.first_fault(80, good);
         assert!(
             found.is_some_and(|(_, d)| d == Reasons::of(Reason::InconsistentPicture)),
             "{degrees}: {found:?}"
@@ -401,7 +404,7 @@ fn a_mirrored_or_turned_sensor_is_found_by_the_way_its_picture_moves() {
 fn doubts_of_a_drifting_flight(mount_rad: f32, width: f32, error_m_s: f32) -> Reasons {
     let mut flight = Flight::new();
     (flight.mount_rad, flight.width) = (mount_rad, width);
-    let mut doubts = (0..300).map(|step| {
+    let mut faults = (0..300).map(|step| {
         flight.look();
         let phase = step as f32 * STEP_S * 2.0 * PI / 6.0;
         let error_m = error_m_s * 6.0 / (2.0 * PI);
@@ -411,9 +414,9 @@ fn doubts_of_a_drifting_flight(mount_rad: f32, width: f32, error_m_s: f32) -> Re
         if let Some(kinematics) = &mut flight.telemetry.kinematics {
             kinematics.position_ned_m = kinematics.position_ned_m + error;
         }
-        flight.judge.judge(&flight.frame, &flight.telemetry)
+        flight.plausibility.check(&flight.frame, &flight.telemetry)
     });
-    doubts.find(|doubts| !doubts.is_empty()).unwrap_or(Reasons::NONE)
+    faults.find(|faults| !faults.is_empty()).unwrap_or(Reasons::NONE)
 }
 
 #[test]
@@ -453,19 +456,19 @@ fn an_estimate_that_drifted_while_no_frames_came_convicts_nobody_and_a_mirrored_
     };
     // 0.25 m in five seconds, to the side.
     let drifted = |flight: &mut Flight| {
-        let doubts = (0..40).map(|_| {
+        let faults = (0..40).map(|_| {
             flight.look();
             let header = &mut flight.frame.header;
             header.position_ned_m.y += 0.25;
             if let Some(kinematics) = &mut flight.telemetry.kinematics {
                 kinematics.position_ned_m.y += 0.25;
             }
-            flight.judge.judge(&flight.frame, &flight.telemetry)
+            flight.plausibility.check(&flight.frame, &flight.telemetry)
         });
-        doubts.fold(Reasons::NONE, Reasons::union)
+        faults.fold(Reasons::NONE, Reasons::union)
     };
     assert_eq!(drifted(&mut after_a_gap(100)), Reasons::NONE);
-    let found = after_a_gap(100).first_doubt(80, mirror);
+    let found = after_a_gap(100).first_fault(80, mirror);
     assert!(
         found.is_some_and(|(_, d)| d == Reasons::of(Reason::InconsistentPicture)),
         "{found:?}"
@@ -478,8 +481,8 @@ fn a_pose_that_is_not_the_vehicle_s_is_implausible() {
     found("out of this world", Reason::ImplausiblePose, 3, far(1e30));
     found("overflowing", Reason::ImplausiblePose, 3, far(f32::MAX));
     let mut flight = found("25 m off", Reason::ImplausiblePose, 3, far(25.0));
-    let doubts = flight.fly(30, good);
-    assert!(doubts[5].contains(Reason::ImplausiblePose) && doubts[29].is_empty());
+    let faults = flight.fly(30, good);
+    assert!(faults[5].contains(Reason::ImplausiblePose) && faults[29].is_empty());
     found("turned by 20°", Reason::ImplausiblePose, 3, |f| {
         f.header.attitude = turned_by_exactly(f.header.attitude, 0.35);
     });
@@ -496,13 +499,13 @@ fn a_position_that_jumps_in_flight_is_implausible_until_ten_poses_fit_and_on_the
         assert_eq!(flight.fly(20, good), [Reasons::NONE; 20]);
         // Telemetry and header agree on it, and so does every picture from there on.
         flight.position.x -= jump_m;
-        let doubts = flight.fly(30, good);
-        let implausible = doubts
+        let faults = flight.fly(30, good);
+        let implausible = faults
             .iter()
             .take_while(|d| d.contains(Reason::ImplausiblePose))
             .count();
-        assert_eq!(implausible, 10, "{jump_m} m: {doubts:?}");
-        assert!(doubts[10..].iter().all(|d| d.is_empty()), "{jump_m} m: {doubts:?}");
+        assert_eq!(implausible, 10, "{jump_m} m: {faults:?}");
+        assert!(faults[10..].iter().all(|d| d.is_empty()), "{jump_m} m: {faults:?}");
     }
     let mut flight = Flight::new();
     (flight.position.z, flight.speed_m_s) = (-0.12, 0.0);
@@ -520,26 +523,29 @@ fn on_the_ground_what_is_near_is_no_fault_and_nothing_is_held_against_the_next_f
         for _ in 0..40 {
             flight.look();
             flight.telemetry.heartbeat.as_mut().unwrap().armed = armed;
-            assert_eq!(flight.judge.judge(&flight.frame, &flight.telemetry), Reasons::NONE);
+            assert_eq!(
+                flight.plausibility.check(&flight.frame, &flight.telemetry),
+                Reasons::NONE
+            );
         }
     }
     flight.look();
     flight.frame.depth = [1.0; DEPTH_PIXELS];
-    flight.judge.judge(&flight.frame, &flight.telemetry);
+    flight.plausibility.check(&flight.frame, &flight.telemetry);
     assert!(
         flight
-            .judge
-            .judge(&flight.frame, &flight.telemetry)
+            .plausibility
+            .check(&flight.frame, &flight.telemetry)
             .contains(Reason::BlindSensor)
     );
     // Up, while it may well move up and down.
     while flight.position.z > -2.0 {
         flight.position.z -= 0.04;
         flight.look();
-        let doubts = flight.judge.judge(&flight.frame, &flight.telemetry);
+        let faults = flight.plausibility.check(&flight.frame, &flight.telemetry);
         assert!(
-            flight.position.z > -0.3 || doubts.is_empty(),
-            "{doubts:?} at {}",
+            flight.position.z > -0.3 || faults.is_empty(),
+            "{faults:?} at {}",
             flight.position.z
         );
     }
@@ -562,6 +568,6 @@ fn whatever_valid_frames_hold_is_judged_without_a_panic() {
         if round % 3 == 0 {
             flight.telemetry = VehicleTelemetry::default();
         }
-        flight.judge.judge(&flight.frame, &flight.telemetry);
+        flight.plausibility.check(&flight.frame, &flight.telemetry);
     }
 }

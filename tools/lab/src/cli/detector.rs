@@ -8,7 +8,8 @@ pub(crate) use report::roc;
 use crate::cli::collect::{CollectArgs, Gathering};
 use crate::cli::output::{self, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
-    DetectError, EvaluationSize, Feature, Flights, Judge, LstmConfig, Proportion, Record, Role, Set, fly_sets, sets,
+    DetectError, EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Set, WindowScorer, fly_sets,
+    sets,
 };
 use crate::report::{Figure, Picture, TextTable, numbers, words};
 use crate::statistics::quantile;
@@ -284,10 +285,10 @@ impl Stage<'_> {
         Ok([load("learn.safetensors")?, load("choose.safetensors")?])
     }
 
-    fn train_on(&self, feature: Feature, [learn, choose]: &[Flights; 2], config: &LstmConfig) -> Result<Judge> {
+    fn train_on(&self, feature: Feature, [learn, choose]: &[Flights; 2], config: &LstmConfig) -> Result<WindowScorer> {
         let steps = crate::detector_training::train_steps(&learn.records, config) as u64;
         let bar = Progress::new(steps, "steps")?;
-        let judge = crate::detector_training::train(
+        let scorer = crate::detector_training::train(
             self.isa,
             &self.pilot,
             feature,
@@ -305,7 +306,7 @@ impl Stage<'_> {
             },
         )?;
         bar.finish();
-        Ok(judge)
+        Ok(scorer)
     }
 
     fn train(&self, epochs: usize, seed: u64) -> Result<()> {
@@ -313,21 +314,21 @@ impl Stage<'_> {
         config.fit.epochs = epochs;
         config.fit.seed = seed;
         let flights = self.training_flights()?;
-        let judge = self.train_on(Feature::Shap, &flights, &config)?;
+        let scorer = self.train_on(Feature::Shap, &flights, &config)?;
         let file = self.path("lstm_ad.safetensors");
-        let threshold = judge.threshold(self.isa, &self.pilot, &flights[1].records)?;
-        judge
+        let threshold = scorer.threshold(self.isa, &self.pilot, &flights[1].records)?;
+        scorer
             .freeze(&self.pilot, &config, threshold, git_commit())
             .save(&file)?;
-        self.write("lstm_ad.csv", curves_csv(&judge.fitted.epochs))?;
-        self.write("lstm_ad.png", curves_png(&judge.fitted.epochs))?;
-        let chosen = judge.fitted.epochs.get(judge.fitted.chosen.saturating_sub(1));
+        self.write("lstm_ad.csv", curves_csv(&scorer.fitted.epochs))?;
+        self.write("lstm_ad.png", curves_png(&scorer.fitted.epochs))?;
+        let chosen = scorer.fitted.epochs.get(scorer.fitted.chosen.saturating_sub(1));
         say!(
             "LSTM-AD          {} after epoch {} of {epochs}, {} windows: {} right, loss {} on the flights that choose; \
              threshold {threshold:.3}",
             file.display(),
-            judge.fitted.chosen,
-            judge.windows,
+            scorer.fitted.chosen,
+            scorer.windows,
             or_dash(100.0 * chosen.map_or(f64::NAN, |e| e.choose_accuracy), 2, " %"),
             or_dash(chosen.map_or(f64::NAN, |e| e.choose_loss), 4, ""),
         );
@@ -380,10 +381,10 @@ impl Stage<'_> {
         let Some((sets, records)) = self.evaluation(size)? else {
             return Ok(());
         };
-        let judge = Judge::from_frozen(&frozen);
+        let scorer = WindowScorer::from_frozen(&frozen);
         let at = |threshold| {
             let judged = (sets.as_slice(), records.as_slice());
-            crate::detector_training::evaluate(self.isa, &self.pilot, &judge, threshold, judged)
+            crate::detector_training::evaluate(self.isa, &self.pilot, &scorer, threshold, judged)
         };
         let (report, mut in_flight) = (at(0.5)?, at(frozen.threshold)?);
         // The curves are those of any threshold: once is enough.
@@ -490,8 +491,8 @@ impl Stage<'_> {
             numbers("untrained attacks found"),
         ]);
         for feature in Feature::ALL {
-            let judge = self.train_on(feature, &flights, &config)?;
-            let report = crate::detector_training::evaluate(self.isa, &self.pilot, &judge, 0.5, (&sets, &records))?;
+            let scorer = self.train_on(feature, &flights, &config)?;
+            let report = crate::detector_training::evaluate(self.isa, &self.pilot, &scorer, 0.5, (&sets, &records))?;
             let untrained = report.sets.iter().filter(|s| s.role == Role::Untrained);
             let (count, of) = untrained.fold((0, 0), |(c, o), s| (c + s.detected.count, o + s.detected.of));
             let s = &report.separation;

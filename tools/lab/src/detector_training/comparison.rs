@@ -1,7 +1,7 @@
 //! The paper's table III: four detectors on the same states.
 
 use crate::detector_training::fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
-use crate::detector_training::lstm::Judge;
+use crate::detector_training::lstm::WindowScorer;
 use crate::detector_training::metrics::Separation;
 use crate::detector_training::pixels::{State, States};
 use crate::explained::DetectError;
@@ -170,8 +170,13 @@ pub fn pca_scores(learn: &States, choose: &States, test: &States) -> Vec<f32> {
 ///
 /// # Errors
 /// Parameters of another architecture.
-pub fn lstm_scores(isa: Isa, pilot: &FrozenPilot, judge: &Judge, states: &States) -> Result<Vec<f32>, DetectError> {
-    let scores = judge.scores(isa, pilot, &states.flights.records)?;
+pub fn lstm_scores(
+    isa: Isa,
+    pilot: &FrozenPilot,
+    scorer: &WindowScorer,
+    states: &States,
+) -> Result<Vec<f32>, DetectError> {
+    let scores = scorer.scores(isa, pilot, &states.flights.records)?;
     let of = |s: &State| scores.get(s.flight).and_then(|f| *f.get(s.step)?);
     Ok(states.states.iter().map(|s| of(s).unwrap_or(f32::NAN)).collect())
 }

@@ -131,7 +131,7 @@ fn statistics(rows: &Rows, at: &[(usize, usize, bool)]) -> (Vec<f32>, Vec<f32>) 
 
 /// A trained network over one kind of rows, and all that is needed to use it.
 #[derive(Debug, Clone)]
-pub struct Judge {
+pub struct WindowScorer {
     /// What it looks at.
     pub feature: Feature,
     /// DeepSHAP's background sample.
@@ -160,7 +160,7 @@ pub fn train(
     (learn, choose): (&[Record], &[Record]),
     config: &LstmConfig,
     progress: &mut dyn FnMut(usize, Option<&Epoch>),
-) -> Result<Judge, DetectError> {
+) -> Result<WindowScorer, DetectError> {
     let seed = config.fit.seed;
     let (learn_at, choose_at) = (draw_windows(learn, config), draw_windows(choose, config));
     for (purpose, at, records) in [("training", &learn_at, learn), ("choosing", &choose_at, choose)] {
@@ -191,7 +191,7 @@ pub fn train(
         at: choose_at,
     };
     let fitted = fit(&graph, isa, first, &learn, &choose, &config.fit, progress)?;
-    Ok(Judge {
+    Ok(WindowScorer {
         feature,
         backgrounds,
         centre,
@@ -207,7 +207,7 @@ pub fn train_steps(learn: &[Record], config: &LstmConfig) -> usize {
     windows.div_ceil(config.fit.batch) * config.fit.epochs
 }
 
-impl Judge {
+impl WindowScorer {
     /// Its file's content.
     pub fn freeze(
         &self,

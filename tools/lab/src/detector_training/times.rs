@@ -52,7 +52,7 @@ impl ImageDetector {
         })
     }
 
-    fn judge(&mut self, isa: Isa, inputs: &[&[f32]]) -> Result<(), DetectError> {
+    fn score(&mut self, isa: Isa, inputs: &[&[f32]]) -> Result<(), DetectError> {
         Ok(self.graph.forward(isa, &self.params, inputs, &mut self.tape)?)
     }
 }
@@ -104,8 +104,8 @@ impl Onlooker for Timing {
             })?;
             let bytes = image(&self.phi[..DEPTH_PIXELS]).unwrap_or_else(|| unreachable!("a frame's finite pixels"));
             let values: Vec<f32> = bytes.iter().map(|byte| f32::from(*byte) / 255.0).collect();
-            timed(&mut times.cnn_s, || self.cnn.judge(self.isa, &[&values]))?;
-            timed(&mut times.fcn_s, || self.fcn.judge(self.isa, &[&values]))?;
+            timed(&mut times.cnn_s, || self.cnn.score(self.isa, &[&values]))?;
+            timed(&mut times.fcn_s, || self.fcn.score(self.isa, &[&values]))?;
         }
         Ok(())
     }

@@ -3,7 +3,7 @@
 use super::Stage;
 use super::report::{curves_csv, curves_png, share, short};
 use crate::cli::output::{EXIT_INTERRUPTED, Interrupt, Progress, git_commit, or_dash, say};
-use crate::detector_training::{ImageNetwork, Judge, States};
+use crate::detector_training::{ImageNetwork, States, WindowScorer};
 use crate::report::{TextTable, numbers, words};
 use anyhow::{Context, Result};
 use std::ops::ControlFlow;
@@ -121,7 +121,8 @@ impl Stage<'_> {
                 &scores,
             ));
         }
-        let lstm = crate::detector_training::lstm_scores(self.isa, &self.pilot, &Judge::from_frozen(&frozen), &judged)?;
+        let lstm =
+            crate::detector_training::lstm_scores(self.isa, &self.pilot, &WindowScorer::from_frozen(&frozen), &judged)?;
         rows.push(crate::detector_training::row(
             "LSTM-AD",
             0.91,

@@ -2,7 +2,7 @@
 
 use crate::detector_training::features::Feature;
 use crate::detector_training::flight_files::Class;
-use crate::detector_training::lstm::Judge;
+use crate::detector_training::lstm::WindowScorer;
 use crate::detector_training::metrics::{Proportion, Separation, corners, roc};
 use crate::explained::DetectError;
 use crate::explained::{Adversary, MAX_STEPS, Plan, Scenario};
@@ -224,10 +224,10 @@ pub struct AfterReport {
     pub alarmed: Proportion,
 }
 
-/// A judge's result on all sets.
+/// A result on all sets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// What the judge looks at.
+    /// What the scores are of.
     pub feature: Feature,
     /// A score above it is an attack.
     pub threshold: f32,
@@ -349,15 +349,15 @@ fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32) ->
 pub fn evaluate(
     isa: Isa,
     pilot: &FrozenPilot,
-    judge: &Judge,
+    scorer: &WindowScorer,
     threshold: f32,
     (sets, records): (&[Set], &[Vec<Record>]),
 ) -> Result<Report, DetectError> {
     let scores = records
         .iter()
-        .map(|records| judge.scores(isa, pilot, records))
+        .map(|records| scorer.scores(isa, pilot, records))
         .collect::<Result<Vec<Scores>, _>>()?;
-    Ok(report(judge.feature, threshold, sets, records, &scores))
+    Ok(report(scorer.feature, threshold, sets, records, &scores))
 }
 
 fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>], scores: &[Scores]) -> Report {
