@@ -400,6 +400,15 @@ def softplus_in_two_pieces():
     return b.model(b.gemm(x, 16, 2))
 
 
+def bounds_without_an_end():
+    """A space of actions that is open to one side or both: infinite bounds are none."""
+    b = Build(frame=[1, 1, 8, 12])
+    infinity, row = np.float32(np.inf), np.full((1, 2), np.inf, np.float32)
+    x = b.Clip(b.gemm(b.Flatten("frame"), 96, 16), -infinity, infinity)
+    x = b.gemm(b.Clip(x, -infinity, np.float32(0.4)), 16, 2)
+    return b.model(b.Min(b.Max(x, -row), row))
+
+
 def rsl_rl_row_of_values():
     """rsl_rl's, rl_games' and skrl's perceptrons get their frame and the goal as one row."""
     b = Build(obs=[1, 3 * 8 * 12 + 2])
@@ -419,6 +428,7 @@ MODELS = [
     channels_last_behind_their_normalisation,
     layer_norm_of_images,
     softplus_in_two_pieces,
+    bounds_without_an_end,
     rsl_rl_row_of_values,
     sb3_log_probability_beside_the_action,
     constants_that_are_combined,
@@ -462,6 +472,10 @@ def refused():
         "(Frobnicate): this operator is not supported": one(lambda b: b.Frobnicate("frame", domain="my.own")),
         "dynamic size `rows` at axis 2": one(flat, (1, 1, "rows", 8)),
         "that is not finite": one(lambda b: b.MatMul(flat(b), nan)),
+        "holds a number that is not": one(lambda b: b.Clip(b.gemm(flat(b), 64, 2), nan[0, 0], np.float32(1))),
+        "some are infinite and others are not": one(
+            lambda b: b.Max(b.gemm(flat(b), 64, 2), np.array([[-np.inf, 0.5]], np.float32))
+        ),
         "has 3 values; an action has 2": one(lambda b: b.MatMul(flat(b), b.weights(64, 3))),
         "a kernel of 3 × 2": one(lambda b: b.Flatten(b.Conv("frame", b.weights(1, 1, 3, 2)))),
         "a kernel of 3 × 2 is not": one(lambda b: b.MaxPool("frame", kernel_shape=[3, 2], strides=[2, 2])),

@@ -111,6 +111,8 @@ IMAGES_OF_NOTHING = {
     "negative": -WALL,
     "all beyond 100 m": np.full_like(WALL, 240.0),
     "nearer than a metre, in millimetres": np.full_like(WALL, 900.0),
+    "zeros as pixels": np.full_like(WALL, 1e-38),
+    "masked": np.ma.masked_array(WALL, mask=True),
 }
 MILLIMETRES = WALL * 1000.0
 MILLIMETRES[0, :] = 50.0  # the vehicle's own leg
@@ -148,23 +150,27 @@ def c_library(instance=INSTANCE - 1):
 
 
 def test_what_is_no_image_no_pose_and_no_stamp_is_refused_by_its_name_and_the_next_frame_goes_out():
-    publisher = vigil_depth.DepthPublisher(INSTANCE - 3)
+    publisher, library = vigil_depth.DepthPublisher(INSTANCE - 3), c_library(INSTANCE - 5)
     for image, words in (
         (WALL > 0, "type bool"),
         (WALL.astype(str), "type <U"),
         (WALL + 0j, "type complex"),
         (WALL.astype(object), "type object"),
         (WALL[:64], "the shape"),
-        (WALL.ravel(), "the shape"),
+        (WALL.T, "the shape"),
+        (WALL[None], "the shape"),
         (None, "type object"),
     ):
         with pytest.raises(ValueError, match=words):
             publisher.publish(image, *POSE)
+        with pytest.raises(ValueError, match="ranges_m: real numbers of shape .128, 256. are needed"):
+            stamped(library)(image, *POSE)
     level = (1.0, 0.0, 0.0, 0.0)
     for position, attitude, words in (
         ((0.0, 0.0), level, "position_ned_m"),
         ((0.0, 0.0, np.nan), level, "must be finite"),
         ((0.0, 0.0, 1e39), level, "must be finite"),
+        ((0.0, 1e8, 0.0), level, "within 100 km"),
         (("0", "0", "-1.5"), level, "position_ned_m: real numbers"),
         ((True, True, True), level, "position_ned_m: real numbers"),
         ((0.0, 0.0, -1.5), (0.0, 0.0, 0.0, 0.0), "unit length"),
@@ -175,10 +181,18 @@ def test_what_is_no_image_no_pose_and_no_stamp_is_refused_by_its_name_and_the_ne
     ):
         with pytest.raises(ValueError, match=words):
             publisher.publish(WALL, position, attitude)
+        with pytest.raises((ValueError, RuntimeError), match="position_ned_m|attitude_wxyz"):
+            stamped(library)(WALL, position, attitude)
     now_ns = time.monotonic_ns()
-    for stamp_ns in (-1, time.time_ns(), now_ns + 10_000_000_000, 2**64 + now_ns):
+    # The wall clock, the sensor's own since it was switched on, and what is no whole number.
+    of_other_clocks = (time.time_ns(), now_ns + 10_000_000_000, now_ns - 2_000_000_000, 40_000_000_000 % now_ns, 0)
+    for stamp_ns in (*of_other_clocks, -1, 2**64 + now_ns, True, 1.5, float(now_ns), "now"):
         with pytest.raises(ValueError, match="CLOCK_MONOTONIC"):
             publisher.publish(WALL, *POSE, stamp_ns=stamp_ns)
+    for stamp_ns in of_other_clocks:
+        with pytest.raises(RuntimeError, match="CLOCK_MONOTONIC"):
+            library.publish(WALL, *POSE, stamp_ns)
+    library.close()
     assert publisher.publish(WALL, *POSE, stamp_ns=now_ns) == 0
     with pytest.raises(ValueError, match="newer"):
         publisher.publish(WALL, *POSE, stamp_ns=now_ns)
@@ -296,10 +310,12 @@ def test_a_cloud_that_the_ros_bridge_cannot_read_is_refused_by_what_it_is():
     whole = wall_of_points("<i2", 1000.0)
     no_z = [field for field in fields_of(usual) if field.name != "z"]
     three = [Field("x", 0, 7, 3), Field("y", 4), Field("z", 8)]
+    twice = [Field("x", 0), Field("y", 0), Field("z", 2)]
     for cloud, words in (
         (cloud_of(whole, fields_of(whole, 3)), "x is INT16"),
         (cloud_of(usual, fields_of(usual, 11)), "unknown type 11"),
         (cloud_of(usual, three), "x is FLOAT32 x 3"),
+        (cloud_of(usual, twice), "share bytes: they begin at 0, 0, 2"),
         (cloud_of(usual, no_z), "no field z, only x, i, y"),
         (cloud_of(usual, []), "none at all"),
         (cloud_of(usual, fields_of(usual), point_step=12), "z at byte 12 is not within its points of 12 bytes"),

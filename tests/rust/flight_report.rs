@@ -16,8 +16,11 @@ fn data(report: &Path) -> Value {
 
 /// Makes a report of a log beside it.
 fn report(log: &Path) -> Value {
-    succeed(&run(&["log", "report", "--shap", "0", text(log)]));
-    data(&log.with_extension("html"))
+    let said = succeed(&run(&["log", "report", "--shap", "0", text(log)]));
+    let report = data(&log.with_extension("html"));
+    let is_cut = notes(&report).contains("was not closed");
+    assert_eq!(said.contains("it is not all of the flight"), is_cut, "{said}");
+    report
 }
 
 fn list<'a>(value: &'a Value, key: &str) -> &'a [Value] {
@@ -214,6 +217,26 @@ fn a_flight_that_never_took_off_says_why_and_a_log_without_a_step_that_there_is_
     let none = run(&["log", "report", text(&empty)]);
     assert_eq!(none.status.code(), Some(1));
     assert!(said(&none).contains("holds no step"), "{}", said(&none));
+    // One that is damaged before its first whole step is not one without steps: the others can be saved.
+    let damaged = folder.path().join("damaged.mcap");
+    let mut short = recorder(&damaged, FlightInfo::default());
+    for step in 0..10 {
+        assert!(short.record(|slot| (slot.now_ns, slot.timing.step) = (step * 50_000_000, step)));
+    }
+    assert_eq!(short.finish().failure, None);
+    let mut bytes = std::fs::read(&damaged).expect("a log");
+    let chunk = bytes
+        .windows(7)
+        .position(|w| w == b"\x03\0\0\0lz4")
+        .expect("a chunk");
+    bytes[chunk + 40] ^= 0x10;
+    std::fs::write(&damaged, bytes).expect("a file");
+    let none = said(&run(&["log", "report", text(&damaged)]));
+    assert!(
+        none.contains("is damaged after record 0") && none.contains("`vigil recover`"),
+        "{none}"
+    );
+
     let missing = run(&["log", "report", text(&folder.path().join("none.mcap"))]);
     assert_eq!(missing.status.code(), Some(1));
     assert!(said(&missing).contains("none.mcap"), "{}", said(&missing));

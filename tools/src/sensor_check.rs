@@ -156,8 +156,8 @@ impl SensorCheck {
         self.arrivals_s.len()
     }
 
-    /// What was found in `seconds`.
-    pub fn findings(&self, seconds: f64) -> Vec<Finding> {
+    /// What was found in the `seconds` until `ended_ns`.
+    pub fn findings(&self, seconds: f64, ended_ns: Nanos) -> Vec<Finding> {
         let mut findings = Vec::new();
         let mut add = |name, severity, text: String| findings.push(Finding { name, severity, text });
         if self.frames() == 0 {
@@ -181,7 +181,7 @@ impl SensorCheck {
             Severity::Failure
         };
         add("frames", severity, text);
-        self.rate(&mut add);
+        self.rate(ended_ns as f64 * 1e-9, &mut add);
         if used == 0 {
             return findings;
         }
@@ -191,7 +191,15 @@ impl SensorCheck {
         findings
     }
 
-    fn rate(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
+    fn rate(&self, ended_s: f64, add: &mut impl FnMut(&'static str, Severity, String)) {
+        let silent_s = self.arrivals_s.last().map_or(0.0, |last| ended_s - last);
+        if silent_s > AGE_LIMIT_S {
+            let text = format!(
+                "they came, and stopped {silent_s:.1} s ago: did the publisher end, does it still see its sensor?"
+            );
+            add("rate", Severity::Failure, text);
+            return;
+        }
         let intervals: Vec<f64> = self.arrivals_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let Some(mean) = (!intervals.is_empty()).then(|| intervals.iter().sum::<f64>() / intervals.len() as f64) else {
             return;
@@ -419,7 +427,7 @@ mod tests {
             alter(number, &mut frame, &mut arrived_ns);
             check.observe(&frame, arrived_ns);
         }
-        let findings = check.findings(5.0);
+        let findings = check.findings(5.0, SECOND + 100 * STEP_NS);
         findings
             .into_iter()
             .filter(|f| f.severity > Severity::Good)
@@ -434,9 +442,31 @@ mod tests {
 
     #[test]
     fn silence_is_a_failure_that_says_where_to_look() {
-        let findings = SensorCheck::new(expected()).findings(5.0);
+        let findings = SensorCheck::new(expected()).findings(5.0, 6 * SECOND);
         assert_eq!(findings.len(), 1);
         assert!(findings[0].severity == Severity::Failure && findings[0].text.contains("instance"));
+    }
+
+    /// Until it ended it was as good as ever.
+    #[test]
+    fn frames_that_came_and_stopped_are_a_failure_also_a_single_one() {
+        for frames in [1, 60] {
+            let mut check = SensorCheck::new(expected());
+            for number in 0..frames {
+                check.observe(&frame(number), SECOND + number * STEP_NS);
+            }
+            let findings = check.findings(5.0, 6 * SECOND);
+            let rate = findings
+                .iter()
+                .find(|f| f.name == "rate")
+                .expect("of a sensor that stopped");
+            let stopped = format!("stopped {:.1} s ago", 5.0 - 0.05 * (frames - 1) as f64);
+            assert!(
+                rate.severity == Severity::Failure && rate.text.contains(&stopped),
+                "{}",
+                rate.text
+            );
+        }
     }
 
     #[test]

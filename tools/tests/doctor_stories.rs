@@ -31,6 +31,10 @@ struct Scripted {
     /// Milliseconds in which positions, and attitudes, do not come.
     no_position: core::ops::Range<u64>,
     no_attitude: core::ops::Range<u64>,
+    /// Milliseconds in which positions are no numbers, estimator and pre-arm check are not ready, what they say does not come.
+    no_numbers: core::ops::Range<u64>,
+    not_ready: core::ops::Range<u64>,
+    no_status: core::ops::Range<u64>,
     /// When it starts anew, its clock jumps by 3 s, its position by 4 m, its heading by 60°; never where that is 0.
     restarts_ms: u64,
     clock_jumps_ms: u64,
@@ -73,6 +77,9 @@ impl Scripted {
             texts: Vec::new(),
             no_position: 0..0,
             no_attitude: 0..0,
+            no_numbers: 0..0,
+            not_ready: 0..0,
+            no_status: 0..0,
             restarts_ms: 0,
             clock_jumps_ms: 0,
             position_jumps_ms: 0,
@@ -108,7 +115,10 @@ impl Scripted {
             if self.has_position && streams(32) && !self.no_position.contains(&ms) {
                 out.push(MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
                     time_boot_ms: boot_ms,
-                    x: 4.0 * f32::from(u8::from(is_after(self.position_jumps_ms))),
+                    x: match self.no_numbers.contains(&ms) {
+                        true => f32::NAN,
+                        false => 4.0 * f32::from(u8::from(is_after(self.position_jumps_ms))),
+                    },
                     ..Default::default()
                 }));
             }
@@ -127,7 +137,7 @@ impl Scripted {
                     ..Default::default()
                 }));
             }
-            if streams(245) {
+            if streams(245) && !self.no_status.contains(&ms) {
                 out.push(MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
                     landed_state: MavLandedState::MAV_LANDED_STATE_ON_GROUND,
                     ..Default::default()
@@ -162,12 +172,13 @@ impl Scripted {
     fn health(&self, ms: u64, boot_ms: u32) -> Vec<MavMessage> {
         let mut out = Vec::new();
         let prearm = MavSysStatusSensor::from_bits_retain(0x1000_0000);
-        if self.streams(1) {
+        let is_ready = !self.not_ready.contains(&ms);
+        if self.streams(1) && !self.no_status.contains(&ms) {
             out.push(MavMessage::SYS_STATUS(SYS_STATUS_DATA {
                 battery_remaining: 87,
                 onboard_control_sensors_present: prearm,
                 onboard_control_sensors_enabled: prearm,
-                onboard_control_sensors_health: match self.prearm {
+                onboard_control_sensors_health: match self.prearm && is_ready {
                     true => prearm,
                     false => MavSysStatusSensor::empty(),
                 },
@@ -175,9 +186,10 @@ impl Scripted {
             }));
         }
         // ESTIMATOR_STATUS has the flags that ArduPilot puts into a message of its own.
-        if self.streams(230) || self.is_asked_for(193) {
+        if (self.streams(230) || self.is_asked_for(193)) && !self.no_status.contains(&ms) {
+            let flags = if is_ready { self.estimator } else { 1 | 128 };
             out.push(MavMessage::ESTIMATOR_STATUS(ESTIMATOR_STATUS_DATA {
-                flags: EstimatorStatusFlags::from_bits_retain(self.estimator),
+                flags: EstimatorStatusFlags::from_bits_retain(flags),
                 ..Default::default()
             }));
         }
@@ -547,6 +559,20 @@ fn what_was_wrong_only_in_the_middle_is_named_too() {
     assert!(!stopped.why.contains("never came"));
     let findings = say(|v| v.no_position = 7_300..9_000);
     assert!(value(&findings, "LOCAL_POSITION_NED").contains("away 1 times, 0.7 s in all"));
+
+    let findings = say(|v| v.no_numbers = 3_000..4_000);
+    assert_eq!(bad(&findings), [("values", Severity::Failure)]);
+    assert!(value(&findings, "values").starts_with("25 times"));
+    let findings = say(|v| v.not_ready = 3_000..5_000);
+    assert_eq!(
+        bad(&findings),
+        [("estimator", Severity::Warning), ("arming", Severity::Warning)]
+    );
+    assert!(value(&findings, "estimator").contains("lacked horizontal position, height, velocity"));
+    let findings = say(|v| v.no_status = 3_100..9_000);
+    let silent = ["EXTENDED_SYS_STATE", "SYS_STATUS", "ESTIMATOR_STATUS"].map(|name| (name, Severity::Warning));
+    assert_eq!(bad(&findings), silent);
+    assert!(value(&findings, "SYS_STATUS").contains("came, and stopped 5.0 s ago"));
 
     let findings = say(|v| v.restarts_ms = 5_000);
     assert_eq!(bad(&findings), [("restart", Severity::Failure)]);

@@ -96,7 +96,7 @@ pub(crate) fn in_words(error: &McapError) -> String {
     let unpacked = |what: &str| format!("a chunk, a second of flight or less, {what}");
     match error {
         McapError::BadChunkCrc { .. } => unpacked("does not match its checksum"),
-        McapError::DecompressionError(what) => unpacked(&format!("cannot be unpacked ({what})")),
+        McapError::DecompressionError(_) => unpacked("cannot be unpacked"),
         McapError::UnsupportedCompression(name) => unpacked(&format!(
             "is compressed with `{name}`, and lz4, zstd and nothing are what can be read"
         )),

@@ -2,12 +2,15 @@
 
 mod common;
 
-use common::{Bench, GROUND_STATION, bytes_of, command_long, messages, reposition};
+use common::peer::Peer;
+use common::{Bench, Flight, GROUND_STATION, bytes_of, command_long, messages, reposition};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use vigil_mavlink::common::*;
+use vigil_mavlink::framing::{Command, CommandForm, FramingCounters, MAX_PACKET_LEN, packets, serialize_payload};
+use vigil_mavlink::mavlink::Message;
 use vigil_mavlink::{Flavour, MavHeader, MavMessage};
-use vigil_types::GuidanceState::{Engaging, Hold, Land, Standby};
+use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Standby};
 use vigil_types::{Reasons, VehicleRequest};
 
 const VEHICLE: MavHeader = MavHeader {
@@ -145,5 +148,107 @@ proptest! {
         let datagrams: Vec<Vec<u8>> = order.iter().map(|i| corpus[*i].clone()).collect();
         let expected = order.iter().filter(|i| **i >= 10).count() as u64;
         prop_assert_eq!(live(Flavour::ArduPilot, &datagrams), expected);
+    }
+}
+
+/// What a field may hold at the worst, and on either side of what it should.
+const EXTREMES: [f32; 12] = [
+    f32::NAN,
+    f32::INFINITY,
+    f32::NEG_INFINITY,
+    f32::MAX,
+    f32::MIN,
+    f32::MIN_POSITIVE,
+    1.9e16,
+    -1.0,
+    0.5,
+    1.0,
+    255.0,
+    65_536.0,
+];
+const EXTREME_INTEGERS: [i32; 6] = [i32::MIN, i32::MAX, -1, 1, 900_000_001, -1_800_000_001];
+
+/// A command to the guidance computer.
+fn asked(number: u16, params: [f32; 7], form: CommandForm) -> Vec<u8> {
+    let mut command = Command::to_autopilot(1, number, params, 0);
+    (command.target_component, command.form) = (191, form);
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = command.serialize(GROUND_STATION, &mut out).expect("fits");
+    out[..len].to_vec()
+}
+
+/// The commands of the dialect.
+fn commands() -> impl Iterator<Item = u16> {
+    let is_known = |number: &u16| {
+        let packet = asked(*number, [0.0; 7], CommandForm::Long { confirmation: 0 });
+        packets(&packet, &mut FramingCounters::default()).any(|packet| packet.message().is_ok())
+    };
+    (0..u16::MAX).filter(is_known)
+}
+
+impl Flight {
+    /// A step after a datagram: how many commands were answered. What is sent parses, and leads nowhere that is no place.
+    fn survives(&mut self, datagram: &[u8], what: &dyn core::fmt::Debug) -> usize {
+        self.companion.receive(self.now_ns, 0, datagram);
+        let output = self.step();
+        assert!(output.setpoint.is_none_or(|s| s.is_finite()), "{what:?}: {output:?}");
+        assert!(
+            self.peer.north_m.is_finite() && self.peer.height_m.is_finite(),
+            "{what:?}"
+        );
+        let is_ack = |m: &&(MavHeader, MavMessage)| matches!(m.1, MavMessage::COMMAND_ACK(_));
+        messages(&self.sent).iter().filter(is_ack).count()
+    }
+}
+
+/// Of a whole flight, so that guidance is asked whatever the companion takes for a request.
+#[test]
+fn every_command_of_the_dialect_is_answered_once_with_extremes_in_every_parameter() {
+    let mut count = 0;
+    for number in commands() {
+        count += 1;
+        let mut f = Flight::new(Flavour::Px4, Peer::on_the_ground(Flavour::Px4));
+        f.until(Guided);
+        for (i, extreme) in EXTREMES.into_iter().enumerate() {
+            for place in 0..8 {
+                let mut params = [0.0; 7];
+                match params.get_mut(place) {
+                    Some(param) => *param = extreme,
+                    None => params = [extreme; 7],
+                }
+                let frame = (8 * i + place) as u8 % 24;
+                let x = EXTREME_INTEGERS[place % EXTREME_INTEGERS.len()];
+                let y = EXTREME_INTEGERS[(i + place) % EXTREME_INTEGERS.len()];
+                for form in [CommandForm::Long { confirmation: 0 }, CommandForm::Int { frame, x, y }] {
+                    let answers = f.survives(&asked(number, params, form), &(number, params, form));
+                    assert_eq!(answers, 1, "{number} {params:?} {form:?}");
+                }
+            }
+        }
+    }
+    assert!(count > 150, "{count} commands: what does the dialect have?");
+}
+
+/// From the vehicle itself and from a station: extreme numbers at every place where a field can begin.
+#[test]
+fn every_message_of_the_dialect_is_survived_with_extremes_in_every_field() {
+    let patterns = EXTREMES.map(f32::to_le_bytes).into_iter();
+    let patterns: Vec<[u8; 4]> = patterns.chain(EXTREME_INTEGERS.map(i32::to_le_bytes)).collect();
+    for id in (0..13_000).filter(|id| MavMessage::default_message_from_id(*id).is_some()) {
+        for from in [VEHICLE, GROUND_STATION] {
+            let mut f = Flight::new(Flavour::Px4, Peer::on_the_ground(Flavour::Px4));
+            f.until(Guided);
+            for pattern in &patterns {
+                let mut out = [0; MAX_PACKET_LEN];
+                for at in (0..60).step_by(4) {
+                    let mut payload = [0; 64];
+                    payload[at..at + 4].copy_from_slice(pattern);
+                    let len = serialize_payload(from, id, &payload, &mut out).expect("fits");
+                    f.companion.receive(f.now_ns, 0, &out[..len]);
+                }
+                let len = serialize_payload(from, id, &pattern.repeat(16), &mut out).expect("fits");
+                f.survives(&out[..len], &(id, from, pattern));
+            }
+        }
     }
 }

@@ -32,7 +32,7 @@ impl Constant {
     /// A constant of the file.
     ///
     /// # Errors
-    /// Another type of number, data that do not fill the shape, numbers that are not finite.
+    /// Another type of number, data that do not fill the shape.
     pub fn of(tensor: &Tensor) -> Result<Self, String> {
         if tensor.data_location == 1 {
             return Err("its data are in another file; save the model in one".to_owned());
@@ -69,12 +69,21 @@ impl Constant {
                 constant.shape
             ));
         }
-        if let Data::Real(values) = &constant.data
-            && !values.iter().all(|x| x.is_finite())
-        {
-            return Err("it holds a number that is not finite".to_owned());
-        }
         Ok(constant)
+    }
+
+    /// The constant, if its numbers are finite; what is but a bound may be infinite, which is none.
+    ///
+    /// # Errors
+    /// Numbers that are not.
+    pub fn checked(self, is_bound: bool) -> Result<Self, String> {
+        let is_sound = |x: &f32| x.is_finite() || (is_bound && x.is_infinite());
+        match &self.data {
+            Data::Real(values) if !values.iter().all(is_sound) => {
+                Err("it holds a number that is not finite".to_owned())
+            }
+            _ => Ok(self),
+        }
     }
 
     /// A number.

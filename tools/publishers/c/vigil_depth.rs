@@ -14,8 +14,14 @@ use vigil_types::{Attitude, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, FrameKey, FrdVecto
 
 /// The highest instance.
 const LAST_INSTANCE: u32 = 99;
+/// What is less is 0 as a pixel.
+const LEAST_M: f32 = 1e-30;
 /// No depth sensor measures farther: what is, is of another unit.
 const FARTHEST_M: f32 = 1000.0;
+/// An estimate farther from home is none.
+const FARTHEST_PLACE_M: f32 = 100_000.0;
+/// What was captured longer ago is used by nobody: such a stamp is of another clock.
+const OLDEST_NS: Nanos = 1_000_000_000;
 
 thread_local! {
     static ERROR: RefCell<CString> = RefCell::default();
@@ -56,13 +62,16 @@ impl Publisher {
         let [north, east, down] = position;
         let [w, x, y, z] = attitude;
         let (position_ned_m, attitude) = (NedVector::new(north, east, down), Attitude { w, x, y, z });
-        if !position_ned_m.is_finite() || !attitude.is_valid() {
-            bail!("position_ned_m must be finite and attitude_wxyz of unit length");
+        let is_near = |m: &f32| m.abs() <= FARTHEST_PLACE_M;
+        if !position.iter().all(is_near) || !attitude.is_valid() {
+            bail!("position_ned_m must be finite, within 100 km, and attitude_wxyz of unit length");
         }
         check_ranges(ranges_m)?;
-        if stamp_ns > monotonic_ns().saturating_add(STEP_NS) {
+        let now_ns = monotonic_ns();
+        if !(now_ns.saturating_sub(OLDEST_NS)..=now_ns.saturating_add(STEP_NS)).contains(&stamp_ns) {
             bail!(
-                "stamp_ns {stamp_ns} lies in the future of CLOCK_MONOTONIC: stamp with vigil_depth_now_ns, at capture"
+                "stamp_ns {stamp_ns} is not of the last second of CLOCK_MONOTONIC ({now_ns} now): stamp with vigil_depth_now_ns, at \
+                 capture"
             );
         }
         if self.last_stamp_ns.is_some_and(|last_ns| stamp_ns <= last_ns) {
@@ -90,7 +99,7 @@ impl Publisher {
 }
 
 fn is_return(range_m: f32) -> bool {
-    range_m > 0.0 && range_m < DEPTH_FULL_SCALE_M
+    range_m > LEAST_M && range_m < DEPTH_FULL_SCALE_M
 }
 
 /// Refuses lengths of another unit than metres.
@@ -115,8 +124,8 @@ fn check_ranges(ranges_m: &[f32]) -> Result<()> {
         "an image without a single range: {} pixels are not finite, {} are 0 or less, {} are 100 m or farther. Nothing was \
          published, for it would read as free space: is the sensor covered, is the unit metres?",
         count(|m| !m.is_finite()),
-        count(|m| m.is_finite() && m <= 0.0),
-        count(|m| m.is_finite() && m > 0.0)
+        count(|m| m.is_finite() && m <= LEAST_M),
+        count(|m| m.is_finite() && m > LEAST_M)
     )
 }
 

@@ -20,11 +20,17 @@ import xxhash
 ROWS, COLS = 128, 256
 PIXELS = ROWS * COLS
 FULL_SCALE_M = 100.0
+#: What is less is 0 as a pixel.
+LEAST_M = 1e-30
 #: No depth sensor measures farther: what is, is of another unit.
 FARTHEST_M = 1000.0
+#: An estimate farther from home is none.
+FARTHEST_PLACE_M = 100_000.0
 LAST_INSTANCE = 99
 #: How far a stamp may lie ahead of the clock: one step of the loop that reads the frames.
 STEP_NS = 50_000_000
+#: What was captured longer ago is used by nobody: such a stamp is of another clock.
+OLDEST_NS = 1_000_000_000
 #: Bytes of the header that checksum and tag cover.
 COVERED = 56
 KEY_CONTEXT = "Vigil depth frame authentication, version 1"
@@ -87,7 +93,7 @@ def real_numbers(values, what: str, shape: tuple[int, ...]) -> np.ndarray:
         raise ValueError(f"{what}: real numbers are needed, got an array of type {given.dtype}")
     if given.shape != shape:
         raise ValueError(f"{what}: the shape {shape} is needed, got {given.shape}")
-    return np.ma.filled(given.astype(np.float64), np.nan)
+    return np.asarray(np.ma.filled(given.astype(np.float64), np.nan))
 
 
 def returns(ranges_m) -> tuple[np.ndarray, np.ndarray]:
@@ -100,11 +106,12 @@ def returns(ranges_m) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(
             f"a range of {farthest:g}: ranges_m are metres (of millimetres, divide by 1000); where nothing returned, give infinity"
         )
-    hit = finite & (ranges_m > 0.0) & (ranges_m < FULL_SCALE_M)
+    positive = ranges_m > LEAST_M
+    hit = finite & positive & (ranges_m < FULL_SCALE_M)
     if not hit.any():
         raise ValueError(
             f"an image without a single range: {np.count_nonzero(~finite)} pixels are not finite, "
-            f"{np.count_nonzero(finite & (ranges_m <= 0.0))} are 0 or less, {np.count_nonzero(finite & (ranges_m > 0.0))} are 100 m "
+            f"{np.count_nonzero(finite & ~positive)} are 0 or less, {np.count_nonzero(finite & positive)} are 100 m "
             "or farther. Nothing was published, for it would read as free space: is the sensor covered, is the unit metres?"
         )
     return ranges_m, hit
@@ -116,9 +123,9 @@ def pose(position_ned_m, attitude_wxyz) -> tuple[np.ndarray, np.ndarray]:
         position = real_numbers(position_ned_m, "position_ned_m", (3,)).astype(np.float32)
         attitude = real_numbers(attitude_wxyz, "attitude_wxyz", (4,)).astype(np.float32)
         unit = abs(float(attitude @ attitude) - 1.0) < 0.02
-    if not np.isfinite(position).all() or not unit:
+    if not (np.abs(position) <= FARTHEST_PLACE_M).all() or not unit:
         raise ValueError(
-            f"position_ned_m {position.tolist()} must be finite and attitude_wxyz {attitude.tolist()} of unit length"
+            f"position_ned_m {position.tolist()} must be finite, within 100 km, and attitude_wxyz {attitude.tolist()} of unit length"
         )
     return position, attitude
 
@@ -165,16 +172,19 @@ class DepthPublisher:
         returned, which is what 100 m and farther count as. One pixel at least has a range.
         position_ned_m: 3 numbers, the vehicle's estimate at capture, metres from home.
         attitude_wxyz: unit quaternion, body (FRD) to NED.
-        stamp_ns: whole number, time of capture on CLOCK_MONOTONIC; must rise. Now, if it is not given.
+        stamp_ns: whole number, time of capture on CLOCK_MONOTONIC, at most a second ago; must rise. Now, if it is not given.
         """
         ranges_m, hit = returns(ranges_m)
         position, attitude = pose(position_ned_m, attitude_wxyz)
         now_ns = time.monotonic_ns()
-        stamp_ns = now_ns if stamp_ns is None else operator.index(stamp_ns)
-        if not self._last_stamp_ns < stamp_ns <= now_ns + STEP_NS:
+        try:
+            stamp_ns = now_ns if stamp_ns is None else operator.index(stamp_ns)
+        except TypeError:
+            raise ValueError(f"stamp_ns {stamp_ns!r}: whole nanoseconds of CLOCK_MONOTONIC are needed") from None
+        if not max(self._last_stamp_ns + 1, now_ns - OLDEST_NS) <= stamp_ns <= now_ns + STEP_NS:
             raise ValueError(
                 f"stamp_ns {stamp_ns} must be newer than that of the frame before ({self._last_stamp_ns}) and of CLOCK_MONOTONIC "
-                f"({now_ns} now): time.monotonic_ns(), at capture"
+                f"({now_ns} now) within the last second: time.monotonic_ns(), at capture"
             )
         np.divide(ranges_m, FULL_SCALE_M, out=self._pixels, where=hit, casting="same_kind")
         self._pixels[~hit] = 1.0

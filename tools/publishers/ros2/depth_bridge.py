@@ -23,6 +23,16 @@ def _floats(array: np.ndarray):
     return array.ctypes.data_as(FLOATS)
 
 
+def _reals(values, what: str, *shapes: tuple[int, ...]) -> np.ndarray:
+    """Real numbers of one of some shapes (-1 is any size) as float32; what is masked becomes NaN."""
+    given = np.ma.asanyarray(values)
+    fits = [len(s) == given.ndim and all(want in (-1, got) for want, got in zip(s, given.shape)) for s in shapes]
+    if given.dtype.kind not in "fiu" or not any(fits):
+        raise ValueError(f"{what}: real numbers of shape {shapes[0]} are needed, got {given.dtype} of shape {given.shape}")
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(np.ma.filled(given.astype(np.float64), np.nan), dtype=np.float32)
+
+
 class DepthLibrary:
     """libvigil_depth.so: projects clouds, publishes images. A RuntimeError says what went wrong."""
 
@@ -48,10 +58,8 @@ class DepthLibrary:
 
     def project(self, points_frd_m: np.ndarray, mount, across_deg: float, down_deg: float) -> np.ndarray:
         """Ranges of the image, metres, infinity for no return; (n, 3) points forward, right, down."""
-        points = np.ascontiguousarray(points_frd_m, dtype=np.float32).reshape(-1, 3)
-        place, ranges_m = np.asarray(mount, dtype=np.float32), np.empty(PIXELS, dtype=np.float32)
-        if place.shape != (6,):
-            raise ValueError("mount: x, y, z, roll, pitch, yaw")
+        points = _reals(points_frd_m, "points", (-1, 3))
+        place, ranges_m = _reals(mount, "mount (x, y, z, roll, pitch, yaw)", (6,)), np.empty(PIXELS, dtype=np.float32)
         self._checked(
             self._lib.vigil_depth_project_points(
                 _floats(points), len(points), _floats(place), across_deg, down_deg, _floats(ranges_m)
@@ -61,10 +69,8 @@ class DepthLibrary:
 
     def publish(self, ranges_m: np.ndarray, position_ned_m, attitude_wxyz, stamp_ns: int) -> int:
         """Returns the number of readers."""
-        ranges_m = np.ascontiguousarray(ranges_m, dtype=np.float32)
-        position, attitude = (np.asarray(v, dtype=np.float32) for v in (position_ned_m, attitude_wxyz))
-        if ranges_m.size != PIXELS or position.shape != (3,) or attitude.shape != (4,):
-            raise ValueError("128 x 256 ranges, a position of 3 and a quaternion of 4 numbers are needed")
+        ranges_m = _reals(ranges_m, "ranges_m", (128, 256), (PIXELS,))
+        position, attitude = _reals(position_ned_m, "position_ned_m", (3,)), _reals(attitude_wxyz, "attitude_wxyz", (4,))
         return self._checked(
             self._lib.vigil_depth_publish(
                 self._publisher, _floats(ranges_m), _floats(position), _floats(attitude), stamp_ns
@@ -100,6 +106,9 @@ def points_of_cloud(cloud) -> np.ndarray:
         formats.append(order + COORDINATES[field.datatype])
         if not 0 <= field.offset <= cloud.point_step - int(formats[-1][-1]):
             raise ValueError(f"the cloud's {axis} at byte {field.offset} is not within its points of {cloud.point_step} bytes")
+    spans = sorted((fields[axis].offset, fields[axis].offset + int(form[-1])) for axis, form in zip("xyz", formats))
+    if any(end > begin for (_, end), (begin, _) in zip(spans, spans[1:])):
+        raise ValueError(f"the cloud's x, y and z share bytes: they begin at {', '.join(str(begin) for begin, _ in spans)}")
     if cloud.row_step < cloud.width * cloud.point_step and cloud.height > 1:
         raise ValueError(f"the cloud's rows of {cloud.row_step} bytes are shorter than {cloud.width} x {cloud.point_step}")
     data = np.frombuffer(bytes(cloud.data), dtype=np.uint8)

@@ -15,7 +15,7 @@ use vigil_io::link_spec::LinkSpec;
 use vigil_io::links::{AnyWire, LinkAdmission, PeerRule, somebody_is_heard};
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameSubscriber};
 use vigil_mavlink::Flavour;
-use vigil_types::{AutopilotChoice, Datagrams, DepthFrame};
+use vigil_types::{AutopilotChoice, Datagrams, DepthFrame, Nanos};
 
 /// Time between two looks at link and frames.
 const LOOK: Duration = Duration::from_millis(1);
@@ -187,14 +187,15 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
         });
     }
     if let Some(frames) = &frames {
-        findings.extend(of_sensor(&frames.check, (now_ns - started_ns) as f64 * 1e-9));
+        findings.extend(of_sensor(&frames.check, started_ns, now_ns));
     }
     report(args, &findings)
 }
 
 /// What the sensor's own check says, as findings of the doctor's.
-fn of_sensor(check: &SensorCheck, seconds: f64) -> impl Iterator<Item = Finding> {
-    check.findings(seconds).into_iter().map(|found| Finding {
+fn of_sensor(check: &SensorCheck, started_ns: Nanos, ended_ns: Nanos) -> impl Iterator<Item = Finding> {
+    let seconds = (ended_ns - started_ns) as f64 * 1e-9;
+    check.findings(seconds, ended_ns).into_iter().map(|found| Finding {
         name: format!("sensor {}", found.name),
         severity: found.severity,
         value: Some(found.text),

@@ -131,9 +131,10 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
             let log = find_log(&args.log)?;
             let to = args.output.clone().unwrap_or_else(|| flight_report::beside(&log));
             output::prepare(&to)?;
-            let bytes = write_report(&log, &to, args.shap)?;
+            let (bytes, incomplete) = write_report(&log, &to, args.shap)?;
             if !is_stdout(&to) {
                 say!("{} ({:.1} MB)", to.display(), bytes as f64 / 1e6);
+                say_what_is_missing(incomplete);
             }
         }
         LogCommand::Ulg(args) => {
@@ -145,9 +146,7 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
             if !is_stdout(&to) {
                 let megabytes = converted.bytes.len() as f64 / 1e6;
                 say!("{} ({} records, {megabytes:.1} MB)", to.display(), converted.records);
-                if let Some(why) = converted.incomplete {
-                    say!("it is not all of the flight: {why}");
-                }
+                say_what_is_missing(converted.incomplete);
             }
         }
         LogCommand::Derive(args) => {
@@ -173,13 +172,19 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the report of `log` to `to`; returns its size.
+/// Writes the report of `log` to `to`; returns its size, and why it is not all of the flight where it is not.
 ///
 /// # Errors
 /// A log that cannot be read, a report that cannot be written.
-pub fn write_report(log: &Path, to: &Path, explained_frames: usize) -> Result<usize> {
+pub fn write_report(log: &Path, to: &Path, explained_frames: usize) -> Result<(usize, Option<String>)> {
     let flight = flight_report::read(log, ReportOptions { explained_frames }).context("no report")?;
     let page = flight_report::html(&flight)?;
     output::write(to, &page)?;
-    Ok(page.len())
+    Ok((page.len(), flight.incomplete))
+}
+
+fn say_what_is_missing(incomplete: Option<String>) {
+    if let Some(why) = incomplete {
+        say!("it is not all of the flight: {why}");
+    }
 }

@@ -109,7 +109,7 @@ fn check(args: &CheckArgs) -> Result<ExitCode> {
             None => std::thread::sleep(LOOK),
         }
     }
-    let findings = check.findings(args.seconds as f64);
+    let findings = check.findings(args.seconds as f64, monotonic_ns());
     let paint = Paint::stdout();
     for finding in &findings {
         let mark = match finding.severity {

@@ -13,7 +13,7 @@ use vigil_mavlink::common::{
 use vigil_mavlink::framing::{Command, FramingCounters, MAX_PACKET_LEN, Packet, packets, serialize};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_mavlink::{Flavour, MavHeader, MavMessage, Vehicle};
-use vigil_types::{Attitude, Datagrams, DepthFrame, Nanos, NedVector, wrap_pi};
+use vigil_types::{Attitude, Datagrams, DepthFrame, Kinematics, Nanos, NedVector, wrap_pi};
 
 const AUTOPILOT: u8 = 1;
 /// MAV_COMP_ID_PERIPHERAL: who asks.
@@ -45,6 +45,8 @@ const JUMP_M_S: f32 = 10.0;
 const JUMP_RAD: f32 = 0.35;
 /// The vehicle's clock has jumped if it went on by so much more than ours.
 const CLOCK_JUMP_NS: Nanos = SECOND_NS / 2;
+/// MAV_SYS_STATUS_PREARM_CHECK.
+const PREARM: u32 = 0x1000_0000;
 
 /// What is known before.
 #[derive(Debug, Clone, Default)]
@@ -164,11 +166,15 @@ pub struct Examination {
     position_jumps: (u32, f32),
     heading_jumps: (u32, f32),
     was_in_failsafe: bool,
+    /// Positions and attitudes that are no numbers, flags of an estimator that was not ready, a pre-arm check that failed.
+    unusable: u32,
+    was_not_ready: Option<u16>,
+    was_not_armable: bool,
     round_trips_s: Vec<f64>,
     unix_time_us: Option<(u64, Nanos)>,
     estimator: Option<u16>,
-    /// SYS_STATUS: present, enabled, healthy.
-    sensors: Option<(u32, u32, u32)>,
+    /// Whether the pre-arm check passes, where SYS_STATUS tells of one.
+    is_armable: Option<bool>,
     prearm_texts: BTreeSet<String>,
     /// GLOBAL_POSITION_INT: metres above home, and heading in radians where it is told.
     global: Option<(f32, Option<f32>)>,
@@ -205,10 +211,13 @@ impl Examination {
             position_jumps: (0, 0.0),
             heading_jumps: (0, 0.0),
             was_in_failsafe: false,
+            unusable: 0,
+            was_not_ready: None,
+            was_not_armable: false,
             round_trips_s: Vec::new(),
             unix_time_us: None,
             estimator: None,
-            sensors: None,
+            is_armable: None,
             prearm_texts: BTreeSet::new(),
             global: None,
             companions: BTreeMap::new(),
@@ -266,11 +275,19 @@ impl Examination {
         let arrivals = self.arrivals.entry(packet.message_id()).or_default();
         arrivals.note(now_ns, late_ns(packet.message_id()));
         self.vehicle.receive(now_ns, packet);
+        let t = &self.vehicle.telemetry;
         match packet.message_id() {
             HEARTBEAT_DATA::ID => self.vehicle_type = packet.payload().get(4).copied(),
+            LOCAL_POSITION_NED_DATA::ID => {
+                let is_number = |k: Kinematics| k.position_ned_m.is_finite() && k.velocity_ned_m_s.is_finite();
+                self.unusable += u32::from(!t.kinematics.is_none_or(is_number));
+            }
+            ATTITUDE_DATA::ID | ATTITUDE_QUATERNION_DATA::ID => {
+                self.unusable += u32::from(!t.attitude.is_none_or(|a| a.attitude.is_valid()));
+            }
             EKF_STATUS_REPORT => {
                 let byte = |at: usize| packet.payload().get(at).copied().unwrap_or(0);
-                self.estimator = Some(u16::from_le_bytes([byte(EKF_FLAGS_AT), byte(EKF_FLAGS_AT + 1)]));
+                self.note_estimator(u16::from_le_bytes([byte(EKF_FLAGS_AT), byte(EKF_FLAGS_AT + 1)]));
             }
             _ => {}
         }
@@ -286,13 +303,12 @@ impl Examination {
             MavMessage::HEARTBEAT(_) => {
                 self.was_in_failsafe |= self.vehicle.telemetry.heartbeat.is_some_and(|h| h.failsafe);
             }
-            MavMessage::ESTIMATOR_STATUS(m) => self.estimator = Some(m.flags.bits()),
+            MavMessage::ESTIMATOR_STATUS(m) => self.note_estimator(m.flags.bits()),
             MavMessage::SYS_STATUS(m) => {
-                self.sensors = Some((
-                    m.onboard_control_sensors_present.bits(),
-                    m.onboard_control_sensors_enabled.bits(),
-                    m.onboard_control_sensors_health.bits(),
-                ));
+                let checked = m.onboard_control_sensors_present & m.onboard_control_sensors_enabled;
+                let passes = m.onboard_control_sensors_health.bits() & PREARM != 0;
+                self.is_armable = (checked.bits() & PREARM != 0).then_some(passes);
+                self.was_not_armable |= self.is_armable == Some(false);
             }
             MavMessage::GLOBAL_POSITION_INT(m) => {
                 // UINT16_MAX: not known.
@@ -347,7 +363,18 @@ impl Examination {
         self.boot = Some((first, now));
     }
 
+    fn note_estimator(&mut self, flags: u16) {
+        self.estimator = Some(flags);
+        if !self.estimator_lacks(flags).is_empty() {
+            self.was_not_ready = Some(flags);
+        }
+    }
+
     fn note_position(&mut self, boot_ms: u32, position_m: NedVector, velocity_m_s: NedVector) {
+        if !position_m.is_finite() || !velocity_m_s.is_finite() {
+            self.position = None;
+            return;
+        }
         let Some((last_ms, last_m, last_m_s)) = self.position.replace((boot_ms, position_m, velocity_m_s)) else {
             return;
         };

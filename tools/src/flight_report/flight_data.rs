@@ -21,6 +21,9 @@ pub struct Flight {
     pub verdict: Verdict,
     /// What the reader must know of the log: damage, gaps, what is missing.
     pub notes: Vec<String>,
+    /// Why it is not all of the flight.
+    #[serde(skip)]
+    pub incomplete: Option<String>,
     /// Names and values.
     pub facts: Vec<(String, String)>,
     /// The command that flies it again, if it is known.
@@ -96,11 +99,12 @@ pub struct Outline {
 /// Reads a log and makes of it what a report shows. A log that was cut off or is damaged shows what is whole, and says so.
 ///
 /// # Errors
-/// [`ReportError`]: a file that is no log of this version, or holds no step.
+/// [`ReportError`]: a file that is no log of this version, or holds no whole step.
 pub fn read(path: &Path, options: ReportOptions) -> Result<Flight, ReportError> {
     let log = LogSeen::read(path)?;
     if log.steps.is_empty() {
-        return Err(ReportError::NoSteps(path.display().to_string()));
+        let none = || ReportError::NoSteps(path.display().to_string());
+        return Err(log.damage.map_or_else(none, ReportError::Damaged));
     }
     let film = film::take(path, &log, options)?;
     Ok(flight(path, &log, film))
@@ -126,6 +130,10 @@ fn flight(path: &Path, log: &LogSeen, film: Film) -> Flight {
         title: words::title(path, log),
         verdict: words::verdict(log),
         notes,
+        incomplete: log.damage.clone().or_else(|| match log.end {
+            Some(end @ LogEnd::Interrupted { .. }) => Some(end.to_string()),
+            _ => None,
+        }),
         facts: words::facts(path, log),
         command: log.story.about.get("command").cloned(),
         config: log.info.config_toml.clone(),

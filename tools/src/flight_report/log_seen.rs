@@ -23,6 +23,9 @@ pub enum ReportError {
     /// The log cannot be read at all.
     #[error(transparent)]
     Read(#[from] ReadError),
+    /// The log is damaged before its first whole step.
+    #[error("{0}, so there is nothing to show yet")]
+    Damaged(String),
     /// The log is good and holds no step.
     #[error("{0} holds no step: the recording ended before the first one, so there is nothing to show")]
     NoSteps(String),

@@ -19,6 +19,9 @@ const TOUCH_DOWN_M_S: f32 = 1.0;
 /// Below this height the vehicle comes down no faster than it may touch down, and above it this much faster a metre.
 const TOUCH_DOWN_HEIGHT_M: f32 = 1.0;
 const TOUCH_DOWN_SLOPE_PER_S: f32 = 0.6;
+/// How an acceleration downward is taken back for that, and what brakes at the most.
+const TOUCH_DOWN_GAIN_PER_S: f32 = 3.0;
+const TOUCH_DOWN_BRAKING_M_S2: f32 = 4.0;
 /// So near to a place on the ground, and so slow, the vehicle goes down to it.
 const TOUCH_DOWN_RADIUS_M: f32 = 1.0;
 const TOUCH_DOWN_DRIFT_M_S: f32 = 0.5;
@@ -142,6 +145,17 @@ impl Core {
             ControlCommand::Descend { rate_m_s } => ControlCommand::Descend {
                 rate_m_s: rate_m_s.min(limit_m_s),
             },
+            ControlCommand::Acceleration {
+                acceleration_ned_m_s2: a,
+                yaw,
+            } => {
+                let slowing_m_s2 = (limit_m_s - self.view.estimate.velocity_ned_m_s.z) * TOUCH_DOWN_GAIN_PER_S;
+                let down_m_s2 = a.z.min(slowing_m_s2.max(-TOUCH_DOWN_BRAKING_M_S2));
+                ControlCommand::Acceleration {
+                    acceleration_ned_m_s2: NedVector::new(a.x, a.y, down_m_s2),
+                    yaw,
+                }
+            }
             other => other,
         }
     }

@@ -9,6 +9,9 @@ const NAV_FENCE_POLYGON_VERTEX_EXCLUSION: u16 = 5002;
 const NAV_FENCE_CIRCLE_INCLUSION: u16 = 5003;
 const NAV_FENCE_CIRCLE_EXCLUSION: u16 = 5004;
 const MAX_RADIUS_M: f32 = 20_000.0;
+/// Area over length of the border below which a polygon holds nothing: its vertices are one place, or lie in a line but for
+/// the centimetre to which they are rounded.
+const MIN_WIDTH_M: f32 = 0.02;
 
 /// Which limit is broken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,6 +56,22 @@ impl Shape {
                 inside
             }
         }
+    }
+}
+
+/// The area of a polygon over the length of its border, metres.
+fn width_m(vertices: &[(f32, f32)]) -> f32 {
+    let (mut twice_area_m2, mut border_m) = (0.0, 0.0);
+    let origin = vertices.first().copied().unwrap_or_default();
+    for (from, to) in vertices.iter().zip(vertices.iter().cycle().skip(1)) {
+        let (north, east) = (to.0 - from.0, to.1 - from.1);
+        twice_area_m2 += (from.0 - origin.0) * east - (from.1 - origin.1) * north;
+        border_m += libm::hypotf(north, east);
+    }
+    if border_m > 0.0 {
+        twice_area_m2.abs() / 2.0 / border_m
+    } else {
+        0.0
     }
 }
 
@@ -119,6 +138,12 @@ impl Fence {
                     return Err(PlanDefect::new(
                         MavMissionResult::MAV_MISSION_INVALID_PARAM1,
                         "polygon with too few vertices",
+                    ));
+                }
+                if width_m(&vertices) < MIN_WIDTH_M {
+                    return Err(PlanDefect::new(
+                        MavMissionResult::MAV_MISSION_INVALID,
+                        "polygon without an area",
                     ));
                 }
                 (Shape::Polygon(vertices), count)
@@ -256,6 +281,23 @@ mod tests {
         let beside = fence(items);
         assert!(beside.allows((5.0, 5.0)) && !beside.allows((50.0, 50.0)));
         assert!(!fence(polygon(5001, &L)).has_empty_circle());
+    }
+
+    #[test]
+    fn a_polygon_without_an_area_is_refused_instead_of_forbidding_every_place() {
+        let refused = |vertices: &[(f32, f32)]| Fence::new(polygon(5001, vertices), &HomePosition::default()).err();
+        for vertices in [
+            [(0.0, 0.0); 3],
+            [(0.0, 0.0), (20.0, 20.0), (40.0, 40.0)],
+            [(0.0, -30.0), (0.0, 30.0), (0.0, -30.0)],
+        ] {
+            assert_eq!(
+                refused(&vertices).map(|d| d.reason),
+                Some("polygon without an area"),
+                "{vertices:?}"
+            );
+        }
+        assert!(fence(polygon(5001, &[(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])).allows((0.2, 0.2)));
     }
 
     #[test]

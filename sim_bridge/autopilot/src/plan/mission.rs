@@ -27,13 +27,13 @@ const DO_SET_ROI: u16 = 201;
 const ROI_LOCATION: f32 = 3.0;
 /// Taken for the sake of plans that carry them, and passed over, because the vehicle has nothing that they command. A region
 /// of interest at the next item is where the nose is anyway, and the motors are the landing's and the pilot's to stop.
-const PASSED_OVER: [u16; 36] = [
+const PASSED_OVER: [u16; 40] = [
     // Conditions on what comes next: a height that is climbed through, a distance, a gate.
     113, 114, 4501, // Relays, servos, actuators, gripper, winch.
     181, 182, 183, 184, 187, 211, 42600,
     // Where a landing begins; a region of interest at the next item; a survey by slanted pictures; arming.
     189, 196, 260, 400, // Cameras: control, triggers, storage, modes, pictures, tracking, video.
-    200, 202, 203, 206, 214, 530, 531, 532, 533, 534, 2000, 2001, 2003, 2004, 2005, 2500, 2501,
+    200, 202, 203, 206, 214, 529, 530, 531, 532, 533, 534, 2000, 2001, 2003, 2004, 2005, 2010, 2500, 2501, 2502, 2503,
     // Gimbals: mounts and managers.
     204, 205, 220, 1000, 1001,
 ];

@@ -24,6 +24,8 @@ const CUSTOM_MODE: u8 = 1;
 /// Farther than this is a mistake in the coordinates, not a place to fly to.
 pub(super) const MAX_DISTANCE_M: f32 = 10_000.0;
 const MAX_HEIGHT_M: f32 = 500.0;
+/// MAV_FRAME numbers of global places.
+pub(super) const GLOBAL_FRAMES: [u8; 4] = [0, 3, 5, 6];
 /// A height that is farther below home was meant above something else than its frame says; the world is level.
 pub(crate) const BELOW_HOME_M: f32 = 1.0;
 
@@ -79,13 +81,22 @@ fn set_mode(requested: Requested, source: Source, core: &mut Core) -> Answer {
     }
 }
 
-/// Height above home of a MAVLink altitude in `frame`: above sea level in 0 and 5, above home in 3 and 6.
-pub(super) fn height_m(core: &Core, frame: u8, altitude_m: f32) -> Option<f32> {
-    match frame {
-        0 | 5 => Some((f64::from(altitude_m) - core.home.altitude_m) as f32),
-        3 | 6 => Some(altitude_m),
-        _ => None,
+/// Whether places of a frame are flown to: those on the globe; told where they are not.
+fn is_flown_in(frame: u8, core: &mut Core) -> bool {
+    let is_global = GLOBAL_FRAMES.contains(&frame);
+    if !is_global {
+        let text = format!("denied: frame {frame} is not flown, 0, 3, 5 and 6 are");
+        core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
     }
+    is_global
+}
+
+/// Height above home of a MAVLink altitude in `frame`: above sea level in 0 and 5, above home in 3 and 6.
+pub(super) fn height_m(core: &mut Core, frame: u8, altitude_m: f32) -> Option<f32> {
+    is_flown_in(frame, core).then(|| match frame {
+        0 | 5 => (f64::from(altitude_m) - core.home.altitude_m) as f32,
+        _ => altitude_m,
+    })
 }
 
 /// Whether a height above home is one to fly at; told where it is not.
@@ -105,8 +116,12 @@ fn take_off(command: &Command, core: &mut Core) -> Answer {
     let height = match command.param(7) {
         None => None,
         Some(altitude_m) => match height_m(core, command.frame(), altitude_m) {
-            Some(height) if height.abs() <= MAX_HEIGHT_M || height < 0.0 => Some(height),
-            _ => return Answer::DENIED,
+            Some(height) if height <= MAX_HEIGHT_M => Some(height),
+            Some(_) => {
+                core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from home");
+                return Answer::DENIED;
+            }
+            None => return Answer::DENIED,
         },
     };
     let outcome = core.take_off(height);
@@ -125,7 +140,7 @@ pub(super) fn place(command: &Command, core: &mut Core) -> Option<NedVector> {
 
 /// The same with its height above home given; `None` is the vehicle's.
 pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core) -> Option<NedVector> {
-    if height_m.is_some_and(|height_m| !is_flown_at(height_m, core)) {
+    if height_m.is_some_and(|height_m| !is_flown_at(height_m, core)) || !is_flown_in(command.frame(), core) {
         return None;
     }
     let here = core.view.estimate.position_ned_m;

@@ -5,21 +5,26 @@ use crate::geo;
 use crate::service::{Service, Source};
 use crate::services::actions::MAX_DISTANCE_M;
 use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::FOLLOW_TARGET_DATA;
+use vigil_mavlink::common::{FOLLOW_TARGET_DATA, MavSeverity};
 use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::MessageData;
-use vigil_types::NedVector;
+use vigil_types::{Nanos, NedVector};
 
 /// Bit of `est_capabilities`: the velocity is given.
 const HAS_VELOCITY: u8 = 1 << 1;
 /// Faster targets are mistakes.
 const ABSURD_VELOCITY_M_S: f32 = 100.0;
 
+/// The same refusal is told again after this time.
+const REPEATED_NS: Nanos = 5_000_000_000;
+
 #[derive(Default)]
-pub(crate) struct Follow;
+pub(crate) struct Follow {
+    told_next_ns: Nanos,
+}
 
 impl Service for Follow {
-    fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
+    fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
         if packet.message_id() != FOLLOW_TARGET_DATA::ID {
             return;
         }
@@ -33,12 +38,21 @@ impl Service for Follow {
         let position = NedVector::new(x, y, down_m);
         let [vx, vy, vz] = m.vel;
         let velocity = (m.est_capabilities & HAS_VELOCITY != 0).then(|| NedVector::new(vx, vy, vz));
+        let is_place = lat.abs() <= 90.0 && lon.abs() <= 180.0 && m.alt.is_finite();
         let is_near = position.horizontal_norm() <= MAX_DISTANCE_M && down_m.abs() <= MAX_DISTANCE_M;
-        let is_sound = velocity.is_none_or(|v| v.norm() <= ABSURD_VELOCITY_M_S);
-        if lat.abs() <= 90.0 && lon.abs() <= 180.0 && is_near && is_sound {
-            core.see_target(position, velocity);
-        } else {
-            core.refusals.setpoint_value += 1;
+        let is_slow = velocity.is_none_or(|v| v.norm() <= ABSURD_VELOCITY_M_S);
+        let defect = match (is_place, is_near, is_slow) {
+            (true, true, true) => return core.see_target(position, velocity),
+            (false, ..) => "lat, lon or alt is no place",
+            (_, false, _) => "too far from home",
+            _ => "vel is NaN or absurd",
+        };
+        // A vehicle that waits for its target would otherwise not tell why.
+        core.refusals.setpoint_value += 1;
+        if core.now_ns >= self.told_next_ns {
+            self.told_next_ns = core.now_ns + REPEATED_NS;
+            let text = format!("target of {}: {defect}", source.id);
+            core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
         }
     }
 }

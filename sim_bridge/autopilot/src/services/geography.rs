@@ -6,7 +6,7 @@
 use crate::core::Core;
 use crate::geo::{self, deg_e7};
 use crate::service::{Answer, Build, Produced, Service, Source};
-use crate::services::actions::MAX_DISTANCE_M;
+use crate::services::actions::{GLOBAL_FRAMES, MAX_DISTANCE_M};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA, MavSeverity, SET_GPS_GLOBAL_ORIGIN_DATA};
 use vigil_mavlink::framing::{Command, Packet};
@@ -19,8 +19,6 @@ const GET_HOME_POSITION: u16 = 410;
 const DO_SET_HOME: u16 = 179;
 /// How far the height of a place may be from home's that is still meant to be the same.
 const SAME_HEIGHT_M: f64 = 1.0;
-/// MAV_FRAME numbers of global places.
-const GLOBAL_FRAMES: [u8; 4] = [0, 3, 5, 6];
 
 pub(crate) struct Geography;
 

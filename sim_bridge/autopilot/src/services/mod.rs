@@ -73,7 +73,7 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(mission::MissionService),
         Box::<geofence::Geofence>::default(),
         Box::new(orbit::OrbitService),
-        Box::new(follow::Follow),
+        Box::new(follow::Follow::default()),
         Box::new(interest::Interest),
         Box::<parameters::ParameterService>::default(),
         Box::new(storage::Storage),

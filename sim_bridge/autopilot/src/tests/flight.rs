@@ -185,6 +185,17 @@ fn goto_is_refused_on_the_ground_far_away_and_in_a_foreign_frame() {
             "{frame:?} {lat} {alt}"
         );
     }
+    // A place at no height is one of its frame too, and whoever means another frame is told.
+    for (frame, alt) in [
+        (MavFrame::MAV_FRAME_LOCAL_NED, f32::NAN),
+        (MavFrame::MAV_FRAME_MISSION, f32::NAN),
+        (MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT, 5.0),
+    ] {
+        b.sent.clear();
+        assert_eq!(b.reposition(frame, 47.3977, 8.5455, alt, 0.0), DENIED, "{frame:?}");
+        let told = format!("denied: frame {} is not flown, 0, 3, 5 and 6 are", frame as u8);
+        assert!(b.texts().contains(&told), "{:?}", b.texts());
+    }
 }
 
 #[test]
@@ -438,7 +449,16 @@ fn what_leads_into_the_ground_ends_on_it_softly() {
         coordinate_frame: MavFrame::MAV_FRAME_GLOBAL_INT,
         ..Default::default()
     });
+    let acceleration = MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
+        afz: 5.0,
+        type_mask: PositionTargetTypemask::from_bits_retain(0xC3F),
+        target_system: 1,
+        target_component: 1,
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    });
     for (message, below_home) in [
+        (acceleration, false),
         (velocity_message([0.0, 0.0, 1.5]), false),
         (velocity_message([0.0, 0.0, 90.0]), false),
         (place(0xDF8, 40.0, 0.0), true),

@@ -60,6 +60,22 @@ fn a_target_that_is_nowhere_near_is_not_followed() {
     b.run_ms(3_000);
     assert!(b.position_m()[0].abs() < 0.2);
     assert_eq!(b.status().refusals.setpoint_value, 2);
+    b.run_ms(3_000);
+    report(&mut b, (5.0, 0.0), Some([0.0, f32::INFINITY, 0.0]));
+    b.run_ms(100);
+    // Who waits for it to follow hears why it does not, once in a while.
+    let told: Vec<String> = b
+        .texts()
+        .into_iter()
+        .filter(|text| text.starts_with("target of"))
+        .collect();
+    assert_eq!(
+        told,
+        [
+            "target of 245/190: too far from home",
+            "target of 245/190: vel is NaN or absurd"
+        ]
+    );
 }
 
 /// Between reports milliseconds apart a centimetre of their resolution looks like metres per second.

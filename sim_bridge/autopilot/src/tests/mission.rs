@@ -359,7 +359,7 @@ fn the_nose_points_at_a_region_of_interest() {
 #[test]
 fn commands_to_what_the_vehicle_has_not_are_taken_and_passed_over() {
     let commands = [
-        187, 200, 260, 534, 42600, 112, 114, 179, 400, 113, 181, 202, 220, 533, 2004, 4501,
+        187, 200, 260, 534, 42600, 112, 114, 179, 400, 113, 181, 202, 220, 529, 533, 2004, 2010, 2503, 4501,
     ];
     let mut plan = vec![item(22, [0.0, 0.0, 0.0, f32::NAN], (0.0, 0.0), 3.0)];
     plan.extend(commands.map(|command| match command {

@@ -84,6 +84,27 @@ fn altitude_mode_tilts_by_the_stick_and_holds_its_height() {
 }
 
 #[test]
+fn a_throttle_that_is_pulled_back_lands_softly_whatever_the_parameters_say() {
+    for main in [2, 3] {
+        let mut b = Bench::airborne();
+        b.set_parameter("MPC_Z_VEL_MAX_DN", crate::ParameterValue::Real32(4.0));
+        b.set_parameter("MPC_LAND_SPEED", crate::ParameterValue::Real32(1.5));
+        hold(&mut b, &sticks(0, 0, 1000, 0), 100);
+        assert_eq!(b.set_mode(GCS, STATION, main, 0), ACCEPTED);
+        hold(&mut b, &sticks(0, 0, 1000, 0), 4_000);
+        let mut fastest_m_s = 0.0_f32;
+        for _ in 0..400 {
+            hold(&mut b, &sticks(0, 0, 0, 0), 50);
+            if b.height_m() < 0.3 {
+                fastest_m_s = fastest_m_s.max(b.view().estimate.velocity_ned_m_s.z);
+            }
+        }
+        assert!(fastest_m_s < 1.3, "mode {main}: {fastest_m_s}");
+        assert!(!b.status().armed, "mode {main}: {}", b.height_m());
+    }
+}
+
+#[test]
 fn stabilized_and_manual_hold_a_tilt_and_acro_a_rate() {
     for (main, _) in [(7, FlightMode::Stabilized), (1, FlightMode::Manual)] {
         let mut b = Bench::airborne();

@@ -166,6 +166,10 @@ impl Importer<'_> {
             let x = spread_live(x, &fold::broadcast_shape(&x.shape, &constant.shape)?)?;
             return self.through(&x, Function::Clip { least, most });
         }
+        if let Value::Constant(constant) = other {
+            let constant = Constant::clone(constant).checked(false);
+            constant.map_err(|_| "bounds of which some are infinite and others are not".to_owned())?;
+        }
         // max(x, c) = c + relu(x − c), min(x, c) = c − relu(c − x): a bound for each value, or two that both vary.
         let shared = Value::Live(Live {
             alone: false,

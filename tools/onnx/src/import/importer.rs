@@ -1,6 +1,6 @@
 //! The network that is being made, what each tensor of the graph is in it, and how a node reads its inputs.
 
-use super::needed::Needed;
+use super::needed::{Needed, bounds};
 use crate::constant::Constant;
 use crate::proto::{Attribute, Graph, Node};
 use std::collections::{HashMap, HashSet};
@@ -57,6 +57,8 @@ pub(super) struct Importer<'a> {
     pub(super) tensors: HashMap<&'a str, Value>,
     /// How many nodes read a tensor.
     pub(super) uses: HashMap<&'a str, usize>,
+    /// [`bounds`].
+    pub(super) bounds: HashSet<&'a str>,
     pub(super) recurrent_weights: Vec<RecurrentWeights<'a>>,
     /// [`Needed::pieces`].
     pub(super) pieces: HashSet<&'a str>,
@@ -70,12 +72,15 @@ impl<'a> Importer<'a> {
             lens: Vec::new(),
             tensors: HashMap::new(),
             uses: HashMap::new(),
+            bounds: bounds(graph),
             recurrent_weights: Vec::new(),
             pieces: needed.pieces.clone(),
         };
         let initializers = graph.initializer.iter();
         for tensor in initializers.filter(|tensor| needed.tensors.contains(tensor.name.as_str())) {
-            let constant = Constant::of(tensor).map_err(|e| format!("the tensor `{}`: {e}", tensor.name))?;
+            let is_bound = importer.bounds.contains(tensor.name.as_str());
+            let constant = Constant::of(tensor).and_then(|constant| constant.checked(is_bound));
+            let constant = constant.map_err(|e| format!("the tensor `{}`: {e}", tensor.name))?;
             importer
                 .tensors
                 .insert(&tensor.name, Value::Constant(Rc::new(constant)));

@@ -61,3 +61,17 @@ fn is_softplus_in_pieces(graph: &Graph, producer: impl Fn(&str) -> Option<usize>
         && matches!(made_by(softplus, "Softplus"), Some([of]) if of == x)
         && matches!(made_by(condition, "Greater"), Some([of, bound]) if of == x && threshold(bound))
 }
+
+/// Values that bound others and do nothing else: only these may be infinite.
+pub(super) fn bounds(graph: &Graph) -> HashSet<&str> {
+    let (mut bounds, mut others) = (HashSet::new(), HashSet::new());
+    for node in &graph.node {
+        let of = match node.op_type.as_str() {
+            "Clip" | "Min" | "Max" => &mut bounds,
+            _ => &mut others,
+        };
+        of.extend(node.input.iter().map(String::as_str));
+    }
+    bounds.retain(|name| !others.contains(name));
+    bounds
+}

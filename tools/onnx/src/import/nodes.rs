@@ -37,7 +37,10 @@ impl<'a> Importer<'a> {
             "Split" => return self.split(node, &settings),
             "Concat" => self.concat(node, &settings)?,
             "Max" | "Min" | "Sum" => self.of_several(node)?,
-            "Constant" => Value::Constant(Rc::new(stated(&settings)?)),
+            "Constant" => {
+                let is_bound = node.output.first().is_some_and(|name| self.bounds.contains(name.as_str()));
+                Value::Constant(Rc::new(stated(&settings)?.checked(is_bound)?))
+            }
             "Shape" => {
                 let (_, value) = self.input(node, 0)?;
                 let sizes = shape_of(&value).iter().map(|size| *size as i64).collect();
@@ -114,7 +117,7 @@ impl<'a> Importer<'a> {
                 let shape: Option<Vec<usize>> = first.whole()?.iter().map(|size| usize::try_from(*size).ok()).collect();
                 let shape = shape.ok_or("a shape with a negative size")?;
                 let value = match settings.get("value").and_then(|attribute| attribute.t.as_ref()) {
-                    Some(tensor) => Constant::of(tensor)?,
+                    Some(tensor) => Constant::of(tensor)?.checked(false)?,
                     None => Constant::one(Data::Real(vec![0.0])),
                 };
                 let places = vec![0; len_of(&shape)?];

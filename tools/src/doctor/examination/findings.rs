@@ -4,7 +4,10 @@ use super::{Examination, GOOD_HZ, Gaps, SECOND_NS, late_ns, s};
 use crate::doctor::finding::{Finding, Report, Severity};
 use crate::doctor::parameters::{self, Row, STICKS_BY_SPEED, Versions};
 use std::collections::BTreeSet;
-use vigil_mavlink::common::{ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA};
+use vigil_mavlink::common::{
+    ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ESTIMATOR_STATUS_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA,
+    LOCAL_POSITION_NED_DATA, SYS_STATUS_DATA,
+};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::{Landed, Nanos, wrap_pi};
 
@@ -34,8 +37,26 @@ const EKF_ABSOLUTE_POSITION: u16 = 16;
 const EKF_HEIGHT: u16 = 32 | 64;
 const EKF_CONSTANT_POSITION: u16 = 128;
 const EKF_BAD: u16 = 1024 | 2048;
-/// MAV_SYS_STATUS_PREARM_CHECK.
-const PREARM: u32 = 0x1000_0000;
+/// A message that comes every two seconds or more often has stopped if it did not come for so long.
+const STOPPED_NS: Nanos = 3 * SECOND_NS;
+/// What tells of the vehicle's state, and what its end leaves open.
+const TOLD_OF: [(&str, u32, &str); 3] = [
+    (
+        "EXTENDED_SYS_STATE",
+        EXTENDED_SYS_STATE_DATA::ID,
+        "without it the height alone says whether the vehicle flies",
+    ),
+    (
+        "SYS_STATUS",
+        SYS_STATUS_DATA::ID,
+        "battery and pre-arm check are what they were",
+    ),
+    (
+        "ESTIMATOR_STATUS",
+        ESTIMATOR_STATUS_DATA::ID,
+        "whether the position can be relied on is what it was",
+    ),
+];
 
 impl Examination {
     /// What was found up to `now_ns`.
@@ -50,6 +71,7 @@ impl Examination {
         self.changes(now_ns, &mut report);
         self.time(&mut report);
         self.estimator(&mut report);
+        self.arming(&mut report);
         self.coordinates(&mut report);
         self.signing(&mut report);
         self.read_parameters(&mut report);
@@ -198,19 +220,27 @@ impl Examination {
         self.stream("LOCAL_POSITION_NED", &[LOCAL_POSITION_NED_DATA::ID], now_ns, report);
         let of_attitude = [ATTITUDE_DATA::ID, ATTITUDE_QUATERNION_DATA::ID];
         self.stream("ATTITUDE", &of_attitude, now_ns, report);
-        let t = &self.vehicle.telemetry;
-        let finite = t
-            .kinematics
-            .is_none_or(|k| k.position_ned_m.is_finite() && k.velocity_ned_m_s.is_finite());
-        if !finite || t.attitude.is_some_and(|a| !a.attitude.is_valid()) {
+        if self.unusable > 0 {
             report.failure(
                 "values",
-                Some("a position, velocity or attitude that is no number".to_owned()),
+                Some(format!(
+                    "{} times a position, velocity or attitude that is no number",
+                    self.unusable
+                )),
                 "finite numbers, and a quaternion of unit length",
-                "the estimator has failed: guidance holds",
+                "the estimator failed: guidance holds",
             );
         }
-        if t.landed == Landed::Unknown {
+        for (name, id, why) in TOLD_OF {
+            let last_ns = self.arrivals.get(&id).and_then(|arrivals| arrivals.last_ns);
+            if let Some(silent_ns) = last_ns.map(|last_ns| now_ns.saturating_sub(last_ns))
+                && silent_ns > STOPPED_NS
+            {
+                let value = format!("it came, and stopped {} ago", s(silent_ns));
+                report.warning(name, Some(value), "1 Hz or more", why);
+            }
+        }
+        if self.vehicle.telemetry.landed == Landed::Unknown {
             report.warning(
                 "EXTENDED_SYS_STATE",
                 None,
@@ -367,62 +397,84 @@ impl Examination {
         }
     }
 
+    /// What an estimator with these flags lacks.
+    pub(super) fn estimator_lacks(&self, flags: u16) -> Vec<&'static str> {
+        // A PX4 at rest sets it beside an absolute position: it does stand still.
+        let stands = flags & EKF_ABSOLUTE_POSITION != 0 && !self.vehicle.telemetry.is_airborne();
+        [
+            (flags & EKF_ATTITUDE == 0, "attitude"),
+            (flags & EKF_POSITION == 0, "horizontal position"),
+            (flags & EKF_HEIGHT == 0, "height"),
+            (flags & EKF_VELOCITY != EKF_VELOCITY, "velocity"),
+            (
+                flags & EKF_CONSTANT_POSITION != 0 && !stands,
+                "any source of position (it assumes to stand still)",
+            ),
+            (
+                flags & EKF_BAD != 0,
+                "trust in its sensors (GPS glitch, accelerometer error, or not yet started)",
+            ),
+        ]
+        .into_iter()
+        .filter_map(|(is_lacking, what)| is_lacking.then_some(what))
+        .collect()
+    }
+
     fn estimator(&self, report: &mut Report) {
-        match self.estimator {
-            None => report.warning(
+        const WANTED: &str = "attitude, velocity, position and height";
+        let Some(flags) = self.estimator else {
+            report.warning(
                 "estimator",
                 None,
                 "ESTIMATOR_STATUS or EKF_STATUS_REPORT",
                 "the vehicle does not say whether its position can be relied on",
-            ),
-            Some(flags) => {
-                let mut lacks = Vec::new();
-                for (bits, what) in [
-                    (EKF_ATTITUDE, "attitude"),
-                    (EKF_POSITION, "horizontal position"),
-                    (EKF_HEIGHT, "height"),
-                ] {
-                    if flags & bits == 0 {
-                        lacks.push(what);
-                    }
-                }
-                if flags & EKF_VELOCITY != EKF_VELOCITY {
-                    lacks.push("velocity");
-                }
-                // A PX4 at rest sets it beside an absolute position: it does stand still.
-                let stands = flags & EKF_ABSOLUTE_POSITION != 0 && !self.vehicle.telemetry.is_airborne();
-                if flags & EKF_CONSTANT_POSITION != 0 && !stands {
-                    lacks.push("any source of position (it assumes to stand still)");
-                }
-                if flags & EKF_BAD != 0 {
-                    lacks.push("trust in its sensors (GPS glitch, accelerometer error, or not yet started)");
-                }
-                match lacks.is_empty() {
-                    true => report.good("estimator", format!("ready ({flags:#06x})")),
-                    false => report.failure("estimator",
-                        Some(format!("not ready ({flags:#06x}): lacks {}", lacks.join(", "))),
-                        "attitude, velocity, position and height",
-                        "the vehicle refuses OFFBOARD or GUIDED, or flies by a wrong position: wait for GPS, or see its texts",
-                    ),
-                }
-            }
+            );
+            return;
+        };
+        let lacks = self.estimator_lacks(flags);
+        if !lacks.is_empty() {
+            report.failure(
+                "estimator",
+                Some(format!("not ready ({flags:#06x}): lacks {}", lacks.join(", "))),
+                WANTED,
+                "the vehicle refuses OFFBOARD or GUIDED, or flies by a wrong position: wait for GPS, or see its texts",
+            );
+        } else if let Some(before) = self.was_not_ready {
+            let lacked = self.estimator_lacks(before).join(", ");
+            report.warning(
+                "estimator",
+                Some(format!(
+                    "ready ({flags:#06x}), but for a while it was not ({before:#06x}): it lacked {lacked}"
+                )),
+                WANTED,
+                "in flight the vehicle leaves OFFBOARD or GUIDED then: did it just start, does GPS come and go?",
+            );
+        } else {
+            report.good("estimator", format!("ready ({flags:#06x})"));
         }
-        if let Some((present, enabled, healthy)) = self.sensors {
-            let checked = present & enabled & PREARM != 0;
-            let texts: Vec<&str> = self.prearm_texts.iter().map(String::as_str).collect();
-            if checked && healthy & PREARM == 0 {
-                report.failure(
-                    "arming",
-                    Some(match texts.is_empty() {
-                        true => "the pre-arm check fails".to_owned(),
-                        false => texts.join("; "),
-                    }),
-                    "the pre-arm check passes",
-                    "the vehicle will refuse to be armed",
-                );
-            } else if checked {
-                report.good("arming", "the pre-arm check passes".to_owned());
-            }
+    }
+
+    fn arming(&self, report: &mut Report) {
+        let texts: Vec<&str> = self.prearm_texts.iter().map(String::as_str).collect();
+        let said = |otherwise: &str| match texts.is_empty() {
+            true => otherwise.to_owned(),
+            false => texts.join("; "),
+        };
+        match self.is_armable {
+            None => {}
+            Some(false) => report.failure(
+                "arming",
+                Some(said("the pre-arm check fails")),
+                "the pre-arm check passes",
+                "the vehicle will refuse to be armed",
+            ),
+            Some(true) if self.was_not_armable => report.warning(
+                "arming",
+                Some(format!("for a while: {}", said("the pre-arm check failed"))),
+                "the pre-arm check passes",
+                "did the vehicle just start? Else it will refuse now and then",
+            ),
+            Some(true) => report.good("arming", "the pre-arm check passes".to_owned()),
         }
     }
 
