@@ -225,10 +225,7 @@ fn a_flight_that_never_took_off_says_why_and_a_log_without_a_step_that_there_is_
     }
     assert_eq!(short.finish().failure, None);
     let mut bytes = std::fs::read(&damaged).expect("a log");
-    let chunk = bytes
-        .windows(7)
-        .position(|w| w == b"\x03\0\0\0lz4")
-        .expect("a chunk");
+    let chunk = bytes.windows(7).position(|w| w == b"\x03\0\0\0lz4").expect("a chunk");
     bytes[chunk + 40] ^= 0x10;
     std::fs::write(&damaged, bytes).expect("a file");
     let none = said(&run(&["log", "report", text(&damaged)]));

@@ -111,13 +111,20 @@ pub(crate) fn in_words(error: &McapError) -> String {
 }
 
 /// Files that are taken for logs, by their first bytes.
-const FOREIGN: [(&[u8], &str); 8] = [
+const FOREIGN: [(&[u8], &str); 12] = [
     (b"ULog\x01\x12\x35", "a ULog of PX4"),
     (b"#ROSBAG", "a ROS 1 bag"),
     (b"SQLite format 3", "an SQLite database, as ROS 2 records bags in"),
     (b"\x1f\x8b", "a gzip file: unpack it"),
     (b"\x28\xb5\x2f\xfd", "a zstd file: unpack it"),
     (b"PK\x03\x04", "a zip file: unpack it"),
+    (b"\x04\x22\x4d\x18", "an LZ4 file: unpack it"),
+    (b"\xfd7zXZ", "an xz file: unpack it"),
+    (b"BZh", "a bzip2 file: unpack it"),
+    (
+        b"version https://git-lfs",
+        "a pointer of Git LFS: `git lfs pull` brings the file",
+    ),
     (b"\xa3\x95", "a DataFlash log of ArduPilot"),
     (b"\x89HDF", "an HDF5 file"),
 ];

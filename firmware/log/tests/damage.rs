@@ -473,6 +473,10 @@ fn a_wrong_file_is_named_for_what_it_is() {
         (b"SQLite format 3\0 and what follows", "ROS 2 records bags"),
         (b"\x1f\x8b\x08\0 and what follows, packed", "a gzip file: unpack it"),
         (b"\xa3\x95\x80\x80 and what follows", "a DataFlash log"),
+        (
+            b"version https://git-lfs.github.com/spec/v1\noid",
+            "a pointer of Git LFS",
+        ),
     ] {
         std::fs::write(&path, first).unwrap();
         let text = error(&path).to_string();

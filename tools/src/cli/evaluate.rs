@@ -472,7 +472,11 @@ impl Shown {
         let names: Vec<String> = (0..count)
             .map(|number| {
                 let (seed, arm) = (number / faults.len() as u64, number % faults.len() as u64);
-                log_name(args, faults.get(arm as usize).copied().flatten(), args.seed + seed)
+                log_name(
+                    args,
+                    faults.get(arm as usize).copied().flatten(),
+                    args.seed.wrapping_add(seed),
+                )
             })
             .collect();
         let script = args.viewer.follow_all(&folder, &names)?;
@@ -526,7 +530,7 @@ fn log_name(args: &EvaluateArgs, fault: Option<SensorFault>, seed: u64) -> Strin
 fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, seed: u64) -> Recording {
     let name = format!("{}.mcap", log_name(args, fault, seed));
     let command = flight_report::command_again(
-        std::env::args().filter(|word| word != "--resume"),
+        std::env::args_os().filter(|word| word != "--resume"),
         "evaluate",
         &[
             "--flights",

@@ -395,7 +395,7 @@ fn command_again(args: &FlyArgs, seed: u64) -> String {
         Some(_) => (&["-o", "--log", "--record"], &[]),
         None => (&["-o", "--log", "--record", "--seed"], &drawn),
     };
-    flight_report::command_again(std::env::args(), "fly", dropped, added)
+    flight_report::command_again(std::env::args_os(), "fly", dropped, added)
 }
 
 fn make_folder(parent: &Path, seed: u64) -> Result<PathBuf> {

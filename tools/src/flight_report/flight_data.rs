@@ -9,7 +9,7 @@ use base64::engine::general_purpose::STANDARD as BASE64;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
-use vigil_log::SceneSolid;
+use vigil_log::{LogEnd, SceneSolid};
 use vigil_types::{EXPLAINED_STATE, NedVector};
 
 /// A flight as its report shows it. Times are seconds since the first step.

@@ -10,6 +10,7 @@ pub use flight_data::{Flight, outline_of, read};
 pub use log_seen::{LogSeen, ReportError, ReportOptions, StepSeen, WHO};
 pub use page::{DATA_LIMIT, html};
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 /// Frames around the first alarm whose pixels are explained, unless told otherwise.
@@ -18,13 +19,15 @@ pub const EXPLAINED: usize = 12;
 /// The command line that flies the same again: `arguments` are those of the process, with its name first, without the options
 /// `dropped` (each with a value) and with `added` behind.
 pub fn command_again(
-    arguments: impl IntoIterator<Item = String>,
+    arguments: impl IntoIterator<Item = impl Into<OsString>>,
     command: &str,
     dropped: &[&str],
     added: &[String],
 ) -> String {
     let mut again = vec!["vigil".to_owned(), command.to_owned()];
-    let mut arguments = arguments.into_iter().skip(1).skip_while(|a| a == command);
+    let text = |argument: OsString| argument.to_string_lossy().into_owned();
+    let arguments = arguments.into_iter().map(|argument| text(argument.into()));
+    let mut arguments = arguments.skip(1).skip_while(|a| a == command);
     while let Some(argument) = arguments.next() {
         let (name, has_value) = argument
             .split_once('=')

@@ -19,6 +19,9 @@ const ABSURD_RATE_RAD_S: f32 = 100.0;
 pub(crate) enum SetpointDefect {
     #[error("frame {0} is not flown")]
     Frame(u8),
+    /// SET_ACTUATOR_CONTROL_TARGET.
+    #[error("actuators are not flown")]
+    Actuators,
     #[error("frame 8 has no positions")]
     PositionInBodyFrame,
     #[error("mask {0:#05x} is not flown")]

@@ -8,7 +8,8 @@ use crate::vehicle::ControlCommand;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
-    MavSeverity, SET_ATTITUDE_TARGET_DATA, SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA,
+    MavSeverity, SET_ACTUATOR_CONTROL_TARGET_DATA, SET_ATTITUDE_TARGET_DATA, SET_POSITION_TARGET_GLOBAL_INT_DATA,
+    SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::MessageData;
@@ -69,6 +70,7 @@ impl Service for SetpointService {
             SET_POSITION_TARGET_LOCAL_NED_DATA::ID,
             SET_POSITION_TARGET_GLOBAL_INT_DATA::ID,
             SET_ATTITUDE_TARGET_DATA::ID,
+            SET_ACTUATOR_CONTROL_TARGET_DATA::ID,
         ];
         if !ids.contains(&packet.message_id()) {
             return;
@@ -79,6 +81,7 @@ impl Service for SetpointService {
             Ok(MavMessage::SET_POSITION_TARGET_LOCAL_NED(m)) => position_setpoint(&m, speed_limit_m_s, heading_rad),
             Ok(MavMessage::SET_POSITION_TARGET_GLOBAL_INT(m)) => global_setpoint(&m, &core.home, speed_limit_m_s),
             Ok(MavMessage::SET_ATTITUDE_TARGET(m)) => attitude_setpoint(&m),
+            _ if packet.message_id() == SET_ACTUATOR_CONTROL_TARGET_DATA::ID => Err(SetpointDefect::Actuators),
             // What is not parsed is a frame that the protocol does not have.
             _ => {
                 core.refusals.not_parsed += 1;

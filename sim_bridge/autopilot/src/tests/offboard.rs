@@ -243,6 +243,11 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
         })
     };
     let nan = local(0x9C7, |m| m.vy = f32::NAN);
+    let actuators = MavMessage::SET_ACTUATOR_CONTROL_TARGET(SET_ACTUATOR_CONTROL_TARGET_DATA {
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    });
     for (message, reason) in [
         (in_frame(MAV_FRAME_LOCAL_OFFSET_NED), "frame 7 is not flown"),
         (in_frame(MAV_FRAME_BODY_OFFSET_NED), "frame 9 is not flown"),
@@ -256,6 +261,7 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
         (nan, "vy is NaN or absurd"),
         (global(MAV_FRAME_LOCAL_NED), "frame 1 is not flown"),
         (global(MAV_FRAME_GLOBAL_TERRAIN_ALT), "frame 10 is not flown"),
+        (actuators, "actuators are not flown"),
         (attitude(0x47, 0.0, 0.5), "mask 0x047 is not flown"),
         (attitude(0x07, 0.0, 1.5), "thrust is NaN or absurd"),
     ] {

@@ -42,7 +42,7 @@ pub fn met_in_flight(victim: &Victim, seed: u64) -> Result<Vec<State>> {
             let state = || State {
                 frame: flight.frame().depth.to_vec(),
                 beside: Beside::of(&actor),
-                seed: seed * 100_000 + step as u64,
+                seed: seed.wrapping_mul(100_000).wrapping_add(step as u64),
             };
             let slot = rng.random_range(0..=met);
             if states.len() < STATES_PER_FLIGHT {

@@ -177,7 +177,7 @@ fn measure(args: &RealtimeArgs, interrupt: &Interrupt) -> Result<RealtimeReport>
     };
     let mut run = RunFacts {
         command: command_again(
-            std::env::args(),
+            std::env::args_os(),
             "bench",
             &["-o", "--json", "--figure"],
             &match args.course.seed {
@@ -193,7 +193,7 @@ fn measure(args: &RealtimeArgs, interrupt: &Interrupt) -> Result<RealtimeReport>
     let before = ProcessorTime::now();
     let mut flight = 0;
     while !interrupt.came() && Instant::now() < bench.ends {
-        match bench.fly(seed + flight, load.as_mut()) {
+        match bench.fly(seed.wrapping_add(flight), load.as_mut()) {
             Ok(outcome) => *run.flights.entry(outcome).or_default() += 1,
             // What was measured until then holds, and is told.
             Err(error) if bench.granted.is_some() && !bench.steps.is_empty() => {

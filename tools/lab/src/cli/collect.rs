@@ -153,7 +153,7 @@ impl Gathering<'_> {
                 bar.finish();
                 return Ok(None);
             }
-            for seed in jobs.first_seed..jobs.first_seed + BLOCK {
+            for seed in (0..BLOCK).map(|i| jobs.first_seed.wrapping_add(i)) {
                 let record = unpacked(
                     campaign.settings(),
                     seed,

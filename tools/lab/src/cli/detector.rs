@@ -137,16 +137,19 @@ enum DetectorCommand {
     },
 }
 
+/// More flights than anybody flies.
+const MOST_FLIGHTS: u64 = 10_000_000;
+
 #[derive(Debug, Clone, clap::Args)]
 struct SizeArgs {
     /// Unattacked flights.
-    #[arg(long, default_value_t = EvaluationSize::default().unattacked, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, default_value_t = EvaluationSize::default().unattacked, value_parser = clap::value_parser!(u64).range(1..=MOST_FLIGHTS))]
     unattacked: u64,
     /// Flights under the paper's attack.
-    #[arg(long, default_value_t = EvaluationSize::default().paper, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, default_value_t = EvaluationSize::default().paper, value_parser = clap::value_parser!(u64).range(1..=MOST_FLIGHTS))]
     attacked: u64,
     /// Flights under each other attack, and of each control.
-    #[arg(long, default_value_t = EvaluationSize::default().other, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, default_value_t = EvaluationSize::default().other, value_parser = clap::value_parser!(u64).range(1..=MOST_FLIGHTS))]
     other: u64,
     /// First seed of the flights.
     #[arg(long, default_value_t = EvaluationSize::default().first_seed)]

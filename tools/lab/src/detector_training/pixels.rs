@@ -139,7 +139,7 @@ pub fn gather_states(
     let of_class = |states: &[State], attacked: bool| states.iter().filter(|s| s.attacked == attacked).count();
     let fewer = |states: &[State]| of_class(states, true).min(of_class(states, false));
     // A flight for each seed.
-    let mut seed = first_seed + records.len() as u64;
+    let mut seed = first_seed.wrapping_add(records.len() as u64);
     let mut flow = ControlFlow::Continue(());
     while fewer(&states) < count && flow.is_continue() {
         let mut onlooker = Explaining {

@@ -128,7 +128,11 @@ struct Shard {
 impl Shard {
     fn new(graph: &Graph, seed: u64, number: u64) -> Self {
         Self {
-            photographer: Photographer::new(seed, 1 + number, FIRST_SEED + (seed << 22) + (number << 18)),
+            photographer: Photographer::new(
+                seed,
+                1 + number,
+                FIRST_SEED.wrapping_add(seed << 22).wrapping_add(number << 18),
+            ),
             tape: Aligned::zeros(graph.tape_len()),
             work: Aligned::zeros(graph.work_len()),
             d_encoder: Aligned::zeros(graph.param_len()),

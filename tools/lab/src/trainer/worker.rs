@@ -263,7 +263,7 @@ impl EnvWorker {
     pub fn observation(&mut self, config: &LearnConfig, warm_up: bool) -> Result<[f32; OBSERVATION], FlyError> {
         if self.current.is_none() {
             let run = config.seed.wrapping_mul(1 << 24);
-            let seed = FIRST_TRAINING_SEED + run + self.flights * self.environments + self.number;
+            let seed = FIRST_TRAINING_SEED.wrapping_add(run) + self.flights * self.environments + self.number;
             self.flights += 1;
             let rng = &mut self.rng;
             let family = config.families[rng.random_range(0..config.families.len())];

@@ -38,7 +38,10 @@ impl<'a> Importer<'a> {
             "Concat" => self.concat(node, &settings)?,
             "Max" | "Min" | "Sum" => self.of_several(node)?,
             "Constant" => {
-                let is_bound = node.output.first().is_some_and(|name| self.bounds.contains(name.as_str()));
+                let is_bound = node
+                    .output
+                    .first()
+                    .is_some_and(|name| self.bounds.contains(name.as_str()));
                 Value::Constant(Rc::new(stated(&settings)?.checked(is_bound)?))
             }
             "Shape" => {
