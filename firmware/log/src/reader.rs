@@ -122,7 +122,7 @@ const FOREIGN: [(&[u8], &str); 12] = [
     (b"\xfd7zXZ", "an xz file: unpack it"),
     (b"BZh", "a bzip2 file: unpack it"),
     (
-        b"version https://git-lfs",
+        b"version https://",
         "a pointer of Git LFS: `git lfs pull` brings the file",
     ),
     (b"\xa3\x95", "a DataFlash log of ArduPilot"),

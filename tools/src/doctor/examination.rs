@@ -1,6 +1,7 @@
-//! Asks a vehicle and keeps what it sends; what is found in that is in `findings`.
+//! Asks a vehicle and keeps what it sends; what is found in that is in `findings` and `readiness`.
 
 mod findings;
+mod readiness;
 
 use super::ground::ground_tilt;
 use super::parameters;
