@@ -35,10 +35,12 @@ const PHYSICS_STEPS: u64 = STEP_NS / crate::vehicle::STEP_NS;
 pub struct Environment {
     world: World,
     vehicle: Box<Vehicle>,
-    lidar: Lidar,
+    /// The vehicle's own LiDAR and its newest frame, from the first look on.
+    eye: Option<Box<(Lidar, DepthFrame)>>,
+    lidar: LidarConfig,
+    seed: u64,
     referee: Referee,
     goal: Goal,
-    frame: Box<DepthFrame>,
     sequence: u64,
     checkpoints: usize,
 }
@@ -86,29 +88,66 @@ impl Environment {
         lidar: LidarConfig,
         seed: u64,
     ) -> Result<Self, ParamsError> {
-        let mut vehicle = Box::new(Vehicle::new(vehicle, wind, seed)?);
-        let start = course.start_ned_m();
-        let height = NedVector::new(start.x, start.y, -course.flight_height_m);
-        vehicle.place(height, course.start_heading_rad(), true);
-        let lidar = Lidar::new(lidar, seed).unwrap_or_else(|e| panic!("{e}"));
-        let mut environment = Self {
-            world: World::new(course),
-            vehicle,
-            lidar,
-            referee: Referee::new(course),
-            goal: Goal {
-                position_ned_m: course.goal_ned_m(),
-            },
-            frame: Box::new(DepthFrame::EMPTY),
-            sequence: 0,
-            checkpoints: course.checkpoints.len(),
-        };
+        let mut environment = Self::unseen(course, vehicle, wind, seed)?;
+        environment.lidar = lidar;
         environment.look();
         Ok(environment)
     }
 
+    /// Begins without a frame, for one that is shown pictures by a LiDAR that many share ([`look_through`](Self::look_through)).
+    ///
+    /// # Errors
+    /// Wind or vehicle out of their range.
+    pub fn unseen(course: &Course, vehicle: VehicleParams, wind: Wind, seed: u64) -> Result<Self, ParamsError> {
+        let mut vehicle = Box::new(Vehicle::new(vehicle, wind, seed)?);
+        let start = course.start_ned_m();
+        let height = NedVector::new(start.x, start.y, -course.flight_height_m);
+        vehicle.place(height, course.start_heading_rad(), true);
+        Ok(Self {
+            world: World::new(course),
+            vehicle,
+            eye: None,
+            lidar: LidarConfig::default(),
+            seed,
+            referee: Referee::new(course),
+            goal: Goal {
+                position_ned_m: course.goal_ned_m(),
+            },
+            sequence: 0,
+            checkpoints: course.checkpoints.len(),
+        })
+    }
+
     /// Takes the next frame, where the vehicle is now.
+    ///
+    /// # Panics
+    /// A LiDAR out of its range.
     pub fn look(&mut self) {
+        let (shot, seed, lidar) = (self.shot(), self.seed, self.lidar);
+        let eye = self.eye.get_or_insert_with(|| {
+            let lidar = Lidar::new(lidar, seed).unwrap_or_else(|e| panic!("{e}"));
+            Box::new((lidar, DepthFrame::EMPTY))
+        });
+        eye.0.capture(&self.world, &shot, &mut eye.1);
+    }
+
+    /// Takes the newest frame again, with its noise.
+    pub fn look_again(&mut self) {
+        self.sequence -= 1;
+        self.look();
+    }
+
+    /// The pixels that [`look`](Self::look) would take, times `scale`, through somebody else's LiDAR.
+    ///
+    /// # Panics
+    /// Pixels of another number than the LiDAR's [`shape`](Lidar::shape).
+    pub fn look_through(&mut self, lidar: &mut Lidar, scale: f32, pixels: &mut [f32]) {
+        let shot = self.shot();
+        lidar.look(&self.world, &shot, self.seed, scale, pixels);
+    }
+
+    /// Where the next frame is taken.
+    fn shot(&mut self) -> Shot {
         self.world.set_time_ns(self.vehicle.truth().at_ns);
         let (truth, estimate) = (self.vehicle.truth(), self.vehicle.view().estimate);
         let shot = Shot {
@@ -120,13 +159,13 @@ impl Environment {
             sequence: self.sequence,
             sensor_id: 0,
         };
-        self.lidar.capture(&self.world, &shot, &mut self.frame);
         self.sequence += 1;
+        shot
     }
 
-    /// The newest frame.
+    /// The newest frame; one without returns where none was taken.
     pub fn frame(&self) -> &DepthFrame {
-        &self.frame
+        self.eye.as_ref().map_or(&DepthFrame::EMPTY, |eye| &eye.1)
     }
 
     /// Where to fly.

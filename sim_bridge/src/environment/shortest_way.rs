@@ -2,8 +2,6 @@
 //! critic may know. Progress along the straight line punishes the only way out of a dead end; progress along this way does not.
 
 use crate::world::{Course, Solid, VEHICLE};
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
 
 /// Grid spacing, metres.
 const CELL_M: f32 = 0.2;
@@ -32,9 +30,6 @@ pub struct ShortestWay {
     length_m: Vec<f32>,
 }
 
-/// A cell to be settled, nearest first; ties by cell number, so the result is the same everywhere.
-type Entry = Reverse<(u32, usize)>;
-
 impl ShortestWay {
     /// Searches the course once, from the goal outwards (Dijkstra 1959). Movers are not obstacles here.
     pub fn new(course: &Course) -> Self {
@@ -42,19 +37,33 @@ impl ShortestWay {
         let origin_m = [b.north_m[0], b.east_m[0]];
         let count = |range: [f32; 2]| ((range[1] - range[0]) / CELL_M).ceil() as usize + 1;
         let cells = [count(b.north_m), count(b.east_m)];
-        let solids: Vec<Solid> = course.solids().into_iter().filter(|s| in_the_way(course, s)).collect();
-        let clearances_m: Vec<f32> = (0..cells[0] * cells[1])
+        let place_m = |i: usize, j: usize| [origin_m[0] + i as f32 * CELL_M, origin_m[1] + j as f32 * CELL_M];
+        let mut clearances_m: Vec<f32> = (0..cells[0] * cells[1])
             .map(|n| {
-                let north_m = origin_m[0] + (n / cells[1]) as f32 * CELL_M;
-                let east_m = origin_m[1] + (n % cells[1]) as f32 * CELL_M;
-                let edge_m = (north_m - b.north_m[0])
-                    .min(b.north_m[1] - north_m)
-                    .min(east_m - b.east_m[0])
-                    .min(b.east_m[1] - east_m);
-                let distances = solids.iter().map(|s| s.plan_distance_m(north_m, east_m));
-                distances.fold(edge_m, f32::min)
+                let [north_m, east_m] = place_m(n / cells[1], n % cells[1]);
+                let along_m = (north_m - b.north_m[0]).min(b.north_m[1] - north_m);
+                along_m.min(east_m - b.east_m[0]).min(b.east_m[1] - east_m)
             })
             .collect();
+        for solid in course.solids().iter().filter(|s| in_the_way(course, s)) {
+            let (centre, half_m, distance_m) = (
+                solid.centre_ned_m(),
+                solid.plan_half_extents_m(),
+                solid.plan_distances_m(),
+            );
+            // Beyond `WIDE_M`, and a cell more for rounding, a solid changes nothing.
+            let span = |axis: usize, centre_m: f32, half_m: f32| {
+                let cell = |at_m: f32| ((at_m - origin_m[axis]) / CELL_M).max(0.0) as usize;
+                let reach_m = half_m + WIDE_M + CELL_M;
+                cell(centre_m - reach_m)..(cell(centre_m + reach_m) + 2).min(cells[axis])
+            };
+            for i in span(0, centre.x, half_m.0) {
+                for j in span(1, centre.y, half_m.1) {
+                    let ([north_m, east_m], clearance_m) = (place_m(i, j), &mut clearances_m[i * cells[1] + j]);
+                    *clearance_m = clearance_m.min(distance_m(north_m, east_m));
+                }
+            }
+        }
         let mut way = Self {
             origin_m,
             cells,
@@ -64,9 +73,12 @@ impl ShortestWay {
         way.length_m[goal] = 0.0;
         // Where the vehicle fits first; then, from there, the rest, so that no way leads through a wall.
         let factors: Vec<f32> = clearances_m.iter().map(|c| factor(*c)).collect();
-        let fits: Vec<bool> = clearances_m.iter().map(|c| *c >= VEHICLE.radius_m + MARGIN_M).collect();
+        let closed = |closed: bool, factor: &f32| if closed { f32::INFINITY } else { *factor };
+        let fits = clearances_m.iter().map(|c| *c < VEHICLE.radius_m + MARGIN_M);
+        let fits: Vec<f32> = fits.zip(&factors).map(|(c, f)| closed(c, f)).collect();
         way.spread(&factors, &fits);
-        let rest: Vec<bool> = way.length_m.iter().map(|l| l.is_infinite()).collect();
+        let rest = way.length_m.iter().map(|l| l.is_finite());
+        let rest: Vec<f32> = rest.zip(&factors).map(|(c, f)| closed(c, f)).collect();
         way.spread(&factors, &rest);
         way
     }
@@ -93,43 +105,40 @@ impl ShortestWay {
         index(0, north_m) * self.cells[1] + index(1, east_m)
     }
 
-    /// Settles the cells that are `open`, from those whose length is known.
-    fn spread(&mut self, factors: &[f32], open: &[bool]) {
+    /// Settles the cells of which `into`, the factor of going there, is finite, from those whose length is known, in
+    /// rising order of [`CELL_M`], the shortest step: no order within one changes a length.
+    fn spread(&mut self, factors: &[f32], into: &[f32]) {
         const DIAGONAL_M: f32 = CELL_M * core::f32::consts::SQRT_2;
-        const STEPS: [(isize, isize, f32); 8] = [
-            (1, 0, CELL_M),
-            (-1, 0, CELL_M),
-            (0, 1, CELL_M),
-            (0, -1, CELL_M),
-            (1, 1, DIAGONAL_M),
-            (1, -1, DIAGONAL_M),
-            (-1, 1, DIAGONAL_M),
-            (-1, -1, DIAGONAL_M),
-        ];
-        // Lengths are not negative, so their bits are in their order.
+        let [north, east] = self.cells;
+        let mut rising: Vec<Vec<(f32, usize)>> = Vec::new();
+        let put = |rising: &mut Vec<Vec<_>>, length_m: f32, n: usize| {
+            let place = (length_m / CELL_M) as usize;
+            if place >= rising.len() {
+                rising.resize_with(place + 1, Vec::new);
+            }
+            rising[place].push((length_m, n));
+        };
         let known = self.length_m.iter().enumerate().filter(|(_, l)| l.is_finite());
-        let mut queue: BinaryHeap<Entry> = known.map(|(n, l)| Reverse((l.to_bits(), n))).collect();
-        while let Some(Reverse((bits, n))) = queue.pop() {
-            let length_m = f32::from_bits(bits);
+        known.for_each(|(n, length_m)| put(&mut rising, *length_m, n));
+        let mut place = 0;
+        while place < rising.len() {
+            let Some((length_m, n)) = rising[place].pop() else {
+                place += 1;
+                continue;
+            };
             if length_m > self.length_m[n] {
                 continue;
             }
-            for (di, dj, step_m) in STEPS {
-                let cell = (n / self.cells[1])
-                    .checked_add_signed(di)
-                    .filter(|i| *i < self.cells[0]);
-                let cell = cell.zip(
-                    (n % self.cells[1])
-                        .checked_add_signed(dj)
-                        .filter(|j| *j < self.cells[1]),
-                );
-                let Some(to) = cell.map(|(i, j)| i * self.cells[1] + j).filter(|to| open[*to]) else {
-                    continue;
-                };
-                let through_m = length_m + step_m * 0.5 * (factors[n] + factors[to]);
-                if through_m < self.length_m[to] {
-                    self.length_m[to] = through_m;
-                    queue.push(Reverse((through_m.to_bits(), to)));
+            let (i, j) = (n / east, n % east);
+            for row in i.saturating_sub(1)..(i + 2).min(north) {
+                for column in j.saturating_sub(1)..(j + 2).min(east) {
+                    let to = row * east + column;
+                    let step_m = if row == i || column == j { CELL_M } else { DIAGONAL_M };
+                    let through_m = length_m + step_m * 0.5 * (factors[n] + into[to]);
+                    if through_m < self.length_m[to] {
+                        self.length_m[to] = through_m;
+                        put(&mut rising, through_m, to);
+                    }
                 }
             }
         }

@@ -183,15 +183,15 @@ pub(crate) fn in_the_way(course: &Course, solid: &Solid) -> bool {
 fn line_clearance_m(course: &Course, solids: &[Solid], from: [f32; 2], to: [f32; 2]) -> f32 {
     let length_m = libm::hypotf(to[0] - from[0], to[1] - from[1]);
     let steps = (length_m / 0.05).ceil().max(1.0) as usize;
-    let mut clearance_m = f32::INFINITY;
-    for k in 0..=steps {
-        let f = k as f32 / steps as f32;
-        let (north_m, east_m) = (from[0] + f * (to[0] - from[0]), from[1] + f * (to[1] - from[1]));
-        for solid in solids.iter().filter(|s| in_the_way(course, s)) {
-            clearance_m = clearance_m.min(solid.plan_distance_m(north_m, east_m));
-        }
-    }
-    clearance_m
+    let near = solids.iter().filter(|s| in_the_way(course, s));
+    near.map(Solid::plan_distances_m)
+        .flat_map(|distance_m| {
+            (0..=steps).map(move |k| {
+                let f = k as f32 / steps as f32;
+                distance_m(from[0] + f * (to[0] - from[0]), from[1] + f * (to[1] - from[1]))
+            })
+        })
+        .fold(f32::INFINITY, f32::min)
 }
 
 impl Course {

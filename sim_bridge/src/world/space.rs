@@ -13,7 +13,7 @@ use vigil_types::{Attitude, Nanos, NedVector};
 
 /// The obstacles of a course with the shapes and the tree that collision and reference ray casting share, at one time.
 pub struct World {
-    /// What stands still, then the movers where they are now.
+    /// What stands still.
     solids: Vec<Solid>,
     movers: Vec<Mover>,
     now_ns: Nanos,
@@ -30,7 +30,7 @@ impl World {
     /// The world of a course at time zero. The course is taken as it is: check one that was not read from a file or generated.
     pub fn new(course: &Course) -> Self {
         let movers = course.movers.clone();
-        let mut solids = course.solids();
+        let solids = course.solids();
         // A mover's box in the tree holds all of its track, so the tree never changes.
         let tracks = movers.iter().map(Mover::track);
         let boxes: Vec<Aabb> = solids
@@ -46,9 +46,9 @@ impl World {
                 )
             })
             .collect();
-        solids.extend(movers.iter().map(|m| m.solid_at(0)));
+        let placed = solids.iter().copied().chain(movers.iter().map(|m| m.solid_at(0)));
         Self {
-            shapes: solids.iter().map(Solid::shape).collect(),
+            shapes: placed.map(|solid| solid.shape()).collect(),
             solids,
             fastest_mover_m_s: movers.iter().map(|m| m.speed_m_s).fold(0.0, f32::max),
             movers,
@@ -58,13 +58,9 @@ impl World {
         }
     }
 
-    /// Moves the movers to where they are at `now_ns` of simulated time. Allocates nothing.
+    /// The movers are from now on where they are at `now_ns` of simulated time.
     pub fn set_time_ns(&mut self, now_ns: Nanos) {
         self.now_ns = now_ns;
-        let still = self.solids.len() - self.movers.len();
-        for (solid, mover) in self.solids[still..].iter_mut().zip(&self.movers) {
-            *solid = mover.solid_at(now_ns);
-        }
     }
 
     /// The time that was last set; 0 at first.
@@ -78,8 +74,13 @@ impl World {
     }
 
     /// The obstacles, movers last, where they are now.
-    pub fn solids(&self) -> &[Solid] {
-        &self.solids
+    pub fn solids(&self) -> impl Iterator<Item = Solid> {
+        self.solids_at(self.now_ns)
+    }
+
+    fn solids_at(&self, at_ns: Nanos) -> impl Iterator<Item = Solid> {
+        let movers = self.movers.iter().map(move |m| m.solid_at(at_ns));
+        self.solids.iter().copied().chain(movers)
     }
 
     /// Height of the ceiling, if there is one.
@@ -138,17 +139,13 @@ impl World {
         let ceiling_m = self
             .ceiling_height_m
             .map_or(f32::INFINITY, |c| (c + point_ned_m.z).max(0.0));
-        let still = &self.solids[..self.solids.len() - self.movers.len()];
-        still
-            .iter()
+        self.solids_at(at_ns)
             .map(|s| s.distance_m(point_ned_m))
-            .chain(self.movers.iter().map(|m| m.solid_at(at_ns).distance_m(point_ned_m)))
             .fold(ceiling_m, f32::min)
     }
 
     /// The mover behind a number of [`solids`](Self::solids).
     fn mover(&self, solid: usize) -> Option<&Mover> {
-        let still = self.solids.len() - self.movers.len();
-        self.movers.get(solid.checked_sub(still)?)
+        self.movers.get(solid.checked_sub(self.solids.len())?)
     }
 }

@@ -61,7 +61,8 @@ def test_the_registered_id_with_spaces_of_one_gives_gymnasium_nothing_to_warn_of
     (seen, _), (scaled, _) = (e.reset(options={"course_seed": 7}) for e in (plain, unit))
     # Eighths: what is scaled to the whole action and back is the same number.
     for action in np.round(8.0 * ACTIONS / 1.5).astype(np.float32) / np.float32(8.0):
-        np.testing.assert_array_equal(scaled["frames"], seen["frames"] / np.float32(100.0))
+        # Metres are the normalised range times 100, once rounded: back again it is the same number but for that.
+        np.testing.assert_array_equal(scaled["frames"] * np.float32(100.0), seen["frames"])
         distance_m, bearing = seen["goal"]
         np.testing.assert_allclose(scaled["goal"], [min(distance_m / 20.0, 1.0), bearing / np.pi], atol=1e-6)
         assert unit.observation_space.contains(scaled)
@@ -109,11 +110,11 @@ def test_a_flight_that_ended_begins_anew_in_the_same_step_where_that_is_wanted()
 
 
 def test_a_flight_that_ended_waits_for_its_reset_where_none_is_wanted_and_the_others_fly_on():
-    env, _ = flown("Disabled", 25, time_limit=1.0)
+    env, seen = flown("Disabled", 25, time_limit=1.0)
     with pytest.raises(ValueError, match="flights 0, 1 have ended: reset.*reset_mask"):
         env.step(np.zeros((2, 2), np.float32))
     mask = np.array([True, False])
-    before = env._flown.observation()
+    before = seen[-1][0]
     kept = {name: value.copy() for name, value in before.items()}
     observation, _ = env.reset(seed=[9, 9], options={"reset_mask": mask})
     for name in ("frames", "goal"):
@@ -165,12 +166,11 @@ def test_flights_side_by_side_are_the_flights_alone_on_any_number_of_threads():
 
 def test_a_frame_that_was_given_stays_as_it_was_and_cannot_be_written_to():
     one, two = [1.0, 0.3], [[1.0, 0.3]] * 2
-    several = VigilVectorEnv(2, share_frames=True, time_limit=1.0)
-    for env, action in ((VigilEnv(frames=1), one), (VigilEnv(share_frames=True), one), (several, two)):
+    several = VigilVectorEnv(2, time_limit=1.0)
+    for env, action in ((VigilEnv(frames=1), one), (VigilEnv(), one), (VigilEnv(every=4), one), (several, two)):
         kept, copies = [], []
         observation, _ = env.reset(seed=5)
         for step in range(90):
-            assert observation["frames"].base is not None, "a view, not a copy"
             kept.append(observation["frames"])
             copies.append(observation["frames"].copy())
             if step == 50 and isinstance(env, VigilEnv):
@@ -183,12 +183,63 @@ def test_a_frame_that_was_given_stays_as_it_was_and_cannot_be_written_to():
             np.testing.assert_array_equal(frames, copy)
         with pytest.raises(ValueError, match="read-only"):
             kept[0][...] = 0.0
-    # Copies are the caller's own.
-    env = VigilEnv()
-    first, _ = env.reset(seed=5)
-    first["frames"][...] = 0.0
-    second, *_ = env.step(one)
-    assert second["frames"].min() > 0.0
+
+
+def test_buffers_of_the_callers_are_written_in_place_with_what_would_be_handed_out_otherwise():
+    kinds = {"frames": (3, 128, 256), "goal": (3, 2), "rewards": (3,)}
+    buffers = {name: np.full(shape, np.nan, np.float32) for name, shape in kinds.items()}
+    buffers |= {name: np.ones(3, bool) for name in ("terminated", "truncated")}
+    for mode in ("NextStep", "SameStep"):
+        options = dict(family="validation", frames=1, time_limit=0.6, autoreset_mode=mode)
+        own, handed = VigilVectorEnv(3, buffers=buffers, threads=2, **options), VigilVectorEnv(3, threads=1, **options)
+        (mine, _), (theirs, _) = own.reset(seed=4), handed.reset(seed=4)
+        for action in ACTIONS[:40]:
+            for name in ("frames", "goal"):
+                assert mine[name] is buffers[name]
+                np.testing.assert_array_equal(mine[name], theirs[name])
+            mine, *outs, info = own.step(np.tile(action, (3, 1)))
+            theirs, *expected, other = handed.step(np.tile(action, (3, 1)))
+            for name, out, value in zip(("rewards", "terminated", "truncated"), outs, expected):
+                assert out is buffers[name]
+                np.testing.assert_array_equal(out, value)
+            assert info.keys() == other.keys()
+
+
+@pytest.mark.parametrize(
+    ("name", "buffer", "said"),
+    [
+        ("frames", np.zeros((2, 128, 256)), r"frames is an array of float32 \(2, 128, 256\), got float64"),
+        ("frames", np.zeros((2, 64, 256), np.float32), r"got float32 \(2, 64, 256\)"),
+        ("frames", np.zeros((128, 256, 2), np.float32).transpose(2, 0, 1), "one piece in C's order"),
+        ("goal", [[0.0, 0.0]] * 2, "got list"),
+        ("terminated", np.zeros(2, np.int8), "array of bool"),
+        ("truncted", np.zeros(2, bool), "there is none called truncted; there are frames, goal"),
+    ],
+)
+def test_a_buffer_that_does_not_fit_is_refused_by_name(name, buffer, said):
+    with pytest.raises(ValueError, match=said):
+        VigilVectorEnv(2, frames=1, buffers={name: buffer})
+
+
+@pytest.mark.parametrize("every", [2, 4, 8])
+def test_a_thinned_frame_is_a_part_of_the_whole_one(every):
+    whole, thin = (VigilEnv("validation", frames=1, noise=0.0, every=n) for n in (1, every))
+    (seen, _), (few, _) = (env.reset(options={"course_seed": 7}) for env in (whole, thin))
+    beams, outside = 0, 0
+    for action in ACTIONS[:30]:
+        assert few["frames"].shape == (64 // every, 256 // every) and thin.observation_space.contains(few)
+        # Each of its beams goes between pixels of the whole frame: it measures no less than the nearest around it, and no more than the farthest.
+        for ring, column in np.ndindex(few["frames"].shape):
+            row, first = 2 * every * ring + every - 1, every * column + every // 2 - 1
+            around = seen["frames"][max(row - 3, 0) : row + 4, max(first - 1, 0) : first + 3]
+            beams, outside = beams + 1, outside + (not 0.98 * around.min() <= few["frames"][ring, column] <= 1.02 * around.max())
+        seen, one, *_ = whole.step(action)
+        few, other, *_ = thin.step(action)
+        assert one == other, "the flight is the same"
+    # But for the few that look through where both of its neighbours meet an edge.
+    assert outside < 0.003 * beams, (outside, beams)
+    with pytest.raises(ValueError, match="every: one of 1, 2, 4, 8, got 3"):
+        VigilEnv(every=3)
 
 
 def test_memory_of_frames_that_nobody_holds_is_used_again_and_that_of_held_ones_is_not():
@@ -368,3 +419,5 @@ def test_what_comes_before_a_reset_is_refused():
         VigilVectorEnv(2, frames=1).step(np.zeros((2, 2)))
     with pytest.raises(ValueError, match="num_envs"):
         VigilVectorEnv(0)
+    with pytest.raises(ValueError, match="num_envs: 1 to 16384, whose frames are 2 GB, got 1000000"):
+        VigilVectorEnv(10**6)

@@ -2,7 +2,7 @@
 
 use vigil_policy::imported::{Channels, Depth};
 
-/// How the policy is given what we have: see [`PolicyInputs`].
+/// How the policy is given what we have: see [`PolicyInputs`](vigil_policy::imported::PolicyInputs).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adapter {
     /// What its channels are.

@@ -1,23 +1,23 @@
 //! Flights stepped side by side for `vigil.gym`.
 
-use crate::actor::Actor;
-use crate::given::{POSITION, array, failed, refused};
-use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray4, PyUntypedArrayMethods};
+use crate::given::{POSITION, failed, refused};
+use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArrayDyn, PyReadwriteArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
 use vigil_lab::trainer::config::{Along, RewardConfig};
 use vigil_lab::trainer::reward::{DecisionResult, reward};
 use vigil_sim::environment::true_state::{TRUE_STATE, TrueCourse};
 use vigil_sim::vehicle::{Truth, Wind};
-use vigil_sim::world::{Course, Family, FlightPath, LidarConfig, Outcome, generate};
+use vigil_sim::world::{Course, Family, FlightPath, Lidar, LidarConfig, Outcome, generate};
 use vigil_tools::explained::Flight;
-use vigil_types::{
-    Action, AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, Goal, GoalRelative, Kinematics,
-    NedVector,
-};
+use vigil_types::{Action, AttitudeSample, DEPTH_FULL_SCALE_M, Goal, GoalRelative, Kinematics, NedVector};
 
 /// Steps between two points of a drawn path.
 const PATH_STRIDE: usize = 4;
+/// The action that is 1 in a normalised one, and the goal's distance that is 1 in a normalised observation, as the networks take it.
+const ACTION_LIMIT: f32 = 1.5;
+const GOAL_SCALE_M: f32 = 20.0;
 
 /// What all flights have in common.
 struct Conditions {
@@ -25,15 +25,14 @@ struct Conditions {
     course: Option<Course>,
     family: Family,
     wind_m_s: f64,
-    lidar: LidarConfig,
     time_limit_s: Option<f32>,
     weights: RewardConfig,
     /// Progress along the shortest free way, not the straight line.
     along_way: bool,
     /// The true state is told.
     privileged: bool,
-    /// Positions are given.
-    with_position: bool,
+    /// Actions and what is observed are within ±1.
+    normalized: bool,
 }
 
 /// A flight that has begun.
@@ -63,7 +62,7 @@ impl Conditions {
             }
             false => Wind::default(),
         };
-        let flight = Flight::with_lidar(&course, wind, self.lidar, seed).map_err(|e| e.to_string())?;
+        let flight = Flight::unseen(&course, wind, seed).map_err(|e| e.to_string())?;
         let truth = (self.along_way || self.privileged).then(|| TrueCourse::new(&course));
         let mut begun = Begun {
             goal: Goal {
@@ -93,7 +92,7 @@ impl Begun {
 
     fn step(&mut self, conditions: &Conditions, action: Action) -> f32 {
         let before = self.flight.checkpoints().0;
-        self.outcome = self.flight.advance(action);
+        self.outcome = self.flight.advance_unseen(action);
         let left_m = self.left_m(conditions.along_way);
         let (checkpoints, all_checkpoints) = self.flight.checkpoints();
         let result = DecisionResult {
@@ -101,7 +100,10 @@ impl Begun {
             checkpoints_before: before,
             checkpoints,
             all_checkpoints,
-            obstacle_distance_m: self.flight.obstacle_distance_m(),
+            obstacle_distance_m: match conditions.weights.near {
+                0.0 => f32::INFINITY,
+                _ => self.flight.obstacle_distance_m(),
+            },
             outcome: self.outcome,
         };
         self.left_m = left_m;
@@ -115,27 +117,18 @@ impl Begun {
     /// Goal, odometry and time as a pilot is given them.
     fn position(&self) -> [f32; POSITION] {
         let input = self.flight.input();
-        let (header, yaw_rad) = (&input.depth.header, input.attitude.yaw_rad());
-        let since_s = input.now_ns.saturating_sub(header.stamp_ns) as f32 * 1e-9;
-        let here = header.position_ned_m + input.velocity_m_s.to_ned(yaw_rad) * since_s;
+        let here = self.flight.estimate().position_ned_m;
         [
             input.goal.distance_m,
             input.goal.bearing_rad,
             here.x,
             here.y,
             input.height_m,
-            yaw_rad,
+            input.attitude.yaw_rad(),
             input.velocity_m_s.x,
             input.velocity_m_s.y,
             (input.now_ns as f64 * 1e-9) as f32,
         ]
-    }
-
-    /// Writes the newest frame, metres.
-    fn show(&self, frame_m: &mut [f32]) {
-        for (metres, range) in frame_m.iter_mut().zip(&self.flight.frame().depth) {
-            *metres = range * DEPTH_FULL_SCALE_M;
-        }
     }
 
     fn true_state(&self) -> [f32; TRUE_STATE] {
@@ -173,24 +166,106 @@ fn code(outcome: Option<Outcome>) -> i8 {
     }
 }
 
-/// A flight, if it has begun, and its frames.
-type Place<'a> = (&'a mut Option<Box<Begun>>, &'a mut [f32]);
-type Frames<'py> = PyReadwriteArray4<'py, f32>;
+type Given<'py> = PyReadwriteArrayDyn<'py, f32>;
 /// Seconds, metres to the goal, checkpoints passed and all, position NED, velocity NED, heading.
 type Info = (f64, f32, usize, usize, [f32; 3], [f32; 3], f32);
 
-/// Several flights at once. They share nothing; the same seeds and actions give the same bits on any number of threads.
+/// What a call has of one flight: what is asked of it, and its part of the caller's arrays.
+struct Row<'a> {
+    flight: &'a mut Option<Box<Begun>>,
+    seed: Option<u64>,
+    action: Option<&'a [f32]>,
+    older: Option<&'a [f32]>,
+    frames: &'a mut [f32],
+    goal: &'a mut [f32],
+    position: Option<&'a mut [f32]>,
+    state: Option<&'a mut [f32]>,
+    reward: &'a mut f32,
+    end: &'a mut i8,
+}
+
+impl Row<'_> {
+    /// Begins a flight, flies a step of it, or leaves it as it is; writes all that is observed.
+    fn advance(&mut self, conditions: &Conditions, lidar: &Mutex<Lidar>) -> Result<(), String> {
+        let scale = if conditions.normalized { 1.0 } else { DEPTH_FULL_SCALE_M };
+        // A sensor holds nothing of the last picture, so that one a panic has left can be used again.
+        let mut lidar = lidar.lock().unwrap_or_else(PoisonError::into_inner);
+        let (pixels, len) = (lidar.shape().iter().product(), self.frames.len());
+        if let Some(seed) = self.seed {
+            let begun = self.flight.insert(Box::new(conditions.begin(seed)?));
+            begun
+                .flight
+                .look_through(&mut lidar, scale, &mut self.frames[len - pixels..]);
+            for older in (0..len - pixels).step_by(pixels) {
+                self.frames.copy_within(len - pixels.., older);
+            }
+            if self.action.is_some() {
+                (*self.reward, *self.end) = (0.0, -1);
+            }
+        } else if let (Some(begun), Some(action)) = (self.flight.as_mut(), self.action) {
+            let most = if conditions.normalized { 1.0 } else { f32::INFINITY };
+            let unit = if conditions.normalized { ACTION_LIMIT } else { 1.0 };
+            let [forward_m_s, yaw] = [0, 1].map(|k| action[k].clamp(-most, most) * unit);
+            *self.reward = begun.step(conditions, Action { forward_m_s, yaw });
+            *self.end = code(begun.outcome);
+            match self.older {
+                Some(older) => self.frames[..len - pixels].copy_from_slice(&older[pixels..]),
+                None => self.frames.copy_within(pixels.., 0),
+            }
+            // The state in which a flight is cut off still counts.
+            if matches!(begun.outcome, None | Some(Outcome::TimeOut)) {
+                begun
+                    .flight
+                    .look_through(&mut lidar, scale, &mut self.frames[len - pixels..]);
+            } else if let Some(older) = self.older {
+                self.frames[len - pixels..].copy_from_slice(&older[len - pixels..]);
+            }
+        } else if let Some(older) = self.older {
+            self.frames.copy_from_slice(older);
+        }
+        drop(lidar);
+        let Some(begun) = self.flight else { return Ok(()) };
+        let goal = begun.flight.goal();
+        self.goal.copy_from_slice(&match conditions.normalized {
+            true => {
+                [goal.distance_m / GOAL_SCALE_M, goal.bearing_rad / std::f32::consts::PI].map(|x| x.clamp(-1.0, 1.0))
+            }
+            false => [goal.distance_m, goal.bearing_rad],
+        });
+        if let Some(position) = &mut self.position {
+            position.copy_from_slice(&begun.position());
+        }
+        if let Some(state) = &mut self.state {
+            state.copy_from_slice(&begun.true_state());
+        }
+        Ok(())
+    }
+}
+
+/// An array that was given, in parts of `len` values.
+fn parts<'a>(array: &'a mut Option<Given<'_>>, len: usize) -> PyResult<Option<std::slice::ChunksExactMut<'a, f32>>> {
+    let slices = array.as_mut().map(|array| array.as_slice_mut());
+    Ok(slices
+        .transpose()
+        .map_err(refused)?
+        .map(|all| all.chunks_exact_mut(len)))
+}
+
+/// Several flights at once. They share nothing but the LiDARs, one a thread, that look for one after another; the same seeds and actions give
+/// the same bits on any number of threads.
 #[pyclass(module = "vigil._vigil")]
 pub struct Flights {
     conditions: Conditions,
     flights: Vec<Option<Box<Begun>>>,
+    lidars: Vec<Mutex<Lidar>>,
     pool: Option<rayon::ThreadPool>,
+    shape: [usize; 4],
 }
 
 #[pymethods]
 impl Flights {
     #[new]
-    #[pyo3(signature = (count, *, family, course, wind, noise, time_limit, success, dead, decision, checkpoint, near, along_way, privileged, actor, threads))]
+    #[pyo3(signature = (count, *, family, course, wind, noise, time_limit, success, dead, decision, checkpoint, near, along_way, privileged, normalized, frames, every, threads))]
     #[allow(clippy::too_many_arguments, reason = "the Python side names them")]
     fn new(
         count: usize,
@@ -206,7 +281,9 @@ impl Flights {
         near: f32,
         along_way: bool,
         privileged: bool,
-        actor: Option<PyRef<'_, Actor>>,
+        normalized: bool,
+        frames: usize,
+        every: usize,
         threads: usize,
     ) -> PyResult<Self> {
         if !(0.0..=20.0).contains(&wind) {
@@ -227,7 +304,14 @@ impl Flights {
         let mut lidar = LidarConfig::default();
         lidar.range_noise_sigma_m *= noise;
         lidar.dropout_probability = (lidar.dropout_probability * noise).min(1.0);
-        let pool = match threads.min(count) {
+        if !Lidar::EVERY.contains(&every) {
+            return Err(refused(format!("every: one of {:?}, got {every}", Lidar::EVERY)));
+        }
+        let threads = threads.min(count).max(1);
+        let sensor = || Ok(Mutex::new(Lidar::new(lidar, 0).map_err(refused)?.every(every)));
+        let lidars = (0..threads).map(|_| sensor()).collect::<PyResult<Vec<_>>>()?;
+        let [rows, columns] = Lidar::shape_of(every);
+        let pool = match threads {
             0 | 1 => None,
             threads => Some(
                 rayon::ThreadPoolBuilder::new()
@@ -244,7 +328,6 @@ impl Flights {
                     .map_err(refused)?,
                 family: family.parse().map_err(refused)?,
                 wind_m_s: wind,
-                lidar,
                 time_limit_s: time_limit,
                 weights: RewardConfig {
                     along: if along_way { Along::Path } else { Along::Line },
@@ -256,134 +339,98 @@ impl Flights {
                 },
                 along_way,
                 privileged,
-                with_position: actor.is_some(),
+                normalized,
             },
             flights: (0..count).map(|_| None).collect(),
+            lidars,
             pool,
+            shape: [count, frames, rows, columns],
         })
     }
 
-    /// Begins the flights that have a seed and writes their first frame into `frames[flight, slot - back : slot + 1]`.
-    fn reset(
+    /// Begins the flights that have a seed; flies one step of 50 ms of the others where there are actions. Writes into the caller's arrays what is
+    /// observed of all, and, where there are actions, rewards and how flights ended (−1: not). `older`: the frames of the last call, where
+    /// `frames` does not hold them.
+    #[pyo3(signature = (seeds, actions, older, frames, goals, positions, states, rewards, ends))]
+    #[allow(clippy::too_many_arguments, reason = "the caller's arrays")]
+    fn advance(
         &mut self,
         py: Python<'_>,
         seeds: Vec<Option<u64>>,
-        mut frames: Frames<'_>,
-        slot: usize,
-        back: usize,
+        actions: Option<PyReadonlyArrayDyn<'_, f32>>,
+        older: Option<PyReadonlyArrayDyn<'_, f32>>,
+        mut frames: Given<'_>,
+        mut goals: Given<'_>,
+        mut positions: Option<Given<'_>>,
+        mut states: Option<Given<'_>>,
+        mut rewards: Given<'_>,
+        mut ends: PyReadwriteArrayDyn<'_, i8>,
     ) -> PyResult<()> {
-        let deep = self.depth(&frames, slot)?;
-        if seeds.len() != self.flights.len() || back > slot {
-            return Err(refused("seeds: one for each flight"));
-        }
-        let all = frames.as_slice_mut().map_err(refused)?;
-        let (conditions, flights, pool) = (&self.conditions, &mut self.flights, &self.pool);
-        let one = |((flight, frames), seed): (Place<'_>, Option<u64>)| {
-            let Some(seed) = seed else { return Ok(()) };
-            let begun = conditions.begin(seed)?;
-            for frame in frames[(slot - back) * DEPTH_PIXELS..]
-                .chunks_exact_mut(DEPTH_PIXELS)
-                .take(back + 1)
-            {
-                begun.show(frame);
-            }
-            *flight = Some(Box::new(begun));
-            Ok(())
-        };
-        // Without a pool no thread is started: a process that forks after it, as others' vectorised environments do, stays whole.
-        py.detach(|| match pool {
-            None => {
-                let each = flights.iter_mut().zip(all.chunks_exact_mut(deep));
-                each.zip(seeds).try_for_each(one)
-            }
-            Some(pool) => pool.install(|| {
-                let each = flights.par_iter_mut().zip(all.par_chunks_exact_mut(deep));
-                each.zip(seeds).try_for_each(one)
-            }),
-        })
-        .map_err(|e: String| refused(e))
-    }
-
-    /// Flies one step of 50 ms of the flights whose seed is not asked for otherwise (`flies`) and writes their frames into
-    /// `frames[flight, slot]`; those that do not fly keep their last frame. Returns rewards and outcomes.
-    #[allow(clippy::type_complexity, reason = "two arrays")]
-    fn step<'py>(
-        &mut self,
-        py: Python<'py>,
-        actions: PyReadonlyArray2<'py, f32>,
-        flies: Vec<bool>,
-        mut frames: Frames<'py>,
-        slot: usize,
-    ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<i8>>)> {
         let count = self.flights.len();
-        let deep = self.depth(&frames, slot)?;
-        if actions.shape() != [count, 2] || flies.len() != count {
+        let deep = self.shape[1..].iter().product();
+        let older = older
+            .as_ref()
+            .map(|older| older.as_slice())
+            .transpose()
+            .map_err(refused)?;
+        let actions = actions
+            .as_ref()
+            .map(|actions| actions.as_slice())
+            .transpose()
+            .map_err(refused)?;
+        if frames.shape() != self.shape || older.is_some_and(|older| older.len() != count * deep) {
             return Err(refused(format!(
-                "actions: expected shape ({count}, 2), got {:?}",
-                actions.shape()
+                "frames: expected shape {:?}, got {:?}",
+                self.shape,
+                frames.shape()
             )));
         }
-        let actions = actions.as_slice().map_err(refused)?;
-        if actions.iter().any(|x| !x.is_finite()) {
-            return Err(refused("actions: forward speed and yaw have to be finite numbers"));
+        if actions.is_some_and(|actions| actions.len() != 2 * count || actions.iter().any(|x| !x.is_finite())) {
+            return Err(refused("actions: a finite forward speed and yaw for each flight"));
         }
-        for (number, (flight, flies)) in self.flights.iter().zip(&flies).enumerate() {
-            if *flies && flight.as_ref().is_none_or(|flight| flight.outcome.is_some()) {
+        for (number, (flight, seed)) in self.flights.iter().zip(&seeds).enumerate() {
+            if actions.is_some() && seed.is_none() && flight.as_ref().is_none_or(|flight| flight.outcome.is_some()) {
                 return Err(refused(format!(
                     "flight {number} has not begun or has ended: reset it first"
                 )));
             }
         }
-        let all = frames.as_slice_mut().map_err(refused)?;
-        let (conditions, flights, pool) = (&self.conditions, &mut self.flights, &self.pool);
-        let results: Vec<(f32, i8)> = py.detach(|| {
-            let one = |((flight, frames), (action, flies)): (Place<'_>, (&[f32], bool))| {
-                let Some(flight) = flight else { return (0.0, -1) };
-                let mut reward = 0.0;
-                if flies {
-                    let action = Action {
-                        forward_m_s: action[0],
-                        yaw: action[1],
-                    };
-                    reward = flight.step(conditions, action);
-                }
-                flight.show(&mut frames[slot * DEPTH_PIXELS..][..DEPTH_PIXELS]);
-                (reward, code(flight.outcome))
-            };
-            match pool {
-                None => {
-                    let each = flights.iter_mut().zip(all.chunks_exact_mut(deep));
-                    each.zip(actions.chunks_exact(2).zip(flies)).map(one).collect()
-                }
-                Some(pool) => pool.install(|| {
-                    let each = flights.par_iter_mut().zip(all.par_chunks_exact_mut(deep));
-                    each.zip(actions.par_chunks_exact(2).zip(flies)).map(one).collect()
-                }),
-            }
-        });
-        let (rewards, outcomes): (Vec<f32>, Vec<i8>) = results.into_iter().unzip();
-        Ok((array(py, rewards), PyArray1::from_vec(py, outcomes)))
-    }
-
-    /// Distance in metres and bearing in radians of the goal as the vehicles believe, flight after flight.
-    fn goals<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        let goal = |flight: &Option<Box<Begun>>| {
-            let goal = flight.as_ref().map(|flight| flight.flight.goal());
-            goal.map_or([0.0; 2], |goal| [goal.distance_m, goal.bearing_rad])
-        };
-        array(py, self.flights.iter().flat_map(goal).collect())
-    }
-
-    /// Goal, odometry and time ([`POSITION`] values) that an actor decides from beside its frames, flight after flight.
-    fn positions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        let each = self.flights.iter().flatten().filter(|_| self.conditions.with_position);
-        array(py, each.flat_map(|flight| flight.position()).collect())
-    }
-
-    /// The true states, flight after flight.
-    fn true_states<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        let state = |flight: &Option<Box<Begun>>| flight.as_ref().map_or([0.0; TRUE_STATE], |f| f.true_state());
-        array(py, self.flights.iter().flat_map(state).collect())
+        let (mut positions, mut states) = (parts(&mut positions, POSITION)?, parts(&mut states, TRUE_STATE)?);
+        let frames = frames.as_slice_mut().map_err(refused)?.chunks_exact_mut(deep);
+        let goals = goals.as_slice_mut().map_err(refused)?.chunks_exact_mut(2);
+        let rewards = rewards.as_slice_mut().map_err(refused)?.iter_mut();
+        let ends = ends.as_slice_mut().map_err(refused)?.iter_mut();
+        let told = frames.zip(goals).zip(rewards.zip(ends)).zip(seeds);
+        let rows = self.flights.iter_mut().zip(told).enumerate();
+        let mut rows: Vec<Row<'_>> = rows
+            .map(|(number, (flight, (((frames, goal), (reward, end)), seed)))| Row {
+                flight,
+                seed,
+                action: actions.map(|actions| &actions[2 * number..][..2]),
+                older: older.map(|older| &older[number * deep..][..deep]),
+                frames,
+                goal,
+                position: positions.as_mut().and_then(Iterator::next),
+                state: states.as_mut().and_then(Iterator::next),
+                reward,
+                end,
+            })
+            .collect();
+        if rows.len() != count {
+            let text = format!("{count} flights need as many seeds, goals, rewards and ends");
+            return Err(refused(text));
+        }
+        let (conditions, lidars) = (&self.conditions, &self.lidars);
+        // Without a pool no thread is started: a process that forks after it, as others' vectorised environments do, stays whole.
+        py.detach(|| match &self.pool {
+            None => rows.iter_mut().try_for_each(|row| row.advance(conditions, &lidars[0])),
+            Some(pool) => pool.install(|| {
+                let own = || &lidars[rayon::current_thread_index().unwrap_or(0)];
+                let each = rows.par_iter_mut().with_max_len(1);
+                each.try_for_each(|row| row.advance(conditions, own()))
+            }),
+        })
+        .map_err(refused)
     }
 
     /// What is known of a flight.
@@ -406,6 +453,7 @@ impl Flights {
     fn field(&mut self, number: usize, half_angle_rad: f32, range_m: f32) -> PyResult<(f32, f32)> {
         let flight = self.flights.get_mut(number).and_then(Option::as_mut);
         let flight = flight.ok_or_else(|| refused("no such flight has begun"))?;
+        flight.flight.look_again();
         let action = flight.flight.field(half_angle_rad, range_m).clipped();
         Ok((action.forward_m_s, action.yaw))
     }
@@ -435,17 +483,5 @@ impl Flights {
     fn begun(&self, number: usize) -> PyResult<&Begun> {
         let flight = self.flights.get(number).and_then(Option::as_deref);
         flight.ok_or_else(|| refused("no such flight has begun: reset first"))
-    }
-
-    /// Values of a flight's frames in the array, which has to fit.
-    fn depth(&self, frames: &Frames<'_>, slot: usize) -> PyResult<usize> {
-        match *frames.shape() {
-            [count, slots, DEPTH_ROWS, DEPTH_COLS] if count == self.flights.len() && slot < slots => {
-                Ok(slots * DEPTH_PIXELS)
-            }
-            ref shape => Err(refused(format!(
-                "frames: {shape:?} does not hold slot {slot} of each flight"
-            ))),
-        }
     }
 }

@@ -40,22 +40,21 @@ DEFAULT_REWARD: Mapping[str, float | str] = {
     "near": 0.0,
 }
 """The reward's terms and their defaults, those of ``vigil learn`` (docs/training.md)."""
-# Frames of a block: the views handed out lie in it, and a new one is begun when it is full.
-_BLOCK = 32
-# Blocks kept to be written anew: memory that the system has just given costs as much as the flight itself.
-_SPARE_BLOCKS = 3
+# Memory of frames that is kept to be written anew: what the system has just given costs as much as the flight itself.
+_SPARE = 3
 _SEEDS = 2**48
-
-
-_GOAL_SCALE_M = 20.0
-"""Distance of the goal that is 1 in a normalised observation, and the most, as the networks take it."""
+_MOST_FLIGHTS = 16_384
+EVERY = (1, 2, 4, 8)
+"""What ``every`` may be: one ring and one firing of so many of the LiDAR's."""
 
 
 def spaces_of(
-    frames: int, privileged: bool, actor: Actor | None = None, normalized: bool = False
+    frames: int, privileged: bool, actor: Actor | None = None, normalized: bool = False, every: int = 1
 ) -> tuple[spaces.Dict, spaces.Box]:
     """Observation and action space of one flight."""
-    shape = (FRAMES, ROWS, COLUMNS) if frames == FRAMES else (ROWS, COLUMNS)
+    shape: tuple[int, ...] = (ROWS, COLUMNS) if every == 1 else (ROWS // 2 // every, COLUMNS // every)
+    if frames == FRAMES:
+        shape = (FRAMES, *shape)
     if normalized:
         if privileged or actor is not None:
             raise ValueError("normalized: the true state and an actor's position have no bounds; leave out privileged and actor")
@@ -75,21 +74,26 @@ def spaces_of(
     return spaces.Dict(parts), spaces.Box(-ACTION_LIMIT, ACTION_LIMIT, (2,), np.float32)
 
 
-def _references(blocks: list[Floats], number: int) -> int:
-    return sys.getrefcount(blocks[number])
+def _references(spare: list[Floats], number: int) -> int:
+    return sys.getrefcount(spare[number])
 
 
-# Of a block that nobody but the list holds: a view holds the block that it lies in.
+# Of memory that nobody but the list holds: a view holds what it lies in.
 _UNSEEN = _references([np.empty(1, np.float32)], 0)
 
 
 class _Flown:
-    """Flights and the memory of their frames. Rust writes each frame once; a block is written anew only when no view of it is left,
-    so views stay true."""
+    """Flights and the memory of what is observed. Rust writes each frame once, into the caller's buffers or into memory of which nobody
+    holds a view, so views stay true."""
 
-    def __init__(self, count: int, frames: int, threads: int, options: Mapping[str, Any]) -> None:
+    def __init__(self, count: int, options: Mapping[str, Any], threads: int, buffers: Mapping[str, Any] | None = None) -> None:
+        frames, every, actor = options["frames"], options["every"], options["actor"]
         if frames not in (1, FRAMES):
             raise ValueError(f"frames: 1 (the newest only) or {FRAMES}, got {frames}")
+        if every not in EVERY:
+            raise ValueError(f"every: one of {', '.join(map(str, EVERY))}, got {every!r}")
+        if actor is not None and not isinstance(actor, Actor):
+            raise TypeError(f"actor: a vigil.policy.Actor, got {type(actor).__name__}")
         reward = dict(DEFAULT_REWARD)
         given = dict(options["reward"] or {})
         if unknown := set(given) - set(reward):
@@ -97,14 +101,12 @@ class _Flown:
         reward.update(given)
         if reward["progress"] not in ("way", "line"):
             raise ValueError(f"reward: progress is along the 'way' or the 'line', got {reward['progress']!r}")
-        course = options["course"]
-        self.count, self.frames, self.privileged = count, frames, bool(options["privileged"])
-        self.share_frames = bool(options["share_frames"])
-        self.normalized = bool(options["normalized"])
-        actor: Actor | None = options["actor"]
-        if actor is not None and not isinstance(actor, Actor):
-            raise TypeError(f"actor: a vigil.policy.Actor, got {type(actor).__name__}")
-        self.actor = actor
+        seeds, course = options["seeds"], options["course"]
+        if seeds is not None and len(seeds) == 0:
+            raise ValueError("seeds: is empty")
+        self.observed, self.acted = spaces_of(frames, bool(options["privileged"]), actor, bool(options["normalized"]), every)
+        self.seeds, self.count, self.newest = seeds, count, frames == 1
+        self.shape = (count, frames, *(self.observed["frames"].shape or ())[-2:])
         self.flights = Flights(
             count,
             family=options["family"],
@@ -118,76 +120,70 @@ class _Flown:
             checkpoint=float(reward["checkpoint"]),
             near=float(reward["near"]),
             along_way=reward["progress"] == "way",
-            privileged=self.privileged,
-            actor=None if actor is None else actor.native,
+            privileged=bool(options["privileged"]),
+            normalized=bool(options["normalized"]),
+            frames=frames,
+            every=every,
             threads=threads,
         )
-        self.back = frames - 1
-        self.slot = -1
-        self.block: Floats = np.empty((0,), np.float32)
+        self.rewards, self.ends = np.zeros(count, np.float32), np.full(count, -1, np.int8)
+        self.flags = {name: np.zeros(count, bool) for name in ("terminated", "truncated")}
+        self.buffers: Mapping[str, Any] = buffers or {}
+        self._given = self._checked(self.buffers)
+        self._frames: Floats | None = None
         self._spare: list[Floats] = []
 
-    def _next_slot(self, fresh: bool) -> None:
-        """Where the next frames go. ``fresh``: a flight begins, whose older frames must not be written over those of the last."""
-        if self.slot >= 0 and not fresh and self.slot + 1 < self.block.shape[1]:
-            self.slot += 1
-            return
-        older, at = self.block, self.slot
-        self.block = self._unseen_block()
-        if at >= 0:
-            self.block[:, : self.back] = older[:, at - self.back + 1 : at + 1]
-            self._spare = [*self._spare, older][-_SPARE_BLOCKS:]
-        self.slot = self.back
+    def _checked(self, buffers: Mapping[str, Any]) -> dict[str, Any]:
+        """The caller's buffers of what is observed; rewards and ends are taken up as they are."""
+        wanted: dict[str, tuple[tuple[int, ...], Any]] = {
+            name: ((self.count, *(space.shape or ())), np.float32) for name, space in self.observed.items()
+        }
+        wanted |= {"rewards": ((self.count,), np.float32)} | {name: ((self.count,), np.bool_) for name in self.flags}
+        if unknown := set(buffers) - set(wanted):
+            raise ValueError(f"buffers: there is none called {', '.join(sorted(unknown))}; there are {', '.join(wanted)}")
+        for name, buffer in buffers.items():
+            shape, kind = wanted[name]
+            if not isinstance(buffer, np.ndarray) or buffer.dtype != kind or buffer.shape != shape:
+                got = f"{buffer.dtype} {buffer.shape}" if isinstance(buffer, np.ndarray) else type(buffer).__name__
+                raise ValueError(f"buffers: {name} is an array of {np.dtype(kind)} {shape}, got {got}")
+            if not buffer.flags.c_contiguous or not buffer.flags.writeable:
+                raise ValueError(f"buffers: {name} has to lie in one piece in C's order and be writeable (numpy.zeros makes such an array)")
+        self.rewards = buffers.get("rewards", self.rewards)
+        self.flags = {name: buffers.get(name, flags) for name, flags in self.flags.items()}
+        return {name: buffer for name, buffer in buffers.items() if name in self.observed.spaces}
 
-    def _unseen_block(self) -> Floats:
+    def _unseen(self) -> Floats:
         for number in range(len(self._spare)):
             if _references(self._spare, number) == _UNSEEN:
                 return self._spare.pop(number)
-        # Pages that are not written take no memory.
-        return np.empty((self.count, self.back + _BLOCK, ROWS, COLUMNS), np.float32)
+        return np.empty(self.shape, np.float32)
 
-    def reset(self, seeds: Sequence[int | None]) -> None:
-        self._next_slot(fresh=True)
-        self.flights.reset(list(seeds), self.block, self.slot, self.back)
-
-    def reset_some(self, seeds: Sequence[int | None]) -> None:
-        """Begins those flights anew that have a seed, here and now; the others are where they were."""
-        older, at = self.block, self.slot
-        self.block = self._unseen_block()
-        self.block[:, : self.back + 1] = older[:, at - self.back : at + 1]
-        self._spare = [*self._spare, older][-_SPARE_BLOCKS:]
-        self.slot = self.back
-        self.flights.reset(list(seeds), self.block, self.slot, self.back)
-
-    def step(self, actions: Floats, seeds: Sequence[int | None]) -> tuple[Floats, NDArray[np.int8]]:
-        begins = any(seed is not None for seed in seeds)
-        self._next_slot(fresh=begins)
-        if begins:
-            self.flights.reset(list(seeds), self.block, self.slot, self.back)
-        flies = [seed is None for seed in seeds]
-        if self.normalized:
-            actions = np.clip(actions, -1.0, 1.0) * np.float32(ACTION_LIMIT)
-        return self.flights.step(actions, flies, self.block, self.slot)
-
-    def observation(self) -> dict[str, Floats]:
-        """Of all flights, ``[count, …]``. Views cannot be written to."""
-        view = self.block[:, self.slot - self.back : self.slot + 1]
-        view.flags.writeable = False
-        # Five frames share four with the next five, which Gymnasium's check does not allow; the newest alone shares nothing.
-        if self.frames == 1:
-            view = view[:, 0]
-        elif not self.share_frames:
-            view = view.copy()
-        goals = self.flights.goals().reshape(self.count, 2)
-        if self.normalized:
-            view = view / np.float32(FULL_SCALE_M)
-            goals = np.stack([goals[:, 0] / _GOAL_SCALE_M, goals[:, 1] / np.pi], axis=1).clip(-1.0, 1.0).astype(np.float32)
-        observation = {"frames": view, "goal": goals}
-        if self.actor is not None:
-            observation["position"] = self.flights.positions().reshape(self.count, -1)
-        if self.privileged:
-            observation["state"] = self.flights.true_states().reshape(self.count, -1)
-        return observation
+    def advance(self, seeds: Sequence[int | None], actions: Floats | None = None, *, anew: bool = True) -> dict[str, Floats]:
+        """Begins the flights that have a seed, flies a step of the others where there are actions. Gives what is observed of all,
+        ``[count, …]``; views that cannot be written to, but for the caller's buffers. ``anew``: not where the last observation lies."""
+        older: Floats | None = None
+        if "frames" in self._given:
+            self._frames = self._given["frames"].reshape(self.shape)
+        elif anew or self._frames is None:
+            older, self._frames = self._frames, self._unseen()
+        parts = {
+            name: self._given.get(name, np.empty((self.count, *(space.shape or ())), np.float32))
+            for name, space in self.observed.items()
+            if name != "frames"
+        }
+        self.flights.advance(
+            seeds, actions, older, self._frames, parts["goal"], parts.get("position"), parts.get("state"), self.rewards, self.ends
+        )
+        if older is not None:
+            self._spare = [*self._spare, older][-_SPARE:]
+        if actions is not None:
+            np.logical_and(self.ends >= 0, self.ends != 3, out=self.flags["terminated"])
+            np.equal(self.ends, 3, out=self.flags["truncated"])
+        frames = self._given.get("frames")
+        if frames is None:
+            frames = self._frames[:, 0] if self.newest else self._frames[:]
+            frames.flags.writeable = False
+        return {"frames": frames, **parts}
 
     def info(self, number: int) -> dict[str, Any]:
         time_s, goal_distance_m, passed, of, position, velocity, heading = self.flights.info(number)
@@ -222,8 +218,8 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
 
     ========  =====================  ==================================================================================
     frames    ``[5, 128, 256]``      ranges in metres, 0 to 100, oldest first; ``[128, 256]``, the newest, with ``frames=1``.
-                                     The first frame stands for the missing ones. The newest alone is handed over without a
-                                     copy, as a view that cannot be written to; so are five with ``share_frames=True``.
+                                     The first frame stands for the missing ones. An array that cannot be written to and
+                                     stays as it is. ``every=2``, 4 or 8: fewer rows and columns, ``[64 / every, 256 / every]``.
     goal      ``[2]``                distance in metres and bearing in radians, clockwise, as the vehicle believes
     position  ``[9]``                with ``actor=…``: what an actor decides from beside its frames, as in flight: distance (m) and bearing
                                      (rad) of the goal; north, east and height (m), heading (rad), velocity forward and right (m/s) as the
@@ -252,8 +248,8 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         seeds: course seeds to draw from; absent: any. What is evaluated should not be trained on.
         course: a course file (TOML) that is flown instead of generated ones.
         frames: 5, or 1 for the newest only.
-        share_frames: five frames are a view without a copy as well. It stays as it is while the flight goes on, but shares four frames with
-            the next observation, which Gymnasium's ``check_env`` does not allow.
+        every: 2, 4 or 8: one ring and one firing of so many of the LiDAR's, for training that wants many steps: ``frames`` are then its ranges
+            as measured, a row a ring, gaps not filled (100 m).
         privileged: the observation has the true state.
         actor: the observation has the position that an actor takes. It is not asked for decisions.
         wind: mean wind in m/s, 0 to 20, from a direction that the seed decides, with gusts a third as strong.
@@ -281,7 +277,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         seeds: Sequence[int] | None = None,
         course: str | Path | None = None,
         frames: int = FRAMES,
-        share_frames: bool = False,
+        every: int = 1,
         privileged: bool = False,
         actor: Actor | None = None,
         wind: float = 0.0,
@@ -293,12 +289,12 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode: None or 'rgb_array', got {render_mode!r}")
-        if seeds is not None and len(seeds) == 0:
-            raise ValueError("seeds: is empty")
         options = dict(
             family=family,
+            seeds=seeds,
             course=course,
-            share_frames=share_frames,
+            frames=frames,
+            every=every,
             privileged=privileged,
             actor=actor,
             wind=wind,
@@ -307,44 +303,41 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
             reward=reward,
             normalized=normalized,
         )
-        self._flown = _Flown(1, frames, 1, options)
-        self._seeds = seeds
+        self._flown = _Flown(1, options, 1)
         self._begun = False
         self.render_mode = render_mode
         self.course_seed: int | None = None
         """Seed of the course that is flown."""
-        observed, acted = spaces_of(frames, privileged, actor, normalized)
-        self.observation_space: spaces.Space[Any] = observed
-        self.action_space: spaces.Space[Any] = acted
+        self.observation_space: spaces.Space[Any] = self._flown.observed
+        self.action_space: spaces.Space[Any] = self._flown.acted
 
-    def _observation(self) -> dict[str, Floats]:
-        return {name: value[0] for name, value in self._flown.observation().items()}
+    def _advance(self, seed: int | None, actions: Floats | None = None) -> dict[str, Floats]:
+        return {name: value[0] for name, value in self._flown.advance([seed], actions).items()}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Floats], dict[str, Any]]:
         """Begins a flight, hovering at the course's start. ``options``: ``course_seed``."""
         super().reset(seed=seed)
-        self.course_seed = _drawn(self.np_random, self._seeds)
+        self.course_seed = _drawn(self.np_random, self._flown.seeds)
         if options:
             if unknown := set(options) - {"course_seed"}:
                 raise ValueError(f"options: there is course_seed, not {', '.join(sorted(unknown))}")
             self.course_seed = int(options["course_seed"])
-        self._flown.reset([self.course_seed])
+        observation = self._advance(self.course_seed)
         self._begun = True
-        return self._observation(), {**self._flown.info(0), "course_seed": self.course_seed}
+        return observation, {**self._flown.info(0), "course_seed": self.course_seed}
 
     def step(self, action: Any) -> tuple[dict[str, Floats], float, bool, bool, dict[str, Any]]:
         """Flies 50 ms."""
         actions = _actions(action, None)
         if not self._begun:
             raise ValueError("the flight has not begun: reset first")
-        rewards, outcomes = self._flown.step(actions, [None])
-        info = self._flown.info(0)
-        outcome = int(outcomes[0])
+        observation = self._advance(None, actions)
+        info, outcome = self._flown.info(0), int(self._flown.ends[0])
         if outcome >= 0:
             info.update(outcome=OUTCOMES[outcome], is_success=outcome == 0)
-        return self._observation(), float(rewards[0]), outcome in (0, 1, 2), outcome == 3, info
+        return observation, float(self._flown.rewards[0]), outcome in (0, 1, 2), outcome == 3, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """The course from above with the way flown, ``[rows, columns, 3]``; ``None`` without ``render_mode``."""
@@ -370,11 +363,11 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
     ``Disabled``    it waits for ``reset(options={"reset_mask": mask})``, ``mask`` an array ``[num_envs]`` of bool; the others fly on
     ==============  ==============================================================================================================
 
-    The newest frames alone are a view without a copy, as for one flight.
-
     Args:
-        num_envs: how many.
+        num_envs: how many, at most 16 384.
         threads: how many threads fly them; absent: as many as the machine has, at most ``num_envs``. The results do not depend on it.
+        buffers: arrays of the caller's that each step writes in place and that are what it returns: any of the observation's names, ``rewards``
+            (float32), ``terminated``, ``truncated`` (bool), as the batched spaces have them. Nothing is copied, and the last step's are gone.
         autoreset_mode: see above; a ``gymnasium.vector.AutoresetMode`` or its value.
         **options: those of :class:`VigilEnv`, but for ``render_mode``.
     """
@@ -389,7 +382,7 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
         seeds: Sequence[int] | None = None,
         course: str | Path | None = None,
         frames: int = FRAMES,
-        share_frames: bool = False,
+        every: int = 1,
         privileged: bool = False,
         actor: Actor | None = None,
         wind: float = 0.0,
@@ -398,16 +391,17 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
         reward: Mapping[str, float | str] | None = None,
         normalized: bool = False,
         threads: int | None = None,
+        buffers: Mapping[str, NDArray[Any]] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs: 1 or more, got {num_envs}")
-        if seeds is not None and len(seeds) == 0:
-            raise ValueError("seeds: is empty")
+        if not 1 <= num_envs <= _MOST_FLIGHTS:
+            raise ValueError(f"num_envs: 1 to {_MOST_FLIGHTS}, whose frames are 2 GB, got {num_envs}")
         options = dict(
             family=family,
+            seeds=seeds,
             course=course,
-            share_frames=share_frames,
+            frames=frames,
+            every=every,
             privileged=privileged,
             actor=actor,
             wind=wind,
@@ -418,12 +412,11 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
         )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self._flown = _Flown(num_envs, frames, _threads(threads), options)
-        self._seeds = seeds
+        self._flown = _Flown(num_envs, options, _threads(threads), buffers)
         self._ended = np.zeros(num_envs, bool)
         self._begun = False
         self.num_envs = num_envs
-        self.single_observation_space, self.single_action_space = spaces_of(frames, privileged, actor, normalized)
+        self.single_observation_space, self.single_action_space = self._flown.observed, self._flown.acted
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._random = [np.random.default_rng() for _ in range(num_envs)]
@@ -431,7 +424,7 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
         """Seeds of the courses that are flown."""
 
     def _draw(self, number: int) -> int:
-        self.course_seeds[number] = _drawn(self._random[number], self._seeds)
+        self.course_seeds[number] = _drawn(self._random[number], self._flown.seeds)
         return self.course_seeds[number]
 
     def reset(
@@ -457,21 +450,22 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
             for number, own in enumerate(seeds):
                 if own is not None and mask[number]:
                     self._random[number] = seeding.np_random(own)[0]
-        if mask.all():
-            self._flown.reset([self._draw(number) for number in range(self.num_envs)])
-        elif not self._begun:
+        if not self._begun and not mask.all():
             raise ValueError("reset_mask: the flights have not begun: reset all of them first")
-        else:
-            self._begin_anew(mask)
+        observation = self._flown.advance(self._drawn_for(mask))
         self._begun, self._ended = True, self._ended & ~mask
-        return self._flown.observation(), {"course_seed": np.array(self.course_seeds)}
+        return observation, {"course_seed": np.array(self.course_seeds)}
 
-    def _begin_anew(self, mask: NDArray[np.bool_]) -> None:
-        self._flown.reset_some([self._draw(number) if mask[number] else None for number in range(self.num_envs)])
+    def _drawn_for(self, mask: NDArray[np.bool_]) -> list[int | None]:
+        """Seeds of those flights, which begin anew."""
+        seeds: list[int | None] = [None] * self.num_envs
+        for number in np.flatnonzero(mask):
+            seeds[number] = self._draw(int(number))
+        return seeds
 
     def step(
         self, actions: Any
-    ) -> tuple[dict[str, Floats], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    ) -> tuple[dict[str, Floats], NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Flies 50 ms. ``info``: ``outcome`` and ``is_success`` of those that ended (``_outcome`` says which)."""
         given = _actions(actions, self.num_envs)
         if not self._begun:
@@ -479,29 +473,30 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
         if self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any():
             ended = ", ".join(str(number) for number in np.flatnonzero(self._ended))
             raise ValueError(f'flights {ended} have ended: reset(options={{"reset_mask": …}}) begins them anew')
-        seeds = [self._draw(number) if ended else None for number, ended in enumerate(self._ended)]
-        rewards, outcomes = self._flown.step(given, seeds)
-        self._ended = outcomes >= 0
+        flown = self._flown
+        observation = flown.advance(self._drawn_for(self._ended), given)
+        self._ended = flown.ends >= 0
+        rewards: NDArray[Any] = flown.rewards if "rewards" in flown.buffers else flown.rewards.astype(np.float64)
+        terminated, truncated = (flags if name in flown.buffers else flags.copy() for name, flags in flown.flags.items())
         info: dict[str, Any] = {}
         if self._ended.any():
-            names = np.array([OUTCOMES[o] if o >= 0 else None for o in outcomes], dtype=object)
-            info = {"outcome": names, "_outcome": self._ended.copy(), "is_success": outcomes == 0}
+            names = np.array([OUTCOMES[o] if o >= 0 else None for o in flown.ends], dtype=object)
+            info = {"outcome": names, "_outcome": self._ended.copy(), "is_success": flown.ends == 0}
             info["_is_success"] = info["_outcome"]
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
-                info = self._begun_in_the_same_step(info)
-        terminated = (outcomes >= 0) & (outcomes != 3)
-        return self._flown.observation(), rewards.astype(np.float64), terminated, outcomes == 3, info
+                observation, info = self._begun_in_the_same_step(observation, info)
+        return observation, rewards, terminated, truncated, info
 
-
-    def _begun_in_the_same_step(self, info: dict[str, Any]) -> dict[str, Any]:
+    def _begun_in_the_same_step(
+        self, last: dict[str, Floats], info: dict[str, Any]
+    ) -> tuple[dict[str, Floats], dict[str, Any]]:
         """Begins those anew that have just ended; what they ended with goes into ``info``."""
-        last, ended = self._flown.observation(), self._ended
-        final = np.empty(self.num_envs, dtype=object)
+        ended, final = self._ended, np.empty(self.num_envs, dtype=object)
         for number in np.flatnonzero(ended):
             final[number] = {name: value[number].copy() for name, value in last.items()}
-        self._begin_anew(ended)
+        observation = self._flown.advance(self._drawn_for(ended), anew=False)
         self._ended = np.zeros(self.num_envs, bool)
-        return {**info, "final_obs": final, "_final_obs": ended, "final_info": info, "_final_info": ended}
+        return observation, {**info, "final_obs": final, "_final_obs": ended, "final_info": info, "_final_info": ended}
 
 
 def _threads(given: int | None) -> int:

@@ -3,8 +3,8 @@
 use vigil_guidance::{GuidanceConfig, guided_setpoint};
 use vigil_policy::{PilotInput, RangeScan, apf};
 use vigil_sim::environment::Environment;
-use vigil_sim::vehicle::{ParamsError, Truth, VehicleParams, Wind};
-use vigil_sim::world::{Course, LidarConfig, Outcome};
+use vigil_sim::vehicle::{Estimate, ParamsError, Truth, VehicleParams, Wind};
+use vigil_sim::world::{Course, Lidar, LidarConfig, Outcome};
 use vigil_types::{Action, DepthFrame, GoalRelative};
 
 /// One flight over one course, stepped at 20 Hz by actions.
@@ -47,6 +47,15 @@ impl Flight {
         Ok(Self::around(Environment::with_lidar(course, wind, lidar, seed)?))
     }
 
+    /// Begins without a frame, for a LiDAR that many flights share ([`look_through`](Self::look_through)).
+    ///
+    /// # Errors
+    /// Wind out of its range.
+    pub fn unseen(course: &Course, wind: Wind, seed: u64) -> Result<Self, ParamsError> {
+        let environment = Environment::unseen(course, VehicleParams::default(), wind, seed)?;
+        Ok(Self::around(environment))
+    }
+
     fn around(environment: Environment) -> Self {
         Self {
             environment,
@@ -58,6 +67,19 @@ impl Flight {
     /// Takes the next frame, where the vehicle is now.
     pub fn look(&mut self) {
         self.environment.look();
+    }
+
+    /// The next frame's pixels, times `scale`, through somebody else's LiDAR.
+    ///
+    /// # Panics
+    /// Pixels of another number than the LiDAR's [`shape`](Lidar::shape).
+    pub fn look_through(&mut self, lidar: &mut Lidar, scale: f32, pixels: &mut [f32]) {
+        self.environment.look_through(lidar, scale, pixels);
+    }
+
+    /// Takes the newest frame again.
+    pub fn look_again(&mut self) {
+        self.environment.look_again();
     }
 
     /// The newest frame.
@@ -101,6 +123,11 @@ impl Flight {
     /// Time since the start, seconds; the whole flight's once it has ended.
     pub fn time_s(&self) -> f64 {
         self.environment.time_s()
+    }
+
+    /// How the vehicle believes to move.
+    pub fn estimate(&self) -> Estimate {
+        self.environment.estimate()
     }
 
     /// How the vehicle really moves, which no pilot knows.

@@ -157,7 +157,7 @@ impl From<ShapeError> for NetworkError {
     }
 }
 
-/// A network: layers in the order of computation. The text that [`fmt::Display`] writes and [`FromStr`] reads has a line for
+/// A network: layers in the order of computation. The text that [`fmt::Display`] writes and [`core::str::FromStr`] reads has a line for
 /// each, its kind and numbers, and a last line `output N`.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Network {

@@ -41,9 +41,11 @@ pub fn pixel_of(point_frd_m: FrdVector) -> Option<(usize, usize, f32)> {
     inside.then(|| (row as usize, col as usize, point_frd_m.norm()))
 }
 
-/// Sines and cosines of all elevations and bearings.
+/// Sines and cosines of all elevations and bearings; of fewer, the first `rings` and `firings` count.
 #[derive(Clone)]
 pub(crate) struct BeamTable {
+    pub(crate) rings: usize,
+    pub(crate) firings: usize,
     pub(crate) sin_elevation: [f32; LIDAR_RINGS],
     pub(crate) cos_elevation: [f32; LIDAR_RINGS],
     pub(crate) sin_bearing: [f32; LIDAR_FIRINGS],
@@ -51,10 +53,14 @@ pub(crate) struct BeamTable {
 }
 
 impl BeamTable {
-    pub(crate) fn new() -> Self {
-        let elevation = |ring: usize| row_elevation_rad(ring_row(ring) as f32);
-        let bearing = |firing: usize| column_bearing_rad(firing as f32);
+    /// One ring and firing of `every`, from the middle of as many.
+    pub(crate) fn new(every: usize) -> Self {
+        let middle = |k: usize| (every * k) as f32 + 0.5 * (every - 1) as f32;
+        let elevation = |ring: usize| row_elevation_rad(2.0 * middle(ring));
+        let bearing = |firing: usize| column_bearing_rad(middle(firing));
         Self {
+            rings: LIDAR_RINGS / every,
+            firings: LIDAR_FIRINGS / every,
             sin_elevation: core::array::from_fn(|k| libm::sinf(elevation(k))),
             cos_elevation: core::array::from_fn(|k| libm::cosf(elevation(k))),
             sin_bearing: core::array::from_fn(|k| libm::sinf(bearing(k))),

@@ -1,7 +1,7 @@
 //! The ranges of all beams of one sweep, computed in two ways that agree bit for bit.
 
-use super::beams::{BeamTable, LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS};
-use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, Ray, lesser};
+use super::beams::{BeamTable, LIDAR_BEAMS};
+use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, Ray, inverse, lesser};
 use super::scene::Scene;
 use super::simd::{Simd, vectorised};
 use super::tiles::{TILE_FIRINGS, TILE_RINGS, Tiles};
@@ -20,15 +20,15 @@ pub(crate) fn cast_by_tree(
     beams: &BeamTable,
     ranges: &mut Ranges,
 ) {
-    for ring in 0..LIDAR_RINGS {
-        for firing in 0..LIDAR_FIRINGS {
+    for ring in 0..beams.rings {
+        for firing in 0..beams.firings {
             let direction = scene.rotation.beam(
                 beams.sin_elevation[ring],
                 beams.cos_elevation[ring],
                 beams.sin_bearing[firing],
                 beams.cos_bearing[firing],
             );
-            ranges[ring * LIDAR_FIRINGS + firing] = cast_ray(world, sensor_ned_m, scene, direction);
+            ranges[ring * beams.firings + firing] = cast_ray(world, sensor_ned_m, scene, direction);
         }
     }
 }
@@ -37,7 +37,7 @@ pub(crate) fn cast_by_tree(
 pub(crate) fn cast_ray(world: &World, sensor_ned_m: NedVector, scene: &Scene, direction: (f32, f32, f32)) -> f32 {
     let origin = Vec3::new(sensor_ned_m.x, sensor_ned_m.y, sensor_ned_m.z);
     let ray = Ray::new(direction);
-    let nearest_plane = scene.planes_range_m(&ray);
+    let nearest_plane = scene.planes_range_m(ray.inverse_z);
     let tree_ray = parry3d::query::Ray::new(origin, Vec3::new(direction.0, direction.1, direction.2));
     let hit = world
         .bvh()
@@ -56,9 +56,9 @@ pub(crate) struct TileCaster {
 }
 
 impl TileCaster {
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(every: usize) -> Self {
         Self {
-            tiles: Tiles::new(),
+            tiles: Tiles::new(every),
             cuboids: Vec::new(),
             cylinders: Vec::new(),
         }
@@ -143,20 +143,22 @@ fn cast_tile_body(
     let cos_bearing: &[f32; TILE_FIRINGS] = beams.cos_bearing[first..].first_chunk().expect("a whole tile");
     for ring in band * TILE_RINGS..(band + 1) * TILE_RINGS {
         let (sin_elevation, cos_elevation) = (beams.sin_elevation[ring], beams.cos_elevation[ring]);
-        let mut rays = Rays::default();
-        for k in 0..TILE_FIRINGS {
-            rays.set(
-                k,
-                scene
-                    .rotation
-                    .beam(sin_elevation, cos_elevation, sin_bearing[k], cos_bearing[k]),
-            );
-        }
-        let out: &mut [f32; TILE_FIRINGS] = ranges[ring * LIDAR_FIRINGS + first..]
+        let beam = |k: usize| {
+            let rotation = &scene.rotation;
+            rotation.beam(sin_elevation, cos_elevation, sin_bearing[k], cos_bearing[k])
+        };
+        let out: &mut [f32; TILE_FIRINGS] = ranges[ring * beams.firings + first..]
             .first_chunk_mut()
             .expect("a whole tile");
         for (k, range_m) in out.iter_mut().enumerate() {
-            *range_m = scene.planes_range_m(&rays.get(k));
+            *range_m = scene.planes_range_m(inverse(beam(k).2));
+        }
+        if cuboids.is_empty() && cylinders.is_empty() {
+            continue;
+        }
+        let mut rays = Rays::default();
+        for k in 0..TILE_FIRINGS {
+            rays.set(k, beam(k));
         }
         for leaf in cuboids {
             for (k, range_m) in out.iter_mut().enumerate() {

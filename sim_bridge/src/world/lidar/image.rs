@@ -7,9 +7,12 @@
 use super::beams::{LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, ring_row};
 use super::cast::Ranges;
 use super::simd::vectorised;
+use super::tiles::TILE_FIRINGS;
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS};
 
-type Row = [f32; LIDAR_FIRINGS];
+/// What is computed at once, or left out at once where it is empty, as much of a view is: sky.
+type Part = [f32; TILE_FIRINGS];
+const PARTS: usize = LIDAR_FIRINGS / TILE_FIRINGS;
 
 const _: () = assert!(LIDAR_FIRINGS == DEPTH_COLS && 2 * LIDAR_RINGS == DEPTH_ROWS && LIDAR_BEAMS * 2 == DEPTH_PIXELS);
 
@@ -25,8 +28,16 @@ fn alike(a: f32, b: f32, tolerance_m: f32) -> bool {
     (a - b).abs() <= tolerance_m * (a * b)
 }
 
-fn row(image: &Ranges, ring: usize) -> &Row {
-    image[ring * LIDAR_FIRINGS..].first_chunk().expect("a whole ring")
+/// A ring, a part at a time; the first and the last stand for those beyond them.
+fn parts(image: &Ranges, ring: usize) -> &[Part; PARTS] {
+    let row = &image[ring.min(LIDAR_RINGS - 1) * LIDAR_FIRINGS..][..LIDAR_FIRINGS];
+    row.as_chunks().0.try_into().expect("a whole ring")
+}
+
+/// Whether no beam returned: reciprocals are not negative.
+#[inline(always)]
+fn is_empty(part: &Part) -> bool {
+    part.iter().fold(0, |bits, inverse| bits | inverse.to_bits()) == 0
 }
 
 vectorised! {
@@ -38,16 +49,24 @@ vectorised! {
 #[inline(always)]
 fn fill_gaps_body(tolerance_m: f32, inverse: &Ranges, filled: &mut Ranges) {
     for ring in 0..LIDAR_RINGS {
-        let here = row(inverse, ring);
-        let above = row(inverse, ring.saturating_sub(1));
-        let below = row(inverse, (ring + 1).min(LIDAR_RINGS - 1));
-        let out: &mut Row = filled[ring * LIDAR_FIRINGS..].first_chunk_mut().expect("a whole ring");
-        out[0] = gap(tolerance_m, here[0], 0.0, here[1], above[0], below[0]);
-        for c in 1..LIDAR_FIRINGS - 1 {
-            out[c] = gap(tolerance_m, here[c], here[c - 1], here[c + 1], above[c], below[c]);
+        let [above, here, below] = [ring.saturating_sub(1), ring, ring + 1].map(|ring| parts(inverse, ring));
+        // With no return to the left and to the right of all.
+        let mut sides = [0.0; LIDAR_FIRINGS + 2];
+        sides[1..=LIDAR_FIRINGS].copy_from_slice(here.as_flattened());
+        let out = &mut filled[ring * LIDAR_FIRINGS..][..LIDAR_FIRINGS];
+        for (part, out) in out.as_chunks_mut::<TILE_FIRINGS>().0.iter_mut().enumerate() {
+            let (above, here, below) = (&above[part], &here[part], &below[part]);
+            if is_empty(here) && is_empty(above) {
+                *out = [0.0; TILE_FIRINGS];
+                continue;
+            }
+            let sides: &[f32; TILE_FIRINGS + 2] = sides[part * TILE_FIRINGS..]
+                .first_chunk()
+                .expect("a part and its sides");
+            for c in 0..TILE_FIRINGS {
+                out[c] = gap(tolerance_m, here[c], sides[c], sides[c + 2], above[c], below[c]);
+            }
         }
-        let last = LIDAR_FIRINGS - 1;
-        out[last] = gap(tolerance_m, here[last], here[last - 1], 0.0, above[last], below[last]);
     }
 }
 
@@ -70,28 +89,37 @@ fn gap(tolerance_m: f32, here: f32, left: f32, right: f32, above: f32, below: f3
 
 vectorised! {
     /// Writes the image: ring `k` into row `2k`, and into row `2k + 1` what lies between it and ring `k + 1`.
-    pub(crate) fn project(tolerance_m: f32, inverse: &Ranges, depth: &mut [f32; DEPTH_PIXELS]) = project_body;
+    /// All times `scale`.
+    pub(crate) fn project(tolerance_m: f32, scale: f32, inverse: &Ranges, depth: &mut [f32; DEPTH_PIXELS]) = project_body;
 }
 
 #[inline(always)]
-fn project_body(tolerance_m: f32, inverse: &Ranges, depth: &mut [f32; DEPTH_PIXELS]) {
+fn project_body(tolerance_m: f32, scale: f32, inverse: &Ranges, depth: &mut [f32; DEPTH_PIXELS]) {
     for ring in 0..LIDAR_RINGS {
-        let upper2 = row(inverse, ring.saturating_sub(1));
-        let upper = row(inverse, ring);
-        let lower = row(inverse, (ring + 1).min(LIDAR_RINGS - 1));
-        let lower2 = row(inverse, (ring + 2).min(LIDAR_RINGS - 1));
+        let rings = [ring.saturating_sub(1), ring, ring + 1, ring + 2].map(|ring| parts(inverse, ring));
         let rows = &mut depth[ring_row(ring) * DEPTH_COLS..][..2 * DEPTH_COLS];
         let (measured, between) = rows.split_at_mut(DEPTH_COLS);
-        for c in 0..DEPTH_COLS {
-            measured[c] = normalised(upper[c]);
-            between[c] = normalised(halfway(tolerance_m, [upper2[c], upper[c], lower[c], lower2[c]]));
+        let (measured, between) = (
+            measured.as_chunks_mut::<TILE_FIRINGS>().0,
+            between.as_chunks_mut::<TILE_FIRINGS>().0,
+        );
+        for (part, (measured, between)) in measured.iter_mut().zip(between).enumerate() {
+            let [upper2, upper, lower, lower2] = rings.map(|ring| &ring[part]);
+            if is_empty(upper) && is_empty(lower) {
+                (*measured, *between) = ([scale; TILE_FIRINGS], [scale; TILE_FIRINGS]);
+                continue;
+            }
+            for c in 0..TILE_FIRINGS {
+                measured[c] = scale * normalised(upper[c]);
+                between[c] = scale * normalised(halfway(tolerance_m, [upper2[c], upper[c], lower[c], lower2[c]]));
+            }
         }
     }
 }
 
 /// Range, as a reciprocal, divided by the full scale; no return is 1.
 #[inline(always)]
-fn normalised(inverse: f32) -> f32 {
+pub(crate) fn normalised(inverse: f32) -> f32 {
     let depth = (1.0 / DEPTH_FULL_SCALE_M) / inverse;
     if depth < 1.0 { depth } else { 1.0 }
 }

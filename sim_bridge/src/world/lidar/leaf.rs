@@ -27,6 +27,12 @@ fn nonzero(x: f32) -> f32 {
     if x < TINY && x > -TINY { TINY } else { x }
 }
 
+/// 1 / x, never infinite.
+#[inline(always)]
+pub(crate) fn inverse(x: f32) -> f32 {
+    1.0 / nonzero(x)
+}
+
 /// A rotation matrix, body to NED, row by row.
 #[derive(Clone, Copy)]
 pub(crate) struct Rotation(pub(crate) [[f32; 3]; 3]);
@@ -94,7 +100,7 @@ impl Ray {
         Self {
             x,
             y,
-            inverse_z: 1.0 / nonzero(z),
+            inverse_z: inverse(z),
             plan2,
             inverse_plan2: 1.0 / plan2,
         }
@@ -103,8 +109,8 @@ impl Ray {
 
 /// A horizontal plane, ground or ceiling, `z_m` below the sensor.
 #[inline(always)]
-pub(crate) fn plane_range_m(z_m: f32, ray: &Ray) -> f32 {
-    let t = z_m * ray.inverse_z;
+pub(crate) fn plane_range_m(z_m: f32, inverse_z: f32) -> f32 {
+    let t = z_m * inverse_z;
     if t > 0.0 { t } else { MISS }
 }
 
@@ -307,9 +313,9 @@ mod tests {
     #[test]
     fn the_ground_is_below_and_the_ceiling_above() {
         let down = Ray::new((0.8, 0.0, 0.6));
-        assert!((plane_range_m(1.5, &down) - 2.5).abs() < 1e-6);
-        assert_eq!(plane_range_m(-1.5, &down), MISS);
+        assert!((plane_range_m(1.5, down.inverse_z) - 2.5).abs() < 1e-6);
+        assert_eq!(plane_range_m(-1.5, down.inverse_z), MISS);
         // A level ray meets the ground far beyond any sensor's reach.
-        assert!(plane_range_m(1.5, &Ray::new((1.0, 0.0, 0.0))) > 1e6);
+        assert!(plane_range_m(1.5, Ray::new((1.0, 0.0, 0.0)).inverse_z) > 1e6);
     }
 }

@@ -23,7 +23,8 @@ use scene::Scene;
 use simd::Simd;
 use vigil_types::settings::{Outside, within};
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, FRAME_TAG_BYTES, FrameHeader, FrdVector, Nanos, NedVector, settings,
+    Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FRAME_TAG_BYTES, FrameHeader, FrdVector, Nanos,
+    NedVector, settings,
 };
 
 settings! {
@@ -108,9 +109,13 @@ pub struct Lidar {
     ranges: Box<Ranges>,
     inverse: Box<Ranges>,
     filled: Box<Ranges>,
+    every: usize,
 }
 
 impl Lidar {
+    /// What [`every`](Self::every) may be.
+    pub const EVERY: [usize; 4] = [1, 2, 4, 8];
+
     /// A sensor; the seed fixes its noise.
     ///
     /// # Errors
@@ -123,9 +128,10 @@ impl Lidar {
             seed,
             method: Method::default(),
             simd: Simd::best(),
-            beams: BeamTable::new(),
+            every: 1,
+            beams: BeamTable::new(1),
             scene: Scene::new(),
-            caster: TileCaster::new(),
+            caster: TileCaster::new(1),
             ranges: buffer(),
             inverse: buffer(),
             filled: buffer(),
@@ -136,6 +142,29 @@ impl Lidar {
     pub fn with_method(mut self, method: Method) -> Self {
         self.method = method;
         self
+    }
+
+    /// The same sensor with one ring and one firing of `every` only, for pictures that are cheap ([`look`](Self::look)).
+    ///
+    /// # Panics
+    /// A number that is not in [`EVERY`](Self::EVERY).
+    pub fn every(mut self, every: usize) -> Self {
+        assert!(Self::EVERY.contains(&every), "every: one of {:?}", Self::EVERY);
+        (self.every, self.beams, self.caster) = (every, BeamTable::new(every), TileCaster::new(every));
+        self
+    }
+
+    /// Rows and columns of a [`look`](Self::look): those of a depth frame, or a row a ring and a column a firing of a thinned sensor.
+    pub fn shape(&self) -> [usize; 2] {
+        Self::shape_of(self.every)
+    }
+
+    /// The shape of a sensor thinned to one of `every`.
+    pub fn shape_of(every: usize) -> [usize; 2] {
+        match every {
+            1 => [DEPTH_ROWS, DEPTH_COLS],
+            _ => [LIDAR_RINGS / every, LIDAR_FIRINGS / every],
+        }
     }
 
     /// The sensor's properties.
@@ -163,6 +192,28 @@ impl Lidar {
         frame.seal();
     }
 
+    /// Takes a frame's pixels alone, times `scale`, for the vehicle whose noise has this seed: one sensor serves many vehicles, and nothing is
+    /// copied or summed up. A thinned sensor's pixels are its beams as they are, gaps and all.
+    ///
+    /// # Panics
+    /// Pixels of another number than [`shape`](Self::shape) has.
+    pub fn look(&mut self, world: &World, shot: &Shot, seed: u64, scale: f32, pixels: &mut [f32]) {
+        self.seed = seed;
+        self.cast(world, shot.position_ned_m, shot.attitude);
+        self.measure(shot.sequence);
+        if self.every == 1 {
+            return self.image(scale, pixels.try_into().expect("a frame's pixels"));
+        }
+        assert_eq!(
+            pixels.len(),
+            self.beams.rings * self.beams.firings,
+            "a thinned frame's pixels"
+        );
+        for (pixel, inverse) in pixels.iter_mut().zip(self.inverse.iter()) {
+            *pixel = scale * image::normalised(*inverse);
+        }
+    }
+
     /// First stage of a capture: the true range along every beam, infinite where there is nothing.
     pub fn cast(&mut self, world: &World, position_ned_m: NedVector, attitude: Attitude) -> &Ranges {
         self.scene.place(world, position_ned_m, attitude);
@@ -178,14 +229,20 @@ impl Lidar {
     /// Second stage: noise, limits and dropouts on the ranges of the last [`cast`](Self::cast).
     pub fn measure(&mut self, sequence: u64) {
         let keys = NoiseKeys::new(self.seed, sequence);
-        noise::measure(self.simd, &self.config, keys, &self.ranges, &mut self.inverse);
+        let beams = self.beams.rings * self.beams.firings;
+        let inverse = &mut self.inverse[..beams];
+        noise::measure(self.simd, &self.config, keys, &self.ranges[..beams], inverse);
     }
 
     /// Third stage: the image of what was last measured. The header is left as it is.
     pub fn project(&mut self, frame: &mut DepthFrame) {
+        self.image(1.0, &mut frame.depth);
+    }
+
+    fn image(&mut self, scale: f32, pixels: &mut [f32; DEPTH_PIXELS]) {
         let tolerance_m = self.config.surface_tolerance_m;
         image::fill_gaps(self.simd, tolerance_m, &self.inverse, &mut self.filled);
-        image::project(self.simd, tolerance_m, &self.filled, &mut frame.depth);
+        image::project(self.simd, tolerance_m, scale, &self.filled, pixels);
     }
 
     /// The point cloud that was last measured, in body axes: one point per beam that returned.

@@ -4,9 +4,8 @@
 //! beams are computed.
 
 use super::LidarConfig;
-use super::beams::LIDAR_BEAMS;
-use super::cast::Ranges;
 use super::simd::vectorised;
+use super::tiles::TILE_FIRINGS;
 
 /// Standard deviation of the sum of four independent integers from 0 to 65535.
 const SIGMA_OF_SUM: f32 = 37_837.2;
@@ -58,26 +57,39 @@ fn mix(beam: u32, key: u32) -> u32 {
 
 vectorised! {
     /// Turns true ranges into the reciprocals of measured ranges, in 1/m; 0 where there was no return.
-    pub(crate) fn measure(config: &LidarConfig, keys: NoiseKeys, ranges: &Ranges, inverse: &mut Ranges) = measure_body;
+    pub(crate) fn measure(config: &LidarConfig, keys: NoiseKeys, ranges: &[f32], inverse: &mut [f32]) = measure_body;
 }
 
 #[inline(always)]
-fn measure_body(config: &LidarConfig, keys: NoiseKeys, ranges: &Ranges, inverse: &mut Ranges) {
+fn measure_body(config: &LidarConfig, keys: NoiseKeys, ranges: &[f32], inverse: &mut [f32]) {
     let sigma_m = config.range_noise_sigma_m;
     let (min_m, max_m) = (config.min_range_m, config.max_range_m);
     // Probabilities are within 0..=1; the cast saturates at 1.
     let dropped_below = (f64::from(config.dropout_probability) * 4_294_967_296.0) as u32;
-    for beam in 0..LIDAR_BEAMS {
-        let true_m = ranges[beam];
-        let measured_m = true_m + sigma_m * keys.normal(beam as u32);
+    let measured = |beam: u32, true_m: f32| {
+        let measured_m = true_m + sigma_m * keys.normal(beam);
         let measured_m = if measured_m > min_m { measured_m } else { min_m };
-        let returned = (true_m <= max_m) & (keys.uniform(beam as u32) >= dropped_below);
-        inverse[beam] = if returned { 1.0 / measured_m } else { 0.0 };
+        let returned = (true_m <= max_m) & (keys.uniform(beam) >= dropped_below);
+        if returned { 1.0 / measured_m } else { 0.0 }
+    };
+    let (ranges, _) = ranges.as_chunks::<TILE_FIRINGS>();
+    let (inverse, _) = inverse.as_chunks_mut::<TILE_FIRINGS>();
+    for (first, (ranges, inverse)) in ranges.iter().zip(inverse).enumerate() {
+        // Where nothing is, nothing is measured: much of a view is sky.
+        if ranges.iter().fold(true, |all, range_m| all & (*range_m > max_m)) {
+            *inverse = [0.0; TILE_FIRINGS];
+            continue;
+        }
+        let beam = (first * TILE_FIRINGS) as u32;
+        for k in 0..TILE_FIRINGS {
+            inverse[k] = measured(beam.wrapping_add(k as u32), ranges[k]);
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::LIDAR_BEAMS;
     use super::*;
 
     fn samples(seed: u64, sequence: u64) -> Vec<f64> {

@@ -1,6 +1,6 @@
 //! The solids and planes around the sensor, relative to it.
 
-use super::leaf::{Leaf, Ray, Rotation, lesser, plane_range_m};
+use super::leaf::{Leaf, Rotation, lesser, plane_range_m};
 use crate::world::World;
 use vigil_types::{Attitude, NedVector};
 
@@ -30,14 +30,14 @@ impl Scene {
         self.planes_z_m = [-sensor_ned_m.z, ceiling_z_m];
         self.leaves.clear();
         self.leaves
-            .extend(world.solids().iter().map(|solid| Leaf::of(solid, sensor_ned_m)));
+            .extend(world.solids().map(|solid| Leaf::of(&solid, sensor_ned_m)));
     }
 
     #[inline(always)]
-    pub(crate) fn planes_range_m(&self, ray: &Ray) -> f32 {
+    pub(crate) fn planes_range_m(&self, inverse_z: f32) -> f32 {
         lesser(
-            plane_range_m(self.planes_z_m[0], ray),
-            plane_range_m(self.planes_z_m[1], ray),
+            plane_range_m(self.planes_z_m[0], inverse_z),
+            plane_range_m(self.planes_z_m[1], inverse_z),
         )
     }
 }

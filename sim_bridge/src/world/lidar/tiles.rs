@@ -47,6 +47,9 @@ impl Plane {
 }
 
 pub(crate) struct Tiles {
+    /// Strips and bands that hold beams, the first of them.
+    strips: usize,
+    bands_used: usize,
     /// Left edges of the strips and the right edge of the last, normals to the right, in body axes.
     edges: [Plane; STRIPS + 1],
     /// Upper and lower planes of every tile, normals inwards, in body axes.
@@ -56,11 +59,13 @@ pub(crate) struct Tiles {
 }
 
 impl Tiles {
-    pub(crate) fn new() -> Self {
-        // Half a pixel outside of the outermost beams.
-        let edge_rad = |strip: usize| column_bearing_rad((strip * TILE_FIRINGS) as f32 - 0.5);
-        let upper_rad = |band: usize| row_elevation_rad(ring_row(band * TILE_RINGS) as f32 - 0.5);
-        let lower_rad = |band: usize| row_elevation_rad(ring_row((band + 1) * TILE_RINGS - 1) as f32 + 0.5);
+    /// For one ring and firing of `every`.
+    pub(crate) fn new(every: usize) -> Self {
+        // At least half a pixel outside of the outermost beams.
+        let edge_rad = |strip: usize| column_bearing_rad((every * strip * TILE_FIRINGS) as f32 - 0.5);
+        let row = |ring: usize| (ring_row(every * ring) + every - 1) as f32;
+        let upper_rad = |band: usize| row_elevation_rad(row(band * TILE_RINGS) - 0.5);
+        let lower_rad = |band: usize| row_elevation_rad(row((band + 1) * TILE_RINGS - 1) + 0.5);
         let edges = core::array::from_fn(|s| Plane([-libm::sinf(edge_rad(s)), libm::cosf(edge_rad(s)), 0.0]));
         let bands = core::array::from_fn(|s| {
             let middle = 0.5 * (edge_rad(s) + edge_rad(s + 1));
@@ -79,6 +84,8 @@ impl Tiles {
             })
         });
         Self {
+            strips: STRIPS / every,
+            bands_used: BANDS / every,
             edges,
             bands,
             in_strip: core::array::from_fn(|_| Vec::new()),
@@ -96,16 +103,16 @@ impl Tiles {
             list.clear();
         }
         for (i, leaf) in scene.leaves.iter().enumerate() {
-            let extents = edges.map(|e| e.extents(leaf));
-            for (strip, list) in self.in_strip.iter_mut().enumerate() {
-                let (left, right) = (extents[strip], extents[strip + 1]);
+            let mut right = edges[0].extents(leaf);
+            for (strip, list) in self.in_strip[..self.strips].iter_mut().enumerate() {
+                let left = core::mem::replace(&mut right, edges[strip + 1].extents(leaf));
                 if left.0 + left.1 >= 0.0 && right.0 - right.1 <= 0.0 {
                     list.push(i as u32);
                 }
             }
         }
-        for (strip, list) in self.in_strip.iter().enumerate() {
-            for band in 0..BANDS {
+        for (strip, list) in self.in_strip[..self.strips].iter().enumerate() {
+            for band in 0..self.bands_used {
                 let planes = self.bands[strip][band].map(|p| p.rotated(&scene.rotation));
                 let mut visible = list.iter().map(|i| &scene.leaves[*i as usize]).filter(|leaf| {
                     planes.iter().all(|p| {

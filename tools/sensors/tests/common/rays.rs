@@ -22,8 +22,8 @@ pub fn cast(world: &World, from: NedVector, direction: NedVector) -> Option<(f64
     if let Some(height_m) = world.ceiling_height_m() {
         meet(plane(f64::from(height_m)), usize::MAX - 1);
     }
-    for (i, solid) in world.solids().iter().enumerate() {
-        meet(range_of(solid, o, d), i);
+    for (i, solid) in world.solids().enumerate() {
+        meet(range_of(&solid, o, d), i);
     }
     nearest
 }
