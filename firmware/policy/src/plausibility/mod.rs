@@ -607,6 +607,8 @@ impl PlausibilityCheck {
         let down = anchor.pose.attitude.to_frd(NedVector::new(0.0, 0.0, side * DOWN_M));
         let tested = [map, map.turned((cos, sin)), map.stretched(1.0 + sin), map.shifted(down)];
         let mirror = map.mirrored();
+        // Straight ahead or straight up a mirrored sensor sees the same: what differs there is the error of the estimated roll.
+        let aside = map.aside_m() >= LEAST_M;
         let mut errors = Errors::NONE;
         for (row, column) in samples(self.step) {
             let (found, (there_row, there_column)) = look(
@@ -642,7 +644,7 @@ impl PlausibilityCheck {
             let wider = look_widened(&self.directions, cell, seen, &map, &anchor.picture, side * WIDENING).0;
             errors.add(straight, [turned, longer, lower, wider], side);
             let Some(straight) = straight.cost() else { continue };
-            if let Some(mirrored) = found(&mirror).cost() {
+            if aside && let Some(mirrored) = found(&mirror).cost() {
                 self.evidence.mirrored += straight - mirrored;
                 self.evidence.far_cost += straight;
             }

@@ -1,5 +1,6 @@
 //! Two pictures and the way between them: does one follow from the other?
 
+use super::METRES_PER_RADIAN;
 use super::picture::{COLS, Directions, MIDDLE_COLUMN, Picture, ROWS, Seen, bearing_rad, place_of};
 use vigil_types::{Attitude, FrdVector, NedVector};
 
@@ -51,6 +52,11 @@ impl Map {
             z: back(self.z),
             shift: back(self.shift),
         }
+    }
+
+    /// How far the motion leads aside, metres; a turn to the side counts as [`METRES_PER_RADIAN`].
+    pub(super) fn aside_m(&self) -> f32 {
+        self.shift.y.abs() + METRES_PER_RADIAN * self.x.y.abs()
     }
 
     /// The same motion over a longer or a shorter way.

@@ -21,6 +21,11 @@ struct Flight {
     /// How much wider the sensor's view is than it is taken for.
     width: f32,
     speed_m_s: f32,
+    climb_m_s: f32,
+    /// How far the vehicle rolls to and fro.
+    sway_rad: f32,
+    /// A roll that the estimate takes for one to the other side.
+    misread_roll_rad: f32,
     position: NedVector,
     yaw_rad: f32,
 }
@@ -68,6 +73,9 @@ impl Flight {
             mount_rad: 0.0,
             width: 1.0,
             speed_m_s: 1.5,
+            climb_m_s: 0.0,
+            sway_rad: 0.03,
+            misread_roll_rad: 0.0,
             position: NedVector::new(0.0, 0.0, -1.5),
             yaw_rad: -0.1,
         };
@@ -81,10 +89,12 @@ impl Flight {
         let time_s = self.step as f32 * STEP_S;
         let sway = libm::sinf(2.0 * time_s);
         self.yaw_rad += self.yaw_rate_rad_s * sway * STEP_S;
-        let velocity = vigil_types::HeadingVector::new(self.speed_m_s, 0.0, 0.0).to_ned(self.yaw_rad);
+        let velocity = vigil_types::HeadingVector::new(self.speed_m_s, 0.0, -self.climb_m_s).to_ned(self.yaw_rad);
         self.position = self.position + velocity * STEP_S;
-        let attitude = Attitude::from_euler_rad(0.03 * sway, -0.08 * self.speed_m_s / 1.5, self.yaw_rad);
-        let sensor = turned_by_exactly(attitude, self.mount_rad);
+        let (roll_rad, pitch_rad) = (self.sway_rad * sway, -0.08 * self.speed_m_s / 1.5);
+        let rolled = |more_rad| Attitude::from_euler_rad(roll_rad + more_rad, pitch_rad, self.yaw_rad);
+        let attitude = rolled(self.misread_roll_rad);
+        let sensor = turned_by_exactly(rolled(-self.misread_roll_rad), self.mount_rad);
         let mut noise = self.step as u32;
         for (pixel, depth) in self.frame.depth.iter_mut().enumerate() {
             let (bearing, elevation) = (
@@ -396,6 +406,30 @@ fn a_mirrored_or_turned_sensor_is_found_by_the_way_its_picture_moves() {
             found.is_some_and(|(_, d)| d == Reasons::of(Reason::InconsistentPicture)),
             "{degrees}: {found:?}"
         );
+    }
+}
+
+#[test]
+fn a_climb_straight_up_whose_roll_is_estimated_wrong_is_no_mirrored_sensor() {
+    let mut flight = Flight::new();
+    (
+        flight.speed_m_s,
+        flight.yaw_rate_rad_s,
+        flight.sway_rad,
+        flight.position.z,
+    ) = (0.0, 0.0, 0.0, -0.6);
+    for (seconds, climb_m_s, misread_rad) in [(3.0, 0.5, 0.008), (4.0, 0.0, 0.0)] {
+        flight.climb_m_s = climb_m_s;
+        let steps = (seconds / STEP_S) as usize;
+        for _ in 0..steps {
+            flight.misread_roll_rad += misread_rad / steps as f32;
+            assert_eq!(
+                flight.first_fault(1, good),
+                None,
+                "{climb_m_s} m/s, at {:?}",
+                flight.position
+            );
+        }
     }
 }
 
