@@ -1,8 +1,10 @@
-//! What a frame costs, stage by stage, and the two ways of casting side by side. One thread.
+//! What a frame costs, stage by stage, the two ways of casting side by side, and a step of the environment. One thread.
 
 use divan::Bencher;
+use vigil_sim::environment::{Environment, true_state::TrueCourse};
+use vigil_sim::vehicle::{VehicleParams, Wind};
 use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Method, Shot, World, generate};
-use vigil_types::{Attitude, DepthFrame, NedVector};
+use vigil_types::{Attitude, DepthFrame, HeadingVector, NedVector, VelocitySetpoint};
 
 fn main() {
     divan::main();
@@ -106,5 +108,40 @@ fn generate_validation_course(bencher: Bencher) {
     bencher.bench_local(|| {
         seed += 1;
         course(seed)
+    });
+}
+
+fn environment(seed: u64) -> Environment {
+    Environment::unseen(&course(seed), VehicleParams::default(), Wind::default(), seed).expect("valid")
+}
+
+/// 50 ms of vehicle and referee, in circles: what a step costs but for its frame.
+#[divan::bench(args = SEEDS)]
+fn advance(bencher: Bencher, seed: u64) {
+    let (mut environment, mut steps) = (environment(seed), 0);
+    let setpoint = VelocitySetpoint {
+        velocity_m_s: HeadingVector::new(0.5, 0.0, 0.0),
+        yaw_rate_rad_s: 0.6,
+    };
+    bencher.bench_local(|| {
+        steps += 1;
+        if environment.advance_unseen(setpoint).is_some() || steps % 600 == 0 {
+            environment = self::environment(seed);
+        }
+    });
+}
+
+/// The beginning of a flight: its course, world, vehicle and ways.
+#[divan::bench]
+fn begin(bencher: Bencher) {
+    let mut seed = 0;
+    bencher.bench_local(|| {
+        seed += 1;
+        let course = course(seed);
+        let environment = Environment::unseen(&course, VehicleParams::default(), Wind::default(), seed);
+        (
+            environment.expect("valid").goal_distance_m(),
+            TrueCourse::new(&course).way_m(course.start_ned_m()),
+        )
     });
 }

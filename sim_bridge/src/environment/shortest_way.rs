@@ -118,8 +118,16 @@ impl ShortestWay {
             }
             rising[place].push((length_m, n));
         };
+        // Of those that are known only what lies beside a cell to settle leads on.
+        let beside = |n: usize| {
+            let columns = (n % east).saturating_sub(1)..(n % east + 2).min(east);
+            let mut rows = (n / east).saturating_sub(1)..(n / east + 2).min(north);
+            rows.any(|row| into[row * east..][columns.clone()].iter().any(|f| f.is_finite()))
+        };
         let known = self.length_m.iter().enumerate().filter(|(_, l)| l.is_finite());
-        known.for_each(|(n, length_m)| put(&mut rising, *length_m, n));
+        for (n, length_m) in known.filter(|(n, _)| beside(*n)) {
+            put(&mut rising, *length_m, n);
+        }
         let mut place = 0;
         while place < rising.len() {
             let Some((length_m, n)) = rising[place].pop() else {

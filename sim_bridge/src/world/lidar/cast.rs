@@ -1,7 +1,7 @@
 //! The ranges of all beams of one sweep, computed in two ways that agree bit for bit.
 
 use super::beams::{BeamTable, LIDAR_BEAMS};
-use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, Ray, inverse, lesser};
+use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, MISS, Ray, inverse, lesser, plan2};
 use super::scene::Scene;
 use super::simd::{Simd, vectorised};
 use super::tiles::{TILE_FIRINGS, TILE_RINGS, Tiles};
@@ -48,6 +48,9 @@ pub(crate) fn cast_ray(world: &World, sensor_ned_m: NedVector, scene: &Scene, di
     hit.map_or(nearest_plane, |(_, t)| lesser(t, nearest_plane))
 }
 
+/// A beam whose direction is less far down than this looks up.
+const LOOKS_UP: f32 = -1e-6;
+
 /// The fast way: beams in tiles, each with the list of solids that can be seen in it, 16 beams at a time.
 pub(crate) struct TileCaster {
     tiles: Tiles,
@@ -89,22 +92,13 @@ impl TileCaster {
 struct Rays {
     x: [f32; TILE_FIRINGS],
     y: [f32; TILE_FIRINGS],
+    z: [f32; TILE_FIRINGS],
     inverse_z: [f32; TILE_FIRINGS],
     plan2: [f32; TILE_FIRINGS],
     inverse_plan2: [f32; TILE_FIRINGS],
 }
 
 impl Rays {
-    #[inline(always)]
-    fn set(&mut self, k: usize, direction: (f32, f32, f32)) {
-        let ray = Ray::new(direction);
-        self.x[k] = ray.x;
-        self.y[k] = ray.y;
-        self.inverse_z[k] = ray.inverse_z;
-        self.plan2[k] = ray.plan2;
-        self.inverse_plan2[k] = ray.inverse_plan2;
-    }
-
     #[inline(always)]
     fn get(&self, k: usize) -> Ray {
         Ray {
@@ -115,6 +109,12 @@ impl Rays {
             inverse_plan2: self.inverse_plan2[k],
         }
     }
+}
+
+/// Whether any of a ring's ranges is longer: what lies wholly beyond them changes none.
+#[inline(always)]
+fn reach_beyond(ranges: &[f32; TILE_FIRINGS], near_m: f32) -> bool {
+    ranges.iter().fold(false, |any, range_m| any | (*range_m > near_m))
 }
 
 vectorised! {
@@ -150,22 +150,40 @@ fn cast_tile_body(
         let out: &mut [f32; TILE_FIRINGS] = ranges[ring * beams.firings + first..]
             .first_chunk_mut()
             .expect("a whole tile");
-        for (k, range_m) in out.iter_mut().enumerate() {
-            *range_m = scene.planes_range_m(inverse(beam(k).2));
-        }
-        if cuboids.is_empty() && cylinders.is_empty() {
-            continue;
-        }
         let mut rays = Rays::default();
         for k in 0..TILE_FIRINGS {
-            rays.set(k, beam(k));
+            (rays.x[k], rays.y[k], rays.z[k]) = beam(k);
+        }
+        let empty = cuboids.is_empty() && cylinders.is_empty();
+        if empty && scene.is_open_above() && rays.z.iter().fold(true, |all, z| all & (*z < LOOKS_UP)) {
+            *out = [MISS; TILE_FIRINGS];
+            continue;
+        }
+        for (k, range_m) in out.iter_mut().enumerate() {
+            rays.inverse_z[k] = inverse(rays.z[k]);
+            *range_m = scene.planes_range_m(rays.inverse_z[k]);
+        }
+        if empty {
+            continue;
         }
         for leaf in cuboids {
+            if !reach_beyond(out, leaf.nearest_m) {
+                break;
+            }
             for (k, range_m) in out.iter_mut().enumerate() {
                 *range_m = lesser(leaf.range_m(&rays.get(k)), *range_m);
             }
         }
+        if cylinders.is_empty() {
+            continue;
+        }
+        for k in 0..TILE_FIRINGS {
+            (rays.plan2[k], rays.inverse_plan2[k]) = plan2(rays.x[k], rays.y[k]);
+        }
         for leaf in cylinders {
+            if !reach_beyond(out, leaf.nearest_m) {
+                break;
+            }
             for (k, range_m) in out.iter_mut().enumerate() {
                 *range_m = lesser(leaf.range_m(&rays.get(k)), *range_m);
             }

@@ -96,15 +96,27 @@ pub(crate) struct Ray {
 impl Ray {
     #[inline(always)]
     pub(crate) fn new((x, y, z): (f32, f32, f32)) -> Self {
-        let plan2 = nonzero(x * x + y * y);
+        let (plan2, inverse_plan2) = plan2(x, y);
         Self {
             x,
             y,
             inverse_z: inverse(z),
             plan2,
-            inverse_plan2: 1.0 / plan2,
+            inverse_plan2,
         }
     }
+}
+
+/// x² + y² and its inverse.
+#[inline(always)]
+pub(crate) fn plan2(x: f32, y: f32) -> (f32, f32) {
+    let plan2 = nonzero(x * x + y * y);
+    (plan2, 1.0 / plan2)
+}
+
+/// What no range of a solid is shorter than: its distance in the plan view, less what rounding may take from it.
+fn nearest_m(plan_distance_m: f32) -> f32 {
+    0.999 * plan_distance_m - 0.01
 }
 
 /// A horizontal plane, ground or ceiling, `z_m` below the sensor.
@@ -138,6 +150,7 @@ pub(crate) struct CuboidLeaf {
     pub(crate) half_m: [f32; 3],
     pub(crate) sin_yaw: f32,
     pub(crate) cos_yaw: f32,
+    pub(crate) nearest_m: f32,
 }
 
 impl CuboidLeaf {
@@ -164,6 +177,7 @@ pub(crate) struct CylinderLeaf {
     pub(crate) radius2_m2: f32,
     pub(crate) half_height_m: f32,
     pub(crate) radius_m: f32,
+    pub(crate) nearest_m: f32,
 }
 
 impl CylinderLeaf {
@@ -203,11 +217,14 @@ impl Leaf {
                 ..
             } => {
                 let (sin_yaw, cos_yaw) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
+                let centre_m = [cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, z];
+                let beside_m = [0, 1].map(|k| greater(centre_m[k].abs() - half_extents_m[k], 0.0));
                 Self::Cuboid(CuboidLeaf {
-                    centre_m: [cos_yaw * x + sin_yaw * y, cos_yaw * y - sin_yaw * x, z],
+                    centre_m,
                     half_m: half_extents_m,
                     sin_yaw,
                     cos_yaw,
+                    nearest_m: nearest_m(libm::hypotf(beside_m[0], beside_m[1])),
                 })
             }
             Solid::Cylinder {
@@ -219,7 +236,16 @@ impl Leaf {
                 radius2_m2: radius_m * radius_m,
                 half_height_m,
                 radius_m,
+                nearest_m: nearest_m(libm::hypotf(x, y) - radius_m),
             }),
+        }
+    }
+
+    /// What no range of it is shorter than, metres.
+    pub(crate) fn nearest_m(&self) -> f32 {
+        match self {
+            Self::Cuboid(leaf) => leaf.nearest_m,
+            Self::Cylinder(leaf) => leaf.nearest_m,
         }
     }
 

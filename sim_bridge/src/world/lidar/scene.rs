@@ -10,6 +10,8 @@ pub(crate) struct Scene {
     /// Ground and ceiling, metres below the sensor; a missing ceiling is infinitely high.
     planes_z_m: [f32; 2],
     pub(crate) leaves: Vec<Leaf>,
+    /// Their numbers, the nearest first.
+    pub(crate) nearest_first: Vec<u32>,
 }
 
 impl Scene {
@@ -18,6 +20,7 @@ impl Scene {
             rotation: Rotation::of(Attitude::LEVEL_NORTH),
             planes_z_m: [f32::INFINITY, f32::NEG_INFINITY],
             leaves: Vec::new(),
+            nearest_first: Vec::new(),
         }
     }
 
@@ -31,6 +34,16 @@ impl Scene {
         self.leaves.clear();
         self.leaves
             .extend(world.solids().map(|solid| Leaf::of(&solid, sensor_ned_m)));
+        self.nearest_first.clear();
+        self.nearest_first.extend(0..self.leaves.len() as u32);
+        let nearest_m = |number: &u32| self.leaves[*number as usize].nearest_m();
+        self.nearest_first
+            .sort_unstable_by(|a, b| nearest_m(a).total_cmp(&nearest_m(b)));
+    }
+
+    /// Whether a beam that looks up meets no plane.
+    pub(crate) fn is_open_above(&self) -> bool {
+        self.planes_z_m[0] >= 0.0 && self.planes_z_m[1] == f32::NEG_INFINITY
     }
 
     #[inline(always)]

@@ -92,7 +92,7 @@ impl Tiles {
         }
     }
 
-    /// Calls `tile(strip, band, solids that may be seen in it)` for every tile.
+    /// Calls `tile(strip, band, solids that may be seen in it)` for every tile, the nearest solid first.
     pub(crate) fn cull<'a>(
         &mut self,
         scene: &'a Scene,
@@ -102,12 +102,13 @@ impl Tiles {
         for list in &mut self.in_strip {
             list.clear();
         }
-        for (i, leaf) in scene.leaves.iter().enumerate() {
+        for i in &scene.nearest_first {
+            let leaf = &scene.leaves[*i as usize];
             let mut right = edges[0].extents(leaf);
             for (strip, list) in self.in_strip[..self.strips].iter_mut().enumerate() {
                 let left = core::mem::replace(&mut right, edges[strip + 1].extents(leaf));
                 if left.0 + left.1 >= 0.0 && right.0 - right.1 <= 0.0 {
-                    list.push(i as u32);
+                    list.push(*i);
                 }
             }
         }
