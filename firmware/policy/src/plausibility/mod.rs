@@ -67,6 +67,8 @@ const ANCHOR_USEFUL_NS: Nanos = 6_000_000_000;
 const NEAR_M: f32 = 0.35;
 const FAR_M: f32 = 1.2;
 const LEAST_M: f32 = 0.15;
+/// A mirrored sensor shows over a way that leads this far aside; over less the errors of estimated roll and position decide.
+const LEAST_ASIDE_M: f32 = 0.08;
 /// A way that is long enough, and flown fast enough, to tell 5° from the error of the estimated position.
 const DIRECTED_M: f32 = 0.7;
 const DIRECTED_M_S: f32 = 0.5;
@@ -608,7 +610,7 @@ impl PlausibilityCheck {
         let tested = [map, map.turned((cos, sin)), map.stretched(1.0 + sin), map.shifted(down)];
         let mirror = map.mirrored();
         // Straight ahead or straight up a mirrored sensor sees the same: what differs there is the error of the estimated roll.
-        let aside = map.aside_m() >= LEAST_M;
+        let aside = map.aside_m() >= LEAST_ASIDE_M;
         let mut errors = Errors::NONE;
         for (row, column) in samples(self.step) {
             let (found, (there_row, there_column)) = look(

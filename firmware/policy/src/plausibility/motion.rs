@@ -54,9 +54,9 @@ impl Map {
         }
     }
 
-    /// How far the motion leads aside, metres; a turn to the side counts as [`METRES_PER_RADIAN`].
+    /// How far the motion leads aside, metres; a turn to the side, or a roll, counts as [`METRES_PER_RADIAN`].
     pub(super) fn aside_m(&self) -> f32 {
-        self.shift.y.abs() + METRES_PER_RADIAN * self.x.y.abs()
+        self.shift.y.abs() + METRES_PER_RADIAN * (self.x.y.abs() + self.z.y.abs())
     }
 
     /// The same motion over a longer or a shorter way.
