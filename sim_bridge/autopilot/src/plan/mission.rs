@@ -395,12 +395,12 @@ impl Mission {
         self.stage = Stage::Fresh;
     }
 
-    /// Makes an item the current one; `false` if there is no such item. `resets` forgets jumps and completion first.
-    pub fn set_current(&mut self, index: usize, resets: bool) -> bool {
+    /// Makes an item the current one; `false` if there is no such item.
+    pub fn set_current(&mut self, index: usize) -> bool {
         if index >= self.items.len() {
             return false;
         }
-        if resets || self.is_complete {
+        if self.is_complete {
             self.rewind();
         }
         self.current = index;

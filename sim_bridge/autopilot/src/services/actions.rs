@@ -12,7 +12,6 @@ use vigil_mavlink::framing::{Command, CommandForm, Packet};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::NedVector;
 
-const NAV_LOITER_UNLIM: u16 = 17;
 const NAV_RETURN_TO_LAUNCH: u16 = 20;
 const NAV_LAND: u16 = 21;
 const NAV_TAKEOFF: u16 = 22;
@@ -60,7 +59,6 @@ impl Service for Actions {
                     set_mode(Requested::from_px4(main, sub), source, core)
                 }
             }
-            NAV_LOITER_UNLIM => set_mode(Requested::Flown(FlightMode::Hold), source, core),
             NAV_RETURN_TO_LAUNCH => set_mode(Requested::Flown(FlightMode::Return), source, core),
             NAV_LAND => set_mode(Requested::Flown(FlightMode::Land), source, core),
             NAV_TAKEOFF => take_off(command, core),

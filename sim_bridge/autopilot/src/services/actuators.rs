@@ -1,6 +1,6 @@
 //! What the motors are told, as pulse widths: ACTUATOR_OUTPUT_STATUS and SERVO_OUTPUT_RAW. 1000 µs is standstill, 2000 µs
-//! the top speed; disarmed motors get 900 µs, as PX4 has it. ACTUATOR_TEST and DO_MOTOR_TEST show in these outputs and move nothing:
-//! the propellers are off.
+//! the top speed; disarmed motors get 900 µs, as PX4 has it. ACTUATOR_TEST shows in these outputs and moves nothing: the
+//! propellers are off.
 
 use crate::LinkId;
 use crate::core::{Core, nanos};
@@ -14,10 +14,6 @@ use vigil_types::Nanos;
 const DISARMED_US: f32 = 900.0;
 
 const ACTUATOR_TEST: u16 = 310;
-/// The older command for the same.
-const DO_MOTOR_TEST: u16 = 209;
-/// MOTOR_TEST_THROTTLE_PERCENT.
-const PERCENT: f32 = 0.0;
 /// ACTUATOR_OUTPUT_FUNCTION_MOTOR1 to 4.
 const MOTORS: core::ops::RangeInclusive<f32> = 1.0..=4.0;
 /// PX4's longest test; one without a time lasts as long.
@@ -36,25 +32,20 @@ pub(crate) struct Actuators {
 }
 
 impl Service for Actuators {
-    /// Parameter 1 is the output (0 to 1, NaN ends the test), 2 the time in seconds, 5 the motor. Of the older command 1 is the
-    /// motor, 2 the kind of parameter 3 (percent alone), 4 the time.
+    /// Parameter 1 is the output (0 to 1, NaN ends the test), 2 the time in seconds, 5 the motor.
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
-        if !matches!(command.number, ACTUATOR_TEST | DO_MOTOR_TEST) {
+        if command.number != ACTUATOR_TEST {
             return None;
         }
         if core.commander.is_armed() {
             core.text(MavSeverity::MAV_SEVERITY_WARNING, "actuator test denied: armed");
             return Some(Answer::REJECTED);
         }
-        let (function, output, lasts_s) = match (command.number, command.form) {
-            (DO_MOTOR_TEST, _) if command.param(2).unwrap_or(PERCENT) != PERCENT => return Some(Answer::UNSUPPORTED),
-            (DO_MOTOR_TEST, _) => {
-                let share = command.param(3).map(|percent| percent / 100.0);
-                (command.param(1), share, command.param(4))
-            }
-            (_, CommandForm::Int { x, .. }) => (Some(x as f32), command.param(1), command.param(2)),
-            (_, CommandForm::Long { .. }) => (command.param(5), command.param(1), command.param(2)),
+        let function = match command.form {
+            CommandForm::Int { x, .. } => Some(x as f32),
+            CommandForm::Long { .. } => command.param(5),
         };
+        let (output, lasts_s) = (command.param(1), command.param(2));
         let motor = function.filter(|function| MOTORS.contains(function) && function.fract() == 0.0);
         let Some(test) = motor.and_then(|motor| self.tests.get_mut(motor as usize - 1)) else {
             return Some(Answer::UNSUPPORTED);

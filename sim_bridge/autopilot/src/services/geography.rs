@@ -13,8 +13,6 @@ use vigil_mavlink::framing::{Command, Packet};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::NedVector;
 
-/// MAV_CMD_GET_HOME_POSITION: the old way to ask for HOME_POSITION.
-const GET_HOME_POSITION: u16 = 410;
 /// MAV_CMD_DO_SET_HOME.
 const DO_SET_HOME: u16 = 179;
 /// How far the height of a place may be from home's that is still meant to be the same.
@@ -30,15 +28,8 @@ impl Service for Geography {
         }
     }
 
-    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
-        match command.number {
-            GET_HOME_POSITION => {
-                core.request(source.link, HOME_POSITION_DATA::ID);
-                Some(Answer::ACCEPTED)
-            }
-            DO_SET_HOME => Some(set_home(command, core)),
-            _ => None,
-        }
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
+        (command.number == DO_SET_HOME).then(|| set_home(command, core))
     }
 
     fn messages(&self) -> &'static [Produced] {

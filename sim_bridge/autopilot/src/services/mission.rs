@@ -11,8 +11,6 @@ use vigil_mavlink::framing::{Command, Packet};
 use vigil_mavlink::mavlink::MessageData;
 
 const DO_CHANGE_SPEED: u16 = 178;
-const DO_PAUSE_CONTINUE: u16 = 193;
-const DO_SET_MISSION_CURRENT: u16 = 224;
 const MISSION_START: u16 = 300;
 
 pub(crate) struct MissionService;
@@ -22,7 +20,7 @@ impl Service for MissionService {
         if packet.message_id() == MISSION_SET_CURRENT_DATA::ID {
             let byte = |at: usize| packet.payload().get(at).copied().unwrap_or(0);
             let index = usize::from(u16::from_le_bytes([byte(0), byte(1)]));
-            if !set_current(index, false, core) {
+            if !set_current(index, core) {
                 core.refusals.plan += 1;
                 let text = format!("there is no mission item {index}");
                 core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
@@ -33,28 +31,6 @@ impl Service for MissionService {
     fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
         Some(match command.number {
             MISSION_START => start(command, source, core),
-            DO_PAUSE_CONTINUE => {
-                let mode = match command.param(1) {
-                    Some(0.0) => FlightMode::Hold,
-                    Some(1.0) => FlightMode::Mission,
-                    _ => return Some(Answer::DENIED),
-                };
-                let outcome = core.change_mode(mode, source);
-                answer(outcome, core)
-            }
-            DO_SET_MISSION_CURRENT => {
-                let resets = command.param(2) == Some(1.0);
-                let index = match command.param(1) {
-                    Some(-1.0) => usize::from(core.plans.mission.current()),
-                    Some(index) if index >= 0.0 => index as usize,
-                    _ => return Some(Answer::DENIED),
-                };
-                if set_current(index, resets, core) {
-                    Answer::ACCEPTED
-                } else {
-                    Answer::DENIED
-                }
-            }
             DO_CHANGE_SPEED => match (command.param(1), command.param(2)) {
                 // Airspeed and ground speed are one without wind; rates of climb are parameters.
                 (Some(0.0 | 1.0), Some(speed_m_s)) if speed_m_s > 0.0 => {
@@ -89,8 +65,8 @@ impl Service for MissionService {
     }
 }
 
-fn set_current(index: usize, resets: bool, core: &mut Core) -> bool {
-    let is_set = core.plans.mission.set_current(index, resets);
+fn set_current(index: usize, core: &mut Core) -> bool {
+    let is_set = core.plans.mission.set_current(index);
     if is_set {
         core.mission_changed();
     }
@@ -102,7 +78,7 @@ fn start(command: &Command, source: Source, core: &mut Core) -> Answer {
     match command.param(1) {
         None | Some(-1.0) => {}
         Some(first) if first >= 0.0 => {
-            if !set_current(first as usize, false, core) {
+            if !set_current(first as usize, core) {
                 return Answer::DENIED;
             }
         }

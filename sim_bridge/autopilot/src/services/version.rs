@@ -1,31 +1,17 @@
 //! AUTOPILOT_VERSION and PROTOCOL_VERSION: who this is and what it can do.
 
 use crate::core::Core;
-use crate::service::{Answer, Build, Produced, Service, Source};
+use crate::service::{Build, Produced, Service};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{AUTOPILOT_VERSION_DATA, MavProtocolCapability as Capability, PROTOCOL_VERSION_DATA};
-use vigil_mavlink::framing::Command;
 use vigil_mavlink::mavlink::MessageData;
 
-/// The commands of before REQUEST_MESSAGE.
-const REQUEST_PROTOCOL_VERSION: u16 = 519;
-const REQUEST_AUTOPILOT_CAPABILITIES: u16 = 520;
 /// The PX4 whose dialect is spoken: 1.15.4, a release (255).
 const DIALECT_OF_PX4: u32 = 1 << 24 | 15 << 16 | 4 << 8 | 255;
 
 pub(crate) struct Version;
 
 impl Service for Version {
-    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
-        let id = match command.number {
-            REQUEST_PROTOCOL_VERSION => PROTOCOL_VERSION_DATA::ID,
-            REQUEST_AUTOPILOT_CAPABILITIES => AUTOPILOT_VERSION_DATA::ID,
-            _ => return None,
-        };
-        core.request(source.link, id);
-        Some(Answer::ACCEPTED)
-    }
-
     fn messages(&self) -> &'static [Produced] {
         &[
             Produced {

@@ -318,12 +318,6 @@ fn a_motor_test_shows_in_the_outputs_for_its_time() {
     assert_eq!(test(&mut b, 0.2, 3.0, 1.0), ACCEPTED);
     assert_eq!(test(&mut b, f32::NAN, 0.0, 1.0), ACCEPTED);
     assert_eq!(outputs(&mut b), [900.0; 4]);
-    let older =
-        |b: &mut Bench, kind: f32, value: f32| b.command_long(API, SCRIPT, 209, [3.0, kind, value, 1.0, 0.0, 0.0, 0.0]);
-    assert_eq!(older(&mut b, 0.0, 30.0), ACCEPTED);
-    assert_eq!(outputs(&mut b), [900.0, 900.0, 1300.0, 900.0]);
-    assert_eq!(older(&mut b, 1.0, 1300.0), UNSUPPORTED, "a pulse");
-    b.run_ms(1_000);
     assert_eq!(test(&mut b, 0.2, 1.0, 33.0), UNSUPPORTED);
     assert_eq!(test(&mut b, 7.0, 1.0, 1.0), DENIED);
     assert_eq!(b.status().landed, LandedState::OnGround);

@@ -117,10 +117,7 @@ fn a_pause_holds_and_a_start_goes_on() {
         (current(&b).seq, current(&b).mission_state),
         (1, MissionState::MISSION_STATE_PAUSED)
     );
-    assert_eq!(
-        b.command_long(API, SCRIPT, 193, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
-        ACCEPTED
-    );
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 4), ACCEPTED);
     b.run_until(30, "second waypoint", |b| reached(b) == [0, 1]);
     assert!(b.position_m()[0] > 38.0);
 }
@@ -195,10 +192,8 @@ fn the_current_item_can_be_chosen() {
     assert!(b.texts().iter().any(|t| t.contains("no mission item 9")));
     assert_eq!(start(&mut b), ACCEPTED);
     b.run_until(15, "second waypoint", |b| reached(b) == [1]);
-    // In flight by command: back to the first; a wrong number is denied.
-    let set = |seq: f32| [seq, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-    assert_eq!(b.command_long(API, SCRIPT, 224, set(0.0)), ACCEPTED);
-    assert_eq!(b.command_long(API, SCRIPT, 224, set(3.0)), DENIED);
+    // In flight: back to the first.
+    b.send(API, SCRIPT, &choose(0));
     b.run_until(30, "first waypoint", |b| b.position_m()[0] > 28.0);
 }
 

@@ -1,7 +1,8 @@
 //! Streams, requests, parameters, identity: what clients ask besides flying.
 
 use crate::testing::*;
-use crate::{EndpointConfig, parameter_table};
+use crate::tests::plans::{MISSION, waypoint};
+use crate::{EndpointConfig, FlightMode, parameter_table};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
 use vigil_mavlink::mavlink::MessageData;
@@ -127,16 +128,36 @@ fn requests_are_answered_on_the_link_they_came_on() {
             .contains(MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE)
     );
     assert_eq!(version.flight_sw_version >> 24, 1);
-    assert_eq!(b.command_long(API, SCRIPT, 520, [1.0; 7]), ACCEPTED);
-    assert_eq!(b.count(API, AUTOPILOT_VERSION_DATA::ID), 2);
     for id in [HOME_POSITION_DATA::ID, GPS_GLOBAL_ORIGIN_DATA::ID] {
         b.sent.clear();
         assert_eq!(b.command_long(API, SCRIPT, 512, request(id)), ACCEPTED);
         assert_eq!(b.count(API, id), 1);
     }
-    b.sent.clear();
-    assert_eq!(b.command_long(API, SCRIPT, 410, [0.0; 7]), ACCEPTED);
-    assert_eq!(b.count(API, HOME_POSITION_DATA::ID), 1);
+}
+
+/// PX4 1.18: pauses and starts are mode changes, MISSION_SET_CURRENT chooses an item, ACTUATOR_TEST tries a motor, REQUEST_MESSAGE asks
+/// for HOME_POSITION and the two versions.
+#[test]
+fn commands_that_px4_does_not_know_are_unsupported_and_change_nothing() {
+    let mut b = Bench::airborne();
+    b.upload(MISSION, &[waypoint((30.0, 0.0), 3.0), waypoint((0.0, 10.0), 3.0)]);
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 4), ACCEPTED);
+    for command in [17, 193, 209, 224, 410, 519, 520] {
+        for first in [0.0, 1.0] {
+            b.sent.clear();
+            let params = [first, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+            assert_eq!(b.command_long(API, SCRIPT, command, params), UNSUPPORTED, "{command}");
+            for id in [
+                HOME_POSITION_DATA::ID,
+                AUTOPILOT_VERSION_DATA::ID,
+                PROTOCOL_VERSION_DATA::ID,
+            ] {
+                assert_eq!(b.count(API, id), 0, "{command}");
+            }
+        }
+    }
+    assert_eq!(b.status().mode, FlightMode::Mission);
+    assert_eq!(b.status().refusals.command_unsupported, 14);
 }
 
 #[test]
