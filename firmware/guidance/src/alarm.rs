@@ -19,7 +19,7 @@ const WAY_SPEED: ParameterSpec = ParameterSpec::unlisted("way_speed", (0.0, 1.5)
 const ASTRAY: ParameterSpec = ParameterSpec::unlisted("astray", (0.0, 100.0), "m", 6.0);
 const APART: ParameterSpec = ParameterSpec::unlisted("apart", (0.1, 3.0), "", 2.0);
 // Longer than a swerve round an obstacle on the other side than the planner's (docs/detection.md).
-const DISAGREEMENT: ParameterSpec = ParameterSpec::unlisted("disagreement", (0.0, 60.0), "s", 2.5);
+const DISAGREEMENT: ParameterSpec = ParameterSpec::unlisted("disagreement", (0.0, 60.0), "s", 3.5);
 // Unaltered, no frame of three families fell below 0.70 with up to three times the sensor's noise (docs/robustness.md).
 const SMOOTH_SHARE: ParameterSpec = ParameterSpec::unlisted("smooth_share", (0.0, 0.95), "", ROUGH_BELOW as f64);
 // The detector's window is ten steps long.
@@ -558,8 +558,8 @@ mod tests {
                 alarm.map(|alarm| alarm.cause) == Some(AlarmCause::Disagreement)
             })
         };
-        assert_eq!(steps_until_disagreement(&[3.0]), Some(50), "two and a half seconds");
-        assert!(steps_until_disagreement(&[3.0, 3.0, 0.0]).is_some_and(|steps| (140..160).contains(&steps)));
+        assert_eq!(steps_until_disagreement(&[3.0]), Some(70), "three and a half seconds");
+        assert!(steps_until_disagreement(&[3.0, 3.0, 0.0]).is_some_and(|steps| (200..220).contains(&steps)));
         assert_eq!(steps_until_disagreement(&[3.0, 0.0]), None);
         assert_eq!(steps_until_disagreement(&[1.9]), None, "a swerve");
         assert_eq!(steps_until_disagreement(&[f32::NAN]), None);

@@ -234,7 +234,7 @@ fn an_actor_that_goes_on_turning_the_other_way_than_the_planner_is_stopped_altho
     }
     s.recovery.as_mut().unwrap().yaw = 1.5;
     s.action.as_mut().unwrap().yaw = -1.5;
-    assert!((50..52).contains(&s.until(Hold)));
+    assert!((70..72).contains(&s.until(Hold)));
     let stop = s.last.unwrap();
     assert_eq!(
         (stop.reasons, stop.alarm.unwrap().cause),

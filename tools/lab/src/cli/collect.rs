@@ -24,7 +24,7 @@ const CHOOSE_SEED: u64 = 4500;
 #[derive(Debug, Clone, clap::Args)]
 pub struct CollectArgs {
     /// Attacked windows to learn from, and at least as many others; a fifth as many choose the epoch.
-    #[arg(long, default_value_t = 30_000, value_parser = clap::value_parser!(u64).range(100..))]
+    #[arg(long, default_value_t = 60_000, value_parser = clap::value_parser!(u64).range(100..))]
     windows: u64,
 
     /// Fly only some flights of this set and leave them in the folder as learn.jsonl or choose.jsonl, for another machine

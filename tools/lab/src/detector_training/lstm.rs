@@ -31,7 +31,7 @@ pub struct LstmConfig {
 impl Default for LstmConfig {
     fn default() -> Self {
         Self {
-            windows: 30_000,
+            windows: 60_000,
             unattacked: 4,
             backgrounds: 30,
             fit: FitConfig {
