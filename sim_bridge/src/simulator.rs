@@ -450,9 +450,8 @@ mod tests {
         assert!(says(&said, "collision: motors off until a reboot"), "it is silent");
         assert!(simulator.truth().position_ned_m.z > -0.5, "it lies on the ground");
         let ask = |simulator: &mut Simulator, number: u16, first: f32, ms: u32| {
-            let mut params = [0.0; 7];
-            params[0] = first;
-            let mut payload: Vec<u8> = params.iter().flat_map(|p: &f32| p.to_le_bytes()).collect();
+            let params = [first, 0.0, 0.0, 0.0, 0.0, 0.0, f32::NAN];
+            let mut payload: Vec<u8> = params.iter().flat_map(|p| p.to_le_bytes()).collect();
             payload.extend_from_slice(&number.to_le_bytes());
             payload.extend_from_slice(&[1, 1, 0]);
             let header = vigil_mavlink::mavlink::MavHeader {

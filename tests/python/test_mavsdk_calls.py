@@ -29,11 +29,10 @@ PX4_REFUSES = {
     "telemetry.wind": "no wind estimate without an airspeed sensor",
     "transponder.transponder": "no transponder",
 }
-WITHOUT_DEVICE = {"camera": "no camera", "gimbal": "no gimbal", "gripper": "no gripper", "winch": "no winch"}
+WITHOUT_DEVICE = {"camera": "no camera", "gimbal": "no gimbal", "winch": "no winch"}
 # Errors inside MAVSDK, before anything is sent.
 MAVSDK_ERRORS = {"tune.play_tune", "param.select_component"}
 NOTES = {
-    "action.set_actuator": "no actuators besides the motors",
     "action.shutdown": "end the simulator instead",
     "calibration.calibrate_accelerometer": "nobody turns a simulated vehicle by hand",
     "calibration.calibrate_magnetometer": "nobody turns a simulated vehicle by hand",

@@ -53,13 +53,13 @@ pub fn go_to(config: &SimConfig) -> Vec<u8> {
     let (latitude, longitude) = globe::to_global((home.latitude_deg, home.longitude_deg), goal.x, goal.y);
     let message = MavMessage::COMMAND_INT(COMMAND_INT_DATA {
         command: MavCmd::MAV_CMD_DO_REPOSITION,
-        frame: MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT,
+        frame: MavFrame::MAV_FRAME_GLOBAL,
         param1: -1.0,
         param2: 1.0,
         param4: f32::NAN,
         x: (latitude * 1e7).round() as i32,
         y: (longitude * 1e7).round() as i32,
-        z: -goal.z,
+        z: home.altitude_m as f32 - goal.z,
         target_system: 1,
         target_component: 1,
         ..COMMAND_INT_DATA::DEFAULT

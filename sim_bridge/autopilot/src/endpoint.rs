@@ -5,8 +5,8 @@ use crate::service::{Answer, Service, Source};
 use crate::streams::Streams;
 use crate::vehicle::{ControlCommand, HoldLaw, Truth, VehicleView};
 use crate::{ConfigError, EndpointConfig, LinkId, Saved, services, used_parameters};
-use vigil_mavlink::common::{MavResult, MavSeverity};
-use vigil_mavlink::framing::{self, Command, CommandAck, Packet};
+use vigil_mavlink::common::MavSeverity;
+use vigil_mavlink::framing::{self, Command, Packet};
 use vigil_mavlink::routing::{LinkSet, MAX_LINKS, Routing};
 use vigil_mavlink::signing::carries_key;
 use vigil_types::{Nanos, STEP_NS};
@@ -147,35 +147,19 @@ impl Endpoint {
 
     fn command(&mut self, command: &Command, source: Source) {
         let core = &mut self.core;
-        if let Some(number) = used_parameters::misused_in_command(command) {
-            let text = format!("command {} denied: parameter {number} has no meaning", command.number);
-            core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
-            return self.acknowledge(command, source, Answer::DENIED);
+        let number = command.number;
+        let mut answer = services::message_interval(command, source, core, &mut self.streams, &self.services);
+        if let Some(server) = self.services.iter_mut().find(|s| s.commands().contains(&number)) {
+            answer = Some(match used_parameters::misused_in_command(command) {
+                Some(parameter) => {
+                    let text = format!("command {number} denied: parameter {parameter} has no meaning");
+                    core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+                    Answer::DENIED
+                }
+                None => server.command(command, source, core),
+            });
         }
-        let answer = services::message_interval(command, source, core, &mut self.streams, &self.services)
-            .or_else(|| self.services.iter_mut().find_map(|s| s.command(command, source, core)))
-            .unwrap_or(Answer::UNSUPPORTED);
-        self.acknowledge(command, source, answer);
-    }
-
-    fn acknowledge(&mut self, command: &Command, source: Source, answer: Answer) {
-        let core = &mut self.core;
-        match answer.result {
-            MavResult::MAV_RESULT_UNSUPPORTED => core.refusals.command_unsupported += 1,
-            MavResult::MAV_RESULT_DENIED | MavResult::MAV_RESULT_TEMPORARILY_REJECTED => {
-                core.refusals.command_denied += 1
-            }
-            _ => {}
-        }
-        let ack = CommandAck {
-            command: command.number,
-            result: answer.result as u8,
-            progress: 0,
-            result_param2: answer.result_param2,
-            target_system: source.id.system,
-            target_component: source.id.component,
-        };
-        core.outbox.acknowledge(source.link, &ack);
+        answer.unwrap_or(Answer::UNSUPPORTED).send(number, source, core);
     }
 
     fn next_due_ns(&self) -> Nanos {

@@ -5,7 +5,7 @@ use crate::core::Core;
 pub(crate) use crate::source::Source;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::MavResult;
-use vigil_mavlink::framing::{Command, Packet};
+use vigil_mavlink::framing::{Command, CommandAck, Packet};
 use vigil_types::Nanos;
 
 /// The answer to a command.
@@ -21,12 +21,33 @@ impl Answer {
     /// Not now: the same command may be accepted in another state.
     pub const REJECTED: Self = Self::of(MavResult::MAV_RESULT_TEMPORARILY_REJECTED);
     pub const UNSUPPORTED: Self = Self::of(MavResult::MAV_RESULT_UNSUPPORTED);
+    pub const FAILED: Self = Self::of(MavResult::MAV_RESULT_FAILED);
 
     pub const fn of(result: MavResult) -> Self {
         Self {
             result,
             result_param2: 0,
         }
+    }
+
+    /// Counts a refusal, and acknowledges the command to whom it came from.
+    pub fn send(self, command: u16, to: Source, core: &mut Core) {
+        match self.result {
+            MavResult::MAV_RESULT_UNSUPPORTED => core.refusals.command_unsupported += 1,
+            MavResult::MAV_RESULT_DENIED | MavResult::MAV_RESULT_TEMPORARILY_REJECTED => {
+                core.refusals.command_denied += 1
+            }
+            _ => {}
+        }
+        let ack = CommandAck {
+            command,
+            result: self.result as u8,
+            progress: 0,
+            result_param2: self.result_param2,
+            target_system: to.id.system,
+            target_component: to.id.component,
+        };
+        core.outbox.acknowledge(to.link, &ack);
     }
 }
 
@@ -61,9 +82,14 @@ pub(crate) trait Service {
     /// A packet that is addressed to the vehicle or to everybody, except commands.
     fn receive(&mut self, _packet: &Packet<'_>, _source: Source, _core: &mut Core) {}
 
-    /// A command addressed to the vehicle; `None` if it is not this service's. The dispatcher sends the acknowledgement.
-    fn command(&mut self, _command: &Command, _source: Source, _core: &mut Core) -> Option<Answer> {
-        None
+    /// The commands that it serves.
+    fn commands(&self) -> &'static [u16] {
+        &[]
+    }
+
+    /// One of its commands, addressed to the vehicle. The dispatcher sends the acknowledgement.
+    fn command(&mut self, _command: &Command, _source: Source, _core: &mut Core) -> Answer {
+        Answer::UNSUPPORTED
     }
 
     /// The messages it can produce.

@@ -6,10 +6,10 @@ use crate::{Endpoint, EndpointConfig, FlightMode, LandedState, LinkId, Parameter
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
     COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, MavParamType, PARAM_SET_DATA,
-    PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
+    PositionTargetTypemask, SET_MODE_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
 };
 use vigil_mavlink::framing::{self, CommandAck, FramingCounters, MAX_PACKET_LEN};
-use vigil_mavlink::mavlink::{MavHeader, Message};
+use vigil_mavlink::mavlink::{MavHeader, Message, MessageData};
 use vigil_types::{Nanos, NedVector};
 
 pub const ONBOARD: LinkId = LinkId::ONBOARD;
@@ -245,6 +245,11 @@ impl Bench {
         self.command_long(link, from, 176, params)
     }
 
+    /// Sends SET_MODE, the message, and returns the result.
+    pub fn set_mode_message(&mut self, main: u8, sub: u8) -> u8 {
+        self.command_payload(API, SCRIPT, 176, SET_MODE_DATA::ID, &[0, 0, main, sub, 1, 1])
+    }
+
     /// Sets a parameter by PARAM_SET; whole numbers bytewise.
     pub fn set_parameter(&mut self, name: &str, value: ParameterValue) {
         let (param_value, param_type) = match value {
@@ -322,7 +327,8 @@ pub const ACCEPTED: u8 = 0;
 pub const REJECTED: u8 = 1;
 pub const DENIED: u8 = 2;
 pub const UNSUPPORTED: u8 = 3;
-const COMMAND_LONG_ID: u32 = <COMMAND_LONG_DATA as vigil_mavlink::mavlink::MessageData>::ID;
+pub const FAILED: u8 = 4;
+const COMMAND_LONG_ID: u32 = COMMAND_LONG_DATA::ID;
 
 /// Frame 8, mask 0x5C7: what MAVSDK and the companion send.
 pub fn velocity_message([vx, vy, vz]: [f32; 3]) -> MavMessage {

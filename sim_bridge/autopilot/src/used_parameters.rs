@@ -7,8 +7,7 @@ use vigil_mavlink::framing::{Command, CommandForm};
 /// Command and its parameters, in missions and as a command. A command that is not here is not looked at.
 const USED: &[(u16, &[usize], &[usize])] = &[
     (16, &[1, 2, 4, 5, 6, 7], &[1, 2, 4, 5, 6, 7]),
-    // As a command PX4 does not know it, whatever it holds.
-    (17, &[3, 4, 5, 6, 7], &[1, 2, 3, 4, 5, 6, 7]),
+    (17, &[3, 4, 5, 6, 7], &[]),
     // Ground stations and scripts give it a place, which is home's and the rally points' to say.
     (20, &[5, 6, 7], &[]),
     (21, &[1, 2, 4, 5, 6, 7], &[1, 2, 4, 5, 6, 7]),

@@ -172,7 +172,7 @@ parameters! {
     FenceHeightM = "GF_MAX_VER_DIST", Real32(0.0), 0.0, 10000.0, "m",
         "Largest height above home, part of the geofence; 0: none";
     TakeoffAltitudeM = "MIS_TAKEOFF_ALT", Real32(2.5), 0.5, 80.0, "m",
-        "Height above home that a take-off climbs to when the command gives none";
+        "Height that a take-off climbs by when the command gives none";
     LandSlowHeightM = "MPC_LAND_ALT2", Real32(5.0), 1.0, 50.0, "m",
         "Height above home below which a landing descends with MPC_LAND_SPEED";
     LandSpeedMS = "MPC_LAND_SPEED", Real32(0.7), 0.3, 1.5, "m/s",

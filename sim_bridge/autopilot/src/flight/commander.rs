@@ -76,6 +76,9 @@ impl Core {
                 other => other,
             }),
             FlightMode::Offboard if !self.has_setpoints() => Err(Denial::ArmingWithout("setpoints")),
+            mode @ (FlightMode::Land | FlightMode::Return | FlightMode::Follow | FlightMode::Orbit) => {
+                Err(Denial::ArmingIn(mode))
+            }
             _ => Ok(()),
         }
     }
@@ -239,7 +242,7 @@ impl Core {
         }
     }
 
-    /// Climbs to `height_m` above home, or to MIS_TAKEOFF_ALT where none is given or it is not above the vehicle.
+    /// Climbs to `height_m` above home, or by MIS_TAKEOFF_ALT where none is given; stays at its height where that is below it.
     pub fn take_off(&mut self, height_m: Option<f32>) -> Result<(), Denial> {
         if self.commander.broken {
             return Err(Denial::Broken("takeoff"));
@@ -262,19 +265,13 @@ impl Core {
             _ => None,
         };
         let here = self.view.estimate.position_ned_m;
-        let default_m = self.param(ParamId::TakeoffAltitudeM);
-        let height_m = match height_m.or(waiting) {
-            Some(wanted) if wanted > -here.z + 0.3 => wanted,
-            Some(_) => {
-                self.text(
-                    MavSeverity::MAV_SEVERITY_WARNING,
-                    "take-off height not above vehicle: default",
-                );
-                default_m
-            }
-            None => default_m,
+        let default_m = self.param(ParamId::TakeoffAltitudeM) - here.z;
+        let wanted_m = height_m.or(waiting).unwrap_or(default_m);
+        if wanted_m < -here.z {
+            let text = "already higher than take-off altitude";
+            self.text(MavSeverity::MAV_SEVERITY_CRITICAL, text);
         }
-        .max(-here.z);
+        let height_m = wanted_m.max(-here.z);
         let rate_m_s = self.param(ParamId::TakeoffSpeedMS);
         self.enter(FlightMode::Takeoff, Maneuver::climb(here, -height_m, rate_m_s));
         self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("take-off to {height_m:.1} m"));

@@ -235,11 +235,7 @@ impl Core {
     fn towards_interest(&self) -> Option<YawCommand> {
         let (north, east) = self.commander.region_of_interest_m?;
         let here = self.view.estimate.position_ned_m;
-        let is_followed = match self.commander.mode() {
-            FlightMode::Hold => true,
-            FlightMode::Mission => !self.is_turning_in_mission(),
-            _ => false,
-        };
+        let is_followed = matches!(self.commander.mode(), FlightMode::Hold | FlightMode::Mission);
         (is_followed && libm::hypotf(north - here.x, east - here.y) > INTEREST_RADIUS_M).then(|| YawCommand::Angle {
             yaw_rad: libm::atan2f(east - here.y, north - here.x),
         })
@@ -399,20 +395,6 @@ impl Core {
                 down_m_s: down_m_s.clamp(-up, down),
                 speed_limit_m_s,
                 yaw,
-            },
-            // A rate that is asked for turns the vehicle from where it points.
-            ControlCommand::Attitude {
-                attitude,
-                yaw_rate_rad_s,
-                thrust,
-            } if yaw_rate_rad_s != 0.0 => ControlCommand::Attitude {
-                attitude: Attitude::from_euler_rad(
-                    attitude.roll_rad(),
-                    attitude.pitch_rad(),
-                    self.view.estimate.attitude.yaw_rad(),
-                ),
-                yaw_rate_rad_s,
-                thrust,
             },
             other => other,
         }

@@ -8,7 +8,7 @@ use crate::plan::{Leg, MissionItem, Purpose, Stage};
 use crate::vehicle::YawCommand;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::MavSeverity;
-use vigil_types::{Nanos, NedVector, wrap_pi};
+use vigil_types::{Nanos, NedVector};
 
 /// Smallest distance at which a place counts as reached: the estimate wanders by about as much.
 const MIN_ACCEPTANCE_M: f32 = 0.2;
@@ -17,7 +17,6 @@ const LANDING_RADIUS_M: f32 = 0.5;
 const LANDING_SPEED_M_S: f32 = 0.5;
 /// On a shorter way the vehicle does not turn towards its place.
 const TURN_DISTANCE_M: f32 = 2.0;
-const TURN_ACCEPTANCE_RAD: f32 = 0.05;
 /// Deceleration within which a short way on is flown to its end.
 const PASSING_BRAKING_M_S2: f32 = 0.6;
 /// Time between the end of an item and the begin of the next.
@@ -83,12 +82,6 @@ impl Core {
             (MissionItem::Leg(leg), Stage::Climbing) if self.has_climbed() => self.travel(&leg),
             (MissionItem::Leg(leg), Stage::Travelling) if self.has_arrived(&leg) => self.arrive(&leg),
             (_, Stage::Landing) if on_ground => self.end_item(true),
-            (_, Stage::Turning { yaw_rad }) => {
-                let off_rad = wrap_pi(yaw_rad - self.view.estimate.attitude.yaw_rad());
-                if on_ground || off_rad.abs() < TURN_ACCEPTANCE_RAD {
-                    self.end_item(true);
-                }
-            }
             _ => {}
         }
     }
@@ -110,7 +103,6 @@ impl Core {
                     until_ns: self.now_ns.saturating_add(wait_ns),
                 };
             }
-            MissionItem::Turn { yaw_rad, is_relative } => self.turn(yaw_rad, is_relative),
             MissionItem::Speed { speed_m_s } => {
                 self.plans.mission.speed_m_s = speed_m_s;
                 self.end_item(true);
@@ -210,11 +202,6 @@ impl Core {
         }
     }
 
-    /// Whether the mission itself turns the nose.
-    pub(super) fn is_turning_in_mission(&self) -> bool {
-        matches!(self.plans.mission.stage, Stage::Turning { .. })
-    }
-
     fn mission_speed_m_s(&self) -> f32 {
         let max_m_s = self.param(ParamId::MaxSpeedMS);
         match self.plans.mission.speed_m_s {
@@ -271,21 +258,6 @@ impl Core {
                 self.commander.maneuver = Maneuver::Descend;
             }
         }
-    }
-
-    fn turn(&mut self, yaw_rad: f32, is_relative: bool) {
-        let heading_rad = self.view.estimate.attitude.yaw_rad();
-        let yaw_rad = if is_relative { heading_rad + yaw_rad } else { yaw_rad };
-        let position_ned_m = match self.commander.maneuver {
-            Maneuver::Station { position_ned_m, .. } => position_ned_m,
-            _ => self.view.estimate.position_ned_m,
-        };
-        self.commander.maneuver = Maneuver::Station {
-            position_ned_m,
-            yaw: YawCommand::Angle { yaw_rad },
-            speed_limit_m_s: self.mission_speed_m_s(),
-        };
-        self.plans.mission.stage = Stage::Turning { yaw_rad };
     }
 
     /// The current item is done; after the last one the vehicle holds where it is.

@@ -136,15 +136,15 @@ pub(crate) fn position_setpoint(
 }
 
 /// What a SET_POSITION_TARGET_GLOBAL_INT asks for: the same with a place on the globe, its altitude above sea level
-/// (frames 0 and 5) or above home (3 and 6).
+/// (frame 5) or above home (6). PX4 refuses the frames of before, 0 and 3.
 pub(crate) fn global_setpoint(
     m: &SET_POSITION_TARGET_GLOBAL_INT_DATA,
     home: &HomePosition,
     speed_limit_m_s: f32,
 ) -> Result<ControlCommand, SetpointDefect> {
     let height_m = match m.coordinate_frame {
-        MavFrame::MAV_FRAME_GLOBAL | MavFrame::MAV_FRAME_GLOBAL_INT => (f64::from(m.alt) - home.altitude_m) as f32,
-        MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT | MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT => m.alt,
+        MavFrame::MAV_FRAME_GLOBAL_INT => (f64::from(m.alt) - home.altitude_m) as f32,
+        MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT => m.alt,
         other => return Err(SetpointDefect::Frame(other as u8)),
     };
     let (x, y) = geo::to_local(home, f64::from(m.lat_int) * 1e-7, f64::from(m.lon_int) * 1e-7);
@@ -393,8 +393,15 @@ mod tests {
         // On the other side of the globe: absurd.
         m.lat_int = -m.lat_int;
         assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Value("lat_int")));
-        m.coordinate_frame = MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT;
-        assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Frame(11)));
+        for frame in [
+            MavFrame::MAV_FRAME_GLOBAL,
+            MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT,
+            MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
+        ] {
+            m.coordinate_frame = frame;
+            let refused = Err(SetpointDefect::Frame(frame as u8));
+            assert_eq!(global_setpoint(&m, &home, 5.0), refused);
+        }
     }
 
     #[test]

@@ -16,7 +16,6 @@ const NAV_LOITER_TO_ALT: u16 = 31;
 const NAV_ROI: u16 = 80;
 const NAV_DELAY: u16 = 93;
 const CONDITION_DELAY: u16 = 112;
-const CONDITION_YAW: u16 = 115;
 const DO_JUMP: u16 = 177;
 const DO_CHANGE_SPEED: u16 = 178;
 const DO_SET_HOME: u16 = 179;
@@ -27,16 +26,18 @@ const DO_SET_ROI: u16 = 201;
 const ROI_LOCATION: f32 = 3.0;
 /// Taken for the sake of plans that carry them, and passed over, because the vehicle has nothing that they command. A region
 /// of interest at the next item is where the nose is anyway, and the motors are the landing's and the pilot's to stop.
-const PASSED_OVER: [u16; 40] = [
-    // Conditions on what comes next: a height that is climbed through, a distance, a gate.
-    113, 114, 4501, // Relays, servos, actuators, gripper, winch.
-    181, 182, 183, 184, 187, 211, 42600,
+const PASSED_OVER: [u16; 25] = [
+    // Conditions on what comes next: a distance, a gate. Actuators, gripper, winch.
+    114, 4501, 187, 211, 42600,
     // Where a landing begins; a region of interest at the next item; a survey by slanted pictures; arming.
-    189, 196, 260, 400, // Cameras: control, triggers, storage, modes, pictures, tracking, video.
-    200, 202, 203, 206, 214, 529, 530, 531, 532, 533, 534, 2000, 2001, 2003, 2004, 2005, 2010, 2500, 2501, 2502, 2503,
-    // Gimbals: mounts and managers.
-    204, 205, 220, 1000, 1001,
+    189, 196, 260, 400, // Cameras: control, triggers, modes, pictures, video.
+    200, 203, 206, 214, 530, 532, 534, 2000, 2001, 2003, 2500, 2501, // Gimbals: mounts and managers.
+    204, 205, 1000, 1001,
 ];
+/// Commands that PX4 takes in a global frame, and those of them that it takes without a frame (2) too; the others it takes so only.
+const IN_GLOBAL_FRAMES: [u16; 11] = [16, 17, 19, 21, 22, 31, 80, 195, 201, 400, 4501];
+const IN_EITHER: [u16; 3] = [80, 201, 400];
+const FRAME_MISSION: u8 = 2;
 /// A longer wait is a mistake.
 const MAX_WAIT_S: f32 = 86_400.0;
 
@@ -73,11 +74,6 @@ pub(crate) enum MissionItem {
     /// Wait where it is.
     Delay {
         wait_ns: Nanos,
-    },
-    /// Turn in place. The way round is the shorter one, whatever the item says.
-    Turn {
-        yaw_rad: f32,
-        is_relative: bool,
     },
     /// Fly at this speed from here on; `None` is MPC_XY_CRUISE.
     Speed {
@@ -121,6 +117,20 @@ fn heading_rad(item: &PlanItem, number: usize, result: MavMissionResult) -> Resu
     }
 }
 
+fn check_frame(item: &PlanItem) -> Result<(), PlanDefect> {
+    use MavMissionResult as R;
+    let is_placed = IN_GLOBAL_FRAMES.contains(&item.command);
+    match item.frame {
+        0 | 3 | 5 | 6 if is_placed => Ok(()),
+        FRAME_MISSION if !is_placed || IN_EITHER.contains(&item.command) => Ok(()),
+        0 | 3 | 5 | 6 | FRAME_MISSION => Err(invalid(
+            R::MAV_MISSION_UNSUPPORTED,
+            "not a command that missions fly in this frame",
+        )),
+        _ => Err(invalid(R::MAV_MISSION_UNSUPPORTED_FRAME, "frame is not global")),
+    }
+}
+
 impl MissionItem {
     /// Reads an item.
     pub fn read(item: &PlanItem, home: &HomePosition) -> Result<Self, PlanDefect> {
@@ -133,6 +143,7 @@ impl MissionItem {
                 purpose,
             }))
         };
+        check_frame(item)?;
         match item.command {
             NAV_WAYPOINT => {
                 let radius_m = item.param(2).unwrap_or(0.0);
@@ -175,7 +186,6 @@ impl MissionItem {
             NAV_DELAY | CONDITION_DELAY => Ok(Self::Delay {
                 wait_ns: seconds(item)?,
             }),
-            CONDITION_YAW => Self::turn(item),
             DO_CHANGE_SPEED => Self::speed(item),
             DO_JUMP => Self::jump(item),
             DO_SET_ROI_LOCATION => Ok(Self::Interest {
@@ -186,25 +196,14 @@ impl MissionItem {
                 Some(ROI_LOCATION) => Ok(Self::Interest {
                     place_m: Some(item.point(home)?),
                 }),
-                // None, or a waypoint: the nose points there anyway.
-                None | Some(0.0..ROI_LOCATION) => Ok(Self::Interest { place_m: None }),
+                None | Some(0.0) => Ok(Self::Interest { place_m: None }),
+                // A waypoint, without a frame only: the nose points there anyway.
+                Some(1.0 | 2.0) if item.frame == FRAME_MISSION => Ok(Self::Interest { place_m: None }),
                 Some(_) => Err(invalid(R::MAV_MISSION_INVALID_PARAM1, "no such region of interest")),
             },
             command if PASSED_OVER.contains(&command) => Ok(Self::PassedOver),
             _ => Err(invalid(R::MAV_MISSION_UNSUPPORTED, "not a command that missions fly")),
         }
-    }
-
-    fn turn(item: &PlanItem) -> Result<Self, PlanDefect> {
-        let yaw_rad = heading_rad(item, 1, MavMissionResult::MAV_MISSION_INVALID_PARAM1)?
-            .ok_or(invalid(MavMissionResult::MAV_MISSION_INVALID_PARAM1, "no heading"))?;
-        let is_relative = item.param(4).is_some_and(|p| p > 0.5);
-        let is_counter_clockwise = item.param(3).is_some_and(|p| p < -0.5);
-        let sign = if is_relative && is_counter_clockwise { -1.0 } else { 1.0 };
-        Ok(Self::Turn {
-            yaw_rad: sign * yaw_rad,
-            is_relative,
-        })
     }
 
     fn speed(item: &PlanItem) -> Result<Self, PlanDefect> {
@@ -257,8 +256,6 @@ pub(crate) enum Stage {
     Staying,
     /// Descending.
     Landing,
-    /// Turning to this heading.
-    Turning { yaw_rad: f32 },
 }
 
 /// The mission and its progress.
@@ -442,7 +439,11 @@ mod tests {
     fn item(command: u16, params: [f32; 4]) -> PlanItem {
         PlanItem {
             command,
-            frame: 3,
+            frame: if IN_GLOBAL_FRAMES.contains(&command) {
+                3
+            } else {
+                FRAME_MISSION
+            },
             autocontinue: 1,
             params,
             x: 473_977_500,
@@ -485,7 +486,6 @@ mod tests {
             (item(16, [0.0, -2.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
             (item(16, [0.0, 0.0, 0.0, 1e9]), R::MAV_MISSION_INVALID_PARAM4),
             (item(93, [-1.0, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
-            (item(115, [f32::NAN, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
             (item(178, [1.0, -7.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
             (item(177, [5.0, 1.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
             (item(177, [0.0, f32::NAN, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
@@ -516,16 +516,9 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_can_be_relative_and_a_speed_can_go_back_to_its_default() {
+    fn a_speed_can_go_back_to_its_default() {
         let home = HomePosition::default();
         let read = |i: PlanItem| MissionItem::read(&i, &home).expect("valid");
-        assert_eq!(
-            read(item(115, [90.0, 0.0, -1.0, 1.0])),
-            MissionItem::Turn {
-                yaw_rad: -core::f32::consts::FRAC_PI_2,
-                is_relative: true
-            }
-        );
         assert_eq!(
             read(item(178, [1.0, -2.0, -1.0, 0.0])),
             MissionItem::Speed { speed_m_s: None }

@@ -40,17 +40,26 @@ impl Service for Actions {
             }
             let [a, b, c, d, target_system, base_mode] = payload;
             if target_system == core.id.system && base_mode & CUSTOM_MODE != 0 {
-                set_mode(
-                    Requested::from_custom_mode(u32::from_le_bytes([a, b, c, d])),
-                    source,
-                    core,
-                );
+                let requested = Requested::from_custom_mode(u32::from_le_bytes([a, b, c, d]));
+                // PX4 hands it on as the command, which is what it acknowledges.
+                set_mode(requested, source, core).send(DO_SET_MODE, source, core);
             }
         }
     }
 
-    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
-        Some(match command.number {
+    fn commands(&self) -> &'static [u16] {
+        &[
+            NAV_RETURN_TO_LAUNCH,
+            NAV_LAND,
+            NAV_TAKEOFF,
+            DO_SET_MODE,
+            DO_CHANGE_ALTITUDE,
+            DO_REPOSITION,
+        ]
+    }
+
+    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {
+        match command.number {
             DO_SET_MODE => {
                 let [base, main, sub] = [1, 2, 3].map(|n| command.param(n).unwrap_or(0.0) as u8);
                 if base & CUSTOM_MODE == 0 {
@@ -64,8 +73,8 @@ impl Service for Actions {
             NAV_TAKEOFF => take_off(command, core),
             DO_CHANGE_ALTITUDE => change_altitude(command, core),
             DO_REPOSITION => reposition(command, core),
-            _ => return None,
-        })
+            _ => Answer::UNSUPPORTED,
+        }
     }
 }
 
@@ -89,19 +98,16 @@ fn is_flown_in(frame: u8, core: &mut Core) -> bool {
     is_global
 }
 
-/// Height above home of a MAVLink altitude in `frame`: above sea level in 0 and 5, above home in 3 and 6.
-pub(super) fn height_m(core: &mut Core, frame: u8, altitude_m: f32) -> Option<f32> {
-    is_flown_in(frame, core).then(|| match frame {
-        0 | 5 => (f64::from(altitude_m) - core.home.altitude_m) as f32,
-        _ => altitude_m,
-    })
+/// Height above home of a command's altitude. PX4 reads it above sea level whatever the frame says.
+fn height_m(core: &Core, altitude_m: f32) -> f32 {
+    (f64::from(altitude_m) - core.home.altitude_m) as f32
 }
 
 /// Whether a height above home is one to fly at; told where it is not.
 fn is_flown_at(height_m: f32, core: &mut Core) -> bool {
     let is_sound = (-BELOW_HOME_M..=MAX_HEIGHT_M).contains(&height_m);
     if height_m < -BELOW_HOME_M {
-        let text = format!("denied: {:.0} m below home; frames 3 and 6 count from it", -height_m);
+        let text = format!("denied: {:.0} m below home; altitudes are AMSL", -height_m);
         core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
     } else if !is_sound {
         core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from home");
@@ -109,19 +115,13 @@ fn is_flown_at(height_m: f32, core: &mut Core) -> bool {
     is_sound
 }
 
-/// Parameter 7 is above sea level in a COMMAND_LONG, as in PX4; NaN takes MIS_TAKEOFF_ALT.
+/// Parameter 7 is the altitude; NaN is MIS_TAKEOFF_ALT above the vehicle.
 fn take_off(command: &Command, core: &mut Core) -> Answer {
-    let height = match command.param(7) {
-        None => None,
-        Some(altitude_m) => match height_m(core, command.frame(), altitude_m) {
-            Some(height) if height <= MAX_HEIGHT_M => Some(height),
-            Some(_) => {
-                core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from home");
-                return Answer::DENIED;
-            }
-            None => return Answer::DENIED,
-        },
-    };
+    let height = command.param(7).map(|altitude_m| height_m(core, altitude_m));
+    if height.is_some_and(|height| height > MAX_HEIGHT_M) {
+        core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from home");
+        return Answer::DENIED;
+    }
     let outcome = core.take_off(height);
     answer(outcome, core)
 }
@@ -129,16 +129,13 @@ fn take_off(command: &Command, core: &mut Core) -> Answer {
 /// The place of parameters 5 to 7 in a global frame, NaN or the largest integer for "where the vehicle is"; `None` if it
 /// is no place to fly to.
 pub(super) fn place(command: &Command, core: &mut Core) -> Option<NedVector> {
-    let height_m = match command.param(7) {
-        None => None,
-        Some(altitude_m) => Some(height_m(core, command.frame(), altitude_m)?),
-    };
+    let height_m = command.param(7).map(|altitude_m| height_m(core, altitude_m));
     place_at(command, height_m, core)
 }
 
 /// The same with its height above home given; `None` is the vehicle's.
 pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core) -> Option<NedVector> {
-    if height_m.is_some_and(|height_m| !is_flown_at(height_m, core)) || !is_flown_in(command.frame(), core) {
+    if !is_flown_in(command.frame(), core) || height_m.is_some_and(|height_m| !is_flown_at(height_m, core)) {
         return None;
     }
     let here = core.view.estimate.position_ned_m;
@@ -186,14 +183,11 @@ fn reposition(command: &Command, core: &mut Core) -> Answer {
 
 /// Climbs or descends where it is: parameter 1 the altitude, 2 the frame that it is in.
 fn change_altitude(command: &Command, core: &mut Core) -> Answer {
-    let frame = command.param(2).filter(|frame| (0.0..=11.0).contains(frame));
-    let (Some(altitude_m), Some(frame)) = (command.param(1), frame) else {
+    let (Some(altitude_m), Some(0.0..=11.0)) = (command.param(1), command.param(2)) else {
         return Answer::DENIED;
     };
-    let Some(height) = height_m(core, frame as u8, altitude_m) else {
-        return Answer::DENIED;
-    };
-    if !is_flown_at(height, core) {
+    let height = height_m(core, altitude_m);
+    if !is_flown_in(command.param(2).unwrap_or(0.0) as u8, core) || !is_flown_at(height, core) {
         return Answer::DENIED;
     }
     let here = core.view.estimate.position_ned_m;

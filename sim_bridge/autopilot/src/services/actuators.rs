@@ -14,6 +14,9 @@ use vigil_types::Nanos;
 const DISARMED_US: f32 = 900.0;
 
 const ACTUATOR_TEST: u16 = 310;
+/// Taken, as of missions, although there is nothing that they move: PX4 does not know whether there is.
+const DO_SET_ACTUATOR: u16 = 187;
+const DO_GRIPPER: u16 = 211;
 /// ACTUATOR_OUTPUT_FUNCTION_MOTOR1 to 4.
 const MOTORS: core::ops::RangeInclusive<f32> = 1.0..=4.0;
 /// PX4's longest test; one without a time lasts as long.
@@ -32,14 +35,18 @@ pub(crate) struct Actuators {
 }
 
 impl Service for Actuators {
+    fn commands(&self) -> &'static [u16] {
+        &[ACTUATOR_TEST, DO_SET_ACTUATOR, DO_GRIPPER]
+    }
+
     /// Parameter 1 is the output (0 to 1, NaN ends the test), 2 the time in seconds, 5 the motor.
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
         if command.number != ACTUATOR_TEST {
-            return None;
+            return Answer::ACCEPTED;
         }
         if core.commander.is_armed() {
             core.text(MavSeverity::MAV_SEVERITY_WARNING, "actuator test denied: armed");
-            return Some(Answer::REJECTED);
+            return Answer::DENIED;
         }
         let function = match command.form {
             CommandForm::Int { x, .. } => Some(x as f32),
@@ -48,7 +55,7 @@ impl Service for Actuators {
         let (output, lasts_s) = (command.param(1), command.param(2));
         let motor = function.filter(|function| MOTORS.contains(function) && function.fract() == 0.0);
         let Some(test) = motor.and_then(|motor| self.tests.get_mut(motor as usize - 1)) else {
-            return Some(Answer::UNSUPPORTED);
+            return Answer::UNSUPPORTED;
         };
         let lasts_s = lasts_s.filter(|s| *s > 0.0).unwrap_or(LONGEST_TEST_S);
         let lasts_ns = nanos(f64::from(lasts_s)).filter(|_| lasts_s <= LONGEST_TEST_S);
@@ -58,9 +65,9 @@ impl Service for Actuators {
                 pulse_us: 1000.0 + 1000.0 * output,
                 until_ns: core.now_ns + lasts_ns,
             }),
-            (Some(_), _) => return Some(Answer::DENIED),
+            (Some(_), _) => return Answer::DENIED,
         };
-        Some(Answer::ACCEPTED)
+        Answer::ACCEPTED
     }
 
     fn produce(&self, message_id: u32, _link: LinkId, core: &Core) -> Option<MavMessage> {

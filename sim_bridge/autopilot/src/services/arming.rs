@@ -15,8 +15,12 @@ const FORCE: f32 = 21196.0;
 pub(crate) struct Arming;
 
 impl Service for Arming {
-    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
-        Some(match command.number {
+    fn commands(&self) -> &'static [u16] {
+        &[COMPONENT_ARM_DISARM, DO_FLIGHTTERMINATION, PREFLIGHT_REBOOT_SHUTDOWN]
+    }
+
+    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {
+        match command.number {
             COMPONENT_ARM_DISARM => {
                 let forced = command.param(2) == Some(FORCE);
                 match command.param(1) {
@@ -26,14 +30,15 @@ impl Service for Arming {
                 }
             }
             DO_FLIGHTTERMINATION => {
-                if command.param(1).is_some_and(|p| p > 0.5) {
-                    core.terminate();
+                if command.param(1).is_none_or(|p| p <= 0.5) {
+                    return Answer::DENIED;
                 }
+                core.terminate();
                 Answer::ACCEPTED
             }
             PREFLIGHT_REBOOT_SHUTDOWN => reboot(command, core),
-            _ => return None,
-        })
+            _ => Answer::UNSUPPORTED,
+        }
     }
 }
 
@@ -52,7 +57,7 @@ pub(super) fn reboot_now(core: &mut Core) -> Answer {
         core.reboot();
         Answer::ACCEPTED
     } else {
-        Answer::REJECTED
+        Answer::DENIED
     }
 }
 

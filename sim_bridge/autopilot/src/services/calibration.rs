@@ -47,10 +47,11 @@ pub(crate) struct Calibration {
 }
 
 impl Service for Calibration {
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
-        if command.number != PREFLIGHT_CALIBRATION {
-            return None;
-        }
+    fn commands(&self) -> &'static [u16] {
+        &[PREFLIGHT_CALIBRATION]
+    }
+
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
         let params: [f32; 7] = std::array::from_fn(|i| command.param(i + 1).unwrap_or(0.0));
         let warn = |core: &mut Core, text: &str| {
             core.text(MavSeverity::MAV_SEVERITY_WARNING, text);
@@ -61,23 +62,20 @@ impl Service for Calibration {
                 if self.running.take().is_some() {
                     core.text(MavSeverity::MAV_SEVERITY_INFO, "[cal] calibration cancelled");
                 }
-                return Some(Answer::ACCEPTED);
+                return Answer::ACCEPTED;
             }
             [1.0, ..] => Sensor::Gyro,
             [_, _, _, _, 2.0, ..] => Sensor::Level,
             [_, 1.0, ..] | [_, _, _, _, 1.0, ..] => {
-                return Some(warn(
-                    core,
-                    "calibration denied: nobody turns a simulated vehicle by hand",
-                ));
+                return warn(core, "calibration denied: nobody turns a simulated vehicle by hand");
             }
-            _ => return Some(Answer::UNSUPPORTED),
+            _ => return Answer::UNSUPPORTED,
         };
         if core.commander.is_armed() {
-            return Some(warn(core, "calibration denied: armed"));
+            return warn(core, "calibration denied: armed");
         }
         if self.running.is_some() {
-            return Some(warn(core, "calibration denied: another one is running"));
+            return warn(core, "calibration denied: another one is running");
         }
         core.text(
             MavSeverity::MAV_SEVERITY_INFO,
@@ -91,7 +89,7 @@ impl Service for Calibration {
             sums: [0.0; 3],
             told_half: false,
         });
-        Some(Answer::ACCEPTED)
+        Answer::ACCEPTED
     }
 
     fn due_ns(&self) -> Nanos {

@@ -23,24 +23,25 @@ const STUCK: f32 = 2.0;
 pub(crate) struct Failures;
 
 impl Service for Failures {
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
-        if command.number != INJECT_FAILURE {
-            return None;
-        }
+    fn commands(&self) -> &'static [u16] {
+        &[INJECT_FAILURE]
+    }
+
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
         if !core.injects_failures() {
             core.text(
                 MavSeverity::MAV_SEVERITY_WARNING,
                 "failure injection denied: set SYS_FAILURE_EN to 1",
             );
-            return Some(Answer::DENIED);
+            return Answer::DENIED;
         }
         let Some(kind @ (OK | OFF | STUCK)) = command.param(2) else {
             // Wrong, slow or noisy readings are not modelled.
-            return Some(Answer::UNSUPPORTED);
+            return Answer::UNSUPPORTED;
         };
         // 0 is all of a kind, and there is one of each.
         if !matches!(command.param(3), None | Some(0.0 | 1.0)) {
-            return Some(Answer::DENIED);
+            return Answer::DENIED;
         }
         let name = match command.param(1) {
             Some(GPS) if matches!(kind, OK | OFF) => {
@@ -57,7 +58,7 @@ impl Service for Failures {
                 core.lost_sensors.magnetometer = fault(kind, field_gauss(core));
                 "compass"
             }
-            _ => return Some(Answer::UNSUPPORTED),
+            _ => return Answer::UNSUPPORTED,
         };
         let (severity, what) = match kind {
             OK => (MavSeverity::MAV_SEVERITY_INFO, "back"),
@@ -65,7 +66,7 @@ impl Service for Failures {
             _ => (MavSeverity::MAV_SEVERITY_WARNING, "lost"),
         };
         core.text(severity, &format!("{name} {what}"));
-        Some(Answer::ACCEPTED)
+        Answer::ACCEPTED
     }
 }
 

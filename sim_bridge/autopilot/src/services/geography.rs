@@ -28,8 +28,12 @@ impl Service for Geography {
         }
     }
 
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
-        (command.number == DO_SET_HOME).then(|| set_home(command, core))
+    fn commands(&self) -> &'static [u16] {
+        &[DO_SET_HOME]
+    }
+
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
+        set_home(command, core)
     }
 
     fn messages(&self) -> &'static [Produced] {

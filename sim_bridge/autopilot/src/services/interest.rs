@@ -18,26 +18,29 @@ const ROI_LOCATION: f32 = 3.0;
 pub(crate) struct Interest;
 
 impl Service for Interest {
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
+    fn commands(&self) -> &'static [u16] {
+        &[NAV_ROI, DO_SET_ROI_LOCATION, DO_SET_ROI_NONE, DO_SET_ROI]
+    }
+
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
         let is_place = match (command.number, command.param(1)) {
             (DO_SET_ROI_LOCATION, _) | (NAV_ROI | DO_SET_ROI, Some(ROI_LOCATION)) => true,
             (DO_SET_ROI_NONE, _) | (NAV_ROI | DO_SET_ROI, Some(ROI_NONE)) => false,
             // Other vehicles and mission items are not looked at.
-            (NAV_ROI | DO_SET_ROI, _) => return Some(Answer::DENIED),
-            _ => return None,
+            _ => return Answer::DENIED,
         };
         let place_m = if is_place {
             if command.latitude_longitude_deg().is_none() {
-                return Some(Answer::DENIED);
+                return Answer::DENIED;
             }
             match actions::place_at(command, None, core) {
                 Some(place) => Some((place.x, place.y)),
-                None => return Some(Answer::DENIED),
+                None => return Answer::DENIED,
             }
         } else {
             None
         };
         core.commander.region_of_interest_m = place_m;
-        Some(Answer::ACCEPTED)
+        Answer::ACCEPTED
     }
 }

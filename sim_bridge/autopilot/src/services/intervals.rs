@@ -12,8 +12,8 @@ const GET_MESSAGE_INTERVAL: u16 = 510;
 const SET_MESSAGE_INTERVAL: u16 = 511;
 const REQUEST_MESSAGE: u16 = 512;
 
-/// Answers 510, 511 and 512 for the link that the command came on. A message that the vehicle does not have is DENIED, as
-/// in PX4: UNSUPPORTED would tell the client that the command itself does not exist.
+/// Answers 510, 511 and 512 for the link that the command came on. A message that the vehicle does not have is DENIED, of
+/// 511 FAILED, as in PX4: UNSUPPORTED would tell the client that the command itself does not exist.
 pub(crate) fn message_interval(
     command: &Command,
     source: Source,
@@ -30,7 +30,10 @@ pub(crate) fn message_interval(
         .filter(|p| (0.0..=16_777_215.0).contains(p))
         .map(|p| p as u32);
     let Some(id) = id.filter(|id| streams.knows(*id)) else {
-        return Some(Answer::DENIED);
+        return Some(match command.number {
+            SET_MESSAGE_INTERVAL => Answer::FAILED,
+            _ => Answer::DENIED,
+        });
     };
     if command.number == REQUEST_MESSAGE
         && let Some(answer) = streams.request(id, command, source, core, services)

@@ -134,25 +134,25 @@ impl Service for Logs {
         }
     }
 
-    fn command(&mut self, command: &Command, source: Source, _core: &mut Core) -> Option<Answer> {
-        match command.number {
-            LOGGING_START => {
-                self.streams.retain(|s| s.client != source);
-                if self.streams.len() >= MAX_DOWNLOADS {
-                    return Some(Answer::REJECTED);
-                }
-                self.streams.push(Stream {
-                    client: source,
-                    path: String::new(),
-                    offset: 0,
-                    message: 0,
-                    sequence: 0,
-                });
+    fn commands(&self) -> &'static [u16] {
+        &[LOGGING_START, LOGGING_STOP]
+    }
+
+    fn command(&mut self, command: &Command, source: Source, _core: &mut Core) -> Answer {
+        self.streams.retain(|s| s.client != source);
+        if command.number == LOGGING_START {
+            if self.streams.len() >= MAX_DOWNLOADS {
+                return Answer::REJECTED;
             }
-            LOGGING_STOP => self.streams.retain(|s| s.client != source),
-            _ => return None,
+            self.streams.push(Stream {
+                client: source,
+                path: String::new(),
+                offset: 0,
+                message: 0,
+                sequence: 0,
+            });
         }
-        Some(Answer::ACCEPTED)
+        Answer::ACCEPTED
     }
 
     fn due_ns(&self) -> Nanos {

@@ -28,8 +28,12 @@ impl Service for MissionService {
         }
     }
 
-    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
-        Some(match command.number {
+    fn commands(&self) -> &'static [u16] {
+        &[DO_CHANGE_SPEED, MISSION_START]
+    }
+
+    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {
+        match command.number {
             MISSION_START => start(command, source, core),
             DO_CHANGE_SPEED => match (command.param(1), command.param(2)) {
                 // Airspeed and ground speed are one without wind; rates of climb are parameters.
@@ -45,8 +49,8 @@ impl Service for MissionService {
                 }
                 _ => Answer::DENIED,
             },
-            _ => return None,
-        })
+            _ => Answer::UNSUPPORTED,
+        }
     }
 
     fn messages(&self) -> &'static [Produced] {
@@ -84,11 +88,12 @@ fn start(command: &Command, source: Source, core: &mut Core) -> Answer {
         }
         Some(_) => return Answer::DENIED,
     }
-    let outcome = core
-        .mission_check()
-        .and_then(|()| core.change_mode(FlightMode::Mission, source))
-        .and_then(|()| core.arm(source));
-    answer(outcome, core)
+    if let Err(denial) = core.mission_check() {
+        answer(Err(denial), core);
+        return Answer::DENIED;
+    }
+    let outcome = core.change_mode(FlightMode::Mission, source);
+    answer(outcome.and_then(|()| core.arm(source)), core)
 }
 
 fn current(core: &Core) -> Option<MavMessage> {

@@ -17,10 +17,11 @@ const DO_SET_STANDARD_MODE: u16 = 262;
 pub(crate) struct Modes;
 
 impl Service for Modes {
-    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
-        if command.number != DO_SET_STANDARD_MODE {
-            return None;
-        }
+    fn commands(&self) -> &'static [u16] {
+        &[DO_SET_STANDARD_MODE]
+    }
+
+    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {
         let wanted = command.param(1).unwrap_or(0.0);
         let is_wanted = |mode: &FlightMode| {
             let standard = standard(*mode);
@@ -29,13 +30,13 @@ impl Service for Modes {
         let mode = FlightMode::ALL
             .into_iter()
             .find(|mode| mode.is_commanded() && is_wanted(mode));
-        Some(match mode {
+        match mode {
             Some(mode) => {
                 let outcome = core.change_mode(mode, source);
                 answer(outcome, core)
             }
             None => Answer::DENIED,
-        })
+        }
     }
 
     fn messages(&self) -> &'static [Produced] {

@@ -9,7 +9,6 @@ use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{MavFrame, ORBIT_EXECUTION_STATUS_DATA};
 use vigil_mavlink::framing::Command;
 use vigil_mavlink::mavlink::MessageData;
-use vigil_types::NedVector;
 
 const DO_ORBIT: u16 = 34;
 /// Used where the command gives none (PX4's defaults are the same).
@@ -19,8 +18,12 @@ const DEFAULT_SPEED_M_S: f32 = 2.0;
 pub(crate) struct OrbitService;
 
 impl Service for OrbitService {
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
-        (command.number == DO_ORBIT).then(|| begin(command, core))
+    fn commands(&self) -> &'static [u16] {
+        &[DO_ORBIT]
+    }
+
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
+        begin(command, core)
     }
 
     fn messages(&self) -> &'static [Produced] {
@@ -50,7 +53,7 @@ fn begin(command: &Command, core: &mut Core) -> Answer {
     if !sound {
         return Answer::DENIED;
     }
-    let Some(centre_ned_m) = centre(command, core) else {
+    let Some(centre_ned_m) = actions::place(command, core) else {
         return Answer::DENIED;
     };
     let outcome = core.begin_orbit(Orbit {
@@ -63,20 +66,6 @@ fn begin(command: &Command, core: &mut Core) -> Answer {
         bearing_rad: None,
     });
     answer(outcome, core)
-}
-
-/// The place of parameters 5 to 7. PX4 reads the altitude above sea level in every frame, and MAVSDK sends it so in a frame
-/// that is relative to home; only what would lie below home is read as the frame says.
-fn centre(command: &Command, core: &mut Core) -> Option<NedVector> {
-    let height_m = match command.param(7) {
-        None => None,
-        Some(altitude_m) => {
-            let by_frame_m = actions::height_m(core, command.frame(), altitude_m)?;
-            let above_home_m = (f64::from(altitude_m) - core.home.altitude_m) as f32;
-            Some(if above_home_m >= 0.0 { above_home_m } else { by_frame_m })
-        }
-    };
-    actions::place_at(command, height_m, core)
 }
 
 /// Nothing while it does not circle.

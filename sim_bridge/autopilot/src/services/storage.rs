@@ -18,15 +18,16 @@ const RESET_ALL: f32 = 4.0;
 pub(crate) struct Storage;
 
 impl Service for Storage {
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
-        if command.number != PREFLIGHT_STORAGE {
-            return None;
-        }
+    fn commands(&self) -> &'static [u16] {
+        &[PREFLIGHT_STORAGE]
+    }
+
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
         if core.commander.is_armed() {
             core.text(MavSeverity::MAV_SEVERITY_WARNING, "parameter storage denied: armed");
-            return Some(Answer::REJECTED);
+            return Answer::REJECTED;
         }
-        Some(match command.param(1) {
+        match command.param(1) {
             // Whatever is set is kept at once, where the simulator keeps anything (`--state`); calibrations change nothing.
             Some(READ | WRITE | RESET_CALIBRATION) => Answer::ACCEPTED,
             Some(RESET | RESET_ALL) => {
@@ -35,6 +36,6 @@ impl Service for Storage {
                 Answer::ACCEPTED
             }
             _ => Answer::DENIED,
-        })
+        }
     }
 }

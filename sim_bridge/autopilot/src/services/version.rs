@@ -6,8 +6,8 @@ use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{AUTOPILOT_VERSION_DATA, MavProtocolCapability as Capability, PROTOCOL_VERSION_DATA};
 use vigil_mavlink::mavlink::MessageData;
 
-/// The PX4 whose dialect is spoken: 1.15.4, a release (255).
-const DIALECT_OF_PX4: u32 = 1 << 24 | 15 << 16 | 4 << 8 | 255;
+/// The PX4 whose answers are given: 1.18.0, a release (255).
+const DIALECT_OF_PX4: u32 = 1 << 24 | 18 << 16 | 255;
 
 pub(crate) struct Version;
 

@@ -322,7 +322,13 @@ fn a_motor_test_shows_in_the_outputs_for_its_time() {
     assert_eq!(test(&mut b, 7.0, 1.0, 1.0), DENIED);
     assert_eq!(b.status().landed, LandedState::OnGround);
     b.arm();
-    assert_eq!(test(&mut b, 0.2, 1.0, 1.0), REJECTED);
+    assert_eq!(test(&mut b, 0.2, 1.0, 1.0), DENIED);
+    for set_actuator_and_gripper in [187, 211] {
+        assert_eq!(
+            b.command_long(API, SCRIPT, set_actuator_and_gripper, [0.0; 7]),
+            ACCEPTED
+        );
+    }
 }
 
 #[test]

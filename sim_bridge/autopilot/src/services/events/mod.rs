@@ -75,14 +75,16 @@ impl Service for Events {
         }
     }
 
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
-        (command.number == RUN_PREARM_CHECKS).then(|| {
-            if core.commander.is_armed() {
-                return Answer::REJECTED;
-            }
-            self.report_checks(Watched::of(core).check, core);
-            Answer::ACCEPTED
-        })
+    fn commands(&self) -> &'static [u16] {
+        &[RUN_PREARM_CHECKS]
+    }
+
+    fn command(&mut self, _command: &Command, _source: Source, core: &mut Core) -> Answer {
+        if core.commander.is_armed() {
+            return Answer::REJECTED;
+        }
+        self.report_checks(Watched::of(core).check, core);
+        Answer::ACCEPTED
     }
 
     fn due_ns(&self) -> Nanos {
