@@ -264,8 +264,8 @@ pub(crate) const TOLD: &[ParameterInfo] = &[
     fixed("RC_MAP_THROTTLE", I(0), "There is no receiver"),
     fixed("RC_MAP_TRANS_SW", I(0), "There is no receiver"),
     fixed("RC_MAP_YAW", I(0), "There is no receiver"),
-    fixed("RTL_CONE_ANG", I(0), "A return always climbs to RTL_RETURN_ALT"),
-    fixed("RTL_DESCEND_ALT", R(0.0), "A return descends without a stop"),
+    fixed("RTL_CONE_ANG", I(45), "See RTL_MIN_DIST"),
+    fixed("RTL_DESCEND_ALT", R(10.0), "See RTL_LAND_DELAY"),
     fixed("RTL_LAND_DELAY", R(0.0), "A return lands at once"),
     kept(
         "SDLOG_MODE",

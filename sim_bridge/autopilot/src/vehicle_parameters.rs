@@ -197,8 +197,8 @@ parameters! {
         "Height error within which a mission item is reached";
     SticksLossAction = "NAV_RCL_ACT", Int32(1), 0.0, 6.0, "",
         "What follows lost sticks in a mode that is flown by them: 0 hold, 1 hold, 2 return, 3 land, 4 hold, 5 terminate, 6 disarm";
-    ReturnMinDistanceM = "RTL_MIN_DIST", Real32(2.0), 0.5, 100.0, "m",
-        "Distance from where a return leads within which it lands at once";
+    ReturnMinDistanceM = "RTL_MIN_DIST", Real32(10.0), 0.5, 100.0, "m",
+        "Distance from where a return leads within which it climbs no higher than it is away, twice NAV_ACC_RAD at the least";
     ReturnAltitudeM = "RTL_RETURN_ALT", Real32(30.0), 0.0, 150.0, "m",
         "Height above home that a return climbs to before it flies home";
     ReturnType = "RTL_TYPE", Int32(0), 0.0, 1.0, "",

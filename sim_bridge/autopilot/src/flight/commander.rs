@@ -283,12 +283,17 @@ impl Core {
         let rally_first = self.param(ParamId::ReturnType) == 1.0;
         let (north, east) = self.plans.rally.nearest_m((here.x, here.y), self.home_m, rally_first);
         self.commander.return_to_m = (north, east);
-        let is_there = libm::hypotf(here.x - north, here.y - east) < self.param(ParamId::ReturnMinDistanceM);
-        let maneuver = if self.commander.is_on_ground() || is_there {
+        let away_m = libm::hypotf(here.x - north, here.y - east);
+        let maneuver = if self.commander.is_on_ground() {
             Maneuver::Descend
         } else {
-            let height_m = self.param(ParamId::ReturnAltitudeM).max(-here.z);
-            Maneuver::climb(here, -height_m, self.param(ParamId::AutoUpMS))
+            let radius_m = self.param(ParamId::AcceptanceRadiusM);
+            let return_m = self.param(ParamId::ReturnAltitudeM);
+            // PX4 climbs by RTL_CONE_ANG, 45 degrees, and at the least so that it cannot meet the ground on the way.
+            let is_near = away_m <= self.param(ParamId::ReturnMinDistanceM);
+            let wanted_m = if is_near { away_m.min(return_m) } else { return_m };
+            let height_m = wanted_m.max(2.0 * radius_m.min(away_m));
+            Maneuver::climb(here, -height_m.max(-here.z), self.param(ParamId::AutoUpMS))
         };
         self.enter(FlightMode::Return, maneuver);
     }
@@ -381,8 +386,18 @@ impl Core {
         self.param(ParamId::CruiseSpeedMS).min(self.param(ParamId::MaxSpeedMS))
     }
 
-    /// The owner's setpoints stopped: the action of COM_OBL_RC_ACT, and CRITICAL until the next mode command.
+    /// The setpoints that were lost come again: OFFBOARD goes on, as PX4's does.
+    pub fn regain_offboard(&mut self, source: Source) {
+        let c = &self.commander;
+        if c.failsafe == Some(Failsafe::SetpointLost) && c.lost_owner == Some(source) && !c.terminated {
+            // The only reason against it is that nobody streams.
+            let _ = self.take_ownership(source);
+        }
+    }
+
+    /// The owner's setpoints stopped: the action of COM_OBL_RC_ACT, and CRITICAL until they come again or the next mode command.
     pub(super) fn lose_setpoints(&mut self) {
+        self.commander.lost_owner = self.setpoints.owner();
         let by_sticks = match self.param(ParamId::OffboardLossAction) as i32 {
             0 => Some(FlightMode::Position),
             1 => Some(FlightMode::Altitude),

@@ -41,9 +41,11 @@ impl Core {
     pub fn fly(&mut self) -> ControlCommand {
         self.watch_ground();
         if !self.commander.is_armed() || self.commander.is_terminated() {
+            self.commander.flown = None;
             return ControlCommand::MotorsOff;
         }
         let command = self.fly_maneuver();
+        self.commander.flown = Some(command);
         self.touching_down_softly(command)
     }
 
@@ -411,13 +413,7 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
     let mut acceleration = NedVector::ZERO;
     let command = match core.commander.maneuver {
         Maneuver::Offboard => core.setpoints.current(core.now_ns, core.owner_max_age_ns())?,
-        Maneuver::Station { position_ned_m, .. } => ControlCommand::Position {
-            position_ned_m,
-            velocity_m_s: NedVector::ZERO,
-            speed_limit_m_s: 0.0,
-            yaw: YawCommand::Hold,
-        },
-        _ => return None,
+        _ => core.commander.flown?,
     };
     let yaw_rad = core.view.estimate.attitude.yaw_rad();
     let (position, velocity, mask, yaw) = match command {
@@ -442,6 +438,10 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
             yaw,
             ..
         } => (position_ned_m, NedVector::new(0.0, 0.0, down_m_s), PLACE_AND_CLIMB, yaw),
+        ControlCommand::Descend { rate_m_s } => {
+            let down_m_s = NedVector::new(0.0, 0.0, rate_m_s);
+            (NedVector::ZERO, down_m_s, VELOCITY_ONLY, YawCommand::Hold)
+        }
         ControlCommand::Acceleration {
             acceleration_ned_m_s2,
             yaw,

@@ -26,9 +26,21 @@ pub(crate) enum SetpointDefect {
     PositionInBodyFrame,
     #[error("mask {0:#05x} is not flown")]
     Mask(u16),
+    /// An axis without the others.
+    #[error("mask {0:#05x} lacks axes: held")]
+    Incomplete(u16),
+    #[error("{0} is NaN: held")]
+    NotANumber(&'static str),
     /// A field that the mask uses.
     #[error("{0} is NaN or absurd")]
     Value(&'static str),
+}
+
+impl SetpointDefect {
+    /// Whether PX4 takes such a setpoint, stays in OFFBOARD, and does not fly it.
+    pub fn is_held(self) -> bool {
+        matches!(self, Self::Incomplete(_) | Self::NotANumber(_))
+    }
 }
 
 /// Which axes of a setpoint are used.
@@ -43,12 +55,17 @@ fn check(used: [bool; 3], names: [&'static str; 3], values: [f32; 3], limit: f32
 
     match fields.find(|((is_used, _), value)| *is_used && (value.is_nan() || value.abs() > limit)) {
         None => Ok(()),
+        Some(((_, name), value)) if value.is_nan() => Err(SetpointDefect::NotANumber(name)),
         Some(((_, name), _)) => Err(SetpointDefect::Value(name)),
     }
 }
 
 fn check_one(name: &'static str, value: f32, limit: f32) -> Result<(), SetpointDefect> {
-    check([true, false, false], [name; 3], [value; 3], limit)
+    if value.abs() <= limit {
+        Ok(())
+    } else {
+        Err(SetpointDefect::Value(name))
+    }
 }
 
 /// What a SET_POSITION_TARGET_LOCAL_NED asks for. Frames 1 and 8 as in PX4: frame 8 is turned by yaw alone and has no
@@ -64,7 +81,6 @@ pub(crate) fn position_setpoint(
     let position = used(PositionMask::POSITION_TARGET_TYPEMASK_X_IGNORE);
     let velocity = used(PositionMask::POSITION_TARGET_TYPEMASK_VX_IGNORE);
     let acceleration = used(PositionMask::POSITION_TARGET_TYPEMASK_AX_IGNORE);
-    let accelerates = acceleration != NONE;
     let is_force = m.type_mask.contains(PositionMask::POSITION_TARGET_TYPEMASK_FORCE_SET);
     let is_local = match m.coordinate_frame {
         MavFrame::MAV_FRAME_LOCAL_NED => true,
@@ -75,7 +91,7 @@ pub(crate) fn position_setpoint(
         return Err(SetpointDefect::PositionInBodyFrame);
     }
     let not_flown = Err(SetpointDefect::Mask(m.type_mask.bits()));
-    if accelerates && (acceleration != ALL || is_force) {
+    if acceleration != NONE && (acceleration != ALL || is_force) {
         return not_flown;
     }
     check(position, ["x", "y", "z"], [m.x, m.y, m.z], ABSURD_POSITION_M)?;
@@ -98,7 +114,7 @@ pub(crate) fn position_setpoint(
     };
     let velocity_ned = NedVector::new(m.vx, m.vy, m.vz);
     match (position, velocity) {
-        (ALL, ALL | NONE) if is_local => Ok(ControlCommand::Position {
+        (ALL, _) if is_local => Ok(ControlCommand::Position {
             position_ned_m: NedVector::new(m.x, m.y, m.z),
             velocity_m_s: if velocity == ALL { velocity_ned } else { NedVector::ZERO },
             speed_limit_m_s,
@@ -123,7 +139,7 @@ pub(crate) fn position_setpoint(
             velocity_m_s: HeadingVector::new(m.vx, m.vy, m.vz),
             yaw,
         }),
-        (NONE, NONE) if accelerates => Ok(ControlCommand::Acceleration {
+        (NONE, NONE) if acceleration == ALL => Ok(ControlCommand::Acceleration {
             acceleration_ned_m_s2: if is_local {
                 NedVector::new(m.afx, m.afy, m.afz)
             } else {
@@ -131,7 +147,8 @@ pub(crate) fn position_setpoint(
             },
             yaw,
         }),
-        _ => not_flown,
+        (NONE, NONE) => not_flown,
+        _ => Err(SetpointDefect::Incomplete(m.type_mask.bits())),
     }
 }
 
@@ -168,6 +185,7 @@ pub(crate) fn global_setpoint(
         SetpointDefect::Value("x") => SetpointDefect::Value("lat_int"),
         SetpointDefect::Value("y") => SetpointDefect::Value("lon_int"),
         SetpointDefect::Value("z") => SetpointDefect::Value("alt"),
+        SetpointDefect::NotANumber("z") => SetpointDefect::NotANumber("alt"),
         other => other,
     })
 }
@@ -346,19 +364,26 @@ mod tests {
             position_setpoint(&ned(BODY, 0x9F8), 5.0, 0.0),
             Err(SetpointDefect::PositionInBodyFrame)
         );
-        // Half an acceleration; a force; nothing at all; a heading alone; half a velocity, alone and beside a position; half a
-        // position.
-        for mask in [0xCBF, 0xE3F, 0xFFF, 0xBFF, 0x5D7, 0x5FB, 0x9C8] {
-            assert_eq!(
-                position_setpoint(&ned(LOCAL, mask), 5.0, 0.0),
-                Err(SetpointDefect::Mask(mask)),
-                "{mask:#x}"
-            );
+        // Half an acceleration; a force; nothing at all; a heading alone.
+        for mask in [0xCBF, 0xE3F, 0xFFF, 0xBFF] {
+            let defect = SetpointDefect::Mask(mask);
+            assert_eq!(position_setpoint(&ned(LOCAL, mask), 5.0, 0.0), Err(defect));
         }
+        // Half a velocity; half a position. Half a velocity beside a position is none.
+        for mask in [0x5D7, 0x5FB] {
+            let defect = SetpointDefect::Incomplete(mask);
+            assert_eq!(position_setpoint(&ned(LOCAL, mask), 5.0, 0.0), Err(defect));
+        }
+        let flown = |mask| position_setpoint(&ned(LOCAL, mask), 5.0, 0.0).expect("flown");
+        assert_eq!(flown(0x9C8), flown(0x9F8));
         for bad in [f32::NAN, f32::INFINITY, 1e9] {
             let mut m = ned(BODY, 0x5C7);
             m.vy = bad;
-            assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(SetpointDefect::Value("vy")));
+            let defect = match bad.is_nan() {
+                true => SetpointDefect::NotANumber("vy"),
+                false => SetpointDefect::Value("vy"),
+            };
+            assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(defect));
             let mut m = ned(BODY, 0x5C7);
             m.yaw_rate = bad;
             assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(SetpointDefect::Value("yaw_rate")));

@@ -5,7 +5,7 @@ use crate::flight::mode::FlightMode;
 use crate::flight::setpoints::SetpointDefect;
 use crate::plan::Breach;
 use crate::source::Source;
-use crate::vehicle::{Estimate, YawCommand};
+use crate::vehicle::{ControlCommand, Estimate, YawCommand};
 use vigil_types::{FrdVector, Nanos, NedVector};
 
 /// Deceleration that the end of a climb is planned with; below what the vehicle's position control brakes with.
@@ -96,7 +96,11 @@ pub(crate) struct Commander {
     /// The mode before a failsafe changed it.
     pub(super) intended_mode: FlightMode,
     pub(super) maneuver: Maneuver,
+    /// The last command that its maneuver gave.
+    pub(super) flown: Option<ControlCommand>,
     pub(super) failsafe: Option<Failsafe>,
+    /// Whose setpoints were lost.
+    pub(super) lost_owner: Option<Source>,
     pub(super) landed: LandedState,
     /// Contact with the ground (or its absence) and since when.
     pub(super) contact: bool,

@@ -1,4 +1,4 @@
-//! Where the vehicle is and how fast: local, global, height, heads-up display, odometry; and what OFFBOARD flies.
+//! Where the vehicle is and how fast: local, global, height, heads-up display, odometry; and what is flown.
 
 use crate::core::Core;
 use crate::flight::{FlightMode, position_target};
@@ -147,7 +147,7 @@ fn odometry(core: &Core) -> Option<MavMessage> {
     }))
 }
 
-/// The setpoint in force; nothing while the vehicle flies by itself.
+/// The setpoint in force, the vehicle's own where it flies by itself.
 fn target(core: &Core) -> Option<MavMessage> {
     position_target(core).map(MavMessage::POSITION_TARGET_LOCAL_NED)
 }

@@ -4,7 +4,7 @@ use crate::core::Core;
 use crate::flight::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
 use crate::service::{Service, Source};
 use crate::services::BELOW_HOME_M;
-use crate::vehicle::ControlCommand;
+use crate::vehicle::{ControlCommand, YawCommand};
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
@@ -13,7 +13,7 @@ use vigil_mavlink::common::{
 };
 use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::MessageData;
-use vigil_types::Nanos;
+use vigil_types::{Nanos, NedVector};
 
 /// Claimants and new reasons of refusals are told of this often at most: there may be any number of made-up ones.
 const TOLD_NS: Nanos = 1_000_000_000;
@@ -21,6 +21,11 @@ const TOLD_NS: Nanos = 1_000_000_000;
 const REPEATED_NS: Nanos = 5_000_000_000;
 /// Where both messages of positions have their frame.
 const FRAME_AT: usize = 52;
+/// What is flown in place of [`SetpointDefect::is_held`].
+const HELD: ControlCommand = ControlCommand::VelocityNed {
+    velocity_m_s: NedVector::ZERO,
+    yaw: YawCommand::Hold,
+};
 
 #[derive(Default)]
 pub(crate) struct SetpointService {
@@ -34,7 +39,7 @@ impl SetpointService {
     /// Counts a setpoint that is not flown, and says why: from a stream that is refused nobody hears "no setpoints".
     fn refuse(&mut self, defect: SetpointDefect, source: Source, core: &mut Core) {
         match defect {
-            SetpointDefect::Value(_) => core.refusals.setpoint_value += 1,
+            SetpointDefect::Value(_) | SetpointDefect::NotANumber(_) => core.refusals.setpoint_value += 1,
             _ => core.refusals.setpoint_form += 1,
         }
         core.setpoints.refuse(core.now_ns, defect);
@@ -90,26 +95,31 @@ impl Service for SetpointService {
                 ))
             }
         };
-        match command {
-            Err(defect) => self.refuse(defect, source, core),
-            Ok(command) => {
-                self.warn_of_ground(&command, source, core);
-                match core.setpoints.take(core.now_ns, source, command) {
-                    Taken::Own => {}
-                    Taken::Ignored => core.refusals.setpoint_foreign += 1,
-                    Taken::IgnoredFirst => {
-                        core.refusals.setpoint_foreign += 1;
-                        if core.now_ns >= self.told_next_ns
-                            && let Some(owner) = core.setpoints.owner()
-                        {
-                            self.told_next_ns = core.now_ns + TOLD_NS;
-                            let text = match owner.id == source.id {
-                                true => format!("setpoints of a second {source} ignored"),
-                                false => format!("setpoints of {} ignored: owner {}", source.id, owner.id),
-                            };
-                            core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
-                        }
-                    }
+        let command = match command {
+            Ok(command) => command,
+            Err(defect) => {
+                self.refuse(defect, source, core);
+                if !defect.is_held() {
+                    return;
+                }
+                HELD
+            }
+        };
+        self.warn_of_ground(&command, source, core);
+        match core.setpoints.take(core.now_ns, source, command) {
+            Taken::Own => core.regain_offboard(source),
+            Taken::Ignored => core.refusals.setpoint_foreign += 1,
+            Taken::IgnoredFirst => {
+                core.refusals.setpoint_foreign += 1;
+                if core.now_ns >= self.told_next_ns
+                    && let Some(owner) = core.setpoints.owner()
+                {
+                    self.told_next_ns = core.now_ns + TOLD_NS;
+                    let text = match owner.id == source.id {
+                        true => format!("setpoints of a second {source} ignored"),
+                        false => format!("setpoints of {} ignored: owner {}", source.id, owner.id),
+                    };
+                    core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
                 }
             }
         }

@@ -213,6 +213,32 @@ fn land_and_return_can_be_chosen_on_the_ground_and_not_armed_in() {
     assert_eq!(b.arm(), ACCEPTED);
 }
 
+/// PX4's RTL_CONE_ANG of 45 degrees.
+#[test]
+fn a_return_from_near_home_climbs_no_higher_than_it_is_away() {
+    for (north_m, height_m) in [(7.0, 7.0), (3.0, 4.0), (1.0, 3.0)] {
+        let mut b = Bench::airborne();
+        let (lat, lon, _) = crate::geo::to_global(&HomePosition::default(), NedVector::new(north_m, 0.0, 0.0));
+        assert_eq!(
+            b.reposition(MavFrame::MAV_FRAME_GLOBAL, lat, lon, 491.0, f32::NAN),
+            ACCEPTED
+        );
+        b.run_ms(8_000);
+        assert_eq!(b.set_mode(API, SCRIPT, 4, 5), ACCEPTED);
+        let mut highest_m: f32 = 0.0;
+        for _ in 0..600 {
+            b.run_ms(100);
+            highest_m = highest_m.max(b.height_m());
+        }
+        assert!((highest_m - height_m).abs() < 0.4, "{north_m}: {highest_m}");
+        assert!(
+            !b.status().armed && b.position_m()[0].abs() < 0.7,
+            "{:?}",
+            b.position_m()
+        );
+    }
+}
+
 #[test]
 fn goto_is_refused_on_the_ground_far_away_and_in_a_foreign_frame() {
     let mut b = Bench::new();

@@ -230,6 +230,26 @@ fn refused(message: &MavMessage) -> Vec<String> {
     b.texts()
 }
 
+/// As PX4 does, which takes them and cannot fly them.
+#[test]
+fn setpoints_that_leave_an_axis_out_keep_offboard_and_hold() {
+    for (message, reason) in [
+        (local(0xDF7, |m| m.vx = 1.0), "mask 0xdf7 lacks axes: held"),
+        (local(0xDFE, |m| m.x = 5.0), "mask 0xdfe lacks axes: held"),
+        (local(0x9C7, |m| m.vx = f32::NAN), "vx is NaN: held"),
+    ] {
+        let mut b = Bench::airborne();
+        fly(&mut b, &local(0x9C7, |m| m.vx = 1.0), 3_000);
+        let at_m = b.position_m()[0];
+        fly(&mut b, &message, 4_000);
+        assert_eq!(b.status().mode, crate::FlightMode::Offboard, "{reason}");
+        assert!((b.position_m()[0] - at_m).abs() < 1.5, "{reason}");
+        assert!(b.view().estimate.velocity_ned_m_s.norm() < 0.1, "{reason}");
+        let text = format!("setpoints of 245/190: {reason}");
+        assert!(b.texts().contains(&text), "{:?}", b.texts());
+    }
+}
+
 /// PX4 flies frames 1 and 8; scripts written for others send 7, 9, 11, 12, positions in frame 8, or a heading alone, and hear
 /// "no setpoints" while they send twenty a second.
 #[test]
@@ -245,7 +265,7 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
             ..Default::default()
         })
     };
-    let nan = local(0x9C7, |m| m.vy = f32::NAN);
+    let infinite = local(0x9C7, |m| m.vy = f32::INFINITY);
     let actuators = MavMessage::SET_ACTUATOR_CONTROL_TARGET(SET_ACTUATOR_CONTROL_TARGET_DATA {
         target_system: 1,
         target_component: 1,
@@ -261,7 +281,7 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
             "frame 8 has no positions",
         ),
         (local(0xBFF, |_| {}), "mask 0xbff is not flown"),
-        (nan, "vy is NaN or absurd"),
+        (infinite, "vy is NaN or absurd"),
         (global(MAV_FRAME_LOCAL_NED), "frame 1 is not flown"),
         (global(MAV_FRAME_GLOBAL_TERRAIN_ALT), "frame 10 is not flown"),
         (actuators, "actuators are not flown"),

@@ -35,7 +35,7 @@ fn bad_setpoints_are_counted_and_do_not_keep_offboard_alive() {
     b.stream(API, SCRIPT, [0.5, 0.0, 0.0]);
     b.run_ms(200);
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
-    b.stream(API, SCRIPT, [f32::NAN, 0.0, 0.0]);
+    b.stream(API, SCRIPT, [f32::INFINITY, 0.0, 0.0]);
     b.run_ms(1_100);
     let status = b.status();
     assert!(status.refusals.setpoint_value >= 8, "{status:?}");
