@@ -147,6 +147,8 @@ parameters! {
         "Time on the ground after a landing until the vehicle disarms itself; 0 or less: never";
     DisarmPreflightS = "COM_DISARM_PRFLT", Real32(10.0), -1.0, 60.0, "s",
         "Time armed on the ground without a take-off until the vehicle disarms itself; 0 or less: never";
+    FailsafeDelayS = "COM_FAIL_ACT_T", Real32(5.0), 0.0, 25.0, "s",
+        "Time in hold until NAV_RCL_ACT follows";
     OffboardLossAction = "COM_OBL_RC_ACT", Int32(5), 0.0, 7.0, "",
         "What follows a lost setpoint stream: 0 position (hold without sticks), 1 altitude (hold without sticks), 2 stabilized (hold without sticks), 3 return, 4 land, 5 hold, 6 terminate, 7 disarm";
     OffboardLossS = "COM_OF_LOSS_T", Real32(1.0), 0.1, 60.0, "s",
@@ -195,8 +197,8 @@ parameters! {
         "Distance at which a mission item that gives none is reached";
     HeightAcceptanceM = "NAV_MC_ALT_RAD", Real32(0.8), 0.05, 200.0, "m",
         "Height error within which a mission item is reached";
-    SticksLossAction = "NAV_RCL_ACT", Int32(1), 0.0, 6.0, "",
-        "What follows lost sticks in a mode that is flown by them: 0 hold, 1 hold, 2 return, 3 land, 4 hold, 5 terminate, 6 disarm";
+    SticksLossAction = "NAV_RCL_ACT", Int32(2), 0.0, 6.0, "",
+        "What follows, after COM_FAIL_ACT_T in hold, lost sticks in a mode that is flown by them: 0 hold, 1 hold, 2 return, 3 land, 4 hold, 5 terminate, 6 disarm";
     ReturnMinDistanceM = "RTL_MIN_DIST", Real32(10.0), 0.5, 100.0, "m",
         "Distance from where a return leads within which it climbs no higher than it is away, twice NAV_ACC_RAD at the least";
     ReturnAltitudeM = "RTL_RETURN_ALT", Real32(30.0), 0.0, 150.0, "m",

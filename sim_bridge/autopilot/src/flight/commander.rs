@@ -418,14 +418,33 @@ impl Core {
         self.respond("setpoint lost", response, Failsafe::SetpointLost);
     }
 
-    /// The sticks stopped in a mode that is flown by them: the action of NAV_RCL_ACT.
+    /// The sticks stopped in a mode that is flown by them: hold, and after COM_FAIL_ACT_T the action of NAV_RCL_ACT.
     pub(super) fn lose_sticks(&mut self) {
+        let delay_ns = (f64::from(self.param(ParamId::FailsafeDelayS)) * 1e9) as Nanos;
+        self.commander.acts_ns = Some(self.now_ns.saturating_add(delay_ns));
+        let hold = Response::Enter(FlightMode::Hold);
+        self.respond("manual control lost", hold, Failsafe::ManualControlLost);
+    }
+
+    /// The action that follows, unless somebody took the vehicle meanwhile.
+    pub(super) fn watch_lost_sticks(&mut self) {
+        let now_ns = self.now_ns;
+        let is_lost = self.commander.failsafe == Some(Failsafe::ManualControlLost);
+        if self
+            .commander
+            .acts_ns
+            .take_if(|at_ns| *at_ns <= now_ns || !is_lost)
+            .is_none()
+            || !is_lost
+        {
+            return;
+        }
         let response = match self.param(ParamId::SticksLossAction) as i32 {
             2 => Response::Enter(FlightMode::Return),
             3 => Response::Enter(FlightMode::Land),
             5 => Response::Terminate,
             6 => Response::Disarm,
-            _ => Response::Enter(FlightMode::Hold),
+            _ => return,
         };
         self.respond("manual control lost", response, Failsafe::ManualControlLost);
     }

@@ -52,6 +52,7 @@ impl Core {
     fn fly_maneuver(&mut self) -> ControlCommand {
         let on_ground = self.commander.is_on_ground();
         self.watch_position();
+        self.watch_lost_sticks();
         if self.commander.mode() == FlightMode::Mission {
             self.step_mission();
         }

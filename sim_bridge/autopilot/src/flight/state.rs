@@ -99,6 +99,8 @@ pub(crate) struct Commander {
     /// The last command that its maneuver gave.
     pub(super) flown: Option<ControlCommand>,
     pub(super) failsafe: Option<Failsafe>,
+    /// When the action of NAV_RCL_ACT follows the hold of lost sticks.
+    pub(super) acts_ns: Option<Nanos>,
     /// Whose setpoints were lost.
     pub(super) lost_owner: Option<Source>,
     pub(super) landed: LandedState,

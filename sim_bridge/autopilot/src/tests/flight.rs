@@ -423,6 +423,18 @@ fn sticks_fly_the_vehicle_until_they_are_let_go_of_or_lost() {
     assert_eq!(b.status().mode, FlightMode::Hold);
     assert!(b.status().failsafe.is_some() && b.texts().join("|").contains("manual control lost: hold"));
     assert_eq!(b.set_mode(GCS, STATION, 3, 0), REJECTED, "without sticks");
+    b.run_ms(4_000);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+    b.run_ms(1_000);
+    assert_eq!(b.status().mode, FlightMode::Return);
+    assert!(b.texts().contains(&"manual control lost: return".to_owned()));
+    // Not where somebody has taken the vehicle meanwhile.
+    hold(&mut b, &sticks(0, 500, 0), STATION, 200);
+    assert_eq!(b.set_mode(GCS, STATION, 3, 0), ACCEPTED);
+    b.run_ms(1_000);
+    assert_eq!(b.set_mode(GCS, STATION, 4, 3), ACCEPTED);
+    b.run_ms(6_000);
+    assert_eq!(b.status().mode, FlightMode::Hold);
 }
 
 #[test]
