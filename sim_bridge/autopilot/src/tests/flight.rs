@@ -386,58 +386,6 @@ fn manual_modes_and_missions_are_refused_with_a_reason() {
 }
 
 #[test]
-fn sticks_fly_the_vehicle_until_they_are_let_go_of_or_lost() {
-    let mut b = Bench::airborne();
-    let sticks = |x: i16, z: i16, r: i16| {
-        MavMessage::MANUAL_CONTROL(MANUAL_CONTROL_DATA {
-            target: 1,
-            x,
-            y: 0,
-            z,
-            r,
-            ..Default::default()
-        })
-    };
-    let hold = |b: &mut Bench, message: &MavMessage, from, ms: u64| {
-        for _ in 0..ms / 50 {
-            b.send(GCS, from, message);
-            b.run_ms(50);
-        }
-    };
-    hold(&mut b, &sticks(0, 500, 0), STATION, 200);
-    assert_eq!(b.set_mode(GCS, STATION, 3, 0), ACCEPTED);
-    hold(&mut b, &sticks(400, 500, 0), STATION, 3_000);
-    let there = b.position_m()[0];
-    assert!((2.0..6.0).contains(&there), "flew {there} m north");
-    // Somebody else's sticks are not mixed in.
-    for _ in 0..60 {
-        b.send(GCS, STATION, &sticks(0, 500, 0));
-        b.send(API, SCRIPT, &sticks(-1000, 1000, 0));
-        b.run_ms(50);
-    }
-    assert!(b.position_m()[0] > there && (b.height_m() - 3.0).abs() < 0.4);
-    hold(&mut b, &sticks(0, 1000, 0), STATION, 3_000);
-    assert!(b.height_m() > 3.5, "climbs with the throttle up");
-    assert_eq!(b.status().mode, FlightMode::Position);
-    b.run_ms(1_000);
-    assert_eq!(b.status().mode, FlightMode::Hold);
-    assert!(b.status().failsafe.is_some() && b.texts().join("|").contains("manual control lost: hold"));
-    assert_eq!(b.set_mode(GCS, STATION, 3, 0), REJECTED, "without sticks");
-    b.run_ms(4_000);
-    assert_eq!(b.status().mode, FlightMode::Hold);
-    b.run_ms(1_000);
-    assert_eq!(b.status().mode, FlightMode::Return);
-    assert!(b.texts().contains(&"manual control lost: return".to_owned()));
-    // Not where somebody has taken the vehicle meanwhile.
-    hold(&mut b, &sticks(0, 500, 0), STATION, 200);
-    assert_eq!(b.set_mode(GCS, STATION, 3, 0), ACCEPTED);
-    b.run_ms(1_000);
-    assert_eq!(b.set_mode(GCS, STATION, 4, 3), ACCEPTED);
-    b.run_ms(6_000);
-    assert_eq!(b.status().mode, FlightMode::Hold);
-}
-
-#[test]
 fn a_campaign_starts_in_the_air_and_holds_its_height() {
     let mut b = Bench::airborne();
     assert!(b.status().armed);

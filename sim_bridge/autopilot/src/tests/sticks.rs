@@ -159,3 +159,39 @@ fn overridden_channels_are_sticks() {
     hold(&mut b, &channels([0, u16::MAX, 0, 0]), 600);
     assert_eq!(b.status().mode, FlightMode::Hold);
 }
+
+#[test]
+fn sticks_fly_the_vehicle_until_they_are_let_go_of_or_lost() {
+    let mut b = Bench::airborne();
+    hold(&mut b, &sticks(0, 0, 500, 0), 200);
+    assert_eq!(b.set_mode(GCS, STATION, 3, 0), ACCEPTED);
+    hold(&mut b, &sticks(400, 0, 500, 0), 3_000);
+    let there = b.position_m()[0];
+    assert!((2.0..6.0).contains(&there), "flew {there} m north");
+    // Somebody else's sticks are not mixed in.
+    for _ in 0..60 {
+        b.send(GCS, STATION, &sticks(0, 0, 500, 0));
+        b.send(API, SCRIPT, &sticks(-1000, 0, 1000, 0));
+        b.run_ms(50);
+    }
+    assert!(b.position_m()[0] > there && (b.height_m() - 3.0).abs() < 0.4);
+    hold(&mut b, &sticks(0, 0, 1000, 0), 3_000);
+    assert!(b.height_m() > 3.5, "climbs with the throttle up");
+    assert_eq!(b.status().mode, FlightMode::Position);
+    b.run_ms(1_000);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+    assert!(b.status().failsafe.is_some() && b.texts().join("|").contains("manual control lost: hold"));
+    assert_eq!(b.set_mode(GCS, STATION, 3, 0), REJECTED, "without sticks");
+    b.run_ms(4_000);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+    b.run_ms(1_000);
+    assert_eq!(b.status().mode, FlightMode::Return);
+    assert!(b.texts().contains(&"manual control lost: return".to_owned()));
+    // Not where somebody has taken the vehicle meanwhile.
+    hold(&mut b, &sticks(0, 0, 500, 0), 200);
+    assert_eq!(b.set_mode(GCS, STATION, 3, 0), ACCEPTED);
+    b.run_ms(1_000);
+    assert_eq!(b.set_mode(GCS, STATION, 4, 3), ACCEPTED);
+    b.run_ms(6_000);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+}
