@@ -30,6 +30,10 @@ const OBSERVER_RAD_S: f32 = 1.5;
 const GREATEST_LOSS_M_S2: f32 = 4.0;
 /// After a gap so long between two velocities it begins anew, seconds.
 const OBSERVER_GAP_S: f32 = 0.5;
+/// A vehicle is still leaving the ground up to this height above it, metres, while it is slower than this over the ground, metres per
+/// second: PX4 says IN_AIR and MISSION before it climbs, and its velocity is off by up to 0.7 m/s there.
+const LEAVES_GROUND_M: f32 = 1.0;
+const LEAVES_GROUND_M_S: f32 = 1.0;
 /// A vehicle that loses more than this has begun to brake, metres per second squared.
 const BRAKES_M_S2: f32 = 0.5;
 /// So near to the edge of the field of view a course does not count as seen: the vehicle has a width.
@@ -49,6 +53,8 @@ pub(crate) struct Guarding {
     lookout: Lookout,
     guard: JustStop,
     last: Option<Kinematics>,
+    /// How far down the ground is that it is about to leave, metres; `None` in the air.
+    ground_z_m: Option<f32>,
     air: Option<Air>,
     /// Where the vehicle that is told to hold can come to rest, metres north and east.
     stop_place_m: Option<(f32, f32)>,
@@ -149,6 +155,7 @@ impl Guarding {
             lookout: Lookout::new(),
             guard: JustStop::default(),
             last: None,
+            ground_z_m: None,
             air: None,
             stop_place_m: None,
             detour: Detour::None,
@@ -161,8 +168,26 @@ impl Guarding {
         self.lookout.scan()
     }
 
-    /// Looks; the course, if it could be seen, and whether the position jumped.
-    fn look(&mut self, input: &GuardingInput<'_>) -> (Option<Course>, bool) {
+    /// Whether it goes straight up and does not hold, or is still about to: a take-off, whatever its autopilot calls it.
+    fn climbs(&mut self, telemetry: &VehicleTelemetry, motion: Option<&Motion>) -> bool {
+        let Some(Motion { kinematics, .. }) = motion else {
+            return false;
+        };
+        let (z_m, velocity) = (kinematics.position_ned_m.z, kinematics.velocity_ned_m_s);
+        let speed_m_s = velocity.horizontal_norm();
+        let is_low = |ground_z_m: &f32| speed_m_s < LEAVES_GROUND_M_S && ground_z_m - z_m < LEAVES_GROUND_M;
+        self.ground_z_m = if telemetry.is_airborne() {
+            self.ground_z_m.filter(is_low)
+        } else {
+            Some(z_m)
+        };
+        let holds = telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
+        let goes_up = speed_m_s < STRAIGHT_UP_M_S && velocity.z < -CLIMBS_M_S;
+        !holds && (self.ground_z_m.is_some() || goes_up)
+    }
+
+    /// Looks; the course, if it could be seen, whether the position jumped, and whether it takes off.
+    fn look(&mut self, input: &GuardingInput<'_>) -> (Option<Course>, bool, bool) {
         let GuardingInput {
             now_ns,
             telemetry,
@@ -173,8 +198,9 @@ impl Guarding {
         // Frames taken on the ground show the ground at the vehicle's own height.
         let airborne = telemetry.is_airborne();
         let jumped = motion.is_some_and(|motion| self.has_jumped(motion.kinematics));
+        let climbs = self.climbs(telemetry, motion.as_ref());
         // From below flight height too, and a take-off that is an item of a mission is told as MISSION in the air.
-        if jumped || !airborne || climbs(telemetry, motion.as_ref()) {
+        if jumped || !airborne || climbs {
             self.lookout.reset();
         }
         match motion {
@@ -191,14 +217,14 @@ impl Guarding {
                 .observe(&motion.pilot_input(now_ns, depth, NedVector::ZERO));
             course = Some(self.course(&motion.kinematics, motion.sample.attitude, input.mission_place_m));
         }
-        (course, jumped && airborne)
+        (course, jumped && airborne, climbs)
     }
 
     /// One step in which somebody else flies.
     pub fn step(&mut self, input: &GuardingInput<'_>) -> Guarded {
         let GuardingInput { now_ns, telemetry, .. } = *input;
         let kinematics = input.motion.map(|motion| motion.kinematics);
-        let (course, jumped) = self.look(input);
+        let (course, jumped, climbing) = self.look(input);
         let before = self.guard.state();
         let state = self.guard.step(
             &self.config,
@@ -206,7 +232,7 @@ impl Guarding {
                 now_ns,
                 heartbeat: telemetry.heartbeat,
                 airborne: telemetry.is_airborne(),
-                climbing: climbs(telemetry, input.motion.as_ref()),
+                climbing,
                 speed_m_s: kinematics.map(|k| k.velocity_ned_m_s.horizontal_norm()),
                 course,
             },
@@ -408,17 +434,10 @@ fn lean_ned_m_s2(attitude: Attitude) -> NedVector {
     NedVector::new(G_M_S2 * thrust.x / lift, G_M_S2 * thrust.y / lift, 0.0)
 }
 
-/// Whether the vehicle goes straight up and does not hold: a take-off, whatever its autopilot calls it.
-fn climbs(telemetry: &VehicleTelemetry, motion: Option<&Motion>) -> bool {
-    let holds = telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
-    let velocity = motion.map_or(NedVector::ZERO, |motion| motion.kinematics.velocity_ned_m_s);
-    !holds && velocity.z < -CLIMBS_M_S && velocity.horizontal_norm() < STRAIGHT_UP_M_S
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_types::STEP_NS;
+    use vigil_types::{AttitudeSample, Landed, STEP_NS};
 
     /// Flies north with this tilt forward for so long under a drag of 1/s; what the tilt less drag and wind comes to at the end.
     fn gain_after_m_s2(seconds: f32, pitch_rad: f32) -> f32 {
@@ -445,5 +464,35 @@ mod tests {
         let steady = gain_after_m_s2(8.0, -0.297);
         assert!(at_the_start > 2.2, "{at_the_start}");
         assert!(steady.abs() < 0.2, "{steady}");
+    }
+
+    #[test]
+    fn a_vehicle_that_its_autopilot_calls_airborne_before_it_climbs_is_still_taking_off() {
+        let mut guarding = Guarding::new(JustStopConfig::default());
+        let mut takes_off = |landed, height_m: f32, north_m_s: f32| {
+            let telemetry = VehicleTelemetry {
+                landed,
+                ..VehicleTelemetry::default()
+            };
+            let motion = Motion {
+                kinematics: Kinematics {
+                    at_ns: 0,
+                    position_ned_m: NedVector::new(0.0, 0.0, 0.4 - height_m),
+                    velocity_ned_m_s: NedVector::new(north_m_s, 0.0, 0.0),
+                },
+                sample: AttitudeSample {
+                    at_ns: 0,
+                    attitude: Attitude::LEVEL_NORTH,
+                    rates_frd_rad_s: FrdVector::ZERO,
+                },
+            };
+            guarding.climbs(&telemetry, Some(&motion))
+        };
+        assert!(takes_off(Landed::OnGround, 0.0, 0.0));
+        assert!(takes_off(Landed::InAir, 0.1, 0.7), "its estimate moves");
+        assert!(!takes_off(Landed::InAir, 1.1, 0.0), "it has left the ground");
+        assert!(!takes_off(Landed::InAir, 0.5, 0.0), "and is low in flight");
+        assert!(takes_off(Landed::OnGround, 0.0, 0.0));
+        assert!(!takes_off(Landed::InAir, 0.3, 1.2), "it goes somewhere");
     }
 }

@@ -42,6 +42,7 @@ pub mod signing;
 mod status_text;
 mod tracker;
 mod vehicle;
+mod velocity_error;
 
 pub use autopilot::Flavour;
 pub use companion::{Companion, CompanionConfig, LinkCounters};

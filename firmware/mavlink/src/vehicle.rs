@@ -3,6 +3,7 @@
 use crate::autopilot::Flavour;
 use crate::framing::{Packet, Zeroed};
 use crate::globe::Origin;
+use crate::velocity_error::VelocityError;
 use mavlink::MessageData;
 use mavlink::dialects::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, EXTENDED_SYS_STATE_DATA, GPS_GLOBAL_ORIGIN_DATA, HEARTBEAT_DATA,
@@ -10,8 +11,8 @@ use mavlink::dialects::common::{
     POSITION_TARGET_GLOBAL_INT_DATA, SYS_STATUS_DATA,
 };
 use vigil_types::{
-    Attitude, AttitudeSample, FrdVector, Heartbeat, Kinematics, Landed, Nanos, NedVector, RANGE_SECTORS, SectorRanges,
-    VehicleMode, VehicleTelemetry,
+    Attitude, AttitudeSample, FrdVector, HeadingVector, Heartbeat, Kinematics, Landed, Nanos, NedVector, RANGE_SECTORS,
+    SectorRanges, VehicleMode, VehicleTelemetry,
 };
 
 /// A time since boot this much earlier than the last one is a restart; a smaller step back is a packet out of order.
@@ -22,8 +23,17 @@ const FAILSAFE_STATES: [u8; 3] = [5, 6, 8];
 /// MAV_MODE_FLAG_SAFETY_ARMED.
 const ARMED: u8 = 128;
 
+/// What is older than this says nothing of how the vehicle moves now.
+const FRESH_NS: Nanos = 300_000_000;
+
 /// Where home is told to be in two ways that differ by more than this, metres, the vehicle fills only one of them.
 const SAME_PLACE_M: f32 = 1.0;
+
+/// A vehicle that stands this near home, metres, stands at it.
+const AT_HOME_M: f32 = 2.0;
+
+/// The ground under such a vehicle contradicts home's height from the first on, metres; by more than the second it is a home elsewhere.
+const HOME_HEIGHT_ERROR_M: (f32, f32) = (0.3, 5.0);
 
 /// What OBSTACLE_DISTANCE says, turned with the vehicle; `None` where it contradicts itself (a distance beyond its own limits, no width of a
 /// sector), tells nothing, or is turned otherwise. <https://mavlink.io/en/messages/common.html#OBSTACLE_DISTANCE>
@@ -84,6 +94,8 @@ pub struct Vehicle {
     /// The origin came by GPS_GLOBAL_ORIGIN and was not inferred from home.
     origin_told: bool,
     home: Option<Home>,
+    /// Home's height by the vehicle's own report while it stood there, metres down, where it contradicts the reported one.
+    home_down_m: Option<f32>,
     /// Latitude and longitude, degrees, of the place to which its mission leads, as it was told last in that mode.
     mission_place_deg: Option<(f64, f64)>,
     /// The last usable OBSTACLE_DISTANCE: of a sensor beside the depth camera.
@@ -94,6 +106,7 @@ pub struct Vehicle {
     pub late: u64,
     position_ms: Option<u32>,
     attitude_ms: Option<u32>,
+    velocity_error: VelocityError,
 }
 
 impl Vehicle {
@@ -109,12 +122,14 @@ impl Vehicle {
             origin: None,
             origin_told: false,
             home: None,
+            home_down_m: None,
             mission_place_deg: None,
             sector_ranges: None,
             restarts: 0,
             late: 0,
             position_ms: None,
             attitude_ms: None,
+            velocity_error: VelocityError::default(),
         }
     }
 
@@ -130,6 +145,12 @@ impl Vehicle {
 
     /// Home in the local frame: as the vehicle tells it there, or on the globe where it fills only those fields.
     pub fn home_ned_m(&self) -> Option<NedVector> {
+        let reported = self.reported_home_ned_m()?;
+        let down_m = self.home_down_m.unwrap_or(reported.z);
+        Some(NedVector::new(reported.x, reported.y, down_m))
+    }
+
+    fn reported_home_ned_m(&self) -> Option<NedVector> {
         let home = self.home?;
         let on_globe = match (self.origin.filter(|_| self.origin_told), home.place) {
             (Some(origin), Some(place)) => {
@@ -153,6 +174,22 @@ impl Vehicle {
     /// Height of home above the local origin; 0 where it is not known.
     pub fn home_height_m(&self) -> f32 {
         self.home_ned_m().map_or(0.0, |home_ned_m| -home_ned_m.z)
+    }
+
+    /// The velocity to ask for, so that the position moves as wanted while the reported velocity is off ([`VelocityError`]); as it
+    /// is wanted where nothing fresh is known.
+    pub(crate) fn asked_velocity(&self, now_ns: Nanos, wanted_m_s: HeadingVector) -> HeadingVector {
+        let lacks_m_s = self.velocity_error.lacks_m_s();
+        let is_fresh = self
+            .telemetry
+            .flight_data_age_ns(now_ns)
+            .is_some_and(|age_ns| age_ns <= FRESH_NS);
+        match self.telemetry.attitude {
+            Some(sample) if lacks_m_s != NedVector::ZERO && is_fresh && self.telemetry.is_finite() => {
+                wanted_m_s - lacks_m_s.to_heading(sample.attitude.yaw_rad())
+            }
+            _ => wanted_m_s,
+        }
     }
 
     /// How long ago the autopilot started, by its own clock.
@@ -210,10 +247,15 @@ impl Vehicle {
     fn message(&mut self, now_ns: Nanos, message: &MavMessage) {
         match message {
             MavMessage::LOCAL_POSITION_NED(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.position_ms) => {
+                let position_ned_m = NedVector::new(m.x, m.y, m.z);
+                let velocity_ned_m_s = NedVector::new(m.vx, m.vy, m.vz);
+                let lacks_m_s = self
+                    .velocity_error
+                    .take(m.time_boot_ms, position_ned_m, velocity_ned_m_s);
                 self.telemetry.kinematics = Some(Kinematics {
                     at_ns: now_ns,
-                    position_ned_m: NedVector::new(m.x, m.y, m.z),
-                    velocity_ned_m_s: NedVector::new(m.vx, m.vy, m.vz),
+                    position_ned_m,
+                    velocity_ned_m_s: velocity_ned_m_s + lacks_m_s,
                 });
             }
             MavMessage::ATTITUDE(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.attitude_ms) => {
@@ -256,6 +298,7 @@ impl Vehicle {
             // One that contradicts itself says nothing: the last usable one grows old.
             MavMessage::OBSTACLE_DISTANCE(m) => self.sector_ranges = sector_ranges(now_ns, m).or(self.sector_ranges),
             MavMessage::HOME_POSITION(m) => {
+                let before = self.home_ned_m();
                 self.home = Some(Home {
                     ned_m: NedVector::new(m.x, m.y, m.z),
                     place: Origin::from_integers(m.latitude, m.longitude, m.altitude),
@@ -264,9 +307,29 @@ impl Vehicle {
                 self.origin = self
                     .origin
                     .or_else(|| Origin::from_integers(m.latitude, m.longitude, m.altitude)?.moved_back(m.x, m.y, -m.z));
+                self.home_down_m = self.home_down_m(before);
             }
             _ => {}
         }
+    }
+
+    /// PX4 lets home's height follow its GNSS: by metres, every other second, in flight too. A vehicle that stands at home knows
+    /// better, and in the air the ground stays where it was.
+    fn home_down_m(&self, before: Option<NedVector>) -> Option<f32> {
+        let reported = self.reported_home_ned_m()?;
+        let is_armed = self.telemetry.heartbeat.is_some_and(|heartbeat| heartbeat.armed);
+        let stands = !is_armed || self.telemetry.landed == Landed::OnGround;
+        let (at, within_m, (least_m, most_m)) = if stands {
+            (
+                self.telemetry.kinematics?.position_ned_m,
+                AT_HOME_M,
+                HOME_HEIGHT_ERROR_M,
+            )
+        } else {
+            (before?, SAME_PLACE_M, (0.0, f32::INFINITY))
+        };
+        let error_m = (at.z - reported.z).abs();
+        ((at - reported).horizontal_norm() < within_m && error_m > least_m && error_m < most_m).then_some(at.z)
     }
 
     /// Whether a time since boot does not lie before the last of its kind; a long step back is a restart.

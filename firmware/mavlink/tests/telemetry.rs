@@ -3,11 +3,12 @@
 mod common;
 
 use common::{Bench, GROUND_STATION, bytes_of};
+use core::f32::consts::FRAC_PI_2;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize_payload};
 use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavHeader, MavMessage};
-use vigil_types::GuidanceState::Standby;
-use vigil_types::{Landed, NedVector, Reasons, VehicleMode, VehicleRequest};
+use vigil_types::GuidanceState::{Hold, Standby};
+use vigil_types::{Landed, NedVector, Reasons, STEP_NS, StepReport, VehicleMode, VehicleRequest, VelocitySetpoint};
 
 const fn vehicle(system_id: u32) -> MavHeader {
     MavHeader {
@@ -338,4 +339,50 @@ fn unreadable_and_damaged_packets_are_counted_and_harm_nothing() {
     assert_eq!((framing.bad_crc, framing.truncated), (1, 1));
     assert!(framing.garbage_bytes >= 5);
     assert_eq!(north_m(&b), None);
+}
+
+#[test]
+fn a_vehicle_that_drifts_and_says_that_it_stands_is_told_to_go_against_it() {
+    let mut b = acquainted();
+    // North by 0.3 m/s, its nose to the east.
+    for step in 1..80_u16 {
+        b.now_ns += STEP_NS;
+        let time_boot_ms = u32::from(step) * 50;
+        b.hear(
+            vehicle(1),
+            &MavMessage::ATTITUDE(ATTITUDE_DATA {
+                time_boot_ms,
+                yaw: FRAC_PI_2,
+                ..Default::default()
+            }),
+        );
+        b.hear(
+            vehicle(1),
+            &MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
+                time_boot_ms,
+                x: 0.015 * f32::from(step),
+                ..Default::default()
+            }),
+        );
+    }
+    let known = b.companion.telemetry().kinematics.expect("reports");
+    assert!((known.velocity_ned_m_s.x - 0.25).abs() < 0.02, "{known:?}");
+    let sent_m_s = |b: &mut Bench| {
+        let hold = StepReport {
+            setpoint: Some(VelocitySetpoint::HOLD),
+            ..common::report(b.now_ns, Hold)
+        };
+        b.sent.clear();
+        b.companion.emit(&hold, VehicleRequest::None, &mut b.sent);
+        let sent = common::messages(&b.sent);
+        sent.iter().find_map(|(_, m)| match m {
+            MavMessage::SET_POSITION_TARGET_LOCAL_NED(s) => Some((s.vx, s.vy)),
+            _ => None,
+        })
+    };
+    let (forward_m_s, right_m_s) = sent_m_s(&mut b).expect("a setpoint");
+    assert!(forward_m_s.abs() < 0.01 && (right_m_s - 0.25).abs() < 0.02);
+    // What is no longer heard is not answered.
+    b.now_ns += 20 * STEP_NS;
+    assert_eq!(sent_m_s(&mut b), Some((0.0, 0.0)));
 }

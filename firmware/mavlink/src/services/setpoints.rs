@@ -30,7 +30,11 @@ impl Service for SetpointService {
         let report = step.report;
         core.streaming = report.setpoint.is_some() && core.system_id.is_some();
         if let (Some(setpoint), Some(system)) = (&report.setpoint, core.system_id) {
-            core.say(out, &report::setpoint(report.now_ns, system, setpoint));
+            let asked = VelocitySetpoint {
+                velocity_m_s: core.vehicle.asked_velocity(report.now_ns, setpoint.velocity_m_s),
+                ..*setpoint
+            };
+            core.say(out, &report::setpoint(report.now_ns, system, &asked));
         }
     }
 }

@@ -227,7 +227,9 @@ impl Peer {
 
     /// One step of flying; the datagrams it sends, one packet each.
     pub fn step(&mut self, now_ns: Nanos) -> Vec<Vec<u8>> {
+        let before_m = [self.north_m, self.height_m];
         self.fly(now_ns);
+        let [north_m_s, up_m_s] = [self.north_m - before_m[0], self.height_m - before_m[1]].map(|way_m| way_m / STEP_S);
         let time_boot_ms = ((now_ns - self.boot_ns) / 1_000_000) as u32;
         let mut out = std::mem::take(&mut self.replies);
         if self.steps.is_multiple_of(20) {
@@ -244,7 +246,8 @@ impl Peer {
                 x: self.north_m,
                 y: self.east_m,
                 z: -self.height_m,
-                vx: self.speed_north_m_s,
+                vx: north_m_s,
+                vz: -up_m_s,
                 ..Default::default()
             }));
         }

@@ -88,7 +88,7 @@ fn px4(drag_per_s: f64, braking_share: f64) -> VehicleParams {
 
 impl VehicleParams {
     /// The same with the estimate of an autopilot that hangs on GPS and barometer: its position wanders by half a metre, its height by
-    /// up to a metre over minutes, and a hold wanders with it.
+    /// up to a metre over minutes, and a hold wanders with it. PX4's velocity is off beside that.
     pub fn with_noisy_estimate(self) -> Self {
         self.wandering(1.0)
     }
@@ -96,6 +96,10 @@ impl VehicleParams {
     fn wandering(mut self, share: f64) -> Self {
         self.sensors = SensorParams {
             wander_m: [0.35 * share, 0.5 * share],
+            velocity_error_m_s: match self.control.velocity_law {
+                VelocityLaw::Direct => [0.17 * share, 0.1 * share],
+                VelocityLaw::Shaped => [0.0; 2],
+            },
             ..self.sensors
         };
         self

@@ -208,6 +208,10 @@ settings! {
         pub wander_m: [f64; 2] = within([0.0; 2], (0.0, 10.0), "m"),
         /// Correlation time of the wander: horizontal, vertical, seconds.
         pub wander_time_s: [f64; 2] = within([20.0, 150.0], (5.0, 100_000.0), "s"),
+        /// What the estimated velocity is off beside that, without the position's following it: horizontal, vertical, m/s.
+        pub velocity_error_m_s: [f64; 2] = within([0.0; 2], (0.0, 10.0), "m/s"),
+        /// Correlation time of that error, seconds.
+        pub velocity_error_time_s: f64 = within(4.0, (0.05, 100_000.0), "s"),
     }
 }
 
@@ -226,6 +230,8 @@ impl SensorParams {
         estimate_attitude_time_s: 20.0,
         wander_m: [0.0; 2],
         wander_time_s: [20.0, 150.0],
+        velocity_error_m_s: [0.0; 2],
+        velocity_error_time_s: 4.0,
     };
 }
 

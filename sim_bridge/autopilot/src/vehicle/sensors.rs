@@ -128,7 +128,7 @@ impl Errors {
         let estimated_m_s = body.velocity_ned_m_s + self.velocity.value;
         self.wander
             .as_ref()
-            .map_or(estimated_m_s, |w| estimated_m_s + w.rate_m_s())
+            .map_or(estimated_m_s, |w| estimated_m_s + w.rate_m_s() + w.astray_m_s())
     }
 
     /// Estimated attitude.
@@ -186,14 +186,15 @@ impl Errors {
     }
 
     /// The same of the wander, where there is one.
-    pub(crate) fn wander_memory(&self) -> Option<([Vec3; 2], u64)> {
+    pub(crate) fn wander_memory(&self) -> Option<([Vec3; 3], u64)> {
         let wander = self.wander.as_ref()?;
-        Some(([wander.velocity.value, wander.position_m], wander.noise.position()))
+        let vectors = [wander.velocity.value, wander.position_m, wander.astray_m_s()];
+        Some((vectors, wander.noise.position()))
     }
 }
 
 /// The slow error of a position that hangs on GPS and barometer: a velocity error of [`WANDER_VELOCITY_TIME_S`] summed up with a
-/// leak, so that the vehicle's own velocity estimate follows it too.
+/// leak, so that the vehicle's own velocity estimate follows it too. What the velocity is off beside that, the position does not follow.
 #[derive(Debug, Clone)]
 struct Wander {
     noise: Noise,
@@ -201,12 +202,15 @@ struct Wander {
     position_m: Vec3,
     deviation_m: Vec3,
     leak_per_s: Vec3,
+    astray: Option<OrnsteinUhlenbeck>,
 }
 
 impl Wander {
     fn new(params: &SensorParams, mut noise: Noise, interval_s: f64) -> Option<Self> {
         let [horizontal_m, vertical_m] = params.wander_m;
-        if horizontal_m == 0.0 && vertical_m == 0.0 {
+        let [level_m_s, down_m_s] = params.velocity_error_m_s;
+        let is_astray = level_m_s > 0.0 || down_m_s > 0.0;
+        if horizontal_m == 0.0 && vertical_m == 0.0 && !is_astray {
             return None;
         }
         let [horizontal_s, vertical_s] = params.wander_time_s;
@@ -222,6 +226,10 @@ impl Wander {
                 interval_s,
                 &mut noise,
             ),
+            astray: is_astray.then(|| {
+                let deviation_m_s = Vec3::new(level_m_s, level_m_s, down_m_s);
+                OrnsteinUhlenbeck::new(deviation_m_s, params.velocity_error_time_s, interval_s, &mut noise)
+            }),
             noise,
             position_m: Vec3::zeros(),
             deviation_m: Vec3::new(horizontal_m, horizontal_m, vertical_m),
@@ -231,12 +239,22 @@ impl Wander {
 
     fn settle(&mut self) {
         self.velocity.redraw(&mut self.noise);
+        if let Some(astray) = &mut self.astray {
+            astray.redraw(&mut self.noise);
+        }
         self.position_m = self.deviation_m.component_mul(&self.noise.normal3());
     }
 
     fn advance(&mut self, interval_s: f64) {
         self.velocity.advance(&mut self.noise);
+        if let Some(astray) = &mut self.astray {
+            astray.advance(&mut self.noise);
+        }
         self.position_m += self.rate_m_s() * interval_s;
+    }
+
+    fn astray_m_s(&self) -> Vec3 {
+        self.astray.as_ref().map_or_else(Vec3::zeros, |astray| astray.value)
     }
 
     /// How fast the error changes.

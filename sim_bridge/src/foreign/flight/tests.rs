@@ -212,6 +212,51 @@ fn on_the_ground_the_estimator_may_find_its_place_and_home_is_where_the_course_b
     assert_eq!(vehicle.fly_north(30.0), Some(Outcome::Collision));
 }
 
+/// PX4 main (August 2025, SIH) reported homes from 2.2 m above the ground to 1.2 m below it within 18 s.
+#[test]
+fn a_home_whose_height_follows_the_gnss_does_not_carry_the_course_with_it() {
+    let mut vehicle = Scripted::new(None);
+    let home = |z| {
+        MavMessage::HOME_POSITION(HOME_POSITION_DATA {
+            x: 0.3,
+            z,
+            ..Default::default()
+        })
+    };
+    let landed = |landed_state| {
+        MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
+            landed_state,
+            ..Default::default()
+        })
+    };
+    vehicle.height_m = -0.3;
+    vehicle.report(0.0, 0.0);
+    vehicle.hear(1, 1, &landed(MavLandedState::MAV_LANDED_STATE_ON_GROUND));
+    vehicle.hear(1, 1, &home(-2.2));
+    vehicle.report(0.0, 0.0);
+    assert_eq!(vehicle.flight.home_ned_m.z, 0.3, "the ground under it");
+    // A home elsewhere is as it is reported.
+    let elsewhere = HOME_POSITION_DATA {
+        x: 9.0,
+        z: -2.2,
+        ..Default::default()
+    };
+    vehicle.hear(1, 1, &MavMessage::HOME_POSITION(elsewhere));
+    assert_eq!(vehicle.flight.vehicle.home_ned_m().expect("a home").z, -2.2);
+    vehicle.hear(1, 1, &home(-2.2));
+    vehicle.hear(1, 1, &landed(MavLandedState::MAV_LANDED_STATE_IN_AIR));
+    for z in [1.2, -0.9] {
+        vehicle.height_m = 2.5;
+        vehicle.position(0.0, 0.0);
+        vehicle.hear(1, 1, &home(z));
+        assert_eq!(
+            vehicle.flight.vehicle.home_ned_m().expect("a home").z,
+            0.3,
+            "in the air it stays"
+        );
+    }
+}
+
 #[test]
 fn a_vehicle_that_stands_on_the_ground_or_believes_to_be_below_it_sees_the_ground_before_it() {
     for height_m in [0.0, -0.4] {

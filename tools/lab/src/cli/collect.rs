@@ -2,7 +2,7 @@
 
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::cli::output::{EXIT_INTERRUPTED, Interrupt, Progress, say};
-use crate::detector_training::{BLOCK, Counts, Flights, Record, Recorded, Scenario, fly, left_out};
+use crate::detector_training::{BLOCK, Counts, Flights, LstmConfig, Record, Recorded, Scenario, fly, left_out};
 use anyhow::{Context, Result};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -24,7 +24,7 @@ const CHOOSE_SEED: u64 = 4500;
 #[derive(Debug, Clone, clap::Args)]
 pub struct CollectArgs {
     /// Attacked windows to learn from, and at least as many others; a fifth as many choose the epoch.
-    #[arg(long, default_value_t = 60_000, value_parser = clap::value_parser!(u64).range(100..))]
+    #[arg(long, default_value_t = LstmConfig::default().windows as u64, value_parser = clap::value_parser!(u64).range(100..))]
     windows: u64,
 
     /// Fly only some flights of this set and leave them in the folder as learn.jsonl or choose.jsonl, for another machine
