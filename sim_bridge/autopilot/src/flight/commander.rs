@@ -428,15 +428,11 @@ impl Core {
 
     /// The action that follows, unless somebody took the vehicle meanwhile.
     pub(super) fn watch_lost_sticks(&mut self) {
+        if self.commander.failsafe != Some(Failsafe::ManualControlLost) {
+            self.commander.acts_ns = None;
+        }
         let now_ns = self.now_ns;
-        let is_lost = self.commander.failsafe == Some(Failsafe::ManualControlLost);
-        if self
-            .commander
-            .acts_ns
-            .take_if(|at_ns| *at_ns <= now_ns || !is_lost)
-            .is_none()
-            || !is_lost
-        {
+        if self.commander.acts_ns.take_if(|at_ns| *at_ns <= now_ns).is_none() {
             return;
         }
         let response = match self.param(ParamId::SticksLossAction) as i32 {
