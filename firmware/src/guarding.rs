@@ -10,12 +10,12 @@
 )]
 
 use crate::motion::Motion;
-use vigil_guidance::just_stop::{Course, JustStop, JustStopConfig, JustStopInput, JustStopState};
+use vigil_guidance::just_stop::{Course, Gain, JustStop, JustStopConfig, JustStopInput, JustStopState};
 use vigil_policy::plausibility::has_jumped;
 use vigil_policy::{Lookout, Scan};
 use vigil_types::{
     Attitude, DepthFrame, FrdVector, GuardNotice, HORIZONTAL_FOV_RAD, Kinematics, Nanos, NedVector, Reason, Reasons,
-    StopCause, VehicleMode, VehicleRequest, VehicleTelemetry, wrap_pi,
+    StopCause, VERTICAL_FOV_RAD, VehicleMode, VehicleRequest, VehicleTelemetry, wrap_pi,
 };
 
 const G_M_S2: f32 = 9.81;
@@ -24,8 +24,12 @@ const LEAST_LIFT: f32 = 0.3;
 /// A vehicle that climbs faster than this and moves slower than that over the ground goes straight up, metres per second.
 const CLIMBS_M_S: f32 = 0.3;
 const STRAIGHT_UP_M_S: f32 = 0.5;
-/// Drag and wind are followed as an observer of second order of this frequency, rad/s, and a damping of 0.8.
-const OBSERVER_RAD_S: f32 = 1.5;
+/// Drag and wind are followed as an observer of second order of this frequency, rad/s, and a damping of 0.8; of a lower one where
+/// velocities come so seldom that it would not be stable.
+const OBSERVER_RAD_S: f32 = 4.0;
+const OBSERVER_PER_STEP: f32 = 0.8;
+/// The growth of the gain is the mean of about this time, seconds.
+const GROWTH_S: f32 = 0.15;
 /// The most that they are believed to take away, metres per second squared.
 const GREATEST_LOSS_M_S2: f32 = 4.0;
 /// After a gap so long between two velocities it begins anew, seconds.
@@ -38,7 +42,11 @@ const LEAVES_GROUND_M_S: f32 = 1.0;
 const BRAKES_M_S2: f32 = 0.5;
 /// So near to the edge of the field of view a course does not count as seen: the vehicle has a width.
 const FOV_MARGIN_RAD: f32 = 0.17;
+/// A course that is no farther than this off the way to the mission's place leads there.
+const TURNS_RAD: f32 = 0.5;
 
+/// Kept besides in front of what is going to be flown around, metres.
+const TURNING_ROOM_M: f32 = 1.0;
 /// Guidance takes a stopped vehicle within this time, or not at all.
 const TAKE_NS: Nanos = 15_000_000_000;
 /// Slower than this the vehicle stands, metres per second.
@@ -46,6 +54,8 @@ const STANDING_M_S: f32 = 0.3;
 /// The mission goes on when the straight way to its place is free for so many metres, seen in so many steps in a row.
 const FREE_M: f32 = 8.0;
 const FREE_STEPS: u16 = 20;
+/// And so far to both sides of it, besides what is kept clear of any course.
+const BESIDE_M: f32 = 0.4;
 
 /// Lookout and guard.
 pub(crate) struct Guarding {
@@ -71,15 +81,23 @@ struct Air {
     velocity_ned_m_s: NedVector,
     /// Taken away, NED.
     loss_ned_m_s2: NedVector,
+    /// What is left, and how fast it grows.
+    gain_ned_m_s2: NedVector,
+    growth_ned_m_s3: NedVector,
+    /// The fastest that it has grown.
+    shown_m_s3: f32,
 }
 
 impl Air {
     /// One that knows of no drag yet, which errs to the careful side.
-    fn new(now: &Kinematics) -> Self {
+    fn new(now: &Kinematics, lean_ned_m_s2: NedVector) -> Self {
         Self {
             at_ns: now.at_ns,
             velocity_ned_m_s: now.velocity_ned_m_s,
             loss_ned_m_s2: NedVector::ZERO,
+            gain_ned_m_s2: lean_ned_m_s2,
+            growth_ned_m_s3: NedVector::ZERO,
+            shown_m_s3: 0.0,
         }
     }
 
@@ -87,21 +105,47 @@ impl Air {
     fn follow(self, now: &Kinematics, lean_ned_m_s2: NedVector) -> Self {
         let dt_s = now.at_ns.saturating_sub(self.at_ns) as f32 * 1e-9;
         if dt_s > OBSERVER_GAP_S {
-            return Self::new(now);
+            return Self::new(now, lean_ned_m_s2);
         }
+        if dt_s <= 0.0 {
+            return self;
+        }
+        let rad_s = OBSERVER_RAD_S.min(OBSERVER_PER_STEP / dt_s);
         let predicted = self.velocity_ned_m_s + (lean_ned_m_s2 - self.loss_ned_m_s2) * dt_s;
         let error = now.velocity_ned_m_s - predicted;
-        let loss = self.loss_ned_m_s2 - error * (OBSERVER_RAD_S * OBSERVER_RAD_S * dt_s);
+        let loss = self.loss_ned_m_s2 - error * (rad_s * rad_s * dt_s);
         let size = loss.horizontal_norm();
         let share = if size > GREATEST_LOSS_M_S2 {
             GREATEST_LOSS_M_S2 / size
         } else {
             1.0
         };
+        let loss_ned_m_s2 = NedVector::new(loss.x * share, loss.y * share, 0.0);
+        let gain_ned_m_s2 = lean_ned_m_s2 - loss_ned_m_s2;
+        let growth = (gain_ned_m_s2 - self.gain_ned_m_s2) * (1.0 / dt_s);
+        let growth_ned_m_s3 = self.growth_ned_m_s3 + (growth - self.growth_ned_m_s3) * (dt_s / (dt_s + GROWTH_S));
         Self {
             at_ns: now.at_ns,
-            velocity_ned_m_s: predicted + error * (1.6 * OBSERVER_RAD_S * dt_s),
-            loss_ned_m_s2: NedVector::new(loss.x * share, loss.y * share, 0.0),
+            velocity_ned_m_s: predicted + error * (1.6 * rad_s * dt_s),
+            loss_ned_m_s2,
+            gain_ned_m_s2,
+            growth_ned_m_s3,
+            shown_m_s3: self.shown_m_s3.max(growth_ned_m_s3.horizontal_norm()),
+        }
+    }
+
+    /// What it gains along this velocity.
+    fn gain_along(&self, velocity: NedVector) -> Gain {
+        let speed_m_s = velocity.horizontal_norm();
+        let along = |v: NedVector| (v.x * velocity.x + v.y * velocity.y) / speed_m_s;
+        if speed_m_s > 0.0 {
+            Gain {
+                gain_m_s2: along(self.gain_ned_m_s2),
+                growth_m_s3: along(self.growth_ned_m_s3),
+                shown_m_s3: self.shown_m_s3,
+            }
+        } else {
+            Gain::default()
         }
     }
 }
@@ -206,7 +250,7 @@ impl Guarding {
         match motion {
             Some(Motion { kinematics, sample }) if !jumped => {
                 let lean = lean_ned_m_s2(sample.attitude);
-                let air = self.air.unwrap_or_else(|| Air::new(&kinematics));
+                let air = self.air.unwrap_or_else(|| Air::new(&kinematics, lean));
                 self.air = Some(air.follow(&kinematics, lean));
             }
             _ => self.air = None,
@@ -215,9 +259,20 @@ impl Guarding {
         if let (Some(motion), Some(depth), true) = (motion, frame, airborne) {
             self.lookout
                 .observe(&motion.pilot_input(now_ns, depth, NedVector::ZERO));
-            course = Some(self.course(&motion.kinematics, motion.sample.attitude, input.mission_place_m));
+            let flies_mission = telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Mission);
+            let place_m = input.mission_place_m.filter(|_| flies_mission);
+            course = Some(self.course(&self.config(input), &motion.kinematics, motion.sample.attitude, place_m));
         }
         (course, jumped && airborne, climbs)
+    }
+
+    /// How the vehicle stops: who is going to fly around what stopped it needs room to turn.
+    fn config(&self, input: &GuardingInput<'_>) -> JustStopConfig {
+        let room_m = if input.flies_around { TURNING_ROOM_M } else { 0.0 };
+        JustStopConfig {
+            spare_m: self.config.spare_m + room_m,
+            ..self.config
+        }
     }
 
     /// One step in which somebody else flies.
@@ -275,10 +330,10 @@ impl Guarding {
                 (None, StopCause::Blind | StopCause::Unseen) => f32::INFINITY,
             };
             let velocity = motion.kinematics.velocity_ned_m_s;
-            let gain_m_s2 = self.gain_m_s2(velocity, motion.sample.attitude);
+            let gain = self.gain_along(velocity);
             // Once it brakes, it is on its way to where it was told.
-            if self.stop_place_m.is_none() || gain_m_s2 > -BRAKES_M_S2 {
-                self.stop_place_m = Some(self.stop_place_m(&motion.kinematics, gain_m_s2, ahead_m));
+            if self.stop_place_m.is_none() || gain.gain_m_s2 > -BRAKES_M_S2 {
+                self.stop_place_m = Some(self.stop_place_m(&motion.kinematics, gain, ahead_m));
             }
         }
         VehicleRequest::Hold {
@@ -288,10 +343,10 @@ impl Guarding {
     }
 
     /// Metres north and east of where the vehicle can come to rest, or else of what must not be passed.
-    fn stop_place_m(&self, kinematics: &Kinematics, gain_m_s2: f32, ahead_m: f32) -> (f32, f32) {
+    fn stop_place_m(&self, kinematics: &Kinematics, gain: Gain, ahead_m: f32) -> (f32, f32) {
         let (here, velocity) = (kinematics.position_ned_m, kinematics.velocity_ned_m_s);
         let speed_m_s = velocity.horizontal_norm();
-        let way_m = self.config.way_m(speed_m_s, gain_m_s2).min(ahead_m.max(0.0));
+        let way_m = self.config.way_m(speed_m_s, gain).min(ahead_m.max(0.0));
         let share = if speed_m_s > STANDING_M_S {
             way_m / speed_m_s
         } else {
@@ -300,16 +355,9 @@ impl Guarding {
         (here.x + velocity.x * share, here.y + velocity.y * share)
     }
 
-    /// What the vehicle gains along its velocity, metres per second squared.
-    fn gain_m_s2(&self, velocity: NedVector, attitude: Attitude) -> f32 {
-        let loss = self.air.map_or(NedVector::ZERO, |air| air.loss_ned_m_s2);
-        let gain = lean_ned_m_s2(attitude) - loss;
-        let speed_m_s = velocity.horizontal_norm();
-        if speed_m_s > 0.0 {
-            (gain.x * velocity.x + gain.y * velocity.y) / speed_m_s
-        } else {
-            0.0
-        }
+    /// What the vehicle gains along its velocity.
+    fn gain_along(&self, velocity: NedVector) -> Gain {
+        self.air.map_or(Gain::default(), |air| air.gain_along(velocity))
     }
 
     /// What becomes of a stop: where guidance is to fly, and what people are told.
@@ -375,12 +423,15 @@ impl Guarding {
         };
         let way = NedVector::new(place_m.0 - k.position_ned_m.x, place_m.1 - k.position_ned_m.y, 0.0);
         let off_nose_rad = wrap_pi(libm::atan2f(way.y, way.x) - sample.attitude.yaw_rad());
+        // A mission follows its own line, on an estimate that wanders: it is given room to both sides.
+        let way_m = way.horizontal_norm();
+        let aside = NedVector::new(-way.y, way.x, 0.0) * (BESIDE_M / way_m.max(BESIDE_M));
+        let is_clear = |from| self.lookout.obstacle_ahead_m(from, way, way_m.min(FREE_M)).is_none();
         let free = guided
             && off_nose_rad.abs() < 0.25 * HORIZONTAL_FOV_RAD
-            && self
-                .lookout
-                .obstacle_ahead_m(k.position_ned_m, way, way.horizontal_norm().min(FREE_M))
-                .is_none();
+            && [k.position_ned_m, k.position_ned_m + aside, k.position_ned_m - aside]
+                .into_iter()
+                .all(is_clear);
         // Once free for long enough, it stays so until the vehicle has changed its mode.
         self.free_steps = match (self.free_steps >= FREE_STEPS, free) {
             (true, _) => self.free_steps,
@@ -394,15 +445,22 @@ impl Guarding {
         }
     }
 
-    /// What is seen along the velocity.
-    fn course(&self, kinematics: &Kinematics, attitude: Attitude, place_m: Option<(f32, f32)>) -> Course {
-        let here = kinematics.position_ned_m;
-        let start_obstacle_m = place_m.and_then(|(north_m, east_m)| {
-            let way = NedVector::new(north_m - here.x, east_m - here.y, 0.0);
-            let reach_m = self.config.start_reach_m().min(way.horizontal_norm());
+    /// What is seen along the velocity, and towards the mission's place where it leads there.
+    fn course(
+        &self,
+        config: &JustStopConfig,
+        kinematics: &Kinematics,
+        attitude: Attitude,
+        place_m: Option<(f32, f32)>,
+    ) -> Course {
+        let (here, velocity) = (kinematics.position_ned_m, kinematics.velocity_ned_m_s);
+        let way = place_m.map(|(north_m, east_m)| NedVector::new(north_m - here.x, east_m - here.y, 0.0));
+        let on_the_way_m = |reach_m: f32| {
+            let way = way?;
+            let reach_m = reach_m.min(way.horizontal_norm());
             self.lookout.obstacle_ahead_m(here, way, reach_m)
-        });
-        let velocity = kinematics.velocity_ned_m_s;
+        };
+        let start_obstacle_m = on_the_way_m(config.start_reach_m());
         let speed_m_s = velocity.horizontal_norm();
         if speed_m_s <= 0.0 {
             return Course {
@@ -410,14 +468,21 @@ impl Guarding {
                 ..Course::default()
             };
         }
-        let reach_m = self.config.reach_m(speed_m_s, self.gain_m_s2(velocity, attitude));
-        let off_nose_rad = wrap_pi(libm::atan2f(velocity.y, velocity.x) - attitude.yaw_rad());
+        let reach_m = config.reach_m(speed_m_s, self.gain_along(velocity));
+        let course_rad = libm::atan2f(velocity.y, velocity.x);
+        let off_nose_rad = wrap_pi(course_rad - attitude.yaw_rad());
+        // A start out of a hold that sways, or on an estimate that wanders, turns towards the place.
+        let turns = way.is_some_and(|way| wrap_pi(libm::atan2f(way.y, way.x) - course_rad).abs() < TURNS_RAD);
+        let ahead_m = self.lookout.obstacle_ahead_m(here, velocity, reach_m);
+        let then_m = on_the_way_m(reach_m).filter(|_| turns);
         Course {
-            obstacle_m: self
-                .lookout
-                .obstacle_ahead_m(kinematics.position_ned_m, velocity, reach_m),
+            obstacle_m: ahead_m.map_or(then_m, |ahead_m| {
+                Some(then_m.map_or(ahead_m, |then_m| ahead_m.min(then_m)))
+            }),
             start_obstacle_m,
-            unseen: off_nose_rad.abs() > 0.5 * HORIZONTAL_FOV_RAD - FOV_MARGIN_RAD,
+            // Tilted steeply, against a wind or drag, it looks at the ground.
+            unseen: off_nose_rad.abs() > 0.5 * HORIZONTAL_FOV_RAD - FOV_MARGIN_RAD
+                || off_middle_share(attitude, velocity) > libm::sinf(0.5 * VERTICAL_FOV_RAD),
         }
     }
 
@@ -425,6 +490,12 @@ impl Guarding {
     fn has_jumped(&mut self, now: Kinematics) -> bool {
         self.last.replace(now).is_some_and(|last| has_jumped(&last, &now))
     }
+}
+
+/// Sine of the angle by which a level course lies above or below the sensor's middle.
+fn off_middle_share(attitude: Attitude, velocity: NedVector) -> f32 {
+    let down = attitude.to_ned(FrdVector::new(0.0, 0.0, 1.0));
+    ((down.x * velocity.x + down.y * velocity.y) / velocity.horizontal_norm()).abs()
 }
 
 /// Acceleration over the ground as the thrust's lean gives it, metres per second squared: without what drag and wind take away.
@@ -439,31 +510,40 @@ mod tests {
     use super::*;
     use vigil_types::{AttitudeSample, Landed, STEP_NS};
 
-    /// Flies north with this tilt forward for so long under a drag of 1/s; what the tilt less drag and wind comes to at the end.
-    fn gain_after_m_s2(seconds: f32, pitch_rad: f32) -> f32 {
-        let attitude = Attitude::from_euler_rad(0.0, pitch_rad, 0.0);
+    /// Flies north, tilted forward by 17°, for so long under a drag of 1/s, its velocity known this often: what it gains at the end, and
+    /// the truth.
+    fn gain_after_m_s2(seconds: f32, step_ns: Nanos) -> (f32, f32) {
+        let attitude = Attitude::from_euler_rad(0.0, -0.297, 0.0);
         let lean = lean_ned_m_s2(attitude);
         let mut now = Kinematics {
             at_ns: 0,
             position_ned_m: NedVector::ZERO,
             velocity_ned_m_s: NedVector::ZERO,
         };
-        let mut air = Air::new(&now);
-        for _ in 0..(seconds * 20.0) as u32 {
-            now.at_ns += STEP_NS;
-            now.velocity_ned_m_s = now.velocity_ned_m_s + (lean - now.velocity_ned_m_s) * 0.05;
+        let mut air = Air::new(&now, lean);
+        let step_s = step_ns as f32 * 1e-9;
+        for _ in 0..(seconds / step_s) as u32 {
+            now.at_ns += step_ns;
+            now.velocity_ned_m_s = now.velocity_ned_m_s + (lean - now.velocity_ned_m_s) * step_s;
             air = air.follow(&now, lean);
         }
-        (lean - air.loss_ned_m_s2).x
+        let north = NedVector::new(1.0, 0.0, 0.0);
+        (air.gain_along(north).gain_m_s2, lean.x - now.velocity_ned_m_s.x)
     }
 
     #[test]
     fn a_steady_tilt_against_drag_is_no_gain_of_speed_and_a_start_is_one() {
-        // Tilted forward by 17°: 3 m/s², and 3 m/s in the end.
-        let at_the_start = gain_after_m_s2(0.3, -0.297);
-        let steady = gain_after_m_s2(8.0, -0.297);
-        assert!(at_the_start > 2.2, "{at_the_start}");
-        assert!(steady.abs() < 0.2, "{steady}");
+        assert!(gain_after_m_s2(0.3, STEP_NS).0 > 2.2);
+        for seconds in [1.5, 2.0, 3.0, 8.0] {
+            let (gain_m_s2, true_m_s2) = gain_after_m_s2(seconds, STEP_NS);
+            assert!(
+                (gain_m_s2 - true_m_s2).abs() < 0.4,
+                "{seconds}: {gain_m_s2} {true_m_s2}"
+            );
+        }
+        // Its velocity comes only twice a second.
+        let (gain_m_s2, _) = gain_after_m_s2(20.0, 10 * STEP_NS);
+        assert!(gain_m_s2.abs() < 0.3, "{gain_m_s2}");
     }
 
     #[test]

@@ -1,10 +1,15 @@
 //! Just stop: guards a flight that somebody else flies. The vehicle follows its own mission or a pilot's sticks; when something
 //! lies on its course, or nobody can see whether something does, it is told to hold. No setpoint is ever sent.
 
-use vigil_types::{Heartbeat, Nanos, StopCause, VehicleMode, parameters};
+pub use crate::stopping_way::{Gain, JustStopConfig};
+use vigil_types::{Heartbeat, Nanos, StopCause, VehicleMode};
 
 /// Slower than this no course can be told, and nothing is run into, metres per second.
-const STANDS_M_S: f32 = 0.25;
+pub(crate) const STANDS_M_S: f32 = 0.25;
+/// A hold on a wandering estimate sways at up to this speed, metres per second: a mission that has been flown for no longer than
+/// this may not have begun to move.
+const SWAYS_M_S: f32 = 0.8;
+const BEGINS_NS: Nanos = 500_000_000;
 /// A vehicle in hold that is faster than this is on its way to a place, if it does not slow down: by less than this in this many steps,
 /// metres per second.
 const GOES_M_S: f32 = 0.5;
@@ -14,108 +19,10 @@ const SLOWS_STEPS: usize = 8;
 const CONFIRMED: u8 = 2;
 /// Without a picture for longer than this, a vehicle that moves is stopped.
 const BLIND_NS: Nanos = 500_000_000;
-/// Step of the reckoned stop, seconds, and the most of them: 20 s.
-const RECKON_S: f32 = 0.05;
-const RECKON_STEPS: usize = 400;
-/// Fastest that a vehicle is believed to gain speed, metres per second squared.
-const GREATEST_GAIN_M_S2: f32 = 6.0;
-/// A vehicle that gains more than this is still on its way to [`MISSION_GAIN_M_S2`], metres per second squared: after a start, and above
-/// this speed, metres per second, which it has by then. There a gain may be what is not yet known of drag or wind.
-const STARTS_M_S2: f32 = 0.3;
-const GAINS_M_S2: f32 = 1.0;
-const STARTED_M_S: f32 = 1.5;
-/// What an autopilot gains speed with in a mission: PX4's MPC_ACC_HOR is 3, Copter's WPNAV_ACCEL 2.5 by default, metres per second squared.
-const MISSION_GAIN_M_S2: f32 = 3.0;
-/// The way of a hold from steady flight is this time times the speed: measured 1.3 to 1.5 s on PX4 (HOLD from 1.8 to 3.3 m/s) and about
-/// 1.5 s on ArduCopter (BRAKE).
-const HOLD_WAY_S: f32 = 1.5;
-/// From a command until the autopilot acts on it, seconds.
-const TOLD_S: f32 = 0.1;
 /// After so long in a hold that was told, a vehicle that goes on as before has taken the mode and not obeyed it.
 const OBEYS_NS: Nanos = 2_000_000_000;
-
-/// How the vehicle stops. [`JustStopConfig::default`] is what docs/just-stop.md states.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct JustStopConfig {
-    /// From the frame that shows an obstacle until the vehicle begins to change its acceleration, seconds.
-    pub reaction_s: f32,
-    /// What it brakes with, metres per second squared. PX4: MPC_ACC_HOR, 3 by default; Copter's BRAKE: 7.5.
-    pub braking_m_s2: f32,
-    /// How fast it gets there, metres per second cubed. PX4: MPC_JERK_AUTO, 4 by default; Copter: PSC_JERK_XY, 5.
-    pub jerk_m_s3: f32,
-    /// Kept between its stop and what it must not touch, metres.
-    pub spare_m: f32,
-    /// Moved so long where the sensor does not look, it is stopped; `None` is never.
-    pub unseen_limit_ns: Option<Nanos>,
-}
-
-impl Default for JustStopConfig {
-    fn default() -> Self {
-        Self {
-            reaction_s: parameters::STOP_REACTION.number_f32(),
-            braking_m_s2: parameters::STOP_BRAKING.number_f32(),
-            jerk_m_s3: parameters::STOP_JERK.number_f32(),
-            spare_m: parameters::STOP_SPARE.number_f32(),
-            unseen_limit_ns: Some((parameters::STOP_UNSEEN.number() * 1e9) as Nanos),
-        }
-    }
-}
-
-impl JustStopConfig {
-    /// Metres within which something on the course stops a vehicle of this speed, metres per second, that gains speed with this
-    /// acceleration, metres per second squared. An autopilot takes its acceleration back as fast as its jerk allows: who is told to
-    /// hold while it gains speed goes on gaining it for a while; and until it is told, who has begun to gain speed gains more.
-    pub fn reach_m(&self, speed_m_s: f32, gain_m_s2: f32) -> f32 {
-        let steady_m = speed_m_s.max(0.0) * (self.reaction_s + HOLD_WAY_S);
-        self.spare_m + self.braking_way_m(speed_m_s, gain_m_s2, self.reaction_s).max(steady_m)
-    }
-
-    /// Metres to where an autopilot that is told to hold now can come to rest from this speed, metres per second, that it gains with
-    /// this acceleration, metres per second squared.
-    pub fn way_m(&self, speed_m_s: f32, gain_m_s2: f32) -> f32 {
-        self.braking_way_m(speed_m_s, gain_m_s2, TOLD_S)
-    }
-
-    /// Metres of a stop that is begun after so many seconds.
-    fn braking_way_m(&self, speed_m_s: f32, gain_m_s2: f32, reaction_s: f32) -> f32 {
-        let mut speed_m_s = speed_m_s.max(0.0);
-        // It may cease braking in the moment in which it is looked at.
-        let mut gain_m_s2 = if gain_m_s2.is_finite() {
-            gain_m_s2.clamp(-0.5 * self.braking_m_s2, GREATEST_GAIN_M_S2)
-        } else {
-            GREATEST_GAIN_M_S2
-        };
-        let mut way_m = 0.0;
-        let grows_from_m_s2 = if speed_m_s < STARTED_M_S {
-            STARTS_M_S2
-        } else {
-            GAINS_M_S2
-        };
-        let reaction_steps = (reaction_s / RECKON_S + 0.5) as usize;
-        for step in 0..RECKON_STEPS {
-            if step < reaction_steps {
-                if gain_m_s2 > grows_from_m_s2 {
-                    gain_m_s2 = (gain_m_s2 + self.jerk_m_s3 * RECKON_S).min(gain_m_s2.max(MISSION_GAIN_M_S2));
-                }
-            } else {
-                gain_m_s2 = (gain_m_s2 - self.jerk_m_s3 * RECKON_S).max(-self.braking_m_s2);
-            }
-            let before_m_s = speed_m_s;
-            speed_m_s = (speed_m_s + gain_m_s2 * RECKON_S).max(0.0);
-            way_m += 0.5 * (before_m_s + speed_m_s) * RECKON_S;
-            if speed_m_s <= 0.0 {
-                break;
-            }
-        }
-        way_m
-    }
-
-    /// Metres that a mission takes which is begun and stopped again as soon as its vehicle is seen to move: what lies nearer on its
-    /// course stops it before it moves.
-    pub fn start_reach_m(&self) -> f32 {
-        self.reach_m(2.0 * STANDS_M_S, MISSION_GAIN_M_S2)
-    }
-}
+/// So long after a stop was begun, a vehicle may fly back to its place, which lies behind it.
+const RETURNS_NS: Nanos = 8_000_000_000;
 
 /// What the guard knows in a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -191,6 +98,8 @@ pub struct JustStop {
     blind_since_ns: Option<Nanos>,
     unseen_since_ns: Option<Nanos>,
     begun: Begun,
+    /// Since when it flies its mission.
+    mission_since_ns: Option<Nanos>,
     /// The last speeds, newest first, metres per second.
     speeds_m_s: [f32; SLOWS_STEPS],
 }
@@ -215,7 +124,8 @@ impl JustStop {
         let holds = heartbeat.mode == VehicleMode::Hold;
         let goes = self.goes(input.speed_m_s);
         // What is braking in hold already needs no telling; what goes somewhere in it does.
-        let danger = self.danger(config, input, &heartbeat).filter(|_| !holds || goes);
+        let rests = holds && !goes;
+        let danger = self.danger(config, input, &heartbeat, rests).filter(|_| !rests);
         self.begun.stood |= input.speed_m_s.is_some_and(|speed_m_s| speed_m_s < STANDS_M_S);
         // A heartbeat of before the command says nothing of it.
         let newer = heartbeat.at_ns > self.begun.at_ns;
@@ -229,7 +139,10 @@ impl JustStop {
                 JustStopState::Watching
             }
             JustStopState::Stopping(cause) => JustStopState::Stopping(cause),
-            JustStopState::Stopped(cause) if holds && (danger.is_none() || self.may_obey_yet(input.now_ns)) => {
+            JustStopState::Stopped(cause)
+                if holds
+                    && (danger.is_none() || self.may_obey_yet(input.now_ns) || self.returns(danger, input.now_ns)) =>
+            {
                 JustStopState::Stopped(cause)
             }
             JustStopState::Idle | JustStopState::Unguarded | JustStopState::Watching | JustStopState::Stopped(_) => {
@@ -254,6 +167,11 @@ impl JustStop {
         !self.begun.stood && now_ns.saturating_sub(self.begun.at_ns) < OBEYS_NS
     }
 
+    /// Whether the vehicle may be on its way back to the place of its stop, where it has just been.
+    fn returns(&self, danger: Option<StopCause>, now_ns: Nanos) -> bool {
+        danger == Some(StopCause::Unseen) && now_ns.saturating_sub(self.begun.at_ns) < RETURNS_NS
+    }
+
     /// Whether the vehicle moves and does not slow down.
     fn goes(&mut self, speed_m_s: Option<f32>) -> bool {
         let Some(speed_m_s) = speed_m_s else { return false };
@@ -265,8 +183,14 @@ impl JustStop {
         speed_m_s > GOES_M_S && oldest_m_s - speed_m_s < SLOWS_M_S
     }
 
-    /// Why the vehicle must not go on as it does, if it must not.
-    fn danger(&mut self, config: &JustStopConfig, input: &JustStopInput, heartbeat: &Heartbeat) -> Option<StopCause> {
+    /// Why the vehicle must not go on as it does, if it must not. `rests`: it is in hold and on its way nowhere.
+    fn danger(
+        &mut self,
+        config: &JustStopConfig,
+        input: &JustStopInput,
+        heartbeat: &Heartbeat,
+        rests: bool,
+    ) -> Option<StopCause> {
         let moves = input.speed_m_s.is_none_or(|speed_m_s| speed_m_s > STANDS_M_S);
         let longer = |since_ns: &mut Option<Nanos>, holds: bool, limit_ns: Nanos| {
             *since_ns = since_ns.or(Some(input.now_ns)).filter(|_| holds);
@@ -276,15 +200,18 @@ impl JustStop {
         let blind = longer(&mut self.blind_since_ns, seen.is_none(), BLIND_NS);
         let unseen = longer(
             &mut self.unseen_since_ns,
-            moves && seen.is_some_and(|course| course.unseen),
+            // A hold on a wandering estimate sways to all sides; what begins then goes nowhere yet.
+            moves && !rests && seen.is_some_and(|course| course.unseen),
             config.unseen_limit_ns.unwrap_or(Nanos::MAX),
         );
-        // A mission that stands has not begun yet, or is sent on.
-        let starts = !moves && heartbeat.mode == VehicleMode::Mission;
-        let obstacle_m = seen.and_then(|course| match (moves, starts) {
-            (true, _) => course.obstacle_m,
-            (false, true) => course.start_obstacle_m,
-            (false, false) => None,
+        // A mission that stands has not begun yet, or is sent on; so is one that has just begun, in a hold that sways.
+        let flies_mission = heartbeat.mode == VehicleMode::Mission;
+        let goes_on = longer(&mut self.mission_since_ns, flies_mission, BEGINS_NS);
+        let sways = input.speed_m_s.is_some_and(|speed_m_s| speed_m_s < SWAYS_M_S);
+        let starts = flies_mission && (!moves || sways && !goes_on);
+        let obstacle_m = seen.and_then(|course| {
+            let ahead_m = course.obstacle_m.filter(|_| moves);
+            ahead_m.or(course.start_obstacle_m.filter(|_| starts))
         });
         self.confirmed = match obstacle_m {
             Some(_) => self.confirmed.saturating_add(1),
@@ -366,50 +293,6 @@ mod tests {
         fn stopped_after_s(&mut self) -> Option<(f32, StopCause)> {
             (1..=100).find_map(|step| Some((step as f32 * 0.05, self.step(None).cause()?)))
         }
-    }
-
-    #[test]
-    fn the_reach_is_that_of_a_stop_with_delay_jerk_and_braking() {
-        let config = JustStopConfig::default();
-        // 2.4 m in 0.4 s; half a second to 2 m/s² costs 0.5 m/s; 5.5² / 4 = 7.56 m from there; half a metre spare.
-        let ramp_m = 6.0 * 0.5 - 4.0 * 0.125 / 6.0;
-        let by_hand_m = 2.4 + ramp_m + 7.5625 + 0.5;
-        assert!(
-            (config.reach_m(6.0, 0.0) - by_hand_m).abs() < 0.15,
-            "{}",
-            config.reach_m(6.0, 0.0)
-        );
-        // The ways of real autopilots' holds from steady flight, and 0.4 s until they are told.
-        for (speed_m_s, way_m) in [(1.8, 2.4), (2.6, 3.4), (3.3, 4.9), (5.0, 7.5)] {
-            let needed_m = way_m + 0.4 * speed_m_s;
-            let reach_m = config.reach_m(speed_m_s, 0.0);
-            assert!(
-                reach_m >= needed_m && reach_m <= 1.3 * needed_m + 1.0,
-                "{speed_m_s}: {reach_m}"
-            );
-        }
-        // PX4 told at 1.9 m/s while it gains 2.7 m/s² needs 6.6 m; half as much again and a metre is early enough.
-        assert!(
-            (6.6..1.5 * 6.6 + 1.0).contains(&config.reach_m(1.9, 2.7)),
-            "{}",
-            config.reach_m(1.9, 2.7)
-        );
-        assert!((config.reach_m(0.0, 0.0) - 0.5).abs() < 1e-6);
-        // What drag still hides of a steady flight costs less than a metre; in a start it is the beginning of more.
-        assert!(config.reach_m(2.6, 0.6) < config.reach_m(2.6, 0.0) + 1.0);
-        let costs_m = |speed_m_s| config.reach_m(speed_m_s, 0.6) - config.reach_m(speed_m_s, 0.0);
-        assert!(costs_m(1.4) > costs_m(1.6) + 0.5, "{} {}", costs_m(1.4), costs_m(1.6));
-        // From 3 m/s braking at MPC_ACC_HOR takes 2.6 m, and the hold of a PX4 4.3 m: the place that it is told lies between.
-        assert!(
-            (2.6..4.3).contains(&config.way_m(3.0, 0.0)),
-            "{}",
-            config.way_m(3.0, 0.0)
-        );
-        assert!(config.way_m(1.9, 2.7) > config.way_m(2.8, 0.0) + 1.0);
-        // Who gains 3 m/s² gains another 1.2 m/s during the reaction and 1.125 while it is taken back.
-        assert!(config.reach_m(2.0, 3.0) > config.reach_m(4.3, 0.0));
-        assert!(config.reach_m(6.0, -2.0) < config.reach_m(6.0, 0.0) - 0.5);
-        assert!(config.reach_m(3.0, f32::NAN).is_finite() && config.reach_m(f32::MAX, 9.0) > 1e6);
     }
 
     #[test]
@@ -500,6 +383,47 @@ mod tests {
         let mut flight = Flight::at(0.05);
         (flight.start_obstacle_m, flight.mode) = (Some(3.5), VehicleMode::Other);
         assert_eq!(flight.stopped_after_s(), None);
+    }
+
+    /// A hold on a wandering estimate moves at 0.4 m/s while it stands.
+    #[test]
+    fn a_mission_that_begins_in_a_swaying_hold_is_held_too_and_a_slow_one_on_its_way_is_left_alone() {
+        let begins = |held_steps| {
+            let mut flight = Flight::at(0.4);
+            flight.mode = VehicleMode::Mission;
+            for _ in 0..held_steps {
+                flight.step(None);
+            }
+            flight.start_obstacle_m = Some(3.5);
+            flight.step(None);
+            flight.step(None)
+        };
+        assert!(matches!(begins(0), JustStopState::Stopping(_)));
+        assert_eq!(begins(20), JustStopState::Watching);
+        // That it swayed backwards says nothing of the mission.
+        let mut flight = Flight::at(0.4);
+        (flight.mode, flight.unseen) = (VehicleMode::Hold, true);
+        assert_eq!(flight.stopped_after_s(), None);
+        flight.mode = VehicleMode::Mission;
+        assert!(flight.stopped_after_s().is_some_and(|(after_s, _)| after_s > 0.9));
+    }
+
+    #[test]
+    fn a_vehicle_that_flies_back_to_its_place_is_not_stopped_for_what_it_cannot_see_there() {
+        let mut flight = Flight::at(2.0);
+        flight.step(Some(1.0));
+        flight.step(Some(1.0));
+        flight.mode = VehicleMode::Hold;
+        flight.unseen = true;
+        let seconds = |flight: &mut Flight, seconds: u32| (0..20 * seconds).map(|_| flight.step(None)).last();
+        let obstacle = StopCause::Obstacle { ahead_m: 1.0 };
+        assert_eq!(seconds(&mut flight, 7), Some(JustStopState::Stopped(obstacle)));
+        let then = seconds(&mut flight, 2);
+        assert_eq!(
+            then,
+            Some(JustStopState::Stopping(StopCause::Unseen)),
+            "it is on another way"
+        );
     }
 
     #[test]

@@ -38,6 +38,7 @@ mod input;
 pub mod just_stop;
 mod machine;
 mod setpoint;
+mod stopping_way;
 pub mod table;
 
 pub use alarm::{AlarmConfig, ROUGH_BELOW};

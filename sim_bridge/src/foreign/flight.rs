@@ -10,7 +10,7 @@ use vigil_types::named;
 use vigil_types::{Attitude, DepthFrame, FrameKey, Nanos, NedVector, VehicleMode, VehicleTelemetry};
 
 /// A report older than this is no pose; the firmware's own limit of telemetry.
-const REPORT_AGE_NS: Nanos = 300_000_000;
+const REPORT_AGE_NS: Nanos = vigil_types::parameters::TELEMETRY_AGE.nanos();
 
 /// How far a report may be from where the one before leads, metres, and how much farther per second between them.
 const JUMP_M: f32 = 1.0;

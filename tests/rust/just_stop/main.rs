@@ -179,10 +179,8 @@ fn fly_as(
             return Flown { end, nearest_m, stop };
         }
         let holds = report.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
-        stood = match holds && report.reasons.contains(Reason::CollisionCourse) {
-            true => stood + 1,
-            false => 0,
-        };
+        let stands = holds && truth.velocity_ned_m_s.horizontal_norm() < 0.4;
+        stood += u32::from(stands && report.reasons.contains(Reason::CollisionCourse));
         if stood == 100 {
             let end = End::Stopped;
             return Flown { end, nearest_m, stop };

@@ -37,7 +37,7 @@ fn missions_of(vehicle: VehicleParams, duty: Duty, first_seed: u64, count: u64) 
     let spread = |n: u64, of: f64| (n as f64 * of).fract() as f32;
     for n in first_seed..first_seed + count {
         let speed_m_s = 2.0 + 3.0 * spread(n, 0.618_034);
-        let away_m = 3.5 + 14.5 * spread(n, 0.381_966);
+        let away_m = 3.5 + 14.5 * spread(n, 0.414_214);
         let radius_m = 0.15 + 0.4 * spread(n, 0.754_878);
         let is_free = n % 4 == 3;
         let east_m = if is_free {

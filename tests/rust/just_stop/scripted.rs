@@ -138,7 +138,9 @@ fn a_mission_through_a_wall_is_stopped_on_either_autopilot_and_stopped_again_whe
 #[test]
 fn a_px4_is_told_the_mode_and_then_the_place_where_it_can_stop_and_one_that_refuses_the_place_holds_by_its_mode() {
     for (flavour, refuses_places) in [(Flavour::Px4, false), (Flavour::Px4, true), (Flavour::ArduPilot, false)] {
-        let mut f = Guarded::before_a_wall(flavour, 40.0);
+        // A heartbeat comes once a second: here not between the place and its refusal.
+        let wall_m = 41.0;
+        let mut f = Guarded::before_a_wall(flavour, wall_m);
         f.peer.refuses_places = refuses_places;
         let mut told_at_m = None;
         for _ in 0..400 {
@@ -158,7 +160,7 @@ fn a_px4_is_told_the_mode_and_then_the_place_where_it_can_stop_and_one_that_refu
         let place_m = (x - 473_977_420) as f32 / 89.932;
         // From 3 m/s: braking at MPC_ACC_HOR takes 2.6 m, the hold of a PX4 4.3 m.
         assert!((2.6..4.3).contains(&(place_m - told_at_m)), "{place_m} {told_at_m}");
-        assert!((y - 85_455_940).abs() < 20 && place_m < 40.0 - 0.3);
+        assert!((y - 85_455_940).abs() < 20 && place_m < wall_m - 0.3);
         assert_eq!((speed_m_s, flags), (1.0, 1.0), "slowly, and in hold");
         assert!(altitude_m.is_nan(), "at its height");
         assert_eq!(f.was_told("refused"), refuses_places, "{:?}", f.texts);

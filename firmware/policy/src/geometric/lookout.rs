@@ -8,10 +8,13 @@ use vigil_types::{Nanos, NedVector};
 
 /// Kept between the vehicle's middle and what is remembered, cells: 0.50 m, its radius of 0.30 m and a cell's error.
 const KEEP_CLEAR_CELLS: f32 = 2.0;
+const KEEP_CLEAR_SQUARED: u8 = (KEEP_CLEAR_CELLS * KEEP_CLEAR_CELLS) as u8;
 /// And more for what is farther ahead, cells a metre: the velocity turns, and drifts, by some 0.1 rad before the vehicle is there.
 const WIDENS_CELLS_PER_M: f32 = 0.4;
 /// The most that the grid's clearance tells is 6.
 const WIDEST_CELLS: f32 = 4.0;
+/// Something that has come no nearer for so many metres of the course lies beside it: cells are coarse.
+const PASSES_M: f32 = 2.0 * CELL_M;
 /// The course is looked at this often, metres: no cell is passed over.
 const LOOK_EVERY_M: f32 = CELL_M / 2.0;
 /// Farther than this nothing is entered into the grid.
@@ -58,14 +61,31 @@ impl Lookout {
                 .clearance_squared_at(here_ned_m.x + north * ahead_m, here_ned_m.y + east * ahead_m)
         };
         let here = clearance(0.0);
-        let keep = |ahead_m: f32| {
-            let cells = smaller(KEEP_CLEAR_CELLS + WIDENS_CELLS_PER_M * ahead_m, WIDEST_CELLS);
-            here.min((cells * cells) as u8)
-        };
+        // What is too near already must not get nearer, until it is left behind.
+        let mut leaves = here < KEEP_CLEAR_SQUARED;
+        let mut keep = KEEP_CLEAR_SQUARED;
         let looks = (smaller(reach_m, FARTHEST_M) / LOOK_EVERY_M) as usize;
-        (1..=looks)
-            .map(|look| look as f32 * LOOK_EVERY_M)
-            .find(|ahead_m| clearance(*ahead_m) < keep(*ahead_m))
+        let mut look_at_m = (1..=looks).map(|look| look as f32 * LOOK_EVERY_M);
+        let blocked_m = look_at_m.find(|ahead_m| {
+            let there = clearance(*ahead_m);
+            leaves &= there < KEEP_CLEAR_SQUARED;
+            keep = if leaves { here } else { here.max(KEEP_CLEAR_SQUARED) };
+            let cells = smaller(KEEP_CLEAR_CELLS + WIDENS_CELLS_PER_M * *ahead_m, WIDEST_CELLS);
+            there < keep.min((cells * cells) as u8)
+        })?;
+        let touched = keep.min(KEEP_CLEAR_SQUARED);
+        // The wider berth is one to the sides: what lies ahead is reached where it is touched, or passed.
+        let mut least = (clearance(blocked_m), blocked_m);
+        for ahead_m in look_at_m {
+            if least.0 < touched || ahead_m > least.1 + PASSES_M {
+                return Some(least.1);
+            }
+            let there = clearance(ahead_m);
+            if there < least.0 {
+                least = (there, ahead_m);
+            }
+        }
+        (least.0 < touched).then_some(least.1)
     }
 
     /// The surroundings as they were last seen.
@@ -112,11 +132,31 @@ mod tests {
         assert_eq!(ahead(0.0, 0.0, 9.0), None, "it stands");
     }
 
+    /// A course 5 m ahead is asked for 1 m on both sides: not in front.
+    #[test]
+    fn the_wider_berth_far_ahead_is_one_to_the_sides() {
+        let ahead = |east_m: f32, reach_m: f32| {
+            seen(&[(8.1, east_m)]).obstacle_ahead_m(NedVector::ZERO, NedVector::new(2.0, 0.0, 0.0), reach_m)
+        };
+        let (before_m, beside_m) = (ahead(0.1, 9.0).expect("before"), ahead(0.8, 9.0).expect("beside"));
+        assert!((7.4..7.8).contains(&before_m), "{before_m}");
+        assert!((7.4..8.2).contains(&beside_m), "{beside_m}");
+        assert_eq!(ahead(1.4, 9.0), None);
+        assert_eq!(ahead(0.1, 7.2), None, "within the reach it is not touched");
+    }
+
     #[test]
     fn a_vehicle_that_is_too_near_already_may_go_away_but_not_nearer() {
         let lookout = seen(&[(0.3, 0.1)]);
         let ahead = |north: f32| lookout.obstacle_ahead_m(NedVector::ZERO, NedVector::new(north, 0.0, 0.0), 3.0);
         assert_eq!(ahead(-1.0), None);
         assert!(ahead(1.0).is_some());
+        // What it leaves hides nothing of what lies behind.
+        let lookout = seen(&[(0.1, 0.1), (5.1, 0.1)]);
+        let found_m = lookout.obstacle_ahead_m(NedVector::ZERO, NedVector::new(1.0, 0.0, 0.0), 8.0);
+        assert!(
+            found_m.is_some_and(|found_m| (4.2..4.9).contains(&found_m)),
+            "{found_m:?}"
+        );
     }
 }

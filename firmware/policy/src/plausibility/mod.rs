@@ -244,6 +244,8 @@ pub struct PlausibilityCheck {
     /// What the last frame's cells show.
     counts: CellCounts,
     faults: Reasons,
+    /// Where the ground is, metres down from the local origin.
+    ground_down_m: f32,
     blind_frames: u8,
     seeing_frames: u8,
     blind: bool,
@@ -308,6 +310,7 @@ impl PlausibilityCheck {
             pose_before: None,
             counts: CellCounts::default(),
             faults: Reasons::NONE,
+            ground_down_m: 0.0,
             blind_frames: 0,
             seeing_frames: 0,
             blind: false,
@@ -343,6 +346,11 @@ impl PlausibilityCheck {
         self.faults
     }
 
+    /// Where the ground is, metres down from the local origin, from now on: near it everything is near, and nothing may move.
+    pub fn note_ground(&mut self, down_m: f32) {
+        self.ground_down_m = down_m;
+    }
+
     /// Checks a valid frame that is newer than the last. Telemetry that is missing or not finite is checked by nobody here: only
     /// what needs none of it is then looked at.
     pub fn check(&mut self, frame: &DepthFrame, telemetry: &VehicleTelemetry) -> Reasons {
@@ -355,7 +363,7 @@ impl PlausibilityCheck {
         } else {
             None
         };
-        let height_m = known.map(|(kinematics, _)| -kinematics.position_ned_m.z);
+        let height_m = known.map(|(kinematics, _)| self.ground_down_m - kinematics.position_ned_m.z);
 
         self.note_blindness(frame.header.attitude, height_m);
         let pose = Pose {

@@ -88,9 +88,16 @@ fn px4(drag_per_s: f64, braking_share: f64) -> VehicleParams {
 
 impl VehicleParams {
     /// The same with the estimate of an autopilot that hangs on GPS and barometer: its position wanders by half a metre, its height by
-    /// up to a metre over minutes, and a hold wanders with it. PX4's velocity is off beside that.
+    /// up to a metre over minutes, and a hold wanders with it. PX4's velocity is off beside that, its heading wanders in the air, and
+    /// its height faster.
     pub fn with_noisy_estimate(self) -> Self {
-        self.wandering(1.0)
+        let mut noisy = self.wandering(1.0);
+        if noisy.control.velocity_law == VelocityLaw::Direct {
+            let sensors = &mut noisy.sensors;
+            (sensors.wander_m[1], sensors.wander_time_s[1]) = (0.4, 16.0);
+            sensors.heading_error_rad = 4.3f64.to_radians();
+        }
+        noisy
     }
 
     fn wandering(mut self, share: f64) -> Self {

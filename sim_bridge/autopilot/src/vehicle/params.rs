@@ -212,6 +212,10 @@ settings! {
         pub velocity_error_m_s: [f64; 2] = within([0.0; 2], (0.0, 10.0), "m/s"),
         /// Correlation time of that error, seconds.
         pub velocity_error_time_s: f64 = within(4.0, (0.05, 100_000.0), "s"),
+        /// What the estimated heading wanders in the air, radians.
+        pub heading_error_rad: f64 = within(0.0, (0.0, 1.0), "rad"),
+        /// Correlation time of that error, seconds.
+        pub heading_error_time_s: f64 = within(8.0, (0.05, 100_000.0), "s"),
     }
 }
 
@@ -232,6 +236,8 @@ impl SensorParams {
         wander_time_s: [20.0, 150.0],
         velocity_error_m_s: [0.0; 2],
         velocity_error_time_s: 4.0,
+        heading_error_rad: 0.0,
+        heading_error_time_s: 8.0,
     };
 }
 

@@ -290,6 +290,10 @@ impl Vehicle {
             vectors.iter().for_each(|v| bytes.vector(v));
             bytes.word(word);
         }
+        self.errors
+            .heading_error_rad()
+            .into_iter()
+            .for_each(|r| bytes.number(r));
         bytes.number(self.battery.charge);
         bytes.number(self.battery.voltage_v);
         bytes.word(self.gust_noise.position());

@@ -2,7 +2,7 @@
 
 use crate::vehicle::body::Body;
 use crate::vehicle::interface::Sensors;
-use crate::vehicle::math::{Rotation, Vec3, frd, ned, small_rotation};
+use crate::vehicle::math::{Rotation, Vec3, frd, heading, ned, small_rotation};
 use crate::vehicle::noise::{Noise, OrnsteinUhlenbeck};
 use crate::vehicle::params::{BatteryParams, SensorParams};
 use crate::vehicle::rotors::Rotors;
@@ -13,6 +13,8 @@ const BAROMETER_EVERY: u32 = 5;
 const GPS_EVERY: u32 = 25;
 /// Correlation time of the wander's velocity, seconds: what a hold has to follow, slower than the controllers.
 const WANDER_VELOCITY_TIME_S: f64 = 2.0;
+/// Above this height, metres, the compass is no longer trusted as on the ground, and the heading wanders.
+const AIRBORNE_M: f64 = 0.1;
 
 /// The errors between truth and belief, and the readings of the slower sensors.
 ///
@@ -95,7 +97,7 @@ impl Errors {
         self.attitude_error = small_rotation(&self.attitude.value);
         self.position_m = self.position_m * self.position_keep + self.velocity.value * self.interval_s;
         if let Some(wander) = &mut self.wander {
-            wander.advance(self.interval_s);
+            wander.advance(self.interval_s, -body.position_ned_m.z > AIRBORNE_M);
         }
         self.accelerometer = self.noise.normal3() * self.params.accelerometer_m_s2;
         self.gyroscope = self.noise.normal3() * self.params.gyroscope_rad_s;
@@ -133,7 +135,9 @@ impl Errors {
 
     /// Estimated attitude.
     pub(crate) fn attitude(&self, body: &Body) -> Rotation {
-        body.attitude * self.attitude_error
+        let estimated = body.attitude * self.attitude_error;
+        self.heading_error_rad()
+            .map_or(estimated, |error_rad| heading(error_rad) * estimated)
     }
 
     /// Measured rates: the estimator trusts the gyroscope.
@@ -191,6 +195,11 @@ impl Errors {
         let vectors = [wander.velocity.value, wander.position_m, wander.astray_m_s()];
         Some((vectors, wander.noise.position()))
     }
+
+    /// What the estimated heading is off beside the attitude's error, radians, where it wanders.
+    pub(crate) fn heading_error_rad(&self) -> Option<f64> {
+        Some(self.wander.as_ref()?.heading.as_ref()?.value.z)
+    }
 }
 
 /// The slow error of a position that hangs on GPS and barometer: a velocity error of [`WANDER_VELOCITY_TIME_S`] summed up with a
@@ -203,6 +212,7 @@ struct Wander {
     deviation_m: Vec3,
     leak_per_s: Vec3,
     astray: Option<OrnsteinUhlenbeck>,
+    heading: Option<OrnsteinUhlenbeck>,
 }
 
 impl Wander {
@@ -230,6 +240,14 @@ impl Wander {
                 let deviation_m_s = Vec3::new(level_m_s, level_m_s, down_m_s);
                 OrnsteinUhlenbeck::new(deviation_m_s, params.velocity_error_time_s, interval_s, &mut noise)
             }),
+            // Begins at 0, in a flight that begins in the air too: on the ground the compass is right, and the firmware heard it there.
+            heading: (params.heading_error_rad > 0.0).then(|| {
+                let deviation_rad = Vec3::new(0.0, 0.0, params.heading_error_rad);
+                let mut error =
+                    OrnsteinUhlenbeck::new(deviation_rad, params.heading_error_time_s, interval_s, &mut noise);
+                error.value = Vec3::zeros();
+                error
+            }),
             noise,
             position_m: Vec3::zeros(),
             deviation_m: Vec3::new(horizontal_m, horizontal_m, vertical_m),
@@ -245,7 +263,10 @@ impl Wander {
         self.position_m = self.deviation_m.component_mul(&self.noise.normal3());
     }
 
-    fn advance(&mut self, interval_s: f64) {
+    fn advance(&mut self, interval_s: f64, is_airborne: bool) {
+        if let Some(heading) = self.heading.as_mut().filter(|_| is_airborne) {
+            heading.advance(&mut self.noise);
+        }
         self.velocity.advance(&mut self.noise);
         if let Some(astray) = &mut self.astray {
             astray.advance(&mut self.noise);
