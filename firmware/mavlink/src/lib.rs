@@ -25,13 +25,11 @@
 #![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing))]
 
-mod answer;
 mod autopilot;
 mod companion;
 mod core;
 pub mod framing;
 pub mod globe;
-mod heading_error;
 mod inputs;
 mod operator;
 mod parameter_table;

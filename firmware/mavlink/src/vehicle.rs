@@ -1,10 +1,8 @@
 //! What the vehicle says of itself.
 
-use crate::answer::Answer;
 use crate::autopilot::Flavour;
 use crate::framing::{Packet, Zeroed};
 use crate::globe::Origin;
-use crate::heading_error::HeadingError;
 use crate::velocity_error::VelocityError;
 use mavlink::MessageData;
 use mavlink::dialects::common::{
@@ -109,8 +107,6 @@ pub struct Vehicle {
     position_ms: Option<u32>,
     attitude_ms: Option<u32>,
     velocity_error: VelocityError,
-    heading_error: HeadingError,
-    answer: Answer,
 }
 
 impl Vehicle {
@@ -134,8 +130,6 @@ impl Vehicle {
             position_ms: None,
             attitude_ms: None,
             velocity_error: VelocityError::default(),
-            heading_error: HeadingError::default(),
-            answer: Answer::default(),
         }
     }
 
@@ -182,39 +176,19 @@ impl Vehicle {
         self.home_ned_m().map_or(0.0, |home_ned_m| -home_ned_m.z)
     }
 
-    /// What to add to the reported heading, radians, so that it is where the nose points ([`HeadingError`]).
-    pub(crate) fn heading_lacks_rad(&self) -> f32 {
-        self.heading_error.lacks_rad()
-    }
-
-    /// The velocity to ask for, so that the position moves as wanted from the nose while the reported heading and velocity are off
-    /// ([`HeadingError`], [`VelocityError`]) and the vehicle answers late ([`Answer`]); as it is wanted where nothing fresh is known.
-    pub(crate) fn ask_velocity(&mut self, now_ns: Nanos, wanted_m_s: HeadingVector) -> HeadingVector {
-        let telemetry = &self.telemetry;
-        let is_fresh = telemetry
+    /// The velocity to ask for, so that the position moves as wanted while the reported velocity is off ([`VelocityError`]); as it
+    /// is wanted where nothing fresh is known.
+    pub(crate) fn asked_velocity(&self, now_ns: Nanos, wanted_m_s: HeadingVector) -> HeadingVector {
+        let lacks_m_s = self.velocity_error.lacks_m_s();
+        let is_fresh = self
+            .telemetry
             .flight_data_age_ns(now_ns)
             .is_some_and(|age_ns| age_ns <= FRESH_NS);
-        let (Some(kinematics), Some(sample), true) = (
-            telemetry.kinematics,
-            telemetry.attitude,
-            is_fresh && telemetry.is_finite(),
-        ) else {
-            return wanted_m_s;
-        };
-        let lacks_m_s = self.velocity_error.lacks_m_s();
-        let lacks_rad = self.heading_lacks_rad();
-        let reported_rad = sample.attitude.yaw_rad();
-        let obeys = telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::External);
-        let beside_m_s = if obeys {
-            let wanted_ned_m_s = wanted_m_s.to_ned(reported_rad + lacks_rad);
-            self.answer.beside(now_ns, wanted_ned_m_s, kinematics.velocity_ned_m_s)
-        } else {
-            NedVector::ZERO
-        };
-        let more_m_s = beside_m_s - lacks_m_s;
-        match more_m_s == NedVector::ZERO && lacks_rad == 0.0 {
-            true => wanted_m_s,
-            false => wanted_m_s.to_ned(lacks_rad).to_heading(0.0) + more_m_s.to_heading(reported_rad),
+        match self.telemetry.attitude {
+            Some(sample) if lacks_m_s != NedVector::ZERO && is_fresh && self.telemetry.is_finite() => {
+                wanted_m_s - lacks_m_s.to_heading(sample.attitude.yaw_rad())
+            }
+            _ => wanted_m_s,
         }
     }
 
@@ -285,14 +259,23 @@ impl Vehicle {
                 });
             }
             MavMessage::ATTITUDE(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.attitude_ms) => {
-                let attitude = Attitude::from_euler_rad(m.roll, m.pitch, m.yaw);
-                let rates_frd_rad_s = FrdVector::new(m.rollspeed, m.pitchspeed, m.yawspeed);
-                self.attitude(now_ns, m.time_boot_ms, attitude, rates_frd_rad_s);
+                self.telemetry.attitude = Some(AttitudeSample {
+                    at_ns: now_ns,
+                    attitude: Attitude::from_euler_rad(m.roll, m.pitch, m.yaw),
+                    rates_frd_rad_s: FrdVector::new(m.rollspeed, m.pitchspeed, m.yawspeed),
+                });
             }
             MavMessage::ATTITUDE_QUATERNION(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.attitude_ms) => {
-                let (w, x, y, z) = (m.q1, m.q2, m.q3, m.q4);
-                let rates_frd_rad_s = FrdVector::new(m.rollspeed, m.pitchspeed, m.yawspeed);
-                self.attitude(now_ns, m.time_boot_ms, Attitude { w, x, y, z }, rates_frd_rad_s);
+                self.telemetry.attitude = Some(AttitudeSample {
+                    at_ns: now_ns,
+                    attitude: Attitude {
+                        w: m.q1,
+                        x: m.q2,
+                        y: m.q3,
+                        z: m.q4,
+                    },
+                    rates_frd_rad_s: FrdVector::new(m.rollspeed, m.pitchspeed, m.yawspeed),
+                });
             }
             MavMessage::SYS_STATUS(m) => {
                 self.telemetry.battery_remaining = u8::try_from(m.battery_remaining)
@@ -328,16 +311,6 @@ impl Vehicle {
             }
             _ => {}
         }
-    }
-
-    fn attitude(&mut self, now_ns: Nanos, boot_ms: u32, attitude: Attitude, rates_frd_rad_s: FrdVector) {
-        self.heading_error
-            .take(boot_ms, attitude, rates_frd_rad_s, self.telemetry.is_airborne());
-        self.telemetry.attitude = Some(AttitudeSample {
-            at_ns: now_ns,
-            attitude,
-            rates_frd_rad_s,
-        });
     }
 
     /// PX4 lets home's height follow its GNSS: by metres, every other second, in flight too. A vehicle that stands at home knows

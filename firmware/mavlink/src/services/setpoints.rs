@@ -31,7 +31,7 @@ impl Service for SetpointService {
         core.streaming = report.setpoint.is_some() && core.system_id.is_some();
         if let (Some(setpoint), Some(system)) = (&report.setpoint, core.system_id) {
             let asked = VelocitySetpoint {
-                velocity_m_s: core.vehicle.ask_velocity(report.now_ns, setpoint.velocity_m_s),
+                velocity_m_s: core.vehicle.asked_velocity(report.now_ns, setpoint.velocity_m_s),
                 ..*setpoint
             };
             core.say(out, &report::setpoint(report.now_ns, system, &asked));
