@@ -474,11 +474,9 @@ impl Guarding {
         // A start out of a hold that sways, or on an estimate that wanders, turns towards the place.
         let turns = way.is_some_and(|way| wrap_pi(libm::atan2f(way.y, way.x) - course_rad).abs() < TURNS_RAD);
         let ahead_m = self.lookout.obstacle_ahead_m(here, velocity, reach_m);
-        let then_m = on_the_way_m(reach_m).filter(|_| turns);
+        let then_m = turns.then(|| on_the_way_m(reach_m)).flatten();
         Course {
-            obstacle_m: ahead_m.map_or(then_m, |ahead_m| {
-                Some(then_m.map_or(ahead_m, |then_m| ahead_m.min(then_m)))
-            }),
+            obstacle_m: ahead_m.into_iter().chain(then_m).reduce(f32::min),
             start_obstacle_m,
             // Tilted steeply, against a wind or drag, it looks at the ground.
             unseen: off_nose_rad.abs() > 0.5 * HORIZONTAL_FOV_RAD - FOV_MARGIN_RAD
