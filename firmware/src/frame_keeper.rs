@@ -177,6 +177,13 @@ impl FrameKeeper {
         self.has_valid.then_some(valid)
     }
 
+    /// Turns the newest valid frame's pose about the vertical: a sensor has it from the vehicle's report.
+    pub fn correct_heading(&mut self, turn_rad: f32) {
+        let [first, second] = &mut self.frames;
+        let header = &mut if self.valid_is_second { second } else { first }.header;
+        header.attitude = header.attitude.turned_heading(turn_rad);
+    }
+
     /// The newest valid frame, if it is at most so old.
     pub fn fresh(&self, now_ns: Nanos, age_limit_ns: Nanos) -> Option<&DepthFrame> {
         self.newest()

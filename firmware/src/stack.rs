@@ -163,10 +163,10 @@ impl FlightStack {
 
     /// What is known now of the vehicle, its surroundings and its goal, and what is doubtful about it.
     fn observe(&mut self, now_ns: Nanos, taken: Option<Result<(), Refusal>>) -> Observation {
-        let telemetry = *self.companion.telemetry();
+        let mut telemetry = *self.companion.telemetry();
         let limits = *self.guidance.config();
-        let motion = Motion::of(&telemetry, now_ns, limits.telemetry_age_limit_ns);
         let is_new = taken == Some(Ok(()));
+        self.correct_heading(&mut telemetry, is_new);
         let sensor_faults = match (&mut self.plausibility, self.frames.newest()) {
             (Some(plausibility), Some(frame)) if is_new => {
                 plausibility.note_ground(self.guidance.home_ned_m().z);
@@ -175,6 +175,7 @@ impl FlightStack {
             (Some(plausibility), _) => plausibility.sensor_faults(),
             (None, _) => Reasons::NONE,
         };
+        let motion = Motion::of(&telemetry, now_ns, limits.telemetry_age_limit_ns);
         let sensor_faults = sensor_faults.union(self.second_opinion(now_ns, &telemetry, motion));
         let goal = self.guidance.goal();
         let is_fresh = self.frames.fresh(now_ns, limits.frame_age_limit_ns).is_some() && sensor_faults.is_empty();
@@ -199,6 +200,20 @@ impl FlightStack {
                 sensor_faults,
             },
             is_fresh,
+        }
+    }
+
+    /// The heading as the rates have it where the vehicle's report errs, in telemetry and the new frame alike.
+    fn correct_heading(&mut self, telemetry: &mut VehicleTelemetry, is_new: bool) {
+        let lacks_rad = self.companion.heading_lacks_rad();
+        if lacks_rad == 0.0 {
+            return;
+        }
+        if let Some(sample) = &mut telemetry.attitude {
+            sample.attitude = sample.attitude.turned_heading(lacks_rad);
+        }
+        if is_new {
+            self.frames.correct_heading(lacks_rad);
         }
     }
 

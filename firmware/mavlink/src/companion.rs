@@ -115,6 +115,11 @@ impl Companion {
         &self.core.vehicle.telemetry
     }
 
+    /// What to add to the vehicle's reported heading, radians, so that it is where the nose points.
+    pub fn heading_lacks_rad(&self) -> f32 {
+        self.core.vehicle.heading_lacks_rad()
+    }
+
     /// The last usable report of a sensor beside the depth camera.
     pub fn sector_ranges(&self) -> Option<&SectorRanges> {
         self.core.vehicle.sector_ranges.as_ref()

@@ -30,6 +30,7 @@ mod companion;
 mod core;
 pub mod framing;
 pub mod globe;
+mod heading_error;
 mod inputs;
 mod operator;
 mod parameter_table;

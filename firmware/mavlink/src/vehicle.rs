@@ -3,6 +3,7 @@
 use crate::autopilot::Flavour;
 use crate::framing::{Packet, Zeroed};
 use crate::globe::Origin;
+use crate::heading_error::HeadingError;
 use crate::velocity_error::VelocityError;
 use mavlink::MessageData;
 use mavlink::dialects::common::{
@@ -107,6 +108,7 @@ pub struct Vehicle {
     position_ms: Option<u32>,
     attitude_ms: Option<u32>,
     velocity_error: VelocityError,
+    heading_error: HeadingError,
 }
 
 impl Vehicle {
@@ -130,6 +132,7 @@ impl Vehicle {
             position_ms: None,
             attitude_ms: None,
             velocity_error: VelocityError::default(),
+            heading_error: HeadingError::default(),
         }
     }
 
@@ -176,17 +179,24 @@ impl Vehicle {
         self.home_ned_m().map_or(0.0, |home_ned_m| -home_ned_m.z)
     }
 
-    /// The velocity to ask for, so that the position moves as wanted while the reported velocity is off ([`VelocityError`]); as it
-    /// is wanted where nothing fresh is known.
+    /// What to add to the reported heading, radians, so that it is where the nose points ([`HeadingError`]).
+    pub(crate) fn heading_lacks_rad(&self) -> f32 {
+        self.heading_error.lacks_rad()
+    }
+
+    /// The velocity to ask for, so that the position moves as wanted from the nose while the reported heading and velocity are off
+    /// ([`HeadingError`], [`VelocityError`]); as it is wanted where nothing fresh is known.
     pub(crate) fn asked_velocity(&self, now_ns: Nanos, wanted_m_s: HeadingVector) -> HeadingVector {
-        let lacks_m_s = self.velocity_error.lacks_m_s();
+        let (lacks_m_s, lacks_rad) = (self.velocity_error.lacks_m_s(), self.heading_lacks_rad());
         let is_fresh = self
             .telemetry
             .flight_data_age_ns(now_ns)
             .is_some_and(|age_ns| age_ns <= FRESH_NS);
         match self.telemetry.attitude {
-            Some(sample) if lacks_m_s != NedVector::ZERO && is_fresh && self.telemetry.is_finite() => {
-                wanted_m_s - lacks_m_s.to_heading(sample.attitude.yaw_rad())
+            Some(sample)
+                if (lacks_m_s != NedVector::ZERO || lacks_rad != 0.0) && is_fresh && self.telemetry.is_finite() =>
+            {
+                wanted_m_s.to_ned(lacks_rad).to_heading(0.0) - lacks_m_s.to_heading(sample.attitude.yaw_rad())
             }
             _ => wanted_m_s,
         }
@@ -259,23 +269,14 @@ impl Vehicle {
                 });
             }
             MavMessage::ATTITUDE(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.attitude_ms) => {
-                self.telemetry.attitude = Some(AttitudeSample {
-                    at_ns: now_ns,
-                    attitude: Attitude::from_euler_rad(m.roll, m.pitch, m.yaw),
-                    rates_frd_rad_s: FrdVector::new(m.rollspeed, m.pitchspeed, m.yawspeed),
-                });
+                let attitude = Attitude::from_euler_rad(m.roll, m.pitch, m.yaw);
+                let rates_frd_rad_s = FrdVector::new(m.rollspeed, m.pitchspeed, m.yawspeed);
+                self.attitude(now_ns, m.time_boot_ms, attitude, rates_frd_rad_s);
             }
             MavMessage::ATTITUDE_QUATERNION(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.attitude_ms) => {
-                self.telemetry.attitude = Some(AttitudeSample {
-                    at_ns: now_ns,
-                    attitude: Attitude {
-                        w: m.q1,
-                        x: m.q2,
-                        y: m.q3,
-                        z: m.q4,
-                    },
-                    rates_frd_rad_s: FrdVector::new(m.rollspeed, m.pitchspeed, m.yawspeed),
-                });
+                let (w, x, y, z) = (m.q1, m.q2, m.q3, m.q4);
+                let rates_frd_rad_s = FrdVector::new(m.rollspeed, m.pitchspeed, m.yawspeed);
+                self.attitude(now_ns, m.time_boot_ms, Attitude { w, x, y, z }, rates_frd_rad_s);
             }
             MavMessage::SYS_STATUS(m) => {
                 self.telemetry.battery_remaining = u8::try_from(m.battery_remaining)
@@ -311,6 +312,16 @@ impl Vehicle {
             }
             _ => {}
         }
+    }
+
+    fn attitude(&mut self, now_ns: Nanos, boot_ms: u32, attitude: Attitude, rates_frd_rad_s: FrdVector) {
+        self.heading_error
+            .take(boot_ms, attitude, rates_frd_rad_s, self.telemetry.is_airborne());
+        self.telemetry.attitude = Some(AttitudeSample {
+            at_ns: now_ns,
+            attitude,
+            rates_frd_rad_s,
+        });
     }
 
     /// PX4 lets home's height follow its GNSS: by metres, every other second, in flight too. A vehicle that stands at home knows

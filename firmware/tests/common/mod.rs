@@ -147,6 +147,8 @@ pub struct TestVehicle {
     pub position_ned_m: NedVector,
     pub velocity_ned_m_s: NedVector,
     pub yaw_rad: f32,
+    /// What it reports is turned by so much, though its rates, told then, do not turn it.
+    pub heading_error_rad: f32,
     pub mode: (u8, u8),
     pub armed: bool,
     /// Setpoints received, newest last.
@@ -166,6 +168,7 @@ impl TestVehicle {
             position_ned_m: NedVector::ZERO,
             velocity_ned_m_s: NedVector::ZERO,
             yaw_rad: 0.0,
+            heading_error_rad: 0.0,
             mode: LOITER,
             armed: false,
             setpoints: Vec::new(),
@@ -266,7 +269,7 @@ impl TestVehicle {
             }
             (true, OFFBOARD) => self.setpoints.last().map_or(NedVector::ZERO, |s| {
                 self.yaw_rad += s.yaw_rate * STEP_S;
-                vigil_types::HeadingVector::new(s.vx, s.vy, s.vz).to_ned(self.yaw_rad)
+                vigil_types::HeadingVector::new(s.vx, s.vy, s.vz).to_ned(self.yaw_rad + self.heading_error_rad)
             }),
             (true, MISSION) => NedVector::new(1.5, 0.0, 0.0),
             _ => NedVector::ZERO,
@@ -291,6 +294,7 @@ impl TestVehicle {
         });
         let (p, v) = (self.position_ned_m, self.velocity_ned_m_s);
         let q = self.attitude();
+        let fills_rates = f32::from(self.heading_error_rad != 0.0);
         let landed_state = if self.is_in_air() {
             MavLandedState::MAV_LANDED_STATE_IN_AIR
         } else {
@@ -314,6 +318,9 @@ impl TestVehicle {
                 q2: q.x,
                 q3: q.y,
                 q4: q.z,
+                // A gyroscope is never quite still; without an error the field is not filled.
+                rollspeed: 1e-4 * self.heading_error_rad,
+                yawspeed: self.setpoints.last().map_or(0.0, |s| s.yaw_rate * fills_rates),
                 ..ATTITUDE_QUATERNION_DATA::DEFAULT
             }),
             MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
@@ -339,7 +346,7 @@ impl TestVehicle {
     }
 
     fn attitude(&self) -> Attitude {
-        Attitude::from_euler_rad(0.0, 0.0, self.yaw_rad)
+        Attitude::from_euler_rad(0.0, 0.0, self.yaw_rad + self.heading_error_rad)
     }
 
     /// What it sees: level ground that is never nearer than half a metre below it, and open space.

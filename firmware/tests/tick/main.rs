@@ -141,6 +141,30 @@ fn from_the_ground_to_the_goal_and_down_again() {
 }
 
 #[test]
+fn a_heading_that_turns_without_a_turn_leads_neither_the_eye_nor_the_course_astray() {
+    let mut flight = Flight::guided();
+    let yaw_rad = |flight: &Flight| flight.last.telemetry.attitude.unwrap().attitude.yaw_rad();
+    // 10° in five seconds.
+    for _ in 0..100 {
+        flight.vehicle.heading_error_rad += 0.1f32.to_radians();
+        flight.step();
+        assert_eq!(flight.last.state, GuidanceState::Guided, "{:?}", flight.last.reasons);
+    }
+    let off_rad = yaw_rad(&flight) - flight.vehicle.yaw_rad;
+    assert!(off_rad.abs() < 3f32.to_radians(), "{off_rad}");
+    // It is asked to fly where its nose points: beside where it believes that it points.
+    let [forward_m_s, right_m_s, ..] = flight.velocity();
+    let asked_rad = right_m_s.atan2(forward_m_s);
+    assert!(
+        (asked_rad + 7.5f32.to_radians()).abs() < 1f32.to_radians(),
+        "{asked_rad}"
+    );
+    // Where the frames were not turned with the heading, their poses would contradict it.
+    let reasons = flight.last.reasons;
+    assert!(!reasons.contains(Reason::ImplausiblePose), "{reasons:?}");
+}
+
+#[test]
 fn without_an_operator_nothing_moves_unless_it_was_told_to_engage_by_itself() {
     let config = FirmwareConfig {
         engage: EngagePolicy::Command,

@@ -197,6 +197,17 @@ impl Attitude {
         )
     }
 
+    /// The same with the heading turned clockwise.
+    pub fn turned_heading(self, by_rad: f32) -> Self {
+        let (s, c) = (libm::sinf(by_rad / 2.0), libm::cosf(by_rad / 2.0));
+        Self {
+            w: c * self.w - s * self.z,
+            x: c * self.x - s * self.y,
+            y: c * self.y + s * self.x,
+            z: c * self.z + s * self.w,
+        }
+    }
+
     /// Turns a body vector into NED.
     #[inline]
     pub fn to_ned(self, v: FrdVector) -> NedVector {
