@@ -169,7 +169,8 @@ impl FlightStack {
         self.correct_heading(&mut telemetry, is_new);
         let sensor_faults = match (&mut self.plausibility, self.frames.newest()) {
             (Some(plausibility), Some(frame)) if is_new => {
-                plausibility.note_ground(self.guidance.home_ned_m().z);
+                let agrees = self.companion.estimate_agrees_with_itself();
+                plausibility.note_estimate(self.guidance.home_ned_m().z, agrees);
                 plausibility.check(frame, &telemetry)
             }
             (Some(plausibility), _) => plausibility.sensor_faults(),

@@ -115,6 +115,11 @@ impl Companion {
         &self.core.vehicle.telemetry
     }
 
+    /// Whether the vehicle's velocity is the rate at which its position changes.
+    pub fn estimate_agrees_with_itself(&self) -> bool {
+        self.core.vehicle.estimate_agrees_with_itself()
+    }
+
     /// What to add to the vehicle's reported heading, radians, so that it is where the nose points.
     pub fn heading_lacks_rad(&self) -> f32 {
         self.core.vehicle.heading_lacks_rad()

@@ -179,6 +179,10 @@ impl Vehicle {
         self.home_ned_m().map_or(0.0, |home_ned_m| -home_ned_m.z)
     }
 
+    pub(crate) fn estimate_agrees_with_itself(&self) -> bool {
+        self.velocity_error.lacks_m_s() == NedVector::ZERO
+    }
+
     /// What to add to the reported heading, radians, so that it is where the nose points ([`HeadingError`]).
     pub(crate) fn heading_lacks_rad(&self) -> f32 {
         self.heading_error.lacks_rad()

@@ -316,6 +316,11 @@ impl MountReadings {
         alongs: 0.0,
     };
 
+    /// The reading that was begun says nothing.
+    pub(super) fn give_up(&mut self) {
+        (self.since_ns, self.errors) = (None, Errors::NONE);
+    }
+
     /// Takes a picture's samples. Whether the sensor is turned, or its view of another width.
     pub(super) fn read(&mut self, picture: &Errors, stamp_ns: Nanos) -> bool {
         self.errors.add_all(picture);

@@ -246,6 +246,7 @@ pub struct PlausibilityCheck {
     faults: Reasons,
     /// Where the ground is, metres down from the local origin.
     ground_down_m: f32,
+    estimate_agrees: bool,
     blind_frames: u8,
     seeing_frames: u8,
     blind: bool,
@@ -311,6 +312,7 @@ impl PlausibilityCheck {
             counts: CellCounts::default(),
             faults: Reasons::NONE,
             ground_down_m: 0.0,
+            estimate_agrees: true,
             blind_frames: 0,
             seeing_frames: 0,
             blind: false,
@@ -346,9 +348,11 @@ impl PlausibilityCheck {
         self.faults
     }
 
-    /// Where the ground is, metres down from the local origin, from now on: near it everything is near, and nothing may move.
-    pub fn note_ground(&mut self, down_m: f32) {
-        self.ground_down_m = down_m;
+    /// Where the ground is, metres down from the local origin, from now on: near it everything is near, and nothing may move. And whether
+    /// the vehicle's estimate agrees with itself: one whose velocity is not the rate at which its position changes drifts by as much as a
+    /// sensor that sits wrong seems to.
+    pub fn note_estimate(&mut self, ground_down_m: f32, agrees_with_itself: bool) {
+        (self.ground_down_m, self.estimate_agrees) = (ground_down_m, agrees_with_itself);
     }
 
     /// Checks a valid frame that is newer than the last. Telemetry that is missing or not finite is checked by nobody here: only
@@ -662,7 +666,11 @@ impl PlausibilityCheck {
         // What spoke against it long ago must not outweigh what speaks for it now.
         self.evidence.mirrored = self.evidence.mirrored.max(-MIRRORED);
         self.evidence.drift.add_all(&errors);
-        self.evidence.wrong_mount = directed && self.evidence.mount.read(&errors, stamp_ns);
+        let mount = &mut self.evidence.mount;
+        if !self.estimate_agrees {
+            mount.give_up();
+        }
+        self.evidence.wrong_mount = directed && mount.read(&errors, stamp_ns);
     }
 
     /// The motion from a pose to where a picture was kept, without what the estimate drifted meanwhile.

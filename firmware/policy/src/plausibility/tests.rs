@@ -436,12 +436,17 @@ fn a_climb_straight_up_whose_roll_is_estimated_wrong_is_no_mirrored_sensor() {
 /// Whether a flight of 15 s is doubted whose estimate is wrong: the error of its position runs round a circle in six seconds, at this
 /// speed.
 fn doubts_of_a_drifting_flight(mount_rad: f32, width: f32, error_m_s: f32) -> Reasons {
+    doubts_of_a_slowly_drifting_flight((mount_rad, width), error_m_s, 6.0, true)
+}
+
+fn doubts_of_a_slowly_drifting_flight(mount: (f32, f32), error_m_s: f32, period_s: f32, agrees: bool) -> Reasons {
     let mut flight = Flight::new();
-    (flight.mount_rad, flight.width) = (mount_rad, width);
+    (flight.mount_rad, flight.width) = mount;
+    flight.plausibility.note_estimate(0.0, agrees);
     let mut faults = (0..300).map(|step| {
         flight.look();
-        let phase = step as f32 * STEP_S * 2.0 * PI / 6.0;
-        let error_m = error_m_s * 6.0 / (2.0 * PI);
+        let phase = step as f32 * STEP_S * 2.0 * PI / period_s;
+        let error_m = error_m_s * period_s / (2.0 * PI);
         let error = NedVector::new(libm::sinf(phase), libm::cosf(phase), 0.3 * libm::sinf(phase)) * error_m;
         let header = &mut flight.frame.header;
         header.position_ned_m = header.position_ned_m + error;
@@ -476,6 +481,14 @@ fn an_estimate_that_drifts_convicts_nobody_and_a_sensor_that_sits_wrong_is_found
             "{error_m_s} m/s, turned by {mount_rad}, {width} as wide"
         );
     }
+}
+
+#[test]
+fn an_estimate_that_drifts_for_seconds_to_one_side_looks_like_a_turned_sensor_and_convicts_none_if_it_contradicts_itself()
+ {
+    let doubts = |agrees| doubts_of_a_slowly_drifting_flight((0.0, 1.0), 0.22, 24.0, agrees);
+    assert_eq!(doubts(true), Reasons::of(Reason::InconsistentPicture));
+    assert_eq!(doubts(false), Reasons::NONE);
 }
 
 #[test]
