@@ -10,7 +10,6 @@ use crate::services::packed_parameters;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr, MavFtpOpcode as Opcode};
 use vigil_mavlink::framing::Packet;
-use vigil_mavlink::mavlink::MessageData;
 use vigil_types::Nanos;
 
 /// Bytes of data in a packet.
@@ -149,11 +148,7 @@ pub(crate) struct Ftp {
 
 impl Service for Ftp {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        if packet.message_id() != FILE_TRANSFER_PROTOCOL_DATA::ID {
-            return;
-        }
-        let Ok(MavMessage::FILE_TRANSFER_PROTOCOL(message)) = packet.message() else {
-            core.refusals.not_parsed += 1;
+        let Some(message) = core.read::<FILE_TRANSFER_PROTOCOL_DATA>(packet) else {
             return;
         };
         let answered = self.answers.iter().find(|a| {
