@@ -8,14 +8,11 @@ use vigil_mavlink::common::*;
 use vigil_mavlink::mavlink::MessageData;
 
 fn request(b: &mut Bench, id: u32, index: f32) -> u8 {
-    b.command_long(API, SCRIPT, 512, [id as f32, index, 0.0, 0.0, 0.0, 0.0, 0.0])
+    b.ask(512, &[id as f32, index])
 }
 
 fn modes(b: &Bench) -> Vec<AVAILABLE_MODES_DATA> {
-    let modes = b.messages(API).filter_map(|m| match m {
-        MavMessage::AVAILABLE_MODES(m) => Some(m.clone()),
-        _ => None,
-    });
+    let modes = b.all::<AVAILABLE_MODES_DATA>(API).into_iter();
     modes.collect()
 }
 
@@ -52,48 +49,21 @@ fn a_station_learns_which_modes_there_are_and_sets_one_by_its_standard_number() 
     assert_eq!(request(&mut b, AVAILABLE_MODES, 99.0), DENIED);
 
     const SET_STANDARD_MODE: u16 = 262;
-    let params = [
-        MavStandardMode::MAV_STANDARD_MODE_LAND as u8 as f32,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    ];
-    assert_eq!(b.command_long(API, SCRIPT, SET_STANDARD_MODE, params), ACCEPTED);
+    let land = f32::from(MavStandardMode::MAV_STANDARD_MODE_LAND as u8);
+    assert_eq!(b.ask(SET_STANDARD_MODE, &[land]), ACCEPTED);
     assert_eq!(b.status().mode, FlightMode::Land);
-    assert_eq!(
-        b.command_long(API, SCRIPT, SET_STANDARD_MODE, [3.0; 7]),
-        DENIED,
-        "no cruise mode"
-    );
-    let current = b.messages(API).rev().find_map(|m| match m {
-        MavMessage::CURRENT_MODE(m) => Some(m.custom_mode),
-        _ => None,
-    });
+    assert_eq!(b.ask(SET_STANDARD_MODE, &[3.0; 7]), DENIED, "no cruise mode");
+    let current = b.last::<CURRENT_MODE_DATA>(API).map(|m| m.custom_mode);
     assert_eq!(current, Some(FlightMode::Land.custom_mode()), "told at once");
     b.run_ms(4_000);
     assert!(b.count(GCS, AVAILABLE_MODES_MONITOR_DATA::ID) >= 1);
 }
 
-fn hash(b: &Bench) -> u32 {
-    let told = b.messages(API).rev().find_map(|m| match m {
-        MavMessage::PARAM_VALUE(v) if v.param_id.to_str() == Ok("_HASH_CHECK") => Some(v.param_value.to_bits()),
-        _ => None,
-    });
-    told.expect("a hash")
-}
-
 fn read_hash(b: &mut Bench) -> u32 {
-    let message = MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
-        param_index: -1,
-        target_system: 1,
-        target_component: 1,
-        param_id: "_HASH_CHECK".into(),
-    });
-    b.send(API, SCRIPT, &message);
-    hash(b)
+    b.read_parameter("_HASH_CHECK", -1);
+    let told = b.last::<PARAM_VALUE_DATA>(API).expect("told");
+    assert_eq!(told.param_id.to_str(), Ok("_HASH_CHECK"));
+    told.param_value.to_bits()
 }
 
 #[test]
@@ -120,17 +90,13 @@ fn the_hash_of_the_parameters_is_that_of_their_names_and_values_and_ends_a_list(
     b.set_parameter("NAV_ACC_RAD", ParameterValue::Real32(2.0));
     assert_eq!(read_hash(&mut b), before);
 
-    let list = MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
-        target_system: 1,
-        target_component: 1,
-    });
     let values = |b: &Bench| b.count(API, PARAM_VALUE_DATA::ID);
     b.sent.clear();
-    b.send(API, SCRIPT, &list);
+    b.request_parameters();
     b.run_ms(2_000);
     assert_eq!(values(&b), parameter_table().len() + 1, "the hash comes before them");
     b.sent.clear();
-    b.send(API, SCRIPT, &list);
+    b.request_parameters();
     b.run_ms(50);
     b.set_parameter("_HASH_CHECK", ParameterValue::Real32(f32::from_bits(before)));
     b.run_ms(2_000);
@@ -183,7 +149,7 @@ fn set_up_pages_find_what_they_read_and_cannot_change_what_the_vehicle_is() {
         })
     ));
     assert!(matches!(answers[1], MavMessage::PARAM_VALUE(v) if v.param_value.to_bits() == 4001));
-    assert!(b.texts().join("|").contains("SYS_AUTOSTART cannot be set"));
+    b.assert_told("SYS_AUTOSTART cannot be set");
 }
 
 #[test]
@@ -228,8 +194,7 @@ fn parameters_that_scripts_set_without_asking_are_taken() {
     assert!(kept.clone().all(|info| !info.description.is_empty()) && kept.count() > 10);
     // Back to the defaults, unless it is armed.
     const STORAGE: u16 = 245;
-    let storage =
-        |b: &mut Bench, action: f32| b.command_long(API, SCRIPT, STORAGE, [action, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let storage = |b: &mut Bench, action: f32| b.ask(STORAGE, &[action]);
     assert_eq!((storage(&mut b, 1.0), storage(&mut b, 0.0)), (ACCEPTED, ACCEPTED));
     assert!(!b.endpoint.saved().parameters.is_empty());
     assert_eq!(storage(&mut b, 2.0), ACCEPTED);
@@ -248,10 +213,7 @@ fn links_are_pinged_and_their_traffic_is_told() {
     }
     assert!((1..=2).contains(&b.count(API, PING_DATA::ID)));
     let told = |b: &Bench, link| {
-        let status = b.messages(link).rev().find_map(|m| match m {
-            MavMessage::LINK_NODE_STATUS(m) => Some(m.clone()),
-            _ => None,
-        });
+        let status = b.last::<LINK_NODE_STATUS_DATA>(link);
         status.expect("told")
     };
     let (api, gcs) = (told(&b, API), told(&b, GCS));
@@ -286,10 +248,7 @@ fn the_truth_is_told_to_scripts_that_ask_and_never_to_the_guidance_computer() {
     );
     assert_eq!(b.count(ONBOARD, TRUTH), 0);
     assert!((49..=51).contains(&b.count(API, TRUTH)));
-    let altitude_mm = b.messages(API).rev().find_map(|m| match m {
-        MavMessage::HIL_STATE_QUATERNION(m) => Some(m.alt),
-        _ => None,
-    });
+    let altitude_mm = b.last::<HIL_STATE_QUATERNION_DATA>(API).map(|m| m.alt);
     let truth_m = 488.0 + b.height_m();
     assert!((altitude_mm.expect("told") as f32 * 1e-3 - truth_m).abs() < 0.01);
 }
@@ -299,15 +258,12 @@ fn a_motor_test_shows_in_the_outputs_for_its_time() {
     const ACTUATOR_TEST: u16 = 310;
     let mut b = Bench::new();
     let test = |b: &mut Bench, output: f32, seconds: f32, motor: f32| {
-        b.command_long(API, SCRIPT, ACTUATOR_TEST, [output, seconds, 0.0, 0.0, motor, 0.0, 0.0])
+        b.ask(ACTUATOR_TEST, &[output, seconds, 0.0, 0.0, motor])
     };
     let outputs = |b: &mut Bench| {
         b.sent.clear();
         b.run_ms(250);
-        let status = b.messages(API).rev().find_map(|m| match m {
-            MavMessage::ACTUATOR_OUTPUT_STATUS(m) => Some(m.actuator),
-            _ => None,
-        });
+        let status = b.last::<ACTUATOR_OUTPUT_STATUS_DATA>(API).map(|m| m.actuator);
         let [a, b, c, d, ..] = status.expect("told");
         [a, b, c, d]
     };
@@ -324,10 +280,7 @@ fn a_motor_test_shows_in_the_outputs_for_its_time() {
     b.arm();
     assert_eq!(test(&mut b, 0.2, 1.0, 1.0), DENIED);
     for set_actuator_and_gripper in [187, 211] {
-        assert_eq!(
-            b.command_long(API, SCRIPT, set_actuator_and_gripper, [0.0; 7]),
-            ACCEPTED
-        );
+        assert_eq!(b.ask(set_actuator_and_gripper, &[]), ACCEPTED);
     }
 }
 
@@ -336,12 +289,9 @@ fn a_parameter_without_a_meaning_is_refused_as_by_px4() {
     let mut b = Bench::airborne();
     let land = |third: f32| [f32::NAN, f32::NAN, third, f32::NAN, f32::NAN, f32::NAN, f32::NAN];
     assert_eq!(b.command_long(API, SCRIPT, 21, land(5.0)), DENIED);
-    assert!(b.texts().join("|").contains("parameter 3 has no meaning"));
+    b.assert_told("parameter 3 has no meaning");
     assert_eq!(b.status().mode, FlightMode::Hold);
-    assert_eq!(
-        b.command_long(API, SCRIPT, 20, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0]),
-        DENIED
-    );
+    assert_eq!(b.ask(20, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0]), DENIED);
     assert_eq!(b.command_long(API, SCRIPT, 21, land(0.0)), ACCEPTED);
 
     let mut strange = waypoint((5.0, 0.0), 3.0);

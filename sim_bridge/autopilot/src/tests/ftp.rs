@@ -466,7 +466,7 @@ fn a_stored_parameter_file_sets_all_of_it_or_nothing() {
         (value(&b, "NAV_ACC_RAD"), value(&b, "GF_ACTION")),
         (Some(3.5), Some(3.0))
     );
-    assert!(b.texts().join("").contains("parameter file refused"));
+    b.assert_told("parameter file refused");
     // What was fetched may be stored again.
     let file = c.download(&mut b, 3, "@PARAM/param.pck?withdefaults=1");
     b.set_parameter("NAV_ACC_RAD", crate::ParameterValue::Real32(1.0));

@@ -15,12 +15,7 @@ fn list(b: &mut Bench) -> Vec<LOG_ENTRY_DATA> {
     };
     b.send(API, SCRIPT, &MavMessage::LOG_REQUEST_LIST(request));
     b.run_ms(50);
-    b.messages(API)
-        .filter_map(|m| match m {
-            MavMessage::LOG_ENTRY(e) => Some(e.clone()),
-            _ => None,
-        })
-        .collect()
+    b.all::<LOG_ENTRY_DATA>(API)
 }
 
 fn request_data(b: &mut Bench, id: u16, ofs: u32, count: u32) {
@@ -36,12 +31,7 @@ fn request_data(b: &mut Bench, id: u16, ofs: u32, count: u32) {
 }
 
 fn data(b: &Bench) -> Vec<LOG_DATA_DATA> {
-    b.messages(API)
-        .filter_map(|m| match m {
-            MavMessage::LOG_DATA(d) => Some(d.clone()),
-            _ => None,
-        })
-        .collect()
+    b.all::<LOG_DATA_DATA>(API)
 }
 
 fn fly(b: &mut Bench) {
@@ -253,14 +243,14 @@ fn logs_are_few_and_the_one_being_written_survives_an_erase() {
 #[test]
 fn a_log_is_streamed_while_it_is_written_until_the_client_has_enough() {
     let mut b = Bench::new();
-    assert_eq!(b.command_long(API, SCRIPT, 2510, [0.0; 7]), ACCEPTED);
+    assert_eq!(b.ask(2510, &[]), ACCEPTED);
     assert_eq!(b.arm(), ACCEPTED);
     b.run_ms(2_000);
     let streamed = |b: &Bench| -> Vec<(u16, Vec<u8>)> {
-        let data = b.messages(API).filter_map(|m| match m {
-            MavMessage::LOGGING_DATA(m) => Some((m.sequence, m.data[..usize::from(m.length)].to_vec())),
-            _ => None,
-        });
+        let data = b
+            .all::<LOGGING_DATA_DATA>(API)
+            .into_iter()
+            .map(|m| (m.sequence, m.data[..usize::from(m.length)].to_vec()));
         data.collect()
     };
     let packets = streamed(&b);
@@ -271,10 +261,10 @@ fn a_log_is_streamed_while_it_is_written_until_the_client_has_enough() {
             .all(|(i, (sequence, _))| usize::from(*sequence) == i)
     );
     let log: Vec<u8> = packets.into_iter().flat_map(|(_, bytes)| bytes).collect();
-    let firsts = b.messages(API).filter_map(|m| match m {
-        MavMessage::LOGGING_DATA(m) => Some((usize::from(m.length), usize::from(m.first_message_offset))),
-        _ => None,
-    });
+    let firsts = b
+        .all::<LOGGING_DATA_DATA>(API)
+        .into_iter()
+        .map(|m| (usize::from(m.length), usize::from(m.first_message_offset)));
     // Who joins in the middle finds the next message where the packet says.
     let (mut at, firsts) = (0, firsts.collect::<Vec<_>>());
     for (i, (length, first)) in firsts.iter().enumerate() {
@@ -290,7 +280,7 @@ fn a_log_is_streamed_while_it_is_written_until_the_client_has_enough() {
     }
     let records = log.windows(5).filter(|w| w[2] == b'D' && w[3..] == [3, 0]).count();
     assert!((17..=22).contains(&records), "{records}");
-    assert_eq!(b.command_long(API, SCRIPT, 2511, [0.0; 7]), ACCEPTED);
+    assert_eq!(b.ask(2511, &[]), ACCEPTED);
     let before = streamed(&b).len();
     b.run_ms(1_000);
     assert_eq!(streamed(&b).len(), before);
