@@ -2,7 +2,6 @@
 
 use crate::testing::*;
 use crate::{Failsafe, FlightMode, LandedState, ParameterValue};
-use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
 use vigil_mavlink::mavlink::MessageData;
 
@@ -64,17 +63,10 @@ fn without_gps_the_vehicle_lands_and_is_not_armed_again() {
 
 #[test]
 fn without_barometer_or_compass_it_flies_on_and_does_not_arm() {
+    use MavSysStatusSensor as Sensor;
     for (unit, bit, name) in [
-        (
-            BAROMETER,
-            MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE,
-            "barometer",
-        ),
-        (
-            MAGNETOMETER,
-            MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG,
-            "compass",
-        ),
+        (BAROMETER, Sensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE, "barometer"),
+        (MAGNETOMETER, Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG, "compass"),
     ] {
         let mut b = Bench::airborne();
         enable(&mut b);
@@ -91,14 +83,11 @@ fn without_barometer_or_compass_it_flies_on_and_does_not_arm() {
         b.sent.clear();
         b.run_ms(3_000);
         assert!(!health(&b).contains(bit));
-        let readings: Vec<_> = b
-            .messages(API)
-            .filter_map(|m| match m {
-                MavMessage::HIGHRES_IMU(m) if name == "barometer" => Some([m.abs_pressure, 0.0, 0.0]),
-                MavMessage::HIGHRES_IMU(m) => Some([m.xmag, m.ymag, m.zmag]),
-                _ => None,
-            })
-            .collect();
+        let imu = b.all::<HIGHRES_IMU_DATA>(API);
+        let readings: Vec<_> = match name {
+            "barometer" => imu.iter().map(|m| [m.abs_pressure, 0.0, 0.0]).collect(),
+            _ => imu.iter().map(|m| [m.xmag, m.ymag, m.zmag]).collect(),
+        };
         assert!(readings.len() > 50 && readings.iter().all(|reading| *reading == readings[0]));
         assert_eq!(inject(&mut b, unit, 0.0), ACCEPTED);
         b.run_ms(2_000);

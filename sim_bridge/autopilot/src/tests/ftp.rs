@@ -99,27 +99,20 @@ impl Client {
     }
 
     fn replies(&self, b: &Bench) -> Vec<Reply> {
-        b.messages(self.link)
-            .filter_map(|m| match m {
-                MavMessage::FILE_TRANSFER_PROTOCOL(f) => {
-                    assert_eq!(
-                        (f.target_system, f.target_component),
-                        (self.id.system, self.id.component)
-                    );
-                    let p = &f.payload;
-                    Some(Reply {
-                        sequence: u16::from_le_bytes([p[0], p[1]]),
-                        session: p[2],
-                        is_ack: p[3] == 128,
-                        request_opcode: p[5],
-                        burst_complete: p[6] == 1,
-                        offset: u32::from_le_bytes([p[8], p[9], p[10], p[11]]),
-                        data: p[12..12 + usize::from(p[4])].to_vec(),
-                    })
-                }
-                _ => None,
-            })
-            .collect()
+        let read = |f: FILE_TRANSFER_PROTOCOL_DATA| {
+            let (p, target) = (&f.payload, (f.target_system, f.target_component));
+            assert_eq!(target, (self.id.system, self.id.component));
+            Reply {
+                sequence: u16::from_le_bytes([p[0], p[1]]),
+                session: p[2],
+                is_ack: p[3] == 128,
+                request_opcode: p[5],
+                burst_complete: p[6] == 1,
+                offset: u32::from_le_bytes([p[8], p[9], p[10], p[11]]),
+                data: p[12..12 + usize::from(p[4])].to_vec(),
+            }
+        };
+        b.all(self.link).into_iter().map(read).collect()
     }
 
     fn only_reply(&self, b: &Bench, opcode: u8, session: u8) -> Reply {
@@ -399,14 +392,12 @@ fn all_parameters_come_as_one_packed_file() {
     for (entry, info) in entries.iter().zip(crate::parameter_table()) {
         assert_eq!((entry.0.as_str(), entry.2), (info.name, bits(info.default)));
         let is_changed = entry.0 == "NAV_ACC_RAD";
-        assert_eq!(
-            entry.1,
-            if is_changed {
-                7.5_f32.to_bits()
-            } else {
-                bits(info.default)
-            }
-        );
+        let now = if is_changed {
+            7.5_f32.to_bits()
+        } else {
+            bits(info.default)
+        };
+        assert_eq!(entry.1, now);
     }
     assert_eq!(unpack(&c.download(&mut b, 4, "@PARAM/param.pck")).len(), entries.len());
     let some = unpack(&c.download(&mut b, 5, "@PARAM/param.pck?start=10&count=5"));

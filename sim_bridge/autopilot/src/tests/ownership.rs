@@ -4,21 +4,12 @@ use crate::core::ComponentId;
 use crate::testing::*;
 use crate::vehicle::ControlCommand;
 use crate::{Failsafe, FlightMode};
-use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{MavState, NAMED_VALUE_FLOAT_DATA};
 
 fn owner_in_telemetry(b: &Bench) -> f32 {
-    b.messages(GCS)
-        .rev()
-        .find_map(|m| match m {
-            MavMessage::NAMED_VALUE_FLOAT(NAMED_VALUE_FLOAT_DATA { name, value, .. })
-                if name.to_str() == Ok("sp_owner") =>
-            {
-                Some(*value)
-            }
-            _ => None,
-        })
-        .expect("sp_owner is sent")
+    let told = b.last::<NAMED_VALUE_FLOAT_DATA>(GCS).expect("told");
+    assert_eq!(told.name.to_str(), Ok("sp_owner"));
+    told.value
 }
 
 #[test]
