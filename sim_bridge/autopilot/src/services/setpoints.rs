@@ -4,7 +4,7 @@ use crate::core::Core;
 use crate::flight::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
 use crate::service::{Service, Source};
 use crate::services::BELOW_HOME_M;
-use crate::vehicle::{ControlCommand, YawCommand};
+use crate::vehicle::ControlCommand;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::{
     SET_ACTUATOR_CONTROL_TARGET_DATA, SET_ATTITUDE_TARGET_DATA, SET_POSITION_TARGET_GLOBAL_INT_DATA,
@@ -12,7 +12,7 @@ use vigil_mavlink::common::{
 };
 use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::MessageData;
-use vigil_types::{Nanos, NedVector};
+use vigil_types::Nanos;
 
 /// Claimants and new reasons of refusals are told of this often at most: there may be any number of made-up ones.
 const TOLD_NS: Nanos = 1_000_000_000;
@@ -20,11 +20,6 @@ const TOLD_NS: Nanos = 1_000_000_000;
 const REPEATED_NS: Nanos = 5_000_000_000;
 /// Where both messages of positions have their frame.
 const FRAME_AT: usize = 52;
-/// What is flown in place of [`SetpointDefect::is_held`].
-const HELD: ControlCommand = ControlCommand::VelocityNed {
-    velocity_m_s: NedVector::ZERO,
-    yaw: YawCommand::Hold,
-};
 
 #[derive(Default)]
 pub(crate) struct SetpointService {
@@ -92,7 +87,7 @@ impl Service for SetpointService {
                 if !defect.is_held() {
                     return;
                 }
-                HELD
+                ControlCommand::STOP
             }
         };
         self.warn_of_ground(&command, source, core);
