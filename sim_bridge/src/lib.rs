@@ -31,6 +31,8 @@ mod saved_state;
 mod sensor_fault;
 mod simulator;
 pub mod statistics;
+#[cfg(test)]
+mod testing;
 mod udp;
 pub mod vehicle_links;
 pub mod world;

@@ -328,8 +328,10 @@ impl Simulator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Start;
+    use crate::testing::{command, packet};
     use crate::world::{Column, Family, generate};
+    use vigil_autopilot::FlightMode;
+    use vigil_mavlink::common::{MavFrame, MavMessage, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA};
     use vigil_types::DEPTH_FULL_SCALE_M;
 
     /// The digest of three seconds of hovering at a course's start.
@@ -370,47 +372,27 @@ mod tests {
     fn a_simulator_that_stood_still_for_a_second_says_so_and_flies_on_as_if_nothing_had_been() {
         let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
         config.start = Start::Airborne;
-        let setpoint = vigil_mavlink::MavMessage::SET_POSITION_TARGET_LOCAL_NED(
-            vigil_mavlink::common::SET_POSITION_TARGET_LOCAL_NED_DATA {
-                type_mask: vigil_mavlink::common::PositionTargetTypemask::from_bits_retain(0x5C7),
-                target_system: 1,
-                target_component: 1,
-                coordinate_frame: vigil_mavlink::common::MavFrame::MAV_FRAME_BODY_NED,
-                ..Default::default()
-            },
-        );
-        let header = vigil_mavlink::mavlink::MavHeader {
-            system_id: 1,
-            component_id: 191,
-            sequence: 0,
+        let setpoint = SET_POSITION_TARGET_LOCAL_NED_DATA {
+            type_mask: PositionTargetTypemask::from_bits_retain(0x5C7),
+            target_system: 1,
+            target_component: 1,
+            coordinate_frame: MavFrame::MAV_FRAME_BODY_NED,
+            ..Default::default()
         };
-        let mut packet = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
-        let len = vigil_mavlink::framing::serialize(header, &setpoint, &mut packet).unwrap();
+        let setpoint = packet((1, 191), &MavMessage::SET_POSITION_TARGET_LOCAL_NED(setpoint));
+        let offboard = command((1, 191), 176, [129.0, 6.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         let mut simulator = Simulator::new(&config, 0).expect("valid");
-        let mode = {
-            let mut payload: Vec<u8> = [129.0_f32, 6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-                .iter()
-                .flat_map(|p| p.to_le_bytes())
-                .collect();
-            payload.extend_from_slice(&[176, 0, 1, 1, 0]);
-            let mut packet = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
-            let len = vigil_mavlink::framing::serialize_payload(header, 76, &payload, &mut packet).unwrap();
-            packet[..len].to_vec()
-        };
         let mut said = Vec::new();
         for step in 0..80 {
-            simulator.receive(0, &packet[..len]);
+            simulator.receive(0, &setpoint);
             if step == 1 {
-                simulator.receive(0, &mode);
+                simulator.receive(0, &offboard);
             }
             if step == 40 {
                 let before_ns = simulator.now_ns();
                 simulator.stood_still(1_000_000_000);
-                assert_eq!(
-                    simulator.now_ns(),
-                    before_ns + 1_000_000_000,
-                    "frames have today's stamps"
-                );
+                let since_ns = simulator.now_ns() - before_ns;
+                assert_eq!(since_ns, 1_000_000_000, "frames have today's stamps");
             }
             for _ in 0..STEP_MS {
                 simulator.advance_1ms();
@@ -418,10 +400,7 @@ mod tests {
             }
         }
         let status = simulator.status();
-        assert_eq!(
-            (status.mode, status.failsafe),
-            (vigil_autopilot::FlightMode::Offboard, None)
-        );
+        assert_eq!((status.mode, status.failsafe), (FlightMode::Offboard, None));
         let text = b"simulator stood still for 1.0 s";
         assert!(said.windows(text.len()).any(|window| window == text));
     }
@@ -451,17 +430,7 @@ mod tests {
         assert!(simulator.truth().position_ned_m.z > -0.5, "it lies on the ground");
         let ask = |simulator: &mut Simulator, number: u16, first: f32, ms: u32| {
             let params = [first, 0.0, 0.0, 0.0, 0.0, 0.0, f32::NAN];
-            let mut payload: Vec<u8> = params.iter().flat_map(|p| p.to_le_bytes()).collect();
-            payload.extend_from_slice(&number.to_le_bytes());
-            payload.extend_from_slice(&[1, 1, 0]);
-            let header = vigil_mavlink::mavlink::MavHeader {
-                system_id: 245,
-                component_id: 190,
-                sequence: 0,
-            };
-            let mut packet = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
-            let len = vigil_mavlink::framing::serialize_payload(header, 76, &payload, &mut packet).unwrap();
-            simulator.receive(0, &packet[..len]);
+            simulator.receive(0, &command((245, 190), number, params));
             let mut said = Vec::new();
             for _ in 0..ms {
                 simulator.advance_1ms();
