@@ -1,22 +1,19 @@
 //! World, vehicle, LiDAR, MAVLink endpoint and referee on one simulated clock.
 
 use crate::config::{SimConfig, SimError, Start};
-use crate::sensor_fault::FailingSensor;
+use crate::depth_sensor::DepthSensor;
 use crate::vehicle::{ControlCommand, Truth, Vehicle};
 use crate::world::{
-    Lidar, Outcome, Referee, Shot, World, ZONE_COLUMNS, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor,
+    Outcome, Referee, Shot, World, ZONE_COLUMNS, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor,
 };
 use twox_hash::XxHash3_64;
 use vigil_autopilot::{Endpoint, EndpointStatus, LinkId, Saved, SigningSetup, ZoneRanges};
-use vigil_types::{Datagrams, DepthFrame, FrameKey, Nanos, NedVector, RANGE_SECTORS, STEP_NS};
+use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, RANGE_SECTORS, STEP_NS};
 
 const MILLISECOND_NS: Nanos = 1_000_000;
 
 /// Milliseconds of physics in one step of the loop.
 pub const STEP_MS: u32 = (STEP_NS / MILLISECOND_NS) as u32;
-
-/// The LiDAR's id in frame headers; the one that the firmware accepts by default.
-pub const LIDAR_SENSOR_ID: u32 = 1;
 
 /// How a flight ended.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,14 +34,10 @@ pub struct Simulator {
     /// Where the vehicle stands at the start: metres from home, heading.
     start: (NedVector, f32),
     vehicle: Vehicle,
-    lidar: Lidar,
+    sensor: DepthSensor,
     /// Present when there is a second sensor, and when it measures next.
     zones: Option<ZoneSensor>,
     zones_due_ns: Nanos,
-    /// Present when the LiDAR is to fail.
-    failing: Option<FailingSensor>,
-    /// Present when the LiDAR's driver authenticates its frames.
-    frame_key: Option<FrameKey>,
     endpoint: Endpoint,
     goal_ned_m: NedVector,
     epoch_ns: Nanos,
@@ -52,7 +45,6 @@ pub struct Simulator {
     /// How long the simulation stood still while the shared clock went on.
     stood_still_ns: Nanos,
     lifted_off_ms: Option<u64>,
-    next_sequence: u64,
     ending: Option<Ending>,
     path_length_m: f64,
     closest_goal_m: f32,
@@ -86,18 +78,15 @@ impl Simulator {
             referee,
             start: (start_ned_m, course.start_heading_rad()),
             vehicle,
-            lidar: Lidar::new(config.lidar, config.seed)?,
+            sensor: DepthSensor::new(config.lidar, config.seed, config.sensor_fault, config.frame_key.clone())?,
             zones: (config.second_sensor_heads > 0).then(|| ZoneSensor::new(config.seed, config.second_sensor_heads)),
             zones_due_ns: 0,
-            frame_key: config.frame_key.clone(),
-            failing: config.sensor_fault.map(|fault| FailingSensor::new(fault, config.seed)),
             endpoint,
             goal_ned_m: course.goal_ned_m(),
             epoch_ns,
             elapsed_ms: 0,
             stood_still_ns: 0,
             lifted_off_ms: None,
-            next_sequence: 0,
             ending: None,
             path_length_m: 0.0,
             closest_goal_m: f32::INFINITY,
@@ -238,28 +227,14 @@ impl Simulator {
     pub fn capture(&mut self, frame: &mut DepthFrame) {
         let truth = self.vehicle.truth();
         let estimate = self.vehicle.view().estimate;
-        let elapsed_ns = self.elapsed_ms * MILLISECOND_NS;
-        let attitude = match &self.failing {
-            Some(failing) => failing.attitude(elapsed_ns, truth.attitude),
-            None => truth.attitude,
-        };
         let shot = Shot {
-            position_ned_m: truth.position_ned_m,
-            attitude,
             estimated_position_ned_m: estimate.position_ned_m,
             estimated_attitude: estimate.attitude,
             stamp_ns: self.now_ns(),
-            sequence: self.next_sequence,
-            sensor_id: LIDAR_SENSOR_ID,
+            ..Shot::at(truth.position_ned_m, truth.attitude)
         };
-        self.lidar.capture(&self.world, &shot, frame);
-        if let Some(failing) = &mut self.failing {
-            failing.spoil(elapsed_ns, frame);
-        }
-        if let Some(key) = &self.frame_key {
-            frame.authenticate(key);
-        }
-        self.next_sequence += 1;
+        let elapsed_ns = self.elapsed_ms * MILLISECOND_NS;
+        self.sensor.capture(&self.world, elapsed_ns, shot, frame);
     }
 
     /// One step of lockstep: takes the firmware's datagrams of the previous step, advances [`STEP_MS`], captures a frame

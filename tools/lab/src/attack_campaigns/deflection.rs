@@ -196,13 +196,9 @@ fn hovering_before_wall(
     let mut frame = Box::new(DepthFrame::EMPTY);
     for sequence in 0..=SCAN_AGES[0] as u64 {
         let shot = Shot {
-            position_ned_m,
-            attitude: Attitude::LEVEL_NORTH,
-            estimated_position_ned_m: position_ned_m,
-            estimated_attitude: Attitude::LEVEL_NORTH,
             stamp_ns: sequence * STEP_NS,
             sequence,
-            sensor_id: 0,
+            ..Shot::at(position_ned_m, Attitude::LEVEL_NORTH)
         };
         lidar.capture(&world, &shot, &mut frame);
         actor.decide(&PilotInput {
