@@ -23,9 +23,7 @@ use vigil_io::gate::AllowUnsigned;
 use vigil_io::key_file::frame_key;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
-use vigil_types::{
-    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, Nanos, STEP_NS,
-};
+use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, Nanos, STEP_NS};
 
 /// Later than this, the simulation has stood still (a suspended machine, a debugger, a stopped process); what is less is caught up with.
 const STANDSTILL_NS: Nanos = 250_000_000;

@@ -1,5 +1,6 @@
-//! What this crate's tests share: MAVLink packets as anybody sends them.
+//! What this crate's tests share: courses, and MAVLink packets as anybody sends them.
 
+use crate::world::Course;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::framing::{MAX_PACKET_LEN, SerializeError, serialize, serialize_payload};
 use vigil_mavlink::mavlink::MavHeader;
@@ -32,4 +33,14 @@ pub(crate) fn command(from: (u8, u8), number: u16, params: [f32; 7]) -> Vec<u8> 
     payload.extend_from_slice(&number.to_le_bytes());
     payload.extend_from_slice(&[1, 1, 0]);
     raw(from, 76, &payload).expect("fits")
+}
+
+/// A field with a goal 20 m north and so far east, within so many metres to either side, and what the text puts into it.
+pub(crate) fn field(goal_east_m: f32, half_width_m: f32, text: &str) -> Course {
+    let text = format!(
+        "name = \"test\"\ngoal = {{ north_m = 20.0, east_m = {goal_east_m:?} }}\n\
+         bounds = {{ north_m = [-4.0, 26.0], east_m = [{:?}, {half_width_m:?}], top_m = 6.0 }}\n{text}",
+        -half_width_m
+    );
+    Course::from_toml_str(&text, "test").expect("valid")
 }
