@@ -43,17 +43,6 @@ fn a_high_take_off_climbs_at_its_rate_to_a_height_above_sea_level_and_does_not_o
 }
 
 #[test]
-fn taking_off_first_and_arming_later_flies_too() {
-    let mut b = Bench::new();
-    assert_eq!(b.set_mode(API, SCRIPT, 4, 2), ACCEPTED);
-    b.run_ms(1000);
-    assert_eq!(b.command, ControlCommand::MotorsOff);
-    assert_eq!(b.arm(), ACCEPTED);
-    b.run_until(20, "take-off", |b| b.status().mode == FlightMode::Hold);
-    assert!((b.height_m() - 2.5).abs() < 0.4);
-}
-
-#[test]
 fn the_vehicle_disarms_itself_when_nobody_takes_off() {
     let mut b = Bench::new();
     b.arm();
@@ -88,23 +77,6 @@ fn termination_stops_the_motors_until_a_reboot() {
     assert_eq!(b.arm(), REJECTED);
     assert_eq!(b.ask(246, &[1.0]), ACCEPTED);
     assert_eq!(b.arm(), ACCEPTED);
-}
-
-#[test]
-fn hold_stops_first_and_stays_where_it_stopped() {
-    let mut b = Bench::airborne();
-    b.stream(API, SCRIPT, [1.5, 0.0, 0.0]);
-    b.run_ms(100);
-    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
-    b.run_ms(3_000);
-    assert_eq!(b.set_mode(API, SCRIPT, 4, 3), ACCEPTED);
-    b.stop_stream(SCRIPT);
-    b.run_ms(1_500);
-    let stopped = b.position_m();
-    b.run_ms(3_000);
-    let later = b.position_m();
-    assert!((stopped[0] - later[0]).abs() < 0.05 && (stopped[2] - later[2]).abs() < 0.05);
-    assert!(stopped[0] > 3.0);
 }
 
 #[test]
@@ -274,21 +246,6 @@ fn home_can_be_moved_and_return_flies_there() {
     b.run_ms(100);
     let home = told(&b);
     assert!(b.is_at((home.x, home.y), 0.0, 0.3), "{home:?}");
-}
-
-#[test]
-fn return_climbs_flies_home_and_lands() {
-    let mut b = Bench::new();
-    b.set_parameter("RTL_RETURN_ALT", ParameterValue::Real32(6.0));
-    b.take_off();
-    assert_eq!(b.go_to((15.0, 5.0), 491.0), ACCEPTED);
-    b.run_ms(10_000);
-    assert_eq!(b.set_mode(API, SCRIPT, 4, 5), ACCEPTED);
-    b.run_until(10, "climb", |b| b.height_m() > 5.6);
-    assert!(b.position_m()[0] > 14.0, "climbs before it travels");
-    b.run_until(30, "home", |b| b.status().landed == LandedState::OnGround);
-    assert!(b.is_at((0.0, 0.0), 0.0, 0.7), "{:?}", b.position_m());
-    b.run_until(5, "disarms", |b| !b.status().armed);
 }
 
 #[test]

@@ -50,27 +50,6 @@ fn erase(b: &mut Bench) {
 }
 
 #[test]
-fn a_flight_is_recorded_from_arming_to_disarming_and_downloads_whole() {
-    let mut b = Bench::new();
-    let none = list(&mut b);
-    assert_eq!((none.len(), none[0].num_logs), (1, 0), "no logs are told, too");
-    fly(&mut b);
-    let logs = list(&mut b);
-    assert_eq!((logs.len(), logs[0].id, logs[0].num_logs), (1, 0, 1));
-    request_data(&mut b, 0, 0, u32::MAX);
-    b.run_ms(2_000);
-    let parts = data(&b);
-    let mut log = Vec::new();
-    for part in &parts {
-        assert_eq!((part.id, part.ofs as usize), (0, log.len()));
-        log.extend_from_slice(&part.data[..usize::from(part.count)]);
-    }
-    assert_eq!(log.len(), logs[0].size as usize);
-    // The file is read by pyulog in tests/python/test_scripts.py.
-    assert!(log.starts_with(b"ULog\x01\x12\x35"));
-}
-
-#[test]
 fn a_client_gets_the_piece_it_asks_for_and_can_stop() {
     let mut b = Bench::new();
     fly(&mut b);

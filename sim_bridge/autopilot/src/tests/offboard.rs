@@ -1,7 +1,7 @@
 //! Offboard flight as scripts fly it: every kind of setpoint, streams that stall, landings by thrust.
 
 use crate::testing::*;
-use crate::{Failsafe, FlightMode, LandedState};
+use crate::{Failsafe, FlightMode};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
 
@@ -34,97 +34,6 @@ fn a_stream_may_be_as_slow_and_stall_as_long_as_with_px4() {
     assert_eq!(b.status().mode, FlightMode::Offboard);
     b.run_ms(20);
     assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
-}
-
-#[test]
-fn the_guidance_computer_is_held_to_a_stricter_rule() {
-    let mut b = Bench::airborne();
-    b.send_velocity(ONBOARD, COMPANION, [0.5, 0.0, 0.0]);
-    assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), ACCEPTED);
-    b.run_ms(390);
-    assert_eq!(b.status().mode, FlightMode::Offboard);
-    b.run_ms(20);
-    assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
-    assert_eq!(b.status().mode, FlightMode::Hold);
-}
-
-#[test]
-fn positions_velocities_and_accelerations_are_flown_as_they_are_mixed() {
-    // Horizontal velocity at a height.
-    let mut b = Bench::airborne();
-    fly(
-        &mut b,
-        &local_setpoint(0xDE3, |m| (m.vx, m.vy, m.z) = (1.0, -0.5, -5.0)),
-        6_000,
-    );
-    let v = b.velocity_m_s();
-    assert!((v.x - 1.0).abs() < 0.15 && (v.y + 0.5).abs() < 0.15, "{v:?}");
-    assert!((b.height_m() - 5.0).abs() < 0.25, "{}", b.height_m());
-    let told = b
-        .last::<POSITION_TARGET_LOCAL_NED_DATA>(API)
-        .map(|m| (m.type_mask.bits(), m.vx, m.z));
-    assert_eq!(told, Some((0xDE3, 1.0, -5.0)));
-    // A place and a climb rate.
-    let [x, y, _] = b.position_m();
-    fly(
-        &mut b,
-        &local_setpoint(0xDDC, |m| (m.x, m.y, m.vz) = (x + 2.0, y, -0.4)),
-        6_000,
-    );
-    assert!((b.position_m()[0] - x - 2.0).abs() < 0.3);
-    assert!((b.velocity_m_s().z + 0.4).abs() < 0.1);
-    // Acceleration alone.
-    let mut b = Bench::airborne();
-    fly(&mut b, &local_setpoint(0xC3F, |m| m.afx = 0.8), 2_500);
-    let v = b.velocity_m_s();
-    assert!((1.2..2.2).contains(&v.x) && (b.height_m() - 3.0).abs() < 0.3, "{v:?}");
-    // All three, with every bit used or all but the yaw rate.
-    for mask in [0, 0x800] {
-        let mut b = Bench::airborne();
-        let all = local_setpoint(mask, |m| {
-            (m.x, m.y, m.z) = (3.0, 2.0, -4.0);
-            m.yaw = 0.6;
-        });
-        fly(&mut b, &all, 7_000);
-        let [x, y, z] = b.position_m();
-        let off = (x - 3.0).abs() + (y - 2.0).abs() + (z + 4.0).abs();
-        assert!(off < 0.3, "{mask:#x}: {x} {y} {z}");
-        assert!((b.yaw_rad() - 0.6).abs() < 0.05);
-    }
-}
-
-/// To PX4 the yaw rate beside an attitude is a feed-forward: the heading stays the attitude's but for the rate over the gain.
-#[test]
-fn an_attitude_with_a_yaw_rate_keeps_its_heading() {
-    let mut b = Bench::airborne();
-    fly(&mut b, &attitude(0x03, 0.4, 0.5), 3_000);
-    let leads_rad = b.yaw_rad();
-    assert!((0.02..0.3).contains(&leads_rad), "{leads_rad}");
-    fly(&mut b, &attitude(0x03, 0.4, 0.5), 3_000);
-    let still_rad = b.yaw_rad();
-    assert!((still_rad - leads_rad).abs() < 0.02, "{still_rad}");
-    fly(&mut b, &attitude(0x00, 0.0, 0.5), 3_000);
-    assert!(b.yaw_rad().abs() < 0.1);
-}
-
-#[test]
-fn a_flight_by_attitude_lands_and_disarms_by_itself() {
-    let mut b = Bench::new();
-    b.send(API, SCRIPT, &attitude(0x07, 0.0, 0.0));
-    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
-    assert_eq!(b.arm(), ACCEPTED);
-    fly(&mut b, &attitude(0x07, 0.0, 0.6), 1_500);
-    fly(&mut b, &attitude(0x07, 0.0, 0.45), 2_000);
-    assert!(b.height_m() > 1.0 && b.status().landed == LandedState::InAir);
-    for _ in 0..200 {
-        fly(&mut b, &attitude(0x07, 0.0, 0.45), 50);
-        if !b.status().armed {
-            break;
-        }
-    }
-    assert!(!b.status().armed, "landed and left there: {:?}", b.status());
-    // And it can be flown again.
-    b.take_off();
 }
 
 #[test]
