@@ -17,14 +17,8 @@ pub(super) fn draw_movers(canvas: &mut Canvas, view: &View, course: &Course) {
             arrow(layer, middle, to, MOVER);
         });
         let words = format!("{:.2}", mover.speed_m_s);
-        text(
-            canvas,
-            &words,
-            [middle[0], middle[1] - 10.0],
-            &FONT_6X10,
-            INK,
-            Alignment::Center,
-        );
+        let above = [middle[0], middle[1] - 10.0];
+        text(canvas, &words, above, &FONT_6X10, INK, Alignment::Center);
     }
 }
 

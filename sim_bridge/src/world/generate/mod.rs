@@ -442,11 +442,7 @@ impl Builder {
     /// Takes obstacles back, the last first, until there is a way through.
     fn finish(mut self) -> Course {
         loop {
-            self.course.columns.clear();
-            self.course.boxes.clear();
-            self.course.walls.clear();
-            self.course.overhangs.clear();
-            self.course.movers.clear();
+            self.course.clear_obstacles();
             for (obstacle, _) in self.placed.iter().flatten() {
                 match *obstacle {
                     Obstacle::Column(o) => self.course.columns.push(o),

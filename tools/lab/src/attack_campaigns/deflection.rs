@@ -218,22 +218,19 @@ fn hovering_before_wall(
 fn wall_ahead(gap_m: f32) -> Course {
     let thickness_m = 0.2;
     let north_m = gap_m + thickness_m / 2.0;
-    let generated = generate(Family::Validation, 1);
+    let mut empty = generate(Family::Validation, 1);
+    empty.clear_obstacles();
     Course {
         name: "a wall ahead".to_owned(),
         family: None,
         ceiling_height_m: None,
         checkpoints: Vec::new(),
-        columns: Vec::new(),
-        boxes: Vec::new(),
         walls: vec![Wall {
             from_m: [north_m, -WALL_WIDTH_M / 2.0],
             to_m: [north_m, WALL_WIDTH_M / 2.0],
             thickness_m,
             height_m: 4.0,
         }],
-        overhangs: Vec::new(),
-        movers: Vec::new(),
-        ..generated
+        ..empty
     }
 }
