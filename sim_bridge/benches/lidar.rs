@@ -23,13 +23,9 @@ fn shot(count: u64) -> Shot {
     let attitude = Attitude::from_euler_rad(0.1 * libm::sinf(9.0 * f), -0.05, 0.4 * libm::sinf(20.0 * f));
     let position_ned_m = NedVector::new(18.0 * f, 2.0 * libm::sinf(6.0 * f), -1.5);
     Shot {
-        position_ned_m,
-        attitude,
-        estimated_position_ned_m: position_ned_m,
-        estimated_attitude: attitude,
         stamp_ns: count * 50_000_000,
         sequence: count,
-        sensor_id: 0,
+        ..Shot::at(position_ned_m, attitude)
     }
 }
 

@@ -12,15 +12,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let start = course.start_ned_m();
     let position_ned_m = NedVector::new(start.x, start.y, -course.flight_height_m);
     let attitude = Attitude::LEVEL_NORTH;
-    let shot = Shot {
-        position_ned_m,
-        attitude,
-        estimated_position_ned_m: position_ned_m,
-        estimated_attitude: attitude,
-        stamp_ns: 0,
-        sequence: 0,
-        sensor_id: 0,
-    };
+    let shot = Shot::at(position_ned_m, attitude);
     let mut frame = Box::new(DepthFrame::EMPTY);
     Lidar::new(LidarConfig::default(), seed)?.capture(&world, &shot, &mut frame);
 

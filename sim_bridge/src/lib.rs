@@ -23,6 +23,7 @@
 
 mod companion_view;
 mod config;
+mod depth_sensor;
 pub mod environment;
 pub mod foreign;
 pub mod lockstep_flight;
@@ -31,12 +32,15 @@ mod saved_state;
 mod sensor_fault;
 mod simulator;
 pub mod statistics;
+#[cfg(test)]
+mod testing;
 mod udp;
 pub mod vehicle_links;
 pub mod world;
 
 pub use companion_view::CompanionView;
 pub use config::{ConfigError, CourseChoice, Models, SimConfig, Start, VehicleChoice, family_parser};
+pub use depth_sensor::LIDAR_SENSOR_ID;
 pub use sensor_fault::{Onset, SensorFault, SensorFaultMode};
-pub use simulator::{Ending, LIDAR_SENSOR_ID, STEP_MS, Simulator};
+pub use simulator::{Ending, STEP_MS, Simulator};
 pub use vigil_autopilot::vehicle;

@@ -20,11 +20,10 @@ use std::time::Duration;
 use vigil_autopilot::{ConfigError, EndpointConfig, LinkId, LinkRole};
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
+use vigil_io::key_file::frame_key;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
-use vigil_types::{
-    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, GuidanceState, Nanos, Reasons, STEP_NS,
-};
+use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, Nanos, STEP_NS};
 
 /// Later than this, the simulation has stood still (a suspended machine, a debugger, a stopped process); what is less is caught up with.
 const STANDSTILL_NS: Nanos = 250_000_000;
@@ -172,6 +171,14 @@ pub struct Status {
     pub pose: Option<String>,
 }
 
+/// What Ctrl-C and SIGTERM set.
+pub(crate) fn set_by_interrupt() -> Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    Ok(stop)
+}
+
 /// Runs the simulator until its end or Ctrl-C.
 ///
 /// # Errors
@@ -179,9 +186,7 @@ pub struct Status {
 /// firmware missing in lockstep.
 pub fn run(args: SimArgs) -> Result<ExitCode> {
     let config = configure(&args)?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    let stop = set_by_interrupt()?;
     let domain = Domain::open(args.instance, "simulator")?;
     if args.lockstep {
         run_lockstep(&args, &config, &domain, &stop)
@@ -209,10 +214,11 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
     config.start = if args.airborne { Start::Airborne } else { Start::Ground };
     config.sensor_fault = args.sensor_fault;
     config.second_sensor_heads = args.second_sensor_heads.into();
-    config.frame_key = match &args.frame_key {
-        Some(path) => Some(vigil_io::key_file::frame_key(path, LIDAR_SENSOR_ID)?),
-        None => None,
-    };
+    config.frame_key = args
+        .frame_key
+        .as_ref()
+        .map(|path| frame_key(path, LIDAR_SENSOR_ID))
+        .transpose()?;
     if let Some(folder) = &args.state {
         config.saved = state_file(folder, args.instance).load()?;
     }
@@ -502,14 +508,8 @@ fn status(simulator: &Simulator, companion: &CompanionView, nearness: &str, elap
         goal_distance_m: simulator.goal_distance_m(),
         mode: endpoint.mode.name().to_owned(),
         armed: endpoint.armed,
-        guidance: companion
-            .state_code
-            .and_then(GuidanceState::from_code)
-            .map(|s| s.name().to_owned()),
-        reasons: Reasons(companion.reason_bits)
-            .iter()
-            .map(|r| r.name().to_owned())
-            .collect(),
+        guidance: companion.guidance(),
+        reasons: companion.reasons(),
         nearness: nearness.to_owned(),
         score: companion.score,
         step_us: companion.step_us,

@@ -1,22 +1,19 @@
 //! World, vehicle, LiDAR, MAVLink endpoint and referee on one simulated clock.
 
 use crate::config::{SimConfig, SimError, Start};
-use crate::sensor_fault::FailingSensor;
+use crate::depth_sensor::DepthSensor;
 use crate::vehicle::{ControlCommand, Truth, Vehicle};
 use crate::world::{
-    Lidar, Outcome, Referee, Shot, World, ZONE_COLUMNS, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor,
+    Outcome, Referee, Shot, World, ZONE_COLUMNS, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor,
 };
 use twox_hash::XxHash3_64;
 use vigil_autopilot::{Endpoint, EndpointStatus, LinkId, Saved, SigningSetup, ZoneRanges};
-use vigil_types::{Datagrams, DepthFrame, FrameKey, Nanos, NedVector, RANGE_SECTORS, STEP_NS};
+use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, RANGE_SECTORS, STEP_NS};
 
 const MILLISECOND_NS: Nanos = 1_000_000;
 
 /// Milliseconds of physics in one step of the loop.
 pub const STEP_MS: u32 = (STEP_NS / MILLISECOND_NS) as u32;
-
-/// The LiDAR's id in frame headers; the one that the firmware accepts by default.
-pub const LIDAR_SENSOR_ID: u32 = 1;
 
 /// How a flight ended.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,14 +34,10 @@ pub struct Simulator {
     /// Where the vehicle stands at the start: metres from home, heading.
     start: (NedVector, f32),
     vehicle: Vehicle,
-    lidar: Lidar,
+    sensor: DepthSensor,
     /// Present when there is a second sensor, and when it measures next.
     zones: Option<ZoneSensor>,
     zones_due_ns: Nanos,
-    /// Present when the LiDAR is to fail.
-    failing: Option<FailingSensor>,
-    /// Present when the LiDAR's driver authenticates its frames.
-    frame_key: Option<FrameKey>,
     endpoint: Endpoint,
     goal_ned_m: NedVector,
     epoch_ns: Nanos,
@@ -52,7 +45,6 @@ pub struct Simulator {
     /// How long the simulation stood still while the shared clock went on.
     stood_still_ns: Nanos,
     lifted_off_ms: Option<u64>,
-    next_sequence: u64,
     ending: Option<Ending>,
     path_length_m: f64,
     closest_goal_m: f32,
@@ -86,18 +78,15 @@ impl Simulator {
             referee,
             start: (start_ned_m, course.start_heading_rad()),
             vehicle,
-            lidar: Lidar::new(config.lidar, config.seed)?,
+            sensor: DepthSensor::new(config.lidar, config.seed, config.sensor_fault, config.frame_key.clone())?,
             zones: (config.second_sensor_heads > 0).then(|| ZoneSensor::new(config.seed, config.second_sensor_heads)),
             zones_due_ns: 0,
-            frame_key: config.frame_key.clone(),
-            failing: config.sensor_fault.map(|fault| FailingSensor::new(fault, config.seed)),
             endpoint,
             goal_ned_m: course.goal_ned_m(),
             epoch_ns,
             elapsed_ms: 0,
             stood_still_ns: 0,
             lifted_off_ms: None,
-            next_sequence: 0,
             ending: None,
             path_length_m: 0.0,
             closest_goal_m: f32::INFINITY,
@@ -238,28 +227,14 @@ impl Simulator {
     pub fn capture(&mut self, frame: &mut DepthFrame) {
         let truth = self.vehicle.truth();
         let estimate = self.vehicle.view().estimate;
-        let elapsed_ns = self.elapsed_ms * MILLISECOND_NS;
-        let attitude = match &self.failing {
-            Some(failing) => failing.attitude(elapsed_ns, truth.attitude),
-            None => truth.attitude,
-        };
         let shot = Shot {
-            position_ned_m: truth.position_ned_m,
-            attitude,
             estimated_position_ned_m: estimate.position_ned_m,
             estimated_attitude: estimate.attitude,
             stamp_ns: self.now_ns(),
-            sequence: self.next_sequence,
-            sensor_id: LIDAR_SENSOR_ID,
+            ..Shot::at(truth.position_ned_m, truth.attitude)
         };
-        self.lidar.capture(&self.world, &shot, frame);
-        if let Some(failing) = &mut self.failing {
-            failing.spoil(elapsed_ns, frame);
-        }
-        if let Some(key) = &self.frame_key {
-            frame.authenticate(key);
-        }
-        self.next_sequence += 1;
+        let elapsed_ns = self.elapsed_ms * MILLISECOND_NS;
+        self.sensor.capture(&self.world, elapsed_ns, shot, frame);
     }
 
     /// One step of lockstep: takes the firmware's datagrams of the previous step, advances [`STEP_MS`], captures a frame
@@ -328,8 +303,10 @@ impl Simulator {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Start;
+    use crate::testing::{command, packet};
     use crate::world::{Column, Family, generate};
+    use vigil_autopilot::FlightMode;
+    use vigil_mavlink::common::{MavFrame, MavMessage, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA};
     use vigil_types::DEPTH_FULL_SCALE_M;
 
     /// The digest of three seconds of hovering at a course's start.
@@ -370,47 +347,27 @@ mod tests {
     fn a_simulator_that_stood_still_for_a_second_says_so_and_flies_on_as_if_nothing_had_been() {
         let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
         config.start = Start::Airborne;
-        let setpoint = vigil_mavlink::MavMessage::SET_POSITION_TARGET_LOCAL_NED(
-            vigil_mavlink::common::SET_POSITION_TARGET_LOCAL_NED_DATA {
-                type_mask: vigil_mavlink::common::PositionTargetTypemask::from_bits_retain(0x5C7),
-                target_system: 1,
-                target_component: 1,
-                coordinate_frame: vigil_mavlink::common::MavFrame::MAV_FRAME_BODY_NED,
-                ..Default::default()
-            },
-        );
-        let header = vigil_mavlink::mavlink::MavHeader {
-            system_id: 1,
-            component_id: 191,
-            sequence: 0,
+        let setpoint = SET_POSITION_TARGET_LOCAL_NED_DATA {
+            type_mask: PositionTargetTypemask::from_bits_retain(0x5C7),
+            target_system: 1,
+            target_component: 1,
+            coordinate_frame: MavFrame::MAV_FRAME_BODY_NED,
+            ..Default::default()
         };
-        let mut packet = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
-        let len = vigil_mavlink::framing::serialize(header, &setpoint, &mut packet).unwrap();
+        let setpoint = packet((1, 191), &MavMessage::SET_POSITION_TARGET_LOCAL_NED(setpoint));
+        let offboard = command((1, 191), 176, [129.0, 6.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         let mut simulator = Simulator::new(&config, 0).expect("valid");
-        let mode = {
-            let mut payload: Vec<u8> = [129.0_f32, 6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-                .iter()
-                .flat_map(|p| p.to_le_bytes())
-                .collect();
-            payload.extend_from_slice(&[176, 0, 1, 1, 0]);
-            let mut packet = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
-            let len = vigil_mavlink::framing::serialize_payload(header, 76, &payload, &mut packet).unwrap();
-            packet[..len].to_vec()
-        };
         let mut said = Vec::new();
         for step in 0..80 {
-            simulator.receive(0, &packet[..len]);
+            simulator.receive(0, &setpoint);
             if step == 1 {
-                simulator.receive(0, &mode);
+                simulator.receive(0, &offboard);
             }
             if step == 40 {
                 let before_ns = simulator.now_ns();
                 simulator.stood_still(1_000_000_000);
-                assert_eq!(
-                    simulator.now_ns(),
-                    before_ns + 1_000_000_000,
-                    "frames have today's stamps"
-                );
+                let since_ns = simulator.now_ns() - before_ns;
+                assert_eq!(since_ns, 1_000_000_000, "frames have today's stamps");
             }
             for _ in 0..STEP_MS {
                 simulator.advance_1ms();
@@ -418,10 +375,7 @@ mod tests {
             }
         }
         let status = simulator.status();
-        assert_eq!(
-            (status.mode, status.failsafe),
-            (vigil_autopilot::FlightMode::Offboard, None)
-        );
+        assert_eq!((status.mode, status.failsafe), (FlightMode::Offboard, None));
         let text = b"simulator stood still for 1.0 s";
         assert!(said.windows(text.len()).any(|window| window == text));
     }
@@ -451,17 +405,7 @@ mod tests {
         assert!(simulator.truth().position_ned_m.z > -0.5, "it lies on the ground");
         let ask = |simulator: &mut Simulator, number: u16, first: f32, ms: u32| {
             let params = [first, 0.0, 0.0, 0.0, 0.0, 0.0, f32::NAN];
-            let mut payload: Vec<u8> = params.iter().flat_map(|p| p.to_le_bytes()).collect();
-            payload.extend_from_slice(&number.to_le_bytes());
-            payload.extend_from_slice(&[1, 1, 0]);
-            let header = vigil_mavlink::mavlink::MavHeader {
-                system_id: 245,
-                component_id: 190,
-                sequence: 0,
-            };
-            let mut packet = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
-            let len = vigil_mavlink::framing::serialize_payload(header, 76, &payload, &mut packet).unwrap();
-            simulator.receive(0, &packet[..len]);
+            simulator.receive(0, &command((245, 190), number, params));
             let mut said = Vec::new();
             for _ in 0..ms {
                 simulator.advance_1ms();

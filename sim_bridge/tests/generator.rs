@@ -1,18 +1,16 @@
 //! What every generated course promises.
 
 use std::sync::LazyLock;
-use vigil_sim::world::{Course, Family, HARD_CORRIDOR_MARGIN_M, Solid, VEHICLE, World, generate, generate_long};
+use vigil_sim::world::{
+    Course, Family, HARD_CORRIDOR_MARGIN_M, Overhang, Solid, VEHICLE, Wall, World, generate, generate_long,
+};
 
 const SEEDS: u64 = 150;
 
 /// The courses of a family, made once for all tests.
 fn courses(family: Family) -> impl Iterator<Item = &'static Course> {
-    static ALL: [LazyLock<Vec<Course>>; 4] = [
-        LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Training, seed)).collect()),
-        LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Validation, seed)).collect()),
-        LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Hard, seed)).collect()),
-        LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Dense, seed)).collect()),
-    ];
+    static ALL: LazyLock<[Vec<Course>; 4]> =
+        LazyLock::new(|| Family::ALL.map(|family| (0..SEEDS).map(|seed| generate(family, seed)).collect()));
     ALL[family as usize].iter()
 }
 
@@ -88,27 +86,20 @@ fn the_goal_is_the_papers_on_either_side() {
 
 #[test]
 fn a_validation_course_has_every_kind_of_obstacle_and_blocks_the_straight_way() {
-    let mut blocked = 0;
-    let mut complete = 0;
+    let (mut blocked, mut complete) = (0, 0);
     for course in courses(Family::Validation) {
-        blocked += usize::from(course.straight_line_is_blocked());
-        let kinds = [
-            course.columns.len(),
-            course.boxes.len(),
-            course.walls.len(),
-            course.overhangs.len(),
-        ];
-        complete += usize::from(kinds.iter().all(|n| *n > 0));
+        blocked += u32::from(course.straight_line_is_blocked());
+        let (columns, boxes, walls) = (course.columns.len(), course.boxes.len(), course.walls.len());
+        let kinds = [columns, boxes, walls, course.overhangs.len()];
+        complete += u32::from(kinds.iter().all(|n| *n > 0));
         assert!(kinds.iter().sum::<usize>() >= 8, "{}: {kinds:?}", course.name);
     }
+    let most = 0.9 * SEEDS as f64;
     assert!(
-        blocked as f64 >= 0.9 * SEEDS as f64,
+        f64::from(blocked) >= most,
         "{blocked} of {SEEDS} straight lines are blocked"
     );
-    assert!(
-        complete as f64 >= 0.9 * SEEDS as f64,
-        "{complete} of {SEEDS} have all kinds"
-    );
+    assert!(f64::from(complete) >= most, "{complete} of {SEEDS} have all kinds");
 }
 
 /// Doors: gaps between two walls in one line, by the walls' ends that face each other.
@@ -133,40 +124,27 @@ fn doors(course: &Course) -> Vec<([f32; 2], f32)> {
 fn a_hard_course_leads_through_narrow_doors_that_lie_aside_of_each_other() {
     let (mut two_or_more, mut lintels) = (0, 0);
     for course in courses(Family::Hard) {
-        let doors = doors(course);
-        assert!((1..=3).contains(&doors.len()), "{}: {doors:?}", course.name);
+        let (doors, name) = (doors(course), &course.name);
+        assert!((1..=3).contains(&doors.len()), "{name}: {doors:?}");
         two_or_more += usize::from(doors.len() >= 2);
         let mut before_m = 0.0;
         for (middle, width_m) in &doors {
-            assert!(
-                (1.58..=2.22).contains(width_m),
-                "{}: a door of {width_m} m",
-                course.name
-            );
-            assert!((middle[1] - before_m).abs() > 1.0, "{}: {doors:?}", course.name);
+            assert!((1.58..=2.22).contains(width_m), "{name}: a door of {width_m} m");
+            assert!((middle[1] - before_m).abs() > 1.0, "{name}: {doors:?}");
             before_m = middle[1];
             // A lintel is flown under: it hangs above the height that the corridor needs.
-            lintels += course
-                .overhangs
-                .iter()
-                .filter(|o| o.bottom_m >= 1.9 && o.solid().plan_distance_m(middle[0], middle[1]) < 0.0)
-                .count();
+            let above = |o: &&Overhang| o.bottom_m >= 1.9 && o.solid().plan_distance_m(middle[0], middle[1]) < 0.0;
+            lintels += course.overhangs.iter().filter(above).count();
         }
         // No way around: with the doors walled up there is none.
         let mut closed = course.clone();
-        closed
-            .walls
-            .extend(doors.iter().map(|(middle, _)| vigil_sim::world::Wall {
-                from_m: [middle[0], middle[1] - 1.2],
-                to_m: [middle[0], middle[1] + 1.2],
-                thickness_m: 0.3,
-                height_m: 3.0,
-            }));
-        assert!(
-            closed.corridor().is_none(),
-            "{} has a way around its doors",
-            course.name
-        );
+        closed.walls.extend(doors.iter().map(|(middle, _)| Wall {
+            from_m: [middle[0], middle[1] - 1.2],
+            to_m: [middle[0], middle[1] + 1.2],
+            thickness_m: 0.3,
+            height_m: 3.0,
+        }));
+        assert!(closed.corridor().is_none(), "{name} has a way around its doors");
         assert!(course.straight_line_is_blocked());
     }
     assert!(two_or_more > 60 && lintels > 60, "{two_or_more} {lintels}");
@@ -198,10 +176,8 @@ fn no_mover_keeps_any_point_of_the_way_for_good() {
             for leg in way.windows(2) {
                 for f in (0..=20).map(|k| k as f32 / 20.0) {
                     let at = [0, 1].map(|i| leg[0][i] + f * (leg[1][i] - leg[0][i]));
-                    let clear = solids
-                        .iter()
-                        .filter(|s| s.plan_distance_m(at[0], at[1]) >= needed_m)
-                        .count();
+                    let is_clear = |s: &&Solid| s.plan_distance_m(at[0], at[1]) >= needed_m;
+                    let clear = solids.iter().filter(is_clear).count();
                     blocked_at_times += usize::from(clear < 64);
                     assert!(
                         clear >= 16,

@@ -37,13 +37,10 @@ fn pixel_direction_frd(row: usize, col: usize) -> FrdVector {
 
 fn shot(position_ned_m: NedVector, attitude: Attitude, sequence: u64) -> Shot {
     Shot {
-        position_ned_m,
-        attitude,
-        estimated_position_ned_m: position_ned_m,
-        estimated_attitude: attitude,
         stamp_ns: sequence * 50_000_000,
         sequence,
         sensor_id: 3,
+        ..Shot::at(position_ned_m, attitude)
     }
 }
 
@@ -61,6 +58,11 @@ fn poses() -> [(NedVector, Attitude); 3] {
     ]
 }
 
+/// Level above the start.
+fn above_start(height_m: f32, sequence: u64) -> Shot {
+    shot(NedVector::new(0.0, 0.0, -height_m), Attitude::LEVEL_NORTH, sequence)
+}
+
 fn capture(config: LidarConfig, seed: u64, course: &Course, shot: &Shot) -> Box<DepthFrame> {
     let mut frame = Box::new(DepthFrame::EMPTY);
     Lidar::new(config, seed)
@@ -75,10 +77,7 @@ fn range_m(frame: &DepthFrame, row: usize, col: usize) -> f32 {
 
 fn open_field() -> Course {
     let mut course = generate(Family::Training, 0);
-    course.columns.clear();
-    course.boxes.clear();
-    course.walls.clear();
-    course.overhangs.clear();
+    course.clear_obstacles();
     course.ceiling_height_m = None;
     course
 }
@@ -132,13 +131,11 @@ fn no_range_appears_in_mid_air() {
                     let allowed_m = 0.02 + 0.0082 * seen;
                     if surface_distance_m(&course, &solids, point) <= allowed_m {
                         on_surface += 1;
-                    } else if seen < range_m(&frame, row - 1, col).min(range_m(&frame, row + 1, col)) - 1e-3
-                        || seen > range_m(&frame, row - 1, col).max(range_m(&frame, row + 1, col)) + 1e-3
-                        || (seen - range_m(&frame, row - 1, col))
-                            .abs()
-                            .min((seen - range_m(&frame, row + 1, col)).abs())
-                            > 0.11
-                    {
+                        continue;
+                    }
+                    let (above, below) = (range_m(&frame, row - 1, col), range_m(&frame, row + 1, col));
+                    let lies_between = (above.min(below) - 1e-3..=above.max(below) + 1e-3).contains(&seen);
+                    if !lies_between || (seen - above).abs().min((seen - below).abs()) > 0.11 {
                         phantoms += 1;
                     }
                 }
@@ -153,12 +150,7 @@ fn no_range_appears_in_mid_air() {
 #[test]
 fn the_ground_between_two_rings_is_interpolated_onto_the_ground() {
     let course = open_field();
-    let frame = capture(
-        LidarConfig::ideal(),
-        0,
-        &course,
-        &shot(NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH, 0),
-    );
+    let frame = capture(LidarConfig::ideal(), 0, &course, &above_start(1.5, 0));
     for row in 70..DEPTH_ROWS - 1 {
         let expected = 1.5 / -row_elevation_rad(row as f32).sin();
         let seen = range_m(&frame, row, 128);
@@ -176,13 +168,7 @@ fn nothing_beyond_the_maximum_range_returns() {
         max_range_m: 12.0,
         ..LidarConfig::ideal()
     };
-    let course = open_field();
-    let frame = capture(
-        config,
-        0,
-        &course,
-        &shot(NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH, 0),
-    );
+    let frame = capture(config, 0, &open_field(), &above_start(1.5, 0));
     assert!(frame.depth.iter().all(|d| *d <= 0.1201 || *d == 1.0));
     assert!(frame.depth.iter().any(|d| *d > 0.1 && *d < 0.12));
 }
@@ -193,20 +179,14 @@ fn a_surface_nearer_than_the_minimum_range_is_shown_at_it() {
         min_range_m: 1.0,
         ..LidarConfig::ideal()
     };
-    let course = open_field();
-    let frame = capture(
-        config,
-        0,
-        &course,
-        &shot(NedVector::new(0.0, 0.0, -0.4), Attitude::LEVEL_NORTH, 0),
-    );
+    let frame = capture(config, 0, &open_field(), &above_start(0.4, 0));
     assert_eq!(range_m(&frame, 126, 128), 1.0);
 }
 
 #[test]
 fn noise_has_the_configured_size_and_no_bias() {
     let course = open_field();
-    let pose = shot(NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH, 0);
+    let pose = above_start(1.5, 0);
     let ideal = capture(LidarConfig::ideal(), 0, &course, &pose);
     for sigma_m in [0.02, 0.04] {
         let config = LidarConfig {
@@ -215,11 +195,10 @@ fn noise_has_the_configured_size_and_no_bias() {
             ..LidarConfig::default()
         };
         let noisy = capture(config, 9, &course, &pose);
-        let errors: Vec<f64> = (ring_row(45)..DEPTH_ROWS)
-            .step_by(2)
-            .flat_map(|row| (0..DEPTH_COLS).map(move |col| (row, col)))
-            .map(|(row, col)| f64::from(range_m(&noisy, row, col) - range_m(&ideal, row, col)))
-            .collect();
+        let rows = (ring_row(45)..DEPTH_ROWS).step_by(2);
+        let pixels = rows.flat_map(|row| (0..DEPTH_COLS).map(move |col| (row, col)));
+        let error = |(row, col)| f64::from(range_m(&noisy, row, col) - range_m(&ideal, row, col));
+        let errors: Vec<f64> = pixels.map(error).collect();
         let n = errors.len() as f64;
         let mean = errors.iter().sum::<f64>() / n;
         let sigma = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n).sqrt();
@@ -246,12 +225,8 @@ fn dropouts_are_filled_and_leave_no_holes() {
         ideal_sensor.capture(&world, &pose, &mut ideal);
         returns += ideal_sensor.points_frd_m().count();
         lost += ideal_sensor.points_frd_m().count() - sensor.points_frd_m().count();
-        holes += frame
-            .depth
-            .iter()
-            .zip(&ideal.depth)
-            .filter(|(f, i)| **f == 1.0 && **i < 1.0)
-            .count();
+        let both = frame.depth.iter().zip(&ideal.depth);
+        holes += both.filter(|(f, i)| **f == 1.0 && **i < 1.0).count();
     }
     let share = lost as f64 / returns as f64;
     assert!((share - 0.01).abs() < 0.001, "{share}");
@@ -263,11 +238,7 @@ fn every_measured_point_projects_to_the_pixel_that_shows_it() {
     let course = generate(Family::Validation, 2);
     let mut sensor = Lidar::new(LidarConfig::default(), 11).expect("valid");
     let mut frame = Box::new(DepthFrame::EMPTY);
-    sensor.capture(
-        &World::new(&course),
-        &shot(NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH, 5),
-        &mut frame,
-    );
+    sensor.capture(&World::new(&course), &above_start(1.5, 5), &mut frame);
     let mut count = 0;
     for point in sensor.points_frd_m() {
         let (row, col, range) = pixel_of(point).expect("in view");
@@ -281,7 +252,7 @@ fn every_measured_point_projects_to_the_pixel_that_shows_it() {
 #[test]
 fn the_seed_and_the_frames_number_fix_every_bit() {
     let course = generate(Family::Training, 2);
-    let pose = |sequence| shot(NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH, sequence);
+    let pose = |sequence| above_start(1.5, sequence);
     let config = LidarConfig::default();
     let frame = capture(config, 1, &course, &pose(7));
     assert_eq!(frame, capture(config, 1, &course, &pose(7)));
@@ -299,35 +270,22 @@ fn the_seed_and_the_frames_number_fix_every_bit() {
 
 #[test]
 fn a_config_that_makes_no_sense_is_refused_by_field() {
+    let with = |change: fn(&mut LidarConfig)| {
+        let mut config = LidarConfig::default();
+        change(&mut config);
+        config
+    };
     for (config, expected) in [
         (
-            LidarConfig {
-                range_noise_sigma_m: f32::NAN,
-                ..LidarConfig::default()
-            },
+            with(|c| c.range_noise_sigma_m = f32::NAN),
             "lidar: `range_noise_sigma_m` is NaN",
         ),
         (
-            LidarConfig {
-                dropout_probability: 1.5,
-                ..LidarConfig::default()
-            },
+            with(|c| c.dropout_probability = 1.5),
             "lidar: `dropout_probability` is 1.5",
         ),
-        (
-            LidarConfig {
-                max_range_m: 400.0,
-                ..LidarConfig::default()
-            },
-            "lidar: `max_range_m` is 400",
-        ),
-        (
-            LidarConfig {
-                min_range_m: 0.0,
-                ..LidarConfig::default()
-            },
-            "lidar: `min_range_m` is 0",
-        ),
+        (with(|c| c.max_range_m = 400.0), "lidar: `max_range_m` is 400"),
+        (with(|c| c.min_range_m = 0.0), "lidar: `min_range_m` is 0"),
     ] {
         let error = Lidar::new(config, 0).err().expect("must be refused").to_string();
         assert!(error.starts_with(expected), "{error}");

@@ -284,14 +284,19 @@ def set_up_pages(v):
 
 def packed_parameters(v):
     v.link.target_system, v.link.target_component = v.system, 1
+    before = v.get("NAV_ACC_RAD")
+    v.set("NAV_ACC_RAD", 7.5)
     with tempfile.TemporaryDirectory() as folder:
         values, defaults = Path(folder) / "values", Path(folder) / "defaults"
         ftp = mavftp.MAVFTP(v.link, v.system, 1)
         ftp.cmd_getparams([str(values), str(defaults)])
         result = ftp.process_ftp_reply("getparams", timeout=15)
         expect(result.error_code == 0, f"{result.error_code}")
-        names = [line.split(",")[0] for line in values.read_text(encoding="utf-8").splitlines() if line and line[0] != "#"]
-        expect(len(names) > 100 and "SYS_AUTOSTART" in names, f"{len(names)} parameters")
+        now, default = (dict(line.split(",") for line in file.read_text(encoding="utf-8").split()) for file in (values, defaults))
+        expect(now.keys() == default.keys() and "SYS_AUTOSTART" in now, f"{now.keys() ^ default.keys()}")
+        expect(len(now) == v.values["NAV_ACC_RAD"].param_count, f"{len(now)} parameters")
+        expect((now["NAV_ACC_RAD"], default["NAV_ACC_RAD"]) == ("7.5", "2"), f"{now['NAV_ACC_RAD']}")
+    v.set("NAV_ACC_RAD", before)
 
 
 def ping(v):

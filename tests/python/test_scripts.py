@@ -87,4 +87,12 @@ def test_log_download_writes_the_log_of_the_flight(sides, tmp_path):
     ulog = ULog(str(file))
     # PX4's number of OFFBOARD, and the flight's height.
     assert 14 in ulog.get_dataset("vehicle_status").data["nav_state"]
-    assert ulog.get_dataset("vehicle_local_position").data["z"].min() < -1.0
+    places = ulog.get_dataset("vehicle_local_position").data
+    assert places["z"].min() < -1.0
+    # Ten records a second of simulated time, from arming on.
+    assert all(abs(int(late) - int(early) - 100_000) < 2_000 for early, late in zip(places["timestamp"], places["timestamp"][1:]))
+    assert ulog.msg_info_dict["sys_name"] == "Vigil" and len(ulog.initial_parameters) > 100
+    assert ulog.get_dataset("actuator_motors").data["control[0]"].max() > 0.2
+    attitude = ulog.get_dataset("vehicle_attitude").data
+    assert abs(sum(attitude[f"q[{i}]"][5] ** 2 for i in range(4)) - 1.0) < 0.01
+    assert ulog.logged_messages

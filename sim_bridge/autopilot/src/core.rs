@@ -12,7 +12,8 @@ use crate::vehicle_parameters::{ParamId, ParameterValue, Parameters};
 use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
-use vigil_mavlink::framing::FramingCounters;
+use vigil_mavlink::framing::{FramingCounters, Packet};
+use vigil_mavlink::mavlink::MessageData;
 pub use vigil_mavlink::routing::ComponentId;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector, RANGE_SECTORS};
 
@@ -261,6 +262,26 @@ impl Core {
             });
             self.outbox.send_all(&message);
         }
+    }
+
+    /// A text of something that is not as it should be.
+    pub fn warn(&mut self, text: &str) {
+        self.text(MavSeverity::MAV_SEVERITY_WARNING, text);
+    }
+
+    /// A text of something that is as it should be.
+    pub fn inform(&mut self, text: &str) {
+        self.text(MavSeverity::MAV_SEVERITY_INFO, text);
+    }
+
+    /// What a packet of this message holds; `None` where it is another message, or one that does not parse, which is counted.
+    pub fn read<M: MessageData<Message = MavMessage>>(&mut self, packet: &Packet<'_>) -> Option<M> {
+        if packet.message_id() != M::ID {
+            return None;
+        }
+        let read = M::deser(packet.version(), packet.payload()).ok();
+        self.refusals.not_parsed += u64::from(read.is_none());
+        read
     }
 
     /// Asks for a message to be sent on all links at once, besides its stream: it changed.

@@ -5,7 +5,6 @@ use crate::service::{Answer, Service, Source};
 use crate::streams::Streams;
 use crate::vehicle::{ControlCommand, HoldLaw, Truth, VehicleView};
 use crate::{ConfigError, EndpointConfig, LinkId, Saved, services, used_parameters};
-use vigil_mavlink::common::MavSeverity;
 use vigil_mavlink::framing::{self, Command, Packet};
 use vigil_mavlink::routing::{LinkSet, MAX_LINKS, Routing};
 use vigil_mavlink::signing::carries_key;
@@ -152,8 +151,9 @@ impl Endpoint {
         if let Some(server) = self.services.iter_mut().find(|s| s.commands().contains(&number)) {
             answer = Some(match used_parameters::misused_in_command(command) {
                 Some(parameter) => {
-                    let text = format!("command {number} denied: parameter {parameter} has no meaning");
-                    core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+                    core.warn(&format!(
+                        "command {number} denied: parameter {parameter} has no meaning"
+                    ));
                     Answer::DENIED
                 }
                 None => server.command(command, source, core),
@@ -233,8 +233,8 @@ impl Endpoint {
     /// clock is set right.
     pub fn stood_still(&mut self, lasted_ns: Nanos) {
         self.core.unix_time_at_zero_us = self.core.unix_time_at_zero_us.saturating_add(lasted_ns / 1000);
-        let text = format!("simulator stood still for {:.1} s", lasted_ns as f64 * 1e-9);
-        self.core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+        self.core
+            .warn(&format!("simulator stood still for {:.1} s", lasted_ns as f64 * 1e-9));
     }
 
     /// Whether the autopilot was started anew since the last call: who simulates the vehicle then has it mended.
@@ -244,7 +244,7 @@ impl Endpoint {
 
     /// Tells everybody something that the owner of the links knows.
     pub fn warn(&mut self, text: &str) {
-        self.core.text(MavSeverity::MAV_SEVERITY_WARNING, text);
+        self.core.warn(text);
     }
 
     /// What is going on.

@@ -41,7 +41,6 @@ mod service;
 mod services;
 mod source;
 mod streams;
-mod told_parameters;
 mod ulog;
 mod used_parameters;
 pub mod vehicle;

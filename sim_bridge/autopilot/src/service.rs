@@ -62,6 +62,20 @@ pub(crate) struct Produced {
     pub build: Build,
 }
 
+impl Produced {
+    /// One that is built of what all services share.
+    pub const fn from(id: u32, rate_hz: [f32; 3], build: fn(&Core) -> Option<MavMessage>) -> Self {
+        let build = Build::From(build);
+        Self { id, rate_hz, build }
+    }
+
+    /// One that its service builds.
+    pub const fn stateful(id: u32, rate_hz: [f32; 3]) -> Self {
+        let build = Build::Stateful;
+        Self { id, rate_hz, build }
+    }
+}
+
 /// Where a message's contents are.
 #[derive(Clone, Copy)]
 pub(crate) enum Build {

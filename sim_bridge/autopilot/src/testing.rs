@@ -2,31 +2,28 @@
 
 use crate::core::{ComponentId, EndpointStatus};
 use crate::vehicle::{ControlCommand, Vehicle, VehicleParams, VehicleView, Wind};
-use crate::{Endpoint, EndpointConfig, FlightMode, LandedState, LinkId, ParameterValue};
+use crate::{Endpoint, EndpointConfig, FlightMode, HomePosition, LandedState, LinkId, ParameterValue, geo};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
-    COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, MavParamType, PARAM_SET_DATA,
-    PositionTargetTypemask, SET_MODE_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
+    AttitudeTargetTypemask, COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, MavParamType,
+    PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PositionTargetTypemask, SET_ATTITUDE_TARGET_DATA,
+    SET_MODE_DATA, SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
 };
 use vigil_mavlink::framing::{self, CommandAck, FramingCounters, MAX_PACKET_LEN};
-use vigil_mavlink::mavlink::{MavHeader, Message, MessageData};
+use vigil_mavlink::mavlink::{MavHeader, MavlinkVersion, Message, MessageData};
 use vigil_types::{Nanos, NedVector};
 
 pub const ONBOARD: LinkId = LinkId::ONBOARD;
 pub const API: LinkId = LinkId::API;
 pub const GCS: LinkId = LinkId::GCS;
-pub const COMPANION: ComponentId = ComponentId {
-    system: 1,
-    component: 191,
-};
-pub const SCRIPT: ComponentId = ComponentId {
-    system: 245,
-    component: 190,
-};
-pub const STATION: ComponentId = ComponentId {
-    system: 255,
-    component: 190,
-};
+pub const VEHICLE: ComponentId = component(1, 1);
+pub const COMPANION: ComponentId = component(1, 191);
+pub const SCRIPT: ComponentId = component(245, 190);
+pub const STATION: ComponentId = component(255, 190);
+
+const fn component(system: u8, component: u8) -> ComponentId {
+    ComponentId { system, component }
+}
 
 /// A packet that the endpoint sent.
 #[derive(Debug, Clone)]
@@ -36,6 +33,8 @@ pub struct Sent {
     pub from: ComponentId,
     pub raw: Vec<u8>,
     pub message: Option<MavMessage>,
+    version: MavlinkVersion,
+    payload: Vec<u8>,
     pub ack: Option<CommandAck>,
 }
 
@@ -47,6 +46,8 @@ pub struct Bench {
     pub command: ControlCommand,
     vehicle: Vehicle,
     sequence: u8,
+    /// The vehicle's system, as parameters are addressed.
+    pub system: u8,
     /// From which end of its link everybody sends.
     pub peer: u64,
     /// Components that stream velocity setpoints at 20 Hz, with the velocity along the heading.
@@ -66,6 +67,7 @@ impl Bench {
             command: ControlCommand::MotorsOff,
             vehicle: Vehicle::new(VehicleParams::default(), Wind::default(), 1).expect("defaults are valid"),
             sequence: 0,
+            system: 1,
             peer: 0,
             streaming: Vec::new(),
         };
@@ -142,6 +144,8 @@ impl Bench {
                     },
                     raw: packet.raw().to_vec(),
                     message: packet.message().ok(),
+                    version: packet.version(),
+                    payload: packet.payload().to_vec(),
                     ack: packet.command_ack(),
                 });
             }
@@ -155,14 +159,9 @@ impl Bench {
     }
 
     pub fn packet(&mut self, from: ComponentId, message: &MavMessage) -> Vec<u8> {
-        let header = MavHeader {
-            system_id: u32::from(from.system),
-            component_id: from.component,
-            sequence: self.sequence,
-        };
         self.sequence = self.sequence.wrapping_add(1);
         let mut out = [0; MAX_PACKET_LEN];
-        let len = framing::serialize(header, message, &mut out).expect("fits");
+        let len = framing::serialize(header(from, self.sequence), message, &mut out).expect("fits");
         out[..len].to_vec()
     }
 
@@ -173,6 +172,13 @@ impl Bench {
 
     pub fn send_heartbeat(&mut self, link: LinkId, from: ComponentId) {
         self.send(link, from, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()));
+    }
+
+    /// Sends a script's COMMAND_LONG, further parameters zero, and returns the result.
+    pub fn ask(&mut self, number: u16, params: &[f32]) -> u8 {
+        let mut all = [0.0; 7];
+        all[..params.len()].copy_from_slice(params);
+        self.command_long(API, SCRIPT, number, all)
     }
 
     /// Sends a COMMAND_LONG to the vehicle and returns the result of the acknowledgement that came back.
@@ -187,16 +193,8 @@ impl Bench {
     }
 
     fn command_payload(&mut self, link: LinkId, from: ComponentId, number: u16, id: u32, payload: &[u8]) -> u8 {
-        let header = MavHeader {
-            system_id: u32::from(from.system),
-            component_id: from.component,
-            sequence: self.sequence,
-        };
-        self.sequence = self.sequence.wrapping_add(1);
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = framing::serialize_payload(header, id, payload, &mut out).expect("fits");
         let before = self.sent.len();
-        self.send_raw(link, &out[..len]);
+        self.send_raw(link, &raw(from, id, payload));
         let acks: Vec<_> = self.sent[before..]
             .iter()
             .filter(|s| s.link == link)
@@ -211,16 +209,25 @@ impl Bench {
         acks[0].result
     }
 
-    /// Sends a COMMAND_INT DO_REPOSITION and returns the result.
-    pub fn reposition(&mut self, frame: MavFrame, lat: f64, lon: f64, alt: f32, yaw: f32) -> u8 {
+    /// Sends a COMMAND_INT with a place and returns the result.
+    pub fn command_at(
+        &mut self,
+        command: MavCmd,
+        params: [f32; 4],
+        frame: MavFrame,
+        (lat, lon): (f64, f64),
+        z: f32,
+    ) -> u8 {
+        let [param1, param2, param3, param4] = params;
         let data = COMMAND_INT_DATA {
-            param1: -1.0,
-            param2: 1.0,
-            param4: yaw,
-            x: (lat * 1e7).round() as i32,
-            y: (lon * 1e7).round() as i32,
-            z: alt,
-            command: MavCmd::MAV_CMD_DO_REPOSITION,
+            param1,
+            param2,
+            param3,
+            param4,
+            x: geo::deg_e7(lat),
+            y: geo::deg_e7(lon),
+            z,
+            command,
             target_system: 1,
             target_component: 1,
             frame,
@@ -231,12 +238,23 @@ impl Bench {
         self.sent[before..].iter().find_map(|s| s.ack).expect("answered").result
     }
 
+    /// Sends DO_REPOSITION and returns the result.
+    pub fn reposition(&mut self, frame: MavFrame, place: (f64, f64), alt: f32, yaw: f32) -> u8 {
+        let params = [-1.0, 1.0, 0.0, yaw];
+        self.command_at(MavCmd::MAV_CMD_DO_REPOSITION, params, frame, place, alt)
+    }
+
+    /// Has it fly to a place, metres north and east of home and above sea level.
+    pub fn go_to(&mut self, place: (f32, f32), altitude_m: f32) -> u8 {
+        self.reposition(MavFrame::MAV_FRAME_GLOBAL_INT, on_globe(place), altitude_m, f32::NAN)
+    }
+
     pub fn arm(&mut self) -> u8 {
-        self.command_long(API, SCRIPT, 400, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        self.ask(400, &[1.0])
     }
 
     pub fn disarm(&mut self, force: f32) -> u8 {
-        self.command_long(API, SCRIPT, 400, [0.0, force, 0.0, 0.0, 0.0, 0.0, 0.0])
+        self.ask(400, &[0.0, force])
     }
 
     /// Sends DO_SET_MODE and returns the result.
@@ -256,14 +274,70 @@ impl Bench {
             ParameterValue::Int32(v) => (f32::from_bits(v as u32), MavParamType::MAV_PARAM_TYPE_INT32),
             ParameterValue::Real32(v) => (v, MavParamType::MAV_PARAM_TYPE_REAL32),
         };
+        self.set_parameter_as(name, param_value, param_type);
+    }
+
+    pub fn set_parameter_as(&mut self, name: &str, param_value: f32, param_type: MavParamType) {
         let message = MavMessage::PARAM_SET(PARAM_SET_DATA {
             param_value,
-            target_system: 1,
+            target_system: self.system,
             target_component: 1,
             param_id: name.into(),
             param_type,
         });
         self.send(API, SCRIPT, &message);
+    }
+
+    /// Asks for a parameter, by its name where the index is −1.
+    pub fn read_parameter(&mut self, name: &str, param_index: i16) {
+        let message = MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
+            param_index,
+            target_system: self.system,
+            target_component: 1,
+            param_id: name.into(),
+        });
+        self.send(API, SCRIPT, &message);
+    }
+
+    /// Asks for the list of all parameters.
+    pub fn request_parameters(&mut self) {
+        let message = MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
+            target_system: 1,
+            target_component: 1,
+        });
+        self.send(API, SCRIPT, &message);
+    }
+
+    /// Streams a message at 20 Hz for this long.
+    pub fn hold(&mut self, link: LinkId, from: ComponentId, message: &MavMessage, ms: u64) {
+        for _ in 0..ms / 50 {
+            self.send(link, from, message);
+            self.run_ms(50);
+        }
+    }
+
+    /// Lets time pass, and gives the largest of what is read every 10 ms.
+    pub fn most(&mut self, ms: u64, read: impl Fn(&Self) -> f32) -> f32 {
+        let mut most = f32::NEG_INFINITY;
+        for _ in 0..ms / 10 {
+            self.run_ms(10);
+            most = most.max(read(self));
+        }
+        most
+    }
+
+    /// Whether it is at metres north and east of home, and above it.
+    pub fn is_at(&self, (north, east): (f32, f32), height_m: f32, within_m: f32) -> bool {
+        let [x, y, z] = self.position_m();
+        (x - north).hypot(y - east) < within_m && (z + height_m).abs() < within_m
+    }
+
+    pub fn velocity_m_s(&self) -> NedVector {
+        self.view().estimate.velocity_ned_m_s
+    }
+
+    pub fn yaw_rad(&self) -> f32 {
+        self.view().estimate.attitude.yaw_rad()
     }
 
     /// Arms and takes off by MAVSDK's commands; ends in Hold.
@@ -294,8 +368,29 @@ impl Bench {
     pub fn messages(&self, link: LinkId) -> impl DoubleEndedIterator<Item = &MavMessage> {
         self.sent
             .iter()
-            .filter(move |s| s.link == link && (s.from.system, s.from.component) == (1, 1))
+            .filter(move |s| s.link == link && s.from == VEHICLE)
             .filter_map(|s| s.message.as_ref())
+    }
+
+    /// The vehicle's messages of one kind on a link since the last `sent.clear()`.
+    pub fn all<M: MessageData<Message = MavMessage>>(&self, link: LinkId) -> Vec<M> {
+        let own = self.sent.iter().filter(|s| s.link == link && s.from == VEHICLE);
+        let of_kind = own.filter(|s| s.message.as_ref().is_some_and(|m| m.message_id() == M::ID));
+        let read = |s: &Sent| M::deser(s.version, &s.payload).expect("it was read once");
+        of_kind.map(read).collect()
+    }
+
+    pub fn first<M: MessageData<Message = MavMessage>>(&self, link: LinkId) -> Option<M> {
+        self.all(link).into_iter().next()
+    }
+
+    /// The first on the scripts' link, which must be there.
+    pub fn one<M: MessageData<Message = MavMessage>>(&self) -> M {
+        self.first(API).unwrap_or_else(|| panic!("{} was not sent", M::NAME))
+    }
+
+    pub fn last<M: MessageData<Message = MavMessage>>(&self, link: LinkId) -> Option<M> {
+        self.all(link).pop()
     }
 
     pub fn count(&self, link: LinkId, message_id: u32) -> usize {
@@ -303,24 +398,38 @@ impl Bench {
     }
 
     pub fn texts(&self) -> Vec<String> {
-        self.messages(API)
-            .filter_map(|m| match m {
-                MavMessage::STATUSTEXT(STATUSTEXT_DATA { text, .. }) => text.to_str().ok().map(str::to_owned),
-                _ => None,
-            })
+        let texts = self.all::<STATUSTEXT_DATA>(API);
+        texts
+            .iter()
+            .filter_map(|t| t.text.to_str().ok().map(str::to_owned))
             .collect()
+    }
+
+    /// Fails unless a status text with these words was sent.
+    pub fn assert_told(&self, words: &str) {
+        let texts = self.texts();
+        assert!(texts.iter().any(|text| text.contains(words)), "{words}: {texts:?}");
     }
 
     /// The last heartbeat on a link.
     pub fn heartbeat(&self, link: LinkId) -> HEARTBEAT_DATA {
-        self.messages(link)
-            .rev()
-            .find_map(|m| match m {
-                MavMessage::HEARTBEAT(h) => Some(h.clone()),
-                _ => None,
-            })
-            .expect("a heartbeat was sent")
+        self.last::<HEARTBEAT_DATA>(link).expect("a heartbeat was sent")
     }
+}
+
+fn header(from: ComponentId, sequence: u8) -> MavHeader {
+    MavHeader {
+        system_id: u32::from(from.system),
+        component_id: from.component,
+        sequence,
+    }
+}
+
+/// A packet of a payload that may be any.
+pub fn raw(from: ComponentId, id: u32, payload: &[u8]) -> Vec<u8> {
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = framing::serialize_payload(header(from, 0), id, payload, &mut out).expect("fits");
+    out[..len].to_vec()
 }
 
 pub const ACCEPTED: u8 = 0;
@@ -331,15 +440,56 @@ pub const FAILED: u8 = 4;
 const COMMAND_LONG_ID: u32 = COMMAND_LONG_DATA::ID;
 
 /// Frame 8, mask 0x5C7: what MAVSDK and the companion send.
-pub fn velocity_message([vx, vy, vz]: [f32; 3]) -> MavMessage {
-    MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
-        vx,
-        vy,
-        vz,
-        type_mask: PositionTargetTypemask::from_bits_retain(0x5C7),
+pub fn velocity_message(velocity: [f32; 3]) -> MavMessage {
+    local_setpoint(0x5C7, |m| {
+        [m.vx, m.vy, m.vz] = velocity;
+        m.coordinate_frame = MavFrame::MAV_FRAME_BODY_NED;
+    })
+}
+
+/// SET_POSITION_TARGET_LOCAL_NED in frame 1 with a mask.
+pub fn local_setpoint(mask: u16, change: impl FnOnce(&mut SET_POSITION_TARGET_LOCAL_NED_DATA)) -> MavMessage {
+    let mut data = SET_POSITION_TARGET_LOCAL_NED_DATA {
+        type_mask: PositionTargetTypemask::from_bits_retain(mask),
         target_system: 1,
         target_component: 1,
-        coordinate_frame: MavFrame::MAV_FRAME_BODY_NED,
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    };
+    change(&mut data);
+    MavMessage::SET_POSITION_TARGET_LOCAL_NED(data)
+}
+
+/// SET_POSITION_TARGET_GLOBAL_INT of a position alone.
+pub fn global_setpoint(frame: MavFrame, (lat, lon): (f64, f64), alt: f32) -> MavMessage {
+    MavMessage::SET_POSITION_TARGET_GLOBAL_INT(SET_POSITION_TARGET_GLOBAL_INT_DATA {
+        lat_int: geo::deg_e7(lat),
+        lon_int: geo::deg_e7(lon),
+        alt,
+        type_mask: PositionTargetTypemask::from_bits_retain(0xDF8),
+        target_system: 1,
+        target_component: 1,
+        coordinate_frame: frame,
         ..Default::default()
     })
+}
+
+/// SET_ATTITUDE_TARGET of a pitch, a yaw rate and a thrust.
+pub fn attitude_setpoint(mask: u8, pitch_deg: f32, body_yaw_rate: f32, thrust: f32) -> MavMessage {
+    let half_rad = pitch_deg.to_radians() / 2.0;
+    MavMessage::SET_ATTITUDE_TARGET(SET_ATTITUDE_TARGET_DATA {
+        q: [half_rad.cos(), 0.0, half_rad.sin(), 0.0],
+        body_yaw_rate,
+        thrust,
+        type_mask: AttitudeTargetTypemask::from_bits_retain(mask),
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    })
+}
+
+/// Latitude and longitude of a place, metres north and east of home.
+pub fn on_globe((north, east): (f32, f32)) -> (f64, f64) {
+    let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(north, east, 0.0));
+    (lat, lon)
 }

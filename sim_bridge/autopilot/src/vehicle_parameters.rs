@@ -1,7 +1,5 @@
-//! The vehicle's parameters; the protocol that reads and sets them is `services::parameters`. Those that act are here, what
-//! clients read or set besides is in `told_parameters`.
+//! The vehicle's parameters; the protocol that reads and sets them is `services::parameters`.
 
-use crate::told_parameters::TOLD;
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
@@ -25,7 +23,7 @@ pub enum ParameterValue {
 
 impl ParameterValue {
     /// The value as a float.
-    pub fn as_f32(self) -> f32 {
+    pub const fn as_f32(self) -> f32 {
         match self {
             Self::Int32(v) => v as f32,
             Self::Real32(v) => v,
@@ -122,27 +120,50 @@ pub enum ParameterError {
     },
 }
 
+const fn info(
+    name: &'static str,
+    default: ParameterValue,
+    [min, max]: [f32; 2],
+    unit: &'static str,
+    description: &'static str,
+    role: ParameterRole,
+) -> ParameterInfo {
+    ParameterInfo {
+        name,
+        default,
+        min,
+        max,
+        unit,
+        description,
+        role,
+    }
+}
+
 macro_rules! parameters {
-    ($($variant:ident = $name:literal, $kind:ident($default:expr), $min:expr, $max:expr, $unit:literal, $description:literal;)*) => {
+    (acting { $($variant:ident = $name:literal, $kind:ident($default:expr), $min:expr, $max:expr, $unit:literal, $does:literal;)* }
+     kept { $($kept:literal, $kept_kind:ident($kept_default:expr), $kept_min:expr, $kept_max:expr, $kept_unit:literal, $why:literal;)* }
+     fixed { $($fixed:literal, $fixed_kind:ident($value:expr), $tells:literal;)* }) => {
         /// Index of a parameter.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
         pub(crate) enum ParamId { $($variant),* }
 
-        const ACTING: &[ParameterInfo] = &[$(ParameterInfo {
-            name: $name,
-            default: ParameterValue::$kind($default),
-            min: $min,
-            max: $max,
-            unit: $unit,
-            description: $description,
-            role: ParameterRole::Acts,
-        }),*];
+        const ACTING: &[ParameterInfo] = &[$(
+            info($name, ParameterValue::$kind($default), [$min, $max], $unit, $does, ParameterRole::Acts)
+        ),*];
+
+        /// A row of several names stands for one parameter each.
+        const TOLD: &[ParameterInfo] = &[$(
+            info($kept, ParameterValue::$kept_kind($kept_default), [$kept_min, $kept_max], $kept_unit, $why, ParameterRole::Kept)
+        ,)* $(
+            info($fixed, ParameterValue::$fixed_kind($value), [ParameterValue::$fixed_kind($value).as_f32(); 2], "", $tells, ParameterRole::Fixed)
+        ),*];
     };
 }
 
 // In alphabetical order of their names. Limits are PX4's where scripts set more than this airframe can
 // (`crate::vehicle::ControlParams`): the description then says where its own limit lies.
 parameters! {
+acting {
     DisarmLandS = "COM_DISARM_LAND", Real32(2.0), -1.0, 20.0, "s",
         "Time on the ground after a landing until the vehicle disarms itself; 0 or less: never";
     DisarmPreflightS = "COM_DISARM_PRFLT", Real32(10.0), -1.0, 60.0, "s",
@@ -209,11 +230,110 @@ parameters! {
         "Whether INJECT_FAILURE is obeyed: 0 no, 1 yes";
     GuidanceLossS = "VGL_OF_LOSS_T", Real32(0.4), 0.1, 60.0, "s",
         "The same as COM_OF_LOSS_T where the owner is the guidance computer, component 191 of the vehicle's system; the shorter counts";
-}
+} kept { // Clients set them without asking; nothing depends on them.
+    "CBRK_IO_SAFETY", Int32(22027), 0.0, 22027.0, "", "No safety switch";
+    "CBRK_SUPPLY_CHK", Int32(0), 0.0, 894281.0, "", "No power check";
+    "CBRK_USB_CHK", Int32(197848), 0.0, 197848.0, "", "No USB check";
+    "COM_ARM_WO_GPS", Int32(0), 0.0, 2.0, "", "Arming needs the GPS receiver whatever it says";
+    "COM_ARM_MAG_STR", Int32(2), 0.0, 2.0, "", "An undisturbed field";
+    "COM_DL_LOSS_T", Int32(10), 5.0, 300.0, "s", "See NAV_DLL_ACT";
+    "COM_FLTMODE1 COM_FLTMODE2 COM_FLTMODE3 COM_FLTMODE4 COM_FLTMODE5 COM_FLTMODE6", Int32(-1), -1.0, 15.0, "",
+        "There is no such switch";
+    "COM_MODE_ARM_CHK", Int32(1), 0.0, 1.0, "", "No effect";
+    "COM_OBC_LOSS_T", Real32(5.0), 0.0, 60.0, "s", "No effect";
+    "COM_POSCTL_NAVL", Int32(0), 0.0, 1.0, "", "No effect";
+    "COM_POS_FS_EPH", Real32(5.0), -1.0, 400.0, "m", "No effect";
+    "COM_RCL_EXCEPT", Int32(0), 0.0, 31.0, "", "Lost sticks have a consequence only in modes that are flown by them";
+    "COM_RC_IN_MODE", Int32(1), 0.0, 8.0, "", "Sticks are taken from MAVLink whatever it says";
+    "COM_TAKEOFF_ACT", Int32(0), 0.0, 1.0, "", "A take-off ends in hold";
+    "EKF2_BARO_CTRL", Int32(1), 0.0, 1.0, "", "The estimator is modelled by its error: see EKF2_HGT_REF";
+    "EKF2_EVP_NOISE", Real32(0.1), 0.01, 10.0, "m", "See EKF2_EV_CTRL";
+    "EKF2_EV_CTRL", Int32(0), 0.0, 15.0, "",
+        "Positions and poses from outside are heard and not used: the estimator is modelled by its error";
+    "EKF2_EV_DELAY", Real32(0.0), 0.0, 300.0, "ms", "See EKF2_EV_CTRL";
+    "EKF2_GPS_CTRL", Int32(7), 0.0, 15.0, "",
+        "The estimator is modelled by its error; INJECT_FAILURE takes the receiver away";
+    "EKF2_HGT_REF", Int32(1), 0.0, 3.0, "", "The estimator is modelled by its error: no sensor is its reference";
+    "GF_PREDICT", Int32(0), 0.0, 1.0, "", "A breach is one when it has happened";
+    "LNDMC_TRIG_TIME", Real32(1.0), 0.1, 10.0, "s", "No effect";
+    "MC_YAWRATE_MAX", Real32(200.0), 0.0, 1800.0, "deg/s", "No effect";
+    "MIS_DIST_1WP", Real32(10_000.0), -1.0, 100_000.0, "m", "A mission's first place may be as far as any other";
+    "MIS_TKO_LAND_REQ", Int32(0), 0.0, 6.0, "", "Missions need neither a take-off nor a landing";
+    "MPC_ACC_HOR", Real32(3.0), 2.0, 15.0, "m/s^2", "No effect";
+    "MPC_ACC_HOR_MAX", Real32(5.0), 2.0, 15.0, "m/s^2", "No effect";
+    "MPC_JERK_AUTO", Real32(4.0), 1.0, 80.0, "m/s^3", "No effect";
+    "MPC_JERK_MAX", Real32(8.0), 0.5, 500.0, "m/s^3", "No effect";
+    "MPC_TILTMAX_AIR", Real32(45.0), 20.0, 89.0, "deg", "No effect";
+    "MPC_XY_P", Real32(0.95), 0.0, 2.0, "", "No effect";
+    "SDLOG_MODE", Int32(0), -1.0, 4.0, "", "Flights are logged from arming to disarming";
+} fixed { // A ground station's set-up pages read what the vehicle is made of.
+    "BAT1_A_PER_V", Real32(1.0), "Readings are amperes";
+    "BAT1_CAPACITY", Real32(5000.0), "Capacity in mAh of the default model";
+    "BAT1_N_CELLS", Int32(4), "Cells in series";
+    "BAT1_SOURCE", Int32(0), "Measured by the power module";
+    "BAT1_V_CHARGED", Real32(4.2), "Voltage of a full cell";
+    "BAT1_V_DIV", Real32(1.0), "Readings are volts";
+    "BAT1_V_EMPTY", Real32(3.3), "Voltage of an empty cell";
+    "BAT_CRIT_THR", Real32(0.05), "Charge that is told as critical";
+    "BAT_EMERGEN_THR", Real32(0.05), "The same as BAT_CRIT_THR";
+    "BAT_LOW_THR", Real32(0.15), "Charge that is told as low";
+    "CAL_ACC0_ID CAL_GYRO0_ID", Int32(1310988), "The simulated sensor, calibrated";
+    "CAL_ACC0_PRIO CAL_GYRO0_PRIO CAL_MAG0_PRIO", Int32(50), "Priority: medium";
+    "CAL_ACC1_ID CAL_GYRO1_ID CAL_MAG1_ID", Int32(0), "No second sensor";
+    "CAL_ACC2_ID CAL_GYRO2_ID CAL_MAG2_ID", Int32(0), "No third sensor";
+    "CAL_BARO0_ID", Int32(6620172), "The simulated sensor";
+    "CAL_MAG0_ID", Int32(197388), "The simulated sensor, calibrated";
+    "CAL_MAG0_ROT", Int32(-1), "Mounted as the autopilot is";
+    "CA_AIRFRAME", Int32(0), "Control allocation: multirotor";
+    "CA_ROTOR_COUNT", Int32(4), "Motors";
+    "CBRK_FLIGHTTERM", Int32(0), "Flight termination works";
+    "COM_LOW_BAT_ACT", Int32(0), "A low battery is told and nothing else: campaigns end before it matters";
+    "COM_RC_OVERRIDE", Int32(0),
+        "Moved sticks take over by a mode command alone: what brakes before a wall must not end by a stick held forward";
+    "CP_DIST", Real32(-1.0), "No collision prevention of its own: that is the guidance computer's";
+    "EKF2_MAG_TYPE", Int32(0), "The compass is used";
+    "GF_SOURCE", Int32(0), "The geofence is compared with the estimated place";
+    "MAV_COMP_ID", Int32(1), "Component id of the autopilot";
+    "MAV_SYS_ID", Int32(1), "System id: that of the instance";
+    "MAV_TYPE", Int32(2), "MAV_TYPE_QUADROTOR";
+    "MC_ACRO_P_MAX MC_ACRO_R_MAX MC_ACRO_Y_MAX", Real32(100.0), "Rate at full deflection, degrees per second";
+    "MNT_MODE_IN", Int32(-1), "There is no gimbal";
+    "MPC_MAN_TILT_MAX", Real32(35.0), "Tilt at full deflection, degrees";
+    "MPC_POS_MODE", Int32(4), "Position mode shapes accelerations";
+    "MPC_THR_HOVER", Real32(0.5), "Thrust that hovers";
+    "MPC_YAW_MODE", Int32(0), "The nose points along the way";
+    "NAV_DLL_ACT", Int32(0), "A lost link has no consequence: nobody needs to be connected";
+    "PWM_MAIN_FUNC1", Int32(101), "Output 1 drives motor 1";
+    "PWM_MAIN_FUNC2", Int32(102), "Output 2 drives motor 2";
+    "PWM_MAIN_FUNC3", Int32(103), "Output 3 drives motor 3";
+    "PWM_MAIN_FUNC4", Int32(104), "Output 4 drives motor 4";
+    "RC_CHAN_CNT RC_MAP_ARM_SW RC_MAP_AUX1 RC_MAP_AUX2 RC_MAP_FLAPS RC_MAP_FLTMODE RC_MAP_GEAR_SW \
+     RC_MAP_KILL_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW RC_MAP_PARAM1 RC_MAP_PITCH RC_MAP_RETURN_SW RC_MAP_ROLL \
+     RC_MAP_THROTTLE RC_MAP_TRANS_SW RC_MAP_YAW", Int32(0),
+        "There is no receiver";
+    "RTL_CONE_ANG", Int32(45), "See RTL_MIN_DIST";
+    "RTL_DESCEND_ALT", Real32(10.0), "See RTL_LAND_DELAY";
+    "RTL_LAND_DELAY", Real32(0.0), "A return lands at once";
+    "SENS_BOARD_ROT", Int32(0), "Mounted straight";
+    "SENS_BOARD_X_OFF SENS_BOARD_Y_OFF SENS_BOARD_Z_OFF", Real32(0.0), "No offset of the mounting";
+    "SENS_DPRES_OFF", Real32(0.0), "No airspeed sensor";
+    "SYS_AUTOCONFIG", Int32(0), "No reset to the airframe's defaults is due";
+    "SYS_AUTOSTART", Int32(4001), "Airframe: a generic quadcopter";
+    "SYS_HAS_BARO", Int32(1), "There is a barometer";
+    "SYS_HAS_GPS", Int32(1), "There is a GPS receiver";
+    "SYS_HAS_MAG", Int32(1), "There is a compass";
+    "SYS_HAS_NUM_ASPD", Int32(0), "Airspeed sensors";
+    "SYS_HITL", Int32(0), "Not in the loop with another simulator";
+    "TRIG_MODE", Int32(0), "There is no camera";
+    "UAVCAN_ENABLE", Int32(0), "There is no CAN bus";
+} }
 
 /// All parameters in alphabetical order of their names: the index on the wire.
 static TABLE: LazyLock<Vec<ParameterInfo>> = LazyLock::new(|| {
-    let mut table: Vec<_> = ACTING.iter().chain(TOLD).copied().collect();
+    let told = TOLD
+        .iter()
+        .flat_map(|row| row.name.split(' ').map(|name| ParameterInfo { name, ..*row }));
+    let mut table: Vec<_> = ACTING.iter().copied().chain(told).collect();
     table.sort_by_key(|info| info.name);
     table
 });

@@ -38,10 +38,61 @@ fn fly(vehicle: &mut Vehicle, seconds: f64, command: &ControlCommand) -> Vec<Tru
         .collect()
 }
 
+/// The greatest of what is read of each.
+fn most(truths: &[Truth], read: impl Fn(&Truth) -> f32) -> f32 {
+    truths.iter().map(read).fold(f32::MIN, f32::max)
+}
+
 fn velocity(north: f32, east: f32, down: f32) -> ControlCommand {
     ControlCommand::VelocityNed {
         velocity_m_s: NedVector::new(north, east, down),
         yaw: YawCommand::Hold,
+    }
+}
+
+fn velocity_ahead(ahead: f32, right: f32, yaw: YawCommand) -> ControlCommand {
+    ControlCommand::VelocityHeading {
+        velocity_m_s: HeadingVector::new(ahead, right, 0.0),
+        yaw,
+    }
+}
+
+fn attitude(attitude: Attitude, yaw_rate_rad_s: f32, thrust: f32) -> ControlCommand {
+    ControlCommand::Attitude {
+        attitude,
+        yaw_rate_rad_s,
+        thrust,
+    }
+}
+
+fn rates(rates_frd_rad_s: FrdVector, thrust: f32) -> ControlCommand {
+    ControlCommand::Rates {
+        rates_frd_rad_s,
+        thrust,
+    }
+}
+
+fn acceleration(north: f32, east: f32, yaw: YawCommand) -> ControlCommand {
+    ControlCommand::Acceleration {
+        acceleration_ned_m_s2: NedVector::new(north, east, 0.0),
+        yaw,
+    }
+}
+
+fn at_height(velocity_m_s: NedVector, down_m: f32, yaw: YawCommand) -> ControlCommand {
+    ControlCommand::VelocityAtHeight {
+        velocity_m_s,
+        down_m,
+        yaw,
+    }
+}
+
+fn climb(position_ned_m: NedVector, down_m_s: f32, speed_limit_m_s: f32, yaw: YawCommand) -> ControlCommand {
+    ControlCommand::ClimbAtPlace {
+        position_ned_m,
+        down_m_s,
+        speed_limit_m_s,
+        yaw,
     }
 }
 
@@ -106,7 +157,7 @@ fn it_takes_off_hovers_lands_softly_and_idles() {
             .expect("it reaches the ground");
         assert!(touch.velocity_ned_m_s.z < 0.9, "{}", touch.velocity_ned_m_s.z);
         assert!((touch.position_ned_m - above).horizontal_norm() < 0.6);
-        let fastest = descent.iter().map(|t| t.velocity_ned_m_s.z).fold(0.0, f32::max);
+        let fastest = most(&descent, |t| t.velocity_ned_m_s.z);
         assert!(fastest < 1.0, "{fastest}");
         // Landed for good: upright, still, idling.
         let view = v.view();
@@ -126,19 +177,13 @@ fn a_position_is_approached_within_the_speed_limit_and_without_passing_it() {
     let mut v = airborne(precise());
     let goal = NedVector::new(6.0, -8.0, -7.0);
     let truths = fly(&mut v, 14.0, &go_to(goal, 2.0, YawCommand::Hold));
-    let fastest = truths
-        .iter()
-        .map(|t| t.velocity_ned_m_s.horizontal_norm())
-        .fold(0.0, f32::max);
+    let fastest = most(&truths, |t| t.velocity_ned_m_s.horizontal_norm());
     assert!(fastest > 1.9 && fastest < 2.1, "{fastest}");
     let direction = NedVector::new(0.6, -0.8, 0.0);
-    let past = truths
-        .iter()
-        .map(|t| {
-            let d = t.position_ned_m - goal;
-            d.x * direction.x + d.y * direction.y
-        })
-        .fold(f32::MIN, f32::max);
+    let past = most(&truths, |t| {
+        let d = t.position_ned_m - goal;
+        d.x * direction.x + d.y * direction.y
+    });
     assert!(past < 0.15, "passed by {past} m");
     assert!((v.truth().position_ned_m - goal).norm() < 0.05);
     // Smooth: the acceleration never jumps by more than a few tenths within 20 ms.
@@ -174,22 +219,8 @@ fn velocity_follows_the_frame_it_is_given_in() {
     let east = std::f32::consts::FRAC_PI_2;
     for (command, north, easting) in [
         (velocity(1.0, 0.0, 0.0), 1.0, 0.0),
-        (
-            ControlCommand::VelocityHeading {
-                velocity_m_s: HeadingVector::new(1.0, 0.0, 0.0),
-                yaw: YawCommand::Hold,
-            },
-            0.0,
-            1.0,
-        ),
-        (
-            ControlCommand::VelocityHeading {
-                velocity_m_s: HeadingVector::new(0.0, 1.0, 0.0),
-                yaw: YawCommand::Hold,
-            },
-            -1.0,
-            0.0,
-        ),
+        (velocity_ahead(1.0, 0.0, YawCommand::Hold), 0.0, 1.0),
+        (velocity_ahead(0.0, 1.0, YawCommand::Hold), -1.0, 0.0),
     ] {
         let mut v = precise();
         v.place(NedVector::new(0.0, 0.0, -5.0), east, true);
@@ -206,23 +237,13 @@ fn velocity_follows_the_frame_it_is_given_in() {
 fn an_attitude_is_reached_and_half_thrust_carries_the_weight() {
     let mut v = airborne(precise());
     let wanted = Attitude::from_euler_rad(0.2, -0.1, 0.5);
-    let command = ControlCommand::Attitude {
-        attitude: wanted,
-        yaw_rate_rad_s: 0.0,
-        thrust: 0.5,
-    };
-    let truths = fly(&mut v, 2.0, &command);
+    let truths = fly(&mut v, 2.0, &attitude(wanted, 0.0, 0.5));
     let a = v.truth().attitude;
     assert!((a.roll_rad() - 0.2).abs() < 0.01);
     assert!((a.pitch_rad() + 0.1).abs() < 0.01);
     assert!((a.yaw_rad() - 0.5).abs() < 0.02);
-    let level = ControlCommand::Attitude {
-        attitude: Attitude::LEVEL_NORTH,
-        yaw_rate_rad_s: 0.0,
-        thrust: 0.5,
-    };
-    let mut v = airborne(precise());
-    let hovering = fly(&mut v, 2.0, &level);
+    let level = attitude(Attitude::LEVEL_NORTH, 0.0, 0.5);
+    let hovering = fly(&mut airborne(precise()), 2.0, &level);
     assert!(hovering.iter().all(|t| t.velocity_ned_m_s.norm() < 0.02));
     // Tilted, half thrust no longer does.
     let sink = truths[1999].velocity_ned_m_s.z;
@@ -232,16 +253,13 @@ fn an_attitude_is_reached_and_half_thrust_carries_the_weight() {
 #[test]
 fn an_acceleration_is_flown_and_none_keeps_the_velocity() {
     let mut v = airborne(precise());
-    let accelerate = |x: f32, yaw| ControlCommand::Acceleration {
-        acceleration_ned_m_s2: NedVector::new(x, 0.0, 0.0),
-        yaw,
-    };
-    fly(&mut v, 2.0, &accelerate(1.0, YawCommand::Hold));
+    fly(&mut v, 2.0, &acceleration(1.0, 0.0, YawCommand::Hold));
     let faster = v.truth().velocity_ned_m_s;
     // The tilt takes a moment to build up, and there is drag.
     assert!((1.4..2.0).contains(&faster.x) && faster.y.abs() < 0.1, "{faster:?}");
     assert!((v.truth().position_ned_m.z + 5.0).abs() < 0.1);
-    fly(&mut v, 1.0, &accelerate(0.0, YawCommand::Rate { yaw_rate_rad_s: 0.5 }));
+    let turning = YawCommand::Rate { yaw_rate_rad_s: 0.5 };
+    fly(&mut v, 1.0, &acceleration(0.0, 0.0, turning));
     assert!(v.truth().velocity_ned_m_s.x > 0.8 * faster.x);
     assert!((v.truth().attitude.yaw_rad() - 0.5).abs() < 0.15);
 }
@@ -249,22 +267,19 @@ fn an_acceleration_is_flown_and_none_keeps_the_velocity() {
 #[test]
 fn a_velocity_at_a_height_and_a_climb_at_a_place_keep_what_they_name() {
     let mut v = airborne(precise());
-    let level = ControlCommand::VelocityAtHeight {
-        velocity_m_s: NedVector::new(0.0, 2.0, 9.0),
-        down_m: -7.0,
-        yaw: YawCommand::Hold,
-    };
-    fly(&mut v, 8.0, &level);
+    fly(
+        &mut v,
+        8.0,
+        &at_height(NedVector::new(0.0, 2.0, 9.0), -7.0, YawCommand::Hold),
+    );
     let t = v.truth();
     assert!((t.velocity_ned_m_s.y - 2.0).abs() < 0.05, "{t:?}");
     assert!((t.position_ned_m.z + 7.0).abs() < 0.05, "{t:?}");
-    let climb = ControlCommand::ClimbAtPlace {
-        position_ned_m: NedVector::new(3.0, 10.0, 50.0),
-        down_m_s: -0.5,
-        speed_limit_m_s: 3.0,
-        yaw: YawCommand::Hold,
-    };
-    fly(&mut v, 10.0, &climb);
+    fly(
+        &mut v,
+        10.0,
+        &climb(NedVector::new(3.0, 10.0, 50.0), -0.5, 3.0, YawCommand::Hold),
+    );
     let t = v.truth();
     assert!((t.velocity_ned_m_s.z + 0.5).abs() < 0.05, "{t:?}");
     assert!(
@@ -275,26 +290,13 @@ fn a_velocity_at_a_height_and_a_climb_at_a_place_keep_what_they_name() {
 
 #[test]
 fn rates_are_reached_about_each_axis() {
-    for (wanted, read) in [
-        (
-            FrdVector::new(0.5, 0.0, 0.0),
-            (|r: FrdVector| r.x) as fn(FrdVector) -> f32,
-        ),
-        (FrdVector::new(0.0, -0.5, 0.0), |r| r.y),
-        (FrdVector::new(0.0, 0.0, 0.8), |r| r.z),
-    ] {
+    for (axis, rate_rad_s) in [(0, 0.5), (1, -0.5), (2, 0.8)] {
+        let on = |n: usize| if n == axis { rate_rad_s } else { 0.0 };
+        let wanted = FrdVector::new(on(0), on(1), on(2));
         let mut v = airborne(precise());
-        fly(
-            &mut v,
-            0.8,
-            &ControlCommand::Rates {
-                rates_frd_rad_s: wanted,
-                thrust: 0.5,
-            },
-        );
-        let rates = v.truth().rates_frd_rad_s;
-        assert!((read(rates) - read(wanted)).abs() < 0.05, "{rates:?}");
-        assert!((rates - wanted).norm() < 0.08, "{rates:?}");
+        fly(&mut v, 0.8, &rates(wanted, 0.5));
+        let off = v.truth().rates_frd_rad_s - wanted;
+        assert!(off.to_array()[axis].abs() < 0.05 && off.norm() < 0.08, "{off:?}");
     }
 }
 
@@ -302,14 +304,7 @@ fn rates_are_reached_about_each_axis() {
 fn it_recovers_a_hover_from_an_upset() {
     let mut v = airborne(vehicle(Wind::CALM, 4));
     v.place(NedVector::new(0.0, 0.0, -30.0), 0.0, true);
-    fly(
-        &mut v,
-        0.7,
-        &ControlCommand::Rates {
-            rates_frd_rad_s: FrdVector::new(3.5, 0.0, 0.0),
-            thrust: 0.5,
-        },
-    );
+    fly(&mut v, 0.7, &rates(FrdVector::new(3.5, 0.0, 0.0), 0.5));
     assert!(v.truth().attitude.roll_rad().abs() > 1.2);
     fly(&mut v, 8.0, &velocity(0.0, 0.0, 0.0));
     let t = v.truth();
@@ -321,12 +316,8 @@ fn it_recovers_a_hover_from_an_upset() {
 fn motors_off_in_the_air_is_a_fall_that_ends_on_the_ground() {
     for roll_rad in [0.0, 1.5, 3.0] {
         let mut v = airborne(vehicle(Wind::CALM, 5));
-        let tip = ControlCommand::Attitude {
-            attitude: Attitude::from_euler_rad(roll_rad, 0.0, 0.0),
-            yaw_rate_rad_s: 0.0,
-            thrust: 0.5,
-        };
-        fly(&mut v, 0.5, &tip);
+        let tipped = Attitude::from_euler_rad(roll_rad, 0.0, 0.0);
+        fly(&mut v, 0.5, &attitude(tipped, 0.0, 0.5));
         let falling = fly(&mut v, 0.4, &ControlCommand::MotorsOff);
         let speed_gained = falling[399].velocity_ned_m_s.z - falling[199].velocity_ned_m_s.z;
         // Gravity's 1.96 m/s, less the drag of a fall that is already fast.
@@ -347,10 +338,7 @@ fn it_holds_its_place_in_wind_and_gusts() {
     let mut v = airborne(vehicle(BREEZE, 6));
     let truths = fly(&mut v, 20.0, &velocity(0.0, 0.0, 0.0));
     let start = NedVector::new(0.0, 0.0, -5.0);
-    let off = truths
-        .iter()
-        .map(|t| (t.position_ned_m - start).norm())
-        .fold(0.0, f32::max);
+    let off = most(&truths, |t| (t.position_ned_m - start).norm());
     assert!(off < 0.5, "{off}");
     // The wind comes from behind: it leans back, nose up.
     let lean = truths.iter().map(|t| t.attitude.pitch_rad()).sum::<f32>() / truths.len() as f32;
@@ -360,46 +348,21 @@ fn it_holds_its_place_in_wind_and_gusts() {
 #[test]
 fn a_command_that_is_not_finite_is_a_hold() {
     let nan = f32::NAN;
+    let nowhere = Attitude {
+        w: nan,
+        ..Attitude::LEVEL_NORTH
+    };
     for command in [
         velocity(nan, 0.0, 0.0),
-        ControlCommand::VelocityHeading {
-            velocity_m_s: HeadingVector::new(1.0, f32::INFINITY, 0.0),
-            yaw: YawCommand::Rate { yaw_rate_rad_s: nan },
-        },
+        velocity_ahead(1.0, f32::INFINITY, YawCommand::Rate { yaw_rate_rad_s: nan }),
         go_to(NedVector::new(nan, 0.0, 0.0), 2.0, YawCommand::Hold),
         ControlCommand::Descend { rate_m_s: nan },
-        ControlCommand::Attitude {
-            attitude: Attitude {
-                w: nan,
-                ..Attitude::LEVEL_NORTH
-            },
-            yaw_rate_rad_s: 0.0,
-            thrust: 0.9,
-        },
-        ControlCommand::Attitude {
-            attitude: Attitude::LEVEL_NORTH,
-            yaw_rate_rad_s: nan,
-            thrust: 0.9,
-        },
-        ControlCommand::Acceleration {
-            acceleration_ned_m_s2: NedVector::new(1.0, nan, 0.0),
-            yaw: YawCommand::Hold,
-        },
-        ControlCommand::VelocityAtHeight {
-            velocity_m_s: NedVector::new(1.0, 0.0, 0.0),
-            down_m: nan,
-            yaw: YawCommand::Hold,
-        },
-        ControlCommand::ClimbAtPlace {
-            position_ned_m: NedVector::ZERO,
-            down_m_s: f32::INFINITY,
-            speed_limit_m_s: 2.0,
-            yaw: YawCommand::Hold,
-        },
-        ControlCommand::Rates {
-            rates_frd_rad_s: FrdVector::new(nan, 0.0, 0.0),
-            thrust: 0.9,
-        },
+        attitude(nowhere, 0.0, 0.9),
+        attitude(Attitude::LEVEL_NORTH, nan, 0.9),
+        acceleration(1.0, nan, YawCommand::Hold),
+        at_height(NedVector::new(1.0, 0.0, 0.0), nan, YawCommand::Hold),
+        climb(NedVector::ZERO, f32::INFINITY, 2.0, YawCommand::Hold),
+        rates(FrdVector::new(nan, 0.0, 0.0), 0.9),
     ] {
         let mut v = airborne(precise());
         fly(&mut v, 3.0, &velocity(1.5, 0.0, 0.0));
@@ -517,35 +480,24 @@ fn any_command() -> impl Strategy<Value = ControlCommand> {
             }
         }),
         (three.clone(), any_number(), any_number()).prop_map(|((roll, pitch, yaw), yaw_rate_rad_s, thrust)| {
-            ControlCommand::Attitude {
-                attitude: Attitude::from_euler_rad(roll, pitch, yaw),
-                yaw_rate_rad_s,
-                thrust,
-            }
+            attitude(Attitude::from_euler_rad(roll, pitch, yaw), yaw_rate_rad_s, thrust)
         }),
         (three.clone(), yaw.clone()).prop_map(|((x, y, z), yaw)| ControlCommand::Acceleration {
             acceleration_ned_m_s2: NedVector::new(x, y, z),
             yaw,
         }),
-        (three.clone(), any_number(), yaw.clone()).prop_map(|((x, y, z), down_m, yaw)| {
-            ControlCommand::VelocityAtHeight {
-                velocity_m_s: NedVector::new(x, y, z),
-                down_m,
-                yaw,
-            }
-        }),
-        (three.clone(), any_number(), any_number(), yaw).prop_map(|((x, y, z), down_m_s, speed_limit_m_s, yaw)| {
-            ControlCommand::ClimbAtPlace {
-                position_ned_m: NedVector::new(x, y, z),
-                down_m_s,
-                speed_limit_m_s,
-                yaw,
-            }
-        }),
-        (three, any_number()).prop_map(|((x, y, z), thrust)| ControlCommand::Rates {
-            rates_frd_rad_s: FrdVector::new(x, y, z),
-            thrust,
-        }),
+        (three.clone(), any_number(), yaw.clone()).prop_map(|((x, y, z), down_m, yaw)| at_height(
+            NedVector::new(x, y, z),
+            down_m,
+            yaw
+        )),
+        (three.clone(), any_number(), any_number(), yaw).prop_map(|((x, y, z), down_m_s, limit_m_s, yaw)| climb(
+            NedVector::new(x, y, z),
+            down_m_s,
+            limit_m_s,
+            yaw
+        )),
+        (three, any_number()).prop_map(|((x, y, z), thrust)| rates(FrdVector::new(x, y, z), thrust)),
         any_number().prop_map(|rate_m_s| ControlCommand::Descend { rate_m_s }),
     ]
 }

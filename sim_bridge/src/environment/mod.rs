@@ -151,13 +151,11 @@ impl Environment {
         self.world.set_time_ns(self.vehicle.truth().at_ns);
         let (truth, estimate) = (self.vehicle.truth(), self.vehicle.view().estimate);
         let shot = Shot {
-            position_ned_m: truth.position_ned_m,
-            attitude: truth.attitude,
             estimated_position_ned_m: estimate.position_ned_m,
             estimated_attitude: estimate.attitude,
             stamp_ns: truth.at_ns,
             sequence: self.sequence,
-            sensor_id: 0,
+            ..Shot::at(truth.position_ned_m, truth.attitude)
         };
         self.sequence += 1;
         shot

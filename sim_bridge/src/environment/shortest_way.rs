@@ -1,7 +1,7 @@
 //! The length of the shortest free way to the goal from everywhere on a course: what the training reward goes by, and what a
 //! critic may know. Progress along the straight line punishes the only way out of a dead end; progress along this way does not.
 
-use crate::world::{Course, Solid, VEHICLE};
+use crate::world::{Course, Lattice, Solid, VEHICLE};
 
 /// Grid spacing, metres.
 const CELL_M: f32 = 0.2;
@@ -24,8 +24,7 @@ pub fn in_the_way(course: &Course, solid: &Solid) -> bool {
 /// The length of the shortest free way past what stands still, metres, on a grid over the course's bounds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ShortestWay {
-    origin_m: [f32; 2],
-    cells: [usize; 2],
+    lattice: Lattice,
     /// By north, then east.
     length_m: Vec<f32>,
 }
@@ -34,42 +33,32 @@ impl ShortestWay {
     /// Searches the course once, from the goal outwards (Dijkstra 1959). Movers are not obstacles here.
     pub fn new(course: &Course) -> Self {
         let b = &course.bounds;
-        let origin_m = [b.north_m[0], b.east_m[0]];
         let count = |range: [f32; 2]| ((range[1] - range[0]) / CELL_M).ceil() as usize + 1;
-        let cells = [count(b.north_m), count(b.east_m)];
-        let place_m = |i: usize, j: usize| [origin_m[0] + i as f32 * CELL_M, origin_m[1] + j as f32 * CELL_M];
-        let mut clearances_m: Vec<f32> = (0..cells[0] * cells[1])
-            .map(|n| {
-                let [north_m, east_m] = place_m(n / cells[1], n % cells[1]);
-                let along_m = (north_m - b.north_m[0]).min(b.north_m[1] - north_m);
-                along_m.min(east_m - b.east_m[0]).min(b.east_m[1] - east_m)
-            })
-            .collect();
+        let lattice = Lattice {
+            cell_m: CELL_M,
+            cells: [count(b.north_m), count(b.east_m)],
+            origin_m: [b.north_m[0], b.east_m[0]],
+        };
+        let to_bounds_m = |cell| {
+            let [north_m, east_m] = lattice.point(cell);
+            let along_m = (north_m - b.north_m[0]).min(b.north_m[1] - north_m);
+            along_m.min(east_m - b.east_m[0]).min(b.east_m[1] - east_m)
+        };
+        let mut clearances_m: Vec<f32> = lattice.all().map(to_bounds_m).collect();
         for solid in course.solids().iter().filter(|s| in_the_way(course, s)) {
-            let (centre, half_m, distance_m) = (
-                solid.centre_ned_m(),
-                solid.plan_half_extents_m(),
-                solid.plan_distances_m(),
-            );
             // Beyond `WIDE_M`, and a cell more for rounding, a solid changes nothing.
-            let span = |axis: usize, centre_m: f32, half_m: f32| {
-                let cell = |at_m: f32| ((at_m - origin_m[axis]) / CELL_M).max(0.0) as usize;
-                let reach_m = half_m + WIDE_M + CELL_M;
-                cell(centre_m - reach_m)..(cell(centre_m + reach_m) + 2).min(cells[axis])
-            };
-            for i in span(0, centre.x, half_m.0) {
-                for j in span(1, centre.y, half_m.1) {
-                    let ([north_m, east_m], clearance_m) = (place_m(i, j), &mut clearances_m[i * cells[1] + j]);
-                    *clearance_m = clearance_m.min(distance_m(north_m, east_m));
-                }
-            }
+            lattice.near(solid, WIDE_M + CELL_M, |cell, distance_m| {
+                let clearance_m = &mut clearances_m[lattice.number(cell)];
+                *clearance_m = clearance_m.min(distance_m);
+            });
         }
         let mut way = Self {
-            origin_m,
-            cells,
             length_m: vec![f32::INFINITY; clearances_m.len()],
+            lattice,
         };
-        let goal = way.nearest(course.goal.north_m, course.goal.east_m);
+        let goal = way
+            .lattice
+            .number(way.lattice.nearest([course.goal.north_m, course.goal.east_m]));
         way.length_m[goal] = 0.0;
         // Where the vehicle fits first; then, from there, the rest, so that no way leads through a wall.
         let factors: Vec<f32> = clearances_m.iter().map(|c| factor(*c)).collect();
@@ -86,30 +75,22 @@ impl ShortestWay {
     /// The length of the way from a place, metres; narrow passages count as longer. Interpolated between the grid's points.
     pub fn length_m(&self, north_m: f32, east_m: f32) -> f32 {
         let axis = |axis: usize, at_m: f32| {
-            let last = self.cells[axis] - 1;
-            let at = ((at_m - self.origin_m[axis]) / CELL_M).clamp(0.0, last as f32);
+            let last = self.lattice.cells[axis] - 1;
+            let at = ((at_m - self.lattice.origin_m[axis]) / CELL_M).clamp(0.0, last as f32);
             let low = (at as usize).min(last.saturating_sub(1));
             (low, (low + 1).min(last), at - low as f32)
         };
         let ((i0, i1, u), (j0, j1, v)) = (axis(0, north_m), axis(1, east_m));
-        let at = |i: usize, j: usize| self.length_m[i * self.cells[1] + j];
+        let at = |i: usize, j: usize| self.length_m[self.lattice.number((i, j))];
         let mix = |a: f32, b: f32, share: f32| a + share * (b - a);
         mix(mix(at(i0, j0), at(i0, j1), v), mix(at(i1, j0), at(i1, j1), v), u)
-    }
-
-    fn nearest(&self, north_m: f32, east_m: f32) -> usize {
-        let index = |axis: usize, at_m: f32| {
-            let cell = ((at_m - self.origin_m[axis]) / CELL_M).round().max(0.0) as usize;
-            cell.min(self.cells[axis] - 1)
-        };
-        index(0, north_m) * self.cells[1] + index(1, east_m)
     }
 
     /// Settles the cells of which `into`, the factor of going there, is finite, from those whose length is known, in
     /// rising order of [`CELL_M`], the shortest step: no order within one changes a length.
     fn spread(&mut self, factors: &[f32], into: &[f32]) {
         const DIAGONAL_M: f32 = CELL_M * core::f32::consts::SQRT_2;
-        let [north, east] = self.cells;
+        let [north, east] = self.lattice.cells;
         let mut rising: Vec<Vec<(f32, usize)>> = Vec::new();
         let put = |rising: &mut Vec<Vec<_>>, length_m: f32, n: usize| {
             let place = (length_m / CELL_M) as usize;
@@ -168,15 +149,7 @@ mod tests {
     use super::*;
 
     fn course(walls: &str) -> Course {
-        let text = format!(
-            r#"
-name = "test"
-goal = {{ north_m = 20.0, east_m = 0.0 }}
-bounds = {{ north_m = [-4.0, 26.0], east_m = [-8.0, 8.0], top_m = 6.0 }}
-{walls}
-"#
-        );
-        Course::from_toml_str(&text, "test").expect("valid")
+        crate::testing::field(0.0, 8.0, walls)
     }
 
     #[test]
@@ -208,14 +181,8 @@ bounds = {{ north_m = [-4.0, 26.0], east_m = [-8.0, 8.0], top_m = 6.0 }}
     fn what_can_be_flown_under_is_not_in_the_way() {
         let beam = |bottom_m: f32| {
             course(&format!(
-                "[[overhang]]
-north_m = 10.0
-east_m = 0.0
-length_m = 0.5
-width_m = 14.0
-bottom_m = {bottom_m:?}
-top_m = 4.0
-"
+                "overhang = [{{ north_m = 10.0, east_m = 0.0, length_m = 0.5, width_m = 14.0, \
+                 bottom_m = {bottom_m:?}, top_m = 4.0 }}]"
             ))
         };
         assert!((ShortestWay::new(&beam(2.0)).length_m(0.0, 0.0) - 20.0).abs() < 0.05);

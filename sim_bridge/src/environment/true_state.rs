@@ -35,8 +35,7 @@ const MOVER_STEP_NS: u64 = 10_000_000;
 /// A course as the true state sees it.
 pub struct TrueCourse {
     way: ShortestWay,
-    outlines: Vec<Outline>,
-    movers: Vec<Mover>,
+    plan: TruePlan,
 }
 
 /// A solid in the plan view.
@@ -143,9 +142,15 @@ pub struct TruePlan {
 impl TruePlan {
     /// Of a course.
     pub fn new(course: &Course) -> Self {
+        let solids = course.solids();
+        let tracks = course.movers.iter().filter(|m| in_the_way(course, &m.track()));
         Self {
-            outlines: outlines(course),
-            movers: movers(course),
+            outlines: solids
+                .iter()
+                .filter(|s| in_the_way(course, s))
+                .map(Outline::of)
+                .collect(),
+            movers: tracks.copied().collect(),
         }
     }
 
@@ -178,27 +183,12 @@ impl TruePlan {
     }
 }
 
-fn outlines(course: &Course) -> Vec<Outline> {
-    let solids = course.solids();
-    solids
-        .iter()
-        .filter(|s| in_the_way(course, s))
-        .map(Outline::of)
-        .collect()
-}
-
-fn movers(course: &Course) -> Vec<Mover> {
-    let tracks = course.movers.iter().filter(|m| in_the_way(course, &m.track()));
-    tracks.copied().collect()
-}
-
 impl TrueCourse {
     /// Searches the course's ways once.
     pub fn new(course: &Course) -> Self {
         Self {
             way: ShortestWay::new(course),
-            outlines: outlines(course),
-            movers: movers(course),
+            plan: TruePlan::new(course),
         }
     }
 
@@ -212,11 +202,11 @@ impl TrueCourse {
         let mut state = [0.0; TRUE_STATE];
         let here = [truth.position_ned_m.x, truth.position_ned_m.y];
         let yaw_rad = truth.attitude.yaw_rad();
-        let movers: Vec<Solid> = self.movers.iter().map(|m| m.solid_at(truth.at_ns)).collect();
+        let movers: Vec<Solid> = self.plan.movers.iter().map(|m| m.solid_at(truth.at_ns)).collect();
         let moving: Vec<Outline> = movers.iter().map(Outline::of).collect();
         for (k, slot) in state[..RAYS].iter_mut().enumerate() {
             let direction = unit(yaw_rad + k as f32 * (TAU / RAYS as f32));
-            let outlines = self.outlines.iter().chain(&moving);
+            let outlines = self.plan.outlines.iter().chain(&moving);
             let range_m = outlines
                 .map(|o| o.range_m(here, direction))
                 .fold(f32::INFINITY, f32::min);
@@ -245,7 +235,7 @@ impl TrueCourse {
             .collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
         for (slot, (distance_m, i)) in state[MOVER..].chunks_exact_mut(MOVER_VALUES).zip(near) {
-            let (mover, centre) = (&self.movers[i], movers[i].centre_ned_m());
+            let (mover, centre) = (&self.plan.movers[i], movers[i].centre_ned_m());
             let later = mover.solid_at(truth.at_ns + MOVER_STEP_NS).centre_ned_m();
             let velocity = ((later - centre) * (1e9 / MOVER_STEP_NS as f32)).to_heading(yaw_rad);
             let to = (centre - truth.position_ned_m).to_heading(yaw_rad);
@@ -276,22 +266,6 @@ fn unit(angle_rad: f32) -> [f32; 2] {
     [libm::cosf(angle_rad), libm::sinf(angle_rad)]
 }
 
-/// Values of [`mover_in_sight`].
-pub const SIGHT: usize = 5;
-
-/// Of the nearest told mover that is within 60° of the nose: contrast, direction times contrast (forward, right), velocity as seen from the
-/// vehicle times contrast (forward, right; m/s). Zeros where there is none. Whether something hides it is not asked.
-pub fn mover_in_sight(state: &[f32; TRUE_STATE]) -> [f32; SIGHT] {
-    const TAN_60: f32 = 1.732_050_8;
-    let own = [state[OWN] * SPEED_M_S, state[OWN + 1] * SPEED_M_S];
-    state[MOVER..]
-        .chunks_exact(MOVER_VALUES)
-        .find(|m| m[0] > 0.0 && m[1] > 0.0 && m[2].abs() < TAN_60 * m[1])
-        .map_or([0.0; SIGHT], |m| {
-            [m[0], m[1], m[2], m[0] * (m[3] - own[0]), m[0] * (m[4] - own[1])]
-        })
-}
-
 /// A true state as it would be in a mirror: left and right change places.
 pub fn mirror(state: &[f32; TRUE_STATE]) -> [f32; TRUE_STATE] {
     let mut seen = *state;
@@ -317,17 +291,10 @@ mod tests {
     use vigil_types::Attitude;
 
     fn course(movers: &str) -> Course {
-        let text = format!(
-            r#"
-name = "test"
-goal = {{ north_m = 20.0, east_m = 0.0 }}
-bounds = {{ north_m = [-4.0, 26.0], east_m = [-8.0, 8.0], top_m = 6.0 }}
-column = [{{ north_m = 5.0, east_m = 0.0, radius_m = 0.5, height_m = 3.0 }}]
-wall = [{{ from_m = [-2.0, 3.0], to_m = [22.0, 3.0], thickness_m = 0.2, height_m = 3.0 }}]
-{movers}
-"#
-        );
-        Course::from_toml_str(&text, "test").expect("valid")
+        let solids = "column = [{ north_m = 5.0, east_m = 0.0, radius_m = 0.5, height_m = 3.0 }]
+wall = [{ from_m = [-2.0, 3.0], to_m = [22.0, 3.0], thickness_m = 0.2, height_m = 3.0 }]
+";
+        crate::testing::field(0.0, 8.0, &format!("{solids}{movers}"))
     }
 
     fn hovering(yaw_rad: f32) -> Truth {
@@ -349,11 +316,7 @@ wall = [{{ from_m = [-2.0, 3.0], to_m = [22.0, 3.0], thickness_m = 0.2, height_m
     fn ranges_go_clockwise_from_the_nose() {
         let course = TrueCourse::new(&course(""));
         let ahead = course.state(&hovering(0.0), GOAL);
-        assert!(
-            (ahead[0] - contrast(4.5)).abs() < 1e-4,
-            "the column ahead: {}",
-            ahead[0]
-        );
+        assert!((ahead[0] - contrast(4.5)).abs() < 1e-4, "the column: {}", ahead[0]);
         assert!((ahead[RAYS / 4] - contrast(2.9)).abs() < 1e-4, "the wall on the right");
         assert_eq!(ahead[3 * RAYS / 4], 0.0, "nothing on the left");
         let right = course.state(&hovering(PI / 2.0), GOAL);
@@ -373,18 +336,7 @@ wall = [{{ from_m = [-2.0, 3.0], to_m = [22.0, 3.0], thickness_m = 0.2, height_m
         assert!((mover[0] - contrast(2.7)).abs() < 1e-4, "{mover:?}");
         assert!((mover[4] - 0.5).abs() < 1e-3 && mover[3].abs() < 1e-3, "{mover:?}");
         assert!((mover[5] - 4.0 / 5.0).abs() < 1e-3, "{mover:?}");
-        let near = contrast(2.7);
-        let seen = mover_in_sight(&state);
-        for (value, expected) in seen.into_iter().zip([near, near, 0.0, 0.0, 0.5 * near]) {
-            assert!((value - expected).abs() < 1e-3, "{seen:?}");
-        }
-        let aside = course.state(&hovering(PI / 2.0), GOAL);
-        assert_eq!(mover_in_sight(&aside), [0.0; SIGHT], "out of sight");
-        assert_eq!(
-            &state[MOVER + MOVER_VALUES..],
-            &[0.0; MOVER_VALUES],
-            "there is no other"
-        );
+        assert_eq!(state[MOVER + MOVER_VALUES..], [0.0; MOVER_VALUES], "there is no other");
     }
 
     #[test]

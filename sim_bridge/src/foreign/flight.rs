@@ -1,8 +1,9 @@
 //! A course around a vehicle that is not ours: depth frames from the pose that it reports by MAVLink, and the referee's verdict.
 
-use crate::sensor_fault::{FailingSensor, SensorFault};
-use crate::simulator::{Ending, LIDAR_SENSOR_ID};
-use crate::world::{Course, Lidar, LidarConfig, LidarConfigError, Referee, Shot, World};
+use crate::SensorFault;
+use crate::depth_sensor::DepthSensor;
+use crate::simulator::Ending;
+use crate::world::{Course, LidarConfig, LidarConfigError, Referee, Shot, World};
 use mavlink::dialects::common::{HIL_STATE_QUATERNION_DATA, MavMessage};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{self, FramingCounters, Packet};
@@ -113,9 +114,7 @@ pub struct ForeignConfig {
 pub struct ForeignFlight {
     world: World,
     referee: Referee,
-    lidar: Lidar,
-    failing: Option<FailingSensor>,
-    frame_key: Option<FrameKey>,
+    sensor: DepthSensor,
     counters: FramingCounters,
     vehicle: Vehicle,
     system: Option<u8>,
@@ -133,7 +132,6 @@ pub struct ForeignFlight {
     lifted_off_ns: Option<Nanos>,
     last_judged_ned_m: Option<NedVector>,
     path_length_m: f64,
-    next_sequence: u64,
     ending: Option<Ending>,
 }
 
@@ -146,9 +144,7 @@ impl ForeignFlight {
         Ok(Self {
             world: World::new(course),
             referee: Referee::new(course),
-            lidar: Lidar::new(config.lidar, config.seed)?,
-            failing: config.sensor_fault.map(|fault| FailingSensor::new(fault, config.seed)),
-            frame_key: config.frame_key.clone(),
+            sensor: DepthSensor::new(config.lidar, config.seed, config.sensor_fault, config.frame_key.clone())?,
             counters: FramingCounters::default(),
             vehicle: Vehicle::new(None),
             system: config.system,
@@ -165,7 +161,6 @@ impl ForeignFlight {
             lifted_off_ns: None,
             last_judged_ned_m: None,
             path_length_m: 0.0,
-            next_sequence: 0,
             ending: None,
         })
     }
@@ -345,29 +340,15 @@ impl ForeignFlight {
         };
         let elapsed_ns = now_ns.saturating_sub(self.epoch_ns);
         self.world.set_time_ns(elapsed_ns);
-        let attitude = match &self.failing {
-            Some(failing) => failing.attitude(elapsed_ns, pose.attitude),
-            None => pose.attitude,
-        };
         let mut position_ned_m = pose.position_ned_m;
         position_ned_m.z = position_ned_m.z.min(-LOWEST_SENSOR_M);
         let shot = Shot {
-            position_ned_m,
-            attitude,
             estimated_position_ned_m: reported.at(now_ns),
             estimated_attitude: estimate.attitude,
             stamp_ns: now_ns,
-            sequence: self.next_sequence,
-            sensor_id: LIDAR_SENSOR_ID,
+            ..Shot::at(position_ned_m, pose.attitude)
         };
-        self.lidar.capture(&self.world, &shot, frame);
-        if let Some(failing) = &mut self.failing {
-            failing.spoil(elapsed_ns, frame);
-        }
-        if let Some(key) = &self.frame_key {
-            frame.authenticate(key);
-        }
-        self.next_sequence += 1;
+        self.sensor.capture(&self.world, elapsed_ns, shot, frame);
         true
     }
 

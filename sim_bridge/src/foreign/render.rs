@@ -2,19 +2,19 @@
 
 use super::flight::{ForeignConfig, ForeignFlight, PoseState};
 use super::pose_link::PoseLink;
-use crate::program::{STATUS_STEPS, Status, announce, ending_code, nearness, print_status};
+use crate::program::{STATUS_STEPS, Status, announce, ending_code, nearness, print_status, set_by_interrupt};
 use crate::world::Course;
 use crate::{CompanionView, CourseChoice, LIDAR_SENSOR_ID, Models, SensorFault};
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
+use vigil_io::key_file::frame_key;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
-use vigil_types::{GuidanceState, Nanos, Reasons, STEP_NS};
+use vigil_types::{Nanos, STEP_NS};
 
 /// Time between two looks at the links.
 const SLICE_NS: Nanos = 2_000_000;
@@ -90,9 +90,7 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     let seed = args.course.seed_or_random();
     let course = args.course.load(seed)?;
     let config = configure(args, seed)?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    let stop = set_by_interrupt()?;
     let mut links = Vec::new();
     for spec in &args.pose {
         links.push(PoseLink::open(spec, args.allow_unsigned)?);
@@ -157,10 +155,11 @@ fn configure(args: &RenderArgs, seed: u64) -> Result<ForeignConfig> {
         .map(vigil_types::settings::load::<Models>)
         .transpose()?
         .unwrap_or_default();
-    let frame_key = match &args.frame_key {
-        Some(path) => Some(vigil_io::key_file::frame_key(path, LIDAR_SENSOR_ID)?),
-        None => None,
-    };
+    let frame_key = args
+        .frame_key
+        .as_ref()
+        .map(|path| frame_key(path, LIDAR_SENSOR_ID))
+        .transpose()?;
     Ok(ForeignConfig {
         lidar: models.lidar,
         seed,
@@ -248,15 +247,8 @@ impl Sensor {
                 .unwrap_or(0.0),
             mode: flight.mode_name().to_owned(),
             armed: flight.telemetry().heartbeat.is_some_and(|h| h.armed),
-            guidance: self
-                .companion
-                .state_code
-                .and_then(GuidanceState::from_code)
-                .map(|s| s.name().to_owned()),
-            reasons: Reasons(self.companion.reason_bits)
-                .iter()
-                .map(|r| r.name().to_owned())
-                .collect(),
+            guidance: self.companion.guidance(),
+            reasons: self.companion.reasons(),
             nearness: self.seen.clone(),
             score: self.companion.score,
             step_us: self.companion.step_us,

@@ -1,26 +1,34 @@
 use super::*;
+use crate::testing;
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpStream, UdpSocket};
 use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 use vigil_autopilot::{Endpoint, EndpointConfig};
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, MavParamType, PARAM_SET_DATA, SETUP_SIGNING_DATA};
-use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize, serialize_payload};
-use vigil_mavlink::mavlink::MavHeader;
+use vigil_mavlink::framing::MAX_PACKET_LEN;
 use vigil_mavlink::signing::{Signing, SigningMemory, Timestamp, timestamp_of_unix_ns};
 
 const SECOND: Nanos = 1_000_000_000;
 const KEY: SigningKey = SigningKey([3; 32]);
 
-fn packet(sequence: u8) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: 255,
-        component_id: 190,
-        sequence,
+const STATION: (u8, u8) = (255, 190);
+
+/// A packet that differs from those of other numbers.
+fn packet(number: u32) -> Vec<u8> {
+    let heartbeat = HEARTBEAT_DATA {
+        custom_mode: number,
+        ..HEARTBEAT_DATA::DEFAULT
     };
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT), &mut out).unwrap();
-    out[..len].to_vec()
+    testing::packet(STATION, &MavMessage::HEARTBEAT(heartbeat))
+}
+
+/// A file with the key.
+fn key_file(folder: &tempfile::TempDir) -> PathBuf {
+    let file = folder.path().join("vigil.key");
+    std::fs::write(&file, KEY.0).unwrap();
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o600)).unwrap();
+    file
 }
 
 fn now() -> Timestamp {
@@ -30,11 +38,22 @@ fn now() -> Timestamp {
     timestamp_of_unix_ns(unix.as_nanos() as u64)
 }
 
-fn signed(key: SigningKey, ahead: u64) -> Vec<u8> {
+fn sign(signing: &mut Signing, ahead: u64, packet: &[u8]) -> Vec<u8> {
     let mut out = [0; MAX_PACKET_LEN + 13];
-    let mut signing = Signing::new(key, 0, SigningMemory::default());
-    let len = signing.sign(now() + ahead, &packet(0), &mut out).unwrap();
+    let len = signing.sign(now() + ahead, packet, &mut out).unwrap();
     out[..len].to_vec()
+}
+
+fn fresh(key: [u8; 32]) -> Signing {
+    Signing::new(SigningKey(key), 0, SigningMemory::default())
+}
+
+fn signed(key: SigningKey, ahead: u64) -> Vec<u8> {
+    sign(&mut fresh(key.0), ahead, &packet(0))
+}
+
+fn signed_as(key: [u8; 32], packet: &[u8]) -> Vec<u8> {
+    sign(&mut fresh(key), 0, packet)
 }
 
 fn station() -> UdpSocket {
@@ -54,19 +73,14 @@ fn passing(links: &mut VehicleLinks, now_ns: Nanos) -> Vec<(LinkId, Vec<u8>)> {
 }
 
 fn free_port() -> u16 {
-    UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .port()
+    let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    socket.local_addr().unwrap().port()
 }
 
 #[test]
 fn with_a_key_each_of_several_links_has_its_policy_and_a_replay_is_refused_on_all() {
     let folder = tempfile::tempdir().unwrap();
-    let key_file = folder.path().join("vigil.key");
-    std::fs::write(&key_file, KEY.0).unwrap();
-    std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+    let key_file = key_file(&folder);
     let (strict, tcp) = (free_port(), free_port());
     let config = LinksConfig {
         instance: 95,
@@ -84,32 +98,20 @@ fn with_a_key_each_of_several_links_has_its_policy_and_a_replay_is_refused_on_al
 
     say(api, &packet(0));
     say(strict, &packet(0));
-    assert_eq!(
-        passing(&mut links, SECOND),
-        [(LinkId::API, packet(0))],
-        "unsigned on loopback by default"
-    );
+    let passed = passing(&mut links, SECOND);
+    assert_eq!(passed, [(LinkId::API, packet(0))], "unsigned on loopback by default");
     let right = signed(KEY, 0);
-    for bytes in [
-        &right,
-        &signed(SigningKey([4; 32]), 1),
-        &signed(KEY, 120 * 100_000),
-        &right,
-    ] {
+    let (wrong, of_the_future) = (signed(SigningKey([4; 32]), 1), signed(KEY, 120 * 100_000));
+    for bytes in [&right, &wrong, &of_the_future, &right] {
         say(strict, bytes);
     }
     assert_eq!(passing(&mut links, 2 * SECOND), [(on_strict, right.clone())]);
     say(api, &right);
-    assert!(
-        passing(&mut links, 2 * SECOND).is_empty(),
-        "on another link, which takes unsigned packets"
-    );
-    let counters = links.signing();
-    assert_eq!(
-        (counters.signed, counters.unsigned, counters.wrong_signature),
-        (1, 1, 1)
-    );
-    assert_eq!((counters.replayed, counters.from_the_future), (2, 1));
+    let passed = passing(&mut links, 2 * SECOND);
+    assert!(passed.is_empty(), "on another link, which takes unsigned packets");
+    let c = links.signing();
+    assert_eq!((c.signed, c.unsigned, c.wrong_signature), (1, 1, 1));
+    assert_eq!((c.replayed, c.from_the_future), (2, 1));
 
     // Who was admitted hears the vehicle, and everything is signed.
     links.send(on_strict, &packet(9));
@@ -134,9 +136,7 @@ fn with_a_key_each_of_several_links_has_its_policy_and_a_replay_is_refused_on_al
 #[test]
 fn of_a_thousand_commands_each_only_the_rightly_signed_are_obeyed() {
     let folder = tempfile::tempdir().unwrap();
-    let key_file = folder.path().join("vigil.key");
-    std::fs::write(&key_file, KEY.0).unwrap();
-    std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+    let key_file = key_file(&folder);
     let config = LinksConfig {
         instance: 91,
         signing_key: Some(key_file),
@@ -154,21 +154,8 @@ fn of_a_thousand_commands_each_only_the_rightly_signed_are_obeyed() {
             param_value: height_m,
             param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
         });
-        let header = MavHeader {
-            system_id: 255,
-            component_id: 190,
-            sequence: 0,
-        };
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = serialize(header, &message, &mut out).unwrap();
-        out[..len].to_vec()
+        testing::packet(STATION, &message)
     };
-    let sign = |signing: &mut Signing, ahead: u64, packet: &[u8]| {
-        let mut out = [0; MAX_PACKET_LEN + 13];
-        let len = signing.sign(now() + ahead, packet, &mut out).unwrap();
-        out[..len].to_vec()
-    };
-    let fresh = |key| Signing::new(SigningKey(key), 0, SigningMemory::default());
     let (mut right, mut other) = (fresh(KEY.0), fresh([4; 32]));
     let mut kept = Vec::new();
     let mut obeyed = [0; 5];
@@ -250,9 +237,7 @@ fn pseudo_terminal() -> (std::fs::File, String) {
 #[test]
 fn a_key_from_setup_signing_is_in_force_at_once_and_after_a_restart() {
     let folder = tempfile::tempdir().unwrap();
-    let key_file = folder.path().join("vigil.key");
-    std::fs::write(&key_file, KEY.0).unwrap();
-    std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+    let key_file = key_file(&folder);
     let config = LinksConfig {
         instance: 94,
         signing_key: Some(key_file),
@@ -281,42 +266,21 @@ fn a_key_from_setup_signing_is_in_force_at_once_and_after_a_restart() {
 }
 
 fn setup(key: [u8; 32]) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: 255,
-        component_id: 190,
-        sequence: 0,
-    };
-    let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+    let message = SETUP_SIGNING_DATA {
         target_system: 1,
         target_component: 1,
         secret_key: key,
         ..SETUP_SIGNING_DATA::DEFAULT
-    });
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, &message, &mut out).unwrap();
-    out[..len].to_vec()
-}
-
-fn signed_as(key: [u8; 32], packet: &[u8]) -> Vec<u8> {
-    let mut out = [0; MAX_PACKET_LEN + 13];
-    let mut signing = Signing::new(SigningKey(key), 0, SigningMemory::default());
-    let len = signing.sign(now(), packet, &mut out).unwrap();
-    out[..len].to_vec()
+    };
+    testing::packet(STATION, &MavMessage::SETUP_SIGNING(message))
 }
 
 /// A packet with a right checksum of random content, if it is one.
 fn random_packet(random: &mut impl FnMut() -> u8) -> Option<Vec<u8>> {
-    let header = MavHeader {
-        system_id: random().into(),
-        component_id: random(),
-        sequence: 0,
-    };
-    let mut out = [0; MAX_PACKET_LEN];
+    let from = (random(), random());
     let id = u32::from(random()) + u32::from(random());
-    let len = usize::from(random());
-    let payload: Vec<u8> = (0..len).map(|_| random()).collect();
-    let len = serialize_payload(header, id, &payload, &mut out).ok()?;
-    Some(out[..len].to_vec())
+    let payload: Vec<u8> = (0..random()).map(|_| random()).collect();
+    testing::raw(from, id, &payload).ok()
 }
 
 /// A hundred thousand packets with right checksums and random content, each tenth a SETUP_SIGNING for the vehicle, on a
@@ -325,9 +289,7 @@ fn random_packet(random: &mut impl FnMut() -> u8) -> Option<Vec<u8>> {
 fn random_valid_packets_change_no_key_and_only_a_signed_one_does() {
     for has_key in [true, false] {
         let folder = tempfile::tempdir().unwrap();
-        let key_file = folder.path().join("vigil.key");
-        std::fs::write(&key_file, KEY.0).unwrap();
-        std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+        let key_file = key_file(&folder);
         let config = LinksConfig {
             instance: 89,
             signing_key: has_key.then(|| key_file.clone()),
@@ -446,10 +408,7 @@ fn a_link_on_which_nobody_would_be_heard_is_not_opened() {
             extra: vec![link.parse().unwrap()],
             ..LinksConfig::default()
         };
-        VehicleLinks::open(&config)
-            .err()
-            .map(|e| e.to_string())
-            .unwrap_or_default()
+        VehicleLinks::open(&config).map_or_else(|e| e.to_string(), |_| String::new())
     };
     assert!(open("udpout://10.1.2.3:14550").contains("--signing-key"));
     assert!(open("tcpout://10.1.2.3:5799").contains("nobody would be heard"));

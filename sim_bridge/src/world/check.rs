@@ -66,23 +66,14 @@ impl Course {
     }
 
     fn check_frame(&self) -> Result<(), FieldProblem> {
-        if !(self.flight_height_m >= 0.5 && self.flight_height_m <= 100.0) {
-            return problem(
-                "flight_height_m",
-                format!("is {}, must be from 0.5 to 100 m", self.flight_height_m),
-            );
-        }
-        if !(self.goal_radius_m >= 0.1 && self.goal_radius_m <= 100.0) {
-            return problem(
-                "goal_radius_m",
-                format!("is {}, must be from 0.1 to 100 m", self.goal_radius_m),
-            );
-        }
-        if !(self.time_limit_s >= 1.0 && self.time_limit_s <= 3600.0) {
-            return problem(
-                "time_limit_s",
-                format!("is {}, must be from 1 to 3600 s", self.time_limit_s),
-            );
+        for (name, value, (low, high), unit) in [
+            ("flight_height_m", self.flight_height_m, (0.5, 100.0), "m"),
+            ("goal_radius_m", self.goal_radius_m, (0.1, 100.0), "m"),
+            ("time_limit_s", self.time_limit_s, (1.0, 3600.0), "s"),
+        ] {
+            if !(low..=high).contains(&value) {
+                return problem(name, format!("is {value}, must be from {low} to {high} {unit}"));
+            }
         }
         let b = &self.bounds;
         for (name, range) in [("north_m", b.north_m), ("east_m", b.east_m)] {
@@ -96,26 +87,13 @@ impl Course {
                 );
             }
         }
-        coordinate("bounds.top_m", b.top_m)?;
-        if b.top_m < self.flight_height_m + VEHICLE.height_m {
-            return problem(
-                "bounds.top_m",
-                format!(
-                    "is {}, must be above the flight height of {} m",
-                    b.top_m, self.flight_height_m
-                ),
-            );
-        }
-        if let Some(ceiling) = self.ceiling_height_m {
-            coordinate("ceiling_height_m", ceiling)?;
-            if ceiling < self.flight_height_m + VEHICLE.height_m {
-                return problem(
-                    "ceiling_height_m",
-                    format!(
-                        "is {ceiling}, must be above the flight height of {} m",
-                        self.flight_height_m
-                    ),
-                );
+        let ceiling = self.ceiling_height_m.map(|ceiling_m| ("ceiling_height_m", ceiling_m));
+        for (name, top_m) in [("bounds.top_m", b.top_m)].into_iter().chain(ceiling) {
+            coordinate(name, top_m)?;
+            let height_m = self.flight_height_m;
+            if top_m < height_m + VEHICLE.height_m {
+                let wrong = format!("is {top_m}, must be above the flight height of {height_m} m");
+                return problem(name, wrong);
             }
         }
         Ok(())

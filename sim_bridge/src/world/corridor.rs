@@ -17,12 +17,71 @@ const HARD_CELL_M: f32 = 0.1;
 /// Bounds the memory of a search to 10 MB.
 const MAX_CELLS: f32 = 1e6;
 
+/// Points of a plan view at equal distances; numbered by north, then east.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Lattice {
+    pub(crate) cell_m: f32,
+    /// North, east.
+    pub(crate) cells: [usize; 2],
+    pub(crate) origin_m: [f32; 2],
+}
+
+impl Lattice {
+    pub(crate) fn point(&self, (i, j): (usize, usize)) -> [f32; 2] {
+        [
+            self.origin_m[0] + i as f32 * self.cell_m,
+            self.origin_m[1] + j as f32 * self.cell_m,
+        ]
+    }
+
+    pub(crate) fn number(&self, (i, j): (usize, usize)) -> usize {
+        i * self.cells[1] + j
+    }
+
+    /// All of them, in the order of their numbers.
+    pub(crate) fn all(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let [north, east] = self.cells;
+        (0..north).flat_map(move |i| (0..east).map(move |j| (i, j)))
+    }
+
+    pub(crate) fn nearest(&self, point: [f32; 2]) -> (usize, usize) {
+        let index = |axis: usize| {
+            let cell = ((point[axis] - self.origin_m[axis]) / self.cell_m).round().max(0.0) as usize;
+            cell.min(self.cells[axis] - 1)
+        };
+        (index(0), index(1))
+    }
+
+    /// Calls `cell` for each point that is nearer to a solid than `reach_m`, with its distance.
+    pub(crate) fn near(&self, solid: &Solid, reach_m: f32, mut cell: impl FnMut((usize, usize), f32)) {
+        let centre = solid.centre_ned_m();
+        let (half_north_m, half_east_m) = solid.plan_half_extents_m();
+        let rows = self.span(0, centre.x, half_north_m + reach_m);
+        let columns = self.span(1, centre.y, half_east_m + reach_m);
+        let distance_m = solid.plan_distances_m();
+        for i in rows {
+            for j in columns.clone() {
+                let [north_m, east_m] = self.point((i, j));
+                let distance_m = distance_m(north_m, east_m);
+                if distance_m < reach_m {
+                    cell((i, j), distance_m);
+                }
+            }
+        }
+    }
+
+    /// Points along an axis within `reach_m` of `centre_m`.
+    fn span(&self, axis: usize, centre_m: f32, reach_m: f32) -> core::ops::Range<usize> {
+        let count = self.cells[axis];
+        let low = ((centre_m - reach_m - self.origin_m[axis]) / self.cell_m).max(0.0) as usize;
+        let high = ((centre_m + reach_m - self.origin_m[axis]) / self.cell_m).max(0.0) as usize + 2;
+        low.min(count)..high.min(count)
+    }
+}
+
 /// Free cells of a course's plan view.
 pub(crate) struct Grid {
-    pub(crate) cell_m: f32,
-    pub(crate) north_cells: usize,
-    pub(crate) east_cells: usize,
-    origin_m: [f32; 2],
+    pub(crate) lattice: Lattice,
     /// What a cell's centre keeps from every solid.
     pub(crate) clearance_m: f32,
     free: Vec<bool>,
@@ -42,81 +101,39 @@ impl Grid {
         // Half a cell's diagonal more, so that the way between two neighbouring cells keeps the margin too.
         let clearance_m = VEHICLE.radius_m + course.corridor_margin_m() + 0.5 * core::f32::consts::SQRT_2 * cell_m;
         let cells = |range: [f32; 2]| ((range[1] - range[0]) / cell_m) as usize + 1;
-        let (north_cells, east_cells) = (cells(b.north_m), cells(b.east_m));
-        let edge = (clearance_m / cell_m).ceil() as usize;
-        let mut free = vec![false; north_cells * east_cells];
-        for (n, cell) in free.iter_mut().enumerate() {
-            let inside = |k: usize, count: usize| k >= edge && k + edge < count;
-            *cell = inside(n / east_cells, north_cells) && inside(n % east_cells, east_cells);
-        }
-        let mut grid = Self {
+        let lattice = Lattice {
             cell_m,
-            north_cells,
-            east_cells,
+            cells: [cells(b.north_m), cells(b.east_m)],
             origin_m: [b.north_m[0], b.east_m[0]],
+        };
+        let edge = (clearance_m / cell_m).ceil() as usize;
+        let inside = |k: usize, count: usize| k >= edge && k + edge < count;
+        let [north, east] = lattice.cells;
+        let mut free: Vec<bool> = lattice
+            .all()
+            .map(|(i, j)| inside(i, north) && inside(j, east))
+            .collect();
+        for solid in solids.iter().filter(|s| in_the_way(course, s)) {
+            lattice.near(solid, clearance_m, |cell, _| free[lattice.number(cell)] = false);
+        }
+        Self {
+            lattice,
             clearance_m,
             free,
-        };
-        for solid in solids.iter().filter(|s| in_the_way(course, s)) {
-            let mut blocked = Vec::new();
-            grid.near(solid, clearance_m, |cell| blocked.push(cell));
-            for (i, j) in blocked {
-                grid.free[i * grid.east_cells + j] = false;
-            }
-        }
-        grid
-    }
-
-    /// Calls `cell` for each cell whose centre is nearer to a solid than `clearance_m`.
-    pub(crate) fn near(&self, solid: &Solid, clearance_m: f32, mut cell: impl FnMut((usize, usize))) {
-        let centre = solid.centre_ned_m();
-        let (half_north_m, half_east_m) = solid.plan_half_extents_m();
-        let rows = self.span(0, centre.x, half_north_m + clearance_m);
-        let cols = self.span(1, centre.y, half_east_m + clearance_m);
-        let distance_m = solid.plan_distances_m();
-        for i in rows {
-            for j in cols.clone() {
-                let [north_m, east_m] = self.point(i, j);
-                if distance_m(north_m, east_m) < clearance_m {
-                    cell((i, j));
-                }
-            }
         }
     }
 
-    /// Cells along an axis within `reach_m` of `centre_m`.
-    fn span(&self, axis: usize, centre_m: f32, reach_m: f32) -> core::ops::Range<usize> {
-        let count = [self.north_cells, self.east_cells][axis];
-        let low = ((centre_m - reach_m - self.origin_m[axis]) / self.cell_m).max(0.0) as usize;
-        let high = ((centre_m + reach_m - self.origin_m[axis]) / self.cell_m).max(0.0) as usize + 2;
-        low.min(count)..high.min(count)
-    }
-
-    fn point(&self, i: usize, j: usize) -> [f32; 2] {
-        [
-            self.origin_m[0] + i as f32 * self.cell_m,
-            self.origin_m[1] + j as f32 * self.cell_m,
-        ]
-    }
-
-    pub(crate) fn nearest(&self, point: [f32; 2]) -> (usize, usize) {
-        let index = |axis: usize, count: usize| {
-            let cell = ((point[axis] - self.origin_m[axis]) / self.cell_m).round().max(0.0) as usize;
-            cell.min(count - 1)
-        };
-        (index(0, self.north_cells), index(1, self.east_cells))
-    }
-
-    pub(crate) fn is_free(&self, (i, j): (usize, usize)) -> bool {
-        self.free[i * self.east_cells + j]
+    pub(crate) fn is_free(&self, cell: (usize, usize)) -> bool {
+        self.free[self.lattice.number(cell)]
     }
 
     /// Free neighbours with the step's cost in tenths of a cell; diagonals only between two free orthogonal neighbours.
     fn neighbours(&self, (i, j): (usize, usize)) -> impl Iterator<Item = ((usize, usize), u32)> + '_ {
         const STEPS: [(isize, isize); 8] = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)];
+        let [north, east] = self.lattice.cells;
         let at = move |di: isize, dj: isize| {
             let (i, j) = (i.checked_add_signed(di)?, j.checked_add_signed(dj)?);
-            (i < self.north_cells && j < self.east_cells && self.is_free((i, j))).then_some((i, j))
+            (i < north && j < east && self.is_free((i, j))).then_some((i, j))
         };
         STEPS.into_iter().filter_map(move |(di, dj)| {
             let to = at(di, dj)?;
@@ -134,7 +151,8 @@ impl Grid {
         if !self.is_free(start) || !self.is_free(goal) {
             return None;
         }
-        let number = |(i, j): (usize, usize)| i * self.east_cells + j;
+        let number = |cell| self.lattice.number(cell);
+        let east = self.lattice.cells[1];
         let estimate = |(i, j): (usize, usize)| {
             let (di, dj) = (i.abs_diff(goal.0) as u32, j.abs_diff(goal.1) as u32);
             10 * di.max(dj) + 4 * di.min(dj)
@@ -145,7 +163,7 @@ impl Grid {
         cost[number(start)] = 0;
         open.push(Reverse((estimate(start), number(start) as u32)));
         while let Some(Reverse((total, n))) = open.pop() {
-            let cell = (n as usize / self.east_cells, n as usize % self.east_cells);
+            let cell = (n as usize / east, n as usize % east);
             let so_far = cost[n as usize];
             if total > so_far + estimate(cell) {
                 continue;
@@ -155,7 +173,7 @@ impl Grid {
                 let mut at = n;
                 while from[at as usize] != u32::MAX {
                     at = from[at as usize];
-                    path.push((at as usize / self.east_cells, at as usize % self.east_cells));
+                    path.push((at as usize / east, at as usize % east));
                 }
                 path.reverse();
                 return Some(path);
@@ -221,9 +239,9 @@ impl Course {
             [self.start.north_m, self.start.east_m],
             [self.goal.north_m, self.goal.east_m],
         );
-        let cells = grid.search(grid.nearest(start), grid.nearest(goal))?;
+        let cells = grid.search(grid.lattice.nearest(start), grid.lattice.nearest(goal))?;
         let mut points = vec![start];
-        points.extend(cells.iter().map(|&(i, j)| grid.point(i, j)));
+        points.extend(cells.iter().map(|cell| grid.lattice.point(*cell)));
         points.push(goal);
         Some(self.shortened(&solids, &points))
     }
@@ -270,17 +288,10 @@ impl Course {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::field;
 
     fn course(obstacles: &str) -> Course {
-        let text = format!(
-            r#"
-name = "test"
-goal = {{ north_m = 20.0, east_m = 5.0 }}
-bounds = {{ north_m = [-4.0, 26.0], east_m = [-10.0, 10.0], top_m = 6.0 }}
-{obstacles}
-"#
-        );
-        Course::from_toml_str(&text, "test").expect("valid")
+        field(5.0, 10.0, obstacles)
     }
 
     fn wall(from: [f32; 2], to: [f32; 2], height_m: f32) -> String {
@@ -311,10 +322,8 @@ bounds = {{ north_m = [-4.0, 26.0], east_m = [-10.0, 10.0], top_m = 6.0 }}
         assert!(c.straight_line_is_blocked());
         let way = c.corridor().expect("wide enough");
         for leg in way.windows(2) {
-            assert!(
-                line_clearance_m(&c, &c.solids(), leg[0], leg[1]) >= 0.9 - 1e-3,
-                "{leg:?}"
-            );
+            let clearance_m = line_clearance_m(&c, &c.solids(), leg[0], leg[1]);
+            assert!(clearance_m >= 0.9 - 1e-3, "{leg:?}");
         }
     }
 

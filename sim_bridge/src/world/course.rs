@@ -304,6 +304,15 @@ impl Course {
         columns.chain(boxes).chain(walls).chain(overhangs).collect()
     }
 
+    /// Takes all obstacles away, those that move as well.
+    pub fn clear_obstacles(&mut self) {
+        self.columns.clear();
+        self.boxes.clear();
+        self.walls.clear();
+        self.overhangs.clear();
+        self.movers.clear();
+    }
+
     /// The start on the ground.
     pub fn start_ned_m(&self) -> NedVector {
         NedVector::new(self.start.north_m, self.start.east_m, 0.0)

@@ -23,6 +23,7 @@ mod timed_way;
 mod vehicle;
 
 pub use check::{FieldProblem, MAX_COORDINATE_M, MAX_OBSTACLES};
+pub(crate) use corridor::Lattice;
 pub use corridor::{CORRIDOR_MARGIN_M, HARD_CORRIDOR_MARGIN_M};
 pub use course::{
     Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, UnknownFamily, Wall,

@@ -92,13 +92,9 @@ impl World {
         &self.bvh
     }
 
-    /// Whether the vehicle's solid at this pose touches an obstacle or the ceiling. The ground is not asked: whether touching
-    /// it is a landing or a crash depends on the motion ([`Referee`](crate::world::Referee)). Exact within a centimetre.
-    pub fn collides(&self, vehicle: &VehicleSolid, position_ned_m: NedVector, attitude: Attitude) -> bool {
-        self.collides_at(self.now_ns, vehicle, position_ned_m, attitude)
-    }
-
-    /// [`collides`](Self::collides) with the movers where they are at another time.
+    /// Whether the vehicle's solid at this pose touches an obstacle or the ceiling, with the movers where they are at `at_ns`. The ground
+    /// is not asked: whether touching it is a landing or a crash depends on the motion ([`Referee`](crate::world::Referee)). Exact
+    /// within a centimetre.
     pub fn collides_at(
         &self,
         at_ns: Nanos,

@@ -16,10 +16,10 @@ struct Cells {
 
 impl Cells {
     fn none(grid: &Grid) -> Self {
-        let words_per_row = grid.east_cells.div_ceil(64);
+        let words_per_row = grid.lattice.cells[1].div_ceil(64);
         Self {
             words_per_row,
-            words: vec![0; words_per_row * grid.north_cells],
+            words: vec![0; words_per_row * grid.lattice.cells[0]],
         }
     }
 
@@ -69,12 +69,12 @@ impl Course {
     pub fn earliest_arrival_s(&self, depart_s: f32) -> Option<f32> {
         let grid = Grid::new(self, &self.solids());
         let (start, goal) = (
-            grid.nearest([self.start.north_m, self.start.east_m]),
-            grid.nearest([self.goal.north_m, self.goal.east_m]),
+            grid.lattice.nearest([self.start.north_m, self.start.east_m]),
+            grid.lattice.nearest([self.goal.north_m, self.goal.east_m]),
         );
-        let step_s = grid.cell_m / SPEED_M_S;
+        let step_s = grid.lattice.cell_m / SPEED_M_S;
         let mut free = Cells::none(&grid);
-        for cell in (0..grid.north_cells).flat_map(|i| (0..grid.east_cells).map(move |j| (i, j))) {
+        for cell in grid.lattice.all() {
             if grid.is_free(cell) {
                 free.insert(cell);
             }
@@ -92,7 +92,8 @@ impl Course {
             for mover in &movers {
                 // What it may move before the next look is kept free too.
                 let clearance_m = grid.clearance_m + mover.speed_m_s * step_s;
-                grid.near(&mover.solid_at(at_ns), clearance_m, |cell| reached.remove(cell));
+                grid.lattice
+                    .near(&mover.solid_at(at_ns), clearance_m, |cell, _| reached.remove(cell));
             }
             if reached.contains(goal) {
                 break;
@@ -113,20 +114,13 @@ mod tests {
 
     /// A wall across the arena with a door of 2 m, and what moves behind it.
     fn course(movers: &str) -> Course {
-        let text = format!(
-            r#"
-name = "test"
-family = "hard"
-goal = {{ north_m = 20.0, east_m = 0.0 }}
-bounds = {{ north_m = [-4.0, 26.0], east_m = [-8.0, 8.0], top_m = 6.0 }}
+        let wall = r#"family = "hard"
 wall = [
-    {{ from_m = [10.0, -8.0], to_m = [10.0, -1.0], thickness_m = 0.2, height_m = 3.0 }},
-    {{ from_m = [10.0, 1.0], to_m = [10.0, 8.0], thickness_m = 0.2, height_m = 3.0 }},
+    { from_m = [10.0, -8.0], to_m = [10.0, -1.0], thickness_m = 0.2, height_m = 3.0 },
+    { from_m = [10.0, 1.0], to_m = [10.0, 8.0], thickness_m = 0.2, height_m = 3.0 },
 ]
-{movers}
-"#
-        );
-        Course::from_toml_str(&text, "test").expect("valid")
+"#;
+        crate::testing::field(0.0, 8.0, &format!("{wall}{movers}"))
     }
 
     fn in_front_of_the_door(to_east_m: f32, phase: f32) -> Course {

@@ -71,13 +71,10 @@ impl Guarded {
         self.nearest_m = self.nearest_m.min(self.world.clearance_m(position_ned_m));
         self.sequence += 1;
         let shot = Shot {
-            position_ned_m,
-            attitude: Attitude::LEVEL_NORTH,
-            estimated_position_ned_m: position_ned_m,
-            estimated_attitude: Attitude::LEVEL_NORTH,
             stamp_ns: self.now_ns,
             sequence: self.sequence,
             sensor_id: LIDAR_SENSOR_ID,
+            ..Shot::at(position_ned_m, Attitude::LEVEL_NORTH)
         };
         self.lidar.capture(&self.world, &shot, &mut self.frame);
         let frame = self.sees.then_some(&*self.frame);

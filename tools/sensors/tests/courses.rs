@@ -28,13 +28,8 @@ fn scene(seed: u64) -> Scene {
     let position = NedVector::new(start.x, start.y, -course.flight_height_m);
     let attitude = Attitude::from_euler_rad(0.06, -0.08, 0.2);
     let shot = Shot {
-        position_ned_m: position,
-        attitude,
-        estimated_position_ned_m: position,
-        estimated_attitude: attitude,
-        stamp_ns: 0,
-        sequence: 0,
         sensor_id: 1,
+        ..Shot::at(position, attitude)
     };
     let mut lidar = Box::new(DepthFrame::EMPTY);
     Lidar::new(LidarConfig::ideal(), seed)

@@ -100,13 +100,8 @@ fn recorded_packets_of_a_course_become_the_lidar_models_image_with_the_stamp_of_
             );
         }
         let shot = Shot {
-            position_ned_m: bench.pose.0,
-            attitude: bench.pose.1,
-            estimated_position_ned_m: bench.pose.0,
-            estimated_attitude: bench.pose.1,
-            stamp_ns: 0,
-            sequence: 0,
             sensor_id: 1,
+            ..Shot::at(bench.pose.0, bench.pose.1)
         };
         let mut lidar = Box::new(DepthFrame::EMPTY);
         let mut model = Lidar::new(LidarConfig::ideal(), 1).unwrap();

@@ -104,7 +104,7 @@ impl Core {
             if self.commander.mode == FlightMode::Takeoff {
                 self.begin_climb(None);
             }
-            self.text(MavSeverity::MAV_SEVERITY_INFO, "armed");
+            self.inform("armed");
             self.announce(message_ids::HEARTBEAT);
         }
         Ok(())
@@ -128,7 +128,7 @@ impl Core {
         self.commander.speed_m_s = None;
         self.commander.region_of_interest_m = None;
         self.enter(FlightMode::Hold, Maneuver::default());
-        self.text(MavSeverity::MAV_SEVERITY_INFO, text);
+        self.inform(text);
         self.announce(message_ids::HEARTBEAT);
     }
 
@@ -166,7 +166,7 @@ impl Core {
         self.setpoints = Setpoints::default();
         self.sticks = Sticks::default();
         self.rebooted = true;
-        self.text(MavSeverity::MAV_SEVERITY_INFO, "rebooted");
+        self.inform("rebooted");
         self.announce(message_ids::HEARTBEAT);
         self.announce(message_ids::NAMED_VALUE_FLOAT);
     }
@@ -235,7 +235,7 @@ impl Core {
                 self.clear_failsafe();
                 self.enter(FlightMode::Offboard, Maneuver::Offboard);
                 self.setpoints.set_owner(Some(owner));
-                self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("setpoint owner: {owner}"));
+                self.inform(&format!("setpoint owner: {owner}"));
                 self.announce(message_ids::NAMED_VALUE_FLOAT);
                 Ok(())
             }
@@ -274,7 +274,7 @@ impl Core {
         let height_m = wanted_m.max(-here.z);
         let rate_m_s = self.param(ParamId::TakeoffSpeedMS);
         self.enter(FlightMode::Takeoff, Maneuver::climb(here, -height_m, rate_m_s));
-        self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("take-off to {height_m:.1} m"));
+        self.inform(&format!("take-off to {height_m:.1} m"));
     }
 
     /// Returns to home or the nearest rally point.
@@ -338,12 +338,12 @@ impl Core {
         self.commander.intended_mode = mode;
         if self.setpoints.owner().is_some() && mode != FlightMode::Offboard {
             self.setpoints.set_owner(None);
-            self.text(MavSeverity::MAV_SEVERITY_INFO, "setpoint owner: none");
+            self.inform("setpoint owner: none");
             self.announce(message_ids::NAMED_VALUE_FLOAT);
         }
         if self.commander.mode != mode {
             self.commander.mode = mode;
-            self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("mode: {}", mode.name()));
+            self.inform(&format!("mode: {}", mode.name()));
             self.announce(message_ids::HEARTBEAT);
             self.announce(message_ids::CURRENT_MODE);
         }

@@ -88,79 +88,54 @@ impl Core {
     }
 
     /// Velocities and places that lead into the ground end on it: the world is level at home's height.
-    fn touching_down_softly(&self, command: ControlCommand) -> ControlCommand {
+    fn touching_down_softly(&self, mut command: ControlCommand) -> ControlCommand {
         let limit_m_s = self.descent_limit_m_s();
-        let down_m_s = limit_m_s.min(self.param(ParamId::MaxDownMS));
-        match command {
-            ControlCommand::VelocityHeading { velocity_m_s: v, yaw } => ControlCommand::VelocityHeading {
-                velocity_m_s: HeadingVector::new(v.x, v.y, v.z.min(limit_m_s)),
-                yaw,
-            },
-            ControlCommand::VelocityNed { velocity_m_s: v, yaw } => ControlCommand::VelocityNed {
-                velocity_m_s: NedVector::new(v.x, v.y, v.z.min(limit_m_s)),
-                yaw,
-            },
+        let down_to_ground_m_s = limit_m_s.min(self.param(ParamId::MaxDownMS));
+        let estimate = &self.view.estimate;
+        match &mut command {
+            ControlCommand::VelocityHeading { velocity_m_s: v, .. } => v.z = v.z.min(limit_m_s),
+            ControlCommand::VelocityNed { velocity_m_s: v, .. } => v.z = v.z.min(limit_m_s),
+            ControlCommand::ClimbAtPlace { down_m_s: down, .. } | ControlCommand::Descend { rate_m_s: down } => {
+                *down = down.min(limit_m_s);
+            }
             ControlCommand::VelocityAtHeight {
                 velocity_m_s: v,
                 down_m,
                 yaw,
-            } if down_m >= 0.0 => ControlCommand::VelocityNed {
-                velocity_m_s: NedVector::new(v.x, v.y, down_m_s),
-                yaw,
-            },
-            ControlCommand::ClimbAtPlace {
-                position_ned_m,
-                down_m_s,
-                speed_limit_m_s,
-                yaw,
-            } => ControlCommand::ClimbAtPlace {
-                position_ned_m,
-                down_m_s: down_m_s.min(limit_m_s),
-                speed_limit_m_s,
-                yaw,
-            },
+            } if *down_m >= 0.0 => {
+                return ControlCommand::VelocityNed {
+                    velocity_m_s: NedVector::new(v.x, v.y, down_to_ground_m_s),
+                    yaw: *yaw,
+                };
+            }
             ControlCommand::Position {
                 position_ned_m,
-                velocity_m_s,
                 speed_limit_m_s,
                 yaw,
+                ..
             } if position_ned_m.z >= 0.0 => {
-                let estimate = &self.view.estimate;
-                let off_m = (position_ned_m - estimate.position_ned_m).horizontal_norm();
-                let is_there =
-                    off_m < TOUCH_DOWN_RADIUS_M && estimate.velocity_ned_m_s.horizontal_norm() < TOUCH_DOWN_DRIFT_M_S;
-                if is_there {
-                    ControlCommand::ClimbAtPlace {
-                        position_ned_m,
-                        down_m_s,
-                        speed_limit_m_s,
-                        yaw,
-                    }
-                } else {
-                    ControlCommand::Position {
-                        position_ned_m: NedVector::new(position_ned_m.x, position_ned_m.y, -TOUCH_DOWN_HEIGHT_M),
-                        velocity_m_s,
-                        speed_limit_m_s,
-                        yaw,
-                    }
+                let off_m = (*position_ned_m - estimate.position_ned_m).horizontal_norm();
+                let drift_m_s = estimate.velocity_ned_m_s.horizontal_norm();
+                if off_m < TOUCH_DOWN_RADIUS_M && drift_m_s < TOUCH_DOWN_DRIFT_M_S {
+                    return ControlCommand::ClimbAtPlace {
+                        position_ned_m: *position_ned_m,
+                        down_m_s: down_to_ground_m_s,
+                        speed_limit_m_s: *speed_limit_m_s,
+                        yaw: *yaw,
+                    };
                 }
+                position_ned_m.z = -TOUCH_DOWN_HEIGHT_M;
             }
-            ControlCommand::Descend { rate_m_s } => ControlCommand::Descend {
-                rate_m_s: rate_m_s.min(limit_m_s),
-            },
             ControlCommand::Acceleration {
                 acceleration_ned_m_s2: a,
-                yaw,
+                ..
             } => {
-                let slowing_m_s2 = (limit_m_s - self.view.estimate.velocity_ned_m_s.z) * TOUCH_DOWN_GAIN_PER_S;
-                let down_m_s2 = a.z.min(slowing_m_s2.max(-TOUCH_DOWN_BRAKING_M_S2));
-                ControlCommand::Acceleration {
-                    acceleration_ned_m_s2: NedVector::new(a.x, a.y, down_m_s2),
-                    yaw,
-                }
+                let slowing_m_s2 = (limit_m_s - estimate.velocity_ned_m_s.z) * TOUCH_DOWN_GAIN_PER_S;
+                a.z = a.z.min(slowing_m_s2.max(-TOUCH_DOWN_BRAKING_M_S2));
             }
-            other => other,
+            _ => {}
         }
+        command
     }
 
     fn fly_brake(&mut self, began_ns: Option<Nanos>, height_m: Option<f32>) -> ControlCommand {
@@ -187,7 +162,11 @@ impl Core {
         if let Some(height_m) = height_m {
             position_ned_m.z = -height_m;
         }
-        let speed_limit_m_s = self.cruise_speed_m_s();
+        self.hold_at(position_ned_m, self.cruise_speed_m_s())
+    }
+
+    /// Begins to hold a position.
+    fn hold_at(&mut self, position_ned_m: NedVector, speed_limit_m_s: f32) -> ControlCommand {
         self.commander.maneuver = Maneuver::Station {
             position_ned_m,
             yaw: YawCommand::Hold,
@@ -206,13 +185,7 @@ impl Core {
             here.y + velocity.y * stop_s,
             height_m.map_or(here.z, |height_m| -height_m),
         );
-        let speed_limit_m_s = self.param(ParamId::MaxSpeedMS);
-        self.commander.maneuver = Maneuver::Station {
-            position_ned_m,
-            yaw: YawCommand::Hold,
-            speed_limit_m_s,
-        };
-        self.fly_station(position_ned_m, YawCommand::Hold, speed_limit_m_s)
+        self.hold_at(position_ned_m, self.param(ParamId::MaxSpeedMS))
     }
 
     fn fly_station(&mut self, position_ned_m: NedVector, yaw: YawCommand, speed_limit_m_s: f32) -> ControlCommand {
@@ -310,10 +283,7 @@ impl Core {
             return if on_ground || self.commander.is_terminated() || !self.commander.is_armed() {
                 ControlCommand::Idle
             } else {
-                ControlCommand::VelocityNed {
-                    velocity_m_s: NedVector::ZERO,
-                    yaw: YawCommand::Hold,
-                }
+                ControlCommand::STOP
             };
         };
         if on_ground {
@@ -357,50 +327,27 @@ impl Core {
     }
 
     /// Velocities within MPC_XY_VEL_MAX and MPC_Z_VEL_MAX_*; the direction is kept.
-    fn limited(&self, command: ControlCommand) -> ControlCommand {
+    fn limited(&self, mut command: ControlCommand) -> ControlCommand {
         let max_m_s = self.param(ParamId::MaxSpeedMS);
         let (up, down) = (self.param(ParamId::MaxUpMS), self.param(ParamId::MaxDownMS));
         let scale = |norm: f32| if norm > max_m_s { max_m_s / norm } else { 1.0 };
-        match command {
-            ControlCommand::VelocityHeading { velocity_m_s: v, yaw } => {
+        match &mut command {
+            ControlCommand::VelocityHeading { velocity_m_s: v, .. } => {
                 let k = scale(v.horizontal_norm());
-                ControlCommand::VelocityHeading {
-                    velocity_m_s: HeadingVector::new(v.x * k, v.y * k, v.z.clamp(-up, down)),
-                    yaw,
-                }
+                *v = HeadingVector::new(v.x * k, v.y * k, v.z.clamp(-up, down));
             }
-            ControlCommand::VelocityNed { velocity_m_s: v, yaw } => {
+            ControlCommand::VelocityNed { velocity_m_s: v, .. } => {
                 let k = scale(v.horizontal_norm());
-                ControlCommand::VelocityNed {
-                    velocity_m_s: NedVector::new(v.x * k, v.y * k, v.z.clamp(-up, down)),
-                    yaw,
-                }
+                *v = NedVector::new(v.x * k, v.y * k, v.z.clamp(-up, down));
             }
-            ControlCommand::VelocityAtHeight {
-                velocity_m_s: v,
-                down_m,
-                yaw,
-            } => {
+            ControlCommand::VelocityAtHeight { velocity_m_s: v, .. } => {
                 let k = scale(v.horizontal_norm());
-                ControlCommand::VelocityAtHeight {
-                    velocity_m_s: NedVector::new(v.x * k, v.y * k, 0.0),
-                    down_m,
-                    yaw,
-                }
+                *v = NedVector::new(v.x * k, v.y * k, 0.0);
             }
-            ControlCommand::ClimbAtPlace {
-                position_ned_m,
-                down_m_s,
-                speed_limit_m_s,
-                yaw,
-            } => ControlCommand::ClimbAtPlace {
-                position_ned_m,
-                down_m_s: down_m_s.clamp(-up, down),
-                speed_limit_m_s,
-                yaw,
-            },
-            other => other,
+            ControlCommand::ClimbAtPlace { down_m_s, .. } => *down_m_s = down_m_s.clamp(-up, down),
+            _ => {}
         }
+        command
     }
 }
 

@@ -7,7 +7,6 @@ use crate::message_ids;
 use crate::plan::{Leg, MissionItem, Purpose, Stage};
 use crate::vehicle::YawCommand;
 use crate::vehicle_parameters::ParamId;
-use vigil_mavlink::common::MavSeverity;
 use vigil_types::{Nanos, NedVector};
 
 /// Smallest distance at which a place counts as reached: the estimate wanders by about as much.
@@ -65,7 +64,7 @@ impl Core {
             return;
         }
         if let Err(denial) = self.begin_mission() {
-            self.text(MavSeverity::MAV_SEVERITY_WARNING, &denial.to_string());
+            self.warn(&denial.to_string());
             self.enter(FlightMode::Hold, Maneuver::default());
         }
     }
@@ -277,7 +276,7 @@ impl Core {
         } else {
             "mission finished"
         };
-        self.text(MavSeverity::MAV_SEVERITY_INFO, text);
+        self.inform(text);
         let maneuver = match self.commander.maneuver {
             station @ Maneuver::Station { .. } => station,
             _ => Maneuver::default(),

@@ -69,10 +69,7 @@ impl Core {
         }
         if orbit.left_rad.is_some_and(|left| left <= 0.0) {
             self.enter(FlightMode::Hold, Maneuver::default());
-            return ControlCommand::VelocityNed {
-                velocity_m_s: NedVector::ZERO,
-                yaw: YawCommand::Hold,
-            };
+            return ControlCommand::STOP;
         }
         let lead = sense * orbit.speed_m_s / orbit.radius_m * VELOCITY_DELAY_S;
         let tangent = bearing + sense * core::f32::consts::FRAC_PI_2;

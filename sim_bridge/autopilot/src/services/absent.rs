@@ -2,38 +2,20 @@
 //! and no transponder, the mixer's inputs are not modelled, and the estimator knows no wind. A client may set their rate, as it
 //! may with PX4 where the sensor is missing; none is ever sent, and a request for one is DENIED.
 
-use crate::core::Core;
-use crate::service::{Build, Produced, Service};
-use vigil_mavlink::MavMessage;
+use crate::service::Produced;
 use vigil_mavlink::common::{
     ACTUATOR_CONTROL_TARGET_DATA, ADSB_VEHICLE_DATA, DISTANCE_SENSOR_DATA, RC_CHANNELS_DATA, WIND_COV_DATA,
 };
 use vigil_mavlink::mavlink::MessageData;
 
-pub(crate) struct Absent;
-
-impl Service for Absent {
-    fn messages(&self) -> &'static [Produced] {
-        const {
-            &[
-                absent(RC_CHANNELS_DATA::ID),
-                absent(DISTANCE_SENSOR_DATA::ID),
-                absent(ACTUATOR_CONTROL_TARGET_DATA::ID),
-                absent(WIND_COV_DATA::ID),
-                absent(ADSB_VEHICLE_DATA::ID),
-            ]
-        }
-    }
-}
+pub(super) const MESSAGES: &[Produced] = &[
+    absent(RC_CHANNELS_DATA::ID),
+    absent(DISTANCE_SENSOR_DATA::ID),
+    absent(ACTUATOR_CONTROL_TARGET_DATA::ID),
+    absent(WIND_COV_DATA::ID),
+    absent(ADSB_VEHICLE_DATA::ID),
+];
 
 const fn absent(id: u32) -> Produced {
-    Produced {
-        id,
-        rate_hz: [0.0; 3],
-        build: Build::From(nothing),
-    }
-}
-
-fn nothing(_core: &Core) -> Option<MavMessage> {
-    None
+    Produced::from(id, [0.0; 3], |_| None)
 }

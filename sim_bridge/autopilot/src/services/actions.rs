@@ -7,7 +7,7 @@ use crate::geo;
 use crate::service::{Answer, Service, Source};
 use crate::services::arming::answer;
 use crate::vehicle::YawCommand;
-use vigil_mavlink::common::{MavSeverity, SET_MODE_DATA};
+use vigil_mavlink::common::SET_MODE_DATA;
 use vigil_mavlink::framing::{Command, CommandForm, Packet};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::NedVector;
@@ -92,8 +92,7 @@ fn set_mode(requested: Requested, source: Source, core: &mut Core) -> Answer {
 fn is_flown_in(frame: u8, core: &mut Core) -> bool {
     let is_global = GLOBAL_FRAMES.contains(&frame);
     if !is_global {
-        let text = format!("denied: frame {frame} is not flown, 0, 3, 5 and 6 are");
-        core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+        core.warn(&format!("denied: frame {frame} is not flown, 0, 3, 5 and 6 are"));
     }
     is_global
 }
@@ -107,10 +106,9 @@ fn height_m(core: &Core, altitude_m: f32) -> f32 {
 fn is_flown_at(height_m: f32, core: &mut Core) -> bool {
     let is_sound = (-BELOW_HOME_M..=MAX_HEIGHT_M).contains(&height_m);
     if height_m < -BELOW_HOME_M {
-        let text = format!("denied: {:.0} m below home; altitudes are AMSL", -height_m);
-        core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+        core.warn(&format!("denied: {:.0} m below home; altitudes are AMSL", -height_m));
     } else if !is_sound {
-        core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from home");
+        core.warn("denied: too far from home");
     }
     is_sound
 }
@@ -119,7 +117,7 @@ fn is_flown_at(height_m: f32, core: &mut Core) -> bool {
 fn take_off(command: &Command, core: &mut Core) -> Answer {
     let height = command.param(7).map(|altitude_m| height_m(core, altitude_m));
     if height.is_some_and(|height| height > MAX_HEIGHT_M) {
-        core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from home");
+        core.warn("denied: too far from home");
         return Answer::DENIED;
     }
     let outcome = core.take_off(height);
@@ -153,7 +151,7 @@ pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core
     // NaN fails the comparison.
     let is_near = position.horizontal_norm() <= MAX_DISTANCE_M;
     if !is_near {
-        core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from home");
+        core.warn("denied: too far from home");
     }
     is_near.then_some(position)
 }

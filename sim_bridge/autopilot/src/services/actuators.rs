@@ -4,9 +4,9 @@
 
 use crate::LinkId;
 use crate::core::{Core, nanos};
-use crate::service::{Answer, Build, Produced, Service, Source};
+use crate::service::{Answer, Produced, Service, Source};
 use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{ACTUATOR_OUTPUT_STATUS_DATA, MavSeverity, SERVO_OUTPUT_RAW_DATA};
+use vigil_mavlink::common::{ACTUATOR_OUTPUT_STATUS_DATA, SERVO_OUTPUT_RAW_DATA};
 use vigil_mavlink::framing::{Command, CommandForm};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::Nanos;
@@ -45,7 +45,7 @@ impl Service for Actuators {
             return Answer::ACCEPTED;
         }
         if core.commander.is_armed() {
-            core.text(MavSeverity::MAV_SEVERITY_WARNING, "actuator test denied: armed");
+            core.warn("actuator test denied: armed");
             return Answer::DENIED;
         }
         let function = match command.form {
@@ -79,18 +79,12 @@ impl Service for Actuators {
     }
 
     fn messages(&self) -> &'static [Produced] {
-        &[
-            Produced {
-                id: SERVO_OUTPUT_RAW_DATA::ID,
-                rate_hz: [0.0, 1.0, 1.0],
-                build: Build::Stateful,
-            },
-            Produced {
-                id: ACTUATOR_OUTPUT_STATUS_DATA::ID,
-                rate_hz: [0.0, 5.0, 0.0],
-                build: Build::Stateful,
-            },
-        ]
+        const {
+            &[
+                Produced::stateful(SERVO_OUTPUT_RAW_DATA::ID, [0.0, 1.0, 1.0]),
+                Produced::stateful(ACTUATOR_OUTPUT_STATUS_DATA::ID, [0.0, 5.0, 0.0]),
+            ]
+        }
     }
 }
 

@@ -3,7 +3,6 @@
 use crate::core::Core;
 use crate::flight::Denial;
 use crate::service::{Answer, Service, Source};
-use vigil_mavlink::common::MavSeverity;
 use vigil_mavlink::framing::Command;
 
 const COMPONENT_ARM_DISARM: u16 = 400;
@@ -66,7 +65,7 @@ pub(super) fn answer(outcome: Result<(), Denial>, core: &mut Core) -> Answer {
     match outcome {
         Ok(()) => Answer::ACCEPTED,
         Err(denial) => {
-            core.text(MavSeverity::MAV_SEVERITY_WARNING, &denial.to_string());
+            core.warn(&denial.to_string());
             Answer::REJECTED
         }
     }

@@ -2,34 +2,16 @@
 
 use crate::core::Core;
 use crate::flight::attitude_target;
-use crate::service::{Build, Produced, Service};
+use crate::service::Produced;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ATTITUDE_TARGET_DATA};
 use vigil_mavlink::mavlink::MessageData;
 
-pub(crate) struct Attitude;
-
-impl Service for Attitude {
-    fn messages(&self) -> &'static [Produced] {
-        &[
-            Produced {
-                id: ATTITUDE_DATA::ID,
-                rate_hz: [50.0, 50.0, 20.0],
-                build: Build::From(attitude),
-            },
-            Produced {
-                id: ATTITUDE_QUATERNION_DATA::ID,
-                rate_hz: [50.0, 20.0, 10.0],
-                build: Build::From(attitude_quaternion),
-            },
-            Produced {
-                id: ATTITUDE_TARGET_DATA::ID,
-                rate_hz: [0.0, 5.0, 2.0],
-                build: Build::From(target),
-            },
-        ]
-    }
-}
+pub(super) const MESSAGES: &[Produced] = &[
+    Produced::from(ATTITUDE_DATA::ID, [50.0, 50.0, 20.0], attitude),
+    Produced::from(ATTITUDE_QUATERNION_DATA::ID, [50.0, 20.0, 10.0], attitude_quaternion),
+    Produced::from(ATTITUDE_TARGET_DATA::ID, [0.0, 5.0, 2.0], target),
+];
 
 fn attitude(core: &Core) -> Option<MavMessage> {
     let e = &core.view.estimate;

@@ -1,24 +1,14 @@
 //! BATTERY_STATUS. <https://mavlink.io/en/services/battery.html>
 
 use crate::core::Core;
-use crate::service::{Build, Produced, Service};
+use crate::service::Produced;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
     BATTERY_STATUS_DATA, MavBatteryChargeState, MavBatteryFunction, MavBatteryMode, MavBatteryType,
 };
 use vigil_mavlink::mavlink::MessageData;
 
-pub(crate) struct Battery;
-
-impl Service for Battery {
-    fn messages(&self) -> &'static [Produced] {
-        &[Produced {
-            id: BATTERY_STATUS_DATA::ID,
-            rate_hz: [0.5, 0.5, 0.5],
-            build: Build::From(battery),
-        }]
-    }
-}
+pub(super) const MESSAGES: &[Produced] = &[Produced::from(BATTERY_STATUS_DATA::ID, [0.5, 0.5, 0.5], battery)];
 
 /// Charge in per cent.
 pub(super) fn percent(core: &Core) -> i8 {

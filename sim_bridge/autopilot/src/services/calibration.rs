@@ -54,13 +54,13 @@ impl Service for Calibration {
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
         let params: [f32; 7] = std::array::from_fn(|i| command.param(i + 1).unwrap_or(0.0));
         let warn = |core: &mut Core, text: &str| {
-            core.text(MavSeverity::MAV_SEVERITY_WARNING, text);
+            core.warn(text);
             Answer::REJECTED
         };
         let sensor = match params {
             p if p == [0.0; 7] => {
                 if self.running.take().is_some() {
-                    core.text(MavSeverity::MAV_SEVERITY_INFO, "[cal] calibration cancelled");
+                    core.inform("[cal] calibration cancelled");
                 }
                 return Answer::ACCEPTED;
             }
@@ -77,10 +77,7 @@ impl Service for Calibration {
         if self.running.is_some() {
             return warn(core, "calibration denied: another one is running");
         }
-        core.text(
-            MavSeverity::MAV_SEVERITY_INFO,
-            &format!("[cal] calibration started: 2 {}", sensor.name()),
-        );
+        core.inform(&format!("[cal] calibration started: 2 {}", sensor.name()));
         self.due_ns = core.now_ns + LOOK_NS;
         self.running = Some(Running {
             sensor,
@@ -117,7 +114,7 @@ impl Service for Calibration {
         running.looks += 1;
         let elapsed_ns = core.now_ns.saturating_sub(running.began_ns);
         if elapsed_ns >= LASTS_NS / 2 && !std::mem::replace(&mut running.told_half, true) {
-            core.text(MavSeverity::MAV_SEVERITY_INFO, "[cal] progress <50>");
+            core.inform("[cal] progress <50>");
         }
         if elapsed_ns < LASTS_NS && !core.commander.is_armed() {
             return;
@@ -138,11 +135,8 @@ impl Service for Calibration {
                 &format!("[cal] calibration failed: {name} moved"),
             );
         } else {
-            core.text(MavSeverity::MAV_SEVERITY_INFO, "[cal] progress <100>");
-            core.text(
-                MavSeverity::MAV_SEVERITY_INFO,
-                &format!("[cal] calibration done: {name}"),
-            );
+            core.inform("[cal] progress <100>");
+            core.inform(&format!("[cal] calibration done: {name}"));
         }
     }
 }

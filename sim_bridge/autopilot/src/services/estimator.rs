@@ -1,22 +1,16 @@
 //! ESTIMATOR_STATUS: what the estimator believes it knows.
 
 use crate::core::Core;
-use crate::service::{Build, Produced, Service};
+use crate::service::Produced;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{ESTIMATOR_STATUS_DATA, EstimatorStatusFlags as Flags};
 use vigil_mavlink::mavlink::MessageData;
 
-pub(crate) struct Estimator;
-
-impl Service for Estimator {
-    fn messages(&self) -> &'static [Produced] {
-        &[Produced {
-            id: ESTIMATOR_STATUS_DATA::ID,
-            rate_hz: [0.0, 1.0, 1.0],
-            build: Build::From(estimator_status),
-        }]
-    }
-}
+pub(super) const MESSAGES: &[Produced] = &[Produced::from(
+    ESTIMATOR_STATUS_DATA::ID,
+    [0.0, 1.0, 1.0],
+    estimator_status,
+)];
 
 /// The flags of what is valid. The modelled estimator has errors but no innovations: test ratios and accuracies are not
 /// known (NaN).

@@ -29,10 +29,7 @@ impl Service for Failures {
 
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
         if !core.injects_failures() {
-            core.text(
-                MavSeverity::MAV_SEVERITY_WARNING,
-                "failure injection denied: set SYS_FAILURE_EN to 1",
-            );
+            core.warn("failure injection denied: set SYS_FAILURE_EN to 1");
             return Answer::DENIED;
         }
         let Some(kind @ (OK | OFF | STUCK)) = command.param(2) else {

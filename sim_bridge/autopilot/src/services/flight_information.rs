@@ -2,7 +2,7 @@
 
 use crate::LinkId;
 use crate::core::Core;
-use crate::service::{Build, Produced, Service};
+use crate::service::{Produced, Service};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::FLIGHT_INFORMATION_DATA;
 use vigil_mavlink::mavlink::MessageData;
@@ -31,11 +31,7 @@ pub(crate) struct FlightInformation {
 
 impl Service for FlightInformation {
     fn messages(&self) -> &'static [Produced] {
-        &[Produced {
-            id: FLIGHT_INFORMATION_DATA::ID,
-            rate_hz: [0.0; 3],
-            build: Build::Stateful,
-        }]
+        const { &[Produced::stateful(FLIGHT_INFORMATION_DATA::ID, [0.0; 3])] }
     }
 
     fn produce(&self, _message_id: u32, _link: LinkId, core: &Core) -> Option<MavMessage> {

@@ -4,10 +4,8 @@ use crate::core::Core;
 use crate::geo;
 use crate::service::{Service, Source};
 use crate::services::actions::MAX_DISTANCE_M;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{FOLLOW_TARGET_DATA, MavSeverity};
+use vigil_mavlink::common::FOLLOW_TARGET_DATA;
 use vigil_mavlink::framing::Packet;
-use vigil_mavlink::mavlink::MessageData;
 use vigil_types::{Nanos, NedVector};
 
 /// Bit of `est_capabilities`: the velocity is given.
@@ -25,11 +23,7 @@ pub(crate) struct Follow {
 
 impl Service for Follow {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        if packet.message_id() != FOLLOW_TARGET_DATA::ID {
-            return;
-        }
-        let Ok(MavMessage::FOLLOW_TARGET(m)) = packet.message() else {
-            core.refusals.not_parsed += 1;
+        let Some(m) = core.read::<FOLLOW_TARGET_DATA>(packet) else {
             return;
         };
         let (lat, lon) = (f64::from(m.lat) * 1e-7, f64::from(m.lon) * 1e-7);
@@ -51,8 +45,7 @@ impl Service for Follow {
         core.refusals.setpoint_value += 1;
         if core.now_ns >= self.told_next_ns {
             self.told_next_ns = core.now_ns + REPEATED_NS;
-            let text = format!("target of {}: {defect}", source.id);
-            core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+            core.warn(&format!("target of {}: {defect}", source.id));
         }
     }
 }

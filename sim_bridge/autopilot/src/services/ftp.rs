@@ -10,7 +10,6 @@ use crate::services::packed_parameters;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr, MavFtpOpcode as Opcode};
 use vigil_mavlink::framing::Packet;
-use vigil_mavlink::mavlink::MessageData;
 use vigil_types::Nanos;
 
 /// Bytes of data in a packet.
@@ -149,11 +148,7 @@ pub(crate) struct Ftp {
 
 impl Service for Ftp {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        if packet.message_id() != FILE_TRANSFER_PROTOCOL_DATA::ID {
-            return;
-        }
-        let Ok(MavMessage::FILE_TRANSFER_PROTOCOL(message)) = packet.message() else {
-            core.refusals.not_parsed += 1;
+        let Some(message) = core.read::<FILE_TRANSFER_PROTOCOL_DATA>(packet) else {
             return;
         };
         let answered = self.answers.iter().find(|a| {
@@ -227,26 +222,12 @@ fn encode(sequence: u16, session: u8, request_opcode: u8, offset: u32, outcome: 
         }
     };
     let mut payload = [0; 251];
-    let [s0, s1] = sequence.to_le_bytes();
-    let [o0, o1, o2, o3] = offset.to_le_bytes();
     let size = reply.data.len().min(MAX_DATA);
-    let header: [u8; HEADER] = [
-        s0,
-        s1,
-        session,
-        opcode as u8,
-        size as u8,
-        request_opcode,
-        u8::from(reply.burst_complete),
-        0,
-        o0,
-        o1,
-        o2,
-        o3,
-    ];
-    for (to, from) in payload.iter_mut().zip(header.iter().chain(&reply.data)) {
-        *to = *from;
-    }
+    let complete = u8::from(reply.burst_complete);
+    payload[..2].copy_from_slice(&sequence.to_le_bytes());
+    payload[2..7].copy_from_slice(&[session, opcode as u8, size as u8, request_opcode, complete]);
+    payload[8..HEADER].copy_from_slice(&offset.to_le_bytes());
+    payload[HEADER..HEADER + size].copy_from_slice(&reply.data[..size]);
     payload
 }
 

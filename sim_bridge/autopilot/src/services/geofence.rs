@@ -2,7 +2,7 @@
 
 use crate::core::Core;
 use crate::plan::Breach;
-use crate::service::{Build, Produced, Service};
+use crate::service::{Produced, Service};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{FENCE_STATUS_DATA, FenceBreach, FenceMitigate};
 use vigil_mavlink::mavlink::MessageData;
@@ -18,11 +18,7 @@ pub(crate) struct Geofence {
 
 impl Service for Geofence {
     fn messages(&self) -> &'static [Produced] {
-        &[Produced {
-            id: FENCE_STATUS_DATA::ID,
-            rate_hz: [0.0, 1.0, 1.0],
-            build: Build::From(fence_status),
-        }]
+        const { &[Produced::from(FENCE_STATUS_DATA::ID, [0.0, 1.0, 1.0], fence_status)] }
     }
 
     fn due_ns(&self) -> Nanos {

@@ -5,10 +5,10 @@
 
 use crate::core::Core;
 use crate::geo::{self, deg_e7};
-use crate::service::{Answer, Build, Produced, Service, Source};
+use crate::service::{Answer, Produced, Service, Source};
 use crate::services::actions::{GLOBAL_FRAMES, MAX_DISTANCE_M};
 use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA, MavSeverity, SET_GPS_GLOBAL_ORIGIN_DATA};
+use vigil_mavlink::common::{GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA, SET_GPS_GLOBAL_ORIGIN_DATA};
 use vigil_mavlink::framing::{Command, Packet};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::NedVector;
@@ -37,18 +37,12 @@ impl Service for Geography {
     }
 
     fn messages(&self) -> &'static [Produced] {
-        &[
-            Produced {
-                id: HOME_POSITION_DATA::ID,
-                rate_hz: [0.5, 0.5, 0.5],
-                build: Build::From(home),
-            },
-            Produced {
-                id: GPS_GLOBAL_ORIGIN_DATA::ID,
-                rate_hz: [0.5, 0.5, 0.5],
-                build: Build::From(origin),
-            },
-        ]
+        const {
+            &[
+                Produced::from(HOME_POSITION_DATA::ID, [0.5, 0.5, 0.5], home),
+                Produced::from(GPS_GLOBAL_ORIGIN_DATA::ID, [0.5, 0.5, 0.5], origin),
+            ]
+        }
     }
 }
 
@@ -65,7 +59,7 @@ fn set_home(command: &Command, core: &mut Core) -> Answer {
             let altitude_m = command.param(7).map_or(core.home.altitude_m, f64::from);
             // An infinite altitude is at no height.
             if (altitude_m - core.home.altitude_m).abs() > SAME_HEIGHT_M {
-                core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: home keeps its height");
+                core.warn("denied: home keeps its height");
                 return Answer::DENIED;
             }
             geo::to_local(&core.home, lat, lon)
@@ -73,7 +67,7 @@ fn set_home(command: &Command, core: &mut Core) -> Answer {
         _ => return Answer::DENIED,
     };
     if libm::hypotf(home_m.0 - here.x, home_m.1 - here.y) > MAX_DISTANCE_M {
-        core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from the vehicle");
+        core.warn("denied: too far from the vehicle");
         return Answer::DENIED;
     }
     core.home_m = home_m;

@@ -2,7 +2,7 @@
 //! never on an onboard link: whoever guides the vehicle must not know.
 
 use crate::core::Core;
-use crate::service::{Build, Produced, Service};
+use crate::service::{Produced, Service};
 use crate::{LinkId, LinkRole, geo};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::HIL_STATE_QUATERNION_DATA;
@@ -15,11 +15,7 @@ pub(crate) struct GroundTruth;
 
 impl Service for GroundTruth {
     fn messages(&self) -> &'static [Produced] {
-        &[Produced {
-            id: HIL_STATE_QUATERNION_DATA::ID,
-            rate_hz: [0.0; 3],
-            build: Build::Stateful,
-        }]
+        const { &[Produced::stateful(HIL_STATE_QUATERNION_DATA::ID, [0.0; 3])] }
     }
 
     fn produce(&self, _message_id: u32, link: LinkId, core: &Core) -> Option<MavMessage> {

@@ -1,23 +1,13 @@
 //! SYS_STATUS: which sensors there are and whether they work, and whether the vehicle can be armed.
 
 use crate::core::Core;
-use crate::service::{Build, Produced, Service};
+use crate::service::Produced;
 use crate::services::battery;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{MavSysStatusSensor as Sensor, SYS_STATUS_DATA};
 use vigil_mavlink::mavlink::MessageData;
 
-pub(crate) struct Health;
-
-impl Service for Health {
-    fn messages(&self) -> &'static [Produced] {
-        &[Produced {
-            id: SYS_STATUS_DATA::ID,
-            rate_hz: [1.0, 5.0, 1.0],
-            build: Build::From(sys_status),
-        }]
-    }
-}
+pub(super) const MESSAGES: &[Produced] = &[Produced::from(SYS_STATUS_DATA::ID, [1.0, 5.0, 1.0], sys_status)];
 
 fn sys_status(core: &Core) -> Option<MavMessage> {
     let mut present = Sensor::MAV_SYS_STATUS_SENSOR_3D_GYRO

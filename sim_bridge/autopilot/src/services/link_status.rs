@@ -3,7 +3,7 @@
 use crate::LinkId;
 use crate::core::Core;
 use crate::outbox::Traffic;
-use crate::service::{Build, Produced, Service};
+use crate::service::{Produced, Service};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{LINK_NODE_STATUS_DATA, PING_DATA};
 use vigil_mavlink::mavlink::MessageData;
@@ -35,18 +35,12 @@ impl Service for LinkStatus {
     }
 
     fn messages(&self) -> &'static [Produced] {
-        &[
-            Produced {
-                id: PING_DATA::ID,
-                rate_hz: [0.0, PING_HZ, PING_HZ],
-                build: Build::From(ping),
-            },
-            Produced {
-                id: LINK_NODE_STATUS_DATA::ID,
-                rate_hz: [0.0, 1.0, 1.0],
-                build: Build::Stateful,
-            },
-        ]
+        const {
+            &[
+                Produced::from(PING_DATA::ID, [0.0, PING_HZ, PING_HZ], ping),
+                Produced::stateful(LINK_NODE_STATUS_DATA::ID, [0.0, 1.0, 1.0]),
+            ]
+        }
     }
 
     fn produce(&self, _message_id: u32, link: LinkId, core: &Core) -> Option<MavMessage> {

@@ -13,7 +13,6 @@ use vigil_mavlink::common::{
     LOGGING_DATA_DATA,
 };
 use vigil_mavlink::framing::{Command, Packet};
-use vigil_mavlink::mavlink::MessageData;
 use vigil_types::Nanos;
 
 const DIRECTORY: &str = "log";
@@ -82,55 +81,37 @@ pub(crate) struct Logs {
 
 impl Service for Logs {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        let ids = [
-            LOG_REQUEST_LIST_DATA::ID,
-            LOG_REQUEST_DATA_DATA::ID,
-            LOG_ERASE_DATA::ID,
-            LOG_REQUEST_END_DATA::ID,
-        ];
-        if !ids.contains(&packet.message_id()) {
-            return;
-        }
-        match packet.message() {
-            Ok(MavMessage::LOG_REQUEST_LIST(request)) => {
-                let count = paths(core).len();
-                let work = Work::List {
-                    next: usize::from(request.start).min(count),
-                    end: (usize::from(request.end) + 1).min(count),
-                };
-                if count == 0 {
-                    core.outbox.send(source.link, &entry(core, 0));
-                } else {
-                    self.begin(source, work, core.now_ns);
-                }
+        if let Some(LOG_REQUEST_LIST_DATA { start, end, .. }) = core.read(packet) {
+            let count = paths(core).len();
+            let next = usize::from(start).min(count);
+            let end = (usize::from(end) + 1).min(count);
+            if count == 0 {
+                core.outbox.send(source.link, &entry(core, 0));
+            } else {
+                self.begin(source, Work::List { next, end }, core.now_ns);
             }
-            Ok(MavMessage::LOG_REQUEST_DATA(request)) => {
-                let Some(path) = paths(core).get(usize::from(request.id)).cloned() else {
-                    core.refusals.file += 1;
-                    core.outbox
-                        .send(source.link, &data(request.id, request.ofs as usize, &[]));
-                    return;
-                };
-                let size = core.files.read(&path).map_or(0, <[u8]>::len);
-                let offset = (request.ofs as usize).min(size);
-                let end = offset.saturating_add(request.count as usize).min(size);
-                if offset == end {
-                    core.outbox.send(source.link, &data(request.id, offset, &[]));
-                    return;
-                }
-                let id = request.id;
+        } else if let Some(LOG_REQUEST_DATA_DATA { id, ofs, count, .. }) = core.read(packet) {
+            let Some(path) = paths(core).get(usize::from(id)).cloned() else {
+                core.refusals.file += 1;
+                return core.outbox.send(source.link, &data(id, ofs as usize, &[]));
+            };
+            let size = core.files.read(&path).map_or(0, <[u8]>::len);
+            let offset = (ofs as usize).min(size);
+            let end = offset.saturating_add(count as usize).min(size);
+            if offset == end {
+                core.outbox.send(source.link, &data(id, offset, &[]));
+            } else {
                 self.begin(source, Work::Data { path, id, offset, end }, core.now_ns);
             }
-            Ok(MavMessage::LOG_REQUEST_END(_)) => self.work.retain(|(client, _)| *client != source),
-            Ok(MavMessage::LOG_ERASE(_)) => {
-                self.work.clear();
-                for path in paths(core) {
-                    if self.recording.as_ref() != Some(&path) {
-                        core.files.remove_own(&path);
-                    }
+        } else if core.read::<LOG_REQUEST_END_DATA>(packet).is_some() {
+            self.work.retain(|(client, _)| *client != source);
+        } else if core.read::<LOG_ERASE_DATA>(packet).is_some() {
+            self.work.clear();
+            for path in paths(core) {
+                if self.recording.as_ref() != Some(&path) {
+                    core.files.remove_own(&path);
                 }
             }
-            _ => core.refusals.not_parsed += 1,
         }
     }
 

@@ -4,10 +4,8 @@
 use crate::core::Core;
 use crate::flight::Deflections;
 use crate::service::{Service, Source};
-use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{MANUAL_CONTROL_DATA, RC_CHANNELS_OVERRIDE_DATA};
 use vigil_mavlink::framing::Packet;
-use vigil_mavlink::mavlink::MessageData;
 
 pub(crate) struct Manual;
 
@@ -19,29 +17,20 @@ const PULSES_US: core::ops::RangeInclusive<u16> = 800..=2200;
 
 impl Service for Manual {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        let sticks = match packet.message_id() {
-            MANUAL_CONTROL_DATA::ID => match packet.message() {
-                Ok(MavMessage::MANUAL_CONTROL(m)) => joystick(&m, core.id.system),
-                _ => return core.refusals.not_parsed += 1,
-            },
-            RC_CHANNELS_OVERRIDE_DATA::ID => match packet.message() {
-                Ok(MavMessage::RC_CHANNELS_OVERRIDE(m)) => match channels(&m) {
-                    // All four given back to a receiver that there is not: the sticks are let go of.
-                    Ok(None) => return,
-                    Ok(sticks) => sticks,
-                    Err(()) => None,
-                },
-                _ => return core.refusals.not_parsed += 1,
-            },
-            _ => return,
+        let sticks = if let Some(m) = core.read(packet) {
+            joystick(&m, core.id.system).ok_or(())
+        } else if let Some(m) = core.read(packet)
+            && let Some(sticks) = channels(&m).transpose()
+        {
+            sticks
+        } else {
+            // Also where all four are given back to a receiver that there is not: the sticks are let go of.
+            return;
         };
         match sticks {
-            None => core.refusals.setpoint_value += 1,
-            Some(sticks) => {
-                if !core.take_sticks(source, sticks) {
-                    core.refusals.setpoint_foreign += 1;
-                }
-            }
+            Err(()) => core.refusals.setpoint_value += 1,
+            Ok(sticks) if !core.take_sticks(source, sticks) => core.refusals.setpoint_foreign += 1,
+            Ok(_) => {}
         }
     }
 }

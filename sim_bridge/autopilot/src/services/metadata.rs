@@ -3,7 +3,7 @@
 
 use crate::core::Core;
 use crate::files::{FileSystem, crc32};
-use crate::service::{Build, Produced, Service};
+use crate::service::{Produced, Service};
 use crate::services::events::definitions;
 use crate::vehicle_parameters::{ParameterInfo, ParameterValue, parameter_table};
 use serde::Serialize;
@@ -26,11 +26,13 @@ impl Service for Metadata {
     }
 
     fn messages(&self) -> &'static [Produced] {
-        &[Produced {
-            id: COMPONENT_METADATA_DATA::ID,
-            rate_hz: [0.0; 3],
-            build: Build::From(component_metadata),
-        }]
+        const {
+            &[Produced::from(
+                COMPONENT_METADATA_DATA::ID,
+                [0.0; 3],
+                component_metadata,
+            )]
+        }
     }
 }
 

@@ -3,10 +3,10 @@
 use crate::core::Core;
 use crate::flight::FlightMode;
 use crate::plan::PlanKind;
-use crate::service::{Answer, Build, Produced, Service, Source};
+use crate::service::{Answer, Produced, Service, Source};
 use crate::services::arming::answer;
 use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{MISSION_CURRENT_DATA, MISSION_ITEM_REACHED_DATA, MISSION_SET_CURRENT_DATA, MavSeverity};
+use vigil_mavlink::common::{MISSION_CURRENT_DATA, MISSION_ITEM_REACHED_DATA, MISSION_SET_CURRENT_DATA};
 use vigil_mavlink::framing::{Command, Packet};
 use vigil_mavlink::mavlink::MessageData;
 
@@ -17,14 +17,11 @@ pub(crate) struct MissionService;
 
 impl Service for MissionService {
     fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
-        if packet.message_id() == MISSION_SET_CURRENT_DATA::ID {
-            let byte = |at: usize| packet.payload().get(at).copied().unwrap_or(0);
-            let index = usize::from(u16::from_le_bytes([byte(0), byte(1)]));
-            if !set_current(index, core) {
-                core.refusals.plan += 1;
-                let text = format!("there is no mission item {index}");
-                core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
-            }
+        if let Some(MISSION_SET_CURRENT_DATA { seq, .. }) = core.read(packet)
+            && !set_current(usize::from(seq), core)
+        {
+            core.refusals.plan += 1;
+            core.warn(&format!("there is no mission item {seq}"));
         }
     }
 
@@ -54,18 +51,12 @@ impl Service for MissionService {
     }
 
     fn messages(&self) -> &'static [Produced] {
-        &[
-            Produced {
-                id: MISSION_CURRENT_DATA::ID,
-                rate_hz: [0.0, 1.0, 1.0],
-                build: Build::From(current),
-            },
-            Produced {
-                id: MISSION_ITEM_REACHED_DATA::ID,
-                rate_hz: [0.0, 1.0, 1.0],
-                build: Build::From(reached),
-            },
-        ]
+        const {
+            &[
+                Produced::from(MISSION_CURRENT_DATA::ID, [0.0, 1.0, 1.0], current),
+                Produced::from(MISSION_ITEM_REACHED_DATA::ID, [0.0, 1.0, 1.0], reached),
+            ]
+        }
     }
 }
 

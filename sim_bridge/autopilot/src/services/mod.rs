@@ -41,30 +41,39 @@ mod time;
 mod version;
 mod vibration;
 
-use crate::service::Service;
+use crate::service::{Produced, Service};
 
 pub(crate) use actions::BELOW_HOME_M;
 pub(crate) use intervals::message_interval;
+
+/// Messages that are built of what all services share, and nothing else.
+struct Telemetry(&'static [Produced]);
+
+impl Service for Telemetry {
+    fn messages(&self) -> &'static [Produced] {
+        self.0
+    }
+}
 
 /// Every service: a new one needs its line here. Commands are offered in this order; a message goes to all.
 pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
     vec![
         Box::<setpoints::SetpointService>::default(),
         Box::new(manual::Manual),
-        Box::new(state::State),
-        Box::new(attitude::Attitude),
-        Box::new(position::Position),
-        Box::new(sensors::SensorReadings),
-        Box::new(ranges::Ranges),
+        Box::new(Telemetry(state::MESSAGES)),
+        Box::new(Telemetry(attitude::MESSAGES)),
+        Box::new(Telemetry(position::MESSAGES)),
+        Box::new(Telemetry(sensors::MESSAGES)),
+        Box::new(Telemetry(ranges::MESSAGES)),
         Box::<actuators::Actuators>::default(),
-        Box::new(estimator::Estimator),
+        Box::new(Telemetry(estimator::MESSAGES)),
         Box::<vibration::Vibration>::default(),
         Box::<flight_information::FlightInformation>::default(),
-        Box::new(absent::Absent),
+        Box::new(Telemetry(absent::MESSAGES)),
         Box::new(ground_truth::GroundTruth),
         Box::new(failures::Failures),
-        Box::new(battery::Battery),
-        Box::new(health::Health),
+        Box::new(Telemetry(battery::MESSAGES)),
+        Box::new(Telemetry(health::MESSAGES)),
         Box::new(geography::Geography),
         Box::new(arming::Arming),
         Box::new(actions::Actions),
@@ -85,7 +94,7 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(time::Time),
         Box::<link_status::LinkStatus>::default(),
         Box::new(modes::Modes),
-        Box::new(version::Version),
+        Box::new(Telemetry(version::MESSAGES)),
         Box::new(signing::SigningService),
     ]
 }

@@ -2,7 +2,7 @@
 
 use crate::core::Core;
 use crate::flight::FlightMode;
-use crate::service::{Answer, Build, Produced, Service, Source};
+use crate::service::{Answer, Produced, Service, Source};
 use crate::services::arming::answer;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
@@ -40,23 +40,13 @@ impl Service for Modes {
     }
 
     fn messages(&self) -> &'static [Produced] {
-        &[
-            Produced {
-                id: AVAILABLE_MODES_DATA::ID,
-                rate_hz: [0.0; 3],
-                build: Build::From(first),
-            },
-            Produced {
-                id: CURRENT_MODE_DATA::ID,
-                rate_hz: [0.0, 0.5, 0.5],
-                build: Build::From(current),
-            },
-            Produced {
-                id: AVAILABLE_MODES_MONITOR_DATA::ID,
-                rate_hz: [0.0, 0.3, 0.3],
-                build: Build::From(monitor),
-            },
-        ]
+        const {
+            &[
+                Produced::from(AVAILABLE_MODES_DATA::ID, [0.0; 3], first),
+                Produced::from(CURRENT_MODE_DATA::ID, [0.0, 0.5, 0.5], current),
+                Produced::from(AVAILABLE_MODES_MONITOR_DATA::ID, [0.0, 0.3, 0.3], monitor),
+            ]
+        }
     }
 
     /// Parameter 2 is the index from 1, or 0 for all of them.

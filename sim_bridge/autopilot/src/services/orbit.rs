@@ -3,7 +3,7 @@
 use crate::core::Core;
 use crate::flight::{Facing, Orbit};
 use crate::geo;
-use crate::service::{Answer, Build, Produced, Service, Source};
+use crate::service::{Answer, Produced, Service, Source};
 use crate::services::{actions, arming::answer};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{MavFrame, ORBIT_EXECUTION_STATUS_DATA};
@@ -27,11 +27,7 @@ impl Service for OrbitService {
     }
 
     fn messages(&self) -> &'static [Produced] {
-        &[Produced {
-            id: ORBIT_EXECUTION_STATUS_DATA::ID,
-            rate_hz: [0.0, 2.0, 2.0],
-            build: Build::From(status),
-        }]
+        const { &[Produced::from(ORBIT_EXECUTION_STATUS_DATA::ID, [0.0, 2.0, 2.0], status)] }
     }
 }
 

@@ -4,7 +4,6 @@
 use crate::core::Core;
 use crate::services::parameters::value_message;
 use crate::vehicle_parameters::{ParameterValue, Parameters};
-use vigil_mavlink::common::MavSeverity;
 
 /// Longest file that is taken: all parameters with their defaults are far below it.
 pub(super) const MAX_STORED: usize = 65_536;
@@ -130,8 +129,7 @@ pub(super) fn store(file: &[u8], core: &mut Core) -> Result<(), ()> {
             Ok(())
         });
     if let Err(why) = outcome {
-        let text = format!("parameter file refused: {why}");
-        core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+        core.warn(&format!("parameter file refused: {why}"));
         return Err(());
     }
     let before = std::mem::replace(&mut core.parameters, parameters);

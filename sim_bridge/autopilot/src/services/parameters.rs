@@ -10,11 +10,10 @@ use crate::service::{Service, Source};
 use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
-    MavParamError, MavParamType, MavSeverity, PARAM_ERROR_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,
-    PARAM_SET_DATA, PARAM_VALUE_DATA,
+    MavParamError, MavParamType, PARAM_ERROR_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA,
+    PARAM_VALUE_DATA,
 };
 use vigil_mavlink::framing::Packet;
-use vigil_mavlink::mavlink::MessageData;
 use vigil_mavlink::mavlink::types::CharArray;
 use vigil_types::Nanos;
 
@@ -39,47 +38,34 @@ pub(crate) struct ParameterService {
 
 impl Service for ParameterService {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        let ids = [
-            PARAM_REQUEST_LIST_DATA::ID,
-            PARAM_REQUEST_READ_DATA::ID,
-            PARAM_SET_DATA::ID,
-        ];
-        if !ids.contains(&packet.message_id()) {
-            return;
-        }
-        match packet.message() {
-            Ok(MavMessage::PARAM_REQUEST_LIST(_)) => {
-                core.outbox.send(source.link, &hash_message(core));
-                self.begin_list(source.link, core.now_ns);
-            }
-            Ok(MavMessage::PARAM_REQUEST_READ(m)) if m.param_index < 0 && m.param_id.to_str() == Ok(HASH_CHECK) => {
-                core.outbox.send(source.link, &hash_message(core));
-            }
-            Ok(MavMessage::PARAM_SET(m)) if m.param_id.to_str() == Ok(HASH_CHECK) => {
-                if m.param_value.to_bits() == hash(core) {
-                    self.listings.retain(|l| l.link != source.link);
-                }
-                core.outbox.send(source.link, &hash_message(core));
-            }
-            Ok(MavMessage::PARAM_REQUEST_READ(m)) => {
-                let index = match usize::try_from(m.param_index) {
-                    Ok(index) => Some(index),
-                    // −1: by name.
-                    Err(_) => m.param_id.to_str().ok().and_then(Parameters::index_of),
-                };
-                match index.and_then(|index| value_message(core, index)) {
-                    Some(message) => core.outbox.send(source.link, &message),
-                    None => refuse(
-                        core,
-                        source,
-                        m.param_id,
-                        m.param_index,
-                        MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
-                    ),
+        if core.read::<PARAM_REQUEST_LIST_DATA>(packet).is_some() {
+            core.outbox.send(source.link, &hash_message(core));
+            self.listings.retain(|l| l.link != source.link);
+            let link = source.link;
+            self.listings.push(Listing { link, next: 0 });
+            self.due_ns = core.now_ns;
+        } else if let Some(m) = core.read::<PARAM_REQUEST_READ_DATA>(packet) {
+            let by_name = m.param_id.to_str().ok().filter(|_| m.param_index < 0);
+            let index = match by_name {
+                Some(HASH_CHECK) => return core.outbox.send(source.link, &hash_message(core)),
+                Some(name) => Parameters::index_of(name),
+                None => usize::try_from(m.param_index).ok(),
+            };
+            match index.and_then(|index| value_message(core, index)) {
+                Some(message) => core.outbox.send(source.link, &message),
+                None => {
+                    let error = MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST;
+                    refuse(core, source, m.param_id, m.param_index, error);
                 }
             }
-            Ok(MavMessage::PARAM_SET(m)) => set(&m, source, core),
-            _ => core.refusals.not_parsed += 1,
+        } else if let Some(m) = core.read::<PARAM_SET_DATA>(packet) {
+            if m.param_id.to_str() != Ok(HASH_CHECK) {
+                return set(&m, source, core);
+            }
+            if m.param_value.to_bits() == hash(core) {
+                self.listings.retain(|l| l.link != source.link);
+            }
+            core.outbox.send(source.link, &hash_message(core));
         }
     }
 
@@ -100,14 +86,6 @@ impl Service for ParameterService {
             listing.next += 1;
         }
         self.listings.retain(|l| l.next < Parameters::count());
-    }
-}
-
-impl ParameterService {
-    fn begin_list(&mut self, link: LinkId, now_ns: Nanos) {
-        self.listings.retain(|l| l.link != link);
-        self.listings.push(Listing { link, next: 0 });
-        self.due_ns = now_ns;
     }
 }
 
@@ -198,5 +176,5 @@ fn set(m: &PARAM_SET_DATA, source: Source, core: &mut Core) {
     if let Some(message) = message {
         core.outbox.send(source.link, &message);
     }
-    core.text(MavSeverity::MAV_SEVERITY_WARNING, &error.to_string());
+    core.warn(&error.to_string());
 }

@@ -11,7 +11,7 @@ use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
     MISSION_ACK_DATA, MISSION_CLEAR_ALL_DATA, MISSION_COUNT_DATA, MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA,
     MISSION_REQUEST_DATA, MISSION_REQUEST_INT_DATA, MISSION_REQUEST_LIST_DATA, MISSION_REQUEST_PARTIAL_LIST_DATA,
-    MISSION_WRITE_PARTIAL_LIST_DATA, MavMissionResult, MavMissionType, MavSeverity,
+    MISSION_WRITE_PARTIAL_LIST_DATA, MavMissionResult, MavMissionType,
 };
 use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::MessageData;
@@ -72,8 +72,7 @@ fn acknowledge(core: &mut Core, source: Source, mission_type: u8, result: MavMis
 /// Refuses a plan with a reason.
 fn refuse(core: &mut Core, source: Source, kind: PlanKind, result: MavMissionResult, reason: &str) {
     acknowledge(core, source, kind.wire() as u8, result);
-    let text = format!("{} refused: {reason}", kind.name());
-    core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+    core.warn(&format!("{} refused: {reason}", kind.name()));
 }
 
 fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>) -> Result<(), PlanDefect> {
@@ -81,8 +80,7 @@ fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>) -> Result<(), 
     match kind {
         PlanKind::Mission => core.mission_changed(),
         PlanKind::Fence if core.plans.fence.has_empty_circle() => {
-            let text = "geofence: a circle of radius 0 holds nothing";
-            core.text(MavSeverity::MAV_SEVERITY_WARNING, text);
+            core.warn("geofence: a circle of radius 0 holds nothing");
         }
         PlanKind::Fence | PlanKind::Rally => {}
     }

@@ -4,7 +4,7 @@ use crate::core::Core;
 use crate::flight::{FlightMode, position_target};
 use crate::geo;
 use crate::plan::MissionItem;
-use crate::service::{Build, Produced, Service};
+use crate::service::Produced;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
     ALTITUDE_DATA, GLOBAL_POSITION_INT_DATA, LOCAL_POSITION_NED_DATA, MavEstimatorType, MavFrame, ODOMETRY_DATA,
@@ -13,50 +13,15 @@ use vigil_mavlink::common::{
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::{Attitude, NedVector};
 
-pub(crate) struct Position;
-
-impl Service for Position {
-    fn messages(&self) -> &'static [Produced] {
-        &[
-            Produced {
-                id: LOCAL_POSITION_NED_DATA::ID,
-                rate_hz: [50.0, 30.0, 10.0],
-                build: Build::From(local_position),
-            },
-            Produced {
-                id: GLOBAL_POSITION_INT_DATA::ID,
-                rate_hz: [5.0, 10.0, 5.0],
-                build: Build::From(global_position),
-            },
-            Produced {
-                id: VFR_HUD_DATA::ID,
-                rate_hz: [0.0, 5.0, 5.0],
-                build: Build::From(heads_up_display),
-            },
-            Produced {
-                id: ALTITUDE_DATA::ID,
-                rate_hz: [0.0, 5.0, 2.0],
-                build: Build::From(altitude),
-            },
-            Produced {
-                id: ODOMETRY_DATA::ID,
-                rate_hz: [0.0, 10.0, 0.0],
-                build: Build::From(odometry),
-            },
-            Produced {
-                id: POSITION_TARGET_LOCAL_NED_DATA::ID,
-                rate_hz: [0.0, 5.0, 2.0],
-                build: Build::From(target),
-            },
-            Produced {
-                id: POSITION_TARGET_GLOBAL_INT_DATA::ID,
-                // On request.
-                rate_hz: [0.0; 3],
-                build: Build::From(global_target),
-            },
-        ]
-    }
-}
+pub(super) const MESSAGES: &[Produced] = &[
+    Produced::from(LOCAL_POSITION_NED_DATA::ID, [50.0, 30.0, 10.0], local_position),
+    Produced::from(GLOBAL_POSITION_INT_DATA::ID, [5.0, 10.0, 5.0], global_position),
+    Produced::from(VFR_HUD_DATA::ID, [0.0, 5.0, 5.0], heads_up_display),
+    Produced::from(ALTITUDE_DATA::ID, [0.0, 5.0, 2.0], altitude),
+    Produced::from(ODOMETRY_DATA::ID, [0.0, 10.0, 0.0], odometry),
+    Produced::from(POSITION_TARGET_LOCAL_NED_DATA::ID, [0.0, 5.0, 2.0], target),
+    Produced::from(POSITION_TARGET_GLOBAL_INT_DATA::ID, [0.0; 3], global_target),
+];
 
 /// Heading in degrees, 0 to 360.
 pub(super) fn heading_deg(attitude: Attitude) -> f32 {

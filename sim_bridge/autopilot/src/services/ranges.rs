@@ -2,7 +2,7 @@
 //! <https://mavlink.io/en/messages/common.html#OBSTACLE_DISTANCE>.
 
 use crate::core::{Core, ZoneRanges};
-use crate::service::{Build, Produced, Service};
+use crate::service::Produced;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{MavDistanceSensor, MavFrame, OBSTACLE_DISTANCE_DATA};
 use vigil_mavlink::mavlink::MessageData;
@@ -11,17 +11,9 @@ use vigil_types::RANGE_SECTORS;
 const UNKNOWN: u16 = u16::MAX;
 const LEAST_CM: u16 = 1;
 
-pub(crate) struct Ranges;
-
-impl Service for Ranges {
-    fn messages(&self) -> &'static [Produced] {
-        &[Produced {
-            id: OBSTACLE_DISTANCE_DATA::ID,
-            rate_hz: [15.0, 0.0, 0.0],
-            build: Build::From(|core| core.ranges.as_ref().map(|ranges| message(core, ranges))),
-        }]
-    }
-}
+pub(super) const MESSAGES: &[Produced] = &[Produced::from(OBSTACLE_DISTANCE_DATA::ID, [15.0, 0.0, 0.0], |core| {
+    core.ranges.as_ref().map(|ranges| message(core, ranges))
+})];
 
 fn message(core: &Core, ranges: &ZoneRanges) -> MavMessage {
     let farthest_cm = (ranges.farthest_m * 100.0) as u16;

@@ -3,7 +3,7 @@
 use crate::core::Core;
 use crate::flight::SensorFault;
 use crate::geo;
-use crate::service::{Build, Produced, Service};
+use crate::service::Produced;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
     GPS_RAW_INT_DATA, GpsFixType, HIGHRES_IMU_DATA, HighresImuUpdatedFlags as Updated, RAW_IMU_DATA, SCALED_IMU_DATA,
@@ -18,39 +18,13 @@ const FIELD_NED_GAUSS: [f32; 3] = [0.215, 0.012, 0.430];
 const TEMPERATURE_C: f32 = 20.0;
 const STANDARD_GRAVITY_M_S2: f32 = 9.806_65;
 
-pub(crate) struct SensorReadings;
-
-impl Service for SensorReadings {
-    fn messages(&self) -> &'static [Produced] {
-        &[
-            Produced {
-                id: HIGHRES_IMU_DATA::ID,
-                rate_hz: [0.0, 20.0, 0.0],
-                build: Build::From(imu),
-            },
-            Produced {
-                id: SCALED_PRESSURE_DATA::ID,
-                rate_hz: [0.0, 1.0, 1.0],
-                build: Build::From(pressure),
-            },
-            Produced {
-                id: SCALED_IMU_DATA::ID,
-                rate_hz: [0.0; 3],
-                build: Build::From(scaled_imu),
-            },
-            Produced {
-                id: RAW_IMU_DATA::ID,
-                rate_hz: [0.0; 3],
-                build: Build::From(raw_imu),
-            },
-            Produced {
-                id: GPS_RAW_INT_DATA::ID,
-                rate_hz: [1.0, 5.0, 1.0],
-                build: Build::From(gps),
-            },
-        ]
-    }
-}
+pub(super) const MESSAGES: &[Produced] = &[
+    Produced::from(HIGHRES_IMU_DATA::ID, [0.0, 20.0, 0.0], imu),
+    Produced::from(SCALED_PRESSURE_DATA::ID, [0.0, 1.0, 1.0], pressure),
+    Produced::from(SCALED_IMU_DATA::ID, [0.0; 3], scaled_imu),
+    Produced::from(RAW_IMU_DATA::ID, [0.0; 3], raw_imu),
+    Produced::from(GPS_RAW_INT_DATA::ID, [1.0, 5.0, 1.0], gps),
+];
 
 /// Pressure of the standard atmosphere in hPa at a height above sea level.
 fn pressure_hpa(altitude_m: f64) -> f32 {

@@ -4,16 +4,15 @@ use crate::core::Core;
 use crate::flight::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
 use crate::service::{Service, Source};
 use crate::services::BELOW_HOME_M;
-use crate::vehicle::{ControlCommand, YawCommand};
+use crate::vehicle::ControlCommand;
 use crate::vehicle_parameters::ParamId;
-use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
-    MavSeverity, SET_ACTUATOR_CONTROL_TARGET_DATA, SET_ATTITUDE_TARGET_DATA, SET_POSITION_TARGET_GLOBAL_INT_DATA,
+    SET_ACTUATOR_CONTROL_TARGET_DATA, SET_ATTITUDE_TARGET_DATA, SET_POSITION_TARGET_GLOBAL_INT_DATA,
     SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::MessageData;
-use vigil_types::{Nanos, NedVector};
+use vigil_types::Nanos;
 
 /// Claimants and new reasons of refusals are told of this often at most: there may be any number of made-up ones.
 const TOLD_NS: Nanos = 1_000_000_000;
@@ -21,11 +20,6 @@ const TOLD_NS: Nanos = 1_000_000_000;
 const REPEATED_NS: Nanos = 5_000_000_000;
 /// Where both messages of positions have their frame.
 const FRAME_AT: usize = 52;
-/// What is flown in place of [`SetpointDefect::is_held`].
-const HELD: ControlCommand = ControlCommand::VelocityNed {
-    velocity_m_s: NedVector::ZERO,
-    yaw: YawCommand::Hold,
-};
 
 #[derive(Default)]
 pub(crate) struct SetpointService {
@@ -49,8 +43,7 @@ impl SetpointService {
         });
         if is_due {
             self.refusal = Some((core.now_ns, source, defect));
-            let text = format!("setpoints of {}: {defect}", source.id);
-            core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+            core.warn(&format!("setpoints of {}: {defect}", source.id));
         }
     }
 
@@ -63,46 +56,38 @@ impl SetpointService {
         };
         if down_m > BELOW_HOME_M && core.now_ns >= self.ground_next_ns {
             self.ground_next_ns = core.now_ns + REPEATED_NS;
-            let text = format!("setpoints of {}: {down_m:.0} m below home", source.id);
-            core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+            core.warn(&format!("setpoints of {}: {down_m:.0} m below home", source.id));
         }
     }
 }
 
 impl Service for SetpointService {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        let ids = [
-            SET_POSITION_TARGET_LOCAL_NED_DATA::ID,
-            SET_POSITION_TARGET_GLOBAL_INT_DATA::ID,
-            SET_ATTITUDE_TARGET_DATA::ID,
-            SET_ACTUATOR_CONTROL_TARGET_DATA::ID,
-        ];
-        if !ids.contains(&packet.message_id()) {
-            return;
-        }
         let speed_limit_m_s = core.param(ParamId::MaxSpeedMS);
         let heading_rad = core.view.estimate.attitude.yaw_rad();
-        let command = match packet.message() {
-            Ok(MavMessage::SET_POSITION_TARGET_LOCAL_NED(m)) => position_setpoint(&m, speed_limit_m_s, heading_rad),
-            Ok(MavMessage::SET_POSITION_TARGET_GLOBAL_INT(m)) => global_setpoint(&m, &core.home, speed_limit_m_s),
-            Ok(MavMessage::SET_ATTITUDE_TARGET(m)) => attitude_setpoint(&m),
-            _ if packet.message_id() == SET_ACTUATOR_CONTROL_TARGET_DATA::ID => Err(SetpointDefect::Actuators),
-            // What is not parsed is a frame that the protocol does not have.
-            _ => {
-                core.refusals.not_parsed += 1;
-                Err(SetpointDefect::Frame(
-                    packet.payload().get(FRAME_AT).copied().unwrap_or(0),
-                ))
+        // What is not parsed is a frame that the protocol does not have.
+        let no_frame = SetpointDefect::Frame(packet.payload().get(FRAME_AT).copied().unwrap_or(0));
+        let command = match packet.message_id() {
+            SET_POSITION_TARGET_LOCAL_NED_DATA::ID => {
+                let read = core.read(packet);
+                read.map(|m| position_setpoint(&m, speed_limit_m_s, heading_rad))
             }
+            SET_POSITION_TARGET_GLOBAL_INT_DATA::ID => {
+                let read = core.read(packet);
+                read.map(|m| global_setpoint(&m, &core.home, speed_limit_m_s))
+            }
+            SET_ATTITUDE_TARGET_DATA::ID => core.read(packet).map(|m| attitude_setpoint(&m)),
+            SET_ACTUATOR_CONTROL_TARGET_DATA::ID => Some(Err(SetpointDefect::Actuators)),
+            _ => return,
         };
-        let command = match command {
+        let command = match command.unwrap_or(Err(no_frame)) {
             Ok(command) => command,
             Err(defect) => {
                 self.refuse(defect, source, core);
                 if !defect.is_held() {
                     return;
                 }
-                HELD
+                ControlCommand::STOP
             }
         };
         self.warn_of_ground(&command, source, core);
@@ -119,7 +104,7 @@ impl Service for SetpointService {
                         true => format!("setpoints of a second {source} ignored"),
                         false => format!("setpoints of {} ignored: owner {}", source.id, owner.id),
                     };
-                    core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+                    core.warn(&text);
                 }
             }
         }

@@ -14,7 +14,6 @@ use std::fmt::Write;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{SERIAL_CONTROL_DATA, SerialControlDev, SerialControlFlag};
 use vigil_mavlink::framing::Packet;
-use vigil_mavlink::mavlink::MessageData;
 
 /// Bytes of a packet.
 const CHUNK: usize = 70;
@@ -47,11 +46,7 @@ pub(crate) struct Shell {
 
 impl Service for Shell {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        if packet.message_id() != SERIAL_CONTROL_DATA::ID {
-            return;
-        }
-        let Ok(MavMessage::SERIAL_CONTROL(message)) = packet.message() else {
-            core.refusals.not_parsed += 1;
+        let Some(message) = core.read::<SERIAL_CONTROL_DATA>(packet) else {
             return;
         };
         let flags = message.flags;

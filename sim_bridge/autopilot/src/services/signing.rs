@@ -3,20 +3,14 @@
 
 use crate::core::{Core, SigningSetup};
 use crate::service::{Service, Source};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{MavSeverity, SETUP_SIGNING_DATA};
+use vigil_mavlink::common::SETUP_SIGNING_DATA;
 use vigil_mavlink::framing::Packet;
-use vigil_mavlink::mavlink::MessageData;
 
 pub(crate) struct SigningService;
 
 impl Service for SigningService {
     fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
-        if packet.message_id() != SETUP_SIGNING_DATA::ID {
-            return;
-        }
-        let Ok(MavMessage::SETUP_SIGNING(m)) = packet.message() else {
-            core.refusals.not_parsed += 1;
+        let Some(m) = core.read::<SETUP_SIGNING_DATA>(packet) else {
             return;
         };
         // To everybody or to another system: a key is given to one component.
@@ -24,16 +18,13 @@ impl Service for SigningService {
             return;
         }
         if m.secret_key == [0; 32] {
-            core.text(
-                MavSeverity::MAV_SEVERITY_WARNING,
-                "signing stays on: remove it at the vehicle's start",
-            );
+            core.warn("signing stays on: remove it at the vehicle's start");
             return;
         }
         core.signing_setup = Some(SigningSetup {
             key: m.secret_key,
             initial_timestamp: m.initial_timestamp,
         });
-        core.text(MavSeverity::MAV_SEVERITY_INFO, "signing key accepted");
+        core.inform("signing key accepted");
     }
 }

@@ -3,7 +3,7 @@
 
 use crate::core::Core;
 use crate::flight::LandedState;
-use crate::service::{Build, Produced, Service};
+use crate::service::Produced;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
     EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA, MavAutopilot, MavLandedState, MavModeFlag, MavState, MavType,
@@ -11,29 +11,11 @@ use vigil_mavlink::common::{
 };
 use vigil_mavlink::mavlink::MessageData;
 
-pub(crate) struct State;
-
-impl Service for State {
-    fn messages(&self) -> &'static [Produced] {
-        &[
-            Produced {
-                id: HEARTBEAT_DATA::ID,
-                rate_hz: [1.0, 1.0, 1.0],
-                build: Build::From(heartbeat),
-            },
-            Produced {
-                id: EXTENDED_SYS_STATE_DATA::ID,
-                rate_hz: [5.0, 5.0, 1.0],
-                build: Build::From(extended_sys_state),
-            },
-            Produced {
-                id: NAMED_VALUE_FLOAT_DATA::ID,
-                rate_hz: [1.0, 1.0, 1.0],
-                build: Build::From(setpoint_owner),
-            },
-        ]
-    }
-}
+pub(super) const MESSAGES: &[Produced] = &[
+    Produced::from(HEARTBEAT_DATA::ID, [1.0, 1.0, 1.0], heartbeat),
+    Produced::from(EXTENDED_SYS_STATE_DATA::ID, [5.0, 5.0, 1.0], extended_sys_state),
+    Produced::from(NAMED_VALUE_FLOAT_DATA::ID, [1.0, 1.0, 1.0], setpoint_owner),
+];
 
 fn heartbeat(core: &Core) -> Option<MavMessage> {
     let c = &core.commander;

@@ -3,7 +3,6 @@
 
 use crate::core::Core;
 use crate::service::{Answer, Service, Source};
-use vigil_mavlink::common::MavSeverity;
 use vigil_mavlink::framing::Command;
 
 const PREFLIGHT_STORAGE: u16 = 245;
@@ -24,7 +23,7 @@ impl Service for Storage {
 
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
         if core.commander.is_armed() {
-            core.text(MavSeverity::MAV_SEVERITY_WARNING, "parameter storage denied: armed");
+            core.warn("parameter storage denied: armed");
             return Answer::REJECTED;
         }
         match command.param(1) {
@@ -32,7 +31,7 @@ impl Service for Storage {
             Some(READ | WRITE | RESET_CALIBRATION) => Answer::ACCEPTED,
             Some(RESET | RESET_ALL) => {
                 core.parameters.reset();
-                core.text(MavSeverity::MAV_SEVERITY_INFO, "parameters reset to their defaults");
+                core.inform("parameters reset to their defaults");
                 Answer::ACCEPTED
             }
             _ => Answer::DENIED,

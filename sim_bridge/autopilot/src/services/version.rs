@@ -1,7 +1,7 @@
 //! AUTOPILOT_VERSION and PROTOCOL_VERSION: who this is and what it can do.
 
 use crate::core::Core;
-use crate::service::{Build, Produced, Service};
+use crate::service::Produced;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{AUTOPILOT_VERSION_DATA, MavProtocolCapability as Capability, PROTOCOL_VERSION_DATA};
 use vigil_mavlink::mavlink::MessageData;
@@ -9,24 +9,10 @@ use vigil_mavlink::mavlink::MessageData;
 /// The PX4 whose answers are given: 1.18.0, a release (255).
 const DIALECT_OF_PX4: u32 = 1 << 24 | 18 << 16 | 255;
 
-pub(crate) struct Version;
-
-impl Service for Version {
-    fn messages(&self) -> &'static [Produced] {
-        &[
-            Produced {
-                id: AUTOPILOT_VERSION_DATA::ID,
-                rate_hz: [0.0; 3],
-                build: Build::From(autopilot_version),
-            },
-            Produced {
-                id: PROTOCOL_VERSION_DATA::ID,
-                rate_hz: [0.0; 3],
-                build: Build::From(protocol_version),
-            },
-        ]
-    }
-}
+pub(super) const MESSAGES: &[Produced] = &[
+    Produced::from(AUTOPILOT_VERSION_DATA::ID, [0.0; 3], autopilot_version),
+    Produced::from(PROTOCOL_VERSION_DATA::ID, [0.0; 3], protocol_version),
+];
 
 /// Vigil's own version as MAVLink packs one: major, minor, patch, type.
 fn own_version() -> u32 {

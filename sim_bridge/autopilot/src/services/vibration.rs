@@ -2,7 +2,7 @@
 
 use crate::LinkId;
 use crate::core::Core;
-use crate::service::{Build, Produced, Service};
+use crate::service::{Produced, Service};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::VIBRATION_DATA;
 use vigil_mavlink::mavlink::MessageData;
@@ -22,11 +22,7 @@ pub(crate) struct Vibration {
 
 impl Service for Vibration {
     fn messages(&self) -> &'static [Produced] {
-        &[Produced {
-            id: VIBRATION_DATA::ID,
-            rate_hz: [0.0, 0.5, 0.5],
-            build: Build::Stateful,
-        }]
+        const { &[Produced::stateful(VIBRATION_DATA::ID, [0.0, 0.5, 0.5])] }
     }
 
     fn produce(&self, _message_id: u32, _link: LinkId, core: &Core) -> Option<MavMessage> {

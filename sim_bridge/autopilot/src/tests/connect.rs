@@ -2,21 +2,12 @@
 
 use crate::testing::*;
 use crate::tests::plans::{MISSION, item, waypoint};
-use crate::{FlightMode, LandedState, ParameterRole, ParameterValue, parameter_table};
-use vigil_mavlink::MavMessage;
+use crate::{FlightMode, LandedState, ParameterInfo, ParameterRole, ParameterValue, parameter_table};
 use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::MessageData;
+use vigil_mavlink::mavlink::{Message, MessageData};
 
 fn request(b: &mut Bench, id: u32, index: f32) -> u8 {
-    b.command_long(API, SCRIPT, 512, [id as f32, index, 0.0, 0.0, 0.0, 0.0, 0.0])
-}
-
-fn modes(b: &Bench) -> Vec<AVAILABLE_MODES_DATA> {
-    let modes = b.messages(API).filter_map(|m| match m {
-        MavMessage::AVAILABLE_MODES(m) => Some(m.clone()),
-        _ => None,
-    });
-    modes.collect()
+    b.ask(512, &[id as f32, index])
 }
 
 #[test]
@@ -25,75 +16,37 @@ fn a_station_learns_which_modes_there_are_and_sets_one_by_its_standard_number() 
     let mut b = Bench::new();
     b.sent.clear();
     assert_eq!(request(&mut b, AVAILABLE_MODES, 0.0), ACCEPTED);
-    let all = modes(&b);
+    let all = b.all::<AVAILABLE_MODES_DATA>(API);
     assert_eq!(all.len(), usize::from(all[0].number_modes));
     let indices: Vec<u8> = all.iter().map(|m| m.mode_index).collect();
     assert_eq!(indices, (1..=all[0].number_modes).collect::<Vec<_>>());
-    let find = |name: &str| {
-        all.iter()
-            .find(|m| m.mode_name.to_str() == Ok(name))
-            .expect(name)
-            .clone()
-    };
-    assert_eq!(
-        find("Position").standard_mode,
-        MavStandardMode::MAV_STANDARD_MODE_POSITION_HOLD
-    );
+    let find = |name: &str| all.iter().find(|m| m.mode_name.to_str() == Ok(name)).expect(name);
+    let position = find("Position").standard_mode;
+    assert_eq!(position, MavStandardMode::MAV_STANDARD_MODE_POSITION_HOLD);
     assert_eq!(find("Offboard").custom_mode, 6 << 16);
-    let orbit = find("Orbit");
-    assert!(
-        orbit
-            .properties
-            .contains(MavModeProperty::MAV_MODE_PROPERTY_NOT_USER_SELECTABLE)
-    );
+    let not_selectable = MavModeProperty::MAV_MODE_PROPERTY_NOT_USER_SELECTABLE;
+    assert!(find("Orbit").properties.contains(not_selectable));
     b.sent.clear();
     assert_eq!(request(&mut b, AVAILABLE_MODES, 3.0), ACCEPTED);
-    assert_eq!(modes(&b).len(), 1);
+    assert_eq!(b.count(API, AVAILABLE_MODES), 1);
     assert_eq!(request(&mut b, AVAILABLE_MODES, 99.0), DENIED);
 
     const SET_STANDARD_MODE: u16 = 262;
-    let params = [
-        MavStandardMode::MAV_STANDARD_MODE_LAND as u8 as f32,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    ];
-    assert_eq!(b.command_long(API, SCRIPT, SET_STANDARD_MODE, params), ACCEPTED);
+    let land = f32::from(MavStandardMode::MAV_STANDARD_MODE_LAND as u8);
+    assert_eq!(b.ask(SET_STANDARD_MODE, &[land]), ACCEPTED);
     assert_eq!(b.status().mode, FlightMode::Land);
-    assert_eq!(
-        b.command_long(API, SCRIPT, SET_STANDARD_MODE, [3.0; 7]),
-        DENIED,
-        "no cruise mode"
-    );
-    let current = b.messages(API).rev().find_map(|m| match m {
-        MavMessage::CURRENT_MODE(m) => Some(m.custom_mode),
-        _ => None,
-    });
+    assert_eq!(b.ask(SET_STANDARD_MODE, &[3.0; 7]), DENIED, "no cruise mode");
+    let current = b.last::<CURRENT_MODE_DATA>(API).map(|m| m.custom_mode);
     assert_eq!(current, Some(FlightMode::Land.custom_mode()), "told at once");
     b.run_ms(4_000);
     assert!(b.count(GCS, AVAILABLE_MODES_MONITOR_DATA::ID) >= 1);
 }
 
-fn hash(b: &Bench) -> u32 {
-    let told = b.messages(API).rev().find_map(|m| match m {
-        MavMessage::PARAM_VALUE(v) if v.param_id.to_str() == Ok("_HASH_CHECK") => Some(v.param_value.to_bits()),
-        _ => None,
-    });
-    told.expect("a hash")
-}
-
 fn read_hash(b: &mut Bench) -> u32 {
-    let message = MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
-        param_index: -1,
-        target_system: 1,
-        target_component: 1,
-        param_id: "_HASH_CHECK".into(),
-    });
-    b.send(API, SCRIPT, &message);
-    hash(b)
+    b.read_parameter("_HASH_CHECK", -1);
+    let told = b.last::<PARAM_VALUE_DATA>(API).expect("told");
+    assert_eq!(told.param_id.to_str(), Ok("_HASH_CHECK"));
+    told.param_value.to_bits()
 }
 
 #[test]
@@ -120,17 +73,13 @@ fn the_hash_of_the_parameters_is_that_of_their_names_and_values_and_ends_a_list(
     b.set_parameter("NAV_ACC_RAD", ParameterValue::Real32(2.0));
     assert_eq!(read_hash(&mut b), before);
 
-    let list = MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
-        target_system: 1,
-        target_component: 1,
-    });
     let values = |b: &Bench| b.count(API, PARAM_VALUE_DATA::ID);
     b.sent.clear();
-    b.send(API, SCRIPT, &list);
+    b.request_parameters();
     b.run_ms(2_000);
     assert_eq!(values(&b), parameter_table().len() + 1, "the hash comes before them");
     b.sent.clear();
-    b.send(API, SCRIPT, &list);
+    b.request_parameters();
     b.run_ms(50);
     b.set_parameter("_HASH_CHECK", ParameterValue::Real32(f32::from_bits(before)));
     b.run_ms(2_000);
@@ -140,50 +89,23 @@ fn the_hash_of_the_parameters_is_that_of_their_names_and_values_and_ends_a_list(
 #[test]
 fn set_up_pages_find_what_they_read_and_cannot_change_what_the_vehicle_is() {
     let mut b = Bench::new();
-    for name in [
-        "SYS_AUTOSTART",
-        "SYS_AUTOCONFIG",
-        "CAL_MAG0_ID",
-        "CAL_GYRO0_ID",
-        "CAL_ACC0_ID",
-        "SENS_BOARD_ROT",
-        "SENS_DPRES_OFF",
-        "RC_MAP_ROLL",
-        "RC_MAP_THROTTLE",
-        "RC_CHAN_CNT",
-        "COM_RC_IN_MODE",
-        "COM_FLTMODE1",
-        "COM_FLTMODE6",
-        "BAT1_N_CELLS",
-        "BAT1_V_EMPTY",
-        "BAT1_V_CHARGED",
-        "BAT_LOW_THR",
-        "COM_LOW_BAT_ACT",
-        "NAV_RCL_ACT",
-        "NAV_DLL_ACT",
-        "COM_RC_LOSS_T",
-        "CP_DIST",
-        "CA_ROTOR_COUNT",
-        "PWM_MAIN_FUNC4",
-        "RTL_LAND_DELAY",
-        "RTL_DESCEND_ALT",
-        "TRIG_MODE",
-        "MNT_MODE_IN",
-    ] {
+    const READ: &str = "SYS_AUTOSTART SYS_AUTOCONFIG CAL_MAG0_ID CAL_GYRO0_ID CAL_ACC0_ID SENS_BOARD_ROT SENS_DPRES_OFF \
+        RC_MAP_ROLL RC_MAP_THROTTLE RC_CHAN_CNT COM_RC_IN_MODE COM_FLTMODE1 COM_FLTMODE6 BAT1_N_CELLS \
+        BAT1_V_EMPTY BAT1_V_CHARGED BAT_LOW_THR COM_LOW_BAT_ACT NAV_RCL_ACT NAV_DLL_ACT COM_RC_LOSS_T \
+        CP_DIST CA_ROTOR_COUNT PWM_MAIN_FUNC4 RTL_LAND_DELAY RTL_DESCEND_ALT TRIG_MODE MNT_MODE_IN";
+    for name in READ.split(' ') {
         assert!(parameter_table().iter().any(|info| info.name == name), "{name}");
     }
     b.sent.clear();
     b.set_parameter("SYS_AUTOSTART", ParameterValue::Int32(10_016));
-    let answers: Vec<_> = b.messages(API).collect();
-    assert!(matches!(
-        answers[0],
-        MavMessage::PARAM_ERROR(PARAM_ERROR_DATA {
-            error: MavParamError::MAV_PARAM_ERROR_READ_ONLY,
-            ..
-        })
-    ));
-    assert!(matches!(answers[1], MavMessage::PARAM_VALUE(v) if v.param_value.to_bits() == 4001));
-    assert!(b.texts().join("|").contains("SYS_AUTOSTART cannot be set"));
+    let answers: Vec<u32> = b.messages(API).map(Message::message_id).take(2).collect();
+    assert_eq!(answers, [PARAM_ERROR_DATA::ID, PARAM_VALUE_DATA::ID]);
+    assert_eq!(
+        b.one::<PARAM_ERROR_DATA>().error,
+        MavParamError::MAV_PARAM_ERROR_READ_ONLY
+    );
+    assert_eq!(b.one::<PARAM_VALUE_DATA>().param_value.to_bits(), 4001);
+    b.assert_told("SYS_AUTOSTART cannot be set");
 }
 
 #[test]
@@ -214,22 +136,16 @@ fn parameters_that_scripts_set_without_asking_are_taken() {
     ] {
         b.set_parameter(name, value);
         let saved = b.endpoint.saved().parameters.get(name).copied();
-        let default = parameter_table()
-            .iter()
-            .find(|info| info.name == name)
-            .map(|info| info.default);
-        assert!(
-            saved.map(|v| v as f32) == Some(value.as_f32()) || default == Some(value),
-            "{name}: {saved:?}"
-        );
+        let is_default = |info: &ParameterInfo| info.name == name && info.default == value;
+        let is_taken = saved.map(|v| v as f32) == Some(value.as_f32()) || parameter_table().iter().any(is_default);
+        assert!(is_taken, "{name}: {saved:?}");
     }
     assert_eq!(b.status().refusals.parameter, refused, "{:?}", b.texts());
     let kept = parameter_table().iter().filter(|info| info.role == ParameterRole::Kept);
     assert!(kept.clone().all(|info| !info.description.is_empty()) && kept.count() > 10);
     // Back to the defaults, unless it is armed.
     const STORAGE: u16 = 245;
-    let storage =
-        |b: &mut Bench, action: f32| b.command_long(API, SCRIPT, STORAGE, [action, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let storage = |b: &mut Bench, action: f32| b.ask(STORAGE, &[action]);
     assert_eq!((storage(&mut b, 1.0), storage(&mut b, 0.0)), (ACCEPTED, ACCEPTED));
     assert!(!b.endpoint.saved().parameters.is_empty());
     assert_eq!(storage(&mut b, 2.0), ACCEPTED);
@@ -247,28 +163,15 @@ fn links_are_pinged_and_their_traffic_is_told() {
         b.run_ms(300);
     }
     assert!((1..=2).contains(&b.count(API, PING_DATA::ID)));
-    let told = |b: &Bench, link| {
-        let status = b.messages(link).rev().find_map(|m| match m {
-            MavMessage::LINK_NODE_STATUS(m) => Some(m.clone()),
-            _ => None,
-        });
-        status.expect("told")
-    };
+    let told = |b: &Bench, link| b.last::<LINK_NODE_STATUS_DATA>(link).expect("told");
     let (api, gcs) = (told(&b, API), told(&b, GCS));
     assert!(api.messages_received >= 38 && gcs.messages_received == 0);
     assert!(api.messages_sent > gcs.messages_sent && api.tx_rate > gcs.tx_rate && api.rx_rate > 0);
     // What is told is what was sent, but for what came in the second since.
-    let bytes: usize = b
-        .sent
-        .iter()
-        .filter(|s| s.link == API && b.now_ns - s.at_ns <= 1_000_000_000)
-        .map(|s| s.raw.len())
-        .sum();
-    assert!(
-        (f64::from(api.tx_rate) / bytes as f64 - 1.0).abs() < 0.2,
-        "{} {bytes}",
-        api.tx_rate
-    );
+    let is_late = |s: &&Sent| s.link == API && b.now_ns - s.at_ns <= 1_000_000_000;
+    let bytes: usize = b.sent.iter().filter(is_late).map(|s| s.raw.len()).sum();
+    let share = f64::from(api.tx_rate) / bytes as f64;
+    assert!((share - 1.0).abs() < 0.2, "{} {bytes}", api.tx_rate);
 }
 
 #[test]
@@ -280,16 +183,11 @@ fn the_truth_is_told_to_scripts_that_ask_and_never_to_the_guidance_computer() {
         assert_eq!(b.command_long(link, from, 511, params), ACCEPTED);
     }
     b.run_ms(1_000);
-    assert_eq!(
-        b.command_long(ONBOARD, COMPANION, 512, [TRUTH as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
-        DENIED
-    );
+    let once = [TRUTH as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    assert_eq!(b.command_long(ONBOARD, COMPANION, 512, once), DENIED);
     assert_eq!(b.count(ONBOARD, TRUTH), 0);
     assert!((49..=51).contains(&b.count(API, TRUTH)));
-    let altitude_mm = b.messages(API).rev().find_map(|m| match m {
-        MavMessage::HIL_STATE_QUATERNION(m) => Some(m.alt),
-        _ => None,
-    });
+    let altitude_mm = b.last::<HIL_STATE_QUATERNION_DATA>(API).map(|m| m.alt);
     let truth_m = 488.0 + b.height_m();
     assert!((altitude_mm.expect("told") as f32 * 1e-3 - truth_m).abs() < 0.01);
 }
@@ -299,15 +197,12 @@ fn a_motor_test_shows_in_the_outputs_for_its_time() {
     const ACTUATOR_TEST: u16 = 310;
     let mut b = Bench::new();
     let test = |b: &mut Bench, output: f32, seconds: f32, motor: f32| {
-        b.command_long(API, SCRIPT, ACTUATOR_TEST, [output, seconds, 0.0, 0.0, motor, 0.0, 0.0])
+        b.ask(ACTUATOR_TEST, &[output, seconds, 0.0, 0.0, motor])
     };
     let outputs = |b: &mut Bench| {
         b.sent.clear();
         b.run_ms(250);
-        let status = b.messages(API).rev().find_map(|m| match m {
-            MavMessage::ACTUATOR_OUTPUT_STATUS(m) => Some(m.actuator),
-            _ => None,
-        });
+        let status = b.last::<ACTUATOR_OUTPUT_STATUS_DATA>(API).map(|m| m.actuator);
         let [a, b, c, d, ..] = status.expect("told");
         [a, b, c, d]
     };
@@ -324,10 +219,7 @@ fn a_motor_test_shows_in_the_outputs_for_its_time() {
     b.arm();
     assert_eq!(test(&mut b, 0.2, 1.0, 1.0), DENIED);
     for set_actuator_and_gripper in [187, 211] {
-        assert_eq!(
-            b.command_long(API, SCRIPT, set_actuator_and_gripper, [0.0; 7]),
-            ACCEPTED
-        );
+        assert_eq!(b.ask(set_actuator_and_gripper, &[]), ACCEPTED);
     }
 }
 
@@ -336,20 +228,15 @@ fn a_parameter_without_a_meaning_is_refused_as_by_px4() {
     let mut b = Bench::airborne();
     let land = |third: f32| [f32::NAN, f32::NAN, third, f32::NAN, f32::NAN, f32::NAN, f32::NAN];
     assert_eq!(b.command_long(API, SCRIPT, 21, land(5.0)), DENIED);
-    assert!(b.texts().join("|").contains("parameter 3 has no meaning"));
+    b.assert_told("parameter 3 has no meaning");
     assert_eq!(b.status().mode, FlightMode::Hold);
-    assert_eq!(
-        b.command_long(API, SCRIPT, 20, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0]),
-        DENIED
-    );
+    assert_eq!(b.ask(20, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0]), DENIED);
     assert_eq!(b.command_long(API, SCRIPT, 21, land(0.0)), ACCEPTED);
 
     let mut strange = waypoint((5.0, 0.0), 3.0);
     strange.params[2] = 1.0;
-    assert_eq!(
-        b.upload(MISSION, &[strange]),
-        MavMissionResult::MAV_MISSION_INVALID_PARAM3
-    );
+    let answer = b.upload(MISSION, &[strange]);
+    assert_eq!(answer, MavMissionResult::MAV_MISSION_INVALID_PARAM3);
     let mut rtl = item(20, [0.0; 4], (0.0, 0.0), 0.0);
     (rtl.frame, rtl.x, rtl.y) = (2, 0, 0);
     rtl.params[0] = 1.0;

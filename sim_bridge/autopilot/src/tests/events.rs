@@ -5,12 +5,7 @@ use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
 
 fn events(b: &Bench, link: crate::LinkId) -> Vec<EVENT_DATA> {
-    b.messages(link)
-        .filter_map(|m| match m {
-            MavMessage::EVENT(e) => Some(e.clone()),
-            _ => None,
-        })
-        .collect()
+    b.all::<EVENT_DATA>(link)
 }
 
 /// Number without the component.
@@ -83,10 +78,7 @@ fn lost_events_are_sent_again_and_too_old_ones_named() {
     // What is kept no longer, and what has not happened yet.
     for sequence in [1, last.sequence + 1] {
         request(&mut b, sequence, sequence);
-        let error = b.messages(API).find_map(|m| match m {
-            MavMessage::RESPONSE_EVENT_ERROR(e) => Some(e.clone()),
-            _ => None,
-        });
+        let error = b.first::<RESPONSE_EVENT_ERROR_DATA>(API);
         let error = error.expect("answered");
         assert_eq!((error.sequence, error.target_system), (sequence, 245));
         assert_eq!(error.sequence_oldest_available, last.sequence - 63);
@@ -104,11 +96,9 @@ fn the_last_sequence_is_told_with_a_reset_at_the_start_only() {
         b
     };
     let told: Vec<_> = b
-        .messages(API)
-        .filter_map(|m| match m {
-            MavMessage::CURRENT_EVENT_SEQUENCE(c) => Some((c.sequence, c.flags.bits())),
-            _ => None,
-        })
+        .all::<CURRENT_EVENT_SEQUENCE_DATA>(API)
+        .into_iter()
+        .map(|c| (c.sequence, c.flags.bits()))
         .collect();
     assert!(told.len() >= 3);
     assert_eq!(told[0].1, 1);
@@ -121,12 +111,12 @@ fn the_last_sequence_is_told_with_a_reset_at_the_start_only() {
 fn checks_are_run_on_request_and_name_what_fails() {
     let mut b = Bench::new();
     b.sent.clear();
-    assert_eq!(b.command_long(API, SCRIPT, 401, [0.0; 7]), ACCEPTED);
+    assert_eq!(b.ask(401, &[]), ACCEPTED);
     assert_eq!(ids(&b), [100, 200]);
     assert_eq!(b.command_long(API, SCRIPT, 185, [1.0; 7]), ACCEPTED);
     b.run_ms(50);
     b.sent.clear();
-    assert_eq!(b.command_long(API, SCRIPT, 401, [0.0; 7]), ACCEPTED);
+    assert_eq!(b.ask(401, &[]), ACCEPTED);
     let told = events(&b, API);
     assert_eq!(ids(&b), [100, 101, 200]);
     // Chunk, error bits, warning bits, groups that can arm: none.

@@ -2,7 +2,6 @@
 
 use crate::testing::*;
 use crate::{Failsafe, FlightMode, LandedState, ParameterValue};
-use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
 use vigil_mavlink::mavlink::MessageData;
 
@@ -11,7 +10,7 @@ const BAROMETER: f32 = 3.0;
 const MAGNETOMETER: f32 = 2.0;
 
 fn inject(b: &mut Bench, unit: f32, kind: f32) -> u8 {
-    b.command_long(API, SCRIPT, 420, [unit, kind, 0.0, 0.0, 0.0, 0.0, 0.0])
+    b.ask(420, &[unit, kind])
 }
 
 fn enable(b: &mut Bench) {
@@ -19,10 +18,7 @@ fn enable(b: &mut Bench) {
 }
 
 fn health(b: &Bench) -> MavSysStatusSensor {
-    let status = b.messages(API).rev().find_map(|m| match m {
-        MavMessage::SYS_STATUS(m) => Some(m.onboard_control_sensors_health),
-        _ => None,
-    });
+    let status = b.last::<SYS_STATUS_DATA>(API).map(|m| m.onboard_control_sensors_health);
     status.expect("SYS_STATUS")
 }
 
@@ -30,15 +26,11 @@ fn health(b: &Bench) -> MavSysStatusSensor {
 fn failures_are_obeyed_only_where_they_are_enabled_and_modelled() {
     let mut b = Bench::airborne();
     assert_eq!(inject(&mut b, GPS, 1.0), DENIED);
-    assert!(b.texts().join("|").contains("SYS_FAILURE_EN"));
+    b.assert_told("SYS_FAILURE_EN");
     enable(&mut b);
     assert_eq!(inject(&mut b, GPS, 2.0), UNSUPPORTED, "stuck");
     assert_eq!(inject(&mut b, 101.0, 1.0), UNSUPPORTED, "a motor");
-    assert_eq!(
-        b.command_long(API, SCRIPT, 420, [GPS, 1.0, 3.0, 0.0, 0.0, 0.0, 0.0]),
-        DENIED,
-        "a third receiver"
-    );
+    assert_eq!(b.ask(420, &[GPS, 1.0, 3.0]), DENIED, "a third receiver");
     b.run_ms(8_000);
     assert_eq!(b.status().mode, FlightMode::Hold);
 }
@@ -49,40 +41,32 @@ fn without_gps_the_vehicle_lands_and_is_not_armed_again() {
     enable(&mut b);
     assert_eq!(inject(&mut b, GPS, 1.0), ACCEPTED);
     b.run_ms(3_000);
-    let fix = b.messages(API).rev().find_map(|m| match m {
-        MavMessage::GPS_RAW_INT(m) => Some((m.fix_type, m.satellites_visible)),
-        _ => None,
-    });
+    let fix = b
+        .last::<GPS_RAW_INT_DATA>(API)
+        .map(|m| (m.fix_type, m.satellites_visible));
     assert_eq!(fix, Some((GpsFixType::GPS_FIX_TYPE_NO_GPS, 0)));
     assert!(!health(&b).contains(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_GPS));
     assert_eq!(b.status().mode, FlightMode::Hold, "the position is still known");
     b.run_ms(2_500);
     assert_eq!(b.status().mode, FlightMode::Land);
     assert_eq!(b.status().failsafe, Some(Failsafe::PositionLost));
-    assert!(b.texts().join("|").contains("position lost: land"));
+    b.assert_told("position lost: land");
     assert_eq!(b.set_mode(API, SCRIPT, 4, 3), REJECTED, "nowhere to hold");
     b.run_until(30, "landed", |b| {
         b.status().landed == LandedState::OnGround && !b.status().armed
     });
     assert_eq!(b.arm(), REJECTED);
-    assert!(b.texts().join("|").contains("GPS lost"));
+    b.assert_told("GPS lost");
     assert_eq!(inject(&mut b, GPS, 0.0), ACCEPTED);
     assert_eq!(b.arm(), ACCEPTED);
 }
 
 #[test]
 fn without_barometer_or_compass_it_flies_on_and_does_not_arm() {
+    use MavSysStatusSensor as Sensor;
     for (unit, bit, name) in [
-        (
-            BAROMETER,
-            MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE,
-            "barometer",
-        ),
-        (
-            MAGNETOMETER,
-            MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_3D_MAG,
-            "compass",
-        ),
+        (BAROMETER, Sensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE, "barometer"),
+        (MAGNETOMETER, Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG, "compass"),
     ] {
         let mut b = Bench::airborne();
         enable(&mut b);
@@ -99,14 +83,11 @@ fn without_barometer_or_compass_it_flies_on_and_does_not_arm() {
         b.sent.clear();
         b.run_ms(3_000);
         assert!(!health(&b).contains(bit));
-        let readings: Vec<_> = b
-            .messages(API)
-            .filter_map(|m| match m {
-                MavMessage::HIGHRES_IMU(m) if name == "barometer" => Some([m.abs_pressure, 0.0, 0.0]),
-                MavMessage::HIGHRES_IMU(m) => Some([m.xmag, m.ymag, m.zmag]),
-                _ => None,
-            })
-            .collect();
+        let imu = b.all::<HIGHRES_IMU_DATA>(API);
+        let readings: Vec<_> = match name {
+            "barometer" => imu.iter().map(|m| [m.abs_pressure, 0.0, 0.0]).collect(),
+            _ => imu.iter().map(|m| [m.xmag, m.ymag, m.zmag]).collect(),
+        };
         assert!(readings.len() > 50 && readings.iter().all(|reading| *reading == readings[0]));
         assert_eq!(inject(&mut b, unit, 0.0), ACCEPTED);
         b.run_ms(2_000);
@@ -115,6 +96,6 @@ fn without_barometer_or_compass_it_flies_on_and_does_not_arm() {
         enable(&mut b);
         assert_eq!(inject(&mut b, unit, 1.0), ACCEPTED);
         assert_eq!(b.arm(), REJECTED);
-        assert!(b.texts().join("|").contains(name));
+        b.assert_told(name);
     }
 }

@@ -42,7 +42,7 @@ fn it_keeps_its_place_behind_who_walks_and_waits_where_the_reports_end() {
         "{x} {y} of {east}"
     );
     assert!((z + 4.0).abs() < 0.3, "{z}");
-    let nose = b.view().estimate.attitude.yaw_rad();
+    let nose = b.yaw_rad();
     assert!((nose - core::f32::consts::FRAC_PI_2).abs() < 0.2, "looks at it: {nose}");
     b.run_ms(12_000);
     let stopped = b.position_m();

@@ -2,10 +2,8 @@
 
 use crate::testing::*;
 use crate::tests::plans::{FENCE, item};
-use crate::{EndpointConfig, Failsafe, FlightMode, HomePosition, LandedState, geo};
-use vigil_mavlink::MavMessage;
+use crate::{EndpointConfig, Failsafe, FlightMode, LandedState};
 use vigil_mavlink::common::*;
-use vigil_types::NedVector;
 
 fn square(command: u16, (north, east): (f32, f32), half_m: f32) -> Vec<crate::plan::PlanItem> {
     [(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0)]
@@ -34,10 +32,7 @@ fn fly_out(b: &mut Bench, velocity: [f32; 3]) {
 }
 
 fn fence_status(b: &Bench) -> Option<FENCE_STATUS_DATA> {
-    b.messages(API).rev().find_map(|m| match m {
-        MavMessage::FENCE_STATUS(status) => Some(status.clone()),
-        _ => None,
-    })
+    b.last::<FENCE_STATUS_DATA>(API)
 }
 
 #[test]
@@ -49,11 +44,7 @@ fn leaving_a_polygon_holds_by_default() {
     assert!((8.0..8.4).contains(&x), "{x}");
     assert_eq!(b.status().failsafe, Some(Failsafe::GeofenceBreached));
     assert_eq!(b.status().mode, FlightMode::Hold);
-    assert!(
-        b.texts().iter().any(|t| t == "geofence breached: hold"),
-        "{:?}",
-        b.texts()
-    );
+    b.assert_told("geofence breached: hold");
     assert_eq!(b.heartbeat(API).system_status, MavState::MAV_STATE_CRITICAL);
     b.run_ms(5_000);
     assert!(b.position_m()[0] < 10.5, "{:?}", b.position_m());
@@ -128,16 +119,14 @@ fn distance_and_height_can_be_limited_without_a_plan() {
 fn nobody_is_sent_outside_and_nobody_arms_outside() {
     let mut b = airborne(&[]);
     b.upload(FENCE, &square(5001, (0.0, 0.0), 20.0));
-    let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(30.0, 0.0, 0.0));
-    assert_eq!(b.reposition(MavFrame::MAV_FRAME_GLOBAL, lat, lon, 491.0, 0.0), REJECTED);
+    assert_eq!(b.go_to((30.0, 0.0), 491.0), REJECTED);
     assert_eq!(b.status().mode, FlightMode::Hold);
-    let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(15.0, 0.0, 0.0));
-    assert_eq!(b.reposition(MavFrame::MAV_FRAME_GLOBAL, lat, lon, 491.0, 0.0), ACCEPTED);
+    assert_eq!(b.go_to((15.0, 0.0), 491.0), ACCEPTED);
 
     let mut b = Bench::new();
     b.upload(FENCE, &square(5001, (50.0, 0.0), 20.0));
     assert_eq!(b.arm(), REJECTED);
-    assert!(b.texts().iter().any(|t| t.contains("outside the geofence")));
+    b.assert_told("outside the geofence");
     b.upload(FENCE, &[]);
     assert_eq!(b.arm(), ACCEPTED);
     assert_eq!(b.status().landed, LandedState::OnGround);
@@ -149,10 +138,7 @@ fn system_status_tells_whether_there_is_a_geofence_and_whether_it_holds() {
     let bits = |b: &mut Bench| {
         b.sent.clear();
         b.run_ms(1_100);
-        let status = b.messages(API).rev().find_map(|m| match m {
-            MavMessage::SYS_STATUS(s) => Some(s.clone()),
-            _ => None,
-        });
+        let status = b.last::<SYS_STATUS_DATA>(API);
         let status = status.expect("SYS_STATUS streams");
         let has = |flags: MavSysStatusSensor| flags.contains(MavSysStatusSensor::MAV_SYS_STATUS_GEOFENCE);
         (

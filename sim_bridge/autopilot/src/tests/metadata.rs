@@ -5,7 +5,7 @@ use crate::testing::*;
 use crate::tests::ftp::Client;
 use crate::{ParameterValue, parameter_table};
 use serde_json::Value;
-use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::COMPONENT_METADATA_DATA;
 
 fn content(b: &mut Bench, uri: &str) -> (Value, u32) {
     let path = uri.strip_prefix("mftp://").expect("a file of the vehicle's");
@@ -16,14 +16,10 @@ fn content(b: &mut Bench, uri: &str) -> (Value, u32) {
 /// What the general metadata says of the one of this type.
 fn part(b: &mut Bench, kind: u64) -> Value {
     b.sent.clear();
-    assert_eq!(
-        b.command_long(API, SCRIPT, 512, [397.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
-        ACCEPTED
-    );
-    let told = b.messages(API).find_map(|m| match m {
-        MavMessage::COMPONENT_METADATA(m) => Some((m.uri.to_str().expect("text").to_owned(), m.file_crc)),
-        _ => None,
-    });
+    assert_eq!(b.ask(512, &[397.0]), ACCEPTED);
+    let told = b
+        .first::<COMPONENT_METADATA_DATA>(API)
+        .map(|m| (m.uri.to_str().expect("text").to_owned(), m.file_crc));
     let (uri, crc) = told.expect("answered");
     let (general, general_crc) = content(b, &uri);
     assert_eq!(crc, general_crc);

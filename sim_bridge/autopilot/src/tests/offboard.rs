@@ -1,33 +1,12 @@
 //! Offboard flight as scripts fly it: every kind of setpoint, streams that stall, landings by thrust.
 
 use crate::testing::*;
-use crate::{Failsafe, FlightMode, HomePosition, LandedState, geo};
+use crate::{Failsafe, FlightMode};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
-use vigil_types::NedVector;
-
-fn local(mask: u16, change: impl FnOnce(&mut SET_POSITION_TARGET_LOCAL_NED_DATA)) -> MavMessage {
-    let mut data = SET_POSITION_TARGET_LOCAL_NED_DATA {
-        type_mask: PositionTargetTypemask::from_bits_retain(mask),
-        target_system: 1,
-        target_component: 1,
-        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
-        ..Default::default()
-    };
-    change(&mut data);
-    MavMessage::SET_POSITION_TARGET_LOCAL_NED(data)
-}
 
 fn attitude(mask: u8, yaw_rate: f32, thrust: f32) -> MavMessage {
-    MavMessage::SET_ATTITUDE_TARGET(SET_ATTITUDE_TARGET_DATA {
-        q: [1.0, 0.0, 0.0, 0.0],
-        body_yaw_rate: yaw_rate,
-        thrust,
-        type_mask: AttitudeTargetTypemask::from_bits_retain(mask),
-        target_system: 1,
-        target_component: 1,
-        ..Default::default()
-    })
+    attitude_setpoint(mask, 0.0, yaw_rate, thrust)
 }
 
 /// Streams a setpoint at 20 Hz, entering OFFBOARD with the first.
@@ -58,105 +37,13 @@ fn a_stream_may_be_as_slow_and_stall_as_long_as_with_px4() {
 }
 
 #[test]
-fn the_guidance_computer_is_held_to_a_stricter_rule() {
-    let mut b = Bench::airborne();
-    b.send_velocity(ONBOARD, COMPANION, [0.5, 0.0, 0.0]);
-    assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), ACCEPTED);
-    b.run_ms(390);
-    assert_eq!(b.status().mode, FlightMode::Offboard);
-    b.run_ms(20);
-    assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
-    assert_eq!(b.status().mode, FlightMode::Hold);
-}
-
-#[test]
-fn positions_velocities_and_accelerations_are_flown_as_they_are_mixed() {
-    // Horizontal velocity at a height.
-    let mut b = Bench::airborne();
-    fly(&mut b, &local(0xDE3, |m| (m.vx, m.vy, m.z) = (1.0, -0.5, -5.0)), 6_000);
-    let v = b.view().estimate.velocity_ned_m_s;
-    assert!((v.x - 1.0).abs() < 0.15 && (v.y + 0.5).abs() < 0.15, "{v:?}");
-    assert!((b.height_m() - 5.0).abs() < 0.25, "{}", b.height_m());
-    let told = b.messages(API).rev().find_map(|m| match m {
-        MavMessage::POSITION_TARGET_LOCAL_NED(m) => Some((m.type_mask.bits(), m.vx, m.z)),
-        _ => None,
-    });
-    assert_eq!(told, Some((0xDE3, 1.0, -5.0)));
-    // A place and a climb rate.
-    let [x, y, _] = b.position_m();
-    fly(&mut b, &local(0xDDC, |m| (m.x, m.y, m.vz) = (x + 2.0, y, -0.4)), 6_000);
-    assert!((b.position_m()[0] - x - 2.0).abs() < 0.3);
-    assert!((b.view().estimate.velocity_ned_m_s.z + 0.4).abs() < 0.1);
-    // Acceleration alone.
-    let mut b = Bench::airborne();
-    fly(&mut b, &local(0xC3F, |m| m.afx = 0.8), 2_500);
-    let v = b.view().estimate.velocity_ned_m_s;
-    assert!((1.2..2.2).contains(&v.x) && (b.height_m() - 3.0).abs() < 0.3, "{v:?}");
-    // All three, with every bit used or all but the yaw rate.
-    for mask in [0, 0x800] {
-        let mut b = Bench::airborne();
-        let all = local(mask, |m| {
-            (m.x, m.y, m.z) = (3.0, 2.0, -4.0);
-            m.yaw = 0.6;
-        });
-        fly(&mut b, &all, 7_000);
-        let [x, y, z] = b.position_m();
-        let off = (x - 3.0).abs() + (y - 2.0).abs() + (z + 4.0).abs();
-        assert!(off < 0.3, "{mask:#x}: {x} {y} {z}");
-        assert!((b.view().estimate.attitude.yaw_rad() - 0.6).abs() < 0.05);
-    }
-}
-
-/// To PX4 the yaw rate beside an attitude is a feed-forward: the heading stays the attitude's but for the rate over the gain.
-#[test]
-fn an_attitude_with_a_yaw_rate_keeps_its_heading() {
-    let mut b = Bench::airborne();
-    fly(&mut b, &attitude(0x03, 0.4, 0.5), 3_000);
-    let leads_rad = b.view().estimate.attitude.yaw_rad();
-    assert!((0.02..0.3).contains(&leads_rad), "{leads_rad}");
-    fly(&mut b, &attitude(0x03, 0.4, 0.5), 3_000);
-    let still_rad = b.view().estimate.attitude.yaw_rad();
-    assert!((still_rad - leads_rad).abs() < 0.02, "{still_rad}");
-    fly(&mut b, &attitude(0x00, 0.0, 0.5), 3_000);
-    assert!(b.view().estimate.attitude.yaw_rad().abs() < 0.1);
-}
-
-#[test]
-fn a_flight_by_attitude_lands_and_disarms_by_itself() {
-    let mut b = Bench::new();
-    b.send(API, SCRIPT, &attitude(0x07, 0.0, 0.0));
-    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
-    assert_eq!(b.arm(), ACCEPTED);
-    fly(&mut b, &attitude(0x07, 0.0, 0.6), 1_500);
-    fly(&mut b, &attitude(0x07, 0.0, 0.45), 2_000);
-    assert!(b.height_m() > 1.0 && b.status().landed == LandedState::InAir);
-    for _ in 0..200 {
-        fly(&mut b, &attitude(0x07, 0.0, 0.45), 50);
-        if !b.status().armed {
-            break;
-        }
-    }
-    assert!(!b.status().armed, "landed and left there: {:?}", b.status());
-    // And it can be flown again.
-    b.take_off();
-}
-
-#[test]
 fn a_changed_speed_holds_for_the_next_way_too() {
     const CHANGE_SPEED: u16 = 178;
     let mut b = Bench::airborne();
-    let change =
-        |b: &mut Bench, speed| b.command_long(API, SCRIPT, CHANGE_SPEED, [1.0, speed, -1.0, 0.0, 0.0, 0.0, 0.0]);
+    let change = |b: &mut Bench, speed| b.ask(CHANGE_SPEED, &[1.0, speed, -1.0]);
     let fastest = |b: &mut Bench, north: f32| {
-        let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(north, 0.0, 0.0));
-        let frame = MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT;
-        assert_eq!(b.reposition(frame, lat, lon, 491.0, f32::NAN), ACCEPTED);
-        let mut fastest_m_s: f32 = 0.0;
-        for _ in 0..100 {
-            b.run_ms(100);
-            fastest_m_s = fastest_m_s.max(b.view().estimate.velocity_ned_m_s.horizontal_norm());
-        }
-        fastest_m_s
+        assert_eq!(b.go_to((north, 0.0), 491.0), ACCEPTED);
+        b.most(10_000, |b| b.velocity_m_s().horizontal_norm())
     };
     assert_eq!(change(&mut b, 1.5), ACCEPTED);
     let slow = fastest(&mut b, 12.0);
@@ -187,7 +74,7 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
     ] {
         let mut b = Bench::airborne();
         b.set_parameter("COM_OBL_RC_ACT", Int32(action));
-        fly(&mut b, &local(0x9C7, |m| m.vx = 0.5), 1_000);
+        fly(&mut b, &local_setpoint(0x9C7, |m| m.vx = 0.5), 1_000);
         for _ in 0..24 {
             if has_sticks {
                 b.send(GCS, STATION, &sticks);
@@ -196,16 +83,15 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
         }
         assert_eq!(b.status().mode, mode, "{action}");
         assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
-        let told = b.messages(GCS).rev().find_map(|m| match m {
-            MavMessage::CURRENT_MODE(m) => Some((m.custom_mode, m.intended_custom_mode)),
-            _ => None,
-        });
+        let told = b
+            .last::<CURRENT_MODE_DATA>(GCS)
+            .map(|m| (m.custom_mode, m.intended_custom_mode));
         assert_eq!(told, Some((mode.custom_mode(), FlightMode::Offboard.custom_mode())));
     }
     for (action, is_terminated) in [(6, true), (7, false)] {
         let mut b = Bench::airborne();
         b.set_parameter("COM_OBL_RC_ACT", Int32(action));
-        fly(&mut b, &local(0x9C7, |m| m.vx = 0.5), 1_000);
+        fly(&mut b, &local_setpoint(0x9C7, |m| m.vx = 0.5), 1_000);
         b.run_ms(1_100);
         assert_eq!(
             (b.status().terminated, b.status().armed),
@@ -234,19 +120,19 @@ fn refused(message: &MavMessage) -> Vec<String> {
 #[test]
 fn setpoints_that_leave_an_axis_out_keep_offboard_and_hold() {
     for (message, reason) in [
-        (local(0xDF7, |m| m.vx = 1.0), "mask 0xdf7 lacks axes: held"),
-        (local(0xDFE, |m| m.x = 5.0), "mask 0xdfe lacks axes: held"),
-        (local(0x9C7, |m| m.vx = f32::NAN), "vx is NaN: held"),
+        (local_setpoint(0xDF7, |m| m.vx = 1.0), "mask 0xdf7 lacks axes: held"),
+        (local_setpoint(0xDFE, |m| m.x = 5.0), "mask 0xdfe lacks axes: held"),
+        (local_setpoint(0x9C7, |m| m.vx = f32::NAN), "vx is NaN: held"),
     ] {
         let mut b = Bench::airborne();
-        fly(&mut b, &local(0x9C7, |m| m.vx = 1.0), 3_000);
+        fly(&mut b, &local_setpoint(0x9C7, |m| m.vx = 1.0), 3_000);
         let at_m = b.position_m()[0];
         fly(&mut b, &message, 4_000);
         assert_eq!(b.status().mode, crate::FlightMode::Offboard, "{reason}");
         assert!((b.position_m()[0] - at_m).abs() < 1.5, "{reason}");
-        assert!(b.view().estimate.velocity_ned_m_s.norm() < 0.1, "{reason}");
+        assert!(b.velocity_m_s().norm() < 0.1, "{reason}");
         let text = format!("setpoints of 245/190: {reason}");
-        assert!(b.texts().contains(&text), "{:?}", b.texts());
+        b.assert_told(&text);
     }
 }
 
@@ -255,17 +141,9 @@ fn setpoints_that_leave_an_axis_out_keep_offboard_and_hold() {
 #[test]
 fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
     use MavFrame::*;
-    let in_frame = |frame| local(0x5C7, |m| m.coordinate_frame = frame);
-    let global = |frame| {
-        MavMessage::SET_POSITION_TARGET_GLOBAL_INT(SET_POSITION_TARGET_GLOBAL_INT_DATA {
-            type_mask: PositionTargetTypemask::from_bits_retain(0xDF8),
-            target_system: 1,
-            target_component: 1,
-            coordinate_frame: frame,
-            ..Default::default()
-        })
-    };
-    let infinite = local(0x9C7, |m| m.vy = f32::INFINITY);
+    let in_frame = |frame| local_setpoint(0x5C7, |m| m.coordinate_frame = frame);
+    let global = |frame| global_setpoint(frame, (0.0, 0.0), 0.0);
+    let infinite = local_setpoint(0x9C7, |m| m.vy = f32::INFINITY);
     let actuators = MavMessage::SET_ACTUATOR_CONTROL_TARGET(SET_ACTUATOR_CONTROL_TARGET_DATA {
         target_system: 1,
         target_component: 1,
@@ -277,10 +155,10 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
         (in_frame(MAV_FRAME_GLOBAL_TERRAIN_ALT_INT), "frame 11 is not flown"),
         (in_frame(MAV_FRAME_BODY_FRD), "frame 12 is not flown"),
         (
-            local(0x9F8, |m| m.coordinate_frame = MAV_FRAME_BODY_NED),
+            local_setpoint(0x9F8, |m| m.coordinate_frame = MAV_FRAME_BODY_NED),
             "frame 8 has no positions",
         ),
-        (local(0xBFF, |_| {}), "mask 0xbff is not flown"),
+        (local_setpoint(0xBFF, |_| {}), "mask 0xbff is not flown"),
         (infinite, "vy is NaN or absurd"),
         (global(MAV_FRAME_LOCAL_NED), "frame 1 is not flown"),
         (global(MAV_FRAME_GLOBAL_TERRAIN_ALT), "frame 10 is not flown"),
@@ -297,18 +175,11 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
     }
     // A frame that the protocol does not have cannot be read, and is named all the same.
     let mut b = Bench::airborne();
-    let packet = b.packet(SCRIPT, &local(0x5C7, |_| {}));
+    let packet = b.packet(SCRIPT, &local_setpoint(0x5C7, |_| {}));
     let mut payload = packet[10..packet.len() - 2].to_vec();
     payload.resize(53, 0);
     payload[52] = 99;
-    let header = vigil_mavlink::mavlink::MavHeader {
-        system_id: 245,
-        component_id: 190,
-        sequence: 0,
-    };
-    let mut out = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
-    let len = vigil_mavlink::framing::serialize_payload(header, 84, &payload, &mut out).expect("fits");
-    b.send_raw(API, &out[..len]);
+    b.send_raw(API, &raw(SCRIPT, 84, &payload));
     assert_eq!(b.texts(), ["setpoints of 245/190: frame 99 is not flown"]);
     // Who mends his frame is flown, and hears nothing more.
     b.stream(API, SCRIPT, [0.5, 0.0, 0.0]);

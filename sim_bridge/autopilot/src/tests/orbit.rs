@@ -1,11 +1,10 @@
 //! Circling a point.
 
+use crate::FlightMode;
 use crate::testing::*;
 use crate::tests::plans::{FENCE, item};
-use crate::{FlightMode, HomePosition, geo};
-use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
-use vigil_types::{NedVector, wrap_pi};
+use vigil_types::wrap_pi;
 
 const CENTRE: (f32, f32) = (8.0, -4.0);
 
@@ -18,25 +17,8 @@ fn orbit(b: &mut Bench, radius: f32, speed: f32, facing: f32, angle: f32) -> u8 
     )
 }
 
-fn orbit_in(b: &mut Bench, frame: MavFrame, altitude: f32, [radius, speed, facing, angle]: [f32; 4]) -> u8 {
-    let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(CENTRE.0, CENTRE.1, 0.0));
-    let data = COMMAND_INT_DATA {
-        param1: radius,
-        param2: speed,
-        param3: facing,
-        param4: angle,
-        x: geo::deg_e7(lat),
-        y: geo::deg_e7(lon),
-        z: altitude,
-        command: MavCmd::MAV_CMD_DO_ORBIT,
-        target_system: 1,
-        target_component: 1,
-        frame,
-        ..Default::default()
-    };
-    b.sent.clear();
-    b.send(API, SCRIPT, &MavMessage::COMMAND_INT(data));
-    b.sent.iter().find_map(|s| s.ack).expect("answered").result
+fn orbit_in(b: &mut Bench, frame: MavFrame, altitude: f32, params: [f32; 4]) -> u8 {
+    b.command_at(MavCmd::MAV_CMD_DO_ORBIT, params, frame, on_globe(CENTRE), altitude)
 }
 
 fn off_centre(b: &Bench) -> (f32, f32) {
@@ -59,17 +41,14 @@ fn it_circles_either_way_with_the_nose_at_the_centre() {
             let (distance, bearing) = off_centre(&b);
             assert!((distance - radius.abs()).abs() < 0.5, "{radius}: {distance}");
             assert!((b.height_m() - 5.0).abs() < 0.3, "{}", b.height_m());
-            let nose = wrap_pi(b.view().estimate.attitude.yaw_rad() - bearing - core::f32::consts::PI);
+            let nose = wrap_pi(b.yaw_rad() - bearing - core::f32::consts::PI);
             assert!(nose.abs() < 0.35, "{nose}");
             turned += wrap_pi(bearing - last);
             last = bearing;
         }
         let wanted = 10.0 * speed / radius;
         assert!((turned / wanted - 1.0).abs() < 0.12, "{radius}: {turned} of {wanted}");
-        let told = b.messages(API).rev().find_map(|m| match m {
-            MavMessage::ORBIT_EXECUTION_STATUS(s) => Some(s.radius),
-            _ => None,
-        });
+        let told = b.last::<ORBIT_EXECUTION_STATUS_DATA>(API).map(|s| s.radius);
         assert_eq!(told, Some(radius));
     }
 }

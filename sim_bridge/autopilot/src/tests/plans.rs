@@ -3,29 +3,25 @@
 use crate::geo;
 use crate::plan::{Envelope, PlanItem};
 use crate::testing::*;
-use crate::{HomePosition, LinkId, core::ComponentId};
+use crate::{LinkId, core::ComponentId};
 use proptest::prelude::*;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize_payload};
-use vigil_mavlink::mavlink::{MavHeader, MessageData};
-use vigil_types::NedVector;
+use vigil_mavlink::mavlink::MessageData;
 
 pub const MISSION: u8 = 0;
 pub const FENCE: u8 = 1;
 pub const RALLY: u8 = 2;
 
 /// An item at metres north and east of home, in frame 3.
-pub fn item(command: u16, params: [f32; 4], (north, east): (f32, f32), z: f32) -> PlanItem {
-    let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(north, east, 0.0));
+pub fn item(command: u16, params: [f32; 4], place: (f32, f32), z: f32) -> PlanItem {
+    let (lat, lon) = on_globe(place);
     PlanItem {
-        command,
         frame: 3,
-        autocontinue: 1,
-        params,
         x: geo::deg_e7(lat),
         y: geo::deg_e7(lon),
         z,
+        ..action(command, params)
     }
 }
 
@@ -44,17 +40,6 @@ pub fn action(command: u16, params: [f32; 4]) -> PlanItem {
         y: 0,
         z: 0.0,
     }
-}
-
-fn raw(from: ComponentId, id: u32, payload: &[u8]) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: u32::from(from.system),
-        component_id: from.component,
-        sequence: 0,
-    };
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize_payload(header, id, payload, &mut out).expect("fits");
-    out[..len].to_vec()
 }
 
 impl Bench {
@@ -92,11 +77,9 @@ impl Bench {
     }
 
     fn mission_acks(&self, link: LinkId) -> Vec<MavMissionResult> {
-        self.messages(link)
-            .filter_map(|m| match m {
-                MavMessage::MISSION_ACK(ack) => Some(ack.mavtype),
-                _ => None,
-            })
+        self.all::<MISSION_ACK_DATA>(link)
+            .into_iter()
+            .map(|ack| ack.mavtype)
             .collect()
     }
 
@@ -124,13 +107,7 @@ impl Bench {
     pub fn download(&mut self, kind: u8) -> Vec<MISSION_ITEM_INT_DATA> {
         self.sent.clear();
         self.send_raw(API, &raw(SCRIPT, MISSION_REQUEST_LIST_DATA::ID, &[1, 1, kind]));
-        let count = self
-            .messages(API)
-            .find_map(|m| match m {
-                MavMessage::MISSION_COUNT(c) => Some(c.count),
-                _ => None,
-            })
-            .expect("a count");
+        let count = self.first::<MISSION_COUNT_DATA>(API).map(|c| c.count).expect("a count");
         for seq in 0..count {
             let [low, high] = seq.to_le_bytes();
             self.send_raw(
@@ -138,12 +115,7 @@ impl Bench {
                 &raw(SCRIPT, MISSION_REQUEST_INT_DATA::ID, &[low, high, 1, 1, kind]),
             );
         }
-        self.messages(API)
-            .filter_map(|m| match m {
-                MavMessage::MISSION_ITEM_INT(item) => Some(item.clone()),
-                _ => None,
-            })
-            .collect()
+        self.all::<MISSION_ITEM_INT_DATA>(API)
     }
 
     fn clear_plan(&mut self, kind: u8) -> MavMissionResult {
@@ -201,11 +173,8 @@ fn a_client_that_knows_only_the_float_form_is_served() {
     assert!((back[1].x - items[1].x).abs() < 40, "a float holds half a metre");
     b.sent.clear();
     b.send_raw(API, &raw(SCRIPT, MISSION_REQUEST_DATA::ID, &[1, 0, 1, 1]));
-    let told = b.messages(API).any(|m| match m {
-        MavMessage::MISSION_ITEM(m) => m.seq == 1 && (m.x - 47.4).abs() < 0.1,
-        _ => false,
-    });
-    assert!(told);
+    let told = b.first::<MISSION_ITEM_DATA>(API).expect("told");
+    assert!(told.seq == 1 && (told.x - 47.4).abs() < 0.1);
 }
 
 #[test]
@@ -228,7 +197,7 @@ fn an_uploader_that_vanishes_leaves_the_old_mission() {
     assert_eq!(b.mission_acks(API), []);
     b.run_ms(1_000);
     assert_eq!(b.mission_acks(API), [R::MAV_MISSION_OPERATION_CANCELLED]);
-    assert!(b.texts().iter().any(|t| t.contains("timed out")), "{:?}", b.texts());
+    b.assert_told("timed out");
     let asked = b.requests(API).len();
     b.run_ms(5_000);
     assert_eq!(b.requests(API).len(), asked);
@@ -280,26 +249,12 @@ fn two_uploaders_do_not_mix_and_an_uploader_can_give_up() {
     assert_eq!(b.status().refusals.plan, 3);
     b.item_message(API, SCRIPT, MISSION, 0, &waypoint((1.0, 0.0), 5.0), true);
     // A stranger cannot end it, its sender can.
-    let cancel = |result: R| [1, 1, result as u8, MISSION];
-    b.send_raw(
-        GCS,
-        &raw(
-            STATION,
-            MISSION_ACK_DATA::ID,
-            &cancel(R::MAV_MISSION_OPERATION_CANCELLED),
-        ),
-    );
+    let cancel = [1, 1, R::MAV_MISSION_OPERATION_CANCELLED as u8, MISSION];
+    b.send_raw(GCS, &raw(STATION, MISSION_ACK_DATA::ID, &cancel));
     assert_eq!(b.requests(API), [0, 1]);
     b.run_ms(300);
     assert_eq!(b.requests(API), [0, 1, 1]);
-    b.send_raw(
-        API,
-        &raw(
-            SCRIPT,
-            MISSION_ACK_DATA::ID,
-            &cancel(R::MAV_MISSION_OPERATION_CANCELLED),
-        ),
-    );
+    b.send_raw(API, &raw(SCRIPT, MISSION_ACK_DATA::ID, &cancel));
     b.run_ms(1_000);
     assert_eq!(b.requests(API), [0, 1, 1]);
     assert_eq!(b.download(MISSION).len(), 0);
@@ -317,11 +272,7 @@ fn a_plan_that_makes_no_sense_is_refused_with_a_reason_and_the_old_one_stays() {
         (action(177, [9.0, 1.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
     ] {
         assert_eq!(b.upload(MISSION, &[good, bad]), result);
-        assert!(
-            b.texts().iter().any(|t| t.contains("mission refused")),
-            "{:?}",
-            b.texts()
-        );
+        b.assert_told("mission refused");
     }
     assert_eq!(b.download(MISSION).len(), 1);
     b.sent.clear();
@@ -354,10 +305,7 @@ fn ids_tell_which_plan_is_on_board() {
     let current = |b: &mut Bench| {
         b.sent.clear();
         b.run_ms(1_100);
-        let found = b.messages(API).rev().find_map(|m| match m {
-            MavMessage::MISSION_CURRENT(c) => Some(c.clone()),
-            _ => None,
-        });
+        let found = b.last::<MISSION_CURRENT_DATA>(API);
         found.expect("MISSION_CURRENT streams")
     };
     let none = current(&mut b);

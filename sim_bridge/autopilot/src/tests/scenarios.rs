@@ -22,14 +22,11 @@ fn upload_square(b: &mut Bench) {
 }
 
 fn start_mission(b: &mut Bench) {
-    assert_eq!(b.command_long(API, SCRIPT, START_MISSION, [0.0; 7]), ACCEPTED);
+    assert_eq!(b.ask(START_MISSION, &[]), ACCEPTED);
 }
 
 fn current_item(b: &Bench) -> Option<u16> {
-    b.messages(API).rev().find_map(|m| match m {
-        MavMessage::MISSION_CURRENT(m) => Some(m.seq),
-        _ => None,
-    })
+    b.last::<MISSION_CURRENT_DATA>(API).map(|m| m.seq)
 }
 
 fn wait_until_disarmed(b: &mut Bench, limit_s: u64) {
@@ -38,33 +35,19 @@ fn wait_until_disarmed(b: &mut Bench, limit_s: u64) {
 }
 
 fn inject(b: &mut Bench, unit: f32, kind: f32) -> u8 {
-    b.command_long(API, SCRIPT, INJECT_FAILURE, [unit, kind, 0.0, 0.0, 0.0, 0.0, 0.0])
+    b.ask(INJECT_FAILURE, &[unit, kind])
 }
 
 fn attitude(pitch_deg: f32, thrust: f32) -> MavMessage {
-    let half_rad = pitch_deg.to_radians() / 2.0;
-    MavMessage::SET_ATTITUDE_TARGET(SET_ATTITUDE_TARGET_DATA {
-        q: [half_rad.cos(), 0.0, half_rad.sin(), 0.0],
-        thrust,
-        type_mask: AttitudeTargetTypemask::from_bits_retain(0x07),
-        target_system: 1,
-        target_component: 1,
-        ..Default::default()
-    })
+    attitude_setpoint(0x07, pitch_deg, 0.0, thrust)
 }
 
 fn stream(b: &mut Bench, message: &MavMessage, ms: u64) {
-    for _ in 0..ms / 50 {
-        b.send(API, SCRIPT, message);
-        b.run_ms(50);
-    }
+    b.hold(API, SCRIPT, message, ms);
 }
 
 fn gps_altitude_m(b: &Bench) -> f32 {
-    let altitude_mm = b.messages(API).rev().find_map(|m| match m {
-        MavMessage::GPS_RAW_INT(m) => Some(m.alt_ellipsoid),
-        _ => None,
-    });
+    let altitude_mm = b.last::<GPS_RAW_INT_DATA>(API).map(|m| m.alt_ellipsoid);
     altitude_mm.expect("GPS_RAW_INT") as f32 * 1e-3
 }
 
@@ -109,11 +92,11 @@ fn a_straight_mission_keeps_its_speed() {
     let mut slowest_m_s = f32::INFINITY;
     while current_item(&b) == Some(2) {
         b.run_ms(100);
-        slowest_m_s = slowest_m_s.min(b.view().estimate.velocity_ned_m_s.horizontal_norm());
+        slowest_m_s = slowest_m_s.min(b.velocity_m_s().horizontal_norm());
     }
     assert!(slowest_m_s > 4.0, "{slowest_m_s}");
     b.run_until(60, "the end", |b| b.status().mode == FlightMode::Hold);
-    assert_eq!(b.command_long(API, SCRIPT, 20, [0.0; 7]), ACCEPTED);
+    assert_eq!(b.ask(20, &[]), ACCEPTED);
     wait_until_disarmed(&mut b, 180);
 }
 
@@ -191,17 +174,7 @@ fn sticks_fly_forward_in_position_and_altitude_mode_and_descend_until_disarmed()
 #[test]
 fn offboard_reaches_each_place_within_ten_seconds_and_lands_by_a_velocity() {
     let place = |x: f32, y: f32, z: f32, yaw_deg: f32| {
-        MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
-            x,
-            y,
-            z,
-            yaw: yaw_deg.to_radians(),
-            type_mask: PositionTargetTypemask::from_bits_retain(0x9F8),
-            target_system: 1,
-            target_component: 1,
-            coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
-            ..Default::default()
-        })
+        local_setpoint(0x9F8, |m| (m.x, m.y, m.z, m.yaw) = (x, y, z, yaw_deg.to_radians()))
     };
     let mut b = Bench::new();
     assert_eq!(b.arm(), ACCEPTED);
@@ -224,14 +197,7 @@ fn offboard_reaches_each_place_within_ten_seconds_and_lands_by_a_velocity() {
         }
         assert!(off_m(&b) < 0.3, "{x} {y} {z}: {}", off_m(&b));
     }
-    let down = MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
-        vz: 1.0,
-        type_mask: PositionTargetTypemask::from_bits_retain(0x9C7),
-        target_system: 1,
-        target_component: 1,
-        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
-        ..Default::default()
-    });
+    let down = local_setpoint(0x9C7, |m| m.vz = 1.0);
     for _ in 0..2_400 {
         stream(&mut b, &down, 50);
         if !b.status().armed {

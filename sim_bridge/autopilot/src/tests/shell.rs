@@ -23,29 +23,19 @@ fn write(b: &mut Bench, text: &[u8], flags: SerialControlFlag) {
 }
 
 fn answer(b: &Bench) -> String {
-    let bytes: Vec<u8> = b
-        .messages(API)
-        .filter_map(|m| match m {
-            MavMessage::SERIAL_CONTROL(s) => {
-                assert_eq!((s.target_system, s.target_component), (245, 190));
-                assert_eq!(s.flags, SerialControlFlag::SERIAL_CONTROL_FLAG_REPLY);
-                Some(&s.data[..usize::from(s.count)])
-            }
-            _ => None,
-        })
-        .flatten()
-        .copied()
-        .collect();
+    let mut bytes = Vec::new();
+    for s in b.all::<SERIAL_CONTROL_DATA>(API) {
+        assert_eq!((s.target_system, s.target_component), (245, 190));
+        assert_eq!(s.flags, SerialControlFlag::SERIAL_CONTROL_FLAG_REPLY);
+        bytes.extend_from_slice(&s.data[..usize::from(s.count)]);
+    }
     String::from_utf8(bytes).expect("text")
 }
 
 fn run(b: &mut Bench, line: &str) -> String {
     b.sent.clear();
-    write(
-        b,
-        format!("{line}\n").as_bytes(),
-        SerialControlFlag::SERIAL_CONTROL_FLAG_RESPOND,
-    );
+    let respond = SerialControlFlag::SERIAL_CONTROL_FLAG_RESPOND;
+    write(b, format!("{line}\n").as_bytes(), respond);
     let answer = answer(b);
     answer.strip_suffix("pxh> ").expect("ends with a prompt").to_owned()
 }
@@ -68,10 +58,8 @@ fn parameters_are_shown_and_set_with_the_checks_of_the_protocol() {
     assert_eq!(run(&mut b, "param show MIS_TAKEOFF_ALT"), "MIS_TAKEOFF_ALT: 4.0\n");
     let speeds = run(&mut b, "param show MPC_*_VEL*");
     assert_eq!(speeds.lines().count(), 3, "{speeds}");
-    assert_eq!(
-        run(&mut b, "param show").lines().count(),
-        crate::parameter_table().len()
-    );
+    let all = run(&mut b, "param show");
+    assert_eq!(all.lines().count(), crate::parameter_table().len());
 }
 
 #[test]

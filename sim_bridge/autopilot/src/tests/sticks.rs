@@ -39,10 +39,7 @@ fn channels(pulses: [u16; 4]) -> MavMessage {
 }
 
 fn hold(b: &mut Bench, message: &MavMessage, ms: u64) {
-    for _ in 0..ms / 50 {
-        b.send(GCS, STATION, message);
-        b.run_ms(50);
-    }
+    b.hold(GCS, STATION, message, ms);
 }
 
 #[test]
@@ -52,7 +49,7 @@ fn a_mode_can_be_chosen_on_the_ground_and_arming_waits_for_the_sticks() {
         assert_eq!(b.set_mode(GCS, STATION, main, 0), ACCEPTED);
         assert_eq!(b.status().mode, mode);
         assert_eq!(b.arm(), REJECTED);
-        assert!(b.texts().join("|").contains("no manual control"));
+        b.assert_told("no manual control");
         hold(&mut b, &sticks(0, 0, 0, 0), 200);
         assert_eq!(b.arm(), ACCEPTED);
         hold(&mut b, &sticks(0, 0, 0, 0), 1_000);
@@ -71,16 +68,13 @@ fn altitude_mode_tilts_by_the_stick_and_holds_its_height() {
     hold(&mut b, &sticks(0, 300, 500, 0), 2_000);
     let e = b.view().estimate;
     // (0.3 − 0.05) / 0.95 of 35 degrees.
-    assert!(
-        (e.attitude.roll_rad() - 0.161).abs() < 0.03,
-        "{}",
-        e.attitude.roll_rad()
-    );
+    let roll_rad = e.attitude.roll_rad();
+    assert!((roll_rad - 0.161).abs() < 0.03, "{roll_rad}");
     assert!(e.velocity_ned_m_s.y > 1.5, "and flies that way");
     hold(&mut b, &sticks(0, 0, 500, 0), 3_000);
     assert!((b.height_m() - 3.0).abs() < 0.3, "{}", b.height_m());
     hold(&mut b, &sticks(0, 0, 1000, 0), 2_000);
-    assert!((b.view().estimate.velocity_ned_m_s.z + 2.5).abs() < 0.3);
+    assert!((b.velocity_m_s().z + 2.5).abs() < 0.3);
 }
 
 #[test]
@@ -96,7 +90,7 @@ fn a_throttle_that_is_pulled_back_lands_softly_whatever_the_parameters_say() {
         for _ in 0..400 {
             hold(&mut b, &sticks(0, 0, 0, 0), 50);
             if b.height_m() < 0.3 {
-                fastest_m_s = fastest_m_s.max(b.view().estimate.velocity_ned_m_s.z);
+                fastest_m_s = fastest_m_s.max(b.velocity_m_s().z);
             }
         }
         assert!(fastest_m_s < 1.3, "mode {main}: {fastest_m_s}");
@@ -111,13 +105,9 @@ fn stabilized_and_manual_hold_a_tilt_and_acro_a_rate() {
         hold(&mut b, &sticks(0, 0, 500, 0), 100);
         assert_eq!(b.set_mode(GCS, STATION, main, 0), ACCEPTED);
         hold(&mut b, &sticks(400, 0, 530, 400), 1_000);
-        let e = b.view().estimate;
-        assert!(
-            (e.attitude.pitch_rad() + 0.225).abs() < 0.04,
-            "{}",
-            e.attitude.pitch_rad()
-        );
-        assert!(e.attitude.yaw_rad() > 0.25, "{}", e.attitude.yaw_rad());
+        let pitch_rad = b.view().estimate.attitude.pitch_rad();
+        assert!((pitch_rad + 0.225).abs() < 0.04, "{pitch_rad}");
+        assert!(b.yaw_rad() > 0.25, "{}", b.yaw_rad());
     }
     let mut b = Bench::airborne();
     hold(&mut b, &sticks(0, 0, 500, 0), 100);
@@ -127,7 +117,7 @@ fn stabilized_and_manual_hold_a_tilt_and_acro_a_rate() {
     // Let go of: hold takes over, from that attitude.
     b.run_ms(4_000);
     assert_eq!(b.status().mode, FlightMode::Hold);
-    assert!(b.view().estimate.velocity_ned_m_s.norm() < 0.3);
+    assert!(b.velocity_m_s().norm() < 0.3);
 }
 
 #[test]
@@ -181,12 +171,13 @@ fn sticks_fly_the_vehicle_until_they_are_let_go_of_or_lost() {
     b.run_ms(1_000);
     assert_eq!(b.status().mode, FlightMode::Hold);
     assert!(b.status().failsafe.is_some() && b.texts().join("|").contains("manual control lost: hold"));
-    assert_eq!(b.set_mode(GCS, STATION, 3, 0), REJECTED, "without sticks");
+    assert_eq!(b.set_mode(GCS, STATION, 3, 0), REJECTED);
+    b.assert_told("position denied: no manual control");
     b.run_ms(4_000);
     assert_eq!(b.status().mode, FlightMode::Hold);
     b.run_ms(1_000);
     assert_eq!(b.status().mode, FlightMode::Return);
-    assert!(b.texts().contains(&"manual control lost: return".to_owned()));
+    b.assert_told("manual control lost: return");
     // Not where somebody has taken the vehicle meanwhile.
     hold(&mut b, &sticks(0, 0, 500, 0), 200);
     assert_eq!(b.set_mode(GCS, STATION, 3, 0), ACCEPTED);

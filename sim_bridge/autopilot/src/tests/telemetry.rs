@@ -5,48 +5,32 @@ use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
 use vigil_mavlink::mavlink::MessageData;
 
-fn request(b: &mut Bench, id: u32) -> MavMessage {
+fn request<M: MessageData<Message = MavMessage>>(b: &mut Bench) -> M {
     b.sent.clear();
-    assert_eq!(
-        b.command_long(API, SCRIPT, 512, [id as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
-        ACCEPTED
-    );
-    use vigil_mavlink::mavlink::Message;
-    b.messages(API)
-        .find(|m| m.message_id() == id)
-        .expect("was sent")
-        .clone()
+    assert_eq!(b.ask(512, &[M::ID as f32]), ACCEPTED);
+    b.one()
 }
 
 #[test]
 fn motor_pulses_show_what_each_motor_is_told() {
     let mut b = Bench::new();
-    let pulses = |b: &mut Bench| match request(b, SERVO_OUTPUT_RAW_DATA::ID) {
-        MavMessage::SERVO_OUTPUT_RAW(s) => [s.servo1_raw, s.servo2_raw, s.servo3_raw, s.servo4_raw],
-        _ => unreachable!(),
+    let pulses = |b: &mut Bench| {
+        let s = request::<SERVO_OUTPUT_RAW_DATA>(b);
+        [s.servo1_raw, s.servo2_raw, s.servo3_raw, s.servo4_raw]
     };
     assert_eq!(pulses(&mut b), [900; 4]);
     b.take_off();
     b.run_ms(2_000);
     let hover = pulses(&mut b);
     assert!(hover.iter().all(|p| (1400..1900).contains(p)), "{hover:?}");
-    let MavMessage::ACTUATOR_OUTPUT_STATUS(a) = request(&mut b, ACTUATOR_OUTPUT_STATUS_DATA::ID) else {
-        unreachable!()
-    };
+    let a = request::<ACTUATOR_OUTPUT_STATUS_DATA>(&mut b);
     assert_eq!(a.active, 0b1111);
     for (output, pulse) in a.actuator.iter().zip(hover) {
         assert!((output - f32::from(pulse)).abs() <= 60.0, "{a:?} {hover:?}");
     }
     assert!(a.actuator[4..].iter().all(|output| *output == 0.0));
     // A turn to the right needs more of the counter-clockwise pair, 1 and 2.
-    let turn = MavMessage::SET_ATTITUDE_TARGET(SET_ATTITUDE_TARGET_DATA {
-        body_yaw_rate: 2.0,
-        thrust: 0.5,
-        target_system: 1,
-        target_component: 1,
-        type_mask: AttitudeTargetTypemask::from_bits_retain(0x80),
-        ..Default::default()
-    });
+    let turn = attitude_setpoint(0x80, 0.0, 2.0, 0.5);
     b.send(API, SCRIPT, &turn);
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
     b.run_ms(30);
@@ -59,31 +43,22 @@ fn motor_pulses_show_what_each_motor_is_told() {
 fn a_hovering_vehicle_feels_one_gravity_upwards() {
     let mut b = Bench::airborne();
     b.run_ms(2_000);
-    let MavMessage::SCALED_IMU(s) = request(&mut b, SCALED_IMU_DATA::ID) else {
-        unreachable!()
-    };
+    let s = request::<SCALED_IMU_DATA>(&mut b);
     assert!((-1200..-800).contains(&s.zacc), "{s:?}");
     assert!(
         s.xacc.abs() < 200 && s.yacc.abs() < 200 && s.temperature == 2000,
         "{s:?}"
     );
-    let MavMessage::RAW_IMU(r) = request(&mut b, RAW_IMU_DATA::ID) else {
-        unreachable!()
-    };
+    let r = request::<RAW_IMU_DATA>(&mut b);
     assert_eq!((r.xmag, r.ymag, r.zmag), (s.xmag, s.ymag, s.zmag));
-    let MavMessage::ESTIMATOR_STATUS(e) = request(&mut b, ESTIMATOR_STATUS_DATA::ID) else {
-        unreachable!()
-    };
+    let e = request::<ESTIMATOR_STATUS_DATA>(&mut b);
     assert!(e.flags.contains(EstimatorStatusFlags::ESTIMATOR_POS_HORIZ_ABS));
 }
 
 #[test]
 fn flight_information_has_the_times_of_the_flight() {
     let mut b = Bench::new();
-    let told = |b: &mut Bench| match request(b, FLIGHT_INFORMATION_DATA::ID) {
-        MavMessage::FLIGHT_INFORMATION(f) => f,
-        _ => unreachable!(),
-    };
+    let told = request::<FLIGHT_INFORMATION_DATA>;
     let before = told(&mut b);
     assert_eq!((before.flight_uuid, before.arming_time_utc), (0, 0));
     b.take_off();
@@ -114,9 +89,8 @@ fn a_sensor_that_is_not_there_may_be_given_a_rate_and_never_sends() {
         DISTANCE_SENSOR_DATA::ID,
         ACTUATOR_CONTROL_TARGET_DATA::ID,
     ] {
-        let rate = [id as f32, 1e5, 0.0, 0.0, 0.0, 0.0, 0.0];
-        assert_eq!(b.command_long(API, SCRIPT, 511, rate), ACCEPTED);
-        assert_eq!(b.command_long(API, SCRIPT, 512, rate), DENIED);
+        assert_eq!(b.ask(511, &[id as f32, 1e5]), ACCEPTED);
+        assert_eq!(b.ask(512, &[id as f32]), DENIED);
         b.run_ms(300);
         assert_eq!(b.count(API, id), 0);
     }

@@ -172,3 +172,11 @@ pub enum ControlCommand {
         rate_m_s: f32,
     },
 }
+
+impl ControlCommand {
+    /// Stands still in the air, the heading kept.
+    pub const STOP: Self = Self::VelocityNed {
+        velocity_m_s: NedVector::ZERO,
+        yaw: YawCommand::Hold,
+    };
+}

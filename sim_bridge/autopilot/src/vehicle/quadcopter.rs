@@ -408,10 +408,7 @@ mod tests {
         };
         let mut vehicle = Vehicle::new(params, wind, 1).unwrap();
         vehicle.place(NedVector::new(1.0, 2.0, -3.0), 0.5, true);
-        let hold = ControlCommand::VelocityNed {
-            velocity_m_s: NedVector::ZERO,
-            yaw: crate::vehicle::YawCommand::Hold,
-        };
+        let hold = ControlCommand::STOP;
         for _ in 0..5_000 {
             vehicle.step(&hold);
             let off = vehicle.truth().position_ned_m - NedVector::new(1.0, 2.0, -3.0);

@@ -1,10 +1,10 @@
 use super::*;
 use crate::config::{SimConfig, Start};
 use crate::simulator::Simulator;
+use crate::testing::packet;
 use crate::world::{Column, Family, Outcome, generate};
+use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
-use vigil_mavlink::{MavHeader, MavMessage};
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, STEP_NS};
 
 /// Pixels in the middle of the image.
@@ -43,39 +43,29 @@ impl Scripted {
         }
     }
 
-    fn hear(&mut self, system_id: u8, component_id: u8, message: &MavMessage) {
-        let mut bytes = [0; MAX_PACKET_LEN];
-        let header = MavHeader {
-            system_id: system_id.into(),
-            component_id,
-            sequence: 0,
-        };
-        let len = serialize(header, message, &mut bytes).expect("fits");
-        self.flight.receive(self.step * STEP_NS, &bytes[..len]);
+    fn hear(&mut self, message: &MavMessage) {
+        self.hear_of((1, 1), message);
+    }
+
+    fn hear_of(&mut self, from: (u8, u8), message: &MavMessage) {
+        self.flight.receive(self.step * STEP_NS, &packet(from, message));
     }
 
     fn heartbeat(&mut self, system: u8) {
-        self.hear(
-            system,
-            1,
-            &MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-                autopilot: MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
-                mavtype: MavType::MAV_TYPE_QUADROTOR,
-                ..Default::default()
-            }),
-        );
+        let message = HEARTBEAT_DATA {
+            autopilot: MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
+            mavtype: MavType::MAV_TYPE_QUADROTOR,
+            ..Default::default()
+        };
+        self.hear_of((system, 1), &MavMessage::HEARTBEAT(message));
     }
 
     fn attitude(&mut self) {
-        let time_boot_ms = self.step as u32 * 50;
-        self.hear(
-            1,
-            1,
-            &MavMessage::ATTITUDE(ATTITUDE_DATA {
-                time_boot_ms,
-                ..Default::default()
-            }),
-        );
+        let message = ATTITUDE_DATA {
+            time_boot_ms: self.step as u32 * 50,
+            ..Default::default()
+        };
+        self.hear(&MavMessage::ATTITUDE(message));
     }
 
     fn position(&mut self, north_m: f32, north_m_s: f32) {
@@ -86,7 +76,7 @@ impl Scripted {
             vx: north_m_s,
             ..Default::default()
         };
-        self.hear(1, 1, &MavMessage::LOCAL_POSITION_NED(message));
+        self.hear(&MavMessage::LOCAL_POSITION_NED(message));
     }
 
     /// Reports at `north_m` in the next step; whether there is a frame, and the state.
@@ -100,10 +90,8 @@ impl Scripted {
 
     fn look(&mut self) -> (bool, PoseState) {
         let now_ns = self.step * STEP_NS;
-        (
-            self.flight.capture(now_ns, &mut self.frame),
-            self.flight.pose_state(now_ns),
-        )
+        let is_captured = self.flight.capture(now_ns, &mut self.frame);
+        (is_captured, self.flight.pose_state(now_ns))
     }
 
     /// Flies north at 2 m/s from `north_m` until it ends.
@@ -144,7 +132,7 @@ fn each_way_to_have_no_pose_has_its_name_and_no_frames() {
     let mut vehicle = Scripted::new(None);
     assert_eq!(vehicle.look(), (false, PoseState::Silent));
     // A ground station is no vehicle.
-    vehicle.hear(255, 190, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()));
+    vehicle.hear_of((255, 190), &MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()));
     assert_eq!(vehicle.look(), (false, PoseState::Silent));
     vehicle.heartbeat(1);
     assert_eq!(vehicle.look(), (false, PoseState::NoPosition));
@@ -192,17 +180,13 @@ fn on_the_ground_the_estimator_may_find_its_place_and_home_is_where_the_course_b
     vehicle.height_m = 0.0;
     vehicle.report(0.0, 0.0);
     // The estimator is reset, and home with it.
-    vehicle.hear(
-        1,
-        1,
-        &MavMessage::HOME_POSITION(HOME_POSITION_DATA {
-            latitude: 473_977_420,
-            longitude: 85_455_940,
-            altitude: 488_000,
-            x: 30.0,
-            ..Default::default()
-        }),
-    );
+    vehicle.hear(&MavMessage::HOME_POSITION(HOME_POSITION_DATA {
+        latitude: 473_977_420,
+        longitude: 85_455_940,
+        altitude: 488_000,
+        x: 30.0,
+        ..Default::default()
+    }));
     assert_eq!(vehicle.report(30.0, 0.0), (true, PoseState::Tracking));
     vehicle.height_m = 2.5;
     vehicle.report(30.0, 0.0);
@@ -231,8 +215,8 @@ fn a_home_whose_height_follows_the_gnss_does_not_carry_the_course_with_it() {
     };
     vehicle.height_m = -0.3;
     vehicle.report(0.0, 0.0);
-    vehicle.hear(1, 1, &landed(MavLandedState::MAV_LANDED_STATE_ON_GROUND));
-    vehicle.hear(1, 1, &home(-2.2));
+    vehicle.hear(&landed(MavLandedState::MAV_LANDED_STATE_ON_GROUND));
+    vehicle.hear(&home(-2.2));
     vehicle.report(0.0, 0.0);
     assert_eq!(vehicle.flight.home_ned_m.z, 0.3, "the ground under it");
     // A home elsewhere is as it is reported.
@@ -241,19 +225,16 @@ fn a_home_whose_height_follows_the_gnss_does_not_carry_the_course_with_it() {
         z: -2.2,
         ..Default::default()
     };
-    vehicle.hear(1, 1, &MavMessage::HOME_POSITION(elsewhere));
+    vehicle.hear(&MavMessage::HOME_POSITION(elsewhere));
     assert_eq!(vehicle.flight.vehicle.home_ned_m().expect("a home").z, -2.2);
-    vehicle.hear(1, 1, &home(-2.2));
-    vehicle.hear(1, 1, &landed(MavLandedState::MAV_LANDED_STATE_IN_AIR));
+    vehicle.hear(&home(-2.2));
+    vehicle.hear(&landed(MavLandedState::MAV_LANDED_STATE_IN_AIR));
     for z in [1.2, -0.9] {
         vehicle.height_m = 2.5;
         vehicle.position(0.0, 0.0);
-        vehicle.hear(1, 1, &home(z));
-        assert_eq!(
-            vehicle.flight.vehicle.home_ned_m().expect("a home").z,
-            0.3,
-            "in the air it stays"
-        );
+        vehicle.hear(&home(z));
+        let home_ned_m = vehicle.flight.vehicle.home_ned_m().expect("a home");
+        assert_eq!(home_ned_m.z, 0.3, "in the air it stays");
     }
 }
 
@@ -265,10 +246,8 @@ fn a_vehicle_that_stands_on_the_ground_or_believes_to_be_below_it_sees_the_groun
         assert_eq!(vehicle.report(0.0, 0.0), (true, PoseState::Tracking));
         let seen = vehicle.frame.depth.iter().filter(|depth| **depth < 1.0).count();
         assert!(seen > vehicle.frame.depth.len() / 4, "{seen} pixels have a return");
-        assert_eq!(
-            vehicle.frame.header.position_ned_m.z, -height_m,
-            "as the firmware hears it"
-        );
+        let told_m = vehicle.frame.header.position_ned_m.z;
+        assert_eq!(told_m, -height_m, "as the firmware hears it");
     }
 }
 
@@ -281,7 +260,7 @@ fn a_vehicle_that_starts_anew_in_flight_has_no_verdict() {
         time_boot_ms: 10,
         ..Default::default()
     };
-    vehicle.hear(1, 1, &MavMessage::LOCAL_POSITION_NED(message));
+    vehicle.hear(&MavMessage::LOCAL_POSITION_NED(message));
     assert_eq!(vehicle.look(), (false, PoseState::Jumped));
 }
 
@@ -294,28 +273,20 @@ fn the_true_pose_is_rendered_where_it_is_wanted_and_waited_for_where_it_is_missi
     let mut vehicle = Scripted::with(Some(8.0), config);
     assert_eq!(vehicle.report(0.0, 0.0), (false, PoseState::NoTruth));
     let (latitude, longitude) = (473_977_420, 85_455_940);
-    vehicle.hear(
-        1,
-        1,
-        &MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
-            latitude,
-            longitude,
-            altitude: 488_000,
-            time_usec: 0,
-        }),
-    );
+    vehicle.hear(&MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
+        latitude,
+        longitude,
+        altitude: 488_000,
+        time_usec: 0,
+    }));
     // A hundred units of latitude north of where it believes to be: 1.11 m.
-    vehicle.hear(
-        1,
-        1,
-        &MavMessage::HIL_STATE_QUATERNION(HIL_STATE_QUATERNION_DATA {
-            attitude_quaternion: [1.0, 0.0, 0.0, 0.0],
-            lat: latitude + 100,
-            lon: longitude,
-            alt: 490_500,
-            ..Default::default()
-        }),
-    );
+    vehicle.hear(&MavMessage::HIL_STATE_QUATERNION(HIL_STATE_QUATERNION_DATA {
+        attitude_quaternion: [1.0, 0.0, 0.0, 0.0],
+        lat: latitude + 100,
+        lon: longitude,
+        alt: 490_500,
+        ..Default::default()
+    }));
     assert_eq!(vehicle.look(), (true, PoseState::Tracking));
     assert!((vehicle.ahead_m() - 6.39).abs() < 0.2, "{}", vehicle.ahead_m());
     assert_eq!(vehicle.frame.header.position_ned_m.x, 0.0, "what it believes");

@@ -35,31 +35,20 @@ pub(super) fn draw_legend(canvas: &mut Canvas, view: &View, course: &Course, pat
     canvas.layer(1.0, |layer| {
         for k in 0..bar as usize {
             let at = x + k as f32;
-            line(layer, [at, y], [at, y + tall], shade(TALL_M * k as f32 / bar), 2.0);
+            line(layer, [[at, y], [at, y + tall]], shade(TALL_M * k as f32 / bar), 2.0);
         }
     });
     for h in 0..=4 {
-        let at = x + bar * h as f32 / TALL_M;
-        text(
-            canvas,
-            &h.to_string(),
-            [at, y + tall + 9.0],
-            &FONT_8X13,
-            FAINT_INK,
-            Alignment::Center,
-        );
+        let at = [x + bar * h as f32 / TALL_M, y + tall + 9.0];
+        text(canvas, &h.to_string(), at, &FONT_8X13, FAINT_INK, Alignment::Center);
     }
     y += tall + 36.0;
     let width = 2.0 * (VEHICLE.radius_m + course.corridor_margin_m());
     let checkpoint = !course.checkpoints.is_empty();
+    let is_flown_under = course.overhangs.iter().any(|o| flown_under(course, &o.solid()));
     let entries: [(&str, Rgb888, f32, bool); 5] = [
         ("overhang, from-to m", OVERHANG, 0.6, !course.overhangs.is_empty()),
-        (
-            "flown under",
-            OVERHANG,
-            0.25,
-            course.overhangs.iter().any(|o| flown_under(course, &o.solid())),
-        ),
+        ("flown under", OVERHANG, 0.25, is_flown_under),
         ("moving, speed m/s", MOVER, 1.0, !course.movers.is_empty()),
         (&format!("corridor, {width:.1} m"), CORRIDOR, 0.4, true),
         ("checkpoint", START, 1.0, checkpoint),
@@ -67,9 +56,9 @@ pub(super) fn draw_legend(canvas: &mut Canvas, view: &View, course: &Course, pat
     for (words, colour, opacity, _) in entries.iter().filter(|e| e.3) {
         canvas.layer(*opacity, |layer| {
             if *words == "checkpoint" {
-                dashed(layer, [x, y], [x + 22.0, y], *colour, 1.6);
+                dashed(layer, [[x, y], [x + 22.0, y]], *colour, 1.6);
             } else {
-                line(layer, [x, y], [x + 22.0, y], *colour, 12.0);
+                line(layer, [[x, y], [x + 22.0, y]], *colour, 12.0);
             }
         });
         text(canvas, words, [x + 32.0, y], &FONT_8X13, INK, Alignment::Left);
@@ -78,7 +67,7 @@ pub(super) fn draw_legend(canvas: &mut Canvas, view: &View, course: &Course, pat
     y += 12.0;
     for (i, path) in paths.iter().enumerate().take(LEGEND_PATHS) {
         canvas.layer(1.0, |layer| {
-            line(layer, [x, y], [x + 22.0, y], path_colour(path, i), 3.0)
+            line(layer, [[x, y], [x + 22.0, y]], path_colour(path, i), 3.0)
         });
         let outcome = path.outcome.map_or(String::new(), |o| format!(": {o}"));
         let words: String = format!("{}{outcome}", path.label).chars().take(24).collect();

@@ -142,17 +142,18 @@ fn drawn<T>(result: Result<T, core::convert::Infallible>) -> T {
     }
 }
 
-fn line(layer: &mut Layer, from: [f32; 2], to: [f32; 2], colour: Rgb888, pixels: f32) {
-    let shape = Line::new(layer.point(from), layer.point(to));
+fn line(layer: &mut Layer, ends: [[f32; 2]; 2], colour: Rgb888, pixels: f32) {
+    let [from, to] = ends.map(|end| layer.point(end));
+    let shape = Line::new(from, to);
     drawn(shape.into_styled(stroke(layer, colour, pixels)).draw(layer));
-    let ([x0, y0], [x1, y1]) = (from, to);
+    let [[x0, y0], [x1, y1]] = ends;
     let colour = hex(colour);
     layer.add_svg(&format!(
         "<line x1=\"{x0:.1}\" y1=\"{y0:.1}\" x2=\"{x1:.1}\" y2=\"{y1:.1}\" stroke=\"{colour}\" stroke-width=\"{pixels}\"/>\n"
     ));
 }
 
-fn dashed(layer: &mut Layer, from: [f32; 2], to: [f32; 2], colour: Rgb888, pixels: f32) {
+fn dashed(layer: &mut Layer, [from, to]: [[f32; 2]; 2], colour: Rgb888, pixels: f32) {
     let (dx, dy) = (to[0] - from[0], to[1] - from[1]);
     let length = libm::hypotf(dx, dy).max(1e-3);
     let (on, off) = (7.0, 6.0);
@@ -160,7 +161,7 @@ fn dashed(layer: &mut Layer, from: [f32; 2], to: [f32; 2], colour: Rgb888, pixel
     while start < length {
         let end = (start + on).min(length);
         let at = |s: f32| [from[0] + dx * s / length, from[1] + dy * s / length];
-        line(layer, at(start), at(end), colour, pixels);
+        line(layer, [at(start), at(end)], colour, pixels);
         start = end + off;
     }
 }
@@ -194,6 +195,19 @@ fn quadrangle(layer: &mut Layer, corners: [[f32; 2]; 4], colour: Rgb888) {
     for shape in [Triangle::new(a, b, c), Triangle::new(a, c, d)] {
         drawn(shape.into_styled(fill(colour)).draw(layer));
     }
+}
+
+/// A cross whose arms reach so far to each side.
+fn cross(layer: &mut Layer, [x, y]: [f32; 2], reach: f32, colour: Rgb888) {
+    for rises in [reach, -reach] {
+        line(layer, [[x - reach, y - rises], [x + reach, y + rises]], colour, 3.0);
+    }
+}
+
+/// The sides of a quadrangle.
+fn sides(corners: [[f32; 2]; 4]) -> [[[f32; 2]; 2]; 4] {
+    let [a, b, c, d] = corners;
+    [[a, b], [b, c], [c, d], [d, a]]
 }
 
 /// A thick line through points, with round joints.
@@ -244,73 +258,34 @@ fn draw_grid(canvas: &mut Canvas, view: &View, course: &Course) {
         for fives in [false, true] {
             let colour = if fives { GRID_5M } else { GRID };
             for n in metres(north).filter(|n| n % step == 0 && (n % 5 == 0) == fives) {
-                line(
-                    layer,
-                    view.at(n as f32, east[0]),
-                    view.at(n as f32, east[1]),
-                    colour,
-                    1.0,
-                );
+                line(layer, east.map(|e| view.at(n as f32, e)), colour, 1.0);
             }
             for e in metres(east).filter(|e| e % step == 0 && (e % 5 == 0) == fives) {
-                line(
-                    layer,
-                    view.at(north[0], e as f32),
-                    view.at(north[1], e as f32),
-                    colour,
-                    1.0,
-                );
+                line(layer, north.map(|n| view.at(n, e as f32)), colour, 1.0);
             }
         }
         for c in &course.checkpoints {
             let across = crate::world::solid::radians(c.heading_deg + 90.0);
             let (dn, de) = (3.0 * libm::cosf(across), 3.0 * libm::sinf(across));
             let ends = [-1.0, 1.0].map(|s| view.at(c.north_m + s * dn, c.east_m + s * de));
-            dashed(layer, ends[0], ends[1], START, 1.3);
+            dashed(layer, ends, START, 1.3);
         }
         let corners = [(0, 0), (0, 1), (1, 1), (1, 0), (0, 0)].map(|(i, j)| view.at(north[i], east[j]));
         band(layer, &corners, INK, 2.0);
     });
+    let mut label = |words: &str, at, side| text(canvas, words, at, &FONT_8X13, FAINT_INK, side);
     let label_step = if view.pixels_per_m < 12.0 { 20 } else { 5 };
     for n in metres(north).filter(|n| n % label_step == 0) {
         let [x, y] = view.at(n as f32, east[0]);
-        text(
-            canvas,
-            &n.to_string(),
-            [x - 8.0, y],
-            &FONT_8X13,
-            FAINT_INK,
-            Alignment::Right,
-        );
+        label(&n.to_string(), [x - 8.0, y], Alignment::Right);
     }
     for e in metres(east).filter(|e| e % label_step == 0) {
         let [x, y] = view.at(north[0], e as f32);
-        text(
-            canvas,
-            &e.to_string(),
-            [x, y + 13.0],
-            &FONT_8X13,
-            FAINT_INK,
-            Alignment::Center,
-        );
+        label(&e.to_string(), [x, y + 13.0], Alignment::Center);
     }
     let [x, y] = view.at(north[0], 0.5 * (east[0] + east[1]));
-    text(
-        canvas,
-        "east of home, m",
-        [x, y + 31.0],
-        &FONT_8X13,
-        FAINT_INK,
-        Alignment::Center,
-    );
-    text(
-        canvas,
-        "north, m",
-        [6.0, TOP - 14.0],
-        &FONT_8X13,
-        FAINT_INK,
-        Alignment::Left,
-    );
+    label("east of home, m", [x, y + 31.0], Alignment::Center);
+    label("north, m", [6.0, TOP - 14.0], Alignment::Left);
 }
 
 fn draw_corridor(canvas: &mut Canvas, view: &View, course: &Course) {
@@ -321,8 +296,8 @@ fn draw_corridor(canvas: &mut Canvas, view: &View, course: &Course) {
     let width = 2.0 * (VEHICLE.radius_m + course.corridor_margin_m()) * view.pixels_per_m;
     canvas.layer(0.22, |layer| band(layer, &points, CORRIDOR, width));
     canvas.layer(1.0, |layer| {
-        for leg in points.windows(2) {
-            dashed(layer, leg[0], leg[1], CORRIDOR, 2.0);
+        for leg in points.array_windows() {
+            dashed(layer, *leg, CORRIDOR, 2.0);
         }
     });
 }
@@ -336,12 +311,8 @@ fn shade(top_m: f32) -> Rgb888 {
 
 /// The four corners of a cuboid in the plan view, in pixels.
 fn corners(view: &View, solid: &Solid) -> Option<[[f32; 2]; 4]> {
-    Some(
-        solid
-            .plan_rectangle()?
-            .corners()
-            .map(|[north_m, east_m]| view.at(north_m, east_m)),
-    )
+    let outline = solid.plan_rectangle()?;
+    Some(outline.corners().map(|[north_m, east_m]| view.at(north_m, east_m)))
 }
 
 fn draw_solid(layer: &mut Layer, view: &View, solid: &Solid, colour: Rgb888, outline: Rgb888) {
@@ -354,20 +325,16 @@ fn draw_solid(layer: &mut Layer, view: &View, solid: &Solid, colour: Rgb888, out
                 .stroke_color(outline)
                 .stroke_width(layer.length(1.2))
                 .build();
-            disc(
-                layer,
-                view.at(centre_ned_m.x, centre_ned_m.y),
-                radius_m * view.pixels_per_m,
-                style,
-            );
+            let centre = view.at(centre_ned_m.x, centre_ned_m.y);
+            disc(layer, centre, radius_m * view.pixels_per_m, style);
         }
         Solid::Cuboid { .. } => {
             let Some(c) = corners(view, solid) else {
                 return;
             };
             quadrangle(layer, c, colour);
-            for k in 0..4 {
-                line(layer, c[k], c[(k + 1) % 4], outline, 1.2);
+            for side in sides(c) {
+                line(layer, side, outline, 1.2);
             }
         }
     }
@@ -387,8 +354,8 @@ fn draw_obstacles(canvas: &mut Canvas, view: &View, course: &Course) {
         canvas.layer(opacity, |layer| draw_solid(layer, view, &solid, OVERHANG, OVERHANG));
         if let Some(c) = corners(view, &solid) {
             canvas.layer(1.0, |layer| {
-                for k in 0..4 {
-                    dashed(layer, c[k], c[(k + 1) % 4], OVERHANG, 1.6);
+                for side in sides(c) {
+                    dashed(layer, side, OVERHANG, 1.6);
                 }
             });
         }
@@ -407,15 +374,7 @@ fn draw_places(canvas: &mut Canvas, view: &View, course: &Course) {
     canvas.layer(1.0, |layer| {
         let ring = stroke(layer, GOAL, 2.2);
         disc(layer, goal, goal_radius, ring);
-        for (dx, dy) in [(8.0, 8.0), (8.0, -8.0)] {
-            line(
-                layer,
-                [goal[0] - dx, goal[1] - dy],
-                [goal[0] + dx, goal[1] + dy],
-                GOAL,
-                3.0,
-            );
-        }
+        cross(layer, goal, 8.0, GOAL);
         disc(layer, start, VEHICLE.radius_m * view.pixels_per_m, fill(START));
         let heading = course.start_heading_rad();
         let (dx, dy) = (libm::sinf(heading), -libm::cosf(heading));
@@ -431,15 +390,11 @@ fn arrow(layer: &mut Layer, from: [f32; 2], tip: [f32; 2], colour: Rgb888) {
     let scale = 1.0 / libm::hypotf(dx, dy).max(1e-3);
     let (dx, dy) = (dx * scale, dy * scale);
     let behind = |back: f32, side: f32| [tip[0] - back * dx - side * dy, tip[1] - back * dy + side * dx];
-    line(layer, from, behind(length, 0.0), colour, 3.0);
+    line(layer, [from, behind(length, 0.0)], colour, 3.0);
     let head = [tip, behind(length, half), behind(length, -half)];
     add_polygon(layer, &head, colour);
-    let head = head.map(|p| layer.point(p));
-    drawn(
-        Triangle::new(head[0], head[1], head[2])
-            .into_styled(fill(colour))
-            .draw(layer),
-    );
+    let [a, b, c] = head.map(|p| layer.point(p));
+    drawn(Triangle::new(a, b, c).into_styled(fill(colour)).draw(layer));
 }
 
 fn path_colour(path: &FlightPath, index: usize) -> Rgb888 {
@@ -461,16 +416,10 @@ fn draw_path(layer: &mut Layer, view: &View, path: &FlightPath, colour: Rgb888) 
         .map(|[x, y]| [x.clamp(0.0, width), y.clamp(0.0, height)])
         .collect();
     band(layer, &points, colour, 2.4);
-    let Some(&[x, y]) = points.last() else {
-        return;
-    };
-    match path.outcome {
-        Some(Outcome::Success) | None => disc(layer, [x, y], 4.5, fill(colour)),
-        Some(_) => {
-            for (dx, dy) in [(7.0, 7.0), (7.0, -7.0)] {
-                line(layer, [x - dx, y - dy], [x + dx, y + dy], colour, 3.0);
-            }
-        }
+    match (points.last(), path.outcome) {
+        (None, _) => {}
+        (Some(last), Some(Outcome::Success) | None) => disc(layer, *last, 4.5, fill(colour)),
+        (Some(last), Some(_)) => cross(layer, *last, 7.0, colour),
     }
 }
 

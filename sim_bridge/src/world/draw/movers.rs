@@ -17,21 +17,15 @@ pub(super) fn draw_movers(canvas: &mut Canvas, view: &View, course: &Course) {
             arrow(layer, middle, to, MOVER);
         });
         let words = format!("{:.2}", mover.speed_m_s);
-        text(
-            canvas,
-            &words,
-            [middle[0], middle[1] - 10.0],
-            &FONT_6X10,
-            INK,
-            Alignment::Center,
-        );
+        let above = [middle[0], middle[1] - 10.0];
+        text(canvas, &words, above, &FONT_6X10, INK, Alignment::Center);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::{FlightPath, MOVER, draw};
-    use crate::world::{Course, Image};
+    use crate::world::Image;
     use embedded_graphics::prelude::RgbColor;
 
     fn pixels(image: &Image, colour: [u8; 3]) -> usize {
@@ -40,13 +34,7 @@ mod tests {
 
     #[test]
     fn a_mover_is_drawn_with_its_way() {
-        let course = |mover: &str| {
-            let text = format!(
-                "name = \"test\"\ngoal = {{ north_m = 20.0, east_m = 0.0 }}\n\
-                 bounds = {{ north_m = [-4.0, 26.0], east_m = [-8.0, 8.0], top_m = 6.0 }}\n{mover}"
-            );
-            Course::from_toml_str(&text, "test").expect("valid")
-        };
+        let course = |mover: &str| crate::testing::field(0.0, 8.0, mover);
         let with = course(
             "[[mover]]\nfrom_m = [10.0, -5.0]\nto_m = [10.0, 5.0]\nspeed_m_s = 0.5\nheight_m = 2.0\n\
              shape = { column = { radius_m = 0.4 } }",

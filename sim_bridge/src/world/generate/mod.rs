@@ -8,7 +8,7 @@ use crate::world::course::{
     default_goal_radius_m, default_time_limit_s,
 };
 use crate::world::mover::Mover;
-use crate::world::solid::Solid;
+use crate::world::solid::{Solid, radians};
 mod hard;
 mod long;
 
@@ -114,20 +114,8 @@ fn lay_out(b: &mut Builder) {
     for kind in [Kind::Wall, Kind::Box, Kind::LowOverhang, Kind::Beam, Kind::Column] {
         b.scatter(kind, 1..2, &area);
     }
-    match b.pick(&[Layout::Forest, Layout::Screens, Layout::Yard, Layout::Rows]) {
-        Layout::Forest => forest(b),
-        Layout::Screens => screens(b),
-        Layout::Yard => yard(b),
-        Layout::Rows => rows(b),
-    }
-}
-
-#[derive(Clone, Copy)]
-enum Layout {
-    Forest,
-    Screens,
-    Yard,
-    Rows,
+    let lay_out: fn(&mut Builder) = b.pick(&[forest, screens, yard, rows]);
+    lay_out(b);
 }
 
 /// Thin columns close together.
@@ -382,10 +370,8 @@ impl Builder {
             }),
             Kind::Wall => {
                 let half_m = 0.5 * self.length(2.0..4.5);
-                let (s, c) = (
-                    libm::sinf(crate::world::solid::radians(yaw_deg)),
-                    libm::cosf(crate::world::solid::radians(yaw_deg)),
-                );
+                let yaw_rad = radians(yaw_deg);
+                let (s, c) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
                 Obstacle::Wall(Wall {
                     from_m: [cm(north_m - half_m * c), cm(east_m - half_m * s)],
                     to_m: [cm(north_m + half_m * c), cm(east_m + half_m * s)],
@@ -393,31 +379,24 @@ impl Builder {
                     height_m: self.length(2.2..3.5),
                 })
             }
-            Kind::LowOverhang => {
-                let bottom_m = self.length(0.8..1.5);
-                Obstacle::Overhang(Overhang {
-                    north_m,
-                    east_m,
-                    length_m: self.length(1.0..3.0),
-                    width_m: self.length(0.4..1.5),
-                    bottom_m,
-                    top_m: cm(bottom_m + self.rng.random_range(0.7..1.6)),
-                    yaw_deg,
-                })
-            }
-            Kind::Beam => {
-                let bottom_m = self.length(2.25..2.7);
-                Obstacle::Overhang(Overhang {
-                    north_m,
-                    east_m,
-                    length_m: self.length(2.0..6.0),
-                    width_m: self.length(0.2..0.6),
-                    bottom_m,
-                    top_m: cm(bottom_m + self.rng.random_range(0.2..0.6)),
-                    yaw_deg,
-                })
-            }
+            Kind::LowOverhang => self.overhang((north_m, east_m, yaw_deg), [0.8..1.5, 1.0..3.0, 0.4..1.5, 0.7..1.6]),
+            Kind::Beam => self.overhang((north_m, east_m, yaw_deg), [2.25..2.7, 2.0..6.0, 0.2..0.6, 0.2..0.6]),
         }
+    }
+
+    /// One whose height above ground, length, width and thickness are drawn from ranges.
+    fn overhang(&mut self, (north_m, east_m, yaw_deg): (f32, f32, f32), ranges: [Range<f32>; 4]) -> Obstacle {
+        let [bottom_m, length_m, width_m, thickness_m] = ranges;
+        let bottom_m = self.length(bottom_m);
+        Obstacle::Overhang(Overhang {
+            north_m,
+            east_m,
+            length_m: self.length(length_m),
+            width_m: self.length(width_m),
+            bottom_m,
+            top_m: cm(bottom_m + self.rng.random_range(thickness_m)),
+            yaw_deg,
+        })
     }
 
     /// Adds an obstacle if it leaves start and goal clear and the smallest gap to every other open.
@@ -463,11 +442,7 @@ impl Builder {
     /// Takes obstacles back, the last first, until there is a way through.
     fn finish(mut self) -> Course {
         loop {
-            self.course.columns.clear();
-            self.course.boxes.clear();
-            self.course.walls.clear();
-            self.course.overhangs.clear();
-            self.course.movers.clear();
+            self.course.clear_obstacles();
             for (obstacle, _) in self.placed.iter().flatten() {
                 match *obstacle {
                     Obstacle::Column(o) => self.course.columns.push(o),

@@ -97,6 +97,21 @@ pub struct Shot {
     pub sensor_id: u32,
 }
 
+impl Shot {
+    /// Taken by a sensor of number 0 whose vehicle knows where it is, the first frame at time 0.
+    pub fn at(position_ned_m: NedVector, attitude: Attitude) -> Self {
+        Self {
+            position_ned_m,
+            attitude,
+            estimated_position_ned_m: position_ned_m,
+            estimated_attitude: attitude,
+            stamp_ns: 0,
+            sequence: 0,
+            sensor_id: 0,
+        }
+    }
+}
+
 /// The sensor. It keeps its working storage; a capture allocates nothing once the largest world was seen.
 pub struct Lidar {
     config: LidarConfig,

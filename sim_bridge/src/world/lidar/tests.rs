@@ -17,13 +17,10 @@ fn poses() -> impl Iterator<Item = (NedVector, Attitude)> {
 
 fn shot((position_ned_m, attitude): (NedVector, Attitude), sequence: u64) -> Shot {
     Shot {
-        position_ned_m,
-        attitude,
-        estimated_position_ned_m: position_ned_m,
-        estimated_attitude: attitude,
         stamp_ns: sequence * 50_000_000,
         sequence,
         sensor_id: 3,
+        ..Shot::at(position_ned_m, attitude)
     }
 }
 

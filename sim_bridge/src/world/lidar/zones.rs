@@ -117,22 +117,13 @@ impl ZoneSensor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::course::{Course, Family};
+    use crate::world::course::Family;
     use crate::world::generate;
-
-    fn empty() -> Course {
-        let mut course = generate(Family::Validation, 7);
-        course.boxes.clear();
-        course.columns.clear();
-        course.walls.clear();
-        course.overhangs.clear();
-        course.movers.clear();
-        course
-    }
 
     #[test]
     fn a_wall_ahead_is_measured_where_it_is_and_the_ground_is_not() {
-        let mut course = empty();
+        let mut course = generate(Family::Validation, 7);
+        course.clear_obstacles();
         let place = NedVector::new(0.0, 0.0, -1.5);
         let (mut one, mut three) = (ZoneSensor::new(3, 1), ZoneSensor::new(3, 3));
         let mut room = [0.0; ZONE_MOST_HEADS * ZONE_COLUMNS];
@@ -153,16 +144,13 @@ mod tests {
             assert!(seen[0].is_infinite() && seen[7].is_infinite(), "{seen:?}");
             // It stands 45° to the right of a vehicle that is turned to the left by as much.
             let turned = Attitude::from_euler_rad(0.0, 0.0, -ZONE_FOV_RAD);
-            assert!(
-                one.measure(&world, place, turned, &mut room)
-                    .iter()
-                    .all(|m| m.is_infinite())
-            );
+            let seen = one.measure(&world, place, turned, &mut room);
+            assert!(seen.iter().all(|m| m.is_infinite()), "{seen:?}");
             let seen = three.measure(&world, place, turned, &mut room);
             assert!((2.3..2.7).contains(&seen[19].min(seen[20])), "{seen:?}");
         }
         // Nose down the ground comes into view, and is none of what is in the way.
-        course.columns.clear();
+        course.clear_obstacles();
         let nose_down = Attitude::from_euler_rad(0.0, -0.4, 0.0);
         let seen = one.measure(&World::new(&course), place, nose_down, &mut room);
         assert!(seen.iter().all(|m| m.is_infinite()), "{seen:?}");

@@ -196,13 +196,9 @@ fn hovering_before_wall(
     let mut frame = Box::new(DepthFrame::EMPTY);
     for sequence in 0..=SCAN_AGES[0] as u64 {
         let shot = Shot {
-            position_ned_m,
-            attitude: Attitude::LEVEL_NORTH,
-            estimated_position_ned_m: position_ned_m,
-            estimated_attitude: Attitude::LEVEL_NORTH,
             stamp_ns: sequence * STEP_NS,
             sequence,
-            sensor_id: 0,
+            ..Shot::at(position_ned_m, Attitude::LEVEL_NORTH)
         };
         lidar.capture(&world, &shot, &mut frame);
         actor.decide(&PilotInput {
@@ -222,22 +218,19 @@ fn hovering_before_wall(
 fn wall_ahead(gap_m: f32) -> Course {
     let thickness_m = 0.2;
     let north_m = gap_m + thickness_m / 2.0;
-    let generated = generate(Family::Validation, 1);
+    let mut empty = generate(Family::Validation, 1);
+    empty.clear_obstacles();
     Course {
         name: "a wall ahead".to_owned(),
         family: None,
         ceiling_height_m: None,
         checkpoints: Vec::new(),
-        columns: Vec::new(),
-        boxes: Vec::new(),
         walls: vec![Wall {
             from_m: [north_m, -WALL_WIDTH_M / 2.0],
             to_m: [north_m, WALL_WIDTH_M / 2.0],
             thickness_m,
             height_m: 4.0,
         }],
-        overhangs: Vec::new(),
-        movers: Vec::new(),
-        ..generated
+        ..empty
     }
 }

@@ -94,13 +94,9 @@ impl Photographer {
         let mut tilt = || (TILT_RAD * normal(&mut self.rng)).clamp(-MOST_TILT_RAD, MOST_TILT_RAD);
         let attitude = Attitude::from_euler_rad(tilt(), tilt(), yaw_rad);
         let shot = Shot {
-            position_ned_m,
-            attitude,
-            estimated_position_ned_m: position_ned_m,
-            estimated_attitude: attitude,
             stamp_ns: at_ns,
             sequence: self.rng.random(),
-            sensor_id: 0,
+            ..Shot::at(position_ned_m, attitude)
         };
         self.lidar.capture(&self.world, &shot, &mut self.frame);
         let yaw_rad = attitude.yaw_rad();

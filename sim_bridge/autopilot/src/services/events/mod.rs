@@ -14,7 +14,6 @@ use vigil_mavlink::common::{
     REQUEST_EVENT_DATA, RESPONSE_EVENT_ERROR_DATA,
 };
 use vigil_mavlink::framing::{Command, Packet};
-use vigil_mavlink::mavlink::MessageData;
 use vigil_types::Nanos;
 
 pub(crate) use catalogue::definitions;
@@ -67,11 +66,8 @@ pub(crate) struct Events {
 
 impl Service for Events {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        if packet.message_id() == REQUEST_EVENT_DATA::ID {
-            match packet.message() {
-                Ok(MavMessage::REQUEST_EVENT(request)) => self.send_again(&request, source, core),
-                _ => core.refusals.not_parsed += 1,
-            }
+        if let Some(request) = core.read(packet) {
+            self.send_again(&request, source, core);
         }
     }
 
