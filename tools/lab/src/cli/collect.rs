@@ -178,7 +178,7 @@ impl Gathering<'_> {
             actor_sha256: self.pilot.sha256(),
             records: vec![fly(Isa::detect(), self.pilot, &scenario, &mut ())?],
         };
-        Ok(BASE64.encode(flown.to_bytes(self.folder)?))
+        Ok(BASE64.encode(flown.to_bytes()?))
     }
 }
 

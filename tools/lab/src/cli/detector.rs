@@ -8,8 +8,8 @@ pub(crate) use report::roc;
 use crate::cli::collect::{CollectArgs, Gathering};
 use crate::cli::output::{self, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
-    DetectError, EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Set, WindowScorer, fly_sets,
-    sets,
+    EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Set, WindowScorer, fly_sets,
+    of_other_actor, sets,
 };
 use crate::report::{Figure, Picture, TextTable, numbers, words};
 use crate::statistics::quantile;
@@ -423,9 +423,9 @@ impl Stage<'_> {
             true => FrozenDetector::load(&path)?,
             false => FrozenDetector::built_in()?,
         };
-        let (found, expected) = (frozen.actor_sha256.clone(), self.pilot.sha256());
-        if found != expected {
-            return Err(DetectError::OtherActor { path, found, expected }.into());
+        let expected = self.pilot.sha256();
+        if frozen.actor_sha256 != expected {
+            return Err(of_other_actor(&path, &frozen.actor_sha256, &expected));
         }
         Ok(frozen)
     }

@@ -4,9 +4,9 @@ use crate::detector_training::features::Feature;
 use crate::detector_training::flight_files::Class;
 use crate::detector_training::lstm::WindowScorer;
 use crate::detector_training::metrics::{Proportion, Separation, corners, roc};
-use crate::explained::DetectError;
 use crate::explained::{Adversary, MAX_STEPS, Plan, Scenario};
 use crate::explained::{Ending, Frame, Record, fly};
+use anyhow::Result;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -155,7 +155,7 @@ pub fn fly_sets(
     pilot: &FrozenPilot,
     sets: &[Set],
     progress: &mut dyn FnMut(u64) -> ControlFlow<()>,
-) -> Result<Option<Vec<Vec<Record>>>, DetectError> {
+) -> Result<Option<Vec<Vec<Record>>>> {
     let mut all = Vec::with_capacity(sets.len());
     for set in sets {
         let mut records = Vec::with_capacity(set.scenarios.len());
@@ -352,7 +352,7 @@ pub fn evaluate(
     scorer: &WindowScorer,
     threshold: f32,
     (sets, records): (&[Set], &[Vec<Record>]),
-) -> Result<Report, DetectError> {
+) -> Result<Report> {
     let scores = records
         .iter()
         .map(|records| scorer.scores(isa, pilot, records))
