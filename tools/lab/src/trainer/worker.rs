@@ -8,6 +8,7 @@ use crate::trainer::observation::{Drift, Encoder, OBSERVATION, Observer};
 use crate::trainer::priorities::Next;
 use crate::trainer::replay::{Trajectory, Transition};
 use crate::trainer::reward::{DecisionResult, reward};
+use anyhow::Result;
 use core::f32::consts::{PI, TAU};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -16,7 +17,7 @@ use std::sync::Arc;
 use vigil_nnet::ShapeError;
 use vigil_policy::{NearestObstacle, apf};
 use vigil_sim::environment::true_state::{RAYS, TRUE_STATE, TrueCourse, range_m};
-use vigil_sim::vehicle::{ParamsError, VehicleParams};
+use vigil_sim::vehicle::VehicleParams;
 use vigil_sim::world::{Family, Outcome, generate};
 use vigil_types::{Action, GoalRelative, NedVector, wrap_pi};
 
@@ -24,17 +25,6 @@ use vigil_types::{Action, GoalRelative, NedVector, wrap_pi};
 const FIRST_TRAINING_SEED: u64 = 1_000_000;
 /// The repulsive field takes the nearest surface within this angle of the nose.
 const FIELD_HALF_ANGLE_RAD: f32 = PI / 4.0;
-
-/// Why a flight could not be flown.
-#[derive(Debug, thiserror::Error)]
-pub enum FlyError {
-    /// The vehicle.
-    #[error(transparent)]
-    Vehicle(#[from] ParamsError),
-    /// Networks that do not fit.
-    #[error(transparent)]
-    Network(#[from] ShapeError),
-}
 
 /// A flight over a course as its actor observes it.
 pub struct ObservedFlight {
@@ -55,7 +45,7 @@ impl ObservedFlight {
         vehicle: VehicleParams,
         time_limit_s: f32,
         drift: Drift,
-    ) -> Result<Self, FlyError> {
+    ) -> Result<Self> {
         let mut course = generate(family, seed);
         course.time_limit_s = time_limit_s;
         let mut flight = Self {
@@ -143,7 +133,7 @@ struct Current {
 }
 
 impl Current {
-    fn begin(config: &LearnConfig, encoder: Arc<Encoder>, episode: Episode) -> Result<Self, FlyError> {
+    fn begin(config: &LearnConfig, encoder: Arc<Encoder>, episode: Episode) -> Result<Self> {
         let course = generate(episode.family, episode.seed);
         let at = (episode.family, episode.seed);
         let vehicle = match episode.drawn_vehicle {
@@ -241,7 +231,7 @@ impl EnvWorker {
     ///
     /// # Errors
     /// None with the default vehicle and the encoder it was saved with.
-    pub fn restore(&mut self, config: &LearnConfig, state: &WorkerState) -> Result<(), FlyError> {
+    pub fn restore(&mut self, config: &LearnConfig, state: &WorkerState) -> Result<()> {
         let (high, low) = state.random_at;
         self.rng.set_word_pos(u128::from(high) << 64 | u128::from(low));
         self.flights = state.flights;
@@ -260,7 +250,7 @@ impl EnvWorker {
     ///
     /// # Errors
     /// None with the default vehicle.
-    pub fn observation(&mut self, config: &LearnConfig, warm_up: bool) -> Result<[f32; OBSERVATION], FlyError> {
+    pub fn observation(&mut self, config: &LearnConfig, warm_up: bool) -> Result<[f32; OBSERVATION]> {
         if self.current.is_none() {
             let run = config.seed.wrapping_mul(1 << 24);
             let seed = FIRST_TRAINING_SEED.wrapping_add(run) + self.flights * self.environments + self.number;
@@ -314,7 +304,7 @@ impl EnvWorker {
         own: Option<[f32; 2]>,
         sigma: f32,
         trajectory: &mut Trajectory,
-    ) -> Result<Option<FlightReport>, FlyError> {
+    ) -> Result<Option<FlightReport>> {
         let Some(mut c) = self.current.take() else {
             return Ok(None);
         };
