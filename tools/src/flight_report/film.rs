@@ -1,7 +1,8 @@
 //! The frames that a report shows, and what their pixels did to the actor's decision.
 
 use crate::flight_derived::ExplainedReplay;
-use crate::flight_report::log_seen::{LogSeen, ReportError, ReportOptions, StepSeen, WHO};
+use crate::flight_report::log_seen::{LogSeen, ReportOptions, StepSeen, WHO};
+use anyhow::{Context, Result};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use serde::Serialize;
@@ -20,6 +21,8 @@ const OVERVIEW_LIMIT: usize = 120;
 const STRONG: f64 = 0.99;
 /// Side of the squares over which pixels' SHAP values are summed.
 const SQUARE: usize = 4;
+
+const NO_PICTURE: &str = "a picture of the report cannot be made";
 
 /// The film of a flight.
 #[derive(Debug, Clone, Default)]
@@ -74,7 +77,7 @@ fn chosen(log: &LogSeen, moment: Option<usize>) -> Vec<usize> {
 }
 
 /// Reads the log once more and makes the pictures.
-pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, ReportError> {
+pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film> {
     let moment = moment(log);
     let steps = chosen(log, moment);
     if steps.is_empty() {
@@ -181,7 +184,7 @@ impl Pixels {
     }
 
     /// All on one scale.
-    fn draw_into(&self, pictures: &mut [Picture]) -> Result<(), ReportError> {
+    fn draw_into(&self, pictures: &mut [Picture]) -> Result<()> {
         let values = self.explanations.iter().flat_map(|(_, phi)| phi);
         let sizes: Vec<f64> = values.map(|v| f64::from(v.abs())).collect();
         let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9) as f32;
@@ -218,7 +221,7 @@ fn caption(log: &LogSeen, step: &StepSeen, change: Option<f32>) -> String {
 }
 
 /// Near is bright, as in the contrast that the actor sees. 64 greys: the LiDAR's noise would only swell the file.
-fn depth_picture(depth: &[f32], full_size: bool) -> Result<String, ReportError> {
+fn depth_picture(depth: &[f32], full_size: bool) -> Result<String> {
     let step = if full_size { 1 } else { 2 };
     let grey = |range: f32| (crate::cli::output::range_grey(range)[0] / 4).saturating_mul(4);
     let mut pixels = Vec::with_capacity(DEPTH_PIXELS / (step * step));
@@ -229,7 +232,7 @@ fn depth_picture(depth: &[f32], full_size: bool) -> Result<String, ReportError> 
 }
 
 /// Orange turns right, blue turns left, white moves nothing: safe for the colour-blind.
-fn shap_picture(sums: &[f32], full: f32) -> Result<String, ReportError> {
+fn shap_picture(sums: &[f32], full: f32) -> Result<String> {
     let mut pixels = Vec::with_capacity(3 * sums.len());
     for value in sums {
         let share = (value / full).clamp(-1.0, 1.0);
@@ -245,16 +248,15 @@ fn shap_picture(sums: &[f32], full: f32) -> Result<String, ReportError> {
     picture(&pixels, SQUARE, png::ColorType::Rgb)
 }
 
-fn picture(pixels: &[u8], step: usize, colour: png::ColorType) -> Result<String, ReportError> {
-    let failed = |error: png::EncodingError| ReportError::Picture(error.to_string());
+fn picture(pixels: &[u8], step: usize, colour: png::ColorType) -> Result<String> {
     let mut bytes = Vec::new();
     let (width, height) = (DEPTH_COLS / step, DEPTH_ROWS / step);
     let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
     encoder.set_color(colour);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_compression(png::Compression::High);
-    let mut writer = encoder.write_header().map_err(failed)?;
-    writer.write_image_data(pixels).map_err(failed)?;
-    writer.finish().map_err(failed)?;
+    let mut writer = encoder.write_header().context(NO_PICTURE)?;
+    writer.write_image_data(pixels).context(NO_PICTURE)?;
+    writer.finish().context(NO_PICTURE)?;
     Ok(format!("data:image/png;base64,{}", BASE64.encode(bytes)))
 }

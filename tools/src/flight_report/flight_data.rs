@@ -1,9 +1,10 @@
 //! What a report shows of a flight, taken from its log.
 
 use crate::flight_report::film::{self, Film, Picture};
-use crate::flight_report::log_seen::{LogSeen, ReportError, ReportOptions, StepSeen, WHO, rounded};
+use crate::flight_report::log_seen::{LogSeen, ReportOptions, StepSeen, WHO, rounded};
 use crate::flight_report::page::DATA_LIMIT;
 use crate::flight_report::words::{self, Event, Verdict};
+use anyhow::{Result, bail};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use serde::Serialize;
@@ -99,12 +100,17 @@ pub struct Outline {
 /// Reads a log and makes of it what a report shows. A log that was cut off or is damaged shows what is whole, and says so.
 ///
 /// # Errors
-/// [`ReportError`]: a file that is no log of this version, or holds no whole step.
-pub fn read(path: &Path, options: ReportOptions) -> Result<Flight, ReportError> {
+/// A file that is no log of this version, or holds no whole step.
+pub fn read(path: &Path, options: ReportOptions) -> Result<Flight> {
     let log = LogSeen::read(path)?;
     if log.steps.is_empty() {
-        let none = || ReportError::NoSteps(path.display().to_string());
-        return Err(log.damage.map_or_else(none, ReportError::Damaged));
+        match log.damage {
+            Some(damage) => bail!("{damage}, so there is nothing to show yet"),
+            None => bail!(
+                "{} holds no step: the recording ended before the first one, so there is nothing to show",
+                path.display()
+            ),
+        }
     }
     let film = film::take(path, &log, options)?;
     Ok(flight(path, &log, film))

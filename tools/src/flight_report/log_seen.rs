@@ -17,23 +17,6 @@ pub struct ReportOptions {
     pub explained_frames: usize,
 }
 
-/// Why there is no report.
-#[derive(Debug, thiserror::Error)]
-pub enum ReportError {
-    /// The log cannot be read at all.
-    #[error(transparent)]
-    Read(#[from] ReadError),
-    /// The log is damaged before its first whole step.
-    #[error("{0}, so there is nothing to show yet")]
-    Damaged(String),
-    /// The log is good and holds no step.
-    #[error("{0} holds no step: the recording ended before the first one, so there is nothing to show")]
-    NoSteps(String),
-    /// A picture cannot be made.
-    #[error("a picture of the report cannot be made: {0}")]
-    Picture(String),
-}
-
 /// Who had the vehicle in a step; the number is the place in this list.
 pub const WHO: [&str; 7] = [
     "nobody",

@@ -6,7 +6,8 @@ mod picture;
 mod third_person;
 
 use crate::flight_derived::ExplainedReplay;
-use crate::flight_report::{LogSeen, ReportError, StepSeen, WHO};
+use crate::flight_report::{LogSeen, StepSeen, WHO};
+use anyhow::{Context, Result};
 pub use encode::Video;
 use encode::{Gif, Pictures};
 use picture::{Canvas, Colour};
@@ -54,33 +55,11 @@ pub struct FilmOptions {
     pub explained: usize,
 }
 
-/// Why there is no film.
-#[derive(Debug, thiserror::Error)]
-pub enum FilmError {
-    /// The log cannot be shown.
-    #[error(transparent)]
-    Log(#[from] ReportError),
-    /// The vehicle never took off, or the log ends before it did.
-    #[error("the vehicle never took off in this log: there is nothing to film; `vigil log report` says why")]
-    NeverTookOff,
-    /// The film cannot be encoded or written.
-    #[error("the film cannot be written: {0}")]
-    Encode(#[from] gif::EncodingError),
-    /// An mp4 needs a program.
-    #[error(
-        "an mp4 is made by the program ffmpeg, and there is none on the path: install it, or give the film a name that ends in .gif"
-    )]
-    NoFfmpeg,
-    /// It did not do it.
-    #[error("ffmpeg did not make the film: {0}")]
-    Ffmpeg(String),
-}
-
 /// Films the log at `path` as an animated GIF into `sink`. Returns the number of pictures.
 ///
 /// # Errors
-/// [`FilmError`]: a log that cannot be read, a flight that never took off, a sink that takes no more.
-pub fn film(path: &Path, options: &FilmOptions, sink: impl Write) -> Result<usize, FilmError> {
+/// A log that cannot be read, a flight that never took off, a sink that takes no more.
+pub fn film(path: &Path, options: &FilmOptions, sink: impl Write) -> Result<usize> {
     shoot(path, options, &mut Gif::begin(sink)?)
 }
 
@@ -88,19 +67,19 @@ pub fn film(path: &Path, options: &FilmOptions, sink: impl Write) -> Result<usiz
 ///
 /// # Errors
 /// As [`film`], and no ffmpeg, or one that does not do it.
-pub fn film_video(path: &Path, options: &FilmOptions, to: &Path) -> Result<usize, FilmError> {
+pub fn film_video(path: &Path, options: &FilmOptions, to: &Path) -> Result<usize> {
     let mut video = Video::begin(to, 100 / PICTURE_CS)?;
     let pictures = shoot(path, options, &mut video)?;
     video.finish()?;
     Ok(pictures)
 }
 
-fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<usize, FilmError> {
-    let log = LogSeen::read(path).map_err(ReportError::from)?;
+fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<usize> {
+    let log = LogSeen::read(path)?;
     let steps = shown(&log);
-    let (Some(first), Some(last)) = (steps.first().copied(), steps.last().copied()) else {
-        return Err(FilmError::NeverTookOff);
-    };
+    let ends = steps.first().copied().zip(steps.last().copied());
+    let (first, last) =
+        ends.context("the vehicle never took off in this log: there is nothing to film; `vigil log report` says why")?;
     let stride = (options.speed * STEPS_A_SECOND * f64::from(PICTURE_CS) / 100.0)
         .round()
         .max(1.0) as usize;
@@ -110,14 +89,14 @@ fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<u
     let background = scene.background(&log);
     let goal = log.steps.iter().rev().find_map(|s| s.report.goal);
     let mut stage = Stage::new(&log.story.solids, goal.map(|g| g.position_ned_m));
-    let mut reader = Reader::open(path).map_err(ReportError::from)?;
+    let mut reader = Reader::open(path)?;
     let mut explaining = Explaining::of(&reader, options.explained, (last - first).div_ceil(stride));
     let mut record = Box::<TickRecord>::default();
     let mut depth = None;
     let mut pictures = 0;
     for number in 0..=last {
         // The same records were read before.
-        if !reader.read_next(&mut record).map_err(ReportError::from)? {
+        if !reader.read_next(&mut record)? {
             break;
         }
         let due = number >= first && ((number - first).is_multiple_of(stride) || number == last);
