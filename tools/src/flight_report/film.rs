@@ -58,12 +58,10 @@ pub struct Picture {
 
 /// The step of most interest: the first alarm, else the first altered frame, else the closest approach.
 fn moment(log: &LogSeen) -> Option<usize> {
-    let altered = log.altered().unwrap_or_default();
-    let is_altered = |s: &StepSeen| s.report.frame_sequence.is_some_and(|f| altered.contains_key(&f));
     log.alarms()
         .first()
         .copied()
-        .or_else(|| log.steps.iter().position(is_altered))
+        .or_else(|| log.steps.iter().position(|s| log.is_altered(s)))
 }
 
 /// The steps to show, in order.
@@ -89,7 +87,6 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film> 
     let middle = moment.map_or(0, |at| steps.partition_point(|i| *i < at));
     let mut reader = Reader::open(path)?;
     let mut pixels = Pixels::of(&reader, &steps, moment.map(|_| middle), options.explained_frames);
-    let altered = log.altered();
     let clean: HashMap<u32, &[f32]> = log.story.clean.iter().map(|c| (c.sequence, &c.depth[..])).collect();
     let mut pictures = Vec::with_capacity(steps.len());
     let mut record = Box::<TickRecord>::default();
@@ -112,9 +109,7 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film> 
         let near = moment.is_some_and(|at| number + BEFORE >= at && number < at + AFTER);
         let before = clean.get(&(frame.header.sequence as u32));
         pixels.explain(number, pictures.len());
-        let change = altered
-            .as_ref()
-            .and_then(|a| a.get(&step.report.frame_sequence?).copied());
+        let change = log.yaw_change(step);
         pictures.push(Picture {
             t: log.seconds(step.now_ns),
             who: log.who(&step.report),

@@ -119,11 +119,8 @@ pub fn read(path: &Path, options: ReportOptions) -> Result<Flight> {
 fn flight(path: &Path, log: &LogSeen, film: Film) -> Flight {
     let stride = log.steps.len().div_ceil(DATA_LIMIT);
     let kept: Vec<&StepSeen> = log.steps.iter().step_by(stride).collect();
-    let altered = log.altered();
-    let attack = altered.as_ref().map(|altered| {
-        let is = |s: &&StepSeen| s.report.frame_sequence.is_some_and(|f| altered.contains_key(&f));
-        kept.iter().map(|s| u8::from(is(s))).collect()
-    });
+    let attack = log.altered.as_ref();
+    let attack = attack.map(|_| kept.iter().map(|s| u8::from(log.is_altered(s))).collect());
     let mut notes = words::notes(log);
     if stride > 1 {
         notes.push(format!(
@@ -277,14 +274,13 @@ fn explanations(steps: &[&StepSeen]) -> Option<Explanations> {
 
 fn map(log: &LogSeen) -> Map {
     let pair = |p: NedVector| [rounded(p.x.into(), 2), rounded(p.y.into(), 2)];
-    let goal = log.steps.iter().rev().find_map(|s| s.report.goal);
     // Before take-off and after landing the vehicle stands still: one point of many says that as well.
     let mut truth: Vec<[f64; 2]> = log.story.truth.iter().map(|(_, p)| pair(*p)).collect();
     truth.dedup();
     let stride = truth.len().div_ceil(DATA_LIMIT).max(1);
     Map {
         solids: log.story.solids.iter().map(outline).collect(),
-        goal: goal.map(|g| pair(g.position_ned_m)),
+        goal: log.goal_ned_m().map(pair),
         truth: truth.into_iter().step_by(stride).collect(),
     }
 }

@@ -87,8 +87,7 @@ fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<u
 
     let scene = Scene::of(&log, first, last);
     let background = scene.background(&log);
-    let goal = log.steps.iter().rev().find_map(|s| s.report.goal);
-    let mut stage = Stage::new(&log.story.solids, goal.map(|g| g.position_ned_m));
+    let mut stage = Stage::new(&log.story.solids, log.goal_ned_m());
     let mut reader = Reader::open(path)?;
     let mut explaining = Explaining::of(&reader, options.explained, (last - first).div_ceil(stride));
     let mut record = Box::<TickRecord>::default();
@@ -110,7 +109,7 @@ fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<u
         let mut canvas = background.clone();
         scene.view(&mut canvas, &mut stage, &log, (first, number));
         scene.draw(&mut canvas, &log, (first, number), &options.title);
-        let altered = scene.is_altered(&log.steps[number]);
+        let altered = log.is_altered(&log.steps[number]);
         eyes(&mut canvas, depth.as_deref(), &explaining, altered);
         let delay = if number == last { LAST_CS } else { PICTURE_CS };
         to.picture(&canvas, delay)?;
@@ -206,8 +205,9 @@ fn shown(log: &LogSeen) -> Vec<usize> {
     let from = log.steps.iter().position(flies);
     let to = log.steps.iter().rposition(flies);
     // What comes after the flight's end, where that is known, is a wreck on the ground.
-    let ended_ns: Option<u64> = log.story.about.get("ended_ns").and_then(|text| text.parse().ok());
-    let ended = ended_ns.and_then(|ns| log.steps.iter().position(|s| s.now_ns >= ns));
+    let ended = log
+        .ended_ns()
+        .and_then(|ns| log.steps.iter().position(|s| s.now_ns >= ns));
     match (from, to) {
         (Some(from), Some(to)) => (from.saturating_sub(6)..=ended.unwrap_or(to).max(from)).collect(),
         _ => Vec::new(),
@@ -237,7 +237,6 @@ struct Scene {
     /// North and east of the map's upper left corner, metres; pixels in a metre. North is to the right, east is down.
     origin: (f32, f32),
     scale: f32,
-    altered: std::collections::HashMap<u64, f32>,
     alarms: Vec<usize>,
     threshold: Option<f32>,
 }
@@ -253,13 +252,7 @@ impl Scene {
                 (centre_ned_m[0], centre_ned_m[1])
             }
         }));
-        let goal = log
-            .steps
-            .iter()
-            .rev()
-            .find_map(|s| s.report.goal)
-            .map(|g| g.position_ned_m);
-        points.extend(goal.map(|g| (g.x, g.y)));
+        points.extend(log.goal_ned_m().map(|g| (g.x, g.y)));
         points.retain(|(n, e)| n.is_finite() && e.is_finite());
         let span = |value: fn(&(f32, f32)) -> f32| {
             let values = || points.iter().map(value);
@@ -280,7 +273,6 @@ impl Scene {
         Self {
             origin: (n0 - margin - 0.5 * over_n, e0 - margin - 0.5 * over_e),
             scale,
-            altered: log.altered().unwrap_or_default(),
             alarms: log.alarms(),
             threshold: log.threshold(),
         }
@@ -300,8 +292,8 @@ impl Scene {
             let corners: Vec<(f32, f32)> = corners.iter().map(|[n, e]| self.at(*n as f32, *e as f32)).collect();
             canvas.polygon(&corners, Colour::SOLID);
         }
-        if let Some(goal) = log.steps.iter().rev().find_map(|s| s.report.goal) {
-            let centre = self.at(goal.position_ned_m.x, goal.position_ned_m.y);
+        if let Some(goal) = log.goal_ned_m() {
+            let centre = self.at(goal.x, goal.y);
             canvas.ring(centre, self.scale, 2.0, Colour::GOAL);
             canvas.disc(centre, 3.0, Colour::GOAL);
         }
@@ -326,26 +318,16 @@ impl Scene {
         }
     }
 
-    fn is_altered(&self, step: &StepSeen) -> bool {
-        step.report
-            .frame_sequence
-            .is_some_and(|f| self.altered.contains_key(&f))
-    }
-
     /// The view from behind; until a pose is known it stays empty.
     fn view(&self, canvas: &mut Canvas, stage: &mut Stage, log: &LogSeen, (first, now): (usize, usize)) {
-        let position = |s: &StepSeen| {
-            let kinematics = s.report.telemetry.kinematics?;
-            Some(kinematics.position_ned_m).filter(|p| p.is_finite())
-        };
         let trail: Vec<(NedVector, u8)> = log.steps[first.max(now.saturating_sub(TRAIL_STEPS))..=now]
             .iter()
             .step_by(2)
-            .filter_map(|s| Some((position(s)?, Self::colour(log.who(&s.report)))))
+            .filter_map(|s| Some((s.position_ned_m()?, Self::colour(log.who(&s.report)))))
             .collect();
         let step = &log.steps[now];
         let attitude = step.report.telemetry.attitude.map(|a| a.attitude);
-        if let (Some(position_ned_m), Some(attitude)) = (position(step), attitude.filter(|a| a.is_valid())) {
+        if let (Some(position_ned_m), Some(attitude)) = (step.position_ned_m(), attitude.filter(|a| a.is_valid())) {
             let seen = Seen {
                 position_ned_m,
                 attitude,
@@ -370,18 +352,10 @@ impl Scene {
     /// The way flown so far, alarms, and the vehicle.
     fn draw_path(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize)) {
         let step = &log.steps[now];
-        let place = |s: &StepSeen| {
-            let position = s
-                .report
-                .telemetry
-                .kinematics
-                .map(|k| k.position_ned_m)
-                .filter(|p| p.is_finite());
-            position.map(|p| self.at(p.x, p.y))
-        };
+        let place = |s: &StepSeen| s.position_ned_m().map(|p| self.at(p.x, p.y));
         // What was flown so far: wide below where frames were altered, in the colour of who flew above.
         let flown = &log.steps[first..=now];
-        for pair in flown.windows(2).filter(|pair| self.is_altered(&pair[1])) {
+        for pair in flown.windows(2).filter(|pair| log.is_altered(&pair[1])) {
             if let (Some(a), Some(b)) = (place(&pair[0]), place(&pair[1])) {
                 canvas.line(a, b, 9.0, Colour::ATTACK_PALE);
             }
@@ -407,7 +381,7 @@ impl Scene {
     /// The title, the time, and whether the frames are altered.
     fn draw_banner(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize), title: &str) {
         let step = &log.steps[now];
-        let (on, below, state) = match self.is_altered(step) {
+        let (on, below, state) = match log.is_altered(step) {
             true => (Colour::PAPER, Colour::ATTACK, "ATTACK: frames altered"),
             false => (Colour::INK, Colour::BANNER, ""),
         };
@@ -463,13 +437,9 @@ impl Scene {
         };
         canvas.text(left + 22, y, &words, Colour::INK);
         let ended = log.story.about.get("outcome").filter(|_| {
-            let ended_ns = log
-                .story
-                .about
-                .get("ended_ns")
-                .and_then(|text| text.parse::<u64>().ok());
             // In lockstep the log ends with the flight.
-            ended_ns.map_or(now + 1 == log.steps.len(), |ns| step.now_ns >= ns)
+            log.ended_ns()
+                .map_or(now + 1 == log.steps.len(), |ns| step.now_ns >= ns)
         });
         if let Some(outcome) = ended {
             let good = outcome.starts_with("success");
