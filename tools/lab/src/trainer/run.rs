@@ -11,7 +11,7 @@ use crate::trainer::observation::{Drift, Encoder, OBSERVATION};
 use crate::trainer::replay::Replay;
 use crate::trainer::store::{Stored, not_written, replace};
 use crate::trainer::worker::{EnvWorker, FlightReport};
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -125,9 +125,8 @@ pub type Report<'a> = &'a mut (dyn FnMut(Progress<'_>) + Send);
 /// A bad configuration, a checkpoint of another run, a file that cannot be written, a loss that is not finite. The folder's last good checkpoint is kept.
 pub fn learn(config: &LearnConfig, options: &LearnOptions, stop: &AtomicBool, report: Report<'_>) -> Result<LearnEnd> {
     config.check()?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(config.threads).build();
-    let pool = pool.context("cannot start the threads of the run")?;
-    pool.install(|| Run::begin(config, options, report)?.complete(stop, report))
+    vigil_tools::threads::thread_pool(config.threads)?
+        .install(|| Run::begin(config, options, report)?.complete(stop, report))
 }
 
 struct Run<'a> {
