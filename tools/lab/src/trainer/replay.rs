@@ -22,7 +22,7 @@ pub struct Transition {
 }
 
 /// One environment's decisions, oldest overwritten first.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Trajectory {
     capacity: u64,
     /// True state and observation of each decision, in the upper half of their bits (bfloat16).
@@ -48,10 +48,7 @@ impl Trajectory {
     fn new(capacity: usize) -> Self {
         Self {
             capacity: capacity as u64,
-            states: Vec::new(),
-            transitions: Vec::new(),
-            next: 0,
-            settled: 0,
+            ..Self::default()
         }
     }
 
