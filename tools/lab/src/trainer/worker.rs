@@ -26,61 +26,6 @@ const FIRST_TRAINING_SEED: u64 = 1_000_000;
 /// The repulsive field takes the nearest surface within this angle of the nose.
 const FIELD_HALF_ANGLE_RAD: f32 = PI / 4.0;
 
-/// A flight over a course as its actor observes it.
-pub struct ObservedFlight {
-    flight: Flight,
-    encoder: Arc<Encoder>,
-    observer: Observer,
-    last: Action,
-}
-
-impl ObservedFlight {
-    /// Hovers at the start of a course, the first frame taken.
-    ///
-    /// # Errors
-    /// A vehicle out of its range.
-    pub fn new(
-        encoder: Arc<Encoder>,
-        (family, seed): (Family, u64),
-        vehicle: VehicleParams,
-        time_limit_s: f32,
-        drift: Drift,
-    ) -> Result<Self> {
-        let mut course = generate(family, seed);
-        course.time_limit_s = time_limit_s;
-        let mut flight = Self {
-            flight: Flight::with_vehicle(&course, vehicle, seed)?,
-            observer: Observer::new(&encoder, drift),
-            encoder,
-            last: Action::HOVER,
-        };
-        flight.observe()?;
-        Ok(flight)
-    }
-
-    fn observe(&mut self) -> Result<(), ShapeError> {
-        self.observer.observe(&self.encoder, &self.flight.input(), self.last)
-    }
-
-    /// What the actor observes now.
-    pub fn observation(&self) -> &[f32; OBSERVATION] {
-        &self.observer.now
-    }
-
-    /// Flies one step of 0.05 s and observes. `Some` when the flight has ended; the state in which it is cut off is observed.
-    ///
-    /// # Errors
-    /// None with the encoder's own frames.
-    pub fn step(&mut self, action: Action) -> Result<Option<Outcome>, ShapeError> {
-        let outcome = self.flight.advance(action);
-        self.last = action;
-        if matches!(outcome, None | Some(Outcome::TimeOut)) {
-            self.observe()?;
-        }
-        Ok(outcome)
-    }
-}
-
 /// A training flight that lasts, without the simulator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Episode {
@@ -123,8 +68,11 @@ pub struct WorkerState {
     episode: Option<Episode>,
 }
 
+/// A flight that lasts, as its actor observes it.
 struct Current {
-    flight: ObservedFlight,
+    flight: Flight,
+    encoder: Arc<Encoder>,
+    observer: Observer,
     course: TrueCourse,
     goal: NedVector,
     to_go_m: f32,
@@ -133,15 +81,18 @@ struct Current {
 }
 
 impl Current {
+    /// Hovers at the start of its course, the first frame taken.
     fn begin(config: &LearnConfig, encoder: Arc<Encoder>, episode: Episode) -> Result<Self> {
-        let course = generate(episode.family, episode.seed);
-        let at = (episode.family, episode.seed);
+        let mut course = generate(episode.family, episode.seed);
+        course.time_limit_s = config.time_limit_s;
         let vehicle = match episode.drawn_vehicle {
             true => VehicleParams::drawn(episode.seed),
             false => VehicleParams::default(),
         };
         let mut current = Self {
-            flight: ObservedFlight::new(encoder, at, vehicle, config.time_limit_s, episode.drift)?,
+            flight: Flight::with_vehicle(&course, vehicle, episode.seed)?,
+            observer: Observer::new(&encoder, episode.drift),
+            encoder,
             goal: course.goal_ned_m(),
             course: TrueCourse::new(&course),
             to_go_m: 0.0,
@@ -149,19 +100,24 @@ impl Current {
             episode,
         };
         current.to_go_m = current.measure_m(config.reward.along);
+        current.observe(Action::HOVER)?;
         Ok(current)
+    }
+
+    fn observe(&mut self, last: Action) -> Result<(), ShapeError> {
+        self.observer.observe(&self.encoder, &self.flight.input(), last)
     }
 
     fn measure_m(&self, along: Along) -> f32 {
         match along {
-            Along::Path => self.course.way_m(self.flight.flight.truth().position_ned_m),
-            Along::Line => self.flight.flight.goal_distance_m(),
+            Along::Path => self.course.way_m(self.flight.truth().position_ned_m),
+            Along::Line => self.flight.goal_distance_m(),
         }
     }
 
     /// The true state here and now.
     fn truth(&self) -> [f32; TRUE_STATE] {
-        let truth = self.flight.flight.truth();
+        let truth = self.flight.truth();
         let to = self.goal - truth.position_ned_m;
         let goal = GoalRelative {
             distance_m: to.horizontal_norm(),
@@ -174,17 +130,21 @@ impl Current {
     fn step(&mut self, config: &LearnConfig, action: Action) -> Result<(f32, Option<Outcome>), ShapeError> {
         let (mut outcome, mut steps) = (None, 0);
         while outcome.is_none() && steps < config.steps_per_decision {
-            outcome = self.flight.step(action)?;
+            outcome = self.flight.advance(action);
+            // The state in which it is cut off is observed as well.
+            if matches!(outcome, None | Some(Outcome::TimeOut)) {
+                self.observe(action)?;
+            }
             steps += 1;
         }
         let to_go_m = self.measure_m(config.reward.along);
-        let (checkpoints, all_checkpoints) = self.flight.flight.checkpoints();
+        let (checkpoints, all_checkpoints) = self.flight.checkpoints();
         let result = DecisionResult {
             progress_m: self.to_go_m - to_go_m,
             checkpoints_before: self.checkpoints,
             checkpoints,
             all_checkpoints,
-            obstacle_distance_m: self.flight.flight.obstacle_distance_m(),
+            obstacle_distance_m: self.flight.obstacle_distance_m(),
             outcome,
         };
         (self.to_go_m, self.checkpoints) = (to_go_m, checkpoints);
@@ -287,10 +247,7 @@ impl EnvWorker {
             };
             self.current = Some(Current::begin(config, self.encoder.clone(), episode)?);
         }
-        Ok(self
-            .current
-            .as_ref()
-            .map_or([0.0; OBSERVATION], |c| *c.flight.observation()))
+        Ok(self.current.as_ref().map_or([0.0; OBSERVATION], |c| c.observer.now))
     }
 
     /// Flies one decision and stores it. `own` is the actor's output before its last tanh, `None` in the warm-up, in which noise
@@ -308,13 +265,13 @@ impl EnvWorker {
         let Some(mut c) = self.current.take() else {
             return Ok(None);
         };
-        let (truth, observation) = (c.truth(), *c.flight.observation());
+        let (truth, observation) = (c.truth(), c.observer.now);
         c.episode.ou_state.step(config.noise.theta, &mut self.rng);
         let noise = c.episode.ou_state.at(sigma * c.episode.noise_scale);
         let [forward_m_s, yaw] = own.map_or([config.warm_up_forward, 0.0], |pre| squash(&pre));
         let mut action = apf::add(Action { forward_m_s, yaw }, noise);
         if c.episode.report.with_apf {
-            let force = apf::force(c.flight.flight.goal(), nearest(&truth), apf::REPULSIVE_RANGE_M);
+            let force = apf::force(c.flight.goal(), nearest(&truth), apf::REPULSIVE_RANGE_M);
             action = apf::add(action, force);
         }
         let (reward, outcome) = c.step(config, action)?;
@@ -337,7 +294,7 @@ impl EnvWorker {
                 reward: 0.0,
                 next: Next::Nothing,
             };
-            trajectory.push(&c.truth(), c.flight.observation(), last);
+            trajectory.push(&c.truth(), &c.observer.now, last);
         }
         if outcome.is_none() {
             self.current = Some(c);
