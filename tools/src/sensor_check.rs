@@ -51,6 +51,7 @@ pub struct Expected {
 }
 
 /// Looks at one frame after the other.
+#[derive(Default)]
 pub struct SensorCheck {
     expected: Expected,
     arrivals_s: Vec<f64>,
@@ -75,21 +76,7 @@ impl SensorCheck {
     pub fn new(expected: Expected) -> Self {
         Self {
             expected,
-            arrivals_s: Vec::new(),
-            ages_s: Vec::new(),
-            refused: Vec::new(),
-            last_stamp_ns: None,
-            last_sequence: None,
-            not_newer: 0,
-            left_out: 0,
-            restarted: 0,
-            returns: Vec::new(),
-            smooth_shares: Vec::new(),
-            zeros: 0,
-            unchanged: 0,
-            last_pixels_hash: None,
-            seen: [[false; PART_COLS]; PART_ROWS],
-            middle_m: Vec::new(),
+            ..Self::default()
         }
     }
 

@@ -1,22 +1,7 @@
 //! The threads of a training or a campaign.
 
-use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
-
-/// Threads could not be started.
-#[derive(Debug, thiserror::Error)]
-#[error("cannot start {}: {source}", in_words(*threads))]
-pub struct ThreadsError {
-    threads: usize,
-    source: ThreadPoolBuildError,
-}
-
-fn in_words(threads: usize) -> String {
-    match threads {
-        0 => "a thread on each core".to_owned(),
-        1 => "a thread".to_owned(),
-        _ => format!("{threads} threads"),
-    }
-}
+use anyhow::{Context, Result};
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Stack of a thread, bytes: a step of the firmware beside the simulator takes more than half of the 2 MB that threads have otherwise.
 const STACK_BYTES: usize = 8 << 20;
@@ -25,19 +10,23 @@ const STACK_BYTES: usize = 8 << 20;
 /// and no other.
 ///
 /// # Errors
-/// [`ThreadsError`]: the system has no more.
-pub fn thread_pool(threads: usize) -> Result<ThreadPool, ThreadsError> {
+/// The system has no more.
+pub fn thread_pool(threads: usize) -> Result<ThreadPool> {
     let built = ThreadPoolBuilder::new()
         .num_threads(threads)
         .stack_size(STACK_BYTES)
         .build();
-    built.map_err(|source| ThreadsError { threads, source })
+    built.with_context(|| match threads {
+        0 => "cannot start a thread on each core".to_owned(),
+        1 => "cannot start a thread".to_owned(),
+        _ => format!("cannot start {threads} threads"),
+    })
 }
 
 /// The same for an option `--threads` that may be absent: then one on each core.
 ///
 /// # Errors
-/// [`ThreadsError`].
-pub fn thread_pool_of(option: Option<u16>) -> Result<ThreadPool, ThreadsError> {
+/// The system has no more.
+pub fn thread_pool_of(option: Option<u16>) -> Result<ThreadPool> {
     thread_pool(option.map_or(0, usize::from))
 }

@@ -11,6 +11,7 @@ use vigil_types::{Attitude, Datagrams, DepthFrame, NedVector};
 const MS: u64 = 1_000_000;
 
 /// A vehicle on the ground that answers what it is asked, written from the protocol's documentation.
+#[derive(Default)]
 struct Scripted {
     flavour: Flavour,
     system: u8,
@@ -72,18 +73,7 @@ impl Scripted {
             yaw_rad: 30_f32.to_radians(),
             speedup: 1.0,
             parameters: parameters.iter().copied().collect(),
-            extra: Vec::new(),
-            asked: Vec::new(),
-            texts: Vec::new(),
-            no_position: 0..0,
-            no_attitude: 0..0,
-            no_numbers: 0..0,
-            not_ready: 0..0,
-            no_status: 0..0,
-            restarts_ms: 0,
-            clock_jumps_ms: 0,
-            position_jumps_ms: 0,
-            heading_jumps_ms: 0,
+            ..Self::default()
         }
     }
 

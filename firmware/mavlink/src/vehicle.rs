@@ -77,7 +77,7 @@ struct Home {
 }
 
 /// The vehicle as its messages describe it: the packets of one autopilot in, what they say out.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Vehicle {
     flavour: Flavour,
     /// The flavour was configured, not recognised.
@@ -117,22 +117,7 @@ impl Vehicle {
         Self {
             flavour: flavour.unwrap_or_default(),
             fixed: flavour.is_some(),
-            in_flight: false,
-            telemetry: VehicleTelemetry::default(),
-            named: None,
-            mav_autopilot: 0,
-            origin: None,
-            origin_told: false,
-            home: None,
-            home_down_m: None,
-            mission_place_deg: None,
-            sector_ranges: None,
-            restarts: 0,
-            late: 0,
-            position_ms: None,
-            attitude_ms: None,
-            velocity_error: VelocityError::default(),
-            heading_error: HeadingError::default(),
+            ..Self::default()
         }
     }
 

@@ -1,10 +1,11 @@
 //! Flying, keeping and learning: small, with the built-in actor.
 
+use anyhow::Result;
 use std::path::Path;
 use vigil_adversary::{AttackConfig, Method};
 use vigil_lab::detector_training::{
-    Adversary, Counts, DetectError, Examples, FitConfig, Flights, Frame, LstmConfig, PixelExplainer, Plan, Scenario,
-    Shown, Step, YAW, fit, fly,
+    Adversary, Counts, Examples, FitConfig, Flights, Frame, LstmConfig, PixelExplainer, Plan, Scenario, Shown, Step,
+    YAW, fit, fly,
 };
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
 use vigil_policy::{FrozenActor, FrozenPilot};
@@ -38,7 +39,7 @@ fn attacked(plan: Plan) -> Scenario {
 struct Differences(Vec<usize>);
 
 impl vigil_lab::detector_training::Onlooker for Differences {
-    fn step(&mut self, _: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+    fn step(&mut self, _: &Step, shown: &Shown<'_>) -> Result<()> {
         let pairs = shown.input.depth.depth.iter().zip(&shown.taken.depth);
         self.0.push(pairs.filter(|(a, b)| a != b).count());
         Ok(())
@@ -65,7 +66,7 @@ struct Explained {
 }
 
 impl vigil_lab::detector_training::Onlooker for Explained {
-    fn step(&mut self, _: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+    fn step(&mut self, _: &Step, shown: &Shown<'_>) -> Result<()> {
         let vigil_policy::Decider::Actor(actor) = shown.pilot else {
             panic!("an actor of ours flies")
         };

@@ -5,6 +5,8 @@ use crate::constant::{Constant, Data, len_of};
 use crate::movement::axis;
 use std::rc::Rc;
 
+const MIXED: &str = "one of its constants is of whole numbers, the other of real ones";
+
 /// The shape of two together, as NumPy broadcasts them.
 pub fn broadcast_shape(a: &[usize], b: &[usize]) -> Result<Vec<usize>, String> {
     let rank = a.len().max(b.len());
@@ -101,7 +103,6 @@ fn unary(operator: &str, x: f32) -> Option<f32> {
 }
 
 fn binary(operator: &str, a: f32, b: f32) -> Option<f32> {
-    let truth = |is: bool| f32::from(u8::from(is));
     Some(match operator {
         "Add" | "Sum" => a + b,
         "Sub" => a - b,
@@ -110,13 +111,20 @@ fn binary(operator: &str, a: f32, b: f32) -> Option<f32> {
         "Pow" => libm::powf(a, b),
         "Min" => a.min(b),
         "Max" => a.max(b),
-        "Equal" => truth(a == b),
-        "Greater" => truth(a > b),
-        "GreaterOrEqual" => truth(a >= b),
-        "Less" => truth(a < b),
-        "LessOrEqual" => truth(a <= b),
         _ => return None,
     })
+}
+
+fn compared<T: PartialOrd>(operator: &str, a: T, b: T) -> Option<i64> {
+    let is = match operator {
+        "Equal" => a == b,
+        "Greater" => a > b,
+        "GreaterOrEqual" => a >= b,
+        "Less" => a < b,
+        "LessOrEqual" => a <= b,
+        _ => return None,
+    };
+    Some(i64::from(is))
 }
 
 /// Whole numbers: shapes and indices that are computed.
@@ -131,12 +139,7 @@ fn whole_binary(operator: &str, a: i64, b: i64) -> Option<i64> {
         "Max" => Some(a.max(b)),
         "And" => Some(a & b),
         "Or" => Some(a | b),
-        "Equal" => Some(i64::from(a == b)),
-        "Greater" => Some(i64::from(a > b)),
-        "GreaterOrEqual" => Some(i64::from(a >= b)),
-        "Less" => Some(i64::from(a < b)),
-        "LessOrEqual" => Some(i64::from(a <= b)),
-        _ => None,
+        _ => compared(operator, a, b),
     }
 }
 
@@ -146,32 +149,40 @@ fn together(operator: &str, a: &Constant, b: &Constant) -> Result<Option<Constan
     let places = spread_places(&a.shape, &shape)?
         .into_iter()
         .zip(spread_places(&b.shape, &shape)?);
+    let is_comparison = compared(operator, 0.0, 0.0).is_some();
     let data = match (&a.data, &b.data) {
+        (Data::Real(a), Data::Real(b)) if is_comparison => {
+            let values = places.map(|(i, j)| compared(operator, *a.get(i)?, *b.get(j)?));
+            values.collect::<Option<_>>().map(Data::Whole)
+        }
         (Data::Real(a), Data::Real(b)) => {
-            let values: Option<Vec<f32>> = places.map(|(i, j)| binary(operator, *a.get(i)?, *b.get(j)?)).collect();
-            values.map(|values| match operator {
-                "Equal" | "Greater" | "GreaterOrEqual" | "Less" | "LessOrEqual" => {
-                    Data::Whole(values.iter().map(|x| i64::from(*x != 0.0)).collect())
-                }
-                _ => Data::Real(values),
-            })
+            let values = places.map(|(i, j)| binary(operator, *a.get(i)?, *b.get(j)?));
+            values.collect::<Option<_>>().map(Data::Real)
         }
         (Data::Whole(a), Data::Whole(b)) => {
-            let values: Option<Vec<i64>> = places
-                .map(|(i, j)| whole_binary(operator, *a.get(i)?, *b.get(j)?))
-                .collect();
-            values.map(Data::Whole)
+            let values = places.map(|(i, j)| whole_binary(operator, *a.get(i)?, *b.get(j)?));
+            values.collect::<Option<_>>().map(Data::Whole)
         }
         // Powers of whole exponents.
-        (Data::Real(a), Data::Whole(b)) if operator == "Pow" => {
-            let values: Option<Vec<f32>> = places
-                .map(|(i, j)| Some(libm::powf(*a.get(i)?, *b.get(j)? as f32)))
-                .collect();
-            values.map(Data::Real)
-        }
-        _ => return Err("one of its constants is of whole numbers, the other of real ones".to_owned()),
+        (Data::Real(_), Data::Whole(_)) if operator == "Pow" => return together(operator, a, &b.cast(1)?),
+        _ => return Err(MIXED.to_owned()),
     };
     Ok(data.map(|data| Constant { shape, data }))
+}
+
+/// The first with each of the others, one after the other.
+fn in_turn<'a>(
+    first: &Constant,
+    others: impl Iterator<Item = (&'a Rc<Constant>, &'a str)>,
+) -> Result<Option<Constant>, String> {
+    let mut all = first.clone();
+    for (next, operator) in others {
+        match together(operator, &all, next)? {
+            Some(joined) => all = joined,
+            None => return Ok(None),
+        }
+    }
+    Ok(Some(all))
 }
 
 /// What an element-wise operator makes of constants; `None` where it is none of those.
@@ -205,45 +216,17 @@ pub fn fold(operator: &str, inputs: &[Rc<Constant>]) -> Result<Option<Constant>,
             let chosen = condition.whole()?;
             let places = spread_places(&condition.shape, &shape)?;
             let (of_a, of_b) = (spread_places(&a.shape, &shape)?, spread_places(&b.shape, &shape)?);
-            let is_a = |i: usize| {
-                places
-                    .get(i)
-                    .and_then(|place| chosen.get(*place))
-                    .is_some_and(|x| *x != 0)
-            };
-            fn pick<T: Copy>(a: &[T], b: &[T], of: [&[usize]; 2], is_a: impl Fn(usize) -> bool) -> Vec<T> {
-                let both = of[0].iter().zip(of[1]).enumerate();
-                both.filter_map(|(i, (x, y))| if is_a(i) { a.get(*x) } else { b.get(*y) }.copied())
-                    .collect()
-            }
-            let data = match (&a.data, &b.data) {
-                (Data::Real(a), Data::Real(b)) => Data::Real(pick(a, b, [&of_a, &of_b], is_a)),
-                (Data::Whole(a), Data::Whole(b)) => Data::Whole(pick(a, b, [&of_a, &of_b], is_a)),
-                _ => return Err("one of its constants is of whole numbers, the other of real ones".to_owned()),
-            };
+            let of_both = places.iter().zip(of_a.into_iter().zip(of_b));
+            let picks = of_both.map(|(place, (a, b))| match chosen.get(*place) {
+                None | Some(0) => (1, b),
+                Some(_) => (0, a),
+            });
+            let data = Constant::picked(&[a, b], &picks.collect::<Vec<_>>()).map_err(|_| MIXED.to_owned())?;
             Ok(Some(Constant { shape, data }))
         }
         // In the order that the standard has: first up to the least, then down to the most.
-        ("Clip", [x, bounds @ ..]) => {
-            let mut clipped = x.as_ref().clone();
-            for (bound, operator) in bounds.iter().zip(["Max", "Min"]) {
-                match together(operator, &clipped, bound)? {
-                    Some(next) => clipped = next,
-                    None => return Ok(None),
-                }
-            }
-            Ok(Some(clipped))
-        }
-        (_, [first, rest @ ..]) => {
-            let mut all = first.as_ref().clone();
-            for next in rest {
-                match together(operator, &all, next)? {
-                    Some(joined) => all = joined,
-                    None => return Ok(None),
-                }
-            }
-            Ok(Some(all))
-        }
+        ("Clip", [x, bounds @ ..]) => in_turn(x, bounds.iter().zip(["Max", "Min"])),
+        (_, [first, rest @ ..]) => in_turn(first, rest.iter().map(|next| (next, operator))),
         (_, []) => Ok(None),
     }
 }

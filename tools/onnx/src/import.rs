@@ -27,36 +27,9 @@ use vigil_policy::imported::PolicyInputs;
 /// Why a model is not imported.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
-    /// It is not ONNX.
-    #[error("{file} is truncated or not ONNX: {source}")]
-    Container {
-        /// The file.
-        file: String,
-        /// Where.
-        source: prost::DecodeError,
-    },
-    /// The model as a whole.
-    #[error("{file}: {message}")]
-    Model {
-        /// The file.
-        file: String,
-        /// What is wrong.
-        message: String,
-    },
-    /// One of its nodes.
-    #[error("{file}, node {number} `{name}` ({operator}): {message}")]
-    Node {
-        /// The file.
-        file: String,
-        /// From 0 on.
-        number: usize,
-        /// Its name, or that of its output.
-        name: String,
-        /// Its operator.
-        operator: String,
-        /// What is wrong.
-        message: String,
-    },
+    /// What cannot be read, is not known or does not fit, and where.
+    #[error("{0}")]
+    Model(String),
     /// The policy would not fly.
     #[error(transparent)]
     Policy(#[from] FileError),
@@ -72,14 +45,9 @@ pub fn import(
     beside: &dyn Fn(&str) -> Result<Vec<u8>, String>,
     adapter: &Adapter,
 ) -> Result<FrozenPolicy, ImportError> {
-    let mut model = Model::decode(bytes).map_err(|source| ImportError::Container {
-        file: file.to_owned(),
-        source,
-    })?;
-    let of_model = |message: String| ImportError::Model {
-        file: file.to_owned(),
-        message,
-    };
+    let mut model = Model::decode(bytes)
+        .map_err(|source| ImportError::Model(format!("{file} is truncated or not ONNX: {source}")))?;
+    let of_model = |message: String| ImportError::Model(format!("{file}: {message}"));
     let graph = model
         .graph
         .as_mut()
@@ -94,15 +62,10 @@ pub fn import(
         .map_err(of_model)?;
     let nodes = graph.node.iter().enumerate();
     for (number, node) in nodes.filter(|(number, _)| needed.nodes.get(*number) == Some(&true)) {
-        importer.node(node).map_err(|message| ImportError::Node {
-            file: file.to_owned(),
-            number,
-            name: match node.name.is_empty() {
-                true => node.output.first().cloned().unwrap_or_default(),
-                false => node.name.clone(),
-            },
-            operator: node.op_type.clone(),
-            message,
+        importer.node(node).map_err(|message| {
+            let output = node.output.first().filter(|_| node.name.is_empty());
+            let (name, operator) = (output.unwrap_or(&node.name), &node.op_type);
+            ImportError::Model(format!("{file}, node {number} `{name}` ({operator}): {message}"))
         })?;
     }
     importer.output(action).map_err(of_model)?;

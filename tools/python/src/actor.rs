@@ -1,7 +1,7 @@
 //! Actors and imported policies for Python.
 
-use crate::given::{Moment, array, failed, refused, values};
-use numpy::{PyArray1, PyReadonlyArrayDyn};
+use crate::given::{Floats, Moment, array, failed, refused, values};
+use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use vigil_nnet::{Graph, Isa, Purpose};
@@ -24,11 +24,8 @@ impl Actor {
     #[new]
     #[pyo3(signature = (path=None))]
     fn new(path: Option<PathBuf>) -> PyResult<Self> {
-        let frozen = match path {
-            Some(path) => FrozenActor::load(&path),
-            None => FrozenActor::built_in(),
-        }
-        .map_err(refused)?;
+        let frozen = path.map_or_else(FrozenActor::built_in, |path| FrozenActor::load(&path));
+        let frozen = frozen.map_err(refused)?;
         Ok(Self {
             actor: frozen.actor(Isa::detect()).map_err(refused)?,
             frozen,
@@ -58,17 +55,17 @@ impl Actor {
     }
 
     /// The values at the split point of the last decision.
-    fn state<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+    fn state<'py>(&self, py: Python<'py>) -> Floats<'py> {
         array(py, self.actor.state().to_vec())
     }
 
     /// What it remembered in the last decision.
-    fn context<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+    fn context<'py>(&self, py: Python<'py>) -> Floats<'py> {
         array(py, self.actor.context().to_vec())
     }
 
     /// The low-dimensional observation of the last decision.
-    fn low_dim<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+    fn low_dim<'py>(&self, py: Python<'py>) -> Floats<'py> {
         array(py, self.actor.low_dim().to_vec())
     }
 
@@ -85,8 +82,7 @@ impl Actor {
     }
 
     /// Names, shapes and values of its tensors, in their order.
-    #[allow(clippy::type_complexity, reason = "a row of a table")]
-    fn tensors<'py>(&self, py: Python<'py>) -> Vec<(String, Vec<usize>, Bound<'py, PyArray1<f32>>)> {
+    fn tensors<'py>(&self, py: Python<'py>) -> Vec<(String, Vec<usize>, Floats<'py>)> {
         let mut rest = self.frozen.params.as_slice();
         let shapes = self.frozen.tensor_shapes().into_iter();
         shapes
@@ -122,6 +118,27 @@ impl Actor {
 /// An imported policy (docs/import.md).
 #[pyclass(module = "vigil._vigil")]
 pub struct Policy {
+    /// Rows, columns and channels of its frame.
+    #[pyo3(get)]
+    frame_shape: (usize, usize, usize),
+    /// Its channels are the last frames.
+    #[pyo3(get)]
+    stacked: bool,
+    /// Near is bright.
+    #[pyo3(get)]
+    contrast: bool,
+    /// What its pixels are multiplied by.
+    #[pyo3(get)]
+    scale: f32,
+    /// What its outputs are multiplied by.
+    #[pyo3(get)]
+    output_scale: f32,
+    /// Place of the frame among its inputs.
+    #[pyo3(get)]
+    frame_input: usize,
+    /// It is given the goal.
+    #[pyo3(get)]
+    has_position: bool,
     pub frozen: FrozenPolicy,
     pilot: ImportedPilot,
     graph: Graph,
@@ -157,7 +174,15 @@ impl Policy {
         let graph = frozen.network.graph(Purpose::Gradients).map_err(refused)?;
         let mut packed = vec![0.0; graph.param_len()];
         graph.pack(&frozen.params, &mut packed).map_err(refused)?;
+        let inputs = &frozen.inputs;
         Ok(Self {
+            frame_shape: (inputs.rows, inputs.cols, inputs.channels),
+            stacked: inputs.order == Channels::Stack,
+            contrast: inputs.depth == Depth::Contrast,
+            scale: inputs.scale,
+            output_scale: inputs.output_scale,
+            frame_input: inputs.frame_input,
+            has_position: inputs.has_position,
             pilot: frozen.pilot(Isa::detect(), false).map_err(refused)?,
             tape: vec![0.0; graph.tape_len()],
             work: vec![0.0; graph.work_len()],
@@ -185,7 +210,7 @@ impl Policy {
     }
 
     /// The values at the split point of the last decision.
-    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Floats<'py>> {
         let state = self.pilot.state();
         let state = state.ok_or_else(|| {
             refused("nothing was decided yet, or the policy has no split point (vigil import --split)")
@@ -194,11 +219,7 @@ impl Policy {
     }
 
     /// The network's outputs for its own inputs.
-    fn forward<'py>(
-        &mut self,
-        py: Python<'py>,
-        inputs: Vec<PyReadonlyArrayDyn<'py, f32>>,
-    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    fn forward<'py>(&mut self, py: Python<'py>, inputs: Vec<PyReadonlyArrayDyn<'py, f32>>) -> PyResult<Floats<'py>> {
         self.evaluate(&inputs)?;
         Ok(array(py, self.graph.output(&self.tape).map_err(failed)?.to_vec()))
     }
@@ -209,7 +230,7 @@ impl Policy {
         py: Python<'py>,
         inputs: Vec<PyReadonlyArrayDyn<'py, f32>>,
         weights: [f32; ACTOR_OUTPUTS],
-    ) -> PyResult<Vec<Bound<'py, PyArray1<f32>>>> {
+    ) -> PyResult<Vec<Floats<'py>>> {
         self.evaluate(&inputs)?;
         self.graph
             .backward(Isa::detect(), &self.packed, &self.tape, &weights, None, &mut self.work)
@@ -220,49 +241,6 @@ impl Policy {
                 Ok(array(py, gradient.to_vec()))
             })
             .collect()
-    }
-
-    /// Rows, columns and channels of its frame.
-    #[getter]
-    fn frame_shape(&self) -> (usize, usize, usize) {
-        let inputs = &self.frozen.inputs;
-        (inputs.rows, inputs.cols, inputs.channels)
-    }
-
-    /// Its channels are the last frames.
-    #[getter]
-    fn stacked(&self) -> bool {
-        self.frozen.inputs.order == Channels::Stack
-    }
-
-    /// Near is bright.
-    #[getter]
-    fn contrast(&self) -> bool {
-        self.frozen.inputs.depth == Depth::Contrast
-    }
-
-    /// What its pixels are multiplied by.
-    #[getter]
-    fn scale(&self) -> f32 {
-        self.frozen.inputs.scale
-    }
-
-    /// What its outputs are multiplied by.
-    #[getter]
-    fn output_scale(&self) -> f32 {
-        self.frozen.inputs.output_scale
-    }
-
-    /// Place of the frame among its inputs.
-    #[getter]
-    fn frame_input(&self) -> usize {
-        self.frozen.inputs.frame_input
-    }
-
-    /// It is given the goal.
-    #[getter]
-    fn has_position(&self) -> bool {
-        self.frozen.inputs.has_position
     }
 
     /// What it was made of.

@@ -1,8 +1,8 @@
 //! Attacks on what a policy sees for Python.
 
 use crate::actor::{Actor, Learned};
-use crate::given::{Moment, array, beside, frames, refused, values};
-use numpy::{PyArray1, PyReadonlyArrayDyn};
+use crate::given::{Floats, Moment, array, beside, frames, refused, values};
+use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
 use vigil_adversary::{AttackConfig, AttackOutcome, Beside, Method, Towards};
 use vigil_nnet::Isa;
@@ -11,8 +11,8 @@ use vigil_types::{DEPTH_FULL_SCALE_M, DepthFrame, Nanos, STEP_NS};
 
 fn config(method: &str, epsilon_255: f32, iterations: u32, towards: &str, seed: u64) -> PyResult<AttackConfig> {
     let methods = Method::ALL.map(Method::name);
-    let found = Method::ALL.into_iter().find(|m| m.name() == method);
-    let method = found.ok_or_else(|| refused(format!("method: {method} is none of {}", methods.join(", "))))?;
+    let method = Method::from_name(method)
+        .ok_or_else(|| refused(format!("method: {method} is none of {}", methods.join(", "))))?;
     let all = [Towards::Left, Towards::Right, Towards::Away];
     let towards = all.into_iter().find(|t| t.name() == towards);
     Ok(AttackConfig {
@@ -26,7 +26,7 @@ fn config(method: &str, epsilon_255: f32, iterations: u32, towards: &str, seed: 
 }
 
 /// Altered frames in metres, and the outputs before and after.
-type Attacked<'py> = (Bound<'py, PyArray1<f32>>, [f32; 2], [f32; 2]);
+type Attacked<'py> = (Floats<'py>, [f32; 2], [f32; 2]);
 
 fn attacked(py: Python<'_>, mut frames: Vec<f32>, outcome: AttackOutcome) -> Attacked<'_> {
     frames.iter_mut().for_each(|range| *range *= DEPTH_FULL_SCALE_M);

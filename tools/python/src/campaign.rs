@@ -6,9 +6,9 @@ use rayon::prelude::*;
 use std::path::PathBuf;
 use vigil_adversary::{Attack, AttackArgs, Method};
 use vigil_firmware::FirmwareConfig;
-use vigil_sim::vehicle::Wind;
 use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Start};
+use vigil_tools::threads::thread_pool;
 use vigil_types::PilotKind;
 
 /// What all flights have in common.
@@ -30,8 +30,7 @@ impl Plan {
         config.lidar.range_noise_sigma_m *= self.noise;
         config.lidar.dropout_probability = (config.lidar.dropout_probability * self.noise).min(1.0);
         if self.wind_m_s > 0.0 {
-            let turn = (seed as f64 * 0.618_033_988_749_895) % 1.0;
-            config.wind = Wind::gusty(self.wind_m_s, std::f64::consts::TAU * turn);
+            config.wind = vigil_tools::campaign::wind(self.wind_m_s, seed);
         }
         config.start = match self.ground {
             true => Start::Ground,
@@ -94,8 +93,7 @@ pub fn fly(
     (firmware.detector.enabled, firmware.detector.guard) = (detector, guard);
     firmware.detector.file = detector_file;
     let method = attack.map(|name| {
-        let found = Method::ALL.into_iter().find(|m| m.name() == name);
-        found.ok_or_else(|| {
+        Method::from_name(name).ok_or_else(|| {
             refused(format!(
                 "attack: {name} is none of {}",
                 Method::ALL.map(Method::name).join(", ")
@@ -118,10 +116,7 @@ pub fn fly(
         firmware,
     };
     let threads = threads.max(1);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(failed)?;
+    let pool = thread_pool(threads).map_err(failed)?;
     let mut rows = Vec::with_capacity(seeds.len());
     for some in seeds.chunks(4 * threads) {
         let flown: Result<Vec<FlightRow>, String> =

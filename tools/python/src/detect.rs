@@ -1,8 +1,8 @@
 //! LSTM-AD for Python: the frozen one, the monitor of the tick, and training on any rows.
 
 use crate::actor::Learned;
-use crate::given::{array, beside, failed, refused, values};
-use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use crate::given::{Floats, array, beside, failed, refused, values};
+use numpy::{PyReadonlyArray1, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -12,6 +12,7 @@ use vigil_lab::detector_training::{Examples, FitConfig, fit};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
 use vigil_policy::FrozenPilot;
 use vigil_policy::actor::PositionalInputs;
+use vigil_tools::threads::thread_pool;
 use vigil_types::Verdict;
 
 /// A frozen detector.
@@ -23,10 +24,7 @@ impl Detector {
     #[new]
     #[pyo3(signature = (path=None))]
     fn new(path: Option<PathBuf>) -> PyResult<Self> {
-        let frozen = match path {
-            Some(path) => FrozenDetector::load(&path),
-            None => FrozenDetector::built_in(),
-        };
+        let frozen = path.map_or_else(FrozenDetector::built_in, |path| FrozenDetector::load(&path));
         Ok(Self(frozen.map_err(refused)?))
     }
 
@@ -49,7 +47,7 @@ impl Detector {
     }
 
     /// DeepSHAP's background sample: states, one after the other, and positional inputs.
-    fn backgrounds<'py>(&self, py: Python<'py>) -> (usize, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>) {
+    fn backgrounds<'py>(&self, py: Python<'py>) -> (usize, Floats<'py>, Floats<'py>) {
         let backgrounds = &self.0.backgrounds;
         let states = backgrounds
             .iter()
@@ -63,21 +61,11 @@ impl Detector {
     }
 
     /// Parameters, shift and scale of its network.
-    #[allow(clippy::type_complexity, reason = "three arrays")]
-    fn network<'py>(
-        &self,
-        py: Python<'py>,
-    ) -> (
-        Bound<'py, PyArray1<f32>>,
-        Bound<'py, PyArray1<f32>>,
-        Bound<'py, PyArray1<f32>>,
-    ) {
+    fn network<'py>(&self, py: Python<'py>) -> (Floats<'py>, Floats<'py>, Floats<'py>) {
         let d = &self.0;
-        (
-            array(py, d.params.clone()),
-            array(py, d.centre.to_vec()),
-            array(py, d.scale.to_vec()),
-        )
+        [d.params.clone(), d.centre.to_vec(), d.scale.to_vec()]
+            .map(|values| array(py, values))
+            .into()
     }
 }
 
@@ -165,7 +153,7 @@ impl Lstm {
     }
 
     /// Scores of a flight's rows; the first nine have none (not a number).
-    fn scores<'py>(&self, py: Python<'py>, rows: PyReadonlyArrayDyn<'py, f32>) -> PyResult<Bound<'py, PyArray1<f32>>> {
+    fn scores<'py>(&self, py: Python<'py>, rows: PyReadonlyArrayDyn<'py, f32>) -> PyResult<Floats<'py>> {
         let width = self.centre.len();
         let count = rows.len() / width;
         let rows = values("rows", &rows, count * width)?;
@@ -190,21 +178,14 @@ impl Lstm {
 }
 
 /// Verdict, score, contributions of image, bearing, distance and own motion, base, contributions at the split point.
-type Judged<'py> = (
-    Option<bool>,
-    Option<f32>,
-    f32,
-    f32,
-    f32,
-    f32,
-    f32,
-    Bound<'py, PyArray1<f32>>,
-);
+type Judged<'py> = (Option<bool>, Option<f32>, f32, f32, f32, f32, f32, Floats<'py>);
 
 /// Explains and judges a policy's decisions one after the other, as in flight.
 #[pyclass(module = "vigil._vigil")]
 pub struct Monitor {
     monitor: vigil_detector::Monitor,
+    /// Values of the state that it judges.
+    #[pyo3(get)]
     width: usize,
     of_actor: bool,
 }
@@ -222,12 +203,6 @@ impl Monitor {
             width,
             of_actor: matches!(pilot, FrozenPilot::Actor(_)),
         })
-    }
-
-    /// Values of the state that it judges.
-    #[getter]
-    fn width(&self) -> usize {
-        self.width
     }
 
     /// Judges a decision by the policy's state and what it was made from beside it.
@@ -299,7 +274,7 @@ pub fn train<'py>(
     rate: f32,
     seed: u64,
     threads: usize,
-) -> PyResult<(Bound<'py, PyArray1<f32>>, usize, Vec<EpochRow>)> {
+) -> PyResult<(Floats<'py>, usize, Vec<EpochRow>)> {
     if epochs == 0 || batch == 0 || !(rate > 0.0 && rate < 1.0) || width == 0 {
         return Err(refused("epochs and batch have to be 1 or more, rate between 0 and 1"));
     }
@@ -339,8 +314,8 @@ pub fn train<'py>(
             weight_decay: 0.01,
             seed,
         };
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.max(1)).build();
-        pool.map_err(|e| e.to_string())?.install(|| {
+        let pool = thread_pool(threads.max(1)).map_err(|e| e.to_string())?;
+        pool.install(|| {
             fit(&graph, Isa::detect(), first, &learn, &choose, &config, &mut |_, _| {}).map_err(|e| e.to_string())
         })
     });

@@ -11,6 +11,7 @@ use vigil_sim::environment::true_state::{TRUE_STATE, TrueCourse};
 use vigil_sim::vehicle::{Truth, Wind};
 use vigil_sim::world::{Course, Family, FlightPath, Lidar, LidarConfig, Outcome, generate};
 use vigil_tools::explained::Flight;
+use vigil_tools::threads::thread_pool;
 use vigil_types::{Action, AttitudeSample, DEPTH_FULL_SCALE_M, Goal, GoalRelative, Kinematics, NedVector};
 
 /// Steps between two points of a drawn path.
@@ -55,11 +56,7 @@ impl Conditions {
         };
         course.time_limit_s = self.time_limit_s.unwrap_or(course.time_limit_s);
         let wind = match self.wind_m_s > 0.0 {
-            // Multiples of the golden ratio spread the directions of neighbouring seeds evenly, as `vigil evaluate` does.
-            true => {
-                let turn = (seed as f64 * 0.618_033_988_749_895) % 1.0;
-                Wind::gusty(self.wind_m_s, std::f64::consts::TAU * turn)
-            }
+            true => vigil_tools::campaign::wind(self.wind_m_s, seed),
             false => Wind::default(),
         };
         let flight = Flight::unseen(&course, wind, seed).map_err(|e| e.to_string())?;
@@ -313,12 +310,7 @@ impl Flights {
         let [rows, columns] = Lidar::shape_of(every);
         let pool = match threads {
             0 | 1 => None,
-            threads => Some(
-                rayon::ThreadPoolBuilder::new()
-                    .num_threads(threads)
-                    .build()
-                    .map_err(failed)?,
-            ),
+            threads => Some(thread_pool(threads).map_err(failed)?),
         };
         Ok(Self {
             conditions: Conditions {

@@ -1,8 +1,8 @@
 //! DeepSHAP for Python.
 
 use crate::actor::{Actor, Learned, Policy, own_inputs};
-use crate::given::{array, refused};
-use numpy::{PyArray1, PyReadonlyArrayDyn};
+use crate::given::{Floats, array, refused};
+use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
 use vigil_detector::DeepShap;
 use vigil_nnet::{Graph, Isa, Purpose};
@@ -47,13 +47,12 @@ impl Explainer {
     }
 
     /// The network's outputs for a state, and what each value of its inputs contributed to one of them.
-    #[allow(clippy::type_complexity, reason = "two arrays")]
     fn explain<'py>(
         &mut self,
         py: Python<'py>,
         inputs: Inputs<'py>,
         output: usize,
-    ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>)> {
+    ) -> PyResult<(Floats<'py>, Floats<'py>)> {
         let slices = own_inputs(self.0.graph(), &inputs)?;
         let mut phi = vec![0.0; self.0.phi_len()];
         let shap = &mut self.0;
@@ -65,7 +64,7 @@ impl Explainer {
     }
 
     /// Mean outputs of the background sample.
-    fn expected<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+    fn expected<'py>(&self, py: Python<'py>) -> Floats<'py> {
         array(py, self.0.expected().to_vec())
     }
 

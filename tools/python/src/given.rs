@@ -161,7 +161,10 @@ pub fn beside(given: &[f32], of_actor: bool) -> PyResult<PositionalInputs> {
     })
 }
 
+/// Numbers for Python.
+pub type Floats<'py> = Bound<'py, PyArray1<f32>>;
+
 /// Handed over without a copy.
-pub fn array(py: Python<'_>, values: Vec<f32>) -> Bound<'_, PyArray1<f32>> {
+pub fn array(py: Python<'_>, values: Vec<f32>) -> Floats<'_> {
     PyArray1::from_vec(py, values)
 }

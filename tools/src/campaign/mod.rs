@@ -20,6 +20,7 @@ use std::rc::Rc;
 use vigil_adversary::{Attack, AttackRecord, PassedStep};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::lockstep_flight::{FirmwarePort, FlightRecord, fly_lockstep_through};
+use vigil_sim::vehicle::Wind;
 use vigil_sim::world::{Family, Outcome, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_types::{Datagrams, DepthFrame, FrameKeys, Nanos, PilotKind};
@@ -117,6 +118,16 @@ pub fn effective_share(attacked_steps: u64, effective_steps: u64) -> String {
         let share = 100.0 * effective_steps as f64 / attacked_steps as f64;
         format!("{share:.0} % of {attacked_steps} steps")
     }
+}
+
+/// A number from 0 to 1 for each seed. Multiples of the golden ratio spread neighbouring seeds evenly.
+pub fn spread(seed: u64) -> f64 {
+    (seed as f64 * 0.618_033_988_749_895) % 1.0
+}
+
+/// A wind of mean speed `mean_m_s` from a direction that depends on the seed, with gusts a third as strong.
+pub fn wind(mean_m_s: f64, seed: u64) -> Wind {
+    Wind::gusty(mean_m_s, std::f64::consts::TAU * spread(seed))
 }
 
 /// A validation course in the air, flown by the actor (the one built in when no file is given) without a detector.

@@ -127,7 +127,7 @@ impl FaultChoice {
 }
 
 /// How the flights with a fault ended.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct FaultTally {
     /// The fault, as it is named on the command line.
     pub fault: String,
@@ -148,11 +148,7 @@ impl FaultTally {
     pub fn of<'a>(fault: &str, flights: impl Iterator<Item = (&'a FlightRecord, &'a SensorRecord)>) -> Self {
         let mut tally = Self {
             fault: fault.to_owned(),
-            flights: 0,
-            collisions: 0,
-            held: 0,
-            arrived: 0,
-            time_outs: 0,
+            ..Self::default()
         };
         for (record, sensor) in flights {
             tally.flights += 1;

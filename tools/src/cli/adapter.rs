@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
@@ -421,9 +421,9 @@ pub fn z16(args: &DepthStreamArgs) -> Result<ExitCode> {
     // Ends with the process where the stream does not.
     std::thread::spawn(move || read_images(&mut *input, bytes, rate, &sender));
     while out.goes_on() {
-        match next_image(&images) {
-            Next::Nothing => {}
-            Next::Image(arrived_ns, image) => {
+        match images.recv_timeout(LOOK) {
+            Ok(arrival) => {
+                let (arrived_ns, image) = arrival.with_context(|| shown.to_string())?;
                 out.heard_ns = arrived_ns;
                 match stream.image(&image, &mut out.frame.depth) {
                     Ok(()) => out.publish(arrived_ns.saturating_sub(u64::from(args.latency_ms) * 1_000_000))?,
@@ -431,67 +431,45 @@ pub fn z16(args: &DepthStreamArgs) -> Result<ExitCode> {
                     Err(fault) => out.refuse(arrived_ns, fault),
                 }
             }
-            Next::End(error) => {
-                if let Some(error) = error {
-                    return Err(error).with_context(|| shown.to_string());
-                }
-                break;
-            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => break,
         }
         out.look_around();
     }
     Ok(out.end())
 }
 
-enum Next {
-    Nothing,
-    Image(Nanos, Vec<u8>),
-    End(Option<std::io::Error>),
-}
-
 /// An image and when it arrived, or why there are no more.
-type Arrival = Result<(Nanos, Vec<u8>), Option<std::io::Error>>;
-
-fn next_image(images: &Receiver<Arrival>) -> Next {
-    match images.recv_timeout(LOOK) {
-        Ok(Ok((arrived_ns, image))) => Next::Image(arrived_ns, image),
-        Ok(Err(error)) => Next::End(error),
-        Err(RecvTimeoutError::Timeout) => Next::Nothing,
-        Err(RecvTimeoutError::Disconnected) => Next::End(None),
-    }
-}
+type Arrival = std::io::Result<(Nanos, Vec<u8>)>;
 
 /// Reads images until the stream's end. Of a live stream one that nobody is ready for is dropped: the next is newer.
 fn read_images(input: &mut dyn Read, bytes: usize, rate_hz: Option<u32>, sender: &SyncSender<Arrival>) {
     let mut due_ns = monotonic_ns();
     loop {
         let mut image = Vec::with_capacity(bytes);
-        let read = Read::take(&mut *input, bytes as u64).read_to_end(&mut image);
-        let ended = match read {
-            Err(error) => Some(Err(Some(error))),
-            Ok(0) => Some(Err(None)),
-            Ok(_) => None,
-        };
-        if let Some(end) = ended {
-            let _ = sender.send(end);
-            return;
+        match Read::take(&mut *input, bytes as u64).read_to_end(&mut image) {
+            Ok(0) => return,
+            Ok(_) => {}
+            Err(error) => {
+                let _ = sender.send(Err(error));
+                return;
+            }
         }
         let is_rest = image.len() < bytes;
-        match rate_hz {
+        let is_wanted = match rate_hz {
             Some(hz) => {
                 sleep_until(due_ns);
                 due_ns += 1_000_000_000 / u64::from(hz);
-                if sender.send(Ok((monotonic_ns(), image))).is_err() {
-                    return;
-                }
+                sender.send(Ok((monotonic_ns(), image))).is_ok()
             }
-            None if is_rest => {
-                let _ = sender.send(Ok((monotonic_ns(), image)));
-            }
-            None => match sender.try_send(Ok((monotonic_ns(), image))) {
-                Ok(()) | Err(TrySendError::Full(_)) => {}
-                Err(TrySendError::Disconnected(_)) => return,
-            },
+            None if is_rest => sender.send(Ok((monotonic_ns(), image))).is_ok(),
+            None => !matches!(
+                sender.try_send(Ok((monotonic_ns(), image))),
+                Err(TrySendError::Disconnected(_))
+            ),
+        };
+        if !is_wanted {
+            return;
         }
     }
 }

@@ -11,7 +11,7 @@ use crate::cli::view::ViewerArgs;
 use crate::flight_report;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, ensure};
-use goal_distance::{GoalDistance, spread};
+use goal_distance::GoalDistance;
 use report::{NO_FAULT, Took, name, report};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -23,7 +23,6 @@ use vigil_adversary::{Attack, AttackArgs, AttackConfig, Burst};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::lockstep_flight::FlightRecord;
-use vigil_sim::vehicle::Wind;
 use vigil_sim::world::{Course, Family, FlightPath, generate, generate_long};
 use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Start, VehicleChoice, family_parser};
 use vigil_types::{FrameKey, NedVector};
@@ -417,7 +416,7 @@ fn fly(
     models.lidar.range_noise_sigma_m *= args.noise;
     models.lidar.dropout_probability = (models.lidar.dropout_probability * args.noise).min(1.0);
     if args.wind > 0.0 {
-        models.wind = wind(args.wind, seed);
+        models.wind = campaign::wind(args.wind, seed);
     }
     let mut config = SimConfig::with_models(course, seed, models);
     let from_ground = args.ground_every > 0 && seed.is_multiple_of(args.ground_every);
@@ -563,12 +562,6 @@ fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, see
         about,
         explained_frames: 0,
     }
-}
-
-/// A wind of mean speed `mean_m_s` from a direction that depends on the seed, with gusts a third as strong.
-fn wind(mean_m_s: f64, seed: u64) -> Wind {
-    let direction_rad = std::f64::consts::TAU * spread(seed);
-    Wind::gusty(mean_m_s, direction_rad)
 }
 
 fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Result<()> {

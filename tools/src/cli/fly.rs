@@ -117,29 +117,6 @@ pub struct FlyArgs {
     log: PathBuf,
 }
 
-impl Default for FlyArgs {
-    fn default() -> Self {
-        Self {
-            course: CourseChoice::default(),
-            instance: 0,
-            config: None,
-            vehicle: VehicleChoice::default(),
-            foreign: ForeignArgs::default(),
-            pilot: PilotArgs::default(),
-            attack: AttackArgs::default(),
-            sensor_fault: None,
-            second_sensor: SecondSensorArgs::default(),
-            frame_key: None,
-            view: false,
-            viewer: ViewerArgs::default(),
-            record: None,
-            log_content: LogContent::default(),
-            quiet: false,
-            log: PathBuf::from("runs"),
-        }
-    }
-}
-
 /// Flies and reports.
 ///
 /// # Errors

@@ -20,7 +20,7 @@ const NO_POSE_LIMIT: Duration = Duration::from_secs(30);
 const PILOT_PATIENCE: Duration = Duration::from_secs(3);
 
 /// The foreign vehicle.
-#[derive(Debug, Clone, Default, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct ForeignArgs {
     /// Fly a vehicle that already runs, instead of the simulated one: px4, ardupilot, or auto, which recognises it.
     #[arg(long, requires = "link", value_parser = choice::<AutopilotChoice>())]

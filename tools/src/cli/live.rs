@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 use vigil_sim::program::{NEARNESS_COLS, NEARNESS_ROWS, Status};
-use vigil_sim::world::{Course, Solid};
+use vigil_sim::world::Course;
 use vigil_types::NedVector;
 
 /// Widest and tallest map, in characters of 2 × 4 dots.
@@ -37,9 +37,9 @@ impl Live {
         let mut low = (goal_ned_m.x.min(0.0), goal_ned_m.y.min(0.0));
         let mut high = (goal_ned_m.x.max(0.0), goal_ned_m.y.max(0.0));
         for solid in &solids {
-            let (centre, reach) = extent(solid);
-            low = (low.0.min(centre.0 - reach.0), low.1.min(centre.1 - reach.1));
-            high = (high.0.max(centre.0 + reach.0), high.1.max(centre.1 + reach.1));
+            let (centre, reach) = (solid.centre_ned_m(), solid.plan_half_extents_m());
+            low = (low.0.min(centre.x - reach.0), low.1.min(centre.y - reach.1));
+            high = (high.0.max(centre.x + reach.0), high.1.max(centre.y + reach.1));
         }
         let low = (low.0 - MARGIN_M, low.1 - MARGIN_M);
         let (length_m, width_m) = (high.0 + MARGIN_M - low.0, high.1 + MARGIN_M - low.1);
@@ -61,7 +61,7 @@ impl Live {
             for y in 0..4 * rows {
                 let north = low.0 + (x as f32 + 0.5) * dot_m;
                 let east = low.1 + (y as f32 + 0.5) * dot_m;
-                if solids.iter().any(|solid| covers(solid, north, east, dot_m / 2.0)) {
+                if solids.iter().any(|s| s.plan_distance_m(north, east) <= dot_m / 2.0) {
                     let (at, bit) = (y / 4 * cols + x / 2, dot(x, y));
                     live.ground[at] |= bit;
                 }
@@ -171,44 +171,6 @@ fn dot(x: usize, y: usize) -> u8 {
     BITS[x % 2][y % 4]
 }
 
-/// Middle and reach of a solid's outline, NED metres.
-fn extent(solid: &Solid) -> ((f32, f32), (f32, f32)) {
-    match solid {
-        Solid::Cuboid {
-            centre_ned_m,
-            half_extents_m,
-            yaw_rad,
-        } => {
-            let (sin, cos) = yaw_rad.sin_cos();
-            let [a, b, _] = half_extents_m;
-            let reach = ((a * cos).abs() + (b * sin).abs(), (a * sin).abs() + (b * cos).abs());
-            ((centre_ned_m.x, centre_ned_m.y), reach)
-        }
-        Solid::Cylinder {
-            centre_ned_m, radius_m, ..
-        } => ((centre_ned_m.x, centre_ned_m.y), (*radius_m, *radius_m)),
-    }
-}
-
-/// Whether a solid stands within `slack_m` of a position, seen from above.
-fn covers(solid: &Solid, north: f32, east: f32, slack_m: f32) -> bool {
-    match solid {
-        Solid::Cuboid {
-            centre_ned_m,
-            half_extents_m,
-            yaw_rad,
-        } => {
-            let (sin, cos) = yaw_rad.sin_cos();
-            let (n, e) = (north - centre_ned_m.x, east - centre_ned_m.y);
-            let [a, b, _] = half_extents_m;
-            (cos * n + sin * e).abs() <= a + slack_m && (cos * e - sin * n).abs() <= b + slack_m
-        }
-        Solid::Cylinder {
-            centre_ned_m, radius_m, ..
-        } => (north - centre_ned_m.x).hypot(east - centre_ned_m.y) <= radius_m + slack_m,
-    }
-}
-
 /// Where the vehicle is and what guidance does, in a line.
 pub(super) fn state_line(s: &Status) -> String {
     if let Some(pose) = &s.pose {
@@ -266,13 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_across_is_a_column_of_dots_and_the_bar_marks_the_threshold() {
-        let wall = Solid::Cuboid {
-            centre_ned_m: NedVector::new(5.0, 0.0, -1.0),
-            half_extents_m: [0.1, 3.0, 1.0],
-            yaw_rad: 0.0,
-        };
-        assert!(covers(&wall, 5.0, 2.9, 0.0) && !covers(&wall, 5.5, 0.0, 0.0) && !covers(&wall, 5.0, 3.2, 0.0));
+    fn the_bar_marks_the_threshold() {
         let text = bar(0.5, Some(0.75));
         assert_eq!(
             (

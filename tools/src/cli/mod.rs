@@ -104,11 +104,15 @@ pub enum Command {
 /// Reads the arguments of the process and does what they say.
 pub fn main() -> ExitCode {
     let cli: Cli = vigil_firmware::removed::parse();
-    cli.every.run(|| match cli.command {
-        None => fly::run(&fly::FlyArgs::default()),
+    cli.every.run(|| run(cli.command))
+}
+
+fn run(command: Option<Any>) -> Result<ExitCode> {
+    match command {
+        None => run(Cli::parse_from(["vigil", "fly"]).command),
         Some(Any::Flight(command)) => execute(*command),
         Some(Any::Lab(command)) => lab::hand_on(&command),
-    })
+    }
 }
 
 impl EveryCommand {

@@ -17,6 +17,9 @@ const SCRIPT: &str = include_str!("../../assets/viewers/rerun_view.py");
 /// Where Foxglove's panels stand.
 const FOXGLOVE_LAYOUT: &str = include_str!("../../assets/viewers/foxglove-layout.json");
 
+/// What the script says while it follows flights, beside their logs.
+const LOG: &str = "viewer.log";
+
 /// Arguments of `vigil view`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
@@ -52,27 +55,15 @@ pub struct ViewArgs {
 #[derive(Debug, Clone, clap::Args)]
 pub struct ViewerArgs {
     /// Port on which the viewer listens.
-    #[arg(long, value_name = "PORT", default_value_t = ViewerArgs::PORT, value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "PORT", default_value_t = 9876, value_parser = clap::value_parser!(u16).range(1..))]
     view_port: u16,
 
     /// The Python that has the viewer, of a virtual environment for example.
-    #[arg(long, value_name = "PROGRAM", default_value = ViewerArgs::PYTHON)]
+    #[arg(long, value_name = "PROGRAM", default_value = "python3")]
     python: PathBuf,
 }
 
-impl Default for ViewerArgs {
-    fn default() -> Self {
-        Self {
-            view_port: Self::PORT,
-            python: PathBuf::from(Self::PYTHON),
-        }
-    }
-}
-
 impl ViewerArgs {
-    const PORT: u16 = 9876;
-    const PYTHON: &str = "python3";
-
     /// Whether the viewer is there.
     ///
     /// # Errors
@@ -128,14 +119,14 @@ impl ViewerArgs {
         }
     }
 
-    /// Starts the script, which opens the viewer; what it says goes to `diagnostics`, or to standard error.
-    fn start(&self, arguments: &[&std::ffi::OsStr], diagnostics: Option<File>) -> Result<Child> {
+    /// Starts the script, which opens the viewer; what it says goes to the file `log`, or to standard error.
+    fn start(&self, arguments: &[&std::ffi::OsStr], log: Option<&Path>) -> Result<Child> {
         let mut command = Command::new(&self.python);
         command.arg("-").args(arguments);
         command.args(["--port", &self.view_port.to_string()]);
         command.stdin(Stdio::piped()).stdout(Stdio::null());
-        if let Some(file) = diagnostics {
-            command.stderr(file);
+        if let Some(path) = log {
+            command.stderr(File::create(path).with_context(|| format!("cannot write {}", path.display()))?);
         }
         let mut child = command
             .spawn()
@@ -153,9 +144,7 @@ impl ViewerArgs {
     /// # Errors
     /// A script that cannot be started.
     pub fn follow(&self, folder: &Path) -> Result<Child> {
-        let name = folder.join("viewer.log");
-        let diagnostics = File::create(&name).with_context(|| format!("cannot write {}", name.display()))?;
-        self.start(&[folder.as_os_str(), "--follow".as_ref()], Some(diagnostics))
+        self.start(&[folder.as_os_str(), "--follow".as_ref()], Some(&folder.join(LOG)))
     }
 
     /// Shows several flights whose logs come to be in `folder` under these names (without their ending), each in a tab of its own and
@@ -164,12 +153,10 @@ impl ViewerArgs {
     /// # Errors
     /// A script that cannot be started.
     pub fn follow_all(&self, folder: &Path, names: &[String]) -> Result<Child> {
-        let name = folder.join("viewer.log");
-        let diagnostics = File::create(&name).with_context(|| format!("cannot write {}", name.display()))?;
         let names = names.join(",");
         self.start(
             &[folder.as_os_str(), "--flights".as_ref(), names.as_ref()],
-            Some(diagnostics),
+            Some(&folder.join(LOG)),
         )
     }
 

@@ -146,6 +146,7 @@ struct Asked {
 }
 
 /// One examination.
+#[derive(Default)]
 pub struct Examination {
     config: ExaminationConfig,
     started_ns: Nanos,
@@ -196,40 +197,10 @@ impl Examination {
     pub fn new(config: ExaminationConfig, now_ns: Nanos) -> Self {
         Self {
             system: config.system,
-            vehicle: Vehicle::new(None),
             config,
             started_ns: now_ns,
-            counters: FramingCounters::default(),
-            other_systems: BTreeSet::new(),
-            vehicle_type: None,
-            is_signed: false,
-            arrivals: BTreeMap::new(),
-            boot: None,
-            position: None,
-            heading: None,
-            restarted_ns: None,
-            clock_jumps_s: None,
-            position_jumps: (0, 0.0),
-            heading_jumps: (0, 0.0),
-            was_in_failsafe: false,
-            unusable: 0,
-            was_not_ready: None,
-            was_not_armable: false,
-            round_trips_s: Vec::new(),
-            unix_time_us: None,
-            estimator: None,
-            is_armable: None,
-            prearm_texts: BTreeSet::new(),
-            global: None,
-            companions: BTreeMap::new(),
-            setpoints_of: BTreeSet::new(),
-            sticks_of: BTreeSet::new(),
-            parameters: BTreeMap::new(),
-            frame: None,
-            tilts: Vec::new(),
             next_question_ns: now_ns,
-            turn: 0,
-            sequence: 0,
+            ..Self::default()
         }
     }
 

@@ -1,8 +1,8 @@
 //! DeepSHAP of the newest frame's pixels, against states of unattacked flights.
 
-use super::error::DetectError;
 use super::recorded_flight::{Onlooker, Shown, Step, fly};
 use super::scenario::{Plan, Scenario};
+use anyhow::Result;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -30,7 +30,7 @@ struct Backgrounds {
 }
 
 impl Onlooker for Backgrounds {
-    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()> {
         self.steps += 1;
         if self.steps.is_multiple_of(STRIDE)
             && let Some(inputs) = shown.inputs(step)
@@ -42,7 +42,7 @@ impl Onlooker for Backgrounds {
 }
 
 /// The explainer of the newest frame's pixels and of what the actor holds beside them, with backgrounds of unattacked training flights.
-pub fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<DeepShap, DetectError> {
+pub fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<DeepShap> {
     let (pilot, mut inputs) = (FrozenPilot::from(actor), Vec::new());
     for seed in BACKGROUND_SEED..BACKGROUND_SEED + BACKGROUND_FLIGHTS {
         let mut onlooker = Backgrounds {
@@ -75,7 +75,7 @@ impl PixelExplainer {
     ///
     /// # Errors
     /// Parameters of another architecture.
-    pub fn new(isa: Isa, actor: &FrozenActor) -> Result<Self, DetectError> {
+    pub fn new(isa: Isa, actor: &FrozenActor) -> Result<Self> {
         let shap = explainer(isa, actor, BACKGROUNDS)?;
         let phi = vec![0.0; shap.phi_len()];
         Ok(Self { shap, phi })
@@ -85,12 +85,12 @@ impl PixelExplainer {
     ///
     /// # Errors
     /// An explanation that is not finite.
-    pub fn newest_frame(&mut self, actor: &Actor, frame: &DepthFrame, output: usize) -> Result<&[f32], DetectError> {
+    pub fn newest_frame(&mut self, actor: &Actor, frame: &DepthFrame, output: usize) -> Result<&[f32]> {
         self.of_inputs(&[&frame.depth, actor.context(), &actor.low_dim()], output)
     }
 
     /// The same of the network's inputs.
-    pub fn of_inputs(&mut self, inputs: &[&[f32]; 3], output: usize) -> Result<&[f32], DetectError> {
+    pub fn of_inputs(&mut self, inputs: &[&[f32]; 3], output: usize) -> Result<&[f32]> {
         self.shap.evaluate(inputs)?;
         self.shap.attribute(output, &mut self.phi)?;
         Ok(&self.phi[..DEPTH_PIXELS])

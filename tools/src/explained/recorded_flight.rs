@@ -1,8 +1,8 @@
 //! A flight flown and written down.
 
-use super::error::DetectError;
 use super::scenario::{Adversary, Helm, Scenario};
 use super::stepped::Flight;
+use anyhow::Result;
 use serde::{Deserialize, Serialize};
 use vigil_adversary::{FrameAttack, Method};
 use vigil_nnet::Isa;
@@ -96,12 +96,12 @@ pub trait Onlooker {
     ///
     /// # Errors
     /// Ends the flight.
-    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError>;
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()>;
 }
 
 /// No onlooker.
 impl Onlooker for () {
-    fn step(&mut self, _: &Step, _: &Shown<'_>) -> Result<(), DetectError> {
+    fn step(&mut self, _: &Step, _: &Shown<'_>) -> Result<()> {
         Ok(())
     }
 }
@@ -116,7 +116,7 @@ pub fn held_frames(pilot: &FrozenPilot) -> Vec<usize> {
 }
 
 /// The flight that a scenario begins with.
-fn flight_of(scenario: &Scenario) -> Result<Flight, DetectError> {
+fn flight_of(scenario: &Scenario) -> Result<Flight> {
     let mut course = generate(scenario.family, scenario.seed);
     course.time_limit_s = 90.0;
     let usual = LidarConfig::default();
@@ -129,11 +129,7 @@ fn flight_of(scenario: &Scenario) -> Result<Flight, DetectError> {
 }
 
 /// An adversary with the attack that it flies.
-fn attacker<'a>(
-    frozen: &FrozenPilot,
-    isa: Isa,
-    adversary: &'a Adversary,
-) -> Result<(&'a Adversary, FrameAttack), DetectError> {
+fn attacker<'a>(frozen: &FrozenPilot, isa: Isa, adversary: &'a Adversary) -> Result<(&'a Adversary, FrameAttack)> {
     Ok((adversary, FrameAttack::on(frozen, isa, &adversary.config)?))
 }
 
@@ -144,7 +140,7 @@ fn alter(
     step: u64,
     taken: &PilotInput<'_>,
     delivered: &mut DepthFrame,
-) -> Result<(Frame, f32), DetectError> {
+) -> Result<(Frame, f32)> {
     if !adversary.attacks(step) {
         attack.pass(taken)?;
         return Ok((Frame::Unaltered, 0.0));
@@ -161,12 +157,7 @@ fn alter(
 ///
 /// # Errors
 /// Parameters of another architecture, wind or attack out of range.
-pub fn fly(
-    isa: Isa,
-    frozen: &FrozenPilot,
-    scenario: &Scenario,
-    onlooker: &mut impl Onlooker,
-) -> Result<Record, DetectError> {
+pub fn fly(isa: Isa, frozen: &FrozenPilot, scenario: &Scenario, onlooker: &mut impl Onlooker) -> Result<Record> {
     let mut flight = flight_of(scenario)?;
     let mut actor = frozen.decider(isa)?;
     let adversary = scenario.adversary.as_ref();

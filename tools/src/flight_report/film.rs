@@ -1,7 +1,8 @@
 //! The frames that a report shows, and what their pixels did to the actor's decision.
 
 use crate::flight_derived::ExplainedReplay;
-use crate::flight_report::log_seen::{LogSeen, ReportError, ReportOptions, StepSeen, WHO};
+use crate::flight_report::log_seen::{LogSeen, ReportOptions, StepSeen, WHO};
+use anyhow::{Context, Result};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use serde::Serialize;
@@ -20,6 +21,8 @@ const OVERVIEW_LIMIT: usize = 120;
 const STRONG: f64 = 0.99;
 /// Side of the squares over which pixels' SHAP values are summed.
 const SQUARE: usize = 4;
+
+const NO_PICTURE: &str = "a picture of the report cannot be made";
 
 /// The film of a flight.
 #[derive(Debug, Clone, Default)]
@@ -55,12 +58,10 @@ pub struct Picture {
 
 /// The step of most interest: the first alarm, else the first altered frame, else the closest approach.
 fn moment(log: &LogSeen) -> Option<usize> {
-    let altered = log.altered().unwrap_or_default();
-    let is_altered = |s: &StepSeen| s.report.frame_sequence.is_some_and(|f| altered.contains_key(&f));
     log.alarms()
         .first()
         .copied()
-        .or_else(|| log.steps.iter().position(is_altered))
+        .or_else(|| log.steps.iter().position(|s| log.is_altered(s)))
 }
 
 /// The steps to show, in order.
@@ -74,7 +75,7 @@ fn chosen(log: &LogSeen, moment: Option<usize>) -> Vec<usize> {
 }
 
 /// Reads the log once more and makes the pictures.
-pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, ReportError> {
+pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film> {
     let moment = moment(log);
     let steps = chosen(log, moment);
     if steps.is_empty() {
@@ -86,7 +87,6 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
     let middle = moment.map_or(0, |at| steps.partition_point(|i| *i < at));
     let mut reader = Reader::open(path)?;
     let mut pixels = Pixels::of(&reader, &steps, moment.map(|_| middle), options.explained_frames);
-    let altered = log.altered();
     let clean: HashMap<u32, &[f32]> = log.story.clean.iter().map(|c| (c.sequence, &c.depth[..])).collect();
     let mut pictures = Vec::with_capacity(steps.len());
     let mut record = Box::<TickRecord>::default();
@@ -109,9 +109,7 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
         let near = moment.is_some_and(|at| number + BEFORE >= at && number < at + AFTER);
         let before = clean.get(&(frame.header.sequence as u32));
         pixels.explain(number, pictures.len());
-        let change = altered
-            .as_ref()
-            .and_then(|a| a.get(&step.report.frame_sequence?).copied());
+        let change = log.yaw_change(step);
         pictures.push(Picture {
             t: log.seconds(step.now_ns),
             who: log.who(&step.report),
@@ -181,7 +179,7 @@ impl Pixels {
     }
 
     /// All on one scale.
-    fn draw_into(&self, pictures: &mut [Picture]) -> Result<(), ReportError> {
+    fn draw_into(&self, pictures: &mut [Picture]) -> Result<()> {
         let values = self.explanations.iter().flat_map(|(_, phi)| phi);
         let sizes: Vec<f64> = values.map(|v| f64::from(v.abs())).collect();
         let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9) as f32;
@@ -218,7 +216,7 @@ fn caption(log: &LogSeen, step: &StepSeen, change: Option<f32>) -> String {
 }
 
 /// Near is bright, as in the contrast that the actor sees. 64 greys: the LiDAR's noise would only swell the file.
-fn depth_picture(depth: &[f32], full_size: bool) -> Result<String, ReportError> {
+fn depth_picture(depth: &[f32], full_size: bool) -> Result<String> {
     let step = if full_size { 1 } else { 2 };
     let grey = |range: f32| (crate::cli::output::range_grey(range)[0] / 4).saturating_mul(4);
     let mut pixels = Vec::with_capacity(DEPTH_PIXELS / (step * step));
@@ -229,7 +227,7 @@ fn depth_picture(depth: &[f32], full_size: bool) -> Result<String, ReportError> 
 }
 
 /// Orange turns right, blue turns left, white moves nothing: safe for the colour-blind.
-fn shap_picture(sums: &[f32], full: f32) -> Result<String, ReportError> {
+fn shap_picture(sums: &[f32], full: f32) -> Result<String> {
     let mut pixels = Vec::with_capacity(3 * sums.len());
     for value in sums {
         let share = (value / full).clamp(-1.0, 1.0);
@@ -245,16 +243,15 @@ fn shap_picture(sums: &[f32], full: f32) -> Result<String, ReportError> {
     picture(&pixels, SQUARE, png::ColorType::Rgb)
 }
 
-fn picture(pixels: &[u8], step: usize, colour: png::ColorType) -> Result<String, ReportError> {
-    let failed = |error: png::EncodingError| ReportError::Picture(error.to_string());
+fn picture(pixels: &[u8], step: usize, colour: png::ColorType) -> Result<String> {
     let mut bytes = Vec::new();
     let (width, height) = (DEPTH_COLS / step, DEPTH_ROWS / step);
     let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
     encoder.set_color(colour);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_compression(png::Compression::High);
-    let mut writer = encoder.write_header().map_err(failed)?;
-    writer.write_image_data(pixels).map_err(failed)?;
-    writer.finish().map_err(failed)?;
+    let mut writer = encoder.write_header().context(NO_PICTURE)?;
+    writer.write_image_data(pixels).context(NO_PICTURE)?;
+    writer.finish().context(NO_PICTURE)?;
     Ok(format!("data:image/png;base64,{}", BASE64.encode(bytes)))
 }

@@ -1,9 +1,10 @@
 //! What a report shows of a flight, taken from its log.
 
 use crate::flight_report::film::{self, Film, Picture};
-use crate::flight_report::log_seen::{LogSeen, ReportError, ReportOptions, StepSeen, WHO, rounded};
+use crate::flight_report::log_seen::{LogSeen, ReportOptions, StepSeen, WHO, rounded};
 use crate::flight_report::page::DATA_LIMIT;
 use crate::flight_report::words::{self, Event, Verdict};
+use anyhow::{Result, bail};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use serde::Serialize;
@@ -99,12 +100,17 @@ pub struct Outline {
 /// Reads a log and makes of it what a report shows. A log that was cut off or is damaged shows what is whole, and says so.
 ///
 /// # Errors
-/// [`ReportError`]: a file that is no log of this version, or holds no whole step.
-pub fn read(path: &Path, options: ReportOptions) -> Result<Flight, ReportError> {
+/// A file that is no log of this version, or holds no whole step.
+pub fn read(path: &Path, options: ReportOptions) -> Result<Flight> {
     let log = LogSeen::read(path)?;
     if log.steps.is_empty() {
-        let none = || ReportError::NoSteps(path.display().to_string());
-        return Err(log.damage.map_or_else(none, ReportError::Damaged));
+        match log.damage {
+            Some(damage) => bail!("{damage}, so there is nothing to show yet"),
+            None => bail!(
+                "{} holds no step: the recording ended before the first one, so there is nothing to show",
+                path.display()
+            ),
+        }
     }
     let film = film::take(path, &log, options)?;
     Ok(flight(path, &log, film))
@@ -113,11 +119,8 @@ pub fn read(path: &Path, options: ReportOptions) -> Result<Flight, ReportError> 
 fn flight(path: &Path, log: &LogSeen, film: Film) -> Flight {
     let stride = log.steps.len().div_ceil(DATA_LIMIT);
     let kept: Vec<&StepSeen> = log.steps.iter().step_by(stride).collect();
-    let altered = log.altered();
-    let attack = altered.as_ref().map(|altered| {
-        let is = |s: &&StepSeen| s.report.frame_sequence.is_some_and(|f| altered.contains_key(&f));
-        kept.iter().map(|s| u8::from(is(s))).collect()
-    });
+    let attack = log.altered.as_ref();
+    let attack = attack.map(|_| kept.iter().map(|s| u8::from(log.is_altered(s))).collect());
     let mut notes = words::notes(log);
     if stride > 1 {
         notes.push(format!(
@@ -271,14 +274,13 @@ fn explanations(steps: &[&StepSeen]) -> Option<Explanations> {
 
 fn map(log: &LogSeen) -> Map {
     let pair = |p: NedVector| [rounded(p.x.into(), 2), rounded(p.y.into(), 2)];
-    let goal = log.steps.iter().rev().find_map(|s| s.report.goal);
     // Before take-off and after landing the vehicle stands still: one point of many says that as well.
     let mut truth: Vec<[f64; 2]> = log.story.truth.iter().map(|(_, p)| pair(*p)).collect();
     truth.dedup();
     let stride = truth.len().div_ceil(DATA_LIMIT).max(1);
     Map {
         solids: log.story.solids.iter().map(outline).collect(),
-        goal: goal.map(|g| pair(g.position_ned_m)),
+        goal: log.goal_ned_m().map(pair),
         truth: truth.into_iter().step_by(stride).collect(),
     }
 }

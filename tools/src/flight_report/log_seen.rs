@@ -17,23 +17,6 @@ pub struct ReportOptions {
     pub explained_frames: usize,
 }
 
-/// Why there is no report.
-#[derive(Debug, thiserror::Error)]
-pub enum ReportError {
-    /// The log cannot be read at all.
-    #[error(transparent)]
-    Read(#[from] ReadError),
-    /// The log is damaged before its first whole step.
-    #[error("{0}, so there is nothing to show yet")]
-    Damaged(String),
-    /// The log is good and holds no step.
-    #[error("{0} holds no step: the recording ended before the first one, so there is nothing to show")]
-    NoSteps(String),
-    /// A picture cannot be made.
-    #[error("a picture of the report cannot be made: {0}")]
-    Picture(String),
-}
-
 /// Who had the vehicle in a step; the number is the place in this list.
 pub const WHO: [&str; 7] = [
     "nobody",
@@ -72,6 +55,8 @@ pub struct LogSeen {
     pub epoch_offset_ns: u64,
     /// What the log tells besides its records.
     pub story: Story,
+    /// By how much each altered frame moved the yaw output, by the frame's number; `None` when nobody noted it.
+    pub altered: Option<HashMap<u64, f32>>,
     /// The steps.
     pub steps: Vec<StepSeen>,
     /// How the log ends, if it is whole.
@@ -98,7 +83,10 @@ impl LogSeen {
                 Err(error) => break Some(error.to_string()),
             }
         };
+        let altered = story.attack.iter().filter(|m| m.altered);
+        let altered = altered.map(|m| (m.frame_sequence, m.yaw_change)).collect();
         Ok(Self {
+            altered: (!story.attack.is_empty()).then_some(altered),
             config: FirmwareConfig::from_toml(&reader.info().config_toml).ok(),
             info: reader.info().clone(),
             epoch_offset_ns: reader.epoch_offset_ns(),
@@ -143,13 +131,25 @@ impl LogSeen {
         }
     }
 
-    /// Which frames were altered; `None` when nobody noted it.
-    pub fn altered(&self) -> Option<HashMap<u64, f32>> {
-        let marks = &self.story.attack;
-        (!marks.is_empty()).then(|| {
-            let altered = marks.iter().filter(|m| m.altered);
-            altered.map(|m| (m.frame_sequence, m.yaw_change)).collect()
-        })
+    /// By how much the altered frame of a step moved the yaw output, if it had one.
+    pub fn yaw_change(&self, step: &StepSeen) -> Option<f32> {
+        self.altered.as_ref()?.get(&step.report.frame_sequence?).copied()
+    }
+
+    /// Whether a step had an altered frame.
+    pub fn is_altered(&self, step: &StepSeen) -> bool {
+        self.yaw_change(step).is_some()
+    }
+
+    /// The last goal.
+    pub fn goal_ned_m(&self) -> Option<NedVector> {
+        let goal = self.steps.iter().rev().find_map(|s| s.report.goal)?;
+        Some(goal.position_ned_m)
+    }
+
+    /// When the flight ended, where that is known; the log may go on.
+    pub fn ended_ns(&self) -> Option<Nanos> {
+        self.story.about.get("ended_ns")?.parse().ok()
     }
 
     /// Whether the vehicle was ever in the air.
@@ -184,18 +184,22 @@ impl StepSeen {
             let to_solid = solids.iter().map(|s| s.distance_m(position));
             to_solid.fold(f32::INFINITY, f32::min)
         };
-        let position = record.report.telemetry.kinematics.map(|k| k.position_ned_m);
-        Self {
+        let mut seen = Self {
             step: record.timing.step,
             now_ns: record.now_ns,
             report: record.report,
             has_frame: record.frame().is_some(),
             nearest_return_m: record.frame().map(|f| nearest_return_m(&f.depth)),
-            clearance_m: position
-                .filter(|p| p.is_finite())
-                .map(clearance)
-                .filter(|c| c.is_finite()),
-        }
+            clearance_m: None,
+        };
+        seen.clearance_m = seen.position_ned_m().map(clearance).filter(|c| c.is_finite());
+        seen
+    }
+
+    /// Where the vehicle took itself to be.
+    pub fn position_ned_m(&self) -> Option<NedVector> {
+        let kinematics = self.report.telemetry.kinematics?;
+        Some(kinematics.position_ned_m).filter(|p| p.is_finite())
     }
 }
 

@@ -245,7 +245,7 @@ fn pilot(config: &vigil_firmware::FirmwareConfig) -> String {
 }
 
 fn attack(log: &LogSeen) -> String {
-    let Some(altered) = log.altered() else {
+    let Some(altered) = &log.altered else {
         return match log.story.about.contains_key("command") {
             true => "none".to_owned(),
             false => "not known: nobody noted in this log whether frames were altered".to_owned(),
@@ -276,9 +276,7 @@ fn alarms(log: &LogSeen) -> String {
 
 /// From the first altered frame that was used to the first alarm after it.
 fn delay(log: &LogSeen) -> Option<String> {
-    let altered = log.altered()?;
-    let is = |s: &StepSeen| s.report.frame_sequence.is_some_and(|f| altered.contains_key(&f));
-    let from = log.steps.iter().position(is)?;
+    let from = log.steps.iter().position(|s| log.is_altered(s))?;
     let raised = log.alarms().into_iter().find(|i| *i >= from)?;
     let seconds = (log.steps.get(raised)?.now_ns - log.steps.get(from)?.now_ns) as f64 * 1e-9;
     Some(format!(
@@ -308,13 +306,10 @@ fn who_flew(log: &LogSeen) -> String {
 }
 
 fn path_flown(log: &LogSeen) -> String {
-    let kinematics = || log.steps.iter().filter_map(|s| s.report.telemetry.kinematics);
-    let positions: Vec<_> = kinematics()
-        .map(|k| k.position_ned_m)
-        .filter(|p| p.is_finite())
-        .collect();
+    let kinematics = log.steps.iter().filter_map(|s| s.report.telemetry.kinematics);
+    let positions: Vec<_> = log.steps.iter().filter_map(StepSeen::position_ned_m).collect();
     let length: f32 = positions.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-    let fastest = kinematics().map(|k| k.velocity_ned_m_s.horizontal_norm());
+    let fastest = kinematics.map(|k| k.velocity_ned_m_s.horizontal_norm());
     let fastest = fastest.filter(|v| v.is_finite()).fold(0.0, f32::max);
     format!("{length:.1} m, at most {fastest:.1} m/s")
 }
@@ -389,12 +384,8 @@ pub fn events(log: &LogSeen) -> Vec<Event> {
         } else {
             "error"
         };
-        let ended = log.story.about.get("ended_ns").and_then(|text| text.parse().ok());
-        put(
-            ended.unwrap_or(last.now_ns),
-            weight,
-            format!("the flight ended: {outcome}"),
-        );
+        let ended_ns = log.ended_ns().unwrap_or(last.now_ns);
+        put(ended_ns, weight, format!("the flight ended: {outcome}"));
     }
     events.sort_by(|a, b| a.t.total_cmp(&b.t));
     events

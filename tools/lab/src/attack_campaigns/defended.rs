@@ -365,10 +365,9 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
     let settings = Settings {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         actor_sha256: args.common.pilot()?.sha256(),
-        detector_sha256: match &args.detector {
-            Some(file) => FrozenDetector::load(file)?.sha256(),
-            None => FrozenDetector::built_in()?.sha256(),
-        },
+        detector_sha256: (args.detector.as_deref())
+            .map_or_else(FrozenDetector::built_in, FrozenDetector::load)?
+            .sha256(),
         raise: (detector.raise_count, detector.raise_window),
         guard: args.guard,
         second_sensor_heads: args.second_sensor_heads,

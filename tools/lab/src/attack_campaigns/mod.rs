@@ -115,7 +115,7 @@ impl Common {
     }
 
     fn pool(&self) -> Result<rayon::ThreadPool> {
-        Ok(thread_pool_of(self.threads)?)
+        thread_pool_of(self.threads)
     }
 
     /// Makes the folder before the work, so that the work is not lost.

@@ -1,7 +1,8 @@
 //! `vigil detector collect`: the flights that a detector learns from and those that choose the epoch, each set a campaign.
 
 use crate::campaign::flights::{Campaign, Existing, Jobs};
-use crate::cli::output::{EXIT_INTERRUPTED, Interrupt, Progress, say};
+use crate::cli::detector::Stage;
+use crate::cli::output::{Interrupt, Progress, say};
 use crate::detector_training::{BLOCK, Counts, Flights, LstmConfig, Record, Recorded, Scenario, fly, left_out};
 use anyhow::{Context, Result};
 use base64::Engine as _;
@@ -9,8 +10,6 @@ use base64::engine::general_purpose::STANDARD as BASE64;
 use rayon::ThreadPool;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use vigil_nnet::Isa;
-use vigil_policy::FrozenPilot;
 
 /// What lines call this command.
 pub const COMMAND: &str = "detector collect";
@@ -59,29 +58,22 @@ impl SetName {
 /// A flight in its line: the content of a file of it, as Base64.
 type Packed = String;
 
-/// Whose flights they are, and where they go.
-pub struct Gathering<'a> {
-    pub pilot: &'a FrozenPilot,
-    pub folder: &'a Path,
-    pub pool: &'a ThreadPool,
-}
-
-impl Gathering<'_> {
+impl Stage<'_> {
     /// Flies what the folder does not have yet.
     ///
     /// # Errors
     /// Flights of another actor in the folder, a file that cannot be written.
-    pub fn run(&self, args: &CollectArgs) -> Result<ExitCode> {
+    pub fn collect(&self, args: &CollectArgs, pool: &ThreadPool) -> Result<()> {
         if let (Some(set), Some(first_seed), Some(flights)) = (args.set, args.seed, args.flights) {
             let (mut campaign, jobs) = self.campaign(set, first_seed, flights)?;
-            let interrupt = campaign.fly(&jobs, self.pool, |seed, _, _| self.fly(seed))?;
+            let interrupt = campaign.fly(&jobs, pool, |seed, _, _| self.fly(seed))?;
             let hint = if interrupt.came() {
                 "; the same command goes on"
             } else {
                 ""
             };
             say!("flights          {}{hint}", self.lines(set).display());
-            return Ok(interrupt.exit_code());
+            return Ok(());
         }
         for (set, seed, windows) in [
             (SetName::Learn, LEARN_SEED, args.windows),
@@ -89,8 +81,8 @@ impl Gathering<'_> {
         ] {
             let path = self.lines(set).with_extension("safetensors");
             let flights = match path.exists() {
-                true => Flights::load(&path, self.pilot)?,
-                false => match self.gather(set, seed, windows)? {
+                true => Flights::load(&path, &self.pilot)?,
+                false => match self.gather(set, seed, windows, pool)? {
                     Some(flights) => {
                         flights.save(&path)?;
                         // What it held is in the file just written.
@@ -103,7 +95,7 @@ impl Gathering<'_> {
                             "interrupted: what was flown is kept in {}; the same command goes on",
                             lines.display()
                         );
-                        return Ok(ExitCode::from(EXIT_INTERRUPTED));
+                        return Ok(());
                     }
                 },
             };
@@ -117,7 +109,7 @@ impl Gathering<'_> {
                 counts.unattacked
             );
         }
-        Ok(ExitCode::SUCCESS)
+        Ok(())
     }
 
     fn lines(&self, set: SetName) -> PathBuf {
@@ -132,12 +124,12 @@ impl Gathering<'_> {
             flights,
             arms: vec![ARM.to_owned()],
         };
-        let campaign = Campaign::new(COMMAND, Recorded::by(self.pilot)?, jobs.clone())?;
+        let campaign = Campaign::new(COMMAND, Recorded::by(&self.pilot)?, jobs.clone())?;
         Ok((campaign.keep_in(&self.lines(set), Existing::Resume)?, jobs))
     }
 
     /// A dozen after the other until there are as many windows of each class; none when Ctrl-C came first.
-    fn gather(&self, set: SetName, first_seed: u64, windows: u64) -> Result<Option<Flights>> {
+    fn gather(&self, set: SetName, first_seed: u64, windows: u64, pool: &ThreadPool) -> Result<Option<Flights>> {
         let want = Counts {
             attacked: windows as usize,
             unattacked: windows as usize,
@@ -148,7 +140,7 @@ impl Gathering<'_> {
         let (mut counts, mut records) = (Counts::default(), Vec::new());
         jobs.flights = BLOCK;
         while !counts.reach(want) {
-            campaign.fly_some(&jobs, self.pool, &interrupt, |seed, _| self.fly(seed))?;
+            campaign.fly_some(&jobs, pool, &interrupt, |seed, _| self.fly(seed))?;
             if interrupt.came() {
                 bar.finish();
                 return Ok(None);
@@ -176,9 +168,9 @@ impl Gathering<'_> {
         let scenario = Scenario::drawn(seed, !seed.is_multiple_of(3));
         let flown = Flights {
             actor_sha256: self.pilot.sha256(),
-            records: vec![fly(Isa::detect(), self.pilot, &scenario, &mut ())?],
+            records: vec![fly(self.isa, &self.pilot, &scenario, &mut ())?],
         };
-        Ok(BASE64.encode(flown.to_bytes(self.folder)?))
+        Ok(BASE64.encode(flown.to_bytes()?))
     }
 }
 

@@ -5,11 +5,11 @@ mod report;
 
 pub(crate) use report::roc;
 
-use crate::cli::collect::{CollectArgs, Gathering};
+use crate::cli::collect::CollectArgs;
 use crate::cli::output::{self, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
-    DetectError, EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Set, WindowScorer, fly_sets,
-    sets,
+    EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Set, WindowScorer, fly_sets,
+    of_other_actor, sets,
 };
 use crate::report::{Figure, Picture, TextTable, numbers, words};
 use crate::statistics::quantile;
@@ -17,7 +17,6 @@ use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, bail};
 use report::{curves_csv, curves_png, percent, roc_of_features, text};
 use serde::{Deserialize, Serialize};
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_detector::FrozenDetector;
@@ -74,7 +73,7 @@ enum DetectorCommand {
     /// Judge flights on courses never trained on.
     Evaluate {
         #[command(flatten)]
-        size: SizeArgs,
+        size: EvaluationSize,
         /// The frozen detector [default: lstm_ad.safetensors in the folder, or else the one built in].
         #[arg(long, value_name = "FILE")]
         detector: Option<PathBuf>,
@@ -82,7 +81,7 @@ enum DetectorCommand {
     /// Train the same network on other rows than SHAP values and judge the same flights.
     Ablate {
         #[command(flatten)]
-        size: SizeArgs,
+        size: EvaluationSize,
     },
     /// Fly one course and draw how its decisions are explained: the paper's figures 12, 13 and 14.
     Figures {
@@ -137,36 +136,6 @@ enum DetectorCommand {
     },
 }
 
-/// More flights than anybody flies.
-const MOST_FLIGHTS: u64 = 10_000_000;
-
-#[derive(Debug, Clone, clap::Args)]
-struct SizeArgs {
-    /// Unattacked flights.
-    #[arg(long, default_value_t = EvaluationSize::default().unattacked, value_parser = clap::value_parser!(u64).range(1..=MOST_FLIGHTS))]
-    unattacked: u64,
-    /// Flights under the paper's attack.
-    #[arg(long, default_value_t = EvaluationSize::default().paper, value_parser = clap::value_parser!(u64).range(1..=MOST_FLIGHTS))]
-    attacked: u64,
-    /// Flights under each other attack, and of each control.
-    #[arg(long, default_value_t = EvaluationSize::default().other, value_parser = clap::value_parser!(u64).range(1..=MOST_FLIGHTS))]
-    other: u64,
-    /// First seed of the flights.
-    #[arg(long, default_value_t = EvaluationSize::default().first_seed)]
-    seed: u64,
-}
-
-impl From<&SizeArgs> for EvaluationSize {
-    fn from(args: &SizeArgs) -> Self {
-        Self {
-            unattacked: args.unattacked,
-            paper: args.attacked,
-            other: args.other,
-            first_seed: args.seed,
-        }
-    }
-}
-
 /// What `times.json` holds.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct TimesReport {
@@ -194,10 +163,10 @@ pub(crate) struct TimeRow {
 type JudgedFlights = (Vec<Set>, Vec<Vec<Record>>);
 
 /// What every stage needs.
-struct Stage<'a> {
-    isa: Isa,
-    pilot: FrozenPilot,
-    folder: &'a Path,
+pub(super) struct Stage<'a> {
+    pub(super) isa: Isa,
+    pub(super) pilot: FrozenPilot,
+    pub(super) folder: &'a Path,
 }
 
 /// Runs a stage.
@@ -212,25 +181,16 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
         folder: &args.output,
     };
     let pool = thread_pool_of(args.threads)?;
-    // What can be interrupted tells by its exit code whether it was.
-    match &args.command {
-        DetectorCommand::Collect(collect) => {
-            let (pilot, folder) = (&stage.pilot, stage.folder);
-            let pool = &pool;
-            return Gathering { pilot, folder, pool }.run(collect);
-        }
+    pool.install(|| match &args.command {
+        DetectorCommand::Collect(collect) => stage.collect(collect, &pool),
         DetectorCommand::Images {
             states,
             judged,
             backgrounds,
-        } => return pool.install(|| stage.images(*states as usize, *judged as usize, *backgrounds as usize)),
-        _ => {}
-    }
-    pool.install(|| match &args.command {
-        DetectorCommand::Collect(_) | DetectorCommand::Images { .. } => Ok(()),
+        } => stage.images(*states as usize, *judged as usize, *backgrounds as usize),
         DetectorCommand::Train { epochs, seed } => stage.train(*epochs, *seed),
-        DetectorCommand::Evaluate { size, detector } => stage.evaluate(&size.into(), detector.as_deref()),
-        DetectorCommand::Ablate { size } => stage.ablate(&size.into()),
+        DetectorCommand::Evaluate { size, detector } => stage.evaluate(size, detector.as_deref()),
+        DetectorCommand::Ablate { size } => stage.ablate(size),
         DetectorCommand::Figures {
             seed,
             attacked,
@@ -255,6 +215,7 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
         } => stage.times(*seed, *pictures as usize, detector.as_deref()),
         DetectorCommand::Table { epochs, seed, detector } => stage.table(*epochs, *seed, detector.as_deref()),
     })?;
+    // What can be interrupted ends well, having said so.
     Ok(Interrupt::on_ctrl_c()?.exit_code())
 }
 
@@ -353,10 +314,7 @@ impl Stage<'_> {
                 let interrupt = Interrupt::on_ctrl_c()?;
                 let records = fly_sets(self.isa, &self.pilot, &sets, &mut |flights| {
                     bar.inc(flights);
-                    match interrupt.came() {
-                        true => ControlFlow::Break(()),
-                        false => ControlFlow::Continue(()),
-                    }
+                    interrupt.flow()
                 })?;
                 bar.finish();
                 let Some(records) = records else {
@@ -403,7 +361,7 @@ impl Stage<'_> {
             "actor_sha256": frozen.actor_sha256,
             "detector_sha256": frozen.sha256(),
             "git_commit": git_commit(),
-            "size": { "unattacked": size.unattacked, "attacked": size.paper, "other": size.other, "first_seed": size.first_seed },
+            "size": size,
             "at_one_half": report,
             "at_threshold": in_flight,
         });
@@ -423,9 +381,9 @@ impl Stage<'_> {
             true => FrozenDetector::load(&path)?,
             false => FrozenDetector::built_in()?,
         };
-        let (found, expected) = (frozen.actor_sha256.clone(), self.pilot.sha256());
-        if found != expected {
-            return Err(DetectError::OtherActor { path, found, expected }.into());
+        let expected = self.pilot.sha256();
+        if frozen.actor_sha256 != expected {
+            return Err(of_other_actor(&path, &frozen.actor_sha256, &expected));
         }
         Ok(frozen)
     }

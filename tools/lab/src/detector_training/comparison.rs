@@ -4,7 +4,7 @@ use crate::detector_training::fit::{Epoch, Examples, FitConfig, Fitted, fit, out
 use crate::detector_training::lstm::WindowScorer;
 use crate::detector_training::metrics::Separation;
 use crate::detector_training::pixels::{State, States};
-use crate::explained::DetectError;
+use anyhow::Result;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -64,7 +64,7 @@ named! {
 }
 
 impl ImageNetwork {
-    pub(crate) fn graph(self, output: Activation) -> Result<Graph, DetectError> {
+    pub(crate) fn graph(self, output: Activation) -> Result<Graph> {
         Ok(match self {
             Self::Cnn => cnn_ad(output)?,
             Self::Fcn => fcn_ad(output)?,
@@ -81,7 +81,7 @@ impl ImageNetwork {
         (learn, choose): (&States, &States),
         config: &FitConfig,
         progress: &mut dyn FnMut(usize, Option<&Epoch>),
-    ) -> Result<Fitted, DetectError> {
+    ) -> Result<Fitted> {
         let graph = self.graph(Activation::Identity)?;
         let mut params = vec![0.0; graph.param_len()];
         graph.initialize(&mut ChaCha8Rng::seed_from_u64(config.seed), &mut params)?;
@@ -100,7 +100,7 @@ impl ImageNetwork {
     ///
     /// # Errors
     /// Parameters of another network.
-    pub fn scores(self, isa: Isa, params: &[f32], states: &States) -> Result<Vec<f32>, DetectError> {
+    pub fn scores(self, isa: Isa, params: &[f32], states: &States) -> Result<Vec<f32>> {
         outputs(
             &self.graph(Activation::Sigmoid)?,
             isa,
@@ -170,12 +170,7 @@ pub fn pca_scores(learn: &States, choose: &States, test: &States) -> Vec<f32> {
 ///
 /// # Errors
 /// Parameters of another architecture.
-pub fn lstm_scores(
-    isa: Isa,
-    pilot: &FrozenPilot,
-    scorer: &WindowScorer,
-    states: &States,
-) -> Result<Vec<f32>, DetectError> {
+pub fn lstm_scores(isa: Isa, pilot: &FrozenPilot, scorer: &WindowScorer, states: &States) -> Result<Vec<f32>> {
     let scores = scorer.scores(isa, pilot, &states.flights.records)?;
     let of = |s: &State| scores.get(s.flight).and_then(|f| *f.get(s.step)?);
     Ok(states.states.iter().map(|s| of(s).unwrap_or(f32::NAN)).collect())

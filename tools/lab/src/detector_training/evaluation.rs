@@ -4,9 +4,9 @@ use crate::detector_training::features::Feature;
 use crate::detector_training::flight_files::Class;
 use crate::detector_training::lstm::WindowScorer;
 use crate::detector_training::metrics::{Proportion, Separation, corners, roc};
-use crate::explained::DetectError;
 use crate::explained::{Adversary, MAX_STEPS, Plan, Scenario};
 use crate::explained::{Ending, Frame, Record, fly};
+use anyhow::Result;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -47,28 +47,24 @@ pub enum Role {
 }
 
 /// How much is flown for an evaluation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Serialize, clap::Args)]
 pub struct EvaluationSize {
     /// Unattacked flights.
+    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=MOST_FLIGHTS))]
     pub unattacked: u64,
     /// Flights under the paper's attack.
-    pub paper: u64,
+    #[arg(long, default_value_t = 48, value_parser = clap::value_parser!(u64).range(1..=MOST_FLIGHTS))]
+    pub attacked: u64,
     /// Flights under each other attack, and of each control.
+    #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u64).range(1..=MOST_FLIGHTS))]
     pub other: u64,
-    /// First seed.
+    /// First seed of the flights.
+    #[arg(long = "seed", value_name = "SEED", default_value_t = 6000)]
     pub first_seed: u64,
 }
 
-impl Default for EvaluationSize {
-    fn default() -> Self {
-        Self {
-            unattacked: 200,
-            paper: 48,
-            other: 12,
-            first_seed: 6000,
-        }
-    }
-}
+/// More flights than anybody flies.
+const MOST_FLIGHTS: u64 = 10_000_000;
 
 /// How a recovery flies in the evaluation: it stops at the second altered frame.
 const RECOVERING: Plan = Plan::Recovering {
@@ -110,7 +106,7 @@ pub fn sets(size: &EvaluationSize) -> Vec<Set> {
         set("unattacked", Role::Unattacked, size.unattacked, &|i| {
             validation(i, Plan::Actor)
         }),
-        set("bim-accumulating 1 x 20", Role::Paper, size.paper, &|i| {
+        set("bim-accumulating 1 x 20", Role::Paper, size.attacked, &|i| {
             attacked(Method::BimAccumulating, 1.0, 20, i)
         }),
     ];
@@ -155,7 +151,7 @@ pub fn fly_sets(
     pilot: &FrozenPilot,
     sets: &[Set],
     progress: &mut dyn FnMut(u64) -> ControlFlow<()>,
-) -> Result<Option<Vec<Vec<Record>>>, DetectError> {
+) -> Result<Option<Vec<Vec<Record>>>> {
     let mut all = Vec::with_capacity(sets.len());
     for set in sets {
         let mut records = Vec::with_capacity(set.scenarios.len());
@@ -352,7 +348,7 @@ pub fn evaluate(
     scorer: &WindowScorer,
     threshold: f32,
     (sets, records): (&[Set], &[Vec<Record>]),
-) -> Result<Report, DetectError> {
+) -> Result<Report> {
     let scores = records
         .iter()
         .map(|records| scorer.scores(isa, pilot, records))

@@ -1,10 +1,10 @@
 //! One flight explained step by step: the data of the paper's figures 12 to 14.
 
-use crate::explained::DetectError;
 use crate::explained::PixelExplainer;
 use crate::explained::Scenario;
 use crate::explained::YAW;
 use crate::explained::{Frame, Onlooker, Record, Shown, Step, fly};
+use anyhow::Result;
 use vigil_detector::{FrozenDetector, Monitor};
 use vigil_nnet::{Isa, Purpose};
 use vigil_policy::{FrozenActor, FrozenPilot};
@@ -50,7 +50,7 @@ struct Explaining<'a> {
 }
 
 impl Onlooker for Explaining<'_> {
-    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()> {
         let number = self.portrait.steps.len();
         self.portrait.steps.push(ExplainedStep {
             judgement: self.monitor.judge(&step.state, step.position),
@@ -81,7 +81,7 @@ pub fn portray(
     detector: &FrozenDetector,
     scenario: &Scenario,
     pictures: usize,
-) -> Result<(Record, Portrait), DetectError> {
+) -> Result<(Record, Portrait)> {
     // Explaining changes nothing, so the same flight is flown first to know how long it takes.
     let pilot = FrozenPilot::from(actor);
     let steps = fly(isa, &pilot, scenario, &mut ())?.steps.len();

@@ -1,7 +1,8 @@
 //! What a detector looks at in each step: explanations, or, to see what these are worth, something else.
 
-use crate::explained::{DetectError, YAW};
+use crate::explained::YAW;
 use crate::explained::{Record, Step};
+use anyhow::Result;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use vigil_detector::{Background, DeepShap, ROW, row_of};
@@ -59,12 +60,7 @@ impl Extractor {
     ///
     /// # Errors
     /// Parameters of another architecture, an empty background sample.
-    pub fn new(
-        feature: Feature,
-        isa: Isa,
-        pilot: &FrozenPilot,
-        backgrounds: &[Background],
-    ) -> Result<Self, DetectError> {
+    pub fn new(feature: Feature, isa: Isa, pilot: &FrozenPilot, backgrounds: &[Background]) -> Result<Self> {
         let shap = vigil_detector::split_point_shap(isa, pilot.head(Purpose::Multipliers)?, backgrounds)?;
         let ExplainedHead { graph: head, params } = pilot.head(Purpose::Gradients)?;
         let mut packed = vec![0.0; head.param_len()];
@@ -88,7 +84,7 @@ impl Extractor {
     ///
     /// # Errors
     /// An explanation that is not finite.
-    pub fn row(&mut self, step: &Step) -> Result<&[f32], DetectError> {
+    pub fn row(&mut self, step: &Step) -> Result<&[f32]> {
         match self.feature {
             Feature::Shap => {
                 self.shap.evaluate(&[&step.state, &step.position])?;
@@ -123,7 +119,7 @@ impl Rows {
     ///
     /// # Errors
     /// An explanation that is not finite.
-    pub fn of(extractor: &Extractor, records: &[Record]) -> Result<Self, DetectError> {
+    pub fn of(extractor: &Extractor, records: &[Record]) -> Result<Self> {
         let flights = records
             .par_iter()
             .map_init(
@@ -136,7 +132,7 @@ impl Rows {
                     Ok(rows)
                 },
             )
-            .collect::<Result<_, DetectError>>()?;
+            .collect::<Result<_>>()?;
         Ok(Self {
             width: extractor.feature.width(),
             flights,

@@ -1,7 +1,7 @@
 //! Trains any network with one output to tell two classes apart.
 
-use crate::explained::DetectError;
 use crate::trainer::adam::{Adam, norm, shortening};
+use anyhow::{Result, ensure};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -99,7 +99,7 @@ impl Worker {
 ///
 /// # Errors
 /// Examples that do not fit.
-pub fn outputs(graph: &Graph, isa: Isa, params: &[f32], examples: &impl Examples) -> Result<Vec<f32>, DetectError> {
+pub fn outputs(graph: &Graph, isa: Isa, params: &[f32], examples: &impl Examples) -> Result<Vec<f32>> {
     (0..examples.len())
         .into_par_iter()
         .with_min_len(SHARE)
@@ -121,7 +121,7 @@ fn add_up(
     (params, packed): (&[f32], &[f32]),
     train: &impl Examples,
     share: &[usize],
-) -> Result<(f64, Vec<f32>), DetectError> {
+) -> Result<(f64, Vec<f32>)> {
     let mut worker = Worker::new(graph);
     let mut gradient = vec![0.0; params.len()];
     let mut sum = 0.0;
@@ -149,7 +149,7 @@ pub fn fit(
     choose: &impl Examples,
     config: &FitConfig,
     progress: &mut dyn FnMut(usize, Option<&Epoch>),
-) -> Result<Fitted, DetectError> {
+) -> Result<Fitted> {
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     let mut adam = Adam::new(params.len());
     let shares = vec![1.0; params.len()];
@@ -161,12 +161,13 @@ pub fn fit(
     let mut step = 0;
     for epoch in 1..=config.epochs {
         order.shuffle(&mut rng);
+        let diverged = || format!("the loss in epoch {epoch} is not finite; lower the rate");
         let mut sum = 0.0;
         for batch in order.chunks(config.batch) {
             graph.pack(&params, &mut packed)?;
             let parts = batch.par_chunks(SHARE);
             let parts = parts.map(|share| add_up(graph, isa, (&params, &packed), train, share));
-            let parts = parts.collect::<Result<Vec<_>, DetectError>>()?;
+            let parts = parts.collect::<Result<Vec<_>>>()?;
             let mut gradient = vec![0.0; params.len()];
             for (part_sum, part) in parts {
                 sum += part_sum;
@@ -175,9 +176,7 @@ pub fn fit(
                 }
             }
             let length = norm(&[&gradient]);
-            if !length.is_finite() {
-                return Err(DetectError::Diverged { epoch });
-            }
+            ensure!(length.is_finite(), diverged());
             let factor = shortening(length, config.gradient_norm);
             gradient.iter_mut().for_each(|g| *g *= factor);
             let turn = core::f64::consts::PI * step as f64 / steps as f64;
@@ -199,9 +198,7 @@ pub fn fit(
             choose_loss: choose_sum / choose.len().max(1) as f64,
             choose_accuracy: right as f64 / choose.len().max(1) as f64,
         };
-        if !(row.train_loss + row.choose_loss).is_finite() {
-            return Err(DetectError::Diverged { epoch });
-        }
+        ensure!((row.train_loss + row.choose_loss).is_finite(), diverged());
         if best.as_ref().is_none_or(|(least, ..)| row.choose_loss < *least) {
             best = Some((row.choose_loss, epoch, params.clone()));
         }

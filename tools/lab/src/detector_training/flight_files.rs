@@ -1,8 +1,9 @@
 //! Gathering flights and keeping them in files.
 
+use crate::cli::output;
 use crate::explained::Scenario;
-use crate::explained::{DetectError, access};
 use crate::explained::{Ending, Frame, Record, Step, held_frames};
+use anyhow::{Context, Error, Result, anyhow};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -96,6 +97,18 @@ const FORMAT: &str = "vigil detector data 2";
 /// Numbers kept of a step beside the split point's values and the positional inputs.
 const BESIDE_STATE: usize = ACTOR_OUTPUTS + 1;
 
+/// Refuses a file of something else, or of an older version.
+pub(super) fn not_collected(path: &Path, message: &str) -> Error {
+    let path = path.display();
+    anyhow!("{path} holds no data of `vigil detector collect`: {message}; collect them anew")
+}
+
+/// Refuses data of another actor.
+pub fn of_other_actor(path: &Path, found: &str, expected: &str) -> Error {
+    let path = path.display();
+    anyhow!("{path} was collected with the actor {found}, this is the actor {expected}; collect the data anew")
+}
+
 /// What a pilot's flights have in common: whose they are, and how wide their steps.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Recorded {
@@ -114,7 +127,7 @@ impl Recorded {
     ///
     /// # Errors
     /// A policy without a split point.
-    pub fn by(pilot: &FrozenPilot) -> Result<Self, DetectError> {
+    pub fn by(pilot: &FrozenPilot) -> Result<Self> {
         let (state, position) = match pilot {
             FrozenPilot::Actor(_) => (ACTOR_HIDDEN, LOW_DIM),
             FrozenPilot::Imported(policy) => (policy.head()?.width, GOAL_INPUTS),
@@ -148,20 +161,18 @@ impl Flights {
     ///
     /// # Errors
     /// A file that cannot be written.
-    pub fn save(&self, path: &Path) -> Result<(), DetectError> {
-        let bytes = self.to_bytes(path)?;
-        if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder).map_err(access(folder))?;
-        }
-        vigil_types::files::replace(path, &bytes, vigil_types::files::Access::Shared).map_err(access(path))
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let bytes = self.to_bytes()?;
+        output::prepare(path)?;
+        output::write(path, bytes)
     }
 
     /// A file's content: `steps` (float32: split point's values, positional inputs, outputs, change of yaw), `frames` (0 unaltered, 1
-    /// attacked, 2 noisy), and what was flown as JSON in the metadata. `path` names it in errors.
+    /// attacked, 2 noisy), and what was flown as JSON in the metadata.
     ///
     /// # Errors
     /// Steps of different widths.
-    pub fn to_bytes(&self, path: &Path) -> Result<Vec<u8>, DetectError> {
+    pub fn to_bytes(&self) -> Result<Vec<u8>> {
         let steps = || self.records.iter().flat_map(|r| &r.steps);
         let count = steps().count();
         let width = BESIDE_STATE + steps().next().map_or(0, |step| step.state.len() + step.position.len());
@@ -183,30 +194,26 @@ impl Flights {
                 steps: r.steps.len(),
             })
             .collect();
-        let data = |message: String| DetectError::Data {
-            path: path.to_owned(),
-            message,
-        };
         let about = About {
             actor_sha256: self.actor_sha256.clone(),
             flights,
         };
-        let json = serde_json::to_string(&about).map_err(|e| data(e.to_string()))?;
+        let json = serde_json::to_string(&about)?;
         let metadata = HashMap::from([(FORMAT.to_owned(), json)]);
-        let view = |dtype, shape, bytes| TensorView::new(dtype, shape, bytes).map_err(|e| data(e.to_string()));
         let tensors = [
-            ("steps", view(Dtype::F32, vec![count, width], &values)?),
-            ("frames", view(Dtype::U8, vec![count], &frames)?),
+            ("steps", TensorView::new(Dtype::F32, vec![count, width], &values)?),
+            ("frames", TensorView::new(Dtype::U8, vec![count], &frames)?),
         ];
-        safetensors::serialize(tensors, Some(metadata)).map_err(|e| data(e.to_string()))
+        Ok(safetensors::serialize(tensors, Some(metadata))?)
     }
 
     /// Reads them.
     ///
     /// # Errors
     /// A file that cannot be read, holds something else, or was gathered with another actor.
-    pub fn load(path: &Path, pilot: &FrozenPilot) -> Result<Self, DetectError> {
-        let bytes = vigil_types::files::read(path, SIZE_LIMIT).map_err(access(path))?;
+    pub fn load(path: &Path, pilot: &FrozenPilot) -> Result<Self> {
+        let bytes =
+            vigil_types::files::read(path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))?;
         Self::from_bytes(path, &bytes, &Recorded::by(pilot)?)
     }
 
@@ -214,11 +221,8 @@ impl Flights {
     ///
     /// # Errors
     /// Something else, or flights of another actor.
-    pub fn from_bytes(path: &Path, bytes: &[u8], recorded: &Recorded) -> Result<Self, DetectError> {
-        let data = |message: &str| DetectError::Data {
-            path: path.to_owned(),
-            message: message.to_owned(),
-        };
+    pub fn from_bytes(path: &Path, bytes: &[u8], recorded: &Recorded) -> Result<Self> {
+        let data = |message: &str| not_collected(path, message);
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| data(&e.to_string()))?;
         let content = SafeTensors::deserialize(bytes).map_err(|e| data(&e.to_string()))?;
         let metadata = header.metadata().as_ref();
@@ -227,11 +231,7 @@ impl Flights {
             .ok_or_else(|| data("it is of another format"))?;
         let about: About = serde_json::from_str(json).map_err(|e| data(&e.to_string()))?;
         if about.actor_sha256 != recorded.actor_sha256 {
-            return Err(DetectError::OtherActor {
-                path: path.to_owned(),
-                found: about.actor_sha256,
-                expected: recorded.actor_sha256.clone(),
-            });
+            return Err(of_other_actor(path, &about.actor_sha256, &recorded.actor_sha256));
         }
         let entries = about.flights;
         let tensor = |name| content.tensor(name).map_err(|e| data(&e.to_string()));

@@ -3,8 +3,8 @@
 use crate::detector_training::features::{Extractor, Feature, Rows};
 use crate::detector_training::fit::{Epoch, Examples, FitConfig, Fitted, fit};
 use crate::detector_training::flight_files::{Class, Counts};
-use crate::explained::DetectError;
 use crate::explained::Record;
+use anyhow::{Result, bail};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -160,17 +160,13 @@ pub fn train(
     (learn, choose): (&[Record], &[Record]),
     config: &LstmConfig,
     progress: &mut dyn FnMut(usize, Option<&Epoch>),
-) -> Result<WindowScorer, DetectError> {
+) -> Result<WindowScorer> {
     let seed = config.fit.seed;
     let (learn_at, choose_at) = (draw_windows(learn, config), draw_windows(choose, config));
     for (purpose, at, records) in [("training", &learn_at, learn), ("choosing", &choose_at, choose)] {
         if at.is_empty() {
             let Counts { attacked, unattacked } = Counts::of(records);
-            return Err(DetectError::TooFew {
-                purpose,
-                attacked,
-                unattacked,
-            });
+            bail!("the data hold {attacked} attacked and {unattacked} unattacked windows for {purpose}; collect more");
         }
     }
     let backgrounds = draw_backgrounds(learn, config.backgrounds, seed);
@@ -240,7 +236,7 @@ impl WindowScorer {
     ///
     /// # Errors
     /// Parameters of another architecture.
-    pub fn threshold(&self, isa: Isa, pilot: &FrozenPilot, choose: &[Record]) -> Result<f32, DetectError> {
+    pub fn threshold(&self, isa: Isa, pilot: &FrozenPilot, choose: &[Record]) -> Result<f32> {
         let (count, window) = (
             parameters::RAISE_COUNT.number() as usize,
             parameters::RAISE_WINDOW.number() as usize,
@@ -287,12 +283,7 @@ impl WindowScorer {
     ///
     /// # Errors
     /// Parameters of another architecture.
-    pub fn scores(
-        &self,
-        isa: Isa,
-        pilot: &FrozenPilot,
-        records: &[Record],
-    ) -> Result<Vec<Vec<Option<f32>>>, DetectError> {
+    pub fn scores(&self, isa: Isa, pilot: &FrozenPilot, records: &[Record]) -> Result<Vec<Vec<Option<f32>>>> {
         let extractor = Extractor::new(self.feature, isa, pilot, &self.backgrounds)?;
         let mut rows = Rows::of(&extractor, records)?;
         rows.normalise(&self.centre, &self.scale);

@@ -19,7 +19,7 @@ pub use evaluation::{
 pub use explained_flight::{ExplainedFrame, ExplainedStep, Portrait, portray};
 pub use features::{Extractor, Feature, Rows};
 pub use fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
-pub use flight_files::{BLOCK, Class, Counts, Flights, Recorded, WEAK_YAW};
+pub use flight_files::{BLOCK, Class, Counts, Flights, Recorded, WEAK_YAW, of_other_actor};
 pub use lstm::{LstmConfig, WindowScorer, train, train_steps};
 pub use metrics::{Proportion, Separation, auc, corners, roc, true_positives_at};
 pub use pixels::{State, States, gather_states};

@@ -1,10 +1,11 @@
 //! States with the SHAP image of their newest frame, for the detectors that look at images.
 
-use crate::detector_training::flight_files::Flights;
+use crate::cli::output;
+use crate::detector_training::flight_files::{Flights, not_collected};
 use crate::explained::{Adversary, MAX_STEPS, Plan, Scenario};
-use crate::explained::{DetectError, access};
 use crate::explained::{Frame, Onlooker, Shown, Step, fly};
 use crate::explained::{YAW, explainer};
+use anyhow::{Context, Result};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
@@ -63,7 +64,7 @@ struct Explaining<'a> {
 }
 
 impl Onlooker for Explaining<'_> {
-    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()> {
         let number = self.frames.len();
         self.frames.push(step.frame);
         self.since = self.since.map(|s| s + 1);
@@ -132,7 +133,7 @@ pub fn gather_states(
     (count, backgrounds): (usize, usize),
     begun: Option<States>,
     progress: &mut dyn FnMut(usize) -> ControlFlow<()>,
-) -> Result<(States, bool), DetectError> {
+) -> Result<(States, bool)> {
     let pilot = FrozenPilot::from(actor);
     let mut shap = explainer(isa, actor, backgrounds)?;
     let (mut records, mut states) = begun.map_or_else(Default::default, |begun| (begun.flights.records, begun.states));
@@ -181,12 +182,8 @@ impl States {
     ///
     /// # Errors
     /// A file that cannot be written.
-    pub fn save(&self, path: &Path) -> Result<(), DetectError> {
+    pub fn save(&self, path: &Path) -> Result<()> {
         self.flights.save(&path.with_extension("flights"))?;
-        let data = |message: String| DetectError::Data {
-            path: path.to_owned(),
-            message,
-        };
         let images: Vec<u8> = self.states.iter().flat_map(|s| s.image.iter().copied()).collect();
         let places: Vec<u8> = self
             .states
@@ -194,28 +191,24 @@ impl States {
             .flat_map(|s| [s.flight as u32, s.step as u32, u32::from(s.attacked)])
             .flat_map(u32::to_le_bytes)
             .collect();
-        let view = |dtype, shape, bytes| TensorView::new(dtype, shape, bytes).map_err(|e| data(e.to_string()));
         let count = self.states.len();
         let tensors = [
-            ("images", view(Dtype::U8, vec![count, IMAGE], &images)?),
-            ("places", view(Dtype::U32, vec![count, 3], &places)?),
+            ("images", TensorView::new(Dtype::U8, vec![count, IMAGE], &images)?),
+            ("places", TensorView::new(Dtype::U32, vec![count, 3], &places)?),
         ];
         let metadata = HashMap::from([("format".to_owned(), FORMAT.to_owned())]);
-        let bytes = safetensors::serialize(tensors, Some(metadata)).map_err(|e| data(e.to_string()))?;
-        vigil_types::files::replace(path, &bytes, vigil_types::files::Access::Shared).map_err(access(path))
+        output::write(path, safetensors::serialize(tensors, Some(metadata))?)
     }
 
     /// Reads them.
     ///
     /// # Errors
     /// A file that cannot be read, holds something else, or was gathered with another actor.
-    pub fn load(path: &Path, actor: &FrozenActor) -> Result<Self, DetectError> {
+    pub fn load(path: &Path, actor: &FrozenActor) -> Result<Self> {
         let flights = Flights::load(&path.with_extension("flights"), &FrozenPilot::from(actor))?;
-        let bytes = vigil_types::files::read(path, SIZE_LIMIT).map_err(access(path))?;
-        let data = |message: &str| DetectError::Data {
-            path: path.to_owned(),
-            message: message.to_owned(),
-        };
+        let bytes =
+            vigil_types::files::read(path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))?;
+        let data = |message: &str| not_collected(path, message);
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| data(&e.to_string()))?;
         let content = SafeTensors::deserialize(&bytes).map_err(|e| data(&e.to_string()))?;
         let format = header.metadata().as_ref().and_then(|m| m.get("format"));

@@ -1,11 +1,11 @@
 //! The paper's table IV: how long deciding, explaining and judging take, one thread, on the states of a flight.
 
 use crate::detector_training::comparison::ImageNetwork;
-use crate::explained::DetectError;
 use crate::explained::YAW;
 use crate::explained::{BACKGROUNDS, explainer};
 use crate::explained::{Onlooker, Record, Shown, Step, fly};
 use crate::explained::{Plan, Scenario};
+use anyhow::Result;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::time::Instant;
@@ -41,7 +41,7 @@ struct ImageDetector {
 }
 
 impl ImageDetector {
-    fn new(network: ImageNetwork) -> Result<Self, DetectError> {
+    fn new(network: ImageNetwork) -> Result<Self> {
         let graph = network.graph(Activation::Sigmoid)?;
         let mut params = vec![0.0; graph.param_len()];
         graph.initialize(&mut ChaCha8Rng::seed_from_u64(1), &mut params)?;
@@ -52,7 +52,7 @@ impl ImageDetector {
         })
     }
 
-    fn score(&mut self, isa: Isa, inputs: &[&[f32]]) -> Result<(), DetectError> {
+    fn score(&mut self, isa: Isa, inputs: &[&[f32]]) -> Result<()> {
         Ok(self.graph.forward(isa, &self.params, inputs, &mut self.tape)?)
     }
 }
@@ -83,7 +83,7 @@ fn timed<T>(times: &mut Vec<f64>, work: impl FnOnce() -> T) -> T {
 }
 
 impl Onlooker for Timing {
-    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()> {
         let Self { times, .. } = self;
         timed(&mut times.action_s, || self.actor.decide(&shown.input))?;
         let mut phi = [0.0; ROW + LOW_DIM];
@@ -121,7 +121,7 @@ pub fn time(
     detector: &FrozenDetector,
     seed: u64,
     pictures: usize,
-) -> Result<(Record, Times), DetectError> {
+) -> Result<(Record, Times)> {
     let pixels = explainer(isa, actor, BACKGROUNDS)?;
     let mut timing = Timing {
         isa,

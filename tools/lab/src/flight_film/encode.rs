@@ -1,7 +1,8 @@
 //! Pictures become an animated GIF, or go to ffmpeg, which makes an mp4 of them.
 
 use super::picture::{Canvas, Colour, PALETTE};
-use super::{FilmError, HEIGHT, WIDTH};
+use super::{HEIGHT, WIDTH};
+use anyhow::{Context, Error, Result, anyhow, bail};
 use gif::{DisposalMethod, Encoder, Frame, Repeat};
 use std::borrow::Cow;
 use std::io::{ErrorKind, Read, Write};
@@ -11,13 +12,19 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 /// The program that makes an mp4.
 const FFMPEG: &str = "ffmpeg";
 
+const NOT_WRITTEN: &str = "the film cannot be written";
+
+fn not_made(why: impl std::fmt::Display) -> Error {
+    anyhow!("ffmpeg did not make the film: {why}")
+}
+
 /// Takes one picture after the other.
 pub trait Pictures {
     /// A picture that is shown for so many hundredths of a second.
     ///
     /// # Errors
     /// What keeps it from being written.
-    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<(), FilmError>;
+    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<()>;
 }
 
 /// An animated GIF: only what changed is written.
@@ -31,18 +38,18 @@ impl<W: Write> Gif<W> {
     ///
     /// # Errors
     /// A sink that takes nothing.
-    pub fn begin(sink: W) -> Result<Self, FilmError> {
+    pub fn begin(sink: W) -> Result<Self> {
         let palette: Vec<u8> = PALETTE.iter().flatten().copied().collect();
-        let mut encoder = Encoder::new(sink, WIDTH as u16, HEIGHT as u16, &palette)?;
-        encoder.set_repeat(Repeat::Infinite)?;
+        let mut encoder = Encoder::new(sink, WIDTH as u16, HEIGHT as u16, &palette).context(NOT_WRITTEN)?;
+        encoder.set_repeat(Repeat::Infinite).context(NOT_WRITTEN)?;
         Ok(Self { encoder, shown: None })
     }
 }
 
 impl<W: Write> Pictures for Gif<W> {
-    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<(), FilmError> {
-        self.encoder
-            .write_frame(&difference(self.shown.as_ref(), canvas, delay_cs))?;
+    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<()> {
+        let frame = difference(self.shown.as_ref(), canvas, delay_cs);
+        self.encoder.write_frame(&frame).context(NOT_WRITTEN)?;
         self.shown = Some(canvas.clone());
         Ok(())
     }
@@ -97,7 +104,7 @@ impl Video {
     ///
     /// # Errors
     /// There is none: the message says what to do.
-    pub fn check() -> Result<(), FilmError> {
+    pub fn check() -> Result<()> {
         let asked = Command::new(FFMPEG)
             .arg("-version")
             .stdin(Stdio::null())
@@ -106,9 +113,11 @@ impl Video {
             .status();
         match asked {
             Ok(status) if status.success() => Ok(()),
-            Err(error) if error.kind() == ErrorKind::NotFound => Err(FilmError::NoFfmpeg),
-            Ok(status) => Err(FilmError::Ffmpeg(format!("`ffmpeg -version` ended with {status}"))),
-            Err(error) => Err(FilmError::Ffmpeg(error.to_string())),
+            Err(error) if error.kind() == ErrorKind::NotFound => bail!(
+                "an mp4 is made by the program ffmpeg, and there is none on the path: install it, or give the film a name that ends in .gif"
+            ),
+            Ok(status) => Err(not_made(format!("`ffmpeg -version` ended with {status}"))),
+            Err(error) => Err(not_made(error)),
         }
     }
 
@@ -116,7 +125,7 @@ impl Video {
     ///
     /// # Errors
     /// No ffmpeg.
-    pub fn begin(file: &Path, pictures_per_s: u16) -> Result<Self, FilmError> {
+    pub fn begin(file: &Path, pictures_per_s: u16) -> Result<Self> {
         Self::check()?;
         let size = format!("{WIDTH}x{HEIGHT}");
         let rate = pictures_per_s.to_string();
@@ -140,7 +149,7 @@ impl Video {
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::piped());
-        let mut ffmpeg = command.spawn().map_err(|error| FilmError::Ffmpeg(error.to_string()))?;
+        let mut ffmpeg = command.spawn().map_err(not_made)?;
         let pictures = ffmpeg.stdin.take();
         Ok(Self {
             ffmpeg,
@@ -155,10 +164,10 @@ impl Video {
     ///
     /// # Errors
     /// What ffmpeg says, or a file that cannot be replaced.
-    pub fn finish(mut self) -> Result<(), FilmError> {
+    pub fn finish(mut self) -> Result<()> {
         match self.end() {
-            None => std::fs::rename(&self.part, &self.file).map_err(|error| FilmError::Ffmpeg(error.to_string())),
-            Some(why) => Err(FilmError::Ffmpeg(why)),
+            None => std::fs::rename(&self.part, &self.file).map_err(not_made),
+            Some(why) => Err(not_made(why)),
         }
     }
 
@@ -183,7 +192,7 @@ impl Video {
 }
 
 impl Pictures for Video {
-    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<(), FilmError> {
+    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<()> {
         for (rgb, colour) in self.bytes.chunks_exact_mut(3).zip(&canvas.pixels) {
             rgb.copy_from_slice(&PALETTE[usize::from(*colour) % PALETTE.len()]);
         }
@@ -192,7 +201,7 @@ impl Pictures for Video {
             if let Some(Err(_)) = written {
                 // It ended early, and says why.
                 let why = self.end().unwrap_or_else(|| "it ended early".to_owned());
-                return Err(FilmError::Ffmpeg(why));
+                return Err(not_made(why));
             }
         }
         Ok(())

@@ -6,7 +6,8 @@ mod picture;
 mod third_person;
 
 use crate::flight_derived::ExplainedReplay;
-use crate::flight_report::{LogSeen, ReportError, StepSeen, WHO};
+use crate::flight_report::{LogSeen, StepSeen, WHO};
+use anyhow::{Context, Result};
 pub use encode::Video;
 use encode::{Gif, Pictures};
 use picture::{Canvas, Colour};
@@ -54,33 +55,11 @@ pub struct FilmOptions {
     pub explained: usize,
 }
 
-/// Why there is no film.
-#[derive(Debug, thiserror::Error)]
-pub enum FilmError {
-    /// The log cannot be shown.
-    #[error(transparent)]
-    Log(#[from] ReportError),
-    /// The vehicle never took off, or the log ends before it did.
-    #[error("the vehicle never took off in this log: there is nothing to film; `vigil log report` says why")]
-    NeverTookOff,
-    /// The film cannot be encoded or written.
-    #[error("the film cannot be written: {0}")]
-    Encode(#[from] gif::EncodingError),
-    /// An mp4 needs a program.
-    #[error(
-        "an mp4 is made by the program ffmpeg, and there is none on the path: install it, or give the film a name that ends in .gif"
-    )]
-    NoFfmpeg,
-    /// It did not do it.
-    #[error("ffmpeg did not make the film: {0}")]
-    Ffmpeg(String),
-}
-
 /// Films the log at `path` as an animated GIF into `sink`. Returns the number of pictures.
 ///
 /// # Errors
-/// [`FilmError`]: a log that cannot be read, a flight that never took off, a sink that takes no more.
-pub fn film(path: &Path, options: &FilmOptions, sink: impl Write) -> Result<usize, FilmError> {
+/// A log that cannot be read, a flight that never took off, a sink that takes no more.
+pub fn film(path: &Path, options: &FilmOptions, sink: impl Write) -> Result<usize> {
     shoot(path, options, &mut Gif::begin(sink)?)
 }
 
@@ -88,19 +67,19 @@ pub fn film(path: &Path, options: &FilmOptions, sink: impl Write) -> Result<usiz
 ///
 /// # Errors
 /// As [`film`], and no ffmpeg, or one that does not do it.
-pub fn film_video(path: &Path, options: &FilmOptions, to: &Path) -> Result<usize, FilmError> {
+pub fn film_video(path: &Path, options: &FilmOptions, to: &Path) -> Result<usize> {
     let mut video = Video::begin(to, 100 / PICTURE_CS)?;
     let pictures = shoot(path, options, &mut video)?;
     video.finish()?;
     Ok(pictures)
 }
 
-fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<usize, FilmError> {
-    let log = LogSeen::read(path).map_err(ReportError::from)?;
+fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<usize> {
+    let log = LogSeen::read(path)?;
     let steps = shown(&log);
-    let (Some(first), Some(last)) = (steps.first().copied(), steps.last().copied()) else {
-        return Err(FilmError::NeverTookOff);
-    };
+    let ends = steps.first().copied().zip(steps.last().copied());
+    let (first, last) =
+        ends.context("the vehicle never took off in this log: there is nothing to film; `vigil log report` says why")?;
     let stride = (options.speed * STEPS_A_SECOND * f64::from(PICTURE_CS) / 100.0)
         .round()
         .max(1.0) as usize;
@@ -108,16 +87,15 @@ fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<u
 
     let scene = Scene::of(&log, first, last);
     let background = scene.background(&log);
-    let goal = log.steps.iter().rev().find_map(|s| s.report.goal);
-    let mut stage = Stage::new(&log.story.solids, goal.map(|g| g.position_ned_m));
-    let mut reader = Reader::open(path).map_err(ReportError::from)?;
+    let mut stage = Stage::new(&log.story.solids, log.goal_ned_m());
+    let mut reader = Reader::open(path)?;
     let mut explaining = Explaining::of(&reader, options.explained, (last - first).div_ceil(stride));
     let mut record = Box::<TickRecord>::default();
     let mut depth = None;
     let mut pictures = 0;
     for number in 0..=last {
         // The same records were read before.
-        if !reader.read_next(&mut record).map_err(ReportError::from)? {
+        if !reader.read_next(&mut record)? {
             break;
         }
         let due = number >= first && ((number - first).is_multiple_of(stride) || number == last);
@@ -131,7 +109,7 @@ fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<u
         let mut canvas = background.clone();
         scene.view(&mut canvas, &mut stage, &log, (first, number));
         scene.draw(&mut canvas, &log, (first, number), &options.title);
-        let altered = scene.is_altered(&log.steps[number]);
+        let altered = log.is_altered(&log.steps[number]);
         eyes(&mut canvas, depth.as_deref(), &explaining, altered);
         let delay = if number == last { LAST_CS } else { PICTURE_CS };
         to.picture(&canvas, delay)?;
@@ -227,8 +205,9 @@ fn shown(log: &LogSeen) -> Vec<usize> {
     let from = log.steps.iter().position(flies);
     let to = log.steps.iter().rposition(flies);
     // What comes after the flight's end, where that is known, is a wreck on the ground.
-    let ended_ns: Option<u64> = log.story.about.get("ended_ns").and_then(|text| text.parse().ok());
-    let ended = ended_ns.and_then(|ns| log.steps.iter().position(|s| s.now_ns >= ns));
+    let ended = log
+        .ended_ns()
+        .and_then(|ns| log.steps.iter().position(|s| s.now_ns >= ns));
     match (from, to) {
         (Some(from), Some(to)) => (from.saturating_sub(6)..=ended.unwrap_or(to).max(from)).collect(),
         _ => Vec::new(),
@@ -258,7 +237,6 @@ struct Scene {
     /// North and east of the map's upper left corner, metres; pixels in a metre. North is to the right, east is down.
     origin: (f32, f32),
     scale: f32,
-    altered: std::collections::HashMap<u64, f32>,
     alarms: Vec<usize>,
     threshold: Option<f32>,
 }
@@ -274,13 +252,7 @@ impl Scene {
                 (centre_ned_m[0], centre_ned_m[1])
             }
         }));
-        let goal = log
-            .steps
-            .iter()
-            .rev()
-            .find_map(|s| s.report.goal)
-            .map(|g| g.position_ned_m);
-        points.extend(goal.map(|g| (g.x, g.y)));
+        points.extend(log.goal_ned_m().map(|g| (g.x, g.y)));
         points.retain(|(n, e)| n.is_finite() && e.is_finite());
         let span = |value: fn(&(f32, f32)) -> f32| {
             let values = || points.iter().map(value);
@@ -301,7 +273,6 @@ impl Scene {
         Self {
             origin: (n0 - margin - 0.5 * over_n, e0 - margin - 0.5 * over_e),
             scale,
-            altered: log.altered().unwrap_or_default(),
             alarms: log.alarms(),
             threshold: log.threshold(),
         }
@@ -321,8 +292,8 @@ impl Scene {
             let corners: Vec<(f32, f32)> = corners.iter().map(|[n, e]| self.at(*n as f32, *e as f32)).collect();
             canvas.polygon(&corners, Colour::SOLID);
         }
-        if let Some(goal) = log.steps.iter().rev().find_map(|s| s.report.goal) {
-            let centre = self.at(goal.position_ned_m.x, goal.position_ned_m.y);
+        if let Some(goal) = log.goal_ned_m() {
+            let centre = self.at(goal.x, goal.y);
             canvas.ring(centre, self.scale, 2.0, Colour::GOAL);
             canvas.disc(centre, 3.0, Colour::GOAL);
         }
@@ -347,26 +318,16 @@ impl Scene {
         }
     }
 
-    fn is_altered(&self, step: &StepSeen) -> bool {
-        step.report
-            .frame_sequence
-            .is_some_and(|f| self.altered.contains_key(&f))
-    }
-
     /// The view from behind; until a pose is known it stays empty.
     fn view(&self, canvas: &mut Canvas, stage: &mut Stage, log: &LogSeen, (first, now): (usize, usize)) {
-        let position = |s: &StepSeen| {
-            let kinematics = s.report.telemetry.kinematics?;
-            Some(kinematics.position_ned_m).filter(|p| p.is_finite())
-        };
         let trail: Vec<(NedVector, u8)> = log.steps[first.max(now.saturating_sub(TRAIL_STEPS))..=now]
             .iter()
             .step_by(2)
-            .filter_map(|s| Some((position(s)?, Self::colour(log.who(&s.report)))))
+            .filter_map(|s| Some((s.position_ned_m()?, Self::colour(log.who(&s.report)))))
             .collect();
         let step = &log.steps[now];
         let attitude = step.report.telemetry.attitude.map(|a| a.attitude);
-        if let (Some(position_ned_m), Some(attitude)) = (position(step), attitude.filter(|a| a.is_valid())) {
+        if let (Some(position_ned_m), Some(attitude)) = (step.position_ned_m(), attitude.filter(|a| a.is_valid())) {
             let seen = Seen {
                 position_ned_m,
                 attitude,
@@ -391,18 +352,10 @@ impl Scene {
     /// The way flown so far, alarms, and the vehicle.
     fn draw_path(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize)) {
         let step = &log.steps[now];
-        let place = |s: &StepSeen| {
-            let position = s
-                .report
-                .telemetry
-                .kinematics
-                .map(|k| k.position_ned_m)
-                .filter(|p| p.is_finite());
-            position.map(|p| self.at(p.x, p.y))
-        };
+        let place = |s: &StepSeen| s.position_ned_m().map(|p| self.at(p.x, p.y));
         // What was flown so far: wide below where frames were altered, in the colour of who flew above.
         let flown = &log.steps[first..=now];
-        for pair in flown.windows(2).filter(|pair| self.is_altered(&pair[1])) {
+        for pair in flown.windows(2).filter(|pair| log.is_altered(&pair[1])) {
             if let (Some(a), Some(b)) = (place(&pair[0]), place(&pair[1])) {
                 canvas.line(a, b, 9.0, Colour::ATTACK_PALE);
             }
@@ -428,7 +381,7 @@ impl Scene {
     /// The title, the time, and whether the frames are altered.
     fn draw_banner(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize), title: &str) {
         let step = &log.steps[now];
-        let (on, below, state) = match self.is_altered(step) {
+        let (on, below, state) = match log.is_altered(step) {
             true => (Colour::PAPER, Colour::ATTACK, "ATTACK: frames altered"),
             false => (Colour::INK, Colour::BANNER, ""),
         };
@@ -484,13 +437,9 @@ impl Scene {
         };
         canvas.text(left + 22, y, &words, Colour::INK);
         let ended = log.story.about.get("outcome").filter(|_| {
-            let ended_ns = log
-                .story
-                .about
-                .get("ended_ns")
-                .and_then(|text| text.parse::<u64>().ok());
             // In lockstep the log ends with the flight.
-            ended_ns.map_or(now + 1 == log.steps.len(), |ns| step.now_ns >= ns)
+            log.ended_ns()
+                .map_or(now + 1 == log.steps.len(), |ns| step.now_ns >= ns)
         });
         if let Some(outcome) = ended {
             let good = outcome.starts_with("success");

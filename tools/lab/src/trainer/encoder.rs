@@ -3,15 +3,16 @@
 
 use crate::trainer::adam::{self, Adam};
 use crate::trainer::config::EncoderConfig;
-use crate::trainer::learner::UpdateError;
+use crate::trainer::learner::finite;
 use crate::trainer::noise::normal;
+use anyhow::Result;
 use core::f32::consts::{PI, TAU};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::actor::ActorSpec;
-use vigil_policy::actor::memory::{SCAN, proximity, range_m, scan_bearing_rad};
+use vigil_policy::actor::memory::{SCAN, proximity, scan_bearing_rad};
 use vigil_sim::environment::true_state::TruePlan;
 use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
 use vigil_types::{Attitude, DEPTH_COLS, DepthFrame, NedVector};
@@ -20,8 +21,6 @@ use vigil_types::{Attitude, DEPTH_COLS, DepthFrame, NedVector};
 const SHARDS: usize = 4;
 /// Seeds of the courses whose frames teach the encoder; no others use them.
 const FIRST_SEED: u64 = 900_000_000;
-/// Seeds of those that test it.
-const FIRST_TEST_SEED: u64 = 990_000_000;
 const STREAM: u64 = 1 << 40;
 const GRADIENT_NORM: f32 = 5.0;
 /// Frames taken on one course before the next.
@@ -207,7 +206,7 @@ pub fn teach_encoder(
     seed: u64,
     isa: Isa,
     report: &mut (dyn FnMut(u64, f32) + Send),
-) -> Result<Vec<f32>, EncoderError> {
+) -> Result<Vec<f32>> {
     let spec = ActorSpec::FULL;
     let graph = spec.encoder_graph(Purpose::Gradients, false)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -235,14 +234,7 @@ pub fn teach_encoder(
         }
         let d = &mut total.d_encoder[..len];
         let norm = adam::norm(&[d]);
-        if !norm.is_finite() {
-            return Err(UpdateError::NotFinite {
-                update,
-                what: "gradient",
-                network: "encoder",
-            }
-            .into());
-        }
+        finite(update, "gradient", "encoder", norm as f32)?;
         let scale = adam::shortening(norm, GRADIENT_NORM);
         d.iter_mut().for_each(|d| *d *= scale);
         let rate = config.rate * (1.0 - 0.97 * (update as f32 / config.updates as f32));
@@ -255,44 +247,4 @@ pub fn teach_encoder(
     }
     params.truncate(len);
     Ok(params)
-}
-
-/// How well an encoder sees, on fresh courses: in each of these bands of the true range the share of columns and the median and 90 %
-/// quantile of the range's error, metres.
-pub const BANDS_M: [f32; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 12.0];
-
-/// Errors of the range by [`BANDS_M`], each sorted.
-///
-/// # Errors
-/// Parameters of another encoder.
-pub fn test_encoder(encoder: &[f32], isa: Isa, frames: usize) -> Result<Vec<Vec<f32>>, EncoderError> {
-    let graph: Graph = ActorSpec::FULL.encoder_graph(Purpose::Gradients, false)?;
-    let mut params = vec![0.0; graph.param_len()];
-    params[..encoder.len()].copy_from_slice(encoder);
-    let mut tape = Aligned::zeros(graph.tape_len());
-    let mut photographer = Photographer::new(7, 99, FIRST_TEST_SEED);
-    let mut errors = vec![Vec::new(); BANDS_M.len()];
-    for _ in 0..frames {
-        photographer.take();
-        graph.forward(isa, &params, &[&photographer.frame.depth], &mut tape)?;
-        for (seen, target) in graph.output(&tape)?.iter().zip(&photographer.target) {
-            let truly_m = range_m(*target);
-            if let Some(band) = BANDS_M.iter().position(|most| truly_m < *most) {
-                errors[band].push((range_m(*seen) - truly_m).abs());
-            }
-        }
-    }
-    errors.iter_mut().for_each(|e| e.sort_by(f32::total_cmp));
-    Ok(errors)
-}
-
-/// Why an encoder could not be taught.
-#[derive(Debug, thiserror::Error)]
-pub enum EncoderError {
-    /// An update.
-    #[error(transparent)]
-    Update(#[from] UpdateError),
-    /// Networks that do not fit.
-    #[error(transparent)]
-    Network(#[from] ShapeError),
 }

@@ -2,7 +2,7 @@
 
 use crate::explained::Flight;
 use crate::trainer::observation::{Drift, Drifting};
-use crate::trainer::worker::FlyError;
+use anyhow::Result;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -120,15 +120,15 @@ impl FamilyCount {
 ///
 /// # Errors
 /// Parameters of another architecture.
-pub fn evaluate(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec) -> Result<EvaluationResult, FlyError> {
+pub fn evaluate(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec) -> Result<EvaluationResult> {
     let flights = (0..what.flights)
         .into_par_iter()
         .map(|i| fly(actor, isa, what, what.first_seed.wrapping_add(i)))
-        .collect::<Result<Vec<_>, FlyError>>()?;
+        .collect::<Result<Vec<_>>>()?;
     Ok(EvaluationResult { flights })
 }
 
-fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<(Outcome, f64), FlyError> {
+fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<(Outcome, f64)> {
     let mut course = generate(what.family, seed);
     course.time_limit_s = what.time_limit_s;
     let mut flight = Flight::new(&course, Wind::default(), seed)?;

@@ -8,6 +8,7 @@ use crate::trainer::mlp::{Mlp, MlpTape};
 use crate::trainer::noise::normal;
 use crate::trainer::observation::OBSERVATION;
 use crate::trainer::replay::{Sample, Stored};
+use anyhow::{Result, ensure};
 use rand::Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -19,26 +20,6 @@ use vigil_sim::environment::true_state::TRUE_STATE;
 const ACTIONS: usize = 2;
 /// Inputs of a critic: the true state, the action, the observation.
 pub const CRITIC_INPUTS: usize = TRUE_STATE + ACTIONS + OBSERVATION;
-
-/// Why training cannot go on.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum UpdateError {
-    /// Not a number, or infinite.
-    #[error(
-        "update {update}: the {what} of the {network} is not finite; lower the learning rates or the gradient norm"
-    )]
-    NotFinite {
-        /// Number of the update.
-        update: u64,
-        /// Loss or gradient.
-        what: &'static str,
-        /// Which network.
-        network: &'static str,
-    },
-    /// A network and its buffers do not fit, which would be a mistake here.
-    #[error(transparent)]
-    Shape(#[from] ShapeError),
-}
 
 /// A critic with its optimiser.
 pub struct Critic {
@@ -59,7 +40,7 @@ pub struct Critic {
 /// What an update was like; means over its transitions.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct UpdateReport {
-    /// Squared error of the first critic, weighted.
+    /// Squared error of the first critic.
     pub critic_loss: f32,
     /// First critic's value of the actor's own actions.
     pub value: f32,
@@ -186,19 +167,15 @@ impl Learner {
         }
     }
 
-    /// One update of critics, actor and target networks. Returns each transition's temporal-difference error as well.
+    /// One update of critics, actor and target networks.
     ///
     /// # Errors
-    /// [`UpdateError`] names a loss or gradient that is not finite; the weights are as they were then.
-    pub fn update(
-        &mut self,
-        batch: &[Sample<'_>],
-        rng: &mut impl Rng,
-    ) -> Result<(UpdateReport, Vec<(usize, f32)>), UpdateError> {
-        let errors = self.critic_step(batch, rng)?;
+    /// A loss or gradient that is not finite; the weights are as they were then.
+    pub fn update(&mut self, batch: &[Sample<'_>], rng: &mut impl Rng) -> Result<UpdateReport> {
+        self.critic_step(batch, rng)?;
         let report = self.actor_step(batch)?;
         self.targets_step(report.actor_norm)?;
-        Ok((report, errors))
+        Ok(report)
     }
 
     /// What the decisions turned out to be worth, by the target networks.
@@ -233,8 +210,8 @@ impl Learner {
         Ok(())
     }
 
-    /// L = mean of w (Q(s, a) − y)².
-    fn critic_step(&mut self, batch: &[Sample<'_>], rng: &mut impl Rng) -> Result<Vec<(usize, f32)>, UpdateError> {
+    /// L = mean of (Q(s, a) − y)².
+    fn critic_step(&mut self, batch: &[Sample<'_>], rng: &mut impl Rng) -> Result<()> {
         self.set_targets(batch, rng)?;
         self.look(false, batch.iter().map(|s| s.state))?;
         self.arrange(batch.iter().map(|s| (s.state, s.action)));
@@ -245,10 +222,10 @@ impl Learner {
                 mlp.forward(isa, &c.params, x, &mut c.tape)?;
                 c.loss = 0.0;
                 let values = c.tape.out(mlp).to_vec();
-                for (((slot, value), target), step) in c.out.iter_mut().zip(&values).zip(targets).zip(batch) {
+                for ((slot, value), target) in c.out.iter_mut().zip(&values).zip(targets) {
                     let error = value - target;
-                    *slot = 2.0 * step.weight * error / count;
-                    c.loss += step.weight * error * error / count;
+                    *slot = 2.0 * error / count;
+                    c.loss += error * error / count;
                 }
                 mlp.pack(&c.params, &mut c.packed)?;
                 c.d.fill(0.0);
@@ -261,13 +238,11 @@ impl Learner {
             finite(self.updates, "loss", "critic", critic.loss)?;
             finite(self.updates, "gradient", "critic", critic.norm)?;
         }
-        let errors = &self.critics[0].out;
-        let error = |(i, step): (usize, &Sample<'_>)| (step.leaf, 0.5 * count * errors[i] / step.weight.max(1e-6));
-        Ok(batch.iter().enumerate().map(error).collect())
+        Ok(())
     }
 
     /// L = mean of penalty − Q(s, μ(s)), through the first critic as it was before this update's step.
-    fn actor_step(&mut self, batch: &[Sample<'_>]) -> Result<UpdateReport, UpdateError> {
+    fn actor_step(&mut self, batch: &[Sample<'_>]) -> Result<UpdateReport> {
         let (isa, rows, count) = (self.isa, batch.len(), batch.len() as f32);
         let pre = &self.pre[..rows * ACTIONS];
         for (row, pre) in self.x.chunks_exact_mut(CRITIC_INPUTS).zip(pre.chunks_exact(ACTIONS)) {
@@ -315,7 +290,7 @@ impl Learner {
     }
 
     /// Moves the weights down their gradients, and the target networks after them.
-    fn targets_step(&mut self, actor_norm: f32) -> Result<(), UpdateError> {
+    fn targets_step(&mut self, actor_norm: f32) -> Result<()> {
         let (share, limit, tau) = (self.rates_share(), self.config.gradient_norm, self.config.tau);
         let step = |rate: f32, adam: &mut Adam, params: &mut [f32], d: &mut [f32], norm: f32| {
             let scale = adam::shortening(f64::from(norm), limit);
@@ -340,10 +315,11 @@ impl Learner {
     }
 }
 
-fn finite(update: u64, what: &'static str, network: &'static str, value: f32) -> Result<(), UpdateError> {
-    if value.is_finite() {
-        Ok(())
-    } else {
-        Err(UpdateError::NotFinite { update, what, network })
-    }
+/// Refuses a loss or a gradient of a network that is not finite.
+pub(super) fn finite(update: u64, what: &str, network: &str, value: f32) -> Result<()> {
+    ensure!(
+        value.is_finite(),
+        "update {update}: the {what} of the {network} is not finite; lower the learning rates or the gradient norm"
+    );
+    Ok(())
 }

@@ -12,7 +12,6 @@ pub mod learner;
 pub mod mlp;
 mod noise;
 pub mod observation;
-mod priorities;
 pub mod replay;
 pub mod reward;
 pub mod run;

@@ -4,27 +4,25 @@ mod resume;
 
 use crate::trainer::actor_net::ActorNet;
 use crate::trainer::config::LearnConfig;
-use crate::trainer::encoder::{EncoderError, teach_encoder};
+use crate::trainer::encoder::teach_encoder;
 use crate::trainer::evaluation::{EvaluatedActor, EvaluationSpec, FamilyCount, evaluate};
-use crate::trainer::learner::{Learner, UpdateError, UpdateReport};
+use crate::trainer::learner::{Learner, UpdateReport};
 use crate::trainer::observation::{Drift, Encoder, OBSERVATION};
 use crate::trainer::replay::Replay;
-use crate::trainer::store::{CheckpointError, Stored};
-use crate::trainer::worker::{EnvWorker, FlightReport, FlyError};
+use crate::trainer::store::{Stored, not_written, replace};
+use crate::trainer::worker::{EnvWorker, FlightReport};
+use anyhow::{Result, ensure};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rayon::ThreadPoolBuildError;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
-use vigil_nnet::{Isa, ShapeError};
+use vigil_nnet::Isa;
 use vigil_sim::world::{Family, Outcome};
 use vigil_types::Ablation;
-use vigil_types::files::Access;
-use vigil_types::settings::Outside;
 
 /// Updates that a row of the curve sums up.
 const UPDATES_PER_ROW: u64 = 1_000;
@@ -34,46 +32,6 @@ const CANDIDATES: usize = 3;
 const FIRST_CHOOSING_SEED: u64 = 300_000;
 /// Seeds of the flights that test the chosen one. Nothing is chosen by these.
 const FIRST_TEST_SEED: u64 = 7_000_000_000;
-
-/// Why a run stopped early.
-#[derive(Debug, thiserror::Error)]
-pub enum LearnError {
-    /// The configuration.
-    #[error(transparent)]
-    Config(#[from] Outside),
-    /// A flight.
-    #[error(transparent)]
-    Fly(#[from] FlyError),
-    /// An update.
-    #[error(transparent)]
-    Update(#[from] UpdateError),
-    /// Networks that do not fit.
-    #[error(transparent)]
-    Network(#[from] ShapeError),
-    /// The encoder.
-    #[error(transparent)]
-    Encoder(#[from] EncoderError),
-    /// The checkpoint.
-    #[error(transparent)]
-    Checkpoint(#[from] CheckpointError),
-    /// Threads.
-    #[error("cannot start the threads of the run: {0}")]
-    Threads(#[from] ThreadPoolBuildError),
-    /// A file of the run.
-    #[error("cannot write {path}: {source}; an earlier {path} is kept as it was")]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// There is a run in the folder already.
-    #[error("{path} holds a run already; resume it, or train in another folder")]
-    Occupied {
-        /// The folder.
-        path: PathBuf,
-    },
-}
 
 /// Where and how to run.
 #[derive(Debug, Clone)]
@@ -164,16 +122,11 @@ pub type Report<'a> = &'a mut (dyn FnMut(Progress<'_>) + Send);
 /// Trains from nothing or from a checkpoint.
 ///
 /// # Errors
-/// [`LearnError`]. The folder's last good checkpoint is kept.
-pub fn learn(
-    config: &LearnConfig,
-    options: &LearnOptions,
-    stop: &AtomicBool,
-    report: Report<'_>,
-) -> Result<LearnEnd, LearnError> {
+/// A bad configuration, a checkpoint of another run, a file that cannot be written, a loss that is not finite. The folder's last good checkpoint is kept.
+pub fn learn(config: &LearnConfig, options: &LearnOptions, stop: &AtomicBool, report: Report<'_>) -> Result<LearnEnd> {
     config.check()?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(config.threads).build()?;
-    pool.install(|| Run::begin(config, options, report)?.complete(stop, report))
+    vigil_tools::threads::thread_pool(config.threads)?
+        .install(|| Run::begin(config, options, report)?.complete(stop, report))
 }
 
 struct Run<'a> {
@@ -199,24 +152,16 @@ struct Run<'a> {
     checkpoint: PathBuf,
 }
 
-fn write(path: &Path, content: &[u8]) -> Result<(), LearnError> {
-    vigil_types::files::replace(path, content, Access::Shared).map_err(|source| LearnError::Write {
-        path: path.to_owned(),
-        source,
-    })
-}
-
 impl<'a> Run<'a> {
-    fn begin(config: &'a LearnConfig, options: &'a LearnOptions, report: Report<'_>) -> Result<Self, LearnError> {
+    fn begin(config: &'a LearnConfig, options: &'a LearnOptions, report: Report<'_>) -> Result<Self> {
         let folder = &options.folder;
-        std::fs::create_dir_all(folder).map_err(|source| LearnError::Write {
-            path: folder.clone(),
-            source,
-        })?;
+        std::fs::create_dir_all(folder).map_err(|e| not_written(folder, &e))?;
         let checkpoint = folder.join("checkpoint.safetensors");
-        if !options.resume && checkpoint.exists() {
-            return Err(LearnError::Occupied { path: folder.clone() });
-        }
+        ensure!(
+            options.resume || !checkpoint.exists(),
+            "{} holds a run already; resume it, or train in another folder",
+            folder.display()
+        );
         let (isa, begun) = (Isa::detect(), Instant::now());
         let saved = options.resume.then(|| Stored::read(&checkpoint)).transpose()?;
         let encoder_params = match (&saved, &options.encoder) {
@@ -254,7 +199,7 @@ impl<'a> Run<'a> {
         if let Some(saved) = &saved {
             run.restore(saved)?;
         }
-        write(&folder.join("config.toml"), config.to_toml().as_bytes())?;
+        replace(&folder.join("config.toml"), config.to_toml().as_bytes())?;
         Ok(run)
     }
 
@@ -262,7 +207,7 @@ impl<'a> Run<'a> {
         self.earlier_s + self.begun.elapsed().as_secs_f64()
     }
 
-    fn complete(mut self, stop: &AtomicBool, report: Report<'_>) -> Result<LearnEnd, LearnError> {
+    fn complete(mut self, stop: &AtomicBool, report: Report<'_>) -> Result<LearnEnd> {
         loop {
             while self.learner.updates < self.config.updates_due(self.decisions) {
                 if stop.load(Ordering::Relaxed) {
@@ -281,13 +226,13 @@ impl<'a> Run<'a> {
     }
 
     /// One decision in every environment.
-    fn collect(&mut self) -> Result<(), LearnError> {
+    fn collect(&mut self) -> Result<()> {
         let (config, warm_up) = (self.config, self.decisions < self.config.warm_up);
         let observations = self
             .workers
             .par_iter_mut()
             .map(|worker| worker.observation(config, warm_up))
-            .collect::<Result<Vec<[f32; OBSERVATION]>, FlyError>>()?;
+            .collect::<Result<Vec<[f32; OBSERVATION]>>>()?;
         let mut pre = vec![0.0; 2 * self.workers.len()];
         if !warm_up {
             self.deciding
@@ -300,7 +245,7 @@ impl<'a> Run<'a> {
             .zip(&mut self.replay.trajectories)
             .zip(pre.par_chunks_exact(2))
             .map(|((worker, lane), pre)| worker.fly(config, (!warm_up).then(|| [pre[0], pre[1]]), sigma, lane))
-            .collect::<Result<Vec<_>, FlyError>>()?;
+            .collect::<Result<Vec<_>>>()?;
         for flight in ended.into_iter().flatten() {
             self.flights.push((self.learner.updates, flight));
             self.ended.push(flight);
@@ -318,12 +263,9 @@ impl<'a> Run<'a> {
         n.sigma_first + (n.sigma_last - n.sigma_first) * (own / (all * n.falls_over)).min(1.0)
     }
 
-    fn update(&mut self, report: Report<'_>) -> Result<(), LearnError> {
+    fn update(&mut self, report: Report<'_>) -> Result<()> {
         let batch = self.replay.sample(self.config.learning.batch, &mut self.rng);
-        let (update, errors) = self.learner.update(&batch, &mut self.rng)?;
-        for (leaf, error) in errors {
-            self.replay.set_error(leaf, error);
-        }
+        let update = self.learner.update(&batch, &mut self.rng)?;
         self.sum = self.sum.plus(&update, 1.0);
         self.summed += 1;
         let updates = self.learner.updates;
@@ -363,8 +305,8 @@ impl<'a> Run<'a> {
             self.candidates.truncate(CANDIDATES);
         }
         self.rows.push(row);
-        write(&self.options.folder.join("curves.csv"), csv(&self.rows).as_bytes())?;
-        write(
+        replace(&self.options.folder.join("curves.csv"), csv(&self.rows).as_bytes())?;
+        replace(
             &self.options.folder.join("flights.csv"),
             flights_csv(&self.flights).as_bytes(),
         )?;
@@ -384,7 +326,7 @@ impl<'a> Run<'a> {
         first_seed: u64,
         flights: u64,
         ablation: Ablation,
-    ) -> Result<FamilyCount, FlyError> {
+    ) -> Result<FamilyCount> {
         let what = EvaluationSpec {
             family,
             first_seed,
@@ -405,7 +347,7 @@ impl<'a> Run<'a> {
     }
 
     /// Evaluates the best once more over other courses, takes the one that flies best, and tests that one and its blind twin.
-    fn freeze(mut self) -> Result<LearnEnd, LearnError> {
+    fn freeze(mut self) -> Result<LearnEnd> {
         if self.candidates.is_empty() {
             self.candidates.push(Candidate {
                 updates: self.learner.updates,
@@ -455,7 +397,7 @@ impl<'a> Run<'a> {
             test,
         };
         let text = serde_json::to_vec_pretty(&result).unwrap_or_default();
-        write(&self.options.folder.join("result.json"), &text)?;
+        replace(&self.options.folder.join("result.json"), &text)?;
         Ok(LearnEnd::Complete(self.whole(&chosen.params), Box::new(result)))
     }
 }

@@ -5,9 +5,9 @@ use crate::trainer::actor_net::squash;
 use crate::trainer::config::{Along, LearnConfig};
 use crate::trainer::noise::OrnsteinUhlenbeck;
 use crate::trainer::observation::{Drift, Encoder, OBSERVATION, Observer};
-use crate::trainer::priorities::Next;
-use crate::trainer::replay::{Trajectory, Transition};
+use crate::trainer::replay::{Next, Trajectory, Transition};
 use crate::trainer::reward::{DecisionResult, reward};
+use anyhow::Result;
 use core::f32::consts::{PI, TAU};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -16,7 +16,7 @@ use std::sync::Arc;
 use vigil_nnet::ShapeError;
 use vigil_policy::{NearestObstacle, apf};
 use vigil_sim::environment::true_state::{RAYS, TRUE_STATE, TrueCourse, range_m};
-use vigil_sim::vehicle::{ParamsError, VehicleParams};
+use vigil_sim::vehicle::VehicleParams;
 use vigil_sim::world::{Family, Outcome, generate};
 use vigil_types::{Action, GoalRelative, NedVector, wrap_pi};
 
@@ -24,72 +24,6 @@ use vigil_types::{Action, GoalRelative, NedVector, wrap_pi};
 const FIRST_TRAINING_SEED: u64 = 1_000_000;
 /// The repulsive field takes the nearest surface within this angle of the nose.
 const FIELD_HALF_ANGLE_RAD: f32 = PI / 4.0;
-
-/// Why a flight could not be flown.
-#[derive(Debug, thiserror::Error)]
-pub enum FlyError {
-    /// The vehicle.
-    #[error(transparent)]
-    Vehicle(#[from] ParamsError),
-    /// Networks that do not fit.
-    #[error(transparent)]
-    Network(#[from] ShapeError),
-}
-
-/// A flight over a course as its actor observes it.
-pub struct ObservedFlight {
-    flight: Flight,
-    encoder: Arc<Encoder>,
-    observer: Observer,
-    last: Action,
-}
-
-impl ObservedFlight {
-    /// Hovers at the start of a course, the first frame taken.
-    ///
-    /// # Errors
-    /// A vehicle out of its range.
-    pub fn new(
-        encoder: Arc<Encoder>,
-        (family, seed): (Family, u64),
-        vehicle: VehicleParams,
-        time_limit_s: f32,
-        drift: Drift,
-    ) -> Result<Self, FlyError> {
-        let mut course = generate(family, seed);
-        course.time_limit_s = time_limit_s;
-        let mut flight = Self {
-            flight: Flight::with_vehicle(&course, vehicle, seed)?,
-            observer: Observer::new(&encoder, drift),
-            encoder,
-            last: Action::HOVER,
-        };
-        flight.observe()?;
-        Ok(flight)
-    }
-
-    fn observe(&mut self) -> Result<(), ShapeError> {
-        self.observer.observe(&self.encoder, &self.flight.input(), self.last)
-    }
-
-    /// What the actor observes now.
-    pub fn observation(&self) -> &[f32; OBSERVATION] {
-        &self.observer.now
-    }
-
-    /// Flies one step of 0.05 s and observes. `Some` when the flight has ended; the state in which it is cut off is observed.
-    ///
-    /// # Errors
-    /// None with the encoder's own frames.
-    pub fn step(&mut self, action: Action) -> Result<Option<Outcome>, ShapeError> {
-        let outcome = self.flight.advance(action);
-        self.last = action;
-        if matches!(outcome, None | Some(Outcome::TimeOut)) {
-            self.observe()?;
-        }
-        Ok(outcome)
-    }
-}
 
 /// A training flight that lasts, without the simulator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -133,8 +67,11 @@ pub struct WorkerState {
     episode: Option<Episode>,
 }
 
+/// A flight that lasts, as its actor observes it.
 struct Current {
-    flight: ObservedFlight,
+    flight: Flight,
+    encoder: Arc<Encoder>,
+    observer: Observer,
     course: TrueCourse,
     goal: NedVector,
     to_go_m: f32,
@@ -143,15 +80,18 @@ struct Current {
 }
 
 impl Current {
-    fn begin(config: &LearnConfig, encoder: Arc<Encoder>, episode: Episode) -> Result<Self, FlyError> {
-        let course = generate(episode.family, episode.seed);
-        let at = (episode.family, episode.seed);
+    /// Hovers at the start of its course, the first frame taken.
+    fn begin(config: &LearnConfig, encoder: Arc<Encoder>, episode: Episode) -> Result<Self> {
+        let mut course = generate(episode.family, episode.seed);
+        course.time_limit_s = config.time_limit_s;
         let vehicle = match episode.drawn_vehicle {
             true => VehicleParams::drawn(episode.seed),
             false => VehicleParams::default(),
         };
         let mut current = Self {
-            flight: ObservedFlight::new(encoder, at, vehicle, config.time_limit_s, episode.drift)?,
+            flight: Flight::with_vehicle(&course, vehicle, episode.seed)?,
+            observer: Observer::new(&encoder, episode.drift),
+            encoder,
             goal: course.goal_ned_m(),
             course: TrueCourse::new(&course),
             to_go_m: 0.0,
@@ -159,19 +99,24 @@ impl Current {
             episode,
         };
         current.to_go_m = current.measure_m(config.reward.along);
+        current.observe(Action::HOVER)?;
         Ok(current)
+    }
+
+    fn observe(&mut self, last: Action) -> Result<(), ShapeError> {
+        self.observer.observe(&self.encoder, &self.flight.input(), last)
     }
 
     fn measure_m(&self, along: Along) -> f32 {
         match along {
-            Along::Path => self.course.way_m(self.flight.flight.truth().position_ned_m),
-            Along::Line => self.flight.flight.goal_distance_m(),
+            Along::Path => self.course.way_m(self.flight.truth().position_ned_m),
+            Along::Line => self.flight.goal_distance_m(),
         }
     }
 
     /// The true state here and now.
     fn truth(&self) -> [f32; TRUE_STATE] {
-        let truth = self.flight.flight.truth();
+        let truth = self.flight.truth();
         let to = self.goal - truth.position_ned_m;
         let goal = GoalRelative {
             distance_m: to.horizontal_norm(),
@@ -184,17 +129,21 @@ impl Current {
     fn step(&mut self, config: &LearnConfig, action: Action) -> Result<(f32, Option<Outcome>), ShapeError> {
         let (mut outcome, mut steps) = (None, 0);
         while outcome.is_none() && steps < config.steps_per_decision {
-            outcome = self.flight.step(action)?;
+            outcome = self.flight.advance(action);
+            // The state in which it is cut off is observed as well.
+            if matches!(outcome, None | Some(Outcome::TimeOut)) {
+                self.observe(action)?;
+            }
             steps += 1;
         }
         let to_go_m = self.measure_m(config.reward.along);
-        let (checkpoints, all_checkpoints) = self.flight.flight.checkpoints();
+        let (checkpoints, all_checkpoints) = self.flight.checkpoints();
         let result = DecisionResult {
             progress_m: self.to_go_m - to_go_m,
             checkpoints_before: self.checkpoints,
             checkpoints,
             all_checkpoints,
-            obstacle_distance_m: self.flight.flight.obstacle_distance_m(),
+            obstacle_distance_m: self.flight.obstacle_distance_m(),
             outcome,
         };
         (self.to_go_m, self.checkpoints) = (to_go_m, checkpoints);
@@ -241,7 +190,7 @@ impl EnvWorker {
     ///
     /// # Errors
     /// None with the default vehicle and the encoder it was saved with.
-    pub fn restore(&mut self, config: &LearnConfig, state: &WorkerState) -> Result<(), FlyError> {
+    pub fn restore(&mut self, config: &LearnConfig, state: &WorkerState) -> Result<()> {
         let (high, low) = state.random_at;
         self.rng.set_word_pos(u128::from(high) << 64 | u128::from(low));
         self.flights = state.flights;
@@ -260,7 +209,7 @@ impl EnvWorker {
     ///
     /// # Errors
     /// None with the default vehicle.
-    pub fn observation(&mut self, config: &LearnConfig, warm_up: bool) -> Result<[f32; OBSERVATION], FlyError> {
+    pub fn observation(&mut self, config: &LearnConfig, warm_up: bool) -> Result<[f32; OBSERVATION]> {
         if self.current.is_none() {
             let run = config.seed.wrapping_mul(1 << 24);
             let seed = FIRST_TRAINING_SEED.wrapping_add(run) + self.flights * self.environments + self.number;
@@ -297,10 +246,7 @@ impl EnvWorker {
             };
             self.current = Some(Current::begin(config, self.encoder.clone(), episode)?);
         }
-        Ok(self
-            .current
-            .as_ref()
-            .map_or([0.0; OBSERVATION], |c| *c.flight.observation()))
+        Ok(self.current.as_ref().map_or([0.0; OBSERVATION], |c| c.observer.now))
     }
 
     /// Flies one decision and stores it. `own` is the actor's output before its last tanh, `None` in the warm-up, in which noise
@@ -314,17 +260,17 @@ impl EnvWorker {
         own: Option<[f32; 2]>,
         sigma: f32,
         trajectory: &mut Trajectory,
-    ) -> Result<Option<FlightReport>, FlyError> {
+    ) -> Result<Option<FlightReport>> {
         let Some(mut c) = self.current.take() else {
             return Ok(None);
         };
-        let (truth, observation) = (c.truth(), *c.flight.observation());
+        let (truth, observation) = (c.truth(), c.observer.now);
         c.episode.ou_state.step(config.noise.theta, &mut self.rng);
         let noise = c.episode.ou_state.at(sigma * c.episode.noise_scale);
         let [forward_m_s, yaw] = own.map_or([config.warm_up_forward, 0.0], |pre| squash(&pre));
         let mut action = apf::add(Action { forward_m_s, yaw }, noise);
         if c.episode.report.with_apf {
-            let force = apf::force(c.flight.flight.goal(), nearest(&truth), apf::REPULSIVE_RANGE_M);
+            let force = apf::force(c.flight.goal(), nearest(&truth), apf::REPULSIVE_RANGE_M);
             action = apf::add(action, force);
         }
         let (reward, outcome) = c.step(config, action)?;
@@ -347,7 +293,7 @@ impl EnvWorker {
                 reward: 0.0,
                 next: Next::Nothing,
             };
-            trajectory.push(&c.truth(), c.flight.observation(), last);
+            trajectory.push(&c.truth(), &c.observer.now, last);
         }
         if outcome.is_none() {
             self.current = Some(c);

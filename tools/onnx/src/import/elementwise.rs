@@ -91,17 +91,19 @@ impl Importer<'_> {
 
     /// A function of each value.
     fn through(&mut self, x: &Live, function: Function) -> Result<Live, String> {
-        let x = self.narrowed(x)?;
-        let len = self.lens.get(x.layer).copied().unwrap_or(0);
-        let layer = self.push(Layer::Function { x: x.layer, function }, Vec::new(), len)?;
-        Ok(Live::of(layer, x.shape, x.places))
+        self.of_each(x, |x| Layer::Function { x, function })
     }
 
     /// One of the curves of layers, as a layer of its own.
     fn curved(&mut self, x: &Live, curve: Activation) -> Result<Live, String> {
+        self.of_each(x, |x| Layer::Curve { x, curve })
+    }
+
+    /// A layer of each value of the one before.
+    fn of_each(&mut self, x: &Live, layer: impl FnOnce(usize) -> Layer) -> Result<Live, String> {
         let x = self.narrowed(x)?;
         let len = self.lens.get(x.layer).copied().unwrap_or(0);
-        let layer = self.push(Layer::Curve { x: x.layer, curve }, Vec::new(), len)?;
+        let layer = self.push(layer(x.layer), Vec::new(), len)?;
         Ok(Live::of(layer, x.shape, x.places))
     }
 

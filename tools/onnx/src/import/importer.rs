@@ -48,6 +48,7 @@ pub(super) struct RecurrentWeights<'a> {
     pub(super) layer: usize,
 }
 
+#[derive(Default)]
 pub(super) struct Importer<'a> {
     pub(super) network: Network,
     /// Of each layer.
@@ -67,14 +68,9 @@ pub(super) struct Importer<'a> {
 impl<'a> Importer<'a> {
     pub(super) fn new(graph: &'a Graph, action: &'a str, needed: &Needed<'a>) -> Result<Self, String> {
         let mut importer = Self {
-            network: Network::default(),
-            params: Vec::new(),
-            lens: Vec::new(),
-            tensors: HashMap::new(),
-            uses: HashMap::new(),
             bounds: bounds(graph),
-            recurrent_weights: Vec::new(),
             pieces: needed.pieces.clone(),
+            ..Self::default()
         };
         let initializers = graph.initializer.iter();
         for tensor in initializers.filter(|tensor| needed.tensors.contains(tensor.name.as_str())) {

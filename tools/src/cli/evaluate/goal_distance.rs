@@ -1,5 +1,6 @@
 //! Goals at a distance, or spread over a range of them.
 
+use crate::campaign::spread;
 use serde::{Deserialize, Serialize};
 use vigil_sim::world::LONG_GOAL_M;
 
@@ -32,9 +33,4 @@ impl GoalDistance {
     pub(super) fn of(self, seed: u64) -> f32 {
         self.from_m + (self.to_m - self.from_m) * spread(seed) as f32
     }
-}
-
-/// A number from 0 to 1 for each seed. Multiples of the golden ratio spread neighbouring seeds evenly.
-pub(super) fn spread(seed: u64) -> f64 {
-    (seed as f64 * 0.618_033_988_749_895) % 1.0
 }

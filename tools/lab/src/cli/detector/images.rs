@@ -2,13 +2,11 @@
 
 use super::Stage;
 use super::report::{curves_csv, curves_png, share, short};
-use crate::cli::output::{EXIT_INTERRUPTED, Interrupt, Progress, git_commit, or_dash, say};
+use crate::cli::output::{Interrupt, Progress, git_commit, or_dash, say};
 use crate::detector_training::{ImageNetwork, States, WindowScorer};
 use crate::report::{TextTable, numbers, words};
 use anyhow::{Context, Result};
-use std::ops::ControlFlow;
 use std::path::Path;
-use std::process::ExitCode;
 use vigil_sim::world::Family;
 
 /// First seeds of the states with images to learn from and of those that choose; those to judge are on validation courses.
@@ -17,7 +15,7 @@ const IMAGES_CHOOSE_SEED: u64 = 5700;
 const IMAGES_JUDGE_SEED: u64 = 7000;
 
 impl Stage<'_> {
-    pub(super) fn images(&self, states: usize, judged: usize, backgrounds: usize) -> Result<ExitCode> {
+    pub(super) fn images(&self, states: usize, judged: usize, backgrounds: usize) -> Result<()> {
         let interrupt = Interrupt::on_ctrl_c()?;
         for (name, family, seed, count) in [
             (
@@ -54,10 +52,7 @@ impl Stage<'_> {
             };
             let mut progress = |count| {
                 bar.set_position(count as u64);
-                match interrupt.came() {
-                    true => ControlFlow::Break(()),
-                    false => ControlFlow::Continue(()),
-                }
+                interrupt.flow()
             };
             let (states, complete) = crate::detector_training::gather_states(
                 self.isa,
@@ -75,7 +70,7 @@ impl Stage<'_> {
                     states.states.len(),
                     part.display()
                 );
-                return Ok(ExitCode::from(EXIT_INTERRUPTED));
+                return Ok(());
             }
             states.save(&path)?;
             // What they held is in the files just written.
@@ -87,7 +82,7 @@ impl Stage<'_> {
                 states.flights.records.len()
             );
         }
-        Ok(ExitCode::SUCCESS)
+        Ok(())
     }
 
     pub(super) fn table(&self, epochs: usize, seed: u64, detector: Option<&Path>) -> Result<()> {

@@ -63,7 +63,8 @@ impl Setting {
     /// # Errors
     /// Files that are none, a detector of another actor.
     pub fn new(actor: Option<&Path>, detector: Option<&Path>, threads: Option<u16>, size: Size) -> Result<Self> {
-        let (flying, judging) = (load_actor(actor)?, load_detector(detector)?);
+        let flying = actor.map_or_else(FrozenActor::built_in, FrozenActor::load)?;
+        let judging = load_detector(detector)?;
         let sha256 = flying.sha256();
         anyhow::ensure!(
             judging.actor_sha256 == sha256,
@@ -84,18 +85,8 @@ impl Setting {
     }
 }
 
-fn load_actor(file: Option<&Path>) -> Result<FrozenActor> {
-    Ok(match file {
-        Some(file) => FrozenActor::load(file)?,
-        None => FrozenActor::built_in()?,
-    })
-}
-
 fn load_detector(file: Option<&Path>) -> Result<FrozenDetector> {
-    Ok(match file {
-        Some(file) => FrozenDetector::load(file)?,
-        None => FrozenDetector::built_in()?,
-    })
+    Ok(file.map_or_else(FrozenDetector::built_in, FrozenDetector::load)?)
 }
 
 impl Spec {

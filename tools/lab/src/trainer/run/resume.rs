@@ -1,18 +1,19 @@
 //! A run that is stored, and goes on from there to the bit.
 
-use super::{Candidate, LearnError, Row, Run};
+use super::{Candidate, Row, Run};
 use crate::trainer::adam::Adam;
 use crate::trainer::config::LearnConfig;
 use crate::trainer::learner::UpdateReport;
 use crate::trainer::replay::Transition;
-use crate::trainer::store::{CheckpointError, Stored, Values, save};
+use crate::trainer::store::{Stored, Values, save};
 use crate::trainer::worker::{EnvWorker, FlightReport, WorkerState};
+use anyhow::{Result, ensure};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 use vigil_types::settings;
 
-const FORMAT: &str = "vigil learn checkpoint 1";
+const FORMAT: &str = "vigil learn checkpoint 2";
 
 #[derive(Serialize, Deserialize)]
 struct RunState {
@@ -23,8 +24,8 @@ struct RunState {
     elapsed_s: f64,
     random_at: (u64, u64),
     adam_steps: Vec<u64>,
-    largest_bits: u64,
-    lanes: Vec<(u64, u64)>,
+    /// Decisions that each trajectory was given.
+    stored: Vec<u64>,
     transitions: Vec<Vec<Transition>>,
     workers: Vec<WorkerState>,
     rows: Vec<Row>,
@@ -36,13 +37,13 @@ struct RunState {
 }
 
 impl Run<'_> {
-    pub(super) fn restore(&mut self, saved: &Stored) -> Result<(), LearnError> {
+    pub(super) fn restore(&mut self, saved: &Stored) -> Result<()> {
         let state: RunState = saved.state()?;
-        let other = || {
-            LearnError::from(CheckpointError::Configuration {
-                path: self.checkpoint.clone(),
-            })
-        };
+        let checkpoint = self.checkpoint.display();
+        let other = format!(
+            "checkpoint {checkpoint} is of a run with another configuration: only `threads`, `families`, `decisions`, `drawn_vehicle_share` \
+             and `evaluation` may change; resume with the same one, or train in another folder"
+        );
         let same = state.format == FORMAT
             && settings::from_toml(&state.config).is_ok_and(|saved: LearnConfig| {
                 let LearnConfig {
@@ -65,22 +66,18 @@ impl Run<'_> {
                 saved == *self.config
             });
         let counts = [state.transitions.len(), state.workers.len(), self.config.environments];
-        if !same || counts.iter().any(|n| *n != counts[0]) || state.adam_steps.len() != 3 {
-            return Err(other());
-        }
+        let is_whole = counts.iter().all(|n| *n == counts[0]) && state.adam_steps.len() == 3;
+        ensure!(same && is_whole, other);
         for (i, (lane, transitions)) in self.replay.trajectories.iter_mut().zip(state.transitions).enumerate() {
             lane.states = saved.u16(&format!("states_{i}"))?;
             lane.transitions = transitions;
         }
-        let largest = f64::from_bits(state.largest_bits);
-        if !self.replay.restore(&saved.f64("priorities")?, largest, &state.lanes) {
-            return Err(other());
-        }
+        ensure!(self.replay.restore(&state.stored), other);
         let config = self.config;
         let states = self.workers.par_iter_mut().zip(&state.workers);
         states.try_for_each(|(worker, state)| worker.restore(config, state))?;
         let l = &mut self.learner;
-        let adam = |name: &str, len: usize, steps: u64| -> Result<Adam, CheckpointError> {
+        let adam = |name: &str, len: usize, steps: u64| -> Result<Adam> {
             Ok(Adam {
                 mean: saved.f32(&format!("{name}_mean"), Some(len))?,
                 square: saved.f32(&format!("{name}_square"), Some(len))?,
@@ -114,9 +111,8 @@ impl Run<'_> {
         Ok(())
     }
 
-    pub(super) fn save(&self) -> Result<(), LearnError> {
+    pub(super) fn save(&self) -> Result<()> {
         let at = self.rng.get_word_pos();
-        let (priorities, largest, lanes) = self.replay.places();
         let l = &self.learner;
         let adams = [&l.actor_adam, &l.critics[0].adam, &l.critics[1].adam];
         let state = RunState {
@@ -127,8 +123,7 @@ impl Run<'_> {
             elapsed_s: self.elapsed_s(),
             random_at: ((at >> 64) as u64, at as u64),
             adam_steps: adams.iter().map(|adam| adam.steps).collect(),
-            largest_bits: largest.to_bits(),
-            lanes,
+            stored: self.replay.trajectories.iter().map(|l| l.next).collect(),
             transitions: self.replay.trajectories.iter().map(|l| l.transitions.clone()).collect(),
             workers: self.workers.iter().map(EnvWorker::state).collect(),
             rows: self.rows.clone(),
@@ -140,7 +135,6 @@ impl Run<'_> {
         };
         let mut tensors = vec![
             ("encoder".to_owned(), Values::F32(&self.encoder_params)),
-            ("priorities".to_owned(), Values::F64(&priorities)),
             ("actor".to_owned(), Values::F32(&l.actor)),
             ("actor_target".to_owned(), Values::F32(&l.actor_target)),
             ("actor_mean".to_owned(), Values::F32(&l.actor_adam.mean)),
@@ -160,6 +154,6 @@ impl Run<'_> {
         for (i, candidate) in self.candidates.iter().enumerate() {
             tensors.push((format!("candidate_{i}"), Values::F32(&candidate.params)));
         }
-        Ok(save(&self.checkpoint, &state, &tensors)?)
+        save(&self.checkpoint, &state, &tensors)
     }
 }
