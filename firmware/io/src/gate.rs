@@ -304,21 +304,13 @@ fn wall_clock() -> Timestamp {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_mavlink::MavHeader;
     use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, SETUP_SIGNING_DATA};
-    use vigil_mavlink::framing::serialize;
+    use vigil_mavlink::framing::encode;
 
     const NOW: Timestamp = 40_000_000_000_000;
 
     fn heartbeat(sequence: u8) -> Vec<u8> {
-        let header = MavHeader {
-            system_id: 1,
-            component_id: 1,
-            sequence,
-        };
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = serialize(header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT), &mut out).unwrap();
-        out[..len].to_vec()
+        encode((1, 1), sequence, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT))
     }
 
     fn signing() -> Signing {
@@ -402,20 +394,13 @@ mod tests {
     }
 
     fn setup(key: [u8; 32]) -> Vec<u8> {
-        let header = MavHeader {
-            system_id: 255,
-            component_id: 190,
-            sequence: 0,
-        };
         let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
             target_system: 1,
             target_component: 191,
             secret_key: key,
             ..SETUP_SIGNING_DATA::DEFAULT
         });
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = serialize(header, &message, &mut out).unwrap();
-        out[..len].to_vec()
+        encode((255, 190), 0, &message)
     }
 
     #[test]
