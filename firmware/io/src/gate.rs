@@ -4,9 +4,7 @@ mod files;
 
 pub use files::{SigningFileError, read_key};
 
-use crate::key_file::KeyFileError;
 use files::SigningStateWriter;
-use std::io::ErrorKind;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets};
@@ -137,7 +135,7 @@ impl SigningGate {
     pub fn with_kept_key(key_file: &Path, name: &str, allow_unsigned: AllowUnsigned) -> Result<Self, SigningFileError> {
         let key = match read_key(key_file) {
             Ok(key) => Some(key),
-            Err(KeyFileError::Read { source, .. }) if source.kind() == ErrorKind::NotFound => None,
+            Err(_) if matches!(key_file.try_exists(), Ok(false)) => None,
             Err(other) => return Err(other.into()),
         };
         let (keeper, memory) = SigningStateWriter::start(key_file, name, STORE_AHEAD)?;

@@ -24,13 +24,8 @@ pub type Given<'a> = Spanned<DeValue<'a>>;
 #[derive(Debug, thiserror::Error)]
 pub enum SettingsError {
     /// It cannot be read.
-    #[error("cannot read {}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error("cannot read {0}")]
+    Read(#[from] crate::files::FileError),
     /// Its content is not accepted.
     #[error("{}: {message}", path.display())]
     Content {
@@ -469,10 +464,7 @@ fn read_text(text: &str, fields: &mut [Field<'_>]) -> Result<(), String> {
 /// # Errors
 /// [`SettingsError`], with file, line, key and what is allowed.
 pub fn load<S: Section>(path: &Path) -> Result<S, SettingsError> {
-    let text = crate::files::read_text(path, SIZE_LIMIT).map_err(|source| SettingsError::Read {
-        path: path.to_owned(),
-        source,
-    })?;
+    let text = crate::files::read_text(path, SIZE_LIMIT).map_err(crate::files::at(path))?;
     from_toml(&text).map_err(|message| SettingsError::Content {
         path: path.to_owned(),
         message,
