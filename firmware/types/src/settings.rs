@@ -193,14 +193,8 @@ pub fn required<T: Default>() -> With<T> {
 
 /// A default; each number lies from `least` to `greatest`.
 pub fn within<T>(value: T, (least, greatest): (f64, f64), unit: &'static str) -> With<T> {
-    let range = Range {
-        unit,
-        least,
-        greatest,
-        or_zero: false,
-    };
     let rule = Rule {
-        range: Some(range),
+        range: Some(Range::of(least, greatest, unit)),
         ..Rule::default()
     };
     With { value, rule }
