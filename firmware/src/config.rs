@@ -14,6 +14,7 @@ use vigil_io::key_file::{KeyFileError, frame_keys};
 use vigil_log::FlightInfo;
 use vigil_mavlink::{CompanionConfig, Flavour};
 use vigil_policy::GeometricConfig;
+use vigil_types::files::at;
 use vigil_types::parameters::{self, MAX_INSTANCE};
 use vigil_types::settings::{SettingsError, Value, at_most, free, required_row, section};
 use vigil_types::{
@@ -180,14 +181,13 @@ impl FirmwareConfig {
     /// # Errors
     /// [`SettingsError`]: an unknown key or a bad value with file, line and key.
     pub fn load(path: &Path) -> Result<Self, SettingsError> {
-        let explained = |e| match e {
+        settings::load(path).map_err(|error| match error {
             SettingsError::Content { path, message } => SettingsError::Content {
                 path,
                 message: crate::removed::explain(message),
             },
-            read @ SettingsError::Read { .. } => read,
-        };
-        settings::load(path).map_err(explained)
+            read => read,
+        })
     }
 
     /// Reads TOML.
@@ -252,10 +252,7 @@ impl FirmwareConfig {
             (Some(path), _) => SigningGate::with_key_file(path, &name, *allow_unsigned),
             (None, Some(folder)) => {
                 let path = folder.join(format!("firmware{name}.key"));
-                make_folder(folder).map_err(|source| SigningFileError::State {
-                    path: folder.clone(),
-                    source,
-                })?;
+                make_folder(folder).map_err(at(folder))?;
                 SigningGate::with_kept_key(&path, &name, *allow_unsigned)
             }
             (None, None) => Ok(SigningGate::new(None, *allow_unsigned)),

@@ -1,9 +1,8 @@
 //! Tells a person what the loop does, from a thread of its own: writing to a terminal may wait, the loop may not.
 
 use crate::frame_keeper::{FrameRefusals, Refusal};
-use rtrb::{Consumer, Producer, RingBuffer};
-use std::thread::JoinHandle;
 use std::time::Duration;
+use vigil_io::background::Background;
 use vigil_mavlink::StatusText;
 use vigil_mavlink::common::MavSeverity;
 use vigil_types::{GuidanceState, Nanos, Reasons, StepReport};
@@ -52,9 +51,7 @@ enum Announcement {
 
 /// Announces changes of the guidance state and missed steps.
 pub struct Console {
-    // Dropped before the thread is joined: the printer ends when nobody can announce any more.
-    ring: Option<Producer<Announcement>>,
-    printer: Option<JoinHandle<()>>,
+    printer: Background<Announcement>,
     state: GuidanceState,
     slips: u64,
     refused: u64,
@@ -70,13 +67,11 @@ impl Console {
     /// # Errors
     /// When the thread cannot be started.
     pub fn start(start_ns: Nanos) -> std::io::Result<Self> {
-        let (producer, consumer) = RingBuffer::new(CAPACITY);
-        let printer = std::thread::Builder::new()
-            .name("console".to_owned())
-            .spawn(move || print(consumer, start_ns))?;
+        let print = move |announcements: &mut dyn Iterator<Item = Announcement>| {
+            announcements.for_each(|announcement| print(announcement, start_ns));
+        };
         Ok(Self {
-            ring: Some(producer),
-            printer: Some(printer),
+            printer: Background::start("console", CAPACITY, PAUSE, print)?,
             state: GuidanceState::Standby,
             slips: 0,
             refused: 0,
@@ -148,83 +143,62 @@ impl Console {
     }
 
     fn announce(&mut self, announcement: Announcement) {
-        if let Some(ring) = &mut self.ring {
-            // A full ring loses the announcement; telemetry and log have it.
-            let _ = ring.push(announcement);
-        }
+        // Where too many wait it is lost; telemetry and log have it.
+        self.printer.offer(announcement);
     }
 }
 
-impl Drop for Console {
-    fn drop(&mut self) {
-        self.ring = None;
-        if let Some(printer) = self.printer.take() {
-            // The printer does not panic; if it did, there is nothing left to print.
-            let _ = printer.join();
-        }
-    }
-}
-
-fn print(mut ring: Consumer<Announcement>, start_ns: Nanos) {
+fn print(announcement: Announcement, start_ns: Nanos) {
     let seconds = |at_ns: Nanos| at_ns.saturating_sub(start_ns) as f64 * 1e-9;
-    loop {
-        let last_look = ring.is_abandoned();
-        while let Ok(announcement) = ring.pop() {
-            match announcement {
-                Announcement::State {
-                    at_ns,
-                    from,
-                    to,
-                    reasons,
-                } => {
-                    let reasons: Vec<_> = reasons.iter().map(|reason| reason.name()).collect();
-                    tracing::info!(
-                        "{:8.2} s  {} → {}{}{}",
-                        seconds(at_ns),
-                        from.name(),
-                        to.name(),
-                        if reasons.is_empty() { "" } else { ": " },
-                        reasons.join(", ")
-                    );
-                }
-                Announcement::Refused { at_ns, total } => {
-                    tracing::warn!(
-                        "{:8.2} s  {total} packets refused since start: unsigned or wrongly signed (docs/firmware.md, \
+    match announcement {
+        Announcement::State {
+            at_ns,
+            from,
+            to,
+            reasons,
+        } => {
+            let reasons: Vec<_> = reasons.iter().map(|reason| reason.name()).collect();
+            tracing::info!(
+                "{:8.2} s  {} → {}{}{}",
+                seconds(at_ns),
+                from.name(),
+                to.name(),
+                if reasons.is_empty() { "" } else { ": " },
+                reasons.join(", ")
+            );
+        }
+        Announcement::Refused { at_ns, total } => {
+            tracing::warn!(
+                "{:8.2} s  {total} packets refused since start: unsigned or wrongly signed (docs/firmware.md, \
                          \"Signing\")",
-                        seconds(at_ns)
-                    );
-                }
-                Announcement::OtherVehicle { at_ns, system } => {
-                    tracing::warn!(
-                        "{:8.2} s  a vehicle of system {system} calls, which is not the one asked for: give the link with \
+                seconds(at_ns)
+            );
+        }
+        Announcement::OtherVehicle { at_ns, system } => {
+            tracing::warn!(
+                "{:8.2} s  a vehicle of system {system} calls, which is not the one asked for: give the link with \
                          system={system} if it is yours (docs/firmware.md, \"Who is the vehicle\")",
-                        seconds(at_ns)
-                    );
+                seconds(at_ns)
+            );
+        }
+        Announcement::FramesRefused { at_ns, total, last } => {
+            tracing::warn!(
+                "{:8.2} s  {total} depth frames refused since start; the last one: {last} (docs/sensor-interface.md)",
+                seconds(at_ns)
+            );
+        }
+        Announcement::Text { at_ns, text } => {
+            let (seconds, told) = (seconds(at_ns), text.text());
+            match text.severity() {
+                MavSeverity::MAV_SEVERITY_WARNING => tracing::warn!("{seconds:8.2} s  {told}"),
+                MavSeverity::MAV_SEVERITY_NOTICE | MavSeverity::MAV_SEVERITY_INFO | MavSeverity::MAV_SEVERITY_DEBUG => {
+                    tracing::info!("{seconds:8.2} s  {told}")
                 }
-                Announcement::FramesRefused { at_ns, total, last } => {
-                    tracing::warn!(
-                        "{:8.2} s  {total} depth frames refused since start; the last one: {last} (docs/sensor-interface.md)",
-                        seconds(at_ns)
-                    );
-                }
-                Announcement::Text { at_ns, text } => {
-                    let (seconds, told) = (seconds(at_ns), text.text());
-                    match text.severity() {
-                        MavSeverity::MAV_SEVERITY_WARNING => tracing::warn!("{seconds:8.2} s  {told}"),
-                        MavSeverity::MAV_SEVERITY_NOTICE
-                        | MavSeverity::MAV_SEVERITY_INFO
-                        | MavSeverity::MAV_SEVERITY_DEBUG => tracing::info!("{seconds:8.2} s  {told}"),
-                        _ => tracing::error!("{seconds:8.2} s  {told}"),
-                    }
-                }
-                Announcement::Slips { at_ns, total } => {
-                    tracing::warn!("{:8.2} s  {total} steps missed since start", seconds(at_ns));
-                }
+                _ => tracing::error!("{seconds:8.2} s  {told}"),
             }
         }
-        if last_look {
-            return;
+        Announcement::Slips { at_ns, total } => {
+            tracing::warn!("{:8.2} s  {total} steps missed since start", seconds(at_ns));
         }
-        std::thread::sleep(PAUSE);
     }
 }

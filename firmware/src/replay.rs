@@ -41,79 +41,27 @@ pub struct Difference {
 
 /// What differs between a recorded and a replayed step.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Departure {
-    /// Another number of datagrams was sent.
-    DatagramCount {
-        /// In the log.
-        recorded: usize,
-        /// In the replay.
-        replayed: usize,
-    },
-    /// A datagram went to another link or has another length.
-    DatagramShape {
-        /// Which datagram of the step.
-        datagram: usize,
-        /// Link and length in the log.
-        recorded: (u8, usize),
-        /// Link and length in the replay.
-        replayed: (u8, usize),
-    },
-    /// A byte differs.
-    Byte {
-        /// Which datagram of the step.
-        datagram: usize,
-        /// Which byte of the datagram.
-        byte: usize,
-        /// In the log.
-        recorded: u8,
-        /// In the replay.
-        replayed: u8,
-    },
-    /// The reports differ.
-    Report {
-        /// Name of the first field that differs.
-        field: &'static str,
-        /// In the log.
-        recorded: String,
-        /// In the replay.
-        replayed: String,
-    },
+pub struct Departure {
+    /// A field of the report, a byte of a datagram, its link and length, or the number of datagrams.
+    pub place: String,
+    /// In the log.
+    pub recorded: String,
+    /// In the replay.
+    pub replayed: String,
 }
 
 impl std::fmt::Display for Difference {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "step {} (t = {} ns): ", self.step, self.now_ns)?;
-        match &self.what {
-            Departure::DatagramCount { recorded, replayed } => {
-                write!(f, "the log has {recorded} datagrams sent, the replay {replayed}")
-            }
-            Departure::DatagramShape {
-                datagram,
-                recorded,
-                replayed,
-            } => write!(
-                f,
-                "datagram {datagram} is {} bytes for link {} in the log, {} bytes for link {} in the replay",
-                recorded.1, recorded.0, replayed.1, replayed.0
-            ),
-            Departure::Byte {
-                datagram,
-                byte,
-                recorded,
-                replayed,
-            } => write!(
-                f,
-                "datagram {datagram}, byte {byte} is 0x{recorded:02x} in the log, 0x{replayed:02x} in the replay"
-            ),
-            Departure::Report {
-                field,
-                recorded,
-                replayed,
-            } => write!(
-                f,
-                "report: `{field}` is {recorded} in the log, {replayed} in the replay"
-            ),
-        }
+        let Departure {
+            place,
+            recorded,
+            replayed,
+        } = &self.what;
+        let (step, now_ns) = (self.step, self.now_ns);
+        write!(
+            f,
+            "step {step} (t = {now_ns} ns): {place} is {recorded} in the log, {replayed} in the replay"
+        )
     }
 }
 
@@ -251,30 +199,25 @@ pub fn step_again<'a>(firmware: &'a mut Firmware, record: &TickRecord, sent: &mu
 }
 
 fn departure(record: &TickRecord, sent: &Datagrams, report: &StepReport) -> Option<Departure> {
+    let differs = |place: String, [recorded, replayed]: [String; 2]| Departure {
+        place,
+        recorded,
+        replayed,
+    };
     for (datagram, (recorded, replayed)) in record.sent.iter().zip(sent.iter()).enumerate() {
-        let shape = |(link, bytes): (u8, &[u8])| (link, bytes.len());
-        if shape(recorded) != shape(replayed) {
-            return Some(Departure::DatagramShape {
-                datagram,
-                recorded: shape(recorded),
-                replayed: shape(replayed),
-            });
+        if (recorded.0, recorded.1.len()) != (replayed.0, replayed.1.len()) {
+            let shapes = [recorded, replayed].map(|(link, bytes)| format!("{} bytes for link {link}", bytes.len()));
+            return Some(differs(format!("datagram {datagram}"), shapes));
         }
-        let pairs = recorded.1.iter().zip(replayed.1).enumerate();
-        if let Some((byte, (a, b))) = pairs.into_iter().find(|(_, (a, b))| a != b) {
-            return Some(Departure::Byte {
-                datagram,
-                byte,
-                recorded: *a,
-                replayed: *b,
-            });
+        let mut pairs = recorded.1.iter().zip(replayed.1).enumerate();
+        if let Some((byte, (a, b))) = pairs.find(|(_, (a, b))| a != b) {
+            let values = [a, b].map(|value| format!("0x{value:02x}"));
+            return Some(differs(format!("datagram {datagram}, byte {byte}"), values));
         }
     }
     if record.sent.len() != sent.len() {
-        return Some(Departure::DatagramCount {
-            recorded: record.sent.len(),
-            replayed: sent.len(),
-        });
+        let counts = [record.sent.len(), sent.len()].map(|count| count.to_string());
+        return Some(differs("the number of datagrams".to_owned(), counts));
     }
     report_departure(&record.report, report)
 }
@@ -323,8 +266,8 @@ fn report_departure(recorded: &StepReport, replayed: &StepReport) -> Option<Depa
         .into_iter()
         .zip(fields(replayed))
         .find(|((_, a), (_, b))| a != b)
-        .map(|((field, recorded), (_, replayed))| Departure::Report {
-            field,
+        .map(|((field, recorded), (_, replayed))| Departure {
+            place: format!("report: `{field}`"),
             recorded,
             replayed,
         })

@@ -3,11 +3,10 @@
 
 use crate::config::FirmwareConfig;
 use crate::tunables::Tunables;
-use rtrb::{Producer, RingBuffer};
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::thread::JoinHandle;
 use std::time::Duration;
+use vigil_io::background::Background;
 use vigil_io::state::{StateError, StateFile, exact};
 use vigil_mavlink::{ParameterValue, Parameters};
 use vigil_types::parameters::{self, Kind};
@@ -55,9 +54,7 @@ pub struct LoadedParameters {
 
 /// Has the file written when a parameter was set, by a thread of its own: the loop must not wait for a disk.
 pub struct ParameterKeeper {
-    // Dropped before the thread is joined: the writer ends when nobody can offer any more.
-    ring: Option<Producer<Kept>>,
-    writer: Option<JoinHandle<()>>,
+    writer: Background<Kept>,
     offered: Kept,
 }
 
@@ -94,14 +91,12 @@ impl ParameterKeeper {
 
     /// Looks at what a step left. Never waits and allocates nothing.
     pub fn observe(&mut self, table: &Parameters, taken_over: bool) {
-        if (*table != self.offered.table || taken_over != self.offered.taken_over)
-            && let Some(ring) = &mut self.ring
-        {
+        if *table != self.offered.table || taken_over != self.offered.taken_over {
             let kept = Kept {
                 table: table.clone(),
                 taken_over,
             };
-            if ring.push(kept.clone()).is_ok() {
+            if self.writer.offer(kept.clone()) {
                 self.offered = kept;
             }
         }
@@ -115,48 +110,29 @@ impl LoadedParameters {
     /// When the thread cannot be started.
     pub fn start(self, table: &Parameters) -> Result<ParameterKeeper, SavedError> {
         let Self { mut file, mut saved } = self;
-        let (ring, mut offered) = RingBuffer::<Kept>::new(CAPACITY);
-        let taken_over = saved.taken_over;
         let begun_with = table.clone();
-        let writer = std::thread::Builder::new()
-            .name("parameters".to_owned())
-            .spawn(move || {
-                loop {
-                    let last_look = offered.is_abandoned();
-                    let mut changed = false;
-                    while let Ok(kept) = offered.pop() {
-                        note(&mut saved, &begun_with, &kept.table);
-                        saved.taken_over = kept.taken_over;
-                        changed = true;
-                    }
-                    if changed {
-                        file.store(&saved);
-                    }
-                    if last_look {
-                        return;
-                    }
-                    std::thread::sleep(PAUSE);
+        let offered = Kept {
+            table: table.clone(),
+            taken_over: saved.taken_over,
+        };
+        let writer = Background::start(
+            "parameters",
+            CAPACITY,
+            PAUSE,
+            move |offered: &mut dyn Iterator<Item = Kept>| {
+                let mut changed = false;
+                for kept in offered {
+                    note(&mut saved, &begun_with, &kept.table);
+                    saved.taken_over = kept.taken_over;
+                    changed = true;
                 }
-            })
-            .map_err(SavedError::Thread)?;
-        Ok(ParameterKeeper {
-            ring: Some(ring),
-            writer: Some(writer),
-            offered: Kept {
-                table: table.clone(),
-                taken_over,
+                if changed {
+                    file.store(&saved);
+                }
             },
-        })
-    }
-}
-
-impl Drop for ParameterKeeper {
-    fn drop(&mut self) {
-        self.ring = None;
-        if let Some(writer) = self.writer.take() {
-            // The writer does not panic; if it did, the file keeps what it has.
-            let _ = writer.join();
-        }
+        );
+        let writer = writer.map_err(SavedError::Thread)?;
+        Ok(ParameterKeeper { writer, offered })
     }
 }
 

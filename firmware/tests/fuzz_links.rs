@@ -10,9 +10,8 @@ use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::links::{PeerRule, SerialLink, TcpLink, UdpLink};
-use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, encode, packets};
 use vigil_mavlink::signing::{SIGNATURE_LEN, Signing, SigningKey, SigningMemory};
 use vigil_types::{Datagrams, Nanos};
 
@@ -39,28 +38,8 @@ impl Random {
     }
 }
 
-/// The far end of a link.
-trait FarEnd {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize>;
-}
-
-struct Datagram(UdpSocket, SocketAddr);
-
-impl FarEnd for Datagram {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.send_to(bytes, self.1)
-    }
-}
-
-struct Stream<W: Write>(W);
-
-impl<W: Write> FarEnd for Stream<W> {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.write(bytes)
-    }
-}
-
-struct Rig<L: Link, F: FarEnd> {
+/// A link, and what writes at its far end.
+struct Rig<L: Link, F: FnMut(&[u8]) -> std::io::Result<usize>> {
     link: L,
     far: F,
     received: Box<Datagrams>,
@@ -70,7 +49,7 @@ struct Rig<L: Link, F: FarEnd> {
     commands: u64,
 }
 
-impl<L: Link, F: FarEnd> Rig<L, F> {
+impl<L: Link, F: FnMut(&[u8]) -> std::io::Result<usize>> Rig<L, F> {
     fn new(link: L, far: F) -> Self {
         Self {
             link,
@@ -96,7 +75,7 @@ impl<L: Link, F: FarEnd> Rig<L, F> {
 
     fn say(&mut self, mut bytes: &[u8]) {
         while !bytes.is_empty() {
-            match self.far.write(bytes) {
+            match (self.far)(bytes) {
                 Ok(len) => bytes = &bytes[len..],
                 Err(e) if e.kind() == ErrorKind::WouldBlock => {}
                 Err(e) => panic!("{e}"),
@@ -118,11 +97,6 @@ impl<L: Link, F: FarEnd> Rig<L, F> {
 }
 
 fn command(random: &mut Random) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: 255,
-        component_id: 190,
-        sequence: random.next() as u8,
-    };
     let engage = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
         target_system: 1,
         target_component: 191,
@@ -130,9 +104,7 @@ fn command(random: &mut Random) -> Vec<u8> {
         param1: 1.0,
         ..COMMAND_LONG_DATA::DEFAULT
     });
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, &engage, &mut out).unwrap();
-    out[..len].to_vec()
+    encode((255, 190), random.next() as u8, &engage)
 }
 
 fn resident_bytes() -> u64 {
@@ -141,7 +113,8 @@ fn resident_bytes() -> u64 {
 }
 
 /// Fuzzes a link whose gate has the key or is open.
-fn fuzz<L: Link, F: FarEnd>(mut rig: Rig<L, F>, has_key: bool) {
+fn fuzz(link: impl Link, far: impl FnMut(&[u8]) -> std::io::Result<usize>, has_key: bool) {
+    let mut rig = Rig::new(link, far);
     let mut random = Random(0x9E37_79B9_7F4A_7C15);
     let mut signing = Signing::new(KEY, 1, SigningMemory::default());
     let mut out = [0; MAX_PACKET_LEN + SIGNATURE_LEN];
@@ -219,8 +192,8 @@ fn udp_is_fuzzed() {
     for has_key in [true, false] {
         let link = UdpLink::open(&LinkUrl::UdpIn(loopback()), PeerRule::Anyone, gate(has_key)).unwrap();
         let address = link.local_address().unwrap();
-        let far = Datagram(UdpSocket::bind(loopback()).unwrap(), address);
-        fuzz(Rig::new(link, far), has_key);
+        let far = UdpSocket::bind(loopback()).unwrap();
+        fuzz(link, |bytes| far.send_to(bytes, address), has_key);
     }
 }
 
@@ -228,9 +201,9 @@ fn udp_is_fuzzed() {
 fn tcp_is_fuzzed() {
     for has_key in [true, false] {
         let link = TcpLink::open(&LinkUrl::TcpIn(loopback()), PeerRule::Anyone, gate(has_key)).unwrap();
-        let far = TcpStream::connect(link.local_address().unwrap()).unwrap();
+        let mut far = TcpStream::connect(link.local_address().unwrap()).unwrap();
         far.set_nonblocking(true).unwrap();
-        fuzz(Rig::new(link, Stream(far)), has_key);
+        fuzz(link, |bytes| far.write(bytes), has_key);
     }
 }
 
@@ -243,6 +216,6 @@ fn a_serial_line_is_fuzzed() {
             baud: 921_600,
         };
         let link = SerialLink::open(&url, gate(has_key)).unwrap();
-        fuzz(Rig::new(link, Stream(&line.master)), has_key);
+        fuzz(link, |bytes| (&line.master).write(bytes), has_key);
     }
 }

@@ -12,9 +12,8 @@ use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::links::{LinkError, PeerRule, SerialLink, TcpLink};
 use vigil_firmware::ports::router::RoutedLinks;
-use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavAutopilot, MavMessage};
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, serialize};
+use vigil_mavlink::framing::{FramingCounters, StreamFramer, encode};
 use vigil_types::{Datagrams, Nanos};
 
 const SECOND: Nanos = 1_000_000_000;
@@ -25,19 +24,12 @@ fn loopback() -> SocketAddr {
 }
 
 fn packet(sequence: u8) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: 1,
-        component_id: 1,
-        sequence,
-    };
     let message = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
         autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
         mavlink_version: 3,
         ..HEARTBEAT_DATA::DEFAULT
     });
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, &message, &mut out).unwrap();
-    out[..len].to_vec()
+    encode((1, 1), sequence, &message)
 }
 
 fn heard(link: &mut impl Link, now_ns: Nanos) -> Vec<Vec<u8>> {

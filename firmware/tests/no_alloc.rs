@@ -17,11 +17,10 @@ use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
-use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{
     GPS_GLOBAL_ORIGIN_DATA, MavMessage, MavParamType, PARAM_SET_DATA, POSITION_TARGET_GLOBAL_INT_DATA,
 };
-use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+use vigil_mavlink::framing::encode;
 use vigil_nnet::Purpose;
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Network, PolicyInputs};
 use vigil_types::{Duty, GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
@@ -212,16 +211,7 @@ fn places(step: u64) -> [Vec<u8>; 2] {
         lon_int: longitude,
         ..POSITION_TARGET_GLOBAL_INT_DATA::DEFAULT
     });
-    [origin, place].map(|message| {
-        let header = MavHeader {
-            system_id: SYSTEM_ID.into(),
-            component_id: 1,
-            sequence: 0,
-        };
-        let mut packet = [0; MAX_PACKET_LEN];
-        let len = serialize(header, &message, &mut packet).unwrap();
-        packet[..len].to_vec()
-    })
+    [origin, place].map(|message| encode((SYSTEM_ID, 1), 0, &message))
 }
 
 #[test]
@@ -315,7 +305,5 @@ fn set_goal_radius() -> Vec<u8> {
         param_value: 2.5,
         param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
     });
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(MavHeader::default(), &message, &mut out).unwrap();
-    out[..len].to_vec()
+    encode((255, 0), 0, &message)
 }

@@ -13,9 +13,8 @@ use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::handed::{HandedClock, HandedFrame};
 use vigil_firmware::ports::router::RoutedLinks;
 use vigil_firmware::step::Firmware;
-use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, serialize};
+use vigil_mavlink::framing::{FramingCounters, StreamFramer, encode};
 use vigil_types::{GuidanceState, Nanos, Reason, STEP_NS, StepTiming};
 
 /// 20 000 datagrams a second.
@@ -24,14 +23,7 @@ const PER_STEP: usize = 1000;
 const STRANGERS: usize = 12;
 
 fn packet(from: (u8, u8), message: &MavMessage) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: from.0.into(),
-        component_id: from.1,
-        sequence: 0,
-    };
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, message, &mut out).unwrap();
-    out[..len].to_vec()
+    encode(from, 0, message)
 }
 
 /// What strangers send: one byte, garbage, MAVLink of no vehicle, heartbeats of another vehicle's autopilot.

@@ -3,11 +3,10 @@
 use std::net::{SocketAddr, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
-use vigil_firmware::ports::gate::SigningGate;
+use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::links::{LinkError, PeerRule, UdpLink};
-use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavMessage, MavType};
-use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+use vigil_mavlink::framing::encode as packet;
 use vigil_types::{Datagrams, Nanos};
 
 const SECOND: Nanos = 1_000_000_000;
@@ -20,17 +19,6 @@ const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
 
 fn listening() -> UdpLink {
     UdpLink::open(&LinkUrl::UdpIn(loopback()), VEHICLE, SigningGate::open()).unwrap()
-}
-
-fn packet((system_id, component_id): (u8, u8), sequence: u8, message: &MavMessage) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: system_id.into(),
-        component_id,
-        sequence,
-    };
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, message, &mut out).unwrap();
-    out[..len].to_vec()
 }
 
 /// A heartbeat as of this autopilot.
@@ -135,6 +123,14 @@ fn who_is_no_vehicle_does_not_become_the_peer_whatever_he_sends() {
         say(&mut link, b"setpoint");
         assert!(answer(&vehicle_end).is_some());
     }
+    // Where all must sign, who cannot is no vehicle.
+    let gate = SigningGate::new(None, AllowUnsigned::Never);
+    let mut link = UdpLink::open(&LinkUrl::UdpIn(loopback()), VEHICLE, gate).unwrap();
+    let stranger = caller(&link);
+    stranger.send(&vehicle(0)).unwrap();
+    assert!(heard(&mut link, SECOND).is_empty());
+    say(&mut link, b"setpoint");
+    assert_eq!(answer(&stranger), None);
 }
 
 #[test]

@@ -59,6 +59,17 @@ pub enum Ending {
     Crashed,
 }
 
+impl Ending {
+    /// How a flight ended by the simulator's word; `None` where it arrived nowhere and touched nothing.
+    pub fn of(outcome: Option<&str>) -> Option<Self> {
+        match outcome? {
+            "success" => Some(Self::Arrived),
+            "collision" | "out of bounds" => Some(Self::Collided),
+            _ => None,
+        }
+    }
+}
+
 /// A trial's ending and, if there was one, what was not as it must be.
 #[derive(Debug, Clone)]
 pub struct Trial {

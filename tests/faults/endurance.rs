@@ -10,13 +10,13 @@ use std::fmt::Write as _;
 use std::net::UdpSocket;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_firmware::FirmwareConfig;
 use vigil_sim::program::Status;
 use vigil_sim::world::{Course, World};
-use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_tests::Running;
+use vigil_sim::{SimConfig, Start};
 use vigil_tests::ground::{Request, STATION, packet};
-use vigil_types::{Datagrams, DepthFrame, GuidanceState, NedVector, Reason, Reasons, STEP_S};
+use vigil_tests::{Pair, Running};
+use vigil_types::{GuidanceState, NedVector, Reason, Reasons, STEP_S};
 
 /// The ring's course.
 pub const ORBIT: &str = include_str!("orbit.toml");
@@ -270,10 +270,7 @@ pub fn lockstep(duration_s: f64, seed: u64, folder: &Folder, stop: &AtomicBool) 
     let mut operator = Operator::default();
     let first = operator.goal();
     let firmware_config = FirmwareConfig::to_goal(NedVector::new(first[0], first[1], -HEIGHT_M));
-    let mut simulator = Simulator::new(&config, 0)?;
-    let mut firmware = LockstepFirmware::new(&firmware_config)?;
-    let mut frame = Box::new(DepthFrame::EMPTY);
-    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut pair = Pair::of(&config, &firmware_config);
     let mut memory = Memory::new("all of it", duration_s);
     let (mut collisions, mut touching, mut sequence) = (0, false, 0_u8);
     let steps = (duration_s / f64::from(STEP_S)).round() as u64;
@@ -281,15 +278,16 @@ pub fn lockstep(duration_s: f64, seed: u64, folder: &Folder, stop: &AtomicBool) 
     let mut request = None;
     let mut step = 0;
     while step < steps && !stop.load(Ordering::Relaxed) {
-        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        pair.simulate();
         if let Some(request) = Option::<Request>::take(&mut request) {
             sequence = sequence.wrapping_add(1);
-            to_firmware.push(0, &packet(STATION, sequence, &request.message(1)));
+            pair.to_firmware
+                .push(0, &packet(STATION, sequence, &request.message(1)));
         }
-        let report = firmware.step(simulator.now_ns(), Some(&frame), &to_firmware, &mut from_firmware);
+        let report = pair.decide(true);
         let now_s = step as f64 * f64::from(STEP_S);
         request = operator.look(now_s, report.state, report.reasons);
-        let touches = simulator.obstacle_distance_m() < RADIUS_M;
+        let touches = pair.simulator.obstacle_distance_m() < RADIUS_M;
         collisions += u64::from(touches && !touching);
         touching = touches;
         step += 1;
@@ -302,7 +300,7 @@ pub fn lockstep(duration_s: f64, seed: u64, folder: &Folder, stop: &AtomicBool) 
                 step / per_hour,
                 begun.elapsed().as_secs_f64(),
                 operator.goals,
-                simulator.state_hash(),
+                pair.simulator.state_hash(),
                 memory.end_kib
             ));
         }
@@ -315,7 +313,7 @@ pub fn lockstep(duration_s: f64, seed: u64, folder: &Folder, stop: &AtomicBool) 
         steps: step,
         operator,
         collisions,
-        state_hash: Some(format!("{:016x}", simulator.state_hash())),
+        state_hash: Some(format!("{:016x}", pair.simulator.state_hash())),
         firmware_said: Vec::new(),
         memory: vec![memory],
         interrupted: step < steps,

@@ -7,12 +7,10 @@ use std::path::Path;
 use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::program::Status;
 use vigil_sim::world::{Family, Outcome, generate};
-use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_tests::Running;
-use vigil_types::{Datagrams, DepthFrame, NedVector, STEP_NS};
+use vigil_tests::{Pair, Running};
+use vigil_types::{NedVector, STEP_NS};
 
 /// A program that says nothing for so long is not coming.
 const SILENCE: Duration = Duration::from_secs(20);
@@ -208,101 +206,59 @@ impl Flight {
 }
 
 /// How the flight of a seed ends in lockstep with nothing done to it: the pilots' own collisions are told apart.
-///
-/// # Errors
-/// A configuration that is refused.
-fn collides_by_itself(seed: u64) -> Result<bool> {
-    let mut config = SimConfig::new(generate(Family::Validation, seed), seed);
-    config.start = Start::Airborne;
-    let mut simulator = Simulator::new(&config, 0)?;
-    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(config.course.goal_ned_m()))?;
-    let mut frame = Box::new(DepthFrame::EMPTY);
-    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+fn collides_by_itself(seed: u64) -> bool {
+    let mut pair = Pair::new(Family::Validation, seed);
     for _ in 0..(FLIGHT_LIMIT.as_nanos() as u64 / STEP_NS) {
-        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
-        firmware.step(simulator.now_ns(), Some(&frame), &to_firmware, &mut from_firmware);
-        if simulator.ending().is_some() {
+        pair.simulate();
+        pair.decide(true);
+        if pair.simulator.ending().is_some() {
             break;
         }
     }
-    let bad = |outcome| matches!(outcome, Outcome::Collision | Outcome::OutOfBounds);
-    Ok(simulator.ending().is_some_and(|ending| bad(ending.outcome)))
+    let outcome = pair.simulator.ending().map(|ending| ending.outcome);
+    Ending::of(outcome.map(Outcome::name)) == Some(Ending::Collided)
 }
 
 /// The seeds of trials that collided, and which of them do with nothing done to the flight, in words.
-///
-/// # Errors
-/// A configuration that is refused.
-pub fn collided_anyway<'a>(trials: impl Iterator<Item = (&'a Trial, u64)>) -> Result<String> {
+pub fn collided_anyway<'a>(trials: impl Iterator<Item = (&'a Trial, u64)>) -> String {
     let mut told = String::new();
     for (_, seed) in trials.filter(|(trial, _)| trial.ending == Ending::Collided) {
         let separator = if told.is_empty() { "collided: seed" } else { "," };
-        let anyway = if collides_by_itself(seed)? {
+        let anyway = if collides_by_itself(seed) {
             " (without the fault too)"
         } else {
             ""
         };
         told += &format!("{separator} {seed}{anyway}");
     }
-    Ok(told)
+    told
 }
 
 fn start_simulator(instance: u32, seed: u64, extra: &[String], diagnostics: Stdio) -> Running {
-    let (instance, seed) = (instance.to_string(), seed.to_string());
-    let mut arguments = vec![
-        "sim",
-        "--status",
-        "--airborne",
-        "--instance",
-        &instance,
-        "--seed",
-        &seed,
-    ];
-    arguments.extend(extra.iter().map(String::as_str));
-    Running::start_saying(&arguments, diagnostics)
+    let line = format!("sim --status --airborne --instance {instance} --seed {seed}");
+    start(&line, extra, diagnostics)
 }
 
 fn start_firmware(instance: u32, goal: NedVector, extra: &[String], diagnostics: Stdio) -> Running {
-    let (instance, height) = (instance.to_string(), (-goal.z).to_string());
-    let goal = format!("--goal={},{}", goal.x, goal.y);
-    let mut arguments = vec![
-        "firmware",
-        "--instance",
-        &instance,
-        "--engage",
-        "auto",
-        &goal,
-        "--height",
-        &height,
-    ];
-    arguments.extend(extra.iter().map(String::as_str));
-    Running::start_saying(&arguments, diagnostics)
+    let to = to_goal(goal);
+    let line = format!("firmware --instance {instance} --engage auto {to}");
+    start(&line, extra, diagnostics)
 }
 
 /// Passes frames on; one of them is altered by less than the sensor's noise.
 fn start_adversary(instance: u32, seed: u64, goal: NedVector, diagnostics: Stdio) -> Running {
-    let (instance, seed, height) = (instance.to_string(), seed.to_string(), (-goal.z).to_string());
-    let goal = format!("--goal={},{}", goal.x, goal.y);
-    let own = [
-        "adversary",
-        "--instance",
-        &instance,
-        "--seed",
-        &seed,
-        &goal,
-        "--height",
-        &height,
-    ];
-    let least = [
-        "--attack",
-        "noise",
-        "--epsilon",
-        "0.01",
-        "--iterations",
-        "1",
-        "--burst",
-        "1",
-    ];
-    let arguments = [&own[..], &least].concat();
+    let to = to_goal(goal);
+    let least = "--attack noise --epsilon 0.01 --iterations 1 --burst 1";
+    let line = format!("adversary --instance {instance} --seed {seed} {to} {least}");
+    start(&line, &[], diagnostics)
+}
+
+fn to_goal(goal: NedVector) -> String {
+    format!("--goal={},{} --height {}", goal.x, goal.y, -goal.z)
+}
+
+/// Starts `vigil` with the arguments of a line, and more.
+fn start(line: &str, extra: &[String], diagnostics: Stdio) -> Running {
+    let arguments: Vec<&str> = line.split(' ').chain(extra.iter().map(String::as_str)).collect();
     Running::start_saying(&arguments, diagnostics)
 }

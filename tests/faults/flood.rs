@@ -365,13 +365,11 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
         let gap = gaps_ns.get(((gaps_ns.len().max(1) - 1) as f64 * share) as usize);
         gap.map_or(0.0, |gap| *gap as f64 * 1e-6)
     };
-    let outcome = flight.last().and_then(|s| s.outcome.clone());
-    let ending = match outcome.as_deref() {
-        Some("success") => Ending::Arrived,
-        Some("collision" | "out of bounds") => Ending::Collided,
-        _ if flight.simulator.is_running() => Ending::TimeOut,
-        _ => Ending::Crashed,
-    };
+    let ending = Ending::of(flight.last().and_then(|s| s.outcome.as_deref()));
+    let ending = ending.unwrap_or(match flight.simulator.is_running() {
+        true => Ending::TimeOut,
+        false => Ending::Crashed,
+    });
     let said = said?;
     let missed = said.iter().find_map(|line| missed_steps(line));
     let limit_ns = if site.quick { LOST_NS } else { LATE_NS };

@@ -3,12 +3,10 @@
 use crate::campaign::{Draw, Ending, Folder, Row, Trial, in_lockstep, spread, tell};
 use crate::flight::{Site, collided_anyway};
 use anyhow::Result;
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_sim::world::{Family, Outcome, generate};
-use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_sim::world::Family;
+use vigil_tests::Pair;
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_PIXELS, Datagrams, DepthFrame, GuidanceState, NedVector, Reason, Reasons, STEP_NS,
-    STEP_S,
+    Attitude, DEPTH_COLS, DEPTH_PIXELS, DepthFrame, GuidanceState, NedVector, Reason, Reasons, STEP_NS, STEP_S,
 };
 
 /// Steps of hostile frames.
@@ -187,30 +185,25 @@ struct Flown {
     seed: u64,
 }
 
-fn fly(kind: &Kind, seed: u64) -> Result<Flown> {
+fn fly(kind: &Kind, seed: u64) -> Flown {
     let mut draw = Draw::new(seed);
     let onset = draw.below(160) as u64 + 10;
-    let mut config = SimConfig::new(generate(Family::Validation, seed), seed);
-    config.start = Start::Airborne;
-    let mut simulator = Simulator::new(&config, 0)?;
-    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(config.course.goal_ned_m()))?;
-    let mut frame = Box::new(DepthFrame::EMPTY);
-    let (mut good, mut before, mut first) = (frame.clone(), frame.clone(), frame.clone());
-    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut pair = Pair::new(Family::Validation, seed);
+    let (mut good, mut before, mut first) = (pair.frame.clone(), pair.frame.clone(), pair.frame.clone());
     let (mut guided, mut hostile) = (0, 0);
     let mut held_after = None;
     let mut reasons = Reasons::NONE;
     let mut wrong = None;
     let mut last = GuidanceState::Standby;
     for _ in 0..FLIGHT_STEPS {
-        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
-        let now_ns = simulator.now_ns();
-        good.clone_from(&frame);
+        pair.simulate();
+        let now_ns = pair.simulator.now_ns();
+        good.clone_from(&pair.frame);
         let is_hostile = guided >= onset && hostile < HOSTILE_STEPS;
         let mut arrives = true;
         if is_hostile {
             if hostile == 0 {
-                first.clone_from(&frame);
+                first.clone_from(&pair.frame);
             }
             hostile += 1;
             let mut seen = Seen {
@@ -219,9 +212,9 @@ fn fly(kind: &Kind, seed: u64) -> Result<Flown> {
                 now_ns,
                 draw: &mut draw,
             };
-            arrives = (kind.make)(&mut frame, &mut seen);
+            arrives = (kind.make)(&mut pair.frame, &mut seen);
         }
-        let report = *firmware.step(now_ns, arrives.then_some(&*frame), &to_firmware, &mut from_firmware);
+        let report = pair.decide(arrives);
         core::mem::swap(&mut before, &mut good);
         guided += u64::from(report.state == GuidanceState::Guided);
         last = report.state;
@@ -236,7 +229,7 @@ fn fly(kind: &Kind, seed: u64) -> Result<Flown> {
                 }
             }
         }
-        if simulator.ending().is_some() {
+        if pair.simulator.ending().is_some() {
             break;
         }
     }
@@ -254,17 +247,16 @@ fn fly(kind: &Kind, seed: u64) -> Result<Flown> {
             format!("{}, seed {seed}: held {when} ({})", kind.name, named())
         });
     }
-    let ending = match simulator.ending().map(|ending| ending.outcome) {
-        Some(Outcome::Success) => Ending::Arrived,
-        Some(Outcome::Collision | Outcome::OutOfBounds) => Ending::Collided,
-        _ if last == GuidanceState::Hold => Ending::Held,
+    let outcome = pair.simulator.ending().map(|ending| ending.outcome.name());
+    let ending = Ending::of(outcome).unwrap_or(match last {
+        GuidanceState::Hold => Ending::Held,
         _ => Ending::TimeOut,
-    };
-    Ok(Flown {
+    });
+    Flown {
         trial: Trial { ending, wrong },
         hold_s: held_after.map(|steps| steps as f64 * f64::from(STEP_S)),
         seed,
-    })
+    }
 }
 
 /// The rows of all kinds.
@@ -301,12 +293,11 @@ pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
         let flown = in_lockstep(site, chosen.len() * trials, |number, seed| {
             fly(chosen[number / trials], seed)
         });
-        let flown: Vec<Flown> = flown.into_iter().collect::<Result<_>>()?;
         let trials: Vec<Trial> = flown.iter().map(|flown| flown.trial.clone()).collect();
         let holds = flown.iter().filter_map(|flown| flown.hold_s).collect();
         let mut measured = format!("{} kinds", chosen.len());
         let seeds = flown.iter().map(|flown| (&flown.trial, flown.seed));
-        let again = collided_anyway(seeds)?;
+        let again = collided_anyway(seeds);
         for text in [spread("hold after", "s", holds), again] {
             if !text.is_empty() {
                 measured += &format!("; {text}");

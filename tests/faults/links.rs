@@ -9,16 +9,17 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use vigil_autopilot::{EndpointConfig, LinkId};
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::MAX_PACKET_LEN;
 use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
 use vigil_sim::world::{Family, Outcome, generate};
-use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_sim::{SimConfig, Start};
+use vigil_tests::Pair;
 use vigil_tests::ground::packet;
-use vigil_types::{Datagrams, DepthFrame, NedVector};
+use vigil_types::NedVector;
 
 /// A flight that has not ended after this has not arrived: two minutes.
 const FLIGHT_STEPS: u64 = 2400;
@@ -46,32 +47,26 @@ fn setpoint(number: u64) -> MavMessage {
 }
 
 /// How a flight in lockstep ended, where, and the foreign setpoints refused.
-fn spoofed(seed: u64, by: &[(u8, LinkId, u64)]) -> Result<(Option<Outcome>, NedVector, u64)> {
+fn spoofed(seed: u64, by: &[(u8, LinkId, u64)]) -> (Option<Outcome>, NedVector, u64) {
     let mut config = SimConfig::new(generate(Family::Validation, seed), seed);
     config.start = Start::Airborne;
     config.endpoint = EndpointConfig::default();
-    let mut simulator = Simulator::new(&config, 0)?;
-    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(config.course.goal_ned_m()))?;
-    let mut frame = Box::new(DepthFrame::EMPTY);
-    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut pair = Pair::of(&config, &FirmwareConfig::to_goal(config.course.goal_ned_m()));
     for step in 0..FLIGHT_STEPS {
-        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
-        firmware.step(simulator.now_ns(), Some(&frame), &to_firmware, &mut from_firmware);
+        pair.simulate();
+        pair.decide(true);
         // From the second second on: whoever is first would be somebody's guidance computer.
         for (component, link, end) in by.iter().filter(|_| step > 40) {
             let bytes = packet((1, *component), step as u8, &setpoint(step));
-            simulator.receive_from(link.0, *end, &bytes);
+            pair.simulator.receive_from(link.0, *end, &bytes);
         }
-        if simulator.ending().is_some() {
+        if pair.simulator.ending().is_some() {
             break;
         }
     }
-    let refused = simulator.status().refusals.setpoint_foreign;
-    Ok((
-        simulator.ending().map(|e| e.outcome),
-        simulator.truth().position_ned_m,
-        refused,
-    ))
+    let (simulator, refused) = (&pair.simulator, pair.simulator.status().refusals.setpoint_foreign);
+    let outcome = simulator.ending().map(|ending| ending.outcome);
+    (outcome, simulator.truth().position_ned_m, refused)
 }
 
 /// The row of spoofed setpoints: the same flights, bit for bit, as without them.
@@ -80,19 +75,12 @@ fn spoofed(seed: u64, by: &[(u8, LinkId, u64)]) -> Result<(Option<Outcome>, NedV
 /// A configuration that is refused.
 pub fn spoofing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     let flights = if site.quick { 1 } else { 20 };
-    let flown = in_lockstep(site, flights, |_, seed| {
-        Ok::<_, anyhow::Error>((spoofed(seed, &[])?, spoofed(seed, &CLAIMANTS)?))
-    });
+    let flown = in_lockstep(site, flights, |_, seed| (spoofed(seed, &[]), spoofed(seed, &CLAIMANTS)));
     let mut refused = 0;
     let mut trials = Vec::new();
-    for (number, pair) in flown.into_iter().enumerate() {
-        let (alone, (outcome, position, count)) = pair?;
+    for (number, (alone, (outcome, position, count))) in flown.into_iter().enumerate() {
         refused += count;
-        let ending = match outcome {
-            Some(Outcome::Success) => Ending::Arrived,
-            Some(Outcome::Collision | Outcome::OutOfBounds) => Ending::Collided,
-            _ => Ending::TimeOut,
-        };
+        let ending = Ending::of(outcome.map(Outcome::name)).unwrap_or(Ending::TimeOut);
         trials.push(match (alone.0, alone.1) == (outcome, position) && count > 0 {
             true => Trial::right(ending),
             false => Trial::wrong(
@@ -318,11 +306,9 @@ fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u6
             changed.push(file.file_name().unwrap_or_default().to_string_lossy().into_owned());
         }
     }
-    let ending = match outcome.as_deref() {
-        _ if !fallen.is_empty() => Ending::Crashed,
-        Some("success") => Ending::Arrived,
-        Some("collision" | "out of bounds") => Ending::Collided,
-        _ => Ending::TimeOut,
+    let ending = match fallen.is_empty() {
+        true => Ending::of(outcome.as_deref()).unwrap_or(Ending::TimeOut),
+        false => Ending::Crashed,
     };
     let wrong = match (flown, said) {
         (Err(error), _) | (_, Err(error)) => Some(format!("{error:#}")),

@@ -22,7 +22,7 @@ use vigil_sensors::Mount;
 use vigil_sensors::adapters::{OusterAdapter, OusterDevice};
 use vigil_sim::world::{Course, Family, Outcome, World, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_tests::{PATIENCE, run, said, vigil};
+use vigil_tests::{PATIENCE, refused, run, run_line, said, text, vigil};
 use vigil_types::{Attitude, Datagrams, DepthFrame, FrdVector, NedVector, STEP_NS};
 
 /// A wall across the way, 4 m ahead of the start.
@@ -44,9 +44,9 @@ struct Adapter {
 }
 
 impl Adapter {
-    fn start(arguments: &[&str]) -> Self {
+    fn start(arguments: &str) -> Self {
         let mut child = Command::new(vigil())
-            .args(arguments)
+            .args(arguments.split_whitespace())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -173,22 +173,17 @@ fn recorded(folder: &Path) -> (PathBuf, Vec<Vec<u8>>) {
     (metadata, device.turn(&world, pose, 0, 100_000_000_000))
 }
 
+/// Arguments of an adapter for a scanner that stands still.
+fn ouster(metadata: &Path, port: u16, instance: u32) -> String {
+    let metadata = text(metadata);
+    format!("sensor ouster --metadata {metadata} --listen 127.0.0.1:{port} --still 1.5 --instance {instance}")
+}
+
 #[test]
 fn a_scanners_packets_over_udp_are_frames_that_the_check_accepts() {
     let folder = tempfile::tempdir().expect("a folder");
     let (metadata, turn) = recorded(folder.path());
-    let adapter = Adapter::start(&[
-        "sensor",
-        "ouster",
-        "--metadata",
-        metadata.to_str().expect("UTF-8"),
-        "--listen",
-        "127.0.0.1:17502",
-        "--still",
-        "1.5",
-        "--instance",
-        "61",
-    ]);
+    let adapter = Adapter::start(&ouster(&metadata, 17_502, 61));
     let view = adapter.wait_for("view ");
     // 64 beams lie 0.94° apart: the outermost row of pixels may have none.
     assert!(
@@ -221,35 +216,13 @@ fn a_scanners_packets_over_udp_are_frames_that_the_check_accepts() {
 fn a_second_adapter_and_metadata_that_cannot_be_used_are_refused_with_what_to_do() {
     let folder = tempfile::tempdir().expect("a folder");
     let (metadata, _) = recorded(folder.path());
-    let metadata = metadata.to_str().expect("UTF-8");
-    let adapter = |listen: &'static str| {
-        vec![
-            "sensor",
-            "ouster",
-            "--metadata",
-            metadata,
-            "--listen",
-            listen,
-            "--still",
-            "1.5",
-            "--instance",
-            "62",
-        ]
-    };
-    let first = Adapter::start(&adapter("127.0.0.1:17503"));
+    let first = Adapter::start(&ouster(&metadata, 17_503, 62));
     first.wait_for("frames ");
-    let second = run(&adapter("127.0.0.1:17504"));
-    assert_eq!(second.status.code(), Some(1));
-    assert!(said(&second).contains("already publishes"), "{}", said(&second));
-    let text = std::fs::read_to_string(metadata).expect("it is there");
-    std::fs::write(metadata, text.replace("LEGACY", "RNG19_RFL8_SIG16_NIR16")).expect("written");
-    let other = run(&adapter("127.0.0.1:17505"));
-    assert_eq!(other.status.code(), Some(1));
-    assert!(
-        said(&other).contains("set udp_profile_lidar to LEGACY"),
-        "{}",
-        said(&other)
-    );
+    refused(&run_line(&ouster(&metadata, 17_504, 62)), &["already publishes"]);
+    let text = std::fs::read_to_string(&metadata).expect("it is there");
+    std::fs::write(&metadata, text.replace("LEGACY", "RNG19_RFL8_SIG16_NIR16")).expect("written");
+    let other = run_line(&ouster(&metadata, 17_505, 62));
+    refused(&other, &["set udp_profile_lidar to LEGACY"]);
 }
 
 #[test]
@@ -279,23 +252,10 @@ fn a_cameras_recorded_stream_is_published_and_its_broken_end_is_named() {
     recording.truncate(200 * bytes - 100);
     let path = folder.path().join("wall.z16");
     std::fs::write(&path, recording).expect("written");
-    let adapter = Adapter::start(&[
-        "sensor",
-        "z16",
-        path.to_str().expect("UTF-8"),
-        "--size",
-        "160,90",
-        "--focal",
-        "84,84",
-        "--centre",
-        "79.5,44.5",
-        "--rate",
-        "30",
-        "--still",
-        "1.5",
-        "--instance",
-        "63",
-    ]);
+    let adapter = Adapter::start(&format!(
+        "sensor z16 {} --size 160,90 --focal 84,84 --centre 79.5,44.5 --rate 30 --still 1.5 --instance 63",
+        text(&path)
+    ));
     adapter.wait_for("warning: where the device does not look");
     let (_, findings) = check(63, &["--wall", "4"]);
     assert!(
@@ -411,12 +371,8 @@ fn a_driver_in_c_is_accepted_with_a_key_and_without_and_says_what_is_wrong() {
         return;
     };
     accepted(&program, 64, folder.path());
-    let output = Command::new(&program)
-        .args(["64", "1", "/no/such.key"])
-        .output()
-        .expect("it starts");
-    assert_eq!(output.status.code(), Some(1));
-    assert!(said(&output).contains("/no/such.key"), "{}", said(&output));
+    let output = Command::new(&program).args(["64", "1", "/no/such.key"]).output();
+    refused(&output.expect("it starts"), &["/no/such.key"]);
     let output = Command::new(&program).args(["100", "1"]).output().expect("it starts");
     assert!(said(&output).contains("from 0 to 99"), "{}", said(&output));
 }

@@ -4,31 +4,15 @@
 use rustix::process::Signal;
 use serde_json::Value;
 use std::path::Path;
-use vigil_tests::{Running, run, run_in, run_line, said};
+use vigil_tests::{Running, json, run, run_in, run_line, said, succeed, text};
 
 /// Seeds and flights of a small campaign of the actor.
 fn campaign(folder: &Path, name: &str, arguments: &[&str]) -> Vec<Value> {
-    let json = folder.join(name);
-    let json = json.to_str().expect("a UTF-8 path");
-    let common = [
-        "evaluate",
-        "--pilot",
-        "actor",
-        "--apf",
-        "off",
-        "--detector",
-        "off",
-        "--flights",
-        "2",
-        "--seed",
-        "60",
-        "--json",
-        json,
-    ];
-    let output = run(&[&common, arguments].concat());
-    assert!(output.status.success(), "{}", said(&output));
-    let report: Value = serde_json::from_str(&std::fs::read_to_string(json).expect("a report")).expect("JSON");
-    report["flights"].as_array().expect("flights").clone()
+    let file = folder.join(name);
+    let common = "evaluate --pilot actor --apf off --detector off --flights 2 --seed 60 --json";
+    let common: Vec<&str> = common.split(' ').chain([text(&file)]).collect();
+    succeed(&run(&[&common, arguments].concat()));
+    json(&file)["flights"].as_array().expect("flights").clone()
 }
 
 #[test]
@@ -60,11 +44,11 @@ fn an_attacked_campaign_is_the_same_on_any_number_of_threads_and_says_what_was_a
 fn against_one_who_knows_the_detector(folder: &Path, guard: &str) -> (String, u32, u32) {
     let detector = concat!(env!("CARGO_MANIFEST_DIR"), "/../detector/frozen/lstm_ad.safetensors");
     let folder = folder.join(guard);
-    let output = run_line(&format!(
-        "attack defended --arms recover --flights 1 --seed 5000 --burst continuous --epsilon 2 --iterations 5 --evade {detector} --guard {guard} --output {}",
-        folder.to_str().expect("a UTF-8 path")
-    ));
-    assert!(output.status.success(), "{}", said(&output));
+    succeed(&run_line(&format!(
+        "attack defended --arms recover --flights 1 --seed 5000 --burst continuous --epsilon 2 --iterations 5 \
+         --evade {detector} --guard {guard} --output {}",
+        text(&folder)
+    )));
     let table = std::fs::read_to_string(folder.join("defended.csv")).expect("the flights");
     let lines: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
     let [names, flight] = &lines[..] else {
@@ -90,22 +74,16 @@ fn who_deceives_the_detector_too_still_does_not_fly_the_vehicle_into_an_obstacle
 fn an_attack_that_cannot_be_is_refused_by_name_and_leaves_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     for (arguments, wanted) in [
+        ("evaluate --attack bim-clipped --epsilon 0", "epsilon must be above 0"),
+        ("evaluate --attack bim-clipped --iterations 0", "at least one iteration"),
+        ("evaluate --epsilon 2", "--attack"),
         (
-            vec!["evaluate", "--attack", "bim-clipped", "--epsilon", "0"],
-            "epsilon must be above 0",
-        ),
-        (
-            vec!["evaluate", "--attack", "bim-clipped", "--iterations", "0"],
-            "at least one iteration",
-        ),
-        (vec!["evaluate", "--epsilon", "2"], "--attack"),
-        (
-            vec!["evaluate", "--attack", "pgd", "--attack-actor", "missing.safetensors"],
+            "evaluate --attack pgd --attack-actor missing.safetensors",
             "missing.safetensors",
         ),
-        (vec!["adversary", "--goal", "20,5"], "--attack METHOD"),
+        ("adversary --goal 20,5", "--attack METHOD"),
     ] {
-        let output = run_in(folder.path(), &arguments);
+        let output = run_in(folder.path(), &arguments.split(' ').collect::<Vec<_>>());
         assert!(!output.status.success());
         assert!(said(&output).contains(wanted), "{arguments:?}: {}", said(&output));
     }
@@ -115,28 +93,14 @@ fn an_attack_that_cannot_be_is_refused_by_name_and_leaves_nothing() {
 #[test]
 fn a_live_adversary_alters_what_the_firmware_believes_and_its_death_makes_the_vehicle_hold() {
     let adversary = || {
-        Running::start(&[
-            "adversary",
-            "--instance",
-            "87",
-            "--goal",
-            "18,4",
-            "--attack",
-            "bim-accumulating",
-            "--iterations",
-            "2",
-            "--burst",
-            "continuous",
-        ])
+        let how = "--attack bim-accumulating --iterations 2 --burst continuous";
+        Running::start_line(&format!("adversary --instance 87 --goal 18,4 {how}"))
     };
-    let (instance, course) = (["--instance", "87"], ["--seed", "11", "--family", "training"]);
-    let simulator = ["sim", "--status", "--airborne", "--frames", "depth-raw"];
-    let simulator = Running::start(&[&simulator[..], &instance, &course].concat());
+    let simulator =
+        Running::start_line("sim --status --airborne --frames depth-raw --instance 87 --seed 11 --family training");
     let first = adversary();
-    let firmware = [
-        "firmware", "--engage", "auto", "--goal", "18,4", "--height", "1.5", "--pilot", "actor",
-    ];
-    let mut firmware = Running::start(&[&firmware[..], &instance].concat());
+    let mut firmware =
+        Running::start_line("firmware --engage auto --goal 18,4 --height 1.5 --pilot actor --instance 87");
     simulator.wait_for_status("guided flight on delivered frames", |s| {
         s.guidance.as_deref() == Some("guided")
     });

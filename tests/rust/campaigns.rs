@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Output;
-use vigil_tests::{run, said, text};
+use vigil_tests::{ended, json, refused, run, succeed, text};
 
 /// Short flights in the wind.
 const FLIGHTS: [&str; 10] = [
@@ -28,17 +28,7 @@ fn fly(seed: &str, flights: &str, json: &Path, more: &[&str]) -> Output {
 }
 
 fn flown(seed: &str, flights: &str, json: &Path, more: &[&str]) -> String {
-    succeeded(&fly(seed, flights, json, more))
-}
-
-fn succeeded(output: &Output) -> String {
-    assert_eq!(output.status.code(), Some(0), "{}", said(output));
-    said(output)
-}
-
-fn refused(output: &Output, why: &str) {
-    assert_eq!(output.status.code(), Some(1), "{}", said(output));
-    assert!(said(output).contains(why), "not {why}: {}", said(output));
+    succeed(&fly(seed, flights, json, more))
 }
 
 fn merge(files: &[&Path], json: &Path) -> Output {
@@ -73,7 +63,7 @@ fn seeds_flown_on_three_machines_make_the_files_that_one_machine_writes_byte_for
     }
     let [a, b, c] = ["a.jsonl", "b.jsonl", "c.jsonl"].map(file);
     let whole = file("whole.json");
-    let words = succeeded(&merge(&[&b, &c, &a, &b], &whole));
+    let words = succeed(&merge(&[&b, &c, &a, &b], &whole));
     same(&file("one.json"), &whole, &["json", "jsonl"]);
     // The same table; only one machine knows how long it took.
     let rows = |words: &str| -> Vec<String> {
@@ -88,19 +78,19 @@ fn seeds_flown_on_three_machines_make_the_files_that_one_machine_writes_byte_for
     // Lines that were put together by other means.
     let joined = file("joined.jsonl");
     fs::write(&joined, [bytes(&c), bytes(&a), bytes(&b)].concat()).expect("written");
-    succeeded(&merge(&[&joined], &file("joined-whole.json")));
+    succeed(&merge(&[&joined], &file("joined-whole.json")));
     same(&whole, &file("joined-whole.json"), &["json", "jsonl"]);
 
     // What does not make a whole is refused, and the file that is there is kept.
     let before = bytes(&whole);
     refused(
         &merge(&[&a, &c], &whole),
-        "2 of 5 flights are missing: fly --seed 5 --flights 2",
+        &["2 of 5 flights are missing: fly --seed 5 --flights 2"],
     );
     flown("5", "2", &file("still.json"), &["--still"]);
     refused(
         &merge(&[&a, &file("still.jsonl"), &c], &whole),
-        "still was true, and is false",
+        &["still was true, and is false"],
     );
     let lines = fs::read_to_string(&b).expect("lines");
     let program = lines.split("\"program_sha256\":\"").nth(1).expect("a program")[..64].to_owned();
@@ -109,15 +99,15 @@ fn seeds_flown_on_three_machines_make_the_files_that_one_machine_writes_byte_for
         file(name)
     };
     let other = altered("program.jsonl", &program, &"0".repeat(64));
-    refused(&merge(&[&a, &other, &c], &whole), "program_sha256 was");
+    refused(&merge(&[&a, &other, &c], &whole), &["program_sha256 was"]);
     let other = altered("longer.jsonl", "\"steps\":", "\"steps\":1");
     refused(
         &merge(&[&a, &b, &other, &c], &whole),
-        "contradicts an earlier flight of seed 5",
+        &["contradicts an earlier flight of seed 5"],
     );
     let other = altered("cut.jsonl", "\"steps\":", "\"ste");
-    refused(&merge(&[&a, &other, &c], &whole), "line 2 is damaged");
-    refused(&merge(&[&a, &file("one.json"), &c], &whole), "one.json");
+    refused(&merge(&[&a, &other, &c], &whole), &["line 2 is damaged"]);
+    refused(&merge(&[&a, &file("one.json"), &c], &whole), &["one.json"]);
     assert!(bytes(&whole) == before, "what was there is kept");
 }
 
@@ -139,7 +129,7 @@ fn a_killed_campaign_goes_on_with_every_flight_that_had_ended() {
     let before = bytes(&killed.with_extension("jsonl"));
     refused(
         &fly("3", "5", &killed, &["--resume", "--still"]),
-        "still was false, and is true",
+        &["still was false, and is true"],
     );
     assert!(bytes(&killed.with_extension("jsonl")) == before);
     // Without the word it is flown anew.
@@ -155,19 +145,19 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
     flown("3", "2", &file("fault.json"), &fault);
     flown("3", "1", &file("fault-1.json"), &fault);
     flown("4", "1", &file("fault-2.json"), &fault);
-    succeeded(&merge(
+    succeed(&merge(
         &[&file("fault-1.jsonl"), &file("fault-2.jsonl")],
         &file("faults.json"),
     ));
     same(&file("fault.json"), &file("faults.json"), &["json", "jsonl"]);
-    let report: serde_json::Value = serde_json::from_slice(&bytes(&file("faults.json"))).expect("JSON");
+    let report = json(&file("faults.json"));
     assert_eq!(report["second_sensor_heads"], 1);
 
     let attack = |folder: &Path, words: &[&str], more: &[&str]| {
         run(&[&["attack"], words, &["--iterations=1", "-o", text(folder)], more].concat())
     };
     let completion = |folder: &Path, seed: &str, flights: &str| {
-        succeeded(&attack(
+        succeed(&attack(
             folder,
             &["completion", "--seed", seed, "--flights", flights],
             &[],
@@ -180,7 +170,7 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
     completion(&one, "5003", "1");
     completion(&two, "5004", "1");
     let lines = [one.join("completion.jsonl"), two.join("completion.jsonl")];
-    succeeded(&merge(&[&lines[1], &lines[0]], &file("completion.json")));
+    succeed(&merge(&[&lines[1], &lines[0]], &file("completion.json")));
     same(
         &all.join("completion.json"),
         &file("completion.json"),
@@ -188,23 +178,26 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
     );
 
     // With the detector and without it; the arms may have been flown one after the other.
-    succeeded(&attack(&all, &one_arm("recover,none"), &[]));
-    succeeded(&attack(&one, &one_arm("recover"), &[]));
-    succeeded(&attack(&one, &one_arm("none"), &["--resume"]));
+    succeed(&attack(&all, &one_arm("recover,none"), &[]));
+    succeed(&attack(&one, &one_arm("recover"), &[]));
+    succeed(&attack(&one, &one_arm("none"), &["--resume"]));
     for ending in ["csv", "json"] {
         same(&all.join("defended.json"), &one.join("defended.json"), &[ending]);
     }
-    refused(&attack(&one, &one_arm("none"), &[]), "add --resume");
+    refused(&attack(&one, &one_arm("none"), &[]), &["add --resume"]);
     let longer = [&defended[..], &["none", "--burst=21"]].concat();
-    refused(&attack(&one, &longer, &["--resume"]), "burst was \"20\", and is \"21\"");
+    refused(
+        &attack(&one, &longer, &["--resume"]),
+        &["burst was \"20\", and is \"21\""],
+    );
     let both: [PathBuf; 2] = [lines[0].clone(), one.join("defended.jsonl")];
     refused(
         &merge(&[&both[0], &both[1]], &file("x.json")),
-        "it is of `attack defended`, not of `attack completion`",
+        &["it is of `attack defended`, not of `attack completion`"],
     );
     refused(
         &merge(&[&both[0], &file("fault.jsonl")], &file("x.json")),
-        "it is of `evaluate`",
+        &["it is of `evaluate`"],
     );
     assert!(!file("x.json").exists());
 }
@@ -214,13 +207,13 @@ fn a_detectors_flights_are_gathered_on_several_machines_and_make_the_files_of_on
     let folder = tempfile::tempdir().expect("a folder");
     let [some, all, one] = ["some", "all", "one"].map(|name| folder.path().join(name));
     let collect = |folder: &Path, more: &[&str]| {
-        let words = succeeded(&run(&[&["detector", "collect", "-o", text(folder)], more].concat()));
+        let words = succeed(&run(&[&["detector", "collect", "-o", text(folder)], more].concat()));
         assert!(!words.contains("interrupted"), "{words}");
     };
     // Half of the dozen that gives so many windows.
     collect(&some, &["--set", "learn", "--seed", "3000", "--flights", "6"]);
     fs::create_dir(&all).expect("a folder");
-    succeeded(&merge(&[&some.join("learn.jsonl")], &all.join("learn.jsonl")));
+    succeed(&merge(&[&some.join("learn.jsonl")], &all.join("learn.jsonl")));
     same(&some.join("learn"), &all.join("learn"), &["jsonl"]);
     collect(&all, &["--windows", "100"]);
     assert!(!all.join("learn.jsonl").exists(), "the flights are in the file now");
@@ -228,6 +221,9 @@ fn a_detectors_flights_are_gathered_on_several_machines_and_make_the_files_of_on
     fs::copy(all.join("choose.safetensors"), one.join("choose.safetensors")).expect("a copy");
     collect(&one, &["--windows", "100"]);
     same(&all.join("learn"), &one.join("learn"), &["safetensors"]);
-    let incomplete = run(&["detector", "collect", "--set", "learn", "-o", text(&one)]);
-    assert_eq!(incomplete.status.code(), Some(2), "{}", said(&incomplete));
+    ended(
+        &run(&["detector", "collect", "--set", "learn", "-o", text(&one)]),
+        2,
+        &[],
+    );
 }

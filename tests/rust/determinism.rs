@@ -2,15 +2,17 @@
 
 use serde_json::Value;
 use std::path::Path;
-use vigil_tests::{Running, run, said};
+use vigil_tests::{Running, json, run, said, succeed, text};
 
 /// The report of a small campaign.
 fn report(folder: &Path, name: &str, arguments: &[&str]) -> Value {
-    let json = folder.join(name);
-    let json = json.to_str().expect("a UTF-8 path");
-    let output = run(&[&["evaluate", "--flights", "4", "--json", json], arguments].concat());
-    assert!(output.status.success(), "{}", said(&output));
-    serde_json::from_str(&std::fs::read_to_string(json).expect("a report")).expect("JSON")
+    let file = folder.join(name);
+    succeed(&run(&[
+        &["evaluate", "--flights", "4", "--json", text(&file)],
+        arguments,
+    ]
+    .concat()));
+    json(&file)
 }
 
 /// Its state hashes, in the order of its seeds.
@@ -46,16 +48,10 @@ fn attacked_flights_with_alarm_stop_and_recovery_are_the_same_bits_too() {
         ["--attack", "bim-accumulating", "--burst", "20"],
     ]
     .concat();
-    let one = report(
-        folder.path(),
-        "one.json",
-        &[&attacked[..], &["--threads", "1"]].concat(),
-    );
-    let two = report(
-        folder.path(),
-        "two.json",
-        &[&attacked[..], &["--threads", "2"]].concat(),
-    );
+    let [one, two] = ["1", "2"].map(|threads| {
+        let arguments = [&attacked[..], &["--threads", threads]].concat();
+        report(folder.path(), &format!("{threads}.json"), &arguments)
+    });
     assert_eq!(hashes(&one), hashes(&two));
     for flight in one["flights"].as_array().expect("flights") {
         let watched = |what| {
@@ -77,21 +73,10 @@ fn two_processes_in_lockstep_fly_the_same_flight_as_one() {
     let course = String::from_utf8(course.stdout).expect("TOML");
     let course = vigil_sim::world::Course::from_toml_str(&course, "written course").expect("a course");
     let goal = course.goal_ned_m();
-    let (goal, height) = (
-        format!("--goal={},{}", goal.x, goal.y),
-        course.flight_height_m.to_string(),
-    );
-    let mut firmware = Running::start(&[
-        "firmware",
-        "--lockstep",
-        "--instance",
-        "81",
-        "--engage",
-        "auto",
-        &goal,
-        "--height",
-        &height,
-    ]);
+    let mut firmware = Running::start_line(&format!(
+        "firmware --lockstep --instance 81 --engage auto --goal={},{} --height {}",
+        goal.x, goal.y, course.flight_height_m
+    ));
     let simulator = run(&["sim", "--lockstep", "--airborne", "--instance", "81", "--seed", "42"]);
     let record: Value = serde_json::from_slice(&simulator.stdout).unwrap_or_else(|_| panic!("{}", said(&simulator)));
     assert_eq!(record["state_hash"].as_str(), Some(one[0].as_str()));
@@ -100,11 +85,4 @@ fn two_processes_in_lockstep_fly_the_same_flight_as_one() {
         Some(0),
         "the firmware ends with the simulator's flight"
     );
-}
-
-#[test]
-fn lockstep_names_who_is_missing() {
-    let alone = run(&["firmware", "--lockstep", "--lockstep-timeout", "1", "--instance", "82"]);
-    assert!(!alone.status.success());
-    assert!(said(&alone).contains("simulator"), "{}", said(&alone));
 }

@@ -3,7 +3,7 @@
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::world::{Course, Outcome};
 use vigil_sim::{SimConfig, Start};
-use vigil_tests::{fly_watched, run, run_line, said};
+use vigil_tests::{ended, fly_watched, refused, run, run_line};
 use vigil_types::{GuidanceState, PilotKind, Reason, StepReport};
 
 /// Columns in the way, and a screen that has to be passed at its side.
@@ -107,16 +107,15 @@ fn distances_that_no_course_has_are_refused_with_what_is_allowed() {
         (["--goal-distance", "300..30"], "nearer distance comes first"),
         (["--goal-distance", "far"], "150 or 30..300"),
     ] {
-        let output = run(&[&["evaluate", "--flights", "1"][..], &arguments].concat());
-        assert_eq!(output.status.code(), Some(2));
-        assert!(said(&output).contains(part), "{}", said(&output));
+        ended(
+            &run(&[&["evaluate", "--flights", "1"][..], &arguments].concat()),
+            2,
+            &[part],
+        );
     }
-    let output = run_line("courses write --seed 3 --goal-distance 90 --family hard");
-    assert_eq!(output.status.code(), Some(1));
-    assert!(
-        said(&output).contains("hard cannot be made longer"),
-        "{}",
-        said(&output)
+    refused(
+        &run_line("courses write --seed 3 --goal-distance 90 --family hard"),
+        &["hard cannot be made longer"],
     );
     let output = run(&["courses", "write", "--seed", "3", "--goal-distance", "90"]);
     let course = Course::from_toml_str(&String::from_utf8_lossy(&output.stdout), "written").expect("a course");

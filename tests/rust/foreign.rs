@@ -18,8 +18,7 @@ use std::time::{Duration, Instant};
 use vigil_mavlink::Flavour;
 use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sim::foreign::PoseState;
-use vigil_tests::mission::bytes_of;
-use vigil_tests::{Running, run, said};
+use vigil_tests::{Running, refused, run_line, said, text};
 use vigil_types::{Nanos, STEP_NS};
 
 /// Step of the scripted ArduPilot in which somebody changes it to GUIDED.
@@ -109,23 +108,11 @@ fn fly(
         Flavour::ArduPilot => "ardupilot",
     };
     let course = course(folder.path(), 6.0, None);
-    let output = run(&[
-        "fly",
-        "--vehicle",
-        name,
-        "--link",
-        &format!("udpin://127.0.0.1:{port}"),
-        "--course",
-        &course,
-        "--seed",
-        "1",
-        "--pilot",
-        "geometric",
-        "--instance",
-        &instance.to_string(),
-        "--log",
-        folder.path().to_str().expect("a UTF-8 path"),
-    ]);
+    let output = run_line(&format!(
+        "fly --vehicle {name} --link udpin://127.0.0.1:{port} --course {course} --seed 1 --pilot geometric \
+         --instance {instance} --log {}",
+        text(folder.path())
+    ));
     let peer = vehicle.end();
     let text = said(&output);
     if output.status.code() == Some(0) {
@@ -174,17 +161,11 @@ fn a_position_that_jumps_in_flight_ends_it_without_a_verdict() {
 }
 
 /// `vigil sensor render` on an instance.
-fn sensor(instance: u16, course: &str, further: &[&str]) -> Vec<String> {
+fn sensor(instance: u16, course: &str, further: &str) -> Running {
     let port = 15_100 + instance;
-    let (pose, instance) = (format!("udpin://127.0.0.1:{port}"), instance.to_string());
-    let mut arguments = vec!["sensor", "render", "--pose", &pose, "--instance", &instance];
-    arguments.extend(["--course", course, "--seed", "1"]);
-    arguments.extend(further);
-    arguments.into_iter().map(str::to_owned).collect()
-}
-
-fn words(arguments: &[String]) -> Vec<&str> {
-    arguments.iter().map(String::as_str).collect()
+    Running::start_line(&format!(
+        "sensor render --pose udpin://127.0.0.1:{port} --instance {instance} --course {course} --seed 1 {further}"
+    ))
 }
 
 #[test]
@@ -192,7 +173,7 @@ fn a_vehicle_that_never_reports_its_position_is_named_and_gets_no_frames() {
     const LOCAL_POSITION_NED: u32 = 32;
     let folder = tempfile::tempdir().expect("a folder");
     let course = course(folder.path(), 6.0, None);
-    let sensor = Running::start(&words(&sensor(74, &course, &["--status"])));
+    let sensor = sensor(74, &course, "--status");
     let silent = sensor.wait_for_status("a first status", |_| true);
     assert_eq!(silent.pose.as_deref(), Some(PoseState::Silent.name()));
     let vehicle = Vehicle::start(
@@ -212,20 +193,10 @@ fn a_vehicle_that_never_reports_its_position_is_named_and_gets_no_frames() {
 fn a_vehicle_that_flies_itself_into_a_column_is_judged_and_a_second_sensor_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let course = course(folder.path(), 15.0, Some(5.0));
-    let mut flight = Running::start(&words(&sensor(75, &course, &["--status", "--end-after", "0"])));
+    let mut flight = sensor(75, &course, "--status --end-after 0");
     flight.wait_for_status("a first status", |_| true);
-    let second = run(&[
-        "sensor",
-        "render",
-        "--pose",
-        "udpin://127.0.0.1:15199",
-        "--instance",
-        "75",
-        "--course",
-        &course,
-    ]);
-    assert_eq!(second.status.code(), Some(1));
-    assert!(said(&second).contains("already"), "{}", said(&second));
+    let line = format!("sensor render --pose udpin://127.0.0.1:15199 --instance 75 --course {course}");
+    refused(&run_line(&line), &["already"]);
 
     let vehicle = Vehicle::start(Peer::in_the_air(Flavour::Px4), 15_175, &[], |peer, _| {
         peer.mode = Mode::Loiter;

@@ -13,41 +13,22 @@ use vigil_sim::vehicle::VehicleModel;
 use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Start};
 use vigil_tests::ground::{Request, STATION, packet};
-use vigil_tests::{Pair, Running};
+use vigil_tests::{Pair, Running, text};
 use vigil_types::{EngagePolicy, GuidanceState, Nanos, Reason, StepReport};
 
 const HALF_A_SECOND_NS: Nanos = 500_000_000;
 
 fn simulator(instance: &str) -> Running {
-    Running::start(&[
-        "sim",
-        "--status",
-        "--airborne",
-        "--instance",
-        instance,
-        "--seed",
-        "11",
-        "--family",
-        "training",
-    ])
+    Running::start_line(&format!(
+        "sim --status --airborne --instance {instance} --seed 11 --family training"
+    ))
 }
 
 fn firmware(instance: &str, log: Option<&Path>) -> Running {
-    let mut arguments = vec![
-        "firmware",
-        "--instance",
-        instance,
-        "--engage",
-        "auto",
-        "--goal",
-        "18,4",
-        "--height",
-        "1.5",
-    ];
-    if let Some(folder) = log {
-        arguments.extend(["--log", folder.to_str().expect("a UTF-8 path")]);
-    }
-    Running::start(&arguments)
+    let log = log.map_or_else(String::new, |folder| format!("--log {}", text(folder)));
+    Running::start_line(&format!(
+        "firmware --instance {instance} --engage auto --goal 18,4 --height 1.5 {log}"
+    ))
 }
 
 /// All records of the only log in a folder.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use std::process::Command;
-use vigil_tests::{run, said, vigil};
+use vigil_tests::{ended, refused, run, succeed, text, vigil};
 
 /// `vigil` alone in a folder, without the laboratory.
 fn flight_tier_alone(folder: &Path) -> std::path::PathBuf {
@@ -16,9 +16,8 @@ fn flight_tier_alone(folder: &Path) -> std::path::PathBuf {
 #[test]
 fn the_laboratory_is_started_where_it_is_built_and_otherwise_told_how_to_build_it() {
     let handed_on = run(&["detector", "evaluate", "--help"]);
-    assert_eq!(handed_on.status.code(), Some(0));
-    assert!(said(&handed_on).contains("Usage: vigil detector evaluate"));
-    assert_eq!(run(&["attack", "table", "--states", "none"]).status.code(), Some(2));
+    ended(&handed_on, 0, &["Usage: vigil detector evaluate"]);
+    ended(&run(&["attack", "table", "--states", "none"]), 2, &[]);
 
     let folder = tempfile::tempdir().expect("a folder");
     let alone = flight_tier_alone(folder.path());
@@ -26,15 +25,10 @@ fn the_laboratory_is_started_where_it_is_built_and_otherwise_told_how_to_build_i
     for command in [
         vec!["attack", "table"],
         vec!["log", "film", "flight.mcap"],
-        vec!["fly", "--record", film.to_str().expect("a UTF-8 path")],
+        vec!["fly", "--record", text(&film)],
     ] {
-        let refused = Command::new(&alone).args(&command).output().expect("vigil starts");
-        assert_eq!(refused.status.code(), Some(1));
-        assert!(
-            said(&refused).contains("cargo build --release -p vigil-lab"),
-            "{}",
-            said(&refused)
-        );
+        let tried = Command::new(&alone).args(&command).output();
+        refused(&tried.expect("vigil starts"), &["cargo build --release -p vigil-lab"]);
     }
     assert_eq!(std::fs::read_dir(folder.path()).expect("the folder").count(), 1);
 }
@@ -48,8 +42,6 @@ fn a_laboratory_of_other_sources_is_refused() {
             .env("VIGIL_SOURCES_OF_CALLER", sources);
         lab.output().expect("vigil-lab starts")
     };
-    let refused = called("0123456789abcdef");
-    assert_eq!(refused.status.code(), Some(1));
-    assert!(said(&refused).contains("other sources") && said(&refused).contains("0123456789ab"));
-    assert_eq!(run(&["reproduce", "--list"]).status.code(), Some(0));
+    refused(&called("0123456789abcdef"), &["other sources", "0123456789ab"]);
+    succeed(&run(&["reproduce", "--list"]));
 }

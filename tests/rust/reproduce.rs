@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-use vigil_tests::{Running, run, said, succeed, text};
+use vigil_tests::{Running, json, refused, run, succeed, text};
 
 /// Pictures in the documentation that are no figures of data, and what makes each.
 const OTHER_PICTURES: [(&str, &str); 12] = [
@@ -39,8 +39,7 @@ fn reproduce_of(data: &Path, output: &Path, more: &[&str]) -> std::process::Outp
 }
 
 fn manifest(folder: &Path) -> Value {
-    let json = fs::read_to_string(folder.join("manifest.json")).expect("a manifest");
-    serde_json::from_str(&json).expect("JSON")
+    json(&folder.join("manifest.json"))
 }
 
 /// The items by their names, with their files.
@@ -101,8 +100,7 @@ fn pictures_in_documentation() -> BTreeSet<String> {
 fn the_committed_data_make_every_item_and_the_documentation_shows_what_they_make() {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("out");
-    let made = reproduce(&out, &["--committed"]);
-    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
+    succeed(&reproduce(&out, &["--committed"]));
 
     // What is listed is made, what is made is in the manifest, and what is in the manifest lies in the folder.
     let manifest = manifest(&out);
@@ -203,74 +201,45 @@ fn data_that_are_missing_or_damaged_are_named_and_nothing_is_drawn_from_them() {
     }
     let out = folder.path().join("out");
     let only = |item: &str| reproduce_of(&data, &out, &["--committed", "--only", item]);
-    let made = only("figure-11,table-2");
-    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
+    succeed(&only("figure-11,table-2"));
     assert_eq!(items(&manifest(&out)).len(), 2);
 
     let csv = data.join("figure-11.csv");
     let whole = fs::read_to_string(&csv).expect("a file");
     fs::write(&csv, whole.replacen("650", "950", 1)).expect("a file");
-    let damaged = only("figure-11");
-    assert_eq!(damaged.status.code(), Some(1));
-    assert!(
-        said(&damaged).contains("figure-11.csv is not what was measured"),
-        "{}",
-        said(&damaged)
-    );
+    refused(&only("figure-11"), &["figure-11.csv is not what was measured"]);
     fs::remove_file(&csv).expect("removed");
-    let missing = only("figure-11");
-    assert_eq!(missing.status.code(), Some(1));
-    assert!(
-        said(&missing).contains("figure-11.csv: No such file"),
-        "{}",
-        said(&missing)
-    );
+    refused(&only("figure-11"), &["figure-11.csv: No such file"]);
     // The other item does not need it.
-    assert_eq!(only("table-2").status.code(), Some(0));
+    succeed(&only("table-2"));
     fs::write(data.join("index.toml"), "[units.").expect("a file");
-    let index = only("table-2");
-    assert_eq!(index.status.code(), Some(1));
-    assert!(said(&index).contains("index.toml is damaged"), "{}", said(&index));
+    refused(&only("table-2"), &["index.toml is damaged"]);
 
-    let elsewhere = reproduce_of(folder.path(), &out, &["--committed"]);
-    assert_eq!(elsewhere.status.code(), Some(1));
-    assert!(said(&elsewhere).contains("--data"), "{}", said(&elsewhere));
+    refused(&reproduce_of(folder.path(), &out, &["--committed"]), &["--data"]);
 }
 
 #[test]
 fn what_cannot_be_done_is_said_before_anything_is_flown() {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("out");
-    let said_of = |more: &[&str]| {
-        let refused = reproduce(&out, more);
-        assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
-        said(&refused)
-    };
-    assert!(said_of(&["--only", "table-5"]).contains("there is no table-5"));
+    refused(&reproduce(&out, &["--only", "table-5"]), &["there is no table-5"]);
     let readme = root().join("README.md");
-    assert!(said_of(&["--quick", "--actor", text(&readme)]).contains("README.md"));
-    assert!(said_of(&["--quick", "--detector", text(&readme)]).contains("README.md"));
+    for model in ["--actor", "--detector"] {
+        refused(&reproduce(&out, &["--quick", model, text(&readme)]), &["README.md"]);
+    }
     assert!(!out.exists(), "nothing was begun");
 
     // A file where the folder should be, a folder of other things, one of another commit.
     let file = folder.path().join("file");
     fs::write(&file, "").expect("a file");
-    let refused = reproduce(&file.join("out"), &["--committed"]);
-    assert_eq!(refused.status.code(), Some(1));
-    assert!(said(&refused).contains("cannot make"), "{}", said(&refused));
-    let refused = reproduce(folder.path(), &["--committed"]);
-    assert!(said(&refused).contains("holds other files"), "{}", said(&refused));
-    assert_eq!(
-        reproduce(&out, &["--committed", "--only", "table-2"]).status.code(),
-        Some(0)
-    );
+    refused(&reproduce(&file.join("out"), &["--committed"]), &["cannot make"]);
+    refused(&reproduce(folder.path(), &["--committed"]), &["holds other files"]);
+    succeed(&reproduce(&out, &["--committed", "--only", "table-2"]));
     let made_by = out.join("made-by.toml");
     let ours = fs::read_to_string(&made_by).expect("a file");
     let commit = ours.lines().find(|l| l.starts_with("commit")).expect("a commit");
     fs::write(&made_by, ours.replace(commit, "commit = \"another\"")).expect("a file");
-    let refused = reproduce(&out, &["--committed"]);
-    assert_eq!(refused.status.code(), Some(1));
-    assert!(said(&refused).contains("its commit is another"), "{}", said(&refused));
+    refused(&reproduce(&out, &["--committed"]), &["its commit is another"]);
 }
 
 #[test]
@@ -279,9 +248,7 @@ fn an_interrupted_run_keeps_what_is_whole_and_goes_on() {
     let out = folder.path().join("out");
     let data = root().join("docs/measured");
     let (to, from) = (text(&out), text(&data));
-    let line = format!("reproduce --quick --only figure-14,roc -o {to} --data {from}");
-    let arguments: Vec<&str> = line.split(' ').collect();
-    let mut running = Running::start(&arguments);
+    let mut running = Running::start_line(&format!("reproduce --quick --only figure-14,roc -o {to} --data {from}"));
     // The flight is explained first; the detector's evaluation takes minutes.
     running.wait_for("the second unit", |line| line.starts_with("[2/2]").then_some(()));
     running.signal(Signal::INT);
@@ -310,12 +277,9 @@ fn an_interrupted_run_keeps_what_is_whole_and_goes_on() {
             .contains("few flights")
     );
 
-    let full = reproduce(&out, &["--only", "figure-14"]);
-    assert_eq!(full.status.code(), Some(1));
-    assert!(
-        said(&full).contains("its mode is quick, this one's full"),
-        "{}",
-        said(&full)
+    refused(
+        &reproduce(&out, &["--only", "figure-14"]),
+        &["its mode is quick, this one's full"],
     );
 }
 
@@ -345,11 +309,7 @@ fn two_machines_measure_a_part_each_and_the_page_of_both_is_the_page_of_one() {
     // The quickest units of which none is a time.
     let quick =
         |output: &Path, only: &str, more: &[&str]| reproduce(output, &[&["--quick", "--only", only], more].concat());
-    let measured = |output: &Path, only: &str, more: &[&str]| {
-        let made = quick(output, only, more);
-        assert_eq!(made.status.code(), Some(0), "{}", said(&made));
-        said(&made)
-    };
+    let measured = |output: &Path, only: &str, more: &[&str]| succeed(&quick(output, only, more));
     measured(&one, "figure-12,figure-14", &[]);
     measured(&first, "figure-12", &[]);
     measured(&second, "figure-14", &[]);
@@ -369,19 +329,13 @@ fn two_machines_measure_a_part_each_and_the_page_of_both_is_the_page_of_one() {
     measured(&whole, "figure-12,figure-14", &["--from", text(&second)]);
     assert!(files(&whole) == made);
 
-    let refused = |made: std::process::Output, why: &str| {
-        assert_eq!(made.status.code(), Some(1), "{}", said(&made));
-        assert!(said(&made).contains(why), "not {why}: {}", said(&made));
-    };
     let third = folder.path().join("third");
     let full = reproduce(&third, &["--only", "figure-12", "--from", text(&first)]);
-    refused(full, "its mode is quick, this one's full");
+    refused(&full, &["its mode is quick, this one's full"]);
     let merged = run(&["merge", text(&first), text(&second), "-o", text(&third)]);
-    refused(merged, "`vigil reproduce --from DIR`");
+    refused(&merged, &["`vigil reproduce --from DIR`"]);
     fs::write(first.join("data/explained/pixels.json"), "{}").expect("written");
     let fourth = folder.path().join("fourth");
-    refused(
-        quick(&fourth, "figure-12", &["--from", text(&first)]),
-        "is not what was measured",
-    );
+    let altered = quick(&fourth, "figure-12", &["--from", text(&first)]);
+    refused(&altered, &["is not what was measured"]);
 }

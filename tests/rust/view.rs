@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
-use vigil_tests::{attacked_flight, run, run_line, said, succeed, text, vigil};
+use vigil_tests::{attacked_flight, ended, refused, run, run_line, succeed, text, vigil};
 use vigil_types::{Datagrams, StepReport, StepTiming};
 
 /// A log of a vehicle that stood for three steps without a frame.
@@ -31,12 +31,10 @@ fn short_log(folder: &Path) -> PathBuf {
 
 /// A Python that says it has the viewer, and notes what it is asked to show.
 fn stand_in(folder: &Path) -> PathBuf {
-    let python = folder.join("python");
     let script =
         "#!/bin/sh\nif [ \"$1\" = -c ]; then echo 0.41.0; exit; fi\ncat > \"$0.script\"\necho \"$@\" > \"$0.asked\"\n";
-    std::fs::write(&python, script).expect("a file");
-    std::fs::set_permissions(&python, std::fs::Permissions::from_mode(0o755)).expect("a program");
-    python
+    program(folder, "python", script);
+    folder.join("python")
 }
 
 #[test]
@@ -55,9 +53,7 @@ fn a_viewer_that_is_absent_is_told_with_the_command_that_installs_it() {
             vec!["courses", "view", "--seed", "7"],
         ] {
             let shown = run(&[&command[..], &["--python", python]].concat());
-            assert_eq!(shown.status.code(), Some(1));
-            let said = said(&shown);
-            assert!(said.contains(why) && said.contains("pip install rerun-sdk=="), "{said}");
+            refused(&shown, &[why, "pip install rerun-sdk=="]);
         }
     }
     // Nothing was flown without the viewer that was asked for.
@@ -76,24 +72,16 @@ fn a_log_is_handed_to_the_viewer_unless_its_port_is_taken() {
     let taken = TcpListener::bind("0.0.0.0:0").expect("a port");
     let port = taken.local_addr().expect("its number").port().to_string();
     let view = || run(&["view", text(&log), "--python", text(&python), "--view-port", &port]);
-    let refused = view();
-    assert_eq!(refused.status.code(), Some(1));
-    assert!(
-        said(&refused).contains(&format!("port {port} is taken")),
-        "{}",
-        said(&refused)
-    );
+    refused(&view(), &[&format!("port {port} is taken")]);
     drop(taken);
-    let shown = view();
-    assert_eq!(shown.status.code(), Some(0), "{}", said(&shown));
+    succeed(&view());
     let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
     assert_eq!(asked.trim(), format!("- {} --port {port}", text(&log)));
     let script = std::fs::read_to_string(folder.path().join("python.script")).expect("the script");
     assert!(script.contains("def layout"));
 
-    let layout = run(&["view", text(&log), "--foxglove"]);
-    assert_eq!(layout.status.code(), Some(0));
-    assert!(folder.path().join("foxglove-layout.json").is_file() && said(&layout).contains("Import from file"));
+    ended(&run(&["view", text(&log), "--foxglove"]), 0, &["Import from file"]);
+    assert!(folder.path().join("foxglove-layout.json").is_file());
 }
 
 #[test]
@@ -102,15 +90,11 @@ fn what_is_no_log_of_this_version_is_refused_before_a_viewer_opens() {
     let python = stand_in(folder.path());
     let junk = folder.path().join("junk.mcap");
     std::fs::write(&junk, b"no log at all, but long enough to be looked at").expect("a file");
-    for command in ["view", "log derive"] {
-        let mut line: Vec<&str> = command.split(' ').collect();
-        line.push(text(&junk));
-        if command == "view" {
-            line.extend(["--python", text(&python)]);
-        }
-        let refused = run(&line);
-        assert_eq!(refused.status.code(), Some(1), "{command}");
-        assert!(said(&refused).contains("junk.mcap"), "{}", said(&refused));
+    for command in [
+        vec!["view", text(&junk), "--python", text(&python)],
+        vec!["log", "derive", text(&junk)],
+    ] {
+        refused(&run(&command), &["junk.mcap"]);
     }
     assert!(!folder.path().join("python.asked").exists());
 }
@@ -226,17 +210,7 @@ fn an_mp4_is_as_many_pictures_handed_to_ffmpeg_and_one_that_fails_leaves_the_ear
     );
     let path = format!("{}:/usr/bin:/bin", text(&bin));
     let mp4 = folder.join("film.mp4");
-    let film = [
-        "log",
-        "film",
-        text(log),
-        "-o",
-        text(&mp4),
-        "--speed",
-        "10",
-        "--shap",
-        "0",
-    ];
+    let film = ["log", "film", text(log), "-o", text(&mp4), "--speed=10", "--shap=0"];
     let words = succeed(&run_with_path(&film, &path));
     let pictures: usize = words
         .split_once('(')
@@ -255,9 +229,7 @@ fn an_mp4_is_as_many_pictures_handed_to_ffmpeg_and_one_that_fails_leaves_the_ear
         "ffmpeg",
         "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho no such encoder >&2\nexit 1\n",
     );
-    let failed = run_with_path(&film, &path);
-    assert_eq!(failed.status.code(), Some(1));
-    assert!(said(&failed).contains("no such encoder"), "{}", said(&failed));
+    refused(&run_with_path(&film, &path), &["no such encoder"]);
     assert_eq!(
         std::fs::read_to_string(&mp4).expect("the earlier one").trim(),
         bytes.to_string()
@@ -266,13 +238,7 @@ fn an_mp4_is_as_many_pictures_handed_to_ffmpeg_and_one_that_fails_leaves_the_ear
     // Before anything is flown.
     let runs = folder.join("runs");
     for command in [film.to_vec(), vec!["fly", "--record", text(&mp4), "-o", text(&runs)]] {
-        let without = run_with_path(&command, text(&runs));
-        assert_eq!(without.status.code(), Some(1));
-        assert!(
-            said(&without).contains("there is none on the path"),
-            "{}",
-            said(&without)
-        );
+        refused(&run_with_path(&command, text(&runs)), &["there is none on the path"]);
     }
     assert!(!runs.exists());
 }
@@ -281,20 +247,17 @@ fn an_mp4_is_as_many_pictures_handed_to_ffmpeg_and_one_that_fails_leaves_the_ear
 fn what_cannot_be_filmed_is_told_with_what_can_be_seen_of_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = short_log(folder.path());
-    let none = run(&["log", "film", text(&log)]);
-    assert_eq!(none.status.code(), Some(1));
-    assert!(
-        said(&none).contains("never took off") && said(&none).contains("log report"),
-        "{}",
-        said(&none)
-    );
+    refused(&run(&["log", "film", text(&log)]), &["never took off", "log report"]);
     assert!(!log.with_extension("gif").exists());
-    let named = run(&["log", "film", text(&log), "-o", "film.avi"]);
-    assert_eq!(named.status.code(), Some(2));
-    assert!(said(&named).contains(".gif or .mp4"), "{}", said(&named));
-    let missing = run(&["log", "film", text(&folder.path().join("none.mcap"))]);
-    assert_eq!(missing.status.code(), Some(1));
-    assert!(said(&missing).contains("none.mcap"), "{}", said(&missing));
+    ended(
+        &run(&["log", "film", text(&log), "-o", "film.avi"]),
+        2,
+        &[".gif or .mp4"],
+    );
+    refused(
+        &run(&["log", "film", text(&folder.path().join("none.mcap"))]),
+        &["none.mcap"],
+    );
 }
 
 #[test]
@@ -319,12 +282,9 @@ fn a_flight_leaves_a_film_and_a_light_log_that_is_looked_at_and_not_replayed() {
     assert!(bytes < 300_000 * seconds, "{bytes} bytes in {seconds} s");
     assert!(log.with_extension("html").is_file(), "the report");
     for command in [["replay"].as_slice(), &["log", "derive"]] {
-        let refused = run(&[command, &[text(&log)]].concat());
-        assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
-        assert!(
-            said(&refused).contains("recorded without its frames"),
-            "{}",
-            said(&refused)
+        refused(
+            &run(&[command, &[text(&log)]].concat()),
+            &["recorded without its frames"],
         );
     }
 }
@@ -368,20 +328,15 @@ fn a_course_is_handed_to_the_viewer_with_its_obstacles_way_and_what_is_seen_at_i
         ["courses", "view", "--seed", "7"].as_slice(),
         &[
             "evaluate",
-            "--flights",
-            "2",
-            "--view",
-            "2",
+            "--flights=2",
+            "--view=2",
             "-o",
             text(&folder.path().join("e.json")),
         ],
     ] {
-        let refused = run(&[command, &["--python", text(&python), "--view-port", &port]].concat());
-        assert_eq!(refused.status.code(), Some(1));
-        assert!(
-            said(&refused).contains(&format!("port {port} is taken")),
-            "{}",
-            said(&refused)
+        refused(
+            &run(&[command, &["--python", text(&python), "--view-port", &port]].concat()),
+            &[&format!("port {port} is taken")],
         );
     }
 }

@@ -1,8 +1,7 @@
 //! What a ground station says to the guidance computer.
 
-use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavFrame, MavMessage};
-use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+pub use vigil_mavlink::framing::encode as packet;
 
 /// A request of an operator to component 191.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,21 +18,6 @@ pub enum Request {
 
 /// System and component that ground stations have.
 pub const STATION: (u8, u8) = (255, 190);
-
-/// A packet of MAVLink 2 from `(system, component)`.
-///
-/// # Panics
-/// When the message cannot be written, which no message of the dialect is.
-pub fn packet((system, component): (u8, u8), sequence: u8, message: &MavMessage) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: system.into(),
-        component_id: component,
-        sequence,
-    };
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, message, &mut out).expect("a message of the dialect");
-    out[..len].to_vec()
-}
 
 impl Request {
     /// The message to the guidance computer of a system.

@@ -71,9 +71,37 @@ pub fn said(output: &Output) -> String {
 /// # Panics
 /// With what it said, where it did not.
 pub fn succeed(output: &Output) -> String {
+    ended(output, 0, &[])
+}
+
+/// What a program said that has to have failed with these words in what it said.
+///
+/// # Panics
+/// With what it said, where it did not.
+pub fn refused(output: &Output, words: &[&str]) -> String {
+    ended(output, 1, words)
+}
+
+/// The same with an exit code of its own.
+///
+/// # Panics
+/// With what it said, where it ended otherwise.
+pub fn ended(output: &Output, code: i32, words: &[&str]) -> String {
     let said = said(output);
-    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert_eq!(output.status.code(), Some(code), "{said}");
+    for words in words {
+        assert!(said.contains(words), "not `{words}`: {said}");
+    }
     said
+}
+
+/// A JSON file.
+///
+/// # Panics
+/// Where it is not one.
+pub fn json(path: &Path) -> serde_json::Value {
+    let text = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    serde_json::from_slice(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
 /// A path as an argument.

@@ -1,9 +1,9 @@
 //! A mission of the vehicle's own, for flights that Vigil only guards.
 
+use crate::ground::{STATION, packet};
 use vigil_autopilot::Saved;
 use vigil_mavlink::common::{COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavFrame};
-use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
-use vigil_mavlink::{MavHeader, MavMessage, globe};
+use vigil_mavlink::{MavMessage, globe};
 use vigil_sim::SimConfig;
 
 /// The vehicle's plan: one waypoint, the goal, at so many metres per second.
@@ -35,12 +35,7 @@ pub fn start() -> Vec<u8> {
         target_component: 1,
         ..COMMAND_LONG_DATA::DEFAULT
     });
-    let header = MavHeader {
-        system_id: 255,
-        component_id: 190,
-        sequence: 0,
-    };
-    bytes_of(header, &message)
+    packet(STATION, 0, &message)
 }
 
 /// A command of a ground station: go to the course's goal, which leaves the vehicle in hold.
@@ -64,20 +59,5 @@ pub fn go_to(config: &SimConfig) -> Vec<u8> {
         target_component: 1,
         ..COMMAND_INT_DATA::DEFAULT
     });
-    let header = MavHeader {
-        system_id: 255,
-        component_id: 190,
-        sequence: 0,
-    };
-    bytes_of(header, &message)
-}
-
-/// A packet, MAVLink 2, unsigned.
-///
-/// # Panics
-/// Never: every message fits [`MAX_PACKET_LEN`].
-pub fn bytes_of(header: MavHeader, message: &MavMessage) -> Vec<u8> {
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, message, &mut out).expect("fits");
-    out[..len].to_vec()
+    packet(STATION, 0, &message)
 }

@@ -413,18 +413,6 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_verdict_starts_the_count_of_clean_ones_anew() {
-        let config = AlarmConfig::default();
-        let mut story = vec![Attack; 5];
-        story.extend([Clean; 39]);
-        story.push(Unknown);
-        story.extend([Clean; 40]);
-        let raised = responses(&config, &story);
-        assert!(raised[4..84].iter().all(Option::is_some));
-        assert_eq!(raised[84], None);
-    }
-
-    #[test]
     fn nothing_is_counted_on_the_ground_or_while_the_vehicle_holds_or_when_nothing_watches() {
         let mut logic = AlarmLogic::default();
         let config = AlarmConfig::default();
@@ -448,35 +436,6 @@ mod tests {
                 assert_eq!(logic.step(&config, &input), None);
             }
         }
-    }
-
-    #[test]
-    fn without_a_detector_the_guard_raises_the_alarm_and_nothing_but_an_operator_ends_it() {
-        let mut logic = AlarmLogic::default();
-        let config = AlarmConfig::default();
-        let mut now_ns = 0;
-        let mut step = |logic: &mut AlarmLogic, collision_course: bool| {
-            now_ns += 50_000_000;
-            let input = AlarmInput {
-                now_ns,
-                verdict: None,
-                risk: Some(Risk {
-                    collision_course,
-                    ..QUIET
-                }),
-                ..FLYING
-            };
-            logic.step(&config, &input).map(|alarm| alarm.cause)
-        };
-        for _ in 0..3 {
-            assert_eq!(step(&mut logic, true), None, "a few steps raise nothing");
-        }
-        assert_eq!(step(&mut logic, true), Some(AlarmCause::CollisionCourse));
-        for _ in 0..5000 {
-            assert!(step(&mut logic, false).is_some());
-        }
-        logic.trust_again();
-        assert_eq!(step(&mut logic, false), None);
     }
 
     #[test]

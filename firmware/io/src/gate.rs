@@ -4,9 +4,7 @@ mod files;
 
 pub use files::{SigningFileError, read_key};
 
-use crate::key_file::KeyFileError;
 use files::SigningStateWriter;
-use std::io::ErrorKind;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets};
@@ -137,7 +135,7 @@ impl SigningGate {
     pub fn with_kept_key(key_file: &Path, name: &str, allow_unsigned: AllowUnsigned) -> Result<Self, SigningFileError> {
         let key = match read_key(key_file) {
             Ok(key) => Some(key),
-            Err(KeyFileError::Read { source, .. }) if source.kind() == ErrorKind::NotFound => None,
+            Err(_) if matches!(key_file.try_exists(), Ok(false)) => None,
             Err(other) => return Err(other.into()),
         };
         let (keeper, memory) = SigningStateWriter::start(key_file, name, STORE_AHEAD)?;
@@ -304,21 +302,13 @@ fn wall_clock() -> Timestamp {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_mavlink::MavHeader;
     use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, SETUP_SIGNING_DATA};
-    use vigil_mavlink::framing::serialize;
+    use vigil_mavlink::framing::encode;
 
     const NOW: Timestamp = 40_000_000_000_000;
 
     fn heartbeat(sequence: u8) -> Vec<u8> {
-        let header = MavHeader {
-            system_id: 1,
-            component_id: 1,
-            sequence,
-        };
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = serialize(header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT), &mut out).unwrap();
-        out[..len].to_vec()
+        encode((1, 1), sequence, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT))
     }
 
     fn signing() -> Signing {
@@ -402,20 +392,13 @@ mod tests {
     }
 
     fn setup(key: [u8; 32]) -> Vec<u8> {
-        let header = MavHeader {
-            system_id: 255,
-            component_id: 190,
-            sequence: 0,
-        };
         let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
             target_system: 1,
             target_component: 191,
             secret_key: key,
             ..SETUP_SIGNING_DATA::DEFAULT
         });
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = serialize(header, &message, &mut out).unwrap();
-        out[..len].to_vec()
+        encode((255, 190), 0, &message)
     }
 
     #[test]

@@ -9,66 +9,10 @@ const SIZE_LIMIT: u64 = 4 << 10;
 /// Where Linux says which boot of the machine this is.
 const BOOT_ID: &str = "/proc/sys/kernel/random/boot_id";
 
-/// Why a secret cannot be used.
+/// Why a secret cannot be used, with what to do.
 #[derive(Debug, thiserror::Error)]
-pub enum KeyFileError {
-    /// The key cannot be read.
-    #[error("{what} {path}: {source}")]
-    Read {
-        /// What the key is for.
-        what: &'static str,
-        /// The key file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Others can read or write the key.
-    #[error(
-        "{what} {path} has mode {mode:04o}, so others can read or change it: chmod 600 {path}, and make a new key if they may have"
-    )]
-    Permissions {
-        /// What the key is for.
-        what: &'static str,
-        /// The key file.
-        path: PathBuf,
-        /// Its permission bits.
-        mode: u32,
-    },
-    /// Another user owns the key.
-    #[error("{what} {path} belongs to user {owner}: it must be yours or root's")]
-    Owner {
-        /// What the key is for.
-        what: &'static str,
-        /// The key file.
-        path: PathBuf,
-        /// Its owner.
-        owner: u32,
-    },
-    /// The file does not hold a key.
-    #[error(
-        "{what} {path} is not a key: write 64 hexadecimal digits or exactly 32 bytes, for example with: head -c 32 /dev/urandom > {path}"
-    )]
-    Content {
-        /// What the key is for.
-        what: &'static str,
-        /// The key file.
-        path: PathBuf,
-    },
-    /// Nobody chose it.
-    #[error("{what} {path} is all zeros, which anybody would guess: make one with: head -c 32 /dev/urandom > {path}")]
-    Zero {
-        /// What the key is for.
-        what: &'static str,
-        /// The key file.
-        path: PathBuf,
-    },
-    /// More keys than one and its successor.
-    #[error("at most two frame keys are accepted at a time, the one in force and the next: leave out {path}")]
-    TooMany {
-        /// The first one too many.
-        path: PathBuf,
-    },
-}
+#[error("{0}")]
+pub struct KeyFileError(String);
 
 /// Reads a secret of 32 bytes: 64 hexadecimal digits with white space around them, or the bytes themselves. The file must be the
 /// user's or root's and closed to everybody else. `what` names the key in errors.
@@ -76,41 +20,31 @@ pub enum KeyFileError {
 /// # Errors
 /// [`KeyFileError`].
 pub fn read_secret(path: &Path, what: &'static str) -> Result<[u8; 32], KeyFileError> {
-    let read = |source| KeyFileError::Read {
-        what,
-        path: path.to_owned(),
-        source,
-    };
-    let mut file = vigil_types::files::open(path).map_err(read)?;
+    let file = path.display();
+    let refused = |why: String| Err(KeyFileError(format!("{what} {file} {why}")));
+    let unread = |error: std::io::Error| KeyFileError(format!("{what} {file}: {error}"));
+    let mut open = vigil_types::files::open(path).map_err(unread)?;
     // Of the open file, so that nobody can exchange it in between.
-    let metadata = file.metadata().map_err(read)?;
+    let metadata = open.metadata().map_err(unread)?;
     let mode = metadata.permissions().mode() & 0o7777;
     if mode & 0o077 != 0 {
-        return Err(KeyFileError::Permissions {
-            what,
-            path: path.to_owned(),
-            mode,
-        });
+        return refused(format!(
+            "has mode {mode:04o}, so others can read or change it: chmod 600 {file}, and make a new key if they may have"
+        ));
     }
     let owner = metadata.uid();
     if owner != 0 && owner != rustix::process::geteuid().as_raw() {
-        return Err(KeyFileError::Owner {
-            what,
-            path: path.to_owned(),
-            owner,
-        });
+        return refused(format!("belongs to user {owner}: it must be yours or root's"));
     }
-    let bytes = vigil_types::files::read_from(&mut file, SIZE_LIMIT).map_err(read)?;
-    let secret = secret_of(&bytes).ok_or_else(|| KeyFileError::Content {
-        what,
-        path: path.to_owned(),
-    })?;
-    match secret == [0; 32] {
-        true => Err(KeyFileError::Zero {
-            what,
-            path: path.to_owned(),
-        }),
-        false => Ok(secret),
+    let bytes = vigil_types::files::read_from(&mut open, SIZE_LIMIT).map_err(unread)?;
+    match secret_of(&bytes) {
+        None => refused(format!(
+            "is not a key: write 64 hexadecimal digits or exactly 32 bytes, for example with: head -c 32 /dev/urandom > {file}"
+        )),
+        Some([0, rest @ ..]) if rest == [0; 31] => refused(format!(
+            "is all zeros, which anybody would guess: make one with: head -c 32 /dev/urandom > {file}"
+        )),
+        Some(secret) => Ok(secret),
     }
 }
 
@@ -136,11 +70,8 @@ fn secret_of(bytes: &[u8]) -> Option<[u8; 32]> {
 /// [`KeyFileError`].
 pub fn frame_key(path: &Path, sensor_id: u32) -> Result<FrameKey, KeyFileError> {
     let secret = read_secret(path, "frame key")?;
-    let boot = std::fs::read(BOOT_ID).map_err(|source| KeyFileError::Read {
-        what: "identifier of this boot,",
-        path: BOOT_ID.into(),
-        source,
-    })?;
+    let unread = |error| KeyFileError(format!("identifier of this boot, {BOOT_ID}: {error}"));
+    let boot = std::fs::read(BOOT_ID).map_err(unread)?;
     Ok(FrameKey::new(&secret, sensor_id, boot.trim_ascii()))
 }
 
@@ -151,7 +82,10 @@ pub fn frame_key(path: &Path, sensor_id: u32) -> Result<FrameKey, KeyFileError> 
 pub fn frame_keys(paths: &[PathBuf], sensor_id: u32) -> Result<FrameKeys, KeyFileError> {
     let key = |path: Option<&PathBuf>| path.map(|path| frame_key(path, sensor_id)).transpose();
     match paths.get(2) {
-        Some(path) => Err(KeyFileError::TooMany { path: path.clone() }),
+        Some(path) => Err(KeyFileError(format!(
+            "at most two frame keys are accepted at a time, the one in force and the next: leave out {}",
+            path.display()
+        ))),
         None => Ok(FrameKeys {
             current: key(paths.first())?,
             other: key(paths.get(1))?,
@@ -185,7 +119,6 @@ mod tests {
         }
         for content in [&key[..31], &hex.as_bytes()[..63], &[b'g'; 64], b""] {
             let error = read(&key_file(folder.path(), content, 0o400)).unwrap_err();
-            assert!(matches!(error, KeyFileError::Content { .. }));
             assert!(error.to_string().contains("64 hexadecimal digits"), "{error}");
         }
     }

@@ -1,6 +1,6 @@
 //! What the flight stack and the simulated vehicle share towards the machine: MAVLink over UDP, TCP and serial lines in MAVSDK's notation ([`links`],
-//! [`link_url`], [`link_spec`]), several at once ([`router`]), who may speak on a link ([`gate`]), secrets ([`key_file`]), files that outlive a restart ([`state`]), and
-//! [`shared_memory`] with depth frames and lockstep exchanges.
+//! [`link_url`], [`link_spec`]), several at once ([`router`]), who may speak on a link ([`gate`]), secrets ([`key_file`]), files that outlive a restart ([`state`]), work beside the loop
+//! ([`background`]), and [`shared_memory`] with depth frames and lockstep exchanges.
 //!
 //! ```
 //! use vigil_io::link_url::LinkUrl;
@@ -16,6 +16,7 @@
     deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)
 )]
 
+pub mod background;
 pub mod clock;
 pub mod gate;
 pub mod key_file;

@@ -2,7 +2,7 @@
 
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
-use vigil_types::files::Access;
+use vigil_types::files::{Access, FileError, at};
 use vigil_types::settings::{Section, from_toml, to_toml};
 
 /// Parameters and plans take some kilobytes.
@@ -12,13 +12,8 @@ const SIZE_LIMIT: u64 = 16 << 20;
 #[derive(Debug, thiserror::Error)]
 pub enum StateError {
     /// The file cannot be read.
-    #[error("cannot read {path}: {source}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error("cannot read {0}")]
+    Read(#[from] FileError),
     /// The file's content is not accepted; it is left as it is.
     #[error("{path}: mend or delete it: {message}")]
     Content {
@@ -63,10 +58,7 @@ impl<T: Section + Clone> StateFile<T> {
             Ok(text) => from_toml(&text).map_err(|e| self.refused(&e)),
             Err(e) if e.kind() == std::io::ErrorKind::InvalidData => Err(self.refused(&e.to_string())),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(T::default()),
-            Err(source) => Err(StateError::Read {
-                path: self.path.clone(),
-                source,
-            }),
+            Err(error) => Err(at(&self.path)(error).into()),
         }
     }
 

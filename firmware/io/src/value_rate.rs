@@ -88,21 +88,12 @@ fn value_of(packet: &Packet<'_>) -> Option<([u8; 10], [u8; 4])> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_mavlink::MavHeader;
     use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
-    use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
-
-    const HEADER: MavHeader = MavHeader {
-        system_id: 1,
-        component_id: 191,
-        sequence: 0,
-    };
+    use vigil_mavlink::framing::{FramingCounters, encode, packets};
 
     fn passes(rate: &mut ValueRate, step: u64, message: &MavMessage) -> bool {
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = serialize(HEADER, message, &mut out).unwrap();
-        let mut counters = FramingCounters::default();
-        rate.passes(step * STEP_NS, &packets(&out[..len], &mut counters).next().unwrap())
+        let (packet, mut counters) = (encode((1, 191), 0, message), FramingCounters::default());
+        rate.passes(step * STEP_NS, &packets(&packet, &mut counters).next().unwrap())
     }
 
     fn named(name: &str, value: f32) -> MavMessage {

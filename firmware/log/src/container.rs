@@ -7,6 +7,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::Path;
+use vigil_types::files::{FileError, at};
 
 /// No record or chunk of a log comes near this; a corrupted length must not ask for memory.
 pub(crate) const LENGTH_LIMIT: u64 = 64 << 20;
@@ -72,9 +73,9 @@ pub(crate) struct Container {
 }
 
 impl Container {
-    pub(crate) fn open(path: &Path) -> io::Result<Self> {
+    pub(crate) fn open(path: &Path) -> Result<Self, FileError> {
         Ok(Self {
-            file: BufReader::new(vigil_types::files::open(path)?),
+            file: BufReader::new(vigil_types::files::open(path).map_err(at(path))?),
             reader: linear_reader(LinearReaderOptions::default()),
         })
     }

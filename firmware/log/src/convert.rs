@@ -1,14 +1,11 @@
 //! Between the loop's data and the messages on disk, bit for bit in both directions.
-//!
-//! Towards disk every struct is taken apart by name, so that a field added to the loop's data fails to compile here
-//! until the log records it.
 
 use crate::proto;
 use crate::{TickRecord, proto::Tick};
 use vigil_types::{
-    Action, Alarm, AlarmCause, AlarmResponse, Attitude, AttitudeSample, Datagrams, FRAME_TAG_BYTES, FrameHeader, Goal,
-    GoalRelative, GuidanceState, Heartbeat, Judgement, Kinematics, Landed, Reasons, StepReport, StepTiming, Vector,
-    VehicleMode, VehicleTelemetry, VelocitySetpoint, Verdict,
+    Action, Alarm, AlarmCause, AlarmResponse, Attitude, AttitudeSample, Datagrams, FRAME_TAG_BYTES, Frame, FrameHeader,
+    Goal, GoalRelative, GuidanceState, Heartbeat, Judgement, Kinematics, Landed, Reasons, StepReport, StepTiming,
+    Vector, VehicleMode, VehicleTelemetry, VelocitySetpoint, Verdict,
 };
 
 /// A message that decodes as protobuf and yet is no step: which field, and what is wrong with it.
@@ -30,68 +27,12 @@ pub enum RecordDefect {
     TooManyDatagrams(&'static str),
 }
 
-const MODES: [VehicleMode; 8] = [
-    VehicleMode::Unknown,
-    VehicleMode::External,
-    VehicleMode::Hold,
-    VehicleMode::Takeoff,
-    VehicleMode::Land,
-    VehicleMode::Return,
-    VehicleMode::Mission,
-    VehicleMode::Other,
-];
-
-const LANDED: [Landed; 5] = [
-    Landed::Unknown,
-    Landed::OnGround,
-    Landed::TakingOff,
-    Landed::InAir,
-    Landed::Landing,
-];
-
-const fn mode_code(mode: VehicleMode) -> u32 {
-    match mode {
-        VehicleMode::Unknown => 0,
-        VehicleMode::External => 1,
-        VehicleMode::Hold => 2,
-        VehicleMode::Takeoff => 3,
-        VehicleMode::Land => 4,
-        VehicleMode::Return => 5,
-        VehicleMode::Mission => 6,
-        VehicleMode::Other => 7,
-    }
-}
-
-/// Name of a vehicle mode as the log shows it.
-pub(crate) const fn mode_name(mode: VehicleMode) -> &'static str {
-    match mode {
-        VehicleMode::Unknown => "unknown",
-        VehicleMode::External => "external",
-        VehicleMode::Hold => "hold",
-        VehicleMode::Takeoff => "take-off",
-        VehicleMode::Land => "land",
-        VehicleMode::Return => "return",
-        VehicleMode::Mission => "mission",
-        VehicleMode::Other => "other",
-    }
-}
-
-const fn landed_code(landed: Landed) -> u32 {
-    match landed {
-        Landed::Unknown => 0,
-        Landed::OnGround => 1,
-        Landed::TakingOff => 2,
-        Landed::InAir => 3,
-        Landed::Landing => 4,
-    }
-}
-
 /// The message of a record; the frame's pixels are not in it.
 pub(crate) fn to_wire(record: &TickRecord) -> Tick {
     Tick {
         now_ns: record.now_ns,
-        timing: Some(timing_to_proto(record.timing)),
-        frame: record.frame().map(|f| header_to_proto(&f.header)),
+        timing: record.timing.to(),
+        frame: record.frame().map(|f| f.header.message()),
         received: datagrams_to_proto(&record.received),
         sent: datagrams_to_proto(&record.sent),
         report: Some(report_to_proto(&record.report)),
@@ -103,12 +44,12 @@ pub(crate) fn to_wire(record: &TickRecord) -> Tick {
 /// the caller's to fill.
 pub(crate) fn from_wire(tick: &Tick, record: &mut TickRecord) -> Result<bool, RecordDefect> {
     record.now_ns = tick.now_ns;
-    record.timing = timing_from_proto(tick.timing.as_ref(), "timing")?;
+    record.timing = Part::from(&tick.timing, "timing")?;
     record.dropped_before = tick.dropped_before;
     record.report = report_from_proto(need(tick.report.as_ref(), "report")?)?;
     datagrams_from_proto(&tick.received, &mut record.received, "received")?;
     datagrams_from_proto(&tick.sent, &mut record.sent, "sent")?;
-    let header = tick.frame.as_ref().map(header_from_proto).transpose()?;
+    let header = tick.frame.as_ref().map(FrameHeader::of).transpose()?;
     record.frame_slot(header.is_some()).header = header.unwrap_or_default();
     Ok(header.is_some())
 }
@@ -117,103 +58,255 @@ fn need<T>(value: Option<T>, field: &'static str) -> Result<T, RecordDefect> {
     value.ok_or(RecordDefect::Missing(field))
 }
 
+/// A value of the loop's whose field in a message is an `M`.
+trait Part<M>: Sized {
+    fn to(self) -> M;
+    fn from(on_disk: &M, field: &'static str) -> Result<Self, RecordDefect>;
+}
+
+/// A struct of the loop's that is a message of its own.
+trait Record: Sized {
+    type Message;
+    fn message(self) -> Self::Message;
+    fn of(message: &Self::Message) -> Result<Self, RecordDefect>;
+}
+
+impl<T: Record> Part<Option<T::Message>> for Option<T> {
+    fn to(self) -> Option<T::Message> {
+        self.map(T::message)
+    }
+
+    fn from(on_disk: &Option<T::Message>, _: &'static str) -> Result<Self, RecordDefect> {
+        on_disk.as_ref().map(T::of).transpose()
+    }
+}
+
+macro_rules! as_it_is {
+    ($($type:ty),+) => {$(
+        impl Part<$type> for $type {
+            fn to(self) -> $type {
+                self
+            }
+
+            fn from(on_disk: &$type, _: &'static str) -> Result<Self, RecordDefect> {
+                Ok(*on_disk)
+            }
+        }
+    )+};
+}
+as_it_is! { bool, u32, u64, Option<f32>, Option<u64> }
+
+/// Values by their numbers.
+macro_rules! by_number {
+    ($($type:ty),+) => {$(
+        impl Part<u32> for $type {
+            fn to(self) -> u32 {
+                self as u32
+            }
+
+            fn from(on_disk: &u32, field: &'static str) -> Result<Self, RecordDefect> {
+                let value = usize::try_from(*on_disk).ok().and_then(|i| Self::ALL.get(i).copied());
+                value.ok_or(RecordDefect::Impossible { field, value: *on_disk })
+            }
+        }
+    )+};
+}
+by_number! { VehicleMode, Landed, GuidanceState, Verdict, AlarmCause, AlarmResponse }
+
+impl Part<u32> for u16 {
+    fn to(self) -> u32 {
+        self.into()
+    }
+
+    fn from(on_disk: &u32, field: &'static str) -> Result<Self, RecordDefect> {
+        small(*on_disk, field)
+    }
+}
+
 fn small<T: TryFrom<u32>>(value: u32, field: &'static str) -> Result<T, RecordDefect> {
     T::try_from(value).map_err(|_| RecordDefect::Impossible { field, value })
 }
 
-fn code<T: Copy>(table: &[T], value: u32, field: &'static str) -> Result<T, RecordDefect> {
-    usize::try_from(value)
-        .ok()
-        .and_then(|i| table.get(i).copied())
-        .ok_or(RecordDefect::Impossible { field, value })
-}
+impl Part<Option<f32>> for f32 {
+    fn to(self) -> Option<f32> {
+        Some(self)
+    }
 
-fn timing_to_proto(timing: StepTiming) -> proto::Timing {
-    let StepTiming {
-        step,
-        previous_execution_ns,
-        wake_late_ns,
-        slips,
-    } = timing;
-    proto::Timing {
-        step,
-        previous_execution_ns,
-        wake_late_ns,
-        slips,
+    fn from(on_disk: &Option<f32>, field: &'static str) -> Result<Self, RecordDefect> {
+        need(*on_disk, field)
     }
 }
 
-fn timing_from_proto(timing: Option<&proto::Timing>, field: &'static str) -> Result<StepTiming, RecordDefect> {
-    let t = need(timing, field)?;
-    Ok(StepTiming {
-        step: t.step,
-        previous_execution_ns: t.previous_execution_ns,
-        wake_late_ns: t.wake_late_ns,
-        slips: t.slips,
-    })
+impl Part<Option<proto::Timing>> for StepTiming {
+    fn to(self) -> Option<proto::Timing> {
+        Some(self.message())
+    }
+
+    fn from(on_disk: &Option<proto::Timing>, field: &'static str) -> Result<Self, RecordDefect> {
+        Self::of(need(on_disk.as_ref(), field)?)
+    }
 }
 
-fn header_to_proto(header: &FrameHeader) -> proto::Frame {
-    let FrameHeader {
-        stamp_ns,
-        sequence,
-        sensor_id,
-        rows,
-        cols,
-        position_ned_m,
-        attitude,
-        reserved,
-        checksum,
-        tag,
-    } = *header;
-    proto::Frame {
-        stamp_ns,
-        sequence,
-        sensor_id,
-        rows: rows.into(),
-        cols: cols.into(),
-        position_ned_m: Some(xyz_to_proto(position_ned_m)),
-        attitude: Some(attitude_to_proto(attitude)),
-        reserved,
-        checksum,
+impl<F: Frame> Part<Option<proto::Xyz>> for Vector<F> {
+    fn to(self) -> Option<proto::Xyz> {
+        Some(proto::Xyz {
+            x: Some(self.x),
+            y: Some(self.y),
+            z: Some(self.z),
+        })
+    }
+
+    fn from(on_disk: &Option<proto::Xyz>, field: &'static str) -> Result<Self, RecordDefect> {
+        let v = need(on_disk.as_ref(), field)?;
+        Ok(Self::new(need(v.x, field)?, need(v.y, field)?, need(v.z, field)?))
+    }
+}
+
+impl Part<Option<proto::Wxyz>> for Attitude {
+    fn to(self) -> Option<proto::Wxyz> {
+        Some(proto::Wxyz {
+            w: Some(self.w),
+            x: Some(self.x),
+            y: Some(self.y),
+            z: Some(self.z),
+        })
+    }
+
+    fn from(on_disk: &Option<proto::Wxyz>, field: &'static str) -> Result<Self, RecordDefect> {
+        let q = need(on_disk.as_ref(), field)?;
+        Ok(Self {
+            w: need(q.w, field)?,
+            x: need(q.x, field)?,
+            y: need(q.y, field)?,
+            z: need(q.z, field)?,
+        })
+    }
+}
+
+impl Part<Vec<u8>> for [u8; FRAME_TAG_BYTES] {
+    fn to(self) -> Vec<u8> {
         // Most frames have none.
-        tag: if tag == [0; FRAME_TAG_BYTES] {
-            Vec::new()
-        } else {
-            tag.to_vec()
-        },
+        match self == [0; FRAME_TAG_BYTES] {
+            true => Vec::new(),
+            false => self.to_vec(),
+        }
     }
-}
 
-fn header_from_proto(frame: &proto::Frame) -> Result<FrameHeader, RecordDefect> {
-    Ok(FrameHeader {
-        stamp_ns: frame.stamp_ns,
-        sequence: frame.sequence,
-        sensor_id: frame.sensor_id,
-        rows: small(frame.rows, "frame.rows")?,
-        cols: small(frame.cols, "frame.cols")?,
-        position_ned_m: xyz_from_proto(frame.position_ned_m.as_ref(), "frame.position_ned_m")?,
-        attitude: attitude_from_proto(frame.attitude.as_ref(), "frame.attitude")?,
-        reserved: frame.reserved,
-        checksum: frame.checksum,
-        tag: match frame.tag.as_slice() {
-            [] => [0; FRAME_TAG_BYTES],
+    fn from(on_disk: &Vec<u8>, _: &'static str) -> Result<Self, RecordDefect> {
+        match on_disk.as_slice() {
+            [] => Ok([0; FRAME_TAG_BYTES]),
             tag => tag.try_into().map_err(|_| RecordDefect::Impossible {
                 field: "frame.tag, bytes",
                 value: tag.len() as u32,
-            })?,
-        },
-    })
+            }),
+        }
+    }
+}
+
+/// Structs whose messages have the same fields, with where these messages lie. Each is taken apart by name, so that a field added to
+/// the loop's data fails to compile here until the log records it.
+macro_rules! records {
+    ($($type:ident = $message:ident in $at:literal { $($field:ident),+ })+) => {$(
+        impl Record for $type {
+            type Message = proto::$message;
+
+            fn message(self) -> proto::$message {
+                let Self { $($field),+ } = self;
+                proto::$message { $($field: $field.to()),+ }
+            }
+
+            fn of(message: &proto::$message) -> Result<Self, RecordDefect> {
+                Ok(Self { $($field: Part::from(&message.$field, concat!($at, stringify!($field)))?),+ })
+            }
+        }
+    )+};
+}
+
+records! {
+    StepTiming = Timing in "timing." { step, previous_execution_ns, wake_late_ns, slips }
+    FrameHeader = Frame in "frame." {
+        stamp_ns, sequence, sensor_id, rows, cols, position_ned_m, attitude, reserved, checksum, tag
+    }
+    GoalRelative = GoalRelative in "report.goal_relative." { distance_m, bearing_rad }
+    Action = Action in "report.action." { forward_m_s, yaw }
+    Alarm = Alarm in "report.alarm." { cause, response }
+    VehicleTelemetry = Telemetry in "report.telemetry." { heartbeat, kinematics, attitude, landed, battery_remaining }
+    Heartbeat = Heartbeat in "report.telemetry.heartbeat." { at_ns, armed, mode, failsafe }
+    Kinematics = Kinematics in "report.telemetry.kinematics." { at_ns, position_ned_m, velocity_ned_m_s }
+    AttitudeSample = AttitudeSample in "report.telemetry.attitude." { at_ns, attitude, rates_frd_rad_s }
+}
+
+impl Record for VelocitySetpoint {
+    type Message = proto::Setpoint;
+
+    fn message(self) -> proto::Setpoint {
+        let Self {
+            velocity_m_s,
+            yaw_rate_rad_s,
+        } = self;
+        proto::Setpoint {
+            velocity_heading_m_s: velocity_m_s.to(),
+            yaw_rate_rad_s: yaw_rate_rad_s.to(),
+        }
+    }
+
+    fn of(setpoint: &proto::Setpoint) -> Result<Self, RecordDefect> {
+        let velocity = &setpoint.velocity_heading_m_s;
+        Ok(Self {
+            velocity_m_s: Part::from(velocity, "report.setpoint.velocity_heading_m_s")?,
+            yaw_rate_rad_s: Part::from(&setpoint.yaw_rate_rad_s, "report.setpoint.yaw_rate_rad_s")?,
+        })
+    }
+}
+
+impl Record for Judgement {
+    type Message = proto::Judgement;
+
+    fn message(self) -> proto::Judgement {
+        let Self {
+            verdict,
+            score,
+            image,
+            bearing,
+            distance,
+            told,
+            base,
+            phi,
+        } = self;
+        proto::Judgement {
+            verdict: verdict.to(),
+            score,
+            image: Some(image),
+            bearing: Some(bearing),
+            distance: Some(distance),
+            told: Some(told),
+            base: Some(base),
+            phi: phi.to_vec(),
+        }
+    }
+
+    fn of(judgement: &proto::Judgement) -> Result<Self, RecordDefect> {
+        let phi = judgement.phi.as_slice().try_into();
+        Ok(Self {
+            verdict: Part::from(&judgement.verdict, "report.judgement.verdict")?,
+            score: judgement.score,
+            image: need(judgement.image, "report.judgement.image")?,
+            bearing: need(judgement.bearing, "report.judgement.bearing")?,
+            distance: need(judgement.distance, "report.judgement.distance")?,
+            // Logs of actors that were given the goal alone do not have it.
+            told: judgement.told.unwrap_or(0.0),
+            base: need(judgement.base, "report.judgement.base")?,
+            phi: phi.map_err(|_| RecordDefect::Missing("report.judgement.phi"))?,
+        })
+    }
 }
 
 fn datagrams_to_proto(datagrams: &Datagrams) -> Vec<proto::Datagram> {
-    datagrams
-        .iter()
-        .map(|(link, bytes)| proto::Datagram {
-            link: link.into(),
-            data: bytes.to_vec(),
-        })
-        .collect()
+    let message = |(link, bytes): (u8, &[u8])| proto::Datagram {
+        link: link.into(),
+        data: bytes.to_vec(),
+    };
+    datagrams.iter().map(message).collect()
 }
 
 fn datagrams_from_proto(from: &[proto::Datagram], to: &mut Datagrams, field: &'static str) -> Result<(), RecordDefect> {
@@ -246,277 +339,40 @@ fn report_to_proto(report: &StepReport) -> proto::Report {
     let [first_reasons, further_reasons] = reasons.words();
     proto::Report {
         now_ns,
-        timing: Some(timing_to_proto(timing)),
-        state: state as u32,
+        timing: timing.to(),
+        state: state.to(),
         reasons: first_reasons,
         further_reasons,
-        telemetry: Some(telemetry_to_proto(&telemetry)),
-        goal_position_ned_m: goal.map(|Goal { position_ned_m }| xyz_to_proto(position_ned_m)),
-        goal_relative: goal_relative.map(
-            |GoalRelative {
-                 distance_m,
-                 bearing_rad,
-             }| proto::GoalRelative {
-                distance_m: Some(distance_m),
-                bearing_rad: Some(bearing_rad),
-            },
-        ),
-        action: action.map(|Action { forward_m_s, yaw }| proto::Action {
-            forward_m_s: Some(forward_m_s),
-            yaw: Some(yaw),
-        }),
-        setpoint: setpoint.map(
-            |VelocitySetpoint {
-                 velocity_m_s,
-                 yaw_rate_rad_s,
-             }| proto::Setpoint {
-                velocity_heading_m_s: Some(xyz_to_proto(velocity_m_s)),
-                yaw_rate_rad_s: Some(yaw_rate_rad_s),
-            },
-        ),
+        telemetry: Some(telemetry.message()),
+        goal_position_ned_m: goal.and_then(|Goal { position_ned_m }| position_ned_m.to()),
+        goal_relative: goal_relative.to(),
+        action: action.to(),
+        setpoint: setpoint.to(),
         frame_sequence,
         frame_age_ns,
         frames_refused,
-        judgement: judgement.as_ref().map(judgement_to_proto),
-        alarm: alarm.map(|Alarm { cause, response }| proto::Alarm {
-            cause: cause as u32,
-            response: response as u32,
-        }),
+        judgement: judgement.to(),
+        alarm: alarm.to(),
     }
 }
 
 fn report_from_proto(report: &proto::Report) -> Result<StepReport, RecordDefect> {
-    let goal = report.goal_position_ned_m.as_ref();
+    let goal = &report.goal_position_ned_m;
+    let goal = goal.map(|_| Part::from(goal, "report.goal_position_ned_m"));
     Ok(StepReport {
         now_ns: report.now_ns,
-        timing: timing_from_proto(report.timing.as_ref(), "report.timing")?,
-        state: code(&GuidanceState::ALL, report.state, "report.state")?,
+        timing: Part::from(&report.timing, "report.timing")?,
+        state: Part::from(&report.state, "report.state")?,
         reasons: Reasons::from_words([report.reasons, report.further_reasons]),
-        telemetry: telemetry_from_proto(need(report.telemetry.as_ref(), "report.telemetry")?)?,
-        goal: goal
-            .map(|_| xyz_from_proto(goal, "report.goal_position_ned_m").map(|position_ned_m| Goal { position_ned_m }))
-            .transpose()?,
-        goal_relative: report
-            .goal_relative
-            .as_ref()
-            .map(|g| {
-                Ok(GoalRelative {
-                    distance_m: need(g.distance_m, "report.goal_relative.distance_m")?,
-                    bearing_rad: need(g.bearing_rad, "report.goal_relative.bearing_rad")?,
-                })
-            })
-            .transpose()?,
-        action: report
-            .action
-            .as_ref()
-            .map(|a| {
-                Ok(Action {
-                    forward_m_s: need(a.forward_m_s, "report.action.forward_m_s")?,
-                    yaw: need(a.yaw, "report.action.yaw")?,
-                })
-            })
-            .transpose()?,
-        setpoint: report
-            .setpoint
-            .as_ref()
-            .map(|s| {
-                Ok(VelocitySetpoint {
-                    velocity_m_s: xyz_from_proto(
-                        s.velocity_heading_m_s.as_ref(),
-                        "report.setpoint.velocity_heading_m_s",
-                    )?,
-                    yaw_rate_rad_s: need(s.yaw_rate_rad_s, "report.setpoint.yaw_rate_rad_s")?,
-                })
-            })
-            .transpose()?,
+        telemetry: VehicleTelemetry::of(need(report.telemetry.as_ref(), "report.telemetry")?)?,
+        goal: goal.transpose()?.map(|position_ned_m| Goal { position_ned_m }),
+        goal_relative: Part::from(&report.goal_relative, "report.goal_relative")?,
+        action: Part::from(&report.action, "report.action")?,
+        setpoint: Part::from(&report.setpoint, "report.setpoint")?,
         frame_sequence: report.frame_sequence,
         frame_age_ns: report.frame_age_ns,
         frames_refused: report.frames_refused,
-        judgement: report.judgement.as_ref().map(judgement_from_proto).transpose()?,
-        alarm: report
-            .alarm
-            .as_ref()
-            .map(|a| {
-                Ok(Alarm {
-                    cause: code(&AlarmCause::ALL, a.cause, "report.alarm.cause")?,
-                    response: code(&AlarmResponse::ALL, a.response, "report.alarm.response")?,
-                })
-            })
-            .transpose()?,
-    })
-}
-
-fn judgement_to_proto(judgement: &Judgement) -> proto::Judgement {
-    let Judgement {
-        verdict,
-        score,
-        image,
-        bearing,
-        distance,
-        told,
-        base,
-        phi,
-    } = judgement;
-    proto::Judgement {
-        verdict: *verdict as u32,
-        score: *score,
-        image: Some(*image),
-        bearing: Some(*bearing),
-        distance: Some(*distance),
-        told: Some(*told),
-        base: Some(*base),
-        phi: phi.to_vec(),
-    }
-}
-
-fn judgement_from_proto(judgement: &proto::Judgement) -> Result<Judgement, RecordDefect> {
-    Ok(Judgement {
-        verdict: code(&Verdict::ALL, judgement.verdict, "report.judgement.verdict")?,
-        score: judgement.score,
-        image: need(judgement.image, "report.judgement.image")?,
-        bearing: need(judgement.bearing, "report.judgement.bearing")?,
-        distance: need(judgement.distance, "report.judgement.distance")?,
-        // Logs of actors that were given the goal alone do not have it.
-        told: judgement.told.unwrap_or(0.0),
-        base: need(judgement.base, "report.judgement.base")?,
-        phi: judgement
-            .phi
-            .as_slice()
-            .try_into()
-            .map_err(|_| RecordDefect::Missing("report.judgement.phi"))?,
-    })
-}
-
-fn telemetry_to_proto(telemetry: &VehicleTelemetry) -> proto::Telemetry {
-    let VehicleTelemetry {
-        heartbeat,
-        kinematics,
-        attitude,
-        landed,
-        battery_remaining,
-    } = *telemetry;
-    proto::Telemetry {
-        heartbeat: heartbeat.map(
-            |Heartbeat {
-                 at_ns,
-                 armed,
-                 mode,
-                 failsafe,
-             }| proto::Heartbeat {
-                at_ns,
-                armed,
-                mode: mode_code(mode),
-                failsafe,
-            },
-        ),
-        kinematics: kinematics.map(
-            |Kinematics {
-                 at_ns,
-                 position_ned_m,
-                 velocity_ned_m_s,
-             }| proto::Kinematics {
-                at_ns,
-                position_ned_m: Some(xyz_to_proto(position_ned_m)),
-                velocity_ned_m_s: Some(xyz_to_proto(velocity_ned_m_s)),
-            },
-        ),
-        attitude: attitude.map(
-            |AttitudeSample {
-                 at_ns,
-                 attitude,
-                 rates_frd_rad_s,
-             }| proto::AttitudeSample {
-                at_ns,
-                attitude: Some(attitude_to_proto(attitude)),
-                rates_frd_rad_s: Some(xyz_to_proto(rates_frd_rad_s)),
-            },
-        ),
-        landed: landed_code(landed),
-        battery_remaining,
-    }
-}
-
-fn telemetry_from_proto(telemetry: &proto::Telemetry) -> Result<VehicleTelemetry, RecordDefect> {
-    Ok(VehicleTelemetry {
-        heartbeat: telemetry
-            .heartbeat
-            .as_ref()
-            .map(|h| {
-                Ok(Heartbeat {
-                    at_ns: h.at_ns,
-                    armed: h.armed,
-                    mode: code(&MODES, h.mode, "report.telemetry.heartbeat.mode")?,
-                    failsafe: h.failsafe,
-                })
-            })
-            .transpose()?,
-        kinematics: telemetry
-            .kinematics
-            .as_ref()
-            .map(|k| {
-                Ok(Kinematics {
-                    at_ns: k.at_ns,
-                    position_ned_m: xyz_from_proto(
-                        k.position_ned_m.as_ref(),
-                        "report.telemetry.kinematics.position_ned_m",
-                    )?,
-                    velocity_ned_m_s: xyz_from_proto(
-                        k.velocity_ned_m_s.as_ref(),
-                        "report.telemetry.kinematics.velocity_ned_m_s",
-                    )?,
-                })
-            })
-            .transpose()?,
-        attitude: telemetry
-            .attitude
-            .as_ref()
-            .map(|a| {
-                Ok(AttitudeSample {
-                    at_ns: a.at_ns,
-                    attitude: attitude_from_proto(a.attitude.as_ref(), "report.telemetry.attitude.attitude")?,
-                    rates_frd_rad_s: xyz_from_proto(
-                        a.rates_frd_rad_s.as_ref(),
-                        "report.telemetry.attitude.rates_frd_rad_s",
-                    )?,
-                })
-            })
-            .transpose()?,
-        landed: code(&LANDED, telemetry.landed, "report.telemetry.landed")?,
-        battery_remaining: telemetry.battery_remaining,
-    })
-}
-
-fn xyz_to_proto<F: vigil_types::Frame>(v: Vector<F>) -> proto::Xyz {
-    proto::Xyz {
-        x: Some(v.x),
-        y: Some(v.y),
-        z: Some(v.z),
-    }
-}
-
-fn xyz_from_proto<F: vigil_types::Frame>(
-    v: Option<&proto::Xyz>,
-    field: &'static str,
-) -> Result<Vector<F>, RecordDefect> {
-    let v = need(v, field)?;
-    Ok(Vector::new(need(v.x, field)?, need(v.y, field)?, need(v.z, field)?))
-}
-
-fn attitude_to_proto(q: Attitude) -> proto::Wxyz {
-    proto::Wxyz {
-        w: Some(q.w),
-        x: Some(q.x),
-        y: Some(q.y),
-        z: Some(q.z),
-    }
-}
-
-fn attitude_from_proto(q: Option<&proto::Wxyz>, field: &'static str) -> Result<Attitude, RecordDefect> {
-    let q = need(q, field)?;
-    Ok(Attitude {
-        w: need(q.w, field)?,
-        x: need(q.x, field)?,
-        y: need(q.y, field)?,
-        z: need(q.z, field)?,
+        judgement: Part::from(&report.judgement, "report.judgement")?,
+        alarm: Part::from(&report.alarm, "report.alarm")?,
     })
 }

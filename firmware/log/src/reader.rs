@@ -11,18 +11,14 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 use vigil_types::Nanos;
+use vigil_types::files::{FileError, at};
 
 /// Why a log cannot be read, or cannot be read any further.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
     /// The file cannot be opened or read.
-    #[error("log file {path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    #[error("log file {0}")]
+    Io(#[from] FileError),
     /// Not an MCAP file.
     #[error("{path} is no MCAP file{}; give the .mcap file of a flight", .looks_like.map(|kind| format!(" but {kind}")).unwrap_or_default())]
     NotMcap {
@@ -225,13 +221,9 @@ impl Reader {
     /// # Errors
     /// [`ReadError`] when the file is missing, of another kind or of another format version.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        let container = Container::open(path).map_err(|source| ReadError::Io {
-            path: path.to_owned(),
-            source,
-        })?;
         let mut reader = Self {
             path: path.to_owned(),
-            container,
+            container: Container::open(path)?,
             info: FlightInfo::default(),
             epoch_offset_ns: 0,
             channels: BTreeMap::new(),
@@ -264,7 +256,7 @@ impl Reader {
                 let looks_like = known.map(|(_, kind)| *kind);
                 return Err(ReadError::NotMcap { path, looks_like });
             }
-            Err(Damage::Container(McapError::Io(source))) => return Err(ReadError::Io { path, source }),
+            Err(Damage::Container(McapError::Io(error))) => return Err(at(&path)(error).into()),
             Err(what) => return Err(self.damaged(what)),
         };
         match FlightInfo::format_version(&meta) {
@@ -282,12 +274,8 @@ impl Reader {
 
     /// The metadata of a log that does not begin with them; reading then begins anew.
     fn start_elsewhere(&mut self) -> Result<Option<BTreeMap<String, String>>, ReadError> {
-        let unreadable = |source| ReadError::Io {
-            path: self.path.clone(),
-            source,
-        };
-        let description = salvage::describe(&self.path).map_err(unreadable)?;
-        self.container = Container::open(&self.path).map_err(unreadable)?;
+        let description = salvage::describe(&self.path).map_err(at(&self.path))?;
+        self.container = Container::open(&self.path)?;
         Ok(description.start.map(|start| start.metadata))
     }
 
@@ -316,10 +304,7 @@ impl Reader {
             return Ok(false);
         }
         let result = self.try_next(record).map_err(|what| match what {
-            Damage::Container(McapError::Io(source)) => ReadError::Io {
-                path: self.path.clone(),
-                source,
-            },
+            Damage::Container(McapError::Io(error)) => at(&self.path)(error).into(),
             what => self.damaged(what),
         });
         self.done = !matches!(result, Ok(true));

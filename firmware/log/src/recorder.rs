@@ -13,6 +13,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use vigil_types::LogContent;
+use vigil_types::files::{FileError, at};
 
 /// Where the log goes. The tlog stands beside it, with the extension `tlog`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -79,13 +80,8 @@ pub fn epoch_offset_ns(now_ns: u64) -> u64 {
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     /// The directory cannot be made or read.
-    #[error("log directory {path}: {source}; give a directory that can be written")]
-    Directory {
-        /// The directory.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    #[error("log directory {0}; give a directory that can be written")]
+    Directory(FileError),
     /// A log of that name is already there; nothing was touched.
     #[error("log file {path} already exists and is kept; give another name")]
     Exists {
@@ -93,13 +89,8 @@ pub enum StartError {
         path: PathBuf,
     },
     /// The file cannot be made.
-    #[error("log file {path}: {source}; give a place that can be written")]
-    Create {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    #[error("log file {0}; give a place that can be written")]
+    Create(FileError),
     /// The file was made and its first bytes could not be written, for example on a full disk.
     #[error(
         "log file {path} cannot be written: {}; free some space or give another place",
@@ -340,10 +331,7 @@ impl Drop for Recorder {
 fn create_new(path: &Path) -> Result<File, StartError> {
     File::create_new(path).map_err(|source| match source.kind() {
         io::ErrorKind::AlreadyExists => StartError::Exists { path: path.to_owned() },
-        _ => StartError::Create {
-            path: path.to_owned(),
-            source,
-        },
+        _ => StartError::Create(at(path)(source)),
     })
 }
 
@@ -352,10 +340,7 @@ fn create_log(place: &LogPlace) -> Result<(File, PathBuf), StartError> {
         LogPlace::File(path) => return Ok((create_new(path)?, path.clone())),
         LogPlace::Directory(directory) => directory,
     };
-    let error = |source| StartError::Directory {
-        path: directory.clone(),
-        source,
-    };
+    let error = |source| StartError::Directory(at(directory)(source));
     std::fs::create_dir_all(directory).map_err(error)?;
     let mut last = 0;
     for entry in std::fs::read_dir(directory).map_err(error)? {

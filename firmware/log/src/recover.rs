@@ -9,6 +9,7 @@ use prost::Message;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
+use vigil_types::files::at;
 use vigil_types::{Nanos, STEP_S};
 
 /// Why a log could not be recovered.
@@ -132,13 +133,7 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
     let reader = Reader::open(from)?;
     let epoch_offset_ns = reader.epoch_offset_ns();
     drop(reader);
-    let unreadable = |source| {
-        RecoverError::Read(ReadError::Io {
-            path: from.to_owned(),
-            source,
-        })
-    };
-    let description = salvage::describe(from).map_err(unreadable)?;
+    let description = salvage::describe(from).map_err(at(from)).map_err(ReadError::Io)?;
     let unwritable = |source: McapError| RecoverError::Write {
         path: to.to_owned(),
         source,

@@ -9,6 +9,7 @@ use crate::proto::foxglove::{
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use vigil_types::NedVector;
+use vigil_types::files::{self, FileError};
 
 /// Solids to show around the flight.
 ///
@@ -57,13 +58,8 @@ const SIZE_LIMIT: u64 = 16 << 20;
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     /// The file could not be read or written.
-    #[error("scene file {path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error("scene file {0}")]
+    Io(#[from] FileError),
     /// The file is no scene; the message names line, column and field.
     #[error(
         "scene file {path}: {source}; expected {{ \"solids\": [ {{ \"cuboid\": {{…}} }}, {{ \"cylinder\": {{…}} }} ] }}"
@@ -96,10 +92,7 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] when the file is missing, unreadable or not a scene.
     pub fn load(path: &Path) -> Result<Self, SceneError> {
-        let text = vigil_types::files::read_text(path, SIZE_LIMIT).map_err(|source| SceneError::Io {
-            path: path.to_owned(),
-            source,
-        })?;
+        let text = files::read_text(path, SIZE_LIMIT).map_err(files::at(path))?;
         let scene: Self = serde_json::from_str(&text).map_err(|source| SceneError::Format {
             path: path.to_owned(),
             source,
@@ -127,12 +120,8 @@ impl Scene {
             path: path.to_owned(),
             source,
         })?;
-        vigil_types::files::replace(path, (text + "\n").as_bytes(), vigil_types::files::Access::Shared).map_err(
-            |source| SceneError::Io {
-                path: path.to_owned(),
-                source,
-            },
-        )
+        files::replace(path, (text + "\n").as_bytes(), files::Access::Shared).map_err(files::at(path))?;
+        Ok(())
     }
 
     /// The solids as one entity of a 3D view, in the z-up `map` frame.
@@ -394,7 +383,7 @@ mod tests {
         );
         assert!(matches!(
             Scene::load(&dir.path().join("none.json")),
-            Err(SceneError::Io { .. })
+            Err(SceneError::Io(_))
         ));
     }
 

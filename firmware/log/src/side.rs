@@ -16,7 +16,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
-use vigil_types::files::Access;
+use vigil_types::files::{self, Access, FileError};
 use vigil_types::{Attitude, DepthFrame, Nanos, NedVector};
 
 /// Why a side log cannot be written, or not be put into the log.
@@ -26,13 +26,8 @@ pub enum SideError {
     #[error(transparent)]
     Read(#[from] ReadError),
     /// A file cannot be opened, written or replaced.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    #[error(transparent)]
+    Io(#[from] FileError),
     /// A file is no MCAP file, or is damaged.
     #[error("{path}: {}", crate::reader::in_words(.source))]
     Mcap {
@@ -45,10 +40,7 @@ pub enum SideError {
 
 pub(crate) fn at(path: &Path) -> impl Fn(McapError) -> SideError + '_ {
     |source| match source {
-        McapError::Io(source) => SideError::Io {
-            path: path.to_owned(),
-            source,
-        },
+        McapError::Io(error) => files::at(path)(error).into(),
         source => SideError::Mcap {
             path: path.to_owned(),
             source,
@@ -174,10 +166,7 @@ pub(crate) struct Sheet {
 
 impl Sheet {
     pub(crate) fn create(path: &Path) -> Result<Self, SideError> {
-        let sink = File::create(path).map_err(|source| SideError::Io {
-            path: path.to_owned(),
-            source,
-        })?;
+        let sink = File::create(path).map_err(files::at(path))?;
         let writer = log_file::write_options().create(BufWriter::new(sink));
         Ok(Self {
             path: path.to_owned(),
@@ -239,16 +228,10 @@ fn replace_merged(
     without: &'static [&'static str],
     epoch_offset_ns: u64,
 ) -> Result<(), SideError> {
-    let merged = vigil_types::files::replace_with(log, Access::Shared, |file| {
+    let merged = files::replace_with(log, Access::Shared, |file| {
         merge(log, sides, about, without, epoch_offset_ns, file).map_err(io::Error::other)
     });
-    merged.map_err(|source| match source.downcast::<SideError>() {
-        Ok(error) => error,
-        Err(source) => SideError::Io {
-            path: log.to_owned(),
-            source,
-        },
-    })
+    merged.map_err(|error| error.downcast().unwrap_or_else(|error| files::at(log)(error).into()))
 }
 
 fn merge(
@@ -325,13 +308,9 @@ struct Source<'a> {
 
 impl<'a> Source<'a> {
     fn open(path: &'a Path, offset_ns: u64) -> Result<Self, SideError> {
-        let container = Container::open(path).map_err(|source| SideError::Io {
-            path: path.to_owned(),
-            source,
-        })?;
         Ok(Self {
             path,
-            container,
+            container: Container::open(path)?,
             offset_ns,
             schemas: HashMap::new(),
             channels: HashMap::new(),

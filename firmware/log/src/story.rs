@@ -82,10 +82,7 @@ impl Story {
     /// [`ReadError`] of a file that is no log of this format, as [`Reader::open`] has it.
     pub fn read(path: &Path) -> Result<Self, ReadError> {
         let epoch_offset_ns = Reader::open(path)?.epoch_offset_ns();
-        let mut container = Container::open(path).map_err(|source| ReadError::Io {
-            path: path.to_owned(),
-            source,
-        })?;
+        let mut container = Container::open(path)?;
         let mut story = Self::default();
         let mut topics: HashMap<u16, String> = HashMap::new();
         loop {

@@ -462,7 +462,7 @@ fn a_wrong_file_is_named_for_what_it_is() {
     let path = dir.path().join("file.mcap");
     let error = |path: &Path| Reader::open(path).unwrap_err();
 
-    assert!(matches!(error(&path), ReadError::Io { .. }));
+    assert!(matches!(error(&path), ReadError::Io(_)));
     std::fs::write(&path, "").unwrap();
     assert!(matches!(error(&path), ReadError::Empty { .. }));
     std::fs::write(&path, "[pilot]\nkind = 'geometric' and a long text\n").unwrap();
@@ -485,7 +485,7 @@ fn a_wrong_file_is_named_for_what_it_is() {
             "{text}"
         );
     }
-    assert!(matches!(error(dir.path()), ReadError::Io { .. }));
+    assert!(matches!(error(dir.path()), ReadError::Io(_)));
     with_metadata(&path, "somebody else's", &[]);
     assert!(matches!(error(&path), ReadError::NotALog { .. }));
     with_metadata(&path, "vigil", &[("program", "x")]);

@@ -25,6 +25,9 @@
 #![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing))]
 
+#[cfg(feature = "std")]
+extern crate std;
+
 mod autopilot;
 mod companion;
 mod core;

@@ -3,7 +3,7 @@
 mod common;
 
 use common::peer::Peer;
-use common::{Bench, Flight, GROUND_STATION, bytes_of, command_long, messages, reposition};
+use common::{Bench, Flight, GROUND_STATION, VEHICLE, bytes_of, command_long, header, messages, reposition};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use vigil_mavlink::common::*;
@@ -12,12 +12,6 @@ use vigil_mavlink::mavlink::Message;
 use vigil_mavlink::{Flavour, MavHeader, MavMessage};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Standby};
 use vigil_types::{Reasons, VehicleRequest};
-
-const VEHICLE: MavHeader = MavHeader {
-    system_id: 1,
-    component_id: 1,
-    sequence: 9,
-};
 
 /// One packet of everything that the companion reads.
 fn corpus() -> Vec<Vec<u8>> {
@@ -173,7 +167,7 @@ fn asked(number: u16, params: [f32; 7], form: CommandForm) -> Vec<u8> {
     let mut command = Command::to_autopilot(1, number, params, 0);
     (command.target_component, command.form) = (191, form);
     let mut out = [0; MAX_PACKET_LEN];
-    let len = command.serialize(GROUND_STATION, &mut out).expect("fits");
+    let len = command.serialize(header(GROUND_STATION), &mut out).expect("fits");
     out[..len].to_vec()
 }
 
@@ -243,10 +237,10 @@ fn every_message_of_the_dialect_is_survived_with_extremes_in_every_field() {
                 for at in (0..60).step_by(4) {
                     let mut payload = [0; 64];
                     payload[at..at + 4].copy_from_slice(pattern);
-                    let len = serialize_payload(from, id, &payload, &mut out).expect("fits");
+                    let len = serialize_payload(header(from), id, &payload, &mut out).expect("fits");
                     f.companion.receive(f.now_ns, 0, &out[..len]);
                 }
-                let len = serialize_payload(from, id, &pattern.repeat(16), &mut out).expect("fits");
+                let len = serialize_payload(header(from), id, &pattern.repeat(16), &mut out).expect("fits");
                 f.survives(&out[..len], &(id, from, pattern));
             }
         }

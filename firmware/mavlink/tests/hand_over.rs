@@ -3,7 +3,7 @@
 mod common;
 
 use common::Flight;
-use common::peer::{HOME_ALTITUDE_M, Mode, Peer, Quirk, longest_gap_ns};
+use common::peer::{HOME_ALTITUDE_M, Mode, Peer, longest_gap_ns};
 use vigil_guidance::{AtGoal, EngagePolicy, GuidanceConfig};
 use vigil_mavlink::Flavour::{self, ArduPilot, Px4};
 use vigil_mavlink::common::MavResult;
@@ -21,7 +21,7 @@ fn a_px4_on_the_ground_is_armed_taken_off_and_flown_to_the_goal() {
     let mut f = Flight::new(Px4, Peer::on_the_ground(Px4));
     f.until(Guided);
     assert_eq!(f.peer.flight_commands(), [400, 22, 176]);
-    let of = |number| *f.peer.commands.iter().find(|c| c.command == number).unwrap();
+    let of = |number| f.peer.got(number)[0];
     assert_eq!(of(400).params[..2], [1.0, 0.0]);
     assert_eq!(of(22).params[6], HOME_ALTITUDE_M + 3.0, "above sea level");
     assert!(of(22).params[4].is_nan());
@@ -58,18 +58,12 @@ fn an_ardupilot_on_the_ground_is_flown_lands_at_the_goal_and_gets_zeros_before_s
     let mut f = Flight::with(ArduPilot, Peer::on_the_ground(ArduPilot), config);
     f.engage_and_fly();
     assert_eq!(f.peer.flight_commands(), [176, 400, 22]);
-    let of = |number| *f.peer.commands.iter().find(|c| c.command == number).unwrap();
+    let of = |number| f.peer.got(number)[0];
     assert_eq!(of(176).params, [1.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     assert_eq!(of(22).params[6], 3.0, "above home");
     assert!(!f.peer.disturbed_takeoff, "a setpoint would have ended the take-off");
     assert_eq!(f.peer.setpoints.len(), 1, "no setpoint before guided");
-    let wanted: Vec<f32> = f
-        .peer
-        .commands
-        .iter()
-        .filter(|c| c.command == 511)
-        .map(|c| c.params[0])
-        .collect();
+    let wanted: Vec<f32> = f.peer.got(511).iter().map(|c| c.params[0]).collect();
     assert_eq!(
         wanted,
         [32.0, 30.0, 245.0, 1.0, 242.0],
@@ -112,99 +106,58 @@ fn a_vehicle_that_already_obeys_is_not_commanded_at_all() {
 #[test]
 fn a_vehicle_that_does_not_tell_whether_it_landed_is_judged_by_its_height() {
     for flavour in [Px4, ArduPilot] {
-        let mut f = Flight::new(
-            flavour,
-            Peer {
-                tells_landed: false,
-                ..Peer::on_the_ground(flavour)
-            },
-        );
-        f.engage_and_fly();
+        let silent = |peer| {
+            let mut f = Flight::new(flavour, peer);
+            f.peer.tells_landed = false;
+            f.engage_and_fly();
+            f
+        };
+        let f = silent(Peer::on_the_ground(flavour));
         assert!(f.peer.flight_commands().contains(&22) && !f.peer.disturbed_takeoff);
-        let mut f = Flight::new(
-            flavour,
-            Peer {
-                tells_landed: false,
-                ..Peer::in_the_air(flavour)
-            },
-        );
-        f.engage_and_fly();
+        let f = silent(Peer::in_the_air(flavour));
         assert_eq!(f.peer.flight_commands(), [176]);
     }
 }
 
 /// A flight whose hand-over of an airborne vehicle or one on the ground fails; the text that tells why.
-fn failed_with(flavour: Flavour, quirk: Quirk) -> (Flight, String) {
-    let config = GuidanceConfig::default();
-    let mut f = Flight::with(flavour, Peer::on_the_ground(flavour), config);
-    f.peer.quirks.push(quirk);
+fn failed_with(flavour: Flavour, command: u16, answer: Option<MavResult>) -> (Flight, String) {
+    let mut f = Flight::on_command(flavour, Peer::on_the_ground(flavour));
+    f.peer.answer(command, answer, 9);
     f.until(Ready);
     f.guidance.request(vigil_types::OperatorRequest::Engage);
     f.until(Engaging);
     f.until(Standby);
-    let text = f
-        .texts
-        .iter()
-        .find(|t| t.starts_with("hand-over:"))
-        .cloned()
-        .unwrap_or_default();
+    let text = told(&f, "hand-over:").into_iter().next().unwrap_or_default();
     (f, text)
 }
 
 #[test]
 fn a_refused_command_fails_the_hand_over_with_its_result() {
-    let quirk = |command, answer| Quirk {
-        command,
-        answer: Some(answer),
-        times: 9,
-    };
-    let (f, text) = failed_with(Px4, quirk(400, MavResult::MAV_RESULT_DENIED));
+    let (f, text) = failed_with(Px4, 400, Some(MavResult::MAV_RESULT_DENIED));
     assert_eq!(text, "hand-over: arming refused: DENIED");
-    assert_eq!(
-        f.peer.commands.iter().filter(|c| c.command == 400).count(),
-        1,
-        "a refusal is not argued with"
-    );
+    assert_eq!(f.peer.got(400).len(), 1, "a refusal is not argued with");
     assert!(!f.peer.armed);
-    let (_, text) = failed_with(ArduPilot, quirk(22, MavResult::MAV_RESULT_FAILED));
+    let (_, text) = failed_with(ArduPilot, 22, Some(MavResult::MAV_RESULT_FAILED));
     assert_eq!(text, "hand-over: take-off refused: FAILED");
-    let (f, text) = failed_with(ArduPilot, quirk(176, MavResult::MAV_RESULT_TEMPORARILY_REJECTED));
+    let (f, text) = failed_with(ArduPilot, 176, Some(MavResult::MAV_RESULT_TEMPORARILY_REJECTED));
     assert_eq!(text, "hand-over: change of mode refused: TEMPORARILY_REJECTED");
-    assert_eq!(
-        f.peer.commands.iter().filter(|c| c.command == 176).count(),
-        4,
-        "for now is asked again"
-    );
+    assert_eq!(f.peer.got(176).len(), 4, "for now is asked again");
 }
 
 #[test]
 fn silence_is_asked_four_times_half_a_second_apart() {
-    let (f, text) = failed_with(
-        Px4,
-        Quirk {
-            command: 400,
-            answer: None,
-            times: 9,
-        },
-    );
+    let (f, text) = failed_with(Px4, 400, None);
     assert_eq!(text, "hand-over: arming not answered");
-    let arms: Vec<_> = f.peer.commands.iter().filter(|c| c.command == 400).collect();
+    let arms = f.peer.got(400);
     assert_eq!(arms.iter().map(|c| c.confirmation).collect::<Vec<_>>(), [0, 1, 2, 3]);
     assert!(arms.windows(2).all(|w| w[1].at_ns - w[0].at_ns == SECOND / 2));
 }
 
 #[test]
 fn a_command_accepted_without_effect_is_not_believed() {
-    let (f, text) = failed_with(
-        Px4,
-        Quirk {
-            command: 400,
-            answer: Some(MavResult::MAV_RESULT_ACCEPTED),
-            times: 9,
-        },
-    );
+    let (f, text) = failed_with(Px4, 400, Some(MavResult::MAV_RESULT_ACCEPTED));
     assert_eq!(text, "hand-over: arming accepted, but without effect");
-    assert_eq!(f.peer.commands.iter().filter(|c| c.command == 400).count(), 4);
+    assert_eq!(f.peer.got(400).len(), 4);
 }
 
 #[test]
@@ -213,11 +166,7 @@ fn lost_and_delayed_answers_do_not_stop_the_hand_over() {
         for flavour in [Px4, ArduPilot] {
             let mut f = Flight::new(flavour, Peer::on_the_ground(flavour));
             for command in [400, 22, 176] {
-                f.peer.quirks.push(Quirk {
-                    command,
-                    answer,
-                    times: 2,
-                });
+                f.peer.answer(command, answer, 2);
             }
             f.engage_and_fly();
         }
@@ -227,18 +176,10 @@ fn lost_and_delayed_answers_do_not_stop_the_hand_over() {
 #[test]
 fn in_progress_extends_the_patience() {
     let mut f = Flight::new(Px4, Peer::on_the_ground(Px4));
-    f.peer.quirks.push(Quirk {
-        command: 400,
-        answer: Some(MavResult::MAV_RESULT_IN_PROGRESS),
-        times: 1,
-    });
+    f.peer.answer(400, Some(MavResult::MAV_RESULT_IN_PROGRESS), 1);
     f.until(Engaging);
     f.run(150);
-    assert_eq!(
-        f.peer.commands.iter().filter(|c| c.command == 400).count(),
-        1,
-        "waits longer than four attempts last"
-    );
+    assert_eq!(f.peer.got(400).len(), 1, "waits longer than four attempts last");
     f.until(Guided);
 }
 
@@ -340,39 +281,19 @@ fn frames_that_stop_make_the_vehicle_hover_and_it_flies_on_when_they_return() {
 #[test]
 fn a_refused_landing_is_asked_for_again() {
     let mut f = Flight::new(Px4, Peer::in_the_air(Px4));
-    f.peer.quirks.push(Quirk {
-        command: 21,
-        answer: Some(MavResult::MAV_RESULT_DENIED),
-        times: 3,
-    });
+    f.peer.answer(21, Some(MavResult::MAV_RESULT_DENIED), 3);
     f.engage_and_fly();
     f.guidance.request(vigil_types::OperatorRequest::Land);
     f.until(Land);
     f.until(Standby);
     assert!(!f.peer.armed);
-    assert_eq!(
-        f.texts
-            .iter()
-            .filter(|t| *t == "hand-over: landing refused: DENIED")
-            .count(),
-        3
-    );
-    let lands: Vec<u64> = f
-        .peer
-        .commands
-        .iter()
-        .filter(|c| c.command == 21)
-        .map(|c| c.at_ns)
-        .collect();
+    assert_eq!(told(&f, "hand-over: landing refused: DENIED").len(), 3);
+    let lands: Vec<u64> = f.peer.got(21).iter().map(|c| c.at_ns).collect();
     assert!(lands.windows(2).all(|w| w[1] - w[0] >= 2 * SECOND), "{lands:?}");
 }
 
-fn told(f: &Flight, parameter: &str) -> Vec<String> {
-    f.texts
-        .iter()
-        .filter(|text| text.starts_with(parameter))
-        .cloned()
-        .collect()
+fn told(f: &Flight, begin: &str) -> Vec<String> {
+    f.texts.iter().filter(|text| text.starts_with(begin)).cloned().collect()
 }
 
 #[test]

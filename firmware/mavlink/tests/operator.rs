@@ -3,8 +3,9 @@
 mod common;
 
 use common::peer::Peer;
-use common::{Bench, Flight, GROUND_STATION, bytes_of, command_long, named_values, report, reposition, texts};
-use vigil_guidance::GuidanceConfig;
+use common::{
+    Bench, Flight, GROUND_STATION, ME, VEHICLE, bytes_of, command_long, header, named_values, report, reposition, texts,
+};
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{Command, CommandForm, MAX_PACKET_LEN};
 use vigil_mavlink::{Flavour, MavHeader, MavMessage};
@@ -12,13 +13,6 @@ use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
 use vigil_types::{
     Action, Datagrams, GoalRelative, HeadingVector, OperatorRequest, Reason, Reasons, RequestOutcome, STEP_NS,
     StepReport, StepTiming, VehicleRequest, VelocitySetpoint,
-};
-
-const ME: (u8, u8) = (1, 191);
-const VEHICLE: MavHeader = MavHeader {
-    system_id: 1,
-    component_id: 1,
-    sequence: 0,
 };
 
 /// The acknowledgements of a step: command, result, addressee.
@@ -46,13 +40,9 @@ fn asked(bench: &mut Bench, message: &MavMessage) -> Result<OperatorRequest, Mav
 
 #[test]
 fn a_ground_station_commands_a_whole_flight() {
-    let mut f = Flight::with(
-        Flavour::Px4,
-        Peer::on_the_ground(Flavour::Px4),
-        GuidanceConfig::default(),
-    );
+    let mut f = Flight::on_command(Flavour::Px4, Peer::on_the_ground(Flavour::Px4));
     let say = |f: &mut Flight, message: &MavMessage| {
-        f.companion.receive(f.now_ns, 0, &bytes_of(GROUND_STATION, message));
+        f.hear(GROUND_STATION, message);
         f.step();
         acks(&common::messages(&f.sent))
     };
@@ -181,7 +171,7 @@ fn unknown_commands_are_unsupported_and_those_for_others_are_not_answered() {
         CommandForm::Int { frame: 0, x: 0, y: 0 },
     ] {
         unknown.form = form;
-        let len = unknown.serialize(GROUND_STATION, &mut out).unwrap();
+        let len = unknown.serialize(header(GROUND_STATION), &mut out).unwrap();
         b.companion.receive(b.now_ns, 3, &out[..len]);
     }
     b.now_ns += STEP_NS;
@@ -482,23 +472,6 @@ fn a_text_that_is_too_long_for_one_message_comes_in_chunks() {
 }
 
 #[test]
-fn reasons_beyond_what_a_float_holds_are_told_apart() {
-    let mut b = Bench::new(Flavour::Px4);
-    idle(&mut b);
-    let both = Reasons::of(Reason::StaleFrame).with_if(true, Reason::PilotInCommand);
-    let value = |b: &Bench, name: &str| named_values(&b.sent).into_iter().find(|(n, _)| n == name).map(|v| v.1);
-    b.step(Standby, both, VehicleRequest::None);
-    assert_eq!(
-        (value(&b, "gd_reason"), value(&b, "gd_reason2")),
-        (Some(1.0), Some(8.0))
-    );
-    b.step(Standby, Reasons::NONE, VehicleRequest::None);
-    assert_eq!(value(&b, "gd_reason2"), Some(0.0), "that they ended is told once");
-    b.step(Standby, Reasons::of(Reason::Slip), VehicleRequest::None);
-    assert_eq!(value(&b, "gd_reason2"), None);
-}
-
-#[test]
 fn before_it_ends_it_sends_zeros_if_it_was_streaming() {
     let mut f = Flight::new(Flavour::ArduPilot, Peer::in_the_air(Flavour::ArduPilot));
     f.engage_and_fly();
@@ -523,7 +496,7 @@ fn a_goal_too_far_away_is_denied_and_the_operator_is_told_why() {
     let mut f = Flight::new(Flavour::Px4, Peer::on_the_ground(Flavour::Px4));
     f.until(Guided);
     let goal = reposition(MavFrame::MAV_FRAME_LOCAL_NED, 8_000_000, 1_000_000, -3.0);
-    f.companion.receive(f.now_ns, 0, &bytes_of(GROUND_STATION, &goal));
+    f.hear(GROUND_STATION, &goal);
     f.step();
     let answers = acks(&common::messages(&f.sent));
     assert_eq!(answers, [(192, MavResult::MAV_RESULT_DENIED, (255, 190))]);

@@ -2,17 +2,14 @@
 
 mod common;
 
-use common::{GROUND_STATION, bytes_of, messages, report, texts};
+use common::{GROUND_STATION, ME, VEHICLE, bytes_of, messages, report, texts};
 use vigil_mavlink::common::{
     HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavFrame, MavParamError, MavParamType, OBSTACLE_DISTANCE_DATA,
     PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
 };
-use vigil_mavlink::{
-    Companion, CompanionConfig, Flavour, MavHeader, MavMessage, Parameter, ParameterValue, Parameters,
-};
+use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavMessage, Parameter, ParameterValue, Parameters};
 use vigil_types::{Datagrams, GuidanceState, Nanos, STEP_NS, VehicleRequest};
 
-const ME: (u8, u8) = (1, 191);
 const REAL: MavParamType = MavParamType::MAV_PARAM_TYPE_REAL32;
 const INTEGER: MavParamType = MavParamType::MAV_PARAM_TYPE_INT32;
 
@@ -263,11 +260,6 @@ fn integers_go_bytewise_to_px4s_clients_and_as_numbers_to_ardupilots() {
 /// A computer whose vehicle is in the air.
 fn in_the_air() -> Companion {
     let mut companion = Companion::new(CompanionConfig::default());
-    let vehicle = MavHeader {
-        system_id: 1,
-        component_id: 1,
-        sequence: 0,
-    };
     for message in [
         MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()),
         MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
@@ -275,7 +267,7 @@ fn in_the_air() -> Companion {
             ..Default::default()
         }),
     ] {
-        companion.receive(0, 0, &bytes_of(vehicle, &message));
+        companion.receive(0, 0, &bytes_of(VEHICLE, &message));
     }
     companion
 }
@@ -321,12 +313,8 @@ fn obstacles_are_told_where_they_are() {
 /// What a companion of a vehicle in the air knows after it heard this from a component of the vehicle's system.
 fn heard(component_id: u8, data: OBSTACLE_DISTANCE_DATA) -> Option<Vec<(f32, f32)>> {
     let mut companion = in_the_air();
-    let from = MavHeader {
-        system_id: 1,
-        component_id,
-        sequence: 0,
-    };
-    companion.receive(7_000, 0, &bytes_of(from, &MavMessage::OBSTACLE_DISTANCE(data)));
+    let message = MavMessage::OBSTACLE_DISTANCE(data);
+    companion.receive(7_000, 0, &bytes_of((1, component_id), &message));
     let ranges = companion.sector_ranges()?;
     assert_eq!(ranges.at_ns, 7_000);
     Some(ranges.known().collect())

@@ -2,26 +2,20 @@
 
 mod common;
 
-use common::peer::{Mode, Peer, Quirk};
+use common::peer::{Mode, Peer};
 use common::{
-    Bench, Flight, GROUND_STATION, bytes_of, command_long, messages, named_values, report, reposition, texts,
+    Bench, Flight, GROUND_STATION, ME, VEHICLE, bytes_of, command_long, messages, named_values, report, reposition,
+    texts,
 };
 use vigil_guidance::{EngagePolicy, GuidanceConfig};
 use vigil_mavlink::Flavour::{self, ArduPilot, Px4};
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavAutopilot, MavCmd, MavFrame, MavMessage, MavResult, MavType};
-use vigil_mavlink::{Companion, CompanionConfig, MavHeader};
+use vigil_mavlink::{Companion, CompanionConfig};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Ready, Standby};
 use vigil_types::ObstacleReports;
 use vigil_types::{
     Datagrams, NedVector, OperatorRequest, Reason, Reasons, RequestOutcome, STEP_NS, StepReport, VehicleMode,
     VehicleRequest,
-};
-
-const ME: (u8, u8) = (1, 191);
-const VEHICLE: MavHeader = MavHeader {
-    system_id: 1,
-    component_id: 1,
-    sequence: 0,
 };
 
 fn auto() -> GuidanceConfig {
@@ -41,7 +35,7 @@ fn has_text(f: &Flight, text: &str) -> bool {
 
 /// A flight under way whose goal is far.
 fn far_flight(flavour: Flavour) -> Flight {
-    let mut f = Flight::with(flavour, Peer::on_the_ground(flavour), GuidanceConfig::default());
+    let mut f = Flight::on_command(flavour, Peer::on_the_ground(flavour));
     let goal = OperatorRequest::Goal {
         north_m: 500.0,
         east_m: 0.0,
@@ -65,13 +59,7 @@ fn streams_that_a_ground_station_slows_to_2_hz_are_asked_for_again_and_the_fligh
         let held_ns = f.now_ns;
         f.until(Guided);
         assert!(f.now_ns - held_ns < 2_000_000_000, "{} ns", f.now_ns - held_ns);
-        let asked: Vec<f32> = f
-            .peer
-            .commands
-            .iter()
-            .filter(|c| c.command == 511)
-            .map(|c| c.params[0])
-            .collect();
+        let asked: Vec<f32> = f.peer.got(511).iter().map(|c| c.params[0]).collect();
         assert_eq!(asked, [32.0], "the first of the two brought both back");
         assert!(
             has_text(&f, "slow: LOCAL_POSITION_NED at ") && has_text(&f, " Hz, asked for 30 Hz"),
@@ -129,11 +117,7 @@ fn streams_that_stay_slow_are_asked_for_less_and_less_often_and_at_4_hz_the_smal
 #[test]
 fn an_ardupilot_without_message_intervals_is_asked_by_data_streams() {
     let mut f = far_flight(ArduPilot);
-    f.peer.quirks.push(Quirk {
-        command: 511,
-        answer: Some(MavResult::MAV_RESULT_UNSUPPORTED),
-        times: u32::MAX,
-    });
+    f.peer.answer(511, Some(MavResult::MAV_RESULT_UNSUPPORTED), u32::MAX);
     f.peer.slowed_to_steps = Some(10);
     f.until(Hold);
     f.until(Guided);
@@ -154,7 +138,7 @@ fn a_goal_is_from_home_wherever_home_is() {
                 home_on_globe_only,
                 ..Peer::on_the_ground(flavour)
             };
-            let mut f = Flight::with(flavour, peer, GuidanceConfig::default());
+            let mut f = Flight::on_command(flavour, peer);
             f.run(seconds(8.0));
             f.peer.armed = false;
             let story = format!("{} {home_on_globe_only}", flavour.name());
@@ -172,7 +156,7 @@ fn a_goal_is_from_home_wherever_home_is() {
 
             // An operator's goal too, and the height.
             let reached = reposition(MavFrame::MAV_FRAME_LOCAL_NED, 200_000, 10_000, -2.5);
-            f.companion.receive(f.now_ns, 0, &bytes_of(GROUND_STATION, &reached));
+            f.hear(GROUND_STATION, &reached);
             f.step();
             let goal = f.guidance.goal().unwrap().position_ned_m;
             assert!(
@@ -190,7 +174,7 @@ fn a_take_off_is_as_high_above_home_as_asked_wherever_home_is() {
             home_ned_m: [0.0, 0.0, -7.0],
             ..Peer::on_the_ground(flavour)
         };
-        let mut f = Flight::with(flavour, peer, GuidanceConfig::default());
+        let mut f = Flight::on_command(flavour, peer);
         f.run(seconds(8.0));
         f.engage();
         f.until(Engaging);
@@ -203,13 +187,9 @@ fn a_take_off_is_as_high_above_home_as_asked_wherever_home_is() {
 
 #[test]
 fn a_vehicle_that_never_tells_its_home_is_flown_from_its_origin_and_that_is_told() {
-    let mut f = Flight::with(ArduPilot, Peer::on_the_ground(ArduPilot), GuidanceConfig::default());
+    let mut f = Flight::on_command(ArduPilot, Peer::on_the_ground(ArduPilot));
     for command in [511, 512] {
-        f.peer.quirks.push(Quirk {
-            command,
-            answer: Some(MavResult::MAV_RESULT_DENIED),
-            times: u32::MAX,
-        });
+        f.peer.answer(command, Some(MavResult::MAV_RESULT_DENIED), u32::MAX);
     }
     f.peer.wanted_messages = vec![30, 32, 245];
     f.engage();
@@ -255,7 +235,7 @@ fn what_flies_is_not_taken_for_another_autopilot_in_flight() {
     let mut f = Flight::of(None, Peer::on_the_ground(Px4), GuidanceConfig::default());
     f.engage_and_fly();
     let other = heartbeat(MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA);
-    f.companion.receive(f.now_ns, 0, &bytes_of(VEHICLE, &other));
+    f.hear(VEHICLE, &other);
     assert_eq!(f.companion.flavour(), Px4);
     assert_eq!(f.companion.telemetry().heartbeat.unwrap().mode, VehicleMode::Unknown);
 }
@@ -286,17 +266,13 @@ fn a_wrong_vehicle_is_named_at_once_and_again_every_half_minute() {
 #[test]
 fn a_second_guidance_computer_behind_the_vehicle_is_named_at_once_and_again_every_half_minute() {
     let told = "another guidance computer 1/191 is on the link: stop one";
-    let mut f = Flight::with(Px4, Peer::on_the_ground(Px4), GuidanceConfig::default());
+    let mut f = Flight::on_command(Px4, Peer::on_the_ground(Px4));
     f.run(seconds(3.0));
     assert!(!has_text(&f, told));
     // The autopilot passes on what it hears on its other links.
-    let second = MavHeader {
-        component_id: 191,
-        ..VEHICLE
-    };
     for _ in 0..61 {
         let heartbeat = heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID);
-        f.companion.receive(f.now_ns, 0, &bytes_of(second, &heartbeat));
+        f.hear(ME, &heartbeat);
         f.run(seconds(1.0));
     }
     assert_eq!(f.texts.iter().filter(|t| *t == told).count(), 3);
@@ -358,7 +334,7 @@ fn missing_inputs_are_named_one_by_one_with_their_age() {
 
 #[test]
 fn a_hand_over_that_is_not_done_in_time_names_what_it_waited_for() {
-    let mut f = Flight::with(ArduPilot, Peer::on_the_ground(ArduPilot), GuidanceConfig::default());
+    let mut f = Flight::on_command(ArduPilot, Peer::on_the_ground(ArduPilot));
     f.engage();
     f.until(Engaging);
     // It accepts the take-off and climbs half a metre.
@@ -380,11 +356,11 @@ fn a_hand_over_that_is_not_done_in_time_names_what_it_waited_for() {
 
 #[test]
 fn a_refused_request_is_answered_with_its_reason() {
-    let mut f = Flight::with(Px4, Peer::on_the_ground(Px4), GuidanceConfig::default());
+    let mut f = Flight::on_command(Px4, Peer::on_the_ground(Px4));
     f.sees = false;
     f.run(seconds(2.0));
     let say = |f: &mut Flight, message: &MavMessage| {
-        f.companion.receive(f.now_ns, 0, &bytes_of(GROUND_STATION, message));
+        f.hear(GROUND_STATION, message);
         f.step();
         let acks: Vec<_> = messages(&f.sent)
             .into_iter()
@@ -427,7 +403,7 @@ fn a_refused_request_is_answered_with_its_reason() {
     f.texts.clear();
     for _ in 0..20 {
         for _ in 0..8 {
-            f.companion.receive(f.now_ns, 0, &bytes_of(GROUND_STATION, &land));
+            f.hear(GROUND_STATION, &land);
         }
         f.step();
     }
@@ -461,7 +437,7 @@ fn what_was_told_before_the_vehicle_was_there_reaches_it() {
 
 /// The OBSTACLE_DISTANCE messages that a vehicle gets in so many steps: how many, and how many of them hold a distance.
 fn obstacles_told(obstacles: ObstacleReports, peer: Peer) -> (usize, usize) {
-    let mut f = Flight::with(ArduPilot, peer, GuidanceConfig::default());
+    let mut f = Flight::on_command(ArduPilot, peer);
     f.companion = Companion::new(CompanionConfig {
         obstacles,
         ..CompanionConfig::default()
@@ -529,13 +505,9 @@ fn a_pilots_loiter_is_not_taken_by_a_firmware_that_starts() {
 
 #[test]
 fn a_landed_vehicle_whose_autopilot_restarts_is_never_armed_by_auto() {
-    for flavour in [Px4, ArduPilot] {
+    for (flavour, parked) in [(Px4, Mode::Loiter), (ArduPilot, Mode::External)] {
         let peer = Peer {
-            mode: if flavour == ArduPilot {
-                Mode::External
-            } else {
-                Mode::Loiter
-            },
+            mode: parked,
             ..Peer::on_the_ground(flavour)
         };
         let mut f = Flight::new(flavour, peer);
@@ -551,11 +523,7 @@ fn a_landed_vehicle_whose_autopilot_restarts_is_never_armed_by_auto() {
             f.run(seconds(5.0));
             let now_ns = f.now_ns;
             f.peer.reboot(now_ns);
-            f.peer.mode = if flavour == ArduPilot {
-                Mode::External
-            } else {
-                Mode::Loiter
-            };
+            f.peer.mode = parked;
             f.peer.commands.clear();
             f.hears = true;
             let later = f.run(seconds(60.0));

@@ -2,20 +2,26 @@
 
 mod common;
 
-use common::{Bench, GROUND_STATION, bytes_of};
+use common::{Bench, GROUND_STATION, bytes_of, header};
 use core::f32::consts::FRAC_PI_2;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize_payload};
-use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavHeader, MavMessage};
+use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavMessage};
 use vigil_types::GuidanceState::{Hold, Standby};
 use vigil_types::{Landed, NedVector, Reasons, STEP_NS, StepReport, VehicleMode, VehicleRequest, VelocitySetpoint};
 
-const fn vehicle(system_id: u32) -> MavHeader {
-    MavHeader {
-        system_id,
-        component_id: 1,
-        sequence: 0,
-    }
+/// The autopilot of a system.
+const fn vehicle(system: u8) -> (u8, u8) {
+    (system, 1)
+}
+
+/// An attitude of this heading.
+fn attitude(time_boot_ms: u32, yaw: f32) -> MavMessage {
+    MavMessage::ATTITUDE(ATTITUDE_DATA {
+        time_boot_ms,
+        yaw,
+        ..Default::default()
+    })
 }
 
 fn heartbeat(custom_mode: u32, autopilot: MavAutopilot, base_mode: u8) -> MavMessage {
@@ -122,25 +128,14 @@ fn the_vehicles_messages_become_telemetry() {
 #[test]
 fn the_first_autopilot_heard_is_the_vehicle_and_nobody_else_is() {
     let mut b = Bench::new(Flavour::Px4);
-    let companion = MavHeader {
-        system_id: 1,
-        component_id: 195,
-        sequence: 0,
-    };
-    b.hear(companion, &heartbeat(0, MavAutopilot::MAV_AUTOPILOT_INVALID, 0));
+    b.hear((1, 195), &heartbeat(0, MavAutopilot::MAV_AUTOPILOT_INVALID, 0));
     b.hear(GROUND_STATION, &heartbeat(0, MavAutopilot::MAV_AUTOPILOT_INVALID, 0));
     b.hear(vehicle(3), &position(1, 9.0));
     assert_eq!((b.companion.system_id(), north_m(&b)), (None, None));
     b.hear(vehicle(7), &px4());
     b.hear(vehicle(3), &px4());
     b.hear(vehicle(3), &position(1, 9.0));
-    b.hear(
-        MavHeader {
-            component_id: 2,
-            ..vehicle(7)
-        },
-        &position(1, 8.0),
-    );
+    b.hear((7, 2), &position(1, 8.0));
     assert_eq!((b.companion.system_id(), north_m(&b)), (Some(7), None));
     b.hear(vehicle(7), &position(1, 1.5));
     assert_eq!(north_m(&b), Some(1.5));
@@ -182,7 +177,7 @@ fn a_vehicle_of_unknown_type_and_state_is_still_heard() {
     for (state, failsafe) in [(5u8, true), (77, false)] {
         let payload = [0, 0, 6, 0, 250, 12, 0x81, state, 3];
         let mut out = [0; MAX_PACKET_LEN];
-        let len = serialize_payload(vehicle(1), 0, &payload, &mut out).unwrap();
+        let len = serialize_payload(header(vehicle(1)), 0, &payload, &mut out).unwrap();
         b.companion.receive(b.now_ns, 0, &out[..len]);
         let h = b.companion.telemetry().heartbeat.unwrap();
         assert_eq!((h.armed, h.mode, h.failsafe), (true, VehicleMode::External, failsafe));
@@ -210,24 +205,12 @@ fn packets_out_of_order_are_dropped_and_counted() {
 #[test]
 fn a_clock_that_starts_anew_is_a_restart_and_what_was_known_is_forgotten() {
     let mut b = acquainted();
-    b.hear(
-        vehicle(1),
-        &MavMessage::ATTITUDE(ATTITUDE_DATA {
-            time_boot_ms: 60_000,
-            ..Default::default()
-        }),
-    );
+    b.hear(vehicle(1), &attitude(60_000, 0.0));
     b.hear(vehicle(1), &position(60_000, 1.0));
     b.hear(vehicle(1), &position(100, 2.0));
     assert_eq!((b.companion.vehicle_status().restarts, north_m(&b)), (1, Some(2.0)));
     assert!(b.companion.telemetry().attitude.is_none());
-    b.hear(
-        vehicle(1),
-        &MavMessage::ATTITUDE(ATTITUDE_DATA {
-            time_boot_ms: 110,
-            ..Default::default()
-        }),
-    );
+    b.hear(vehicle(1), &attitude(110, 0.0));
     assert_eq!(b.companion.vehicle_status().restarts, 1, "one restart is counted once");
 }
 
@@ -247,13 +230,7 @@ fn values_that_are_not_finite_arrive_as_such() {
     assert!(!b.companion.telemetry().is_finite() && north_m(&b).unwrap().is_nan());
     b.hear(vehicle(1), &position(20, 1.0));
     assert!(b.companion.telemetry().is_finite());
-    b.hear(
-        vehicle(1),
-        &MavMessage::ATTITUDE(ATTITUDE_DATA {
-            yaw: f32::INFINITY,
-            ..Default::default()
-        }),
-    );
+    b.hear(vehicle(1), &attitude(0, f32::INFINITY));
     assert!(!b.companion.telemetry().is_finite());
 }
 
@@ -277,13 +254,7 @@ fn a_px4_that_streams_is_not_asked_except_for_its_origin_and_home() {
     let asked = requests(&mut b, |b, n| {
         b.hear(vehicle(1), &px4());
         b.hear(vehicle(1), &position(n * 50, 0.0));
-        b.hear(
-            vehicle(1),
-            &MavMessage::ATTITUDE(ATTITUDE_DATA {
-                time_boot_ms: n * 50,
-                ..Default::default()
-            }),
-        );
+        b.hear(vehicle(1), &attitude(n * 50, 0.0));
         b.hear(vehicle(1), &MavMessage::EXTENDED_SYS_STATE(Default::default()));
         b.hear(vehicle(1), &MavMessage::SYS_STATUS(Default::default()));
         if n == 100 {
@@ -348,22 +319,13 @@ fn a_vehicle_that_drifts_and_says_that_it_stands_is_told_to_go_against_it() {
     for step in 1..80_u16 {
         b.now_ns += STEP_NS;
         let time_boot_ms = u32::from(step) * 50;
-        b.hear(
-            vehicle(1),
-            &MavMessage::ATTITUDE(ATTITUDE_DATA {
-                time_boot_ms,
-                yaw: FRAC_PI_2,
-                ..Default::default()
-            }),
-        );
-        b.hear(
-            vehicle(1),
-            &MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
-                time_boot_ms,
-                x: 0.015 * f32::from(step),
-                ..Default::default()
-            }),
-        );
+        b.hear(vehicle(1), &attitude(time_boot_ms, FRAC_PI_2));
+        let position = LOCAL_POSITION_NED_DATA {
+            time_boot_ms,
+            x: 0.015 * f32::from(step),
+            ..Default::default()
+        };
+        b.hear(vehicle(1), &MavMessage::LOCAL_POSITION_NED(position));
     }
     let known = b.companion.telemetry().kinematics.expect("reports");
     assert!((known.velocity_ned_m_s.x - 0.25).abs() < 0.02, "{known:?}");

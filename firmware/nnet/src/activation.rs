@@ -258,9 +258,6 @@ impl Operation for Activation {
                 self.multipliers(node.isa, (x, y), (x_ref, y_ref), d)?;
             }
         }
-        node.write_source(0, |dx, _| {
-            dx.copy_from_slice(d);
-            Ok(())
-        })
+        node.hand_on(0, d)
     }
 }

@@ -166,10 +166,7 @@ impl Operation for Function {
                 }
             }
         }
-        node.write_source(0, |dx, _| {
-            dx.copy_from_slice(d);
-            Ok(())
-        })
+        node.hand_on(0, d)
     }
 }
 
@@ -187,10 +184,7 @@ impl Operation for Sum {
 
     fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], _: &mut Pass<'_>) -> Result<(), ShapeError> {
         for i in 0..node.source_count() {
-            node.write_source(i, |dx, _| {
-                dx.copy_from_slice(d);
-                Ok(())
-            })?;
+            node.hand_on(i, d)?;
         }
         Ok(())
     }

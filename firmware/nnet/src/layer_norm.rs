@@ -170,10 +170,7 @@ impl Operation for LayerNorm {
                 self.multipliers(scale, now, reference, d);
             }
         }
-        node.write_source(0, |dx, _| {
-            dx.copy_from_slice(d);
-            Ok(())
-        })
+        node.hand_on(0, d)
     }
 }
 

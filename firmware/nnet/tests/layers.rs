@@ -36,6 +36,20 @@ fn close(what: &str, got: &[f32], want: &[f64]) {
     assert!(error < TOLERANCE, "{what}: off by {error:e} of {scale}");
 }
 
+/// A layer of which all parameters are learned, and any number is valid.
+fn check<'a>(name: &'a str, inputs: &'a [usize], params: usize, build: &'a Build<'a>, oracle: &'a Oracle<'a>) {
+    let case = Case {
+        name,
+        inputs,
+        params,
+        learned: params,
+        build,
+        oracle,
+        tame: &|_| {},
+    };
+    case.check();
+}
+
 impl Case<'_> {
     fn check(&self) {
         let mut b = GraphBuilder::new();
@@ -135,16 +149,13 @@ fn dense_layers_of_odd_sizes_match_their_definition() {
         .zip(curves())
     {
         let layer = Dense { inputs, outputs };
-        Case {
-            name: "dense",
-            inputs: &[inputs * rows],
-            params: layer.param_len(),
-            learned: layer.param_len(),
-            build: &|b, x, p| b.dense(x[0], layer, act, p),
-            oracle: &|p, x| dense(layer, act, p, x[0]),
-            tame: &|_| {},
-        }
-        .check();
+        check(
+            "dense",
+            &[inputs * rows],
+            layer.param_len(),
+            &|b, x, p| b.dense(x[0], layer, act, p),
+            &|p, x| dense(layer, act, p, x[0]),
+        );
     }
 }
 
@@ -173,48 +184,39 @@ fn convolutions_of_many_shapes_match_their_definition() {
             padding,
         };
         let act = curves()[i % 6];
-        Case {
-            name: &format!("{layer:?} {act:?}"),
-            inputs: &[layer.input_len()],
-            params: layer.param_len(),
-            learned: layer.param_len(),
-            build: &|b, x, p| b.conv2d(x[0], layer, act, p),
-            oracle: &|p, x| conv2d(layer, act, p, x[0]),
-            tame: &|_| {},
-        }
-        .check();
+        check(
+            &format!("{layer:?} {act:?}"),
+            &[layer.input_len()],
+            layer.param_len(),
+            &|b, x, p| b.conv2d(x[0], layer, act, p),
+            &|p, x| conv2d(layer, act, p, x[0]),
+        );
     }
 }
 
 #[test]
 fn recurrent_steps_match_their_definition() {
     let layer = Gru { inputs: 11, hidden: 7 };
-    Case {
-        name: "GRU",
-        inputs: &[11, 7],
-        params: layer.param_len(),
-        learned: layer.param_len(),
-        build: &|b, x, p| b.gru(x[0], x[1], layer, p),
-        oracle: &|p, x| gru(layer, p, x[0], x[1]),
-        tame: &|_| {},
-    }
-    .check();
+    check(
+        "GRU",
+        &[11, 7],
+        layer.param_len(),
+        &|b, x, p| b.gru(x[0], x[1], layer, p),
+        &|p, x| gru(layer, p, x[0], x[1]),
+    );
     for cell in [Activation::TANH, Activation::Relu] {
         let layer = Lstm {
             inputs: 9,
             hidden: 5,
             cell,
         };
-        Case {
-            name: "LSTM",
-            inputs: &[9, 10],
-            params: layer.param_len(),
-            learned: layer.param_len(),
-            build: &|b, x, p| b.lstm(x[0], x[1], layer, p),
-            oracle: &|p, x| lstm(layer, p, x[0], x[1]),
-            tame: &|_| {},
-        }
-        .check();
+        check(
+            "LSTM",
+            &[9, 10],
+            layer.param_len(),
+            &|b, x, p| b.lstm(x[0], x[1], layer, p),
+            &|p, x| lstm(layer, p, x[0], x[1]),
+        );
     }
 }
 
@@ -233,16 +235,13 @@ fn pooling_and_normalisation_match_their_definition() {
         ..tiles
     };
     for layer in [tiles, overlapping, whole] {
-        Case {
-            name: "max pool",
-            inputs: &[layer.input_len()],
-            params: 0,
-            learned: 0,
-            build: &|b, x, _| b.max_pool2d(x[0], layer),
-            oracle: &|_, x| max_pool(layer, x[0]),
-            tame: &|_| {},
-        }
-        .check();
+        check(
+            "max pool",
+            &[layer.input_len()],
+            0,
+            &|b, x, _| b.max_pool2d(x[0], layer),
+            &|_, x| max_pool(layer, x[0]),
+        );
     }
     let layer = BatchNorm {
         channels: 3,
@@ -288,16 +287,9 @@ fn layer_normalisation_matches_its_definition() {
 #[test]
 fn element_wise_curves_match_their_definition() {
     for act in curves() {
-        Case {
-            name: "curve",
-            inputs: &[37],
-            params: 0,
-            learned: 0,
-            build: &|b, x, _| b.activation(x[0], act),
-            oracle: &|_, x| activation(act, x[0]),
-            tame: &|_| {},
-        }
-        .check();
+        check("curve", &[37], 0, &|b, x, _| b.activation(x[0], act), &|_, x| {
+            activation(act, x[0])
+        });
     }
 }
 

@@ -19,7 +19,9 @@ use vigil_firmware::ports::router::RoutedLinks;
 use vigil_firmware::step::Firmware;
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, packets, serialize, serialize_payload};
+use vigil_mavlink::framing::{
+    FramingCounters, MAX_PACKET_LEN, StreamFramer, encode, packets, serialize, serialize_payload,
+};
 use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
@@ -32,14 +34,7 @@ const STATION: (u8, u8) = (255, 190);
 const OTHER_STATION: (u8, u8) = (254, 190);
 
 fn packet(from: (u8, u8), message: &MavMessage) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: from.0.into(),
-        component_id: from.1,
-        sequence: 0,
-    };
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, message, &mut out).unwrap();
-    out[..len].to_vec()
+    encode(from, 0, message)
 }
 
 fn heartbeat(from: (u8, u8)) -> Vec<u8> {

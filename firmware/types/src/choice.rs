@@ -180,15 +180,10 @@ mod tests {
 
     #[test]
     fn numbers_and_names_lead_back_to_their_values() {
-        each_value_is_found_by_its_name_and_its_number::<EngagePolicy>();
-        each_value_is_found_by_its_name_and_its_number::<AtGoal>();
-        each_value_is_found_by_its_name_and_its_number::<OnNoProgress>();
-        each_value_is_found_by_its_name_and_its_number::<AlarmPolicy>();
-        each_value_is_found_by_its_name_and_its_number::<ObstacleReports>();
-        each_value_is_found_by_its_name_and_its_number::<AutopilotChoice>();
-        each_value_is_found_by_its_name_and_its_number::<LogContent>();
-        each_value_is_found_by_its_name_and_its_number::<PilotKind>();
-        each_value_is_found_by_its_name_and_its_number::<Ablation>();
+        macro_rules! each {
+            ($($choice:ident)+) => { $(each_value_is_found_by_its_name_and_its_number::<$choice>();)+ };
+        }
+        each! { EngagePolicy Duty AtGoal OnNoProgress AlarmPolicy ObstacleReports AutopilotChoice LogContent PilotKind Ablation }
         assert_eq!(AlarmPolicy::Recover.code(), 2, "DT_ALARM");
         assert_eq!(AtGoal::Land.code(), 1, "GD_AT_GOAL");
     }

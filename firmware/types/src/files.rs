@@ -22,6 +22,24 @@ use std::path::{Path, PathBuf};
 use std::string::String;
 use std::vec::Vec;
 
+/// A file that cannot be opened, read or written: its name, and what the system said.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {source}", path.display())]
+pub struct FileError {
+    /// The file or folder.
+    pub path: PathBuf,
+    /// What the system said.
+    pub source: io::Error,
+}
+
+/// Names the file in what the system said of it.
+pub fn at(path: &Path) -> impl Fn(io::Error) -> FileError + Copy + '_ {
+    |source| FileError {
+        path: path.to_owned(),
+        source,
+    }
+}
+
 /// Who may read a file that is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {

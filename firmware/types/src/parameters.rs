@@ -109,10 +109,15 @@ impl fmt::Display for Range {
 impl Range {
     /// So much or more.
     pub const fn from_least(least: f64) -> Self {
+        Self::of(least, f64::INFINITY, "")
+    }
+
+    /// From `least` to `greatest`.
+    pub const fn of(least: f64, greatest: f64, unit: &'static str) -> Self {
         Self {
-            unit: "",
+            unit,
             least,
-            greatest: f64::INFINITY,
+            greatest,
             or_zero: false,
         }
     }
@@ -142,16 +147,15 @@ impl ParameterSpec {
         default: f64,
         text: &'static str,
     ) -> Self {
-        let range = Range {
-            unit,
-            least,
-            greatest,
-            or_zero: false,
-        };
+        let range = Range::of(least, greatest, unit);
+        Self::row(key, Kind::Real(range), Preset::Number(default), text)
+    }
+
+    const fn row(key: &'static str, kind: Kind, default: Preset, text: &'static str) -> Self {
         Self {
             key,
-            kind: Kind::Real(range),
-            default: Preset::Number(default),
+            kind,
+            default,
             text,
             mavlink: None,
         }
@@ -170,30 +174,13 @@ impl ParameterSpec {
         default: u32,
         text: &'static str,
     ) -> Self {
-        let range = Range {
-            unit,
-            least: least as f64,
-            greatest: greatest as f64,
-            or_zero: false,
-        };
-        Self {
-            key,
-            kind: Kind::Whole(range),
-            default: Preset::Number(default as f64),
-            text,
-            mavlink: None,
-        }
+        let range = Range::of(least as f64, greatest as f64, unit);
+        Self::row(key, Kind::Whole(range), Preset::Number(default as f64), text)
     }
 
     /// On or off.
     const fn switch(key: &'static str, default: bool, text: &'static str) -> Self {
-        Self {
-            key,
-            kind: Kind::Switch,
-            default: Preset::Switch(default),
-            text,
-            mavlink: None,
-        }
+        Self::row(key, Kind::Switch, Preset::Switch(default), text)
     }
 
     /// One of the values of a [`Choice`].
@@ -203,24 +190,12 @@ impl ParameterSpec {
         default: usize,
         text: &'static str,
     ) -> Self {
-        Self {
-            key,
-            kind: Kind::Choice(words),
-            default: Preset::Choice(default),
-            text,
-            mavlink: None,
-        }
+        Self::row(key, Kind::Choice(words), Preset::Choice(default), text)
     }
 
     /// A file, a folder or a link.
     const fn text(key: &'static str, example: &'static str, text: &'static str) -> Self {
-        Self {
-            key,
-            kind: Kind::Text,
-            default: Preset::Absent(example),
-            text,
-            mavlink: None,
-        }
+        Self::row(key, Kind::Text, Preset::Absent(example), text)
     }
 
     /// The same without a default.
@@ -250,12 +225,7 @@ impl ParameterSpec {
 
     /// The numbers accepted; for a choice those of its values, for a switch 0 and 1. `None` for a text.
     pub fn range(&self) -> Option<Range> {
-        let codes = |count: usize| Range {
-            unit: "",
-            least: 0.0,
-            greatest: count.saturating_sub(1) as f64,
-            or_zero: false,
-        };
+        let codes = |count: usize| Range::of(0.0, count.saturating_sub(1) as f64, "");
         match self.kind {
             Kind::Real(range) | Kind::Whole(range) => Some(range),
             Kind::Switch => Some(codes(2)),
@@ -315,58 +285,38 @@ pub struct Section {
     pub is_optional: bool,
 }
 
+impl Section {
+    const fn always(name: &'static str, text: &'static str) -> Self {
+        Self {
+            name,
+            text,
+            is_optional: false,
+        }
+    }
+
+    const fn optional(name: &'static str, text: &'static str) -> Self {
+        Self {
+            is_optional: true,
+            ..Self::always(name, text)
+        }
+    }
+}
+
 /// The sections, in the order of the reference; what belongs to none comes before them.
 pub const SECTIONS: &[Section] = &[
-    Section {
-        name: "goal",
-        text: "without a goal, an operator sets it",
-        is_optional: true,
-    },
-    Section {
-        name: "signing",
-        text: "who may speak on the links",
-        is_optional: false,
-    },
-    Section {
-        name: "limits",
-        text: "when to hold or land",
-        is_optional: false,
-    },
-    Section {
-        name: "limits.geofence",
-        text: "a cylinder around home; without it there is none",
-        is_optional: true,
-    },
-    Section {
-        name: "just_stop",
-        text: "how a vehicle that is guarded stops (docs/just-stop.md)",
-        is_optional: false,
-    },
-    Section {
-        name: "pilot",
-        text: "who decides",
-        is_optional: false,
-    },
-    Section {
-        name: "detector",
-        text: "what watches the actor, and what an alarm brings about; without an actor there is nothing to watch (docs/detection.md)",
-        is_optional: false,
-    },
-    Section {
-        name: "rate",
-        text: "the loop",
-        is_optional: false,
-    },
-    Section {
-        name: "log",
-        text: "the flight log",
-        is_optional: false,
-    },
-    Section {
-        name: "state",
-        text: "what outlives a restart",
-        is_optional: false,
-    },
+    Section::optional("goal", "without a goal, an operator sets it"),
+    Section::always("signing", "who may speak on the links"),
+    Section::always("limits", "when to hold or land"),
+    Section::optional("limits.geofence", "a cylinder around home; without it there is none"),
+    Section::always("just_stop", "how a vehicle that is guarded stops (docs/just-stop.md)"),
+    Section::always("pilot", "who decides"),
+    Section::always(
+        "detector",
+        "what watches the actor, and what an alarm brings about; without an actor there is nothing to watch (docs/detection.md)",
+    ),
+    Section::always("rate", "the loop"),
+    Section::always("log", "the flight log"),
+    Section::always("state", "what outlives a restart"),
 ];
 
 /// Highest instance number: the ports of the next one would be the simulator's own.

@@ -24,13 +24,8 @@ pub type Given<'a> = Spanned<DeValue<'a>>;
 #[derive(Debug, thiserror::Error)]
 pub enum SettingsError {
     /// It cannot be read.
-    #[error("cannot read {}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error("cannot read {0}")]
+    Read(#[from] crate::files::FileError),
     /// Its content is not accepted.
     #[error("{}: {message}", path.display())]
     Content {
@@ -198,14 +193,8 @@ pub fn required<T: Default>() -> With<T> {
 
 /// A default; each number lies from `least` to `greatest`.
 pub fn within<T>(value: T, (least, greatest): (f64, f64), unit: &'static str) -> With<T> {
-    let range = Range {
-        unit,
-        least,
-        greatest,
-        or_zero: false,
-    };
     let rule = Rule {
-        range: Some(range),
+        range: Some(Range::of(least, greatest, unit)),
         ..Rule::default()
     };
     With { value, rule }
@@ -469,10 +458,7 @@ fn read_text(text: &str, fields: &mut [Field<'_>]) -> Result<(), String> {
 /// # Errors
 /// [`SettingsError`], with file, line, key and what is allowed.
 pub fn load<S: Section>(path: &Path) -> Result<S, SettingsError> {
-    let text = crate::files::read_text(path, SIZE_LIMIT).map_err(|source| SettingsError::Read {
-        path: path.to_owned(),
-        source,
-    })?;
+    let text = crate::files::read_text(path, SIZE_LIMIT).map_err(crate::files::at(path))?;
     from_toml(&text).map_err(|message| SettingsError::Content {
         path: path.to_owned(),
         message,

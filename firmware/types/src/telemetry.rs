@@ -1,43 +1,47 @@
 //! What the guidance computer knows of its vehicle, whatever autopilot it is.
 
-use crate::{Attitude, FrdVector, Nanos, NedVector};
+use crate::{Attitude, FrdVector, Nanos, NedVector, named};
 
-/// The vehicle's flight mode, reduced to what guidance must tell apart.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum VehicleMode {
-    /// Not known yet.
-    #[default]
-    Unknown,
-    /// It obeys setpoints from outside: OFFBOARD (PX4), GUIDED (ArduPilot).
-    External,
-    /// It holds its position by itself.
-    Hold,
-    /// It is taking off by itself.
-    Takeoff,
-    /// It is landing by itself.
-    Land,
-    /// It returns home by itself.
-    Return,
-    /// It flies a mission by itself.
-    Mission,
-    /// A person's sticks fly it, or any mode that takes no setpoints.
-    Other,
+named! {
+    /// The vehicle's flight mode, reduced to what guidance must tell apart. The log knows it by its number, which never changes meaning.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub enum VehicleMode {
+        /// Not known yet.
+        #[default]
+        Unknown = 0 => "unknown",
+        /// It obeys setpoints from outside: OFFBOARD (PX4), GUIDED (ArduPilot).
+        External = 1 => "external",
+        /// It holds its position by itself.
+        Hold = 2 => "hold",
+        /// It is taking off by itself.
+        Takeoff = 3 => "take-off",
+        /// It is landing by itself.
+        Land = 4 => "land",
+        /// It returns home by itself.
+        Return = 5 => "return",
+        /// It flies a mission by itself.
+        Mission = 6 => "mission",
+        /// A person's sticks fly it, or any mode that takes no setpoints.
+        Other = 7 => "other",
+    }
 }
 
-/// Whether the vehicle is on the ground, by its own estimate (EXTENDED_SYS_STATE).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Landed {
-    /// Not known yet.
-    #[default]
-    Unknown,
-    /// On the ground.
-    OnGround,
-    /// Taking off.
-    TakingOff,
-    /// In the air.
-    InAir,
-    /// Landing.
-    Landing,
+named! {
+    /// Whether the vehicle is on the ground, by its own estimate (EXTENDED_SYS_STATE). Numbers as [`VehicleMode`]'s.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub enum Landed {
+        /// Not known yet.
+        #[default]
+        Unknown = 0 => "unknown",
+        /// On the ground.
+        OnGround = 1 => "on the ground",
+        /// Taking off.
+        TakingOff = 2 => "taking off",
+        /// In the air.
+        InAir = 3 => "in the air",
+        /// Landing.
+        Landing = 4 => "landing",
+    }
 }
 
 /// The autopilot's last HEARTBEAT.

@@ -21,7 +21,6 @@ use vigil_mavlink::{Flavour, MavMessage};
 use vigil_sim::vehicle::{HoldLaw, VehicleModel, VehicleParams};
 use vigil_sim::world::{Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
 use vigil_sim::{LIDAR_SENSOR_ID, SimConfig, Start};
-use vigil_tests::mission::bytes_of;
 use vigil_tests::{Pair, mission};
 use vigil_types::{
     Attitude, Datagrams, DepthFrame, Duty, EngagePolicy, Nanos, NedVector, PilotKind, Reason, STEP_NS, VehicleMode,

@@ -1,12 +1,11 @@
 //! The files of signing: the key, and what replay protection needs over restarts.
 
+use crate::background::Background;
 use crate::key_file::{KeyFileError, read_secret};
-use rtrb::{Producer, RingBuffer};
 use std::path::{Path, PathBuf};
-use std::thread::JoinHandle;
 use std::time::Duration;
 use vigil_mavlink::signing::{SigningKey, SigningMemory, StreamTime};
-use vigil_types::files::Access;
+use vigil_types::files::{Access, FileError, at};
 
 /// A line for each stream, of which there are a few dozen at most.
 const STATE_SIZE_LIMIT: u64 = 64 << 10;
@@ -24,13 +23,8 @@ pub enum SigningFileError {
     #[error(transparent)]
     Key(#[from] KeyFileError),
     /// The state cannot be read or written.
-    #[error("signing state {path}: {source}; without it packets could be replayed after a restart")]
-    State {
-        /// The state file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error("signing state {0}; without it packets could be replayed after a restart")]
+    State(#[from] FileError),
     /// The state is not what was written.
     #[error(
         "signing state {path}, line {line}, is damaged: delete the file, and make sure that no packets signed before are replayed"
@@ -59,11 +53,7 @@ enum Job {
 }
 
 /// Writes states and keys to their files, from a thread of its own: the loop must not wait for a disk.
-pub(super) struct SigningStateWriter {
-    // Dropped before the thread is joined: the writer ends when nobody can offer any more.
-    ring: Option<Producer<Job>>,
-    writer: Option<JoinHandle<()>>,
-}
+pub(super) struct SigningStateWriter(Background<Job>);
 
 impl SigningStateWriter {
     /// Reads what the last run left and makes sure that it can be written again, `ahead` of what was read: whatever
@@ -73,84 +63,48 @@ impl SigningStateWriter {
         path.push(format!(".{name}.state"));
         let path = PathBuf::from(path);
         let memory = read_state(&path)?;
-        let state = |source| SigningFileError::State {
-            path: path.clone(),
-            source,
-        };
-        write_state(&path, &memory.clone().ahead(ahead)).map_err(state)?;
-        let (ring, mut offered) = RingBuffer::new(CAPACITY);
+        write_state(&path, &memory.clone().ahead(ahead)).map_err(at(&path))?;
         let (key_file, target) = (key_file.to_owned(), path.clone());
-        let writer = std::thread::Builder::new()
-            .name("signing".to_owned())
-            .spawn(move || {
-                let mut failing = false;
-                loop {
-                    let last_look = offered.is_abandoned();
-                    let mut newest = None;
-                    while let Ok(job) = offered.pop() {
-                        newest = Some(match job {
-                            Job::State(state) => state,
-                            Job::Key(key, state) => {
-                                if let Err(e) = write_key(&key_file, &key) {
-                                    let file = key_file.display();
-                                    tracing::warn!("signing key {file}: {e}; after a restart the old key is in force");
-                                }
-                                state
-                            }
-                        });
-                    }
-                    if let Some(newest) = newest {
-                        let result = write_state(&target, &newest);
-                        if let Err(e) = &result
-                            && !failing
-                        {
-                            tracing::warn!(
-                                "signing state {}: {e}; packets could be replayed after a restart",
-                                target.display()
-                            );
+        let mut failing = false;
+        let writer = Background::start("signing", CAPACITY, PAUSE, move |jobs| {
+            let mut newest = None;
+            for job in jobs {
+                newest = Some(match job {
+                    Job::State(state) => state,
+                    Job::Key(key, state) => {
+                        if let Err(e) = write_key(&key_file, &key) {
+                            let file = key_file.display();
+                            tracing::warn!("signing key {file}: {e}; after a restart the old key is in force");
                         }
-                        failing = result.is_err();
+                        state
                     }
-                    if last_look {
-                        return;
-                    }
-                    std::thread::sleep(PAUSE);
-                }
-            })
-            .map_err(state)?;
-        let keeper = Self {
-            ring: Some(ring),
-            writer: Some(writer),
-        };
-        Ok((keeper, memory))
+                });
+            }
+            let Some(newest) = newest else { return };
+            let result = write_state(&target, &newest);
+            if let Err(e) = &result
+                && !failing
+            {
+                let file = target.display();
+                tracing::warn!("signing state {file}: {e}; packets could be replayed after a restart");
+            }
+            failing = result.is_err();
+        });
+        Ok((Self(writer.map_err(at(&path))?), memory))
     }
 
     /// Has a state written. Never waits; when too many wait, the ones offered later do.
     pub fn offer(&mut self, memory: SigningMemory) {
-        if let Some(ring) = &mut self.ring
-            && ring.slots() > KEY_SLOTS
-        {
+        if self.0.room() > KEY_SLOTS {
             // A state that is not written leaves an older one, which lies ahead of it.
-            let _ = ring.push(Job::State(memory));
+            self.0.offer(Job::State(memory));
         }
     }
 
     /// Has the key replaced in its file, and the state that begins with it written. Never waits.
     pub fn replace_key(&mut self, key: SigningKey, memory: SigningMemory) {
-        if let Some(ring) = &mut self.ring
-            && ring.push(Job::Key(key, memory)).is_err()
-        {
+        if !self.0.offer(Job::Key(key, memory)) {
             tracing::warn!("the new signing key could not be stored; after a restart the old one is in force");
-        }
-    }
-}
-
-impl Drop for SigningStateWriter {
-    fn drop(&mut self) {
-        self.ring = None;
-        if let Some(writer) = self.writer.take() {
-            // The writer does not panic; if it did, the file keeps what it has.
-            let _ = writer.join();
         }
     }
 }
@@ -174,12 +128,7 @@ fn read_state(path: &Path) -> Result<SigningMemory, SigningFileError> {
     let text = match vigil_types::files::read_text(path, STATE_SIZE_LIMIT) {
         Ok(text) => text,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(SigningMemory::default()),
-        Err(source) => {
-            return Err(SigningFileError::State {
-                path: path.to_owned(),
-                source,
-            });
-        }
+        Err(error) => return Err(at(path)(error).into()),
     };
     let mut memory = SigningMemory::default();
     let damaged = |line: usize| SigningFileError::Damaged {

@@ -184,23 +184,15 @@ fn read<'a>(wire: &mut impl Read, chunk: &'a mut [u8], received: &Datagrams) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_mavlink::MavHeader;
     use vigil_mavlink::common::{MavMessage, STATUSTEXT_DATA};
-    use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+    use vigil_mavlink::framing::encode;
 
     fn packet(sequence: u8) -> Vec<u8> {
-        let header = MavHeader {
-            system_id: 1,
-            component_id: 1,
-            sequence,
-        };
         let message = MavMessage::STATUSTEXT(STATUSTEXT_DATA {
             text: "of some length".into(),
             ..STATUSTEXT_DATA::DEFAULT
         });
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = serialize(header, &message, &mut out).unwrap();
-        out[..len].to_vec()
+        encode((1, 1), sequence, &message)
     }
 
     /// A line that takes `room` bytes at a time, then is busy, and delivers in portions.

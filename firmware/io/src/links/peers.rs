@@ -252,9 +252,8 @@ impl Wire for UdpPeers {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_mavlink::MavHeader;
     use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
-    use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+    use vigil_mavlink::framing::encode;
 
     fn loopback(port: u16) -> SocketAddr {
         ([127, 0, 0, 1], port).into()
@@ -267,18 +266,11 @@ mod tests {
     }
 
     /// A ground station's heartbeat.
-    fn hello(system_id: u32) -> Vec<u8> {
-        let header = MavHeader {
-            system_id,
-            component_id: 190,
-            sequence: 0,
-        };
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = serialize(header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT), &mut out).unwrap();
-        out[..len].to_vec()
+    fn hello(system: u8) -> Vec<u8> {
+        encode((system, 190), 0, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT))
     }
 
-    const REFUSED: u32 = 66;
+    const REFUSED: u8 = 66;
 
     /// What comes, all of it admitted unless it is of [`REFUSED`]. On the loopback interface a datagram has arrived when
     /// its sending returns.

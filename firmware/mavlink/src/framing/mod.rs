@@ -13,6 +13,8 @@ mod tests;
 
 pub use command::{Command, CommandAck, CommandForm};
 pub use packet::{FramingCounters, Packet, Packets, packets};
+#[cfg(feature = "std")]
+pub use serialize::encode;
 pub use serialize::{MAX_PACKET_LEN, SerializeError, renumber, serialize, serialize_payload};
 pub use stream::StreamFramer;
 

@@ -48,6 +48,20 @@ pub fn serialize(header: MavHeader, message: &MavMessage, out: &mut [u8]) -> Res
     serialize_payload(header, message.message_id(), payload, out)
 }
 
+/// The unsigned MAVLink 2 packet of `message` from `(system, component)`, in memory of its own; the loop uses [`serialize`].
+#[cfg(feature = "std")]
+pub fn encode(from: (u8, u8), sequence: u8, message: &MavMessage) -> std::vec::Vec<u8> {
+    let header = MavHeader {
+        system_id: from.0.into(),
+        component_id: from.1,
+        sequence,
+    };
+    let mut out = [0; MAX_PACKET_LEN];
+    // Whatever the dialect has fits.
+    let len = serialize(header, message, &mut out).unwrap_or(0);
+    out.get(..len).unwrap_or_default().to_vec()
+}
+
 /// Gives an unsigned MAVLink 2 packet of a known message another sequence number: each link counts its own. Anything else
 /// is left as it is.
 pub fn renumber(packet: &mut [u8], sequence: u8) {

@@ -6,7 +6,7 @@ pub mod peer;
 use peer::Peer;
 use vigil_guidance::{EngagePolicy, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput};
 use vigil_mavlink::common::{COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavFrame, NAMED_VALUE_FLOAT_DATA};
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+use vigil_mavlink::framing::{FramingCounters, encode, packets};
 use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavHeader, MavMessage};
 use vigil_types::{
     Action, Datagrams, GuidanceState, Nanos, OperatorRequest, Reasons, RequestOutcome, STEP_NS, StepReport, StepTiming,
@@ -14,16 +14,21 @@ use vigil_types::{
 };
 
 /// A ground station, as most are numbered.
-pub const GROUND_STATION: MavHeader = MavHeader {
-    system_id: 255,
-    component_id: 190,
-    sequence: 0,
-};
+pub const GROUND_STATION: (u8, u8) = (255, 190);
+pub const VEHICLE: (u8, u8) = (1, 1);
+/// The guidance computer.
+pub const ME: (u8, u8) = (1, 191);
 
-pub fn bytes_of(header: MavHeader, message: &MavMessage) -> Vec<u8> {
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, message, &mut out).expect("the buffer holds any message");
-    out[..len].to_vec()
+pub fn bytes_of(from: (u8, u8), message: &MavMessage) -> Vec<u8> {
+    encode(from, 0, message)
+}
+
+pub fn header(from: (u8, u8)) -> MavHeader {
+    MavHeader {
+        system_id: from.0.into(),
+        component_id: from.1,
+        sequence: 0,
+    }
 }
 
 /// All messages of all datagrams with their senders, parsed by the crate.
@@ -141,6 +146,11 @@ impl Flight {
         )
     }
 
+    /// An operator engages it.
+    pub fn on_command(flavour: Flavour, peer: Peer) -> Self {
+        Self::with(flavour, peer, GuidanceConfig::default())
+    }
+
     pub fn with(flavour: Flavour, peer: Peer, config: GuidanceConfig) -> Self {
         Self::of(Some(flavour), peer, config)
     }
@@ -167,6 +177,10 @@ impl Flight {
             sees: true,
             hears: true,
         }
+    }
+
+    pub fn hear(&mut self, from: (u8, u8), message: &MavMessage) {
+        self.companion.receive(self.now_ns, 0, &bytes_of(from, message));
     }
 
     pub fn step(&mut self) -> GuidanceOutput {
@@ -276,8 +290,8 @@ impl Bench {
         }
     }
 
-    pub fn hear(&mut self, header: MavHeader, message: &MavMessage) {
-        self.companion.receive(self.now_ns, 0, &bytes_of(header, message));
+    pub fn hear(&mut self, from: (u8, u8), message: &MavMessage) {
+        self.companion.receive(self.now_ns, 0, &bytes_of(from, message));
     }
 
     pub fn step(

@@ -1,10 +1,9 @@
 //! Scripted vehicles of both flavours, written from the protocol's and the autopilots' documentation, on the crate's own
 //! parser: they share no code with the companion but the packet scanner.
 
-use super::bytes_of;
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{FramingCounters, packets};
-use vigil_mavlink::{Flavour, MavHeader, MavMessage};
+use vigil_mavlink::framing::{FramingCounters, encode, packets};
+use vigil_mavlink::{Flavour, MavMessage};
 use vigil_types::{Nanos, STEP_NS};
 
 /// Above sea level, where both peers' home and local origin are.
@@ -169,6 +168,16 @@ impl Peer {
         numbers
     }
 
+    /// The commands of a number, in order.
+    pub fn got(&self, command: u16) -> Vec<Got> {
+        self.commands.iter().copied().filter(|c| c.command == command).collect()
+    }
+
+    /// Has a command answered otherwise, so many times.
+    pub fn answer(&mut self, command: u16, answer: Option<MavResult>, times: u32) {
+        self.quirks.push(Quirk { command, answer, times });
+    }
+
     /// The power was cut and came back, on the ground.
     pub fn reboot(&mut self, now_ns: Nanos) {
         *self = Self {
@@ -277,12 +286,7 @@ impl Peer {
         out.iter()
             .map(|message| {
                 self.sequence = self.sequence.wrapping_add(1);
-                let header = MavHeader {
-                    system_id: self.system.into(),
-                    component_id: 1,
-                    sequence: self.sequence,
-                };
-                bytes_of(header, message)
+                encode((self.system, 1), self.sequence, message)
             })
             .collect()
     }

@@ -292,6 +292,14 @@ impl Backward<'_> {
         }
     }
 
+    /// Source `i` gets this gradient as it is.
+    pub fn hand_on(&mut self, i: usize, d: &[f32]) -> Result<(), ShapeError> {
+        self.write_source(i, |dx, _| {
+            dx.copy_from_slice(d);
+            Ok(())
+        })
+    }
+
     /// Hands the gradient of source `i` and the scratch to `write`: in place, or beside and added afterwards if another edge was
     /// first.
     pub fn write_source(

@@ -113,10 +113,7 @@ impl Operation for Concat {
         for i in 0..node.source_count() {
             let len = node.source_len(i)?;
             let share = part("work buffer", d, at, len)?;
-            node.write_source(i, |dx, _| {
-                dx.copy_from_slice(share);
-                Ok(())
-            })?;
+            node.hand_on(i, share)?;
             at += len;
         }
         Ok(())

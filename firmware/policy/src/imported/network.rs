@@ -2,6 +2,7 @@
 
 extern crate alloc;
 
+use super::network_text::{name_of, name_of_function};
 use alloc::borrow::ToOwned;
 use alloc::format;
 use alloc::string::{String, ToString};
@@ -172,25 +173,55 @@ fn product(sizes: &[usize]) -> u64 {
 }
 
 impl Layer {
-    /// All numbers that are sizes, to be bounded before anything is computed from them.
-    fn sizes(&self) -> Vec<usize> {
+    /// Its line in a network's text: the kind, the layers that it uses, its sizes, and the word behind them.
+    pub(super) fn line(&self) -> Line {
+        let line = |kind, sources: &[usize], sizes: &[usize]| Line {
+            kind,
+            sources: sources.to_vec(),
+            sizes: sizes.to_vec(),
+            params_of: None,
+            word: String::new(),
+        };
         match self {
-            Self::Input { len } | Self::Zeros { len } => [*len].into(),
-            Self::Slice { from, len, .. } => [*from, *len].into(),
-            Self::Concat { .. } | Self::Curve { .. } | Self::Function { .. } => Vec::new(),
-            Self::Sum { .. } | Self::Product { .. } => Vec::new(),
-            Self::LayerNorm { layer, .. } => [layer.width].into(),
-            Self::Conv2d { layer: l, .. } => {
-                [l.rows, l.cols, l.channels, l.filters, l.kernel, l.stride, l.padding].into()
+            Self::Input { len } => line("input", &[], &[*len]),
+            Self::Zeros { len } => line("zeros", &[], &[*len]),
+            Self::Slice { x, from, len } => line("slice", &[*x], &[*from, *len]),
+            Self::Concat { parts } => line("concat", parts, &[]),
+            Self::Sum { parts } => line("sum", parts, &[]),
+            Self::Product { x, y } => line("product", &[*x, *y], &[]),
+            Self::Curve { x, curve } => line("curve", &[*x], &[]).with(name_of(*curve)),
+            Self::Function { x, function } => line("function", &[*x], &[]).with(name_of_function(*function)),
+            Self::Conv2d { x, layer: l, curve } => {
+                let sizes = [l.rows, l.cols, l.channels, l.filters, l.kernel, l.stride, l.padding];
+                line("conv2d", &[*x], &sizes).with(name_of(*curve))
             }
-            Self::Dense { layer, .. } => [layer.inputs, layer.outputs].into(),
-            Self::MaxPool2d { layer: l, .. } => {
+            Self::Dense { x, layer, curve } => {
+                line("dense", &[*x], &[layer.inputs, layer.outputs]).with(name_of(*curve))
+            }
+            Self::MaxPool2d { x, layer: l } => {
                 let [height, width] = l.window;
-                [l.rows, l.cols, l.channels, height, width, l.stride, l.padding].into()
+                let sizes = [l.rows, l.cols, l.channels, height, width, l.stride, l.padding];
+                // Windows side by side have one number.
+                let tiles = *l == MaxPool2d::tiles(l.rows, l.cols, l.channels, height);
+                line("max_pool2d", &[*x], if tiles { &sizes[..4] } else { &sizes })
             }
-            Self::BatchNorm { layer, .. } => [layer.channels].into(),
-            Self::Gru { layer, .. } => [layer.inputs, layer.hidden].into(),
-            Self::Lstm { layer, .. } => [layer.inputs, layer.hidden].into(),
+            Self::BatchNorm { x, layer } => {
+                line("batch_norm", &[*x], &[layer.channels]).with(layer.epsilon.to_string())
+            }
+            Self::LayerNorm { x, layer } => line("layer_norm", &[*x], &[layer.width]).with(layer.epsilon.to_string()),
+            Self::Gru { x, h, layer, params_of } => Line {
+                params_of: Some(*params_of),
+                ..line("gru", &[*x, *h], &[layer.inputs, layer.hidden])
+            },
+            Self::Lstm {
+                x,
+                state,
+                layer,
+                params_of,
+            } => Line {
+                params_of: Some(*params_of),
+                ..line("lstm", &[*x, *state], &[layer.inputs, layer.hidden])
+            },
         }
     }
 
@@ -241,21 +272,26 @@ impl Layer {
     }
 
     pub(super) fn sources(&self) -> Vec<usize> {
-        match self {
-            Self::Input { .. } | Self::Zeros { .. } => Vec::new(),
-            Self::Slice { x, .. }
-            | Self::Curve { x, .. }
-            | Self::Conv2d { x, .. }
-            | Self::Dense { x, .. }
-            | Self::MaxPool2d { x, .. }
-            | Self::BatchNorm { x, .. }
-            | Self::Function { x, .. }
-            | Self::LayerNorm { x, .. } => [*x].into(),
-            Self::Concat { parts } | Self::Sum { parts } => parts.clone(),
-            Self::Product { x, y } => [*x, *y].into(),
-            Self::Gru { x, h, .. } => [*x, *h].into(),
-            Self::Lstm { x, state, .. } => [*x, *state].into(),
-        }
+        self.line().sources
+    }
+}
+
+/// A layer as it stands in a network's text.
+pub(super) struct Line {
+    pub(super) kind: &'static str,
+    /// Layers that it uses.
+    pub(super) sources: Vec<usize>,
+    /// Numbers that are sizes.
+    pub(super) sizes: Vec<usize>,
+    /// The layer whose parameters it has, if it may be another one.
+    pub(super) params_of: Option<usize>,
+    /// A curve, a function or an epsilon; empty where there is none.
+    pub(super) word: String,
+}
+
+impl Line {
+    fn with(self, word: String) -> Self {
+        Self { word, ..self }
     }
 }
 
@@ -280,16 +316,14 @@ impl Network {
         }
         let (mut params, mut values, mut multiply_adds) = (0u64, 0u64, 0u64);
         for (number, layer) in self.layers.iter().enumerate() {
-            if let Some(size) = layer.sizes().into_iter().find(|size| *size > MOST_SIZE) {
+            let line = layer.line();
+            // Before anything is computed from them.
+            if let Some(size) = line.sizes.iter().find(|size| **size > MOST_SIZE) {
                 return Err(NetworkError(format!(
                     "layer {number} has a size of {size}, the limit is {MOST_SIZE}"
                 )));
             }
-            let params_of = match layer {
-                Layer::Gru { params_of, .. } | Layer::Lstm { params_of, .. } => *params_of,
-                _ => number,
-            };
-            if params_of > number || !layer.sources().iter().all(|source| *source < number) {
+            if line.params_of.is_some_and(|of| of > number) || !line.sources.iter().all(|source| *source < number) {
                 return Err(NetworkError(format!(
                     "layer {number} uses a layer that does not come before it"
                 )));
@@ -348,15 +382,8 @@ impl Network {
                 true => b.params(len),
                 false => own.get(of).copied().unwrap_or_default(),
             };
-            let params = match layer {
-                Layer::Conv2d { layer, .. } => reserve(layer.param_len(), number),
-                Layer::Dense { layer, .. } => reserve(layer.param_len(), number),
-                Layer::BatchNorm { layer, .. } => reserve(layer.param_len(), number),
-                Layer::LayerNorm { layer, .. } => reserve(layer.param_len(), number),
-                Layer::Gru { layer, params_of, .. } => reserve(layer.param_len(), *params_of),
-                Layer::Lstm { layer, params_of, .. } => reserve(layer.param_len(), *params_of),
-                _ => Params::default(),
-            };
+            let params = layer.params_of(number).map(|of| reserve(layer.param_len(), of));
+            let params = params.unwrap_or_default();
             own.push(params);
             let node = match layer {
                 Layer::Input { len } => b.input(*len, true),

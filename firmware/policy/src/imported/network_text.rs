@@ -5,13 +5,13 @@ extern crate alloc;
 use super::network::{Layer, MOST_LAYERS, Network, NetworkError};
 use alloc::borrow::ToOwned;
 use alloc::format;
-use alloc::string::{String, ToString};
+use alloc::string::String;
 use alloc::vec::Vec;
 use core::fmt::{self, Write};
 use core::str::FromStr;
 use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Function, Gru, LayerNorm, Lstm, MaxPool2d};
 
-fn name_of(curve: Activation) -> String {
+pub(super) fn name_of(curve: Activation) -> String {
     match curve {
         Activation::Identity => "identity".to_owned(),
         Activation::Relu => "relu".to_owned(),
@@ -39,7 +39,7 @@ fn curve_of(name: &str) -> Option<Activation> {
 }
 
 /// A function's name, and its numbers behind it.
-fn name_of_function(function: Function) -> String {
+pub(super) fn name_of_function(function: Function) -> String {
     match function {
         Function::LeakyRelu { alpha } => format!("leaky_relu*{alpha}"),
         Function::Elu { alpha } => format!("elu*{alpha}"),
@@ -78,60 +78,16 @@ fn function_of(text: &str) -> Option<Function> {
 
 impl fmt::Display for Network {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let line = |f: &mut fmt::Formatter<'_>, kind: &str, numbers: &[usize], word: &str| {
-            f.write_str(kind)?;
-            for number in numbers {
+        for layer in &self.layers {
+            let line = layer.line();
+            f.write_str(line.kind)?;
+            for number in line.sources.iter().chain(&line.sizes).chain(&line.params_of) {
                 write!(f, " {number}")?;
             }
-            if !word.is_empty() {
-                write!(f, " {word}")?;
+            if !line.word.is_empty() {
+                write!(f, " {}", line.word)?;
             }
-            f.write_char('\n')
-        };
-        for layer in &self.layers {
-            match layer {
-                Layer::Input { len } => line(f, "input", &[*len], "")?,
-                Layer::Zeros { len } => line(f, "zeros", &[*len], "")?,
-                Layer::Slice { x, from, len } => line(f, "slice", &[*x, *from, *len], "")?,
-                Layer::Concat { parts } => line(f, "concat", parts, "")?,
-                Layer::Curve { x, curve } => line(f, "curve", &[*x], &name_of(*curve))?,
-                Layer::Conv2d { x, layer: l, curve } => {
-                    let numbers = [*x, l.rows, l.cols, l.channels, l.filters, l.kernel, l.stride, l.padding];
-                    line(f, "conv2d", &numbers, &name_of(*curve))?;
-                }
-                Layer::Dense { x, layer, curve } => {
-                    line(f, "dense", &[*x, layer.inputs, layer.outputs], &name_of(*curve))?;
-                }
-                Layer::MaxPool2d { x, layer: l } => {
-                    let [height, width] = l.window;
-                    // Windows side by side have one number.
-                    match *l == MaxPool2d::tiles(l.rows, l.cols, l.channels, height) {
-                        true => line(f, "max_pool2d", &[*x, l.rows, l.cols, l.channels, height], "")?,
-                        false => {
-                            let numbers = [*x, l.rows, l.cols, l.channels, height, width, l.stride, l.padding];
-                            line(f, "max_pool2d", &numbers, "")?;
-                        }
-                    }
-                }
-                Layer::BatchNorm { x, layer } => {
-                    line(f, "batch_norm", &[*x, layer.channels], &layer.epsilon.to_string())?;
-                }
-                Layer::Function { x, function } => line(f, "function", &[*x], &name_of_function(*function))?,
-                Layer::Sum { parts } => line(f, "sum", parts, "")?,
-                Layer::Product { x, y } => line(f, "product", &[*x, *y], "")?,
-                Layer::LayerNorm { x, layer } => {
-                    line(f, "layer_norm", &[*x, layer.width], &layer.epsilon.to_string())?;
-                }
-                Layer::Gru { x, h, layer, params_of } => {
-                    line(f, "gru", &[*x, *h, layer.inputs, layer.hidden, *params_of], "")?
-                }
-                Layer::Lstm {
-                    x,
-                    state,
-                    layer,
-                    params_of,
-                } => line(f, "lstm", &[*x, *state, layer.inputs, layer.hidden, *params_of], "")?,
-            }
+            f.write_char('\n')?;
         }
         writeln!(f, "output {}", self.output)
     }
