@@ -24,6 +24,7 @@ fn small() -> LearnConfig {
     config.learning.decisions_per_update = 1;
     config.learning.critic_units = [16, 16];
     config.replay.decisions = 600;
+    config.replay.alpha = 0.6;
     config.evaluation.every_updates = 500;
     config.evaluation.flights = 1;
     config.evaluation.final_flights = 1;

@@ -1,5 +1,5 @@
-//! Which transitions are sampled, in proportion to their priorities (Schaul et al., "Prioritized Experience Replay", 2016): slot `i` stands
-//! for the caller's transition `i`.
+//! Priorities of prioritised experience replay (Schaul et al., "Prioritized Experience Replay", 2016, proportional variant):
+//! slot `i` stands for the caller's transition `i`.
 
 use alloc::vec;
 use alloc::vec::Vec;
@@ -25,9 +25,23 @@ impl SumTree {
         }
     }
 
+    /// Number of slots.
+    pub fn slots(&self) -> usize {
+        self.slots
+    }
+
     /// Sum of all priorities.
     pub fn total(&self) -> f64 {
         self.sums.get(1).copied().unwrap_or(0.0)
+    }
+
+    /// Priority of a slot, 0 for none.
+    pub fn get(&self, slot: usize) -> f64 {
+        if slot < self.slots {
+            self.sums.get(self.leaves + slot).copied().unwrap_or(0.0)
+        } else {
+            0.0
+        }
     }
 
     /// Sets a slot's priority. A slot that does not exist, a negative priority or one that is not finite is ignored and

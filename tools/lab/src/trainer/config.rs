@@ -128,6 +128,10 @@ settings! {
     pub struct ReplayConfig {
         /// Decisions stored; one takes 1 kB.
         pub decisions: usize = free(300_000),
+        /// Exponent of the priority; 0 samples evenly.
+        pub alpha: f64 = within(0.0, (0.0, 1.0), ""),
+        /// Exponent of the importance weights.
+        pub beta: f64 = free(0.4),
     }
 
     /// Flights that evaluate the actor, always over the same courses.

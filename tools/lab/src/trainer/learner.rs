@@ -40,7 +40,7 @@ pub struct Critic {
 /// What an update was like; means over its transitions.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct UpdateReport {
-    /// Squared error of the first critic.
+    /// Squared error of the first critic, weighted.
     pub critic_loss: f32,
     /// First critic's value of the actor's own actions.
     pub value: f32,
@@ -167,15 +167,15 @@ impl Learner {
         }
     }
 
-    /// One update of critics, actor and target networks.
+    /// One update of critics, actor and target networks. Returns each transition's temporal-difference error as well.
     ///
     /// # Errors
     /// A loss or gradient that is not finite; the weights are as they were then.
-    pub fn update(&mut self, batch: &[Sample<'_>], rng: &mut impl Rng) -> Result<UpdateReport> {
-        self.critic_step(batch, rng)?;
+    pub fn update(&mut self, batch: &[Sample<'_>], rng: &mut impl Rng) -> Result<(UpdateReport, Vec<(usize, f32)>)> {
+        let errors = self.critic_step(batch, rng)?;
         let report = self.actor_step(batch)?;
         self.targets_step(report.actor_norm)?;
-        Ok(report)
+        Ok((report, errors))
     }
 
     /// What the decisions turned out to be worth, by the target networks.
@@ -210,8 +210,8 @@ impl Learner {
         Ok(())
     }
 
-    /// L = mean of (Q(s, a) − y)².
-    fn critic_step(&mut self, batch: &[Sample<'_>], rng: &mut impl Rng) -> Result<()> {
+    /// L = mean of w (Q(s, a) − y)².
+    fn critic_step(&mut self, batch: &[Sample<'_>], rng: &mut impl Rng) -> Result<Vec<(usize, f32)>> {
         self.set_targets(batch, rng)?;
         self.look(false, batch.iter().map(|s| s.state))?;
         self.arrange(batch.iter().map(|s| (s.state, s.action)));
@@ -222,10 +222,10 @@ impl Learner {
                 mlp.forward(isa, &c.params, x, &mut c.tape)?;
                 c.loss = 0.0;
                 let values = c.tape.out(mlp).to_vec();
-                for ((slot, value), target) in c.out.iter_mut().zip(&values).zip(targets) {
+                for (((slot, value), target), step) in c.out.iter_mut().zip(&values).zip(targets).zip(batch) {
                     let error = value - target;
-                    *slot = 2.0 * error / count;
-                    c.loss += error * error / count;
+                    *slot = 2.0 * step.weight * error / count;
+                    c.loss += step.weight * error * error / count;
                 }
                 mlp.pack(&c.params, &mut c.packed)?;
                 c.d.fill(0.0);
@@ -238,7 +238,9 @@ impl Learner {
             finite(self.updates, "loss", "critic", critic.loss)?;
             finite(self.updates, "gradient", "critic", critic.norm)?;
         }
-        Ok(())
+        let errors = &self.critics[0].out;
+        let error = |(i, step): (usize, &Sample<'_>)| (step.leaf, 0.5 * count * errors[i] / step.weight.max(1e-6));
+        Ok(batch.iter().enumerate().map(error).collect())
     }
 
     /// L = mean of penalty − Q(s, μ(s)), through the first critic as it was before this update's step.

@@ -12,6 +12,7 @@ pub mod learner;
 pub mod mlp;
 mod noise;
 pub mod observation;
+mod priorities;
 pub mod replay;
 pub mod reward;
 pub mod run;

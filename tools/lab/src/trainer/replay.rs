@@ -2,26 +2,13 @@
 
 use crate::trainer::config::LearnConfig;
 use crate::trainer::observation::{OBSERVATION, mirror as mirror_observation};
+use crate::trainer::priorities::{Next, Priorities, Returns, newest_in_slot, normalised};
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-use vigil_nnet::train::SumTree;
 use vigil_sim::environment::true_state::{TRUE_STATE, mirror as mirror_truth};
 
 /// Values stored of a state.
 const STATE: usize = TRUE_STATE + OBSERVATION;
-
-/// What follows a decision.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Next {
-    /// The next decision of the trajectory.
-    Decision,
-    /// Nothing: success, collision, out of bounds.
-    Terminal,
-    /// The next entry of the trajectory is the state in which the flight was cut off.
-    CutOff,
-    /// This is that state; no action was taken in it.
-    Nothing,
-}
 
 /// A decision, beside its state.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -92,24 +79,6 @@ impl Trajectory {
         let slot = self.slot(number);
         &self.states[slot * STATE..(slot + 1) * STATE]
     }
-
-    /// The number that lies in a slot.
-    fn number(&self, slot: u64) -> u64 {
-        let last = self.next - 1;
-        last - (last + self.capacity - slot) % self.capacity
-    }
-
-    /// Whether the return of decision `number` over so many decisions lies within what there is.
-    fn is_known(&self, number: u64, n_steps: u64) -> bool {
-        (number..self.next)
-            .take(n_steps as usize)
-            .find_map(|n| match self.transition(n).next {
-                Next::Decision => None,
-                Next::CutOff => Some(n + 1 < self.next),
-                Next::Terminal | Next::Nothing => Some(true),
-            })
-            .unwrap_or(number.saturating_add(n_steps) < self.next)
-    }
 }
 
 /// A stored state, seen in a mirror or not.
@@ -136,6 +105,8 @@ impl Stored<'_> {
 /// A sampled transition over up to n decisions.
 #[derive(Debug, Clone, Copy)]
 pub struct Sample<'a> {
+    /// Where it is in the tree, for its new priority.
+    pub leaf: usize,
     /// The state.
     pub state: Stored<'a>,
     /// The action flown, as seen in the mirror if the state is.
@@ -146,17 +117,18 @@ pub struct Sample<'a> {
     pub discount: f32,
     /// The state after them; the state itself behind a terminal one.
     pub next: Stored<'a>,
+    /// Importance weight, at most 1.
+    pub weight: f32,
 }
 
 /// The replay memory of all environments.
 pub struct Replay {
     /// One for each environment.
     pub trajectories: Vec<Trajectory>,
-    /// 1 for each decision that may be sampled, 0 for the others.
-    tree: SumTree,
+    priorities: Priorities,
     capacity: usize,
-    n_steps: u64,
-    gamma: f32,
+    returns: Returns,
+    beta: f64,
     mirror: bool,
 }
 
@@ -167,85 +139,102 @@ impl Replay {
         let capacity = config.replay.decisions / count;
         Self {
             trajectories: (0..count).map(|_| Trajectory::new(capacity)).collect(),
-            tree: SumTree::new(count * capacity),
+            priorities: Priorities::new(count * capacity, config.replay.alpha),
             capacity,
-            n_steps: config.learning.n_steps as u64,
-            gamma: config.learning.gamma,
+            returns: Returns {
+                n_steps: config.learning.n_steps as u64,
+                gamma: config.learning.gamma,
+            },
+            beta: config.replay.beta,
             mirror: config.learning.mirror,
         }
     }
 
-    /// Lets new decisions whose outcome is known be sampled, and those that are overwritten no more.
+    /// Gives new decisions whose outcome is known their place in the tree and takes out those that are overwritten.
     pub fn settle(&mut self) {
         for (i, lane) in self.trajectories.iter_mut().enumerate() {
             let leaf = |number: u64| i * self.capacity + (number % lane.capacity) as usize;
-            while lane.settled < lane.next && lane.is_known(lane.settled, self.n_steps) {
-                let was_done = lane.transition(lane.settled).next != Next::Nothing;
-                self.tree.set(leaf(lane.settled), f64::from(u8::from(was_done)));
+            while lane.settled < lane.next {
+                if !self
+                    .returns
+                    .is_known(lane.settled, lane.next, |n| lane.transition(n).next)
+                {
+                    break;
+                }
+                self.priorities
+                    .settle(leaf(lane.settled), lane.transition(lane.settled).next);
                 lane.settled += 1;
             }
             for number in lane.settled..lane.next {
-                self.tree.set(leaf(number), 0.0);
+                self.priorities.take_out(leaf(number));
             }
         }
     }
 
-    /// Transitions, each as likely as the other, one from each of `count` equal parts of the memory; none while there are none.
+    /// Transitions in proportion to their priorities, one from each of `count` equal parts of the sum; none while there are none.
     pub fn sample(&self, count: usize, rng: &mut impl Rng) -> Vec<Sample<'_>> {
+        let held: f64 = self.trajectories.iter().map(|l| l.transitions.len() as f64).sum();
         let mut batch = Vec::with_capacity(count);
+        let mut weights = Vec::with_capacity(count);
         for k in 0..count {
             let u: f64 = rng.random_range(0.0..1.0);
-            let place = (k as f64 + u) / count as f64 * self.tree.total();
-            let Some(leaf) = self.tree.find(place) else {
+            let Some(leaf) = self.priorities.find(k as f64 + u, count) else {
                 return Vec::new();
             };
+            let (priority, total) = self.priorities.get(leaf);
+            weights.push((held * priority / total).max(f64::MIN_POSITIVE).powf(-self.beta));
             batch.push(self.step(leaf, self.mirror && rng.random_bool(0.5)));
+        }
+        for (step, weight) in batch.iter_mut().zip(normalised(&weights)) {
+            step.weight = weight;
         }
         batch
     }
 
     fn step(&self, leaf: usize, mirror: bool) -> Sample<'_> {
         let lane = &self.trajectories[leaf / self.capacity];
-        let number = lane.number((leaf % self.capacity) as u64);
-        let (mut reward, mut discount, mut at) = (0.0, 1.0, number);
-        let next = loop {
+        let slot = (leaf % self.capacity) as u64;
+        let number = newest_in_slot(slot, lane.next, lane.capacity);
+        let outcome = self.returns.of(number, |at| {
             let transition = lane.transition(at);
-            reward += discount * transition.reward;
-            discount *= self.gamma;
-            at += 1;
-            match transition.next {
-                Next::Terminal | Next::Nothing => {
-                    discount = 0.0;
-                    break number;
-                }
-                Next::CutOff => break at,
-                Next::Decision if at - number == self.n_steps => break at,
-                Next::Decision => {}
-            }
-        };
+            (transition.reward, transition.next)
+        });
         let [forward, yaw] = lane.transition(number).action;
         Sample {
+            leaf,
             state: Stored(lane.state(number), mirror),
             action: [forward, if mirror { -yaw } else { yaw }],
-            reward,
-            discount,
-            next: Stored(lane.state(next), mirror),
+            reward: outcome.reward,
+            discount: outcome.discount,
+            next: Stored(lane.state(outcome.next), mirror),
+            weight: 1.0,
         }
     }
 
-    /// Takes over how many decisions each trajectory was given, its content being back. `false` if it does not fit.
+    /// Sets the priority of a sampled transition from its temporal-difference error.
+    pub fn set_error(&mut self, leaf: usize, error: f32) {
+        self.priorities.set_error(leaf, error);
+    }
+
+    /// All priorities, the largest that was ever set, and of each trajectory how many decisions were stored and are settled.
+    pub fn places(&self) -> (Vec<f64>, f64, Vec<(u64, u64)>) {
+        let (priorities, largest) = self.priorities.all();
+        let lanes = self.trajectories.iter().map(|l| (l.next, l.settled)).collect();
+        (priorities, largest, lanes)
+    }
+
+    /// Takes over what [`Self::places`] gave, the trajectories' content being back. `false` if it does not fit.
     #[must_use]
-    pub fn restore(&mut self, stored: &[u64]) -> bool {
-        let mut fits = self.trajectories.len() == stored.len();
-        for (lane, next) in self.trajectories.iter_mut().zip(stored) {
-            (lane.next, lane.settled) = (*next, next.saturating_sub(lane.capacity));
-            let held = lane.capacity.min(*next) as usize;
-            fits &= lane.transitions.len() == held && lane.states.len() == held * STATE;
+    pub fn restore(&mut self, priorities: &[f64], largest: f64, lanes: &[(u64, u64)]) -> bool {
+        if self.priorities.places() != priorities.len() || self.trajectories.len() != lanes.len() {
+            return false;
         }
-        if fits {
-            self.settle();
-        }
-        fits
+        self.priorities.restore(priorities, largest);
+        self.trajectories.iter_mut().zip(lanes).all(|(lane, &(next, settled))| {
+            (lane.next, lane.settled) = (next, settled);
+            let held = next.min(lane.capacity) as usize;
+            lane.transitions.len() == held && lane.states.len() == held * STATE
+        })
     }
 }
 

@@ -265,7 +265,10 @@ impl<'a> Run<'a> {
 
     fn update(&mut self, report: Report<'_>) -> Result<()> {
         let batch = self.replay.sample(self.config.learning.batch, &mut self.rng);
-        let update = self.learner.update(&batch, &mut self.rng)?;
+        let (update, errors) = self.learner.update(&batch, &mut self.rng)?;
+        for (leaf, error) in errors {
+            self.replay.set_error(leaf, error);
+        }
         self.sum = self.sum.plus(&update, 1.0);
         self.summed += 1;
         let updates = self.learner.updates;

@@ -28,6 +28,8 @@ fn digest<S: AsRef<str>>(tensors: &[(S, TensorView<'_>)]) -> String {
 pub enum Values<'a> {
     /// Numbers.
     F32(&'a [f32]),
+    /// Priorities.
+    F64(&'a [f64]),
     /// Stored states.
     U16(&'a [u16]),
 }
@@ -42,6 +44,7 @@ pub fn save<S: Serialize>(path: &Path, state: &S, tensors: &[(String, Values<'_>
     for (name, values) in tensors {
         let (dtype, len, bytes) = match values {
             Values::F32(v) => (Dtype::F32, v.len(), v.iter().flat_map(|x| x.to_le_bytes()).collect()),
+            Values::F64(v) => (Dtype::F64, v.len(), v.iter().flat_map(|x| x.to_le_bytes()).collect()),
             Values::U16(v) => (Dtype::U16, v.len(), v.iter().flat_map(|x| x.to_le_bytes()).collect()),
         };
         all.push((name.clone(), dtype, len, bytes));
@@ -139,6 +142,15 @@ impl Stored {
             );
         }
         Ok(values)
+    }
+
+    /// Priorities.
+    ///
+    /// # Errors
+    /// There are none.
+    pub fn f64(&self, name: &str) -> Result<Vec<f64>> {
+        let data = self.tensor(name, Dtype::F64)?;
+        Ok(data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect())
     }
 
     /// Stored states.

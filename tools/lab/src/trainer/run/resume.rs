@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use std::time::Instant;
 use vigil_types::settings;
 
-const FORMAT: &str = "vigil learn checkpoint 2";
+const FORMAT: &str = "vigil learn checkpoint 1";
 
 #[derive(Serialize, Deserialize)]
 struct RunState {
@@ -24,8 +24,8 @@ struct RunState {
     elapsed_s: f64,
     random_at: (u64, u64),
     adam_steps: Vec<u64>,
-    /// Decisions that each trajectory was given.
-    stored: Vec<u64>,
+    largest_bits: u64,
+    lanes: Vec<(u64, u64)>,
     transitions: Vec<Vec<Transition>>,
     workers: Vec<WorkerState>,
     rows: Vec<Row>,
@@ -72,7 +72,9 @@ impl Run<'_> {
             lane.states = saved.u16(&format!("states_{i}"))?;
             lane.transitions = transitions;
         }
-        ensure!(self.replay.restore(&state.stored), other);
+        let largest = f64::from_bits(state.largest_bits);
+        let fits = self.replay.restore(&saved.f64("priorities")?, largest, &state.lanes);
+        ensure!(fits, other);
         let config = self.config;
         let states = self.workers.par_iter_mut().zip(&state.workers);
         states.try_for_each(|(worker, state)| worker.restore(config, state))?;
@@ -113,6 +115,7 @@ impl Run<'_> {
 
     pub(super) fn save(&self) -> Result<()> {
         let at = self.rng.get_word_pos();
+        let (priorities, largest, lanes) = self.replay.places();
         let l = &self.learner;
         let adams = [&l.actor_adam, &l.critics[0].adam, &l.critics[1].adam];
         let state = RunState {
@@ -123,7 +126,8 @@ impl Run<'_> {
             elapsed_s: self.elapsed_s(),
             random_at: ((at >> 64) as u64, at as u64),
             adam_steps: adams.iter().map(|adam| adam.steps).collect(),
-            stored: self.replay.trajectories.iter().map(|l| l.next).collect(),
+            largest_bits: largest.to_bits(),
+            lanes,
             transitions: self.replay.trajectories.iter().map(|l| l.transitions.clone()).collect(),
             workers: self.workers.iter().map(EnvWorker::state).collect(),
             rows: self.rows.clone(),
@@ -135,6 +139,7 @@ impl Run<'_> {
         };
         let mut tensors = vec![
             ("encoder".to_owned(), Values::F32(&self.encoder_params)),
+            ("priorities".to_owned(), Values::F64(&priorities)),
             ("actor".to_owned(), Values::F32(&l.actor)),
             ("actor_target".to_owned(), Values::F32(&l.actor_target)),
             ("actor_mean".to_owned(), Values::F32(&l.actor_adam.mean)),
