@@ -14,7 +14,10 @@ use self::drift::{DOWN_M, Errors, MountReadings, Pair, TURN, WIDENING, allowed_d
 use self::motion::{MOST_COST, Map, Pose, cost, look, look_widened, samples};
 use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen};
 use self::silence::SilentSide;
-use vigil_types::{Attitude, DepthFrame, FrdVector, Kinematics, Nanos, NedVector, Reason, Reasons, VehicleTelemetry};
+use vigil_types::{
+    Attitude, DepthFrame, FrdVector, Kinematics, Landed, Nanos, NedVector, Reason, Reasons, VehicleMode,
+    VehicleTelemetry,
+};
 
 /// The ground must be seen where its range is below this, metres; and it is at the height of home.
 const GROUND_M: f32 = 15.0;
@@ -405,7 +408,7 @@ impl PlausibilityCheck {
             // The flight is over.
             self.forget_motion();
             (self.raised, self.raises) = (None, 0);
-        } else if !in_flight || blind || self.bad_pose {
+        } else if !in_flight || stands_or_takes_off(telemetry) || blind || self.bad_pose {
             self.forget_pictures();
         } else if self.raised.is_some() {
             self.look_for_a_fit(&pose, stamp_ns);
@@ -827,6 +830,12 @@ impl PlausibilityCheck {
             && stayed_costs >= FIT_COST
             && same < SAME_CELLS
     }
+}
+
+/// While a vehicle stands, or takes off by itself, nobody flies by what is seen; and its estimate moves then by more than it does (a real
+/// PX4's rose half a metre above the ground on which it stood).
+fn stands_or_takes_off(telemetry: &VehicleTelemetry) -> bool {
+    telemetry.landed == Landed::OnGround || telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Takeoff)
 }
 
 /// Counts steps in a row.

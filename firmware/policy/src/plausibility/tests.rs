@@ -5,8 +5,8 @@ use core::f32::consts::PI;
 use std::boxed::Box;
 use std::vec::Vec;
 use vigil_types::{
-    AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, Heartbeat, Kinematics, STEP_NS, STEP_S, VehicleMode,
-    column_bearing_rad, row_elevation_rad,
+    AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, Heartbeat, Kinematics, Landed, STEP_NS, STEP_S,
+    VehicleMode, column_bearing_rad, row_elevation_rad,
 };
 
 /// A hall with a floor and pillars, and a vehicle that flies through it at 1.5 m/s while it turns and sways.
@@ -595,6 +595,31 @@ fn on_the_ground_what_is_near_is_no_fault_and_nothing_is_held_against_the_next_f
             "{faults:?} at {}",
             flight.position.z
         );
+    }
+}
+
+#[test]
+fn an_estimate_that_moves_while_the_vehicle_stands_or_takes_off_convicts_no_sensor() {
+    for (landed, mode) in [
+        (Landed::OnGround, VehicleMode::Hold),
+        (Landed::TakingOff, VehicleMode::Takeoff),
+        (Landed::InAir, VehicleMode::External),
+    ] {
+        let mut flight = Flight::new();
+        let stays = flight.frame.clone();
+        let mut step = |flight: &mut Flight| {
+            flight.look();
+            flight.frame.depth = stays.depth;
+            flight.telemetry.landed = landed;
+            flight.telemetry.heartbeat.as_mut().unwrap().mode = mode;
+            flight.plausibility.check(&flight.frame, &flight.telemetry)
+        };
+        let doubts = (0..20).map(|_| step(&mut flight)).fold(Reasons::NONE, Reasons::union);
+        let expected = match mode {
+            VehicleMode::External => Reasons::of(Reason::FrozenSensor),
+            _ => Reasons::NONE,
+        };
+        assert_eq!(doubts, expected, "{landed:?}, {mode:?}");
     }
 }
 
