@@ -142,7 +142,7 @@ const fn info(
 macro_rules! parameters {
     (acting { $($variant:ident = $name:literal, $kind:ident($default:expr), $min:expr, $max:expr, $unit:literal, $does:literal;)* }
      kept { $($kept:literal, $kept_kind:ident($kept_default:expr), $kept_min:expr, $kept_max:expr, $kept_unit:literal, $why:literal;)* }
-     fixed { $($fixed:literal, $fixed_kind:ident($value:expr), $tells:literal;)* }) => {
+     fixed { $($fixed:literal, $fixed_kind:ident($value:expr), $description:literal;)* }) => {
         /// Index of a parameter.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
         pub(crate) enum ParamId { $($variant),* }
@@ -155,7 +155,7 @@ macro_rules! parameters {
         const TOLD: &[ParameterInfo] = &[$(
             info($kept, ParameterValue::$kept_kind($kept_default), [$kept_min, $kept_max], $kept_unit, $why, ParameterRole::Kept)
         ,)* $(
-            info($fixed, ParameterValue::$fixed_kind($value), [ParameterValue::$fixed_kind($value).as_f32(); 2], "", $tells, ParameterRole::Fixed)
+            info($fixed, ParameterValue::$fixed_kind($value), [ParameterValue::$fixed_kind($value).as_f32(); 2], "", $description, ParameterRole::Fixed)
         ),*];
     };
 }
