@@ -23,6 +23,8 @@ struct Story {
     asked_for: bool,
     /// Every obstacle is shown 7.8 m farther away than it is.
     hides: bool,
+    /// Nobody checks the frames: as if the ground behind the obstacles were repainted too.
+    unchecked: bool,
     /// Nothing of the second sensor arrives from this step on.
     silent_from: usize,
 }
@@ -31,6 +33,7 @@ const SEEING: Story = Story {
     heads: 1,
     asked_for: true,
     hides: false,
+    unchecked: false,
     silent_from: usize::MAX,
 };
 
@@ -77,6 +80,7 @@ fn fly(story: Story) -> End {
     config.second_sensor_heads = story.heads;
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
     firmware.second_sensor = story.asked_for;
+    firmware.plausibility = !story.unchecked;
     let mut pair = Pair::of(&config, &firmware);
     let mut end = End {
         reasons: Reasons::NONE,
@@ -117,12 +121,26 @@ fn true_frames_are_believed_by_one_sensor_and_by_three() {
 
 #[test]
 fn who_hides_obstacles_leads_the_vehicle_into_one_unless_a_second_sensor_sees_it() {
-    let hidden = Story { hides: true, ..SEEING };
-    let end = fly(Story {
+    let hidden = Story {
+        hides: true,
+        unchecked: true,
+        ..SEEING
+    };
+    let alone = Story {
         asked_for: false,
         ..hidden
+    };
+    assert_eq!(
+        fly(alone).outcome,
+        Some(Outcome::Collision),
+        "nothing else finds this lie"
+    );
+    let end = fly(Story {
+        unchecked: false,
+        ..alone
     });
-    assert_eq!(end.outcome, Some(Outcome::Collision), "nothing else finds this lie");
+    assert_eq!(end.outcome, None, "the obstacles lie beneath the ground");
+    assert!(end.reasons.contains(Reason::BeneathGround) && end.speed_m_s < 0.2);
     for heads in [1, 3] {
         let end = fly(Story { heads, ..hidden });
         assert_eq!(end.outcome, None, "{heads}: it neither collides nor arrives");

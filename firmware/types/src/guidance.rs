@@ -101,6 +101,8 @@ named! {
         SecondSensorSilent = 32 => "second sensor silent",
         /// The second sensor saw something nearer than the depth frames show there.
         SensorsDisagree = 33 => "sensors disagree",
+        /// The depth frames show surfaces beneath the ground that they show nearer by: something stands there, and nearer than it is shown.
+        BeneathGround = 34 => "beneath the ground",
     }
 }
 

@@ -8,7 +8,7 @@ use vigil_sim::{SensorFault, SensorFaultMode};
 use vigil_types::{GuidanceState, Reason, Reasons, STEP_S, StepReport};
 
 /// Conditions that say that frames cannot be used.
-const SENSOR_REASONS: [Reason; 9] = [
+const SENSOR_REASONS: [Reason; 10] = [
     Reason::StaleFrame,
     Reason::BadFrame,
     Reason::UnauthenticatedFrame,
@@ -18,6 +18,7 @@ const SENSOR_REASONS: [Reason; 9] = [
     Reason::InconsistentPicture,
     Reason::SecondSensorSilent,
     Reason::SensorsDisagree,
+    Reason::BeneathGround,
 ];
 
 /// What was found wrong with the sensor in a flight.

@@ -8,11 +8,14 @@
 mod drift;
 mod motion;
 mod picture;
+mod shadow;
 mod silence;
 
 use self::drift::{DOWN_M, Errors, MountReadings, Pair, TURN, WIDENING, allowed_drift_m};
 use self::motion::{MOST_COST, Map, Pose, cost, look, look_widened, samples};
 use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen};
+pub use self::shadow::GroundSight;
+use self::shadow::Shadow;
 use self::silence::SilentSide;
 use vigil_types::{
     Attitude, DepthFrame, FrdVector, Kinematics, Landed, Nanos, NedVector, Reason, Reasons, VehicleMode,
@@ -254,6 +257,7 @@ pub struct PlausibilityCheck {
     seeing_frames: u8,
     blind: bool,
     silent: SilentSide,
+    shadow: Shadow,
     /// Stamp and attitude of the picture before.
     taken_before: Option<(Nanos, Attitude)>,
     pose_errors: [NedVector; POSE_FRAMES],
@@ -320,6 +324,7 @@ impl PlausibilityCheck {
             seeing_frames: 0,
             blind: false,
             silent: SilentSide::default(),
+            shadow: Shadow::default(),
             taken_before: None,
             pose_errors: [NedVector::ZERO; POSE_FRAMES],
             poses: 0,
@@ -404,10 +409,15 @@ impl PlausibilityCheck {
                 (self.bad_pose, self.good_poses) = (true, 0);
             }
         }
+        self.note_shadow(
+            frame.header.attitude,
+            height_m.filter(|_| in_flight && is_led(telemetry) && !blind && !self.bad_pose),
+        );
         if !armed {
             // The flight is over.
             self.forget_motion();
             (self.raised, self.raises) = (None, 0);
+            self.shadow = Shadow::default();
         } else if !in_flight || stands_or_takes_off(telemetry) || blind || self.bad_pose {
             self.forget_pictures();
         } else if self.raised.is_some() {
@@ -419,8 +429,22 @@ impl PlausibilityCheck {
         self.faults = Reasons::NONE
             .with_if(blind, Reason::BlindSensor)
             .with_if(self.bad_pose, Reason::ImplausiblePose)
+            .with_if(self.shadow.is_raised(), Reason::BeneathGround)
             .union(self.raised.map_or(Reasons::NONE, |raised| Reasons::of(raised.reason)));
         self.faults
+    }
+
+    /// What the ground says of the last frame checked.
+    pub fn ground_sight(&self) -> GroundSight {
+        self.shadow.sight()
+    }
+
+    /// Takes the picture to the shadow's check, where the height in flight is known.
+    fn note_shadow(&mut self, attitude: Attitude, height_m: Option<f32>) {
+        match height_m {
+            Some(height_m) => self.shadow.note(&self.picture, &self.directions, attitude, height_m),
+            None => self.shadow.skip(),
+        }
     }
 
     /// What is remembered of pictures is of no use any more; what was raised stays.
@@ -441,8 +465,7 @@ impl PlausibilityCheck {
 
     /// Zeros, ranges of anywhere, no return at all, or strips of the view without the ground.
     fn note_blindness(&mut self, attitude: Attitude, height_m: Option<f32>) {
-        let down = |x, y, z| attitude.to_ned(FrdVector::new(x, y, z)).z;
-        let (dx, dy, dz) = (down(1.0, 0.0, 0.0), down(0.0, 1.0, 0.0), down(0.0, 0.0, 1.0));
+        let down = attitude.to_frd(NedVector::new(0.0, 0.0, 1.0));
         let low = height_m.is_none_or(|height_m| height_m < HIGH_M);
         let ground_m = height_m.filter(|height_m| (LOW_M..HIGH_M).contains(height_m));
         let mut returns = false;
@@ -456,8 +479,7 @@ impl PlausibilityCheck {
             for (strip, (cells, (expected, missing))) in strips.enumerate() {
                 returns |= cells.iter().any(|inverse| *inverse != 0.0);
                 let Some(ground_m) = ground_m else { continue };
-                let middle = self.directions.of(row, strip * STRIP + STRIP / 2);
-                let falls = dx * middle.x + dy * middle.y + dz * middle.z;
+                let falls = self.directions.falls(down, row, strip * STRIP + STRIP / 2);
                 if falls * GROUND_M > ground_m {
                     *expected += STRIP as u16;
                     *missing += cells.iter().filter(|inverse| **inverse == 0.0).count() as u16;
@@ -836,6 +858,11 @@ impl PlausibilityCheck {
 /// PX4's rose half a metre above the ground on which it stood).
 fn stands_or_takes_off(telemetry: &VehicleTelemetry) -> bool {
     telemetry.landed == Landed::OnGround || telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Takeoff)
+}
+
+/// Only who leads the vehicle by what is seen can be led astray: a mission over a slope is not held.
+fn is_led(telemetry: &VehicleTelemetry) -> bool {
+    telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::External)
 }
 
 /// Counts steps in a row.

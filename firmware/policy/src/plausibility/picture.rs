@@ -66,6 +66,13 @@ impl Directions {
         let (cos_column, sin_column) = self.columns.get(column).copied().unwrap_or((1.0, 0.0));
         FrdVector::new(cos_row * cos_column, cos_row * sin_column, -sin_row)
     }
+
+    /// How much a cell's ray falls a metre, where down is this unit vector in body axes.
+    #[inline]
+    pub(super) fn falls(&self, down: FrdVector, row: usize, column: usize) -> f32 {
+        let ray = self.of(row, column);
+        down.x * ray.x + down.y * ray.y + down.z * ray.z
+    }
 }
 
 /// The column straight ahead, between two.

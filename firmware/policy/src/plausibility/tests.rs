@@ -1,5 +1,7 @@
 extern crate std;
 
+mod shadow;
+
 use super::*;
 use core::f32::consts::PI;
 use std::boxed::Box;

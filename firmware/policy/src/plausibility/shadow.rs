@@ -1,0 +1,153 @@
+//! The shadow of what stands on the ground: behind a true obstacle the ground is not seen, whatever range the obstacle is shown at.
+//!
+//! What is shown farther away than it is lies, where a ray leads down, beneath the ground that the lowest rows of the same picture
+//! show: a surface there, seen through the ground, is none. Where those rows show no ground nothing can be told, which is no good word
+//! for the picture.
+
+use super::picture::{COLS, Directions, Picture, ROWS, Seen};
+use super::{LOW_M, STRIP, STRIPS};
+use vigil_types::{Attitude, FrdVector, NedVector};
+
+/// Rays at least this steep, the sine of 21°, show what ground there is; depths are counted in bins, metres.
+const STEEP: f32 = 0.36;
+const BIN_M: f32 = 0.1;
+const BINS: usize = 80;
+/// Cells of three neighbouring bins that make a ground.
+const LEAST_GROUND: u16 = 40;
+/// The ground may lie this much higher, or lower, than home, metres: else nothing is told. Of a wall that fills the view the lowest
+/// rays show as much depth.
+const HIGHER_M: f32 = 1.5;
+const LOWER_M: f32 = 3.0;
+/// Rays that fall less, and surfaces farther off, metres, tell nothing.
+const LEAST_FALL: f32 = 0.05;
+const FAR_M: f32 = 40.0;
+/// How far beneath the ground a surface must lie: metres, and for each metre of the way there, which a falling ground and a tilt that is
+/// estimated wrong make.
+const BENEATH_M: f32 = 0.25;
+const BENEATH_PART: f32 = 0.08;
+/// Cells of a strip beneath the ground, and such strips, that make a picture implausible; and pictures of the last ones.
+const BENEATH_CELLS: u16 = 6;
+const BENEATH_STRIPS: usize = 2;
+const RAISE_PICTURES: u32 = 8;
+const LAST_PICTURES: u32 = 10;
+/// Pictures in a row that show a ground and nothing beneath it, after which it ends; raised so often in a flight it stays.
+const CLEAR_PICTURES: u8 = 40;
+const LAST_RAISE: u8 = 2;
+
+/// What the ground says of a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum GroundSight {
+    /// No ground is seen, or none near the height of home: nothing is known.
+    #[default]
+    CannotTell,
+    /// Nothing is shown beneath the ground.
+    Agrees,
+    /// Surfaces are shown beneath the ground.
+    SeenThrough,
+}
+
+/// Whether pictures show what the ground would hide.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Shadow {
+    sight: GroundSight,
+    /// The last pictures, the newest lowest: set where the ground was seen through.
+    seen_through: u32,
+    agreeing: u8,
+    raised: bool,
+    raises: u8,
+}
+
+impl Shadow {
+    /// Takes a picture of a vehicle in flight.
+    pub(super) fn note(&mut self, picture: &Picture, directions: &Directions, attitude: Attitude, height_m: f32) {
+        self.sight = sight(picture, directions, attitude, height_m);
+        let seen_through = self.sight == GroundSight::SeenThrough;
+        self.seen_through = (self.seen_through << 1 | u32::from(seen_through)) & ((1 << LAST_PICTURES) - 1);
+        self.agreeing = match self.sight {
+            GroundSight::Agrees => self.agreeing.saturating_add(1),
+            GroundSight::CannotTell | GroundSight::SeenThrough => 0,
+        };
+        if self.raised {
+            self.raised = self.raises >= LAST_RAISE || self.agreeing < CLEAR_PICTURES;
+        } else if self.seen_through.count_ones() >= RAISE_PICTURES {
+            self.raised = true;
+            self.raises = self.raises.saturating_add(1);
+        }
+    }
+
+    /// A picture of which nothing can be said; what was raised stays.
+    pub(super) fn skip(&mut self) {
+        (self.sight, self.seen_through, self.agreeing) = (GroundSight::CannotTell, 0, 0);
+    }
+
+    pub(super) fn is_raised(&self) -> bool {
+        self.raised
+    }
+
+    pub(super) fn sight(&self) -> GroundSight {
+        self.sight
+    }
+}
+
+/// What the ground says of a picture taken so high above home.
+fn sight(picture: &Picture, directions: &Directions, attitude: Attitude, height_m: f32) -> GroundSight {
+    if height_m < LOW_M {
+        return GroundSight::CannotTell;
+    }
+    let down = attitude.to_frd(NedVector::new(0.0, 0.0, 1.0));
+    let Some(ground_m) = ground_m(picture, directions, down, height_m) else {
+        return GroundSight::CannotTell;
+    };
+    let mut beneath = [0_u16; STRIPS];
+    for (falls, range_m, column) in falling(picture, directions, down, LEAST_FALL) {
+        let is_beneath = falls * range_m > ground_m + BENEATH_M + BENEATH_PART * range_m;
+        if let Some(cells) = beneath
+            .get_mut(column / STRIP)
+            .filter(|_| is_beneath && range_m < FAR_M)
+        {
+            *cells += 1;
+        }
+    }
+    let strips = beneath.iter().filter(|cells| **cells >= BENEATH_CELLS).count();
+    if strips >= BENEATH_STRIPS {
+        GroundSight::SeenThrough
+    } else {
+        GroundSight::Agrees
+    }
+}
+
+/// Depth of the ground below the sensor as the steepest rays show it, but no less than it is by the height above home: the lowest of what
+/// they show much of.
+fn ground_m(picture: &Picture, directions: &Directions, down: FrdVector, height_m: f32) -> Option<f32> {
+    let mut depths = [0_u16; BINS];
+    let lowest_m = (height_m - HIGHER_M).max(0.0);
+    for (falls, range_m, _) in falling(picture, directions, down, STEEP) {
+        let bin = (falls * range_m - lowest_m) / BIN_M;
+        if let Some(cells) = depths.get_mut(bin as usize).filter(|_| bin >= 0.0) {
+            *cells += 1;
+        }
+    }
+    let lowest = depths
+        .windows(3)
+        .rposition(|bins| bins.iter().sum::<u16>() >= LEAST_GROUND)?;
+    let seen_m = lowest_m + (lowest as f32 + 1.5) * BIN_M;
+    (seen_m <= height_m + LOWER_M).then(|| seen_m.max(height_m))
+}
+
+/// Surfaces along rays that fall by at least so much a metre: the fall, the range in metres and the column.
+fn falling(
+    picture: &Picture,
+    directions: &Directions,
+    down: FrdVector,
+    least: f32,
+) -> impl Iterator<Item = (f32, f32, usize)> {
+    (0..ROWS).flat_map(move |row| {
+        (0..COLS).filter_map(move |column| {
+            let falls = directions.falls(down, row, column);
+            match picture.at(row * COLS + column) {
+                Seen::Surface(range_m) if falls >= least => Some((falls, range_m, column)),
+                _ => None,
+            }
+        })
+    })
+}
