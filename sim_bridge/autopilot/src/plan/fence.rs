@@ -216,14 +216,16 @@ mod tests {
     }
 
     fn polygon(command: u16, vertices: &[(f32, f32)]) -> Vec<PlanItem> {
-        vertices
-            .iter()
-            .map(|v| item(command, vertices.len() as f32, *v))
-            .collect()
+        let vertex = |v: &(f32, f32)| item(command, vertices.len() as f32, *v);
+        vertices.iter().map(vertex).collect()
     }
 
     fn fence(items: Vec<PlanItem>) -> Fence {
         Fence::new(items, &HomePosition::default()).expect("valid")
+    }
+
+    fn refused(items: Vec<PlanItem>) -> PlanDefect {
+        Fence::new(items, &HomePosition::default()).expect_err("refused")
     }
 
     /// An L: the corner at 10..20, 10..20 is missing.
@@ -285,47 +287,30 @@ mod tests {
 
     #[test]
     fn a_polygon_without_an_area_is_refused_instead_of_forbidding_every_place() {
-        let refused = |vertices: &[(f32, f32)]| Fence::new(polygon(5001, vertices), &HomePosition::default()).err();
         for vertices in [
             [(0.0, 0.0); 3],
             [(0.0, 0.0), (20.0, 20.0), (40.0, 40.0)],
             [(0.0, -30.0), (0.0, 30.0), (0.0, -30.0)],
         ] {
-            assert_eq!(
-                refused(&vertices).map(|d| d.reason),
-                Some("polygon without an area"),
-                "{vertices:?}"
-            );
+            let defect = refused(polygon(5001, &vertices));
+            assert_eq!(defect.reason, "polygon without an area", "{vertices:?}");
         }
         assert!(fence(polygon(5001, &[(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])).allows((0.2, 0.2)));
     }
 
     #[test]
     fn a_polygon_whose_vertices_do_not_add_up_is_refused() {
-        let home = HomePosition::default();
         let mut short = polygon(5001, &L);
         short.pop();
         let mut mixed = polygon(5001, &L);
         mixed[3].command = 5002;
         let mut two = polygon(5001, &L[..2]);
         two.extend(polygon(5002, &L));
-        for bad in [
-            short,
-            mixed,
-            two,
-            vec![item(5003, -1.0, (0.0, 5.0))],
-            vec![item(5003, f32::NAN, (0.0, 5.0))],
-        ] {
-            assert_eq!(
-                Fence::new(bad, &home).map_err(|d| d.result).err(),
-                Some(MavMissionResult::MAV_MISSION_INVALID_PARAM1)
-            );
+        let circle = |radius_m: f32| vec![item(5003, radius_m, (0.0, 5.0))];
+        for bad in [short, mixed, two, circle(-1.0), circle(f32::NAN)] {
+            assert_eq!(refused(bad).result, MavMissionResult::MAV_MISSION_INVALID_PARAM1);
         }
-        assert_eq!(
-            Fence::new(vec![item(16, 1.0, (0.0, 5.0))], &home)
-                .map_err(|d| d.result)
-                .err(),
-            Some(MavMissionResult::MAV_MISSION_UNSUPPORTED)
-        );
+        let waypoint = vec![item(16, 1.0, (0.0, 5.0))];
+        assert_eq!(refused(waypoint).result, MavMissionResult::MAV_MISSION_UNSUPPORTED);
     }
 }

@@ -219,7 +219,7 @@ impl PlanItem {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::Wire;
+    
 
     fn waypoint() -> PlanItem {
         PlanItem {
@@ -231,40 +231,6 @@ mod tests {
             y: 85_456_000,
             z: 5.0,
         }
-    }
-
-    #[test]
-    fn an_item_survives_both_forms() {
-        let item = waypoint();
-        let envelope = Envelope {
-            seq: 7,
-            current: 1,
-            mission_type: 2,
-        };
-        let as_int = item.payload(envelope, (245, 190), true);
-        let (read, told) = PlanItem::read(MISSION_ITEM_INT_DATA::ID, &as_int).expect("an item");
-        assert_eq!((read.content(), told), (item.content(), envelope));
-        assert_eq!((as_int[32], as_int[33]), (245, 190));
-        let (read, _) = PlanItem::read(MISSION_ITEM_DATA::ID, &item.payload(envelope, (1, 1), false)).expect("an item");
-        // A float holds a latitude to about half a metre.
-        assert!((read.x - item.x).abs() < 40 && (read.y - item.y).abs() < 10);
-        assert_eq!(PlanItem::read(0, &[]), None);
-    }
-
-    #[test]
-    fn a_place_is_relative_to_home_in_every_global_frame() {
-        let home = HomePosition::default();
-        let mut item = waypoint();
-        let relative = item.place(&home).expect("valid");
-        assert_eq!(relative.height_m, Some(5.0));
-        item.frame = 5;
-        item.z = 493.0;
-        assert_eq!(item.place(&home), Ok(relative));
-        item.frame = 1;
-        assert_eq!(
-            item.place(&home).map_err(|d| d.result),
-            Err(MavMissionResult::MAV_MISSION_UNSUPPORTED_FRAME)
-        );
     }
 
     #[test]
@@ -282,16 +248,5 @@ mod tests {
         assert_eq!(refusal(|i| i.x = 120_000_000), Some(R::MAV_MISSION_INVALID_PARAM5_X));
         assert_eq!(refusal(|i| i.y = -2_000_000_000), Some(R::MAV_MISSION_INVALID_PARAM6_Y));
         assert_eq!(refusal(|i| i.z = f32::NAN), None);
-    }
-
-    #[test]
-    fn equal_plans_have_equal_ids_and_none_has_zero() {
-        let mut other = waypoint();
-        other.z = 6.0;
-        let id = |items: &[PlanItem]| Wire::new(items.to_vec()).id;
-        assert_eq!(id(&[]), 0);
-        assert_eq!(id(&[waypoint()]), id(&[waypoint()]));
-        assert_ne!(id(&[waypoint()]), id(&[other]));
-        assert_ne!(id(&[waypoint(), other]), id(&[other, waypoint()]));
     }
 }

@@ -437,13 +437,11 @@ mod tests {
     use super::*;
 
     fn item(command: u16, params: [f32; 4]) -> PlanItem {
+        let has_place = IN_GLOBAL_FRAMES.contains(&command);
+        let frame = if has_place { 3 } else { FRAME_MISSION };
         PlanItem {
             command,
-            frame: if IN_GLOBAL_FRAMES.contains(&command) {
-                3
-            } else {
-                FRAME_MISSION
-            },
+            frame,
             autocontinue: 1,
             params,
             x: 473_977_500,
@@ -459,12 +457,8 @@ mod tests {
     #[test]
     fn a_jump_is_taken_as_often_as_it_says_and_again_when_come_to_again() {
         let waypoint = item(16, [0.0; 4]);
-        let mut mission = mission(&[
-            waypoint,
-            item(177, [0.0, 2.0, 0.0, 0.0]),
-            waypoint,
-            item(177, [0.0, 1.0, 0.0, 0.0]),
-        ]);
+        let jump = |times: f32| item(177, [0.0, times, 0.0, 0.0]);
+        let mut mission = mission(&[waypoint, jump(2.0), waypoint, jump(1.0)]);
         mission.start();
         let mut visited = vec![mission.current()];
         while mission.advance(true) {
@@ -480,6 +474,9 @@ mod tests {
     fn items_that_make_no_sense_are_refused_with_the_parameter() {
         use MavMissionResult as R;
         let home = HomePosition::default();
+        let (mut foreign, mut nowhere) = (item(16, [0.0; 4]), item(16, [0.0; 4]));
+        foreign.frame = 8;
+        (nowhere.x, nowhere.y) = (0, 0);
         for (bad, result) in [
             (item(16, [-1.0, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
             (item(16, [f32::INFINITY, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
@@ -491,27 +488,11 @@ mod tests {
             (item(177, [0.0, f32::NAN, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
             (item(84, [0.0; 4]), R::MAV_MISSION_UNSUPPORTED),
             (item(60_000, [0.0; 4]), R::MAV_MISSION_UNSUPPORTED),
-            (
-                PlanItem {
-                    frame: 8,
-                    ..item(16, [0.0; 4])
-                },
-                R::MAV_MISSION_UNSUPPORTED_FRAME,
-            ),
-            (
-                PlanItem {
-                    x: 0,
-                    y: 0,
-                    ..item(16, [0.0; 4])
-                },
-                R::MAV_MISSION_INVALID_PARAM5_X,
-            ),
+            (foreign, R::MAV_MISSION_UNSUPPORTED_FRAME),
+            (nowhere, R::MAV_MISSION_INVALID_PARAM5_X),
         ] {
-            assert_eq!(
-                Mission::new(vec![bad], &home).err().map(|d| d.result),
-                Some(result),
-                "{bad:?}"
-            );
+            let defect = Mission::new(vec![bad], &home).expect_err("refused");
+            assert_eq!(defect.result, result, "{bad:?}");
         }
     }
 
@@ -519,10 +500,8 @@ mod tests {
     fn a_speed_can_go_back_to_its_default() {
         let home = HomePosition::default();
         let read = |i: PlanItem| MissionItem::read(&i, &home).expect("valid");
-        assert_eq!(
-            read(item(178, [1.0, -2.0, -1.0, 0.0])),
-            MissionItem::Speed { speed_m_s: None }
-        );
+        let default = MissionItem::Speed { speed_m_s: None };
+        assert_eq!(read(item(178, [1.0, -2.0, -1.0, 0.0])), default);
         assert_eq!(read(item(178, [1.0, -1.0, -1.0, 0.0])), MissionItem::PassedOver);
         assert_eq!(read(item(178, [3.0, 2.0, -1.0, 0.0])), MissionItem::PassedOver);
     }

@@ -316,6 +316,8 @@ fn ids_tell_which_plan_is_on_board() {
     b.upload(MISSION, &[waypoint((10.0, 2.0), 6.0)]);
     let other = current(&mut b);
     assert!(one.mission_id != 0 && one.mission_id != other.mission_id && one.total == 1);
+    b.upload(MISSION, &[waypoint((10.0, 2.0), 5.0)]);
+    assert_eq!(current(&mut b).mission_id, one.mission_id, "the same plan");
     assert_eq!(one.mission_state, MissionState::MISSION_STATE_NOT_STARTED);
     assert_eq!((one.fence_id, one.rally_points_id), (0, 0));
 }
