@@ -219,7 +219,6 @@ impl PlanItem {
 #[cfg(test)]
 mod tests {
     use super::*;
-    
 
     fn waypoint() -> PlanItem {
         PlanItem {
