@@ -85,6 +85,9 @@ pub(crate) enum Build {
     Stateful,
 }
 
+/// How a command is served that needs nothing but what all services share.
+pub(crate) type Handler = fn(&Command, Source, &mut Core) -> Answer;
+
 /// One protocol service. All methods have a default, so that a service implements what it needs.
 ///
 /// It knows the core; neither the core nor the endpoint knows it. To add one: a file in `services`, and its line in the table
@@ -96,9 +99,9 @@ pub(crate) trait Service {
     /// A packet that is addressed to the vehicle or to everybody, except commands.
     fn receive(&mut self, _packet: &Packet<'_>, _source: Source, _core: &mut Core) {}
 
-    /// The commands that it serves.
-    fn commands(&self) -> &'static [u16] {
-        &[]
+    /// Whether it serves the command of this number.
+    fn serves(&self, _command: u16) -> bool {
+        false
     }
 
     /// One of its commands, addressed to the vehicle. The dispatcher sends the acknowledgement.

@@ -1,6 +1,7 @@
 //! An item of a plan as MISSION_ITEM_INT and MISSION_ITEM carry it. Read raw: the crate's types refuse commands and frames
 //! that they do not know, but such an item must be answered.
 
+use crate::core::padded;
 use crate::plan::PlanDefect;
 use crate::services::BELOW_HOME_M;
 use crate::{HomePosition, geo, used_parameters};
@@ -57,10 +58,7 @@ fn is_global(frame: u8) -> bool {
 impl PlanItem {
     /// Reads the payload of either message; `None` if it is another message.
     pub fn read(message_id: u32, payload: &[u8]) -> Option<(Self, Envelope)> {
-        let mut p = [0; ITEM_PAYLOAD_LEN];
-        for (to, from) in p.iter_mut().zip(payload) {
-            *to = *from;
-        }
+        let p = padded::<ITEM_PAYLOAD_LEN>(payload);
         let word = |at: usize| [p[at], p[at + 1], p[at + 2], p[at + 3]];
         let float = |at: usize| f32::from_le_bytes(word(at));
         let frame = p[34];

@@ -35,8 +35,8 @@ pub(crate) struct Actuators {
 }
 
 impl Service for Actuators {
-    fn commands(&self) -> &'static [u16] {
-        &[ACTUATOR_TEST, DO_SET_ACTUATOR, DO_GRIPPER]
+    fn serves(&self, command: u16) -> bool {
+        matches!(command, ACTUATOR_TEST | DO_SET_ACTUATOR | DO_GRIPPER)
     }
 
     /// Parameter 1 is the output (0 to 1, NaN ends the test), 2 the time in seconds, 5 the motor.

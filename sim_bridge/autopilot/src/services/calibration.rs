@@ -47,8 +47,8 @@ pub(crate) struct Calibration {
 }
 
 impl Service for Calibration {
-    fn commands(&self) -> &'static [u16] {
-        &[PREFLIGHT_CALIBRATION]
+    fn serves(&self, command: u16) -> bool {
+        command == PREFLIGHT_CALIBRATION
     }
 
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {

@@ -28,8 +28,8 @@ impl Service for Geography {
         }
     }
 
-    fn commands(&self) -> &'static [u16] {
-        &[DO_SET_HOME]
+    fn serves(&self, command: u16) -> bool {
+        command == DO_SET_HOME
     }
 
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {

@@ -4,7 +4,7 @@
 //! From arming to disarming the vehicle records itself into a ULog file under `log`, which can also be read by file transfer:
 //! ground stations name what they download from a PX4 `.ulg`. docs/mavlink.md says what is in it.
 
-use crate::core::Core;
+use crate::core::{Core, padded};
 use crate::service::{Answer, Service, Source};
 use crate::ulog;
 use vigil_mavlink::MavMessage;
@@ -115,8 +115,8 @@ impl Service for Logs {
         }
     }
 
-    fn commands(&self) -> &'static [u16] {
-        &[LOGGING_START, LOGGING_STOP]
+    fn serves(&self, command: u16) -> bool {
+        matches!(command, LOGGING_START | LOGGING_STOP)
     }
 
     fn command(&mut self, command: &Command, source: Source, _core: &mut Core) -> Answer {
@@ -182,15 +182,11 @@ fn entry(core: &Core, index: usize) -> MavMessage {
 }
 
 fn data(id: u16, ofs: usize, bytes: &[u8]) -> MavMessage {
-    let mut data = [0; CHUNK];
-    for (to, from) in data.iter_mut().zip(bytes) {
-        *to = *from;
-    }
     MavMessage::LOG_DATA(LOG_DATA_DATA {
         ofs: ofs as u32,
         id,
         count: bytes.len().min(CHUNK) as u8,
-        data,
+        data: padded::<CHUNK>(bytes),
     })
 }
 
@@ -238,17 +234,13 @@ impl Stream {
             }
             self.message = ulog::next_message(content, self.message, self.offset);
             let first = self.message.saturating_sub(self.offset);
-            let mut data = [0; STREAM_CHUNK];
-            for (to, from) in data.iter_mut().zip(bytes) {
-                *to = *from;
-            }
             let message = MavMessage::LOGGING_DATA(LOGGING_DATA_DATA {
                 sequence: self.sequence,
                 target_system: self.client.id.system,
                 target_component: self.client.id.component,
                 length: bytes.len() as u8,
                 first_message_offset: if first < bytes.len() { first as u8 } else { NO_MESSAGE },
-                data,
+                data: padded::<STREAM_CHUNK>(bytes),
             });
             self.offset = to;
             self.sequence = self.sequence.wrapping_add(1);

@@ -25,8 +25,8 @@ impl Service for MissionService {
         }
     }
 
-    fn commands(&self) -> &'static [u16] {
-        &[DO_CHANGE_SPEED, MISSION_START]
+    fn serves(&self, command: u16) -> bool {
+        matches!(command, DO_CHANGE_SPEED | MISSION_START)
     }
 
     fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {

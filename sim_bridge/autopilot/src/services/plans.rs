@@ -4,7 +4,7 @@
 //! fails, the old plan stays in force. There is one upload at a time. A download has no state: any item can be asked for at
 //! any time by anybody.
 
-use crate::core::Core;
+use crate::core::{Core, padded};
 use crate::plan::{Envelope, MissionItem, PlanDefect, PlanItem, PlanKind, Plans};
 use crate::service::{Service, Source};
 use vigil_mavlink::MavMessage;
@@ -49,15 +49,6 @@ pub(crate) struct PlanTransfer {
     finished: Option<Finished>,
 }
 
-/// A payload with its cut zeros: all messages of the protocol but the items fit.
-fn fields(packet: &Packet<'_>) -> [u8; 16] {
-    let mut fields = [0; 16];
-    for (to, from) in fields.iter_mut().zip(packet.payload()) {
-        *to = *from;
-    }
-    fields
-}
-
 fn acknowledge(core: &mut Core, source: Source, mission_type: u8, result: MavMissionResult) {
     if result != MavMissionResult::MAV_MISSION_ACCEPTED {
         core.refusals.plan += 1;
@@ -98,7 +89,8 @@ fn inside_fence(item: &PlanItem, kind: PlanKind, core: &Core) -> Result<(), Plan
 
 impl Service for PlanTransfer {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        let f = fields(packet);
+        // All messages of the protocol but the items fit.
+        let f = padded::<16>(packet.payload());
         let first = u16::from_le_bytes([f[0], f[1]]);
         match packet.message_id() {
             MISSION_COUNT_DATA::ID => self.begin(first, f[4], source, core),

@@ -3,7 +3,7 @@
 //! A few commands of PX4's shell, by the same paths as the messages that do the same: a shell can do nothing that a
 //! message could not.
 
-use crate::core::Core;
+use crate::core::{Core, padded};
 use crate::flight::{Denial, FlightMode};
 use crate::plan::PlanKind;
 use crate::service::{Answer, Service, Source};
@@ -69,17 +69,13 @@ impl Service for Shell {
 
 fn reply(output: &str, client: Source, core: &mut Core) {
     for chunk in output.as_bytes().chunks(CHUNK) {
-        let mut data = [0; CHUNK];
-        for (to, from) in data.iter_mut().zip(chunk) {
-            *to = *from;
-        }
         let message = MavMessage::SERIAL_CONTROL(SERIAL_CONTROL_DATA {
             baudrate: 0,
             timeout: 0,
             device: SerialControlDev::SERIAL_CONTROL_DEV_SHELL,
             flags: SerialControlFlag::SERIAL_CONTROL_FLAG_REPLY,
             count: chunk.len() as u8,
-            data,
+            data: padded::<CHUNK>(chunk),
             target_system: client.id.system,
             target_component: client.id.component,
         });

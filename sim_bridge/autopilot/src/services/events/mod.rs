@@ -71,8 +71,8 @@ impl Service for Events {
         }
     }
 
-    fn commands(&self) -> &'static [u16] {
-        &[RUN_PREARM_CHECKS]
+    fn serves(&self, command: u16) -> bool {
+        command == RUN_PREARM_CHECKS
     }
 
     fn command(&mut self, _command: &Command, _source: Source, core: &mut Core) -> Answer {
