@@ -1,14 +1,13 @@
 //! Follow-me.
 
 use crate::testing::*;
-use crate::{FlightMode, HomePosition, ParameterValue, geo};
+use crate::{FlightMode, ParameterValue, geo};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::FOLLOW_TARGET_DATA;
-use vigil_types::NedVector;
 
 /// A report as MAVSDK sends it, once a second.
-fn report(b: &mut Bench, (north, east): (f32, f32), velocity: Option<[f32; 3]>) {
-    let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(north, east, 0.0));
+pub(super) fn report(b: &mut Bench, place: (f32, f32), velocity: Option<[f32; 3]>) {
+    let (lat, lon) = on_globe(place);
     let message = MavMessage::FOLLOW_TARGET(FOLLOW_TARGET_DATA {
         lat: geo::deg_e7(lat),
         lon: geo::deg_e7(lon),

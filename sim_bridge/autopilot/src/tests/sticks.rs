@@ -121,19 +121,6 @@ fn stabilized_and_manual_hold_a_tilt_and_acro_a_rate() {
 }
 
 #[test]
-fn a_landing_by_thrust_is_noticed_and_disarms() {
-    let mut b = Bench::airborne();
-    hold(&mut b, &sticks(0, 0, 500, 0), 100);
-    assert_eq!(b.set_mode(GCS, STATION, 7, 0), ACCEPTED);
-    for _ in 0..12 {
-        if b.status().armed {
-            hold(&mut b, &sticks(0, 0, 440, 0), 1_000);
-        }
-    }
-    assert!(!b.status().armed, "{:?}", b.status());
-}
-
-#[test]
 fn overridden_channels_are_sticks() {
     let mut b = Bench::airborne();
     hold(&mut b, &channels([1500; 4]), 200);

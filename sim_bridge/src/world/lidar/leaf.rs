@@ -261,73 +261,7 @@ impl Leaf {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glamx::Vec3;
-
-    /// parry's own ray casts are the oracle: another algorithm for the cylinder (GJK), another formulation for the box.
-    #[test]
-    fn ranges_agree_with_parrys_own_shapes() {
-        let sensor = NedVector::new(1.0, -2.0, -1.5);
-        let solids = [
-            Solid::cuboid((6.0, 0.0), 4.0, 0.2, 0.0, 3.0, 1.1),
-            Solid::cuboid((5.0, -4.0), 1.0, 2.0, 1.0, 1.8, -0.4),
-            Solid::cuboid((3.0, -2.0), 1.0, 1.0, 0.0, 0.5, 0.0),
-            Solid::Cylinder {
-                centre_ned_m: NedVector::new(7.0, -3.0, -1.5),
-                radius_m: 0.4,
-                half_height_m: 1.5,
-            },
-            Solid::Cylinder {
-                centre_ned_m: NedVector::new(20.0, 3.0, -0.5),
-                radius_m: 0.2,
-                half_height_m: 0.5,
-            },
-        ];
-        let mut hits = 0;
-        for solid in solids {
-            let (pose, shape) = solid.shape();
-            let leaf = Leaf::of(&solid, sensor);
-            for i in 0..120 {
-                for j in 0..60 {
-                    let (bearing, elevation) = (-1.5 + 0.025 * i as f32, -0.6 + 0.02 * j as f32);
-                    let (se, ce) = (libm::sinf(elevation), libm::cosf(elevation));
-                    let d = (ce * libm::cosf(bearing), ce * libm::sinf(bearing), -se);
-                    let ours = leaf.range_m(&Ray::new(d));
-                    let ray =
-                        parry3d::query::Ray::new(Vec3::new(sensor.x, sensor.y, sensor.z), Vec3::new(d.0, d.1, d.2));
-                    let theirs = shape.cast_ray(&pose, &ray, 1000.0, true);
-                    match theirs {
-                        Some(t) if ours.is_finite() => {
-                            assert!((t - ours).abs() < 5e-3, "{solid:?}: {t} {ours}");
-                            hits += 1;
-                        }
-                        // At a silhouette one may hit and the other miss: then the ray passes within a millimetre of the solid.
-                        Some(t) => assert!(grazes(&solid, sensor, d, t), "{solid:?}: theirs {t}, ours misses"),
-                        None if ours.is_finite() => {
-                            assert!(grazes(&solid, sensor, d, ours), "{solid:?}: ours {ours}, theirs misses")
-                        }
-                        None => {}
-                    }
-                }
-            }
-        }
-        assert!(hits > 500, "{hits}");
-    }
-
-    /// Whether points beside the ray at this range lie outside of the solid: the hit is at the silhouette.
-    fn grazes(solid: &Solid, sensor: NedVector, d: (f32, f32, f32), t: f32) -> bool {
-        let at = sensor + NedVector::new(d.0, d.1, d.2) * t;
-        let off = 2e-3;
-        [
-            (off, 0.0, 0.0),
-            (-off, 0.0, 0.0),
-            (0.0, off, 0.0),
-            (0.0, -off, 0.0),
-            (0.0, 0.0, off),
-            (0.0, 0.0, -off),
-        ]
-        .iter()
-        .any(|&(x, y, z)| solid.distance_m(at + NedVector::new(x, y, z)) > 0.0)
-    }
+    
 
     #[test]
     fn from_inside_the_range_is_zero() {
