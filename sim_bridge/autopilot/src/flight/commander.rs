@@ -311,14 +311,12 @@ impl Core {
             Some(speed_m_s) => speed_m_s.clamp(0.5, self.param(ParamId::MaxSpeedMS)),
             None => self.cruise_speed_m_s(),
         };
-        self.enter(
-            FlightMode::Hold,
-            Maneuver::Station {
-                position_ned_m,
-                yaw,
-                speed_limit_m_s,
-            },
-        );
+        let station = Maneuver::Station {
+            position_ned_m,
+            yaw,
+            speed_limit_m_s,
+        };
+        self.enter(FlightMode::Hold, station);
         Ok(())
     }
 
@@ -398,22 +396,16 @@ impl Core {
     /// The owner's setpoints stopped: the action of COM_OBL_RC_ACT, and CRITICAL until they come again or the next mode command.
     pub(super) fn lose_setpoints(&mut self) {
         self.commander.lost_owner = self.setpoints.owner();
-        let by_sticks = match self.param(ParamId::OffboardLossAction) as i32 {
-            0 => Some(FlightMode::Position),
-            1 => Some(FlightMode::Altitude),
-            2 => Some(FlightMode::Stabilized),
-            _ => None,
-        };
+        let has_sticks = self.current_sticks().is_some();
         let response = match self.param(ParamId::OffboardLossAction) as i32 {
+            0 if has_sticks => Response::Enter(FlightMode::Position),
+            1 if has_sticks => Response::Enter(FlightMode::Altitude),
+            2 if has_sticks => Response::Enter(FlightMode::Stabilized),
             3 => Response::Enter(FlightMode::Return),
             4 => Response::Enter(FlightMode::Land),
             6 => Response::Terminate,
             7 => Response::Disarm,
-            _ => Response::Enter(
-                by_sticks
-                    .filter(|_| self.current_sticks().is_some())
-                    .unwrap_or(FlightMode::Hold),
-            ),
+            _ => Response::Enter(FlightMode::Hold),
         };
         self.respond("setpoint lost", response, Failsafe::SetpointLost);
     }
@@ -570,12 +562,10 @@ impl Core {
         self.commander.landed = LandedState::InAir;
         self.commander.contact = false;
         self.commander.contact_since_ns = self.now_ns;
-        self.enter(
-            FlightMode::Hold,
-            Maneuver::Brake {
-                began_ns: None,
-                height_m: Some(height_m),
-            },
-        );
+        let stop = Maneuver::Brake {
+            began_ns: None,
+            height_m: Some(height_m),
+        };
+        self.enter(FlightMode::Hold, stop);
     }
 }

@@ -96,16 +96,14 @@ pub(crate) enum MissionItem {
     PassedOver,
 }
 
-fn invalid(result: MavMissionResult, reason: &'static str) -> PlanDefect {
-    PlanDefect::new(result, reason)
-}
-
 fn seconds(item: &PlanItem) -> Result<Nanos, PlanDefect> {
     let wait_s = item.param(1).unwrap_or(0.0);
-    nanos(f64::from(wait_s)).filter(|_| wait_s <= MAX_WAIT_S).ok_or(invalid(
-        MavMissionResult::MAV_MISSION_INVALID_PARAM1,
-        "time is not within 0 and 86400 s",
-    ))
+    nanos(f64::from(wait_s))
+        .filter(|_| wait_s <= MAX_WAIT_S)
+        .ok_or(PlanDefect::new(
+            MavMissionResult::MAV_MISSION_INVALID_PARAM1,
+            "time is not within 0 and 86400 s",
+        ))
 }
 
 /// A heading in degrees, in radians.
@@ -113,7 +111,7 @@ fn heading_rad(item: &PlanItem, number: usize, result: MavMissionResult) -> Resu
     match item.param(number) {
         None => Ok(None),
         Some(deg) if deg.abs() <= 720.0 => Ok(Some(deg.to_radians())),
-        Some(_) => Err(invalid(result, "heading is not within 720 degrees")),
+        Some(_) => Err(PlanDefect::new(result, "heading is not within 720 degrees")),
     }
 }
 
@@ -123,11 +121,11 @@ fn check_frame(item: &PlanItem) -> Result<(), PlanDefect> {
     match item.frame {
         0 | 3 | 5 | 6 if is_placed => Ok(()),
         FRAME_MISSION if !is_placed || IN_EITHER.contains(&item.command) => Ok(()),
-        0 | 3 | 5 | 6 | FRAME_MISSION => Err(invalid(
+        0 | 3 | 5 | 6 | FRAME_MISSION => Err(PlanDefect::new(
             R::MAV_MISSION_UNSUPPORTED,
             "not a command that missions fly in this frame",
         )),
-        _ => Err(invalid(R::MAV_MISSION_UNSUPPORTED_FRAME, "frame is not global")),
+        _ => Err(PlanDefect::new(R::MAV_MISSION_UNSUPPORTED_FRAME, "frame is not global")),
     }
 }
 
@@ -143,28 +141,26 @@ impl MissionItem {
                 purpose,
             }))
         };
+        let stay = |stay_ns| Purpose::Visit { stay_ns };
+        let look_at = |place_m| Ok(Self::Interest { place_m });
         check_frame(item)?;
         match item.command {
             NAV_WAYPOINT => {
                 let radius_m = item.param(2).unwrap_or(0.0);
                 if !(0.0..=1000.0).contains(&radius_m) {
-                    return Err(invalid(R::MAV_MISSION_INVALID_PARAM2, "acceptance radius"));
+                    return Err(PlanDefect::new(R::MAV_MISSION_INVALID_PARAM2, "acceptance radius"));
                 }
                 item.point(home)?;
-                let stay_ns = seconds(item)?;
-                leg(Purpose::Visit { stay_ns }, (radius_m > 0.0).then_some(radius_m))
+                leg(stay(seconds(item)?), (radius_m > 0.0).then_some(radius_m))
             }
             NAV_LOITER_UNLIM => leg(Purpose::Stay, None),
-            NAV_LOITER_TIME => {
-                let stay_ns = seconds(item)?;
-                leg(Purpose::Visit { stay_ns }, None)
-            }
+            NAV_LOITER_TIME => leg(stay(seconds(item)?), None),
             // Parameter 4 is not a heading here.
             NAV_LOITER_TO_ALT => Ok(Self::Leg(Leg {
                 place: item.place(home)?,
                 yaw_rad: None,
                 acceptance_m: None,
-                purpose: Purpose::Visit { stay_ns: 0 },
+                purpose: stay(0),
             })),
             // Where the ground is, is not the item's to say.
             NAV_LAND => Ok(Self::Leg(Leg {
@@ -188,21 +184,23 @@ impl MissionItem {
             }),
             DO_CHANGE_SPEED => Self::speed(item),
             DO_JUMP => Self::jump(item),
-            DO_SET_ROI_LOCATION => Ok(Self::Interest {
-                place_m: Some(item.point(home)?),
-            }),
-            DO_SET_ROI_NONE => Ok(Self::Interest { place_m: None }),
+            DO_SET_ROI_LOCATION => look_at(Some(item.point(home)?)),
+            DO_SET_ROI_NONE => look_at(None),
             NAV_ROI | DO_SET_ROI => match item.param(1) {
-                Some(ROI_LOCATION) => Ok(Self::Interest {
-                    place_m: Some(item.point(home)?),
-                }),
-                None | Some(0.0) => Ok(Self::Interest { place_m: None }),
+                Some(ROI_LOCATION) => look_at(Some(item.point(home)?)),
+                None | Some(0.0) => look_at(None),
                 // A waypoint, without a frame only: the nose points there anyway.
-                Some(1.0 | 2.0) if item.frame == FRAME_MISSION => Ok(Self::Interest { place_m: None }),
-                Some(_) => Err(invalid(R::MAV_MISSION_INVALID_PARAM1, "no such region of interest")),
+                Some(1.0 | 2.0) if item.frame == FRAME_MISSION => look_at(None),
+                Some(_) => Err(PlanDefect::new(
+                    R::MAV_MISSION_INVALID_PARAM1,
+                    "no such region of interest",
+                )),
             },
             command if PASSED_OVER.contains(&command) => Ok(Self::PassedOver),
-            _ => Err(invalid(R::MAV_MISSION_UNSUPPORTED, "not a command that missions fly")),
+            _ => Err(PlanDefect::new(
+                R::MAV_MISSION_UNSUPPORTED,
+                "not a command that missions fly",
+            )),
         }
     }
 
@@ -216,7 +214,7 @@ impl MissionItem {
             // −1: no change; −2: back to the default, as is whatever is left out.
             Some(-1.0) => Ok(Self::PassedOver),
             None | Some(-2.0) => Ok(Self::Speed { speed_m_s: None }),
-            Some(_) => Err(invalid(
+            Some(_) => Err(PlanDefect::new(
                 MavMissionResult::MAV_MISSION_INVALID_PARAM2,
                 "speed is not within 0 and 50 m/s",
             )),
@@ -231,11 +229,14 @@ impl MissionItem {
                 to: to as usize,
                 times: (times >= 0.0).then_some(times as u16),
             }),
-            (None, _) => Err(invalid(
+            (None, _) => Err(PlanDefect::new(
                 MavMissionResult::MAV_MISSION_INVALID_PARAM1,
                 "no such item to jump to",
             )),
-            (_, None) => Err(invalid(MavMissionResult::MAV_MISSION_INVALID_PARAM2, "number of jumps")),
+            (_, None) => Err(PlanDefect::new(
+                MavMissionResult::MAV_MISSION_INVALID_PARAM2,
+                "number of jumps",
+            )),
         }
     }
 }
@@ -287,7 +288,7 @@ impl Mission {
             .collect::<Result<Vec<_>, _>>()?;
         let astray = |item: &MissionItem| matches!(item, MissionItem::Jump { to, .. } if *to >= meanings.len());
         if meanings.iter().any(astray) {
-            return Err(invalid(
+            return Err(PlanDefect::new(
                 MavMissionResult::MAV_MISSION_INVALID_PARAM1,
                 "no such item to jump to",
             ));
@@ -335,16 +336,10 @@ impl Mission {
     /// Where the next way leads, in metres north and east, if nothing that takes time comes before it.
     pub fn next_place_m(&self) -> Option<(f32, f32)> {
         let after = self.items.get(self.current + 1..)?;
-        let next = after.iter().find(|item| {
-            !matches!(
-                item,
-                MissionItem::PassedOver
-                    | MissionItem::Interest { .. }
-                    | MissionItem::Speed { .. }
-                    | MissionItem::Home { .. }
-            )
-        })?;
-        match next {
+        use MissionItem::{Home, Interest, PassedOver, Speed};
+        let takes_time =
+            |item: &&MissionItem| !matches!(item, PassedOver | Interest { .. } | Speed { .. } | Home { .. });
+        match after.iter().find(takes_time)? {
             MissionItem::Leg(leg) => leg.place.north_east_m,
             _ => None,
         }

@@ -261,7 +261,6 @@ impl Leaf {
 #[cfg(test)]
 mod tests {
     use super::*;
-    
 
     #[test]
     fn from_inside_the_range_is_zero() {
