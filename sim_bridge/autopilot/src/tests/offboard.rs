@@ -83,20 +83,17 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
         }
         assert_eq!(b.status().mode, mode, "{action}");
         assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
-        let told = b
-            .last::<CURRENT_MODE_DATA>(GCS)
-            .map(|m| (m.custom_mode, m.intended_custom_mode));
-        assert_eq!(told, Some((mode.custom_mode(), FlightMode::Offboard.custom_mode())));
+        let told = b.last::<CURRENT_MODE_DATA>(GCS).expect("told");
+        assert_eq!(told.custom_mode, mode.custom_mode());
+        assert_eq!(told.intended_custom_mode, FlightMode::Offboard.custom_mode());
     }
     for (action, is_terminated) in [(6, true), (7, false)] {
         let mut b = Bench::airborne();
         b.set_parameter("COM_OBL_RC_ACT", Int32(action));
         fly(&mut b, &local_setpoint(0x9C7, |m| m.vx = 0.5), 1_000);
         b.run_ms(1_100);
-        assert_eq!(
-            (b.status().terminated, b.status().armed),
-            (is_terminated, is_terminated)
-        );
+        let status = b.status();
+        assert_eq!((status.terminated, status.armed), (is_terminated, is_terminated));
         assert_eq!(b.command, crate::vehicle::ControlCommand::MotorsOff);
     }
 }
@@ -186,9 +183,6 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
     b.run_ms(100);
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
     b.run_ms(6_000);
-    assert!(
-        !b.texts().iter().skip(1).any(|text| text.contains("not flown")),
-        "{:?}",
-        b.texts()
-    );
+    let texts = b.texts();
+    assert!(!texts[1..].iter().any(|text| text.contains("not flown")), "{texts:?}");
 }

@@ -29,10 +29,7 @@ fn a_script_sees_the_companions_heartbeat_texts_and_values() {
         assert!(seen.iter().all(|(from, _)| *from == COMPANION));
         assert_eq!(seen[1].1, value);
     }
-    assert!(
-        forwarded(&b, ONBOARD).is_empty(),
-        "nothing goes back where it came from"
-    );
+    assert!(forwarded(&b, ONBOARD).is_empty(), "not back where it came from");
 }
 
 #[test]
@@ -105,11 +102,7 @@ fn an_unknown_message_is_passed_on_byte_for_byte() {
 fn a_packet_that_claims_to_be_the_vehicle_is_dropped() {
     let mut b = Bench::new();
     b.sent.clear();
-    let own = crate::ComponentId {
-        system: 1,
-        component: 1,
-    };
-    b.send_heartbeat(API, own);
+    b.send_heartbeat(API, VEHICLE);
     assert_eq!(b.status().refusals.own_identity, 1);
     assert!(b.sent.is_empty());
 }
