@@ -478,11 +478,8 @@ impl Session {
 /// a directory also has a size (0).
 fn list(files: &FileSystem, request: &Request<'_>, with_times: bool) -> Result<Reply, Nak> {
     let mut data = Vec::with_capacity(MAX_DATA);
-    for entry in files.list(request.path()?)?.skip(request.offset) {
-        let (kind, size) = match entry.size {
-            Some(size) => ('F', size),
-            None => ('D', 0),
-        };
+    for entry in files.list(request.path()?)?.into_iter().skip(request.offset) {
+        let (kind, size) = entry.size.map_or(('D', 0), |size| ('F', size));
         let line = match (with_times, entry.size) {
             (true, _) => format!("{kind}{}\t{size}\t{}\0", entry.name, entry.modified_s),
             (false, Some(_)) => format!("{kind}{}\t{size}\0", entry.name),

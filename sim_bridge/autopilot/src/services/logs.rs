@@ -162,15 +162,13 @@ impl Service for Logs {
 
 /// The logs from the oldest: the position is a log's number on the link.
 fn paths(core: &Core) -> Vec<String> {
-    let listed = core.files.list(DIRECTORY);
-    listed.map_or(Vec::new(), |entries| {
-        entries.map(|e| format!("{DIRECTORY}/{}", e.name)).collect()
-    })
+    let listed = core.files.list(DIRECTORY).unwrap_or_default();
+    listed.iter().map(|e| format!("{DIRECTORY}/{}", e.name)).collect()
 }
 
 /// What LOG_ENTRY says of log number `index`; no logs are told by a count of 0.
 fn entry(core: &Core, index: usize) -> MavMessage {
-    let entries: Vec<_> = core.files.list(DIRECTORY).map_or(Vec::new(), Iterator::collect);
+    let entries = core.files.list(DIRECTORY).unwrap_or_default();
     let log = entries.get(index);
     MavMessage::LOG_ENTRY(LOG_ENTRY_DATA {
         time_utc: log.map_or(0, |l| l.modified_s as u32),

@@ -236,7 +236,7 @@ fn set(name: &str, value: &str, core: &mut Core) -> String {
 fn list(path: &str, core: &Core) -> String {
     match core.files.list(path) {
         Err(error) => format!("{path}: {error}\n"),
-        Ok(entries) => entries.fold(String::new(), |mut text, entry| {
+        Ok(entries) => entries.iter().fold(String::new(), |mut text, entry| {
             // Writing into a string cannot fail.
             let _ = match entry.size {
                 Some(size) => writeln!(text, "{size:>8} {}", entry.name),
