@@ -136,3 +136,15 @@ pub(crate) trait Service {
 
 /// The services of a vehicle, in the order in which commands are offered to them.
 pub(crate) type Services = [Box<dyn Service + Send>];
+
+/// What most services use: the core, this module, and MAVLink's messages.
+pub(crate) mod prelude {
+    pub(crate) use super::{Answer, Handler, Produced, Service, Source};
+    pub(crate) use crate::LinkId;
+    pub(crate) use crate::core::Core;
+    pub(crate) use vigil_mavlink::MavMessage;
+    pub(crate) use vigil_mavlink::common::*;
+    pub(crate) use vigil_mavlink::framing::{Command, Packet};
+    pub(crate) use vigil_mavlink::mavlink::MessageData;
+    pub(crate) use vigil_types::Nanos;
+}

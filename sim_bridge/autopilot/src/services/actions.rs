@@ -1,15 +1,13 @@
 //! Modes and actions: take-off, land, hold, return, OFFBOARD, go to.
 //! <https://mavlink.io/en/services/command.html>, mode numbers as in PX4.
 
-use crate::core::{Core, padded};
+use crate::core::padded;
 use crate::flight::{FlightMode, Requested};
 use crate::geo;
-use crate::service::{Answer, Handler, Service, Source};
+use crate::service::prelude::*;
 use crate::services::arming::answer;
 use crate::vehicle::YawCommand;
-use vigil_mavlink::common::SET_MODE_DATA;
-use vigil_mavlink::framing::{Command, CommandForm, Packet};
-use vigil_mavlink::mavlink::MessageData;
+use vigil_mavlink::framing::CommandForm;
 use vigil_types::NedVector;
 
 const NAV_RETURN_TO_LAUNCH: u16 = 20;

@@ -2,14 +2,9 @@
 //! the top speed; disarmed motors get 900 µs, as PX4 has it. ACTUATOR_TEST shows in these outputs and moves nothing: the
 //! propellers are off.
 
-use crate::LinkId;
-use crate::core::{Core, nanos};
-use crate::service::{Answer, Produced, Service, Source};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{ACTUATOR_OUTPUT_STATUS_DATA, SERVO_OUTPUT_RAW_DATA};
-use vigil_mavlink::framing::{Command, CommandForm};
-use vigil_mavlink::mavlink::MessageData;
-use vigil_types::Nanos;
+use crate::core::nanos;
+use crate::service::prelude::*;
+use vigil_mavlink::framing::CommandForm;
 
 const DISARMED_US: f32 = 900.0;
 

@@ -1,9 +1,7 @@
 //! Arming, disarming, termination, reboot.
 
-use crate::core::Core;
 use crate::flight::Denial;
-use crate::service::{Answer, Handler, Source};
-use vigil_mavlink::framing::Command;
+use crate::service::prelude::*;
 
 const COMPONENT_ARM_DISARM: u16 = 400;
 const DO_FLIGHTTERMINATION: u16 = 185;

@@ -3,11 +3,7 @@
 //! The simulated sensors have no offset that lasts, so a calibration measures and tells; it changes nothing. Those that
 //! need the vehicle turned by hand are refused.
 
-use crate::core::Core;
-use crate::service::{Answer, Service, Source};
-use vigil_mavlink::common::MavSeverity;
-use vigil_mavlink::framing::Command;
-use vigil_types::Nanos;
+use crate::service::prelude::*;
 
 const PREFLIGHT_CALIBRATION: u16 = 241;
 const LASTS_NS: Nanos = 1_000_000_000;

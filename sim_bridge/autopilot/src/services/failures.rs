@@ -2,12 +2,9 @@
 //!
 //! What follows is flight's business: without GPS the vehicle lands when the position is no longer known.
 
-use crate::core::Core;
 use crate::flight::SensorFault;
-use crate::service::{Answer, Handler, Source};
+use crate::service::prelude::*;
 use crate::services::sensors::field_gauss;
-use vigil_mavlink::common::MavSeverity;
-use vigil_mavlink::framing::Command;
 
 const INJECT_FAILURE: u16 = 420;
 /// FAILURE_UNIT_SENSOR_*.

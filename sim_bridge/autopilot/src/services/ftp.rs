@@ -3,14 +3,10 @@
 //! A session's number is the client's choice and counts per client: clients exist that ignore the number a server gives
 //! (MAVSDK) and that want theirs back (pymavlink), and this suits both.
 
-use crate::core::Core;
 use crate::files::{FileError, FileSystem, crc32};
-use crate::service::{Service, Source};
+use crate::service::prelude::*;
 use crate::services::packed_parameters;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr, MavFtpOpcode as Opcode};
-use vigil_mavlink::framing::Packet;
-use vigil_types::Nanos;
+use vigil_mavlink::common::MavFtpOpcode as Opcode;
 
 /// Bytes of data in a packet.
 const MAX_DATA: usize = 239;

@@ -1,11 +1,8 @@
 //! SYS_STATUS: which sensors there are and whether they work, and whether the vehicle can be armed.
 
-use crate::core::Core;
-use crate::service::Produced;
+use crate::service::prelude::*;
 use crate::services::battery;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{MavSysStatusSensor as Sensor, SYS_STATUS_DATA};
-use vigil_mavlink::mavlink::MessageData;
+use vigil_mavlink::common::MavSysStatusSensor as Sensor;
 
 pub(super) const MESSAGES: &[Produced] = &[Produced::from(SYS_STATUS_DATA::ID, [1.0, 5.0, 1.0], sys_status)];
 

@@ -1,10 +1,8 @@
 //! Regions of interest: what the nose points at in hold and on missions. There is no gimbal.
 //! <https://mavlink.io/en/messages/common.html#MAV_CMD_DO_SET_ROI_LOCATION>
 
-use crate::core::Core;
-use crate::service::{Answer, Handler, Source};
+use crate::service::prelude::*;
 use crate::services::actions;
-use vigil_mavlink::framing::Command;
 
 const NAV_ROI: u16 = 80;
 const DO_SET_ROI_LOCATION: u16 = 195;

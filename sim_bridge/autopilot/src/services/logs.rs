@@ -4,16 +4,9 @@
 //! From arming to disarming the vehicle records itself into a ULog file under `log`, which can also be read by file transfer:
 //! ground stations name what they download from a PX4 `.ulg`. docs/mavlink.md says what is in it.
 
-use crate::core::{Core, padded};
-use crate::service::{Answer, Service, Source};
+use crate::core::padded;
+use crate::service::prelude::*;
 use crate::ulog;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    LOG_DATA_DATA, LOG_ENTRY_DATA, LOG_ERASE_DATA, LOG_REQUEST_DATA_DATA, LOG_REQUEST_END_DATA, LOG_REQUEST_LIST_DATA,
-    LOGGING_DATA_DATA,
-};
-use vigil_mavlink::framing::{Command, Packet};
-use vigil_types::Nanos;
 
 const DIRECTORY: &str = "log";
 /// Ten records per second.

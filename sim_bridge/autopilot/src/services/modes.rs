@@ -1,15 +1,9 @@
 //! The standard modes protocol: which modes there are, which one is flown. <https://mavlink.io/en/services/standard_modes.html>
 
-use crate::core::Core;
 use crate::flight::FlightMode;
-use crate::service::{Answer, Produced, Service, Source};
+use crate::service::prelude::*;
 use crate::services::arming::answer;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    AVAILABLE_MODES_DATA, AVAILABLE_MODES_MONITOR_DATA, CURRENT_MODE_DATA, MavModeProperty as Property, MavStandardMode,
-};
-use vigil_mavlink::framing::Command;
-use vigil_mavlink::mavlink::MessageData;
+use vigil_mavlink::common::MavModeProperty as Property;
 
 const DO_SET_STANDARD_MODE: u16 = 262;
 

@@ -1,14 +1,9 @@
 //! DO_ORBIT and ORBIT_EXECUTION_STATUS. <https://mavlink.io/en/messages/common.html#MAV_CMD_DO_ORBIT>
 
-use crate::core::Core;
 use crate::flight::{Facing, Orbit};
 use crate::geo;
-use crate::service::{Answer, Handler, Produced, Source};
+use crate::service::prelude::*;
 use crate::services::{actions, arming::answer};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{MavFrame, ORBIT_EXECUTION_STATUS_DATA};
-use vigil_mavlink::framing::Command;
-use vigil_mavlink::mavlink::MessageData;
 
 const DO_ORBIT: u16 = 34;
 /// Used where the command gives none (PX4's defaults are the same).

@@ -4,18 +4,9 @@
 //! fails, the old plan stays in force. There is one upload at a time. A download has no state: any item can be asked for at
 //! any time by anybody.
 
-use crate::core::{Core, padded};
+use crate::core::padded;
 use crate::plan::{Envelope, MissionItem, PlanDefect, PlanItem, PlanKind, Plans};
-use crate::service::{Service, Source};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    MISSION_ACK_DATA, MISSION_CLEAR_ALL_DATA, MISSION_COUNT_DATA, MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA,
-    MISSION_REQUEST_DATA, MISSION_REQUEST_INT_DATA, MISSION_REQUEST_LIST_DATA, MISSION_REQUEST_PARTIAL_LIST_DATA,
-    MISSION_WRITE_PARTIAL_LIST_DATA, MavMissionResult, MavMissionType,
-};
-use vigil_mavlink::framing::Packet;
-use vigil_mavlink::mavlink::MessageData;
-use vigil_types::Nanos;
+use crate::service::prelude::*;
 
 /// An item that does not come is asked for again after this time, as in PX4.
 const RETRY_NS: Nanos = 250_000_000;

@@ -1,16 +1,9 @@
 //! Where the vehicle is and how fast: local, global, height, heads-up display, odometry; and what is flown.
 
-use crate::core::Core;
 use crate::flight::{FlightMode, position_target};
 use crate::geo;
 use crate::plan::MissionItem;
-use crate::service::Produced;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    ALTITUDE_DATA, GLOBAL_POSITION_INT_DATA, LOCAL_POSITION_NED_DATA, MavEstimatorType, MavFrame, ODOMETRY_DATA,
-    POSITION_TARGET_GLOBAL_INT_DATA, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask, VFR_HUD_DATA,
-};
-use vigil_mavlink::mavlink::MessageData;
+use crate::service::prelude::*;
 use vigil_types::NedVector;
 
 pub(super) const MESSAGES: &[Produced] = &[

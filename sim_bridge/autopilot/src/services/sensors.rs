@@ -1,16 +1,10 @@
 //! Sensor readings: IMU, pressure, GPS.
 
-use crate::core::Core;
 use crate::flight::SensorFault;
 use crate::geo;
-use crate::service::Produced;
+use crate::service::prelude::*;
 use crate::services::position::bearing_deg;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    GPS_RAW_INT_DATA, GpsFixType, HIGHRES_IMU_DATA, HighresImuUpdatedFlags as Updated, RAW_IMU_DATA, SCALED_IMU_DATA,
-    SCALED_PRESSURE_DATA,
-};
-use vigil_mavlink::mavlink::MessageData;
+use vigil_mavlink::common::HighresImuUpdatedFlags as Updated;
 use vigil_types::FrdVector;
 
 /// Earth's field at home in gauss, NED: about what the world magnetic model gives for the default home.

@@ -3,17 +3,14 @@
 //! A few commands of PX4's shell, by the same paths as the messages that do the same: a shell can do nothing that a
 //! message could not.
 
-use crate::core::{Core, padded};
+use crate::core::padded;
 use crate::flight::{Denial, FlightMode};
 use crate::plan::PlanKind;
-use crate::service::{Answer, Service, Source};
+use crate::service::prelude::*;
 use crate::services::arming;
 use crate::services::parameters::value_message;
 use crate::vehicle_parameters::{ParameterError, ParameterType, ParameterValue, Parameters};
 use std::fmt::Write;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{SERIAL_CONTROL_DATA, SerialControlDev, SerialControlFlag};
-use vigil_mavlink::framing::Packet;
 
 /// Bytes of a packet.
 const CHUNK: usize = 70;

@@ -1,9 +1,7 @@
 //! PREFLIGHT_STORAGE: keeping parameters, and their defaults again.
 //! <https://mavlink.io/en/messages/common.html#MAV_CMD_PREFLIGHT_STORAGE>
 
-use crate::core::Core;
-use crate::service::{Answer, Handler, Source};
-use vigil_mavlink::framing::Command;
+use crate::service::prelude::*;
 
 const PREFLIGHT_STORAGE: u16 = 245;
 /// MAV_PREFLIGHT_STORAGE_ACTION_*.

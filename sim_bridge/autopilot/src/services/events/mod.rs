@@ -4,17 +4,9 @@
 
 mod catalogue;
 
-use crate::core::Core;
 use crate::flight::{Failsafe, FlightMode};
-use crate::service::{Answer, Service, Source};
+use crate::service::prelude::*;
 use std::collections::VecDeque;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    CURRENT_EVENT_SEQUENCE_DATA, EVENT_DATA, MavEventCurrentSequenceFlags, MavEventErrorReason, MavSeverity,
-    REQUEST_EVENT_DATA, RESPONSE_EVENT_ERROR_DATA,
-};
-use vigil_mavlink::framing::{Command, Packet};
-use vigil_types::Nanos;
 
 pub(crate) use catalogue::definitions;
 use catalogue::{ArmingCheck, Event, HEALTH_NONE, MODE_GROUP};
