@@ -1,10 +1,9 @@
 //! What a ground station asks for when it connects, and what set-up pages and scripts set without asking.
 
+use crate::ParameterRole;
 use crate::testing::*;
 use crate::tests::plans::{MISSION, item, waypoint};
-use crate::{FlightMode, LandedState, ParameterRole, ParameterValue, parameter_table};
-use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::{Message, MessageData};
+use vigil_mavlink::mavlink::Message;
 
 fn request(b: &mut Bench, id: u32, index: f32) -> u8 {
     b.ask(512, &[id as f32, index])

@@ -1,10 +1,8 @@
 //! Events, by packets.
 
 use crate::testing::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
 
-fn events(b: &Bench, link: crate::LinkId) -> Vec<EVENT_DATA> {
+fn events(b: &Bench, link: LinkId) -> Vec<EVENT_DATA> {
     b.all::<EVENT_DATA>(link)
 }
 

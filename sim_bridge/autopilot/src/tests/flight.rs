@@ -1,9 +1,7 @@
 //! Arm, fly, land: what a script does.
 
+use crate::HomePosition;
 use crate::testing::*;
-use crate::vehicle::ControlCommand;
-use crate::{FlightMode, HomePosition, LandedState, ParameterValue};
-use vigil_mavlink::common::*;
 
 #[test]
 fn a_script_arms_takes_off_hovers_lands_and_finds_it_disarmed() {

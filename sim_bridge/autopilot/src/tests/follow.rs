@@ -1,9 +1,7 @@
 //! Follow-me.
 
+use crate::geo;
 use crate::testing::*;
-use crate::{FlightMode, ParameterValue, geo};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::FOLLOW_TARGET_DATA;
 
 /// A report as MAVSDK sends it, once a second.
 pub(super) fn report(b: &mut Bench, place: (f32, f32), velocity: Option<[f32; 3]>) {

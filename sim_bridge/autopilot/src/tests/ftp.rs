@@ -2,8 +2,6 @@
 
 use crate::files::crc32;
 use crate::testing::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
 
 const RESET: u8 = 2;
 const LIST: u8 = 3;
@@ -54,8 +52,8 @@ impl Reply {
 
 /// A client that numbers its requests.
 pub(super) struct Client {
-    id: crate::ComponentId,
-    link: crate::LinkId,
+    id: ComponentId,
+    link: LinkId,
     sequence: u16,
 }
 
@@ -348,7 +346,7 @@ fn a_stored_parameter_file_sets_all_of_it_or_nothing() {
     assert_eq!(c.ask(&mut b, OPEN, 6, 0, b"@PARAM/other").error(), NOT_FOUND);
     // What was fetched may be stored again.
     let file = c.download(&mut b, 3, "@PARAM/param.pck?withdefaults=1");
-    b.set_parameter("NAV_ACC_RAD", crate::ParameterValue::Real32(1.0));
+    b.set_parameter("NAV_ACC_RAD", ParameterValue::Real32(1.0));
     assert!(store(&mut b, &mut c, &file).is_ack);
     assert_eq!(value(&b, "NAV_ACC_RAD"), Some(3.5));
 }

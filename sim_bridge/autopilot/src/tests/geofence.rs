@@ -2,8 +2,6 @@
 
 use crate::testing::*;
 use crate::tests::plans::{FENCE, item};
-use crate::{EndpointConfig, Failsafe, FlightMode, LandedState};
-use vigil_mavlink::common::*;
 
 fn square(command: u16, (north, east): (f32, f32), half_m: f32) -> Vec<crate::plan::PlanItem> {
     [(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0)]

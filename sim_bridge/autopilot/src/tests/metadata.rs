@@ -3,9 +3,7 @@
 use crate::files::crc32;
 use crate::testing::*;
 use crate::tests::ftp::Client;
-use crate::{ParameterValue, parameter_table};
 use serde_json::Value;
-use vigil_mavlink::common::COMPONENT_METADATA_DATA;
 
 fn content(b: &mut Bench, uri: &str) -> (Value, u32) {
     let path = uri.strip_prefix("mftp://").expect("a file of the vehicle's");

@@ -2,10 +2,6 @@
 
 use crate::testing::*;
 use crate::tests::plans::{FENCE, MISSION, action, item, waypoint};
-use crate::{FlightMode, LandedState};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::MessageData;
 
 const TAKEN: MavMissionResult = MavMissionResult::MAV_MISSION_ACCEPTED;
 
@@ -254,7 +250,7 @@ fn commands_to_what_the_vehicle_has_not_are_taken_and_passed_over() {
     plan.push(action(179, [1.0, 0.0, 0.0, 0.0]));
     plan.push(action(20, [0.0; 4]));
     let mut b = Bench::new();
-    b.set_parameter("RTL_RETURN_ALT", crate::ParameterValue::Real32(4.0));
+    b.set_parameter("RTL_RETURN_ALT", ParameterValue::Real32(4.0));
     assert_eq!(b.upload(MISSION, &plan), TAKEN);
     assert_eq!(start(&mut b), ACCEPTED);
     assert_eq!(b.arm(), ACCEPTED);
@@ -288,7 +284,7 @@ fn a_mission_that_leaves_the_fence_is_refused_at_its_upload_with_its_item() {
     }
     // What has no place, or no consequence, is no reason.
     assert_eq!(b.upload(MISSION, &[inside, action(20, [0.0; 4])]), TAKEN);
-    b.set_parameter("GF_ACTION", crate::ParameterValue::Int32(1));
+    b.set_parameter("GF_ACTION", ParameterValue::Int32(1));
     assert_eq!(b.upload(MISSION, &[waypoint((0.0, 31.0), 3.0)]), TAKEN);
     // MAVSDK's example has a circle of radius 0 in its fence.
     let empty = [circle[0], item(5003, [0.0; 4], (0.0, 0.0), 0.0)];
@@ -334,7 +330,7 @@ fn mission_and_offboard_can_be_chosen_disarmed_and_arming_waits_for_what_they_fl
 #[test]
 fn where_it_flies_to_is_told_on_the_globe_in_hold_go_to_return_and_landing() {
     let mut b = Bench::airborne();
-    b.set_parameter("RTL_RETURN_ALT", crate::ParameterValue::Real32(5.0));
+    b.set_parameter("RTL_RETURN_ALT", ParameterValue::Real32(5.0));
     let place = |b: &mut Bench| {
         b.sent.clear();
         let told = b.ask(512, &[87.0]);

@@ -1,9 +1,6 @@
 //! Offboard flight as scripts fly it: every kind of setpoint, streams that stall, landings by thrust.
 
 use crate::testing::*;
-use crate::{Failsafe, FlightMode};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
 
 fn attitude(mask: u8, yaw_rate: f32, thrust: f32) -> MavMessage {
     attitude_setpoint(mask, 0.0, yaw_rate, thrust)
@@ -94,7 +91,7 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
         b.run_ms(1_100);
         let status = b.status();
         assert_eq!((status.terminated, status.armed), (is_terminated, is_terminated));
-        assert_eq!(b.command, crate::vehicle::ControlCommand::MotorsOff);
+        assert_eq!(b.command, ControlCommand::MotorsOff);
     }
 }
 
@@ -125,7 +122,7 @@ fn setpoints_that_leave_an_axis_out_keep_offboard_and_hold() {
         fly(&mut b, &local_setpoint(0x9C7, |m| m.vx = 1.0), 3_000);
         let at_m = b.position_m()[0];
         fly(&mut b, &message, 4_000);
-        assert_eq!(b.status().mode, crate::FlightMode::Offboard, "{reason}");
+        assert_eq!(b.status().mode, FlightMode::Offboard, "{reason}");
         assert!((b.position_m()[0] - at_m).abs() < 1.5, "{reason}");
         assert!(b.velocity_m_s().norm() < 0.1, "{reason}");
         let text = format!("setpoints of 245/190: {reason}");

@@ -1,9 +1,7 @@
 //! Circling a point.
 
-use crate::FlightMode;
 use crate::testing::*;
 use crate::tests::plans::{FENCE, item};
-use vigil_mavlink::common::*;
 use vigil_types::wrap_pi;
 
 const CENTRE: (f32, f32) = (8.0, -4.0);

@@ -1,10 +1,6 @@
 //! Whose setpoints are flown, and what follows when they stop.
 
-use crate::core::ComponentId;
 use crate::testing::*;
-use crate::vehicle::ControlCommand;
-use crate::{Failsafe, FlightMode};
-use vigil_mavlink::common::{MavState, NAMED_VALUE_FLOAT_DATA};
 use vigil_types::HeadingVector;
 
 fn owner_in_telemetry(b: &Bench) -> f32 {
@@ -194,7 +190,7 @@ fn offboard_on_the_ground_idles_until_the_setpoint_goes_up() {
 
 #[test]
 fn speeds_beyond_the_limits_are_limited_and_keep_their_direction() {
-    let mut config = crate::EndpointConfig::default();
+    let mut config = EndpointConfig::default();
     config.parameters.insert("MPC_XY_VEL_MAX".into(), 2.0);
     let mut b = Bench::with(config);
     b.take_off();

@@ -3,11 +3,7 @@
 use crate::geo;
 use crate::plan::{Envelope, PlanItem};
 use crate::testing::*;
-use crate::{LinkId, core::ComponentId};
 use proptest::prelude::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::MessageData;
 
 pub const MISSION: u8 = 0;
 pub const FENCE: u8 = 1;
@@ -343,7 +339,7 @@ proptest! {
             b.run_ms(20);
         }
         b.run_ms(6_000);
-        prop_assert_eq!(b.status().mode, crate::FlightMode::Hold);
+        prop_assert_eq!(b.status().mode, FlightMode::Hold);
         prop_assert_eq!(b.download(MISSION).len(), 1);
         prop_assert!((b.height_m() - 3.0).abs() < 0.5);
         // The protocol still works.

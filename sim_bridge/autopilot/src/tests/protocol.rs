@@ -2,10 +2,6 @@
 
 use crate::testing::*;
 use crate::tests::plans::{MISSION, waypoint};
-use crate::{EndpointConfig, FlightMode, ParameterValue, parameter_table};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::MessageData;
 
 #[test]
 fn telemetry_streams_unasked_at_the_rates_of_each_link() {
@@ -185,7 +181,7 @@ fn pings_and_time_requests_are_answered_to_their_sender() {
     assert_eq!(b.count(API, TIMESYNC_DATA::ID), 0);
 }
 
-fn values(b: &Bench, link: crate::LinkId) -> Vec<PARAM_VALUE_DATA> {
+fn values(b: &Bench, link: LinkId) -> Vec<PARAM_VALUE_DATA> {
     b.all(link)
 }
 

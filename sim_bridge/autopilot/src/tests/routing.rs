@@ -1,10 +1,8 @@
 //! What passes between links, and that the vehicle answers for nobody else.
 
 use crate::testing::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
 
-fn forwarded(b: &Bench, link: crate::LinkId) -> Vec<(crate::ComponentId, MavMessage)> {
+fn forwarded(b: &Bench, link: LinkId) -> Vec<(ComponentId, MavMessage)> {
     b.sent
         .iter()
         .filter(|s| s.link == link && (s.from.system, s.from.component) != (1, 1))

@@ -4,9 +4,6 @@
 use crate::testing::*;
 use crate::tests::follow::report;
 use crate::tests::plans::{MISSION, action, item, waypoint};
-use crate::{FlightMode, LandedState, ParameterValue};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
 
 const START_MISSION: u16 = 300;
 const INJECT_FAILURE: u16 = 420;

@@ -1,9 +1,6 @@
 //! Telemetry beyond what flying needs: motors, scaled readings, estimator, flight information.
 
 use crate::testing::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::MessageData;
 
 fn request<M: MessageData<Message = MavMessage>>(b: &mut Bench) -> M {
     b.sent.clear();
