@@ -293,9 +293,9 @@ impl Core {
     }
 
     /// Asks for a message to be sent on all links at once, besides its stream: it changed.
-    pub fn announce(&mut self, message_id: u32) {
-        if !self.wanted.contains(&(None, message_id)) {
-            self.wanted.push((None, message_id));
+    pub fn announce<M: MessageData>(&mut self) {
+        if !self.wanted.contains(&(None, M::ID)) {
+            self.wanted.push((None, M::ID));
         }
     }
 

@@ -4,11 +4,12 @@ use crate::core::{ComponentId, Core};
 use crate::flight::mode::FlightMode;
 use crate::flight::setpoint_owner::{Claim, Setpoints};
 use crate::flight::state::{Commander, Denial, Failsafe, LandedState, Maneuver, Sticks};
-use crate::message_ids;
 use crate::source::Source;
 use crate::vehicle::YawCommand;
 use crate::vehicle_parameters::ParamId;
-use vigil_mavlink::common::MavSeverity;
+use vigil_mavlink::common::{
+    CURRENT_MODE_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA, MavSeverity, NAMED_VALUE_FLOAT_DATA,
+};
 use vigil_types::{Nanos, NedVector};
 
 /// MAV_COMP_ID_ONBOARD_COMPUTER, which the guidance computer has.
@@ -105,7 +106,7 @@ impl Core {
                 self.begin_climb(None);
             }
             self.inform("armed");
-            self.announce(message_ids::HEARTBEAT);
+            self.announce::<HEARTBEAT_DATA>();
         }
         Ok(())
     }
@@ -129,7 +130,7 @@ impl Core {
         self.commander.region_of_interest_m = None;
         self.enter(FlightMode::Hold, Maneuver::default());
         self.inform(text);
-        self.announce(message_ids::HEARTBEAT);
+        self.announce::<HEARTBEAT_DATA>();
     }
 
     /// Stops the motors for good: only a reboot ends it.
@@ -137,7 +138,7 @@ impl Core {
         if !self.commander.terminated {
             self.commander.terminated = true;
             self.text(MavSeverity::MAV_SEVERITY_EMERGENCY, "flight terminated");
-            self.announce(message_ids::HEARTBEAT);
+            self.announce::<HEARTBEAT_DATA>();
         }
     }
 
@@ -167,8 +168,8 @@ impl Core {
         self.sticks = Sticks::default();
         self.rebooted = true;
         self.inform("rebooted");
-        self.announce(message_ids::HEARTBEAT);
-        self.announce(message_ids::NAMED_VALUE_FLOAT);
+        self.announce::<HEARTBEAT_DATA>();
+        self.announce::<NAMED_VALUE_FLOAT_DATA>();
     }
 
     /// A mode command of `commander`. Clears a failsafe. Accepted also while disarmed: the mode acts once armed.
@@ -236,7 +237,7 @@ impl Core {
                 self.enter(FlightMode::Offboard, Maneuver::Offboard);
                 self.setpoints.set_owner(Some(owner));
                 self.inform(&format!("setpoint owner: {owner}"));
-                self.announce(message_ids::NAMED_VALUE_FLOAT);
+                self.announce::<NAMED_VALUE_FLOAT_DATA>();
                 Ok(())
             }
         }
@@ -337,19 +338,19 @@ impl Core {
         if self.setpoints.owner().is_some() && mode != FlightMode::Offboard {
             self.setpoints.set_owner(None);
             self.inform("setpoint owner: none");
-            self.announce(message_ids::NAMED_VALUE_FLOAT);
+            self.announce::<NAMED_VALUE_FLOAT_DATA>();
         }
         if self.commander.mode != mode {
             self.commander.mode = mode;
             self.inform(&format!("mode: {}", mode.name()));
-            self.announce(message_ids::HEARTBEAT);
-            self.announce(message_ids::CURRENT_MODE);
+            self.announce::<HEARTBEAT_DATA>();
+            self.announce::<CURRENT_MODE_DATA>();
         }
     }
 
     pub(super) fn clear_failsafe(&mut self) {
         if self.commander.failsafe.take().is_some() {
-            self.announce(message_ids::HEARTBEAT);
+            self.announce::<HEARTBEAT_DATA>();
         }
     }
 
@@ -461,7 +462,7 @@ impl Core {
         }
         self.commander.intended_mode = intended;
         self.commander.failsafe = Some(failsafe);
-        self.announce(message_ids::HEARTBEAT);
+        self.announce::<HEARTBEAT_DATA>();
     }
 
     /// Whether INJECT_FAILURE is obeyed.
@@ -522,7 +523,7 @@ impl Core {
         }
         if landed != c.landed {
             c.landed = landed;
-            self.announce(message_ids::EXTENDED_SYS_STATE);
+            self.announce::<EXTENDED_SYS_STATE_DATA>();
         }
         if self.commander.armed && on_ground {
             self.disarm_when_idle();

@@ -19,7 +19,7 @@ impl Service for Geography {
     fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
         // The origin is where the simulated world has it; whoever wants another is told the one in force.
         if packet.message_id() == SET_GPS_GLOBAL_ORIGIN_DATA::ID {
-            core.announce(GPS_GLOBAL_ORIGIN_DATA::ID);
+            core.announce::<GPS_GLOBAL_ORIGIN_DATA>();
         }
     }
 
@@ -66,7 +66,7 @@ fn set_home(command: &Command, core: &mut Core) -> Answer {
         return Answer::DENIED;
     }
     core.home_m = home_m;
-    core.announce(HOME_POSITION_DATA::ID);
+    core.announce::<HOME_POSITION_DATA>();
     Answer::ACCEPTED
 }
 
