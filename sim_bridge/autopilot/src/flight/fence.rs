@@ -32,7 +32,7 @@ impl Core {
 
     /// Whether there is any limit.
     pub fn has_fence(&self) -> bool {
-        !self.plans.fence.wire().items.is_empty()
+        !self.plans.fence.wire.items.is_empty()
             || self.param(ParamId::FenceRadiusM) > 0.0
             || self.param(ParamId::FenceHeightM) > 0.0
     }

@@ -139,25 +139,16 @@ impl PlanItem {
 
     /// Whether parameters that the command does not use are left out.
     pub fn check_parameters(&self) -> Result<(), PlanDefect> {
-        use MavMissionResult as R;
-        let result = match used_parameters::misused_in_item(self.command, self.params, self.x, self.y, self.z) {
-            None => return Ok(()),
-            Some(1) => R::MAV_MISSION_INVALID_PARAM1,
-            Some(2) => R::MAV_MISSION_INVALID_PARAM2,
-            Some(3) => R::MAV_MISSION_INVALID_PARAM3,
-            Some(4) => R::MAV_MISSION_INVALID_PARAM4,
-            Some(5) => R::MAV_MISSION_INVALID_PARAM5_X,
-            Some(6) => R::MAV_MISSION_INVALID_PARAM6_Y,
-            Some(_) => R::MAV_MISSION_INVALID_PARAM7,
-        };
-        Err(PlanDefect::new(result, "a parameter that has no meaning"))
+        let misused = used_parameters::misused_in_item(self.command, self.params, self.x, self.y, self.z);
+        let defect = |number| PlanDefect::of_parameter(number, "a parameter that has no meaning");
+        misused.map_or(Ok(()), |number| Err(defect(number)))
     }
 
     /// Parameters 5 and 6 as metres north and east of home; `None` where both are zero or not given.
     pub fn north_east_m(&self, home: &HomePosition) -> Result<Option<(f32, f32)>, PlanDefect> {
-        let defect = |result, reason| Err(PlanDefect::new(result, reason));
         if !is_global(self.frame) {
-            return defect(MavMissionResult::MAV_MISSION_UNSUPPORTED_FRAME, "frame is not global");
+            let result = MavMissionResult::MAV_MISSION_UNSUPPORTED_FRAME;
+            return Err(PlanDefect::new(result, "frame is not global"));
         }
         let unset = |v: i32| v == i32::MAX;
         if unset(self.x) || unset(self.y) || (self.x == 0 && self.y == 0) {
@@ -165,17 +156,17 @@ impl PlanItem {
         }
         let (lat, lon) = (f64::from(self.x) * 1e-7, f64::from(self.y) * 1e-7);
         if lat.abs() > 90.0 {
-            return defect(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "no such latitude");
+            return Err(PlanDefect::of_parameter(5, "no such latitude"));
         }
         if lon.abs() > 180.0 {
-            return defect(MavMissionResult::MAV_MISSION_INVALID_PARAM6_Y, "no such longitude");
+            return Err(PlanDefect::of_parameter(6, "no such longitude"));
         }
         let (north, east) = geo::to_local(home, lat, lon);
         // NaN fails the comparison.
         if libm::hypotf(north, east) <= MAX_DISTANCE_M {
             Ok(Some((north, east)))
         } else {
-            defect(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "too far from home")
+            Err(PlanDefect::of_parameter(5, "too far from home"))
         }
     }
 
@@ -188,16 +179,10 @@ impl PlanItem {
             (f64::from(self.z) - home.altitude_m) as f32
         };
         if height_m.abs() > MAX_HEIGHT_M {
-            return Err(PlanDefect::new(
-                MavMissionResult::MAV_MISSION_INVALID_PARAM7,
-                "height beyond 500 m",
-            ));
+            return Err(PlanDefect::of_parameter(7, "height beyond 500 m"));
         }
         if height_m < -BELOW_HOME_M {
-            return Err(PlanDefect::new(
-                MavMissionResult::MAV_MISSION_INVALID_PARAM7,
-                "below home; frames 3 and 6 count from it",
-            ));
+            return Err(PlanDefect::of_parameter(7, "below home; frames 3 and 6 count from it"));
         }
         Ok(Place {
             north_east_m,
@@ -207,10 +192,8 @@ impl PlanItem {
 
     /// Metres north and east of home where coordinates are needed and the height means nothing.
     pub fn point(&self, home: &HomePosition) -> Result<(f32, f32), PlanDefect> {
-        self.north_east_m(home)?.ok_or(PlanDefect::new(
-            MavMissionResult::MAV_MISSION_INVALID_PARAM5_X,
-            "no coordinates",
-        ))
+        self.north_east_m(home)?
+            .ok_or(PlanDefect::of_parameter(5, "no coordinates"))
     }
 }
 

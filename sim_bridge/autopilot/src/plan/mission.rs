@@ -100,18 +100,15 @@ fn seconds(item: &PlanItem) -> Result<Nanos, PlanDefect> {
     let wait_s = item.param(1).unwrap_or(0.0);
     nanos(f64::from(wait_s))
         .filter(|_| wait_s <= MAX_WAIT_S)
-        .ok_or(PlanDefect::new(
-            MavMissionResult::MAV_MISSION_INVALID_PARAM1,
-            "time is not within 0 and 86400 s",
-        ))
+        .ok_or(PlanDefect::of_parameter(1, "time is not within 0 and 86400 s"))
 }
 
 /// A heading in degrees, in radians.
-fn heading_rad(item: &PlanItem, number: usize, result: MavMissionResult) -> Result<Option<f32>, PlanDefect> {
+fn heading_rad(item: &PlanItem, number: usize) -> Result<Option<f32>, PlanDefect> {
     match item.param(number) {
         None => Ok(None),
         Some(deg) if deg.abs() <= 720.0 => Ok(Some(deg.to_radians())),
-        Some(_) => Err(PlanDefect::new(result, "heading is not within 720 degrees")),
+        Some(_) => Err(PlanDefect::of_parameter(number, "heading is not within 720 degrees")),
     }
 }
 
@@ -121,10 +118,7 @@ fn check_frame(item: &PlanItem) -> Result<(), PlanDefect> {
     match item.frame {
         0 | 3 | 5 | 6 if is_placed => Ok(()),
         FRAME_MISSION if !is_placed || IN_EITHER.contains(&item.command) => Ok(()),
-        0 | 3 | 5 | 6 | FRAME_MISSION => Err(PlanDefect::new(
-            R::MAV_MISSION_UNSUPPORTED,
-            "not a command that missions fly in this frame",
-        )),
+        0 | 3 | 5 | 6 | FRAME_MISSION => Err(PlanDefect::unsupported("not a command that missions fly in this frame")),
         _ => Err(PlanDefect::new(R::MAV_MISSION_UNSUPPORTED_FRAME, "frame is not global")),
     }
 }
@@ -132,11 +126,10 @@ fn check_frame(item: &PlanItem) -> Result<(), PlanDefect> {
 impl MissionItem {
     /// Reads an item.
     pub fn read(item: &PlanItem, home: &HomePosition) -> Result<Self, PlanDefect> {
-        use MavMissionResult as R;
         let leg = |purpose, acceptance_m| {
             Ok(Self::Leg(Leg {
                 place: item.place(home)?,
-                yaw_rad: heading_rad(item, 4, R::MAV_MISSION_INVALID_PARAM4)?,
+                yaw_rad: heading_rad(item, 4)?,
                 acceptance_m,
                 purpose,
             }))
@@ -148,7 +141,7 @@ impl MissionItem {
             NAV_WAYPOINT => {
                 let radius_m = item.param(2).unwrap_or(0.0);
                 if !(0.0..=1000.0).contains(&radius_m) {
-                    return Err(PlanDefect::new(R::MAV_MISSION_INVALID_PARAM2, "acceptance radius"));
+                    return Err(PlanDefect::of_parameter(2, "acceptance radius"));
                 }
                 item.point(home)?;
                 leg(stay(seconds(item)?), (radius_m > 0.0).then_some(radius_m))
@@ -168,7 +161,7 @@ impl MissionItem {
                     north_east_m: item.north_east_m(home)?,
                     height_m: None,
                 },
-                yaw_rad: heading_rad(item, 4, R::MAV_MISSION_INVALID_PARAM4)?,
+                yaw_rad: heading_rad(item, 4)?,
                 acceptance_m: None,
                 purpose: Purpose::Land,
             })),
@@ -191,16 +184,10 @@ impl MissionItem {
                 None | Some(0.0) => look_at(None),
                 // A waypoint, without a frame only: the nose points there anyway.
                 Some(1.0 | 2.0) if item.frame == FRAME_MISSION => look_at(None),
-                Some(_) => Err(PlanDefect::new(
-                    R::MAV_MISSION_INVALID_PARAM1,
-                    "no such region of interest",
-                )),
+                Some(_) => Err(PlanDefect::of_parameter(1, "no such region of interest")),
             },
             command if PASSED_OVER.contains(&command) => Ok(Self::PassedOver),
-            _ => Err(PlanDefect::new(
-                R::MAV_MISSION_UNSUPPORTED,
-                "not a command that missions fly",
-            )),
+            _ => Err(PlanDefect::unsupported("not a command that missions fly")),
         }
     }
 
@@ -214,10 +201,7 @@ impl MissionItem {
             // −1: no change; −2: back to the default, as is whatever is left out.
             Some(-1.0) => Ok(Self::PassedOver),
             None | Some(-2.0) => Ok(Self::Speed { speed_m_s: None }),
-            Some(_) => Err(PlanDefect::new(
-                MavMissionResult::MAV_MISSION_INVALID_PARAM2,
-                "speed is not within 0 and 50 m/s",
-            )),
+            Some(_) => Err(PlanDefect::of_parameter(2, "speed is not within 0 and 50 m/s")),
         }
     }
 
@@ -229,14 +213,8 @@ impl MissionItem {
                 to: to as usize,
                 times: (times >= 0.0).then_some(times as u16),
             }),
-            (None, _) => Err(PlanDefect::new(
-                MavMissionResult::MAV_MISSION_INVALID_PARAM1,
-                "no such item to jump to",
-            )),
-            (_, None) => Err(PlanDefect::new(
-                MavMissionResult::MAV_MISSION_INVALID_PARAM2,
-                "number of jumps",
-            )),
+            (None, _) => Err(PlanDefect::of_parameter(1, "no such item to jump to")),
+            (_, None) => Err(PlanDefect::of_parameter(2, "number of jumps")),
         }
     }
 }
@@ -262,7 +240,7 @@ pub(crate) enum Stage {
 /// The mission and its progress.
 #[derive(Debug, Default)]
 pub(crate) struct Mission {
-    wire: Wire,
+    pub wire: Wire,
     items: Vec<MissionItem>,
     /// How often each item has jumped.
     jumped: Vec<u16>,
@@ -288,10 +266,7 @@ impl Mission {
             .collect::<Result<Vec<_>, _>>()?;
         let astray = |item: &MissionItem| matches!(item, MissionItem::Jump { to, .. } if *to >= meanings.len());
         if meanings.iter().any(astray) {
-            return Err(PlanDefect::new(
-                MavMissionResult::MAV_MISSION_INVALID_PARAM1,
-                "no such item to jump to",
-            ));
+            return Err(PlanDefect::of_parameter(1, "no such item to jump to"));
         }
         Ok(Self {
             wire: Wire::new(items),
@@ -299,10 +274,6 @@ impl Mission {
             items: meanings,
             ..Self::default()
         })
-    }
-
-    pub fn wire(&self) -> &Wire {
-        &self.wire
     }
 
     pub fn len(&self) -> usize {

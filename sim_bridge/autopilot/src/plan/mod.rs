@@ -68,6 +68,25 @@ impl PlanDefect {
     pub const fn new(result: MavMissionResult, reason: &'static str) -> Self {
         Self { result, reason }
     }
+
+    pub const fn unsupported(reason: &'static str) -> Self {
+        Self::new(MavMissionResult::MAV_MISSION_UNSUPPORTED, reason)
+    }
+
+    /// Of the parameter of this number, 1 to 7.
+    pub const fn of_parameter(number: usize, reason: &'static str) -> Self {
+        use MavMissionResult as R;
+        let result = match number {
+            1 => R::MAV_MISSION_INVALID_PARAM1,
+            2 => R::MAV_MISSION_INVALID_PARAM2,
+            3 => R::MAV_MISSION_INVALID_PARAM3,
+            4 => R::MAV_MISSION_INVALID_PARAM4,
+            5 => R::MAV_MISSION_INVALID_PARAM5_X,
+            6 => R::MAV_MISSION_INVALID_PARAM6_Y,
+            _ => R::MAV_MISSION_INVALID_PARAM7,
+        };
+        Self::new(result, reason)
+    }
 }
 
 /// The items of a plan as they came, and the plan's id.
@@ -124,9 +143,9 @@ impl Plans {
     /// The items of a plan as they came.
     pub fn wire(&self, kind: PlanKind) -> &Wire {
         match kind {
-            PlanKind::Mission => self.mission.wire(),
-            PlanKind::Fence => self.fence.wire(),
-            PlanKind::Rally => self.rally.wire(),
+            PlanKind::Mission => &self.mission.wire,
+            PlanKind::Fence => &self.fence.wire,
+            PlanKind::Rally => &self.rally.wire,
         }
     }
 }
