@@ -98,13 +98,11 @@ pub(crate) fn position_setpoint(
     check(velocity, ["vx", "vy", "vz"], [m.vx, m.vy, m.vz], ABSURD_VELOCITY_M_S)?;
     let a = [m.afx, m.afy, m.afz];
     check(acceleration, ["afx", "afy", "afz"], a, ABSURD_ACCELERATION_M_S2)?;
-    let yaw = if !m.type_mask.contains(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) {
+    let ignores = |field| m.type_mask.contains(field);
+    let yaw = if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) {
         check_one("yaw", m.yaw, ABSURD_RATE_RAD_S)?;
         YawCommand::Angle { yaw_rad: m.yaw }
-    } else if !m
-        .type_mask
-        .contains(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE)
-    {
+    } else if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE) {
         check_one("yaw_rate", m.yaw_rate, ABSURD_RATE_RAD_S)?;
         YawCommand::Rate {
             yaw_rate_rad_s: m.yaw_rate,
@@ -204,13 +202,9 @@ pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlC
     if !(0.0..=1.0).contains(&m.thrust) {
         return Err(SetpointDefect::Value("thrust"));
     }
-    if !m
-        .type_mask
-        .contains(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE)
-    {
-        let turns = !m
-            .type_mask
-            .contains(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE);
+    let ignores = |field| m.type_mask.contains(field);
+    if !ignores(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE) {
+        let turns = !ignores(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE);
         let yaw_rate_rad_s = if turns { m.body_yaw_rate } else { 0.0 };
         check_one("body_yaw_rate", yaw_rate_rad_s, ABSURD_RATE_RAD_S)?;
         let [w, x, y, z] = m.q;

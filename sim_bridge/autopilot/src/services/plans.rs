@@ -132,25 +132,13 @@ impl Upload {
     /// only that.
     fn ask(&mut self, core: &mut Core) {
         self.retry_ns = core.now_ns + RETRY_NS;
-        let seq = self.items.len() as u16;
-        let (target_system, target_component) = (self.source.id.system, self.source.id.component);
-        let mission_type = self.kind.wire();
-        let message = if self.retries % 2 == 1 {
-            MavMessage::MISSION_REQUEST(MISSION_REQUEST_DATA {
-                seq,
-                target_system,
-                target_component,
-                mission_type,
-            })
-        } else {
-            MavMessage::MISSION_REQUEST_INT(MISSION_REQUEST_INT_DATA {
-                seq,
-                target_system,
-                target_component,
-                mission_type,
-            })
+        let id = match self.retries % 2 {
+            1 => MISSION_REQUEST_DATA::ID,
+            _ => MISSION_REQUEST_INT_DATA::ID,
         };
-        core.outbox.send(self.source.link, &message);
+        let ([low, high], to) = ((self.items.len() as u16).to_le_bytes(), self.source.id);
+        let payload = [low, high, to.system, to.component, self.kind.wire() as u8];
+        core.outbox.send_payload(self.source.link, id, &payload);
     }
 }
 
@@ -200,12 +188,8 @@ impl PlanTransfer {
                 count: envelope.seq.saturating_add(1),
             });
             if again.is_some() && again == self.finished {
-                acknowledge(
-                    core,
-                    source,
-                    envelope.mission_type,
-                    MavMissionResult::MAV_MISSION_ACCEPTED,
-                );
+                let result = MavMissionResult::MAV_MISSION_ACCEPTED;
+                acknowledge(core, source, envelope.mission_type, result);
             } else {
                 core.refusals.plan += 1;
             }
@@ -286,12 +270,8 @@ fn tell_item(seq: u16, mission_type: u8, as_int: bool, source: Source, core: &mu
         return acknowledge(core, source, mission_type, MavMissionResult::MAV_MISSION_UNSUPPORTED);
     };
     let Some(item) = core.plans.wire(kind).items.get(usize::from(seq)) else {
-        return acknowledge(
-            core,
-            source,
-            mission_type,
-            MavMissionResult::MAV_MISSION_INVALID_SEQUENCE,
-        );
+        let result = MavMissionResult::MAV_MISSION_INVALID_SEQUENCE;
+        return acknowledge(core, source, mission_type, result);
     };
     let is_current = kind == PlanKind::Mission && core.plans.mission.current() == seq;
     let envelope = Envelope {
@@ -300,10 +280,6 @@ fn tell_item(seq: u16, mission_type: u8, as_int: bool, source: Source, core: &mu
         mission_type,
     };
     let payload = item.payload(envelope, (source.id.system, source.id.component), as_int);
-    let id = if as_int {
-        MISSION_ITEM_INT_DATA::ID
-    } else {
-        MISSION_ITEM_DATA::ID
-    };
+    let id = [MISSION_ITEM_DATA::ID, MISSION_ITEM_INT_DATA::ID][usize::from(as_int)];
     core.outbox.send_payload(source.link, id, &payload);
 }
