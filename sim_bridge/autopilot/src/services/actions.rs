@@ -2,7 +2,7 @@
 //! <https://mavlink.io/en/services/command.html>, mode numbers as in PX4.
 
 use crate::core::padded;
-use crate::flight::{FlightMode, Requested};
+use crate::flight::FlightMode;
 use crate::geo;
 use crate::service::prelude::*;
 use crate::services::arming::answer;
@@ -35,7 +35,7 @@ impl Service for SetMode {
         if packet.message_id() == SET_MODE_DATA::ID {
             let [a, b, c, d, target_system, base_mode] = padded(packet.payload());
             if target_system == core.id.system && base_mode & CUSTOM_MODE != 0 {
-                let requested = Requested::from_custom_mode(u32::from_le_bytes([a, b, c, d]));
+                let requested = FlightMode::from_custom_mode(u32::from_le_bytes([a, b, c, d]));
                 // PX4 hands it on as the command, which is what it acknowledges.
                 set_mode(requested, source, core).send(DO_SET_MODE, source, core);
             }
@@ -45,10 +45,10 @@ impl Service for SetMode {
 
 pub(super) const COMMANDS: &[(u16, Handler)] = &[
     (NAV_RETURN_TO_LAUNCH, |_, source, core| {
-        answer(core.change_mode(FlightMode::Return, source), core)
+        set_mode(Some(FlightMode::Return), source, core)
     }),
     (NAV_LAND, |_, source, core| {
-        answer(core.change_mode(FlightMode::Land, source), core)
+        set_mode(Some(FlightMode::Land), source, core)
     }),
     (NAV_TAKEOFF, take_off),
     (DO_SET_MODE, do_set_mode),
@@ -60,14 +60,14 @@ fn do_set_mode(command: &Command, source: Source, core: &mut Core) -> Answer {
     let [base, main, sub] = [1, 2, 3].map(|n| command.param(n).unwrap_or(0.0) as u8);
     match base & CUSTOM_MODE {
         0 => Answer::DENIED,
-        _ => set_mode(Requested::from_px4(main, sub), source, core),
+        _ => set_mode(FlightMode::from_px4(main, sub), source, core),
     }
 }
 
-fn set_mode(requested: Requested, source: Source, core: &mut Core) -> Answer {
-    match requested {
-        Requested::Flown(mode) => answer(core.change_mode(mode, source), core),
-        Requested::Unknown => Answer::DENIED,
+pub(super) fn set_mode(mode: Option<FlightMode>, source: Source, core: &mut Core) -> Answer {
+    match mode {
+        Some(mode) => answer(core.change_mode(mode, source), core),
+        None => Answer::DENIED,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::flight::FlightMode;
 use crate::service::prelude::*;
-use crate::services::arming::answer;
+use crate::services::actions::set_mode;
 use vigil_mavlink::common::MavModeProperty as Property;
 
 const DO_SET_STANDARD_MODE: u16 = 262;
@@ -22,10 +22,7 @@ impl Service for Modes {
             standard != MavStandardMode::MAV_STANDARD_MODE_NON_STANDARD && f32::from(standard as u8) == wanted
         };
         let mut commanded = FlightMode::ALL.into_iter().filter(|mode| mode.is_commanded());
-        match commanded.find(is_wanted) {
-            Some(mode) => answer(core.change_mode(mode, source), core),
-            None => Answer::DENIED,
-        }
+        set_mode(commanded.find(is_wanted), source, core)
     }
 
     fn messages(&self) -> &'static [Produced] {
@@ -71,25 +68,6 @@ fn standard(mode: FlightMode) -> MavStandardMode {
     }
 }
 
-/// Names as PX4 tells them.
-const fn name(mode: FlightMode) -> &'static str {
-    match mode {
-        FlightMode::Hold => "Hold",
-        FlightMode::Takeoff => "Takeoff",
-        FlightMode::Land => "Land",
-        FlightMode::Return => "Return",
-        FlightMode::Mission => "Mission",
-        FlightMode::Orbit => "Orbit",
-        FlightMode::Follow => "Follow Target",
-        FlightMode::Position => "Position",
-        FlightMode::Altitude => "Altitude",
-        FlightMode::Stabilized => "Stabilized",
-        FlightMode::Manual => "Manual",
-        FlightMode::Acro => "Acro",
-        FlightMode::Offboard => "Offboard",
-    }
-}
-
 fn available(index: usize) -> Option<MavMessage> {
     let mode = *FlightMode::ALL.get(index.checked_sub(1)?)?;
     let is_advanced = matches!(mode, FlightMode::Acro | FlightMode::Manual | FlightMode::Offboard);
@@ -104,7 +82,7 @@ fn available(index: usize) -> Option<MavMessage> {
         number_modes: FlightMode::ALL.len() as u8,
         mode_index: index as u8,
         standard_mode: standard(mode),
-        mode_name: name(mode).into(),
+        mode_name: mode.px4_name().into(),
     }))
 }
 

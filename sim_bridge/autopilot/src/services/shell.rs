@@ -129,15 +129,10 @@ fn execute(line: &str, client: Source, core: &mut Core) -> String {
             outcome(taken_off)
         }
         ["commander", "land"] => outcome(core.change_mode(FlightMode::Land, client)),
-        ["commander", "mode", name] => {
-            let wanted = FlightMode::ALL
-                .into_iter()
-                .find(|mode| mode.name() == *name && mode.is_commanded());
-            match wanted {
-                Some(mode) => outcome(core.change_mode(mode, client)),
-                None => format!("no mode {name} that can be commanded; see help\n"),
-            }
-        }
+        ["commander", "mode", name] => match FlightMode::from_name(name).filter(|mode| mode.is_commanded()) {
+            Some(mode) => outcome(core.change_mode(mode, client)),
+            None => format!("no mode {name} that can be commanded; see help\n"),
+        },
         ["param", "show"] => show("*", core),
         ["param", "show", pattern] => show(pattern, core),
         ["param", "set", name, value] => set(name, value, core),
