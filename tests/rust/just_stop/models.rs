@@ -162,10 +162,7 @@ fn missions_on_a_model() {
     let variable = |name: &str| std::env::var(name).ok();
     let number = |name: &str, otherwise| variable(name).map_or(otherwise, |text| text.parse().expect("a number"));
     let name = variable("MODEL").unwrap_or_else(|| "px4-sih".to_owned());
-    let model = VehicleModel::ALL
-        .into_iter()
-        .find(|m| m.name() == name)
-        .expect("a model's name");
+    let model = VehicleModel::from_name(&name).expect("a model's name");
     let vehicle = match variable("NOISY").is_some() {
         true => model.params().with_noisy_estimate(),
         false => model.params(),

@@ -14,17 +14,17 @@ pub(crate) use rally::Rally;
 use crate::HomePosition;
 use vigil_mavlink::common::{MavMissionResult, MavMissionType};
 
+vigil_types::named! {
 /// The kinds of plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum PlanKind {
-    Mission,
-    Fence,
-    Rally,
+    Mission => "mission",
+    Fence => "geofence",
+    Rally => "rally points",
+}
 }
 
 impl PlanKind {
-    pub const ALL: [Self; 3] = [Self::Mission, Self::Fence, Self::Rally];
-
     /// Reads a MAV_MISSION_TYPE.
     pub fn from_number(number: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.wire() as u8 == number)
@@ -44,14 +44,6 @@ impl PlanKind {
             Self::Mission => 1000,
             Self::Fence => 200,
             Self::Rally => 32,
-        }
-    }
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Mission => "mission",
-            Self::Fence => "geofence",
-            Self::Rally => "rally points",
         }
     }
 }
