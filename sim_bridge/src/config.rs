@@ -130,10 +130,8 @@ pub struct VehicleChoice {
 
 /// Parses the name of a vehicle model; help and errors list all of them.
 fn model_parser() -> impl TypedValueParser<Value = VehicleModel> {
-    PossibleValuesParser::new(VehicleModel::ALL.map(VehicleModel::name)).try_map(|name| {
-        let model = VehicleModel::ALL.into_iter().find(|model| model.name() == name);
-        model.ok_or_else(|| format!("no vehicle model {name}"))
-    })
+    PossibleValuesParser::new(VehicleModel::ALL.map(VehicleModel::name))
+        .try_map(|name| VehicleModel::from_name(&name).ok_or("no vehicle model"))
 }
 
 impl VehicleChoice {

@@ -36,6 +36,8 @@ pub mod statistics;
 mod testing;
 mod udp;
 pub mod vehicle_links;
+#[cfg(test)]
+mod vehicle_models;
 pub mod world;
 
 pub use companion_view::CompanionView;

@@ -53,12 +53,8 @@ fn fly(course: &Course, points: &[[f32; 3]], speed_m_s: f32, period_ms: u64) -> 
 
 #[test]
 fn a_straight_flight_over_an_open_field_succeeds_at_the_goals_rim() {
-    let (outcome, at, referee) = fly(
-        &course(""),
-        &[[0.0, 0.0, 0.0], [0.0, 0.0, -1.5], [20.0, 0.0, -1.5]],
-        1.5,
-        4,
-    );
+    let way = [[0.0, 0.0, 0.0], [0.0, 0.0, -1.5], [20.0, 0.0, -1.5]];
+    let (outcome, at, referee) = fly(&course(""), &way, 1.5, 4);
     assert_eq!(outcome, Some(Outcome::Success));
     assert!((at.x - 19.0).abs() < 0.02, "{at:?}");
     assert_eq!(referee.checkpoints_passed(), 2);
@@ -77,12 +73,8 @@ fn a_wall_in_the_way_is_hit_when_the_rim_touches_it() {
 #[test]
 fn a_thin_wall_is_not_tunnelled_however_rarely_the_truth_is_shown() {
     for period_ms in [1, 20, 100, 1000] {
-        let (outcome, ..) = fly(
-            &with_wall(0.02),
-            &[[0.0, 0.0, -1.5], [20.0, 0.0, -1.5]],
-            15.0,
-            period_ms,
-        );
+        let way = [[0.0, 0.0, -1.5], [20.0, 0.0, -1.5]];
+        let (outcome, ..) = fly(&with_wall(0.02), &way, 15.0, period_ms);
         assert_eq!(outcome, Some(Outcome::Collision), "every {period_ms} ms");
     }
 }
@@ -126,9 +118,8 @@ fn a_vehicle_that_hovers_is_hit_by_a_mover_when_their_rims_meet() {
         let at = NedVector::new(10.0, 0.0, -1.5);
         let hit_ms = (0..20_000).step_by(period_ms).find(|now_ms| {
             world.set_time_ns(now_ms * MS);
-            referee
-                .observe(&world, now_ms * MS, at, LEVEL, NedVector::ZERO)
-                .is_some()
+            let outcome = referee.observe(&world, now_ms * MS, at, LEVEL, NedVector::ZERO);
+            outcome.is_some()
         });
         assert_eq!(referee.outcome(), Some(Outcome::Collision), "every {period_ms} ms");
         let hit_ms = hit_ms.expect("hit");
@@ -163,11 +154,8 @@ fn the_same_flight_passes_before_the_mover_or_hits_it_as_its_phase_says() {
             // Truths are tested every 0.1 m of both ways together, so a touch that is less deep may be missed.
             let expected = (least_m < 0.0).then_some(Outcome::Collision);
             if least_m.abs() > 0.02 {
-                assert_eq!(
-                    referee.outcome(),
-                    expected,
-                    "phase {k}/32, every {period_ms} ms: {least_m}"
-                );
+                let told = referee.outcome();
+                assert_eq!(told, expected, "phase {k}/32, every {period_ms} ms: {least_m}");
             }
         }
         *(if least_m < 0.0 { &mut hits } else { &mut passes }) += 1;
@@ -183,10 +171,8 @@ fn a_tilted_vehicle_reaches_higher_than_a_level_one() {
     let mut referee = Referee::new(&low);
     assert_eq!(referee.observe(&world, 0, at, LEVEL, NedVector::ZERO), None);
     let tilted = Attitude::from_euler_rad(0.4, 0.0, 0.0);
-    assert_eq!(
-        referee.observe(&world, MS, at, tilted, NedVector::ZERO),
-        Some(Outcome::Collision)
-    );
+    let outcome = referee.observe(&world, MS, at, tilted, NedVector::ZERO);
+    assert_eq!(outcome, Some(Outcome::Collision));
 }
 
 #[test]
@@ -199,23 +185,17 @@ fn a_soft_landing_is_no_collision_and_a_fall_is() {
     let on_its_side = Attitude::from_euler_rad(1.5, 0.0, 0.0);
     let mut referee = Referee::new(&c);
     let at = NedVector::new(3.0, 0.0, -0.2);
-    assert_eq!(
-        referee.observe(&world, 0, at, on_its_side, NedVector::ZERO),
-        Some(Outcome::Collision)
-    );
+    let outcome = referee.observe(&world, 0, at, on_its_side, NedVector::ZERO);
+    assert_eq!(outcome, Some(Outcome::Collision));
 }
 
 #[test]
 fn leaving_sideways_or_upwards_is_out_of_bounds_and_so_is_no_position() {
     let c = course("");
-    assert_eq!(
-        fly(&c, &[[3.0, 0.0, -1.5], [3.0, 12.0, -1.5]], 2.0, 4).0,
-        Some(Outcome::OutOfBounds)
-    );
-    assert_eq!(
-        fly(&c, &[[3.0, 0.0, -1.5], [3.0, 0.0, -8.0]], 2.0, 4).0,
-        Some(Outcome::OutOfBounds)
-    );
+    for beyond in [[3.0, 12.0, -1.5], [3.0, 0.0, -8.0]] {
+        let (outcome, ..) = fly(&c, &[[3.0, 0.0, -1.5], beyond], 2.0, 4);
+        assert_eq!(outcome, Some(Outcome::OutOfBounds));
+    }
     let nowhere = NedVector::new(f32::NAN, 0.0, -1.5);
     let outcome = Referee::new(&c).observe(&World::new(&c), 0, nowhere, LEVEL, NedVector::ZERO);
     assert_eq!(outcome, Some(Outcome::OutOfBounds));
@@ -228,18 +208,10 @@ fn hovering_past_the_time_limit_is_a_time_out_counted_from_the_first_truth() {
     let mut referee = Referee::new(&c);
     let at = NedVector::new(3.0, 0.0, -1.5);
     let start = 1_000_000 * MS;
-    assert_eq!(referee.observe(&world, start, at, LEVEL, NedVector::ZERO), None);
-    assert_eq!(
-        referee.observe(&world, start + 29_999 * MS, at, LEVEL, NedVector::ZERO),
-        None
-    );
-    let end = referee.observe(&world, start + 30_000 * MS, at, LEVEL, NedVector::ZERO);
-    assert_eq!(end, Some(Outcome::TimeOut));
+    let mut observe = |ms: u64, at| referee.observe(&world, start + ms * MS, at, LEVEL, NedVector::ZERO);
+    assert_eq!((observe(0, at), observe(29_999, at)), (None, None));
+    assert_eq!(observe(30_000, at), Some(Outcome::TimeOut));
     // What comes after the end changes nothing.
-    let goal = c.goal_ned_m();
-    assert_eq!(
-        referee.observe(&world, start + 30_001 * MS, goal, LEVEL, NedVector::ZERO),
-        Some(Outcome::TimeOut)
-    );
+    assert_eq!(observe(30_001, c.goal_ned_m()), Some(Outcome::TimeOut));
     assert!((referee.duration_s().expect("ended") - 30.0).abs() < 1e-6);
 }

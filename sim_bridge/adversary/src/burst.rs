@@ -62,16 +62,12 @@ pub struct BurstPlan(Plan);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Plan {
-    Never,
     Once { first: u64, steps: u64 },
     Repeated { seed: u64, steps: u64, period: u64 },
     Continuous,
 }
 
 impl BurstPlan {
-    /// No attack at all: what a paired flight without one flies.
-    pub const NEVER: Self = Self(Plan::Never);
-
     /// One burst that begins at a step drawn evenly from [`SINGLE_BURST_FIRST`] to [`SINGLE_BURST_LAST`], or all steps.
     pub fn new(burst: Burst, seed: u64) -> Self {
         Self(match burst {
@@ -97,7 +93,6 @@ impl BurstPlan {
     /// Whether step number `step` is attacked.
     pub fn attacks(&self, step: u64) -> bool {
         match self.0 {
-            Plan::Never => false,
             Plan::Continuous => true,
             Plan::Once { first, steps } => (first..first.saturating_add(steps)).contains(&step),
             Plan::Repeated { seed, steps, period } => {

@@ -45,12 +45,9 @@ fn frame(seed: u64) -> Vec<f32> {
 /// Something that is remembered and observed.
 fn beside(seed: u64) -> Beside {
     let mut rng = rng(seed);
-    let context = uniform(&mut rng, CONTEXT, 0.5)
-        .iter()
-        .map(|x| x + 0.5)
-        .collect::<Vec<_>>();
+    let context = uniform(&mut rng, CONTEXT, 0.5);
     Beside {
-        context: context.try_into().unwrap(),
+        context: std::array::from_fn(|i| context[i] + 0.5),
         low_dim: PositionalInputs::from_values(&uniform(&mut rng, LOW_DIM, 0.9)).unwrap(),
     }
 }
@@ -60,13 +57,12 @@ fn hovering(actor: &FrozenActor, depth: &[f32], goal: GoalRelative) -> Beside {
     let mut flying = actor.actor(Isa::detect()).unwrap();
     for step in 0..=SCAN_AGES[0] as u64 {
         let seen = taken(depth, step, 0.0);
-        flying
-            .decide(&PilotInput {
-                goal,
-                velocity_m_s: HeadingVector::ZERO,
-                ..input(&seen)
-            })
-            .unwrap();
+        let input = PilotInput {
+            goal,
+            velocity_m_s: HeadingVector::ZERO,
+            ..input(&seen)
+        };
+        flying.decide(&input).unwrap();
         flying.note_action(vigil_types::Action::HOVER);
     }
     Beside::of(&flying)
@@ -95,6 +91,13 @@ fn input(frame: &DepthFrame) -> PilotInput<'_> {
         velocity_m_s: HeadingVector::new(1.0, 0.0, 0.0),
         height_m: 1.5,
     }
+}
+
+/// The paper's attack but for this.
+fn paper(change: impl FnOnce(&mut AttackConfig)) -> AttackConfig {
+    let mut config = AttackConfig::PAPER;
+    change(&mut config);
+    config
 }
 
 fn config(method: Method) -> AttackConfig {
@@ -132,12 +135,8 @@ fn yaw_before_saturation(params: &[f64], frame: &[f64], beside: &Beside) -> f64 
     let of = |inputs, outputs| Dense { inputs, outputs };
     let state = dense(of(128, ACTOR_HIDDEN), Activation::Identity, at(layout.state), &x);
     let mut x = activation(Activation::TANH, &state);
-    x.extend(dense(
-        of(8, 24),
-        Activation::TANH,
-        at(layout.low),
-        &wide(&beside.low_dim),
-    ));
+    let low_dim = wide(&beside.low_dim);
+    x.extend(dense(of(8, 24), Activation::TANH, at(layout.low), &low_dim));
     x = dense(of(72, 64), Activation::Elu, at(layout.head[0]), &x);
     x = dense(of(64, 32), Activation::Elu, at(layout.head[1]), &x);
     dense(of(32, 2), Activation::Identity, at(layout.output), &x)[1]
@@ -163,11 +162,8 @@ fn the_gradient_is_the_float64_slope_of_the_yaw_before_its_saturation() {
             let (x, h) = (wide_frame[i], 1e-6);
             let slope = (yaw_at(x + h) - yaw_at(x - h)) / (2.0 * h);
             let error = (f64::from(gradient[i]) - slope).abs();
-            assert!(
-                error < 1e-4 * f64::from(largest),
-                "pixel {i}: {} not {slope}",
-                gradient[i]
-            );
+            let is_near = error < 1e-4 * f64::from(largest);
+            assert!(is_near, "pixel {i}: {} not {slope}", gradient[i]);
         }
     }
 }
@@ -190,11 +186,8 @@ fn what_is_reported_is_what_the_actor_does_and_the_yaw_goes_where_it_was_aimed()
             };
             let mut attack = StateAttack::new(Isa::detect(), &actor, &told).unwrap();
             let (mut altered, mut shown) = (clean.clone(), Vec::new());
-            let outcome = attack
-                .attack_each(&mut altered, &beside, |i, outcome, _| {
-                    shown.push((i, outcome));
-                })
-                .unwrap();
+            let show = |i, outcome, _: &[f32]| shown.push((i, outcome));
+            let outcome = attack.attack_each(&mut altered, &beside, show).unwrap();
             assert_eq!(outcome.clean.to_vec(), decide(&clean), "{}", method.name());
             assert_eq!(outcome.attacked.to_vec(), decide(&altered), "{}", method.name());
             let last = if method == Method::Fgsm { 1 } else { 7 };
@@ -213,19 +206,12 @@ fn away_is_away_from_the_clean_decision_even_when_that_is_saturated() {
         let mut actor = random_actor(3);
         // The last of the output layer's values is the yaw's bias.
         actor.params[layout.output.at + layout.output.len - 1] = bias;
-        let told = AttackConfig {
-            method: Method::BimClipped,
-            epsilon_255: 10.0,
-            ..AttackConfig::PAPER
-        };
+        let told = paper(|c| (c.method, c.epsilon_255) = (Method::BimClipped, 10.0));
         let mut attack = StateAttack::new(Isa::detect(), &actor, &told).unwrap();
         let outcome = attack.attack(&mut frame(4), &beside(5)).unwrap();
         // Through the saturated tanh there would be no gradient to follow.
-        assert!(
-            (outcome.clean[1] - ACTOR_LIMIT.copysign(bias)).abs() < 1e-2,
-            "{outcome:?}"
-        );
-        assert!(outcome.yaw_change() * bias < 0.0, "{outcome:?}");
+        let is_saturated = (outcome.clean[1] - ACTOR_LIMIT.copysign(bias)).abs() < 1e-2;
+        assert!(is_saturated && outcome.yaw_change() * bias < 0.0, "{outcome:?}");
     }
 }
 
@@ -236,22 +222,19 @@ fn no_method_leaves_its_bounds() {
         let told = config(method);
         let mut attack = StateAttack::new(Isa::detect(), &actor, &told).unwrap();
         let mut altered = taken.clone();
-        attack
-            .attack_each(&mut altered, &beside(3), |iteration, _, now| {
-                let so_far = match method {
-                    Method::BimAccumulating => iteration as f32 * told.epsilon(),
-                    _ => told.reach(taken.len()),
-                };
-                for (x, clean) in now.iter().zip(&taken) {
-                    assert!((0.0..=1.0).contains(x));
-                    assert!((x - clean).abs() <= so_far + 1e-6, "{}", method.name());
-                }
-            })
-            .unwrap();
-        let moved = altered
-            .iter()
-            .zip(&taken)
-            .map(|(x, clean)| f64::from((x - clean).powi(2)));
+        let check = |iteration: u32, _, now: &[f32]| {
+            let so_far = match method {
+                Method::BimAccumulating => iteration as f32 * told.epsilon(),
+                _ => told.reach(taken.len()),
+            };
+            for (x, clean) in now.iter().zip(&taken) {
+                assert!((0.0..=1.0).contains(x));
+                assert!((x - clean).abs() <= so_far + 1e-6, "{}", method.name());
+            }
+        };
+        attack.attack_each(&mut altered, &beside(3), check).unwrap();
+        let both = altered.iter().zip(&taken);
+        let moved = both.map(|(x, clean)| f64::from((x - clean).powi(2)));
         let rms = (moved.sum::<f64>() / taken.len() as f64).sqrt();
         let epsilon = f64::from(told.epsilon());
         match method {
@@ -274,9 +257,8 @@ fn the_same_seed_gives_the_same_bits_and_an_accumulating_run_holds_all_shorter_o
     let run = |told: &AttackConfig| {
         let mut attack = StateAttack::new(Isa::detect(), &actor, told).unwrap();
         let (mut altered, mut each) = (taken.clone(), Vec::new());
-        attack
-            .attack_each(&mut altered, &beside(3), |_, _, now| each.push(now.to_vec()))
-            .unwrap();
+        let keep = |_, _, now: &[f32]| each.push(now.to_vec());
+        attack.attack_each(&mut altered, &beside(3), keep).unwrap();
         (altered, each)
     };
     for method in Method::ALL {
@@ -311,11 +293,8 @@ fn a_replay_shows_what_passed_first_and_a_blinded_sensor_sees_nothing() {
         assert!(altered == first, "frame {i}");
         assert_eq!(given == altered, i < REPLAYED_FRAMES as usize);
     }
-    assert!(
-        streamed(Method::Blind)
-            .iter()
-            .all(|(_, altered)| altered.iter().all(|x| *x == 1.0))
-    );
+    let blinded = streamed(Method::Blind);
+    assert!(blinded.iter().flat_map(|(_, altered)| altered).all(|x| *x == 1.0));
 }
 
 /// A pillar 2 m to 3 m ahead between two walls, as the LiDAR would see it.
@@ -325,17 +304,14 @@ fn scene(pillar_at_rad: f32, pillar_m: f32) -> Vec<f32> {
         for col in 0..DEPTH_COLS {
             let (bearing, elevation) = (column_bearing_rad(col as f32), row_elevation_rad(row as f32));
             let wall_m = 4.0 / bearing.sin().abs().max(0.05);
-            let floor_m = if elevation < 0.0 {
-                1.5 / -elevation.sin()
-            } else {
-                f32::MAX
-            };
-            let pillar_m = if (bearing - pillar_at_rad).abs() < 0.12 {
-                pillar_m
-            } else {
-                f32::MAX
-            };
-            frame.push((wall_m.min(floor_m).min(pillar_m) / 100.0).min(1.0));
+            let mut nearest_m = wall_m;
+            if elevation < 0.0 {
+                nearest_m = nearest_m.min(1.5 / -elevation.sin());
+            }
+            if (bearing - pillar_at_rad).abs() < 0.12 {
+                nearest_m = nearest_m.min(pillar_m);
+            }
+            frame.push((nearest_m / 100.0).min(1.0));
         }
     }
     frame
@@ -350,11 +326,7 @@ const GOAL: GoalRelative = GoalRelative {
 fn the_attack_bends_the_built_in_actor_far_and_noise_of_its_size_does_not() {
     let actor = FrozenActor::built_in().unwrap();
     let yaw_changes = |method, iterations| {
-        let told = AttackConfig {
-            method,
-            iterations,
-            ..AttackConfig::PAPER
-        };
+        let told = paper(|c| (c.method, c.iterations) = (method, iterations));
         let mut attack = StateAttack::new(Isa::detect(), &actor, &told).unwrap();
         let mut changes = Vec::new();
         for (i, at) in [-0.4, -0.1, 0.2, 0.5].into_iter().enumerate() {
@@ -374,10 +346,7 @@ fn the_attack_bends_the_built_in_actor_far_and_noise_of_its_size_does_not() {
 fn pixels_of_a_region_move_together_and_the_actor_is_bent_all_the_same() {
     const SIDE: usize = 8;
     let actor = FrozenActor::built_in().unwrap();
-    let told = AttackConfig {
-        region_pixels: SIDE as u32,
-        ..AttackConfig::PAPER
-    };
+    let told = paper(|c| c.region_pixels = SIDE as u32);
     let clean = scene(0.2, 4.0);
     let beside = hovering(&actor, &clean, GOAL);
     let alter = |config: &AttackConfig| {
@@ -403,14 +372,8 @@ fn pixels_of_a_region_move_together_and_the_actor_is_bent_all_the_same() {
     }
     assert_eq!(apart, 0);
     assert!(moves > frame.len() / 2, "{moves} pixels moved");
-    let none = AttackConfig {
-        region_pixels: 0,
-        ..told
-    };
-    assert!(matches!(
-        StateAttack::new(Isa::detect(), &actor, &none),
-        Err(AttackError::Region)
-    ));
+    let refused = StateAttack::new(Isa::detect(), &actor, &paper(|c| c.region_pixels = 0));
+    assert!(matches!(refused, Err(AttackError::Region)));
 }
 
 #[test]
@@ -438,11 +401,8 @@ fn the_streaming_attacker_knows_to_the_bit_what_the_actor_decides() {
                 undisturbed.note_action(vigil_types::Action { forward_m_s, yaw });
                 assert_eq!(delivered.depth != given.depth, attacks);
                 if let Some(outcome) = outcome {
-                    assert_eq!(
-                        (outcome.clean, outcome.attacked),
-                        (clean, decided),
-                        "flight {flight}, step {step}"
-                    );
+                    let told = (outcome.clean, outcome.attacked);
+                    assert_eq!(told, (clean, decided), "flight {flight}, step {step}");
                 }
                 // What was altered is remembered as an older scan.
                 let held = SCAN_AGES
@@ -483,8 +443,9 @@ fn a_burst_keeps_its_direction_though_the_clean_decision_changes_sides() {
     let (first, last) = (outcomes.first().unwrap(), outcomes.last().unwrap());
     assert!(first.clean[1] * last.clean[1] < 0.0, "{first:?} {last:?}");
     let direction = first.attacked[1] - first.clean[1];
+    let bent = last.attacked[1] - last.clean[1];
     assert!(
-        (last.attacked[1] - last.clean[1]) * direction >= 0.0 && last.attacked[1] * direction > 0.0,
+        bent * direction >= 0.0 && last.attacked[1] * direction > 0.0,
         "{last:?}"
     );
 }
@@ -493,21 +454,11 @@ fn a_burst_keeps_its_direction_though_the_clean_decision_changes_sides() {
 fn bad_configurations_and_frames_are_refused_by_name() {
     let actor = random_actor(1);
     for epsilon_255 in [0.0, -1.0, f32::NAN, f32::INFINITY, 256.0] {
-        let told = AttackConfig {
-            epsilon_255,
-            ..AttackConfig::PAPER
-        };
-        let refused = StateAttack::new(Isa::PORTABLE, &actor, &told);
+        let refused = StateAttack::new(Isa::PORTABLE, &actor, &paper(|c| c.epsilon_255 = epsilon_255));
         assert!(matches!(refused, Err(AttackError::Epsilon { .. })));
     }
-    let none = AttackConfig {
-        iterations: 0,
-        ..AttackConfig::PAPER
-    };
-    assert!(matches!(
-        StreamAttack::new(Isa::PORTABLE, &actor, &none),
-        Err(AttackError::Iterations)
-    ));
+    let refused = StreamAttack::new(Isa::PORTABLE, &actor, &paper(|c| c.iterations = 0));
+    assert!(matches!(refused, Err(AttackError::Iterations)));
     let mut attack = StateAttack::new(Isa::PORTABLE, &actor, &AttackConfig::PAPER).unwrap();
     let error = attack.attack(&mut [0.5; 7], &beside(3)).unwrap_err();
     assert_eq!(error.to_string(), "frame holds 7 values, expected 32768");
@@ -572,10 +523,7 @@ fn score_after(attack: &mut StreamAttack, attacked: bool, detector: &FrozenDetec
 
 #[test]
 fn an_attacker_who_knows_the_detector_lowers_its_score_and_still_bends_the_yaw() {
-    let told = AttackConfig {
-        epsilon_255: 0.5,
-        ..AttackConfig::PAPER
-    };
+    let told = paper(|c| c.epsilon_255 = 0.5);
     let plain = || StreamAttack::new(Isa::detect(), &random_actor(3), &told).unwrap();
     let mut detector = random_detector();
     let [peace, raised] = [false, true].map(|attacked| score_after(&mut plain(), attacked, &detector).0);

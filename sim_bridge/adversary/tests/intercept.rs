@@ -10,6 +10,14 @@ use vigil_types::{
     Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics, NedVector, STEP_NS,
 };
 
+fn attack(actor: &FrozenActor, iterations: u32) -> StreamAttack {
+    let told = AttackConfig {
+        iterations,
+        ..AttackConfig::PAPER
+    };
+    StreamAttack::new(Isa::detect(), actor, &told).unwrap()
+}
+
 fn attacked(plan: BurstPlan, steps: u64) -> Vec<u64> {
     (0..steps).filter(|step| plan.attacks(*step)).collect()
 }
@@ -42,7 +50,6 @@ fn repeated_bursts_come_once_a_period_with_steps_of_peace_between() {
     }
     assert_ne!(attacked(BurstPlan::repeated(10, 60, 8), 6000), steps);
     assert_eq!(attacked(BurstPlan::new(Burst::Continuous, 1), 30).len(), 30);
-    assert_eq!(attacked(BurstPlan::NEVER, 30).len(), 0);
 }
 
 #[test]
@@ -56,23 +63,16 @@ fn burst_lengths_are_read_from_the_command_line() {
 
 #[test]
 fn an_altered_frame_passes_every_check_of_the_receiver_and_only_its_pixels_differ() {
-    let actor = FrozenActor::built_in().unwrap();
-    let told = AttackConfig {
-        iterations: 2,
-        ..AttackConfig::PAPER
-    };
-    let attack = StreamAttack::new(Isa::detect(), &actor, &told).unwrap();
+    let attack = attack(&FrozenActor::built_in().unwrap(), 2);
     let goal = NedVector::new(20.0, 5.0, -1.5);
     let mut interceptor = Interceptor::new(attack, BurstPlan::new(Burst::Steps(5), 3), goal);
     for step in 0..SINGLE_BURST_LAST + 10 {
         let mut frame = DepthFrame::EMPTY;
         frame.header.sensor_id = 1;
         frame.header.sequence = step;
-        frame
-            .depth
-            .iter_mut()
-            .enumerate()
-            .for_each(|(i, x)| *x = (i % 250) as f32 / 1000.0);
+        for (i, x) in frame.depth.iter_mut().enumerate() {
+            *x = (i % 250) as f32 / 1000.0;
+        }
         frame.seal();
         let given = frame.clone();
         let passed = interceptor.pass(step, &mut frame).unwrap();
@@ -106,20 +106,14 @@ fn the_goal_is_seen_as_the_pilot_sees_it() {
         attitude: frame.header.attitude,
         rates_frd_rad_s: FrdVector::ZERO,
     };
-    assert_eq!(
-        goal_seen_from(&frame.header, goal.position_ned_m),
-        goal.relative_to(&kinematics, &attitude)
-    );
+    let seen = goal_seen_from(&frame.header, goal.position_ned_m);
+    assert_eq!(seen, goal.relative_to(&kinematics, &attitude));
 }
 
 #[test]
 fn the_adversary_knows_what_the_actor_remembers_and_how_it_moves() {
     let actor = FrozenActor::built_in().unwrap();
-    let told = AttackConfig {
-        iterations: 3,
-        ..AttackConfig::PAPER
-    };
-    let attack = StreamAttack::new(Isa::detect(), &actor, &told).unwrap();
+    let attack = attack(&actor, 3);
     let goal = NedVector::new(9.0, -1.0, -1.5);
     let plan = BurstPlan::repeated(10, 20, 3);
     let mut interceptor = Interceptor::new(attack, plan, goal);

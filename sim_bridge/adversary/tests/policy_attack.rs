@@ -27,11 +27,8 @@ fn weight(i: usize) -> f32 {
 
 /// The yaw is a weighted sum of the frame's values.
 fn linear(inputs: PolicyInputs, curve: Activation) -> FrozenPilot {
-    let len = inputs.rows * inputs.cols * inputs.channels;
-    let layer = Dense {
-        inputs: len,
-        outputs: 2,
-    };
+    let (len, outputs) = (inputs.rows * inputs.cols * inputs.channels, 2);
+    let layer = Dense { inputs: len, outputs };
     let mut params = vec![0.0; 2 * len + 2];
     for i in 0..len {
         params[2 * i + 1] = weight(i);
@@ -172,21 +169,15 @@ fn what_the_attack_says_of_a_decision_is_what_the_pilot_decides_on_what_was_deli
 
 #[test]
 fn a_policy_at_its_limit_is_led_away_from_it_though_its_own_slope_is_zero() {
-    let frozen = linear(
-        PolicyInputs {
-            output_scale: 1000.0,
-            ..INPUTS
-        },
-        Activation::Tanh { scale: 1.5 },
-    );
-    let mut undisturbed = pilot(&frozen);
-    let taken = frame(0.4);
-    let clean = yaw(&mut undisturbed, &taken);
-    assert_eq!(clean.abs(), ACTOR_LIMIT);
-    let towards = match clean > 0.0 {
-        true => Towards::Left,
-        false => Towards::Right,
+    let steep = PolicyInputs {
+        output_scale: 1000.0,
+        ..INPUTS
     };
+    let frozen = linear(steep, Activation::Tanh { scale: 1.5 });
+    let taken = frame(0.4);
+    let clean = yaw(&mut pilot(&frozen), &taken);
+    assert_eq!(clean.abs(), ACTOR_LIMIT);
+    let towards = if clean > 0.0 { Towards::Left } else { Towards::Right };
     let strong = AttackConfig {
         towards,
         iterations: 255,

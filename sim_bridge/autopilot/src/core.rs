@@ -113,6 +113,14 @@ pub(crate) fn nanos(seconds: f64) -> Option<Nanos> {
         .then(|| libm::round(seconds * 1e9) as Nanos)
 }
 
+/// Bytes with zeros behind them: a payload whose zeros were cut off, or the last piece of a file.
+pub(crate) fn padded<const N: usize>(bytes: &[u8]) -> [u8; N] {
+    let mut padded = [0; N];
+    let len = bytes.len().min(N);
+    padded[..len].copy_from_slice(&bytes[..len]);
+    padded
+}
+
 /// Bytes of a STATUSTEXT.
 const TEXT_CHUNK: usize = 50;
 
@@ -285,9 +293,9 @@ impl Core {
     }
 
     /// Asks for a message to be sent on all links at once, besides its stream: it changed.
-    pub fn announce(&mut self, message_id: u32) {
-        if !self.wanted.contains(&(None, message_id)) {
-            self.wanted.push((None, message_id));
+    pub fn announce<M: MessageData>(&mut self) {
+        if !self.wanted.contains(&(None, M::ID)) {
+            self.wanted.push((None, M::ID));
         }
     }
 

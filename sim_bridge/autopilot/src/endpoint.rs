@@ -148,7 +148,7 @@ impl Endpoint {
         let core = &mut self.core;
         let number = command.number;
         let mut answer = services::message_interval(command, source, core, &mut self.streams, &self.services);
-        if let Some(server) = self.services.iter_mut().find(|s| s.commands().contains(&number)) {
+        if let Some(server) = self.services.iter_mut().find(|s| s.serves(number)) {
             answer = Some(match used_parameters::misused_in_command(command) {
                 Some(parameter) => {
                     core.warn(&format!(

@@ -40,14 +40,9 @@ pub(crate) enum FileError {
 }
 
 #[derive(Debug, Clone)]
-enum Content {
-    Directory,
-    File(Vec<u8>),
-}
-
-#[derive(Debug, Clone)]
 struct Entry {
-    content: Content,
+    /// A file's bytes; `None` for a directory.
+    content: Option<Vec<u8>>,
     /// Unix time.
     modified_s: u64,
     /// The vehicle's own: clients may only read it.
@@ -107,15 +102,15 @@ impl FileSystem {
         };
         for (end, _) in path.match_indices('/') {
             let directory = path.get(..end).unwrap_or_default().to_owned();
-            self.entries.entry(directory).or_insert(own(Content::Directory));
+            self.entries.entry(directory).or_insert(own(None));
         }
-        self.entries.insert(path.to_owned(), own(Content::File(content)));
+        self.entries.insert(path.to_owned(), own(Some(content)));
     }
 
     /// Appends to a file of the vehicle's own; nothing if it is not there.
     pub fn append_own(&mut self, path: &str, bytes: &[u8], now_s: u64) {
         if let Some(entry) = self.entries.get_mut(path).filter(|e| e.own)
-            && let Content::File(content) = &mut entry.content
+            && let Some(content) = &mut entry.content
         {
             content.extend_from_slice(bytes);
             entry.modified_s = now_s;
@@ -135,35 +130,27 @@ impl FileSystem {
 
     /// A file's bytes.
     pub fn read(&self, path: &str) -> Result<&[u8], FileError> {
-        match &self.entry(&normalised(path)?)?.content {
-            Content::File(content) => Ok(content),
-            Content::Directory => Err(FileError::IsADirectory),
-        }
+        let entry = self.entry(&normalised(path)?)?;
+        entry.content.as_deref().ok_or(FileError::IsADirectory)
     }
 
     /// What a directory holds, sorted by name.
-    pub fn list(&self, path: &str) -> Result<impl Iterator<Item = Listed<'_>>, FileError> {
+    pub fn list(&self, path: &str) -> Result<Vec<Listed<'_>>, FileError> {
         let path = normalised(path)?;
-        if !path.is_empty() && matches!(self.entry(&path)?.content, Content::File(_)) {
+        if !path.is_empty() && self.entry(&path)?.content.is_some() {
             return Err(FileError::NotADirectory);
         }
         let prefix = if path.is_empty() { path } else { path + "/" };
-        let from = prefix.clone();
-        Ok(self
+        let behind = self
             .entries
-            .range::<str, _>((Bound::Included(from.as_str()), Bound::Unbounded))
-            .map_while(move |(key, entry)| Some((key.strip_prefix(prefix.as_str())?, entry)))
-            .filter(|(name, _)| !name.contains('/'))
-            .map(|(name, entry)| Listed {
-                name,
-                size: match &entry.content {
-                    Content::Directory => None,
-                    Content::File(content) => Some(content.len()),
-                },
-                modified_s: entry.modified_s,
-            })
-            .collect::<Vec<_>>()
-            .into_iter())
+            .range::<str, _>((Bound::Included(prefix.as_str()), Bound::Unbounded));
+        let below = behind.map_while(|(key, entry)| Some((key.strip_prefix(prefix.as_str())?, entry)));
+        let listed = |(name, entry): (_, &Entry)| Listed {
+            name,
+            size: entry.content.as_ref().map(Vec::len),
+            modified_s: entry.modified_s,
+        };
+        Ok(below.filter(|(name, _)| !name.contains('/')).map(listed).collect())
     }
 
     /// Whether a client may put something at `path`.
@@ -174,7 +161,7 @@ impl FileSystem {
         let parent = parent(path);
         if !parent.is_empty() {
             let entry = self.entry(parent)?;
-            if matches!(entry.content, Content::File(_)) {
+            if entry.content.is_some() {
                 return Err(FileError::NotADirectory);
             }
             if entry.own {
@@ -184,7 +171,7 @@ impl FileSystem {
         Ok(())
     }
 
-    fn insert_new(&mut self, path: String, content: Content, now_s: u64) -> Result<(), FileError> {
+    fn insert_new(&mut self, path: String, content: Option<Vec<u8>>, now_s: u64) -> Result<(), FileError> {
         self.check_place(&path)?;
         if self.client_entries >= MAX_CLIENT_ENTRIES {
             return Err(FileError::NoSpace);
@@ -203,7 +190,7 @@ impl FileSystem {
     pub fn open_for_writing(&mut self, path: &str, keep: bool, now_s: u64) -> Result<(), FileError> {
         let path = normalised(path)?;
         if !self.entries.contains_key(&path) {
-            return self.insert_new(path, Content::File(Vec::new()), now_s);
+            return self.insert_new(path, Some(Vec::new()), now_s);
         }
         if keep {
             self.client_file(&path).map(|_| ())
@@ -212,31 +199,27 @@ impl FileSystem {
         }
     }
 
-    fn client_file(&mut self, path: &str) -> Result<&mut Entry, FileError> {
-        let entry = self.entries.get_mut(path).ok_or(FileError::NotFound)?;
-        match entry {
+    /// The bytes of a client's file, and when they were modified.
+    fn client_file(&mut self, path: &str) -> Result<(&mut Vec<u8>, &mut u64), FileError> {
+        match self.entries.get_mut(path).ok_or(FileError::NotFound)? {
             Entry { own: true, .. } => Err(FileError::Protected),
-            Entry {
-                content: Content::Directory,
-                ..
-            } => Err(FileError::IsADirectory),
-            _ => Ok(entry),
+            entry => {
+                let content = entry.content.as_mut().ok_or(FileError::IsADirectory)?;
+                Ok((content, &mut entry.modified_s))
+            }
         }
     }
 
     /// Changes a client's file's length; new bytes are zero.
     fn resize(&mut self, path: &str, len: usize, now_s: u64) -> Result<(), FileError> {
         let client_bytes = self.client_bytes;
-        let entry = self.client_file(path)?;
-        let Content::File(content) = &mut entry.content else {
-            return Err(FileError::IsADirectory);
-        };
+        let (content, modified_s) = self.client_file(path)?;
         let others = client_bytes - content.len();
         if len > content.len() && (len > MAX_FILE || others + len > CLIENT_CAPACITY) {
             return Err(FileError::NoSpace);
         }
         content.resize(len, 0);
-        entry.modified_s = now_s;
+        *modified_s = now_s;
         self.client_bytes = others + len;
         Ok(())
     }
@@ -252,11 +235,8 @@ impl FileSystem {
         let end = offset.checked_add(bytes.len()).ok_or(FileError::NoSpace)?;
         let len = self.read(&path)?.len().max(end);
         self.resize(&path, len, now_s)?;
-        if let Content::File(content) = &mut self.client_file(&path)?.content
-            && let Some(slot) = content.get_mut(offset..end)
-        {
-            slot.copy_from_slice(bytes);
-        }
+        let (content, _) = self.client_file(&path)?;
+        content[offset..end].copy_from_slice(bytes);
         Ok(())
     }
 
@@ -266,15 +246,14 @@ impl FileSystem {
         if path.is_empty() || self.entries.contains_key(&path) {
             return Err(FileError::Exists);
         }
-        self.insert_new(path, Content::Directory, now_s)
+        self.insert_new(path, None, now_s)
     }
 
     /// Removes a file.
     pub fn remove_file(&mut self, path: &str) -> Result<(), FileError> {
         let path = normalised(path)?;
-        if let Content::File(content) = &self.client_file(&path)?.content {
-            self.client_bytes -= content.len();
-        }
+        let size = self.client_file(&path)?.0.len();
+        self.client_bytes -= size;
         self.entries.remove(&path);
         self.client_entries -= 1;
         Ok(())
@@ -288,13 +267,10 @@ impl FileSystem {
         }
         match self.entry(&path)? {
             Entry { own: true, .. } => return Err(FileError::Protected),
-            Entry {
-                content: Content::File(_),
-                ..
-            } => return Err(FileError::NotADirectory),
+            Entry { content: Some(_), .. } => return Err(FileError::NotADirectory),
             _ => {}
         }
-        if self.list(&path)?.next().is_some() {
+        if !self.list(&path)?.is_empty() {
             return Err(FileError::NotEmpty);
         }
         self.entries.remove(&path);
@@ -316,14 +292,10 @@ impl FileSystem {
         if to.starts_with(&inside) {
             return Err(FileError::BadPath);
         }
-        let moved: Vec<String> = self
-            .entries
-            .range(from.clone()..)
-            .map(|(key, _)| key)
-            .take_while(|key| key.starts_with(&from))
-            .filter(|key| **key == from || key.starts_with(&inside))
-            .cloned()
-            .collect();
+        let keys = self.entries.range(from.clone()..).map(|(key, _)| key);
+        let beginning_so = keys.take_while(|key| key.starts_with(&from));
+        let is_moved = |key: &&String| **key == from || key.starts_with(&inside);
+        let moved: Vec<String> = beginning_so.filter(is_moved).cloned().collect();
         let renamed = |key: &str| format!("{to}{}", key.get(from.len()..).unwrap_or_default());
         if moved.iter().any(|key| renamed(key).len() > MAX_PATH) {
             return Err(FileError::BadPath);
@@ -361,9 +333,8 @@ pub(crate) fn crc32(bytes: &[u8]) -> u32 {
 
 /// The same over what `crc` stands for and these bytes behind it.
 pub(crate) fn crc32_on(crc: u32, bytes: &[u8]) -> u32 {
-    bytes
-        .iter()
-        .fold(crc, |crc, byte| CRC_TABLE[usize::from(crc as u8 ^ *byte)] ^ (crc >> 8))
+    let next = |crc: u32, byte: &u8| CRC_TABLE[usize::from(crc as u8 ^ *byte)] ^ (crc >> 8);
+    bytes.iter().fold(crc, next)
 }
 
 #[cfg(test)]
@@ -371,10 +342,9 @@ mod tests {
     use super::*;
 
     fn names(files: &FileSystem, path: &str) -> Vec<String> {
-        let listed = files.list(path).expect("a directory");
-        listed
-            .map(|l| format!("{}{}", l.name, if l.size.is_none() { "/" } else { "" }))
-            .collect()
+        let listed = files.list(path).expect("a directory").into_iter();
+        let name = |l: Listed<'_>| format!("{}{}", l.name, if l.size.is_none() { "/" } else { "" });
+        listed.map(name).collect()
     }
 
     fn sample() -> FileSystem {

@@ -33,7 +33,6 @@ mod endpoint;
 mod files;
 mod flight;
 mod geo;
-mod message_ids;
 mod outbox;
 mod plan;
 mod saved;

@@ -85,6 +85,9 @@ pub(crate) enum Build {
     Stateful,
 }
 
+/// How a command is served that needs nothing but what all services share.
+pub(crate) type Handler = fn(&Command, Source, &mut Core) -> Answer;
+
 /// One protocol service. All methods have a default, so that a service implements what it needs.
 ///
 /// It knows the core; neither the core nor the endpoint knows it. To add one: a file in `services`, and its line in the table
@@ -96,9 +99,9 @@ pub(crate) trait Service {
     /// A packet that is addressed to the vehicle or to everybody, except commands.
     fn receive(&mut self, _packet: &Packet<'_>, _source: Source, _core: &mut Core) {}
 
-    /// The commands that it serves.
-    fn commands(&self) -> &'static [u16] {
-        &[]
+    /// Whether it serves the command of this number.
+    fn serves(&self, _command: u16) -> bool {
+        false
     }
 
     /// One of its commands, addressed to the vehicle. The dispatcher sends the acknowledgement.
@@ -133,3 +136,15 @@ pub(crate) trait Service {
 
 /// The services of a vehicle, in the order in which commands are offered to them.
 pub(crate) type Services = [Box<dyn Service + Send>];
+
+/// What most services use: the core, this module, and MAVLink's messages.
+pub(crate) mod prelude {
+    pub(crate) use super::{Answer, Handler, Produced, Service, Source};
+    pub(crate) use crate::LinkId;
+    pub(crate) use crate::core::Core;
+    pub(crate) use vigil_mavlink::MavMessage;
+    pub(crate) use vigil_mavlink::common::*;
+    pub(crate) use vigil_mavlink::framing::{Command, Packet};
+    pub(crate) use vigil_mavlink::mavlink::MessageData;
+    pub(crate) use vigil_types::Nanos;
+}

@@ -1,17 +1,19 @@
 //! A bench for tests: the endpoint, the vehicle, and clients that read what comes back.
 
-use crate::core::{ComponentId, EndpointStatus};
-use crate::vehicle::{ControlCommand, Vehicle, VehicleParams, VehicleView, Wind};
-use crate::{Endpoint, EndpointConfig, FlightMode, HomePosition, LandedState, LinkId, ParameterValue, geo};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    AttitudeTargetTypemask, COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, MavParamType,
-    PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PositionTargetTypemask, SET_ATTITUDE_TARGET_DATA,
-    SET_MODE_DATA, SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
-};
+use crate::core::EndpointStatus;
+use crate::vehicle::{Vehicle, VehicleParams, VehicleView, Wind};
+use crate::{Endpoint, HomePosition, geo};
 use vigil_mavlink::framing::{self, CommandAck, FramingCounters, MAX_PACKET_LEN};
-use vigil_mavlink::mavlink::{MavHeader, MavlinkVersion, Message, MessageData};
+use vigil_mavlink::mavlink::{MavHeader, MavlinkVersion, Message};
 use vigil_types::{Nanos, NedVector};
+
+// What tests name besides the bench.
+pub use crate::core::ComponentId;
+pub use crate::vehicle::ControlCommand;
+pub use crate::{EndpointConfig, Failsafe, FlightMode, LandedState, LinkId, ParameterValue, parameter_table};
+pub use vigil_mavlink::MavMessage;
+pub use vigil_mavlink::common::*;
+pub use vigil_mavlink::mavlink::MessageData;
 
 pub const ONBOARD: LinkId = LinkId::ONBOARD;
 pub const API: LinkId = LinkId::API;

@@ -2,7 +2,7 @@
 //! <https://docs.px4.io/main/en/dev_log/ulog_file_format.html>
 
 use crate::core::Core;
-use crate::flight::{FlightMode, LandedState};
+use crate::flight::LandedState;
 use crate::vehicle_parameters::{ParameterValue, Parameters};
 
 /// Bytes before the first message: magic, version, start.
@@ -86,7 +86,7 @@ pub(crate) fn record(out: &mut Vec<u8>, core: &Core) {
     let (p, v, a) = (e.position_ned_m, e.velocity_ned_m_s, e.attitude);
     let floats = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
     let state = [
-        nav_state(c.mode()),
+        c.mode().nav_state(),
         1 + u8::from(c.is_armed()),
         u8::from(c.failsafe().is_some()),
     ];
@@ -101,25 +101,6 @@ pub(crate) fn record(out: &mut Vec<u8>, core: &Core) {
     let time = core.time_boot_us().to_le_bytes();
     for (number, content) in contents.iter().enumerate() {
         message(out, b'D', &[&(number as u16).to_le_bytes(), &time, content]);
-    }
-}
-
-/// PX4's `vehicle_status.nav_state`.
-fn nav_state(mode: FlightMode) -> u8 {
-    match mode {
-        FlightMode::Manual => 0,
-        FlightMode::Altitude => 1,
-        FlightMode::Position => 2,
-        FlightMode::Mission => 3,
-        FlightMode::Hold => 4,
-        FlightMode::Return => 5,
-        FlightMode::Acro => 10,
-        FlightMode::Offboard => 14,
-        FlightMode::Stabilized => 15,
-        FlightMode::Takeoff => 17,
-        FlightMode::Land => 18,
-        FlightMode::Follow => 19,
-        FlightMode::Orbit => 21,
     }
 }
 

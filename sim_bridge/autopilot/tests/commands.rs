@@ -17,7 +17,7 @@ fn vehicle(wind: Wind, seed: u64) -> Vehicle {
 /// Noise and estimator error off: for what is measured against an exact figure.
 fn precise() -> Vehicle {
     let params = VehicleParams {
-        sensors: SensorParams::PERFECT,
+        sensors: SensorParams::perfect(),
         ..VehicleParams::default()
     };
     Vehicle::new(params, Wind::CALM, 1).unwrap()

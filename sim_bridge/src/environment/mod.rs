@@ -51,30 +51,11 @@ impl Environment {
     /// # Errors
     /// Wind out of its range.
     pub fn new(course: &Course, wind: Wind, seed: u64) -> Result<Self, ParamsError> {
-        Self::with_lidar(course, wind, LidarConfig::default(), seed)
+        Self::of(course, VehicleParams::default(), wind, LidarConfig::default(), seed)
     }
 
-    /// The same with another vehicle: a model's ([`crate::vehicle::VehicleModel::params`]) or one drawn between the models
-    /// ([`VehicleParams::drawn`]).
-    ///
-    /// # Errors
-    /// Wind or vehicle out of their range.
-    pub fn with_vehicle(course: &Course, vehicle: VehicleParams, wind: Wind, seed: u64) -> Result<Self, ParamsError> {
-        Self::of(course, vehicle, wind, LidarConfig::default(), seed)
-    }
-
-    /// The same with another LiDAR.
-    ///
-    /// # Errors
-    /// Wind out of its range.
-    ///
-    /// # Panics
-    /// A LiDAR out of its range.
-    pub fn with_lidar(course: &Course, wind: Wind, lidar: LidarConfig, seed: u64) -> Result<Self, ParamsError> {
-        Self::of(course, VehicleParams::default(), wind, lidar, seed)
-    }
-
-    /// All of it chosen.
+    /// The same with another LiDAR and another vehicle: a model's ([`crate::vehicle::VehicleModel::params`]) or one drawn between the
+    /// models ([`VehicleParams::drawn`]).
     ///
     /// # Errors
     /// Wind or vehicle out of their range.

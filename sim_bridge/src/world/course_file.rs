@@ -236,79 +236,43 @@ shape = { column = { radius_m = 0.35 } }
 
     #[test]
     fn each_mistake_is_named_by_file_line_and_field() {
-        let cases: [(&str, &str, &str); 18] = [
-            ("radius_m = 0.3", "radius_m = -0.3", "bad.toml:18: `column[1].radius_m`"),
-            ("radius_m = 0.3", "radius_m = nan", "bad.toml:18: `column[1].radius_m`"),
-            (
-                "radius_m = 0.3",
-                "radius_m = \"wide\"",
-                "bad.toml:18: `column[1].radius_m`",
-            ),
-            ("radius_m = 0.3", "raduis_m = 0.3", "bad.toml:18: `column[1].raduis_m`"),
-            (
-                "radius_m = 0.3",
-                "",
-                "bad.toml:15: `column[1]`: missing field `radius_m`",
-            ),
-            ("to_m = [5.0, -2.0]", "to_m = [5.0]", "bad.toml:23: `wall[0].to_m`"),
-            (
-                "to_m = [5.0, -2.0]",
-                "to_m = [5.0, inf]",
-                "bad.toml:23: `wall[0].to_m[1]`",
-            ),
-            (
-                "to_m = [5.0, -2.0]",
-                "to_m = [5.0, -6.0]",
-                "bad.toml:23: `wall[0].to_m`",
-            ),
-            ("east_m = 5.0 }", "east_m = 50.0 }", "bad.toml:2: `goal`"),
-            ("top_m = 6.0", "top_m = 1.0", "bad.toml:7: `bounds.top_m`"),
-            (
-                "north_m = [-4.0, 26.0]",
-                "north_m = [26.0, -4.0]",
-                "bad.toml:5: `bounds.north_m`",
-            ),
-            (
-                "north_m = 8.0\neast_m = 1.0",
-                "north_m = 0.2\neast_m = 0.1",
-                "bad.toml:9: `column[0]`",
-            ),
-            ("name = \"two columns\"", "name = \"two columns", "bad.toml:1: "),
-            (
-                "[bounds]",
-                "flight_height_m = -1\n[bounds]",
-                "bad.toml:4: `flight_height_m`",
-            ),
-            (
-                "speed_m_s = 0.5",
-                "speed_m_s = 1.5",
-                "bad.toml:30: `mover[0].speed_m_s`",
-            ),
-            (
-                "to_m = [16.0, 4.0]",
-                "to_m = [16.0, 0.0]",
-                "bad.toml:29: `mover[0].to_m`",
-            ),
-            (
-                "to_m = [16.0, 4.0]",
-                "to_m = [22.0, 7.5]",
-                "bad.toml:27: `mover[0]`: covers the goal",
-            ),
-            (
-                "column = { radius_m = 0.35 }",
-                "column = { radius_m = 0.0 }",
-                "bad.toml:32: `mover[0].shape.column.radius_m`",
-            ),
-        ];
-        for (from, to, expected) in cases {
+        // What is replaced (\n is a line's end), by what, and the line and field that are named.
+        let cases = r#"
+            radius_m = 0.3 => radius_m = -0.3 => 18: `column[1].radius_m`
+            radius_m = 0.3 => radius_m = nan => 18: `column[1].radius_m`
+            radius_m = 0.3 => radius_m = "wide" => 18: `column[1].radius_m`
+            radius_m = 0.3 => raduis_m = 0.3 => 18: `column[1].raduis_m`
+            radius_m = 0.3 =>  => 15: `column[1]`: missing field `radius_m`
+            to_m = [5.0, -2.0] => to_m = [5.0] => 23: `wall[0].to_m`
+            to_m = [5.0, -2.0] => to_m = [5.0, inf] => 23: `wall[0].to_m[1]`
+            to_m = [5.0, -2.0] => to_m = [5.0, -6.0] => 23: `wall[0].to_m`
+            east_m = 5.0 } => east_m = 50.0 } => 2: `goal`
+            top_m = 6.0 => top_m = 1.0 => 7: `bounds.top_m`
+            north_m = [-4.0, 26.0] => north_m = [26.0, -4.0] => 5: `bounds.north_m`
+            north_m = 8.0\neast_m = 1.0 => north_m = 0.2\neast_m = 0.1 => 9: `column[0]`
+            name = "two columns" => name = "two columns => 1:
+            [bounds] => flight_height_m = -1\n[bounds] => 4: `flight_height_m`
+            speed_m_s = 0.5 => speed_m_s = 1.5 => 30: `mover[0].speed_m_s`
+            to_m = [16.0, 4.0] => to_m = [16.0, 0.0] => 29: `mover[0].to_m`
+            to_m = [16.0, 4.0] => to_m = [22.0, 7.5] => 27: `mover[0]`: covers the goal
+            column = { radius_m = 0.35 } => column = { radius_m = 0.0 } => 32: `mover[0].shape.column.radius_m`
+        "#;
+        let mut count = 0;
+        for case in cases.lines().filter(|case| !case.trim().is_empty()) {
+            let parts: Vec<String> = case
+                .split(" => ")
+                .map(|part| part.trim_start().replace("\\n", "\n"))
+                .collect();
+            let [from, to, expected] = parts.as_slice() else {
+                panic!("{case}")
+            };
             let text = GOOD.replacen(from, to, 1);
             assert_ne!(text, GOOD, "{from} is not in the text");
             let message = error_of(&text);
-            assert!(
-                message.starts_with(expected),
-                "{to}: got `{message}`, expected `{expected}`"
-            );
+            assert!(message.starts_with(&format!("bad.toml:{expected}")), "{to}: {message}");
+            count += 1;
         }
+        assert_eq!(count, 18);
     }
 
     #[test]

@@ -95,7 +95,7 @@ fn column_on_the_way(away_m: f32) -> Course {
 }
 
 /// PX4 told to hold at 1.9 m/s and 2.7 m/s² goes on to 3.1 m/s, and flies 3 m back to the point that it projected
-/// (`sim_bridge/tests/vehicle_models.rs`).
+/// (`sim_bridge/src/vehicle_models.rs`).
 #[test]
 fn a_px4_that_is_stopped_while_it_gains_speed_comes_to_rest_where_it_can_and_does_not_fly_back() {
     for model in [VehicleModel::Px4Sih, VehicleModel::Px4Light] {
@@ -162,10 +162,7 @@ fn missions_on_a_model() {
     let variable = |name: &str| std::env::var(name).ok();
     let number = |name: &str, otherwise| variable(name).map_or(otherwise, |text| text.parse().expect("a number"));
     let name = variable("MODEL").unwrap_or_else(|| "px4-sih".to_owned());
-    let model = VehicleModel::ALL
-        .into_iter()
-        .find(|m| m.name() == name)
-        .expect("a model's name");
+    let model = VehicleModel::from_name(&name).expect("a model's name");
     let vehicle = match variable("NOISY").is_some() {
         true => model.params().with_noisy_estimate(),
         false => model.params(),

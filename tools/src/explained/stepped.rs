@@ -28,12 +28,8 @@ impl Flight {
     /// # Errors
     /// A vehicle out of its range.
     pub fn with_vehicle(course: &Course, vehicle: VehicleParams, seed: u64) -> Result<Self, ParamsError> {
-        Ok(Self::around(Environment::with_vehicle(
-            course,
-            vehicle,
-            Wind::default(),
-            seed,
-        )?))
+        let environment = Environment::of(course, vehicle, Wind::default(), LidarConfig::default(), seed)?;
+        Ok(Self::around(environment))
     }
 
     /// The same with another LiDAR.
@@ -44,7 +40,8 @@ impl Flight {
     /// # Panics
     /// A LiDAR out of its range.
     pub fn with_lidar(course: &Course, wind: Wind, lidar: LidarConfig, seed: u64) -> Result<Self, ParamsError> {
-        Ok(Self::around(Environment::with_lidar(course, wind, lidar, seed)?))
+        let environment = Environment::of(course, VehicleParams::default(), wind, lidar, seed)?;
+        Ok(Self::around(environment))
     }
 
     /// Begins without a frame, for a LiDAR that many flights share ([`look_through`](Self::look_through)).

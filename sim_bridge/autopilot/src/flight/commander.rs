@@ -4,11 +4,12 @@ use crate::core::{ComponentId, Core};
 use crate::flight::mode::FlightMode;
 use crate::flight::setpoint_owner::{Claim, Setpoints};
 use crate::flight::state::{Commander, Denial, Failsafe, LandedState, Maneuver, Sticks};
-use crate::message_ids;
 use crate::source::Source;
 use crate::vehicle::YawCommand;
 use crate::vehicle_parameters::ParamId;
-use vigil_mavlink::common::MavSeverity;
+use vigil_mavlink::common::{
+    CURRENT_MODE_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA, MavSeverity, NAMED_VALUE_FLOAT_DATA,
+};
 use vigil_types::{Nanos, NedVector};
 
 /// MAV_COMP_ID_ONBOARD_COMPUTER, which the guidance computer has.
@@ -105,7 +106,7 @@ impl Core {
                 self.begin_climb(None);
             }
             self.inform("armed");
-            self.announce(message_ids::HEARTBEAT);
+            self.announce::<HEARTBEAT_DATA>();
         }
         Ok(())
     }
@@ -129,7 +130,7 @@ impl Core {
         self.commander.region_of_interest_m = None;
         self.enter(FlightMode::Hold, Maneuver::default());
         self.inform(text);
-        self.announce(message_ids::HEARTBEAT);
+        self.announce::<HEARTBEAT_DATA>();
     }
 
     /// Stops the motors for good: only a reboot ends it.
@@ -137,7 +138,7 @@ impl Core {
         if !self.commander.terminated {
             self.commander.terminated = true;
             self.text(MavSeverity::MAV_SEVERITY_EMERGENCY, "flight terminated");
-            self.announce(message_ids::HEARTBEAT);
+            self.announce::<HEARTBEAT_DATA>();
         }
     }
 
@@ -167,8 +168,8 @@ impl Core {
         self.sticks = Sticks::default();
         self.rebooted = true;
         self.inform("rebooted");
-        self.announce(message_ids::HEARTBEAT);
-        self.announce(message_ids::NAMED_VALUE_FLOAT);
+        self.announce::<HEARTBEAT_DATA>();
+        self.announce::<NAMED_VALUE_FLOAT_DATA>();
     }
 
     /// A mode command of `commander`. Clears a failsafe. Accepted also while disarmed: the mode acts once armed.
@@ -236,7 +237,7 @@ impl Core {
                 self.enter(FlightMode::Offboard, Maneuver::Offboard);
                 self.setpoints.set_owner(Some(owner));
                 self.inform(&format!("setpoint owner: {owner}"));
-                self.announce(message_ids::NAMED_VALUE_FLOAT);
+                self.announce::<NAMED_VALUE_FLOAT_DATA>();
                 Ok(())
             }
         }
@@ -311,14 +312,12 @@ impl Core {
             Some(speed_m_s) => speed_m_s.clamp(0.5, self.param(ParamId::MaxSpeedMS)),
             None => self.cruise_speed_m_s(),
         };
-        self.enter(
-            FlightMode::Hold,
-            Maneuver::Station {
-                position_ned_m,
-                yaw,
-                speed_limit_m_s,
-            },
-        );
+        let station = Maneuver::Station {
+            position_ned_m,
+            yaw,
+            speed_limit_m_s,
+        };
+        self.enter(FlightMode::Hold, station);
         Ok(())
     }
 
@@ -339,19 +338,19 @@ impl Core {
         if self.setpoints.owner().is_some() && mode != FlightMode::Offboard {
             self.setpoints.set_owner(None);
             self.inform("setpoint owner: none");
-            self.announce(message_ids::NAMED_VALUE_FLOAT);
+            self.announce::<NAMED_VALUE_FLOAT_DATA>();
         }
         if self.commander.mode != mode {
             self.commander.mode = mode;
             self.inform(&format!("mode: {}", mode.name()));
-            self.announce(message_ids::HEARTBEAT);
-            self.announce(message_ids::CURRENT_MODE);
+            self.announce::<HEARTBEAT_DATA>();
+            self.announce::<CURRENT_MODE_DATA>();
         }
     }
 
     pub(super) fn clear_failsafe(&mut self) {
         if self.commander.failsafe.take().is_some() {
-            self.announce(message_ids::HEARTBEAT);
+            self.announce::<HEARTBEAT_DATA>();
         }
     }
 
@@ -398,22 +397,16 @@ impl Core {
     /// The owner's setpoints stopped: the action of COM_OBL_RC_ACT, and CRITICAL until they come again or the next mode command.
     pub(super) fn lose_setpoints(&mut self) {
         self.commander.lost_owner = self.setpoints.owner();
-        let by_sticks = match self.param(ParamId::OffboardLossAction) as i32 {
-            0 => Some(FlightMode::Position),
-            1 => Some(FlightMode::Altitude),
-            2 => Some(FlightMode::Stabilized),
-            _ => None,
-        };
+        let has_sticks = self.current_sticks().is_some();
         let response = match self.param(ParamId::OffboardLossAction) as i32 {
+            0 if has_sticks => Response::Enter(FlightMode::Position),
+            1 if has_sticks => Response::Enter(FlightMode::Altitude),
+            2 if has_sticks => Response::Enter(FlightMode::Stabilized),
             3 => Response::Enter(FlightMode::Return),
             4 => Response::Enter(FlightMode::Land),
             6 => Response::Terminate,
             7 => Response::Disarm,
-            _ => Response::Enter(
-                by_sticks
-                    .filter(|_| self.current_sticks().is_some())
-                    .unwrap_or(FlightMode::Hold),
-            ),
+            _ => Response::Enter(FlightMode::Hold),
         };
         self.respond("setpoint lost", response, Failsafe::SetpointLost);
     }
@@ -469,7 +462,7 @@ impl Core {
         }
         self.commander.intended_mode = intended;
         self.commander.failsafe = Some(failsafe);
-        self.announce(message_ids::HEARTBEAT);
+        self.announce::<HEARTBEAT_DATA>();
     }
 
     /// Whether INJECT_FAILURE is obeyed.
@@ -530,7 +523,7 @@ impl Core {
         }
         if landed != c.landed {
             c.landed = landed;
-            self.announce(message_ids::EXTENDED_SYS_STATE);
+            self.announce::<EXTENDED_SYS_STATE_DATA>();
         }
         if self.commander.armed && on_ground {
             self.disarm_when_idle();
@@ -570,12 +563,10 @@ impl Core {
         self.commander.landed = LandedState::InAir;
         self.commander.contact = false;
         self.commander.contact_since_ns = self.now_ns;
-        self.enter(
-            FlightMode::Hold,
-            Maneuver::Brake {
-                began_ns: None,
-                height_m: Some(height_m),
-            },
-        );
+        let stop = Maneuver::Brake {
+            began_ns: None,
+            height_m: Some(height_m),
+        };
+        self.enter(FlightMode::Hold, stop);
     }
 }

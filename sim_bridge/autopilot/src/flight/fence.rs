@@ -3,10 +3,9 @@
 use crate::core::Core;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::Failsafe;
-use crate::message_ids;
 use crate::plan::Breach;
 use crate::vehicle_parameters::ParamId;
-use vigil_mavlink::common::MavSeverity;
+use vigil_mavlink::common::{FENCE_STATUS_DATA, MavSeverity};
 
 /// GF_ACTION.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -33,7 +32,7 @@ impl Core {
 
     /// Whether there is any limit.
     pub fn has_fence(&self) -> bool {
-        !self.plans.fence.wire().items.is_empty()
+        !self.plans.fence.wire.items.is_empty()
             || self.param(ParamId::FenceRadiusM) > 0.0
             || self.param(ParamId::FenceHeightM) > 0.0
     }
@@ -75,7 +74,7 @@ impl Core {
         if before == breach {
             return;
         }
-        self.announce(message_ids::FENCE_STATUS);
+        self.announce::<FENCE_STATUS_DATA>();
         if breach.is_some() && before.is_none() {
             self.fence_watch.count = self.fence_watch.count.saturating_add(1);
             self.fence_watch.last_ms = self.time_boot_ms();

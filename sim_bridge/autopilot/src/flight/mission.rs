@@ -3,10 +3,10 @@
 use crate::core::Core;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::{Denial, Maneuver};
-use crate::message_ids;
 use crate::plan::{Leg, MissionItem, Purpose, Stage};
 use crate::vehicle::YawCommand;
 use crate::vehicle_parameters::ParamId;
+use vigil_mavlink::common::{HOME_POSITION_DATA, MISSION_CURRENT_DATA, MISSION_ITEM_REACHED_DATA};
 use vigil_types::{Nanos, NedVector};
 
 /// Smallest distance at which a place counts as reached: the estimate wanders by about as much.
@@ -36,7 +36,7 @@ impl Core {
         }
         self.plans.mission.not_before_ns = self.now_ns;
         self.enter(FlightMode::Mission, Maneuver::default());
-        self.announce(message_ids::MISSION_CURRENT);
+        self.announce::<MISSION_CURRENT_DATA>();
         Ok(())
     }
 
@@ -59,7 +59,7 @@ impl Core {
 
     /// The mission was replaced, or its current item changed by command: begins it if missions are being flown.
     pub fn mission_changed(&mut self) {
-        self.announce(message_ids::MISSION_CURRENT);
+        self.announce::<MISSION_CURRENT_DATA>();
         if self.commander.mode() != FlightMode::Mission {
             return;
         }
@@ -94,7 +94,7 @@ impl Core {
             MissionItem::Leg(leg) => self.leave_ground(&leg),
             MissionItem::Return => {
                 self.plans.mission.advance(false);
-                self.announce(message_ids::MISSION_CURRENT);
+                self.announce::<MISSION_CURRENT_DATA>();
                 self.begin_return();
             }
             MissionItem::Delay { wait_ns } => {
@@ -113,7 +113,7 @@ impl Core {
             MissionItem::Home { place_m } => {
                 let here = self.view.estimate.position_ned_m;
                 self.home_m = place_m.unwrap_or((here.x, here.y));
-                self.announce(message_ids::HOME_POSITION);
+                self.announce::<HOME_POSITION_DATA>();
                 self.end_item(true);
             }
             MissionItem::PassedOver => self.end_item(true),
@@ -265,9 +265,9 @@ impl Core {
         let pauses = self.plans.mission.pauses_after_item();
         let goes_on = self.plans.mission.advance(tells);
         if tells {
-            self.announce(message_ids::MISSION_ITEM_REACHED);
+            self.announce::<MISSION_ITEM_REACHED_DATA>();
         }
-        self.announce(message_ids::MISSION_CURRENT);
+        self.announce::<MISSION_CURRENT_DATA>();
         if goes_on && !pauses {
             return;
         }

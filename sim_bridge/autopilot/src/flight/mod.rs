@@ -16,7 +16,6 @@ pub use mode::FlightMode;
 pub use state::{Failsafe, LandedState};
 
 pub(crate) use control::{attitude_target, position_target};
-pub(crate) use mode::Requested;
 pub(crate) use setpoint_owner::Taken;
 pub(crate) use setpoints::{SetpointDefect, attitude_setpoint, global_setpoint, position_setpoint};
 pub(crate) use state::{Deflections, Denial, Facing, Orbit, SensorFault};

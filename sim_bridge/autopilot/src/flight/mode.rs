@@ -1,5 +1,7 @@
 //! Flight modes and their PX4 numbers: `custom_mode = main << 16 | sub << 24`.
 
+use vigil_types::named;
+
 const MAIN_MANUAL: u8 = 1;
 const MAIN_ALTITUDE: u8 = 2;
 const MAIN_POSITION: u8 = 3;
@@ -8,63 +10,41 @@ const MAIN_ACRO: u8 = 5;
 const MAIN_OFFBOARD: u8 = 6;
 const MAIN_STABILIZED: u8 = 7;
 
-/// The modes that the vehicle flies.
+named! {
+/// The modes that the vehicle flies, with their names in status texts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum FlightMode {
     /// AUTO.LOITER: holds its position, or goes to one and holds there.
     #[default]
-    Hold,
+    Hold => "hold",
     /// AUTO.TAKEOFF: climbs straight up, then Hold.
-    Takeoff,
+    Takeoff => "takeoff",
     /// AUTO.LAND: descends straight down until on the ground.
-    Land,
+    Land => "land",
     /// AUTO.RTL: climbs, flies home or to a rally point, lands.
-    Return,
+    Return => "return",
     /// AUTO.MISSION: flies the mission, then Hold.
-    Mission,
+    Mission => "mission",
     /// POSCTL.ORBIT: circles a point. Entered by DO_ORBIT alone, because it needs a point.
-    Orbit,
+    Orbit => "orbit",
     /// AUTO.FOLLOW_TARGET: keeps its place beside what FOLLOW_TARGET reports.
-    Follow,
+    Follow => "follow",
     /// POSCTL: sticks command velocities.
-    Position,
+    Position => "position",
     /// ALTCTL: sticks command tilt and climb.
-    Altitude,
+    Altitude => "altitude",
     /// STABILIZED: sticks command tilt and thrust.
-    Stabilized,
+    Stabilized => "stabilized",
     /// MANUAL: on a multicopter the same as STABILIZED.
-    Manual,
+    Manual => "manual",
     /// ACRO: sticks command body rates and thrust.
-    Acro,
+    Acro => "acro",
     /// OFFBOARD: obeys the setpoints of its owner.
-    Offboard,
+    Offboard => "offboard",
 }
-
-/// What a DO_SET_MODE or SET_MODE asks for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Requested {
-    Flown(FlightMode),
-    Unknown,
 }
 
 impl FlightMode {
-    /// Every mode.
-    pub(crate) const ALL: [Self; 13] = [
-        Self::Hold,
-        Self::Takeoff,
-        Self::Land,
-        Self::Return,
-        Self::Mission,
-        Self::Orbit,
-        Self::Follow,
-        Self::Position,
-        Self::Altitude,
-        Self::Stabilized,
-        Self::Manual,
-        Self::Acro,
-        Self::Offboard,
-    ];
-
     /// Whether a mode command can ask for it: an orbit needs a point.
     pub(crate) const fn is_commanded(self) -> bool {
         !matches!(self, Self::Orbit)
@@ -86,67 +66,55 @@ impl FlightMode {
         )
     }
 
-    const fn px4(self) -> (u8, u8) {
+    /// Main and sub mode, `vehicle_status.nav_state` and name, all as PX4 has them.
+    const fn px4(self) -> (u8, u8, u8, &'static str) {
         match self {
-            Self::Takeoff => (MAIN_AUTO, 2),
-            Self::Hold => (MAIN_AUTO, 3),
-            Self::Mission => (MAIN_AUTO, 4),
-            Self::Return => (MAIN_AUTO, 5),
-            Self::Land => (MAIN_AUTO, 6),
-            Self::Offboard => (MAIN_OFFBOARD, 0),
-            Self::Follow => (MAIN_AUTO, 8),
-            Self::Position => (MAIN_POSITION, 0),
-            Self::Altitude => (MAIN_ALTITUDE, 0),
-            Self::Stabilized => (MAIN_STABILIZED, 0),
-            Self::Manual => (MAIN_MANUAL, 0),
-            Self::Acro => (MAIN_ACRO, 0),
-            Self::Orbit => (MAIN_POSITION, 1),
+            Self::Takeoff => (MAIN_AUTO, 2, 17, "Takeoff"),
+            Self::Hold => (MAIN_AUTO, 3, 4, "Hold"),
+            Self::Mission => (MAIN_AUTO, 4, 3, "Mission"),
+            Self::Return => (MAIN_AUTO, 5, 5, "Return"),
+            Self::Land => (MAIN_AUTO, 6, 18, "Land"),
+            Self::Offboard => (MAIN_OFFBOARD, 0, 14, "Offboard"),
+            Self::Follow => (MAIN_AUTO, 8, 19, "Follow Target"),
+            Self::Position => (MAIN_POSITION, 0, 2, "Position"),
+            Self::Altitude => (MAIN_ALTITUDE, 0, 1, "Altitude"),
+            Self::Stabilized => (MAIN_STABILIZED, 0, 15, "Stabilized"),
+            Self::Manual => (MAIN_MANUAL, 0, 0, "Manual"),
+            Self::Acro => (MAIN_ACRO, 0, 10, "Acro"),
+            Self::Orbit => (MAIN_POSITION, 1, 21, "Orbit"),
         }
     }
 
     /// HEARTBEAT's `custom_mode`.
     pub fn custom_mode(self) -> u32 {
-        let (main, sub) = self.px4();
+        let (main, sub, ..) = self.px4();
         u32::from(main) << 16 | u32::from(sub) << 24
     }
 
-    /// Name in status texts.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Hold => "hold",
-            Self::Takeoff => "takeoff",
-            Self::Land => "land",
-            Self::Return => "return",
-            Self::Mission => "mission",
-            Self::Orbit => "orbit",
-            Self::Follow => "follow",
-            Self::Position => "position",
-            Self::Altitude => "altitude",
-            Self::Stabilized => "stabilized",
-            Self::Manual => "manual",
-            Self::Acro => "acro",
-            Self::Offboard => "offboard",
-        }
+    /// PX4's `vehicle_status.nav_state`.
+    pub(crate) const fn nav_state(self) -> u8 {
+        self.px4().2
     }
-}
 
-impl Requested {
-    /// Reads a main and sub mode.
-    pub fn from_px4(main: u8, sub: u8) -> Self {
+    /// Its name as PX4 tells it.
+    pub(crate) const fn px4_name(self) -> &'static str {
+        self.px4().3
+    }
+
+    /// What a main and sub mode ask for, if it is flown.
+    pub(crate) fn from_px4(main: u8, sub: u8) -> Option<Self> {
         // Modes without sub modes ignore theirs, as PX4 does; AUTO without one, and READY, wait where they are.
         let sub = match (main, sub) {
-            (MAIN_AUTO, 0 | 1) => return Self::Flown(FlightMode::Hold),
+            (MAIN_AUTO, 0 | 1) => return Some(Self::Hold),
             (MAIN_AUTO | MAIN_POSITION, sub) => sub,
             _ => 0,
         };
-        FlightMode::ALL
-            .into_iter()
-            .find(|mode| mode.is_commanded() && mode.px4() == (main, sub))
-            .map_or(Self::Unknown, Self::Flown)
+        let is_wanted = |mode: &Self| mode.is_commanded() && (mode.px4().0, mode.px4().1) == (main, sub);
+        Self::ALL.into_iter().find(is_wanted)
     }
 
-    /// Reads a HEARTBEAT-style custom mode.
-    pub fn from_custom_mode(custom_mode: u32) -> Self {
+    /// The same of a `custom_mode`.
+    pub(crate) fn from_custom_mode(custom_mode: u32) -> Option<Self> {
         let [_, _, main, sub] = custom_mode.to_le_bytes();
         Self::from_px4(main, sub)
     }
@@ -161,11 +129,11 @@ mod tests {
         assert_eq!(FlightMode::Offboard.custom_mode(), 0x0006_0000);
         assert_eq!(FlightMode::Hold.custom_mode(), 0x0304_0000);
         for mode in FlightMode::ALL.into_iter().filter(|mode| mode.is_commanded()) {
-            assert_eq!(Requested::from_custom_mode(mode.custom_mode()), Requested::Flown(mode));
+            assert_eq!(FlightMode::from_custom_mode(mode.custom_mode()), Some(mode));
         }
-        assert_eq!(Requested::from_px4(2, 0), Requested::Flown(FlightMode::Altitude));
-        assert_eq!(Requested::from_px4(3, 1), Requested::Unknown, "an orbit needs a point");
-        assert_eq!(Requested::from_px4(4, 9), Requested::Unknown);
-        assert_eq!(Requested::from_px4(0, 0), Requested::Unknown);
+        assert_eq!(FlightMode::from_px4(2, 0), Some(FlightMode::Altitude));
+        assert_eq!(FlightMode::from_px4(3, 1), None, "an orbit needs a point");
+        assert_eq!(FlightMode::from_px4(4, 9), None);
+        assert_eq!(FlightMode::from_px4(0, 0), None);
     }
 }

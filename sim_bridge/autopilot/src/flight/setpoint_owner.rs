@@ -168,24 +168,6 @@ mod tests {
     }
 
     #[test]
-    fn the_commander_owns_if_it_streams_else_the_only_stream() {
-        let id = |component| source(1, component);
-        let hold = ControlCommand::Idle;
-        let mut setpoints = Setpoints::default();
-        assert_eq!(setpoints.claim(0, 400, id(190)), Claim::Nobody);
-        setpoints.take(0, id(191), hold);
-        assert_eq!(setpoints.claim(100, 400, id(190)), Claim::Owner(id(191)));
-        setpoints.take(50, id(192), hold);
-        assert_eq!(
-            setpoints.claim(100, 400, id(190)),
-            Claim::Several(vec![id(191), id(192)])
-        );
-        assert_eq!(setpoints.claim(100, 400, id(192)), Claim::Owner(id(192)));
-        // The first one has stopped.
-        assert_eq!(setpoints.claim(420, 400, id(190)), Claim::Owner(id(192)));
-    }
-
-    #[test]
     fn a_flood_of_sources_never_evicts_the_owner() {
         let id = |system| source(system, 1);
         let mut setpoints = Setpoints::default();

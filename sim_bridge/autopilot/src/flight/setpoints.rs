@@ -98,13 +98,11 @@ pub(crate) fn position_setpoint(
     check(velocity, ["vx", "vy", "vz"], [m.vx, m.vy, m.vz], ABSURD_VELOCITY_M_S)?;
     let a = [m.afx, m.afy, m.afz];
     check(acceleration, ["afx", "afy", "afz"], a, ABSURD_ACCELERATION_M_S2)?;
-    let yaw = if !m.type_mask.contains(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) {
+    let ignores = |field| m.type_mask.contains(field);
+    let yaw = if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) {
         check_one("yaw", m.yaw, ABSURD_RATE_RAD_S)?;
         YawCommand::Angle { yaw_rad: m.yaw }
-    } else if !m
-        .type_mask
-        .contains(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE)
-    {
+    } else if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE) {
         check_one("yaw_rate", m.yaw_rate, ABSURD_RATE_RAD_S)?;
         YawCommand::Rate {
             yaw_rate_rad_s: m.yaw_rate,
@@ -204,13 +202,9 @@ pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlC
     if !(0.0..=1.0).contains(&m.thrust) {
         return Err(SetpointDefect::Value("thrust"));
     }
-    if !m
-        .type_mask
-        .contains(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE)
-    {
-        let turns = !m
-            .type_mask
-            .contains(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE);
+    let ignores = |field| m.type_mask.contains(field);
+    if !ignores(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE) {
+        let turns = !ignores(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE);
         let yaw_rate_rad_s = if turns { m.body_yaw_rate } else { 0.0 };
         check_one("body_yaw_rate", yaw_rate_rad_s, ABSURD_RATE_RAD_S)?;
         let [w, x, y, z] = m.q;
@@ -258,25 +252,26 @@ mod tests {
         }
     }
 
+    fn read(frame: MavFrame, mask: u16) -> Result<ControlCommand, SetpointDefect> {
+        position_setpoint(&ned(frame, mask), 5.0, 0.0)
+    }
+
     #[test]
     fn the_masks_that_clients_send_mean_what_they_say() {
         use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_LOCAL_NED as LOCAL};
         let rate = YawCommand::Rate { yaw_rate_rad_s: 0.2 };
         let angle = YawCommand::Angle { yaw_rad: 0.7 };
-        assert_eq!(
-            position_setpoint(&ned(BODY, 0x5C7), 5.0, 0.0),
-            Ok(ControlCommand::VelocityHeading {
-                velocity_m_s: HeadingVector::new(0.5, -0.5, 0.1),
-                yaw: rate
-            })
-        );
-        assert_eq!(
-            position_setpoint(&ned(LOCAL, 0x9C7), 5.0, 0.0),
-            Ok(ControlCommand::VelocityNed {
-                velocity_m_s: NedVector::new(0.5, -0.5, 0.1),
-                yaw: angle
-            })
-        );
+        let ahead = ControlCommand::VelocityHeading {
+            velocity_m_s: HeadingVector::new(0.5, -0.5, 0.1),
+            yaw: rate,
+        };
+        assert_eq!(read(BODY, 0x5C7), Ok(ahead));
+        let velocity_m_s = NedVector::new(0.5, -0.5, 0.1);
+        let north = ControlCommand::VelocityNed {
+            velocity_m_s,
+            yaw: angle,
+        };
+        assert_eq!(read(LOCAL, 0x9C7), Ok(north));
         let position = |velocity_m_s| {
             Ok(ControlCommand::Position {
                 position_ned_m: NedVector::new(1.0, 2.0, -3.0),
@@ -285,20 +280,15 @@ mod tests {
                 yaw: angle,
             })
         };
-        assert_eq!(
-            position_setpoint(&ned(LOCAL, 0x9F8), 5.0, 0.0),
-            position(NedVector::ZERO)
-        );
-        assert_eq!(
-            position_setpoint(&ned(LOCAL, 0x9C0), 5.0, 0.0),
-            position(NedVector::new(0.5, -0.5, 0.1))
-        );
+        assert_eq!(read(LOCAL, 0x9F8), position(NedVector::ZERO));
+        assert_eq!(read(LOCAL, 0x9C0), position(velocity_m_s));
     }
 
     #[test]
     fn positions_velocities_and_accelerations_can_be_mixed_as_in_px4() {
         use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_LOCAL_NED as LOCAL};
-        let angle = YawCommand::Angle { yaw_rad: 0.7 };
+        let (angle, held) = (YawCommand::Angle { yaw_rad: 0.7 }, YawCommand::Hold);
+        let velocity_m_s = NedVector::new(0.5, -0.5, 0.1);
         let read = |frame, mask, heading_rad| {
             let mut m = ned(frame, mask);
             (m.afx, m.afy, m.afz) = (1.0, 0.0, -0.5);
@@ -306,76 +296,61 @@ mod tests {
         };
         let all = Ok(ControlCommand::Position {
             position_ned_m: NedVector::new(1.0, 2.0, -3.0),
-            velocity_m_s: NedVector::new(0.5, -0.5, 0.1),
+            velocity_m_s,
             speed_limit_m_s: 5.0,
             yaw: angle,
         });
         assert_eq!((read(LOCAL, 0, 0.0), read(LOCAL, 0x800, 0.0)), (all, all));
-        assert_eq!(
-            read(LOCAL, 0xC07, 0.0),
-            Ok(ControlCommand::VelocityNed {
-                velocity_m_s: NedVector::new(0.5, -0.5, 0.1),
-                yaw: YawCommand::Hold
-            })
-        );
-        let accelerated = |x, y| {
-            Ok(ControlCommand::Acceleration {
-                acceleration_ned_m_s2: NedVector::new(x, y, -0.5),
+        let velocity = ControlCommand::VelocityNed {
+            velocity_m_s,
+            yaw: held,
+        };
+        assert_eq!(read(LOCAL, 0xC07, 0.0), Ok(velocity));
+        for (frame, heading_rad, north, east) in
+            [(LOCAL, 1.0, 1.0, 0.0), (BODY, core::f32::consts::FRAC_PI_2, 0.0, 1.0)]
+        {
+            let told = read(frame, 0xC3F, heading_rad);
+            let Ok(ControlCommand::Acceleration {
+                acceleration_ned_m_s2: a,
                 yaw: YawCommand::Hold,
-            })
+            }) = told
+            else {
+                panic!("{told:?}");
+            };
+            assert!(
+                (a.x - north).abs() < 1e-6 && (a.y - east).abs() < 1e-6 && a.z == -0.5,
+                "{a:?}"
+            );
+        }
+        let at_height = ControlCommand::VelocityAtHeight {
+            velocity_m_s,
+            down_m: -3.0,
+            yaw: held,
         };
-        assert_eq!(read(LOCAL, 0xC3F, 1.0), accelerated(1.0, 0.0));
-        let turned = read(BODY, 0xC3F, core::f32::consts::FRAC_PI_2);
-        let Ok(ControlCommand::Acceleration {
-            acceleration_ned_m_s2: a,
-            ..
-        }) = turned
-        else {
-            panic!("{turned:?}");
+        assert_eq!(read(LOCAL, 0xDE3, 0.0), Ok(at_height));
+        let climb = ControlCommand::ClimbAtPlace {
+            position_ned_m: NedVector::new(1.0, 2.0, 0.0),
+            down_m_s: 0.1,
+            speed_limit_m_s: 5.0,
+            yaw: held,
         };
-        assert!(a.x.abs() < 1e-6 && (a.y - 1.0).abs() < 1e-6 && a.z == -0.5);
-        assert_eq!(
-            read(LOCAL, 0xDE3, 0.0),
-            Ok(ControlCommand::VelocityAtHeight {
-                velocity_m_s: NedVector::new(0.5, -0.5, 0.1),
-                down_m: -3.0,
-                yaw: YawCommand::Hold
-            })
-        );
-        assert_eq!(
-            read(LOCAL, 0xDDC, 0.0),
-            Ok(ControlCommand::ClimbAtPlace {
-                position_ned_m: NedVector::new(1.0, 2.0, 0.0),
-                down_m_s: 0.1,
-                speed_limit_m_s: 5.0,
-                yaw: YawCommand::Hold
-            })
-        );
+        assert_eq!(read(LOCAL, 0xDDC, 0.0), Ok(climb));
     }
 
     #[test]
     fn what_the_vehicle_does_not_fly_is_refused_not_guessed() {
         use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_BODY_OFFSET_NED as OFFSET, MAV_FRAME_LOCAL_NED as LOCAL};
-        assert_eq!(
-            position_setpoint(&ned(OFFSET, 0x5C7), 5.0, 0.0),
-            Err(SetpointDefect::Frame(9))
-        );
-        assert_eq!(
-            position_setpoint(&ned(BODY, 0x9F8), 5.0, 0.0),
-            Err(SetpointDefect::PositionInBodyFrame)
-        );
+        assert_eq!(read(OFFSET, 0x5C7), Err(SetpointDefect::Frame(9)));
+        assert_eq!(read(BODY, 0x9F8), Err(SetpointDefect::PositionInBodyFrame));
         // Half an acceleration; a force; nothing at all; a heading alone.
         for mask in [0xCBF, 0xE3F, 0xFFF, 0xBFF] {
-            let defect = SetpointDefect::Mask(mask);
-            assert_eq!(position_setpoint(&ned(LOCAL, mask), 5.0, 0.0), Err(defect));
+            assert_eq!(read(LOCAL, mask), Err(SetpointDefect::Mask(mask)));
         }
         // Half a velocity; half a position. Half a velocity beside a position is none.
         for mask in [0x5D7, 0x5FB] {
-            let defect = SetpointDefect::Incomplete(mask);
-            assert_eq!(position_setpoint(&ned(LOCAL, mask), 5.0, 0.0), Err(defect));
+            assert_eq!(read(LOCAL, mask), Err(SetpointDefect::Incomplete(mask)));
         }
-        let flown = |mask| position_setpoint(&ned(LOCAL, mask), 5.0, 0.0).expect("flown");
-        assert_eq!(flown(0x9C8), flown(0x9F8));
+        assert_eq!(read(LOCAL, 0x9C8), read(LOCAL, 0x9F8));
         for bad in [f32::NAN, f32::INFINITY, 1e9] {
             let mut m = ned(BODY, 0x5C7);
             m.vy = bad;
@@ -438,21 +413,17 @@ mod tests {
             type_mask: AttitudeMask::from_bits_retain(mask),
             ..Default::default()
         };
-        assert_eq!(
-            attitude_setpoint(&target(0x07)),
-            Ok(ControlCommand::Attitude {
-                attitude: Attitude::LEVEL_NORTH,
-                yaw_rate_rad_s: 0.0,
-                thrust: 0.5
-            })
-        );
-        assert_eq!(
-            attitude_setpoint(&target(0x80)),
-            Ok(ControlCommand::Rates {
-                rates_frd_rad_s: FrdVector::new(0.0, 0.0, 0.3),
-                thrust: 0.5
-            })
-        );
+        let attitude = ControlCommand::Attitude {
+            attitude: Attitude::LEVEL_NORTH,
+            yaw_rate_rad_s: 0.0,
+            thrust: 0.5,
+        };
+        assert_eq!(attitude_setpoint(&target(0x07)), Ok(attitude));
+        let rates = ControlCommand::Rates {
+            rates_frd_rad_s: FrdVector::new(0.0, 0.0, 0.3),
+            thrust: 0.5,
+        };
+        assert_eq!(attitude_setpoint(&target(0x80)), Ok(rates));
         for mask in [0x47, 0x27, 0x87] {
             let refused = Err(SetpointDefect::Mask(u16::from(mask)));
             assert_eq!(attitude_setpoint(&target(mask)), refused);

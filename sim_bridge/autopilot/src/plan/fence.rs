@@ -75,15 +75,26 @@ fn width_m(vertices: &[(f32, f32)]) -> f32 {
     }
 }
 
+/// What an item is of: whether a polygon, not a circle, and whether to stay in, not out.
+fn form(item: &PlanItem) -> Option<(bool, bool)> {
+    match item.command {
+        NAV_FENCE_POLYGON_VERTEX_INCLUSION => Some((true, true)),
+        NAV_FENCE_POLYGON_VERTEX_EXCLUSION => Some((true, false)),
+        NAV_FENCE_CIRCLE_INCLUSION => Some((false, true)),
+        NAV_FENCE_CIRCLE_EXCLUSION => Some((false, false)),
+        _ => None,
+    }
+}
+
 /// Whether an item is a circle of radius 0. It holds nothing, wherever it is: MAVSDK's example sends one off Africa, at 0° 0°.
 fn is_empty(item: &PlanItem) -> bool {
-    matches!(item.command, NAV_FENCE_CIRCLE_INCLUSION | NAV_FENCE_CIRCLE_EXCLUSION) && item.params[0] == 0.0
+    matches!(form(item), Some((false, _))) && item.params[0] == 0.0
 }
 
 /// The geofence. Without areas everything is allowed.
 #[derive(Debug, Default)]
 pub(crate) struct Fence {
-    wire: Wire,
+    pub wire: Wire,
     areas: Vec<Area>,
 }
 
@@ -91,23 +102,13 @@ impl Fence {
     /// Whether an item by itself can be part of a geofence.
     pub fn check(item: &PlanItem, home: &HomePosition) -> Result<(), PlanDefect> {
         let size = item.param(1).unwrap_or(0.0);
-        let sound = match item.command {
-            NAV_FENCE_POLYGON_VERTEX_INCLUSION | NAV_FENCE_POLYGON_VERTEX_EXCLUSION => {
-                (3.0..=200.0).contains(&size) && size.fract() == 0.0
-            }
-            NAV_FENCE_CIRCLE_INCLUSION | NAV_FENCE_CIRCLE_EXCLUSION => (0.0..=MAX_RADIUS_M).contains(&item.params[0]),
-            _ => {
-                return Err(PlanDefect::new(
-                    MavMissionResult::MAV_MISSION_UNSUPPORTED,
-                    "neither polygon nor circle",
-                ));
-            }
+        let is_sound = match form(item) {
+            Some((true, _)) => (3.0..=200.0).contains(&size) && size.fract() == 0.0,
+            Some((false, _)) => (0.0..=MAX_RADIUS_M).contains(&item.params[0]),
+            None => return Err(PlanDefect::unsupported("neither polygon nor circle")),
         };
-        if !sound {
-            return Err(PlanDefect::new(
-                MavMissionResult::MAV_MISSION_INVALID_PARAM1,
-                "radius or number of vertices",
-            ));
+        if !is_sound {
+            return Err(PlanDefect::of_parameter(1, "radius or number of vertices"));
         }
         match is_empty(item) {
             true => Ok(()),
@@ -121,53 +122,25 @@ impl Fence {
         while let [first, ..] = rest {
             Self::check(first, home)?;
             let size = first.param(1).unwrap_or(0.0);
-            let is_polygon = matches!(
-                first.command,
-                NAV_FENCE_POLYGON_VERTEX_INCLUSION | NAV_FENCE_POLYGON_VERTEX_EXCLUSION
-            );
-            let (shape, used) = if is_polygon {
-                let count = size as usize;
-                let same = |item: &&PlanItem| item.command == first.command && item.params[0] == size;
-                let vertices = rest
-                    .iter()
-                    .take(count)
-                    .take_while(same)
-                    .map(|item| item.point(home))
-                    .collect::<Result<Vec<_>, _>>()?;
-                if vertices.len() < count {
-                    return Err(PlanDefect::new(
-                        MavMissionResult::MAV_MISSION_INVALID_PARAM1,
-                        "polygon with too few vertices",
-                    ));
+            let (is_polygon, is_inclusion) = form(first).unwrap_or_default();
+            let used = if is_polygon { size as usize } else { 1 };
+            if is_polygon {
+                let is_same = |item: &&PlanItem| item.command == first.command && item.params[0] == size;
+                let same = rest.iter().take(used).take_while(is_same);
+                let vertices = same.map(|item| item.point(home)).collect::<Result<Vec<_>, _>>()?;
+                if vertices.len() < used {
+                    return Err(PlanDefect::of_parameter(1, "polygon with too few vertices"));
                 }
                 if width_m(&vertices) < MIN_WIDTH_M {
-                    return Err(PlanDefect::new(
-                        MavMissionResult::MAV_MISSION_INVALID,
-                        "polygon without an area",
-                    ));
+                    let result = MavMissionResult::MAV_MISSION_INVALID;
+                    return Err(PlanDefect::new(result, "polygon without an area"));
                 }
-                (Shape::Polygon(vertices), count)
-            } else {
-                let centre_m = match is_empty(first) {
-                    true => (0.0, 0.0),
-                    false => first.point(home)?,
-                };
-                (
-                    Shape::Circle {
-                        centre_m,
-                        radius_m: size,
-                    },
-                    1,
-                )
-            };
-            if !is_empty(first) {
-                areas.push(Area {
-                    is_inclusion: matches!(
-                        first.command,
-                        NAV_FENCE_POLYGON_VERTEX_INCLUSION | NAV_FENCE_CIRCLE_INCLUSION
-                    ),
-                    shape,
-                });
+                let shape = Shape::Polygon(vertices);
+                areas.push(Area { is_inclusion, shape });
+            } else if !is_empty(first) {
+                let (centre_m, radius_m) = (first.point(home)?, size);
+                let shape = Shape::Circle { centre_m, radius_m };
+                areas.push(Area { is_inclusion, shape });
             }
             rest = rest.get(used..).unwrap_or_default();
         }
@@ -180,10 +153,6 @@ impl Fence {
     /// Whether a circle of radius 0 is among its items.
     pub fn has_empty_circle(&self) -> bool {
         self.wire.items.iter().any(is_empty)
-    }
-
-    pub fn wire(&self) -> &Wire {
-        &self.wire
     }
 
     /// Whether a place (metres north and east of home) is inside one of the areas to stay in, if there are any, and
@@ -216,14 +185,16 @@ mod tests {
     }
 
     fn polygon(command: u16, vertices: &[(f32, f32)]) -> Vec<PlanItem> {
-        vertices
-            .iter()
-            .map(|v| item(command, vertices.len() as f32, *v))
-            .collect()
+        let vertex = |v: &(f32, f32)| item(command, vertices.len() as f32, *v);
+        vertices.iter().map(vertex).collect()
     }
 
     fn fence(items: Vec<PlanItem>) -> Fence {
         Fence::new(items, &HomePosition::default()).expect("valid")
+    }
+
+    fn refused(items: Vec<PlanItem>) -> PlanDefect {
+        Fence::new(items, &HomePosition::default()).expect_err("refused")
     }
 
     /// An L: the corner at 10..20, 10..20 is missing.
@@ -285,47 +256,30 @@ mod tests {
 
     #[test]
     fn a_polygon_without_an_area_is_refused_instead_of_forbidding_every_place() {
-        let refused = |vertices: &[(f32, f32)]| Fence::new(polygon(5001, vertices), &HomePosition::default()).err();
         for vertices in [
             [(0.0, 0.0); 3],
             [(0.0, 0.0), (20.0, 20.0), (40.0, 40.0)],
             [(0.0, -30.0), (0.0, 30.0), (0.0, -30.0)],
         ] {
-            assert_eq!(
-                refused(&vertices).map(|d| d.reason),
-                Some("polygon without an area"),
-                "{vertices:?}"
-            );
+            let defect = refused(polygon(5001, &vertices));
+            assert_eq!(defect.reason, "polygon without an area", "{vertices:?}");
         }
         assert!(fence(polygon(5001, &[(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])).allows((0.2, 0.2)));
     }
 
     #[test]
     fn a_polygon_whose_vertices_do_not_add_up_is_refused() {
-        let home = HomePosition::default();
         let mut short = polygon(5001, &L);
         short.pop();
         let mut mixed = polygon(5001, &L);
         mixed[3].command = 5002;
         let mut two = polygon(5001, &L[..2]);
         two.extend(polygon(5002, &L));
-        for bad in [
-            short,
-            mixed,
-            two,
-            vec![item(5003, -1.0, (0.0, 5.0))],
-            vec![item(5003, f32::NAN, (0.0, 5.0))],
-        ] {
-            assert_eq!(
-                Fence::new(bad, &home).map_err(|d| d.result).err(),
-                Some(MavMissionResult::MAV_MISSION_INVALID_PARAM1)
-            );
+        let circle = |radius_m: f32| vec![item(5003, radius_m, (0.0, 5.0))];
+        for bad in [short, mixed, two, circle(-1.0), circle(f32::NAN)] {
+            assert_eq!(refused(bad).result, MavMissionResult::MAV_MISSION_INVALID_PARAM1);
         }
-        assert_eq!(
-            Fence::new(vec![item(16, 1.0, (0.0, 5.0))], &home)
-                .map_err(|d| d.result)
-                .err(),
-            Some(MavMissionResult::MAV_MISSION_UNSUPPORTED)
-        );
+        let waypoint = vec![item(16, 1.0, (0.0, 5.0))];
+        assert_eq!(refused(waypoint).result, MavMissionResult::MAV_MISSION_UNSUPPORTED);
     }
 }

@@ -96,24 +96,19 @@ pub(crate) enum MissionItem {
     PassedOver,
 }
 
-fn invalid(result: MavMissionResult, reason: &'static str) -> PlanDefect {
-    PlanDefect::new(result, reason)
-}
-
 fn seconds(item: &PlanItem) -> Result<Nanos, PlanDefect> {
     let wait_s = item.param(1).unwrap_or(0.0);
-    nanos(f64::from(wait_s)).filter(|_| wait_s <= MAX_WAIT_S).ok_or(invalid(
-        MavMissionResult::MAV_MISSION_INVALID_PARAM1,
-        "time is not within 0 and 86400 s",
-    ))
+    nanos(f64::from(wait_s))
+        .filter(|_| wait_s <= MAX_WAIT_S)
+        .ok_or(PlanDefect::of_parameter(1, "time is not within 0 and 86400 s"))
 }
 
 /// A heading in degrees, in radians.
-fn heading_rad(item: &PlanItem, number: usize, result: MavMissionResult) -> Result<Option<f32>, PlanDefect> {
+fn heading_rad(item: &PlanItem, number: usize) -> Result<Option<f32>, PlanDefect> {
     match item.param(number) {
         None => Ok(None),
         Some(deg) if deg.abs() <= 720.0 => Ok(Some(deg.to_radians())),
-        Some(_) => Err(invalid(result, "heading is not within 720 degrees")),
+        Some(_) => Err(PlanDefect::of_parameter(number, "heading is not within 720 degrees")),
     }
 }
 
@@ -123,48 +118,42 @@ fn check_frame(item: &PlanItem) -> Result<(), PlanDefect> {
     match item.frame {
         0 | 3 | 5 | 6 if is_placed => Ok(()),
         FRAME_MISSION if !is_placed || IN_EITHER.contains(&item.command) => Ok(()),
-        0 | 3 | 5 | 6 | FRAME_MISSION => Err(invalid(
-            R::MAV_MISSION_UNSUPPORTED,
-            "not a command that missions fly in this frame",
-        )),
-        _ => Err(invalid(R::MAV_MISSION_UNSUPPORTED_FRAME, "frame is not global")),
+        0 | 3 | 5 | 6 | FRAME_MISSION => Err(PlanDefect::unsupported("not a command that missions fly in this frame")),
+        _ => Err(PlanDefect::new(R::MAV_MISSION_UNSUPPORTED_FRAME, "frame is not global")),
     }
 }
 
 impl MissionItem {
     /// Reads an item.
     pub fn read(item: &PlanItem, home: &HomePosition) -> Result<Self, PlanDefect> {
-        use MavMissionResult as R;
         let leg = |purpose, acceptance_m| {
             Ok(Self::Leg(Leg {
                 place: item.place(home)?,
-                yaw_rad: heading_rad(item, 4, R::MAV_MISSION_INVALID_PARAM4)?,
+                yaw_rad: heading_rad(item, 4)?,
                 acceptance_m,
                 purpose,
             }))
         };
+        let stay = |stay_ns| Purpose::Visit { stay_ns };
+        let look_at = |place_m| Ok(Self::Interest { place_m });
         check_frame(item)?;
         match item.command {
             NAV_WAYPOINT => {
                 let radius_m = item.param(2).unwrap_or(0.0);
                 if !(0.0..=1000.0).contains(&radius_m) {
-                    return Err(invalid(R::MAV_MISSION_INVALID_PARAM2, "acceptance radius"));
+                    return Err(PlanDefect::of_parameter(2, "acceptance radius"));
                 }
                 item.point(home)?;
-                let stay_ns = seconds(item)?;
-                leg(Purpose::Visit { stay_ns }, (radius_m > 0.0).then_some(radius_m))
+                leg(stay(seconds(item)?), (radius_m > 0.0).then_some(radius_m))
             }
             NAV_LOITER_UNLIM => leg(Purpose::Stay, None),
-            NAV_LOITER_TIME => {
-                let stay_ns = seconds(item)?;
-                leg(Purpose::Visit { stay_ns }, None)
-            }
+            NAV_LOITER_TIME => leg(stay(seconds(item)?), None),
             // Parameter 4 is not a heading here.
             NAV_LOITER_TO_ALT => Ok(Self::Leg(Leg {
                 place: item.place(home)?,
                 yaw_rad: None,
                 acceptance_m: None,
-                purpose: Purpose::Visit { stay_ns: 0 },
+                purpose: stay(0),
             })),
             // Where the ground is, is not the item's to say.
             NAV_LAND => Ok(Self::Leg(Leg {
@@ -172,7 +161,7 @@ impl MissionItem {
                     north_east_m: item.north_east_m(home)?,
                     height_m: None,
                 },
-                yaw_rad: heading_rad(item, 4, R::MAV_MISSION_INVALID_PARAM4)?,
+                yaw_rad: heading_rad(item, 4)?,
                 acceptance_m: None,
                 purpose: Purpose::Land,
             })),
@@ -188,21 +177,17 @@ impl MissionItem {
             }),
             DO_CHANGE_SPEED => Self::speed(item),
             DO_JUMP => Self::jump(item),
-            DO_SET_ROI_LOCATION => Ok(Self::Interest {
-                place_m: Some(item.point(home)?),
-            }),
-            DO_SET_ROI_NONE => Ok(Self::Interest { place_m: None }),
+            DO_SET_ROI_LOCATION => look_at(Some(item.point(home)?)),
+            DO_SET_ROI_NONE => look_at(None),
             NAV_ROI | DO_SET_ROI => match item.param(1) {
-                Some(ROI_LOCATION) => Ok(Self::Interest {
-                    place_m: Some(item.point(home)?),
-                }),
-                None | Some(0.0) => Ok(Self::Interest { place_m: None }),
+                Some(ROI_LOCATION) => look_at(Some(item.point(home)?)),
+                None | Some(0.0) => look_at(None),
                 // A waypoint, without a frame only: the nose points there anyway.
-                Some(1.0 | 2.0) if item.frame == FRAME_MISSION => Ok(Self::Interest { place_m: None }),
-                Some(_) => Err(invalid(R::MAV_MISSION_INVALID_PARAM1, "no such region of interest")),
+                Some(1.0 | 2.0) if item.frame == FRAME_MISSION => look_at(None),
+                Some(_) => Err(PlanDefect::of_parameter(1, "no such region of interest")),
             },
             command if PASSED_OVER.contains(&command) => Ok(Self::PassedOver),
-            _ => Err(invalid(R::MAV_MISSION_UNSUPPORTED, "not a command that missions fly")),
+            _ => Err(PlanDefect::unsupported("not a command that missions fly")),
         }
     }
 
@@ -216,10 +201,7 @@ impl MissionItem {
             // −1: no change; −2: back to the default, as is whatever is left out.
             Some(-1.0) => Ok(Self::PassedOver),
             None | Some(-2.0) => Ok(Self::Speed { speed_m_s: None }),
-            Some(_) => Err(invalid(
-                MavMissionResult::MAV_MISSION_INVALID_PARAM2,
-                "speed is not within 0 and 50 m/s",
-            )),
+            Some(_) => Err(PlanDefect::of_parameter(2, "speed is not within 0 and 50 m/s")),
         }
     }
 
@@ -231,11 +213,8 @@ impl MissionItem {
                 to: to as usize,
                 times: (times >= 0.0).then_some(times as u16),
             }),
-            (None, _) => Err(invalid(
-                MavMissionResult::MAV_MISSION_INVALID_PARAM1,
-                "no such item to jump to",
-            )),
-            (_, None) => Err(invalid(MavMissionResult::MAV_MISSION_INVALID_PARAM2, "number of jumps")),
+            (None, _) => Err(PlanDefect::of_parameter(1, "no such item to jump to")),
+            (_, None) => Err(PlanDefect::of_parameter(2, "number of jumps")),
         }
     }
 }
@@ -261,7 +240,7 @@ pub(crate) enum Stage {
 /// The mission and its progress.
 #[derive(Debug, Default)]
 pub(crate) struct Mission {
-    wire: Wire,
+    pub wire: Wire,
     items: Vec<MissionItem>,
     /// How often each item has jumped.
     jumped: Vec<u16>,
@@ -287,10 +266,7 @@ impl Mission {
             .collect::<Result<Vec<_>, _>>()?;
         let astray = |item: &MissionItem| matches!(item, MissionItem::Jump { to, .. } if *to >= meanings.len());
         if meanings.iter().any(astray) {
-            return Err(invalid(
-                MavMissionResult::MAV_MISSION_INVALID_PARAM1,
-                "no such item to jump to",
-            ));
+            return Err(PlanDefect::of_parameter(1, "no such item to jump to"));
         }
         Ok(Self {
             wire: Wire::new(items),
@@ -298,10 +274,6 @@ impl Mission {
             items: meanings,
             ..Self::default()
         })
-    }
-
-    pub fn wire(&self) -> &Wire {
-        &self.wire
     }
 
     pub fn len(&self) -> usize {
@@ -335,16 +307,10 @@ impl Mission {
     /// Where the next way leads, in metres north and east, if nothing that takes time comes before it.
     pub fn next_place_m(&self) -> Option<(f32, f32)> {
         let after = self.items.get(self.current + 1..)?;
-        let next = after.iter().find(|item| {
-            !matches!(
-                item,
-                MissionItem::PassedOver
-                    | MissionItem::Interest { .. }
-                    | MissionItem::Speed { .. }
-                    | MissionItem::Home { .. }
-            )
-        })?;
-        match next {
+        use MissionItem::{Home, Interest, PassedOver, Speed};
+        let takes_time =
+            |item: &&MissionItem| !matches!(item, PassedOver | Interest { .. } | Speed { .. } | Home { .. });
+        match after.iter().find(takes_time)? {
             MissionItem::Leg(leg) => leg.place.north_east_m,
             _ => None,
         }
@@ -437,13 +403,11 @@ mod tests {
     use super::*;
 
     fn item(command: u16, params: [f32; 4]) -> PlanItem {
+        let has_place = IN_GLOBAL_FRAMES.contains(&command);
+        let frame = if has_place { 3 } else { FRAME_MISSION };
         PlanItem {
             command,
-            frame: if IN_GLOBAL_FRAMES.contains(&command) {
-                3
-            } else {
-                FRAME_MISSION
-            },
+            frame,
             autocontinue: 1,
             params,
             x: 473_977_500,
@@ -459,12 +423,8 @@ mod tests {
     #[test]
     fn a_jump_is_taken_as_often_as_it_says_and_again_when_come_to_again() {
         let waypoint = item(16, [0.0; 4]);
-        let mut mission = mission(&[
-            waypoint,
-            item(177, [0.0, 2.0, 0.0, 0.0]),
-            waypoint,
-            item(177, [0.0, 1.0, 0.0, 0.0]),
-        ]);
+        let jump = |times: f32| item(177, [0.0, times, 0.0, 0.0]);
+        let mut mission = mission(&[waypoint, jump(2.0), waypoint, jump(1.0)]);
         mission.start();
         let mut visited = vec![mission.current()];
         while mission.advance(true) {
@@ -480,6 +440,9 @@ mod tests {
     fn items_that_make_no_sense_are_refused_with_the_parameter() {
         use MavMissionResult as R;
         let home = HomePosition::default();
+        let (mut foreign, mut nowhere) = (item(16, [0.0; 4]), item(16, [0.0; 4]));
+        foreign.frame = 8;
+        (nowhere.x, nowhere.y) = (0, 0);
         for (bad, result) in [
             (item(16, [-1.0, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
             (item(16, [f32::INFINITY, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
@@ -491,27 +454,11 @@ mod tests {
             (item(177, [0.0, f32::NAN, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
             (item(84, [0.0; 4]), R::MAV_MISSION_UNSUPPORTED),
             (item(60_000, [0.0; 4]), R::MAV_MISSION_UNSUPPORTED),
-            (
-                PlanItem {
-                    frame: 8,
-                    ..item(16, [0.0; 4])
-                },
-                R::MAV_MISSION_UNSUPPORTED_FRAME,
-            ),
-            (
-                PlanItem {
-                    x: 0,
-                    y: 0,
-                    ..item(16, [0.0; 4])
-                },
-                R::MAV_MISSION_INVALID_PARAM5_X,
-            ),
+            (foreign, R::MAV_MISSION_UNSUPPORTED_FRAME),
+            (nowhere, R::MAV_MISSION_INVALID_PARAM5_X),
         ] {
-            assert_eq!(
-                Mission::new(vec![bad], &home).err().map(|d| d.result),
-                Some(result),
-                "{bad:?}"
-            );
+            let defect = Mission::new(vec![bad], &home).expect_err("refused");
+            assert_eq!(defect.result, result, "{bad:?}");
         }
     }
 
@@ -519,10 +466,8 @@ mod tests {
     fn a_speed_can_go_back_to_its_default() {
         let home = HomePosition::default();
         let read = |i: PlanItem| MissionItem::read(&i, &home).expect("valid");
-        assert_eq!(
-            read(item(178, [1.0, -2.0, -1.0, 0.0])),
-            MissionItem::Speed { speed_m_s: None }
-        );
+        let default = MissionItem::Speed { speed_m_s: None };
+        assert_eq!(read(item(178, [1.0, -2.0, -1.0, 0.0])), default);
         assert_eq!(read(item(178, [1.0, -1.0, -1.0, 0.0])), MissionItem::PassedOver);
         assert_eq!(read(item(178, [3.0, 2.0, -1.0, 0.0])), MissionItem::PassedOver);
     }

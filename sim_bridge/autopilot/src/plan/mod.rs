@@ -14,17 +14,17 @@ pub(crate) use rally::Rally;
 use crate::HomePosition;
 use vigil_mavlink::common::{MavMissionResult, MavMissionType};
 
+vigil_types::named! {
 /// The kinds of plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum PlanKind {
-    Mission,
-    Fence,
-    Rally,
+    Mission => "mission",
+    Fence => "geofence",
+    Rally => "rally points",
+}
 }
 
 impl PlanKind {
-    pub const ALL: [Self; 3] = [Self::Mission, Self::Fence, Self::Rally];
-
     /// Reads a MAV_MISSION_TYPE.
     pub fn from_number(number: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.wire() as u8 == number)
@@ -46,14 +46,6 @@ impl PlanKind {
             Self::Rally => 32,
         }
     }
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Mission => "mission",
-            Self::Fence => "geofence",
-            Self::Rally => "rally points",
-        }
-    }
 }
 
 /// Why an item or a plan is refused.
@@ -67,6 +59,25 @@ pub(crate) struct PlanDefect {
 impl PlanDefect {
     pub const fn new(result: MavMissionResult, reason: &'static str) -> Self {
         Self { result, reason }
+    }
+
+    pub const fn unsupported(reason: &'static str) -> Self {
+        Self::new(MavMissionResult::MAV_MISSION_UNSUPPORTED, reason)
+    }
+
+    /// Of the parameter of this number, 1 to 7.
+    pub const fn of_parameter(number: usize, reason: &'static str) -> Self {
+        use MavMissionResult as R;
+        let result = match number {
+            1 => R::MAV_MISSION_INVALID_PARAM1,
+            2 => R::MAV_MISSION_INVALID_PARAM2,
+            3 => R::MAV_MISSION_INVALID_PARAM3,
+            4 => R::MAV_MISSION_INVALID_PARAM4,
+            5 => R::MAV_MISSION_INVALID_PARAM5_X,
+            6 => R::MAV_MISSION_INVALID_PARAM6_Y,
+            _ => R::MAV_MISSION_INVALID_PARAM7,
+        };
+        Self::new(result, reason)
     }
 }
 
@@ -124,9 +135,9 @@ impl Plans {
     /// The items of a plan as they came.
     pub fn wire(&self, kind: PlanKind) -> &Wire {
         match kind {
-            PlanKind::Mission => self.mission.wire(),
-            PlanKind::Fence => self.fence.wire(),
-            PlanKind::Rally => self.rally.wire(),
+            PlanKind::Mission => &self.mission.wire,
+            PlanKind::Fence => &self.fence.wire,
+            PlanKind::Rally => &self.rally.wire,
         }
     }
 }

@@ -2,14 +2,13 @@
 
 use crate::HomePosition;
 use crate::plan::{PlanDefect, PlanItem, Wire};
-use vigil_mavlink::common::MavMissionResult;
 
 const NAV_RALLY_POINT: u16 = 5100;
 
 /// The rally points.
 #[derive(Debug, Default)]
 pub(crate) struct Rally {
-    wire: Wire,
+    pub wire: Wire,
     /// Metres north and east of the local origin.
     points_m: Vec<(f32, f32)>,
 }
@@ -29,16 +28,9 @@ impl Rally {
     /// The point that an item stands for, metres north and east of the local origin.
     pub fn read(item: &PlanItem, home: &HomePosition) -> Result<(f32, f32), PlanDefect> {
         if item.command != NAV_RALLY_POINT {
-            return Err(PlanDefect::new(
-                MavMissionResult::MAV_MISSION_UNSUPPORTED,
-                "not a rally point",
-            ));
+            return Err(PlanDefect::unsupported("not a rally point"));
         }
         item.point(home)
-    }
-
-    pub fn wire(&self) -> &Wire {
-        &self.wire
     }
 
     /// The point to return to: home or a rally point, whichever is nearest, as PX4 chooses with RTL_TYPE 0. `rally_first`

@@ -2,11 +2,7 @@
 //! and no transponder, the mixer's inputs are not modelled, and the estimator knows no wind. A client may set their rate, as it
 //! may with PX4 where the sensor is missing; none is ever sent, and a request for one is DENIED.
 
-use crate::service::Produced;
-use vigil_mavlink::common::{
-    ACTUATOR_CONTROL_TARGET_DATA, ADSB_VEHICLE_DATA, DISTANCE_SENSOR_DATA, RC_CHANNELS_DATA, WIND_COV_DATA,
-};
-use vigil_mavlink::mavlink::MessageData;
+use crate::service::prelude::*;
 
 pub(super) const MESSAGES: &[Produced] = &[
     absent(RC_CHANNELS_DATA::ID),

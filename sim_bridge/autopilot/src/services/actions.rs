@@ -1,15 +1,13 @@
 //! Modes and actions: take-off, land, hold, return, OFFBOARD, go to.
 //! <https://mavlink.io/en/services/command.html>, mode numbers as in PX4.
 
-use crate::core::Core;
-use crate::flight::{FlightMode, Requested};
+use crate::core::padded;
+use crate::flight::FlightMode;
 use crate::geo;
-use crate::service::{Answer, Service, Source};
+use crate::service::prelude::*;
 use crate::services::arming::answer;
 use crate::vehicle::YawCommand;
-use vigil_mavlink::common::SET_MODE_DATA;
-use vigil_mavlink::framing::{Command, CommandForm, Packet};
-use vigil_mavlink::mavlink::MessageData;
+use vigil_mavlink::framing::CommandForm;
 use vigil_types::NedVector;
 
 const NAV_RETURN_TO_LAUNCH: u16 = 20;
@@ -28,63 +26,48 @@ pub(super) const GLOBAL_FRAMES: [u8; 4] = [0, 3, 5, 6];
 /// A height that is farther below home was meant above something else than its frame says; the world is level.
 pub(crate) const BELOW_HOME_M: f32 = 1.0;
 
-pub(crate) struct Actions;
+/// SET_MODE, the message.
+pub(crate) struct SetMode;
 
-impl Service for Actions {
+impl Service for SetMode {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
         // The crate's type of SET_MODE refuses base modes that clients do send: read it raw.
         if packet.message_id() == SET_MODE_DATA::ID {
-            let mut payload = [0; 6];
-            for (to, from) in payload.iter_mut().zip(packet.payload()) {
-                *to = *from;
-            }
-            let [a, b, c, d, target_system, base_mode] = payload;
+            let [a, b, c, d, target_system, base_mode] = padded(packet.payload());
             if target_system == core.id.system && base_mode & CUSTOM_MODE != 0 {
-                let requested = Requested::from_custom_mode(u32::from_le_bytes([a, b, c, d]));
+                let requested = FlightMode::from_custom_mode(u32::from_le_bytes([a, b, c, d]));
                 // PX4 hands it on as the command, which is what it acknowledges.
                 set_mode(requested, source, core).send(DO_SET_MODE, source, core);
             }
         }
     }
+}
 
-    fn commands(&self) -> &'static [u16] {
-        &[
-            NAV_RETURN_TO_LAUNCH,
-            NAV_LAND,
-            NAV_TAKEOFF,
-            DO_SET_MODE,
-            DO_CHANGE_ALTITUDE,
-            DO_REPOSITION,
-        ]
-    }
+pub(super) const COMMANDS: &[(u16, Handler)] = &[
+    (NAV_RETURN_TO_LAUNCH, |_, source, core| {
+        set_mode(Some(FlightMode::Return), source, core)
+    }),
+    (NAV_LAND, |_, source, core| {
+        set_mode(Some(FlightMode::Land), source, core)
+    }),
+    (NAV_TAKEOFF, take_off),
+    (DO_SET_MODE, do_set_mode),
+    (DO_CHANGE_ALTITUDE, change_altitude),
+    (DO_REPOSITION, reposition),
+];
 
-    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {
-        match command.number {
-            DO_SET_MODE => {
-                let [base, main, sub] = [1, 2, 3].map(|n| command.param(n).unwrap_or(0.0) as u8);
-                if base & CUSTOM_MODE == 0 {
-                    Answer::DENIED
-                } else {
-                    set_mode(Requested::from_px4(main, sub), source, core)
-                }
-            }
-            NAV_RETURN_TO_LAUNCH => set_mode(Requested::Flown(FlightMode::Return), source, core),
-            NAV_LAND => set_mode(Requested::Flown(FlightMode::Land), source, core),
-            NAV_TAKEOFF => take_off(command, core),
-            DO_CHANGE_ALTITUDE => change_altitude(command, core),
-            DO_REPOSITION => reposition(command, core),
-            _ => Answer::UNSUPPORTED,
-        }
+fn do_set_mode(command: &Command, source: Source, core: &mut Core) -> Answer {
+    let [base, main, sub] = [1, 2, 3].map(|n| command.param(n).unwrap_or(0.0) as u8);
+    match base & CUSTOM_MODE {
+        0 => Answer::DENIED,
+        _ => set_mode(FlightMode::from_px4(main, sub), source, core),
     }
 }
 
-fn set_mode(requested: Requested, source: Source, core: &mut Core) -> Answer {
-    match requested {
-        Requested::Flown(mode) => {
-            let outcome = core.change_mode(mode, source);
-            answer(outcome, core)
-        }
-        Requested::Unknown => Answer::DENIED,
+pub(super) fn set_mode(mode: Option<FlightMode>, source: Source, core: &mut Core) -> Answer {
+    match mode {
+        Some(mode) => answer(core.change_mode(mode, source), core),
+        None => Answer::DENIED,
     }
 }
 
@@ -114,14 +97,13 @@ fn is_flown_at(height_m: f32, core: &mut Core) -> bool {
 }
 
 /// Parameter 7 is the altitude; NaN is MIS_TAKEOFF_ALT above the vehicle.
-fn take_off(command: &Command, core: &mut Core) -> Answer {
+fn take_off(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let height = command.param(7).map(|altitude_m| height_m(core, altitude_m));
     if height.is_some_and(|height| height > MAX_HEIGHT_M) {
         core.warn("denied: too far from home");
         return Answer::DENIED;
     }
-    let outcome = core.take_off(height);
-    answer(outcome, core)
+    answer(core.take_off(height), core)
 }
 
 /// The place of parameters 5 to 7 in a global frame, NaN or the largest integer for "where the vehicle is"; `None` if it
@@ -158,14 +140,13 @@ pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core
 
 /// Goes to a place: parameter 1 speed (−1: default), 4 yaw in radians (NaN: unchanged), 5 to 7 the place.
 /// Without any place it stops where it is: so ground stations pause a flight.
-fn reposition(command: &Command, core: &mut Core) -> Answer {
+fn reposition(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let is_placed = match command.form {
         CommandForm::Int { x, y, .. } => x != i32::MAX && y != i32::MAX,
         CommandForm::Long { .. } => command.latitude_longitude_deg().is_some(),
     };
     if !is_placed && command.param(7).is_none() && command.param(4).is_none() {
-        let outcome = core.stop_here();
-        return answer(outcome, core);
+        return answer(core.stop_here(), core);
     }
     let Some(position) = place(command, core) else {
         return Answer::DENIED;
@@ -175,12 +156,11 @@ fn reposition(command: &Command, core: &mut Core) -> Answer {
         _ => YawCommand::Hold,
     };
     let speed_m_s = command.param(1).filter(|s| s.is_finite() && *s > 0.0);
-    let outcome = core.go_to(position, yaw, speed_m_s);
-    answer(outcome, core)
+    answer(core.go_to(position, yaw, speed_m_s), core)
 }
 
 /// Climbs or descends where it is: parameter 1 the altitude, 2 the frame that it is in.
-fn change_altitude(command: &Command, core: &mut Core) -> Answer {
+fn change_altitude(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let (Some(altitude_m), Some(0.0..=11.0)) = (command.param(1), command.param(2)) else {
         return Answer::DENIED;
     };
@@ -189,6 +169,6 @@ fn change_altitude(command: &Command, core: &mut Core) -> Answer {
         return Answer::DENIED;
     }
     let here = core.view.estimate.position_ned_m;
-    let outcome = core.go_to(NedVector::new(here.x, here.y, -height), YawCommand::Hold, None);
-    answer(outcome, core)
+    let place = NedVector::new(here.x, here.y, -height);
+    answer(core.go_to(place, YawCommand::Hold, None), core)
 }

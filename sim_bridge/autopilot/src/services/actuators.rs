@@ -2,14 +2,9 @@
 //! the top speed; disarmed motors get 900 µs, as PX4 has it. ACTUATOR_TEST shows in these outputs and moves nothing: the
 //! propellers are off.
 
-use crate::LinkId;
-use crate::core::{Core, nanos};
-use crate::service::{Answer, Produced, Service, Source};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{ACTUATOR_OUTPUT_STATUS_DATA, SERVO_OUTPUT_RAW_DATA};
-use vigil_mavlink::framing::{Command, CommandForm};
-use vigil_mavlink::mavlink::MessageData;
-use vigil_types::Nanos;
+use crate::core::nanos;
+use crate::service::prelude::*;
+use vigil_mavlink::framing::CommandForm;
 
 const DISARMED_US: f32 = 900.0;
 
@@ -35,8 +30,8 @@ pub(crate) struct Actuators {
 }
 
 impl Service for Actuators {
-    fn commands(&self) -> &'static [u16] {
-        &[ACTUATOR_TEST, DO_SET_ACTUATOR, DO_GRIPPER]
+    fn serves(&self, command: u16) -> bool {
+        matches!(command, ACTUATOR_TEST | DO_SET_ACTUATOR | DO_GRIPPER)
     }
 
     /// Parameter 1 is the output (0 to 1, NaN ends the test), 2 the time in seconds, 5 the motor.

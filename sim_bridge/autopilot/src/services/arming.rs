@@ -1,9 +1,7 @@
 //! Arming, disarming, termination, reboot.
 
-use crate::core::Core;
 use crate::flight::Denial;
-use crate::service::{Answer, Service, Source};
-use vigil_mavlink::framing::Command;
+use crate::service::prelude::*;
 
 const COMPONENT_ARM_DISARM: u16 = 400;
 const DO_FLIGHTTERMINATION: u16 = 185;
@@ -11,38 +9,31 @@ const PREFLIGHT_REBOOT_SHUTDOWN: u16 = 246;
 /// Parameter 2 of COMPONENT_ARM_DISARM that forces.
 const FORCE: f32 = 21196.0;
 
-pub(crate) struct Arming;
+pub(super) const COMMANDS: &[(u16, Handler)] = &[
+    (COMPONENT_ARM_DISARM, arm_or_disarm),
+    (DO_FLIGHTTERMINATION, terminate),
+    (PREFLIGHT_REBOOT_SHUTDOWN, reboot),
+];
 
-impl Service for Arming {
-    fn commands(&self) -> &'static [u16] {
-        &[COMPONENT_ARM_DISARM, DO_FLIGHTTERMINATION, PREFLIGHT_REBOOT_SHUTDOWN]
-    }
-
-    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {
-        match command.number {
-            COMPONENT_ARM_DISARM => {
-                let forced = command.param(2) == Some(FORCE);
-                match command.param(1) {
-                    Some(1.0) => answer(core.arm(source), core),
-                    Some(0.0) => answer(core.disarm(forced), core),
-                    _ => Answer::DENIED,
-                }
-            }
-            DO_FLIGHTTERMINATION => {
-                if command.param(1).is_none_or(|p| p <= 0.5) {
-                    return Answer::DENIED;
-                }
-                core.terminate();
-                Answer::ACCEPTED
-            }
-            PREFLIGHT_REBOOT_SHUTDOWN => reboot(command, core),
-            _ => Answer::UNSUPPORTED,
-        }
+fn arm_or_disarm(command: &Command, source: Source, core: &mut Core) -> Answer {
+    let forced = command.param(2) == Some(FORCE);
+    match command.param(1) {
+        Some(1.0) => answer(core.arm(source), core),
+        Some(0.0) => answer(core.disarm(forced), core),
+        _ => Answer::DENIED,
     }
 }
 
+fn terminate(command: &Command, _source: Source, core: &mut Core) -> Answer {
+    if command.param(1).is_none_or(|p| p <= 0.5) {
+        return Answer::DENIED;
+    }
+    core.terminate();
+    Answer::ACCEPTED
+}
+
 /// 1 restarts the autopilot; anything else there is (shutdown, boot loader) does not exist in a simulation.
-fn reboot(command: &Command, core: &mut Core) -> Answer {
+fn reboot(command: &Command, _source: Source, core: &mut Core) -> Answer {
     match command.param(1) {
         Some(1.0) => reboot_now(core),
         _ => Answer::DENIED,

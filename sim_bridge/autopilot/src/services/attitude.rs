@@ -1,11 +1,7 @@
 //! ATTITUDE, ATTITUDE_QUATERNION and ATTITUDE_TARGET.
 
-use crate::core::Core;
 use crate::flight::attitude_target;
-use crate::service::Produced;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ATTITUDE_TARGET_DATA};
-use vigil_mavlink::mavlink::MessageData;
+use crate::service::prelude::*;
 
 pub(super) const MESSAGES: &[Produced] = &[
     Produced::from(ATTITUDE_DATA::ID, [50.0, 50.0, 20.0], attitude),

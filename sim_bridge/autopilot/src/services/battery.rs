@@ -1,12 +1,6 @@
 //! BATTERY_STATUS. <https://mavlink.io/en/services/battery.html>
 
-use crate::core::Core;
-use crate::service::Produced;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    BATTERY_STATUS_DATA, MavBatteryChargeState, MavBatteryFunction, MavBatteryMode, MavBatteryType,
-};
-use vigil_mavlink::mavlink::MessageData;
+use crate::service::prelude::*;
 
 pub(super) const MESSAGES: &[Produced] = &[Produced::from(BATTERY_STATUS_DATA::ID, [0.5, 0.5, 0.5], battery)];
 

@@ -3,11 +3,8 @@
 //! The simulated sensors have no offset that lasts, so a calibration measures and tells; it changes nothing. Those that
 //! need the vehicle turned by hand are refused.
 
-use crate::core::Core;
-use crate::service::{Answer, Service, Source};
-use vigil_mavlink::common::MavSeverity;
-use vigil_mavlink::framing::Command;
-use vigil_types::Nanos;
+use crate::service::prelude::*;
+use crate::vehicle::VehicleView;
 
 const PREFLIGHT_CALIBRATION: u16 = 241;
 const LASTS_NS: Nanos = 1_000_000_000;
@@ -16,24 +13,11 @@ const LOOK_NS: Nanos = 10_000_000;
 const MAX_RATE_RAD_S: f32 = 0.05;
 const MAX_TILT_RAD: f32 = 0.1;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Sensor {
-    Gyro,
-    Level,
-}
-
-impl Sensor {
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Gyro => "gyro",
-            Self::Level => "level",
-        }
-    }
-}
-
 #[derive(Debug)]
 struct Running {
-    sensor: Sensor,
+    name: &'static str,
+    look: fn(&VehicleView) -> [f32; 3],
+    limit: f32,
     began_ns: Nanos,
     looks: u16,
     sums: [f32; 3],
@@ -47,8 +31,8 @@ pub(crate) struct Calibration {
 }
 
 impl Service for Calibration {
-    fn commands(&self) -> &'static [u16] {
-        &[PREFLIGHT_CALIBRATION]
+    fn serves(&self, command: u16) -> bool {
+        command == PREFLIGHT_CALIBRATION
     }
 
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
@@ -57,15 +41,15 @@ impl Service for Calibration {
             core.warn(text);
             Answer::REJECTED
         };
-        let sensor = match params {
+        let (name, look, limit): (_, fn(&VehicleView) -> _, _) = match params {
             p if p == [0.0; 7] => {
                 if self.running.take().is_some() {
                     core.inform("[cal] calibration cancelled");
                 }
                 return Answer::ACCEPTED;
             }
-            [1.0, ..] => Sensor::Gyro,
-            [_, _, _, _, 2.0, ..] => Sensor::Level,
+            [1.0, ..] => ("gyro", gyro, MAX_RATE_RAD_S),
+            [_, _, _, _, 2.0, ..] => ("level", tilt, MAX_TILT_RAD),
             [_, 1.0, ..] | [_, _, _, _, 1.0, ..] => {
                 return warn(core, "calibration denied: nobody turns a simulated vehicle by hand");
             }
@@ -77,10 +61,12 @@ impl Service for Calibration {
         if self.running.is_some() {
             return warn(core, "calibration denied: another one is running");
         }
-        core.inform(&format!("[cal] calibration started: 2 {}", sensor.name()));
+        core.inform(&format!("[cal] calibration started: 2 {name}"));
         self.due_ns = core.now_ns + LOOK_NS;
         self.running = Some(Running {
-            sensor,
+            name,
+            look,
+            limit,
             began_ns: core.now_ns,
             looks: 0,
             sums: [0.0; 3],
@@ -102,13 +88,7 @@ impl Service for Calibration {
         let Some(running) = &mut self.running else {
             return;
         };
-        let gyro = core.view.sensors.gyroscope_frd_rad_s;
-        let attitude = core.view.estimate.attitude;
-        let look = match running.sensor {
-            Sensor::Gyro => [gyro.x, gyro.y, gyro.z],
-            Sensor::Level => [attitude.roll_rad(), attitude.pitch_rad(), 0.0],
-        };
-        for (sum, value) in running.sums.iter_mut().zip(look) {
+        for (sum, value) in running.sums.iter_mut().zip((running.look)(&core.view)) {
             *sum += value;
         }
         running.looks += 1;
@@ -119,17 +99,11 @@ impl Service for Calibration {
         if elapsed_ns < LASTS_NS && !core.commander.is_armed() {
             return;
         }
-        let (name, count) = (running.sensor.name(), f32::from(running.looks));
-        let largest = running
-            .sums
-            .iter()
-            .fold(0.0_f32, |most, sum| most.max((sum / count).abs()));
-        let limit = match running.sensor {
-            Sensor::Gyro => MAX_RATE_RAD_S,
-            Sensor::Level => MAX_TILT_RAD,
-        };
+        let (name, limit, count) = (running.name, running.limit, f32::from(running.looks));
+        let is_beyond = |sum: f32| (sum / count).abs() > limit;
+        let moved = running.sums.into_iter().any(is_beyond);
         self.running = None;
-        if core.commander.is_armed() || largest > limit {
+        if core.commander.is_armed() || moved {
             core.text(
                 MavSeverity::MAV_SEVERITY_CRITICAL,
                 &format!("[cal] calibration failed: {name} moved"),
@@ -139,4 +113,14 @@ impl Service for Calibration {
             core.inform(&format!("[cal] calibration done: {name}"));
         }
     }
+}
+
+fn gyro(view: &VehicleView) -> [f32; 3] {
+    let rates = view.sensors.gyroscope_frd_rad_s;
+    [rates.x, rates.y, rates.z]
+}
+
+fn tilt(view: &VehicleView) -> [f32; 3] {
+    let attitude = view.estimate.attitude;
+    [attitude.roll_rad(), attitude.pitch_rad(), 0.0]
 }

@@ -1,10 +1,7 @@
 //! ESTIMATOR_STATUS: what the estimator believes it knows.
 
-use crate::core::Core;
-use crate::service::Produced;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{ESTIMATOR_STATUS_DATA, EstimatorStatusFlags as Flags};
-use vigil_mavlink::mavlink::MessageData;
+use crate::service::prelude::*;
+use vigil_mavlink::common::EstimatorStatusFlags as Flags;
 
 pub(super) const MESSAGES: &[Produced] = &[Produced::from(
     ESTIMATOR_STATUS_DATA::ID,

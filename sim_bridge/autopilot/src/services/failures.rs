@@ -2,12 +2,9 @@
 //!
 //! What follows is flight's business: without GPS the vehicle lands when the position is no longer known.
 
-use crate::core::Core;
 use crate::flight::SensorFault;
-use crate::service::{Answer, Service, Source};
+use crate::service::prelude::*;
 use crate::services::sensors::field_gauss;
-use vigil_mavlink::common::MavSeverity;
-use vigil_mavlink::framing::Command;
 
 const INJECT_FAILURE: u16 = 420;
 /// FAILURE_UNIT_SENSOR_*.
@@ -19,52 +16,45 @@ const OK: f32 = 0.0;
 const OFF: f32 = 1.0;
 const STUCK: f32 = 2.0;
 
-#[derive(Default)]
-pub(crate) struct Failures;
+pub(super) const COMMANDS: &[(u16, Handler)] = &[(INJECT_FAILURE, inject)];
 
-impl Service for Failures {
-    fn commands(&self) -> &'static [u16] {
-        &[INJECT_FAILURE]
+fn inject(command: &Command, _source: Source, core: &mut Core) -> Answer {
+    if !core.injects_failures() {
+        core.warn("failure injection denied: set SYS_FAILURE_EN to 1");
+        return Answer::DENIED;
     }
-
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
-        if !core.injects_failures() {
-            core.warn("failure injection denied: set SYS_FAILURE_EN to 1");
-            return Answer::DENIED;
-        }
-        let Some(kind @ (OK | OFF | STUCK)) = command.param(2) else {
-            // Wrong, slow or noisy readings are not modelled.
-            return Answer::UNSUPPORTED;
-        };
-        // 0 is all of a kind, and there is one of each.
-        if !matches!(command.param(3), None | Some(0.0 | 1.0)) {
-            return Answer::DENIED;
-        }
-        let name = match command.param(1) {
-            Some(GPS) if matches!(kind, OK | OFF) => {
-                let now_ns = core.now_ns;
-                let since_ns = core.lost_sensors.gps_since_ns;
-                core.lost_sensors.gps_since_ns = matches!(kind, OFF).then(|| since_ns.unwrap_or(now_ns));
-                "GPS"
-            }
-            Some(BAROMETER) => {
-                core.lost_sensors.barometer = fault(kind, core.view.sensors.barometer_height_m);
-                "barometer"
-            }
-            Some(MAGNETOMETER) => {
-                core.lost_sensors.magnetometer = fault(kind, field_gauss(core));
-                "compass"
-            }
-            _ => return Answer::UNSUPPORTED,
-        };
-        let (severity, what) = match kind {
-            OK => (MavSeverity::MAV_SEVERITY_INFO, "back"),
-            STUCK => (MavSeverity::MAV_SEVERITY_WARNING, "stuck"),
-            _ => (MavSeverity::MAV_SEVERITY_WARNING, "lost"),
-        };
-        core.text(severity, &format!("{name} {what}"));
-        Answer::ACCEPTED
+    let Some(kind @ (OK | OFF | STUCK)) = command.param(2) else {
+        // Wrong, slow or noisy readings are not modelled.
+        return Answer::UNSUPPORTED;
+    };
+    // 0 is all of a kind, and there is one of each.
+    if !matches!(command.param(3), None | Some(0.0 | 1.0)) {
+        return Answer::DENIED;
     }
+    let name = match command.param(1) {
+        Some(GPS) if matches!(kind, OK | OFF) => {
+            let now_ns = core.now_ns;
+            let since_ns = core.lost_sensors.gps_since_ns;
+            core.lost_sensors.gps_since_ns = matches!(kind, OFF).then(|| since_ns.unwrap_or(now_ns));
+            "GPS"
+        }
+        Some(BAROMETER) => {
+            core.lost_sensors.barometer = fault(kind, core.view.sensors.barometer_height_m);
+            "barometer"
+        }
+        Some(MAGNETOMETER) => {
+            core.lost_sensors.magnetometer = fault(kind, field_gauss(core));
+            "compass"
+        }
+        _ => return Answer::UNSUPPORTED,
+    };
+    let (severity, what) = match kind {
+        OK => (MavSeverity::MAV_SEVERITY_INFO, "back"),
+        STUCK => (MavSeverity::MAV_SEVERITY_WARNING, "stuck"),
+        _ => (MavSeverity::MAV_SEVERITY_WARNING, "lost"),
+    };
+    core.text(severity, &format!("{name} {what}"));
+    Answer::ACCEPTED
 }
 
 fn fault<T>(kind: f32, reading: T) -> SensorFault<T> {

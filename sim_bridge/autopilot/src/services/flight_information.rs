@@ -1,12 +1,6 @@
 //! FLIGHT_INFORMATION: when the vehicle was armed and took off, and the number of the flight.
 
-use crate::LinkId;
-use crate::core::Core;
-use crate::service::{Produced, Service};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::FLIGHT_INFORMATION_DATA;
-use vigil_mavlink::mavlink::MessageData;
-use vigil_types::Nanos;
+use crate::service::prelude::*;
 
 /// How often the commander is looked at.
 const WATCH_NS: Nanos = 20_000_000;

@@ -1,12 +1,9 @@
 //! FOLLOW_TARGET: where the target of follow mode is. <https://mavlink.io/en/messages/common.html#FOLLOW_TARGET>
 
-use crate::core::Core;
 use crate::geo;
-use crate::service::{Service, Source};
+use crate::service::prelude::*;
 use crate::services::actions::MAX_DISTANCE_M;
-use vigil_mavlink::common::FOLLOW_TARGET_DATA;
-use vigil_mavlink::framing::Packet;
-use vigil_types::{Nanos, NedVector};
+use vigil_types::NedVector;
 
 /// Bit of `est_capabilities`: the velocity is given.
 const HAS_VELOCITY: u8 = 1 << 1;

@@ -3,14 +3,10 @@
 //! A session's number is the client's choice and counts per client: clients exist that ignore the number a server gives
 //! (MAVSDK) and that want theirs back (pymavlink), and this suits both.
 
-use crate::core::Core;
 use crate::files::{FileError, FileSystem, crc32};
-use crate::service::{Service, Source};
+use crate::service::prelude::*;
 use crate::services::packed_parameters;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr, MavFtpOpcode as Opcode};
-use vigil_mavlink::framing::Packet;
-use vigil_types::Nanos;
+use vigil_mavlink::common::MavFtpOpcode as Opcode;
 
 /// Bytes of data in a packet.
 const MAX_DATA: usize = 239;
@@ -478,11 +474,8 @@ impl Session {
 /// a directory also has a size (0).
 fn list(files: &FileSystem, request: &Request<'_>, with_times: bool) -> Result<Reply, Nak> {
     let mut data = Vec::with_capacity(MAX_DATA);
-    for entry in files.list(request.path()?)?.skip(request.offset) {
-        let (kind, size) = match entry.size {
-            Some(size) => ('F', size),
-            None => ('D', 0),
-        };
+    for entry in files.list(request.path()?)?.into_iter().skip(request.offset) {
+        let (kind, size) = entry.size.map_or(('D', 0), |size| ('F', size));
         let line = match (with_times, entry.size) {
             (true, _) => format!("{kind}{}\t{size}\t{}\0", entry.name, entry.modified_s),
             (false, Some(_)) => format!("{kind}{}\t{size}\0", entry.name),

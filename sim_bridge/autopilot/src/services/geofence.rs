@@ -1,12 +1,7 @@
 //! FENCE_STATUS, and the watch over the geofence. <https://mavlink.io/en/messages/common.html#FENCE_STATUS>
 
-use crate::core::Core;
 use crate::plan::Breach;
-use crate::service::{Produced, Service};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{FENCE_STATUS_DATA, FenceBreach, FenceMitigate};
-use vigil_mavlink::mavlink::MessageData;
-use vigil_types::Nanos;
+use crate::service::prelude::*;
 
 /// How often the vehicle's place is compared with the geofence.
 const PERIOD_NS: Nanos = 50_000_000;

@@ -3,14 +3,9 @@
 //! Both are the local origin until DO_SET_HOME moves home, which changes where a return flies to and what
 //! GF_MAX_HOR_DIST is counted from. Home keeps its height: the world is level, and heights are above it.
 
-use crate::core::Core;
 use crate::geo::{self, deg_e7};
-use crate::service::{Answer, Produced, Service, Source};
+use crate::service::prelude::*;
 use crate::services::actions::{GLOBAL_FRAMES, MAX_DISTANCE_M};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA, SET_GPS_GLOBAL_ORIGIN_DATA};
-use vigil_mavlink::framing::{Command, Packet};
-use vigil_mavlink::mavlink::MessageData;
 use vigil_types::NedVector;
 
 /// MAV_CMD_DO_SET_HOME.
@@ -24,12 +19,12 @@ impl Service for Geography {
     fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
         // The origin is where the simulated world has it; whoever wants another is told the one in force.
         if packet.message_id() == SET_GPS_GLOBAL_ORIGIN_DATA::ID {
-            core.announce(GPS_GLOBAL_ORIGIN_DATA::ID);
+            core.announce::<GPS_GLOBAL_ORIGIN_DATA>();
         }
     }
 
-    fn commands(&self) -> &'static [u16] {
-        &[DO_SET_HOME]
+    fn serves(&self, command: u16) -> bool {
+        command == DO_SET_HOME
     }
 
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
@@ -71,7 +66,7 @@ fn set_home(command: &Command, core: &mut Core) -> Answer {
         return Answer::DENIED;
     }
     core.home_m = home_m;
-    core.announce(HOME_POSITION_DATA::ID);
+    core.announce::<HOME_POSITION_DATA>();
     Answer::ACCEPTED
 }
 

@@ -1,12 +1,8 @@
 //! HIL_STATE_QUATERNION: where the simulated vehicle truly is, as clients of PX4's simulation know it. On request only, and
 //! never on an onboard link: whoever guides the vehicle must not know.
 
-use crate::core::Core;
-use crate::service::{Produced, Service};
-use crate::{LinkId, LinkRole, geo};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::HIL_STATE_QUATERNION_DATA;
-use vigil_mavlink::mavlink::MessageData;
+use crate::service::prelude::*;
+use crate::{LinkRole, geo};
 
 const STANDARD_GRAVITY_M_S2: f32 = 9.806_65;
 

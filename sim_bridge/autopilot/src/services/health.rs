@@ -1,11 +1,8 @@
 //! SYS_STATUS: which sensors there are and whether they work, and whether the vehicle can be armed.
 
-use crate::core::Core;
-use crate::service::Produced;
+use crate::service::prelude::*;
 use crate::services::battery;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{MavSysStatusSensor as Sensor, SYS_STATUS_DATA};
-use vigil_mavlink::mavlink::MessageData;
+use vigil_mavlink::common::MavSysStatusSensor as Sensor;
 
 pub(super) const MESSAGES: &[Produced] = &[Produced::from(SYS_STATUS_DATA::ID, [1.0, 5.0, 1.0], sys_status)];
 
@@ -25,17 +22,13 @@ fn sys_status(core: &Core) -> Option<MavMessage> {
     health.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.fence_watch.breach.is_none());
     let lost = core.lost_sensors;
     health.set(Sensor::MAV_SYS_STATUS_SENSOR_GPS, lost.gps_since_ns.is_none());
-    health.set(
-        Sensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE,
-        !lost.barometer.is_lost(),
-    );
+    let has_barometer = !lost.barometer.is_lost();
+    health.set(Sensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE, has_barometer);
     health.set(Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG, !lost.magnetometer.is_lost());
     health.set(Sensor::MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS, !core.commander.is_broken());
-    let attitude = core.view.estimate.attitude;
-    health.set(
-        Sensor::MAV_SYS_STATUS_AHRS,
-        attitude.is_valid() && core.view.estimate.position_ned_m.is_finite() && core.knows_position(),
-    );
+    let e = &core.view.estimate;
+    let has_pose = e.attitude.is_valid() && e.position_ned_m.is_finite() && core.knows_position();
+    health.set(Sensor::MAV_SYS_STATUS_AHRS, has_pose);
     health.set(Sensor::MAV_SYS_STATUS_PREARM_CHECK, core.arming_check().is_ok());
     let s = &core.view.sensors;
     Some(MavMessage::SYS_STATUS(SYS_STATUS_DATA {

@@ -1,12 +1,9 @@
 //! How often messages come, and single requests.
 //! <https://mavlink.io/en/mavgen_python/howto_requestmessages.html>
 
-use crate::core::Core;
-use crate::service::{Answer, Services, Source};
+use crate::service::Services;
+use crate::service::prelude::*;
 use crate::streams::Streams;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::MESSAGE_INTERVAL_DATA;
-use vigil_mavlink::framing::Command;
 
 const GET_MESSAGE_INTERVAL: u16 = 510;
 const SET_MESSAGE_INTERVAL: u16 = 511;

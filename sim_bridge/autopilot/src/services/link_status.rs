@@ -1,13 +1,7 @@
 //! PING and LINK_NODE_STATUS: what a link carries. <https://mavlink.io/en/services/ping.html>
 
-use crate::LinkId;
-use crate::core::Core;
 use crate::outbox::Traffic;
-use crate::service::{Produced, Service};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{LINK_NODE_STATUS_DATA, PING_DATA};
-use vigil_mavlink::mavlink::MessageData;
-use vigil_types::Nanos;
+use crate::service::prelude::*;
 
 /// Over which rates are measured.
 const WINDOW_NS: Nanos = 1_000_000_000;

@@ -4,16 +4,9 @@
 //! From arming to disarming the vehicle records itself into a ULog file under `log`, which can also be read by file transfer:
 //! ground stations name what they download from a PX4 `.ulg`. docs/mavlink.md says what is in it.
 
-use crate::core::Core;
-use crate::service::{Answer, Service, Source};
+use crate::core::padded;
+use crate::service::prelude::*;
 use crate::ulog;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    LOG_DATA_DATA, LOG_ENTRY_DATA, LOG_ERASE_DATA, LOG_REQUEST_DATA_DATA, LOG_REQUEST_END_DATA, LOG_REQUEST_LIST_DATA,
-    LOGGING_DATA_DATA,
-};
-use vigil_mavlink::framing::{Command, Packet};
-use vigil_types::Nanos;
 
 const DIRECTORY: &str = "log";
 /// Ten records per second.
@@ -115,8 +108,8 @@ impl Service for Logs {
         }
     }
 
-    fn commands(&self) -> &'static [u16] {
-        &[LOGGING_START, LOGGING_STOP]
+    fn serves(&self, command: u16) -> bool {
+        matches!(command, LOGGING_START | LOGGING_STOP)
     }
 
     fn command(&mut self, command: &Command, source: Source, _core: &mut Core) -> Answer {
@@ -162,15 +155,13 @@ impl Service for Logs {
 
 /// The logs from the oldest: the position is a log's number on the link.
 fn paths(core: &Core) -> Vec<String> {
-    let listed = core.files.list(DIRECTORY);
-    listed.map_or(Vec::new(), |entries| {
-        entries.map(|e| format!("{DIRECTORY}/{}", e.name)).collect()
-    })
+    let listed = core.files.list(DIRECTORY).unwrap_or_default();
+    listed.iter().map(|e| format!("{DIRECTORY}/{}", e.name)).collect()
 }
 
 /// What LOG_ENTRY says of log number `index`; no logs are told by a count of 0.
 fn entry(core: &Core, index: usize) -> MavMessage {
-    let entries: Vec<_> = core.files.list(DIRECTORY).map_or(Vec::new(), Iterator::collect);
+    let entries = core.files.list(DIRECTORY).unwrap_or_default();
     let log = entries.get(index);
     MavMessage::LOG_ENTRY(LOG_ENTRY_DATA {
         time_utc: log.map_or(0, |l| l.modified_s as u32),
@@ -182,15 +173,11 @@ fn entry(core: &Core, index: usize) -> MavMessage {
 }
 
 fn data(id: u16, ofs: usize, bytes: &[u8]) -> MavMessage {
-    let mut data = [0; CHUNK];
-    for (to, from) in data.iter_mut().zip(bytes) {
-        *to = *from;
-    }
     MavMessage::LOG_DATA(LOG_DATA_DATA {
         ofs: ofs as u32,
         id,
         count: bytes.len().min(CHUNK) as u8,
-        data,
+        data: padded::<CHUNK>(bytes),
     })
 }
 
@@ -238,17 +225,13 @@ impl Stream {
             }
             self.message = ulog::next_message(content, self.message, self.offset);
             let first = self.message.saturating_sub(self.offset);
-            let mut data = [0; STREAM_CHUNK];
-            for (to, from) in data.iter_mut().zip(bytes) {
-                *to = *from;
-            }
             let message = MavMessage::LOGGING_DATA(LOGGING_DATA_DATA {
                 sequence: self.sequence,
                 target_system: self.client.id.system,
                 target_component: self.client.id.component,
                 length: bytes.len() as u8,
                 first_message_offset: if first < bytes.len() { first as u8 } else { NO_MESSAGE },
-                data,
+                data: padded::<STREAM_CHUNK>(bytes),
             });
             self.offset = to;
             self.sequence = self.sequence.wrapping_add(1);

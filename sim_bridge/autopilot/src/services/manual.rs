@@ -1,11 +1,8 @@
 //! Sticks: MANUAL_CONTROL of a joystick, RC_CHANNELS_OVERRIDE of a script that plays the transmitter.
 //! <https://mavlink.io/en/messages/common.html#MANUAL_CONTROL>
 
-use crate::core::Core;
 use crate::flight::Deflections;
-use crate::service::{Service, Source};
-use vigil_mavlink::common::{MANUAL_CONTROL_DATA, RC_CHANNELS_OVERRIDE_DATA};
-use vigil_mavlink::framing::Packet;
+use crate::service::prelude::*;
 
 pub(crate) struct Manual;
 

@@ -1,14 +1,9 @@
 //! Starting, pausing and following a mission. <https://mavlink.io/en/services/mission.html>
 
-use crate::core::Core;
 use crate::flight::FlightMode;
 use crate::plan::PlanKind;
-use crate::service::{Answer, Produced, Service, Source};
+use crate::service::prelude::*;
 use crate::services::arming::answer;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{MISSION_CURRENT_DATA, MISSION_ITEM_REACHED_DATA, MISSION_SET_CURRENT_DATA};
-use vigil_mavlink::framing::{Command, Packet};
-use vigil_mavlink::mavlink::MessageData;
 
 const DO_CHANGE_SPEED: u16 = 178;
 const MISSION_START: u16 = 300;
@@ -25,8 +20,8 @@ impl Service for MissionService {
         }
     }
 
-    fn commands(&self) -> &'static [u16] {
-        &[DO_CHANGE_SPEED, MISSION_START]
+    fn serves(&self, command: u16) -> bool {
+        matches!(command, DO_CHANGE_SPEED | MISSION_START)
     }
 
     fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {

@@ -41,7 +41,9 @@ mod time;
 mod version;
 mod vibration;
 
-use crate::service::{Produced, Service};
+use crate::core::Core;
+use crate::service::{Answer, Handler, Produced, Service, Source};
+use vigil_mavlink::framing::Command;
 
 pub(crate) use actions::BELOW_HOME_M;
 pub(crate) use intervals::message_interval;
@@ -52,6 +54,20 @@ struct Telemetry(&'static [Produced]);
 impl Service for Telemetry {
     fn messages(&self) -> &'static [Produced] {
         self.0
+    }
+}
+
+/// Commands that are served by what all services share, and nothing else.
+struct Commands(&'static [(u16, Handler)]);
+
+impl Service for Commands {
+    fn serves(&self, command: u16) -> bool {
+        self.0.iter().any(|(number, _)| *number == command)
+    }
+
+    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {
+        let served = self.0.iter().find(|(number, _)| *number == command.number);
+        served.map_or(Answer::UNSUPPORTED, |(_, serve)| serve(command, source, core))
     }
 }
 
@@ -71,21 +87,23 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::<flight_information::FlightInformation>::default(),
         Box::new(Telemetry(absent::MESSAGES)),
         Box::new(ground_truth::GroundTruth),
-        Box::new(failures::Failures),
+        Box::new(Commands(failures::COMMANDS)),
         Box::new(Telemetry(battery::MESSAGES)),
         Box::new(Telemetry(health::MESSAGES)),
         Box::new(geography::Geography),
-        Box::new(arming::Arming),
-        Box::new(actions::Actions),
+        Box::new(Commands(arming::COMMANDS)),
+        Box::new(actions::SetMode),
+        Box::new(Commands(actions::COMMANDS)),
         Box::<calibration::Calibration>::default(),
         Box::<plans::PlanTransfer>::default(),
         Box::new(mission::MissionService),
         Box::<geofence::Geofence>::default(),
-        Box::new(orbit::OrbitService),
+        Box::new(Telemetry(orbit::MESSAGES)),
+        Box::new(Commands(orbit::COMMANDS)),
         Box::new(follow::Follow::default()),
-        Box::new(interest::Interest),
+        Box::new(Commands(interest::COMMANDS)),
         Box::<parameters::ParameterService>::default(),
-        Box::new(storage::Storage),
+        Box::new(Commands(storage::COMMANDS)),
         Box::<ftp::Ftp>::default(),
         Box::new(metadata::Metadata),
         Box::<logs::Logs>::default(),

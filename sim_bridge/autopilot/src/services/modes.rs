@@ -1,15 +1,9 @@
 //! The standard modes protocol: which modes there are, which one is flown. <https://mavlink.io/en/services/standard_modes.html>
 
-use crate::core::Core;
 use crate::flight::FlightMode;
-use crate::service::{Answer, Produced, Service, Source};
-use crate::services::arming::answer;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    AVAILABLE_MODES_DATA, AVAILABLE_MODES_MONITOR_DATA, CURRENT_MODE_DATA, MavModeProperty, MavStandardMode,
-};
-use vigil_mavlink::framing::Command;
-use vigil_mavlink::mavlink::MessageData;
+use crate::service::prelude::*;
+use crate::services::actions::set_mode;
+use vigil_mavlink::common::MavModeProperty as Property;
 
 const DO_SET_STANDARD_MODE: u16 = 262;
 
@@ -17,8 +11,8 @@ const DO_SET_STANDARD_MODE: u16 = 262;
 pub(crate) struct Modes;
 
 impl Service for Modes {
-    fn commands(&self) -> &'static [u16] {
-        &[DO_SET_STANDARD_MODE]
+    fn serves(&self, command: u16) -> bool {
+        command == DO_SET_STANDARD_MODE
     }
 
     fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {
@@ -27,16 +21,8 @@ impl Service for Modes {
             let standard = standard(*mode);
             standard != MavStandardMode::MAV_STANDARD_MODE_NON_STANDARD && f32::from(standard as u8) == wanted
         };
-        let mode = FlightMode::ALL
-            .into_iter()
-            .find(|mode| mode.is_commanded() && is_wanted(mode));
-        match mode {
-            Some(mode) => {
-                let outcome = core.change_mode(mode, source);
-                answer(outcome, core)
-            }
-            None => Answer::DENIED,
-        }
+        let mut commanded = FlightMode::ALL.into_iter().filter(|mode| mode.is_commanded());
+        set_mode(commanded.find(is_wanted), source, core)
     }
 
     fn messages(&self) -> &'static [Produced] {
@@ -82,47 +68,21 @@ fn standard(mode: FlightMode) -> MavStandardMode {
     }
 }
 
-/// Names as PX4 tells them.
-const fn name(mode: FlightMode) -> &'static str {
-    match mode {
-        FlightMode::Hold => "Hold",
-        FlightMode::Takeoff => "Takeoff",
-        FlightMode::Land => "Land",
-        FlightMode::Return => "Return",
-        FlightMode::Mission => "Mission",
-        FlightMode::Orbit => "Orbit",
-        FlightMode::Follow => "Follow Target",
-        FlightMode::Position => "Position",
-        FlightMode::Altitude => "Altitude",
-        FlightMode::Stabilized => "Stabilized",
-        FlightMode::Manual => "Manual",
-        FlightMode::Acro => "Acro",
-        FlightMode::Offboard => "Offboard",
-    }
-}
-
 fn available(index: usize) -> Option<MavMessage> {
     let mode = *FlightMode::ALL.get(index.checked_sub(1)?)?;
-    let mut properties = MavModeProperty::empty();
-    properties.set(
-        MavModeProperty::MAV_MODE_PROPERTY_NOT_USER_SELECTABLE,
-        !mode.is_commanded(),
-    );
-    properties.set(
-        MavModeProperty::MAV_MODE_PROPERTY_ADVANCED,
-        matches!(mode, FlightMode::Acro | FlightMode::Manual | FlightMode::Offboard),
-    );
-    properties.set(
-        MavModeProperty::MAV_MODE_PROPERTY_AUTO_MODE,
-        !mode.needs_sticks() && mode != FlightMode::Offboard,
-    );
+    let is_advanced = matches!(mode, FlightMode::Acro | FlightMode::Manual | FlightMode::Offboard);
+    let is_automatic = !mode.needs_sticks() && mode != FlightMode::Offboard;
+    let mut properties = Property::empty();
+    properties.set(Property::MAV_MODE_PROPERTY_NOT_USER_SELECTABLE, !mode.is_commanded());
+    properties.set(Property::MAV_MODE_PROPERTY_ADVANCED, is_advanced);
+    properties.set(Property::MAV_MODE_PROPERTY_AUTO_MODE, is_automatic);
     Some(MavMessage::AVAILABLE_MODES(AVAILABLE_MODES_DATA {
         custom_mode: mode.custom_mode(),
         properties,
         number_modes: FlightMode::ALL.len() as u8,
         mode_index: index as u8,
         standard_mode: standard(mode),
-        mode_name: name(mode).into(),
+        mode_name: mode.px4_name().into(),
     }))
 }
 

@@ -1,39 +1,22 @@
 //! DO_ORBIT and ORBIT_EXECUTION_STATUS. <https://mavlink.io/en/messages/common.html#MAV_CMD_DO_ORBIT>
 
-use crate::core::Core;
 use crate::flight::{Facing, Orbit};
 use crate::geo;
-use crate::service::{Answer, Produced, Service, Source};
+use crate::service::prelude::*;
 use crate::services::{actions, arming::answer};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{MavFrame, ORBIT_EXECUTION_STATUS_DATA};
-use vigil_mavlink::framing::Command;
-use vigil_mavlink::mavlink::MessageData;
 
 const DO_ORBIT: u16 = 34;
 /// Used where the command gives none (PX4's defaults are the same).
 const DEFAULT_RADIUS_M: f32 = 5.0;
 const DEFAULT_SPEED_M_S: f32 = 2.0;
 
-pub(crate) struct OrbitService;
+pub(super) const COMMANDS: &[(u16, Handler)] = &[(DO_ORBIT, begin)];
 
-impl Service for OrbitService {
-    fn commands(&self) -> &'static [u16] {
-        &[DO_ORBIT]
-    }
-
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
-        begin(command, core)
-    }
-
-    fn messages(&self) -> &'static [Produced] {
-        const { &[Produced::from(ORBIT_EXECUTION_STATUS_DATA::ID, [0.0, 2.0, 2.0], status)] }
-    }
-}
+pub(super) const MESSAGES: &[Produced] = &[Produced::from(ORBIT_EXECUTION_STATUS_DATA::ID, [0.0, 2.0, 2.0], status)];
 
 /// Parameter 1 radius (negative: counter-clockwise), 2 speed, 3 where the nose points, 4 angle in radians (0: without
 /// end), 5 to 7 the centre.
-fn begin(command: &Command, core: &mut Core) -> Answer {
+fn begin(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let radius_m = command.param(1).unwrap_or(DEFAULT_RADIUS_M);
     let speed_m_s = command.param(2).unwrap_or(DEFAULT_SPEED_M_S);
     let angle_rad = command.param(4).unwrap_or(0.0);
@@ -44,9 +27,8 @@ fn begin(command: &Command, core: &mut Core) -> Answer {
         Some(3.0) => Facing::Tangent,
         Some(_) => return Answer::DENIED,
     };
-    let sound =
-        (1.0..=1000.0).contains(&radius_m.abs()) && (0.1..=50.0).contains(&speed_m_s.abs()) && angle_rad.is_finite();
-    if !sound {
+    let is_sound = (1.0..=1000.0).contains(&radius_m.abs()) && (0.1..=50.0).contains(&speed_m_s.abs());
+    if !is_sound || !angle_rad.is_finite() {
         return Answer::DENIED;
     }
     let Some(centre_ned_m) = actions::place(command, core) else {
@@ -70,11 +52,7 @@ fn status(core: &Core) -> Option<MavMessage> {
     let (lat, lon, altitude_m) = geo::to_global(&core.home, orbit.centre_ned_m);
     Some(MavMessage::ORBIT_EXECUTION_STATUS(ORBIT_EXECUTION_STATUS_DATA {
         time_usec: core.time_boot_us(),
-        radius: if orbit.is_clockwise {
-            orbit.radius_m
-        } else {
-            -orbit.radius_m
-        },
+        radius: orbit.radius_m * if orbit.is_clockwise { 1.0 } else { -1.0 },
         x: geo::deg_e7(lat),
         y: geo::deg_e7(lon),
         z: altitude_m as f32,

@@ -1,7 +1,7 @@
 //! All parameters as one file, `@PARAM/param.pck`: what ground stations fetch instead of a list, and store to set many at once.
 //! <https://mavlink.io/en/services/ftp.html#param-pck>, format: libraries/AP_Filesystem/README.md of ArduPilot.
 
-use crate::core::Core;
+use crate::service::prelude::*;
 use crate::services::parameters::value_message;
 use crate::vehicle_parameters::{ParameterValue, Parameters};
 

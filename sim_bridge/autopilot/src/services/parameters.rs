@@ -3,19 +3,10 @@
 //! `_HASH_CHECK` is no parameter but a digest of all of them, by which a ground station knows that what it has kept is
 //! current: it comes before a list, and set to its own value it ends one.
 
-use crate::LinkId;
-use crate::core::Core;
 use crate::files::crc32_on;
-use crate::service::{Service, Source};
+use crate::service::prelude::*;
 use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    MavParamError, MavParamType, PARAM_ERROR_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA,
-    PARAM_VALUE_DATA,
-};
-use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::types::CharArray;
-use vigil_types::Nanos;
 
 /// Pause between the values of a list: a burst would overrun a client's socket buffer.
 const LIST_PAUSE_NS: Nanos = 5_000_000;

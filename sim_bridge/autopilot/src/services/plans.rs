@@ -4,18 +4,9 @@
 //! fails, the old plan stays in force. There is one upload at a time. A download has no state: any item can be asked for at
 //! any time by anybody.
 
-use crate::core::Core;
+use crate::core::padded;
 use crate::plan::{Envelope, MissionItem, PlanDefect, PlanItem, PlanKind, Plans};
-use crate::service::{Service, Source};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    MISSION_ACK_DATA, MISSION_CLEAR_ALL_DATA, MISSION_COUNT_DATA, MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA,
-    MISSION_REQUEST_DATA, MISSION_REQUEST_INT_DATA, MISSION_REQUEST_LIST_DATA, MISSION_REQUEST_PARTIAL_LIST_DATA,
-    MISSION_WRITE_PARTIAL_LIST_DATA, MavMissionResult, MavMissionType,
-};
-use vigil_mavlink::framing::Packet;
-use vigil_mavlink::mavlink::MessageData;
-use vigil_types::Nanos;
+use crate::service::prelude::*;
 
 /// An item that does not come is asked for again after this time, as in PX4.
 const RETRY_NS: Nanos = 250_000_000;
@@ -47,15 +38,6 @@ struct Finished {
 pub(crate) struct PlanTransfer {
     upload: Option<Upload>,
     finished: Option<Finished>,
-}
-
-/// A payload with its cut zeros: all messages of the protocol but the items fit.
-fn fields(packet: &Packet<'_>) -> [u8; 16] {
-    let mut fields = [0; 16];
-    for (to, from) in fields.iter_mut().zip(packet.payload()) {
-        *to = *from;
-    }
-    fields
 }
 
 fn acknowledge(core: &mut Core, source: Source, mission_type: u8, result: MavMissionResult) {
@@ -98,7 +80,8 @@ fn inside_fence(item: &PlanItem, kind: PlanKind, core: &Core) -> Result<(), Plan
 
 impl Service for PlanTransfer {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        let f = fields(packet);
+        // All messages of the protocol but the items fit.
+        let f = padded::<16>(packet.payload());
         let first = u16::from_le_bytes([f[0], f[1]]);
         match packet.message_id() {
             MISSION_COUNT_DATA::ID => self.begin(first, f[4], source, core),
@@ -149,25 +132,13 @@ impl Upload {
     /// only that.
     fn ask(&mut self, core: &mut Core) {
         self.retry_ns = core.now_ns + RETRY_NS;
-        let seq = self.items.len() as u16;
-        let (target_system, target_component) = (self.source.id.system, self.source.id.component);
-        let mission_type = self.kind.wire();
-        let message = if self.retries % 2 == 1 {
-            MavMessage::MISSION_REQUEST(MISSION_REQUEST_DATA {
-                seq,
-                target_system,
-                target_component,
-                mission_type,
-            })
-        } else {
-            MavMessage::MISSION_REQUEST_INT(MISSION_REQUEST_INT_DATA {
-                seq,
-                target_system,
-                target_component,
-                mission_type,
-            })
+        let id = match self.retries % 2 {
+            1 => MISSION_REQUEST_DATA::ID,
+            _ => MISSION_REQUEST_INT_DATA::ID,
         };
-        core.outbox.send(self.source.link, &message);
+        let ([low, high], to) = ((self.items.len() as u16).to_le_bytes(), self.source.id);
+        let payload = [low, high, to.system, to.component, self.kind.wire() as u8];
+        core.outbox.send_payload(self.source.link, id, &payload);
     }
 }
 
@@ -217,12 +188,8 @@ impl PlanTransfer {
                 count: envelope.seq.saturating_add(1),
             });
             if again.is_some() && again == self.finished {
-                acknowledge(
-                    core,
-                    source,
-                    envelope.mission_type,
-                    MavMissionResult::MAV_MISSION_ACCEPTED,
-                );
+                let result = MavMissionResult::MAV_MISSION_ACCEPTED;
+                acknowledge(core, source, envelope.mission_type, result);
             } else {
                 core.refusals.plan += 1;
             }
@@ -303,12 +270,8 @@ fn tell_item(seq: u16, mission_type: u8, as_int: bool, source: Source, core: &mu
         return acknowledge(core, source, mission_type, MavMissionResult::MAV_MISSION_UNSUPPORTED);
     };
     let Some(item) = core.plans.wire(kind).items.get(usize::from(seq)) else {
-        return acknowledge(
-            core,
-            source,
-            mission_type,
-            MavMissionResult::MAV_MISSION_INVALID_SEQUENCE,
-        );
+        let result = MavMissionResult::MAV_MISSION_INVALID_SEQUENCE;
+        return acknowledge(core, source, mission_type, result);
     };
     let is_current = kind == PlanKind::Mission && core.plans.mission.current() == seq;
     let envelope = Envelope {
@@ -317,10 +280,6 @@ fn tell_item(seq: u16, mission_type: u8, as_int: bool, source: Source, core: &mu
         mission_type,
     };
     let payload = item.payload(envelope, (source.id.system, source.id.component), as_int);
-    let id = if as_int {
-        MISSION_ITEM_INT_DATA::ID
-    } else {
-        MISSION_ITEM_DATA::ID
-    };
+    let id = [MISSION_ITEM_DATA::ID, MISSION_ITEM_INT_DATA::ID][usize::from(as_int)];
     core.outbox.send_payload(source.link, id, &payload);
 }

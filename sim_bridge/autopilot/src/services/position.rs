@@ -1,17 +1,10 @@
 //! Where the vehicle is and how fast: local, global, height, heads-up display, odometry; and what is flown.
 
-use crate::core::Core;
 use crate::flight::{FlightMode, position_target};
 use crate::geo;
 use crate::plan::MissionItem;
-use crate::service::Produced;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    ALTITUDE_DATA, GLOBAL_POSITION_INT_DATA, LOCAL_POSITION_NED_DATA, MavEstimatorType, MavFrame, ODOMETRY_DATA,
-    POSITION_TARGET_GLOBAL_INT_DATA, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask, VFR_HUD_DATA,
-};
-use vigil_mavlink::mavlink::MessageData;
-use vigil_types::{Attitude, NedVector};
+use crate::service::prelude::*;
+use vigil_types::NedVector;
 
 pub(super) const MESSAGES: &[Produced] = &[
     Produced::from(LOCAL_POSITION_NED_DATA::ID, [50.0, 30.0, 10.0], local_position),
@@ -23,9 +16,9 @@ pub(super) const MESSAGES: &[Produced] = &[
     Produced::from(POSITION_TARGET_GLOBAL_INT_DATA::ID, [0.0; 3], global_target),
 ];
 
-/// Heading in degrees, 0 to 360.
-pub(super) fn heading_deg(attitude: Attitude) -> f32 {
-    let deg = attitude.yaw_rad().to_degrees();
+/// A direction in degrees, 0 to 360.
+pub(super) fn bearing_deg(bearing_rad: f32) -> f32 {
+    let deg = bearing_rad.to_degrees();
     if deg < 0.0 { deg + 360.0 } else { deg }
 }
 
@@ -55,7 +48,7 @@ fn global_position(core: &Core) -> Option<MavMessage> {
         vx: cm_s(e.velocity_ned_m_s.x),
         vy: cm_s(e.velocity_ned_m_s.y),
         vz: cm_s(e.velocity_ned_m_s.z),
-        hdg: (heading_deg(e.attitude) * 100.0) as u16,
+        hdg: (bearing_deg(e.attitude.yaw_rad()) * 100.0) as u16,
     }))
 }
 
@@ -66,7 +59,7 @@ fn heads_up_display(core: &Core) -> Option<MavMessage> {
         groundspeed: e.velocity_ned_m_s.horizontal_norm(),
         alt: (core.home.altitude_m - f64::from(e.position_ned_m.z)) as f32,
         climb: -e.velocity_ned_m_s.z,
-        heading: heading_deg(e.attitude) as i16,
+        heading: bearing_deg(e.attitude.yaw_rad()) as i16,
         throttle: (core.view.sensors.throttle * 100.0) as u16,
     }))
 }

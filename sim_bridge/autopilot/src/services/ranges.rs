@@ -1,11 +1,8 @@
 //! OBSTACLE_DISTANCE of a sensor beside the depth camera, for the guidance computer:
 //! <https://mavlink.io/en/messages/common.html#OBSTACLE_DISTANCE>.
 
-use crate::core::{Core, ZoneRanges};
-use crate::service::Produced;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{MavDistanceSensor, MavFrame, OBSTACLE_DISTANCE_DATA};
-use vigil_mavlink::mavlink::MessageData;
+use crate::core::ZoneRanges;
+use crate::service::prelude::*;
 use vigil_types::RANGE_SECTORS;
 
 const UNKNOWN: u16 = u16::MAX;

@@ -1,15 +1,10 @@
 //! Sensor readings: IMU, pressure, GPS.
 
-use crate::core::Core;
 use crate::flight::SensorFault;
 use crate::geo;
-use crate::service::Produced;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    GPS_RAW_INT_DATA, GpsFixType, HIGHRES_IMU_DATA, HighresImuUpdatedFlags as Updated, RAW_IMU_DATA, SCALED_IMU_DATA,
-    SCALED_PRESSURE_DATA,
-};
-use vigil_mavlink::mavlink::MessageData;
+use crate::service::prelude::*;
+use crate::services::position::bearing_deg;
+use vigil_mavlink::common::HighresImuUpdatedFlags as Updated;
 use vigil_types::FrdVector;
 
 /// Earth's field at home in gauss, NED: about what the world magnetic model gives for the default home.
@@ -87,29 +82,13 @@ fn imu(core: &Core) -> Option<MavMessage> {
 
 /// Readings as whole numbers: thousandths of standard gravity, of a radian per second and of a gauss, and hundredths of
 /// a degree Celsius.
-struct ScaledReadings {
-    acceleration: [i16; 3],
-    rates: [i16; 3],
-    field: [i16; 3],
-    temperature: i16,
-}
-
-fn scaled_readings(core: &Core) -> ScaledReadings {
+fn scaled_readings(core: &Core) -> SCALED_IMU_DATA {
     let s = &core.view.sensors;
-    let field = compass_gauss(core);
     let thousandths = |v: FrdVector, unit: f32| [v.x, v.y, v.z].map(|value| libm::roundf(value / unit * 1e3) as i16);
-    ScaledReadings {
-        acceleration: thousandths(s.accelerometer_frd_m_s2, STANDARD_GRAVITY_M_S2),
-        rates: thousandths(s.gyroscope_frd_rad_s, 1.0),
-        field: thousandths(field, 1.0),
-        temperature: (TEMPERATURE_C * 100.0) as i16,
-    }
-}
-
-fn scaled_imu(core: &Core) -> Option<MavMessage> {
-    let s = scaled_readings(core);
-    let ([xacc, yacc, zacc], [xgyro, ygyro, zgyro], [xmag, ymag, zmag]) = (s.acceleration, s.rates, s.field);
-    Some(MavMessage::SCALED_IMU(SCALED_IMU_DATA {
+    let [xacc, yacc, zacc] = thousandths(s.accelerometer_frd_m_s2, STANDARD_GRAVITY_M_S2);
+    let [xgyro, ygyro, zgyro] = thousandths(s.gyroscope_frd_rad_s, 1.0);
+    let [xmag, ymag, zmag] = thousandths(compass_gauss(core), 1.0);
+    SCALED_IMU_DATA {
         time_boot_ms: core.time_boot_ms(),
         xacc,
         yacc,
@@ -120,25 +99,28 @@ fn scaled_imu(core: &Core) -> Option<MavMessage> {
         xmag,
         ymag,
         zmag,
-        temperature: s.temperature,
-    }))
+        temperature: (TEMPERATURE_C * 100.0) as i16,
+    }
+}
+
+fn scaled_imu(core: &Core) -> Option<MavMessage> {
+    Some(MavMessage::SCALED_IMU(scaled_readings(core)))
 }
 
 /// The same numbers: the sensors are modelled behind their calibration.
 fn raw_imu(core: &Core) -> Option<MavMessage> {
     let s = scaled_readings(core);
-    let ([xacc, yacc, zacc], [xgyro, ygyro, zgyro], [xmag, ymag, zmag]) = (s.acceleration, s.rates, s.field);
     Some(MavMessage::RAW_IMU(RAW_IMU_DATA {
         time_usec: core.time_boot_us(),
-        xacc,
-        yacc,
-        zacc,
-        xgyro,
-        ygyro,
-        zgyro,
-        xmag,
-        ymag,
-        zmag,
+        xacc: s.xacc,
+        yacc: s.yacc,
+        zacc: s.zacc,
+        xgyro: s.xgyro,
+        ygyro: s.ygyro,
+        zgyro: s.zgyro,
+        xmag: s.xmag,
+        ymag: s.ymag,
+        zmag: s.zmag,
         id: 0,
         temperature: s.temperature,
     }))
@@ -170,12 +152,7 @@ fn gps(core: &Core) -> Option<MavMessage> {
     let s = &core.view.sensors;
     let (lat, lon, alt_m) = geo::to_global(&core.home, s.gps_position_ned_m);
     let v = s.gps_velocity_ned_m_s;
-    let course_deg = libm::atan2f(v.y, v.x).to_degrees();
-    let course_deg = if course_deg < 0.0 {
-        course_deg + 360.0
-    } else {
-        course_deg
-    };
+    let course_deg = bearing_deg(libm::atan2f(v.y, v.x));
     Some(MavMessage::GPS_RAW_INT(GPS_RAW_INT_DATA {
         time_usec: core.time_boot_us(),
         lat: geo::deg_e7(lat),

@@ -1,18 +1,10 @@
 //! Offboard setpoints as they come. <https://docs.px4.io/main/en/flight_modes/offboard.html>
 
-use crate::core::Core;
 use crate::flight::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
-use crate::service::{Service, Source};
+use crate::service::prelude::*;
 use crate::services::BELOW_HOME_M;
 use crate::vehicle::ControlCommand;
 use crate::vehicle_parameters::ParamId;
-use vigil_mavlink::common::{
-    SET_ACTUATOR_CONTROL_TARGET_DATA, SET_ATTITUDE_TARGET_DATA, SET_POSITION_TARGET_GLOBAL_INT_DATA,
-    SET_POSITION_TARGET_LOCAL_NED_DATA,
-};
-use vigil_mavlink::framing::Packet;
-use vigil_mavlink::mavlink::MessageData;
-use vigil_types::Nanos;
 
 /// Claimants and new reasons of refusals are told of this often at most: there may be any number of made-up ones.
 const TOLD_NS: Nanos = 1_000_000_000;

@@ -3,17 +3,14 @@
 //! A few commands of PX4's shell, by the same paths as the messages that do the same: a shell can do nothing that a
 //! message could not.
 
-use crate::core::Core;
+use crate::core::padded;
 use crate::flight::{Denial, FlightMode};
 use crate::plan::PlanKind;
-use crate::service::{Answer, Service, Source};
+use crate::service::prelude::*;
 use crate::services::arming;
 use crate::services::parameters::value_message;
 use crate::vehicle_parameters::{ParameterError, ParameterType, ParameterValue, Parameters};
 use std::fmt::Write;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{SERIAL_CONTROL_DATA, SerialControlDev, SerialControlFlag};
-use vigil_mavlink::framing::Packet;
 
 /// Bytes of a packet.
 const CHUNK: usize = 70;
@@ -69,17 +66,13 @@ impl Service for Shell {
 
 fn reply(output: &str, client: Source, core: &mut Core) {
     for chunk in output.as_bytes().chunks(CHUNK) {
-        let mut data = [0; CHUNK];
-        for (to, from) in data.iter_mut().zip(chunk) {
-            *to = *from;
-        }
         let message = MavMessage::SERIAL_CONTROL(SERIAL_CONTROL_DATA {
             baudrate: 0,
             timeout: 0,
             device: SerialControlDev::SERIAL_CONTROL_DEV_SHELL,
             flags: SerialControlFlag::SERIAL_CONTROL_FLAG_REPLY,
             count: chunk.len() as u8,
-            data,
+            data: padded::<CHUNK>(chunk),
             target_system: client.id.system,
             target_component: client.id.component,
         });
@@ -136,15 +129,10 @@ fn execute(line: &str, client: Source, core: &mut Core) -> String {
             outcome(taken_off)
         }
         ["commander", "land"] => outcome(core.change_mode(FlightMode::Land, client)),
-        ["commander", "mode", name] => {
-            let wanted = FlightMode::ALL
-                .into_iter()
-                .find(|mode| mode.name() == *name && mode.is_commanded());
-            match wanted {
-                Some(mode) => outcome(core.change_mode(mode, client)),
-                None => format!("no mode {name} that can be commanded; see help\n"),
-            }
-        }
+        ["commander", "mode", name] => match FlightMode::from_name(name).filter(|mode| mode.is_commanded()) {
+            Some(mode) => outcome(core.change_mode(mode, client)),
+            None => format!("no mode {name} that can be commanded; see help\n"),
+        },
         ["param", "show"] => show("*", core),
         ["param", "show", pattern] => show(pattern, core),
         ["param", "set", name, value] => set(name, value, core),
@@ -240,7 +228,7 @@ fn set(name: &str, value: &str, core: &mut Core) -> String {
 fn list(path: &str, core: &Core) -> String {
     match core.files.list(path) {
         Err(error) => format!("{path}: {error}\n"),
-        Ok(entries) => entries.fold(String::new(), |mut text, entry| {
+        Ok(entries) => entries.iter().fold(String::new(), |mut text, entry| {
             // Writing into a string cannot fail.
             let _ = match entry.size {
                 Some(size) => writeln!(text, "{size:>8} {}", entry.name),

@@ -1,10 +1,8 @@
 //! SETUP_SIGNING: a new key for MAVLink signing. The links put it into force; it is never passed on.
 //! <https://mavlink.io/en/messages/common.html#SETUP_SIGNING>
 
-use crate::core::{Core, SigningSetup};
-use crate::service::{Service, Source};
-use vigil_mavlink::common::SETUP_SIGNING_DATA;
-use vigil_mavlink::framing::Packet;
+use crate::core::SigningSetup;
+use crate::service::prelude::*;
 
 pub(crate) struct SigningService;
 

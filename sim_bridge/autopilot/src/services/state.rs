@@ -1,15 +1,8 @@
 //! HEARTBEAT, EXTENDED_SYS_STATE, and who owns the setpoints.
 //! <https://mavlink.io/en/services/heartbeat.html>
 
-use crate::core::Core;
 use crate::flight::LandedState;
-use crate::service::Produced;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA, MavAutopilot, MavLandedState, MavModeFlag, MavState, MavType,
-    MavVtolState, NAMED_VALUE_FLOAT_DATA,
-};
-use vigil_mavlink::mavlink::MessageData;
+use crate::service::prelude::*;
 
 pub(super) const MESSAGES: &[Produced] = &[
     Produced::from(HEARTBEAT_DATA::ID, [1.0, 1.0, 1.0], heartbeat),

@@ -1,9 +1,7 @@
 //! PREFLIGHT_STORAGE: keeping parameters, and their defaults again.
 //! <https://mavlink.io/en/messages/common.html#MAV_CMD_PREFLIGHT_STORAGE>
 
-use crate::core::Core;
-use crate::service::{Answer, Service, Source};
-use vigil_mavlink::framing::Command;
+use crate::service::prelude::*;
 
 const PREFLIGHT_STORAGE: u16 = 245;
 /// MAV_PREFLIGHT_STORAGE_ACTION_*.
@@ -13,28 +11,21 @@ const RESET: f32 = 2.0;
 const RESET_CALIBRATION: f32 = 3.0;
 const RESET_ALL: f32 = 4.0;
 
-#[derive(Default)]
-pub(crate) struct Storage;
+pub(super) const COMMANDS: &[(u16, Handler)] = &[(PREFLIGHT_STORAGE, store)];
 
-impl Service for Storage {
-    fn commands(&self) -> &'static [u16] {
-        &[PREFLIGHT_STORAGE]
+fn store(command: &Command, _source: Source, core: &mut Core) -> Answer {
+    if core.commander.is_armed() {
+        core.warn("parameter storage denied: armed");
+        return Answer::REJECTED;
     }
-
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
-        if core.commander.is_armed() {
-            core.warn("parameter storage denied: armed");
-            return Answer::REJECTED;
+    match command.param(1) {
+        // Whatever is set is kept at once, where the simulator keeps anything (`--state`); calibrations change nothing.
+        Some(READ | WRITE | RESET_CALIBRATION) => Answer::ACCEPTED,
+        Some(RESET | RESET_ALL) => {
+            core.parameters.reset();
+            core.inform("parameters reset to their defaults");
+            Answer::ACCEPTED
         }
-        match command.param(1) {
-            // Whatever is set is kept at once, where the simulator keeps anything (`--state`); calibrations change nothing.
-            Some(READ | WRITE | RESET_CALIBRATION) => Answer::ACCEPTED,
-            Some(RESET | RESET_ALL) => {
-                core.parameters.reset();
-                core.inform("parameters reset to their defaults");
-                Answer::ACCEPTED
-            }
-            _ => Answer::DENIED,
-        }
+        _ => Answer::DENIED,
     }
 }

@@ -1,11 +1,6 @@
 //! PING, TIMESYNC and SYSTEM_TIME. <https://mavlink.io/en/services/ping.html>, <https://mavlink.io/en/services/timesync.html>
 
-use crate::core::Core;
-use crate::service::{Produced, Service, Source};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{PING_DATA, SYSTEM_TIME_DATA, TIMESYNC_DATA};
-use vigil_mavlink::framing::Packet;
-use vigil_mavlink::mavlink::MessageData;
+use crate::service::prelude::*;
 
 pub(crate) struct Time;
 

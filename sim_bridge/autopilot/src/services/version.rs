@@ -1,10 +1,7 @@
 //! AUTOPILOT_VERSION and PROTOCOL_VERSION: who this is and what it can do.
 
-use crate::core::Core;
-use crate::service::Produced;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{AUTOPILOT_VERSION_DATA, MavProtocolCapability as Capability, PROTOCOL_VERSION_DATA};
-use vigil_mavlink::mavlink::MessageData;
+use crate::service::prelude::*;
+use vigil_mavlink::common::MavProtocolCapability as Capability;
 
 /// The PX4 whose answers are given: 1.18.0, a release (255).
 const DIALECT_OF_PX4: u32 = 1 << 24 | 18 << 16 | 255;

@@ -1,12 +1,6 @@
 //! VIBRATION: how much the accelerometer's readings change from one look to the next.
 
-use crate::LinkId;
-use crate::core::Core;
-use crate::service::{Produced, Service};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::VIBRATION_DATA;
-use vigil_mavlink::mavlink::MessageData;
-use vigil_types::Nanos;
+use crate::service::prelude::*;
 
 const LOOK_NS: Nanos = 10_000_000;
 /// Weight of a look in the mean: about a quarter of a second.

@@ -1,10 +1,8 @@
 //! Events, by packets.
 
 use crate::testing::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
 
-fn events(b: &Bench, link: crate::LinkId) -> Vec<EVENT_DATA> {
+fn events(b: &Bench, link: LinkId) -> Vec<EVENT_DATA> {
     b.all::<EVENT_DATA>(link)
 }
 
@@ -37,11 +35,7 @@ fn a_flight_is_told_in_order_and_without_gaps() {
     assert_eq!(ids(&b), [1, 3, 7, 3, 3, 8, 2, 3]);
     let events = events(&b, GCS);
     assert!(events.windows(2).all(|w| w[1].sequence == w[0].sequence + 1));
-    assert!(
-        events
-            .windows(2)
-            .all(|w| w[1].event_time_boot_ms >= w[0].event_time_boot_ms)
-    );
+    assert!(events.is_sorted_by_key(|event| event.event_time_boot_ms));
     // The argument of the first mode change: take-off, main 4, sub 2.
     assert_eq!(events[1].arguments[..4], [0, 0, 4, 2]);
 }
@@ -90,16 +84,10 @@ fn lost_events_are_sent_again_and_too_old_ones_named() {
 
 #[test]
 fn the_last_sequence_is_told_with_a_reset_at_the_start_only() {
-    let b = {
-        let mut b = Bench::new();
-        b.run_ms(3_000);
-        b
-    };
-    let told: Vec<_> = b
-        .all::<CURRENT_EVENT_SEQUENCE_DATA>(API)
-        .into_iter()
-        .map(|c| (c.sequence, c.flags.bits()))
-        .collect();
+    let mut b = Bench::new();
+    b.run_ms(3_000);
+    let all = b.all::<CURRENT_EVENT_SEQUENCE_DATA>(API).into_iter();
+    let told: Vec<_> = all.map(|c| (c.sequence, c.flags.bits())).collect();
     assert!(told.len() >= 3);
     assert_eq!(told[0].1, 1);
     assert!(told[1..].iter().all(|(_, flags)| *flags == 0));

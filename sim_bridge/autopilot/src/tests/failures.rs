@@ -1,9 +1,6 @@
 //! Sensors that are switched off.
 
 use crate::testing::*;
-use crate::{Failsafe, FlightMode, LandedState, ParameterValue};
-use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::MessageData;
 
 const GPS: f32 = 4.0;
 const BAROMETER: f32 = 3.0;

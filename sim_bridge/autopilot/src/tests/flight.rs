@@ -1,9 +1,7 @@
 //! Arm, fly, land: what a script does.
 
+use crate::HomePosition;
 use crate::testing::*;
-use crate::vehicle::ControlCommand;
-use crate::{FlightMode, HomePosition, LandedState, ParameterValue};
-use vigil_mavlink::common::*;
 
 #[test]
 fn a_script_arms_takes_off_hovers_lands_and_finds_it_disarmed() {
@@ -13,11 +11,8 @@ fn a_script_arms_takes_off_hovers_lands_and_finds_it_disarmed() {
     b.take_off();
     b.run_ms(2000);
     assert!((b.height_m() - 2.5).abs() < 0.2, "{}", b.height_m());
-    assert!(
-        b.heartbeat(GCS)
-            .base_mode
-            .contains(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED)
-    );
+    let base_mode = b.heartbeat(GCS).base_mode;
+    assert!(base_mode.contains(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED));
     assert_eq!(b.command_long(API, SCRIPT, 21, [f32::NAN; 7]), ACCEPTED);
     b.run_ms(500);
     assert_eq!(b.status().landed, LandedState::Landing);
@@ -177,11 +172,8 @@ fn goto_is_refused_on_the_ground_far_away_and_in_a_foreign_frame() {
         (MavFrame::MAV_FRAME_GLOBAL, 47.3977, f32::INFINITY),
         (MavFrame::MAV_FRAME_BODY_FRD, 47.3977, 490.0),
     ] {
-        assert_eq!(
-            b.reposition(frame, (lat, 8.5455), alt, 0.0),
-            DENIED,
-            "{frame:?} {lat} {alt}"
-        );
+        let answer = b.reposition(frame, (lat, 8.5455), alt, 0.0);
+        assert_eq!(answer, DENIED, "{frame:?} {lat} {alt}");
     }
     // A place at no height is one of its frame too, and whoever means another frame is told.
     for (frame, alt) in [
@@ -203,13 +195,14 @@ fn home_can_be_moved_and_return_flies_there() {
     let origin = HomePosition::default();
     let (lat, lon) = on_globe((8.0, -6.0));
     let place = |use_current: f32, lat: f64, alt: f32| [use_current, 0.0, 0.0, 0.0, lat as f32, lon as f32, alt];
-    for refused in [
-        place(0.0, f64::NAN, 488.0),
-        place(0.0, 12.0, 488.0),
-        place(0.0, lat, 520.0),
-        place(0.5, lat, 488.0),
+    for (use_current, lat, alt) in [
+        (0.0, f64::NAN, 488.0),
+        (0.0, 12.0, 488.0),
+        (0.0, lat, 520.0),
+        (0.5, lat, 488.0),
     ] {
-        assert_eq!(b.ask(SET_HOME, &refused), DENIED, "{refused:?}");
+        let answer = b.ask(SET_HOME, &place(use_current, lat, alt));
+        assert_eq!(answer, DENIED, "{use_current} {lat} {alt}");
     }
     let told = |b: &Bench| b.last::<HOME_POSITION_DATA>(API).expect("told");
     b.run_ms(2_500);
@@ -221,10 +214,8 @@ fn home_can_be_moved_and_return_flies_there() {
     assert_eq!(b.ask(SET_HOME, &place(0.0, lat, 488.0)), ACCEPTED);
     b.run_ms(100);
     let home = told(&b);
-    assert!(
-        (home.x - 8.0).abs() < 0.5 && (home.y + 6.0).abs() < 0.5 && home.z == 0.0,
-        "{home:?}"
-    );
+    let is_there = (home.x - 8.0).abs() < 0.5 && (home.y + 6.0).abs() < 0.5 && home.z == 0.0;
+    assert!(is_there, "{home:?}");
     assert!((f64::from(home.latitude) - lat * 1e7).abs() < 50.0);
     assert_eq!(b.set_mode(API, SCRIPT, 4, 5), ACCEPTED);
     b.run_until(90, "landed at the new home", |b| {

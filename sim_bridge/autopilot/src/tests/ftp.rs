@@ -2,8 +2,6 @@
 
 use crate::files::crc32;
 use crate::testing::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
 
 const RESET: u8 = 2;
 const LIST: u8 = 3;
@@ -54,8 +52,8 @@ impl Reply {
 
 /// A client that numbers its requests.
 pub(super) struct Client {
-    id: crate::ComponentId,
-    link: crate::LinkId,
+    id: ComponentId,
+    link: LinkId,
     sequence: u16,
 }
 
@@ -117,10 +115,8 @@ impl Client {
         let replies = self.replies(b);
         assert_eq!(replies.len(), 1, "{replies:?}");
         let reply = replies[0].clone();
-        assert_eq!(
-            (reply.sequence, reply.session, reply.request_opcode),
-            (self.sequence.wrapping_add(1), session, opcode)
-        );
+        let header = (reply.sequence, reply.session, reply.request_opcode);
+        assert_eq!(header, (self.sequence.wrapping_add(1), session, opcode));
         reply
     }
 
@@ -330,34 +326,27 @@ fn a_stored_parameter_file_sets_all_of_it_or_nothing() {
     let radius = ("NAV_ACC_RAD", 4, 3.5_f32.to_le_bytes());
     let action = ("GF_ACTION", 3, 3_i32.to_le_bytes());
     assert!(store(&mut b, &mut c, &packed(&[action, radius])).is_ack);
-    assert_eq!(
-        (value(&b, "NAV_ACC_RAD"), value(&b, "GF_ACTION")),
-        (Some(3.5), Some(3.0))
-    );
+    let both = |b: &Bench| (value(b, "NAV_ACC_RAD"), value(b, "GF_ACTION"));
+    assert_eq!(both(&b), (Some(3.5), Some(3.0)));
     b.sent.clear();
+    let other = ("NAV_ACC_RAD", 4, 9.0_f32.to_le_bytes());
     for bad in [
-        packed(&[("NAV_ACC_RAD", 4, 9.0_f32.to_le_bytes()), ("NO_SUCH", 4, [0; 4])]),
-        packed(&[
-            ("NAV_ACC_RAD", 4, 9.0_f32.to_le_bytes()),
-            ("GF_ACTION", 3, 99_i32.to_le_bytes()),
-        ]),
+        packed(&[other, ("NO_SUCH", 4, [0; 4])]),
+        packed(&[other, ("GF_ACTION", 3, 99_i32.to_le_bytes())]),
         packed(&[("NAV_ACC_RAD", 3, [9, 0, 0, 0])]),
         packed(&[radius])[..12].to_vec(),
         b"nonsense".to_vec(),
     ] {
         assert_eq!(store(&mut b, &mut c, &bad).error(), FAIL);
     }
-    assert_eq!(
-        (value(&b, "NAV_ACC_RAD"), value(&b, "GF_ACTION")),
-        (Some(3.5), Some(3.0))
-    );
+    assert_eq!(both(&b), (Some(3.5), Some(3.0)));
     b.assert_told("parameter file refused");
     // A client may fetch some alone: here is how many. All of them are read by pymavlink in tests/python/ground_habits.py.
     assert_eq!(c.download(&mut b, 5, "@PARAM/param.pck?start=10&count=5")[2..4], [5, 0]);
     assert_eq!(c.ask(&mut b, OPEN, 6, 0, b"@PARAM/other").error(), NOT_FOUND);
     // What was fetched may be stored again.
     let file = c.download(&mut b, 3, "@PARAM/param.pck?withdefaults=1");
-    b.set_parameter("NAV_ACC_RAD", crate::ParameterValue::Real32(1.0));
+    b.set_parameter("NAV_ACC_RAD", ParameterValue::Real32(1.0));
     assert!(store(&mut b, &mut c, &file).is_ack);
     assert_eq!(value(&b, "NAV_ACC_RAD"), Some(3.5));
 }

@@ -1,8 +1,6 @@
 //! The flight log, recorded and downloaded.
 
 use crate::testing::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
 
 fn list(b: &mut Bench) -> Vec<LOG_ENTRY_DATA> {
     b.sent.clear();

@@ -3,9 +3,7 @@
 use crate::files::crc32;
 use crate::testing::*;
 use crate::tests::ftp::Client;
-use crate::{ParameterValue, parameter_table};
 use serde_json::Value;
-use vigil_mavlink::common::COMPONENT_METADATA_DATA;
 
 fn content(b: &mut Bench, uri: &str) -> (Value, u32) {
     let path = uri.strip_prefix("mftp://").expect("a file of the vehicle's");
@@ -51,10 +49,7 @@ fn the_metadata_describes_every_parameter() {
         }
     }
     let text = json.to_string();
-    assert!(
-        text.contains("\"default\":0.4,"),
-        "short numbers, not 0.4000000059604645"
-    );
+    assert!(text.contains("\"default\":0.4,"), "not 0.4000000059604645");
 }
 
 #[test]
@@ -65,20 +60,17 @@ fn every_event_that_comes_is_defined_with_arguments_that_fit() {
     for (group, events) in groups {
         for (id, event) in events["events"].as_object().expect("events") {
             assert!(id.parse::<u32>().expect("a number") < 1 << 24);
-            let size: usize = event["arguments"].as_array().map_or(0, |arguments| {
-                arguments
-                    .iter()
-                    .map(|a| {
-                        let kind = a["type"].as_str().expect("text");
-                        let base = json["components"]["1"]["enums"][kind]["type"].as_str().unwrap_or(kind);
-                        match base {
-                            "uint8_t" => 1,
-                            "uint32_t" => 4,
-                            other => panic!("{group} {id}: {other}"),
-                        }
-                    })
-                    .sum()
-            });
+            let size_of = |argument: &Value| {
+                let kind = argument["type"].as_str().expect("text");
+                let base = json["components"]["1"]["enums"][kind]["type"].as_str().unwrap_or(kind);
+                match base {
+                    "uint8_t" => 1,
+                    "uint32_t" => 4,
+                    other => panic!("{group} {id}: {other}"),
+                }
+            };
+            let arguments = event["arguments"].as_array().into_iter().flatten();
+            let size: usize = arguments.map(size_of).sum();
             assert!(size <= 40, "{event}");
             let message = event["message"].as_str().expect("text");
             assert!(!message.is_empty() && message.len() <= 120);
@@ -94,15 +86,9 @@ fn the_numbers_of_a_choice_say_what_they_stand_for() {
         let described = json["parameters"].as_array().expect("a list");
         let row = described.iter().find(|row| row["name"] == name).expect("a parameter");
         let values = row["values"].as_array().cloned().unwrap_or_default();
-        values
-            .iter()
-            .map(|v| {
-                (
-                    v["value"].as_i64().expect("a number"),
-                    v["description"].as_str().expect("text").to_owned(),
-                )
-            })
-            .collect::<Vec<_>>()
+        let read = |v: &Value| Some((v["value"].as_i64()?, v["description"].as_str()?.to_owned()));
+        let read: Option<Vec<_>> = values.iter().map(read).collect();
+        read.expect("numbers with texts")
     };
     assert_eq!(values("GF_ACTION")[3], (3, "return".to_owned()));
     for (name, count) in [
@@ -118,17 +104,13 @@ fn the_numbers_of_a_choice_say_what_they_stand_for() {
     }
     assert!(values("COM_OF_LOSS_T").is_empty() && values("SYS_AUTOSTART").is_empty());
     // Every acting integer is a choice, and all of its numbers are listed.
-    for info in parameter_table()
+    let acting = parameter_table()
         .iter()
-        .filter(|i| i.role == crate::ParameterRole::Acts)
-    {
+        .filter(|i| i.role == crate::ParameterRole::Acts);
+    for info in acting {
         if let ParameterValue::Int32(_) = info.default {
-            assert_eq!(
-                values(info.name).len() as f32,
-                info.max - info.min + 1.0,
-                "{}",
-                info.name
-            );
+            let listed = values(info.name).len() as f32;
+            assert_eq!(listed, info.max - info.min + 1.0, "{}", info.name);
         }
     }
 }

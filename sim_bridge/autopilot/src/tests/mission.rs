@@ -2,10 +2,8 @@
 
 use crate::testing::*;
 use crate::tests::plans::{FENCE, MISSION, action, item, waypoint};
-use crate::{FlightMode, LandedState};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::MessageData;
+
+const TAKEN: MavMissionResult = MavMissionResult::MAV_MISSION_ACCEPTED;
 
 fn start(b: &mut Bench) -> u8 {
     b.set_mode(API, SCRIPT, 4, 4)
@@ -13,13 +11,14 @@ fn start(b: &mut Bench) -> u8 {
 
 /// The items that were told as reached, each once, in order.
 fn reached(b: &Bench) -> Vec<u16> {
-    let mut reached: Vec<u16> = b
-        .all::<MISSION_ITEM_REACHED_DATA>(API)
-        .into_iter()
-        .map(|r| r.seq)
-        .collect();
+    let told = b.all::<MISSION_ITEM_REACHED_DATA>(API).into_iter();
+    let mut reached: Vec<u16> = told.map(|r| r.seq).collect();
     reached.dedup();
     reached
+}
+
+fn progress(b: &Bench) -> (u16, MissionState) {
+    (current(b).seq, current(b).mission_state)
 }
 
 fn current(b: &Bench) -> MISSION_CURRENT_DATA {
@@ -31,15 +30,13 @@ fn current(b: &Bench) -> MISSION_CURRENT_DATA {
 fn a_whole_mission_from_the_ground_to_the_ground() {
     let mut b = Bench::new();
     let place = (12.0, 8.0);
-    b.upload(
-        MISSION,
-        &[
-            item(22, [0.0, 0.0, 0.0, f32::NAN], (0.0, 0.0), 4.0),
-            waypoint((12.0, 0.0), 4.0),
-            item(19, [3.0, 0.0, 0.0, f32::NAN], place, 5.0),
-            item(21, [0.0, 0.0, 0.0, f32::NAN], place, 0.0),
-        ],
-    );
+    let plan = [
+        item(22, [0.0, 0.0, 0.0, f32::NAN], (0.0, 0.0), 4.0),
+        waypoint((12.0, 0.0), 4.0),
+        item(19, [3.0, 0.0, 0.0, f32::NAN], place, 5.0),
+        item(21, [0.0, 0.0, 0.0, f32::NAN], place, 0.0),
+    ];
+    b.upload(MISSION, &plan);
     assert_eq!(start(&mut b), ACCEPTED);
     assert_eq!(b.status().mode, FlightMode::Mission);
     b.run_ms(1_000);
@@ -48,10 +45,7 @@ fn a_whole_mission_from_the_ground_to_the_ground() {
     b.run_until(3, "leaves the ground", |b| b.status().landed == LandedState::TakingOff);
     b.run_until(15, "take-off", |b| reached(b) == [0]);
     assert!(b.is_at((0.0, 0.0), 4.0, 1.0), "{:?}", b.position_m());
-    assert_eq!(
-        (current(&b).seq, current(&b).mission_state),
-        (1, MissionState::MISSION_STATE_ACTIVE)
-    );
+    assert_eq!(progress(&b), (1, MissionState::MISSION_STATE_ACTIVE));
     b.run_until(20, "first waypoint", |b| reached(b) == [0, 1]);
     assert!(b.is_at((12.0, 0.0), 4.0, 1.1), "{:?}", b.position_m());
     assert!(b.yaw_rad().abs() < 0.1, "the nose led the way");
@@ -81,11 +75,7 @@ fn without_a_take_off_item_it_climbs_before_it_travels() {
     assert!(b.position_m()[0].abs() < 0.5, "{:?}", b.position_m());
     b.run_until(20, "finished", |b| b.status().mode == FlightMode::Hold);
     b.run_ms(4_000);
-    assert!(
-        b.is_at((10.0, 0.0), 5.0, 0.3),
-        "holds at the last item: {:?}",
-        b.position_m()
-    );
+    assert!(b.is_at((10.0, 0.0), 5.0, 0.3), "holds there: {:?}", b.position_m());
     assert_eq!(current(&b).mission_state, MissionState::MISSION_STATE_COMPLETE);
     // Once more, from the first item.
     assert_eq!(start(&mut b), ACCEPTED);
@@ -95,17 +85,15 @@ fn without_a_take_off_item_it_climbs_before_it_travels() {
 #[test]
 fn delay_speed_and_jump_do_what_they_say() {
     let mut b = Bench::airborne();
-    b.upload(
-        MISSION,
-        &[
-            action(178, [1.0, 1.5, -1.0, 0.0]),
-            waypoint((20.0, 0.0), 3.0),
-            action(93, [4.0, -1.0, -1.0, -1.0]),
-            action(177, [1.0, 1.0, 0.0, 0.0]),
-            // A camera command: there is no camera.
-            action(2000, [0.0, 1.0, 1.0, 0.0]),
-        ],
-    );
+    let plan = [
+        action(178, [1.0, 1.5, -1.0, 0.0]),
+        waypoint((20.0, 0.0), 3.0),
+        action(93, [4.0, -1.0, -1.0, -1.0]),
+        action(177, [1.0, 1.0, 0.0, 0.0]),
+        // A camera command: there is no camera.
+        action(2000, [0.0, 1.0, 1.0, 0.0]),
+    ];
+    b.upload(MISSION, &plan);
     assert_eq!(start(&mut b), ACCEPTED);
     b.run_ms(6_000);
     let speed = b.velocity_m_s().horizontal_norm();
@@ -122,10 +110,8 @@ fn delay_speed_and_jump_do_what_they_say() {
 #[test]
 fn a_loop_of_items_that_take_no_time_does_not_flood_the_links() {
     let mut b = Bench::airborne();
-    b.upload(
-        MISSION,
-        &[action(178, [1.0, 3.0, -1.0, 0.0]), action(177, [0.0, -1.0, 0.0, 0.0])],
-    );
+    let endless = [action(178, [1.0, 3.0, -1.0, 0.0]), action(177, [0.0, -1.0, 0.0, 0.0])];
+    b.upload(MISSION, &endless);
     assert_eq!(start(&mut b), ACCEPTED);
     b.sent.clear();
     b.run_ms(2_000);
@@ -137,14 +123,8 @@ fn a_loop_of_items_that_take_no_time_does_not_flood_the_links() {
 #[test]
 fn the_current_item_can_be_chosen() {
     let mut b = Bench::airborne();
-    b.upload(
-        MISSION,
-        &[
-            waypoint((30.0, 0.0), 3.0),
-            waypoint((0.0, 10.0), 3.0),
-            waypoint((0.0, 10.0), 5.0),
-        ],
-    );
+    let places = [((30.0, 0.0), 3.0), ((0.0, 10.0), 3.0), ((0.0, 10.0), 5.0)];
+    b.upload(MISSION, &places.map(|(place, height_m)| waypoint(place, height_m)));
     b.sent.clear();
     let choose = |seq| {
         MavMessage::MISSION_SET_CURRENT(MISSION_SET_CURRENT_DATA {
@@ -200,9 +180,9 @@ fn an_item_that_does_not_continue_pauses_the_mission() {
     b.upload(MISSION, &[stop, waypoint((12.0, 0.0), 3.0)]);
     assert_eq!(start(&mut b), ACCEPTED);
     b.run_until(15, "paused", |b| b.status().mode == FlightMode::Hold);
-    assert_eq!((reached(&b), current(&b).seq), (vec![0], 1));
     b.run_ms(1_100);
-    assert_eq!(current(&b).mission_state, MissionState::MISSION_STATE_PAUSED);
+    assert_eq!(reached(&b), [0]);
+    assert_eq!(progress(&b), (1, MissionState::MISSION_STATE_PAUSED));
     assert_eq!(start(&mut b), ACCEPTED);
     b.run_until(15, "second waypoint", |b| reached(b) == [0, 1]);
 }
@@ -213,19 +193,15 @@ fn speed_can_be_changed_on_the_way() {
     b.upload(MISSION, &[waypoint((80.0, 0.0), 3.0)]);
     assert_eq!(start(&mut b), ACCEPTED);
     b.run_ms(100);
-    let change = |kind: f32, speed: f32| [kind, speed, -1.0, 0.0, 0.0, 0.0, 0.0];
-    assert_eq!(b.command_long(API, SCRIPT, 178, change(1.0, 2.0)), ACCEPTED);
+    let change = |b: &mut Bench, kind: f32, speed: f32| b.ask(178, &[kind, speed, -1.0]);
+    assert_eq!(change(&mut b, 1.0, 2.0), ACCEPTED);
     b.run_ms(5_000);
     let speed = b.velocity_m_s().horizontal_norm();
     assert!((speed - 2.0).abs() < 0.2, "{speed}");
-    assert_eq!(b.command_long(API, SCRIPT, 178, change(2.0, 2.0)), DENIED);
-    assert_eq!(b.command_long(API, SCRIPT, 178, change(1.0, f32::NAN)), DENIED);
+    assert_eq!(change(&mut b, 2.0, 2.0), DENIED);
+    assert_eq!(change(&mut b, 1.0, f32::NAN), DENIED);
     assert_eq!(b.set_mode(API, SCRIPT, 4, 6), ACCEPTED);
-    assert_eq!(
-        b.command_long(API, SCRIPT, 178, change(1.0, 2.0)),
-        ACCEPTED,
-        "for the next way"
-    );
+    assert_eq!(change(&mut b, 1.0, 2.0), ACCEPTED, "for the next way");
 }
 
 #[test]
@@ -241,16 +217,9 @@ fn an_acceptance_radius_below_what_can_be_flown_does_not_hang_the_mission() {
 #[test]
 fn the_nose_points_at_a_region_of_interest() {
     let mut b = Bench::airborne();
-    let there = item(195, [0.0; 4], (10.0, 10.0), 0.0);
-    b.upload(
-        MISSION,
-        &[
-            there,
-            waypoint((10.0, 0.0), 3.0),
-            action(197, [0.0; 4]),
-            waypoint((20.0, 0.0), 3.0),
-        ],
-    );
+    let (there, nowhere) = (item(195, [0.0; 4], (10.0, 10.0), 0.0), action(197, [0.0; 4]));
+    let plan = [there, waypoint((10.0, 0.0), 3.0), nowhere, waypoint((20.0, 0.0), 3.0)];
+    b.upload(MISSION, &plan);
     assert_eq!(start(&mut b), ACCEPTED);
     b.run_until(30, "half way", |b| b.position_m()[0] > 7.0);
     let nose = b.yaw_rad();
@@ -260,10 +229,8 @@ fn the_nose_points_at_a_region_of_interest() {
     assert!(b.yaw_rad().abs() < 0.3, "along the way again");
     // By command, in hold.
     let (lat, lon) = on_globe((20.0, -30.0));
-    assert_eq!(
-        b.ask(195, &[0.0, 0.0, 0.0, 0.0, lat as f32, lon as f32, 488.0]),
-        ACCEPTED
-    );
+    let place = [0.0, 0.0, 0.0, 0.0, lat as f32, lon as f32, 488.0];
+    assert_eq!(b.ask(195, &place), ACCEPTED);
     b.run_ms(4_000);
     let nose = b.yaw_rad();
     assert!((nose + core::f32::consts::FRAC_PI_2).abs() < 0.1, "{nose}");
@@ -283,8 +250,8 @@ fn commands_to_what_the_vehicle_has_not_are_taken_and_passed_over() {
     plan.push(action(179, [1.0, 0.0, 0.0, 0.0]));
     plan.push(action(20, [0.0; 4]));
     let mut b = Bench::new();
-    b.set_parameter("RTL_RETURN_ALT", crate::ParameterValue::Real32(4.0));
-    assert_eq!(b.upload(MISSION, &plan), MavMissionResult::MAV_MISSION_ACCEPTED);
+    b.set_parameter("RTL_RETURN_ALT", ParameterValue::Real32(4.0));
+    assert_eq!(b.upload(MISSION, &plan), TAKEN);
     assert_eq!(start(&mut b), ACCEPTED);
     assert_eq!(b.arm(), ACCEPTED);
     let last = plan.len() as u16 - 2;
@@ -299,7 +266,7 @@ fn commands_to_what_the_vehicle_has_not_are_taken_and_passed_over() {
     let placed = [20, 178, 179, 189].map(|command| item(command, [1.0, 1.0, 0.0, 0.0], (1.0, 4.0), 3.0));
     for refused in refused.into_iter().chain(placed).chain([action(16, [0.0; 4])]) {
         let answer = b.upload(MISSION, &[refused]);
-        assert_ne!(answer, MavMissionResult::MAV_MISSION_ACCEPTED, "{}", refused.command);
+        assert_ne!(answer, TAKEN, "{}", refused.command);
     }
 }
 
@@ -307,7 +274,7 @@ fn commands_to_what_the_vehicle_has_not_are_taken_and_passed_over() {
 fn a_mission_that_leaves_the_fence_is_refused_at_its_upload_with_its_item() {
     let mut b = Bench::new();
     let circle = [item(5003, [30.0, 0.0, 0.0, 0.0], (0.0, 0.0), 0.0)];
-    assert_eq!(b.upload(FENCE, &circle), MavMissionResult::MAV_MISSION_ACCEPTED);
+    assert_eq!(b.upload(FENCE, &circle), TAKEN);
     let inside = waypoint((10.0, 0.0), 3.0);
     for outside in [waypoint((0.0, 31.0), 3.0), item(21, [0.0; 4], (-40.0, 0.0), 0.0)] {
         let answer = b.upload(MISSION, &[inside, inside, outside]);
@@ -316,18 +283,12 @@ fn a_mission_that_leaves_the_fence_is_refused_at_its_upload_with_its_item() {
         assert!(b.download(MISSION).is_empty());
     }
     // What has no place, or no consequence, is no reason.
-    assert_eq!(
-        b.upload(MISSION, &[inside, action(20, [0.0; 4])]),
-        MavMissionResult::MAV_MISSION_ACCEPTED
-    );
-    b.set_parameter("GF_ACTION", crate::ParameterValue::Int32(1));
-    assert_eq!(
-        b.upload(MISSION, &[waypoint((0.0, 31.0), 3.0)]),
-        MavMissionResult::MAV_MISSION_ACCEPTED
-    );
+    assert_eq!(b.upload(MISSION, &[inside, action(20, [0.0; 4])]), TAKEN);
+    b.set_parameter("GF_ACTION", ParameterValue::Int32(1));
+    assert_eq!(b.upload(MISSION, &[waypoint((0.0, 31.0), 3.0)]), TAKEN);
     // MAVSDK's example has a circle of radius 0 in its fence.
     let empty = [circle[0], item(5003, [0.0; 4], (0.0, 0.0), 0.0)];
-    assert_eq!(b.upload(FENCE, &empty), MavMissionResult::MAV_MISSION_ACCEPTED);
+    assert_eq!(b.upload(FENCE, &empty), TAKEN);
     b.assert_told("geofence: a circle of radius 0 holds nothing");
     assert_eq!(b.download(FENCE).len(), 2);
 }
@@ -340,24 +301,17 @@ fn mission_and_offboard_can_be_chosen_disarmed_and_arming_waits_for_what_they_fl
     assert_eq!(b.status().mode, FlightMode::Mission);
     assert_eq!(b.arm(), REJECTED);
     assert_eq!(b.texts().last().map(String::as_str), Some("arming denied: no mission"));
-    assert_eq!(
-        b.upload(MISSION, &[waypoint((6.0, 0.0), 3.0)]),
-        MavMissionResult::MAV_MISSION_ACCEPTED
-    );
+    assert_eq!(b.upload(MISSION, &[waypoint((6.0, 0.0), 3.0)]), TAKEN);
     assert_eq!(b.arm(), ACCEPTED);
     b.run_until(20, "flies it", |b| reached(b) == [0]);
 
     let mut b = Bench::new();
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
-    assert_eq!(
-        (b.status().mode, b.status().setpoint_owner),
-        (FlightMode::Offboard, None)
-    );
+    let status = b.status();
+    assert_eq!((status.mode, status.setpoint_owner), (FlightMode::Offboard, None));
     assert_eq!(b.arm(), REJECTED);
-    assert_eq!(
-        b.texts().last().map(String::as_str),
-        Some("arming denied: no setpoints")
-    );
+    let text = b.texts().pop();
+    assert_eq!(text.as_deref(), Some("arming denied: no setpoints"));
     b.stream(API, SCRIPT, [0.0, 0.0, -0.5]);
     b.run_ms(200);
     assert_eq!(b.arm(), ACCEPTED);
@@ -376,18 +330,15 @@ fn mission_and_offboard_can_be_chosen_disarmed_and_arming_waits_for_what_they_fl
 #[test]
 fn where_it_flies_to_is_told_on_the_globe_in_hold_go_to_return_and_landing() {
     let mut b = Bench::airborne();
-    b.set_parameter("RTL_RETURN_ALT", crate::ParameterValue::Real32(5.0));
+    b.set_parameter("RTL_RETURN_ALT", ParameterValue::Real32(5.0));
     let place = |b: &mut Bench| {
         b.sent.clear();
         let told = b.ask(512, &[87.0]);
         let target = b.first::<POSITION_TARGET_GLOBAL_INT_DATA>(API);
         assert_eq!(told == ACCEPTED, target.is_some());
         target.map(|m| {
-            let (north, east) = crate::geo::to_local(
-                &crate::HomePosition::default(),
-                f64::from(m.lat_int) * 1e-7,
-                f64::from(m.lon_int) * 1e-7,
-            );
+            let (lat, lon) = (f64::from(m.lat_int) * 1e-7, f64::from(m.lon_int) * 1e-7);
+            let (north, east) = crate::geo::to_local(&crate::HomePosition::default(), lat, lon);
             (north.round(), east.round(), (m.alt - 488.0).round())
         })
     };

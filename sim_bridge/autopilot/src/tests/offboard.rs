@@ -1,9 +1,6 @@
 //! Offboard flight as scripts fly it: every kind of setpoint, streams that stall, landings by thrust.
 
 use crate::testing::*;
-use crate::{Failsafe, FlightMode};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
 
 fn attitude(mask: u8, yaw_rate: f32, thrust: f32) -> MavMessage {
     attitude_setpoint(mask, 0.0, yaw_rate, thrust)
@@ -83,21 +80,18 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
         }
         assert_eq!(b.status().mode, mode, "{action}");
         assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
-        let told = b
-            .last::<CURRENT_MODE_DATA>(GCS)
-            .map(|m| (m.custom_mode, m.intended_custom_mode));
-        assert_eq!(told, Some((mode.custom_mode(), FlightMode::Offboard.custom_mode())));
+        let told = b.last::<CURRENT_MODE_DATA>(GCS).expect("told");
+        assert_eq!(told.custom_mode, mode.custom_mode());
+        assert_eq!(told.intended_custom_mode, FlightMode::Offboard.custom_mode());
     }
     for (action, is_terminated) in [(6, true), (7, false)] {
         let mut b = Bench::airborne();
         b.set_parameter("COM_OBL_RC_ACT", Int32(action));
         fly(&mut b, &local_setpoint(0x9C7, |m| m.vx = 0.5), 1_000);
         b.run_ms(1_100);
-        assert_eq!(
-            (b.status().terminated, b.status().armed),
-            (is_terminated, is_terminated)
-        );
-        assert_eq!(b.command, crate::vehicle::ControlCommand::MotorsOff);
+        let status = b.status();
+        assert_eq!((status.terminated, status.armed), (is_terminated, is_terminated));
+        assert_eq!(b.command, ControlCommand::MotorsOff);
     }
 }
 
@@ -128,7 +122,7 @@ fn setpoints_that_leave_an_axis_out_keep_offboard_and_hold() {
         fly(&mut b, &local_setpoint(0x9C7, |m| m.vx = 1.0), 3_000);
         let at_m = b.position_m()[0];
         fly(&mut b, &message, 4_000);
-        assert_eq!(b.status().mode, crate::FlightMode::Offboard, "{reason}");
+        assert_eq!(b.status().mode, FlightMode::Offboard, "{reason}");
         assert!((b.position_m()[0] - at_m).abs() < 1.5, "{reason}");
         assert!(b.velocity_m_s().norm() < 0.1, "{reason}");
         let text = format!("setpoints of 245/190: {reason}");
@@ -186,9 +180,6 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
     b.run_ms(100);
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
     b.run_ms(6_000);
-    assert!(
-        !b.texts().iter().skip(1).any(|text| text.contains("not flown")),
-        "{:?}",
-        b.texts()
-    );
+    let texts = b.texts();
+    assert!(!texts[1..].iter().any(|text| text.contains("not flown")), "{texts:?}");
 }

@@ -1,15 +1,20 @@
 //! Whose setpoints are flown, and what follows when they stop.
 
-use crate::core::ComponentId;
 use crate::testing::*;
-use crate::vehicle::ControlCommand;
-use crate::{Failsafe, FlightMode};
-use vigil_mavlink::common::{MavState, NAMED_VALUE_FLOAT_DATA};
+use vigil_types::HeadingVector;
 
 fn owner_in_telemetry(b: &Bench) -> f32 {
     let told = b.last::<NAMED_VALUE_FLOAT_DATA>(GCS).expect("told");
     assert_eq!(told.name.to_str(), Ok("sp_owner"));
     told.value
+}
+
+/// The velocity that is commanded.
+fn flown(b: &Bench) -> HeadingVector {
+    let ControlCommand::VelocityHeading { velocity_m_s, .. } = b.command else {
+        panic!("{:?}", b.command);
+    };
+    velocity_m_s
 }
 
 #[test]
@@ -55,21 +60,13 @@ fn two_sources_never_mix() {
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
     for _ in 0..200 {
         b.run_ms(10);
-        if let ControlCommand::VelocityHeading { velocity_m_s, .. } = b.command {
-            assert_eq!(velocity_m_s.x, -1.0);
-        } else {
-            panic!("{:?}", b.command);
-        }
+        assert_eq!(flown(&b).x, -1.0);
     }
     let status = b.status();
     assert_eq!(status.setpoint_owner, Some(SCRIPT));
     assert!(status.refusals.setpoint_foreign >= 39, "{status:?}");
-    let told = b
-        .texts()
-        .iter()
-        .filter(|t| t.contains("setpoints of 1/191 ignored"))
-        .count();
-    assert_eq!(told, 1, "told once");
+    let is_told = |text: &&String| text.contains("setpoints of 1/191 ignored");
+    assert_eq!(b.texts().iter().filter(is_told).count(), 1, "told once");
     // The companion cannot take over what the script owns; after Hold it can.
     assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), REJECTED);
     assert_eq!(b.status().setpoint_owner, Some(SCRIPT));
@@ -94,10 +91,7 @@ fn an_owners_identity_claimed_elsewhere_is_somebody_else() {
             b.send_velocity(link, COMPANION, [-5.0, 0.0, 0.0]);
             b.peer = 0;
             b.run_ms(1);
-            let ControlCommand::VelocityHeading { velocity_m_s, .. } = b.command else {
-                panic!("{:?}", b.command);
-            };
-            assert_eq!(velocity_m_s.x, 1.0, "the owner's");
+            assert_eq!(flown(&b).x, 1.0, "the owner's");
         }
         b.peer = peer;
         assert_eq!(b.set_mode(link, COMPANION, 6, 0), REJECTED, "nor does it take over");
@@ -155,10 +149,8 @@ fn a_lost_stream_means_hold_within_half_a_second_until_it_comes_again() {
     b.sent.clear();
     b.run_ms(80);
     let status = b.status();
-    assert_eq!(
-        (status.mode, status.failsafe),
-        (FlightMode::Hold, Some(Failsafe::SetpointLost))
-    );
+    let lost = (FlightMode::Hold, Some(Failsafe::SetpointLost));
+    assert_eq!((status.mode, status.failsafe), lost);
     b.assert_told("setpoint lost: hold");
     let heartbeat = b.heartbeat(ONBOARD);
     assert_eq!(heartbeat.system_status, MavState::MAV_STATE_CRITICAL);
@@ -198,7 +190,7 @@ fn offboard_on_the_ground_idles_until_the_setpoint_goes_up() {
 
 #[test]
 fn speeds_beyond_the_limits_are_limited_and_keep_their_direction() {
-    let mut config = crate::EndpointConfig::default();
+    let mut config = EndpointConfig::default();
     config.parameters.insert("MPC_XY_VEL_MAX".into(), 2.0);
     let mut b = Bench::with(config);
     b.take_off();
@@ -206,13 +198,9 @@ fn speeds_beyond_the_limits_are_limited_and_keep_their_direction() {
     b.run_ms(100);
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
     b.run_ms(100);
-    let ControlCommand::VelocityHeading { velocity_m_s: v, .. } = b.command else {
-        panic!("{:?}", b.command);
-    };
-    assert!(
-        (v.x - 1.2).abs() < 1e-5 && (v.y - 1.6).abs() < 1e-5 && v.z == -2.5,
-        "{v:?}"
-    );
+    let v = flown(&b);
+    let is_limited = (v.x - 1.2).abs() < 1e-5 && (v.y - 1.6).abs() < 1e-5 && v.z == -2.5;
+    assert!(is_limited, "{v:?}");
 }
 
 #[test]

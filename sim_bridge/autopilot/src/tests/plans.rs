@@ -3,11 +3,7 @@
 use crate::geo;
 use crate::plan::{Envelope, PlanItem};
 use crate::testing::*;
-use crate::{LinkId, core::ComponentId};
 use proptest::prelude::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::MessageData;
 
 pub const MISSION: u8 = 0;
 pub const FENCE: u8 = 1;
@@ -45,10 +41,8 @@ pub fn action(command: u16, params: [f32; 4]) -> PlanItem {
 impl Bench {
     fn count_message(&mut self, link: LinkId, from: ComponentId, kind: u8, count: u16) {
         let [low, high] = count.to_le_bytes();
-        self.send_raw(
-            link,
-            &raw(from, MISSION_COUNT_DATA::ID, &[low, high, 1, 1, kind, 0, 0, 0, 0]),
-        );
+        let payload = [low, high, 1, 1, kind, 0, 0, 0, 0];
+        self.send_raw(link, &raw(from, MISSION_COUNT_DATA::ID, &payload));
     }
 
     fn item_message(&mut self, link: LinkId, from: ComponentId, kind: u8, seq: u16, item: &PlanItem, as_int: bool) {
@@ -57,11 +51,7 @@ impl Bench {
             current: 0,
             mission_type: kind,
         };
-        let id = if as_int {
-            MISSION_ITEM_INT_DATA::ID
-        } else {
-            MISSION_ITEM_DATA::ID
-        };
+        let id = [MISSION_ITEM_DATA::ID, MISSION_ITEM_INT_DATA::ID][usize::from(as_int)];
         self.send_raw(link, &raw(from, id, &item.payload(envelope, (1, 1), as_int)));
     }
 
@@ -77,10 +67,8 @@ impl Bench {
     }
 
     fn mission_acks(&self, link: LinkId) -> Vec<MavMissionResult> {
-        self.all::<MISSION_ACK_DATA>(link)
-            .into_iter()
-            .map(|ack| ack.mavtype)
-            .collect()
+        let acks = self.all::<MISSION_ACK_DATA>(link).into_iter();
+        acks.map(|ack| ack.mavtype).collect()
     }
 
     /// Uploads a plan in one go and returns the answer.
@@ -110,10 +98,8 @@ impl Bench {
         let count = self.first::<MISSION_COUNT_DATA>(API).map(|c| c.count).expect("a count");
         for seq in 0..count {
             let [low, high] = seq.to_le_bytes();
-            self.send_raw(
-                API,
-                &raw(SCRIPT, MISSION_REQUEST_INT_DATA::ID, &[low, high, 1, 1, kind]),
-            );
+            let request = raw(SCRIPT, MISSION_REQUEST_INT_DATA::ID, &[low, high, 1, 1, kind]);
+            self.send_raw(API, &request);
         }
         self.all::<MISSION_ITEM_INT_DATA>(API)
     }
@@ -187,13 +173,8 @@ fn an_uploader_that_vanishes_leaves_the_old_mission() {
     b.item_message(API, SCRIPT, MISSION, 0, &waypoint((50.0, 50.0), 9.0), true);
     b.run_ms(4_500);
     // Asked again and again, in both forms, but not for ever.
-    let forms = |b: &Bench| {
-        (
-            b.count(API, MISSION_REQUEST_INT_DATA::ID),
-            b.count(API, MISSION_REQUEST_DATA::ID),
-        )
-    };
-    assert_eq!(forms(&b), (11, 9), "{:?}", b.requests(API));
+    let forms = [MISSION_REQUEST_INT_DATA::ID, MISSION_REQUEST_DATA::ID].map(|id| b.count(API, id));
+    assert_eq!(forms, [11, 9], "{:?}", b.requests(API));
     assert_eq!(b.mission_acks(API), []);
     b.run_ms(1_000);
     assert_eq!(b.mission_acks(API), [R::MAV_MISSION_OPERATION_CANCELLED]);
@@ -212,11 +193,7 @@ fn an_uploader_that_vanishes_leaves_the_old_mission() {
 #[test]
 fn a_lossy_link_repeats_and_reorders_and_the_plan_is_whole() {
     let mut b = Bench::new();
-    let items = [
-        waypoint((1.0, 0.0), 5.0),
-        waypoint((2.0, 0.0), 5.0),
-        waypoint((3.0, 0.0), 5.0),
-    ];
+    let items = [1.0, 2.0, 3.0].map(|north| waypoint((north, 0.0), 5.0));
     b.sent.clear();
     // The count comes twice, an item twice, one too early, one only on the second request.
     b.count_message(API, SCRIPT, MISSION, 3);
@@ -279,23 +256,13 @@ fn a_plan_that_makes_no_sense_is_refused_with_a_reason_and_the_old_one_stays() {
     b.count_message(API, SCRIPT, MISSION, 60_000);
     b.count_message(API, SCRIPT, 255, 1);
     b.send_raw(API, &raw(SCRIPT, MISSION_REQUEST_INT_DATA::ID, &[1, 0, 1, 1, 0]));
-    b.send_raw(
-        API,
-        &raw(SCRIPT, MISSION_WRITE_PARTIAL_LIST_DATA::ID, &[0, 0, 1, 0, 1, 1, 0]),
-    );
-    assert_eq!(
-        b.mission_acks(API)[..],
-        [
-            R::MAV_MISSION_NO_SPACE,
-            R::MAV_MISSION_UNSUPPORTED,
-            R::MAV_MISSION_INVALID_SEQUENCE,
-            R::MAV_MISSION_UNSUPPORTED
-        ]
-    );
-    assert_eq!(
-        b.upload(FENCE, &[item(5001, [4.0, 0.0, 0.0, 0.0], (1.0, 1.0), 0.0)]),
-        R::MAV_MISSION_INVALID_PARAM1
-    );
+    let partial = raw(SCRIPT, MISSION_WRITE_PARTIAL_LIST_DATA::ID, &[0, 0, 1, 0, 1, 1, 0]);
+    b.send_raw(API, &partial);
+    let (unsupported, sequence) = (R::MAV_MISSION_UNSUPPORTED, R::MAV_MISSION_INVALID_SEQUENCE);
+    let answers = [R::MAV_MISSION_NO_SPACE, unsupported, sequence, unsupported];
+    assert_eq!(b.mission_acks(API), answers);
+    let lone = item(5001, [4.0, 0.0, 0.0, 0.0], (1.0, 1.0), 0.0);
+    assert_eq!(b.upload(FENCE, &[lone]), R::MAV_MISSION_INVALID_PARAM1);
     assert_eq!(b.upload(RALLY, &[good]), R::MAV_MISSION_UNSUPPORTED);
 }
 
@@ -316,6 +283,8 @@ fn ids_tell_which_plan_is_on_board() {
     b.upload(MISSION, &[waypoint((10.0, 2.0), 6.0)]);
     let other = current(&mut b);
     assert!(one.mission_id != 0 && one.mission_id != other.mission_id && one.total == 1);
+    b.upload(MISSION, &[waypoint((10.0, 2.0), 5.0)]);
+    assert_eq!(current(&mut b).mission_id, one.mission_id, "the same plan");
     assert_eq!(one.mission_state, MissionState::MISSION_STATE_NOT_STARTED);
     assert_eq!((one.fence_id, one.rally_points_id), (0, 0));
 }
@@ -370,7 +339,7 @@ proptest! {
             b.run_ms(20);
         }
         b.run_ms(6_000);
-        prop_assert_eq!(b.status().mode, crate::FlightMode::Hold);
+        prop_assert_eq!(b.status().mode, FlightMode::Hold);
         prop_assert_eq!(b.download(MISSION).len(), 1);
         prop_assert!((b.height_m() - 3.0).abs() < 0.5);
         // The protocol still works.

@@ -2,10 +2,6 @@
 
 use crate::testing::*;
 use crate::tests::plans::{MISSION, waypoint};
-use crate::{EndpointConfig, FlightMode, ParameterValue, parameter_table};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::MessageData;
 
 #[test]
 fn telemetry_streams_unasked_at_the_rates_of_each_link() {
@@ -43,11 +39,8 @@ fn system_time_is_the_clock_it_was_given_once_a_second_on_every_link() {
     b.sent.clear();
     b.run_ms(10_000);
     for link in [ONBOARD, API, GCS] {
-        let times: Vec<_> = b
-            .all::<SYSTEM_TIME_DATA>(link)
-            .into_iter()
-            .map(|time| (time.time_unix_usec, time.time_boot_ms))
-            .collect();
+        let told = b.all::<SYSTEM_TIME_DATA>(link).into_iter();
+        let times: Vec<_> = told.map(|time| (time.time_unix_usec, time.time_boot_ms)).collect();
         assert_eq!(times.len(), 10, "{times:?}");
         for pair in times.windows(2) {
             assert_eq!(pair[1].0 - pair[0].0, 1_000_000, "both clocks run alike");
@@ -87,11 +80,8 @@ fn a_message_the_vehicle_does_not_have_is_denied() {
     let mut b = Bench::new();
     for id in [11_000.0, 1e9, -5.0, f32::NAN, f32::INFINITY] {
         for command in [510, 511, 512] {
-            assert_eq!(
-                b.ask(command, &[id, 1e5]),
-                if command == 511 { FAILED } else { DENIED },
-                "{id}"
-            );
+            let wanted = if command == 511 { FAILED } else { DENIED };
+            assert_eq!(b.ask(command, &[id, 1e5]), wanted, "{id}");
         }
     }
 }
@@ -104,11 +94,8 @@ fn requests_are_answered_on_the_link_they_came_on() {
     assert_eq!(b.count(API, AUTOPILOT_VERSION_DATA::ID), 1);
     assert_eq!(b.count(GCS, AUTOPILOT_VERSION_DATA::ID), 0);
     let version = b.one::<AUTOPILOT_VERSION_DATA>();
-    assert!(
-        version
-            .capabilities
-            .contains(MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE)
-    );
+    let bytewise = MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE;
+    assert!(version.capabilities.contains(bytewise));
     assert_eq!(version.flight_sw_version.to_be_bytes(), [1, 18, 0, 255]);
     for id in [HOME_POSITION_DATA::ID, GPS_GLOBAL_ORIGIN_DATA::ID] {
         b.sent.clear();
@@ -137,13 +124,12 @@ fn commands_that_px4_does_not_know_are_unsupported_and_change_nothing() {
         for first in [0.0, 1.0] {
             b.sent.clear();
             assert_eq!(b.ask(command, &[first]), UNSUPPORTED, "{command}");
-            for id in [
+            let asked_for = [
                 HOME_POSITION_DATA::ID,
                 AUTOPILOT_VERSION_DATA::ID,
                 PROTOCOL_VERSION_DATA::ID,
-            ] {
-                assert_eq!(b.count(API, id), 0, "{command}");
-            }
+            ];
+            assert!(asked_for.iter().all(|id| b.count(API, *id) == 0), "{command}");
         }
     }
     assert_eq!(b.status().mode, FlightMode::Mission);
@@ -160,14 +146,12 @@ fn position_is_told_locally_and_globally_alike() {
     // A degree of latitude is 111.195 km on a sphere of 6371 km; of longitude, times the cosine of the latitude.
     let north_m = f64::from(g.lat - 473_977_420) * 1e-7 * 111_194.93;
     let east_m = f64::from(g.lon - 85_455_940) * 1e-7 * 111_194.93 * 47.397_742_f64.to_radians().cos();
-    assert!(
-        (north_m - f64::from(l.x)).abs() < 0.05 && (east_m - f64::from(l.y)).abs() < 0.05,
-        "{g:?} {l:?}"
-    );
-    assert!(
-        (f64::from(g.relative_alt) + 1e3 * f64::from(l.z)).abs() < 50.0,
-        "{g:?} {l:?}"
-    );
+    let (off_north_m, off_east_m) = (north_m - f64::from(l.x), east_m - f64::from(l.y));
+    let off_up_m = f64::from(g.relative_alt) * 1e-3 + f64::from(l.z);
+    let is_alike = [off_north_m, off_east_m, off_up_m]
+        .iter()
+        .all(|off_m| off_m.abs() < 0.05);
+    assert!(is_alike, "{g:?} {l:?}");
     assert!((g.alt - 488_000 - g.relative_alt).abs() <= 1);
 }
 
@@ -197,7 +181,7 @@ fn pings_and_time_requests_are_answered_to_their_sender() {
     assert_eq!(b.count(API, TIMESYNC_DATA::ID), 0);
 }
 
-fn values(b: &Bench, link: crate::LinkId) -> Vec<PARAM_VALUE_DATA> {
+fn values(b: &Bench, link: LinkId) -> Vec<PARAM_VALUE_DATA> {
     b.all(link)
 }
 
@@ -212,17 +196,12 @@ fn the_parameter_list_is_complete_typed_and_paced() {
     assert_eq!(listed.len(), parameter_table().len());
     for (i, (value, info)) in listed.iter().zip(parameter_table()).enumerate() {
         assert_eq!(value.param_id.to_str(), Ok(info.name));
-        assert_eq!(
-            (usize::from(value.param_index), usize::from(value.param_count)),
-            (i, listed.len())
-        );
+        let place = (usize::from(value.param_index), usize::from(value.param_count));
+        assert_eq!(place, (i, listed.len()));
     }
     assert!(values(&b, GCS).is_empty());
-    let sent = b
-        .sent
-        .iter()
-        .filter(|s| matches!(s.message, Some(MavMessage::PARAM_VALUE(_))));
-    let times: Vec<_> = sent.map(|s| s.at_ns).collect();
+    let is_value = |s: &&Sent| matches!(s.message, Some(MavMessage::PARAM_VALUE(_)));
+    let times: Vec<_> = b.sent.iter().filter(is_value).map(|s| s.at_ns).collect();
     // The digest comes at once.
     assert!(times[1..].windows(2).all(|w| w[1] - w[0] >= 5_000_000));
 }
@@ -232,11 +211,8 @@ fn parameters_are_read_by_name_and_index_and_integers_travel_bytewise() {
     let mut b = Bench::new();
     b.sent.clear();
     b.read_parameter("COM_OBL_RC_ACT", -1);
-    let index = parameter_table()
-        .iter()
-        .position(|p| p.name == "MIS_TAKEOFF_ALT")
-        .expect("known");
-    b.read_parameter("", index as i16);
+    let index = parameter_table().iter().position(|p| p.name == "MIS_TAKEOFF_ALT");
+    b.read_parameter("", index.expect("known") as i16);
     let got = values(&b, API);
     assert_eq!(got[0].param_type, MavParamType::MAV_PARAM_TYPE_INT32);
     assert_eq!(got[0].param_value.to_bits(), 5);
@@ -263,57 +239,27 @@ fn a_set_parameter_acts_and_everybody_hears_of_it() {
 fn a_bad_parameter_set_changes_nothing_and_says_why() {
     let mut b = Bench::new();
     b.sent.clear();
-    use MavParamError::*;
-    use MavParamType::*;
+    use MavParamError::{
+        MAV_PARAM_ERROR_DOES_NOT_EXIST as UNKNOWN, MAV_PARAM_ERROR_TYPE_MISMATCH as TYPE,
+        MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE as RANGE,
+    };
+    use MavParamType::{MAV_PARAM_TYPE_INT32 as INT32, MAV_PARAM_TYPE_REAL32 as REAL32, MAV_PARAM_TYPE_UINT8 as UINT8};
     let bad = [
-        (
-            "MIS_TAKEOFF_ALT",
-            f32::NAN,
-            MAV_PARAM_TYPE_REAL32,
-            MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
-        ),
-        (
-            "MIS_TAKEOFF_ALT",
-            -2.0,
-            MAV_PARAM_TYPE_REAL32,
-            MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
-        ),
-        (
-            "MIS_TAKEOFF_ALT",
-            f32::from_bits(3),
-            MAV_PARAM_TYPE_INT32,
-            MAV_PARAM_ERROR_TYPE_MISMATCH,
-        ),
-        (
-            "COM_OBL_RC_ACT",
-            f32::from_bits(99),
-            MAV_PARAM_TYPE_INT32,
-            MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
-        ),
-        (
-            "COM_OBL_RC_ACT",
-            4.0,
-            MAV_PARAM_TYPE_REAL32,
-            MAV_PARAM_ERROR_TYPE_MISMATCH,
-        ),
-        (
-            "MIS_TAKEOFF_ALT",
-            3.0,
-            MAV_PARAM_TYPE_UINT8,
-            MAV_PARAM_ERROR_TYPE_MISMATCH,
-        ),
-        ("NO_SUCH", 3.0, MAV_PARAM_TYPE_REAL32, MAV_PARAM_ERROR_DOES_NOT_EXIST),
+        ("MIS_TAKEOFF_ALT", f32::NAN, REAL32, RANGE),
+        ("MIS_TAKEOFF_ALT", -2.0, REAL32, RANGE),
+        ("MIS_TAKEOFF_ALT", f32::from_bits(3), INT32, TYPE),
+        ("COM_OBL_RC_ACT", f32::from_bits(99), INT32, RANGE),
+        ("COM_OBL_RC_ACT", 4.0, REAL32, TYPE),
+        ("MIS_TAKEOFF_ALT", 3.0, UINT8, TYPE),
+        ("NO_SUCH", 3.0, REAL32, UNKNOWN),
     ];
     for (name, value, kind, _) in bad {
         b.set_parameter_as(name, value, kind);
     }
     assert_eq!(b.status().refusals.parameter, 7);
-    let errors: Vec<_> = b
-        .all::<PARAM_ERROR_DATA>(API)
-        .into_iter()
-        .map(|e| (e.target_system, e.error))
-        .collect();
-    assert_eq!(errors, bad.map(|(.., error)| (SCRIPT.system, error)));
+    let errors = b.all::<PARAM_ERROR_DATA>(API).into_iter();
+    let told: Vec<_> = errors.map(|e| (e.target_system, e.error)).collect();
+    assert_eq!(told, bad.map(|(.., error)| (SCRIPT.system, error)));
     for value in values(&b, API) {
         let unchanged = value.param_value == 2.5 || value.param_value.to_bits() == 5;
         assert!(unchanged, "{value:?}");

@@ -1,11 +1,7 @@
 //! Bytes that must not be obeyed, and cannot do harm.
 
 use crate::testing::*;
-use crate::{EndpointConfig, LinkId};
 use proptest::prelude::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::MessageData;
 
 #[test]
 fn arming_with_nonsense_is_denied() {
@@ -26,7 +22,7 @@ fn bad_setpoints_are_counted_and_do_not_keep_offboard_alive() {
     b.run_ms(1_100);
     let status = b.status();
     assert!(status.refusals.setpoint_value >= 8, "{status:?}");
-    assert_eq!(status.mode, crate::FlightMode::Hold);
+    assert_eq!(status.mode, FlightMode::Hold);
     let offset = local_setpoint(0x5C7, |m| m.coordinate_frame = MavFrame::MAV_FRAME_LOCAL_OFFSET_NED);
     b.send(API, SCRIPT, &offset);
     assert_eq!(b.status().refusals.setpoint_form, 1);
@@ -345,7 +341,7 @@ fn every_setpoint_of_every_frame_and_mask_with_extremes_is_flown_or_refused_with
             assert!(refused <= 1);
             if refused == 0 {
                 let flown = b.set_mode(API, SCRIPT, 6, 0) == ACCEPTED;
-                assert!(flown || b.status().failsafe.is_some() || b.status().mode != crate::FlightMode::Offboard);
+                assert!(flown || b.status().failsafe.is_some() || b.status().mode != FlightMode::Offboard);
             }
         }
     }

@@ -1,10 +1,8 @@
 //! What passes between links, and that the vehicle answers for nobody else.
 
 use crate::testing::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
 
-fn forwarded(b: &Bench, link: crate::LinkId) -> Vec<(crate::ComponentId, MavMessage)> {
+fn forwarded(b: &Bench, link: LinkId) -> Vec<(ComponentId, MavMessage)> {
     b.sent
         .iter()
         .filter(|s| s.link == link && (s.from.system, s.from.component) != (1, 1))
@@ -29,10 +27,7 @@ fn a_script_sees_the_companions_heartbeat_texts_and_values() {
         assert!(seen.iter().all(|(from, _)| *from == COMPANION));
         assert_eq!(seen[1].1, value);
     }
-    assert!(
-        forwarded(&b, ONBOARD).is_empty(),
-        "nothing goes back where it came from"
-    );
+    assert!(forwarded(&b, ONBOARD).is_empty(), "not back where it came from");
 }
 
 #[test]
@@ -105,11 +100,7 @@ fn an_unknown_message_is_passed_on_byte_for_byte() {
 fn a_packet_that_claims_to_be_the_vehicle_is_dropped() {
     let mut b = Bench::new();
     b.sent.clear();
-    let own = crate::ComponentId {
-        system: 1,
-        component: 1,
-    };
-    b.send_heartbeat(API, own);
+    b.send_heartbeat(API, VEHICLE);
     assert_eq!(b.status().refusals.own_identity, 1);
     assert!(b.sent.is_empty());
 }

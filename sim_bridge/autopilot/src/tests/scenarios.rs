@@ -2,11 +2,8 @@
 //! sends, what it asks for and how long it waits are theirs.
 
 use crate::testing::*;
+use crate::tests::follow::report;
 use crate::tests::plans::{MISSION, action, item, waypoint};
-use crate::{FlightMode, HomePosition, LandedState, ParameterValue, geo};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
-use vigil_types::NedVector;
 
 const START_MISSION: u16 = 300;
 const INJECT_FAILURE: u16 = 420;
@@ -101,20 +98,6 @@ fn a_straight_mission_keeps_its_speed() {
 }
 
 #[test]
-fn a_mission_ends_in_a_landing_within_30_seconds_of_losing_gps() {
-    const GPS: f32 = 4.0;
-    let mut b = Bench::new();
-    b.set_parameter("EKF2_HGT_REF", ParameterValue::Int32(0));
-    upload_square(&mut b);
-    assert_eq!(b.arm(), ACCEPTED);
-    b.set_parameter("SYS_FAILURE_EN", ParameterValue::Int32(1));
-    start_mission(&mut b);
-    b.run_until(60, "the first item", |b| current_item(b) == Some(1));
-    assert_eq!(inject(&mut b, GPS, 1.0), ACCEPTED);
-    wait_until_disarmed(&mut b, 30);
-}
-
-#[test]
 fn a_mission_goes_on_without_compass_or_barometer_and_with_readings_that_are_stuck() {
     const MAGNETOMETER: f32 = 2.0;
     const BAROMETER: f32 = 3.0;
@@ -138,75 +121,6 @@ fn a_mission_goes_on_without_compass_or_barometer_and_with_readings_that_are_stu
         let [x, y, _] = b.position_m();
         assert!(x.hypot(y) < 2.0, "{x} {y}");
     }
-}
-
-#[test]
-fn sticks_fly_forward_in_position_and_altitude_mode_and_descend_until_disarmed() {
-    let sticks = |x: i16, z: i16| {
-        MavMessage::MANUAL_CONTROL(MANUAL_CONTROL_DATA {
-            target: 1,
-            x,
-            z,
-            ..Default::default()
-        })
-    };
-    for main in [3, 2] {
-        let mut b = Bench::new();
-        stream(&mut b, &sticks(0, 500), 1_000);
-        assert_eq!(b.set_mode(API, SCRIPT, main, 0), ACCEPTED);
-        stream(&mut b, &sticks(0, 500), 3_000);
-        assert_eq!(b.arm(), ACCEPTED);
-        stream(&mut b, &sticks(0, 500), 1_000);
-        stream(&mut b, &sticks(0, 1_000), 5_000);
-        stream(&mut b, &sticks(500, 500), 10_000);
-        for _ in 0..1_200 {
-            stream(&mut b, &sticks(0, 0), 50);
-            if b.status().landed == LandedState::OnGround {
-                break;
-            }
-        }
-        wait_until_disarmed(&mut b, 180);
-        let [x, y, _] = b.position_m();
-        assert!(x.hypot(y) > 5.0, "{x} {y}");
-    }
-}
-
-#[test]
-fn offboard_reaches_each_place_within_ten_seconds_and_lands_by_a_velocity() {
-    let place = |x: f32, y: f32, z: f32, yaw_deg: f32| {
-        local_setpoint(0x9F8, |m| (m.x, m.y, m.z, m.yaw) = (x, y, z, yaw_deg.to_radians()))
-    };
-    let mut b = Bench::new();
-    assert_eq!(b.arm(), ACCEPTED);
-    for (x, y, z, yaw_deg) in [
-        (0.0, 0.0, -2.0, 0.0),
-        (0.0, 5.0, -2.0, 180.0),
-        (5.0, 5.0, -4.0, 180.0),
-        (5.0, 0.0, -4.0, 90.0),
-        (0.0, 0.0, -2.0, 0.0),
-    ] {
-        let off_m = |b: &Bench| (b.view().estimate.position_ned_m - NedVector::new(x, y, z)).norm();
-        for _ in 0..200 {
-            stream(&mut b, &place(x, y, z, yaw_deg), 50);
-            if b.status().mode != FlightMode::Offboard {
-                assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
-            }
-            if off_m(&b) < 0.3 {
-                break;
-            }
-        }
-        assert!(off_m(&b) < 0.3, "{x} {y} {z}: {}", off_m(&b));
-    }
-    let down = local_setpoint(0x9C7, |m| m.vz = 1.0);
-    for _ in 0..2_400 {
-        stream(&mut b, &down, 50);
-        if !b.status().armed {
-            break;
-        }
-    }
-    assert!(!b.status().armed);
-    let [x, y, _] = b.position_m();
-    assert!(x.hypot(y) < 2.0);
 }
 
 #[test]
@@ -291,17 +205,8 @@ fn a_target_is_followed_from_every_side_though_its_reports_are_noisy() {
                 north_m += 2.0;
             }
             let noise = |n: usize| NOISE[(second * 3 + n) % NOISE.len()];
-            let at = NedVector::new(north_m + noise(0), noise(1), 0.0);
-            let (lat, lon, _) = geo::to_global(&HomePosition::default(), at);
-            let message = MavMessage::FOLLOW_TARGET(FOLLOW_TARGET_DATA {
-                lat: geo::deg_e7(lat),
-                lon: geo::deg_e7(lon),
-                alt: 488.0 + noise(2),
-                vel: if has_velocity { [2.0, 0.0, 0.0] } else { [0.0; 3] },
-                est_capabilities: if has_velocity { 0b11 } else { 0b01 },
-                ..Default::default()
-            });
-            b.send(API, SCRIPT, &message);
+            let velocity = has_velocity.then_some([2.0, 0.0, 0.0]);
+            report(&mut b, (north_m + noise(0), noise(1)), velocity);
             b.run_ms(1_000);
         }
         assert_eq!(b.command_long(API, SCRIPT, 21, [f32::NAN; 7]), ACCEPTED);

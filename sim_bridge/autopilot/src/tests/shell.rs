@@ -1,9 +1,6 @@
 //! The shell, by packets.
 
-use crate::FlightMode;
 use crate::testing::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
 
 fn write(b: &mut Bench, text: &[u8], flags: SerialControlFlag) {
     for chunk in text.chunks(70) {
@@ -59,7 +56,7 @@ fn parameters_are_shown_and_set_with_the_checks_of_the_protocol() {
     let speeds = run(&mut b, "param show MPC_*_VEL*");
     assert_eq!(speeds.lines().count(), 3, "{speeds}");
     let all = run(&mut b, "param show");
-    assert_eq!(all.lines().count(), crate::parameter_table().len());
+    assert_eq!(all.lines().count(), parameter_table().len());
 }
 
 #[test]

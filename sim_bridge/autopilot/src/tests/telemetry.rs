@@ -1,9 +1,6 @@
 //! Telemetry beyond what flying needs: motors, scaled readings, estimator, flight information.
 
 use crate::testing::*;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::*;
-use vigil_mavlink::mavlink::MessageData;
 
 fn request<M: MessageData<Message = MavMessage>>(b: &mut Bench) -> M {
     b.sent.clear();
@@ -45,10 +42,8 @@ fn a_hovering_vehicle_feels_one_gravity_upwards() {
     b.run_ms(2_000);
     let s = request::<SCALED_IMU_DATA>(&mut b);
     assert!((-1200..-800).contains(&s.zacc), "{s:?}");
-    assert!(
-        s.xacc.abs() < 200 && s.yacc.abs() < 200 && s.temperature == 2000,
-        "{s:?}"
-    );
+    let is_level = s.xacc.abs() < 200 && s.yacc.abs() < 200;
+    assert!(is_level && s.temperature == 2000, "{s:?}");
     let r = request::<RAW_IMU_DATA>(&mut b);
     assert_eq!((r.xmag, r.ymag, r.zmag), (s.xmag, s.ymag, s.zmag));
     let e = request::<ESTIMATOR_STATUS_DATA>(&mut b);
@@ -75,10 +70,8 @@ fn flight_information_has_the_times_of_the_flight() {
     assert_eq!(b.arm(), ACCEPTED);
     b.run_ms(50);
     let again = told(&mut b);
-    assert_eq!(
-        (again.flight_uuid, again.takeoff_time_utc, again.landing_time),
-        (2, 0, 0)
-    );
+    let times = (again.flight_uuid, again.takeoff_time_utc, again.landing_time);
+    assert_eq!(times, (2, 0, 0));
 }
 
 #[test]

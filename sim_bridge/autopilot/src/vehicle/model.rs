@@ -2,35 +2,25 @@
 
 use crate::vehicle::noise::Noise;
 use crate::vehicle::params::{AirframeParams, ControlParams, HoldLaw, SensorParams, VehicleParams, VelocityLaw};
+use vigil_types::named;
 
-/// A vehicle and its autopilot by name. What each was fitted to, and how well it fits: `docs/vehicle.md`.
+named! {
+/// A vehicle and its autopilot by its name on the command line. What each was fitted to, and how well it fits: `docs/vehicle.md`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum VehicleModel {
     /// The light, quiet vehicle that everything here was built on; it answers setpoints as ArduCopter does.
     #[default]
-    Ours,
+    Ours => "ours",
     /// PX4 1.18 with its own simulator SIH as shipped: strong drag.
-    Px4Sih,
+    Px4Sih => "px4-sih",
     /// The same with a fifth of the drag.
-    Px4Light,
+    Px4Light => "px4-light",
     /// ArduCopter 4.6 with stock parameters, whose BRAKE takes about 1.5 s times the speed.
-    ArduCopter,
+    ArduCopter => "arducopter",
+}
 }
 
 impl VehicleModel {
-    /// All of them.
-    pub const ALL: [Self; 4] = [Self::Ours, Self::Px4Sih, Self::Px4Light, Self::ArduCopter];
-
-    /// Its name on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Ours => "ours",
-            Self::Px4Sih => "px4-sih",
-            Self::Px4Light => "px4-light",
-            Self::ArduCopter => "arducopter",
-        }
-    }
-
     /// What it is made of.
     pub fn params(self) -> VehicleParams {
         match self {

@@ -221,24 +221,18 @@ settings! {
 
 impl SensorParams {
     /// No noise and no error: the estimate is the truth.
-    pub const PERFECT: Self = Self {
-        accelerometer_m_s2: 0.0,
-        gyroscope_rad_s: 0.0,
-        gps_position_m: 0.0,
-        gps_velocity_m_s: 0.0,
-        barometer_m: 0.0,
-        estimate_velocity_m_s: 0.0,
-        estimate_velocity_time_s: 0.25,
-        estimate_position_time_s: 100.0,
-        estimate_attitude_rad: 0.0,
-        estimate_attitude_time_s: 20.0,
-        wander_m: [0.0; 2],
-        wander_time_s: [20.0, 150.0],
-        velocity_error_m_s: [0.0; 2],
-        velocity_error_time_s: 4.0,
-        heading_error_rad: 0.0,
-        heading_error_time_s: 8.0,
-    };
+    pub fn perfect() -> Self {
+        Self {
+            accelerometer_m_s2: 0.0,
+            gyroscope_rad_s: 0.0,
+            gps_position_m: 0.0,
+            gps_velocity_m_s: 0.0,
+            barometer_m: 0.0,
+            estimate_velocity_m_s: 0.0,
+            estimate_attitude_rad: 0.0,
+            ..Self::default()
+        }
+    }
 }
 
 settings! {

@@ -403,7 +403,7 @@ mod tests {
             ..Wind::CALM
         };
         let params = VehicleParams {
-            sensors: crate::vehicle::SensorParams::PERFECT,
+            sensors: crate::vehicle::SensorParams::perfect(),
             ..VehicleParams::default()
         };
         let mut vehicle = Vehicle::new(params, wind, 1).unwrap();

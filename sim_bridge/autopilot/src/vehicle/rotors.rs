@@ -177,6 +177,13 @@ mod tests {
         Rotors::new(&MotorParams::default(), &AirframeParams::default(), 1e-3)
     }
 
+    fn wrench(thrust_n: f64, torque_frd_n_m: [f64; 3]) -> Wrench {
+        Wrench {
+            thrust_n,
+            torque_frd_n_m: torque_frd_n_m.into(),
+        }
+    }
+
     fn settled(wanted: &Wrench) -> (Wrench, bool) {
         let mut r = rotors();
         let dropped = r.ask(wanted, 1.0);
@@ -188,10 +195,7 @@ mod tests {
 
     #[test]
     fn a_wrench_within_reach_is_given_exactly() {
-        let wanted = Wrench {
-            thrust_n: 20.0,
-            torque_frd_n_m: Vec3::new(0.3, -0.4, 0.05),
-        };
+        let wanted = wrench(20.0, [0.3, -0.4, 0.05]);
         let (given, dropped) = settled(&wanted);
         assert!(!dropped);
         assert!((given.thrust_n - wanted.thrust_n).abs() < 1e-9);
@@ -212,11 +216,7 @@ mod tests {
 
     #[test]
     fn saturation_takes_yaw_and_thrust_before_roll_and_pitch() {
-        let wanted = Wrench {
-            thrust_n: 41.0,
-            torque_frd_n_m: Vec3::new(1.0, 0.5, 0.5),
-        };
-        let (given, dropped) = settled(&wanted);
+        let (given, dropped) = settled(&wrench(41.0, [1.0, 0.5, 0.5]));
         assert!(dropped);
         assert!((given.torque_frd_n_m.x - 1.0).abs() < 1e-9);
         assert!((given.torque_frd_n_m.y - 0.5).abs() < 1e-9);
@@ -231,13 +231,7 @@ mod tests {
             for roll in [-9.0, 0.0, 9.0] {
                 for yaw in [-2.0, 0.0, 2.0] {
                     let mut r = rotors();
-                    r.ask(
-                        &Wrench {
-                            thrust_n,
-                            torque_frd_n_m: Vec3::new(roll, -roll, yaw),
-                        },
-                        0.9,
-                    );
+                    r.ask(&wrench(thrust_n, [roll, -roll, yaw]), 0.9);
                     for c in r.commands_rad_s() {
                         assert!(*c >= m.idle_speed_rad_s && *c <= 0.9 * m.max_speed_rad_s + 1e-9);
                     }
@@ -251,13 +245,7 @@ mod tests {
         let mut r = rotors();
         r.settle(0.0);
         let start = r.speeds_rad_s[0];
-        r.ask(
-            &Wrench {
-                thrust_n: 20.0,
-                torque_frd_n_m: Vec3::zeros(),
-            },
-            1.0,
-        );
+        r.ask(&wrench(20.0, [0.0; 3]), 1.0);
         let end = r.commands_rad_s()[0];
         for _ in 0..12 {
             r.advance();

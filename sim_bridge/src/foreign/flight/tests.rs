@@ -25,8 +25,7 @@ impl Scripted {
 
     fn with(column_at_m: Option<f32>, config: ForeignConfig) -> Self {
         let mut course = generate(Family::Validation, 1);
-        (course.columns, course.boxes, course.walls) = (vec![], vec![], vec![]);
-        (course.overhangs, course.movers) = (vec![], vec![]);
+        course.clear_obstacles();
         course.columns.extend(column_at_m.map(|north_m| Column {
             north_m,
             east_m: 0.0,

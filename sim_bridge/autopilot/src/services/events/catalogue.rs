@@ -1,6 +1,7 @@
 //! The events there are: their numbers, their arguments, and their definitions for clients.
 //! Format: <https://github.com/mavlink/libevents>.
 
+use crate::core::padded;
 use crate::flight::{Denial, Failsafe, FlightMode};
 use serde_json::{Map, Value, json};
 
@@ -12,6 +13,9 @@ pub(super) const MODE_GROUP: u32 = 1;
 pub(super) const HEALTH_NONE: u32 = 0;
 const BATTERY_BIT: u32 = 1 << 4;
 const PRESENT: u32 = 0b1_1110;
+/// Numbers of the events that sum others up; the failed checks follow the first.
+const CHECK_SUMMARY: u32 = 100;
+const HEALTH_SUMMARY: u32 = 200;
 
 /// Why the vehicle cannot be armed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,23 +99,68 @@ fn failsafe_number(failsafe: Failsafe) -> u8 {
 
 impl Event {
     pub(super) fn id(self) -> u32 {
-        COMPONENT | self.sub_id()
+        COMPONENT | self.row().0
     }
 
-    fn sub_id(self) -> u32 {
+    /// Its number below the component's, name, message, and arguments by type and name.
+    fn row(self) -> (u32, &'static str, &'static str, &'static [(&'static str, &'static str)]) {
         match self {
-            Self::Armed => 1,
-            Self::Disarmed => 2,
-            Self::ModeChanged(_) => 3,
-            Self::FailsafeEntered(_) => 4,
-            Self::FailsafeEnded => 5,
-            Self::Terminated => 6,
-            Self::TookOff => 7,
-            Self::Landed => 8,
-            Self::ArmingCheckSummary { .. } => 100,
-            Self::CheckFailed(check) => 101 + check as u32,
-            Self::HealthSummary => 200,
+            Self::Armed => (1, "armed", "Armed", &[]),
+            Self::Disarmed => (2, "disarmed", "Disarmed", &[]),
+            Self::ModeChanged(_) => (3, "mode_changed", "Mode: {1}", &[("flight_mode_t", "mode")]),
+            Self::FailsafeEntered(_) => (4, "failsafe_entered", "Failsafe: {1}", &[("failsafe_t", "failsafe")]),
+            Self::FailsafeEnded => (5, "failsafe_ended", "Failsafe ended", &[]),
+            Self::Terminated => (6, "terminated", "Flight terminated", &[]),
+            Self::TookOff => (7, "took_off", "Took off", &[]),
+            Self::Landed => (8, "landed", "Landed", &[]),
+            Self::ArmingCheckSummary { .. } => (
+                CHECK_SUMMARY,
+                "arming_check_summary",
+                "Arming checks",
+                &[
+                    ("uint8_t", "chunk_idx"),
+                    ("health_component_t", "error"),
+                    ("health_component_t", "warning"),
+                    ("navigation_mode_group_t", "can_arm"),
+                    ("navigation_mode_group_t", "can_run"),
+                ],
+            ),
+            Self::CheckFailed(check) => {
+                let (name, message) = check.name_and_message();
+                let arguments = &[
+                    ("navigation_mode_group_t", "modes"),
+                    ("uint8_t", "health_component_index"),
+                ];
+                (CHECK_SUMMARY + 1 + check as u32, name, message, arguments)
+            }
+            Self::HealthSummary => (
+                HEALTH_SUMMARY,
+                "health_summary",
+                "Health",
+                &[
+                    ("uint8_t", "chunk_idx"),
+                    ("health_component_t", "is_present"),
+                    ("health_component_t", "error"),
+                    ("health_component_t", "warning"),
+                ],
+            ),
         }
+    }
+
+    /// Its number and definition.
+    fn definition(self) -> (String, Value) {
+        let (number, name, message, arguments) = self.row();
+        let mut definition = json!({ "name": name, "message": message });
+        if !arguments.is_empty() {
+            let arguments = arguments
+                .iter()
+                .map(|(kind, name)| json!({ "type": kind, "name": name }));
+            definition["arguments"] = arguments.collect();
+        }
+        if matches!(number, CHECK_SUMMARY | HEALTH_SUMMARY) {
+            definition["type"] = "summary".into();
+        }
+        (number.to_string(), definition)
     }
 
     pub(super) fn arguments(self) -> [u8; 40] {
@@ -141,46 +190,20 @@ impl Event {
             }
             _ => {}
         }
-        let mut arguments = [0; 40];
-        for (to, from) in arguments.iter_mut().zip(bytes) {
-            *to = from;
-        }
-        arguments
+        padded(&bytes)
     }
 }
 
 fn entries<'a>(entries: impl IntoIterator<Item = (u32, &'a str, &'a str)>) -> Value {
-    let entries = entries.into_iter();
-    Value::Object(
-        entries
-            .map(|(value, name, description)| {
-                let entry = json!({ "name": name, "description": description });
-                (value.to_string(), entry)
-            })
-            .collect(),
-    )
+    let entry = |(value, name, description): (u32, _, _)| {
+        let entry = json!({ "name": name, "description": description });
+        (value.to_string(), entry)
+    };
+    Value::Object(entries.into_iter().map(entry).collect())
 }
 
-/// An event's definition; arguments by type and name.
-fn event(name: &str, message: &str, arguments: &[(&str, &str)]) -> Value {
-    let arguments = arguments
-        .iter()
-        .map(|(kind, name)| json!({ "type": kind, "name": name }));
-    json!({ "name": name, "message": message, "arguments": arguments.collect::<Value>() })
-}
-
-/// One that sums others up.
-fn summary(name: &str, message: &str, arguments: &[(&str, &str)]) -> Value {
-    let mut summary = event(name, message, arguments);
-    summary["type"] = "summary".into();
-    summary
-}
-
-fn group<const N: usize>(events: [(Event, Value); N]) -> Value {
-    let events: Map<String, Value> = events
-        .into_iter()
-        .map(|(event, definition)| (event.sub_id().to_string(), definition))
-        .collect();
+fn group(events: impl IntoIterator<Item = Event>) -> Value {
+    let events: Map<String, Value> = events.into_iter().map(Event::definition).collect();
     json!({ "events": events })
 }
 
@@ -217,84 +240,32 @@ fn enums() -> Value {
     })
 }
 
-/// The checks before arming, and their summary.
-fn checks() -> Map<String, Value> {
-    let check_summary = Event::ArmingCheckSummary {
+/// The definitions as clients fetch them.
+pub(crate) fn definitions() -> Value {
+    let happened = [
+        Event::Armed,
+        Event::Disarmed,
+        Event::ModeChanged(FlightMode::Hold),
+        Event::FailsafeEntered(Failsafe::SetpointLost),
+        Event::FailsafeEnded,
+        Event::Terminated,
+        Event::TookOff,
+        Event::Landed,
+    ];
+    let summary = Event::ArmingCheckSummary {
         failing: 0,
         groups_that_can: 0,
     };
-    let mut checks: Map<String, Value> = ArmingCheck::ALL
-        .into_iter()
-        .map(|check| {
-            let (name, message) = check.name_and_message();
-            let arguments = [
-                ("navigation_mode_group_t", "modes"),
-                ("uint8_t", "health_component_index"),
-            ];
-            (
-                Event::CheckFailed(check).sub_id().to_string(),
-                event(name, message, &arguments),
-            )
-        })
-        .collect();
-    checks.insert(
-        check_summary.sub_id().to_string(),
-        summary(
-            "arming_check_summary",
-            "Arming checks",
-            &[
-                ("uint8_t", "chunk_idx"),
-                ("health_component_t", "error"),
-                ("health_component_t", "warning"),
-                ("navigation_mode_group_t", "can_arm"),
-                ("navigation_mode_group_t", "can_run"),
-            ],
-        ),
-    );
-    checks
-}
-
-/// The definitions as clients fetch them.
-pub(crate) fn definitions() -> Value {
-    let plain = |name: &str, message: &str| json!({ "name": name, "message": message });
-    let happened = group([
-        (Event::Armed, plain("armed", "Armed")),
-        (Event::Disarmed, plain("disarmed", "Disarmed")),
-        (
-            Event::ModeChanged(FlightMode::Hold),
-            event("mode_changed", "Mode: {1}", &[("flight_mode_t", "mode")]),
-        ),
-        (
-            Event::FailsafeEntered(Failsafe::SetpointLost),
-            event("failsafe_entered", "Failsafe: {1}", &[("failsafe_t", "failsafe")]),
-        ),
-        (Event::FailsafeEnded, plain("failsafe_ended", "Failsafe ended")),
-        (Event::Terminated, plain("terminated", "Flight terminated")),
-        (Event::TookOff, plain("took_off", "Took off")),
-        (Event::Landed, plain("landed", "Landed")),
-    ]);
-    let health = group([(
-        Event::HealthSummary,
-        summary(
-            "health_summary",
-            "Health",
-            &[
-                ("uint8_t", "chunk_idx"),
-                ("health_component_t", "is_present"),
-                ("health_component_t", "error"),
-                ("health_component_t", "warning"),
-            ],
-        ),
-    )]);
+    let checks = ArmingCheck::ALL.map(Event::CheckFailed).into_iter().chain([summary]);
     json!({
         "version": 1,
         "components": { "1": {
             "namespace": "vigil",
             "enums": enums(),
             "event_groups": {
-                "default": happened,
-                "arming_check": { "events": checks() },
-                "health": health,
+                "default": group(happened),
+                "arming_check": group(checks),
+                "health": group([Event::HealthSummary]),
             },
             "supported_protocols": ["health_and_arming_check"],
             "navigation_mode_groups": {

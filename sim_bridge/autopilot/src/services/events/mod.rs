@@ -4,17 +4,9 @@
 
 mod catalogue;
 
-use crate::core::Core;
 use crate::flight::{Failsafe, FlightMode};
-use crate::service::{Answer, Service, Source};
+use crate::service::prelude::*;
 use std::collections::VecDeque;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{
-    CURRENT_EVENT_SEQUENCE_DATA, EVENT_DATA, MavEventCurrentSequenceFlags, MavEventErrorReason, MavSeverity,
-    REQUEST_EVENT_DATA, RESPONSE_EVENT_ERROR_DATA,
-};
-use vigil_mavlink::framing::{Command, Packet};
-use vigil_types::Nanos;
 
 pub(crate) use catalogue::definitions;
 use catalogue::{ArmingCheck, Event, HEALTH_NONE, MODE_GROUP};
@@ -71,8 +63,8 @@ impl Service for Events {
         }
     }
 
-    fn commands(&self) -> &'static [u16] {
-        &[RUN_PREARM_CHECKS]
+    fn serves(&self, command: u16) -> bool {
+        command == RUN_PREARM_CHECKS
     }
 
     fn command(&mut self, _command: &Command, _source: Source, core: &mut Core) -> Answer {

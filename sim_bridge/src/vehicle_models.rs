@@ -1,33 +1,16 @@
 //! Other people's vehicles hold as their autopilots do: the way that a mission goes on after HOLD, by the simulated vehicle's MAVLink.
 //! The figures are those measured on PX4 1.18.
 
+use crate::testing::command;
+use crate::vehicle::{VehicleModel, Wind};
+use crate::world::{Family, generate};
+use crate::{SimConfig, Simulator, Start};
 use vigil_autopilot::Saved;
-use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd};
-use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
-use vigil_mavlink::{MavHeader, MavMessage, globe};
-use vigil_sim::vehicle::{VehicleModel, Wind};
-use vigil_sim::world::{Family, generate};
-use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_mavlink::globe;
 
 /// A ground station's change of mode: PX4's AUTO with this sub mode.
 fn change_to(sub_mode: f32) -> Vec<u8> {
-    let message = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        command: MavCmd::MAV_CMD_DO_SET_MODE,
-        param1: 129.0,
-        param2: 4.0,
-        param3: sub_mode,
-        target_system: 1,
-        target_component: 1,
-        ..COMMAND_LONG_DATA::DEFAULT
-    });
-    let header = MavHeader {
-        system_id: 255,
-        component_id: 190,
-        sequence: 0,
-    };
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, &message, &mut out).expect("fits");
-    out[..len].to_vec()
+    command((255, 190), 176, [129.0, 4.0, sub_mode, 0.0, 0.0, 0.0, 0.0])
 }
 
 const HOLD: f32 = 3.0;
