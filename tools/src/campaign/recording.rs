@@ -91,12 +91,11 @@ impl Begun {
         notes.finish()?;
         about.insert("course".to_owned(), config.course.name.clone());
         about.insert("seed".to_owned(), config.seed.to_string());
-        let outcome = record
-            .outcome
-            .map_or_else(|| "never took off".to_owned(), |o| o.to_string());
         let text = format!(
-            "{outcome} after {:.1} s and {:.1} m",
-            record.flight_time_s, record.path_length_m
+            "{} after {:.1} s and {:.1} m",
+            super::outcome_name(record.outcome),
+            record.flight_time_s,
+            record.path_length_m
         );
         about.insert("outcome".to_owned(), text);
         let sides: [&Path; 2] = [&truth_file, &notes_file];
