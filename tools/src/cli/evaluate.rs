@@ -563,7 +563,6 @@ fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, see
     Recording {
         log: folder.join(name),
         about,
-        explained_frames: 0,
     }
 }
 
