@@ -152,7 +152,6 @@ pub fn fit(
 ) -> Result<Fitted> {
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     let mut adam = Adam::new(params.len());
-    let shares = vec![1.0; params.len()];
     let mut packed = vec![0.0; params.len()];
     let mut order: Vec<usize> = (0..train.len()).collect();
     let steps = train.len().div_ceil(config.batch) * config.epochs;
@@ -175,14 +174,14 @@ pub fn fit(
                     *g += part / batch.len() as f32;
                 }
             }
-            let length = norm(&[&gradient]);
+            let length = norm(&gradient);
             ensure!(length.is_finite(), diverged());
             let factor = shortening(length, config.gradient_norm);
             gradient.iter_mut().for_each(|g| *g *= factor);
             let turn = core::f64::consts::PI * step as f64 / steps as f64;
             let rate = config.rate * (0.01 + 0.99 * 0.5 * (1.0 + libm::cos(turn) as f32));
             params.iter_mut().for_each(|p| *p *= 1.0 - rate * config.weight_decay);
-            adam.step_by_shares(rate, &shares, &mut params, &gradient);
+            adam.step(rate, &mut params, &gradient);
             step += 1;
             progress(step, None);
         }
