@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use vigil_nnet::Isa;
 use vigil_policy::actor::{Actor, ActorSpec};
 use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, RangeScan};
+use vigil_sim::environment::Environment;
 use vigil_sim::vehicle::Wind;
 use vigil_sim::world::{Family, Outcome, generate};
 use vigil_types::{ACTION_LIMIT, Ablation, Action, Choice};
@@ -128,7 +129,7 @@ pub fn evaluate(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec) -> R
 fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<(Outcome, f64)> {
     let mut course = generate(what.family, seed);
     course.time_limit_s = what.time_limit_s;
-    let mut flight = Flight::new(&course, Wind::default(), seed)?;
+    let mut flight = Flight::of(Environment::new(&course, Wind::default(), seed)?);
     let mut network = match actor {
         EvaluatedActor::Actor(params) => Some(Actor::new(ActorSpec::FULL, isa, params)?.without(what.ablation)),
         EvaluatedActor::Zero | EvaluatedActor::Random | EvaluatedActor::Geometric => None,

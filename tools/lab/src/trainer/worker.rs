@@ -15,8 +15,9 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use vigil_nnet::ShapeError;
 use vigil_policy::{NearestObstacle, apf};
+use vigil_sim::environment::Environment;
 use vigil_sim::environment::true_state::{RAYS, TRUE_STATE, TrueCourse, range_m};
-use vigil_sim::vehicle::VehicleParams;
+use vigil_sim::vehicle::{VehicleParams, Wind};
 use vigil_sim::world::{Family, Outcome, generate};
 use vigil_types::{Action, GoalRelative, NedVector, wrap_pi};
 
@@ -88,8 +89,9 @@ impl Current {
             true => VehicleParams::drawn(episode.seed),
             false => VehicleParams::default(),
         };
+        let environment = Environment::with_vehicle(&course, vehicle, Wind::default(), episode.seed)?;
         let mut current = Self {
-            flight: Flight::with_vehicle(&course, vehicle, episode.seed)?,
+            flight: Flight::of(environment),
             observer: Observer::new(&encoder, episode.drift),
             encoder,
             goal: course.goal_ned_m(),
@@ -270,7 +272,7 @@ impl EnvWorker {
         let [forward_m_s, yaw] = own.map_or([config.warm_up_forward, 0.0], |pre| squash(&pre));
         let mut action = apf::add(Action { forward_m_s, yaw }, noise);
         if c.episode.report.with_apf {
-            let force = apf::force(c.flight.goal(), nearest(&truth), apf::REPULSIVE_RANGE_M);
+            let force = apf::force(c.flight.goal_relative(), nearest(&truth), apf::REPULSIVE_RANGE_M);
             action = apf::add(action, force);
         }
         let (reward, outcome) = c.step(config, action)?;
