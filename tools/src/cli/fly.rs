@@ -2,7 +2,7 @@
 
 use crate::cli::child_process::{END_LIMIT, Process, read_statuses};
 use crate::cli::flight_watch::{Flight, Terminal, TruePose, watch};
-use crate::cli::foreign::{ForeignArgs, start_sensor};
+use crate::cli::foreign::ForeignArgs;
 use crate::cli::lab;
 use crate::cli::live::Live;
 use crate::cli::log::film_name;
@@ -235,7 +235,10 @@ impl Processes {
             }
         };
         let mut simulator = match args.foreign.is_foreign() {
-            true => start_sensor(&args.foreign, folder, args.instance, world)?,
+            true => Process::start("sensor", folder, |c| {
+                args.foreign.sensor(c, args.instance);
+                world(c);
+            })?,
             false => Process::start("simulator", folder, |c| {
                 c.arg("sim");
                 c.arg(format!("--second-sensor-heads={}", args.second_sensor.heads));
