@@ -12,12 +12,7 @@ use vigil_nnet::{Graph, Isa};
 /// Examples with their class.
 pub trait Examples: Sync {
     /// How many.
-    fn len(&self) -> usize;
-
-    /// Whether there are none.
-    fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
+    fn count(&self) -> usize;
 
     /// The network's inputs of example `i`.
     fn inputs<'a>(&'a self, i: usize, buffer: &'a mut Vec<f32>) -> Vec<&'a [f32]>;
@@ -100,7 +95,7 @@ impl Worker {
 /// # Errors
 /// Examples that do not fit.
 pub fn outputs(graph: &Graph, isa: Isa, params: &[f32], examples: &impl Examples) -> Result<Vec<f32>> {
-    (0..examples.len())
+    (0..examples.count())
         .into_par_iter()
         .with_min_len(SHARE)
         .map_init(
@@ -153,8 +148,8 @@ pub fn fit(
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     let mut adam = Adam::new(params.len());
     let mut packed = vec![0.0; params.len()];
-    let mut order: Vec<usize> = (0..train.len()).collect();
-    let steps = train.len().div_ceil(config.batch) * config.epochs;
+    let mut order: Vec<usize> = (0..train.count()).collect();
+    let steps = train.count().div_ceil(config.batch) * config.epochs;
     let mut best: Option<(f64, usize, Vec<f32>)> = None;
     let mut epochs = Vec::new();
     let mut step = 0;
@@ -193,9 +188,9 @@ pub fn fit(
         }
         let row = Epoch {
             epoch,
-            train_loss: sum / train.len() as f64,
-            choose_loss: choose_sum / choose.len().max(1) as f64,
-            choose_accuracy: right as f64 / choose.len().max(1) as f64,
+            train_loss: sum / train.count() as f64,
+            choose_loss: choose_sum / choose.count().max(1) as f64,
+            choose_accuracy: right as f64 / choose.count().max(1) as f64,
         };
         ensure!((row.train_loss + row.choose_loss).is_finite(), diverged());
         if best.as_ref().is_none_or(|(least, ..)| row.choose_loss < *least) {

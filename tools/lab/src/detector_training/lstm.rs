@@ -61,7 +61,7 @@ pub(crate) struct Windows<'a> {
 }
 
 impl Examples for Windows<'_> {
-    fn len(&self) -> usize {
+    fn count(&self) -> usize {
         self.at.len()
     }
 
