@@ -307,13 +307,7 @@ impl Curve {
             let runs: Vec<_> = self.runs(arm).collect();
             over_seeds(&format!("{}, {} seeds", arm.name, runs.len()), &runs)
         });
-        let panel = Panel {
-            title: self.title.to_owned(),
-            y_label: self.y_label.to_owned(),
-            series: series.collect(),
-            thresholds: Vec::new(),
-            top: None,
-        };
+        let panel = Panel::of(self.title, self.y_label, series);
         Figure::over(
             "training flight (those of the warm-up are left out)",
             longest(arms),

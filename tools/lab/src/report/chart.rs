@@ -59,13 +59,16 @@ pub struct Panel {
 impl Panel {
     /// From names and points.
     pub fn new<'a>(title: &str, y_label: &str, series: impl IntoIterator<Item = (&'a str, Vec<(f64, f64)>)>) -> Self {
+        let lines = series.into_iter().map(|(label, points)| Series::line(label, points));
+        Self::of(title, y_label, lines)
+    }
+
+    /// From lines.
+    pub fn of(title: impl Into<String>, y_label: &str, series: impl IntoIterator<Item = Series>) -> Self {
         Self {
-            title: title.to_owned(),
+            title: title.into(),
             y_label: y_label.to_owned(),
-            series: series
-                .into_iter()
-                .map(|(label, points)| Series::line(label, points))
-                .collect(),
+            series: series.into_iter().collect(),
             thresholds: Vec::new(),
             top: None,
         }

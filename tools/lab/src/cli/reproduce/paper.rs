@@ -230,11 +230,8 @@ pub(super) fn figure_11(sources: &Sources) -> Result<Made> {
             dashed: false,
         });
         Panel {
-            title: title.to_owned(),
-            y_label: "states deceived (share)".to_owned(),
-            series: series.collect(),
-            thresholds: Vec::new(),
             top: Some(1.0),
+            ..Panel::of(title, "states deceived (share)", series)
         }
     };
     let mut accumulating = shares("BIM, accumulating", Method::BimAccumulating);
