@@ -7,13 +7,14 @@ use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 use vigil_lab::trainer::config::{Along, RewardConfig};
 use vigil_lab::trainer::reward::{DecisionResult, reward};
+use vigil_lab::trainer::worker::seen_from;
 use vigil_sim::environment::Environment;
 use vigil_sim::environment::true_state::{TRUE_STATE, TrueCourse};
-use vigil_sim::vehicle::{Truth, VehicleParams, Wind};
+use vigil_sim::vehicle::{VehicleParams, Wind};
 use vigil_sim::world::{Course, Family, FlightPath, Lidar, LidarConfig, Outcome, generate};
 use vigil_tools::explained::Flight;
 use vigil_tools::threads::thread_pool;
-use vigil_types::{Action, AttitudeSample, DEPTH_FULL_SCALE_M, Goal, GoalRelative, Kinematics, NedVector};
+use vigil_types::{Action, DEPTH_FULL_SCALE_M, NedVector};
 
 /// Steps between two points of a drawn path.
 const PATH_STRIDE: usize = 4;
@@ -128,26 +129,11 @@ impl Begun {
 
     fn true_state(&self) -> [f32; TRUE_STATE] {
         let truth = self.flight.truth();
-        let goal = seen_from(self.flight.goal(), &truth);
+        let goal = seen_from(self.flight.goal().position_ned_m, &truth);
         self.truth
             .as_ref()
             .map_or([0.0; TRUE_STATE], |course| course.state(&truth, goal))
     }
-}
-
-/// The goal as it is, not as it is estimated.
-fn seen_from(goal: Goal, truth: &Truth) -> GoalRelative {
-    let kinematics = Kinematics {
-        at_ns: truth.at_ns,
-        position_ned_m: truth.position_ned_m,
-        velocity_ned_m_s: truth.velocity_ned_m_s,
-    };
-    let attitude = AttitudeSample {
-        at_ns: truth.at_ns,
-        attitude: truth.attitude,
-        rates_frd_rad_s: truth.rates_frd_rad_s,
-    };
-    goal.relative_to(&kinematics, &attitude)
 }
 
 /// How a flight ended, as a number; −1: it goes on.

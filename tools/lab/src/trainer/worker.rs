@@ -17,7 +17,7 @@ use vigil_nnet::ShapeError;
 use vigil_policy::{NearestObstacle, apf};
 use vigil_sim::environment::Environment;
 use vigil_sim::environment::true_state::{RAYS, TRUE_STATE, TrueCourse, range_m};
-use vigil_sim::vehicle::{VehicleParams, Wind};
+use vigil_sim::vehicle::{Truth, VehicleParams, Wind};
 use vigil_sim::world::{Family, Outcome, generate};
 use vigil_types::{Action, GoalRelative, NedVector, wrap_pi};
 
@@ -119,12 +119,7 @@ impl Current {
     /// The true state here and now.
     fn truth(&self) -> [f32; TRUE_STATE] {
         let truth = self.flight.truth();
-        let to = self.goal - truth.position_ned_m;
-        let goal = GoalRelative {
-            distance_m: to.horizontal_norm(),
-            bearing_rad: wrap_pi(libm::atan2f(to.y, to.x) - truth.attitude.yaw_rad()),
-        };
-        self.course.state(&truth, goal)
+        self.course.state(&truth, seen_from(self.goal, &truth))
     }
 
     /// Flies a decision's steps. Returns the reward and the outcome.
@@ -303,6 +298,15 @@ impl EnvWorker {
         }
         c.episode.report.outcome = outcome;
         Ok(Some(c.episode.report))
+    }
+}
+
+/// The goal as it is, not as it is estimated.
+pub fn seen_from(goal_ned_m: NedVector, truth: &Truth) -> GoalRelative {
+    let to = goal_ned_m - truth.position_ned_m;
+    GoalRelative {
+        distance_m: to.horizontal_norm(),
+        bearing_rad: wrap_pi(libm::atan2f(to.y, to.x) - truth.attitude.yaw_rad()),
     }
 }
 
