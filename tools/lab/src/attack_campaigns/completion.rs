@@ -9,8 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
-use vigil_adversary::Attack;
-use vigil_adversary::{AttackConfig, Burst, Method, Towards};
+use vigil_adversary::{Attack, AttackConfig, Burst, Method, Towards};
 use vigil_tools::cli::output::say;
 
 /// Arguments of `vigil attack completion`.
@@ -148,9 +147,7 @@ impl Row {
         }
         table
     }
-}
 
-impl Row {
     fn of((apf, attack): (bool, Option<Setting>), flights: &[&Flight]) -> Self {
         let outcomes: Vec<_> = flights.iter().map(|flight| flight.record.outcome).collect();
         let attacks = || flights.iter().filter_map(|flight| flight.attack);

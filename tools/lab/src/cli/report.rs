@@ -39,46 +39,24 @@ struct Flight {
     reward: f64,
 }
 
-struct Run {
-    result: LearnResult,
+/// A run of the training.
+pub(crate) struct Run {
+    pub result: LearnResult,
     /// Flights over validation courses that nothing was chosen by.
-    test: FamilyCount,
+    pub test: FamilyCount,
     flights: Vec<Flight>,
 }
 
 /// The runs with the field, or those without.
 pub(crate) struct Arm {
     pub name: &'static str,
-    runs: Vec<Run>,
-}
-
-/// What the test of a run came to.
-pub(crate) struct Test {
-    pub seed: u64,
-    pub decisions: u64,
-    pub flights: usize,
-    pub successes: usize,
-    pub completion: f64,
-    /// Wilson's, 95 %.
-    pub interval: (f64, f64),
+    pub runs: Vec<Run>,
 }
 
 impl Arm {
-    /// The test of each run.
-    pub fn tests(&self) -> impl Iterator<Item = Test> {
-        self.runs.iter().map(|Run { result: r, test, .. }| Test {
-            seed: r.seed,
-            decisions: r.decisions,
-            flights: test.flights,
-            successes: test.successes,
-            completion: test.completion(),
-            interval: test.wilson_95,
-        })
-    }
-
     /// Mean completion over the seeds, and half of its 95 % interval.
     pub fn mean(&self) -> (f64, Option<f64>) {
-        let shares: Vec<f64> = self.tests().map(|test| test.completion).collect();
+        let shares: Vec<f64> = self.runs.iter().map(|run| run.test.completion()).collect();
         mean_and_interval(&shares)
     }
 }

@@ -3,8 +3,7 @@
 use crate::detector_training::features::Feature;
 use crate::detector_training::lstm::WindowScorer;
 use crate::detector_training::metrics::{Proportion, Separation, corners, roc};
-use crate::explained::{Adversary, MAX_STEPS, Plan, Scenario};
-use crate::explained::{Ending, Frame, Record, fly};
+use crate::explained::{Adversary, Ending, Frame, MAX_STEPS, Plan, Record, Scenario, fly};
 use anyhow::Result;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -250,11 +249,13 @@ const ONE_ALARM: usize = 20;
 
 type Scores = Vec<Vec<Option<f32>>>;
 
-/// Scores with record and step.
-fn judged<'a>(
+/// The scores of the windows to keep.
+fn scores_of<'a>(
     flights: impl Iterator<Item = (&'a Record, &'a Vec<Option<f32>>)>,
-) -> impl Iterator<Item = (&'a Record, usize, f32)> {
-    flights.flat_map(|(r, s)| s.iter().enumerate().filter_map(move |(step, s)| Some((r, step, (*s)?))))
+    keep: &dyn Fn(&Record, usize) -> bool,
+) -> Vec<f32> {
+    let kept = flights.flat_map(|(r, s)| s.iter().enumerate().filter(move |(step, _)| keep(r, *step)));
+    kept.filter_map(|(_, score)| *score).collect()
 }
 
 fn attacked(record: &Record, step: usize) -> bool {
@@ -314,12 +315,8 @@ fn alarms(scores: &[Option<f32>], threshold: f32) -> usize {
 
 fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32, unattacked: &[f32]) -> SetReport {
     let flights = || records.iter().zip(scores);
-    let scores_of = |keep: &dyn Fn(&Record, usize) -> bool| -> Vec<f32> {
-        let kept = judged(flights()).filter(|(r, step, _)| keep(r, *step));
-        kept.map(|(.., score)| score).collect()
-    };
-    let above = |keep: &dyn Fn(&Record, usize) -> bool| Proportion::above(threshold, scores_of(keep));
-    let attacks = scores_of(&attacked);
+    let above = |keep: &dyn Fn(&Record, usize) -> bool| Proportion::above(threshold, scores_of(flights(), keep));
+    let attacks = scores_of(flights(), &attacked);
     let delays: Vec<Option<usize>> = flights().flat_map(|(r, s)| delays(r, s, threshold)).collect();
     let noticed: Vec<f64> = delays.iter().flatten().map(|d| *d as f64).collect();
     let quantile = |q| crate::statistics::quantile(&noticed, q);
@@ -367,11 +364,8 @@ fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>
         let own = all().filter(move |(set, _)| set.role == role);
         own.flat_map(|(_, (records, scores))| records.iter().zip(scores))
     };
-    let unattacked: Vec<f32> = judged(flights(Role::Unattacked)).map(|(.., score)| score).collect();
-    let paper = |keep: &dyn Fn(&Record, usize) -> bool| -> Vec<f32> {
-        let kept = judged(flights(Role::Paper)).filter(|(r, step, _)| keep(r, *step));
-        kept.map(|(.., score)| score).collect()
-    };
+    let unattacked = scores_of(flights(Role::Unattacked), &|_, _| true);
+    let paper = |keep: &dyn Fn(&Record, usize) -> bool| scores_of(flights(Role::Paper), keep);
     let under_attack = paper(&attacked);
     let separation = Separation::of(threshold, &under_attack, &unattacked);
     let quiet = 1.0 - separation.false_alarms.share.unwrap_or(0.0);

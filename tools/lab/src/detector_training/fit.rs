@@ -1,5 +1,6 @@
 //! Trains any network with one output to tell two classes apart.
 
+use crate::report::decimals;
 use crate::trainer::adam::{Adam, norm, shortening};
 use anyhow::{Result, ensure};
 use rand::SeedableRng;
@@ -39,16 +40,19 @@ pub struct FitConfig {
     pub seed: u64,
 }
 
-/// Losses after an epoch.
+/// Losses after an epoch: a line of the curves beside a detector.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Epoch {
     /// From 1.
     pub epoch: usize,
     /// Mean cross entropy while training.
+    #[serde(serialize_with = "decimals::<6, _, _>")]
     pub train_loss: f64,
     /// The same on the examples that choose.
+    #[serde(serialize_with = "decimals::<6, _, _>")]
     pub choose_loss: f64,
     /// Share of them on the right side of 0.5.
+    #[serde(serialize_with = "decimals::<6, _, _>")]
     pub choose_accuracy: f64,
 }
 

@@ -1,8 +1,7 @@
 //! Gathering flights and keeping them in files.
 
 use crate::cli::output;
-use crate::explained::Scenario;
-use crate::explained::{Ending, Frame, Record, Step, held_frames};
+use crate::explained::{Ending, Frame, Record, Scenario, Step, held_frames};
 use anyhow::{Context, Error, Result, anyhow};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};

@@ -2,8 +2,7 @@
 
 use super::ObservedStep;
 use std::fmt;
-use vigil_types::named;
-use vigil_types::{StepReport, Verdict};
+use vigil_types::{StepReport, Verdict, named};
 
 /// A step that begins later, or takes so much longer than usual, is asked for its cause.
 const NOTABLE_NS: u64 = 1_000_000;
