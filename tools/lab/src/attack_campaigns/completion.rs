@@ -231,17 +231,12 @@ fn arm_name((apf, attack): (bool, Option<Setting>)) -> String {
 /// Prints and writes the table.
 fn report(campaign: &Campaign<Settings, Flight>, path: &Path) -> Result<()> {
     let settings = campaign.settings();
-    let of_arm = |name: String| {
-        campaign
-            .flights()
-            .filter(move |(arm, _)| *arm == name)
-            .map(|(_, flight)| flight)
-    };
-    let rows = settings.arms.iter().map(|arm| (arm, of_arm(arm_name(*arm)).collect()));
-    let rows: Vec<Row> = rows
-        .filter(|(_, flights): &(_, Vec<&Flight>)| !flights.is_empty())
-        .map(|(setting, flights)| Row::of(*setting, &flights))
-        .collect();
+    let rows = settings.arms.iter().filter_map(|arm| {
+        let name = arm_name(*arm);
+        let flights: Vec<&Flight> = campaign.flights_of(&name).collect();
+        (!flights.is_empty()).then(|| Row::of(*arm, &flights))
+    });
+    let rows: Vec<Row> = rows.collect();
     say!("{}", Row::table(&rows));
     write_json(
         path,

@@ -147,13 +147,7 @@ pub(super) fn report<S: Serialize + DeserializeOwned + Sync>(
 ) -> Result<()> {
     let (settings, jobs) = (campaign.settings(), campaign.jobs());
     // All with one fault before the next.
-    let of_arm = |name| {
-        campaign
-            .flights()
-            .filter(move |(arm, _)| *arm == name)
-            .map(|(_, flight)| flight)
-    };
-    let flights: Vec<&Flight> = jobs.arms.iter().flat_map(of_arm).collect();
+    let flights: Vec<&Flight> = jobs.arms.iter().flat_map(|arm| campaign.flights_of(arm)).collect();
     let faults = jobs.arms.iter().filter(|arm| *arm != NO_FAULT);
     let tallies: Vec<FaultTally> = faults
         .map(|fault| {
