@@ -1,6 +1,7 @@
 //! What a flight log does not hold and a replay of it gives: the pilot's map and planned way, and the pixels' SHAP values.
 
 use crate::explained::{PixelExplainer, YAW};
+use crate::flight_report::LogSeen;
 use anyhow::{Context, Result};
 use std::path::Path;
 use vigil_firmware::FirmwareConfig;
@@ -60,7 +61,11 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
     let mut reader = Reader::open(log)?;
     let mut firmware = firmware_of(&reader)?;
     let mut explainer = if wanted.shap { explainer(&reader)? } else { None };
-    let alarms_ns = if explainer.is_some() { alarms(log)? } else { Vec::new() };
+    let seen = explainer.is_some().then(|| LogSeen::read(log)).transpose()?;
+    let alarms = seen
+        .iter()
+        .flat_map(|seen| seen.alarms().into_iter().map(|i| seen.steps[i].now_ns));
+    let alarms_ns: Vec<Nanos> = alarms.take(ALARMS).collect();
     let mut sparse = 0;
     let mut to = DerivedLog::create(notes, reader.epoch_offset_ns())?;
     let mut derived = Derived::default();
@@ -116,23 +121,6 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
     }
     to.finish()?;
     Ok(derived)
-}
-
-/// When the first alarms of a flight were raised.
-fn alarms(log: &Path) -> Result<Vec<Nanos>> {
-    let mut reader = Reader::open(log)?;
-    let mut record = Box::<TickRecord>::default();
-    let (mut alarms_ns, mut before) = (Vec::new(), None);
-    while alarms_ns.len() < ALARMS
-        && let Ok(true) = reader.read_next(&mut record)
-    {
-        let cause = record.report.alarm.map(|alarm| alarm.cause);
-        if cause.is_some() && cause != before {
-            alarms_ns.push(record.now_ns);
-        }
-        before = cause;
-    }
-    Ok(alarms_ns)
 }
 
 /// The explainer of the actor that flew; `None` where none did.

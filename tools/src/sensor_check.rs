@@ -138,16 +138,11 @@ impl SensorCheck {
         }
     }
 
-    /// Frames seen.
-    pub fn frames(&self) -> usize {
-        self.arrivals_s.len()
-    }
-
     /// What was found in the `seconds` until `ended_ns`.
     pub fn findings(&self, seconds: f64, ended_ns: Nanos) -> Vec<Finding> {
         let mut findings = Vec::new();
         let mut add = |name, severity, text: String| findings.push(Finding { name, severity, text });
-        if self.frames() == 0 {
+        if self.arrivals_s.is_empty() {
             add(
                 "frames",
                 Severity::Failure,
@@ -158,7 +153,7 @@ impl SensorCheck {
             return findings;
         }
         let used = self.ages_s.len();
-        let mut text = format!("{used} of {} are taken", self.frames());
+        let mut text = format!("{used} of {} are taken", self.arrivals_s.len());
         for (defect, count) in &self.refused {
             let _ = write!(text, "; {count} refused: {defect}");
         }

@@ -217,7 +217,7 @@ fn nothing_to_learn_from_is_said_with_numbers() {
 struct Moons(usize);
 
 impl Examples for Moons {
-    fn len(&self) -> usize {
+    fn count(&self) -> usize {
         self.0
     }
 

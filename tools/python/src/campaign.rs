@@ -22,7 +22,7 @@ struct Plan {
 }
 
 /// Seed, outcome, seconds, metres flown, closest goal, altered frames, step of the first alarm.
-type FlightRow = (u64, String, f64, f64, f32, u64, Option<u64>);
+type FlightRow = (u64, &'static str, f64, f64, f32, u64, Option<u64>);
 
 impl Plan {
     fn fly(&self, seed: u64) -> Result<FlightRow, String> {
@@ -42,12 +42,9 @@ impl Plan {
         firmware.detector = self.firmware.detector.clone();
         let flight = vigil_tools::fly(&config, &firmware, self.attack.as_ref()).map_err(|e| format!("{e:#}"))?;
         let record = flight.record;
-        let outcome = record
-            .outcome
-            .map_or_else(|| "never took off".to_owned(), |o| o.to_string());
         Ok((
             seed,
-            outcome,
+            vigil_tools::campaign::outcome_name(record.outcome),
             record.flight_time_s,
             record.path_length_m,
             record.closest_goal_m,

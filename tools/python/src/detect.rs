@@ -237,7 +237,7 @@ struct Windows<'a> {
 }
 
 impl Examples for Windows<'_> {
-    fn len(&self) -> usize {
+    fn count(&self) -> usize {
         self.attacked.len()
     }
 

@@ -7,12 +7,14 @@ use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 use vigil_lab::trainer::config::{Along, RewardConfig};
 use vigil_lab::trainer::reward::{DecisionResult, reward};
+use vigil_lab::trainer::worker::seen_from;
+use vigil_sim::environment::Environment;
 use vigil_sim::environment::true_state::{TRUE_STATE, TrueCourse};
-use vigil_sim::vehicle::{Truth, Wind};
+use vigil_sim::vehicle::{VehicleParams, Wind};
 use vigil_sim::world::{Course, Family, FlightPath, Lidar, LidarConfig, Outcome, generate};
 use vigil_tools::explained::Flight;
 use vigil_tools::threads::thread_pool;
-use vigil_types::{Action, AttitudeSample, DEPTH_FULL_SCALE_M, Goal, GoalRelative, Kinematics, NedVector};
+use vigil_types::{Action, DEPTH_FULL_SCALE_M, NedVector};
 
 /// Steps between two points of a drawn path.
 const PATH_STRIDE: usize = 4;
@@ -40,7 +42,6 @@ struct Conditions {
 struct Begun {
     course: Course,
     flight: Flight,
-    goal: Goal,
     truth: Option<TrueCourse>,
     left_m: f32,
     steps: usize,
@@ -59,12 +60,10 @@ impl Conditions {
             true => vigil_tools::campaign::wind(self.wind_m_s, seed),
             false => Wind::default(),
         };
-        let flight = Flight::unseen(&course, wind, seed).map_err(|e| e.to_string())?;
+        let environment = Environment::unseen(&course, VehicleParams::default(), wind, seed);
+        let flight = Flight::of(environment.map_err(|e| e.to_string())?);
         let truth = (self.along_way || self.privileged).then(|| TrueCourse::new(&course));
         let mut begun = Begun {
-            goal: Goal {
-                position_ned_m: course.goal_ned_m(),
-            },
             path_ned_m: vec![flight.truth().position_ned_m],
             course,
             flight,
@@ -130,26 +129,11 @@ impl Begun {
 
     fn true_state(&self) -> [f32; TRUE_STATE] {
         let truth = self.flight.truth();
-        let goal = seen_from(&self.goal, &truth);
+        let goal = seen_from(self.flight.goal().position_ned_m, &truth);
         self.truth
             .as_ref()
             .map_or([0.0; TRUE_STATE], |course| course.state(&truth, goal))
     }
-}
-
-/// The goal as it is, not as it is estimated.
-fn seen_from(goal: &Goal, truth: &Truth) -> GoalRelative {
-    let kinematics = Kinematics {
-        at_ns: truth.at_ns,
-        position_ned_m: truth.position_ned_m,
-        velocity_ned_m_s: truth.velocity_ned_m_s,
-    };
-    let attitude = AttitudeSample {
-        at_ns: truth.at_ns,
-        attitude: truth.attitude,
-        rates_frd_rad_s: truth.rates_frd_rad_s,
-    };
-    goal.relative_to(&kinematics, &attitude)
 }
 
 /// How a flight ended, as a number; −1: it goes on.
@@ -222,7 +206,7 @@ impl Row<'_> {
         }
         drop(lidar);
         let Some(begun) = self.flight else { return Ok(()) };
-        let goal = begun.flight.goal();
+        let goal = begun.flight.goal_relative();
         self.goal.copy_from_slice(&match conditions.normalized {
             true => {
                 [goal.distance_m / GOAL_SCALE_M, goal.bearing_rad / std::f32::consts::PI].map(|x| x.clamp(-1.0, 1.0))

@@ -79,9 +79,9 @@ fn recorded_packets_of_a_course_become_the_lidar_models_image_with_the_stamp_of_
     for (beams, seed) in [(128, 7), (64, 8)] {
         let mut bench = Bench::new(beams, seed);
         assert!(
-            bench.adapter.view().is_some_and(|v| v.is_whole()),
+            bench.adapter.view.is_some_and(|v| v.is_whole()),
             "{:?}",
-            bench.adapter.view()
+            bench.adapter.view
         );
         assert_eq!(bench.adapter.packet_bytes(), 16 * (16 + 12 * beams + 4));
         let stamps: Vec<Nanos> = (0..3u16)

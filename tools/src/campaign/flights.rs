@@ -179,6 +179,13 @@ where
             .map(|((_, arm), flight)| (arms[*arm].as_str(), flight))
     }
 
+    /// The flights of an arm, by seed.
+    pub fn flights_of<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a F> {
+        self.flights()
+            .filter(move |(arm, _)| *arm == name)
+            .map(|(_, flight)| flight)
+    }
+
     /// A flight, if it was flown.
     pub fn flight(&self, seed: u64, arm: usize) -> Option<&F> {
         self.flown.get(&(seed, arm))

@@ -120,6 +120,11 @@ pub fn effective_share(attacked_steps: u64, effective_steps: u64) -> String {
     }
 }
 
+/// How a flight ended; `None` is a vehicle that never took off.
+pub fn outcome_name(outcome: Option<Outcome>) -> &'static str {
+    outcome.map_or("never took off", Outcome::name)
+}
+
 /// A number from 0 to 1 for each seed. Multiples of the golden ratio spread neighbouring seeds evenly.
 pub fn spread(seed: u64) -> f64 {
     (seed as f64 * 0.618_033_988_749_895) % 1.0

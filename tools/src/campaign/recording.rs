@@ -17,8 +17,6 @@ pub struct Recording {
     pub log: PathBuf,
     /// What is known of the flight, for its metadata: `command` and others.
     pub about: BTreeMap<String, String>,
-    /// Frames of the report whose pixels are explained.
-    pub explained_frames: usize,
 }
 
 impl Recording {
@@ -64,18 +62,13 @@ impl Begun {
         }
     }
 
-    /// Puts the notes into the log and makes the report.
+    /// Puts the notes into the log and makes the report, without an explanation of pixels, which takes long.
     pub fn end(self, config: &SimConfig, record: &FlightRecord) -> Result<()> {
         let Self {
             notes,
             notes_file,
             failure,
-            recording:
-                Recording {
-                    log,
-                    mut about,
-                    explained_frames,
-                },
+            recording: Recording { log, mut about },
             ..
         } = self;
         if let Some(failure) = failure {
@@ -91,12 +84,11 @@ impl Begun {
         notes.finish()?;
         about.insert("course".to_owned(), config.course.name.clone());
         about.insert("seed".to_owned(), config.seed.to_string());
-        let outcome = record
-            .outcome
-            .map_or_else(|| "never took off".to_owned(), |o| o.to_string());
         let text = format!(
-            "{outcome} after {:.1} s and {:.1} m",
-            record.flight_time_s, record.path_length_m
+            "{} after {:.1} s and {:.1} m",
+            super::outcome_name(record.outcome),
+            record.flight_time_s,
+            record.path_length_m
         );
         about.insert("outcome".to_owned(), text);
         let sides: [&Path; 2] = [&truth_file, &notes_file];
@@ -106,7 +98,7 @@ impl Begun {
             let _ = std::fs::remove_file(side);
         }
         merged.with_context(|| format!("cannot complete {}", log.display()))?;
-        crate::cli::write_flight_report(&log, &flight_report::beside(&log), explained_frames)?;
+        crate::cli::write_flight_report(&log, &flight_report::beside(&log), 0)?;
         Ok(())
     }
 }

@@ -361,17 +361,17 @@ pub fn ouster(args: &OusterArgs) -> Result<ExitCode> {
     // The system may give less; then packets are lost sooner, which is told.
     let _ = rustix::net::sockopt::set_socket_recv_buffer_size(&socket, RECEIVE_BUFFER);
     let what = {
-        let device = adapter.device();
+        let device = &adapter.device;
         format!(
             "{} beams, {} columns, {} turns a second, on {}",
             device.beams(),
-            device.columns(),
-            device.rate_hz(),
+            device.columns,
+            device.rate_hz,
             args.listen
         )
     };
-    let mut out = Output::open(&args.common, &what, adapter.view())?;
-    if adapter.device().rate_hz() < 20.0 {
+    let mut out = Output::open(&args.common, &what, adapter.view)?;
+    if adapter.device.rate_hz < 20.0 {
         tell!(
             "warning: fewer than 20 turns a second: some steps of the loop have no new picture; lidar_mode 1024x20 is right"
         );
@@ -415,7 +415,7 @@ pub fn z16(args: &DepthStreamArgs) -> Result<ExitCode> {
     };
     let [width, height] = args.size;
     let what = format!("{width} x {height} pixels of {} m, from {shown}", args.unit);
-    let mut out = Output::open(&args.common, &what, stream.view())?;
+    let mut out = Output::open(&args.common, &what, stream.view)?;
     let (sender, images) = sync_channel(1);
     let (bytes, rate) = (stream.image_bytes(), args.rate);
     // Ends with the process where the stream does not.

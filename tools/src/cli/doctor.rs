@@ -1,6 +1,7 @@
 //! `vigil doctor`: what a vehicle and its depth sensor lack before a flight.
 
-use crate::cli::output::{self, EXIT_DIFFERS, Interrupt, Paint, say, tell};
+use crate::cli::output::{self, Interrupt, Paint, say, tell};
+use crate::cli::sensor::{self, CheckedFrames};
 use crate::doctor::{Examination, ExaminationConfig, Finding, Severity};
 use crate::sensor_check::{Expected, SensorCheck};
 use anyhow::Result;
@@ -13,9 +14,10 @@ use vigil_io::gate::{AllowUnsigned, SigningGate};
 use vigil_io::key_file::frame_keys;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::links::{AnyWire, LinkAdmission, PeerRule, somebody_is_heard};
-use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameSubscriber};
+use vigil_io::shared_memory::DEPTH_TOPIC;
 use vigil_mavlink::Flavour;
-use vigil_types::{AutopilotChoice, Datagrams, DepthFrame, Nanos};
+use vigil_sim::LIDAR_SENSOR_ID;
+use vigil_types::{AutopilotChoice, Datagrams, Nanos};
 
 /// Time between two looks at link and frames.
 const LOOK: Duration = Duration::from_millis(1);
@@ -76,43 +78,6 @@ pub struct DoctorArgs {
     json: Option<PathBuf>,
 }
 
-/// The frames that are looked at.
-struct Frames {
-    subscriber: FrameSubscriber,
-    check: SensorCheck,
-    frame: Box<DepthFrame>,
-    _domain: Domain,
-}
-
-impl Frames {
-    fn open(args: &DoctorArgs) -> Result<Self> {
-        let domain = Domain::open(args.instance, "doctor")?;
-        let sensor_id = vigil_sim::LIDAR_SENSOR_ID;
-        Ok(Self {
-            subscriber: FrameSubscriber::create(&domain, &args.frames)?,
-            check: SensorCheck::new(Expected {
-                sensor_id,
-                keys: frame_keys(&args.frame_key, sensor_id)?,
-                wall_m: None,
-            }),
-            frame: Box::new(DepthFrame::EMPTY),
-            _domain: domain,
-        })
-    }
-
-    fn look(&mut self, examination: &mut Examination) -> Result<()> {
-        if let Some(borrowed) = self.subscriber.newest()? {
-            (*self.frame).clone_from(&borrowed);
-            drop(borrowed);
-            self.check.observe(&self.frame, monotonic_ns());
-            if self.frame.check(vigil_sim::LIDAR_SENSOR_ID).is_ok() {
-                examination.observe_frame(&self.frame);
-            }
-        }
-        Ok(())
-    }
-}
-
 /// Looks and reports.
 ///
 /// # Errors
@@ -131,7 +96,14 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
     let mut wire = AnyWire::open(&args.link.url, PeerRule::Vehicle { system })?;
     let mut frames = match args.no_sensor {
         true => None,
-        false => Some(Frames::open(args)?),
+        false => {
+            let expected = Expected {
+                sensor_id: LIDAR_SENSOR_ID,
+                keys: frame_keys(&args.frame_key, LIDAR_SENSOR_ID)?,
+                wall_m: None,
+            };
+            Some(CheckedFrames::open("doctor", args.instance, &args.frames, expected)?)
+        }
     };
     let interrupt = Interrupt::on_ctrl_c()?;
     let started_ns = monotonic_ns();
@@ -170,8 +142,11 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
         questions.clear();
         examination.ask(now_ns, &mut questions);
         wire.send(&mut gate, &questions);
-        if let Some(frames) = &mut frames {
-            frames.look(&mut examination)?;
+        if let Some(frames) = &mut frames
+            && frames.look()?
+            && frames.frame.check(LIDAR_SENSOR_ID).is_ok()
+        {
+            examination.observe_frame(&frames.frame);
         }
         std::thread::sleep(LOOK);
         now_ns = monotonic_ns();
@@ -205,30 +180,11 @@ fn of_sensor(check: &SensorCheck, started_ns: Nanos, ended_ns: Nanos) -> impl It
 }
 
 fn report(args: &DoctorArgs, findings: &[Finding]) -> Result<ExitCode> {
-    let paint = Paint::stdout();
+    let line = |finding: &Finding| (finding.severity, finding.line());
+    let code = sensor::report(findings, "MISSING", line, args.json.as_deref())?;
     let count = |severity| findings.iter().filter(|f| f.severity == severity).count();
-    for finding in findings {
-        let mark = match finding.severity {
-            Severity::Good => "good   ",
-            Severity::Warning => "warning",
-            Severity::Failure => "MISSING",
-        };
-        let line = format!("{mark}  {}", finding.line());
-        say!("{}", paint.verdict(finding.severity < Severity::Failure, &line));
-    }
     let (missing, warned) = (count(Severity::Failure), count(Severity::Warning));
-    say!(
-        "{}",
-        paint.verdict(
-            missing == 0,
-            &format!("{missing} missing, {warned} warnings, {} good", count(Severity::Good))
-        )
-    );
-    if let Some(path) = &args.json {
-        output::write(path, serde_json::to_vec_pretty(findings)?)?;
-    }
-    Ok(match missing {
-        0 => ExitCode::SUCCESS,
-        _ => ExitCode::from(EXIT_DIFFERS),
-    })
+    let sum = format!("{missing} missing, {warned} warnings, {} good", count(Severity::Good));
+    say!("{}", Paint::stdout().verdict(missing == 0, &sum));
+    Ok(code)
 }

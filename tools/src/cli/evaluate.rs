@@ -4,7 +4,7 @@ mod goal_distance;
 mod report;
 
 use crate::campaign::flights::{Campaign, Existing, Jobs, sha256};
-use crate::campaign::{self, FaultChoice, Flight, Recording};
+use crate::campaign::{self, FaultChoice, Flight, Recording, outcome_name};
 use crate::cli::output::{self, Interrupt, say, tell};
 use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
 use crate::cli::view::ViewerArgs;
@@ -12,7 +12,7 @@ use crate::flight_report;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, ensure};
 use goal_distance::GoalDistance;
-use report::{NO_FAULT, Took, name, report};
+use report::{NO_FAULT, Took, report};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -347,7 +347,10 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
             logs,
         )?;
         if !flight.record.is_success() {
-            bar.set_message(format!("last failure: seed {seed} ({})", name(flight.record.outcome)));
+            bar.set_message(format!(
+                "last failure: seed {seed} ({})",
+                outcome_name(flight.record.outcome)
+            ));
         }
         Ok(flight)
     })?;
@@ -440,7 +443,7 @@ fn fly(
         logs.map(|folder| recording(args, folder, fault, seed)),
     )?;
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !flight.record.is_success()) {
-        let file = format!("{seed}-{}.png", name(flight.record.outcome).replace(' ', "-"));
+        let file = format!("{seed}-{}.png", outcome_name(flight.record.outcome).replace(' ', "-"));
         draw(&config.course, &flight.record, &folder.join(file))?;
     }
     Ok(flight)
@@ -560,13 +563,12 @@ fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, see
     Recording {
         log: folder.join(name),
         about,
-        explained_frames: 0,
     }
 }
 
 fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Result<()> {
     let flight = FlightPath {
-        label: name(record.outcome),
+        label: outcome_name(record.outcome).to_owned(),
         points_ned_m: record.path_ned_m.clone(),
         outcome: record.outcome,
     };

@@ -2,7 +2,7 @@
 
 use crate::cli::child_process::{END_LIMIT, Process, read_statuses};
 use crate::cli::flight_watch::{Flight, Terminal, TruePose, watch};
-use crate::cli::foreign::{ForeignArgs, start_sensor};
+use crate::cli::foreign::ForeignArgs;
 use crate::cli::lab;
 use crate::cli::live::Live;
 use crate::cli::log::film_name;
@@ -235,7 +235,10 @@ impl Processes {
             }
         };
         let mut simulator = match args.foreign.is_foreign() {
-            true => start_sensor(&args.foreign, folder, args.instance, world)?,
+            true => Process::start("sensor", folder, |c| {
+                args.foreign.sensor(c, args.instance);
+                world(c);
+            })?,
             false => Process::start("simulator", folder, |c| {
                 c.arg("sim");
                 c.arg(format!("--second-sensor-heads={}", args.second_sensor.heads));
@@ -350,18 +353,20 @@ fn about(
     if let Some(attack) = args.attack.attack {
         about.insert("attack".to_owned(), attack.name().to_owned());
     }
-    if let Some(outcome) = last.and_then(|s| s.outcome.as_ref().map(|outcome| (outcome, s))) {
-        let (outcome, status) = outcome;
-        let text = format!(
-            "{outcome} after {:.1} s and {:.1} m",
-            status.flight_time_s, status.path_length_m
-        );
+    if let Some(text) = last.and_then(ending) {
         about.insert("outcome".to_owned(), text);
     }
     if let Some(ended_ns) = ended_ns {
         about.insert("ended_ns".to_owned(), ended_ns.to_string());
     }
     about
+}
+
+/// How the flight ended, if it did.
+fn ending(status: &Status) -> Option<String> {
+    let outcome = status.outcome.as_ref()?;
+    let (seconds, metres) = (status.flight_time_s, status.path_length_m);
+    Some(format!("{outcome} after {seconds:.1} s and {metres:.1} m"))
 }
 
 /// The command that flies the same again, with the seed that was drawn.
@@ -465,13 +470,8 @@ fn summarise(
     };
     let paint = Paint::stdout();
     let success = status.outcome.as_deref() == Some("success");
-    let verdict = match (&status.outcome, interrupted) {
-        (Some(outcome), _) => {
-            format!(
-                "{outcome} after {:.1} s and {:.1} m",
-                status.flight_time_s, status.path_length_m
-            )
-        }
+    let verdict = match (ending(status), interrupted) {
+        (Some(text), _) => text,
         (None, true) => format!("interrupted {:.1} m from the goal", status.goal_distance_m),
         (None, false) => match &status.pose {
             Some(pose) => format!("no verdict: {pose}; the flight is to be flown anew"),

@@ -1,8 +1,6 @@
 //! `vigil fly` around a vehicle that already runs: PX4's or ArduPilot's own simulation, or a hardware-in-the-loop rig.
 
-use super::child_process::Process;
 use anyhow::{Result, bail};
-use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 use vigil_firmware::arguments::choice;
@@ -150,17 +148,4 @@ impl PilotWatch {
             status.mode
         ))
     }
-}
-
-/// Starts the sensor as a child.
-pub fn start_sensor(
-    args: &ForeignArgs,
-    folder: &Path,
-    instance: u32,
-    arrange: impl FnOnce(&mut Command),
-) -> Result<Process> {
-    Process::start("sensor", folder, |c| {
-        args.sensor(c, instance);
-        arrange(c);
-    })
 }

@@ -3,8 +3,9 @@
 use crate::cli::output::{self, is_stdout, say};
 use crate::cli::replay::find_log;
 use crate::flight_derived::{Wanted, derive};
-use crate::flight_report::{self, EXPLAINED, ReportOptions};
+use crate::flight_report::{self, EXPLAINED};
 use anyhow::{Context, Result};
+use clap::builder::RangedU64ValueParser;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -64,7 +65,7 @@ pub struct ReportArgs {
     output: Option<PathBuf>,
 
     /// Frames around the first alarm whose pixels are explained by DeepSHAP, at most 60; 0 leaves it out.
-    #[arg(long, value_name = "FRAMES", default_value_t = EXPLAINED, value_parser = frames)]
+    #[arg(long, value_name = "FRAMES", default_value_t = EXPLAINED, value_parser = RangedU64ValueParser::<usize>::new().range(..=60))]
     shap: usize,
 }
 
@@ -112,13 +113,6 @@ fn has_ending(path: &Path, ending: &str) -> bool {
 /// Whether a film of this name is a video.
 pub fn is_video(path: &Path) -> bool {
     has_ending(path, "mp4")
-}
-
-fn frames(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(count @ 0..=60) => Ok(count),
-        _ => Err("give a number of frames from 0 to 60".to_owned()),
-    }
 }
 
 /// Does what was asked.
@@ -177,7 +171,7 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
 /// # Errors
 /// A log that cannot be read, a report that cannot be written.
 pub fn write_report(log: &Path, to: &Path, explained_frames: usize) -> Result<(usize, Option<String>)> {
-    let flight = flight_report::read(log, ReportOptions { explained_frames }).context("no report")?;
+    let flight = flight_report::read(log, explained_frames).context("no report")?;
     let page = flight_report::html(&flight)?;
     output::write(to, &page)?;
     Ok((page.len(), flight.incomplete))

@@ -2,9 +2,10 @@
 
 use crate::cli::adapter::{self, DepthStreamArgs, OusterArgs, ServiceArgs};
 use crate::cli::output::{self, EXIT_DIFFERS, Paint, say, tell};
-use crate::sensor_check::{Expected, SensorCheck, Severity};
+use crate::sensor_check::{Expected, Finding, SensorCheck, Severity};
 use anyhow::Result;
-use std::path::PathBuf;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 use vigil_io::clock::monotonic_ns;
@@ -66,6 +67,69 @@ struct CheckArgs {
     json: Option<PathBuf>,
 }
 
+/// Frames of a service, checked as they come.
+pub(super) struct CheckedFrames {
+    subscriber: FrameSubscriber,
+    pub(super) check: SensorCheck,
+    /// The newest.
+    pub(super) frame: Box<DepthFrame>,
+    _domain: Domain,
+}
+
+impl CheckedFrames {
+    /// Listens under a name of its own.
+    pub(super) fn open(name: &str, instance: u32, topic: &str, expected: Expected) -> Result<Self> {
+        let domain = Domain::open(instance, name)?;
+        Ok(Self {
+            subscriber: FrameSubscriber::create(&domain, topic)?,
+            check: SensorCheck::new(expected),
+            frame: Box::new(DepthFrame::EMPTY),
+            _domain: domain,
+        })
+    }
+
+    /// Takes the newest frame, if one has come.
+    pub(super) fn look(&mut self) -> Result<bool> {
+        let Some(borrowed) = self.subscriber.newest()? else {
+            return Ok(false);
+        };
+        let arrived_ns = monotonic_ns();
+        (*self.frame).clone_from(&borrowed);
+        drop(borrowed);
+        self.check.observe(&self.frame, arrived_ns);
+        Ok(true)
+    }
+}
+
+/// Says each finding with its grade and writes all for a program; whether something fails.
+pub(super) fn report<F: Serialize>(
+    findings: &[F],
+    fails: &str,
+    line: impl Fn(&F) -> (Severity, String),
+    json: Option<&Path>,
+) -> Result<ExitCode> {
+    let (paint, mut code) = (Paint::stdout(), ExitCode::SUCCESS);
+    for finding in findings {
+        let (severity, line) = line(finding);
+        let mark = match severity {
+            Severity::Good => "good",
+            Severity::Warning => "warning",
+            Severity::Failure => fails,
+        };
+        say!(
+            "{}",
+            paint.verdict(severity < Severity::Failure, &format!("{mark:<7}  {line}"))
+        );
+        if severity == Severity::Failure {
+            code = ExitCode::from(EXIT_DIFFERS);
+        }
+    }
+    if let Some(path) = json {
+        output::write(path, serde_json::to_vec_pretty(findings)?)?;
+    }
+    Ok(code)
+}
+
 /// Does what was asked.
 ///
 /// # Errors
@@ -83,50 +147,21 @@ fn check(args: &CheckArgs) -> Result<ExitCode> {
     if let Some(path) = &args.json {
         output::prepare(path)?;
     }
-    let mut check = SensorCheck::new(Expected {
-        sensor_id: args.service.sensor_id,
-        keys: frame_keys(&args.frame_key, args.service.sensor_id)?,
+    let (instance, topic, sensor_id) = (args.service.instance, &args.service.frames, args.service.sensor_id);
+    let expected = Expected {
+        sensor_id,
+        keys: frame_keys(&args.frame_key, sensor_id)?,
         wall_m: args.wall,
-    });
-    let domain = Domain::open(args.service.instance, "sensor-check")?;
-    let mut frames = FrameSubscriber::create(&domain, &args.service.frames)?;
-    tell!(
-        "listening to `{}` on instance {} for {} s",
-        args.service.frames,
-        args.service.instance,
-        args.seconds
-    );
+    };
+    let mut frames = CheckedFrames::open("sensor-check", instance, topic, expected)?;
+    tell!("listening to `{topic}` on instance {instance} for {} s", args.seconds);
     let end_ns = monotonic_ns() + args.seconds * 1_000_000_000;
-    let mut frame = Box::new(DepthFrame::EMPTY);
     while monotonic_ns() < end_ns {
-        match frames.newest()? {
-            Some(borrowed) => {
-                let arrived_ns = monotonic_ns();
-                (*frame).clone_from(&borrowed);
-                drop(borrowed);
-                check.observe(&frame, arrived_ns);
-            }
-            None => std::thread::sleep(LOOK),
+        if !frames.look()? {
+            std::thread::sleep(LOOK);
         }
     }
-    let findings = check.findings(args.seconds as f64, monotonic_ns());
-    let paint = Paint::stdout();
-    for finding in &findings {
-        let mark = match finding.severity {
-            Severity::Good => "good   ",
-            Severity::Warning => "warning",
-            Severity::Failure => "FAILS  ",
-        };
-        let line = format!("{mark}  {:<8} {}", finding.name, finding.text);
-        say!("{}", paint.verdict(finding.severity < Severity::Failure, &line));
-    }
-    if let Some(path) = &args.json {
-        output::write(path, serde_json::to_vec_pretty(&findings)?)?;
-    }
-    let fails = findings.iter().any(|f| f.severity == Severity::Failure);
-    Ok(if fails {
-        ExitCode::from(EXIT_DIFFERS)
-    } else {
-        ExitCode::SUCCESS
-    })
+    let findings = frames.check.findings(args.seconds as f64, monotonic_ns());
+    let line = |f: &Finding| (f.severity, format!("{:<8} {}", f.name, f.text));
+    report(&findings, "FAILS", line, args.json.as_deref())
 }

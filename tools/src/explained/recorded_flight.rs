@@ -9,6 +9,8 @@ use vigil_nnet::Isa;
 use vigil_policy::actor::memory::SCAN_AGES;
 use vigil_policy::actor::{ACTOR_OUTPUTS, PositionalInputs};
 use vigil_policy::{Decider, FlightField, FrozenPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
+use vigil_sim::environment::Environment;
+use vigil_sim::vehicle::VehicleParams;
 use vigil_sim::world::{LidarConfig, Outcome, generate};
 use vigil_types::{Action, DepthFrame};
 
@@ -125,7 +127,8 @@ fn flight_of(scenario: &Scenario) -> Result<Flight> {
         dropout_probability: usual.dropout_probability * scenario.range_noise,
         ..usual
     };
-    Ok(Flight::with_lidar(&course, scenario.wind(), lidar, scenario.seed)?)
+    let environment = Environment::of(&course, VehicleParams::default(), scenario.wind(), lidar, scenario.seed)?;
+    Ok(Flight::of(environment))
 }
 
 /// An adversary with the attack that it flies.

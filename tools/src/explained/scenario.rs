@@ -32,19 +32,6 @@ pub enum Plan {
     Switching,
 }
 
-impl Plan {
-    /// Its name in reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Actor => "actor",
-            Self::ActorWithField => "actor with field",
-            Self::Geometric => "geometric pilot",
-            Self::Recovering { .. } => "recovering",
-            Self::Switching => "switching",
-        }
-    }
-}
-
 /// Who steers in one step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) enum Helm {

@@ -1,7 +1,7 @@
 //! The frames that a report shows, and what their pixels did to the actor's decision.
 
 use crate::flight_derived::ExplainedReplay;
-use crate::flight_report::log_seen::{LogSeen, ReportOptions, StepSeen, WHO};
+use crate::flight_report::log_seen::{LogSeen, StepSeen, WHO};
 use anyhow::{Context, Result};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -75,7 +75,7 @@ fn chosen(log: &LogSeen, moment: Option<usize>) -> Vec<usize> {
 }
 
 /// Reads the log once more and makes the pictures.
-pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film> {
+pub fn take(path: &Path, log: &LogSeen, explained_frames: usize) -> Result<Film> {
     let moment = moment(log);
     let steps = chosen(log, moment);
     if steps.is_empty() {
@@ -86,7 +86,7 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film> 
     }
     let middle = moment.map_or(0, |at| steps.partition_point(|i| *i < at));
     let mut reader = Reader::open(path)?;
-    let mut pixels = Pixels::of(&reader, &steps, moment.map(|_| middle), options.explained_frames);
+    let mut pixels = Pixels::of(&reader, &steps, moment.map(|_| middle), explained_frames);
     let clean: HashMap<u32, &[f32]> = log.story.clean.iter().map(|c| (c.sequence, &c.depth[..])).collect();
     let mut pictures = Vec::with_capacity(steps.len());
     let mut record = Box::<TickRecord>::default();

@@ -1,7 +1,7 @@
 //! What a report shows of a flight, taken from its log.
 
 use crate::flight_report::film::{self, Film, Picture};
-use crate::flight_report::log_seen::{LogSeen, ReportOptions, StepSeen, WHO, rounded};
+use crate::flight_report::log_seen::{LogSeen, StepSeen, WHO, rounded};
 use crate::flight_report::page::DATA_LIMIT;
 use crate::flight_report::words::{self, Event, Verdict};
 use anyhow::{Result, bail};
@@ -97,11 +97,12 @@ pub struct Outline {
     pub outline: Vec<[f64; 2]>,
 }
 
-/// Reads a log and makes of it what a report shows. A log that was cut off or is damaged shows what is whole, and says so.
+/// Reads a log and makes of it what a report shows. A log that was cut off or is damaged shows what is whole, and says so. The pixels
+/// of so many frames around the first alarm are explained; each costs about as much as a step has time.
 ///
 /// # Errors
 /// A file that is no log of this version, or holds no whole step.
-pub fn read(path: &Path, options: ReportOptions) -> Result<Flight> {
+pub fn read(path: &Path, explained_frames: usize) -> Result<Flight> {
     let log = LogSeen::read(path)?;
     if log.steps.is_empty() {
         match log.damage {
@@ -112,7 +113,7 @@ pub fn read(path: &Path, options: ReportOptions) -> Result<Flight> {
             ),
         }
     }
-    let film = film::take(path, &log, options)?;
+    let film = film::take(path, &log, explained_frames)?;
     Ok(flight(path, &log, film))
 }
 

@@ -10,13 +10,6 @@ use vigil_types::{
     StepReport,
 };
 
-/// What to put into a report besides what the log holds.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ReportOptions {
-    /// Frames around the first alarm whose pixels are explained; each costs about as much as a step has time.
-    pub explained_frames: usize,
-}
-
 /// Who had the vehicle in a step; the number is the place in this list.
 pub const WHO: [&str; 7] = [
     "nobody",

@@ -7,7 +7,7 @@ mod page;
 mod words;
 
 pub use flight_data::{Flight, outline_of, read};
-pub use log_seen::{LogSeen, ReportOptions, StepSeen, WHO};
+pub use log_seen::{LogSeen, StepSeen, WHO};
 pub use page::{DATA_LIMIT, html};
 
 use std::ffi::OsString;

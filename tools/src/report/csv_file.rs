@@ -8,21 +8,7 @@ use serde::{Serialize, Serializer};
 /// # Panics
 /// A row with fields within fields.
 pub fn to_csv<R: Serialize>(rows: impl IntoIterator<Item = R>) -> String {
-    write(csv::Writer::from_writer(Vec::new()), rows)
-}
-
-/// One row without its heading, to be added to a file.
-///
-/// # Panics
-/// As [`to_csv`].
-pub fn csv_line(row: impl Serialize) -> String {
-    write(
-        csv::WriterBuilder::new().has_headers(false).from_writer(Vec::new()),
-        [row],
-    )
-}
-
-fn write<R: Serialize>(mut writer: csv::Writer<Vec<u8>>, rows: impl IntoIterator<Item = R>) -> String {
+    let mut writer = csv::Writer::from_writer(Vec::new());
     for row in rows {
         writer
             .serialize(row)
@@ -92,7 +78,6 @@ mod tests {
         let text = to_csv(&rows);
         assert_eq!(text, "name,share,late_s\nplain,0.25,1.5\n\"with, comma\",0.25,\n");
         assert_eq!(from_csv::<Row>(&text).unwrap(), rows);
-        assert_eq!(csv_line(&rows[0]), "plain,0.25,1.5\n");
         let error = from_csv::<Row>("name,share,late_s\nplain,much,1.5\n")
             .unwrap_err()
             .to_string();

@@ -3,5 +3,5 @@
 mod csv_file;
 mod text_table;
 
-pub use csv_file::{csv_line, decimals, from_csv, maybe_decimals, to_csv};
+pub use csv_file::{decimals, from_csv, maybe_decimals, to_csv};
 pub use text_table::{Column, TextTable, numbers, words};

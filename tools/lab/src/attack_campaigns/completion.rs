@@ -9,8 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
-use vigil_adversary::Attack;
-use vigil_adversary::{AttackConfig, Burst, Method, Towards};
+use vigil_adversary::{Attack, AttackConfig, Burst, Method, Towards};
 use vigil_tools::cli::output::say;
 
 /// Arguments of `vigil attack completion`.
@@ -148,9 +147,7 @@ impl Row {
         }
         table
     }
-}
 
-impl Row {
     fn of((apf, attack): (bool, Option<Setting>), flights: &[&Flight]) -> Self {
         let outcomes: Vec<_> = flights.iter().map(|flight| flight.record.outcome).collect();
         let attacks = || flights.iter().filter_map(|flight| flight.attack);
@@ -234,17 +231,12 @@ fn arm_name((apf, attack): (bool, Option<Setting>)) -> String {
 /// Prints and writes the table.
 fn report(campaign: &Campaign<Settings, Flight>, path: &Path) -> Result<()> {
     let settings = campaign.settings();
-    let of_arm = |name: String| {
-        campaign
-            .flights()
-            .filter(move |(arm, _)| *arm == name)
-            .map(|(_, flight)| flight)
-    };
-    let rows = settings.arms.iter().map(|arm| (arm, of_arm(arm_name(*arm)).collect()));
-    let rows: Vec<Row> = rows
-        .filter(|(_, flights): &(_, Vec<&Flight>)| !flights.is_empty())
-        .map(|(setting, flights)| Row::of(*setting, &flights))
-        .collect();
+    let rows = settings.arms.iter().filter_map(|arm| {
+        let name = arm_name(*arm);
+        let flights: Vec<&Flight> = campaign.flights_of(&name).collect();
+        (!flights.is_empty()).then(|| Row::of(*arm, &flights))
+    });
+    let rows: Vec<Row> = rows.collect();
     say!("{}", Row::table(&rows));
     write_json(
         path,

@@ -12,16 +12,13 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use vigil_adversary::{Attack, AttackArgs};
-use vigil_adversary::{AttackConfig, Burst, Method, Towards};
+use vigil_adversary::{Attack, AttackArgs, AttackConfig, Burst, Method, Towards};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::arguments::parse_switch;
 use vigil_sim::world::Outcome;
 use vigil_tools::cli::output::{self, say};
-use vigil_types::AlarmPolicy;
-use vigil_types::STEP_S;
-use vigil_types::named;
+use vigil_types::{AlarmPolicy, STEP_S, named};
 
 /// Arguments of `vigil attack defended`.
 #[derive(Debug, Clone, clap::Args)]

@@ -50,7 +50,7 @@ fn attacks() -> [([&'static str; 2], AttackConfig); 7] {
 }
 
 /// Red nearer, blue farther, white as it was; −1 and 1 are full colours.
-fn change_colour(share: f32) -> [u8; 3] {
+pub(super) fn change_colour(share: f32) -> [u8; 3] {
     let faded = (255.0 * (1.0 - share.abs().min(1.0))) as u8;
     if share < 0.0 {
         [255, faded, faded]

@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use vigil_adversary::Beside;
 use vigil_nnet::Isa;
 use vigil_policy::actor::memory::SCAN_AGES;
+use vigil_sim::environment::Environment;
 use vigil_sim::vehicle::Wind;
 use vigil_sim::world::{Family, generate};
 use vigil_types::Action;
@@ -32,7 +33,7 @@ pub struct State {
 /// Parameters of another actor.
 pub fn met_in_flight(victim: &Victim, seed: u64) -> Result<Vec<State>> {
     let course = generate(Family::Validation, seed);
-    let mut flight = Flight::new(&course, Wind::default(), seed)?;
+    let mut flight = Flight::of(Environment::new(&course, Wind::default(), seed)?);
     let mut actor = victim.actor.actor(Isa::detect())?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut states: Vec<State> = Vec::with_capacity(STATES_PER_FLIGHT);

@@ -1,5 +1,6 @@
 //! The paper's figure 11: how many states are deceived, by size and iterations of the attack.
 
+use super::pictures::change_colour;
 use super::states::{STATES_PER_FLIGHT, State, met_in_flight};
 use super::{Common, Victim, write_json};
 use crate::report::{TextTable, numbers, to_csv, words};
@@ -241,15 +242,7 @@ fn picture(victim: &Victim, state: &State) -> Result<Image> {
         match y / DEPTH_ROWS {
             0 => range_grey(clean[at]),
             1 => range_grey(altered[at]),
-            _ => {
-                let change = ((altered[at] - clean[at]) / reach).clamp(-1.0, 1.0);
-                let faded = (255.0 * (1.0 - change.abs())) as u8;
-                if change < 0.0 {
-                    [255, faded, faded]
-                } else {
-                    [faded, faded, 255]
-                }
-            }
+            _ => change_colour((altered[at] - clean[at]) / reach),
         }
     }))
 }

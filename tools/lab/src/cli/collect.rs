@@ -3,7 +3,7 @@
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::cli::detector::Stage;
 use crate::cli::output::{Interrupt, Progress, say};
-use crate::detector_training::{BLOCK, Counts, Flights, LstmConfig, Record, Recorded, Scenario, fly, left_out};
+use crate::detector_training::{BLOCK, Counts, Flights, LstmConfig, Record, Recorded, Scenario, fly};
 use anyhow::{Context, Result};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -100,13 +100,14 @@ impl Stage<'_> {
                 },
             };
             let counts = Counts::of(&flights.records);
-            let (weak, lingering) = left_out(&flights.records);
             say!(
-                "{:<20} {} flights from seed {seed}: {} attacked windows, {} unattacked, {weak} weak, {lingering} lingering",
+                "{:<20} {} flights from seed {seed}: {} attacked windows, {} unattacked, {} weak, {} lingering",
                 format!("{}.safetensors", set.file()),
                 flights.records.len(),
                 counts.attacked,
-                counts.unattacked
+                counts.unattacked,
+                counts.weak,
+                counts.lingering
             );
         }
         Ok(())
@@ -130,16 +131,12 @@ impl Stage<'_> {
 
     /// A dozen after the other until there are as many windows of each class; none when Ctrl-C came first.
     fn gather(&self, set: SetName, first_seed: u64, windows: u64, pool: &ThreadPool) -> Result<Option<Flights>> {
-        let want = Counts {
-            attacked: windows as usize,
-            unattacked: windows as usize,
-        };
         // Each flight has a window or more.
         let (mut campaign, mut jobs) = self.campaign(set, first_seed, windows)?;
         let (bar, interrupt) = (Progress::new(windows, "attacked windows")?, Interrupt::on_ctrl_c()?);
         let (mut counts, mut records) = (Counts::default(), Vec::new());
         jobs.flights = BLOCK;
-        while !counts.reach(want) {
+        while !counts.reach(windows as usize) {
             campaign.fly_some(&jobs, pool, &interrupt, |seed, _| self.fly(seed))?;
             if interrupt.came() {
                 bar.finish();

@@ -11,11 +11,11 @@ use crate::detector_training::{
     EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Set, WindowScorer, fly_sets,
     of_other_actor, sets,
 };
-use crate::report::{Figure, Picture, TextTable, numbers, words};
+use crate::report::{Figure, Picture, TextTable, numbers, to_csv, words};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, bail};
-use report::{curves_csv, curves_png, percent, roc_of_features, text};
+use report::{curves_png, percent, roc_of_features, text};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -284,7 +284,7 @@ impl Stage<'_> {
         scorer
             .freeze(&self.pilot, &config, threshold, git_commit())
             .save(&file)?;
-        self.write("lstm_ad.csv", curves_csv(&scorer.fitted.epochs))?;
+        self.write("lstm_ad.csv", to_csv(&scorer.fitted.epochs))?;
         self.write("lstm_ad.png", curves_png(&scorer.fitted.epochs))?;
         let chosen = scorer.fitted.epochs.get(scorer.fitted.chosen.saturating_sub(1));
         say!(

@@ -1,6 +1,6 @@
 //! `vigil export`: an actor or an imported policy as a model of ONNX.
 
-use super::import::{computed, read_inputs};
+use super::import::computed;
 use crate::cli::output::{self, say};
 use anyhow::Result;
 use std::path::PathBuf;
@@ -41,25 +41,12 @@ pub struct ExportArgs {
 pub fn run(args: &ExportArgs) -> Result<ExitCode> {
     let pilot = FrozenPilot::load_or_built_in(args.actor.as_deref())?;
     let model = vigil_onnx::export(&pilot)?;
-    let computed_here = args
-        .compute
-        .as_deref()
-        .map(|file| -> Result<Vec<f32>> {
-            let inputs = read_inputs(file)?;
-            match &pilot {
-                FrozenPilot::Actor(actor) => {
-                    let graph = ActorSpec::FULL.graph(Purpose::Gradients)?;
-                    let given: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
-                    computed(&graph, &actor.params, &given, file)
-                }
-                FrozenPilot::Imported(policy) => {
-                    let graph = policy.network.graph(Purpose::Gradients)?;
-                    let given: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
-                    computed(&graph, &policy.params, &given, file)
-                }
-            }
-        })
-        .transpose()?;
+    let (graph, params) = match &pilot {
+        FrozenPilot::Actor(actor) => (ActorSpec::FULL.graph(Purpose::Gradients)?, &actor.params),
+        FrozenPilot::Imported(policy) => (policy.network.graph(Purpose::Gradients)?, &policy.params),
+    };
+    let compute = |file: &PathBuf| computed(&graph, params, file);
+    let computed_here = args.compute.as_ref().map(compute).transpose()?;
     output::write(&args.output, model)?;
     say!("exported         SHA-256 {}", pilot.sha256());
     if let FrozenPilot::Imported(policy) = &pilot {

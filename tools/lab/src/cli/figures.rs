@@ -14,7 +14,7 @@ use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
 use vigil_sim::world::Family;
-use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, STEP_S, Verdict};
+use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, STEP_S};
 
 /// Steps that `--attacked` alters.
 const BURST: core::ops::Range<u64> = 100..150;
@@ -205,14 +205,11 @@ pub(crate) fn figure_12(pixels: &Pixels) -> Result<Plate> {
 }
 
 fn over_time(pixels: &Pixels, panels: Vec<Panel>) -> Figure {
-    let mut figure = Figure::over("time (s)", seconds(pixels.steps), panels);
-    figure.spans = pixels.attacked.map(|(from, to)| {
-        (
-            "attacked".to_owned(),
-            vec![(seconds(from as usize), seconds(to as usize))],
-        )
-    });
-    figure
+    let span = |(from, to)| ("attacked".to_owned(), seconds(from as usize), seconds(to as usize));
+    Figure {
+        span: pixels.attacked.map(span),
+        ..Figure::over("time (s)", seconds(pixels.steps), panels)
+    }
 }
 
 /// A quantity over time.
@@ -304,12 +301,7 @@ fn explanations(portrait: &Portrait) -> Vec<ExplanationLine> {
         distance: j.distance,
         told: j.told,
         score: j.score,
-        verdict: match j.verdict {
-            Verdict::Unknown => "unknown",
-            Verdict::Clean => "clean",
-            Verdict::Attack => "attack",
-        }
-        .to_owned(),
+        verdict: j.verdict.name().to_owned(),
     };
     portrait.steps.iter().enumerate().map(line).collect()
 }

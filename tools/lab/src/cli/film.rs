@@ -3,6 +3,7 @@
 use crate::cli::output::{self, is_stdout, say};
 use crate::flight_film::{FilmOptions, Video, film, film_video};
 use anyhow::{Context, Result, bail};
+use clap::builder::RangedU64ValueParser;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_log::Story;
@@ -40,7 +41,7 @@ pub struct FilmArgs {
     title: Option<String>,
 
     /// Pictures whose pixels are explained by DeepSHAP, evenly over the film, at most 200; 0 leaves it out.
-    #[arg(long, value_name = "PICTURES", default_value_t = FILM_EXPLAINED, value_parser = film_frames)]
+    #[arg(long, value_name = "PICTURES", default_value_t = FILM_EXPLAINED, value_parser = RangedU64ValueParser::<usize>::new().range(..=200))]
     shap: usize,
 
     /// Only look whether a film of this name can be made.
@@ -57,13 +58,6 @@ fn speed(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(speed) if (0.5..=20.0).contains(&speed) => Ok(speed),
         _ => Err("give a number from 0.5 to 20".to_owned()),
-    }
-}
-
-fn film_frames(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(count @ 0..=200) => Ok(count),
-        _ => Err("give a number of pictures from 0 to 200".to_owned()),
     }
 }
 

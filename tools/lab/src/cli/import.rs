@@ -2,7 +2,7 @@
 
 use crate::cli::output::say;
 use anyhow::{Context, Result, ensure};
-use clap::ValueEnum;
+use clap::builder::PossibleValuesParser;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -45,12 +45,12 @@ pub struct ImportArgs {
     output: PathBuf,
 
     /// What several channels are: the last frames, the newest last, or the newest frame in each.
-    #[arg(long, value_enum, default_value_t = ChannelsChoice::Stack)]
-    channels: ChannelsChoice,
+    #[arg(long, value_parser = PossibleValuesParser::new(Channels::ALL.map(Channels::name)), default_value = Channels::Stack.name())]
+    channels: String,
 
     /// What a pixel is: the range over 100 m, or 1 / (1 + range / 3 m).
-    #[arg(long, value_enum, default_value_t = DepthChoice::Range)]
-    depth: DepthChoice,
+    #[arg(long, value_parser = PossibleValuesParser::new(Depth::ALL.map(Depth::name)), default_value = Depth::Range.name())]
+    depth: String,
 
     /// Every pixel is multiplied by it.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
@@ -80,18 +80,6 @@ pub struct ImportArgs {
     compute: Option<PathBuf>,
 }
 
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum ChannelsChoice {
-    Stack,
-    Repeat,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum DepthChoice {
-    Range,
-    Contrast,
-}
-
 /// Imports, says what came of it, and writes the file.
 ///
 /// # Errors
@@ -106,14 +94,8 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
     let name = args.model.display().to_string();
     let bytes = vigil_types::files::read(&args.model, SIZE_LIMIT).with_context(|| format!("cannot read {name}"))?;
     let adapter = Adapter {
-        order: match args.channels {
-            ChannelsChoice::Stack => Channels::Stack,
-            ChannelsChoice::Repeat => Channels::Repeat,
-        },
-        depth: match args.depth {
-            DepthChoice::Range => Depth::Range,
-            DepthChoice::Contrast => Depth::Contrast,
-        },
+        order: Channels::from_name(&args.channels).unwrap_or_default(),
+        depth: Depth::from_name(&args.depth).unwrap_or_default(),
         scale: args.scale,
         output_scale: args.output_scale,
         flat: args.flat,
@@ -124,15 +106,8 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
     let beside = |name: &str| vigil_types::files::read(&folder.join(name), SIZE_LIMIT).map_err(|e| e.to_string());
     let policy = vigil_onnx::import(&name, &bytes, &beside, &adapter)?;
     let graph = policy.network.graph(Purpose::Gradients)?;
-    let output = args
-        .compute
-        .as_deref()
-        .map(|file| {
-            let inputs = read_inputs(file)?;
-            let given: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
-            computed(&graph, &policy.params, &given, file)
-        })
-        .transpose()?;
+    let compute = |file: &PathBuf| computed(&graph, &policy.params, file);
+    let output = args.compute.as_ref().map(compute).transpose()?;
     let longest = time(&policy, &graph)?;
     let share = longest.as_secs_f64() / f64::from(STEP_S);
     ensure!(
@@ -190,25 +165,20 @@ fn describe(policy: &FrozenPolicy, graph: &Graph, longest: Duration, file: &Path
     Ok(())
 }
 
-/// The inputs in a file: a list of lists of numbers.
+/// What a network makes of the inputs in a file: a list of lists of numbers.
 ///
 /// # Errors
-/// A file that cannot be read, or that is none.
-pub fn read_inputs(file: &Path) -> Result<Vec<Vec<f32>>> {
+/// A file that cannot be read, or that is none; inputs of other lengths.
+pub fn computed(graph: &Graph, params: &[f32], file: &Path) -> Result<Vec<f32>> {
     let name = file.display();
     let text = vigil_types::files::read_text(file, INPUTS_LIMIT).with_context(|| format!("cannot read {name}"))?;
-    serde_json::from_str(&text).with_context(|| format!("{name} is no list of lists of numbers"))
-}
-
-/// What a network makes of the inputs that came from `file`.
-///
-/// # Errors
-/// Inputs of other lengths.
-pub fn computed(graph: &Graph, params: &[f32], given: &[&[f32]], file: &Path) -> Result<Vec<f32>> {
+    let inputs: Vec<Vec<f32>> =
+        serde_json::from_str(&text).with_context(|| format!("{name} is no list of lists of numbers"))?;
+    let given: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
     let mut tape = vec![0.0; graph.tape_len()];
     graph
-        .forward(Isa::detect(), params, given, &mut tape)
-        .with_context(|| format!("{} does not fit the policy", file.display()))?;
+        .forward(Isa::detect(), params, &given, &mut tape)
+        .with_context(|| format!("{name} does not fit the policy"))?;
     Ok(graph.output(&tape)?.to_vec())
 }
 

@@ -31,61 +31,32 @@ pub struct ReportArgs {
     output: PathBuf,
 }
 
-/// A training flight, as `flights.csv` has it.
-struct Flight {
-    warm_up: bool,
-    success: bool,
-    reward: f64,
-}
-
-/// A line of `flights.csv`.
+/// A training flight, a line of `flights.csv`.
 #[derive(Debug, serde::Deserialize)]
-struct FlightLine {
+struct Flight {
     warm_up: u8,
     outcome: String,
     reward: f64,
 }
 
-struct Run {
-    result: LearnResult,
+/// A run of the training.
+pub(crate) struct Run {
+    pub result: LearnResult,
     /// Flights over validation courses that nothing was chosen by.
-    test: FamilyCount,
+    pub test: FamilyCount,
     flights: Vec<Flight>,
 }
 
 /// The runs with the field, or those without.
 pub(crate) struct Arm {
     pub name: &'static str,
-    runs: Vec<Run>,
-}
-
-/// What the test of a run came to.
-pub(crate) struct Test {
-    pub seed: u64,
-    pub decisions: u64,
-    pub flights: usize,
-    pub successes: usize,
-    pub completion: f64,
-    /// Wilson's, 95 %.
-    pub interval: (f64, f64),
+    pub runs: Vec<Run>,
 }
 
 impl Arm {
-    /// The test of each run.
-    pub fn tests(&self) -> impl Iterator<Item = Test> {
-        self.runs.iter().map(|Run { result: r, test, .. }| Test {
-            seed: r.seed,
-            decisions: r.decisions,
-            flights: test.flights,
-            successes: test.successes,
-            completion: test.completion(),
-            interval: test.wilson_95,
-        })
-    }
-
     /// Mean completion over the seeds, and half of its 95 % interval.
     pub fn mean(&self) -> (f64, Option<f64>) {
-        let shares: Vec<f64> = self.tests().map(|test| test.completion).collect();
+        let shares: Vec<f64> = self.runs.iter().map(|run| run.test.completion()).collect();
         mean_and_interval(&shares)
     }
 }
@@ -170,19 +141,8 @@ fn read(folder: &Path) -> Result<Run> {
     let test = result.test.iter().find(tests).cloned();
     let test = test.context("its actor was not tested on validation courses: `vigil learn --test-flights`");
     let test = test.with_context(|| bad("result.json"))?;
-    let flights = from_csv::<FlightLine>(&text("flights.csv")?).with_context(|| bad("flights.csv"))?;
-    let flights = flights.iter().map(Flight::from).collect();
+    let flights = from_csv(&text("flights.csv")?).with_context(|| bad("flights.csv"))?;
     Ok(Run { result, test, flights })
-}
-
-impl From<&FlightLine> for Flight {
-    fn from(line: &FlightLine) -> Self {
-        Self {
-            warm_up: line.warm_up == 1,
-            success: line.outcome == Outcome::Success.name(),
-            reward: line.reward,
-        }
-    }
 }
 
 fn table(arms: &[Arm]) -> String {
@@ -251,7 +211,7 @@ fn rolling(values: &[f64], count: usize) -> Vec<(f64, f64)> {
 
 /// The flights of the actor; in those of the warm-up it was not flying yet.
 fn own<'a>(run: &'a Run, value: impl Fn(&Flight) -> f64 + 'a) -> Vec<f64> {
-    run.flights.iter().filter(|f| !f.warm_up).map(value).collect()
+    run.flights.iter().filter(|f| f.warm_up == 0).map(value).collect()
 }
 
 fn longest(arms: &[Arm]) -> f64 {
@@ -304,7 +264,7 @@ pub(crate) const REWARDS: Curve = Curve {
 /// Figure 10; the paper's ten flights.
 pub(crate) const SUCCESSES: Curve = Curve {
     count: 10,
-    of: |flight| if flight.success { 1.0 } else { 0.0 },
+    of: |flight| f64::from(u8::from(flight.outcome == Outcome::Success.name())),
     title: "Share of the last 10 flights that reached the goal (band: all seeds)",
     y_label: "share of flights",
 };
@@ -325,13 +285,7 @@ impl Curve {
             let runs: Vec<_> = self.runs(arm).collect();
             over_seeds(&format!("{}, {} seeds", arm.name, runs.len()), &runs)
         });
-        let panel = Panel {
-            title: self.title.to_owned(),
-            y_label: self.y_label.to_owned(),
-            series: series.collect(),
-            thresholds: Vec::new(),
-            top: None,
-        };
+        let panel = Panel::of(self.title, self.y_label, series);
         Figure::over(
             "training flight (those of the warm-up are left out)",
             longest(arms),
@@ -407,9 +361,9 @@ mod tests {
     #[test]
     fn a_row_of_another_table_is_no_flight() {
         let heading = "flight,updates,warm_up,field,outcome,decisions,reward\n";
-        let lines = from_csv::<FlightLine>(&format!("{heading}3,950,0,1,success,88,24.6171\n")).unwrap();
-        let flight = Flight::from(&lines[0]);
-        assert!(flight.success && !flight.warm_up && (flight.reward - 24.6171).abs() < 1e-9);
-        assert!(from_csv::<FlightLine>(&format!("{heading}50,12000,42.2\n")).is_err());
+        let lines = from_csv::<Flight>(&format!("{heading}3,950,0,1,success,88,24.6171\n")).unwrap();
+        assert_eq!((SUCCESSES.of)(&lines[0]), 1.0);
+        assert!(lines[0].warm_up == 0 && (lines[0].reward - 24.6171).abs() < 1e-9);
+        assert!(from_csv::<Flight>(&format!("{heading}50,12000,42.2\n")).is_err());
     }
 }

@@ -1,8 +1,8 @@
 //! `vigil rollout`: how an actor flies alone, without MAVLink and guidance around it.
 
+use crate::campaign::Tally;
 use crate::cli::output::{or_dash, say};
 use crate::report::{TextTable, numbers, words};
-use crate::statistics::wilson_95;
 use crate::threads::thread_pool_of;
 use crate::trainer::evaluation::{EvaluatedActor, EvaluationSpec, evaluate};
 use crate::trainer::observation::Drift;
@@ -13,7 +13,7 @@ use vigil_firmware::arguments::choice;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
 use vigil_sim::family_parser;
-use vigil_sim::world::{Family, Outcome};
+use vigil_sim::world::Family;
 use vigil_types::Ablation;
 
 /// Arguments of `vigil rollout`.
@@ -92,15 +92,8 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         args.actor
     );
     let pool = thread_pool_of(args.threads)?;
-    let mut table = TextTable::new([
-        words("field"),
-        numbers("completion"),
-        words("95 % interval"),
-        numbers("collision"),
-        numbers("out of bounds"),
-        numbers("time-out"),
-        numbers("mean time"),
-    ]);
+    let columns = [words("field")].into_iter().chain(Tally::columns());
+    let mut table = TextTable::new(columns.chain([numbers("mean time")]));
     // The geometric pilot has the field in it.
     let fields: &[bool] = match evaluated {
         EvaluatedActor::Geometric => &[false],
@@ -120,19 +113,9 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
             },
         };
         let result = pool.install(|| evaluate(evaluated, Isa::detect(), &what))?;
-        let (low, high) = wilson_95(result.count(Outcome::Success), result.flights.len());
-        table.row([
-            if field { "on" } else { "off" }.to_owned(),
-            format!(
-                "{:.1} %",
-                100.0 * result.count(Outcome::Success) as f64 / result.flights.len().max(1) as f64
-            ),
-            format!("{:.1} to {:.1} %", 100.0 * low, 100.0 * high),
-            result.count(Outcome::Collision).to_string(),
-            result.count(Outcome::OutOfBounds).to_string(),
-            result.count(Outcome::TimeOut).to_string(),
-            or_dash(result.mean_time_s().unwrap_or(f64::NAN), 1, " s"),
-        ]);
+        let field = [if field { "on" } else { "off" }.to_owned()];
+        let mean_time = [or_dash(result.mean_time_s().unwrap_or(f64::NAN), 1, " s")];
+        table.row(field.into_iter().chain(result.tally().cells()).chain(mean_time));
     }
     say!("{table}");
     Ok(ExitCode::SUCCESS)

@@ -25,7 +25,7 @@ pub struct TableRow {
 }
 
 impl Examples for &[State] {
-    fn len(&self) -> usize {
+    fn count(&self) -> usize {
         (**self).len()
     }
 

@@ -1,11 +1,9 @@
 //! Judging flights on courses that no detector was trained on, and what the verdicts were worth.
 
 use crate::detector_training::features::Feature;
-use crate::detector_training::flight_files::Class;
 use crate::detector_training::lstm::WindowScorer;
 use crate::detector_training::metrics::{Proportion, Separation, corners, roc};
-use crate::explained::{Adversary, MAX_STEPS, Plan, Scenario};
-use crate::explained::{Ending, Frame, Record, fly};
+use crate::explained::{Adversary, Ending, Frame, MAX_STEPS, Plan, Record, Scenario, fly};
 use anyhow::Result;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -251,10 +249,13 @@ const ONE_ALARM: usize = 20;
 
 type Scores = Vec<Vec<Option<f32>>>;
 
-/// Scores with record and step.
-fn judged<'a>(records: &'a [Record], scores: &'a Scores) -> impl Iterator<Item = (&'a Record, usize, f32)> {
-    let flights = records.iter().zip(scores);
-    flights.flat_map(|(r, s)| s.iter().enumerate().filter_map(move |(step, s)| Some((r, step, (*s)?))))
+/// The scores of the windows to keep.
+fn scores_of<'a>(
+    flights: impl Iterator<Item = (&'a Record, &'a Vec<Option<f32>>)>,
+    keep: &dyn Fn(&Record, usize) -> bool,
+) -> Vec<f32> {
+    let kept = flights.flat_map(|(r, s)| s.iter().enumerate().filter(move |(step, _)| keep(r, *step)));
+    kept.filter_map(|(_, score)| *score).collect()
 }
 
 fn attacked(record: &Record, step: usize) -> bool {
@@ -312,13 +313,11 @@ fn alarms(scores: &[Option<f32>], threshold: f32) -> usize {
     count
 }
 
-fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32) -> SetReport {
-    let above = |keep: &dyn Fn(&Record, usize) -> bool| {
-        let kept = judged(records, scores).filter(|(r, step, _)| keep(r, *step));
-        Proportion::above(threshold, kept.map(|(.., score)| score))
-    };
-    let flights = records.iter().zip(scores);
-    let delays: Vec<Option<usize>> = flights.flat_map(|(r, s)| delays(r, s, threshold)).collect();
+fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32, unattacked: &[f32]) -> SetReport {
+    let flights = || records.iter().zip(scores);
+    let above = |keep: &dyn Fn(&Record, usize) -> bool| Proportion::above(threshold, scores_of(flights(), keep));
+    let attacks = scores_of(flights(), &attacked);
+    let delays: Vec<Option<usize>> = flights().flat_map(|(r, s)| delays(r, s, threshold)).collect();
     let noticed: Vec<f64> = delays.iter().flatten().map(|d| *d as f64).collect();
     let quantile = |q| crate::statistics::quantile(&noticed, q);
     let ended = records.iter().filter_map(|r| r.outcome);
@@ -334,7 +333,10 @@ fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32) ->
         alarms_on_noise: above(&|r, step| r.steps.get(step).is_some_and(|s| s.frame == Frame::Noisy)),
         delay_steps: quantile(0.5).zip(quantile(0.9)),
         bursts_noticed: Proportion::new(noticed.len(), delays.len()),
-        roc: Vec::new(),
+        roc: match attacks.is_empty() {
+            true => Vec::new(),
+            false => corners(&roc(&attacks, unattacked)),
+        },
     }
 }
 
@@ -357,16 +359,13 @@ pub fn evaluate(
 }
 
 fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>], scores: &[Scores]) -> Report {
-    let of_role = |role: Role| {
-        let all = sets.iter().zip(records.iter().zip(scores));
-        all.filter(move |(set, _)| set.role == role)
-            .flat_map(|(_, (r, s))| judged(r, s))
+    let all = || sets.iter().zip(records.iter().zip(scores));
+    let flights = |role: Role| {
+        let own = all().filter(move |(set, _)| set.role == role);
+        own.flat_map(|(_, (records, scores))| records.iter().zip(scores))
     };
-    let unattacked: Vec<f32> = of_role(Role::Unattacked).map(|(.., score)| score).collect();
-    let paper = |keep: &dyn Fn(&Record, usize) -> bool| -> Vec<f32> {
-        let kept = of_role(Role::Paper).filter(|(r, step, _)| keep(r, *step));
-        kept.map(|(.., score)| score).collect()
-    };
+    let unattacked = scores_of(flights(Role::Unattacked), &|_, _| true);
+    let paper = |keep: &dyn Fn(&Record, usize) -> bool| scores_of(flights(Role::Paper), keep);
     let under_attack = paper(&attacked);
     let separation = Separation::of(threshold, &under_attack, &unattacked);
     let quiet = 1.0 - separation.false_alarms.share.unwrap_or(0.0);
@@ -394,12 +393,7 @@ fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>
             }
         })
         .collect();
-    let unattacked_flights = || {
-        let all = sets.iter().zip(records.iter().zip(scores));
-        all.filter(|(set, _)| set.role == Role::Unattacked)
-            .flat_map(|(_, (r, s))| r.iter().zip(s))
-    };
-    let steps: usize = unattacked_flights().map(|(r, _)| r.steps.len()).sum();
+    let steps: usize = flights(Role::Unattacked).map(|(r, _)| r.steps.len()).sum();
     Report {
         feature,
         threshold,
@@ -409,43 +403,21 @@ fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>
             &paper(&|r, s| attacked(r, s) && effective(r, s)),
             &unattacked,
         ),
-        false_stops: unattacked_flights().map(|(_, s)| alarms(s, threshold)).sum(),
+        false_stops: flights(Role::Unattacked).map(|(_, s)| alarms(s, threshold)).sum(),
         unattacked_hours: steps as f64 * STEP_NS as f64 * 1e-9 / 3600.0,
         rows,
         after,
-        sets: sets
-            .iter()
-            .zip(records.iter().zip(scores))
-            .map(|(set, (records, scores))| {
-                let mut report = report_set(set, records, scores, threshold);
-                let attacks = judged(records, scores).filter(|(r, step, _)| attacked(r, *step));
-                let attacks: Vec<f32> = attacks.map(|(.., score)| score).collect();
-                if !attacks.is_empty() {
-                    report.roc = corners(&roc(&attacks, &unattacked));
-                }
-                report
-            })
+        sets: all()
+            .map(|(set, (records, scores))| report_set(set, records, scores, threshold, &unattacked))
             .collect(),
         roc: corners(&roc(&under_attack, &unattacked)),
     }
 }
 
-/// How many windows a set of flights holds in which an attack had next to no effect, or lingers.
-pub fn left_out(records: &[Record]) -> (usize, usize) {
-    let windows = || {
-        records
-            .iter()
-            .flat_map(|r| (WINDOW - 1..r.steps.len()).map(move |s| Class::of(r, s)))
-    };
-    (
-        windows().filter(|c| *c == Class::Weak).count(),
-        windows().filter(|c| *c == Class::Lingering).count(),
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::detector_training::flight_files::Class;
     use crate::explained::Step;
 
     /// A flight in which the marked steps were altered: `a` attacked, `w` attacked to no effect, `n` noisy, `.` not.

@@ -1,9 +1,6 @@
 //! One flight explained step by step: the data of the paper's figures 12 to 14.
 
-use crate::explained::PixelExplainer;
-use crate::explained::Scenario;
-use crate::explained::YAW;
-use crate::explained::{Frame, Onlooker, Record, Shown, Step, fly};
+use crate::explained::{Frame, Onlooker, PixelExplainer, Record, Scenario, Shown, Step, YAW, fly};
 use anyhow::Result;
 use vigil_detector::{FrozenDetector, Monitor};
 use vigil_nnet::{Isa, Purpose};

@@ -1,7 +1,6 @@
 //! What a detector looks at in each step: explanations, or, to see what these are worth, something else.
 
-use crate::explained::YAW;
-use crate::explained::{Record, Step};
+use crate::explained::{Record, Step, YAW};
 use anyhow::Result;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

@@ -1,5 +1,6 @@
 //! Trains any network with one output to tell two classes apart.
 
+use crate::report::decimals;
 use crate::trainer::adam::{Adam, norm, shortening};
 use anyhow::{Result, ensure};
 use rand::SeedableRng;
@@ -12,12 +13,7 @@ use vigil_nnet::{Graph, Isa};
 /// Examples with their class.
 pub trait Examples: Sync {
     /// How many.
-    fn len(&self) -> usize;
-
-    /// Whether there are none.
-    fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
+    fn count(&self) -> usize;
 
     /// The network's inputs of example `i`.
     fn inputs<'a>(&'a self, i: usize, buffer: &'a mut Vec<f32>) -> Vec<&'a [f32]>;
@@ -44,16 +40,19 @@ pub struct FitConfig {
     pub seed: u64,
 }
 
-/// Losses after an epoch.
+/// Losses after an epoch: a line of the curves beside a detector.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Epoch {
     /// From 1.
     pub epoch: usize,
     /// Mean cross entropy while training.
+    #[serde(serialize_with = "decimals::<6, _, _>")]
     pub train_loss: f64,
     /// The same on the examples that choose.
+    #[serde(serialize_with = "decimals::<6, _, _>")]
     pub choose_loss: f64,
     /// Share of them on the right side of 0.5.
+    #[serde(serialize_with = "decimals::<6, _, _>")]
     pub choose_accuracy: f64,
 }
 
@@ -100,7 +99,7 @@ impl Worker {
 /// # Errors
 /// Examples that do not fit.
 pub fn outputs(graph: &Graph, isa: Isa, params: &[f32], examples: &impl Examples) -> Result<Vec<f32>> {
-    (0..examples.len())
+    (0..examples.count())
         .into_par_iter()
         .with_min_len(SHARE)
         .map_init(
@@ -152,10 +151,9 @@ pub fn fit(
 ) -> Result<Fitted> {
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     let mut adam = Adam::new(params.len());
-    let shares = vec![1.0; params.len()];
     let mut packed = vec![0.0; params.len()];
-    let mut order: Vec<usize> = (0..train.len()).collect();
-    let steps = train.len().div_ceil(config.batch) * config.epochs;
+    let mut order: Vec<usize> = (0..train.count()).collect();
+    let steps = train.count().div_ceil(config.batch) * config.epochs;
     let mut best: Option<(f64, usize, Vec<f32>)> = None;
     let mut epochs = Vec::new();
     let mut step = 0;
@@ -175,14 +173,14 @@ pub fn fit(
                     *g += part / batch.len() as f32;
                 }
             }
-            let length = norm(&[&gradient]);
+            let length = norm(&gradient);
             ensure!(length.is_finite(), diverged());
             let factor = shortening(length, config.gradient_norm);
             gradient.iter_mut().for_each(|g| *g *= factor);
             let turn = core::f64::consts::PI * step as f64 / steps as f64;
             let rate = config.rate * (0.01 + 0.99 * 0.5 * (1.0 + libm::cos(turn) as f32));
             params.iter_mut().for_each(|p| *p *= 1.0 - rate * config.weight_decay);
-            adam.step_by_shares(rate, &shares, &mut params, &gradient);
+            adam.step(rate, &mut params, &gradient);
             step += 1;
             progress(step, None);
         }
@@ -194,9 +192,9 @@ pub fn fit(
         }
         let row = Epoch {
             epoch,
-            train_loss: sum / train.len() as f64,
-            choose_loss: choose_sum / choose.len().max(1) as f64,
-            choose_accuracy: right as f64 / choose.len().max(1) as f64,
+            train_loss: sum / train.count() as f64,
+            choose_loss: choose_sum / choose.count().max(1) as f64,
+            choose_accuracy: right as f64 / choose.count().max(1) as f64,
         };
         ensure!((row.train_loss + row.choose_loss).is_finite(), diverged());
         if best.as_ref().is_none_or(|(least, ..)| row.choose_loss < *least) {

@@ -1,8 +1,7 @@
 //! Gathering flights and keeping them in files.
 
 use crate::cli::output;
-use crate::explained::Scenario;
-use crate::explained::{Ending, Frame, Record, Step, held_frames};
+use crate::explained::{Ending, Frame, Record, Scenario, Step, held_frames};
 use anyhow::{Context, Error, Result, anyhow};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
@@ -28,23 +27,28 @@ pub struct Counts {
     pub attacked: usize,
     /// Windows without an altered frame among the newest ones that make the actor's state.
     pub unattacked: usize,
+    /// Windows in which an attack had next to no effect.
+    pub weak: usize,
+    /// Windows in which one lingers.
+    pub lingering: usize,
 }
 
 impl Counts {
     /// Adds a flight's.
     pub fn add(&mut self, record: &Record) {
-        for step in WINDOW - 1..record.steps.len() {
-            match Class::of(record, step) {
-                Class::Attacked => self.attacked += 1,
-                Class::Unattacked => self.unattacked += 1,
-                Class::Weak | Class::Lingering => {}
-            }
+        for (_, class) in Class::of_windows(record) {
+            *match class {
+                Class::Attacked => &mut self.attacked,
+                Class::Unattacked => &mut self.unattacked,
+                Class::Weak => &mut self.weak,
+                Class::Lingering => &mut self.lingering,
+            } += 1;
         }
     }
 
-    /// Whether there are as many of both as wanted.
-    pub fn reach(&self, want: Self) -> bool {
-        self.attacked >= want.attacked && self.unattacked >= want.unattacked
+    /// Whether there are so many attacked ones and as many unattacked.
+    pub fn reach(&self, windows: usize) -> bool {
+        self.attacked.min(self.unattacked) >= windows
     }
 
     /// Of some flights.
@@ -73,6 +77,11 @@ pub enum Class {
 pub const WEAK_YAW: f32 = 0.1;
 
 impl Class {
+    /// Of a flight's windows, each with its newest step.
+    pub fn of_windows(record: &Record) -> impl Iterator<Item = (usize, Self)> + use<'_> {
+        (WINDOW - 1..record.steps.len()).map(|step| (step, Self::of(record, step)))
+    }
+
     /// Of a flight's step.
     pub fn of(record: &Record, step: usize) -> Self {
         let taken = |age: &usize| record.steps.get(step.saturating_sub(*age));

@@ -61,7 +61,7 @@ pub(crate) struct Windows<'a> {
 }
 
 impl Examples for Windows<'_> {
-    fn len(&self) -> usize {
+    fn count(&self) -> usize {
         self.at.len()
     }
 
@@ -79,8 +79,8 @@ impl Examples for Windows<'_> {
 fn draw_windows(records: &[Record], config: &LstmConfig) -> Vec<(usize, usize, bool)> {
     let (mut attacked, mut unattacked) = (Vec::new(), Vec::new());
     for (flight, record) in records.iter().enumerate() {
-        for step in WINDOW - 1..record.steps.len() {
-            match Class::of(record, step) {
+        for (step, class) in Class::of_windows(record) {
+            match class {
                 Class::Attacked => attacked.push((flight, step, true)),
                 Class::Unattacked => unattacked.push((flight, step, false)),
                 Class::Weak | Class::Lingering => {}
@@ -165,7 +165,9 @@ pub fn train(
     let (learn_at, choose_at) = (draw_windows(learn, config), draw_windows(choose, config));
     for (purpose, at, records) in [("training", &learn_at, learn), ("choosing", &choose_at, choose)] {
         if at.is_empty() {
-            let Counts { attacked, unattacked } = Counts::of(records);
+            let Counts {
+                attacked, unattacked, ..
+            } = Counts::of(records);
             bail!("the data hold {attacked} attacked and {unattacked} unattacked windows for {purpose}; collect more");
         }
     }

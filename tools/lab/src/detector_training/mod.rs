@@ -13,9 +13,7 @@ mod times;
 
 pub use crate::explained::*;
 pub use comparison::{ImageNetwork, TableRow, image_fit, lstm_scores, pca_scores, row};
-pub use evaluation::{
-    AfterReport, EvaluationSize, Report, Role, RowsReport, Set, SetReport, evaluate, fly_sets, left_out, sets,
-};
+pub use evaluation::{AfterReport, EvaluationSize, Report, Role, RowsReport, Set, SetReport, evaluate, fly_sets, sets};
 pub use explained_flight::{ExplainedFrame, ExplainedStep, Portrait, portray};
 pub use features::{Extractor, Feature, Rows};
 pub use fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};

@@ -2,9 +2,7 @@
 
 use crate::cli::output;
 use crate::detector_training::flight_files::{Flights, not_collected};
-use crate::explained::{Adversary, MAX_STEPS, Plan, Scenario};
-use crate::explained::{Frame, Onlooker, Shown, Step, fly};
-use crate::explained::{YAW, explainer};
+use crate::explained::{Adversary, Frame, MAX_STEPS, Onlooker, Plan, Scenario, Shown, Step, YAW, explainer, fly};
 use anyhow::{Context, Result};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

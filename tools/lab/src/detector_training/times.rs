@@ -1,10 +1,7 @@
 //! The paper's table IV: how long deciding, explaining and judging take, one thread, on the states of a flight.
 
 use crate::detector_training::comparison::ImageNetwork;
-use crate::explained::YAW;
-use crate::explained::{BACKGROUNDS, explainer};
-use crate::explained::{Onlooker, Record, Shown, Step, fly};
-use crate::explained::{Plan, Scenario};
+use crate::explained::{BACKGROUNDS, Onlooker, Plan, Record, Scenario, Shown, Step, YAW, explainer, fly};
 use anyhow::Result;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

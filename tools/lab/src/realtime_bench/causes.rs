@@ -2,8 +2,7 @@
 
 use super::ObservedStep;
 use std::fmt;
-use vigil_types::named;
-use vigil_types::{StepReport, Verdict};
+use vigil_types::{StepReport, Verdict, named};
 
 /// A step that begins later, or takes so much longer than usual, is asked for its cause.
 const NOTABLE_NS: u64 = 1_000_000;
@@ -203,51 +202,18 @@ mod tests {
         let cause = |counted| of_duration(&step(0, 8 * MS, counted), MS);
         assert_eq!(cause(counted(8 * MS)), Some(Cause::Computed));
         assert_eq!(of_duration(&step(0, 2 * MS, counted(2 * MS)), MS), None);
-        let faults = Counters {
-            minor_faults: 300,
-            ..counted(8 * MS)
-        };
-        assert_eq!(cause(faults), Some(Cause::Pages));
-        assert_eq!(cause(counted(MS)), Some(Cause::Unknown));
-        let kept = [
-            (
-                Counters {
-                    involuntary: 1,
-                    ..counted(MS)
-                },
-                Cause::Queued,
-            ),
-            (
-                Counters {
-                    queued_ns: 6 * MS,
-                    ..counted(MS)
-                },
-                Cause::Queued,
-            ),
-            (
-                Counters {
-                    major_faults: 1,
-                    involuntary: 1,
-                    ..counted(MS)
-                },
-                Cause::Disk,
-            ),
-            (
-                Counters {
-                    stolen_ns: 10 * MS,
-                    ..counted(MS)
-                },
-                Cause::Stolen,
-            ),
-            (
-                Counters {
-                    voluntary: 2,
-                    ..counted(MS)
-                },
-                Cause::Blocked,
-            ),
+        let kept: [(u64, fn(&mut Counters), Cause); 7] = [
+            (8 * MS, |c| c.minor_faults = 300, Cause::Pages),
+            (MS, |_| {}, Cause::Unknown),
+            (MS, |c| c.involuntary = 1, Cause::Queued),
+            (MS, |c| c.queued_ns = 6 * MS, Cause::Queued),
+            (MS, |c| (c.major_faults, c.involuntary) = (1, 1), Cause::Disk),
+            (MS, |c| c.stolen_ns = 10 * MS, Cause::Stolen),
+            (MS, |c| c.voluntary = 2, Cause::Blocked),
         ];
-        for (counted, expected) in kept {
+        for (processor_ns, count, expected) in kept {
+            let mut counted = counted(processor_ns);
+            count(&mut counted);
             assert_eq!(cause(counted), Some(expected), "{counted:?}");
         }
     }

@@ -80,6 +80,11 @@ impl Distribution {
         }
     }
 
+    /// Its quantiles and the longest, in words.
+    pub(super) fn told(&self) -> [String; 4] {
+        [self.p50_us, self.p99_us, self.p99_9_us, self.max_us].map(told_us)
+    }
+
     /// The outline of the histogram; counts by their logarithm, because the few at the end matter.
     fn outline(&self) -> Vec<(f64, f64)> {
         let factor = 10f64.powf(-1.0 / f64::from(BINS_PER_DECADE));
@@ -292,18 +297,10 @@ impl RealtimeReport {
 
     /// The distributions as histograms over a common axis, the counts by their logarithm.
     pub fn figure(&self) -> Figure {
-        let panel = |title: &str, of: &Distribution| Panel {
-            title: format!(
-                "{title}: p50 {}, p99 {}, p99.9 {}, max {}",
-                told_us(of.p50_us),
-                told_us(of.p99_us),
-                told_us(of.p99_9_us),
-                told_us(of.max_us)
-            ),
-            y_label: "log10(1 + steps)".to_owned(),
-            series: vec![Series::line(title, of.outline())],
-            thresholds: Vec::new(),
-            top: None,
+        let panel = |title: &str, of: &Distribution| {
+            let [p50, p99, p99_9, max] = of.told();
+            let quantiles = format!("{title}: p50 {p50}, p99 {p99}, p99.9 {p99_9}, max {max}");
+            Panel::of(quantiles, "log10(1 + steps)", [Series::line(title, of.outline())])
         };
         let last_us = self.lateness.max_us.max(self.duration.max_us).max(50_000.0);
         let decades = last_us.log10().ceil() as i32;

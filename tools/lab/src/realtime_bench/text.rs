@@ -16,8 +16,7 @@ impl fmt::Display for RealtimeReport {
             numbers("max"),
         ]);
         for (name, of) in [("wake-up late", &self.lateness), ("step", &self.duration)] {
-            let times = [of.p50_us, of.p99_us, of.p99_9_us, of.max_us].map(told_us);
-            table.row(std::iter::once(name.to_owned()).chain(times));
+            table.row([name.to_owned()].into_iter().chain(of.told()));
         }
         writeln!(f, "{table}\n")?;
         let totals = &self.totals;

@@ -1,9 +1,9 @@
 //! Bar charts: named rows of bars with their intervals, and what others measured beside them.
 
-use super::picture::{COLOURS, Fault, GRID, INK, Picture, WIDTH, draw_dashed, tick, ticks};
+use super::picture::{COLOURS, Fault, GRID, INK, Picture, WIDTH, draw_dashed, text, tick, ticks};
 use plotters::coord::Shift;
 use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
+use plotters::style::text_anchor::{HPos, VPos};
 
 /// Room for the rows' names, for title and legend, for the axis, dots at 100 per inch.
 const LEFT: u32 = 200;
@@ -153,12 +153,6 @@ impl Bars {
         let place = (rightmost + dots(6), centre + dots(1));
         area.draw_text(&bar.note, &text(scale, 10, HPos::Left, VPos::Center), place)
     }
-}
-
-/// The style of a text of so many dots.
-fn text(scale: u32, size: u32, h: HPos, v: VPos) -> TextStyle<'static> {
-    let style = TextStyle::from(("sans-serif", size * scale));
-    style.color(&INK).pos(Pos::new(h, v))
 }
 
 fn diamond(x: i32, y: i32, radius: i32) -> Polygon<(i32, i32)> {

@@ -1,10 +1,10 @@
 //! Line charts: panels one below the other over a common axis.
 
-use super::picture::{COLOURS, Fault, GRID, INK, Picture, WIDTH, draw_dashed, tick, ticks};
+use super::picture::{COLOURS, Fault, GRID, INK, Picture, WIDTH, draw_dashed, text, tick, ticks};
 use plotters::coord::Shift;
 use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, ValueFormatter};
 use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
+use plotters::style::text_anchor::{HPos, VPos};
 use std::ops::Range;
 
 const PANEL_HEIGHT: u32 = 190;
@@ -59,13 +59,16 @@ pub struct Panel {
 impl Panel {
     /// From names and points.
     pub fn new<'a>(title: &str, y_label: &str, series: impl IntoIterator<Item = (&'a str, Vec<(f64, f64)>)>) -> Self {
+        let lines = series.into_iter().map(|(label, points)| Series::line(label, points));
+        Self::of(title, y_label, lines)
+    }
+
+    /// From lines.
+    pub fn of(title: impl Into<String>, y_label: &str, series: impl IntoIterator<Item = Series>) -> Self {
         Self {
-            title: title.to_owned(),
+            title: title.into(),
             y_label: y_label.to_owned(),
-            series: series
-                .into_iter()
-                .map(|(label, points)| Series::line(label, points))
-                .collect(),
+            series: series.into_iter().collect(),
             thresholds: Vec::new(),
             top: None,
         }
@@ -109,8 +112,8 @@ pub struct Figure {
     pub x_last: f64,
     /// How values are spread along it.
     pub x_scale: Scale,
-    /// What is shaded in all panels, and from where to where.
-    pub spans: Option<(String, Vec<(f64, f64)>)>,
+    /// What is shaded in all panels, from where and to where.
+    pub span: Option<(String, f64, f64)>,
     /// From top to bottom.
     pub panels: Vec<Panel>,
 }
@@ -122,7 +125,7 @@ impl Figure {
             x_label: x_label.to_owned(),
             x_last,
             x_scale: Scale::Linear,
-            spans: None,
+            span: None,
             panels,
         }
     }
@@ -163,15 +166,10 @@ impl Picture for Figure {
         let parts = panels.split_evenly((self.panels.len().max(1), 1));
         for (number, (panel, part)) in self.panels.iter().zip(parts).enumerate() {
             draw_panel(&part, self, panel, scale)?;
-            let spans = self
-                .spans
-                .as_ref()
-                .filter(|_| number == 0)
-                .map(|(label, _)| label.as_str());
-            draw_head(&part, panel, spans, scale)?;
+            let span = self.span.as_ref().filter(|_| number == 0);
+            draw_head(&part, panel, span.map(|(label, ..)| label.as_str()), scale)?;
         }
-        let centre = Pos::new(HPos::Center, VPos::Bottom);
-        let style = TextStyle::from(("sans-serif", 12 * scale)).color(&INK).pos(centre);
+        let style = text(scale, 12, HPos::Center, VPos::Bottom);
         let middle = ((WIDTH + LEFT) / 2 * scale) as i32;
         area.draw_text(&self.x_label, &style, (middle, ((height - 5) * scale) as i32))
     }
@@ -245,7 +243,7 @@ fn draw_panel<DB: DrawingBackend>(
         .y_desc(&panel.y_label)
         .axis_desc_style(("sans-serif", 12 * scale).into_font().color(&INK))
         .draw()?;
-    for (from, to) in figure.spans.iter().flat_map(|(_, spans)| spans) {
+    if let Some((_, from, to)) = &figure.span {
         let corners = [(figure.at(*from), low), (figure.at(*to), high)];
         chart.draw_series([Rectangle::new(corners, SPAN.mix(0.13).filled())])?;
     }
@@ -290,15 +288,12 @@ fn draw_panel<DB: DrawingBackend>(
 fn draw_head<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     panel: &Panel,
-    spans: Option<&str>,
+    span: Option<&str>,
     scale: u32,
 ) -> Result<(), Fault<DB>> {
     let middle = (HEAD / 2 * scale) as i32;
     let (left, mark, gap) = ((LEFT * scale) as i32, (16 * scale) as i32, (7 * scale) as i32);
-    let anchor = |h| Pos::new(h, VPos::Center);
-    let title = TextStyle::from(("sans-serif", 14 * scale))
-        .color(&INK)
-        .pos(anchor(HPos::Left));
+    let title = text(scale, 14, HPos::Left, VPos::Center);
     area.draw_text(&panel.title, &title, (left, middle))?;
     let lines = panel.series.iter().map(|s| s.label.as_str());
     let lines = lines.zip(COLOURS.iter().map(|c| (c.to_rgba(), false)).cycle());
@@ -307,14 +302,12 @@ fn draw_head<DB: DrawingBackend>(
         .iter()
         .filter(|(label, _)| !label.is_empty())
         .map(|(label, _)| (label.as_str(), (INK.to_rgba(), true)));
-    let shaded = spans.map(|label| (label, (SPAN.mix(0.3), false)));
+    let shaded = span.map(|label| (label, (SPAN.mix(0.3), false)));
     let names: Vec<_> = lines.chain(levels).chain(shaded).collect();
     if names.len() < 2 {
         return Ok(());
     }
-    let style = TextStyle::from(("sans-serif", 11 * scale))
-        .color(&INK)
-        .pos(anchor(HPos::Right));
+    let style = text(scale, 11, HPos::Right, VPos::Center);
     let mut right = ((WIDTH - 16) * scale) as i32;
     for (label, (colour, is_level)) in names.into_iter().rev() {
         area.draw_text(label, &style, (right, middle))?;
@@ -344,7 +337,7 @@ mod tests {
         panel.thresholds.push(("threshold 0.8".to_owned(), 0.8));
         panel.series[0].points[100].1 = f64::NAN;
         let mut figure = Figure::over("time (s)", 20.0, vec![panel]);
-        figure.spans = Some(("attacked".to_owned(), vec![(5.0, 7.5)]));
+        figure.span = Some(("attacked".to_owned(), 5.0, 7.5));
         figure
     }
 

@@ -4,6 +4,7 @@ use base64::Engine as _;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::FontStyle;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::collections::BTreeSet;
 use std::sync::Once;
 
@@ -206,6 +207,12 @@ pub(super) fn tick(value: f64, range: f64) -> String {
         &text
     };
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
+/// The style of a text of so many dots.
+pub(super) fn text(scale: u32, size: u32, h: HPos, v: VPos) -> TextStyle<'static> {
+    let style = TextStyle::from(("sans-serif", size * scale));
+    style.color(&INK).pos(Pos::new(h, v))
 }
 
 /// A dashed straight line, dots.

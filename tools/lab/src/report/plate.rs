@@ -1,9 +1,9 @@
 //! Pictures in rows and columns with their names, and scales of their colours.
 
-use super::picture::{Fault, INK, Picture, Raster, WIDTH};
+use super::picture::{Fault, INK, Picture, Raster, WIDTH, text};
 use plotters::coord::Shift;
 use plotters::prelude::*;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
+use plotters::style::text_anchor::{HPos, VPos};
 
 /// Room for the rows' names, for title and columns' names, between pictures, for the scales of the colours.
 const LEFT: u32 = 92;
@@ -67,11 +67,7 @@ impl Picture for Plate {
 
     fn draw<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>, scale: u32) -> Result<(), Fault<DB>> {
         let dots = |n: u32| (n * scale) as i32;
-        let text = |size: u32, h, v| {
-            TextStyle::from(("sans-serif", size * scale))
-                .color(&INK)
-                .pos(Pos::new(h, v))
-        };
+        let text = |size: u32, h, v| text(scale, size, h, v);
         area.draw_text(&self.title, &text(14, HPos::Left, VPos::Center), (dots(12), dots(13)))?;
         for (number, (name, colours)) in self.columns.iter().enumerate() {
             let left = left_of(number);

@@ -5,8 +5,7 @@ use crate::trainer::mlp::{Mlp, MlpTape};
 use crate::trainer::observation::{FIRST_HALF, OBSERVATION};
 use rand::{Rng, RngExt};
 use vigil_nnet::{Activation, Dense, Isa, ShapeError};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS};
-use vigil_policy::actor::{ActorSpec, HEAD, LOW_UNITS, TRUNK};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, HEAD, LOW_UNITS, TRUNK};
 
 /// Largest weight of the last layers at first (Lillicrap et al. 2016).
 pub const LAST_LAYER_LIMIT: f32 = 3e-3;

@@ -1,4 +1,4 @@
-//! Adam (Kingma and Ba 2015), and limits for gradients given in parts.
+//! Adam (Kingma and Ba 2015), and a limit for gradients.
 
 /// Adam's two running moments for a parameter slice; β₁ = 0.9, β₂ = 0.999, ε = 1e-8.
 #[derive(Debug, Clone, PartialEq)]
@@ -50,14 +50,10 @@ impl Adam {
     }
 }
 
-/// Length of a gradient given in parts.
-pub fn norm(parts: &[&[f32]]) -> f64 {
-    let squares: f64 = parts
-        .iter()
-        .flat_map(|p| p.iter())
-        .map(|g| f64::from(*g) * f64::from(*g))
-        .sum();
-    squares.sqrt()
+/// Length of a gradient.
+pub fn norm(gradient: &[f32]) -> f64 {
+    let squares = gradient.iter().map(|g| f64::from(*g) * f64::from(*g));
+    squares.sum::<f64>().sqrt()
 }
 
 /// The factor that shortens a gradient of length `norm` to `limit`; 1 if it is not longer.
@@ -98,7 +94,7 @@ mod tests {
 
     #[test]
     fn only_long_gradients_are_shortened() {
-        assert_eq!(norm(&[&[3.0], &[0.0, 4.0]]), 5.0);
+        assert_eq!(norm(&[3.0, 0.0, 4.0]), 5.0);
         assert_eq!(shortening(5.0, 5.0), 1.0);
         assert_eq!(shortening(10.0, 5.0), 0.5);
     }

@@ -233,7 +233,7 @@ pub fn teach_encoder(
             pairs.for_each(|(to, from)| *to += from);
         }
         let d = &mut total.d_encoder[..len];
-        let norm = adam::norm(&[d]);
+        let norm = adam::norm(d);
         finite(update, "gradient", "encoder", norm as f32)?;
         let scale = adam::shortening(norm, GRADIENT_NORM);
         d.iter_mut().for_each(|d| *d *= scale);

@@ -1,5 +1,6 @@
 //! Flights that evaluate a pilot: the frozen actor's own code, deciding every step, without noise.
 
+use crate::campaign::Tally;
 use crate::explained::Flight;
 use crate::trainer::observation::{Drift, Drifting};
 use anyhow::Result;
@@ -10,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use vigil_nnet::Isa;
 use vigil_policy::actor::{Actor, ActorSpec};
 use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, RangeScan};
-use vigil_sim::statistics::wilson_95;
+use vigil_sim::environment::Environment;
 use vigil_sim::vehicle::Wind;
 use vigil_sim::world::{Family, Outcome, generate};
 use vigil_types::{ACTION_LIMIT, Ablation, Action, Choice};
@@ -55,20 +56,17 @@ pub struct EvaluationResult {
 }
 
 impl EvaluationResult {
-    /// Number of flights with an outcome.
-    pub fn count(&self, outcome: Outcome) -> usize {
-        self.flights.iter().filter(|(o, _)| *o == outcome).count()
+    /// How many ended how.
+    pub fn tally(&self) -> Tally {
+        let outcomes: Vec<_> = self.flights.iter().map(|(outcome, _)| Some(*outcome)).collect();
+        Tally::of(&outcomes)
     }
 
     /// Mean time of those that reached the goal, seconds.
     pub fn mean_time_s(&self) -> Option<f64> {
-        let times = self
-            .flights
-            .iter()
-            .filter(|(o, _)| *o == Outcome::Success)
-            .map(|(_, t)| t);
-        let successes = self.count(Outcome::Success);
-        (successes > 0).then(|| times.sum::<f64>() / successes as f64)
+        let arrived = self.flights.iter().filter(|(outcome, _)| *outcome == Outcome::Success);
+        let times: Vec<f64> = arrived.map(|(_, time_s)| *time_s).collect();
+        (!times.is_empty()).then(|| times.iter().sum::<f64>() / times.len() as f64)
     }
 }
 
@@ -97,16 +95,16 @@ pub struct FamilyCount {
 impl FamilyCount {
     /// Counts a result's flights.
     pub fn new(what: &EvaluationSpec, result: &EvaluationResult) -> Self {
-        let (flights, successes) = (result.flights.len(), result.count(Outcome::Success));
+        let tally = result.tally();
         Self {
             family: what.family,
             first_seed: what.first_seed,
             ablation: (what.ablation != Ablation::Nothing).then(|| what.ablation.name().to_owned()),
-            flights,
-            successes,
-            collisions: result.count(Outcome::Collision),
-            time_outs: result.count(Outcome::TimeOut),
-            wilson_95: wilson_95(successes, flights),
+            flights: tally.flights,
+            successes: tally.completed,
+            collisions: tally.collisions,
+            time_outs: tally.time_outs,
+            wilson_95: tally.wilson_95,
         }
     }
 
@@ -131,7 +129,7 @@ pub fn evaluate(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec) -> R
 fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<(Outcome, f64)> {
     let mut course = generate(what.family, seed);
     course.time_limit_s = what.time_limit_s;
-    let mut flight = Flight::new(&course, Wind::default(), seed)?;
+    let mut flight = Flight::of(Environment::new(&course, Wind::default(), seed)?);
     let mut network = match actor {
         EvaluatedActor::Actor(params) => Some(Actor::new(ActorSpec::FULL, isa, params)?.without(what.ablation)),
         EvaluatedActor::Zero | EvaluatedActor::Random | EvaluatedActor::Geometric => None,

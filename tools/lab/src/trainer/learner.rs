@@ -231,7 +231,7 @@ impl Learner {
                 c.d.fill(0.0);
                 let (packed, out, d) = (&c.packed, &c.out[..batch.len()], Some(&mut *c.d));
                 mlp.backward(isa, &c.params, packed, x, &mut c.tape, out, d, None)?;
-                c.norm = adam::norm(&[&c.d]) as f32;
+                c.norm = adam::norm(&c.d) as f32;
                 Ok(())
             })?;
         for critic in &self.critics {
@@ -286,7 +286,7 @@ impl Learner {
         }
         self.d_actor.fill(0.0);
         self.net.backward(isa, &self.actor, d_pre, &mut self.d_actor)?;
-        report.actor_norm = adam::norm(&[&self.d_actor]) as f32;
+        report.actor_norm = adam::norm(&self.d_actor) as f32;
         finite(self.updates, "gradient", "actor", report.actor_norm)?;
         Ok(report)
     }

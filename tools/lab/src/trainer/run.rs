@@ -129,6 +129,20 @@ pub fn learn(config: &LearnConfig, options: &LearnOptions, stop: &AtomicBool, re
         .install(|| Run::begin(config, options, report)?.complete(stop, report))
 }
 
+/// What has come of a run so far, but for what it learned.
+#[derive(Clone, Default, Serialize, Deserialize)]
+struct SoFar {
+    decisions: u64,
+    rows: Vec<Row>,
+    /// Of the updates since the last row, and how many these are.
+    sum: UpdateReport,
+    summed: u32,
+    /// Training flights that ended since then.
+    ended: Vec<FlightReport>,
+    /// All training flights that ended, each with the updates made by then.
+    flights: Vec<(u64, FlightReport)>,
+}
+
 struct Run<'a> {
     config: &'a LearnConfig,
     options: &'a LearnOptions,
@@ -139,13 +153,7 @@ struct Run<'a> {
     deciding: ActorNet,
     replay: Replay,
     workers: Vec<EnvWorker>,
-    decisions: u64,
-    rows: Vec<Row>,
-    sum: UpdateReport,
-    summed: u32,
-    ended: Vec<FlightReport>,
-    /// All training flights that ended, each with the updates made by then.
-    flights: Vec<(u64, FlightReport)>,
+    so_far: SoFar,
     candidates: Vec<Candidate>,
     begun: Instant,
     earlier_s: f64,
@@ -185,12 +193,7 @@ impl<'a> Run<'a> {
             learner,
             deciding: ActorNet::new(config.environments),
             replay: Replay::new(config),
-            decisions: 0,
-            rows: Vec::new(),
-            sum: UpdateReport::default(),
-            summed: 0,
-            ended: Vec::new(),
-            flights: Vec::new(),
+            so_far: SoFar::default(),
             candidates: Vec::new(),
             begun,
             earlier_s: 0.0,
@@ -209,14 +212,14 @@ impl<'a> Run<'a> {
 
     fn complete(mut self, stop: &AtomicBool, report: Report<'_>) -> Result<LearnEnd> {
         loop {
-            while self.learner.updates < self.config.updates_due(self.decisions) {
+            while self.learner.updates < self.config.updates_due(self.so_far.decisions) {
                 if stop.load(Ordering::Relaxed) {
                     self.save()?;
                     return Ok(LearnEnd::Interrupted(self.checkpoint));
                 }
                 self.update(report)?;
             }
-            if self.decisions >= self.config.decisions {
+            if self.so_far.decisions >= self.config.decisions {
                 break;
             }
             self.collect()?;
@@ -227,7 +230,7 @@ impl<'a> Run<'a> {
 
     /// One decision in every environment.
     fn collect(&mut self) -> Result<()> {
-        let (config, warm_up) = (self.config, self.decisions < self.config.warm_up);
+        let (config, warm_up) = (self.config, self.so_far.decisions < self.config.warm_up);
         let observations = self
             .workers
             .par_iter_mut()
@@ -247,18 +250,18 @@ impl<'a> Run<'a> {
             .map(|((worker, lane), pre)| worker.fly(config, (!warm_up).then(|| [pre[0], pre[1]]), sigma, lane))
             .collect::<Result<Vec<_>>>()?;
         for flight in ended.into_iter().flatten() {
-            self.flights.push((self.learner.updates, flight));
-            self.ended.push(flight);
+            self.so_far.flights.push((self.learner.updates, flight));
+            self.so_far.ended.push(flight);
         }
         self.replay.settle();
-        self.decisions += config.environments as u64;
+        self.so_far.decisions += config.environments as u64;
         Ok(())
     }
 
     /// The noise's standard deviation now.
     fn sigma(&self) -> f32 {
         let (config, n) = (self.config, &self.config.noise);
-        let own = self.decisions.saturating_sub(config.warm_up) as f32;
+        let own = self.so_far.decisions.saturating_sub(config.warm_up) as f32;
         let all = config.decisions.saturating_sub(config.warm_up).max(1) as f32;
         n.sigma_first + (n.sigma_last - n.sigma_first) * (own / (all * n.falls_over)).min(1.0)
     }
@@ -269,25 +272,25 @@ impl<'a> Run<'a> {
         for (leaf, error) in errors {
             self.replay.set_error(leaf, error);
         }
-        self.sum = self.sum.plus(&update, 1.0);
-        self.summed += 1;
+        self.so_far.sum = self.so_far.sum.plus(&update, 1.0);
+        self.so_far.summed += 1;
         let updates = self.learner.updates;
         let evaluates = updates.is_multiple_of(self.config.evaluation.every_updates);
         if !evaluates && !updates.is_multiple_of(UPDATES_PER_ROW) {
             return Ok(());
         }
-        let ended = core::mem::take(&mut self.ended);
+        let ended = core::mem::take(&mut self.so_far.ended);
         let mut row = Row {
             updates,
-            decisions: self.decisions,
+            decisions: self.so_far.decisions,
             elapsed_s: self.elapsed_s(),
             flights: ended.len(),
             successes: ended.iter().filter(|f| f.outcome == Some(Outcome::Success)).count(),
             reward: ended.iter().map(|f| f.reward).sum::<f32>() / ended.len().max(1) as f32,
-            update: UpdateReport::default().plus(&self.sum, 1.0 / self.summed as f32),
+            update: UpdateReport::default().plus(&self.so_far.sum, 1.0 / self.so_far.summed as f32),
             evaluated: Vec::new(),
         };
-        (self.sum, self.summed) = (UpdateReport::default(), 0);
+        (self.so_far.sum, self.so_far.summed) = (UpdateReport::default(), 0);
         if evaluates {
             let e = &self.config.evaluation;
             let params = self.learner.actor_target.clone();
@@ -307,16 +310,19 @@ impl<'a> Run<'a> {
                 .sort_by(|a, b| b.completion.total_cmp(&a.completion).then(b.updates.cmp(&a.updates)));
             self.candidates.truncate(CANDIDATES);
         }
-        self.rows.push(row);
-        replace(&self.options.folder.join("curves.csv"), csv(&self.rows).as_bytes())?;
+        self.so_far.rows.push(row);
+        replace(
+            &self.options.folder.join("curves.csv"),
+            csv(&self.so_far.rows).as_bytes(),
+        )?;
         replace(
             &self.options.folder.join("flights.csv"),
-            flights_csv(&self.flights).as_bytes(),
+            flights_csv(&self.so_far.flights).as_bytes(),
         )?;
         if evaluates {
             self.save()?;
         }
-        if let Some(row) = self.rows.last() {
+        if let Some(row) = self.so_far.rows.last() {
             report(Progress::Row(row, self.config.updates_due(self.config.decisions)));
         }
         Ok(())
@@ -391,9 +397,9 @@ impl<'a> Run<'a> {
         let result = LearnResult {
             seed: self.config.seed,
             apf_share: self.config.apf_share,
-            decisions: self.decisions,
-            steps: self.decisions * self.config.steps_per_decision as u64,
-            flights: self.flights.len(),
+            decisions: self.so_far.decisions,
+            steps: self.so_far.decisions * self.config.steps_per_decision as u64,
+            flights: self.so_far.flights.len(),
             updates: self.learner.updates,
             frozen_after: chosen.updates,
             elapsed_s: self.elapsed_s(),

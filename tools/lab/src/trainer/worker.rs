@@ -16,9 +16,10 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use vigil_nnet::ShapeError;
 use vigil_policy::{NearestObstacle, apf};
+use vigil_sim::environment::Environment;
 use vigil_sim::environment::true_state::{RAYS, TRUE_STATE, TrueCourse, range_m};
-use vigil_sim::vehicle::VehicleParams;
-use vigil_sim::world::{Family, Outcome, generate};
+use vigil_sim::vehicle::{Truth, VehicleParams, Wind};
+use vigil_sim::world::{Family, LidarConfig, Outcome, generate};
 use vigil_types::{Action, GoalRelative, NedVector, wrap_pi};
 
 /// Seeds of the training courses begin here; those that evaluate an actor are below 10 000 or above 7 000 000 000.
@@ -89,8 +90,9 @@ impl Current {
             true => VehicleParams::drawn(episode.seed),
             false => VehicleParams::default(),
         };
+        let environment = Environment::of(&course, vehicle, Wind::default(), LidarConfig::default(), episode.seed)?;
         let mut current = Self {
-            flight: Flight::with_vehicle(&course, vehicle, episode.seed)?,
+            flight: Flight::of(environment),
             observer: Observer::new(&encoder, episode.drift),
             encoder,
             goal: course.goal_ned_m(),
@@ -118,12 +120,7 @@ impl Current {
     /// The true state here and now.
     fn truth(&self) -> [f32; TRUE_STATE] {
         let truth = self.flight.truth();
-        let to = self.goal - truth.position_ned_m;
-        let goal = GoalRelative {
-            distance_m: to.horizontal_norm(),
-            bearing_rad: wrap_pi(libm::atan2f(to.y, to.x) - truth.attitude.yaw_rad()),
-        };
-        self.course.state(&truth, goal)
+        self.course.state(&truth, seen_from(self.goal, &truth))
     }
 
     /// Flies a decision's steps. Returns the reward and the outcome.
@@ -271,7 +268,7 @@ impl EnvWorker {
         let [forward_m_s, yaw] = own.map_or([config.warm_up_forward, 0.0], |pre| squash(&pre));
         let mut action = apf::add(Action { forward_m_s, yaw }, noise);
         if c.episode.report.with_apf {
-            let force = apf::force(c.flight.goal(), nearest(&truth), apf::REPULSIVE_RANGE_M);
+            let force = apf::force(c.flight.goal_relative(), nearest(&truth), apf::REPULSIVE_RANGE_M);
             action = apf::add(action, force);
         }
         let (reward, outcome) = c.step(config, action)?;
@@ -302,6 +299,15 @@ impl EnvWorker {
         }
         c.episode.report.outcome = outcome;
         Ok(Some(c.episode.report))
+    }
+}
+
+/// The goal as it is, not as it is estimated.
+pub fn seen_from(goal_ned_m: NedVector, truth: &Truth) -> GoalRelative {
+    let to = goal_ned_m - truth.position_ned_m;
+    GoalRelative {
+        distance_m: to.horizontal_norm(),
+        bearing_rad: wrap_pi(libm::atan2f(to.y, to.x) - truth.attitude.yaw_rad()),
     }
 }
 

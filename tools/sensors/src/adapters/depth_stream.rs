@@ -11,7 +11,8 @@ pub struct DepthStream {
     metres_per_unit: f32,
     projector: Projector,
     units: Vec<u16>,
-    view: Option<View>,
+    /// The part of our image that the camera sees.
+    pub view: Option<View>,
 }
 
 impl DepthStream {
@@ -34,11 +35,6 @@ impl DepthStream {
             metres_per_unit,
             projector,
         })
-    }
-
-    /// The part of our image that the camera sees.
-    pub fn view(&self) -> Option<View> {
-        self.view
     }
 
     /// Bytes of an image.

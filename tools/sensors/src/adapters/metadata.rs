@@ -28,9 +28,12 @@ pub enum MetadataError {
 /// A scanner's beams and packets.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OusterDevice {
-    columns: usize,
-    columns_per_packet: usize,
-    rate_hz: f32,
+    /// Columns of a turn.
+    pub columns: usize,
+    /// Columns of a packet.
+    pub columns_per_packet: usize,
+    /// Turns in a second.
+    pub rate_hz: f32,
     /// Sine and cosine of each beam's elevation, and of its bearing beside its column's.
     beams: Vec<[f32; 4]>,
     altitudes_deg: Vec<f32>,
@@ -134,24 +137,9 @@ impl OusterDevice {
         })
     }
 
-    /// Columns of a turn.
-    pub fn columns(&self) -> usize {
-        self.columns
-    }
-
     /// Beams of a column.
     pub fn beams(&self) -> usize {
         self.beams.len()
-    }
-
-    /// Turns in a second.
-    pub fn rate_hz(&self) -> f32 {
-        self.rate_hz
-    }
-
-    /// Columns of a packet.
-    pub fn columns_per_packet(&self) -> usize {
-        self.columns_per_packet
     }
 
     /// The widest angle between neighbouring beams, degrees: across and down.

@@ -37,10 +37,12 @@ pub enum SetupError {
 /// Packets of one sensor become depth images. A turn of which a column in view is missing becomes none: what was not seen must not look
 /// free.
 pub struct OusterAdapter {
-    device: OusterDevice,
+    /// The sensor.
+    pub device: OusterDevice,
     mount: Mount,
     projector: Projector,
-    view: Option<View>,
+    /// The part of our image that it sees.
+    pub view: Option<View>,
     /// Columns in view, from the first to the one after the last.
     needed: std::ops::Range<usize>,
     turn: Option<Turn>,
@@ -66,8 +68,8 @@ impl OusterAdapter {
     pub fn new(device: OusterDevice, mount: Mount) -> Result<Self, SetupError> {
         let (across, down) = device.resolution_deg();
         let mut projector = Projector::new(Resolution::of_degrees(across, down)?);
-        let mut is_needed = Vec::with_capacity(device.columns());
-        for column in 0..device.columns() {
+        let mut is_needed = Vec::with_capacity(device.columns);
+        for column in 0..device.columns {
             let points = (0..device.beams()).filter_map(|beam| device.point_frd_m(column, beam, PROBE_MM));
             is_needed.push(projector.add_points(&mount, points).used > 0);
         }
@@ -92,23 +94,13 @@ impl OusterAdapter {
         })
     }
 
-    /// The part of our image that the sensor sees.
-    pub fn view(&self) -> Option<View> {
-        self.view
-    }
-
-    /// The sensor.
-    pub fn device(&self) -> &OusterDevice {
-        &self.device
-    }
-
     fn column_bytes(&self) -> usize {
         COLUMN_HEADER + BEAM_BYTES * self.device.beams() + COLUMN_STATUS
     }
 
     /// Bytes of a packet.
     pub fn packet_bytes(&self) -> usize {
-        self.column_bytes() * self.device.columns_per_packet()
+        self.column_bytes() * self.device.columns_per_packet
     }
 
     /// Takes a packet that arrived at `arrived_ns`. With the last column in view it writes the image and returns the time, on
@@ -173,7 +165,7 @@ impl OusterAdapter {
         let mut blocks = bytes.chunks_exact(self.column_bytes()).map(Block);
         let first = blocks.next()?;
         let (mut column, mut newest_ns) = (first.column(), first.stamp_ns());
-        let is_sound = |block: &Block<'_>| block.column() < self.device.columns() && block.encoder() < ENCODER_STEPS;
+        let is_sound = |block: &Block<'_>| block.column() < self.device.columns && block.encoder() < ENCODER_STEPS;
         if !is_sound(&first) {
             return None;
         }

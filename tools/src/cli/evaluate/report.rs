@@ -1,7 +1,7 @@
 //! What `vigil evaluate` says of its flights: the table, and the JSON.
 
 use crate::campaign::flights::Campaign;
-use crate::campaign::{FaultTally, Flight, SensorRecord, WatchRecord};
+use crate::campaign::{FaultTally, Flight, SensorRecord, WatchRecord, outcome_name};
 use crate::cli::output::{self, Paint, say};
 use crate::report::{TextTable, numbers, words};
 use crate::statistics::{quantile, wilson_95};
@@ -49,10 +49,6 @@ const OUTCOMES: [Option<Outcome>; 5] = [
     None,
 ];
 
-pub(super) fn name(outcome: Option<Outcome>) -> String {
-    outcome.map_or_else(|| "never took off".to_owned(), |o| o.to_string())
-}
-
 /// What a run cost on this machine.
 pub(super) struct Took {
     pub(super) wall_s: f64,
@@ -64,7 +60,7 @@ fn rates_of(flights: &[&Flight]) -> Vec<Rate> {
     let rate = |outcome| {
         let n = flights.iter().filter(|f| f.record.outcome == outcome).count();
         Rate {
-            outcome: name(outcome),
+            outcome: outcome_name(outcome).to_owned(),
             flights: n,
             share: n as f64 / flights.len().max(1) as f64,
             wilson_95: wilson_95(n, flights.len()),
@@ -151,13 +147,7 @@ pub(super) fn report<S: Serialize + DeserializeOwned + Sync>(
 ) -> Result<()> {
     let (settings, jobs) = (campaign.settings(), campaign.jobs());
     // All with one fault before the next.
-    let of_arm = |name| {
-        campaign
-            .flights()
-            .filter(move |(arm, _)| *arm == name)
-            .map(|(_, flight)| flight)
-    };
-    let flights: Vec<&Flight> = jobs.arms.iter().flat_map(of_arm).collect();
+    let flights: Vec<&Flight> = jobs.arms.iter().flat_map(|arm| campaign.flights_of(arm)).collect();
     let faults = jobs.arms.iter().filter(|arm| *arm != NO_FAULT);
     let tallies: Vec<FaultTally> = faults
         .map(|fault| {

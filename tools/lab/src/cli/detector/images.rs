@@ -1,10 +1,12 @@
 //! States with the SHAP images of all pixels, and the detectors of images beside ours on them.
 
 use super::Stage;
-use super::report::{curves_csv, curves_png, share, short};
+use super::report::{curves_png, share, short};
 use crate::cli::output::{Interrupt, Progress, git_commit, or_dash, say};
-use crate::detector_training::{ImageNetwork, States, WindowScorer};
-use crate::report::{TextTable, numbers, words};
+use crate::detector_training::{
+    ImageNetwork, States, WindowScorer, gather_states, image_fit, lstm_scores, pca_scores, row,
+};
+use crate::report::{TextTable, numbers, to_csv, words};
 use anyhow::{Context, Result};
 use std::path::Path;
 use vigil_sim::world::Family;
@@ -54,14 +56,7 @@ impl Stage<'_> {
                 bar.set_position(count as u64);
                 interrupt.flow()
             };
-            let (states, complete) = crate::detector_training::gather_states(
-                self.isa,
-                self.actor("images")?,
-                place,
-                size,
-                begun,
-                &mut progress,
-            )?;
+            let (states, complete) = gather_states(self.isa, self.actor("images")?, place, size, begun, &mut progress)?;
             bar.finish();
             if !complete {
                 states.save(&part)?;
@@ -93,7 +88,7 @@ impl Stage<'_> {
         let judged = load("images-judge.safetensors")?;
         let mut rows = Vec::new();
         for (network, paper) in [(ImageNetwork::Fcn, 0.56), (ImageNetwork::Cnn, 0.80)] {
-            let config = crate::detector_training::image_fit(epochs, seed);
+            let config = image_fit(epochs, seed);
             let steps = (learn.states.len().div_ceil(config.batch) * epochs) as u64;
             let bar = Progress::new(steps, "steps")?;
             let fitted = network.train(self.isa, (&learn, &choose), &config, &mut |step, epoch| {
@@ -105,28 +100,15 @@ impl Stage<'_> {
             })?;
             bar.finish();
             let name = network.name().to_lowercase().replace('-', "_");
-            self.write(&format!("{name}.csv"), curves_csv(&fitted.epochs))?;
+            self.write(&format!("{name}.csv"), to_csv(&fitted.epochs))?;
             self.write(&format!("{name}.png"), curves_png(&fitted.epochs))?;
             let scores = network.scores(self.isa, &fitted.params, &judged)?;
-            rows.push(crate::detector_training::row(
-                network.name(),
-                paper,
-                0.5,
-                &judged,
-                &scores,
-            ));
+            rows.push(row(network.name(), paper, 0.5, &judged, &scores));
         }
-        let lstm =
-            crate::detector_training::lstm_scores(self.isa, &self.pilot, &WindowScorer::from_frozen(&frozen), &judged)?;
-        rows.push(crate::detector_training::row(
-            "LSTM-AD",
-            0.91,
-            frozen.threshold,
-            &judged,
-            &lstm,
-        ));
-        let pca = crate::detector_training::pca_scores(&learn, &choose, &judged);
-        rows.push(crate::detector_training::row("PCA", 0.70, 1.0, &judged, &pca));
+        let lstm = lstm_scores(self.isa, &self.pilot, &WindowScorer::from_frozen(&frozen), &judged)?;
+        rows.push(row("LSTM-AD", 0.91, frozen.threshold, &judged, &lstm));
+        let pca = pca_scores(&learn, &choose, &judged);
+        rows.push(row("PCA", 0.70, 1.0, &judged, &pca));
         let mut table = TextTable::new([
             words("detector"),
             numbers("paper"),
@@ -135,11 +117,11 @@ impl Stage<'_> {
             numbers("false alarms %"),
             numbers("AUC"),
         ]);
-        for row in &rows {
-            let s = &row.separation;
+        for of in &rows {
+            let s = &of.separation;
             table.row([
-                row.detector.to_owned(),
-                format!("{:.0} %", 100.0 * row.paper),
+                of.detector.to_owned(),
+                format!("{:.0} %", 100.0 * of.paper),
                 share(&s.accuracy),
                 short(&s.detected),
                 short(&s.false_alarms),

@@ -2,8 +2,7 @@
 
 use crate::cli::output::or_dash;
 use crate::detector_training::{Epoch, Proportion, Report, Role, Separation, SetReport, auc};
-use crate::report::{Figure, Panel, Picture, Scale, TextTable, decimals, numbers, to_csv, words};
-use serde::Serialize;
+use crate::report::{Figure, Panel, Picture, Scale, TextTable, numbers, words};
 use std::fmt::Write as _;
 
 pub(super) fn percent(p: &Proportion) -> String {
@@ -29,27 +28,6 @@ pub(super) fn share(p: &Proportion) -> String {
 pub(super) fn short(p: &Proportion) -> String {
     p.share
         .map_or_else(|| "-".to_owned(), |share| format!("{:.2}", 100.0 * share))
-}
-
-/// A line of the curves beside a detector.
-#[derive(Serialize)]
-struct EpochLine {
-    epoch: usize,
-    #[serde(serialize_with = "decimals::<6, _, _>")]
-    train_loss: f64,
-    #[serde(serialize_with = "decimals::<6, _, _>")]
-    choose_loss: f64,
-    #[serde(serialize_with = "decimals::<6, _, _>")]
-    choose_accuracy: f64,
-}
-
-pub(super) fn curves_csv(epochs: &[Epoch]) -> String {
-    to_csv(epochs.iter().map(|e| EpochLine {
-        epoch: e.epoch,
-        train_loss: e.train_loss,
-        choose_loss: e.choose_loss,
-        choose_accuracy: e.choose_accuracy,
-    }))
 }
 
 pub(super) fn curves_png(epochs: &[Epoch]) -> Vec<u8> {

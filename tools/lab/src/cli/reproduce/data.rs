@@ -42,7 +42,8 @@ struct Index {
 /// A folder of units.
 #[derive(Debug, Clone)]
 pub struct Data {
-    folder: PathBuf,
+    /// Where it lies; each unit's command writes to a folder of its name in it.
+    pub folder: PathBuf,
     index: Index,
     /// Measured by this command, not read from the repository.
     pub is_fresh: bool,
@@ -86,16 +87,6 @@ impl Data {
             index,
             is_fresh,
         })
-    }
-
-    /// Where it lies.
-    pub fn folder(&self) -> &Path {
-        &self.folder
-    }
-
-    /// The folder that a unit's command writes to.
-    pub fn folder_of(&self, unit: &str) -> PathBuf {
-        self.folder.join(unit)
     }
 
     /// A unit, if it was measured.
@@ -274,7 +265,7 @@ mod tests {
     fn a_unit_is_there_when_its_files_are_whole_and_its_command_is_the_same() {
         let folder = tempfile::tempdir().unwrap();
         let mut data = Data::fresh(folder.path()).unwrap();
-        let file = data.folder_of("wall").join("table.json");
+        let file = data.folder.join("wall").join("table.json");
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
         assert!(
             data.enter("wall", unit("vigil wall"), &["table.json".to_owned()])

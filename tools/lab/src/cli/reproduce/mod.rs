@@ -111,38 +111,36 @@ impl MadeBy {
             );
             return output::write(&path, toml::to_string_pretty(self)?);
         }
-        let differences = Self::load(folder)?.differences(self, "this one's");
-        ensure!(
-            differences.is_empty(),
-            "{} holds results of something else: {}; name another folder with --output, or remove it",
-            folder.display(),
-            differences.join("; ")
-        );
+        self.expect_in(folder, "; name another folder with --output, or remove it")?;
         // What cannot be written is told before the work.
         output::write(&path, toml::to_string_pretty(self)?)
     }
 
-    fn load(folder: &Path) -> Result<Self> {
+    /// Fails where a folder's results are of something else, with all that differs and `advice`.
+    fn expect_in(&self, folder: &Path, advice: &str) -> Result<()> {
         let path = folder.join(MADE_BY);
         let text = vigil_types::files::read_text(&path, SMALL_FILE)
             .with_context(|| format!("cannot read {}", path.display()))?;
-        toml::from_str(&text).with_context(|| format!("{} is damaged", path.display()))
-    }
-
-    /// In what another differs from this one.
-    fn differences(&self, other: &Self, others_name: &str) -> Vec<String> {
-        [
-            ("version", &self.version, &other.version),
-            ("program", &self.program, &other.program),
-            ("commit", &self.commit, &other.commit),
-            ("mode", &self.mode, &other.mode),
-            ("actor", &self.actor_sha256, &other.actor_sha256),
-            ("detector", &self.detector_sha256, &other.detector_sha256),
+        let own: Self = toml::from_str(&text).with_context(|| format!("{} is damaged", path.display()))?;
+        let differences: Vec<String> = [
+            ("version", own.version, &self.version),
+            ("program", own.program, &self.program),
+            ("commit", own.commit, &self.commit),
+            ("mode", own.mode, &self.mode),
+            ("actor", own.actor_sha256, &self.actor_sha256),
+            ("detector", own.detector_sha256, &self.detector_sha256),
         ]
         .into_iter()
-        .filter(|(_, own, others)| own != others)
-        .map(|(what, own, others)| format!("its {what} is {own}, {others_name} {others}"))
-        .collect()
+        .filter(|(_, own, this)| own != *this)
+        .map(|(what, own, this)| format!("its {what} is {own}, this one's {this}"))
+        .collect();
+        ensure!(
+            differences.is_empty(),
+            "{} holds results of something else: {}{advice}",
+            folder.display(),
+            differences.join("; ")
+        );
+        Ok(())
     }
 }
 
@@ -213,16 +211,12 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
     let fresh = match args.committed {
         true => None,
         false => {
-            let mut fresh = measured_in(&args.output)?;
+            let folder = args.output.join("data");
+            std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+            let mut fresh = Data::fresh(&folder)?;
             let names: Vec<&str> = items.iter().flat_map(|item| item.units.iter().copied()).collect();
             for folder in &args.from {
-                let differences = MadeBy::load(folder)?.differences(&made_by, "this one's");
-                ensure!(
-                    differences.is_empty(),
-                    "{} holds results of something else: {}",
-                    folder.display(),
-                    differences.join("; ")
-                );
+                made_by.expect_in(folder, "")?;
                 units::take(&names, &setting, &Data::fresh(&folder.join("data"))?, &mut fresh)?;
             }
             whole = units::measure(&names, &setting, &mut fresh, &super::run_words)?;
@@ -244,13 +238,6 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The data folder of a folder of results, made if it is not there.
-fn measured_in(output: &Path) -> Result<Data> {
-    let folder = output.join("data");
-    std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    Data::fresh(&folder)
-}
-
 /// Makes the items and the page.
 fn make(items: &[&Item], sources: &Sources, output: &Path, made_by: &MadeBy) -> Result<()> {
     let made: Vec<Shown> = items.iter().map(|item| show(item, sources)).collect::<Result<_>>()?;
@@ -266,8 +253,7 @@ fn make(items: &[&Item], sources: &Sources, output: &Path, made_by: &MadeBy) -> 
 fn list() -> String {
     let mut table = TextTable::new([words("item"), words("what"), words("made of")]);
     for item in &ITEMS {
-        let units: Vec<&str> = item.units.to_vec();
-        table.row([item.id.to_owned(), item.title.to_owned(), units.join(", ")]);
+        table.row([item.id.to_owned(), item.title.to_owned(), item.units.join(", ")]);
     }
     table.to_string()
 }

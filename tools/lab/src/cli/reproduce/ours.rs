@@ -135,11 +135,8 @@ pub(super) fn alarm_delay(sources: &Sources) -> Result<Made> {
         }
     };
     let panel = |title: &str, line: Series| Panel {
-        title: title.to_owned(),
-        y_label: "share of windows".to_owned(),
-        series: vec![line],
-        thresholds: Vec::new(),
         top: Some(1.0),
+        ..Panel::of(title, "share of windows", [line])
     };
     let rising = report
         .rows

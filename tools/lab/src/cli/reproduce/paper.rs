@@ -25,19 +25,20 @@ pub(super) fn table_1(sources: &Sources) -> Result<Made> {
             "DDPG" => ("80 %", "27 456"),
             _ => ("97 %", "24 012"),
         };
-        for run in arm.tests() {
+        for training::Run { result, test, .. } in &arm.runs {
+            let completion = percent(test.completion());
             table.row([
-                format!("{}, seed {}", arm.name, run.seed),
-                format!("{} of {} ({})", run.successes, run.flights, percent(run.completion)),
-                between(run.interval),
+                format!("{}, seed {}", arm.name, result.seed),
+                format!("{} of {} ({completion})", test.successes, test.flights),
+                between(test.wilson_95),
                 NONE.to_owned(),
-                run.decisions.to_string(),
+                result.decisions.to_string(),
                 NONE.to_owned(),
             ]);
         }
         let (mean, half) = arm.mean();
         table.row([
-            format!("{}, mean of {} seeds", arm.name, arm.tests().count()),
+            format!("{}, mean of {} seeds", arm.name, arm.runs.len()),
             percent(mean),
             optional(half, |half| between((mean - half, (mean + half).min(1.0)))),
             paper.to_owned(),
@@ -230,11 +231,8 @@ pub(super) fn figure_11(sources: &Sources) -> Result<Made> {
             dashed: false,
         });
         Panel {
-            title: title.to_owned(),
-            y_label: "states deceived (share)".to_owned(),
-            series: series.collect(),
-            thresholds: Vec::new(),
             top: Some(1.0),
+            ..Panel::of(title, "states deceived (share)", series)
         }
     };
     let mut accumulating = shares("BIM, accumulating", Method::BimAccumulating);

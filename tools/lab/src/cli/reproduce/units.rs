@@ -130,7 +130,7 @@ impl Spec {
         interrupt: &Interrupt,
         run: &dyn Fn(Vec<OsString>) -> Result<ExitCode>,
     ) -> Result<bool> {
-        let folder = data.folder_of(&self.name);
+        let folder = data.folder.join(&self.name);
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
         // The attacker's copy: a campaign that is gone on with must name the same file.
         let copy = folder.join("known-detector.safetensors");
@@ -219,17 +219,17 @@ pub fn take(names: &[&str], setting: &Setting, from: &Data, data: &mut Data) -> 
             data.unit(&spec.name).is_none_or(|there| there == unit),
             "{} and {} contradict each other: {} came out differently. Flights come out the same on every machine, times do not: \
              leave one of the two out",
-            from.folder().display(),
-            data.folder().display(),
+            from.folder.display(),
+            data.folder.display(),
             spec.name
         );
         for file in unit.files.keys() {
-            let to = data.folder().join(file);
+            let to = data.folder.join(file);
             output::prepare(&to)?;
             output::write(&to, from.content(unit, file)?)?;
         }
         data.enter_whole(&spec.name, unit.clone())?;
-        say!("{}: taken from {}", spec.what, from.folder().display());
+        say!("{}: taken from {}", spec.what, from.folder.display());
     }
     Ok(())
 }

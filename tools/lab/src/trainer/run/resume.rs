@@ -1,12 +1,11 @@
 //! A run that is stored, and goes on from there to the bit.
 
-use super::{Candidate, Row, Run};
+use super::{Candidate, Run, SoFar};
 use crate::trainer::adam::Adam;
 use crate::trainer::config::LearnConfig;
-use crate::trainer::learner::UpdateReport;
 use crate::trainer::replay::Transition;
 use crate::trainer::store::{Stored, Values, save};
-use crate::trainer::worker::{EnvWorker, FlightReport, WorkerState};
+use crate::trainer::worker::{EnvWorker, WorkerState};
 use anyhow::{Result, ensure};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -19,7 +18,7 @@ const FORMAT: &str = "vigil learn checkpoint 1";
 struct RunState {
     format: String,
     config: String,
-    decisions: u64,
+    so_far: SoFar,
     updates: u64,
     elapsed_s: f64,
     random_at: (u64, u64),
@@ -28,11 +27,6 @@ struct RunState {
     lanes: Vec<(u64, u64)>,
     transitions: Vec<Vec<Transition>>,
     workers: Vec<WorkerState>,
-    rows: Vec<Row>,
-    sum: UpdateReport,
-    summed: u32,
-    ended: Vec<FlightReport>,
-    flights: Vec<(u64, FlightReport)>,
     candidates: Vec<(u64, f64)>,
 }
 
@@ -45,24 +39,11 @@ impl Run<'_> {
              and `evaluation` may change; resume with the same one, or train in another folder"
         );
         let same = state.format == FORMAT
-            && settings::from_toml(&state.config).is_ok_and(|saved: LearnConfig| {
-                let LearnConfig {
-                    threads,
-                    families,
-                    decisions,
-                    drawn_vehicle_share,
-                    evaluation,
-                    ..
-                } = self.config.clone();
+            && settings::from_toml(&state.config).is_ok_and(|mut saved: LearnConfig| {
+                let now = self.config.clone();
                 // What new flights are made of, and how long it goes on, may change; what is stored or learned may not.
-                let saved = LearnConfig {
-                    threads,
-                    families,
-                    decisions,
-                    drawn_vehicle_share,
-                    evaluation,
-                    ..saved
-                };
+                (saved.threads, saved.families, saved.decisions) = (now.threads, now.families, now.decisions);
+                (saved.drawn_vehicle_share, saved.evaluation) = (now.drawn_vehicle_share, now.evaluation);
                 saved == *self.config
             });
         let counts = [state.transitions.len(), state.workers.len(), self.config.environments];
@@ -106,9 +87,7 @@ impl Run<'_> {
         }
         let (high, low) = state.random_at;
         self.rng.set_word_pos(u128::from(high) << 64 | u128::from(low));
-        (self.decisions, self.earlier_s) = (state.decisions, state.elapsed_s);
-        (self.rows, self.sum, self.summed) = (state.rows, state.sum, state.summed);
-        (self.ended, self.flights) = (state.ended, state.flights);
+        (self.so_far, self.earlier_s) = (state.so_far, state.elapsed_s);
         self.begun = Instant::now();
         Ok(())
     }
@@ -121,7 +100,7 @@ impl Run<'_> {
         let state = RunState {
             format: FORMAT.to_owned(),
             config: self.config.to_toml(),
-            decisions: self.decisions,
+            so_far: self.so_far.clone(),
             updates: l.updates,
             elapsed_s: self.elapsed_s(),
             random_at: ((at >> 64) as u64, at as u64),
@@ -130,11 +109,6 @@ impl Run<'_> {
             lanes,
             transitions: self.replay.trajectories.iter().map(|l| l.transitions.clone()).collect(),
             workers: self.workers.iter().map(EnvWorker::state).collect(),
-            rows: self.rows.clone(),
-            sum: self.sum,
-            summed: self.summed,
-            ended: self.ended.clone(),
-            flights: self.flights.clone(),
             candidates: self.candidates.iter().map(|c| (c.updates, c.completion)).collect(),
         };
         let mut tensors = vec![
