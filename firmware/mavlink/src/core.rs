@@ -5,10 +5,11 @@ use crate::companion::{CompanionConfig, LinkCounters};
 use crate::framing::{CommandAck, Packet};
 use crate::operator::{ReplyTo, result};
 use crate::sender::Sender;
-use crate::status_text::StatusText;
+use crate::status_text::{NOTICE, StatusText};
 use crate::vehicle::Vehicle;
+use ::core::fmt::Arguments;
 use heapless::Vec;
-use mavlink::dialects::common::MavMessage;
+use mavlink::dialects::common::{MavMessage, MavSeverity};
 use vigil_types::{Datagrams, GuidanceState, Nanos, Reasons, STEP_NS};
 
 /// Answers that one step can owe: more than several links ask for in a step.
@@ -210,7 +211,12 @@ impl Core {
     }
 
     /// Says a text to everybody, and to whoever runs the program; also to a vehicle's link on which nobody answers yet, later.
-    pub fn tell(&mut self, out: &mut Datagrams, text: &StatusText) {
+    pub fn tell(&mut self, out: &mut Datagrams, severity: MavSeverity, text: Arguments<'_>) {
+        self.tell_text(out, &StatusText::new(severity, text));
+    }
+
+    /// The same for a text that is there.
+    pub fn tell_text(&mut self, out: &mut Datagrams, text: &StatusText) {
         if !self.vehicle_heard {
             if self.kept.is_full() {
                 self.kept.remove(0);
@@ -237,8 +243,8 @@ impl Core {
     }
 
     /// The last text: nothing of the step before is told beside it.
-    pub fn farewell(&mut self, out: &mut Datagrams, text: &StatusText) {
+    pub fn farewell(&mut self, out: &mut Datagrams) {
         self.told.clear();
-        self.tell(out, text);
+        self.tell(out, NOTICE, format_args!("guidance: shut down"));
     }
 }

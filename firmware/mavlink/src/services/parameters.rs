@@ -5,8 +5,8 @@ use crate::core::Core;
 use crate::framing::Packet;
 use crate::operator::ReplyTo;
 use crate::parameter_table::{ParameterRequest, Parameters, SetRefusal};
-use crate::report;
 use crate::service::{Service, Step};
+use crate::status_text::WARNING;
 use mavlink::MessageData;
 use mavlink::dialects::common::{MavParamError, PARAM_ERROR_DATA};
 use vigil_types::{Datagrams, Nanos};
@@ -92,7 +92,8 @@ impl Service for ParameterService {
 
     fn speak(&mut self, core: &mut Core, _: &Step<'_>, out: &mut Datagrams) {
         if let Some((index, refusal)) = self.refused.take() {
-            core.tell(out, &report::parameter_text(self.table.name(index), refusal.name()));
+            let text = format_args!("{} not set: {}", self.table.name(index), refusal.name());
+            core.tell(out, WARNING, text);
         }
     }
 }
