@@ -135,10 +135,7 @@ fn report(step: u64) -> StepReport {
         },
         goal: Some(goal),
         goal_relative: Some(goal.relative_to(&kinematics, &attitude)),
-        action: guided.then_some(Action {
-            forward_m_s: 1.5,
-            yaw: -0.25,
-        }),
+        action: guided.then_some(Action::new(1.5, -0.25)),
         judgement: None,
         alarm: None,
         setpoint: guided.then_some(VelocitySetpoint {

@@ -358,10 +358,7 @@ fn a_setpoint_is_sent_as_it_was_decided() {
         }),
     );
     let decided = StepReport {
-        action: Some(Action {
-            forward_m_s: 1.25,
-            yaw: -0.5,
-        }),
+        action: Some(Action::new(1.25, -0.5)),
         setpoint: Some(VelocitySetpoint {
             velocity_m_s: HeadingVector::new(1.25, 0.0, -0.125),
             yaw_rate_rad_s: -0.25,
@@ -403,10 +400,7 @@ fn values_are_named_and_come_four_times_a_second_and_at_once_on_change() {
             wake_late_ns: 30_000,
             slips: 2,
         },
-        goal_relative: Some(GoalRelative {
-            distance_m: 12.5,
-            bearing_rad: core::f32::consts::FRAC_PI_2,
-        }),
+        goal_relative: Some(GoalRelative::new(12.5, core::f32::consts::FRAC_PI_2)),
         frame_age_ns: Some(20_000_000),
         frames_refused: 3,
         reasons: Reasons::of(Reason::StaleFrame).with_if(true, Reason::Slip),

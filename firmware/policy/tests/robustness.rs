@@ -92,10 +92,7 @@ fn any_frame_and_any_pose_give_an_action_within_limits() {
                 step * 50_000_000 + 20_000_000
             },
             depth: &frame,
-            goal: GoalRelative {
-                distance_m: 10.0 * huge * next(),
-                bearing_rad: 6.2 * next() - 3.1,
-            },
+            goal: GoalRelative::new(10.0 * huge * next(), 6.2 * next() - 3.1),
             attitude: Attitude::from_euler_rad(0.5 * next(), next() - 0.5, 7.0 * next()),
             velocity_m_s: HeadingVector::new(4.0 * next() - 2.0, 2.0 * next() - 1.0, 0.0),
             height_m: 1.5,

@@ -68,10 +68,7 @@ impl Story {
             },
             telemetry_age_ns: 10_000_000,
             heartbeat_age_ns: Some(400_000_000),
-            action: Some(Action {
-                forward_m_s: 1.0,
-                yaw: 0.5,
-            }),
+            action: Some(Action::new(1.0, 0.5)),
             recovery: None,
             verdict: None,
             risk: QUIET,

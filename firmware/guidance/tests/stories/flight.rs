@@ -215,24 +215,8 @@ fn every_bad_input_is_a_hold_with_its_name_within_one_step() {
         (|s| s.telemetry_age_ns = 300_000_001, Reason::StaleTelemetry),
         (|s| s.heartbeat_age_ns = Some(1_500_000_001), Reason::LinkLost),
         (|s| s.position_ned_m.x = f32::NAN, Reason::NotFinite),
-        (
-            |s| {
-                s.action = Some(Action {
-                    forward_m_s: f32::INFINITY,
-                    yaw: 0.0,
-                })
-            },
-            Reason::NotFinite,
-        ),
-        (
-            |s| {
-                s.action = Some(Action {
-                    forward_m_s: 0.0,
-                    yaw: f32::NAN,
-                })
-            },
-            Reason::NotFinite,
-        ),
+        (|s| s.action = Some(Action::new(f32::INFINITY, 0.0)), Reason::NotFinite),
+        (|s| s.action = Some(Action::new(0.0, f32::NAN)), Reason::NotFinite),
         (|s| s.action = None, Reason::NotFinite),
         (|s| s.mode = VehicleMode::Hold, Reason::ModeLost),
         (|s| s.slips += 3, Reason::Slip),
@@ -273,15 +257,7 @@ fn nothing_is_sent_and_nothing_engages_while_an_input_is_missing() {
         (|s| s.telemetry_age_ns = 2_000_000_000, Reason::StaleTelemetry),
         (|s| s.heartbeat_age_ns = None, Reason::LinkLost),
         (|s| s.position_ned_m.y = f32::INFINITY, Reason::NotFinite),
-        (
-            |s| {
-                s.action = Some(Action {
-                    forward_m_s: f32::NAN,
-                    yaw: 0.0,
-                })
-            },
-            Reason::NotFinite,
-        ),
+        (|s| s.action = Some(Action::new(f32::NAN, 0.0)), Reason::NotFinite),
         (|s| s.battery = Some(0.14), Reason::LowBattery),
     ];
     for (spoil, reason) in stories {
@@ -426,10 +402,7 @@ fn a_firmware_that_starts_in_the_air_takes_the_vehicle_over() {
 #[test]
 fn actions_beyond_the_limits_are_clipped() {
     let mut s = Story::guided(GuidanceConfig::default());
-    s.action = Some(Action {
-        forward_m_s: -9.0,
-        yaw: 4.0,
-    });
+    s.action = Some(Action::new(-9.0, 4.0));
     let v = s.step().setpoint.unwrap();
     assert_eq!((v.velocity_m_s.x, v.velocity_m_s.y), (-1.5, 0.0));
     assert!((v.yaw_rate_rad_s.to_degrees() - 45.0).abs() < 1e-4);

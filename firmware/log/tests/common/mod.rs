@@ -137,14 +137,8 @@ impl Draw {
             goal: self.maybe(|d| Goal {
                 position_ned_m: d.vector(),
             }),
-            goal_relative: self.maybe(|d| GoalRelative {
-                distance_m: d.float(),
-                bearing_rad: d.float(),
-            }),
-            action: self.maybe(|d| Action {
-                forward_m_s: d.float(),
-                yaw: d.float(),
-            }),
+            goal_relative: self.maybe(|d| GoalRelative::new(d.float(), d.float())),
+            action: self.maybe(|d| Action::new(d.float(), d.float())),
             setpoint: self.maybe(|d| VelocitySetpoint {
                 velocity_m_s: d.vector(),
                 yaw_rate_rad_s: d.float(),

@@ -199,10 +199,7 @@ impl Flight {
         let fresh = telemetry
             .flight_data_age_ns(self.now_ns)
             .is_some_and(|age| age <= limit_ns);
-        let action = (self.sees && fresh && telemetry.is_finite()).then_some(Action {
-            forward_m_s: 1.0,
-            yaw: 0.0,
-        });
+        let action = (self.sees && fresh && telemetry.is_finite()).then_some(Action::new(1.0, 0.0));
         let output = self.guidance.step(&GuidanceInput {
             now_ns: self.now_ns,
             telemetry: &telemetry,

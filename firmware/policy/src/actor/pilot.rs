@@ -61,10 +61,7 @@ impl Pilot for ActorPilot {
         let scan = self.surroundings.observe(input);
         let Ok([forward_m_s, yaw]) = self.actor.decide(input) else {
             // Only an actor of other dimensions refuses a frame. An action that is not finite makes the caller hold.
-            return Action {
-                forward_m_s: f32::NAN,
-                yaw: f32::NAN,
-            };
+            return Action::new(f32::NAN, f32::NAN);
         };
         self.low_dim = Some(self.actor.low_dim());
         let own = Action { forward_m_s, yaw };

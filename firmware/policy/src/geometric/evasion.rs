@@ -238,10 +238,7 @@ pub fn evade<'a>(
     for speed in SPEEDS {
         let forward_m_s = speed * cruise_m_s;
         for yaw in YAWS {
-            let action = Action {
-                forward_m_s,
-                yaw: yaw * ACTION_LIMIT,
-            };
+            let action = Action::new(forward_m_s, yaw * ACTION_LIMIT);
             compare(
                 Plan {
                     action,
@@ -339,10 +336,7 @@ mod tests {
     use std::boxed::Box;
     use vigil_types::HeadingVector;
 
-    const WANTED: Action = Action {
-        forward_m_s: 1.5,
-        yaw: 0.0,
-    };
+    const WANTED: Action = Action::new(1.5, 0.0);
 
     fn decide(tracker: &MoverTracker, wanted: Action, last: Option<Plan>) -> Option<Plan> {
         let guesses = Guesses::new(tracker.movers(), 0.0);
@@ -491,10 +485,7 @@ mod tests {
             velocity_m_s: (-0.2, 0.7),
             radius_m: 0.3,
         };
-        let waiting = Action {
-            forward_m_s: 0.0,
-            yaw: 0.0,
-        };
+        let waiting = Action::new(0.0, 0.0);
         let plan = decide(&track(&scene, 30), waiting, None).expect("another plan");
         assert!(plan.action != waiting, "{plan:?}");
     }
