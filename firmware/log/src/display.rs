@@ -473,16 +473,16 @@ mod tests {
         let row = status(&record, None);
         assert!(row.north_m.is_nan() && row.goal_distance_m.is_nan() && row.frame_age_ms.is_nan());
         record.now_ns = 5_000_000;
-        record.report.telemetry.kinematics = Some(Kinematics {
-            at_ns: 2_000_000,
-            position_ned_m: NedVector::new(1.0, 2.0, -3.0),
-            velocity_ned_m_s: NedVector::new(3.0, 4.0, 0.5),
-        });
-        record.report.telemetry.attitude = Some(AttitudeSample {
-            at_ns: 4_000_000,
-            attitude: Attitude::from_euler_rad(0.0, 0.0, std::f32::consts::FRAC_PI_2),
-            rates_frd_rad_s: FrdVector::ZERO,
-        });
+        record.report.telemetry.kinematics = Some(Kinematics::new(
+            2_000_000,
+            NedVector::new(1.0, 2.0, -3.0),
+            NedVector::new(3.0, 4.0, 0.5),
+        ));
+        record.report.telemetry.attitude = Some(AttitudeSample::new(
+            4_000_000,
+            Attitude::from_euler_rad(0.0, 0.0, std::f32::consts::FRAC_PI_2),
+            FrdVector::ZERO,
+        ));
         let row = status(&record, None);
         assert_eq!((row.north_m, row.east_m, row.height_m), (1.0, 2.0, 3.0));
         assert_eq!((row.speed_m_s, row.climb_m_s, row.telemetry_age_ms), (5.0, -0.5, 3.0));

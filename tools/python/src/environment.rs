@@ -142,16 +142,8 @@ impl Begun {
 
 /// The goal as it is, not as it is estimated.
 fn seen_from(goal: &Goal, truth: &Truth) -> GoalRelative {
-    let kinematics = Kinematics {
-        at_ns: truth.at_ns,
-        position_ned_m: truth.position_ned_m,
-        velocity_ned_m_s: truth.velocity_ned_m_s,
-    };
-    let attitude = AttitudeSample {
-        at_ns: truth.at_ns,
-        attitude: truth.attitude,
-        rates_frd_rad_s: truth.rates_frd_rad_s,
-    };
+    let kinematics = Kinematics::new(truth.at_ns, truth.position_ned_m, truth.velocity_ned_m_s);
+    let attitude = AttitudeSample::new(truth.at_ns, truth.attitude, truth.rates_frd_rad_s);
     goal.relative_to(&kinematics, &attitude)
 }
 

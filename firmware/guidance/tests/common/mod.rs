@@ -119,16 +119,8 @@ impl Story {
                 mode: self.mode,
                 failsafe: self.failsafe,
             }),
-            kinematics: Some(Kinematics {
-                at_ns,
-                position_ned_m: self.position_ned_m,
-                velocity_ned_m_s: self.velocity_ned_m_s,
-            }),
-            attitude: Some(AttitudeSample {
-                at_ns,
-                attitude: Attitude::LEVEL_NORTH,
-                rates_frd_rad_s: FrdVector::ZERO,
-            }),
+            kinematics: Some(Kinematics::new(at_ns, self.position_ned_m, self.velocity_ned_m_s)),
+            attitude: Some(AttitudeSample::new(at_ns, Attitude::LEVEL_NORTH, FrdVector::ZERO)),
             landed: self.landed,
             battery_remaining: self.battery,
         }

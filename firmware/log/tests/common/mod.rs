@@ -112,16 +112,8 @@ impl Draw {
                 mode: modes[d.below(8) as usize],
                 failsafe: d.yes(),
             }),
-            kinematics: self.maybe(|d| Kinematics {
-                at_ns: d.bits(),
-                position_ned_m: d.vector(),
-                velocity_ned_m_s: d.vector(),
-            }),
-            attitude: self.maybe(|d| AttitudeSample {
-                at_ns: d.bits(),
-                attitude: d.attitude(),
-                rates_frd_rad_s: d.vector(),
-            }),
+            kinematics: self.maybe(|d| Kinematics::new(d.bits(), d.vector(), d.vector())),
+            attitude: self.maybe(|d| AttitudeSample::new(d.bits(), d.attitude(), d.vector())),
             landed: landed[self.below(5) as usize],
             battery_remaining: self.maybe(Self::float),
         }

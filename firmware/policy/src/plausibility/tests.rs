@@ -118,16 +118,8 @@ impl Flight {
                 mode: VehicleMode::External,
                 failsafe: false,
             }),
-            kinematics: Some(Kinematics {
-                at_ns: now_ns,
-                position_ned_m: self.position,
-                velocity_ned_m_s: velocity,
-            }),
-            attitude: Some(AttitudeSample {
-                at_ns: now_ns,
-                attitude,
-                rates_frd_rad_s: FrdVector::ZERO,
-            }),
+            kinematics: Some(Kinematics::new(now_ns, self.position, velocity)),
+            attitude: Some(AttitudeSample::new(now_ns, attitude, FrdVector::ZERO)),
             ..VehicleTelemetry::default()
         };
     }
