@@ -12,7 +12,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::gate::SigningGate;
-use vigil_firmware::ports::links::{PeerRule, SerialLink, TcpLink, UdpLink};
+use vigil_firmware::ports::links::{Gated, PeerRule};
 use vigil_firmware::ports::live::{MonotonicClock, SharedFrames};
 use vigil_firmware::ports::{Clock, Link};
 use vigil_firmware::step::Firmware;
@@ -414,7 +414,7 @@ const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
 
 #[test]
 fn a_udp_link_conforms() {
-    let link = UdpLink::open(
+    let link = Gated::open(
         &LinkUrl::UdpIn(([127, 0, 0, 1], 0).into()),
         VEHICLE,
         SigningGate::open(),
@@ -438,7 +438,7 @@ fn tcp_end(socket: TcpStream) -> StreamEnd<TcpStream> {
 
 #[test]
 fn a_tcp_server_conforms() {
-    let link = TcpLink::open(
+    let link = Gated::open(
         &LinkUrl::TcpIn(([127, 0, 0, 1], 0).into()),
         VEHICLE,
         SigningGate::open(),
@@ -452,7 +452,7 @@ fn a_tcp_server_conforms() {
 fn a_tcp_client_conforms() {
     let vehicle = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = LinkUrl::TcpOut(vehicle.local_addr().unwrap());
-    let mut link = TcpLink::open(&url, VEHICLE, SigningGate::open()).unwrap();
+    let mut link = Gated::open(&url, VEHICLE, SigningGate::open()).unwrap();
     // The first step's receiving calls.
     link.receive(MonotonicClock.now_ns(), &mut Datagrams::default());
     let (socket, _) = vehicle.accept().unwrap();
@@ -467,7 +467,7 @@ fn a_serial_line_conforms() {
         baud: 57_600,
     };
     let waiting = line.other_end();
-    let link = SerialLink::open(&url, SigningGate::open()).unwrap();
+    let link = Gated::open(&url, PeerRule::Anyone, SigningGate::open()).unwrap();
     let vehicle = StreamEnd {
         wire: line.master,
         framer: StreamFramer::default(),

@@ -7,7 +7,7 @@ use vigil_autopilot::{LinkId, SigningSetup};
 use vigil_io::gate::{AllowUnsigned, SigningFileError, SigningGate};
 use vigil_io::link_spec::{Budget, LinkSpec};
 use vigil_io::link_url::LinkUrl;
-use vigil_io::links::{AnyWire, LinkAdmission, LinkError, PeerRule, somebody_is_heard};
+use vigil_io::links::{LinkAdmission, LinkError, PeerRule, Wire, open_wire, somebody_is_heard};
 use vigil_mavlink::signing::{SIGNATURE_LEN, SigningCounters, SigningKey};
 use vigil_types::{Datagrams, Nanos};
 
@@ -59,7 +59,7 @@ pub enum LinksError {
 
 struct VehicleLink {
     id: LinkId,
-    wire: AnyWire,
+    wire: Box<dyn Wire>,
     allow_unsigned: AllowUnsigned,
     budget: Option<Budget>,
     over_budget: u64,
@@ -104,7 +104,7 @@ impl VehicleLinks {
             .into_iter()
             .map(|(id, udp)| VehicleLink {
                 id,
-                wire: udp.into(),
+                wire: Box::new(udp),
                 allow_unsigned,
                 budget: None,
                 over_budget: 0,
@@ -115,7 +115,7 @@ impl VehicleLinks {
             somebody_is_heard(&extra.url, gate.has_key(), policy)?;
             links.push(VehicleLink {
                 id: LinkId(links.len() as u8),
-                wire: AnyWire::open(&extra.url, PeerRule::Anyone)?,
+                wire: open_wire(&extra.url, PeerRule::Anyone)?,
                 allow_unsigned: policy,
                 budget: Budget::of(extra, f64::INFINITY),
                 over_budget: 0,
@@ -173,7 +173,7 @@ impl VehicleLinks {
                 link: 0,
             };
             link.wire
-                .receive_each(now_ns, &mut admission, &mut self.received, |sender, datagram| {
+                .receive_each(now_ns, &mut admission, &mut self.received, &mut |sender, datagram| {
                     on_datagram(link.id, sender, datagram);
                 });
         }

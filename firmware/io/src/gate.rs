@@ -4,6 +4,7 @@ mod files;
 
 pub use files::{SigningFileError, read_key};
 
+use crate::links::LinkStatistics;
 use files::SigningStateWriter;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -177,6 +178,15 @@ impl SigningGate {
     /// What was found in the datagrams that were looked into.
     pub fn framing(&self) -> FramingCounters {
         self.framing
+    }
+
+    /// Statistics of a wire with what the gate found in its datagrams, unless it finds the packets itself, and signing's.
+    pub(crate) fn statistics(&self, (wire, is_stream): (LinkStatistics, bool)) -> LinkStatistics {
+        LinkStatistics {
+            framing: if is_stream { wire.framing } else { self.framing },
+            signing: self.counters(),
+            ..wire
+        }
     }
 
     /// Before anything is received in a step: looks at the clock, and has the state stored once a second.

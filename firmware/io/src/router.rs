@@ -12,7 +12,9 @@
 use crate::Link;
 use crate::gate::SigningGate;
 use crate::link_spec::{Budget, LinkSpec};
-use crate::links::{AnyWire, LinkAdmission, LinkError, LinkStatistics, MAX_GROUND_LINKS, PeerRule, somebody_is_heard};
+use crate::links::{
+    LinkAdmission, LinkError, LinkStatistics, MAX_GROUND_LINKS, PeerRule, Wire, open_wire, somebody_is_heard,
+};
 use crate::value_rate::ValueRate;
 use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, Packet, packets, renumber, serialize};
@@ -51,7 +53,7 @@ pub struct RoutingCounters {
 }
 
 struct Port {
-    wire: AnyWire,
+    wire: Box<dyn Wire>,
     spec: LinkSpec,
     budget: Option<Budget>,
     /// How often values are told here.
@@ -75,7 +77,7 @@ impl Port {
             false => PeerRule::Anyone,
         };
         Ok(Self {
-            wire: AnyWire::open(&spec.url, rule)?,
+            wire: open_wire(&spec.url, rule)?,
             budget: Budget::of(spec, BURST_BYTES),
             values: ValueRate::new(spec.values_per_s()),
             spec: LinkSpec {
@@ -269,17 +271,8 @@ impl RoutedLinks {
 
     /// What the vehicle's link did not take or could not deliver, and what signing accepted and refused on all links.
     pub fn statistics(&self) -> LinkStatistics {
-        let (wire, is_stream) = self
-            .switch
-            .ports
-            .first()
-            .map(|p| p.wire.statistics())
-            .unwrap_or_default();
-        LinkStatistics {
-            framing: if is_stream { wire.framing } else { self.gate.framing() },
-            signing: self.gate.counters(),
-            ..wire
-        }
+        let of_vehicle = self.switch.ports.first().map(|p| p.wire.statistics());
+        self.gate.statistics(of_vehicle.unwrap_or_default())
     }
 
     /// What became of packets between links.
