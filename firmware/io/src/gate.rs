@@ -5,6 +5,7 @@ mod files;
 pub use files::{SigningFileError, read_key};
 
 use crate::links::LinkStatistics;
+use crate::throttle::Throttle;
 use files::SigningStateWriter;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -85,6 +86,7 @@ pub struct SigningGate {
     stored_ns: Nanos,
     /// Verdicts without a key.
     counters: SigningCounters,
+    keys_refused: Throttle,
     framing: FramingCounters,
     admitted: Box<[u8; MAX_DATAGRAM_BYTES]>,
     sealed: Box<[u8; MAX_PACKET_LEN + SIGNATURE_LEN]>,
@@ -109,6 +111,7 @@ impl SigningGate {
             now: 0,
             stored_ns: 0,
             counters: SigningCounters::default(),
+            keys_refused: Throttle::default(),
             framing: FramingCounters::default(),
             admitted: Box::new([0; MAX_DATAGRAM_BYTES]),
             sealed: Box::new([0; MAX_PACKET_LEN + SIGNATURE_LEN]),
@@ -220,6 +223,16 @@ impl SigningGate {
             None => Signing::new(key, 0, memory),
         });
         true
+    }
+
+    /// What to tell everybody of keys that were refused since the last call, at most every ten seconds.
+    pub fn refused_key(&mut self, now_ns: Nanos) -> Option<&'static str> {
+        let refused = self.counters().unsigned_key;
+        let text = match self.has_key() {
+            true => "signing key refused: not signed with present one",
+            false => "signing key refused: see --accept-first-key",
+        };
+        self.keys_refused.is_due(now_ns, refused).then_some(text)
     }
 
     /// Appends to `received` what may pass of a datagram; refused packets are left out and counted. Tells whether anything
