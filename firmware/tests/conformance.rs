@@ -248,18 +248,8 @@ struct Driver<S> {
     step: S,
 }
 
-/// Runs one step: number, time, frame, datagrams in, datagrams out.
-trait Stepper {
-    fn step(
-        &mut self,
-        now_ns: Nanos,
-        frame: Option<&DepthFrame>,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> StepReport;
-}
-
-impl<S: Stepper> Driver<S> {
+impl<S: FnMut(Nanos, Option<&DepthFrame>, &Datagrams, &mut Datagrams) -> StepReport> Driver<S> {
+    /// `step` runs one step: time, frame, datagrams in, datagrams out.
     fn new(step: S) -> Self {
         Self {
             now_ns: 0,
@@ -272,7 +262,7 @@ impl<S: Stepper> Driver<S> {
     }
 }
 
-impl<S: Stepper> Rig for Driver<S> {
+impl<S: FnMut(Nanos, Option<&DepthFrame>, &Datagrams, &mut Datagrams) -> StepReport> Rig for Driver<S> {
     fn now_ns(&mut self) -> Nanos {
         self.now_ns
     }
@@ -289,9 +279,7 @@ impl<S: Stepper> Rig for Driver<S> {
 
     fn step(&mut self) -> StepReport {
         let frame = self.frame.take();
-        let report = self
-            .step
-            .step(self.now_ns, frame.as_deref(), &self.received, &mut self.sent);
+        let report = (self.step)(self.now_ns, frame.as_deref(), &self.received, &mut self.sent);
         self.now_ns += STEP_NS;
         self.received.clear();
         self.arrived
@@ -301,43 +289,6 @@ impl<S: Stepper> Rig for Driver<S> {
 
     fn arrived(&mut self) -> Vec<Vec<u8>> {
         std::mem::take(&mut self.arrived)
-    }
-}
-
-impl Stepper for LockstepFirmware {
-    fn step(
-        &mut self,
-        now_ns: Nanos,
-        frame: Option<&DepthFrame>,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> StepReport {
-        *LockstepFirmware::step(self, now_ns, frame, received, sent)
-    }
-}
-
-struct Replayed {
-    firmware: Firmware,
-    record: Box<TickRecord>,
-    steps: u64,
-}
-
-impl Stepper for Replayed {
-    fn step(
-        &mut self,
-        now_ns: Nanos,
-        frame: Option<&DepthFrame>,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> StepReport {
-        let timing = StepTiming {
-            step: self.steps,
-            ..StepTiming::default()
-        };
-        self.steps += 1;
-        let (nothing, report) = (Datagrams::default(), StepReport::default());
-        self.record.fill(now_ns, timing, frame, received, &nothing, &report);
-        *replay::step_again(&mut self.firmware, &self.record, sent)
     }
 }
 
@@ -378,7 +329,7 @@ impl OtherProcess {
     }
 }
 
-impl Stepper for OtherProcess {
+impl OtherProcess {
     fn step(
         &mut self,
         now_ns: Nanos,
@@ -407,7 +358,10 @@ impl Drop for OtherProcess {
 
 #[test]
 fn lockstep_in_two_processes_conforms() {
-    suite(Driver::new(OtherProcess::start()));
+    let mut process = OtherProcess::start();
+    suite(Driver::new(move |now_ns, frame, received, sent| {
+        process.step(now_ns, frame, received, sent)
+    }));
 }
 
 const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
@@ -478,14 +432,21 @@ fn a_serial_line_conforms() {
 
 #[test]
 fn lockstep_in_one_process_conforms() {
-    suite(Driver::new(LockstepFirmware::new(&config()).unwrap()));
+    let mut firmware = LockstepFirmware::new(&config()).unwrap();
+    suite(Driver::new(move |now_ns, frame, received, sent| {
+        *firmware.step(now_ns, frame, received, sent)
+    }));
 }
 
 #[test]
 fn replay_conforms() {
-    suite(Driver::new(Replayed {
-        firmware: Firmware::new(&config().stack(), None).unwrap(),
-        record: Box::default(),
-        steps: 0,
+    let mut firmware = Firmware::new(&config().stack(), None).unwrap();
+    let mut record = Box::<TickRecord>::default();
+    let mut timing = StepTiming::default();
+    suite(Driver::new(move |now_ns, frame, received, sent| {
+        let (nothing, report) = (Datagrams::default(), StepReport::default());
+        record.fill(now_ns, timing, frame, received, &nothing, &report);
+        timing.step += 1;
+        *replay::step_again(&mut firmware, &record, sent)
     }));
 }

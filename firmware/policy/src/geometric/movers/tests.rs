@@ -48,10 +48,21 @@ pub(crate) fn track(scene: &Scene, frames: u64) -> MoverTracker {
 
 /// Watches a thing of this radius, which is there after so many seconds, from the origin for so many frames.
 fn watch(frames: u64, radius_m: f32, at: impl Fn(f32) -> (f32, f32)) -> MoverTracker {
+    watch_and_look(frames, radius_m, |frame| at(frame as f32 * 0.05), |_, _| {})
+}
+
+/// The same of a thing that is there in so many frames, looking at the tracker after each.
+fn watch_and_look(
+    frames: u64,
+    radius_m: f32,
+    at: impl Fn(u64) -> (f32, f32),
+    look: impl Fn(u64, &MoverTracker),
+) -> MoverTracker {
     let mut tracker = MoverTracker::new();
     for frame in 0..frames {
-        let scan = seen(NedVector::ZERO, at(frame as f32 * 0.05), radius_m);
+        let scan = seen(NedVector::ZERO, at(frame), radius_m);
         tracker.observe(&scan, NedVector::ZERO, 0.0, frame * 50_000_000);
+        look(frame, &tracker);
     }
     tracker
 }
@@ -173,49 +184,40 @@ fn what_stands_does_not_move_however_the_vehicle_does() {
 
 #[test]
 fn one_that_turned_back_out_of_sight_is_the_same_when_it_is_seen_again() {
-    let mut tracker = MoverTracker::new();
     // To the right for three seconds, away for two, then back from where it would not be had it gone on.
-    for frame in 0..160_u32 {
+    let at = |frame| {
         let at_s = frame as f32 * 0.05;
         let east_m = match frame {
             0..60 => 0.6 * at_s,
             60..100 => 50.0,
             _ => 2.4 - 0.6 * (at_s - 5.0),
         };
-        tracker.observe(
-            &seen(NedVector::ZERO, (3.0, east_m), 0.3),
-            NedVector::ZERO,
-            0.0,
-            u64::from(frame) * 50_000_000,
-        );
+        (3.0, east_m)
+    };
+    let tracker = watch_and_look(160, 0.3, at, |frame, tracker| {
+        let located = tracker.movers().filter(|m| m.is_located()).count();
         match frame {
-            59 | 159 => assert_eq!(tracker.movers().filter(|m| m.is_located()).count(), 1, "{frame}"),
-            99 => assert_eq!(tracker.movers().filter(|m| m.is_located()).count(), 0),
+            59 | 159 => assert_eq!(located, 1, "{frame}"),
+            99 => assert_eq!(located, 0),
             _ => {}
         }
         if frame > 104 {
             assert_eq!(tracker.movers().count(), 1, "{frame}: no second one");
         }
-    }
+    });
     let mover = tracker.movers().next().expect("it moves");
     assert!((mover.east_m_s + 0.6).abs() < 0.15, "{mover:?}");
 }
 
 #[test]
 fn what_stands_on_the_lane_of_a_lost_mover_does_not_take_its_place() {
-    let mut tracker = MoverTracker::new();
     // A mover goes to the right and is lost; a column comes into view beside its way, where the mover may be by then.
-    for frame in 0..120_u32 {
-        let at_s = frame as f32 * 0.05;
-        let place = if frame < 60 { (3.0, 0.6 * at_s) } else { (3.0, 2.1) };
-        let shown = if (60..70).contains(&frame) { (3.0, 50.0) } else { place };
-        tracker.observe(
-            &seen(NedVector::ZERO, shown, 0.3),
-            NedVector::ZERO,
-            0.0,
-            u64::from(frame) * 50_000_000,
-        );
-    }
+    let at = |frame| match frame {
+        0..60 => (3.0, 0.6 * (frame as f32 * 0.05)),
+        60..70 => (3.0, 50.0),
+        _ => (3.0, 2.1),
+    };
+    let tracker = watch_and_look(120, 0.3, at, |_, _| {});
     let lost: Vec<&Track> = tracker.movers().collect();
     assert_eq!(lost.len(), 1, "the column stands: {lost:?}");
     assert!(
@@ -238,19 +240,10 @@ fn the_trace_of_a_mover_is_forgotten_once() {
 
 #[test]
 fn one_that_stays_is_an_obstacle_like_others() {
-    let mut tracker = MoverTracker::new();
-    for frame in 0..120_u32 {
-        let east_m = 0.03 * frame.min(40) as f32;
-        tracker.observe(
-            &seen(NedVector::ZERO, (3.0, east_m), 0.3),
-            NedVector::ZERO,
-            0.0,
-            u64::from(frame) * 50_000_000,
-        );
-        if frame == 39 {
-            assert_eq!(tracker.movers().count(), 1);
-        }
-    }
+    let at = |frame: u64| (3.0, 0.03 * frame.min(40) as f32);
+    let tracker = watch_and_look(120, 0.3, at, |frame, tracker| {
+        assert!(frame != 39 || tracker.movers().count() == 1);
+    });
     assert_eq!(tracker.movers().count(), 0);
 }
 
