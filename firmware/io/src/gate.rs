@@ -15,7 +15,7 @@ use vigil_mavlink::signing::{
     carries_key, timestamp_of_unix_ns,
 };
 use vigil_types::settings::{FromRow, named_setting};
-use vigil_types::{Datagrams, Nanos, ParameterSpec};
+use vigil_types::{Datagrams, Nanos, ParameterSpec, named};
 
 /// Longest datagram that is read; MAVLink's longest packet is 293 bytes, senders may put several into one datagram.
 pub const MAX_DATAGRAM_BYTES: usize = 2048;
@@ -26,34 +26,21 @@ const STORE_AHEAD: u64 = 2 * UNITS_PER_SECOND;
 /// A SETUP_SIGNING may not set the time further ahead than any packet may be.
 const MAX_AHEAD: u64 = 60 * UNITS_PER_SECOND;
 
-/// From whom packets without a signature are accepted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
-pub enum AllowUnsigned {
-    /// Senders on this machine.
-    #[default]
-    Loopback,
-    /// Nobody.
-    Never,
-    /// Everybody who reaches the link.
-    Always,
+named! {
+    /// From whom packets without a signature are accepted.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+    pub enum AllowUnsigned {
+        /// Senders on this machine.
+        #[default]
+        Loopback => "loopback",
+        /// Nobody.
+        Never => "never",
+        /// Everybody who reaches the link.
+        Always => "always",
+    }
 }
 
 impl AllowUnsigned {
-    /// All values with their names.
-    pub const NAMES: [(&str, Self); 3] = [
-        ("loopback", Self::Loopback),
-        ("never", Self::Never),
-        ("always", Self::Always),
-    ];
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        Self::NAMES
-            .iter()
-            .find(|(_, value)| *value == self)
-            .map_or("", |(name, _)| name)
-    }
-
     /// Whether a sender needs no signature. `is_local`: it is on this machine.
     pub fn covers(self, is_local: bool) -> bool {
         match self {
@@ -64,7 +51,7 @@ impl AllowUnsigned {
     }
 }
 
-named_setting!(AllowUnsigned, AllowUnsigned::NAMES);
+named_setting!(AllowUnsigned, AllowUnsigned::ALL.map(|policy| (policy.name(), policy)));
 
 impl FromRow for AllowUnsigned {
     fn default_of(_: &ParameterSpec) -> Self {

@@ -268,18 +268,31 @@ struct Messages<'a, W: Write + Seek> {
 
 impl<W: Write + Seek> Messages<'_, W> {
     fn put(&mut self, channel_id: u16, message: &impl Message) -> McapResult<()> {
-        self.buffer.clear();
-        message
-            .encode(self.buffer)
-            .map_err(|error| McapError::Io(std::io::Error::other(error)))?;
-        self.writer.write_to_known_channel(
-            &MessageHeader {
-                channel_id,
-                sequence: self.sequence,
-                log_time: self.at_ns,
-                publish_time: self.at_ns,
-            },
+        put(
+            self.writer,
             self.buffer,
+            (channel_id, self.at_ns, self.sequence),
+            message,
         )
     }
+}
+
+/// Puts a message into a file: to this channel, at this time, with this number. `buffer` is overwritten.
+pub(crate) fn put<W: Write + Seek>(
+    writer: &mut mcap::Writer<W>,
+    buffer: &mut Vec<u8>,
+    (channel_id, at_ns, sequence): (u16, u64, u32),
+    message: &impl Message,
+) -> McapResult<()> {
+    buffer.clear();
+    let header = MessageHeader {
+        channel_id,
+        sequence,
+        log_time: at_ns,
+        publish_time: at_ns,
+    };
+    message
+        .encode(buffer)
+        .map_err(|error| McapError::Io(std::io::Error::other(error)))?;
+    writer.write_to_known_channel(&header, buffer)
 }

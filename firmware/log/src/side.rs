@@ -182,18 +182,8 @@ impl Sheet {
         sequence: u32,
         message: &impl Message,
     ) -> Result<(), SideError> {
-        self.buffer.clear();
-        let header = MessageHeader {
-            channel_id,
-            sequence,
-            log_time: at_ns,
-            publish_time: at_ns,
-        };
-        message
-            .encode(&mut self.buffer)
-            .map_err(|error| McapError::Io(io::Error::other(error)))
-            .and_then(|()| self.writer.write_to_known_channel(&header, &self.buffer))
-            .map_err(at(&self.path))
+        let place = (channel_id, at_ns, sequence);
+        log_file::put(&mut self.writer, &mut self.buffer, place, message).map_err(at(&self.path))
     }
 
     pub(crate) fn finish(mut self) -> Result<(), SideError> {

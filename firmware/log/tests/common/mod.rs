@@ -96,25 +96,16 @@ impl Draw {
     }
 
     fn telemetry(&mut self) -> VehicleTelemetry {
-        use VehicleMode::{External, Hold, Land, Mission, Other, Return, Takeoff, Unknown};
-        let modes = [Unknown, External, Hold, Takeoff, Land, Return, Mission, Other];
-        let landed = [
-            Landed::Unknown,
-            Landed::OnGround,
-            Landed::TakingOff,
-            Landed::InAir,
-            Landed::Landing,
-        ];
         VehicleTelemetry {
             heartbeat: self.maybe(|d| Heartbeat {
                 at_ns: d.bits(),
                 armed: d.yes(),
-                mode: modes[d.below(8) as usize],
+                mode: VehicleMode::ALL[d.below(8) as usize],
                 failsafe: d.yes(),
             }),
             kinematics: self.maybe(|d| Kinematics::new(d.bits(), d.vector(), d.vector())),
             attitude: self.maybe(|d| AttitudeSample::new(d.bits(), d.attitude(), d.vector())),
-            landed: landed[self.below(5) as usize],
+            landed: Landed::ALL[self.below(5) as usize],
             battery_remaining: self.maybe(Self::float),
         }
     }
