@@ -19,19 +19,6 @@ fn within_limits(a: Action) -> bool {
 }
 
 #[test]
-fn the_same_flight_twice_gives_the_same_bits() {
-    let fly = || fly(&scene(), pilot().as_mut(), 0.3, (14.0, 2.0), 20.0);
-    let (a, b) = (fly(), fly());
-    let bits = |actions: &[Action]| {
-        actions
-            .iter()
-            .map(|a| (a.forward_m_s.to_bits(), a.yaw.to_bits()))
-            .collect::<Vec<_>>()
-    };
-    assert!(a.reached && bits(&a.actions) == bits(&b.actions));
-}
-
-#[test]
 fn after_a_reset_nothing_of_the_first_flight_is_left() {
     let mut used = pilot();
     fly(
