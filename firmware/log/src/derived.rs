@@ -4,7 +4,7 @@
 use crate::display::{self, MAP_FRAME};
 use crate::log_file::{self, topic};
 use crate::proto::foxglove::packed_element_field::NumericType;
-use crate::proto::foxglove::{Grid, PackedElementField, PosesInFrame, RawImage, Vector2, Vector3};
+use crate::proto::foxglove::{Grid, PackedElementField, PosesInFrame, Vector2, Vector3};
 use crate::side::{Sheet, SideError, Writer, at};
 use mcap::McapError;
 use std::path::Path;
@@ -48,9 +48,9 @@ impl DerivedLog {
         let mut sheet = Sheet::create(path)?;
         let begin = |writer: &mut Writer| -> Result<_, McapError> {
             Ok((
-                log_file::channel::<Grid, _>(writer, topic::GRID)?,
-                log_file::channel::<PosesInFrame, _>(writer, topic::WAY)?,
-                log_file::channel::<RawImage, _>(writer, topic::SHAP)?,
+                log_file::channel(writer, topic::GRID, "foxglove.Grid")?,
+                log_file::channel(writer, topic::WAY, "foxglove.PosesInFrame")?,
+                log_file::channel(writer, topic::SHAP, "foxglove.RawImage")?,
             ))
         };
         let (grid, way, shap) = begin(&mut sheet.writer).map_err(at(path))?;
