@@ -12,6 +12,15 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
+    /// A thing of 0.3 m that begins there and moves so.
+    pub(crate) fn of(start_m: (f32, f32), velocity_m_s: (f32, f32)) -> Self {
+        Self {
+            start_m,
+            velocity_m_s,
+            radius_m: 0.3,
+        }
+    }
+
     pub(crate) fn at(&self, seconds: f32) -> (f32, f32) {
         (
             self.start_m.0 + self.velocity_m_s.0 * seconds,
@@ -128,11 +137,7 @@ fn what_was_seen_to_turn_at_both_ends_is_known_to_turn_there_again() {
 
 #[test]
 fn what_is_followed_for_the_first_time_may_turn_anywhere_ahead() {
-    let scene = Scene {
-        start_m: (4.0, -1.5),
-        velocity_m_s: (0.0, 0.6),
-        radius_m: 0.3,
-    };
+    let scene = Scene::of((4.0, -1.5), (0.0, 0.6));
     let tracker = track(&scene, 60);
     let mover = tracker.movers().next().expect("it moves");
     let all = whereabouts(mover);
@@ -152,11 +157,7 @@ fn what_is_followed_for_the_first_time_may_turn_anywhere_ahead() {
 
 #[test]
 fn what_moves_is_known_with_its_place_velocity_and_size() {
-    let scene = Scene {
-        start_m: (4.0, -1.5),
-        velocity_m_s: (0.1, 0.6),
-        radius_m: 0.3,
-    };
+    let scene = Scene::of((4.0, -1.5), (0.1, 0.6));
     let tracker = track(&scene, 40);
     let mover = tracker.movers().next().expect("it moves");
     let (north_m, east_m) = scene.at(39.0 * 0.05);
@@ -228,11 +229,7 @@ fn what_stands_on_the_lane_of_a_lost_mover_does_not_take_its_place() {
 
 #[test]
 fn the_trace_of_a_mover_is_forgotten_once() {
-    let scene = Scene {
-        start_m: (4.0, -1.5),
-        velocity_m_s: (0.0, 0.6),
-        radius_m: 0.3,
-    };
+    let scene = Scene::of((4.0, -1.5), (0.0, 0.6));
     assert_eq!(track(&scene, 12).traces().count(), 1, "just known to move");
     assert_eq!(track(&scene, 60).traces().count(), 0);
     assert_eq!(track(&scene, 60).movers().count(), 1);
@@ -249,11 +246,7 @@ fn one_that_stays_is_an_obstacle_like_others() {
 
 #[test]
 fn its_lane_is_where_it_was_seen_and_may_be_by_now() {
-    let scene = Scene {
-        start_m: (4.0, -1.5),
-        velocity_m_s: (0.0, 0.6),
-        radius_m: 0.3,
-    };
+    let scene = Scene::of((4.0, -1.5), (0.0, 0.6));
     let tracker = track(&scene, 60);
     let mover = tracker.movers().next().expect("it moves");
     assert!(mover.off_lane_m(4.0, 1.0, 0.0) < 0.9, "half a second ahead of it");
