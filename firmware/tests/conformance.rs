@@ -221,10 +221,7 @@ impl<L: Link, F: FarEnd> Rig for Live<L, F> {
     }
 
     fn step(&mut self) -> StepReport {
-        let timing = StepTiming {
-            step: self.steps,
-            ..StepTiming::default()
-        };
+        let timing = StepTiming::of_step(self.steps);
         self.steps += 1;
         *self
             .firmware

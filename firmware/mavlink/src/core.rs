@@ -22,28 +22,23 @@ const TOLD: usize = 16;
 const KEPT: usize = 8;
 
 /// Something that recurs at a fixed rate, whatever the jitter of the steps.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Periodic {
-    period_ns: Nanos,
     next_ns: Nanos,
 }
 
 impl Periodic {
-    pub const fn new(period_ns: Nanos) -> Self {
-        Self { period_ns, next_ns: 0 }
-    }
-
-    /// Whether it is due in this step: the one nearest to its time.
-    pub fn is_due(&mut self, now_ns: Nanos) -> bool {
+    /// Whether what recurs with this period is due in this step: the one nearest to its time.
+    pub fn is_due(&mut self, now_ns: Nanos, period_ns: Nanos) -> bool {
         if now_ns + STEP_NS / 2 < self.next_ns {
             return false;
         }
-        let on_grid_ns = self.next_ns + self.period_ns;
+        let on_grid_ns = self.next_ns + period_ns;
         // The first time, or after a gap, it begins anew.
         self.next_ns = if on_grid_ns > now_ns {
             on_grid_ns
         } else {
-            now_ns + self.period_ns
+            now_ns + period_ns
         };
         true
     }

@@ -1,6 +1,5 @@
 //! The command protocol: operators' requests to guidance. <https://mavlink.io/en/services/command.html>
 
-use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::{Command, Packet};
 use crate::operator::{LET_GO, PendingRequest, ReplyTo, decode, request_name, result, result_of, why};
@@ -29,10 +28,6 @@ pub(crate) struct CommandService {
 }
 
 impl CommandService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self::default()
-    }
-
     /// The next request of an operator.
     pub fn take_request(&mut self) -> Option<PendingRequest> {
         self.requests.pop_front()

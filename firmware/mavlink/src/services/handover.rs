@@ -4,7 +4,6 @@
 //! was acknowledged. The autopilots differ in the order of stages and in when they bear setpoints ([`Flavour`]).
 
 use crate::autopilot::{Flavour, command_number};
-use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::{Command, CommandForm, Packet};
 use crate::service::{Service, Step};
@@ -55,7 +54,7 @@ enum Stage {
 }
 
 /// Follows one request of guidance.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct HandoverService {
     flavour: Flavour,
     progress: HandoverProgress,
@@ -74,21 +73,6 @@ pub(crate) struct HandoverService {
 }
 
 impl HandoverService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self {
-            flavour: Flavour::default(),
-            progress: HandoverProgress::Idle,
-            tracker: Tracker::default(),
-            flying: false,
-            landing: false,
-            asked_mode: None,
-            refuses_place: false,
-            streaming_since_ns: None,
-            climbing_since_ns: None,
-            failed_ns: None,
-        }
-    }
-
     /// How far the vehicle is with it.
     pub fn progress(&self) -> HandoverProgress {
         self.progress

@@ -1,6 +1,5 @@
 //! The parameter protocol: the guidance computer's own parameters. <https://mavlink.io/en/services/parameter.html>
 
-use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::Packet;
 use crate::operator::ReplyTo;
@@ -19,10 +18,6 @@ pub(crate) struct ParameterService {
 }
 
 impl ParameterService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self::default()
-    }
-
     /// Answers with a parameter's value in force.
     fn tell_value(&self, core: &mut Core, link: u8, index: usize) {
         if let Some((message_id, payload)) = self.table.told(index, core.vehicle.flavour()) {

@@ -53,9 +53,10 @@ enum Next {
     Tell(Finding),
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 enum Stage {
     /// No hand-over, or its finding was told.
+    #[default]
     Idle,
     Reading,
     /// It was this long.
@@ -65,7 +66,7 @@ enum Stage {
 }
 
 /// Follows the one parameter.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct SetpointTimeoutService {
     flavour: Flavour,
     /// The vehicle may have the parameter of the guidance computer alone.
@@ -80,18 +81,6 @@ pub(crate) struct SetpointTimeoutService {
 }
 
 impl SetpointTimeoutService {
-    pub fn new(config: &CompanionConfig) -> Self {
-        Self {
-            flavour: Flavour::default(),
-            own: true,
-            longest_s: config.setpoint_timeout_s,
-            stage: Stage::Idle,
-            attempts: 0,
-            sent_ns: 0,
-            taking: false,
-        }
-    }
-
     /// The parameter's name.
     fn name(&self) -> &'static str {
         match self.flavour {
@@ -157,6 +146,14 @@ impl SetpointTimeoutService {
 }
 
 impl Service for SetpointTimeoutService {
+    fn new(config: &CompanionConfig) -> Self {
+        Self {
+            own: true,
+            longest_s: config.setpoint_timeout_s,
+            ..Self::default()
+        }
+    }
+
     fn hear_vehicle(&mut self, _: &mut Core, _: Nanos, packet: &Packet<'_>) {
         let payload = Zeroed(packet.payload());
         let Some(longest_s) = self.longest_s else { return };

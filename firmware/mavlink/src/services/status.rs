@@ -1,7 +1,6 @@
 //! What guidance is doing: NAMED_VALUE_FLOATs and STATUSTEXTs on changes.
 
 use crate::autopilot::Flavour;
-use crate::companion::CompanionConfig;
 use crate::core::{Core, Periodic};
 use crate::report::{self, InBrackets};
 use crate::service::{Service, Step};
@@ -11,23 +10,12 @@ use vigil_types::{Alarm, AlarmResponse, Datagrams, GuidanceState, Nanos, Reason,
 /// How often values are told, four times a second.
 pub(super) const VALUES_NS: Nanos = 250_000_000;
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct StatusService {
     values: Periodic,
     said_verdict: Option<Verdict>,
     said_alarm: Option<Alarm>,
     pilot_said: bool,
-}
-
-impl StatusService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self {
-            values: Periodic::new(VALUES_NS),
-            said_verdict: None,
-            said_alarm: None,
-            pilot_said: false,
-        }
-    }
 }
 
 impl Service for StatusService {
@@ -36,7 +24,7 @@ impl Service for StatusService {
         let now = (report.state, report.reasons);
         let before = core.said.replace(now);
         let (state_before, reasons_before) = (before.map(|b| b.0), before.map_or(Reasons::NONE, |b| b.1));
-        let due = self.values.is_due(report.now_ns);
+        let due = self.values.is_due(report.now_ns, VALUES_NS);
         if due || before != Some(now) {
             for message in report::state_values(report, reasons_before) {
                 core.say(out, &message);

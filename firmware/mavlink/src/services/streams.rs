@@ -159,7 +159,7 @@ impl Watched {
     }
 }
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct StreamService {
     watched: [Watched; NEEDED.len()],
     /// Of each needed message: an ArduPilot sends it too slowly unless asked.
@@ -174,24 +174,16 @@ pub(crate) struct StreamService {
 }
 
 impl StreamService {
-    pub fn new(config: &CompanionConfig) -> Self {
-        Self::of(Flavour::Px4, config.wants_mission_place)
-    }
-
     fn of(flavour: Flavour, wants_mission_place: bool) -> Self {
         let mut ask = [flavour == Flavour::ArduPilot; NEEDED.len()];
         if let Some(ask) = ask.get_mut(MISSION_PLACE) {
             *ask = wants_mission_place;
         }
         Self {
-            watched: [Watched::default(); NEEDED.len()],
             ask,
             wants_mission_place,
-            asked_ns: 0,
-            restarts: 0,
-            places_asked: 0,
             flavour,
-            slow: None,
+            ..Self::default()
         }
     }
 
@@ -287,6 +279,10 @@ impl StreamService {
 }
 
 impl Service for StreamService {
+    fn new(config: &CompanionConfig) -> Self {
+        Self::of(Flavour::Px4, config.wants_mission_place)
+    }
+
     fn hear_vehicle(&mut self, core: &mut Core, now_ns: Nanos, packet: &Packet<'_>) {
         for (needed, watched) in NEEDED.iter().zip(&mut self.watched) {
             if [needed.id, needed.or].contains(&packet.message_id()) {

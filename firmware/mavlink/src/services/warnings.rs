@@ -1,6 +1,5 @@
 //! What a person should know of vehicle and inputs, as STATUSTEXTs.
 
-use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::Packet;
 use crate::inputs::{self, MissingInputs};
@@ -16,7 +15,7 @@ const WRONG_VEHICLE_NS: Nanos = 30_000_000_000;
 /// Home is told of when it is this much elsewhere than last told, metres.
 const HOME_MOVED_M: f32 = 0.5;
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct WarningService {
     missing: MissingInputs,
     vehicle_named: bool,
@@ -25,19 +24,6 @@ pub(crate) struct WarningService {
     /// Somebody on the vehicle's link calls itself what we are.
     double_heard: bool,
     double_told_ns: Option<Nanos>,
-}
-
-impl WarningService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self {
-            missing: MissingInputs::default(),
-            vehicle_named: false,
-            wrong_vehicle_ns: None,
-            home_said_m: NedVector::ZERO,
-            double_heard: false,
-            double_told_ns: None,
-        }
-    }
 }
 
 impl Service for WarningService {
