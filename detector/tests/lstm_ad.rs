@@ -44,10 +44,7 @@ fn oracle(params: &[f32], rows: &[[f32; ROW]; WINDOW]) -> f64 {
         (16, Activation::Relu),
         (1, Activation::Sigmoid),
     ] {
-        let layer = Dense {
-            inputs: x.len(),
-            outputs,
-        };
+        let layer = Dense::new(x.len(), outputs);
         let (own, after) = rest.split_at(layer.inputs * outputs + outputs);
         x = dense(layer, curve, own, &x);
         rest = after;

@@ -66,10 +66,7 @@ impl Flight {
     fn tick(&mut self, inputs: &Inputs) {
         let input = TickInput {
             now_ns: inputs.step * STEP_NS,
-            timing: StepTiming {
-                step: inputs.step,
-                ..StepTiming::default()
-            },
+            timing: StepTiming::of_step(inputs.step),
             frame: inputs.frame.as_deref(),
             frame_known_altered: false,
             received: &inputs.received,

@@ -513,11 +513,7 @@ mod tests {
     fn gain_after_m_s2(seconds: f32, step_ns: Nanos) -> (f32, f32) {
         let attitude = Attitude::from_euler_rad(0.0, -0.297, 0.0);
         let lean = lean_ned_m_s2(attitude);
-        let mut now = Kinematics {
-            at_ns: 0,
-            position_ned_m: NedVector::ZERO,
-            velocity_ned_m_s: NedVector::ZERO,
-        };
+        let mut now = Kinematics::new(0, NedVector::ZERO, NedVector::ZERO);
         let mut air = Air::new(&now, lean);
         let step_s = step_ns as f32 * 1e-9;
         for _ in 0..(seconds / step_s) as u32 {
@@ -553,16 +549,12 @@ mod tests {
                 ..VehicleTelemetry::default()
             };
             let motion = Motion {
-                kinematics: Kinematics {
-                    at_ns: 0,
-                    position_ned_m: NedVector::new(0.0, 0.0, 0.4 - height_m),
-                    velocity_ned_m_s: NedVector::new(north_m_s, 0.0, 0.0),
-                },
-                sample: AttitudeSample {
-                    at_ns: 0,
-                    attitude: Attitude::LEVEL_NORTH,
-                    rates_frd_rad_s: FrdVector::ZERO,
-                },
+                kinematics: Kinematics::new(
+                    0,
+                    NedVector::new(0.0, 0.0, 0.4 - height_m),
+                    NedVector::new(north_m_s, 0.0, 0.0),
+                ),
+                sample: AttitudeSample::new(0, Attitude::LEVEL_NORTH, FrdVector::ZERO),
             };
             guarding.climbs(&telemetry, Some(&motion))
         };

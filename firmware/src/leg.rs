@@ -153,10 +153,7 @@ pub(crate) fn along_path(way: GoalRelative) -> GoalRelative {
 /// What the actor decided on its way along a path, or a turn on the spot to a path that leads aside.
 pub(crate) fn turned_to_path(way: GoalRelative, action: Action) -> Action {
     if way.bearing_rad.abs() > TURN_RAD {
-        Action {
-            forward_m_s: 0.0,
-            yaw: TURN_YAW.copysign(way.bearing_rad),
-        }
+        Action::new(0.0, TURN_YAW.copysign(way.bearing_rad))
     } else {
         action
     }
@@ -243,14 +240,8 @@ mod tests {
 
     #[test]
     fn a_path_that_leads_aside_is_turned_to_on_the_spot() {
-        let flown = Action {
-            forward_m_s: 1.2,
-            yaw: 0.1,
-        };
-        let way = |bearing_rad| GoalRelative {
-            distance_m: 90.0,
-            bearing_rad,
-        };
+        let flown = Action::new(1.2, 0.1);
+        let way = |bearing_rad| GoalRelative::new(90.0, bearing_rad);
         assert_eq!(turned_to_path(way(0.6), flown), flown);
         let turn = turned_to_path(way(-2.0), flown);
         assert_eq!((turn.forward_m_s, turn.yaw), (0.0, -1.0));

@@ -44,10 +44,7 @@ impl LockstepFirmware {
         sent: &mut Datagrams,
     ) -> &StepReport {
         sent.clear();
-        let timing = StepTiming {
-            step: self.steps,
-            ..StepTiming::default()
-        };
+        let timing = StepTiming::of_step(self.steps);
         self.steps += 1;
         self.firmware.step(
             timing,

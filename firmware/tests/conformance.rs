@@ -12,7 +12,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::gate::SigningGate;
-use vigil_firmware::ports::links::{PeerRule, SerialLink, TcpLink, UdpLink};
+use vigil_firmware::ports::links::{Gated, PeerRule};
 use vigil_firmware::ports::live::{MonotonicClock, SharedFrames};
 use vigil_firmware::ports::{Clock, Link};
 use vigil_firmware::step::Firmware;
@@ -221,10 +221,7 @@ impl<L: Link, F: FarEnd> Rig for Live<L, F> {
     }
 
     fn step(&mut self) -> StepReport {
-        let timing = StepTiming {
-            step: self.steps,
-            ..StepTiming::default()
-        };
+        let timing = StepTiming::of_step(self.steps);
         self.steps += 1;
         *self
             .firmware
@@ -248,18 +245,8 @@ struct Driver<S> {
     step: S,
 }
 
-/// Runs one step: number, time, frame, datagrams in, datagrams out.
-trait Stepper {
-    fn step(
-        &mut self,
-        now_ns: Nanos,
-        frame: Option<&DepthFrame>,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> StepReport;
-}
-
-impl<S: Stepper> Driver<S> {
+impl<S: FnMut(Nanos, Option<&DepthFrame>, &Datagrams, &mut Datagrams) -> StepReport> Driver<S> {
+    /// `step` runs one step: time, frame, datagrams in, datagrams out.
     fn new(step: S) -> Self {
         Self {
             now_ns: 0,
@@ -272,7 +259,7 @@ impl<S: Stepper> Driver<S> {
     }
 }
 
-impl<S: Stepper> Rig for Driver<S> {
+impl<S: FnMut(Nanos, Option<&DepthFrame>, &Datagrams, &mut Datagrams) -> StepReport> Rig for Driver<S> {
     fn now_ns(&mut self) -> Nanos {
         self.now_ns
     }
@@ -289,9 +276,7 @@ impl<S: Stepper> Rig for Driver<S> {
 
     fn step(&mut self) -> StepReport {
         let frame = self.frame.take();
-        let report = self
-            .step
-            .step(self.now_ns, frame.as_deref(), &self.received, &mut self.sent);
+        let report = (self.step)(self.now_ns, frame.as_deref(), &self.received, &mut self.sent);
         self.now_ns += STEP_NS;
         self.received.clear();
         self.arrived
@@ -301,43 +286,6 @@ impl<S: Stepper> Rig for Driver<S> {
 
     fn arrived(&mut self) -> Vec<Vec<u8>> {
         std::mem::take(&mut self.arrived)
-    }
-}
-
-impl Stepper for LockstepFirmware {
-    fn step(
-        &mut self,
-        now_ns: Nanos,
-        frame: Option<&DepthFrame>,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> StepReport {
-        *LockstepFirmware::step(self, now_ns, frame, received, sent)
-    }
-}
-
-struct Replayed {
-    firmware: Firmware,
-    record: Box<TickRecord>,
-    steps: u64,
-}
-
-impl Stepper for Replayed {
-    fn step(
-        &mut self,
-        now_ns: Nanos,
-        frame: Option<&DepthFrame>,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> StepReport {
-        let timing = StepTiming {
-            step: self.steps,
-            ..StepTiming::default()
-        };
-        self.steps += 1;
-        let (nothing, report) = (Datagrams::default(), StepReport::default());
-        self.record.fill(now_ns, timing, frame, received, &nothing, &report);
-        *replay::step_again(&mut self.firmware, &self.record, sent)
     }
 }
 
@@ -378,7 +326,7 @@ impl OtherProcess {
     }
 }
 
-impl Stepper for OtherProcess {
+impl OtherProcess {
     fn step(
         &mut self,
         now_ns: Nanos,
@@ -407,14 +355,17 @@ impl Drop for OtherProcess {
 
 #[test]
 fn lockstep_in_two_processes_conforms() {
-    suite(Driver::new(OtherProcess::start()));
+    let mut process = OtherProcess::start();
+    suite(Driver::new(move |now_ns, frame, received, sent| {
+        process.step(now_ns, frame, received, sent)
+    }));
 }
 
 const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
 
 #[test]
 fn a_udp_link_conforms() {
-    let link = UdpLink::open(
+    let link = Gated::open(
         &LinkUrl::UdpIn(([127, 0, 0, 1], 0).into()),
         VEHICLE,
         SigningGate::open(),
@@ -438,7 +389,7 @@ fn tcp_end(socket: TcpStream) -> StreamEnd<TcpStream> {
 
 #[test]
 fn a_tcp_server_conforms() {
-    let link = TcpLink::open(
+    let link = Gated::open(
         &LinkUrl::TcpIn(([127, 0, 0, 1], 0).into()),
         VEHICLE,
         SigningGate::open(),
@@ -452,7 +403,7 @@ fn a_tcp_server_conforms() {
 fn a_tcp_client_conforms() {
     let vehicle = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = LinkUrl::TcpOut(vehicle.local_addr().unwrap());
-    let mut link = TcpLink::open(&url, VEHICLE, SigningGate::open()).unwrap();
+    let mut link = Gated::open(&url, VEHICLE, SigningGate::open()).unwrap();
     // The first step's receiving calls.
     link.receive(MonotonicClock.now_ns(), &mut Datagrams::default());
     let (socket, _) = vehicle.accept().unwrap();
@@ -467,7 +418,7 @@ fn a_serial_line_conforms() {
         baud: 57_600,
     };
     let waiting = line.other_end();
-    let link = SerialLink::open(&url, SigningGate::open()).unwrap();
+    let link = Gated::open(&url, PeerRule::Anyone, SigningGate::open()).unwrap();
     let vehicle = StreamEnd {
         wire: line.master,
         framer: StreamFramer::default(),
@@ -478,14 +429,21 @@ fn a_serial_line_conforms() {
 
 #[test]
 fn lockstep_in_one_process_conforms() {
-    suite(Driver::new(LockstepFirmware::new(&config()).unwrap()));
+    let mut firmware = LockstepFirmware::new(&config()).unwrap();
+    suite(Driver::new(move |now_ns, frame, received, sent| {
+        *firmware.step(now_ns, frame, received, sent)
+    }));
 }
 
 #[test]
 fn replay_conforms() {
-    suite(Driver::new(Replayed {
-        firmware: Firmware::new(&config().stack(), None).unwrap(),
-        record: Box::default(),
-        steps: 0,
+    let mut firmware = Firmware::new(&config().stack(), None).unwrap();
+    let mut record = Box::<TickRecord>::default();
+    let mut timing = StepTiming::default();
+    suite(Driver::new(move |now_ns, frame, received, sent| {
+        let (nothing, report) = (Datagrams::default(), StepReport::default());
+        record.fill(now_ns, timing, frame, received, &nothing, &report);
+        timing.step += 1;
+        *replay::step_again(&mut firmware, &record, sent)
     }));
 }

@@ -9,7 +9,7 @@ use std::net::{SocketAddr, TcpStream, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
-use vigil_firmware::ports::links::{PeerRule, SerialLink, TcpLink, UdpLink};
+use vigil_firmware::ports::links::{Gated, PeerRule};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, encode, packets};
 use vigil_mavlink::signing::{SIGNATURE_LEN, Signing, SigningKey, SigningMemory};
@@ -190,7 +190,7 @@ fn loopback() -> SocketAddr {
 #[test]
 fn udp_is_fuzzed() {
     for has_key in [true, false] {
-        let link = UdpLink::open(&LinkUrl::UdpIn(loopback()), PeerRule::Anyone, gate(has_key)).unwrap();
+        let link = Gated::open(&LinkUrl::UdpIn(loopback()), PeerRule::Anyone, gate(has_key)).unwrap();
         let address = link.local_address().unwrap();
         let far = UdpSocket::bind(loopback()).unwrap();
         fuzz(link, |bytes| far.send_to(bytes, address), has_key);
@@ -200,7 +200,7 @@ fn udp_is_fuzzed() {
 #[test]
 fn tcp_is_fuzzed() {
     for has_key in [true, false] {
-        let link = TcpLink::open(&LinkUrl::TcpIn(loopback()), PeerRule::Anyone, gate(has_key)).unwrap();
+        let link = Gated::open(&LinkUrl::TcpIn(loopback()), PeerRule::Anyone, gate(has_key)).unwrap();
         let mut far = TcpStream::connect(link.local_address().unwrap()).unwrap();
         far.set_nonblocking(true).unwrap();
         fuzz(link, |bytes| far.write(bytes), has_key);
@@ -215,7 +215,7 @@ fn a_serial_line_is_fuzzed() {
             device: line.device.clone(),
             baud: 921_600,
         };
-        let link = SerialLink::open(&url, gate(has_key)).unwrap();
+        let link = Gated::open(&url, PeerRule::Anyone, gate(has_key)).unwrap();
         fuzz(link, |bytes| (&line.master).write(bytes), has_key);
     }
 }

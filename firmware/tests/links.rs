@@ -10,7 +10,7 @@ use std::time::Duration;
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
-use vigil_firmware::ports::links::{LinkError, PeerRule, SerialLink, TcpLink};
+use vigil_firmware::ports::links::{Gated, LinkError, PeerRule};
 use vigil_firmware::ports::router::RoutedLinks;
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavAutopilot, MavMessage};
 use vigil_mavlink::framing::{FramingCounters, StreamFramer, encode};
@@ -58,11 +58,11 @@ fn say(link: &mut impl Link, packets: &[Vec<u8>]) {
     link.send(&sent);
 }
 
-fn server() -> TcpLink {
-    TcpLink::open(&LinkUrl::TcpIn(loopback()), VEHICLE, SigningGate::open()).unwrap()
+fn server() -> Gated {
+    Gated::open(&LinkUrl::TcpIn(loopback()), VEHICLE, SigningGate::open()).unwrap()
 }
 
-fn caller(link: &TcpLink) -> TcpStream {
+fn caller(link: &Gated) -> TcpStream {
     TcpStream::connect(link.local_address().unwrap()).unwrap()
 }
 
@@ -103,7 +103,7 @@ fn a_client_waits_for_its_peer_and_finds_it_again() {
         // A port that is free at this moment.
         TcpListener::bind(loopback()).unwrap().local_addr().unwrap()
     };
-    let mut link = TcpLink::open(&LinkUrl::TcpOut(address), VEHICLE, SigningGate::open()).unwrap();
+    let mut link = Gated::open(&LinkUrl::TcpOut(address), VEHICLE, SigningGate::open()).unwrap();
     for second in 1..4 {
         assert!(heard(&mut link, second * SECOND).is_empty());
         say(&mut link, &[packet(0)]);
@@ -133,7 +133,7 @@ fn a_client_waits_for_its_peer_and_finds_it_again() {
 #[test]
 fn a_client_calls_anew_when_the_network_lost_its_peer_without_a_word() {
     let listener = TcpListener::bind(loopback()).unwrap();
-    let mut link = TcpLink::open(
+    let mut link = Gated::open(
         &LinkUrl::TcpOut(listener.local_addr().unwrap()),
         VEHICLE,
         SigningGate::open(),
@@ -177,7 +177,7 @@ fn a_peer_that_does_not_read_costs_packets_and_neither_time_nor_the_framing() {
 fn a_port_in_use_is_named() {
     let link = server();
     let url = LinkUrl::TcpIn(link.local_address().unwrap());
-    let error = TcpLink::open(&url, VEHICLE, SigningGate::open()).err().unwrap();
+    let error = Gated::open(&url, VEHICLE, SigningGate::open()).err().unwrap();
     assert!(matches!(error, LinkError::InUse { .. }));
     assert!(error.to_string().contains(&url.to_string()), "{error}");
 }
@@ -192,7 +192,7 @@ fn a_serial_device_that_disappears_and_returns_is_found_again() {
         device: device.to_str().unwrap().to_owned(),
         baud: 921_600,
     };
-    let mut link = SerialLink::open(&url, SigningGate::open()).unwrap();
+    let mut link = Gated::open(&url, PeerRule::Anyone, SigningGate::open()).unwrap();
     line.master.write_all(&packet(1)).unwrap();
     assert_eq!(heard_soon(&mut link, SECOND), [packet(1)]);
 
@@ -239,7 +239,10 @@ fn a_device_that_is_not_there_or_no_line_is_named() {
             device: device.to_owned(),
             baud: 57_600,
         };
-        let error = SerialLink::open(&url, SigningGate::open()).err().unwrap().to_string();
+        let error = Gated::open(&url, PeerRule::Anyone, SigningGate::open())
+            .err()
+            .unwrap()
+            .to_string();
         assert!(error.contains(device), "{error}");
     }
 }

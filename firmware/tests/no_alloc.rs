@@ -131,10 +131,7 @@ fn whole_flight_of(config: &FirmwareConfig, change: impl FnOnce(&mut StackConfig
         let (frame, received) = (vehicle.frame(now_ns), vehicle.telemetry());
         let input = TickInput {
             now_ns,
-            timing: StepTiming {
-                step,
-                ..StepTiming::default()
-            },
+            timing: StepTiming::of_step(step),
             // Frames stay out for a while in flight, so that the paths of a hold are walked too.
             frame: (!(500..520).contains(&step)).then_some(&*frame),
             frame_known_altered: false,
@@ -178,10 +175,7 @@ fn a_guarded_flight_that_is_stopped_and_flown_around_allocates_nothing() {
         }
         let input = TickInput {
             now_ns,
-            timing: StepTiming {
-                step,
-                ..StepTiming::default()
-            },
+            timing: StepTiming::of_step(step),
             frame: Some(&*frame),
             frame_known_altered: false,
             received: &received,

@@ -232,10 +232,7 @@ impl<N: Network> Flight<N> {
             self.network.shout(i % STRANGERS, bytes);
         }
         let frame = self.vehicle.frame(now_ns);
-        let timing = StepTiming {
-            step: self.step,
-            ..StepTiming::default()
-        };
+        let timing = StepTiming::of_step(self.step);
         let (clock, frames) = (&mut HandedClock(now_ns), &mut HandedFrame::new(Some(&frame)));
         let report = *self.firmware.step(timing, clock, frames, &mut self.links);
         for packet in self.network.heard() {

@@ -4,7 +4,7 @@ use std::net::{SocketAddr, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
-use vigil_firmware::ports::links::{LinkError, PeerRule, UdpLink};
+use vigil_firmware::ports::links::{Gated, LinkError, PeerRule};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavMessage, MavType};
 use vigil_mavlink::framing::encode as packet;
 use vigil_types::{Datagrams, Nanos};
@@ -17,8 +17,8 @@ fn loopback() -> SocketAddr {
 
 const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
 
-fn listening() -> UdpLink {
-    UdpLink::open(&LinkUrl::UdpIn(loopback()), VEHICLE, SigningGate::open()).unwrap()
+fn listening() -> Gated {
+    Gated::open(&LinkUrl::UdpIn(loopback()), VEHICLE, SigningGate::open()).unwrap()
 }
 
 /// A heartbeat as of this autopilot.
@@ -37,20 +37,20 @@ fn vehicle(sequence: u8) -> Vec<u8> {
 }
 
 /// A sender that is connected to the link.
-fn caller(link: &UdpLink) -> UdpSocket {
+fn caller(link: &Gated) -> UdpSocket {
     let socket = UdpSocket::bind(loopback()).unwrap();
     socket.connect(link.local_address().unwrap()).unwrap();
     socket.set_nonblocking(true).unwrap();
     socket
 }
 
-fn heard(link: &mut UdpLink, now_ns: Nanos) -> Vec<Vec<u8>> {
+fn heard(link: &mut Gated, now_ns: Nanos) -> Vec<Vec<u8>> {
     let mut received = Datagrams::default();
     link.receive(now_ns, &mut received);
     received.iter().map(|(_, datagram)| datagram.to_vec()).collect()
 }
 
-fn say(link: &mut UdpLink, datagram: &[u8]) {
+fn say(link: &mut Gated, datagram: &[u8]) {
     let mut sent = Datagrams::default();
     assert!(sent.push(0, datagram));
     link.send(&sent);
@@ -96,7 +96,7 @@ fn who_is_no_vehicle_does_not_become_the_peer_whatever_he_sends() {
         [&vehicle(0)[..20], b"x"].concat(),
     ];
     for (rule, system) in &mut rules {
-        let mut link = UdpLink::open(&LinkUrl::UdpIn(loopback()), rule, SigningGate::open()).unwrap();
+        let mut link = Gated::open(&LinkUrl::UdpIn(loopback()), rule, SigningGate::open()).unwrap();
         let (stranger, vehicle_end) = (caller(&link), caller(&link));
         for (second, datagram) in (1..).zip(&no_vehicles) {
             stranger.send(datagram).unwrap();
@@ -125,7 +125,7 @@ fn who_is_no_vehicle_does_not_become_the_peer_whatever_he_sends() {
     }
     // Where all must sign, who cannot is no vehicle.
     let gate = SigningGate::new(None, AllowUnsigned::Never);
-    let mut link = UdpLink::open(&LinkUrl::UdpIn(loopback()), VEHICLE, gate).unwrap();
+    let mut link = Gated::open(&LinkUrl::UdpIn(loopback()), VEHICLE, gate).unwrap();
     let stranger = caller(&link);
     stranger.send(&vehicle(0)).unwrap();
     assert!(heard(&mut link, SECOND).is_empty());
@@ -178,7 +178,7 @@ fn a_vehicle_that_was_silent_goes_on_with_any_packet_and_a_peer_that_talks_garba
 fn a_calling_link_hears_only_whom_it_calls() {
     let vehicle = UdpSocket::bind(loopback()).unwrap();
     let url = LinkUrl::UdpOut(vehicle.local_addr().unwrap());
-    let mut link = UdpLink::open(&url, VEHICLE, SigningGate::open()).unwrap();
+    let mut link = Gated::open(&url, VEHICLE, SigningGate::open()).unwrap();
     say(&mut link, b"hello");
     let mut buffer = [0; 64];
     let (len, from) = vehicle.recv_from(&mut buffer).unwrap();
@@ -194,7 +194,7 @@ fn a_calling_link_hears_only_whom_it_calls() {
 #[test]
 fn the_same_by_ipv6() {
     let here: SocketAddr = ([0, 0, 0, 0, 0, 0, 0, 1], 0).into();
-    let Ok(mut link) = UdpLink::open(&LinkUrl::UdpIn(here), VEHICLE, SigningGate::open()) else {
+    let Ok(mut link) = Gated::open(&LinkUrl::UdpIn(here), VEHICLE, SigningGate::open()) else {
         // A machine without it.
         return;
     };
@@ -255,7 +255,7 @@ fn a_peer_that_closed_its_port_does_not_disturb_the_link() {
 fn a_port_in_use_is_named() {
     let link = listening();
     let url = LinkUrl::UdpIn(link.local_address().unwrap());
-    let error = UdpLink::open(&url, VEHICLE, SigningGate::open()).err().unwrap();
+    let error = Gated::open(&url, VEHICLE, SigningGate::open()).err().unwrap();
     assert!(matches!(error, LinkError::InUse { .. }));
     assert!(error.to_string().contains(&url.to_string()), "{error}");
 }

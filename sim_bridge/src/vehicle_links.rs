@@ -7,12 +7,10 @@ use vigil_autopilot::{LinkId, SigningSetup};
 use vigil_io::gate::{AllowUnsigned, SigningFileError, SigningGate};
 use vigil_io::link_spec::{Budget, LinkSpec};
 use vigil_io::link_url::LinkUrl;
-use vigil_io::links::{AnyWire, LinkAdmission, LinkError, PeerRule, somebody_is_heard};
+use vigil_io::links::{LinkAdmission, LinkError, PeerRule, Wire, open_wire, somebody_is_heard};
 use vigil_mavlink::signing::{SIGNATURE_LEN, SigningCounters, SigningKey};
 use vigil_types::{Datagrams, Nanos};
 
-/// Refused keys are told of this often at most: an attacker must not fill the links.
-const KEY_REFUSED_NS: Nanos = 10_000_000_000;
 /// Links by URL, besides the three that every vehicle has.
 pub const MAX_EXTRA_LINKS: usize = 4;
 
@@ -59,7 +57,7 @@ pub enum LinksError {
 
 struct VehicleLink {
     id: LinkId,
-    wire: AnyWire,
+    wire: Box<dyn Wire>,
     allow_unsigned: AllowUnsigned,
     budget: Option<Budget>,
     over_budget: u64,
@@ -70,9 +68,6 @@ pub struct VehicleLinks {
     links: Vec<VehicleLink>,
     gate: SigningGate,
     now_ns: Nanos,
-    /// Keys that the gate had refused when it was last told, and when it may be told again.
-    keys_refused: u64,
-    key_refused_next_ns: Nanos,
     received: Box<Datagrams>,
     to_send: Box<Datagrams>,
 }
@@ -104,7 +99,7 @@ impl VehicleLinks {
             .into_iter()
             .map(|(id, udp)| VehicleLink {
                 id,
-                wire: udp.into(),
+                wire: Box::new(udp),
                 allow_unsigned,
                 budget: None,
                 over_budget: 0,
@@ -115,7 +110,7 @@ impl VehicleLinks {
             somebody_is_heard(&extra.url, gate.has_key(), policy)?;
             links.push(VehicleLink {
                 id: LinkId(links.len() as u8),
-                wire: AnyWire::open(&extra.url, PeerRule::Anyone)?,
+                wire: open_wire(&extra.url, PeerRule::Anyone)?,
                 allow_unsigned: policy,
                 budget: Budget::of(extra, f64::INFINITY),
                 over_budget: 0,
@@ -125,8 +120,6 @@ impl VehicleLinks {
             links,
             gate,
             now_ns: 0,
-            keys_refused: 0,
-            key_refused_next_ns: 0,
             received: Box::default(),
             to_send: Box::default(),
         })
@@ -149,16 +142,7 @@ impl VehicleLinks {
 
     /// What to tell everybody of keys that were refused since the last call, at most every ten seconds.
     pub fn refused_key(&mut self) -> Option<&'static str> {
-        let refused = self.gate.counters().unsigned_key;
-        let is_news = refused > self.keys_refused && self.now_ns >= self.key_refused_next_ns;
-        is_news.then(|| {
-            self.keys_refused = refused;
-            self.key_refused_next_ns = self.now_ns + KEY_REFUSED_NS;
-            match self.gate.has_key() {
-                true => "signing key refused: not signed with present one",
-                false => "signing key refused: see --accept-first-key",
-            }
-        })
+        self.gate.refused_key(self.now_ns)
     }
 
     /// Hands over every datagram that has come and may pass, without waiting: the link, a number for the end of it that
@@ -173,7 +157,7 @@ impl VehicleLinks {
                 link: 0,
             };
             link.wire
-                .receive_each(now_ns, &mut admission, &mut self.received, |sender, datagram| {
+                .receive_each(now_ns, &mut admission, &mut self.received, &mut |sender, datagram| {
                     on_datagram(link.id, sender, datagram);
                 });
         }

@@ -159,35 +159,6 @@ fn a_flight_leaves_the_vehicle_s_patience_with_scripts_as_it_was() {
     );
 }
 
-#[test]
-fn a_blind_firmware_stops_asking_for_motion_in_the_step_that_finds_out() {
-    let mut pair = Pair::new(Family::Training, 12);
-    pair.fly_guided(40);
-    let blind_since_ns = pair.simulator.now_ns();
-    loop {
-        pair.simulate();
-        let report = pair.decide(false);
-        assert!(
-            pair.simulator.now_ns() - blind_since_ns <= HALF_A_SECOND_NS,
-            "still {:?}",
-            report.state
-        );
-        if report.state == GuidanceState::Hold {
-            assert!(report.reasons.contains(Reason::StaleFrame));
-            let setpoint = report.setpoint.expect("zeros are sent, not nothing");
-            assert_eq!(
-                (
-                    setpoint.velocity_m_s.x,
-                    setpoint.velocity_m_s.y,
-                    setpoint.yaw_rate_rad_s
-                ),
-                (0.0, 0.0, 0.0)
-            );
-            return;
-        }
-    }
-}
-
 /// Guidance computer, vehicle and a ground station, in lockstep.
 struct Card {
     pair: Pair,

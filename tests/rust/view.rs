@@ -17,10 +17,7 @@ fn short_log(folder: &Path) -> PathBuf {
     .expect("a log");
     let nothing = Datagrams::default();
     for step in 0..3 {
-        let timing = StepTiming {
-            step,
-            ..StepTiming::default()
-        };
+        let timing = StepTiming::of_step(step);
         let report = StepReport::default();
         recorder
             .record(|slot: &mut TickRecord| slot.fill(50_000_000 * step, timing, None, &nothing, &nothing, &report));

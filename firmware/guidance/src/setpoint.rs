@@ -64,10 +64,7 @@ mod tests {
         let goal = Goal {
             position_ned_m: NedVector::new(20.0, 0.0, -2.0),
         };
-        let ahead = Action {
-            forward_m_s: 1.2,
-            yaw: 0.3,
-        };
+        let ahead = Action::new(1.2, 0.3);
         let forward_m_s = |height_m: f32| {
             let here = NedVector::new(0.0, 0.0, -height_m);
             let setpoint = guided_setpoint(&config, ahead, goal, here);

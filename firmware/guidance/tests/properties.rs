@@ -145,10 +145,7 @@ fn good(s: &mut Story) {
         ..FrameStatus::default()
     };
     (s.telemetry_age_ns, s.heartbeat_age_ns, s.battery) = (0, Some(0), Some(0.9));
-    s.action = Some(Action {
-        forward_m_s: 1.2,
-        yaw: -0.7,
-    });
+    s.action = Some(Action::new(1.2, -0.7));
     s.recovery = Some(RECOVERY);
     s.verdict = Some(Verdict::Clean);
     s.risk = QUIET;

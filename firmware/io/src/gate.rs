@@ -4,6 +4,8 @@ mod files;
 
 pub use files::{SigningFileError, read_key};
 
+use crate::links::LinkStatistics;
+use crate::throttle::Throttle;
 use files::SigningStateWriter;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -13,7 +15,7 @@ use vigil_mavlink::signing::{
     carries_key, timestamp_of_unix_ns,
 };
 use vigil_types::settings::{FromRow, named_setting};
-use vigil_types::{Datagrams, Nanos, ParameterSpec};
+use vigil_types::{Datagrams, Nanos, ParameterSpec, named};
 
 /// Longest datagram that is read; MAVLink's longest packet is 293 bytes, senders may put several into one datagram.
 pub const MAX_DATAGRAM_BYTES: usize = 2048;
@@ -24,34 +26,21 @@ const STORE_AHEAD: u64 = 2 * UNITS_PER_SECOND;
 /// A SETUP_SIGNING may not set the time further ahead than any packet may be.
 const MAX_AHEAD: u64 = 60 * UNITS_PER_SECOND;
 
-/// From whom packets without a signature are accepted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
-pub enum AllowUnsigned {
-    /// Senders on this machine.
-    #[default]
-    Loopback,
-    /// Nobody.
-    Never,
-    /// Everybody who reaches the link.
-    Always,
+named! {
+    /// From whom packets without a signature are accepted.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+    pub enum AllowUnsigned {
+        /// Senders on this machine.
+        #[default]
+        Loopback => "loopback",
+        /// Nobody.
+        Never => "never",
+        /// Everybody who reaches the link.
+        Always => "always",
+    }
 }
 
 impl AllowUnsigned {
-    /// All values with their names.
-    pub const NAMES: [(&str, Self); 3] = [
-        ("loopback", Self::Loopback),
-        ("never", Self::Never),
-        ("always", Self::Always),
-    ];
-
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        Self::NAMES
-            .iter()
-            .find(|(_, value)| *value == self)
-            .map_or("", |(name, _)| name)
-    }
-
     /// Whether a sender needs no signature. `is_local`: it is on this machine.
     pub fn covers(self, is_local: bool) -> bool {
         match self {
@@ -62,7 +51,7 @@ impl AllowUnsigned {
     }
 }
 
-named_setting!(AllowUnsigned, AllowUnsigned::NAMES);
+named_setting!(AllowUnsigned, AllowUnsigned::ALL.map(|policy| (policy.name(), policy)));
 
 impl FromRow for AllowUnsigned {
     fn default_of(_: &ParameterSpec) -> Self {
@@ -84,6 +73,7 @@ pub struct SigningGate {
     stored_ns: Nanos,
     /// Verdicts without a key.
     counters: SigningCounters,
+    keys_refused: Throttle,
     framing: FramingCounters,
     admitted: Box<[u8; MAX_DATAGRAM_BYTES]>,
     sealed: Box<[u8; MAX_PACKET_LEN + SIGNATURE_LEN]>,
@@ -108,6 +98,7 @@ impl SigningGate {
             now: 0,
             stored_ns: 0,
             counters: SigningCounters::default(),
+            keys_refused: Throttle::default(),
             framing: FramingCounters::default(),
             admitted: Box::new([0; MAX_DATAGRAM_BYTES]),
             sealed: Box::new([0; MAX_PACKET_LEN + SIGNATURE_LEN]),
@@ -179,6 +170,15 @@ impl SigningGate {
         self.framing
     }
 
+    /// Statistics of a wire with what the gate found in its datagrams, unless it finds the packets itself, and signing's.
+    pub(crate) fn statistics(&self, (wire, is_stream): (LinkStatistics, bool)) -> LinkStatistics {
+        LinkStatistics {
+            framing: if is_stream { wire.framing } else { self.framing },
+            signing: self.counters(),
+            ..wire
+        }
+    }
+
     /// Before anything is received in a step: looks at the clock, and has the state stored once a second.
     pub fn begin(&mut self, now_ns: Nanos) {
         let (Some(signing), Some(keeper)) = (&self.signing, &mut self.keeper) else {
@@ -210,6 +210,16 @@ impl SigningGate {
             None => Signing::new(key, 0, memory),
         });
         true
+    }
+
+    /// What to tell everybody of keys that were refused since the last call, at most every ten seconds.
+    pub fn refused_key(&mut self, now_ns: Nanos) -> Option<&'static str> {
+        let refused = self.counters().unsigned_key;
+        let text = match self.has_key() {
+            true => "signing key refused: not signed with present one",
+            false => "signing key refused: see --accept-first-key",
+        };
+        self.keys_refused.is_due(now_ns, refused).then_some(text)
     }
 
     /// Appends to `received` what may pass of a datagram; refused packets are left out and counted. Tells whether anything

@@ -99,8 +99,7 @@ impl FromStr for LinkSpec {
             let bad = || LinkSpecError::Option(option.to_owned());
             match option.split_once('=') {
                 Some(("unsigned", policy)) => {
-                    let known = AllowUnsigned::NAMES.iter().find(|(name, _)| *name == policy);
-                    link.allow_unsigned = Some(known.ok_or_else(bad)?.1);
+                    link.allow_unsigned = Some(AllowUnsigned::from_name(policy).ok_or_else(bad)?);
                 }
                 Some(("rate", rate)) => {
                     let rate = rate.parse().ok().filter(|r| *r >= 1000).ok_or_else(bad)?;

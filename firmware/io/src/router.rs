@@ -12,7 +12,9 @@
 use crate::Link;
 use crate::gate::SigningGate;
 use crate::link_spec::{Budget, LinkSpec};
-use crate::links::{AnyWire, LinkAdmission, LinkError, LinkStatistics, MAX_GROUND_LINKS, PeerRule, somebody_is_heard};
+use crate::links::{
+    LinkAdmission, LinkError, LinkStatistics, MAX_GROUND_LINKS, PeerRule, Wire, open_wire, somebody_is_heard,
+};
 use crate::value_rate::ValueRate;
 use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, Packet, packets, renumber, serialize};
@@ -34,8 +36,6 @@ const GROUND_BYTES: usize = GROUND_COUNT * 280;
 const BURST_BYTES: f64 = 4096.0;
 /// The share of a burst that is kept for them.
 const OWN_SHARE: f64 = 0.25;
-/// Refused keys are told of this often at most: an attacker must not fill the links.
-const KEY_REFUSED_NS: Nanos = 10_000_000_000;
 
 /// What became of packets between links, since start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -51,7 +51,7 @@ pub struct RoutingCounters {
 }
 
 struct Port {
-    wire: AnyWire,
+    wire: Box<dyn Wire>,
     spec: LinkSpec,
     budget: Option<Budget>,
     /// How often values are told here.
@@ -75,7 +75,7 @@ impl Port {
             false => PeerRule::Anyone,
         };
         Ok(Self {
-            wire: AnyWire::open(&spec.url, rule)?,
+            wire: open_wire(&spec.url, rule)?,
             budget: Budget::of(spec, BURST_BYTES),
             values: ValueRate::new(spec.values_per_s()),
             spec: LinkSpec {
@@ -224,9 +224,6 @@ pub struct RoutedLinks {
     inboxes: Vec<Datagrams>,
     /// What is to be told to everybody in this step.
     text: Option<&'static str>,
-    /// Keys that the gate had refused when it was last told, and when it may be told again.
-    keys_refused: u64,
-    key_refused_next_ns: Nanos,
 }
 
 impl RoutedLinks {
@@ -261,25 +258,14 @@ impl RoutedLinks {
                 setup: None,
             },
             text: None,
-            keys_refused: 0,
-            key_refused_next_ns: 0,
             gate,
         })
     }
 
     /// What the vehicle's link did not take or could not deliver, and what signing accepted and refused on all links.
     pub fn statistics(&self) -> LinkStatistics {
-        let (wire, is_stream) = self
-            .switch
-            .ports
-            .first()
-            .map(|p| p.wire.statistics())
-            .unwrap_or_default();
-        LinkStatistics {
-            framing: if is_stream { wire.framing } else { self.gate.framing() },
-            signing: self.gate.counters(),
-            ..wire
-        }
+        let of_vehicle = self.switch.ports.first().map(|p| p.wire.statistics());
+        self.gate.statistics(of_vehicle.unwrap_or_default())
     }
 
     /// What became of packets between links.
@@ -292,19 +278,6 @@ impl RoutedLinks {
         match self.gate.set_key(SigningKey(key), timestamp) {
             true => "signing key accepted",
             false => "signing key refused: all zeros",
-        }
-    }
-
-    /// Tells of keys that the gate refused, at most every [`KEY_REFUSED_NS`].
-    fn tell_of_refused_keys(&mut self, now_ns: Nanos) {
-        let refused = self.gate.counters().unsigned_key;
-        if refused > self.keys_refused && now_ns >= self.key_refused_next_ns {
-            self.keys_refused = refused;
-            self.key_refused_next_ns = now_ns + KEY_REFUSED_NS;
-            self.text = Some(match self.gate.has_key() {
-                true => "signing key refused: not signed with present one",
-                false => "signing key refused: see --accept-first-key",
-            });
         }
     }
 
@@ -354,7 +327,7 @@ impl Link for RoutedLinks {
             give_of_vehicle(switch, datagram, received);
         }
         route_in_turn(switch, inboxes, received);
-        self.tell_of_refused_keys(now_ns);
+        self.text = self.gate.refused_key(now_ns).or(self.text);
         if let Some((key, timestamp)) = self.switch.setup.take() {
             self.text = Some(self.set_up(key, timestamp));
         }

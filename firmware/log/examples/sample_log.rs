@@ -89,16 +89,8 @@ fn scene() -> Scene {
 fn report(step: u64) -> StepReport {
     let now_ns = step * STEP_NS;
     let position_ned_m = NedVector::new(0.1 * step as f32, 0.5, -1.5);
-    let kinematics = Kinematics {
-        at_ns: now_ns,
-        position_ned_m,
-        velocity_ned_m_s: NedVector::new(2.0, 0.0, 0.0),
-    };
-    let attitude = AttitudeSample {
-        at_ns: now_ns,
-        attitude: Attitude::from_euler_rad(0.0, 0.0, FRAC_PI_2),
-        rates_frd_rad_s: FrdVector::ZERO,
-    };
+    let kinematics = Kinematics::new(now_ns, position_ned_m, NedVector::new(2.0, 0.0, 0.0));
+    let attitude = AttitudeSample::new(now_ns, Attitude::from_euler_rad(0.0, 0.0, FRAC_PI_2), FrdVector::ZERO);
     let goal = Goal {
         position_ned_m: NedVector::new(20.0, 5.0, -1.5),
     };
@@ -135,10 +127,7 @@ fn report(step: u64) -> StepReport {
         },
         goal: Some(goal),
         goal_relative: Some(goal.relative_to(&kinematics, &attitude)),
-        action: guided.then_some(Action {
-            forward_m_s: 1.5,
-            yaw: -0.25,
-        }),
+        action: guided.then_some(Action::new(1.5, -0.25)),
         judgement: None,
         alarm: None,
         setpoint: guided.then_some(VelocitySetpoint {

@@ -14,16 +14,6 @@ pub struct ArrowPrimitive {
     #[prost(message, optional, tag = "6")]
     pub color: ::core::option::Option<Color>,
 }
-impl ::prost::Name for ArrowPrimitive {
-    const NAME: &'static str = "ArrowPrimitive";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.ArrowPrimitive".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.ArrowPrimitive".into()
-    }
-}
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct Color {
     #[prost(double, tag = "1")]
@@ -35,16 +25,6 @@ pub struct Color {
     #[prost(double, tag = "4")]
     pub a: f64,
 }
-impl ::prost::Name for Color {
-    const NAME: &'static str = "Color";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.Color".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.Color".into()
-    }
-}
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct CubePrimitive {
     #[prost(message, optional, tag = "1")]
@@ -53,16 +33,6 @@ pub struct CubePrimitive {
     pub size: ::core::option::Option<Vector3>,
     #[prost(message, optional, tag = "3")]
     pub color: ::core::option::Option<Color>,
-}
-impl ::prost::Name for CubePrimitive {
-    const NAME: &'static str = "CubePrimitive";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.CubePrimitive".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.CubePrimitive".into()
-    }
 }
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct CylinderPrimitive {
@@ -77,16 +47,6 @@ pub struct CylinderPrimitive {
     #[prost(message, optional, tag = "5")]
     pub color: ::core::option::Option<Color>,
 }
-impl ::prost::Name for CylinderPrimitive {
-    const NAME: &'static str = "CylinderPrimitive";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.CylinderPrimitive".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.CylinderPrimitive".into()
-    }
-}
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct FrameTransform {
     #[prost(message, optional, tag = "1")]
@@ -99,16 +59,6 @@ pub struct FrameTransform {
     pub translation: ::core::option::Option<Vector3>,
     #[prost(message, optional, tag = "5")]
     pub rotation: ::core::option::Option<Quaternion>,
-}
-impl ::prost::Name for FrameTransform {
-    const NAME: &'static str = "FrameTransform";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.FrameTransform".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.FrameTransform".into()
-    }
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Grid {
@@ -131,32 +81,12 @@ pub struct Grid {
     #[prost(bytes = "vec", tag = "9")]
     pub data: ::prost::alloc::vec::Vec<u8>,
 }
-impl ::prost::Name for Grid {
-    const NAME: &'static str = "Grid";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.Grid".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.Grid".into()
-    }
-}
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct KeyValuePair {
     #[prost(string, tag = "1")]
     pub key: ::prost::alloc::string::String,
     #[prost(string, tag = "2")]
     pub value: ::prost::alloc::string::String,
-}
-impl ::prost::Name for KeyValuePair {
-    const NAME: &'static str = "KeyValuePair";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.KeyValuePair".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.KeyValuePair".into()
-    }
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct LinePrimitive {
@@ -217,16 +147,6 @@ pub mod line_primitive {
                 _ => None,
             }
         }
-    }
-}
-impl ::prost::Name for LinePrimitive {
-    const NAME: &'static str = "LinePrimitive";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.LinePrimitive".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.LinePrimitive".into()
     }
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -295,16 +215,6 @@ pub mod log {
         }
     }
 }
-impl ::prost::Name for Log {
-    const NAME: &'static str = "Log";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.Log".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.Log".into()
-    }
-}
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct ModelPrimitive {
     #[prost(message, optional, tag = "1")]
@@ -321,16 +231,6 @@ pub struct ModelPrimitive {
     pub media_type: ::prost::alloc::string::String,
     #[prost(bytes = "vec", tag = "7")]
     pub data: ::prost::alloc::vec::Vec<u8>,
-}
-impl ::prost::Name for ModelPrimitive {
-    const NAME: &'static str = "ModelPrimitive";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.ModelPrimitive".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.ModelPrimitive".into()
-    }
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct PackedElementField {
@@ -401,16 +301,6 @@ pub mod packed_element_field {
         }
     }
 }
-impl ::prost::Name for PackedElementField {
-    const NAME: &'static str = "PackedElementField";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.PackedElementField".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.PackedElementField".into()
-    }
-}
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct Point3 {
     #[prost(double, tag = "1")]
@@ -419,16 +309,6 @@ pub struct Point3 {
     pub y: f64,
     #[prost(double, tag = "3")]
     pub z: f64,
-}
-impl ::prost::Name for Point3 {
-    const NAME: &'static str = "Point3";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.Point3".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.Point3".into()
-    }
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct PointCloud {
@@ -445,32 +325,12 @@ pub struct PointCloud {
     #[prost(bytes = "vec", tag = "6")]
     pub data: ::prost::alloc::vec::Vec<u8>,
 }
-impl ::prost::Name for PointCloud {
-    const NAME: &'static str = "PointCloud";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.PointCloud".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.PointCloud".into()
-    }
-}
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct Pose {
     #[prost(message, optional, tag = "1")]
     pub position: ::core::option::Option<Vector3>,
     #[prost(message, optional, tag = "2")]
     pub orientation: ::core::option::Option<Quaternion>,
-}
-impl ::prost::Name for Pose {
-    const NAME: &'static str = "Pose";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.Pose".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.Pose".into()
-    }
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct PoseInFrame {
@@ -481,16 +341,6 @@ pub struct PoseInFrame {
     #[prost(message, optional, tag = "3")]
     pub pose: ::core::option::Option<Pose>,
 }
-impl ::prost::Name for PoseInFrame {
-    const NAME: &'static str = "PoseInFrame";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.PoseInFrame".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.PoseInFrame".into()
-    }
-}
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct PosesInFrame {
     #[prost(message, optional, tag = "1")]
@@ -499,16 +349,6 @@ pub struct PosesInFrame {
     pub frame_id: ::prost::alloc::string::String,
     #[prost(message, repeated, tag = "3")]
     pub poses: ::prost::alloc::vec::Vec<Pose>,
-}
-impl ::prost::Name for PosesInFrame {
-    const NAME: &'static str = "PosesInFrame";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.PosesInFrame".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.PosesInFrame".into()
-    }
 }
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct Quaternion {
@@ -520,16 +360,6 @@ pub struct Quaternion {
     pub z: f64,
     #[prost(double, tag = "4")]
     pub w: f64,
-}
-impl ::prost::Name for Quaternion {
-    const NAME: &'static str = "Quaternion";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.Quaternion".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.Quaternion".into()
-    }
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct RawImage {
@@ -547,16 +377,6 @@ pub struct RawImage {
     pub data: ::prost::alloc::vec::Vec<u8>,
     #[prost(string, tag = "7")]
     pub frame_id: ::prost::alloc::string::String,
-}
-impl ::prost::Name for RawImage {
-    const NAME: &'static str = "RawImage";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.RawImage".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.RawImage".into()
-    }
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct SceneEntity {
@@ -588,16 +408,6 @@ pub struct SceneEntity {
     pub texts: ::prost::alloc::vec::Vec<TextPrimitive>,
     #[prost(message, repeated, tag = "14")]
     pub models: ::prost::alloc::vec::Vec<ModelPrimitive>,
-}
-impl ::prost::Name for SceneEntity {
-    const NAME: &'static str = "SceneEntity";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.SceneEntity".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.SceneEntity".into()
-    }
 }
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct SceneEntityDeletion {
@@ -647,32 +457,12 @@ pub mod scene_entity_deletion {
         }
     }
 }
-impl ::prost::Name for SceneEntityDeletion {
-    const NAME: &'static str = "SceneEntityDeletion";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.SceneEntityDeletion".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.SceneEntityDeletion".into()
-    }
-}
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct SceneUpdate {
     #[prost(message, repeated, tag = "1")]
     pub deletions: ::prost::alloc::vec::Vec<SceneEntityDeletion>,
     #[prost(message, repeated, tag = "2")]
     pub entities: ::prost::alloc::vec::Vec<SceneEntity>,
-}
-impl ::prost::Name for SceneUpdate {
-    const NAME: &'static str = "SceneUpdate";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.SceneUpdate".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.SceneUpdate".into()
-    }
 }
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct SpherePrimitive {
@@ -682,16 +472,6 @@ pub struct SpherePrimitive {
     pub size: ::core::option::Option<Vector3>,
     #[prost(message, optional, tag = "3")]
     pub color: ::core::option::Option<Color>,
-}
-impl ::prost::Name for SpherePrimitive {
-    const NAME: &'static str = "SpherePrimitive";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.SpherePrimitive".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.SpherePrimitive".into()
-    }
 }
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct TextPrimitive {
@@ -708,16 +488,6 @@ pub struct TextPrimitive {
     #[prost(string, tag = "6")]
     pub text: ::prost::alloc::string::String,
 }
-impl ::prost::Name for TextPrimitive {
-    const NAME: &'static str = "TextPrimitive";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.TextPrimitive".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.TextPrimitive".into()
-    }
-}
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct TriangleListPrimitive {
     #[prost(message, optional, tag = "1")]
@@ -731,32 +501,12 @@ pub struct TriangleListPrimitive {
     #[prost(fixed32, repeated, tag = "5")]
     pub indices: ::prost::alloc::vec::Vec<u32>,
 }
-impl ::prost::Name for TriangleListPrimitive {
-    const NAME: &'static str = "TriangleListPrimitive";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.TriangleListPrimitive".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.TriangleListPrimitive".into()
-    }
-}
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct Vector2 {
     #[prost(double, tag = "1")]
     pub x: f64,
     #[prost(double, tag = "2")]
     pub y: f64,
-}
-impl ::prost::Name for Vector2 {
-    const NAME: &'static str = "Vector2";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.Vector2".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.Vector2".into()
-    }
 }
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct Vector3 {
@@ -766,14 +516,4 @@ pub struct Vector3 {
     pub y: f64,
     #[prost(double, tag = "3")]
     pub z: f64,
-}
-impl ::prost::Name for Vector3 {
-    const NAME: &'static str = "Vector3";
-    const PACKAGE: &'static str = "foxglove";
-    fn full_name() -> ::prost::alloc::string::String {
-        "foxglove.Vector3".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/foxglove.Vector3".into()
-    }
 }

@@ -6,30 +6,10 @@ pub struct Duration {
     #[prost(int32, tag = "2")]
     pub nanos: i32,
 }
-impl ::prost::Name for Duration {
-    const NAME: &'static str = "Duration";
-    const PACKAGE: &'static str = "google.protobuf";
-    fn full_name() -> ::prost::alloc::string::String {
-        "google.protobuf.Duration".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/google.protobuf.Duration".into()
-    }
-}
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Timestamp {
     #[prost(int64, tag = "1")]
     pub seconds: i64,
     #[prost(int32, tag = "2")]
     pub nanos: i32,
-}
-impl ::prost::Name for Timestamp {
-    const NAME: &'static str = "Timestamp";
-    const PACKAGE: &'static str = "google.protobuf";
-    fn full_name() -> ::prost::alloc::string::String {
-        "google.protobuf.Timestamp".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/google.protobuf.Timestamp".into()
-    }
 }

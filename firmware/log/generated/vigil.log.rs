@@ -24,16 +24,6 @@ pub struct Tick {
     #[prost(uint64, tag = "7")]
     pub dropped_before: u64,
 }
-impl ::prost::Name for Tick {
-    const NAME: &'static str = "Tick";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Tick".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Tick".into()
-    }
-}
 /// `StepTiming`.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Timing {
@@ -45,16 +35,6 @@ pub struct Timing {
     pub wake_late_ns: u64,
     #[prost(uint64, tag = "4")]
     pub slips: u64,
-}
-impl ::prost::Name for Timing {
-    const NAME: &'static str = "Timing";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Timing".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Timing".into()
-    }
 }
 /// `FrameHeader`.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -80,16 +60,6 @@ pub struct Frame {
     #[prost(bytes = "vec", tag = "10")]
     pub tag: ::prost::alloc::vec::Vec<u8>,
 }
-impl ::prost::Name for Frame {
-    const NAME: &'static str = "Frame";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Frame".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Frame".into()
-    }
-}
 /// One datagram and the link it belongs to.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Datagram {
@@ -97,16 +67,6 @@ pub struct Datagram {
     pub link: u32,
     #[prost(bytes = "vec", tag = "2")]
     pub data: ::prost::alloc::vec::Vec<u8>,
-}
-impl ::prost::Name for Datagram {
-    const NAME: &'static str = "Datagram";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Datagram".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Datagram".into()
-    }
 }
 /// `StepReport`.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -144,16 +104,6 @@ pub struct Report {
     #[prost(uint32, tag = "15")]
     pub further_reasons: u32,
 }
-impl ::prost::Name for Report {
-    const NAME: &'static str = "Report";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Report".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Report".into()
-    }
-}
 /// What the detector said of the actor's decision.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct Judgement {
@@ -177,16 +127,6 @@ pub struct Judgement {
     #[prost(float, optional, tag = "8")]
     pub told: ::core::option::Option<f32>,
 }
-impl ::prost::Name for Judgement {
-    const NAME: &'static str = "Judgement";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Judgement".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Judgement".into()
-    }
-}
 /// The raised alarm.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Alarm {
@@ -196,16 +136,6 @@ pub struct Alarm {
     /// 0 ignored, 1 stop, 2 recovery.
     #[prost(uint32, tag = "2")]
     pub response: u32,
-}
-impl ::prost::Name for Alarm {
-    const NAME: &'static str = "Alarm";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Alarm".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Alarm".into()
-    }
 }
 /// `VehicleTelemetry`.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
@@ -222,16 +152,6 @@ pub struct Telemetry {
     #[prost(float, optional, tag = "5")]
     pub battery_remaining: ::core::option::Option<f32>,
 }
-impl ::prost::Name for Telemetry {
-    const NAME: &'static str = "Telemetry";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Telemetry".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Telemetry".into()
-    }
-}
 /// The autopilot's last heartbeat.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct Heartbeat {
@@ -245,16 +165,6 @@ pub struct Heartbeat {
     #[prost(bool, tag = "4")]
     pub failsafe: bool,
 }
-impl ::prost::Name for Heartbeat {
-    const NAME: &'static str = "Heartbeat";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Heartbeat".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Heartbeat".into()
-    }
-}
 /// Position and velocity.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct Kinematics {
@@ -264,16 +174,6 @@ pub struct Kinematics {
     pub position_ned_m: ::core::option::Option<Xyz>,
     #[prost(message, optional, tag = "3")]
     pub velocity_ned_m_s: ::core::option::Option<Xyz>,
-}
-impl ::prost::Name for Kinematics {
-    const NAME: &'static str = "Kinematics";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Kinematics".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Kinematics".into()
-    }
 }
 /// Attitude and body rates.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
@@ -285,16 +185,6 @@ pub struct AttitudeSample {
     #[prost(message, optional, tag = "3")]
     pub rates_frd_rad_s: ::core::option::Option<Xyz>,
 }
-impl ::prost::Name for AttitudeSample {
-    const NAME: &'static str = "AttitudeSample";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.AttitudeSample".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.AttitudeSample".into()
-    }
-}
 /// The goal as the pilot saw it.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct GoalRelative {
@@ -302,16 +192,6 @@ pub struct GoalRelative {
     pub distance_m: ::core::option::Option<f32>,
     #[prost(float, optional, tag = "2")]
     pub bearing_rad: ::core::option::Option<f32>,
-}
-impl ::prost::Name for GoalRelative {
-    const NAME: &'static str = "GoalRelative";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.GoalRelative".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.GoalRelative".into()
-    }
 }
 /// The pilot's action.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
@@ -321,16 +201,6 @@ pub struct Action {
     #[prost(float, optional, tag = "2")]
     pub yaw: ::core::option::Option<f32>,
 }
-impl ::prost::Name for Action {
-    const NAME: &'static str = "Action";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Action".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Action".into()
-    }
-}
 /// The setpoint sent.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct Setpoint {
@@ -338,16 +208,6 @@ pub struct Setpoint {
     pub velocity_heading_m_s: ::core::option::Option<Xyz>,
     #[prost(float, optional, tag = "2")]
     pub yaw_rate_rad_s: ::core::option::Option<f32>,
-}
-impl ::prost::Name for Setpoint {
-    const NAME: &'static str = "Setpoint";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Setpoint".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Setpoint".into()
-    }
 }
 /// Three components.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
@@ -358,16 +218,6 @@ pub struct Xyz {
     pub y: ::core::option::Option<f32>,
     #[prost(float, optional, tag = "3")]
     pub z: ::core::option::Option<f32>,
-}
-impl ::prost::Name for Xyz {
-    const NAME: &'static str = "Xyz";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Xyz".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Xyz".into()
-    }
 }
 /// A quaternion, scalar first.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
@@ -380,16 +230,6 @@ pub struct Wxyz {
     pub y: ::core::option::Option<f32>,
     #[prost(float, optional, tag = "4")]
     pub z: ::core::option::Option<f32>,
-}
-impl ::prost::Name for Wxyz {
-    const NAME: &'static str = "Wxyz";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Wxyz".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Wxyz".into()
-    }
 }
 /// One flat row per step, for plots and tables. Missing numbers are NaN.
 #[derive(Clone, PartialEq, ::prost::Message)]
@@ -501,16 +341,6 @@ pub struct Status {
     #[prost(uint32, tag = "45")]
     pub further_reason_bits: u32,
 }
-impl ::prost::Name for Status {
-    const NAME: &'static str = "Status";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Status".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Status".into()
-    }
-}
 /// What the adversary did to a frame; put into the log after a simulated flight.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]
 pub struct Attack {
@@ -525,14 +355,4 @@ pub struct Attack {
     /// By how much that moved the actor's yaw output, in its units.
     #[prost(double, tag = "4")]
     pub yaw_change: f64,
-}
-impl ::prost::Name for Attack {
-    const NAME: &'static str = "Attack";
-    const PACKAGE: &'static str = "vigil.log";
-    fn full_name() -> ::prost::alloc::string::String {
-        "vigil.log.Attack".into()
-    }
-    fn type_url() -> ::prost::alloc::string::String {
-        "/vigil.log.Attack".into()
-    }
 }

@@ -1,10 +1,10 @@
 //! What follows from a log's records and is worth seeing: the map and the way that a pilot had, and what pixels did to the actor's
 //! decision. It is computed after the flight, by replay: the loop knows nothing of it.
 
-use crate::display::{self, MAP_FRAME, SENSOR_FRAME};
+use crate::display::{self, MAP_FRAME};
 use crate::log_file::{self, topic};
 use crate::proto::foxglove::packed_element_field::NumericType;
-use crate::proto::foxglove::{Grid, PackedElementField, Pose, PosesInFrame, Quaternion, RawImage, Vector2, Vector3};
+use crate::proto::foxglove::{Grid, PackedElementField, PosesInFrame, Vector2, Vector3};
 use crate::side::{Sheet, SideError, Writer, at};
 use mcap::McapError;
 use std::path::Path;
@@ -48,9 +48,9 @@ impl DerivedLog {
         let mut sheet = Sheet::create(path)?;
         let begin = |writer: &mut Writer| -> Result<_, McapError> {
             Ok((
-                log_file::channel::<Grid, _>(writer, topic::GRID)?,
-                log_file::channel::<PosesInFrame, _>(writer, topic::WAY)?,
-                log_file::channel::<RawImage, _>(writer, topic::SHAP)?,
+                log_file::channel(writer, topic::GRID, "foxglove.Grid")?,
+                log_file::channel(writer, topic::WAY, "foxglove.PosesInFrame")?,
+                log_file::channel(writer, topic::SHAP, "foxglove.RawImage")?,
             ))
         };
         let (grid, way, shap) = begin(&mut sheet.writer).map_err(at(path))?;
@@ -75,14 +75,11 @@ impl DerivedLog {
         let message = Grid {
             timestamp: Some(display::timestamp(at_ns.saturating_add(self.epoch_offset_ns))),
             frame_id: MAP_FRAME.to_owned(),
-            pose: Some(Pose {
-                position: Some(Vector3 {
-                    x: east.into(),
-                    y: north.into(),
-                    z: 0.0,
-                }),
-                orientation: Some(UNTURNED),
-            }),
+            pose: Some(display::unturned_at(Vector3 {
+                x: east.into(),
+                y: north.into(),
+                z: 0.0,
+            })),
             column_count: seen.cols as u32,
             cell_size: Some(Vector2 { x: cell_m, y: cell_m }),
             row_stride: seen.cols as u32,
@@ -108,10 +105,8 @@ impl DerivedLog {
         points_ned_m: &[(f32, f32)],
         down_m: f32,
     ) -> Result<(), SideError> {
-        let pose = |&(north, east): &(f32, f32)| Pose {
-            position: Some(display::map_point(NedVector::new(north, east, down_m))),
-            orientation: Some(UNTURNED),
-        };
+        let pose =
+            |&(north, east): &(f32, f32)| display::unturned_at(display::map_point(NedVector::new(north, east, down_m)));
         let message = PosesInFrame {
             timestamp: Some(display::timestamp(at_ns.saturating_add(self.epoch_offset_ns))),
             frame_id: MAP_FRAME.to_owned(),
@@ -125,15 +120,9 @@ impl DerivedLog {
     /// # Errors
     /// A file that cannot be written.
     pub fn shap(&mut self, at_ns: Nanos, sequence: u32, sums: &[f32]) -> Result<(), SideError> {
-        let message = RawImage {
-            timestamp: Some(display::timestamp(at_ns.saturating_add(self.epoch_offset_ns))),
-            frame_id: SENSOR_FRAME.to_owned(),
-            width: SHAP_COLS as u32,
-            height: SHAP_ROWS as u32,
-            encoding: "32FC1".to_owned(),
-            step: 4 * SHAP_COLS as u32,
-            data: sums.iter().flat_map(|v| v.to_le_bytes()).collect(),
-        };
+        let data = sums.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let shown_ns = at_ns.saturating_add(self.epoch_offset_ns);
+        let message = display::image(SHAP_ROWS, SHAP_COLS, "32FC1", data, shown_ns);
         self.sheet.put(self.shap, at_ns, sequence, &message)
     }
 
@@ -153,10 +142,3 @@ impl std::fmt::Debug for DerivedLog {
             .finish_non_exhaustive()
     }
 }
-
-const UNTURNED: Quaternion = Quaternion {
-    x: 0.0,
-    y: 0.0,
-    z: 0.0,
-    w: 1.0,
-};

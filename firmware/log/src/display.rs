@@ -91,13 +91,36 @@ pub(crate) fn pose_in_map(pose: Pose, at_ns: u64) -> PoseInFrame {
 }
 
 pub(crate) fn goal_in_map(goal: Goal, at_ns: u64) -> PoseInFrame {
-    pose_in_map(
-        Pose {
-            position: Some(map_point(goal.position_ned_m)),
-            orientation: Some(map_rotation(Attitude::LEVEL_NORTH)),
-        },
-        at_ns,
-    )
+    pose_in_map(pose(goal.position_ned_m, Attitude::LEVEL_NORTH), at_ns)
+}
+
+/// Not turned in its frame.
+pub(crate) const UNTURNED: Quaternion = Quaternion {
+    x: 0.0,
+    y: 0.0,
+    z: 0.0,
+    w: 1.0,
+};
+
+/// Somewhere in its frame and not turned.
+pub(crate) fn unturned_at(position: Vector3) -> Pose {
+    Pose {
+        position: Some(position),
+        orientation: Some(UNTURNED),
+    }
+}
+
+/// Pixels of the sensor, in rows.
+pub(crate) fn image(rows: usize, cols: usize, encoding: &str, data: Vec<u8>, at_ns: u64) -> RawImage {
+    RawImage {
+        timestamp: Some(timestamp(at_ns)),
+        frame_id: SENSOR_FRAME.to_owned(),
+        width: cols as u32,
+        height: rows as u32,
+        encoding: encoding.to_owned(),
+        step: (data.len() / rows) as u32,
+        data,
+    }
 }
 
 /// The frame as an image with the exact bits of its pixels: 32FC1 is little-endian.
@@ -106,15 +129,7 @@ pub(crate) fn depth_image(frame: &DepthFrame, at_ns: u64) -> RawImage {
     for (bytes, value) in data.chunks_exact_mut(4).zip(&frame.depth) {
         bytes.copy_from_slice(&value.to_le_bytes());
     }
-    RawImage {
-        timestamp: Some(timestamp(at_ns)),
-        frame_id: SENSOR_FRAME.to_owned(),
-        width: DEPTH_COLS as u32,
-        height: DEPTH_ROWS as u32,
-        encoding: "32FC1".to_owned(),
-        step: ROW_BYTES as u32,
-        data,
-    }
+    image(DEPTH_ROWS, DEPTH_COLS, "32FC1", data, at_ns)
 }
 
 /// The frame for people: ranges in millimetres, one of each 2 × 2 pixels, at most 65.5 m; no return is 0, as viewers of depth
@@ -129,27 +144,12 @@ pub(crate) fn range_image(frame: &DepthFrame, at_ns: u64) -> RawImage {
             data.extend(seen.to_le_bytes());
         }
     }
-    RawImage {
-        timestamp: Some(timestamp(at_ns)),
-        frame_id: SENSOR_FRAME.to_owned(),
-        width: (DEPTH_COLS / 2) as u32,
-        height: (DEPTH_ROWS / 2) as u32,
-        encoding: "16UC1".to_owned(),
-        step: DEPTH_COLS as u32,
-        data,
-    }
+    image(DEPTH_ROWS / 2, DEPTH_COLS / 2, "16UC1", data, at_ns)
 }
 
 /// Where the sensor sits on the body.
 pub(crate) fn sensor_transform(at_ns: u64) -> FrameTransform {
-    let pose = Pose {
-        position: Some(Vector3::default()),
-        orientation: Some(Quaternion {
-            w: 1.0,
-            ..Default::default()
-        }),
-    };
-    transform(BODY_FRAME, SENSOR_FRAME, pose, at_ns)
+    transform(BODY_FRAME, SENSOR_FRAME, unturned_at(Vector3::default()), at_ns)
 }
 
 /// Fills pixels from an image that [`depth_image`] made; `false` for an image of another kind.
@@ -473,16 +473,16 @@ mod tests {
         let row = status(&record, None);
         assert!(row.north_m.is_nan() && row.goal_distance_m.is_nan() && row.frame_age_ms.is_nan());
         record.now_ns = 5_000_000;
-        record.report.telemetry.kinematics = Some(Kinematics {
-            at_ns: 2_000_000,
-            position_ned_m: NedVector::new(1.0, 2.0, -3.0),
-            velocity_ned_m_s: NedVector::new(3.0, 4.0, 0.5),
-        });
-        record.report.telemetry.attitude = Some(AttitudeSample {
-            at_ns: 4_000_000,
-            attitude: Attitude::from_euler_rad(0.0, 0.0, std::f32::consts::FRAC_PI_2),
-            rates_frd_rad_s: FrdVector::ZERO,
-        });
+        record.report.telemetry.kinematics = Some(Kinematics::new(
+            2_000_000,
+            NedVector::new(1.0, 2.0, -3.0),
+            NedVector::new(3.0, 4.0, 0.5),
+        ));
+        record.report.telemetry.attitude = Some(AttitudeSample::new(
+            4_000_000,
+            Attitude::from_euler_rad(0.0, 0.0, std::f32::consts::FRAC_PI_2),
+            FrdVector::ZERO,
+        ));
         let row = status(&record, None);
         assert_eq!((row.north_m, row.east_m, row.height_m), (1.0, 2.0, 3.0));
         assert_eq!((row.speed_m_s, row.climb_m_s, row.telemetry_age_ms), (5.0, -0.5, 3.0));

@@ -2,11 +2,10 @@
 
 use crate::display::{self, MAP_FRAME, Narrator, PathTrail};
 use crate::proto::foxglove::log::Level;
-use crate::proto::foxglove::{FrameTransform, Log, PointCloud, PoseInFrame, PosesInFrame, RawImage, SceneUpdate};
 use crate::{FlightInfo, Scene, TickRecord, convert, proto};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, McapResult, WriteOptions};
-use prost::{Message, Name};
+use prost::Message;
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 use vigil_types::{Goal, LogContent, Nanos};
@@ -69,24 +68,24 @@ pub(crate) struct Channels {
 impl Channels {
     pub(crate) fn register<W: Write + Seek>(writer: &mut mcap::Writer<W>) -> McapResult<Self> {
         Ok(Self {
-            depth: channel::<RawImage, W>(writer, topic::DEPTH)?,
-            tick: channel::<proto::Tick, W>(writer, topic::TICK)?,
-            status: channel::<proto::Status, W>(writer, topic::STATUS)?,
-            range: channel::<RawImage, W>(writer, topic::RANGE)?,
-            transform: channel::<FrameTransform, W>(writer, topic::TRANSFORM)?,
-            pose: channel::<PoseInFrame, W>(writer, topic::POSE)?,
-            path: channel::<PosesInFrame, W>(writer, topic::PATH)?,
-            goal: channel::<PoseInFrame, W>(writer, topic::GOAL)?,
-            scene: channel::<SceneUpdate, W>(writer, topic::SCENE)?,
-            scene_points: channel::<PointCloud, W>(writer, topic::SCENE_POINTS)?,
-            log: channel::<Log, W>(writer, topic::LOG)?,
+            depth: channel(writer, topic::DEPTH, "foxglove.RawImage")?,
+            tick: channel(writer, topic::TICK, "vigil.log.Tick")?,
+            status: channel(writer, topic::STATUS, "vigil.log.Status")?,
+            range: channel(writer, topic::RANGE, "foxglove.RawImage")?,
+            transform: channel(writer, topic::TRANSFORM, "foxglove.FrameTransform")?,
+            pose: channel(writer, topic::POSE, "foxglove.PoseInFrame")?,
+            path: channel(writer, topic::PATH, "foxglove.PosesInFrame")?,
+            goal: channel(writer, topic::GOAL, "foxglove.PoseInFrame")?,
+            scene: channel(writer, topic::SCENE, "foxglove.SceneUpdate")?,
+            scene_points: channel(writer, topic::SCENE_POINTS, "foxglove.PointCloud")?,
+            log: channel(writer, topic::LOG, "foxglove.Log")?,
         })
     }
 }
 
 /// A channel of messages of one kind, with their schema.
-pub(crate) fn channel<T: Name, W: Write + Seek>(writer: &mut mcap::Writer<W>, topic: &str) -> McapResult<u16> {
-    let schema = writer.add_schema(&T::full_name(), "protobuf", proto::descriptors::<T>())?;
+pub(crate) fn channel<W: Write + Seek>(writer: &mut mcap::Writer<W>, topic: &str, kind: &str) -> McapResult<u16> {
+    let schema = writer.add_schema(kind, "protobuf", proto::descriptors(kind))?;
     writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())
 }
 
@@ -268,18 +267,31 @@ struct Messages<'a, W: Write + Seek> {
 
 impl<W: Write + Seek> Messages<'_, W> {
     fn put(&mut self, channel_id: u16, message: &impl Message) -> McapResult<()> {
-        self.buffer.clear();
-        message
-            .encode(self.buffer)
-            .map_err(|error| McapError::Io(std::io::Error::other(error)))?;
-        self.writer.write_to_known_channel(
-            &MessageHeader {
-                channel_id,
-                sequence: self.sequence,
-                log_time: self.at_ns,
-                publish_time: self.at_ns,
-            },
+        put(
+            self.writer,
             self.buffer,
+            (channel_id, self.at_ns, self.sequence),
+            message,
         )
     }
+}
+
+/// Puts a message into a file: to this channel, at this time, with this number. `buffer` is overwritten.
+pub(crate) fn put<W: Write + Seek>(
+    writer: &mut mcap::Writer<W>,
+    buffer: &mut Vec<u8>,
+    (channel_id, at_ns, sequence): (u16, u64, u32),
+    message: &impl Message,
+) -> McapResult<()> {
+    buffer.clear();
+    let header = MessageHeader {
+        channel_id,
+        sequence,
+        log_time: at_ns,
+        publish_time: at_ns,
+    };
+    message
+        .encode(buffer)
+        .map_err(|error| McapError::Io(std::io::Error::other(error)))?;
+    writer.write_to_known_channel(&header, buffer)
 }

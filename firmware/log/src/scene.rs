@@ -141,12 +141,7 @@ impl Scene {
                 } => entity.cubes.push(CubePrimitive {
                     pose: Some(upright_pose(centre_ned_m, yaw_rad)),
                     size: Some(size(hx, hy, hz)),
-                    color: Some(Color {
-                        r: 0.55,
-                        g: 0.60,
-                        b: 0.68,
-                        a: 0.9,
-                    }),
+                    color: Some(color(0.55, 0.60, 0.68)),
                 }),
                 SceneSolid::Cylinder {
                     centre_ned_m,
@@ -157,12 +152,7 @@ impl Scene {
                     size: Some(size(radius_m, radius_m, half_height_m)),
                     bottom_scale: 1.0,
                     top_scale: 1.0,
-                    color: Some(Color {
-                        r: 0.72,
-                        g: 0.54,
-                        b: 0.36,
-                        a: 0.9,
-                    }),
+                    color: Some(color(0.72, 0.54, 0.36)),
                 }),
             }
         }
@@ -188,13 +178,7 @@ impl Scene {
         PointCloud {
             timestamp: Some(timestamp(at_ns)),
             frame_id: crate::display::MAP_FRAME.to_owned(),
-            pose: Some(Pose {
-                position: Some(Vector3::default()),
-                orientation: Some(Quaternion {
-                    w: 1.0,
-                    ..Default::default()
-                }),
-            }),
+            pose: Some(display::unturned_at(Vector3::default())),
             point_stride: 12,
             fields: vec![coordinate("x", 0), coordinate("y", 4), coordinate("z", 8)],
             data,
@@ -316,6 +300,10 @@ fn grid(half_a: f32, half_b: f32) -> impl Iterator<Item = (f32, f32)> {
     (0..=na).flat_map(move |i| (0..=nb).map(move |j| (at(i, na, half_a), at(j, nb, half_b))))
 }
 
+fn color(r: f64, g: f64, b: f64) -> Color {
+    Color { r, g, b, a: 0.9 }
+}
+
 fn size(half_x: f32, half_y: f32, half_z: f32) -> Vector3 {
     Vector3 {
         x: 2.0 * f64::from(half_x),
@@ -332,10 +320,9 @@ fn upright_pose(centre_ned_m: [f32; 3], yaw_rad: f32) -> Pose {
     Pose {
         position: Some(map_point(NedVector::new(north, east, down))),
         orientation: Some(Quaternion {
-            x: 0.0,
-            y: 0.0,
             z: half.sin(),
             w: half.cos(),
+            ..display::UNTURNED
         }),
     }
 }

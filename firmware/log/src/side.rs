@@ -7,7 +7,6 @@ use crate::container::{Container, Next};
 use crate::display::{self, MAP_FRAME};
 use crate::log_file::{self, META_STORY, topic};
 use crate::proto;
-use crate::proto::foxglove::{FrameTransform, PoseInFrame, RawImage};
 use crate::{ReadError, Reader};
 use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata, Record};
@@ -72,10 +71,10 @@ impl SideLog {
     pub fn create(path: &Path) -> Result<Self, SideError> {
         let mut sheet = Sheet::create(path)?;
         let begin = |writer: &mut Writer| -> Result<_, McapError> {
-            let truth = log_file::channel::<PoseInFrame, _>(writer, topic::TRUTH)?;
-            let transform = log_file::channel::<FrameTransform, _>(writer, topic::TRANSFORM)?;
-            let attack = log_file::channel::<proto::Attack, _>(writer, topic::ATTACK)?;
-            let clean = log_file::channel::<RawImage, _>(writer, topic::CLEAN_DEPTH)?;
+            let truth = log_file::channel(writer, topic::TRUTH, "foxglove.PoseInFrame")?;
+            let transform = log_file::channel(writer, topic::TRANSFORM, "foxglove.FrameTransform")?;
+            let attack = log_file::channel(writer, topic::ATTACK, "vigil.log.Attack")?;
+            let clean = log_file::channel(writer, topic::CLEAN_DEPTH, "foxglove.RawImage")?;
             Ok((truth, transform, attack, clean))
         };
         let (truth, transform, attack, clean) = begin(&mut sheet.writer).map_err(at(path))?;
@@ -182,18 +181,8 @@ impl Sheet {
         sequence: u32,
         message: &impl Message,
     ) -> Result<(), SideError> {
-        self.buffer.clear();
-        let header = MessageHeader {
-            channel_id,
-            sequence,
-            log_time: at_ns,
-            publish_time: at_ns,
-        };
-        message
-            .encode(&mut self.buffer)
-            .map_err(|error| McapError::Io(io::Error::other(error)))
-            .and_then(|()| self.writer.write_to_known_channel(&header, &self.buffer))
-            .map_err(at(&self.path))
+        let place = (channel_id, at_ns, sequence);
+        log_file::put(&mut self.writer, &mut self.buffer, place, message).map_err(at(&self.path))
     }
 
     pub(crate) fn finish(mut self) -> Result<(), SideError> {

@@ -11,7 +11,7 @@ fn generate(file: &str, descriptors: &str, folder: &Path) {
     let proto = Path::new(env!("CARGO_MANIFEST_DIR")).join("proto");
     let mut set = protox::compile([file], [proto]).expect(file);
     let mut generator = prost_build::Config::new();
-    generator.out_dir(folder).enable_type_names().compile_well_known_types();
+    generator.out_dir(folder).compile_well_known_types();
     generator.compile_fds(set.clone()).expect("types");
     // What goes into a log is without the places and comments of the source.
     set.file.iter_mut().for_each(|file| file.source_code_info = None);

@@ -97,14 +97,6 @@ impl Flavour {
         }
     }
 
-    /// What a person calls the mode that obeys setpoints.
-    pub const fn external_mode_name(self) -> &'static str {
-        match self {
-            Self::Px4 => "OFFBOARD",
-            Self::ArduPilot => "GUIDED",
-        }
-    }
-
     /// What stands in command parameters that are not used.
     pub const fn unused(self) -> f32 {
         match self {

@@ -8,7 +8,7 @@ use crate::parameter_table::Parameters;
 use crate::report;
 use crate::service::Step;
 use crate::services::Services;
-use crate::status_text::StatusText;
+use crate::status_text::{StatusText, WARNING};
 use mavlink::MessageData;
 use mavlink::dialects::common::{MavState, OBSTACLE_DISTANCE_DATA};
 use vigil_types::{
@@ -249,7 +249,16 @@ impl Companion {
 
     /// Tells people of a guarded flight.
     pub fn tell_of_guard(&mut self, notice: GuardNotice, out: &mut Datagrams) {
-        self.core.tell(out, &report::guard_text(notice));
+        let text = match notice {
+            GuardNotice::Unguarded => "not guarded: the vehicle does not tell its position",
+            GuardNotice::FliesAround => "flying around it to the mission's next place",
+            GuardNotice::HandedBack => "handed back: the mission goes on",
+            GuardNotice::StaysStopped => {
+                "not flown around: guidance cannot take it, or the mission's next place is unknown"
+            }
+            GuardNotice::Jumped => "the position jumped: what was seen before is forgotten",
+        };
+        self.core.tell(out, WARNING, format_args!("{text}"));
     }
 
     /// The last packets before the guidance computer falls silent: zero setpoints if it was streaming, and word of it.
@@ -257,6 +266,6 @@ impl Companion {
         let Self { core, services } = self;
         services.setpoints.end(core, now_ns, out);
         core.say(out, &report::heartbeat(MavState::MAV_STATE_POWEROFF));
-        core.farewell(out, &report::shutdown_text());
+        core.farewell(out);
     }
 }

@@ -5,10 +5,11 @@ use crate::companion::{CompanionConfig, LinkCounters};
 use crate::framing::{CommandAck, Packet};
 use crate::operator::{ReplyTo, result};
 use crate::sender::Sender;
-use crate::status_text::StatusText;
+use crate::status_text::{NOTICE, StatusText};
 use crate::vehicle::Vehicle;
+use ::core::fmt::Arguments;
 use heapless::Vec;
-use mavlink::dialects::common::MavMessage;
+use mavlink::dialects::common::{MavMessage, MavSeverity};
 use vigil_types::{Datagrams, GuidanceState, Nanos, Reasons, STEP_NS};
 
 /// Answers that one step can owe: more than several links ask for in a step.
@@ -21,28 +22,23 @@ const TOLD: usize = 16;
 const KEPT: usize = 8;
 
 /// Something that recurs at a fixed rate, whatever the jitter of the steps.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Periodic {
-    period_ns: Nanos,
     next_ns: Nanos,
 }
 
 impl Periodic {
-    pub const fn new(period_ns: Nanos) -> Self {
-        Self { period_ns, next_ns: 0 }
-    }
-
-    /// Whether it is due in this step: the one nearest to its time.
-    pub fn is_due(&mut self, now_ns: Nanos) -> bool {
+    /// Whether what recurs with this period is due in this step: the one nearest to its time.
+    pub fn is_due(&mut self, now_ns: Nanos, period_ns: Nanos) -> bool {
         if now_ns + STEP_NS / 2 < self.next_ns {
             return false;
         }
-        let on_grid_ns = self.next_ns + self.period_ns;
+        let on_grid_ns = self.next_ns + period_ns;
         // The first time, or after a gap, it begins anew.
         self.next_ns = if on_grid_ns > now_ns {
             on_grid_ns
         } else {
-            now_ns + self.period_ns
+            now_ns + period_ns
         };
         true
     }
@@ -210,7 +206,12 @@ impl Core {
     }
 
     /// Says a text to everybody, and to whoever runs the program; also to a vehicle's link on which nobody answers yet, later.
-    pub fn tell(&mut self, out: &mut Datagrams, text: &StatusText) {
+    pub fn tell(&mut self, out: &mut Datagrams, severity: MavSeverity, text: Arguments<'_>) {
+        self.tell_text(out, &StatusText::new(severity, text));
+    }
+
+    /// The same for a text that is there.
+    pub fn tell_text(&mut self, out: &mut Datagrams, text: &StatusText) {
         if !self.vehicle_heard {
             if self.kept.is_full() {
                 self.kept.remove(0);
@@ -237,8 +238,8 @@ impl Core {
     }
 
     /// The last text: nothing of the step before is told beside it.
-    pub fn farewell(&mut self, out: &mut Datagrams, text: &StatusText) {
+    pub fn farewell(&mut self, out: &mut Datagrams) {
         self.told.clear();
-        self.tell(out, text);
+        self.tell(out, NOTICE, format_args!("guidance: shut down"));
     }
 }

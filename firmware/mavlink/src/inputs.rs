@@ -1,8 +1,6 @@
 //! Names the inputs that are missing, one by one: which message, since when.
 
-use crate::status_text::StatusText;
-use core::fmt::Write;
-use mavlink::dialects::common::MavSeverity;
+use crate::status_text::{StatusText, WARNING};
 use vigil_types::{Nanos, Reason, Reasons, StepReport};
 
 /// An input that is missing for this long is named.
@@ -90,11 +88,9 @@ fn missing(report: &StepReport) -> [Option<Missing>; INPUTS] {
 
 /// "missing: LOCAL_POSITION_NED, for 3.2 s", "missing: depth frames, none came".
 pub(crate) fn text(missing: &Missing) -> StatusText {
-    StatusText::new(MavSeverity::MAV_SEVERITY_WARNING, |text| {
-        write!(text, "missing: {}, ", missing.name)?;
-        match missing.age_ns {
-            Some(age_ns) => write!(text, "for {:.1} s", age_ns as f32 * 1e-9),
-            None => text.write_str("none came"),
-        }
-    })
+    let name = missing.name;
+    match missing.age_ns.map(|age_ns| age_ns as f32 * 1e-9) {
+        Some(age_s) => StatusText::new(WARNING, format_args!("missing: {name}, for {age_s:.1} s")),
+        None => StatusText::new(WARNING, format_args!("missing: {name}, none came")),
+    }
 }

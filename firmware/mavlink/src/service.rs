@@ -1,5 +1,6 @@
 //! A service of the guidance computer: one part of MAVLink's protocol in one file.
 
+use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::Packet;
 use crate::operator::ReplyTo;
@@ -16,7 +17,12 @@ pub(crate) struct Step<'a> {
 
 /// A service. Like the whole crate it reads no clock and allocates nothing. A new one is its file and its row in
 /// [`crate::services`].
-pub(crate) trait Service {
+pub(crate) trait Service: Default {
+    /// One that has heard nothing yet.
+    fn new(_config: &CompanionConfig) -> Self {
+        Self::default()
+    }
+
     /// Hears a packet of the vehicle's autopilot, on the vehicle's link.
     fn hear_vehicle(&mut self, _core: &mut Core, _now_ns: Nanos, _packet: &Packet<'_>) {}
 

@@ -1,7 +1,11 @@
 //! Texts for people: STATUSTEXT in as many chunks as they need.
 //! <https://mavlink.io/en/messages/common.html#STATUSTEXT>
 
-use core::fmt::Write;
+use core::fmt::{Arguments, Write};
+pub(crate) use mavlink::dialects::common::MavSeverity::{
+    MAV_SEVERITY_CRITICAL as CRITICAL, MAV_SEVERITY_ERROR as ERROR, MAV_SEVERITY_INFO as INFO,
+    MAV_SEVERITY_NOTICE as NOTICE, MAV_SEVERITY_WARNING as WARNING,
+};
 use mavlink::dialects::common::{MavMessage, MavSeverity, STATUSTEXT_DATA};
 
 /// Bytes of a chunk.
@@ -18,15 +22,15 @@ pub struct StatusText {
 }
 
 impl StatusText {
-    pub(crate) fn new(severity: MavSeverity, write: impl FnOnce(&mut Self) -> core::fmt::Result) -> Self {
-        let mut text = Self {
+    pub(crate) fn new(severity: MavSeverity, text: Arguments<'_>) -> Self {
+        let mut new = Self {
             severity,
             bytes: [0; LONGEST],
             len: 0,
         };
         // Cannot fail: writing never does.
-        let _ = write(&mut text);
-        text
+        let _ = new.write_fmt(text);
+        new
     }
 
     /// How severe it is.
@@ -81,9 +85,8 @@ mod tests {
 
     /// Texts, ids and numbers of the chunks.
     fn chunks(len: usize) -> std::vec::Vec<(std::string::String, u16, u8)> {
-        let text = StatusText::new(MavSeverity::MAV_SEVERITY_INFO, |text| {
-            (0..len).try_for_each(|i| write!(text, "{}", i % 10))
-        });
+        let digits: std::string::String = ('0'..='9').cycle().take(len).collect();
+        let text = StatusText::new(INFO, format_args!("{digits}"));
         assert_eq!(text.text().len(), len.min(LONGEST));
         text.messages(7)
             .map(|message| match message {

@@ -264,21 +264,6 @@ fn a_vehicle_that_restarts_is_handed_over_anew_unless_it_comes_back_in_a_pilots_
 }
 
 #[test]
-fn frames_that_stop_make_the_vehicle_hover_and_it_flies_on_when_they_return() {
-    let mut f = Flight::new(ArduPilot, Peer::on_the_ground(ArduPilot));
-    f.engage_and_fly();
-    f.run(20);
-    f.sees = false;
-    f.step();
-    assert!(is_zero(&f.peer.setpoints.last().unwrap().1), "zero in the same step");
-    assert_eq!(f.texts.last().unwrap(), "guidance: hold (stale frame)");
-    f.run(200);
-    f.sees = true;
-    f.until(Guided);
-    assert_eq!(longest_gap_ns(&f.peer.setpoints, f.peer.setpoints[0].0), STEP_NS);
-}
-
-#[test]
 fn a_refused_landing_is_asked_for_again() {
     let mut f = Flight::new(Px4, Peer::in_the_air(Px4));
     f.peer.answer(21, Some(MavResult::MAV_RESULT_DENIED), 3);

@@ -4,7 +4,8 @@ mod common;
 
 use common::peer::Peer;
 use common::{
-    Bench, Flight, GROUND_STATION, ME, VEHICLE, bytes_of, command_long, header, named_values, report, reposition, texts,
+    Bench, Flight, GROUND_STATION, ME, VEHICLE, bytes_of, command_long, header, heartbeat, messages, named_values,
+    report, reposition, texts,
 };
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{Command, CommandForm, MAX_PACKET_LEN};
@@ -16,12 +17,9 @@ use vigil_types::{
 };
 
 /// The acknowledgements of a step: command, result, addressee.
-fn acks(sent: &[(MavHeader, MavMessage)]) -> Vec<(u16, MavResult, (u8, u8))> {
-    sent.iter()
-        .filter_map(|(_, m)| match m {
-            MavMessage::COMMAND_ACK(a) => Some((a.command as u16, a.result, (a.target_system, a.target_component))),
-            _ => None,
-        })
+fn acks(sent: &Datagrams) -> Vec<(u16, MavResult, (u8, u8))> {
+    only!(messages(sent), COMMAND_ACK)
+        .map(|a| (a.command as u16, a.result, (a.target_system, a.target_component)))
         .collect()
 }
 
@@ -34,7 +32,10 @@ fn asked(bench: &mut Bench, message: &MavMessage) -> Result<OperatorRequest, Mav
     bench.hear(GROUND_STATION, message);
     match bench.companion.take_request() {
         Some(pending) => Ok(pending.request()),
-        None => Err(acks(&idle(bench)).first().expect("an answer").1),
+        None => {
+            idle(bench);
+            Err(acks(&bench.sent).first().expect("an answer").1)
+        }
     }
 }
 
@@ -44,7 +45,7 @@ fn a_ground_station_commands_a_whole_flight() {
     let say = |f: &mut Flight, message: &MavMessage| {
         f.hear(GROUND_STATION, message);
         f.step();
-        acks(&common::messages(&f.sent))
+        acks(&f.sent)
     };
     let engage = command_long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, ME, 1.0);
     use MavResult::{MAV_RESULT_ACCEPTED as ACCEPTED, MAV_RESULT_TEMPORARILY_REJECTED as LATER};
@@ -99,13 +100,7 @@ fn a_goal_on_the_globe_becomes_local_once_the_origin_is_known() {
         asked(&mut b, &global(MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT, 4.0)),
         Err(MavResult::MAV_RESULT_TEMPORARILY_REJECTED)
     );
-    b.hear(
-        VEHICLE,
-        &MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
-            ..Default::default()
-        }),
-    );
+    b.hear(VEHICLE, &heartbeat(MavAutopilot::MAV_AUTOPILOT_PX4));
     b.hear(
         VEHICLE,
         &MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
@@ -196,10 +191,9 @@ fn unknown_commands_are_unsupported_and_those_for_others_are_not_answered() {
             GROUND_STATION,
             &command_long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, target, 1.0),
         );
-        assert!(
-            b.companion.take_request().is_none() && acks(&idle(&mut b)).is_empty(),
-            "{target:?}"
-        );
+        assert!(b.companion.take_request().is_none(), "{target:?}");
+        idle(&mut b);
+        assert_eq!(acks(&b.sent), [], "{target:?}");
     }
 }
 
@@ -217,7 +211,8 @@ fn a_flood_of_commands_is_answered_as_far_as_there_is_room_and_the_rest_counted(
         b.companion.answer(&pending, RequestOutcome::Accepted);
         taken += 1;
     }
-    let answered = acks(&idle(&mut b)).len() as u64;
+    idle(&mut b);
+    let answered = acks(&b.sent).len() as u64;
     assert_eq!((taken, answered), (32, 128));
     assert_eq!(b.companion.counters().replies_dropped, 200 - answered);
     b.hear(
@@ -291,17 +286,14 @@ fn the_heartbeat_is_a_companions_at_1_hz_and_tells_health() {
         (Hold, stale.union(goal), MavState::MAV_STATE_CRITICAL),
         (Land, goal, MavState::MAV_STATE_ACTIVE),
     ] {
-        let heartbeats: Vec<_> = (0..20)
+        let sent: Vec<_> = (0..20)
             .flat_map(|_| b.step(state, reasons, VehicleRequest::None))
-            .filter_map(|(header, m)| match m {
-                MavMessage::HEARTBEAT(h) => Some((header, h)),
-                _ => None,
-            })
             .collect();
-        let [(header, h)] = &heartbeats[..] else {
+        assert!(sent.iter().all(|(h, _)| (h.system_id, h.component_id) == (1, 191)));
+        let heartbeats: Vec<_> = only!(sent, HEARTBEAT).collect();
+        let [h] = &heartbeats[..] else {
             panic!("one a second, not {}", heartbeats.len());
         };
-        assert_eq!((header.system_id, header.component_id), (1, 191));
         assert_eq!(
             (
                 h.mavtype as u8,
@@ -326,11 +318,7 @@ fn rates_hold_although_steps_begin_late() {
         b.sent.clear();
         b.companion
             .emit(&report(b.now_ns, Standby), VehicleRequest::None, &mut b.sent);
-        let sent = common::messages(&b.sent);
-        heartbeats += sent
-            .iter()
-            .filter(|(_, m)| matches!(m, MavMessage::HEARTBEAT(_)))
-            .count();
+        heartbeats += only!(messages(&b.sent), HEARTBEAT).count();
         values += usize::from(!named_values(&b.sent).is_empty());
     }
     assert_eq!((heartbeats, values), (60, 240), "one and four a second for a minute");
@@ -350,18 +338,9 @@ fn every_packet_has_the_next_sequence_number() {
 #[test]
 fn a_setpoint_is_sent_as_it_was_decided() {
     let mut b = Bench::new(Flavour::Px4);
-    b.hear(
-        VEHICLE,
-        &MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
-            ..Default::default()
-        }),
-    );
+    b.hear(VEHICLE, &heartbeat(MavAutopilot::MAV_AUTOPILOT_PX4));
     let decided = StepReport {
-        action: Some(Action {
-            forward_m_s: 1.25,
-            yaw: -0.5,
-        }),
+        action: Some(Action::new(1.25, -0.5)),
         setpoint: Some(VelocitySetpoint {
             velocity_m_s: HeadingVector::new(1.25, 0.0, -0.125),
             yaw_rate_rad_s: -0.25,
@@ -369,17 +348,8 @@ fn a_setpoint_is_sent_as_it_was_decided() {
         ..report(b.now_ns, Guided)
     };
     b.companion.emit(&decided, VehicleRequest::None, &mut b.sent);
-    let sent = common::messages(&b.sent);
-    let [s] = &sent
-        .iter()
-        .filter_map(|(_, m)| match m {
-            MavMessage::SET_POSITION_TARGET_LOCAL_NED(s) => Some(s.clone()),
-            _ => None,
-        })
-        .collect::<Vec<_>>()[..]
-    else {
-        panic!("one setpoint");
-    };
+    let sent: Vec<_> = only!(messages(&b.sent), SET_POSITION_TARGET_LOCAL_NED).collect();
+    let [s] = &sent[..] else { panic!("one setpoint") };
     assert_eq!((s.vx, s.vy, s.vz, s.yaw_rate), (1.25, 0.0, -0.125, -0.25));
     assert_eq!(
         (
@@ -403,10 +373,7 @@ fn values_are_named_and_come_four_times_a_second_and_at_once_on_change() {
             wake_late_ns: 30_000,
             slips: 2,
         },
-        goal_relative: Some(GoalRelative {
-            distance_m: 12.5,
-            bearing_rad: core::f32::consts::FRAC_PI_2,
-        }),
+        goal_relative: Some(GoalRelative::new(12.5, core::f32::consts::FRAC_PI_2)),
         frame_age_ns: Some(20_000_000),
         frames_refused: 3,
         reasons: Reasons::of(Reason::StaleFrame).with_if(true, Reason::Slip),
@@ -461,12 +428,8 @@ fn a_text_that_is_too_long_for_one_message_comes_in_chunks() {
         texts(&b.sent),
         ["guidance: standby (stale frame, bad frame, stale telemetry, link lost, not finite)"]
     );
-    let chunks: Vec<_> = sent
-        .iter()
-        .filter_map(|(_, m)| match m {
-            MavMessage::STATUSTEXT(t) => Some((t.id != 0, t.chunk_seq, t.text.to_str().unwrap().len())),
-            _ => None,
-        })
+    let chunks: Vec<_> = only!(sent, STATUSTEXT)
+        .map(|t| (t.id != 0, t.chunk_seq, t.text.to_str().unwrap().len()))
         .collect();
     assert_eq!(chunks, [(true, 0, 50), (true, 1, 32)]);
 }
@@ -478,9 +441,8 @@ fn before_it_ends_it_sends_zeros_if_it_was_streaming() {
     f.run(20);
     let mut last = Datagrams::default();
     f.companion.shutdown(f.now_ns, &mut last);
-    let zeros = common::messages(&last)
-        .iter()
-        .filter(|(_, m)| matches!(m, MavMessage::SET_POSITION_TARGET_LOCAL_NED(s) if [s.vx, s.vy, s.vz, s.yaw_rate] == [0.0; 4]))
+    let zeros = only!(messages(&last), SET_POSITION_TARGET_LOCAL_NED)
+        .filter(|s| [s.vx, s.vy, s.vz, s.yaw_rate] == [0.0; 4])
         .count();
     assert_eq!((zeros, texts(&last)), (3, vec!["guidance: shut down".to_owned()]));
 
@@ -488,7 +450,7 @@ fn before_it_ends_it_sends_zeros_if_it_was_streaming() {
     idle(&mut b);
     let mut last = Datagrams::default();
     b.companion.shutdown(b.now_ns, &mut last);
-    assert_eq!(common::messages(&last).len(), 2, "nothing to stop: heartbeat and text");
+    assert_eq!(messages(&last).len(), 2, "nothing to stop: heartbeat and text");
 }
 
 #[test]
@@ -498,8 +460,7 @@ fn a_goal_too_far_away_is_denied_and_the_operator_is_told_why() {
     let goal = reposition(MavFrame::MAV_FRAME_LOCAL_NED, 8_000_000, 1_000_000, -3.0);
     f.hear(GROUND_STATION, &goal);
     f.step();
-    let answers = acks(&common::messages(&f.sent));
-    assert_eq!(answers, [(192, MavResult::MAV_RESULT_DENIED, (255, 190))]);
+    assert_eq!(acks(&f.sent), [(192, MavResult::MAV_RESULT_DENIED, (255, 190))]);
     assert_eq!(texts(&f.sent), ["goal refused: 807 m from home, at most 500 m"]);
 }
 

@@ -152,16 +152,11 @@ fn who_asks_the_guidance_computer_for_what_it_has_not_is_told_so() {
     let mut computer = Computer::new(Flavour::Px4);
     let errors = |computer: &mut Computer, message: &MavMessage| -> Vec<(String, i16)> {
         computer.ask(message);
-        let told = messages(&computer.sent)
-            .into_iter()
-            .filter_map(|(_, message)| match message {
-                MavMessage::PARAM_ERROR(e) => {
-                    assert_eq!(e.error, MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST);
-                    assert_eq!((e.target_system, e.target_component), (255, 190));
-                    Some((e.param_id.to_str().unwrap().to_owned(), e.param_index))
-                }
-                _ => None,
-            });
+        let told = only!(messages(&computer.sent), PARAM_ERROR).map(|e| {
+            assert_eq!(e.error, MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST);
+            assert_eq!((e.target_system, e.target_component), (255, 190));
+            (e.param_id.to_str().unwrap().to_owned(), e.param_index)
+        });
         told.collect()
     };
     let told = |name: &str, index| [(name.to_owned(), index)];

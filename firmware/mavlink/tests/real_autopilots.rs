@@ -4,12 +4,12 @@ mod common;
 
 use common::peer::{Mode, Peer};
 use common::{
-    Bench, Flight, GROUND_STATION, ME, VEHICLE, bytes_of, command_long, messages, named_values, report, reposition,
-    texts,
+    Bench, Flight, GROUND_STATION, ME, VEHICLE, bytes_of, command_long, heartbeat, messages, named_values, report,
+    reposition, texts,
 };
 use vigil_guidance::{EngagePolicy, GuidanceConfig};
 use vigil_mavlink::Flavour::{self, ArduPilot, Px4};
-use vigil_mavlink::common::{HEARTBEAT_DATA, MavAutopilot, MavCmd, MavFrame, MavMessage, MavResult, MavType};
+use vigil_mavlink::common::{MavAutopilot, MavCmd, MavFrame, MavMessage, MavResult};
 use vigil_mavlink::{Companion, CompanionConfig};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Ready, Standby};
 use vigil_types::ObstacleReports;
@@ -222,14 +222,6 @@ fn the_autopilot_is_recognised_from_its_heartbeat() {
     assert!(texts(&b.sent).contains(&"vehicle 1: autopilot 0 is not known, flown as PX4".to_owned()));
 }
 
-fn heartbeat(autopilot: MavAutopilot) -> MavMessage {
-    MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        autopilot,
-        mavtype: MavType::MAV_TYPE_QUADROTOR,
-        ..Default::default()
-    })
-}
-
 #[test]
 fn what_flies_is_not_taken_for_another_autopilot_in_flight() {
     let mut f = Flight::of(None, Peer::on_the_ground(Px4), GuidanceConfig::default());
@@ -362,12 +354,8 @@ fn a_refused_request_is_answered_with_its_reason() {
     let say = |f: &mut Flight, message: &MavMessage| {
         f.hear(GROUND_STATION, message);
         f.step();
-        let acks: Vec<_> = messages(&f.sent)
-            .into_iter()
-            .filter_map(|(_, m)| match m {
-                MavMessage::COMMAND_ACK(ack) => Some((ack.result as u8, ack.result_param2)),
-                _ => None,
-            })
+        let acks: Vec<_> = only!(messages(&f.sent), COMMAND_ACK)
+            .map(|ack| (ack.result as u8, ack.result_param2))
             .collect();
         let refused = texts(&f.sent).into_iter().find(|t| t.contains("refused"));
         f.run(seconds(1.0));
@@ -381,23 +369,25 @@ fn a_refused_request_is_answered_with_its_reason() {
         "the answer has the reasons' bits"
     );
     let land = command_long(MavCmd::MAV_CMD_NAV_LAND, ME, 0.0);
-    let (_, why) = say(&mut f, &land);
-    assert_eq!(why, "landing refused in standby: guidance does not have the vehicle");
-    let (_, why) = say(&mut f, &reposition(MavFrame::MAV_FRAME_LOCAL_NED, 0, 0, 5.0));
-    assert_eq!(
-        why,
-        "goal refused: outside the fence, too far, or at or below the ground"
-    );
-    let (_, why) = say(&mut f, &reposition(MavFrame::MAV_FRAME_BODY_FRD, 0, 0, -5.0));
-    assert_eq!(
-        why,
-        "goal refused: frames LOCAL_NED, GLOBAL and GLOBAL_RELATIVE_ALT are known"
-    );
-    let (_, why) = say(&mut f, &command_long(MavCmd::MAV_CMD_DO_REPOSITION, ME, 0.0));
-    assert_eq!(
-        why,
-        "goal refused: send it as COMMAND_INT, a float does not hold a latitude"
-    );
+    let goal = |frame, z| reposition(frame, 0, 0, z);
+    let long = command_long(MavCmd::MAV_CMD_DO_REPOSITION, ME, 0.0);
+    for (message, refused) in [
+        (&land, "landing refused in standby: guidance does not have the vehicle"),
+        (
+            &goal(MavFrame::MAV_FRAME_LOCAL_NED, 5.0),
+            "goal refused: outside the fence, too far, or at or below the ground",
+        ),
+        (
+            &goal(MavFrame::MAV_FRAME_BODY_FRD, -5.0),
+            "goal refused: frames LOCAL_NED, GLOBAL and GLOBAL_RELATIVE_ALT are known",
+        ),
+        (
+            &long,
+            "goal refused: send it as COMMAND_INT, a float does not hold a latitude",
+        ),
+    ] {
+        assert_eq!(say(&mut f, message).1, refused);
+    }
 
     // A flood is answered; it does not become a flood of texts.
     f.texts.clear();
@@ -449,11 +439,9 @@ fn obstacles_told(obstacles: ObstacleReports, peer: Peer) -> (usize, usize) {
         let mut sent = Datagrams::default();
         let sectors = [(0.0, 0.14)].into_iter();
         f.companion.emit_obstacles(f.now_ns, Some(sectors), &mut sent);
-        for (_, message) in messages(&sent) {
-            if let MavMessage::OBSTACLE_DISTANCE(m) = message {
-                told += 1;
-                seen += usize::from(m.distances.iter().any(|d| *d != u16::MAX));
-            }
+        for m in only!(messages(&sent), OBSTACLE_DISTANCE) {
+            told += 1;
+            seen += usize::from(m.distances.iter().any(|d| *d != u16::MAX));
         }
     }
     (told, seen)

@@ -239,11 +239,8 @@ fn requests(b: &mut Bench, mut each: impl FnMut(&mut Bench, u32)) -> Vec<(u16, f
     let mut found = Vec::new();
     for n in 0..600 {
         each(b, n);
-        for (_, m) in b.step(Standby, Reasons::NONE, VehicleRequest::None) {
-            if let MavMessage::COMMAND_LONG(c) = m {
-                found.push((c.command as u16, c.param1, c.param2));
-            }
-        }
+        let sent = b.step(Standby, Reasons::NONE, VehicleRequest::None);
+        found.extend(only!(sent, COMMAND_LONG).map(|c| (c.command as u16, c.param1, c.param2)));
     }
     found
 }
@@ -336,11 +333,9 @@ fn a_vehicle_that_drifts_and_says_that_it_stands_is_told_to_go_against_it() {
         };
         b.sent.clear();
         b.companion.emit(&hold, VehicleRequest::None, &mut b.sent);
-        let sent = common::messages(&b.sent);
-        sent.iter().find_map(|(_, m)| match m {
-            MavMessage::SET_POSITION_TARGET_LOCAL_NED(s) => Some((s.vx, s.vy)),
-            _ => None,
-        })
+        only!(common::messages(&b.sent), SET_POSITION_TARGET_LOCAL_NED)
+            .map(|s| (s.vx, s.vy))
+            .next()
     };
     let (forward_m_s, right_m_s) = sent_m_s(&mut b).expect("a setpoint");
     assert!(forward_m_s.abs() < 0.01 && (right_m_s - 0.25).abs() < 0.02);

@@ -21,6 +21,11 @@ pub struct Dense {
 }
 
 impl Dense {
+    /// One from so many values to so many.
+    pub const fn new(inputs: usize, outputs: usize) -> Self {
+        Self { inputs, outputs }
+    }
+
     /// Number of weights.
     pub fn weight_len(&self) -> usize {
         self.inputs * self.outputs

@@ -76,16 +76,8 @@ fn check(bencher: Bencher) {
                 mode: VehicleMode::External,
                 failsafe: false,
             }),
-            kinematics: Some(Kinematics {
-                at_ns: header.stamp_ns,
-                position_ned_m: header.position_ned_m,
-                velocity_ned_m_s: NedVector::ZERO,
-            }),
-            attitude: Some(AttitudeSample {
-                at_ns: header.stamp_ns,
-                attitude: header.attitude,
-                rates_frd_rad_s: FrdVector::ZERO,
-            }),
+            kinematics: Some(Kinematics::new(header.stamp_ns, header.position_ned_m, NedVector::ZERO)),
+            attitude: Some(AttitudeSample::new(header.stamp_ns, header.attitude, FrdVector::ZERO)),
             ..VehicleTelemetry::default()
         };
         let faults = plausibility.check(&frames[i], &telemetry);

@@ -47,11 +47,7 @@ pub fn attraction(goal: GoalRelative) -> Action {
     } else {
         0.0
     };
-    Action {
-        forward_m_s: if near { 20.0 * cos / (d * d) } else { 2.0 * cos / d },
-        yaw,
-    }
-    .clipped()
+    Action::new(if near { 20.0 * cos / (d * d) } else { 2.0 * cos / d }, yaw).clipped()
 }
 
 /// The repulsive field of the nearest point of an obstacle at bearing θ and distance d, which acts on the yaw only:
@@ -72,11 +68,7 @@ pub fn repulsion(obstacle: NearestObstacle, range_m: f32) -> Action {
     } else {
         3.0
     };
-    Action {
-        forward_m_s: 0.0,
-        yaw: side + 3.0 * libm::tanf(0.5 * theta),
-    }
-    .clipped()
+    Action::new(0.0, side + 3.0 * libm::tanf(0.5 * theta)).clipped()
 }
 
 /// Both fields added and clipped to ±[`vigil_types::ACTION_LIMIT`]: the "APF force added to the action" of the paper's Algorithm 1,
@@ -89,11 +81,7 @@ pub fn force(goal: GoalRelative, obstacle: Option<NearestObstacle>, repulsive_ra
 
 /// The sum of two actions, clipped to ±[`vigil_types::ACTION_LIMIT`].
 pub fn add(a: Action, b: Action) -> Action {
-    Action {
-        forward_m_s: a.forward_m_s + b.forward_m_s,
-        yaw: a.yaw + b.yaw,
-    }
-    .clipped()
+    Action::new(a.forward_m_s + b.forward_m_s, a.yaw + b.yaw).clipped()
 }
 
 #[cfg(test)]
@@ -101,10 +89,7 @@ mod tests {
     use super::*;
 
     fn goal(distance_m: f32, bearing_deg: f32) -> GoalRelative {
-        GoalRelative {
-            distance_m,
-            bearing_rad: bearing_deg.to_radians(),
-        }
+        GoalRelative::new(distance_m, bearing_deg.to_radians())
     }
 
     fn obstacle(distance_m: f32, bearing_deg: f32) -> NearestObstacle {

@@ -37,10 +37,7 @@ impl FlightField {
     pub fn add_to(&mut self, own: Action, input: &PilotInput<'_>, scan: &Scan) -> Action {
         let obstacle = scan.nearest_within(FIELD_HALF_ANGLE_RAD);
         let here = input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input);
-        let turn = Action {
-            forward_m_s: 0.0,
-            yaw: ESCAPE_YAW * self.escape.side(here, input.now_ns, obstacle),
-        };
+        let turn = Action::new(0.0, ESCAPE_YAW * self.escape.side(here, input.now_ns, obstacle));
         let force = match obstacle.filter(|o| o.distance_m < apf::REPULSIVE_RANGE_M) {
             // The goal does not pull through what stands before it: how to pass that is the actor's.
             Some(obstacle) => apf::repulsion(obstacle, FIELD_RANGE_M),

@@ -138,10 +138,7 @@ mod tests {
         PilotInput {
             now_ns,
             depth,
-            goal: GoalRelative {
-                distance_m: 10.0,
-                bearing_rad: 0.0,
-            },
+            goal: GoalRelative::new(10.0, 0.0),
             attitude: Attitude::LEVEL_NORTH,
             velocity_m_s: HeadingVector::ZERO,
             height_m: 2.0,

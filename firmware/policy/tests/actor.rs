@@ -98,10 +98,7 @@ fn input(frame: &DepthFrame) -> PilotInput<'_> {
     PilotInput {
         now_ns: 0,
         depth: frame,
-        goal: GoalRelative {
-            distance_m: 12.0,
-            bearing_rad: 0.4,
-        },
+        goal: GoalRelative::new(12.0, 0.4),
         attitude: Attitude::LEVEL_NORTH,
         velocity_m_s: HeadingVector::ZERO,
         height_m: 1.5,
@@ -163,10 +160,7 @@ fn wall_open_on_the_right() -> DepthFrame {
 fn the_recovery_pilot_leads_along_its_path_and_over_open_ground_to_the_goal() {
     let frame = wall_open_on_the_right();
     let ahead = PilotInput {
-        goal: GoalRelative {
-            distance_m: 9.0,
-            bearing_rad: -0.1,
-        },
+        goal: GoalRelative::new(9.0, -0.1),
         ..input(&frame)
     };
     let mut planner = Box::<RecoveryPilot>::default();

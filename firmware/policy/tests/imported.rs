@@ -13,10 +13,7 @@ fn picking(inputs: PolicyInputs, pixels: [usize; 2]) -> FrozenPolicy {
     for (output, pixel) in pixels.into_iter().enumerate() {
         params[2 * pixel + output] = 1.0;
     }
-    let dense = Dense {
-        inputs: len,
-        outputs: 2,
-    };
+    let dense = Dense::new(len, 2);
     layers.push(Layer::Dense {
         x: 0,
         layer: dense,
@@ -56,10 +53,7 @@ fn decide(pilot: &mut ImportedPilot, frame: &DepthFrame) -> [f32; 2] {
     let action = pilot.decide(&PilotInput {
         now_ns: 0,
         depth: frame,
-        goal: GoalRelative {
-            distance_m: 10.0,
-            bearing_rad: 0.5,
-        },
+        goal: GoalRelative::new(10.0, 0.5),
         attitude: Attitude::LEVEL_NORTH,
         velocity_m_s: HeadingVector::ZERO,
         height_m: 2.5,

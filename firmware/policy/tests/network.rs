@@ -72,10 +72,7 @@ fn input<'a>(frame: &'a DepthFrame, step: u64) -> PilotInput<'a> {
     PilotInput {
         now_ns: frame.header.stamp_ns,
         depth: frame,
-        goal: GoalRelative {
-            distance_m: 12.0 - 0.1 * step as f32,
-            bearing_rad: 0.4,
-        },
+        goal: GoalRelative::new(12.0 - 0.1 * step as f32, 0.4),
         attitude: frame.header.attitude,
         velocity_m_s: HeadingVector::new(1.0, 0.1, 0.0),
         height_m: 1.5,

@@ -196,10 +196,7 @@ impl Flight {
             for (_, datagram) in self.vehicle.telemetry().iter() {
                 self.rig.vehicle.say(datagram);
             }
-            let timing = StepTiming {
-                step: self.step,
-                ..StepTiming::default()
-            };
+            let timing = StepTiming::of_step(self.step);
             self.firmware.step(
                 timing,
                 &mut HandedClock(now_ns),

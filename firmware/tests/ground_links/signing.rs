@@ -191,20 +191,8 @@ fn a_signing_key_is_passed_on_to_nobody_and_is_not_in_the_log() {
 #[test]
 fn each_link_has_its_own_signing_policy_and_what_was_taken_from_one_is_no_good_on_another() {
     let folder = tempfile::tempdir().unwrap();
-    let key_file = folder.path().join("vigil.key");
-    std::fs::write(&key_file, [7; 32]).unwrap();
-    std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
-    let signing = SigningConfig {
-        key_file: Some(key_file),
-        ..SigningConfig::default()
-    };
-    let gate = FirmwareConfig {
-        signing,
-        ..FirmwareConfig::default()
-    }
-    .gate()
-    .unwrap();
-    let mut rig = Rig::new([",unsigned=never", ""], gate);
+    let (config, _) = with_key(folder.path(), [7; 32]);
+    let mut rig = Rig::new([",unsigned=never", ""], config.gate().unwrap());
     let land = command(STATION, ME, MavCmd::MAV_CMD_NAV_LAND);
     for station in &rig.stations {
         station.say(&land);

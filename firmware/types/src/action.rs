@@ -19,17 +19,17 @@ pub struct Action {
 
 impl Action {
     /// No motion.
-    pub const HOVER: Self = Self {
-        forward_m_s: 0.0,
-        yaw: 0.0,
-    };
+    pub const HOVER: Self = Self::new(0.0, 0.0);
+
+    /// A decision of its two outputs.
+    pub const fn new(forward_m_s: f32, yaw: f32) -> Self {
+        Self { forward_m_s, yaw }
+    }
 
     /// Limits both outputs to ±[`ACTION_LIMIT`].
     pub fn clipped(self) -> Self {
-        Self {
-            forward_m_s: self.forward_m_s.clamp(-ACTION_LIMIT, ACTION_LIMIT),
-            yaw: self.yaw.clamp(-ACTION_LIMIT, ACTION_LIMIT),
-        }
+        let within = |output: f32| output.clamp(-ACTION_LIMIT, ACTION_LIMIT);
+        Self::new(within(self.forward_m_s), within(self.yaw))
     }
 
     /// Whether both outputs are finite.
@@ -81,14 +81,24 @@ pub struct GoalRelative {
     pub bearing_rad: f32,
 }
 
+impl GoalRelative {
+    /// A goal at this distance and bearing.
+    pub const fn new(distance_m: f32, bearing_rad: f32) -> Self {
+        Self {
+            distance_m,
+            bearing_rad,
+        }
+    }
+}
+
 impl Goal {
     /// Distance and bearing of the goal from where the vehicle is.
     pub fn relative_to(&self, kinematics: &Kinematics, attitude: &AttitudeSample) -> GoalRelative {
         let to_goal = self.position_ned_m - kinematics.position_ned_m;
         let bearing_ned_rad = libm::atan2f(to_goal.y, to_goal.x);
-        GoalRelative {
-            distance_m: to_goal.horizontal_norm(),
-            bearing_rad: wrap_pi(bearing_ned_rad - attitude.attitude.yaw_rad()),
-        }
+        GoalRelative::new(
+            to_goal.horizontal_norm(),
+            wrap_pi(bearing_ned_rad - attitude.attitude.yaw_rad()),
+        )
     }
 }

@@ -17,6 +17,16 @@ pub struct StepTiming {
     pub slips: u64,
 }
 
+impl StepTiming {
+    /// Of a step with this number, of which nothing else is known.
+    pub fn of_step(step: u64) -> Self {
+        Self {
+            step,
+            ..Self::default()
+        }
+    }
+}
+
 /// Datagrams of one step, in order, each with the link it belongs to; fixed capacity, no allocation.
 #[derive(Clone)]
 pub struct Datagrams {

@@ -68,6 +68,17 @@ pub struct Kinematics {
     pub velocity_ned_m_s: NedVector,
 }
 
+impl Kinematics {
+    /// Position and velocity as they arrived at that time.
+    pub const fn new(at_ns: Nanos, position_ned_m: NedVector, velocity_ned_m_s: NedVector) -> Self {
+        Self {
+            at_ns,
+            position_ned_m,
+            velocity_ned_m_s,
+        }
+    }
+}
+
 /// The vehicle's last attitude.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AttitudeSample {
@@ -77,6 +88,17 @@ pub struct AttitudeSample {
     pub attitude: Attitude,
     /// Body rates in radians per second.
     pub rates_frd_rad_s: FrdVector,
+}
+
+impl AttitudeSample {
+    /// Attitude and rates as they arrived at that time.
+    pub const fn new(at_ns: Nanos, attitude: Attitude, rates_frd_rad_s: FrdVector) -> Self {
+        Self {
+            at_ns,
+            attitude,
+            rates_frd_rad_s,
+        }
+    }
 }
 
 /// Everything known of the vehicle; `None` means never received.

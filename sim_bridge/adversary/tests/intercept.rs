@@ -96,18 +96,12 @@ fn the_goal_is_seen_as_the_pilot_sees_it() {
     let goal = Goal {
         position_ned_m: NedVector::new(-9.0, 4.0, -1.5),
     };
-    let kinematics = Kinematics {
-        at_ns: 0,
-        position_ned_m: frame.header.position_ned_m,
-        velocity_ned_m_s: NedVector::ZERO,
-    };
-    let attitude = AttitudeSample {
-        at_ns: 0,
-        attitude: frame.header.attitude,
-        rates_frd_rad_s: FrdVector::ZERO,
-    };
-    let seen = goal_seen_from(&frame.header, goal.position_ned_m);
-    assert_eq!(seen, goal.relative_to(&kinematics, &attitude));
+    let kinematics = Kinematics::new(0, frame.header.position_ned_m, NedVector::ZERO);
+    let attitude = AttitudeSample::new(0, frame.header.attitude, FrdVector::ZERO);
+    assert_eq!(
+        goal_seen_from(&frame.header, goal.position_ned_m),
+        goal.relative_to(&kinematics, &attitude)
+    );
 }
 
 #[test]

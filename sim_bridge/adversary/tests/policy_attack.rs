@@ -27,8 +27,8 @@ fn weight(i: usize) -> f32 {
 
 /// The yaw is a weighted sum of the frame's values.
 fn linear(inputs: PolicyInputs, curve: Activation) -> FrozenPilot {
-    let (len, outputs) = (inputs.rows * inputs.cols * inputs.channels, 2);
-    let layer = Dense { inputs: len, outputs };
+    let len = inputs.rows * inputs.cols * inputs.channels;
+    let layer = Dense::new(len, 2);
     let mut params = vec![0.0; 2 * len + 2];
     for i in 0..len {
         params[2 * i + 1] = weight(i);

@@ -160,16 +160,8 @@ impl Environment {
     /// Distance and bearing to the goal as the vehicle believes.
     pub fn goal_relative(&self) -> GoalRelative {
         let estimate = self.estimate();
-        let kinematics = Kinematics {
-            at_ns: estimate.at_ns,
-            position_ned_m: estimate.position_ned_m,
-            velocity_ned_m_s: estimate.velocity_ned_m_s,
-        };
-        let attitude = AttitudeSample {
-            at_ns: estimate.at_ns,
-            attitude: estimate.attitude,
-            rates_frd_rad_s: estimate.rates_frd_rad_s,
-        };
+        let kinematics = Kinematics::new(estimate.at_ns, estimate.position_ned_m, estimate.velocity_ned_m_s);
+        let attitude = AttitudeSample::new(estimate.at_ns, estimate.attitude, estimate.rates_frd_rad_s);
         self.goal.relative_to(&kinematics, &attitude)
     }
 

@@ -7,7 +7,7 @@ use mavlink::dialects::common::{
 };
 use vigil_io::gate::{AllowUnsigned, SigningGate};
 use vigil_io::link_spec::LinkSpec;
-use vigil_io::links::{AnyWire, LinkAdmission, LinkError, PeerRule, somebody_is_heard};
+use vigil_io::links::{LinkAdmission, LinkError, PeerRule, Wire, open_wire, somebody_is_heard};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::framing::{Command, FramingCounters, MAX_PACKET_LEN, packets, serialize};
 use vigil_types::{Datagrams, Nanos};
@@ -32,7 +32,7 @@ const PLACES: [u32; 2] = [HOME_POSITION_DATA::ID, GPS_GLOBAL_ORIGIN_DATA::ID];
 /// One link, with what came on it last.
 pub struct PoseLink {
     spec: LinkSpec,
-    wire: AnyWire,
+    wire: Box<dyn Wire>,
     gate: SigningGate,
     allow_unsigned: AllowUnsigned,
     received: Box<Datagrams>,
@@ -55,7 +55,7 @@ impl PoseLink {
         let gate = SigningGate::new(None, allow_unsigned);
         somebody_is_heard(&spec.url, gate.has_key(), allow_unsigned)?;
         Ok(Self {
-            wire: AnyWire::open(&spec.url, PeerRule::Vehicle { system: spec.system })?,
+            wire: open_wire(&spec.url, PeerRule::Vehicle { system: spec.system })?,
             spec: spec.clone(),
             gate,
             allow_unsigned,

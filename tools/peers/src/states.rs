@@ -62,16 +62,8 @@ pub fn watch(actor: &mut Actor, seed: u64) -> Result<Vec<State>> {
             sensor_id: 0,
         };
         lidar.capture(&world, &shot, &mut frame);
-        let kinematics = Kinematics {
-            at_ns,
-            position_ned_m,
-            velocity_ned_m_s: NedVector::new(0.0, 0.0, 0.0),
-        };
-        let sample = AttitudeSample {
-            at_ns,
-            attitude,
-            rates_frd_rad_s: FrdVector::new(0.0, 0.0, 0.0),
-        };
+        let kinematics = Kinematics::new(at_ns, position_ned_m, NedVector::new(0.0, 0.0, 0.0));
+        let sample = AttitudeSample::new(at_ns, attitude, FrdVector::new(0.0, 0.0, 0.0));
         let action = actor.decide(&PilotInput {
             now_ns: at_ns,
             depth: &frame,

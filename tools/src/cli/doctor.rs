@@ -13,7 +13,7 @@ use vigil_io::clock::monotonic_ns;
 use vigil_io::gate::{AllowUnsigned, SigningGate};
 use vigil_io::key_file::frame_keys;
 use vigil_io::link_spec::LinkSpec;
-use vigil_io::links::{AnyWire, LinkAdmission, PeerRule, somebody_is_heard};
+use vigil_io::links::{LinkAdmission, PeerRule, open_wire, somebody_is_heard};
 use vigil_io::shared_memory::DEPTH_TOPIC;
 use vigil_mavlink::Flavour;
 use vigil_sim::LIDAR_SENSOR_ID;
@@ -93,7 +93,7 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
     };
     somebody_is_heard(&args.link.url, gate.has_key(), policy)?;
     let system = args.link.system;
-    let mut wire = AnyWire::open(&args.link.url, PeerRule::Vehicle { system })?;
+    let mut wire = open_wire(&args.link.url, PeerRule::Vehicle { system })?;
     let mut frames = match args.no_sensor {
         true => None,
         false => {

@@ -68,10 +68,7 @@ impl Story {
             },
             telemetry_age_ns: 10_000_000,
             heartbeat_age_ns: Some(400_000_000),
-            action: Some(Action {
-                forward_m_s: 1.0,
-                yaw: 0.5,
-            }),
+            action: Some(Action::new(1.0, 0.5)),
             recovery: None,
             verdict: None,
             risk: QUIET,
@@ -122,16 +119,8 @@ impl Story {
                 mode: self.mode,
                 failsafe: self.failsafe,
             }),
-            kinematics: Some(Kinematics {
-                at_ns,
-                position_ned_m: self.position_ned_m,
-                velocity_ned_m_s: self.velocity_ned_m_s,
-            }),
-            attitude: Some(AttitudeSample {
-                at_ns,
-                attitude: Attitude::LEVEL_NORTH,
-                rates_frd_rad_s: FrdVector::ZERO,
-            }),
+            kinematics: Some(Kinematics::new(at_ns, self.position_ned_m, self.velocity_ned_m_s)),
+            attitude: Some(AttitudeSample::new(at_ns, Attitude::LEVEL_NORTH, FrdVector::ZERO)),
             landed: self.landed,
             battery_remaining: self.battery,
         }

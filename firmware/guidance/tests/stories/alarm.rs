@@ -126,7 +126,6 @@ fn an_actor_without_a_verdict_is_not_trusted_for_longer_than_half_a_second() {
 #[test]
 fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_clean() {
     let mut s = watched(AlarmPolicy::Recover);
-    s.verdict = Some(Verdict::Clean);
     s.risk.collision_course = true;
     assert_eq!(s.run(3).alarm, None, "a few steps may be noise");
     let alarm = s.step();
@@ -160,7 +159,6 @@ fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_cle
 #[test]
 fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator() {
     let mut s = watched(AlarmPolicy::Stop);
-    s.verdict = Some(Verdict::Clean);
     s.risk.collision_course = true;
     s.run(4);
     s.risk.collision_course = false;
@@ -177,7 +175,6 @@ fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator()
 #[test]
 fn an_actor_that_is_led_away_from_the_guard_s_way_is_stopped_although_every_verdict_is_clean_and_does_not_come_back() {
     let mut s = watched_for_leading_astray();
-    s.verdict = Some(Verdict::Clean);
     s.risk.speed_along_way_m_s = 0.8;
     assert_eq!(s.run(seconds(30.0)).alarm, None, "it gets on");
     // Astray, away from the way.
@@ -209,7 +206,6 @@ fn an_actor_that_is_led_away_from_the_guard_s_way_is_stopped_although_every_verd
 #[test]
 fn an_actor_that_waits_or_flies_round_something_or_is_held_is_not_taken_for_one_led_astray() {
     let mut s = watched_for_leading_astray();
-    s.verdict = Some(Verdict::Clean);
     for speed_m_s in [0.0, 0.8, -0.3, 0.8, 0.0, 1.2] {
         s.risk.speed_along_way_m_s = speed_m_s;
         assert_eq!(s.run(seconds(3.0)).alarm, None, "{speed_m_s}");
@@ -223,7 +219,6 @@ fn an_actor_that_waits_or_flies_round_something_or_is_held_is_not_taken_for_one_
 #[test]
 fn an_actor_that_goes_on_turning_the_other_way_than_the_planner_is_stopped_although_it_gets_on() {
     let mut s = watched(AlarmPolicy::Recover);
-    s.verdict = Some(Verdict::Clean);
     let recovery_yaw = s.recovery.unwrap().yaw;
     let turn_apart = |s: &mut Story, apart: f32| s.action.as_mut().unwrap().yaw = recovery_yaw + apart;
     for _ in 0..20 {
@@ -260,7 +255,6 @@ fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
 #[test]
 fn a_new_flight_begins_with_the_actor() {
     let mut s = watched(AlarmPolicy::Recover);
-    s.verdict = Some(Verdict::Clean);
     s.risk.collision_course = true;
     assert!(s.run(4).alarm.is_some());
     s.risk.collision_course = false;

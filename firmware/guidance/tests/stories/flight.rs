@@ -63,12 +63,7 @@ fn an_operator_engages_and_the_vehicle_flies_to_the_goal_and_hovers_there() {
         "a gust that moves it away does not start it again"
     );
 
-    let next = OperatorRequest::Goal {
-        north_m: -5.0,
-        east_m: 0.0,
-        height_m: None,
-    };
-    assert_eq!(s.ask(next), RequestOutcome::Accepted);
+    assert_eq!(s.ask(goal(-5.0, 0.0, None)), RequestOutcome::Accepted);
     assert_eq!(
         s.guidance.goal().unwrap().position_ned_m,
         NedVector::new(-5.0, 0.0, -3.0)
@@ -78,26 +73,19 @@ fn an_operator_engages_and_the_vehicle_flies_to_the_goal_and_hovers_there() {
 
 #[test]
 fn goals_and_the_fence_are_counted_from_home_which_the_autopilot_sets_anew_when_it_is_armed() {
-    let geofence = Some(Geofence {
-        shape: FenceShape::Cylinder {
-            center_m: [0.0, 0.0],
-            radius_m: 30.0,
-        },
-        min_height_m: 0.8,
-        max_height_m: 6.0,
-    });
+    let geofence = fence(cylinder([0.0, 0.0], 30.0));
     let mut s = Story::begin(GuidanceConfig { geofence, ..auto() });
-    let goal = |s: &Story| s.guidance.goal().unwrap().position_ned_m;
+    let goal_m = |s: &Story| s.guidance.goal().unwrap().position_ned_m;
     s.step();
     assert_eq!(
-        goal(&s),
+        goal_m(&s),
         NedVector::new(20.0, 5.0, -3.0),
         "home is not known: the local origin"
     );
     s.home_ned_m = Some(NedVector::new(12.0, 3.0, -1.0));
     s.position_ned_m = NedVector::new(12.0, 3.0, -1.0);
     s.until(Engaging);
-    assert_eq!(goal(&s), NedVector::new(32.0, 8.0, -4.0));
+    assert_eq!(goal_m(&s), NedVector::new(32.0, 8.0, -4.0));
     assert_eq!(
         s.last.unwrap().request,
         VehicleRequest::FlyExternal { takeoff_height_m: 4.0 }
@@ -105,7 +93,7 @@ fn goals_and_the_fence_are_counted_from_home_which_the_autopilot_sets_anew_when_
     // Armed: home is where it stands now.
     s.home_ned_m = Some(NedVector::new(13.0, 3.0, -1.0));
     s.step();
-    assert_eq!(goal(&s), NedVector::new(33.0, 8.0, -4.0));
+    assert_eq!(goal_m(&s), NedVector::new(33.0, 8.0, -4.0));
 
     s.hand_over();
     s.position_ned_m = NedVector::new(13.0, 3.0, -4.0);
@@ -113,41 +101,32 @@ fn goals_and_the_fence_are_counted_from_home_which_the_autopilot_sets_anew_when_
     s.home_ned_m = Some(NedVector::ZERO);
     s.run(20);
     assert_eq!(
-        goal(&s),
+        goal_m(&s),
         NedVector::new(33.0, 8.0, -4.0),
         "in flight the goal does not wander off"
     );
 
-    let at = |north_m| OperatorRequest::Goal {
-        north_m,
-        east_m: 0.0,
-        height_m: None,
-    };
-    assert_eq!(s.ask(at(28.0)), RequestOutcome::Accepted);
-    assert_eq!(goal(&s), NedVector::new(41.0, 3.0, -4.0));
-    assert_eq!(s.ask(at(29.6)), RequestOutcome::Denied, "the fence is around home");
+    assert_eq!(s.ask(goal(28.0, 0.0, None)), RequestOutcome::Accepted);
+    assert_eq!(goal_m(&s), NedVector::new(41.0, 3.0, -4.0));
+    assert_eq!(
+        s.ask(goal(29.6, 0.0, None)),
+        RequestOutcome::Denied,
+        "the fence is around home"
+    );
     s.position_ned_m = NedVector::new(42.8, 3.0, -4.0);
     assert!(!s.step().reasons.contains(Reason::Geofence));
     s.position_ned_m = NedVector::new(43.2, 3.0, -4.0);
     assert!(s.step().reasons.contains(Reason::Geofence));
 
     // A place on the globe stays where it is.
-    let fixed = OperatorRequest::FixedGoal {
-        north_m: 20.0,
-        east_m: 5.0,
+    let fixed = |north_m, east_m| OperatorRequest::FixedGoal {
+        north_m,
+        east_m,
         height_m: Some(3.0),
     };
-    assert_eq!(s.ask(fixed), RequestOutcome::Accepted);
-    assert_eq!(goal(&s), NedVector::new(20.0, 5.0, -3.0));
-    assert_eq!(
-        s.ask(OperatorRequest::FixedGoal {
-            north_m: -18.0,
-            east_m: 3.0,
-            height_m: None
-        }),
-        RequestOutcome::Denied,
-        "31 m from home"
-    );
+    assert_eq!(s.ask(fixed(20.0, 5.0)), RequestOutcome::Accepted);
+    assert_eq!(goal_m(&s), NedVector::new(20.0, 5.0, -3.0));
+    assert_eq!(s.ask(fixed(-18.0, 3.0)), RequestOutcome::Denied, "31 m from home");
 }
 
 #[test]
@@ -215,24 +194,8 @@ fn every_bad_input_is_a_hold_with_its_name_within_one_step() {
         (|s| s.telemetry_age_ns = 300_000_001, Reason::StaleTelemetry),
         (|s| s.heartbeat_age_ns = Some(1_500_000_001), Reason::LinkLost),
         (|s| s.position_ned_m.x = f32::NAN, Reason::NotFinite),
-        (
-            |s| {
-                s.action = Some(Action {
-                    forward_m_s: f32::INFINITY,
-                    yaw: 0.0,
-                })
-            },
-            Reason::NotFinite,
-        ),
-        (
-            |s| {
-                s.action = Some(Action {
-                    forward_m_s: 0.0,
-                    yaw: f32::NAN,
-                })
-            },
-            Reason::NotFinite,
-        ),
+        (|s| s.action = Some(Action::new(f32::INFINITY, 0.0)), Reason::NotFinite),
+        (|s| s.action = Some(Action::new(0.0, f32::NAN)), Reason::NotFinite),
         (|s| s.action = None, Reason::NotFinite),
         (|s| s.mode = VehicleMode::Hold, Reason::ModeLost),
         (|s| s.slips += 3, Reason::Slip),
@@ -273,15 +236,7 @@ fn nothing_is_sent_and_nothing_engages_while_an_input_is_missing() {
         (|s| s.telemetry_age_ns = 2_000_000_000, Reason::StaleTelemetry),
         (|s| s.heartbeat_age_ns = None, Reason::LinkLost),
         (|s| s.position_ned_m.y = f32::INFINITY, Reason::NotFinite),
-        (
-            |s| {
-                s.action = Some(Action {
-                    forward_m_s: f32::NAN,
-                    yaw: 0.0,
-                })
-            },
-            Reason::NotFinite,
-        ),
+        (|s| s.action = Some(Action::new(f32::NAN, 0.0)), Reason::NotFinite),
         (|s| s.battery = Some(0.14), Reason::LowBattery),
     ];
     for (spoil, reason) in stories {
@@ -320,12 +275,8 @@ fn slips_before_the_first_step_are_not_held_against_the_flight() {
 
 #[test]
 fn the_fence_holds_the_vehicle_and_refuses_goals_outside() {
-    let fence = |shape| GuidanceConfig {
-        geofence: Some(Geofence {
-            shape,
-            min_height_m: 0.8,
-            max_height_m: 6.0,
-        }),
+    let config = |shape| GuidanceConfig {
+        geofence: fence(shape),
         ..Default::default()
     };
     for shape in [
@@ -333,34 +284,21 @@ fn the_fence_holds_the_vehicle_and_refuses_goals_outside() {
             min_m: [-5.0, -10.0],
             max_m: [25.0, 10.0],
         },
-        FenceShape::Cylinder {
-            center_m: [10.0, 0.0],
-            radius_m: 15.0,
-        },
+        cylinder([10.0, 0.0], 15.0),
     ] {
-        let mut s = Story::guided(fence(shape));
-        let goal = |north_m, height_m| OperatorRequest::Goal {
-            north_m,
-            east_m: 0.0,
-            height_m: Some(height_m),
-        };
-        for bad in [
-            goal(24.8, 3.0),
-            goal(5.0, 5.8),
-            goal(5.0, 0.9),
-            goal(f32::NAN, 3.0),
-            goal(5.0, -1.0),
-        ] {
+        let mut s = Story::guided(config(shape));
+        for (north_m, height_m) in [(24.8, 3.0), (5.0, 5.8), (5.0, 0.9), (f32::NAN, 3.0), (5.0, -1.0)] {
+            let bad = goal(north_m, 0.0, Some(height_m));
             assert_eq!(s.ask(bad), RequestOutcome::Denied, "{bad:?}");
         }
-        assert_eq!(s.ask(goal(5.0, 3.0)), RequestOutcome::Accepted);
+        assert_eq!(s.ask(goal(5.0, 0.0, Some(3.0))), RequestOutcome::Accepted);
         for (x, height, inside) in [
             (24.9, 3.0, true),
             (25.1, 3.0, false),
             (10.0, 6.1, false),
             (10.0, 0.7, false),
         ] {
-            let mut s = Story::guided(fence(shape));
+            let mut s = Story::guided(config(shape));
             s.position_ned_m = NedVector::new(x, 0.0, -height);
             let out = s.step();
             assert_eq!(
@@ -382,17 +320,8 @@ fn the_fence_holds_the_vehicle_and_refuses_goals_outside() {
 
 #[test]
 fn on_the_ground_the_least_height_of_the_fence_does_not_count() {
-    let shape = FenceShape::Cylinder {
-        center_m: [10.0, 0.0],
-        radius_m: 15.0,
-    };
-    let geofence = Some(Geofence {
-        shape,
-        min_height_m: 0.8,
-        max_height_m: 6.0,
-    });
     let mut s = Story::begin(GuidanceConfig {
-        geofence,
+        geofence: fence(cylinder([10.0, 0.0], 15.0)),
         ..Default::default()
     });
     assert_eq!(s.run(20).state, Ready);
@@ -426,10 +355,7 @@ fn a_firmware_that_starts_in_the_air_takes_the_vehicle_over() {
 #[test]
 fn actions_beyond_the_limits_are_clipped() {
     let mut s = Story::guided(GuidanceConfig::default());
-    s.action = Some(Action {
-        forward_m_s: -9.0,
-        yaw: 4.0,
-    });
+    s.action = Some(Action::new(-9.0, 4.0));
     let v = s.step().setpoint.unwrap();
     assert_eq!((v.velocity_m_s.x, v.velocity_m_s.y), (-1.5, 0.0));
     assert!((v.yaw_rate_rad_s.to_degrees() - 45.0).abs() < 1e-4);
@@ -475,11 +401,7 @@ fn a_configuration_that_must_not_fly_is_refused_by_field() {
         min_m: [5.0, 0.0],
         max_m: [5.0, 9.0],
     };
-    let geofence = Some(Geofence {
-        shape,
-        min_height_m: 0.0,
-        max_height_m: 9.0,
-    });
+    let geofence = fence(shape);
     assert!(refused(GuidanceConfig { geofence, ..d }).contains("geofence"));
 }
 
@@ -554,22 +476,17 @@ fn a_flight_without_progress_that_is_to_hold_goes_on_with_another_goal_or_an_ope
 fn a_goal_farther_than_the_limit_is_refused_with_its_distance_and_the_one_before_stays() {
     let mut s = Story::guided(auto());
     let before = s.guidance.goal();
-    let goal = |north_m, east_m| OperatorRequest::Goal {
-        north_m,
-        east_m,
-        height_m: None,
-    };
     let too_far = RequestOutcome::TooFar {
         distance_m: 501,
         limit_m: 500,
     };
-    assert_eq!(s.ask(goal(-300.0, 400.5)), too_far);
+    assert_eq!(s.ask(goal(-300.0, 400.5, None)), too_far);
     assert_eq!(s.guidance.goal(), before);
-    assert_eq!(s.ask(goal(-300.0, 400.0)), RequestOutcome::Accepted);
+    assert_eq!(s.ask(goal(-300.0, 400.0, None)), RequestOutcome::Accepted);
     let farther = GuidanceConfig {
         goal_limit_m: 1000.0,
         ..auto()
     };
     s.guidance.reconfigure(farther).unwrap();
-    assert_eq!(s.ask(goal(-300.0, 400.5)), RequestOutcome::Accepted);
+    assert_eq!(s.ask(goal(-300.0, 400.5, None)), RequestOutcome::Accepted);
 }

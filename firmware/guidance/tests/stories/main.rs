@@ -26,3 +26,24 @@ fn auto() -> GuidanceConfig {
 fn seconds(s: f64) -> usize {
     (s / 0.05).round() as usize
 }
+
+fn goal(north_m: f32, east_m: f32, height_m: Option<f32>) -> OperatorRequest {
+    OperatorRequest::Goal {
+        north_m,
+        east_m,
+        height_m,
+    }
+}
+
+fn cylinder(center_m: [f32; 2], radius_m: f32) -> FenceShape {
+    FenceShape::Cylinder { center_m, radius_m }
+}
+
+/// A fence from 0.8 to 6 m.
+fn fence(shape: FenceShape) -> Option<Geofence> {
+    Some(Geofence {
+        shape,
+        min_height_m: 0.8,
+        max_height_m: 6.0,
+    })
+}

@@ -1,8 +1,7 @@
-//! MAVLink over UDP, TCP or a serial line: links, and the one type behind which each is ([`AnyWire`]).
+//! MAVLink over UDP, TCP or a serial line: links, each behind the trait [`Wire`] once it is open.
 //!
 //! None of them waits, allocates after its opening, or ends: a peer that is gone is waited for.
 
-mod any_wire;
 mod callers;
 mod packet_stream;
 mod peer_rule;
@@ -13,17 +12,12 @@ mod tcp;
 mod udp;
 mod wire;
 
-pub use any_wire::AnyWire;
 pub use peer_rule::PeerRule;
-pub use peers::{UdpPeers, UdpSender};
-pub use serial::SerialLink;
-pub(crate) use serial::SerialWire;
-pub use tcp::TcpLink;
-pub(crate) use tcp::TcpWire;
-pub use udp::UdpLink;
-pub(crate) use udp::UdpWire;
-pub(crate) use wire::Wire;
-pub use wire::{Gated, LinkAdmission};
+pub use peers::UdpPeers;
+use serial::SerialWire;
+use tcp::TcpWire;
+use udp::UdpWire;
+pub use wire::{Gated, LinkAdmission, Wire, open_wire};
 
 use crate::gate::{AllowUnsigned, SigningFileError};
 use crate::link_url::LinkUrl;
@@ -145,6 +139,16 @@ pub fn somebody_is_heard(url: &LinkUrl, has_key: bool, policy: AllowUnsigned) ->
 /// Whether a sender's address is this machine's loopback: no packet of another machine bears it.
 fn is_local(address: SocketAddr) -> bool {
     address.ip().to_canonical().is_loopback()
+}
+
+/// The local address of a UDP link, and who is sent to unasked.
+fn udp_ends(url: &LinkUrl) -> Option<(SocketAddr, Option<SocketAddr>)> {
+    match *url {
+        LinkUrl::UdpIn(local) => Some((local, None)),
+        LinkUrl::UdpOut(peer @ SocketAddr::V4(_)) => Some((([0, 0, 0, 0], 0).into(), Some(peer))),
+        LinkUrl::UdpOut(peer @ SocketAddr::V6(_)) => Some((([0_u16; 8], 0).into(), Some(peer))),
+        _ => None,
+    }
 }
 
 /// Whether a peer on this machine can speak on the link.

@@ -34,28 +34,14 @@ struct Learned {
     is_loud: bool,
 }
 
-/// Who sent a datagram, of several on one socket.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct UdpSender {
-    /// On this machine.
-    pub is_local: bool,
-    /// Another number for another address.
-    pub number: u64,
-}
-
-impl UdpSender {
-    fn of(address: SocketAddr) -> Self {
-        // FNV-1a, which is the same in every process.
-        let mix = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3);
-        let begin = address.port().to_le_bytes().iter().fold(0xCBF2_9CE4_8422_2325, mix);
-        let number = match address.ip().to_canonical() {
-            IpAddr::V4(ip) => ip.octets().iter().fold(begin, mix),
-            IpAddr::V6(ip) => ip.octets().iter().fold(begin, mix),
-        };
-        Self {
-            is_local: is_local(address),
-            number,
-        }
+/// Another number for another address.
+fn number_of(address: SocketAddr) -> u64 {
+    // FNV-1a, which is the same in every process.
+    let mix = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3);
+    let begin = address.port().to_le_bytes().iter().fold(0xCBF2_9CE4_8422_2325, mix);
+    match address.ip().to_canonical() {
+        IpAddr::V4(ip) => ip.octets().iter().fold(begin, mix),
+        IpAddr::V6(ip) => ip.octets().iter().fold(begin, mix),
     }
 }
 
@@ -96,26 +82,6 @@ impl UdpPeers {
         Ok(link)
     }
 
-    /// Answers whoever speaks.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn listening(local: SocketAddr) -> std::io::Result<Self> {
-        Self::open(local, None)
-    }
-
-    /// Sends to `peer` unasked.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn calling(peer: SocketAddr) -> std::io::Result<Self> {
-        let any = match peer {
-            SocketAddr::V4(_) => SocketAddr::from(([0, 0, 0, 0], 0)),
-            SocketAddr::V6(_) => SocketAddr::from(([0_u16; 8], 0)),
-        };
-        Self::open(any, Some(peer))
-    }
-
     fn set_filter(&mut self) {
         let quiet = self.learned.iter().filter(|l| !l.is_loud).map(|l| l.address);
         let peers = self.peer.into_iter().chain(quiet);
@@ -144,7 +110,7 @@ impl UdpPeers {
 
     /// Hands over every datagram that has come and may be MAVLink, without waiting, and who sent it. `admit` tells whether
     /// any of it was taken: only then the sender becomes a peer.
-    pub fn receive(&mut self, now_ns: Nanos, mut admit: impl FnMut(UdpSender, &[u8]) -> bool) {
+    fn read(&mut self, now_ns: Nanos, mut admit: impl FnMut(SocketAddr, &[u8]) -> bool) {
         self.now_ns = now_ns;
         self.look();
         self.set_filter();
@@ -154,7 +120,7 @@ impl UdpPeers {
                 Ok((len, from)) => {
                     read += 1;
                     let datagram = self.buffer.get(..len).unwrap_or_default();
-                    let is_taken = admit(UdpSender::of(from), datagram) && PeerRule::Anyone.is_heard_in(datagram);
+                    let is_taken = admit(from, datagram) && PeerRule::Anyone.is_heard_in(datagram);
                     if !self.note(from, is_taken) {
                         of_newcomers += 1;
                     }
@@ -168,19 +134,11 @@ impl UdpPeers {
     }
 
     /// Sends a datagram to every peer. One that the system does not take is lost, as on any UDP link.
-    pub fn send(&mut self, datagram: &[u8]) {
+    fn tell(&mut self, datagram: &[u8]) {
         for address in self.peer.into_iter().chain(self.learned.iter().map(|l| l.address)) {
             // A peer that does not listen is no error of ours.
             let _ = self.socket.send_to(datagram, address);
         }
-    }
-
-    /// The local address.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn local_address(&self) -> std::io::Result<SocketAddr> {
-        self.socket.local_addr()
     }
 
     /// Notes who sent a datagram, and learns him if it was taken and there is room. Tells whether he is a peer that the
@@ -226,26 +184,45 @@ impl UdpPeers {
 }
 
 impl Wire for UdpPeers {
-    const IS_STREAM: bool = false;
-
     fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams) {
         // What finds no room is dropped and counted by `received`: it is this link's own share.
-        self.receive(now_ns, |sender, datagram| {
-            admission.admit(sender.is_local, datagram, received)
+        self.read(now_ns, |sender, datagram| {
+            admission.admit(is_local(sender), datagram, received)
+        });
+    }
+
+    fn receive_each(
+        &mut self,
+        now_ns: Nanos,
+        admission: &mut LinkAdmission<'_>,
+        buffer: &mut Datagrams,
+        on_datagram: &mut dyn FnMut(u64, &[u8]),
+    ) {
+        self.read(now_ns, |sender, datagram| {
+            buffer.clear();
+            let passes = admission.admit(is_local(sender), datagram, buffer);
+            let number = number_of(sender);
+            buffer.iter().for_each(|(_, passed)| on_datagram(number, passed));
+            passes
         });
     }
 
     fn send(&mut self, gate: &mut SigningGate, sent: &Datagrams) {
         for (_, datagram) in sent.iter() {
-            self.send(gate.seal(datagram));
+            self.tell(gate.seal(datagram));
         }
     }
 
-    fn statistics(&self) -> LinkStatistics {
-        LinkStatistics {
+    fn statistics(&self) -> (LinkStatistics, bool) {
+        let statistics = LinkStatistics {
             foreign: self.not_learned,
             ..LinkStatistics::default()
-        }
+        };
+        (statistics, false)
+    }
+
+    fn local_address(&self) -> std::io::Result<SocketAddr> {
+        self.socket.local_addr()
     }
 }
 
@@ -276,8 +253,8 @@ mod tests {
     /// its sending returns.
     fn heard(link: &mut UdpPeers, now_ns: Nanos) -> Vec<Vec<u8>> {
         let mut got = Vec::new();
-        link.receive(now_ns, |sender, datagram| {
-            assert!(sender.is_local);
+        link.read(now_ns, |sender, datagram| {
+            assert!(is_local(sender));
             got.push(datagram.to_vec());
             datagram != hello(REFUSED)
         });
@@ -290,7 +267,7 @@ mod tests {
         let mut link = UdpPeers::open(loopback(0), Some(companion.local_addr().unwrap())).unwrap();
         let here = link.local_address().unwrap();
         let mut buffer = [0; 16];
-        link.send(b"one");
+        link.tell(b"one");
         assert_eq!(companion.recv(&mut buffer).unwrap(), 3);
 
         companion.send_to(b"what the peer sends is let in", here).unwrap();
@@ -301,21 +278,21 @@ mod tests {
             heard(&mut link, 1),
             [b"what the peer sends is let in".to_vec(), hello(255), hello(REFUSED)]
         );
-        link.send(b"two");
+        link.tell(b"two");
         assert_eq!(companion.recv(&mut buffer).unwrap(), 3);
         assert_eq!(stranger.recv(&mut buffer).unwrap(), 3);
         assert!(stranger.recv(&mut buffer).is_err(), "each gets it once");
         assert!(refused.recv(&mut buffer).is_err(), "who is refused hears nothing");
 
         assert!(heard(&mut link, 1 + PEER_TIMEOUT_NS).is_empty());
-        link.send(b"three");
+        link.tell(b"three");
         assert_eq!(companion.recv(&mut buffer).unwrap(), 5);
         assert!(stranger.recv(&mut buffer).is_err(), "it was silent for too long");
     }
 
     #[test]
     fn strangers_can_neither_grow_the_list_of_peers_nor_push_out_who_is_heard() {
-        let mut link = UdpPeers::listening(loopback(0)).unwrap();
+        let mut link = UdpPeers::open(loopback(0), None).unwrap();
         let here = link.local_address().unwrap();
         let callers: Vec<_> = (0..20).map(|_| socket()).collect();
         for (now_ns, caller) in (0..).zip(&callers) {
@@ -326,7 +303,7 @@ mod tests {
             assert_eq!(heard(&mut link, now_ns).len(), 2);
         }
         let answered = |link: &mut UdpPeers| -> Vec<usize> {
-            link.send(b"!");
+            link.tell(b"!");
             (0..20).filter(|i| callers[*i].recv(&mut [0; 4]).is_ok()).collect()
         };
         assert_eq!(answered(&mut link), (0..8).collect::<Vec<_>>(), "the first");
@@ -338,12 +315,12 @@ mod tests {
             heard(&mut link, second * 1_000_000_000);
         }
         assert_eq!(answered(&mut link), (1..9).collect::<Vec<_>>());
-        assert!(link.statistics().foreign > 12);
+        assert!(link.statistics().0.foreign > 12);
     }
 
     #[test]
     fn in_a_flood_of_strangers_who_speak_mavlink_each_packet_of_a_known_peer_arrives() {
-        let mut link = UdpPeers::listening(loopback(0)).unwrap();
+        let mut link = UdpPeers::open(loopback(0), None).unwrap();
         let here = link.local_address().unwrap();
         let station = socket();
         let strangers: Vec<_> = (0..10).map(|_| socket()).collect();

@@ -1,7 +1,7 @@
 //! MAVLink over a serial line; the device may disappear and return.
 
 use super::packet_stream::PacketStream;
-use super::{Gated, LinkAdmission, LinkError, LinkStatistics, PeerRule, RETRY_NS, Wire};
+use super::{LinkAdmission, LinkError, LinkStatistics, PeerRule, RETRY_NS, Wire};
 use crate::gate::SigningGate;
 use crate::link_url::LinkUrl;
 use rustix::fs::{Mode, OFlags, open};
@@ -12,10 +12,7 @@ use std::fs::File;
 use std::io::ErrorKind;
 use vigil_types::{Datagrams, Nanos};
 
-/// MAVLink over one serial line: 8 data bits, no parity, one stop bit, no flow control.
-pub type SerialLink = Gated<SerialWire>;
-
-/// The line.
+/// One serial line: 8 data bits, no parity, one stop bit, no flow control.
 pub struct SerialWire {
     device: CString,
     baud: u32,
@@ -23,17 +20,6 @@ pub struct SerialWire {
     next_attempt_ns: Nanos,
     stream: PacketStream,
     connections: u64,
-}
-
-impl SerialLink {
-    /// Opens the device; `url` must be one of a serial line.
-    ///
-    /// # Errors
-    /// [`LinkError`]: the device is not there, in use, no serial device, or does not know the baud rate.
-    pub fn open(url: &LinkUrl, gate: SigningGate) -> Result<Self, LinkError> {
-        let wire = SerialWire::open(url)?;
-        Ok(Self { wire, gate })
-    }
 }
 
 impl SerialWire {
@@ -93,8 +79,6 @@ fn open_port(device: &CString, baud: u32) -> Result<File, Errno> {
 }
 
 impl Wire for SerialWire {
-    const IS_STREAM: bool = true;
-
     fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams) {
         self.reopen(now_ns);
         let Some(port) = &mut self.port else { return };
@@ -118,10 +102,11 @@ impl Wire for SerialWire {
         }
     }
 
-    fn statistics(&self) -> LinkStatistics {
-        LinkStatistics {
+    fn statistics(&self) -> (LinkStatistics, bool) {
+        let statistics = LinkStatistics {
             connections: self.connections,
             ..self.stream.statistics()
-        }
+        };
+        (statistics, true)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::callers::Callers;
 use super::packet_stream::PacketStream;
-use super::{Gated, LinkAdmission, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, RETRY_NS, Wire, is_local};
+use super::{LinkAdmission, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, RETRY_NS, Wire, is_local};
 use crate::gate::SigningGate;
 use crate::link_url::LinkUrl;
 use rustix::io::Errno;
@@ -35,10 +35,7 @@ struct Connection {
     heard_ns: Nanos,
 }
 
-/// MAVLink over one TCP connection at a time.
-pub type TcpLink = Gated<TcpWire>;
-
-/// The connection.
+/// One TCP connection at a time.
 pub struct TcpWire {
     role: Role,
     rule: PeerRule,
@@ -47,28 +44,6 @@ pub struct TcpWire {
     stream: PacketStream,
     foreign: u64,
     connections: u64,
-}
-
-impl TcpLink {
-    /// Opens the link; `url` must be one of TCP. A peer that is called need not be there yet.
-    ///
-    /// # Errors
-    /// [`LinkError::InUse`] and others, each naming the link.
-    pub fn open(url: &LinkUrl, rule: PeerRule, gate: SigningGate) -> Result<Self, LinkError> {
-        let wire = TcpWire::open(url, rule)?;
-        Ok(Self { wire, gate })
-    }
-
-    /// The address on which a server listens.
-    ///
-    /// # Errors
-    /// What the system says; a client has none.
-    pub fn local_address(&self) -> std::io::Result<SocketAddr> {
-        match &self.wire.role {
-            Role::Server(listener) => listener.local_addr(),
-            Role::Client { .. } => Err(ErrorKind::NotConnected.into()),
-        }
-    }
 }
 
 impl TcpWire {
@@ -217,8 +192,6 @@ fn call(peer: SocketAddr, now_ns: Nanos) -> Option<Connection> {
 }
 
 impl Wire for TcpWire {
-    const IS_STREAM: bool = true;
-
     fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams) {
         self.connect(now_ns);
         self.watch(now_ns);
@@ -248,11 +221,19 @@ impl Wire for TcpWire {
         }
     }
 
-    fn statistics(&self) -> LinkStatistics {
-        LinkStatistics {
+    fn statistics(&self) -> (LinkStatistics, bool) {
+        let statistics = LinkStatistics {
             foreign: self.foreign,
             connections: self.connections,
             ..self.stream.statistics()
+        };
+        (statistics, true)
+    }
+
+    fn local_address(&self) -> std::io::Result<SocketAddr> {
+        match &self.role {
+            Role::Server(listener) => listener.local_addr(),
+            Role::Client { .. } => Err(ErrorKind::NotConnected.into()),
         }
     }
 }

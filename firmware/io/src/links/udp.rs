@@ -1,7 +1,7 @@
 //! MAVLink over one UDP socket.
 
 use super::socket_filter::{FLOOD, FloodWatch, Newcomers, SocketFilter};
-use super::{Gated, LinkAdmission, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, Wire, is_local};
+use super::{LinkAdmission, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, Wire, is_local, udp_ends};
 use crate::gate::{MAX_DATAGRAM_BYTES, SigningGate};
 use crate::link_url::LinkUrl;
 use std::io::ErrorKind;
@@ -14,11 +14,8 @@ const MAX_DATAGRAMS_PER_STEP: usize = 192;
 /// queue holds by default.
 const MAX_READS_PER_STEP: usize = 512;
 
-/// MAVLink over one UDP socket. It speaks with one peer: who called first and showed who it is, or who is called. The
-/// kernel lets in nobody else while the peer is heard.
-pub type UdpLink = Gated<UdpWire>;
-
-/// The socket of one peer.
+/// A UDP socket that speaks with one peer: who called first and showed who it is, or who is called. The kernel lets in nobody
+/// else while the peer is heard.
 pub struct UdpWire {
     socket: UdpSocket,
     rule: PeerRule,
@@ -33,38 +30,11 @@ pub struct UdpWire {
     buffer: Box<[u8; MAX_DATAGRAM_BYTES]>,
 }
 
-impl UdpLink {
-    /// Opens the link's socket; `url` must be one of UDP.
-    ///
-    /// # Errors
-    /// [`LinkError::InUse`] and others, each naming the link.
-    pub fn open(url: &LinkUrl, rule: PeerRule, gate: SigningGate) -> Result<Self, LinkError> {
-        let wire = UdpWire::open(url, rule)?;
-        Ok(Self { wire, gate })
-    }
-
-    /// The local address.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn local_address(&self) -> std::io::Result<SocketAddr> {
-        self.wire.socket.local_addr()
-    }
-}
-
 impl UdpWire {
     pub(crate) fn open(url: &LinkUrl, rule: PeerRule) -> Result<Self, LinkError> {
         let error = |source| LinkError::of(url, source);
-        let (local, peer) = match *url {
-            LinkUrl::UdpIn(local) => (local, None),
-            LinkUrl::UdpOut(peer) => {
-                let any: SocketAddr = match peer {
-                    SocketAddr::V4(_) => ([0, 0, 0, 0], 0).into(),
-                    SocketAddr::V6(_) => ([0u16; 8], 0).into(),
-                };
-                (any, Some(peer))
-            }
-            _ => return Err(error(ErrorKind::InvalidInput.into())),
+        let Some((local, peer)) = udp_ends(url) else {
+            return Err(error(ErrorKind::InvalidInput.into()));
         };
         let socket = UdpSocket::bind(local).map_err(error)?;
         socket.set_nonblocking(true).map_err(error)?;
@@ -129,8 +99,6 @@ impl UdpWire {
 }
 
 impl Wire for UdpWire {
-    const IS_STREAM: bool = false;
-
     fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams) {
         self.set_filter(now_ns);
         let (mut taken, mut introductions) = (0, 0);
@@ -173,12 +141,17 @@ impl Wire for UdpWire {
         }
     }
 
-    fn statistics(&self) -> LinkStatistics {
-        LinkStatistics {
+    fn statistics(&self) -> (LinkStatistics, bool) {
+        let statistics = LinkStatistics {
             foreign: self.foreign,
             other_system: self.other_system,
             unsent: self.unsent,
             ..LinkStatistics::default()
-        }
+        };
+        (statistics, false)
+    }
+
+    fn local_address(&self) -> std::io::Result<SocketAddr> {
+        self.socket.local_addr()
     }
 }

@@ -1,8 +1,11 @@
 //! What carries a link's bytes, and the gate that they pass: one link's own, or one that several share.
 
-use super::{LINK, LinkStatistics};
+use super::{LINK, LinkError, LinkStatistics, PeerRule, SerialWire, TcpWire, UdpPeers, UdpWire, udp_ends};
 use crate::Link;
 use crate::gate::{AllowUnsigned, SigningGate};
+use crate::link_url::LinkUrl;
+use std::io::ErrorKind;
+use std::net::SocketAddr;
 use vigil_types::{Datagrams, Nanos};
 
 /// A gate as one link meets it.
@@ -24,42 +27,96 @@ impl LinkAdmission<'_> {
 }
 
 /// What carries a link's bytes, whoever's gate they pass.
-pub trait Wire {
-    /// The wire itself finds the packets in what it reads; of datagrams the gate does.
-    const IS_STREAM: bool;
-
+pub trait Wire: Send {
     /// Appends what arrived and may pass. Never waits; what does not fit stays for the next call.
     fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams);
 
-    /// Sends each datagram, sealed by the gate. Never waits; what cannot be sent is lost and counted.
+    /// Hands over each datagram that arrived and may pass, with a number for the end of the link that sent it. Never waits.
+    /// `buffer` is overwritten.
+    fn receive_each(
+        &mut self,
+        now_ns: Nanos,
+        admission: &mut LinkAdmission<'_>,
+        buffer: &mut Datagrams,
+        on_datagram: &mut dyn FnMut(u64, &[u8]),
+    ) {
+        buffer.clear();
+        self.receive(now_ns, admission, buffer);
+        // Whoever connects anew is somebody else.
+        let sender = self.statistics().0.connections;
+        buffer.iter().for_each(|(_, passed)| on_datagram(sender, passed));
+    }
+
+    /// Sends each datagram to every peer, sealed by the gate. Never waits; what cannot be sent is lost and counted.
     fn send(&mut self, gate: &mut SigningGate, sent: &Datagrams);
 
-    /// What was not taken or could not be delivered; nothing of the gate's.
-    fn statistics(&self) -> LinkStatistics;
-}
+    /// What was not taken or could not be delivered, nothing of the gate's; and whether the wire itself finds the packets in
+    /// what it reads: of datagrams the gate does.
+    fn statistics(&self) -> (LinkStatistics, bool);
 
-/// A link with a gate of its own.
-pub struct Gated<W: Wire> {
-    pub(super) wire: W,
-    pub(super) gate: SigningGate,
-}
-
-impl<W: Wire> Gated<W> {
-    /// What was not taken or delivered.
-    pub fn statistics(&self) -> LinkStatistics {
-        let statistics = self.wire.statistics();
-        LinkStatistics {
-            framing: match W::IS_STREAM {
-                true => statistics.framing,
-                false => self.gate.framing(),
-            },
-            signing: self.gate.counters(),
-            ..statistics
-        }
+    /// The address on which it listens.
+    ///
+    /// # Errors
+    /// What the system says; a TCP client and a serial line have none.
+    fn local_address(&self) -> std::io::Result<SocketAddr> {
+        Err(ErrorKind::NotConnected.into())
     }
 }
 
-impl<W: Wire> Link for Gated<W> {
+/// Opens a link's socket or device. With [`PeerRule::Anyone`] a UDP link has several peers, with a vehicle that one. A TCP peer
+/// may come later; a serial device must be there.
+///
+/// # Errors
+/// [`LinkError`], naming the link.
+pub fn open_wire(url: &LinkUrl, rule: PeerRule) -> Result<Box<dyn Wire>, LinkError> {
+    match (udp_ends(url), rule) {
+        (Some((local, peer)), PeerRule::Anyone) => {
+            let peers = UdpPeers::open(local, peer).map_err(|source| LinkError::of(url, source))?;
+            Ok(Box::new(peers))
+        }
+        _ => open_of_one_peer(url, rule),
+    }
+}
+
+fn open_of_one_peer(url: &LinkUrl, rule: PeerRule) -> Result<Box<dyn Wire>, LinkError> {
+    Ok(match url {
+        LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) => Box::new(UdpWire::open(url, rule)?),
+        LinkUrl::TcpIn(_) | LinkUrl::TcpOut(_) => Box::new(TcpWire::open(url, rule)?),
+        LinkUrl::Serial { .. } => Box::new(SerialWire::open(url)?),
+    })
+}
+
+/// A link of one peer, with a gate of its own.
+pub struct Gated {
+    wire: Box<dyn Wire>,
+    gate: SigningGate,
+}
+
+impl Gated {
+    /// Opens the link.
+    ///
+    /// # Errors
+    /// [`LinkError`], naming the link.
+    pub fn open(url: &LinkUrl, rule: PeerRule, gate: SigningGate) -> Result<Self, LinkError> {
+        let wire = open_of_one_peer(url, rule)?;
+        Ok(Self { wire, gate })
+    }
+
+    /// The address on which it listens.
+    ///
+    /// # Errors
+    /// What the system says; a TCP client and a serial line have none.
+    pub fn local_address(&self) -> std::io::Result<SocketAddr> {
+        self.wire.local_address()
+    }
+
+    /// What was not taken or delivered.
+    pub fn statistics(&self) -> LinkStatistics {
+        self.gate.statistics(self.wire.statistics())
+    }
+}
+
+impl Link for Gated {
     fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
         self.gate.begin(now_ns);
         let mut admission = LinkAdmission {

@@ -225,41 +225,17 @@ impl LockstepClient {
         received: &Datagrams,
         sent: &mut Datagrams,
     ) -> Result<(), LockstepError> {
-        let error = |action, reason| transport_error(self.instance, action, reason);
-        let request = self
-            .client
-            .loan_uninit()
-            .map_err(|e| error("loan memory", e.to_string()))?;
-        let mut request = request.write_payload(WireRequest {
-            step,
-            now_ns,
-            kind: KIND_STEP,
-            has_frame: u32::from(frame.is_some()),
-            received: WireDatagrams::EMPTY,
-            frame: DepthFrame::EMPTY,
-        });
-        request.payload_mut().received.fill(received);
-        if let Some(frame) = frame {
-            request.payload_mut().frame.clone_from(frame);
-        }
-        let pending = request.send().map_err(|e| error("send", e.to_string()))?;
-        self.bell.ring();
-        let deadline = Instant::now() + self.timeout;
-        loop {
-            if let Some(answer) = pending.receive().map_err(|e| error("receive", e.to_string()))? {
-                return if answer.step == step && answer.sent.read_into(sent) {
-                    Ok(())
-                } else {
-                    Err(LockstepError::Malformed { who: "firmware", step })
-                };
+        let fill = |request: &mut WireRequest| {
+            request.now_ns = now_ns;
+            request.received.fill(received);
+            request.has_frame = u32::from(frame.is_some());
+            if let Some(frame) = frame {
+                request.frame.clone_from(frame);
             }
-            if Instant::now() >= deadline {
-                return Err(LockstepError::FirmwareSilent {
-                    step,
-                    waited_s: self.timeout.as_secs_f64(),
-                });
-            }
-            self.bell.wait(deadline);
+        };
+        match self.ask(step, fill, |answer| answer.step == step && answer.sent.read_into(sent))? {
+            true => Ok(()),
+            false => Err(LockstepError::Malformed { who: "firmware", step }),
         }
     }
 
@@ -268,28 +244,35 @@ impl LockstepClient {
     /// # Errors
     /// [`LockstepError::FirmwareSilent`] with the step given here.
     pub fn finish(self, step: u64) -> Result<(), LockstepError> {
-        let request = self
-            .client
-            .loan_uninit()
-            .map_err(|e| transport_error(self.instance, "loan memory", e))?;
-        let pending = request
-            .write_payload(WireRequest {
-                step,
-                now_ns: 0,
-                kind: KIND_FINISH,
-                has_frame: 0,
-                received: WireDatagrams::EMPTY,
-                frame: DepthFrame::EMPTY,
-            })
-            .send()
-            .map_err(|e| transport_error(self.instance, "send", e))?;
+        self.ask(step, |request| request.kind = KIND_FINISH, |_| ())
+    }
+
+    /// Sends what `fill` makes of an empty request and waits for the answer: what `read` makes of it.
+    fn ask<T>(
+        &self,
+        step: u64,
+        fill: impl FnOnce(&mut WireRequest),
+        read: impl FnOnce(&WireResponse) -> T,
+    ) -> Result<T, LockstepError> {
+        let error = |action, reason: String| transport_error(self.instance, action, reason);
+        let request = self.client.loan_uninit();
+        let request = request.map_err(|e| error("loan memory", e.to_string()))?;
+        let mut request = request.write_payload(WireRequest {
+            step,
+            now_ns: 0,
+            kind: KIND_STEP,
+            has_frame: 0,
+            received: WireDatagrams::EMPTY,
+            frame: DepthFrame::EMPTY,
+        });
+        fill(request.payload_mut());
+        let pending = request.send().map_err(|e| error("send", e.to_string()))?;
         self.bell.ring();
         let deadline = Instant::now() + self.timeout;
-        while pending
-            .receive()
-            .map_err(|e| transport_error(self.instance, "receive", e))?
-            .is_none()
-        {
+        loop {
+            if let Some(answer) = pending.receive().map_err(|e| error("receive", e.to_string()))? {
+                return Ok(read(&answer));
+            }
             if Instant::now() >= deadline {
                 return Err(LockstepError::FirmwareSilent {
                     step,
@@ -298,7 +281,6 @@ impl LockstepClient {
             }
             self.bell.wait(deadline);
         }
-        Ok(())
     }
 }
 

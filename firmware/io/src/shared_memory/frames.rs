@@ -87,19 +87,30 @@ pub enum FrameError {
 
 type Service = publish_subscribe::PortFactory<ipc::Service, ShmFrame, ()>;
 
-fn transport_error(domain: &Domain, topic: &str, action: &'static str, reason: impl ToString) -> FrameError {
-    FrameError::Transport {
-        topic: topic.to_owned(),
-        instance: domain.instance(),
-        action,
-        reason: reason.to_string(),
+/// Where frames are published: the service and the instance, as errors name them.
+struct Place {
+    topic: String,
+    instance: u32,
+}
+
+impl Place {
+    fn error(&self, action: &'static str, reason: impl ToString) -> FrameError {
+        FrameError::Transport {
+            topic: self.topic.clone(),
+            instance: self.instance,
+            action,
+            reason: reason.to_string(),
+        }
     }
 }
 
-fn open_service(domain: &Domain, topic: &str) -> Result<Service, FrameError> {
-    let name =
-        ServiceName::new(topic).map_err(|e| transport_error(domain, topic, "use this name", format!("{e:?}")))?;
-    domain
+fn open_service(domain: &Domain, topic: &str) -> Result<(Service, Place), FrameError> {
+    let place = Place {
+        topic: topic.to_owned(),
+        instance: domain.instance(),
+    };
+    let name = ServiceName::new(topic).map_err(|e| place.error("use this name", format!("{e:?}")))?;
+    let service = domain
         .node()
         .service_builder(&name)
         .publish_subscribe::<ShmFrame>()
@@ -121,15 +132,15 @@ fn open_service(domain: &Domain, topic: &str) -> Result<Service, FrameError> {
                 instance: domain.instance(),
                 reason: reason.to_string(),
             },
-            other => transport_error(domain, topic, "open the service", other),
-        })
+            other => place.error("open the service", other),
+        })?;
+    Ok((service, place))
 }
 
 /// The one source of frames on a topic.
 pub struct FramePublisher {
     publisher: Publisher<ipc::Service, ShmFrame, ()>,
-    instance: u32,
-    topic: String,
+    place: Place,
 }
 
 impl FramePublisher {
@@ -138,19 +149,15 @@ impl FramePublisher {
     /// # Errors
     /// [`FrameError::AlreadyPublished`] while another process publishes; a killed one does not count.
     pub fn create(domain: &Domain, topic: &str) -> Result<Self, FrameError> {
-        let service = open_service(domain, topic)?;
+        let (service, place) = open_service(domain, topic)?;
         let publisher = service.publisher_builder().create().map_err(|e| match e {
             PublisherCreateError::ExceedsMaxSupportedPublishers => FrameError::AlreadyPublished {
                 topic: topic.to_owned(),
                 instance: domain.instance(),
             },
-            other => transport_error(domain, topic, "create the publisher", other),
+            other => place.error("create the publisher", other),
         })?;
-        Ok(Self {
-            publisher,
-            instance: domain.instance(),
-            topic: topic.to_owned(),
-        })
+        Ok(Self { publisher, place })
     }
 
     /// Publishes what `fill` writes. It gets a frame in shared memory, [`DepthFrame::EMPTY`] at first, and must
@@ -162,10 +169,10 @@ impl FramePublisher {
         let sample = self
             .publisher
             .loan_uninit()
-            .map_err(|e| self.error("loan memory", e.to_string()))?;
+            .map_err(|e| self.place.error("loan memory", e))?;
         let mut sample = sample.write_payload(ShmFrame(DepthFrame::EMPTY));
         fill(&mut sample.payload_mut().0);
-        sample.send().map_err(|e| self.error("send", e.to_string()))
+        sample.send().map_err(|e| self.place.error("send", e))
     }
 
     /// Publishes a copy of a sealed frame. Returns the number of readers it went to.
@@ -175,22 +182,12 @@ impl FramePublisher {
     pub fn publish(&mut self, frame: &DepthFrame) -> Result<usize, FrameError> {
         self.publish_with(|slot| slot.clone_from(frame))
     }
-
-    fn error(&self, action: &'static str, reason: String) -> FrameError {
-        FrameError::Transport {
-            topic: self.topic.clone(),
-            instance: self.instance,
-            action,
-            reason,
-        }
-    }
 }
 
 /// A reader of frames.
 pub struct FrameSubscriber {
     subscriber: Subscriber<ipc::Service, ShmFrame, ()>,
-    instance: u32,
-    topic: String,
+    place: Place,
 }
 
 /// A frame in shared memory, given back when dropped. It is unchecked and, from a hostile publisher, may even change
@@ -210,19 +207,15 @@ impl FrameSubscriber {
     /// # Errors
     /// [`FrameError`].
     pub fn create(domain: &Domain, topic: &str) -> Result<Self, FrameError> {
-        let service = open_service(domain, topic)?;
+        let (service, place) = open_service(domain, topic)?;
         let subscriber = service.subscriber_builder().create().map_err(|e| match e {
             SubscriberCreateError::ExceedsMaxSupportedSubscribers => FrameError::TooManyReaders {
                 topic: topic.to_owned(),
                 instance: domain.instance(),
             },
-            other => transport_error(domain, topic, "create the reader", other),
+            other => place.error("create the reader", other),
         })?;
-        Ok(Self {
-            subscriber,
-            instance: domain.instance(),
-            topic: topic.to_owned(),
-        })
+        Ok(Self { subscriber, place })
     }
 
     /// The newest frame published since the last call, if any. Never waits; does not allocate in steady state
@@ -236,14 +229,7 @@ impl FrameSubscriber {
             match self.subscriber.receive() {
                 Ok(Some(sample)) => newest = Some(BorrowedFrame(sample)),
                 Ok(None) => break,
-                Err(e) => {
-                    return Err(FrameError::Transport {
-                        topic: self.topic.clone(),
-                        instance: self.instance,
-                        action: "receive",
-                        reason: e.to_string(),
-                    });
-                }
+                Err(e) => return Err(self.place.error("receive", e)),
             }
         }
         Ok(newest)

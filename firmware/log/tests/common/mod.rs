@@ -96,33 +96,16 @@ impl Draw {
     }
 
     fn telemetry(&mut self) -> VehicleTelemetry {
-        use VehicleMode::{External, Hold, Land, Mission, Other, Return, Takeoff, Unknown};
-        let modes = [Unknown, External, Hold, Takeoff, Land, Return, Mission, Other];
-        let landed = [
-            Landed::Unknown,
-            Landed::OnGround,
-            Landed::TakingOff,
-            Landed::InAir,
-            Landed::Landing,
-        ];
         VehicleTelemetry {
             heartbeat: self.maybe(|d| Heartbeat {
                 at_ns: d.bits(),
                 armed: d.yes(),
-                mode: modes[d.below(8) as usize],
+                mode: VehicleMode::ALL[d.below(8) as usize],
                 failsafe: d.yes(),
             }),
-            kinematics: self.maybe(|d| Kinematics {
-                at_ns: d.bits(),
-                position_ned_m: d.vector(),
-                velocity_ned_m_s: d.vector(),
-            }),
-            attitude: self.maybe(|d| AttitudeSample {
-                at_ns: d.bits(),
-                attitude: d.attitude(),
-                rates_frd_rad_s: d.vector(),
-            }),
-            landed: landed[self.below(5) as usize],
+            kinematics: self.maybe(|d| Kinematics::new(d.bits(), d.vector(), d.vector())),
+            attitude: self.maybe(|d| AttitudeSample::new(d.bits(), d.attitude(), d.vector())),
+            landed: Landed::ALL[self.below(5) as usize],
             battery_remaining: self.maybe(Self::float),
         }
     }
@@ -137,14 +120,8 @@ impl Draw {
             goal: self.maybe(|d| Goal {
                 position_ned_m: d.vector(),
             }),
-            goal_relative: self.maybe(|d| GoalRelative {
-                distance_m: d.float(),
-                bearing_rad: d.float(),
-            }),
-            action: self.maybe(|d| Action {
-                forward_m_s: d.float(),
-                yaw: d.float(),
-            }),
+            goal_relative: self.maybe(|d| GoalRelative::new(d.float(), d.float())),
+            action: self.maybe(|d| Action::new(d.float(), d.float())),
             setpoint: self.maybe(|d| VelocitySetpoint {
                 velocity_m_s: d.vector(),
                 yaw_rate_rad_s: d.float(),

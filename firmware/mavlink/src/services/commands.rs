@@ -1,11 +1,12 @@
 //! The command protocol: operators' requests to guidance. <https://mavlink.io/en/services/command.html>
 
-use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::{Command, Packet};
-use crate::operator::{LET_GO, PendingRequest, ReplyTo, decode, request_name, result, result_of};
-use crate::report::{self, Refusal};
+use crate::operator::{LET_GO, PendingRequest, ReplyTo, decode, request_name, result, result_of, why};
+use crate::report::InBrackets;
 use crate::service::{Service, Step};
+use crate::status_text::{StatusText, WARNING};
+use core::fmt::Arguments;
 use heapless::{Deque, Vec};
 use vigil_types::{Datagrams, Nanos, OperatorRequest, Reasons, RequestOutcome};
 
@@ -20,17 +21,13 @@ pub(crate) struct CommandService {
     requests: Deque<PendingRequest, REQUESTS>,
     /// The last goal that was too far, to be told of: its distance and what is allowed, metres.
     goal_refused: Option<(u32, u32)>,
-    /// Requests that were refused since the last step, by name.
-    refused: Vec<(&'static str, Refusal), REFUSALS_PER_SECOND>,
+    /// Texts about the requests that were refused since the last step.
+    refused: Vec<StatusText, REFUSALS_PER_SECOND>,
     refusals_since_ns: Nanos,
     refusals_told: usize,
 }
 
 impl CommandService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self::default()
-    }
-
     /// The next request of an operator.
     pub fn take_request(&mut self) -> Option<PendingRequest> {
         self.requests.pop_front()
@@ -43,12 +40,22 @@ impl CommandService {
             RequestOutcome::Accepted => Reasons::NONE,
             RequestOutcome::TooFar { .. } => Reasons::NONE,
             RequestOutcome::TemporarilyRejected | RequestOutcome::Denied => {
-                let why = match pending.request {
-                    OperatorRequest::Goal { .. } | OperatorRequest::FixedGoal { .. } => Refusal::Goal,
-                    OperatorRequest::Land => Refusal::NotGuiding(state),
-                    OperatorRequest::Engage | OperatorRequest::Disengage => Refusal::In(state, reasons),
-                };
-                self.refuse(pending.command, why);
+                let (command, state) = (pending.command, state.name());
+                match pending.request {
+                    OperatorRequest::Goal { .. } | OperatorRequest::FixedGoal { .. } => self.refuse(
+                        command,
+                        format_args!(": outside the fence, too far, or at or below the ground"),
+                    ),
+                    OperatorRequest::Land => {
+                        self.refuse(command, format_args!(" in {state}: guidance does not have the vehicle"))
+                    }
+                    OperatorRequest::Engage | OperatorRequest::Disengage if reasons.is_empty() => {
+                        self.refuse(command, format_args!(" in {state}: not clear for long enough"));
+                    }
+                    OperatorRequest::Engage | OperatorRequest::Disengage => {
+                        self.refuse(command, format_args!(" in {state}{}", InBrackets(reasons)));
+                    }
+                }
                 reasons
             }
         };
@@ -72,21 +79,22 @@ impl CommandService {
                     reply,
                 };
                 if self.requests.push_back(pending).is_err() {
-                    self.refuse(command.number, Refusal::Busy);
+                    self.refuse(command.number, format_args!(": too many requests"));
                     core.acknowledge(reply, command.number, result::TEMPORARILY_REJECTED, Reasons::NONE);
                 }
             }
             Err(mav_result) => {
-                self.refuse(command.number, Refusal::Command(mav_result));
+                self.refuse(command.number, format_args!(": {}", why(mav_result)));
                 core.acknowledge(reply, command.number, mav_result, Reasons::NONE);
             }
         }
     }
 
     /// To be told in the next step, as far as there is room.
-    fn refuse(&mut self, command: u16, why: Refusal) {
-        if let Some(name) = request_name(command) {
-            let _ = self.refused.push((name, why));
+    fn refuse(&mut self, command: u16, why: Arguments<'_>) {
+        if let (false, Some(name)) = (self.refused.is_full(), request_name(command)) {
+            let text = StatusText::new(WARNING, format_args!("{name} refused{why}"));
+            let _ = self.refused.push(text);
         }
     }
 }
@@ -103,16 +111,17 @@ impl Service for CommandService {
 
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
         if let Some((distance_m, limit_m)) = self.goal_refused.take() {
-            core.tell(out, &report::goal_text(distance_m, limit_m));
+            let text = format_args!("goal refused: {distance_m} m from home, at most {limit_m} m");
+            core.tell(out, WARNING, text);
         }
         let now_ns = step.report.now_ns;
         if now_ns.saturating_sub(self.refusals_since_ns) >= REFUSALS_NS {
             (self.refusals_since_ns, self.refusals_told) = (now_ns, 0);
         }
-        for (request, why) in &core::mem::take(&mut self.refused) {
+        for text in &core::mem::take(&mut self.refused) {
             if self.refusals_told < REFUSALS_PER_SECOND {
                 self.refusals_told += 1;
-                core.tell(out, &report::refused_text(request, *why));
+                core.tell_text(out, text);
             }
         }
     }

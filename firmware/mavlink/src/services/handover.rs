@@ -4,14 +4,15 @@
 //! was acknowledged. The autopilots differ in the order of stages and in when they bear setpoints ([`Flavour`]).
 
 use crate::autopilot::{Flavour, command_number};
-use crate::companion::CompanionConfig;
 use crate::core::Core;
-use crate::framing::{Command, CommandAck, CommandForm, Packet};
-use crate::report;
+use crate::framing::{Command, CommandForm, Packet};
 use crate::service::{Service, Step};
+use crate::status_text::{CRITICAL, ERROR};
 use crate::tracker::{Failure, Next, Tracker, Wanted};
 use crate::vehicle::Vehicle;
-use vigil_types::{Datagrams, HandoverProgress, Heartbeat, Landed, Nanos, Reason, VehicleMode, VehicleRequest};
+use vigil_types::{
+    Datagrams, HandoverProgress, Heartbeat, Landed, Nanos, Reason, StopCause, VehicleMode, VehicleRequest,
+};
 
 /// PX4 wants setpoints for this long before it changes to OFFBOARD.
 const PRE_STREAM_NS: Nanos = 1_000_000_000;
@@ -33,24 +34,16 @@ const GLOBAL: u8 = 0;
 /// A heartbeat this much later than the beginning of a climb shows the mode that the take-off put the vehicle into.
 const MODE_SHOWS_NS: Nanos = 1_000_000_000;
 
-/// What a failed command says of itself.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Trouble {
-    Command {
-        number: u16,
-        failure: Failure,
-    },
-    /// The vehicle names another autopilot than the configured one.
-    OtherAutopilot(Flavour),
-}
-
 /// What the hand-over wants in this step.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Action {
+#[derive(Debug, Clone, Copy)]
+enum Action {
+    Nothing,
     /// A command to send, and its confirmation.
-    pub send: Option<(Wanted, u8)>,
-    /// Something to tell people, once.
-    pub trouble: Option<Trouble>,
+    Send(Wanted, u8),
+    /// A command with this number failed, which people are told once.
+    Failed(u16, Failure),
+    /// The same for a vehicle that names another autopilot than the configured one.
+    OtherAutopilot(Flavour),
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -61,8 +54,8 @@ enum Stage {
 }
 
 /// Follows one request of guidance.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Handover {
+#[derive(Debug, Clone, Default)]
+pub(crate) struct HandoverService {
     flavour: Flavour,
     progress: HandoverProgress,
     tracker: Tracker,
@@ -79,28 +72,14 @@ pub(crate) struct Handover {
     failed_ns: Option<Nanos>,
 }
 
-impl Handover {
-    pub fn new() -> Self {
-        Self {
-            flavour: Flavour::default(),
-            progress: HandoverProgress::Idle,
-            tracker: Tracker::default(),
-            flying: false,
-            landing: false,
-            asked_mode: None,
-            refuses_place: false,
-            streaming_since_ns: None,
-            climbing_since_ns: None,
-            failed_ns: None,
-        }
-    }
-
+impl HandoverService {
+    /// How far the vehicle is with it.
     pub fn progress(&self) -> HandoverProgress {
         self.progress
     }
 
     /// What an unfinished hand-over waits for; `None` when there is none.
-    pub fn unfinished(&self) -> Option<&'static str> {
+    fn unfinished(&self) -> Option<&'static str> {
         if !matches!(self.progress, HandoverProgress::InProgress { .. }) {
             return None;
         }
@@ -111,12 +90,8 @@ impl Handover {
         })
     }
 
-    pub fn acknowledge(&mut self, now_ns: Nanos, ack: &CommandAck) {
-        self.tracker.acknowledge(now_ns, ack);
-    }
-
     /// One step. `streaming`: a setpoint is sent in it.
-    pub fn step(&mut self, now_ns: Nanos, request: VehicleRequest, streaming: bool, vehicle: &Vehicle) -> Action {
+    fn step(&mut self, now_ns: Nanos, request: VehicleRequest, streaming: bool, vehicle: &Vehicle) -> Action {
         self.flavour = vehicle.flavour();
         self.streaming_since_ns = if streaming {
             self.streaming_since_ns.or(Some(now_ns))
@@ -126,7 +101,7 @@ impl Handover {
         match request {
             VehicleRequest::None => {
                 self.end();
-                Action::default()
+                Action::Nothing
             }
             VehicleRequest::FlyExternal { takeoff_height_m } => {
                 if !self.flying {
@@ -149,7 +124,7 @@ impl Handover {
                     Flavour::ArduPilot => self.set_mode(self.flavour.hold_mode()),
                 };
                 let action = self.insist(now_ns, &wanted, HOLD_PAUSE_NS, vehicle);
-                self.refuses_place |= wanted.place.is_some() && action.trouble.is_some();
+                self.refuses_place |= wanted.place.is_some() && matches!(action, Action::Failed(..));
                 action
             }
             VehicleRequest::Resume => {
@@ -213,10 +188,11 @@ impl Handover {
 
     fn fly(&mut self, now_ns: Nanos, takeoff_height_m: f32, vehicle: &Vehicle) -> Action {
         if self.progress == HandoverProgress::Failed {
-            return Action::default();
+            return Action::Nothing;
         }
         if let (true, Some(named)) = (vehicle.is_other_autopilot(), vehicle.named) {
-            return self.fail(Trouble::OtherAutopilot(named));
+            self.progress = HandoverProgress::Failed;
+            return Action::OtherAutopilot(named);
         }
         let stage = match self.flavour {
             Flavour::Px4 => self.px4_stage(now_ns, takeoff_height_m, vehicle),
@@ -230,26 +206,20 @@ impl Handover {
             },
         };
         let Stage::Ask(wanted) = stage else {
-            return Action::default();
+            return Action::Nothing;
         };
-        match self.tracker.next(now_ns, &wanted) {
-            Next::Wait => Action::default(),
-            Next::Send(confirmation) => Action {
-                send: Some((wanted, confirmation)),
-                trouble: None,
-            },
-            Next::Failed(failure) => self.fail(Trouble::Command {
-                number: wanted.number,
-                failure,
-            }),
+        let action = self.follow(now_ns, &wanted);
+        if matches!(action, Action::Failed(..)) {
+            self.progress = HandoverProgress::Failed;
         }
+        action
     }
 
-    fn fail(&mut self, trouble: Trouble) -> Action {
-        self.progress = HandoverProgress::Failed;
-        Action {
-            send: None,
-            trouble: Some(trouble),
+    fn follow(&mut self, now_ns: Nanos, wanted: &Wanted) -> Action {
+        match self.tracker.next(now_ns, wanted) {
+            Next::Wait => Action::Nothing,
+            Next::Send(confirmation) => Action::Send(*wanted, confirmation),
+            Next::Failed(failure) => Action::Failed(wanted.number, failure),
         }
     }
 
@@ -357,32 +327,20 @@ impl Handover {
     /// Asks until it is done: what failed is asked again after a pause.
     fn insist(&mut self, now_ns: Nanos, wanted: &Wanted, pause_ns: Nanos, vehicle: &Vehicle) -> Action {
         if vehicle.is_other_autopilot() {
-            return Action::default();
+            return Action::Nothing;
         }
         if let Some(failed_ns) = self.failed_ns {
             if now_ns.saturating_sub(failed_ns) < pause_ns {
-                return Action::default();
+                return Action::Nothing;
             }
             self.failed_ns = None;
             self.tracker.reset();
         }
-        match self.tracker.next(now_ns, wanted) {
-            Next::Wait => Action::default(),
-            Next::Send(confirmation) => Action {
-                send: Some((*wanted, confirmation)),
-                trouble: None,
-            },
-            Next::Failed(failure) => {
-                self.failed_ns = Some(now_ns);
-                Action {
-                    send: None,
-                    trouble: Some(Trouble::Command {
-                        number: wanted.number,
-                        failure,
-                    }),
-                }
-            }
+        let action = self.follow(now_ns, wanted);
+        if matches!(action, Action::Failed(..)) {
+            self.failed_ns = Some(now_ns);
         }
+        action
     }
 }
 
@@ -390,57 +348,54 @@ fn height_m(vehicle: &Vehicle) -> Option<f32> {
     vehicle.telemetry.kinematics.map(|k| -k.position_ned_m.z)
 }
 
-#[derive(Debug, Clone)]
-pub(crate) struct HandoverService {
-    handover: Handover,
-}
-
-impl HandoverService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self {
-            handover: Handover::new(),
-        }
-    }
-
-    /// How far the vehicle is with it.
-    pub fn progress(&self) -> HandoverProgress {
-        self.handover.progress()
-    }
-}
-
 impl Service for HandoverService {
     fn hear_vehicle(&mut self, core: &mut Core, now_ns: Nanos, packet: &Packet<'_>) {
         if let Some(ack) = packet.command_ack()
             && core.is_for_me_or_all(ack.target_system, ack.target_component)
         {
-            self.handover.acknowledge(now_ns, &ack);
+            self.tracker.acknowledge(now_ns, &ack);
         }
     }
 
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
-        if let (VehicleRequest::None, true, Some(unfinished)) = (
-            step.request,
-            step.report.reasons.contains(Reason::HandoverFailed),
-            self.handover.unfinished(),
-        ) {
-            core.tell(out, &report::overdue_text(unfinished));
+        let is_overdue = step.report.reasons.contains(Reason::HandoverFailed);
+        if let (VehicleRequest::None, true, Some(unfinished)) = (step.request, is_overdue, self.unfinished()) {
+            let text = format_args!("hand-over: not done in time, waiting for: {unfinished}");
+            core.tell(out, ERROR, text);
         }
-        if let (VehicleRequest::Hold { cause: Some(cause), .. }, None) = (step.request, self.handover.asked_mode) {
-            core.tell(out, &report::hold_text(cause));
-        }
-        let action = self
-            .handover
-            .step(step.report.now_ns, step.request, core.streaming, &core.vehicle);
-        let Some(system) = core.system_id else { return };
-        if let Some((wanted, confirmation)) = action.send {
-            let mut command = Command::to_autopilot(system, wanted.number, wanted.params, confirmation);
-            if let Some((x, y)) = wanted.place {
-                command.form = CommandForm::Int { frame: GLOBAL, x, y };
+        if let (VehicleRequest::Hold { cause: Some(cause), .. }, None) = (step.request, self.asked_mode) {
+            match cause {
+                StopCause::Obstacle { ahead_m } => {
+                    let text = format_args!("stop: something {ahead_m:.1} m ahead on the course");
+                    core.tell(out, CRITICAL, text);
+                }
+                StopCause::Blind => core.tell(out, CRITICAL, format_args!("stop: nobody sees the course")),
+                StopCause::Unseen => {
+                    let text = format_args!("stop: it moves where the sensor does not look");
+                    core.tell(out, CRITICAL, text);
+                }
             }
-            core.sender.command(out, core.config.link, &command);
         }
-        if let Some(trouble) = action.trouble {
-            core.tell(out, &report::trouble_text(trouble, core.vehicle.flavour()));
+        let action = self.step(step.report.now_ns, step.request, core.streaming, &core.vehicle);
+        let Some(system) = core.system_id else { return };
+        match action {
+            Action::Nothing => {}
+            Action::Send(wanted, confirmation) => {
+                let mut command = Command::to_autopilot(system, wanted.number, wanted.params, confirmation);
+                if let Some((x, y)) = wanted.place {
+                    command.form = CommandForm::Int { frame: GLOBAL, x, y };
+                }
+                core.sender.command(out, core.config.link, &command);
+            }
+            Action::Failed(number, failure) => {
+                let text = format_args!("hand-over: {} {failure}", command_number::name(number));
+                core.tell(out, ERROR, text);
+            }
+            Action::OtherAutopilot(named) => {
+                let (named, configured) = (named.name(), self.flavour.name());
+                let text = format_args!("hand-over: vehicle is {named}, not {configured}");
+                core.tell(out, ERROR, text);
+            }
         }
     }
 }

@@ -1,7 +1,6 @@
 //! OBSTACLE_DISTANCE of what the pilot sees: <https://mavlink.io/en/messages/common.html#OBSTACLE_DISTANCE>.
 
 use super::status::VALUES_NS;
-use crate::companion::CompanionConfig;
 use crate::core::{Core, Periodic};
 use crate::service::Service;
 use mavlink::dialects::common::{MavDistanceSensor, MavFrame, MavMessage, OBSTACLE_DISTANCE_DATA};
@@ -16,7 +15,7 @@ const FARTHEST_CM: u16 = 3000;
 const FREE: u16 = FARTHEST_CM + 1;
 const UNKNOWN: u16 = u16::MAX;
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct ObstacleService {
     due: Periodic,
 }
@@ -25,12 +24,6 @@ pub(crate) struct ObstacleService {
 impl Service for ObstacleService {}
 
 impl ObstacleService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self {
-            due: Periodic::new(VALUES_NS),
-        }
-    }
-
     /// Tells what the pilot sees: see [`crate::Companion::emit_obstacles`].
     pub fn tell(
         &mut self,
@@ -45,7 +38,7 @@ impl ObstacleService {
             ObstacleReports::Flight => seen.is_some(),
             ObstacleReports::KeepAlive => core.vehicle_heard,
         };
-        if tells && self.due.is_due(now_ns) {
+        if tells && self.due.is_due(now_ns, VALUES_NS) {
             let message = match seen {
                 Some(sectors) => message(now_ns, sectors),
                 None => blank(now_ns),

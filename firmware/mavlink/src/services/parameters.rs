@@ -1,12 +1,11 @@
 //! The parameter protocol: the guidance computer's own parameters. <https://mavlink.io/en/services/parameter.html>
 
-use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::Packet;
 use crate::operator::ReplyTo;
 use crate::parameter_table::{ParameterRequest, Parameters, SetRefusal};
-use crate::report;
 use crate::service::{Service, Step};
+use crate::status_text::WARNING;
 use mavlink::MessageData;
 use mavlink::dialects::common::{MavParamError, PARAM_ERROR_DATA};
 use vigil_types::{Datagrams, Nanos};
@@ -19,10 +18,6 @@ pub(crate) struct ParameterService {
 }
 
 impl ParameterService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self::default()
-    }
-
     /// Answers with a parameter's value in force.
     fn tell_value(&self, core: &mut Core, link: u8, index: usize) {
         if let Some((message_id, payload)) = self.table.told(index, core.vehicle.flavour()) {
@@ -92,7 +87,8 @@ impl Service for ParameterService {
 
     fn speak(&mut self, core: &mut Core, _: &Step<'_>, out: &mut Datagrams) {
         if let Some((index, refusal)) = self.refused.take() {
-            core.tell(out, &report::parameter_text(self.table.name(index), refusal.name()));
+            let text = format_args!("{} not set: {}", self.table.name(index), refusal.name());
+            core.tell(out, WARNING, text);
         }
     }
 }

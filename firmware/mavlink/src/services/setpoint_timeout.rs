@@ -12,8 +12,8 @@ use crate::autopilot::Flavour;
 use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::{Packet, Zeroed};
-use crate::report;
 use crate::service::{Service, Step};
+use crate::status_text::{INFO, NOTICE, WARNING};
 use mavlink::MessageData;
 use mavlink::dialects::common::{
     MavMessage, MavParamType, PARAM_ERROR_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
@@ -31,7 +31,7 @@ const SAME_S: f32 = 1e-3;
 
 /// What was found; told once for each hand-over.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Finding {
+enum Finding {
     /// Short enough, seconds.
     Good(f32),
     /// It was too long, and was set: before and after, seconds.
@@ -43,8 +43,8 @@ pub(crate) enum Finding {
 }
 
 /// What to do in a step.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Next {
+#[derive(Debug, Clone, Copy)]
+enum Next {
     Nothing,
     /// Ask for the value.
     Read,
@@ -53,9 +53,10 @@ pub(crate) enum Next {
     Tell(Finding),
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 enum Stage {
     /// No hand-over, or its finding was told.
+    #[default]
     Idle,
     Reading,
     /// It was this long.
@@ -65,8 +66,8 @@ enum Stage {
 }
 
 /// Follows the one parameter.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct SetpointTimeout {
+#[derive(Debug, Clone, Default)]
+pub(crate) struct SetpointTimeoutService {
     flavour: Flavour,
     /// The vehicle may have the parameter of the guidance computer alone.
     own: bool,
@@ -79,21 +80,9 @@ pub(crate) struct SetpointTimeout {
     taking: bool,
 }
 
-impl SetpointTimeout {
-    pub fn new(longest_s: Option<f32>) -> Self {
-        Self {
-            flavour: Flavour::default(),
-            own: true,
-            longest_s,
-            stage: Stage::Idle,
-            attempts: 0,
-            sent_ns: 0,
-            taking: false,
-        }
-    }
-
+impl SetpointTimeoutService {
     /// The parameter's name.
-    pub fn name(&self) -> &'static str {
+    fn name(&self) -> &'static str {
         match self.flavour {
             Flavour::Px4 if self.own => "VGL_OF_LOSS_T",
             Flavour::Px4 => "COM_OF_LOSS_T",
@@ -116,44 +105,8 @@ impl SetpointTimeout {
         id.get(..len) == Some(self.name().as_bytes())
     }
 
-    /// Takes a packet of the vehicle.
-    pub fn receive(&mut self, packet: &Packet<'_>) {
-        let payload = Zeroed(packet.payload());
-        let Some(longest_s) = self.longest_s else { return };
-        match packet.message_id() {
-            PARAM_VALUE_DATA::ID if self.is_named(&payload.bytes(8)) => {
-                let value_s = f32::from_le_bytes(payload.bytes(0));
-                // Either autopilot's is a REAL32; what is not a time is no answer.
-                if !(value_s.is_finite() && value_s >= 0.0) {
-                    return;
-                }
-                let short = value_s <= longest_s + SAME_S;
-                match self.stage {
-                    Stage::Reading if short => self.stage = Stage::Found(Finding::Good(value_s)),
-                    Stage::Reading => {
-                        self.stage = Stage::Setting(value_s);
-                        self.attempts = 0;
-                    }
-                    // Anything else than a short value is the answer of a vehicle that did not set it; it is asked again.
-                    Stage::Setting(before_s) if short => self.stage = Stage::Found(Finding::Set(before_s, value_s)),
-                    Stage::Setting(_) | Stage::Idle | Stage::Found(_) => {}
-                }
-            }
-            PARAM_ERROR_DATA::ID if self.is_named(&payload.bytes(4)) => match self.stage {
-                Stage::Reading => {
-                    if !self.takes_the_other() {
-                        self.stage = Stage::Found(Finding::NotTold);
-                    }
-                }
-                Stage::Setting(value_s) => self.stage = Stage::Found(Finding::Stays(value_s, longest_s)),
-                Stage::Idle | Stage::Found(_) => {}
-            },
-            _ => {}
-        }
-    }
-
     /// One step. `taking`: guidance asks for the vehicle. What then began goes on to its end, in flight too.
-    pub fn step(&mut self, now_ns: Nanos, taking: bool, flavour: Flavour) -> Next {
+    fn step(&mut self, now_ns: Nanos, taking: bool, flavour: Flavour) -> Next {
         self.flavour = flavour;
         let Some(longest_s) = self.longest_s else {
             return Next::Nothing;
@@ -190,55 +143,88 @@ impl SetpointTimeout {
             Stage::Idle | Stage::Reading | Stage::Found(_) => Next::Read,
         }
     }
-
-    /// Asks the autopilot of a system for the parameter.
-    pub fn read(&self, system: u8) -> MavMessage {
-        MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
-            param_index: -1,
-            target_system: system,
-            target_component: 1,
-            param_id: self.name().into(),
-        })
-    }
-
-    /// Sets it.
-    pub fn set(&self, system: u8, value_s: f32) -> MavMessage {
-        MavMessage::PARAM_SET(PARAM_SET_DATA {
-            param_value: value_s,
-            target_system: system,
-            target_component: 1,
-            param_id: self.name().into(),
-            param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
-        })
-    }
-}
-
-#[derive(Debug, Clone)]
-pub(crate) struct SetpointTimeoutService {
-    timeout: SetpointTimeout,
-}
-
-impl SetpointTimeoutService {
-    pub fn new(config: &CompanionConfig) -> Self {
-        Self {
-            timeout: SetpointTimeout::new(config.setpoint_timeout_s),
-        }
-    }
 }
 
 impl Service for SetpointTimeoutService {
+    fn new(config: &CompanionConfig) -> Self {
+        Self {
+            own: true,
+            longest_s: config.setpoint_timeout_s,
+            ..Self::default()
+        }
+    }
+
     fn hear_vehicle(&mut self, _: &mut Core, _: Nanos, packet: &Packet<'_>) {
-        self.timeout.receive(packet);
+        let payload = Zeroed(packet.payload());
+        let Some(longest_s) = self.longest_s else { return };
+        match packet.message_id() {
+            PARAM_VALUE_DATA::ID if self.is_named(&payload.bytes(8)) => {
+                let value_s = f32::from_le_bytes(payload.bytes(0));
+                // Either autopilot's is a REAL32; what is not a time is no answer.
+                if !(value_s.is_finite() && value_s >= 0.0) {
+                    return;
+                }
+                let short = value_s <= longest_s + SAME_S;
+                match self.stage {
+                    Stage::Reading if short => self.stage = Stage::Found(Finding::Good(value_s)),
+                    Stage::Reading => {
+                        self.stage = Stage::Setting(value_s);
+                        self.attempts = 0;
+                    }
+                    // Anything else than a short value is the answer of a vehicle that did not set it; it is asked again.
+                    Stage::Setting(before_s) if short => self.stage = Stage::Found(Finding::Set(before_s, value_s)),
+                    Stage::Setting(_) | Stage::Idle | Stage::Found(_) => {}
+                }
+            }
+            PARAM_ERROR_DATA::ID if self.is_named(&payload.bytes(4)) => match self.stage {
+                Stage::Reading => {
+                    if !self.takes_the_other() {
+                        self.stage = Stage::Found(Finding::NotTold);
+                    }
+                }
+                Stage::Setting(value_s) => self.stage = Stage::Found(Finding::Stays(value_s, longest_s)),
+                Stage::Idle | Stage::Found(_) => {}
+            },
+            _ => {}
+        }
     }
 
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
         let Some(system) = core.system_id else { return };
         let taking = matches!(step.request, VehicleRequest::FlyExternal { .. }) && !core.vehicle.is_other_autopilot();
-        match self.timeout.step(step.report.now_ns, taking, core.vehicle.flavour()) {
+        let next = self.step(step.report.now_ns, taking, core.vehicle.flavour());
+        let name = self.name();
+        match next {
             Next::Nothing => {}
-            Next::Read => core.say(out, &self.timeout.read(system)),
-            Next::Set(value_s) => core.say(out, &self.timeout.set(system, value_s)),
-            Next::Tell(finding) => core.tell(out, &report::setpoint_timeout_text(self.timeout.name(), finding)),
+            Next::Read => {
+                let read = PARAM_REQUEST_READ_DATA {
+                    param_index: -1,
+                    target_system: system,
+                    target_component: 1,
+                    param_id: name.into(),
+                };
+                core.say(out, &MavMessage::PARAM_REQUEST_READ(read));
+            }
+            Next::Set(param_value) => {
+                let set = PARAM_SET_DATA {
+                    param_value,
+                    target_system: system,
+                    target_component: 1,
+                    param_id: name.into(),
+                    param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+                };
+                core.say(out, &MavMessage::PARAM_SET(set));
+            }
+            Next::Tell(Finding::Good(s)) => core.tell(out, INFO, format_args!("{name} is {s} s")),
+            Next::Tell(Finding::Set(before_s, s)) => {
+                core.tell(out, NOTICE, format_args!("{name} was {before_s} s, set to {s} s"));
+            }
+            Next::Tell(Finding::Stays(s, wanted_s)) => {
+                core.tell(out, WARNING, format_args!("{name} stays {s} s, wanted {wanted_s} s"));
+            }
+            Next::Tell(Finding::NotTold) => {
+                core.tell(out, WARNING, format_args!("{name} is not told by the vehicle"));
+            }
         }
     }
 }

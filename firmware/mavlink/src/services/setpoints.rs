@@ -1,19 +1,14 @@
 //! Velocity setpoints to the vehicle: SET_POSITION_TARGET_LOCAL_NED.
 
-use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::report;
 use crate::service::{Service, Step};
 use vigil_types::{Datagrams, Nanos, VelocitySetpoint};
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct SetpointService;
 
 impl SetpointService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self
-    }
-
     /// A zero setpoint, three times against loss, if it was streaming: an autopilot may keep the last velocity for seconds.
     pub fn end(&mut self, core: &mut Core, now_ns: Nanos, out: &mut Datagrams) {
         if let (true, Some(system)) = (core.streaming, core.system_id) {

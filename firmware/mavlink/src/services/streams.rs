@@ -6,8 +6,8 @@ use crate::autopilot::{Flavour, command_number};
 use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::{Command, Packet};
-use crate::report;
 use crate::service::{Service, Step};
+use crate::status_text::WARNING;
 use crate::vehicle::Vehicle;
 use mavlink::MessageData;
 use mavlink::dialects::common::{
@@ -41,68 +41,43 @@ const ATTITUDE: usize = 1;
 /// Wanted only by who flies a mission around something.
 const MISSION_PLACE: usize = 5;
 
+/// A message with the interval that is wanted and the longest mean one that is borne, and the rest as most have it.
+const fn needed<M: MessageData>(interval_us: f32, slow_ns: Nanos) -> Needed {
+    Needed {
+        id: M::ID,
+        or: M::ID,
+        name: M::NAME,
+        interval_us,
+        slow_ns,
+        stream: 0,
+        flies: false,
+        of_ardupilot: false,
+    }
+}
+
 const NEEDED: [Needed; 6] = [
     Needed {
-        id: LOCAL_POSITION_NED_DATA::ID,
-        or: LOCAL_POSITION_NED_DATA::ID,
-        name: "LOCAL_POSITION_NED",
-        interval_us: 33_333.0,
-        slow_ns: 100_000_000,
         stream: 6,
         flies: true,
-        of_ardupilot: false,
+        ..needed::<LOCAL_POSITION_NED_DATA>(33_333.0, 100_000_000)
     },
     Needed {
-        id: ATTITUDE_DATA::ID,
         or: ATTITUDE_QUATERNION_DATA::ID,
-        name: "ATTITUDE",
-        interval_us: 20_000.0,
-        slow_ns: 100_000_000,
         stream: 10,
         flies: true,
-        of_ardupilot: false,
+        ..needed::<ATTITUDE_DATA>(20_000.0, 100_000_000)
     },
+    needed::<EXTENDED_SYS_STATE_DATA>(200_000.0, 1_200_000_000),
     Needed {
-        id: EXTENDED_SYS_STATE_DATA::ID,
-        or: EXTENDED_SYS_STATE_DATA::ID,
-        name: "EXTENDED_SYS_STATE",
-        interval_us: 200_000.0,
-        slow_ns: 1_200_000_000,
-        stream: 0,
-        flies: false,
-        of_ardupilot: false,
-    },
-    Needed {
-        id: SYS_STATUS_DATA::ID,
-        or: SYS_STATUS_DATA::ID,
-        name: "SYS_STATUS",
-        interval_us: 1_000_000.0,
-        slow_ns: 5_000_000_000,
         stream: 2,
-        flies: false,
-        of_ardupilot: false,
+        ..needed::<SYS_STATUS_DATA>(1_000_000.0, 5_000_000_000)
     },
     Needed {
-        id: HOME_POSITION_DATA::ID,
-        or: HOME_POSITION_DATA::ID,
-        name: "HOME_POSITION",
-        interval_us: 1_000_000.0,
-        slow_ns: 5_000_000_000,
-        stream: 0,
-        flies: false,
         of_ardupilot: true,
+        ..needed::<HOME_POSITION_DATA>(1_000_000.0, 5_000_000_000)
     },
-    Needed {
-        id: POSITION_TARGET_GLOBAL_INT_DATA::ID,
-        or: POSITION_TARGET_GLOBAL_INT_DATA::ID,
-        name: "POSITION_TARGET_GLOBAL_INT",
-        interval_us: 500_000.0,
-        // Outside of missions there is none.
-        slow_ns: 5_000_000_000,
-        stream: 0,
-        flies: false,
-        of_ardupilot: false,
-    },
+    // Outside of missions there is none.
+    needed::<POSITION_TARGET_GLOBAL_INT_DATA>(500_000.0, 5_000_000_000),
 ];
 /// Where local origin and home are; asked for by turns until both are known.
 const PLACES: [u32; 2] = [GPS_GLOBAL_ORIGIN_DATA::ID, HOME_POSITION_DATA::ID];
@@ -123,32 +98,16 @@ const GOOD_NS: Nanos = 5_000_000_000;
 const ARRIVALS: usize = 5;
 
 /// What to send to the autopilot.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Ask {
+#[derive(Debug, Clone, Copy)]
+enum Ask {
     /// A command's number and parameters.
     Command(u16, [f32; 7]),
     /// REQUEST_DATA_STREAM.
     DataStream { stream: u8, rate_hz: u16 },
 }
 
-impl Ask {
-    /// Message number and payload of a [`Ask::DataStream`].
-    pub fn data_stream(system: u8, stream: u8, rate_hz: u16) -> (u32, [u8; 6]) {
-        let [low, high] = rate_hz.to_le_bytes();
-        (REQUEST_DATA_STREAM, [low, high, system, 1, stream, 1])
-    }
-}
-
-/// A message that comes too rarely, to be told.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Slow {
-    pub name: &'static str,
-    pub rate_hz: f32,
-    pub wanted_hz: f32,
-}
-
 /// How one message comes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, Default)]
 struct Watched {
     /// The last arrivals, newest first.
     arrivals_ns: [Option<Nanos>; ARRIVALS],
@@ -200,8 +159,8 @@ impl Watched {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Streams {
+#[derive(Debug, Clone, Default)]
+pub(crate) struct StreamService {
     watched: [Watched; NEEDED.len()],
     /// Of each needed message: an ArduPilot sends it too slowly unless asked.
     ask: [bool; NEEDED.len()],
@@ -210,56 +169,32 @@ pub(crate) struct Streams {
     places_asked: u8,
     flavour: Flavour,
     wants_mission_place: bool,
-    /// To be told, once.
-    slow: Option<Slow>,
-    /// Questions because a message came too rarely, since start.
-    pub slow_asked: u64,
+    /// A message that comes too rarely, to be told: name, rate and wanted rate, hertz.
+    slow: Option<(&'static str, f32, f32)>,
 }
 
-impl Streams {
-    pub fn new(wants_mission_place: bool) -> Self {
-        Self::of(Flavour::Px4, wants_mission_place)
-    }
-
+impl StreamService {
     fn of(flavour: Flavour, wants_mission_place: bool) -> Self {
         let mut ask = [flavour == Flavour::ArduPilot; NEEDED.len()];
         if let Some(ask) = ask.get_mut(MISSION_PLACE) {
             *ask = wants_mission_place;
         }
         Self {
-            watched: [Watched::default(); NEEDED.len()],
             ask,
             wants_mission_place,
-            asked_ns: 0,
-            restarts: 0,
-            places_asked: 0,
             flavour,
-            slow: None,
-            slow_asked: 0,
-        }
-    }
-
-    pub fn note(&mut self, now_ns: Nanos, message_id: u32) {
-        for (needed, watched) in NEEDED.iter().zip(&mut self.watched) {
-            if needed.id == message_id || needed.or == message_id {
-                watched.note(now_ns, needed);
-            }
+            ..Self::default()
         }
     }
 
     /// Mean time between the last positions or attitudes, whichever is longer.
-    pub fn flight_interval_ns(&self) -> Option<Nanos> {
+    fn flight_interval_ns(&self) -> Option<Nanos> {
         let of = |place: usize| self.watched.get(place)?.mean_interval_ns();
         Some(of(POSITION)?.max(of(ATTITUDE)?))
     }
 
-    /// A message that was found too slow since the last call.
-    pub fn take_slow(&mut self) -> Option<Slow> {
-        self.slow.take()
-    }
-
     /// What to send in this step.
-    pub fn step(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Option<Ask> {
+    fn step(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Option<Ask> {
         let heard = vehicle
             .telemetry
             .heartbeat
@@ -267,7 +202,6 @@ impl Streams {
         if self.restarts != vehicle.restarts || self.flavour != vehicle.flavour() {
             *self = Self {
                 restarts: vehicle.restarts,
-                slow_asked: self.slow_asked,
                 ..Self::of(vehicle.flavour(), self.wants_mission_place)
             };
         }
@@ -289,12 +223,7 @@ impl Streams {
             if let (false, true, true, Some(interval_ns)) =
                 (*ask, needed.flies, watched.is_slow(needed), watched.mean_interval_ns())
             {
-                self.slow_asked += 1;
-                self.slow = Some(Slow {
-                    name: needed.name,
-                    rate_hz: 1e9 / interval_ns as f32,
-                    wanted_hz,
-                });
+                self.slow = Some((needed.name, 1e9 / interval_ns as f32, wanted_hz));
             }
             *ask = false;
             // Every third time in the old way, where there is one.
@@ -349,42 +278,40 @@ impl Streams {
     }
 }
 
-#[derive(Debug, Clone)]
-pub(crate) struct StreamService {
-    streams: Streams,
-}
-
-impl StreamService {
-    pub fn new(config: &CompanionConfig) -> Self {
-        Self {
-            streams: Streams::new(config.wants_mission_place),
-        }
-    }
-}
-
 impl Service for StreamService {
+    fn new(config: &CompanionConfig) -> Self {
+        Self::of(Flavour::Px4, config.wants_mission_place)
+    }
+
     fn hear_vehicle(&mut self, core: &mut Core, now_ns: Nanos, packet: &Packet<'_>) {
-        self.streams.note(now_ns, packet.message_id());
-        core.telemetry_interval_ns = self.streams.flight_interval_ns();
+        for (needed, watched) in NEEDED.iter().zip(&mut self.watched) {
+            if [needed.id, needed.or].contains(&packet.message_id()) {
+                watched.note(now_ns, needed);
+            }
+        }
+        core.telemetry_interval_ns = self.flight_interval_ns();
     }
 
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
         let Some(system) = core.system_id else { return };
-        match self.streams.step(step.report.now_ns, &core.vehicle) {
+        match self.step(step.report.now_ns, &core.vehicle) {
             Some(Ask::Command(number, params)) => {
                 let command = Command::to_autopilot(system, number, params, 0);
                 core.sender.command(out, core.config.link, &command);
             }
             Some(Ask::DataStream { stream, rate_hz }) => {
-                let (message_id, payload) = Ask::data_stream(system, stream, rate_hz);
-                core.sender.payload(out, core.config.link, message_id, &payload);
+                let [low, high] = rate_hz.to_le_bytes();
+                let payload = [low, high, system, 1, stream, 1];
+                core.sender
+                    .payload(out, core.config.link, REQUEST_DATA_STREAM, &payload);
             }
             None => {}
         }
-        core.counters.slow_streams = self.streams.slow_asked;
-        core.telemetry_interval_ns = self.streams.flight_interval_ns();
-        if let Some(slow) = self.streams.take_slow() {
-            core.tell(out, &report::slow_text(&slow));
+        core.telemetry_interval_ns = self.flight_interval_ns();
+        if let Some((name, rate_hz, wanted_hz)) = self.slow.take() {
+            core.counters.slow_streams += 1;
+            let text = format_args!("slow: {name} at {rate_hz:.1} Hz, asked for {wanted_hz:.0} Hz");
+            core.tell(out, WARNING, text);
         }
     }
 }

@@ -1,7 +1,6 @@
 //! Answers to the questions about time: TIMESYNC and its predecessor PING.
 //! <https://mavlink.io/en/services/timesync.html>, <https://mavlink.io/en/services/ping.html>
 
-use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::{Packet, Zeroed};
 use crate::operator::ReplyTo;
@@ -11,14 +10,8 @@ use vigil_types::Nanos;
 const PING: u32 = 4;
 const TIMESYNC: u32 = 111;
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct TimeService;
-
-impl TimeService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self
-    }
-}
 
 impl Service for TimeService {
     fn hear(&mut self, core: &mut Core, now_ns: Nanos, packet: &Packet<'_>, from: ReplyTo) -> bool {

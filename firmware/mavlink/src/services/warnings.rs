@@ -1,12 +1,11 @@
 //! What a person should know of vehicle and inputs, as STATUSTEXTs.
 
-use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::Packet;
 use crate::inputs::{self, MissingInputs};
 use crate::operator::ReplyTo;
-use crate::report;
 use crate::service::{Service, Step};
+use crate::status_text::{CRITICAL, ERROR, INFO};
 use mavlink::MessageData;
 use mavlink::dialects::common::HEARTBEAT_DATA;
 use vigil_types::{Datagrams, Nanos, NedVector};
@@ -16,7 +15,7 @@ const WRONG_VEHICLE_NS: Nanos = 30_000_000_000;
 /// Home is told of when it is this much elsewhere than last told, metres.
 const HOME_MOVED_M: f32 = 0.5;
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct WarningService {
     missing: MissingInputs,
     vehicle_named: bool,
@@ -25,19 +24,6 @@ pub(crate) struct WarningService {
     /// Somebody on the vehicle's link calls itself what we are.
     double_heard: bool,
     double_told_ns: Option<Nanos>,
-}
-
-impl WarningService {
-    pub fn new(_: &CompanionConfig) -> Self {
-        Self {
-            missing: MissingInputs::default(),
-            vehicle_named: false,
-            wrong_vehicle_ns: None,
-            home_said_m: NedVector::ZERO,
-            double_heard: false,
-            double_told_ns: None,
-        }
-    }
 }
 
 impl Service for WarningService {
@@ -55,7 +41,14 @@ impl Service for WarningService {
         let now_ns = report.now_ns;
         if let (true, false, Some(system)) = (core.vehicle_heard, self.vehicle_named, core.system_id) {
             self.vehicle_named = true;
-            core.tell(out, &report::vehicle_text(system, &core.vehicle));
+            match (core.vehicle.named, core.vehicle.mav_autopilot) {
+                (Some(named), _) => core.tell(out, INFO, format_args!("vehicle {system}: {}", named.name())),
+                (None, number) => {
+                    let flown_as = core.vehicle.flavour().name();
+                    let text = format_args!("vehicle {system}: autopilot {number} is not known, flown as {flown_as}");
+                    core.tell(out, INFO, text);
+                }
+            }
         }
         if let (true, Some(named)) = (core.vehicle.is_other_autopilot(), core.vehicle.named) {
             let is_due = self
@@ -63,14 +56,24 @@ impl Service for WarningService {
                 .is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= WRONG_VEHICLE_NS);
             if is_due {
                 self.wrong_vehicle_ns = Some(now_ns);
-                core.tell(out, &report::wrong_vehicle_text(named, core.vehicle.flavour()));
+                let (named, configured) = (named.name(), core.vehicle.flavour().name());
+                let text =
+                    format_args!("vehicle is {named}, but set is {configured}: it is not flown; use --vehicle auto");
+                core.tell(out, ERROR, text);
             }
         }
         if let Some(home_ned_m) = core.vehicle.home_ned_m()
             && (home_ned_m - self.home_said_m).norm() > HOME_MOVED_M
         {
             self.home_said_m = home_ned_m;
-            core.tell(out, &report::home_text(home_ned_m));
+            let (north_m, east_m, up_m) = (home_ned_m.x, home_ned_m.y, -home_ned_m.z);
+            core.tell(
+                out,
+                INFO,
+                format_args!(
+                    "home: {north_m:.1} m north, {east_m:.1} m east, {up_m:.1} m above the local origin; goals are from there"
+                ),
+            );
         }
         if core::mem::take(&mut self.double_heard) {
             let is_due = self
@@ -78,8 +81,9 @@ impl Service for WarningService {
                 .is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= WRONG_VEHICLE_NS);
             if is_due {
                 self.double_told_ns = Some(now_ns);
-                let system = core.system_id.unwrap_or_default();
-                core.tell(out, &report::double_text(system, core.config.component_id));
+                let (system, component) = (core.system_id.unwrap_or_default(), core.config.component_id);
+                let text = format_args!("another guidance computer {system}/{component} is on the link: stop one");
+                core.tell(out, CRITICAL, text);
             }
         }
         for missing in self.missing.due(report).iter().flatten() {

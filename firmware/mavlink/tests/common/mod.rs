@@ -5,7 +5,9 @@ pub mod peer;
 
 use peer::Peer;
 use vigil_guidance::{EngagePolicy, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput};
-use vigil_mavlink::common::{COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavFrame, NAMED_VALUE_FLOAT_DATA};
+use vigil_mavlink::common::{
+    COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavFrame, MavType,
+};
 use vigil_mavlink::framing::{FramingCounters, encode, packets};
 use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavHeader, MavMessage};
 use vigil_types::{
@@ -51,11 +53,30 @@ pub fn messages(sent: &Datagrams) -> Vec<(MavHeader, MavMessage)> {
     found
 }
 
+/// The messages of one kind among those of [`messages`].
+#[macro_export]
+macro_rules! only {
+    ($messages:expr, $kind:ident) => {
+        $messages.into_iter().filter_map(|(_, message)| match message {
+            vigil_mavlink::MavMessage::$kind(found) => Some(found),
+            _ => None,
+        })
+    };
+}
+
+/// An autopilot's heartbeat, or that of something that is none.
+pub fn heartbeat(autopilot: MavAutopilot) -> MavMessage {
+    MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+        autopilot,
+        mavtype: MavType::MAV_TYPE_QUADROTOR,
+        ..Default::default()
+    })
+}
+
 /// The texts of a step, chunks put together as the protocol says.
 pub fn texts(sent: &Datagrams) -> Vec<String> {
     let mut texts: Vec<(u16, String)> = Vec::new();
-    for (_, message) in messages(sent) {
-        let MavMessage::STATUSTEXT(t) = message else { continue };
+    for t in only!(messages(sent), STATUSTEXT) {
         let chunk = t.text.to_str().expect("text is UTF-8");
         match texts.last_mut() {
             Some((id, text)) if t.id != 0 && *id == t.id => {
@@ -72,14 +93,8 @@ pub fn texts(sent: &Datagrams) -> Vec<String> {
 }
 
 pub fn named_values(sent: &Datagrams) -> Vec<(String, f32)> {
-    messages(sent)
-        .into_iter()
-        .filter_map(|(_, m)| match m {
-            MavMessage::NAMED_VALUE_FLOAT(NAMED_VALUE_FLOAT_DATA { name, value, .. }) => {
-                Some((name.to_str().expect("a name is UTF-8").to_owned(), value))
-            }
-            _ => None,
-        })
+    only!(messages(sent), NAMED_VALUE_FLOAT)
+        .map(|m| (m.name.to_str().expect("a name is UTF-8").to_owned(), m.value))
         .collect()
 }
 
@@ -199,10 +214,7 @@ impl Flight {
         let fresh = telemetry
             .flight_data_age_ns(self.now_ns)
             .is_some_and(|age| age <= limit_ns);
-        let action = (self.sees && fresh && telemetry.is_finite()).then_some(Action {
-            forward_m_s: 1.0,
-            yaw: 0.0,
-        });
+        let action = (self.sees && fresh && telemetry.is_finite()).then_some(Action::new(1.0, 0.0));
         let output = self.guidance.step(&GuidanceInput {
             now_ns: self.now_ns,
             telemetry: &telemetry,

@@ -12,9 +12,10 @@ const STEP_S: f32 = 0.05;
 const CLIMB_M_S: f32 = 1.5;
 const SECOND: Nanos = 1_000_000_000;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Mode {
     /// AUTO.LOITER or LOITER.
+    #[default]
     Loiter,
     /// AUTO.TAKEOFF; a Copter has no such mode.
     Takeoff,
@@ -47,7 +48,7 @@ pub struct Got {
     pub params: [f32; 7],
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Peer {
     pub flavour: Flavour,
     pub system: u8,
@@ -106,49 +107,22 @@ pub struct Peer {
 
 impl Peer {
     pub fn on_the_ground(flavour: Flavour) -> Self {
+        // What either autopilot ships with.
+        let (mode, setpoint_timeout_s) = match flavour {
+            Flavour::Px4 => (Mode::Loiter, 1.0),
+            Flavour::ArduPilot => (Mode::Manual, 3.0),
+        };
         Self {
             flavour,
             system: 1,
-            armed: false,
-            mode: match flavour {
-                Flavour::Px4 => Mode::Loiter,
-                Flavour::ArduPilot => Mode::Manual,
-            },
-            failsafe: false,
-            north_m: 0.0,
-            east_m: 0.0,
-            height_m: 0.0,
-            speed_north_m_s: 0.0,
-            pitch_rad: 0.0,
+            mode,
             cruise_m_s: 3.0,
-            // What either autopilot ships with.
-            setpoint_timeout_s: match flavour {
-                Flavour::Px4 => 1.0,
-                Flavour::ArduPilot => 3.0,
-            },
-            own_timeout_s: None,
+            setpoint_timeout_s,
             tells_parameters: true,
             sets_parameters: true,
-            parameters_read: 0,
-            parameters_set: Vec::new(),
-            home_ned_m: [0.0; 3],
-            home_on_globe_only: false,
-            slowed_to_steps: None,
-            keeps_slow: false,
-            streams_asked: Vec::new(),
             tells_landed: true,
-            quirks: Vec::new(),
-            commands: Vec::new(),
-            places: Vec::new(),
-            refuses_places: false,
-            setpoints: Vec::new(),
-            disturbed_takeoff: false,
             boot_ns: 20 * SECOND,
-            target_height_m: None,
-            wanted_messages: Vec::new(),
-            replies: Vec::new(),
-            sequence: 0,
-            steps: 0,
+            ..Self::default()
         }
     }
 

@@ -38,13 +38,7 @@ pub fn small_network(purpose: Purpose, explained: bool) -> Graph {
         inputs: second.output_len(),
         hidden: 8,
     };
-    let (dense, output) = (
-        Dense {
-            inputs: 10,
-            outputs: 16,
-        },
-        Dense { inputs: 16, outputs: 2 },
-    );
+    let (dense, output) = (Dense::new(10, 16), Dense { inputs: 16, outputs: 2 });
     let mut b = GraphBuilder::new();
     let params = [
         first.param_len(),

@@ -95,25 +95,13 @@ impl ActorSpec {
     /// From the convolutions' features, `[row][column][channel]`, to the scan.
     pub fn scan(&self) -> Dense {
         let [.., last] = self.convolutions();
-        Dense {
-            inputs: last.output_len(),
-            outputs: SCAN,
-        }
+        Dense::new(last.output_len(), SCAN)
     }
 
     /// The trunk's dense layers.
     pub fn trunk(&self) -> [Dense; 2] {
         let [first, second] = TRUNK;
-        [
-            Dense {
-                inputs: SCAN + CONTEXT,
-                outputs: first,
-            },
-            Dense {
-                inputs: first,
-                outputs: second,
-            },
-        ]
+        [Dense::new(SCAN + CONTEXT, first), Dense::new(first, second)]
     }
 
     /// The norm behind a dense layer.
@@ -127,42 +115,24 @@ impl ActorSpec {
     /// From the trunk to the split point.
     pub fn state(&self) -> Dense {
         let [.., last] = TRUNK;
-        Dense {
-            inputs: last,
-            outputs: ACTOR_HIDDEN,
-        }
+        Dense::new(last, ACTOR_HIDDEN)
     }
 
     /// The low-dimensional branch.
     pub fn low(&self) -> Dense {
-        Dense {
-            inputs: LOW_DIM,
-            outputs: LOW_UNITS,
-        }
+        Dense::new(LOW_DIM, LOW_UNITS)
     }
 
     /// The layers behind the split point, of the 48 values beside the low-dimensional branch.
     pub fn head(&self) -> [Dense; 2] {
         let [first, second] = HEAD;
-        [
-            Dense {
-                inputs: ACTOR_HIDDEN + LOW_UNITS,
-                outputs: first,
-            },
-            Dense {
-                inputs: first,
-                outputs: second,
-            },
-        ]
+        [Dense::new(ACTOR_HIDDEN + LOW_UNITS, first), Dense::new(first, second)]
     }
 
     /// The last layer.
     pub fn output(&self) -> Dense {
         let [.., last] = HEAD;
-        Dense {
-            inputs: last,
-            outputs: ACTOR_OUTPUTS,
-        }
+        Dense::new(last, ACTOR_OUTPUTS)
     }
 
     /// Reserves the parameters, in the order of the fields of [`ActorParams`].

@@ -61,10 +61,7 @@ impl Pilot for ActorPilot {
         let scan = self.surroundings.observe(input);
         let Ok([forward_m_s, yaw]) = self.actor.decide(input) else {
             // Only an actor of other dimensions refuses a frame. An action that is not finite makes the caller hold.
-            return Action {
-                forward_m_s: f32::NAN,
-                yaw: f32::NAN,
-            };
+            return Action::new(f32::NAN, f32::NAN);
         };
         self.low_dim = Some(self.actor.low_dim());
         let own = Action { forward_m_s, yaw };
@@ -116,6 +113,14 @@ impl FlightPilot {
         }
     }
 
+    fn pilot(&mut self) -> &mut dyn Pilot {
+        match self {
+            Self::Geometric(pilot) => pilot,
+            Self::Actor(pilot) => pilot,
+            Self::Imported(pilot) => pilot,
+        }
+    }
+
     /// The learned pilot's positional inputs of the last decision; `None` without one, and before its first.
     pub fn position(&self) -> Option<PositionalInputs> {
         match self {
@@ -145,26 +150,14 @@ impl FlightPilot {
 
 impl Pilot for FlightPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
-        match self {
-            Self::Geometric(pilot) => pilot.decide(input),
-            Self::Actor(pilot) => pilot.decide(input),
-            Self::Imported(pilot) => pilot.decide(input),
-        }
+        self.pilot().decide(input)
     }
 
     fn reset(&mut self) {
-        match self {
-            Self::Geometric(pilot) => pilot.reset(),
-            Self::Actor(pilot) => pilot.reset(),
-            Self::Imported(pilot) => pilot.reset(),
-        }
+        self.pilot().reset();
     }
 
     fn pause(&mut self) {
-        match self {
-            Self::Geometric(pilot) => pilot.pause(),
-            Self::Actor(pilot) => pilot.pause(),
-            Self::Imported(pilot) => pilot.pause(),
-        }
+        self.pilot().pause();
     }
 }

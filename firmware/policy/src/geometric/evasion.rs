@@ -238,10 +238,7 @@ pub fn evade<'a>(
     for speed in SPEEDS {
         let forward_m_s = speed * cruise_m_s;
         for yaw in YAWS {
-            let action = Action {
-                forward_m_s,
-                yaw: yaw * ACTION_LIMIT,
-            };
+            let action = Action::new(forward_m_s, yaw * ACTION_LIMIT);
             compare(
                 Plan {
                     action,
@@ -339,10 +336,7 @@ mod tests {
     use std::boxed::Box;
     use vigil_types::HeadingVector;
 
-    const WANTED: Action = Action {
-        forward_m_s: 1.5,
-        yaw: 0.0,
-    };
+    const WANTED: Action = Action::new(1.5, 0.0);
 
     fn decide(tracker: &MoverTracker, wanted: Action, last: Option<Plan>) -> Option<Plan> {
         let guesses = Guesses::new(tracker.movers(), 0.0);
@@ -393,11 +387,7 @@ mod tests {
     fn what_would_be_met_is_evaded() {
         // It comes from the left and is before the vehicle when the vehicle is there.
         for speed_m_s in [0.4, 0.6, 0.8] {
-            let scene = Scene {
-                start_m: (3.0, -1.5 * speed_m_s - 2.0 * speed_m_s),
-                velocity_m_s: (0.0, speed_m_s),
-                radius_m: 0.3,
-            };
+            let scene = Scene::of((3.0, -1.5 * speed_m_s - 2.0 * speed_m_s), (0.0, speed_m_s));
             let plan = decide(&track(&scene, 30), WANTED, None).expect("another plan");
             assert!(
                 least_m(&scene, 1.5, on(WANTED)) < 0.1,
@@ -411,11 +401,7 @@ mod tests {
     fn what_is_out_of_sight_for_two_seconds_is_evaded_where_it_goes_on_to() {
         for speed_m_s in [0.4, 0.6, 0.8] {
             // It is followed for 1.5 s, then the vehicle looks west for 2 s; 2 s later it is before the vehicle.
-            let scene = Scene {
-                start_m: (3.0, -5.3 * speed_m_s),
-                velocity_m_s: (0.0, speed_m_s),
-                radius_m: 0.3,
-            };
+            let scene = Scene::of((3.0, -5.3 * speed_m_s), (0.0, speed_m_s));
             let mut tracker = track(&scene, 30);
             look_aside(&mut tracker, 30..70);
             assert!(
@@ -433,11 +419,7 @@ mod tests {
 
     #[test]
     fn the_plan_of_the_step_before_is_kept_where_another_is_hardly_better() {
-        let scene = Scene {
-            start_m: (3.0, -2.1),
-            velocity_m_s: (0.0, 0.6),
-            radius_m: 0.3,
-        };
+        let scene = Scene::of((3.0, -2.1), (0.0, 0.6));
         let tracker = track(&scene, 30);
         let best = decide(&tracker, WANTED, None).expect("another plan");
         // About as good as the best: a little faster or slower afterwards.
@@ -452,21 +434,13 @@ mod tests {
 
     #[test]
     fn what_passes_far_off_changes_nothing() {
-        let scene = Scene {
-            start_m: (4.5, 2.5),
-            velocity_m_s: (0.6, 0.3),
-            radius_m: 0.3,
-        };
+        let scene = Scene::of((4.5, 2.5), (0.6, 0.3));
         assert_eq!(decide(&track(&scene, 30), WANTED, None), None);
     }
 
     #[test]
     fn a_mover_that_is_seen_is_not_crowded_out_by_those_that_are_lost() {
-        let lost = Scene {
-            start_m: (3.0, -1.5),
-            velocity_m_s: (0.0, 0.6),
-            radius_m: 0.3,
-        };
+        let lost = Scene::of((3.0, -1.5), (0.0, 0.6));
         let mut tracker = track(&lost, 30);
         look_aside(&mut tracker, 30..130);
         let seen = track(&lost, 30);
@@ -486,15 +460,8 @@ mod tests {
     #[test]
     fn the_vehicle_does_not_wait_on_a_movers_lane() {
         // Out of the view it has gone to the right, along a line through the vehicle, and will come back.
-        let scene = Scene {
-            start_m: (0.9, -1.2),
-            velocity_m_s: (-0.2, 0.7),
-            radius_m: 0.3,
-        };
-        let waiting = Action {
-            forward_m_s: 0.0,
-            yaw: 0.0,
-        };
+        let scene = Scene::of((0.9, -1.2), (-0.2, 0.7));
+        let waiting = Action::new(0.0, 0.0);
         let plan = decide(&track(&scene, 30), waiting, None).expect("another plan");
         assert!(plan.action != waiting, "{plan:?}");
     }

@@ -369,14 +369,11 @@ impl GeometricPilot {
             return (action, None);
         };
         let to_waypoint = waypoint - here;
-        let target = GoalRelative {
-            distance_m: to_waypoint.horizontal_norm(),
-            bearing_rad: wrap_pi(libm::atan2f(to_waypoint.y, to_waypoint.x) - yaw_rad),
-        };
-        let seeking = Action {
-            forward_m_s: self.config.cruise_m_s,
-            yaw: YAW_GAIN * target.bearing_rad,
-        };
+        let target = GoalRelative::new(
+            to_waypoint.horizontal_norm(),
+            wrap_pi(libm::atan2f(to_waypoint.y, to_waypoint.x) - yaw_rad),
+        );
+        let seeking = Action::new(self.config.cruise_m_s, YAW_GAIN * target.bearing_rad);
         // One frame alone moves the recovery pilot neither aside nor to a stop: it goes by its grid.
         let seen = if self.strategy == Strategy::Recovery {
             &Scan::EMPTY
@@ -393,10 +390,7 @@ impl GeometricPilot {
             .min(self.config.cruise_m_s * alignment.clamp(0.0, 1.0))
             .min(near_goal_m_s);
         // Backward only out of the way of what moves: the field of a waypoint behind asks for it too.
-        let wanted = Action {
-            forward_m_s: wanted_m_s.max(0.0),
-            yaw: wanted.yaw,
-        };
+        let wanted = Action::new(wanted_m_s.max(0.0), wanted.yaw);
         let plan = self.evade(input, here, waypoint, wanted);
         let wanted = plan.map_or(wanted, |plan| plan.action);
         if wanted.forward_m_s < 0.0 {

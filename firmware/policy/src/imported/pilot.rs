@@ -217,10 +217,7 @@ impl ImportedPilot {
         self.inputs.see(&self.places, depth, !self.started, &mut self.frame);
         self.started = true;
         self.position = Some(position);
-        let own = self.evaluate(&position).unwrap_or(Action {
-            forward_m_s: f32::NAN,
-            yaw: f32::NAN,
-        });
+        let own = self.evaluate(&position).unwrap_or(Action::new(f32::NAN, f32::NAN));
         // What is not finite makes the caller hold, and stays what it is.
         if own.is_finite() { own.clipped() } else { own }
     }
@@ -235,10 +232,7 @@ impl ImportedPilot {
         self.graph.forward(self.isa, &self.params, given, &mut self.tape).ok()?;
         let output = self.graph.output(&self.tape).ok()?;
         let scaled = |i: usize| output.get(i).map(|value| value * self.inputs.output_scale);
-        Some(Action {
-            forward_m_s: scaled(0)?,
-            yaw: scaled(1)?,
-        })
+        Some(Action::new(scaled(0)?, scaled(1)?))
     }
 }
 

@@ -719,55 +719,39 @@ impl PlausibilityCheck {
 
     /// What the evidence tells.
     fn verdict(&self) -> Option<Raised> {
-        let Evidence {
-            samples: _,
-            costs: _,
-            cost,
-            frozen,
-            frozen_parts,
-            cost_parts,
-            found_parts,
-            lost_parts,
-            found_rows,
-            lost_rows,
-            mirrored,
-            drift,
-            mount: _,
-            wrong_mount,
-            far_cost,
-        } = &self.evidence;
+        let evidence = &self.evidence;
         // A picture that moves another way may cost less standing still too, but hardly fits.
         let is_frozen = |frozen: f32, cost: f32, least: f32| frozen > least && frozen > FROZEN_FIT * cost;
-        let frozen_parts = frozen_parts.iter().zip(cost_parts);
+        let frozen_parts = evidence.frozen_parts.iter().zip(&evidence.cost_parts);
         let frozen_parts = frozen_parts
             .filter(|(frozen, cost)| is_frozen(**frozen, **cost, FROZEN_PART))
             .count();
-        let lost = found_parts.iter().zip(lost_parts);
+        let lost = evidence.found_parts.iter().zip(&evidence.lost_parts);
         let lost_parts = lost
             .filter(|(found, lost)| **lost > VANISHED && **lost > 4.0 * **found)
             .count();
         // Whatever rises above some row of the view vanishes, and nothing is ever found there.
         let (mut found_above, mut lost_above, mut dead_above) = (0.0, 0.0, false);
-        for (found, lost) in found_rows.iter().zip(lost_rows) {
+        for (found, lost) in evidence.found_rows.iter().zip(&evidence.lost_rows) {
             found_above += found;
             lost_above += lost;
             dead_above |= lost_above > VANISHED_ABOVE && found_above < FOUND_ABOVE * lost_above;
         }
         // What drift explains is no mirror's.
-        let mirrored = mirrored - drift.drift_gain();
+        let mirrored = evidence.mirrored - evidence.drift.drift_gain();
         let is_mirrored =
-            mirrored > MIRRORED && mirrored > MIRRORED_FIT * *far_cost && self.evidence.misfits_by(MIRRORED_NEAR);
+            mirrored > MIRRORED && mirrored > MIRRORED_FIT * evidence.far_cost && evidence.misfits_by(MIRRORED_NEAR);
         let raised = |reason, stays| Some(Raised { reason, stays });
         if self.same_frames >= SAME_FRAMES {
             raised(Reason::FrozenSensor, false)
-        } else if is_mirrored || *wrong_mount {
+        } else if is_mirrored || evidence.wrong_mount {
             raised(Reason::InconsistentPicture, true)
-        } else if is_frozen(*frozen, *cost, FROZEN_VIEW)
-            || (frozen_parts >= FROZEN_PARTS && *frozen > 0.0)
+        } else if is_frozen(evidence.frozen, evidence.cost, FROZEN_VIEW)
+            || (frozen_parts >= FROZEN_PARTS && evidence.frozen > 0.0)
             || frozen_parts >= FROZEN_PARTS_OF_A_MOVING_VIEW
         {
             raised(Reason::FrozenSensor, false)
-        } else if self.evidence.misfits() || lost_parts >= VANISHED_PARTS || dead_above {
+        } else if evidence.misfits() || lost_parts >= VANISHED_PARTS || dead_above {
             raised(Reason::InconsistentPicture, false)
         } else {
             None

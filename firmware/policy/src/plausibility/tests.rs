@@ -105,8 +105,7 @@ impl Flight {
             );
             let (se, ce) = (libm::sinf(elevation), libm::cosf(elevation));
             let ray = sensor.to_ned(FrdVector::new(ce * libm::cosf(bearing), ce * libm::sinf(bearing), -se));
-            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            let noise_m = 0.04 * ((noise >> 8) as f32 / (1 << 24) as f32 - 0.5);
+            let noise_m = 0.04 * (random(&mut noise) - 0.5);
             *depth = ((range_m(self.position, ray) + noise_m) / DEPTH_FULL_SCALE_M).min(1.0);
         }
         let now_ns = self.step * STEP_NS;
@@ -120,16 +119,8 @@ impl Flight {
                 mode: VehicleMode::External,
                 failsafe: false,
             }),
-            kinematics: Some(Kinematics {
-                at_ns: now_ns,
-                position_ned_m: self.position,
-                velocity_ned_m_s: velocity,
-            }),
-            attitude: Some(AttitudeSample {
-                at_ns: now_ns,
-                attitude,
-                rates_frd_rad_s: FrdVector::ZERO,
-            }),
+            kinematics: Some(Kinematics::new(now_ns, self.position, velocity)),
+            attitude: Some(AttitudeSample::new(now_ns, attitude, FrdVector::ZERO)),
             ..VehicleTelemetry::default()
         };
     }
@@ -139,9 +130,22 @@ impl Flight {
         let step = |_| {
             self.look();
             spoil(&mut self.frame);
-            self.plausibility.check(&self.frame, &self.telemetry)
+            self.check()
         };
         (0..steps).map(step).collect()
+    }
+
+    fn check(&mut self) -> Reasons {
+        self.plausibility.check(&self.frame, &self.telemetry)
+    }
+
+    /// The vehicle is taken to be elsewhere by so much.
+    fn misplace(&mut self, error_m: NedVector) {
+        let header = &mut self.frame.header;
+        header.position_ned_m = header.position_ned_m + error_m;
+        if let Some(kinematics) = &mut self.telemetry.kinematics {
+            kinematics.position_ned_m = kinematics.position_ned_m + error_m;
+        }
     }
 
     /// The first doubt of the next steps and after how many steps it came.
@@ -164,6 +168,36 @@ fn turned_by_exactly(attitude: Attitude, angle: f32) -> Attitude {
 
 fn good(_: &mut DepthFrame) {}
 
+/// The next of a row of numbers from 0 to 1 that look random.
+fn random(state: &mut u32) -> f32 {
+    *state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+    (*state >> 8) as f32 / (1 << 24) as f32
+}
+
+/// Each range that is seen longer or shorter by so many 255ths of 100 m.
+fn rough(size: f32) -> impl FnMut(&mut DepthFrame) {
+    let mut state = 1;
+    move |frame| {
+        for depth in frame.depth.iter_mut().filter(|depth| **depth < 1.0) {
+            let sign = if random(&mut state) < 0.5 { 1.0 } else { -1.0 };
+            *depth = (*depth + sign * size / 255.0).clamp(0.0, 1.0);
+        }
+    }
+}
+
+fn mirror(frame: &mut DepthFrame) {
+    frame.depth.chunks_exact_mut(DEPTH_COLS).for_each(<[f32]>::reverse);
+}
+
+/// These pixels stay as they are in the first frame.
+fn freeze(pixels: core::ops::Range<usize>) -> impl FnMut(&mut DepthFrame) {
+    let mut kept: Option<Box<[f32; DEPTH_PIXELS]>> = None;
+    move |frame| {
+        let kept = kept.get_or_insert_with(|| Box::new(frame.depth));
+        frame.depth[pixels.clone()].copy_from_slice(&kept[pixels.clone()]);
+    }
+}
+
 /// A story in which the sensor fails after 2 s of good flight, and how soon it is found at the latest.
 fn found(name: &str, reason: Reason, within_steps: usize, spoil: impl FnMut(&mut DepthFrame)) -> Flight {
     let mut flight = Flight::new();
@@ -185,11 +219,7 @@ fn a_good_flight_is_not_doubted_nor_is_one_at_half_the_frame_rate() {
     for step in 0..200 {
         flight.look();
         if step % 2 == 0 {
-            assert_eq!(
-                flight.plausibility.check(&flight.frame, &flight.telemetry),
-                Reasons::NONE,
-                "step {step}"
-            );
+            assert_eq!(flight.check(), Reasons::NONE, "step {step}");
         }
     }
 }
@@ -200,27 +230,18 @@ fn what_a_sensor_sees_is_smooth_for_the_most_part_and_what_an_attacker_adds_pixe
     let mut least = 1.0_f32;
     for _ in 0..60 {
         flight.look();
-        flight.plausibility.check(&flight.frame, &flight.telemetry);
+        flight.check();
         least = least.min(flight.plausibility.smooth_share().expect("something is seen"));
     }
     assert!(least > 0.7, "{least}");
-    let mut state = 1_u32;
-    let mut rough = |size: f32| {
-        flight.look();
-        for depth in flight.frame.depth.iter_mut().filter(|depth| **depth < 1.0) {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            let sign = if state >> 31 == 0 { 1.0 } else { -1.0 };
-            *depth = (*depth + sign * size / 255.0).clamp(0.0, 1.0);
-        }
-        flight.plausibility.check(&flight.frame, &flight.telemetry);
-        flight.plausibility.smooth_share().expect("something is seen")
-    };
     for size in [1.0, 5.0, 20.0] {
-        assert!(rough(size) < 0.6, "{size}/255: {}", rough(size));
+        flight.fly(1, rough(size));
+        let share = flight.plausibility.smooth_share().expect("something is seen");
+        assert!(share < 0.6, "{size}/255: {share}");
     }
     // A sky says nothing.
     flight.frame.depth = [1.0; DEPTH_PIXELS];
-    flight.plausibility.check(&flight.frame, &flight.telemetry);
+    flight.check();
     assert_eq!(flight.plausibility.smooth_share(), None);
 }
 
@@ -243,26 +264,12 @@ fn a_sensor_that_sees_nothing_is_blind_within_two_frames_and_sees_again_after_th
     found("left half dead", Reason::BlindSensor, 2, half(0..128, 1.0));
     found("right half dead", Reason::BlindSensor, 2, half(128..256, 1.0));
     found("columns of zeros", Reason::BlindSensor, 2, half(100..108, 0.0));
-    let mut state = 1_u32;
-    found("ranges of anywhere", Reason::BlindSensor, 2, move |f| {
-        for depth in &mut f.depth {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            *depth = (state >> 8) as f32 / (1 << 24) as f32;
-        }
+    let mut state = 1;
+    found("ranges of anywhere", Reason::BlindSensor, 2, |f| {
+        f.depth.fill_with(|| random(&mut state))
     });
-    let mut state = 1_u32;
-    found(
-        "ranges of which each is 7.8 m too long or too short",
-        Reason::BlindSensor,
-        2,
-        move |f| {
-            for depth in &mut f.depth {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                let sign = if state >> 31 == 0 { 1.0 } else { -1.0 };
-                *depth = (*depth + sign * 20.0 / 255.0).clamp(0.0, 1.0);
-            }
-        },
-    );
+    let name = "ranges of which each is 7.8 m too long or too short";
+    found(name, Reason::BlindSensor, 2, rough(20.0));
     found("lower half dead", Reason::BlindSensor, 2, |f| {
         f.depth[DEPTH_PIXELS / 2..].fill(1.0)
     });
@@ -330,44 +337,29 @@ fn what_moves_beside_the_vehicle_and_goes_away_is_no_fault() {
 
 #[test]
 fn a_picture_or_a_part_of_it_that_stays_is_frozen() {
-    let mut kept: Option<Box<[f32; DEPTH_PIXELS]>> = None;
-    let mut freeze = |pixels: core::ops::Range<usize>, frame: &mut DepthFrame| {
-        let kept = kept.get_or_insert_with(|| Box::new(frame.depth));
-        frame.depth[pixels.clone()].copy_from_slice(&kept[pixels]);
-    };
-    found("the whole", Reason::FrozenSensor, 5, |f| freeze(0..DEPTH_PIXELS, f));
-    let mut kept: Option<Box<[f32; DEPTH_PIXELS]>> = None;
-    let mut freeze = |pixels: core::ops::Range<usize>, frame: &mut DepthFrame| {
-        let kept = kept.get_or_insert_with(|| Box::new(frame.depth));
-        frame.depth[pixels.clone()].copy_from_slice(&kept[pixels]);
-    };
-    found("the upper half", Reason::FrozenSensor, 8, |f| {
-        freeze(0..DEPTH_PIXELS / 2, f)
-    });
-    let mut kept: Option<Box<[f32; DEPTH_PIXELS]>> = None;
-    let mut noise = 1_u32;
+    found("the whole", Reason::FrozenSensor, 5, freeze(0..DEPTH_PIXELS));
+    found("the upper half", Reason::FrozenSensor, 8, freeze(0..DEPTH_PIXELS / 2));
+    let (mut stay, mut noise) = (freeze(0..DEPTH_PIXELS), 1);
     found("under fresh noise", Reason::FrozenSensor, 20, |f| {
-        f.depth = **kept.get_or_insert_with(|| Box::new(f.depth));
+        stay(f);
         for depth in &mut f.depth {
-            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            *depth = (*depth + 0.0004 * ((noise >> 8) as f32 / (1 << 24) as f32 - 0.5)).clamp(1e-4, 1.0);
+            *depth = (*depth + 0.0004 * (random(&mut noise) - 0.5)).clamp(1e-4, 1.0);
         }
     });
 }
 
 #[test]
 fn a_picture_that_thaws_is_known_again_from_an_earlier_one_even_while_the_vehicle_stands() {
-    let mut kept: Option<Box<DepthFrame>> = None;
-    let mut freeze = |f: &mut DepthFrame| f.depth = kept.get_or_insert_with(|| Box::new(f.clone())).depth;
+    let mut stay = freeze(0..DEPTH_PIXELS);
     let mut flight = Flight::new();
     assert_eq!(flight.first_fault(40, good), None);
-    assert!(flight.first_fault(5, &mut freeze).is_some());
+    assert!(flight.first_fault(5, &mut stay).is_some());
     // It stops within a metre.
-    flight.fly(10, &mut freeze);
+    flight.fly(10, &mut stay);
     flight.speed_m_s = 0.0;
     assert!(
         flight
-            .fly(100, &mut freeze)
+            .fly(100, &mut stay)
             .iter()
             .all(|d| d.contains(Reason::FrozenSensor)),
         "held while it is frozen"
@@ -377,21 +369,15 @@ fn a_picture_that_thaws_is_known_again_from_an_earlier_one_even_while_the_vehicl
     // The second time it stays until the motors are off.
     flight.speed_m_s = 1.5;
     flight.fly(20, good);
-    kept = None;
-    let mut freeze = |f: &mut DepthFrame| f.depth = kept.get_or_insert_with(|| Box::new(f.clone())).depth;
-    assert!(flight.first_fault(40, &mut freeze).is_some());
+    assert!(flight.first_fault(40, freeze(0..DEPTH_PIXELS)).is_some());
     assert!(flight.fly(40, good).iter().all(|d| d.contains(Reason::FrozenSensor)));
     flight.look();
     flight.telemetry.heartbeat.as_mut().unwrap().armed = false;
-    assert_eq!(
-        flight.plausibility.check(&flight.frame, &flight.telemetry),
-        Reasons::NONE
-    );
+    assert_eq!(flight.check(), Reasons::NONE);
 }
 
 #[test]
 fn a_mirrored_or_turned_sensor_is_found_by_the_way_its_picture_moves() {
-    let mirror = |f: &mut DepthFrame| f.depth.chunks_exact_mut(DEPTH_COLS).for_each(<[f32]>::reverse);
     let mut flight = Flight::new();
     let (_, faults) = flight.first_fault(80, mirror).expect("mirrored from the start");
     assert_eq!(faults, Reasons::of(Reason::InconsistentPicture));
@@ -452,13 +438,8 @@ fn faults_of_a_flight(mount: (f32, f32), agrees: bool, error_ned_m: impl Fn(f32)
     flight.plausibility.note_estimate(0.0, agrees);
     let mut faults = (0..300).map(|step| {
         flight.look();
-        let error = error_ned_m(step as f32 * STEP_S);
-        let header = &mut flight.frame.header;
-        header.position_ned_m = header.position_ned_m + error;
-        if let Some(kinematics) = &mut flight.telemetry.kinematics {
-            kinematics.position_ned_m = kinematics.position_ned_m + error;
-        }
-        flight.plausibility.check(&flight.frame, &flight.telemetry)
+        flight.misplace(error_ned_m(step as f32 * STEP_S));
+        flight.check()
     });
     faults.find(|faults| !faults.is_empty()).unwrap_or(Reasons::NONE)
 }
@@ -499,7 +480,6 @@ fn an_estimate_that_drifts_for_seconds_to_one_side_looks_like_a_turned_sensor_an
 
 #[test]
 fn an_estimate_that_drifted_while_no_frames_came_convicts_nobody_and_a_mirrored_sensor_is_found_after_the_gap() {
-    let mirror = |f: &mut DepthFrame| f.depth.chunks_exact_mut(DEPTH_COLS).for_each(<[f32]>::reverse);
     let after_a_gap = |steps: u64| {
         let mut flight = Flight::new();
         flight.yaw_rate_rad_s = 0.0;
@@ -511,12 +491,8 @@ fn an_estimate_that_drifted_while_no_frames_came_convicts_nobody_and_a_mirrored_
     let drifted = |flight: &mut Flight| {
         let faults = (0..40).map(|_| {
             flight.look();
-            let header = &mut flight.frame.header;
-            header.position_ned_m.y += 0.25;
-            if let Some(kinematics) = &mut flight.telemetry.kinematics {
-                kinematics.position_ned_m.y += 0.25;
-            }
-            flight.plausibility.check(&flight.frame, &flight.telemetry)
+            flight.misplace(NedVector::new(0.0, 0.25, 0.0));
+            flight.check()
         });
         faults.fold(Reasons::NONE, Reasons::union)
     };
@@ -576,26 +552,18 @@ fn on_the_ground_what_is_near_is_no_fault_and_nothing_is_held_against_the_next_f
         for _ in 0..40 {
             flight.look();
             flight.telemetry.heartbeat.as_mut().unwrap().armed = armed;
-            assert_eq!(
-                flight.plausibility.check(&flight.frame, &flight.telemetry),
-                Reasons::NONE
-            );
+            assert_eq!(flight.check(), Reasons::NONE);
         }
     }
     flight.look();
     flight.frame.depth = [1.0; DEPTH_PIXELS];
-    flight.plausibility.check(&flight.frame, &flight.telemetry);
-    assert!(
-        flight
-            .plausibility
-            .check(&flight.frame, &flight.telemetry)
-            .contains(Reason::BlindSensor)
-    );
+    flight.check();
+    assert!(flight.check().contains(Reason::BlindSensor));
     // Up, while it may well move up and down.
     while flight.position.z > -2.0 {
         flight.position.z -= 0.04;
         flight.look();
-        let faults = flight.plausibility.check(&flight.frame, &flight.telemetry);
+        let faults = flight.check();
         assert!(
             flight.position.z > -0.3 || faults.is_empty(),
             "{faults:?} at {}",
@@ -632,11 +600,8 @@ fn an_estimate_that_moves_while_the_vehicle_stands_or_takes_off_convicts_no_sens
 #[test]
 fn whatever_valid_frames_hold_is_judged_without_a_panic() {
     let mut flight = Flight::new();
-    let mut state = 7_u32;
-    let mut next = move || {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (state >> 8) as f32 / (1 << 24) as f32
-    };
+    let mut state = 7;
+    let mut next = move || random(&mut state);
     for round in 0..60 {
         flight.look();
         let step = 1 + (next() * 300.0) as usize;
@@ -646,6 +611,6 @@ fn whatever_valid_frames_hold_is_judged_without_a_panic() {
         if round % 3 == 0 {
             flight.telemetry = VehicleTelemetry::default();
         }
-        flight.plausibility.check(&flight.frame, &flight.telemetry);
+        flight.check();
     }
 }

@@ -4,8 +4,8 @@
 
 use vigil_policy::{Pilot, PilotInput};
 use vigil_types::{
-    Action, Attitude, AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DepthFrame, FrdVector, Goal, HeadingVector,
-    Kinematics, NedVector, STEP_NS, STEP_S, column_bearing_rad, row_elevation_rad,
+    Action, Attitude, AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DepthFrame, FrdVector, Goal, GoalRelative,
+    HeadingVector, Kinematics, NedVector, STEP_NS, STEP_S, column_bearing_rad, row_elevation_rad,
 };
 
 /// Axis-aligned box or vertical cylinder, NED metres; heights positive up.
@@ -166,25 +166,21 @@ pub fn input(frame: &DepthFrame, attitude: Attitude) -> PilotInput<'_> {
     PilotInput {
         now_ns: frame.header.stamp_ns,
         depth: frame,
-        goal: Goal {
-            position_ned_m: NedVector::new(20.0, 0.0, -1.5),
-        }
-        .relative_to(
-            &Kinematics {
-                at_ns: 0,
-                position_ned_m: frame.header.position_ned_m,
-                velocity_ned_m_s: NedVector::ZERO,
-            },
-            &AttitudeSample {
-                at_ns: 0,
-                attitude,
-                rates_frd_rad_s: FrdVector::ZERO,
-            },
-        ),
+        goal: relative((20.0, 0.0), frame.header.position_ned_m, attitude),
         attitude,
         velocity_m_s: HeadingVector::ZERO,
         height_m: -frame.header.position_ned_m.z,
     }
+}
+
+/// A goal at 1.5 m height as the vehicle sees it.
+fn relative((north, east): (f32, f32), position_ned_m: NedVector, attitude: Attitude) -> GoalRelative {
+    let goal = Goal {
+        position_ned_m: NedVector::new(north, east, -1.5),
+    };
+    let kinematics = Kinematics::new(0, position_ned_m, NedVector::ZERO);
+    let attitude = AttitudeSample::new(0, attitude, FrdVector::ZERO);
+    goal.relative_to(&kinematics, &attitude)
 }
 
 /// How a flight of [`fly`] went.
@@ -198,6 +194,16 @@ pub struct Flight {
     pub actions: Vec<Action>,
 }
 
+impl Flight {
+    #[track_caller]
+    pub fn assert_arrived(&self, clear_m: f32) {
+        let (time_s, at) = (self.time_s, self.positions.last());
+        assert!(self.reached, "not there after {time_s} s, at {at:?}");
+        let least_m = self.least_clearance_m;
+        assert!(least_m > clear_m, "came within {least_m} m");
+    }
+}
+
 /// Flies a pilot at 1.5 m height until it is within 1 m of the goal, or for `limit_s`. The velocity follows its setpoint with
 /// a lag of 0.6 s, the yaw rate with 0.3 s; the body pitches as it accelerates.
 pub fn fly(
@@ -207,9 +213,6 @@ pub fn fly(
     goal_north_east: (f32, f32),
     limit_s: f32,
 ) -> Flight {
-    let goal = Goal {
-        position_ned_m: NedVector::new(goal_north_east.0, goal_north_east.1, -1.5),
-    };
     let mut position = NedVector::new(0.0, 0.0, -1.5);
     let (mut yaw, mut yaw_rate) = (start_yaw_rad, 0.0_f32);
     let mut velocity = NedVector::ZERO;
@@ -224,18 +227,7 @@ pub fn fly(
         let attitude = Attitude::from_euler_rad(0.0, pitch_rad, yaw);
         frame.header.sequence = step;
         scene.render(position, attitude, now_ns, &mut frame);
-        let relative = goal.relative_to(
-            &Kinematics {
-                at_ns: now_ns,
-                position_ned_m: position,
-                velocity_ned_m_s: velocity,
-            },
-            &AttitudeSample {
-                at_ns: now_ns,
-                attitude,
-                rates_frd_rad_s: FrdVector::ZERO,
-            },
-        );
+        let relative = relative(goal_north_east, position, attitude);
         flight.time_s = now_ns as f32 * 1e-9;
         flight.positions.push(position);
         flight.least_clearance_m = flight.least_clearance_m.min(scene.distance(position));

@@ -45,10 +45,7 @@ impl Mlp {
         for &units in hidden {
             let layer = Hidden {
                 at,
-                dense: Dense {
-                    inputs: width,
-                    outputs: units,
-                },
+                dense: Dense::new(width, units),
                 norm: LayerNorm {
                     width: units,
                     epsilon: EPSILON,

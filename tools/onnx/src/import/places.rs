@@ -53,10 +53,7 @@ impl<'a> Importer<'a> {
         }
         let layer = Layer::Dense {
             x: x.layer,
-            layer: Dense {
-                inputs: own,
-                outputs: n,
-            },
+            layer: Dense::new(own, n),
             curve: Activation::Identity,
         };
         self.push(layer, params, n)

@@ -12,6 +12,15 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
+    /// A thing of 0.3 m that begins there and moves so.
+    pub(crate) fn of(start_m: (f32, f32), velocity_m_s: (f32, f32)) -> Self {
+        Self {
+            start_m,
+            velocity_m_s,
+            radius_m: 0.3,
+        }
+    }
+
     pub(crate) fn at(&self, seconds: f32) -> (f32, f32) {
         (
             self.start_m.0 + self.velocity_m_s.0 * seconds,
@@ -48,10 +57,21 @@ pub(crate) fn track(scene: &Scene, frames: u64) -> MoverTracker {
 
 /// Watches a thing of this radius, which is there after so many seconds, from the origin for so many frames.
 fn watch(frames: u64, radius_m: f32, at: impl Fn(f32) -> (f32, f32)) -> MoverTracker {
+    watch_and_look(frames, radius_m, |frame| at(frame as f32 * 0.05), |_, _| {})
+}
+
+/// The same of a thing that is there in so many frames, looking at the tracker after each.
+fn watch_and_look(
+    frames: u64,
+    radius_m: f32,
+    at: impl Fn(u64) -> (f32, f32),
+    look: impl Fn(u64, &MoverTracker),
+) -> MoverTracker {
     let mut tracker = MoverTracker::new();
     for frame in 0..frames {
-        let scan = seen(NedVector::ZERO, at(frame as f32 * 0.05), radius_m);
+        let scan = seen(NedVector::ZERO, at(frame), radius_m);
         tracker.observe(&scan, NedVector::ZERO, 0.0, frame * 50_000_000);
+        look(frame, &tracker);
     }
     tracker
 }
@@ -117,11 +137,7 @@ fn what_was_seen_to_turn_at_both_ends_is_known_to_turn_there_again() {
 
 #[test]
 fn what_is_followed_for_the_first_time_may_turn_anywhere_ahead() {
-    let scene = Scene {
-        start_m: (4.0, -1.5),
-        velocity_m_s: (0.0, 0.6),
-        radius_m: 0.3,
-    };
+    let scene = Scene::of((4.0, -1.5), (0.0, 0.6));
     let tracker = track(&scene, 60);
     let mover = tracker.movers().next().expect("it moves");
     let all = whereabouts(mover);
@@ -141,11 +157,7 @@ fn what_is_followed_for_the_first_time_may_turn_anywhere_ahead() {
 
 #[test]
 fn what_moves_is_known_with_its_place_velocity_and_size() {
-    let scene = Scene {
-        start_m: (4.0, -1.5),
-        velocity_m_s: (0.1, 0.6),
-        radius_m: 0.3,
-    };
+    let scene = Scene::of((4.0, -1.5), (0.1, 0.6));
     let tracker = track(&scene, 40);
     let mover = tracker.movers().next().expect("it moves");
     let (north_m, east_m) = scene.at(39.0 * 0.05);
@@ -173,49 +185,40 @@ fn what_stands_does_not_move_however_the_vehicle_does() {
 
 #[test]
 fn one_that_turned_back_out_of_sight_is_the_same_when_it_is_seen_again() {
-    let mut tracker = MoverTracker::new();
     // To the right for three seconds, away for two, then back from where it would not be had it gone on.
-    for frame in 0..160_u32 {
+    let at = |frame| {
         let at_s = frame as f32 * 0.05;
         let east_m = match frame {
             0..60 => 0.6 * at_s,
             60..100 => 50.0,
             _ => 2.4 - 0.6 * (at_s - 5.0),
         };
-        tracker.observe(
-            &seen(NedVector::ZERO, (3.0, east_m), 0.3),
-            NedVector::ZERO,
-            0.0,
-            u64::from(frame) * 50_000_000,
-        );
+        (3.0, east_m)
+    };
+    let tracker = watch_and_look(160, 0.3, at, |frame, tracker| {
+        let located = tracker.movers().filter(|m| m.is_located()).count();
         match frame {
-            59 | 159 => assert_eq!(tracker.movers().filter(|m| m.is_located()).count(), 1, "{frame}"),
-            99 => assert_eq!(tracker.movers().filter(|m| m.is_located()).count(), 0),
+            59 | 159 => assert_eq!(located, 1, "{frame}"),
+            99 => assert_eq!(located, 0),
             _ => {}
         }
         if frame > 104 {
             assert_eq!(tracker.movers().count(), 1, "{frame}: no second one");
         }
-    }
+    });
     let mover = tracker.movers().next().expect("it moves");
     assert!((mover.east_m_s + 0.6).abs() < 0.15, "{mover:?}");
 }
 
 #[test]
 fn what_stands_on_the_lane_of_a_lost_mover_does_not_take_its_place() {
-    let mut tracker = MoverTracker::new();
     // A mover goes to the right and is lost; a column comes into view beside its way, where the mover may be by then.
-    for frame in 0..120_u32 {
-        let at_s = frame as f32 * 0.05;
-        let place = if frame < 60 { (3.0, 0.6 * at_s) } else { (3.0, 2.1) };
-        let shown = if (60..70).contains(&frame) { (3.0, 50.0) } else { place };
-        tracker.observe(
-            &seen(NedVector::ZERO, shown, 0.3),
-            NedVector::ZERO,
-            0.0,
-            u64::from(frame) * 50_000_000,
-        );
-    }
+    let at = |frame| match frame {
+        0..60 => (3.0, 0.6 * (frame as f32 * 0.05)),
+        60..70 => (3.0, 50.0),
+        _ => (3.0, 2.1),
+    };
+    let tracker = watch_and_look(120, 0.3, at, |_, _| {});
     let lost: Vec<&Track> = tracker.movers().collect();
     assert_eq!(lost.len(), 1, "the column stands: {lost:?}");
     assert!(
@@ -226,11 +229,7 @@ fn what_stands_on_the_lane_of_a_lost_mover_does_not_take_its_place() {
 
 #[test]
 fn the_trace_of_a_mover_is_forgotten_once() {
-    let scene = Scene {
-        start_m: (4.0, -1.5),
-        velocity_m_s: (0.0, 0.6),
-        radius_m: 0.3,
-    };
+    let scene = Scene::of((4.0, -1.5), (0.0, 0.6));
     assert_eq!(track(&scene, 12).traces().count(), 1, "just known to move");
     assert_eq!(track(&scene, 60).traces().count(), 0);
     assert_eq!(track(&scene, 60).movers().count(), 1);
@@ -238,29 +237,16 @@ fn the_trace_of_a_mover_is_forgotten_once() {
 
 #[test]
 fn one_that_stays_is_an_obstacle_like_others() {
-    let mut tracker = MoverTracker::new();
-    for frame in 0..120_u32 {
-        let east_m = 0.03 * frame.min(40) as f32;
-        tracker.observe(
-            &seen(NedVector::ZERO, (3.0, east_m), 0.3),
-            NedVector::ZERO,
-            0.0,
-            u64::from(frame) * 50_000_000,
-        );
-        if frame == 39 {
-            assert_eq!(tracker.movers().count(), 1);
-        }
-    }
+    let at = |frame: u64| (3.0, 0.03 * frame.min(40) as f32);
+    let tracker = watch_and_look(120, 0.3, at, |frame, tracker| {
+        assert!(frame != 39 || tracker.movers().count() == 1);
+    });
     assert_eq!(tracker.movers().count(), 0);
 }
 
 #[test]
 fn its_lane_is_where_it_was_seen_and_may_be_by_now() {
-    let scene = Scene {
-        start_m: (4.0, -1.5),
-        velocity_m_s: (0.0, 0.6),
-        radius_m: 0.3,
-    };
+    let scene = Scene::of((4.0, -1.5), (0.0, 0.6));
     let tracker = track(&scene, 60);
     let mover = tracker.movers().next().expect("it moves");
     assert!(mover.off_lane_m(4.0, 1.0, 0.0) < 0.9, "half a second ahead of it");
