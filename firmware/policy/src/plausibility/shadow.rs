@@ -16,7 +16,7 @@ const BINS: usize = 80;
 const LEAST_GROUND: u16 = 40;
 /// The ground may lie this much higher, or lower, than home, metres: else nothing is told. Of a wall that fills the view the lowest
 /// rays show as much depth.
-const HIGHER_M: f32 = 1.5;
+const HIGHER_M: f32 = 0.5;
 const LOWER_M: f32 = 3.0;
 /// Rays that fall less, and surfaces farther off, metres, tell nothing.
 const LEAST_FALL: f32 = 0.05;
@@ -116,8 +116,8 @@ fn sight(picture: &Picture, directions: &Directions, attitude: Attitude, height_
     }
 }
 
-/// Depth of the ground below the sensor as the steepest rays show it, but no less than it is by the height above home: the lowest of what
-/// they show much of.
+/// Depth of the ground below the sensor as the steepest rays show it, but no less than it is by the height above home: what they show
+/// most of, the lowest of it.
 fn ground_m(picture: &Picture, directions: &Directions, down: FrdVector, height_m: f32) -> Option<f32> {
     let mut depths = [0_u16; BINS];
     let lowest_m = (height_m - HIGHER_M).max(0.0);
@@ -127,10 +127,14 @@ fn ground_m(picture: &Picture, directions: &Directions, down: FrdVector, height_
             *cells += 1;
         }
     }
-    let lowest = depths
-        .windows(3)
-        .rposition(|bins| bins.iter().sum::<u16>() >= LEAST_GROUND)?;
-    let seen_m = lowest_m + (lowest as f32 + 1.5) * BIN_M;
+    let (mut most, mut bin) = (LEAST_GROUND, None);
+    for (i, bins) in depths.windows(3).enumerate() {
+        let cells = bins.iter().sum::<u16>();
+        if cells >= most {
+            (most, bin) = (cells, Some(i));
+        }
+    }
+    let seen_m = lowest_m + (bin? as f32 + 1.5) * BIN_M;
     (seen_m <= height_m + LOWER_M).then(|| seen_m.max(height_m))
 }
 
