@@ -62,20 +62,6 @@ const fn mode_code(mode: VehicleMode) -> u32 {
     }
 }
 
-/// Name of a vehicle mode as the log shows it.
-pub(crate) const fn mode_name(mode: VehicleMode) -> &'static str {
-    match mode {
-        VehicleMode::Unknown => "unknown",
-        VehicleMode::External => "external",
-        VehicleMode::Hold => "hold",
-        VehicleMode::Takeoff => "take-off",
-        VehicleMode::Land => "land",
-        VehicleMode::Return => "return",
-        VehicleMode::Mission => "mission",
-        VehicleMode::Other => "other",
-    }
-}
-
 const fn landed_code(landed: Landed) -> u32 {
     match landed {
         Landed::Unknown => 0,

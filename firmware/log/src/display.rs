@@ -4,7 +4,6 @@
 //! at home) and from FRD into `base_link` (x forward, y left, z up). The record beside it keeps the loop's own NED bits.
 
 use crate::TickRecord;
-use crate::convert::mode_name;
 use crate::proto::Status;
 use crate::proto::foxglove::{FrameTransform, Log, Pose, PoseInFrame, PosesInFrame, Quaternion, RawImage, Vector3};
 use crate::proto::google::protobuf::Timestamp;
@@ -251,7 +250,7 @@ pub(crate) fn status(record: &TickRecord, threshold: Option<f32>) -> Status {
         yaw_rate_deg_s: degrees(telemetry.attitude.map(|a| a.rates_frd_rad_s.z)),
         battery_percent: 100.0 * number(telemetry.battery_remaining),
         armed: telemetry.heartbeat.is_some_and(|h| h.armed),
-        vehicle_mode: mode_name(mode).to_owned(),
+        vehicle_mode: mode.name().to_owned(),
         step_time_ms: milliseconds(Some(record.timing.previous_execution_ns)),
         wake_late_ms: milliseconds(Some(record.timing.wake_late_ns)),
         slips: record.timing.slips,
@@ -343,7 +342,7 @@ impl Narrator {
             tell(Level::Info, format!("vehicle: {word}"));
         }
         if before.is_some_and(|b| b.mode != now.mode) {
-            tell(Level::Info, format!("vehicle: mode {}", mode_name(now.mode)));
+            tell(Level::Info, format!("vehicle: mode {}", now.mode.name()));
         }
         let lost = now.dropped.saturating_sub(before.map_or(0, |b| b.dropped));
         if lost > 0 {

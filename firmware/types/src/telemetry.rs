@@ -2,26 +2,28 @@
 
 use crate::{Attitude, FrdVector, Nanos, NedVector};
 
-/// The vehicle's flight mode, reduced to what guidance must tell apart.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum VehicleMode {
-    /// Not known yet.
-    #[default]
-    Unknown,
-    /// It obeys setpoints from outside: OFFBOARD (PX4), GUIDED (ArduPilot).
-    External,
-    /// It holds its position by itself.
-    Hold,
-    /// It is taking off by itself.
-    Takeoff,
-    /// It is landing by itself.
-    Land,
-    /// It returns home by itself.
-    Return,
-    /// It flies a mission by itself.
-    Mission,
-    /// A person's sticks fly it, or any mode that takes no setpoints.
-    Other,
+crate::named! {
+    /// The vehicle's flight mode, reduced to what guidance must tell apart.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub enum VehicleMode {
+        /// Not known yet.
+        #[default]
+        Unknown => "unknown",
+        /// It obeys setpoints from outside: OFFBOARD (PX4), GUIDED (ArduPilot).
+        External => "external",
+        /// It holds its position by itself.
+        Hold => "hold",
+        /// It is taking off by itself.
+        Takeoff => "take-off",
+        /// It is landing by itself.
+        Land => "land",
+        /// It returns home by itself.
+        Return => "return",
+        /// It flies a mission by itself.
+        Mission => "mission",
+        /// A person's sticks fly it, or any mode that takes no setpoints.
+        Other => "other",
+    }
 }
 
 /// Whether the vehicle is on the ground, by its own estimate (EXTENDED_SYS_STATE).
