@@ -45,13 +45,6 @@ named! {
     }
 }
 
-impl Method {
-    /// Whether it follows a gradient, known or estimated: to a yaw that is aimed at.
-    pub fn aims(self) -> bool {
-        !matches!(self, Self::Noise | Self::Recede | Self::Blind | Self::Replay)
-    }
-}
-
 named! {
     /// The yaw limit that the attack aims at.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]

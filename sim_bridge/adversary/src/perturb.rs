@@ -101,19 +101,15 @@ impl Perturber {
         let mut outputs = before;
         let iterations = match method {
             Method::Fgsm => 1,
-            Method::Noise => {
-                let size = self.config.reach(frame.len());
-                for (x, clean) in frame.iter_mut().zip(&self.clean) {
-                    let sign = if rng.random::<bool>() { size } else { -size };
-                    *x = (clean + sign).clamp(0.0, 1.0);
-                }
-                self.spare_ahead(frame);
-                outputs = surrogate.look(frame)?;
-                each(self.config.iterations, outputs, frame);
-                return Ok(outputs);
-            }
-            Method::Recede | Method::Blind | Method::Replay => {
+            Method::Noise | Method::Recede | Method::Blind | Method::Replay => {
                 match method {
+                    Method::Noise => {
+                        let size = self.config.reach(frame.len());
+                        for (x, clean) in frame.iter_mut().zip(&self.clean) {
+                            let sign = if rng.random::<bool>() { size } else { -size };
+                            *x = (clean + sign).clamp(0.0, 1.0);
+                        }
+                    }
                     Method::Recede => self.recede(frame),
                     Method::Blind => frame.fill(1.0),
                     _ => self.replay(call, frame),

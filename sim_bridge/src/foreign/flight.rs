@@ -391,21 +391,8 @@ impl ForeignFlight {
 
     /// The vehicle's mode by name, as far as Vigil tells modes apart.
     pub fn mode_name(&self) -> &'static str {
-        match self
-            .vehicle
-            .telemetry
-            .heartbeat
-            .map_or(VehicleMode::Unknown, |h| h.mode)
-        {
-            VehicleMode::Unknown => "unknown",
-            VehicleMode::External => "external",
-            VehicleMode::Hold => "hold",
-            VehicleMode::Takeoff => "take-off",
-            VehicleMode::Land => "land",
-            VehicleMode::Return => "return",
-            VehicleMode::Mission => "mission",
-            VehicleMode::Other => "other",
-        }
+        let heartbeat = self.vehicle.telemetry.heartbeat;
+        heartbeat.map_or(VehicleMode::Unknown, |h| h.mode).name()
     }
 }
 

@@ -11,7 +11,7 @@ use parry3d::query::intersection_test;
 use parry3d::shape::{Cylinder, SharedShape};
 use vigil_types::{Attitude, Nanos, NedVector};
 
-/// The obstacles of a course with the shapes and the tree that collision and reference ray casting share, at one time.
+/// The obstacles of a course with the shapes and the tree that collision and single rays share, at one time.
 pub struct World {
     /// What stands still.
     solids: Vec<Solid>,

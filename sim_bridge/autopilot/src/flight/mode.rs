@@ -11,37 +11,37 @@ const MAIN_OFFBOARD: u8 = 6;
 const MAIN_STABILIZED: u8 = 7;
 
 named! {
-/// The modes that the vehicle flies, with their names in status texts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum FlightMode {
-    /// AUTO.LOITER: holds its position, or goes to one and holds there.
-    #[default]
-    Hold => "hold",
-    /// AUTO.TAKEOFF: climbs straight up, then Hold.
-    Takeoff => "takeoff",
-    /// AUTO.LAND: descends straight down until on the ground.
-    Land => "land",
-    /// AUTO.RTL: climbs, flies home or to a rally point, lands.
-    Return => "return",
-    /// AUTO.MISSION: flies the mission, then Hold.
-    Mission => "mission",
-    /// POSCTL.ORBIT: circles a point. Entered by DO_ORBIT alone, because it needs a point.
-    Orbit => "orbit",
-    /// AUTO.FOLLOW_TARGET: keeps its place beside what FOLLOW_TARGET reports.
-    Follow => "follow",
-    /// POSCTL: sticks command velocities.
-    Position => "position",
-    /// ALTCTL: sticks command tilt and climb.
-    Altitude => "altitude",
-    /// STABILIZED: sticks command tilt and thrust.
-    Stabilized => "stabilized",
-    /// MANUAL: on a multicopter the same as STABILIZED.
-    Manual => "manual",
-    /// ACRO: sticks command body rates and thrust.
-    Acro => "acro",
-    /// OFFBOARD: obeys the setpoints of its owner.
-    Offboard => "offboard",
-}
+    /// The modes that the vehicle flies, with their names in status texts.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub enum FlightMode {
+        /// AUTO.LOITER: holds its position, or goes to one and holds there.
+        #[default]
+        Hold => "hold",
+        /// AUTO.TAKEOFF: climbs straight up, then Hold.
+        Takeoff => "takeoff",
+        /// AUTO.LAND: descends straight down until on the ground.
+        Land => "land",
+        /// AUTO.RTL: climbs, flies home or to a rally point, lands.
+        Return => "return",
+        /// AUTO.MISSION: flies the mission, then Hold.
+        Mission => "mission",
+        /// POSCTL.ORBIT: circles a point. Entered by DO_ORBIT alone, because it needs a point.
+        Orbit => "orbit",
+        /// AUTO.FOLLOW_TARGET: keeps its place beside what FOLLOW_TARGET reports.
+        Follow => "follow",
+        /// POSCTL: sticks command velocities.
+        Position => "position",
+        /// ALTCTL: sticks command tilt and climb.
+        Altitude => "altitude",
+        /// STABILIZED: sticks command tilt and thrust.
+        Stabilized => "stabilized",
+        /// MANUAL: on a multicopter the same as STABILIZED.
+        Manual => "manual",
+        /// ACRO: sticks command body rates and thrust.
+        Acro => "acro",
+        /// OFFBOARD: obeys the setpoints of its owner.
+        Offboard => "offboard",
+    }
 }
 
 impl FlightMode {

@@ -257,55 +257,51 @@ mod tests {
     }
 
     #[test]
-    fn the_masks_that_clients_send_mean_what_they_say() {
+    fn masks_mean_what_they_say_and_can_be_mixed_as_in_px4() {
         use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_LOCAL_NED as LOCAL};
         let rate = YawCommand::Rate { yaw_rate_rad_s: 0.2 };
-        let angle = YawCommand::Angle { yaw_rad: 0.7 };
+        let (angle, held) = (YawCommand::Angle { yaw_rad: 0.7 }, YawCommand::Hold);
+        let (velocity_m_s, speed_limit_m_s) = (NedVector::new(0.5, -0.5, 0.1), 5.0);
         let ahead = ControlCommand::VelocityHeading {
             velocity_m_s: HeadingVector::new(0.5, -0.5, 0.1),
             yaw: rate,
         };
-        assert_eq!(read(BODY, 0x5C7), Ok(ahead));
-        let velocity_m_s = NedVector::new(0.5, -0.5, 0.1);
-        let north = ControlCommand::VelocityNed {
+        let north = |yaw| ControlCommand::VelocityNed { velocity_m_s, yaw };
+        let position = |velocity_m_s| ControlCommand::Position {
+            position_ned_m: NedVector::new(1.0, 2.0, -3.0),
             velocity_m_s,
+            speed_limit_m_s,
             yaw: angle,
         };
-        assert_eq!(read(LOCAL, 0x9C7), Ok(north));
-        let position = |velocity_m_s| {
-            Ok(ControlCommand::Position {
-                position_ned_m: NedVector::new(1.0, 2.0, -3.0),
-                velocity_m_s,
-                speed_limit_m_s: 5.0,
-                yaw: angle,
-            })
+        let at_height = ControlCommand::VelocityAtHeight {
+            velocity_m_s,
+            down_m: -3.0,
+            yaw: held,
         };
-        assert_eq!(read(LOCAL, 0x9F8), position(NedVector::ZERO));
-        assert_eq!(read(LOCAL, 0x9C0), position(velocity_m_s));
-    }
-
-    #[test]
-    fn positions_velocities_and_accelerations_can_be_mixed_as_in_px4() {
-        use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_LOCAL_NED as LOCAL};
-        let (angle, held) = (YawCommand::Angle { yaw_rad: 0.7 }, YawCommand::Hold);
-        let velocity_m_s = NedVector::new(0.5, -0.5, 0.1);
+        let climb = ControlCommand::ClimbAtPlace {
+            position_ned_m: NedVector::new(1.0, 2.0, 0.0),
+            down_m_s: 0.1,
+            speed_limit_m_s,
+            yaw: held,
+        };
         let read = |frame, mask, heading_rad| {
             let mut m = ned(frame, mask);
             (m.afx, m.afy, m.afz) = (1.0, 0.0, -0.5);
-            position_setpoint(&m, 5.0, heading_rad)
+            position_setpoint(&m, speed_limit_m_s, heading_rad)
         };
-        let all = Ok(ControlCommand::Position {
-            position_ned_m: NedVector::new(1.0, 2.0, -3.0),
-            velocity_m_s,
-            speed_limit_m_s: 5.0,
-            yaw: angle,
-        });
-        assert_eq!((read(LOCAL, 0, 0.0), read(LOCAL, 0x800, 0.0)), (all, all));
-        let velocity = ControlCommand::VelocityNed {
-            velocity_m_s,
-            yaw: held,
-        };
-        assert_eq!(read(LOCAL, 0xC07, 0.0), Ok(velocity));
+        for (frame, mask, wanted) in [
+            (BODY, 0x5C7, ahead),
+            (LOCAL, 0x9C7, north(angle)),
+            (LOCAL, 0xC07, north(held)),
+            (LOCAL, 0x9F8, position(NedVector::ZERO)),
+            (LOCAL, 0x9C0, position(velocity_m_s)),
+            (LOCAL, 0, position(velocity_m_s)),
+            (LOCAL, 0x800, position(velocity_m_s)),
+            (LOCAL, 0xDE3, at_height),
+            (LOCAL, 0xDDC, climb),
+        ] {
+            assert_eq!(read(frame, mask, 0.0), Ok(wanted), "{mask:#x}");
+        }
         for (frame, heading_rad, north, east) in
             [(LOCAL, 1.0, 1.0, 0.0), (BODY, core::f32::consts::FRAC_PI_2, 0.0, 1.0)]
         {
@@ -317,24 +313,9 @@ mod tests {
             else {
                 panic!("{told:?}");
             };
-            assert!(
-                (a.x - north).abs() < 1e-6 && (a.y - east).abs() < 1e-6 && a.z == -0.5,
-                "{a:?}"
-            );
+            let is_turned = (a.x - north).abs() < 1e-6 && (a.y - east).abs() < 1e-6;
+            assert!(is_turned && a.z == -0.5, "{a:?}");
         }
-        let at_height = ControlCommand::VelocityAtHeight {
-            velocity_m_s,
-            down_m: -3.0,
-            yaw: held,
-        };
-        assert_eq!(read(LOCAL, 0xDE3, 0.0), Ok(at_height));
-        let climb = ControlCommand::ClimbAtPlace {
-            position_ned_m: NedVector::new(1.0, 2.0, 0.0),
-            down_m_s: 0.1,
-            speed_limit_m_s: 5.0,
-            yaw: held,
-        };
-        assert_eq!(read(LOCAL, 0xDDC, 0.0), Ok(climb));
     }
 
     #[test]

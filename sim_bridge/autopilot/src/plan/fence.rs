@@ -168,20 +168,10 @@ impl Fence {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geo;
-    use vigil_types::NedVector;
+    use crate::tests::plans;
 
-    fn item(command: u16, size: f32, (north, east): (f32, f32)) -> PlanItem {
-        let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(north, east, 0.0));
-        PlanItem {
-            command,
-            frame: 3,
-            autocontinue: 1,
-            params: [size, 0.0, 0.0, 0.0],
-            x: geo::deg_e7(lat),
-            y: geo::deg_e7(lon),
-            z: 0.0,
-        }
+    fn item(command: u16, size: f32, place: (f32, f32)) -> PlanItem {
+        plans::item(command, [size, 0.0, 0.0, 0.0], place, 0.0)
     }
 
     fn polygon(command: u16, vertices: &[(f32, f32)]) -> Vec<PlanItem> {

@@ -196,37 +196,3 @@ impl PlanItem {
             .ok_or(PlanDefect::of_parameter(5, "no coordinates"))
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn waypoint() -> PlanItem {
-        PlanItem {
-            command: 16,
-            frame: 6,
-            autocontinue: 1,
-            params: [0.0, 1.0, 0.0, f32::NAN],
-            x: 473_977_500,
-            y: 85_456_000,
-            z: 5.0,
-        }
-    }
-
-    #[test]
-    fn absurd_coordinates_name_the_parameter() {
-        let home = HomePosition::default();
-        let refusal = |change: fn(&mut PlanItem)| {
-            let mut item = waypoint();
-            change(&mut item);
-            item.place(&home).err().map(|d| d.result)
-        };
-        use MavMissionResult as R;
-        assert_eq!(refusal(|i| i.z = f32::INFINITY), Some(R::MAV_MISSION_INVALID_PARAM7));
-        assert_eq!(refusal(|i| i.z = 501.0), Some(R::MAV_MISSION_INVALID_PARAM7));
-        assert_eq!(refusal(|i| i.x = 950_000_000), Some(R::MAV_MISSION_INVALID_PARAM5_X));
-        assert_eq!(refusal(|i| i.x = 120_000_000), Some(R::MAV_MISSION_INVALID_PARAM5_X));
-        assert_eq!(refusal(|i| i.y = -2_000_000_000), Some(R::MAV_MISSION_INVALID_PARAM6_Y));
-        assert_eq!(refusal(|i| i.z = f32::NAN), None);
-    }
-}

@@ -15,13 +15,13 @@ use crate::HomePosition;
 use vigil_mavlink::common::{MavMissionResult, MavMissionType};
 
 vigil_types::named! {
-/// The kinds of plan.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum PlanKind {
-    Mission => "mission",
-    Fence => "geofence",
-    Rally => "rally points",
-}
+    /// The kinds of plan.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub(crate) enum PlanKind {
+        Mission => "mission",
+        Fence => "geofence",
+        Rally => "rally points",
+    }
 }
 
 impl PlanKind {

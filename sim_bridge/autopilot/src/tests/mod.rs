@@ -14,7 +14,7 @@ mod mission;
 mod offboard;
 mod orbit;
 mod ownership;
-mod plans;
+pub mod plans;
 mod protocol;
 mod rejection;
 mod routing;

@@ -242,16 +242,45 @@ fn a_plan_that_makes_no_sense_is_refused_with_a_reason_and_the_old_one_stays() {
     let mut b = Bench::new();
     let good = waypoint((10.0, 2.0), 5.0);
     assert_eq!(b.upload(MISSION, &[good]), R::MAV_MISSION_ACCEPTED);
+    let with = |params| PlanItem { params, ..good };
     for (bad, result) in [
         (item(60_000, [0.0; 4], (0.0, 1.0), 5.0), R::MAV_MISSION_UNSUPPORTED),
+        (action(84, [0.0; 4]), R::MAV_MISSION_UNSUPPORTED),
         (PlanItem { frame: 12, ..good }, R::MAV_MISSION_UNSUPPORTED_FRAME),
+        (PlanItem { frame: 8, ..good }, R::MAV_MISSION_UNSUPPORTED_FRAME),
+        (with([-1.0, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
+        (with([f32::INFINITY, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
+        (with([0.0, -2.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
+        (with([0.0, 0.0, 0.0, 1e9]), R::MAV_MISSION_INVALID_PARAM4),
+        (PlanItem { x: 0, y: 0, ..good }, R::MAV_MISSION_INVALID_PARAM5_X),
         (PlanItem { x: 100_000_000, ..good }, R::MAV_MISSION_INVALID_PARAM5_X),
+        (PlanItem { x: 950_000_000, ..good }, R::MAV_MISSION_INVALID_PARAM5_X),
+        (
+            PlanItem {
+                y: -2_000_000_000,
+                ..good
+            },
+            R::MAV_MISSION_INVALID_PARAM6_Y,
+        ),
+        (PlanItem { z: 501.0, ..good }, R::MAV_MISSION_INVALID_PARAM7),
+        (
+            PlanItem {
+                z: f32::INFINITY,
+                ..good
+            },
+            R::MAV_MISSION_INVALID_PARAM7,
+        ),
+        (action(93, [-1.0, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
         (action(177, [9.0, 1.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
+        (action(177, [0.0, f32::NAN, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
+        (action(178, [1.0, -7.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
     ] {
         assert_eq!(b.upload(MISSION, &[good, bad]), result);
         b.assert_told("mission refused");
     }
     assert_eq!(b.download(MISSION).len(), 1);
+    let at_its_height = PlanItem { z: f32::NAN, ..good };
+    assert_eq!(b.upload(MISSION, &[at_its_height]), R::MAV_MISSION_ACCEPTED);
     b.sent.clear();
     b.count_message(API, SCRIPT, MISSION, 60_000);
     b.count_message(API, SCRIPT, 255, 1);

@@ -5,19 +5,19 @@ use crate::vehicle::params::{AirframeParams, ControlParams, HoldLaw, SensorParam
 use vigil_types::named;
 
 named! {
-/// A vehicle and its autopilot by its name on the command line. What each was fitted to, and how well it fits: `docs/vehicle.md`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum VehicleModel {
-    /// The light, quiet vehicle that everything here was built on; it answers setpoints as ArduCopter does.
-    #[default]
-    Ours => "ours",
-    /// PX4 1.18 with its own simulator SIH as shipped: strong drag.
-    Px4Sih => "px4-sih",
-    /// The same with a fifth of the drag.
-    Px4Light => "px4-light",
-    /// ArduCopter 4.6 with stock parameters, whose BRAKE takes about 1.5 s times the speed.
-    ArduCopter => "arducopter",
-}
+    /// A vehicle and its autopilot by its name on the command line. What each was fitted to, and how well it fits: `docs/vehicle.md`.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub enum VehicleModel {
+        /// The light, quiet vehicle that everything here was built on; it answers setpoints as ArduCopter does.
+        #[default]
+        Ours => "ours",
+        /// PX4 1.18 with its own simulator SIH as shipped: strong drag.
+        Px4Sih => "px4-sih",
+        /// The same with a fifth of the drag.
+        Px4Light => "px4-light",
+        /// ArduCopter 4.6 with stock parameters, whose BRAKE takes about 1.5 s times the speed.
+        ArduCopter => "arducopter",
+    }
 }
 
 impl VehicleModel {

@@ -35,10 +35,7 @@ pub(super) fn fill(b: &mut Builder) {
     if b.chance(0.2) {
         b.course.ceiling_height_m = Some(b.length(3.0..4.0));
     }
-    let area = Area {
-        north_m: 3.0..18.0,
-        east_m: -7.0..7.0,
-    };
+    let area = Area::new(3.0..18.0, -7.0..7.0);
     // What a course must have comes first: obstacles are taken back from the end.
     match b.pick(&[Layout::Rooms, Layout::Pockets, Layout::Thicket]) {
         Layout::Rooms => {
