@@ -14,6 +14,7 @@ use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{FramingCounters, StreamFramer, packets};
 use vigil_mavlink::mavlink::MessageData;
+use vigil_sim::world::Outcome;
 use vigil_tests::ground::packet;
 use vigil_types::{Nanos, STEP_NS};
 
@@ -365,10 +366,10 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
         let gap = gaps_ns.get(((gaps_ns.len().max(1) - 1) as f64 * share) as usize);
         gap.map_or(0.0, |gap| *gap as f64 * 1e-6)
     };
-    let outcome = flight.last().and_then(|s| s.outcome.clone());
-    let ending = match outcome.as_deref() {
-        Some("success") => Ending::Arrived,
-        Some("collision" | "out of bounds") => Ending::Collided,
+    let outcome = flight.last().and_then(|s| s.outcome);
+    let ending = match outcome {
+        Some(Outcome::Success) => Ending::Arrived,
+        Some(Outcome::Collision | Outcome::OutOfBounds) => Ending::Collided,
         _ if flight.simulator.is_running() => Ending::TimeOut,
         _ => Ending::Crashed,
     };

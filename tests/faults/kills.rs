@@ -8,6 +8,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use vigil_sim::world::Outcome;
 
 /// The process that is meant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -208,11 +209,11 @@ fn fault(flight: &mut Flight, who: Who, how: How, seed: u64, stop: &AtomicBool) 
     }
     flight.follow(FLIGHT_LIMIT, stop, |s| s.outcome.is_some())?;
     let last = flight.last();
-    let outcome = last.and_then(|s| s.outcome.as_deref());
+    let outcome = last.and_then(|s| s.outcome);
     let holds = last.is_some_and(|s| s.guidance.as_deref() == Some("hold") && !s.reasons.is_empty());
     let ending = match outcome {
-        Some("success") => Ending::Arrived,
-        Some("collision" | "out of bounds") => Ending::Collided,
+        Some(Outcome::Success) => Ending::Arrived,
+        Some(Outcome::Collision | Outcome::OutOfBounds) => Ending::Collided,
         _ if holds => Ending::Held,
         _ => Ending::TimeOut,
     };

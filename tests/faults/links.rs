@@ -309,7 +309,7 @@ fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u6
         flown
     });
     let fallen = flight.fallen();
-    let outcome = flight.last().and_then(|s| s.outcome.clone());
+    let outcome = flight.last().and_then(|s| s.outcome);
     let said = flight.end_firmware();
     let mut changed = Vec::new();
     for file in &files {
@@ -318,10 +318,10 @@ fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u6
             changed.push(file.file_name().unwrap_or_default().to_string_lossy().into_owned());
         }
     }
-    let ending = match outcome.as_deref() {
+    let ending = match outcome {
         _ if !fallen.is_empty() => Ending::Crashed,
-        Some("success") => Ending::Arrived,
-        Some("collision" | "out of bounds") => Ending::Collided,
+        Some(Outcome::Success) => Ending::Arrived,
+        Some(Outcome::Collision | Outcome::OutOfBounds) => Ending::Collided,
         _ => Ending::TimeOut,
     };
     let wrong = match (flown, said) {

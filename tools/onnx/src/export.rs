@@ -88,18 +88,10 @@ fn of_policy(policy: &FrozenPolicy) -> Result<Placed<'_>, ExportError> {
     policy.network.check()?;
     let (mut layers, mut at): (Vec<(Layer, Params)>, usize) = (Vec::new(), 0);
     for (number, layer) in policy.network.layers.iter().enumerate() {
-        let (len, of) = match layer {
-            Layer::Conv2d { layer, .. } => (layer.param_len(), number),
-            Layer::Dense { layer, .. } => (layer.param_len(), number),
-            Layer::BatchNorm { layer, .. } => (layer.param_len(), number),
-            Layer::LayerNorm { layer, .. } => (layer.param_len(), number),
-            Layer::Gru { layer, params_of, .. } => (layer.param_len(), *params_of),
-            Layer::Lstm { layer, params_of, .. } => (layer.param_len(), *params_of),
-            _ => (0, number),
-        };
-        let params = match layers.get(of) {
+        let params = match layers.get(layer.params_of(number).unwrap_or(number)) {
             Some((_, params)) => *params,
             None => {
+                let len = layer.param_len();
                 at += len;
                 Params { at: at - len, len }
             }

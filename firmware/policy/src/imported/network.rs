@@ -285,11 +285,7 @@ impl Network {
                     "layer {number} has a size of {size}, the limit is {MOST_SIZE}"
                 )));
             }
-            let params_of = match layer {
-                Layer::Gru { params_of, .. } | Layer::Lstm { params_of, .. } => *params_of,
-                _ => number,
-            };
-            if params_of > number || !layer.sources().iter().all(|source| *source < number) {
+            if layer.params_of(number) > Some(number) || !layer.sources().iter().all(|source| *source < number) {
                 return Err(NetworkError(format!(
                     "layer {number} uses a layer that does not come before it"
                 )));
@@ -344,18 +340,10 @@ impl Network {
                 let node = nodes.get(source).copied();
                 node.ok_or_else(|| NetworkError(format!("layer {number} uses a layer that is not there")))
             };
-            let mut reserve = |len: usize, of: usize| match of == number {
-                true => b.params(len),
-                false => own.get(of).copied().unwrap_or_default(),
-            };
-            let params = match layer {
-                Layer::Conv2d { layer, .. } => reserve(layer.param_len(), number),
-                Layer::Dense { layer, .. } => reserve(layer.param_len(), number),
-                Layer::BatchNorm { layer, .. } => reserve(layer.param_len(), number),
-                Layer::LayerNorm { layer, .. } => reserve(layer.param_len(), number),
-                Layer::Gru { layer, params_of, .. } => reserve(layer.param_len(), *params_of),
-                Layer::Lstm { layer, params_of, .. } => reserve(layer.param_len(), *params_of),
-                _ => Params::default(),
+            let params = match layer.params_of(number) {
+                Some(of) if of == number => b.params(layer.param_len()),
+                Some(of) => own.get(of).copied().unwrap_or_default(),
+                None => Params::default(),
             };
             own.push(params);
             let node = match layer {

@@ -263,7 +263,7 @@ impl RealtimeBench<'_> {
                         Ok(status) => {
                             heard = Instant::now();
                             if let Some(outcome) = status.outcome {
-                                return Ok(outcome);
+                                return Ok(outcome.to_string());
                             }
                         }
                         Err(RecvTimeoutError::Disconnected) => {
