@@ -367,8 +367,8 @@ fn ending(status: &Status) -> Option<String> {
 
 /// The command that flies the same again, with the seed that was drawn.
 fn command_again(args: &FlyArgs, seed: u64) -> String {
-    let drawn = ["--seed".to_owned(), seed.to_string()];
-    let (dropped, added): (&[&str], &[String]) = match args.course.course {
+    let drawn = ["--seed", &seed.to_string()];
+    let (dropped, added): (&[&str], &[&str]) = match args.course.course {
         // The course's file is named; the seed decides on noise and the adversary.
         Some(_) => (&["-o", "--log", "--record"], &[]),
         None => (&["-o", "--log", "--record", "--seed"], &drawn),

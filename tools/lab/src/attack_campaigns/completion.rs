@@ -4,7 +4,7 @@ use super::{Common, Seeds, Strength, write_json};
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::campaign::{self, Flight, Tally};
 use crate::report::{TextTable, words};
-use anyhow::{Context, Result};
+use anyhow::Result;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -185,8 +185,7 @@ fn fly_all(
     );
     let begun = Instant::now();
     let interrupt = campaign.fly(&jobs, &common.pool()?, |seed, arm, _| {
-        let arm = settings.arms.iter().find(|known| arm_name(**known) == arm);
-        let (apf, setting) = *arm.context("an arm of this campaign")?;
+        let (apf, setting) = settings.arms[arm];
         let attack = setting.map(|s| Attack {
             pilot: victim.clone(),
             config: s.config,

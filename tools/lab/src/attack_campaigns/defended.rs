@@ -389,7 +389,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
     };
     let mut campaign = Campaign::new(COMMAND, settings, jobs.clone())?.keep_in(&lines, existing)?;
     let interrupt = campaign.fly(&jobs, &args.common.pool()?, |seed, arm, _| {
-        fly(args, Arm::named(arm)?, &attack, seed)
+        fly(args, arms[arm], &attack, seed)
     })?;
     report(&campaign, &lines.with_extension("json"))?;
     Ok(interrupt.exit_code())
