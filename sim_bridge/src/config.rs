@@ -190,17 +190,6 @@ pub struct CourseChoice {
     pub seed: Option<u64>,
 }
 
-impl Default for CourseChoice {
-    fn default() -> Self {
-        Self {
-            course: None,
-            family: Family::Validation,
-            goal_distance: None,
-            seed: None,
-        }
-    }
-}
-
 /// Parses the distance of a long course's goal, metres.
 fn long_goal(text: &str) -> Result<f32, String> {
     let (least, most) = (LONG_GOAL_M.start(), LONG_GOAL_M.end());

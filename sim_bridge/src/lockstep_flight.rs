@@ -28,7 +28,6 @@ pub trait FirmwarePort {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct FlightRecord {
     /// How it ended; absent when the vehicle never took off.
-    #[serde(serialize_with = "outcome_name", deserialize_with = "named_outcome")]
     pub outcome: Option<Outcome>,
     /// Simulated seconds from lift-off (or from the airborne start) to the ending.
     pub flight_time_s: f64,
@@ -50,21 +49,8 @@ pub struct FlightRecord {
     pub path_ned_m: Vec<NedVector>,
 }
 
-fn outcome_name<S: serde::Serializer>(outcome: &Option<Outcome>, s: S) -> Result<S::Ok, S::Error> {
-    match outcome {
-        Some(outcome) => s.collect_str(outcome),
-        None => s.serialize_none(),
-    }
-}
-
 fn hexadecimal<S: serde::Serializer>(hash: &u64, s: S) -> Result<S::Ok, S::Error> {
     s.collect_str(&format_args!("{hash:016x}"))
-}
-
-fn named_outcome<'de, D: Deserializer<'de>>(d: D) -> Result<Option<Outcome>, D::Error> {
-    let name = Option::<String>::deserialize(d)?;
-    name.map(|name| name.parse().map_err(serde::de::Error::custom))
-        .transpose()
 }
 
 fn from_hexadecimal<'de, D: Deserializer<'de>>(d: D) -> Result<u64, D::Error> {

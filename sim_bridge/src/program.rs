@@ -161,7 +161,7 @@ pub struct Status {
     /// Steps the firmware missed.
     pub slips: u64,
     /// How the flight ended, once it has.
-    pub outcome: Option<String>,
+    pub outcome: Option<Outcome>,
     /// Seconds from lift-off to the ending.
     pub flight_time_s: f64,
     /// Metres flown from lift-off to the ending.
@@ -514,7 +514,7 @@ fn status(simulator: &Simulator, companion: &CompanionView, nearness: &str, elap
         score: companion.score,
         step_us: companion.step_us,
         slips: companion.slips,
-        outcome: ending.map(|e| e.outcome.to_string()),
+        outcome: ending.map(|e| e.outcome),
         flight_time_s: ending.map_or(0.0, |e| e.flight_time_s),
         path_length_m: simulator.path_length_m(),
         pose: None,

@@ -6,6 +6,7 @@ use serde::Serialize;
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
+use vigil_sim::world::Outcome;
 
 /// Tells a person something at once; where nobody listens nothing can be told.
 pub fn tell(text: &str) {
@@ -61,11 +62,11 @@ pub enum Ending {
 
 impl Ending {
     /// How a flight ended by the simulator's word; `None` where it arrived nowhere and touched nothing.
-    pub fn of(outcome: Option<&str>) -> Option<Self> {
+    pub fn of(outcome: Option<Outcome>) -> Option<Self> {
         match outcome? {
-            "success" => Some(Self::Arrived),
-            "collision" | "out of bounds" => Some(Self::Collided),
-            _ => None,
+            Outcome::Success => Some(Self::Arrived),
+            Outcome::Collision | Outcome::OutOfBounds => Some(Self::Collided),
+            Outcome::TimeOut => None,
         }
     }
 }

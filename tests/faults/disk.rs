@@ -5,6 +5,7 @@ use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site};
 use anyhow::Result;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use vigil_sim::world::Outcome;
 
 /// A file system of a few megabytes in memory; unmounted at its end.
 struct SmallDisk {
@@ -141,7 +142,7 @@ fn flights(site: &Site<'_>) -> Result<Row> {
             flight.follow(FLIGHT_LIMIT, site.stop, |s| s.outcome.is_some())
         });
         let fallen = flight.fallen();
-        let arrived = flight.last().and_then(|s| s.outcome.as_deref()) == Some("success");
+        let arrived = flight.last().and_then(|s| s.outcome) == Some(Outcome::Success);
         trials.push(match (flown, flight.end_firmware()) {
             _ if !fallen.is_empty() => Trial::wrong(Ending::Crashed, format!("{} ended", fallen.join(", "))),
             (Err(error), _) | (_, Err(error)) => Trial::wrong(Ending::TimeOut, format!("{error:#}")),

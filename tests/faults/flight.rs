@@ -8,7 +8,7 @@ use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use vigil_sim::program::Status;
-use vigil_sim::world::{Family, Outcome, generate};
+use vigil_sim::world::{Family, generate};
 use vigil_tests::{Pair, Running};
 use vigil_types::{NedVector, STEP_NS};
 
@@ -216,7 +216,7 @@ fn collides_by_itself(seed: u64) -> bool {
         }
     }
     let outcome = pair.simulator.ending().map(|ending| ending.outcome);
-    Ending::of(outcome.map(Outcome::name)) == Some(Ending::Collided)
+    Ending::of(outcome) == Some(Ending::Collided)
 }
 
 /// The seeds of trials that collided, and which of them do with nothing done to the flight, in words.

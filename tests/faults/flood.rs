@@ -365,7 +365,7 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
         let gap = gaps_ns.get(((gaps_ns.len().max(1) - 1) as f64 * share) as usize);
         gap.map_or(0.0, |gap| *gap as f64 * 1e-6)
     };
-    let ending = Ending::of(flight.last().and_then(|s| s.outcome.as_deref()));
+    let ending = Ending::of(flight.last().and_then(|s| s.outcome));
     let ending = ending.unwrap_or(match flight.simulator.is_running() {
         true => Ending::TimeOut,
         false => Ending::Crashed,

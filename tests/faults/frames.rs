@@ -247,7 +247,7 @@ fn fly(kind: &Kind, seed: u64) -> Flown {
             format!("{}, seed {seed}: held {when} ({})", kind.name, named())
         });
     }
-    let outcome = pair.simulator.ending().map(|ending| ending.outcome.name());
+    let outcome = pair.simulator.ending().map(|ending| ending.outcome);
     let ending = Ending::of(outcome).unwrap_or(match last {
         GuidanceState::Hold => Ending::Held,
         _ => Ending::TimeOut,

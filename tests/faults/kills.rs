@@ -208,7 +208,7 @@ fn fault(flight: &mut Flight, who: Who, how: How, seed: u64, stop: &AtomicBool) 
     }
     flight.follow(FLIGHT_LIMIT, stop, |s| s.outcome.is_some())?;
     let last = flight.last();
-    let outcome = last.and_then(|s| s.outcome.as_deref());
+    let outcome = last.and_then(|s| s.outcome);
     let holds = last.is_some_and(|s| s.guidance.as_deref() == Some("hold") && !s.reasons.is_empty());
     let otherwise = if holds { Ending::Held } else { Ending::TimeOut };
     Ok((Ending::of(outcome).unwrap_or(otherwise), delay_s))

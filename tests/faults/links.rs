@@ -80,7 +80,7 @@ pub fn spoofing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     let mut trials = Vec::new();
     for (number, (alone, (outcome, position, count))) in flown.into_iter().enumerate() {
         refused += count;
-        let ending = Ending::of(outcome.map(Outcome::name)).unwrap_or(Ending::TimeOut);
+        let ending = Ending::of(outcome).unwrap_or(Ending::TimeOut);
         trials.push(match (alone.0, alone.1) == (outcome, position) && count > 0 {
             true => Trial::right(ending),
             false => Trial::wrong(
@@ -297,7 +297,7 @@ fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u6
         flown
     });
     let fallen = flight.fallen();
-    let outcome = flight.last().and_then(|s| s.outcome.clone());
+    let outcome = flight.last().and_then(|s| s.outcome);
     let said = flight.end_firmware();
     let mut changed = Vec::new();
     for file in &files {
@@ -307,7 +307,7 @@ fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u6
         }
     }
     let ending = match fallen.is_empty() {
-        true => Ending::of(outcome.as_deref()).unwrap_or(Ending::TimeOut),
+        true => Ending::of(outcome).unwrap_or(Ending::TimeOut),
         false => Ending::Crashed,
     };
     let wrong = match (flown, said) {

@@ -157,12 +157,11 @@ impl SensorCheck {
         for (defect, count) in &self.refused {
             let _ = write!(text, "; {count} refused: {defect}");
         }
-        let severity = if self.refused.is_empty() {
-            Severity::Good
-        } else {
-            Severity::Failure
-        };
-        add("frames", severity, text);
+        add(
+            "frames",
+            Severity::good_if(self.refused.is_empty(), Severity::Failure),
+            text,
+        );
         self.rate(ended_ns as f64 * 1e-9, &mut add);
         if used == 0 {
             return findings;
@@ -253,18 +252,14 @@ impl SensorCheck {
             .filter(|(count, _)| *count > 0)
             .map(|(count, what)| format!("{count} {what}"))
             .collect();
-        let severity = if self.not_newer > 0 {
-            Severity::Failure
-        } else {
-            Severity::Warning
-        };
         match named.is_empty() {
             true => add(
                 "order",
                 Severity::Good,
                 format!("stamps and numbers rise; {} numbers were left out", self.left_out),
             ),
-            false => add("order", severity, named.join("; ")),
+            false if self.not_newer > 0 => add("order", Severity::Failure, named.join("; ")),
+            false => add("order", Severity::Warning, named.join("; ")),
         }
     }
 
@@ -338,7 +333,7 @@ impl SensorCheck {
             let whole = columns.len() == PART_COLS;
             add(
                 "view",
-                if whole { Severity::Good } else { Severity::Warning },
+                Severity::good_if(whole, Severity::Warning),
                 format!(
                     "returns from {:.0}° to {:.0}° across and {:.0}° to {:.0}° in height, of ±60° and ±30°{}",
                     bearings(*left),

@@ -253,7 +253,7 @@ impl Sensor {
             score: self.companion.score,
             step_us: self.companion.step_us,
             slips: self.companion.slips,
-            outcome: ending.map(|e| e.outcome.to_string()),
+            outcome: ending.map(|e| e.outcome),
             flight_time_s: ending.map_or(0.0, |e| e.flight_time_s),
             path_length_m: flight.path_length_m(),
             pose: (state != PoseState::Tracking).then(|| state.name().to_owned()),

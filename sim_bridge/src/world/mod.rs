@@ -37,7 +37,7 @@ pub use lidar::{
     ring_row, split_mix,
 };
 pub use mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
-pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee, UnknownOutcome};
+pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee};
 pub use solid::Solid;
 pub use space::World;
 pub use vehicle::{VEHICLE, VehicleSolid};

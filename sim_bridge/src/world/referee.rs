@@ -4,6 +4,7 @@ use crate::world::World;
 use crate::world::course::{Checkpoint, Course};
 use crate::world::solid::radians;
 use crate::world::vehicle::VEHICLE;
+use serde::{Deserialize, Serialize};
 use vigil_types::named;
 use vigil_types::{Attitude, Nanos, NedVector};
 
@@ -18,29 +19,18 @@ const MAX_SWEEP_STEPS: usize = 1000;
 
 named! {
     /// How a flight ended.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
     pub enum Outcome {
         /// The vehicle came within the goal's radius.
         Success => "success",
         /// The vehicle touched an obstacle or the ceiling, or hit the ground.
         Collision => "collision",
         /// The vehicle left the bounds, or its position was not a number.
+        #[serde(rename = "out of bounds")]
         OutOfBounds => "out of bounds",
         /// The time limit passed.
         TimeOut => "time-out",
-    }
-}
-
-/// A name that is no outcome's.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("not an outcome: success, collision, out of bounds or time-out")]
-pub struct UnknownOutcome;
-
-impl core::str::FromStr for Outcome {
-    type Err = UnknownOutcome;
-
-    fn from_str(name: &str) -> Result<Self, UnknownOutcome> {
-        Self::from_name(name).ok_or(UnknownOutcome)
     }
 }
 

@@ -5,14 +5,12 @@
 
 mod writer;
 
-pub use writer::ExportError;
-
 use crate::proto::{Entry, Graph, Model, Node, OperatorSet};
 use prost::Message;
 use std::collections::HashSet;
 use vigil_nnet::{Activation, Dense, GraphBuilder, Params};
 use vigil_policy::actor::{ACTOR_LIMIT, ActorSpec, CONTEXT, LOW_DIM};
-use vigil_policy::imported::Layer;
+use vigil_policy::imported::{Layer, NetworkError};
 use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy};
 use writer::{Input, Writer, value_info, value_of};
 
@@ -35,8 +33,8 @@ struct Placed<'a> {
 /// factor. What is to be known beside it is in the model's metadata.
 ///
 /// # Errors
-/// [`ExportError`]: a network that is none.
-pub fn export(pilot: &FrozenPilot) -> Result<Vec<u8>, ExportError> {
+/// A network that is none.
+pub fn export(pilot: &FrozenPilot) -> Result<Vec<u8>, NetworkError> {
     let (placed, about) = match pilot {
         FrozenPilot::Actor(actor) => (of_actor(actor), about_actor(actor)),
         FrozenPilot::Imported(policy) => (of_policy(policy)?, about_policy(policy)),
@@ -84,22 +82,14 @@ pub fn export(pilot: &FrozenPilot) -> Result<Vec<u8>, ExportError> {
     Ok(model.encode_to_vec())
 }
 
-fn of_policy(policy: &FrozenPolicy) -> Result<Placed<'_>, ExportError> {
+fn of_policy(policy: &FrozenPolicy) -> Result<Placed<'_>, NetworkError> {
     policy.network.check()?;
     let (mut layers, mut at): (Vec<(Layer, Params)>, usize) = (Vec::new(), 0);
     for (number, layer) in policy.network.layers.iter().enumerate() {
-        let (len, of) = match layer {
-            Layer::Conv2d { layer, .. } => (layer.param_len(), number),
-            Layer::Dense { layer, .. } => (layer.param_len(), number),
-            Layer::BatchNorm { layer, .. } => (layer.param_len(), number),
-            Layer::LayerNorm { layer, .. } => (layer.param_len(), number),
-            Layer::Gru { layer, params_of, .. } => (layer.param_len(), *params_of),
-            Layer::Lstm { layer, params_of, .. } => (layer.param_len(), *params_of),
-            _ => (0, number),
-        };
-        let params = match layers.get(of) {
+        let params = match layers.get(layer.params_of(number).unwrap_or(number)) {
             Some((_, params)) => *params,
             None => {
+                let len = layer.param_len();
                 at += len;
                 Params { at: at - len, len }
             }

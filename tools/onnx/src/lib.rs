@@ -21,5 +21,5 @@ mod movement;
 mod proto;
 
 pub use adapter::{Adapter, Flat, FlatGoal};
-pub use export::{ExportError, export};
+pub use export::export;
 pub use import::{ImportError, import};

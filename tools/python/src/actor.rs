@@ -8,7 +8,7 @@ use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::actor::{ACTOR_OUTPUTS, GOAL_INPUTS, LOW_DIM};
 use vigil_policy::imported::{Channels, Depth};
 use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy, ImportedPilot, Pilot};
-use vigil_types::{Nanos, STEP_NS};
+use vigil_types::Nanos;
 
 /// A frozen actor of Vigil's architecture.
 #[pyclass(module = "vigil._vigil")]
@@ -40,9 +40,8 @@ impl Actor {
         frame: PyReadonlyArrayDyn<'_, f32>,
         position: Vec<f32>,
     ) -> PyResult<(f32, f32)> {
-        let moment = Moment::of(&frame, &position, self.next_ns)?;
+        let moment = Moment::of(&frame, &position, &mut self.next_ns)?;
         let input = moment.input();
-        self.next_ns = input.now_ns + STEP_NS;
         let actor = &mut self.actor;
         let [forward, yaw] = py.detach(|| actor.decide(&input)).map_err(refused)?;
         Ok((forward, yaw))
@@ -199,7 +198,7 @@ impl Policy {
         distance_m: f32,
         bearing_rad: f32,
     ) -> PyResult<(f32, f32)> {
-        let moment = Moment::of(&frame, &[distance_m, bearing_rad], 0)?;
+        let moment = Moment::of(&frame, &[distance_m, bearing_rad], &mut 0)?;
         let action = self.pilot.decide(&moment.input());
         Ok((action.forward_m_s, action.yaw))
     }

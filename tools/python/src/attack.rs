@@ -7,16 +7,19 @@ use pyo3::prelude::*;
 use vigil_adversary::{AttackConfig, AttackOutcome, Beside, Method, Towards};
 use vigil_nnet::Isa;
 use vigil_policy::actor::CONTEXT;
-use vigil_types::{DEPTH_FULL_SCALE_M, DepthFrame, Nanos, STEP_NS};
+use vigil_types::{DEPTH_FULL_SCALE_M, DepthFrame, Nanos};
+
+/// The method of this name, which `what` is given as.
+pub fn method_named(what: &str, name: &str) -> PyResult<Method> {
+    let methods = Method::ALL.map(Method::name);
+    Method::from_name(name).ok_or_else(|| refused(format!("{what}: {name} is none of {}", methods.join(", "))))
+}
 
 fn config(method: &str, epsilon_255: f32, iterations: u32, towards: &str, seed: u64) -> PyResult<AttackConfig> {
-    let methods = Method::ALL.map(Method::name);
-    let method = Method::from_name(method)
-        .ok_or_else(|| refused(format!("method: {method} is none of {}", methods.join(", "))))?;
     let all = [Towards::Left, Towards::Right, Towards::Away];
     let towards = all.into_iter().find(|t| t.name() == towards);
     Ok(AttackConfig {
-        method,
+        method: method_named("method", method)?,
         epsilon_255,
         iterations,
         towards: towards.ok_or_else(|| refused("towards: left, right or away"))?,
@@ -102,8 +105,7 @@ impl FrameAttack {
 
     /// A frame that passes as it is.
     fn pass_on(&mut self, frame: PyReadonlyArrayDyn<'_, f32>, position: Vec<f32>) -> PyResult<()> {
-        let moment = Moment::of(&frame, &position, self.next_ns)?;
-        self.next_ns = moment.input().now_ns + STEP_NS;
+        let moment = Moment::of(&frame, &position, &mut self.next_ns)?;
         self.attack.pass(&moment.input()).map_err(refused)
     }
 
@@ -114,9 +116,8 @@ impl FrameAttack {
         frame: PyReadonlyArrayDyn<'py, f32>,
         position: Vec<f32>,
     ) -> PyResult<Attacked<'py>> {
-        let moment = Moment::of(&frame, &position, self.next_ns)?;
+        let moment = Moment::of(&frame, &position, &mut self.next_ns)?;
         let input = moment.input();
-        self.next_ns = input.now_ns + STEP_NS;
         let (attack, delivered) = (&mut self.attack, &mut *self.delivered);
         let outcome = py.detach(|| attack.attack_while(&input, delivered, || true));
         Ok(attacked(py, self.delivered.depth.to_vec(), outcome.map_err(refused)?))

@@ -1,10 +1,11 @@
 //! Flights of the whole stack for Python.
 
+use crate::attack::method_named;
 use crate::given::{failed, refused};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 use std::path::PathBuf;
-use vigil_adversary::{Attack, AttackArgs, Method};
+use vigil_adversary::{Attack, AttackArgs};
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Start};
@@ -89,14 +90,7 @@ pub fn fly(
     (firmware.pilot.actor_file, firmware.pilot.apf) = (actor.clone(), apf);
     (firmware.detector.enabled, firmware.detector.guard) = (detector, guard);
     firmware.detector.file = detector_file;
-    let method = attack.map(|name| {
-        Method::from_name(name).ok_or_else(|| {
-            refused(format!(
-                "attack: {name} is none of {}",
-                Method::ALL.map(Method::name).join(", ")
-            ))
-        })
-    });
+    let method = attack.map(|name| method_named("attack", name));
     let attack = AttackArgs {
         attack: method.transpose()?,
         epsilon,

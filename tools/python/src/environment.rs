@@ -223,6 +223,15 @@ impl Row<'_> {
     }
 }
 
+/// All values of an array, if it was given.
+fn whole<'a>(array: &'a Option<PyReadonlyArrayDyn<'_, f32>>) -> PyResult<Option<&'a [f32]>> {
+    array
+        .as_ref()
+        .map(|array| array.as_slice())
+        .transpose()
+        .map_err(refused)
+}
+
 /// An array that was given, in parts of `len` values.
 fn parts<'a>(array: &'a mut Option<Given<'_>>, len: usize) -> PyResult<Option<std::slice::ChunksExactMut<'a, f32>>> {
     let slices = array.as_mut().map(|array| array.as_slice_mut());
@@ -344,16 +353,7 @@ impl Flights {
     ) -> PyResult<()> {
         let count = self.flights.len();
         let deep = self.shape[1..].iter().product();
-        let older = older
-            .as_ref()
-            .map(|older| older.as_slice())
-            .transpose()
-            .map_err(refused)?;
-        let actions = actions
-            .as_ref()
-            .map(|actions| actions.as_slice())
-            .transpose()
-            .map_err(refused)?;
+        let (older, actions) = (whole(&older)?, whole(&actions)?);
         if frames.shape() != self.shape || older.is_some_and(|older| older.len() != count * deep) {
             return Err(refused(format!(
                 "frames: expected shape {:?}, got {:?}",

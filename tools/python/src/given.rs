@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use vigil_policy::PilotInput;
 use vigil_policy::actor::{GOAL_INPUTS, LOW_DIM, PositionalInputs};
 use vigil_types::{
-    Attitude, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DepthFrame, GoalRelative, HeadingVector, Nanos, NedVector,
+    Attitude, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DepthFrame, GoalRelative, HeadingVector, Nanos, NedVector, STEP_NS,
 };
 
 /// An error that is the caller's.
@@ -66,8 +66,8 @@ pub struct Moment {
 
 impl Moment {
     /// Of a frame in metres and an environment's position, or of a goal alone, distance in metres and bearing in radians: the vehicle then
-    /// stands where its flight began, and the time is `otherwise_ns`.
-    pub fn of(frame: &PyReadonlyArrayDyn<'_, f32>, position: &[f32], otherwise_ns: Nanos) -> PyResult<Self> {
+    /// stands where its flight began, and the time is `next_ns`, which becomes that of the step after.
+    pub fn of(frame: &PyReadonlyArrayDyn<'_, f32>, position: &[f32], next_ns: &mut Nanos) -> PyResult<Self> {
         let pixels = frames("frame", frame, 1)?;
         let (distance_m, bearing_rad, odometry) = match *position {
             [distance_m, bearing_rad] => (distance_m, bearing_rad, None),
@@ -106,13 +106,9 @@ impl Moment {
                 let now_ns = (f64::from(time_s.max(0.0)) * 1e4).round() as Nanos * 100_000;
                 (place, yaw_rad, moves, now_ns)
             }
-            None => (
-                NedVector::new(0.0, 0.0, -HOVER_M),
-                0.0,
-                HeadingVector::ZERO,
-                otherwise_ns,
-            ),
+            None => (NedVector::new(0.0, 0.0, -HOVER_M), 0.0, HeadingVector::ZERO, *next_ns),
         };
+        *next_ns = now_ns + STEP_NS;
         let attitude = Attitude::from_euler_rad(0.0, 0.0, yaw_rad);
         let mut depth = Box::new(DepthFrame::EMPTY);
         depth.depth.copy_from_slice(&pixels);

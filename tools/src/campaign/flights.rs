@@ -228,7 +228,8 @@ where
         Ok(self)
     }
 
-    /// Flies what `wanted` has and the file has not, and leaves the file in the order of the seeds.
+    /// Flies what `wanted` has and the file has not, each by its seed and its arm's place among those that the campaign was made with;
+    /// leaves the file in the order of the seeds.
     ///
     /// # Errors
     /// Whatever a flight fails with, or the file; the flights that had ended are kept.
@@ -236,7 +237,7 @@ where
         &mut self,
         wanted: &Jobs,
         pool: &ThreadPool,
-        fly: impl Fn(u64, &str, &Progress) -> Result<F> + Sync,
+        fly: impl Fn(u64, usize, &Progress) -> Result<F> + Sync,
     ) -> Result<Interrupt> {
         let (missing, interrupt) = (self.missing(wanted).len() as u64, Interrupt::on_ctrl_c()?);
         if missing < wanted.count() {
@@ -277,13 +278,13 @@ where
         wanted: &Jobs,
         pool: &ThreadPool,
         interrupt: &Interrupt,
-        fly: impl Fn(u64, &str) -> Result<F> + Sync,
+        fly: impl Fn(u64, usize) -> Result<F> + Sync,
     ) -> Result<()> {
         let missing = self.missing(wanted);
         let flown: Result<Vec<_>> = pool.install(|| {
             let missing = missing.into_iter().take_while(|_| !interrupt.came()).par_bridge();
             let flown = missing.map(|(seed, arm)| {
-                let flight = fly(seed, &self.jobs().arms[arm])?;
+                let flight = fly(seed, arm)?;
                 if let Some((path, file)) = &self.file {
                     let line = self.line(seed, arm, &flight)?;
                     let mut file = file.lock().map_err(|_| anyhow!("another flight failed"))?;

@@ -1,13 +1,11 @@
 //! `vigil sensor ouster` and `vigil sensor z16`: what devices send becomes depth frames.
 
-use crate::cli::output::{say, tell};
+use crate::cli::output::{Interrupt, say, tell};
 use anyhow::{Context, Result, bail};
 use std::io::{ErrorKind, Read};
 use std::net::{IpAddr, SocketAddr, UdpSocket};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 use vigil_io::clock::{monotonic_ns, sleep_until};
@@ -251,14 +249,12 @@ struct Output {
     published: u64,
     tally: Tally,
     heard_ns: Nanos,
-    stop: Arc<AtomicBool>,
+    interrupt: Interrupt,
 }
 
 impl Output {
     fn open(args: &CommonArgs, what: &str, view: Option<View>) -> Result<Self> {
-        let stop = Arc::new(AtomicBool::new(false));
-        let flag = Arc::clone(&stop);
-        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+        let interrupt = Interrupt::on_ctrl_c()?;
         let key = args
             .frame_key
             .as_ref()
@@ -293,12 +289,8 @@ impl Output {
             published: 0,
             tally: Tally::default(),
             heard_ns: monotonic_ns(),
-            stop,
+            interrupt,
         })
-    }
-
-    fn goes_on(&self) -> bool {
-        !self.stop.load(Ordering::Relaxed)
     }
 
     fn refuse(&mut self, now_ns: Nanos, fault: Fault) {
@@ -377,7 +369,7 @@ pub fn ouster(args: &OusterArgs) -> Result<ExitCode> {
         );
     }
     let mut buffer = vec![0; 1 << 16];
-    while out.goes_on() {
+    while !out.interrupt.came() {
         match socket.recv_from(&mut buffer) {
             Ok((len, peer)) if args.from.is_none_or(|from| from == peer.ip()) => {
                 let arrived_ns = monotonic_ns();
@@ -420,7 +412,7 @@ pub fn z16(args: &DepthStreamArgs) -> Result<ExitCode> {
     let (bytes, rate) = (stream.image_bytes(), args.rate);
     // Ends with the process where the stream does not.
     std::thread::spawn(move || read_images(&mut *input, bytes, rate, &sender));
-    while out.goes_on() {
+    while !out.interrupt.came() {
         match images.recv_timeout(LOOK) {
             Ok(arrival) => {
                 let (arrived_ns, image) = arrival.with_context(|| shown.to_string())?;

@@ -174,41 +174,33 @@ fn in_3d(course: &Course, frame: &DepthFrame) -> Result<String> {
 }
 
 fn check(files: &[PathBuf]) -> ExitCode {
-    let mut good = true;
+    let mut code = ExitCode::SUCCESS;
     for file in files {
-        let choice = CourseChoice {
-            course: Some(file.clone()),
-            ..CourseChoice::default()
-        };
-        let verdict = match choice.load(0) {
-            Ok(course) if course.corridor().is_some() => {
-                let obstacles = course.solids().len() + course.movers.len();
-                if course.earliest_arrival_s(0.0).is_some() {
-                    format!("{}: ok, {obstacles} obstacles", file.display())
-                } else {
-                    good = false;
-                    format!("{}: the movers leave no time to get to the goal", file.display())
-                }
+        match obstacles_of(file) {
+            Ok(obstacles) => say!("{}: ok, {obstacles} obstacles", file.display()),
+            Err(fault) => {
+                say!("{fault}");
+                code = ExitCode::from(output::EXIT_DIFFERS);
             }
-            Ok(_) => {
-                good = false;
-                format!(
-                    "{}: no way from start to goal with the vehicle's clearance",
-                    file.display()
-                )
-            }
-            Err(error) => {
-                good = false;
-                error.to_string()
-            }
-        };
-        say!("{verdict}");
+        }
     }
-    if good {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::from(crate::cli::output::EXIT_DIFFERS)
-    }
+    code
+}
+
+/// How many obstacles a course has that is as it should be.
+fn obstacles_of(file: &Path) -> Result<usize> {
+    let course = Course::load(file)?;
+    ensure!(
+        course.corridor().is_some(),
+        "{}: no way from start to goal with the vehicle's clearance",
+        file.display()
+    );
+    ensure!(
+        course.earliest_arrival_s(0.0).is_some(),
+        "{}: the movers leave no time to get to the goal",
+        file.display()
+    );
+    Ok(course.solids().len() + course.movers.len())
 }
 
 fn write_png(image: &Image, path: &Path) -> Result<()> {

@@ -330,22 +330,10 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     let live = shown.as_ref().map(|shown| (shown.count, shown.folder.clone()));
     let begun = Instant::now();
     let interrupt = campaign.fly(&jobs, &pool, |seed, arm, bar| {
-        let arm = jobs
-            .arms
-            .iter()
-            .position(|known| known == arm)
-            .context("an arm of this campaign")?;
         let number = (seed - args.seed) * faults.len() as u64 + arm as u64;
         let of_shown = live.as_ref().filter(|(count, _)| number < *count);
         let logs = args.logs.as_deref().or(of_shown.map(|(_, folder)| folder.as_path()));
-        let flight = fly(
-            args,
-            &models,
-            attack.as_ref(),
-            faults.get(arm).copied().flatten(),
-            seed,
-            logs,
-        )?;
+        let flight = fly(args, &models, attack.as_ref(), faults[arm], seed, logs)?;
         if !flight.record.is_success() {
             bar.set_message(format!(
                 "last failure: seed {seed} ({})",
@@ -436,12 +424,8 @@ fn fly(
     config.second_sensor_heads = args.second_sensor.heads.into();
     firmware.second_sensor = args.second_sensor.heads > 0;
     args.pilot.apply(&mut firmware);
-    let flight = campaign::fly_recorded(
-        &config,
-        &firmware,
-        attack,
-        logs.map(|folder| recording(args, folder, fault, seed)),
-    )?;
+    let recording = logs.map(|folder| recording(args, folder, fault, seed));
+    let flight = campaign::fly_recorded(&config, &firmware, attack, recording)?;
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !flight.record.is_success()) {
         let file = format!("{seed}-{}.png", outcome_name(flight.record.outcome).replace(' ', "-"));
         draw(&config.course, &flight.record, &folder.join(file))?;
@@ -474,11 +458,7 @@ impl Shown {
         let names: Vec<String> = (0..count)
             .map(|number| {
                 let (seed, arm) = (number / faults.len() as u64, number % faults.len() as u64);
-                log_name(
-                    args,
-                    faults.get(arm as usize).copied().flatten(),
-                    args.seed.wrapping_add(seed),
-                )
+                log_name(args, faults[arm as usize], args.seed.wrapping_add(seed))
             })
             .collect();
         let script = args.viewer.follow_all(&folder, &names)?;
@@ -528,30 +508,28 @@ fn log_name(args: &EvaluateArgs, fault: Option<SensorFault>, seed: u64) -> Strin
     }
 }
 
+/// Arguments that the command for a single flight does not have, or has of its own.
+const REPLACED: [&str; 10] = [
+    "--flights",
+    "--seed",
+    "--logs",
+    "--threads",
+    "-o",
+    "--json",
+    "--draw-failures",
+    "--view",
+    "--view-port",
+    "--python",
+];
+
 /// What to keep of a flight.
 fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, seed: u64) -> Recording {
     let name = format!("{}.mcap", log_name(args, fault, seed));
     let command = flight_report::command_again(
         std::env::args_os().filter(|word| word != "--resume"),
         "evaluate",
-        &[
-            "--flights",
-            "--seed",
-            "--logs",
-            "--threads",
-            "-o",
-            "--json",
-            "--draw-failures",
-            "--view",
-            "--view-port",
-            "--python",
-        ],
-        &[
-            "--flights".to_owned(),
-            "1".to_owned(),
-            "--seed".to_owned(),
-            seed.to_string(),
-        ],
+        &REPLACED,
+        &["--flights", "1", "--seed", &seed.to_string()],
     );
     let mut about = BTreeMap::from([("command".to_owned(), command)]);
     if let Some(commit) = output::git_commit() {

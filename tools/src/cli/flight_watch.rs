@@ -9,6 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 use vigil_sim::program::Status;
+use vigil_sim::world::Outcome;
 use vigil_types::{Attitude, Nanos, NedVector};
 
 /// After reaching the goal the vehicle may take this long to land.
@@ -131,8 +132,8 @@ pub(super) fn watch(
         if let Some(advice) = pilot.observe(status) {
             bar.suspend(|| say!("{advice}"));
         }
-        match status.outcome.as_deref() {
-            Some("success") => {
+        match status.outcome {
+            Some(Outcome::Success) => {
                 let since = reached_at.get_or_insert_with(Instant::now);
                 if !status.armed || since.elapsed() > LANDING_LIMIT {
                     break;

@@ -24,7 +24,7 @@ use vigil_firmware::FirmwareConfig;
 use vigil_firmware::arguments::choice;
 use vigil_log::SideLog;
 use vigil_sim::program::{Status, ending_code};
-use vigil_sim::world::{Course, FlightPath};
+use vigil_sim::world::{Course, FlightPath, Outcome};
 use vigil_sim::{CourseChoice, SensorFault, VehicleChoice};
 use vigil_types::{Choice, LogContent, Nanos};
 
@@ -151,14 +151,10 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let Flight { last, path, truth } = watched?;
     // The path ends with the flight, the truth with the watch.
     let ended_ns = truth.get(path.len()).map(|pose| pose.at_ns);
-    let outcome = last
-        .as_ref()
-        .and_then(|s| s.outcome.as_deref())
-        .and_then(|name| name.parse().ok());
     let drawn = FlightPath {
         label: "flown".to_owned(),
         points_ned_m: path,
-        outcome,
+        outcome: last.as_ref().and_then(|s| s.outcome),
     };
     vigil_sim::world::draw(&course, &[drawn]).write_png(&folder.join("flight.png"))?;
     let about = about(args, &course, seed, last.as_ref(), ended_ns);
@@ -364,15 +360,15 @@ fn about(
 
 /// How the flight ended, if it did.
 fn ending(status: &Status) -> Option<String> {
-    let outcome = status.outcome.as_ref()?;
+    let outcome = status.outcome?;
     let (seconds, metres) = (status.flight_time_s, status.path_length_m);
     Some(format!("{outcome} after {seconds:.1} s and {metres:.1} m"))
 }
 
 /// The command that flies the same again, with the seed that was drawn.
 fn command_again(args: &FlyArgs, seed: u64) -> String {
-    let drawn = ["--seed".to_owned(), seed.to_string()];
-    let (dropped, added): (&[&str], &[String]) = match args.course.course {
+    let drawn = ["--seed", &seed.to_string()];
+    let (dropped, added): (&[&str], &[&str]) = match args.course.course {
         // The course's file is named; the seed decides on noise and the adversary.
         Some(_) => (&["-o", "--log", "--record"], &[]),
         None => (&["-o", "--log", "--record", "--seed"], &drawn),
@@ -469,7 +465,7 @@ fn summarise(
         return Ok(ExitCode::from(EXIT_INTERRUPTED));
     };
     let paint = Paint::stdout();
-    let success = status.outcome.as_deref() == Some("success");
+    let success = status.outcome == Some(Outcome::Success);
     let verdict = match (ending(status), interrupted) {
         (Some(text), _) => text,
         (None, true) => format!("interrupted {:.1} m from the goal", status.goal_distance_m),
@@ -499,8 +495,8 @@ fn summarise(
         say!("report    {}", report.display());
     }
     say!("files     {}", folder.display());
-    Ok(ExitCode::from(match (&status.outcome, interrupted) {
-        (Some(outcome), _) => ending_code(outcome.parse().ok()),
+    Ok(ExitCode::from(match (status.outcome, interrupted) {
+        (outcome @ Some(_), _) => ending_code(outcome),
         (None, true) => EXIT_INTERRUPTED,
         (None, false) if status.pose.is_some() => ending_code(None),
         (None, false) => EXIT_ERROR,

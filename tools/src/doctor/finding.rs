@@ -16,7 +16,7 @@ pub enum Severity {
 
 impl Severity {
     /// Good where it is as it should be, else `bad`.
-    pub(super) fn good_if(is_good: bool, bad: Self) -> Self {
+    pub(crate) fn good_if(is_good: bool, bad: Self) -> Self {
         if is_good { Self::Good } else { bad }
     }
 }

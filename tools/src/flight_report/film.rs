@@ -2,7 +2,8 @@
 
 use crate::flight_derived::ExplainedReplay;
 use crate::flight_report::log_seen::{LogSeen, StepSeen, WHO};
-use anyhow::{Context, Result};
+use crate::report::png_bytes;
+use anyhow::Result;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use serde::Serialize;
@@ -21,8 +22,6 @@ const OVERVIEW_LIMIT: usize = 120;
 const STRONG: f64 = 0.99;
 /// Side of the squares over which pixels' SHAP values are summed.
 const SQUARE: usize = 4;
-
-const NO_PICTURE: &str = "a picture of the report cannot be made";
 
 /// The film of a flight.
 #[derive(Debug, Clone, Default)]
@@ -115,12 +114,12 @@ pub fn take(path: &Path, log: &LogSeen, explained_frames: usize) -> Result<Film>
             who: log.who(&step.report),
             altered: change.is_some(),
             text: caption(log, step, change),
-            depth: depth_picture(&frame.depth, near)?,
-            clean: before.map(|depth| depth_picture(depth, near)).transpose()?,
+            depth: depth_picture(&frame.depth, near),
+            clean: before.map(|depth| depth_picture(depth, near)),
             shap: None,
         });
     }
-    pixels.draw_into(&mut pictures)?;
+    pixels.draw_into(&mut pictures);
     // The first to be shown says most: an altered frame beside what it was, soon after the alarm.
     let telling = |p: &Picture| p.clean.is_some() && p.shap.is_some() != pixels.explanations.is_empty();
     let first = pictures
@@ -179,16 +178,15 @@ impl Pixels {
     }
 
     /// All on one scale.
-    fn draw_into(&self, pictures: &mut [Picture]) -> Result<()> {
+    fn draw_into(&self, pictures: &mut [Picture]) {
         let values = self.explanations.iter().flat_map(|(_, phi)| phi);
         let sizes: Vec<f64> = values.map(|v| f64::from(v.abs())).collect();
         let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9) as f32;
         for (place, phi) in &self.explanations {
             if let Some(picture) = pictures.get_mut(*place) {
-                picture.shap = Some(shap_picture(phi, full)?);
+                picture.shap = Some(shap_picture(phi, full));
             }
         }
-        Ok(())
     }
 }
 
@@ -216,7 +214,7 @@ fn caption(log: &LogSeen, step: &StepSeen, change: Option<f32>) -> String {
 }
 
 /// Near is bright, as in the contrast that the actor sees. 64 greys: the LiDAR's noise would only swell the file.
-fn depth_picture(depth: &[f32], full_size: bool) -> Result<String> {
+fn depth_picture(depth: &[f32], full_size: bool) -> String {
     let step = if full_size { 1 } else { 2 };
     let grey = |range: f32| (crate::cli::output::range_grey(range)[0] / 4).saturating_mul(4);
     let mut pixels = Vec::with_capacity(DEPTH_PIXELS / (step * step));
@@ -227,7 +225,7 @@ fn depth_picture(depth: &[f32], full_size: bool) -> Result<String> {
 }
 
 /// Orange turns right, blue turns left, white moves nothing: safe for the colour-blind.
-fn shap_picture(sums: &[f32], full: f32) -> Result<String> {
+fn shap_picture(sums: &[f32], full: f32) -> String {
     let mut pixels = Vec::with_capacity(3 * sums.len());
     for value in sums {
         let share = (value / full).clamp(-1.0, 1.0);
@@ -243,15 +241,8 @@ fn shap_picture(sums: &[f32], full: f32) -> Result<String> {
     picture(&pixels, SQUARE, png::ColorType::Rgb)
 }
 
-fn picture(pixels: &[u8], step: usize, colour: png::ColorType) -> Result<String> {
-    let mut bytes = Vec::new();
-    let (width, height) = (DEPTH_COLS / step, DEPTH_ROWS / step);
-    let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
-    encoder.set_color(colour);
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::High);
-    let mut writer = encoder.write_header().context(NO_PICTURE)?;
-    writer.write_image_data(pixels).context(NO_PICTURE)?;
-    writer.finish().context(NO_PICTURE)?;
-    Ok(format!("data:image/png;base64,{}", BASE64.encode(bytes)))
+fn picture(pixels: &[u8], step: usize, colour: png::ColorType) -> String {
+    let size = ((DEPTH_COLS / step) as u32, (DEPTH_ROWS / step) as u32);
+    let bytes = png_bytes(size, pixels, |encoder| encoder.set_color(colour));
+    format!("data:image/png;base64,{}", BASE64.encode(bytes))
 }

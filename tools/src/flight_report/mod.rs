@@ -22,7 +22,7 @@ pub fn command_again(
     arguments: impl IntoIterator<Item = impl Into<OsString>>,
     command: &str,
     dropped: &[&str],
-    added: &[String],
+    added: &[&str],
 ) -> String {
     let mut again = vec!["vigil".to_owned(), command.to_owned()];
     let text = |argument: OsString| argument.to_string_lossy().into_owned();
@@ -62,10 +62,9 @@ mod tests {
 
     #[test]
     fn the_command_that_flies_again_has_the_drawn_seed_and_not_this_flights_folder() {
-        let seed = ["--seed".to_owned(), "7".to_owned()];
         let again = |line: &[&str]| {
             let line = line.iter().map(|a| (*a).to_owned());
-            command_again(line, "fly", &["-o", "--log", "--seed"], &seed)
+            command_again(line, "fly", &["-o", "--log", "--seed"], &["--seed", "7"])
         };
         assert_eq!(again(&["/usr/bin/vigil"]), "vigil fly --seed 7");
         assert_eq!(

@@ -378,12 +378,11 @@ impl Network {
                 let node = nodes.get(source).copied();
                 node.ok_or_else(|| NetworkError(format!("layer {number} uses a layer that is not there")))
             };
-            let mut reserve = |len: usize, of: usize| match of == number {
-                true => b.params(len),
-                false => own.get(of).copied().unwrap_or_default(),
+            let params = match layer.params_of(number) {
+                Some(of) if of == number => b.params(layer.param_len()),
+                Some(of) => own.get(of).copied().unwrap_or_default(),
+                None => Params::default(),
             };
-            let params = layer.params_of(number).map(|of| reserve(layer.param_len(), of));
-            let params = params.unwrap_or_default();
             own.push(params);
             let node = match layer {
                 Layer::Input { len } => b.input(*len, true),

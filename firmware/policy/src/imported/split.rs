@@ -27,7 +27,7 @@ pub struct Head {
 
 impl Layer {
     /// Whose parameters it has, if it has any: its own number, or an earlier step's.
-    pub(super) fn params_of(&self, number: usize) -> Option<usize> {
+    pub fn params_of(&self, number: usize) -> Option<usize> {
         match self {
             Self::Gru { params_of, .. } | Self::Lstm { params_of, .. } => Some(*params_of),
             Self::Conv2d { .. } | Self::Dense { .. } | Self::BatchNorm { .. } | Self::LayerNorm { .. } => Some(number),
@@ -35,7 +35,8 @@ impl Layer {
         }
     }
 
-    pub(super) fn param_len(&self) -> usize {
+    /// Number of its parameters.
+    pub fn param_len(&self) -> usize {
         match self {
             Self::Gru { layer, .. } => layer.param_len(),
             Self::Lstm { layer, .. } => layer.param_len(),

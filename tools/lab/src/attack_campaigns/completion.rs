@@ -1,10 +1,10 @@
 //! Completion under attack: the four cells of the paper's claim, and the streaming attack that hurts most.
 
-use super::{Common, Seeds, write_json};
+use super::{Common, Seeds, Strength, write_json};
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::campaign::{self, Flight, Tally};
 use crate::report::{TextTable, words};
-use anyhow::{Context, Result};
+use anyhow::Result;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -23,13 +23,8 @@ pub struct CompletionArgs {
     #[arg(long, value_enum, value_name = "METHOD", default_value_t = Method::BimAccumulating)]
     attack: Method,
 
-    /// ε in 1/255 of the image's range.
-    #[arg(long, default_value_t = 1.0)]
-    epsilon: f32,
-
-    /// Iterations.
-    #[arg(long, default_value_t = 20)]
-    iterations: u32,
+    #[command(flatten)]
+    strength: Strength,
 
     #[command(flatten)]
     seeds: Seeds,
@@ -68,13 +63,8 @@ pub struct SearchArgs {
     #[arg(long, value_enum, value_delimiter = ',', default_value = "away")]
     towards: Vec<Towards>,
 
-    /// ε in 1/255 of the image's range.
-    #[arg(long, default_value_t = 1.0)]
-    epsilon: f32,
-
-    /// Iterations.
-    #[arg(long, default_value_t = 20)]
-    iterations: u32,
+    #[command(flatten)]
+    strength: Strength,
 
     /// Add the potential field to the actor.
     #[arg(long)]
@@ -195,8 +185,7 @@ fn fly_all(
     );
     let begun = Instant::now();
     let interrupt = campaign.fly(&jobs, &common.pool()?, |seed, arm, _| {
-        let arm = settings.arms.iter().find(|known| arm_name(**known) == arm);
-        let (apf, setting) = *arm.context("an arm of this campaign")?;
+        let (apf, setting) = settings.arms[arm];
         let attack = setting.map(|s| Attack {
             pilot: victim.clone(),
             config: s.config,
@@ -267,12 +256,7 @@ pub fn merge(files: &[PathBuf], json: &Path) -> Result<ExitCode> {
 /// # Errors
 /// A file that is no actor, a folder that cannot be written.
 pub fn run_completion(args: &CompletionArgs) -> Result<ExitCode> {
-    let config = AttackConfig {
-        method: args.attack,
-        epsilon_255: args.epsilon,
-        iterations: args.iterations,
-        ..AttackConfig::PAPER
-    };
+    let config = args.strength.of(args.attack);
     let bursts = [None, Some(5), Some(50)].map(|steps| {
         steps.map(|steps| Setting {
             config,
@@ -296,11 +280,8 @@ pub fn run_search(args: &SearchArgs) -> Result<ExitCode> {
         for towards in &args.towards {
             for burst in &args.burst {
                 let config = AttackConfig {
-                    method: *method,
-                    epsilon_255: args.epsilon,
-                    iterations: args.iterations,
                     towards: *towards,
-                    ..AttackConfig::PAPER
+                    ..args.strength.of(*method)
                 };
                 settings.push((args.apf, Some(Setting { config, burst: *burst })));
             }

@@ -3,7 +3,7 @@
 //! Each flight is a line of `defended.jsonl` as soon as it has ended, so a campaign of hours loses at most the flights in the air, and
 //! `--resume` flies what is missing.
 
-use super::{Common, Seeds, write_json};
+use super::{Common, Seeds, Strength, write_json};
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::campaign::{self, Flight, Tally};
 use crate::report::{TextTable, decimals, numbers, to_csv, words};
@@ -51,13 +51,8 @@ pub struct DefendedArgs {
     #[arg(long, value_enum, default_value_t = Towards::Away)]
     towards: Towards,
 
-    /// ε in 1/255 of the image's range.
-    #[arg(long, default_value_t = 1.0)]
-    epsilon: f32,
-
-    /// Iterations.
-    #[arg(long, default_value_t = 20)]
-    iterations: u32,
+    #[command(flatten)]
+    strength: Strength,
 
     /// Adaptive: deceive this detector as well.
     #[arg(long, value_name = "FILE")]
@@ -345,8 +340,8 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
     let folder = args.common.folder()?;
     let attack = AttackArgs {
         attack: Some(args.attack),
-        epsilon: args.epsilon,
-        iterations: args.iterations,
+        epsilon: args.strength.epsilon,
+        iterations: args.strength.iterations,
         burst: args.burst,
         towards: args.towards,
         attack_actor: None,
@@ -394,7 +389,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
     };
     let mut campaign = Campaign::new(COMMAND, settings, jobs.clone())?.keep_in(&lines, existing)?;
     let interrupt = campaign.fly(&jobs, &args.common.pool()?, |seed, arm, _| {
-        fly(args, Arm::named(arm)?, &attack, seed)
+        fly(args, arms[arm], &attack, seed)
     })?;
     report(&campaign, &lines.with_extension("json"))?;
     Ok(interrupt.exit_code())

@@ -1,12 +1,12 @@
 //! The paper's table II: how far the yaw can be bent in front of a wall.
 
-use super::{Common, Victim, write_json};
+use super::{Common, Strength, Victim, write_json};
 use crate::report::{TextTable, numbers, words};
 use anyhow::Result;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
-use vigil_adversary::{AttackConfig, Beside, Method, StateAttack};
+use vigil_adversary::{Beside, Method, StateAttack};
 use vigil_nnet::Isa;
 use vigil_policy::PilotInput;
 use vigil_policy::actor::memory::SCAN_AGES;
@@ -26,13 +26,8 @@ const WALL_WIDTH_M: f32 = 4.0;
 /// Arguments of `vigil attack deflection`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct DeflectionArgs {
-    /// ε in 1/255 of the image's range.
-    #[arg(long, default_value_t = 1.0)]
-    epsilon: f32,
-
-    /// Iterations.
-    #[arg(long, default_value_t = 20)]
-    iterations: u32,
+    #[command(flatten)]
+    strength: Strength,
 
     /// Distance of the goal, metres.
     #[arg(long, value_name = "M", default_value_t = 10.0)]
@@ -108,8 +103,8 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
         let method = block[0].method.name();
         say!(
             "yaw deflection, °/s: {method}, ε = {}/255, {} iterations",
-            args.epsilon,
-            args.iterations
+            args.strength.epsilon,
+            args.strength.iterations
         );
         let bearings = BEARINGS_DEG.map(|b| numbers(format!("{b}°")));
         let mut table = TextTable::new(
@@ -138,8 +133,8 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
             actor_sha256: victim.sha256.clone(),
             seed: args.seed,
             states_per_cell: args.states,
-            epsilon_255: args.epsilon,
-            iterations: args.iterations,
+            epsilon_255: args.strength.epsilon,
+            iterations: args.strength.iterations,
             goal_distance_m: args.goal_distance,
             wall_width_m: WALL_WIDTH_M,
             interrupted,
@@ -150,13 +145,7 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
 }
 
 fn cell(args: &DeflectionArgs, victim: &Victim, method: Method, gap_m: f32, bearing_deg: f32) -> Result<Cell> {
-    let config = AttackConfig {
-        method,
-        epsilon_255: args.epsilon,
-        iterations: args.iterations,
-        ..AttackConfig::PAPER
-    };
-    let mut attack = StateAttack::new(Isa::detect(), &victim.actor, &config)?;
+    let mut attack = StateAttack::new(Isa::detect(), &victim.actor, &args.strength.of(method))?;
     let goal = GoalRelative {
         distance_m: args.goal_distance,
         bearing_rad: bearing_deg.to_radians(),

@@ -17,6 +17,7 @@ use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use vigil_adversary::{AttackConfig, Method};
 use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_tools::cli::output::{self, say};
 
@@ -88,6 +89,30 @@ struct Seeds {
     /// Fly only what the folder's NAME.jsonl does not have yet, once Ctrl-C or a kill ended an earlier run.
     #[arg(long)]
     resume: bool,
+}
+
+/// How strong an attack is.
+#[derive(Debug, Clone, clap::Args)]
+struct Strength {
+    /// ε in 1/255 of the image's range.
+    #[arg(long, default_value_t = 1.0)]
+    epsilon: f32,
+
+    /// Iterations.
+    #[arg(long, default_value_t = 20)]
+    iterations: u32,
+}
+
+impl Strength {
+    /// For an attack as strong as that.
+    fn of(&self, method: Method) -> AttackConfig {
+        AttackConfig {
+            method,
+            epsilon_255: self.epsilon,
+            iterations: self.iterations,
+            ..AttackConfig::PAPER
+        }
+    }
 }
 
 /// The actor under attack, named in every report.

@@ -175,15 +175,13 @@ fn measure(args: &RealtimeArgs, interrupt: &Interrupt) -> Result<RealtimeReport>
         steps: Vec::with_capacity(steps),
         granted: None,
     };
+    let drawn = ["--seed", &seed.to_string()];
     let mut run = RunFacts {
         command: command_again(
             std::env::args_os(),
             "bench",
             &["-o", "--json", "--figure"],
-            &match args.course.seed {
-                Some(_) => Vec::new(),
-                None => vec!["--seed".to_owned(), seed.to_string()],
-            },
+            if args.course.seed.is_none() { &drawn } else { &[] },
         ),
         load: args.load.clone(),
         machine: Machine::here(),
@@ -263,7 +261,7 @@ impl RealtimeBench<'_> {
                         Ok(status) => {
                             heard = Instant::now();
                             if let Some(outcome) = status.outcome {
-                                return Ok(outcome);
+                                return Ok(outcome.to_string());
                             }
                         }
                         Err(RecvTimeoutError::Disconnected) => {

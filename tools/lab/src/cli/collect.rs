@@ -10,6 +10,7 @@ use base64::engine::general_purpose::STANDARD as BASE64;
 use rayon::ThreadPool;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use vigil_types::named;
 
 /// What lines call this command.
 pub const COMMAND: &str = "detector collect";
@@ -40,18 +41,11 @@ pub struct CollectArgs {
     flights: Option<u64>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum SetName {
-    Learn,
-    Choose,
-}
-
-impl SetName {
-    fn file(self) -> &'static str {
-        match self {
-            Self::Learn => "learn",
-            Self::Choose => "choose",
-        }
+named! {
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+    enum SetName {
+        Learn => "learn",
+        Choose => "choose",
     }
 }
 
@@ -102,7 +96,7 @@ impl Stage<'_> {
             let counts = Counts::of(&flights.records);
             say!(
                 "{:<20} {} flights from seed {seed}: {} attacked windows, {} unattacked, {} weak, {} lingering",
-                format!("{}.safetensors", set.file()),
+                format!("{}.safetensors", set.name()),
                 flights.records.len(),
                 counts.attacked,
                 counts.unattacked,
@@ -114,7 +108,7 @@ impl Stage<'_> {
     }
 
     fn lines(&self, set: SetName) -> PathBuf {
-        self.folder.join(format!("{}.jsonl", set.file()))
+        self.folder.join(format!("{}.jsonl", set.name()))
     }
 
     fn campaign(&self, set: SetName, first_seed: u64, flights: u64) -> Result<(Campaign<Recorded, Packed>, Jobs)> {

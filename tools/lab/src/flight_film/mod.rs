@@ -10,7 +10,7 @@ use crate::flight_report::{LogSeen, StepSeen, WHO};
 use anyhow::{Context, Result};
 pub use encode::Video;
 use encode::{Gif, Pictures};
-use picture::{Canvas, Colour};
+use picture::{Canvas, Colour, span};
 use std::io::Write;
 use std::path::Path;
 use third_person::{Seen, Stage};
@@ -254,15 +254,10 @@ impl Scene {
         }));
         points.extend(log.goal_ned_m().map(|g| (g.x, g.y)));
         points.retain(|(n, e)| n.is_finite() && e.is_finite());
-        let span = |value: fn(&(f32, f32)) -> f32| {
-            let values = || points.iter().map(value);
-            let (least, most) = (
-                values().fold(f32::INFINITY, f32::min),
-                values().fold(f32::NEG_INFINITY, f32::max),
-            );
-            if least <= most { (least, most) } else { (0.0, 1.0) }
-        };
-        let ((n0, n1), (e0, e1)) = (span(|p| p.0), span(|p| p.1));
+        if points.is_empty() {
+            points = vec![(0.0, 0.0), (1.0, 1.0)];
+        }
+        let ((n0, n1), (e0, e1)) = (span(points.iter().map(|p| p.0)), span(points.iter().map(|p| p.1)));
         let margin = 1.5;
         let (length, width) = (n1 - n0 + 2.0 * margin, e1 - e0 + 2.0 * margin);
         let scale = (VIEW_WIDTH as f32 / length).min((HEIGHT - MAP_TOP) as f32 / width);

@@ -68,6 +68,13 @@ pub const PALETTE: [[u8; 3]; 32] = {
     palette
 };
 
+/// The least and the greatest value.
+pub fn span(values: impl Iterator<Item = f32>) -> (f32, f32) {
+    values.fold((f32::INFINITY, f32::NEG_INFINITY), |(least, most), value| {
+        (least.min(value), most.max(value))
+    })
+}
+
 /// A raster of colour numbers.
 #[derive(Debug, Clone)]
 pub struct Canvas {
@@ -151,14 +158,7 @@ impl Canvas {
 
     /// A filled polygon.
     pub fn polygon(&mut self, corners: &[(f32, f32)], colour: u8) {
-        let span = |value: fn(&(f32, f32)) -> f32| {
-            let values = || corners.iter().map(value);
-            (
-                values().fold(f32::INFINITY, f32::min),
-                values().fold(f32::NEG_INFINITY, f32::max),
-            )
-        };
-        let ((x0, x1), (y0, y1)) = (span(|c| c.0), span(|c| c.1));
+        let ((x0, x1), (y0, y1)) = (span(corners.iter().map(|c| c.0)), span(corners.iter().map(|c| c.1)));
         self.fill((x0, y0, x1, y1), colour, |x, y| {
             let mut inside = false;
             let mut last = corners.len().wrapping_sub(1);

@@ -7,6 +7,7 @@ use plotters::style::FontStyle;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::collections::BTreeSet;
 use std::sync::Once;
+use vigil_tools::report::png_bytes;
 
 /// Roboto (Apache-2.0), cut down to Latin, Greek and mathematical signs: the same letters on every machine.
 const FONT: &[u8] = include_bytes!("../../../assets/Roboto-Regular.ttf");
@@ -91,7 +92,14 @@ pub trait Picture {
                 }
             }
         }
-        png_bytes((width, height), png::ColorType::Rgb, &rgb, true)
+        png_bytes((width, height), &rgb, |encoder| {
+            encoder.set_color(png::ColorType::Rgb);
+            encoder.set_pixel_dims(Some(png::PixelDimensions {
+                xppu: DOTS_PER_M,
+                yppu: DOTS_PER_M,
+                unit: png::Unit::Meter,
+            }));
+        })
     }
 
     /// An SVG file's content.
@@ -130,51 +138,19 @@ fn drawn<P: Picture + ?Sized, DB: DrawingBackend>(picture: &P, area: &DrawingAre
     all().unwrap_or_else(|e: Fault<DB>| unreachable!("{e}"));
 }
 
-/// A PNG file's content, 8 bits a channel.
-///
-/// # Panics
-/// Pixels of another size.
-pub fn png_bytes(size: (u32, u32), colour: png::ColorType, pixels: &[u8], with_dpi: bool) -> Vec<u8> {
-    encoded(size, pixels, |encoder| {
-        encoder.set_color(colour);
-        if with_dpi {
-            encoder.set_pixel_dims(Some(png::PixelDimensions {
-                xppu: DOTS_PER_M,
-                yppu: DOTS_PER_M,
-                unit: png::Unit::Meter,
-            }));
-        }
-    })
-}
-
-fn encoded(
-    size: (u32, u32),
-    pixels: &[u8],
-    set: impl for<'a> FnOnce(&mut png::Encoder<'a, &'a mut Vec<u8>>),
-) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, size.0, size.1);
-    encoder.set_compression(png::Compression::High);
-    set(&mut encoder);
-    let written = encoder
-        .write_header()
-        .and_then(|mut writer| writer.write_image_data(pixels));
-    // Writing to memory fails only for a picture of the wrong size.
-    written.unwrap_or_else(|e| unreachable!("{e}"));
-    bytes
-}
-
 /// A raster as a PNG: with a palette, often half as large, or without.
 fn raster_png(raster: &Raster) -> Vec<u8> {
     let colours: BTreeSet<&[u8]> = raster.rgb.chunks_exact(3).collect();
     let colours: Vec<&[u8]> = colours.into_iter().collect();
-    let plain = png_bytes(raster.size, png::ColorType::Rgb, &raster.rgb, false);
+    let plain = png_bytes(raster.size, &raster.rgb, |encoder| {
+        encoder.set_color(png::ColorType::Rgb)
+    });
     if colours.len() > 256 {
         return plain;
     }
     let index = |pixel| colours.binary_search(&pixel).unwrap_or_default() as u8;
     let pixels: Vec<u8> = raster.rgb.chunks_exact(3).map(index).collect();
-    let indexed = encoded(raster.size, &pixels, |encoder| {
+    let indexed = png_bytes(raster.size, &pixels, |encoder| {
         encoder.set_color(png::ColorType::Indexed);
         encoder.set_palette(colours.concat());
         // Indices compress best as they are (PNG specification, 12.7).

@@ -1,6 +1,6 @@
 //! The reward of a decision: a sum of named terms.
 //!
-//! A new term is a row of [`TERMS`], its weight in [`RewardConfig`], and a row of the table in
+//! A new term is a row of `TERMS`, its weight in [`RewardConfig`], and a row of the table in
 //! docs/training.md, which a test asks for.
 
 use crate::trainer::config::RewardConfig;
@@ -26,49 +26,26 @@ pub struct DecisionResult {
     pub outcome: Option<Outcome>,
 }
 
-/// A term of the sum.
-pub struct Term {
-    /// Its name, as in docs/training.md and, where it has a weight, the configuration's key.
-    pub name: &'static str,
-    value: fn(&RewardConfig, &DecisionResult) -> f32,
-}
+/// A term of the sum: its name, as in docs/training.md and, where it has a weight, the configuration's key; and its value.
+type Term = (&'static str, fn(&RewardConfig, &DecisionResult) -> f32);
 
 /// All terms, in the order in which they are added.
-pub const TERMS: [Term; 6] = [
-    Term {
-        name: "progress",
-        value: |_, d| d.progress_m,
-    },
-    Term {
-        name: "decision",
-        value: |w, _| w.decision,
-    },
-    Term {
-        name: "checkpoint",
-        value: checkpoint,
-    },
-    Term {
-        name: "near",
-        value: |w, d| w.near * (1.0 - d.obstacle_distance_m / NEAR_M).max(0.0).powi(2),
-    },
-    Term {
-        name: "success",
-        value: |w, d| {
-            if d.outcome == Some(Outcome::Success) {
-                w.success
-            } else {
-                0.0
-            }
-        },
-    },
-    Term {
-        name: "dead",
-        value: |w, d| match d.outcome {
-            Some(Outcome::Collision | Outcome::OutOfBounds) => w.dead,
-            // A flight that was cut off goes on as far as the value is concerned.
-            Some(Outcome::Success | Outcome::TimeOut) | None => 0.0,
-        },
-    },
+const TERMS: [Term; 6] = [
+    ("progress", |_, d| d.progress_m),
+    ("decision", |w, _| w.decision),
+    ("checkpoint", checkpoint),
+    ("near", |w, d| {
+        w.near * (1.0 - d.obstacle_distance_m / NEAR_M).max(0.0).powi(2)
+    }),
+    ("success", |w, d| match d.outcome {
+        Some(Outcome::Success) => w.success,
+        _ => 0.0,
+    }),
+    ("dead", |w, d| match d.outcome {
+        Some(Outcome::Collision | Outcome::OutOfBounds) => w.dead,
+        // A flight that was cut off goes on as far as the value is concerned.
+        Some(Outcome::Success | Outcome::TimeOut) | None => 0.0,
+    }),
 ];
 
 fn checkpoint(w: &RewardConfig, d: &DecisionResult) -> f32 {
@@ -78,7 +55,7 @@ fn checkpoint(w: &RewardConfig, d: &DecisionResult) -> f32 {
 
 /// The reward of a decision.
 pub fn reward(weights: &RewardConfig, result: &DecisionResult) -> f32 {
-    TERMS.iter().map(|term| (term.value)(weights, result)).sum()
+    TERMS.iter().map(|(_, value)| value(weights, result)).sum()
 }
 
 #[cfg(test)]
@@ -144,6 +121,6 @@ mod tests {
             .filter_map(|line| line.strip_prefix("| `")?.split_once('`'))
             .map(|(name, _)| name)
             .collect();
-        assert_eq!(rows, TERMS.map(|term| term.name));
+        assert_eq!(rows, TERMS.map(|(name, _)| name));
     }
 }

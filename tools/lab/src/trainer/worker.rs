@@ -49,7 +49,6 @@ pub struct FlightReport {
     /// Family of the course.
     pub family: Family,
     /// How it ended; `None` while it lasts.
-    #[serde(with = "outcome_name")]
     pub outcome: Option<Outcome>,
     /// Sum of rewards, not discounted.
     pub reward: f32,
@@ -322,20 +321,4 @@ fn nearest(truth: &[f32; TRUE_STATE]) -> Option<NearestObstacle> {
             })
         })
         .min_by(|a, b| a.distance_m.total_cmp(&b.distance_m))
-}
-
-/// Outcomes by their name, since the simulator's type has no serial form.
-mod outcome_name {
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-    use vigil_sim::world::Outcome;
-
-    pub fn serialize<S: Serializer>(outcome: &Option<Outcome>, s: S) -> Result<S::Ok, S::Error> {
-        outcome.map(|o| o.to_string()).serialize(s)
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Option<Outcome>, D::Error> {
-        let name = Option::<String>::deserialize(d)?;
-        let outcome = name.map(|name| name.parse()).transpose();
-        outcome.map_err(serde::de::Error::custom)
-    }
 }

@@ -4,19 +4,8 @@ use crate::proto::{
     Attribute, Dim, Graph, Node, Shape, Tensor, TensorType, Type, ValueInfo, attribute_type, data_type,
 };
 use std::collections::HashSet;
-use vigil_nnet::{Activation, BatchNorm, Conv2d, Function, Gru, LayerNorm, Lstm, Params, ShapeError};
+use vigil_nnet::{Activation, BatchNorm, Conv2d, Function, Gru, LayerNorm, Lstm, Params};
 use vigil_policy::imported::{Layer, NetworkError};
-
-/// Why a pilot is not exported.
-#[derive(Debug, thiserror::Error)]
-pub enum ExportError {
-    /// The network is not one.
-    #[error(transparent)]
-    Network(#[from] NetworkError),
-    /// The actor's layers do not fit each other.
-    #[error(transparent)]
-    Shape(#[from] ShapeError),
-}
 
 /// An input: its name and its shape in ONNX.
 pub(super) struct Input {
@@ -239,8 +228,9 @@ impl<'a> Writer<'a> {
         self.node(operator, &[x], attributes)
     }
 
-    fn of(&self, params: Params) -> Result<&'a [f32], ShapeError> {
-        vigil_nnet::shape::part("a layer's parameters", self.params, params.at, params.len)
+    fn of(&self, params: Params) -> Result<&'a [f32], NetworkError> {
+        let part = vigil_nnet::shape::part("a layer's parameters", self.params, params.at, params.len);
+        part.map_err(|e| NetworkError(e.to_string()))
     }
 
     /// Adds the nodes of a layer; returns its values' name and number.
@@ -250,7 +240,7 @@ impl<'a> Writer<'a> {
         params: Params,
         values: &[(String, usize)],
         inputs: &mut impl Iterator<Item = &'i Input>,
-    ) -> Result<(String, usize), ExportError> {
+    ) -> Result<(String, usize), NetworkError> {
         let of = |x: &usize| value_of(values, *x);
         let several = |parts: &[usize]| parts.iter().map(of).collect::<Result<(Vec<&str>, Vec<usize>), _>>();
         Ok(match layer {
@@ -325,7 +315,7 @@ impl<'a> Writer<'a> {
         })
     }
 
-    fn conv2d(&mut self, x: &str, layer: &Conv2d, params: Params) -> Result<String, ShapeError> {
+    fn conv2d(&mut self, x: &str, layer: &Conv2d, params: Params) -> Result<String, NetworkError> {
         let own = self.of(params)?;
         let x = self.image(x, [layer.rows, layer.cols, layer.channels]);
         let (taps, channels, filters) = (layer.kernel * layer.kernel, layer.channels, layer.filters);
@@ -354,7 +344,7 @@ impl<'a> Writer<'a> {
         (x, len): (&str, usize),
         layer: &BatchNorm,
         params: Params,
-    ) -> Result<(String, usize), ShapeError> {
+    ) -> Result<(String, usize), NetworkError> {
         let channels = layer.channels;
         let mut inputs = vec![self.image(x, [1, len / channels.max(1), channels])];
         let rows = self.of(params)?.chunks_exact(channels);
@@ -371,7 +361,7 @@ impl<'a> Writer<'a> {
         (x, len): (&str, usize),
         layer: &LayerNorm,
         params: Params,
-    ) -> Result<(String, usize), ShapeError> {
+    ) -> Result<(String, usize), NetworkError> {
         let width = layer.width;
         let (scale, shift) = self.of(params)?.split_at(width);
         let scale = self.floats(&params_name("scale", params), &[width], || scale.to_vec());
@@ -385,7 +375,7 @@ impl<'a> Writer<'a> {
         Ok((self.reshaped(&y, &[1, len]), len))
     }
 
-    fn gru(&mut self, x: &str, h: &str, layer: &Gru, params: Params) -> Result<String, ShapeError> {
+    fn gru(&mut self, x: &str, h: &str, layer: &Gru, params: Params) -> Result<String, NetworkError> {
         let (inputs, hidden) = (layer.inputs, layer.hidden);
         let x = self.reshaped(x, &[1, 1, inputs]);
         // Without a first state it is zeros.
@@ -400,7 +390,7 @@ impl<'a> Writer<'a> {
         Ok(self.reshaped(&y, &[1, hidden]))
     }
 
-    fn lstm(&mut self, x: &str, state: &str, layer: &Lstm, params: Params) -> Result<String, ExportError> {
+    fn lstm(&mut self, x: &str, state: &str, layer: &Lstm, params: Params) -> Result<String, NetworkError> {
         let (inputs, hidden) = (layer.inputs, layer.hidden);
         let x = self.reshaped(x, &[1, 1, inputs]);
         let mut part = |from: usize| match state == zeros(2 * hidden) {
@@ -417,7 +407,9 @@ impl<'a> Writer<'a> {
         if layer.cell == Activation::Relu {
             attributes.push(strings("activations", &["Sigmoid", "Relu", "Relu"]));
         } else if layer.cell != Activation::TANH {
-            return Err(NetworkError("an LSTM's cell with another curve than tanh and ReLU".to_owned()).into());
+            return Err(NetworkError(
+                "an LSTM's cell with another curve than tanh and ReLU".to_owned(),
+            ));
         }
         let [_, h, c] = self.node_of("LSTM", &[&x, &w, &r, &b, "", &h, &c], ["_all", "_h", "_c"], attributes);
         let both = self.node("Concat", &[&h, &c], vec![int("axis", 2)]);
@@ -440,7 +432,7 @@ impl<'a> Writer<'a> {
         params: Params,
         [inputs, hidden]: [usize; 2],
         order: &[usize],
-    ) -> Result<[String; 3], ShapeError> {
+    ) -> Result<[String; 3], NetworkError> {
         let own = self.of(params)?;
         let rows = order.len() * hidden;
         let (input, rest) = own.split_at(inputs * rows);

@@ -400,13 +400,5 @@ fn spread_live(x: &Live, shape: &[usize]) -> Result<Live, String> {
     if x.shape == shape {
         return Ok(x.clone());
     }
-    let places = fold::spread_places(&x.shape, shape)?;
-    let of = |place: &usize| x.places.get(*place).copied();
-    let moved: Option<Vec<u32>> = places.iter().map(of).collect();
-    Ok(Live {
-        layer: x.layer,
-        shape: shape.to_vec(),
-        places: Rc::new(moved.ok_or("it moves values that are not there")?),
-        alone: x.alone && places.len() == x.places.len(),
-    })
+    x.moved(shape.to_vec(), &fold::spread_places(&x.shape, shape)?)
 }

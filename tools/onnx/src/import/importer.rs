@@ -29,6 +29,18 @@ impl Live {
             alone: true,
         }
     }
+
+    /// Values of these, each from its place among them.
+    pub(super) fn moved(&self, shape: Vec<usize>, places: &[usize]) -> Result<Self, String> {
+        let of = |place: &usize| self.places.get(*place).copied();
+        let moved: Option<Vec<u32>> = places.iter().map(of).collect();
+        Ok(Self {
+            layer: self.layer,
+            shape,
+            places: Rc::new(moved.ok_or("it moves values that are not there")?),
+            alone: self.alone && places.len() == self.places.len(),
+        })
+    }
 }
 
 #[derive(Debug, Clone)]

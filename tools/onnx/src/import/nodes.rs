@@ -5,6 +5,7 @@ use super::places::expanded;
 use crate::constant::{Constant, Data, len_of};
 use crate::fold;
 use crate::proto::Node;
+use std::collections::HashSet;
 use std::rc::Rc;
 use vigil_nnet::{Activation, Function};
 
@@ -21,11 +22,8 @@ impl<'a> Importer<'a> {
         if !(node.domain.is_empty() || node.domain == "ai.onnx") {
             return Err(unknown());
         }
-        if node
-            .output
-            .first()
-            .is_some_and(|name| self.pieces.contains(name.as_str()))
-        {
+        let is_in = |names: &HashSet<&str>| node.output.first().is_some_and(|name| names.contains(name.as_str()));
+        if is_in(&self.pieces) {
             let (_, softplus) = self.input(node, 2)?;
             return self.set(node, 0, softplus);
         }
@@ -38,10 +36,7 @@ impl<'a> Importer<'a> {
             "Concat" => self.concat(node, &settings)?,
             "Max" | "Min" | "Sum" => self.of_several(node)?,
             "Constant" => {
-                let is_bound = node
-                    .output
-                    .first()
-                    .is_some_and(|name| self.bounds.contains(name.as_str()));
+                let is_bound = is_in(&self.bounds);
                 Value::Constant(Rc::new(stated(&settings)?.checked(is_bound)?))
             }
             "Shape" => {

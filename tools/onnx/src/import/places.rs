@@ -74,18 +74,7 @@ impl<'a> Importer<'a> {
     pub(super) fn moved(&self, node: &Node, value: &Value, (shape, places): Moved) -> Result<Value, String> {
         match value {
             Value::Constant(constant) => Ok(Value::Constant(Rc::new(constant.moved(shape, &places)))),
-            Value::Live(_) => {
-                let live = self.live(node, 0)?;
-                let of = |place: &usize| live.places.get(*place).copied();
-                let moved: Option<Vec<u32>> = places.iter().map(of).collect();
-                let moved = moved.ok_or("it moves values that are not there")?;
-                Ok(Value::Live(Live {
-                    layer: live.layer,
-                    alone: live.alone && moved.len() == live.places.len(),
-                    shape,
-                    places: Rc::new(moved),
-                }))
-            }
+            Value::Live(_) => self.live(node, 0)?.moved(shape, &places).map(Value::Live),
         }
     }
 

@@ -203,7 +203,7 @@ pub(super) fn defences(sources: &Sources) -> Result<Made> {
     );
     let mut rows: BTreeMap<usize, BarRow> = BTreeMap::new();
     let mut count = |attacker: (usize, &str), defence: (usize, &str), paper: &str, flights: &[&Flight]| {
-        let ends: Vec<Option<Outcome>> = flights.iter().map(|f| f.outcome.parse().ok()).collect();
+        let ends: Vec<Option<Outcome>> = flights.iter().map(|f| Outcome::from_name(&f.outcome)).collect();
         let tally = Tally::of(&ends);
         let arrived = flights.iter().filter(|f| f.outcome == Outcome::Success.name());
         let times: Vec<f64> = arrived.map(|f| f.flight_time_s).collect();
@@ -290,7 +290,7 @@ pub(super) fn families(sources: &Sources) -> Result<Made> {
         ("family-hard", "hard, things that move"),
     ] {
         let report: FamilyReport = sources.of(unit).json(unit)?;
-        let ends = (report.rates.iter()).flat_map(|rate| vec![rate.outcome.parse().ok(); rate.flights]);
+        let ends = (report.rates.iter()).flat_map(|rate| vec![Outcome::from_name(&rate.outcome); rate.flights]);
         let tally = Tally::of(&ends.collect::<Vec<Option<Outcome>>>());
         let paper = (unit == "family-validation").then_some(97.0);
         let cells = outcomes(&tally, &optional(paper, |value| format!("{value:.0} %")));
