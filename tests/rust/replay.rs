@@ -1,7 +1,7 @@
 //! A flight's log holds everything: the tick run again over it gives the same bytes, and a changed byte is found.
 
 use std::path::{Path, PathBuf};
-use vigil_log::{LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
+use vigil_log::{Reader, Recorder, RecorderConfig, TickRecord};
 use vigil_tests::{Running, ended, run, run_line, said, succeed, text};
 use vigil_types::Datagrams;
 
@@ -24,8 +24,7 @@ fn logged_flight(folder: &Path) -> PathBuf {
 /// Writes the records of one log into another, each after `alter` saw it.
 fn copy_log(from: &Path, to: &Path, mut alter: impl FnMut(&mut TickRecord)) {
     let mut reader = Reader::open(from).expect("a log");
-    let mut config = RecorderConfig::new(LogPlace::File(to.to_owned()), reader.info().clone());
-    config.when_full = WhenFull::Wait;
+    let config = RecorderConfig::lossless(to, reader.info().clone());
     let mut recorder = Recorder::start(config).expect("a second log");
     let mut record = Box::<TickRecord>::default();
     while reader.read_next(&mut record).expect("a readable log") {

@@ -3,18 +3,14 @@
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
+use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, TickRecord};
 use vigil_tests::{attacked_flight, ended, refused, run, run_line, succeed, text, vigil};
 use vigil_types::{Datagrams, StepReport, StepTiming};
 
 /// A log of a vehicle that stood for three steps without a frame.
 fn short_log(folder: &Path) -> PathBuf {
     let log = folder.join("short.mcap");
-    let mut recorder = Recorder::start(RecorderConfig {
-        when_full: WhenFull::Wait,
-        ..RecorderConfig::new(LogPlace::File(log.clone()), FlightInfo::default())
-    })
-    .expect("a log");
+    let mut recorder = Recorder::start(RecorderConfig::lossless(&log, FlightInfo::default())).expect("a log");
     let nothing = Datagrams::default();
     for step in 0..3 {
         let timing = StepTiming::of_step(step);
