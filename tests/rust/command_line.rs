@@ -2,18 +2,7 @@
 
 use rustix::process::Signal;
 use std::net::UdpSocket;
-use std::path::Path;
-use vigil_tests::{Running, ended, json, refused, run, run_line, said, succeed, text};
-
-/// The one flight folder in a folder of runs.
-fn flight_folder(runs: &Path) -> std::path::PathBuf {
-    std::fs::read_dir(runs)
-        .expect("a folder")
-        .next()
-        .expect("a flight")
-        .expect("readable")
-        .path()
-}
+use vigil_tests::{Running, ended, json, only_log, refused, run, run_line, said, succeed, text};
 
 #[test]
 fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
@@ -23,11 +12,11 @@ fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
         text(runs.path())
     ));
     ended(&flight, 0, &["success", "landed, disarmed", "\nalarms    "]);
-    let folder = flight_folder(runs.path());
+    let log = only_log(runs.path());
     for file in ["course.toml", "scene.json", "firmware.log", "simulator.log"] {
-        assert!(folder.join(file).is_file(), "{file} is missing");
+        assert!(log.with_file_name(file).is_file(), "{file} is missing");
     }
-    succeed(&run(&["replay", text(&folder)]));
+    succeed(&run(&["replay", text(log.parent().expect("a folder"))]));
 }
 
 #[test]
@@ -43,7 +32,7 @@ fn an_interrupted_flight_ends_all_processes_and_leaves_a_closed_log() {
     // Its ports are free again: no process was left behind.
     drop(UdpSocket::bind(("127.0.0.1", 14280 + 88)).expect("the simulator's port is free"));
     drop(UdpSocket::bind(("127.0.0.1", 14030 + 88)).expect("the firmware's port is free"));
-    let replay = succeed(&run(&["replay", text(&flight_folder(runs.path()))]));
+    let replay = succeed(&run(&["replay", text(&only_log(runs.path()))]));
     assert!(
         !replay.contains("interrupted"),
         "the log was closed properly: {}",

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use vigil_log::{Reader, Recorder, RecorderConfig, TickRecord};
-use vigil_tests::{Running, ended, run, run_line, said, succeed, text};
+use vigil_tests::{Running, ended, only_log, run, run_line, said, succeed, text};
 use vigil_types::Datagrams;
 
 /// Flies a course in lockstep in two processes with a log; returns the log's path.
@@ -14,11 +14,7 @@ fn logged_flight(folder: &Path) -> PathBuf {
     let simulator = run_line("sim --lockstep --airborne --instance 83 --seed 5 --family training");
     assert!(!simulator.stdout.is_empty(), "{}", said(&simulator));
     assert_eq!(firmware.wait(), Some(0));
-    let mut logs = std::fs::read_dir(folder)
-        .expect("a folder")
-        .filter_map(|e| e.ok().map(|e| e.path()));
-    logs.find(|p| p.extension().is_some_and(|e| e == "mcap"))
-        .expect("a log")
+    only_log(folder)
 }
 
 /// Writes the records of one log into another, each after `alter` saw it.

@@ -112,6 +112,41 @@ pub fn text(path: &Path) -> &str {
     path.to_str().expect("a UTF-8 path")
 }
 
+/// The repository's folder.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// Files below a folder with one of these endings, without what is built, generated or hidden.
+///
+/// # Panics
+/// Where a folder cannot be read.
+pub fn files_below(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display())) {
+        let path = entry.expect("an entry").path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if path.is_dir() {
+            if !["target", "runs", "generated"].contains(&&*name) && !name.starts_with('.') {
+                found.extend(files_below(&path, endings));
+            }
+        } else if endings.iter().any(|ending| name.ends_with(ending)) {
+            found.push(path);
+        }
+    }
+    found
+}
+
+/// The only log below a folder.
+///
+/// # Panics
+/// Where there is none, or more.
+pub fn only_log(folder: &Path) -> PathBuf {
+    let mut logs = files_below(folder, &[".mcap"]);
+    assert_eq!(logs.len(), 1, "{logs:?}");
+    logs.remove(0)
+}
+
 /// The log of an attacked flight of the actor in lockstep, in which the detector raises the alarm and the recovery pilot flies.
 pub fn attacked_flight(folder: &Path) -> PathBuf {
     succeed(&run_line(&format!(
