@@ -4,7 +4,7 @@
 
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavType};
-use vigil_mavlink::framing::{self, FramingCounters, MAX_PACKET_LEN, serialize};
+use vigil_mavlink::framing::{self, FramingCounters};
 use vigil_sim::world::Family;
 use vigil_tests::Pair;
 use vigil_tests::ground::{Request, STATION, packet};
@@ -190,20 +190,14 @@ fn with_position(said: &Datagrams, alter: impl Fn(f32) -> Option<f32>) -> Box<Da
     let mut altered = Box::<Datagrams>::default();
     for (link, datagram) in said.iter() {
         let mut counters = FramingCounters::default();
-        for packet in framing::packets(datagram, &mut counters) {
-            let Ok(mut message) = packet.message() else { continue };
+        for heard in framing::packets(datagram, &mut counters) {
+            let Ok(mut message) = heard.message() else { continue };
             if let MavMessage::LOCAL_POSITION_NED(position) = &mut message {
                 let Some(x) = alter(position.x) else { continue };
                 position.x = x;
             }
-            let header = vigil_mavlink::MavHeader {
-                system_id: packet.system_id().into(),
-                component_id: packet.component_id(),
-                sequence: packet.sequence(),
-            };
-            let mut out = [0; MAX_PACKET_LEN];
-            let len = serialize(header, &message, &mut out).expect("a message of the dialect");
-            assert!(altered.push(link, &out[..len]), "no room");
+            let from = (heard.system_id(), heard.component_id());
+            assert!(altered.push(link, &packet(from, heard.sequence(), &message)), "no room");
         }
     }
     altered

@@ -8,7 +8,7 @@ mod watched;
 pub use pair::Pair;
 pub use watched::fly_watched;
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::mpsc::{Receiver, channel};
@@ -174,7 +174,7 @@ impl Running {
         Self::start(&arguments.split_whitespace().collect::<Vec<_>>())
     }
 
-    /// The same with its diagnostics elsewhere.
+    /// The same with its diagnostics elsewhere; piped ones are read among the lines of its output.
     pub fn start_saying(arguments: &[&str], diagnostics: Stdio) -> Self {
         let mut child = Command::new(vigil())
             .args(arguments)
@@ -183,15 +183,19 @@ impl Running {
             .stderr(diagnostics)
             .spawn()
             .expect("vigil starts");
-        let pipe = child.stdout.take().expect("standard output is piped");
         let (sender, lines) = channel();
-        std::thread::spawn(move || {
-            for line in BufReader::new(pipe).lines().map_while(Result::ok) {
-                if sender.send(line).is_err() {
-                    break;
+        let output = child.stdout.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
+        let diagnostics = child.stderr.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
+        for pipe in output.into_iter().chain(diagnostics) {
+            let sender = sender.clone();
+            std::thread::spawn(move || {
+                for line in BufReader::new(pipe).lines().map_while(Result::ok) {
+                    if sender.send(line).is_err() {
+                        break;
+                    }
                 }
-            }
-        });
+            });
+        }
         Self { child, lines }
     }
 
