@@ -2,7 +2,7 @@
 
 use rustix::process::Signal;
 use std::net::UdpSocket;
-use vigil_tests::{Running, ended, json, only_log, refused, run, run_line, said, succeed, text};
+use vigil_tests::{Running, ended, json, only_log, processes_of, refused, run, run_line, said, succeed, text};
 
 #[test]
 fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
@@ -146,19 +146,6 @@ fn every_part_of_a_decision_is_timed_beside_the_paper_s_figure() {
     }
 }
 
-/// Numbers of the processes of an instance that this user runs.
-fn processes_of(instance: &str) -> Vec<String> {
-    let wanted = format!("\0--instance\0{instance}\0");
-    std::fs::read_dir("/proc")
-        .expect("processes")
-        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
-        .filter(|pid| {
-            let command = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-            command.contains(&wanted)
-        })
-        .collect()
-}
-
 fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let begun = std::time::Instant::now();
     while !holds() {
@@ -177,13 +164,11 @@ fn a_killed_flight_leaves_nothing_running_and_the_next_one_on_its_instance_flies
         ))
     };
     let first = fly();
-    wait_until("fly, simulator, adversary and firmware run", || {
-        processes_of("91").len() == 4
-    });
+    wait_until("fly, simulator, adversary and firmware run", || processes_of("91") == 4);
     first.kill();
-    wait_until("all of them have ended", || processes_of("91").is_empty());
+    wait_until("all of them have ended", || processes_of("91") == 0);
     let mut second = fly();
-    wait_until("four processes again", || processes_of("91").len() == 4);
+    wait_until("four processes again", || processes_of("91") == 4);
     std::thread::sleep(std::time::Duration::from_secs(2));
     second.signal(Signal::INT);
     assert_eq!(second.wait(), Some(130));

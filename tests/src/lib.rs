@@ -37,6 +37,17 @@ pub fn vigil() -> PathBuf {
     program
 }
 
+/// How many processes of this build's `vigil` run on an instance.
+pub fn processes_of(instance: &str) -> usize {
+    let program = format!("{}\0", vigil().display());
+    let wanted = format!("\0--instance\0{instance}\0");
+    let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    let commands = processes.filter_map(|process| std::fs::read_to_string(process.path().join("cmdline")).ok());
+    commands
+        .filter(|command| command.starts_with(&program) && command.contains(&wanted))
+        .count()
+}
+
 /// Runs `vigil` to its end.
 pub fn run(arguments: &[&str]) -> Output {
     run_in(Path::new("."), arguments)
