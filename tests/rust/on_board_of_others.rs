@@ -72,8 +72,10 @@ impl Flight {
         self.pair.simulator.truth().velocity_ned_m_s.norm()
     }
 
-    fn was_told(&self, part: &str) -> bool {
-        self.texts.iter().any(|text| text.contains(part))
+    #[track_caller]
+    fn assert_told(&self, part: &str) {
+        let texts = &self.texts;
+        assert!(texts.iter().any(|text| text.contains(part)), "not `{part}`: {texts:?}");
     }
 
     fn names(&self) -> Vec<&'static str> {
@@ -250,12 +252,8 @@ fn a_vehicle_that_never_reports_its_position_is_not_flown_and_an_operator_is_tol
     assert_eq!((report.state, report.setpoint), (GuidanceState::Standby, None));
     assert!(report.reasons.contains(Reason::StaleTelemetry), "{:?}", flight.names());
     assert_eq!(flight.guided, 0);
-    assert!(flight.was_told("missing: LOCAL_POSITION_NED"), "{:?}", flight.texts);
-    assert!(
-        flight.was_told("engage refused in standby (stale telemetry)"),
-        "{:?}",
-        flight.texts
-    );
+    flight.assert_told("missing: LOCAL_POSITION_NED");
+    flight.assert_told("engage refused in standby (stale telemetry)");
 }
 
 #[test]
@@ -273,7 +271,7 @@ fn two_companions_are_named_and_the_second_is_not_obeyed() {
         }
         true
     });
-    assert!(flight.was_told("another guidance computer 1/191"), "{:?}", flight.texts);
+    flight.assert_told("another guidance computer 1/191");
     assert_eq!(flight.guided, 100, "{:?}", flight.names());
 }
 
