@@ -50,15 +50,7 @@ pub fn cnn_ad(output: Activation) -> Result<Graph, ShapeError> {
     for (k, filters) in FILTERS.into_iter().enumerate() {
         let (rows, cols) = (IMAGE_ROWS >> k, IMAGE_COLS >> k);
         for channels in [channels, filters] {
-            let conv = Conv2d {
-                rows,
-                cols,
-                channels,
-                filters,
-                kernel: 3,
-                stride: 1,
-                padding: 1,
-            };
+            let conv = Conv2d::new([rows, cols, channels], filters, 3, 1, 1);
             let params = b.params(conv.param_len());
             x = b.conv2d(x, conv, Activation::Relu, params)?;
         }

@@ -7,7 +7,7 @@ use common::{TestVehicle, config};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use vigil_firmware::{LockstepFirmware, replay};
-use vigil_log::{LogPlace, Reader, Recorder, RecorderConfig, WhenFull};
+use vigil_log::{Reader, Recorder, RecorderConfig};
 use vigil_types::{
     Datagrams, DepthFrame, FrameKey, FrameKeys, GuidanceState, Nanos, Reason, Reasons, STEP_NS, StepReport,
 };
@@ -181,11 +181,7 @@ fn a_key_is_exchanged_in_flight_without_a_hold() {
 fn a_flight_with_forged_frames_is_replayed_to_the_byte_by_somebody_without_the_key() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("flight.mcap");
-    let recorder = Recorder::start(RecorderConfig {
-        when_full: WhenFull::Wait,
-        ..RecorderConfig::new(LogPlace::File(path.clone()), config().flight_info())
-    })
-    .unwrap();
+    let recorder = Recorder::start(RecorderConfig::lossless(&path, config().flight_info())).unwrap();
     let mut flight = Flight::of(LockstepFirmware::recording(&config(), Some(recorder)).unwrap());
     for step in 0..60 {
         flight.step_altered(|frame| {

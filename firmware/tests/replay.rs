@@ -6,17 +6,13 @@ use common::{TestVehicle, config, undecided_detector, watched_config};
 use std::path::{Path, PathBuf};
 use vigil_firmware::replay::{ReplayError, ReplayReport};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware, replay};
-use vigil_log::{FlightInfo, LogEnd, LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
+use vigil_log::{FlightInfo, LogEnd, LogPlace, Reader, Recorder, RecorderConfig, TickRecord};
 use vigil_types::{AlarmResponse, Datagrams, GuidanceState, STEP_NS};
 
 const STEPS: u64 = 240;
 
 fn recorder(path: &Path, info: FlightInfo) -> Recorder {
-    Recorder::start(RecorderConfig {
-        when_full: WhenFull::Wait,
-        ..RecorderConfig::new(LogPlace::File(path.to_owned()), info)
-    })
-    .unwrap()
+    Recorder::start(RecorderConfig::lossless(path, info)).unwrap()
 }
 
 /// Flies for [`STEPS`] and records; every third step has no frame, one has a bad one.

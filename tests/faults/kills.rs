@@ -8,6 +8,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use vigil_tests::{processes_of, vigil};
 
 /// The process that is meant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -217,27 +218,13 @@ fn fault(flight: &mut Flight, who: Who, how: How, seed: u64, stop: &AtomicBool) 
 /// `vigil fly` killed: its children must end with it, and the next flight find its ports free.
 fn whole_flights(site: &Site<'_>, folder: &Folder) -> Result<Row> {
     let instance = site.instances[0].to_string();
-    let wanted = format!("\0--instance\0{instance}\0");
-    let program = format!("{}\0", vigil_tests::vigil().display());
-    let left = || {
-        let processes = std::fs::read_dir("/proc")
-            .into_iter()
-            .flatten()
-            .filter_map(|entry| entry.ok()?.file_name().into_string().ok());
-        processes
-            .filter(|pid| {
-                let command = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-                command.starts_with(&program) && command.contains(&wanted)
-            })
-            .count()
-    };
     let runs = folder.path("killed");
     let mut trials = Vec::new();
     let mut draw = Draw::new(site.seed);
     let mut delays = Vec::new();
     for number in 0..FLIGHTS_KILLED {
         let line = format!("fly --instance {instance} --seed {number} --attack noise -o");
-        let mut flight = Command::new(vigil_tests::vigil())
+        let mut flight = Command::new(vigil())
             .args(line.split(' '))
             .arg(&runs)
             .stdin(Stdio::null())
@@ -248,11 +235,11 @@ fn whole_flights(site: &Site<'_>, folder: &Folder) -> Result<Row> {
         flight.kill()?;
         flight.wait()?;
         let killed = Instant::now();
-        while left() > 0 && killed.elapsed() < SOON {
+        while processes_of(&instance) > 0 && killed.elapsed() < SOON {
             std::thread::sleep(Duration::from_millis(20));
         }
         delays.push(killed.elapsed().as_secs_f64());
-        trials.push(match left() {
+        trials.push(match processes_of(&instance) {
             0 => Trial::right(Ending::Named),
             left => Trial::wrong(Ending::Named, format!("{left} processes outlive the flight")),
         });

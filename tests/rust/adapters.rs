@@ -8,13 +8,11 @@ mod rays;
 
 use device::{COLUMN_NS, Device, PER_PACKET};
 use std::cell::RefCell;
-use std::io::{BufRead, BufReader};
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_io::clock::{monotonic_ns, sleep_until};
@@ -22,7 +20,7 @@ use vigil_sensors::Mount;
 use vigil_sensors::adapters::{OusterAdapter, OusterDevice};
 use vigil_sim::world::{Course, Family, Outcome, World, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_tests::{PATIENCE, refused, run, run_line, said, text, vigil};
+use vigil_tests::{PATIENCE, Running, refused, run, run_line, said, text, vigil};
 use vigil_types::{Attitude, Datagrams, DepthFrame, FrdVector, NedVector, STEP_NS};
 
 /// A wall across the way, 4 m ahead of the start.
@@ -35,37 +33,18 @@ fn walled(folder: &Path) -> Course {
     Course::load(&path).expect("a course")
 }
 
-/// A `vigil` command whose diagnostics are read line by line; killed when dropped.
+/// A `vigil` command whose output and diagnostics are read line by line; killed when dropped.
 struct Adapter {
-    child: Child,
-    lines: Receiver<String>,
+    running: Running,
     /// What was said before it was waited for.
     heard: RefCell<Vec<String>>,
 }
 
 impl Adapter {
     fn start(arguments: &str) -> Self {
-        let mut child = Command::new(vigil())
-            .args(arguments.split_whitespace())
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("vigil starts");
-        let (sender, lines) = channel();
-        let (out, error) = (child.stdout.take().expect("piped"), child.stderr.take().expect("piped"));
-        let read = |pipe: Box<dyn std::io::Read + Send>, sender: std::sync::mpsc::Sender<String>| {
-            std::thread::spawn(move || {
-                for line in BufReader::new(pipe).lines().map_while(Result::ok) {
-                    let _ = sender.send(line);
-                }
-            });
-        };
-        read(Box::new(out), sender.clone());
-        read(Box::new(error), sender);
+        let arguments: Vec<&str> = arguments.split_whitespace().collect();
         Self {
-            child,
-            lines,
+            running: Running::start_saying(&arguments, Stdio::piped()),
             heard: RefCell::default(),
         }
     }
@@ -76,20 +55,13 @@ impl Adapter {
         if let Some(at) = heard.iter().position(|line| line.contains(words)) {
             return heard.remove(at);
         }
-        while let Ok(line) = self.lines.recv_timeout(PATIENCE) {
+        while let Some(line) = self.running.line(PATIENCE) {
             if line.contains(words) {
                 return line;
             }
             heard.push(line);
         }
         panic!("never said `{words}`: {heard:#?}");
-    }
-}
-
-impl Drop for Adapter {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 

@@ -2,18 +2,7 @@
 
 use rustix::process::Signal;
 use std::net::UdpSocket;
-use std::path::Path;
-use vigil_tests::{Running, ended, json, refused, run, run_line, said, succeed, text};
-
-/// The one flight folder in a folder of runs.
-fn flight_folder(runs: &Path) -> std::path::PathBuf {
-    std::fs::read_dir(runs)
-        .expect("a folder")
-        .next()
-        .expect("a flight")
-        .expect("readable")
-        .path()
-}
+use vigil_tests::{Running, ended, json, only_log, processes_of, refused, run, run_line, said, succeed, text};
 
 #[test]
 fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
@@ -23,11 +12,11 @@ fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
         text(runs.path())
     ));
     ended(&flight, 0, &["success", "landed, disarmed", "\nalarms    "]);
-    let folder = flight_folder(runs.path());
+    let log = only_log(runs.path());
     for file in ["course.toml", "scene.json", "firmware.log", "simulator.log"] {
-        assert!(folder.join(file).is_file(), "{file} is missing");
+        assert!(log.with_file_name(file).is_file(), "{file} is missing");
     }
-    succeed(&run(&["replay", text(&folder)]));
+    succeed(&run(&["replay", text(log.parent().expect("a folder"))]));
 }
 
 #[test]
@@ -43,7 +32,7 @@ fn an_interrupted_flight_ends_all_processes_and_leaves_a_closed_log() {
     // Its ports are free again: no process was left behind.
     drop(UdpSocket::bind(("127.0.0.1", 14280 + 88)).expect("the simulator's port is free"));
     drop(UdpSocket::bind(("127.0.0.1", 14030 + 88)).expect("the firmware's port is free"));
-    let replay = succeed(&run(&["replay", text(&flight_folder(runs.path()))]));
+    let replay = succeed(&run(&["replay", text(&only_log(runs.path()))]));
     assert!(
         !replay.contains("interrupted"),
         "the log was closed properly: {}",
@@ -157,19 +146,6 @@ fn every_part_of_a_decision_is_timed_beside_the_paper_s_figure() {
     }
 }
 
-/// Numbers of the processes of an instance that this user runs.
-fn processes_of(instance: &str) -> Vec<String> {
-    let wanted = format!("\0--instance\0{instance}\0");
-    std::fs::read_dir("/proc")
-        .expect("processes")
-        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
-        .filter(|pid| {
-            let command = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
-            command.contains(&wanted)
-        })
-        .collect()
-}
-
 fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let begun = std::time::Instant::now();
     while !holds() {
@@ -188,13 +164,11 @@ fn a_killed_flight_leaves_nothing_running_and_the_next_one_on_its_instance_flies
         ))
     };
     let first = fly();
-    wait_until("fly, simulator, adversary and firmware run", || {
-        processes_of("91").len() == 4
-    });
+    wait_until("fly, simulator, adversary and firmware run", || processes_of("91") == 4);
     first.kill();
-    wait_until("all of them have ended", || processes_of("91").is_empty());
+    wait_until("all of them have ended", || processes_of("91") == 0);
     let mut second = fly();
-    wait_until("four processes again", || processes_of("91").len() == 4);
+    wait_until("four processes again", || processes_of("91") == 4);
     std::thread::sleep(std::time::Duration::from_secs(2));
     second.signal(Signal::INT);
     assert_eq!(second.wait(), Some(130));

@@ -4,8 +4,9 @@
 //! --test counts` writes what is there now: where a count rises, CHANGELOG.md says what for.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::{env, fs};
+use vigil_tests::{files_below, root};
 
 /// A function may be as long; a longer one is counted.
 const LONG_FUNCTION: usize = 80;
@@ -16,23 +17,6 @@ const WORDS: [&str; 14] = [
     "told", "tells", "led", "lead", "leader", "judge", "judged", "judging", "doubts", "watched", "crew", "leg",
     "flyer", "wander",
 ];
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
-/// Files below a folder with one of these endings, without what is built, generated or hidden.
-fn files(folder: &Path, endings: &[&str], found: &mut Vec<PathBuf>) {
-    for entry in fs::read_dir(folder).expect("a folder") {
-        let path = entry.expect("an entry").path();
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if path.is_dir() && !["target", "runs", "generated"].contains(&&*name) && !name.starts_with('.') {
-            files(&path, endings, found);
-        } else if endings.iter().any(|ending| name.ends_with(ending)) {
-            found.push(path);
-        }
-    }
-}
 
 /// Lines from `fn` to the brace that closes it, of each function of a formatted file.
 fn function_lengths(text: &str) -> Vec<usize> {
@@ -66,9 +50,8 @@ fn counts() -> BTreeMap<String, usize> {
     count("packages of the workspace".to_owned(), members.len());
     let lock = fs::read_to_string(root().join("Cargo.lock")).expect("a lock file");
     count("packages in Cargo.lock".to_owned(), lock.matches("[[package]]").count());
-    let (mut rust, mut pages) = (Vec::new(), Vec::new());
-    files(&root(), &[".rs"], &mut rust);
-    files(&root().join("docs"), &[".md"], &mut pages);
+    let rust = files_below(&root(), &[".rs"]);
+    let mut pages = files_below(&root().join("docs"), &[".md"]);
     pages.push(root().join("README.md"));
     for path in rust.iter().chain(&pages) {
         let text = fs::read_to_string(path).expect("UTF-8");

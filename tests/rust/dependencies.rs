@@ -4,8 +4,9 @@
 
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::Command;
+use vigil_tests::root;
 
 const REGISTRY: &str = "registry+https://github.com/rust-lang/crates.io-index";
 
@@ -67,10 +68,6 @@ struct Dependency {
     name: String,
     req: String,
     path: Option<PathBuf>,
-}
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
 fn output(program: &str, arguments: &[&str]) -> String {

@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 use std::path::Path;
-use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig, Story, TickRecord, WhenFull};
+use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, Story, TickRecord};
 use vigil_tests::{attacked_flight, refused, run, succeed, text};
 use vigil_types::{Reason, Reasons};
 
@@ -182,8 +182,7 @@ fn a_log_of_another_version_is_refused_by_name(log: &Path) {
 }
 
 fn recorder(path: &Path, info: FlightInfo) -> Recorder {
-    let mut config = RecorderConfig::new(LogPlace::File(path.to_owned()), info);
-    config.when_full = WhenFull::Wait;
+    let config = RecorderConfig::lossless(path, info);
     Recorder::start(config).expect("a new log")
 }
 

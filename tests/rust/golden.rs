@@ -8,7 +8,7 @@ use std::fmt::Write;
 use std::path::Path;
 use vigil_adversary::{AttackArgs, Burst, Method};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_log::{LogPlace, Reader, Recorder, RecorderConfig, WhenFull};
+use vigil_log::{Reader, Recorder, RecorderConfig};
 use vigil_sim::world::{Course, Family, generate, generate_long};
 use vigil_sim::{SimConfig, Start};
 use vigil_tests::{Pair, mission};
@@ -132,8 +132,7 @@ fn fly(arm: &Arm, seed: u64, log: Option<&Path>) -> String {
     (arm.prepare)(&mut simulation, &mut config);
     let mut pair = Pair::of(&simulation, &config);
     if let Some(log) = log {
-        let mut recording = RecorderConfig::new(LogPlace::File(log.to_owned()), config.flight_info());
-        recording.when_full = WhenFull::Wait;
+        let recording = RecorderConfig::lossless(log, config.flight_info());
         let recorder = Recorder::start(recording).expect("a log");
         pair.firmware = LockstepFirmware::recording(&config, Some(recorder)).expect("a firmware");
     }

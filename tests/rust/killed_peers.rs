@@ -13,7 +13,7 @@ use vigil_sim::vehicle::VehicleModel;
 use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Start};
 use vigil_tests::ground::{Request, STATION, packet};
-use vigil_tests::{Pair, Running, text};
+use vigil_tests::{Pair, Running, only_log, text};
 use vigil_types::{EngagePolicy, GuidanceState, Nanos, Reason, StepReport};
 
 const HALF_A_SECOND_NS: Nanos = 500_000_000;
@@ -33,12 +33,7 @@ fn firmware(instance: &str, log: Option<&Path>) -> Running {
 
 /// All records of the only log in a folder.
 fn steps(folder: &Path, mut look: impl FnMut(&TickRecord)) {
-    let path = std::fs::read_dir(folder)
-        .expect("a folder")
-        .filter_map(|e| e.ok().map(|e| e.path()))
-        .find(|p| p.extension().is_some_and(|e| e == "mcap"))
-        .expect("a log");
-    let mut reader = Reader::open(&path).expect("a log");
+    let mut reader = Reader::open(&only_log(folder)).expect("a log");
     let mut record = Box::<TickRecord>::default();
     while reader.read_next(&mut record).expect("a readable log") {
         look(&record);

@@ -4,7 +4,7 @@
 
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavType};
-use vigil_mavlink::framing::{self, FramingCounters, MAX_PACKET_LEN, serialize};
+use vigil_mavlink::framing::{self, FramingCounters};
 use vigil_sim::world::Family;
 use vigil_tests::Pair;
 use vigil_tests::ground::{Request, STATION, packet};
@@ -72,8 +72,10 @@ impl Flight {
         self.pair.simulator.truth().velocity_ned_m_s.norm()
     }
 
-    fn was_told(&self, part: &str) -> bool {
-        self.texts.iter().any(|text| text.contains(part))
+    #[track_caller]
+    fn assert_told(&self, part: &str) {
+        let texts = &self.texts;
+        assert!(texts.iter().any(|text| text.contains(part)), "not `{part}`: {texts:?}");
     }
 
     fn names(&self) -> Vec<&'static str> {
@@ -190,20 +192,14 @@ fn with_position(said: &Datagrams, alter: impl Fn(f32) -> Option<f32>) -> Box<Da
     let mut altered = Box::<Datagrams>::default();
     for (link, datagram) in said.iter() {
         let mut counters = FramingCounters::default();
-        for packet in framing::packets(datagram, &mut counters) {
-            let Ok(mut message) = packet.message() else { continue };
+        for heard in framing::packets(datagram, &mut counters) {
+            let Ok(mut message) = heard.message() else { continue };
             if let MavMessage::LOCAL_POSITION_NED(position) = &mut message {
                 let Some(x) = alter(position.x) else { continue };
                 position.x = x;
             }
-            let header = vigil_mavlink::MavHeader {
-                system_id: packet.system_id().into(),
-                component_id: packet.component_id(),
-                sequence: packet.sequence(),
-            };
-            let mut out = [0; MAX_PACKET_LEN];
-            let len = serialize(header, &message, &mut out).expect("a message of the dialect");
-            assert!(altered.push(link, &out[..len]), "no room");
+            let from = (heard.system_id(), heard.component_id());
+            assert!(altered.push(link, &packet(from, heard.sequence(), &message)), "no room");
         }
     }
     altered
@@ -256,12 +252,8 @@ fn a_vehicle_that_never_reports_its_position_is_not_flown_and_an_operator_is_tol
     assert_eq!((report.state, report.setpoint), (GuidanceState::Standby, None));
     assert!(report.reasons.contains(Reason::StaleTelemetry), "{:?}", flight.names());
     assert_eq!(flight.guided, 0);
-    assert!(flight.was_told("missing: LOCAL_POSITION_NED"), "{:?}", flight.texts);
-    assert!(
-        flight.was_told("engage refused in standby (stale telemetry)"),
-        "{:?}",
-        flight.texts
-    );
+    flight.assert_told("missing: LOCAL_POSITION_NED");
+    flight.assert_told("engage refused in standby (stale telemetry)");
 }
 
 #[test]
@@ -279,7 +271,7 @@ fn two_companions_are_named_and_the_second_is_not_obeyed() {
         }
         true
     });
-    assert!(flight.was_told("another guidance computer 1/191"), "{:?}", flight.texts);
+    flight.assert_told("another guidance computer 1/191");
     assert_eq!(flight.guided, 100, "{:?}", flight.names());
 }
 

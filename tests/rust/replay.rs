@@ -1,8 +1,8 @@
 //! A flight's log holds everything: the tick run again over it gives the same bytes, and a changed byte is found.
 
 use std::path::{Path, PathBuf};
-use vigil_log::{LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
-use vigil_tests::{Running, ended, run, run_line, said, succeed, text};
+use vigil_log::{Reader, Recorder, RecorderConfig, TickRecord};
+use vigil_tests::{Running, ended, only_log, run, run_line, said, succeed, text};
 use vigil_types::Datagrams;
 
 /// Flies a course in lockstep in two processes with a log; returns the log's path.
@@ -14,18 +14,13 @@ fn logged_flight(folder: &Path) -> PathBuf {
     let simulator = run_line("sim --lockstep --airborne --instance 83 --seed 5 --family training");
     assert!(!simulator.stdout.is_empty(), "{}", said(&simulator));
     assert_eq!(firmware.wait(), Some(0));
-    let mut logs = std::fs::read_dir(folder)
-        .expect("a folder")
-        .filter_map(|e| e.ok().map(|e| e.path()));
-    logs.find(|p| p.extension().is_some_and(|e| e == "mcap"))
-        .expect("a log")
+    only_log(folder)
 }
 
 /// Writes the records of one log into another, each after `alter` saw it.
 fn copy_log(from: &Path, to: &Path, mut alter: impl FnMut(&mut TickRecord)) {
     let mut reader = Reader::open(from).expect("a log");
-    let mut config = RecorderConfig::new(LogPlace::File(to.to_owned()), reader.info().clone());
-    config.when_full = WhenFull::Wait;
+    let config = RecorderConfig::lossless(to, reader.info().clone());
     let mut recorder = Recorder::start(config).expect("a second log");
     let mut record = Box::<TickRecord>::default();
     while reader.read_next(&mut record).expect("a readable log") {

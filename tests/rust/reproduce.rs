@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-use vigil_tests::{Running, json, refused, run, succeed, text};
+use vigil_tests::{Running, files_below, json, refused, root, run, succeed, text};
 
 /// Pictures in the documentation that are no figures of data, and what makes each.
 const OTHER_PICTURES: [(&str, &str); 12] = [
@@ -24,10 +24,6 @@ const OTHER_PICTURES: [(&str, &str); 12] = [
     ("real-time-normal.svg", "vigil bench realtime --figure"),
     ("attacks.svg", "vigil attack pictures"),
 ];
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
 
 /// Runs `vigil reproduce` into a folder over the repository's data.
 fn reproduce(output: &Path, more: &[&str]) -> std::process::Output {
@@ -54,9 +50,7 @@ fn items(manifest: &Value) -> BTreeMap<String, BTreeMap<String, String>> {
 
 /// The first words of `vigil reproduce --list`, but for the heading.
 fn listed() -> BTreeSet<String> {
-    let list = run(&["reproduce", "--list"]);
-    let lines = String::from_utf8_lossy(&list.stdout).into_owned();
-    lines
+    succeed(&run(&["reproduce", "--list"]))
         .lines()
         .skip(1)
         .filter_map(|line| Some(line.split_whitespace().next()?.to_owned()))
@@ -65,18 +59,8 @@ fn listed() -> BTreeSet<String> {
 
 /// Pictures that the pages show.
 fn pictures_in_documentation() -> BTreeSet<String> {
-    let mut folders = vec![root().join("docs")];
-    let mut pages = vec![root().join("README.md")];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(folder).expect("a folder") {
-            let path = entry.expect("readable").path();
-            match path.is_dir() {
-                true => folders.push(path),
-                false if path.extension().is_some_and(|e| e == "md") => pages.push(path),
-                false => {}
-            }
-        }
-    }
+    let mut pages = files_below(&root().join("docs"), &[".md"]);
+    pages.push(root().join("README.md"));
     let mut pictures = BTreeSet::new();
     for page in pages {
         let page = fs::read_to_string(page).expect("a page");
@@ -285,21 +269,11 @@ fn an_interrupted_run_keeps_what_is_whole_and_goes_on() {
 
 /// Every file below a folder by its path from there.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(inner) = folders.pop() {
-        for entry in fs::read_dir(&inner).expect("a folder") {
-            let path = entry.expect("readable").path();
-            match path.is_dir() {
-                true => folders.push(path),
-                false => {
-                    let name = path.strip_prefix(folder).expect("below the folder").to_owned();
-                    found.insert(name, fs::read(&path).expect("a file"));
-                }
-            }
-        }
-    }
-    found
+    let named = |path: PathBuf| {
+        let name = path.strip_prefix(folder).expect("below the folder").to_owned();
+        (name, fs::read(&path).expect("a file"))
+    };
+    files_below(folder, &[""]).into_iter().map(named).collect()
 }
 
 #[test]

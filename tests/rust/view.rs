@@ -3,18 +3,14 @@
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
-use vigil_tests::{attacked_flight, ended, refused, run, run_line, succeed, text, vigil};
+use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, TickRecord};
+use vigil_tests::{attacked_flight, ended, only_log, refused, run, run_line, succeed, text, vigil};
 use vigil_types::{Datagrams, StepReport, StepTiming};
 
 /// A log of a vehicle that stood for three steps without a frame.
 fn short_log(folder: &Path) -> PathBuf {
     let log = folder.join("short.mcap");
-    let mut recorder = Recorder::start(RecorderConfig {
-        when_full: WhenFull::Wait,
-        ..RecorderConfig::new(LogPlace::File(log.clone()), FlightInfo::default())
-    })
-    .expect("a log");
+    let mut recorder = Recorder::start(RecorderConfig::lossless(&log, FlightInfo::default())).expect("a log");
     let nothing = Datagrams::default();
     for step in 0..3 {
         let timing = StepTiming::of_step(step);
@@ -267,13 +263,7 @@ fn a_flight_leaves_a_film_and_a_light_log_that_is_looked_at_and_not_replayed() {
         text(&runs)
     )));
     assert!(flown.contains("film      ") && gif.is_file(), "{}", flown);
-    let flight = std::fs::read_dir(&runs)
-        .expect("a folder")
-        .next()
-        .expect("a flight")
-        .expect("readable")
-        .path();
-    let log = flight.join("flight-0001.mcap");
+    let log = only_log(&runs);
     let seconds = Reader::open(&log).expect("a log").count() as u64 / 20;
     let bytes = std::fs::metadata(&log).expect("the log").len();
     assert!(bytes < 300_000 * seconds, "{bytes} bytes in {seconds} s");

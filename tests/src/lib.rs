@@ -8,7 +8,7 @@ mod watched;
 pub use pair::Pair;
 pub use watched::fly_watched;
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::mpsc::{Receiver, channel};
@@ -35,6 +35,17 @@ pub fn vigil() -> PathBuf {
         program.display()
     );
     program
+}
+
+/// How many processes of this build's `vigil` run on an instance.
+pub fn processes_of(instance: &str) -> usize {
+    let program = format!("{}\0", vigil().display());
+    let wanted = format!("\0--instance\0{instance}\0");
+    let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    let commands = processes.filter_map(|process| std::fs::read_to_string(process.path().join("cmdline")).ok());
+    commands
+        .filter(|command| command.starts_with(&program) && command.contains(&wanted))
+        .count()
 }
 
 /// Runs `vigil` to its end.
@@ -112,6 +123,41 @@ pub fn text(path: &Path) -> &str {
     path.to_str().expect("a UTF-8 path")
 }
 
+/// The repository's folder.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// Files below a folder with one of these endings, without what is built, generated or hidden.
+///
+/// # Panics
+/// Where a folder cannot be read.
+pub fn files_below(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display())) {
+        let path = entry.expect("an entry").path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if path.is_dir() {
+            if !["target", "runs", "generated"].contains(&&*name) && !name.starts_with('.') {
+                found.extend(files_below(&path, endings));
+            }
+        } else if endings.iter().any(|ending| name.ends_with(ending)) {
+            found.push(path);
+        }
+    }
+    found
+}
+
+/// The only log below a folder.
+///
+/// # Panics
+/// Where there is none, or more.
+pub fn only_log(folder: &Path) -> PathBuf {
+    let mut logs = files_below(folder, &[".mcap"]);
+    assert_eq!(logs.len(), 1, "{logs:?}");
+    logs.remove(0)
+}
+
 /// The log of an attacked flight of the actor in lockstep, in which the detector raises the alarm and the recovery pilot flies.
 pub fn attacked_flight(folder: &Path) -> PathBuf {
     succeed(&run_line(&format!(
@@ -139,7 +185,7 @@ impl Running {
         Self::start(&arguments.split_whitespace().collect::<Vec<_>>())
     }
 
-    /// The same with its diagnostics elsewhere.
+    /// The same with its diagnostics elsewhere; piped ones are read among the lines of its output.
     pub fn start_saying(arguments: &[&str], diagnostics: Stdio) -> Self {
         let mut child = Command::new(vigil())
             .args(arguments)
@@ -148,15 +194,19 @@ impl Running {
             .stderr(diagnostics)
             .spawn()
             .expect("vigil starts");
-        let pipe = child.stdout.take().expect("standard output is piped");
         let (sender, lines) = channel();
-        std::thread::spawn(move || {
-            for line in BufReader::new(pipe).lines().map_while(Result::ok) {
-                if sender.send(line).is_err() {
-                    break;
+        let output = child.stdout.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
+        let diagnostics = child.stderr.take().map(|pipe| Box::new(pipe) as Box<dyn Read + Send>);
+        for pipe in output.into_iter().chain(diagnostics) {
+            let sender = sender.clone();
+            std::thread::spawn(move || {
+                for line in BufReader::new(pipe).lines().map_while(Result::ok) {
+                    if sender.send(line).is_err() {
+                        break;
+                    }
                 }
-            }
-        });
+            });
+        }
         Self { child, lines }
     }
 

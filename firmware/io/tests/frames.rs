@@ -1,5 +1,8 @@
 //! The frame service between real processes: this test program starts itself again as publisher or subscriber.
 
+mod common;
+
+use common::Instance;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -9,21 +12,6 @@ use vigil_types::DepthFrame;
 const CHILD_INSTANCE: &str = "VIGIL_TEST_INSTANCE";
 /// Bounds every wait; far above what any of them takes.
 const PATIENCE: Duration = Duration::from_secs(20);
-
-/// An instance of a test's own, so that tests run side by side, with each other and with flights; dropped last.
-struct Instance(u32);
-
-impl Instance {
-    fn own(number: u32) -> Self {
-        Self(1_000_000 + std::process::id() * 16 + number)
-    }
-}
-
-impl Drop for Instance {
-    fn drop(&mut self) {
-        let _ = vigil_io::shared_memory::remove_leftovers(self.0);
-    }
-}
 
 fn sealed(sequence: u64) -> Box<DepthFrame> {
     let mut frame = Box::new(DepthFrame::EMPTY);

@@ -1,26 +1,14 @@
 //! The lockstep exchange between two threads that share nothing but the instance number.
 
+mod common;
+
+use common::Instance;
 use std::thread;
 use std::time::Duration;
 use vigil_io::shared_memory::{Domain, LockstepClient, LockstepError, LockstepServer, Served, StepRequest};
 use vigil_types::{Datagrams, DepthFrame};
 
 const PATIENCE: Duration = Duration::from_secs(20);
-
-/// An instance of a test's own, so that tests run side by side, with each other and with flights; dropped last.
-struct Instance(u32);
-
-impl Instance {
-    fn own(number: u32) -> Self {
-        Self(1_000_000 + std::process::id() * 16 + number)
-    }
-}
-
-impl Drop for Instance {
-    fn drop(&mut self) {
-        let _ = vigil_io::shared_memory::remove_leftovers(self.0);
-    }
-}
 
 /// A firmware that echoes: sends back what it received, then a datagram with the time and the frame's sequence. Ends
 /// when told, returns the number of steps it answered.

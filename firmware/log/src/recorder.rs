@@ -66,6 +66,14 @@ impl RecorderConfig {
             content: LogContent::Everything,
         }
     }
+
+    /// Records to exactly this file and waits for a slot when all are full: no record is missing.
+    pub fn lossless(file: &Path, info: FlightInfo) -> Self {
+        Self {
+            when_full: WhenFull::Wait,
+            ..Self::new(LogPlace::File(file.to_owned()), info)
+        }
+    }
 }
 
 /// The present epoch offset of a clock that shows `now_ns`: reads the machine's wall clock, so it is for the start only.

@@ -115,17 +115,10 @@ fn packed_by_zstandard(log: &[u8]) -> Vec<u8> {
         let content = &log[begin + 9 + 28 + 4 + 8..begin + length];
         let smaller = ruzstd::encoding::compress_to_vec(content, ruzstd::encoding::CompressionLevel::Fastest);
         packed.extend(&log[from..begin]);
+        let stored_len = smaller.len() as u64;
         packed.push(6);
-        packed.extend((28 + 8 + 8 + smaller.len() as u64).to_le_bytes());
-        packed.extend(
-            [
-                head,
-                &4u32.to_le_bytes(),
-                b"zstd",
-                &(smaller.len() as u64).to_le_bytes(),
-            ]
-            .concat(),
-        );
+        packed.extend((28 + 8 + 8 + stored_len).to_le_bytes());
+        packed.extend([head, &4u32.to_le_bytes(), b"zstd", &stored_len.to_le_bytes()].concat());
         packed.extend(smaller);
         from = begin + length;
     }
@@ -427,20 +420,6 @@ proptest! {
             let _ = read_all(&path);
         });
     }
-}
-
-#[test]
-fn a_flipped_bit_in_a_step_is_found_by_its_chunks_checksum() {
-    let dir = tempfile::tempdir().unwrap();
-    let mut bad = small_log(dir.path());
-    // The frame of step 1 fills most of the file: its middle is pixels.
-    let middle = bad.len() / 2;
-    bad[middle] ^= 0x10;
-    let path = dir.path().join("bad.mcap");
-    std::fs::write(&path, &bad).unwrap();
-    let error = read_all(&path).unwrap_err();
-    assert!(matches!(error, ReadError::Damaged { .. }), "{error}");
-    assert!(error.to_string().contains("damaged after record"), "{error}");
 }
 
 /// An MCAP file with one metadata record.

@@ -3,7 +3,7 @@
 use mcap::MessageStream;
 use prost_types::FileDescriptorSet;
 use std::path::Path;
-use vigil_log::{LogEnd, LogPlace, Reader, Recorder, RecorderConfig, WhenFull};
+use vigil_log::{LogEnd, Reader, Recorder, RecorderConfig};
 use vigil_types::{GuidanceState, STEP_NS};
 
 /// The first seconds of what `examples/sample_log.rs` of version 0.1.0 recorded, whose messages were not yet made from a .proto file.
@@ -67,8 +67,7 @@ fn a_reader_of_version_0_1_finds_every_field_that_it_knows_in_a_log_of_today() {
     let path = folder.path().join("today.mcap");
     let earlier = std::fs::read(EARLIER).unwrap();
     let mut reader = Reader::open(Path::new(EARLIER)).unwrap();
-    let mut config = RecorderConfig::new(LogPlace::File(path.clone()), reader.info().clone());
-    config.when_full = WhenFull::Wait;
+    let config = RecorderConfig::lossless(&path, reader.info().clone());
     let mut recorder = Recorder::start(config).unwrap();
     for record in reader.by_ref() {
         let r = record.unwrap();

@@ -198,7 +198,7 @@ fn a_vehicle_of_another_autopilot_is_never_commanded() {
             f.peer.commands
         );
         if actual == Px4 {
-            assert!(f.texts.iter().any(|t| t == text), "{:?}", f.texts);
+            f.assert_told(text);
         }
     }
 }
@@ -352,11 +352,7 @@ fn a_vehicle_that_does_not_tell_or_not_set_its_timeout_is_flown_and_people_are_t
         f.engage_and_fly();
         f.run(100);
         assert_eq!(f.peer.parameters_read, 4, "asked a few times, and not for ever");
-        assert!(
-            f.texts.iter().any(|t| t.ends_with("is not told by the vehicle")),
-            "{:?}",
-            f.texts
-        );
+        f.assert_told("is not told by the vehicle");
 
         let locked = Peer {
             sets_parameters: false,
@@ -366,7 +362,7 @@ fn a_vehicle_that_does_not_tell_or_not_set_its_timeout_is_flown_and_people_are_t
         f.engage_and_fly();
         f.run(100);
         assert_eq!(f.peer.parameters_set, [0.5; 4]);
-        assert!(f.texts.iter().any(|t| t.ends_with("s, wanted 0.5 s")), "{:?}", f.texts);
+        f.assert_told("s, wanted 0.5 s");
         assert_eq!(f.last.unwrap().state, Guided);
     }
 }

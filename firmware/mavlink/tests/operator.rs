@@ -27,6 +27,11 @@ fn idle(bench: &mut Bench) -> Vec<(MavHeader, MavMessage)> {
     bench.step(Standby, Reasons::NONE, VehicleRequest::None)
 }
 
+/// A ground station's wish that guidance flies (1) or does not (0).
+fn enable(target: (u8, u8), on: f32) -> MavMessage {
+    command_long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, target, on)
+}
+
 /// What the companion makes of a message: the request it hands to guidance, or its answer.
 fn asked(bench: &mut Bench, message: &MavMessage) -> Result<OperatorRequest, MavResult> {
     bench.hear(GROUND_STATION, message);
@@ -47,7 +52,7 @@ fn a_ground_station_commands_a_whole_flight() {
         f.step();
         acks(&f.sent)
     };
-    let engage = command_long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, ME, 1.0);
+    let engage = enable(ME, 1.0);
     use MavResult::{MAV_RESULT_ACCEPTED as ACCEPTED, MAV_RESULT_TEMPORARILY_REJECTED as LATER};
     assert_eq!(say(&mut f, &engage), [(92, LATER, (255, 190))], "not ready yet");
     f.until(Ready);
@@ -71,10 +76,9 @@ fn a_ground_station_commands_a_whole_flight() {
 #[test]
 fn commands_become_requests() {
     let mut b = Bench::new(Flavour::Px4);
-    let enable = |on| command_long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, ME, on);
-    assert_eq!(asked(&mut b, &enable(1.0)), Ok(OperatorRequest::Engage));
-    assert_eq!(asked(&mut b, &enable(0.0)), Ok(OperatorRequest::Disengage));
-    assert_eq!(asked(&mut b, &enable(f32::NAN)), Err(MavResult::MAV_RESULT_DENIED));
+    assert_eq!(asked(&mut b, &enable(ME, 1.0)), Ok(OperatorRequest::Engage));
+    assert_eq!(asked(&mut b, &enable(ME, 0.0)), Ok(OperatorRequest::Disengage));
+    assert_eq!(asked(&mut b, &enable(ME, f32::NAN)), Err(MavResult::MAV_RESULT_DENIED));
     let land = command_long(MavCmd::MAV_CMD_NAV_LAND, ME, 0.0);
     assert_eq!(asked(&mut b, &land), Ok(OperatorRequest::Land));
     let goal = |height_m| {
@@ -187,10 +191,7 @@ fn unknown_commands_are_unsupported_and_those_for_others_are_not_answered() {
     }
 
     for target in [(1, 1), (1, 0), (0, 0), (2, 191), (1, 190)] {
-        b.hear(
-            GROUND_STATION,
-            &command_long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, target, 1.0),
-        );
+        b.hear(GROUND_STATION, &enable(target, 1.0));
         assert!(b.companion.take_request().is_none(), "{target:?}");
         idle(&mut b);
         assert_eq!(acks(&b.sent), [], "{target:?}");
@@ -201,10 +202,7 @@ fn unknown_commands_are_unsupported_and_those_for_others_are_not_answered() {
 fn a_flood_of_commands_is_answered_as_far_as_there_is_room_and_the_rest_counted() {
     let mut b = Bench::new(Flavour::Px4);
     for _ in 0..200 {
-        b.hear(
-            GROUND_STATION,
-            &command_long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, ME, 1.0),
-        );
+        b.hear(GROUND_STATION, &enable(ME, 1.0));
     }
     let mut taken = 0;
     while let Some(pending) = b.companion.take_request() {
@@ -215,10 +213,7 @@ fn a_flood_of_commands_is_answered_as_far_as_there_is_room_and_the_rest_counted(
     let answered = acks(&b.sent).len() as u64;
     assert_eq!((taken, answered), (32, 128));
     assert_eq!(b.companion.counters().replies_dropped, 200 - answered);
-    b.hear(
-        GROUND_STATION,
-        &command_long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, ME, 1.0),
-    );
+    b.hear(GROUND_STATION, &enable(ME, 1.0));
     assert!(b.companion.take_request().is_some(), "the next one is heard");
 }
 

@@ -29,10 +29,6 @@ fn seconds(s: f64) -> usize {
     (s / 0.05).round() as usize
 }
 
-fn has_text(f: &Flight, text: &str) -> bool {
-    f.texts.iter().any(|t| t.contains(text))
-}
-
 /// A flight under way whose goal is far.
 fn far_flight(flavour: Flavour) -> Flight {
     let mut f = Flight::on_command(flavour, Peer::on_the_ground(flavour));
@@ -61,11 +57,8 @@ fn streams_that_a_ground_station_slows_to_2_hz_are_asked_for_again_and_the_fligh
         assert!(f.now_ns - held_ns < 2_000_000_000, "{} ns", f.now_ns - held_ns);
         let asked: Vec<f32> = f.peer.got(511).iter().map(|c| c.params[0]).collect();
         assert_eq!(asked, [32.0], "the first of the two brought both back");
-        assert!(
-            has_text(&f, "slow: LOCAL_POSITION_NED at ") && has_text(&f, " Hz, asked for 30 Hz"),
-            "{:?}",
-            f.texts
-        );
+        f.assert_told("slow: LOCAL_POSITION_NED at ");
+        f.assert_told(" Hz, asked for 30 Hz");
         assert_eq!(f.companion.counters().slow_streams, 1);
         // A ground station that insists is answered each time.
         for n in 2..=6 {
@@ -91,7 +84,7 @@ fn streams_that_stay_slow_are_asked_for_less_and_less_often_and_at_4_hz_the_smal
     }
     let slow = f.last.unwrap();
     assert_eq!((slow.state, slow.reasons), (Guided, Reasons::of(Reason::SlowTelemetry)));
-    assert!(has_text(&f, "slow telemetry: "), "{:?}", f.texts);
+    f.assert_told("slow telemetry: ");
     let interval = values.iter().rev().find(|(name, _)| name == "tlm_ms").expect("told").1;
     assert_eq!(interval, 250.0);
     for _ in 0..seconds(116.0) {
@@ -150,7 +143,7 @@ fn a_goal_is_from_home_wherever_home_is() {
             // 12 m north of home, 3 m above it; 1e-7 degrees of the globe are 11 mm.
             let expected = NedVector::new(24.0, 3.0, -3.0);
             assert!((goal - expected).norm() < 0.03, "{story}: {goal:?}");
-            assert!(has_text(&f, "home: 12.0 m north, 3.0 m east"), "{story}: {:?}", f.texts);
+            f.assert_told("home: 12.0 m north, 3.0 m east");
             f.until(Hold);
             assert!((f.peer.north_m - 23.0).abs() < 0.3, "{story}: {}", f.peer.north_m);
 
@@ -194,7 +187,7 @@ fn a_vehicle_that_never_tells_its_home_is_flown_from_its_origin_and_that_is_told
     f.peer.wanted_messages = vec![30, 32, 245];
     f.engage();
     f.until(Engaging);
-    assert!(has_text(&f, "home is not told: goals are from the local origin"));
+    f.assert_told("home is not told: goals are from the local origin");
     assert_eq!(
         f.guidance.goal().unwrap().position_ned_m,
         NedVector::new(12.0, 0.0, -3.0)
@@ -212,7 +205,7 @@ fn the_autopilot_is_recognised_from_its_heartbeat() {
             ArduPilot => [176, 400, 22],
         };
         assert_eq!(f.peer.flight_commands(), own);
-        assert!(has_text(&f, &format!("vehicle 1: {}", flavour.name())), "{:?}", f.texts);
+        f.assert_told(&format!("vehicle 1: {}", flavour.name()));
     }
     // One that is not known is flown as a PX4, and that is told.
     let mut b = Bench::new(Px4);
@@ -248,7 +241,7 @@ fn a_wrong_vehicle_is_named_at_once_and_again_every_half_minute() {
     ] {
         let mut f = Flight::new(configured, Peer::on_the_ground(actual));
         f.step();
-        assert!(f.texts.iter().any(|t| t == told), "{:?}", f.texts);
+        f.assert_told(told);
         f.run(seconds(61.0));
         assert_eq!(f.texts.iter().filter(|t| *t == told).count(), 3);
         assert!(f.peer.flight_commands().is_empty());
@@ -260,7 +253,7 @@ fn a_second_guidance_computer_behind_the_vehicle_is_named_at_once_and_again_ever
     let told = "another guidance computer 1/191 is on the link: stop one";
     let mut f = Flight::on_command(Px4, Peer::on_the_ground(Px4));
     f.run(seconds(3.0));
-    assert!(!has_text(&f, told));
+    assert!(!f.texts.iter().any(|text| text == told));
     // The autopilot passes on what it hears on its other links.
     for _ in 0..61 {
         let heartbeat = heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID);
@@ -336,14 +329,7 @@ fn a_hand_over_that_is_not_done_in_time_names_what_it_waited_for() {
             f.peer.target_height_m = Some(0.6);
         }
     }
-    assert!(
-        has_text(
-            &f,
-            "hand-over: not done in time, waiting for: climb to the take-off height"
-        ),
-        "{:?}",
-        f.texts
-    );
+    f.assert_told("hand-over: not done in time, waiting for: climb to the take-off height");
 }
 
 #[test]
@@ -478,14 +464,7 @@ fn a_pilots_loiter_is_not_taken_by_a_firmware_that_starts() {
         (Ready, Reasons::of(Reason::PilotInCommand))
     );
     assert!(f.peer.flight_commands().is_empty() && f.peer.mode == Mode::Loiter);
-    assert!(
-        has_text(
-            &f,
-            "a person has the vehicle: engage guidance, or if nobody took it over, change to GUIDED"
-        ),
-        "{:?}",
-        f.texts
-    );
+    f.assert_told("a person has the vehicle: engage guidance, or if nobody took it over, change to GUIDED");
     // The pilot gives it by the mode.
     f.peer.mode = Mode::External;
     f.until(Guided);

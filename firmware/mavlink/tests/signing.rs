@@ -1,12 +1,11 @@
 //! Signing against packets that pymavlink signed, and what is refused.
 
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, Packet, encode, packets};
 use vigil_mavlink::signing::{
     MAX_STREAMS, Refusal, SIGNATURE_LEN, Signing, SigningCounters, SigningKey, SigningMemory, Timestamp,
     UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
-use vigil_mavlink::{MavHeader, framing::Packet};
 
 const NOW: Timestamp = 37_000_000_000_000;
 const MINUTE: Timestamp = 60 * UNITS_PER_SECOND;
@@ -68,11 +67,6 @@ fn verdict(verifier: &mut Signing, now: Timestamp, bytes: &[u8]) -> Result<(), R
 
 /// A command that would be obeyed.
 fn unsigned(i: u32, sender: (u8, u8)) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: sender.0.into(),
-        component_id: sender.1,
-        sequence: i as u8,
-    };
     let message = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
         param1: 1.0,
         param7: i as f32,
@@ -81,9 +75,7 @@ fn unsigned(i: u32, sender: (u8, u8)) -> Vec<u8> {
         target_component: 191,
         ..COMMAND_LONG_DATA::DEFAULT
     });
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, &message, &mut out).unwrap();
-    out[..len].to_vec()
+    encode(sender, i as u8, &message)
 }
 
 fn signed(signer: &mut Signing, now: Timestamp, packet: &[u8]) -> Vec<u8> {

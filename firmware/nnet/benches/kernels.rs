@@ -66,15 +66,7 @@ const CONVOLUTIONS: [[usize; 5]; 5] = [
 
 fn layer(i: usize) -> Conv2d {
     let [rows, cols, channels, filters, kernel] = CONVOLUTIONS[i];
-    Conv2d {
-        rows,
-        cols,
-        channels,
-        filters,
-        kernel,
-        stride: 2,
-        padding: kernel / 2,
-    }
+    Conv2d::new([rows, cols, channels], filters, kernel, 2, kernel / 2)
 }
 
 // Items are floating-point operations, so that the throughput column reads in FLOP/s.

@@ -174,15 +174,7 @@ fn convolutions_of_many_shapes_match_their_definition() {
         (4, 5, 1, 3, 2, 3, 1),
     ];
     for (i, (rows, cols, channels, filters, kernel, stride, padding)) in shapes.into_iter().enumerate() {
-        let layer = Conv2d {
-            rows,
-            cols,
-            channels,
-            filters,
-            kernel,
-            stride,
-            padding,
-        };
+        let layer = Conv2d::new([rows, cols, channels], filters, kernel, stride, padding);
         let act = curves()[i % 6];
         check(
             &format!("{layer:?} {act:?}"),
@@ -303,15 +295,17 @@ fn gradients_of_any_convolution_are_its_adjoints() {
     let mut checked = 0;
     while checked < 400 {
         let kernel = rng.random_range(1..=6);
-        let layer = Conv2d {
-            rows: rng.random_range(1..=12),
-            cols: rng.random_range(1..=40),
-            channels: rng.random_range(1..=20),
-            filters: rng.random_range(1..=40),
+        let layer = Conv2d::new(
+            [
+                rng.random_range(1..=12),
+                rng.random_range(1..=40),
+                rng.random_range(1..=20),
+            ],
+            rng.random_range(1..=40),
             kernel,
-            stride: rng.random_range(1..=4),
-            padding: rng.random_range(0..kernel),
-        };
+            rng.random_range(1..=4),
+            rng.random_range(0..kernel),
+        );
         if layer.validate().is_err() {
             continue;
         }

@@ -159,15 +159,7 @@ fn hostile_descriptions_are_refused_before_anything_is_made_of_them() {
         assert!(error.to_string().contains("the file cannot be flown"), "{error}");
     }
     let mut kernel = policy(INPUTS);
-    let layer = Conv2d {
-        rows: 4,
-        cols: 8,
-        channels: 3,
-        filters: 1,
-        kernel: 3,
-        stride: 0,
-        padding: 1,
-    };
+    let layer = Conv2d::new([4, 8, 3], 1, 3, 0, 1);
     kernel.network.layers[1] = Layer::Conv2d {
         x: 0,
         layer,

@@ -249,6 +249,16 @@ impl Flight {
         output
     }
 
+    /// A text with these words came.
+    #[track_caller]
+    pub fn assert_told(&self, words: &str) {
+        let texts = &self.texts;
+        assert!(
+            texts.iter().any(|text| text.contains(words)),
+            "not `{words}`: {texts:?}"
+        );
+    }
+
     /// Steps until the state is reached, at most 60 s.
     pub fn until(&mut self, state: GuidanceState) {
         for _ in 0..1200 {

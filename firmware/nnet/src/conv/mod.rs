@@ -102,6 +102,25 @@ impl Axis {
 }
 
 impl Conv2d {
+    /// One of images of `[rows, cols, channels]`.
+    pub const fn new(
+        [rows, cols, channels]: [usize; 3],
+        filters: usize,
+        kernel: usize,
+        stride: usize,
+        padding: usize,
+    ) -> Self {
+        Self {
+            rows,
+            cols,
+            channels,
+            filters,
+            kernel,
+            stride,
+            padding,
+        }
+    }
+
     /// Checks the description.
     ///
     /// # Errors

@@ -4,7 +4,7 @@ use super::operation::AnyOperation;
 use super::structure::Input;
 use super::{Edge, Graph, Node, NodeId, Params, Purpose};
 use crate::aligned::LINE;
-use crate::shape::ShapeError;
+use crate::shape::{ShapeError, expect_len};
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -65,25 +65,12 @@ impl GraphBuilder {
 
     /// Refuses a source of another length.
     pub(crate) fn check(&self, what: &'static str, source: NodeId, expected: usize) -> Result<(), ShapeError> {
-        let got = self.len_of(source)?;
-        if got == expected {
-            Ok(())
-        } else {
-            Err(ShapeError::Length { what, expected, got })
-        }
+        expect_len(what, self.len_of(source)?, expected)
     }
 
     /// Refuses parameters of another length.
     pub(crate) fn check_params(what: &'static str, params: Params, expected: usize) -> Result<(), ShapeError> {
-        if params.len == expected {
-            Ok(())
-        } else {
-            Err(ShapeError::Length {
-                what,
-                expected,
-                got: params.len,
-            })
-        }
+        expect_len(what, params.len, expected)
     }
 
     /// The finished network with `output` as its output. Nodes that the output does not depend on are not computed.

@@ -4,7 +4,7 @@ use super::structure::Input;
 use super::{AnyOperation, Graph, Node, Params, Purpose};
 use crate::Activation;
 use crate::isa::Isa;
-use crate::shape::{ShapeError, expect, part, part_mut};
+use crate::shape::{ShapeError, expect, expect_len, part, part_mut};
 
 /// What a backward pass is for.
 pub(crate) enum Pass<'a> {
@@ -84,13 +84,7 @@ impl Graph {
     pub fn forward(&self, isa: Isa, params: &[f32], inputs: &[&[f32]], tape: &mut [f32]) -> Result<(), ShapeError> {
         expect("network parameters", params, self.param_len)?;
         expect("tape", tape, self.tape_len)?;
-        if inputs.len() != self.inputs.len() {
-            return Err(ShapeError::Length {
-                what: "list of inputs",
-                expected: self.inputs.len(),
-                got: inputs.len(),
-            });
-        }
+        expect_len("list of inputs", inputs.len(), self.inputs.len())?;
         let mut inputs = inputs.iter();
         for node in &self.nodes {
             let given = if let AnyOperation::Input(Input { .. }) = node.operation {

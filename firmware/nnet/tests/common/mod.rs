@@ -16,24 +16,8 @@ pub fn uniform(rng: &mut impl Rng, len: usize, limit: f32) -> Vec<f32> {
 /// A small network of most layers: two images of 32 × 64, each through two convolutions, into a GRU of 8, then dense layers
 /// beside two more values. The first convolution has 16 filters of 5 × 5.
 pub fn small_network(purpose: Purpose, explained: bool) -> Graph {
-    let first = Conv2d {
-        rows: 32,
-        cols: 64,
-        channels: 1,
-        filters: 16,
-        kernel: 5,
-        stride: 2,
-        padding: 2,
-    };
-    let second = Conv2d {
-        rows: 16,
-        cols: 32,
-        channels: 16,
-        filters: 4,
-        kernel: 3,
-        stride: 2,
-        padding: 1,
-    };
+    let first = Conv2d::new([32, 64, 1], 16, 5, 2, 2);
+    let second = Conv2d::new([16, 32, 16], 4, 3, 2, 1);
     let gru = Gru {
         inputs: second.output_len(),
         hidden: 8,

@@ -73,15 +73,7 @@ impl ActorSpec {
     pub fn convolutions(&self) -> [Conv2d; 5] {
         let (mut rows, mut cols, mut channels) = (self.rows, self.cols, 1);
         ENCODER.map(|(kernel, filters)| {
-            let layer = Conv2d {
-                rows,
-                cols,
-                channels,
-                filters,
-                kernel,
-                stride: 2,
-                padding: kernel / 2,
-            };
+            let layer = Conv2d::new([rows, cols, channels], filters, kernel, 2, kernel / 2);
             (rows, cols, channels) = (rows.div_ceil(2), cols.div_ceil(2), filters);
             layer
         })

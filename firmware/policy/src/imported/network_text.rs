@@ -104,15 +104,7 @@ fn layer_of(kind: &str, numbers: &[usize], word: Option<&str>) -> Option<Layer> 
         ("concat", parts @ [_, ..]) => Layer::Concat { parts: parts.to_vec() },
         ("curve", &[x]) => Layer::Curve { x, curve: curve()? },
         ("conv2d", &[x, rows, cols, channels, filters, kernel, stride, padding]) => {
-            let layer = Conv2d {
-                rows,
-                cols,
-                channels,
-                filters,
-                kernel,
-                stride,
-                padding,
-            };
+            let layer = Conv2d::new([rows, cols, channels], filters, kernel, stride, padding);
             let curve = curve()?;
             Layer::Conv2d { x, layer, curve }
         }

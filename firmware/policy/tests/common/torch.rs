@@ -23,15 +23,7 @@ impl Reference {
         let (mut rows, mut cols, mut channels) = (128_usize, 256_usize, 1);
         let mut convolutions = Vec::new();
         for (kernel, filters) in [(5, 16), (3, 32), (3, 32), (3, 32), (3, 32)] {
-            let layer = Conv2d {
-                rows,
-                cols,
-                channels,
-                filters,
-                kernel,
-                stride: 2,
-                padding: kernel / 2,
-            };
+            let layer = Conv2d::new([rows, cols, channels], filters, kernel, 2, kernel / 2);
             convolutions.push((layer, b.params(layer.param_len())));
             (rows, cols, channels) = (rows.div_ceil(2), cols.div_ceil(2), filters);
         }

@@ -183,15 +183,7 @@ impl Importer<'_> {
         if padding >= kernel {
             return Err(WIDE_PADDING.to_owned());
         }
-        let layer = Conv2d {
-            rows,
-            cols,
-            channels,
-            filters,
-            kernel,
-            stride,
-            padding,
-        };
+        let layer = Conv2d::new([rows, cols, channels], filters, kernel, stride, padding);
         let taps = len_of(&[kernel, kernel, channels, filters])?;
         let mut params = vec![0.0; taps + filters];
         for (i, value) in w.real()?.iter().enumerate() {
@@ -254,15 +246,7 @@ impl Importer<'_> {
         if padding != 0 && settings.whole("count_include_pad", 0) == 0 {
             return Err("padding that does not count is not supported: count_include_pad = 1, or none".to_owned());
         }
-        let layer = Conv2d {
-            rows,
-            cols,
-            channels,
-            filters: channels,
-            kernel,
-            stride,
-            padding,
-        };
+        let layer = Conv2d::new([rows, cols, channels], channels, kernel, stride, padding);
         let mut params = vec![0.0; len_of(&[kernel, kernel, channels, channels])? + channels];
         for tap in 0..kernel * kernel {
             for channel in 0..channels {
