@@ -1,9 +1,9 @@
-//! What a frame costs, stage by stage, and a step of the environment. One thread.
+//! What a frame costs, stage by stage, the two ways of casting side by side, and a step of the environment. One thread.
 
 use divan::Bencher;
 use vigil_sim::environment::{Environment, true_state::TrueCourse};
 use vigil_sim::vehicle::{VehicleParams, Wind};
-use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
+use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Method, Shot, World, generate};
 use vigil_types::{Attitude, DepthFrame, HeadingVector, NedVector, VelocitySetpoint};
 
 fn main() {
@@ -29,14 +29,15 @@ fn shot(count: u64) -> Shot {
     }
 }
 
-fn lidar() -> Lidar {
-    Lidar::new(LidarConfig::default(), 1).expect("valid")
+fn lidar(method: Method) -> Lidar {
+    Lidar::new(LidarConfig::default(), 1)
+        .expect("valid")
+        .with_method(method)
 }
 
-#[divan::bench(args = SEEDS)]
-fn cast(bencher: Bencher, seed: u64) {
+fn bench_cast(bencher: Bencher, seed: u64, method: Method) {
     let world = World::new(&course(seed));
-    let mut lidar = lidar();
+    let mut lidar = lidar(method);
     let mut count = 0;
     bencher.bench_local(|| {
         count += 1;
@@ -45,10 +46,20 @@ fn cast(bencher: Bencher, seed: u64) {
     });
 }
 
+#[divan::bench(args = SEEDS)]
+fn cast_fast(bencher: Bencher, seed: u64) {
+    bench_cast(bencher, seed, Method::Fast);
+}
+
+#[divan::bench(args = SEEDS)]
+fn cast_reference(bencher: Bencher, seed: u64) {
+    bench_cast(bencher, seed, Method::Reference);
+}
+
 #[divan::bench]
 fn measure(bencher: Bencher) {
     let world = World::new(&course(1));
-    let mut lidar = lidar();
+    let mut lidar = lidar(Method::Fast);
     let s = shot(1);
     lidar.cast(&world, s.position_ned_m, s.attitude);
     let mut count = 0;
@@ -61,7 +72,7 @@ fn measure(bencher: Bencher) {
 #[divan::bench]
 fn project(bencher: Bencher) {
     let world = World::new(&course(1));
-    let mut lidar = lidar();
+    let mut lidar = lidar(Method::Fast);
     let mut frame = Box::new(DepthFrame::EMPTY);
     lidar.capture(&world, &shot(1), &mut frame);
     bencher.bench_local(|| lidar.project(&mut frame));
@@ -71,14 +82,14 @@ fn project(bencher: Bencher) {
 fn seal(bencher: Bencher) {
     let world = World::new(&course(1));
     let mut frame = Box::new(DepthFrame::EMPTY);
-    lidar().capture(&world, &shot(1), &mut frame);
+    lidar(Method::Fast).capture(&world, &shot(1), &mut frame);
     bencher.bench_local(|| frame.seal());
 }
 
 #[divan::bench(args = SEEDS)]
 fn capture(bencher: Bencher, seed: u64) {
     let world = World::new(&course(seed));
-    let mut lidar = lidar();
+    let mut lidar = lidar(Method::Fast);
     let mut frame = Box::new(DepthFrame::EMPTY);
     let mut count = 0;
     bencher.bench_local(|| {

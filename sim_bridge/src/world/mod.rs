@@ -32,7 +32,7 @@ pub use course_file::CourseError;
 pub use draw::{FlightPath, Image, ImageError, check_png_name, draw, draw_svg};
 pub use generate::{LONG_GOAL_M, generate, generate_long};
 pub use lidar::{
-    LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Ranges, Shot, ZONE_COLUMNS,
+    LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Method, Ranges, Shot, ZONE_COLUMNS,
     ZONE_FOV_RAD, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor, beam_direction_frd, pixel_of,
     ring_row, split_mix,
 };

@@ -1,4 +1,4 @@
-//! The ranges of all beams of one sweep, and of one ray by another way that agrees bit for bit.
+//! The ranges of all beams of one sweep, computed in two ways that agree bit for bit.
 
 use super::beams::{BeamTable, LIDAR_BEAMS};
 use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, MISS, Ray, inverse, lesser, plan2};
@@ -12,8 +12,28 @@ use vigil_types::NedVector;
 /// Range along every beam in metres, infinite where it meets nothing; beam `ring × LIDAR_FIRINGS + firing`.
 pub type Ranges = [f32; LIDAR_BEAMS];
 
-/// The range along one direction (NED, of length 1) in metres, infinite where there is nothing, by parry's tree. `scene` is of this
-/// place and world.
+/// The simple way: every beam walks parry's tree.
+pub(crate) fn cast_by_tree(
+    world: &World,
+    sensor_ned_m: NedVector,
+    scene: &Scene,
+    beams: &BeamTable,
+    ranges: &mut Ranges,
+) {
+    for ring in 0..beams.rings {
+        for firing in 0..beams.firings {
+            let direction = scene.rotation.beam(
+                beams.sin_elevation[ring],
+                beams.cos_elevation[ring],
+                beams.sin_bearing[firing],
+                beams.cos_bearing[firing],
+            );
+            ranges[ring * beams.firings + firing] = cast_ray(world, sensor_ned_m, scene, direction);
+        }
+    }
+}
+
+/// The range along one direction (NED, of length 1) in metres, infinite where there is nothing. `scene` is of this place and world.
 pub(crate) fn cast_ray(world: &World, sensor_ned_m: NedVector, scene: &Scene, direction: (f32, f32, f32)) -> f32 {
     let origin = Vec3::new(sensor_ned_m.x, sensor_ned_m.y, sensor_ned_m.z);
     let ray = Ray::new(direction);
@@ -31,7 +51,7 @@ pub(crate) fn cast_ray(world: &World, sensor_ned_m: NedVector, scene: &Scene, di
 /// A beam whose direction is less far down than this looks up.
 const LOOKS_UP: f32 = -1e-6;
 
-/// Beams in tiles, each with the list of solids that can be seen in it, 16 beams at a time.
+/// The fast way: beams in tiles, each with the list of solids that can be seen in it, 16 beams at a time.
 pub(crate) struct TileCaster {
     tiles: Tiles,
     cuboids: Vec<CuboidLeaf>,

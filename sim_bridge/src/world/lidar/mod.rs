@@ -17,7 +17,7 @@ pub use zones::{ZONE_COLUMNS, ZONE_FOV_RAD, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, 
 
 use crate::world::World;
 use beams::BeamTable;
-use cast::TileCaster;
+use cast::{TileCaster, cast_by_tree};
 use noise::NoiseKeys;
 use scene::Scene;
 use simd::Simd;
@@ -68,6 +68,16 @@ impl LidarConfig {
     }
 }
 
+/// How ranges are computed. Both give the same bits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Method {
+    /// Each beam walks the bounding volume tree of parry3d.
+    Reference,
+    /// Tiles of beams against the few solids that can be seen in them, vectorised.
+    #[default]
+    Fast,
+}
+
 /// Where and when a frame is taken.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shot {
@@ -106,6 +116,7 @@ impl Shot {
 pub struct Lidar {
     config: LidarConfig,
     seed: u64,
+    method: Method,
     simd: Simd,
     beams: BeamTable,
     scene: Scene,
@@ -130,6 +141,7 @@ impl Lidar {
         Ok(Self {
             config,
             seed,
+            method: Method::default(),
             simd: Simd::best(),
             every: 1,
             beams: BeamTable::new(1),
@@ -139,6 +151,12 @@ impl Lidar {
             inverse: buffer(),
             filled: buffer(),
         })
+    }
+
+    /// The same sensor with another way to compute ranges.
+    pub fn with_method(mut self, method: Method) -> Self {
+        self.method = method;
+        self
     }
 
     /// The same sensor with one ring and one firing of `every` only, for pictures that are cheap ([`look`](Self::look)).
@@ -214,7 +232,12 @@ impl Lidar {
     /// First stage of a capture: the true range along every beam, infinite where there is nothing.
     pub fn cast(&mut self, world: &World, position_ned_m: NedVector, attitude: Attitude) -> &Ranges {
         self.scene.place(world, position_ned_m, attitude);
-        self.caster.cast(self.simd, &self.scene, &self.beams, &mut self.ranges);
+        match self.method {
+            Method::Reference => {
+                cast_by_tree(world, position_ned_m, &self.scene, &self.beams, &mut self.ranges);
+            }
+            Method::Fast => self.caster.cast(self.simd, &self.scene, &self.beams, &mut self.ranges),
+        }
         &self.ranges
     }
 

@@ -28,43 +28,33 @@ fn bits(ranges: &Ranges) -> Vec<u32> {
     ranges.iter().map(|r| r.to_bits()).collect()
 }
 
-/// The simple way: every beam walks parry's tree.
-fn cast_by_tree(world: &World, (sensor_ned_m, attitude): (NedVector, Attitude)) -> Vec<u32> {
-    let (beams, mut scene) = (BeamTable::new(1), Scene::new());
-    scene.place(world, sensor_ned_m, attitude);
-    let range_m = |beam: usize| {
-        let (ring, firing) = (beam / LIDAR_FIRINGS, beam % LIDAR_FIRINGS);
-        let (sin_elevation, cos_elevation) = (beams.sin_elevation[ring], beams.cos_elevation[ring]);
-        let (sin_bearing, cos_bearing) = (beams.sin_bearing[firing], beams.cos_bearing[firing]);
-        let direction = scene
-            .rotation
-            .beam(sin_elevation, cos_elevation, sin_bearing, cos_bearing);
-        cast::cast_ray(world, sensor_ned_m, &scene, direction)
-    };
-    (0..LIDAR_BEAMS).map(|beam| range_m(beam).to_bits()).collect()
-}
-
 #[test]
-fn tiles_and_all_vector_widths_give_the_bits_of_parrys_tree() {
+fn both_methods_and_all_vector_widths_give_the_same_bits() {
     let mut hits = 0;
     for family in Family::ALL {
         for seed in 0..12 {
             let mut world = World::new(&generate(family, seed));
+            let mut reference = Lidar::new(LidarConfig::default(), 1)
+                .expect("valid")
+                .with_method(Method::Reference);
             for (i, pose) in poses().enumerate() {
                 world.set_time_ns(i as u64 * 3_700_000_000);
-                let expected = cast_by_tree(&world, pose);
+                let expected = bits(reference.cast(&world, pose.0, pose.1));
                 hits += expected.iter().filter(|r| f32::from_bits(**r).is_finite()).count();
-                let mut frames = Simd::available().into_iter().map(|simd| {
-                    let mut lidar = Lidar::new(LidarConfig::default(), 1).expect("valid");
-                    lidar.simd = simd;
-                    let cast = bits(lidar.cast(&world, pose.0, pose.1));
-                    assert_eq!(cast, expected, "{family} {seed} {pose:?} {simd:?}");
-                    let mut frame = DepthFrame::EMPTY;
-                    lidar.capture(&world, &shot(pose, i as u64), &mut frame);
-                    frame
-                });
-                let first = frames.next().expect("a portable one");
-                assert!(frames.all(|frame| frame == first), "{family} {seed} {pose:?}");
+                let mut frame = DepthFrame::EMPTY;
+                reference.capture(&world, &shot(pose, i as u64), &mut frame);
+                for simd in Simd::available() {
+                    let mut fast = Lidar::new(LidarConfig::default(), 1).expect("valid");
+                    fast.simd = simd;
+                    assert_eq!(
+                        bits(fast.cast(&world, pose.0, pose.1)),
+                        expected,
+                        "{family} {seed} {pose:?} {simd:?}"
+                    );
+                    let mut other = DepthFrame::EMPTY;
+                    fast.capture(&world, &shot(pose, i as u64), &mut other);
+                    assert!(frame == other, "{family} {seed} {pose:?} {simd:?}");
+                }
             }
         }
     }
