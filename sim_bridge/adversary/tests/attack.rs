@@ -180,11 +180,11 @@ fn what_is_reported_is_what_the_actor_does_and_the_yaw_goes_where_it_was_aimed()
     };
     for method in Method::ALL {
         for (towards, sign) in [(Towards::Left, -1.0), (Towards::Right, 1.0)] {
-            let told = AttackConfig {
+            let settings = AttackConfig {
                 towards,
                 ..config(method)
             };
-            let mut attack = StateAttack::new(Isa::detect(), &actor, &told).unwrap();
+            let mut attack = StateAttack::new(Isa::detect(), &actor, &settings).unwrap();
             let (mut altered, mut shown) = (clean.clone(), Vec::new());
             let show = |i, outcome, _: &[f32]| shown.push((i, outcome));
             let outcome = attack.attack_each(&mut altered, &beside, show).unwrap();
@@ -207,8 +207,8 @@ fn away_is_away_from_the_clean_decision_even_when_that_is_saturated() {
         let mut actor = random_actor(3);
         // The last of the output layer's values is the yaw's bias.
         actor.params[layout.output.at + layout.output.len - 1] = bias;
-        let told = paper(|c| (c.method, c.epsilon_255) = (Method::BimClipped, 10.0));
-        let mut attack = StateAttack::new(Isa::detect(), &actor, &told).unwrap();
+        let settings = paper(|c| (c.method, c.epsilon_255) = (Method::BimClipped, 10.0));
+        let mut attack = StateAttack::new(Isa::detect(), &actor, &settings).unwrap();
         let outcome = attack.attack(&mut frame(4), &beside(5)).unwrap();
         // Through the saturated tanh there would be no gradient to follow.
         let is_saturated = (outcome.clean[1] - ACTOR_LIMIT.copysign(bias)).abs() < 1e-2;
@@ -220,13 +220,13 @@ fn away_is_away_from_the_clean_decision_even_when_that_is_saturated() {
 fn no_method_leaves_its_bounds() {
     let (actor, taken) = (random_actor(1), frame(2));
     for method in Method::ALL {
-        let told = config(method);
-        let mut attack = StateAttack::new(Isa::detect(), &actor, &told).unwrap();
+        let settings = config(method);
+        let mut attack = StateAttack::new(Isa::detect(), &actor, &settings).unwrap();
         let mut altered = taken.clone();
         let check = |iteration: u32, _, now: &[f32]| {
             let so_far = match method {
-                Method::BimAccumulating => iteration as f32 * told.epsilon(),
-                _ => told.reach(taken.len()),
+                Method::BimAccumulating => iteration as f32 * settings.epsilon(),
+                _ => settings.reach(taken.len()),
             };
             for (x, clean) in now.iter().zip(&taken) {
                 assert!((0.0..=1.0).contains(x));
@@ -237,7 +237,7 @@ fn no_method_leaves_its_bounds() {
         let both = altered.iter().zip(&taken);
         let moved = both.map(|(x, clean)| f64::from((x - clean).powi(2)));
         let rms = (moved.sum::<f64>() / taken.len() as f64).sqrt();
-        let epsilon = f64::from(told.epsilon());
+        let epsilon = f64::from(settings.epsilon());
         match method {
             Method::BimAccumulating => assert!(rms > 2.0 * epsilon, "{rms}"),
             Method::L2 => assert!(rms <= epsilon * (1.0 + 1e-5) && rms > 0.5 * epsilon, "{rms}"),
@@ -255,23 +255,26 @@ fn no_method_leaves_its_bounds() {
 #[test]
 fn the_same_seed_gives_the_same_bits_and_an_accumulating_run_holds_all_shorter_ones() {
     let (actor, taken) = (random_actor(8), frame(9));
-    let run = |told: &AttackConfig| {
-        let mut attack = StateAttack::new(Isa::detect(), &actor, told).unwrap();
+    let run = |settings: &AttackConfig| {
+        let mut attack = StateAttack::new(Isa::detect(), &actor, settings).unwrap();
         let (mut altered, mut each) = (taken.clone(), Vec::new());
         let keep = |_, _, now: &[f32]| each.push(now.to_vec());
         attack.attack_each(&mut altered, &beside(3), keep).unwrap();
         (altered, each)
     };
     for method in Method::ALL {
-        let told = config(method);
-        assert_eq!(run(&told).0, run(&told).0, "{}", method.name());
-        let other = AttackConfig { seed: 6, ..told };
+        let settings = config(method);
+        assert_eq!(run(&settings).0, run(&settings).0, "{}", method.name());
+        let other = AttackConfig { seed: 6, ..settings };
         let draws = matches!(method, Method::Pgd | Method::Noise | Method::Spsa);
-        assert_eq!(run(&told).0 != run(&other).0, draws, "{}", method.name());
+        assert_eq!(run(&settings).0 != run(&other).0, draws, "{}", method.name());
     }
-    let told = config(Method::BimAccumulating);
-    let (_, each) = run(&told);
-    let shorter = AttackConfig { iterations: 3, ..told };
+    let settings = config(Method::BimAccumulating);
+    let (_, each) = run(&settings);
+    let shorter = AttackConfig {
+        iterations: 3,
+        ..settings
+    };
     assert_eq!(run(&shorter).0, each[2]);
 }
 
@@ -327,8 +330,8 @@ const GOAL: GoalRelative = GoalRelative {
 fn the_attack_bends_the_built_in_actor_far_and_noise_of_its_size_does_not() {
     let actor = FrozenActor::built_in().unwrap();
     let yaw_changes = |method, iterations| {
-        let told = paper(|c| (c.method, c.iterations) = (method, iterations));
-        let mut attack = StateAttack::new(Isa::detect(), &actor, &told).unwrap();
+        let settings = paper(|c| (c.method, c.iterations) = (method, iterations));
+        let mut attack = StateAttack::new(Isa::detect(), &actor, &settings).unwrap();
         let mut changes = Vec::new();
         for (i, at) in [-0.4, -0.1, 0.2, 0.5].into_iter().enumerate() {
             let mut frame = scene(at, 2.0 + 0.3 * i as f32);
@@ -347,7 +350,7 @@ fn the_attack_bends_the_built_in_actor_far_and_noise_of_its_size_does_not() {
 fn pixels_of_a_region_move_together_and_the_actor_is_bent_all_the_same() {
     const SIDE: usize = 8;
     let actor = FrozenActor::built_in().unwrap();
-    let told = paper(|c| c.region_pixels = SIDE as u32);
+    let settings = paper(|c| c.region_pixels = SIDE as u32);
     let clean = scene(0.2, 4.0);
     let beside = hovering(&actor, &clean, GOAL);
     let alter = |config: &AttackConfig| {
@@ -355,13 +358,16 @@ fn pixels_of_a_region_move_together_and_the_actor_is_bent_all_the_same() {
         let mut frame = clean.clone();
         (attack.attack(&mut frame, &beside).unwrap(), frame)
     };
-    let (outcome, frame) = alter(&told);
+    let (outcome, frame) = alter(&settings);
     assert!(outcome.is_effective(), "{outcome:?}");
     let nearest = |of: &[f32]| of.iter().copied().fold(f32::INFINITY, f32::min);
     assert!(nearest(&frame) >= 0.005, "ranges of 0 would make the sensor look blind");
     assert!(nearest(&frame) < nearest(&clean));
     // One step, so that no pixel comes to an end of the range and stays behind.
-    let (_, frame) = alter(&AttackConfig { iterations: 1, ..told });
+    let (_, frame) = alter(&AttackConfig {
+        iterations: 1,
+        ..settings
+    });
     let moved: Vec<f32> = frame.iter().zip(&clean).map(|(x, c)| x - c).collect();
     let within = |i: usize| 0.005 < frame[i] && frame[i] < 1.0;
     let (mut apart, mut moves) = (0, 0);
@@ -402,8 +408,8 @@ fn the_streaming_attacker_knows_to_the_bit_what_the_actor_decides() {
                 undisturbed.note_action(vigil_types::Action { forward_m_s, yaw });
                 assert_eq!(delivered.depth != given.depth, attacks);
                 if let Some(outcome) = outcome {
-                    let told = (outcome.clean, outcome.attacked);
-                    assert_eq!(told, (clean, decided), "flight {flight}, step {step}");
+                    let settings = (outcome.clean, outcome.attacked);
+                    assert_eq!(settings, (clean, decided), "flight {flight}, step {step}");
                 }
                 // What was altered is remembered as an older scan.
                 let held = SCAN_AGES
@@ -524,8 +530,8 @@ fn score_after(attack: &mut StreamAttack, attacked: bool, detector: &FrozenDetec
 
 #[test]
 fn an_attacker_who_knows_the_detector_lowers_its_score_and_still_bends_the_yaw() {
-    let told = paper(|c| c.epsilon_255 = 0.5);
-    let plain = || StreamAttack::new(Isa::detect(), &random_actor(3), &told).unwrap();
+    let settings = paper(|c| c.epsilon_255 = 0.5);
+    let plain = || StreamAttack::new(Isa::detect(), &random_actor(3), &settings).unwrap();
     let mut detector = random_detector();
     let [peace, raised] = [false, true].map(|attacked| score_after(&mut plain(), attacked, &detector).0);
     if raised < peace {

@@ -11,11 +11,11 @@ use vigil_types::{
 };
 
 fn attack(actor: &FrozenActor, iterations: u32) -> StreamAttack {
-    let told = AttackConfig {
+    let settings = AttackConfig {
         iterations,
         ..AttackConfig::PAPER
     };
-    StreamAttack::new(Isa::detect(), actor, &told).unwrap()
+    StreamAttack::new(Isa::detect(), actor, &settings).unwrap()
 }
 
 fn attacked(plan: BurstPlan, steps: u64) -> Vec<u64> {

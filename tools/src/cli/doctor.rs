@@ -78,6 +78,19 @@ pub struct DoctorArgs {
     json: Option<PathBuf>,
 }
 
+/// What the sensor sends; `None` where nobody asks.
+fn frames(args: &DoctorArgs) -> Result<Option<CheckedFrames>> {
+    if args.no_sensor {
+        return Ok(None);
+    }
+    let expected = Expected {
+        sensor_id: LIDAR_SENSOR_ID,
+        keys: frame_keys(&args.frame_key, LIDAR_SENSOR_ID)?,
+        wall_m: None,
+    };
+    CheckedFrames::open("doctor", args.instance, &args.frames, expected).map(Some)
+}
+
 /// Looks and reports.
 ///
 /// # Errors
@@ -94,17 +107,7 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
     somebody_is_heard(&args.link.url, gate.has_key(), policy)?;
     let system = args.link.system;
     let mut wire = open_wire(&args.link.url, PeerRule::Vehicle { system })?;
-    let mut frames = match args.no_sensor {
-        true => None,
-        false => {
-            let expected = Expected {
-                sensor_id: LIDAR_SENSOR_ID,
-                keys: frame_keys(&args.frame_key, LIDAR_SENSOR_ID)?,
-                wall_m: None,
-            };
-            Some(CheckedFrames::open("doctor", args.instance, &args.frames, expected)?)
-        }
-    };
+    let mut frames = frames(args)?;
     let interrupt = Interrupt::on_ctrl_c()?;
     let started_ns = monotonic_ns();
     let unix_us = SystemTime::now()

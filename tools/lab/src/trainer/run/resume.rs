@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use std::time::Instant;
 use vigil_types::settings;
 
-const FORMAT: &str = "vigil learn checkpoint 1";
+const FORMAT: &str = "vigil learn checkpoint 2";
 
 #[derive(Serialize, Deserialize)]
 struct RunState {
