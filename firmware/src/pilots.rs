@@ -4,7 +4,7 @@ use alloc::boxed::Box;
 use vigil_detector::Monitor;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::FileError;
-use vigil_policy::{ActorPilot, FlightPilot, FrozenPilot, GeometricPilot, RecoveryPilot};
+use vigil_policy::{ActorPilot, FlightPilot, FrozenPilot, RecoveryPilot};
 #[cfg(feature = "std")]
 use {
     crate::config::FirmwareConfig,
@@ -12,7 +12,7 @@ use {
     vigil_detector::{FrozenDetector, MonitorError},
     vigil_guidance::ConfigError,
     vigil_nnet::Purpose,
-    vigil_policy::FrozenActor,
+    vigil_policy::{FrozenActor, GeometricPilot},
     vigil_types::{Ablation, PilotKind},
 };
 

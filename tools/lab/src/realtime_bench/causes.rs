@@ -202,7 +202,8 @@ mod tests {
         let cause = |counted| of_duration(&step(0, 8 * MS, counted), MS);
         assert_eq!(cause(counted(8 * MS)), Some(Cause::Computed));
         assert_eq!(of_duration(&step(0, 2 * MS, counted(2 * MS)), MS), None);
-        let kept: [(u64, fn(&mut Counters), Cause); 7] = [
+        type Count = fn(&mut Counters);
+        let kept: [(u64, Count, Cause); 7] = [
             (8 * MS, |c| c.minor_faults = 300, Cause::Pages),
             (MS, |_| {}, Cause::Unknown),
             (MS, |c| c.involuntary = 1, Cause::Queued),
