@@ -14,7 +14,6 @@ mod silence;
 use self::drift::{DOWN_M, Errors, MountReadings, Pair, TURN, WIDENING, allowed_drift_m};
 use self::motion::{MOST_COST, Map, Pose, cost, look, look_widened, samples};
 use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen};
-pub use self::shadow::GroundSight;
 use self::shadow::Shadow;
 use self::silence::SilentSide;
 use vigil_types::{
@@ -432,11 +431,6 @@ impl PlausibilityCheck {
             .with_if(self.shadow.is_raised(), Reason::BeneathGround)
             .union(self.raised.map_or(Reasons::NONE, |raised| Reasons::of(raised.reason)));
         self.faults
-    }
-
-    /// What the ground says of the last frame checked.
-    pub fn ground_sight(&self) -> GroundSight {
-        self.shadow.sight()
     }
 
     /// Takes the picture to the shadow's check, where the height in flight is known.

@@ -5,7 +5,7 @@
 //! for the picture.
 
 use super::picture::{COLS, Directions, Picture, ROWS, Seen};
-use super::{LOW_M, STRIP, STRIPS};
+use super::{STRIP, STRIPS};
 use vigil_types::{Attitude, FrdVector, NedVector};
 
 /// Rays at least this steep, the sine of 21°, show what ground there is; depths are counted in bins, metres.
@@ -36,7 +36,7 @@ const LAST_RAISE: u8 = 2;
 
 /// What the ground says of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum GroundSight {
+pub(super) enum GroundSight {
     /// No ground is seen, or none near the height of home: nothing is known.
     #[default]
     CannotTell,
@@ -84,6 +84,7 @@ impl Shadow {
         self.raised
     }
 
+    #[cfg(test)]
     pub(super) fn sight(&self) -> GroundSight {
         self.sight
     }
@@ -91,9 +92,6 @@ impl Shadow {
 
 /// What the ground says of a picture taken so high above home.
 fn sight(picture: &Picture, directions: &Directions, attitude: Attitude, height_m: f32) -> GroundSight {
-    if height_m < LOW_M {
-        return GroundSight::CannotTell;
-    }
     let down = attitude.to_frd(NedVector::new(0.0, 0.0, 1.0));
     let Some(ground_m) = ground_m(picture, directions, down, height_m) else {
         return GroundSight::CannotTell;
