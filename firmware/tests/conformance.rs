@@ -2,7 +2,8 @@
 
 mod common;
 
-use common::{Instance, PATIENCE, PseudoTerminal, TestVehicle, config};
+use common::instance::Instance;
+use common::{PATIENCE, PseudoTerminal, TestVehicle, config};
 use rustix::io::ioctl_fionread;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};

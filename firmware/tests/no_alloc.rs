@@ -4,7 +4,8 @@ mod common;
 #[path = "../nnet/tests/counting/mod.rs"]
 mod counting;
 
-use common::{Instance, LOITER, MISSION, SYSTEM_ID, TestVehicle, config, undecided_detector, watched_config};
+use common::instance::Instance;
+use common::{LOITER, MISSION, SYSTEM_ID, TestVehicle, config, undecided_detector, watched_config};
 use counting::allocations;
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;

@@ -1,6 +1,9 @@
 //! A vehicle for tests: speaks PX4's MAVLink as the protocol's documentation has it, obeys at once, and sees no obstacle.
 #![allow(dead_code, reason = "each test program uses a part")]
 
+#[path = "../../io/tests/common/mod.rs"]
+pub mod instance;
+
 use std::fs::File;
 use std::os::fd::OwnedFd;
 use std::path::Path;
@@ -24,21 +27,6 @@ use vigil_types::{
 
 /// Bounds every wait; far above what any of them takes.
 pub const PATIENCE: Duration = Duration::from_secs(20);
-
-/// An instance of a test's own, so that tests run side by side, with each other and with flights; dropped last.
-pub struct Instance(pub u32);
-
-impl Instance {
-    pub fn own(number: u32) -> Self {
-        Self(1_000_000 + std::process::id() * 16 + number)
-    }
-}
-
-impl Drop for Instance {
-    fn drop(&mut self) {
-        let _ = vigil_io::shared_memory::remove_leftovers(self.0);
-    }
-}
 
 /// A serial line: `device` is what the firmware opens, `master` the end of the cable.
 pub struct PseudoTerminal {
