@@ -40,6 +40,12 @@ fn is_empty(part: &Part) -> bool {
     part.iter().fold(0, |bits, inverse| bits | inverse.to_bits()) == 0
 }
 
+/// Whether every beam returned.
+#[inline(always)]
+fn is_whole(part: &Part) -> bool {
+    part.iter().fold(true, |all, inverse| all & (*inverse > 0.0))
+}
+
 vectorised! {
     /// Fills beams without a return whose left and right, or upper and lower, neighbours both have one: the sensor lost these.
     /// The value is the mean if the neighbours' ranges are alike, otherwise the nearer.
@@ -56,8 +62,8 @@ fn fill_gaps_body(tolerance_m: f32, inverse: &Ranges, filled: &mut Ranges) {
         let out = &mut filled[ring * LIDAR_FIRINGS..][..LIDAR_FIRINGS];
         for (part, out) in out.as_chunks_mut::<TILE_FIRINGS>().0.iter_mut().enumerate() {
             let (above, here, below) = (&above[part], &here[part], &below[part]);
-            if is_empty(here) && is_empty(above) {
-                *out = [0.0; TILE_FIRINGS];
+            if is_whole(here) || (is_empty(here) && is_empty(above)) {
+                *out = *here;
                 continue;
             }
             let sides: &[f32; TILE_FIRINGS + 2] = sides[part * TILE_FIRINGS..]
