@@ -52,24 +52,35 @@ impl ShortestWay {
                 *clearance_m = clearance_m.min(distance_m);
             });
         }
-        let mut way = Self {
-            length_m: vec![f32::INFINITY; clearances_m.len()],
-            lattice,
+        // With a closed cell around all, so that every cell has eight beside it.
+        let width = lattice.cells[1] + 2;
+        let framed = |cell| {
+            let number = lattice.number(cell);
+            (number / lattice.cells[1] + 1) * width + number % lattice.cells[1] + 1
         };
-        let goal = way
-            .lattice
-            .number(way.lattice.nearest([course.goal.north_m, course.goal.east_m]));
-        way.length_m[goal] = 0.0;
+        let mut factors = vec![f32::INFINITY; (lattice.cells[0] + 2) * width];
+        let mut lengths_m = factors.clone();
+        let mut fits = factors.clone();
+        for (cell, clearance_m) in lattice.all().zip(&clearances_m) {
+            let place = framed(cell);
+            factors[place] = factor(*clearance_m);
+            if *clearance_m >= VEHICLE.radius_m + MARGIN_M {
+                fits[place] = factors[place];
+            }
+        }
+        lengths_m[framed(lattice.nearest([course.goal.north_m, course.goal.east_m]))] = 0.0;
         // Where the vehicle fits first; then, from there, the rest, so that no way leads through a wall.
-        let factors: Vec<f32> = clearances_m.iter().map(|c| factor(*c)).collect();
-        let closed = |closed: bool, factor: &f32| if closed { f32::INFINITY } else { *factor };
-        let fits = clearances_m.iter().map(|c| *c < VEHICLE.radius_m + MARGIN_M);
-        let fits: Vec<f32> = fits.zip(&factors).map(|(c, f)| closed(c, f)).collect();
-        way.spread(&factors, &fits);
-        let rest = way.length_m.iter().map(|l| l.is_finite());
-        let rest: Vec<f32> = rest.zip(&factors).map(|(c, f)| closed(c, f)).collect();
-        way.spread(&factors, &rest);
-        way
+        spread(&mut lengths_m, &factors, &fits, width);
+        let known = lengths_m.iter().map(|l| l.is_finite());
+        let rest: Vec<f32> = known
+            .zip(&factors)
+            .map(|(k, f)| if k { f32::INFINITY } else { *f })
+            .collect();
+        spread(&mut lengths_m, &factors, &rest, width);
+        Self {
+            length_m: lattice.all().map(|cell| lengths_m[framed(cell)]).collect(),
+            lattice,
+        }
     }
 
     /// The length of the way from a place, metres; narrow passages count as longer. Interpolated between the grid's points.
@@ -85,50 +96,53 @@ impl ShortestWay {
         let mix = |a: f32, b: f32, share: f32| a + share * (b - a);
         mix(mix(at(i0, j0), at(i0, j1), v), mix(at(i1, j0), at(i1, j1), v), u)
     }
+}
 
-    /// Settles the cells of which `into`, the factor of going there, is finite, from those whose length is known, in
-    /// rising order of [`CELL_M`], the shortest step: no order within one changes a length.
-    fn spread(&mut self, factors: &[f32], into: &[f32]) {
-        const DIAGONAL_M: f32 = CELL_M * core::f32::consts::SQRT_2;
-        let [north, east] = self.lattice.cells;
-        let mut rising: Vec<Vec<(f32, usize)>> = Vec::new();
-        let put = |rising: &mut Vec<Vec<_>>, length_m: f32, n: usize| {
-            let place = (length_m / CELL_M) as usize;
-            if place >= rising.len() {
-                rising.resize_with(place + 1, Vec::new);
-            }
-            rising[place].push((length_m, n));
-        };
-        // Of those that are known only what lies beside a cell to settle leads on.
-        let beside = |n: usize| {
-            let columns = (n % east).saturating_sub(1)..(n % east + 2).min(east);
-            let mut rows = (n / east).saturating_sub(1)..(n / east + 2).min(north);
-            rows.any(|row| into[row * east..][columns.clone()].iter().any(|f| f.is_finite()))
-        };
-        let known = self.length_m.iter().enumerate().filter(|(_, l)| l.is_finite());
-        for (n, length_m) in known.filter(|(n, _)| beside(*n)) {
+/// Settles the cells of which `into`, the factor of going there, is finite, from those whose length is known, in rising
+/// order of [`CELL_M`], the shortest step: no order within one changes a length. A row has `width` cells; those at the edge stay closed.
+fn spread(lengths_m: &mut [f32], factors: &[f32], into: &[f32], width: usize) {
+    const DIAGONAL_M: f32 = CELL_M * core::f32::consts::SQRT_2;
+    // From a cell's upper left neighbour on.
+    let beside = [
+        (0, DIAGONAL_M),
+        (1, CELL_M),
+        (2, DIAGONAL_M),
+        (width, CELL_M),
+        (width + 2, CELL_M),
+        (2 * width, DIAGONAL_M),
+        (2 * width + 1, CELL_M),
+        (2 * width + 2, DIAGONAL_M),
+    ];
+    let mut rising: Vec<Vec<(f32, usize)>> = Vec::new();
+    let put = |rising: &mut Vec<Vec<_>>, length_m: f32, n: usize| {
+        let place = (length_m * (1.0 / CELL_M)) as usize;
+        if place >= rising.len() {
+            rising.resize_with(place + 1, Vec::new);
+        }
+        rising[place].push((length_m, n));
+    };
+    // Of those that are known only what lies beside a cell to settle leads on.
+    let leads_on = |n: usize| beside.iter().any(|(to, _)| into[n - width - 1 + to].is_finite());
+    for (n, length_m) in lengths_m.iter().enumerate() {
+        if length_m.is_finite() && leads_on(n) {
             put(&mut rising, *length_m, n);
         }
-        let mut place = 0;
-        while place < rising.len() {
-            let Some((length_m, n)) = rising[place].pop() else {
-                place += 1;
-                continue;
-            };
-            if length_m > self.length_m[n] {
-                continue;
-            }
-            let (i, j) = (n / east, n % east);
-            for row in i.saturating_sub(1)..(i + 2).min(north) {
-                for column in j.saturating_sub(1)..(j + 2).min(east) {
-                    let to = row * east + column;
-                    let step_m = if row == i || column == j { CELL_M } else { DIAGONAL_M };
-                    let through_m = length_m + step_m * 0.5 * (factors[n] + into[to]);
-                    if through_m < self.length_m[to] {
-                        self.length_m[to] = through_m;
-                        put(&mut rising, through_m, to);
-                    }
-                }
+    }
+    let mut place = 0;
+    while place < rising.len() {
+        let Some((length_m, n)) = rising[place].pop() else {
+            place += 1;
+            continue;
+        };
+        if length_m > lengths_m[n] {
+            continue;
+        }
+        for (to, step_m) in beside {
+            let to = n - width - 1 + to;
+            let through_m = length_m + step_m * 0.5 * (factors[n] + into[to]);
+            if through_m < lengths_m[to] {
+                lengths_m[to] = through_m;
+                put(&mut rising, through_m, to);
             }
         }
     }
