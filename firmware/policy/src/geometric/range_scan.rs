@@ -220,8 +220,13 @@ impl RangeScan {
     fn quantile_by_sector(&self, frame: &DepthFrame, axes: &Axes) -> [f32; SECTORS] {
         let mut columns = [[0_u8; DISTRUST_BINS]; DEPTH_COLS];
         let band = libm::sinf(DISTRUST_HALF_ANGLE_RAD);
+        let lean = libm::hypotf(axes.forward.z, axes.right.z);
         for (pixels, &(cos_row, sin_row)) in frame.depth.as_chunks::<DEPTH_COLS>().0.iter().zip(&self.rows) {
             let rise = axes.down.z * sin_row;
+            // None of a row looks level that no bearing brings into the band; the rest is for rounding.
+            if rise.abs() > band + cos_row * lean + 1e-4 {
+                continue;
+            }
             let directions = self.cos_column.iter().zip(&self.sin_column);
             for ((depth, (c, s)), bins) in pixels.iter().zip(directions).zip(&mut columns) {
                 let below = cos_row * (axes.forward.z * c + axes.right.z * s) - rise;
