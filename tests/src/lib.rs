@@ -58,9 +58,16 @@ pub fn run_line(arguments: &str) -> Output {
     run(&arguments.split_whitespace().collect::<Vec<_>>())
 }
 
+/// The program as a user starts it: without the larger stacks that `.cargo/config.toml` gives the tests.
+fn program() -> Command {
+    let mut program = Command::new(vigil());
+    program.env_remove("RUST_MIN_STACK");
+    program
+}
+
 /// The same, in a folder.
 pub fn run_in(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(vigil())
+    program()
         .args(arguments)
         .current_dir(folder)
         .stdin(Stdio::null())
@@ -187,7 +194,7 @@ impl Running {
 
     /// The same with its diagnostics elsewhere; piped ones are read among the lines of its output.
     pub fn start_saying(arguments: &[&str], diagnostics: Stdio) -> Self {
-        let mut child = Command::new(vigil())
+        let mut child = program()
             .args(arguments)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())

@@ -3,8 +3,9 @@
 use anyhow::{Context, Result};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// Stack of a thread, bytes: a step of the firmware beside the simulator takes more than half of the 2 MB that threads have otherwise.
-const STACK_BYTES: usize = 8 << 20;
+/// Stack of a thread that flies, bytes: making a firmware, or a step of it beside the simulator, takes most of the 2 MB that threads have
+/// otherwise.
+pub const STACK_BYTES: usize = 8 << 20;
 
 /// Starts `threads` threads, or one on each core where that is 0. What runs inside the pool's `install` is spread over them,
 /// and no other.

@@ -250,6 +250,7 @@ impl RealtimeBench<'_> {
         let (granted, watched) = std::thread::scope(|scope| {
             let looping = std::thread::Builder::new()
                 .name("loop".to_owned())
+                .stack_size(vigil_tools::threads::STACK_BYTES)
                 .spawn_scoped(scope, || self.run_loop(&config, &stop))?;
             let mut watch = || -> Result<String> {
                 let mut heard = Instant::now();
