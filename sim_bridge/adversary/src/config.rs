@@ -35,6 +35,8 @@ named! {
         /// No gradient: everything above and ahead is shown farther away, by iterations · ε. It deceives whoever believes the frames, the recovery
         /// pilot and the guard as well as the actor; the ground below stays where it is.
         Recede => "recede",
+        /// The same, swelling from nothing to that over the first [`SWELL_FRAMES`] frames.
+        Swell => "swell",
         /// No gradient: every pixel is shown as one without a return.
         Blind => "blind",
         /// No gradient: the first two seconds of what passed while attacking are shown again and again.
@@ -42,6 +44,19 @@ named! {
         /// Black box: as [`Method::BimAccumulating`], by an estimate of the gradient from the yaw output alone, asked [`SPSA_QUERIES`] times in each
         /// iteration (simultaneous perturbation; Spall 1992, Uesato et al. 2018). Finds more with [`AttackConfig::region_pixels`].
         Spsa => "spsa",
+    }
+}
+
+/// Frames over which [`Method::Swell`] reaches its size: 5 s.
+pub const SWELL_FRAMES: u64 = 100;
+
+impl Method {
+    /// Whether a frame is altered at once, without steps and gradient.
+    pub const fn alters_at_once(self) -> bool {
+        matches!(
+            self,
+            Self::Noise | Self::Recede | Self::Swell | Self::Blind | Self::Replay
+        )
     }
 }
 
@@ -129,7 +144,9 @@ impl AttackConfig {
         let epsilon = self.epsilon();
         match self.method {
             Method::Fgsm | Method::BimClipped | Method::Pgd | Method::Momentum => epsilon,
-            Method::BimAccumulating | Method::Noise | Method::Recede | Method::Spsa => epsilon * self.iterations as f32,
+            Method::BimAccumulating | Method::Noise | Method::Recede | Method::Swell | Method::Spsa => {
+                epsilon * self.iterations as f32
+            }
             Method::Blind | Method::Replay => 1.0,
             Method::L2 => epsilon * (pixels as f32).sqrt(),
             Method::Patch => epsilon * PATCH_GAIN,

@@ -45,7 +45,8 @@ mod surrogate;
 pub use attack::{Attack, AttackArgs, AttackRecord};
 pub use burst::{Burst, BurstPlan, SINGLE_BURST_FIRST, SINGLE_BURST_LAST};
 pub use config::{
-    AttackConfig, AttackError, AttackOutcome, EFFECTIVE_YAW, Method, REPLAYED_FRAMES, SPSA_QUERIES, Towards,
+    AttackConfig, AttackError, AttackOutcome, EFFECTIVE_YAW, Method, REPLAYED_FRAMES, SPSA_QUERIES, SWELL_FRAMES,
+    Towards,
 };
 pub use frame_attack::FrameAttack;
 pub use intercept::{Interceptor, PassedStep, goal_seen_from};

@@ -1,6 +1,6 @@
 //! The iterations: from the loss's gradient to altered pixels.
 
-use crate::config::{AttackConfig, AttackError, Method, PATCH_GAIN, REPLAYED_FRAMES, SPSA_QUERIES};
+use crate::config::{AttackConfig, AttackError, Method, PATCH_GAIN, REPLAYED_FRAMES, SPSA_QUERIES, SWELL_FRAMES};
 use crate::detector_evasion::DetectorEvasion;
 use crate::surrogate::{Ends, Surrogate};
 use rand::{RngExt, SeedableRng};
@@ -101,7 +101,7 @@ impl Perturber {
         let mut outputs = before;
         let iterations = match method {
             Method::Fgsm => 1,
-            Method::Noise | Method::Recede | Method::Blind | Method::Replay => {
+            _ if method.alters_at_once() => {
                 match method {
                     Method::Noise => {
                         let size = self.config.reach(frame.len());
@@ -110,7 +110,8 @@ impl Perturber {
                             *x = (clean + sign).clamp(0.0, 1.0);
                         }
                     }
-                    Method::Recede => self.recede(frame),
+                    Method::Recede => self.recede(1.0, frame),
+                    Method::Swell => self.recede((call as f32 / SWELL_FRAMES as f32).min(1.0), frame),
                     Method::Blind => frame.fill(1.0),
                     _ => self.replay(call, frame),
                 }
@@ -216,7 +217,7 @@ impl Perturber {
                 self.along_sign(frame, PATCH_GAIN * projected, PATCH_GAIN * epsilon);
             }
             // Make no steps.
-            Method::Noise | Method::Recede | Method::Blind | Method::Replay => {}
+            Method::Noise | Method::Recede | Method::Swell | Method::Blind | Method::Replay => {}
         }
     }
 
@@ -285,9 +286,10 @@ impl Perturber {
         Ok(())
     }
 
-    /// Shows everything that is seen above [`GROUND_BELOW_RAD`] farther away. What gives no return goes on giving none.
-    fn recede(&self, frame: &mut [f32]) {
-        let by = self.config.reach(frame.len());
+    /// Shows everything that is seen above [`GROUND_BELOW_RAD`] farther away, by a share of the reach. What gives no return goes on
+    /// giving none.
+    fn recede(&self, share: f32, frame: &mut [f32]) {
+        let by = share * self.config.reach(frame.len());
         let above = |row: &usize| row_elevation_rad(*row as f32) >= -GROUND_BELOW_RAD;
         let rows = (0..DEPTH_ROWS).take_while(above).count();
         for x in frame[..rows * DEPTH_COLS].iter_mut().filter(|x| **x < 1.0) {

@@ -4,7 +4,9 @@
 mod oracle;
 
 use oracle::{activation, conv2d, dense, rng, uniform, wide};
-use vigil_adversary::{AttackConfig, AttackError, Beside, Method, REPLAYED_FRAMES, StateAttack, StreamAttack, Towards};
+use vigil_adversary::{
+    AttackConfig, AttackError, Beside, Method, REPLAYED_FRAMES, SWELL_FRAMES, StateAttack, StreamAttack, Towards,
+};
 use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, WINDOW, normalise};
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
 use vigil_policy::actor::memory::SCAN_AGES;
@@ -192,8 +194,7 @@ fn what_is_reported_is_what_the_actor_does_and_the_yaw_goes_where_it_was_aimed()
             assert_eq!(outcome.attacked.to_vec(), decide(&altered), "{}", method.name());
             let last = if method == Method::Fgsm { 1 } else { 7 };
             assert_eq!(shown.last(), Some(&(last, outcome)), "{}", method.name());
-            let follows_a_gradient = !matches!(method, Method::Noise | Method::Recede | Method::Blind | Method::Replay);
-            if follows_a_gradient {
+            if !method.alters_at_once() {
                 assert!(outcome.yaw_change() * sign > 0.0, "{}: {outcome:?}", method.name());
             }
         }
@@ -242,7 +243,7 @@ fn no_method_leaves_its_bounds() {
             Method::BimAccumulating => assert!(rms > 2.0 * epsilon, "{rms}"),
             Method::L2 => assert!(rms <= epsilon * (1.0 + 1e-5) && rms > 0.5 * epsilon, "{rms}"),
             Method::Noise => assert!(rms > 4.0 * epsilon, "{rms}"),
-            Method::Replay => assert!(rms == 0.0, "nothing has passed that could be shown again"),
+            Method::Replay | Method::Swell => assert!(rms == 0.0, "of the first frame nothing is altered"),
             _ => assert!(rms > 0.3 * epsilon, "{}: {rms}", method.name()),
         }
         if method == Method::Patch {
@@ -279,7 +280,7 @@ fn the_same_seed_gives_the_same_bits_and_an_accumulating_run_holds_all_shorter_o
 }
 
 #[test]
-fn a_replay_shows_what_passed_first_and_a_blinded_sensor_sees_nothing() {
+fn a_replay_shows_what_passed_first_a_blinded_sensor_sees_nothing_and_a_swelling_one_ever_farther() {
     let actor = random_actor(8);
     let streamed = |method| {
         let mut attack = StreamAttack::new(Isa::detect(), &actor, &config(method)).unwrap();
@@ -299,6 +300,11 @@ fn a_replay_shows_what_passed_first_and_a_blinded_sensor_sees_nothing() {
     }
     let blinded = streamed(Method::Blind);
     assert!(blinded.iter().flat_map(|(_, altered)| altered).all(|x| *x == 1.0));
+    for (i, (given, altered)) in streamed(Method::Swell).iter().enumerate() {
+        let by = i as f32 / SWELL_FRAMES as f32 * config(Method::Swell).reach(given.len());
+        let moved = altered.iter().zip(given).map(|(altered, given)| altered - given);
+        assert!((moved.fold(0.0, f32::max) - by).abs() < 1e-6, "frame {i}");
+    }
 }
 
 /// A pillar 2 m to 3 m ahead between two walls, as the LiDAR would see it.
