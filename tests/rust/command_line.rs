@@ -288,7 +288,7 @@ fn a_state_that_is_refused_is_named_with_file_and_line() {
 #[test]
 fn simulator_and_firmware_say_at_start_what_they_are_and_how_they_end() {
     let told = |arguments: &[&str], words: &[&str]| {
-        let mut process = std::process::Command::new(vigil_tests::vigil())
+        let mut process = vigil_tests::program()
             .args(arguments)
             .stdout(std::process::Stdio::null())
             .stderr(std::process::Stdio::piped())

@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, TickRecord};
-use vigil_tests::{attacked_flight, ended, only_log, refused, run, run_line, succeed, text, vigil};
+use vigil_tests::{attacked_flight, ended, only_log, refused, run, run_line, succeed, text};
 use vigil_types::{Datagrams, StepReport, StepTiming};
 
 /// A log of a vehicle that stood for three steps without a frame.
@@ -131,7 +131,7 @@ fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
 
 /// Runs `vigil` with a folder of programs before those on the path, or with no other program at all.
 fn run_with_path(arguments: &[&str], path: &str) -> std::process::Output {
-    std::process::Command::new(vigil())
+    vigil_tests::program()
         .args(arguments)
         .env("PATH", path)
         .stdin(std::process::Stdio::null())

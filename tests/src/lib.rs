@@ -59,7 +59,7 @@ pub fn run_line(arguments: &str) -> Output {
 }
 
 /// The program as a user starts it: without the larger stacks that `.cargo/config.toml` gives the tests.
-fn program() -> Command {
+pub fn program() -> Command {
     let mut program = Command::new(vigil());
     program.env_remove("RUST_MIN_STACK");
     program

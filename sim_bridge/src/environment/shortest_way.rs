@@ -54,10 +54,7 @@ impl ShortestWay {
         }
         // With a closed cell around all, so that every cell has eight beside it.
         let width = lattice.cells[1] + 2;
-        let framed = |cell| {
-            let number = lattice.number(cell);
-            (number / lattice.cells[1] + 1) * width + number % lattice.cells[1] + 1
-        };
+        let framed = |(row, column): (usize, usize)| (row + 1) * width + column + 1;
         let mut factors = vec![f32::INFINITY; (lattice.cells[0] + 2) * width];
         let mut lengths_m = factors.clone();
         let mut fits = factors.clone();
