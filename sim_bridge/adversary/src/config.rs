@@ -37,6 +37,9 @@ named! {
         Recede => "recede",
         /// The same, swelling from nothing to that over the first [`SWELL_FRAMES`] frames.
         Swell => "swell",
+        /// No gradient: everything but the ground is shown farther away, by iterations · ε, and what of the ground would be seen before it is
+        /// painted there: nothing lies beneath the ground, and nothing hides it.
+        Repaint => "repaint",
         /// No gradient: every pixel is shown as one without a return.
         Blind => "blind",
         /// No gradient: the first two seconds of what passed while attacking are shown again and again.
@@ -55,7 +58,7 @@ impl Method {
     pub const fn alters_at_once(self) -> bool {
         matches!(
             self,
-            Self::Noise | Self::Recede | Self::Swell | Self::Blind | Self::Replay
+            Self::Noise | Self::Recede | Self::Swell | Self::Repaint | Self::Blind | Self::Replay
         )
     }
 }
@@ -144,9 +147,12 @@ impl AttackConfig {
         let epsilon = self.epsilon();
         match self.method {
             Method::Fgsm | Method::BimClipped | Method::Pgd | Method::Momentum => epsilon,
-            Method::BimAccumulating | Method::Noise | Method::Recede | Method::Swell | Method::Spsa => {
-                epsilon * self.iterations as f32
-            }
+            Method::BimAccumulating
+            | Method::Noise
+            | Method::Recede
+            | Method::Swell
+            | Method::Repaint
+            | Method::Spsa => epsilon * self.iterations as f32,
             Method::Blind | Method::Replay => 1.0,
             Method::L2 => epsilon * (pixels as f32).sqrt(),
             Method::Patch => epsilon * PATCH_GAIN,

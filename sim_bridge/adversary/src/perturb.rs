@@ -7,7 +7,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Activation, Isa};
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS};
-use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, column_bearing_rad, row_elevation_rad};
+use vigil_types::{
+    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, NedVector, column_bearing_rad, row_elevation_rad,
+};
 
 /// The yaw output's limit before its saturation: 1.5 · tanh(10) is the limit to the last bit.
 const LIMIT: f32 = 10.0;
@@ -15,6 +17,10 @@ const LIMIT: f32 = 10.0;
 const STEP_GAIN: f32 = 2.5;
 /// [`Method::Recede`] leaves alone what is seen farther down than this, 20°: the ground near the vehicle.
 const GROUND_BELOW_RAD: f32 = 0.349;
+/// Height above the ground of states without a pose, metres: the flight height of most courses.
+const STATES_HEIGHT_M: f32 = 1.5;
+/// [`Method::Repaint`] takes for the ground what lies less than a tenth of its range before it.
+const GROUND_PART: f32 = 0.9;
 /// The patch's share of rows and columns; their product is 1 / [`PATCH_GAIN`].
 const PATCH_ROWS: usize = 4;
 const PATCH_COLS: usize = 8;
@@ -47,6 +53,8 @@ pub(crate) struct Perturber {
     extra: Vec<f32>,
     /// [`Method::Replay`]: what is shown again.
     kept: Vec<f32>,
+    /// [`Method::Repaint`]: attitude and height above the ground, metres, from which the next frame was taken.
+    seen_from: (Attitude, f32),
 }
 
 impl Perturber {
@@ -59,7 +67,13 @@ impl Perturber {
             gradient: vec![0.0; DEPTH_PIXELS],
             extra: vec![0.0; DEPTH_PIXELS],
             kept: kept_for(&config),
+            seen_from: (Attitude::LEVEL_NORTH, STATES_HEIGHT_M),
         })
+    }
+
+    /// Whence the next frames are taken: attitude, and height above the ground in metres.
+    pub fn see_from(&mut self, attitude: Attitude, height_m: f32) {
+        self.seen_from = (attitude, height_m);
     }
 
     pub fn config(&self) -> &AttackConfig {
@@ -112,6 +126,7 @@ impl Perturber {
                     }
                     Method::Recede => self.recede(1.0, frame),
                     Method::Swell => self.recede((call as f32 / SWELL_FRAMES as f32).min(1.0), frame),
+                    Method::Repaint => self.repaint(frame),
                     Method::Blind => frame.fill(1.0),
                     _ => self.replay(call, frame),
                 }
@@ -217,7 +232,7 @@ impl Perturber {
                 self.along_sign(frame, PATCH_GAIN * projected, PATCH_GAIN * epsilon);
             }
             // Make no steps.
-            Method::Noise | Method::Recede | Method::Swell | Method::Blind | Method::Replay => {}
+            Method::Noise | Method::Recede | Method::Swell | Method::Repaint | Method::Blind | Method::Replay => {}
         }
     }
 
@@ -294,6 +309,27 @@ impl Perturber {
         let rows = (0..DEPTH_ROWS).take_while(above).count();
         for x in frame[..rows * DEPTH_COLS].iter_mut().filter(|x| **x < 1.0) {
             *x = (*x + by).min(1.0);
+        }
+    }
+
+    /// Shows everything but the ground farther away, by the reach, and paints before it the flat ground that would be seen there.
+    fn repaint(&self, frame: &mut [f32]) {
+        let by = self.config.reach(frame.len());
+        let (attitude, height_m) = self.seen_from;
+        let down = attitude.to_frd(NedVector::new(0.0, 0.0, 1.0));
+        for (row, line) in frame.chunks_exact_mut(DEPTH_COLS).enumerate() {
+            let (up, level) = libm::sincosf(row_elevation_rad(row as f32));
+            for (col, x) in line.iter_mut().enumerate().filter(|(_, x)| **x < 1.0) {
+                let (right, ahead) = libm::sincosf(column_bearing_rad(col as f32));
+                let falls = level * (down.x * ahead + down.y * right) - down.z * up;
+                let ground = match falls > 0.0 {
+                    true => height_m / (falls * DEPTH_FULL_SCALE_M),
+                    false => f32::INFINITY,
+                };
+                if *x < GROUND_PART * ground {
+                    *x = (*x + by).min(ground).min(1.0);
+                }
+            }
         }
     }
 

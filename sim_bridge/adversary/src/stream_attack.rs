@@ -109,6 +109,7 @@ impl StreamAttack {
         self.foreseen.decide(taken)?;
         self.surrogate.hold(Beside::of(&self.foreseen));
         let before = self.surrogate.look(&delivered.depth)?;
+        self.perturber.see_from(taken.depth.header.attitude, taken.height_m);
         let towards = self.perturber.config().towards;
         let direction = *self.direction.get_or_insert_with(|| towards.sign(clean[1]));
         let target = match self.yaw_bounds {

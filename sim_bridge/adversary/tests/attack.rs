@@ -327,6 +327,29 @@ fn scene(pillar_at_rad: f32, pillar_m: f32) -> Vec<f32> {
     frame
 }
 
+#[test]
+fn a_repainted_picture_shows_the_pillar_farther_away_and_nothing_beneath_the_ground_before_it() {
+    let actor = FrozenActor::built_in().unwrap();
+    let settings = paper(|c| c.method = Method::Repaint);
+    let taken = scene(0.0, 2.5);
+    let mut altered = taken.clone();
+    let mut attack = StateAttack::new(Isa::detect(), &actor, &settings).unwrap();
+    attack
+        .attack(&mut altered, &hovering(&actor, &taken, GOAL))
+        .unwrap();
+    let (mut moved, mut painted) = (0, 0);
+    for (i, (shown, was)) in altered.iter().zip(&taken).enumerate() {
+        let falls = -row_elevation_rad((i / DEPTH_COLS) as f32).sin();
+        let ground = if falls > 0.0 { 0.015 / falls } else { f32::INFINITY };
+        let by = (was + settings.reach(taken.len())).min(1.0);
+        assert!((shown - was).abs() < 1e-6 || (shown - by.min(ground)).abs() < 1e-6, "pixel {i}");
+        assert!(*shown <= ground * 1.001, "pixel {i}");
+        moved += usize::from(*shown == by && by > *was);
+        painted += usize::from(ground < by && *was < 0.9 * ground);
+    }
+    assert!(moved > 1_000 && painted > 1_000, "{moved}, {painted}");
+}
+
 const GOAL: GoalRelative = GoalRelative {
     distance_m: 12.0,
     bearing_rad: 0.2,
