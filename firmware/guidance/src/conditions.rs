@@ -260,7 +260,7 @@ pub static CONDITIONS: [Condition; 34] = [
         Reason::RoughPicture,
         Demand::Hold,
         false,
-        "in `detector.raise_count` of the last `detector.raise_window` frames fewer than {smooth_share} of the cells of 4 × 4 pixels in which something is seen showed one surface; and the policy is *stop* or *recover*",
+        "in `detector.raise_count` of the last `detector.raise_window` frames fewer than {smooth_share} of the cells of 4 × 4 pixels in which something is seen showed one surface, or a part of the picture was torn; and the policy is *stop* or *recover*",
         "as *collision course*",
     ),
     condition(

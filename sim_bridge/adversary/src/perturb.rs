@@ -8,7 +8,8 @@ use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Activation, Isa};
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS};
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, NedVector, column_bearing_rad, row_elevation_rad,
+    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, NedVector, column_bearing_rad,
+    row_elevation_rad,
 };
 
 /// The yaw output's limit before its saturation: 1.5 · tanh(10) is the limit to the last bit.

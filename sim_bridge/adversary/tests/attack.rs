@@ -334,15 +334,16 @@ fn a_repainted_picture_shows_the_pillar_farther_away_and_nothing_beneath_the_gro
     let taken = scene(0.0, 2.5);
     let mut altered = taken.clone();
     let mut attack = StateAttack::new(Isa::detect(), &actor, &settings).unwrap();
-    attack
-        .attack(&mut altered, &hovering(&actor, &taken, GOAL))
-        .unwrap();
+    attack.attack(&mut altered, &hovering(&actor, &taken, GOAL)).unwrap();
     let (mut moved, mut painted) = (0, 0);
     for (i, (shown, was)) in altered.iter().zip(&taken).enumerate() {
         let falls = -row_elevation_rad((i / DEPTH_COLS) as f32).sin();
         let ground = if falls > 0.0 { 0.015 / falls } else { f32::INFINITY };
         let by = (was + settings.reach(taken.len())).min(1.0);
-        assert!((shown - was).abs() < 1e-6 || (shown - by.min(ground)).abs() < 1e-6, "pixel {i}");
+        assert!(
+            (shown - was).abs() < 1e-6 || (shown - by.min(ground)).abs() < 1e-6,
+            "pixel {i}"
+        );
         assert!(*shown <= ground * 1.001, "pixel {i}");
         moved += usize::from(*shown == by && by > *was);
         painted += usize::from(ground < by && *was < 0.9 * ground);

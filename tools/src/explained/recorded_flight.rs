@@ -5,9 +5,11 @@ use super::stepped::Flight;
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
 use vigil_adversary::{FrameAttack, Method};
+use vigil_guidance::ROUGH_BELOW;
 use vigil_nnet::Isa;
 use vigil_policy::actor::memory::SCAN_AGES;
 use vigil_policy::actor::{ACTOR_OUTPUTS, PositionalInputs};
+use vigil_policy::plausibility::smooth_share_of;
 use vigil_policy::{Decider, FlightField, FrozenPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_sim::environment::Environment;
 use vigil_sim::vehicle::VehicleParams;
@@ -38,6 +40,8 @@ pub struct Step {
     pub frame: Frame,
     /// Change of the yaw output by the attack; 0 where the frame was not altered.
     pub yaw_change: f32,
+    /// Whether the frame is a rough picture, by the guard's measure.
+    pub rough: bool,
 }
 
 /// A flight.
@@ -210,6 +214,7 @@ pub fn fly(isa: Isa, frozen: &FrozenPilot, scenario: &Scenario, onlooker: &mut i
             output,
             frame,
             yaw_change,
+            rough: smooth_share_of(&delivered).is_some_and(|share| share < ROUGH_BELOW),
         };
         let shown = Shown {
             input,

@@ -345,7 +345,8 @@ impl PlausibilityCheck {
     }
 
     /// Of the cells of the last frame checked in which something is seen, the share that shows one surface (4 × 4 pixels whose ranges differ
-    /// by no more than 0.16 m and a fifth of the range); `None` where next to nothing is seen.
+    /// by no more than 0.16 m and a fifth of the range); 0 where ranges go to and fro all over a part of 16 × 16 pixels, as a patch's do; `None`
+    /// where next to nothing is seen.
     pub fn smooth_share(&self) -> Option<f32> {
         self.counts.smooth_share()
     }

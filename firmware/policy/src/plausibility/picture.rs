@@ -125,16 +125,51 @@ pub(super) struct CellCounts {
     /// With a return in some pixel, and of these those of one surface.
     pub seen: usize,
     pub smooth: usize,
+    /// Parts of 4 × 4 cells that are torn: ranges go to and fro in nearly all of their cells.
+    pub torn: usize,
 }
+
+/// Cells along a part's side: a patch of 32 × 32 pixels covers a part wherever it lies.
+const PART: usize = 4;
+/// Ranges go to and fro in a cell if rows of its pixels change by so much more than their ends differ: a part of the range, and metres.
+/// Along any plane and across any edge they go one way; noise of 6 cm makes 0.14 m.
+const RAGGED_PART: f32 = 0.1;
+const RAGGED_M: f32 = 0.25;
+/// Ragged cells of a torn part, of 16: no unaltered frame has more than 8 (docs/robustness.md).
+const TORN_CELLS: u8 = 13;
 
 /// Cells in which something is seen, of 2048, before their roughness says anything.
 const LEAST_SEEN: usize = 100;
 
 impl CellCounts {
-    /// Of the cells in which something is seen, the share that shows one surface; `None` where next to nothing is seen.
+    /// Of the cells in which something is seen, the share that shows one surface, 0 where a part of the picture is torn; `None` where next
+    /// to nothing is seen.
     pub(super) fn smooth_share(&self) -> Option<f32> {
-        (self.seen >= LEAST_SEEN).then(|| self.smooth as f32 / self.seen as f32)
+        let smooth = if self.torn > 0 { 0 } else { self.smooth };
+        (self.seen >= LEAST_SEEN).then(|| smooth as f32 / self.seen as f32)
     }
+}
+
+/// Cells of a band in which ranges go to and fro, by parts.
+fn ragged_cells(band: &[f32; SIDE * DEPTH_COLS]) -> [u8; COLS / PART] {
+    let (mut limits, mut more) = ([0.0_f32; COLS], [0.0_f32; COLS]);
+    // Every second row is a ring of the LiDAR, those between lie between.
+    for row in band.as_chunks::<DEPTH_COLS>().0.iter().step_by(2) {
+        for ((limit, more), [a, b, c, d]) in limits.iter_mut().zip(&mut more).zip(row.as_chunks::<SIDE>().0) {
+            *limit += RAGGED_PART / SIDE as f32 * (a + b + c + d) + RAGGED_M / DEPTH_FULL_SCALE_M;
+            *more += (a - b).abs() + (b - c).abs() + (c - d).abs() - (a - d).abs();
+        }
+    }
+    let cells = limits.as_chunks::<PART>().0.iter().zip(more.as_chunks::<PART>().0);
+    let mut parts = [0; COLS / PART];
+    for (part, (limits, more)) in parts.iter_mut().zip(cells) {
+        *part = more
+            .iter()
+            .zip(limits)
+            .map(|(more, limit)| u8::from(more > limit))
+            .sum();
+    }
+    parts
 }
 
 /// A reduced frame.
@@ -151,6 +186,13 @@ impl Picture {
     pub(super) fn take(&mut self, frame: &DepthFrame) -> CellCounts {
         let mut counts = CellCounts::default();
         let bands = frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
+        for bands in bands.as_chunks::<PART>().0 {
+            let mut ragged = [0; COLS / PART];
+            for cells in bands.iter().map(ragged_cells) {
+                ragged.iter_mut().zip(cells).for_each(|(sum, cells)| *sum += cells);
+            }
+            counts.torn += ragged.iter().filter(|cells| **cells >= TORN_CELLS).count();
+        }
         for (band, cells) in bands.iter().zip(self.inverse.as_chunks_mut::<COLS>().0) {
             let (mut sum, mut low, mut high) = ([0.0_f32; DEPTH_COLS], [1.0_f32; DEPTH_COLS], [0.0_f32; DEPTH_COLS]);
             let mut zero = [0.0_f32; DEPTH_COLS];
@@ -304,5 +346,36 @@ mod tests {
         assert_eq!(picture.between(3.4, 30.5), Seen::Mixed);
         assert_eq!(picture.take(&DepthFrame::EMPTY), CellCounts::default());
         assert_eq!(picture.between(3.4, 30.5), Seen::Nothing);
+    }
+
+    #[test]
+    fn a_patch_tears_the_picture_wherever_it_lies_and_posts_a_steep_wall_and_scattered_holes_do_not() {
+        let mut frame = DepthFrame::EMPTY;
+        for (i, depth) in frame.depth.iter_mut().enumerate() {
+            let (row, column) = (i / DEPTH_COLS, i % DEPTH_COLS);
+            *depth = match column {
+                // Posts of two pixels before a wall at 12 m; a wall along the way, out to 50 m.
+                0..128 if column % 16 < 2 => 0.02,
+                0..128 => 0.12,
+                _ => 0.02 * 1.02_f32.powi(column as i32 - 128).min(25.0),
+            };
+            if (row * 7 + column * 5) % 24 == 0 {
+                *depth = 1.0;
+            }
+        }
+        let mut picture = Picture::EMPTY;
+        assert_eq!(picture.take(&frame).torn, 0);
+        for (top, left) in [(0, 0), (37, 91), (96, 224)] {
+            let mut patched = frame.clone();
+            for row in top..top + 32 {
+                for column in left..left + 32 {
+                    let sign = if (row * 31 + column * 17) % 5 < 2 { 1.0 } else { -1.0 };
+                    let depth = &mut patched.depth[row * DEPTH_COLS + column];
+                    *depth = (*depth + sign * 0.02).clamp(0.0, 1.0);
+                }
+            }
+            let counts = picture.take(&patched);
+            assert!(counts.torn >= 1 && counts.smooth_share() == Some(0.0), "{counts:?}");
+        }
     }
 }

@@ -3,7 +3,7 @@
 use crate::detector_training::features::Feature;
 use crate::detector_training::lstm::WindowScorer;
 use crate::detector_training::metrics::{Proportion, Separation, corners, roc};
-use crate::explained::{Adversary, Ending, Frame, MAX_STEPS, Plan, Record, Scenario, fly};
+use crate::explained::{Adversary, Ending, Frame, MAX_STEPS, Plan, Record, Scenario, Step, fly};
 use anyhow::Result;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -193,9 +193,16 @@ pub struct SetReport {
     pub delay_steps: Option<(f64, f64)>,
     /// Bursts in which an alarm was raised before they ended.
     pub bursts_noticed: Proportion,
+    /// Rough pictures by the guard's measure among its altered frames, or among all where none is altered.
+    #[serde(default = "nothing_looked_at")]
+    pub rough: Proportion,
     /// Receiver operating characteristic of its attacked windows against those of the unattacked flights: its corners.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub roc: Vec<(f64, f64)>,
+}
+
+fn nothing_looked_at() -> Proportion {
+    Proportion::new(0, 0)
 }
 
 /// Detection over the number of altered rows in the window.
@@ -321,6 +328,10 @@ fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32, un
     let noticed: Vec<f64> = delays.iter().flatten().map(|d| *d as f64).collect();
     let quantile = |q| crate::statistics::quantile(&noticed, q);
     let ended = records.iter().filter_map(|r| r.outcome);
+    let steps = || records.iter().flat_map(|r| &r.steps);
+    let is_altered = |s: &&Step| s.frame != Frame::Unaltered;
+    let any_altered = steps().any(|s| is_altered(&s));
+    let looked_at = || steps().filter(|s| is_altered(s) || !any_altered);
     SetReport {
         name: set.name.clone(),
         role: set.role,
@@ -333,6 +344,7 @@ fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32, un
         alarms_on_noise: above(&|r, step| r.steps.get(step).is_some_and(|s| s.frame == Frame::Noisy)),
         delay_steps: quantile(0.5).zip(quantile(0.9)),
         bursts_noticed: Proportion::new(noticed.len(), delays.len()),
+        rough: Proportion::new(looked_at().filter(|s| s.rough).count(), looked_at().count()),
         roc: match attacks.is_empty() {
             true => Vec::new(),
             false => corners(&roc(&attacks, unattacked)),
@@ -432,6 +444,7 @@ mod tests {
                 _ => Frame::Unaltered,
             },
             yaw_change: if c == 'a' { -1.5 } else { 0.0 },
+            rough: c == 'a',
         };
         Record {
             frame_ages: vec![4, 3, 2, 1, 0],

@@ -103,6 +103,8 @@ const SIZE_LIMIT: u64 = 4 << 30;
 
 /// Key of the only metadata entry: with several the order, and so the file, would be another in each process.
 const FORMAT: &str = "vigil detector data 2";
+/// Beside what a frame is: it is a rough picture.
+const ROUGH: u8 = 4;
 /// Numbers kept of a step beside the split point's values and the positional inputs.
 const BESIDE_STATE: usize = ACTOR_OUTPUTS + 1;
 
@@ -177,7 +179,7 @@ impl Flights {
     }
 
     /// A file's content: `steps` (float32: split point's values, positional inputs, outputs, change of yaw), `frames` (0 unaltered, 1
-    /// attacked, 2 noisy), and what was flown as JSON in the metadata.
+    /// attacked, 2 noisy; and 4 where the picture is rough), and what was flown as JSON in the metadata.
     ///
     /// # Errors
     /// Steps of different widths.
@@ -192,7 +194,7 @@ impl Flights {
             for number in numbers.chain([&step.yaw_change]) {
                 values.extend(number.to_le_bytes());
             }
-            frames.push(step.frame as u8);
+            frames.push(step.frame as u8 | if step.rough { ROUGH } else { 0 });
         }
         let flights: Vec<Entry> = self
             .records
@@ -268,12 +270,13 @@ impl Flights {
                 position: PositionalInputs::from_values(position)
                     .unwrap_or_else(|| unreachable!("as many as an actor has")),
                 output: [0.0; ACTOR_OUTPUTS],
-                frame: match frame {
+                frame: match frame & !ROUGH {
                     1 => Frame::Attacked,
                     2 => Frame::Noisy,
                     _ => Frame::Unaltered,
                 },
                 yaw_change: yaw_change[0],
+                rough: frame & ROUGH != 0,
             };
             step.output.copy_from_slice(output);
             step

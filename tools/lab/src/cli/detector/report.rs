@@ -142,6 +142,7 @@ pub(super) fn text(report: &Report) -> String {
         "on noise",
         "delay 50 / 90 %",
         "bursts noticed %",
+        "rough pictures %",
     ];
     let mut table = TextTable::new([words("set")].into_iter().chain(shares.map(numbers)));
     for set in &report.sets {
@@ -159,6 +160,7 @@ pub(super) fn text(report: &Report) -> String {
             short(&set.alarms_on_noise),
             delay,
             short(&set.bursts_noticed),
+            short(&set.rough),
         ]);
     }
     line(format!("\n{table}"));
