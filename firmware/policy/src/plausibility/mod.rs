@@ -7,12 +7,14 @@
 
 mod drift;
 mod motion;
+mod parallax;
 mod picture;
 mod shadow;
 mod silence;
 
 use self::drift::{DOWN_M, Errors, MountReadings, Pair, TURN, WIDENING, allowed_drift_m};
 use self::motion::{MOST_COST, Map, Pose, cost, look, look_widened, samples};
+use self::parallax::Parallax;
 use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen};
 use self::shadow::Shadow;
 use self::silence::SilentSide;
@@ -257,6 +259,7 @@ pub struct PlausibilityCheck {
     blind: bool,
     silent: SilentSide,
     shadow: Shadow,
+    parallax: Parallax,
     /// Stamp and attitude of the picture before.
     taken_before: Option<(Nanos, Attitude)>,
     pose_errors: [NedVector; POSE_FRAMES],
@@ -324,6 +327,7 @@ impl PlausibilityCheck {
             blind: false,
             silent: SilentSide::default(),
             shadow: Shadow::default(),
+            parallax: Parallax::default(),
             taken_before: None,
             pose_errors: [NedVector::ZERO; POSE_FRAMES],
             poses: 0,
@@ -409,15 +413,13 @@ impl PlausibilityCheck {
                 (self.bad_pose, self.good_poses) = (true, 0);
             }
         }
-        self.note_shadow(
-            frame.header.attitude,
-            height_m.filter(|_| in_flight && is_led(telemetry) && !blind && !self.bad_pose),
-        );
+        let guided = in_flight && is_led(telemetry) && !blind && !self.bad_pose;
+        self.note_ranges(frame, &pose, height_m.filter(|_| guided));
         if !armed {
             // The flight is over.
             self.forget_motion();
             (self.raised, self.raises) = (None, 0);
-            self.shadow = Shadow::default();
+            (self.shadow, self.parallax) = (Shadow::default(), Parallax::default());
         } else if !in_flight || stands_or_takes_off(telemetry) || blind || self.bad_pose {
             self.forget_pictures();
         } else if self.raised.is_some() {
@@ -430,16 +432,21 @@ impl PlausibilityCheck {
             .with_if(blind, Reason::BlindSensor)
             .with_if(self.bad_pose, Reason::ImplausiblePose)
             .with_if(self.shadow.is_raised(), Reason::BeneathGround)
+            .with_if(self.parallax.is_raised(), Reason::InconsistentPicture)
             .union(self.raised.map_or(Reasons::NONE, |raised| Reasons::of(raised.reason)));
         self.faults
     }
 
-    /// Takes the picture to the shadow's check, where the height in flight is known.
-    fn note_shadow(&mut self, attitude: Attitude, height_m: Option<f32>) {
-        match height_m {
-            Some(height_m) => self.shadow.note(&self.picture, &self.directions, attitude, height_m),
-            None => self.shadow.skip(),
-        }
+    /// Takes the frame to the checks of its ranges, where the height of a vehicle that is led by it is known.
+    fn note_ranges(&mut self, frame: &DepthFrame, pose: &Pose, height_m: Option<f32>) {
+        let Some(height_m) = height_m else {
+            self.shadow.skip();
+            self.parallax.skip();
+            return;
+        };
+        self.shadow
+            .note(&self.picture, &self.directions, pose.attitude, height_m);
+        self.parallax.note(frame, &self.directions, pose, frame.header.stamp_ns);
     }
 
     /// What is remembered of pictures is of no use any more; what was raised stays.

@@ -7,7 +7,7 @@ use vigil_types::{
 };
 
 /// Pixels along a cell's side.
-const SIDE: usize = 4;
+pub(super) const SIDE: usize = 4;
 /// Rows of cells.
 pub(super) const ROWS: usize = DEPTH_ROWS / SIDE;
 /// Columns of cells.
@@ -59,11 +59,17 @@ impl Directions {
         }
     }
 
+    /// Cosine and sine of the bearing of a column of cells.
+    #[inline]
+    pub(super) fn column(&self, column: usize) -> (f32, f32) {
+        self.columns.get(column).copied().unwrap_or((1.0, 0.0))
+    }
+
     /// Unit vector of a cell in body axes.
     #[inline]
     pub(super) fn of(&self, row: usize, column: usize) -> FrdVector {
         let (cos_row, sin_row) = self.rows.get(row).copied().unwrap_or((1.0, 0.0));
-        let (cos_column, sin_column) = self.columns.get(column).copied().unwrap_or((1.0, 0.0));
+        let (cos_column, sin_column) = self.column(column);
         FrdVector::new(cos_row * cos_column, cos_row * sin_column, -sin_row)
     }
 

@@ -1,5 +1,6 @@
 extern crate std;
 
+mod parallax;
 mod shadow;
 
 use super::*;
