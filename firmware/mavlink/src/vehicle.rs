@@ -1,6 +1,7 @@
 //! What the vehicle says of itself.
 
 use crate::autopilot::Flavour;
+use crate::following::Following;
 use crate::framing::{Packet, Zeroed};
 use crate::globe::Origin;
 use crate::heading_error::HeadingError;
@@ -109,6 +110,7 @@ pub struct Vehicle {
     attitude_ms: Option<u32>,
     velocity_error: VelocityError,
     heading_error: HeadingError,
+    following: Following,
 }
 
 impl Vehicle {
@@ -174,21 +176,32 @@ impl Vehicle {
     }
 
     /// The velocity to ask for, so that the position moves as wanted from the nose while the reported heading and velocity are off
-    /// ([`HeadingError`], [`VelocityError`]); as it is wanted where nothing fresh is known.
-    pub(crate) fn asked_velocity(&self, now_ns: Nanos, wanted_m_s: HeadingVector) -> HeadingVector {
+    /// ([`HeadingError`], [`VelocityError`]), and a vehicle that `obeys` does not lag behind ([`Following`]); as it is wanted where nothing
+    /// fresh is known.
+    pub(crate) fn asked_velocity(&mut self, now_ns: Nanos, wanted_m_s: HeadingVector, obeys: bool) -> HeadingVector {
         let (lacks_m_s, lacks_rad) = (self.velocity_error.lacks_m_s(), self.heading_lacks_rad());
         let is_fresh = self
             .telemetry
             .flight_data_age_ns(now_ns)
             .is_some_and(|age_ns| age_ns <= FRESH_NS);
-        match self.telemetry.attitude {
-            Some(sample)
-                if (lacks_m_s != NedVector::ZERO || lacks_rad != 0.0) && is_fresh && self.telemetry.is_finite() =>
-            {
-                wanted_m_s.to_ned(lacks_rad).to_heading(0.0) - lacks_m_s.to_heading(sample.attitude.yaw_rad())
-            }
-            _ => wanted_m_s,
+        let known = self.telemetry.kinematics.zip(self.telemetry.attitude);
+        let Some((kinematics, sample)) = known.filter(|_| is_fresh && self.telemetry.is_finite()) else {
+            self.following.pause();
+            return wanted_m_s;
+        };
+        let yaw_rad = sample.attitude.yaw_rad();
+        let more_m_s = if obeys {
+            let wanted_ned_m_s = wanted_m_s.to_ned(yaw_rad + lacks_rad);
+            self.following.take(now_ns, wanted_ned_m_s, kinematics.velocity_ned_m_s)
+        } else {
+            self.following.pause();
+            NedVector::ZERO
+        };
+        let lacks_m_s = lacks_m_s - more_m_s;
+        if lacks_m_s == NedVector::ZERO && lacks_rad == 0.0 {
+            return wanted_m_s;
         }
+        wanted_m_s.to_ned(lacks_rad).to_heading(0.0) - lacks_m_s.to_heading(yaw_rad)
     }
 
     /// How long ago the autopilot started, by its own clock.

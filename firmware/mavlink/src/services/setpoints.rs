@@ -25,11 +25,12 @@ impl Service for SetpointService {
         let report = step.report;
         core.streaming = report.setpoint.is_some() && core.system_id.is_some();
         if let (Some(setpoint), Some(system)) = (&report.setpoint, core.system_id) {
+            let (now_ns, obeys) = (report.now_ns, report.has_vehicle());
             let asked = VelocitySetpoint {
-                velocity_m_s: core.vehicle.asked_velocity(report.now_ns, setpoint.velocity_m_s),
+                velocity_m_s: core.vehicle.asked_velocity(now_ns, setpoint.velocity_m_s, obeys),
                 ..*setpoint
             };
-            core.say(out, &report::setpoint(report.now_ns, system, &asked));
+            core.say(out, &report::setpoint(now_ns, system, &asked));
         }
     }
 }
