@@ -40,7 +40,7 @@ const DISPLACED_RAD: f32 = 0.0035;
 /// pictures in a row, the ranges are no true ones.
 const KEEP: f32 = 0.95;
 const LEAST_TOLD: f32 = 6.0;
-const DISPLACED_SHARE: f32 = 0.7;
+const DISPLACED_SHARE: f32 = 0.8;
 const RAISE_PICTURES: u8 = 5;
 
 /// Where something near ends before something farther.
