@@ -437,7 +437,7 @@ impl PlausibilityCheck {
         self.faults
     }
 
-    /// Takes the frame to the checks of its ranges, where the height of a vehicle that is led by it is known.
+    /// Takes the frame to the checks of its ranges, where the height of a vehicle that flies by it is known.
     fn note_ranges(&mut self, frame: &DepthFrame, pose: &Pose, height_m: Option<f32>) {
         let Some(height_m) = height_m else {
             self.shadow.skip();

@@ -2,7 +2,7 @@
 //! ranges alone cannot move edges: what is shown farther away than it is moves faster than it should at the range shown.
 //!
 //! A vehicle of wrong odometry sees the same on both sides, one of wrong heading opposite things; what moves by itself moves on one side.
-//! So edges on both sides have to move too far. Where none are seen nothing can be told, which is no good word for the picture.
+//! So edges on both sides have to move too far. Where none are seen nothing is known, which is no good word for the picture.
 
 use super::motion::Pose;
 use super::picture::{Directions, SIDE};
@@ -28,18 +28,18 @@ const BEHIND_M: f32 = 0.4;
 const SAME_M: f32 = 0.3;
 const SAME_PART: f32 = 0.07;
 const SEARCHED_RAD: f32 = 0.35;
-/// Edges nearer than this to the vehicle, to the course (8°) or to the end of the view (6°) tell nothing.
+/// Edges nearer than this to the vehicle, to the course (8°) or to the end of the view (6°) are left out.
 const NEAR_M: f32 = 0.5;
 const LEAST_OFF_RAD: f32 = 0.14;
 const MOST_BEARING_RAD: f32 = 0.942;
-/// Edges that moved by 2° tell something: they are displaced if they moved farther than they should by a fifth and 0.2°.
-const TELLS_RAD: f32 = 0.035;
+/// Edges that moved by 2° count: they are displaced if they moved farther than they should by a fifth and 0.2°.
+const LEAST_MOVED_RAD: f32 = 0.035;
 const DISPLACED_PART: f32 = 0.2;
 const DISPLACED_RAD: f32 = 0.0035;
-/// What was told counts for about 20 pictures. With so many edges told of on each side, such a share displaced on both, in so many
+/// Edges count for about 20 pictures. With so many on each side, such a share displaced on both, in so many
 /// pictures in a row, the ranges are no true ones.
 const KEEP: f32 = 0.95;
-const LEAST_TOLD: f32 = 6.0;
+const LEAST_EDGES: f32 = 6.0;
 const DISPLACED_SHARE: f32 = 0.8;
 const RAISE_PICTURES: u8 = 5;
 
@@ -133,9 +133,9 @@ fn along_horizon_m(frame: &DepthFrame, directions: &Directions, pose: &Pose) -> 
     nearest_m
 }
 
-/// Of edges on one side of the course, how many told something lately, and how many of these were displaced.
+/// Edges on one side of the course that counted lately, and those of them that were displaced.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-struct Told {
+struct Side {
     all: f32,
     displaced: f32,
 }
@@ -146,8 +146,8 @@ pub(super) struct Parallax {
     views: [View; VIEWS],
     newest: usize,
     used: usize,
-    left: Told,
-    right: Told,
+    left: Side,
+    right: Side,
     pictures: u8,
     raised: bool,
 }
@@ -158,8 +158,8 @@ impl Default for Parallax {
             views: [View::NONE; VIEWS],
             newest: 0,
             used: 0,
-            left: Told::default(),
-            right: Told::default(),
+            left: Side::default(),
+            right: Side::default(),
             pictures: 0,
             raised: false,
         }
@@ -170,15 +170,15 @@ impl Parallax {
     /// Takes a frame of a vehicle in flight.
     pub(super) fn note(&mut self, frame: &DepthFrame, directions: &Directions, pose: &Pose, stamp_ns: Nanos) {
         let view = View::of(frame, directions, pose, stamp_ns);
-        for told in [&mut self.left, &mut self.right] {
-            (told.all, told.displaced) = (KEEP * told.all, KEEP * told.displaced);
+        for side in [&mut self.left, &mut self.right] {
+            (side.all, side.displaced) = (KEEP * side.all, KEEP * side.displaced);
         }
         let earlier = (0..self.used).filter_map(|back| self.views.get((self.newest + VIEWS - back) % VIEWS));
         let far_enough = earlier.copied().find(|earlier| view.level_m_from(earlier) >= BACK_M);
         if let Some(earlier) = far_enough.filter(|v| stamp_ns.saturating_sub(v.stamp_ns) <= OLDEST_NS) {
             self.compare(&view, &earlier);
         }
-        let displaced = |told: &Told| told.all >= LEAST_TOLD && told.displaced > DISPLACED_SHARE * told.all;
+        let displaced = |side: &Side| side.all >= LEAST_EDGES && side.displaced > DISPLACED_SHARE * side.all;
         super::count(&mut self.pictures, displaced(&self.left) && displaced(&self.right));
         self.raised |= self.pictures >= RAISE_PICTURES;
         let newest = self.views.get(self.newest).filter(|_| self.used > 0);
@@ -194,10 +194,10 @@ impl Parallax {
     /// A frame of which nothing can be said: what was seen before is not compared with any more; what was raised stays.
     pub(super) fn skip(&mut self) {
         (self.used, self.pictures) = (0, 0);
-        (self.left, self.right) = (Told::default(), Told::default());
+        (self.left, self.right) = (Side::default(), Side::default());
     }
 
-    /// Until the motors are off: a vehicle that is held moves past nothing that could tell.
+    /// Until the motors are off: a vehicle that is held moves past nothing by which it could end.
     pub(super) fn is_raised(&self) -> bool {
         self.raised
     }
@@ -229,20 +229,20 @@ impl Parallax {
                 .filter(|farther_rad| farther_rad.abs() < SEARCHED_RAD);
             if let Some(farther_rad) = farther_rad
                 && should_rad > 0.0
-                && should_rad + farther_rad > TELLS_RAD
+                && should_rad + farther_rad > LEAST_MOVED_RAD
             {
-                let told = if off_rad < 0.0 { &mut self.left } else { &mut self.right };
-                told.all += 1.0;
+                let side = if off_rad < 0.0 { &mut self.left } else { &mut self.right };
+                side.all += 1.0;
                 if farther_rad > DISPLACED_PART * should_rad + DISPLACED_RAD {
-                    told.displaced += 1.0;
+                    side.displaced += 1.0;
                 }
             }
         }
     }
 
-    /// Whether edges tell something on both sides.
+    /// Whether edges are seen to move on both sides.
     #[cfg(test)]
-    pub(super) fn tells(&self) -> bool {
-        self.left.all >= LEAST_TOLD && self.right.all >= LEAST_TOLD
+    pub(super) fn sees_both_sides(&self) -> bool {
+        self.left.all >= LEAST_EDGES && self.right.all >= LEAST_EDGES
     }
 }

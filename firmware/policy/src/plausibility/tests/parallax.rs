@@ -51,7 +51,7 @@ fn who_repaints_the_ground_before_what_is_shown_farther_away_is_found_by_the_edg
 fn true_ranges_odometry_of_a_tenth_too_much_and_a_hall_without_edges_convict_nobody() {
     let mut flight = Flight::new();
     assert_eq!(flight.fly(100, good), [Reasons::NONE; 100]);
-    assert!(flight.plausibility.parallax.tells());
+    assert!(flight.plausibility.parallax.sees_both_sides());
     assert_eq!(flight.fly(200, good), [Reasons::NONE; 200]);
     let mut flight = Flight::new();
     for _ in 0..300 {
@@ -66,5 +66,5 @@ fn true_ranges_odometry_of_a_tenth_too_much_and_a_hall_without_edges_convict_nob
     }
     let mut flight = Flight::new();
     flight.fly(60, |frame| frame.depth.fill(0.05));
-    assert!(!flight.plausibility.parallax.is_raised() && !flight.plausibility.parallax.tells());
+    assert!(!flight.plausibility.parallax.is_raised() && !flight.plausibility.parallax.sees_both_sides());
 }

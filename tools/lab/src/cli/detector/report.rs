@@ -85,6 +85,20 @@ pub(super) fn roc_figure<'a>(curves: impl IntoIterator<Item = (&'a str, Vec<(f64
     figure
 }
 
+/// Columns of the table of sets.
+const SHARES: [&str; 10] = [
+    "flights",
+    "at goal %",
+    "detected %",
+    "effective",
+    "ineffective",
+    "false alarms %",
+    "on noise",
+    "delay 50 / 90 %",
+    "bursts noticed %",
+    "rough pictures %",
+];
+
 pub(super) fn text(report: &Report) -> String {
     let mut out = String::new();
     let mut line = |text: String| {
@@ -132,19 +146,7 @@ pub(super) fn text(report: &Report) -> String {
         "\nstill alarmed 1, 2, … 20 steps after an attack, %: {}",
         after.join(" ")
     ));
-    let shares = [
-        "flights",
-        "at goal %",
-        "detected %",
-        "effective",
-        "ineffective",
-        "false alarms %",
-        "on noise",
-        "delay 50 / 90 %",
-        "bursts noticed %",
-        "rough pictures %",
-    ];
-    let mut table = TextTable::new([words("set")].into_iter().chain(shares.map(numbers)));
+    let mut table = TextTable::new([words("set")].into_iter().chain(SHARES.map(numbers)));
     for set in &report.sets {
         let delay = set
             .delay_steps
