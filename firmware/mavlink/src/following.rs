@@ -20,9 +20,9 @@ const SIZE_FALLS_S: f32 = 20.0;
 /// More than this counts as this, metres per second: a vehicle that turns back lacks more for a moment.
 const COUNTS_M_S: f32 = 0.4;
 /// A vehicle that lacks less than the first in the mean follows, and is asked for what is wanted; beyond the second, all that it lacks is
-/// asked for as well, metres per second. In 24 flights each, half of them with an estimate
-/// that wanders, our model came to 0.08 (in a wind of 4 m/s to 0.14), a light PX4's to 0.08, SIH's to 0.16 or more; a real light PX4
-/// comes to 0.13 to 0.21 (docs/foreign-vehicles.md).
+/// asked for as well, metres per second. In 24 flights each, half of them with an estimate that wanders, our model came to 0.08 (in a
+/// wind of 4 m/s to 0.14), a light PX4's to 0.08, SIH's to 0.16 or more; a real light PX4 comes to 0.13 to 0.21
+/// (docs/foreign-vehicles.md).
 const FOLLOWS_M_S: f32 = 0.12;
 const DRIFTS_M_S: f32 = 0.15;
 /// No more than this is asked for on top, metres per second.

@@ -172,7 +172,7 @@ impl PolicyAttack {
     }
 
     /// Whence the next frames are taken: attitude, and height above the ground in metres.
-    pub fn see_from(&mut self, attitude: Attitude, height_m: f32) {
+    pub(crate) fn see_from(&mut self, attitude: Attitude, height_m: f32) {
         self.perturber.see_from(attitude, height_m);
     }
 

@@ -446,7 +446,7 @@ impl PlausibilityCheck {
         };
         self.shadow
             .note(&self.picture, &self.directions, pose.attitude, height_m);
-        self.parallax.note(frame, &self.directions, pose, frame.header.stamp_ns);
+        self.parallax.note(frame, &self.directions, pose);
     }
 
     /// What is remembered of pictures is of no use any more; what was raised stays.

@@ -74,9 +74,9 @@ impl View {
         count: 0,
     };
 
-    fn of(frame: &DepthFrame, directions: &Directions, pose: &Pose, stamp_ns: Nanos) -> Self {
+    fn of(frame: &DepthFrame, directions: &Directions, pose: &Pose) -> Self {
         let mut view = Self {
-            stamp_ns,
+            stamp_ns: frame.header.stamp_ns,
             position_ned_m: pose.position_ned_m,
             yaw_rad: pose.attitude.yaw_rad(),
             ..Self::NONE
@@ -168,14 +168,15 @@ impl Default for Parallax {
 
 impl Parallax {
     /// Takes a frame of a vehicle in flight.
-    pub(super) fn note(&mut self, frame: &DepthFrame, directions: &Directions, pose: &Pose, stamp_ns: Nanos) {
-        let view = View::of(frame, directions, pose, stamp_ns);
+    pub(super) fn note(&mut self, frame: &DepthFrame, directions: &Directions, pose: &Pose) {
+        let view = View::of(frame, directions, pose);
         for side in [&mut self.left, &mut self.right] {
             (side.all, side.displaced) = (KEEP * side.all, KEEP * side.displaced);
         }
-        let earlier = (0..self.used).filter_map(|back| self.views.get((self.newest + VIEWS - back) % VIEWS));
-        let far_enough = earlier.copied().find(|earlier| view.level_m_from(earlier) >= BACK_M);
-        if let Some(earlier) = far_enough.filter(|v| stamp_ns.saturating_sub(v.stamp_ns) <= OLDEST_NS) {
+        let mut earlier = (0..self.used).filter_map(|back| self.views.get((self.newest + VIEWS - back) % VIEWS));
+        let far_enough = earlier.find(|earlier| view.level_m_from(earlier) >= BACK_M);
+        let is_young = |earlier: &&View| view.stamp_ns.saturating_sub(earlier.stamp_ns) <= OLDEST_NS;
+        if let Some(earlier) = far_enough.filter(is_young).copied() {
             self.compare(&view, &earlier);
         }
         let displaced = |side: &Side| side.all >= LEAST_EDGES && side.displaced > DISPLACED_SHARE * side.all;

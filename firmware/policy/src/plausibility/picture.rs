@@ -1,5 +1,6 @@
 //! A depth frame reduced to cells of 4 × 4 pixels: what two frames are compared by.
 
+use super::{PART, PART_COLS};
 use crate::{larger, smaller};
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrdVector, HORIZONTAL_FOV_RAD, PIXEL_PITCH_RAD,
@@ -135,13 +136,12 @@ pub(super) struct CellCounts {
     pub torn: usize,
 }
 
-/// Cells along a part's side: a patch of 32 × 32 pixels covers a part wherever it lies.
-const PART: usize = 4;
 /// Ranges go to and fro in a cell if rows of its pixels change by so much more than their ends differ: a part of the range, and metres.
 /// Along any plane and across any edge they go one way; noise of 6 cm makes 0.14 m.
 const RAGGED_PART: f32 = 0.1;
 const RAGGED_M: f32 = 0.25;
-/// Ragged cells of a torn part, of 16: no unaltered frame has more than 8 (docs/robustness.md).
+/// Ragged cells of a torn part, of 16 (a patch of 32 × 32 pixels covers a part wherever it lies): no unaltered frame has more than 8
+/// (docs/robustness.md).
 const TORN_CELLS: u8 = 13;
 
 /// Cells in which something is seen, of 2048, before their roughness says anything.
@@ -157,7 +157,7 @@ impl CellCounts {
 }
 
 /// Cells of a band in which ranges go to and fro, by parts.
-fn ragged_cells(band: &[f32; SIDE * DEPTH_COLS]) -> [u8; COLS / PART] {
+fn ragged_cells(band: &[f32; SIDE * DEPTH_COLS]) -> [u8; PART_COLS] {
     let (mut limits, mut more) = ([0.0_f32; COLS], [0.0_f32; COLS]);
     // Every second row is a ring of the LiDAR, those between lie between.
     for row in band.as_chunks::<DEPTH_COLS>().0.iter().step_by(2) {
@@ -167,7 +167,7 @@ fn ragged_cells(band: &[f32; SIDE * DEPTH_COLS]) -> [u8; COLS / PART] {
         }
     }
     let cells = limits.as_chunks::<PART>().0.iter().zip(more.as_chunks::<PART>().0);
-    let mut parts = [0; COLS / PART];
+    let mut parts = [0; PART_COLS];
     for (part, (limits, more)) in parts.iter_mut().zip(cells) {
         *part = more
             .iter()
@@ -193,7 +193,7 @@ impl Picture {
         let mut counts = CellCounts::default();
         let bands = frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
         for bands in bands.as_chunks::<PART>().0 {
-            let mut ragged = [0; COLS / PART];
+            let mut ragged = [0; PART_COLS];
             for cells in bands.iter().map(ragged_cells) {
                 ragged.iter_mut().zip(cells).for_each(|(sum, cells)| *sum += cells);
             }
