@@ -140,8 +140,7 @@ pub(super) struct CellCounts {
 /// Along any plane and across any edge they go one way; noise of 6 cm makes 0.14 m.
 const RAGGED_PART: f32 = 0.1;
 const RAGGED_M: f32 = 0.25;
-/// Ragged cells of a torn part, of 16 (a patch of 32 × 32 pixels covers a part wherever it lies): no unaltered frame has more than 8
-/// (docs/robustness.md).
+/// Ragged cells, of 16, of a torn part, which any patch of 32 × 32 covers: no unaltered frame has more than 8 (docs/robustness.md).
 const TORN_CELLS: u8 = 13;
 
 /// Cells in which something is seen, of 2048, before their roughness says anything.
