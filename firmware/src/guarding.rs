@@ -12,7 +12,7 @@
 use crate::motion::Motion;
 use vigil_guidance::just_stop::{Course, Gain, JustStop, JustStopConfig, JustStopInput, JustStopState};
 use vigil_policy::plausibility::has_jumped;
-use vigil_policy::{Lookout, Scan};
+use vigil_policy::{Lookout, Scan, TakeOff};
 use vigil_types::{
     Attitude, DepthFrame, FrdVector, GuardNotice, HORIZONTAL_FOV_RAD, Kinematics, Nanos, NedVector, Reason, Reasons,
     StopCause, VERTICAL_FOV_RAD, VehicleMode, VehicleRequest, VehicleTelemetry, wrap_pi,
@@ -21,9 +21,6 @@ use vigil_types::{
 const G_M_S2: f32 = 9.81;
 /// Steepest tilt whose thrust is believed, as the sine of the thrust's elevation.
 const LEAST_LIFT: f32 = 0.3;
-/// A vehicle that climbs faster than this and moves slower than that over the ground goes straight up, metres per second.
-const CLIMBS_M_S: f32 = 0.3;
-const STRAIGHT_UP_M_S: f32 = 0.5;
 /// Drag and wind are followed as an observer of second order of this frequency, rad/s, and a damping of 0.8; of a lower one where
 /// velocities come so seldom that it would not be stable.
 const OBSERVER_RAD_S: f32 = 4.0;
@@ -34,10 +31,6 @@ const GROWTH_S: f32 = 0.15;
 const GREATEST_LOSS_M_S2: f32 = 4.0;
 /// After a gap so long between two velocities it begins anew, seconds.
 const OBSERVER_GAP_S: f32 = 0.5;
-/// A vehicle is still leaving the ground up to this height above it, metres, while it is slower than this over the ground, metres per
-/// second: PX4 says IN_AIR and MISSION before it climbs, and its velocity is off by up to 0.7 m/s there.
-const LEAVES_GROUND_M: f32 = 1.0;
-const LEAVES_GROUND_M_S: f32 = 1.0;
 /// A vehicle that loses more than this has begun to brake, metres per second squared.
 const BRAKES_M_S2: f32 = 0.5;
 /// So near to the edge of the field of view a course does not count as seen: the vehicle has a width.
@@ -63,8 +56,7 @@ pub(crate) struct Guarding {
     lookout: Lookout,
     guard: JustStop,
     last: Option<Kinematics>,
-    /// How far down the ground is that it is about to leave, metres; `None` in the air.
-    ground_z_m: Option<f32>,
+    take_off: TakeOff,
     air: Option<Air>,
     /// Where the vehicle that is told to hold can come to rest, metres north and east.
     stop_place_m: Option<(f32, f32)>,
@@ -199,7 +191,7 @@ impl Guarding {
             lookout: Lookout::new(),
             guard: JustStop::default(),
             last: None,
-            ground_z_m: None,
+            take_off: TakeOff::default(),
             air: None,
             stop_place_m: None,
             detour: Detour::None,
@@ -210,24 +202,6 @@ impl Guarding {
     /// What was seen last.
     pub fn scan(&self) -> &Scan {
         self.lookout.scan()
-    }
-
-    /// Whether it goes straight up and does not hold, or is still about to: a take-off, whatever its autopilot calls it.
-    fn climbs(&mut self, telemetry: &VehicleTelemetry, motion: Option<&Motion>) -> bool {
-        let Some(Motion { kinematics, .. }) = motion else {
-            return false;
-        };
-        let (z_m, velocity) = (kinematics.position_ned_m.z, kinematics.velocity_ned_m_s);
-        let speed_m_s = velocity.horizontal_norm();
-        let is_low = |ground_z_m: &f32| speed_m_s < LEAVES_GROUND_M_S && ground_z_m - z_m < LEAVES_GROUND_M;
-        self.ground_z_m = if telemetry.is_airborne() {
-            self.ground_z_m.filter(is_low)
-        } else {
-            Some(z_m)
-        };
-        let holds = telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
-        let goes_up = speed_m_s < STRAIGHT_UP_M_S && velocity.z < -CLIMBS_M_S;
-        !holds && (self.ground_z_m.is_some() || goes_up)
     }
 
     /// Looks; the course, if it could be seen, whether the position jumped, and whether it takes off.
@@ -242,7 +216,7 @@ impl Guarding {
         // Frames taken on the ground show the ground at the vehicle's own height.
         let airborne = telemetry.is_airborne();
         let jumped = motion.is_some_and(|motion| self.has_jumped(motion.kinematics));
-        let climbs = self.climbs(telemetry, motion.as_ref());
+        let climbs = motion.is_some_and(|motion| self.take_off.goes_on(telemetry, &motion.kinematics));
         // From below flight height too, and a take-off that is an item of a mission is told as MISSION in the air.
         if jumped || !airborne || climbs {
             self.lookout.reset();
@@ -506,7 +480,7 @@ fn lean_ned_m_s2(attitude: Attitude) -> NedVector {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_types::{AttitudeSample, Landed, STEP_NS};
+    use vigil_types::STEP_NS;
 
     /// Flies north, tilted forward by 17°, for so long under a drag of 1/s, its velocity known this often: what it gains at the end, and
     /// the truth.
@@ -538,31 +512,5 @@ mod tests {
         // Its velocity comes only twice a second.
         let (gain_m_s2, _) = gain_after_m_s2(20.0, 10 * STEP_NS);
         assert!(gain_m_s2.abs() < 0.3, "{gain_m_s2}");
-    }
-
-    #[test]
-    fn a_vehicle_that_its_autopilot_calls_airborne_before_it_climbs_is_still_taking_off() {
-        let mut guarding = Guarding::new(JustStopConfig::default());
-        let mut takes_off = |landed, height_m: f32, north_m_s: f32| {
-            let telemetry = VehicleTelemetry {
-                landed,
-                ..VehicleTelemetry::default()
-            };
-            let motion = Motion {
-                kinematics: Kinematics::new(
-                    0,
-                    NedVector::new(0.0, 0.0, 0.4 - height_m),
-                    NedVector::new(north_m_s, 0.0, 0.0),
-                ),
-                sample: AttitudeSample::new(0, Attitude::LEVEL_NORTH, FrdVector::ZERO),
-            };
-            guarding.climbs(&telemetry, Some(&motion))
-        };
-        assert!(takes_off(Landed::OnGround, 0.0, 0.0));
-        assert!(takes_off(Landed::InAir, 0.1, 0.7), "its estimate moves");
-        assert!(!takes_off(Landed::InAir, 1.1, 0.0), "it has left the ground");
-        assert!(!takes_off(Landed::InAir, 0.5, 0.0), "and is low in flight");
-        assert!(takes_off(Landed::OnGround, 0.0, 0.0));
-        assert!(!takes_off(Landed::InAir, 0.3, 1.2), "it goes somewhere");
     }
 }

@@ -31,6 +31,7 @@ pub mod geometric;
 pub mod imported;
 pub mod plausibility;
 mod second_sensor;
+mod take_off;
 
 #[cfg(feature = "actor-file")]
 pub use actor::FrozenActor;
@@ -45,6 +46,7 @@ pub use imported::FrozenPolicy;
 pub use imported::ImportedPilot;
 pub use plausibility::PlausibilityCheck;
 pub use second_sensor::SecondSensor;
+pub use take_off::TakeOff;
 
 use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector, Nanos};
 

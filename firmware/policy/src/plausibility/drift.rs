@@ -5,12 +5,10 @@ use super::motion::{Found, Map, cost, look, sigma_m};
 use super::picture::{Directions, Picture};
 use vigil_types::{FrdVector, Nanos};
 
-/// How far an estimate drifts, metres and metres a second, two and a half times what was measured of real ones; and at the most, metres.
+/// How far an estimate drifts, metres and metres a second, as real ones do in one second of twenty (a PX4 in SIH); and at the most, metres.
 const DRIFT_M: f32 = 0.02;
-const DRIFT_M_S: f32 = 0.15;
+const DRIFT_M_S: f32 = 0.2;
 const MOST_DRIFT_M: f32 = 0.5;
-/// Of the way between two pictures no more than this may be drift: a picture that did not move must not be taken for one that did.
-const DRIFT_SHARE: f32 = 0.5;
 /// A mean cost below this needs no drift to explain it; and fewer samples tell of none.
 const FITS_WELL: f32 = 0.5;
 const LEAST_SAMPLES: f32 = 40.0;
@@ -19,12 +17,9 @@ const PROBE_M: f32 = 0.05;
 /// Errors beyond so many standard deviations are no drift's.
 const OUTLIER: f32 = 4.0;
 
-/// What the estimate may have drifted in a time and over a way, metres.
-pub(super) fn allowed_drift_m(passed_ns: Nanos, way_m: f32) -> f32 {
-    let passed_s = passed_ns as f32 * 1e-9;
-    (DRIFT_M + DRIFT_M_S * passed_s)
-        .min(MOST_DRIFT_M)
-        .min(DRIFT_SHARE * way_m)
+/// What the estimate may have drifted in a time, metres.
+pub(super) fn allowed_drift_m(passed_ns: Nanos) -> f32 {
+    (DRIFT_M + DRIFT_M_S * (passed_ns as f32 * 1e-9)).min(MOST_DRIFT_M)
 }
 
 /// Two pictures, and the cells of the first that are looked for in the second.

@@ -18,6 +18,7 @@ use self::parallax::Parallax;
 use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen};
 use self::shadow::Shadow;
 use self::silence::SilentSide;
+use crate::TakeOff;
 use vigil_types::{
     Attitude, DepthFrame, FrdVector, Kinematics, Landed, Nanos, NedVector, Reason, Reasons, VehicleMode,
     VehicleTelemetry,
@@ -70,6 +71,8 @@ const METRES_PER_RADIAN: f32 = 3.0;
 /// Where the vehicle hardly moves, the newest kept picture is replaced after this time, and older ones are not compared with.
 const ANCHOR_FRESH_NS: Nanos = 1_000_000_000;
 const ANCHOR_USEFUL_NS: Nanos = 6_000_000_000;
+/// One that is to show the same near by must be younger: what an estimate drifts in a longer time is not explained by a shift.
+const NEAR_USEFUL_NS: Nanos = 1_000_000_000;
 /// How far back a picture is compared with: near to find what is frozen soon, far to tell directions.
 const NEAR_M: f32 = 0.35;
 const FAR_M: f32 = 1.2;
@@ -79,8 +82,9 @@ const LEAST_ASIDE_M: f32 = 0.08;
 /// A way that is long enough, and flown fast enough, to tell 5° from the error of the estimated position.
 const DIRECTED_M: f32 = 0.7;
 const DIRECTED_M_S: f32 = 0.5;
-/// A slower way than this may be the estimate's alone.
-const LEAST_M_S: f32 = 0.1;
+/// A way shorter than so many times what the estimate may have drifted meanwhile tells nothing: a vehicle that hovers for seconds on a real
+/// one seems to have come half a metre, and a picture that did not move must not be taken for one that did.
+const DRIFTS: f32 = 1.5;
 
 /// What is found counts for about ten frames, and for about forty where directions are told.
 const KEEP: f32 = 0.9;
@@ -269,6 +273,7 @@ pub struct PlausibilityCheck {
     bad_pose: bool,
     /// What the vehicle told when the frame before was checked.
     kinematics_before: Option<Kinematics>,
+    take_off: TakeOff,
     anchors: [Anchor; ANCHORS],
     anchors_used: usize,
     newest: usize,
@@ -335,6 +340,7 @@ impl PlausibilityCheck {
             good_poses: 0,
             bad_pose: false,
             kinematics_before: None,
+            take_off: TakeOff::default(),
             anchors: [NO_ANCHOR; ANCHORS],
             anchors_used: 0,
             newest: 0,
@@ -413,6 +419,9 @@ impl PlausibilityCheck {
                 (self.bad_pose, self.good_poses) = (true, 0);
             }
         }
+        let takes_off = known.is_some_and(|(kinematics, _)| self.take_off.goes_on(telemetry, &kinematics))
+            && !is_led(telemetry)
+            || stands_or_takes_off(telemetry);
         let guided = in_flight && is_led(telemetry) && !blind && !self.bad_pose;
         self.note_ranges(frame, &pose, height_m.filter(|_| guided));
         if !armed {
@@ -420,7 +429,7 @@ impl PlausibilityCheck {
             self.forget_motion();
             (self.raised, self.raises) = (None, 0);
             (self.shadow, self.parallax) = (Shadow::default(), Parallax::default());
-        } else if !in_flight || stands_or_takes_off(telemetry) || blind || self.bad_pose {
+        } else if !in_flight || takes_off || blind || self.bad_pose {
             self.forget_pictures();
         } else if self.raised.is_some() {
             self.look_for_a_fit(&pose, stamp_ns);
@@ -541,10 +550,10 @@ impl PlausibilityCheck {
             .map_or(0, |before| self.cells_that_stayed(&Map::between(pose, &before)));
         count(&mut self.same_frames, same >= SAME_CELLS);
         self.evidence.fade();
-        if let Some(near) = self.anchor_at(NEAR_M, pose, stamp_ns) {
+        if let Some(near) = self.anchor_at(NEAR_M, NEAR_USEFUL_NS, pose, stamp_ns) {
             self.compare_near(near, pose, stamp_ns);
         }
-        if let Some(far) = self.anchor_at(FAR_M, pose, stamp_ns) {
+        if let Some(far) = self.anchor_at(FAR_M, ANCHOR_USEFUL_NS, pose, stamp_ns) {
             self.compare_far(far, pose, stamp_ns);
         }
         if let Some(raised) = self.verdict() {
@@ -578,14 +587,14 @@ impl PlausibilityCheck {
         stayed
     }
 
-    /// The kept picture that is nearest to so far back; `None` if none is far enough, or all are too old.
-    fn anchor_at(&self, back_m: f32, pose: &Pose, stamp_ns: Nanos) -> Option<usize> {
+    /// The kept picture that is nearest to so far back; `None` if none is far enough, or all are older than this.
+    fn anchor_at(&self, back_m: f32, oldest_ns: Nanos, pose: &Pose, stamp_ns: Nanos) -> Option<usize> {
         let mut best: Option<(usize, f32)> = None;
         for (i, anchor) in self.anchors.iter().take(self.anchors_used).enumerate() {
             let way_m = apart_m(&anchor.pose, pose);
             let miss_m = (way_m - back_m).abs();
             let age_ns = stamp_ns.saturating_sub(anchor.stamp_ns);
-            let useful = way_m >= LEAST_M.max(LEAST_M_S * 1e-9 * age_ns as f32) && age_ns <= ANCHOR_USEFUL_NS;
+            let useful = way_m >= LEAST_M.max(DRIFTS * allowed_drift_m(age_ns)) && age_ns <= oldest_ns;
             if useful && best.is_none_or(|(_, least_m)| miss_m < least_m) {
                 best = Some((i, miss_m));
             }
@@ -642,6 +651,8 @@ impl PlausibilityCheck {
         let age_s = stamp_ns.saturating_sub(anchor.stamp_ns) as f32 * 1e-9;
         let level_m = (pose.position_ned_m - anchor.pose.position_ned_m).horizontal_norm();
         let directed = level_m >= DIRECTED_M.max(DIRECTED_M_S * age_s);
+        // What drifted over a slower way would be seen through.
+        let swift = apart_m(pose, &anchor.pose) >= DIRECTED_M_S * age_s;
         // To the other side in each step, so that a slope of one side has no direction.
         let side = if self.step.is_multiple_of(2) { 1.0 } else { -1.0 };
         let (cos, sin) = (TURN.0, side * TURN.1);
@@ -660,7 +671,7 @@ impl PlausibilityCheck {
                 &self.picture,
             );
             let near = anchor.picture.is_near(row * COLS + column, MAY_MOVE_M);
-            if near || !found.is_beyond(MAY_MOVE_M) {
+            if near || !swift || !found.is_beyond(MAY_MOVE_M) {
                 continue;
             }
             let part = part_of(there_row as usize, there_column as usize);
@@ -715,8 +726,7 @@ impl PlausibilityCheck {
             cells,
         };
         let passed_ns = stamp_ns.saturating_sub(anchor.stamp_ns);
-        let allowed_m = allowed_drift_m(passed_ns, apart_m(&anchor.pose, pose));
-        pair.without_drift(&Map::between(pose, &anchor.pose), allowed_m)
+        pair.without_drift(&Map::between(pose, &anchor.pose), allowed_drift_m(passed_ns))
     }
 
     /// What the evidence tells.
@@ -840,8 +850,8 @@ impl PlausibilityCheck {
     }
 }
 
-/// While a vehicle stands, or takes off by itself, nobody flies by what is seen; and its estimate moves then by more than it does (a real
-/// PX4's rose half a metre above the ground on which it stood).
+/// While a vehicle stands, or takes off by itself, nobody flies by what is seen; and its estimate moves then by more than it does
+/// ([`TakeOff`]).
 fn stands_or_takes_off(telemetry: &VehicleTelemetry) -> bool {
     telemetry.landed == Landed::OnGround || telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Takeoff)
 }

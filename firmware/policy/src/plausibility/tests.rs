@@ -471,6 +471,22 @@ fn an_estimate_that_drifts_convicts_nobody_and_a_sensor_that_sits_wrong_is_found
 }
 
 #[test]
+fn an_estimate_that_wanders_while_the_vehicle_hovers_convicts_nobody() {
+    // A real PX4's (SIH), held for half a minute: 0.7 m, at up to 0.25 m/s.
+    let mut flight = Flight::new();
+    assert_eq!(flight.first_fault(40, good), None);
+    (flight.speed_m_s, flight.yaw_rate_rad_s, flight.sway_rad) = (0.0, 0.0, 0.0);
+    // Its velocity does not say so.
+    flight.plausibility.note_estimate(0.0, false);
+    for step in 0..600 {
+        let (s, c) = (libm::sinf(0.025 * step as f32), libm::cosf(0.02 * step as f32));
+        flight.look();
+        flight.misplace(NedVector::new(0.35 * s, 0.35 * (c - 1.0), 0.3 * s));
+        assert_eq!(flight.check(), Reasons::NONE, "{step}");
+    }
+}
+
+#[test]
 fn an_estimate_that_drifts_for_seconds_to_one_side_looks_like_a_turned_sensor_and_convicts_none_if_it_contradicts_itself()
  {
     let aside = |time_s: f32| NedVector::new(0.0, 0.16 * time_s, 0.0);
@@ -578,9 +594,14 @@ fn an_estimate_that_moves_while_the_vehicle_stands_or_takes_off_convicts_no_sens
     for (landed, mode) in [
         (Landed::OnGround, VehicleMode::Hold),
         (Landed::TakingOff, VehicleMode::Takeoff),
+        // An item of a mission, as PX4 names it.
+        (Landed::InAir, VehicleMode::Mission),
         (Landed::InAir, VehicleMode::External),
     ] {
         let mut flight = Flight::new();
+        if mode == VehicleMode::Mission {
+            (flight.speed_m_s, flight.climb_m_s) = (0.0, 0.6);
+        }
         let stays = flight.frame.clone();
         let step = |flight: &mut Flight| {
             flight.look();
