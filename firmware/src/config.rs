@@ -358,6 +358,7 @@ impl FirmwareConfig {
                 jerk_m_s3: self.just_stop.jerk_m_s3,
                 spare_m: self.just_stop.spare_m,
                 unseen_limit_ns: Some(nanos(self.just_stop.unseen_s)).filter(|limit_ns| *limit_ns > 0),
+                ..JustStopConfig::default()
             },
             guidance: self.guidance(),
             companion: CompanionConfig {
@@ -367,7 +368,7 @@ impl FirmwareConfig {
                     AutopilotChoice::ArduPilot => Some(Flavour::ArduPilot),
                 },
                 obstacles: self.obstacle_distance,
-                wants_mission_place: self.duty != Duty::Fly,
+                guards: self.duty != Duty::Fly,
                 setpoint_timeout_s: Some(limits.setpoint_timeout_s).filter(|longest_s| *longest_s > 0.0),
                 system_id: self.link.as_ref().and_then(|link| link.system),
                 ..CompanionConfig::default()

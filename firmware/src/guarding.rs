@@ -14,8 +14,8 @@ use vigil_guidance::just_stop::{Course, Gain, JustStop, JustStopConfig, JustStop
 use vigil_policy::plausibility::has_jumped;
 use vigil_policy::{Lookout, Scan, TakeOff};
 use vigil_types::{
-    Attitude, DepthFrame, FrdVector, GuardNotice, HORIZONTAL_FOV_RAD, Kinematics, Nanos, NedVector, Reason, Reasons,
-    StopCause, VERTICAL_FOV_RAD, VehicleMode, VehicleRequest, VehicleTelemetry, wrap_pi,
+    Attitude, DepthFrame, FrdVector, GuardNotice, HORIZONTAL_FOV_RAD, Kinematics, MissionMotion, Nanos, NedVector,
+    Reason, Reasons, StopCause, VERTICAL_FOV_RAD, VehicleMode, VehicleRequest, VehicleTelemetry, wrap_pi,
 };
 
 const G_M_S2: f32 = 9.81;
@@ -53,6 +53,8 @@ const BESIDE_M: f32 = 0.4;
 /// Lookout and guard.
 pub(crate) struct Guarding {
     config: JustStopConfig,
+    /// The same with what the vehicle has told of itself.
+    reckoned: JustStopConfig,
     lookout: Lookout,
     guard: JustStop,
     last: Option<Kinematics>,
@@ -182,12 +184,15 @@ pub(crate) struct GuardingInput<'a> {
     pub flies_around: bool,
     /// Where the vehicle's mission leads, metres north and east.
     pub mission_place_m: Option<(f32, f32)>,
+    /// How the vehicle changes its speed on the way there, as far as it has told.
+    pub mission_motion: MissionMotion,
 }
 
 impl Guarding {
     pub fn new(config: JustStopConfig) -> Self {
         Self {
             config,
+            reckoned: config,
             lookout: Lookout::new(),
             guard: JustStop::default(),
             last: None,
@@ -244,8 +249,8 @@ impl Guarding {
     fn config(&self, input: &GuardingInput<'_>) -> JustStopConfig {
         let room_m = if input.flies_around { TURNING_ROOM_M } else { 0.0 };
         JustStopConfig {
-            spare_m: self.config.spare_m + room_m,
-            ..self.config
+            spare_m: self.reckoned.spare_m + room_m,
+            ..self.reckoned
         }
     }
 
@@ -253,10 +258,11 @@ impl Guarding {
     pub fn step(&mut self, input: &GuardingInput<'_>) -> Guarded {
         let GuardingInput { now_ns, telemetry, .. } = *input;
         let kinematics = input.motion.map(|motion| motion.kinematics);
+        self.reckoned = self.config.reckoning_with(input.mission_motion);
         let (course, jumped, climbing) = self.look(input);
         let before = self.guard.state();
         let state = self.guard.step(
-            &self.config,
+            &self.reckoned,
             &JustStopInput {
                 now_ns,
                 heartbeat: telemetry.heartbeat,
@@ -320,7 +326,7 @@ impl Guarding {
     fn stop_place_m(&self, kinematics: &Kinematics, gain: Gain, ahead_m: f32) -> (f32, f32) {
         let (here, velocity) = (kinematics.position_ned_m, kinematics.velocity_ned_m_s);
         let speed_m_s = velocity.horizontal_norm();
-        let way_m = self.config.way_m(speed_m_s, gain).min(ahead_m.max(0.0));
+        let way_m = self.reckoned.way_m(speed_m_s, gain).min(ahead_m.max(0.0));
         let share = if speed_m_s > STANDING_M_S {
             way_m / speed_m_s
         } else {

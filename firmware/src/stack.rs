@@ -343,6 +343,7 @@ impl FlightStack {
             frame: self.frames.newest().filter(|_| seen.is_fresh),
             flies_around: duty == Duty::FlyAround,
             mission_place_m: self.companion.mission_place_m(),
+            mission_motion: self.companion.mission_motion(),
         };
         if !matches!(guidance.state, GuidanceState::Standby | GuidanceState::Ready) {
             let guided = guidance.state == GuidanceState::Guided;

@@ -1,16 +1,21 @@
 //! The way that a vehicle needs to stop, reckoned from its speed and from what it gains.
 
 use crate::just_stop::STANDS_M_S;
-use vigil_types::{Nanos, parameters};
+use vigil_types::{MissionMotion, Nanos, parameters};
 
 /// Step of the reckoned stop, seconds, and the most of them: 20 s.
 const RECKON_S: f32 = 0.05;
 const RECKON_STEPS: usize = 400;
 /// Fastest that a vehicle is believed to gain speed, metres per second squared.
 const GREATEST_GAIN_M_S2: f32 = 6.0;
-/// What an autopilot gains speed with in a mission at the most: PX4's MPC_ACC_HOR is 3, Copter's WPNAV_ACCEL 2.5 by default, metres per
+/// What an autopilot gains speed with in a mission at the least: PX4's MPC_ACC_HOR is 3, Copter's WPNAV_ACCEL 2.5 by default, metres per
 /// second squared.
 const MISSION_GAIN_M_S2: f32 = 3.0;
+/// Of what its parameter says, an autopilot brakes with this part: velocities are not followed at once.
+const BRAKES_BY: f32 = 2.0 / 3.0;
+/// The least that is believed of either, metres per second squared and cubed.
+const LEAST_BRAKING_M_S2: f32 = 0.3;
+const LEAST_JERK_M_S3: f32 = 0.5;
 /// A vehicle that shows a faster change of its acceleration than is configured is believed up to so many times that.
 const MOST_JERK: f32 = 1.5;
 /// The way of a hold from steady flight is this time times the speed: measured 1.3 to 1.5 s on PX4 (HOLD from 1.8 to 3.3 m/s) and about
@@ -28,6 +33,8 @@ pub struct JustStopConfig {
     pub braking_m_s2: f32,
     /// How fast it gets there, metres per second cubed. PX4: MPC_JERK_AUTO, 4 by default; Copter: PSC_JERK_XY, 5.
     pub jerk_m_s3: f32,
+    /// What it gains speed with in a mission, metres per second squared.
+    pub mission_gain_m_s2: f32,
     /// Kept between its stop and what it must not touch, metres.
     pub spare_m: f32,
     /// Moved so long where the sensor does not look, it is stopped; `None` is never.
@@ -51,6 +58,7 @@ impl Default for JustStopConfig {
             reaction_s: parameters::STOP_REACTION.number_f32(),
             braking_m_s2: parameters::STOP_BRAKING.number_f32(),
             jerk_m_s3: parameters::STOP_JERK.number_f32(),
+            mission_gain_m_s2: MISSION_GAIN_M_S2,
             spare_m: parameters::STOP_SPARE.number_f32(),
             unseen_limit_ns: Some((parameters::STOP_UNSEEN.number() * 1e9) as Nanos),
         }
@@ -58,6 +66,23 @@ impl Default for JustStopConfig {
 }
 
 impl JustStopConfig {
+    /// The same with what the autopilot has told of itself, where that is worse than what is configured.
+    #[must_use]
+    pub fn reckoning_with(self, told: MissionMotion) -> Self {
+        let gain_m_s2 = told.gain_m_s2.unwrap_or(0.0);
+        let braking_m_s2 = told.braking_m_s2.map_or(f32::INFINITY, |m_s2| BRAKES_BY * m_s2);
+        Self {
+            mission_gain_m_s2: gain_m_s2.clamp(self.mission_gain_m_s2, GREATEST_GAIN_M_S2),
+            braking_m_s2: braking_m_s2.max(LEAST_BRAKING_M_S2).min(self.braking_m_s2),
+            jerk_m_s3: told
+                .jerk_m_s3
+                .unwrap_or(f32::INFINITY)
+                .max(LEAST_JERK_M_S3)
+                .min(self.jerk_m_s3),
+            ..self
+        }
+    }
+
     /// Metres within which something on the course stops a vehicle of this speed, metres per second, that gains speed with this
     /// acceleration, metres per second squared. An autopilot takes its acceleration back as fast as its jerk allows: who is told to
     /// hold while it gains speed goes on gaining it for a while; and until it is told, who has begun to gain speed gains more.
@@ -81,7 +106,7 @@ impl JustStopConfig {
         } else {
             GREATEST_GAIN_M_S2
         };
-        let grown_m_s2 = gain_m_s2.max(MISSION_GAIN_M_S2);
+        let grown_m_s2 = gain_m_s2.max(self.mission_gain_m_s2);
         let growth_m_s3 = gain.growth_m_s3.min(self.jerk_m_s3).max(0.0);
         let jerk_m_s3 = gain.shown_m_s3.max(self.jerk_m_s3).min(MOST_JERK * self.jerk_m_s3);
         let mut way_m = 0.0;
@@ -106,7 +131,7 @@ impl JustStopConfig {
     /// course stops it before it moves.
     pub fn start_reach_m(&self) -> f32 {
         let gain = Gain {
-            gain_m_s2: MISSION_GAIN_M_S2,
+            gain_m_s2: self.mission_gain_m_s2,
             ..Gain::default()
         };
         self.reach_m(2.0 * STANDS_M_S, gain)

@@ -12,8 +12,8 @@ use crate::status_text::{StatusText, WARNING};
 use mavlink::MessageData;
 use mavlink::dialects::common::{MavState, OBSTACLE_DISTANCE_DATA};
 use vigil_types::{
-    Datagrams, GuardNotice, GuidanceState, HandoverProgress, Nanos, ObstacleReports, RequestOutcome, SectorRanges,
-    StepReport, VehicleRequest, VehicleStatus, VehicleTelemetry, parameters,
+    Datagrams, GuardNotice, GuidanceState, HandoverProgress, MissionMotion, Nanos, ObstacleReports, RequestOutcome,
+    SectorRanges, StepReport, VehicleRequest, VehicleStatus, VehicleTelemetry, parameters,
 };
 
 /// The autopilot's component.
@@ -33,8 +33,9 @@ pub struct CompanionConfig {
     /// The longest time, seconds, that the vehicle may keep to its last setpoint; a longer one is set in the vehicle's
     /// parameters when it is taken over. `None` neither asks nor sets.
     pub setpoint_timeout_s: Option<f32>,
-    /// The place to which the vehicle's mission leads is asked for (POSITION_TARGET_GLOBAL_INT).
-    pub wants_mission_place: bool,
+    /// Missions are guarded: the place to which one leads (POSITION_TARGET_GLOBAL_INT) and the parameters by which the vehicle changes its
+    /// speed are asked for.
+    pub guards: bool,
     /// Link to the vehicle, which is heard there and nowhere else; answers go back on the link that the question came
     /// from.
     pub link: u8,
@@ -49,7 +50,7 @@ impl Default for CompanionConfig {
             flavour: None,
             obstacles: ObstacleReports::default(),
             setpoint_timeout_s: Some(parameters::SETPOINT_TIMEOUT.number_f32()),
-            wants_mission_place: false,
+            guards: false,
             link: 0,
         }
     }
@@ -150,6 +151,11 @@ impl Companion {
     /// Metres north and east, in the local frame, of the place to which the vehicle's mission leads; `None` when it has not told.
     pub fn mission_place_m(&self) -> Option<(f32, f32)> {
         self.core.vehicle.mission_place_m()
+    }
+
+    /// How the vehicle changes its speed in a mission, as far as it has told.
+    pub fn mission_motion(&self) -> MissionMotion {
+        self.core.vehicle.mission_motion
     }
 
     /// The vehicle's autopilot: as configured or recognised, PX4 before that.

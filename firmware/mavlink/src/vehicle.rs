@@ -13,8 +13,8 @@ use mavlink::dialects::common::{
     POSITION_TARGET_GLOBAL_INT_DATA, SYS_STATUS_DATA,
 };
 use vigil_types::{
-    Attitude, AttitudeSample, FrdVector, HeadingVector, Heartbeat, Kinematics, Landed, Nanos, NedVector, RANGE_SECTORS,
-    SectorRanges, VehicleMode, VehicleTelemetry,
+    Attitude, AttitudeSample, FrdVector, HeadingVector, Heartbeat, Kinematics, Landed, MissionMotion, Nanos, NedVector,
+    RANGE_SECTORS, SectorRanges, VehicleMode, VehicleTelemetry,
 };
 
 /// A time since boot this much earlier than the last one is a restart; a smaller step back is a packet out of order.
@@ -100,6 +100,8 @@ pub struct Vehicle {
     home_down_m: Option<f32>,
     /// Latitude and longitude, degrees, of the place to which its mission leads, as it was told last in that mode.
     mission_place_deg: Option<(f64, f64)>,
+    /// How it changes its speed in a mission, by its parameters.
+    pub(crate) mission_motion: MissionMotion,
     /// The last usable OBSTACLE_DISTANCE: of a sensor beside the depth camera.
     pub sector_ranges: Option<SectorRanges>,
     /// How often the autopilot was seen to start anew.

@@ -57,7 +57,7 @@ pub use judgement::{Alarm, AlarmCause, AlarmResponse, EXPLAINED_STATE, Judgement
 pub use parameters::ParameterSpec;
 pub use ranges::{RANGE_SECTORS, SectorRanges};
 pub use step_report::{Datagrams, StepReport, StepTiming};
-pub use telemetry::{AttitudeSample, Heartbeat, Kinematics, Landed, VehicleMode, VehicleTelemetry};
+pub use telemetry::{AttitudeSample, Heartbeat, Kinematics, Landed, MissionMotion, VehicleMode, VehicleTelemetry};
 pub use vector::{Attitude, Frame, Frd, FrdVector, Heading, HeadingVector, Ned, NedVector, Vector, wrap_pi};
 pub use vehicle_requests::{
     GuardNotice, HandoverProgress, OperatorRequest, RequestOutcome, StopCause, VehicleRequest, VehicleStatus,

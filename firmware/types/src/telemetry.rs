@@ -120,6 +120,17 @@ pub struct VehicleTelemetry {
 /// origin.
 const AIRBORNE_HEIGHT_M: f32 = 0.5;
 
+/// How an autopilot changes its speed in a mission and in its hold, by its own parameters; `None` what it has not told.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct MissionMotion {
+    /// What it gains speed with: PX4's MPC_ACC_HOR, Copter's WPNAV_ACCEL; metres per second squared.
+    pub gain_m_s2: Option<f32>,
+    /// What it brakes with: PX4's MPC_ACC_HOR (Copter's BRAKE has no parameter); metres per second squared.
+    pub braking_m_s2: Option<f32>,
+    /// PX4's MPC_JERK_AUTO, Copter's PSC_JERK_XY; metres per second cubed.
+    pub jerk_m_s3: Option<f32>,
+}
+
 impl VehicleTelemetry {
     /// Whether the vehicle is off the ground, by its own word, or by its height when it does not say.
     pub fn is_airborne(&self) -> bool {

@@ -3,6 +3,7 @@
 pub(crate) mod commands;
 pub(crate) mod handover;
 mod heartbeat;
+mod mission_motion;
 pub(crate) mod obstacles;
 pub(crate) mod parameters;
 pub(crate) mod setpoint_timeout;
@@ -59,6 +60,7 @@ services! {
     handover: handover::HandoverService,
     setpoint_timeout: setpoint_timeout::SetpointTimeoutService,
     streams: streams::StreamService,
+    mission_motion: mission_motion::MissionMotionService,
     status: status::StatusService,
     warnings: warnings::WarningService,
     obstacles: obstacles::ObstacleService,

@@ -168,20 +168,20 @@ pub(crate) struct StreamService {
     restarts: u32,
     places_asked: u8,
     flavour: Flavour,
-    wants_mission_place: bool,
+    guards: bool,
     /// A message that comes too rarely, to be told: name, rate and wanted rate, hertz.
     slow: Option<(&'static str, f32, f32)>,
 }
 
 impl StreamService {
-    fn of(flavour: Flavour, wants_mission_place: bool) -> Self {
+    fn of(flavour: Flavour, guards: bool) -> Self {
         let mut ask = [flavour == Flavour::ArduPilot; NEEDED.len()];
         if let Some(ask) = ask.get_mut(MISSION_PLACE) {
-            *ask = wants_mission_place;
+            *ask = guards;
         }
         Self {
             ask,
-            wants_mission_place,
+            guards,
             flavour,
             ..Self::default()
         }
@@ -202,14 +202,14 @@ impl StreamService {
         if self.restarts != vehicle.restarts || self.flavour != vehicle.flavour() {
             *self = Self {
                 restarts: vehicle.restarts,
-                ..Self::of(vehicle.flavour(), self.wants_mission_place)
+                ..Self::of(vehicle.flavour(), self.guards)
             };
         }
         if !heard || vehicle.is_other_autopilot() || now_ns.saturating_sub(self.asked_ns) < PAUSE_NS {
             return None;
         }
         for ((needed, watched), ask) in NEEDED.iter().zip(&mut self.watched).zip(&mut self.ask) {
-            if needed.id == POSITION_TARGET_GLOBAL_INT_DATA::ID && !self.wants_mission_place {
+            if needed.id == POSITION_TARGET_GLOBAL_INT_DATA::ID && !self.guards {
                 continue;
             }
             if needed.of_ardupilot && self.flavour != Flavour::ArduPilot {
@@ -280,7 +280,7 @@ impl StreamService {
 
 impl Service for StreamService {
     fn new(config: &CompanionConfig) -> Self {
-        Self::of(Flavour::Px4, config.wants_mission_place)
+        Self::of(Flavour::Px4, config.guards)
     }
 
     fn hear_vehicle(&mut self, core: &mut Core, now_ns: Nanos, packet: &Packet<'_>) {

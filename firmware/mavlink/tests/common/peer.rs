@@ -65,6 +65,8 @@ pub struct Peer {
     pub pitch_rad: f32,
     /// In missions.
     pub cruise_m_s: f32,
+    /// Gains and loses speed in missions and holds with so much, metres per second squared; its parameter says a fifth more.
+    pub gain_m_s2: f32,
     /// COM_OF_LOSS_T or GUID_TIMEOUT, seconds.
     pub setpoint_timeout_s: f32,
     /// VGL_OF_LOSS_T, seconds, of a vehicle that has it.
@@ -117,6 +119,7 @@ impl Peer {
             system: 1,
             mode,
             cruise_m_s: 3.0,
+            gain_m_s2: 2.5,
             setpoint_timeout_s,
             tells_parameters: true,
             sets_parameters: true,
@@ -329,9 +332,9 @@ impl Peer {
         }
     }
 
-    /// Flies north; 2.5 m/s² to another speed.
+    /// Flies north.
     fn gain(&mut self, wanted_m_s: f32) {
-        let most_m_s = 2.5 * STEP_S;
+        let most_m_s = self.gain_m_s2 * STEP_S;
         let gained_m_s = (wanted_m_s - self.speed_north_m_s).clamp(-most_m_s, most_m_s);
         self.speed_north_m_s += gained_m_s;
         self.pitch_rad = -(gained_m_s / STEP_S / 9.81).atan();
@@ -366,6 +369,10 @@ impl Peer {
                     self.own_timeout_s = self.own_timeout_s.map(|_| p.param_value);
                     self.replies
                         .extend(self.own_timeout_s.map(|s| value_of(OWN_TIMEOUT, s)));
+                }
+                MavMessage::PARAM_REQUEST_READ(p) if self.motion_value(p.param_id.to_str()).is_some() => {
+                    let value = self.motion_value(p.param_id.to_str()).filter(|_| self.tells_parameters);
+                    self.replies.extend(value);
                 }
                 MavMessage::PARAM_REQUEST_READ(p) if p.target_system == self.system && p.target_component == 1 => {
                     assert_eq!((p.param_index, p.param_id.to_str()), (-1, Ok(self.timeout_name())));
@@ -446,6 +453,18 @@ impl Peer {
             Flavour::Px4 => "COM_OF_LOSS_T",
             Flavour::ArduPilot => "GUID_TIMEOUT",
         }
+    }
+
+    /// Of a parameter by which it changes its speed in missions.
+    fn motion_value(&self, name: Result<&str, core::str::Utf8Error>) -> Option<MavMessage> {
+        let (name, value) = match (self.flavour, name.ok()?) {
+            (Flavour::Px4, name @ "MPC_ACC_HOR") => (name, 1.2 * self.gain_m_s2),
+            (Flavour::Px4, name @ "MPC_JERK_AUTO") => (name, 4.0),
+            (Flavour::ArduPilot, name @ "WPNAV_ACCEL") => (name, 100.0 * self.gain_m_s2),
+            (Flavour::ArduPilot, name @ "PSC_JERK_XY") => (name, 5.0),
+            _ => return None,
+        };
+        Some(value_of(name, value))
     }
 
     fn timeout_value(&self) -> MavMessage {
