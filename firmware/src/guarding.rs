@@ -38,6 +38,8 @@ const FOV_MARGIN_RAD: f32 = 0.17;
 /// A course that is no farther than this off the way to the mission's place leads there.
 const TURNS_RAD: f32 = 0.5;
 
+/// A vehicle that was too fast is slow enough again when it needs no more than this part of what is looked ahead.
+const SLOW_AGAIN: f32 = 0.9;
 /// Kept besides in front of what is going to be flown around, metres.
 const TURNING_ROOM_M: f32 = 1.0;
 /// Guidance takes a stopped vehicle within this time, or not at all.
@@ -59,6 +61,8 @@ pub(crate) struct Guarding {
     guard: JustStop,
     last: Option<Kinematics>,
     take_off: TakeOff,
+    /// It needs more to stop than is looked ahead.
+    too_fast: bool,
     air: Option<Air>,
     /// Where the vehicle that is told to hold can come to rest, metres north and east.
     stop_place_m: Option<(f32, f32)>,
@@ -197,6 +201,7 @@ impl Guarding {
             guard: JustStop::default(),
             last: None,
             take_off: TakeOff::default(),
+            too_fast: false,
             air: None,
             stop_place_m: None,
             detour: Detour::None,
@@ -277,6 +282,7 @@ impl Guarding {
         let notice = match (state, before) {
             (JustStopState::Unguarded, before) if before != JustStopState::Unguarded => Some(GuardNotice::Unguarded),
             _ if jumped => Some(GuardNotice::Jumped),
+            (JustStopState::Watching, _) if self.becomes_too_fast(input, kinematics) => Some(GuardNotice::TooFast),
             _ => notice,
         };
         Guarded {
@@ -290,6 +296,21 @@ impl Guarding {
             notice,
             fly_to_m,
         }
+    }
+
+    /// Whether it was slow enough to be stopped before what is seen, and is no longer.
+    fn becomes_too_fast(&mut self, input: &GuardingInput<'_>, kinematics: Option<Kinematics>) -> bool {
+        let config = self.config(input);
+        let needs_m = kinematics.map_or(0.0, |k| {
+            config.reach_m(k.velocity_ned_m_s.horizontal_norm(), Gain::default())
+        });
+        let longest_m = if self.too_fast {
+            SLOW_AGAIN * Lookout::FARTHEST_M
+        } else {
+            Lookout::FARTHEST_M
+        };
+        let before = core::mem::replace(&mut self.too_fast, needs_m > longest_m);
+        self.too_fast && !before
     }
 
     /// What the vehicle is asked in this state: to hold, and where, until it stands.
@@ -454,7 +475,8 @@ impl Guarding {
         // A start out of a hold that sways, or on an estimate that wanders, turns towards the place.
         let turns = way.is_some_and(|way| wrap_pi(libm::atan2f(way.y, way.x) - course_rad).abs() < TURNS_RAD);
         let ahead_m = self.lookout.obstacle_ahead_m(here, velocity, reach_m);
-        let then_m = turns.then(|| on_the_way_m(reach_m)).flatten();
+        // Behind a corner the mission gains speed anew.
+        let then_m = if turns { on_the_way_m(reach_m) } else { start_obstacle_m };
         Course {
             obstacle_m: ahead_m.into_iter().chain(then_m).reduce(f32::min),
             start_obstacle_m,

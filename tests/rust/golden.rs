@@ -62,7 +62,7 @@ fn geometric(_: &mut SimConfig, firmware: &mut FirmwareConfig) {
 
 /// The vehicle flies its own mission, and the firmware has this duty.
 fn guarded(simulation: &mut SimConfig, firmware: &mut FirmwareConfig, duty: Duty) {
-    simulation.saved = mission::plan(simulation, 3.0);
+    simulation.saved = mission::plan(simulation, 3.0, &[], None);
     (firmware.duty, firmware.engage) = (duty, EngagePolicy::Command);
 }
 

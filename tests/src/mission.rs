@@ -6,21 +6,26 @@ use vigil_mavlink::common::{COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavFram
 use vigil_mavlink::{MavMessage, globe};
 use vigil_sim::SimConfig;
 
-/// The vehicle's plan: one waypoint, the goal, at so many metres per second.
+/// The vehicle's plan at so many metres per second: by way of these places, metres north and east, to the goal; with the nose towards the
+/// next, or always this way, degrees from north.
 ///
 /// # Panics
-/// Never with a course whose goal is on the globe.
-pub fn plan(config: &SimConfig, speed_m_s: f32) -> Saved {
+/// Never with places that are on the globe.
+pub fn plan(config: &SimConfig, speed_m_s: f32, via_m: &[(f32, f32)], nose_deg: Option<f32>) -> Saved {
     let goal = config.course.goal_ned_m();
     let home = config.endpoint.home;
-    let (latitude, longitude) = globe::to_global((home.latitude_deg, home.longitude_deg), goal.x, goal.y);
-    let text = format!(
-        "[parameters]\nMPC_XY_CRUISE = {speed_m_s:?}\n[[mission]]\ncommand = 16\nframe = 6\nautocontinue = 1\n\
-         params = [0.0, 0.0, 0.0, nan]\nx = {}\ny = {}\nz = {:?}\n",
-        (latitude * 1e7).round() as i32,
-        (longitude * 1e7).round() as i32,
-        -goal.z
-    );
+    let nose = nose_deg.map_or("nan".to_owned(), |deg| format!("{deg:?}"));
+    let mut text = format!("[parameters]\nMPC_XY_CRUISE = {speed_m_s:?}\n");
+    for (north_m, east_m) in via_m.iter().copied().chain([(goal.x, goal.y)]) {
+        let (latitude, longitude) = globe::to_global((home.latitude_deg, home.longitude_deg), north_m, east_m);
+        text += &format!(
+            "[[mission]]\ncommand = 16\nframe = 6\nautocontinue = 1\nparams = [0.0, 0.0, 0.0, {nose}]\n\
+             x = {}\ny = {}\nz = {:?}\n",
+            (latitude * 1e7).round() as i32,
+            (longitude * 1e7).round() as i32,
+            -goal.z
+        );
+    }
     vigil_types::settings::from_toml(&text).expect("a plan")
 }
 

@@ -257,6 +257,7 @@ impl Companion {
     pub fn tell_of_guard(&mut self, notice: GuardNotice, out: &mut Datagrams) {
         let text = match notice {
             GuardNotice::Unguarded => "not guarded: the vehicle does not tell its position",
+            GuardNotice::TooFast => "not guarded: faster than it can be stopped before what is seen",
             GuardNotice::FliesAround => "flying around it to the mission's next place",
             GuardNotice::HandedBack => "handed back: the mission goes on",
             GuardNotice::StaysStopped => {

@@ -95,6 +95,8 @@ pub enum StopCause {
 pub enum GuardNotice {
     /// The vehicle flies and never told where it is: it is not guarded.
     Unguarded,
+    /// It is so fast that it cannot be stopped before what is seen.
+    TooFast,
     /// Its position jumped: what was seen before is forgotten.
     Jumped,
     /// Its mission was stopped, and guidance flies it around what is there.

@@ -18,7 +18,7 @@ use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::common::MavResult;
 use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_mavlink::{Flavour, MavMessage};
-use vigil_sim::vehicle::{HoldLaw, VehicleModel, VehicleParams};
+use vigil_sim::vehicle::{HoldLaw, VehicleModel, VehicleParams, Wind};
 use vigil_sim::world::{Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
 use vigil_sim::{LIDAR_SENSOR_ID, SimConfig, Start};
 use vigil_tests::{Pair, mission};
@@ -109,24 +109,42 @@ fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
     (flown.end, flown.nearest_m)
 }
 
-fn fly_with(vehicle: VehicleParams, course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> Flown {
-    fly_as(vehicle, course, seed, speed_m_s, duty, |_| mission::start())
+/// A mission to the course's goal.
+#[derive(Debug, Clone)]
+struct Plan {
+    speed_m_s: f32,
+    /// By way of these places, metres north and east.
+    via_m: Vec<(f32, f32)>,
+    /// Where the nose points, degrees from north, if not to the next place.
+    nose_deg: Option<f32>,
+    wind: Wind,
+    /// How a ground station has it begun.
+    command: fn(&SimConfig) -> Vec<u8>,
 }
 
-/// The same as a ground station's `command` has it.
-fn fly_as(
-    vehicle: VehicleParams,
-    course: Course,
-    seed: u64,
-    speed_m_s: f32,
-    duty: Duty,
-    command: fn(&SimConfig) -> Vec<u8>,
-) -> Flown {
+impl Plan {
+    fn straight(speed_m_s: f32) -> Self {
+        Self {
+            speed_m_s,
+            via_m: vec![],
+            nose_deg: None,
+            wind: Wind::default(),
+            command: |_| mission::start(),
+        }
+    }
+}
+
+fn fly_with(vehicle: VehicleParams, course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> Flown {
+    fly_as(vehicle, course, seed, duty, &Plan::straight(speed_m_s))
+}
+
+fn fly_as(vehicle: VehicleParams, course: Course, seed: u64, duty: Duty, plan: &Plan) -> Flown {
     let columns = course.columns.clone();
     let mut simulation = SimConfig::new(course, seed);
     simulation.start = Start::Airborne;
     simulation.vehicle = vehicle;
-    simulation.saved = mission::plan(&simulation, speed_m_s);
+    simulation.wind = plan.wind;
+    simulation.saved = mission::plan(&simulation, plan.speed_m_s, &plan.via_m, plan.nose_deg);
     let config = FirmwareConfig {
         duty,
         engage: EngagePolicy::Command,
@@ -141,7 +159,7 @@ fn fly_as(
     let mut stop: Option<Stop> = None;
     for step in 0..2400 {
         if step == 40 {
-            pair.simulator.receive(0, &command(&simulation));
+            pair.simulator.receive(0, &(plan.command)(&simulation));
         }
         pair.simulate();
         // The simulated autopilot speaks as PX4 does. An ArduCopter is told no place and brakes by its mode: so is one without an origin.
@@ -220,7 +238,11 @@ fn a_mission_through_an_obstacle_is_stopped_before_it_and_a_free_one_arrives() {
 #[test]
 fn a_go_to_through_an_obstacle_is_stopped_before_it_and_a_free_one_arrives() {
     let go_to = |course: Course, seed: u64, duty| {
-        let flown = fly_as(VehicleParams::default(), course, seed, 3.0, duty, mission::go_to);
+        let plan = Plan {
+            command: mission::go_to,
+            ..Plan::straight(3.0)
+        };
+        let flown = fly_as(VehicleParams::default(), course, seed, duty, &plan);
         (flown.end, flown.nearest_m)
     };
     let blocked: Vec<u64> = (1..20)

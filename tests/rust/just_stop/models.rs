@@ -28,7 +28,18 @@ struct Tally {
     nearest_m: f32,
 }
 
-fn missions_of(vehicle: VehicleParams, duty: Duty, first_seed: u64, count: u64) -> Tally {
+/// How missions differ from the straight way with the nose ahead and no wind.
+#[derive(Debug, Clone, Copy, Default)]
+struct Manner {
+    /// By way of a place from which the column lies around a right angle.
+    turns: bool,
+    /// The nose points so far off the straight way, degrees.
+    nose_off_deg: Option<f32>,
+    /// Wind from ahead, metres per second.
+    head_wind_m_s: f64,
+}
+
+fn missions_of(vehicle: VehicleParams, duty: Duty, manner: Manner, first_seed: u64, count: u64) -> Tally {
     let mut tally = Tally {
         nearest_m: f32::INFINITY,
         ..Tally::default()
@@ -49,11 +60,22 @@ fn missions_of(vehicle: VehicleParams, duty: Duty, first_seed: u64, count: u64) 
         let start = course.start_ned_m();
         let goal = course.goal_ned_m();
         // Along the straight way from start to goal.
-        let way = goal - start;
+        let straight = goal - start;
+        let corner = start + NedVector::new(straight.x - straight.y, straight.y + straight.x, 0.0) * 0.5;
+        let from = if manner.turns { corner } else { start };
+        let way = goal - from;
         let (north, east) = (way.x / way.horizontal_norm(), way.y / way.horizontal_norm());
-        course.columns[0].north_m = start.x + north * away_m - east * east_m;
-        course.columns[0].east_m = start.y + east * away_m + north * east_m;
-        let flown = fly_with(vehicle, course, n, speed_m_s, duty);
+        let away_m = away_m.min(way.horizontal_norm() - 2.0);
+        course.columns[0].north_m = from.x + north * away_m - east * east_m;
+        course.columns[0].east_m = from.y + east * away_m + north * east_m;
+        let way_rad = way.y.atan2(way.x);
+        let plan = Plan {
+            via_m: Vec::from_iter(manner.turns.then_some((corner.x, corner.y))),
+            nose_deg: manner.nose_off_deg.map(|off_deg| way_rad.to_degrees() + off_deg),
+            wind: Wind::gusty(manner.head_wind_m_s, f64::from(way_rad + core::f32::consts::PI)),
+            ..Plan::straight(speed_m_s)
+        };
+        let flown = fly_as(vehicle, course, n, duty, &plan);
         if std::env::var_os("EACH").is_some() {
             println!("{n}: {speed_m_s:.1} m/s, {away_m:.1} m, free {is_free}: {flown:?}");
         }
@@ -77,10 +99,24 @@ fn missions_of(vehicle: VehicleParams, duty: Duty, first_seed: u64, count: u64) 
 fn a_mission_towards_something_is_stopped_before_it_on_every_vehicle_model_with_a_noisy_estimate_too() {
     for model in VehicleModel::ALL {
         for vehicle in [model.params(), model.params().with_noisy_estimate()] {
-            let tally = missions_of(vehicle, Duty::JustStop, 1, 4);
+            let tally = missions_of(vehicle, Duty::JustStop, Manner::default(), 1, 4);
             println!("{} {tally:?}", model.name());
             assert_eq!((tally.collided, tally.stopped), (0, tally.blocked), "{}", model.name());
         }
+    }
+}
+
+/// Where it was told to hold only once its course led towards the column, it gained speed out of the corner meanwhile.
+#[test]
+fn a_mission_is_stopped_before_what_stands_behind_its_corner() {
+    let turns = Manner {
+        turns: true,
+        ..Manner::default()
+    };
+    for model in VehicleModel::ALL {
+        let tally = missions_of(model.params(), Duty::JustStop, turns, 1, 12);
+        println!("{} {tally:?}", model.name());
+        assert_eq!((tally.collided, tally.stopped), (0, tally.blocked), "{}", model.name());
     }
 }
 
@@ -133,7 +169,7 @@ fn two_missions_in_a_row_through_the_same_wall_are_held_before_they_move_where_i
     let mut simulation = SimConfig::new(course, 1);
     simulation.start = Start::Airborne;
     simulation.vehicle = VehicleModel::Px4Sih.params();
-    simulation.saved = mission::plan(&simulation, 5.0);
+    simulation.saved = mission::plan(&simulation, 5.0, &[], None);
     let config = FirmwareConfig {
         duty: Duty::JustStop,
         engage: EngagePolicy::Command,
@@ -155,7 +191,8 @@ fn two_missions_in_a_row_through_the_same_wall_are_held_before_they_move_where_i
 }
 
 /// `MODEL=px4-sih FIRST_SEED=1 MISSIONS=40 cargo test --release -p vigil-tests --test just_stop -- --ignored --nocapture on_a_model`;
-/// with NOISY=1 its estimate wanders, with AROUND=1 it is flown around, with EACH=1 every mission is shown.
+/// with NOISY=1 its estimate wanders, with AROUND=1 it is flown around, with TURNS=1 the column stands
+/// behind a corner, with NOSE=90 the nose points to the right of the way, with WIND=6 the wind comes from ahead; EACH=1 shows every mission.
 #[test]
 #[ignore = "missions of one vehicle model: minutes"]
 fn missions_on_a_model() {
@@ -171,9 +208,14 @@ fn missions_on_a_model() {
         true => Duty::FlyAround,
         false => Duty::JustStop,
     };
+    let manner = Manner {
+        turns: variable("TURNS").is_some(),
+        nose_off_deg: variable("NOSE").map(|text| text.parse().expect("degrees")),
+        head_wind_m_s: variable("WIND").map_or(0.0, |text| text.parse().expect("metres per second")),
+    };
     println!(
         "{name} {:?}",
-        missions_of(vehicle, duty, number("FIRST_SEED", 1), number("MISSIONS", 40))
+        missions_of(vehicle, duty, manner, number("FIRST_SEED", 1), number("MISSIONS", 40))
     );
 }
 

@@ -237,6 +237,21 @@ fn a_vehicle_that_never_reports_its_position_is_said_to_be_unguarded_and_is_not_
 }
 
 #[test]
+fn a_mission_faster_than_it_can_be_stopped_is_said_to_be_unguarded_once() {
+    for (flavour, cruise_m_s) in [(Flavour::Px4, 5.0), (Flavour::Px4, 10.0), (Flavour::ArduPilot, 10.0)] {
+        let mut f = Guarded::before_a_wall(flavour, 400.0);
+        f.peer.cruise_m_s = cruise_m_s;
+        f.run_s(8.0);
+        let times = f
+            .texts
+            .iter()
+            .filter(|text| text.contains("not guarded: faster"))
+            .count();
+        assert_eq!(times, usize::from(cruise_m_s > 5.5), "{cruise_m_s} m/s: {:?}", f.texts);
+    }
+}
+
+#[test]
 fn a_position_that_jumps_is_told_and_the_flight_is_guarded_by_what_is_seen_from_there() {
     for flavour in BOTH {
         let mut f = Guarded::before_a_wall(flavour, 30.0);

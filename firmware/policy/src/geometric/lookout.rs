@@ -17,8 +17,6 @@ const WIDEST_CELLS: f32 = 4.0;
 const PASSES_M: f32 = 2.0 * CELL_M;
 /// The course is looked at this often, metres: no cell is passed over.
 const LOOK_EVERY_M: f32 = CELL_M / 2.0;
-/// Farther than this nothing is entered into the grid.
-const FARTHEST_M: f32 = 11.0;
 
 /// The grid and what fills it. Fixed size, no allocation.
 #[derive(Debug, Clone, Default)]
@@ -29,6 +27,9 @@ pub struct Lookout {
 }
 
 impl Lookout {
+    /// Farther than this, metres, nothing is entered into the grid, and nothing is looked for.
+    pub const FARTHEST_M: f32 = 11.0;
+
     /// One that has seen nothing.
     pub fn new() -> Self {
         Self::default()
@@ -64,7 +65,7 @@ impl Lookout {
         // What is too near already must not get nearer, until it is left behind.
         let mut leaves = here < KEEP_CLEAR_SQUARED;
         let mut keep = KEEP_CLEAR_SQUARED;
-        let looks = (smaller(reach_m, FARTHEST_M) / LOOK_EVERY_M) as usize;
+        let looks = (smaller(reach_m, Self::FARTHEST_M) / LOOK_EVERY_M) as usize;
         let mut look_at_m = (1..=looks).map(|look| look as f32 * LOOK_EVERY_M);
         let blocked_m = look_at_m.find(|ahead_m| {
             let there = clearance(*ahead_m);
