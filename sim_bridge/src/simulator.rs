@@ -189,6 +189,7 @@ impl Simulator {
                 let estimated_ned_m = self.vehicle.view().estimate.position_ned_m;
                 self.referee.set_estimate_error(estimated_ned_m - truth.position_ned_m);
             }
+            self.referee.set_motors(self.vehicle.view().armed);
             if self.ending.is_none()
                 && let Some(outcome) = self.referee.observe(
                     &self.world,
@@ -428,5 +429,31 @@ mod tests {
         // It rises into the column that stands there: this flight has its own referee.
         ask(&mut simulator, take_off, 0.0, 3_000);
         assert_eq!(simulator.ending().map(|e| e.outcome), Some(Outcome::Collision));
+    }
+
+    /// Its feet take a drop of half a metre, as those of PX4's simulated vehicle take any.
+    #[test]
+    fn a_vehicle_that_is_killed_low_flies_again_and_one_that_falls_farther_is_broken() {
+        for (height_m, breaks) in [(0.45, false), (1.2, true)] {
+            let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
+            config.start = Start::Airborne;
+            let mut simulator = Simulator::new(&config, 0).unwrap();
+            let mut ask = |number: u16, params: [f32; 2], until: &dyn Fn(&Simulator) -> bool| {
+                let [first, second] = params;
+                let params = [first, second, 0.0, 0.0, 0.0, 0.0, f32::NAN];
+                simulator.receive(0, &command((245, 190), number, params));
+                let done = (0..10_000).any(|_| {
+                    simulator.advance_1ms();
+                    until(&simulator)
+                });
+                (done, simulator.ending().is_some(), simulator.status().armed)
+            };
+            let (land, disarm, kill) = (21, 400, 21196.0);
+            ask(land, [0.0; 2], &|s| -s.truth().position_ned_m.z < height_m);
+            let (_, has_ended, _) = ask(disarm, [0.0, kill], &|s| s.ending().is_some());
+            assert_eq!(has_ended, breaks, "from {height_m} m");
+            let (armed, ..) = ask(disarm, [1.0, 0.0], &|s| s.status().armed);
+            assert_eq!(armed, !breaks, "from {height_m} m");
+        }
     }
 }

@@ -171,7 +171,7 @@ acting {
     FailsafeDelayS = "COM_FAIL_ACT_T", Real32(5.0), 0.0, 25.0, "s",
         "Time in hold until NAV_RCL_ACT follows";
     OffboardLossAction = "COM_OBL_RC_ACT", Int32(5), 0.0, 7.0, "",
-        "What follows a lost setpoint stream: 0 position (hold without sticks), 1 altitude (hold without sticks), 2 stabilized (hold without sticks), 3 return, 4 land, 5 hold, 6 terminate, 7 disarm";
+        "What follows a lost setpoint stream: 0 position, 1 altitude, 2 stabilized (each with centred sticks where there are none), 3 return, 4 land, 5 hold, 6 terminate, 7 disarm";
     OffboardLossS = "COM_OF_LOSS_T", Real32(1.0), 0.1, 60.0, "s",
         "Age of the owner's last setpoint at which OFFBOARD is left";
     SticksLossS = "COM_RC_LOSS_T", Real32(0.5), 0.1, 35.0, "s",

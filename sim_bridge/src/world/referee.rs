@@ -10,6 +10,8 @@ use vigil_types::{Attitude, Nanos, NedVector};
 
 /// Touching the ground faster than this, downwards, is a crash. A quadcopter's landing descends at 0.3 to 0.7 m/s.
 pub const GROUND_CRASH_SPEED_M_S: f32 = 1.5;
+/// The same of a vehicle whose motors were stopped: its feet take a drop of half a metre.
+const DROP_CRASH_SPEED_M_S: f32 = 3.2;
 /// Touching the ground tilted more than this (60°) is a crash: the propellers hit it. This is the cosine.
 const GROUND_CRASH_COS_TILT: f32 = 0.5;
 /// The way between two truths is tested at least this often. The vehicle is 0.6 m wide, so no wall can slip through.
@@ -46,6 +48,7 @@ pub struct Referee {
     goal_ned_m: NedVector,
     goal_radius_m: f32,
     estimate_error_ned_m: NedVector,
+    motors_run: bool,
     time_limit_ns: Nanos,
     bounds: crate::world::course::Bounds,
     checkpoints: Vec<Checkpoint>,
@@ -70,6 +73,7 @@ impl Referee {
             goal_ned_m: course.goal_ned_m(),
             goal_radius_m: course.goal_radius_m,
             estimate_error_ned_m: NedVector::ZERO,
+            motors_run: true,
             // Checked to be at most an hour, so the product fits.
             time_limit_ns: (f64::from(course.time_limit_s) * 1e9) as Nanos,
             bounds: course.bounds,
@@ -92,6 +96,11 @@ impl Referee {
         self.estimate_error_ned_m = estimate_error_ned_m;
     }
 
+    /// Whether the motors run from now on: what falls without them hits the ground as a drop.
+    pub fn set_motors(&mut self, run: bool) {
+        self.motors_run = run;
+    }
+
     /// Shows the referee the truth at `at_ns`, with the world at the same moment ([`World::set_time_ns`], whose clock may have
     /// another zero); returns the outcome once there is one. Of several ends in one step, collision
     /// comes before out of bounds, success and time-out.
@@ -112,7 +121,7 @@ impl Referee {
         self.outcome = if !finite {
             Some(Outcome::OutOfBounds)
         } else if self.touches(world, from, position_ned_m, attitude)
-            || crashed_into_ground(position_ned_m, attitude, velocity_ned_m_s)
+            || self.crashed_into_ground(position_ned_m, attitude, velocity_ned_m_s)
         {
             Some(Outcome::Collision)
         } else if !self.bounds.contains(position_ned_m) {
@@ -146,6 +155,15 @@ impl Referee {
     /// Checkpoints passed so far; they count in order.
     pub fn checkpoints_passed(&self) -> usize {
         self.passed
+    }
+
+    /// Whether the vehicle touches the ground faster or more tilted than a landing does. It touches when its lowest point is at
+    /// or below the ground.
+    fn crashed_into_ground(&self, position_ned_m: NedVector, attitude: Attitude, velocity_ned_m_s: NedVector) -> bool {
+        let lowest_m = -position_ned_m.z - VEHICLE.vertical_reach_m(attitude);
+        let cos_tilt = 1.0 - 2.0 * (attitude.x * attitude.x + attitude.y * attitude.y);
+        let limit_m_s = [DROP_CRASH_SPEED_M_S, GROUND_CRASH_SPEED_M_S][usize::from(self.motors_run)];
+        lowest_m <= 0.0 && (velocity_ned_m_s.z > limit_m_s || cos_tilt < GROUND_CRASH_COS_TILT)
     }
 
     /// Whether the vehicle touches anything on the way between two positions, while the movers go theirs.
@@ -195,12 +213,4 @@ impl Referee {
 
 fn seconds(ns: Nanos) -> f32 {
     ns as f32 * 1e-9
-}
-
-/// Whether the vehicle touches the ground faster or more tilted than a landing does. It touches when its lowest point is at
-/// or below the ground.
-fn crashed_into_ground(position_ned_m: NedVector, attitude: Attitude, velocity_ned_m_s: NedVector) -> bool {
-    let lowest_m = -position_ned_m.z - VEHICLE.vertical_reach_m(attitude);
-    let cos_tilt = 1.0 - 2.0 * (attitude.x * attitude.x + attitude.y * attitude.y);
-    lowest_m <= 0.0 && (velocity_ned_m_s.z > GROUND_CRASH_SPEED_M_S || cos_tilt < GROUND_CRASH_COS_TILT)
 }

@@ -69,9 +69,11 @@ impl Core {
         }
         // A mode can be chosen before what it needs is there.
         match self.commander.mode {
-            mode if mode.needs_sticks() && self.current_sticks().is_none() => {
-                Err(Denial::ArmingWithout("manual control"))
-            }
+            mode if mode.needs_sticks() => match self.current_sticks() {
+                None => Err(Denial::ArmingWithout("manual control")),
+                Some(sticks) if sticks.up > mode.arming_throttle() => Err(Denial::ThrottleHigh),
+                Some(_) => Ok(()),
+            },
             FlightMode::Mission => self.mission_check().map_err(|denial| match denial {
                 Denial::NoMission => Denial::ArmingWithout("mission"),
                 other => other,
@@ -397,11 +399,10 @@ impl Core {
     /// The owner's setpoints stopped: the action of COM_OBL_RC_ACT, and CRITICAL until they come again or the next mode command.
     pub(super) fn lose_setpoints(&mut self) {
         self.commander.lost_owner = self.setpoints.owner();
-        let has_sticks = self.current_sticks().is_some();
         let response = match self.param(ParamId::OffboardLossAction) as i32 {
-            0 if has_sticks => Response::Enter(FlightMode::Position),
-            1 if has_sticks => Response::Enter(FlightMode::Altitude),
-            2 if has_sticks => Response::Enter(FlightMode::Stabilized),
+            0 => Response::Enter(FlightMode::Position),
+            1 => Response::Enter(FlightMode::Altitude),
+            2 => Response::Enter(FlightMode::Stabilized),
             3 => Response::Enter(FlightMode::Return),
             4 => Response::Enter(FlightMode::Land),
             6 => Response::Terminate,

@@ -3,7 +3,7 @@
 use crate::core::Core;
 use crate::flight::control::HOVER_THRUST;
 use crate::flight::mode::FlightMode;
-use crate::flight::state::{Deflections, Denial, Maneuver};
+use crate::flight::state::{Deflections, Denial, Failsafe, Maneuver};
 use crate::source::Source;
 use crate::vehicle::{ControlCommand, YawCommand};
 use crate::vehicle_parameters::ParamId;
@@ -53,7 +53,9 @@ impl Core {
     /// What the sticks ask for in the present mode. On the ground the motors idle until the throttle goes up. Lost sticks
     /// end in NAV_RCL_ACT.
     pub(super) fn fly_by_sticks(&mut self, held_down_m: Option<f32>, on_ground: bool) -> ControlCommand {
-        let Some(sticks) = self.current_sticks() else {
+        // Where lost setpoints led here and nobody has sticks, they are centred, as in PX4.
+        let nobodys = (self.commander.failsafe() == Some(Failsafe::SetpointLost)).then(Deflections::default);
+        let Some(sticks) = self.current_sticks().or(nobodys) else {
             self.lose_sticks();
             return if on_ground || self.commander.is_terminated() || !self.commander.is_armed() {
                 ControlCommand::Idle

@@ -58,6 +58,14 @@ impl FlightMode {
         )
     }
 
+    /// The highest throttle stick, −1 to 1, at which it is armed; PX4's.
+    pub(crate) const fn arming_throttle(self) -> f32 {
+        match self {
+            Self::Position | Self::Altitude => 0.2,
+            _ => -0.8,
+        }
+    }
+
     /// Whether it goes on when the position is lost.
     pub(crate) const fn is_flown_without_position(self) -> bool {
         matches!(
@@ -103,10 +111,10 @@ impl FlightMode {
 
     /// What a main and sub mode ask for, if it is flown.
     pub(crate) fn from_px4(main: u8, sub: u8) -> Option<Self> {
-        // Modes without sub modes ignore theirs, as PX4 does; AUTO without one, and READY, wait where they are.
+        // Modes without sub modes ignore theirs, as PX4 does, POSCTL all but SLOW; AUTO without one is MISSION.
         let sub = match (main, sub) {
-            (MAIN_AUTO, 0 | 1) => return Some(Self::Hold),
-            (MAIN_AUTO | MAIN_POSITION, sub) => sub,
+            (MAIN_AUTO, 0) => return Some(Self::Mission),
+            (MAIN_AUTO, _) | (MAIN_POSITION, 2) => sub,
             _ => 0,
         };
         let is_wanted = |mode: &Self| mode.is_commanded() && (mode.px4().0, mode.px4().1) == (main, sub);
@@ -132,8 +140,15 @@ mod tests {
             assert_eq!(FlightMode::from_custom_mode(mode.custom_mode()), Some(mode));
         }
         assert_eq!(FlightMode::from_px4(2, 0), Some(FlightMode::Altitude));
-        assert_eq!(FlightMode::from_px4(3, 1), None, "an orbit needs a point");
-        assert_eq!(FlightMode::from_px4(4, 9), None);
+        assert_eq!(
+            FlightMode::from_px4(3, 1),
+            Some(FlightMode::Position),
+            "an orbit needs a point"
+        );
+        assert_eq!(FlightMode::from_px4(4, 0), Some(FlightMode::Mission));
+        for (main, sub) in [(3, 2), (4, 1), (4, 9)] {
+            assert_eq!(FlightMode::from_px4(main, sub), None);
+        }
         assert_eq!(FlightMode::from_px4(0, 0), None);
     }
 }

@@ -54,6 +54,8 @@ pub(crate) enum Denial {
     NoSticks(FlightMode),
     #[error("arming denied: no {0}")]
     ArmingWithout(&'static str),
+    #[error("arming denied: throttle is up")]
+    ThrottleHigh,
     #[error("arming denied: not in {}, change the mode", .0.name())]
     ArmingIn(FlightMode),
     #[error("disarming denied: not landed")]

@@ -10,6 +10,8 @@ use vigil_mavlink::mavlink::MessageData;
 use vigil_types::settings;
 use vigil_types::settings::required;
 
+/// A frame that there is not.
+const NO_FRAME: u8 = u8::MAX;
 /// Length of the payload of both messages, their extension included.
 pub(crate) const ITEM_PAYLOAD_LEN: usize = 38;
 /// Farther than this is a mistake in the coordinates, not a place to fly to.
@@ -61,7 +63,11 @@ impl PlanItem {
         let p = padded::<ITEM_PAYLOAD_LEN>(payload);
         let word = |at: usize| [p[at], p[at + 1], p[at + 2], p[at + 3]];
         let float = |at: usize| f32::from_le_bytes(word(at));
-        let frame = p[34];
+        // The form with fractions has frames of its own, 0 and 3, as in PX4.
+        let frame = match (message_id, p[34]) {
+            (MISSION_ITEM_DATA::ID, 5 | 6) => NO_FRAME,
+            (_, frame) => frame,
+        };
         let (x, y) = match message_id {
             MISSION_ITEM_INT_DATA::ID => (i32::from_le_bytes(word(16)), i32::from_le_bytes(word(20))),
             MISSION_ITEM_DATA::ID => {
@@ -94,7 +100,7 @@ impl PlanItem {
         Some((item, envelope))
     }
 
-    /// The payload of MISSION_ITEM_INT, or of MISSION_ITEM.
+    /// The payload of MISSION_ITEM_INT, or of MISSION_ITEM, each with its own form of a global frame.
     pub fn payload(&self, envelope: Envelope, target: (u8, u8), as_int: bool) -> [u8; ITEM_PAYLOAD_LEN] {
         let mut p = [0; ITEM_PAYLOAD_LEN];
         let mut put = |at: usize, bytes: &[u8]| p[at..at + bytes.len()].copy_from_slice(bytes);
@@ -114,10 +120,17 @@ impl PlanItem {
                 put(at, &float.to_le_bytes());
             }
         }
+        let frame = match (self.frame, as_int) {
+            (0, true) => 5,
+            (3, true) => 6,
+            (5, false) => 0,
+            (6, false) => 3,
+            (frame, _) => frame,
+        };
         put(24, &self.z.to_le_bytes());
         put(28, &envelope.seq.to_le_bytes());
         put(30, &self.command.to_le_bytes());
-        put(32, &[target.0, target.1, self.frame, envelope.current]);
+        put(32, &[target.0, target.1, frame, envelope.current]);
         put(36, &[self.autocontinue, envelope.mission_type]);
         p
     }

@@ -26,9 +26,9 @@ const DO_SET_ROI: u16 = 201;
 const ROI_LOCATION: f32 = 3.0;
 /// Taken for the sake of plans that carry them, and passed over, because the vehicle has nothing that they command. A region
 /// of interest at the next item is where the nose is anyway, and the motors are the landing's and the pilot's to stop.
-const PASSED_OVER: [u16; 25] = [
-    // Conditions on what comes next: a distance, a gate. Actuators, gripper, winch.
-    114, 4501, 187, 211, 42600,
+const PASSED_OVER: [u16; 26] = [
+    // Conditions on what comes next: a distance, a gate. Actuators, gripper, winch, a VTOL's transition.
+    114, 4501, 187, 211, 42600, 3000,
     // Where a landing begins; a region of interest at the next item; a survey by slanted pictures; arming.
     189, 196, 260, 400, // Cameras: control, triggers, modes, pictures, video.
     200, 203, 206, 214, 530, 532, 534, 2000, 2001, 2003, 2500, 2501, // Gimbals: mounts and managers.

@@ -114,12 +114,12 @@ pub(crate) struct Plans {
 impl Plans {
     /// Whether an item may be part of a plan of this kind.
     pub fn check(kind: PlanKind, item: &PlanItem, home: &HomePosition) -> Result<(), PlanDefect> {
-        item.check_parameters()?;
         match kind {
             PlanKind::Mission => MissionItem::read(item, home).map(|_| ()),
             PlanKind::Fence => Fence::check(item, home),
             PlanKind::Rally => Rally::read(item, home).map(|_| ()),
-        }
+        }?;
+        item.check_parameters()
     }
 
     /// Puts a plan in the place of the one of its kind, which stays as it is if the new one is refused.

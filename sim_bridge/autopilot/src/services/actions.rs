@@ -18,6 +18,8 @@ const DO_CHANGE_ALTITUDE: u16 = 186;
 const DO_REPOSITION: u16 = 192;
 /// MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
 const CUSTOM_MODE: u8 = 1;
+/// MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
+const MAY_CHANGE_MODE: f32 = 1.0;
 /// Farther than this is a mistake in the coordinates, not a place to fly to.
 pub(super) const MAX_DISTANCE_M: f32 = 10_000.0;
 const MAX_HEIGHT_M: f32 = 500.0;
@@ -67,7 +69,7 @@ fn do_set_mode(command: &Command, source: Source, core: &mut Core) -> Answer {
 pub(super) fn set_mode(mode: Option<FlightMode>, source: Source, core: &mut Core) -> Answer {
     match mode {
         Some(mode) => answer(core.change_mode(mode, source), core),
-        None => Answer::DENIED,
+        None => Answer::REJECTED,
     }
 }
 
@@ -138,9 +140,14 @@ pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core
     is_near.then_some(position)
 }
 
-/// Goes to a place: parameter 1 speed (−1: default), 4 yaw in radians (NaN: unchanged), 5 to 7 the place.
+/// Goes to a place: parameter 1 speed (−1: default), 2 that the mode may change, 4 yaw in radians (NaN: unchanged), 5 to 7 the
+/// place.
 /// Without any place it stops where it is: so ground stations pause a flight.
 fn reposition(command: &Command, _source: Source, core: &mut Core) -> Answer {
+    if command.param(2) != Some(MAY_CHANGE_MODE) {
+        core.warn("denied: parameter 2 is not 1, change the mode");
+        return Answer::UNSUPPORTED;
+    }
     let is_placed = match command.form {
         CommandForm::Int { x, y, .. } => x != i32::MAX && y != i32::MAX,
         CommandForm::Long { .. } => command.latitude_longitude_deg().is_some(),

@@ -25,16 +25,17 @@ fn arm_or_disarm(command: &Command, source: Source, core: &mut Core) -> Answer {
 }
 
 fn terminate(command: &Command, _source: Source, core: &mut Core) -> Answer {
-    if command.param(1).is_none_or(|p| p <= 0.5) {
+    if command.param(1).is_none_or(|p| p <= 0.5) || !core.commander.is_armed() {
         return Answer::DENIED;
     }
     core.terminate();
     Answer::ACCEPTED
 }
 
-/// 1 restarts the autopilot; anything else there is (shutdown, boot loader) does not exist in a simulation.
+/// 0 does nothing, 1 restarts the autopilot; anything else there is (shutdown, boot loader) does not exist in a simulation.
 fn reboot(command: &Command, _source: Source, core: &mut Core) -> Answer {
     match command.param(1) {
+        Some(0.0) => Answer::ACCEPTED,
         Some(1.0) => reboot_now(core),
         _ => Answer::DENIED,
     }

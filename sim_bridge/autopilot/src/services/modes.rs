@@ -22,7 +22,10 @@ impl Service for Modes {
             standard != MavStandardMode::MAV_STANDARD_MODE_NON_STANDARD && f32::from(standard as u8) == wanted
         };
         let mut commanded = FlightMode::ALL.into_iter().filter(|mode| mode.is_commanded());
-        set_mode(commanded.find(is_wanted), source, core)
+        match commanded.find(is_wanted) {
+            None => Answer::FAILED,
+            mode => set_mode(mode, source, core),
+        }
     }
 
     fn messages(&self) -> &'static [Produced] {

@@ -101,7 +101,10 @@ fn checks_are_run_on_request_and_name_what_fails() {
     b.sent.clear();
     assert_eq!(b.ask(401, &[]), ACCEPTED);
     assert_eq!(ids(&b), [100, 200]);
+    assert_eq!(b.command_long(API, SCRIPT, 185, [1.0; 7]), DENIED, "nothing flies");
+    assert_eq!(b.arm(), ACCEPTED);
     assert_eq!(b.command_long(API, SCRIPT, 185, [1.0; 7]), ACCEPTED);
+    assert_eq!(b.disarm(0.0), ACCEPTED);
     b.run_ms(50);
     b.sent.clear();
     assert_eq!(b.ask(401, &[]), ACCEPTED);

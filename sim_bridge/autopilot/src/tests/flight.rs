@@ -70,6 +70,8 @@ fn termination_stops_the_motors_until_a_reboot() {
     assert_eq!(b.heartbeat(API).system_status, MavState::MAV_STATE_FLIGHT_TERMINATION);
     b.run_ms(5_000);
     assert_eq!(b.arm(), REJECTED);
+    assert_eq!(b.ask(246, &[0.0]), ACCEPTED);
+    assert_eq!(b.arm(), REJECTED, "0 asks for nothing");
     assert_eq!(b.ask(246, &[1.0]), ACCEPTED);
     assert_eq!(b.arm(), ACCEPTED);
 }
@@ -334,6 +336,9 @@ fn a_go_to_without_a_place_stops_the_vehicle_where_it_is() {
     b.run_until(10, "under way", |b| b.velocity_m_s().x > 3.0);
     let told_at_m = b.position_m()[0];
     let nan = f32::NAN;
+    for flags in [0.0, 3.0, nan] {
+        assert_eq!(b.ask(192, &[-1.0, flags, 0.0, nan, nan, nan, nan]), UNSUPPORTED);
+    }
     assert_eq!(b.ask(192, &[-1.0, 1.0, 0.0, nan, nan, nan, nan]), ACCEPTED);
     let back_m_s = b.most(6_000, |b| -b.velocity_m_s().x);
     let went_m = b.position_m()[0] - told_at_m;

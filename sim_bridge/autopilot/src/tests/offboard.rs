@@ -61,7 +61,9 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
         ..Default::default()
     });
     for (action, has_sticks, mode) in [
-        (0, false, FlightMode::Hold),
+        (0, false, FlightMode::Position),
+        (1, false, FlightMode::Altitude),
+        (2, false, FlightMode::Stabilized),
         (0, true, FlightMode::Position),
         (1, true, FlightMode::Altitude),
         (2, true, FlightMode::Stabilized),
@@ -80,6 +82,8 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
         }
         assert_eq!(b.status().mode, mode, "{action}");
         assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
+        let is_low = mode != FlightMode::Land && b.height_m() < 2.5;
+        assert!(!is_low, "{action}: {}", b.height_m());
         let told = b.last::<CURRENT_MODE_DATA>(GCS).expect("told");
         assert_eq!(told.custom_mode, mode.custom_mode());
         assert_eq!(told.intended_custom_mode, FlightMode::Offboard.custom_mode());

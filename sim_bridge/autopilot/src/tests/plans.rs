@@ -136,7 +136,8 @@ fn every_kind_of_plan_comes_back_as_it_went_up() {
         for (seq, (back, item)) in back.iter().zip(items).enumerate() {
             assert_eq!(back.seq, seq as u16);
             assert_eq!((back.x, back.y, back.z), (item.x, item.y, item.z));
-            assert_eq!((back.command as u16, back.frame as u8), (item.command, item.frame));
+            let frame = if item.frame == 3 { 6 } else { item.frame };
+            assert_eq!((back.command as u16, back.frame as u8), (item.command, frame));
             assert_eq!((back.param1, back.mission_type as u8), (item.params[0], kind));
             assert_eq!((back.target_system, back.target_component), (245, 190));
         }
@@ -161,6 +162,25 @@ fn a_client_that_knows_only_the_float_form_is_served() {
     b.send_raw(API, &raw(SCRIPT, MISSION_REQUEST_DATA::ID, &[1, 0, 1, 1]));
     let told = b.first::<MISSION_ITEM_DATA>(API).expect("told");
     assert!(told.seq == 1 && (told.x - 47.4).abs() < 0.1);
+    assert_eq!(
+        (told.frame as u8, back[1].frame as u8),
+        (3, 6),
+        "each form has its frames"
+    );
+    // 5 and 6 are not among this form's.
+    b.count_message(API, SCRIPT, MISSION, 1);
+    let mut float = items[0].payload(
+        Envelope {
+            seq: 0,
+            current: 0,
+            mission_type: MISSION,
+        },
+        (1, 1),
+        false,
+    );
+    float[34] = 6;
+    b.send_raw(API, &raw(SCRIPT, MISSION_ITEM_DATA::ID, &float));
+    assert_eq!(b.mission_acks(API).last(), Some(&R::MAV_MISSION_UNSUPPORTED_FRAME));
 }
 
 #[test]

@@ -108,7 +108,14 @@ fn requests_are_answered_on_the_link_they_came_on() {
 fn set_mode_is_acknowledged_as_the_command_that_it_stands_for() {
     let mut b = Bench::airborne();
     assert_eq!(b.set_mode_message(4, 4), REJECTED, "no mission");
-    assert_eq!(b.set_mode_message(4, 77), DENIED);
+    for (main, sub) in [(4, 77), (4, 1), (3, 2), (8, 0)] {
+        assert_eq!(b.set_mode_message(main, sub), REJECTED, "{main} {sub}");
+    }
+    assert_eq!(
+        b.set_mode_message(4, 0),
+        REJECTED,
+        "AUTO is the mission, and there is none"
+    );
     assert_eq!(b.set_mode_message(4, 6), ACCEPTED);
     assert_eq!(b.status().mode, FlightMode::Land);
 }

@@ -47,6 +47,12 @@ fn a_mode_can_be_chosen_on_the_ground_and_arming_waits_for_the_sticks() {
         assert_eq!(b.status().mode, mode);
         assert_eq!(b.arm(), REJECTED);
         b.assert_told("no manual control");
+        for (throttle, is_low) in [(650, false), (500, matches!(main, 2 | 3))] {
+            hold(&mut b, &sticks(0, 0, throttle, 0), 200);
+            let answer = if is_low { ACCEPTED } else { REJECTED };
+            assert_eq!(b.arm(), answer, "{mode:?} at {throttle}");
+        }
+        b.assert_told("arming denied: throttle is up");
         hold(&mut b, &sticks(0, 0, 0, 0), 200);
         assert_eq!(b.arm(), ACCEPTED);
         hold(&mut b, &sticks(0, 0, 0, 0), 1_000);
