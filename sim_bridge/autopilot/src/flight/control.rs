@@ -361,7 +361,7 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
     let mut acceleration = NedVector::ZERO;
     let command = match core.commander.maneuver {
         Maneuver::Offboard => core.setpoints.current(core.now_ns, core.owner_max_age_ns())?,
-        _ => core.commander.flown?,
+        _ => core.commander.flown.unwrap_or(ControlCommand::STOP),
     };
     let yaw_rad = core.view.estimate.attitude.yaw_rad();
     let (position, velocity, mask, yaw) = match command {
@@ -397,7 +397,10 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
             acceleration = acceleration_ned_m_s2;
             (NedVector::ZERO, NedVector::ZERO, ACCELERATION_ONLY, yaw)
         }
-        _ => return None,
+        ControlCommand::Idle | ControlCommand::MotorsOff => {
+            (NedVector::ZERO, NedVector::ZERO, VELOCITY_ONLY, YawCommand::Hold)
+        }
+        ControlCommand::Attitude { .. } | ControlCommand::Rates { .. } => return None,
     };
     let (yaw, yaw_rate, mask) = match yaw {
         YawCommand::Hold => (0.0, 0.0, mask),
@@ -422,32 +425,34 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
     })
 }
 
-/// The attitude or body rates that OFFBOARD flies to, as ATTITUDE_TARGET reports them; `None` where positions or velocities
-/// are flown: their controllers are the vehicle's, and what they ask for is not known here.
-pub(crate) fn attitude_target(core: &Core) -> Option<ATTITUDE_TARGET_DATA> {
+/// The attitude or body rates that OFFBOARD flies to, as ATTITUDE_TARGET reports them. Where positions or velocities are flown,
+/// the vehicle's own controllers ask for what it does, but for their lag.
+pub(crate) fn attitude_target(core: &Core) -> ATTITUDE_TARGET_DATA {
     const RATES_IGNORED: u8 = 0x07;
     const TILT_RATES_IGNORED: u8 = 0x03;
     const ATTITUDE_IGNORED: u8 = 0x80;
-    if core.commander.maneuver != Maneuver::Offboard {
-        return None;
-    }
-    let (attitude, rates, thrust, mask) = match core.setpoints.current(core.now_ns, core.owner_max_age_ns())? {
-        ControlCommand::Attitude {
+    let command = match core.commander.maneuver {
+        Maneuver::Offboard => core.setpoints.current(core.now_ns, core.owner_max_age_ns()),
+        _ => None,
+    };
+    let (estimate, throttle) = (&core.view.estimate, core.view.sensors.throttle);
+    let (attitude, rates, thrust, mask) = match command {
+        Some(ControlCommand::Attitude {
             attitude,
             yaw_rate_rad_s,
             thrust,
-        } => {
+        }) => {
             let turns = yaw_rate_rad_s != 0.0;
             let mask = if turns { TILT_RATES_IGNORED } else { RATES_IGNORED };
             (attitude, FrdVector::new(0.0, 0.0, yaw_rate_rad_s), thrust, mask)
         }
-        ControlCommand::Rates {
+        Some(ControlCommand::Rates {
             rates_frd_rad_s,
             thrust,
-        } => (Attitude::LEVEL_NORTH, rates_frd_rad_s, thrust, ATTITUDE_IGNORED),
-        _ => return None,
+        }) => (Attitude::LEVEL_NORTH, rates_frd_rad_s, thrust, ATTITUDE_IGNORED),
+        _ => (estimate.attitude, estimate.rates_frd_rad_s, throttle, 0),
     };
-    Some(ATTITUDE_TARGET_DATA {
+    ATTITUDE_TARGET_DATA {
         time_boot_ms: core.time_boot_ms(),
         q: [attitude.w, attitude.x, attitude.y, attitude.z],
         body_roll_rate: rates.x,
@@ -455,5 +460,5 @@ pub(crate) fn attitude_target(core: &Core) -> Option<ATTITUDE_TARGET_DATA> {
         body_yaw_rate: rates.z,
         thrust,
         type_mask: AttitudeTargetTypemask::from_bits_truncate(mask),
-    })
+    }
 }

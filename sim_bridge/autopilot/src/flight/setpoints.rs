@@ -29,8 +29,6 @@ pub(crate) enum SetpointDefect {
     /// An axis without the others.
     #[error("mask {0:#05x} lacks axes: held")]
     Incomplete(u16),
-    #[error("{0} is NaN: held")]
-    NotANumber(&'static str),
     /// A field that the mask uses.
     #[error("{0} is NaN or absurd")]
     Value(&'static str),
@@ -39,7 +37,7 @@ pub(crate) enum SetpointDefect {
 impl SetpointDefect {
     /// Whether PX4 takes such a setpoint, stays in OFFBOARD, and does not fly it.
     pub fn is_held(self) -> bool {
-        matches!(self, Self::Incomplete(_) | Self::NotANumber(_))
+        matches!(self, Self::Incomplete(_))
     }
 }
 
@@ -49,13 +47,11 @@ const NONE: [bool; 3] = [false, false, false];
 const HORIZONTAL: [bool; 3] = [true, true, false];
 const VERTICAL: [bool; 3] = [false, false, true];
 
-/// Whether the used ones of some fields are numbers within the limit.
+/// Whether the used ones of some fields are within the limit.
 fn check(used: [bool; 3], names: [&'static str; 3], values: [f32; 3], limit: f32) -> Result<(), SetpointDefect> {
     let mut fields = used.into_iter().zip(names).zip(values);
-
-    match fields.find(|((is_used, _), value)| *is_used && (value.is_nan() || value.abs() > limit)) {
+    match fields.find(|((is_used, _), value)| *is_used && !(value.abs() <= limit)) {
         None => Ok(()),
-        Some(((_, name), value)) if value.is_nan() => Err(SetpointDefect::NotANumber(name)),
         Some(((_, name), _)) => Err(SetpointDefect::Value(name)),
     }
 }
@@ -76,33 +72,40 @@ pub(crate) fn position_setpoint(
     speed_limit_m_s: f32,
     heading_rad: f32,
 ) -> Result<ControlCommand, SetpointDefect> {
-    // The bits of the second and third axis follow that of the first.
-    let used = |first: PositionMask| [0, 1, 2].map(|axis| m.type_mask.bits() & first.bits() << axis == 0);
-    let position = used(PositionMask::POSITION_TARGET_TYPEMASK_X_IGNORE);
-    let velocity = used(PositionMask::POSITION_TARGET_TYPEMASK_VX_IGNORE);
-    let acceleration = used(PositionMask::POSITION_TARGET_TYPEMASK_AX_IGNORE);
-    let is_force = m.type_mask.contains(PositionMask::POSITION_TARGET_TYPEMASK_FORCE_SET);
+    let (p, v, a) = ([m.x, m.y, m.z], [m.vx, m.vy, m.vz], [m.afx, m.afy, m.afz]);
+    // A NaN is a field that is left out. The bits of the second and third axis follow that of the first.
+    let used = |first: PositionMask, values: [f32; 3]| {
+        [0, 1, 2].map(|axis| m.type_mask.bits() & first.bits() << axis == 0 && !values[axis].is_nan())
+    };
+    let mut position = used(PositionMask::POSITION_TARGET_TYPEMASK_X_IGNORE, p);
+    let mut velocity = used(PositionMask::POSITION_TARGET_TYPEMASK_VX_IGNORE, v);
+    let mut acceleration = used(PositionMask::POSITION_TARGET_TYPEMASK_AX_IGNORE, a);
     let is_local = match m.coordinate_frame {
         MavFrame::MAV_FRAME_LOCAL_NED => true,
         MavFrame::MAV_FRAME_BODY_NED => false,
         other => return Err(SetpointDefect::Frame(other as u8)),
     };
-    if !is_local && position != NONE {
-        return Err(SetpointDefect::PositionInBodyFrame);
+    if !is_local {
+        // What is turned is turned as a whole.
+        velocity = if velocity == ALL { ALL } else { NONE };
+        acceleration = if acceleration == ALL { ALL } else { NONE };
+        if position != NONE && velocity == NONE && acceleration == NONE {
+            return Err(SetpointDefect::PositionInBodyFrame);
+        }
+        position = NONE;
     }
     let not_flown = Err(SetpointDefect::Mask(m.type_mask.bits()));
-    if acceleration != NONE && (acceleration != ALL || is_force) {
+    if acceleration != NONE && m.type_mask.contains(PositionMask::POSITION_TARGET_TYPEMASK_FORCE_SET) {
         return not_flown;
     }
-    check(position, ["x", "y", "z"], [m.x, m.y, m.z], ABSURD_POSITION_M)?;
-    check(velocity, ["vx", "vy", "vz"], [m.vx, m.vy, m.vz], ABSURD_VELOCITY_M_S)?;
-    let a = [m.afx, m.afy, m.afz];
+    check(position, ["x", "y", "z"], p, ABSURD_POSITION_M)?;
+    check(velocity, ["vx", "vy", "vz"], v, ABSURD_VELOCITY_M_S)?;
     check(acceleration, ["afx", "afy", "afz"], a, ABSURD_ACCELERATION_M_S2)?;
     let ignores = |field| m.type_mask.contains(field);
-    let yaw = if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) {
+    let yaw = if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) && !m.yaw.is_nan() {
         check_one("yaw", m.yaw, ABSURD_RATE_RAD_S)?;
         YawCommand::Angle { yaw_rad: m.yaw }
-    } else if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE) {
+    } else if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE) && !m.yaw_rate.is_nan() {
         check_one("yaw_rate", m.yaw_rate, ABSURD_RATE_RAD_S)?;
         YawCommand::Rate {
             yaw_rate_rad_s: m.yaw_rate,
@@ -145,22 +148,26 @@ pub(crate) fn position_setpoint(
             },
             yaw,
         }),
-        (NONE, NONE) => not_flown,
+        (NONE, NONE) if acceleration == NONE => not_flown,
         _ => Err(SetpointDefect::Incomplete(m.type_mask.bits())),
     }
 }
 
 /// What a SET_POSITION_TARGET_GLOBAL_INT asks for: the same with a place on the globe, its altitude above sea level
-/// (frame 5) or above home (6). PX4 refuses the frames of before, 0 and 3.
+/// (frame 5), above home (6) or above the level ground (11). PX4 refuses the frames of before, 0 and 3, and a place that is not whole
+/// is none.
 pub(crate) fn global_setpoint(
     m: &SET_POSITION_TARGET_GLOBAL_INT_DATA,
     home: &HomePosition,
     speed_limit_m_s: f32,
 ) -> Result<ControlCommand, SetpointDefect> {
+    let place = PositionMask::from_bits_retain(0x007);
+    let is_placed = !m.type_mask.intersects(place);
     let height_m = match m.coordinate_frame {
         MavFrame::MAV_FRAME_GLOBAL_INT => (f64::from(m.alt) - home.altitude_m) as f32,
-        MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT => m.alt,
-        other => return Err(SetpointDefect::Frame(other as u8)),
+        MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT | MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT => m.alt,
+        other if is_placed => return Err(SetpointDefect::Frame(other as u8)),
+        _ => 0.0,
     };
     let (x, y) = geo::to_local(home, f64::from(m.lat_int) * 1e-7, f64::from(m.lon_int) * 1e-7);
     let local = SET_POSITION_TARGET_LOCAL_NED_DATA {
@@ -175,7 +182,7 @@ pub(crate) fn global_setpoint(
         afz: m.afz,
         yaw: m.yaw,
         yaw_rate: m.yaw_rate,
-        type_mask: m.type_mask,
+        type_mask: if is_placed { m.type_mask } else { m.type_mask | place },
         coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
         ..Default::default()
     };
@@ -183,7 +190,6 @@ pub(crate) fn global_setpoint(
         SetpointDefect::Value("x") => SetpointDefect::Value("lat_int"),
         SetpointDefect::Value("y") => SetpointDefect::Value("lon_int"),
         SetpointDefect::Value("z") => SetpointDefect::Value("alt"),
-        SetpointDefect::NotANumber("z") => SetpointDefect::NotANumber("alt"),
         other => other,
     })
 }
@@ -323,23 +329,36 @@ mod tests {
         use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_BODY_OFFSET_NED as OFFSET, MAV_FRAME_LOCAL_NED as LOCAL};
         assert_eq!(read(OFFSET, 0x5C7), Err(SetpointDefect::Frame(9)));
         assert_eq!(read(BODY, 0x9F8), Err(SetpointDefect::PositionInBodyFrame));
-        // Half an acceleration; a force; nothing at all; a heading alone.
-        for mask in [0xCBF, 0xE3F, 0xFFF, 0xBFF] {
+        // A force; nothing at all; a heading alone.
+        for mask in [0xE3F, 0xFFF, 0xBFF] {
             assert_eq!(read(LOCAL, mask), Err(SetpointDefect::Mask(mask)));
         }
-        // Half a velocity; half a position. Half a velocity beside a position is none.
-        for mask in [0x5D7, 0x5FB] {
+        // Half a velocity; half a position; half an acceleration. Half a velocity or acceleration beside a position is none.
+        for mask in [0x5D7, 0x5FB, 0xCBF] {
             assert_eq!(read(LOCAL, mask), Err(SetpointDefect::Incomplete(mask)));
         }
         assert_eq!(read(LOCAL, 0x9C8), read(LOCAL, 0x9F8));
-        for bad in [f32::NAN, f32::INFINITY, 1e9] {
+        assert_eq!(read(LOCAL, 0x8B8), read(LOCAL, 0x9F8));
+        // Along the heading half a velocity is none either, and a place beside a whole one.
+        assert_eq!(read(BODY, 0x5D7), Err(SetpointDefect::Mask(0x5D7)));
+        assert_eq!(read(BODY, 0x5C0), read(BODY, 0x5C7));
+        // A NaN is left out.
+        let with_nan = |change: fn(&mut SET_POSITION_TARGET_LOCAL_NED_DATA)| {
+            let mut m = ned(LOCAL, 0x9C0);
+            change(&mut m);
+            position_setpoint(&m, 5.0, 0.0)
+        };
+        assert_eq!(
+            with_nan(|m| (m.x, m.y, m.z) = (f32::NAN, f32::NAN, f32::NAN)),
+            read(LOCAL, 0x9C7)
+        );
+        assert_eq!(with_nan(|m| m.yaw = f32::NAN), read(LOCAL, 0xDC0));
+        let held = Err(SetpointDefect::Incomplete(0x9C0));
+        assert_eq!(with_nan(|m| (m.z, m.vz) = (f32::NAN, f32::NAN)), held);
+        for bad in [f32::INFINITY, 1e9] {
             let mut m = ned(BODY, 0x5C7);
             m.vy = bad;
-            let defect = match bad.is_nan() {
-                true => SetpointDefect::NotANumber("vy"),
-                false => SetpointDefect::Value("vy"),
-            };
-            assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(defect));
+            assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(SetpointDefect::Value("vy")));
             let mut m = ned(BODY, 0x5C7);
             m.yaw_rate = bad;
             assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(SetpointDefect::Value("yaw_rate")));
@@ -377,12 +396,24 @@ mod tests {
         for frame in [
             MavFrame::MAV_FRAME_GLOBAL,
             MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT,
-            MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
+            MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT,
         ] {
             m.coordinate_frame = frame;
             let refused = Err(SetpointDefect::Frame(frame as u8));
             assert_eq!(global_setpoint(&m, &home, 5.0), refused);
         }
+        // A place that is not whole is none, in whatever frame; above the ground is above home.
+        m.type_mask = PositionMask::from_bits_retain(0xDC4);
+        let still = NedVector::ZERO;
+        let velocity = ControlCommand::VelocityNed {
+            velocity_m_s: still,
+            yaw: YawCommand::Hold,
+        };
+        assert_eq!(global_setpoint(&m, &home, 5.0), Ok(velocity));
+        m.type_mask = PositionMask::from_bits_retain(0x9F8);
+        m.lat_int = geo::deg_e7(lat);
+        m.coordinate_frame = MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT;
+        assert!((place(&m) - wanted).norm() < 0.05);
     }
 
     #[test]

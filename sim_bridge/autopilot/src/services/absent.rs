@@ -10,6 +10,15 @@ pub(super) const MESSAGES: &[Produced] = &[
     absent(ACTUATOR_CONTROL_TARGET_DATA::ID),
     absent(WIND_COV_DATA::ID),
     absent(ADSB_VEHICLE_DATA::ID),
+    absent(SCALED_IMU2_DATA::ID),
+    absent(SCALED_IMU3_DATA::ID),
+    absent(SCALED_PRESSURE2_DATA::ID),
+    absent(SCALED_PRESSURE3_DATA::ID),
+    absent(OPTICAL_FLOW_RAD_DATA::ID),
+    absent(LANDING_TARGET_DATA::ID),
+    absent(RAW_RPM_DATA::ID),
+    absent(ESC_INFO_DATA::ID),
+    absent(ESC_STATUS_DATA::ID),
 ];
 
 const fn absent(id: u32) -> Produced {

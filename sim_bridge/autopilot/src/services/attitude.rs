@@ -38,5 +38,5 @@ fn attitude_quaternion(core: &Core) -> Option<MavMessage> {
 }
 
 fn target(core: &Core) -> Option<MavMessage> {
-    attitude_target(core).map(MavMessage::ATTITUDE_TARGET)
+    Some(MavMessage::ATTITUDE_TARGET(attitude_target(core)))
 }

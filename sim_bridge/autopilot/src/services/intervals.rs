@@ -10,7 +10,7 @@ const SET_MESSAGE_INTERVAL: u16 = 511;
 const REQUEST_MESSAGE: u16 = 512;
 
 /// Answers 510, 511 and 512 for the link that the command came on. A message that the vehicle does not have is DENIED, of
-/// 511 FAILED, as in PX4: UNSUPPORTED would tell the client that the command itself does not exist.
+/// 511 FAILED, of 510 told to have the interval 0, as in PX4: UNSUPPORTED would tell the client that the command itself does not exist.
 pub(crate) fn message_interval(
     command: &Command,
     source: Source,
@@ -26,7 +26,8 @@ pub(crate) fn message_interval(
         .param(1)
         .filter(|p| (0.0..=16_777_215.0).contains(p))
         .map(|p| p as u32);
-    let Some(id) = id.filter(|id| streams.knows(*id)) else {
+    let is_read = command.number == GET_MESSAGE_INTERVAL;
+    let Some(id) = id.filter(|id| is_read || streams.knows(*id)) else {
         return Some(match command.number {
             SET_MESSAGE_INTERVAL => Answer::FAILED,
             _ => Answer::DENIED,

@@ -25,7 +25,7 @@ impl SetpointService {
     /// Counts a setpoint that is not flown, and says why: from a stream that is refused nobody hears "no setpoints".
     fn refuse(&mut self, defect: SetpointDefect, source: Source, core: &mut Core) {
         match defect {
-            SetpointDefect::Value(_) | SetpointDefect::NotANumber(_) => core.refusals.setpoint_value += 1,
+            SetpointDefect::Value(_) => core.refusals.setpoint_value += 1,
             _ => core.refusals.setpoint_form += 1,
         }
         core.setpoints.refuse(core.now_ns, defect);

@@ -4,6 +4,9 @@
 use crate::flight::LandedState;
 use crate::service::prelude::*;
 
+/// PX4's `custom_mode` of a terminated flight.
+const TERMINATION: u32 = 10 << 16;
+
 pub(super) const MESSAGES: &[Produced] = &[
     Produced::from(HEARTBEAT_DATA::ID, [1.0, 1.0, 1.0], heartbeat),
     Produced::from(EXTENDED_SYS_STATE_DATA::ID, [5.0, 5.0, 1.0], extended_sys_state),
@@ -27,7 +30,11 @@ fn heartbeat(core: &Core) -> Option<MavMessage> {
         MavState::MAV_STATE_STANDBY
     };
     Some(MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        custom_mode: c.mode().custom_mode(),
+        custom_mode: if c.is_terminated() {
+            TERMINATION
+        } else {
+            c.mode().custom_mode()
+        },
         mavtype: MavType::MAV_TYPE_QUADROTOR,
         autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
         base_mode,

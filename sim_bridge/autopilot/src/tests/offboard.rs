@@ -120,7 +120,12 @@ fn setpoints_that_leave_an_axis_out_keep_offboard_and_hold() {
     for (message, reason) in [
         (local_setpoint(0xDF7, |m| m.vx = 1.0), "mask 0xdf7 lacks axes: held"),
         (local_setpoint(0xDFE, |m| m.x = 5.0), "mask 0xdfe lacks axes: held"),
-        (local_setpoint(0x9C7, |m| m.vx = f32::NAN), "vx is NaN: held"),
+        (local_setpoint(0xCBF, |m| m.afy = 1.0), "mask 0xcbf lacks axes: held"),
+        // A NaN is an axis that is left out.
+        (
+            local_setpoint(0x9C7, |m| m.vx = f32::NAN),
+            "mask 0x9c7 lacks axes: held",
+        ),
     ] {
         let mut b = Bench::airborne();
         fly(&mut b, &local_setpoint(0x9C7, |m| m.vx = 1.0), 3_000);
