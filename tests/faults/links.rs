@@ -138,7 +138,8 @@ struct Attacker {
 }
 
 impl Attacker {
-    fn new(attack: Attack) -> Self {
+    /// Against the vehicle of this system.
+    fn new(attack: Attack, system: u8) -> Self {
         let signing = |key| Signing::new(SigningKey(key), 7, SigningMemory::default());
         let mut attacker = Self {
             attack,
@@ -151,7 +152,7 @@ impl Attacker {
         // As it was captured: an hour ago.
         let land = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
             command: MavCmd::MAV_CMD_NAV_LAND,
-            target_system: 0,
+            target_system: system,
             target_component: 0,
             ..COMMAND_LONG_DATA::DEFAULT
         });
@@ -240,12 +241,12 @@ pub fn signing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     rows.into_iter().collect()
 }
 
-/// Sends to each of the ports until it is over.
-fn keep_sending(attack: Attack, ends: [u16; 5], over: &AtomicBool, sent: &AtomicU64) {
+/// Sends to each of the ports of the vehicle of this system until it is over.
+fn keep_sending(attack: Attack, system: u8, ends: [u16; 5], over: &AtomicBool, sent: &AtomicU64) {
     let Ok(socket) = UdpSocket::bind("127.0.0.1:0") else {
         return;
     };
-    let mut attacker = Attacker::new(attack);
+    let mut attacker = Attacker::new(attack, system);
     while !over.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_micros(1_000_000 / ATTACK_RATE));
         for end in ends {
@@ -289,7 +290,7 @@ fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u6
     let (done, sent) = (AtomicBool::new(false), AtomicU64::new(0));
     let flown = std::thread::scope(|scope| {
         let (over, sent) = (&done, &sent);
-        scope.spawn(move || keep_sending(attack, ends, over, sent));
+        scope.spawn(move || keep_sending(attack, (instance + 1) as u8, ends, over, sent));
         let flown = flight
             .take_off(site.stop)
             .and_then(|()| flight.follow(FLIGHT_LIMIT, site.stop, |s| s.outcome.is_some()));

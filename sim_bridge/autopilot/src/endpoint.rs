@@ -36,6 +36,12 @@ impl core::fmt::Debug for Endpoint {
     }
 }
 
+/// Parameters, missions and commands, which count only where they name the system, as in PX4: a 0 there is a script that has not
+/// heard the vehicle yet.
+fn needs_address(message_id: u32) -> bool {
+    matches!(message_id, 20 | 21 | 23 | 37..=47 | 51 | 73 | 75 | 76)
+}
+
 impl Endpoint {
     /// A vehicle on the ground, disarmed, in Hold.
     ///
@@ -117,7 +123,8 @@ impl Endpoint {
             }
         }
         let for_us = target.is_none_or(|(system, component)| {
-            system == 0 || (system == self.core.id.system && (component == 0 || component == self.core.id.component))
+            (system == 0 && !needs_address(packet.message_id()))
+                || (system == self.core.id.system && (component == 0 || component == self.core.id.component))
         });
         if !for_us || !packet.is_known() {
             return;

@@ -50,7 +50,7 @@ const VERTICAL: [bool; 3] = [false, false, true];
 /// Whether the used ones of some fields are within the limit.
 fn check(used: [bool; 3], names: [&'static str; 3], values: [f32; 3], limit: f32) -> Result<(), SetpointDefect> {
     let mut fields = used.into_iter().zip(names).zip(values);
-    match fields.find(|((is_used, _), value)| *is_used && !(value.abs() <= limit)) {
+    match fields.find(|((is_used, _), value)| *is_used && value.abs() > limit) {
         None => Ok(()),
         Some(((_, name), _)) => Err(SetpointDefect::Value(name)),
     }

@@ -46,6 +46,14 @@ fn a_command_for_the_companion_reaches_it_and_the_vehicle_does_not_answer() {
     assert_eq!(forwarded(&b, ONBOARD), [(SCRIPT, command)]);
     assert!(b.sent.iter().all(|s| s.ack.is_none()));
     assert!(forwarded(&b, GCS).is_empty());
+    // To everybody it is passed on, and the vehicle neither arms nor answers, as PX4 does not.
+    let to_all = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        param1: 1.0,
+        command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
+        ..Default::default()
+    });
+    b.send(API, SCRIPT, &to_all);
+    assert!(b.sent.iter().all(|s| s.ack.is_none()) && !b.status().armed);
     // Its acknowledgement goes back to the script alone.
     b.sent.clear();
     let ack = MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {

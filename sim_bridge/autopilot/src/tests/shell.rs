@@ -53,7 +53,7 @@ fn parameters_are_shown_and_set_with_the_checks_of_the_protocol() {
     assert!(run(&mut b, "param set COM_OBL_RC_ACT 4.5").contains("not a number"));
     assert!(run(&mut b, "param set NO_SUCH 1").contains("there is no parameter NO_SUCH"));
     assert_eq!(run(&mut b, "param show MIS_TAKEOFF_ALT"), "MIS_TAKEOFF_ALT: 4.0\n");
-    let speeds = run(&mut b, "param show MPC_*_VEL*");
+    let speeds = run(&mut b, "param show MPC_*_VEL_MAX*");
     assert_eq!(speeds.lines().count(), 3, "{speeds}");
     let all = run(&mut b, "param show");
     assert_eq!(all.lines().count(), parameter_table().len());
