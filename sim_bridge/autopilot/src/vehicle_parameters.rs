@@ -171,9 +171,11 @@ acting {
     FailsafeDelayS = "COM_FAIL_ACT_T", Real32(5.0), 0.0, 25.0, "s",
         "Time in hold until NAV_RCL_ACT follows";
     OffboardLossAction = "COM_OBL_RC_ACT", Int32(5), 0.0, 7.0, "",
-        "What follows a lost setpoint stream: 0 position, 1 altitude, 2 stabilized (each with centred sticks where there are none), 3 return, 4 land, 5 hold, 6 terminate, 7 disarm";
+        "What follows a lost setpoint stream: 0 position, 1 altitude, 2 stabilized (sticks centred if absent), 3 return, 4 land, 5 hold, 6 terminate, 7 disarm";
     OffboardLossS = "COM_OF_LOSS_T", Real32(1.0), 0.1, 60.0, "s",
         "Age of the owner's last setpoint at which OFFBOARD is left";
+    SticksLossExceptions = "COM_RCL_EXCEPT", Int32(0), 0.0, 31.0, "",
+        "Modes that go on when sticks are lost, by bits: bit 0 mission, bit 1 hold and take-off, bit 2 offboard";
     SticksLossS = "COM_RC_LOSS_T", Real32(0.5), 0.1, 35.0, "s",
         "Age of the last sticks at which they are lost";
     FollowAltitudeMode = "FLW_TGT_ALT_M", Int32(0), 0.0, 2.0, "",
@@ -243,7 +245,6 @@ acting {
     "COM_OBC_LOSS_T", Real32(5.0), 0.0, 60.0, "s", "No effect";
     "COM_POSCTL_NAVL", Int32(0), 0.0, 1.0, "", "No effect";
     "COM_POS_FS_EPH", Real32(5.0), -1.0, 400.0, "m", "No effect";
-    "COM_RCL_EXCEPT", Int32(0), 0.0, 31.0, "", "Lost sticks have a consequence only in modes that are flown by them";
     "COM_RC_IN_MODE", Int32(1), 0.0, 8.0, "", "Sticks are taken from MAVLink whatever it says";
     "COM_TAKEOFF_ACT", Int32(0), 0.0, 1.0, "", "A take-off ends in hold";
     "EKF2_BARO_CTRL", Int32(1), 0.0, 1.0, "", "The estimator is modelled by its error: see EKF2_HGT_REF";
@@ -268,11 +269,8 @@ acting {
     "SDLOG_MODE", Int32(0), -1.0, 4.0, "", "Flights are logged from arming to disarming";
     "COM_ARM_SDCARD COM_HOME_EN MAV_FWDEXTSP MPC_USE_HTE NAV_FORCE_VT NAV_TRAFF_AVOID", Int32(1), 0.0, 4.0, "", "No effect";
     "COM_CPU_MAX COM_WIND_MAX", Real32(-1.0), -1.0, 100.0, "", "No effect";
-    "COM_FLT_TIME_MAX", Int32(-1), -1.0, 100000.0, "s", "No effect";
     "COM_KILL_DISARM", Real32(5.0), 0.0, 30.0, "s", "No effect";
     "CP_DELAY", Real32(0.4), 0.0, 1.0, "s", "No effect";
-    "CP_GUIDE_ANG", Real32(30.0), 0.0, 90.0, "deg", "No effect";
-    "IMU_GYRO_CUTOFF", Real32(40.0), 0.0, 1000.0, "Hz", "No effect";
     "MC_AIRMODE", Int32(0), 0.0, 2.0, "", "No effect";
     "MC_PITCHRATE_MAX MC_ROLLRATE_MAX", Real32(220.0), 0.0, 1800.0, "deg/s", "No effect";
     "MC_PITCHRATE_P MC_ROLLRATE_P", Real32(0.15), 0.01, 0.6, "", "No effect";
@@ -282,9 +280,7 @@ acting {
     "MIS_YAW_TMT", Real32(-1.0), -1.0, 20.0, "s", "No effect";
     "MPC_ACC_DOWN_MAX", Real32(3.0), 2.0, 15.0, "m/s^2", "No effect";
     "MPC_ACC_UP_MAX", Real32(4.0), 2.0, 15.0, "m/s^2", "No effect";
-    "MPC_HOLD_MAX_XY", Real32(0.8), 0.0, 3.0, "m/s", "No effect";
     "MPC_LAND_ALT1", Real32(10.0), 0.0, 122.0, "m", "No effect";
-    "MPC_LAND_ALT3", Real32(1.0), 0.0, 122.0, "m", "No effect";
     "MPC_LAND_CRWL", Real32(0.3), 0.1, 5.0, "m/s", "No effect";
     "MPC_MAN_Y_MAX", Real32(150.0), 0.0, 400.0, "deg/s", "No effect";
     "MPC_THR_MAX", Real32(1.0), 0.0, 1.0, "", "No effect";
@@ -292,14 +288,11 @@ acting {
     "MPC_TILTMAX_LND", Real32(12.0), 5.0, 89.0, "deg", "No effect";
     "MPC_TKO_RAMP_T", Real32(3.0), 0.0, 5.0, "s", "No effect";
     "MPC_VEL_MANUAL", Real32(10.0), 3.0, 20.0, "m/s", "No effect";
-    "MPC_XY_ERR_MAX", Real32(2.0), 0.1, 10.0, "m", "No effect";
     "MPC_XY_VEL_P_ACC", Real32(1.8), 1.2, 5.0, "", "No effect";
     "MPC_YAWRAUTO_MAX", Real32(60.0), 5.0, 360.0, "deg/s", "No effect";
     "MPC_Z_P", Real32(1.0), 0.1, 1.5, "", "No effect";
     "NAV_LOITER_RAD RTL_LOITER_RAD", Real32(80.0), -10000.0, 10000.0, "m", "No effect";
     "NAV_MIN_LTR_ALT", Real32(-1.0), -1.0, 10000.0, "m", "No effect";
-    "SDLOG_PROFILE", Int32(1), 0.0, 4095.0, "", "No effect";
-    "THR_MDL_FAC", Real32(0.0), 0.0, 1.0, "", "No effect";
 } fixed { // A ground station's set-up pages read what the vehicle is made of.
     "BAT1_A_PER_V", Real32(1.0), "Readings are amperes";
     "BAT1_CAPACITY", Real32(5000.0), "Capacity in mAh of the default model";

@@ -420,8 +420,24 @@ impl Core {
         self.respond("manual control lost", hold, Failsafe::ManualControlLost);
     }
 
-    /// The action that follows, unless somebody took the vehicle meanwhile.
+    /// Sticks that stop have their consequence in modes that fly without them too, unless COM_RCL_EXCEPT excepts the mode or
+    /// the vehicle comes down anyway; then the action that follows, unless somebody took the vehicle meanwhile.
     pub(super) fn watch_lost_sticks(&mut self) {
+        const COMES_DOWN: i32 = 1 << 30;
+        let has_sticks = self.current_sticks().is_some();
+        let had_sticks = std::mem::replace(&mut self.commander.had_sticks, has_sticks);
+        let exception = match self.commander.mode {
+            FlightMode::Mission => 1,
+            FlightMode::Hold | FlightMode::Takeoff => 2,
+            FlightMode::Offboard => 4,
+            FlightMode::Follow | FlightMode::Orbit => 0,
+            _ => COMES_DOWN,
+        };
+        let excepted = self.param(ParamId::SticksLossExceptions) as i32 | COMES_DOWN;
+        let is_free = self.commander.failsafe.is_none() && !self.commander.is_on_ground();
+        if had_sticks && !has_sticks && is_free && excepted & exception == 0 {
+            self.lose_sticks();
+        }
         if self.commander.failsafe != Some(Failsafe::ManualControlLost) {
             self.commander.acts_ns = None;
         }

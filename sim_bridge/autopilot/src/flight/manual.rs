@@ -53,7 +53,7 @@ impl Core {
     /// What the sticks ask for in the present mode. On the ground the motors idle until the throttle goes up. Lost sticks
     /// end in NAV_RCL_ACT.
     pub(super) fn fly_by_sticks(&mut self, held_down_m: Option<f32>, on_ground: bool) -> ControlCommand {
-        // Where lost setpoints led here and nobody has sticks, they are centred, as in PX4.
+        // After lost setpoints sticks that nobody has are centred, as in PX4.
         let nobodys = (self.commander.failsafe() == Some(Failsafe::SetpointLost)).then(Deflections::default);
         let Some(sticks) = self.current_sticks().or(nobodys) else {
             self.lose_sticks();

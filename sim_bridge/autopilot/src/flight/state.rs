@@ -101,6 +101,8 @@ pub(crate) struct Commander {
     /// The last command that its maneuver gave.
     pub(super) flown: Option<ControlCommand>,
     pub(super) failsafe: Option<Failsafe>,
+    /// Somebody had the sticks in the last step.
+    pub(super) had_sticks: bool,
     /// When the action of NAV_RCL_ACT follows the hold of lost sticks.
     pub(super) acts_ns: Option<Nanos>,
     /// Whose setpoints were lost.

@@ -10,7 +10,7 @@ const SET_MESSAGE_INTERVAL: u16 = 511;
 const REQUEST_MESSAGE: u16 = 512;
 
 /// Answers 510, 511 and 512 for the link that the command came on. A message that the vehicle does not have is DENIED, of
-/// 511 FAILED, of 510 told to have the interval 0, as in PX4: UNSUPPORTED would tell the client that the command itself does not exist.
+/// 511 FAILED, of 510 the interval 0, as in PX4: UNSUPPORTED would tell the client that the command itself does not exist.
 pub(crate) fn message_interval(
     command: &Command,
     source: Source,

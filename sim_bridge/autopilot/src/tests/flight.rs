@@ -67,9 +67,9 @@ fn termination_stops_the_motors_until_a_reboot() {
     assert_eq!(b.ask(185, &[1.0]), ACCEPTED);
     b.run_ms(1);
     assert_eq!(b.command, ControlCommand::MotorsOff);
-    let told = b.heartbeat(API);
-    assert_eq!(told.system_status, MavState::MAV_STATE_FLIGHT_TERMINATION);
-    assert_eq!(told.custom_mode, 10 << 16);
+    let heartbeat = b.heartbeat(API);
+    assert_eq!(heartbeat.system_status, MavState::MAV_STATE_FLIGHT_TERMINATION);
+    assert_eq!(heartbeat.custom_mode, 10 << 16);
     b.run_ms(5_000);
     assert_eq!(b.arm(), REJECTED);
     assert_eq!(b.ask(246, &[0.0]), ACCEPTED);

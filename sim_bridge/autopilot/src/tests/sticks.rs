@@ -123,6 +123,29 @@ fn stabilized_and_manual_hold_a_tilt_and_acro_a_rate() {
     assert!(b.velocity_m_s().norm() < 0.3);
 }
 
+/// As in PX4: whoever has sticks is missed when they stop, unless the mode is excepted; not where nobody ever had any.
+#[test]
+fn sticks_that_are_lost_end_modes_that_fly_without_them_too() {
+    let velocity = local_setpoint(0xDC7, |m| m.vx = 0.3);
+    for (main, sub, exception, other) in [(4, 3, 2, 5), (6, 0, 4, 3), (4, 6, 0, 0)] {
+        for excepted in [false, true] {
+            let mut b = Bench::airborne();
+            let except = if excepted { exception } else { other };
+            b.set_parameter("COM_RCL_EXCEPT", ParameterValue::Int32(except));
+            b.hold(API, SCRIPT, &velocity, 200);
+            assert_eq!(b.set_mode(API, SCRIPT, main, sub), ACCEPTED);
+            b.hold(API, SCRIPT, &velocity, 1_000);
+            assert_eq!(b.status().failsafe, None, "nobody had sticks");
+            b.send(GCS, STATION, &sticks(0, 0, 500, 0));
+            b.hold(API, SCRIPT, &velocity, 800);
+            let is_lost = !excepted && exception != 0;
+            assert_eq!(b.status().failsafe.is_some(), is_lost, "{main} {sub} {except}");
+            b.hold(API, SCRIPT, &velocity, 5_500);
+            assert_eq!(b.status().mode == FlightMode::Return, is_lost, "{main} {sub} {except}");
+        }
+    }
+}
+
 #[test]
 fn overridden_channels_are_sticks() {
     let mut b = Bench::airborne();

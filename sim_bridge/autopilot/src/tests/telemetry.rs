@@ -38,15 +38,15 @@ fn motor_pulses_show_what_each_motor_is_told() {
 
 /// As PX4 streams them: its controllers' targets, in whatever mode.
 #[test]
-fn what_is_flown_to_is_told_on_the_ground_and_in_hold() {
+fn what_is_flown_to_is_sent_on_the_ground_and_in_hold() {
     let mut b = Bench::new();
-    let told = request::<POSITION_TARGET_LOCAL_NED_DATA>(&mut b);
-    assert_eq!((told.type_mask.bits(), told.vz), (0xDC7, 0.0));
+    let target = request::<POSITION_TARGET_LOCAL_NED_DATA>(&mut b);
+    assert_eq!((target.type_mask.bits(), target.vz), (0xDC7, 0.0));
     b.take_off();
     b.run_ms(2_000);
-    let told = request::<ATTITUDE_TARGET_DATA>(&mut b);
-    assert!(told.type_mask.is_empty() && told.thrust > 0.3, "{told:?}");
-    assert!((told.q[0] - b.view().estimate.attitude.w).abs() < 0.01, "{told:?}");
+    let target = request::<ATTITUDE_TARGET_DATA>(&mut b);
+    assert!(target.type_mask.is_empty() && target.thrust > 0.3, "{target:?}");
+    assert!((target.q[0] - b.view().estimate.attitude.w).abs() < 0.01, "{target:?}");
 }
 
 #[test]
