@@ -64,14 +64,8 @@ fn check_one(name: &'static str, value: f32, limit: f32) -> Result<(), SetpointD
     }
 }
 
-/// What a SET_POSITION_TARGET_LOCAL_NED asks for. Frames 1 and 8 as in PX4: frame 8 is turned by yaw alone and has no
-/// positions; `heading_rad` is the vehicle's now. An acceleration beside a position or velocity is a feed-forward: the
-/// vehicle's own shaping makes one, so it is checked and not used.
-pub(crate) fn position_setpoint(
-    m: &SET_POSITION_TARGET_LOCAL_NED_DATA,
-    speed_limit_m_s: f32,
-    heading_rad: f32,
-) -> Result<ControlCommand, SetpointDefect> {
+/// The axes of position, velocity and acceleration that a setpoint uses, whose values are sound.
+fn used_axes(m: &SET_POSITION_TARGET_LOCAL_NED_DATA, is_local: bool) -> Result<[[bool; 3]; 3], SetpointDefect> {
     let (p, v, a) = ([m.x, m.y, m.z], [m.vx, m.vy, m.vz], [m.afx, m.afy, m.afz]);
     // A NaN is a field that is left out. The bits of the second and third axis follow that of the first.
     let used = |first: PositionMask, values: [f32; 3]| {
@@ -80,11 +74,6 @@ pub(crate) fn position_setpoint(
     let mut position = used(PositionMask::POSITION_TARGET_TYPEMASK_X_IGNORE, p);
     let mut velocity = used(PositionMask::POSITION_TARGET_TYPEMASK_VX_IGNORE, v);
     let mut acceleration = used(PositionMask::POSITION_TARGET_TYPEMASK_AX_IGNORE, a);
-    let is_local = match m.coordinate_frame {
-        MavFrame::MAV_FRAME_LOCAL_NED => true,
-        MavFrame::MAV_FRAME_BODY_NED => false,
-        other => return Err(SetpointDefect::Frame(other as u8)),
-    };
     if !is_local {
         // What is turned is turned as a whole.
         velocity = if velocity == ALL { ALL } else { NONE };
@@ -94,13 +83,29 @@ pub(crate) fn position_setpoint(
         }
         position = NONE;
     }
-    let not_flown = Err(SetpointDefect::Mask(m.type_mask.bits()));
     if acceleration != NONE && m.type_mask.contains(PositionMask::POSITION_TARGET_TYPEMASK_FORCE_SET) {
-        return not_flown;
+        return Err(SetpointDefect::Mask(m.type_mask.bits()));
     }
     check(position, ["x", "y", "z"], p, ABSURD_POSITION_M)?;
     check(velocity, ["vx", "vy", "vz"], v, ABSURD_VELOCITY_M_S)?;
     check(acceleration, ["afx", "afy", "afz"], a, ABSURD_ACCELERATION_M_S2)?;
+    Ok([position, velocity, acceleration])
+}
+
+/// What a SET_POSITION_TARGET_LOCAL_NED asks for. Frames 1 and 8 as in PX4: frame 8 is turned by yaw alone and has no
+/// positions; `heading_rad` is the vehicle's now. An acceleration beside a position or velocity is a feed-forward: the
+/// vehicle's own shaping makes one, so it is checked and not used.
+pub(crate) fn position_setpoint(
+    m: &SET_POSITION_TARGET_LOCAL_NED_DATA,
+    speed_limit_m_s: f32,
+    heading_rad: f32,
+) -> Result<ControlCommand, SetpointDefect> {
+    let is_local = match m.coordinate_frame {
+        MavFrame::MAV_FRAME_LOCAL_NED => true,
+        MavFrame::MAV_FRAME_BODY_NED => false,
+        other => return Err(SetpointDefect::Frame(other as u8)),
+    };
+    let [position, velocity, acceleration] = used_axes(m, is_local)?;
     let ignores = |field| m.type_mask.contains(field);
     let yaw = if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) && !m.yaw.is_nan() {
         check_one("yaw", m.yaw, ABSURD_RATE_RAD_S)?;
@@ -148,7 +153,7 @@ pub(crate) fn position_setpoint(
             },
             yaw,
         }),
-        (NONE, NONE) if acceleration == NONE => not_flown,
+        (NONE, NONE) if acceleration == NONE => Err(SetpointDefect::Mask(m.type_mask.bits())),
         _ => Err(SetpointDefect::Incomplete(m.type_mask.bits())),
     }
 }
