@@ -55,7 +55,7 @@ const BESIDE_M: f32 = 0.4;
 /// Lookout and guard.
 pub(crate) struct Guarding {
     config: JustStopConfig,
-    /// The same with what the vehicle has told of itself.
+    /// The same with what the vehicle says of itself.
     reckoned: JustStopConfig,
     lookout: Lookout,
     guard: JustStop,
@@ -188,7 +188,7 @@ pub(crate) struct GuardingInput<'a> {
     pub flies_around: bool,
     /// Where the vehicle's mission leads, metres north and east.
     pub mission_place_m: Option<(f32, f32)>,
-    /// How the vehicle changes its speed on the way there, as far as it has told.
+    /// How the vehicle changes its speed on the way there, as far as it is known.
     pub mission_motion: MissionMotion,
 }
 

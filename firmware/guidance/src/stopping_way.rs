@@ -66,15 +66,15 @@ impl Default for JustStopConfig {
 }
 
 impl JustStopConfig {
-    /// The same with what the autopilot has told of itself, where that is worse than what is configured.
+    /// The same with what the autopilot says of itself, where that is worse than what is configured.
     #[must_use]
-    pub fn reckoning_with(self, told: MissionMotion) -> Self {
-        let gain_m_s2 = told.gain_m_s2.unwrap_or(0.0);
-        let braking_m_s2 = told.braking_m_s2.map_or(f32::INFINITY, |m_s2| BRAKES_BY * m_s2);
+    pub fn reckoning_with(self, said: MissionMotion) -> Self {
+        let gain_m_s2 = said.gain_m_s2.unwrap_or(0.0);
+        let braking_m_s2 = said.braking_m_s2.map_or(f32::INFINITY, |m_s2| BRAKES_BY * m_s2);
         Self {
             mission_gain_m_s2: gain_m_s2.clamp(self.mission_gain_m_s2, GREATEST_GAIN_M_S2),
             braking_m_s2: braking_m_s2.max(LEAST_BRAKING_M_S2).min(self.braking_m_s2),
-            jerk_m_s3: told
+            jerk_m_s3: said
                 .jerk_m_s3
                 .unwrap_or(f32::INFINITY)
                 .max(LEAST_JERK_M_S3)

@@ -153,7 +153,7 @@ impl Companion {
         self.core.vehicle.mission_place_m()
     }
 
-    /// How the vehicle changes its speed in a mission, as far as it has told.
+    /// How the vehicle changes its speed in a mission, as far as it is known.
     pub fn mission_motion(&self) -> MissionMotion {
         self.core.vehicle.mission_motion
     }

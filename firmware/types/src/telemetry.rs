@@ -120,7 +120,7 @@ pub struct VehicleTelemetry {
 /// origin.
 const AIRBORNE_HEIGHT_M: f32 = 0.5;
 
-/// How an autopilot changes its speed in a mission and in its hold, by its own parameters; `None` what it has not told.
+/// How an autopilot changes its speed in a mission and in its hold, by its own parameters; `None` what is not known.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct MissionMotion {
     /// What it gains speed with: PX4's MPC_ACC_HOR, Copter's WPNAV_ACCEL; metres per second squared.

@@ -106,7 +106,7 @@ fn a_mission_towards_something_is_stopped_before_it_on_every_vehicle_model_with_
     }
 }
 
-/// Where it was told to hold only once its course led towards the column, it gained speed out of the corner meanwhile.
+/// Where it had to hold only once its course went towards the column, it gained speed out of the corner meanwhile.
 #[test]
 fn a_mission_is_stopped_before_what_stands_behind_its_corner() {
     let turns = Manner {

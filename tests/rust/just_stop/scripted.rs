@@ -166,16 +166,16 @@ fn a_px4_is_told_the_mode_and_then_the_place_where_it_can_stop_and_one_that_refu
 }
 
 #[test]
-fn a_px4_that_is_set_to_brake_slowly_is_stopped_by_what_its_parameters_say_and_one_that_tells_none_is_named() {
-    for tells in [true, false] {
+fn a_px4_that_is_set_to_brake_slowly_is_stopped_by_what_its_parameters_say_and_one_that_sends_none_is_named() {
+    for answers in [true, false] {
         let mut f = Guarded::before_a_wall(Flavour::Px4, 30.0);
-        (f.peer.gain_m_s2, f.peer.tells_parameters) = (0.8, tells);
+        (f.peer.gain_m_s2, f.peer.tells_parameters) = (0.8, answers);
         f.run_s(25.0);
         assert!(f.holds() && f.peer.speed_north_m_s == 0.0);
-        let shown = (tells, f.nearest_m, &f.texts);
+        let shown = (answers, f.nearest_m, &f.texts);
         // Braking from 3 m/s takes it 5.6 m, where 4.9 are reckoned with.
-        assert!(if tells { f.nearest_m > 1.5 } else { f.nearest_m < 1.0 }, "{shown:?}");
-        assert_eq!(f.was_told("MPC_ACC_HOR is not told"), !tells, "{shown:?}");
+        assert!(if answers { f.nearest_m > 1.5 } else { f.nearest_m < 1.0 }, "{shown:?}");
+        assert_eq!(f.was_told("MPC_ACC_HOR is not known"), !answers, "{shown:?}");
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! PX4: `MPC_ACC_HOR`, `MPC_JERK_AUTO` (<https://docs.px4.io/main/en/advanced_config/parameter_reference#MPC_ACC_HOR>); Copter:
 //! `WPNAV_ACCEL`, in centimetres, `PSC_JERK_XY` (<https://ardupilot.org/copter/docs/parameters.html#wpnav-accel>). A change is heard too:
-//! either autopilot tells everybody a parameter that is set. One that does not answer is guarded by what is configured, and people are told.
+//! either autopilot sends everybody a parameter that is set. One that does not answer is guarded by what is configured, and that is said.
 
 use crate::autopilot::Flavour;
 use crate::companion::CompanionConfig;
@@ -32,7 +32,7 @@ pub(crate) struct MissionMotionService {
     wanted: bool,
     attempts: [u8; 2],
     sent_ns: Nanos,
-    told: bool,
+    is_done: bool,
 }
 
 impl Service for MissionMotionService {
@@ -65,7 +65,7 @@ impl Service for MissionMotionService {
 
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
         let now_ns = step.report.now_ns;
-        let Some(system) = core.system_id.filter(|_| self.wanted && !self.told) else {
+        let Some(system) = core.system_id.filter(|_| self.wanted && !self.is_done) else {
             return;
         };
         if self.sent_ns > 0 && now_ns.saturating_sub(self.sent_ns) < RETRY_NS {
@@ -86,7 +86,7 @@ impl Service for MissionMotionService {
                 core.tell(
                     out,
                     NOTICE,
-                    format_args!("{name} is not told: guarded by what is configured"),
+                    format_args!("{name} is not known: guarded by what is configured"),
                 );
                 return;
             }
@@ -99,6 +99,6 @@ impl Service for MissionMotionService {
             core.say(out, &MavMessage::PARAM_REQUEST_READ(read));
             return;
         }
-        self.told = true;
+        self.is_done = true;
     }
 }

@@ -82,7 +82,7 @@ const LEAST_ASIDE_M: f32 = 0.08;
 /// A way that is long enough, and flown fast enough, to tell 5° from the error of the estimated position.
 const DIRECTED_M: f32 = 0.7;
 const DIRECTED_M_S: f32 = 0.5;
-/// A way shorter than so many times what the estimate may have drifted meanwhile tells nothing: a vehicle that hovers for seconds on a real
+/// A way shorter than so many times what the estimate may have drifted meanwhile says nothing: a vehicle that hovers for seconds on a real
 /// one seems to have come half a metre, and a picture that did not move must not be taken for one that did.
 const DRIFTS: f32 = 1.5;
 
@@ -420,9 +420,9 @@ impl PlausibilityCheck {
             }
         }
         let takes_off = known.is_some_and(|(kinematics, _)| self.take_off.goes_on(telemetry, &kinematics))
-            && !is_led(telemetry)
+            && !obeys_setpoints(telemetry)
             || stands_or_takes_off(telemetry);
-        let guided = in_flight && is_led(telemetry) && !blind && !self.bad_pose;
+        let guided = in_flight && obeys_setpoints(telemetry) && !blind && !self.bad_pose;
         self.note_ranges(frame, &pose, height_m.filter(|_| guided));
         if !armed {
             // The flight is over.
@@ -857,7 +857,7 @@ fn stands_or_takes_off(telemetry: &VehicleTelemetry) -> bool {
 }
 
 /// Only who leads the vehicle by what is seen can be led astray: a mission over a slope is not held.
-fn is_led(telemetry: &VehicleTelemetry) -> bool {
+fn obeys_setpoints(telemetry: &VehicleTelemetry) -> bool {
     telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::External)
 }
 
