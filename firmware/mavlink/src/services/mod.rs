@@ -3,6 +3,7 @@
 pub(crate) mod commands;
 pub(crate) mod handover;
 mod heartbeat;
+mod metadata;
 mod mission_motion;
 pub(crate) mod obstacles;
 pub(crate) mod parameters;
@@ -50,8 +51,9 @@ macro_rules! services {
     };
 }
 
-// They hear and speak in this order.
+// They hear and speak in this order. One command is for the metadata, which therefore hears it first.
 services! {
+    metadata: metadata::MetadataService,
     commands: commands::CommandService,
     parameters: parameters::ParameterService,
     time: time::TimeService,
