@@ -10,6 +10,7 @@ from pathlib import Path
 from mavsdk_system import VERSION, MavsdkSystem, types
 
 SIZE = 50_000
+COMPANION = 191
 # Telemetry for which PX4's simulation and this vehicle have nothing to tell, or must not (the truth).
 SILENT = {"actuator_control_target", "distance_sensor", "ground_truth", "status_text", "wind", "transponder"}
 
@@ -151,10 +152,13 @@ async def run(instance):
     checks = await system.events.get_health_and_arming_checks_report()
     report["can_arm"] = checks.current_mode_intention.can_arm_or_run
     report["logs"] = await logs(system.log_files)
+    # The vehicle's and the guidance computer's.
     await system.component_metadata.request_autopilot_component()
-    await asyncio.sleep(1.0)
+    await system.component_metadata.request_component(COMPANION)
+    await asyncio.sleep(3.0)
     kind = types("component_metadata").MetadataType.PARAMETER
-    report["metadata"] = (await system.component_metadata.get_metadata(1, kind)).json_metadata
+    described = [await system.component_metadata.get_metadata(component, kind) for component in (1, COMPANION)]
+    report["metadata"] = [data.json_metadata for data in described]
     report["shell"] = await shell(system)
     report["rates"] = await rates(system.telemetry)
     report["silent"] = await silent_telemetry({name: system.function(f"telemetry.{name}") for name in system.streams("telemetry")})

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from stack import HERE, Process, free_simulator, venv_python
+from stack import HERE, Firmware, Process, free_simulator, venv_python
 
 CLIENTS = ["mavsdk3", "mavsdk4"]
 LIMIT_S = 150.0
@@ -13,12 +13,13 @@ LIMIT_S = 150.0
 
 @pytest.fixture(scope="module")
 def reports(tmp_path_factory):
-    """Runs both clients side by side, each with a simulator of its own; what each printed last."""
+    """Runs both clients side by side, each with a simulator and a guidance computer of its own; what each printed last."""
     folder = tmp_path_factory.mktemp("ground_services")
     with contextlib.ExitStack() as stack:
         running = {}
         for name in CLIENTS:
             simulator = stack.enter_context(free_simulator("open_field.toml", folder))
+            stack.enter_context(Firmware(simulator.instance, folder))
             command = [venv_python(name), "-u", HERE / "ground_services.py", "--instance", simulator.instance]
             running[name] = stack.enter_context(Process(f"ground_services_{name}", command, folder))
         codes = {name: client.wait(LIMIT_S) for name, client in running.items()}
@@ -50,8 +51,9 @@ def test_a_flight_is_told_as_events_and_its_log_downloads_whole(reports, name):
 
 @pytest.mark.parametrize("name", CLIENTS)
 def test_metadata_and_shell_answer(reports, name):
-    described = {p["name"]: p for p in json.loads(reports[name]["metadata"])["parameters"]}
-    assert described["MIS_TAKEOFF_ALT"]["units"] == "m" and described["COM_OBL_RC_ACT"]["type"] == "Int32"
+    vehicle, companion = ({p["name"]: p for p in json.loads(m)["parameters"]} for m in reports[name]["metadata"])
+    assert vehicle["MIS_TAKEOFF_ALT"]["units"] == "m" and vehicle["COM_OBL_RC_ACT"]["type"] == "Int32"
+    assert companion["GD_GOAL_RAD"]["max"] == 100 and len(companion["DT_ALARM"]["values"]) == 3
     assert reports[name]["shell"].startswith("Vigil ")
 
 

@@ -165,6 +165,7 @@ fn what_there_is_not_and_what_makes_no_sense_is_refused_and_nothing_panics() {
     for path in ["", "/", "general.jso", "general.jsonx", "../general.json", "etc/passwd"] {
         assert_eq!(computer.open(GROUND_STATION, 0, path), Err(10), "{path}");
     }
+    assert_eq!(refused(&mut computer, (0, OPEN, 12, 0), &[]), 10, "cut off");
     assert_eq!(refused(&mut computer, (0, OPEN, 240, 0), b"general.json"), 3);
     assert_eq!(refused(&mut computer, (0, READ, 9, 0), &[]), 4, "not open");
     computer.open(GROUND_STATION, 0, "general.json").unwrap();
@@ -193,7 +194,8 @@ fn what_there_is_not_and_what_makes_no_sense_is_refused_and_nothing_panics() {
     }
 }
 
-/// A row as the schema of parameter metadata has it. Rust's escapes are JSON's, for what the table contains.
+/// A row as <https://github.com/mavlink/mavlink/blob/master/component_metadata/parameter.schema.json> has it. Rust's escapes are
+/// JSON's, for what the table contains.
 fn described(row: &ParameterSpec) -> Option<String> {
     let (name, range) = (row.mavlink?.name, row.range()?);
     let group = row.key.split_once('.').map_or("guidance", |(section, _)| section);
@@ -223,6 +225,7 @@ fn described(row: &ParameterSpec) -> Option<String> {
 #[test]
 fn the_files_hold_the_table_of_parameters() {
     let rows: Vec<_> = ALL.iter().filter_map(described).collect();
+    // QGroundControl takes no version but 1.
     let parameters = format!("{{\"version\":1,\"parameters\":[\n{}\n]}}\n", rows.join(",\n"));
     let crc = crc32(parameters.as_bytes());
     let general = format!(
