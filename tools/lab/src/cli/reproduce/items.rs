@@ -2,7 +2,7 @@
 
 use super::data::Sources;
 use super::made::Made;
-use super::ours::{alarm_delay, attacked_completion, defences, detection, families, peers};
+use super::ours::{alarm_delay, attacked_completion, defences, detection, families, peers, vehicles};
 use super::paper::{
     contributions, figure_9, figure_10, figure_11, pixels_of_a_flight, sum_and_action, table_1, table_2, table_3,
     table_4,
@@ -38,7 +38,7 @@ const fn item(
 }
 
 /// In the order of the page: the paper's, then ours.
-pub const ITEMS: [Item; 16] = [
+pub const ITEMS: [Item; 17] = [
     item(
         "table-1",
         table_1,
@@ -133,6 +133,17 @@ pub const ITEMS: [Item; 16] = [
         families,
         &["family-training", "family-validation", "family-dense", "family-hard"],
         "Completion by course family, whole stack",
+    ),
+    item(
+        "vehicles",
+        vehicles,
+        &[
+            "vehicle-ours",
+            "vehicle-px4-light",
+            "vehicle-px4-sih",
+            "vehicle-arducopter",
+        ],
+        "Completion by vehicle model with a noisy estimate, whole stack",
     ),
     item("peers", peers, &["peers"], "Time of other programs for the same work"),
 ];
