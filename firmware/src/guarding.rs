@@ -55,7 +55,7 @@ const BESIDE_M: f32 = 0.4;
 /// Lookout and guard.
 pub(crate) struct Guarding {
     config: JustStopConfig,
-    /// The same with what the vehicle says of itself.
+    /// How the vehicle stops in this step: by what it says of itself too; who is going to fly around what stopped it needs room to turn.
     reckoned: JustStopConfig,
     lookout: Lookout,
     guard: JustStop,
@@ -223,6 +223,9 @@ impl Guarding {
             frame,
             ..
         } = *input;
+        let room_m = if input.flies_around { TURNING_ROOM_M } else { 0.0 };
+        self.reckoned = self.config.reckoning_with(input.mission_motion);
+        self.reckoned.spare_m += room_m;
         // Frames taken on the ground show the ground at the vehicle's own height.
         let airborne = telemetry.is_airborne();
         let jumped = motion.is_some_and(|motion| self.has_jumped(motion.kinematics));
@@ -245,25 +248,15 @@ impl Guarding {
                 .observe(&motion.pilot_input(now_ns, depth, NedVector::ZERO));
             let flies_mission = telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Mission);
             let place_m = input.mission_place_m.filter(|_| flies_mission);
-            course = Some(self.course(&self.config(input), &motion.kinematics, motion.sample.attitude, place_m));
+            course = Some(self.course(&motion.kinematics, motion.sample.attitude, place_m));
         }
         (course, jumped && airborne, climbs)
-    }
-
-    /// How the vehicle stops: who is going to fly around what stopped it needs room to turn.
-    fn config(&self, input: &GuardingInput<'_>) -> JustStopConfig {
-        let room_m = if input.flies_around { TURNING_ROOM_M } else { 0.0 };
-        JustStopConfig {
-            spare_m: self.reckoned.spare_m + room_m,
-            ..self.reckoned
-        }
     }
 
     /// One step in which somebody else flies.
     pub fn step(&mut self, input: &GuardingInput<'_>) -> Guarded {
         let GuardingInput { now_ns, telemetry, .. } = *input;
         let kinematics = input.motion.map(|motion| motion.kinematics);
-        self.reckoned = self.config.reckoning_with(input.mission_motion);
         let (course, jumped, climbing) = self.look(input);
         let before = self.guard.state();
         let state = self.guard.step(
@@ -282,7 +275,7 @@ impl Guarding {
         let notice = match (state, before) {
             (JustStopState::Unguarded, before) if before != JustStopState::Unguarded => Some(GuardNotice::Unguarded),
             _ if jumped => Some(GuardNotice::Jumped),
-            (JustStopState::Watching, _) if self.becomes_too_fast(input, kinematics) => Some(GuardNotice::TooFast),
+            (JustStopState::Watching, _) if self.becomes_too_fast(kinematics) => Some(GuardNotice::TooFast),
             _ => notice,
         };
         Guarded {
@@ -299,10 +292,10 @@ impl Guarding {
     }
 
     /// Whether it was slow enough to be stopped before what is seen, and is no longer.
-    fn becomes_too_fast(&mut self, input: &GuardingInput<'_>, kinematics: Option<Kinematics>) -> bool {
-        let config = self.config(input);
+    fn becomes_too_fast(&mut self, kinematics: Option<Kinematics>) -> bool {
         let needs_m = kinematics.map_or(0.0, |k| {
-            config.reach_m(k.velocity_ned_m_s.horizontal_norm(), Gain::default())
+            self.reckoned
+                .reach_m(k.velocity_ned_m_s.horizontal_norm(), Gain::default())
         });
         let longest_m = if self.too_fast {
             SLOW_AGAIN * Lookout::FARTHEST_M
@@ -447,13 +440,7 @@ impl Guarding {
     }
 
     /// What is seen along the velocity, and towards the mission's place where it leads there.
-    fn course(
-        &self,
-        config: &JustStopConfig,
-        kinematics: &Kinematics,
-        attitude: Attitude,
-        place_m: Option<(f32, f32)>,
-    ) -> Course {
+    fn course(&self, kinematics: &Kinematics, attitude: Attitude, place_m: Option<(f32, f32)>) -> Course {
         let (here, velocity) = (kinematics.position_ned_m, kinematics.velocity_ned_m_s);
         let way = place_m.map(|(north_m, east_m)| NedVector::new(north_m - here.x, east_m - here.y, 0.0));
         let on_the_way_m = |reach_m: f32| {
@@ -461,7 +448,7 @@ impl Guarding {
             let reach_m = reach_m.min(way.horizontal_norm());
             self.lookout.obstacle_ahead_m(here, way, reach_m)
         };
-        let start_obstacle_m = on_the_way_m(config.start_reach_m());
+        let start_obstacle_m = on_the_way_m(self.reckoned.start_reach_m());
         let speed_m_s = velocity.horizontal_norm();
         if speed_m_s <= 0.0 {
             return Course {
@@ -469,7 +456,7 @@ impl Guarding {
                 ..Course::default()
             };
         }
-        let reach_m = config.reach_m(speed_m_s, self.gain_along(velocity));
+        let reach_m = self.reckoned.reach_m(speed_m_s, self.gain_along(velocity));
         let course_rad = libm::atan2f(velocity.y, velocity.x);
         let off_nose_rad = wrap_pi(course_rad - attitude.yaw_rad());
         // A start out of a hold that sways, or on an estimate that wanders, turns towards the place.

@@ -9,7 +9,7 @@ use crate::status_text::{NOTICE, StatusText};
 use crate::vehicle::Vehicle;
 use ::core::fmt::Arguments;
 use heapless::Vec;
-use mavlink::dialects::common::{MavMessage, MavSeverity};
+use mavlink::dialects::common::{MavMessage, MavSeverity, PARAM_REQUEST_READ_DATA};
 use vigil_types::{Datagrams, GuidanceState, Nanos, Reasons, STEP_NS};
 
 /// Answers that one step can owe: more than several links ask for in a step.
@@ -226,6 +226,17 @@ impl Core {
         self.say_text(out, text);
         // More than a step tells at its worst.
         let _ = self.told.push(*text);
+    }
+
+    /// Asks the vehicle's autopilot for a parameter.
+    pub fn ask_for_parameter(&mut self, out: &mut Datagrams, system: u8, name: &str) {
+        let read = PARAM_REQUEST_READ_DATA {
+            param_index: -1,
+            target_system: system,
+            target_component: 1,
+            param_id: name.into(),
+        };
+        self.say(out, &MavMessage::PARAM_REQUEST_READ(read));
     }
 
     /// Says a text to everybody, and to nobody else.

@@ -31,6 +31,7 @@ extern crate std;
 mod autopilot;
 mod companion;
 mod core;
+pub mod crc;
 mod following;
 pub mod framing;
 pub mod globe;

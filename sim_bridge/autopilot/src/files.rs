@@ -309,34 +309,6 @@ impl FileSystem {
     }
 }
 
-const CRC_TABLE: [u32; 256] = {
-    let mut table = [0; 256];
-    let mut i = 0;
-    while i < 256 {
-        let mut crc = i as u32;
-        let mut bit = 0;
-        while bit < 8 {
-            crc = if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
-            bit += 1;
-        }
-        table[i] = crc;
-        i += 1;
-    }
-    table
-};
-
-/// The CRC32 of MAVLink FTP and component metadata: the polynomial of IEEE 802.3, but it begins with 0 and is not
-/// inverted at the end.
-pub(crate) fn crc32(bytes: &[u8]) -> u32 {
-    crc32_on(0, bytes)
-}
-
-/// The same over what `crc` stands for and these bytes behind it.
-pub(crate) fn crc32_on(crc: u32, bytes: &[u8]) -> u32 {
-    let next = |crc: u32, byte: &u8| CRC_TABLE[usize::from(crc as u8 ^ *byte)] ^ (crc >> 8);
-    bytes.iter().fold(crc, next)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -426,12 +398,5 @@ mod tests {
             assert!(files.make_directory(bad, 0).is_err(), "{bad}");
         }
         files.make_directory("fine", 0).expect("one is free");
-    }
-
-    #[test]
-    fn the_checksum_is_the_one_of_the_protocol() {
-        // zlib: crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF begins its register with 0.
-        assert_eq!(crc32(b""), 0);
-        assert_eq!(crc32(b"123456789"), 0x2DFD_2D88);
     }
 }

@@ -162,7 +162,11 @@ impl Referee {
     fn crashed_into_ground(&self, position_ned_m: NedVector, attitude: Attitude, velocity_ned_m_s: NedVector) -> bool {
         let lowest_m = -position_ned_m.z - VEHICLE.vertical_reach_m(attitude);
         let cos_tilt = 1.0 - 2.0 * (attitude.x * attitude.x + attitude.y * attitude.y);
-        let limit_m_s = [DROP_CRASH_SPEED_M_S, GROUND_CRASH_SPEED_M_S][usize::from(self.motors_run)];
+        let limit_m_s = if self.motors_run {
+            GROUND_CRASH_SPEED_M_S
+        } else {
+            DROP_CRASH_SPEED_M_S
+        };
         lowest_m <= 0.0 && (velocity_ned_m_s.z > limit_m_s || cos_tilt < GROUND_CRASH_COS_TILT)
     }
 

@@ -30,6 +30,13 @@ impl Zeroed<'_> {
         out
     }
 
+    /// Whether a parameter's name, 16 bytes or up to a zero, is this one.
+    pub fn is_parameter(&self, offset: usize, name: &str) -> bool {
+        let id: [u8; 16] = self.bytes(offset);
+        let len = id.iter().position(|byte| *byte == 0).unwrap_or(id.len());
+        id.get(..len) == Some(name.as_bytes())
+    }
+
     pub fn u8(&self, offset: usize) -> u8 {
         u8::from_le_bytes(self.bytes(offset))
     }

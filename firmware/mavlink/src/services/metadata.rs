@@ -5,6 +5,7 @@
 //! There is no metadata of events: the guidance computer sends none.
 
 use crate::core::Core;
+use crate::crc::crc32;
 use crate::framing::{Packet, Zeroed};
 use crate::operator::{ReplyTo, result};
 use crate::service::{Service, Step};
@@ -44,23 +45,16 @@ const NAK: u8 = 129;
 struct File {
     name: &'static [u8],
     content: &'static [u8],
-    /// Of IEEE 802.3's polynomial as in both protocols: it begins with 0 and is not inverted at the end.
     crc32: u32,
 }
 
 impl File {
     const fn new(name: &'static [u8], content: &'static [u8]) -> Self {
-        let (mut crc32, mut left) = (0_u32, content);
-        while let [first, rest @ ..] = left {
-            crc32 ^= *first as u32;
-            let mut bit = 0;
-            while bit < 8 {
-                crc32 = (crc32 >> 1) ^ (0xEDB8_8320 * (crc32 & 1));
-                bit += 1;
-            }
-            left = rest;
+        Self {
+            name,
+            content,
+            crc32: crc32(content),
         }
-        Self { name, content, crc32 }
     }
 }
 

@@ -11,7 +11,7 @@ use crate::framing::{Packet, Zeroed};
 use crate::service::{Service, Step};
 use crate::status_text::NOTICE;
 use mavlink::MessageData;
-use mavlink::dialects::common::{MavMessage, PARAM_REQUEST_READ_DATA, PARAM_VALUE_DATA};
+use mavlink::dialects::common::PARAM_VALUE_DATA;
 use vigil_types::{Datagrams, Nanos};
 
 /// Questions for each before the vehicle counts as not answering, and the pause after each.
@@ -32,7 +32,6 @@ pub(crate) struct MissionMotionService {
     wanted: bool,
     attempts: [u8; 2],
     sent_ns: Nanos,
-    is_done: bool,
 }
 
 impl Service for MissionMotionService {
@@ -48,13 +47,12 @@ impl Service for MissionMotionService {
             return;
         }
         let payload = Zeroed(packet.payload());
-        let (value, id) = (f32::from_le_bytes(payload.bytes(0)), payload.bytes::<16>(8));
-        let len = id.iter().position(|byte| *byte == 0).unwrap_or(id.len());
+        let value = f32::from_le_bytes(payload.bytes(0));
         let flavour = core.vehicle.flavour();
         let motion = &mut core.vehicle.mission_motion;
         let known = [&mut motion.gain_m_s2, &mut motion.jerk_m_s3];
         for ((name, unit), known) in named(flavour).into_iter().zip(known) {
-            if id.get(..len) == Some(name.as_bytes()) && value.is_finite() && value > 0.0 {
+            if payload.is_parameter(8, name) && value.is_finite() && value > 0.0 {
                 *known = Some(value * unit);
             }
         }
@@ -65,7 +63,7 @@ impl Service for MissionMotionService {
 
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
         let now_ns = step.report.now_ns;
-        let Some(system) = core.system_id.filter(|_| self.wanted && !self.is_done) else {
+        let Some(system) = core.system_id.filter(|_| self.wanted) else {
             return;
         };
         if self.sent_ns > 0 && now_ns.saturating_sub(self.sent_ns) < RETRY_NS {
@@ -90,15 +88,8 @@ impl Service for MissionMotionService {
                 );
                 return;
             }
-            let read = PARAM_REQUEST_READ_DATA {
-                param_index: -1,
-                target_system: system,
-                target_component: 1,
-                param_id: name.into(),
-            };
-            core.say(out, &MavMessage::PARAM_REQUEST_READ(read));
+            core.ask_for_parameter(out, system, name);
             return;
         }
-        self.is_done = true;
     }
 }

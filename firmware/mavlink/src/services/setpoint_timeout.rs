@@ -15,9 +15,7 @@ use crate::framing::{Packet, Zeroed};
 use crate::service::{Service, Step};
 use crate::status_text::{INFO, NOTICE, WARNING};
 use mavlink::MessageData;
-use mavlink::dialects::common::{
-    MavMessage, MavParamType, PARAM_ERROR_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
-};
+use mavlink::dialects::common::{MavMessage, MavParamType, PARAM_ERROR_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA};
 use vigil_types::{Datagrams, Nanos, VehicleRequest};
 
 /// Questions before a vehicle counts as not answering, and attempts to set the value.
@@ -100,11 +98,6 @@ impl SetpointTimeoutService {
         has_other
     }
 
-    fn is_named(&self, id: &[u8; 16]) -> bool {
-        let len = id.iter().position(|byte| *byte == 0).unwrap_or(id.len());
-        id.get(..len) == Some(self.name().as_bytes())
-    }
-
     /// One step. `taking`: guidance asks for the vehicle. What then began goes on to its end, in flight too.
     fn step(&mut self, now_ns: Nanos, taking: bool, flavour: Flavour) -> Next {
         self.flavour = flavour;
@@ -158,7 +151,7 @@ impl Service for SetpointTimeoutService {
         let payload = Zeroed(packet.payload());
         let Some(longest_s) = self.longest_s else { return };
         match packet.message_id() {
-            PARAM_VALUE_DATA::ID if self.is_named(&payload.bytes(8)) => {
+            PARAM_VALUE_DATA::ID if payload.is_parameter(8, self.name()) => {
                 let value_s = f32::from_le_bytes(payload.bytes(0));
                 // Either autopilot's is a REAL32; what is not a time is no answer.
                 if !(value_s.is_finite() && value_s >= 0.0) {
@@ -176,7 +169,7 @@ impl Service for SetpointTimeoutService {
                     Stage::Setting(_) | Stage::Idle | Stage::Found(_) => {}
                 }
             }
-            PARAM_ERROR_DATA::ID if self.is_named(&payload.bytes(4)) => match self.stage {
+            PARAM_ERROR_DATA::ID if payload.is_parameter(4, self.name()) => match self.stage {
                 Stage::Reading => {
                     if !self.takes_the_other() {
                         self.stage = Stage::Found(Finding::NotTold);
@@ -196,15 +189,7 @@ impl Service for SetpointTimeoutService {
         let name = self.name();
         match next {
             Next::Nothing => {}
-            Next::Read => {
-                let read = PARAM_REQUEST_READ_DATA {
-                    param_index: -1,
-                    target_system: system,
-                    target_component: 1,
-                    param_id: name.into(),
-                };
-                core.say(out, &MavMessage::PARAM_REQUEST_READ(read));
-            }
+            Next::Read => core.ask_for_parameter(out, system, name),
             Next::Set(param_value) => {
                 let set = PARAM_SET_DATA {
                     param_value,

@@ -662,7 +662,7 @@ impl PlausibilityCheck {
         // Straight ahead or straight up a mirrored sensor sees the same: what differs there is the error of the estimated roll.
         let aside = map.aside_m() >= LEAST_ASIDE_M;
         let mut errors = Errors::NONE;
-        for (row, column) in samples(self.step) {
+        for (row, column) in samples(self.step).filter(|_| swift) {
             let (found, (there_row, there_column)) = look(
                 &self.directions,
                 (row, column),
@@ -671,7 +671,7 @@ impl PlausibilityCheck {
                 &self.picture,
             );
             let near = anchor.picture.is_near(row * COLS + column, MAY_MOVE_M);
-            if near || !swift || !found.is_beyond(MAY_MOVE_M) {
+            if near || !found.is_beyond(MAY_MOVE_M) {
                 continue;
             }
             let part = part_of(there_row as usize, there_column as usize);

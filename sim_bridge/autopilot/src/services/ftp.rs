@@ -3,10 +3,11 @@
 //! A session's number is the client's choice and counts per client: clients exist that ignore the number a server gives
 //! (MAVSDK) and that want theirs back (pymavlink), and this suits both.
 
-use crate::files::{FileError, FileSystem, crc32};
+use crate::files::{FileError, FileSystem};
 use crate::service::prelude::*;
 use crate::services::packed_parameters;
 use vigil_mavlink::common::MavFtpOpcode as Opcode;
+use vigil_mavlink::crc::crc32;
 
 /// Bytes of data in a packet.
 const MAX_DATA: usize = 239;

@@ -1,12 +1,13 @@
 //! Component metadata: what the parameters and events mean, as JSON that is fetched by file transfer.
 //! <https://mavlink.io/en/services/component_information.html>
 
-use crate::files::{FileSystem, crc32};
+use crate::files::FileSystem;
 use crate::service::prelude::*;
 use crate::services::events::definitions;
 use crate::vehicle_parameters::{ParameterInfo, ParameterValue, parameter_table};
 use serde::Serialize;
 use serde_json::json;
+use vigil_mavlink::crc::crc32;
 
 /// Where PX4 keeps them.
 const GENERAL: &str = "etc/extras/component_general.json";

@@ -3,9 +3,9 @@
 //! `_HASH_CHECK` is no parameter but a digest of all of them, by which a ground station knows that what it has kept is
 //! current: it comes before a list, and set to its own value it ends one.
 
-use crate::files::crc32_on;
 use crate::service::prelude::*;
 use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters};
+use vigil_mavlink::crc::crc32_on;
 use vigil_mavlink::mavlink::types::CharArray;
 
 /// Pause between the values of a list: a burst would overrun a client's socket buffer.

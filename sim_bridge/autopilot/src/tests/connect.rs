@@ -60,7 +60,7 @@ fn the_hash_of_the_parameters_is_that_of_their_names_and_values_and_ends_a_list(
             ParameterValue::Real32(v) => v.to_le_bytes(),
         });
     }
-    assert_eq!(before, crate::files::crc32(&bytes));
+    assert_eq!(before, vigil_mavlink::crc::crc32(&bytes));
     b.set_parameter("NAV_ACC_RAD", ParameterValue::Real32(3.0));
     assert_ne!(read_hash(&mut b), before);
     b.set_parameter("NAV_ACC_RAD", ParameterValue::Real32(2.0));

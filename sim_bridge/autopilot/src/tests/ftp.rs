@@ -1,7 +1,7 @@
 //! File transfer, by packets.
 
-use crate::files::crc32;
 use crate::testing::*;
+use vigil_mavlink::crc::crc32;
 
 const RESET: u8 = 2;
 const LIST: u8 = 3;

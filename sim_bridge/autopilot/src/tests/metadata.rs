@@ -1,9 +1,9 @@
 //! Component metadata, as a client finds and reads it.
 
-use crate::files::crc32;
 use crate::testing::*;
 use crate::tests::ftp::Client;
 use serde_json::Value;
+use vigil_mavlink::crc::crc32;
 
 fn content(b: &mut Bench, uri: &str) -> (Value, u32) {
     let path = uri.strip_prefix("mftp://").expect("a file of the vehicle's");
