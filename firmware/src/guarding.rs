@@ -27,6 +27,8 @@ const OBSERVER_RAD_S: f32 = 4.0;
 const OBSERVER_PER_STEP: f32 = 0.8;
 /// The growth of the gain is the mean of about this time, seconds.
 const GROWTH_S: f32 = 0.15;
+/// What the wind takes away is learnt within about this time of standing, seconds.
+const WIND_S: f32 = 1.0;
 /// The most that they are believed to take away, metres per second squared.
 const GREATEST_LOSS_M_S2: f32 = 4.0;
 /// After a gap so long between two velocities it begins anew, seconds.
@@ -37,6 +39,9 @@ const BRAKES_M_S2: f32 = 0.5;
 const FOV_MARGIN_RAD: f32 = 0.17;
 /// A course that is no farther than this off the way to the mission's place leads there.
 const TURNS_RAD: f32 = 0.5;
+
+/// So far ahead a turn is reckoned, seconds.
+const TURN_S: f32 = 0.5;
 
 /// A vehicle that was too fast is slow enough again when it needs no more than this part of what is looked ahead.
 const SLOW_AGAIN: f32 = 0.9;
@@ -84,6 +89,8 @@ struct Air {
     growth_ned_m_s3: NedVector,
     /// The fastest that it has grown.
     shown_m_s3: f32,
+    /// Taken away while it stands, by the wind alone: the mean of about [`WIND_S`].
+    wind_m_s2: f32,
 }
 
 impl Air {
@@ -96,6 +103,7 @@ impl Air {
             gain_ned_m_s2: lean_ned_m_s2,
             growth_ned_m_s3: NedVector::ZERO,
             shown_m_s3: 0.0,
+            wind_m_s2: 0.0,
         }
     }
 
@@ -122,6 +130,8 @@ impl Air {
         let gain_ned_m_s2 = lean_ned_m_s2 - loss_ned_m_s2;
         let growth = (gain_ned_m_s2 - self.gain_ned_m_s2) * (1.0 / dt_s);
         let growth_ned_m_s3 = self.growth_ned_m_s3 + (growth - self.growth_ned_m_s3) * (dt_s / (dt_s + GROWTH_S));
+        let stands = now.velocity_ned_m_s.horizontal_norm() < STANDING_M_S;
+        let learns = if stands { dt_s / (dt_s + WIND_S) } else { 0.0 };
         Self {
             at_ns: now.at_ns,
             velocity_ned_m_s: predicted + error * (1.6 * rad_s * dt_s),
@@ -129,6 +139,7 @@ impl Air {
             gain_ned_m_s2,
             growth_ned_m_s3,
             shown_m_s3: self.shown_m_s3.max(growth_ned_m_s3.horizontal_norm()),
+            wind_m_s2: self.wind_m_s2 + (loss_ned_m_s2.horizontal_norm() - self.wind_m_s2) * learns,
         }
     }
 
@@ -141,6 +152,7 @@ impl Air {
                 gain_m_s2: along(self.gain_ned_m_s2),
                 growth_m_s3: along(self.growth_ned_m_s3),
                 shown_m_s3: self.shown_m_s3,
+                wind_m_s2: self.wind_m_s2,
             }
         } else {
             Gain::default()
@@ -461,7 +473,11 @@ impl Guarding {
         let off_nose_rad = wrap_pi(course_rad - attitude.yaw_rad());
         // A start out of a hold that sways, or on an estimate that wanders, turns towards the place.
         let turns = way.is_some_and(|way| wrap_pi(libm::atan2f(way.y, way.x) - course_rad).abs() < TURNS_RAD);
-        let ahead_m = self.lookout.obstacle_ahead_m(here, velocity, reach_m);
+        let ahead_m = self.lookout.obstacle_ahead_m(here, velocity, reach_m).filter(|_| {
+            // In a turn the course sweeps over what stands beside the way: it is no course that is flown.
+            let turned = way.and_then(|way| self.turned(kinematics, way));
+            turned.is_none_or(|(there, velocity)| self.lookout.obstacle_ahead_m(there, velocity, reach_m).is_some())
+        });
         // Behind a corner the mission gains speed anew.
         let then_m = if turns { on_the_way_m(reach_m) } else { start_obstacle_m };
         Course {
@@ -471,6 +487,17 @@ impl Guarding {
             unseen: off_nose_rad.abs() > 0.5 * HORIZONTAL_FOV_RAD - FOV_MARGIN_RAD
                 || off_middle_share(attitude, velocity) > libm::sinf(0.5 * VERTICAL_FOV_RAD),
         }
+    }
+
+    /// Place and velocity of a vehicle in [`TURN_S`] that is turning towards this way, by what its tilt gains it aside.
+    fn turned(&self, now: &Kinematics, way: NedVector) -> Option<(NedVector, NedVector)> {
+        let velocity = now.velocity_ned_m_s;
+        let gain = self.air?.gain_ned_m_s2;
+        let aside = NedVector::new(-velocity.y, velocity.x, 0.0) * (1.0 / velocity.horizontal_norm());
+        let gain_m_s2 = gain.x * aside.x + gain.y * aside.y;
+        let towards = way.x * aside.x + way.y * aside.y;
+        let then = velocity + aside * (gain_m_s2 * TURN_S);
+        (gain_m_s2 * towards > 0.0).then(|| (now.position_ned_m + (velocity + then) * (0.5 * TURN_S), then))
     }
 
     /// Whether the vehicle is told to be where it cannot have come to since the last position.
@@ -524,6 +551,15 @@ mod tests {
                 "{seconds}: {gain_m_s2} {true_m_s2}"
             );
         }
+        // What drag takes off a flying vehicle is no wind; what a standing one leans against is.
+        let mut standing = Kinematics::new(0, NedVector::ZERO, NedVector::ZERO);
+        let lean = lean_ned_m_s2(Attitude::from_euler_rad(0.0, -0.15, 0.0));
+        let mut air = Air::new(&standing, lean);
+        for _ in 0..80 {
+            standing.at_ns += STEP_NS;
+            air = air.follow(&standing, lean);
+        }
+        assert!((air.wind_m_s2 - lean.x).abs() < 0.2, "{air:?}");
         // Its velocity comes only twice a second.
         let (gain_m_s2, _) = gain_after_m_s2(20.0, 10 * STEP_NS);
         assert!(gain_m_s2.abs() < 0.3, "{gain_m_s2}");

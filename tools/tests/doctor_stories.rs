@@ -49,12 +49,14 @@ impl Scripted {
                 ("COM_OBL_RC_ACT", f32::from_bits(4)),
                 ("COM_RC_OVERRIDE", f32::from_bits(3)),
                 ("COM_RCL_EXCEPT", f32::from_bits(4)),
+                ("MPC_XY_CRUISE", 5.0),
             ],
             Flavour::ArduPilot => &[
                 ("GUID_TIMEOUT", 0.5),
                 ("FS_EKF_ACTION", 1.0),
                 ("ARMING_CHECK", 1.0),
                 ("RC_OVERRIDE_TIME", 3.0),
+                ("WPNAV_SPEED", 500.0),
             ],
         };
         Self {
@@ -200,7 +202,10 @@ impl Scripted {
                 Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
                     param_id: name.as_str().into(),
                     param_value: *value,
-                    param_type: match self.flavour == Flavour::Px4 && name != "COM_OF_LOSS_T" {
+                    param_type: match self.flavour == Flavour::Px4
+                        && name.starts_with("COM_")
+                        && name != "COM_OF_LOSS_T"
+                    {
                         true => MavParamType::MAV_PARAM_TYPE_INT32,
                         false => MavParamType::MAV_PARAM_TYPE_REAL32,
                     },
@@ -301,7 +306,7 @@ fn nothing_is_missing_of_a_vehicle_that_is_well_whichever_autopilot_it_has() {
         );
         assert_eq!(
             findings.iter().filter(|f| f.name.contains('_')).count(),
-            7,
+            8,
             "{findings:#?}"
         );
     }
@@ -329,6 +334,7 @@ fn everything_that_is_wrong_with_a_vehicle_is_named_with_its_value() {
         ("COM_OF_LOSS_T", 60.0),
         ("COM_OBL_RC_ACT", f32::from_bits(-1_i32 as u32)),
         ("COM_RC_OVERRIDE", f32::from_bits(1)),
+        ("MPC_XY_CRUISE", 12.0),
     ]
     .into();
     let findings = examined(&mut vehicle);
@@ -344,6 +350,7 @@ fn everything_that_is_wrong_with_a_vehicle_is_named_with_its_value() {
             ("COM_RC_OVERRIDE", Severity::Warning),
             ("HOME_POSITION", Severity::Warning),
             ("LOCAL_POSITION_NED", Severity::Failure),
+            ("MPC_XY_CRUISE", Severity::Warning),
             ("arming", Severity::Failure),
             ("clock", Severity::Failure),
             ("estimator", Severity::Failure),
@@ -371,6 +378,7 @@ fn a_px4_1_18_at_rest_passes_once_a_lost_stream_does_not_return_it() {
         ("COM_OF_LOSS_T", 1.0),
         ("COM_OBL_RC_ACT", f32::from_bits(0)),
         ("MAN_OVERRIDE_SPD", 10.0),
+        ("MPC_XY_CRUISE", 5.0),
     ]
     .into();
     let findings = examined(&mut vehicle);
@@ -393,6 +401,7 @@ fn an_ardupilot_whose_failsafes_are_off_is_told_so_and_what_it_never_sends_too()
         ("FS_EKF_ACTION", 0.0),
         ("ARMING_CHECK", 0.0),
         ("RC_OVERRIDE_TIME", -1.0),
+        ("WPNAV_SPEED", 1000.0),
     ]
     .into();
     let findings = examined(&mut vehicle);
@@ -406,6 +415,7 @@ fn an_ardupilot_whose_failsafes_are_off_is_told_so_and_what_it_never_sends_too()
             ("GUID_TIMEOUT", Severity::Warning),
             ("LOCAL_POSITION_NED", Severity::Failure),
             ("RC_OVERRIDE_TIME", Severity::Failure),
+            ("WPNAV_SPEED", Severity::Warning),
         ],
         "{findings:#?}"
     );

@@ -21,6 +21,9 @@ const MOST_JERK: f32 = 1.5;
 /// The way of a hold from steady flight is this time times the speed: measured 1.3 to 1.5 s on PX4 (HOLD from 1.8 to 3.3 m/s) and about
 /// 1.5 s on ArduCopter (BRAKE).
 const HOLD_WAY_S: f32 = 1.5;
+/// A gust or a lull moves a vehicle that stops by this time squared times what the wind takes away, beyond what is measured in a calm.
+const GUST_S2: f32 = 1.0;
+const CALM_M_S2: f32 = 0.3;
 /// From a command until the autopilot acts on it, seconds.
 const TOLD_S: f32 = 0.1;
 
@@ -50,6 +53,8 @@ pub struct Gain {
     pub growth_m_s3: f32,
     /// The fastest that it has grown in this flight: an autopilot takes its acceleration back as fast as it gives it.
     pub shown_m_s3: f32,
+    /// What the wind alone takes away from it, while it stands: metres per second squared.
+    pub wind_m_s2: f32,
 }
 
 impl Default for JustStopConfig {
@@ -88,7 +93,13 @@ impl JustStopConfig {
     /// hold while it gains speed goes on gaining it for a while; and until it is told, who has begun to gain speed gains more.
     pub fn reach_m(&self, speed_m_s: f32, gain: Gain) -> f32 {
         let steady_m = speed_m_s.max(0.0) * (self.reaction_s + HOLD_WAY_S);
-        self.spare_m + self.braking_way_m(speed_m_s, gain, self.reaction_s).max(steady_m)
+        let windy_m_s2 = gain.wind_m_s2 - CALM_M_S2;
+        let gust_m = if windy_m_s2 > 0.0 {
+            GUST_S2 * windy_m_s2.min(GREATEST_GAIN_M_S2)
+        } else {
+            0.0
+        };
+        self.spare_m + gust_m + self.braking_way_m(speed_m_s, gain, self.reaction_s).max(steady_m)
     }
 
     /// Metres to where an autopilot that is told to hold now can come to rest from this speed, metres per second, that it gains with
@@ -181,6 +192,16 @@ mod tests {
         // Who gains 3 m/s² gains another 1.2 m/s during the reaction and 1.125 while it is taken back.
         assert!(reach_m(2.0, 3.0) > reach_m(4.3, 0.0));
         assert!(reach_m(6.0, -2.0) < reach_m(6.0, 0.0) - 0.5);
+        let in_wind_m = |wind_m_s2| {
+            let gain = Gain {
+                wind_m_s2,
+                ..Gain::default()
+            };
+            config.reach_m(3.0, gain)
+        };
+        assert!(in_wind_m(1.5) > in_wind_m(0.0) + 1.0, "gusts");
+        assert_eq!(in_wind_m(0.2), in_wind_m(0.0), "a calm");
+        assert!(in_wind_m(f32::NAN).is_finite() && in_wind_m(f32::MAX).is_finite());
         assert!(reach_m(3.0, f32::NAN).is_finite() && reach_m(f32::MAX, 9.0) > 1e6);
     }
 
@@ -193,6 +214,7 @@ mod tests {
                 gain_m_s2,
                 growth_m_s3,
                 shown_m_s3,
+                ..Gain::default()
             };
             config.reach_m(1.0, gain)
         };

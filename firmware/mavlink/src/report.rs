@@ -2,8 +2,9 @@
 
 use crate::status_text::{INFO, WARNING};
 use mavlink::dialects::common::{
-    HEARTBEAT_DATA, MavAutopilot, MavFrame, MavMessage, MavModeFlag, MavSeverity, MavState, MavType,
-    NAMED_VALUE_FLOAT_DATA, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA,
+    ComputerStatusFlags, HEARTBEAT_DATA, MavAutopilot, MavFrame, MavMessage, MavModeFlag, MavSeverity, MavState,
+    MavType, NAMED_VALUE_FLOAT_DATA, ONBOARD_COMPUTER_STATUS_DATA, PositionTargetTypemask,
+    SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_types::{GuidanceState, Nanos, Reason, Reasons, StepReport, VelocitySetpoint};
 
@@ -21,6 +22,35 @@ pub(crate) fn heartbeat(state: MavState) -> MavMessage {
         base_mode: MavModeFlag::empty(),
         system_status: state,
         mavlink_version: 3,
+    })
+}
+
+/// ONBOARD_COMPUTER_STATUS: `busy_percent` of the last ten slices of 100 ms, oldest first, that the steps took of their
+/// core. Whatever the tick does not know of its computer has the protocol's value for it: `MAX`, for a core 255.
+/// <https://mavlink.io/en/messages/common.html#ONBOARD_COMPUTER_STATUS>
+pub(crate) fn onboard_computer(now_ns: Nanos, busy_percent: [u8; 10]) -> MavMessage {
+    MavMessage::ONBOARD_COMPUTER_STATUS(ONBOARD_COMPUTER_STATUS_DATA {
+        time_usec: now_ns / 1_000,
+        uptime: time_boot_ms(now_ns),
+        ram_usage: u32::MAX,
+        ram_total: u32::MAX,
+        storage_type: [u32::MAX; 4],
+        storage_usage: [u32::MAX; 4],
+        storage_total: [u32::MAX; 4],
+        link_type: [u32::MAX; 6],
+        link_tx_rate: [u32::MAX; 6],
+        link_rx_rate: [u32::MAX; 6],
+        link_tx_max: [u32::MAX; 6],
+        link_rx_max: [u32::MAX; 6],
+        fan_speed: [i16::MAX; 4],
+        mavtype: 0,
+        cpu_cores: [u8::MAX; 8],
+        cpu_combined: busy_percent,
+        gpu_cores: [u8::MAX; 4],
+        gpu_combined: [u8::MAX; 10],
+        temperature_board: i8::MAX,
+        temperature_core: [i8::MAX; 8],
+        status_flags: ComputerStatusFlags::empty(),
     })
 }
 

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Bench, GROUND_STATION, bytes_of, header};
+use common::{Bench, GROUND_STATION, bytes_of, header, messages, report};
 use core::f32::consts::FRAC_PI_2;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize_payload};
@@ -291,6 +291,28 @@ fn what_a_vehicle_does_not_send_is_asked_for_again_and_a_silent_vehicle_is_not_a
     assert!(
         (4..=6).contains(&position_asked),
         "after 3 s, 2 s, 4 s, 8 s…: {position_asked}"
+    );
+}
+
+#[test]
+fn a_ground_station_learns_every_five_seconds_how_busy_the_guidance_computer_is() {
+    let mut b = Bench::new(Flavour::Px4);
+    let mut found = Vec::new();
+    for n in 0..220 {
+        b.now_ns += STEP_NS;
+        // A tenth of the step, and from a second before the second message on half of it.
+        let mut report = report(b.now_ns, Standby);
+        report.timing.previous_execution_ns = if n > 80 { STEP_NS / 2 } else { STEP_NS / 10 };
+        b.sent.clear();
+        b.companion.emit(&report, VehicleRequest::None, &mut b.sent);
+        found.extend(only!(messages(&b.sent), ONBOARD_COMPUTER_STATUS));
+    }
+    let busy: Vec<_> = found.iter().map(|status| status.cpu_combined).collect();
+    assert_eq!(busy, [[0, 0, 0, 0, 0, 0, 0, 0, 0, 5], [50; 10], [50; 10]]);
+    assert!(
+        found
+            .iter()
+            .all(|status| status.ram_usage == u32::MAX && status.cpu_cores == [u8::MAX; 8])
     );
 }
 

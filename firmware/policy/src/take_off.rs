@@ -3,9 +3,11 @@
 
 use vigil_types::{Kinematics, VehicleMode, VehicleTelemetry};
 
-/// A vehicle that climbs faster than this and moves slower than that over the ground goes straight up, metres per second.
+/// A vehicle that climbs faster than this and moves slower than that over the ground goes straight up, metres per second; one that
+/// climbs fast, with a gust, slower than it climbs and than the last.
 const CLIMBS_M_S: f32 = 0.3;
 const STRAIGHT_UP_M_S: f32 = 0.5;
+const BLOWN_M_S: f32 = 1.0;
 /// A vehicle is still leaving the ground up to this height above it, metres, while it is slower than this over the ground, metres per
 /// second: PX4 says IN_AIR and MISSION before it climbs, and its velocity is off by up to 0.7 m/s there.
 const LEAVES_GROUND_M: f32 = 1.0;
@@ -30,7 +32,8 @@ impl TakeOff {
             Some(z_m)
         };
         let holds = telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
-        let goes_up = speed_m_s < STRAIGHT_UP_M_S && velocity.z < -CLIMBS_M_S;
+        let climb_m_s = -velocity.z;
+        let goes_up = climb_m_s > CLIMBS_M_S && speed_m_s < climb_m_s.clamp(STRAIGHT_UP_M_S, BLOWN_M_S);
         !holds && (self.ground_z_m.is_some() || goes_up)
     }
 }
@@ -39,6 +42,21 @@ impl TakeOff {
 mod tests {
     use super::*;
     use vigil_types::{Landed, NedVector};
+
+    #[test]
+    fn a_climb_that_a_gust_blows_aside_is_a_take_off_and_a_climb_to_a_place_is_none() {
+        let climbs = |down_m_s, north_m_s| {
+            let velocity = NedVector::new(north_m_s, 0.0, down_m_s);
+            let kinematics = Kinematics::new(0, NedVector::ZERO, velocity);
+            let telemetry = VehicleTelemetry {
+                landed: Landed::InAir,
+                ..VehicleTelemetry::default()
+            };
+            TakeOff::default().goes_on(&telemetry, &kinematics)
+        };
+        assert!(climbs(-0.8, 0.6) && climbs(-0.4, 0.4));
+        assert!(!climbs(-0.5, 0.6) && !climbs(-3.0, 1.1) && !climbs(-0.2, 0.1));
+    }
 
     #[test]
     fn a_vehicle_that_its_autopilot_calls_airborne_before_it_climbs_is_still_taking_off() {

@@ -19,7 +19,7 @@ use vigil_mavlink::common::MavResult;
 use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_mavlink::{Flavour, MavMessage};
 use vigil_sim::vehicle::{HoldLaw, VehicleModel, VehicleParams, Wind};
-use vigil_sim::world::{Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
+use vigil_sim::world::{BoxObstacle, Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
 use vigil_sim::{LIDAR_SENSOR_ID, SimConfig, Start};
 use vigil_tests::{Pair, mission};
 use vigil_types::{

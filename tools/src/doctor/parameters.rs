@@ -6,7 +6,7 @@
 use super::finding::Severity::{self, Failure, Good, Warning};
 use vigil_mavlink::Flavour;
 
-/// A parameter, and how its value is judged.
+/// A parameter, and how its value is graded.
 pub(crate) struct Row {
     pub flavour: Flavour,
     pub name: &'static str,
@@ -16,7 +16,7 @@ pub(crate) struct Row {
     pub wanted: &'static str,
     /// Why, and what to do.
     pub why: &'static str,
-    pub judge: fn(f32) -> Severity,
+    pub grade: fn(f32) -> Severity,
 }
 
 /// Versions of an autopilot that a parameter is judged for.
@@ -32,12 +32,16 @@ pub(crate) enum Versions {
 /// What PX4 1.18 has in place of COM_RC_OVERRIDE; whoever tells it needs no COM_RCL_EXCEPT either.
 pub(crate) const STICKS_BY_SPEED: &str = "MAN_OVERRIDE_SPD";
 
+/// The fastest mission that is stopped within the 11 m that are looked ahead (docs/just-stop.md).
+const GUARDED_M_S: f32 = 5.5;
+const TOO_FAST: &str = "--duty just-stop and fly-around look 11 m ahead: a faster mission is not stopped in time, and is said to be unguarded";
+
 /// Whether a bit of a parameter that is a set is on.
 fn has_bit(value: f32, bit: u32) -> bool {
     value >= 0.0 && value as u32 & bit != 0
 }
 
-pub(crate) const ROWS: [Row; 9] = [
+pub(crate) const ROWS: [Row; 11] = [
     Row {
         flavour: Flavour::Px4,
         name: "COM_OF_LOSS_T",
@@ -45,7 +49,7 @@ pub(crate) const ROWS: [Row; 9] = [
         versions: Versions::All,
         wanted: "at most 1 s",
         why: "the vehicle keeps to its last setpoint for so long when the guidance computer falls silent",
-        judge: |v| match v {
+        grade: |v| match v {
             v if v <= 1.0 => Good,
             v if v <= 5.0 => Warning,
             _ => Failure,
@@ -59,7 +63,7 @@ pub(crate) const ROWS: [Row; 9] = [
         wanted: "5 (hold) or 4 (land)",
         why: "what follows a lost setpoint stream, as when the firmware is killed: 3, and 0 to 2 without sticks, return at RTL_RETURN_ALT through \
               whatever is there; below 0 nothing follows, 6 and 7 let the vehicle fall: param set COM_OBL_RC_ACT 5",
-        judge: |v| match v as i32 {
+        grade: |v| match v as i32 {
             4 | 5 => Good,
             3 => Warning,
             _ => Failure,
@@ -72,7 +76,7 @@ pub(crate) const ROWS: [Row; 9] = [
         versions: Versions::SticksBySpeed,
         wanted: "above 0",
         why: "without it the pilot's sticks do not end OFFBOARD; only the mode switch does",
-        judge: |v| if v > 0.0 { Good } else { Warning },
+        grade: |v| if v > 0.0 { Good } else { Warning },
     },
     Row {
         flavour: Flavour::Px4,
@@ -81,7 +85,7 @@ pub(crate) const ROWS: [Row; 9] = [
         versions: Versions::BeforeSticksBySpeed,
         wanted: "bit 1 on (add 2)",
         why: "without it the pilot's sticks do not end OFFBOARD; only the mode switch does",
-        judge: |v| if has_bit(v, 2) { Good } else { Warning },
+        grade: |v| if has_bit(v, 2) { Good } else { Warning },
     },
     Row {
         flavour: Flavour::Px4,
@@ -90,7 +94,16 @@ pub(crate) const ROWS: [Row; 9] = [
         versions: Versions::BeforeSticksBySpeed,
         wanted: "bit 2 on (add 4) where nobody has sticks",
         why: "without it, and without sticks, OFFBOARD ends in the failsafe of lost sticks as soon as it begins",
-        judge: |v| if has_bit(v, 4) { Good } else { Warning },
+        grade: |v| if has_bit(v, 4) { Good } else { Warning },
+    },
+    Row {
+        flavour: Flavour::Px4,
+        name: "MPC_XY_CRUISE",
+        unit: "m/s",
+        versions: Versions::All,
+        wanted: "at most 5.5 m/s where missions are guarded",
+        why: TOO_FAST,
+        grade: |v| if v <= GUARDED_M_S { Good } else { Warning },
     },
     Row {
         flavour: Flavour::ArduPilot,
@@ -100,11 +113,20 @@ pub(crate) const ROWS: [Row; 9] = [
         wanted: "at most 1 s",
         why: "the vehicle flies on by its last setpoint for so long when the guidance computer falls silent; Vigil sets 0.5 s when it takes \
               the vehicle, unless told otherwise",
-        judge: |v| match v {
+        grade: |v| match v {
             v if v <= 1.0 => Good,
             v if v <= 5.0 => Warning,
             _ => Failure,
         },
+    },
+    Row {
+        flavour: Flavour::ArduPilot,
+        name: "WPNAV_SPEED",
+        unit: "cm/s",
+        versions: Versions::All,
+        wanted: "at most 550 cm/s where missions are guarded",
+        why: TOO_FAST,
+        grade: |v| if v <= 100.0 * GUARDED_M_S { Good } else { Warning },
     },
     Row {
         flavour: Flavour::ArduPilot,
@@ -113,7 +135,7 @@ pub(crate) const ROWS: [Row; 9] = [
         versions: Versions::All,
         wanted: "1 (land), 2 (altitude hold) or 3",
         why: "at 0 nothing follows when the estimator fails, and setpoints are flown by a position that is wrong",
-        judge: |v| if v > 0.0 { Good } else { Warning },
+        grade: |v| if v > 0.0 { Good } else { Warning },
     },
     Row {
         flavour: Flavour::ArduPilot,
@@ -122,7 +144,7 @@ pub(crate) const ROWS: [Row; 9] = [
         versions: Versions::All,
         wanted: "1 (all)",
         why: "at 0 the vehicle arms whatever is wrong with it",
-        judge: |v| if v == 0.0 { Warning } else { Good },
+        grade: |v| if v == 0.0 { Warning } else { Good },
     },
     Row {
         flavour: Flavour::ArduPilot,
@@ -131,7 +153,7 @@ pub(crate) const ROWS: [Row; 9] = [
         versions: Versions::All,
         wanted: "0 to 3 s",
         why: "how long sticks sent by MAVLink count after the last of them: below 0 a program that died holds them for ever",
-        judge: |v| match v {
+        grade: |v| match v {
             v if v < 0.0 => Failure,
             v if v <= 3.0 => Good,
             _ => Warning,

@@ -581,7 +581,7 @@ impl Core {
         self.commander.contact = false;
         self.commander.contact_since_ns = self.now_ns;
         let stop = Maneuver::Brake {
-            began_ns: None,
+            began: None,
             height_m: Some(height_m),
         };
         self.enter(FlightMode::Hold, stop);

@@ -29,8 +29,8 @@ const TOUCH_DOWN_DRIFT_M_S: f32 = 0.5;
 const BRAKE_NS: Nanos = 3_000_000_000;
 /// The same for [`HoldLaw::Brake`], which loses speed for longer.
 const LONG_BRAKE_NS: Nanos = 6_000_000_000;
-/// [`HoldLaw::Brake`] asks for so much of the present speed: with the vehicle's shaping its speed falls to a third in 1.2 s.
-const BRAKE_KEEPS: f32 = 0.55;
+/// [`HoldLaw::Brake`] asks for a speed that falls to 1/e of that at which it began in this time, whatever the wind does.
+const BRAKE_S: f32 = 1.05;
 /// Of the point that [`HoldLaw::FlyBack`] projects: what PX4 reckons a stop with, `MPC_ACC_HOR` and `MPC_JERK_AUTO`, of which it
 /// takes 0.6 (`computeBrakingDistanceFromVelocity`).
 const PROJECTED_BRAKING_M_S2: f32 = 3.0;
@@ -64,7 +64,7 @@ impl Core {
             Maneuver::Offboard => self.fly_offboard(on_ground),
             Maneuver::Sticks { held_down_m } => self.fly_by_sticks(held_down_m, on_ground),
             _ if on_ground => ControlCommand::Idle,
-            Maneuver::Brake { began_ns, height_m } => self.fly_brake(began_ns, height_m),
+            Maneuver::Brake { began, height_m } => self.fly_brake(began, height_m),
             Maneuver::Station {
                 position_ned_m,
                 yaw,
@@ -138,19 +138,23 @@ impl Core {
         command
     }
 
-    fn fly_brake(&mut self, began_ns: Option<Nanos>, height_m: Option<f32>) -> ControlCommand {
-        let began = began_ns.unwrap_or(self.now_ns);
+    fn fly_brake(&mut self, began: Option<(Nanos, NedVector)>, height_m: Option<f32>) -> ControlCommand {
         let velocity = self.view.estimate.velocity_ned_m_s;
         let level = NedVector::new(velocity.x, velocity.y, 0.0);
+        let (began_ns, from_m_s) = began.unwrap_or((self.now_ns, level));
+        let since_ns = self.now_ns.saturating_sub(began_ns);
         let (wanted, limit_ns) = match self.hold_law {
             HoldLaw::FlyBack => return self.fly_to_projected(velocity, height_m),
-            HoldLaw::Brake => (level * BRAKE_KEEPS, LONG_BRAKE_NS),
+            HoldLaw::Brake => (
+                from_m_s * libm::expf(-(since_ns as f32 * 1e-9) / BRAKE_S),
+                LONG_BRAKE_NS,
+            ),
             HoldLaw::Stop => (NedVector::ZERO, BRAKE_NS),
         };
         let stopped = velocity.horizontal_norm() < 0.2 && velocity.z.abs() < 0.2;
-        if !stopped && self.now_ns.saturating_sub(began) < limit_ns {
+        if !stopped && since_ns < limit_ns {
             self.commander.maneuver = Maneuver::Brake {
-                began_ns: Some(began),
+                began: Some((began_ns, from_m_s)),
                 height_m,
             };
             return ControlCommand::VelocityNed {

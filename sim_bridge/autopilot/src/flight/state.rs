@@ -174,7 +174,8 @@ pub(crate) struct Climb {
 pub(crate) enum Maneuver {
     /// Stop, then hold where it stopped, at `height_m` if given.
     Brake {
-        began_ns: Option<Nanos>,
+        /// When, and at which level velocity, metres per second.
+        began: Option<(Nanos, NedVector)>,
         height_m: Option<f32>,
     },
     /// Waits for arming to take off to this height.
@@ -202,7 +203,7 @@ pub(crate) enum Maneuver {
 impl Default for Maneuver {
     fn default() -> Self {
         Self::Brake {
-            began_ns: None,
+            began: None,
             height_m: None,
         }
     }

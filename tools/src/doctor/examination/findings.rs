@@ -479,7 +479,7 @@ impl Examination {
             match self.parameters.get(row.name).and_then(|asked| asked.value) {
                 Some(value) => {
                     let told = format!("{value} {}", row.unit).trim_end().to_owned();
-                    report.grade(row.name, (row.judge)(value), Some(told), row.wanted, row.why);
+                    report.grade(row.name, (row.grade)(value), Some(told), row.wanted, row.why);
                 }
                 None => report.warning(row.name,
                     None,
