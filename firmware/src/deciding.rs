@@ -14,7 +14,7 @@ use crate::pilots::Pilots;
 use vigil_guidance::Risk;
 use vigil_policy::actor::Actor;
 use vigil_policy::{FlightPilot, GeometricPilot, Pilot, PilotInput};
-use vigil_types::{Action, Alarm, AlarmResponse, Goal, GoalRelative, Judgement, NedVector};
+use vigil_types::{Action, Alarm, AlarmResponse, DepthFrame, Goal, GoalRelative, Judgement, NedVector};
 
 /// What the pilots may see of the vehicle and the goal.
 #[derive(Debug, Clone, Copy)]
@@ -62,8 +62,15 @@ impl Deciding {
         }
     }
 
-    /// Asks the pilots, or lets them know once that what they remember is out of date. No action is faster than `limit_m_s`.
-    pub fn decide(&mut self, before_flight: bool, seen: Option<(View, PilotInput<'_>)>, limit_m_s: f32) -> Decision {
+    /// Asks the pilots, or lets them know once that what they remember is out of date. No action is faster than `limit_m_s`. The recovery pilot
+    /// goes by the frame as it was `restored`, where it was.
+    pub fn decide(
+        &mut self,
+        before_flight: bool,
+        seen: Option<(View, PilotInput<'_>)>,
+        restored: Option<&DepthFrame>,
+        limit_m_s: f32,
+    ) -> Decision {
         let Some((view, input)) = seen else {
             self.pause();
             if before_flight {
@@ -73,6 +80,10 @@ impl Deciding {
         };
         (self.asked, self.are_new) = (true, false);
         let (goal, mut detour) = self.target(&view, &input);
+        let believed = PilotInput {
+            depth: restored.unwrap_or(input.depth),
+            ..input
+        };
         let asks_recovery = self.asks_recovery();
         let Pilots {
             pilot,
@@ -82,8 +93,8 @@ impl Deciding {
         } = &mut self.pilots;
         let mut recovery = recovery.as_deref_mut().filter(|_| asks_recovery);
         if let Some(recovery) = recovery.as_deref_mut() {
-            recovery.observe(&input, self.along_path);
-            detour = detour.map(|_| along_path(recovery.lead(&input)));
+            recovery.observe(&believed, self.along_path);
+            detour = detour.map(|_| along_path(recovery.lead(&believed)));
         }
         let limited = |action: Action| Action {
             forward_m_s: action.forward_m_s.clamp(-limit_m_s, limit_m_s),
@@ -102,12 +113,12 @@ impl Deciding {
             decision.judgement = Some(monitor.judge(state, position));
         }
         if let (true, Some(recovery)) = (*watched, recovery) {
-            let own = limited(recovery.decide(&input));
+            let own = limited(recovery.decide(&believed));
             decision.recovery = Some(own);
             decision.risk = Some(Risk {
-                collision_course: recovery.foresees_collision(&input, action),
-                speed_along_way_m_s: recovery.speed_along_way_m_s(&input).unwrap_or(0.0),
-                recovery_course: recovery.foresees_own_collision(&input, own),
+                collision_course: recovery.foresees_collision(&believed, action),
+                speed_along_way_m_s: recovery.speed_along_way_m_s(&believed).unwrap_or(0.0),
+                recovery_course: recovery.foresees_own_collision(&believed, own),
             });
         }
         decision

@@ -233,8 +233,9 @@ impl FlightStack {
             };
             (view, input)
         });
+        let restored = self.plausibility.as_ref().and_then(PlausibilityCheck::restored);
         self.deciding
-            .decide(before_flight, asked, self.tunables.speed_limit_m_s)
+            .decide(before_flight, asked, restored, self.tunables.speed_limit_m_s)
     }
 
     fn guidance_input<'a>(&self, timing: StepTiming, seen: &'a Observation, decided: &Decision) -> GuidanceInput<'a> {

@@ -44,7 +44,7 @@ impl ShortestWay {
             let along_m = (north_m - b.north_m[0]).min(b.north_m[1] - north_m);
             along_m.min(east_m - b.east_m[0]).min(b.east_m[1] - east_m)
         };
-        let mut clearances_m: Vec<f32> = lattice.all().map(to_bounds_m).collect();
+        let mut clearances_m = lattice.values(to_bounds_m);
         for solid in course.solids().iter().filter(|s| in_the_way(course, s)) {
             // Beyond `WIDE_M`, and a cell more for rounding, a solid changes nothing.
             lattice.near(solid, WIDE_M + CELL_M, |cell, distance_m| {
@@ -55,27 +55,39 @@ impl ShortestWay {
         // With a closed cell around all, so that every cell has eight beside it.
         let width = lattice.cells[1] + 2;
         let framed = |(row, column): (usize, usize)| (row + 1) * width + column + 1;
-        let mut factors = vec![f32::INFINITY; (lattice.cells[0] + 2) * width];
+        // One more for the vectors of `spread`.
+        let mut factors = vec![f32::INFINITY; (lattice.cells[0] + 2) * width + 1];
         let mut lengths_m = factors.clone();
-        let mut fits = factors.clone();
+        let mut into = factors.clone();
         for (cell, clearance_m) in lattice.all().zip(&clearances_m) {
             let place = framed(cell);
             factors[place] = factor(*clearance_m);
             if *clearance_m >= VEHICLE.radius_m + MARGIN_M {
-                fits[place] = factors[place];
+                into[place] = factors[place];
             }
         }
-        lengths_m[framed(lattice.nearest([course.goal.north_m, course.goal.east_m]))] = 0.0;
+        let goal = framed(lattice.nearest([course.goal.north_m, course.goal.east_m]));
+        lengths_m[goal] = 0.0;
         // Where the vehicle fits first; then, from there, the rest, so that no way leads through a wall.
-        spread(&mut lengths_m, &factors, &fits, width);
-        let known = lengths_m.iter().map(|l| l.is_finite());
-        let rest: Vec<f32> = known
-            .zip(&factors)
-            .map(|(k, f)| if k { f32::INFINITY } else { *f })
-            .collect();
-        spread(&mut lengths_m, &factors, &rest, width);
+        spread(&mut lengths_m, &factors, &into, width, vec![goal]);
+        let mut beside = vec![false; into.len()];
+        for (n, length_m) in lengths_m.iter().enumerate() {
+            into[n] = if length_m.is_finite() {
+                f32::INFINITY
+            } else {
+                factors[n]
+            };
+            if into[n].is_finite() {
+                for row in [n - width, n, n + width] {
+                    beside[row - 1..=row + 1].fill(true);
+                }
+            }
+        }
+        let known = (0..into.len()).filter(|n| beside[*n] && lengths_m[*n].is_finite());
+        let known = known.collect();
+        spread(&mut lengths_m, &factors, &into, width, known);
         Self {
-            length_m: lattice.all().map(|cell| lengths_m[framed(cell)]).collect(),
+            length_m: lattice.values(|cell| lengths_m[framed(cell)]),
             lattice,
         }
     }
@@ -95,35 +107,27 @@ impl ShortestWay {
     }
 }
 
-/// Settles the cells of which `into`, the factor of going there, is finite, from those whose length is known, in rising
-/// order of [`CELL_M`], the shortest step: no order within one changes a length. A row has `width` cells; those at the edge stay closed.
-fn spread(lengths_m: &mut [f32], factors: &[f32], into: &[f32], width: usize) {
+/// Settles the cells of which `into`, the factor of going there, is finite, from those that are `known`, in rising order of
+/// [`CELL_M`], the shortest step: no order within one changes a length. A row has `width` cells; those at the edge stay closed.
+fn spread(lengths_m: &mut [f32], factors: &[f32], into: &[f32], width: usize, known: Vec<usize>) {
     const DIAGONAL_M: f32 = CELL_M * core::f32::consts::SQRT_2;
-    // From a cell's upper left neighbour on.
-    let beside = [
-        (0, DIAGONAL_M),
-        (1, CELL_M),
-        (2, DIAGONAL_M),
-        (width, CELL_M),
-        (width + 2, CELL_M),
-        (2 * width, DIAGONAL_M),
-        (2 * width + 1, CELL_M),
-        (2 * width + 2, DIAGONAL_M),
+    // Half of the steps to the three rows beside a cell, a vector each: never to itself and beyond.
+    const STEPS_M: [[f32; 4]; 3] = [
+        [0.5 * DIAGONAL_M, 0.5 * CELL_M, 0.5 * DIAGONAL_M, f32::INFINITY],
+        [0.5 * CELL_M, f32::INFINITY, 0.5 * CELL_M, f32::INFINITY],
+        [0.5 * DIAGONAL_M, 0.5 * CELL_M, 0.5 * DIAGONAL_M, f32::INFINITY],
     ];
-    let mut rising: Vec<Vec<(f32, usize)>> = Vec::new();
+    let mut rising: Vec<Vec<(f32, u32)>> = Vec::new();
     let put = |rising: &mut Vec<Vec<_>>, length_m: f32, n: usize| {
         let place = (length_m * (1.0 / CELL_M)) as usize;
         if place >= rising.len() {
-            rising.resize_with(place + 1, Vec::new);
+            // As long as a front: they hardly ever grow.
+            rising.resize_with(place + 1, || Vec::with_capacity(256));
         }
-        rising[place].push((length_m, n));
+        rising[place].push((length_m, n as u32));
     };
-    // Of those that are known only what lies beside a cell to settle leads on.
-    let leads_on = |n: usize| beside.iter().any(|(to, _)| into[n - width - 1 + to].is_finite());
-    for (n, length_m) in lengths_m.iter().enumerate() {
-        if length_m.is_finite() && leads_on(n) {
-            put(&mut rising, *length_m, n);
-        }
+    for n in known {
+        put(&mut rising, lengths_m[n], n);
     }
     let mut place = 0;
     while place < rising.len() {
@@ -131,15 +135,23 @@ fn spread(lengths_m: &mut [f32], factors: &[f32], into: &[f32], width: usize) {
             place += 1;
             continue;
         };
+        let n = n as usize;
         if length_m > lengths_m[n] {
             continue;
         }
-        for (to, step_m) in beside {
-            let to = n - width - 1 + to;
-            let through_m = length_m + step_m * 0.5 * (factors[n] + into[to]);
-            if through_m < lengths_m[to] {
-                lengths_m[to] = through_m;
-                put(&mut rising, through_m, to);
+        for (row, steps_m) in [n - width, n, n + width].into_iter().zip(STEPS_M) {
+            let lengths_m: &mut [f32; 4] = lengths_m[row - 1..].first_chunk_mut().expect("framed");
+            let into: &[f32; 4] = into[row - 1..].first_chunk().expect("framed");
+            let through_m: [f32; 4] = core::array::from_fn(|k| length_m + steps_m[k] * (factors[n] + into[k]));
+            // Mostly none is shorter, which one comparison says.
+            if !(0..4).fold(false, |any, k| any | (through_m[k] < lengths_m[k])) {
+                continue;
+            }
+            for k in 0..3 {
+                if through_m[k] < lengths_m[k] {
+                    lengths_m[k] = through_m[k];
+                    put(&mut rising, through_m[k], row - 1 + k);
+                }
             }
         }
     }

@@ -44,6 +44,16 @@ impl Lattice {
         (0..north).flat_map(move |i| (0..east).map(move |j| (i, j)))
     }
 
+    /// A value for each, in the order of their numbers.
+    pub(crate) fn values<T>(&self, of: impl Fn((usize, usize)) -> T) -> Vec<T> {
+        let [north, east] = self.cells;
+        let mut values = Vec::with_capacity(north * east);
+        for i in 0..north {
+            values.extend((0..east).map(|j| of((i, j))));
+        }
+        values
+    }
+
     pub(crate) fn nearest(&self, point: [f32; 2]) -> (usize, usize) {
         let index = |axis: usize| {
             let cell = ((point[axis] - self.origin_m[axis]) / self.cell_m).round().max(0.0) as usize;
@@ -109,10 +119,7 @@ impl Grid {
         let edge = (clearance_m / cell_m).ceil() as usize;
         let inside = |k: usize, count: usize| k >= edge && k + edge < count;
         let [north, east] = lattice.cells;
-        let mut free: Vec<bool> = lattice
-            .all()
-            .map(|(i, j)| inside(i, north) && inside(j, east))
-            .collect();
+        let mut free = lattice.values(|(i, j)| inside(i, north) && inside(j, east));
         for solid in solids.iter().filter(|s| in_the_way(course, s)) {
             lattice.near(solid, clearance_m, |cell, _| free[lattice.number(cell)] = false);
         }
@@ -144,6 +151,27 @@ impl Grid {
             }
             Some((to, 10))
         })
+    }
+
+    /// Whether a [`search`](Self::search) finds a way: its diagonals only shorten ways of single steps, so those decide. What was looked at
+    /// is no longer free.
+    fn joins(&mut self, start: (usize, usize), goal: (usize, usize)) -> bool {
+        let mut open = vec![start];
+        while let Some(cell) = open.pop() {
+            let number = self.lattice.number(cell);
+            if !core::mem::take(&mut self.free[number]) {
+                continue;
+            }
+            if cell == goal {
+                return true;
+            }
+            // Free cells keep away from the grid's edge. The last is tried first: the way to the goal.
+            let (i, j) = cell;
+            let rows = if goal.0 > i { [i - 1, i + 1] } else { [i + 1, i - 1] };
+            let columns = if goal.1 > j { [j - 1, j + 1] } else { [j + 1, j - 1] };
+            open.extend([(rows[0], j), (i, columns[0]), (i, columns[1]), (rows[1], j)]);
+        }
+        false
     }
 
     /// A* with the octile distance. Ties are broken by cell number, so the path is the same everywhere.
@@ -232,24 +260,35 @@ impl Course {
     /// [`Course::corridor_margin_m`] from every obstacle that stands still (and from the ceiling); `None` if the search finds
     /// none. Movers are the matter of [`Course::earliest_arrival_s`].
     pub fn corridor(&self) -> Option<Vec<[f32; 2]>> {
-        let reach_m = 0.5 * VEHICLE.height_m + self.corridor_margin_m();
-        let top_m = self
-            .ceiling_height_m
-            .map_or(self.bounds.top_m, |c| c.min(self.bounds.top_m));
-        if self.flight_height_m + reach_m > top_m {
-            return None;
-        }
         let solids = self.solids();
-        let grid = Grid::new(self, &solids);
-        let (start, goal) = (
-            [self.start.north_m, self.start.east_m],
-            [self.goal.north_m, self.goal.east_m],
-        );
+        let (grid, ends) = self.corridor_grid(&solids)?;
+        let [start, goal] = ends;
         let cells = grid.search(grid.lattice.nearest(start), grid.lattice.nearest(goal))?;
         let mut points = vec![start];
         points.extend(cells.iter().map(|cell| grid.lattice.point(*cell)));
         points.push(goal);
         Some(self.shortened(&solids, &points))
+    }
+
+    /// Whether there is a [`corridor`](Self::corridor).
+    pub(crate) fn has_corridor(&self) -> bool {
+        self.corridor_grid(&self.solids()).is_some_and(|(mut grid, ends)| {
+            let [start, goal] = ends.map(|end| grid.lattice.nearest(end));
+            grid.joins(start, goal)
+        })
+    }
+
+    /// The grid of a corridor, and its start and goal; none where the height allows none.
+    fn corridor_grid(&self, solids: &[Solid]) -> Option<(Grid, [[f32; 2]; 2])> {
+        let reach_m = 0.5 * VEHICLE.height_m + self.corridor_margin_m();
+        let top_m = self
+            .ceiling_height_m
+            .map_or(self.bounds.top_m, |c| c.min(self.bounds.top_m));
+        let ends = [
+            [self.start.north_m, self.start.east_m],
+            [self.goal.north_m, self.goal.east_m],
+        ];
+        (self.flight_height_m + reach_m <= top_m).then(|| (Grid::new(self, solids), ends))
     }
 
     /// Replaces stretches of a path by straight lines where these keep the margin.
@@ -334,6 +373,25 @@ mod tests {
                 let mut clearances_m = solids.iter().map(|s| s.plan_distance_m(north_m, east_m));
                 assert!(clearances_m.all(|m| m >= 0.9 - 1e-3), "{leg:?}");
             }
+        }
+    }
+
+    #[test]
+    fn whether_there_is_a_way_is_known_without_it() {
+        use crate::world::generate;
+        for (family, seed) in Family::ALL
+            .into_iter()
+            .flat_map(|family| (0..20).map(move |seed| (family, seed)))
+        {
+            let mut c = generate(family, seed);
+            assert!(c.has_corridor() && c.corridor().is_some(), "{family} {seed}");
+            c.walls.push(crate::world::Wall {
+                from_m: [3.0 + 0.7 * seed as f32, -12.0],
+                to_m: [3.0 + 0.7 * seed as f32, 9.0 + 0.1 * seed as f32],
+                thickness_m: 0.2,
+                height_m: 3.0,
+            });
+            assert_eq!(c.has_corridor(), c.corridor().is_some(), "{family} {seed}");
         }
     }
 

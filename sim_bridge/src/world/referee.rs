@@ -51,7 +51,8 @@ pub struct Referee {
     motors_run: bool,
     time_limit_ns: Nanos,
     bounds: crate::world::course::Bounds,
-    checkpoints: Vec<Checkpoint>,
+    /// With cosine and sine of their headings.
+    checkpoints: Vec<(Checkpoint, [f32; 2])>,
     passed: usize,
     started_ns: Option<Nanos>,
     last_ned_m: Option<NedVector>,
@@ -77,7 +78,9 @@ impl Referee {
             // Checked to be at most an hour, so the product fits.
             time_limit_ns: (f64::from(course.time_limit_s) * 1e9) as Nanos,
             bounds: course.bounds,
-            checkpoints: course.checkpoints.clone(),
+            checkpoints: (course.checkpoints.iter())
+                .map(|c| (*c, [libm::cosf, libm::sinf].map(|f| f(radians(c.heading_deg)))))
+                .collect(),
             passed: 0,
             started_ns: None,
             last_ned_m: None,
@@ -160,6 +163,10 @@ impl Referee {
     /// Whether the vehicle touches the ground faster or more tilted than a landing does. It touches when its lowest point is at
     /// or below the ground.
     fn crashed_into_ground(&self, position_ned_m: NedVector, attitude: Attitude, velocity_ned_m_s: NedVector) -> bool {
+        // Turned any way it does not reach as low.
+        if -position_ned_m.z > VEHICLE.radius_m + VEHICLE.height_m {
+            return false;
+        }
         let lowest_m = -position_ned_m.z - VEHICLE.vertical_reach_m(attitude);
         let cos_tilt = 1.0 - 2.0 * (attitude.x * attitude.x + attitude.y * attitude.y);
         let limit_m_s = if self.motors_run {
@@ -177,9 +184,16 @@ impl Referee {
         let between_ns = now_ns.saturating_sub(since_ns);
         let way = to - from;
         let both_m = way.norm() + world.fastest_mover_m_s() * seconds(between_ns);
-        let steps = ((both_m / SWEEP_STEP_M).ceil() as usize).clamp(1, MAX_SWEEP_STEPS);
+        let steps = match both_m <= SWEEP_STEP_M {
+            true => 1,
+            false => ((both_m / SWEEP_STEP_M).ceil() as usize).clamp(1, MAX_SWEEP_STEPS),
+        };
         (1..=steps).any(|k| {
-            let before_ns = between_ns / steps as Nanos * (steps - k) as Nanos;
+            // Mostly there is one step, and its division would be most of what a millisecond costs here.
+            let before_ns = match steps - k {
+                0 => 0,
+                left => between_ns / steps as Nanos * left as Nanos,
+            };
             self.touches_at(
                 world,
                 now_ns - before_ns,
@@ -203,10 +217,8 @@ impl Referee {
     }
 
     fn count_checkpoints(&mut self, position_ned_m: NedVector) {
-        while let Some(c) = self.checkpoints.get(self.passed) {
-            let heading = radians(c.heading_deg);
-            let beyond_m = (position_ned_m.x - c.north_m) * libm::cosf(heading)
-                + (position_ned_m.y - c.east_m) * libm::sinf(heading);
+        while let Some((c, [cos, sin])) = self.checkpoints.get(self.passed) {
+            let beyond_m = (position_ned_m.x - c.north_m) * cos + (position_ned_m.y - c.east_m) * sin;
             if beyond_m < 0.0 {
                 break;
             }

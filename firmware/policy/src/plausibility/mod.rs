@@ -9,6 +9,7 @@ mod drift;
 mod motion;
 mod parallax;
 mod picture;
+mod regions;
 mod shadow;
 mod silence;
 
@@ -16,6 +17,7 @@ use self::drift::{DOWN_M, Errors, MountReadings, Pair, TURN, WIDENING, allowed_d
 use self::motion::{MOST_COST, Map, Pose, cost, look, look_widened, samples};
 use self::parallax::Parallax;
 use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen};
+use self::regions::Regions;
 use self::shadow::Shadow;
 use self::silence::SilentSide;
 use crate::TakeOff;
@@ -113,6 +115,8 @@ const MAY_MOVE_M: f32 = 2.5;
 /// Mean cost of the motion that tells a picture of another place, and samples that it needs.
 const MISFIT: f32 = 2.0;
 const MISFIT_SAMPLES: f32 = 300.0;
+/// Regions that were moved are known to a few decimetres only: this is how many times as much their motion may cost.
+const MISFIT_RESTORED: f32 = 2.0;
 /// It does not fit beside something that moves either: this is the mean cost, and these are the samples, without those columns of parts,
 /// 45° wide, that fit worst.
 const MISFIT_BESIDE: f32 = 1.4;
@@ -221,17 +225,18 @@ impl Evidence {
         self.costs.iter().sum::<f32>() >= mean * self.samples.iter().sum::<f32>()
     }
 
-    /// Whether the motion does not explain the picture, not even beside something that moves by itself.
-    fn misfits(&self) -> bool {
+    /// Whether the motion does not explain the picture, not even beside something that moves by itself, where it may cost so many `times` what
+    /// it may in a picture as it was taken.
+    fn misfits(&self, times: f32) -> bool {
         let samples: f32 = self.samples.iter().sum();
         let cost: f32 = self.costs.iter().sum();
         let by_columns = || self.samples.windows(MOVER_COLS).zip(self.costs.windows(MOVER_COLS));
         samples >= MISFIT_SAMPLES
-            && cost > MISFIT * samples
+            && cost > times * MISFIT * samples
             && by_columns().all(|(samples_there, costs_there)| {
                 let beside = samples - samples_there.iter().sum::<f32>();
                 let cost_beside = cost - costs_there.iter().sum::<f32>();
-                beside >= MISFIT_BESIDE_SAMPLES && cost_beside > MISFIT_BESIDE * beside
+                beside >= MISFIT_BESIDE_SAMPLES && cost_beside > times * MISFIT_BESIDE * beside
             })
     }
 }
@@ -264,6 +269,7 @@ pub struct PlausibilityCheck {
     silent: SilentSide,
     shadow: Shadow,
     parallax: Parallax,
+    regions: Regions,
     /// Stamp and attitude of the picture before.
     taken_before: Option<(Nanos, Attitude)>,
     pose_errors: [NedVector; POSE_FRAMES],
@@ -333,6 +339,7 @@ impl PlausibilityCheck {
             silent: SilentSide::default(),
             shadow: Shadow::default(),
             parallax: Parallax::default(),
+            regions: Regions::default(),
             taken_before: None,
             pose_errors: [NedVector::ZERO; POSE_FRAMES],
             poses: 0,
@@ -356,9 +363,18 @@ impl PlausibilityCheck {
 
     /// Of the cells of the last frame checked in which something is seen, the share that shows one surface (4 × 4 pixels whose ranges differ
     /// by no more than 0.16 m and a fifth of the range); 0 where ranges go to and fro all over a part of 16 × 16 pixels, as a patch's do; `None`
-    /// where next to nothing is seen.
+    /// where next to nothing is seen. Moved regions
+    /// are rough, too: each of them shows its surfaces, but nothing goes on from one to the next.
     pub fn smooth_share(&self) -> Option<f32> {
-        self.counts.smooth_share()
+        match self.regions.restored() {
+            Some(_) => Some(0.0),
+            None => self.counts.smooth_share(),
+        }
+    }
+
+    /// The last frame checked with the regions that were moved back where they were; `None` where none are. The check then goes by it.
+    pub fn restored(&self) -> Option<&DepthFrame> {
+        self.regions.restored()
     }
 
     /// What is implausible about the last frame checked.
@@ -377,8 +393,9 @@ impl PlausibilityCheck {
     /// what needs none of it is then looked at.
     pub fn check(&mut self, frame: &DepthFrame, telemetry: &VehicleTelemetry) -> Reasons {
         self.step = self.step.wrapping_add(1);
+        self.note_regions(frame);
         core::mem::swap(&mut self.picture, &mut self.before);
-        self.counts = self.picture.take(frame);
+        self.counts = self.picture.take(self.regions.restored().unwrap_or(frame));
         let armed = telemetry.heartbeat.is_some_and(|h| h.armed);
         let known = if telemetry.is_finite() {
             telemetry.kinematics.zip(telemetry.attitude)
@@ -429,6 +446,7 @@ impl PlausibilityCheck {
             self.forget_motion();
             (self.raised, self.raises) = (None, 0);
             (self.shadow, self.parallax) = (Shadow::default(), Parallax::default());
+            self.regions.forget();
         } else if !in_flight || takes_off || blind || self.bad_pose {
             self.forget_pictures();
         } else if self.raised.is_some() {
@@ -446,6 +464,16 @@ impl PlausibilityCheck {
         self.faults
     }
 
+    /// Looks whether regions were moved. From when on they are known to be, the pictures before are none to compare with.
+    fn note_regions(&mut self, frame: &DepthFrame) {
+        let height_m = self.ground_down_m - frame.header.position_ned_m.z;
+        if height_m > LOW_M && self.regions.note(frame, &self.directions, height_m) {
+            self.forget_motion();
+            self.raised = self.raised.filter(|raised| raised.stays);
+            (self.shadow, self.parallax) = (Shadow::default(), Parallax::default());
+        }
+    }
+
     /// Takes the frame to the checks of its ranges, where the height of a vehicle that flies by it is known.
     fn note_ranges(&mut self, frame: &DepthFrame, pose: &Pose, height_m: Option<f32>) {
         let Some(height_m) = height_m else {
@@ -455,6 +483,7 @@ impl PlausibilityCheck {
         };
         self.shadow
             .note(&self.picture, &self.directions, pose.attitude, height_m);
+        let frame = self.regions.restored().unwrap_or(frame);
         self.parallax.note(frame, &self.directions, pose);
     }
 
@@ -749,6 +778,10 @@ impl PlausibilityCheck {
             lost_above += lost;
             dead_above |= lost_above > VANISHED_ABOVE && found_above < FOUND_ABOVE * lost_above;
         }
+        let is_restored = self.regions.restored().is_some();
+        let times = if is_restored { MISFIT_RESTORED } else { 1.0 };
+        // Of regions that were moved the uppermost are hardly ever known.
+        dead_above &= !is_restored;
         // What drift explains is no mirror's.
         let mirrored = evidence.mirrored - evidence.drift.drift_gain();
         let is_mirrored =
@@ -763,7 +796,7 @@ impl PlausibilityCheck {
             || frozen_parts >= FROZEN_PARTS_OF_A_MOVING_VIEW
         {
             raised(Reason::FrozenSensor, false)
-        } else if evidence.misfits() || lost_parts >= VANISHED_PARTS || dead_above {
+        } else if evidence.misfits(times) || lost_parts >= VANISHED_PARTS || dead_above {
             raised(Reason::InconsistentPicture, false)
         } else {
             None

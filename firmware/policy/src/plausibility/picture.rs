@@ -20,8 +20,8 @@ const PITCH_RAD: f32 = SIDE as f32 * PIXEL_PITCH_RAD;
 
 /// The pixels of a cell see one surface if their ranges differ by no more than this: a part of the range, which a plane at
 /// a grazing angle makes, and metres, which noise makes.
-const SMOOTH_PART: f32 = 0.2;
-const SMOOTH_M: f32 = 0.16;
+pub(super) const SMOOTH_PART: f32 = 0.2;
+pub(super) const SMOOTH_M: f32 = 0.16;
 /// Ranges of a cell that lie farther apart, with a return in each pixel, are of an edge, or of no picture at all. What an adversary
 /// adds, within 20 / 255 of the image's range, is less.
 const WILD_M: f32 = 40.0;

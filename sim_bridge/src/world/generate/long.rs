@@ -126,7 +126,7 @@ fn finish(mut course: Course) -> Option<Course> {
         course.boxes.retain(|o| stays(&o.solid(), clear_m));
         course.walls.retain(|o| stays(&o.solid(), clear_m));
         course.overhangs.retain(|o| stays(&o.solid(), clear_m));
-        if course.corridor().is_some() {
+        if course.has_corridor() {
             break;
         }
         // The cut went through an arena's way.

@@ -424,7 +424,7 @@ impl Builder {
 
     fn is_flyable(&self) -> bool {
         let arrives = |depart_s: &f32| self.course.earliest_arrival_s(*depart_s).is_some();
-        self.course.corridor().is_some() && (self.course.movers.is_empty() || CHECKED_DEPARTURES_S.iter().all(arrives))
+        self.course.has_corridor() && (self.course.movers.is_empty() || CHECKED_DEPARTURES_S.iter().all(arrives))
     }
 
     /// Takes obstacles back, the last first, until there is a way through.

@@ -1,10 +1,10 @@
 //! The ranges of all beams of one sweep, computed in two ways that agree bit for bit.
 
-use super::beams::{BeamTable, LIDAR_BEAMS};
+use super::beams::{BeamTable, LIDAR_BEAMS, LIDAR_RINGS};
 use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, MISS, Ray, inverse, lesser, plan2};
 use super::scene::Scene;
 use super::simd::{Simd, vectorised};
-use super::tiles::{TILE_FIRINGS, TILE_RINGS, Tiles};
+use super::tiles::{TILE_FIRINGS, Tiles};
 use crate::world::World;
 use glamx::Vec3;
 use vigil_types::NedVector;
@@ -51,11 +51,12 @@ pub(crate) fn cast_ray(world: &World, sensor_ned_m: NedVector, scene: &Scene, di
 /// A beam whose direction is less far down than this looks up.
 const LOOKS_UP: f32 = -1e-6;
 
-/// The fast way: beams in tiles, each with the list of solids that can be seen in it, 16 beams at a time.
+/// The fast way: strip by strip and ring by ring against the solids that may be seen there, 16 beams at a time.
 pub(crate) struct TileCaster {
     tiles: Tiles,
-    cuboids: Vec<CuboidLeaf>,
-    cylinders: Vec<CylinderLeaf>,
+    cuboids: Vec<(CuboidLeaf, u64)>,
+    cylinders: Vec<(CylinderLeaf, u64)>,
+    strip: Box<[Rays; LIDAR_RINGS]>,
 }
 
 impl TileCaster {
@@ -64,35 +65,21 @@ impl TileCaster {
             tiles: Tiles::new(every),
             cuboids: Vec::new(),
             cylinders: Vec::new(),
+            strip: Box::new([Rays::default(); LIDAR_RINGS]),
         }
     }
 
     pub(crate) fn cast(&mut self, simd: Simd, scene: &Scene, beams: &BeamTable, ranges: &mut Ranges) {
-        let Self {
-            tiles,
-            cuboids,
-            cylinders,
-        } = self;
-        tiles.cull(scene, |strip, band, visible| {
-            cuboids.clear();
-            cylinders.clear();
-            for leaf in visible {
-                match leaf {
-                    Leaf::Cuboid(leaf) => cuboids.push(*leaf),
-                    Leaf::Cylinder(leaf) => cylinders.push(*leaf),
-                }
-            }
-            cast_tile(simd, scene, beams, (strip, band), cuboids, cylinders, ranges);
-        });
+        cast_strips(simd, self, scene, beams, ranges);
     }
 }
 
-/// The rays of one ring of a tile, field by field, so that vector code loads them without shuffling.
-#[derive(Default)]
+/// The rays of a strip's ring, field by field, so that vector code loads them without shuffling, and their ranges.
+#[derive(Clone, Copy, Default)]
 struct Rays {
+    range_m: [f32; TILE_FIRINGS],
     x: [f32; TILE_FIRINGS],
     y: [f32; TILE_FIRINGS],
-    z: [f32; TILE_FIRINGS],
     inverse_z: [f32; TILE_FIRINGS],
     plan2: [f32; TILE_FIRINGS],
     inverse_plan2: [f32; TILE_FIRINGS],
@@ -111,91 +98,96 @@ impl Rays {
     }
 }
 
-/// Whether any of a ring's ranges is longer: what lies wholly beyond them changes none.
+/// Shortens what a solid shortens of the rings, a bit each, that may see it: not where it lies wholly beyond all ranges.
 #[inline(always)]
-fn reach_beyond(ranges: &[f32; TILE_FIRINGS], near_m: f32) -> bool {
-    ranges.iter().fold(false, |any, range_m| any | (*range_m > near_m))
-}
-
-/// Shortens what one solid shortens. All its ranges first: taken one by one, those that shorten nothing become masked stores, which
-/// cost more than the ranges do.
-#[inline(always)]
-fn nearer_of(ranges: &mut [f32; TILE_FIRINGS], of_solid_m: impl Fn(usize) -> f32) {
-    let mut solid_m = [MISS; TILE_FIRINGS];
-    for (k, range_m) in solid_m.iter_mut().enumerate() {
-        *range_m = of_solid_m(k);
-    }
-    for (range_m, solid_m) in ranges.iter_mut().zip(solid_m) {
-        *range_m = lesser(solid_m, *range_m);
+fn shorten(strip: &mut [Rays; LIDAR_RINGS], rings: u64, nearest_m: f32, of_solid_m: impl Fn(&Ray) -> f32) {
+    let seen = rings.trailing_zeros() as usize..=rings.ilog2() as usize;
+    for rays in &mut strip[seen] {
+        let beyond = |any, range_m: &f32| any | (*range_m > nearest_m);
+        if !rays.range_m.iter().fold(false, beyond) {
+            continue;
+        }
+        // All first: taken one by one, those that shorten nothing become masked stores, which cost more than the ranges do.
+        let mut solid_m = [MISS; TILE_FIRINGS];
+        for (k, range_m) in solid_m.iter_mut().enumerate() {
+            *range_m = of_solid_m(&rays.get(k));
+        }
+        for (range_m, solid_m) in rays.range_m.iter_mut().zip(solid_m) {
+            *range_m = lesser(solid_m, *range_m);
+        }
     }
 }
 
 vectorised! {
-    /// Casts the beams of one tile against the solids that may be seen in it.
-    fn cast_tile(
-        scene: &Scene,
-        beams: &BeamTable,
-        tile: (usize, usize),
-        cuboids: &[CuboidLeaf],
-        cylinders: &[CylinderLeaf],
-        ranges: &mut Ranges,
-    ) = cast_tile_body;
+    /// Casts all beams.
+    fn cast_strips(caster: &mut TileCaster, scene: &Scene, beams: &BeamTable, ranges: &mut Ranges) = cast_strips_body;
 }
 
 #[inline(always)]
-fn cast_tile_body(
-    scene: &Scene,
-    beams: &BeamTable,
-    (strip, band): (usize, usize),
-    cuboids: &[CuboidLeaf],
-    cylinders: &[CylinderLeaf],
-    ranges: &mut Ranges,
-) {
-    let first = strip * TILE_FIRINGS;
-    let sin_bearing: &[f32; TILE_FIRINGS] = beams.sin_bearing[first..].first_chunk().expect("a whole tile");
-    let cos_bearing: &[f32; TILE_FIRINGS] = beams.cos_bearing[first..].first_chunk().expect("a whole tile");
-    for ring in band * TILE_RINGS..(band + 1) * TILE_RINGS {
+fn cast_strips_body(caster: &mut TileCaster, scene: &Scene, beams: &BeamTable, ranges: &mut Ranges) {
+    let TileCaster {
+        tiles,
+        cuboids,
+        cylinders,
+        strip,
+    } = caster;
+    tiles.sort(scene);
+    for number in 0..tiles.strips {
+        cuboids.clear();
+        cylinders.clear();
+        let mut see_any = 0;
+        tiles.strip(scene, number, |leaf, rings| {
+            see_any |= rings;
+            match leaf {
+                Leaf::Cuboid(leaf) => cuboids.push((*leaf, rings)),
+                Leaf::Cylinder(leaf) => cylinders.push((*leaf, rings)),
+            }
+        });
+        begin_strip(scene, beams, number * TILE_FIRINGS, see_any, strip);
+        // A solid after the other: whether a ring sees it is what the ring before it says, so processors foresee it.
+        for (leaf, rings) in cuboids.iter().copied() {
+            shorten(strip, rings, leaf.nearest_m, |ray| leaf.range_m(ray));
+        }
+        let see_cylinders = cylinders.iter().fold(0, |all, (_, rings)| all | rings);
+        for ring in (0..beams.rings).filter(|ring| see_cylinders >> ring & 1 == 1) {
+            let rays = &mut strip[ring];
+            for k in 0..TILE_FIRINGS {
+                (rays.plan2[k], rays.inverse_plan2[k]) = plan2(rays.x[k], rays.y[k]);
+            }
+        }
+        for (leaf, rings) in cylinders.iter().copied() {
+            shorten(strip, rings, leaf.nearest_m, |ray| leaf.range_m(ray));
+        }
+        for (rays, ring) in strip
+            .iter()
+            .zip(ranges.chunks_exact_mut(beams.firings))
+            .take(beams.rings)
+        {
+            ring[number * TILE_FIRINGS..][..TILE_FIRINGS].copy_from_slice(&rays.range_m);
+        }
+    }
+}
+
+/// The rays of a strip from its first firing on, and their ranges to ground and ceiling. `seen`: the rings, a bit each, that see more.
+#[inline(always)]
+fn begin_strip(scene: &Scene, beams: &BeamTable, first: usize, seen: u64, strip: &mut [Rays; LIDAR_RINGS]) {
+    let sin_bearing: &[f32; TILE_FIRINGS] = beams.sin_bearing[first..].first_chunk().expect("a whole strip");
+    let cos_bearing: &[f32; TILE_FIRINGS] = beams.cos_bearing[first..].first_chunk().expect("a whole strip");
+    for (ring, rays) in strip[..beams.rings].iter_mut().enumerate() {
         let (sin_elevation, cos_elevation) = (beams.sin_elevation[ring], beams.cos_elevation[ring]);
-        let beam = |k: usize| {
+        let mut z = [0.0; TILE_FIRINGS];
+        for (k, z) in z.iter_mut().enumerate() {
             let rotation = &scene.rotation;
-            rotation.beam(sin_elevation, cos_elevation, sin_bearing[k], cos_bearing[k])
-        };
-        let out: &mut [f32; TILE_FIRINGS] = ranges[ring * beams.firings + first..]
-            .first_chunk_mut()
-            .expect("a whole tile");
-        let mut rays = Rays::default();
-        for k in 0..TILE_FIRINGS {
-            (rays.x[k], rays.y[k], rays.z[k]) = beam(k);
+            (rays.x[k], rays.y[k], *z) = rotation.beam(sin_elevation, cos_elevation, sin_bearing[k], cos_bearing[k]);
         }
-        let empty = cuboids.is_empty() && cylinders.is_empty();
-        if empty && scene.is_open_above() && rays.z.iter().fold(true, |all, z| all & (*z < LOOKS_UP)) {
-            *out = [MISS; TILE_FIRINGS];
+        let is_empty = seen >> ring & 1 == 0;
+        if is_empty && scene.is_open_above() && z.iter().fold(true, |all, z| all & (*z < LOOKS_UP)) {
+            rays.range_m = [MISS; TILE_FIRINGS];
             continue;
         }
-        for (k, range_m) in out.iter_mut().enumerate() {
-            rays.inverse_z[k] = inverse(rays.z[k]);
-            *range_m = scene.planes_range_m(rays.inverse_z[k]);
-        }
-        if empty {
-            continue;
-        }
-        for leaf in cuboids {
-            if !reach_beyond(out, leaf.nearest_m) {
-                break;
-            }
-            nearer_of(out, |k| leaf.range_m(&rays.get(k)));
-        }
-        if cylinders.is_empty() {
-            continue;
-        }
-        for k in 0..TILE_FIRINGS {
-            (rays.plan2[k], rays.inverse_plan2[k]) = plan2(rays.x[k], rays.y[k]);
-        }
-        for leaf in cylinders {
-            if !reach_beyond(out, leaf.nearest_m) {
-                break;
-            }
-            nearer_of(out, |k| leaf.range_m(&rays.get(k)));
+        for (k, z) in z.into_iter().enumerate() {
+            rays.inverse_z[k] = inverse(z);
+            rays.range_m[k] = scene.planes_range_m(rays.inverse_z[k]);
         }
     }
 }

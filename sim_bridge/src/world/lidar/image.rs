@@ -47,31 +47,60 @@ fn is_whole(part: &Part) -> bool {
 }
 
 vectorised! {
-    /// Fills beams without a return whose left and right, or upper and lower, neighbours both have one: the sensor lost these.
-    /// The value is the mean if the neighbours' ranges are alike, otherwise the nearer.
-    pub(crate) fn fill_gaps(tolerance_m: f32, inverse: &Ranges, filled: &mut Ranges) = fill_gaps_body;
+    /// Fills `inverse`'s gaps and writes the image, ring by ring: what was filled is still at hand. Ring `k` goes into row `2k`, and into row
+    /// `2k + 1` what lies between it and ring `k + 1`. All times `scale`.
+    pub(crate) fn image(
+        tolerance_m: f32,
+        scale: f32,
+        inverse: &Ranges,
+        filled: &mut Ranges,
+        depth: &mut [f32; DEPTH_PIXELS],
+    ) = image_body;
 }
 
 #[inline(always)]
-fn fill_gaps_body(tolerance_m: f32, inverse: &Ranges, filled: &mut Ranges) {
-    for ring in 0..LIDAR_RINGS {
-        let [above, here, below] = [ring.saturating_sub(1), ring, ring + 1].map(|ring| parts(inverse, ring));
-        // With no return to the left and to the right of all.
-        let mut sides = [0.0; LIDAR_FIRINGS + 2];
-        sides[1..=LIDAR_FIRINGS].copy_from_slice(here.as_flattened());
-        let out = &mut filled[ring * LIDAR_FIRINGS..][..LIDAR_FIRINGS];
-        for (part, out) in out.as_chunks_mut::<TILE_FIRINGS>().0.iter_mut().enumerate() {
-            let (above, here, below) = (&above[part], &here[part], &below[part]);
-            if is_whole(here) || (is_empty(here) && is_empty(above)) {
-                *out = *here;
-                continue;
-            }
-            let sides: &[f32; TILE_FIRINGS + 2] = sides[part * TILE_FIRINGS..]
-                .first_chunk()
-                .expect("a part and its sides");
-            for c in 0..TILE_FIRINGS {
-                out[c] = gap(tolerance_m, here[c], sides[c], sides[c + 2], above[c], below[c]);
-            }
+fn image_body(tolerance_m: f32, scale: f32, inverse: &Ranges, filled: &mut Ranges, depth: &mut [f32; DEPTH_PIXELS]) {
+    // Between two rings one sees what is two below.
+    const AHEAD: usize = 2;
+    for ring in 0..LIDAR_RINGS + AHEAD {
+        if ring < LIDAR_RINGS {
+            fill_ring(tolerance_m, ring, inverse, filled);
+        }
+        if let Some(ring) = ring.checked_sub(AHEAD) {
+            project_ring(tolerance_m, scale, ring, filled, depth);
+        }
+    }
+}
+
+/// A part with what is to the left and to the right of it: of all, no return.
+#[inline(always)]
+fn with_sides(ring: &[Part; PARTS], part: usize) -> [f32; TILE_FIRINGS + 2] {
+    let ring = ring.as_flattened();
+    let first = part * TILE_FIRINGS;
+    match first.checked_sub(1).and_then(|left| ring[left..].first_chunk()) {
+        Some(sides) => *sides,
+        None => core::array::from_fn(|k| {
+            let beam = (first + k).checked_sub(1);
+            beam.and_then(|beam| ring.get(beam)).copied().unwrap_or(0.0)
+        }),
+    }
+}
+
+/// Fills a ring's beams without a return whose left and right, or upper and lower, neighbours both have one: the sensor lost these.
+/// The value is the mean if the neighbours' ranges are alike, otherwise the nearer.
+#[inline(always)]
+fn fill_ring(tolerance_m: f32, ring: usize, inverse: &Ranges, filled: &mut Ranges) {
+    let [above, here, below] = [ring.saturating_sub(1), ring, ring + 1].map(|ring| parts(inverse, ring));
+    let out = &mut filled[ring * LIDAR_FIRINGS..][..LIDAR_FIRINGS];
+    for (part, out) in out.as_chunks_mut::<TILE_FIRINGS>().0.iter_mut().enumerate() {
+        let (above, middle, below) = (&above[part], &here[part], &below[part]);
+        if is_whole(middle) || (is_empty(middle) && is_empty(above)) {
+            *out = *middle;
+            continue;
+        }
+        let sides = with_sides(here, part);
+        for c in 0..TILE_FIRINGS {
+            out[c] = gap(tolerance_m, middle[c], sides[c], sides[c + 2], above[c], below[c]);
         }
     }
 }
@@ -93,32 +122,24 @@ fn gap(tolerance_m: f32, here: f32, left: f32, right: f32, above: f32, below: f3
     if here > 0.0 { here } else { found }
 }
 
-vectorised! {
-    /// Writes the image: ring `k` into row `2k`, and into row `2k + 1` what lies between it and ring `k + 1`.
-    /// All times `scale`.
-    pub(crate) fn project(tolerance_m: f32, scale: f32, inverse: &Ranges, depth: &mut [f32; DEPTH_PIXELS]) = project_body;
-}
-
 #[inline(always)]
-fn project_body(tolerance_m: f32, scale: f32, inverse: &Ranges, depth: &mut [f32; DEPTH_PIXELS]) {
-    for ring in 0..LIDAR_RINGS {
-        let rings = [ring.saturating_sub(1), ring, ring + 1, ring + 2].map(|ring| parts(inverse, ring));
-        let rows = &mut depth[ring_row(ring) * DEPTH_COLS..][..2 * DEPTH_COLS];
-        let (measured, between) = rows.split_at_mut(DEPTH_COLS);
-        let (measured, between) = (
-            measured.as_chunks_mut::<TILE_FIRINGS>().0,
-            between.as_chunks_mut::<TILE_FIRINGS>().0,
-        );
-        for (part, (measured, between)) in measured.iter_mut().zip(between).enumerate() {
-            let [upper2, upper, lower, lower2] = rings.map(|ring| &ring[part]);
-            if is_empty(upper) && is_empty(lower) {
-                (*measured, *between) = ([scale; TILE_FIRINGS], [scale; TILE_FIRINGS]);
-                continue;
-            }
-            for c in 0..TILE_FIRINGS {
-                measured[c] = scale * normalised(upper[c]);
-                between[c] = scale * normalised(halfway(tolerance_m, [upper2[c], upper[c], lower[c], lower2[c]]));
-            }
+fn project_ring(tolerance_m: f32, scale: f32, ring: usize, inverse: &Ranges, depth: &mut [f32; DEPTH_PIXELS]) {
+    let rings = [ring.saturating_sub(1), ring, ring + 1, ring + 2].map(|ring| parts(inverse, ring));
+    let rows = &mut depth[ring_row(ring) * DEPTH_COLS..][..2 * DEPTH_COLS];
+    let (measured, between) = rows.split_at_mut(DEPTH_COLS);
+    let (measured, between) = (
+        measured.as_chunks_mut::<TILE_FIRINGS>().0,
+        between.as_chunks_mut::<TILE_FIRINGS>().0,
+    );
+    for (part, (measured, between)) in measured.iter_mut().zip(between).enumerate() {
+        let [upper2, upper, lower, lower2] = rings.map(|ring| &ring[part]);
+        if is_empty(upper) && is_empty(lower) {
+            (*measured, *between) = ([scale; TILE_FIRINGS], [scale; TILE_FIRINGS]);
+            continue;
+        }
+        for c in 0..TILE_FIRINGS {
+            measured[c] = scale * normalised(upper[c]);
+            between[c] = scale * normalised(halfway(tolerance_m, [upper2[c], upper[c], lower[c], lower2[c]]));
         }
     }
 }

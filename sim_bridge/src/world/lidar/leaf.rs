@@ -154,6 +154,16 @@ pub(crate) struct CuboidLeaf {
 }
 
 impl CuboidLeaf {
+    /// Where its centre is along a normal, and how far it extends from there.
+    #[inline(always)]
+    pub(crate) fn extents_m(&self, [x, y, z]: [f32; 3]) -> (f32, f32) {
+        let (along, across) = (self.cos_yaw * x + self.sin_yaw * y, self.cos_yaw * y - self.sin_yaw * x);
+        (
+            along * self.centre_m[0] + across * self.centre_m[1] + z * self.centre_m[2],
+            along.abs() * self.half_m[0] + across.abs() * self.half_m[1] + z.abs() * self.half_m[2],
+        )
+    }
+
     /// Slab test (Kay and Kajiya 1986).
     #[inline(always)]
     pub(crate) fn range_m(&self, ray: &Ray) -> f32 {
@@ -181,6 +191,15 @@ pub(crate) struct CylinderLeaf {
 }
 
 impl CylinderLeaf {
+    /// As a cuboid's.
+    #[inline(always)]
+    pub(crate) fn extents_m(&self, [x, y, z]: [f32; 3]) -> (f32, f32) {
+        (
+            x * self.centre_m[0] + y * self.centre_m[1] + z * self.centre_m[2],
+            (x * x + y * y).sqrt() * self.radius_m + z.abs() * self.half_height_m,
+        )
+    }
+
     /// The circle's equation in the plan view, in the form that keeps its precision at a distance (the cross product is the
     /// distance from the axis times the plan length), and the slab between the faces.
     #[inline(always)]

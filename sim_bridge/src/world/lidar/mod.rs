@@ -256,8 +256,7 @@ impl Lidar {
 
     fn image(&mut self, scale: f32, pixels: &mut [f32; DEPTH_PIXELS]) {
         let tolerance_m = self.config.surface_tolerance_m;
-        image::fill_gaps(self.simd, tolerance_m, &self.inverse, &mut self.filled);
-        image::project(self.simd, tolerance_m, scale, &self.filled, pixels);
+        image::image(self.simd, tolerance_m, scale, &self.inverse, &mut self.filled, pixels);
     }
 
     /// The point cloud that was last measured, in body axes: one point per beam that returned.

@@ -12,6 +12,9 @@ const SIGMA_OF_SUM: f32 = 37_837.2;
 /// Mean of that sum.
 const MEAN_OF_SUM: f32 = 2.0 * 65_535.0;
 
+/// What a beam's number is multiplied by before a key is added.
+const SPREAD: u32 = 0x9E37_79B9;
+
 /// Three keys that differ from frame to frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NoiseKeys([u32; 3]);
@@ -26,7 +29,12 @@ impl NoiseKeys {
     /// A number that is close to a standard normal one (Irwin–Hall of four: at most 3.46 in size).
     #[inline(always)]
     pub(crate) fn normal(self, beam: u32) -> f32 {
-        let (u, v) = (mix(beam, self.0[0]), mix(beam, self.0[1]));
+        self.normal_of(beam.wrapping_mul(SPREAD))
+    }
+
+    #[inline(always)]
+    fn normal_of(self, spread: u32) -> f32 {
+        let (u, v) = (mix(spread, self.0[0]), mix(spread, self.0[1]));
         let sum = (u & 0xFFFF) + (u >> 16) + (v & 0xFFFF) + (v >> 16);
         // The sum is below 2^18, so it is exact as i32 and f32.
         (sum as i32 as f32 - MEAN_OF_SUM) * (1.0 / SIGMA_OF_SUM)
@@ -34,7 +42,7 @@ impl NoiseKeys {
 
     #[inline(always)]
     pub(crate) fn uniform(self, beam: u32) -> u32 {
-        mix(beam, self.0[2])
+        mix(beam.wrapping_mul(SPREAD), self.0[2])
     }
 }
 
@@ -46,10 +54,10 @@ pub fn split_mix(x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// Wellons' `lowbias32` over beam and key: 32-bit multiplications only, so it vectorises.
+/// Wellons' `lowbias32` over a beam times [`SPREAD`] and a key: 32-bit multiplications only, so it vectorises.
 #[inline(always)]
-fn mix(beam: u32, key: u32) -> u32 {
-    let x = beam.wrapping_mul(0x9E37_79B9).wrapping_add(key);
+fn mix(spread: u32, key: u32) -> u32 {
+    let x = spread.wrapping_add(key);
     let x = (x ^ (x >> 16)).wrapping_mul(0x7FEB_352D);
     let x = (x ^ (x >> 15)).wrapping_mul(0x846C_A68B);
     x ^ (x >> 16)
@@ -66,10 +74,10 @@ fn measure_body(config: &LidarConfig, keys: NoiseKeys, ranges: &[f32], inverse: 
     let (min_m, max_m) = (config.min_range_m, config.max_range_m);
     // Probabilities are within 0..=1; the cast saturates at 1.
     let dropped_below = (f64::from(config.dropout_probability) * 4_294_967_296.0) as u32;
-    let measured = |beam: u32, true_m: f32| {
-        let measured_m = true_m + sigma_m * keys.normal(beam);
+    let measured = |spread: u32, true_m: f32| {
+        let measured_m = true_m + sigma_m * keys.normal_of(spread);
         let measured_m = if measured_m > min_m { measured_m } else { min_m };
-        let returned = (true_m <= max_m) & (keys.uniform(beam) >= dropped_below);
+        let returned = (true_m <= max_m) & (mix(spread, keys.0[2]) >= dropped_below);
         if returned { 1.0 / measured_m } else { 0.0 }
     };
     let (ranges, _) = ranges.as_chunks::<TILE_FIRINGS>();
@@ -80,9 +88,10 @@ fn measure_body(config: &LidarConfig, keys: NoiseKeys, ranges: &[f32], inverse: 
             *inverse = [0.0; TILE_FIRINGS];
             continue;
         }
-        let beam = (first * TILE_FIRINGS) as u32;
+        let spread = ((first * TILE_FIRINGS) as u32).wrapping_mul(SPREAD);
         for k in 0..TILE_FIRINGS {
-            inverse[k] = measured(beam.wrapping_add(k as u32), ranges[k]);
+            // A sum where the beam's own product would be a multiplication more.
+            inverse[k] = measured(spread.wrapping_add((k as u32).wrapping_mul(SPREAD)), ranges[k]);
         }
     }
 }

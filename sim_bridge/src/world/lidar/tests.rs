@@ -60,3 +60,22 @@ fn both_methods_and_all_vector_widths_give_the_same_bits() {
     }
     assert!(hits > 1_000_000, "{hits}");
 }
+
+#[test]
+fn a_thinned_sensor_sees_what_its_beams_meet() {
+    for every in Lidar::EVERY {
+        for seed in 0..12 {
+            let world = World::new(&generate(Family::Validation, seed));
+            let sensor = || Lidar::new(LidarConfig::default(), 1).expect("valid").every(every);
+            let (mut fast, mut reference) = (sensor(), sensor().with_method(Method::Reference));
+            for pose in poses() {
+                let expected = bits(reference.cast(&world, pose.0, pose.1));
+                assert_eq!(
+                    bits(fast.cast(&world, pose.0, pose.1)),
+                    expected,
+                    "{every} {seed} {pose:?}"
+                );
+            }
+        }
+    }
+}

@@ -1,61 +1,72 @@
 //! Which solids can be seen in which part of the view.
 //!
-//! The view is cut into strips of bearings and these into bands of elevations. A solid is left out of a tile only when it lies
-//! wholly on the outer side of one of the four planes that enclose the tile's beams; a tile is wider than its beams by half a
-//! pixel all round, so rounding cannot lose a hit.
+//! The view is cut into strips of bearings and these into rings. A solid is left out only where it lies wholly on the outer side of one
+//! of the four planes that enclose a strip's beams of a ring; these are half a pixel or more away from the beams, so rounding cannot lose a hit.
 
 use super::beams::{LIDAR_FIRINGS, LIDAR_RINGS, ring_row};
-use super::leaf::{Leaf, Rotation};
+use super::leaf::{Leaf, lesser};
 use super::scene::Scene;
 use vigil_types::{column_bearing_rad, row_elevation_rad};
 
-/// Firings of a tile: one vector of AVX-512.
+/// Firings of a strip's ring: one vector of AVX-512.
 pub(crate) const TILE_FIRINGS: usize = 16;
-/// Rings of a tile.
-pub(crate) const TILE_RINGS: usize = 8;
 const STRIPS: usize = LIDAR_FIRINGS / TILE_FIRINGS;
-const BANDS: usize = LIDAR_RINGS / TILE_RINGS;
+/// What separates as many rings, in whole vectors.
+const PLANES: usize = (LIDAR_RINGS + 1).next_multiple_of(TILE_FIRINGS);
 
-/// A plane through the sensor by its normal; the inner side is where `normal · p` is positive.
-#[derive(Clone, Copy)]
-struct Plane([f32; 3]);
+/// Planes through the sensor one behind the other, by their normals, which point at the next one.
+struct Planes {
+    x: [f32; PLANES],
+    y: [f32; PLANES],
+    z: [f32; PLANES],
+}
 
-impl Plane {
-    fn rotated(self, Rotation(m): &Rotation) -> Self {
-        let [x, y, z] = self.0;
-        Self(core::array::from_fn(|i| m[i][0] * x + m[i][1] * y + m[i][2] * z))
+impl Planes {
+    /// Bit `k`: the leaf reaches in between the planes `k` and `k + 1`, of `spaces` at most.
+    #[inline(always)]
+    fn seen_between(&self, spaces: usize, leaf: &Leaf, reach_m: &mut [[f32; PLANES]; 2]) -> u64 {
+        match *leaf {
+            Leaf::Cuboid(leaf) => self.reached(spaces, |normal| leaf.extents_m(normal), reach_m),
+            Leaf::Cylinder(leaf) => self.reached(spaces, |normal| leaf.extents_m(normal), reach_m),
+        }
     }
 
-    /// The signed extents of a solid along the normal: from `centre − half` to `centre + half`.
-    fn extents(self, leaf: &Leaf) -> (f32, f32) {
-        let [nx, ny, nz] = self.0;
-        match leaf {
-            Leaf::Cuboid(l) => {
-                let along = l.cos_yaw * nx + l.sin_yaw * ny;
-                let across = l.cos_yaw * ny - l.sin_yaw * nx;
-                (
-                    along * l.centre_m[0] + across * l.centre_m[1] + nz * l.centre_m[2],
-                    along.abs() * l.half_m[0] + across.abs() * l.half_m[1] + nz.abs() * l.half_m[2],
-                )
-            }
-            Leaf::Cylinder(l) => (
-                nx * l.centre_m[0] + ny * l.centre_m[1] + nz * l.centre_m[2],
-                (nx * nx + ny * ny).sqrt() * l.radius_m + nz.abs() * l.half_height_m,
-            ),
+    #[inline(always)]
+    fn reached(
+        &self,
+        spaces: usize,
+        extents_m: impl Fn([f32; 3]) -> (f32, f32),
+        [behind_m, before_m]: &mut [[f32; PLANES]; 2],
+    ) -> u64 {
+        for k in 0..(spaces + 1).next_multiple_of(8) {
+            let (centre_m, half_m) = extents_m([self.x[k], self.y[k], self.z[k]]);
+            (behind_m[k], before_m[k]) = (half_m + centre_m, half_m - centre_m);
         }
+        // The sign's bit: 1 where it does not.
+        let missed = [0, 32].map(|first| {
+            let (behind_m, before_m) = (&behind_m[first..][..32], &before_m[first + 1..][..32]);
+            (0..32).fold(0, |all, k| {
+                all | (lesser(behind_m[k], before_m[k]).to_bits() >> 31) << k
+            })
+        });
+        let beyond = u64::MAX.checked_shl(spaces as u32).unwrap_or(0);
+        !(u64::from(missed[0]) | u64::from(missed[1]) << 32 | beyond)
     }
 }
 
 pub(crate) struct Tiles {
-    /// Strips and bands that hold beams, the first of them.
-    strips: usize,
-    bands_used: usize,
-    /// Left edges of the strips and the right edge of the last, normals to the right, in body axes.
-    edges: [Plane; STRIPS + 1],
-    /// Upper and lower planes of every tile, normals inwards, in body axes.
-    bands: [[[Plane; 2]; BANDS]; STRIPS],
-    /// Working storage: per strip, the solids that can be seen in it.
+    /// Strips and rings that hold beams.
+    pub(crate) strips: usize,
+    rings: usize,
+    /// Normals of the strips' edges, forward and right, in body axes.
+    edges: [[f32; PLANES]; 2],
+    /// The direction of each strip's middle, forward and right, in body axes.
+    middles: [[f32; 2]; STRIPS],
+    /// Slopes of the planes between the rings over a strip's middle.
+    slopes: [f32; PLANES],
+    /// Working storage: per strip, the solids that can be seen in it; how far one reaches behind planes and before them.
     in_strip: [Vec<u32>; STRIPS],
+    reach_m: [[f32; PLANES]; 2],
 }
 
 impl Tiles {
@@ -63,65 +74,61 @@ impl Tiles {
     pub(crate) fn new(every: usize) -> Self {
         // At least half a pixel outside of the outermost beams.
         let edge_rad = |strip: usize| column_bearing_rad((every * strip * TILE_FIRINGS) as f32 - 0.5);
-        let row = |ring: usize| (ring_row(every * ring) + every - 1) as f32;
-        let upper_rad = |band: usize| row_elevation_rad(row(band * TILE_RINGS) - 0.5);
-        let lower_rad = |band: usize| row_elevation_rad(row((band + 1) * TILE_RINGS - 1) + 0.5);
-        let edges = core::array::from_fn(|s| Plane([-libm::sinf(edge_rad(s)), libm::cosf(edge_rad(s)), 0.0]));
-        let bands = core::array::from_fn(|s| {
-            let middle = 0.5 * (edge_rad(s) + edge_rad(s + 1));
-            let cos_half = libm::cosf(0.5 * (edge_rad(s + 1) - edge_rad(s)));
-            let (sin, cos) = (libm::sinf(middle), libm::cosf(middle));
-            // A cone of constant elevation e is, within the strip, between the planes of slope tan e and tan e / cos_half over
-            // the strip's middle direction. The slope that lies further out encloses it.
-            core::array::from_fn(|b| {
-                let (upper, lower) = (libm::tanf(upper_rad(b)), libm::tanf(lower_rad(b)));
-                let upper = upper.max(upper / cos_half);
-                let lower = lower.min(lower / cos_half);
-                [
-                    Plane([upper * cos, upper * sin, 1.0]),
-                    Plane([-lower * cos, -lower * sin, -1.0]),
-                ]
-            })
-        });
+        let direction = |rad: f32| [libm::cosf(rad), libm::sinf(rad)];
         Self {
             strips: STRIPS / every,
-            bands_used: BANDS / every,
-            edges,
-            bands,
+            rings: LIDAR_RINGS / every,
+            edges: [|rad: f32| -libm::sinf(rad), libm::cosf].map(|of| core::array::from_fn(|s| of(edge_rad(s)))),
+            middles: core::array::from_fn(|s| direction(0.5 * (edge_rad(s) + edge_rad(s + 1)))),
+            // Half-way between two rings, `every` pixels from both. At a strip's edges a cone of constant elevation is less than that
+            // away from the plane that touches it in the strip's middle: 0.1 pixels, and 7.4 where one of eight is left.
+            slopes: core::array::from_fn(|ring| {
+                let row = ring_row(every * ring) as f32 + every as f32 - 1.0;
+                libm::tanf(row_elevation_rad(row - every as f32))
+            }),
             in_strip: core::array::from_fn(|_| Vec::new()),
+            reach_m: [[0.0; PLANES]; 2],
         }
     }
 
-    /// Calls `tile(strip, band, solids that may be seen in it)` for every tile, the nearest solid first.
-    pub(crate) fn cull<'a>(
-        &mut self,
-        scene: &'a Scene,
-        mut tile: impl FnMut(usize, usize, &mut dyn Iterator<Item = &'a Leaf>),
-    ) {
-        let edges = self.edges.map(|e| e.rotated(&scene.rotation));
+    /// Sorts the solids into the strips in which they may be seen.
+    #[inline(always)]
+    pub(crate) fn sort(&mut self, scene: &Scene) {
+        let [forward, right] = &self.edges;
+        let axis = |[x, y, _]: [f32; 3]| core::array::from_fn(|k| x * forward[k] + y * right[k]);
+        let [x, y, z] = scene.rotation.0.map(axis);
+        let edges = Planes { x, y, z };
         for list in &mut self.in_strip {
             list.clear();
         }
         for i in &scene.nearest_first {
-            let leaf = &scene.leaves[*i as usize];
-            let mut right = edges[0].extents(leaf);
-            for (strip, list) in self.in_strip[..self.strips].iter_mut().enumerate() {
-                let left = core::mem::replace(&mut right, edges[strip + 1].extents(leaf));
-                if left.0 + left.1 >= 0.0 && right.0 - right.1 <= 0.0 {
-                    list.push(*i);
-                }
+            let mut strips = edges.seen_between(self.strips, &scene.leaves[*i as usize], &mut self.reach_m);
+            while strips != 0 {
+                self.in_strip[strips.trailing_zeros() as usize].push(*i);
+                strips &= strips - 1;
             }
         }
-        for (strip, list) in self.in_strip[..self.strips].iter().enumerate() {
-            for band in 0..self.bands_used {
-                let planes = self.bands[strip][band].map(|p| p.rotated(&scene.rotation));
-                let mut visible = list.iter().map(|i| &scene.leaves[*i as usize]).filter(|leaf| {
-                    planes.iter().all(|p| {
-                        let (centre, half) = p.extents(leaf);
-                        centre + half >= 0.0
-                    })
-                });
-                tile(strip, band, &mut visible);
+    }
+
+    /// Calls `seen` with every solid that may be seen in a strip and the rings, a bit each, from the first to the last that may see it; the
+    /// nearest solid first.
+    #[inline(always)]
+    pub(crate) fn strip(&mut self, scene: &Scene, strip: usize, mut seen: impl FnMut(&Leaf, u64)) {
+        let [x, y] = self.middles[strip];
+        let axis = |row: [f32; 3]| {
+            let ahead = row[0] * x + row[1] * y;
+            core::array::from_fn(|k| self.slopes[k] * ahead + row[2])
+        };
+        let [x, y, z] = scene.rotation.0.map(axis);
+        let planes = Planes { x, y, z };
+        for i in &self.in_strip[strip] {
+            let leaf = &scene.leaves[*i as usize];
+            let rings = planes.seen_between(self.rings, leaf, &mut self.reach_m);
+            if rings != 0 {
+                seen(
+                    leaf,
+                    u64::MAX << rings.trailing_zeros() & u64::MAX >> rings.leading_zeros(),
+                );
             }
         }
     }
