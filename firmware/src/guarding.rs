@@ -551,7 +551,7 @@ mod tests {
                 "{seconds}: {gain_m_s2} {true_m_s2}"
             );
         }
-        // What drag takes off a flying vehicle is no wind; what a standing one leans against is.
+        // What a standing vehicle leans against is the wind.
         let mut standing = Kinematics::new(0, NedVector::ZERO, NedVector::ZERO);
         let lean = lean_ned_m_s2(Attitude::from_euler_rad(0.0, -0.15, 0.0));
         let mut air = Air::new(&standing, lean);

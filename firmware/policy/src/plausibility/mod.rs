@@ -363,8 +363,7 @@ impl PlausibilityCheck {
 
     /// Of the cells of the last frame checked in which something is seen, the share that shows one surface (4 × 4 pixels whose ranges differ
     /// by no more than 0.16 m and a fifth of the range); 0 where ranges go to and fro all over a part of 16 × 16 pixels, as a patch's do; `None`
-    /// where next to nothing is seen. Moved regions
-    /// are rough, too: each of them shows its surfaces, but nothing goes on from one to the next.
+    /// where next to nothing is seen. Moved regions are rough, too: each of them shows its surfaces, but nothing goes on from one to the next.
     pub fn smooth_share(&self) -> Option<f32> {
         match self.regions.restored() {
             Some(_) => Some(0.0),

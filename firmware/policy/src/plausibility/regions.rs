@@ -20,8 +20,7 @@ const TORN_SHARE: f32 = 0.4;
 const LEAST_DOWN: u16 = 6;
 const LEAST_ALONG: u16 = 12;
 /// So many torn lines along rows, and down columns, make a picture of moved regions: an unaltered one has none along rows but for one in
-/// thousands. A line that
-/// was torn counts for two frames in which it was not; from so many on it is a region's side.
+/// thousands. A line that was torn counts for two frames in which it was not; from so many on it is a region's side.
 const LINES_ALONG: usize = 3;
 const LINES_DOWN: usize = 6;
 const TORN_COUNTS: u8 = 2;

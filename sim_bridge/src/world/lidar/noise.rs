@@ -42,7 +42,12 @@ impl NoiseKeys {
 
     #[inline(always)]
     pub(crate) fn uniform(self, beam: u32) -> u32 {
-        mix(beam.wrapping_mul(SPREAD), self.0[2])
+        self.uniform_of(beam.wrapping_mul(SPREAD))
+    }
+
+    #[inline(always)]
+    fn uniform_of(self, spread: u32) -> u32 {
+        mix(spread, self.0[2])
     }
 }
 
@@ -77,7 +82,7 @@ fn measure_body(config: &LidarConfig, keys: NoiseKeys, ranges: &[f32], inverse: 
     let measured = |spread: u32, true_m: f32| {
         let measured_m = true_m + sigma_m * keys.normal_of(spread);
         let measured_m = if measured_m > min_m { measured_m } else { min_m };
-        let returned = (true_m <= max_m) & (mix(spread, keys.0[2]) >= dropped_below);
+        let returned = (true_m <= max_m) & (keys.uniform_of(spread) >= dropped_below);
         if returned { 1.0 / measured_m } else { 0.0 }
     };
     let (ranges, _) = ranges.as_chunks::<TILE_FIRINGS>();
