@@ -22,8 +22,9 @@ use vigil_mavlink::{Companion, LET_GO, LinkCounters, MavHeader, Parameters, Stat
 use vigil_policy::actor::Actor;
 use vigil_policy::{FlightPilot, GeometricPilot, PilotInput, PlausibilityCheck, SecondSensor};
 use vigil_types::{
-    Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal, GuardNotice, GuidanceState, Nanos, OperatorRequest,
-    Reason, Reasons, RequestOutcome, StepReport, StepTiming, VehicleRequest, VehicleTelemetry, Verdict,
+    Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal, GuardNotice, GuidanceState, Nanos, NedVector,
+    OperatorRequest, Reason, Reasons, RequestOutcome, StepReport, StepTiming, VehicleRequest, VehicleTelemetry,
+    Verdict,
 };
 
 /// MAVLink's usual identity of a ground station.
@@ -176,6 +177,7 @@ impl FlightStack {
             (Some(plausibility), _) => plausibility.sensor_faults(),
             (None, _) => Reasons::NONE,
         };
+        self.correct_velocity(&mut telemetry);
         let motion = Motion::of(&telemetry, now_ns, limits.telemetry_age_limit_ns);
         let sensor_faults = sensor_faults.union(self.second_opinion(now_ns, &telemetry, motion));
         let goal = self.guidance.goal();
@@ -215,6 +217,16 @@ impl FlightStack {
         }
         if is_new {
             self.frames.correct_heading(lacks_rad);
+        }
+    }
+
+    /// The velocity as the pictures have it, where an estimate errs, in telemetry and in what is asked of the vehicle alike.
+    fn correct_velocity(&mut self, telemetry: &mut VehicleTelemetry) {
+        let plausibility = self.plausibility.as_ref();
+        let error_m_s = plausibility.map_or(NedVector::ZERO, PlausibilityCheck::velocity_error_m_s);
+        self.companion.note_seen_error(error_m_s);
+        if let Some(kinematics) = &mut telemetry.kinematics {
+            kinematics.velocity_ned_m_s = kinematics.velocity_ned_m_s - error_m_s;
         }
     }
 

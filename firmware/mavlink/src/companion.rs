@@ -12,8 +12,8 @@ use crate::status_text::{StatusText, WARNING};
 use mavlink::MessageData;
 use mavlink::dialects::common::{MavState, OBSTACLE_DISTANCE_DATA};
 use vigil_types::{
-    Datagrams, GuardNotice, GuidanceState, HandoverProgress, MissionMotion, Nanos, ObstacleReports, RequestOutcome,
-    SectorRanges, StepReport, VehicleRequest, VehicleStatus, VehicleTelemetry, parameters,
+    Datagrams, GuardNotice, GuidanceState, HandoverProgress, MissionMotion, Nanos, NedVector, ObstacleReports,
+    RequestOutcome, SectorRanges, StepReport, VehicleRequest, VehicleStatus, VehicleTelemetry, parameters,
 };
 
 /// The autopilot's component.
@@ -119,6 +119,11 @@ impl Companion {
     /// Whether the vehicle's velocity is the rate at which its position changes.
     pub fn estimate_agrees_with_itself(&self) -> bool {
         self.core.vehicle.estimate_agrees_with_itself()
+    }
+
+    /// What its velocity, as it is known here, is more than the pictures say, NED, metres per second.
+    pub fn note_seen_error(&mut self, error_m_s: NedVector) {
+        self.core.vehicle.seen_error_m_s = error_m_s;
     }
 
     /// What to add to the vehicle's reported heading, radians, so that it is where the nose points.

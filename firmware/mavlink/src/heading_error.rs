@@ -9,8 +9,12 @@ use vigil_types::{Attitude, FrdVector, wrap_pi};
 
 /// Time in which the reported heading draws back the sum of the rates, seconds: a gyroscope's offset of 1° a minute makes 1°.
 const TIME_S: f32 = 60.0;
-/// Below this an estimator agrees with itself and nothing is corrected, radians (2°); above, what exceeds it counts.
-const AGREES_RAD: f32 = 0.035;
+/// An estimator that was never off by more than the first agrees with itself, and nothing is corrected; one that was off by the second, all
+/// is: radians (2.2°, 3.2°). Where only what exceeds a limit is corrected, the heading turns by twice the limit as the error changes its side.
+const AGREES_RAD: f32 = 0.038;
+const ERRS_RAD: f32 = 0.056;
+/// Time in which it is forgotten that an estimator was off, seconds.
+const FORGOTTEN_S: f32 = 30.0;
 /// Who lacks more than this (30°) errs otherwise, or was set anew: it is believed, and the sum begins anew. Less is not: PX4 set its
 /// heading anew in flight by 13° to the truth once, and once by 21° away from it.
 const GREATEST_RAD: f32 = 0.52;
@@ -22,6 +26,8 @@ const GAP_S: f32 = 0.3;
 pub(crate) struct HeadingError {
     last: Option<(u32, f32, f32)>,
     sum_rad: f32,
+    /// The greatest of late.
+    greatest_rad: f32,
 }
 
 impl HeadingError {
@@ -41,12 +47,14 @@ impl HeadingError {
             let sum_rad = (self.sum_rad + lacks_rad) * (1.0 - since_s / TIME_S);
             // False for what is not finite.
             self.sum_rad = if sum_rad.abs() < GREATEST_RAD { sum_rad } else { 0.0 };
+            let faded_rad = self.greatest_rad * (1.0 - since_s / FORGOTTEN_S);
+            self.greatest_rad = faded_rad.max(self.sum_rad.abs());
         }
     }
 
     /// What to add to the reported heading, radians.
     pub fn lacks_rad(&self) -> f32 {
-        self.sum_rad - self.sum_rad.clamp(-AGREES_RAD, AGREES_RAD)
+        self.sum_rad * ((self.greatest_rad - AGREES_RAD) / (ERRS_RAD - AGREES_RAD)).clamp(0.0, 1.0)
     }
 }
 
@@ -82,11 +90,13 @@ mod tests {
     fn a_heading_that_turns_without_a_turn_is_found_out_and_one_that_turns_with_the_vehicle_is_not() {
         let mut error = HeadingError::default();
         assert_eq!(after(&mut error, 10.0, -0.5, -0.5), 0.0);
-        // 12° in four seconds, of which 2° are forgiven, while the vehicle turns the other way.
+        // 12° in four seconds, while the vehicle turns the other way.
         let lacks_rad = after(&mut error, 4.0, 0.0523 - 0.5, -0.5);
-        assert!(near(lacks_rad, -9.6), "{lacks_rad}");
+        assert!(near(lacks_rad, -11.6), "{lacks_rad}");
         // As it comes back, so does the correction.
-        assert_eq!(after(&mut error, 4.0, -0.0523, 0.0), 0.0);
+        assert!(near(after(&mut error, 4.0, -0.0523, 0.0), 0.5));
+        // And as it goes on to the other side: there is no span in which nothing is corrected.
+        assert!(near(after(&mut error, 0.5, -0.0523, 0.0), 2.0));
     }
 
     #[test]
@@ -106,7 +116,7 @@ mod tests {
             error.take(step * 20, turned(0.01 * step as f32), still, true);
         }
         assert_eq!(error.lacks_rad(), 0.0);
-        assert!(near(after(&mut error, 4.0, 0.0523, 0.0), -9.6));
+        assert!(near(after(&mut error, 4.0, 0.0523, 0.0), -11.6));
         let (at_ms, yaw_rad, _) = error.last.unwrap();
         error.take(at_ms + 20, turned(yaw_rad), FrdVector::new(1e-4, 0.0, 0.0), false);
         assert_eq!(error.lacks_rad(), 0.0);

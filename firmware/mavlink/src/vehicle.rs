@@ -111,6 +111,8 @@ pub struct Vehicle {
     position_ms: Option<u32>,
     attitude_ms: Option<u32>,
     velocity_error: VelocityError,
+    /// What is left of it, by the pictures.
+    pub(crate) seen_error_m_s: NedVector,
     heading_error: HeadingError,
     following: Following,
 }
@@ -181,7 +183,9 @@ impl Vehicle {
     /// ([`HeadingError`], [`VelocityError`]), and a vehicle that `obeys` does not lag behind ([`Following`]); as it is wanted where nothing
     /// fresh is known.
     pub(crate) fn asked_velocity(&mut self, now_ns: Nanos, wanted_m_s: HeadingVector, obeys: bool) -> HeadingVector {
-        let (lacks_m_s, lacks_rad) = (self.velocity_error.lacks_m_s(), self.heading_lacks_rad());
+        let seen_error_m_s = self.seen_error_m_s;
+        let lacks_m_s = self.velocity_error.lacks_m_s() - seen_error_m_s;
+        let lacks_rad = self.heading_lacks_rad();
         let is_fresh = self
             .telemetry
             .flight_data_age_ns(now_ns)
@@ -194,7 +198,8 @@ impl Vehicle {
         let yaw_rad = sample.attitude.yaw_rad();
         let more_m_s = if obeys {
             let wanted_ned_m_s = wanted_m_s.to_ned(yaw_rad + lacks_rad);
-            self.following.take(now_ns, wanted_ned_m_s, kinematics.velocity_ned_m_s)
+            self.following
+                .take(now_ns, wanted_ned_m_s, kinematics.velocity_ned_m_s - seen_error_m_s)
         } else {
             self.following.pause();
             NedVector::ZERO

@@ -59,7 +59,7 @@ impl<I: Iterator<Item = (usize, usize)> + Clone> Pair<'_, I> {
     }
 
     /// One step of Gauss and Newton from no shift, damped by what is allowed, in the second picture's axes.
-    fn drift(&self, map: &Map, allowed_m: f32) -> FrdVector {
+    pub(super) fn drift(&self, map: &Map, allowed_m: f32) -> FrdVector {
         if allowed_m <= 0.0 {
             return FrdVector::ZERO;
         }

@@ -7,6 +7,7 @@
 
 mod drift;
 mod motion;
+mod odometry;
 mod parallax;
 mod picture;
 mod regions;
@@ -15,6 +16,7 @@ mod silence;
 
 use self::drift::{DOWN_M, Errors, MountReadings, Pair, TURN, WIDENING, allowed_drift_m};
 use self::motion::{MOST_COST, Map, Pose, cost, look, look_widened, samples};
+use self::odometry::Odometry;
 use self::parallax::Parallax;
 use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen};
 use self::regions::Regions;
@@ -154,6 +156,8 @@ struct Anchor {
     picture: Picture,
     pose: Pose,
     stamp_ns: Nanos,
+    /// The reported velocity summed up until then.
+    path_ned_m: NedVector,
 }
 
 /// Evidence on the picture's motion, fading with time.
@@ -263,6 +267,8 @@ pub struct PlausibilityCheck {
     /// Where the ground is, metres down from the local origin.
     ground_down_m: f32,
     estimate_agrees: bool,
+    /// It did not, some time in this flight.
+    estimate_errs: bool,
     blind_frames: u8,
     seeing_frames: u8,
     blind: bool,
@@ -283,6 +289,7 @@ pub struct PlausibilityCheck {
     anchors: [Anchor; ANCHORS],
     anchors_used: usize,
     newest: usize,
+    odometry: Odometry,
     evidence: Evidence,
     same_frames: u8,
     raised: Option<Raised>,
@@ -323,6 +330,7 @@ impl PlausibilityCheck {
             picture: Picture::EMPTY,
             pose: NOWHERE,
             stamp_ns: 0,
+            path_ned_m: NedVector::ZERO,
         };
         Self {
             directions: Directions::new(),
@@ -333,6 +341,7 @@ impl PlausibilityCheck {
             faults: Reasons::NONE,
             ground_down_m: 0.0,
             estimate_agrees: true,
+            estimate_errs: false,
             blind_frames: 0,
             seeing_frames: 0,
             blind: false,
@@ -351,6 +360,7 @@ impl PlausibilityCheck {
             anchors: [NO_ANCHOR; ANCHORS],
             anchors_used: 0,
             newest: 0,
+            odometry: Odometry::default(),
             evidence: Evidence::NONE,
             same_frames: 0,
             raised: None,
@@ -376,6 +386,12 @@ impl PlausibilityCheck {
         self.regions.restored()
     }
 
+    /// What the reported velocity is more than the pictures say, NED, metres per second; at most 0.4. Zero for a vehicle whose
+    /// estimate always agreed with itself, and while it obeys no setpoints.
+    pub fn velocity_error_m_s(&self) -> NedVector {
+        self.odometry.error_m_s()
+    }
+
     /// What is implausible about the last frame checked.
     pub fn sensor_faults(&self) -> Reasons {
         self.faults
@@ -386,6 +402,7 @@ impl PlausibilityCheck {
     /// sensor that sits wrong seems to.
     pub fn note_estimate(&mut self, ground_down_m: f32, agrees_with_itself: bool) {
         (self.ground_down_m, self.estimate_agrees) = (ground_down_m, agrees_with_itself);
+        self.estimate_errs |= !agrees_with_itself;
     }
 
     /// Checks a valid frame that is newer than the last. Telemetry that is missing or not finite is checked by nobody here: only
@@ -429,6 +446,7 @@ impl PlausibilityCheck {
         }
         let in_flight = armed && height_m.is_some_and(|height_m| height_m > LOW_M);
         if let Some((kinematics, _)) = known {
+            self.odometry.advance(stamp_ns, kinematics);
             let before = self.kinematics_before.replace(kinematics);
             if in_flight && before.is_some_and(|before| has_jumped(&before, &kinematics)) {
                 // Whatever was seen lies elsewhere now, and nobody knows which of the two positions is right.
@@ -444,6 +462,7 @@ impl PlausibilityCheck {
             // The flight is over.
             self.forget_motion();
             (self.raised, self.raises) = (None, 0);
+            self.estimate_errs = false;
             (self.shadow, self.parallax) = (Shadow::default(), Parallax::default());
             self.regions.forget();
         } else if !in_flight || takes_off || blind || self.bad_pose {
@@ -453,6 +472,7 @@ impl PlausibilityCheck {
         } else {
             self.compare(&pose, stamp_ns);
         }
+        self.note_velocity(pose.attitude, guided);
         self.pose_before = in_flight.then_some(pose);
         self.faults = Reasons::NONE
             .with_if(blind, Reason::BlindSensor)
@@ -484,6 +504,17 @@ impl PlausibilityCheck {
             .note(&self.picture, &self.directions, pose.attitude, height_m);
         let frame = self.regions.restored().unwrap_or(frame);
         self.parallax.note(frame, &self.directions, pose);
+    }
+
+    /// What the velocity of a vehicle that flies by the pictures is off by, where its estimate errs.
+    fn note_velocity(&mut self, attitude: Attitude, guided: bool) {
+        if guided && self.estimate_errs && self.raised.is_none() {
+            let kept = self.anchors.get(..self.anchors_used).unwrap_or_default();
+            self.odometry
+                .compare(&self.directions, &self.picture, attitude, kept, self.step);
+        } else {
+            self.odometry.forget();
+        }
     }
 
     /// What is remembered of pictures is of no use any more; what was raised stays.
@@ -821,6 +852,7 @@ impl PlausibilityCheck {
         if let Some(anchor) = self.anchors.get_mut(self.newest) {
             anchor.picture.clone_from(&self.picture);
             (anchor.pose, anchor.stamp_ns) = (*pose, stamp_ns);
+            anchor.path_ned_m = self.odometry.path_ned_m();
         }
     }
 

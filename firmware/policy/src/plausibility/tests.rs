@@ -1,5 +1,6 @@
 extern crate std;
 
+mod odometry;
 mod parallax;
 mod shadow;
 
