@@ -15,7 +15,7 @@ use vigil_policy::plausibility::has_jumped;
 use vigil_policy::{Lookout, Scan, TakeOff};
 use vigil_types::{
     Attitude, DepthFrame, FrdVector, GuardNotice, HORIZONTAL_FOV_RAD, Kinematics, MissionMotion, Nanos, NedVector,
-    Reason, Reasons, StopCause, VERTICAL_FOV_RAD, VehicleMode, VehicleRequest, VehicleTelemetry, wrap_pi,
+    Reason, Reasons, STEP_S, StopCause, VERTICAL_FOV_RAD, VehicleMode, VehicleRequest, VehicleTelemetry, wrap_pi,
 };
 
 const G_M_S2: f32 = 9.81;
@@ -74,6 +74,9 @@ pub(crate) struct Guarding {
     detour: Detour,
     /// Consecutive steps in which the straight way to the mission's place was free.
     free_steps: u16,
+    /// Stamp of the last frame that was looked at in the air, and the greatest age of one of late, seconds.
+    frame_ns: Option<Nanos>,
+    oldest_s: f32,
 }
 
 /// What drag and wind take off the acceleration that the tilt gives: a steady tilt against them is no gain of speed.
@@ -204,6 +207,12 @@ pub(crate) struct GuardingInput<'a> {
     pub mission_motion: MissionMotion,
 }
 
+/// Frames younger than this are as young as a sensor's are; older than the second nobody sees the course; and the age of one is forgotten
+/// in the third time, seconds.
+const YOUNG_S: f32 = 0.2;
+const OLDEST_S: f32 = 1.0;
+const OLDEST_FORGOTTEN_S: f32 = 3.0;
+
 impl Guarding {
     pub fn new(config: JustStopConfig) -> Self {
         Self {
@@ -218,6 +227,8 @@ impl Guarding {
             stop_place_m: None,
             detour: Detour::None,
             free_steps: 0,
+            frame_ns: None,
+            oldest_s: 0.0,
         }
     }
 
@@ -238,8 +249,15 @@ impl Guarding {
         let room_m = if input.flies_around { TURNING_ROOM_M } else { 0.0 };
         self.reckoned = self.config.reckoning_with(input.mission_motion);
         self.reckoned.spare_m += room_m;
-        // Frames taken on the ground show the ground at the vehicle's own height.
+        // What comes into view is seen with the next frame, and that may be as late as the last ones were.
         let airborne = telemetry.is_airborne();
+        let seen_ns = frame.map_or(self.frame_ns, |frame| Some(frame.header.stamp_ns));
+        self.frame_ns = seen_ns.filter(|_| airborne);
+        let age_ns = self.frame_ns.map_or(0, |stamp_ns| now_ns.saturating_sub(stamp_ns));
+        let faded_s = self.oldest_s * (1.0 - STEP_S / OLDEST_FORGOTTEN_S);
+        self.oldest_s = faded_s.max((age_ns as f32 * 1e-9).min(OLDEST_S));
+        self.reckoned.reaction_s += (self.oldest_s - YOUNG_S).max(0.0);
+        // Frames taken on the ground show the ground at the vehicle's own height.
         let jumped = motion.is_some_and(|motion| self.has_jumped(motion.kinematics));
         let climbs = motion.is_some_and(|motion| self.take_off.goes_on(telemetry, &motion.kinematics));
         // From below flight height too, and a take-off that is an item of a mission is told as MISSION in the air.

@@ -118,6 +118,8 @@ struct Plan {
     /// Where the nose points, degrees from north, if not to the next place.
     nose_deg: Option<f32>,
     wind: Wind,
+    /// A frame comes in every so many steps.
+    frame_every: usize,
     /// How a ground station has it begun.
     command: fn(&SimConfig) -> Vec<u8>,
 }
@@ -129,6 +131,7 @@ impl Plan {
             via_m: vec![],
             nose_deg: None,
             wind: Wind::default(),
+            frame_every: 1,
             command: |_| mission::start(),
         }
     }
@@ -166,7 +169,7 @@ fn fly_as(vehicle: VehicleParams, course: Course, seed: u64, duty: Duty, plan: &
         if vehicle.control.hold == HoldLaw::Brake {
             keep_origin_from(&mut pair.to_firmware);
         }
-        let report = pair.decide(true);
+        let report = pair.decide(step % plan.frame_every == 0);
         assert!(
             report.setpoint.is_none() || duty == Duty::FlyAround,
             "who only stops gives no setpoints"

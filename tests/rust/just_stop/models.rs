@@ -39,6 +39,8 @@ struct Manner {
     head_wind_m_s: f64,
     /// In place of the column the ground rises so steeply, degrees; past it stands nothing, and the ground stays 1.2 m below.
     rises_deg: Option<f32>,
+    /// A frame comes in every so many steps; 0 is every step.
+    frame_every: usize,
 }
 
 /// Ground that rises along the way from a place on, by steps of half a metre, to so high; 12 m wide.
@@ -107,6 +109,7 @@ fn missions_of(vehicle: VehicleParams, duty: Duty, manner: Manner, first_seed: u
         let plan = Plan {
             via_m: Vec::from_iter(manner.turns.then_some((corner.x, corner.y))),
             nose_deg: manner.nose_off_deg.map(|off_deg| way_rad.to_degrees() + off_deg),
+            frame_every: manner.frame_every.max(1),
             wind: Wind::gusty(manner.head_wind_m_s, f64::from(way_rad + core::f32::consts::PI)),
             ..Plan::straight(speed_m_s)
         };
@@ -170,6 +173,19 @@ fn a_mission_is_stopped_before_ground_that_rises_to_it_and_flown_over_ground_tha
         assert_eq!((tally.collided, tally.stopped), (0, tally.blocked));
         assert_eq!(tally.false_stops, 0);
     }
+}
+
+/// A loaded computer's frames come late: what comes into view between two of them is seen when there is less room.
+#[test]
+fn a_mission_is_stopped_in_time_where_frames_come_late() {
+    let late = Manner {
+        frame_every: 12,
+        ..Manner::default()
+    };
+    let tally = missions_of(VehicleModel::Px4Sih.params(), Duty::JustStop, late, 240_010, 8);
+    println!("{tally:?}");
+    assert_eq!((tally.collided, tally.stopped), (0, tally.blocked));
+    assert_eq!(tally.false_stops, 0);
 }
 
 /// The course of one column on the straight way from start to goal, so many metres away.
@@ -245,7 +261,7 @@ fn two_missions_in_a_row_through_the_same_wall_are_held_before_they_move_where_i
 /// `MODEL=px4-sih FIRST_SEED=1 MISSIONS=40 cargo test --release -p vigil-tests --test just_stop -- --ignored --nocapture on_a_model`;
 /// with NOISY=1 its estimate wanders, with AROUND=1 it is flown around, with TURNS=1 the column stands
 /// behind a corner, with NOSE=90 the nose points to the right of the way, with WIND=6 the wind comes from ahead, with
-/// RISES=20 the ground rises so steeply in place of the column; EACH=1 shows every mission.
+/// EVERY=10 a frame comes in every tenth step, with RISES=20 the ground rises so steeply in place of the column; EACH=1 shows every mission.
 #[test]
 #[ignore = "missions of one vehicle model: minutes"]
 fn missions_on_a_model() {
@@ -265,6 +281,7 @@ fn missions_on_a_model() {
         turns: variable("TURNS").is_some(),
         nose_off_deg: variable("NOSE").map(|text| text.parse().expect("degrees")),
         rises_deg: variable("RISES").map(|text| text.parse().expect("degrees")),
+        frame_every: variable("EVERY").map_or(0, |text| text.parse().expect("steps")),
         head_wind_m_s: variable("WIND").map_or(0.0, |text| text.parse().expect("metres per second")),
     };
     println!(
