@@ -249,15 +249,9 @@ impl Guarding {
         let room_m = if input.flies_around { TURNING_ROOM_M } else { 0.0 };
         self.reckoned = self.config.reckoning_with(input.mission_motion);
         self.reckoned.spare_m += room_m;
-        // What comes into view is seen with the next frame, and that may be as late as the last ones were.
-        let airborne = telemetry.is_airborne();
-        let seen_ns = frame.map_or(self.frame_ns, |frame| Some(frame.header.stamp_ns));
-        self.frame_ns = seen_ns.filter(|_| airborne);
-        let age_ns = self.frame_ns.map_or(0, |stamp_ns| now_ns.saturating_sub(stamp_ns));
-        let faded_s = self.oldest_s * (1.0 - STEP_S / OLDEST_FORGOTTEN_S);
-        self.oldest_s = faded_s.max((age_ns as f32 * 1e-9).min(OLDEST_S));
-        self.reckoned.reaction_s += (self.oldest_s - YOUNG_S).max(0.0);
         // Frames taken on the ground show the ground at the vehicle's own height.
+        let airborne = telemetry.is_airborne();
+        self.reckoned.reaction_s += self.late_s(now_ns, frame, airborne);
         let jumped = motion.is_some_and(|motion| self.has_jumped(motion.kinematics));
         let climbs = motion.is_some_and(|motion| self.take_off.goes_on(telemetry, &motion.kinematics));
         // From below flight height too, and a take-off that is an item of a mission is told as MISSION in the air.
@@ -281,6 +275,17 @@ impl Guarding {
             course = Some(self.course(&motion.kinematics, motion.sample.attitude, place_m));
         }
         (course, jumped && airborne, climbs)
+    }
+
+    /// What comes into view is seen with the next frame, and that may be as late as the last ones were: by how much later than a sensor's
+    /// are, seconds.
+    fn late_s(&mut self, now_ns: Nanos, frame: Option<&DepthFrame>, airborne: bool) -> f32 {
+        let seen_ns = frame.map_or(self.frame_ns, |frame| Some(frame.header.stamp_ns));
+        self.frame_ns = seen_ns.filter(|_| airborne);
+        let age_ns = self.frame_ns.map_or(0, |stamp_ns| now_ns.saturating_sub(stamp_ns));
+        let faded_s = self.oldest_s * (1.0 - STEP_S / OLDEST_FORGOTTEN_S);
+        self.oldest_s = faded_s.max((age_ns as f32 * 1e-9).min(OLDEST_S));
+        (self.oldest_s - YOUNG_S).max(0.0)
     }
 
     /// One step in which somebody else flies.

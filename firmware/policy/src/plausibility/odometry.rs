@@ -25,7 +25,7 @@ const FORGOTTEN_S: f32 = 1.0;
 /// the vehicle drift by no more.
 const RIGHT_M_S: f32 = 0.03;
 const GREATEST_M_S: f32 = 0.4;
-/// A telemetry sample stands for no more than this, seconds.
+/// Frames farther apart than this count as so far apart, seconds.
 const GAP_S: f32 = 0.3;
 
 /// The reported velocity summed up, and what it was off by.
