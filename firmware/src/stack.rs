@@ -177,7 +177,7 @@ impl FlightStack {
             (Some(plausibility), _) => plausibility.sensor_faults(),
             (None, _) => Reasons::NONE,
         };
-        self.correct_velocity(&mut telemetry);
+        self.correct_velocity(now_ns, &mut telemetry);
         let motion = Motion::of(&telemetry, now_ns, limits.telemetry_age_limit_ns);
         let sensor_faults = sensor_faults.union(self.second_opinion(now_ns, &telemetry, motion));
         let goal = self.guidance.goal();
@@ -220,9 +220,11 @@ impl FlightStack {
         }
     }
 
-    /// The velocity as the pictures have it, where an estimate errs, in telemetry and in what is asked of the vehicle alike.
-    fn correct_velocity(&mut self, telemetry: &mut VehicleTelemetry) {
-        let plausibility = self.plausibility.as_ref();
+    /// The velocity as the pictures have it, where an estimate errs, in telemetry and in what is asked of the vehicle alike. Without a fresh
+    /// picture nobody knows what it is off by now.
+    fn correct_velocity(&mut self, now_ns: Nanos, telemetry: &mut VehicleTelemetry) {
+        let fresh = self.frames.fresh(now_ns, self.guidance.config().frame_age_limit_ns);
+        let plausibility = self.plausibility.as_ref().filter(|_| fresh.is_some());
         let error_m_s = plausibility.map_or(NedVector::ZERO, PlausibilityCheck::velocity_error_m_s);
         self.companion.note_seen_error(error_m_s);
         if let Some(kinematics) = &mut telemetry.kinematics {
