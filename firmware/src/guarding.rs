@@ -12,7 +12,7 @@
 use crate::motion::Motion;
 use vigil_guidance::just_stop::{Course, Gain, JustStop, JustStopConfig, JustStopInput, JustStopState};
 use vigil_policy::plausibility::has_jumped;
-use vigil_policy::{Lookout, Scan, TakeOff};
+use vigil_policy::{Aside, Lookout, Scan, TakeOff};
 use vigil_types::{
     Attitude, DepthFrame, FrdVector, GuardNotice, HORIZONTAL_FOV_RAD, Kinematics, MissionMotion, Nanos, NedVector,
     Reason, Reasons, STEP_S, StopCause, VERTICAL_FOV_RAD, VehicleMode, VehicleRequest, VehicleTelemetry, wrap_pi,
@@ -197,6 +197,8 @@ pub(crate) struct GuardingInput<'a> {
     pub telemetry: &'a VehicleTelemetry,
     /// How the vehicle moves, where the telemetry is to be believed.
     pub motion: Option<Motion>,
+    /// The vehicle's estimate has disagreed with itself in this flight.
+    pub drifts: bool,
     /// The newest frame that can be believed and is fresh.
     pub frame: Option<&'a DepthFrame>,
     /// What was stopped is to be flown around.
@@ -272,7 +274,7 @@ impl Guarding {
                 .observe(&motion.pilot_input(now_ns, depth, NedVector::ZERO));
             let flies_mission = telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Mission);
             let place_m = input.mission_place_m.filter(|_| flies_mission);
-            course = Some(self.course(&motion.kinematics, motion.sample.attitude, place_m));
+            course = Some(self.course(&motion, place_m, input.drifts));
         }
         (course, jumped && airborne, climbs)
     }
@@ -455,7 +457,11 @@ impl Guarding {
         // A mission follows its own line, on an estimate that wanders: it is given room to both sides.
         let way_m = way.horizontal_norm();
         let aside = NedVector::new(-way.y, way.x, 0.0) * (BESIDE_M / way_m.max(BESIDE_M));
-        let is_clear = |from| self.lookout.obstacle_ahead_m(from, way, way_m.min(FREE_M)).is_none();
+        let is_clear = |from| {
+            self.lookout
+                .obstacle_ahead_m(from, way, way_m.min(FREE_M), Aside::TURNS)
+                .is_none()
+        };
         let free = guided
             && off_nose_rad.abs() < 0.25 * HORIZONTAL_FOV_RAD
             && [k.position_ned_m, k.position_ned_m + aside, k.position_ned_m - aside]
@@ -475,16 +481,18 @@ impl Guarding {
     }
 
     /// What is seen along the velocity, and towards the mission's place where it leads there.
-    fn course(&self, kinematics: &Kinematics, attitude: Attitude, place_m: Option<(f32, f32)>) -> Course {
+    fn course(&self, motion: &Motion, place_m: Option<(f32, f32)>, drifts: bool) -> Course {
+        let (kinematics, attitude) = (&motion.kinematics, motion.sample.attitude);
         let (here, velocity) = (kinematics.position_ned_m, kinematics.velocity_ned_m_s);
+        let speed_m_s = velocity.horizontal_norm();
+        let aside = if drifts { Aside::drifts(speed_m_s) } else { Aside::TURNS };
         let way = place_m.map(|(north_m, east_m)| NedVector::new(north_m - here.x, east_m - here.y, 0.0));
         let on_the_way_m = |reach_m: f32| {
             let way = way?;
             let reach_m = reach_m.min(way.horizontal_norm());
-            self.lookout.obstacle_ahead_m(here, way, reach_m)
+            self.lookout.obstacle_ahead_m(here, way, reach_m, aside)
         };
         let start_obstacle_m = on_the_way_m(self.reckoned.start_reach_m());
-        let speed_m_s = velocity.horizontal_norm();
         if speed_m_s <= 0.0 {
             return Course {
                 start_obstacle_m,
@@ -496,11 +504,11 @@ impl Guarding {
         let off_nose_rad = wrap_pi(course_rad - attitude.yaw_rad());
         // A start out of a hold that sways, or on an estimate that wanders, turns towards the place.
         let turns = way.is_some_and(|way| wrap_pi(libm::atan2f(way.y, way.x) - course_rad).abs() < TURNS_RAD);
-        let ahead_m = self.lookout.obstacle_ahead_m(here, velocity, reach_m).filter(|_| {
-            // In a turn the course sweeps over what stands beside the way: it is no course that is flown.
-            let turned = way.and_then(|way| self.turned(kinematics, way));
-            turned.is_none_or(|(there, velocity)| self.lookout.obstacle_ahead_m(there, velocity, reach_m).is_some())
-        });
+        let along_m = |from, velocity| self.lookout.obstacle_ahead_m(from, velocity, reach_m, aside);
+        // In a turn the course sweeps over what stands beside the way: it is no course that is flown.
+        let turned = way.and_then(|way| self.turned(kinematics, way));
+        let ahead_m = along_m(here, velocity)
+            .filter(|_| turned.is_none_or(|(there, velocity)| along_m(there, velocity).is_some()));
         // Behind a corner the mission gains speed anew.
         let then_m = if turns { on_the_way_m(reach_m) } else { start_obstacle_m };
         Course {

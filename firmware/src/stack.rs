@@ -355,6 +355,7 @@ impl FlightStack {
             now_ns: seen.now_ns,
             telemetry: &seen.telemetry,
             motion: seen.motion,
+            drifts: self.plausibility.as_ref().is_some_and(PlausibilityCheck::estimate_errs),
             frame: self.frames.newest().filter(|_| seen.is_fresh),
             flies_around: duty == Duty::FlyAround,
             mission_place_m: self.companion.mission_place_m(),

@@ -24,6 +24,12 @@ const HOLD_WAY_S: f32 = 1.5;
 /// A gust or a lull moves a vehicle that stops by this time squared times what the wind takes away, beyond what is measured in a calm.
 const GUST_S2: f32 = 1.0;
 const CALM_M_S2: f32 = 0.3;
+/// PX4 plans its speed, and the vehicle follows: the plan is ahead by this time times what the vehicle gains, less what that changes by in
+/// the second time; by nothing and by all of it once that was gained for the times after.
+const PLANS_AHEAD_S: f32 = 0.2;
+const WANES_S: f32 = 1.0;
+const GAINED_FOR_S: [f32; 2] = [0.6, 1.0];
+const LEAST_GAIN_M_S2: f32 = 0.1;
 /// From a command until the autopilot acts on it, seconds.
 const TOLD_S: f32 = 0.1;
 
@@ -38,6 +44,8 @@ pub struct JustStopConfig {
     pub jerk_m_s3: f32,
     /// What it gains speed with in a mission, metres per second squared.
     pub mission_gain_m_s2: f32,
+    /// Its autopilot's plan is ahead of it by this time times what it gains, seconds.
+    pub plans_ahead_s: f32,
     /// Kept between its stop and what it must not touch, metres.
     pub spare_m: f32,
     /// Moved so long where the sensor does not look, it is stopped; `None` is never.
@@ -64,6 +72,7 @@ impl Default for JustStopConfig {
             braking_m_s2: parameters::STOP_BRAKING.number_f32(),
             jerk_m_s3: parameters::STOP_JERK.number_f32(),
             mission_gain_m_s2: MISSION_GAIN_M_S2,
+            plans_ahead_s: 0.0,
             spare_m: parameters::STOP_SPARE.number_f32(),
             unseen_limit_ns: Some((parameters::STOP_UNSEEN.number() * 1e9) as Nanos),
         }
@@ -84,6 +93,8 @@ impl JustStopConfig {
                 .unwrap_or(f32::INFINITY)
                 .max(LEAST_JERK_M_S3)
                 .min(self.jerk_m_s3),
+            // Only PX4 brakes by a parameter.
+            plans_ahead_s: said.braking_m_s2.map_or(self.plans_ahead_s, |_| PLANS_AHEAD_S),
             ..self
         }
     }
@@ -99,13 +110,23 @@ impl JustStopConfig {
         } else {
             0.0
         };
-        self.spare_m + gust_m + self.braking_way_m(speed_m_s, gain, self.reaction_s).max(steady_m)
+        let ahead_m_s = self.plan_ahead_m_s(speed_m_s, gain);
+        let braking_m = self.braking_way_m(speed_m_s.max(0.0) + ahead_m_s, gain, self.reaction_s);
+        self.spare_m + gust_m + braking_m.max(steady_m)
     }
 
     /// Metres to where an autopilot that is told to hold now can come to rest from this speed, metres per second, that it gains with
     /// this acceleration, metres per second squared.
     pub fn way_m(&self, speed_m_s: f32, gain: Gain) -> f32 {
         self.braking_way_m(speed_m_s, gain, TOLD_S)
+    }
+
+    /// By how much the autopilot's plan is faster than the vehicle, metres per second.
+    fn plan_ahead_m_s(&self, speed_m_s: f32, gain: Gain) -> f32 {
+        let gain_m_s2 = gain.gain_m_s2.min(GREATEST_GAIN_M_S2);
+        let [none_s, all_s] = GAINED_FOR_S;
+        let share = ((speed_m_s / gain_m_s2.max(LEAST_GAIN_M_S2) - none_s) / (all_s - none_s)).clamp(0.0, 1.0);
+        self.plans_ahead_s * share * (gain_m_s2 - gain.growth_m_s3.abs() * WANES_S).max(0.0)
     }
 
     /// Metres of a stop that is begun after so many seconds.
@@ -230,5 +251,34 @@ mod tests {
             "a slow start says nothing of a stop"
         );
         assert_eq!(reach_m(0.0, 100.0), reach_m(0.0, 6.0), "a jolt is no autopilot's");
+    }
+
+    /// Measured on PX4 in SIH as shipped: ordered to hold at 2.7 m/s in the middle of a start to 5 m/s, it needs 8.9 to 9.7 m from the frame on.
+    #[test]
+    fn a_px4_in_the_middle_of_a_start_needs_more_than_its_own_acceleration_tells() {
+        let said = MissionMotion {
+            braking_m_s2: Some(3.0),
+            ..MissionMotion::default()
+        };
+        let px4 = JustStopConfig::default().reckoning_with(said);
+        let reach_m = |config: JustStopConfig, growth_m_s3| {
+            let gain = Gain {
+                growth_m_s3,
+                shown_m_s3: 2.9,
+                ..gain(2.15)
+            };
+            config.reach_m(2.7, gain)
+        };
+        assert!(
+            (9.7..1.5 * 9.7 + 1.0).contains(&reach_m(px4, -0.1)),
+            "{}",
+            reach_m(px4, -0.1)
+        );
+        let other = JustStopConfig::default();
+        assert!(reach_m(other, -0.1) < 9.2, "{}", reach_m(other, -0.1));
+        // One that ends has no plan far ahead, nor has one that begins.
+        assert_eq!(reach_m(px4, -3.0), reach_m(other, -3.0));
+        assert_eq!(px4.reach_m(1.2, gain(2.15)), other.reach_m(1.2, gain(2.15)));
+        assert_eq!(px4.reach_m(0.0, gain(0.0)), other.reach_m(0.0, gain(0.0)));
     }
 }

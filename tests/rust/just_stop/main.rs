@@ -28,6 +28,7 @@ use vigil_types::{
 
 const LOCAL_POSITION_NED: u32 = 32;
 const GPS_GLOBAL_ORIGIN: u32 = 49;
+const PARAM_VALUE: u32 = 22;
 
 /// What a mission came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -91,12 +92,14 @@ fn away_m(from_ned_m: NedVector, column: &Column) -> f32 {
     (column.north_m - from_ned_m.x).hypot(column.east_m - from_ned_m.y) - column.radius_m
 }
 
-/// The vehicle never tells where its local origin is on the globe.
-fn keep_origin_from(told: &mut Datagrams) {
+/// The vehicle never tells where its local origin is on the globe, nor what it brakes with.
+fn keep_from(told: &mut Datagrams) {
     let mut kept = Datagrams::default();
     for (link, datagram) in told.iter() {
         let mut counters = FramingCounters::default();
-        if packets(datagram, &mut counters).all(|packet| packet.message_id() != GPS_GLOBAL_ORIGIN) {
+        if packets(datagram, &mut counters)
+            .all(|packet| ![GPS_GLOBAL_ORIGIN, PARAM_VALUE].contains(&packet.message_id()))
+        {
             kept.push(link, datagram);
         }
     }
@@ -167,7 +170,7 @@ fn fly_as(vehicle: VehicleParams, course: Course, seed: u64, duty: Duty, plan: &
         pair.simulate();
         // The simulated autopilot speaks as PX4 does. An ArduCopter is told no place and brakes by its mode: so is one without an origin.
         if vehicle.control.hold == HoldLaw::Brake {
-            keep_origin_from(&mut pair.to_firmware);
+            keep_from(&mut pair.to_firmware);
         }
         let report = pair.decide(step % plan.frame_every == 0);
         assert!(

@@ -12,7 +12,7 @@ pub mod range_scan;
 mod recovery;
 pub mod track;
 
-pub use lookout::Lookout;
+pub use lookout::{Aside, Lookout};
 pub use occupancy_grid::{CELL_M, HIT, OccupancyGrid, SCORE_LIMIT, SIDE};
 pub(crate) use pilot::position_ned_m;
 pub use pilot::{GeometricConfig, GeometricPilot};

@@ -392,6 +392,11 @@ impl PlausibilityCheck {
         self.odometry.error_m_s()
     }
 
+    /// The vehicle's estimate has disagreed with itself in this flight.
+    pub fn estimate_errs(&self) -> bool {
+        self.estimate_errs
+    }
+
     /// What is implausible about the last frame checked.
     pub fn sensor_faults(&self) -> Reasons {
         self.faults
