@@ -1,9 +1,15 @@
 //! What a frame costs, stage by stage, the two ways of casting side by side, and a step of the environment. One thread.
 
 use divan::Bencher;
+use parry3d::math::Vector;
+use parry3d::query::{Ray, RayCast};
+use parry3d::shape::TriMesh;
 use vigil_sim::environment::{Environment, true_state::TrueCourse};
 use vigil_sim::vehicle::{VehicleParams, Wind};
-use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Method, Shot, World, generate};
+use vigil_sim::world::{
+    Course, Family, LIDAR_BEAMS, LIDAR_FIRINGS, Lidar, LidarConfig, Mesh, Method, Shot, World, beam_direction_frd,
+    generate,
+};
 use vigil_types::{Attitude, DepthFrame, HeadingVector, NedVector, VelocitySetpoint};
 
 fn main() {
@@ -36,13 +42,16 @@ fn lidar(method: Method) -> Lidar {
 }
 
 fn bench_cast(bencher: Bencher, seed: u64, method: Method) {
-    let world = World::new(&course(seed));
+    bench_world(bencher, &World::new(&course(seed)), method);
+}
+
+fn bench_world(bencher: Bencher, world: &World, method: Method) {
     let mut lidar = lidar(method);
     let mut count = 0;
     bencher.bench_local(|| {
         count += 1;
         let s = shot(count);
-        divan::black_box(lidar.cast(&world, s.position_ned_m, s.attitude)[0])
+        divan::black_box(lidar.cast(world, s.position_ned_m, s.attitude)[0])
     });
 }
 
@@ -54,6 +63,89 @@ fn cast_fast(bencher: Bencher, seed: u64) {
 #[divan::bench(args = SEEDS)]
 fn cast_reference(bencher: Bencher, seed: u64) {
     bench_cast(bencher, seed, Method::Reference);
+}
+
+/// What the meshes are: a hall with vaulted walls and pillars, as fine everywhere as a scan; and pieces as large as a hand, all over the place.
+const MESHES: [&str; 2] = ["hall", "rubble"];
+
+/// 100 000 triangles, NED metres.
+fn triangles(mesh: &str) -> Vec<[NedVector; 3]> {
+    let mut all = Vec::new();
+    if mesh == "rubble" {
+        let mut bits = 0;
+        let mut next = |wide: f32| {
+            bits = vigil_sim::world::split_mix(bits);
+            wide * (bits >> 40) as f32 / (1u64 << 24) as f32
+        };
+        while all.len() < 100_000 {
+            let at = NedVector::new(next(24.0) - 3.0, next(20.0) - 10.0, -next(5.0) - 0.2);
+            all.push([0; 3].map(|_| at + NedVector::new(next(0.2), next(0.2), next(0.2))));
+        }
+        return all;
+    }
+    // Round something, `rise` its height, of as many quarters in each direction.
+    let mut tube = |centre: [f32; 2], radius: [f32; 2], rise: f32, [around, up]: [usize; 2], closes: f32| {
+        let at = |i: usize, j: usize| {
+            let (a, f) = (core::f32::consts::TAU * i as f32 / around as f32, j as f32 / up as f32);
+            let r = 1.0 - closes * f * f * f + 0.01 * libm::sinf(7.0 * a + 9.0 * f);
+            NedVector::new(
+                centre[0] + r * radius[0] * libm::cosf(a),
+                centre[1] + r * radius[1] * libm::sinf(a),
+                -rise * f - 0.06,
+            )
+        };
+        for (i, j) in (0..around).flat_map(|i| (0..up).map(move |j| (i, j))) {
+            let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+            all.extend([[a, b, c], [a, c, d]]);
+        }
+    };
+    tube([9.0, 0.0], [16.0, 11.0], 6.0, [340, 100], 0.99);
+    for pillar in 0..16_u8 {
+        let (row, column) = (f32::from(pillar / 4), f32::from(pillar % 4));
+        tube(
+            [-1.0 + 6.5 * row, -7.0 + 4.5 * column],
+            [0.35, 0.35],
+            5.0,
+            [20, 50],
+            0.1,
+        );
+    }
+    all
+}
+
+#[divan::bench(args = MESHES)]
+fn mesh_fast(bencher: Bencher, mesh: &str) {
+    let mut course = course(1);
+    course.clear_obstacles();
+    course
+        .meshes
+        .push(Mesh::of_triangles(&triangles(mesh)).expect("a mesh"));
+    bench_world(bencher, &World::new(&course), Method::Fast);
+}
+
+/// The library's own casting against the same triangles, along the same beams.
+#[divan::bench(args = MESHES)]
+fn mesh_parry(bencher: Bencher, mesh: &str) {
+    let triangles = triangles(mesh);
+    let points = triangles.iter().flatten().map(|p| Vector::new(p.x, p.y, p.z)).collect();
+    let numbers = (0..triangles.len() as u32)
+        .map(|t| [3 * t, 3 * t + 1, 3 * t + 2])
+        .collect();
+    let mesh = TriMesh::new(points, numbers).expect("a mesh");
+    let mut count = 0;
+    bencher.bench_local(|| {
+        count += 1;
+        let s = shot(count);
+        let origin = Vector::from(s.position_ned_m.to_array());
+        let nearest = |beam: usize| {
+            let direction = s
+                .attitude
+                .to_ned(beam_direction_frd(beam / LIDAR_FIRINGS, beam % LIDAR_FIRINGS));
+            let ray = Ray::new(origin, Vector::from(direction.to_array()));
+            mesh.cast_local_ray(&ray, 100.0, true).unwrap_or(100.0)
+        };
+        (0..LIDAR_BEAMS).map(nearest).fold(0.0, f32::max)
+    });
 }
 
 #[divan::bench]

@@ -7,6 +7,7 @@ fn files() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("courses");
     let entries = std::fs::read_dir(folder).expect("the folder of courses");
     let mut files: Vec<_> = entries.map(|e| e.expect("an entry").path()).collect();
+    files.retain(|file| file.extension().is_some_and(|ending| ending == "toml"));
     files.sort();
     files
 }

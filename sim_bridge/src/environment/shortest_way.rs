@@ -6,7 +6,7 @@ use crate::world::{Course, Lattice, Solid, VEHICLE};
 /// Grid spacing, metres.
 const CELL_M: f32 = 0.2;
 /// Half of the band of heights that the vehicle needs around its flight height, metres.
-const HALF_BAND_M: f32 = 0.3;
+pub(super) const HALF_BAND_M: f32 = 0.3;
 /// A way keeps this from every solid beside the vehicle's radius, metres.
 const MARGIN_M: f32 = 0.05;
 /// Below this clearance a metre of the way counts as more, up to [`NARROW_FACTOR`] times more where it is narrowest.
@@ -45,7 +45,7 @@ impl ShortestWay {
             along_m.min(east_m - b.east_m[0]).min(b.east_m[1] - east_m)
         };
         let mut clearances_m = lattice.values(to_bounds_m);
-        for solid in course.solids().iter().filter(|s| in_the_way(course, s)) {
+        for solid in course.plan_solids(HALF_BAND_M).iter().filter(|s| in_the_way(course, s)) {
             // Beyond `WIDE_M`, and a cell more for rounding, a solid changes nothing.
             lattice.near(solid, WIDE_M + CELL_M, |cell, distance_m| {
                 let clearance_m = &mut clearances_m[lattice.number(cell)];

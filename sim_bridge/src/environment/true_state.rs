@@ -1,6 +1,6 @@
 //! The true state: what an expert and a critic know of a flight while training, and no pilot in flight.
 
-use super::shortest_way::{ShortestWay, in_the_way};
+use super::shortest_way::{HALF_BAND_M, ShortestWay, in_the_way};
 use crate::vehicle::Truth;
 use crate::world::{Course, Mover, Solid, VEHICLE};
 use core::f32::consts::{PI, TAU};
@@ -142,7 +142,7 @@ pub struct TruePlan {
 impl TruePlan {
     /// Of a course.
     pub fn new(course: &Course) -> Self {
-        let solids = course.solids();
+        let solids = course.plan_solids(HALF_BAND_M);
         let tracks = course.movers.iter().filter(|m| in_the_way(course, &m.track()));
         Self {
             outlines: solids

@@ -20,14 +20,14 @@ pub struct FieldProblem {
     pub problem: String,
 }
 
-fn problem<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, FieldProblem> {
+pub(super) fn problem<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, FieldProblem> {
     Err(FieldProblem {
         field: field.into(),
         problem: problem.into(),
     })
 }
 
-fn coordinate(field: &str, value: f32) -> Result<(), FieldProblem> {
+pub(super) fn coordinate(field: &str, value: f32) -> Result<(), FieldProblem> {
     if value.is_finite() && value.abs() <= MAX_COORDINATE_M {
         return Ok(());
     }
@@ -37,7 +37,7 @@ fn coordinate(field: &str, value: f32) -> Result<(), FieldProblem> {
     )
 }
 
-fn angle(field: &str, value: f32) -> Result<(), FieldProblem> {
+pub(super) fn angle(field: &str, value: f32) -> Result<(), FieldProblem> {
     if value.is_finite() && value.abs() <= 360.0 {
         return Ok(());
     }
@@ -105,6 +105,7 @@ impl Course {
             ("box", self.boxes.len()),
             ("wall", self.walls.len()),
             ("overhang", self.overhangs.len()),
+            ("mesh", self.meshes.len()),
             ("mover", self.movers.len()),
         ];
         let count: usize = lists.iter().map(|(_, n)| n).sum();
@@ -158,6 +159,8 @@ impl Course {
                 );
             }
         }
+        let mut meshes = self.meshes.iter().enumerate();
+        meshes.try_for_each(|(i, m)| m.check(i, &self.bounds))?;
         self.movers.iter().enumerate().try_for_each(|(i, m)| m.check(i))
     }
 
@@ -200,6 +203,20 @@ impl Course {
                             format!("covers the {name} at [{north_m}, {east_m}]; move one of them"),
                         );
                     }
+                }
+            }
+        }
+        for (i, mesh) in self.meshes.iter().enumerate() {
+            for (name, north_m, east_m) in places {
+                if mesh.covers(north_m, east_m, top_m) {
+                    let reach_m = VEHICLE.radius_m;
+                    return problem(
+                        format!("mesh[{i}]"),
+                        format!(
+                            "is nearer to the {name} at [{north_m}, {east_m}] than the vehicle's radius of {reach_m} m, \
+                             below {top_m} m; move one of them"
+                        ),
+                    );
                 }
             }
         }

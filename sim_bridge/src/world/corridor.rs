@@ -221,7 +221,7 @@ impl Grid {
 
 /// Whether a solid reaches into the band of heights that a vehicle at flight height needs.
 pub(crate) fn in_the_way(course: &Course, solid: &Solid) -> bool {
-    let reach_m = 0.5 * VEHICLE.height_m + course.corridor_margin_m();
+    let reach_m = course.corridor_reach_m();
     solid.bottom_m() < course.flight_height_m + reach_m && solid.top_m() > course.flight_height_m - reach_m
 }
 
@@ -256,11 +256,16 @@ impl Course {
         }
     }
 
+    /// How far above and below the flight height a corridor is free.
+    pub fn corridor_reach_m(&self) -> f32 {
+        0.5 * VEHICLE.height_m + self.corridor_margin_m()
+    }
+
     /// A way from start to goal at flight height as `[north, east]` points, along which the vehicle's solid keeps
     /// [`Course::corridor_margin_m`] from every obstacle that stands still (and from the ceiling); `None` if the search finds
     /// none. Movers are the matter of [`Course::earliest_arrival_s`].
     pub fn corridor(&self) -> Option<Vec<[f32; 2]>> {
-        let solids = self.solids();
+        let solids = self.plan_solids(self.corridor_reach_m());
         let (grid, ends) = self.corridor_grid(&solids)?;
         let [start, goal] = ends;
         let cells = grid.search(grid.lattice.nearest(start), grid.lattice.nearest(goal))?;
@@ -272,7 +277,8 @@ impl Course {
 
     /// Whether there is a [`corridor`](Self::corridor).
     pub(crate) fn has_corridor(&self) -> bool {
-        self.corridor_grid(&self.solids()).is_some_and(|(mut grid, ends)| {
+        let solids = self.plan_solids(self.corridor_reach_m());
+        self.corridor_grid(&solids).is_some_and(|(mut grid, ends)| {
             let [start, goal] = ends.map(|end| grid.lattice.nearest(end));
             grid.joins(start, goal)
         })
@@ -280,7 +286,7 @@ impl Course {
 
     /// The grid of a corridor, and its start and goal; none where the height allows none.
     fn corridor_grid(&self, solids: &[Solid]) -> Option<(Grid, [[f32; 2]; 2])> {
-        let reach_m = 0.5 * VEHICLE.height_m + self.corridor_margin_m();
+        let reach_m = self.corridor_reach_m();
         let top_m = self
             .ceiling_height_m
             .map_or(self.bounds.top_m, |c| c.min(self.bounds.top_m));
@@ -320,7 +326,7 @@ impl Course {
         let height_m = self.flight_height_m;
         let half_m = 0.5 * VEHICLE.height_m;
         let hit: Vec<Solid> = self
-            .solids()
+            .plan_solids(half_m)
             .into_iter()
             .filter(|s| s.bottom_m() < height_m + half_m && s.top_m() > height_m - half_m)
             .collect();

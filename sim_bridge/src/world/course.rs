@@ -1,5 +1,6 @@
 //! A course: what stands where, where to start, where to go, and what counts.
 
+use crate::world::mesh::Mesh;
 use crate::world::mover::Mover;
 use crate::world::solid::{Solid, radians};
 use serde::{Deserialize, Serialize};
@@ -54,6 +55,9 @@ pub struct Course {
     /// Boxes whose lower face is above the ground: beams, lintels, low roofs.
     #[serde(default, rename = "overhang", skip_serializing_if = "Vec::is_empty")]
     pub overhangs: Vec<Overhang>,
+    /// Surfaces from files.
+    #[serde(default, rename = "mesh", skip_serializing_if = "Vec::is_empty")]
+    pub meshes: Vec<Mesh>,
     /// Columns and boxes that go to and fro.
     #[serde(default, rename = "mover", skip_serializing_if = "Vec::is_empty")]
     pub movers: Vec<Mover>,
@@ -295,7 +299,7 @@ impl Overhang {
 
 impl Course {
     /// All obstacles that stand still as geometry, in the order columns, boxes, walls, overhangs. Ground and ceiling are not
-    /// among them; movers are in [`Course::movers`].
+    /// among them; movers are in [`Course::movers`], surfaces in [`Course::meshes`].
     pub fn solids(&self) -> Vec<Solid> {
         let columns = self.columns.iter().map(Column::solid);
         let boxes = self.boxes.iter().map(BoxObstacle::solid);
@@ -310,6 +314,7 @@ impl Course {
         self.boxes.clear();
         self.walls.clear();
         self.overhangs.clear();
+        self.meshes.clear();
         self.movers.clear();
     }
 

@@ -46,7 +46,7 @@ pub enum CourseError {
 }
 
 impl Course {
-    /// Reads a course from TOML text and checks it; `file_name` is for messages.
+    /// Reads a course from TOML text and checks it; `file_name` is for messages, and meshes are looked for beside it.
     ///
     /// # Errors
     /// [`CourseError::Invalid`] with line and field.
@@ -59,14 +59,27 @@ impl Course {
         };
         let root = DeTable::parse(text)
             .map_err(|e| invalid(e.span().map_or(0, |s| s.start), String::new(), e.message().trim()))?;
-        let course: Self = toml::from_str(text).map_err(|e| {
+        let mut course: Self = toml::from_str(text).map_err(|e| {
             let at = e.span().map_or(0, |s| s.start);
             invalid(at, field_at(root.get_ref(), at), e.message().trim())
         })?;
+        let folder = Path::new(file_name).parent().unwrap_or(Path::new(""));
         course
-            .check()
+            .read_meshes(folder)
+            .and_then(|()| course.check())
             .map_err(|FieldProblem { field, problem }| invalid(offset_of(root.get_ref(), &field), field, &problem))?;
         Ok(course)
+    }
+
+    fn read_meshes(&mut self, folder: &Path) -> Result<(), FieldProblem> {
+        for (i, mesh) in self.meshes.iter_mut().enumerate() {
+            mesh.check_values(i)?;
+            mesh.read(folder).map_err(|error| FieldProblem {
+                field: format!("mesh[{i}].file"),
+                problem: error.to_string(),
+            })?;
+        }
+        Ok(())
     }
 
     /// Reads and checks a course file.

@@ -15,6 +15,7 @@ mod course_file;
 mod draw;
 mod generate;
 mod lidar;
+mod mesh;
 mod mover;
 mod referee;
 mod solid;
@@ -36,6 +37,7 @@ pub use lidar::{
     ZONE_FOV_RAD, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor, beam_direction_frd, pixel_of,
     ring_row, split_mix,
 };
+pub use mesh::{MAX_TRIANGLES, Mesh, MeshError, Up};
 pub use mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee};
 pub use solid::Solid;

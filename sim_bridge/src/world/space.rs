@@ -1,6 +1,7 @@
 //! A course as a world that can be touched and looked at.
 
 use crate::world::course::Course;
+use crate::world::mesh::Surface;
 use crate::world::mover::Mover;
 use crate::world::solid::{Solid, UPRIGHT};
 use crate::world::vehicle::VehicleSolid;
@@ -9,6 +10,7 @@ use parry3d::bounding_volume::Aabb;
 use parry3d::partitioning::{Bvh, BvhBuildStrategy};
 use parry3d::query::intersection_test;
 use parry3d::shape::{Cylinder, SharedShape};
+use std::sync::Arc;
 use vigil_types::{Attitude, Nanos, NedVector};
 
 /// The obstacles of a course with the shapes and the tree that collision and single rays share, at one time.
@@ -20,6 +22,7 @@ pub struct World {
     fastest_mover_m_s: f32,
     shapes: Vec<(Pose3, SharedShape)>,
     bvh: Bvh,
+    surfaces: Vec<Arc<Surface>>,
     ceiling_height_m: Option<f32>,
 }
 
@@ -54,6 +57,7 @@ impl World {
             movers,
             now_ns: 0,
             bvh: Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes),
+            surfaces: course.meshes.iter().filter_map(|m| m.surface().cloned()).collect(),
             ceiling_height_m: course.ceiling_height_m,
         }
     }
@@ -92,6 +96,10 @@ impl World {
         &self.bvh
     }
 
+    pub(crate) fn surfaces(&self) -> &[Arc<Surface>] {
+        &self.surfaces
+    }
+
     /// Whether the vehicle's solid at this pose touches an obstacle or the ceiling, with the movers where they are at `at_ns`. The ground
     /// is not asked: whether touching it is a landing or a crash depends on the motion ([`Referee`](crate::world::Referee)). Exact
     /// within a centimetre.
@@ -113,7 +121,7 @@ impl World {
         let around = Vec3::splat(vehicle.bounding_radius_m());
         let centre = pose.translation;
         let reach = Aabb::new(centre - around, centre + around);
-        self.bvh.intersect_aabb(&reach).any(|leaf| {
+        let touches_solid = self.bvh.intersect_aabb(&reach).any(|leaf| {
             let (mut other_pose, ref other) = self.shapes[leaf as usize];
             if let Some(mover) = self.mover(leaf as usize) {
                 let c = mover.solid_at(at_ns).centre_ned_m();
@@ -121,7 +129,8 @@ impl World {
             }
             // Every pair of cylinder and cuboid is supported; were one not, calling it a collision is the safe answer.
             intersection_test(&pose, &shape, &other_pose, &**other).map_or(true, |found| found.intersecting)
-        })
+        });
+        touches_solid || self.surfaces.iter().any(|s| s.touches(&pose, &shape, &reach))
     }
 
     /// Distance from a point to the nearest obstacle or to the ceiling, whichever is nearer; infinite in an empty world. The
@@ -135,8 +144,10 @@ impl World {
         let ceiling_m = self
             .ceiling_height_m
             .map_or(f32::INFINITY, |c| (c + point_ned_m.z).max(0.0));
+        let surfaces = self.surfaces.iter().map(|s| s.distance_m(point_ned_m));
         self.solids_at(at_ns)
             .map(|s| s.distance_m(point_ned_m))
+            .chain(surfaces)
             .fold(ceiling_m, f32::min)
     }
 

@@ -6,7 +6,7 @@ use anyhow::{Result, ensure};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_log::Scene;
-use vigil_sim::world::{Course, Image};
+use vigil_sim::world::{Course, Image, Mesh};
 use vigil_sim::{CourseChoice, Models, SimConfig, Simulator, Start};
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame};
 
@@ -177,7 +177,7 @@ fn check(files: &[PathBuf]) -> ExitCode {
     let mut code = ExitCode::SUCCESS;
     for file in files {
         match obstacles_of(file) {
-            Ok(obstacles) => say!("{}: ok, {obstacles} obstacles", file.display()),
+            Ok(found) => say!("{}: ok, {found}", file.display()),
             Err(fault) => {
                 say!("{fault}");
                 code = ExitCode::from(output::EXIT_DIFFERS);
@@ -187,8 +187,8 @@ fn check(files: &[PathBuf]) -> ExitCode {
     code
 }
 
-/// How many obstacles a course has that is as it should be.
-fn obstacles_of(file: &Path) -> Result<usize> {
+/// What a course has that is as it should be.
+fn obstacles_of(file: &Path) -> Result<String> {
     let course = Course::load(file)?;
     ensure!(
         course.corridor().is_some(),
@@ -200,7 +200,11 @@ fn obstacles_of(file: &Path) -> Result<usize> {
         "{}: the movers leave no time to get to the goal",
         file.display()
     );
-    Ok(course.solids().len() + course.movers.len())
+    let mut found = format!("{} obstacles", course.solids().len() + course.movers.len());
+    for (triangles, open_edges) in course.meshes.iter().filter_map(Mesh::triangles_and_open_edges) {
+        found += &format!(", a mesh of {triangles} triangles with {open_edges} open edges");
+    }
+    Ok(found)
 }
 
 fn write_png(image: &Image, path: &Path) -> Result<()> {

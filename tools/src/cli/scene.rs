@@ -1,4 +1,4 @@
-//! A course's obstacles in the form that the flight log shows.
+//! A course's obstacles in the form that the flight log shows: a mesh where it crosses the heights that a corridor needs.
 
 use vigil_log::{Scene, SceneSolid};
 use vigil_sim::world::{Course, Solid};
@@ -6,7 +6,8 @@ use vigil_sim::world::{Course, Solid};
 /// The obstacles for display in the log; movers stand where they are at time zero.
 pub fn of(course: &Course) -> Scene {
     let movers = course.movers.iter().map(|m| m.solid_at(0));
-    of_solids(course.solids().into_iter().chain(movers))
+    let standing = course.plan_solids(course.corridor_reach_m());
+    of_solids(standing.into_iter().chain(movers))
 }
 
 /// Any solids in that form.

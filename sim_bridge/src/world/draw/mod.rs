@@ -44,6 +44,7 @@ const TALL: Rgb888 = Rgb888::new(92, 68, 58);
 const TALL_M: f32 = 4.0;
 const OVERHANG: Rgb888 = Rgb888::new(128, 96, 168);
 const MOVER: Rgb888 = Rgb888::new(226, 88, 120);
+const MESH: Rgb888 = Rgb888::new(88, 124, 128);
 const UNKNOWN_PATHS: [Rgb888; 4] = [
     Rgb888::new(24, 118, 210),
     Rgb888::new(0, 140, 136),
@@ -342,6 +343,14 @@ fn draw_solid(layer: &mut Layer, view: &View, solid: &Solid, colour: Rgb888, out
 
 fn draw_obstacles(canvas: &mut Canvas, view: &View, course: &Course) {
     canvas.layer(1.0, |layer| {
+        // As the corridor has them: where they are at the heights that it needs.
+        for c in course
+            .mesh_boxes(course.corridor_reach_m())
+            .iter()
+            .filter_map(|b| corners(view, b))
+        {
+            quadrangle(layer, c, MESH);
+        }
         let standing = course.columns.len() + course.boxes.len() + course.walls.len();
         for solid in &course.solids()[..standing] {
             draw_solid(layer, view, solid, shade(solid.top_m()), INK);

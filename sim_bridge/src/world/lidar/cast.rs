@@ -5,6 +5,7 @@ use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, MISS, Ray, inverse, lesser, pl
 use super::scene::Scene;
 use super::simd::{Simd, vectorised};
 use super::tiles::{TILE_FIRINGS, Tiles};
+use super::triangles::{Looks, ray_range_m};
 use crate::world::World;
 use glamx::Vec3;
 use vigil_types::NedVector;
@@ -45,7 +46,11 @@ pub(crate) fn cast_ray(world: &World, sensor_ned_m: NedVector, scene: &Scene, di
             let t = scene.leaves[leaf as usize].range_m(&ray);
             (t < nearest).then_some(t)
         });
-    hit.map_or(nearest_plane, |(_, t)| lesser(t, nearest_plane))
+    let nearest = hit.map_or(nearest_plane, |(_, t)| lesser(t, nearest_plane));
+    let surfaces = scene.surfaces.iter();
+    surfaces.fold(nearest, |nearest, surface| {
+        ray_range_m(surface, scene.sensor_ned_m, direction, nearest)
+    })
 }
 
 /// A beam whose direction is less far down than this looks up.
@@ -57,6 +62,7 @@ pub(crate) struct TileCaster {
     cuboids: Vec<(CuboidLeaf, u64)>,
     cylinders: Vec<(CylinderLeaf, u64)>,
     strip: Box<[Rays; LIDAR_RINGS]>,
+    looks: Looks,
 }
 
 impl TileCaster {
@@ -66,6 +72,7 @@ impl TileCaster {
             cuboids: Vec::new(),
             cylinders: Vec::new(),
             strip: Box::new([Rays::default(); LIDAR_RINGS]),
+            looks: Looks::new(every),
         }
     }
 
@@ -76,10 +83,11 @@ impl TileCaster {
 
 /// The rays of a strip's ring, field by field, so that vector code loads them without shuffling, and their ranges.
 #[derive(Clone, Copy, Default)]
-struct Rays {
-    range_m: [f32; TILE_FIRINGS],
-    x: [f32; TILE_FIRINGS],
-    y: [f32; TILE_FIRINGS],
+pub(super) struct Rays {
+    pub(super) range_m: [f32; TILE_FIRINGS],
+    pub(super) x: [f32; TILE_FIRINGS],
+    pub(super) y: [f32; TILE_FIRINGS],
+    pub(super) z: [f32; TILE_FIRINGS],
     inverse_z: [f32; TILE_FIRINGS],
     plan2: [f32; TILE_FIRINGS],
     inverse_plan2: [f32; TILE_FIRINGS],
@@ -130,6 +138,7 @@ fn cast_strips_body(caster: &mut TileCaster, scene: &Scene, beams: &BeamTable, r
         cuboids,
         cylinders,
         strip,
+        looks,
     } = caster;
     tiles.sort(scene);
     for number in 0..tiles.strips {
@@ -158,6 +167,9 @@ fn cast_strips_body(caster: &mut TileCaster, scene: &Scene, beams: &BeamTable, r
         for (leaf, rings) in cylinders.iter().copied() {
             shorten(strip, rings, leaf.nearest_m, |ray| leaf.range_m(ray));
         }
+        if !scene.surfaces.is_empty() {
+            looks.shorten(scene, number, strip);
+        }
         for (rays, ring) in strip
             .iter()
             .zip(ranges.chunks_exact_mut(beams.firings))
@@ -175,11 +187,11 @@ fn begin_strip(scene: &Scene, beams: &BeamTable, first: usize, seen: u64, strip:
     let cos_bearing: &[f32; TILE_FIRINGS] = beams.cos_bearing[first..].first_chunk().expect("a whole strip");
     for (ring, rays) in strip[..beams.rings].iter_mut().enumerate() {
         let (sin_elevation, cos_elevation) = (beams.sin_elevation[ring], beams.cos_elevation[ring]);
-        let mut z = [0.0; TILE_FIRINGS];
-        for (k, z) in z.iter_mut().enumerate() {
-            let rotation = &scene.rotation;
-            (rays.x[k], rays.y[k], *z) = rotation.beam(sin_elevation, cos_elevation, sin_bearing[k], cos_bearing[k]);
+        for k in 0..TILE_FIRINGS {
+            (rays.x[k], rays.y[k], rays.z[k]) =
+                (scene.rotation).beam(sin_elevation, cos_elevation, sin_bearing[k], cos_bearing[k]);
         }
+        let z = rays.z;
         let is_empty = seen >> ring & 1 == 0;
         if is_empty && scene.is_open_above() && z.iter().fold(true, |all, z| all & (*z < LOOKS_UP)) {
             rays.range_m = [MISS; TILE_FIRINGS];

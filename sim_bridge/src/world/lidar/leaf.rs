@@ -16,7 +16,7 @@ pub(crate) fn lesser(a: f32, b: f32) -> f32 {
 }
 
 #[inline(always)]
-fn greater(a: f32, b: f32) -> f32 {
+pub(crate) fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 

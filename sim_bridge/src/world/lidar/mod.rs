@@ -8,6 +8,7 @@ mod noise;
 mod scene;
 mod simd;
 mod tiles;
+mod triangles;
 mod zones;
 
 pub use beams::{LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, beam_direction_frd, pixel_of, ring_row};

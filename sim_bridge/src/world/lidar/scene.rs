@@ -2,6 +2,8 @@
 
 use super::leaf::{Leaf, Rotation, lesser, plane_range_m};
 use crate::world::World;
+use crate::world::mesh::Surface;
+use std::sync::Arc;
 use vigil_types::{Attitude, NedVector};
 
 /// What the sensor sees, relative to it.
@@ -12,6 +14,8 @@ pub(crate) struct Scene {
     pub(crate) leaves: Vec<Leaf>,
     /// Their numbers, the nearest first.
     pub(crate) nearest_first: Vec<u32>,
+    pub(crate) surfaces: Vec<Arc<Surface>>,
+    pub(crate) sensor_ned_m: [f32; 3],
 }
 
 impl Scene {
@@ -21,6 +25,8 @@ impl Scene {
             planes_z_m: [f32::INFINITY, f32::NEG_INFINITY],
             leaves: Vec::new(),
             nearest_first: Vec::new(),
+            surfaces: Vec::new(),
+            sensor_ned_m: [0.0; 3],
         }
     }
 
@@ -39,6 +45,9 @@ impl Scene {
         let nearest_m = |number: &u32| self.leaves[*number as usize].nearest_m();
         self.nearest_first
             .sort_unstable_by(|a, b| nearest_m(a).total_cmp(&nearest_m(b)));
+        self.surfaces.clear();
+        self.surfaces.extend_from_slice(world.surfaces());
+        self.sensor_ned_m = sensor_ned_m.to_array();
     }
 
     /// Whether a beam that looks up meets no plane.
