@@ -123,7 +123,8 @@ fn mesh_fast(bencher: Bencher, mesh: &str) {
     bench_world(bencher, &World::new(&course), Method::Fast);
 }
 
-/// The library's own casting against the same triangles, along the same beams.
+/// The library's own casting against the same triangles, along the same beams. Our builds do not optimise it: for a fair figure
+/// `--config 'profile.release.package.parry3d.opt-level=3'`.
 #[divan::bench(args = MESHES)]
 fn mesh_parry(bencher: Bencher, mesh: &str) {
     let triangles = triangles(mesh);
