@@ -505,10 +505,11 @@ impl Guarding {
         // A start out of a hold that sways, or on an estimate that wanders, turns towards the place.
         let turns = way.is_some_and(|way| wrap_pi(libm::atan2f(way.y, way.x) - course_rad).abs() < TURNS_RAD);
         let along_m = |from, velocity| self.lookout.obstacle_ahead_m(from, velocity, reach_m, aside);
-        // In a turn the course sweeps over what stands beside the way: it is no course that is flown.
-        let turned = way.and_then(|way| self.turned(kinematics, way));
-        let ahead_m = along_m(here, velocity)
-            .filter(|_| turned.is_none_or(|(there, velocity)| along_m(there, velocity).is_some()));
+        let ahead_m = along_m(here, velocity).filter(|_| {
+            // In a turn the course sweeps over what stands beside the way: it is no course that is flown.
+            let turned = way.and_then(|way| self.turned(kinematics, way));
+            turned.is_none_or(|(there, velocity)| along_m(there, velocity).is_some())
+        });
         // Behind a corner the mission gains speed anew.
         let then_m = if turns { on_the_way_m(reach_m) } else { start_obstacle_m };
         Course {

@@ -22,6 +22,15 @@ fn obj(scale: f32) -> String {
     format!("v {}\nf 1 2 3 4\n", corners.join("\nv "))
 }
 
+/// A folder with the surface in metres and in millimetres.
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (name, scale) in [("m.obj", 1.0), ("mm.obj", 1000.0)] {
+        std::fs::write(folder.path().join(name), obj(scale)).expect("written");
+    }
+    folder
+}
+
 fn stl() -> Vec<u8> {
     let mut bytes = vec![0; 80];
     bytes.extend(2_u32.to_le_bytes());
@@ -35,10 +44,8 @@ fn stl() -> Vec<u8> {
 
 #[test]
 fn the_same_surface_stands_at_the_same_place_from_every_format() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder();
     let write = |name: &str, content: &[u8]| std::fs::write(folder.path().join(name), content).expect("written");
-    write("m.obj", obj(1.0).as_bytes());
-    write("mm.obj", obj(1000.0).as_bytes());
     write("m.stl", &stl());
     write("y.obj", b"v 1 0 -5\nv 2 0 -5\nv 2 3 -5\nv 1 3 -5\nf 1 2 3 4\n");
     for entry in [
@@ -66,10 +73,8 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
 
 #[test]
 fn what_cannot_be_used_is_refused_with_a_sentence() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder();
     let write = |name: &str, content: &[u8]| std::fs::write(folder.path().join(name), content).expect("written");
-    write("m.obj", obj(1.0).as_bytes());
-    write("mm.obj", obj(1000.0).as_bytes());
     write("points.obj", b"v 1 2 3\nv 2 3 4\n");
     write("nan.obj", obj(1.0).replace("v 2 5 3", "v 2 nan 3").as_bytes());
     write("prose.stl", b"this is not a mesh at all");

@@ -257,7 +257,7 @@ impl Course {
     }
 
     /// How far above and below the flight height a corridor is free.
-    pub fn corridor_reach_m(&self) -> f32 {
+    pub(crate) fn corridor_reach_m(&self) -> f32 {
         0.5 * VEHICLE.height_m + self.corridor_margin_m()
     }
 
@@ -265,7 +265,7 @@ impl Course {
     /// [`Course::corridor_margin_m`] from every obstacle that stands still (and from the ceiling); `None` if the search finds
     /// none. Movers are the matter of [`Course::earliest_arrival_s`].
     pub fn corridor(&self) -> Option<Vec<[f32; 2]>> {
-        let solids = self.plan_solids(self.corridor_reach_m());
+        let solids = self.corridor_solids();
         let (grid, ends) = self.corridor_grid(&solids)?;
         let [start, goal] = ends;
         let cells = grid.search(grid.lattice.nearest(start), grid.lattice.nearest(goal))?;
@@ -277,11 +277,11 @@ impl Course {
 
     /// Whether there is a [`corridor`](Self::corridor).
     pub(crate) fn has_corridor(&self) -> bool {
-        let solids = self.plan_solids(self.corridor_reach_m());
-        self.corridor_grid(&solids).is_some_and(|(mut grid, ends)| {
-            let [start, goal] = ends.map(|end| grid.lattice.nearest(end));
-            grid.joins(start, goal)
-        })
+        self.corridor_grid(&self.corridor_solids())
+            .is_some_and(|(mut grid, ends)| {
+                let [start, goal] = ends.map(|end| grid.lattice.nearest(end));
+                grid.joins(start, goal)
+            })
     }
 
     /// The grid of a corridor, and its start and goal; none where the height allows none.

@@ -67,7 +67,7 @@ impl Course {
     /// waits, knows every mover's way, and keeps [`Course::corridor_margin_m`] from everything, movers included; `None` if that
     /// takes longer than the time limit. So a course for which this is `Some` can be flown, whatever its movers do.
     pub fn earliest_arrival_s(&self, depart_s: f32) -> Option<f32> {
-        let grid = Grid::new(self, &self.plan_solids(self.corridor_reach_m()));
+        let grid = Grid::new(self, &self.corridor_solids());
         let (start, goal) = (
             grid.lattice.nearest([self.start.north_m, self.start.east_m]),
             grid.lattice.nearest([self.goal.north_m, self.goal.east_m]),

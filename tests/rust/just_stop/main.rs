@@ -93,7 +93,7 @@ fn away_m(from_ned_m: NedVector, column: &Column) -> f32 {
 }
 
 /// The vehicle never tells where its local origin is on the globe, nor what it brakes with.
-fn keep_from(told: &mut Datagrams) {
+fn keep_origin_and_parameters_from(told: &mut Datagrams) {
     let mut kept = Datagrams::default();
     for (link, datagram) in told.iter() {
         let mut counters = FramingCounters::default();
@@ -168,9 +168,10 @@ fn fly_as(vehicle: VehicleParams, course: Course, seed: u64, duty: Duty, plan: &
             pair.simulator.receive(0, &(plan.command)(&simulation));
         }
         pair.simulate();
-        // The simulated autopilot speaks as PX4 does. An ArduCopter is told no place and brakes by its mode: so is one without an origin.
+        // The simulated autopilot speaks as PX4 does. An ArduCopter is told no place and brakes by its mode, by
+        // no parameter: so is one without either.
         if vehicle.control.hold == HoldLaw::Brake {
-            keep_from(&mut pair.to_firmware);
+            keep_origin_and_parameters_from(&mut pair.to_firmware);
         }
         let report = pair.decide(step % plan.frame_every == 0);
         assert!(

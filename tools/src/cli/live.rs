@@ -32,7 +32,7 @@ pub struct Live {
 impl Live {
     /// For a terminal of so many columns.
     pub fn new(title: String, course: &Course, threshold: Option<f32>, columns: usize) -> Self {
-        let solids = course.plan_solids(course.corridor_reach_m());
+        let solids = course.corridor_solids();
         let goal_ned_m = course.goal_ned_m();
         let mut low = (goal_ned_m.x.min(0.0), goal_ned_m.y.min(0.0));
         let mut high = (goal_ned_m.x.max(0.0), goal_ned_m.y.max(0.0));

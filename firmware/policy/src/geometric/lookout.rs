@@ -15,6 +15,12 @@ const PASSES_M: f32 = 2.0 * CELL_M;
 /// The course is looked at this often, metres: no cell is passed over.
 const LOOK_EVERY_M: f32 = CELL_M / 2.0;
 
+/// The velocity of an estimate that drifts is off by so much, metres per second, and its course by no more than the angle, radians.
+const DRIFTS_M_S: f32 = 0.4;
+const DRIFTS_RAD: f32 = 0.25;
+/// Slower than this a vehicle is on no course, metres per second.
+const SLOWEST_M_S: f32 = 0.1;
+
 /// A course may lie so far aside of the reported one, to both sides: more is kept clear of what is farther ahead.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Aside {
@@ -32,7 +38,7 @@ impl Aside {
     /// seconds as it begins to move, its heading by 3° (docs/foreign-vehicles.md).
     pub fn drifts(speed_m_s: f32) -> Self {
         Self {
-            rad: (0.4 / speed_m_s.max(0.1)).clamp(Self::TURNS.rad, 0.25),
+            rad: (DRIFTS_M_S / speed_m_s.max(SLOWEST_M_S)).clamp(Self::TURNS.rad, DRIFTS_RAD),
             most_m: 1.0,
         }
     }

@@ -90,7 +90,7 @@ fn span(polygon: &Polygon, axis: usize) -> (f32, f32) {
 impl Course {
     /// The course's meshes as whoever searches a way in the plan view has them: boxes over the squares of 10 cm that they cross no farther than
     /// this above and below the flight height.
-    pub fn mesh_boxes(&self, half_band_m: f32) -> Vec<Solid> {
+    pub(crate) fn mesh_boxes(&self, half_band_m: f32) -> Vec<Solid> {
         let (low_m, high_m) = (self.flight_height_m - half_band_m, self.flight_height_m + half_band_m);
         let surfaces = self.meshes.iter().filter_map(|mesh| mesh.surface());
         surfaces
@@ -98,8 +98,13 @@ impl Course {
             .collect()
     }
 
+    /// What stands in the plan view of a corridor.
+    pub fn corridor_solids(&self) -> Vec<Solid> {
+        self.plan_solids(self.corridor_reach_m())
+    }
+
     /// [`solids`](Self::solids), then [`mesh_boxes`](Self::mesh_boxes).
-    pub fn plan_solids(&self, half_band_m: f32) -> Vec<Solid> {
+    pub(crate) fn plan_solids(&self, half_band_m: f32) -> Vec<Solid> {
         let mut solids = self.solids();
         solids.extend(self.mesh_boxes(half_band_m));
         solids
