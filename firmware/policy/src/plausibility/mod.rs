@@ -18,7 +18,7 @@ use self::drift::{DOWN_M, Errors, MountReadings, Pair, TURN, WIDENING, allowed_d
 use self::motion::{MOST_COST, Map, Pose, cost, look, look_widened, samples};
 use self::odometry::Odometry;
 use self::parallax::Parallax;
-use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen};
+use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen, Sides};
 use self::regions::Regions;
 use self::shadow::Shadow;
 use self::silence::SilentSide;
@@ -316,7 +316,7 @@ impl Default for PlausibilityCheck {
 /// What [`PlausibilityCheck::smooth_share`] would be of this frame: for those who look at a sensor before it flies. A frame of any header.
 pub fn smooth_share_of(frame: &DepthFrame) -> Option<f32> {
     let mut picture = Picture::EMPTY;
-    picture.take(frame).smooth_share()
+    picture.take(frame, &mut Sides::default()).smooth_share()
 }
 
 impl PlausibilityCheck {
@@ -414,9 +414,9 @@ impl PlausibilityCheck {
     /// what needs none of it is then looked at.
     pub fn check(&mut self, frame: &DepthFrame, telemetry: &VehicleTelemetry) -> Reasons {
         self.step = self.step.wrapping_add(1);
-        self.note_regions(frame);
         core::mem::swap(&mut self.picture, &mut self.before);
-        self.counts = self.picture.take(self.regions.restored().unwrap_or(frame));
+        self.counts = self.picture.take(frame, &mut self.regions.sides);
+        self.note_regions(frame);
         let armed = telemetry.heartbeat.is_some_and(|h| h.armed);
         let known = if telemetry.is_finite() {
             telemetry.kinematics.zip(telemetry.attitude)
@@ -495,6 +495,9 @@ impl PlausibilityCheck {
             self.forget_motion();
             self.raised = self.raised.filter(|raised| raised.stays);
             (self.shadow, self.parallax) = (Shadow::default(), Parallax::default());
+        }
+        if let Some(counts) = self.regions.take_restored(&mut self.picture) {
+            self.counts = counts;
         }
     }
 

@@ -1,6 +1,6 @@
 //! A depth frame reduced to cells of 4 × 4 pixels: what two frames are compared by.
 
-use super::{PART, PART_COLS};
+use super::PART;
 use crate::{larger, smaller};
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrdVector, HORIZONTAL_FOV_RAD, PIXEL_PITCH_RAD,
@@ -155,27 +155,33 @@ impl CellCounts {
     }
 }
 
-/// Cells of a band in which ranges go to and fro, by parts.
-fn ragged_cells(band: &[f32; SIDE * DEPTH_COLS]) -> [u8; PART_COLS] {
-    let (mut limits, mut more) = ([0.0_f32; COLS], [0.0_f32; COLS]);
-    // Every second row is a ring of the LiDAR, those between lie between.
-    for row in band.as_chunks::<DEPTH_COLS>().0.iter().step_by(2) {
-        for ((limit, more), [a, b, c, d]) in limits.iter_mut().zip(&mut more).zip(row.as_chunks::<SIDE>().0) {
-            *limit += RAGGED_PART / SIDE as f32 * (a + b + c + d) + RAGGED_M / DEPTH_FULL_SCALE_M;
-            *more += (a - b).abs() + (b - c).abs() + (c - d).abs() - (a - d).abs();
+/// What is shown farther away than this, of the image's range, has no sides: 60 m.
+const FAR: f32 = 0.6;
+
+/// The means of the cells that show a surface, and of their outermost rows and columns, metres; not a number where none is shown.
+#[derive(Debug, Clone)]
+pub(super) struct Sides {
+    pub(super) mean_m: [[f32; COLS]; ROWS],
+    pub(super) top_m: [[f32; COLS]; ROWS],
+    pub(super) bottom_m: [[f32; COLS]; ROWS],
+    pub(super) left_m: [[f32; COLS]; ROWS],
+    pub(super) right_m: [[f32; COLS]; ROWS],
+}
+
+impl Default for Sides {
+    fn default() -> Self {
+        const NONE: [[f32; COLS]; ROWS] = [[f32::NAN; COLS]; ROWS];
+        Self {
+            mean_m: NONE,
+            top_m: NONE,
+            bottom_m: NONE,
+            left_m: NONE,
+            right_m: NONE,
         }
     }
-    let cells = limits.as_chunks::<PART>().0.iter().zip(more.as_chunks::<PART>().0);
-    let mut parts = [0; PART_COLS];
-    for (part, (limits, more)) in parts.iter_mut().zip(cells) {
-        *part = more
-            .iter()
-            .zip(limits)
-            .map(|(more, limit)| u8::from(more > limit))
-            .sum();
-    }
-    parts
 }
+
+impl Sides {}
 
 /// A reduced frame.
 #[derive(Debug, Clone)]
@@ -187,53 +193,101 @@ pub(super) struct Picture {
 impl Picture {
     pub(super) const EMPTY: Self = Self { inverse: [-1.0; CELLS] };
 
-    /// Takes a frame; counts what is counts.
-    pub(super) fn take(&mut self, frame: &DepthFrame) -> CellCounts {
+    /// Takes a frame, and the sides of its cells; counts what is counts.
+    pub(super) fn take(&mut self, frame: &DepthFrame, sides: &mut Sides) -> CellCounts {
         let mut counts = CellCounts::default();
         let bands = frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
-        for bands in bands.as_chunks::<PART>().0 {
-            let mut ragged = [0; PART_COLS];
-            for cells in bands.iter().map(ragged_cells) {
-                ragged.iter_mut().zip(cells).for_each(|(sum, cells)| *sum += cells);
+        for (part, bands) in bands.as_chunks::<PART>().0.iter().enumerate() {
+            let mut ragged = [0; COLS];
+            for (row, band) in (part * PART..).zip(bands) {
+                self.take_row(row, band, sides, &mut counts, &mut ragged);
             }
-            counts.torn += ragged.iter().filter(|cells| **cells >= TORN_CELLS).count();
-        }
-        for (band, cells) in bands.iter().zip(self.inverse.as_chunks_mut::<COLS>().0) {
-            let (mut sum, mut low, mut high) = ([0.0_f32; DEPTH_COLS], [1.0_f32; DEPTH_COLS], [0.0_f32; DEPTH_COLS]);
-            let mut zero = [0.0_f32; DEPTH_COLS];
-            for row in band.as_chunks::<DEPTH_COLS>().0 {
-                let limits = low.iter_mut().zip(&mut high).zip(&mut zero);
-                for ((sum, ((low, high), zero)), v) in sum.iter_mut().zip(limits).zip(row) {
-                    *sum += v;
-                    *low = smaller(*low, *v);
-                    *high = larger(*high, *v);
-                    *zero += if *v <= 0.0 { 1.0 } else { 0.0 };
-                }
-            }
-            let holed = |zero: &[f32; SIDE]| zero.iter().sum::<f32>() > HOLES;
-            counts.holes += zero.as_chunks::<SIDE>().0.iter().filter(|zero| holed(zero)).count();
-            let sides = sum.as_chunks::<SIDE>().0.iter();
-            let limits = low.as_chunks::<SIDE>().0.iter().zip(high.as_chunks::<SIDE>().0);
-            for ((cell, sum), (low, high)) in cells.iter_mut().zip(sides).zip(limits) {
-                let mean_m = sum.iter().sum::<f32>() * (DEPTH_FULL_SCALE_M / (SIDE * SIDE) as f32);
-                let low = low.iter().fold(1.0, |a, b| smaller(a, *b));
-                let high = high.iter().fold(0.0, |a, b| larger(a, *b));
-                let spread_m = (high - low) * DEPTH_FULL_SCALE_M;
-                let smooth = low > 0.0 && high < 1.0 && spread_m <= SMOOTH_PART * mean_m + SMOOTH_M;
-                counts.seen += usize::from(low < 1.0);
-                counts.smooth += usize::from(smooth);
-                counts.zeros += usize::from(high <= 0.0);
-                counts.wild += usize::from(high < 1.0 && spread_m > WILD_M);
-                *cell = if low >= 1.0 {
-                    0.0
-                } else if smooth {
-                    1.0 / mean_m
-                } else {
-                    -1.0
-                };
-            }
+            let parts = ragged.as_chunks::<PART>().0.iter();
+            counts.torn += parts.filter(|cells| cells.iter().sum::<u8>() >= TORN_CELLS).count();
         }
         counts
+    }
+
+    /// Takes a row of cells; counts the cells of a column in which ranges go to and fro.
+    fn take_row(
+        &mut self,
+        row: usize,
+        band: &[f32; SIDE * DEPTH_COLS],
+        sides: &mut Sides,
+        counts: &mut CellCounts,
+        ragged: &mut [u8; COLS],
+    ) {
+        // [line][column of the cell][cell]: a vector is of cells.
+        let mut pixels = [[[0.0_f32; COLS]; SIDE]; SIDE];
+        for (to, line) in pixels.iter_mut().zip(band.as_chunks::<DEPTH_COLS>().0) {
+            let [a, b, c, d] = to;
+            for ((((a, b), c), d), cell) in a.iter_mut().zip(b).zip(c).zip(d).zip(line.as_chunks::<SIDE>().0) {
+                [*a, *b, *c, *d] = *cell;
+            }
+        }
+        let Sides {
+            mean_m,
+            top_m,
+            bottom_m,
+            left_m,
+            right_m,
+        } = sides;
+        let rows = [mean_m, top_m, bottom_m, left_m, right_m].map(|rows| rows.get_mut(row));
+        let ([Some(mean), Some(top), Some(bottom), Some(left), Some(right)], Some(inverse)) =
+            (rows, self.inverse.as_chunks_mut::<COLS>().0.get_mut(row))
+        else {
+            return;
+        };
+        let [mut seen, mut smooth, mut zeros, mut holes, mut wild] = [0_u32; 5];
+        // What is checked or branches is not vectorised: hence the wrapping sums, and `&`.
+        let note = |count: &mut u32, is: bool| *count = count.wrapping_add(u32::from(is));
+        for i in 0..COLS {
+            // All arrays have COLS items.
+            #[allow(clippy::indexing_slicing)]
+            {
+                let cell = pixels.each_ref().map(|line| line.each_ref().map(|column| column[i]));
+                let [first, second, third, last] = cell;
+                let add = |sum: [f32; SIDE], line: [f32; SIDE]| core::array::from_fn(|c| sum[c] + line[c]);
+                let [a, b, c, d] = add(add(add(first, second), third), last);
+                let all = cell.as_flattened().iter();
+                let low = all.clone().fold(1.0, |low, v| smaller(low, *v));
+                let high = all.clone().fold(0.0, |high, v| larger(high, *v));
+                let zero = all.fold(0.0, |zero, v| zero + if *v <= 0.0 { 1.0 } else { 0.0 });
+                let mean_m = (a + b + c + d) * (DEPTH_FULL_SCALE_M / (SIDE * SIDE) as f32);
+                let spread_m = (high - low) * DEPTH_FULL_SCALE_M;
+                let is_smooth = (low > 0.0) & (high < 1.0) & (spread_m <= SMOOTH_PART * mean_m + SMOOTH_M);
+                note(&mut seen, low < 1.0);
+                note(&mut smooth, is_smooth);
+                note(&mut zeros, high <= 0.0);
+                note(&mut holes, zero > HOLES);
+                note(&mut wild, (high < 1.0) & (spread_m > WILD_M));
+                let kept = if is_smooth { 1.0 / mean_m } else { -1.0 };
+                inverse[i] = if low >= 1.0 { 0.0 } else { kept };
+                // Metres, where the cell has sides.
+                let has_sides = is_smooth & (high < FAR);
+                let side = |sum: f32, of: usize| {
+                    if has_sides {
+                        sum * (DEPTH_FULL_SCALE_M / of as f32)
+                    } else {
+                        f32::NAN
+                    }
+                };
+                let line = |[a, b, c, d]: [f32; SIDE]| a + b + c + d;
+                mean[i] = side(a + b + c + d, SIDE * SIDE);
+                (left[i], right[i]) = (side(a, SIDE), side(d, SIDE));
+                (top[i], bottom[i]) = (side(line(first), SIDE), side(line(last), SIDE));
+                // Every second row is a ring of the LiDAR, those between lie between.
+                let more = |[a, b, c, d]: [f32; SIDE]| (a - b).abs() + (b - c).abs() + (c - d).abs() - (a - d).abs();
+                let may = |cells: [f32; SIDE]| RAGGED_PART / SIDE as f32 * line(cells) + RAGGED_M / DEPTH_FULL_SCALE_M;
+                let is_ragged = more(first) + more(third) > may(first) + may(third);
+                ragged[i] = ragged[i].wrapping_add(u8::from(is_ragged));
+            }
+        }
+        counts.seen += seen as usize;
+        counts.smooth += smooth as usize;
+        counts.zeros += zeros as usize;
+        counts.holes += holes as usize;
+        counts.wild += wild as usize;
     }
 
     /// Reciprocal ranges row by row, as they are kept: 0 without a return, negative if mixed.
@@ -338,7 +392,7 @@ mod tests {
         let mut picture = Picture::EMPTY;
         // An edge before something far away.
         frame.depth[24] = 0.6;
-        let counts = picture.take(&frame);
+        let counts = picture.take(&frame, &mut Sides::default());
         assert_eq!(counts.zeros, 1, "a single zero is noise, a cell of them is none");
         assert_eq!(counts.wild, 1, "and a hole is not far away");
         assert_eq!(picture.at(0), Seen::Mixed, "a zero");
@@ -349,7 +403,10 @@ mod tests {
         }
         assert!(matches!(picture.between(3.4, 10.7), Seen::Surface(m) if (m - 3.0).abs() < 1e-4));
         assert_eq!(picture.between(3.4, 30.5), Seen::Mixed);
-        assert_eq!(picture.take(&DepthFrame::EMPTY), CellCounts::default());
+        assert_eq!(
+            picture.take(&DepthFrame::EMPTY, &mut Sides::default()),
+            CellCounts::default()
+        );
         assert_eq!(picture.between(3.4, 30.5), Seen::Nothing);
     }
 
@@ -369,7 +426,7 @@ mod tests {
             }
         }
         let mut picture = Picture::EMPTY;
-        assert_eq!(picture.take(&frame).torn, 0);
+        assert_eq!(picture.take(&frame, &mut Sides::default()).torn, 0);
         for (top, left) in [(0, 0), (37, 91), (96, 224)] {
             let mut patched = frame.clone();
             for row in top..top + 32 {
@@ -379,7 +436,7 @@ mod tests {
                     *depth = (*depth + sign * 0.02).clamp(0.0, 1.0);
                 }
             }
-            let counts = picture.take(&patched);
+            let counts = picture.take(&patched, &mut Sides::default());
             assert!(counts.torn >= 1 && counts.smooth_share() == Some(0.0), "{counts:?}");
         }
     }

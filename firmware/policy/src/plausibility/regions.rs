@@ -6,8 +6,8 @@
 //! whatever range it is shown, and where it is by the vehicle's height and attitude: so a region that shows ground says itself by how much
 //! it was moved, and one beside it by what goes on across their common side. Of a region that neither reaches nothing is known.
 
-use super::picture::{CELLS, COLS, Directions, ROWS, SIDE, SMOOTH_M, SMOOTH_PART};
-use crate::{larger, smaller};
+use super::picture::{CELLS, COLS, CellCounts, Directions, Picture, ROWS, SIDE, Sides};
+use crate::smaller;
 use vigil_types::{Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DepthFrame, NedVector};
 
 /// What is shown farther away than this is no surface, metres.
@@ -50,52 +50,17 @@ const PASSES: usize = 6;
 const NEAREST_M: f32 = 0.3;
 const APART_M: f32 = 4.0;
 
-/// A cell: its mean and the means of its outermost rows and columns, metres; `None` where it shows no surface.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Sides {
-    mean_m: f32,
-    top_m: f32,
-    bottom_m: f32,
-    left_m: f32,
-    right_m: f32,
+/// How much farther away the second of two neighbouring cells is shown than the first's slope and its own make it, metres: of each the side
+/// before and the side behind. Not a number where one shows no surface.
+#[inline]
+fn step_m([before_a, behind_a]: [f32; 2], [before_b, behind_b]: [f32; 2]) -> f32 {
+    before_b - behind_a - 0.5 * (behind_a - before_a + (behind_b - before_b)) / (SIDE - 1) as f32
 }
 
-impl Sides {
-    /// The cell at a row and column of cells.
-    fn of(frame: &DepthFrame, row: usize, column: usize) -> Option<Self> {
-        let (mut sum, mut low, mut high) = (0.0, f32::INFINITY, 0.0_f32);
-        let (mut rows, mut columns) = ([0.0_f32; SIDE], [0.0_f32; SIDE]);
-        let lines = frame.depth.as_chunks::<DEPTH_COLS>().0.iter().skip(row * SIDE);
-        for (line, row_sum) in lines.zip(&mut rows) {
-            let pixels = line.as_chunks::<SIDE>().0.get(column)?;
-            for (pixel, column_sum) in pixels.iter().zip(&mut columns) {
-                let range_m = pixel * DEPTH_FULL_SCALE_M;
-                sum += range_m;
-                *row_sum += range_m;
-                *column_sum += range_m;
-                low = smaller(low, range_m);
-                high = larger(high, range_m);
-            }
-        }
-        let mean_m = sum / (SIDE * SIDE) as f32;
-        let [top, .., bottom] = rows.map(|sum| sum / SIDE as f32);
-        let [left, .., right] = columns.map(|sum| sum / SIDE as f32);
-        (low > 0.0 && high < FAR_M && high - low <= SMOOTH_PART * mean_m + SMOOTH_M).then_some(Self {
-            mean_m,
-            top_m: top,
-            bottom_m: bottom,
-            left_m: left,
-            right_m: right,
-        })
-    }
-}
-
-/// How much farther away the second of two neighbouring cells is shown than the first's slope and its own make it: from the first's side
-/// to the second's, and what both rise within; metres. And whether that is a jump.
-fn step_m(sides: [f32; 2], rises: [f32; 2], means_m: [f32; 2]) -> (f32, bool) {
-    let ([from, to], [a, b], [mean_a, mean_b]) = (sides, rises, means_m);
-    let step_m = to - from - 0.5 * (a + b) / (SIDE - 1) as f32;
-    (step_m, step_m.abs() > JUMP_M + JUMP_PART * smaller(mean_a, mean_b))
+/// Whether such a step is a jump, where the cells have these means.
+#[inline]
+fn is_jump(step_m: f32, mean_a: f32, mean_b: f32) -> bool {
+    step_m.abs() > JUMP_M + JUMP_PART * smaller(mean_a, mean_b)
 }
 
 /// A value of several, and which share of them agrees with it.
@@ -109,7 +74,8 @@ fn agreed(values: &mut [f32], tolerance_m: f32, of: usize) -> Option<(f32, f32)>
 /// Finds moved regions and moves them back. A large value without pointers; no allocation.
 #[derive(Debug, Clone)]
 pub(super) struct Regions {
-    cells: [Option<Sides>; CELLS],
+    /// Of the last frame's cells.
+    pub(super) sides: Sides,
     /// Frames in which the line above a row of cells, and left of a column, was torn.
     above: [u8; ROWS],
     left_of: [u8; COLS],
@@ -126,7 +92,7 @@ pub(super) struct Regions {
 impl Default for Regions {
     fn default() -> Self {
         Self {
-            cells: [None; CELLS],
+            sides: Sides::default(),
             above: [0; ROWS],
             left_of: [0; COLS],
             last: 0,
@@ -146,11 +112,9 @@ struct Region {
 }
 
 impl Regions {
-    /// Takes a frame from so high above the ground, metres. Returns whether it is the first of a flight that is known to be of moved regions.
+    /// Takes a frame, whose sides are known, from so high above the ground, metres. Returns whether it is the first of a flight that is
+    /// known to be of moved regions.
     pub(super) fn note(&mut self, frame: &DepthFrame, directions: &Directions, height_m: f32) -> bool {
-        for (i, cell) in self.cells.iter_mut().enumerate() {
-            *cell = Sides::of(frame, i / COLS, i % COLS);
-        }
         let is_torn = self.find_lines();
         self.last = (self.last << 1 | u32::from(is_torn)) & ((1 << LAST_FRAMES) - 1);
         let sides = |frames: &[u8]| frames.iter().filter(|frames| **frames >= LINE_FRAMES).count();
@@ -179,38 +143,65 @@ impl Regions {
         (self.are_moved && !self.too_small).then_some(&self.restored)
     }
 
-    fn cell(&self, row: usize, column: usize) -> Option<&Sides> {
-        self.cells.get(row * COLS + column)?.as_ref()
+    /// Has a picture taken of that frame; what counts there is.
+    pub(super) fn take_restored(&mut self, picture: &mut Picture) -> Option<CellCounts> {
+        self.restored()?;
+        Some(picture.take(&self.restored, &mut self.sides))
     }
 
-    /// From a cell to the one below it.
-    fn step_down_m(&self, row: usize, column: usize) -> Option<(f32, bool)> {
-        let (a, b) = (self.cell(row, column)?, self.cell(row + 1, column)?);
-        let rises = [a.bottom_m - a.top_m, b.bottom_m - b.top_m];
-        Some(step_m([a.bottom_m, b.top_m], rises, [a.mean_m, b.mean_m]))
+    /// From a cell to the one below it, metres.
+    fn step_down_m(&self, row: usize, column: usize) -> Option<f32> {
+        let Sides { top_m, bottom_m, .. } = &self.sides;
+        let sides = |row: usize| Some([*top_m.get(row)?.get(column)?, *bottom_m.get(row)?.get(column)?]);
+        Some(step_m(sides(row)?, sides(row + 1)?))
     }
 
-    /// From a cell to the one right of it.
-    fn step_right_m(&self, row: usize, column: usize) -> Option<(f32, bool)> {
-        let (a, b) = (self.cell(row, column)?, self.cell(row, column + 1)?);
-        let rises = [a.right_m - a.left_m, b.right_m - b.left_m];
-        Some(step_m([a.right_m, b.left_m], rises, [a.mean_m, b.mean_m]))
+    /// From a cell to the one right of it, metres.
+    fn step_right_m(&self, row: usize, column: usize) -> Option<f32> {
+        let (left_m, right_m) = (self.sides.left_m.get(row)?, self.sides.right_m.get(row)?);
+        let sides = |column: usize| Some([*left_m.get(column)?, *right_m.get(column)?]);
+        Some(step_m(sides(column)?, sides(column + 1)?))
     }
 
     /// Counts the frames in which each line was torn; whether so many are in this one that it is of moved regions.
     fn find_lines(&mut self) -> bool {
+        let Sides {
+            mean_m,
+            top_m,
+            bottom_m,
+            left_m,
+            right_m,
+        } = &self.sides;
         let (mut above, mut left_of) = ([(0_u16, 0_u16); ROWS], [(0_u16, 0_u16); COLS]);
-        let note = |counts: Option<&mut (u16, u16)>, step: Option<(f32, bool)>| {
-            if let (Some((all, jumps)), Some((_, is_jump))) = (counts, step) {
-                (*all, *jumps) = (*all + 1, *jumps + u16::from(is_jump));
+        // A checked sum would keep the loops from being vectorised.
+        let note = |count: &mut u16, is: bool| *count = count.wrapping_add(u16::from(is));
+        let down = mean_m.windows(2).zip(top_m.windows(2)).zip(bottom_m.windows(2));
+        for (counts, ((means, tops), bottoms)) in above.iter_mut().skip(1).zip(down) {
+            let ([mean_a, mean_b], [top_a, top_b], [bottom_a, bottom_b]) = (means, tops, bottoms) else {
+                continue;
+            };
+            let (mut all, mut jumps) = (0, 0);
+            let pairs = mean_a
+                .iter()
+                .zip(mean_b)
+                .zip(top_a.iter().zip(top_b))
+                .zip(bottom_a.iter().zip(bottom_b));
+            for (((mean_a, mean_b), (top_a, top_b)), (bottom_a, bottom_b)) in pairs {
+                let step_m = step_m([*top_a, *bottom_a], [*top_b, *bottom_b]);
+                note(&mut all, !step_m.is_nan());
+                note(&mut jumps, is_jump(step_m, *mean_a, *mean_b));
             }
-        };
-        for row in 0..ROWS {
-            for column in 0..COLS {
-                note(above.get_mut(row + 1), self.step_down_m(row, column));
-                if column + 1 < COLS {
-                    note(left_of.get_mut(column + 1), self.step_right_m(row, column));
-                }
+            *counts = (all, jumps);
+        }
+        for ((means, left), right) in mean_m.iter().zip(left_m).zip(right_m) {
+            let pairs = means.windows(2).zip(left.windows(2)).zip(right.windows(2));
+            for ((all, jumps), ((means, left), right)) in left_of.iter_mut().skip(1).zip(pairs) {
+                let ([mean_a, mean_b], [left_a, left_b], [right_a, right_b]) = (means, left, right) else {
+                    continue;
+                };
+                let step_m = step_m([*left_a, *right_a], [*left_b, *right_b]);
+                note(all, !step_m.is_nan());
+                note(jumps, is_jump(step_m, *mean_a, *mean_b));
             }
         }
         let torn = |frames: &mut [u8], counts: &[(u16, u16)], least: u16| {
@@ -264,7 +255,9 @@ impl Regions {
             let (mut moves, mut count) = ([0.0; LOOKED_AT], 0);
             for (r, c) in (row..region.rows.1).flat_map(|r| (column..region.columns.1).map(move |c| (r, c))) {
                 let falls = directions.falls(down, r, c);
-                let (Some(cell), true) = (self.cell(r, c), falls >= LEAST_FALL) else {
+                let of = |sides: &[[f32; COLS]; ROWS]| sides.get(r).and_then(|row| row.get(c)).copied();
+                let sides = [&self.sides.mean_m, &self.sides.top_m, &self.sides.bottom_m].map(of);
+                let ([Some(mean_m), Some(top_m), Some(bottom_m)], true) = (sides, falls >= LEAST_FALL) else {
                     continue;
                 };
                 let (up, low) = (r.saturating_sub(1), (r + 1).min(ROWS - 1));
@@ -272,10 +265,10 @@ impl Regions {
                 let falls_a_pixel = falls_a_row / ((low - up) * SIDE) as f32;
                 let range_m = height_m / falls;
                 let slope_m = range_m * falls_a_pixel / falls * (SIDE - 1) as f32;
-                if GROUND_SLOPE.contains(&((cell.top_m - cell.bottom_m) / slope_m))
+                if GROUND_SLOPE.contains(&((top_m - bottom_m) / slope_m))
                     && let Some(to) = moves.get_mut(count)
                 {
-                    *to = cell.mean_m - range_m;
+                    *to = mean_m - range_m;
                     count += 1;
                 }
             }
@@ -352,7 +345,7 @@ impl Regions {
         &self,
         along: (usize, usize),
         beyond: impl Fn(usize) -> (usize, usize),
-        step: impl Fn(usize) -> Option<(f32, bool)>,
+        step_m: impl Fn(usize) -> Option<f32>,
         sign: f32,
     ) -> Option<(f32, f32)> {
         let (mut values, mut count, mut range_m) = ([0.0; LOOKED_AT], 0, 0.0);
@@ -362,11 +355,11 @@ impl Regions {
                 return None;
             }
             let moved_m = *self.moved_m.get(row * COLS + column)?;
-            if let (Some((step_m, _)), Some(cell), false) = (step(i), self.cell(row, column), moved_m.is_nan())
-                && let Some(to) = values.get_mut(count)
-            {
-                *to = moved_m + sign * step_m;
-                range_m = cell.mean_m;
+            let mean_m = *self.sides.mean_m.get(row)?.get(column)?;
+            let value = step_m(i).map_or(f32::NAN, |step_m| moved_m + sign * step_m);
+            if let (false, Some(to)) = (value.is_nan(), values.get_mut(count)) {
+                *to = value;
+                range_m = mean_m;
                 count += 1;
             }
         }
@@ -412,6 +405,7 @@ mod tests {
     extern crate std;
 
     use super::*;
+    use crate::larger;
     use std::boxed::Box;
     use vigil_types::{column_bearing_rad, row_elevation_rad};
 
@@ -447,15 +441,20 @@ mod tests {
         frame
     }
 
+    fn note(regions: &mut Regions, frame: &DepthFrame) -> bool {
+        Picture::EMPTY.take(frame, &mut regions.sides);
+        regions.note(frame, &Directions::new(), HEIGHT_M)
+    }
+
     #[test]
     fn moved_regions_are_found_and_moved_back_and_what_was_not_moved_is_left_alone() {
-        let (directions, hall) = (Directions::new(), hall());
+        let hall = hall();
         for side in [8, 16] {
             let mut regions = Box::new(Regions::default());
             for _ in 0..20 {
-                assert!(!regions.note(&hall, &directions, HEIGHT_M) && regions.restored().is_none());
+                assert!(!note(&mut regions, &hall) && regions.restored().is_none());
             }
-            let began = (0..12).filter(|i| regions.note(&moved(&hall, side, *i), &directions, HEIGHT_M));
+            let began = (0..12).filter(|i| note(&mut regions, &moved(&hall, side, *i)));
             assert_eq!(began.count(), 1);
             let restored = regions.restored().unwrap();
             let error_m = |i: usize| (restored.depth[i] - hall.depth[i]).abs() * DEPTH_FULL_SCALE_M;
@@ -470,17 +469,17 @@ mod tests {
 
     #[test]
     fn pixels_and_cells_moved_one_by_one_and_everything_shown_farther_away_are_not_moved_back() {
-        let (directions, hall) = (Directions::new(), hall());
+        let hall = hall();
         let mut receded = hall.clone();
         let above = 100 * DEPTH_COLS;
         receded.depth[..above].iter_mut().for_each(|depth| *depth += 0.078);
         let mut regions = Box::new(Regions::default());
         for i in 0..20 {
-            assert!(!regions.note(&receded, &directions, HEIGHT_M));
-            assert!(!regions.note(&moved(&hall, 1, i), &directions, HEIGHT_M));
+            assert!(!note(&mut regions, &receded));
+            assert!(!note(&mut regions, &moved(&hall, 1, i)));
         }
         for i in 0..20 {
-            regions.note(&moved(&hall, 4, i), &directions, HEIGHT_M);
+            note(&mut regions, &moved(&hall, 4, i));
         }
         assert!(regions.restored().is_none(), "too small to tell");
     }
