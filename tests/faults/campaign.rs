@@ -18,18 +18,12 @@ pub struct Folder(PathBuf);
 
 impl Folder {
     /// The folder, made if it is not there.
-    ///
-    /// # Errors
-    /// It cannot be made.
     pub fn make(path: &Path) -> Result<Self> {
         std::fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))?;
         Ok(Self(path.to_owned()))
     }
 
     /// Writes a file whole; its path.
-    ///
-    /// # Errors
-    /// It cannot be written.
     pub fn write(&self, name: &str, content: &str) -> Result<PathBuf> {
         let path = self.0.join(name);
         vigil_types::files::replace(&path, content.as_bytes(), vigil_types::files::Access::Shared)
@@ -37,13 +31,11 @@ impl Folder {
         Ok(path)
     }
 
-    /// A file's path, written or not.
     pub fn path(&self, name: &str) -> PathBuf {
         self.0.join(name)
     }
 }
 
-/// How a trial ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ending {
     /// The goal was reached.
@@ -52,7 +44,6 @@ pub enum Ending {
     Held,
     /// A program ended, or a command was refused, and said why.
     Named,
-    /// The time was up.
     TimeOut,
     /// Something was touched, or the course left.
     Collided,
@@ -74,19 +65,16 @@ impl Ending {
 /// A trial's ending and, if there was one, what was not as it must be.
 #[derive(Debug, Clone)]
 pub struct Trial {
-    /// How it ended.
     pub ending: Ending,
     /// What was wrong besides, in words.
     pub wrong: Option<String>,
 }
 
 impl Trial {
-    /// A trial in which nothing was wrong.
     pub fn right(ending: Ending) -> Self {
         Self { ending, wrong: None }
     }
 
-    /// A trial in which something was wrong.
     pub fn wrong(ending: Ending, what: impl Into<String>) -> Self {
         Self {
             ending,
@@ -95,12 +83,9 @@ impl Trial {
     }
 }
 
-/// A row of the table.
 #[derive(Debug, Serialize)]
 pub struct Row {
-    /// The fault.
     pub fault: String,
-    /// How often it was tried.
     pub trials: usize,
     arrived: usize,
     held: usize,
@@ -111,12 +96,10 @@ pub struct Row {
     /// Trials in which something was not as it must be, and the first of these.
     wrong: usize,
     first_wrong: Option<String>,
-    /// What was measured.
     pub measured: String,
 }
 
 impl Row {
-    /// Counts.
     pub fn of(fault: impl Into<String>, trials: &[Trial], measured: impl Into<String>) -> Self {
         let count = |ending| trials.iter().filter(|trial| trial.ending == ending).count();
         Self {
@@ -134,7 +117,18 @@ impl Row {
         }
     }
 
-    /// Whether the row shows nothing bad.
+    fn counts(&self) -> [(usize, &'static str); 7] {
+        [
+            (self.arrived, "arrived"),
+            (self.held, "held"),
+            (self.named, "ended by name"),
+            (self.time_out, "time-outs"),
+            (self.collided, "collided"),
+            (self.crashed, "crashed"),
+            (self.wrong, "wrong"),
+        ]
+    }
+
     pub fn is_good(&self) -> bool {
         self.collided + self.crashed + self.wrong == 0
     }
@@ -150,7 +144,6 @@ pub struct Table {
 }
 
 impl Table {
-    /// A table without rows.
     pub fn new(seed: u64, quick: bool) -> Self {
         Self {
             seed,
@@ -161,32 +154,17 @@ impl Table {
     }
 
     /// Adds rows, tells them and keeps them.
-    ///
-    /// # Errors
-    /// The folder cannot be written.
     pub fn add(&mut self, rows: Vec<Row>, folder: &Folder) -> Result<()> {
         for row in rows {
-            let wrong = row
-                .first_wrong
-                .as_ref()
-                .map_or(String::new(), |wrong| format!("; WRONG: {wrong}"));
-            tell(&format!(
-                "{:<46} {:>4} trials: {} arrived, {} held, {} ended by name, {} time-outs, {} collided, {} crashed, {} wrong{}{wrong}",
-                row.fault,
-                row.trials,
-                row.arrived,
-                row.held,
-                row.named,
-                row.time_out,
-                row.collided,
-                row.crashed,
-                row.wrong,
-                if row.measured.is_empty() {
-                    String::new()
-                } else {
-                    format!("; {}", row.measured)
-                }
-            ));
+            let counts = row.counts().map(|(count, how)| format!("{count} {how}")).join(", ");
+            let mut line = format!("{:<46} {:>4} trials: {counts}", row.fault, row.trials);
+            if !row.measured.is_empty() {
+                line += &format!("; {}", row.measured);
+            }
+            if let Some(wrong) = &row.first_wrong {
+                line += &format!("; WRONG: {wrong}");
+            }
+            tell(&line);
             self.rows.push(row);
         }
         folder.write("faults.json", &serde_json::to_string_pretty(self)?)?;
@@ -194,37 +172,28 @@ impl Table {
         Ok(())
     }
 
-    /// Notes that Ctrl-C ended it.
     pub fn interrupt(&mut self) {
         self.interrupted = true;
     }
 
-    /// Whether all rows are good.
     pub fn is_good(&self) -> bool {
         !self.interrupted && self.rows.iter().all(Row::is_good)
     }
 
-    /// The table for a page.
     pub fn markdown(&self) -> String {
         let mut text = String::from(
             "| Fault | Trials | Arrived | Held | Ended by name | Time-out | Collided | Crashed | Wrong | Measured |\n\
              | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n",
         );
         for row in &self.rows {
-            let _ = writeln!(
-                text,
-                "| {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
-                row.fault,
-                row.trials,
-                row.arrived,
-                row.held,
-                row.named,
-                row.time_out,
-                row.collided,
-                row.crashed,
-                row.wrong,
-                row.measured
-            );
+            let counts = row.counts().map(|(count, _)| count.to_string()).join(" | ");
+            let Row {
+                fault,
+                trials,
+                measured,
+                ..
+            } = row;
+            let _ = writeln!(text, "| {fault} | {trials} | {counts} | {measured} |");
         }
         text
     }

@@ -40,10 +40,6 @@ impl Drop for SmallDisk {
     }
 }
 
-/// The rows of full disks.
-///
-/// # Errors
-/// A folder that cannot be made.
 pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     let mut rows = vec![refusals()];
     if !site.quick {

@@ -52,13 +52,10 @@ const DOUBTS: [Reason; 2] = [Reason::FrozenSensor, Reason::InconsistentPicture];
 /// The operator: what he saw, and what he did.
 #[derive(Debug, Default, Serialize)]
 pub struct Operator {
-    /// Goals reached.
     pub goals: u64,
-    /// Goals given up.
     pub given_up: u64,
     /// Landings because a sensor stayed in doubt.
     pub landings: u64,
-    /// Alarms that stopped the actor.
     pub alarms: u64,
     /// Holds by reason, the goal's and the operator's own left out.
     pub holds: std::collections::BTreeMap<&'static str, u64>,
@@ -75,7 +72,6 @@ pub struct Operator {
 }
 
 impl Operator {
-    /// The goal that is flown to.
     pub fn goal(&self) -> [f32; 2] {
         GOALS[((self.goals + self.given_up) % GOALS.len() as u64) as usize]
     }
@@ -128,9 +124,6 @@ impl Operator {
 }
 
 /// Resident memory of a process, KiB.
-///
-/// # Errors
-/// There is no such process.
 pub fn resident_kib(process: u32) -> Result<u64> {
     let path = format!("/proc/{process}/status");
     let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {path}"))?;
@@ -144,13 +137,10 @@ pub fn resident_kib(process: u32) -> Result<u64> {
 /// Memory of a process over the flight, KiB.
 #[derive(Debug, Serialize)]
 pub struct Memory {
-    /// Whose.
     pub of: &'static str,
     /// At the end of the warm-up: after 20 minutes, but no more than a third of the flight.
     pub start_kib: u64,
-    /// At the end.
     pub end_kib: u64,
-    /// The largest.
     pub most_kib: u64,
     /// Time, seconds, and size.
     pub samples: Vec<(f64, u64)>,
@@ -187,7 +177,6 @@ impl Memory {
     }
 }
 
-/// What an endurance flight came to.
 #[derive(Debug, Serialize)]
 pub struct Record {
     mode: &'static str,
@@ -259,9 +248,6 @@ fn course() -> Result<Course> {
 }
 
 /// Firmware and simulator in this process, as fast as it goes. `true`: nothing touched, memory flat.
-///
-/// # Errors
-/// A configuration that is refused, a folder that cannot be written.
 pub fn lockstep(duration_s: f64, seed: u64, folder: &Folder, stop: &AtomicBool) -> Result<bool> {
     let begun = Instant::now();
     let mut config = SimConfig::new(course()?, seed);
@@ -339,9 +325,6 @@ fn start([north_m, east_m]: [f32; 2], seed: u64, instance: u32, folder: &Folder)
 }
 
 /// The programs in real time, with the privileges that they get. `true`: no step missed, nothing touched, memory flat.
-///
-/// # Errors
-/// A program that does not start or ends early.
 pub fn real_time(duration_s: f64, seed: u64, instance: u32, folder: &Folder, stop: &AtomicBool) -> Result<bool> {
     let begun = Instant::now();
     let mut operator = Operator::default();

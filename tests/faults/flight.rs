@@ -20,15 +20,11 @@ pub const FLIGHT_LIMIT: Duration = Duration::from_secs(120);
 /// Where the campaign takes place.
 #[derive(Clone)]
 pub struct Site<'a> {
-    /// First seed.
     pub seed: u64,
-    /// The quick part only.
     pub quick: bool,
     /// Instances that real-time flights may use, one each.
     pub instances: Vec<u32>,
-    /// Trials of each kill.
     pub kills: usize,
-    /// Ctrl-C came.
     pub stop: &'a AtomicBool,
 }
 
@@ -63,9 +59,7 @@ impl Diagnostics {
 /// What a flight needs besides instance and seed.
 #[derive(Default)]
 pub struct Extras {
-    /// Further arguments of the firmware.
     pub firmware: Vec<String>,
-    /// Further arguments of the simulator.
     pub simulator: Vec<String>,
     /// A process that passes frames on sits between sensor and firmware.
     pub adversary: bool,
@@ -73,9 +67,6 @@ pub struct Extras {
 
 impl Flight {
     /// Starts the programs; the vehicle hovers at the start.
-    ///
-    /// # Errors
-    /// The folder for what they say cannot be made.
     pub fn start(instance: u32, seed: u64, folder: &Path, extras: Extras) -> Result<Self> {
         let folder = folder.join(format!("{instance}"));
         std::fs::create_dir_all(&folder)?;
@@ -105,7 +96,6 @@ impl Flight {
         })
     }
 
-    /// Starts the firmware again.
     pub fn restart_firmware(&mut self) {
         self.firmware = start_firmware(self.instance, self.goal, &self.extra, self.diagnostics.of("firmware"));
     }
@@ -121,7 +111,6 @@ impl Flight {
         );
     }
 
-    /// Starts the process between sensor and firmware again.
     pub fn restart_adversary(&mut self) {
         self.adversary = Some(start_adversary(
             self.instance,
@@ -131,7 +120,6 @@ impl Flight {
         ));
     }
 
-    /// The simulator's last status.
     pub fn last(&self) -> Option<&Status> {
         self.last.as_ref()
     }
@@ -164,9 +152,6 @@ impl Flight {
     }
 
     /// Follows until it flies by its pilot's decisions.
-    ///
-    /// # Errors
-    /// It never does.
     pub fn take_off(&mut self, stop: &AtomicBool) -> Result<()> {
         let flies = |s: &Status| s.guidance.as_deref() == Some("guided") && s.speed_m_s > 0.3;
         if !self.follow(Duration::from_secs(40), stop, flies)? && !stop.load(Ordering::Relaxed) {

@@ -89,13 +89,10 @@ impl Content {
     }
 }
 
-/// A flood.
 pub struct Flood {
     /// Over connections instead of datagrams.
     pub tcp: bool,
-    /// The link.
     pub address: SocketAddr,
-    /// What is sent.
     pub content: Content,
     /// Datagrams a second.
     pub rate: u32,
@@ -278,10 +275,6 @@ impl Tap {
     }
 }
 
-/// The rows of floods.
-///
-/// # Errors
-/// A port is in use.
 pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     let cases: Vec<(bool, Option<Content>)> = if site.quick {
         vec![(false, Some(Content::Mixed))]

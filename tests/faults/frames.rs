@@ -9,13 +9,11 @@ use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_PIXELS, DepthFrame, GuidanceState, NedVector, Reason, Reasons, STEP_NS, STEP_S,
 };
 
-/// Steps of hostile frames.
 const HOSTILE_STEPS: u64 = 60;
 /// A vehicle that sees nothing usable must be told to hold within this many steps: half a second.
 const MOST_STEPS: u64 = 10;
 /// A flight that has not ended after this has not arrived: two minutes.
 const FLIGHT_STEPS: u64 = 2400;
-/// Trials of each kind.
 const TRIALS: usize = 4;
 /// Of the quick part, each so many-th kind.
 const QUICK_STRIDE: usize = 6;
@@ -178,7 +176,6 @@ fn kinds() -> Vec<Kind> {
     ]
 }
 
-/// What came of a trial.
 struct Flown {
     trial: Trial,
     hold_s: Option<f64>,
@@ -259,10 +256,6 @@ fn fly(kind: &Kind, seed: u64) -> Flown {
     }
 }
 
-/// The rows of all kinds.
-///
-/// # Errors
-/// A configuration that is refused.
 pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     let mut kinds = kinds();
     let mut trials = TRIALS;

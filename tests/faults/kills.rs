@@ -10,7 +10,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use vigil_tests::{processes_of, vigil};
 
-/// The process that is meant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Who {
     Simulator,
@@ -18,7 +17,6 @@ enum Who {
     Adversary,
 }
 
-/// What is done to it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum How {
     /// SIGKILL, and a new one after up to two seconds.
@@ -38,10 +36,6 @@ const FLIGHTS_KILLED: usize = 10;
 /// Seeds that the kinds of trials lie apart.
 const APART: u64 = 1000;
 
-/// The rows of kills and stops.
-///
-/// # Errors
-/// The folder cannot be used.
 pub fn rows(site: &Site<'_>, folder: &Folder) -> Result<Vec<Row>> {
     let work = tempfile::tempdir()?;
     let cases: &[(Who, How)] = if site.quick {

@@ -70,9 +70,6 @@ fn spoofed(seed: u64, by: &[(u8, LinkId, u64)]) -> (Option<Outcome>, NedVector, 
 }
 
 /// The row of spoofed setpoints: the same flights, bit for bit, as without them.
-///
-/// # Errors
-/// A configuration that is refused.
 pub fn spoofing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     let flights = if site.quick { 1 } else { 20 };
     let flown = in_lockstep(site, flights, |_, seed| (spoofed(seed, &[]), spoofed(seed, &CLAIMANTS)));
@@ -101,7 +98,6 @@ const OTHER_KEY: [u8; 32] = [0xA5; 32];
 /// Packets of an attack a second.
 const ATTACK_RATE: u64 = 200;
 
-/// An attack on signing.
 #[derive(Debug, Clone, Copy)]
 enum Attack {
     UnsignedSetup,
@@ -228,9 +224,6 @@ fn key_file(folder: &Path, name: &str) -> Result<PathBuf> {
 }
 
 /// The rows of attacks on signing: a flight each, attacked on all links of both ends.
-///
-/// # Errors
-/// A folder that cannot be made.
 pub fn signing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     let attacks = if site.quick { &ATTACKS[..1] } else { &ATTACKS[..] };
     let rows = side_by_side(attacks.len(), &site.instances, |number, instance| {

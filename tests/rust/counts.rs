@@ -10,7 +10,6 @@ use vigil_tests::{files_below, root};
 
 /// A function may be as long; a longer one is counted.
 const LONG_FUNCTION: usize = 80;
-/// A file may be as long.
 const LONG_FILE: usize = 600;
 /// Words for which the field has another: whole words in Rust and in the pages.
 const WORDS: [&str; 14] = [
@@ -38,7 +37,6 @@ fn function_lengths(text: &str) -> Vec<usize> {
     lengths
 }
 
-/// What is counted, by name.
 fn counts() -> BTreeMap<String, usize> {
     let manifest: toml::Table =
         toml::from_str(&fs::read_to_string(root().join("Cargo.toml")).expect("a manifest")).expect("TOML");

@@ -2,72 +2,19 @@
 //!
 //! `cargo deny` checks the same and more (`tests/run` asks it where it is installed); this needs nothing but cargo.
 
-use serde::Deserialize;
+use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
 use std::process::Command;
 use vigil_tests::root;
 
 const REGISTRY: &str = "registry+https://github.com/rust-lang/crates.io-index";
 
-/// The part of `deny.toml` that is checked here.
-#[derive(Deserialize)]
-struct Deny {
-    licenses: Licenses,
-    bans: Bans,
+fn list<'a>(of: &'a Value, key: &str) -> &'a [Value] {
+    of[key].as_array().unwrap_or_else(|| panic!("no list {key}"))
 }
 
-#[derive(Deserialize)]
-struct Licenses {
-    allow: Vec<String>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "kebab-case")]
-struct Bans {
-    multiple_versions: String,
-    skip: Vec<Skip>,
-}
-
-#[derive(Deserialize)]
-struct Skip {
-    #[serde(rename = "crate")]
-    name: String,
-    reason: String,
-}
-
-/// The part of `cargo metadata` that is checked here.
-#[derive(Deserialize)]
-struct Metadata {
-    packages: Vec<Package>,
-    resolve: Resolve,
-}
-
-#[derive(Deserialize)]
-struct Resolve {
-    nodes: Vec<Node>,
-}
-
-#[derive(Deserialize)]
-struct Node {
-    id: String,
-}
-
-#[derive(Deserialize)]
-struct Package {
-    id: String,
-    name: String,
-    version: String,
-    license: Option<String>,
-    source: Option<String>,
-    dependencies: Vec<Dependency>,
-}
-
-#[derive(Deserialize)]
-struct Dependency {
-    name: String,
-    req: String,
-    path: Option<PathBuf>,
+fn word<'a>(of: &'a Value, key: &str) -> &'a str {
+    of[key].as_str().unwrap_or_else(|| panic!("no {key} in {of}"))
 }
 
 fn output(program: &str, arguments: &[&str]) -> String {
@@ -85,7 +32,7 @@ fn output(program: &str, arguments: &[&str]) -> String {
 }
 
 /// Everything that is built on this machine: programs, tests and what builds them.
-fn packages() -> Vec<Package> {
+fn packages() -> Vec<Value> {
     let about = output("rustc", &["-vV"]);
     let host = about.lines().find_map(|l| l.strip_prefix("host: ")).expect("a host");
     // What is built was fetched before; other platforms' crates were not.
@@ -97,31 +44,31 @@ fn packages() -> Vec<Package> {
         "--filter-platform",
         host,
     ];
-    let metadata: Metadata = serde_json::from_str(&output(env!("CARGO"), &arguments)).expect("metadata");
-    let built: BTreeSet<String> = metadata.resolve.nodes.into_iter().map(|n| n.id).collect();
-    let mut packages = metadata.packages;
-    packages.retain(|p| built.contains(&p.id));
+    let metadata: Value = serde_json::from_str(&output(env!("CARGO"), &arguments)).expect("metadata");
+    let nodes = list(&metadata["resolve"], "nodes").iter();
+    let built: BTreeSet<&str> = nodes.map(|node| word(node, "id")).collect();
+    let mut packages = list(&metadata, "packages").to_vec();
+    packages.retain(|package| built.contains(word(package, "id")));
     assert!(packages.len() > 100);
     packages
 }
 
-fn deny() -> Deny {
+fn deny() -> Value {
     let text = std::fs::read_to_string(root().join("deny.toml")).expect("deny.toml");
     toml::from_str(&text).expect("TOML")
 }
 
 #[test]
 fn every_licence_is_one_that_is_allowed() {
-    let allowed: Vec<spdx::Licensee> = deny()
-        .licenses
-        .allow
-        .iter()
+    let deny = deny();
+    let names = list(&deny["licenses"], "allow").iter().filter_map(Value::as_str);
+    let allowed: Vec<spdx::Licensee> = names
         .map(|name| spdx::Licensee::parse(name).unwrap_or_else(|e| panic!("{name}: {e}")))
         .collect();
-    for Package { name, license, .. } in packages() {
-        let license = license.unwrap_or_else(|| panic!("{name} names no licence"));
+    for package in packages() {
+        let (name, license) = (word(&package, "name"), word(&package, "license"));
         // Old manifests write a slash for OR.
-        let expression = spdx::Expression::parse_mode(&license, spdx::ParseMode::LAX)
+        let expression = spdx::Expression::parse_mode(license, spdx::ParseMode::LAX)
             .unwrap_or_else(|e| panic!("{name}: {license}: {e}"));
         assert!(
             expression.evaluate(|asked| allowed.iter().any(|licensee| licensee.satisfies(asked))),
@@ -132,28 +79,29 @@ fn every_licence_is_one_that_is_allowed() {
 
 #[test]
 fn everything_comes_from_the_workspace_or_the_registry() {
-    for Package { name, source, .. } in packages() {
-        assert!(
-            source.as_deref().is_none_or(|source| source == REGISTRY),
-            "{name} comes from {source:?}"
-        );
+    for package in packages() {
+        let (name, source) = (&package["name"], &package["source"]);
+        assert!(source.is_null() || source == REGISTRY, "{name} comes from {source}");
     }
 }
 
 #[test]
 fn nothing_is_built_in_two_versions_but_what_others_force() {
-    let bans = deny().bans;
-    assert_eq!(bans.multiple_versions, "deny");
-    let mut skipped: BTreeMap<String, String> = bans.skip.into_iter().map(|s| (s.name, s.reason)).collect();
+    let bans = &deny()["bans"];
+    assert_eq!(bans["multiple-versions"], "deny");
+    let skips = list(bans, "skip").iter();
+    let mut skipped: BTreeMap<&str, &str> = skips.map(|s| (word(s, "crate"), word(s, "reason"))).collect();
     let mut versions: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for package in packages() {
-        let (version, _build) = package.version.split_once('+').unwrap_or((&package.version, ""));
-        versions.entry(package.name).or_default().push(version.to_owned());
+        let version = word(&package, "version");
+        let (version, _build) = version.split_once('+').unwrap_or((version, ""));
+        let name = word(&package, "name").to_owned();
+        versions.entry(name).or_default().push(version.to_owned());
     }
     for (name, versions) in versions {
         let left: Vec<&String> = versions
             .iter()
-            .filter(|version| match skipped.remove(&format!("{name}@{version}")) {
+            .filter(|version| match skipped.remove(&*format!("{name}@{version}")) {
                 Some(reason) => {
                     assert!(!reason.is_empty(), "{name}@{version} is skipped without a reason");
                     assert!(versions.len() > 1, "{name}@{version} need not be skipped any more");
@@ -174,15 +122,15 @@ fn nothing_is_built_in_two_versions_but_what_others_force() {
 fn what_vigil_asks_for_itself_is_pinned_and_has_its_reason() {
     let page = std::fs::read_to_string(root().join("docs/dependencies.md")).expect("docs/dependencies.md");
     let reasons: BTreeSet<&str> = page.split('`').skip(1).step_by(2).collect();
-    for package in packages().into_iter().filter(|p| p.source.is_none()) {
-        for Dependency { name, req, path } in package.dependencies {
-            if path.is_none() {
-                assert!(req.starts_with('='), "{} asks for {name} {req}: pin it", package.name);
-                assert!(
-                    reasons.contains(name.as_str()),
-                    "docs/dependencies.md does not say why {name}"
-                );
-            }
+    for package in packages().iter().filter(|package| package["source"].is_null()) {
+        for asked in list(package, "dependencies").iter().filter(|d| d["path"].is_null()) {
+            let (name, req) = (word(asked, "name"), word(asked, "req"));
+            assert!(
+                req.starts_with('='),
+                "{} asks for {name} {req}: pin it",
+                package["name"]
+            );
+            assert!(reasons.contains(name), "docs/dependencies.md does not say why {name}");
         }
     }
 }

@@ -57,40 +57,21 @@ fn the_actor_alone_arrives_at_a_goal_110_m_away_and_stays_within_the_course() {
 }
 
 /// A hall with no way out.
-const CLOSED: &str = r#"
-name = "closed"
-goal = { north_m = 20.0, east_m = 0.0 }
-bounds = { north_m = [-8.0, 25.0], east_m = [-9.0, 9.0], top_m = 6.0 }
-time_limit_s = 60.0
-
-[[wall]]
-from_m = [-4.0, -6.0]
-to_m = [7.0, -6.0]
-thickness_m = 0.2
-height_m = 5.0
-
-[[wall]]
-from_m = [7.0, -6.0]
-to_m = [7.0, 6.0]
-thickness_m = 0.2
-height_m = 5.0
-
-[[wall]]
-from_m = [7.0, 6.0]
-to_m = [-4.0, 6.0]
-thickness_m = 0.2
-height_m = 5.0
-
-[[wall]]
-from_m = [-4.0, 6.0]
-to_m = [-4.0, -6.0]
-thickness_m = 0.2
-height_m = 5.0
-"#;
+fn closed() -> String {
+    let corners = [[-4.0, -6.0], [7.0, -6.0], [7.0, 6.0], [-4.0, 6.0], [-4.0, -6.0]];
+    let wall = |ends: &[[f32; 2]]| {
+        let [from, to] = [ends[0], ends[1]];
+        format!("[[wall]]\nfrom_m = {from:?}\nto_m = {to:?}\nthickness_m = 0.2\nheight_m = 5.0\n")
+    };
+    "name = \"closed\"\ngoal = { north_m = 20.0, east_m = 0.0 }\ntime_limit_s = 60.0\n\
+     bounds = { north_m = [-8.0, 25.0], east_m = [-9.0, 9.0], top_m = 6.0 }\n"
+        .to_owned()
+        + &corners.windows(2).map(wall).collect::<String>()
+}
 
 #[test]
 fn a_flight_that_cannot_get_nearer_is_ended_by_name_on_the_ground() {
-    let (outcome, reports) = fly(CLOSED, |config| {
+    let (outcome, reports) = fly(&closed(), |config| {
         config.pilot.kind = PilotKind::Geometric;
         config.limits.no_progress_s = 20.0;
     });

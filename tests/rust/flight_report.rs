@@ -6,7 +6,6 @@ use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, Story, TickRecord}
 use vigil_tests::{attacked_flight, refused, run, succeed, text};
 use vigil_types::{Reason, Reasons};
 
-/// The data within a report.
 fn data(report: &Path) -> Value {
     let page = std::fs::read_to_string(report).expect("a report");
     let (_, rest) = page.split_once("id=\"data\">").expect("data in the page");

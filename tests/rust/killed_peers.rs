@@ -31,6 +31,12 @@ fn firmware(instance: &str, log: Option<&Path>) -> Running {
     ))
 }
 
+fn wait_for_guided_flight(simulator: &Running) {
+    simulator.wait_for_status("guided flight", |s| {
+        s.guidance.as_deref() == Some("guided") && s.speed_m_s > 0.5
+    });
+}
+
 /// All records of the only log in a folder.
 fn steps(folder: &Path, mut look: impl FnMut(&TickRecord)) {
     let mut reader = Reader::open(&only_log(folder)).expect("a log");
@@ -45,9 +51,7 @@ fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight(
     let folder = tempfile::tempdir().expect("a folder");
     let first = simulator("85");
     let mut firmware = firmware("85", Some(folder.path()));
-    first.wait_for_status("guided flight", |s| {
-        s.guidance.as_deref() == Some("guided") && s.speed_m_s > 0.5
-    });
+    wait_for_guided_flight(&first);
     first.kill();
 
     // The vehicle's end of the link is free now: whoever listens there sees what the firmware says without a vehicle.
@@ -72,9 +76,7 @@ fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight(
     drop(socket);
 
     let second = simulator("85");
-    second.wait_for_status("guided flight again", |s| {
-        s.guidance.as_deref() == Some("guided") && s.speed_m_s > 0.5
-    });
+    wait_for_guided_flight(&second);
     firmware.signal(Signal::TERM);
     assert_eq!(firmware.wait(), Some(0));
 
@@ -116,9 +118,7 @@ fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight(
 fn a_killed_firmware_makes_the_vehicle_hold_and_its_return_resumes_the_flight() {
     let simulator = simulator("86");
     let first = firmware("86", None);
-    simulator.wait_for_status("guided flight", |s| {
-        s.guidance.as_deref() == Some("guided") && s.speed_m_s > 0.5
-    });
+    wait_for_guided_flight(&simulator);
     first.kill();
     simulator.wait_for_status("the vehicle's own hold", |s| s.mode != "offboard");
     simulator.wait_for_status("standstill", |s| s.speed_m_s < 0.2);

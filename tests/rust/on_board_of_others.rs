@@ -105,15 +105,19 @@ fn frames_hold(what: &str, names: &[Reason], ends: bool, mut spoil: impl FnMut(&
     }
 }
 
-#[test]
-fn frames_of_another_size_are_bad_frames() {
-    frames_hold("64 rows", &[Reason::BadFrame], true, |frame, _, _| {
-        frame.header.rows = 64;
+/// The same of frames that all arrive.
+fn altered_frames_hold(what: &str, name: Reason, ends: bool, alter: impl Fn(&mut DepthFrame, u64, u64)) {
+    frames_hold(what, &[name], ends, |frame, step, now_ns| {
+        alter(frame, step, now_ns);
         true
     });
-    frames_hold("512 columns", &[Reason::BadFrame], true, |frame, _, _| {
-        frame.header.cols = 512;
-        true
+}
+
+#[test]
+fn frames_of_another_size_are_bad_frames() {
+    altered_frames_hold("64 rows", Reason::BadFrame, true, |frame, _, _| frame.header.rows = 64);
+    altered_frames_hold("512 columns", Reason::BadFrame, true, |frame, _, _| {
+        frame.header.cols = 512
     });
 }
 
@@ -137,20 +141,13 @@ fn through_a_camera(frame: &mut DepthFrame, across: f32, down: f32, stretched: b
 #[test]
 fn frames_of_another_field_of_view_are_a_blind_sensor_or_an_inconsistent_picture() {
     // One depth camera, 87° by 58°, in the middle of our 120° by 60°.
-    frames_hold("a narrow view", &[Reason::BlindSensor], true, |frame, _, _| {
+    altered_frames_hold("a narrow view", Reason::BlindSensor, true, |frame, _, _| {
         through_a_camera(frame, 87.0 / 120.0, 58.0 / 60.0, false);
-        true
     });
     // The same, taken for the whole.
-    frames_hold(
-        "a stretched view",
-        &[Reason::InconsistentPicture],
-        false,
-        |frame, _, _| {
-            through_a_camera(frame, 87.0 / 120.0, 58.0 / 60.0, true);
-            true
-        },
-    );
+    altered_frames_hold("a stretched view", Reason::InconsistentPicture, false, |frame, _, _| {
+        through_a_camera(frame, 87.0 / 120.0, 58.0 / 60.0, true);
+    });
 }
 
 #[test]
@@ -164,27 +161,41 @@ fn frames_of_another_rate_are_flown_with_until_they_are_stale() {
 #[test]
 fn frames_of_another_clock_are_bad_or_stale_frames() {
     const SECOND_NS: u64 = 1_000_000_000;
-    let (bad, stale) = (&[Reason::BadFrame][..], &[Reason::StaleFrame][..]);
-    frames_hold("a second ahead", bad, true, |frame, _, _| {
-        frame.header.stamp_ns += SECOND_NS;
-        true
-    });
-    frames_hold("the wall clock", bad, true, |frame, _, _| {
-        frame.header.stamp_ns += 1_700_000_000 * SECOND_NS;
-        true
-    });
-    frames_hold("a clock of its own, from its start", stale, true, |frame, step, _| {
-        frame.header.stamp_ns = step * STEP_NS;
-        true
-    });
-    frames_hold("a clock that is fast by 5 %", bad, true, |frame, step, now_ns| {
-        frame.header.stamp_ns = now_ns + step * STEP_NS / 20;
-        true
-    });
-    frames_hold("a clock that is slow by 5 %", stale, true, |frame, step, now_ns| {
-        frame.header.stamp_ns = now_ns - step * STEP_NS / 20;
-        true
-    });
+    type Stamp = fn(&mut u64, u64, u64);
+    let cases: [(&str, Reason, Stamp); 5] = [
+        ("a second ahead", Reason::BadFrame, |stamp_ns, _, _| {
+            *stamp_ns += SECOND_NS
+        }),
+        ("the wall clock", Reason::BadFrame, |stamp_ns, _, _| {
+            *stamp_ns += 1_700_000_000 * SECOND_NS;
+        }),
+        (
+            "a clock of its own, from its start",
+            Reason::StaleFrame,
+            |stamp_ns, step, _| {
+                *stamp_ns = step * STEP_NS;
+            },
+        ),
+        (
+            "a clock that is fast by 5 %",
+            Reason::BadFrame,
+            |stamp_ns, step, now_ns| {
+                *stamp_ns = now_ns + step * STEP_NS / 20;
+            },
+        ),
+        (
+            "a clock that is slow by 5 %",
+            Reason::StaleFrame,
+            |stamp_ns, step, now_ns| {
+                *stamp_ns = now_ns - step * STEP_NS / 20;
+            },
+        ),
+    ];
+    for (what, name, stamp) in cases {
+        altered_frames_hold(what, name, true, |frame, step, now_ns| {
+            stamp(&mut frame.header.stamp_ns, step, now_ns);
+        });
+    }
 }
 
 /// What the vehicle says, with its position as `alter` leaves it; `None` leaves it out.

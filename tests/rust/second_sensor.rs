@@ -14,7 +14,6 @@ const SEED: u64 = 4203;
 /// Steps of a story: 25 s, enough to arrive.
 const STEPS: usize = 500;
 
-/// What a story is made of.
 #[derive(Clone, Copy)]
 struct Story {
     /// Sensors that the vehicle has.
@@ -37,7 +36,7 @@ const SEEING: Story = Story {
     silent_from: usize::MAX,
 };
 
-/// How it ended.
+#[derive(Default)]
 struct End {
     /// Everything that was wrong, whoever flew.
     reasons: Reasons,
@@ -82,13 +81,7 @@ fn fly(story: Story) -> End {
     firmware.second_sensor = story.asked_for;
     firmware.plausibility = !story.unchecked;
     let mut pair = Pair::of(&config, &firmware);
-    let mut end = End {
-        reasons: Reasons::NONE,
-        flew: false,
-        state: GuidanceState::Standby,
-        speed_m_s: 0.0,
-        outcome: None,
-    };
+    let mut end = End::default();
     for step in 0..STEPS {
         pair.simulate();
         if story.hides {

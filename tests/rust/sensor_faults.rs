@@ -10,7 +10,7 @@ const SEED: u64 = 4203;
 /// Steps of a story: 12 s.
 const STEPS: usize = 240;
 
-/// How a story ended.
+#[derive(Default)]
 struct End {
     /// Everything that was wrong while guidance flew.
     reasons: Reasons,
@@ -31,13 +31,7 @@ fn fly(fault: &str, plausibility: bool) -> End {
         firmware.detector.guard = Some(false);
     }
     let mut pair = Pair::of(&config, &firmware);
-    let mut end = End {
-        reasons: Reasons::NONE,
-        state: GuidanceState::Standby,
-        speed_m_s: 0.0,
-        ended: false,
-        goal_m: 0.0,
-    };
+    let mut end = End::default();
     for _ in 0..STEPS {
         pair.simulate();
         let report = pair.decide(true);

@@ -19,9 +19,6 @@ use vigil_sim::program::Status;
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The `vigil` program that belongs to this build.
-///
-/// # Panics
-/// When it was not built: `tests/run` and `cargo build --release --bins --workspace` build it.
 pub fn vigil() -> PathBuf {
     let mut folder = std::env::current_exe().expect("a test has a file");
     folder.pop();
@@ -85,25 +82,16 @@ pub fn said(output: &Output) -> String {
 }
 
 /// What a program said that has to have ended well.
-///
-/// # Panics
-/// With what it said, where it did not.
 pub fn succeed(output: &Output) -> String {
     ended(output, 0, &[])
 }
 
 /// What a program said that has to have failed with these words in what it said.
-///
-/// # Panics
-/// With what it said, where it did not.
 pub fn refused(output: &Output, words: &[&str]) -> String {
     ended(output, 1, words)
 }
 
 /// The same with an exit code of its own.
-///
-/// # Panics
-/// With what it said, where it ended otherwise.
 pub fn ended(output: &Output, code: i32, words: &[&str]) -> String {
     let said = said(output);
     assert_eq!(output.status.code(), Some(code), "{said}");
@@ -114,18 +102,12 @@ pub fn ended(output: &Output, code: i32, words: &[&str]) -> String {
 }
 
 /// A JSON file.
-///
-/// # Panics
-/// Where it is not one.
 pub fn json(path: &Path) -> serde_json::Value {
     let text = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     serde_json::from_slice(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
 /// A path as an argument.
-///
-/// # Panics
-/// Where it is no UTF-8.
 pub fn text(path: &Path) -> &str {
     path.to_str().expect("a UTF-8 path")
 }
@@ -136,9 +118,6 @@ pub fn root() -> PathBuf {
 }
 
 /// Files below a folder with one of these endings, without what is built, generated or hidden.
-///
-/// # Panics
-/// Where a folder cannot be read.
 pub fn files_below(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display())) {
@@ -156,9 +135,6 @@ pub fn files_below(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
 }
 
 /// The only log below a folder.
-///
-/// # Panics
-/// Where there is none, or more.
 pub fn only_log(folder: &Path) -> PathBuf {
     let mut logs = files_below(folder, &[".mcap"]);
     assert_eq!(logs.len(), 1, "{logs:?}");
@@ -279,9 +255,6 @@ impl Running {
     }
 
     /// Waits for the end; returns the exit code.
-    ///
-    /// # Panics
-    /// When it does not end within [`PATIENCE`].
     pub fn wait(&mut self) -> Option<i32> {
         let begun = Instant::now();
         loop {

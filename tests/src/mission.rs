@@ -8,9 +8,6 @@ use vigil_sim::SimConfig;
 
 /// The vehicle's plan at so many metres per second: by way of these places, metres north and east, to the goal; with the nose towards the
 /// next, or always this way, degrees from north.
-///
-/// # Panics
-/// Never with places that are on the globe.
 pub fn plan(config: &SimConfig, speed_m_s: f32, via_m: &[(f32, f32)], nose_deg: Option<f32>) -> Saved {
     let goal = config.course.goal_ned_m();
     let home = config.endpoint.home;
@@ -44,9 +41,6 @@ pub fn start() -> Vec<u8> {
 }
 
 /// A command of a ground station: go to the course's goal, which leaves the vehicle in hold.
-///
-/// # Panics
-/// Never with a course whose goal is on the globe.
 pub fn go_to(config: &SimConfig) -> Vec<u8> {
     let goal = config.course.goal_ned_m();
     let home = config.endpoint.home;

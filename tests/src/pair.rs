@@ -25,9 +25,6 @@ pub struct Pair {
 
 impl Pair {
     /// Both on the course of a seed, the vehicle hovering at its start.
-    ///
-    /// # Panics
-    /// When the default models or configuration are refused.
     pub fn new(family: Family, seed: u64) -> Self {
         let mut config = SimConfig::new(generate(family, seed), seed);
         config.start = Start::Airborne;
@@ -35,9 +32,6 @@ impl Pair {
     }
 
     /// Both as they are configured.
-    ///
-    /// # Panics
-    /// When a configuration is refused.
     pub fn of(simulation: &SimConfig, firmware: &FirmwareConfig) -> Self {
         Self {
             simulator: Simulator::new(simulation, 0).expect("a simulator"),
@@ -66,9 +60,6 @@ impl Pair {
     }
 
     /// A packet of somebody else's that reaches the vehicle with what the firmware said in this step.
-    ///
-    /// # Panics
-    /// When there is no room for it.
     pub fn to_vehicle(&mut self, packet: &[u8]) {
         assert!(self.from_firmware.push(0, packet), "no room");
     }
@@ -95,9 +86,6 @@ impl Pair {
     }
 
     /// Flies until guidance has flown for `steps`.
-    ///
-    /// # Panics
-    /// When guided flight does not begin.
     pub fn fly_guided(&mut self, steps: usize) {
         let mut guided = 0;
         for _ in 0..MOST_STEPS_TO_GUIDED {

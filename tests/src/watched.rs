@@ -30,9 +30,6 @@ impl FirmwarePort for Watched {
 }
 
 /// Flies a course to its end, with the default firmware but for `change`; how it ended, and every step's report.
-///
-/// # Panics
-/// When the simulation or the changed configuration is refused.
 pub fn fly_watched(
     simulation: &SimConfig,
     change: impl FnOnce(&mut FirmwareConfig),

@@ -9,9 +9,6 @@ pub const STACK_BYTES: usize = 8 << 20;
 
 /// Starts `threads` threads, or one on each core where that is 0. What runs inside the pool's `install` is spread over them,
 /// and no other.
-///
-/// # Errors
-/// The system has no more.
 pub fn thread_pool(threads: usize) -> Result<ThreadPool> {
     let built = ThreadPoolBuilder::new()
         .num_threads(threads)
@@ -25,9 +22,6 @@ pub fn thread_pool(threads: usize) -> Result<ThreadPool> {
 }
 
 /// The same for an option `--threads` that may be absent: then one on each core.
-///
-/// # Errors
-/// The system has no more.
 pub fn thread_pool_of(option: Option<u16>) -> Result<ThreadPool> {
     thread_pool(option.map_or(0, usize::from))
 }

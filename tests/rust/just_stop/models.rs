@@ -28,6 +28,14 @@ struct Tally {
     nearest_m: f32,
 }
 
+impl Tally {
+    /// Every mission towards something was stopped before it.
+    fn assert_stopped(&self, what: &str) {
+        println!("{what} {self:?}");
+        assert_eq!((self.collided, self.stopped), (0, self.blocked), "{what}");
+    }
+}
+
 /// How missions differ from the straight way with the nose ahead and no wind.
 #[derive(Debug, Clone, Copy, Default)]
 struct Manner {
@@ -137,9 +145,7 @@ fn missions_of(vehicle: VehicleParams, duty: Duty, manner: Manner, first_seed: u
 fn a_mission_towards_something_is_stopped_before_it_on_every_vehicle_model_with_a_noisy_estimate_too() {
     for model in VehicleModel::ALL {
         for vehicle in [model.params(), model.params().with_noisy_estimate()] {
-            let tally = missions_of(vehicle, Duty::JustStop, Manner::default(), 1, 4);
-            println!("{} {tally:?}", model.name());
-            assert_eq!((tally.collided, tally.stopped), (0, tally.blocked), "{}", model.name());
+            missions_of(vehicle, Duty::JustStop, Manner::default(), 1, 4).assert_stopped(model.name());
         }
     }
 }
@@ -154,8 +160,7 @@ fn a_mission_is_stopped_before_what_stands_behind_its_corner_and_not_for_what_st
     };
     for model in VehicleModel::ALL {
         let tally = missions_of(model.params(), Duty::JustStop, turns, 1, 12);
-        println!("{} {tally:?}", model.name());
-        assert_eq!((tally.collided, tally.stopped), (0, tally.blocked), "{}", model.name());
+        tally.assert_stopped(model.name());
         assert_eq!(tally.false_stops, 0, "{}", model.name());
     }
 }
@@ -169,8 +174,7 @@ fn a_mission_is_stopped_before_ground_that_rises_to_it_and_flown_over_ground_tha
             ..Manner::default()
         };
         let tally = missions_of(VehicleModel::Px4Sih.params(), Duty::JustStop, rises, 1, 8);
-        println!("{slope_deg} degrees {tally:?}");
-        assert_eq!((tally.collided, tally.stopped), (0, tally.blocked));
+        tally.assert_stopped(&format!("{slope_deg} degrees"));
         assert_eq!(tally.false_stops, 0);
     }
 }
@@ -183,8 +187,7 @@ fn a_mission_is_stopped_in_time_where_frames_come_late() {
         ..Manner::default()
     };
     let tally = missions_of(VehicleModel::Px4Sih.params(), Duty::JustStop, late, 240_010, 8);
-    println!("{tally:?}");
-    assert_eq!((tally.collided, tally.stopped), (0, tally.blocked));
+    tally.assert_stopped("late frames");
     assert_eq!(tally.false_stops, 0);
 }
 

@@ -4,9 +4,9 @@
 mod attack_campaigns;
 pub mod cli;
 pub mod detector_training;
-pub mod flight_film;
+mod flight_film;
 mod realtime_bench;
-pub mod report;
+mod report;
 pub mod trainer;
 
 pub(crate) use vigil_tools::{campaign, explained, flight_derived, flight_report, statistics, threads};

@@ -102,9 +102,6 @@ impl Constant {
     }
 
     /// The same as numbers of another of ONNX's types.
-    ///
-    /// # Errors
-    /// A type that is not known.
     pub fn cast(&self, to: i64) -> Result<Self, String> {
         let data = match (&self.data, to) {
             (Data::Real(values), 1 | 11) => Data::Real(values.clone()),
@@ -146,9 +143,6 @@ impl Constant {
     }
 
     /// Weights.
-    ///
-    /// # Errors
-    /// Whole numbers.
     pub fn real(&self) -> Result<&[f32], String> {
         match &self.data {
             Data::Real(values) => Ok(values),
@@ -157,9 +151,6 @@ impl Constant {
     }
 
     /// Indices.
-    ///
-    /// # Errors
-    /// Real numbers.
     pub fn whole(&self) -> Result<&[i64], String> {
         match &self.data {
             Data::Whole(values) => Ok(values),

@@ -31,9 +31,6 @@ struct Placed<'a> {
 /// what it remembers ([`CONTEXT`]), and `low_dim` `[1, 8]` ([`LOW_DIM`]); of an imported policy `frame` `[1, channels, rows, columns]` and,
 /// if it has one, `position` `[1, 2]`. Output: `action` `[1, 2]`, of an imported policy before its
 /// factor. What is to be known beside it is in the model's metadata.
-///
-/// # Errors
-/// A network that is none.
 pub fn export(pilot: &FrozenPilot) -> Result<Vec<u8>, NetworkError> {
     let (placed, about) = match pilot {
         FrozenPilot::Actor(actor) => (of_actor(actor), about_actor(actor)),

@@ -270,9 +270,6 @@ where
     }
 
     /// Flies what `wanted` has and the file has not, until the interrupt comes.
-    ///
-    /// # Errors
-    /// As [`Self::fly`].
     pub fn fly_some(
         &mut self,
         wanted: &Jobs,
@@ -309,9 +306,6 @@ where
     }
 
     /// Writes all flights by seed: what a finished campaign leaves does not depend on threads, machines or interruptions.
-    ///
-    /// # Errors
-    /// A file that cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut text = serde_json::to_string(&self.heading)? + "\n";
         for ((seed, arm), flight) in &self.flown {
@@ -426,9 +420,6 @@ where
 }
 
 /// The command whose flights a file has.
-///
-/// # Errors
-/// A file that is none of a campaign.
 pub fn command_of(path: &Path) -> Result<String> {
     let text = read(path)?;
     let heading: Heading<Value> = heading_of(path, text.lines().next().unwrap_or_default())?;
@@ -461,9 +452,6 @@ fn cannot_write(path: &Path) -> String {
 }
 
 /// SHA-256 of the file of the program that runs.
-///
-/// # Errors
-/// It cannot be read.
 pub fn program_sha256() -> Result<String> {
     let file = std::env::current_exe().context("cannot find this program's file")?;
     let program = std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;

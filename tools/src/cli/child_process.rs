@@ -49,9 +49,6 @@ pub struct Process {
 
 impl Process {
     /// Starts this program again as `name`, arranged; what it says on standard error goes to a file in the folder.
-    ///
-    /// # Errors
-    /// It cannot be started.
     pub fn start(name: &'static str, folder: &Path, arrange: impl FnOnce(&mut Command)) -> Result<Self> {
         let program = std::env::current_exe().context("cannot find this program's own file")?;
         let stderr_file = folder.join(format!("{name}.log"));
@@ -101,9 +98,6 @@ impl Process {
     }
 
     /// Ends the child and returns what it reported.
-    ///
-    /// # Errors
-    /// The system's.
     pub fn end(&mut self) -> Result<String> {
         if self.child.try_wait()?.is_none() {
             let pid = rustix::process::Pid::from_child(&self.child);
@@ -141,9 +135,6 @@ impl Drop for Process {
 }
 
 /// The simulator's statuses, as they come.
-///
-/// # Errors
-/// They are read already.
 pub fn read_statuses(simulator: &mut Process) -> Result<Receiver<Status>> {
     let pipe = simulator.child.stdout.take().context("the simulator has no output")?;
     let (sender, receiver) = channel();

@@ -48,18 +48,12 @@ pub struct Words {
 }
 
 /// Becomes `vigil-lab` with the arguments of this process.
-///
-/// # Errors
-/// It is not built.
 pub fn hand_on(_: &Command) -> Result<ExitCode> {
     let error = program()?.args(std::env::args_os().skip(1)).exec();
     Err(error).context(PROGRAM)
 }
 
 /// Becomes `vigil-lab film` with what follows `vigil log film`.
-///
-/// # Errors
-/// It is not built.
 pub fn film_log() -> Result<ExitCode> {
     let mut words: Vec<OsString> = std::env::args_os().skip(1).collect();
     if let Some(log) = words.iter().position(|word| word == "log") {
@@ -92,9 +86,6 @@ pub fn film(folder: &Path, to: &Path, title: &str) -> Result<String> {
 }
 
 /// `vigil-lab`, which lies beside this program.
-///
-/// # Errors
-/// It is not built.
 pub fn program() -> Result<std::process::Command> {
     let file: PathBuf = std::env::current_exe()?.with_file_name(PROGRAM);
     ensure!(
@@ -108,9 +99,6 @@ pub fn program() -> Result<std::process::Command> {
 }
 
 /// Whether who started this process is of the same sources.
-///
-/// # Errors
-/// He is not.
 pub fn check_caller() -> Result<()> {
     match std::env::var(SOURCES_VARIABLE) {
         Ok(caller) if caller != SOURCES => refuse(&caller),

@@ -127,9 +127,6 @@ impl EveryCommand {
 }
 
 /// Runs a command of the flight tier.
-///
-/// # Errors
-/// The command's.
 pub fn execute(command: Command) -> Result<ExitCode> {
     match command {
         Command::Fly(args) => fly::run(&args),

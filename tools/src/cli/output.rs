@@ -110,9 +110,6 @@ pub fn is_file(path: &Path) -> bool {
 
 /// Reserves standard output for the report that goes to `path`, if that is standard output, and otherwise makes the
 /// folder of `path` before the work, so that the work is not lost.
-///
-/// # Errors
-/// A folder that cannot be made.
 pub fn prepare(path: &Path) -> Result<()> {
     if is_stdout(path) {
         REPORT_ON_STDOUT.store(true, Ordering::Relaxed);
@@ -147,9 +144,6 @@ pub struct Interrupt(Arc<AtomicBool>);
 
 impl Interrupt {
     /// Takes the signals from now on. Whoever asks for it after the first gets the same: a command may run others.
-    ///
-    /// # Errors
-    /// Something else takes them already.
     pub fn on_ctrl_c() -> Result<Self> {
         static TAKEN: Mutex<Option<Interrupt>> = Mutex::new(None);
         let mut taken = TAKEN.lock().map_err(|_| anyhow::anyhow!("another thread failed"))?;
@@ -206,9 +200,6 @@ pub struct Progress {
 
 impl Progress {
     /// `length` of `what` are to be done.
-    ///
-    /// # Errors
-    /// None: the bar's template is constant.
     pub fn new(length: u64, what: &'static str) -> Result<Self> {
         let style = format!("{{bar:30}} {{pos}}/{{len}} {what}, {{elapsed}} gone, {{eta}} left{{msg}}");
         let bar = ProgressBar::new(length).with_style(ProgressStyle::with_template(&style)?);

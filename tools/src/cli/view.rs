@@ -140,18 +140,12 @@ impl ViewerArgs {
 
     /// Shows the flight whose log comes to be in `folder` while it flies. The script reads what the recorder has flushed to the
     /// file: the firmware does not know of it.
-    ///
-    /// # Errors
-    /// A script that cannot be started.
     pub fn follow(&self, folder: &Path) -> Result<Child> {
         self.start(&[folder.as_os_str(), "--follow".as_ref()], Some(&folder.join(LOG)))
     }
 
     /// Shows several flights whose logs come to be in `folder` under these names (without their ending), each in a tab of its own and
     /// all side by side. A log that is not there when the script is asked to end (SIGTERM) is not waited for any more.
-    ///
-    /// # Errors
-    /// A script that cannot be started.
     pub fn follow_all(&self, folder: &Path, names: &[String]) -> Result<Child> {
         let names = names.join(",");
         self.start(

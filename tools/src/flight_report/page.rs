@@ -150,9 +150,6 @@ fn panels() -> Vec<Value> {
 }
 
 /// The page as one file.
-///
-/// # Errors
-/// None: every part of a flight can be written as JSON.
 pub fn html(flight: &Flight) -> serde_json::Result<String> {
     let mut data = serde_json::to_value(flight)?;
     data["panels"] = Value::from(panels());

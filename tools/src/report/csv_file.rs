@@ -29,9 +29,6 @@ pub fn from_csv<R: DeserializeOwned>(text: &str) -> Result<Vec<R>, csv::Error> {
 }
 
 /// Writes a number with N decimals: `#[serde(serialize_with = "decimals::<4, _, _>")]`.
-///
-/// # Errors
-/// The serializer's.
 pub fn decimals<const N: usize, T: Copy + Into<f64>, S: Serializer>(
     value: &T,
     serializer: S,
@@ -40,9 +37,6 @@ pub fn decimals<const N: usize, T: Copy + Into<f64>, S: Serializer>(
 }
 
 /// The same for a number that may be missing: an empty field.
-///
-/// # Errors
-/// The serializer's.
 pub fn maybe_decimals<const N: usize, T: Copy + Into<f64>, S: Serializer>(
     value: &Option<T>,
     serializer: S,

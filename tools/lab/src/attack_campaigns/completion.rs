@@ -87,7 +87,6 @@ pub struct Row {
     pub tally: Tally,
     attacked_steps: u64,
     effective_steps: u64,
-    /// Of those that failed.
     failed_seeds: Vec<u64>,
 }
 
@@ -243,18 +242,12 @@ fn report(campaign: &Campaign<Settings, Flight>, path: &Path) -> Result<()> {
 pub const COMMANDS: [&str; 2] = ["attack completion", "attack search"];
 
 /// Makes one table of the flights in several files.
-///
-/// # Errors
-/// Flights that contradict each other or are not all; a file that cannot be written.
 pub fn merge(files: &[PathBuf], json: &Path) -> Result<ExitCode> {
     report(&Campaign::load(files, json)?, json)?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// Field on and off, times no attack, 5 and 50 steps.
-///
-/// # Errors
-/// A file that is no actor, a folder that cannot be written.
 pub fn run_completion(args: &CompletionArgs) -> Result<ExitCode> {
     let config = args.strength.of(args.attack);
     let bursts = [None, Some(5), Some(50)].map(|steps| {
@@ -271,9 +264,6 @@ pub fn run_completion(args: &CompletionArgs) -> Result<ExitCode> {
 }
 
 /// Every method, burst and direction asked for, after a row without an attack.
-///
-/// # Errors
-/// A file that is no actor, a folder that cannot be written.
 pub fn run_search(args: &SearchArgs) -> Result<ExitCode> {
     let mut settings = vec![(args.apf, None)];
     for method in &args.attack {

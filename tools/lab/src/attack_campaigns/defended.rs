@@ -175,7 +175,6 @@ struct Line {
     astray_alarms: u64,
     /// Of these because it disagreed with the planner.
     disagreement_alarms: u64,
-    /// Step of the first alarm, if there was one.
     first_alarm_step: Option<u64>,
     stop_steps: u64,
     recovery_steps: u64,
@@ -399,9 +398,6 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
 pub const COMMAND: &str = "attack defended";
 
 /// Makes one table of the flights in several files.
-///
-/// # Errors
-/// Flights that contradict each other or are not all; a file that cannot be written.
 pub fn merge(files: &[PathBuf], json: &Path) -> Result<ExitCode> {
     report(&Campaign::load(files, json)?, json)?;
     Ok(ExitCode::SUCCESS)

@@ -72,9 +72,6 @@ pub struct Report {
 }
 
 /// Attacks hovering states before the wall, with both readings of the paper's attack.
-///
-/// # Errors
-/// A file that is no actor, a folder that cannot be written.
 pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
     let victim = args.common.victim()?;
     let folder = args.common.folder()?;

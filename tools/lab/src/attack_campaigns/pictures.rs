@@ -60,9 +60,6 @@ pub(super) fn change_colour(share: f32) -> [u8; 3] {
 }
 
 /// Draws them.
-///
-/// # Errors
-/// A file that is no actor, a folder that cannot be written.
 pub fn run(args: &PicturesArgs) -> Result<ExitCode> {
     let folder = args.common.folder()?;
     let victim = args.common.victim()?;

@@ -16,21 +16,15 @@ use vigil_types::Action;
 /// States taken from one flight: few, since neighbours resemble each other.
 pub const STATES_PER_FLIGHT: usize = 5;
 
-/// A state.
 pub struct State {
-    /// The newest frame.
     pub frame: Vec<f32>,
     /// What the actor remembers and observes beside it.
     pub beside: Beside,
-    /// A seed of its own.
     pub seed: u64,
 }
 
 /// Flies a validation course with the actor alone, without the potential field, and picks [`STATES_PER_FLIGHT`] of the
 /// states it decided on, each as likely as the other (reservoir sampling), from the first on whose older scans are all of the flight.
-///
-/// # Errors
-/// Parameters of another actor.
 pub fn met_in_flight(victim: &Victim, seed: u64) -> Result<Vec<State>> {
     let course = generate(Family::Validation, seed);
     let mut flight = Flight::of(Environment::new(&course, Wind::default(), seed)?);

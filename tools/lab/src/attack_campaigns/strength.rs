@@ -61,9 +61,6 @@ struct Report<'a> {
 }
 
 /// Attacks every state at every setting.
-///
-/// # Errors
-/// A file that is no actor, a folder that cannot be written.
 pub fn run(args: &TableArgs) -> Result<ExitCode> {
     let victim = args.common.victim()?;
     let folder = args.common.folder()?;

@@ -173,9 +173,6 @@ fn unpacked(recorded: &Recorded, seed: u64, packed: &Packed) -> Result<Record> {
 }
 
 /// Puts the lines of several files into one, which `vigil detector collect` takes its flights from.
-///
-/// # Errors
-/// Flights that contradict each other or are not all; a file that cannot be written.
 pub fn merge(files: &[PathBuf], lines: &Path) -> Result<ExitCode> {
     Campaign::<Recorded, Packed>::load(files, lines)?;
     say!("flights          {}", lines.with_extension("jsonl").display());

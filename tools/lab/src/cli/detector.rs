@@ -142,7 +142,6 @@ pub(crate) struct TimesReport {
     pub version: String,
     pub actor_sha256: String,
     pub seed: u64,
-    /// The instructions used.
     pub isa: String,
     pub rows: Vec<TimeRow>,
 }
@@ -151,11 +150,9 @@ pub(crate) struct TimesReport {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct TimeRow {
     pub part: String,
-    /// How often it was measured.
     pub measured: usize,
     pub median_s: Option<f64>,
     pub p99_s: Option<f64>,
-    /// The paper's.
     pub paper_s: f64,
 }
 

@@ -35,9 +35,6 @@ pub struct ExportArgs {
 }
 
 /// Writes the model.
-///
-/// # Errors
-/// An actor that cannot be read; a file that cannot be written.
 pub fn run(args: &ExportArgs) -> Result<ExitCode> {
     let pilot = FrozenPilot::load_or_built_in(args.actor.as_deref())?;
     let model = vigil_onnx::export(&pilot)?;

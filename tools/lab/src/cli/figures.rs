@@ -92,9 +92,6 @@ impl Pixels {
 }
 
 /// Flies validation course `seed`, attacked or not, and draws into the folder.
-///
-/// # Errors
-/// A detector of another actor, a folder that cannot be written.
 pub fn draw(
     isa: Isa,
     actor: &FrozenActor,
@@ -171,9 +168,6 @@ fn shap_colour(level: u8) -> [u8; 3] {
 }
 
 /// Beside each frame the SHAP values of its pixels for the yaw output. One scale for all.
-///
-/// # Errors
-/// Pictures that are none.
 pub(crate) fn figure_12(pixels: &Pixels) -> Result<Plate> {
     let row = |frame: &PixelFrame| {
         let depth: Vec<u8> = unpacked(&frame.depth_png)?.iter().flat_map(|grey| [*grey; 3]).collect();
@@ -261,7 +255,6 @@ pub(crate) fn figure_14(pixels: &Pixels, lines: &[ExplanationLine]) -> Figure {
     over_time(pixels, vec![both, difference])
 }
 
-/// A line of `explanations.csv`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct ExplanationLine {
     #[serde(serialize_with = "decimals::<2, _, _>")]

@@ -72,9 +72,6 @@ pub fn main() -> ExitCode {
 }
 
 /// Runs a command as it would be typed, the program's name first, within another one.
-///
-/// # Errors
-/// The command's, and words that are none.
 fn run_words(words: Vec<OsString>) -> Result<ExitCode> {
     execute(Cli::try_parse_from(words).context("no command")?.command)
 }

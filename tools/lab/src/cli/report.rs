@@ -39,7 +39,6 @@ struct Flight {
     reward: f64,
 }
 
-/// A run of the training.
 pub(crate) struct Run {
     pub result: LearnResult,
     /// Flights over validation courses that nothing was chosen by.
@@ -62,9 +61,6 @@ impl Arm {
 }
 
 /// The runs in these folders, those with the field first.
-///
-/// # Errors
-/// No run, or a file of one that cannot be read.
 pub(crate) fn arms(given: &[PathBuf]) -> Result<Vec<Arm>> {
     let empty = |name| Arm { name, runs: Vec::new() };
     let mut arms = [empty("DDPG-APF"), empty("DDPG")];
@@ -88,9 +84,6 @@ pub(crate) fn arms(given: &[PathBuf]) -> Result<Vec<Arm>> {
 }
 
 /// Reads the runs, prints table I and draws the figures.
-///
-/// # Errors
-/// No run, or a file of one that cannot be read.
 pub fn run(args: &ReportArgs) -> Result<ExitCode> {
     let arms = arms(&args.runs)?;
     let table = table(&arms);
@@ -254,7 +247,6 @@ pub(crate) struct Curve {
     y_label: &'static str,
 }
 
-/// Figure 9.
 pub(crate) const REWARDS: Curve = Curve {
     count: 20,
     of: |flight| flight.reward,

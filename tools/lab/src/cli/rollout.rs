@@ -67,9 +67,6 @@ pub struct RolloutArgs {
 }
 
 /// Flies the courses without and with the field and prints both.
-///
-/// # Errors
-/// A file that is no actor.
 pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
     let frozen;
     let evaluated = match args.actor.as_str() {

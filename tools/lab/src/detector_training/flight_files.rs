@@ -169,9 +169,6 @@ struct Entry {
 
 impl Flights {
     /// Writes them.
-    ///
-    /// # Errors
-    /// A file that cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
         let bytes = self.to_bytes()?;
         output::prepare(path)?;
@@ -180,9 +177,6 @@ impl Flights {
 
     /// A file's content: `steps` (float32: split point's values, positional inputs, outputs, change of yaw), `frames` (0 unaltered, 1
     /// attacked, 2 noisy; and 4 where the picture is rough), and what was flown as JSON in the metadata.
-    ///
-    /// # Errors
-    /// Steps of different widths.
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         let steps = || self.records.iter().flat_map(|r| &r.steps);
         let count = steps().count();

@@ -177,9 +177,6 @@ const FORMAT: &str = "vigil detector images 2";
 
 impl States {
     /// Writes the images to `path` and the flights beside, `.flights`.
-    ///
-    /// # Errors
-    /// A file that cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
         self.flights.save(&path.with_extension("flights"))?;
         let images: Vec<u8> = self.states.iter().flat_map(|s| s.image.iter().copied()).collect();

@@ -21,9 +21,6 @@ fn not_made(why: impl std::fmt::Display) -> Error {
 /// Takes one picture after the other.
 pub trait Pictures {
     /// A picture that is shown for so many hundredths of a second.
-    ///
-    /// # Errors
-    /// What keeps it from being written.
     fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<()>;
 }
 
@@ -35,9 +32,6 @@ pub struct Gif<W: Write> {
 
 impl<W: Write> Gif<W> {
     /// Begins it.
-    ///
-    /// # Errors
-    /// A sink that takes nothing.
     pub fn begin(sink: W) -> Result<Self> {
         let palette: Vec<u8> = PALETTE.iter().flatten().copied().collect();
         let mut encoder = Encoder::new(sink, WIDTH as u16, HEIGHT as u16, &palette).context(NOT_WRITTEN)?;
@@ -101,9 +95,6 @@ pub struct Video {
 
 impl Video {
     /// Whether there is a program that makes it.
-    ///
-    /// # Errors
-    /// There is none: the message says what to do.
     pub fn check() -> Result<()> {
         let asked = Command::new(FFMPEG)
             .arg("-version")
@@ -122,9 +113,6 @@ impl Video {
     }
 
     /// Begins it, in the place of a file that may be there, with so many pictures a second.
-    ///
-    /// # Errors
-    /// No ffmpeg.
     pub fn begin(file: &Path, pictures_per_s: u16) -> Result<Self> {
         Self::check()?;
         let size = format!("{WIDTH}x{HEIGHT}");
@@ -161,9 +149,6 @@ impl Video {
     }
 
     /// Waits for the file.
-    ///
-    /// # Errors
-    /// What ffmpeg says, or a file that cannot be replaced.
     pub fn finish(mut self) -> Result<()> {
         match self.end() {
             None => std::fs::rename(&self.part, &self.file).map_err(not_made),

@@ -44,7 +44,6 @@ const TRAIL_STEPS: usize = 160;
 /// Pixels weaker than this share of the strongest are not marked.
 const WEAK: f32 = 0.12;
 
-/// How to film.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FilmOptions {
     /// Seconds of flight in a second of film.

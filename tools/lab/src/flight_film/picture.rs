@@ -7,7 +7,6 @@ use embedded_graphics::prelude::*;
 use embedded_graphics::text::{Baseline, Text};
 use std::convert::Infallible;
 
-/// The colours by number.
 pub struct Colour;
 
 impl Colour {
@@ -156,7 +155,6 @@ impl Canvas {
         });
     }
 
-    /// A filled polygon.
     pub fn polygon(&mut self, corners: &[(f32, f32)], colour: u8) {
         let ((x0, x1), (y0, y1)) = (span(corners.iter().map(|c| c.0)), span(corners.iter().map(|c| c.1)));
         self.fill((x0, y0, x1, y1), colour, |x, y| {

@@ -135,13 +135,10 @@ pub struct Stage {
 
 /// The vehicle at a moment.
 pub struct Seen<'a> {
-    /// Where it is.
     pub position_ned_m: NedVector,
-    /// How it is turned.
     pub attitude: Attitude,
     /// Where it was, with the colour of who flew.
     pub trail: &'a [(NedVector, u8)],
-    /// The colour of who flies.
     pub colour: u8,
 }
 

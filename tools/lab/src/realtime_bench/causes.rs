@@ -10,13 +10,9 @@ const NOTABLE_NS: u64 = 1_000_000;
 /// What a step had to do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Work {
-    /// A new frame was there.
     pub frame: bool,
-    /// A pilot decided.
     pub decided: bool,
-    /// The decision was explained and judged.
     pub judged: bool,
-    /// An alarm was raised.
     pub alarm: bool,
 }
 
@@ -66,7 +62,6 @@ named! {
         Blocked => "blocked",
         /// Pages were touched for the first time.
         Pages => "pages",
-        /// It computed longer.
         Computed => "computed",
         /// It was off the processor for a reason that is not counted.
         Unknown => "unknown",

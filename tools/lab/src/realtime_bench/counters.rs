@@ -24,7 +24,6 @@ pub struct Counters {
 }
 
 impl Counters {
-    /// What was counted since `earlier`.
     pub fn since(&self, earlier: &Self) -> Self {
         Self {
             processor_ns: self.processor_ns.saturating_sub(earlier.processor_ns),

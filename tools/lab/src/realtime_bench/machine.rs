@@ -4,7 +4,6 @@ use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::Path;
 
-/// What is known of the machine.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Machine {
     /// The processor's name.
@@ -15,7 +14,6 @@ pub struct Machine {
     pub kernel: String,
     /// A kernel with full preemption (PREEMPT_RT).
     pub preempt_rt: bool,
-    /// It runs under a hypervisor.
     pub virtual_machine: bool,
     /// How the clock is governed, each way once; empty where it cannot be told.
     pub governors: Vec<String>,
@@ -26,7 +24,6 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// This one.
     pub fn here() -> Self {
         let processors = std::thread::available_parallelism().map_or(1, usize::from);
         Self::in_root(Path::new("/"), processors)
@@ -76,7 +73,6 @@ pub struct ProcessorTime {
 }
 
 impl ProcessorTime {
-    /// Now.
     pub fn now() -> Self {
         let text = fs::read_to_string("/proc/stat").unwrap_or_default();
         Self::from_line(text.lines().next().unwrap_or_default())

@@ -24,9 +24,7 @@ pub struct ObservedStep {
     pub missed: u64,
     /// The step before ended behind this one's deadline.
     pub held_up: bool,
-    /// What was counted.
     pub counted: Counters,
-    /// What it had to do.
     pub work: Work,
 }
 

@@ -16,7 +16,6 @@ const WORST: usize = 5;
 pub struct RunFacts {
     /// The command that ran it again.
     pub command: String,
-    /// Minutes that the loop ran.
     pub minutes: f64,
     /// How the flights ended, and how many each way.
     pub flights: BTreeMap<String, u64>,
@@ -31,22 +30,16 @@ pub struct RunFacts {
     pub fifo: Option<i32>,
     /// Scheduling and memory as the system granted them, in words.
     pub granted: String,
-    /// The loop's memory is locked.
     pub locked: bool,
-    /// The machine.
     pub machine: Machine,
 }
 
 /// How times are spread, microseconds.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Distribution {
-    /// Median.
     pub p50_us: f64,
-    /// 99 of 100 are not longer.
     pub p99_us: f64,
-    /// 999 of 1000 are not longer.
     pub p99_9_us: f64,
-    /// The longest.
     pub max_us: f64,
     /// Where bins end that hold something (ten to a power of ten, the first ends at 1 µs), and how many they hold.
     pub bins: Vec<(f64, u64)>,
@@ -105,20 +98,14 @@ impl Distribution {
     }
 }
 
-/// One of the worst steps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WorstStep {
     /// When it was, seconds from the run's start.
     pub at_s: f64,
-    /// How late it began, microseconds.
     pub late_us: f64,
-    /// How long it took, microseconds.
     pub took_us: f64,
-    /// Steps that it missed.
     pub missed: u64,
-    /// What it had to do.
     pub work: String,
-    /// What kept it.
     pub cause: String,
 }
 
@@ -129,36 +116,27 @@ pub struct Totals {
     pub involuntary: u64,
     /// Time that it was ready without a processor, microseconds.
     pub queued_us: u64,
-    /// Pages mapped without the disk.
     pub minor_faults: u64,
-    /// Pages read from the disk.
     pub major_faults: u64,
     /// Time that the hypervisor gave to others, on any processor, milliseconds.
     pub stolen_ms: u64,
 }
 
-/// What a run came to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RealtimeReport {
-    /// The run.
     pub run: RunFacts,
-    /// Steps begun.
     pub steps: u64,
-    /// Steps missed.
     pub missed: u64,
     /// Lateness of wake-ups, the time of missed steps included.
     pub lateness: Distribution,
     /// From wake-up to the end of the step.
     pub duration: Distribution,
-    /// What was counted.
     pub totals: Totals,
     /// Why steps began more than 1 ms late: how many for each reason.
     pub late_causes: BTreeMap<String, u64>,
     /// Why steps took more than 1 ms longer than usual.
     pub long_causes: BTreeMap<String, u64>,
-    /// The latest.
     pub latest: Vec<WorstStep>,
-    /// The longest.
     pub longest: Vec<WorstStep>,
     /// What would make the loop more punctual.
     pub advice: Vec<String>,

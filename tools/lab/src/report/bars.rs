@@ -13,12 +13,10 @@ const FOOT: u32 = 40;
 const BAR: u32 = 15;
 const GAP: u32 = 12;
 
-/// A bar.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bar {
     /// Which of the chart's series it belongs to.
     pub series: usize,
-    /// How long it is.
     pub value: f64,
     /// Its 95 % interval.
     pub interval: Option<(f64, f64)>,
@@ -26,31 +24,23 @@ pub struct Bar {
     pub note: String,
 }
 
-/// Bars side by side.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BarRow {
-    /// Their common name.
     pub label: String,
     /// From top to bottom.
     pub bars: Vec<Bar>,
-    /// What the paper has.
     pub paper: Option<f64>,
 }
 
-/// A chart of lying bars.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bars {
-    /// What it shows.
     pub title: String,
     /// What the axis counts, with its unit in brackets.
     pub x_label: String,
-    /// Where the axis begins and ends.
     pub x_range: (f64, f64),
-    /// The axis is logarithmic.
     pub logarithmic: bool,
     /// A named level, drawn dashed.
     pub threshold: Option<(String, f64)>,
-    /// The legend.
     pub series: Vec<String>,
     /// From top to bottom.
     pub rows: Vec<BarRow>,

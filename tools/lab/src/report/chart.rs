@@ -19,9 +19,7 @@ const SPAN: RGBColor = RGBColor(213, 94, 0);
 /// A line of a chart. Points that are not finite interrupt it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// Its name in the legend.
     pub label: String,
-    /// Its points.
     pub points: Vec<(f64, f64)>,
     /// An interval around it: abscissa, lower, upper. Empty without one.
     pub band: Vec<(f64, f64, f64)>,
@@ -30,7 +28,6 @@ pub struct Series {
 }
 
 impl Series {
-    /// A line without an interval.
     pub fn line(label: impl Into<String>, points: Vec<(f64, f64)>) -> Self {
         Self {
             label: label.into(),
@@ -44,11 +41,9 @@ impl Series {
 /// A chart of its own: lines over the figure's common axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Panel {
-    /// What it shows.
     pub title: String,
     /// What the upright axis counts, with its unit in brackets.
     pub y_label: String,
-    /// The lines.
     pub series: Vec<Series>,
     /// Named levels, drawn dashed; one without a name is not in the legend.
     pub thresholds: Vec<(String, f64)>,
@@ -57,13 +52,11 @@ pub struct Panel {
 }
 
 impl Panel {
-    /// From names and points.
     pub fn new<'a>(title: &str, y_label: &str, series: impl IntoIterator<Item = (&'a str, Vec<(f64, f64)>)>) -> Self {
         let lines = series.into_iter().map(|(label, points)| Series::line(label, points));
         Self::of(title, y_label, lines)
     }
 
-    /// From lines.
     pub fn of(title: impl Into<String>, y_label: &str, series: impl IntoIterator<Item = Series>) -> Self {
         Self {
             title: title.into(),
@@ -108,9 +101,7 @@ pub enum Scale {
 pub struct Figure {
     /// What the common axis counts, with its unit in brackets.
     pub x_label: String,
-    /// The common axis ends here.
     pub x_last: f64,
-    /// How values are spread along it.
     pub x_scale: Scale,
     /// What is shaded in all panels, from where and to where.
     pub span: Option<(String, f64, f64)>,

@@ -51,9 +51,6 @@ pub trait Picture {
     fn size(&self) -> (u32, u32);
 
     /// Draws all but the rasters, `scale` times as large.
-    ///
-    /// # Errors
-    /// The surface's.
     fn draw<DB: DrawingBackend>(
         &self,
         area: &DrawingArea<DB, Shift>,
@@ -66,9 +63,6 @@ pub trait Picture {
     }
 
     /// A PNG file's content, 300 dots per inch.
-    ///
-    /// # Panics
-    /// Never: drawing in memory does not fail.
     fn png(&self) -> Vec<u8> {
         register_font();
         let (width, height) = self.size();
@@ -103,9 +97,6 @@ pub trait Picture {
     }
 
     /// An SVG file's content.
-    ///
-    /// # Panics
-    /// Never: drawing in memory does not fail.
     fn svg(&self) -> String {
         register_font();
         let mut text = String::new();

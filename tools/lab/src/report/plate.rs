@@ -37,14 +37,11 @@ impl ColourScale {
     }
 }
 
-/// Two columns of pictures.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plate {
-    /// What it shows.
     pub title: String,
     /// Names of the columns, and what their colours mean.
     pub columns: [(String, ColourScale); 2],
-    /// Size of each picture, pixels.
     pub size: (u32, u32),
     /// Names of the rows, line by line, and their two pictures' colours.
     pub rows: Vec<(Vec<String>, [Vec<u8>; 2])>,

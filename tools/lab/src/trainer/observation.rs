@@ -37,9 +37,6 @@ pub struct Encoder {
 
 impl Encoder {
     /// Of these parameters.
-    ///
-    /// # Errors
-    /// None for a valid description.
     pub fn new(isa: Isa, encoder: &[f32]) -> Result<Self, ShapeError> {
         let graph = ActorSpec::FULL.encoder_graph(Purpose::Gradients, false)?;
         let mut params = vec![0.0; graph.param_len()];
@@ -137,9 +134,6 @@ impl Observer {
     }
 
     /// Takes a step's frame and odometry; `last` is the action before it.
-    ///
-    /// # Errors
-    /// None with the frames of this project.
     pub fn observe(&mut self, encoder: &Encoder, input: &PilotInput<'_>, last: Action) -> Result<(), ShapeError> {
         let depth = &input.depth.depth;
         encoder

@@ -35,9 +35,6 @@ pub enum Values<'a> {
 }
 
 /// Writes a description (JSON) and tensors beside and renames the file.
-///
-/// # Errors
-/// A file that cannot be written; an earlier one is kept.
 pub fn save<S: Serialize>(path: &Path, state: &S, tensors: &[(String, Values<'_>)]) -> Result<()> {
     let state = serde_json::to_vec(state)?;
     let mut all: Vec<(String, Dtype, usize, Vec<u8>)> = vec![("state".into(), Dtype::U8, state.len(), state)];
@@ -59,9 +56,6 @@ pub fn save<S: Serialize>(path: &Path, state: &S, tensors: &[(String, Values<'_>
 }
 
 /// Writes a file anew.
-///
-/// # Errors
-/// It cannot be written; an earlier one is kept.
 pub fn replace(path: &Path, content: &[u8]) -> Result<()> {
     vigil_types::files::replace(path, content, vigil_types::files::Access::Shared).map_err(|e| not_written(path, &e))
 }
@@ -120,17 +114,11 @@ impl Stored {
     }
 
     /// The description.
-    ///
-    /// # Errors
-    /// There is none that fits.
     pub fn state<S: DeserializeOwned>(&self) -> Result<S> {
         serde_json::from_slice(&self.tensor("state", Dtype::U8)?).map_err(|e| self.none(e))
     }
 
     /// Numbers, of a length or of any.
-    ///
-    /// # Errors
-    /// There are none, or of a network of another size.
     pub fn f32(&self, name: &str, expected: Option<usize>) -> Result<Vec<f32>> {
         let data = self.tensor(name, Dtype::F32)?;
         let values: Vec<f32> = data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
@@ -145,18 +133,12 @@ impl Stored {
     }
 
     /// Priorities.
-    ///
-    /// # Errors
-    /// There are none.
     pub fn f64(&self, name: &str) -> Result<Vec<f64>> {
         let data = self.tensor(name, Dtype::F64)?;
         Ok(data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect())
     }
 
     /// Stored states.
-    ///
-    /// # Errors
-    /// There are none.
     pub fn u16(&self, name: &str) -> Result<Vec<u16>> {
         let data = self.tensor(name, Dtype::U16)?;
         Ok(data.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect())

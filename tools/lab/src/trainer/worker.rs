@@ -184,9 +184,6 @@ impl EnvWorker {
     }
 
     /// Takes over a saved state; the flight that lasted is flown again.
-    ///
-    /// # Errors
-    /// None with the default vehicle and the encoder it was saved with.
     pub fn restore(&mut self, config: &LearnConfig, state: &WorkerState) -> Result<()> {
         let (high, low) = state.random_at;
         self.rng.set_word_pos(u128::from(high) << 64 | u128::from(low));
@@ -203,9 +200,6 @@ impl EnvWorker {
     }
 
     /// Begins a flight if none lasts; its observation.
-    ///
-    /// # Errors
-    /// None with the default vehicle.
     pub fn observation(&mut self, config: &LearnConfig, warm_up: bool) -> Result<[f32; OBSERVATION]> {
         if self.current.is_none() {
             let run = config.seed.wrapping_mul(1 << 24);
@@ -248,9 +242,6 @@ impl EnvWorker {
 
     /// Flies one decision and stores it. `own` is the actor's output before its last tanh, `None` in the warm-up, in which noise
     /// around a mean flies. Returns the flight's report when it ended.
-    ///
-    /// # Errors
-    /// None with the encoder's own frames.
     pub fn fly(
         &mut self,
         config: &LearnConfig,

@@ -136,9 +136,6 @@ fn print_failed(flights: &[&Flight]) {
 }
 
 /// Prints the table of a campaign and writes its JSON. Of its settings, the vehicle's model and whether it is attacked are named.
-///
-/// # Errors
-/// A file that cannot be written.
 pub(super) fn report<S: Serialize + DeserializeOwned + Sync>(
     campaign: &Campaign<S, Flight>,
     (vehicle_model, is_attacked): (Option<&str>, bool),

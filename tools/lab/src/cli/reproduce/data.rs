@@ -23,7 +23,6 @@ pub struct Unit {
     pub seeds: String,
     /// The commit of the program that measured.
     pub commit: String,
-    /// Its version.
     pub version: String,
     /// What has to be known besides.
     #[serde(default, skip_serializing_if = "String::is_empty")]
@@ -51,9 +50,6 @@ pub struct Data {
 
 impl Data {
     /// What the repository holds.
-    ///
-    /// # Errors
-    /// A folder without a readable index.
     pub fn committed(folder: &Path) -> Result<Self> {
         ensure!(
             folder.join(INDEX).exists(),
@@ -65,9 +61,6 @@ impl Data {
     }
 
     /// What this command has measured so far in its output folder.
-    ///
-    /// # Errors
-    /// An index that cannot be read.
     pub fn fresh(folder: &Path) -> Result<Self> {
         Self::open(folder, true)
     }
@@ -89,7 +82,6 @@ impl Data {
         })
     }
 
-    /// A unit, if it was measured.
     pub fn unit(&self, name: &str) -> Option<&Unit> {
         self.index.units.get(name)
     }
@@ -102,9 +94,6 @@ impl Data {
     }
 
     /// Enters a unit once its files lie in its folder: from then on it is not measured again.
-    ///
-    /// # Errors
-    /// A file that is missing, a folder that cannot be written.
     pub fn enter(&mut self, name: &str, mut unit: Unit, files: &[String]) -> Result<()> {
         for file in files {
             let file = format!("{name}/{file}");
@@ -117,18 +106,12 @@ impl Data {
     }
 
     /// Enters a unit whose files lie in their places and have the digests that it says.
-    ///
-    /// # Errors
-    /// A folder that cannot be written.
     pub fn enter_whole(&mut self, name: &str, unit: Unit) -> Result<()> {
         self.index.units.insert(name.to_owned(), unit);
         output::write(&self.folder.join(INDEX), toml::to_string_pretty(&self.index)?)
     }
 
     /// Finds a unit to be the one that was to be measured, with these files and none else, each of them whole.
-    ///
-    /// # Errors
-    /// What is not.
     pub fn check(&self, name: &str, expected: &Unit, files: &[String]) -> Result<()> {
         let unit = self.known(name)?;
         let of_command = Unit {
@@ -210,9 +193,6 @@ impl Data {
     }
 
     /// The folders that hold the unit's files, each checked.
-    ///
-    /// # Errors
-    /// As [`Self::text`].
     pub fn folders(&self, name: &str) -> Result<Vec<PathBuf>> {
         let unit = self.known(name)?;
         let mut folders = Vec::new();

@@ -9,9 +9,6 @@ const STYLE: &str = include_str!("../../../../assets/reproduce/style.css");
 
 impl Grid {
     /// As comma-separated values.
-    ///
-    /// # Errors
-    /// None: memory takes every row.
     pub fn csv(&self) -> Result<String> {
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.write_record(&self.columns)?;
@@ -55,7 +52,6 @@ fn escaped(text: &str) -> String {
 /// Rows above which a table is folded.
 const LONG: usize = 14;
 
-/// The page.
 pub fn html(made_by: &MadeBy, all: &[Shown]) -> String {
     let mut out = String::from(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\

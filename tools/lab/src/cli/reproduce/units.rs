@@ -27,7 +27,6 @@ pub struct Spec {
     what: String,
     seeds: String,
     commands: Vec<String>,
-    /// What is kept.
     pub files: Vec<String>,
 }
 
@@ -120,9 +119,6 @@ impl Spec {
     }
 
     /// Runs the commands. False when Ctrl-C came before they were done.
-    ///
-    /// # Errors
-    /// Theirs.
     pub fn measure(
         &self,
         setting: &Setting,
@@ -235,9 +231,6 @@ pub fn take(names: &[&str], setting: &Setting, from: &Data, data: &mut Data) -> 
 }
 
 /// Measures what is missing of some units. False when Ctrl-C came first.
-///
-/// # Errors
-/// Those of the commands.
 pub fn measure(
     names: &[&str],
     setting: &Setting,
