@@ -14,7 +14,7 @@ use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{FramingCounters, StreamFramer, packets};
 use vigil_mavlink::mavlink::MessageData;
-use vigil_tests::ground::packet;
+use vigil_tests::ground::{Request, heartbeat, packet};
 use vigil_types::{Nanos, STEP_NS};
 
 /// Ends of strangers that send in turn.
@@ -52,13 +52,6 @@ impl Content {
     const EACH: [Self; 5] = [Self::OneByte, Self::Garbage, Self::Station, Self::Vehicles, Self::Mixed];
 
     fn datagrams(self) -> Vec<Vec<u8>> {
-        let heartbeat = |autopilot| {
-            MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-                autopilot,
-                mavlink_version: 3,
-                ..HEARTBEAT_DATA::DEFAULT
-            })
-        };
         match self {
             Self::OneByte => vec![vec![0xFD]],
             Self::Garbage => {
@@ -67,15 +60,9 @@ impl Content {
                 (0..64).map(|i| [vec![0xFD], some(20 + 4 * i)].concat()).collect()
             }
             Self::Station => {
-                let land = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-                    command: MavCmd::MAV_CMD_NAV_LAND,
-                    target_system: 1,
-                    target_component: 191,
-                    ..COMMAND_LONG_DATA::DEFAULT
-                });
                 vec![
                     packet((255, 190), 0, &heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID)),
-                    packet((255, 190), 1, &land),
+                    packet((255, 190), 1, &Request::Land.message(1)),
                     packet((1, 50), 2, &MavMessage::STATUSTEXT(STATUSTEXT_DATA::DEFAULT)),
                     packet((1, 1), 3, &MavMessage::STATUSTEXT(STATUSTEXT_DATA::DEFAULT)),
                 ]

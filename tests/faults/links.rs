@@ -18,7 +18,7 @@ use vigil_mavlink::signing::{
 use vigil_sim::world::{Family, Outcome, generate};
 use vigil_sim::{SimConfig, Start};
 use vigil_tests::Pair;
-use vigil_tests::ground::packet;
+use vigil_tests::ground::{heartbeat, packet};
 use vigil_types::NedVector;
 
 /// A flight that has not ended after this has not arrived: two minutes.
@@ -167,11 +167,6 @@ impl Attacker {
             })
         };
         let say = |message: &MavMessage| packet((255, 190), self.number as u8, message);
-        let heartbeat = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
-            mavlink_version: 3,
-            ..HEARTBEAT_DATA::DEFAULT
-        });
         match self.attack {
             Attack::UnsignedSetup => say(&setup(OTHER_KEY)),
             Attack::SetupOfAnotherKey => sign(&mut self.stranger, 0, &say(&setup(OTHER_KEY))),
@@ -180,7 +175,11 @@ impl Attacker {
             // Twenty of them a second apart.
             Attack::RatchetOfAHolder => {
                 let ahead = (self.number / ATTACK_RATE).min(20) as i64;
-                sign(&mut self.holder, 55 * ahead, &say(&heartbeat))
+                sign(
+                    &mut self.holder,
+                    55 * ahead,
+                    &say(&heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID)),
+                )
             }
             Attack::RandomPackets => {
                 let mut key = [0; 32];

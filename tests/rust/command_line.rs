@@ -2,7 +2,7 @@
 
 use rustix::process::Signal;
 use std::net::UdpSocket;
-use vigil_tests::{Running, ended, json, only_log, processes_of, refused, run, run_line, said, succeed, text};
+use vigil_tests::{Running, ended, has, json, only_log, processes_of, refused, run, run_line, said, succeed, text};
 
 #[test]
 fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
@@ -262,10 +262,7 @@ fn files_of_another_kind_or_size_are_refused_at_once_and_told_once() {
         let huge = run(&[&arguments[..], &[text(&huge)]].concat());
         assert!(!huge.status.success());
         let words = said(&huge);
-        assert!(
-            words.contains(&format!("it holds 10 GiB, the limit is {limit}")),
-            "{words}"
-        );
+        has(&words, &[&format!("it holds 10 GiB, the limit is {limit}")]);
         let device = said(&run(&[&arguments[..], &["/dev/zero"]].concat()));
         assert!(device.contains("/dev/zero: it is a device"), "{device}");
         let missing = said(&run(&[&arguments[..], &["/no/such/file"]].concat()));
@@ -304,9 +301,7 @@ fn simulator_and_firmware_say_at_start_what_they_are_and_how_they_end() {
         }
         rustix::process::kill_process(rustix::process::Pid::from_child(&process), Signal::TERM).expect("it runs");
         assert_eq!(process.wait().expect("it ends").code(), Some(0), "{heard}");
-        for word in words {
-            assert!(heard.contains(word), "{word} is not in:\n{heard}");
-        }
+        has(&heard, words);
     };
     told(
         &["sim", "--instance", "93", "--seed", "5"],
@@ -376,10 +371,7 @@ fn a_course_is_drawn_as_the_ending_of_its_file_says() {
     let (drawn, svg) = draw("draw", "course.SVG");
     succeed(&drawn);
     let svg = String::from_utf8(svg).expect("text");
-    assert!(
-        svg.starts_with("<svg ") && svg.contains(">validation 7<") && svg.contains(">goal<"),
-        "{svg}"
-    );
+    has(&svg, &["<svg ", ">validation 7<", ">goal<"]);
     for (how, name) in [("draw", "course.png"), ("view", "view.png")] {
         let (drawn, png) = draw(how, name);
         succeed(&drawn);

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use vigil_mavlink::Flavour;
 use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sim::foreign::PoseState;
-use vigil_tests::{Running, refused, run_line, said, text};
+use vigil_tests::{Running, has, refused, run_line, said, text};
 use vigil_types::{Nanos, STEP_NS};
 
 /// Step of the scripted ArduPilot in which somebody changes it to GUIDED.
@@ -139,9 +139,10 @@ fn a_vehicle_that_already_runs_flies_our_course_whichever_autopilot_it_has() {
         let (code, text) = flight.join().expect("it did not fail");
         assert_eq!(text.contains("in its pilot's mode"), waits, "{text}");
         assert_eq!(code, Some(0), "{text}");
-        for part in ["success after", "on straight", "landed, disarmed", "report    "] {
-            assert!(text.contains(part), "{part}: {text}");
-        }
+        has(
+            &text,
+            &["success after", "on straight", "landed, disarmed", "report    "],
+        );
     }
 }
 
@@ -154,9 +155,9 @@ fn a_position_that_jumps_in_flight_ends_it_without_a_verdict() {
         }
     });
     assert_eq!(code, Some(13), "{text}");
-    assert!(
-        text.contains(&format!("no verdict: {}", PoseState::Jumped.name())) && text.contains("flown anew"),
-        "{text}"
+    has(
+        &text,
+        &[&format!("no verdict: {}", PoseState::Jumped.name()), "flown anew"],
     );
 }
 

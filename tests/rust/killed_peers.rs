@@ -7,12 +7,10 @@ use std::path::Path;
 use std::time::Duration;
 use vigil_firmware::FirmwareConfig;
 use vigil_log::{Reader, TickRecord};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd};
 use vigil_sim::vehicle::VehicleModel;
 use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Start};
-use vigil_tests::ground::{Request, STATION, packet};
+use vigil_tests::ground::{Request, STATION, packet, set_auto_mode};
 use vigil_tests::{Pair, Running, only_log, text};
 use vigil_types::{EngagePolicy, GuidanceState, Nanos, Reason, StepReport};
 
@@ -115,18 +113,6 @@ fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight(
 }
 
 #[test]
-fn a_killed_firmware_makes_the_vehicle_hold_and_its_return_resumes_the_flight() {
-    let simulator = simulator("86");
-    let first = firmware("86", None);
-    wait_for_guided_flight(&simulator);
-    first.kill();
-    simulator.wait_for_status("the vehicle's own hold", |s| s.mode != "offboard");
-    simulator.wait_for_status("standstill", |s| s.speed_m_s < 0.2);
-    let _second = firmware("86", None);
-    simulator.wait_for_status("guided flight again", |s| s.mode == "offboard" && s.speed_m_s > 0.5);
-}
-
-#[test]
 fn a_silent_firmware_is_noticed_by_the_vehicle_within_half_a_second() {
     // The same in lockstep, where the delay is exact.
     let mut pair = Pair::new(Family::Training, 11);
@@ -208,16 +194,7 @@ fn the_test_card_of_an_external_mode_passes_on_every_vehicle_model() {
         let mut card = Card::on(model);
         card.until("engaged", Some(Request::Engage), Card::flies);
         // A ground station's Hold: guidance leaves, and leaves it at that.
-        let hold = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-            command: MavCmd::MAV_CMD_DO_SET_MODE,
-            param1: 129.0,
-            param2: 4.0,
-            param3: 3.0,
-            target_system: 1,
-            target_component: 1,
-            ..COMMAND_LONG_DATA::DEFAULT
-        });
-        card.pair.to_vehicle(&packet(STATION, 0, &hold));
+        card.pair.to_vehicle(&packet(STATION, 0, &set_auto_mode(3.0)));
         card.until("left", None, |report, mode| report.setpoint.is_none() && mode == "hold");
         for _ in 0..200 {
             card.pair.simulate();

@@ -3,11 +3,11 @@
 //! A mission that leads through a wall, and the same for a guarded vehicle: `just_stop/`; for a rendered sensor: `foreign.rs`.
 
 use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavType};
+use vigil_mavlink::common::{HEARTBEAT_DATA, MavAutopilot, MavType};
 use vigil_mavlink::framing::{self, FramingCounters};
 use vigil_sim::world::Family;
 use vigil_tests::Pair;
-use vigil_tests::ground::{Request, STATION, packet};
+use vigil_tests::ground::{Request, STATION, packet, set_auto_mode};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, Datagrams, DepthFrame, GuidanceState, Reason, Reasons, STEP_NS, StepReport};
 
 const SEED: u64 = 4203;
@@ -289,17 +289,8 @@ fn two_companions_are_named_and_the_second_is_not_obeyed() {
 #[test]
 fn a_ground_station_that_takes_over_has_the_vehicle_until_an_operator_engages() {
     let mut flight = Flight::guided();
-    // DO_SET_MODE, custom mode AUTO LOITER, as QGroundControl's "Hold".
-    let hold = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        param1: 129.0,
-        param2: 4.0,
-        param3: 3.0,
-        command: MavCmd::MAV_CMD_DO_SET_MODE,
-        target_system: 1,
-        target_component: 1,
-        ..COMMAND_LONG_DATA::DEFAULT
-    });
-    flight.pair.to_vehicle(&packet(STATION, 0, &hold));
+    // As QGroundControl's "Hold".
+    flight.pair.to_vehicle(&packet(STATION, 0, &set_auto_mode(3.0)));
     let report = flight.run(100, |_, _| true);
     assert!(flight.reasons.contains(Reason::ModeLost), "{:?}", flight.names());
     assert!(report.reasons.contains(Reason::PilotInCommand), "{:?}", flight.names());

@@ -224,6 +224,8 @@ fn what_cannot_be_done_is_said_before_anything_is_flown() {
     let commit = ours.lines().find(|l| l.starts_with("commit")).expect("a commit");
     fs::write(&made_by, ours.replace(commit, "commit = \"another\"")).expect("a file");
     refused(&reproduce(&out, &["--committed"]), &["its commit is another"]);
+    fs::write(&made_by, "version =").expect("a file");
+    refused(&reproduce(&out, &["--committed"]), &["made-by.toml is damaged"]);
 }
 
 #[test]

@@ -2,11 +2,10 @@
 
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd};
+use vigil_mavlink::common::MavCmd;
 use vigil_sim::world::{Course, Family, Outcome, generate};
 use vigil_sim::{SimConfig, Start};
-use vigil_tests::ground::{Request, STATION, packet};
+use vigil_tests::ground::{Request, STATION, command, packet};
 use vigil_tests::{Pair, fly_watched};
 use vigil_types::{AlarmResponse, EngagePolicy, GuidanceState, NedVector, PilotKind, Reason, StepReport};
 
@@ -157,19 +156,17 @@ fn handed_over(seed: u64, height_m: f32) -> (usize, usize, Vec<Reason>) {
         ..FirmwareConfig::to_goal(simulation.course.goal_ned_m())
     };
     let mut pair = Pair::of(&simulation, &config);
-    let command = |command, param1, param7| {
-        MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-            param1,
-            param7,
-            command,
-            target_system: 1,
-            target_component: 1,
-            ..COMMAND_LONG_DATA::DEFAULT
-        })
-    };
     let above_sea_m = simulation.endpoint.home.altitude_m as f32 + height_m;
-    let arm = packet(STATION, 0, &command(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0));
-    let take_off = packet(STATION, 1, &command(MavCmd::MAV_CMD_NAV_TAKEOFF, 0.0, above_sea_m));
+    let arm = packet(
+        STATION,
+        0,
+        &command(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, [1.0, 0.0, 0.0, 0.0]),
+    );
+    let take_off = packet(
+        STATION,
+        1,
+        &command(MavCmd::MAV_CMD_NAV_TAKEOFF, [0.0, 0.0, 0.0, above_sea_m]),
+    );
     let engage = packet(STATION, 2, &Request::Engage.message(1));
     let (mut guided, mut held, mut reasons) = (0, 0, Vec::new());
     for step in 0..800 {
@@ -187,13 +184,8 @@ fn handed_over(seed: u64, height_m: f32) -> (usize, usize, Vec<Reason>) {
             guided += usize::from(report.state == GuidanceState::Guided);
             if report.state == GuidanceState::Hold && !report.reasons.contains(Reason::GoalReached) {
                 held += 1;
-                reasons.extend(
-                    report
-                        .reasons
-                        .iter()
-                        .filter(|reason| !reasons.contains(reason))
-                        .collect::<Vec<_>>(),
-                );
+                let new: Vec<Reason> = report.reasons.iter().filter(|r| !reasons.contains(r)).collect();
+                reasons.extend(new);
             }
         }
     }

@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, TickRecord};
-use vigil_tests::{attacked_flight, ended, only_log, refused, run, run_line, succeed, text};
+use vigil_tests::{attacked_flight, ended, has, only_log, refused, run, run_line, succeed, text};
 use vigil_types::{Datagrams, StepReport, StepTiming};
 
 /// A log of a vehicle that stood for three steps without a frame.
@@ -58,16 +58,23 @@ fn a_viewer_that_is_absent_is_told_with_the_command_that_installs_it() {
 }
 
 #[test]
-fn a_log_is_handed_to_the_viewer_unless_its_port_is_taken() {
+fn a_log_is_handed_to_the_viewer_and_nothing_is_shown_on_a_port_that_is_taken() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = short_log(folder.path());
     let python = stand_in(folder.path());
     let taken = TcpListener::bind("0.0.0.0:0").expect("a port");
     let port = taken.local_addr().expect("its number").port().to_string();
-    let view = || run(&["view", text(&log), "--python", text(&python), "--view-port", &port]);
-    refused(&view(), &[&format!("port {port} is taken")]);
+    let on_port = |command: &[&str]| run(&[command, &["--python", text(&python), "--view-port", &port]].concat());
+    let json = folder.path().join("e.json");
+    for command in [
+        ["view", text(&log)].as_slice(),
+        &["courses", "view", "--seed", "7"],
+        &["evaluate", "--flights=2", "--view=2", "-o", text(&json)],
+    ] {
+        refused(&on_port(command), &[&format!("port {port} is taken")]);
+    }
     drop(taken);
-    succeed(&view());
+    succeed(&on_port(&["view", text(&log)]));
     let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
     assert_eq!(asked.trim(), format!("- {} --port {port}", text(&log)));
     let script = std::fs::read_to_string(folder.path().join("python.script")).expect("the script");
@@ -293,10 +300,7 @@ fn a_course_is_handed_to_the_viewer_with_its_obstacles_way_and_what_is_seen_at_i
         text(&python)
     )));
     let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
-    assert!(
-        asked.starts_with("- --course ") && asked.contains(text(&saved)),
-        "{asked}"
-    );
+    has(&asked, &["- --course ", text(&saved)]);
     let json = std::fs::read_to_string(folder.path().join("python.json")).expect("the course");
     let course: serde_json::Value = serde_json::from_str(&json).expect("JSON");
     let count = |key: &str| course[key].as_array().map_or(0, Vec::len);
@@ -308,24 +312,6 @@ fn a_course_is_handed_to_the_viewer_with_its_obstacles_way_and_what_is_seen_at_i
     assert_eq!((depth.len(), depth[0].as_array().map(Vec::len)), (64, Some(128)));
     let moving = |step: usize| &course["movers"][step]["solids"][0];
     assert_ne!(moving(0), moving(10), "obstacles move");
-
-    let taken = TcpListener::bind("0.0.0.0:0").expect("a port");
-    let port = taken.local_addr().expect("its number").port().to_string();
-    for command in [
-        ["courses", "view", "--seed", "7"].as_slice(),
-        &[
-            "evaluate",
-            "--flights=2",
-            "--view=2",
-            "-o",
-            text(&folder.path().join("e.json")),
-        ],
-    ] {
-        refused(
-            &run(&[command, &["--python", text(&python), "--view-port", &port]].concat()),
-            &[&format!("port {port} is taken")],
-        );
-    }
 }
 
 #[test]

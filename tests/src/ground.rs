@@ -1,6 +1,8 @@
 //! What a ground station says to the guidance computer.
 
-use vigil_mavlink::common::{COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavFrame, MavMessage};
+use vigil_mavlink::common::{
+    COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavFrame, MavMessage,
+};
 pub use vigil_mavlink::framing::encode as packet;
 
 /// A request of an operator to component 191.
@@ -18,6 +20,34 @@ pub enum Request {
 
 /// System and component that ground stations have.
 pub const STATION: (u8, u8) = (255, 190);
+
+/// A command of a ground station to the autopilot of system 1, with the first and the later parameters.
+pub fn command(command: MavCmd, [param1, param2, param3, param7]: [f32; 4]) -> MavMessage {
+    MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        param1,
+        param2,
+        param3,
+        param7,
+        command,
+        target_system: 1,
+        target_component: 1,
+        ..COMMAND_LONG_DATA::DEFAULT
+    })
+}
+
+/// DO_SET_MODE to PX4's AUTO with this sub-mode: 3 is a ground station's hold, 4 the mission.
+pub fn set_auto_mode(sub_mode: f32) -> MavMessage {
+    command(MavCmd::MAV_CMD_DO_SET_MODE, [129.0, 4.0, sub_mode, 0.0])
+}
+
+/// A heartbeat of such an autopilot, or of somebody who has none.
+pub fn heartbeat(autopilot: MavAutopilot) -> MavMessage {
+    MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+        autopilot,
+        mavlink_version: 3,
+        ..HEARTBEAT_DATA::DEFAULT
+    })
+}
 
 impl Request {
     /// The message to the guidance computer of a system.

@@ -5,7 +5,7 @@ pub mod mission;
 mod pair;
 mod watched;
 
-pub use pair::Pair;
+pub use pair::{Pair, texts};
 pub use watched::fly_watched;
 
 use std::io::{BufRead, BufReader, Read};
@@ -95,10 +95,16 @@ pub fn refused(output: &Output, words: &[&str]) -> String {
 pub fn ended(output: &Output, code: i32, words: &[&str]) -> String {
     let said = said(output);
     assert_eq!(output.status.code(), Some(code), "{said}");
-    for words in words {
-        assert!(said.contains(words), "not `{words}`: {said}");
-    }
+    has(&said, words);
     said
+}
+
+/// Fails where a text lacks some of these words.
+#[track_caller]
+pub fn has(text: &str, words: &[&str]) {
+    for words in words {
+        assert!(text.contains(words), "not `{words}`: {text}");
+    }
 }
 
 /// A JSON file.

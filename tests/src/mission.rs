@@ -1,8 +1,8 @@
 //! A mission of the vehicle's own, for flights that Vigil only guards.
 
-use crate::ground::{STATION, packet};
+use crate::ground::{STATION, packet, set_auto_mode};
 use vigil_autopilot::Saved;
-use vigil_mavlink::common::{COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavFrame};
+use vigil_mavlink::common::{COMMAND_INT_DATA, MavCmd, MavFrame};
 use vigil_mavlink::{MavMessage, globe};
 use vigil_sim::SimConfig;
 
@@ -28,16 +28,7 @@ pub fn plan(config: &SimConfig, speed_m_s: f32, via_m: &[(f32, f32)], nose_deg: 
 
 /// A command of a ground station: fly the mission.
 pub fn start() -> Vec<u8> {
-    let message = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        command: MavCmd::MAV_CMD_DO_SET_MODE,
-        param1: 129.0,
-        param2: 4.0,
-        param3: 4.0,
-        target_system: 1,
-        target_component: 1,
-        ..COMMAND_LONG_DATA::DEFAULT
-    });
-    packet(STATION, 0, &message)
+    packet(STATION, 0, &set_auto_mode(4.0))
 }
 
 /// A command of a ground station: go to the course's goal, which leaves the vehicle in hold.

@@ -64,20 +64,9 @@ impl Pair {
         assert!(self.from_firmware.push(0, packet), "no room");
     }
 
-    /// The beginnings (50 bytes) of the STATUSTEXTs that the firmware sent in this step.
+    /// What the firmware told people in this step.
     pub fn texts(&self) -> Vec<String> {
-        let mut counters = FramingCounters::default();
-        let mut texts = Vec::new();
-        for (_, datagram) in self.from_firmware.iter() {
-            for packet in packets(datagram, &mut counters) {
-                if let Ok(MavMessage::STATUSTEXT(text)) = packet.message()
-                    && text.chunk_seq == 0
-                {
-                    texts.extend(text.text.to_str().map(str::to_owned));
-                }
-            }
-        }
-        texts
+        texts(&self.from_firmware)
     }
 
     /// The firmware says nothing in this step.
@@ -97,4 +86,20 @@ impl Pair {
         }
         panic!("guided flight did not last {steps} steps");
     }
+}
+
+/// The beginnings (50 bytes) of the STATUSTEXTs in some datagrams.
+pub fn texts(said: &Datagrams) -> Vec<String> {
+    let mut counters = FramingCounters::default();
+    let mut texts = Vec::new();
+    for (_, datagram) in said.iter() {
+        for packet in packets(datagram, &mut counters) {
+            if let Ok(MavMessage::STATUSTEXT(text)) = packet.message()
+                && text.chunk_seq == 0
+            {
+                texts.extend(text.text.to_str().map(str::to_owned));
+            }
+        }
+    }
+    texts
 }

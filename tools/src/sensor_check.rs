@@ -28,12 +28,9 @@ const WALL_TOLERANCE_M: f32 = 0.1;
 
 pub use crate::doctor::Severity;
 
-/// One line of the report.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// What was looked at.
     pub name: &'static str,
-    /// How bad it is.
     pub severity: Severity,
     /// What was found, and what to do where that is not good.
     pub text: String,
@@ -42,7 +39,6 @@ pub struct Finding {
 /// What is known about the sensor from outside.
 #[derive(Debug, Clone, Default)]
 pub struct Expected {
-    /// The sensor's number.
     pub sensor_id: u32,
     /// Keys that its frames must be made with.
     pub keys: FrameKeys,
@@ -72,7 +68,6 @@ pub struct SensorCheck {
 }
 
 impl SensorCheck {
-    /// A check that has seen nothing.
     pub fn new(expected: Expected) -> Self {
         Self {
             expected,

@@ -17,7 +17,7 @@ use vigil_firmware::config::PilotConfig;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::common::MavResult;
 use vigil_mavlink::framing::{FramingCounters, packets};
-use vigil_mavlink::{Flavour, MavMessage};
+use vigil_mavlink::Flavour;
 use vigil_sim::vehicle::{HoldLaw, VehicleModel, VehicleParams, Wind};
 use vigil_sim::world::{BoxObstacle, Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
 use vigil_sim::{LIDAR_SENSOR_ID, SimConfig, Start};

@@ -80,14 +80,8 @@ impl Guarded {
         let frame = self.sees.then_some(&*self.frame);
         let report = self.firmware.step(self.now_ns, frame, &received, &mut self.sent);
         assert_eq!(report.setpoint, None);
+        self.texts.extend(vigil_tests::texts(&self.sent));
         for (_, datagram) in self.sent.iter() {
-            for packet in packets(datagram, &mut counters) {
-                if let Ok(MavMessage::STATUSTEXT(text)) = packet.message()
-                    && text.chunk_seq == 0
-                {
-                    self.texts.push(text.text.to_str().expect("UTF-8").to_owned());
-                }
-            }
             self.peer.receive(self.now_ns, datagram);
         }
     }

@@ -210,7 +210,7 @@ pub fn fly_recorded(
         sensor_fault: config.sensor_fault.map(|fault| fault.to_string()),
         record,
         attack: done,
-        watch: firmware.watch.was_watched().then_some(firmware.watch),
+        watch: (firmware.watch.judged_steps > 0).then_some(firmware.watch),
         sensor: firmware.sensor,
         altered_frames_used: done.map(|_| firmware.altered_frames_used),
     })

@@ -55,11 +55,6 @@ impl WatchRecord {
         self.raised = response.is_some();
     }
 
-    /// Whether there was a detector.
-    pub fn was_watched(&self) -> bool {
-        self.judged_steps > 0
-    }
-
     /// A line on all flights of a campaign.
     pub fn summary<'a>(flights: impl Iterator<Item = &'a Self>) -> String {
         let (mut sum, mut count, mut alarmed) = (Self::default(), 0, 0);

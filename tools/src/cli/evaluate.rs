@@ -156,7 +156,6 @@ pub struct EvaluateArgs {
     viewer: ViewerArgs,
 }
 
-/// The attack as the report names it.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct AttackReport {
     #[serde(flatten)]

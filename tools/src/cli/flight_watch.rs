@@ -21,7 +21,6 @@ const FLIES_M: f32 = 1.0;
 /// A simulator that says nothing for so long is given up.
 const SILENCE_LIMIT: Duration = Duration::from_secs(5);
 
-/// A true pose.
 pub(super) struct TruePose {
     pub(super) at_ns: Nanos,
     pub(super) position_ned_m: NedVector,
@@ -40,7 +39,6 @@ pub(super) struct Flight {
 
 /// What is shown while it flies.
 pub(super) enum Terminal {
-    /// Nothing.
     Quiet,
     /// A line every two seconds.
     Lines {

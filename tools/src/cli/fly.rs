@@ -185,7 +185,8 @@ fn terminal(args: &FlyArgs, course: &Course, seed: u64) -> Terminal {
     if args.quiet {
         Terminal::Quiet
     } else if std::io::stderr().is_terminal() {
-        let columns = console_columns();
+        let size = rustix::termios::tcgetwinsize(std::io::stderr());
+        let columns = size.map_or(80, |size| usize::from(size.ws_col).max(20));
         Terminal::Live(Box::new(Live::new(title, course, threshold(args, course), columns)))
     } else {
         Terminal::lines(title)
@@ -410,11 +411,6 @@ fn adversary_in_words(said: &str) -> String {
     text
 }
 
-/// Columns of the terminal.
-fn console_columns() -> usize {
-    rustix::termios::tcgetwinsize(std::io::stderr()).map_or(80, |size| usize::from(size.ws_col).max(20))
-}
-
 /// The detector's threshold, if it flies.
 fn threshold(args: &FlyArgs, course: &Course) -> Option<f32> {
     let mut config = FirmwareConfig::to_goal(course.goal_ned_m());
@@ -447,7 +443,6 @@ fn end_viewer(script: &mut Child, folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The report of the flight, if there is one.
 fn report(folder: &Path) -> Option<PathBuf> {
     let log = crate::cli::replay::find_log(folder).ok()?;
     Some(flight_report::beside(&log)).filter(|path| path.is_file())

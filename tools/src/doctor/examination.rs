@@ -424,30 +424,26 @@ impl Examination {
             Flavour::ArduPilot => EKF_STATUS_REPORT,
         };
         let streams = [
-            (
-                LOCAL_POSITION_NED_DATA::ID,
-                LOCAL_POSITION_NED_DATA::ID,
-                33_333.0,
-                GOOD_HZ,
-            ),
-            (ATTITUDE_DATA::ID, ATTITUDE_QUATERNION_DATA::ID, 20_000.0, GOOD_HZ),
-            (
-                GLOBAL_POSITION_INT_DATA::ID,
-                GLOBAL_POSITION_INT_DATA::ID,
-                200_000.0,
-                1.0,
-            ),
-            (EXTENDED_SYS_STATE_DATA::ID, EXTENDED_SYS_STATE_DATA::ID, 200_000.0, 1.0),
-            (SYS_STATUS_DATA::ID, SYS_STATUS_DATA::ID, 500_000.0, 0.5),
-            (estimator, estimator, 500_000.0, 0.5),
-            (SYSTEM_TIME_DATA::ID, SYSTEM_TIME_DATA::ID, 1_000_000.0, 0.5),
+            (LOCAL_POSITION_NED_DATA::ID, 33_333.0, GOOD_HZ),
+            (ATTITUDE_DATA::ID, 20_000.0, GOOD_HZ),
+            (GLOBAL_POSITION_INT_DATA::ID, 200_000.0, 1.0),
+            (EXTENDED_SYS_STATE_DATA::ID, 200_000.0, 1.0),
+            (SYS_STATUS_DATA::ID, 500_000.0, 0.5),
+            (estimator, 500_000.0, 0.5),
+            (SYSTEM_TIME_DATA::ID, 1_000_000.0, 0.5),
         ];
         let once = [HOME_POSITION_DATA::ID, GPS_GLOBAL_ORIGIN_DATA::ID];
         let place = (self.turn / 4) as usize % (streams.len() + once.len());
         match (streams.get(place), once.get(place.wrapping_sub(streams.len()))) {
-            (Some((id, or, interval_us, least_hz)), _) => {
-                let rate_hz = |id| self.arrivals.get(id).and_then(|a| a.rate_hz(now_ns)).unwrap_or(0.0);
-                if rate_hz(id).max(rate_hz(or)) < *least_hz {
+            (Some((id, interval_us, least_hz)), _) => {
+                let rate_hz = |id: u32| self.arrivals.get(&id).and_then(|a| a.rate_hz(now_ns)).unwrap_or(0.0);
+                // Attitude comes in one of two messages.
+                let or = if *id == ATTITUDE_DATA::ID {
+                    ATTITUDE_QUATERNION_DATA::ID
+                } else {
+                    *id
+                };
+                if rate_hz(*id).max(rate_hz(or)) < *least_hz {
                     let params = [*id as f32, *interval_us, 0.0, 0.0, 0.0, 0.0, 0.0];
                     self.command(system, SET_MESSAGE_INTERVAL, params, out);
                 }

@@ -105,7 +105,6 @@ pub trait Onlooker {
     fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()>;
 }
 
-/// No onlooker.
 impl Onlooker for () {
     fn step(&mut self, _: &Step, _: &Shown<'_>) -> Result<()> {
         Ok(())
@@ -121,7 +120,6 @@ pub fn held_frames(pilot: &FrozenPilot) -> Vec<usize> {
     }
 }
 
-/// The flight that a scenario begins with.
 fn flight_of(scenario: &Scenario) -> Result<Flight> {
     let mut course = generate(scenario.family, scenario.seed);
     course.time_limit_s = 90.0;
@@ -135,7 +133,6 @@ fn flight_of(scenario: &Scenario) -> Result<Flight> {
     Ok(Flight::of(environment))
 }
 
-/// An adversary with the attack that it flies.
 fn attacker<'a>(frozen: &FrozenPilot, isa: Isa, adversary: &'a Adversary) -> Result<(&'a Adversary, FrameAttack)> {
     Ok((adversary, FrameAttack::on(frozen, isa, &adversary.config)?))
 }

@@ -23,16 +23,11 @@ const STRONG: f64 = 0.99;
 /// Side of the squares over which pixels' SHAP values are summed.
 const SQUARE: usize = 4;
 
-/// The film of a flight.
 #[derive(Debug, Clone, Default)]
 pub struct Film {
-    /// The pictures in the order of their times.
     pub pictures: Vec<Picture>,
-    /// The one to show first.
     pub first: usize,
-    /// Why there are none.
     pub none: String,
-    /// What is missing in them.
     pub note: Option<String>,
 }
 
@@ -47,11 +42,9 @@ pub struct Picture {
     pub altered: bool,
     /// What is to be said of the step.
     pub text: String,
-    /// The frame as delivered.
     pub depth: String,
     /// The frame before it was altered, if that was kept.
     pub clean: Option<String>,
-    /// SHAP values of its pixels.
     pub shap: Option<String>,
 }
 

@@ -59,12 +59,9 @@ pub struct Flight {
     pub events: Vec<Event>,
 }
 
-/// An alarm that was raised.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AlarmRaised {
-    /// When.
     pub t: f64,
-    /// Why.
     pub cause: &'static str,
 }
 
@@ -82,18 +79,14 @@ pub struct Explanations {
 /// The course and the true path from above; positions are north, east in metres.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Map {
-    /// Obstacles.
     pub solids: Vec<Outline>,
-    /// The last goal.
     pub goal: Option<[f64; 2]>,
     /// True positions, where the simulator noted them.
     pub truth: Vec<[f64; 2]>,
 }
 
-/// An obstacle from above.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Outline {
-    /// Corners.
     pub outline: Vec<[f64; 2]>,
 }
 

@@ -7,23 +7,17 @@ use std::path::Path;
 use vigil_log::{LogEnd, Weight};
 use vigil_types::{Choice, GuidanceState, PilotKind, Reason, Reasons, STEP_S};
 
-/// How a flight went.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Verdict {
-    /// A sentence.
     pub text: String,
-    /// Whether the goal was reached.
     pub good: bool,
 }
 
-/// Something that happened.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Event {
-    /// When.
     pub t: f64,
     /// `info`, `warning` or `error`.
     pub weight: &'static str,
-    /// What.
     pub text: String,
 }
 

@@ -1,6 +1,6 @@
 //! The paper's table II: how far the yaw can be bent in front of a wall.
 
-use super::{Common, Strength, Victim, write_json};
+use super::{Common, Strength, write_json};
 use crate::report::{TextTable, numbers, words};
 use anyhow::Result;
 use rayon::prelude::*;
@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
 use vigil_adversary::{Beside, Method, StateAttack};
 use vigil_nnet::Isa;
-use vigil_policy::PilotInput;
 use vigil_policy::actor::memory::SCAN_AGES;
+use vigil_policy::{FrozenActor, PilotInput};
 use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, Wall, World, generate};
 use vigil_tools::cli::output::{Interrupt, say};
 use vigil_types::{
@@ -127,7 +127,7 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
         &folder.join("table-2.json"),
         &Report {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            actor_sha256: victim.sha256.clone(),
+            actor_sha256: victim.sha256(),
             seed: args.seed,
             states_per_cell: args.states,
             epsilon_255: args.strength.epsilon,
@@ -141,8 +141,8 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
     Ok(interrupt.exit_code())
 }
 
-fn cell(args: &DeflectionArgs, victim: &Victim, method: Method, gap_m: f32, bearing_deg: f32) -> Result<Cell> {
-    let mut attack = StateAttack::new(Isa::detect(), &victim.actor, &args.strength.of(method))?;
+fn cell(args: &DeflectionArgs, victim: &FrozenActor, method: Method, gap_m: f32, bearing_deg: f32) -> Result<Cell> {
+    let mut attack = StateAttack::new(Isa::detect(), victim, &args.strength.of(method))?;
     let goal = GoalRelative {
         distance_m: args.goal_distance,
         bearing_rad: bearing_deg.to_radians(),
@@ -170,7 +170,7 @@ fn cell(args: &DeflectionArgs, victim: &Victim, method: Method, gap_m: f32, bear
 /// The newest frame of a vehicle that hovers at flight height and looks straight at a wall, long enough for the actor to remember nothing
 /// else; and what it remembers.
 fn hovering_before_wall(
-    victim: &Victim,
+    victim: &FrozenActor,
     goal: GoalRelative,
     gap_m: f32,
     seed: u64,
@@ -178,7 +178,7 @@ fn hovering_before_wall(
     let course = wall_ahead(gap_m);
     let (world, mut lidar) = (World::new(&course), Lidar::new(LidarConfig::default(), seed)?);
     let position_ned_m = NedVector::new(0.0, 0.0, -course.flight_height_m);
-    let mut actor = victim.actor.actor(Isa::detect())?;
+    let mut actor = victim.actor(Isa::detect())?;
     let mut frame = Box::new(DepthFrame::EMPTY);
     for sequence in 0..=SCAN_AGES[0] as u64 {
         let shot = Shot {

@@ -115,28 +115,19 @@ impl Strength {
     }
 }
 
-/// The actor under attack, named in every report.
-struct Victim {
-    actor: FrozenActor,
-    sha256: String,
-}
-
 impl Common {
     fn pilot(&self) -> Result<FrozenPilot> {
         Ok(FrozenPilot::load_or_built_in(self.actor.as_deref())?)
     }
 
-    fn victim(&self) -> Result<Victim> {
-        let FrozenPilot::Actor(actor) = self.pilot()? else {
-            bail!(
+    fn victim(&self) -> Result<FrozenActor> {
+        match self.pilot()? {
+            FrozenPilot::Actor(actor) => Ok(actor),
+            FrozenPilot::Imported(_) => bail!(
                 "this attacks single states of our own actor, and --actor is an imported policy: attack it in flight, by \
                  `vigil attack completion`, `search` or `defended`"
-            );
-        };
-        Ok(Victim {
-            sha256: actor.sha256(),
-            actor,
-        })
+            ),
+        }
     }
 
     fn pool(&self) -> Result<rayon::ThreadPool> {

@@ -78,7 +78,7 @@ pub fn run(args: &PicturesArgs) -> Result<ExitCode> {
     };
     let mut rows = vec![(vec!["as taken".to_owned()], [grey(clean), change(clean)])];
     for (name, config) in attacks() {
-        let mut attack = StateAttack::new(Isa::detect(), &victim.actor, &config)?;
+        let mut attack = StateAttack::new(Isa::detect(), &victim, &config)?;
         let mut frame = clean.clone();
         let outcome = attack.attack(&mut frame, &state.beside)?;
         let turned_deg_s = (outcome.yaw_change() * YAW_RATE_PER_UNIT_RAD_S).to_degrees();

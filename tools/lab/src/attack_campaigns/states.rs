@@ -1,12 +1,12 @@
 //! States that an actor meets in flight: the newest frame, and what the actor holds beside it.
 
-use super::Victim;
 use crate::explained::Flight;
 use anyhow::Result;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_adversary::Beside;
 use vigil_nnet::Isa;
+use vigil_policy::FrozenActor;
 use vigil_policy::actor::memory::SCAN_AGES;
 use vigil_sim::environment::Environment;
 use vigil_sim::vehicle::Wind;
@@ -25,10 +25,10 @@ pub struct State {
 
 /// Flies a validation course with the actor alone, without the potential field, and picks [`STATES_PER_FLIGHT`] of the
 /// states it decided on, each as likely as the other (reservoir sampling), from the first on whose older scans are all of the flight.
-pub fn met_in_flight(victim: &Victim, seed: u64) -> Result<Vec<State>> {
+pub fn met_in_flight(victim: &FrozenActor, seed: u64) -> Result<Vec<State>> {
     let course = generate(Family::Validation, seed);
     let mut flight = Flight::of(Environment::new(&course, Wind::default(), seed)?);
-    let mut actor = victim.actor.actor(Isa::detect())?;
+    let mut actor = victim.actor(Isa::detect())?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut states: Vec<State> = Vec::with_capacity(STATES_PER_FLIGHT);
     for step in 0_usize.. {

@@ -2,7 +2,7 @@
 
 use super::pictures::change_colour;
 use super::states::{STATES_PER_FLIGHT, State, met_in_flight};
-use super::{Common, Victim, write_json};
+use super::{Common, write_json};
 use crate::report::{TextTable, numbers, to_csv, words};
 use crate::statistics::wilson_95;
 use anyhow::Result;
@@ -12,6 +12,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::{AttackConfig, AttackOutcome, Method, StateAttack};
 use vigil_nnet::Isa;
+use vigil_policy::FrozenActor;
 use vigil_sim::world::Image;
 use vigil_tools::cli::output::{self, Interrupt, Progress, range_grey, say};
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
@@ -51,7 +52,7 @@ struct Cell {
 #[derive(Serialize)]
 struct Report<'a> {
     version: &'static str,
-    actor_sha256: &'a str,
+    actor_sha256: String,
     first_seed: u64,
     states: usize,
     wall_s: f64,
@@ -126,7 +127,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
         &folder.join("figure-11.json"),
         &Report {
             version: env!("CARGO_PKG_VERSION"),
-            actor_sha256: &victim.sha256,
+            actor_sha256: victim.sha256(),
             first_seed: args.seed,
             states: attacked.len(),
             wall_s,
@@ -147,8 +148,8 @@ fn settings() -> impl Iterator<Item = (Method, f32, u32)> {
 }
 
 /// Change of the yaw output at each of [`settings`].
-fn yaw_changes(victim: &Victim, state: &State) -> Result<Vec<f32>> {
-    let mut attack = StateAttack::new(Isa::detect(), &victim.actor, &AttackConfig::PAPER)?;
+fn yaw_changes(victim: &FrozenActor, state: &State) -> Result<Vec<f32>> {
+    let mut attack = StateAttack::new(Isa::detect(), victim, &AttackConfig::PAPER)?;
     let mut frame = state.frame.clone();
     let mut changes = Vec::new();
     let mut each: Vec<AttackOutcome> = Vec::new();
@@ -229,9 +230,9 @@ impl From<&Cell> for CellLine {
 }
 
 /// Clean above altered, and the difference below: near is bright, red is nearer and blue farther.
-fn picture(victim: &Victim, state: &State) -> Result<Image> {
+fn picture(victim: &FrozenActor, state: &State) -> Result<Image> {
     let mut frame = state.frame.clone();
-    StateAttack::new(Isa::detect(), &victim.actor, &AttackConfig::PAPER)?.attack(&mut frame, &state.beside)?;
+    StateAttack::new(Isa::detect(), victim, &AttackConfig::PAPER)?.attack(&mut frame, &state.beside)?;
     let (clean, altered) = (&state.frame, frame);
     let reach = AttackConfig::PAPER.reach(DEPTH_PIXELS);
     Ok(Image::from_fn(DEPTH_COLS, 3 * DEPTH_ROWS, |x, y| {

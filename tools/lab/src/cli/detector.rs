@@ -11,7 +11,7 @@ use crate::detector_training::{
     EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Set, WindowScorer, fly_sets,
     of_other_actor, sets,
 };
-use crate::report::{Figure, Picture, TextTable, numbers, to_csv, words};
+use crate::report::{Picture, TextTable, numbers, to_csv, words};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, bail};
@@ -363,7 +363,7 @@ impl Stage<'_> {
             "at_threshold": in_flight,
         });
         self.write("evaluate.json", serde_json::to_string_pretty(&json)?)?;
-        self.write_figure("roc", &roc(&report))?;
+        roc(&report).save(self.folder, "roc")?;
         say!(
             "written          {}, roc.png and roc.svg",
             self.path("evaluate.json").display()
@@ -467,17 +467,12 @@ impl Stage<'_> {
         }
         say!("{table}");
         self.write("ablate.json", serde_json::to_string_pretty(&reports)?)?;
-        self.write_figure("ablate", &roc_of_features(&reports))?;
+        roc_of_features(&reports).save(self.folder, "ablate")?;
         say!(
             "written          {}, ablate.png and ablate.svg",
             self.path("ablate.json").display()
         );
         Ok(())
-    }
-
-    fn write_figure(&self, name: &str, figure: &Figure) -> Result<()> {
-        self.write(&format!("{name}.png"), figure.png())?;
-        self.write(&format!("{name}.svg"), figure.svg())
     }
 
     fn write(&self, name: &str, content: impl AsRef<[u8]>) -> Result<()> {

@@ -133,15 +133,13 @@ pub fn draw(
     let lines = explanations(&portrait);
     write("pixels.json", &serde_json::to_vec_pretty(&pixels)?)?;
     write("explanations.csv", to_csv(&lines).as_bytes())?;
-    let plate = figure_12(&pixels)?;
-    write("figure-12.png", &plate.png())?;
-    write("figure-12.svg", plate.svg().as_bytes())?;
-    for (name, figure) in [
-        ("figure-13", figure_13(&pixels, &lines)),
-        ("figure-14", figure_14(&pixels, &lines)),
-    ] {
-        write(&format!("{name}.png"), &figure.png())?;
-        write(&format!("{name}.svg"), figure.svg().as_bytes())?;
+    let drawn = [
+        figure_12(&pixels)?.save(folder, "figure-12")?,
+        figure_13(&pixels, &lines).save(folder, "figure-13")?,
+        figure_14(&pixels, &lines).save(folder, "figure-14")?,
+    ];
+    for path in drawn.as_flattened() {
+        say!("{}", path.display());
     }
     say!(
         "validation course {seed}, {} steps{}, flight ended: {}",

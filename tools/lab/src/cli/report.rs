@@ -89,15 +89,11 @@ pub fn run(args: &ReportArgs) -> Result<ExitCode> {
     let table = table(&arms);
     put!("{table}");
     std::fs::create_dir_all(&args.output).with_context(|| format!("cannot make {}", args.output.display()))?;
-    for (name, content) in [
-        ("table-1.md", table.into_bytes()),
-        ("figure-9.png", REWARDS.figure(&arms).png()),
-        ("figure-9.svg", REWARDS.figure(&arms).svg().into_bytes()),
-        ("figure-10.png", SUCCESSES.figure(&arms).png()),
-        ("figure-10.svg", SUCCESSES.figure(&arms).svg().into_bytes()),
-    ] {
-        let path = args.output.join(name);
-        output::write(&path, content)?;
+    let mut written = vec![args.output.join("table-1.md")];
+    output::write(&written[0], table)?;
+    written.extend(REWARDS.figure(&arms).save(&args.output, "figure-9")?);
+    written.extend(SUCCESSES.figure(&arms).save(&args.output, "figure-10")?);
+    for path in written {
         say!("{}", path.display());
     }
     Ok(ExitCode::SUCCESS)
@@ -215,27 +211,16 @@ fn longest(arms: &[Arm]) -> f64 {
 /// Mean over the runs, with the least and the greatest of them as its band; where fewer runs have values, of those.
 fn over_seeds(label: &str, runs: &[Vec<(f64, f64)>]) -> Series {
     let longest = runs.iter().max_by_key(|r| r.len()).map_or(&[][..], Vec::as_slice);
-    let at = |i: usize| runs.iter().filter_map(move |r| r.get(i)).map(|(_, y)| *y);
-    let mean = |i| at(i).sum::<f64>() / at(i).count() as f64;
-    let band = |i| {
-        (
-            at(i).fold(f64::INFINITY, f64::min),
-            at(i).fold(f64::NEG_INFINITY, f64::max),
-        )
+    let over = |(i, (x, _)): (usize, &(f64, f64))| {
+        let at = || runs.iter().filter_map(|r| r.get(i)).map(|(_, y)| *y);
+        let mean = at().sum::<f64>() / at().count() as f64;
+        let (least, greatest) = (
+            at().fold(f64::INFINITY, f64::min),
+            at().fold(f64::NEG_INFINITY, f64::max),
+        );
+        (*x, mean, least, greatest)
     };
-    Series {
-        label: label.to_owned(),
-        points: longest.iter().enumerate().map(|(i, (x, _))| (*x, mean(i))).collect(),
-        band: longest
-            .iter()
-            .enumerate()
-            .map(|(i, (x, _))| {
-                let (low, high) = band(i);
-                (*x, low, high)
-            })
-            .collect(),
-        dashed: false,
-    }
+    Series::banded(label, longest.iter().enumerate().map(over))
 }
 
 /// A rolling mean over each run's training flights.

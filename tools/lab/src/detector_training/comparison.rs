@@ -16,11 +16,8 @@ use vigil_types::named;
 /// A detector's row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TableRow {
-    /// The detector.
     pub detector: String,
-    /// The paper's accuracy.
     pub paper: f64,
-    /// Ours.
     pub separation: Separation,
 }
 

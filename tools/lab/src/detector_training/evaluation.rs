@@ -20,15 +20,11 @@ use vigil_types::STEP_NS;
 /// Flights of one kind, judged together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Set {
-    /// Its name in reports.
     pub name: String,
-    /// What it is for.
     pub role: Role,
-    /// The flights.
     pub scenarios: Vec<Scenario>,
 }
 
-/// What a set is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
@@ -74,7 +70,6 @@ const RECOVERING: Plan = Plan::Recovering {
 /// Attacked frames after which a flight is cut off.
 const ALTERED: u64 = 100;
 
-/// The flights of an evaluation.
 pub fn sets(size: &EvaluationSize) -> Vec<Set> {
     let validation = |i: u64, plan| Scenario::unattacked(Family::Validation, size.first_seed.wrapping_add(i), plan);
     let attacked = |method, epsilon_255, iterations, i: u64| {
@@ -168,14 +163,10 @@ pub fn fly_sets(
     Ok(Some(all))
 }
 
-/// A set's result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SetReport {
-    /// Its name.
     pub name: String,
-    /// What it is for.
     pub role: Role,
-    /// Flights.
     pub flights: usize,
     /// Flights that reached the goal; those cut off count for neither.
     pub at_goal: Proportion,
@@ -210,25 +201,20 @@ fn nothing_looked_at() -> Proportion {
 pub struct RowsReport {
     /// Altered rows among the ten; the newest is one.
     pub attacked_rows: usize,
-    /// Windows judged attacked.
     pub detected: Proportion,
     /// Accuracy beside as many unattacked windows.
     pub accuracy: f64,
 }
 
-/// After an attack.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AfterReport {
     /// Steps since the last altered frame.
     pub steps_after: usize,
-    /// Windows judged attacked.
     pub alarmed: Proportion,
 }
 
-/// A result on all sets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// What the scores are of.
     pub feature: Feature,
     /// A score above it is an attack.
     pub threshold: f32,
@@ -238,13 +224,11 @@ pub struct Report {
     pub separation_effective: Separation,
     /// Times at which the verdict turned to attack in unattacked flights, at least a second apart.
     pub false_stops: usize,
-    /// Hours of unattacked flight.
     pub unattacked_hours: f64,
     /// Detection over the number of attacked rows.
     pub rows: Vec<RowsReport>,
     /// Alarms in the steps after an attack.
     pub after: Vec<AfterReport>,
-    /// Each set.
     pub sets: Vec<SetReport>,
     /// Receiver operating characteristic of the paper's attack: its corners.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

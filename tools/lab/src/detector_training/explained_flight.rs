@@ -19,7 +19,6 @@ pub struct ExplainedStep {
 /// A step of which every pixel was explained.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExplainedFrame {
-    /// Number of the step.
     pub number: usize,
     /// Whether the newest frame was altered.
     pub frame: Frame,
@@ -29,12 +28,9 @@ pub struct ExplainedFrame {
     pub phi: Vec<f32>,
 }
 
-/// A flight explained.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Portrait {
-    /// Each step.
     pub steps: Vec<ExplainedStep>,
-    /// Some steps' pixels.
     pub frames: Vec<ExplainedFrame>,
 }
 

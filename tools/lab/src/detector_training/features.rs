@@ -36,7 +36,6 @@ impl Feature {
     }
 }
 
-/// Computes rows.
 #[derive(Debug, Clone)]
 pub struct Extractor {
     feature: Feature,
@@ -138,7 +137,6 @@ impl Rows {
         })
     }
 
-    /// Row of a flight's step.
     pub fn row(&self, flight: usize, step: usize) -> &[f32] {
         &self.flights[flight][step * self.width..(step + 1) * self.width]
     }

@@ -123,7 +123,6 @@ pub fn of_other_actor(path: &Path, found: &str, expected: &str) -> Error {
 /// What a pilot's flights have in common: whose they are, and how wide their steps.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Recorded {
-    /// Digest of the pilot.
     pub actor_sha256: String,
     /// Values of its split point.
     pub state: usize,

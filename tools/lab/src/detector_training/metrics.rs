@@ -61,12 +61,10 @@ pub struct Proportion {
     pub of: usize,
     /// The share; `None` of nothing.
     pub share: Option<f64>,
-    /// Its interval.
     pub interval: (f64, f64),
 }
 
 impl Proportion {
-    /// From two counts.
     pub fn new(count: usize, of: usize) -> Self {
         Self {
             count,
@@ -105,7 +103,6 @@ pub struct Separation {
 }
 
 impl Separation {
-    /// Of two classes' scores.
     pub fn of(threshold: f32, attacked: &[f32], unattacked: &[f32]) -> Self {
         let points = roc(attacked, unattacked);
         let count = attacked.len().min(unattacked.len());

@@ -29,11 +29,8 @@ const PER_FLIGHT: usize = 12;
 /// A state whose newest frame was attacked, or that holds no altered one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct State {
-    /// Number of its flight.
     pub flight: usize,
-    /// Its newest step.
     pub step: usize,
-    /// Whether its newest frame was attacked.
     pub attacked: bool,
     /// Its image, [`vigil_detector::image`].
     pub image: Vec<u8>,
@@ -42,7 +39,6 @@ pub struct State {
 /// States with their flights.
 #[derive(Debug, Clone, PartialEq)]
 pub struct States {
-    /// The flights.
     pub flights: Flights,
     /// The states, half of them attacked.
     pub states: Vec<State>,

@@ -115,24 +115,14 @@ impl Video {
     /// Begins it, in the place of a file that may be there, with so many pictures a second.
     pub fn begin(file: &Path, pictures_per_s: u16) -> Result<Self> {
         Self::check()?;
-        let size = format!("{WIDTH}x{HEIGHT}");
-        let rate = pictures_per_s.to_string();
-        let mut command = Command::new(FFMPEG);
-        command.args(["-loglevel", "error", "-y", "-f", "rawvideo", "-pixel_format", "rgb24"]);
-        command.args(["-video_size", &size, "-framerate", &rate, "-i", "-"]);
-        // What every player shows, and a browser before it has the whole file.
-        command.args([
-            "-c:v",
-            "libx264",
-            "-pix_fmt",
-            "yuv420p",
-            "-movflags",
-            "+faststart",
-            "-f",
-            "mp4",
-        ]);
         let part = file.with_extension("mp4.part");
-        command.arg(&part);
+        // What every player shows, and a browser before it has the whole file.
+        let arguments = format!(
+            "-loglevel error -y -f rawvideo -pixel_format rgb24 -video_size {WIDTH}x{HEIGHT} -framerate {pictures_per_s} -i - \
+             -c:v libx264 -pix_fmt yuv420p -movflags +faststart -f mp4"
+        );
+        let mut command = Command::new(FFMPEG);
+        command.args(arguments.split(' ')).arg(&part);
         command
             .stdin(Stdio::piped())
             .stdout(Stdio::null())

@@ -1,6 +1,6 @@
 //! What a run came to: distributions, the worst steps with their causes, advice; as a table, JSON and a picture.
 
-use super::causes::{self, Cause};
+use super::causes::{self, Cause, Work};
 use super::{Machine, ObservedStep};
 use crate::report::{Figure, Panel, Scale, Series};
 use serde::{Deserialize, Serialize};
@@ -147,23 +147,19 @@ impl RealtimeReport {
     pub fn of(run: RunFacts, steps: &[ObservedStep]) -> Self {
         let lateness = Distribution::of(steps.iter().map(ObservedStep::lateness_ns));
         let duration = Distribution::of(steps.iter().map(|step| step.took_ns));
-        let usual_ns = |step: &ObservedStep| {
-            // Steps with other work take other times.
-            let mut same: Vec<u64> = steps
-                .iter()
-                .filter(|s| s.work == step.work)
-                .map(|s| s.took_ns)
-                .collect();
-            same.sort_unstable();
-            same.get(same.len() / 2).copied().unwrap_or(0)
-        };
-        let mut usual = Vec::new();
+        // Steps with other work take other times.
+        let mut usual: Vec<(Work, Vec<u64>)> = Vec::new();
         for step in steps {
-            if !usual.iter().any(|(work, _)| *work == step.work) {
-                usual.push((step.work, usual_ns(step)));
+            match usual.iter_mut().find(|(work, _)| *work == step.work) {
+                Some((_, times_ns)) => times_ns.push(step.took_ns),
+                None => usual.push((step.work, vec![step.took_ns])),
             }
         }
-        let usual_ns = |step: &ObservedStep| usual.iter().find(|(w, _)| *w == step.work).map_or(0, |(_, ns)| *ns);
+        usual.iter_mut().for_each(|(_, times_ns)| times_ns.sort_unstable());
+        let usual_ns = |step: &ObservedStep| {
+            let same = usual.iter().find(|(work, _)| *work == step.work);
+            same.map_or(0, |(_, times_ns)| times_ns[times_ns.len() / 2])
+        };
         let worst = |key: &dyn Fn(&ObservedStep) -> u64,
                      cause: &dyn Fn(&ObservedStep) -> Option<Cause>|
          -> Vec<WorstStep> {
@@ -324,7 +320,7 @@ pub(super) fn told_us(us: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Counters, Work};
+    use super::super::Counters;
     use super::*;
     use crate::report::Picture as _;
     use vigil_types::STEP_NS;

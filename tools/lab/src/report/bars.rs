@@ -72,10 +72,6 @@ impl Bars {
         row.bars.len().max(1) as u32 * BAR + GAP
     }
 
-    fn has_paper(&self) -> bool {
-        self.rows.iter().any(|row| row.paper.is_some())
-    }
-
     fn draw_legend<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>, scale: u32) -> Result<(), Fault<DB>> {
         let dots = |n: u32| (n * scale) as i32;
         let style = text(scale, 11, HPos::Left, VPos::Center);
@@ -94,7 +90,7 @@ impl Bars {
                 next(&mut x, label)?;
             }
         }
-        if self.has_paper() {
+        if self.rows.iter().any(|row| row.paper.is_some()) {
             area.draw(&diamond(x + dots(6), y, dots(5)))?;
             next(&mut x, "the paper")?;
         }

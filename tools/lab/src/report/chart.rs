@@ -36,6 +36,16 @@ impl Series {
             dashed: false,
         }
     }
+
+    /// From abscissa, value, and the lower and upper end of the interval around it.
+    pub fn banded(label: impl Into<String>, points: impl IntoIterator<Item = (f64, f64, f64, f64)>) -> Self {
+        let parts = points.into_iter().map(|(x, y, low, high)| ((x, y), (x, low, high)));
+        let (points, band) = parts.unzip();
+        Self {
+            band,
+            ..Self::line(label, points)
+        }
+    }
 }
 
 /// A chart of its own: lines over the figure's common axis.

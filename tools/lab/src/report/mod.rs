@@ -7,6 +7,6 @@ mod plate;
 
 pub use bars::{Bar, BarRow, Bars};
 pub use chart::{Figure, Panel, Scale, Series};
-pub use picture::{Picture, Raster};
+pub use picture::Picture;
 pub use plate::{ColourScale, Plate};
 pub use vigil_tools::report::*;

@@ -1,12 +1,15 @@
 //! What all figures share: PNG at 300 dots per inch and SVG of one drawing, letters, colours, ticks.
 
+use anyhow::Result;
 use base64::Engine as _;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::FontStyle;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
 use std::sync::Once;
+use vigil_tools::cli::output;
 use vigil_tools::report::png_bytes;
 
 /// Roboto (Apache-2.0), cut down to Latin, Greek and mathematical signs: the same letters on every machine.
@@ -56,6 +59,14 @@ pub trait Picture {
         area: &DrawingArea<DB, Shift>,
         scale: u32,
     ) -> Result<(), DrawingAreaErrorKind<DB::ErrorType>>;
+
+    /// Writes NAME.png and NAME.svg into a folder; their paths.
+    fn save(&self, folder: &Path, name: &str) -> Result<[PathBuf; 2]> {
+        let [png, svg] = ["png", "svg"].map(|ending| folder.join(format!("{name}.{ending}")));
+        output::write(&png, self.png())?;
+        output::write(&svg, self.svg())?;
+        Ok([png, svg])
+    }
 
     /// Pixels that lie over the drawing.
     fn rasters(&self) -> Vec<Raster> {

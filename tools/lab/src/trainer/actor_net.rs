@@ -79,7 +79,6 @@ impl ActorNet {
         }
     }
 
-    /// Number of parameters.
     pub fn param_len(&self) -> usize {
         self.at().len
     }

@@ -7,7 +7,6 @@ pub struct Adam {
     pub mean: Vec<f32>,
     /// Running mean of its square.
     pub square: Vec<f32>,
-    /// Steps taken.
     pub steps: u64,
 }
 
@@ -16,7 +15,6 @@ const BETA_SQUARE: f32 = 0.999;
 const EPSILON: f32 = 1e-8;
 
 impl Adam {
-    /// For `len` parameters.
     pub fn new(len: usize) -> Self {
         Self {
             mean: vec![0.0; len],
@@ -50,7 +48,6 @@ impl Adam {
     }
 }
 
-/// Length of a gradient.
 pub fn norm(gradient: &[f32]) -> f64 {
     let squares = gradient.iter().map(|g| f64::from(*g) * f64::from(*g));
     squares.sum::<f64>().sqrt()

@@ -21,13 +21,10 @@ const ACTIONS: usize = 2;
 /// Inputs of a critic: the true state, the action, the observation.
 pub const CRITIC_INPUTS: usize = TRUE_STATE + ACTIONS + OBSERVATION;
 
-/// A critic with its optimiser.
 pub struct Critic {
-    /// Parameters.
     pub params: Vec<f32>,
     /// Their slow copy.
     pub target: Vec<f32>,
-    /// Optimiser.
     pub adam: Adam,
     packed: Vec<f32>,
     tape: MlpTape,
@@ -66,19 +63,16 @@ impl UpdateReport {
     }
 }
 
-/// Actor, critics, and the updates made.
 pub struct Learner {
     config: LearningConfig,
     isa: Isa,
     all_updates: u64,
-    /// Updates made.
     pub updates: u64,
     net: ActorNet,
     /// The actor's trained parameters, behind the encoder.
     pub actor: Vec<f32>,
     /// Their slow copy, which is evaluated and frozen.
     pub actor_target: Vec<f32>,
-    /// Optimiser.
     pub actor_adam: Adam,
     d_actor: Vec<f32>,
     critic_mlp: Mlp,

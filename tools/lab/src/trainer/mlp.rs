@@ -62,7 +62,6 @@ impl Mlp {
         }
     }
 
-    /// Number of parameters.
     pub fn param_len(&self) -> usize {
         self.out_at + self.out.param_len()
     }

@@ -3,17 +3,17 @@
 //! The encoder learns first, from single frames, and is frozen; then environment workers fly, and an actor and twin critics learn from
 //! what they stored. `docs/learning.md` describes the method and what was measured.
 
-pub mod actor_net;
-pub mod adam;
+mod actor_net;
+pub(crate) mod adam;
 pub mod config;
-pub mod encoder;
+mod encoder;
 pub mod evaluation;
-pub mod learner;
-pub mod mlp;
+mod learner;
+mod mlp;
 mod noise;
 pub mod observation;
 mod priorities;
-pub mod replay;
+mod replay;
 pub mod reward;
 pub mod run;
 mod store;

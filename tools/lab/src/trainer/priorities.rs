@@ -23,7 +23,6 @@ pub enum Next {
 /// Returns over several decisions.
 #[derive(Debug, Clone, Copy)]
 pub struct Returns {
-    /// How many decisions one reaches ahead.
     pub n_steps: u64,
     /// What a decision later counts.
     pub gamma: f32,

@@ -15,9 +15,7 @@ const STATE: usize = TRUE_STATE + OBSERVATION;
 pub struct Transition {
     /// The action flown, the mean over the decision's steps.
     pub action: [f32; 2],
-    /// Its reward.
     pub reward: f32,
-    /// What follows.
     pub next: Next,
 }
 
@@ -27,7 +25,6 @@ pub struct Trajectory {
     capacity: u64,
     /// True state and observation of each decision, in the upper half of their bits (bfloat16).
     pub states: Vec<u16>,
-    /// The rest.
     pub transitions: Vec<Transition>,
     /// Decisions ever stored.
     pub next: u64,
@@ -86,13 +83,11 @@ impl Trajectory {
 pub struct Stored<'a>(&'a [u16], bool);
 
 impl Stored<'_> {
-    /// Appends the true state.
     pub fn push_truth(&self, to: &mut Vec<f32>) {
         let truth: [f32; TRUE_STATE] = core::array::from_fn(|k| double(self.0[k]));
         to.extend_from_slice(&if self.1 { mirror_truth(&truth) } else { truth });
     }
 
-    /// Appends the observation.
     pub fn push_observation(&self, to: &mut Vec<f32>) {
         let from = to.len();
         to.extend(self.0[TRUE_STATE..].iter().map(|x| double(*x)));
@@ -107,11 +102,9 @@ impl Stored<'_> {
 pub struct Sample<'a> {
     /// Where it is in the tree, for its new priority.
     pub leaf: usize,
-    /// The state.
     pub state: Stored<'a>,
     /// The action flown, as seen in the mirror if the state is.
     pub action: [f32; 2],
-    /// Discounted rewards.
     pub reward: f32,
     /// What the value of `next` counts: γⁿ, or 0 behind a terminal state.
     pub discount: f32,
@@ -123,7 +116,6 @@ pub struct Sample<'a> {
 
 /// The replay memory of all environments.
 pub struct Replay {
-    /// One for each environment.
     pub trajectories: Vec<Trajectory>,
     priorities: Priorities,
     capacity: usize,
@@ -133,7 +125,6 @@ pub struct Replay {
 }
 
 impl Replay {
-    /// An empty memory.
     pub fn new(config: &LearnConfig) -> Self {
         let count = config.environments;
         let capacity = config.replay.decisions / count;

@@ -24,13 +24,9 @@ fn digest<S: AsRef<str>>(tensors: &[(S, TensorView<'_>)]) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// A tensor's values.
 pub enum Values<'a> {
-    /// Numbers.
     F32(&'a [f32]),
-    /// Priorities.
     F64(&'a [f64]),
-    /// Stored states.
     U16(&'a [u16]),
 }
 
@@ -55,7 +51,6 @@ pub fn save<S: Serialize>(path: &Path, state: &S, tensors: &[(String, Values<'_>
     replace(path, &file)
 }
 
-/// Writes a file anew.
 pub fn replace(path: &Path, content: &[u8]) -> Result<()> {
     vigil_types::files::replace(path, content, vigil_types::files::Access::Shared).map_err(|e| not_written(path, &e))
 }
@@ -66,7 +61,6 @@ pub fn not_written(path: &Path, why: &std::io::Error) -> Error {
     anyhow!("cannot write {path}: {why}; an earlier {path} is kept as it was")
 }
 
-/// A file that was read.
 pub struct Stored {
     path: PathBuf,
     bytes: Vec<u8>,
@@ -113,7 +107,6 @@ impl Stored {
         }
     }
 
-    /// The description.
     pub fn state<S: DeserializeOwned>(&self) -> Result<S> {
         serde_json::from_slice(&self.tensor("state", Dtype::U8)?).map_err(|e| self.none(e))
     }
@@ -132,13 +125,11 @@ impl Stored {
         Ok(values)
     }
 
-    /// Priorities.
     pub fn f64(&self, name: &str) -> Result<Vec<f64>> {
         let data = self.tensor(name, Dtype::F64)?;
         Ok(data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect())
     }
 
-    /// Stored states.
     pub fn u16(&self, name: &str) -> Result<Vec<u16>> {
         let data = self.tensor(name, Dtype::U16)?;
         Ok(data.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect())

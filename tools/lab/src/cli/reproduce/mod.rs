@@ -357,30 +357,4 @@ mod tests {
             }
         }
     }
-
-    #[test]
-    fn a_folder_of_another_commit_is_refused_by_name_and_of_other_files_too() {
-        let folder = tempfile::tempdir().unwrap();
-        let made_by = |commit: &str, mode: &str| MadeBy {
-            program: "p".to_owned(),
-            version: "1".to_owned(),
-            commit: commit.to_owned(),
-            mode: mode.to_owned(),
-            actor_sha256: "a".to_owned(),
-            detector_sha256: "d".to_owned(),
-        };
-        let out = folder.path().join("out");
-        made_by("c1", "quick").claim(&out).unwrap();
-        made_by("c1", "quick").claim(&out).unwrap();
-        let error = made_by("c2", "full").claim(&out).unwrap_err().to_string();
-        assert!(
-            error.contains("its commit is c1, this one's c2") && error.contains("its mode is quick"),
-            "{error}"
-        );
-        let error = made_by("c1", "quick").claim(folder.path()).unwrap_err().to_string();
-        assert!(error.contains("holds other files"), "{error}");
-        std::fs::write(out.join(MADE_BY), "version =").unwrap();
-        let error = format!("{:#}", made_by("c1", "quick").claim(&out).unwrap_err());
-        assert!(error.contains("made-by.toml is damaged"), "{error}");
-    }
 }

@@ -126,13 +126,9 @@ pub(super) fn alarm_delay(sources: &Sources) -> Result<Made> {
         at_threshold: report, ..
     } = sources.of("detector-evaluate").json("detector-evaluate")?;
     let series = |label: &str, points: Vec<(usize, &Proportion)>| {
-        let known = || points.iter().filter_map(|(at, p)| Some((*at as f64, *p, p.share?)));
-        Series {
-            label: label.to_owned(),
-            points: known().map(|(at, _, share)| (at, share)).collect(),
-            band: known().map(|(at, p, _)| (at, p.interval.0, p.interval.1)).collect(),
-            dashed: false,
-        }
+        let known = points.into_iter();
+        let known = known.filter_map(|(at, p)| Some((at as f64, p.share?, p.interval.0, p.interval.1)));
+        Series::banded(label, known)
     };
     let panel = |title: &str, line: Series| Panel {
         top: Some(1.0),

@@ -218,17 +218,14 @@ pub(super) fn figure_11(sources: &Sources) -> Result<Made> {
         own.map(|line| (f64::from(line.epsilon_255), line))
     };
     let shares = |title: &str, method: Method| {
-        let series = iterations.iter().map(|count| Series {
-            label: if Some(count) == iterations.last() {
-                format!("{count} iterations")
+        let series = iterations.iter().map(|count| {
+            let unit = if Some(count) == iterations.last() {
+                " iterations"
             } else {
-                count.to_string()
-            },
-            points: of(method, *count).map(|(size, line)| (size, line.share)).collect(),
-            band: of(method, *count)
-                .map(|(size, line)| (size, line.low_95, line.high_95))
-                .collect(),
-            dashed: false,
+                ""
+            };
+            let shares = of(method, *count).map(|(size, line)| (size, line.share, line.low_95, line.high_95));
+            Series::banded(format!("{count}{unit}"), shares)
         });
         Panel {
             top: Some(1.0),
