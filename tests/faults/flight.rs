@@ -3,7 +3,8 @@
 use crate::campaign::{Ending, Trial};
 use anyhow::{Result, bail, ensure};
 use rustix::process::Signal;
-use std::path::Path;
+use std::fs::File;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -28,34 +29,6 @@ pub struct Site<'a> {
     pub stop: &'a AtomicBool,
 }
 
-/// The programs of one flight over a validation course.
-pub struct Flight {
-    pub instance: u32,
-    pub simulator: Running,
-    pub firmware: Running,
-    pub adversary: Option<Running>,
-    seed: u64,
-    goal: NedVector,
-    extra: Vec<String>,
-    sim_extra: Vec<String>,
-    diagnostics: Diagnostics,
-    last: Option<Status>,
-}
-
-/// Where the programs' diagnostics go.
-#[derive(Clone)]
-struct Diagnostics(std::path::PathBuf);
-
-impl Diagnostics {
-    fn of(&self, who: &str) -> Stdio {
-        let file = std::fs::File::options()
-            .create(true)
-            .append(true)
-            .open(self.0.join(format!("{who}.log")));
-        file.map_or_else(|_| Stdio::null(), Stdio::from)
-    }
-}
-
 /// What a flight needs besides instance and seed.
 #[derive(Default)]
 pub struct Extras {
@@ -65,59 +38,98 @@ pub struct Extras {
     pub adversary: bool,
 }
 
+/// How the programs of a flight are started; what they say goes into files of the folder.
+struct Programs {
+    instance: u32,
+    seed: u64,
+    goal: NedVector,
+    folder: PathBuf,
+    extras: Extras,
+}
+
+impl Programs {
+    fn simulator(&self) -> Running {
+        let frames = if self.extras.adversary {
+            " --frames depth-raw"
+        } else {
+            ""
+        };
+        let line = format!("sim --status --airborne --seed {}{frames}", self.seed);
+        self.start("simulator", &line, &self.extras.simulator)
+    }
+
+    fn firmware(&self) -> Running {
+        let line = format!("firmware --engage auto {}", self.to_goal());
+        self.start("firmware", &line, &self.extras.firmware)
+    }
+
+    /// Passes frames on; one of them is altered by less than the sensor's noise.
+    fn adversary(&self) -> Running {
+        let least = "--attack noise --epsilon 0.01 --iterations 1 --burst 1";
+        let line = format!("adversary --seed {} {} {least}", self.seed, self.to_goal());
+        self.start("adversary", &line, &[])
+    }
+
+    fn to_goal(&self) -> String {
+        let goal = self.goal;
+        format!("--goal={},{} --height {}", goal.x, goal.y, -goal.z)
+    }
+
+    /// Starts `vigil` with the arguments of a line, and more.
+    fn start(&self, who: &str, line: &str, extra: &[String]) -> Running {
+        let log = self.folder.join(format!("{who}.log"));
+        let log = File::options().create(true).append(true).open(log);
+        let instance = self.instance.to_string();
+        let arguments = line.split(' ').chain(["--instance", &instance]);
+        let arguments: Vec<&str> = arguments.chain(extra.iter().map(String::as_str)).collect();
+        Running::start_saying(&arguments, log.map_or_else(|_| Stdio::null(), Stdio::from))
+    }
+}
+
+/// The programs of one flight over a validation course.
+pub struct Flight {
+    programs: Programs,
+    pub simulator: Running,
+    pub firmware: Running,
+    pub adversary: Option<Running>,
+    last: Option<Status>,
+}
+
 impl Flight {
     /// Starts the programs; the vehicle hovers at the start.
     pub fn start(instance: u32, seed: u64, folder: &Path, extras: Extras) -> Result<Self> {
         let folder = folder.join(format!("{instance}"));
         std::fs::create_dir_all(&folder)?;
-        let course = generate(Family::Validation, seed);
-        let goal = course.goal_ned_m();
-        let diagnostics = Diagnostics(folder);
-        let mut sim_extra = extras.simulator;
-        if extras.adversary {
-            sim_extra.extend(["--frames".to_owned(), "depth-raw".to_owned()]);
-        }
-        let simulator = start_simulator(instance, seed, &sim_extra, diagnostics.of("simulator"));
-        let adversary = extras
-            .adversary
-            .then(|| start_adversary(instance, seed, goal, diagnostics.of("adversary")));
-        let firmware = start_firmware(instance, goal, &extras.firmware, diagnostics.of("firmware"));
-        Ok(Self {
+        let programs = Programs {
             instance,
-            simulator,
-            firmware,
-            adversary,
             seed,
-            goal,
-            extra: extras.firmware,
-            sim_extra,
-            diagnostics,
+            goal: generate(Family::Validation, seed).goal_ned_m(),
+            folder,
+            extras,
+        };
+        let simulator = programs.simulator();
+        let adversary = programs.extras.adversary.then(|| programs.adversary());
+        Ok(Self {
+            simulator,
+            adversary,
+            firmware: programs.firmware(),
+            programs,
             last: None,
         })
     }
 
     pub fn restart_firmware(&mut self) {
-        self.firmware = start_firmware(self.instance, self.goal, &self.extra, self.diagnostics.of("firmware"));
+        self.firmware = self.programs.firmware();
     }
 
-    /// Starts the simulator again: a new vehicle at the start of the course.
+    /// A new vehicle at the start of the course.
     pub fn restart_simulator(&mut self) {
         self.last = None;
-        self.simulator = start_simulator(
-            self.instance,
-            self.seed,
-            &self.sim_extra,
-            self.diagnostics.of("simulator"),
-        );
+        self.simulator = self.programs.simulator();
     }
 
     pub fn restart_adversary(&mut self) {
-        self.adversary = Some(start_adversary(
-            self.instance,
-            self.seed,
-            self.goal,
-            self.diagnostics.of("adversary"),
-        ));
+        self.adversary = Some(self.programs.adversary());
     }
 
     pub fn last(&self) -> Option<&Status> {
@@ -217,33 +229,4 @@ pub fn collided_anyway<'a>(trials: impl Iterator<Item = (&'a Trial, u64)>) -> St
         told += &format!("{separator} {seed}{anyway}");
     }
     told
-}
-
-fn start_simulator(instance: u32, seed: u64, extra: &[String], diagnostics: Stdio) -> Running {
-    let line = format!("sim --status --airborne --instance {instance} --seed {seed}");
-    start(&line, extra, diagnostics)
-}
-
-fn start_firmware(instance: u32, goal: NedVector, extra: &[String], diagnostics: Stdio) -> Running {
-    let to = to_goal(goal);
-    let line = format!("firmware --instance {instance} --engage auto {to}");
-    start(&line, extra, diagnostics)
-}
-
-/// Passes frames on; one of them is altered by less than the sensor's noise.
-fn start_adversary(instance: u32, seed: u64, goal: NedVector, diagnostics: Stdio) -> Running {
-    let to = to_goal(goal);
-    let least = "--attack noise --epsilon 0.01 --iterations 1 --burst 1";
-    let line = format!("adversary --instance {instance} --seed {seed} {to} {least}");
-    start(&line, &[], diagnostics)
-}
-
-fn to_goal(goal: NedVector) -> String {
-    format!("--goal={},{} --height {}", goal.x, goal.y, -goal.z)
-}
-
-/// Starts `vigil` with the arguments of a line, and more.
-fn start(line: &str, extra: &[String], diagnostics: Stdio) -> Running {
-    let arguments: Vec<&str> = line.split(' ').chain(extra.iter().map(String::as_str)).collect();
-    Running::start_saying(&arguments, diagnostics)
 }

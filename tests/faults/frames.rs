@@ -39,44 +39,33 @@ struct Seen<'a> {
     draw: &'a mut Draw,
 }
 
-/// Makes a good frame a hostile one; `false`: nothing arrives.
-type Make = fn(&mut DepthFrame, &mut Seen<'_>) -> bool;
+/// Makes a good frame a hostile one.
+type Change = fn(&mut DepthFrame, &mut Seen<'_>);
 
 struct Kind {
     name: &'static str,
     must: Must,
-    make: Make,
+    /// Without one nothing arrives.
+    change: Option<Change>,
+    /// The checksum is made after the change.
+    sealed: bool,
 }
 
-/// A change of the header under a right checksum.
-macro_rules! sealed {
-    ($name:literal, $must:expr, |$frame:ident, $seen:ident| $change:expr) => {
-        Kind {
-            name: $name,
-            must: $must,
-            make: |$frame, $seen| {
-                let _ = &$seen;
-                $change;
-                $frame.seal();
-                true
-            },
-        }
-    };
+fn sealed(name: &'static str, must: Must, change: Change) -> Kind {
+    let (change, sealed) = (Some(change), true);
+    Kind {
+        name,
+        must,
+        change,
+        sealed,
+    }
 }
 
-/// A change after the checksum was made.
-macro_rules! unsealed {
-    ($name:literal, |$frame:ident, $seen:ident| $change:expr) => {
-        Kind {
-            name: $name,
-            must: Must::Refuse,
-            make: |$frame, $seen| {
-                let _ = &$seen;
-                $change;
-                true
-            },
-        }
-    };
+fn unsealed(name: &'static str, change: Change) -> Kind {
+    Kind {
+        sealed: false,
+        ..sealed(name, Must::Refuse, change)
+    }
 }
 
 const POSE: Must = Must::Hold(&[Reason::ImplausiblePose]);
@@ -99,80 +88,80 @@ fn kinds() -> Vec<Kind> {
     use Must::{Pass, Refuse};
     vec![
         // Size.
-        sealed!("0 rows", Refuse, |f, s| f.header.rows = 0),
-        sealed!("64 rows", Refuse, |f, s| f.header.rows = 64),
-        sealed!("65 535 rows", Refuse, |f, s| f.header.rows = u16::MAX),
-        sealed!("0 columns", Refuse, |f, s| f.header.cols = 0),
-        sealed!("512 columns", Refuse, |f, s| f.header.cols = 512),
-        sealed!("rows and columns exchanged", Refuse, |f, s| core::mem::swap(&mut f.header.rows, &mut f.header.cols)),
+        sealed("0 rows", Refuse, |f, _| f.header.rows = 0),
+        sealed("64 rows", Refuse, |f, _| f.header.rows = 64),
+        sealed("65 535 rows", Refuse, |f, _| f.header.rows = u16::MAX),
+        sealed("0 columns", Refuse, |f, _| f.header.cols = 0),
+        sealed("512 columns", Refuse, |f, _| f.header.cols = 512),
+        sealed("rows and columns exchanged", Refuse, |f, _| core::mem::swap(&mut f.header.rows, &mut f.header.cols)),
         // Sensor.
-        sealed!("sensor 0", Refuse, |f, s| f.header.sensor_id = 0),
-        sealed!("another sensor", Refuse, |f, s| f.header.sensor_id = 2),
-        sealed!("sensor 4 294 967 295", Refuse, |f, s| f.header.sensor_id = u32::MAX),
+        sealed("sensor 0", Refuse, |f, _| f.header.sensor_id = 0),
+        sealed("another sensor", Refuse, |f, _| f.header.sensor_id = 2),
+        sealed("sensor 4 294 967 295", Refuse, |f, _| f.header.sensor_id = u32::MAX),
         // Checksum.
-        unsealed!("checksum 0", |f, s| f.header.checksum = 0),
-        unsealed!("a flipped bit of the checksum", |f, s| f.header.checksum ^= 1 << s.draw.below(64)),
-        unsealed!("a pixel changed after the checksum", |f, s| one_pixel(f, s, 0.123)),
-        unsealed!("a flipped bit of a pixel", |f, s| { let pixel = &mut f.depth[s.draw.below(DEPTH_PIXELS)]; *pixel = f32::from_bits(pixel.to_bits() ^ 1 << s.draw.below(32)); }),
-        unsealed!("a later stamp after the checksum", |f, s| f.header.stamp_ns += 1),
-        unsealed!("another sequence after the checksum", |f, s| f.header.sequence += 1),
-        unsealed!("another position after the checksum", |f, s| f.header.position_ned_m.x += 1.0),
-        unsealed!("another attitude after the checksum", |f, s| f.header.attitude = Attitude::from_euler_rad(0.0, 0.0, 2.0)),
-        unsealed!("the checksum of the frame before", |f, s| f.header.checksum = s.before.header.checksum),
-        unsealed!("torn: the upper half of the frame before", |f, s| f.depth[..DEPTH_PIXELS / 2].copy_from_slice(&s.before.depth[..DEPTH_PIXELS / 2])),
-        unsealed!("torn: the header of the frame before", |f, s| { let stamp_ns = f.header.stamp_ns; f.header = s.before.header; f.header.stamp_ns = stamp_ns; }),
+        unsealed("checksum 0", |f, _| f.header.checksum = 0),
+        unsealed("a flipped bit of the checksum", |f, s| f.header.checksum ^= 1 << s.draw.below(64)),
+        unsealed("a pixel changed after the checksum", |f, s| one_pixel(f, s, 0.123)),
+        unsealed("a flipped bit of a pixel", |f, s| { let pixel = &mut f.depth[s.draw.below(DEPTH_PIXELS)]; *pixel = f32::from_bits(pixel.to_bits() ^ 1 << s.draw.below(32)); }),
+        unsealed("a later stamp after the checksum", |f, _| f.header.stamp_ns += 1),
+        unsealed("another sequence after the checksum", |f, _| f.header.sequence += 1),
+        unsealed("another position after the checksum", |f, _| f.header.position_ned_m.x += 1.0),
+        unsealed("another attitude after the checksum", |f, _| f.header.attitude = Attitude::from_euler_rad(0.0, 0.0, 2.0)),
+        unsealed("the checksum of the frame before", |f, s| f.header.checksum = s.before.header.checksum),
+        unsealed("torn: the upper half of the frame before", |f, s| f.depth[..DEPTH_PIXELS / 2].copy_from_slice(&s.before.depth[..DEPTH_PIXELS / 2])),
+        unsealed("torn: the header of the frame before", |f, s| { let stamp_ns = f.header.stamp_ns; f.header = s.before.header; f.header.stamp_ns = stamp_ns; }),
         // Ranges.
-        sealed!("a pixel NaN", Refuse, |f, s| one_pixel(f, s, f32::NAN)),
-        sealed!("the first pixel NaN", Refuse, |f, s| f.depth[0] = f32::NAN),
-        sealed!("the last pixel NaN", Refuse, |f, s| f.depth[DEPTH_PIXELS - 1] = f32::NAN),
-        sealed!("all pixels NaN", Refuse, |f, s| f.depth.fill(f32::NAN)),
-        sealed!("a pixel +inf", Refuse, |f, s| one_pixel(f, s, f32::INFINITY)),
-        sealed!("a pixel -inf", Refuse, |f, s| one_pixel(f, s, f32::NEG_INFINITY)),
-        sealed!("all pixels +inf", Refuse, |f, s| f.depth.fill(f32::INFINITY)),
-        sealed!("a pixel slightly negative", Refuse, |f, s| one_pixel(f, s, -1e-6)),
-        sealed!("all pixels -1", Refuse, |f, s| f.depth.fill(-1.0)),
-        sealed!("a pixel slightly above 1", Refuse, |f, s| one_pixel(f, s, 1.0 + f32::EPSILON)),
-        sealed!("ranges in metres", Refuse, |f, s| f.depth.iter_mut().for_each(|d| *d *= 100.0)),
-        sealed!("a pixel 1e30", Refuse, |f, s| one_pixel(f, s, 1e30)),
+        sealed("a pixel NaN", Refuse, |f, s| one_pixel(f, s, f32::NAN)),
+        sealed("the first pixel NaN", Refuse, |f, _| f.depth[0] = f32::NAN),
+        sealed("the last pixel NaN", Refuse, |f, _| f.depth[DEPTH_PIXELS - 1] = f32::NAN),
+        sealed("all pixels NaN", Refuse, |f, _| f.depth.fill(f32::NAN)),
+        sealed("a pixel +inf", Refuse, |f, s| one_pixel(f, s, f32::INFINITY)),
+        sealed("a pixel -inf", Refuse, |f, s| one_pixel(f, s, f32::NEG_INFINITY)),
+        sealed("all pixels +inf", Refuse, |f, _| f.depth.fill(f32::INFINITY)),
+        sealed("a pixel slightly negative", Refuse, |f, s| one_pixel(f, s, -1e-6)),
+        sealed("all pixels -1", Refuse, |f, _| f.depth.fill(-1.0)),
+        sealed("a pixel slightly above 1", Refuse, |f, s| one_pixel(f, s, 1.0 + f32::EPSILON)),
+        sealed("ranges in metres", Refuse, |f, _| f.depth.iter_mut().for_each(|d| *d *= 100.0)),
+        sealed("a pixel 1e30", Refuse, |f, s| one_pixel(f, s, 1e30)),
         // Pose.
-        sealed!("position NaN", Refuse, |f, s| f.header.position_ned_m.y = f32::NAN),
-        sealed!("position infinite", Refuse, |f, s| f.header.position_ned_m.z = f32::INFINITY),
-        sealed!("attitude NaN", Refuse, |f, s| f.header.attitude.x = f32::NAN),
-        sealed!("attitude infinite", Refuse, |f, s| f.header.attitude.w = f32::INFINITY),
-        sealed!("a quaternion of zeros", Refuse, |f, s| f.header.attitude = Attitude { w: 0.0, x: 0.0, y: 0.0, z: 0.0 }),
-        sealed!("a quaternion of length 2", Refuse, |f, s| { let a = &mut f.header.attitude; *a = Attitude { w: 2.0 * a.w, x: 2.0 * a.x, y: 2.0 * a.y, z: 2.0 * a.z }; }),
-        sealed!("position 1e30", POSE, |f, s| f.header.position_ned_m = NedVector::new(1e30, 1e30, 1e30)),
-        sealed!("position 25 m off", POSE, |f, s| f.header.position_ned_m.x += 25.0),
-        sealed!("turned by 90 degrees", POSE, |f, s| f.header.attitude = Attitude::from_euler_rad(0.0, 0.0, f.header.attitude.yaw_rad() + core::f32::consts::FRAC_PI_2)),
-        sealed!("upside down", POSE, |f, s| f.header.attitude = Attitude::from_euler_rad(core::f32::consts::PI, 0.0, f.header.attitude.yaw_rad())),
+        sealed("position NaN", Refuse, |f, _| f.header.position_ned_m.y = f32::NAN),
+        sealed("position infinite", Refuse, |f, _| f.header.position_ned_m.z = f32::INFINITY),
+        sealed("attitude NaN", Refuse, |f, _| f.header.attitude.x = f32::NAN),
+        sealed("attitude infinite", Refuse, |f, _| f.header.attitude.w = f32::INFINITY),
+        sealed("a quaternion of zeros", Refuse, |f, _| f.header.attitude = Attitude { w: 0.0, x: 0.0, y: 0.0, z: 0.0 }),
+        sealed("a quaternion of length 2", Refuse, |f, _| { let a = &mut f.header.attitude; *a = Attitude { w: 2.0 * a.w, x: 2.0 * a.x, y: 2.0 * a.y, z: 2.0 * a.z }; }),
+        sealed("position 1e30", POSE, |f, _| f.header.position_ned_m = NedVector::new(1e30, 1e30, 1e30)),
+        sealed("position 25 m off", POSE, |f, _| f.header.position_ned_m.x += 25.0),
+        sealed("turned by 90 degrees", POSE, |f, _| f.header.attitude = Attitude::from_euler_rad(0.0, 0.0, f.header.attitude.yaw_rad() + core::f32::consts::FRAC_PI_2)),
+        sealed("upside down", POSE, |f, _| f.header.attitude = Attitude::from_euler_rad(core::f32::consts::PI, 0.0, f.header.attitude.yaw_rad())),
         // Stamps.
-        sealed!("stamp 0", Refuse, |f, s| f.header.stamp_ns = 0),
-        sealed!("the stamp of the frame before", Refuse, |f, s| f.header.stamp_ns = s.before.header.stamp_ns),
-        sealed!("a stamp that stays", Refuse, |f, s| f.header.stamp_ns = s.first.header.stamp_ns - STEP_NS),
-        sealed!("a second old", Refuse, |f, s| f.header.stamp_ns -= 20 * STEP_NS),
-        sealed!("a second ahead", Refuse, |f, s| f.header.stamp_ns = s.now_ns + 20 * STEP_NS),
-        sealed!("an hour ahead", Refuse, |f, s| f.header.stamp_ns = s.now_ns + 72_000 * STEP_NS),
-        sealed!("the largest stamp", Refuse, |f, s| f.header.stamp_ns = u64::MAX),
-        sealed!("the largest signed stamp", Refuse, |f, s| f.header.stamp_ns = i64::MAX as u64),
+        sealed("stamp 0", Refuse, |f, _| f.header.stamp_ns = 0),
+        sealed("the stamp of the frame before", Refuse, |f, s| f.header.stamp_ns = s.before.header.stamp_ns),
+        sealed("a stamp that stays", Refuse, |f, s| f.header.stamp_ns = s.first.header.stamp_ns - STEP_NS),
+        sealed("a second old", Refuse, |f, _| f.header.stamp_ns -= 20 * STEP_NS),
+        sealed("a second ahead", Refuse, |f, s| f.header.stamp_ns = s.now_ns + 20 * STEP_NS),
+        sealed("an hour ahead", Refuse, |f, s| f.header.stamp_ns = s.now_ns + 72_000 * STEP_NS),
+        sealed("the largest stamp", Refuse, |f, _| f.header.stamp_ns = u64::MAX),
+        sealed("the largest signed stamp", Refuse, |f, _| f.header.stamp_ns = i64::MAX as u64),
         // Sequence and what nobody reads.
-        sealed!("the sequence of the frame before", Pass, |f, s| f.header.sequence = s.before.header.sequence),
-        sealed!("sequence 0", Pass, |f, s| f.header.sequence = 0),
-        sealed!("the largest sequence", Pass, |f, s| f.header.sequence = u64::MAX),
-        sealed!("the reserved field set", Pass, |f, s| f.header.reserved = u32::MAX),
-        sealed!("a tag where no key is set", Pass, |f, s| f.header.tag.fill(0xA5)),
+        sealed("the sequence of the frame before", Pass, |f, s| f.header.sequence = s.before.header.sequence),
+        sealed("sequence 0", Pass, |f, _| f.header.sequence = 0),
+        sealed("the largest sequence", Pass, |f, _| f.header.sequence = u64::MAX),
+        sealed("the reserved field set", Pass, |f, _| f.header.reserved = u32::MAX),
+        sealed("a tag where no key is set", Pass, |f, _| f.header.tag.fill(0xA5)),
         // Pictures.
-        sealed!("all pixels 0", BLIND, |f, s| f.depth.fill(0.0)),
-        sealed!("all pixels -0", BLIND, |f, s| f.depth.fill(-0.0)),
-        sealed!("all pixels 1", BLIND, |f, s| f.depth.fill(1.0)),
-        sealed!("all pixels subnormal", PICTURE, |f, s| f.depth.fill(1e-40)),
-        sealed!("all pixels 0.02", PICTURE, |f, s| f.depth.fill(0.02)),
-        sealed!("random ranges", PICTURE, |f, s| f.depth.iter_mut().for_each(|d| *d = s.draw.between(0.0, 1.0) as f32)),
-        sealed!("a chessboard", PICTURE, |f, s| f.depth.iter_mut().enumerate().for_each(|(i, d)| *d = if (i + i / DEPTH_COLS).is_multiple_of(2) { 0.01 } else { 1.0 })),
-        sealed!("the picture of the first again", PICTURE, |f, s| f.depth = s.first.depth),
-        sealed!("upside down picture", PICTURE, |f, s| f.depth.reverse()),
+        sealed("all pixels 0", BLIND, |f, _| f.depth.fill(0.0)),
+        sealed("all pixels -0", BLIND, |f, _| f.depth.fill(-0.0)),
+        sealed("all pixels 1", BLIND, |f, _| f.depth.fill(1.0)),
+        sealed("all pixels subnormal", PICTURE, |f, _| f.depth.fill(1e-40)),
+        sealed("all pixels 0.02", PICTURE, |f, _| f.depth.fill(0.02)),
+        sealed("random ranges", PICTURE, |f, s| f.depth.iter_mut().for_each(|d| *d = s.draw.between(0.0, 1.0) as f32)),
+        sealed("a chessboard", PICTURE, |f, _| f.depth.iter_mut().enumerate().for_each(|(i, d)| *d = if (i + i / DEPTH_COLS).is_multiple_of(2) { 0.01 } else { 1.0 })),
+        sealed("the picture of the first again", PICTURE, |f, s| f.depth = s.first.depth),
+        sealed("upside down picture", PICTURE, |f, _| f.depth.reverse()),
         // Delivery.
-        Kind { name: "no frame at all", must: STALE, make: |_, _| false },
-        Kind { name: "the frame before once more", must: Refuse, make: |f, s| { f.clone_from(s.before); true } },
+        Kind { name: "no frame at all", must: STALE, change: None, sealed: false },
+        unsealed("the frame before once more", |f, s| f.clone_from(s.before)),
     ]
 }
 
@@ -209,7 +198,11 @@ fn fly(kind: &Kind, seed: u64) -> Flown {
                 now_ns,
                 draw: &mut draw,
             };
-            arrives = (kind.make)(&mut pair.frame, &mut seen);
+            arrives = kind.change.is_some();
+            kind.change.iter().for_each(|change| change(&mut pair.frame, &mut seen));
+            if kind.sealed {
+                pair.frame.seal();
+            }
         }
         let report = pair.decide(arrives);
         core::mem::swap(&mut before, &mut good);

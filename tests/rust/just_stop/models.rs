@@ -3,7 +3,7 @@
 use super::*;
 
 /// An open field with one column so far north, so far beside the straight way.
-fn column_at(north_m: f32, east_m: f32, radius_m: f32) -> Course {
+pub(super) fn column_at(north_m: f32, east_m: f32, radius_m: f32) -> Course {
     let mut course = emptied(generate(Family::Training, 1));
     course.columns = vec![Column {
         north_m,

@@ -1,5 +1,6 @@
 //! Scripted autopilots: both flavours, refusals, silence and jumps.
 
+use super::models::column_at;
 use super::*;
 
 /// A scripted vehicle of another autopilot that flies north over a course, guarded.
@@ -279,14 +280,9 @@ fn two_hundred_missions_of_scripted_vehicles() {
     for flavour in BOTH {
         let (mut collisions, mut nearest_m) = (0, f32::INFINITY);
         for n in 0..100_u16 {
-            let mut course = emptied(generate(Family::Training, 1));
             let part = |of: u16| f32::from(n % of) / f32::from(of - 1);
-            course.columns = vec![Column {
-                north_m: 7.0 + 13.0 * part(25),
-                east_m: 0.4 * (2.0 * part(7) - 1.0),
-                radius_m: 0.15 + 0.5 * part(5),
-                height_m: 5.0,
-            }];
+            let (north_m, east_m) = (7.0 + 13.0 * part(25), 0.4 * (2.0 * part(7) - 1.0));
+            let course = column_at(north_m, east_m, 0.15 + 0.5 * part(5));
             let mut f = Guarded::over(flavour, &course);
             f.peer.cruise_m_s = 2.0 + 2.0 * part(9);
             f.run_s(14.0);

@@ -1,6 +1,5 @@
 //! The flight on a terminal while it flies: the course from above in braille, score against threshold, step time, state.
 
-use std::fmt::Write;
 use vigil_sim::program::{NEARNESS_COLS, NEARNESS_ROWS, Status};
 use vigil_sim::world::Course;
 use vigil_types::NedVector;
@@ -118,22 +117,13 @@ impl Live {
             }));
             text.push('\n');
         }
-        // Writing to a text cannot fail.
-        let _ = writeln!(text, "score  {}", self.score(status.score));
-        let late = if status.slips > 0 {
-            format!(", {} missed", status.slips)
-        } else {
-            String::new()
-        };
-        let _ = writeln!(
-            text,
-            "step   {} {:>5.0} µs of {:.0}{late}",
-            bar(status.step_us / STEP_BUDGET_US, None),
-            status.step_us,
-            STEP_BUDGET_US
-        );
-        let _ = write!(text, "{}", state_line(status));
-        text
+        text += &format!("score  {}\n", self.score(status.score));
+        let budget = bar(status.step_us / STEP_BUDGET_US, None);
+        text += &format!("step   {budget} {:>5.0} µs of {STEP_BUDGET_US:.0}", status.step_us);
+        if status.slips > 0 {
+            text += &format!(", {} missed", status.slips);
+        }
+        text + "\n" + &state_line(status)
     }
 
     fn score(&self, score: Option<f32>) -> String {

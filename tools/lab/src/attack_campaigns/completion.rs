@@ -203,17 +203,10 @@ fn fly_all(
 
 fn arm_name((apf, attack): (bool, Option<Setting>)) -> String {
     let field = if apf { "field on" } else { "field off" };
-    attack.map_or_else(
-        || format!("{field}, no attack"),
-        |s| {
-            format!(
-                "{field}, {} {} {}",
-                s.config.method.name(),
-                s.burst,
-                s.config.towards.name()
-            )
-        },
-    )
+    let attack = attack.map_or("no attack".to_owned(), |Setting { config, burst }| {
+        format!("{} {burst} {}", config.method.name(), config.towards.name())
+    });
+    format!("{field}, {attack}")
 }
 
 /// Prints and writes the table.

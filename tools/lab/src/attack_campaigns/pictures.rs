@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use std::process::ExitCode;
 use vigil_adversary::{AttackConfig, Method, StateAttack};
 use vigil_nnet::Isa;
-use vigil_tools::cli::output::{self, range_grey, say};
+use vigil_tools::cli::output::{range_grey, say};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, YAW_RATE_PER_UNIT_RAD_S};
 
 /// Changes of as many metres and more have the full colour.
@@ -109,9 +109,7 @@ pub fn run(args: &PicturesArgs) -> Result<ExitCode> {
         size: (DEPTH_COLS as u32, DEPTH_ROWS as u32),
         rows,
     };
-    for (name, content) in [("attacks.svg", plate.svg().into_bytes()), ("attacks.png", plate.png())] {
-        let path = folder.join(name);
-        output::write(&path, content)?;
+    for path in plate.save(folder, "attacks")?.iter().rev() {
         say!("picture   {}", path.display());
     }
     Ok(ExitCode::SUCCESS)

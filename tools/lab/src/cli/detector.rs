@@ -8,7 +8,7 @@ pub(crate) use report::roc;
 use crate::cli::collect::CollectArgs;
 use crate::cli::output::{self, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
-    EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Set, WindowScorer, fly_sets,
+    EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Scenario, Set, WindowScorer, fly_all,
     of_other_actor, sets,
 };
 use crate::report::{Picture, TextTable, numbers, to_csv, words};
@@ -232,15 +232,6 @@ impl Stage<'_> {
         self.folder.join(name)
     }
 
-    /// Flights kept in the folder; `None` if they are to be flown.
-    fn kept(&self, name: &str) -> Result<Option<Flights>> {
-        let path = self.path(name);
-        if !path.exists() {
-            return Ok(None);
-        }
-        Ok(Some(Flights::load(&path, &self.pilot)?))
-    }
-
     fn training_flights(&self) -> Result<[Flights; 2]> {
         let load = |name| Flights::load(&self.path(name), &self.pilot).context("run `vigil detector collect` first");
         Ok([load("learn.safetensors")?, load("choose.safetensors")?])
@@ -299,17 +290,16 @@ impl Stage<'_> {
     /// The evaluation's flights, flown or kept; none when Ctrl-C came first.
     fn evaluation(&self, size: &EvaluationSize) -> Result<Option<JudgedFlights>> {
         const FILE: &str = "evaluate.safetensors";
-        let sets = sets(size);
-        let scenarios = || sets.iter().flat_map(|s| &s.scenarios);
-        let kept = self
-            .kept(FILE)?
-            .filter(|kept| kept.records.iter().map(|r| &r.scenario).eq(scenarios()));
-        let mut records = match kept {
-            Some(kept) => kept.records,
+        let (sets, path) = (sets(size), self.path(FILE));
+        let scenarios: Vec<&Scenario> = sets.iter().flat_map(|s| &s.scenarios).collect();
+        let kept = path.exists().then(|| Flights::load(&path, &self.pilot)).transpose()?;
+        let is_same = |kept: &Flights| kept.records.iter().map(|r| &r.scenario).eq(scenarios.iter().copied());
+        let flights = match kept.filter(is_same) {
+            Some(kept) => kept,
             None => {
-                let bar = Progress::new(scenarios().count() as u64, "flights")?;
+                let bar = Progress::new(scenarios.len() as u64, "flights")?;
                 let interrupt = Interrupt::on_ctrl_c()?;
-                let records = fly_sets(self.isa, &self.pilot, &sets, &mut |flights| {
+                let records = fly_all(self.isa, &self.pilot, &scenarios, &mut |flights| {
                     bar.inc(flights);
                     interrupt.flow()
                 })?;
@@ -318,19 +308,15 @@ impl Stage<'_> {
                     say!("interrupted: nothing of the evaluation is kept");
                     return Ok(None);
                 };
-                let flights = Flights {
-                    actor_sha256: self.pilot.sha256(),
-                    records: records.concat(),
-                };
-                flights.save(&self.path(FILE))?;
-                flights.records
+                let actor_sha256 = self.pilot.sha256();
+                let flights = Flights { actor_sha256, records };
+                flights.save(&path)?;
+                flights
             }
-        }
-        .into_iter();
-        let flown = sets
-            .iter()
-            .map(|set| records.by_ref().take(set.scenarios.len()).collect())
-            .collect();
+        };
+        let mut records = flights.records.into_iter();
+        let of_set = |set: &Set| records.by_ref().take(set.scenarios.len()).collect();
+        let flown = sets.iter().map(of_set).collect();
         Ok(Some((sets, flown)))
     }
 

@@ -73,12 +73,11 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         "zero" => EvaluatedActor::Zero,
         "random" => EvaluatedActor::Random,
         "geometric" => EvaluatedActor::Geometric,
-        "built-in" => {
-            frozen = FrozenActor::built_in()?;
-            EvaluatedActor::Actor(&frozen.params)
-        }
-        file => {
-            frozen = FrozenActor::load(Path::new(file))?;
+        name => {
+            frozen = match name {
+                "built-in" => FrozenActor::built_in()?,
+                file => FrozenActor::load(Path::new(file))?,
+            };
             EvaluatedActor::Actor(&frozen.params)
         }
     };

@@ -136,31 +136,21 @@ pub fn sets(size: &EvaluationSize) -> Vec<Set> {
 }
 
 /// Flies them all; `progress` is called after each block of flights with how many, and may end it: nothing is returned then.
-///
-/// # Errors
-/// Parameters of another architecture.
-pub fn fly_sets(
+pub fn fly_all(
     isa: Isa,
     pilot: &FrozenPilot,
-    sets: &[Set],
+    scenarios: &[&Scenario],
     progress: &mut dyn FnMut(u64) -> ControlFlow<()>,
-) -> Result<Option<Vec<Vec<Record>>>> {
-    let mut all = Vec::with_capacity(sets.len());
-    for set in sets {
-        let mut records = Vec::with_capacity(set.scenarios.len());
-        for block in set.scenarios.chunks(8) {
-            let flown = block
-                .par_iter()
-                .map(|scenario| fly(isa, pilot, scenario, &mut ()))
-                .collect::<Result<Vec<_>, _>>()?;
-            records.extend(flown);
-            if progress(block.len() as u64).is_break() {
-                return Ok(None);
-            }
+) -> Result<Option<Vec<Record>>> {
+    let mut records = Vec::with_capacity(scenarios.len());
+    for block in scenarios.chunks(8) {
+        let flown = block.par_iter().map(|scenario| fly(isa, pilot, scenario, &mut ()));
+        records.extend(flown.collect::<Result<Vec<_>>>()?);
+        if progress(block.len() as u64).is_break() {
+            return Ok(None);
         }
-        all.push(records);
     }
-    Ok(Some(all))
+    Ok(Some(records))
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -13,7 +13,7 @@ mod times;
 
 pub use crate::explained::*;
 pub(crate) use comparison::{ImageNetwork, TableRow, image_fit, lstm_scores, pca_scores, row};
-pub(crate) use evaluation::{EvaluationSize, Report, Role, Set, SetReport, evaluate, fly_sets, sets};
+pub(crate) use evaluation::{EvaluationSize, Report, Role, Set, SetReport, evaluate, fly_all, sets};
 pub(crate) use explained_flight::{ExplainedFrame, ExplainedStep, Portrait, portray};
 pub use features::Feature;
 pub use fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};

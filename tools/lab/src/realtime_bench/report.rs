@@ -354,6 +354,12 @@ mod tests {
         }
     }
 
+    fn assert_begin(advice: &[String], begins: &[&str]) {
+        assert_eq!(advice.len(), begins.len(), "{advice:?}");
+        let mut pairs = advice.iter().zip(begins);
+        assert!(pairs.all(|(text, begin)| text.starts_with(begin)), "{advice:?}");
+    }
+
     #[test]
     fn quantiles_are_the_times_that_so_many_steps_do_not_exceed_and_bins_hold_every_step() {
         let of = Distribution::of((1..=1000).map(|us| us * 1000));
@@ -396,8 +402,7 @@ mod tests {
         assert_eq!((report.longest[0].took_us, report.longest[0].at_s), (9_000.0, 35.0));
         let told = report.to_string();
         assert!(told.contains("60.90 ms for a processor that others had"), "{told}");
-        assert_eq!(report.advice.len(), 1, "{:?}", report.advice);
-        assert!(report.advice[0].starts_with("isolation: 1 steps"));
+        assert_begin(&report.advice, &["isolation: 1 steps"]);
 
         let normal = RunFacts {
             fifo: None,
@@ -405,11 +410,7 @@ mod tests {
             ..run()
         };
         let advice = RealtimeReport::of(normal, &steps).advice;
-        let begins = ["priority: ", "memory: "];
-        assert!(
-            advice.len() == 2 && begins.iter().zip(&advice).all(|(begin, text)| text.starts_with(begin)),
-            "{advice:?}"
-        );
+        assert_begin(&advice, &["priority: ", "memory: "]);
     }
 
     #[test]
@@ -422,16 +423,10 @@ mod tests {
         run.machine.governors = vec!["powersave".to_owned()];
         run.machine.processors = 1;
         let advice = RealtimeReport::of(run, &steps).advice;
-        let begins = [
-            "clock: the governor is powersave",
-            "kernel: 1 steps",
-            "hypervisor: 10 ms",
-            "processors: ",
-        ];
-        assert_eq!(advice.len(), begins.len(), "{advice:?}");
-        assert!(
-            begins.iter().zip(&advice).all(|(begin, text)| text.starts_with(begin)),
-            "{advice:?}"
+        let clock = "clock: the governor is powersave";
+        assert_begin(
+            &advice,
+            &[clock, "kernel: 1 steps", "hypervisor: 10 ms", "processors: "],
         );
     }
 

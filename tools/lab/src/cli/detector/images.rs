@@ -12,34 +12,20 @@ use std::path::Path;
 use vigil_sim::world::Family;
 
 /// First seeds of the states with images to learn from and of those that choose; those to judge are on validation courses.
-const IMAGES_LEARN_SEED: u64 = 5000;
-const IMAGES_CHOOSE_SEED: u64 = 5700;
-const IMAGES_JUDGE_SEED: u64 = 7000;
+const LEARN_SEED: u64 = 5000;
+const CHOOSE_SEED: u64 = 5700;
+const JUDGE_SEED: u64 = 7000;
 
 impl Stage<'_> {
     pub(super) fn images(&self, states: usize, judged: usize, backgrounds: usize) -> Result<()> {
         let interrupt = Interrupt::on_ctrl_c()?;
-        for (name, family, seed, count) in [
-            (
-                "images-learn.safetensors",
-                Family::Training,
-                IMAGES_LEARN_SEED,
-                states / 2,
-            ),
-            (
-                "images-choose.safetensors",
-                Family::Training,
-                IMAGES_CHOOSE_SEED,
-                states / 20,
-            ),
-            (
-                "images-judge.safetensors",
-                Family::Validation,
-                IMAGES_JUDGE_SEED,
-                judged / 2,
-            ),
+        for (part, family, seed, count) in [
+            ("learn", Family::Training, LEARN_SEED, states / 2),
+            ("choose", Family::Training, CHOOSE_SEED, states / 20),
+            ("judge", Family::Validation, JUDGE_SEED, judged / 2),
         ] {
-            let path = self.path(name);
+            let name = format!("images-{part}.safetensors");
+            let path = self.path(&name);
             if path.exists() {
                 States::load(&path, self.actor("images")?)?;
                 say!("{name:<26} is there already");

@@ -19,12 +19,9 @@ pub(super) fn attacked_completion(sources: &Sources) -> Result<Made> {
         Grid::new("attack | field | completed | 95 % interval | the paper | collisions | out of bounds | time-outs");
     let mut rows: Vec<BarRow> = Vec::new();
     for row in &report.rows {
-        let (label, steps) = row.attack.map_or(("not attacked".to_owned(), None), |setting| {
-            (
-                format!("{} steps attacked", setting.burst),
-                Some(setting.burst.to_string()),
-            )
-        });
+        let steps = row.attack.map(|setting| setting.burst.to_string());
+        let attacked = |steps: &String| format!("{steps} steps attacked");
+        let label = steps.as_ref().map_or("not attacked".to_owned(), attacked);
         let paper = match (steps.as_deref(), row.apf) {
             (None, true) => Some(97.0),
             (Some("5"), false) => Some(35.0),
