@@ -1,5 +1,6 @@
 //! Surfaces from files: read in every format, refused with a sentence, looked at, touched, flown around.
 
+use base64::Engine;
 use std::path::Path;
 use vigil_sim::world::{Course, CourseError, Mesh, Outcome, Referee, VEHICLE, World};
 use vigil_types::{Attitude, NedVector};
@@ -42,13 +43,99 @@ fn stl() -> Vec<u8> {
     bytes
 }
 
+/// With y up and z south, half of the height by the node's scale: text, and what its buffer holds.
+fn gltf() -> (String, Vec<u8>) {
+    let corners = POST.iter().flat_map(|[x, y, z]| [*x, 0.5 * z, -y]);
+    let mut bytes: Vec<u8> = corners.flat_map(f32::to_le_bytes).collect();
+    bytes.extend(FACES.iter().flatten().flat_map(|n| (*n as u16).to_le_bytes()));
+    let text = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"extensionsRequired":["KHR_materials_unlit"],
+"nodes":[{"children":[1]},{"mesh":0,"scale":[1,2,1]}],
+"meshes":[{"primitives":[{"attributes":{"POSITION":0},"indices":1}]}],
+"accessors":[{"bufferView":0,"componentType":5126,"count":4,"type":"VEC3"},
+{"bufferView":1,"componentType":5123,"count":6,"type":"SCALAR"}],
+"bufferViews":[{"buffer":0,"byteLength":48},{"buffer":0,"byteOffset":48,"byteLength":12}],
+"buffers":[{"byteLength":60}]}"#;
+    (text.to_owned(), bytes)
+}
+
+/// The same with the buffer at an address.
+fn gltf_at(uri: &str) -> String {
+    let (text, _) = gltf();
+    text.replace(r#"60}]"#, &format!(r#"60,"uri":"{uri}"}}]"#))
+}
+
+fn data(bytes: &[u8]) -> String {
+    let text = base64::engine::general_purpose::STANDARD.encode(bytes);
+    format!("data:application/octet-stream;base64,{text}")
+}
+
+/// A GLB of a text and a buffer.
+fn glb(text: &str, buffer: &[u8]) -> Vec<u8> {
+    let mut bytes = b"glTF\x02\0\0\0".to_vec();
+    let padded = text.len().next_multiple_of(4);
+    bytes.extend((28 + padded as u32 + buffer.len() as u32).to_le_bytes());
+    bytes.extend((padded as u32).to_le_bytes());
+    bytes.extend(format!("JSON{text}").bytes());
+    bytes.resize(20 + padded, b' ');
+    bytes.extend((buffer.len() as u32).to_le_bytes());
+    bytes.extend(b"BIN\0".iter().chain(buffer));
+    bytes
+}
+
+/// The same surface told otherwise: turned by a quarter about x from z up and moved, by TRS and by a matrix; 16 bytes from corner to corner; a
+/// strip, a fan, and corners without indices.
+fn gltfs_told_otherwise() -> Vec<String> {
+    let mut bytes = vec![0; 8];
+    for [x, y, z] in [0, 1, 3, 2].map(|n: usize| POST[n]) {
+        bytes.extend([x, y - 7.0, z, f32::NAN].iter().flat_map(|x| x.to_le_bytes()));
+    }
+    let strip = 8 + 64;
+    bytes.extend([0, 1, 2, 3]);
+    let fan = bytes.len();
+    bytes.extend([0_u32, 1, 3, 2].iter().flat_map(|n| n.to_le_bytes()));
+    let trs = r#""translation":[0,0,-7],"rotation":[-0.70710678,0,0,0.70710678]"#;
+    let matrix = r#""matrix":[1,0,0,0, 0,0,-1,0, 0,1,0,0, 0,0,-7,1]"#;
+    let told = |place: &str, mode: u8, indices: &str| {
+        let length = bytes.len();
+        let uri = data(&bytes);
+        format!(
+            r#"{{"asset":{{"version":"2.1"}},"scene":1,"scenes":[{{}},{{"nodes":[2]}}],"nodes":[{{"mesh":0}},{{}},{{"mesh":0,{place}}}],
+"meshes":[{{"primitives":[{{"attributes":{{"POSITION":1}},"mode":{mode}{indices}}},{{"attributes":{{}},"mode":1}}]}}],
+"accessors":[{{"bufferView":1,"componentType":5121,"count":4,"type":"SCALAR"}},
+{{"bufferView":0,"byteOffset":8,"componentType":5126,"count":4,"type":"VEC3"}},
+{{"bufferView":2,"componentType":5125,"count":4,"type":"SCALAR"}}],
+"bufferViews":[{{"buffer":0,"byteLength":72,"byteStride":16}},{{"buffer":0,"byteOffset":{strip},"byteLength":4}},
+{{"buffer":0,"byteOffset":{fan},"byteLength":16}}],"buffers":[{{"byteLength":{length},"uri":"{uri}"}}]}}"#
+        )
+    };
+    vec![
+        told(trs, 5, ""),
+        told(matrix, 5, r#","indices":0"#),
+        told(trs, 6, r#","indices":2"#),
+    ]
+}
+
 #[test]
 fn the_same_surface_stands_at_the_same_place_from_every_format() {
     let folder = folder();
     let write = |name: &str, content: &[u8]| std::fs::write(folder.path().join(name), content).expect("written");
     write("m.stl", &stl());
     write("y.obj", b"v 1 0 -5\nv 2 0 -5\nv 2 3 -5\nv 1 3 -5\nf 1 2 3 4\n");
+    let (text, buffer) = gltf();
+    write("m.gltf", gltf_at(&data(&buffer)).as_bytes());
+    write("beside.gltf", gltf_at("its%20data.bin").as_bytes());
+    write("its data.bin", &buffer);
+    write("m.GLB", &glb(&text, &buffer));
+    for (n, told) in gltfs_told_otherwise().iter().enumerate() {
+        write(&format!("{n}.gltf"), told.as_bytes());
+    }
     for entry in [
+        "file = \"m.gltf\"",
+        "file = \"beside.gltf\"\nup = \"y\"",
+        "file = \"m.GLB\"",
+        "file = \"0.gltf\"",
+        "file = \"1.gltf\"",
+        "file = \"2.gltf\"",
         "file = \"m.obj\"",
         "file = \"mm.obj\"\nunit_m = 0.001",
         "file = \"m.stl\"",
@@ -89,7 +176,7 @@ fn what_cannot_be_used_is_refused_with_a_sentence() {
     // The entry (a bar is a line's end) and what the sentence says.
     let cases = r#"
         file = "none.obj" => none.obj cannot be read
-        file = "m.ply" => m.ply is no mesh by its name; one that is read ends in .obj or .stl
+        file = "m.ply" => m.ply is no mesh by its name; one that is read ends in .obj, .stl, .gltf or .glb
         file = "prose.stl" => prose.stl is not a mesh that can be read
         file = "cut.stl" => cut.stl is not a mesh that can be read
         file = "points.obj" => points.obj has no triangles; export its faces
@@ -118,6 +205,93 @@ fn what_cannot_be_used_is_refused_with_a_sentence() {
             "{entry}: {error}"
         );
     }
+}
+
+#[test]
+fn a_gltf_that_cannot_be_used_is_refused_with_a_sentence() {
+    let folder = folder();
+    let write = |name: &str, content: &[u8]| std::fs::write(folder.path().join(name), content).expect("written");
+    let refused = |name: &str, expected: &str| {
+        let error = course(folder.path(), &format!("file = {name:?}")).expect_err(expected);
+        let error = error.to_string();
+        assert!(
+            error.contains(&format!("{name} is not a mesh that can be read ({expected}")),
+            "{expected}: {error}"
+        );
+    };
+    let (text, buffer) = gltf();
+    // What is replaced by what, and what the sentence says.
+    let cases = r#"
+        KHR_materials_unlit => KHR_draco_mesh_compression => it requires KHR_draco_mesh_compression: export it without, uncompressed
+        KHR_materials_unlit => EXT_meshopt_compression => it requires EXT_meshopt_compression: export it without
+        "2.0" => "1.0" => it is of glTF 1.0: export it as 2.0
+        "scenes":[{"nodes":[0]}], =>  => scene 0 is not in the file
+        "children":[1] => "children":[1,2] => node 2 is not in the file
+        "mesh":0 => "mesh":0,"children":[0] => node 0 is its own descendant, or has two parents
+        "mesh":0 => "mesh":1 => mesh 1 is not in the file
+        "POSITION":0 => "NORMAL":0 => a mesh has no positions
+        "indices":1 => "indices":7 => accessor 7 is not in the file
+        "indices":1 => "indices":0 => accessor 0 has VEC3 of type 5126, which is not read there
+        "POSITION":0 => "POSITION":1 => accessor 1 has SCALAR of type 5123, which is not read there
+        "type":"VEC3" => "type":"VEC3","sparse":{"count":1} => accessor 0 has sparse VEC3 of type 5126, which is not read there
+        {"bufferView":0, => { => the data of accessor 0 are missing
+        "bufferView":0 => "bufferView":4 => the data of accessor 0 are missing
+        "count":4 => "count":5 => accessor 0 reaches beyond its data
+        "count":4 => "count":0 => accessor 0 reaches beyond its data
+        "count":4 => "count":18446744073709551615 => accessor 0 reaches beyond its data
+        "count":4 => "count":3 => a face has a corner that accessor 0 does not have
+        "byteLength":48 => "byteLength":48,"byteStride":8 => accessor 0 reaches beyond its data
+        "byteOffset":48 => "byteOffset":49 => accessor 1 reaches beyond its data
+        {"buffer":0,"byteLength":48} => {"buffer":1,"byteLength":48} => accessor 0 reaches beyond its data
+        "byteLength":60 => "byteLength":61 => buffer 0 has 60 of 61 bytes
+        60}] => 60},{"byteLength":1}] => the data of buffer 1 are missing
+        [1,2,1] => [1,1e999,1] => number out of range
+        "nodes":[{ => "nodes":[3,{ => invalid type
+    "#;
+    let cases: Vec<Vec<&str>> = cases.lines().map(|case| case.trim().split(" => ").collect()).collect();
+    let mut count = 0;
+    for case in cases.iter().filter(|case| case.len() == 3) {
+        let wrong = text.replacen(case[0], case[1].trim(), 1);
+        assert_ne!(wrong, text, "{case:?}");
+        write("wrong.glb", &glb(&wrong, &buffer));
+        refused("wrong.glb", case[2]);
+        count += 1;
+    }
+    assert_eq!(count, 25);
+    let whole = glb(&text, &buffer);
+    for length in [6, 11, 18, 40, whole.len() - 1] {
+        write("cut.glb", &whole[..length]);
+        assert!(course(folder.path(), "file = \"cut.glb\"").is_err(), "{length}");
+    }
+    write("old.glb", &[b"glTF\x01", &whole[5..]].concat());
+    refused("old.glb", "it is no GLB of version 2");
+    write("alone.gltf", text.as_bytes());
+    refused("alone.gltf", "the data of buffer 0 are missing");
+    for (uri, expected) in [
+        ("none.bin", "its none.bin beside it cannot be read: "),
+        ("data:,abc", "its data within are not base64"),
+        ("data:;base64,?", "its data within are not base64"),
+    ] {
+        write("uri.gltf", gltf_at(uri).as_bytes());
+        refused("uri.gltf", expected);
+    }
+    // A million triangles by instances of one that has two.
+    let nodes: Vec<String> = (1..=500_001).map(|n| n.to_string()).collect();
+    let instances = vec![r#"{"mesh":0}"#; 500_001].join(",");
+    let many = text
+        .replace(r#"{"mesh":0,"scale":[1,2,1]}"#, &instances)
+        .replace("[1]", &format!("[{}]", nodes.join(",")));
+    write("many.glb", &glb(&many, &buffer));
+    refused("many.glb", "it has more than 1000000 triangles: simplify it");
+    let nan = [&f32::NAN.to_le_bytes(), &buffer[4..]].concat();
+    write("nan.glb", &glb(&text, &nan));
+    let error = course(folder.path(), "file = \"nan.glb\"")
+        .expect_err("not a number")
+        .to_string();
+    assert!(
+        error.contains("nan.glb has a corner that is not a number, of triangle 1;"),
+        "{error}"
+    );
 }
 
 /// How a flight along points ends.

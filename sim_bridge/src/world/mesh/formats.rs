@@ -1,24 +1,26 @@
 //! The triangles of a file, in its own axes and unit.
 
 use super::surface::Triangle;
+use super::{Up, gltf};
 use std::io::Cursor;
 use std::path::Path;
 
-/// A file's triangles.
-pub(super) fn triangles(path: &Path, content: &[u8]) -> Result<Vec<Triangle>, String> {
+/// A file's triangles and the axis that points up by its format.
+pub(super) fn triangles(path: &Path, content: &[u8]) -> Result<(Vec<Triangle>, Up), String> {
     let ending = path
         .extension()
         .and_then(|e| e.to_str())
         .unwrap_or_default()
         .to_lowercase();
-    let found = match ending.as_str() {
-        "obj" => of_obj(content),
-        "stl" => of_stl(content),
-        _ => return Err("is no mesh by its name; one that is read ends in .obj or .stl".to_owned()),
+    let (found, up) = match ending.as_str() {
+        "obj" => (of_obj(content), Up::Z),
+        "stl" => (of_stl(content), Up::Z),
+        "gltf" | "glb" => (gltf::triangles(content, path), Up::Y),
+        _ => return Err("is no mesh by its name; one that is read ends in .obj, .stl, .gltf or .glb".to_owned()),
     };
     match found {
         Ok(found) if found.is_empty() => Err("has no triangles; export its faces too".to_owned()),
-        Ok(found) => Ok(found),
+        Ok(found) => Ok((found, up)),
         Err(why) => Err(format!("is not a mesh that can be read ({why}); export it again")),
     }
 }

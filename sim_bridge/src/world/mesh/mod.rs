@@ -1,6 +1,7 @@
 //! Surfaces from files of others: where they stand on a course, and what of a file cannot be used.
 
 mod formats;
+mod gltf;
 mod plan;
 mod surface;
 
@@ -32,7 +33,7 @@ const FLOOR_M: f32 = 0.05;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mesh {
-    /// OBJ or STL; beside the course's file where it is not absolute, and absolute once it was read.
+    /// OBJ, STL or glTF; beside the course's file where it is not absolute, and absolute once it was read.
     pub file: PathBuf,
     /// Metres of the file's unit; 0.001 for millimetres.
     #[serde(default = "one")]
@@ -49,22 +50,21 @@ pub struct Mesh {
     /// Turn about the file's origin, clockwise from above.
     #[serde(default)]
     pub yaw_deg: f32,
-    /// The file's axis that points up; z if absent.
-    #[serde(default)]
-    pub up: Up,
+    /// The file's axis that points up; if absent, z, and y of glTF.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub up: Option<Up>,
     /// What was read.
     #[serde(skip)]
     surface: Option<Arc<Surface>>,
 }
 
 /// A file's axis that points up; x always points east.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Up {
     /// And z south.
     Y,
     /// And y north.
-    #[default]
     Z,
 }
 
@@ -99,7 +99,7 @@ impl Mesh {
                 east_m: 0.0,
                 height_m: 0.0,
                 yaw_deg: 0.0,
-                up: Up::Z,
+                up: None,
             }),
             Err(problem) => Err(MeshError { path, problem }),
         }
@@ -129,7 +129,8 @@ impl Mesh {
             ));
         }
         let content = vigil_types::files::read(path, SIZE_LIMIT).map_err(|e| format!("cannot be read: {e}"))?;
-        standing(self.placed(&formats::triangles(path, &content)?)?)
+        let (triangles, up) = formats::triangles(path, &content)?;
+        standing(self.placed(&triangles, self.up.unwrap_or(up))?)
     }
 
     /// How many triangles stand on the course, and how many of their edges belong to one triangle alone: the rims of holes, and of
@@ -144,7 +145,7 @@ impl Mesh {
     }
 
     /// The file's triangles where they stand, NED.
-    fn placed(&self, triangles: &[Triangle]) -> Result<Vec<Triangle>, String> {
+    fn placed(&self, triangles: &[Triangle], up: Up) -> Result<Vec<Triangle>, String> {
         let unit_m = f64::from(self.unit_m);
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for (i, triangle) in triangles.iter().enumerate() {
@@ -170,7 +171,7 @@ impl Mesh {
         let [north_m, east_m, height_m] = [self.north_m, self.east_m, self.height_m].map(f64::from);
         let place = |corner: [f32; 3]| {
             let [x, y, z] = corner.map(|x| f64::from(x) * unit_m);
-            let [north, east, above] = match self.up {
+            let [north, east, above] = match up {
                 Up::Z => [y, x, z],
                 Up::Y => [-z, x, y],
             };
