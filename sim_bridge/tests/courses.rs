@@ -36,6 +36,7 @@ fn the_hand_made_arena_cannot_be_flown_straight_and_has_every_kind_of_obstacle()
         arena.boxes.len(),
         arena.walls.len(),
         arena.overhangs.len(),
+        arena.wires.len(),
     ];
     assert!(kinds.iter().all(|n| *n > 0), "{kinds:?}");
 }

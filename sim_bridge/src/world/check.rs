@@ -4,9 +4,12 @@ use crate::world::course::Course;
 use crate::world::mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 use crate::world::solid::Solid;
 use crate::world::vehicle::VEHICLE;
+use std::sync::Arc;
 
 /// More obstacles than this is a mistake in the file.
 pub const MAX_OBSTACLES: usize = 1000;
+/// The same for wires, of which a tree has several.
+pub const MAX_WIRES: usize = 10_000;
 /// No coordinate or size may exceed this; single precision keeps 0.1 mm up to there.
 pub const MAX_COORDINATE_M: f32 = 1000.0;
 
@@ -116,6 +119,13 @@ impl Course {
                 format!("there are {count} obstacles, at most {MAX_OBSTACLES} are allowed"),
             );
         }
+        let wires = self.wires.len();
+        if wires > MAX_WIRES {
+            return problem(
+                "wire",
+                format!("there are {wires} wires, at most {MAX_WIRES} are allowed"),
+            );
+        }
         for (i, c) in self.columns.iter().enumerate() {
             coordinate(&format!("column[{i}].north_m"), c.north_m)?;
             coordinate(&format!("column[{i}].east_m"), c.east_m)?;
@@ -159,6 +169,7 @@ impl Course {
                 );
             }
         }
+        self.wires.iter().enumerate().try_for_each(|(i, w)| w.check(i))?;
         let mut meshes = self.meshes.iter().enumerate();
         meshes.try_for_each(|(i, m)| m.check(i, &self.bounds))?;
         self.movers.iter().enumerate().try_for_each(|(i, m)| m.check(i))
@@ -206,12 +217,19 @@ impl Course {
                 }
             }
         }
-        for (i, mesh) in self.meshes.iter().enumerate() {
+        let meshes = self.meshes.iter().map(|mesh| mesh.surface().cloned());
+        let meshes = meshes.enumerate().map(|of| ("mesh", of));
+        let wires = self.wires.iter().map(|wire| wire.surface().map(Arc::new));
+        let wires = wires.enumerate().map(|of| ("wire", of));
+        for (kind, (i, surface)) in meshes.chain(wires) {
             for (name, north_m, east_m) in places {
-                if mesh.covers(north_m, east_m, top_m) {
+                if surface
+                    .as_ref()
+                    .is_some_and(|surface| surface.covers(north_m, east_m, top_m))
+                {
                     let reach_m = VEHICLE.radius_m;
                     return problem(
-                        format!("mesh[{i}]"),
+                        format!("{kind}[{i}]"),
                         format!(
                             "is nearer to the {name} at [{north_m}, {east_m}] than the vehicle's radius of {reach_m} m, \
                              below {top_m} m; move one of them"

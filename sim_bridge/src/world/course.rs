@@ -3,6 +3,7 @@
 use crate::world::mesh::Mesh;
 use crate::world::mover::Mover;
 use crate::world::solid::{Solid, radians};
+use crate::world::wire::Wire;
 use serde::{Deserialize, Serialize};
 use vigil_types::NedVector;
 use vigil_types::named;
@@ -55,6 +56,9 @@ pub struct Course {
     /// Boxes whose lower face is above the ground: beams, lintels, low roofs.
     #[serde(default, rename = "overhang", skip_serializing_if = "Vec::is_empty")]
     pub overhangs: Vec<Overhang>,
+    /// Wires, cables, branches.
+    #[serde(default, rename = "wire", skip_serializing_if = "Vec::is_empty")]
+    pub wires: Vec<Wire>,
     /// Surfaces from files.
     #[serde(default, rename = "mesh", skip_serializing_if = "Vec::is_empty")]
     pub meshes: Vec<Mesh>,
@@ -299,7 +303,7 @@ impl Overhang {
 
 impl Course {
     /// All obstacles that stand still as geometry, in the order columns, boxes, walls, overhangs. Ground and ceiling are not
-    /// among them; movers are in [`Course::movers`], surfaces in [`Course::meshes`].
+    /// among them; movers are in [`Course::movers`], surfaces in [`Course::meshes`] and [`Course::wires`].
     pub fn solids(&self) -> Vec<Solid> {
         let columns = self.columns.iter().map(Column::solid);
         let boxes = self.boxes.iter().map(BoxObstacle::solid);
@@ -314,6 +318,7 @@ impl Course {
         self.boxes.clear();
         self.walls.clear();
         self.overhangs.clear();
+        self.wires.clear();
         self.meshes.clear();
         self.movers.clear();
     }

@@ -22,8 +22,9 @@ mod solid;
 mod space;
 mod timed_way;
 mod vehicle;
+mod wire;
 
-pub use check::{FieldProblem, MAX_COORDINATE_M, MAX_OBSTACLES};
+pub use check::{FieldProblem, MAX_COORDINATE_M, MAX_OBSTACLES, MAX_WIRES};
 pub(crate) use corridor::Lattice;
 pub use corridor::{CORRIDOR_MARGIN_M, HARD_CORRIDOR_MARGIN_M};
 pub use course::{
@@ -43,3 +44,4 @@ pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee};
 pub use solid::Solid;
 pub use space::World;
 pub use vehicle::{VEHICLE, VehicleSolid};
+pub use wire::Wire;

@@ -57,7 +57,7 @@ impl World {
             movers,
             now_ns: 0,
             bvh: Bvh::from_leaves(BvhBuildStrategy::Binned, &boxes),
-            surfaces: course.meshes.iter().filter_map(|m| m.surface().cloned()).collect(),
+            surfaces: course.surfaces(),
             ceiling_height_m: course.ceiling_height_m,
         }
     }

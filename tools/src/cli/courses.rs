@@ -201,6 +201,9 @@ fn obstacles_of(file: &Path) -> Result<String> {
         file.display()
     );
     let mut found = format!("{} obstacles", course.solids().len() + course.movers.len());
+    if !course.wires.is_empty() {
+        found += &format!(", {} wires", course.wires.len());
+    }
     for (triangles, open_edges) in course.meshes.iter().filter_map(Mesh::triangles_and_open_edges) {
         found += &format!(", a mesh of {triangles} triangles with {open_edges} open edges");
     }

@@ -6,7 +6,7 @@ use vigil_sim::world::{Course, Solid};
 /// The obstacles for display in the log; movers stand where they are at time zero.
 pub fn of(course: &Course) -> Scene {
     let movers = course.movers.iter().map(|m| m.solid_at(0));
-    of_solids(course.corridor_solids().into_iter().chain(movers))
+    of_solids(course.shown_solids().into_iter().chain(movers))
 }
 
 /// Any solids in that form.

@@ -46,8 +46,9 @@ pub(super) fn draw_legend(canvas: &mut Canvas, view: &View, course: &Course, pat
     let width = 2.0 * (VEHICLE.radius_m + course.corridor_margin_m());
     let checkpoint = !course.checkpoints.is_empty();
     let is_flown_under = course.overhangs.iter().any(|o| flown_under(course, &o.solid()));
-    let entries: [(&str, Rgb888, f32, bool); 6] = [
+    let entries: [(&str, Rgb888, f32, bool); 7] = [
         ("mesh, at flight height", MESH, 1.0, !course.meshes.is_empty()),
+        ("wire, at flight height", MESH, 1.0, !course.wires.is_empty()),
         ("overhang, from-to m", OVERHANG, 0.6, !course.overhangs.is_empty()),
         ("flown under", OVERHANG, 0.25, is_flown_under),
         ("moving, speed m/s", MOVER, 1.0, !course.movers.is_empty()),

@@ -351,6 +351,17 @@ fn draw_obstacles(canvas: &mut Canvas, view: &View, course: &Course) {
         {
             quadrangle(layer, c, MESH);
         }
+        let reach_m = course.corridor_reach_m();
+        let [low_m, high_m] = [-reach_m, reach_m].map(|m| course.flight_height_m + m);
+        for wire in &course.wires {
+            let ends = [wire.from_m, wire.to_m].map(|[north_m, east_m, _]| view.at(north_m, east_m));
+            line(layer, ends, GRID_5M, 1.2);
+            let within = wire.between(low_m, high_m);
+            if let Some([a, b, c, d]) = within.and_then(|part| corners(view, &part)) {
+                quadrangle(layer, [a, b, c, d], MESH);
+                line(layer, [a, c], MESH, 1.2);
+            }
+        }
         let standing = course.columns.len() + course.boxes.len() + course.walls.len();
         for solid in &course.solids()[..standing] {
             draw_solid(layer, view, solid, shade(solid.top_m()), INK);

@@ -267,6 +267,7 @@ impl Builder {
             boxes: Vec::new(),
             walls: Vec::new(),
             overhangs: Vec::new(),
+            wires: Vec::new(),
             meshes: Vec::new(),
             movers: Vec::new(),
         };

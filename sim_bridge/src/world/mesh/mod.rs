@@ -205,15 +205,6 @@ impl Mesh {
         Ok(())
     }
 
-    /// Whether it reaches into the air over a place, as wide as the vehicle, between floor and `top_m`.
-    pub(crate) fn covers(&self, north_m: f32, east_m: f32, top_m: f32) -> bool {
-        let half = Vec3::new(VEHICLE.radius_m, VEHICLE.radius_m, 0.5 * (top_m - FLOOR_M));
-        let centre = Vec3::new(north_m, east_m, -0.5 * (top_m + FLOOR_M));
-        let reach = Aabb::new(centre - half, centre + half);
-        let (pose, shape) = (Pose3::from_parts(centre, UPRIGHT), Cylinder::new(half.z, half.x));
-        (self.surface.iter()).any(|surface| surface.touches(&pose, &shape, &reach))
-    }
-
     pub(crate) fn check_values(&self, i: usize) -> Result<(), FieldProblem> {
         if !(1e-6..=1000.0).contains(&self.unit_m) {
             let wrong = format!(
@@ -229,8 +220,19 @@ impl Mesh {
     }
 }
 
+impl Surface {
+    /// Whether it reaches into the air over a place, as wide as the vehicle, between floor and `top_m`.
+    pub(crate) fn covers(&self, north_m: f32, east_m: f32, top_m: f32) -> bool {
+        let half = Vec3::new(VEHICLE.radius_m, VEHICLE.radius_m, 0.5 * (top_m - FLOOR_M));
+        let centre = Vec3::new(north_m, east_m, -0.5 * (top_m + FLOOR_M));
+        let reach = Aabb::new(centre - half, centre + half);
+        let (pose, shape) = (Pose3::from_parts(centre, UPRIGHT), Cylinder::new(half.z, half.x));
+        self.touches(&pose, &shape, &reach)
+    }
+}
+
 /// What of placed triangles stands above the ground and has an area.
-fn standing(mut placed: Vec<Triangle>) -> Result<Surface, String> {
+pub(crate) fn standing(mut placed: Vec<Triangle>) -> Result<Surface, String> {
     if placed.len() > MAX_TRIANGLES {
         let count = placed.len();
         return Err(format!(

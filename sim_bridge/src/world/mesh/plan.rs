@@ -3,6 +3,7 @@
 use super::Surface;
 use crate::world::course::Course;
 use crate::world::solid::Solid;
+use crate::world::wire::Wire;
 
 /// Side of a square; wider where the plan would need more than [`MAX_SQUARES`].
 const SQUARE_M: f32 = 0.1;
@@ -103,10 +104,20 @@ impl Course {
         self.plan_solids(self.corridor_reach_m())
     }
 
-    /// [`solids`](Self::solids), then [`mesh_boxes`](Self::mesh_boxes).
+    /// What is shown in space: as in a corridor's plan, but wires whole, in pieces.
+    pub fn shown_solids(&self) -> Vec<Solid> {
+        let mut solids = self.solids();
+        solids.extend(self.mesh_boxes(self.corridor_reach_m()));
+        solids.extend(self.wires.iter().flat_map(Wire::boxes));
+        solids
+    }
+
+    /// [`solids`](Self::solids), then [`mesh_boxes`](Self::mesh_boxes) and what of the wires lies at these heights.
     pub(crate) fn plan_solids(&self, half_band_m: f32) -> Vec<Solid> {
         let mut solids = self.solids();
         solids.extend(self.mesh_boxes(half_band_m));
+        let [low_m, high_m] = [-half_band_m, half_band_m].map(|m| self.flight_height_m + m);
+        solids.extend(self.wires.iter().filter_map(|wire| wire.between(low_m, high_m)));
         solids
     }
 }

@@ -1,0 +1,169 @@
+//! Wires: seen where a cylinder would be, within what the pages say; touched; flown around; refused with a sentence.
+
+use vigil_sim::world::{
+    Course, CourseError, LIDAR_BEAMS, LIDAR_FIRINGS, Lidar, LidarConfig, Outcome, Referee, World, beam_direction_frd,
+    draw,
+};
+use vigil_types::{Attitude, NedVector};
+
+fn read(wires: &str) -> Result<Course, CourseError> {
+    let text = format!(
+        "name = \"test\"\ngoal = {{ north_m = 12.0, east_m = 0.0 }}\n\
+         bounds = {{ north_m = [-3.0, 15.0], east_m = [-6.0, 6.0], top_m = 6.0 }}\n{wires}"
+    );
+    Course::from_toml_str(&text.to_lowercase(), "test.toml")
+}
+
+fn course(wires: &str) -> Course {
+    read(wires).unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn wire(from_m: [f32; 3], to_m: [f32; 3], radius_m: f32) -> String {
+    format!("[[wire]]\nfrom_m = {from_m:?}\nto_m = {to_m:?}\nradius_m = {radius_m:?}\n")
+}
+
+/// How near a ray from a place comes to a wire's axis, away from its ends, and how far along; none beside the ends.
+fn nearest(at: NedVector, direction: NedVector, [from, to]: [NedVector; 2]) -> Option<(f64, f64)> {
+    let vector = |v: NedVector| v.to_array().map(f64::from);
+    let minus = |a: [f64; 3], b: [f64; 3]| [0, 1, 2].map(|k| a[k] - b[k]);
+    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let (d, u, w) = (
+        vector(direction),
+        minus(vector(to), vector(from)),
+        minus(vector(at), vector(from)),
+    );
+    let (a, b, c, e, f) = (dot(d, d), dot(d, u), dot(u, u), dot(d, w), dot(u, w));
+    let range_m = (b * f - c * e) / (a * c - b * b);
+    let share = (a * f - b * e) / (a * c - b * b);
+    let gap: [f64; 3] = core::array::from_fn(|k| w[k] + range_m * d[k] - share * u[k]);
+    ((0.02..0.98).contains(&share) && range_m > 0.0).then_some((dot(gap, gap).sqrt(), range_m))
+}
+
+#[test]
+fn a_beam_meets_a_wire_where_it_meets_a_cylinder_and_misses_it_where_it_falls_beside() {
+    let at = NedVector::new(0.5, 0.3, -1.4);
+    let mut lidar = Lidar::new(LidarConfig::default(), 1).expect("valid");
+    for (from_m, to_m, radius_m) in [
+        ([3.0, -2.0, 1.4], [3.4, 2.5, 1.7], 0.05),
+        ([2.0, 0.1, 0.3], [2.0, 0.1, 3.0], 0.02),
+        ([4.0, -3.0, 0.6], [1.5, 2.0, 2.4], 0.005),
+        ([9.0, 3.0, 3.0], [3.0, 0.0, 1.0], 0.01),
+    ] {
+        let world = World::new(&course(&wire(from_m, to_m, radius_m)));
+        let empty = World::new(&course(""));
+        let ends = [from_m, to_m].map(|[n, e, h]| NedVector::new(n, e, -h));
+        let without = lidar.cast(&empty, at, Attitude::LEVEL_NORTH).to_vec();
+        let seen = lidar.cast(&world, at, Attitude::LEVEL_NORTH);
+        let (mut met, mut beside) = (0, 0);
+        for beam in 0..LIDAR_BEAMS {
+            let direction = beam_direction_frd(beam / LIDAR_FIRINGS, beam % LIDAR_FIRINGS);
+            let direction = Attitude::LEVEL_NORTH.to_ned(direction);
+            let Some((gap_m, range_m)) = nearest(at, direction, ends) else {
+                continue;
+            };
+            if gap_m < 0.92 * f64::from(radius_m) {
+                // However flat the wire is met, a range is off by less than ten radii.
+                assert!(
+                    (f64::from(seen[beam]) - range_m).abs() < 10.0 * f64::from(radius_m),
+                    "{beam}"
+                );
+                met += 1;
+            } else if gap_m > 1.08 * f64::from(radius_m) {
+                assert_eq!(seen[beam], without[beam], "{beam}");
+                beside += 1;
+            }
+        }
+        assert!(met > 5 && beside > 1000, "{radius_m}: {met} {beside}");
+    }
+}
+
+/// How a flight straight to the goal at a height ends.
+fn flown(course: &Course, height_m: f32) -> Outcome {
+    let (world, mut referee) = (World::new(course), Referee::new(course));
+    (1..=2000_u16)
+        .find_map(|k| {
+            let place = NedVector::new(12.0 * f32::from(k) / 2000.0, 0.0, -height_m);
+            referee.observe(
+                &world,
+                u64::from(k) * 10_000_000,
+                place,
+                Attitude::LEVEL_NORTH,
+                NedVector::ZERO,
+            )
+        })
+        .expect("an end")
+}
+
+#[test]
+fn who_flies_through_a_wire_collides_and_who_flies_over_it_does_not() {
+    let across = course(&wire([6.0, -4.0, 1.0], [6.0, 4.0, 1.0], 0.005));
+    assert_eq!(flown(&across, 1.09), Outcome::Collision);
+    assert_eq!(flown(&across, 1.5), Outcome::Success);
+    // A wire's end, wholly within the body.
+    let end = course(&wire([6.0, 0.0, 1.55], [6.0, 0.0, 1.45], 0.005));
+    assert_eq!(flown(&end, 1.5), Outcome::Collision);
+    assert!((World::new(&across).clearance_m(NedVector::new(5.0, 1.0, -1.0)) - 0.995).abs() < 1e-3);
+}
+
+#[test]
+fn a_way_leads_around_the_wires_at_flight_height_alone_and_pictures_have_them() {
+    let blocking = course(&wire([6.0, -6.0, 1.5], [6.0, 3.0, 1.6], 0.02));
+    let way = blocking.corridor().expect("around its end");
+    assert!(way.iter().any(|[_, east_m]| *east_m > 3.8), "{way:?}");
+    assert!(blocking.straight_line_is_blocked());
+    let across = |from_m, to_m| course(&wire([6.0, -6.0, from_m], [6.0, 6.0, to_m], 0.02)).corridor();
+    assert_eq!(across(1.5, 1.5), None);
+    assert!(across(2.5, 2.5).is_some() && across(0.5, 0.5).is_some());
+    // One that rises is passed where it is low.
+    let way = across(0.2, 4.0).expect("below or above");
+    assert!(way.iter().any(|[_, east_m]| east_m.abs() > 1.0), "{way:?}");
+    assert_ne!(draw(&blocking, &[]), draw(&course(""), &[]));
+    let again = Course::from_toml_str(&blocking.to_toml_string().expect("writable"), "again");
+    assert_eq!(again.expect("readable"), blocking);
+    assert_eq!(blocking.shown_solids().len(), 1);
+    assert_eq!(
+        course(&wire([6.0, -6.0, 0.0], [6.0, 6.0, 3.0], 0.02))
+            .shown_solids()
+            .len(),
+        16
+    );
+}
+
+#[test]
+fn a_wire_that_cannot_be_is_refused_with_a_sentence() {
+    for (from_m, to_m, radius_m, expected) in [
+        (
+            [5.0, 0.0, 1.0],
+            [5.0, 0.0, 1.0],
+            0.02,
+            "6: `wire[0].to_m`: is the same point as from_m",
+        ),
+        (
+            [5.0, 0.0, 1.0],
+            [5.0, 2.0, 1.0],
+            0.06,
+            "7: `wire[0].radius_m`: is 0.06, must be from 0.005 to 0.05 m",
+        ),
+        (
+            [5.0, f32::NAN, 1.0],
+            [5.0, 2.0, 1.0],
+            0.02,
+            "5: `wire[0].from_m[1]`: is NaN",
+        ),
+        (
+            [0.2, -1.0, 1.0],
+            [0.2, 1.0, 1.0],
+            0.02,
+            "4: `wire[0]`: is nearer to the start",
+        ),
+        (
+            [12.0, -1.0, 1.8],
+            [12.0, 1.0, 1.2],
+            0.02,
+            "4: `wire[0]`: is nearer to the goal",
+        ),
+    ] {
+        let error = read(&wire(from_m, to_m, radius_m)).expect_err(expected).to_string();
+        assert!(error.starts_with(&format!("test.toml:{expected}")), "{error}");
+    }
+}
