@@ -9,7 +9,7 @@ const SEEDS: u64 = 150;
 
 /// The courses of a family, made once for all tests.
 fn courses(family: Family) -> impl Iterator<Item = &'static Course> {
-    static ALL: LazyLock<[Vec<Course>; 4]> =
+    static ALL: LazyLock<[Vec<Course>; 5]> =
         LazyLock::new(|| Family::ALL.map(|family| (0..SEEDS).map(|seed| generate(family, seed)).collect()));
     ALL[family as usize].iter()
 }
@@ -18,7 +18,7 @@ fn courses(family: Family) -> impl Iterator<Item = &'static Course> {
 fn plan_clearance_m(course: &Course, north_m: f32, east_m: f32) -> f32 {
     let half_m = 0.5 * VEHICLE.height_m + course.corridor_margin_m();
     let band = (course.flight_height_m - half_m)..(course.flight_height_m + half_m);
-    let solids = course.solids();
+    let solids = course.corridor_solids();
     let in_band = solids
         .iter()
         .filter(|s| s.bottom_m() < band.end && s.top_m() > band.start);
@@ -230,6 +230,42 @@ fn a_dense_course_has_a_third_more_obstacles_than_a_validation_course() {
     assert!(dense > 1.33 * validation, "{dense} against {validation}");
 }
 
+#[test]
+fn a_forest_course_has_trees_with_thin_branches_apart_from_each_other_where_one_flies() {
+    let (mut trees, mut branches, mut in_the_way, mut blocked) = (0, 0, 0, 0);
+    for course in courses(Family::Forest) {
+        let trunks = &course.columns;
+        for wire in &course.wires {
+            let trunk = trunks.iter().find(|c| [c.north_m, c.east_m] == wire.from_m[..2]);
+            assert!(trunk.is_some_and(|c| wire.from_m[2] < c.height_m) && (0.005..=0.025).contains(&wire.radius_m));
+        }
+        // Everything at flight height, by the tree that it belongs to.
+        let wires = &course.wires;
+        let plan: Vec<Solid> = course.corridor_solids();
+        let of = |k: usize| trunks.iter().position(|c| c.solid().plan_gap_m(&plan[k]) <= 0.0);
+        let standing = course.solids().len();
+        for k in standing..plan.len() {
+            let tree = of(k);
+            for (i, trunk) in trunks.iter().enumerate().filter(|(i, _)| Some(*i) != tree) {
+                let gap_m = trunk.solid().plan_gap_m(&plan[k]);
+                assert!(tree.is_none() || gap_m > 1.9, "{} {i}: {gap_m}", course.name);
+            }
+        }
+        (trees, branches) = (trees + trunks.len(), branches + wires.len());
+        in_the_way += plan.len() - standing;
+        blocked += usize::from(course.straight_line_is_blocked());
+    }
+    let mean = |count: usize| count as f64 / SEEDS as f64;
+    println!(
+        "{} trees, {} branches, {} at flight height",
+        mean(trees),
+        mean(branches),
+        mean(in_the_way)
+    );
+    assert!(mean(trees) > 15.0 && mean(branches) > 70.0 && mean(in_the_way) > 15.0);
+    assert!(mean(blocked) > 0.9, "{blocked}");
+}
+
 /// Reported by the note on courses (docs/courses.md).
 #[test]
 fn figures_of_the_families() {
@@ -258,12 +294,15 @@ fn figures_of_the_families() {
 
 #[test]
 fn a_long_course_is_its_arenas_in_a_row_with_a_way_through_and_limits_that_grow_with_it() {
-    for (seed, goal_m) in [(1, 30.0), (2, 60.0), (3, 61.5), (4, 150.0), (5, 222.22), (6, 300.0)] {
-        let course = generate_long(Family::Validation, seed, goal_m).expect("not hard");
+    let lengths = [(1, 30.0), (2, 60.0), (3, 61.5), (4, 150.0), (5, 222.22), (6, 300.0)];
+    let forests = [(7, 61.5), (8, 400.0)].map(|of| (Family::Forest, of));
+    let of_validation = lengths.map(|of| (Family::Validation, of));
+    for (family, (seed, goal_m)) in of_validation.into_iter().chain(forests) {
+        let course = generate_long(family, seed, goal_m).expect("not hard");
         course.check().unwrap_or_else(|e| panic!("{}: {e}", course.name));
         let text = course.to_toml_string().expect("writable");
         assert_eq!(Course::from_toml_str(&text, "again").expect("readable"), course);
-        assert_eq!(course, generate_long(Family::Validation, seed, goal_m).expect("again"));
+        assert_eq!(course, generate_long(family, seed, goal_m).expect("again"));
         assert_eq!(course.goal.north_m, goal_m);
         assert!(course.goal.east_m.abs() <= 5.0);
         assert!(course.bounds.contains_plan(goal_m + 4.0, course.goal.east_m));
@@ -278,10 +317,7 @@ fn a_long_course_is_its_arenas_in_a_row_with_a_way_through_and_limits_that_grow_
             let centres = course.solids().into_iter().map(|s| s.centre_ned_m().x);
             centres.filter(|north_m| (from_m..to_m).contains(north_m)).count() as f32
         };
-        let usual = courses(Family::Validation)
-            .map(|c| obstacles_in(c, 0.0, 20.0))
-            .sum::<f32>()
-            / SEEDS as f32;
+        let usual = courses(family).map(|c| obstacles_in(c, 0.0, 20.0)).sum::<f32>() / SEEDS as f32;
         let here = obstacles_in(&course, 0.0, goal_m) * 20.0 / goal_m;
         assert!(
             (0.5 * usual..1.7 * usual).contains(&here),

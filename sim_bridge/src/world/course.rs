@@ -80,6 +80,8 @@ named! {
         Hard => "hard",
         /// Validation's layouts filled up, with gaps from 1.8 m.
         Dense => "dense",
+        /// Trees with branches from 1 cm thick.
+        Forest => "forest",
     }
 }
 

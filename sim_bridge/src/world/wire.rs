@@ -61,25 +61,26 @@ impl Wire {
 
     /// The box, turned with it, around what of it lies between two heights.
     pub(crate) fn between(&self, low_m: f32, high_m: f32) -> Option<Solid> {
-        let [from, to] = [self.from_m, self.to_m].map(Vec3::from);
-        let r = self.radius_m;
-        // Shares of the way at which it enters and leaves.
-        let at = |height_m: f32| (height_m - from.z) / (to.z - from.z);
-        let (mut first, mut last) = (0.0, 1.0);
-        if from.z != to.z {
-            let (a, b) = (at(low_m - r), at(high_m + r));
-            (first, last) = (a.min(b).max(0.0), a.max(b).min(1.0));
+        let [from_m, to_m] = [self.from_m[2], self.to_m[2]];
+        let (lowest_m, highest_m) = (low_m - self.radius_m, high_m + self.radius_m);
+        if from_m == to_m {
+            return (lowest_m < from_m && from_m < highest_m).then(|| self.part([0.0, 1.0]));
         }
-        let [a, b] = [first, last].map(|share| from + share * (to - from));
+        // Shares of the way at which it enters and leaves.
+        let [a, b] = [lowest_m, highest_m].map(|height_m| (height_m - from_m) / (to_m - from_m));
+        let part = [a.min(b).max(0.0), a.max(b).min(1.0)];
+        (part[0] < part[1]).then(|| self.part(part))
+    }
+
+    /// The box around what of it lies between two shares of its way.
+    pub(crate) fn part(&self, shares: [f32; 2]) -> Solid {
+        let [from, to] = [self.from_m, self.to_m].map(Vec3::from);
+        let [a, b] = shares.map(|share| from + share * (to - from));
+        let (plan, middle, r) = (b - a, 0.5 * (a + b), self.radius_m);
+        let length_m = libm::hypotf(plan.x, plan.y) + 2.0 * r;
         let [bottom_m, top_m] = [a.z.min(b.z) - r, a.z.max(b.z) + r];
-        let plan = (b - a).truncate();
-        let is_within = first <= last && bottom_m < high_m && top_m > low_m;
-        is_within.then(|| {
-            let middle = 0.5 * (a + b);
-            let length_m = libm::hypotf(plan.x, plan.y) + 2.0 * r;
-            let yaw_rad = libm::atan2f(plan.y, plan.x);
-            Solid::cuboid((middle.x, middle.y), length_m, 2.0 * r, bottom_m, top_m, yaw_rad)
-        })
+        let yaw_rad = libm::atan2f(plan.y, plan.x);
+        Solid::cuboid((middle.x, middle.y), length_m, 2.0 * r, bottom_m, top_m, yaw_rad)
     }
 
     pub(crate) fn check(&self, i: usize) -> Result<(), FieldProblem> {

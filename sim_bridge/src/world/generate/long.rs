@@ -2,8 +2,9 @@
 
 use super::{CLEAR_GOAL_M, GOAL_DOWNRANGE_M, GOAL_OFFSET_M, cm, generate};
 use crate::world::check::MAX_OBSTACLES;
-use crate::world::course::{Course, Family, Wall, default_time_limit_s};
+use crate::world::course::{Column, Course, Family, Wall, default_time_limit_s};
 use crate::world::solid::Solid;
+use crate::world::wire::Wire;
 
 /// Nearest and farthest goal of a long course, metres.
 pub const LONG_GOAL_M: core::ops::RangeInclusive<f32> = 5.0..=400.0;
@@ -82,6 +83,9 @@ fn mirror(course: &mut Course) {
     for o in &mut course.overhangs {
         (o.east_m, o.yaw_deg) = (-o.east_m, -o.yaw_deg);
     }
+    for w in &mut course.wires {
+        (w.from_m[1], w.to_m[1]) = (-w.from_m[1], -w.to_m[1]);
+    }
     for w in &mut course.walls {
         (w.from_m[1], w.to_m[1]) = (-w.from_m[1], -w.to_m[1]);
     }
@@ -102,6 +106,11 @@ fn append(course: &mut Course, mut arena: Course, north_m: f32, east_m: f32) {
     for o in &mut arena.overhangs {
         shift(&mut o.north_m, &mut o.east_m);
     }
+    for Wire { from_m, to_m, .. } in &mut arena.wires {
+        for [n, e, _] in [from_m, to_m] {
+            shift(n, e);
+        }
+    }
     for Wall { from_m, to_m, .. } in &mut arena.walls {
         for [n, e] in [from_m, to_m] {
             shift(n, e);
@@ -112,6 +121,7 @@ fn append(course: &mut Course, mut arena: Course, north_m: f32, east_m: f32) {
     course.boxes.append(&mut arena.boxes);
     course.overhangs.append(&mut arena.overhangs);
     course.walls.append(&mut arena.walls);
+    course.wires.append(&mut arena.wires);
 }
 
 /// Leaves the goal clear, takes away what lies beyond the course, and what is nearest to the goal until there is a way to it.
@@ -126,6 +136,10 @@ fn finish(mut course: Course) -> Option<Course> {
         course.boxes.retain(|o| stays(&o.solid(), clear_m));
         course.walls.retain(|o| stays(&o.solid(), clear_m));
         course.overhangs.retain(|o| stays(&o.solid(), clear_m));
+        // Branches stay with their trunks.
+        let grows_from = |w: &Wire, c: &Column| w.from_m[..2] == [c.north_m, c.east_m];
+        let columns = &course.columns;
+        (course.wires).retain(|w| stays(&w.part([0.0, 1.0]), clear_m) && columns.iter().any(|c| grows_from(w, c)));
         if course.has_corridor() {
             break;
         }

@@ -9,6 +9,8 @@ use crate::world::course::{
 };
 use crate::world::mover::Mover;
 use crate::world::solid::{Solid, radians};
+use crate::world::wire::Wire;
+mod forest;
 mod hard;
 mod long;
 
@@ -33,6 +35,9 @@ const MOVER_GAP_M: f32 = 0.3;
 /// Departures, in simulated seconds, from which a course with movers is checked to be flyable.
 const CHECKED_DEPARTURES_S: [f32; 2] = [0.0, 13.0];
 
+/// Between these heights obstacles keep the smallest gap.
+const IN_THE_WAY_M: [f32; 2] = [0.8, 2.2];
+
 /// Makes the course of a family and seed. The same arguments give the same course on every machine, and every course has a
 /// [`Course::corridor`].
 pub fn generate(family: Family, seed: u64) -> Course {
@@ -42,6 +47,7 @@ pub fn generate(family: Family, seed: u64) -> Course {
         Family::Validation => validation(&mut builder),
         Family::Hard => hard::fill(&mut builder),
         Family::Dense => dense(&mut builder),
+        Family::Forest => forest::fill(&mut builder),
     }
     builder.finish()
 }
@@ -105,12 +111,12 @@ fn lay_out(b: &mut Builder) {
     for kind in [Kind::Wall, Kind::Box, Kind::LowOverhang, Kind::Beam, Kind::Column] {
         b.scatter(kind, 1..2, &area);
     }
-    let lay_out: fn(&mut Builder) = b.pick(&[forest, screens, yard, rows]);
+    let lay_out: fn(&mut Builder) = b.pick(&[thin_columns, screens, yard, rows]);
     lay_out(b);
 }
 
 /// Thin columns close together.
-fn forest(b: &mut Builder) {
+fn thin_columns(b: &mut Builder) {
     b.block_line(Kind::Column, 0.25..0.5);
     b.block_line(Kind::Column, 0.6..0.8);
     let area = Area::new(3.5..18.0, -6.5..6.5);
@@ -188,17 +194,22 @@ enum Obstacle {
     Box(BoxObstacle),
     Wall(Wall),
     Overhang(Overhang),
+    Wire(Wire),
     Mover(Mover),
 }
 
 impl Obstacle {
-    /// Its geometry; a mover's is its whole track.
+    /// Its geometry; a mover's is its whole track, a wire's what of it is in the way or, where none is, the box around it.
     fn solid(&self) -> Solid {
         match self {
             Self::Column(o) => o.solid(),
             Self::Box(o) => o.solid(),
             Self::Wall(o) => o.solid(),
             Self::Overhang(o) => o.solid(),
+            Self::Wire(o) => {
+                let [low_m, high_m] = IN_THE_WAY_M;
+                o.between(low_m, high_m).unwrap_or_else(|| o.part([0.0, 1.0]))
+            }
             Self::Mover(o) => o.track(),
         }
     }
@@ -321,17 +332,27 @@ impl Builder {
         }
     }
 
+    fn point(&mut self, area: &Area) -> [f32; 2] {
+        [self.length(area.north_m.clone()), self.length(area.east_m.clone())]
+    }
+
+    /// A place near the straight line to the goal, north and east, at a drawn share of it, and a heading across it.
+    fn on_the_line(&mut self, along: Range<f32>) -> (f32, f32, f32) {
+        let (goal_north_m, goal_east_m) = (self.course.goal.north_m, self.course.goal.east_m);
+        let length_m = libm::hypotf(goal_north_m, goal_east_m);
+        let f = self.rng.random_range(along);
+        let aside_m = self.rng.random_range(-0.4..0.4);
+        let north_m = cm(f * goal_north_m - aside_m * goal_east_m / length_m);
+        let east_m = cm(f * goal_east_m + aside_m * goal_north_m / length_m);
+        let across_deg = 90.0 + libm::atan2f(goal_east_m, goal_north_m).to_degrees();
+        let yaw_deg = cm(across_deg + self.rng.random_range(-30.0..30.0));
+        (north_m, east_m, yaw_deg)
+    }
+
     /// Places an obstacle across the straight line to the goal, at a drawn share of it.
     fn block_line(&mut self, kind: Kind, along: Range<f32>) {
         for _ in 0..PLACEMENT_TRIES {
-            let (goal_north_m, goal_east_m) = (self.course.goal.north_m, self.course.goal.east_m);
-            let length_m = libm::hypotf(goal_north_m, goal_east_m);
-            let f = self.rng.random_range(along.clone());
-            let aside_m = self.rng.random_range(-0.4..0.4);
-            let north_m = cm(f * goal_north_m - aside_m * goal_east_m / length_m);
-            let east_m = cm(f * goal_east_m + aside_m * goal_north_m / length_m);
-            let across_deg = 90.0 + libm::atan2f(goal_east_m, goal_north_m).to_degrees();
-            let yaw_deg = cm(across_deg + self.rng.random_range(-30.0..30.0));
+            let (north_m, east_m, yaw_deg) = self.on_the_line(along.clone());
             let obstacle = self.obstacle(kind, north_m, east_m, yaw_deg);
             if self.place(obstacle) {
                 break;
@@ -412,7 +433,7 @@ impl Builder {
     /// Whether two obstacles are nearer to each other than allowed. What is flown over or under needs no room beside it, and a
     /// mover makes room itself.
     fn crowds(&self, (a, a_solid): &(Obstacle, Solid), (b, b_solid): &(Obstacle, Solid)) -> bool {
-        let in_the_way = |s: &Solid| s.bottom_m() < 2.2 && s.top_m() > 0.8;
+        let in_the_way = |s: &Solid| s.bottom_m() < IN_THE_WAY_M[1] && s.top_m() > IN_THE_WAY_M[0];
         let moves = |o: &Obstacle| matches!(o, Obstacle::Mover(_));
         let gap_m = if moves(a) || moves(b) {
             MOVER_GAP_M
@@ -421,6 +442,12 @@ impl Builder {
         } else {
             0.1
         };
+        // Around what is far off there is no need to go.
+        let [a_centre, b_centre] = [a_solid, b_solid].map(Solid::centre_ned_m);
+        let between_m = libm::hypotf(a_centre.x - b_centre.x, a_centre.y - b_centre.y);
+        if between_m > a_solid.plan_radius_m() + b_solid.plan_radius_m() + gap_m + 0.01 {
+            return false;
+        }
         a_solid.plan_gap_m(b_solid) < gap_m
     }
 
@@ -439,6 +466,7 @@ impl Builder {
                     Obstacle::Box(o) => self.course.boxes.push(o),
                     Obstacle::Wall(o) => self.course.walls.push(o),
                     Obstacle::Overhang(o) => self.course.overhangs.push(o),
+                    Obstacle::Wire(o) => self.course.wires.push(o),
                     Obstacle::Mover(o) => self.course.movers.push(o),
                 }
             }
