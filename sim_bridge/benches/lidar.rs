@@ -181,7 +181,17 @@ fn seal(bencher: Bencher) {
 
 #[divan::bench(args = SEEDS)]
 fn capture(bencher: Bencher, seed: u64) {
-    let world = World::new(&course(seed));
+    bench_capture(bencher, &course(seed));
+}
+
+/// Among trees: some twenty trunks, and a hundred branches of 20 triangles each.
+#[divan::bench(args = SEEDS)]
+fn capture_forest(bencher: Bencher, seed: u64) {
+    bench_capture(bencher, &generate(Family::Forest, seed));
+}
+
+fn bench_capture(bencher: Bencher, course: &Course) {
+    let world = World::new(course);
     let mut lidar = lidar(Method::Fast);
     let mut frame = Box::new(DepthFrame::EMPTY);
     let mut count = 0;

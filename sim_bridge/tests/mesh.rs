@@ -43,76 +43,45 @@ fn stl() -> Vec<u8> {
     bytes
 }
 
-/// With y up and z south, half of the height by the node's scale: text, and what its buffer holds.
+/// With y up and z south, half of the height by the node's scale: text, and what its buffer holds. Corners are 16 bytes apart; indices are those
+/// of triangles, of a strip, and of a fan.
 fn gltf() -> (String, Vec<u8>) {
-    let corners = POST.iter().flat_map(|[x, y, z]| [*x, 0.5 * z, -y]);
+    let corners = POST.iter().flat_map(|[x, y, z]| [*x, 0.5 * z, -y, f32::NAN]);
     let mut bytes: Vec<u8> = corners.flat_map(f32::to_le_bytes).collect();
     bytes.extend(FACES.iter().flatten().flat_map(|n| (*n as u16).to_le_bytes()));
+    bytes.extend([0, 1, 3, 2]);
+    bytes.extend([1_u32, 2, 3, 0].iter().flat_map(|n| n.to_le_bytes()));
     let text = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"extensionsRequired":["KHR_materials_unlit"],
 "nodes":[{"children":[1]},{"mesh":0,"scale":[1,2,1]}],
-"meshes":[{"primitives":[{"attributes":{"POSITION":0},"indices":1}]}],
+"meshes":[{"primitives":[{"attributes":{"POSITION":0},"indices":1},{"attributes":{},"mode":1}]}],
 "accessors":[{"bufferView":0,"componentType":5126,"count":4,"type":"VEC3"},
-{"bufferView":1,"componentType":5123,"count":6,"type":"SCALAR"}],
-"bufferViews":[{"buffer":0,"byteLength":48},{"buffer":0,"byteOffset":48,"byteLength":12}],
-"buffers":[{"byteLength":60}]}"#;
+{"bufferView":1,"componentType":5123,"count":6,"type":"SCALAR"},
+{"bufferView":1,"byteOffset":12,"componentType":5121,"count":4,"type":"SCALAR"},
+{"bufferView":1,"byteOffset":16,"componentType":5125,"count":4,"type":"SCALAR"}],
+"bufferViews":[{"buffer":0,"byteLength":64,"byteStride":16},{"buffer":0,"byteOffset":64,"byteLength":32}],
+"buffers":[{"byteLength":96}]}"#;
     (text.to_owned(), bytes)
 }
 
+/// The same surface told otherwise: what is replaced by what.
+const TOLD_OTHERWISE: [[&str; 2]; 5] = [
+    [r#""scale":[1,2,1]"#, r#""matrix":[1,0,0,0, 0,2,0,0, 0,0,1,0, 0,0,0,1]"#],
+    ["[1]}", r#"[1],"rotation":[0,2,0,0],"translation":[3,0,-10]}"#],
+    [r#""indices":1"#, r#""mode":6"#],
+    [r#""indices":1"#, r#""indices":2,"mode":5"#],
+    [r#""indices":1"#, r#""indices":3,"mode":6"#],
+];
+
 /// The same with the buffer at an address.
 fn gltf_at(uri: &str) -> String {
-    let (text, _) = gltf();
-    text.replace(r#"60}]"#, &format!(r#"60,"uri":"{uri}"}}]"#))
-}
-
-fn data(bytes: &[u8]) -> String {
-    let text = base64::engine::general_purpose::STANDARD.encode(bytes);
-    format!("data:application/octet-stream;base64,{text}")
+    gltf().0.replace("96}]", &format!(r#"96,"uri":"{uri}"}}]"#))
 }
 
 /// A GLB of a text and a buffer.
 fn glb(text: &str, buffer: &[u8]) -> Vec<u8> {
-    let mut bytes = b"glTF\x02\0\0\0".to_vec();
-    let padded = text.len().next_multiple_of(4);
-    bytes.extend((28 + padded as u32 + buffer.len() as u32).to_le_bytes());
-    bytes.extend((padded as u32).to_le_bytes());
-    bytes.extend(format!("JSON{text}").bytes());
-    bytes.resize(20 + padded, b' ');
-    bytes.extend((buffer.len() as u32).to_le_bytes());
-    bytes.extend(b"BIN\0".iter().chain(buffer));
-    bytes
-}
-
-/// The same surface told otherwise: turned by a quarter about x from z up and moved, by TRS and by a matrix; 16 bytes from corner to corner; a
-/// strip, a fan, and corners without indices.
-fn gltfs_told_otherwise() -> Vec<String> {
-    let mut bytes = vec![0; 8];
-    for [x, y, z] in [0, 1, 3, 2].map(|n: usize| POST[n]) {
-        bytes.extend([x, y - 7.0, z, f32::NAN].iter().flat_map(|x| x.to_le_bytes()));
-    }
-    let strip = 8 + 64;
-    bytes.extend([0, 1, 2, 3]);
-    let fan = bytes.len();
-    bytes.extend([0_u32, 1, 3, 2].iter().flat_map(|n| n.to_le_bytes()));
-    let trs = r#""translation":[0,0,-7],"rotation":[-0.70710678,0,0,0.70710678]"#;
-    let matrix = r#""matrix":[1,0,0,0, 0,0,-1,0, 0,1,0,0, 0,0,-7,1]"#;
-    let told = |place: &str, mode: u8, indices: &str| {
-        let length = bytes.len();
-        let uri = data(&bytes);
-        format!(
-            r#"{{"asset":{{"version":"2.1"}},"scene":1,"scenes":[{{}},{{"nodes":[2]}}],"nodes":[{{"mesh":0}},{{}},{{"mesh":0,{place}}}],
-"meshes":[{{"primitives":[{{"attributes":{{"POSITION":1}},"mode":{mode}{indices}}},{{"attributes":{{}},"mode":1}}]}}],
-"accessors":[{{"bufferView":1,"componentType":5121,"count":4,"type":"SCALAR"}},
-{{"bufferView":0,"byteOffset":8,"componentType":5126,"count":4,"type":"VEC3"}},
-{{"bufferView":2,"componentType":5125,"count":4,"type":"SCALAR"}}],
-"bufferViews":[{{"buffer":0,"byteLength":72,"byteStride":16}},{{"buffer":0,"byteOffset":{strip},"byteLength":4}},
-{{"buffer":0,"byteOffset":{fan},"byteLength":16}}],"buffers":[{{"byteLength":{length},"uri":"{uri}"}}]}}"#
-        )
-    };
-    vec![
-        told(trs, 5, ""),
-        told(matrix, 5, r#","indices":0"#),
-        told(trs, 6, r#","indices":2"#),
-    ]
+    let part = |kind: &[u8], content: &[u8]| [&(content.len() as u32).to_le_bytes(), kind, content].concat();
+    let parts = [part(b"JSON", text.as_bytes()), part(b"BIN\0", buffer)].concat();
+    [&b"glTF\x02\0\0\0"[..], &(12 + parts.len() as u32).to_le_bytes(), &parts].concat()
 }
 
 #[test]
@@ -122,28 +91,31 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
     write("m.stl", &stl());
     write("y.obj", b"v 1 0 -5\nv 2 0 -5\nv 2 3 -5\nv 1 3 -5\nf 1 2 3 4\n");
     let (text, buffer) = gltf();
-    write("m.gltf", gltf_at(&data(&buffer)).as_bytes());
+    let data = base64::engine::general_purpose::STANDARD.encode(&buffer);
+    write(
+        "m.gltf",
+        gltf_at(&format!("data:application/octet-stream;base64,{data}")).as_bytes(),
+    );
     write("beside.gltf", gltf_at("its%20data.bin").as_bytes());
     write("its data.bin", &buffer);
     write("m.GLB", &glb(&text, &buffer));
-    for (n, told) in gltfs_told_otherwise().iter().enumerate() {
-        write(&format!("{n}.gltf"), told.as_bytes());
+    for (n, [from, to]) in TOLD_OTHERWISE.iter().enumerate() {
+        write(&format!("{n}.glb"), &glb(&text.replace(from, to), &buffer));
     }
-    for entry in [
+    let otherwise = (0..TOLD_OTHERWISE.len()).map(|n| format!("file = \"{n}.glb\""));
+    let entries = [
         "file = \"m.gltf\"",
         "file = \"beside.gltf\"\nup = \"y\"",
         "file = \"m.GLB\"",
-        "file = \"0.gltf\"",
-        "file = \"1.gltf\"",
-        "file = \"2.gltf\"",
         "file = \"m.obj\"",
         "file = \"mm.obj\"\nunit_m = 0.001",
         "file = \"m.stl\"",
         "file = \"y.obj\"\nup = \"y\"",
         // Turned to the right, what was 5 m north is 5 m east, and moved back.
         "file = \"m.obj\"\nyaw_deg = 90.0\nnorth_m = 6.5\neast_m = -3.5",
-    ] {
-        let course = course(folder.path(), entry).unwrap_or_else(|e| panic!("{entry}: {e}"));
+    ];
+    for entry in entries.map(String::from).into_iter().chain(otherwise) {
+        let course = course(folder.path(), &entry).unwrap_or_else(|e| panic!("{entry}: {e}"));
         assert_eq!(course.meshes[0].triangles_and_open_edges(), Some((2, 4)), "{entry}");
         let world = World::new(&course);
         let clearance_m = world.clearance_m(NedVector::new(5.0, 0.0, -1.5));
@@ -240,11 +212,11 @@ fn a_gltf_that_cannot_be_used_is_refused_with_a_sentence() {
         "count":4 => "count":0 => accessor 0 reaches beyond its data
         "count":4 => "count":18446744073709551615 => accessor 0 reaches beyond its data
         "count":4 => "count":3 => a face has a corner that accessor 0 does not have
-        "byteLength":48 => "byteLength":48,"byteStride":8 => accessor 0 reaches beyond its data
-        "byteOffset":48 => "byteOffset":49 => accessor 1 reaches beyond its data
-        {"buffer":0,"byteLength":48} => {"buffer":1,"byteLength":48} => accessor 0 reaches beyond its data
-        "byteLength":60 => "byteLength":61 => buffer 0 has 60 of 61 bytes
-        60}] => 60},{"byteLength":1}] => the data of buffer 1 are missing
+        "byteStride":16 => "byteStride":8 => accessor 0 reaches beyond its data
+        "byteLength":32 => "byteLength":33 => accessor 1 reaches beyond its data
+        {"buffer":0,"byteLength":64 => {"buffer":1,"byteLength":64 => accessor 0 reaches beyond its data
+        "byteLength":96 => "byteLength":97 => buffer 0 has 96 of 97 bytes
+        96}] => 96},{"byteLength":1}] => the data of buffer 1 are missing
         [1,2,1] => [1,1e999,1] => number out of range
         "nodes":[{ => "nodes":[3,{ => invalid type
     "#;
@@ -259,21 +231,20 @@ fn a_gltf_that_cannot_be_used_is_refused_with_a_sentence() {
     }
     assert_eq!(count, 25);
     let whole = glb(&text, &buffer);
-    for length in [6, 11, 18, 40, whole.len() - 1] {
-        write("cut.glb", &whole[..length]);
-        assert!(course(folder.path(), "file = \"cut.glb\"").is_err(), "{length}");
-    }
-    write("old.glb", &[b"glTF\x01", &whole[5..]].concat());
-    refused("old.glb", "it is no GLB of version 2");
-    write("alone.gltf", text.as_bytes());
-    refused("alone.gltf", "the data of buffer 0 are missing");
-    for (uri, expected) in [
-        ("none.bin", "its none.bin beside it cannot be read: "),
-        ("data:,abc", "its data within are not base64"),
-        ("data:;base64,?", "its data within are not base64"),
+    for (content, expected) in [
+        (&whole[..11], "it is no GLB of version 2"),
+        (&[b"glTF\x01", &whole[5..]].concat()[..], "it is no GLB of version 2"),
+        (&whole[..18], "its JSON part is missing"),
+        (&whole[..whole.len() - 1], "it is cut short"),
+        (text.as_bytes(), "the data of buffer 0 are missing"),
+        (
+            gltf_at("none.bin").as_bytes(),
+            "its none.bin beside it cannot be read: ",
+        ),
+        (gltf_at("data:;base64,?").as_bytes(), "its data within are not base64"),
     ] {
-        write("uri.gltf", gltf_at(uri).as_bytes());
-        refused("uri.gltf", expected);
+        write("wrong.gltf", content);
+        refused("wrong.gltf", expected);
     }
     // A million triangles by instances of one that has two.
     let nodes: Vec<String> = (1..=500_001).map(|n| n.to_string()).collect();

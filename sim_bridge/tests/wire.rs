@@ -1,5 +1,6 @@
 //! Wires: seen where a cylinder would be, within what the pages say; touched; flown around; refused with a sentence.
 
+use glamx::Vec3;
 use vigil_sim::world::{
     Course, CourseError, LIDAR_BEAMS, LIDAR_FIRINGS, Lidar, LidarConfig, Outcome, Referee, World, beam_direction_frd,
     draw,
@@ -22,21 +23,14 @@ fn wire(from_m: [f32; 3], to_m: [f32; 3], radius_m: f32) -> String {
     format!("[[wire]]\nfrom_m = {from_m:?}\nto_m = {to_m:?}\nradius_m = {radius_m:?}\n")
 }
 
-/// How near a ray from a place comes to a wire's axis, away from its ends, and how far along; none beside the ends.
-fn nearest(at: NedVector, direction: NedVector, [from, to]: [NedVector; 2]) -> Option<(f64, f64)> {
-    let vector = |v: NedVector| v.to_array().map(f64::from);
-    let minus = |a: [f64; 3], b: [f64; 3]| [0, 1, 2].map(|k| a[k] - b[k]);
-    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    let (d, u, w) = (
-        vector(direction),
-        minus(vector(to), vector(from)),
-        minus(vector(at), vector(from)),
-    );
-    let (a, b, c, e, f) = (dot(d, d), dot(d, u), dot(u, u), dot(d, w), dot(u, w));
-    let range_m = (b * f - c * e) / (a * c - b * b);
-    let share = (a * f - b * e) / (a * c - b * b);
-    let gap: [f64; 3] = core::array::from_fn(|k| w[k] + range_m * d[k] - share * u[k]);
-    ((0.02..0.98).contains(&share) && range_m > 0.0).then_some((dot(gap, gap).sqrt(), range_m))
+/// How near a ray from a place comes to a wire's axis, away from its ends, and how far along it does.
+fn nearest(at: NedVector, direction: NedVector, [from, to]: [NedVector; 2]) -> Option<(f32, f32)> {
+    let [at, d, from, to] = [at, direction, from, to].map(|v| Vec3::from(v.to_array()));
+    let (u, w) = (to - from, at - from);
+    let (a, b, c, e, f) = (d.dot(d), d.dot(u), u.dot(u), d.dot(w), u.dot(w));
+    let [range_m, share] = [b * f - c * e, a * f - b * e].map(|x| x / (a * c - b * b));
+    let gap_m = (w + range_m * d - share * u).length();
+    ((0.02..0.98).contains(&share) && range_m > 0.0).then_some((gap_m, range_m))
 }
 
 #[test]
@@ -61,14 +55,11 @@ fn a_beam_meets_a_wire_where_it_meets_a_cylinder_and_misses_it_where_it_falls_be
             let Some((gap_m, range_m)) = nearest(at, direction, ends) else {
                 continue;
             };
-            if gap_m < 0.92 * f64::from(radius_m) {
+            if gap_m < 0.92 * radius_m {
                 // However flat the wire is met, a range is off by less than ten radii.
-                assert!(
-                    (f64::from(seen[beam]) - range_m).abs() < 10.0 * f64::from(radius_m),
-                    "{beam}"
-                );
+                assert!((seen[beam] - range_m).abs() < 10.0 * radius_m, "{beam}");
                 met += 1;
-            } else if gap_m > 1.08 * f64::from(radius_m) {
+            } else if gap_m > 1.08 * radius_m {
                 assert_eq!(seen[beam], without[beam], "{beam}");
                 beside += 1;
             }
@@ -154,13 +145,13 @@ fn a_wire_that_cannot_be_is_refused_with_a_sentence() {
             [0.2, -1.0, 1.0],
             [0.2, 1.0, 1.0],
             0.02,
-            "4: `wire[0]`: is nearer to the start",
+            "4: `wire[0]`: covers the start",
         ),
         (
             [12.0, -1.0, 1.8],
             [12.0, 1.0, 1.2],
             0.02,
-            "4: `wire[0]`: is nearer to the goal",
+            "4: `wire[0]`: covers the goal",
         ),
     ] {
         let error = read(&wire(from_m, to_m, radius_m)).expect_err(expected).to_string();

@@ -4,7 +4,6 @@ use crate::world::course::Course;
 use crate::world::mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 use crate::world::solid::Solid;
 use crate::world::vehicle::VEHICLE;
-use std::sync::Arc;
 
 /// More obstacles than this is a mistake in the file.
 pub const MAX_OBSTACLES: usize = 1000;
@@ -197,11 +196,12 @@ impl Course {
         }
         // The column of air from the ground to above flight height must be free where the vehicle takes off and lands.
         let top_m = self.flight_height_m + VEHICLE.height_m;
-        let lists: [(&str, Vec<Solid>); 5] = [
+        let lists: [(&str, Vec<Solid>); 6] = [
             ("column", self.columns.iter().map(|o| o.solid()).collect()),
             ("box", self.boxes.iter().map(|o| o.solid()).collect()),
             ("wall", self.walls.iter().map(|o| o.solid()).collect()),
             ("overhang", self.overhangs.iter().map(|o| o.solid()).collect()),
+            ("wire", self.wires.iter().map(|w| w.solid(0.0, top_m)).collect()),
             ("mover", self.movers.iter().map(Mover::track).collect()),
         ];
         for (kind, solids) in &lists {
@@ -217,19 +217,12 @@ impl Course {
                 }
             }
         }
-        let meshes = self.meshes.iter().map(|mesh| mesh.surface().cloned());
-        let meshes = meshes.enumerate().map(|of| ("mesh", of));
-        let wires = self.wires.iter().map(|wire| wire.surface().map(Arc::new));
-        let wires = wires.enumerate().map(|of| ("wire", of));
-        for (kind, (i, surface)) in meshes.chain(wires) {
+        for (i, mesh) in self.meshes.iter().enumerate() {
             for (name, north_m, east_m) in places {
-                if surface
-                    .as_ref()
-                    .is_some_and(|surface| surface.covers(north_m, east_m, top_m))
-                {
+                if mesh.covers(north_m, east_m, top_m) {
                     let reach_m = VEHICLE.radius_m;
                     return problem(
-                        format!("{kind}[{i}]"),
+                        format!("mesh[{i}]"),
                         format!(
                             "is nearer to the {name} at [{north_m}, {east_m}] than the vehicle's radius of {reach_m} m, \
                              below {top_m} m; move one of them"

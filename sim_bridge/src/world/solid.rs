@@ -158,17 +158,6 @@ impl Solid {
         }
     }
 
-    /// All of it is within this distance of its centre in the plan view.
-    pub(crate) fn plan_radius_m(&self) -> f32 {
-        match *self {
-            Self::Cuboid {
-                half_extents_m: [hx, hy, _],
-                ..
-            } => libm::hypotf(hx, hy),
-            Self::Cylinder { radius_m, .. } => radius_m,
-        }
-    }
-
     /// The same solid as a parry shape at its pose; the one geometry behind collision and reference ray casting.
     pub(crate) fn shape(&self) -> (Pose3, SharedShape) {
         let c = self.centre_ned_m();

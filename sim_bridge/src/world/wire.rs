@@ -72,6 +72,11 @@ impl Wire {
         (part[0] < part[1]).then(|| self.part(part))
     }
 
+    /// The same or, where nothing of it lies there, the box around all of it.
+    pub(crate) fn solid(&self, low_m: f32, high_m: f32) -> Solid {
+        self.between(low_m, high_m).unwrap_or_else(|| self.part([0.0, 1.0]))
+    }
+
     /// The box around what of it lies between two shares of its way.
     pub(crate) fn part(&self, shares: [f32; 2]) -> Solid {
         let [from, to] = [self.from_m, self.to_m].map(Vec3::from);
@@ -103,11 +108,6 @@ impl Wire {
             return problem(format!("wire[{i}].radius_m"), wrong);
         }
         Ok(())
-    }
-
-    /// What of it stands above the ground.
-    pub(crate) fn surface(&self) -> Option<Surface> {
-        standing(self.triangles()).ok()
     }
 }
 

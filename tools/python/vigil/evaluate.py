@@ -79,7 +79,7 @@ def completion(
     """Flies generated courses with the whole stack. The same arguments give the same flights, bit for bit. About 0.3 s of a core each.
 
     Args:
-        family: ``training``, ``validation``, ``hard`` or ``dense``.
+        family: ``training``, ``validation``, ``hard``, ``dense`` or ``forest``.
         flights, first_seed: seeds ``first_seed`` to ``first_seed + flights − 1``; or ``seeds`` themselves.
         threads: absent: as many as the machine has.
         pilot: ``actor`` or ``geometric``.

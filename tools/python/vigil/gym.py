@@ -244,7 +244,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
     says which, ``info["is_success"]`` whether it arrived. After a collision the frame is that of the step before.
 
     Args:
-        family: ``training``, ``validation``, ``hard`` or ``dense`` (docs/courses.md).
+        family: ``training``, ``validation``, ``hard``, ``dense`` or ``forest`` (docs/courses.md).
         seeds: course seeds to draw from; absent: any. What is evaluated should not be trained on.
         course: a course file (TOML) that is flown instead of generated ones.
         frames: 5, or 1 for the newest only.

@@ -42,7 +42,7 @@ Examples:
   vigil evaluate --flights 500 --seed 1000000           500 validation courses, seeds 1000000 to 1000499
   vigil evaluate --flights 200 --wind 4                 the same in a mean wind of 4 m/s
   vigil evaluate --flights 200 --noise 2                LiDAR range noise and dropouts doubled
-  vigil evaluate --flights 200 --family hard            narrow doors, dead ends, moving obstacles; or dense
+  vigil evaluate --flights 200 --family hard            narrow doors, dead ends, moving obstacles; or dense, forest
   vigil evaluate --flights 200 --goal-distance 30..300  goals 30 to 300 m away, as dense all the way
   vigil evaluate --flights 200 --vehicle-model px4-sih --noisy-estimate
                                                         a vehicle that answers as PX4's own simulated one does

@@ -357,9 +357,8 @@ fn draw_obstacles(canvas: &mut Canvas, view: &View, course: &Course) {
             let ends = [wire.from_m, wire.to_m].map(|[north_m, east_m, _]| view.at(north_m, east_m));
             line(layer, ends, GRID_5M, 1.2);
             let within = wire.between(low_m, high_m);
-            if let Some([a, b, c, d]) = within.and_then(|part| corners(view, &part)) {
-                quadrangle(layer, [a, b, c, d], MESH);
-                line(layer, [a, c], MESH, 1.2);
+            if let Some([a, _, c, _]) = within.and_then(|part| corners(view, &part)) {
+                line(layer, [a, c], MESH, 1.6);
             }
         }
         let standing = course.columns.len() + course.boxes.len() + course.walls.len();

@@ -206,10 +206,7 @@ impl Obstacle {
             Self::Box(o) => o.solid(),
             Self::Wall(o) => o.solid(),
             Self::Overhang(o) => o.solid(),
-            Self::Wire(o) => {
-                let [low_m, high_m] = IN_THE_WAY_M;
-                o.between(low_m, high_m).unwrap_or_else(|| o.part([0.0, 1.0]))
-            }
+            Self::Wire(o) => o.solid(IN_THE_WAY_M[0], IN_THE_WAY_M[1]),
             Self::Mover(o) => o.track(),
         }
     }
@@ -443,9 +440,10 @@ impl Builder {
             0.1
         };
         // Around what is far off there is no need to go.
-        let [a_centre, b_centre] = [a_solid, b_solid].map(Solid::centre_ned_m);
-        let between_m = libm::hypotf(a_centre.x - b_centre.x, a_centre.y - b_centre.y);
-        if between_m > a_solid.plan_radius_m() + b_solid.plan_radius_m() + gap_m + 0.01 {
+        let reach_m = |(north_m, east_m): (f32, f32)| north_m + east_m;
+        let reach_m = reach_m(a_solid.plan_half_extents_m()) + reach_m(b_solid.plan_half_extents_m());
+        let [a, b] = [a_solid, b_solid].map(Solid::centre_ned_m);
+        if libm::hypotf(a.x - b.x, a.y - b.y) > reach_m + gap_m + 0.01 {
             return false;
         }
         a_solid.plan_gap_m(b_solid) < gap_m

@@ -5,6 +5,7 @@ use super::{MAX_TRIANGLES, SIZE_LIMIT};
 use base64::Engine;
 use glamx::{Mat4, Quat, Vec3};
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 #[derive(Deserialize, Default)]
@@ -34,7 +35,7 @@ struct Object {
     rotation: Option<[f32; 4]>,
     scale: Option<[f32; 3]>,
     primitives: Vec<Object>,
-    attributes: Attributes,
+    attributes: BTreeMap<String, usize>,
     indices: Option<usize>,
     mode: Option<u32>,
     buffer_view: Option<usize>,
@@ -49,20 +50,8 @@ struct Object {
     uri: Option<String>,
 }
 
-#[derive(Deserialize, Default)]
-struct Attributes {
-    #[serde(rename = "POSITION")]
-    position: Option<usize>,
-}
-
 /// Extensions that begin so change how a surface looks, not where it is.
 const LOOKS: [&str; 4] = ["KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_"];
-/// Types of components.
-const BYTE: u32 = 5121;
-const SHORT: u32 = 5123;
-const INT: u32 = 5125;
-const FLOAT: u32 = 5126;
-
 /// A file's triangles where its nodes put them, y up.
 pub(super) fn triangles(content: &[u8], path: &Path) -> Result<Vec<Triangle>, String> {
     let (text, binary) = parts(content)?;
@@ -152,20 +141,8 @@ fn of_uri(uri: &str, path: &Path, limit: u64) -> Result<Vec<u8>, String> {
         let decoded = text.and_then(|text| base64::engine::general_purpose::STANDARD.decode(text).ok());
         return decoded.ok_or_else(|| "its data within are not base64".to_owned());
     }
-    let beside = path.with_file_name("").join(unescaped(uri));
+    let beside = path.with_file_name(uri.replace("%20", " "));
     vigil_types::files::read(&beside, limit).map_err(|e| format!("its {uri} beside it cannot be read: {e}"))
-}
-
-/// An address without its percent signs.
-fn unescaped(uri: &str) -> String {
-    let mut parts = uri.split('%');
-    let mut bytes = parts.next().unwrap_or_default().as_bytes().to_vec();
-    for part in parts {
-        let code = part.get(..2).and_then(|code| u8::from_str_radix(code, 16).ok());
-        bytes.push(code.unwrap_or(b'%'));
-        bytes.extend(&part.as_bytes()[if code.is_some() { 2 } else { 0 }..]);
-    }
-    String::from_utf8_lossy(&bytes).into_owned()
 }
 
 /// What an accessor reaches: elements, so many bytes from one to the next.
@@ -177,7 +154,7 @@ struct Elements<'a> {
 }
 
 impl<'a> Elements<'a> {
-    /// `sizes` has the types of components that are meant, with the bytes of an element of each.
+    /// `sizes` has the types of components that are meant, as numbered there, with the bytes of an element of each.
     fn new(
         (file, buffers): (&Document, &'a [Vec<u8>]),
         number: usize,
@@ -238,9 +215,9 @@ fn add(
         Some(6) => (1, true),
         Some(_) => return Ok(()),
     };
-    let position = primitive.attributes.position.ok_or("a mesh has no positions")?;
-    let positions = Elements::new((file, buffers), position, "VEC3", &[(FLOAT, 12)])?;
-    let sizes = [(BYTE, 1), (SHORT, 2), (INT, 4)];
+    let position = *primitive.attributes.get("POSITION").ok_or("a mesh has no positions")?;
+    let positions = Elements::new((file, buffers), position, "VEC3", &[(5126, 12)])?;
+    let sizes = [(5121, 1), (5123, 2), (5125, 4)];
     let indices = primitive
         .indices
         .map(|number| Elements::new((file, buffers), number, "SCALAR", &sizes));

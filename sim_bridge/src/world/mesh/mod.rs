@@ -205,6 +205,15 @@ impl Mesh {
         Ok(())
     }
 
+    /// Whether it reaches into the air over a place, as wide as the vehicle, between floor and `top_m`.
+    pub(crate) fn covers(&self, north_m: f32, east_m: f32, top_m: f32) -> bool {
+        let half = Vec3::new(VEHICLE.radius_m, VEHICLE.radius_m, 0.5 * (top_m - FLOOR_M));
+        let centre = Vec3::new(north_m, east_m, -0.5 * (top_m + FLOOR_M));
+        let reach = Aabb::new(centre - half, centre + half);
+        let (pose, shape) = (Pose3::from_parts(centre, UPRIGHT), Cylinder::new(half.z, half.x));
+        (self.surface.iter()).any(|surface| surface.touches(&pose, &shape, &reach))
+    }
+
     pub(crate) fn check_values(&self, i: usize) -> Result<(), FieldProblem> {
         if !(1e-6..=1000.0).contains(&self.unit_m) {
             let wrong = format!(
@@ -217,17 +226,6 @@ impl Mesh {
         coordinate(&format!("mesh[{i}].east_m"), self.east_m)?;
         coordinate(&format!("mesh[{i}].height_m"), self.height_m)?;
         angle(&format!("mesh[{i}].yaw_deg"), self.yaw_deg)
-    }
-}
-
-impl Surface {
-    /// Whether it reaches into the air over a place, as wide as the vehicle, between floor and `top_m`.
-    pub(crate) fn covers(&self, north_m: f32, east_m: f32, top_m: f32) -> bool {
-        let half = Vec3::new(VEHICLE.radius_m, VEHICLE.radius_m, 0.5 * (top_m - FLOOR_M));
-        let centre = Vec3::new(north_m, east_m, -0.5 * (top_m + FLOOR_M));
-        let reach = Aabb::new(centre - half, centre + half);
-        let (pose, shape) = (Pose3::from_parts(centre, UPRIGHT), Cylinder::new(half.z, half.x));
-        self.touches(&pose, &shape, &reach)
     }
 }
 
