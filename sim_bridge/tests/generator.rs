@@ -241,7 +241,9 @@ fn a_forest_course_has_trees_with_thin_branches_apart_from_each_other_where_one_
         }
         let (wires, plan) = (&course.wires, course.corridor_solids());
         let branches_in_the_way = &plan[course.solids().len()..];
-        for part in branches_in_the_way {
+        // What ends at these heights, within a rounding, may be in the way or not.
+        let within = |s: &&Solid| s.bottom_m() < 2.19 && s.top_m() > 0.81;
+        for part in branches_in_the_way.iter().filter(within) {
             // The next tree but its own.
             let mut gaps_m: Vec<f32> = trunks.iter().map(|c| c.solid().plan_gap_m(part)).collect();
             gaps_m.sort_by(f32::total_cmp);
