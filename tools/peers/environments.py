@@ -5,6 +5,7 @@ tools/peers/environments.sh [--seconds N]; writes JSON to standard output.
 
 import argparse
 import json
+import os
 import statistics
 import sys
 import time
@@ -85,6 +86,45 @@ def pybullet_alone():
     return step, 1
 
 
+def mujoco(rays):
+    """MuJoCo's physics at 200 Hz of a free body with four thrusts, and 128 × 256 ranges in each step of 50 ms: rendered in software by
+    OpenGL, or (rays) reckoned from its solids, without a picture."""
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    import mujoco
+
+    places = np.random.default_rng(7).uniform([3.0, -8.0], [25.0, 8.0], (30, 2))
+    solids = "".join(f'<geom type="cylinder" size="0.4 2" pos="{x} {y} 2"/>' for x, y in places)
+    arms = [(x, y) for x in (-0.15, 0.15) for y in (-0.15, 0.15)]
+    sites = "".join(f'<site name="s{i}" pos="{x} {y} 0"/>' for i, (x, y) in enumerate(arms))
+    motors = "".join(f'<motor site="s{i}" gear="0 0 1 0 0 {(-1) ** (i in (1, 2)) * 0.01}"/>' for i in range(4))
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="0.005"/><visual><global offwidth="256" offheight="128"/></visual><worldbody><light pos="0 0 10"/>
+        <geom type="plane" size="50 50 1"/>{solids}<body name="vehicle" pos="0 0 1.5"><freejoint/><geom type="box" size="0.15 0.15 0.05" mass="1"/>
+        {sites}<camera name="depth" pos="0.2 0 0" xyaxes="0 -1 0 0 0 1" fovy="60"/></body></worldbody><actuator>{motors}</actuator></mujoco>"""
+    )
+    data, body = mujoco.MjData(model), model.body("vehicle").id
+    data.ctrl[:] = 9.81 / 4.0
+    up, right = np.meshgrid(np.radians(np.linspace(30, -30, 128)), np.radians(np.linspace(-60, 60, 256)), indexing="ij")
+    ways = np.stack([np.cos(up) * np.cos(right), -np.cos(up) * np.sin(right), np.sin(up)], axis=-1).reshape(-1, 3)
+    ranges, solid = np.zeros(len(ways)), np.zeros(len(ways), np.int32)
+    renderer = None if rays else mujoco.Renderer(model, 128, 256)
+    if renderer:
+        renderer.enable_depth_rendering()
+
+    def step():
+        mujoco.mj_step(model, data, nstep=10)
+        if renderer:
+            renderer.update_scene(data, camera="depth")
+            depth = renderer.render()
+        else:
+            turned = np.ascontiguousarray(ways @ data.xmat[body].reshape(3, 3).T)
+            mujoco.mj_multiRay(model, data, data.xpos[body], turned.ravel(), None, True, body, solid, ranges, None, len(ways), 100.0)
+            depth = ranges
+        assert depth.size == 128 * 256 and abs(data.qpos[2] - 1.5) < 0.2
+
+    return step, 1
+
+
 SUBJECTS = {
     "Vigil, newest frame": lambda: vigil(1),
     "Vigil, five frames": lambda: vigil(5),
@@ -95,6 +135,8 @@ SUBJECTS = {
     "Vigil, 32 flights, 2 threads": lambda: vigil_vector(32, 2),
     "PyFlyt": pyflyt,
     "PyBullet alone": pybullet_alone,
+    "MuJoCo, rendered": lambda: mujoco(False),
+    "MuJoCo, rays": lambda: mujoco(True),
 }
 
 

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Steps per second of our Gymnasium environment beside PyFlyt's and PyBullet's own with depth pictures of the same size.
+# Steps per second of our Gymnasium environment beside PyFlyt's, PyBullet's own and MuJoCo's with depth pictures of the same size.
 # Makes its own virtual environment under target/ and installs the package of this checkout into it. Arguments: --seconds N, --turns N.
 set -euo pipefail
 repository=$(cd "$(dirname "$0")/../.." && pwd)
 venv=$repository/target/venv-environments
 requirements=$repository/tools/peers/requirements-environments.txt
 if ! cmp -s "$requirements" "$venv/installed.txt"; then
-    echo "installing PyBullet and others into $venv" >&2
+    echo "installing PyBullet, MuJoCo and others into $venv" >&2
     python3 -m venv "$venv"
     "$venv/bin/pip" install --quiet --disable-pip-version-check -r "$requirements"
     cp "$requirements" "$venv/installed.txt"

@@ -76,6 +76,39 @@ def test_the_registered_id_with_spaces_of_one_gives_gymnasium_nothing_to_warn_of
         VigilEnv(normalized=True, privileged=True)
 
 
+def test_images_are_the_contrast_of_the_frames_and_give_gymnasium_nothing_to_warn_of():
+    for frames in (1, 5):
+        env = gymnasium.make("VigilImages-v0", frames=frames, disable_env_checker=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            check_env(env.unwrapped)
+        metres, units = VigilEnv("validation", frames=frames), VigilEnv("validation", frames=frames, images=True)
+        (seen, _), (pictured, _) = (e.reset(options={"course_seed": 7}) for e in (metres, units))
+        for action in ACTIONS[:10]:
+            images = pictured["frames"]
+            assert images.shape == (frames, 128, 256) and images.dtype == np.uint8 and units.observation_space.contains(pictured)
+            expected = 255.0 / (1.0 + seen["frames"].astype(np.float64) / 3.0)
+            assert np.abs(images - expected).max() < 0.501
+            np.testing.assert_array_equal(pictured["goal"], seen["goal"])
+            (seen, *_), (pictured, *_) = metres.step(action), units.step(action)
+    vector = VigilVectorEnv(2, frames=1, normalized=True, images=True, threads=1)
+    observation, _ = vector.reset(seed=1)
+    assert vector.observation_space.contains(observation) and observation["frames"].shape == (2, 1, 128, 256)
+    with pytest.raises(ValueError, match="frames are no ranges with images=True"):
+        VigilVectorEnv(2, frames=1, images=True, buffers={"frames": np.zeros((2, 128, 256), np.float32)})
+
+
+def test_copies_of_frames_can_be_written_to_and_change_nothing():
+    plain, copied = VigilEnv("validation"), VigilEnv("validation", copy=True)
+    (seen, _), (own, _) = (env.reset(options={"course_seed": 7}) for env in (plain, copied))
+    for action in ACTIONS[:10]:
+        np.testing.assert_array_equal(seen["frames"], own["frames"])
+        own["frames"][...] = 0.0
+        (seen, *_), (own, *_) = plain.step(action), copied.step(action)
+    observation, _ = gymnasium.make("VigilNormalized-v0", frames=1).reset(seed=1)
+    assert observation["frames"].flags.writeable
+
+
 def flown(mode, steps, **options):
     """Two flights under fixed actions: what each step gave."""
     env = VigilVectorEnv(2, "validation", frames=1, threads=1, autoreset_mode=mode, **options)
@@ -98,6 +131,7 @@ def test_a_flight_that_ended_begins_anew_in_the_same_step_where_that_is_wanted()
     assert seen[end][2].all() and later[end][2].all()
     info = seen[end][3]
     assert info["_final_obs"].all() and info["final_info"]["outcome"].tolist() == ["time-out"] * 2
+    assert info["_course_seed"].all() and info["course_seed"].tolist() == env.course_seeds
     for number in range(2):
         for name in ("frames", "goal"):
             np.testing.assert_array_equal(info["final_obs"][number][name], later[end][0][name][number])

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs a script of this folder with PyTorch and Stable-Baselines3 in an environment of its own (target/venv-policies, 5 GB, made once):
+# Runs a script of this folder with PyTorch, Stable-Baselines3 and TorchRL in an environment of its own (target/venv-policies, 5 GB, made once):
 #   tools/python/policies/run.sh train_sb3.py --help
 set -euo pipefail
 here="$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)"
@@ -7,12 +7,12 @@ top="$(cd "$here/../../.." && pwd)"
 venv="$top/target/venv-policies"
 if [ $# = 0 ]; then
     sed -n '2,3s/^# //p' "${BASH_SOURCE[0]}"
-    ls "$here"/train_*.py | sed 's:.*/:  :'
+    ls "$here"/{train,test}_*.py | sed 's:.*/:  :'
     exit 2
 fi
 script="$here/$1"
 if [ ! -f "$script" ]; then
-    echo "no script $1; there are $(cd "$here" && echo train_*.py)" >&2
+    echo "no script $1; there are $(cd "$here" && echo {train,test}_*.py)" >&2
     exit 2
 fi
 key="$(sha256sum "$here/requirements.txt" | cut -d' ' -f1)"

@@ -1,7 +1,8 @@
 """Gymnasium environments over Vigil's simulator: a multicopter with a scanning LiDAR flies to a goal among obstacles.
 
 A step is 50 ms. What an observation, an action and the reward are stands at :class:`VigilEnv`; :class:`VigilVectorEnv` flies several
-at once on threads. ``gymnasium.make("Vigil-v0")`` works after ``import vigil.gym``, and ``"VigilNormalized-v0"`` with spaces of ±1.
+at once on threads. ``gymnasium.make("Vigil-v0")`` works after ``import vigil.gym``, ``"VigilNormalized-v0"`` with spaces of ±1, and
+``"VigilImages-v0"`` with frames as images besides.
 """
 
 from __future__ import annotations
@@ -49,20 +50,21 @@ EVERY = (1, 2, 4, 8)
 
 
 def spaces_of(
-    frames: int, privileged: bool, actor: Actor | None = None, normalized: bool = False, every: int = 1
+    frames: int, privileged: bool, actor: Actor | None = None, normalized: bool = False, every: int = 1, images: bool = False
 ) -> tuple[spaces.Dict, spaces.Box]:
     """Observation and action space of one flight."""
     shape: tuple[int, ...] = (ROWS, COLUMNS) if every == 1 else (ROWS // 2 // every, COLUMNS // every)
-    if frames == FRAMES:
-        shape = (FRAMES, *shape)
+    if frames == FRAMES or images:
+        shape = (frames, *shape)
+    ranges = spaces.Box(0.0, 1.0 if normalized else FULL_SCALE_M, shape, np.float32)
+    seen = spaces.Box(0, 255, shape, np.uint8) if images else ranges
     if normalized:
         if privileged or actor is not None:
             raise ValueError("normalized: the true state and an actor's position have no bounds; leave out privileged and actor")
         goal = spaces.Box(np.array([0.0, -1.0], np.float32), np.array([1.0, 1.0], np.float32), dtype=np.float32)
-        seen = spaces.Dict({"frames": spaces.Box(0.0, 1.0, shape, np.float32), "goal": goal})
-        return seen, spaces.Box(-1.0, 1.0, (2,), np.float32)
+        return spaces.Dict({"frames": seen, "goal": goal}), spaces.Box(-1.0, 1.0, (2,), np.float32)
     parts: dict[str, spaces.Space[Any]] = {
-        "frames": spaces.Box(0.0, FULL_SCALE_M, shape, np.float32),
+        "frames": seen,
         "goal": spaces.Box(
             np.array([0.0, -np.pi - 1e-3], np.float32), np.array([np.inf, np.pi + 1e-3], np.float32), dtype=np.float32
         ),
@@ -104,8 +106,12 @@ class _Flown:
         seeds, course = options["seeds"], options["course"]
         if seeds is not None and len(seeds) == 0:
             raise ValueError("seeds: is empty")
-        self.observed, self.acted = spaces_of(frames, bool(options["privileged"]), actor, bool(options["normalized"]), every)
+        self.copied, self.images, normalized = bool(options["copy"]), bool(options["images"]), bool(options["normalized"])
+        if self.images and buffers and "frames" in buffers:
+            raise ValueError("buffers: frames are no ranges with images=True; leave out one of the two")
+        self.observed, self.acted = spaces_of(frames, bool(options["privileged"]), actor, normalized, every, self.images)
         self.seeds, self.count, self.newest = seeds, count, frames == 1
+        self.full_scale = 1.0 if normalized else FULL_SCALE_M
         self.shape = (count, frames, *(self.observed["frames"].shape or ())[-2:])
         self.flights = Flights(
             count,
@@ -121,7 +127,7 @@ class _Flown:
             near=float(reward["near"]),
             along_way=reward["progress"] == "way",
             privileged=bool(options["privileged"]),
-            normalized=bool(options["normalized"]),
+            normalized=normalized,
             frames=frames,
             every=every,
             threads=threads,
@@ -158,7 +164,7 @@ class _Flown:
                 return self._spare.pop(number)
         return np.empty(self.shape, np.float32)
 
-    def advance(self, seeds: Sequence[int | None], actions: Floats | None = None, *, anew: bool = True) -> dict[str, Floats]:
+    def advance(self, seeds: Sequence[int | None], actions: Floats | None = None, *, anew: bool = True) -> dict[str, NDArray[Any]]:
         """Begins the flights that have a seed, flies a step of the others where there are actions. Gives what is observed of all,
         ``[count, …]``; views that cannot be written to, but for the caller's buffers. ``anew``: not where the last observation lies."""
         older: Floats | None = None
@@ -180,9 +186,12 @@ class _Flown:
             np.logical_and(self.ends >= 0, self.ends != 3, out=self.flags["terminated"])
             np.equal(self.ends, 3, out=self.flags["truncated"])
         frames = self._given.get("frames")
+        if self.images:
+            return {"frames": as_images(self._frames, self.full_scale), **parts}
         if frames is None:
             frames = self._frames[:, 0] if self.newest else self._frames[:]
-            frames.flags.writeable = False
+            frames = frames.copy() if self.copied else frames
+            frames.flags.writeable = self.copied
         return {"frames": frames, **parts}
 
     def info(self, number: int) -> dict[str, Any]:
@@ -198,6 +207,16 @@ class _Flown:
         }
 
 
+def as_images(frames: Floats, full_scale: float = FULL_SCALE_M) -> NDArray[np.uint8]:
+    """Ranges, of which ``full_scale`` is 100 m, as ``uint8``, near is bright: 255 / (1 + range / 3 m), in 255ths what ``vigil import --depth
+    contrast`` gives a policy."""
+    bright = np.multiply(frames, FULL_SCALE_M / full_scale / 3.0, dtype=np.float32)
+    bright += np.float32(1.0)
+    np.divide(np.float32(255.0), bright, out=bright)
+    bright += np.float32(0.5)
+    return bright.astype(np.uint8)
+
+
 def _actions(given: Any, count: int | None) -> Floats:
     shape = (2,) if count is None else (count, 2)
     array = np.asarray(given)
@@ -211,15 +230,15 @@ def _actions(given: Any, count: int | None) -> Floats:
     return array
 
 
-class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
+class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
     """One flight over a generated course.
 
     **Observation**, a dict:
 
     ========  =====================  ==================================================================================
     frames    ``[5, 128, 256]``      ranges in metres, 0 to 100, oldest first; ``[128, 256]``, the newest, with ``frames=1``.
-                                     The first frame stands for the missing ones. An array that cannot be written to and
-                                     stays as it is. ``every=2``, 4 or 8: fewer rows and columns, ``[64 / every, 256 / every]``.
+                                     The first frame stands for the missing ones. An array that cannot be written to (see ``copy``)
+                                     and stays as it is. ``every=2``, 4 or 8: fewer rows and columns, ``[64 / every, 256 / every]``.
     goal      ``[2]``                distance in metres and bearing in radians, clockwise, as the vehicle believes
     position  ``[9]``                with ``actor=…``: what an actor decides from beside its frames, as in flight: distance (m) and bearing
                                      (rad) of the goal; north, east and height (m), heading (rad), velocity forward and right (m/s) as the
@@ -258,6 +277,8 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         reward: terms of the reward that differ from the defaults.
         normalized: spaces of ±1 (``VigilNormalized-v0``): frames over 100 m, distance over 20 m and at most 1, bearing over π; actions of
             ±1 are the whole ±1.5. Not with ``privileged`` or ``actor``, which have no bounds.
+        images: frames as ``uint8`` images, ``[1 or 5, rows, columns]``, near is bright (:func:`as_images`): what Stable-Baselines3 convolves.
+        copy: frames are copies that can be written to; PyTorch warns of arrays that cannot. ``VigilNormalized-v0`` gives such.
         render_mode: ``rgb_array``: :meth:`render` gives the course from above with the way flown.
 
     ``reset(seed=…)`` decides all that is drawn after it; ``reset(options={"course_seed": 7})`` flies that very course. The same seed and
@@ -285,6 +306,8 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         time_limit: float | None = None,
         reward: Mapping[str, float | str] | None = None,
         normalized: bool = False,
+        images: bool = False,
+        copy: bool = False,
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
@@ -302,6 +325,8 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
             time_limit=time_limit,
             reward=reward,
             normalized=normalized,
+            images=images,
+            copy=copy,
         )
         self._flown = _Flown(1, options, 1)
         self._begun = False
@@ -311,12 +336,12 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         self.observation_space: spaces.Space[Any] = self._flown.observed
         self.action_space: spaces.Space[Any] = self._flown.acted
 
-    def _advance(self, seed: int | None, actions: Floats | None = None) -> dict[str, Floats]:
+    def _advance(self, seed: int | None, actions: Floats | None = None) -> dict[str, NDArray[Any]]:
         return {name: value[0] for name, value in self._flown.advance([seed], actions).items()}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Floats], dict[str, Any]]:
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Begins a flight, hovering at the course's start. ``options``: ``course_seed``."""
         super().reset(seed=seed)
         self.course_seed = _drawn(self.np_random, self._flown.seeds)
@@ -328,7 +353,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         self._begun = True
         return observation, {**self._flown.info(0), "course_seed": self.course_seed}
 
-    def step(self, action: Any) -> tuple[dict[str, Floats], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Flies 50 ms."""
         actions = _actions(action, None)
         if not self._begun:
@@ -352,14 +377,14 @@ def _drawn(random: np.random.Generator, seeds: Sequence[int] | None) -> int:
     return int(random.integers(_SEEDS)) if seeds is None else int(seeds[int(random.integers(len(seeds)))])
 
 
-class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
+class VigilVectorEnv(VectorEnv[dict[str, NDArray[Any]], Floats, NDArray[Any]]):
     """Several flights at once, on threads of Rust: observations ``[num_envs, …]``, rewards and ends ``[num_envs]``.
 
     As :class:`VigilEnv` otherwise. What becomes of a flight that ended is Gymnasium's ``autoreset_mode``:
 
     ==============  ==============================================================================================================
     ``NextStep``    it begins anew in the next step, whose action is not flown
-    ``SameStep``    it begins anew in the same step; ``info["final_obs"]`` and ``info["final_info"]`` are those of its end
+    ``SameStep``    it begins anew in the same step, on ``info["course_seed"]``; ``"final_obs"`` and ``"final_info"`` are those of its end
     ``Disabled``    it waits for ``reset(options={"reset_mask": mask})``, ``mask`` an array ``[num_envs]`` of bool; the others fly on
     ==============  ==============================================================================================================
 
@@ -390,6 +415,8 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
         time_limit: float | None = None,
         reward: Mapping[str, float | str] | None = None,
         normalized: bool = False,
+        images: bool = False,
+        copy: bool = False,
         threads: int | None = None,
         buffers: Mapping[str, NDArray[Any]] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -409,6 +436,8 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
             time_limit=time_limit,
             reward=reward,
             normalized=normalized,
+            images=images,
+            copy=copy,
         )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -429,7 +458,7 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Floats], dict[str, Any]]:
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Begins all flights. A seed is that of the first flight, the others have the following; or one for each.
 
         ``options``: ``reset_mask``, an array ``[num_envs]`` of bool: only these begin anew, and only these take their seed.
@@ -465,7 +494,7 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
 
     def step(
         self, actions: Any
-    ) -> tuple[dict[str, Floats], NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    ) -> tuple[dict[str, NDArray[Any]], NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Flies 50 ms. ``info``: ``outcome`` and ``is_success`` of those that ended (``_outcome`` says which)."""
         given = _actions(actions, self.num_envs)
         if not self._begun:
@@ -488,15 +517,16 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
         return observation, rewards, terminated, truncated, info
 
     def _begun_in_the_same_step(
-        self, last: dict[str, Floats], info: dict[str, Any]
-    ) -> tuple[dict[str, Floats], dict[str, Any]]:
+        self, last: dict[str, NDArray[Any]], info: dict[str, Any]
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Begins those anew that have just ended; what they ended with goes into ``info``."""
         ended, final = self._ended, np.empty(self.num_envs, dtype=object)
         for number in np.flatnonzero(ended):
             final[number] = {name: value[number].copy() for name, value in last.items()}
         observation = self._flown.advance(self._drawn_for(ended), anew=False)
         self._ended = np.zeros(self.num_envs, bool)
-        return observation, {**info, "final_obs": final, "_final_obs": ended, "final_info": info, "_final_info": ended}
+        begun = {"course_seed": np.array(self.course_seeds), "_course_seed": ended}
+        return observation, {**info, **begun, "final_obs": final, "_final_obs": ended, "final_info": info, "_final_info": ended}
 
 
 def _threads(given: int | None) -> int:
@@ -505,7 +535,11 @@ def _threads(given: int | None) -> int:
     return given or len(os.sched_getaffinity(0))
 
 
-for _id, _options in (("Vigil-v0", {}), ("VigilNormalized-v0", {"normalized": True})):
+for _id, _options in (
+    ("Vigil-v0", {}),
+    ("VigilNormalized-v0", {"normalized": True, "copy": True}),
+    ("VigilImages-v0", {"normalized": True, "images": True}),
+):
     gymnasium.register(
         id=_id,
         entry_point="vigil.gym:VigilEnv",
