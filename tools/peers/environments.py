@@ -1,13 +1,12 @@
 """Steps per second of our Gymnasium environment beside others with a camera: one process, one run, taken in turns (docs/python.md).
 
-tools/peers/environments.sh [--seconds N]; writes JSON to standard output.
+tools/peers/environments.sh [--seconds N] [--only NAME]; writes JSON to standard output.
 """
 
 import argparse
 import json
 import os
 import statistics
-import sys
 import time
 
 import numpy as np
@@ -27,10 +26,10 @@ def vigil(frames):
     return step, 1
 
 
-def vigil_vector(count, threads, frames=1):
+def vigil_vector(count, threads, frames=1, every=1):
     import vigil.gym
 
-    env = vigil.gym.VigilVectorEnv(count, "validation", frames=frames, threads=threads, seeds=range(1000))
+    env = vigil.gym.VigilVectorEnv(count, "validation", frames=frames, every=every, threads=threads, seeds=range(1000))
     env.reset(seed=1)
     actions = np.tile(np.array([0.7, 0.1], np.float32), (count, 1))
     return lambda: env.step(actions), count
@@ -87,8 +86,8 @@ def pybullet_alone():
 
 
 def mujoco(rays):
-    """MuJoCo's physics at 200 Hz of a free body with four thrusts, and 128 × 256 ranges in each step of 50 ms: rendered in software by
-    OpenGL, or (rays) reckoned from its solids, without a picture."""
+    """MuJoCo's physics at 200 Hz of a free body with four thrusts, and in each step of 50 ms a depth picture of 128 × 256 pixels, rendered in
+    software by OpenGL, or (rays) the ranges of 64 × 256 rays to its solids, as many as our LiDAR has."""
     os.environ.setdefault("MUJOCO_GL", "egl")
     import mujoco
 
@@ -104,7 +103,7 @@ def mujoco(rays):
     )
     data, body = mujoco.MjData(model), model.body("vehicle").id
     data.ctrl[:] = 9.81 / 4.0
-    up, right = np.meshgrid(np.radians(np.linspace(30, -30, 128)), np.radians(np.linspace(-60, 60, 256)), indexing="ij")
+    up, right = np.meshgrid(np.radians(np.linspace(30, -30, 64)), np.radians(np.linspace(-60, 60, 256)), indexing="ij")
     ways = np.stack([np.cos(up) * np.cos(right), -np.cos(up) * np.sin(right), np.sin(up)], axis=-1).reshape(-1, 3)
     ranges, solid = np.zeros(len(ways)), np.zeros(len(ways), np.int32)
     renderer = None if rays else mujoco.Renderer(model, 128, 256)
@@ -120,7 +119,7 @@ def mujoco(rays):
             turned = np.ascontiguousarray(ways @ data.xmat[body].reshape(3, 3).T)
             mujoco.mj_multiRay(model, data, data.xpos[body], turned.ravel(), None, True, body, solid, ranges, None, len(ways), 100.0)
             depth = ranges
-        assert depth.size == 128 * 256 and abs(data.qpos[2] - 1.5) < 0.2
+        assert depth.size == (64 if rays else 128) * 256 and abs(data.qpos[2] - 1.5) < 0.2
 
     return step, 1
 
@@ -133,6 +132,9 @@ SUBJECTS = {
     "Vigil, 8 flights, five frames, 2 threads": lambda: vigil_vector(8, 2, 5),
     "Vigil, 32 flights, 1 thread": lambda: vigil_vector(32, 1),
     "Vigil, 32 flights, 2 threads": lambda: vigil_vector(32, 2),
+    "Vigil, 64 flights, 1 thread": lambda: vigil_vector(64, 1),
+    "Vigil, 64 flights, 2 threads": lambda: vigil_vector(64, 2),
+    "Vigil, 64 flights, 1 thread, every fourth beam": lambda: vigil_vector(64, 1, every=4),
     "PyFlyt": pyflyt,
     "PyBullet alone": pybullet_alone,
     "MuJoCo, rendered": lambda: mujoco(False),
@@ -144,9 +146,13 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=2.0, help="of each turn")
     parser.add_argument("--turns", type=int, default=5)
+    parser.add_argument("--only", default="", help="subjects whose name holds this")
     arguments = parser.parse_args()
+    # PyBullet writes to standard output.
+    output = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
     subjects, rates, cpu, missing = {}, {}, {}, {}
-    for name, make in SUBJECTS.items():
+    for name, make in ((name, make) for name, make in SUBJECTS.items() if arguments.only in name):
         try:
             subjects[name] = make()
             subjects[name][0]()
@@ -165,11 +171,12 @@ def main():
             "steps_per_second": round(statistics.median(rates[name]), 1),
             "steps_per_processor_second": round(statistics.median(cpu[name]), 1),
             "turns": [round(r, 1) for r in rates[name]],
+            "turns_of_processor_time": [round(r, 1) for r in cpu[name]],
         }
         for name in subjects
     }
-    json.dump({"measured": found, "not_run": missing}, sys.stdout, indent=2)
-    print()
+    json.dump({"measured": found, "not_run": missing}, output, indent=2)
+    print(file=output)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Steps per second of our Gymnasium environment beside PyFlyt's, PyBullet's own and MuJoCo's with depth pictures of the same size.
-# Makes its own virtual environment under target/ and installs the package of this checkout into it. Arguments: --seconds N, --turns N.
+# Makes its own virtual environment under target/ and installs the package of this checkout into it. Arguments: --seconds N, --turns N, --only NAME.
 set -euo pipefail
 repository=$(cd "$(dirname "$0")/../.." && pwd)
 venv=$repository/target/venv-environments

@@ -69,6 +69,25 @@ def check_our_vec_env_gives_what_sb3s_own_gives() -> None:
         assert [info["course_seed"] for info in ours.reset_infos] == [info["course_seed"] for info in theirs.reset_infos]
 
 
+def check_what_our_vec_env_does_not_take_is_refused() -> None:
+    envs = VigilVecEnv(2, threads=1, **SHORT)
+    assert envs.get_attr("num_envs") == [2, 2] and envs.env_is_wrapped(VecMonitor, [0]) == [False]
+    envs.set_options({"course_seed": 7})
+    for refused, error, said in (
+        (lambda: VigilVecEnv(2, autoreset_mode="NextStep"), ValueError, "autoreset_mode"),
+        (lambda: VigilVecEnv(2, buffers={}), ValueError, "buffers"),
+        (envs.reset, ValueError, "takes none"),
+        (lambda: envs.env_method("potential_field"), NotImplementedError, "one object"),
+        (lambda: envs.set_attr("wind", 3.0), NotImplementedError, "one object"),
+    ):
+        try:
+            refused()
+        except error as told:
+            assert said in str(told), told
+        else:
+            raise AssertionError(f"{said}: was taken")
+
+
 def trained(model: PPO | SAC, steps: int) -> None:
     """The policy has learned something, whatever it is, and decides."""
     before = [value.clone() for value in model.policy.parameters()]

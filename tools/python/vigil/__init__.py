@@ -2,6 +2,7 @@
 
 ========================  ==========================================================================
 :mod:`vigil.gym`          a Gymnasium environment over the simulator, single and vectorised
+:mod:`vigil.sb3`          the vectorised one as a ``VecEnv`` of Stable-Baselines3
 :mod:`vigil.policy`       the frozen actor and imported policies, deciding on frames
 :mod:`vigil.explain`      DeepSHAP of the actor and of imported policies
 :mod:`vigil.attack`       FGSM, BIM, PGD and others on what a policy sees
