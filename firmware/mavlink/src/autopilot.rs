@@ -141,41 +141,32 @@ mod tests {
     use super::*;
 
     #[test]
-    fn px4_modes_are_told_apart() {
-        let mode = |main: u32, sub: u32| Flavour::Px4.mode(0x81, main << 16 | sub << 24);
-        assert_eq!(mode(6, 0), VehicleMode::External);
-        assert_eq!(mode(4, 3), VehicleMode::Hold);
-        assert_eq!(mode(4, 2), VehicleMode::Takeoff);
-        assert_eq!(mode(4, 4), VehicleMode::Mission);
-        assert_eq!(mode(4, 5), VehicleMode::Return);
-        assert_eq!(mode(4, 6), VehicleMode::Land);
-        assert_eq!(mode(3, 0), VehicleMode::Other);
-        assert_eq!(
-            Flavour::Px4.mode(0x80, 6 << 16),
-            VehicleMode::Other,
-            "without the flag the number means nothing"
-        );
-    }
-
-    #[test]
-    fn copter_modes_are_told_apart() {
-        let mode = |custom| Flavour::ArduPilot.mode(0x81, custom);
-        assert_eq!(mode(4), VehicleMode::External);
-        assert_eq!(mode(3), VehicleMode::Mission);
-        assert_eq!(mode(17), VehicleMode::Hold);
-        assert_eq!(
-            (mode(5), mode(16), mode(2)),
-            (VehicleMode::Other, VehicleMode::Other, VehicleMode::Other),
-            "LOITER, POSHOLD and ALT_HOLD are flown by sticks"
-        );
-        assert_eq!(
-            (mode(6), mode(9), mode(0)),
-            (VehicleMode::Return, VehicleMode::Land, VehicleMode::Other)
-        );
-        assert_eq!(
-            mode(4 << 16),
-            VehicleMode::Other,
-            "a PX4 number is not an ArduPilot number"
-        );
+    fn modes_are_told_apart() {
+        use VehicleMode::*;
+        let px4 = |main: u32, sub: u32| main << 16 | sub << 24;
+        for (flavour, custom_mode, mode) in [
+            (Flavour::Px4, px4(6, 0), External),
+            (Flavour::Px4, px4(4, 3), Hold),
+            (Flavour::Px4, px4(4, 2), Takeoff),
+            (Flavour::Px4, px4(4, 4), Mission),
+            (Flavour::Px4, px4(4, 5), Return),
+            (Flavour::Px4, px4(4, 6), Land),
+            (Flavour::Px4, px4(3, 0), Other),
+            (Flavour::ArduPilot, 4, External),
+            (Flavour::ArduPilot, 3, Mission),
+            (Flavour::ArduPilot, 17, Hold),
+            (Flavour::ArduPilot, 6, Return),
+            (Flavour::ArduPilot, 9, Land),
+            (Flavour::ArduPilot, 0, Other),
+            // LOITER, POSHOLD and ALT_HOLD are flown by sticks.
+            (Flavour::ArduPilot, 5, Other),
+            (Flavour::ArduPilot, 16, Other),
+            (Flavour::ArduPilot, 2, Other),
+            (Flavour::ArduPilot, px4(4, 0), Other),
+        ] {
+            assert_eq!(flavour.mode(0x81, custom_mode), mode, "{flavour:?} {custom_mode:#x}");
+        }
+        let without_the_flag = Flavour::Px4.mode(0x80, px4(6, 0));
+        assert_eq!(without_the_flag, Other, "the number means nothing");
     }
 }

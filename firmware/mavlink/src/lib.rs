@@ -59,3 +59,25 @@ pub use operator::{LET_GO, PendingRequest};
 pub use parameter_table::{MAX_PARAMETERS, Parameter, ParameterValue, Parameters, ValueError};
 pub use status_text::StatusText;
 pub use vehicle::Vehicle;
+
+/// A message of the dialect with these fields, the others as they are by default.
+///
+/// ```
+/// use vigil_mavlink::{MavMessage, message};
+///
+/// let yaw = 0.5;
+/// let MavMessage::ATTITUDE(attitude) = message!(ATTITUDE, time_boot_ms = 20, yaw) else { unreachable!() };
+/// assert_eq!((attitude.time_boot_ms, attitude.yaw, attitude.roll), (20, 0.5, 0.0));
+/// ```
+#[macro_export]
+macro_rules! message {
+    (@of $value:ident) => { $value };
+    (@of $field:ident $value:expr) => { $value };
+    ($name:ident $(, $field:ident $(= $value:expr)?)* $(,)?) => {{
+        let mut message = $crate::MavMessage::$name(Default::default());
+        if let $crate::MavMessage::$name(_data) = &mut message {
+            $(_data.$field = $crate::message!(@of $field $($value)?);)*
+        }
+        message
+    }};
+}

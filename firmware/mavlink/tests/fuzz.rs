@@ -9,60 +9,35 @@ use proptest::test_runner::RngSeed;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{Command, CommandForm, FramingCounters, MAX_PACKET_LEN, packets, serialize_payload};
 use vigil_mavlink::mavlink::Message;
-use vigil_mavlink::{Flavour, MavHeader, MavMessage};
+use vigil_mavlink::{Flavour, MavHeader, MavMessage, message};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Standby};
 use vigil_types::{Reasons, VehicleRequest};
 
 /// One packet of everything that the companion reads.
 fn corpus() -> Vec<Vec<u8>> {
     let mut packets: Vec<Vec<u8>> = [
-        MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
-            mavlink_version: 3,
-            ..Default::default()
-        }),
-        MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
-            x: 1.0,
-            vz: 2.0,
-            ..Default::default()
-        }),
-        MavMessage::ATTITUDE(ATTITUDE_DATA {
-            yaw: 1.0,
-            yawspeed: 0.1,
-            ..Default::default()
-        }),
-        MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
-            q1: 1.0,
-            yawspeed: 0.1,
-            ..Default::default()
-        }),
-        MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
-            landed_state: MavLandedState::MAV_LANDED_STATE_IN_AIR,
-            ..Default::default()
-        }),
-        MavMessage::SYS_STATUS(SYS_STATUS_DATA {
-            battery_remaining: 50,
-            ..Default::default()
-        }),
-        MavMessage::HOME_POSITION(HOME_POSITION_DATA {
-            latitude: 1,
-            z: 1.0,
-            ..Default::default()
-        }),
-        MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
-            altitude: 1,
-            ..Default::default()
-        }),
-        MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {
-            command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
-            target_system: 1,
-            target_component: 191,
-            ..Default::default()
-        }),
-        MavMessage::TIMESYNC(TIMESYNC_DATA {
-            ts1: 5,
-            ..Default::default()
-        }),
+        message!(
+            HEARTBEAT,
+            autopilot = MavAutopilot::MAV_AUTOPILOT_PX4,
+            mavlink_version = 3
+        ),
+        message!(LOCAL_POSITION_NED, x = 1.0, vz = 2.0),
+        message!(ATTITUDE, yaw = 1.0, yawspeed = 0.1),
+        message!(ATTITUDE_QUATERNION, q1 = 1.0, yawspeed = 0.1),
+        message!(
+            EXTENDED_SYS_STATE,
+            landed_state = MavLandedState::MAV_LANDED_STATE_IN_AIR
+        ),
+        message!(SYS_STATUS, battery_remaining = 50),
+        message!(HOME_POSITION, latitude = 1, z = 1.0),
+        message!(GPS_GLOBAL_ORIGIN, altitude = 1),
+        message!(
+            COMMAND_ACK,
+            command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
+            target_system = 1,
+            target_component = 191
+        ),
+        message!(TIMESYNC, ts1 = 5),
     ]
     .iter()
     .map(|m| bytes_of(VEHICLE, m))

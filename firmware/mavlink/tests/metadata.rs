@@ -5,8 +5,9 @@ mod common;
 
 use common::{GROUND_STATION, ME, bytes_of, command_long, messages, report};
 use std::{env, fs, path::Path};
-use vigil_mavlink::common::{FILE_TRANSFER_PROTOCOL_DATA, MavCmd};
-use vigil_mavlink::{Companion, CompanionConfig, MavMessage};
+use vigil_mavlink::common::MavCmd;
+use vigil_mavlink::crc::crc32;
+use vigil_mavlink::{Companion, CompanionConfig, MavMessage, message};
 use vigil_types::parameters::{ALL, Kind, Preset};
 use vigil_types::{Datagrams, GuidanceState, ParameterSpec, VehicleRequest};
 
@@ -48,12 +49,13 @@ impl Computer {
         payload[..5].copy_from_slice(&[7, 0, session, opcode, size]);
         payload[8..12].copy_from_slice(&offset.to_le_bytes());
         payload[12..12 + data.len()].copy_from_slice(data);
-        let message = MavMessage::FILE_TRANSFER_PROTOCOL(FILE_TRANSFER_PROTOCOL_DATA {
-            target_network: 0,
-            target_system: ME.0,
-            target_component: ME.1,
-            payload,
-        });
+        let message = message!(
+            FILE_TRANSFER_PROTOCOL,
+            target_network = 0,
+            target_system = ME.0,
+            target_component = ME.1,
+            payload
+        );
         self.0.receive(0, 1, &bytes_of(client, &message));
     }
 
@@ -86,13 +88,6 @@ fn computer() -> Computer {
 fn file(name: &str) -> Vec<u8> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/services/metadata");
     fs::read(folder.join(name)).unwrap()
-}
-
-fn crc32(content: &[u8]) -> u32 {
-    let bit = |crc: u32, _: u32| (crc >> 1) ^ if crc & 1 == 1 { 0xEDB8_8320 } else { 0 };
-    content
-        .iter()
-        .fold(0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), bit))
 }
 
 #[test]

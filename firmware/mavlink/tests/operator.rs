@@ -9,7 +9,7 @@ use common::{
 };
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{Command, CommandForm, MAX_PACKET_LEN};
-use vigil_mavlink::{Flavour, MavHeader, MavMessage};
+use vigil_mavlink::{Flavour, MavHeader, MavMessage, message};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
 use vigil_types::{
     Action, Datagrams, GoalRelative, HeadingVector, OperatorRequest, Reason, Reasons, RequestOutcome, STEP_NS,
@@ -107,21 +107,16 @@ fn a_goal_on_the_globe_becomes_local_once_the_origin_is_known() {
     b.hear(VEHICLE, &heartbeat(MavAutopilot::MAV_AUTOPILOT_PX4));
     b.hear(
         VEHICLE,
-        &MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
-            latitude: 473_977_420,
-            longitude: 85_455_940,
-            altitude: 488_000,
-            time_usec: 0,
-        }),
+        &message!(
+            GPS_GLOBAL_ORIGIN,
+            latitude = 473_977_420,
+            longitude = 85_455_940,
+            altitude = 488_000,
+            time_usec = 0
+        ),
     );
     // Home is 2 m above the origin.
-    b.hear(
-        VEHICLE,
-        &MavMessage::HOME_POSITION(HOME_POSITION_DATA {
-            z: -2.0,
-            ..Default::default()
-        }),
-    );
+    b.hear(VEHICLE, &message!(HOME_POSITION, z = -2.0));
     for (frame, z, height) in [
         (MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT, 4.0, 6.0),
         (MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, 4.0, 6.0),
@@ -220,51 +215,33 @@ fn a_flood_of_commands_is_answered_as_far_as_there_is_room_and_the_rest_counted(
 #[test]
 fn time_questions_are_answered_to_the_asker() {
     let mut b = Bench::new(Flavour::Px4);
-    b.hear(
-        GROUND_STATION,
-        &MavMessage::TIMESYNC(TIMESYNC_DATA {
-            ts1: 123_456_789,
-            ..Default::default()
-        }),
-    );
-    b.hear(
-        GROUND_STATION,
-        &MavMessage::TIMESYNC(TIMESYNC_DATA {
-            tc1: 5,
-            ts1: 1,
-            ..Default::default()
-        }),
-    );
+    b.hear(GROUND_STATION, &message!(TIMESYNC, ts1 = 123_456_789));
+    b.hear(GROUND_STATION, &message!(TIMESYNC, tc1 = 5, ts1 = 1));
     #[allow(deprecated)]
-    b.hear(
-        GROUND_STATION,
-        &MavMessage::PING(PING_DATA {
-            time_usec: 77,
-            seq: 3,
-            ..Default::default()
-        }),
-    );
+    b.hear(GROUND_STATION, &message!(PING, time_usec = 77, seq = 3));
     let asked_ns = b.now_ns;
     let sent = idle(&mut b);
     let answers: Vec<_> = sent.iter().map(|(_, m)| m).collect();
-    assert!(answers.contains(&&MavMessage::TIMESYNC(TIMESYNC_DATA {
-        tc1: asked_ns as i64,
-        ts1: 123_456_789,
-        target_system: 255,
-        target_component: 190,
-    })));
+    assert!(answers.contains(&&message!(
+        TIMESYNC,
+        tc1 = asked_ns as i64,
+        ts1 = 123_456_789,
+        target_system = 255,
+        target_component = 190
+    )));
     assert_eq!(
         answers.iter().filter(|m| matches!(m, MavMessage::TIMESYNC(_))).count(),
         1,
         "an answer is not answered"
     );
     #[allow(deprecated)]
-    let ping = MavMessage::PING(PING_DATA {
-        time_usec: 77,
-        seq: 3,
-        target_system: 255,
-        target_component: 190,
-    });
+    let ping = message!(
+        PING,
+        time_usec = 77,
+        seq = 3,
+        target_system = 255,
+        target_component = 190
+    );
     assert!(answers.contains(&&ping));
 }
 
@@ -374,7 +351,7 @@ fn values_are_named_and_come_four_times_a_second_and_at_once_on_change() {
         reasons: Reasons::of(Reason::StaleFrame).with_if(true, Reason::Slip),
         ..report(now_ns, Hold)
     };
-    let mut damaged = bytes_of(VEHICLE, &MavMessage::ATTITUDE(ATTITUDE_DATA::default()));
+    let mut damaged = bytes_of(VEHICLE, &message!(ATTITUDE));
     damaged[5] ^= 1;
     b.companion.receive(b.now_ns, 0, &damaged);
     b.companion.emit(&full(b.now_ns), VehicleRequest::None, &mut b.sent);
@@ -413,20 +390,6 @@ fn values_are_named_and_come_four_times_a_second_and_at_once_on_change() {
         [("gd_state".to_owned(), 4.0), ("gd_reason".to_owned(), 2.0)]
     );
     assert!(texts(&b.sent).is_empty(), "a text only when the state changes");
-}
-
-#[test]
-fn a_text_that_is_too_long_for_one_message_comes_in_chunks() {
-    let mut b = Bench::new(Flavour::Px4);
-    let sent = b.step(Standby, Reasons(0x1F), VehicleRequest::None);
-    assert_eq!(
-        texts(&b.sent),
-        ["guidance: standby (stale frame, bad frame, stale telemetry, link lost, not finite)"]
-    );
-    let chunks: Vec<_> = only!(sent, STATUSTEXT)
-        .map(|t| (t.id != 0, t.chunk_seq, t.text.to_str().unwrap().len()))
-        .collect();
-    assert_eq!(chunks, [(true, 0, 50), (true, 1, 32)]);
 }
 
 #[test]

@@ -3,11 +3,8 @@
 mod common;
 
 use common::{GROUND_STATION, ME, VEHICLE, bytes_of, messages, report, texts};
-use vigil_mavlink::common::{
-    HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavFrame, MavParamError, MavParamType, OBSTACLE_DISTANCE_DATA,
-    PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
-};
-use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavMessage, Parameter, ParameterValue, Parameters};
+use vigil_mavlink::common::{MavFrame, MavParamError, MavParamType, OBSTACLE_DISTANCE_DATA, PARAM_VALUE_DATA};
+use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavMessage, Parameter, ParameterValue, Parameters, message};
 use vigil_types::{Datagrams, GuidanceState, Nanos, STEP_NS, VehicleRequest};
 
 const REAL: MavParamType = MavParamType::MAV_PARAM_TYPE_REAL32;
@@ -84,29 +81,28 @@ impl Computer {
 }
 
 fn list((target_system, target_component): (u8, u8)) -> MavMessage {
-    MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
-        target_system,
-        target_component,
-    })
+    message!(PARAM_REQUEST_LIST, target_system, target_component)
 }
 
 fn read(name: &str, param_index: i16) -> MavMessage {
-    MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
+    message!(
+        PARAM_REQUEST_READ,
         param_index,
-        target_system: ME.0,
-        target_component: ME.1,
-        param_id: name.into(),
-    })
+        target_system = ME.0,
+        target_component = ME.1,
+        param_id = name.into()
+    )
 }
 
 fn set(name: &str, param_value: f32, param_type: MavParamType) -> MavMessage {
-    MavMessage::PARAM_SET(PARAM_SET_DATA {
+    message!(
+        PARAM_SET,
         param_value,
-        target_system: ME.0,
-        target_component: ME.1,
-        param_id: name.into(),
-        param_type,
-    })
+        target_system = ME.0,
+        target_component = ME.1,
+        param_id = name.into(),
+        param_type
+    )
 }
 
 fn name(value: &PARAM_VALUE_DATA) -> &str {
@@ -255,13 +251,7 @@ fn integers_go_bytewise_to_px4s_clients_and_as_numbers_to_ardupilots() {
 /// A computer whose vehicle is in the air.
 fn in_the_air() -> Companion {
     let mut companion = Companion::new(CompanionConfig::default());
-    for message in [
-        MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()),
-        MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
-            z: -3.0,
-            ..Default::default()
-        }),
-    ] {
+    for message in [message!(HEARTBEAT), message!(LOCAL_POSITION_NED, z = -3.0)] {
         companion.receive(0, 0, &bytes_of(VEHICLE, &message));
     }
     companion

@@ -10,20 +10,13 @@ use common::{
 use vigil_guidance::{EngagePolicy, GuidanceConfig};
 use vigil_mavlink::Flavour::{self, ArduPilot, Px4};
 use vigil_mavlink::common::{MavAutopilot, MavCmd, MavFrame, MavMessage, MavResult};
-use vigil_mavlink::{Companion, CompanionConfig};
+use vigil_mavlink::{Companion, CompanionConfig, message};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Ready, Standby};
 use vigil_types::ObstacleReports;
 use vigil_types::{
     Datagrams, NedVector, OperatorRequest, Reason, Reasons, RequestOutcome, STEP_NS, StepReport, VehicleMode,
     VehicleRequest,
 };
-
-fn auto() -> GuidanceConfig {
-    GuidanceConfig {
-        engage: EngagePolicy::Auto,
-        ..Default::default()
-    }
-}
 
 fn seconds(s: f64) -> usize {
     (s / 0.05).round() as usize
@@ -91,14 +84,8 @@ fn streams_that_stay_slow_are_asked_for_less_and_less_often_and_at_4_hz_the_smal
         f.step();
         f.peer.slowed_to_steps = Some(5);
     }
-    let position: Vec<u64> = f
-        .peer
-        .commands
-        .iter()
-        .filter(|c| c.command == 511 && c.params[0] == 32.0)
-        .map(|c| c.at_ns)
-        .collect();
-    assert!((3..=8).contains(&position.len()), "{}", position.len());
+    let positions = f.peer.got(511).iter().filter(|c| c.params[0] == 32.0).count();
+    assert!((3..=8).contains(&positions), "{positions}");
     let streams: Vec<u8> = f.peer.streams_asked.iter().map(|(stream, _)| *stream).collect();
     assert!(
         streams.contains(&6) && streams.contains(&10),
@@ -227,23 +214,14 @@ fn what_flies_is_not_taken_for_another_autopilot_in_flight() {
 
 #[test]
 fn a_wrong_vehicle_is_named_at_once_and_again_every_half_minute() {
-    for (configured, actual, told) in [
-        (
-            Px4,
-            ArduPilot,
-            "vehicle is ArduPilot, but set is PX4: it is not flown; use --vehicle auto",
-        ),
-        (
-            ArduPilot,
-            Px4,
-            "vehicle is PX4, but set is ArduPilot: it is not flown; use --vehicle auto",
-        ),
-    ] {
+    for (configured, actual) in [(Px4, ArduPilot), (ArduPilot, Px4)] {
+        let (set, is) = (configured.name(), actual.name());
+        let told = format!("vehicle is {is}, but set is {set}: it is not flown; use --vehicle auto");
         let mut f = Flight::new(configured, Peer::on_the_ground(actual));
         f.step();
-        f.assert_told(told);
+        f.assert_told(&told);
         f.run(seconds(61.0));
-        assert_eq!(f.texts.iter().filter(|t| *t == told).count(), 3);
+        assert_eq!(f.texts.iter().filter(|t| **t == told).count(), 3);
         assert!(f.peer.flight_commands().is_empty());
     }
 }
@@ -304,7 +282,7 @@ fn missing_inputs_are_named_one_by_one_with_their_age() {
 
     // The vehicle is there; its attitude came, its position did not; the frames ended 5 s ago.
     b.hear(VEHICLE, &heartbeat(MavAutopilot::MAV_AUTOPILOT_PX4));
-    b.hear(VEHICLE, &MavMessage::ATTITUDE(Default::default()));
+    b.hear(VEHICLE, &message!(ATTITUDE));
     assert!(step(&mut b, 0.1, Reasons::NONE, &|_| {}).is_empty());
     let some = Reasons::of(Reason::StaleFrame).with_if(true, Reason::StaleTelemetry);
     let told = step(&mut b, 1.1, some, &|report| report.frame_age_ns = Some(5_000_000_000));
@@ -441,23 +419,19 @@ fn what_the_sensor_sees_of_the_ground_is_not_told_as_obstacles() {
         (InFlight, (0, 0), (8, 8)),
         (KeepAlive, (8, 0), (8, 8)),
     ] {
-        assert_eq!(
-            obstacles_told(obstacles, Peer::on_the_ground(ArduPilot)),
-            on_ground,
-            "{obstacles:?}"
-        );
-        assert_eq!(
-            obstacles_told(obstacles, Peer::in_the_air(ArduPilot)),
-            in_air,
-            "{obstacles:?}"
-        );
+        let told = [Peer::on_the_ground(ArduPilot), Peer::in_the_air(ArduPilot)].map(|p| obstacles_told(obstacles, p));
+        assert_eq!(told, [on_ground, in_air], "{obstacles:?}");
     }
     assert_eq!(ObstacleReports::default(), InFlight);
 }
 
 #[test]
 fn a_pilots_loiter_is_not_taken_by_a_firmware_that_starts() {
-    let mut f = Flight::of(None, Peer::in_the_air(ArduPilot), auto());
+    let auto = GuidanceConfig {
+        engage: EngagePolicy::Auto,
+        ..Default::default()
+    };
+    let mut f = Flight::of(None, Peer::in_the_air(ArduPilot), auto);
     let waiting = f.run(seconds(60.0));
     assert_eq!(
         (waiting.state, waiting.reasons),

@@ -1,7 +1,8 @@
 //! Signing against packets that pymavlink signed, and what is refused.
 
-use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
+use vigil_mavlink::common::MavCmd;
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, Packet, encode, packets};
+use vigil_mavlink::message;
 use vigil_mavlink::signing::{
     MAX_STREAMS, Refusal, SIGNATURE_LEN, Signing, SigningCounters, SigningKey, SigningMemory, Timestamp,
     UNITS_PER_SECOND, timestamp_of_unix_ns,
@@ -67,14 +68,14 @@ fn verdict(verifier: &mut Signing, now: Timestamp, bytes: &[u8]) -> Result<(), R
 
 /// A command that would be obeyed.
 fn unsigned(i: u32, sender: (u8, u8)) -> Vec<u8> {
-    let message = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        param1: 1.0,
-        param7: i as f32,
-        command: MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
-        target_system: 1,
-        target_component: 191,
-        ..COMMAND_LONG_DATA::DEFAULT
-    });
+    let message = message!(
+        COMMAND_LONG,
+        param1 = 1.0,
+        param7 = i as f32,
+        command = MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
+        target_system = 1,
+        target_component = 191
+    );
     encode(sender, i as u8, &message)
 }
 

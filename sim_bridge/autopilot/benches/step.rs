@@ -40,18 +40,17 @@ fn second_of_telemetry(bencher: Bencher<'_, '_>, links: usize) {
 /// One velocity setpoint as the companion sends it.
 #[divan::bench]
 fn receive_a_setpoint(bencher: Bencher<'_, '_>) {
-    use vigil_mavlink::MavMessage;
-    use vigil_mavlink::common::{MavFrame, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA};
+    use vigil_mavlink::common::{MavFrame, PositionTargetTypemask};
     use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
     #[allow(deprecated)]
-    let message = MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
-        vx: 1.0,
-        type_mask: PositionTargetTypemask::from_bits_retain(0x5C7),
-        coordinate_frame: MavFrame::MAV_FRAME_BODY_NED,
-        target_system: 1,
-        target_component: 1,
-        ..Default::default()
-    });
+    let message = vigil_mavlink::message!(
+        SET_POSITION_TARGET_LOCAL_NED,
+        vx = 1.0,
+        type_mask = PositionTargetTypemask::from_bits_retain(0x5C7),
+        coordinate_frame = MavFrame::MAV_FRAME_BODY_NED,
+        target_system = 1,
+        target_component = 1
+    );
     let header = vigil_mavlink::MavHeader {
         system_id: 1,
         component_id: 191,

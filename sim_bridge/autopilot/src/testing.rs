@@ -14,6 +14,7 @@ pub use crate::{EndpointConfig, Failsafe, FlightMode, LandedState, LinkId, Param
 pub use vigil_mavlink::MavMessage;
 pub use vigil_mavlink::common::*;
 pub use vigil_mavlink::mavlink::MessageData;
+pub use vigil_mavlink::message;
 
 pub const ONBOARD: LinkId = LinkId::ONBOARD;
 pub const API: LinkId = LinkId::API;
@@ -172,8 +173,18 @@ impl Bench {
         self.send_raw(link, &packet);
     }
 
+    /// Sends a script's message to the vehicle.
+    pub fn tell(&mut self, mut message: MavMessage) {
+        message
+            .target_system_id_mut()
+            .into_iter()
+            .for_each(|id| *id = self.system);
+        message.target_component_id_mut().into_iter().for_each(|id| *id = 1);
+        self.send(API, SCRIPT, &message);
+    }
+
     pub fn send_heartbeat(&mut self, link: LinkId, from: ComponentId) {
-        self.send(link, from, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()));
+        self.send(link, from, &message!(HEARTBEAT));
     }
 
     /// Sends a script's COMMAND_LONG, further parameters zero, and returns the result.
@@ -221,22 +232,20 @@ impl Bench {
         z: f32,
     ) -> u8 {
         let [param1, param2, param3, param4] = params;
-        let data = COMMAND_INT_DATA {
+        let (x, y) = (geo::deg_e7(lat), geo::deg_e7(lon));
+        let before = self.sent.len();
+        self.tell(message!(
+            COMMAND_INT,
             param1,
             param2,
             param3,
             param4,
-            x: geo::deg_e7(lat),
-            y: geo::deg_e7(lon),
+            x,
+            y,
             z,
             command,
-            target_system: 1,
-            target_component: 1,
-            frame,
-            ..Default::default()
-        };
-        let before = self.sent.len();
-        self.send(API, SCRIPT, &MavMessage::COMMAND_INT(data));
+            frame
+        ));
         self.sent[before..].iter().find_map(|s| s.ack).expect("answered").result
     }
 
@@ -280,34 +289,17 @@ impl Bench {
     }
 
     pub fn set_parameter_as(&mut self, name: &str, param_value: f32, param_type: MavParamType) {
-        let message = MavMessage::PARAM_SET(PARAM_SET_DATA {
-            param_value,
-            target_system: self.system,
-            target_component: 1,
-            param_id: name.into(),
-            param_type,
-        });
-        self.send(API, SCRIPT, &message);
+        self.tell(message!(PARAM_SET, param_value, param_id = name.into(), param_type));
     }
 
     /// Asks for a parameter, by its name where the index is −1.
     pub fn read_parameter(&mut self, name: &str, param_index: i16) {
-        let message = MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
-            param_index,
-            target_system: self.system,
-            target_component: 1,
-            param_id: name.into(),
-        });
-        self.send(API, SCRIPT, &message);
+        self.tell(message!(PARAM_REQUEST_READ, param_index, param_id = name.into()));
     }
 
     /// Asks for the list of all parameters.
     pub fn request_parameters(&mut self) {
-        let message = MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
-            target_system: 1,
-            target_component: 1,
-        });
-        self.send(API, SCRIPT, &message);
+        self.tell(message!(PARAM_REQUEST_LIST));
     }
 
     /// Streams a message at 20 Hz for this long.
@@ -464,30 +456,30 @@ pub fn local_setpoint(mask: u16, change: impl FnOnce(&mut SET_POSITION_TARGET_LO
 
 /// SET_POSITION_TARGET_GLOBAL_INT of a position alone.
 pub fn global_setpoint(frame: MavFrame, (lat, lon): (f64, f64), alt: f32) -> MavMessage {
-    MavMessage::SET_POSITION_TARGET_GLOBAL_INT(SET_POSITION_TARGET_GLOBAL_INT_DATA {
-        lat_int: geo::deg_e7(lat),
-        lon_int: geo::deg_e7(lon),
+    message!(
+        SET_POSITION_TARGET_GLOBAL_INT,
+        lat_int = geo::deg_e7(lat),
+        lon_int = geo::deg_e7(lon),
         alt,
-        type_mask: PositionTargetTypemask::from_bits_retain(0xDF8),
-        target_system: 1,
-        target_component: 1,
-        coordinate_frame: frame,
-        ..Default::default()
-    })
+        type_mask = PositionTargetTypemask::from_bits_retain(0xDF8),
+        target_system = 1,
+        target_component = 1,
+        coordinate_frame = frame
+    )
 }
 
 /// SET_ATTITUDE_TARGET of a pitch, a yaw rate and a thrust.
 pub fn attitude_setpoint(mask: u8, pitch_deg: f32, body_yaw_rate: f32, thrust: f32) -> MavMessage {
     let half_rad = pitch_deg.to_radians() / 2.0;
-    MavMessage::SET_ATTITUDE_TARGET(SET_ATTITUDE_TARGET_DATA {
-        q: [half_rad.cos(), 0.0, half_rad.sin(), 0.0],
+    message!(
+        SET_ATTITUDE_TARGET,
+        q = [half_rad.cos(), 0.0, half_rad.sin(), 0.0],
         body_yaw_rate,
         thrust,
-        type_mask: AttitudeTargetTypemask::from_bits_retain(mask),
-        target_system: 1,
-        target_component: 1,
-        ..Default::default()
-    })
+        type_mask = AttitudeTargetTypemask::from_bits_retain(mask),
+        target_system = 1,
+        target_component = 1
+    )
 }
 
 /// Latitude and longitude of a place, metres north and east of home.

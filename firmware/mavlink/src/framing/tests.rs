@@ -1,5 +1,5 @@
 use super::*;
-use crate::{MavHeader, MavMessage, common::*};
+use crate::{MavHeader, MavMessage, common::*, message};
 use mavlink::{MAVLinkV1MessageRaw, MAVLinkV2MessageRaw, MavlinkVersion};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -11,14 +11,15 @@ const HEADER: MavHeader = MavHeader {
 };
 
 fn heartbeat() -> MavMessage {
-    MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        custom_mode: 0x0006_0000,
-        mavtype: MavType::MAV_TYPE_QUADROTOR,
-        autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
-        base_mode: MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED,
-        system_status: MavState::MAV_STATE_ACTIVE,
-        mavlink_version: 3,
-    })
+    message!(
+        HEARTBEAT,
+        custom_mode = 0x0006_0000,
+        mavtype = MavType::MAV_TYPE_QUADROTOR,
+        autopilot = MavAutopilot::MAV_AUTOPILOT_PX4,
+        base_mode = MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED,
+        system_status = MavState::MAV_STATE_ACTIVE,
+        mavlink_version = 3
+    )
 }
 
 fn bytes_of(message: &MavMessage) -> Vec<u8> {
@@ -28,13 +29,13 @@ fn bytes_of(message: &MavMessage) -> Vec<u8> {
 }
 
 fn arm() -> Vec<u8> {
-    bytes_of(&MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        param1: 1.0,
-        command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
-        target_system: 1,
-        target_component: 1,
-        ..Default::default()
-    }))
+    bytes_of(&message!(
+        COMMAND_LONG,
+        param1 = 1.0,
+        command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
+        target_system = 1,
+        target_component = 1
+    ))
 }
 
 /// A packet of the message number 12 900 000, which no dialect has.
@@ -66,11 +67,8 @@ fn a_renumbered_packet_is_the_one_with_that_number_from_the_start() {
 fn bytes_are_those_of_the_crates_own_serializer() {
     for message in [
         heartbeat(),
-        MavMessage::STATUSTEXT(STATUSTEXT_DATA {
-            text: "guidance: hold (stale frame)".into(),
-            ..Default::default()
-        }),
-        MavMessage::COMMAND_ACK(COMMAND_ACK_DATA::default()),
+        message!(STATUSTEXT, text = "guidance: hold (stale frame)".into()),
+        message!(COMMAND_ACK),
     ] {
         let mut raw = MAVLinkV2MessageRaw::new();
         raw.serialize_message(HEADER, &message);
@@ -277,11 +275,11 @@ fn a_command_survives_the_way_to_bytes_and_back() {
 
 #[test]
 fn trailing_zeros_that_were_cut_read_as_zero() {
-    let bytes = bytes_of(&MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        param1: 1.0,
-        command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
-        ..Default::default()
-    }));
+    let bytes = bytes_of(&message!(
+        COMMAND_LONG,
+        param1 = 1.0,
+        command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM
+    ));
     let (found, _) = scan(&bytes);
     assert!(found[0].payload().len() < 33);
     let c = found[0].command().unwrap();

@@ -5,11 +5,9 @@ pub mod peer;
 
 use peer::Peer;
 use vigil_guidance::{EngagePolicy, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput};
-use vigil_mavlink::common::{
-    COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavFrame, MavType,
-};
+use vigil_mavlink::common::{MavAutopilot, MavCmd, MavFrame, MavType};
 use vigil_mavlink::framing::{FramingCounters, encode, packets};
-use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavHeader, MavMessage};
+use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavHeader, MavMessage, message};
 use vigil_types::{
     Action, Datagrams, GuidanceState, Nanos, OperatorRequest, Reasons, RequestOutcome, STEP_NS, StepReport, StepTiming,
     VehicleRequest, VelocitySetpoint,
@@ -66,11 +64,7 @@ macro_rules! only {
 
 /// An autopilot's heartbeat, or that of something that is none.
 pub fn heartbeat(autopilot: MavAutopilot) -> MavMessage {
-    MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        autopilot,
-        mavtype: MavType::MAV_TYPE_QUADROTOR,
-        ..Default::default()
-    })
+    message!(HEARTBEAT, autopilot, mavtype = MavType::MAV_TYPE_QUADROTOR)
 }
 
 /// The texts of a step, chunks put together as the protocol says.
@@ -99,29 +93,29 @@ pub fn named_values(sent: &Datagrams) -> Vec<(String, f32)> {
 }
 
 pub fn command_long(command: MavCmd, target: (u8, u8), param1: f32) -> MavMessage {
-    MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+    message!(
+        COMMAND_LONG,
         param1,
         command,
-        target_system: target.0,
-        target_component: target.1,
-        ..Default::default()
-    })
+        target_system = target.0,
+        target_component = target.1
+    )
 }
 
 pub fn reposition(frame: MavFrame, x: i32, y: i32, z: f32) -> MavMessage {
-    MavMessage::COMMAND_INT(COMMAND_INT_DATA {
-        param1: -1.0,
-        param2: 1.0,
-        param4: f32::NAN,
+    message!(
+        COMMAND_INT,
+        param1 = -1.0,
+        param2 = 1.0,
+        param4 = f32::NAN,
         x,
         y,
         z,
-        command: MavCmd::MAV_CMD_DO_REPOSITION,
-        target_system: 1,
-        target_component: 191,
-        frame,
-        ..Default::default()
-    })
+        command = MavCmd::MAV_CMD_DO_REPOSITION,
+        target_system = 1,
+        target_component = 191,
+        frame
+    )
 }
 
 /// A report of a step in which nothing happens.

@@ -3,7 +3,7 @@
 
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{FramingCounters, encode, packets};
-use vigil_mavlink::{Flavour, MavMessage};
+use vigil_mavlink::{Flavour, MavMessage, message};
 use vigil_types::{Nanos, STEP_NS};
 
 /// Above sea level, where both peers' home and local origin are.
@@ -185,21 +185,22 @@ impl Peer {
     fn heartbeat(&self) -> MavMessage {
         let mut base_mode = MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED;
         base_mode.set(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED, self.armed);
-        MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            custom_mode: self.custom_mode(),
-            mavtype: MavType::MAV_TYPE_QUADROTOR,
-            autopilot: match self.flavour {
+        message!(
+            HEARTBEAT,
+            custom_mode = self.custom_mode(),
+            mavtype = MavType::MAV_TYPE_QUADROTOR,
+            autopilot = match self.flavour {
                 Flavour::Px4 => MavAutopilot::MAV_AUTOPILOT_PX4,
                 Flavour::ArduPilot => MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
             },
             base_mode,
-            system_status: match (self.failsafe, self.armed) {
+            system_status = match (self.failsafe, self.armed) {
                 (true, _) => MavState::MAV_STATE_CRITICAL,
                 (_, true) => MavState::MAV_STATE_ACTIVE,
                 _ => MavState::MAV_STATE_STANDBY,
             },
-            mavlink_version: 3,
-        })
+            mavlink_version = 3
+        )
     }
 
     fn landed_state(&self) -> MavLandedState {
@@ -227,34 +228,24 @@ impl Peer {
             .slowed_to_steps
             .is_none_or(|steps| self.steps.is_multiple_of(steps));
         if now && streams(32, px4, &self.wanted_messages) {
-            out.push(MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
+            out.push(message!(
+                LOCAL_POSITION_NED,
                 time_boot_ms,
-                x: self.north_m,
-                y: self.east_m,
-                z: -self.height_m,
-                vx: north_m_s,
-                vz: -up_m_s,
-                ..Default::default()
-            }));
+                x = self.north_m,
+                y = self.east_m,
+                z = -self.height_m,
+                vx = north_m_s,
+                vz = -up_m_s
+            ));
         }
         if now && streams(30, px4, &self.wanted_messages) {
-            out.push(MavMessage::ATTITUDE(ATTITUDE_DATA {
-                time_boot_ms,
-                pitch: self.pitch_rad,
-                ..Default::default()
-            }));
+            out.push(message!(ATTITUDE, time_boot_ms, pitch = self.pitch_rad));
         }
         if self.tells_landed && self.steps.is_multiple_of(4) && streams(245, px4, &self.wanted_messages) {
-            out.push(MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
-                landed_state: self.landed_state(),
-                ..Default::default()
-            }));
+            out.push(message!(EXTENDED_SYS_STATE, landed_state = self.landed_state()));
         }
         if self.steps.is_multiple_of(20) && streams(1, px4, &self.wanted_messages) {
-            out.push(MavMessage::SYS_STATUS(SYS_STATUS_DATA {
-                battery_remaining: 87,
-                ..Default::default()
-            }));
+            out.push(message!(SYS_STATUS, battery_remaining = 87));
         }
         if self.steps.is_multiple_of(40) && streams(242, px4, &self.wanted_messages) {
             out.push(self.home_position());
@@ -276,24 +267,25 @@ impl Peer {
         } else {
             self.home_ned_m
         };
-        MavMessage::HOME_POSITION(HOME_POSITION_DATA {
-            latitude: 473_977_420 + (north_m * 89.932_16).round() as i32,
-            longitude: 85_455_940 + (east_m * 89.932_16 / 0.676_912_4).round() as i32,
-            altitude: ((HOME_ALTITUDE_M - down_m) * 1000.0).round() as i32,
+        message!(
+            HOME_POSITION,
+            latitude = 473_977_420 + (north_m * 89.932_16).round() as i32,
+            longitude = 85_455_940 + (east_m * 89.932_16 / 0.676_912_4).round() as i32,
+            altitude = ((HOME_ALTITUDE_M - down_m) * 1000.0).round() as i32,
             x,
             y,
-            z,
-            ..Default::default()
-        })
+            z
+        )
     }
 
     fn origin(&self) -> MavMessage {
-        MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
-            latitude: 473_977_420,
-            longitude: 85_455_940,
-            altitude: (HOME_ALTITUDE_M * 1000.0) as i32,
-            time_usec: 0,
-        })
+        message!(
+            GPS_GLOBAL_ORIGIN,
+            latitude = 473_977_420,
+            longitude = 85_455_940,
+            altitude = (HOME_ALTITUDE_M * 1000.0) as i32,
+            time_usec = 0
+        )
     }
 
     fn fly(&mut self, now_ns: Nanos) {
@@ -416,13 +408,13 @@ impl Peer {
     }
 
     fn acknowledge(&mut self, command: MavCmd, result: MavResult) {
-        self.replies.push(MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {
+        self.replies.push(message!(
+            COMMAND_ACK,
             command,
             result,
-            target_system: self.system,
-            target_component: 191,
-            ..Default::default()
-        }));
+            target_system = self.system,
+            target_component = 191
+        ));
     }
 
     fn command(&mut self, now_ns: Nanos, c: &COMMAND_LONG_DATA) {
@@ -562,11 +554,12 @@ pub fn longest_gap_ns(setpoints: &[(Nanos, [f32; 4])], from_ns: Nanos) -> Nanos 
 const OWN_TIMEOUT: &str = "VGL_OF_LOSS_T";
 
 fn value_of(name: &str, value: f32) -> MavMessage {
-    MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
-        param_value: value,
-        param_count: 900,
-        param_index: u16::MAX,
-        param_id: name.into(),
-        param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
-    })
+    message!(
+        PARAM_VALUE,
+        param_value = value,
+        param_count = 900,
+        param_index = u16::MAX,
+        param_id = name.into(),
+        param_type = MavParamType::MAV_PARAM_TYPE_REAL32
+    )
 }

@@ -13,13 +13,7 @@ fn ids(b: &Bench) -> Vec<u32> {
 
 fn request(b: &mut Bench, first_sequence: u16, last_sequence: u16) {
     b.sent.clear();
-    let message = REQUEST_EVENT_DATA {
-        first_sequence,
-        last_sequence,
-        target_system: 1,
-        target_component: 1,
-    };
-    b.send(API, SCRIPT, &MavMessage::REQUEST_EVENT(message));
+    b.tell(message!(REQUEST_EVENT, first_sequence, last_sequence));
 }
 
 #[test]

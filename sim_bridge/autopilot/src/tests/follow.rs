@@ -6,14 +6,14 @@ use crate::testing::*;
 /// A report as MAVSDK sends it, once a second.
 pub(super) fn report(b: &mut Bench, place: (f32, f32), velocity: Option<[f32; 3]>) {
     let (lat, lon) = on_globe(place);
-    let message = MavMessage::FOLLOW_TARGET(FOLLOW_TARGET_DATA {
-        lat: geo::deg_e7(lat),
-        lon: geo::deg_e7(lon),
-        alt: 488.0,
-        vel: velocity.unwrap_or_default(),
-        est_capabilities: if velocity.is_some() { 0b11 } else { 0b01 },
-        ..Default::default()
-    });
+    let message = message!(
+        FOLLOW_TARGET,
+        lat = geo::deg_e7(lat),
+        lon = geo::deg_e7(lon),
+        alt = 488.0,
+        vel = velocity.unwrap_or_default(),
+        est_capabilities = if velocity.is_some() { 0b11 } else { 0b01 }
+    );
     b.send(API, SCRIPT, &message);
 }
 

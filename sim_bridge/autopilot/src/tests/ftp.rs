@@ -86,13 +86,8 @@ impl Client {
         payload[8..12].copy_from_slice(&offset.to_le_bytes());
         payload[12..12 + data.len()].copy_from_slice(data);
         b.sent.clear();
-        let message = FILE_TRANSFER_PROTOCOL_DATA {
-            target_network: 0,
-            target_system: 1,
-            target_component: 1,
-            payload,
-        };
-        b.send(self.link, self.id, &MavMessage::FILE_TRANSFER_PROTOCOL(message));
+        let message = message!(FILE_TRANSFER_PROTOCOL, target_system = 1, target_component = 1, payload);
+        b.send(self.link, self.id, &message);
     }
 
     fn replies(&self, b: &Bench) -> Vec<Reply> {

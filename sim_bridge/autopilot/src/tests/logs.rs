@@ -4,27 +4,14 @@ use crate::testing::*;
 
 fn list(b: &mut Bench) -> Vec<LOG_ENTRY_DATA> {
     b.sent.clear();
-    let request = LOG_REQUEST_LIST_DATA {
-        start: 0,
-        end: u16::MAX,
-        target_system: 1,
-        target_component: 1,
-    };
-    b.send(API, SCRIPT, &MavMessage::LOG_REQUEST_LIST(request));
+    b.tell(message!(LOG_REQUEST_LIST, end = u16::MAX));
     b.run_ms(50);
     b.all::<LOG_ENTRY_DATA>(API)
 }
 
 fn request_data(b: &mut Bench, id: u16, ofs: u32, count: u32) {
     b.sent.clear();
-    let request = LOG_REQUEST_DATA_DATA {
-        ofs,
-        count,
-        id,
-        target_system: 1,
-        target_component: 1,
-    };
-    b.send(API, SCRIPT, &MavMessage::LOG_REQUEST_DATA(request));
+    b.tell(message!(LOG_REQUEST_DATA, ofs, count, id));
 }
 
 fn data(b: &Bench) -> Vec<LOG_DATA_DATA> {
@@ -37,14 +24,6 @@ fn fly(b: &mut Bench) {
     assert_eq!(b.command_long(API, SCRIPT, 21, [f32::NAN; 7]), ACCEPTED);
     b.run_until(30, "landing", |b| !b.status().armed);
     b.run_ms(200);
-}
-
-fn erase(b: &mut Bench) {
-    let message = LOG_ERASE_DATA {
-        target_system: 1,
-        target_component: 1,
-    };
-    b.send(API, SCRIPT, &MavMessage::LOG_ERASE(message));
 }
 
 #[test]
@@ -65,11 +44,7 @@ fn a_client_gets_the_piece_it_asks_for_and_can_stop() {
     }
     request_data(&mut b, 0, 0, size);
     b.run_ms(5);
-    let end = LOG_REQUEST_END_DATA {
-        target_system: 1,
-        target_component: 1,
-    };
-    b.send(API, SCRIPT, &MavMessage::LOG_REQUEST_END(end));
+    b.tell(message!(LOG_REQUEST_END));
     let before = data(&b).len();
     b.run_ms(100);
     assert_eq!(data(&b).len(), before);
@@ -89,14 +64,14 @@ fn logs_are_few_and_the_one_being_written_survives_an_erase() {
     b.run_ms(300);
     // A download of a log that is erased ends.
     request_data(&mut b, 0, 0, u32::MAX);
-    erase(&mut b);
+    b.tell(message!(LOG_ERASE));
     b.run_ms(100);
     let logs = list(&mut b);
     assert_eq!((logs.len(), logs[0].num_logs), (1, 1));
     assert!(logs[0].size > 300);
     assert_eq!(b.disarm(0.0), ACCEPTED);
     b.run_ms(200);
-    erase(&mut b);
+    b.tell(message!(LOG_ERASE));
     assert_eq!(list(&mut b)[0].num_logs, 0);
 }
 

@@ -126,22 +126,15 @@ fn the_current_item_can_be_chosen() {
     let places = [((30.0, 0.0), 3.0), ((0.0, 10.0), 3.0), ((0.0, 10.0), 5.0)];
     b.upload(MISSION, &places.map(|(place, height_m)| waypoint(place, height_m)));
     b.sent.clear();
-    let choose = |seq| {
-        MavMessage::MISSION_SET_CURRENT(MISSION_SET_CURRENT_DATA {
-            seq,
-            target_system: 1,
-            target_component: 1,
-        })
-    };
-    b.send(API, SCRIPT, &choose(1));
+    b.tell(message!(MISSION_SET_CURRENT, seq = 1));
     assert_eq!(current(&b).seq, 1, "told at once");
-    b.send(API, SCRIPT, &choose(9));
+    b.tell(message!(MISSION_SET_CURRENT, seq = 9));
     assert_eq!(current(&b).seq, 1);
     b.assert_told("no mission item 9");
     assert_eq!(start(&mut b), ACCEPTED);
     b.run_until(15, "second waypoint", |b| reached(b) == [1]);
     // In flight: back to the first.
-    b.send(API, SCRIPT, &choose(0));
+    b.tell(message!(MISSION_SET_CURRENT, seq = 0));
     b.run_until(30, "first waypoint", |b| b.position_m()[0] > 28.0);
 }
 

@@ -55,11 +55,7 @@ fn a_changed_speed_holds_for_the_next_way_too() {
 #[test]
 fn a_lost_stream_ends_as_com_obl_rc_act_says() {
     use crate::ParameterValue::Int32;
-    let sticks = MavMessage::MANUAL_CONTROL(MANUAL_CONTROL_DATA {
-        target: 1,
-        z: 500,
-        ..Default::default()
-    });
+    let sticks = message!(MANUAL_CONTROL, target = 1, z = 500);
     for (action, has_sticks, mode) in [
         (0, false, FlightMode::Position),
         (1, false, FlightMode::Altitude),
@@ -147,11 +143,7 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
     let in_frame = |frame| local_setpoint(0x5C7, |m| m.coordinate_frame = frame);
     let global = |frame| global_setpoint(frame, (0.0, 0.0), 0.0);
     let infinite = local_setpoint(0x9C7, |m| m.vy = f32::INFINITY);
-    let actuators = MavMessage::SET_ACTUATOR_CONTROL_TARGET(SET_ACTUATOR_CONTROL_TARGET_DATA {
-        target_system: 1,
-        target_component: 1,
-        ..Default::default()
-    });
+    let actuators = message!(SET_ACTUATOR_CONTROL_TARGET, target_system = 1, target_component = 1);
     for (message, reason) in [
         (in_frame(MAV_FRAME_LOCAL_OFFSET_NED), "frame 7 is not flown"),
         (in_frame(MAV_FRAME_BODY_OFFSET_NED), "frame 9 is not flown"),

@@ -166,25 +166,16 @@ fn position_is_told_locally_and_globally_alike() {
 fn pings_and_time_requests_are_answered_to_their_sender() {
     let mut b = Bench::new();
     b.sent.clear();
-    let ping = PING_DATA {
-        seq: 5,
-        ..Default::default()
-    };
-    b.send(API, SCRIPT, &MavMessage::PING(ping));
+    b.send(API, SCRIPT, &message!(PING, seq = 5));
     let p = b.one::<PING_DATA>();
     assert_eq!((p.seq, p.target_system, p.target_component), (5, 245, 190));
-    let request = TIMESYNC_DATA {
-        tc1: 0,
-        ts1: 123_456,
-        ..Default::default()
-    };
-    b.send(API, SCRIPT, &MavMessage::TIMESYNC(request.clone()));
+    b.send(API, SCRIPT, &message!(TIMESYNC, ts1 = 123_456));
     let t = b.one::<TIMESYNC_DATA>();
     assert_eq!(t.ts1, 123_456);
     assert!(t.tc1 > 0);
     // An answer is not answered: two vehicles would never stop.
     b.sent.clear();
-    b.send(API, SCRIPT, &MavMessage::TIMESYNC(TIMESYNC_DATA { tc1: 9, ..request }));
+    b.send(API, SCRIPT, &message!(TIMESYNC, tc1 = 9, ts1 = 123_456));
     assert_eq!(b.count(API, TIMESYNC_DATA::ID), 0);
 }
 
@@ -332,14 +323,15 @@ fn vibration_is_felt_in_flight_and_not_on_the_ground() {
 #[test]
 fn a_signing_key_reaches_the_vehicle_and_nobody_else() {
     let mut b = Bench::new();
-    b.send(ONBOARD, COMPANION, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT));
+    b.send_heartbeat(ONBOARD, COMPANION);
     let setup = |system, component, byte| {
-        MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
-            target_system: system,
-            target_component: component,
-            secret_key: [byte; 32],
-            initial_timestamp: 77,
-        })
+        message!(
+            SETUP_SIGNING,
+            target_system = system,
+            target_component = component,
+            secret_key = [byte; 32],
+            initial_timestamp = 77
+        )
     };
     b.sent.clear();
     for message in [setup(1, 191, 5), setup(0, 0, 5), setup(2, 1, 5), setup(1, 1, 0)] {

@@ -29,13 +29,7 @@ fn bad_setpoints_are_counted_and_do_not_keep_offboard_alive() {
 }
 
 fn command(command: MavCmd, param1: f32) -> MavMessage {
-    MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        param1,
-        command,
-        target_system: 1,
-        target_component: 1,
-        ..Default::default()
-    })
+    message!(COMMAND_LONG, param1, command, target_system = 1, target_component = 1)
 }
 
 #[test]
@@ -61,7 +55,7 @@ fn damaged_truncated_and_garbage_bytes_are_counted_and_the_next_packet_is_heard(
 #[test]
 fn a_link_that_does_not_exist_is_ignored() {
     let mut b = Bench::with(EndpointConfig::companion_only());
-    let heartbeat = b.packet(COMPANION, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()));
+    let heartbeat = b.packet(COMPANION, &message!(HEARTBEAT));
     b.send_raw(LinkId(1), &heartbeat);
     b.send_raw(LinkId(255), &heartbeat);
     assert_eq!(b.status().framing.packets, 0);
@@ -88,23 +82,19 @@ fn seeds() -> Vec<Vec<u8>> {
         command(MavCmd::MAV_CMD_NAV_TAKEOFF, 0.0),
         command(MavCmd::MAV_CMD_DO_SET_MODE, 129.0),
         command(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, 30.0),
-        MavMessage::COMMAND_INT(COMMAND_INT_DATA {
-            command: MavCmd::MAV_CMD_DO_REPOSITION,
-            target_system: 1,
-            target_component: 1,
-            ..Default::default()
-        }),
+        message!(
+            COMMAND_INT,
+            command = MavCmd::MAV_CMD_DO_REPOSITION,
+            target_system = 1,
+            target_component = 1
+        ),
         velocity_message([1.0, 0.0, 0.0]),
-        MavMessage::SET_ATTITUDE_TARGET(SET_ATTITUDE_TARGET_DATA::default()),
-        MavMessage::PARAM_SET(PARAM_SET_DATA {
-            param_id: "MIS_TAKEOFF_ALT".into(),
-            target_system: 1,
-            ..Default::default()
-        }),
-        MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA::default()),
-        MavMessage::PING(PING_DATA::default()),
-        MavMessage::TIMESYNC(TIMESYNC_DATA::default()),
-        MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()),
+        message!(SET_ATTITUDE_TARGET),
+        message!(PARAM_SET, param_id = "MIS_TAKEOFF_ALT".into(), target_system = 1),
+        message!(PARAM_REQUEST_READ),
+        message!(PING),
+        message!(TIMESYNC),
+        message!(HEARTBEAT),
     ];
     messages.iter().map(|m| b.packet(SCRIPT, m)).collect()
 }

@@ -15,11 +15,7 @@ fn a_script_sees_the_companions_heartbeat_texts_and_values() {
     let mut b = Bench::new();
     b.sent.clear();
     b.send_heartbeat(ONBOARD, COMPANION);
-    let value = MavMessage::NAMED_VALUE_FLOAT(NAMED_VALUE_FLOAT_DATA {
-        name: "gd_state".into(),
-        value: 3.0,
-        ..Default::default()
-    });
+    let value = message!(NAMED_VALUE_FLOAT, name = "gd_state".into(), value = 3.0);
     b.send(ONBOARD, COMPANION, &value);
     for link in [API, GCS] {
         let seen = forwarded(&b, link);
@@ -35,33 +31,33 @@ fn a_command_for_the_companion_reaches_it_and_the_vehicle_does_not_answer() {
     let mut b = Bench::new();
     b.send_heartbeat(ONBOARD, COMPANION);
     b.sent.clear();
-    let command = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        param1: 1.0,
-        command: MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
-        target_system: 1,
-        target_component: 191,
-        ..Default::default()
-    });
+    let command = message!(
+        COMMAND_LONG,
+        param1 = 1.0,
+        command = MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
+        target_system = 1,
+        target_component = 191
+    );
     b.send(API, SCRIPT, &command);
     assert_eq!(forwarded(&b, ONBOARD), [(SCRIPT, command)]);
     assert!(b.sent.iter().all(|s| s.ack.is_none()));
     assert!(forwarded(&b, GCS).is_empty());
     // To everybody it is passed on, and the vehicle neither arms nor answers, as PX4 does not.
-    let to_all = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        param1: 1.0,
-        command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
-        ..Default::default()
-    });
+    let to_all = message!(
+        COMMAND_LONG,
+        param1 = 1.0,
+        command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM
+    );
     b.send(API, SCRIPT, &to_all);
     assert!(b.sent.iter().all(|s| s.ack.is_none()) && !b.status().armed);
     // Its acknowledgement goes back to the script alone.
     b.sent.clear();
-    let ack = MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {
-        command: MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
-        target_system: SCRIPT.system,
-        target_component: SCRIPT.component,
-        ..Default::default()
-    });
+    let ack = message!(
+        COMMAND_ACK,
+        command = MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
+        target_system = SCRIPT.system,
+        target_component = SCRIPT.component
+    );
     b.send(ONBOARD, COMPANION, &ack);
     assert_eq!(forwarded(&b, API), [(COMPANION, ack)]);
     assert!(forwarded(&b, GCS).is_empty());
@@ -71,13 +67,13 @@ fn a_command_for_the_companion_reaches_it_and_the_vehicle_does_not_answer() {
 fn a_command_for_a_component_nobody_saw_goes_nowhere_and_stays_unanswered() {
     let mut b = Bench::new();
     b.sent.clear();
-    let command = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
-        param1: 1.0,
-        target_system: 1,
-        target_component: 154,
-        ..Default::default()
-    });
+    let command = message!(
+        COMMAND_LONG,
+        command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
+        param1 = 1.0,
+        target_system = 1,
+        target_component = 154
+    );
     b.send(API, SCRIPT, &command);
     assert!(b.sent.iter().all(|s| s.ack.is_none()));
     assert!(forwarded(&b, ONBOARD).is_empty());

@@ -155,12 +155,7 @@ fn a_jump_that_is_made_the_current_item_is_jumped() {
     start_mission(&mut b);
     b.run_until(60, "the second way", |b| current_item(b) == Some(2));
     b.run_until(30, "away from the first place", |b| b.position_m()[1] > 10.0);
-    let message = MavMessage::MISSION_SET_CURRENT(MISSION_SET_CURRENT_DATA {
-        seq: 3,
-        target_system: 1,
-        target_component: 1,
-    });
-    b.send(API, SCRIPT, &message);
+    b.tell(message!(MISSION_SET_CURRENT, seq = 3));
     b.run_ms(1_000);
     assert_eq!(current_item(&b), Some(1), "jumped");
     wait_until_disarmed(&mut b, 240);
@@ -221,14 +216,14 @@ fn reports_of_a_velocity_alone_move_nothing() {
     let before = b.position_m();
     for _ in 0..15 {
         // What MAVSDK makes of a place that is not a number.
-        let message = MavMessage::FOLLOW_TARGET(FOLLOW_TARGET_DATA {
-            lat: i32::MIN,
-            lon: i32::MIN,
-            alt: f32::NAN,
-            vel: [2.0, 1.0, 0.5],
-            est_capabilities: 0b10,
-            ..Default::default()
-        });
+        let message = message!(
+            FOLLOW_TARGET,
+            lat = i32::MIN,
+            lon = i32::MIN,
+            alt = f32::NAN,
+            vel = [2.0, 1.0, 0.5],
+            est_capabilities = 0b10
+        );
         b.send(API, SCRIPT, &message);
         b.run_ms(1_000);
     }

@@ -6,16 +6,8 @@ fn write(b: &mut Bench, text: &[u8], flags: SerialControlFlag) {
     for chunk in text.chunks(70) {
         let mut data = [0; 70];
         data[..chunk.len()].copy_from_slice(chunk);
-        let message = SERIAL_CONTROL_DATA {
-            device: SerialControlDev::SERIAL_CONTROL_DEV_SHELL,
-            flags,
-            count: chunk.len() as u8,
-            data,
-            target_system: 1,
-            target_component: 1,
-            ..Default::default()
-        };
-        b.send(API, SCRIPT, &MavMessage::SERIAL_CONTROL(message));
+        let device = SerialControlDev::SERIAL_CONTROL_DEV_SHELL;
+        b.tell(message!(SERIAL_CONTROL, device, flags, count = chunk.len() as u8, data));
     }
 }
 

@@ -12,27 +12,20 @@ const MODES: [(u8, FlightMode); 5] = [
 ];
 
 fn sticks(x: i16, y: i16, z: i16, r: i16) -> MavMessage {
-    MavMessage::MANUAL_CONTROL(MANUAL_CONTROL_DATA {
-        target: 1,
-        x,
-        y,
-        z,
-        r,
-        ..Default::default()
-    })
+    message!(MANUAL_CONTROL, target = 1, x, y, z, r)
 }
 
 fn channels(pulses: [u16; 4]) -> MavMessage {
     let [chan1_raw, chan2_raw, chan3_raw, chan4_raw] = pulses;
-    MavMessage::RC_CHANNELS_OVERRIDE(RC_CHANNELS_OVERRIDE_DATA {
+    message!(
+        RC_CHANNELS_OVERRIDE,
         chan1_raw,
         chan2_raw,
         chan3_raw,
         chan4_raw,
-        target_system: 1,
-        target_component: 1,
-        ..Default::default()
-    })
+        target_system = 1,
+        target_component = 1
+    )
 }
 
 fn hold(b: &mut Bench, message: &MavMessage, ms: u64) {
