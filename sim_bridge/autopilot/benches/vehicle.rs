@@ -21,7 +21,7 @@ fn hovering() -> Vehicle {
 
 const CRUISE: ControlCommand = ControlCommand::VelocityHeading {
     velocity_m_s: HeadingVector::new(1.5, 0.0, 0.0),
-    yaw: YawCommand::Rate { yaw_rate_rad_s: 0.2 },
+    yaw: YawCommand::Rate(0.2),
 };
 
 /// One simulation step: 50 physics steps.

@@ -7,7 +7,7 @@ use crate::flight::setpoint_owner::Setpoints;
 use crate::flight::state::{Commander, Failsafe, FenceWatch, LandedState, LostSensors, Sticks};
 use crate::outbox::{Outbox, Traffic};
 use crate::plan::Plans;
-use crate::vehicle::{Estimate, HoldLaw, Sensors, Truth, VehicleView};
+use crate::vehicle::{HoldLaw, Sensors, Truth, VehicleView};
 use crate::vehicle_parameters::{ParamId, ParameterValue, Parameters};
 use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
 use vigil_mavlink::MavMessage;
@@ -15,7 +15,7 @@ use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
 use vigil_mavlink::framing::{FramingCounters, Packet};
 use vigil_mavlink::mavlink::MessageData;
 pub use vigil_mavlink::routing::ComponentId;
-use vigil_types::{Attitude, FrdVector, Nanos, NedVector, RANGE_SECTORS};
+use vigil_types::{Nanos, RANGE_SECTORS};
 
 /// What was refused since start, besides what the framing refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -189,7 +189,14 @@ impl Core {
         Ok(Self {
             now_ns: 0,
             boot_ns: None,
-            view: at_rest(),
+            view: VehicleView {
+                sensors: Sensors {
+                    battery_remaining: 1.0,
+                    ..Sensors::default()
+                },
+                on_ground: true,
+                ..VehicleView::default()
+            },
             hold_law: HoldLaw::default(),
             id: ComponentId {
                 system: config.system_id,
@@ -228,6 +235,11 @@ impl Core {
         self.parameters.get(id)
     }
 
+    /// A parameter of seconds as a time.
+    pub fn param_ns(&self, id: ParamId) -> Nanos {
+        (f64::from(self.param(id)) * 1e9) as Nanos
+    }
+
     /// Milliseconds since the first step.
     pub fn time_boot_ms(&self) -> u32 {
         (self.since_boot_ns() / 1_000_000) as u32
@@ -260,11 +272,9 @@ impl Core {
             0
         };
         for (chunk_seq, chunk) in text.as_bytes().chunks(TEXT_CHUNK).enumerate() {
-            let mut padded = [0; TEXT_CHUNK];
-            padded[..chunk.len()].copy_from_slice(chunk);
             let message = MavMessage::STATUSTEXT(STATUSTEXT_DATA {
                 severity,
-                text: padded.into(),
+                text: padded::<TEXT_CHUNK>(chunk).into(),
                 id,
                 chunk_seq: chunk_seq as u8,
             });
@@ -331,33 +341,5 @@ impl Core {
             texts: self.texts,
             last_text: self.last_text.clone(),
         }
-    }
-}
-
-/// What is believed before the first step.
-fn at_rest() -> VehicleView {
-    VehicleView {
-        estimate: Estimate {
-            at_ns: 0,
-            position_ned_m: NedVector::ZERO,
-            velocity_ned_m_s: NedVector::ZERO,
-            acceleration_ned_m_s2: NedVector::ZERO,
-            attitude: Attitude::LEVEL_NORTH,
-            rates_frd_rad_s: FrdVector::ZERO,
-        },
-        sensors: Sensors {
-            accelerometer_frd_m_s2: FrdVector::ZERO,
-            gyroscope_frd_rad_s: FrdVector::ZERO,
-            gps_position_ned_m: NedVector::ZERO,
-            gps_velocity_ned_m_s: NedVector::ZERO,
-            barometer_height_m: 0.0,
-            battery_voltage_v: 0.0,
-            battery_current_a: 0.0,
-            battery_remaining: 1.0,
-            throttle: 0.0,
-            motors: [0.0; 4],
-        },
-        on_ground: true,
-        armed: false,
     }
 }

@@ -82,28 +82,28 @@ impl Streams {
         self.next_ns
     }
 
-    fn find(&self, id: u32) -> Option<usize> {
+    fn index_of(&self, id: u32) -> Option<usize> {
         self.streams.binary_search_by_key(&id, |s| s.origin.produced.id).ok()
+    }
+
+    fn find(&self, id: u32) -> Option<&Stream> {
+        self.streams.get(self.index_of(id)?)
     }
 
     /// Interval of a message on a link in microseconds as MESSAGE_INTERVAL tells it: 0 unknown message, −1 off.
     pub fn interval_us(&self, link: LinkId, id: u32) -> i32 {
-        let schedule = self
-            .find(id)
-            .and_then(|i| self.streams[i].per_link.get(usize::from(link.0)));
-        match schedule {
+        let schedule = self.find(id).and_then(|s| s.per_link.get(usize::from(link.0)));
+        match schedule.map(|schedule| schedule.interval_ns) {
             None => 0,
-            Some(Schedule { interval_ns: None, .. }) => -1,
-            Some(Schedule {
-                interval_ns: Some(ns), ..
-            }) => i32::try_from(ns / 1000).unwrap_or(i32::MAX),
+            Some(None) => -1,
+            Some(Some(ns)) => i32::try_from(ns / 1000).unwrap_or(i32::MAX),
         }
     }
 
     /// Sets the interval as SET_MESSAGE_INTERVAL asks: −1 off, 0 default, else microseconds. `false` if there is no such
     /// message or the number is no time.
     pub fn set_interval(&mut self, now_ns: Nanos, link: LinkId, id: u32, interval_us: f32) -> bool {
-        let Some(stream) = self.find(id).map(|i| &mut self.streams[i]) else {
+        let Some(stream) = self.index_of(id).map(|i| &mut self.streams[i]) else {
             return false;
         };
         let index = usize::from(link.0);
@@ -132,7 +132,7 @@ impl Streams {
     /// Whether there is such a message and something for it to tell now.
     pub fn has(&self, link: LinkId, core: &Core, services: &Services, id: u32) -> bool {
         self.find(id)
-            .is_some_and(|i| self.streams[i].origin.build(link, core, services).is_some())
+            .is_some_and(|s| s.origin.build(link, core, services).is_some())
     }
 
     /// Offers a request for a message to the service that produces it.
@@ -144,15 +144,16 @@ impl Streams {
         core: &mut Core,
         services: &Services,
     ) -> Option<Answer> {
-        let stream = self.find(id).map(|i| &self.streams[i])?;
-        services.get(stream.origin.service)?.request(id, request, source, core)
+        services
+            .get(self.find(id)?.origin.service)?
+            .request(id, request, source, core)
     }
 
     /// Sends everything that was asked for besides the streams.
     pub fn send_wanted(&self, core: &mut Core, services: &Services) {
         let mut wanted = core.take_wanted();
         for (link, id) in wanted.drain(..) {
-            let Some(stream) = self.find(id).map(|i| &self.streams[i]) else {
+            let Some(stream) = self.find(id) else {
                 continue;
             };
             let links = match link {

@@ -23,7 +23,7 @@ const HOVER: ControlCommand = setpoint(0.0, 0.0, 0.0, 0.0);
 const fn setpoint(forward: f32, right: f32, down: f32, yaw_rate_rad_s: f32) -> ControlCommand {
     ControlCommand::VelocityHeading {
         velocity_m_s: HeadingVector::new(forward, right, down),
-        yaw: YawCommand::Rate { yaw_rate_rad_s },
+        yaw: YawCommand::Rate(yaw_rate_rad_s),
     }
 }
 

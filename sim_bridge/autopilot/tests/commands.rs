@@ -204,7 +204,7 @@ fn a_heading_is_reached_the_short_way_round_and_then_held() {
     let mut v = precise();
     v.place(NedVector::new(0.0, 0.0, -5.0), 2.8, true);
     let here = v.truth().position_ned_m;
-    let truths = fly(&mut v, 4.0, &go_to(here, 1.0, YawCommand::Angle { yaw_rad: -2.8 }));
+    let truths = fly(&mut v, 4.0, &go_to(here, 1.0, YawCommand::Angle(-2.8)));
     assert!(
         truths.iter().all(|t| t.attitude.yaw_rad().abs() > 2.7),
         "turned the long way"
@@ -258,7 +258,7 @@ fn an_acceleration_is_flown_and_none_keeps_the_velocity() {
     // The tilt takes a moment to build up, and there is drag.
     assert!((1.4..2.0).contains(&faster.x) && faster.y.abs() < 0.1, "{faster:?}");
     assert!((v.truth().position_ned_m.z + 5.0).abs() < 0.1);
-    let turning = YawCommand::Rate { yaw_rate_rad_s: 0.5 };
+    let turning = YawCommand::Rate(0.5);
     fly(&mut v, 1.0, &acceleration(0.0, 0.0, turning));
     assert!(v.truth().velocity_ned_m_s.x > 0.8 * faster.x);
     assert!((v.truth().attitude.yaw_rad() - 0.5).abs() < 0.15);
@@ -354,7 +354,7 @@ fn a_command_that_is_not_finite_is_a_hold() {
     };
     for command in [
         velocity(nan, 0.0, 0.0),
-        velocity_ahead(1.0, f32::INFINITY, YawCommand::Rate { yaw_rate_rad_s: nan }),
+        velocity_ahead(1.0, f32::INFINITY, YawCommand::Rate(nan)),
         go_to(NedVector::new(nan, 0.0, 0.0), 2.0, YawCommand::Hold),
         ControlCommand::Descend { rate_m_s: nan },
         attitude(nowhere, 0.0, 0.9),
@@ -460,8 +460,8 @@ fn any_number() -> impl Strategy<Value = f32> + Clone {
 fn any_command() -> impl Strategy<Value = ControlCommand> {
     let yaw = prop_oneof![
         Just(YawCommand::Hold),
-        any_number().prop_map(|yaw_rad| YawCommand::Angle { yaw_rad }),
-        any_number().prop_map(|yaw_rate_rad_s| YawCommand::Rate { yaw_rate_rad_s }),
+        any_number().prop_map(|yaw_rad| YawCommand::Angle(yaw_rad)),
+        any_number().prop_map(|yaw_rate_rad_s| YawCommand::Rate(yaw_rate_rad_s)),
     ];
     let three = (any_number(), any_number(), any_number());
     prop_oneof![

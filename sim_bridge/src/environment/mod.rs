@@ -205,9 +205,7 @@ impl Environment {
     pub fn advance_unseen(&mut self, setpoint: VelocitySetpoint) -> Option<Outcome> {
         let command = ControlCommand::VelocityHeading {
             velocity_m_s: setpoint.velocity_m_s,
-            yaw: YawCommand::Rate {
-                yaw_rate_rad_s: setpoint.yaw_rate_rad_s,
-            },
+            yaw: YawCommand::Rate(setpoint.yaw_rate_rad_s),
         };
         for _ in 0..PHYSICS_STEPS {
             self.vehicle.step(&command);

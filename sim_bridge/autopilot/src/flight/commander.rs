@@ -301,11 +301,17 @@ impl Core {
         self.enter(FlightMode::Return, maneuver);
     }
 
+    /// Whether it flies.
+    pub(super) fn in_air_check(&self) -> Result<(), Denial> {
+        match self.commander.armed && !self.commander.is_on_ground() {
+            true => Ok(()),
+            false => Err(Denial::NotInAir),
+        }
+    }
+
     /// Goes to a position and holds there.
     pub fn go_to(&mut self, position_ned_m: NedVector, yaw: YawCommand, speed_m_s: Option<f32>) -> Result<(), Denial> {
-        if !self.commander.armed || self.commander.is_on_ground() {
-            return Err(Denial::NotInAir);
-        }
+        self.in_air_check()?;
         if !self.fence_allows((position_ned_m.x, position_ned_m.y), -position_ned_m.z) {
             return Err(Denial::OutsideFence);
         }
@@ -325,9 +331,7 @@ impl Core {
 
     /// Brakes, and holds where it stops.
     pub fn stop_here(&mut self) -> Result<(), Denial> {
-        if !self.commander.armed || self.commander.is_on_ground() {
-            return Err(Denial::NotInAir);
-        }
+        self.in_air_check()?;
         self.clear_failsafe();
         self.enter(FlightMode::Hold, Maneuver::default());
         Ok(())
@@ -358,7 +362,7 @@ impl Core {
 
     /// Age up to which a stream of setpoints is one.
     pub(super) fn setpoint_max_age_ns(&self) -> Nanos {
-        (f64::from(self.param(ParamId::OffboardLossS)) * 1e9) as Nanos
+        self.param_ns(ParamId::OffboardLossS)
     }
 
     /// The same for the owner: shorter where that is the guidance computer, whose every setpoint is a decision on a
@@ -370,7 +374,7 @@ impl Core {
         };
         let max_age_ns = self.setpoint_max_age_ns();
         if self.setpoints.owner().map(|owner| owner.id) == Some(guidance) {
-            max_age_ns.min((f64::from(self.param(ParamId::GuidanceLossS)) * 1e9) as Nanos)
+            max_age_ns.min(self.param_ns(ParamId::GuidanceLossS))
         } else {
             max_age_ns
         }
@@ -414,8 +418,7 @@ impl Core {
 
     /// The sticks stopped in a mode that is flown by them: hold, and after COM_FAIL_ACT_T the action of NAV_RCL_ACT.
     pub(super) fn lose_sticks(&mut self) {
-        let delay_ns = (f64::from(self.param(ParamId::FailsafeDelayS)) * 1e9) as Nanos;
-        self.commander.acts_ns = Some(self.now_ns.saturating_add(delay_ns));
+        self.commander.acts_ns = Some(self.now_ns.saturating_add(self.param_ns(ParamId::FailsafeDelayS)));
         let hold = Response::Enter(FlightMode::Hold);
         self.respond("manual control lost", hold, Failsafe::ManualControlLost);
     }
@@ -562,24 +565,21 @@ impl Core {
     }
 
     fn disarm_when_idle(&mut self) {
-        let (limit_s, text) = if self.commander.has_flown {
-            (self.param(ParamId::DisarmLandS), "disarmed: landed")
-        } else {
-            (self.param(ParamId::DisarmPreflightS), "disarmed: no take-off")
+        let (limit, text) = match self.commander.has_flown {
+            true => (ParamId::DisarmLandS, "disarmed: landed"),
+            false => (ParamId::DisarmPreflightS, "disarmed: no take-off"),
         };
         let idle_ns = self.now_ns.saturating_sub(self.commander.idle_since_ns);
-        if limit_s > 0.0 && idle_ns >= (f64::from(limit_s) * 1e9) as Nanos {
+        if self.param(limit) > 0.0 && idle_ns >= self.param_ns(limit) {
             self.disarm_with(text);
         }
     }
 
     /// See [`crate::Endpoint::start_airborne`].
     pub fn start_airborne(&mut self, height_m: f32) {
-        self.commander.armed = true;
-        self.commander.has_flown = true;
-        self.commander.landed = LandedState::InAir;
-        self.commander.contact = false;
-        self.commander.contact_since_ns = self.now_ns;
+        let c = &mut self.commander;
+        (c.armed, c.has_flown, c.landed) = (true, true, LandedState::InAir);
+        (c.contact, c.contact_since_ns) = (false, self.now_ns);
         let stop = Maneuver::Brake {
             began: None,
             height_m: Some(height_m),

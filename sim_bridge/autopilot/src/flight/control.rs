@@ -216,9 +216,8 @@ impl Core {
         let (north, east) = self.commander.region_of_interest_m?;
         let here = self.view.estimate.position_ned_m;
         let is_followed = matches!(self.commander.mode(), FlightMode::Hold | FlightMode::Mission);
-        (is_followed && libm::hypotf(north - here.x, east - here.y) > INTEREST_RADIUS_M).then(|| YawCommand::Angle {
-            yaw_rad: libm::atan2f(east - here.y, north - here.x),
-        })
+        (is_followed && libm::hypotf(north - here.x, east - here.y) > INTEREST_RADIUS_M)
+            .then(|| YawCommand::Angle(libm::atan2f(east - here.y, north - here.x)))
     }
 
     fn fly_climb(&mut self, climb: Climb) -> ControlCommand {
@@ -408,8 +407,8 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
     };
     let (yaw, yaw_rate, mask) = match yaw {
         YawCommand::Hold => (0.0, 0.0, mask),
-        YawCommand::Angle { yaw_rad } => (yaw_rad, 0.0, mask & !0x400),
-        YawCommand::Rate { yaw_rate_rad_s } => (0.0, yaw_rate_rad_s, mask & !0x800),
+        YawCommand::Angle(yaw_rad) => (yaw_rad, 0.0, mask & !0x400),
+        YawCommand::Rate(yaw_rate_rad_s) => (0.0, yaw_rate_rad_s, mask & !0x800),
     };
     Some(POSITION_TARGET_LOCAL_NED_DATA {
         time_boot_ms: core.time_boot_ms(),

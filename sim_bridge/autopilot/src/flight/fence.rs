@@ -7,27 +7,16 @@ use crate::plan::Breach;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::{FENCE_STATUS_DATA, MavSeverity};
 
-/// GF_ACTION.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Action {
-    Nothing,
-    Warn,
-    Hold,
-    Return,
-    Terminate,
-    Land,
-}
+/// GF_ACTION; any other number holds.
+const NOTHING: i32 = 0;
+const WARN: i32 = 1;
+const RETURN: i32 = 3;
+const TERMINATE: i32 = 4;
+const LAND: i32 = 5;
 
 impl Core {
-    fn fence_action(&self) -> Action {
-        match self.param(ParamId::FenceAction) as i32 {
-            0 => Action::Nothing,
-            1 => Action::Warn,
-            3 => Action::Return,
-            4 => Action::Terminate,
-            5 => Action::Land,
-            _ => Action::Hold,
-        }
+    fn fence_action(&self) -> i32 {
+        self.param(ParamId::FenceAction) as i32
     }
 
     /// Whether there is any limit.
@@ -53,7 +42,7 @@ impl Core {
 
     /// Whether the vehicle may be sent to a place. Everything is allowed where a breach would have no consequence.
     pub fn fence_allows(&self, place_m: (f32, f32), height_m: f32) -> bool {
-        matches!(self.fence_action(), Action::Nothing | Action::Warn) || self.fence_breach(place_m, height_m).is_none()
+        matches!(self.fence_action(), NOTHING | WARN) || self.fence_breach(place_m, height_m).is_none()
     }
 
     /// Whether the vehicle itself is where it may be.
@@ -67,7 +56,7 @@ impl Core {
         let action = self.fence_action();
         let here = self.view.estimate.position_ned_m;
         let breach = match action {
-            Action::Nothing => None,
+            NOTHING => None,
             _ => self.fence_breach((here.x, here.y), -here.z),
         };
         let before = std::mem::replace(&mut self.fence_watch.breach, breach);
@@ -84,19 +73,17 @@ impl Core {
         }
     }
 
-    fn act_on_breach(&mut self, action: Action) {
+    fn act_on_breach(&mut self, action: i32) {
         let (name, mode) = match action {
-            Action::Nothing | Action::Warn => ("warning", None),
-            Action::Hold => ("hold", Some(FlightMode::Hold)),
-            Action::Return => ("return", Some(FlightMode::Return)),
-            Action::Land => ("land", Some(FlightMode::Land)),
-            Action::Terminate => ("terminate", None),
+            NOTHING | WARN => ("warning", None),
+            RETURN => ("return", Some(FlightMode::Return)),
+            LAND => ("land", Some(FlightMode::Land)),
+            TERMINATE => ("terminate", None),
+            _ => ("hold", Some(FlightMode::Hold)),
         };
-        self.text(
-            MavSeverity::MAV_SEVERITY_CRITICAL,
-            &format!("geofence breached: {name}"),
-        );
-        if action == Action::Terminate {
+        let text = format!("geofence breached: {name}");
+        self.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
+        if action == TERMINATE {
             self.terminate();
         }
         if let Some(mode) = mode {

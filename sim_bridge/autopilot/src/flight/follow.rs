@@ -103,9 +103,7 @@ impl Core {
             position_ned_m: place,
             velocity_m_s,
             speed_limit_m_s: speed_m_s.min(self.param(ParamId::MaxSpeedMS)),
-            yaw: YawCommand::Angle {
-                yaw_rad: libm::atan2f(now_at.y - here.y, now_at.x - here.x),
-            },
+            yaw: YawCommand::Angle(libm::atan2f(now_at.y - here.y, now_at.x - here.x)),
         }
     }
 }

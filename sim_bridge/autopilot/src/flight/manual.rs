@@ -7,7 +7,7 @@ use crate::flight::state::{Deflections, Denial, Failsafe, Maneuver};
 use crate::source::Source;
 use crate::vehicle::{ControlCommand, YawCommand};
 use crate::vehicle_parameters::ParamId;
-use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos};
+use vigil_types::{Attitude, FrdVector, HeadingVector};
 
 /// Deflections below this are the centre.
 const DEAD_ZONE: f32 = 0.05;
@@ -35,19 +35,15 @@ fn thrust(sticks: Deflections) -> f32 {
 }
 
 impl Core {
-    fn sticks_max_age_ns(&self) -> Nanos {
-        (f64::from(self.param(ParamId::SticksLossS)) * 1e9) as Nanos
-    }
-
     /// Takes what a station sends; `false` if another one has the vehicle.
     pub fn take_sticks(&mut self, from: Source, deflections: Deflections) -> bool {
-        let (now_ns, max_age_ns) = (self.now_ns, self.sticks_max_age_ns());
-        self.sticks.take(now_ns, max_age_ns, from, deflections)
+        let max_age_ns = self.param_ns(ParamId::SticksLossS);
+        self.sticks.take(self.now_ns, max_age_ns, from, deflections)
     }
 
     /// The sticks, unless they are lost.
     pub(super) fn current_sticks(&self) -> Option<Deflections> {
-        self.sticks.current(self.now_ns, self.sticks_max_age_ns())
+        self.sticks.current(self.now_ns, self.param_ns(ParamId::SticksLossS))
     }
 
     /// What the sticks ask for in the present mode. On the ground the motors idle until the throttle goes up. Lost sticks
@@ -89,9 +85,7 @@ impl Core {
         let speed_m_s = self.default_speed_m_s() / norm;
         ControlCommand::VelocityHeading {
             velocity_m_s: HeadingVector::new(forward * speed_m_s, right * speed_m_s, -self.climb_m_s(sticks)),
-            yaw: YawCommand::Rate {
-                yaw_rate_rad_s: clockwise * MAX_YAW_RATE_RAD_S,
-            },
+            yaw: YawCommand::Rate(clockwise * MAX_YAW_RATE_RAD_S),
         }
     }
 
@@ -120,9 +114,7 @@ impl Core {
         let wanted = HeadingVector::new(level_m_s2(forward), level_m_s2(right), down_m_s2);
         ControlCommand::Acceleration {
             acceleration_ned_m_s2: wanted.to_ned(estimate.attitude.yaw_rad()),
-            yaw: YawCommand::Rate {
-                yaw_rate_rad_s: clockwise * MAX_YAW_RATE_RAD_S,
-            },
+            yaw: YawCommand::Rate(clockwise * MAX_YAW_RATE_RAD_S),
         }
     }
 

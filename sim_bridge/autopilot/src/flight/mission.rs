@@ -152,10 +152,8 @@ impl Core {
         };
         let (d_north, d_east) = (north - here.x, east - here.y);
         let yaw = match leg.yaw_rad {
-            Some(yaw_rad) => YawCommand::Angle { yaw_rad },
-            None if libm::hypotf(d_north, d_east) > TURN_DISTANCE_M => YawCommand::Angle {
-                yaw_rad: libm::atan2f(d_east, d_north),
-            },
+            Some(yaw_rad) => YawCommand::Angle(yaw_rad),
+            None if libm::hypotf(d_north, d_east) > TURN_DISTANCE_M => YawCommand::Angle(libm::atan2f(d_east, d_north)),
             None => YawCommand::Hold,
         };
         self.commander.maneuver = Maneuver::Station {

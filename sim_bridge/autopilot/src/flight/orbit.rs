@@ -20,9 +20,7 @@ const FENCE_POINTS: u16 = 32;
 impl Core {
     /// Begins to circle.
     pub fn begin_orbit(&mut self, mut orbit: Orbit) -> Result<(), Denial> {
-        if !self.commander.is_armed() || self.commander.is_on_ground() {
-            return Err(Denial::NotInAir);
-        }
+        self.in_air_check()?;
         let centre = orbit.centre_ned_m;
         let leaves_fence = (0..FENCE_POINTS).any(|i| {
             let bearing = f32::from(i) * TAU / f32::from(FENCE_POINTS);
@@ -75,10 +73,8 @@ impl Core {
         let tangent = bearing + sense * core::f32::consts::FRAC_PI_2;
         let speed_m_s = orbit.speed_m_s * (1.0 - off_circle_m / CAPTURE_M).clamp(0.0, 1.0);
         let yaw = match orbit.facing {
-            Facing::Centre => YawCommand::Angle {
-                yaw_rad: bearing + core::f32::consts::PI,
-            },
-            Facing::Tangent => YawCommand::Angle { yaw_rad: tangent },
+            Facing::Centre => YawCommand::Angle(bearing + core::f32::consts::PI),
+            Facing::Tangent => YawCommand::Angle(tangent),
             Facing::Unchanged => YawCommand::Hold,
         };
         self.commander.maneuver = Maneuver::Orbit(orbit);

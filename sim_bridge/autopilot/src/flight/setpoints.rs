@@ -109,12 +109,10 @@ pub(crate) fn position_setpoint(
     let ignores = |field| m.type_mask.contains(field);
     let yaw = if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) && !m.yaw.is_nan() {
         check_one("yaw", m.yaw, ABSURD_RATE_RAD_S)?;
-        YawCommand::Angle { yaw_rad: m.yaw }
+        YawCommand::Angle(m.yaw)
     } else if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE) && !m.yaw_rate.is_nan() {
         check_one("yaw_rate", m.yaw_rate, ABSURD_RATE_RAD_S)?;
-        YawCommand::Rate {
-            yaw_rate_rad_s: m.yaw_rate,
-        }
+        YawCommand::Rate(m.yaw_rate)
     } else {
         YawCommand::Hold
     };
@@ -270,8 +268,8 @@ mod tests {
     #[test]
     fn masks_mean_what_they_say_and_can_be_mixed_as_in_px4() {
         use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_LOCAL_NED as LOCAL};
-        let rate = YawCommand::Rate { yaw_rate_rad_s: 0.2 };
-        let (angle, held) = (YawCommand::Angle { yaw_rad: 0.7 }, YawCommand::Hold);
+        let rate = YawCommand::Rate(0.2);
+        let (angle, held) = (YawCommand::Angle(0.7), YawCommand::Hold);
         let (velocity_m_s, speed_limit_m_s) = (NedVector::new(0.5, -0.5, 0.1), 5.0);
         let ahead = ControlCommand::VelocityHeading {
             velocity_m_s: HeadingVector::new(0.5, -0.5, 0.1),

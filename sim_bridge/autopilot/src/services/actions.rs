@@ -159,7 +159,7 @@ fn reposition(command: &Command, _source: Source, core: &mut Core) -> Answer {
         return Answer::DENIED;
     };
     let yaw = match command.param(4) {
-        Some(yaw_rad) if yaw_rad.is_finite() => YawCommand::Angle { yaw_rad },
+        Some(yaw_rad) if yaw_rad.is_finite() => YawCommand::Angle(yaw_rad),
         _ => YawCommand::Hold,
     };
     let speed_m_s = command.param(1).filter(|s| s.is_finite() && *s > 0.0);

@@ -2,7 +2,7 @@
 
 use crate::vehicle::body::Inertia;
 use crate::vehicle::interface::{ControlCommand, YawCommand};
-use crate::vehicle::math::{Rotation, Vec3, from_attitude, from_frd, from_ned, heading, tilt_and_heading, wrap};
+use crate::vehicle::math::{Rotation, Vec3, from_attitude, heading, tilt_and_heading, vec3, wrap};
 use crate::vehicle::params::{ControlParams, GRAVITY_M_S2, VelocityLaw};
 use crate::vehicle::rotors::Wrench;
 use crate::vehicle::shaping::{Limits, Shaped, advance_horizontal, square_root_law};
@@ -51,7 +51,7 @@ pub(crate) enum Stage {
 }
 
 /// The shaped path that the position controller follows.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 struct Reference {
     position_ned_m: Vec3,
     velocity_ned_m_s: Vec3,
@@ -104,13 +104,7 @@ impl Controller {
                 gain_per_s: params.shaping_yaw_per_s,
             },
             stage: Stage::Off,
-            reference: Reference {
-                position_ned_m: Vec3::zeros(),
-                velocity_ned_m_s: Vec3::zeros(),
-                acceleration_ned_m_s2: Vec3::zeros(),
-                yaw_rad: 0.0,
-                yaw_rate: Shaped::default(),
-            },
+            reference: Reference::default(),
             taken_up_m_s: Vec3::zeros(),
             velocity_integral_m_s2: Vec3::zeros(),
             rates_wanted_rad_s: Vec3::zeros(),
@@ -169,14 +163,14 @@ impl Controller {
             ControlCommand::Acceleration {
                 acceleration_ned_m_s2,
                 yaw,
-            } if acceleration_ned_m_s2.is_finite() => self.accelerate(&from_ned(acceleration_ned_m_s2), yaw, belief),
+            } if acceleration_ned_m_s2.is_finite() => self.accelerate(&vec3(acceleration_ned_m_s2), yaw, belief),
             ControlCommand::Rates {
                 rates_frd_rad_s,
                 thrust,
             } if rates_frd_rad_s.is_finite() && thrust.is_finite() => {
                 self.stage = Stage::Rates;
                 self.thrust_wanted_n = self.thrust_for(thrust);
-                self.rates_wanted_rad_s = from_frd(rates_frd_rad_s).map(|r| r.clamp(-RATE_MAX_RAD_S, RATE_MAX_RAD_S));
+                self.rates_wanted_rad_s = vec3(rates_frd_rad_s).map(|r| r.clamp(-RATE_MAX_RAD_S, RATE_MAX_RAD_S));
             }
             _ => {
                 self.enter_path(belief);
@@ -199,27 +193,16 @@ impl Controller {
     fn path_velocity(&self, command: &ControlCommand, belief: &Belief) -> (Vec3, YawCommand) {
         match *command {
             ControlCommand::VelocityHeading { velocity_m_s, yaw } if velocity_m_s.is_finite() => {
-                let v = Vec3::new(
-                    f64::from(velocity_m_s.x),
-                    f64::from(velocity_m_s.y),
-                    f64::from(velocity_m_s.z),
-                );
-                (heading(belief.yaw_rad) * v, yaw)
+                (heading(belief.yaw_rad) * vec3(velocity_m_s), yaw)
             }
-            ControlCommand::VelocityNed { velocity_m_s, yaw } if velocity_m_s.is_finite() => {
-                (from_ned(velocity_m_s), yaw)
-            }
+            ControlCommand::VelocityNed { velocity_m_s, yaw } if velocity_m_s.is_finite() => (vec3(velocity_m_s), yaw),
             ControlCommand::Position {
                 position_ned_m,
                 velocity_m_s,
                 speed_limit_m_s,
                 yaw,
             } if position_ned_m.is_finite() && velocity_m_s.is_finite() => (
-                self.velocity_towards(
-                    &from_ned(position_ned_m),
-                    &from_ned(velocity_m_s),
-                    f64::from(speed_limit_m_s),
-                ),
+                self.velocity_towards(&vec3(position_ned_m), &vec3(velocity_m_s), f64::from(speed_limit_m_s)),
                 yaw,
             ),
             ControlCommand::VelocityAtHeight {
@@ -238,7 +221,7 @@ impl Controller {
                 speed_limit_m_s,
                 yaw,
             } if position_ned_m.is_finite() && down_m_s.is_finite() => {
-                let mut goal = from_ned(position_ned_m);
+                let mut goal = vec3(position_ned_m);
                 goal.z = self.reference.position_ned_m.z;
                 let climb = Vec3::new(0.0, 0.0, f64::from(down_m_s));
                 (self.velocity_towards(&goal, &climb, f64::from(speed_limit_m_s)), yaw)
@@ -329,8 +312,8 @@ impl Controller {
             self.reset_reference(belief);
         }
         let (yaw_rad, yaw_rate) = match yaw {
-            YawCommand::Angle { yaw_rad } if yaw_rad.is_finite() => (wrap(f64::from(yaw_rad)), 0.0),
-            YawCommand::Rate { yaw_rate_rad_s } if yaw_rate_rad_s.is_finite() => {
+            YawCommand::Angle(yaw_rad) if yaw_rad.is_finite() => (wrap(f64::from(yaw_rad)), 0.0),
+            YawCommand::Rate(yaw_rate_rad_s) if yaw_rate_rad_s.is_finite() => {
                 (belief.yaw_rad, self.limit_yaw_rate(yaw_rate_rad_s))
             }
             _ => (self.reference.yaw_rad, 0.0),
@@ -381,8 +364,8 @@ impl Controller {
 
         let r = &mut self.reference;
         let yaw_rate_wanted = match yaw {
-            YawCommand::Rate { yaw_rate_rad_s } if yaw_rate_rad_s.is_finite() => f64::from(yaw_rate_rad_s),
-            YawCommand::Angle { yaw_rad } if yaw_rad.is_finite() => {
+            YawCommand::Rate(yaw_rate_rad_s) if yaw_rate_rad_s.is_finite() => f64::from(yaw_rate_rad_s),
+            YawCommand::Angle(yaw_rad) if yaw_rad.is_finite() => {
                 let turn = wrap(f64::from(yaw_rad) - r.yaw_rad);
                 square_root_law(turn.abs(), 2.0, 0.5 * p.yaw_accel_rad_s2) * turn.signum()
             }

@@ -3,7 +3,7 @@
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
 
 /// What the autopilot's estimator believes: what telemetry reports and what the controllers use. Never the truth.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Estimate {
     /// Simulated time of the estimate.
     pub at_ns: Nanos,
@@ -35,7 +35,7 @@ pub struct Truth {
 }
 
 /// Raw-ish sensor readings, for the telemetry that reports them.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Sensors {
     /// Specific force, metres per second squared.
     pub accelerometer_frd_m_s2: FrdVector,
@@ -61,7 +61,7 @@ pub struct Sensors {
 }
 
 /// Everything the MAVLink endpoint may look at.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct VehicleView {
     /// The estimator's belief.
     pub estimate: Estimate,
@@ -78,16 +78,10 @@ pub struct VehicleView {
 pub enum YawCommand {
     /// Keep the heading that was held when this began.
     Hold,
-    /// Turn to this heading, clockwise from north.
-    Angle {
-        /// Heading.
-        yaw_rad: f32,
-    },
-    /// Turn at this rate, clockwise.
-    Rate {
-        /// Rate.
-        yaw_rate_rad_s: f32,
-    },
+    /// Turn to this heading, radians clockwise from north.
+    Angle(f32),
+    /// Turn at this rate, radians per second, clockwise.
+    Rate(f32),
 }
 
 /// What the vehicle's controllers are asked to do in this millisecond. `Copy`, no allocation; the endpoint computes

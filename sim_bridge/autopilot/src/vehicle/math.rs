@@ -1,7 +1,7 @@
 //! Vectors and rotations in f64, with libm's functions so that the bits match across machines.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use vigil_types::{Attitude, FrdVector, NedVector};
+use vigil_types::{Attitude, Frame, FrdVector, NedVector, Vector};
 
 pub(crate) type Vec3 = Vector3<f64>;
 pub(crate) type Rotation = UnitQuaternion<f64>;
@@ -64,21 +64,13 @@ pub(crate) fn attitude(q: &Rotation) -> Attitude {
     }
 }
 
-pub(crate) fn from_ned(v: NedVector) -> Vec3 {
-    Vec3::new(f64::from(v.x), f64::from(v.y), f64::from(v.z))
-}
-
-pub(crate) fn from_frd(v: FrdVector) -> Vec3 {
-    Vec3::new(f64::from(v.x), f64::from(v.y), f64::from(v.z))
+pub(crate) fn vec3<F: Frame>(v: Vector<F>) -> Vec3 {
+    v.to_array().map(f64::from).into()
 }
 
 pub(crate) fn from_attitude(a: Attitude) -> Rotation {
-    Rotation::new_normalize(Quaternion::new(
-        f64::from(a.w),
-        f64::from(a.x),
-        f64::from(a.y),
-        f64::from(a.z),
-    ))
+    let [w, x, y, z] = [a.w, a.x, a.y, a.z].map(f64::from);
+    Rotation::new_normalize(Quaternion::new(w, x, y, z))
 }
 
 #[cfg(test)]

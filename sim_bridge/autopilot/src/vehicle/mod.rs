@@ -11,7 +11,7 @@
 //! vehicle.place(NedVector::new(0.0, 0.0, -2.5), 0.0, true);
 //! let ahead = ControlCommand::VelocityHeading {
 //!     velocity_m_s: HeadingVector::new(1.5, 0.0, 0.0),
-//!     yaw: YawCommand::Rate { yaw_rate_rad_s: 0.0 },
+//!     yaw: YawCommand::Rate(0.0),
 //! };
 //! for _ in 0..4000 {
 //!     vehicle.step(&ahead); // 1 ms

@@ -4,7 +4,7 @@ use crate::vehicle::body::{Body, Inertia};
 use crate::vehicle::control::{Belief, Controller, Stage};
 use crate::vehicle::ground::Ground;
 use crate::vehicle::interface::{ControlCommand, Estimate, Truth, VehicleView};
-use crate::vehicle::math::{Vec3, attitude, frd, from_ned, heading, ned, yaw_of};
+use crate::vehicle::math::{Vec3, attitude, frd, heading, ned, vec3, yaw_of};
 use crate::vehicle::noise::{Noise, OrnsteinUhlenbeck};
 use crate::vehicle::params::{GRAVITY_M_S2, VehicleParams, Wind};
 use crate::vehicle::rotors::Rotors;
@@ -99,7 +99,7 @@ impl Vehicle {
     /// from their stationary distribution); never below the standing height. Otherwise standing on the ground with
     /// motors off; `position_ned_m.z` is not used then.
     pub fn place(&mut self, position_ned_m: NedVector, yaw_rad: f32, airborne: bool) {
-        let position = from_ned(position_ned_m);
+        let position = vec3(position_ned_m);
         let yaw_rad = f64::from(yaw_rad);
         if !airborne {
             self.stand(position.x, position.y, yaw_rad);
@@ -265,77 +265,44 @@ impl Vehicle {
             &self.acceleration_ned_m_s2,
             &self.gusts.value,
         ] {
-            bytes.vector(v);
+            bytes.numbers(v);
         }
-        for part in self.body.attitude.coords.iter() {
-            bytes.number(*part);
-        }
-        for speed in self.rotors.speeds_rad_s.iter().chain(self.rotors.commands_rad_s()) {
-            bytes.number(*speed);
-        }
+        bytes.numbers(&self.body.attitude.coords);
+        bytes.numbers(&self.rotors.speeds_rad_s);
+        bytes.numbers(self.rotors.commands_rad_s());
         for (north, east) in self.ground.anchors_m() {
-            bytes.number(north);
-            bytes.number(east);
+            bytes.numbers(&[north, east]);
         }
         let (vectors, numbers, flags) = self.controller.memory();
-        vectors.iter().for_each(|v| bytes.vector(v));
-        numbers.iter().for_each(|n| bytes.number(*n));
-        flags.iter().for_each(|f| bytes.word(*f));
-        self.controller.taken_up_m_s().iter().for_each(|v| bytes.vector(v));
+        bytes.numbers(vectors.iter().flatten().chain(&numbers));
+        flags.into_iter().for_each(|f| bytes.word(f));
+        bytes.numbers(self.controller.taken_up_m_s().iter().flatten());
         let (vectors, numbers, words) = self.errors.memory();
-        vectors.iter().for_each(|v| bytes.vector(v));
-        numbers.iter().for_each(|n| bytes.number(*n));
-        words.iter().for_each(|w| bytes.word(*w));
+        bytes.numbers(vectors.iter().flatten().chain(&numbers));
+        words.into_iter().for_each(|w| bytes.word(w));
         if let Some((vectors, word)) = self.errors.wander_memory() {
-            vectors.iter().for_each(|v| bytes.vector(v));
+            bytes.numbers(vectors.iter().flatten());
             bytes.word(word);
         }
-        self.errors
-            .heading_error_rad()
-            .into_iter()
-            .for_each(|r| bytes.number(r));
-        bytes.number(self.battery.charge);
-        bytes.number(self.battery.voltage_v);
+        bytes.numbers(&self.errors.heading_error_rad());
+        bytes.numbers(&[self.battery.charge, self.battery.voltage_v]);
         bytes.word(self.gust_noise.position());
         bytes.word(u64::from(self.armed) | u64::from(self.on_ground) << 1 | u64::from(self.contact_steps) << 8);
-        bytes.hash()
+        twox_hash::XxHash3_64::oneshot(&bytes.0)
     }
 }
 
-/// The state's bits in a fixed buffer.
-struct StateBytes {
-    bytes: [u8; Self::SIZE],
-    used: usize,
-}
-
-impl Default for StateBytes {
-    fn default() -> Self {
-        Self {
-            bytes: [0; Self::SIZE],
-            used: 0,
-        }
-    }
-}
+/// The state's bits.
+#[derive(Default)]
+struct StateBytes(Vec<u8>);
 
 impl StateBytes {
-    /// 106 words at most (all eight contact points touching) and room to spare.
-    const SIZE: usize = 1024;
-
     fn word(&mut self, word: u64) {
-        self.bytes[self.used..self.used + 8].copy_from_slice(&word.to_le_bytes());
-        self.used += 8;
+        self.0.extend(word.to_le_bytes());
     }
 
-    fn number(&mut self, number: f64) {
-        self.word(number.to_bits());
-    }
-
-    fn vector(&mut self, v: &Vec3) {
-        v.iter().for_each(|n| self.number(*n));
-    }
-
-    fn hash(&self) -> u64 {
-        twox_hash::XxHash3_64::oneshot(&self.bytes[..self.used])
+    fn numbers<'a>(&mut self, numbers: impl IntoIterator<Item = &'a f64>) {
+        numbers.into_iter().for_each(|n| self.word(n.to_bits()));
     }
 }
 
