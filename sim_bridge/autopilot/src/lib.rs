@@ -55,7 +55,5 @@ pub use core::{EndpointStatus, Refusals, SigningSetup, ZoneRanges};
 pub use endpoint::Endpoint;
 pub use flight::{Failsafe, FlightMode, LandedState};
 pub use saved::Saved;
-pub use vehicle_parameters::{
-    ParameterError, ParameterInfo, ParameterRole, ParameterType, ParameterValue, parameter_table,
-};
+pub use vehicle_parameters::{ParameterError, ParameterInfo, ParameterRole, ParameterValue, parameter_table};
 pub use vigil_mavlink::routing::ComponentId;

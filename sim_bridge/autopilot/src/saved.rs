@@ -3,7 +3,7 @@
 use crate::ConfigError;
 use crate::core::Core;
 use crate::plan::{PlanItem, PlanKind};
-use crate::vehicle_parameters::{ParameterRole, ParameterValue, Parameters};
+use crate::vehicle_parameters::{ParameterInfo, ParameterRole, ParameterValue};
 use std::collections::BTreeMap;
 use vigil_types::settings;
 use vigil_types::settings::section;
@@ -21,9 +21,10 @@ settings! {
 
 impl Core {
     pub fn saved(&self) -> Saved {
-        let differing = (0..Parameters::count())
-            .filter_map(|index| self.parameters.at(index))
-            .filter(|(info, value)| info.default != *value && info.role != ParameterRole::Fixed);
+        let differs = |(info, value): &(&ParameterInfo, ParameterValue)| {
+            info.default != *value && info.role != ParameterRole::Fixed
+        };
+        let differing = self.parameters.all().filter(differs);
         let items = |kind| self.plans.wire(kind).items.clone();
         Saved {
             parameters: differing
@@ -60,7 +61,7 @@ impl Core {
 }
 
 /// The value as people write it: 0.4, not the double next to the float.
-fn exact(value: ParameterValue) -> f64 {
+pub(crate) fn exact(value: ParameterValue) -> f64 {
     match value {
         ParameterValue::Int32(v) => f64::from(v),
         ParameterValue::Real32(v) => v.to_string().parse().unwrap_or(f64::from(v)),

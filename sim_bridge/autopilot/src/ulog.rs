@@ -3,7 +3,7 @@
 
 use crate::core::Core;
 use crate::flight::LandedState;
-use crate::vehicle_parameters::{ParameterValue, Parameters};
+use crate::vehicle_parameters::ParameterValue;
 
 /// Bytes before the first message: magic, version, start.
 const HEADER_LEN: usize = 16;
@@ -58,12 +58,12 @@ pub(crate) fn begin(core: &Core) -> Vec<u8> {
         let format = format!("{name}:uint64_t timestamp;{fields}");
         message(&mut out, b'F', &[format.as_bytes()]);
     }
-    for (info, value) in (0..Parameters::count()).filter_map(|index| core.parameters.at(index)) {
-        let (kind, bytes) = match value {
-            ParameterValue::Int32(value) => ("int32_t", value.to_le_bytes()),
-            ParameterValue::Real32(value) => ("float", value.to_le_bytes()),
+    for (info, value) in core.parameters.all() {
+        let kind = match value {
+            ParameterValue::Int32(_) => "int32_t",
+            ParameterValue::Real32(_) => "float",
         };
-        named(&mut out, b'P', &format!("{kind} {}", info.name), &bytes);
+        named(&mut out, b'P', &format!("{kind} {}", info.name), &value.to_le_bytes());
     }
     for (number, (name, _)) in TOPICS.iter().enumerate() {
         message(&mut out, b'A', &[&[0], &(number as u16).to_le_bytes(), name.as_bytes()]);
@@ -108,14 +108,10 @@ pub(crate) fn record(out: &mut Vec<u8>, core: &Core) {
 pub(crate) fn next_message(log: &[u8], known: usize, offset: usize) -> usize {
     let mut at = known.max(HEADER_LEN);
     while at < offset {
-        let Some(size) = log
-            .get(at..at + 2)
-            .and_then(|bytes| bytes.try_into().ok())
-            .map(u16::from_le_bytes)
-        else {
+        let Some(&[low, high]) = log.get(at..at + 2) else {
             break;
         };
-        at += MESSAGE_HEADER_LEN + usize::from(size);
+        at += MESSAGE_HEADER_LEN + usize::from(u16::from_le_bytes([low, high]));
     }
     at
 }

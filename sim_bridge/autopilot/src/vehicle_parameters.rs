@@ -1,23 +1,15 @@
 //! The vehicle's parameters; the protocol that reads and sets them is `services::parameters`.
 
 use std::collections::BTreeMap;
+use std::mem::discriminant;
 use std::sync::LazyLock;
-
-/// A parameter's wire type.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ParameterType {
-    /// MAV_PARAM_TYPE_INT32.
-    Int32,
-    /// MAV_PARAM_TYPE_REAL32.
-    Real32,
-}
 
 /// A parameter's value with its type.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ParameterValue {
-    /// An integer.
+    /// MAV_PARAM_TYPE_INT32.
     Int32(i32),
-    /// A float.
+    /// MAV_PARAM_TYPE_REAL32.
     Real32(f32),
 }
 
@@ -30,11 +22,11 @@ impl ParameterValue {
         }
     }
 
-    /// Its type.
-    pub fn parameter_type(self) -> ParameterType {
+    /// Its bytes in files and digests.
+    pub(crate) const fn to_le_bytes(self) -> [u8; 4] {
         match self {
-            Self::Int32(_) => ParameterType::Int32,
-            Self::Real32(_) => ParameterType::Real32,
+            Self::Int32(v) => v.to_le_bytes(),
+            Self::Real32(v) => v.to_le_bytes(),
         }
     }
 }
@@ -401,13 +393,9 @@ impl Parameters {
     pub fn set_by_name(&mut self, name: &str, value: f64) -> Result<(), ParameterError> {
         let index = Self::index_of(name).ok_or_else(|| ParameterError::Unknown { name: name.to_owned() })?;
         let typed = match TABLE[index].default {
+            // A fraction is of another type.
             ParameterValue::Int32(_) if value.fract() == 0.0 => ParameterValue::Int32(value as i32),
-            ParameterValue::Int32(_) => {
-                return Err(ParameterError::WrongType {
-                    name: TABLE[index].name,
-                });
-            }
-            ParameterValue::Real32(_) => ParameterValue::Real32(value as f32),
+            _ => ParameterValue::Real32(value as f32),
         };
         self.set(index, typed)
     }
@@ -421,6 +409,11 @@ impl Parameters {
     /// The value at an index of the table.
     pub fn at(&self, index: usize) -> Option<(&'static ParameterInfo, ParameterValue)> {
         Some((TABLE.get(index)?, *self.values.get(index)?))
+    }
+
+    /// All of them in the order of their index.
+    pub fn all(&self) -> impl Iterator<Item = (&'static ParameterInfo, ParameterValue)> {
+        TABLE.iter().zip(self.values.iter().copied())
     }
 
     /// Number of parameters.
@@ -454,15 +447,13 @@ impl Parameters {
         let info = TABLE.get(index).ok_or_else(|| ParameterError::Unknown {
             name: format!("#{index}"),
         })?;
-        if info.default.parameter_type() != value.parameter_type() {
+        if discriminant(&info.default) != discriminant(&value) {
             return Err(ParameterError::WrongType { name: info.name });
         }
         if info.role == ParameterRole::Fixed {
-            let is_same = self.values.get(index) == Some(&value);
-            return if is_same {
-                Ok(())
-            } else {
-                Err(ParameterError::Fixed { name: info.name })
+            return match self.values.get(index) == Some(&value) {
+                true => Ok(()),
+                false => Err(ParameterError::Fixed { name: info.name }),
             };
         }
         // NaN is in no range.

@@ -2,11 +2,11 @@
 //! <https://mavlink.io/en/services/component_information.html>
 
 use crate::files::FileSystem;
+use crate::saved::exact;
 use crate::service::prelude::*;
 use crate::services::events::definitions;
 use crate::vehicle_parameters::{ParameterInfo, ParameterValue, parameter_table};
-use serde::Serialize;
-use serde_json::json;
+use serde_json::{Value, json};
 use vigil_mavlink::crc::crc32;
 
 /// Where PX4 keeps them.
@@ -46,81 +46,38 @@ fn component_metadata(core: &Core) -> Option<MavMessage> {
 }
 
 /// A parameter as the schema of parameter metadata has it. Numbers are written as short as they read back.
-#[derive(Serialize)]
-#[serde(rename_all = "camelCase")]
-struct Described {
-    name: &'static str,
-    #[serde(rename = "type")]
-    kind: &'static str,
-    group: &'static str,
-    short_desc: &'static str,
-    units: &'static str,
-    default: Number,
-    min: Number,
-    max: Number,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    values: Vec<Choice>,
-}
-
-/// A number that stands for something.
-#[derive(Serialize)]
-struct Choice {
-    value: i32,
-    description: &'static str,
-}
-
-#[derive(Serialize)]
-#[serde(untagged)]
-enum Number {
-    Integer(i32),
-    Real(f32),
-}
-
-impl From<&ParameterInfo> for Described {
-    fn from(info: &ParameterInfo) -> Self {
-        let (kind, default) = match info.default {
-            ParameterValue::Int32(value) => ("Int32", Number::Integer(value)),
-            ParameterValue::Real32(value) => ("Float", Number::Real(value)),
-        };
-        let limit = |value: f32| match info.default {
-            ParameterValue::Int32(_) => Number::Integer(value as i32),
-            ParameterValue::Real32(_) => Number::Real(value),
-        };
-        Self {
-            name: info.name,
-            kind,
-            group: info.name.split_once('_').map_or("", |(group, _)| group),
-            short_desc: info.description,
-            units: info.unit,
-            default,
-            min: limit(info.min),
-            max: limit(info.max),
-            values: info
-                .choices()
-                .into_iter()
-                .map(|(value, description)| Choice { value, description })
-                .collect(),
-        }
+fn described(info: &ParameterInfo) -> Value {
+    let (kind, number): (_, fn(f32) -> Value) = match info.default {
+        ParameterValue::Int32(_) => ("Int32", |value| json!(value as i32)),
+        ParameterValue::Real32(_) => ("Float", |value| json!(exact(ParameterValue::Real32(value)))),
+    };
+    let choice = |(value, description)| json!({ "value": value, "description": description });
+    let values: Vec<Value> = info.choices().into_iter().map(choice).collect();
+    let mut described = json!({
+        "name": info.name,
+        "type": kind,
+        "group": info.name.split_once('_').map_or("", |(group, _)| group),
+        "shortDesc": info.description,
+        "units": info.unit,
+        "default": number(info.default.as_f32()),
+        "min": number(info.min),
+        "max": number(info.max),
+    });
+    if !values.is_empty() {
+        described["values"] = values.into();
     }
-}
-
-#[derive(Serialize)]
-struct ParameterFile {
-    version: u32,
-    parameters: Vec<Described>,
+    described
 }
 
 /// What is in memory always serialises; were it not to, the file would be empty and clients would do without.
-fn text(value: &impl Serialize) -> Vec<u8> {
+fn text(value: &Value) -> Vec<u8> {
     serde_json::to_vec(value).unwrap_or_default()
 }
 
 /// Puts the metadata among the vehicle's own files.
 fn provide(files: &mut FileSystem, now_s: u64) {
-    let parameters = text(&ParameterFile {
-        version: 1,
-        parameters: parameter_table().iter().map(Described::from).collect(),
-    });
+    let parameters: Vec<Value> = parameter_table().iter().map(described).collect();
+    let parameters = text(&json!({ "version": 1, "parameters": parameters }));
     let events = text(&definitions());
     let part = |kind: CompMetadataType, path: &str, content: &[u8]| json!({ "type": kind as u32, "uri": uri(path), "fileCrc": crc32(content) });
     let general = text(&json!({

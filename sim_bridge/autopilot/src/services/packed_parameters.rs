@@ -48,7 +48,7 @@ pub(super) fn read(path: &str, core: &Core) -> Option<Vec<u8>> {
         file.extend_from_slice(&word.to_le_bytes());
     }
     let mut last = "";
-    for (info, value) in (start..start + count).filter_map(|index| core.parameters.at(index)) {
+    for (info, value) in core.parameters.all().skip(start).take(count) {
         // A name repeats the beginning of the one before; lengths are of four bits, the second less one.
         let common = info
             .name
@@ -59,19 +59,18 @@ pub(super) fn read(path: &str, core: &Core) -> Option<Vec<u8>> {
             .min(15)
             .min(info.name.len() - 1);
         let rest = info.name.as_bytes().get(common..).unwrap_or_default();
-        let bytes = |value| match value {
-            ParameterValue::Int32(value) => (INT32, value.to_le_bytes()),
-            ParameterValue::Real32(value) => (FLOAT, value.to_le_bytes()),
+        let kind = match value {
+            ParameterValue::Int32(_) => INT32,
+            ParameterValue::Real32(_) => FLOAT,
         };
-        let (kind, value_bytes) = bytes(value);
         let tells_default = with_defaults && value != info.default;
         let flags = if tells_default { HAS_DEFAULT } else { 0 };
         file.push(kind | flags << 4);
         file.push(common as u8 | ((rest.len() - 1) as u8) << 4);
         file.extend_from_slice(rest);
-        file.extend_from_slice(&value_bytes);
+        file.extend_from_slice(&value.to_le_bytes());
         if tells_default {
-            file.extend_from_slice(&bytes(info.default).1);
+            file.extend_from_slice(&info.default.to_le_bytes());
         }
         last = info.name;
     }

@@ -98,13 +98,8 @@ pub(super) fn value_message(core: &Core, index: usize) -> Option<MavMessage> {
 
 /// PX4's digest: a CRC over the names and values in the order of the index.
 fn hash(core: &Core) -> u32 {
-    let all = (0..Parameters::count()).filter_map(|index| core.parameters.at(index));
-    all.fold(0, |crc, (info, value)| {
-        let bytes = match value {
-            ParameterValue::Int32(value) => value.to_le_bytes(),
-            ParameterValue::Real32(value) => value.to_le_bytes(),
-        };
-        crc32_on(crc32_on(crc, info.name.as_bytes()), &bytes)
+    core.parameters.all().fold(0, |crc, (info, value)| {
+        crc32_on(crc32_on(crc, info.name.as_bytes()), &value.to_le_bytes())
     })
 }
 

@@ -9,7 +9,7 @@ use crate::plan::PlanKind;
 use crate::service::prelude::*;
 use crate::services::arming;
 use crate::services::parameters::value_message;
-use crate::vehicle_parameters::{ParameterError, ParameterType, ParameterValue, Parameters};
+use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters};
 use std::fmt::Write;
 
 /// Bytes of a packet.
@@ -184,16 +184,12 @@ fn show(pattern: &str, core: &Core) -> String {
         return "at most three *\n".to_owned();
     }
     let mut text = String::new();
-    for index in 0..Parameters::count() {
-        if let Some((info, value)) = core.parameters.at(index)
-            && fits(info.name, pattern)
-        {
-            // Writing into a string cannot fail.
-            let _ = match value {
-                ParameterValue::Int32(value) => writeln!(text, "{}: {value}", info.name),
-                ParameterValue::Real32(value) => writeln!(text, "{}: {value:?}", info.name),
-            };
-        }
+    for (info, value) in core.parameters.all().filter(|(info, _)| fits(info.name, pattern)) {
+        // Writing into a string cannot fail.
+        let _ = match value {
+            ParameterValue::Int32(value) => writeln!(text, "{}: {value}", info.name),
+            ParameterValue::Real32(value) => writeln!(text, "{}: {value:?}", info.name),
+        };
     }
     if text.is_empty() {
         text = format!("no parameter {pattern}\n");
@@ -202,27 +198,28 @@ fn show(pattern: &str, core: &Core) -> String {
 }
 
 fn set(name: &str, value: &str, core: &mut Core) -> String {
-    let Some(index) = Parameters::index_of(name) else {
-        core.refusals.parameter += 1;
-        return format!("{}\n", ParameterError::Unknown { name: name.to_owned() });
-    };
-    let kind = core.parameters.at(index).map(|(_, old)| old.parameter_type());
-    let parsed = match kind {
-        Some(ParameterType::Int32) => value.parse().ok().map(ParameterValue::Int32),
+    match try_set(name, value, core) {
+        Ok(()) => show(name, core),
+        Err(why) => {
+            core.refusals.parameter += 1;
+            format!("{why}\n")
+        }
+    }
+}
+
+fn try_set(name: &str, value: &str, core: &mut Core) -> Result<(), String> {
+    let unknown = || ParameterError::Unknown { name: name.to_owned() }.to_string();
+    let index = Parameters::index_of(name).ok_or_else(unknown)?;
+    let parsed = match core.parameters.at(index) {
+        Some((_, ParameterValue::Int32(_))) => value.parse().ok().map(ParameterValue::Int32),
         _ => value.parse().ok().map(ParameterValue::Real32),
     };
-    let Some(parsed) = parsed else {
-        core.refusals.parameter += 1;
-        return format!("{value}: not a number of the parameter's type\n");
-    };
-    if let Err(error) = core.parameters.set(index, parsed) {
-        core.refusals.parameter += 1;
-        return format!("{error}\n");
-    }
+    let parsed = parsed.ok_or_else(|| format!("{value}: not a number of the parameter's type"))?;
+    core.parameters.set(index, parsed).map_err(|error| error.to_string())?;
     if let Some(message) = value_message(core, index) {
         core.outbox.send_all(&message);
     }
-    show(name, core)
+    Ok(())
 }
 
 fn list(path: &str, core: &Core) -> String {

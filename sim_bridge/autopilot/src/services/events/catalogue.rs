@@ -17,14 +17,16 @@ const PRESENT: u32 = 0b1_1110;
 const CHECK_SUMMARY: u32 = 100;
 const HEALTH_SUMMARY: u32 = 200;
 
-/// Why the vehicle cannot be armed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum ArmingCheck {
-    Terminated,
-    Tilted,
-    OutsideFence,
-    Other,
-    SensorLost,
+vigil_types::named! {
+    /// Why the vehicle cannot be armed.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub(super) enum ArmingCheck {
+        Terminated => "check_terminated",
+        Tilted => "check_tilted",
+        OutsideFence => "check_outside_fence",
+        Other => "check_other",
+        SensorLost => "check_sensor_lost",
+    }
 }
 
 impl From<&Denial> for ArmingCheck {
@@ -40,35 +42,19 @@ impl From<&Denial> for ArmingCheck {
 }
 
 impl ArmingCheck {
-    const ALL: [Self; 5] = [
-        Self::Terminated,
-        Self::Tilted,
-        Self::OutsideFence,
-        Self::Other,
-        Self::SensorLost,
-    ];
-
-    /// Index of the health component it concerns.
-    fn component(self) -> u8 {
+    /// Index of the health component it concerns, and what is told.
+    fn component_and_message(self) -> (u8, &'static str) {
         match self {
-            Self::Terminated | Self::Other | Self::SensorLost => 1,
-            Self::Tilted => 2,
-            Self::OutsideFence => 3,
+            Self::Terminated => (1, "Flight was terminated: reboot first"),
+            Self::Tilted => (2, "Vehicle is tilted"),
+            Self::OutsideFence => (3, "Vehicle is outside its geofence"),
+            Self::SensorLost => (1, "A sensor is lost"),
+            Self::Other => (1, "Vehicle is not ready"),
         }
     }
 
     pub(super) fn component_bit(self) -> u32 {
-        1 << self.component()
-    }
-
-    fn name_and_message(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Terminated => ("check_terminated", "Flight was terminated: reboot first"),
-            Self::Tilted => ("check_tilted", "Vehicle is tilted"),
-            Self::OutsideFence => ("check_outside_fence", "Vehicle is outside its geofence"),
-            Self::SensorLost => ("check_sensor_lost", "A sensor is lost"),
-            Self::Other => ("check_other", "Vehicle is not ready"),
-        }
+        1 << self.component_and_message().0
     }
 }
 
@@ -88,14 +74,17 @@ pub(super) enum Event {
     HealthSummary,
 }
 
-fn failsafe_number(failsafe: Failsafe) -> u8 {
-    match failsafe {
-        Failsafe::SetpointLost => 1,
-        Failsafe::GeofenceBreached => 2,
-        Failsafe::ManualControlLost => 3,
-        Failsafe::PositionLost => 4,
-    }
-}
+/// Failsafes with their names, in the order of their numbers from 1.
+const FAILSAFES: [(Failsafe, &str, &str); 4] = [
+    (Failsafe::SetpointLost, "setpoint_lost", "setpoint lost"),
+    (Failsafe::GeofenceBreached, "geofence_breached", "geofence breached"),
+    (
+        Failsafe::ManualControlLost,
+        "manual_control_lost",
+        "manual control lost",
+    ),
+    (Failsafe::PositionLost, "position_lost", "position lost"),
+];
 
 impl Event {
     pub(super) fn id(self) -> u32 {
@@ -126,12 +115,12 @@ impl Event {
                 ],
             ),
             Self::CheckFailed(check) => {
-                let (name, message) = check.name_and_message();
+                let (_, message) = check.component_and_message();
                 let arguments = &[
                     ("navigation_mode_group_t", "modes"),
                     ("uint8_t", "health_component_index"),
                 ];
-                (CHECK_SUMMARY + 1 + check as u32, name, message, arguments)
+                (CHECK_SUMMARY + 1 + check as u32, check.name(), message, arguments)
             }
             Self::HealthSummary => (
                 HEALTH_SUMMARY,
@@ -168,25 +157,28 @@ impl Event {
         let mut number = |value: u32| bytes.extend_from_slice(&value.to_le_bytes());
         match self {
             Self::ModeChanged(mode) => number(mode.custom_mode()),
-            Self::FailsafeEntered(failsafe) => bytes.push(failsafe_number(failsafe)),
+            Self::FailsafeEntered(failsafe) => {
+                let place = FAILSAFES.iter().position(|(known, ..)| *known == failsafe);
+                bytes.push(place.map_or(0, |place| place as u8 + 1));
+            }
             Self::ArmingCheckSummary {
                 failing,
                 groups_that_can,
             } => {
                 bytes.push(0);
-                for value in [failing, 0, groups_that_can, groups_that_can] {
-                    bytes.extend_from_slice(&value.to_le_bytes());
-                }
+                bytes.extend(
+                    [failing, 0, groups_that_can, groups_that_can]
+                        .map(u32::to_le_bytes)
+                        .concat(),
+                );
             }
             Self::CheckFailed(check) => {
                 number(MODE_GROUP);
-                bytes.push(check.component());
+                bytes.push(check.component_and_message().0);
             }
             Self::HealthSummary => {
                 bytes.push(0);
-                for value in [PRESENT, 0, 0] {
-                    bytes.extend_from_slice(&value.to_le_bytes());
-                }
+                bytes.extend([PRESENT, 0, 0].map(u32::to_le_bytes).concat());
             }
             _ => {}
         }
@@ -216,12 +208,7 @@ fn enums() -> Value {
         },
         "failsafe_t": {
             "type": "uint8_t", "description": "Failsafe",
-            "entries": entries([
-                (1, "setpoint_lost", "setpoint lost"),
-                (2, "geofence_breached", "geofence breached"),
-                (3, "manual_control_lost", "manual control lost"),
-                (4, "position_lost", "position lost"),
-            ]),
+            "entries": entries((1..).zip(FAILSAFES).map(|(number, (_, name, text))| (number, name, text))),
         },
         "navigation_mode_group_t": {
             "type": "uint32_t", "is_bitfield": true, "description": "Modes of the same checks",
