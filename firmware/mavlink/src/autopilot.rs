@@ -97,12 +97,18 @@ impl Flavour {
         }
     }
 
-    /// What stands in command parameters that are not used.
-    pub const fn unused(self) -> f32 {
-        match self {
-            Self::Px4 => f32::NAN,
-            Self::ArduPilot => 0.0,
+    /// Command parameters of which those of these numbers, from 1, are used.
+    pub fn params(self, used: &[(usize, f32)]) -> [f32; 7] {
+        let mut params = match self {
+            Self::Px4 => [f32::NAN; 7],
+            Self::ArduPilot => [0.0; 7],
+        };
+        for (number, value) in used {
+            if let Some(param) = number.checked_sub(1).and_then(|i| params.get_mut(i)) {
+                *param = *value;
+            }
         }
+        params
     }
 }
 

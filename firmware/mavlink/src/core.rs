@@ -9,7 +9,8 @@ use crate::status_text::{NOTICE, StatusText};
 use crate::vehicle::Vehicle;
 use ::core::fmt::Arguments;
 use heapless::Vec;
-use mavlink::dialects::common::{MavMessage, MavSeverity, PARAM_REQUEST_READ_DATA};
+use mavlink::dialects::common::{COMMAND_ACK_DATA, MavMessage, MavSeverity, PARAM_REQUEST_READ_DATA};
+use mavlink::{MavlinkVersion, Message, MessageData};
 use vigil_types::{Datagrams, GuidanceState, Nanos, Reasons, STEP_NS};
 
 /// Answers that one step can owe: more than several links ask for in a step.
@@ -46,16 +47,10 @@ impl Periodic {
 
 /// An answer that is sent in the next step, on the link that the question came on.
 #[derive(Debug, Clone, PartialEq)]
-enum Reply {
-    Ack {
-        link: u8,
-        ack: CommandAck,
-    },
-    Payload {
-        link: u8,
-        message_id: u32,
-        payload: Vec<u8, REPLY_LEN>,
-    },
+struct Reply {
+    link: u8,
+    message_id: u32,
+    payload: Vec<u8, REPLY_LEN>,
 }
 
 /// What the services share.
@@ -157,22 +152,25 @@ impl Core {
             target_component: to.component,
             ..CommandAck::default()
         };
-        self.owe(Reply::Ack { link: to.link, ack });
+        self.owe(to.link, COMMAND_ACK_DATA::ID, &ack.payload());
     }
 
     /// Owes a message as an answer.
-    pub fn reply(&mut self, link: u8, message_id: u32, payload: &[u8]) {
-        let mut kept = Vec::new();
-        // No answer of a service is longer.
-        let _ = kept.extend_from_slice(payload);
-        self.owe(Reply::Payload {
-            link,
-            message_id,
-            payload: kept,
-        });
+    pub fn reply(&mut self, link: u8, message: &MavMessage) {
+        let mut payload = [0; 255];
+        let len = message.ser(MavlinkVersion::V2, &mut payload);
+        self.owe(link, message.message_id(), payload.get(..len).unwrap_or_default());
     }
 
-    fn owe(&mut self, reply: Reply) {
+    fn owe(&mut self, link: u8, message_id: u32, bytes: &[u8]) {
+        let mut payload = Vec::new();
+        // No answer of a service is longer.
+        let _ = payload.extend_from_slice(bytes);
+        let reply = Reply {
+            link,
+            message_id,
+            payload,
+        };
         if self.replies.push(reply).is_err() {
             self.counters.replies_dropped += 1;
         }
@@ -189,14 +187,7 @@ impl Core {
             }
         }
         for reply in &core::mem::take(&mut self.replies) {
-            match reply {
-                Reply::Ack { link, ack } => self.sender.ack(out, *link, ack),
-                Reply::Payload {
-                    link,
-                    message_id,
-                    payload,
-                } => self.sender.payload(out, *link, *message_id, payload),
-            }
+            self.sender.payload(out, reply.link, reply.message_id, &reply.payload);
         }
     }
 

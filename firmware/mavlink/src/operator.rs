@@ -14,30 +14,27 @@ pub(crate) mod result {
     pub const TEMPORARILY_REJECTED: u8 = 1;
     pub const DENIED: u8 = 2;
     pub const UNSUPPORTED: u8 = 3;
-    pub const FAILED: u8 = 4;
     pub const IN_PROGRESS: u8 = 5;
-    pub const CANCELLED: u8 = 6;
-    pub const COMMAND_LONG_ONLY: u8 = 7;
     pub const COMMAND_INT_ONLY: u8 = 8;
     pub const UNSUPPORTED_MAV_FRAME: u8 = 9;
-    pub const NOT_IN_CONTROL: u8 = 10;
+
+    const NAMES: [&str; 11] = [
+        "ACCEPTED",
+        "TEMPORARILY_REJECTED",
+        "DENIED",
+        "UNSUPPORTED",
+        "FAILED",
+        "IN_PROGRESS",
+        "CANCELLED",
+        "COMMAND_LONG_ONLY",
+        "COMMAND_INT_ONLY",
+        "UNSUPPORTED_MAV_FRAME",
+        "NOT_IN_CONTROL",
+    ];
 
     /// The protocol's name.
     pub fn name(result: u8) -> &'static str {
-        match result {
-            ACCEPTED => "ACCEPTED",
-            TEMPORARILY_REJECTED => "TEMPORARILY_REJECTED",
-            DENIED => "DENIED",
-            UNSUPPORTED => "UNSUPPORTED",
-            FAILED => "FAILED",
-            IN_PROGRESS => "IN_PROGRESS",
-            CANCELLED => "CANCELLED",
-            COMMAND_LONG_ONLY => "COMMAND_LONG_ONLY",
-            COMMAND_INT_ONLY => "COMMAND_INT_ONLY",
-            UNSUPPORTED_MAV_FRAME => "UNSUPPORTED_MAV_FRAME",
-            NOT_IN_CONTROL => "NOT_IN_CONTROL",
-            _ => "a result that is not known",
-        }
+        NAMES.get(usize::from(result)).unwrap_or(&"a result that is not known")
     }
 }
 

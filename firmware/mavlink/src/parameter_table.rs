@@ -7,7 +7,9 @@ use crate::autopilot::Flavour;
 use crate::framing::Zeroed;
 use heapless::Vec;
 use mavlink::MessageData;
-use mavlink::dialects::common::{PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA};
+use mavlink::dialects::common::{
+    MavMessage, MavParamType, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
+};
 use vigil_types::{Choice, ParameterSpec};
 
 /// Parameters that a table holds.
@@ -272,27 +274,25 @@ impl Parameters {
         Ok(())
     }
 
-    /// PARAM_VALUE of a parameter: message id and payload. PX4 and its clients put integers bytewise into the value's
-    /// field, ArduPilot and its clients by conversion.
-    pub(crate) fn told(&self, index: usize, flavour: Flavour) -> Option<(u32, [u8; 25])> {
+    /// PARAM_VALUE of a parameter. PX4 and its clients put integers bytewise into the value's field, ArduPilot and its clients
+    /// by conversion.
+    pub(crate) fn told(&self, index: usize, flavour: Flavour) -> Option<MavMessage> {
         let parameter = self.all.get(index)?;
-        let (raw, mav_type) = match (parameter.value, flavour) {
-            (ParameterValue::Real(v), _) => (v.to_le_bytes(), REAL32),
-            (ParameterValue::Integer(v), Flavour::Px4) => (v.to_le_bytes(), INT32),
-            (ParameterValue::Integer(v), Flavour::ArduPilot) => ((v as f32).to_le_bytes(), INT32),
+        let (param_value, param_type) = match (parameter.value, flavour) {
+            (ParameterValue::Real(v), _) => (v, MavParamType::MAV_PARAM_TYPE_REAL32),
+            (ParameterValue::Integer(v), Flavour::Px4) => {
+                (f32::from_bits(v as u32), MavParamType::MAV_PARAM_TYPE_INT32)
+            }
+            (ParameterValue::Integer(v), Flavour::ArduPilot) => (v as f32, MavParamType::MAV_PARAM_TYPE_INT32),
         };
-        let mut payload = [0; 25];
-        // A table's length and places fit 16 bits.
-        let fields = raw
-            .into_iter()
-            .chain((self.all.len() as u16).to_le_bytes())
-            .chain((index as u16).to_le_bytes())
-            .chain(padded(parameter.name))
-            .chain([mav_type]);
-        for (slot, byte) in payload.iter_mut().zip(fields) {
-            *slot = byte;
-        }
-        Some((PARAM_VALUE_DATA::ID, payload))
+        Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
+            param_value,
+            // A table's length and places fit 16 bits.
+            param_count: self.all.len() as u16,
+            param_index: index as u16,
+            param_id: parameter.name.into(),
+            param_type,
+        }))
     }
 }
 

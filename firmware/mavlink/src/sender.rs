@@ -1,6 +1,6 @@
 //! Numbers and serialises what the guidance computer says.
 
-use crate::framing::{Command, CommandAck, MAX_PACKET_LEN, SerializeError, serialize, serialize_payload};
+use crate::framing::{Command, MAX_PACKET_LEN, SerializeError, serialize, serialize_payload};
 use mavlink::MavHeader;
 use mavlink::dialects::common::MavMessage;
 use vigil_types::Datagrams;
@@ -28,10 +28,6 @@ impl Sender {
 
     pub fn command(&mut self, out: &mut Datagrams, link: u8, command: &Command) {
         self.push(out, link, |header, buffer| command.serialize(header, buffer));
-    }
-
-    pub fn ack(&mut self, out: &mut Datagrams, link: u8, ack: &CommandAck) {
-        self.push(out, link, |header, buffer| ack.serialize(header, buffer));
     }
 
     pub fn payload(&mut self, out: &mut Datagrams, link: u8, message_id: u32, payload: &[u8]) {

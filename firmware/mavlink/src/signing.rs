@@ -4,10 +4,10 @@
 //! refused after it. A signed packet ends in 13 bytes: link id, 48-bit timestamp, and the first 48 bits of the SHA-256 of
 //! key, packet, link id and timestamp.
 
-use crate::framing::Packet;
+use crate::framing::{Packet, extra_crc, seal};
 use heapless::Vec;
-use mavlink::dialects::common::{MavMessage, SETUP_SIGNING_DATA};
-use mavlink::{MAV_STX_V2, Message, MessageData, calculate_crc};
+use mavlink::dialects::common::SETUP_SIGNING_DATA;
+use mavlink::{MAV_STX_V2, MessageData};
 use sha2::{Digest, Sha256};
 
 /// Units of a [`Timestamp`] in a second: one is 10 µs.
@@ -281,10 +281,7 @@ impl Signing {
             return Err(SignError);
         };
         let message_id = u32::from_le_bytes([id0, id1, id2, 0]);
-        let extra_crc = MavMessage::extra_crc(message_id);
-        if extra_crc == 0 && MavMessage::default_message_from_id(message_id).is_none() {
-            return Err(SignError);
-        }
+        let extra_crc = extra_crc(message_id).ok_or(SignError)?;
         let len = packet.len() + SIGNATURE_LEN;
         let out = out.get_mut(..len).ok_or(SignError)?;
         let (signed, tail) = out.split_at_mut(packet.len());
@@ -293,8 +290,7 @@ impl Signing {
             *flags |= SIGNED_FLAG;
         }
         // The checksum covers the flags.
-        let (checked, crc) = signed.split_last_chunk_mut::<2>().ok_or(SignError)?;
-        *crc = calculate_crc(checked.get(1..).unwrap_or_default(), extra_crc).to_le_bytes();
+        seal(signed, extra_crc);
         let timestamp = now.max(self.memory.newest + 1).min(LAST_TIMESTAMP);
         self.memory.newest = timestamp;
         let [t0, t1, t2, t3, t4, t5, ..] = timestamp.to_le_bytes();

@@ -168,25 +168,18 @@ impl CommandAck {
         })
     }
 
+    pub(crate) fn payload(&self) -> [u8; 10] {
+        let [c0, c1] = self.command.to_le_bytes();
+        let [p0, p1, p2, p3] = self.result_param2.to_le_bytes();
+        let (system, component) = (self.target_system, self.target_component);
+        [c0, c1, self.result, self.progress, p0, p1, p2, p3, system, component]
+    }
+
     /// Writes the acknowledgement as a MAVLink 2 packet and returns its length.
     ///
     /// # Errors
     /// [`SerializeError`].
     pub fn serialize(&self, header: MavHeader, out: &mut [u8]) -> Result<usize, SerializeError> {
-        let [c0, c1] = self.command.to_le_bytes();
-        let [p0, p1, p2, p3] = self.result_param2.to_le_bytes();
-        let payload = [
-            c0,
-            c1,
-            self.result,
-            self.progress,
-            p0,
-            p1,
-            p2,
-            p3,
-            self.target_system,
-            self.target_component,
-        ];
-        serialize_payload(header, COMMAND_ACK_DATA::ID, &payload, out)
+        serialize_payload(header, COMMAND_ACK_DATA::ID, &self.payload(), out)
     }
 }

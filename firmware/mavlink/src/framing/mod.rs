@@ -16,6 +16,7 @@ pub use packet::{FramingCounters, Packet, Packets, packets};
 #[cfg(feature = "std")]
 pub use serialize::encode;
 pub use serialize::{MAX_PACKET_LEN, SerializeError, renumber, serialize, serialize_payload};
+pub(crate) use serialize::{extra_crc, seal};
 pub use stream::StreamFramer;
 
 /// Little-endian reads at an offset of a payload whose trailing zeros were cut (MAVLink 2): what is cut reads as zero.

@@ -1,6 +1,6 @@
 //! The scanner that finds packets, and what a packet tells before it is parsed.
 
-use crate::framing::{Command, CommandAck};
+use crate::framing::{Command, CommandAck, extra_crc};
 use mavlink::dialects::common::{HEARTBEAT_DATA, MavMessage};
 use mavlink::error::ParserError;
 use mavlink::{MAV_STX, MAV_STX_V2, MavHeader, MavlinkVersion, Message, MessageData, calculate_crc};
@@ -304,10 +304,9 @@ fn candidate(bytes: &[u8]) -> Candidate<'_> {
         }
         _ => return Candidate::Short,
     };
-    let extra_crc = MavMessage::extra_crc(message_id);
-    // One message of the dialect has extra CRC 0, which also stands for an unknown one.
-    let known = extra_crc != 0 || MavMessage::default_message_from_id(message_id).is_some();
-    if known && u16::from_le_bytes([crc_low, crc_high]) != calculate_crc(checked, extra_crc) {
+    let extra_crc = extra_crc(message_id);
+    let crc = u16::from_le_bytes([crc_low, crc_high]);
+    if extra_crc.is_some_and(|extra_crc| crc != calculate_crc(checked, extra_crc)) {
         return Candidate::BadCrc { len };
     }
     Candidate::Whole(Packet {
@@ -319,7 +318,7 @@ fn candidate(bytes: &[u8]) -> Candidate<'_> {
         sequence,
         message_id,
         signed: signature_len > 0,
-        known,
+        known: extra_crc.is_some(),
     })
 }
 

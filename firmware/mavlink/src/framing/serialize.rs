@@ -62,6 +62,21 @@ pub fn encode(from: (u8, u8), sequence: u8, message: &MavMessage) -> std::vec::V
     out.get(..len).unwrap_or_default().to_vec()
 }
 
+/// A message's part of its packets' checksum; `None` for one that the dialect does not have.
+pub(crate) fn extra_crc(message_id: u32) -> Option<u8> {
+    let extra_crc = MavMessage::extra_crc(message_id);
+    // One message of the dialect has 0, which also stands for an unknown one.
+    let is_known = extra_crc != 0 || MavMessage::default_message_from_id(message_id).is_some();
+    is_known.then_some(extra_crc)
+}
+
+/// Writes the checksum of a MAVLink 2 packet into its last two bytes.
+pub(crate) fn seal(packet: &mut [u8], extra_crc: u8) {
+    if let Some((checked, crc)) = packet.split_last_chunk_mut::<2>() {
+        *crc = calculate_crc(checked.get(1..).unwrap_or_default(), extra_crc).to_le_bytes();
+    }
+}
+
 /// Gives an unsigned MAVLink 2 packet of a known message another sequence number: each link counts its own. Anything else
 /// is left as it is.
 pub fn renumber(packet: &mut [u8], sequence: u8) {
@@ -69,15 +84,9 @@ pub fn renumber(packet: &mut [u8], sequence: u8) {
         return;
     };
     let message_id = u32::from_le_bytes([id0, id1, id2, 0]);
-    let extra_crc = MavMessage::extra_crc(message_id);
-    if extra_crc == 0 && MavMessage::default_message_from_id(message_id).is_none() {
-        return;
-    }
-    if let Some(slot) = packet.get_mut(4) {
+    if let (Some(extra_crc), Some(slot)) = (extra_crc(message_id), packet.get_mut(4)) {
         *slot = sequence;
-    }
-    if let Some((checked, crc)) = packet.split_last_chunk_mut::<2>() {
-        *crc = calculate_crc(checked.get(1..).unwrap_or_default(), extra_crc).to_le_bytes();
+        seal(packet, extra_crc);
     }
 }
 
@@ -95,10 +104,7 @@ pub fn serialize_payload(
     let system_id = u8::try_from(header.system_id).map_err(|_| SerializeError::SystemId {
         system_id: header.system_id,
     })?;
-    let extra_crc = MavMessage::extra_crc(message_id);
-    if extra_crc == 0 && MavMessage::default_message_from_id(message_id).is_none() {
-        return Err(SerializeError::UnknownMessage { message_id });
-    }
+    let extra_crc = extra_crc(message_id).ok_or(SerializeError::UnknownMessage { message_id })?;
     let significant = payload.iter().rposition(|b| *b != 0).map_or(1, |last| last + 1);
     let payload = payload.get(..significant).unwrap_or(payload);
     let payload_len = u8::try_from(payload.len()).map_err(|_| SerializeError::PayloadTooLong { len: payload.len() })?;
@@ -106,14 +112,15 @@ pub fn serialize_payload(
     let available = out.len();
     let too_small = SerializeError::BufferTooSmall { needed, available };
     let [id0, id1, id2, _] = message_id.to_le_bytes();
+    let (sequence, component_id) = (header.sequence, header.component_id);
     let head = [
         MAV_STX_V2,
         payload_len,
         0,
         0,
-        header.sequence,
+        sequence,
         system_id,
-        header.component_id,
+        component_id,
         id0,
         id1,
         id2,
@@ -123,9 +130,6 @@ pub fn serialize_payload(
     head_slot.copy_from_slice(&head);
     let (payload_slot, _) = rest.split_at_mut(payload.len());
     payload_slot.copy_from_slice(payload);
-    let crc = calculate_crc(packet.get(1..needed - 2).unwrap_or_default(), extra_crc);
-    if let Some(slot) = packet.get_mut(needed - 2..) {
-        slot.copy_from_slice(&crc.to_le_bytes());
-    }
+    seal(packet, extra_crc);
     Ok(needed)
 }

@@ -37,8 +37,7 @@ impl CommandService {
     pub fn answer(&mut self, core: &mut Core, pending: &PendingRequest, outcome: RequestOutcome) {
         let (state, reasons) = core.said.unwrap_or_default();
         let told = match outcome {
-            RequestOutcome::Accepted => Reasons::NONE,
-            RequestOutcome::TooFar { .. } => Reasons::NONE,
+            RequestOutcome::Accepted | RequestOutcome::TooFar { .. } => Reasons::NONE,
             RequestOutcome::TemporarilyRejected | RequestOutcome::Denied => {
                 let (command, state) = (pending.command, state.name());
                 match pending.request {

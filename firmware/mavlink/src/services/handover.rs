@@ -7,7 +7,7 @@ use crate::autopilot::{Flavour, command_number};
 use crate::core::Core;
 use crate::framing::{Command, CommandForm, Packet};
 use crate::service::{Service, Step};
-use crate::status_text::{CRITICAL, ERROR};
+use crate::status_text::{CRITICAL, ERROR, StatusText};
 use crate::tracker::{Failure, Next, Tracker, Wanted};
 use crate::vehicle::Vehicle;
 use vigil_types::{
@@ -53,17 +53,23 @@ enum Stage {
     Done,
 }
 
+/// What guidance asks for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Asked {
+    Fly,
+    Land,
+    /// This mode of a guarded flight.
+    Mode([f32; 3]),
+}
+
 /// Follows one request of guidance.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct HandoverService {
     flavour: Flavour,
     progress: HandoverProgress,
     tracker: Tracker,
-    /// Whether the request of the last step was of this kind.
-    flying: bool,
-    landing: bool,
-    /// Or the mode that it asked for.
-    asked_mode: Option<[f32; 3]>,
+    /// Of the last step.
+    asked: Option<Asked>,
     /// The vehicle does not take the place of a stop.
     refuses_place: bool,
     streaming_since_ns: Option<Nanos>,
@@ -104,21 +110,15 @@ impl HandoverService {
                 Action::Nothing
             }
             VehicleRequest::FlyExternal { takeoff_height_m } => {
-                if !self.flying {
-                    self.end();
-                    self.flying = true;
-                }
+                self.ask(Asked::Fly);
                 self.fly(now_ns, takeoff_height_m, vehicle)
             }
             VehicleRequest::Land => {
-                if !self.landing {
-                    self.end();
-                    self.landing = true;
-                }
+                self.ask(Asked::Land);
                 self.land(now_ns, vehicle)
             }
             VehicleRequest::Hold { place_m, .. } => {
-                self.ask_mode(self.flavour.hold_mode());
+                self.ask(Asked::Mode(self.flavour.hold_mode()));
                 let wanted = match self.flavour {
                     Flavour::Px4 => self.px4_stop(place_m, vehicle),
                     Flavour::ArduPilot => self.set_mode(self.flavour.hold_mode()),
@@ -128,18 +128,18 @@ impl HandoverService {
                 action
             }
             VehicleRequest::Resume => {
-                self.ask_mode(self.flavour.mission_mode());
+                self.ask(Asked::Mode(self.flavour.mission_mode()));
                 let wanted = self.set_mode(self.flavour.mission_mode());
                 self.insist(now_ns, &wanted, HOLD_PAUSE_NS, vehicle)
             }
         }
     }
 
-    /// This mode is asked for from now on.
-    fn ask_mode(&mut self, mode: [f32; 3]) {
-        if self.asked_mode != Some(mode) {
+    /// This is asked for from now on.
+    fn ask(&mut self, asked: Asked) {
+        if self.asked != Some(asked) {
             self.end();
-            self.asked_mode = Some(mode);
+            self.asked = Some(asked);
         }
     }
 
@@ -179,11 +179,11 @@ impl HandoverService {
     }
 
     fn end(&mut self) {
-        self.tracker.reset();
-        self.progress = HandoverProgress::Idle;
-        (self.flying, self.landing, self.asked_mode, self.refuses_place) = (false, false, None, false);
-        self.climbing_since_ns = None;
-        self.failed_ns = None;
+        *self = Self {
+            flavour: self.flavour,
+            streaming_since_ns: self.streaming_since_ns,
+            ..Self::default()
+        };
     }
 
     fn fly(&mut self, now_ns: Nanos, takeoff_height_m: f32, vehicle: &Vehicle) -> Action {
@@ -284,15 +284,9 @@ impl HandoverService {
     }
 
     fn wanted(&self, number: u16, effect_ns: Nanos, set: &[(usize, f32)]) -> Wanted {
-        let mut params = [self.flavour.unused(); 7];
-        for (param, value) in set {
-            if let Some(slot) = param.checked_sub(1).and_then(|i| params.get_mut(i)) {
-                *slot = *value;
-            }
-        }
         Wanted {
             number,
-            params,
+            params: self.flavour.params(set),
             place: None,
             effect_ns,
         }
@@ -363,18 +357,20 @@ impl Service for HandoverService {
             let text = format_args!("hand-over: not done in time, waiting for: {unfinished}");
             core.tell(out, ERROR, text);
         }
-        if let (VehicleRequest::Hold { cause: Some(cause), .. }, None) = (step.request, self.asked_mode) {
-            match cause {
-                StopCause::Obstacle { ahead_m } => {
-                    let text = format_args!("stop: something {ahead_m:.1} m ahead on the course");
-                    core.tell(out, CRITICAL, text);
-                }
-                StopCause::Blind => core.tell(out, CRITICAL, format_args!("stop: nobody sees the course")),
+        if let VehicleRequest::Hold { cause: Some(cause), .. } = step.request
+            && !matches!(self.asked, Some(Asked::Mode(_)))
+        {
+            let text = match cause {
+                StopCause::Obstacle { ahead_m } => StatusText::new(
+                    CRITICAL,
+                    format_args!("stop: something {ahead_m:.1} m ahead on the course"),
+                ),
+                StopCause::Blind => StatusText::new(CRITICAL, format_args!("stop: nobody sees the course")),
                 StopCause::Unseen => {
-                    let text = format_args!("stop: it moves where the sensor does not look");
-                    core.tell(out, CRITICAL, text);
+                    StatusText::new(CRITICAL, format_args!("stop: it moves where the sensor does not look"))
                 }
-            }
+            };
+            core.tell_text(out, &text);
         }
         let action = self.step(step.report.now_ns, step.request, core.streaming, &core.vehicle);
         let Some(system) = core.system_id else { return };

@@ -8,10 +8,11 @@ use crate::core::Core;
 use crate::crc::crc32;
 use crate::framing::{Packet, Zeroed};
 use crate::operator::{ReplyTo, result};
+use crate::report::time_boot_ms;
 use crate::service::{Service, Step};
 use heapless::Vec;
 use mavlink::MessageData;
-use mavlink::dialects::common::{COMPONENT_METADATA_DATA, FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr};
+use mavlink::dialects::common::{COMPONENT_METADATA_DATA, FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr, MavMessage};
 use vigil_types::{Datagrams, Nanos, Reasons};
 
 const REQUEST_MESSAGE: u16 = 512;
@@ -213,10 +214,12 @@ impl Service for MetadataService {
                 return false;
             }
             core.acknowledge(from, command.number, result::ACCEPTED, Reasons::NONE);
-            let numbers = [(now_ns / 1_000_000) as u32, GENERAL.crc32].map(u32::to_le_bytes);
-            let fields = numbers.into_iter().flatten().chain(GENERAL_URI.bytes());
-            let payload: [u8; 8 + GENERAL_URI.len()] = filled(fields);
-            core.reply(from.link, COMPONENT_METADATA_DATA::ID, &payload);
+            let metadata = COMPONENT_METADATA_DATA {
+                time_boot_ms: time_boot_ms(now_ns),
+                file_crc: GENERAL.crc32,
+                uri: GENERAL_URI.into(),
+            };
+            core.reply(from.link, &MavMessage::COMPONENT_METADATA(metadata));
             return true;
         }
         if packet.message_id() != FILE_TRANSFER_PROTOCOL_DATA::ID {
@@ -253,16 +256,10 @@ fn send(core: &mut Core, out: &mut Datagrams, to: &Request, answer: &Answer, end
         .chain([to.session, opcode, data.len() as u8, to.opcode, ends_burst.into(), 0])
         .chain(to.offset.to_le_bytes())
         .chain(data.iter().copied());
-    let payload: [u8; HEADER + MAX_DATA] = filled(fields);
-    let (link, id) = (to.from.link, FILE_TRANSFER_PROTOCOL_DATA::ID);
-    core.sender.payload(out, link, id, &payload);
-}
-
-/// The bytes, and zeros behind them.
-fn filled<const N: usize>(bytes: impl Iterator<Item = u8>) -> [u8; N] {
-    let mut out = [0; N];
-    for (slot, byte) in out.iter_mut().zip(bytes) {
+    let mut payload = [0; HEADER + MAX_DATA];
+    for (slot, byte) in payload.iter_mut().zip(fields) {
         *slot = byte;
     }
-    out
+    let (link, id) = (to.from.link, FILE_TRANSFER_PROTOCOL_DATA::ID);
+    core.sender.payload(out, link, id, &payload);
 }

@@ -41,16 +41,12 @@ impl ObstacleService {
         if tells && self.due.is_due(now_ns, VALUES_NS) {
             let message = match seen {
                 Some(sectors) => message(now_ns, sectors),
-                None => blank(now_ns),
+                // Of a sensor that looks nowhere: no distance is known.
+                None => message(now_ns, core::iter::empty()),
             };
             core.say(out, &message);
         }
     }
-}
-
-/// The message of a sensor that looks nowhere: no distance is known.
-fn blank(now_ns: Nanos) -> MavMessage {
-    message(now_ns, core::iter::empty())
 }
 
 /// The message of a scan: bearing (radians, positive to the right of the nose) and horizontal distance (metres, infinite

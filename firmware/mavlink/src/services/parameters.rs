@@ -6,8 +6,7 @@ use crate::operator::ReplyTo;
 use crate::parameter_table::{ParameterRequest, Parameters, SetRefusal};
 use crate::service::{Service, Step};
 use crate::status_text::WARNING;
-use mavlink::MessageData;
-use mavlink::dialects::common::{MavParamError, PARAM_ERROR_DATA};
+use mavlink::dialects::common::{MavMessage, MavParamError, PARAM_ERROR_DATA};
 use vigil_types::{Datagrams, Nanos};
 
 #[derive(Debug, Clone, Default)]
@@ -20,8 +19,8 @@ pub(crate) struct ParameterService {
 impl ParameterService {
     /// Answers with a parameter's value in force.
     fn tell_value(&self, core: &mut Core, link: u8, index: usize) {
-        if let Some((message_id, payload)) = self.table.told(index, core.vehicle.flavour()) {
-            core.reply(link, message_id, &payload);
+        if let Some(message) = self.table.told(index, core.vehicle.flavour()) {
+            core.reply(link, &message);
         }
     }
 
@@ -94,16 +93,13 @@ impl Service for ParameterService {
 }
 
 /// PARAM_ERROR to who asked for what there is not.
-fn no_such_parameter(core: &mut Core, to: ReplyTo, name: [u8; 16], index: i16) {
-    let mut payload = [0; 21];
-    let fields = index
-        .to_le_bytes()
-        .into_iter()
-        .chain([to.system, to.component])
-        .chain(name)
-        .chain([MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST as u8]);
-    for (slot, byte) in payload.iter_mut().zip(fields) {
-        *slot = byte;
-    }
-    core.reply(to.link, PARAM_ERROR_DATA::ID, &payload);
+fn no_such_parameter(core: &mut Core, to: ReplyTo, name: [u8; 16], param_index: i16) {
+    let error = PARAM_ERROR_DATA {
+        param_index,
+        target_system: to.system,
+        target_component: to.component,
+        param_id: name.into(),
+        error: MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
+    };
+    core.reply(to.link, &MavMessage::PARAM_ERROR(error));
 }

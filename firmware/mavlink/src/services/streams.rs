@@ -238,16 +238,8 @@ impl StreamService {
                     rate_hz: libm::roundf(wanted_hz) as u16,
                 });
             }
-            let unused = self.flavour.unused();
-            let params = [
-                needed.id as f32,
-                needed.interval_us,
-                unused,
-                unused,
-                unused,
-                unused,
-                0.0,
-            ];
+            let used = [(1, needed.id as f32), (2, needed.interval_us), (7, 0.0)];
+            let params = self.flavour.params(&used);
             return Some(Ask::Command(command_number::SET_MESSAGE_INTERVAL, params));
         }
         self.ask_for_place(now_ns, vehicle)
@@ -272,8 +264,7 @@ impl StreamService {
             self.places_asked + 1
         };
         self.asked_ns = now_ns;
-        let unused = self.flavour.unused();
-        let params = [*id as f32, unused, unused, unused, unused, unused, 0.0];
+        let params = self.flavour.params(&[(1, *id as f32), (7, 0.0)]);
         Some(Ask::Command(command_number::REQUEST_MESSAGE, params))
     }
 }

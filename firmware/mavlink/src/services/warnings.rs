@@ -50,17 +50,12 @@ impl Service for WarningService {
                 }
             }
         }
-        if let (true, Some(named)) = (core.vehicle.is_other_autopilot(), core.vehicle.named) {
-            let is_due = self
-                .wrong_vehicle_ns
-                .is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= WRONG_VEHICLE_NS);
-            if is_due {
-                self.wrong_vehicle_ns = Some(now_ns);
-                let (named, configured) = (named.name(), core.vehicle.flavour().name());
-                let text =
-                    format_args!("vehicle is {named}, but set is {configured}: it is not flown; use --vehicle auto");
-                core.tell(out, ERROR, text);
-            }
+        if let (true, Some(named)) = (core.vehicle.is_other_autopilot(), core.vehicle.named)
+            && is_due(&mut self.wrong_vehicle_ns, now_ns)
+        {
+            let (named, configured) = (named.name(), core.vehicle.flavour().name());
+            let text = format_args!("vehicle is {named}, but set is {configured}: it is not flown; use --vehicle auto");
+            core.tell(out, ERROR, text);
         }
         if let Some(home_ned_m) = core.vehicle.home_ned_m()
             && (home_ned_m - self.home_said_m).norm() > HOME_MOVED_M
@@ -75,19 +70,20 @@ impl Service for WarningService {
                 ),
             );
         }
-        if core::mem::take(&mut self.double_heard) {
-            let is_due = self
-                .double_told_ns
-                .is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= WRONG_VEHICLE_NS);
-            if is_due {
-                self.double_told_ns = Some(now_ns);
-                let (system, component) = (core.system_id.unwrap_or_default(), core.config.component_id);
-                let text = format_args!("another guidance computer {system}/{component} is on the link: stop one");
-                core.tell(out, CRITICAL, text);
-            }
+        if core::mem::take(&mut self.double_heard) && is_due(&mut self.double_told_ns, now_ns) {
+            let (system, component) = (core.system_id.unwrap_or_default(), core.config.component_id);
+            let text = format_args!("another guidance computer {system}/{component} is on the link: stop one");
+            core.tell(out, CRITICAL, text);
         }
         for missing in self.missing.due(report).iter().flatten() {
             core.tell_now(out, &inputs::text(missing));
         }
     }
+}
+
+/// Whether what is told again after a while is to be told, which is noted.
+fn is_due(told_ns: &mut Option<Nanos>, now_ns: Nanos) -> bool {
+    let is_due = told_ns.is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= WRONG_VEHICLE_NS);
+    *told_ns = if is_due { Some(now_ns) } else { *told_ns };
+    is_due
 }
