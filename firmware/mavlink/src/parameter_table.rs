@@ -185,11 +185,6 @@ impl Parameters {
         self.all.len()
     }
 
-    /// A parameter's value, by its place in the table.
-    pub fn value(&self, index: usize) -> Option<ParameterValue> {
-        self.all.get(index).map(|p| p.value)
-    }
-
     /// The value of the parameter of that name.
     pub fn value_of(&self, name: &str) -> Option<ParameterValue> {
         self.all.iter().find(|p| p.name == name).map(|p| p.value)

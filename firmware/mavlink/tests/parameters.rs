@@ -76,7 +76,7 @@ impl Computer {
     }
 
     fn value(&mut self, index: usize) -> ParameterValue {
-        self.companion.parameters().value(index).unwrap()
+        self.companion.parameters().all()[index].value
     }
 }
 

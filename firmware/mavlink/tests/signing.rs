@@ -4,7 +4,7 @@ use vigil_mavlink::common::MavCmd;
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, Packet, encode, packets};
 use vigil_mavlink::message;
 use vigil_mavlink::signing::{
-    MAX_STREAMS, Refusal, SIGNATURE_LEN, Signing, SigningCounters, SigningKey, SigningMemory, Timestamp,
+    MAX_STREAMS, Refusal, Refusal::*, SIGNATURE_LEN, Signing, SigningCounters, SigningKey, SigningMemory, Timestamp,
     UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
 
@@ -95,7 +95,7 @@ fn packets_signed_by_pymavlink_are_accepted_and_those_of_another_key_are_not() {
     for v in vectors() {
         let expected = match v.what {
             "right" => Ok(()),
-            _ => Err(Refusal::WrongSignature),
+            _ => Err(WrongSignature),
         };
         assert_eq!(verdict(&mut verifier, NOW, &v.signed), expected, "{}", v.timestamp);
     }
@@ -128,18 +128,15 @@ fn of_a_thousand_packets_each_all_right_ones_are_accepted_and_no_others() {
         let right = from_ground(&mut station, at(i), i);
         assert_eq!(verdict(&mut verifier, at(i), &right), Ok(()));
         heard.push(right);
-        assert_eq!(
-            verdict(&mut verifier, at(i), &unsigned(i, (255, 190))),
-            Err(Refusal::Unsigned)
-        );
+        assert_eq!(verdict(&mut verifier, at(i), &unsigned(i, (255, 190))), Err(Unsigned));
         let foreign = from_ground(&mut stranger, at(i) + 1, i);
-        assert_eq!(verdict(&mut verifier, at(i), &foreign), Err(Refusal::WrongSignature));
+        assert_eq!(verdict(&mut verifier, at(i), &foreign), Err(WrongSignature));
         // A signer of the right key, whose clock is ahead.
         let future = from_ground(&mut signing(0, 0), at(i) + MINUTE + 1_000, i);
-        assert_eq!(verdict(&mut verifier, at(i), &future), Err(Refusal::FromTheFuture));
+        assert_eq!(verdict(&mut verifier, at(i), &future), Err(FromTheFuture));
     }
     for packet in &heard {
-        assert_eq!(verdict(&mut verifier, at(1000), packet), Err(Refusal::Replayed));
+        assert_eq!(verdict(&mut verifier, at(1000), packet), Err(Replayed));
     }
     // Every byte counts, the signature's own too.
     let right = from_ground(&mut station, at(1001), 1001);
@@ -181,11 +178,11 @@ fn each_stream_has_its_own_time_and_a_new_one_may_lag_a_minute() {
     assert_eq!(verdict(&mut verifier, NOW, &from((255, 191), NOW - MINUTE / 2)), Ok(()));
     assert_eq!(
         verdict(&mut verifier, NOW, &from((255, 191), NOW - MINUTE / 2)),
-        Err(Refusal::Replayed)
+        Err(Replayed)
     );
     assert_eq!(
         verdict(&mut verifier, NOW, &from((254, 190), NOW - MINUTE - 1)),
-        Err(Refusal::Outdated)
+        Err(Outdated)
     );
     // A stream that is known may lag as far as it likes, as long as it goes forward.
     let later = NOW + 10 * MINUTE;
@@ -213,14 +210,14 @@ fn what_was_received_before_a_restart_is_refused_after_it() {
 
     let mut restarted = Signing::new(key(0), 1, stored.clone());
     for packet in &heard {
-        assert_eq!(verdict(&mut restarted, NOW, packet), Err(Refusal::Replayed));
+        assert_eq!(verdict(&mut restarted, NOW, packet), Err(Replayed));
     }
     let next = from_ground(&mut station, NOW + 60, 50);
     assert_eq!(verdict(&mut restarted, NOW + 60, &next), Ok(()));
 
     // Stored ahead: what came between the storing and the end is refused too.
     let mut killed = Signing::new(key(0), 1, stored.ahead(2 * UNITS_PER_SECOND));
-    assert_eq!(verdict(&mut killed, NOW + 60, &next), Err(Refusal::Replayed));
+    assert_eq!(verdict(&mut killed, NOW + 60, &next), Err(Replayed));
     let after = from_ground(&mut station, NOW + 3 * UNITS_PER_SECOND, 51);
     assert_eq!(verdict(&mut killed, NOW + 3 * UNITS_PER_SECOND, &after), Ok(()));
 }
@@ -233,7 +230,7 @@ fn nobody_carries_the_clock_ahead_packet_by_packet() {
     for i in 1..=20 {
         let at = NOW + u64::from(i) * step;
         let packet = from_ground(&mut signing(0, 0), at, i);
-        let expected = if i == 1 { Ok(()) } else { Err(Refusal::FromTheFuture) };
+        let expected = if i == 1 { Ok(()) } else { Err(FromTheFuture) };
         assert_eq!(verdict(&mut verifier, NOW, &packet), expected, "{i}");
     }
     // Others are heard as before, a new one too, and what is sent bears the clock's time.
@@ -264,7 +261,7 @@ fn a_link_that_allows_unsigned_packets_still_refuses_wrong_signatures() {
     let mut verifier = signing(0, 0);
     let wrong = from_ground(&mut signing(1, 0), NOW, 0);
     with_packet(&wrong, |packet| {
-        assert_eq!(verifier.verify(NOW, packet, true), Err(Refusal::WrongSignature));
+        assert_eq!(verifier.verify(NOW, packet, true), Err(WrongSignature));
     });
     with_packet(&unsigned(0, (255, 190)), |packet| {
         assert_eq!(verifier.verify(NOW, packet, true), Ok(()));
@@ -284,7 +281,7 @@ fn senders_beyond_the_table_are_refused_and_those_in_it_go_on() {
     }
     assert_eq!(
         verdict(&mut verifier, NOW, &from(MAX_STREAMS, NOW)),
-        Err(Refusal::TooManyStreams)
+        Err(TooManyStreams)
     );
     assert_eq!(verdict(&mut verifier, NOW, &from(0, NOW + 1)), Ok(()));
 }

@@ -178,7 +178,7 @@ pub(crate) struct Core {
     pub texts: u64,
     pub last_text: String,
     /// Messages to send at the end of this call, besides their streams: on one link or on all.
-    wanted: Vec<(Option<LinkId>, u32)>,
+    pub wanted: Vec<(Option<LinkId>, u32)>,
 }
 
 impl Core {
@@ -312,16 +312,6 @@ impl Core {
     /// Asks for a message to be sent once on one link.
     pub fn request(&mut self, link: LinkId, message_id: u32) {
         self.wanted.push((Some(link), message_id));
-    }
-
-    /// The messages asked for, in order; to be given back with [`Core::keep_wanted`].
-    pub fn take_wanted(&mut self) -> Vec<(Option<LinkId>, u32)> {
-        std::mem::take(&mut self.wanted)
-    }
-
-    /// Gives the emptied list back, so that its memory is used again.
-    pub fn keep_wanted(&mut self, emptied: Vec<(Option<LinkId>, u32)>) {
-        self.wanted = emptied;
     }
 
     /// A snapshot for display and tests.

@@ -118,7 +118,7 @@ impl Endpoint {
             self.core.refusals.crowded_out += 1;
         } else {
             for to in onward.iter() {
-                self.core.outbox.forward(to, packet.raw());
+                self.core.outbox.push(to, packet.raw());
                 self.core.forwarded += 1;
             }
         }

@@ -94,11 +94,6 @@ impl Outbox {
         self.build(link, |header, out| ack.serialize(header, out).ok());
     }
 
-    /// Queues another component's packet as it is.
-    pub fn forward(&mut self, link: u8, packet: &[u8]) {
-        self.push(link, packet);
-    }
-
     fn build(&mut self, link: LinkId, write: impl FnOnce(MavHeader, &mut [u8]) -> Option<usize>) {
         let Some(sequence) = self.sequences.get_mut(usize::from(link.0)) else {
             return;
@@ -115,7 +110,8 @@ impl Outbox {
         }
     }
 
-    fn push(&mut self, link: u8, packet: &[u8]) {
+    /// Queues a packet as it is.
+    pub fn push(&mut self, link: u8, packet: &[u8]) {
         if self.bytes.len() + packet.len() > CAPACITY_BYTES {
             self.dropped += 1;
             return;

@@ -151,7 +151,7 @@ impl Streams {
 
     /// Sends everything that was asked for besides the streams.
     pub fn send_wanted(&self, core: &mut Core, services: &Services) {
-        let mut wanted = core.take_wanted();
+        let mut wanted = std::mem::take(&mut core.wanted);
         for (link, id) in wanted.drain(..) {
             let Some(stream) = self.find(id) else {
                 continue;
@@ -166,7 +166,8 @@ impl Streams {
                 }
             }
         }
-        core.keep_wanted(wanted);
+        // Emptied; its memory is used again.
+        core.wanted = wanted;
     }
 
     /// Sends what is due.

@@ -98,15 +98,21 @@ fn assert_in_band(what: &str, answer: &Answer, real_times_s: [f64; 3], overshoot
     let shares = ["10 %", "63 %", "90 %"];
     for ((name, measured), real) in shares.into_iter().zip(answer.times_s).zip(real_times_s) {
         let band = (0.15 * real).max(0.05);
-        assert!(
-            (measured - real).abs() <= band,
-            "{what}: {name} after {measured:.2} s, the real one after {real:.2} s (±{band:.2})"
-        );
+        assert_near(&format!("{what}: {name}"), measured, real, band);
     }
     assert!(
         overshoot.contains(&answer.overshoot),
         "{what}: overshoot {:.3}, wanted {overshoot:?}",
         answer.overshoot
+    );
+}
+
+/// The vehicle's figure lies this near to the real one's.
+fn assert_near(what: &str, ours: impl Into<f64>, real: impl Into<f64>, band: impl Into<f64>) {
+    let (ours, real, band) = (ours.into(), real.into(), band.into());
+    assert!(
+        (ours - real).abs() <= band,
+        "{what}: {ours:.3}, the real one {real:.3} (±{band:.3})"
     );
 }
 
@@ -228,16 +234,13 @@ fn assert_steps(model: VehicleModel, steps: [(f32, [f32; 3], f32); 3]) {
                 2 => (0.4 * real).max(0.1),
                 _ => (0.2 * real).max(0.1),
             };
-            assert!(
-                (ours - real).abs() <= band,
-                "{} {step} m/s: {ours:.2} s, the real one {real:.2} s",
-                model.name()
-            );
+            assert_near(&format!("{} {step} m/s, seconds", model.name()), ours, real, band);
         }
-        assert!(
-            (settled - settles_at).abs() <= 0.06,
-            "{} {step} m/s settles at {settled:.2}",
-            model.name()
+        assert_near(
+            &format!("{} {step} m/s settles", model.name()),
+            settled,
+            settles_at,
+            0.06,
         );
     }
 }
@@ -269,15 +272,9 @@ fn px4_brakes_by_offboard_as_the_real_one_does() {
         let mut vehicle = hovering(model.params(), 2);
         fly(&mut vehicle, 8.0, setpoint(speed, 0.0, 0.0, 0.0));
         let ours_m = furthest_m(&mut vehicle, 6.0, HOVER);
-        println!(
-            "{} stops from {speed} m/s in {ours_m:.2} m, the real one {real_m}",
-            model.name()
-        );
-        assert!(
-            (ours_m / real_m - 1.0).abs() <= 0.3,
-            "{} from {speed} m/s: {ours_m:.2} m",
-            model.name()
-        );
+        let what = format!("{} stops from {speed} m/s", model.name());
+        println!("{what} in {ours_m:.2} m, the real one {real_m}");
+        assert_near(&what, ours_m, real_m, 0.3 * real_m);
     }
 }
 
@@ -289,10 +286,7 @@ fn px4_turns_and_climbs_as_the_real_one_does() {
             let times = [0.10, 0.63, 0.90].map(|share| time_of(samples, share * step));
             println!("{name} {what}: {times:.2?}");
             for (ours, real) in times.into_iter().zip(real) {
-                assert!(
-                    (ours - real).abs() <= band_s,
-                    "{name} {what}: {ours:.2} s, the real one {real:.2} s"
-                );
+                assert_near(&format!("{name} {what}"), ours, *real, band_s);
             }
         };
         let rate = 45f32.to_radians();

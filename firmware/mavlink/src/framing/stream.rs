@@ -49,9 +49,4 @@ impl StreamFramer {
             }
         }
     }
-
-    /// Forgets what it holds: the stream was interrupted.
-    pub fn reset(&mut self) {
-        *self = Self::default();
-    }
 }

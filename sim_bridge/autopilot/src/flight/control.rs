@@ -367,11 +367,13 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
         _ => core.commander.flown.unwrap_or(ControlCommand::STOP),
     };
     let yaw_rad = core.view.estimate.attitude.yaw_rad();
+    let still = NedVector::ZERO;
+    let down = |m_s| NedVector::new(0.0, 0.0, m_s);
     let (position, velocity, mask, yaw) = match command {
         ControlCommand::VelocityHeading { velocity_m_s, yaw } => {
-            (NedVector::ZERO, velocity_m_s.to_ned(yaw_rad), VELOCITY_ONLY, yaw)
+            (still, velocity_m_s.to_ned(yaw_rad), VELOCITY_ONLY, yaw)
         }
-        ControlCommand::VelocityNed { velocity_m_s, yaw } => (NedVector::ZERO, velocity_m_s, VELOCITY_ONLY, yaw),
+        ControlCommand::VelocityNed { velocity_m_s, yaw } => (still, velocity_m_s, VELOCITY_ONLY, yaw),
         ControlCommand::Position {
             position_ned_m,
             velocity_m_s,
@@ -382,27 +384,22 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
             velocity_m_s,
             down_m,
             yaw,
-        } => (NedVector::new(0.0, 0.0, down_m), velocity_m_s, VELOCITY_AND_HEIGHT, yaw),
+        } => (down(down_m), velocity_m_s, VELOCITY_AND_HEIGHT, yaw),
         ControlCommand::ClimbAtPlace {
             position_ned_m,
             down_m_s,
             yaw,
             ..
-        } => (position_ned_m, NedVector::new(0.0, 0.0, down_m_s), PLACE_AND_CLIMB, yaw),
-        ControlCommand::Descend { rate_m_s } => {
-            let down_m_s = NedVector::new(0.0, 0.0, rate_m_s);
-            (NedVector::ZERO, down_m_s, VELOCITY_ONLY, YawCommand::Hold)
-        }
+        } => (position_ned_m, down(down_m_s), PLACE_AND_CLIMB, yaw),
+        ControlCommand::Descend { rate_m_s } => (still, down(rate_m_s), VELOCITY_ONLY, YawCommand::Hold),
         ControlCommand::Acceleration {
             acceleration_ned_m_s2,
             yaw,
         } => {
             acceleration = acceleration_ned_m_s2;
-            (NedVector::ZERO, NedVector::ZERO, ACCELERATION_ONLY, yaw)
+            (still, still, ACCELERATION_ONLY, yaw)
         }
-        ControlCommand::Idle | ControlCommand::MotorsOff => {
-            (NedVector::ZERO, NedVector::ZERO, VELOCITY_ONLY, YawCommand::Hold)
-        }
+        ControlCommand::Idle | ControlCommand::MotorsOff => (still, still, VELOCITY_ONLY, YawCommand::Hold),
         ControlCommand::Attitude { .. } | ControlCommand::Rates { .. } => return None,
     };
     let (yaw, yaw_rate, mask) = match yaw {

@@ -63,20 +63,11 @@ impl<'a> Request<'a> {
     }
 }
 
-/// An acknowledgement's contents.
-#[derive(Default)]
-struct Reply {
-    data: Vec<u8>,
-    burst_complete: bool,
-}
+/// The data of an acknowledgement.
+type Reply = Vec<u8>;
 
-impl Reply {
-    fn number(value: u32) -> Self {
-        Self {
-            data: value.to_le_bytes().to_vec(),
-            ..Self::default()
-        }
-    }
+fn number(value: u32) -> Reply {
+    value.to_le_bytes().to_vec()
 }
 
 /// Why a request is not acknowledged: the error code and, of FAILERRNO, the number.
@@ -166,7 +157,8 @@ impl Service for Ftp {
         let sequence = request.sequence.wrapping_add(1);
         // The offset comes back too: pymavlink knows by it which piece of an upload is acknowledged.
         let offset = request.offset as u32;
-        let payload = encode(sequence, request.session, request.opcode, offset, outcome);
+        let header = (sequence, request.session, request.opcode, offset);
+        let payload = encode(header, outcome, false);
         if acts_once(request.opcode) {
             self.keep_answer(source, message.payload, payload, core.now_ns);
         }
@@ -205,26 +197,25 @@ fn acts_once(opcode: u8) -> bool {
     .any(|once| *once as u8 == opcode)
 }
 
-fn encode(sequence: u16, session: u8, request_opcode: u8, offset: u32, outcome: Result<Reply, Nak>) -> [u8; 251] {
-    let (opcode, reply) = match outcome {
-        Ok(reply) => (Opcode::MAV_FTP_OPCODE_ACK, reply),
+fn encode(
+    (sequence, session, request_opcode, offset): (u16, u8, u8, u32),
+    outcome: Result<Reply, Nak>,
+    burst_complete: bool,
+) -> [u8; 251] {
+    let (opcode, data) = match outcome {
+        Ok(data) => (Opcode::MAV_FTP_OPCODE_ACK, data),
         Err(Nak(error, errno)) => {
-            let mut data = vec![error as u8];
-            data.extend(errno);
-            let reply = Reply {
-                data,
-                ..Reply::default()
-            };
-            (Opcode::MAV_FTP_OPCODE_NAK, reply)
+            let data = [error as u8].into_iter().chain(errno).collect();
+            (Opcode::MAV_FTP_OPCODE_NAK, data)
         }
     };
     let mut payload = [0; 251];
-    let size = reply.data.len().min(MAX_DATA);
-    let complete = u8::from(reply.burst_complete);
+    let size = data.len().min(MAX_DATA);
+    let complete = u8::from(burst_complete);
     payload[..2].copy_from_slice(&sequence.to_le_bytes());
     payload[2..7].copy_from_slice(&[session, opcode as u8, size as u8, request_opcode, complete]);
     payload[8..HEADER].copy_from_slice(&offset.to_le_bytes());
-    payload[HEADER..HEADER + size].copy_from_slice(&reply.data[..size]);
+    payload[HEADER..HEADER + size].copy_from_slice(&data[..size]);
     payload
 }
 
@@ -247,7 +238,7 @@ impl Ftp {
         }
         let is = |opcode: Opcode| request.opcode == opcode as u8;
         let now_s = core.unix_time_s();
-        let done = Reply::default;
+        let done = Reply::new;
         let reply = if is(MAV_FTP_OPCODE_NONE) {
             done()
         } else if is(MAV_FTP_OPCODE_TERMINATESESSION) {
@@ -272,7 +263,7 @@ impl Ftp {
                 None => core.files.read(path)?.len(),
             };
             self.open(client, request.session, path, false, core.now_ns)?.made = made;
-            Reply::number(size as u32)
+            number(size as u32)
         } else if is(MAV_FTP_OPCODE_CREATEFILE) || is(MAV_FTP_OPCODE_OPENFILEWO) {
             self.open_for_writing(request, client, core, is(MAV_FTP_OPCODE_OPENFILEWO))?
         } else if is(MAV_FTP_OPCODE_READFILE) {
@@ -302,8 +293,8 @@ impl Ftp {
         } else if is(MAV_FTP_OPCODE_CALCFILECRC) {
             let path = request.path()?;
             match packed_parameters::read(path, core) {
-                Some(made) => Reply::number(crc32(&made)),
-                None => Reply::number(crc32(core.files.read(path)?)),
+                Some(made) => number(crc32(&made)),
+                None => number(crc32(core.files.read(path)?)),
             }
         } else {
             return Err(MavFtpErr::MAV_FTP_ERR_UNKNOWNCOMMAND.into());
@@ -340,12 +331,12 @@ impl Ftp {
         if packed_parameters::is_it(path) {
             // It takes effect as a whole when the session ends.
             self.open(client, request.session, path, true, core.now_ns)?.made = Some(Vec::new());
-            return Ok(Reply::number(0));
+            return Ok(number(0));
         }
         self.make_room(client, request.session, core.now_ns)?;
         core.files.open_for_writing(path, exists, now_s)?;
         self.open(client, request.session, path, true, core.now_ns)?;
-        Ok(Reply::number(core.files.read(path)?.len() as u32))
+        Ok(number(core.files.read(path)?.len() as u32))
     }
 
     fn write(&mut self, request: &Request<'_>, client: Source, core: &mut Core) -> Result<Reply, Nak> {
@@ -361,10 +352,10 @@ impl Ftp {
             }
             made.resize(made.len().max(end), 0);
             made[request.offset..end].copy_from_slice(request.data);
-            return Ok(Reply::number(request.data.len() as u32));
+        } else {
+            core.files.write(&session.path, request.offset, request.data, now_s)?;
         }
-        core.files.write(&session.path, request.offset, request.data, now_s)?;
-        Ok(Reply::number(request.data.len() as u32))
+        Ok(number(request.data.len() as u32))
     }
 
     fn find(&self, client: Source, number: u8) -> Result<usize, Nak> {
@@ -441,10 +432,7 @@ impl Session {
         };
         let rest = content.get(offset..).filter(|rest| !rest.is_empty());
         let rest = rest.ok_or(MavFtpErr::MAV_FTP_ERR_EOF)?;
-        Ok(Reply {
-            data: rest.get(..size).unwrap_or(rest).to_vec(),
-            burst_complete: false,
-        })
+        Ok(rest.get(..size).unwrap_or(rest).to_vec())
     }
 
     /// The next packet of a burst; behind the end of the file that is a NAK with EOF, which ends it.
@@ -454,11 +442,11 @@ impl Session {
         };
         let sequence = burst.sequence.wrapping_add(1);
         let packets_left = burst.packets_left.saturating_sub(1);
-        let mut outcome = self.read(&core.files, burst.offset, burst.size);
-        if let Ok(reply) = &mut outcome {
-            reply.burst_complete = packets_left == 0;
+        let outcome = self.read(&core.files, burst.offset, burst.size);
+        let is_complete = outcome.is_ok() && packets_left == 0;
+        if let Ok(data) = &outcome {
             self.burst = (packets_left > 0).then_some(Burst {
-                offset: burst.offset + reply.data.len(),
+                offset: burst.offset + data.len(),
                 sequence,
                 packets_left,
                 ..burst
@@ -466,8 +454,8 @@ impl Session {
         }
         self.used_ns = core.now_ns;
         let opcode = Opcode::MAV_FTP_OPCODE_BURSTREADFILE as u8;
-        let payload = encode(sequence, self.number, opcode, burst.offset as u32, outcome);
-        send(core, self.client, payload);
+        let header = (sequence, self.number, opcode, burst.offset as u32);
+        send(core, self.client, encode(header, outcome, is_complete));
     }
 }
 
@@ -490,8 +478,5 @@ fn list(files: &FileSystem, request: &Request<'_>, with_times: bool) -> Result<R
     if data.is_empty() {
         return Err(MavFtpErr::MAV_FTP_ERR_EOF.into());
     }
-    Ok(Reply {
-        data,
-        burst_complete: false,
-    })
+    Ok(data)
 }

@@ -3,10 +3,10 @@
 use crate::testing::*;
 
 const GPS: f32 = 4.0;
-const BAROMETER: f32 = 3.0;
-const MAGNETOMETER: f32 = 2.0;
+pub(super) const BAROMETER: f32 = 3.0;
+pub(super) const MAGNETOMETER: f32 = 2.0;
 
-fn inject(b: &mut Bench, unit: f32, kind: f32) -> u8 {
+pub(super) fn inject(b: &mut Bench, unit: f32, kind: f32) -> u8 {
     b.ask(420, &[unit, kind])
 }
 

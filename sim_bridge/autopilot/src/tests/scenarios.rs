@@ -2,11 +2,11 @@
 //! sends, what it asks for and how long it waits are theirs.
 
 use crate::testing::*;
+use crate::tests::failures::{BAROMETER, MAGNETOMETER, inject};
 use crate::tests::follow::report;
 use crate::tests::plans::{MISSION, action, item, waypoint};
 
 const START_MISSION: u16 = 300;
-const INJECT_FAILURE: u16 = 420;
 const SQUARE_M: f32 = 20.0;
 const HEIGHT_M: f32 = 10.0;
 
@@ -29,10 +29,6 @@ fn current_item(b: &Bench) -> Option<u16> {
 fn wait_until_disarmed(b: &mut Bench, limit_s: u64) {
     b.run_until(limit_s, "disarmed", |b| !b.status().armed);
     assert_eq!(b.status().landed, LandedState::OnGround);
-}
-
-fn inject(b: &mut Bench, unit: f32, kind: f32) -> u8 {
-    b.ask(INJECT_FAILURE, &[unit, kind])
 }
 
 fn attitude(pitch_deg: f32, thrust: f32) -> MavMessage {
@@ -99,8 +95,6 @@ fn a_straight_mission_keeps_its_speed() {
 
 #[test]
 fn a_mission_goes_on_without_compass_or_barometer_and_with_readings_that_are_stuck() {
-    const MAGNETOMETER: f32 = 2.0;
-    const BAROMETER: f32 = 3.0;
     const OFF: f32 = 1.0;
     const STUCK: f32 = 2.0;
     for (unit, kind) in [
