@@ -184,26 +184,6 @@ fn in_progress_extends_the_patience() {
 }
 
 #[test]
-fn a_vehicle_of_another_autopilot_is_never_commanded() {
-    for (configured, actual, text) in [
-        (Px4, ArduPilot, "hand-over: vehicle is ArduPilot, not PX4"),
-        (ArduPilot, Px4, "hand-over: vehicle is PX4, not ArduPilot"),
-    ] {
-        let mut f = Flight::new(configured, Peer::in_the_air(actual));
-        // A PX4 streams unprompted, so that guidance becomes ready; an ArduPilot is not even asked to.
-        f.run(400);
-        assert!(
-            f.peer.commands.is_empty() && f.peer.setpoints.iter().all(|(_, v)| is_zero(v)),
-            "{:?}",
-            f.peer.commands
-        );
-        if actual == Px4 {
-            f.assert_told(text);
-        }
-    }
-}
-
-#[test]
 fn a_failsafe_hold_of_the_vehicle_is_regained_with_the_mode_alone() {
     let mut f = Flight::new(Px4, Peer::on_the_ground(Px4));
     f.until(Guided);

@@ -7,6 +7,11 @@ use common::{
     Bench, Flight, GROUND_STATION, ME, VEHICLE, bytes_of, command_long, header, heartbeat, messages, named_values,
     report, reposition, texts,
 };
+use vigil_mavlink::common::MavResult::{
+    MAV_RESULT_ACCEPTED as ACCEPTED, MAV_RESULT_COMMAND_INT_ONLY as INT_ONLY,
+    MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME as NO_FRAME, MAV_RESULT_DENIED as DENIED,
+    MAV_RESULT_TEMPORARILY_REJECTED as LATER,
+};
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{Command, CommandForm, MAX_PACKET_LEN};
 use vigil_mavlink::{Flavour, MavHeader, MavMessage, message};
@@ -53,7 +58,6 @@ fn a_ground_station_commands_a_whole_flight() {
         acks(&f.sent)
     };
     let engage = enable(ME, 1.0);
-    use MavResult::{MAV_RESULT_ACCEPTED as ACCEPTED, MAV_RESULT_TEMPORARILY_REJECTED as LATER};
     assert_eq!(say(&mut f, &engage), [(92, LATER, (255, 190))], "not ready yet");
     f.until(Ready);
     let goal = reposition(MavFrame::MAV_FRAME_LOCAL_NED, 80_000, 0, -3.0);
@@ -78,7 +82,7 @@ fn commands_become_requests() {
     let mut b = Bench::new(Flavour::Px4);
     assert_eq!(asked(&mut b, &enable(ME, 1.0)), Ok(OperatorRequest::Engage));
     assert_eq!(asked(&mut b, &enable(ME, 0.0)), Ok(OperatorRequest::Disengage));
-    assert_eq!(asked(&mut b, &enable(ME, f32::NAN)), Err(MavResult::MAV_RESULT_DENIED));
+    assert_eq!(asked(&mut b, &enable(ME, f32::NAN)), Err(DENIED));
     let land = command_long(MavCmd::MAV_CMD_NAV_LAND, ME, 0.0);
     assert_eq!(asked(&mut b, &land), Ok(OperatorRequest::Land));
     let goal = |height_m| {
@@ -102,7 +106,7 @@ fn a_goal_on_the_globe_becomes_local_once_the_origin_is_known() {
     let global = |frame, z| reposition(frame, lat, lon, z);
     assert_eq!(
         asked(&mut b, &global(MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT, 4.0)),
-        Err(MavResult::MAV_RESULT_TEMPORARILY_REJECTED)
+        Err(LATER)
     );
     b.hear(VEHICLE, &heartbeat(MavAutopilot::MAV_AUTOPILOT_PX4));
     b.hear(
@@ -143,14 +147,11 @@ fn a_goal_on_the_globe_becomes_local_once_the_origin_is_known() {
 fn what_is_no_goal_is_answered_by_what_is_wrong_with_it() {
     let mut b = Bench::new(Flavour::Px4);
     let long = command_long(MavCmd::MAV_CMD_DO_REPOSITION, ME, 0.0);
-    assert_eq!(asked(&mut b, &long), Err(MavResult::MAV_RESULT_COMMAND_INT_ONLY));
+    assert_eq!(asked(&mut b, &long), Err(INT_ONLY));
     let body = reposition(MavFrame::MAV_FRAME_BODY_FRD, 1, 1, 0.0);
-    assert_eq!(
-        asked(&mut b, &body),
-        Err(MavResult::MAV_RESULT_COMMAND_UNSUPPORTED_MAV_FRAME)
-    );
+    assert_eq!(asked(&mut b, &body), Err(NO_FRAME));
     let none = reposition(MavFrame::MAV_FRAME_LOCAL_NED, i32::MAX, 1, 0.0);
-    assert_eq!(asked(&mut b, &none), Err(MavResult::MAV_RESULT_DENIED));
+    assert_eq!(asked(&mut b, &none), Err(DENIED));
     assert_eq!(b.companion.counters().commands_refused, 3);
 }
 
@@ -179,10 +180,8 @@ fn unknown_commands_are_unsupported_and_those_for_others_are_not_answered() {
     for (_, datagram) in answers {
         let packet = vigil_mavlink::framing::packets(datagram, &mut counters).next().unwrap();
         let ack = packet.command_ack().unwrap();
-        assert_eq!(
-            (ack.command, ack.result, ack.target_system, ack.target_component),
-            (54_321, 3, 255, 190)
-        );
+        assert_eq!((ack.command, ack.result), (54_321, 3));
+        assert_eq!((ack.target_system, ack.target_component), (255, 190));
     }
 
     for target in [(1, 1), (1, 0), (0, 0), (2, 191), (1, 190)] {
@@ -266,15 +265,8 @@ fn the_heartbeat_is_a_companions_at_1_hz_and_tells_health() {
         let [h] = &heartbeats[..] else {
             panic!("one a second, not {}", heartbeats.len());
         };
-        assert_eq!(
-            (
-                h.mavtype as u8,
-                h.autopilot as u8,
-                h.base_mode.bits(),
-                h.mavlink_version
-            ),
-            (18, 8, 0, 3)
-        );
+        assert_eq!((h.mavtype as u8, h.autopilot as u8), (18, 8));
+        assert_eq!((h.base_mode.bits(), h.mavlink_version), (0, 3));
         assert_eq!(h.system_status, health, "{}", state.name());
     }
 }
@@ -323,16 +315,8 @@ fn a_setpoint_is_sent_as_it_was_decided() {
     let sent: Vec<_> = only!(messages(&b.sent), SET_POSITION_TARGET_LOCAL_NED).collect();
     let [s] = &sent[..] else { panic!("one setpoint") };
     assert_eq!((s.vx, s.vy, s.vz, s.yaw_rate), (1.25, 0.0, -0.125, -0.25));
-    assert_eq!(
-        (
-            s.coordinate_frame as u8,
-            s.type_mask.bits(),
-            s.target_system,
-            s.target_component
-        ),
-        (8, 0x5C7, 1, 1)
-    );
-    assert_eq!(s.time_boot_ms, 7000);
+    assert_eq!((s.coordinate_frame as u8, s.type_mask.bits()), (8, 0x5C7));
+    assert_eq!((s.target_system, s.target_component, s.time_boot_ms), (1, 1, 7000));
 }
 
 #[test]
@@ -418,7 +402,7 @@ fn a_goal_too_far_away_is_denied_and_the_operator_is_told_why() {
     let goal = reposition(MavFrame::MAV_FRAME_LOCAL_NED, 8_000_000, 1_000_000, -3.0);
     f.hear(GROUND_STATION, &goal);
     f.step();
-    assert_eq!(acks(&f.sent), [(192, MavResult::MAV_RESULT_DENIED, (255, 190))]);
+    assert_eq!(acks(&f.sent), [(192, DENIED, (255, 190))]);
     assert_eq!(texts(&f.sent), ["goal refused: 807 m from home, at most 500 m"]);
 }
 

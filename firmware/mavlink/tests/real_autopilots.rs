@@ -213,16 +213,21 @@ fn what_flies_is_not_taken_for_another_autopilot_in_flight() {
 }
 
 #[test]
-fn a_wrong_vehicle_is_named_at_once_and_again_every_half_minute() {
+fn a_wrong_vehicle_is_named_at_once_and_again_every_half_minute_and_never_commanded() {
     for (configured, actual) in [(Px4, ArduPilot), (ArduPilot, Px4)] {
         let (set, is) = (configured.name(), actual.name());
         let told = format!("vehicle is {is}, but set is {set}: it is not flown; use --vehicle auto");
-        let mut f = Flight::new(configured, Peer::on_the_ground(actual));
+        let mut f = Flight::new(configured, Peer::in_the_air(actual));
         f.step();
         f.assert_told(&told);
         f.run(seconds(61.0));
         assert_eq!(f.texts.iter().filter(|t| **t == told).count(), 3);
-        assert!(f.peer.flight_commands().is_empty());
+        let is_still = f.peer.setpoints.iter().all(|(_, setpoint)| *setpoint == [0.0; 4]);
+        assert!(f.peer.commands.is_empty() && is_still, "{:?}", f.peer.commands);
+        // A PX4 streams unprompted, so that guidance becomes ready; an ArduPilot is not even asked to.
+        if actual == Px4 {
+            f.assert_told("hand-over: vehicle is PX4, not ArduPilot");
+        }
     }
 }
 

@@ -112,25 +112,6 @@ pub enum ParameterError {
     },
 }
 
-const fn info(
-    name: &'static str,
-    default: ParameterValue,
-    [min, max]: [f32; 2],
-    unit: &'static str,
-    description: &'static str,
-    role: ParameterRole,
-) -> ParameterInfo {
-    ParameterInfo {
-        name,
-        default,
-        min,
-        max,
-        unit,
-        description,
-        role,
-    }
-}
-
 macro_rules! parameters {
     (acting { $($variant:ident = $name:literal, $kind:ident($default:expr), $min:expr, $max:expr, $unit:literal, $does:literal;)* }
      kept { $($kept:literal, $kept_kind:ident($kept_default:expr), $kept_min:expr, $kept_max:expr, $kept_unit:literal, $why:literal;)* }
@@ -140,14 +121,14 @@ macro_rules! parameters {
         pub(crate) enum ParamId { $($variant),* }
 
         const ACTING: &[ParameterInfo] = &[$(
-            info($name, ParameterValue::$kind($default), [$min, $max], $unit, $does, ParameterRole::Acts)
+            ParameterInfo { name: $name, default: ParameterValue::$kind($default), min: $min, max: $max, unit: $unit, description: $does, role: ParameterRole::Acts }
         ),*];
 
         /// A row of several names stands for one parameter each.
         const TOLD: &[ParameterInfo] = &[$(
-            info($kept, ParameterValue::$kept_kind($kept_default), [$kept_min, $kept_max], $kept_unit, $why, ParameterRole::Kept)
+            ParameterInfo { name: $kept, default: ParameterValue::$kept_kind($kept_default), min: $kept_min, max: $kept_max, unit: $kept_unit, description: $why, role: ParameterRole::Kept }
         ,)* $(
-            info($fixed, ParameterValue::$fixed_kind($value), [ParameterValue::$fixed_kind($value).as_f32(); 2], "", $description, ParameterRole::Fixed)
+            ParameterInfo { name: $fixed, default: ParameterValue::$fixed_kind($value), min: $value as f32, max: $value as f32, unit: "", description: $description, role: ParameterRole::Fixed }
         ),*];
     };
 }

@@ -81,30 +81,16 @@ fn a_datagram_of_several_packets_yields_each_in_order() {
     let datagram = [bytes_of(&heartbeat()), arm(), bytes_of(&heartbeat())].concat();
     let (found, counters) = scan(&datagram);
     assert_eq!(found.iter().map(Packet::message_id).collect::<Vec<_>>(), [0, 76, 0]);
-    assert_eq!(
-        counters,
-        FramingCounters {
-            packets: 3,
-            ..Default::default()
-        }
-    );
+    let three = FramingCounters {
+        packets: 3,
+        ..Default::default()
+    };
+    assert_eq!(counters, three);
     let first = &found[0];
-    assert_eq!(
-        (
-            first.system_id(),
-            first.component_id(),
-            first.sequence(),
-            first.is_signed(),
-            first.version()
-        ),
-        (1, 191, 42, false, MavlinkVersion::V2)
-    );
-    assert_eq!(first.message().unwrap(), heartbeat());
-    assert_eq!(first.header(), HEADER);
-    assert_eq!(
-        found.iter().flat_map(|p| p.raw().to_vec()).collect::<Vec<_>>(),
-        datagram
-    );
+    assert_eq!((first.is_signed(), first.version()), (false, MavlinkVersion::V2));
+    assert_eq!((first.system_id(), first.component_id()), (1, 191));
+    assert_eq!((first.message().unwrap(), first.header()), (heartbeat(), HEADER));
+    assert_eq!(found.iter().map(Packet::raw).collect::<Vec<_>>().concat(), datagram);
 }
 
 #[test]
@@ -149,10 +135,8 @@ fn an_unknown_message_is_yielded_raw_and_counted() {
     let datagram = [unknown(), bytes_of(&heartbeat())].concat();
     let (found, counters) = scan(&datagram);
     assert_eq!(found.len(), 2);
-    assert_eq!(
-        (found[0].message_id(), found[0].is_known(), found[0].payload()),
-        (12_900_000, false, &[1, 2, 3][..])
-    );
+    assert_eq!((found[0].message_id(), found[0].is_known()), (12_900_000, false));
+    assert_eq!(found[0].payload(), [1, 2, 3]);
     assert!(found[0].message().is_err() && found[0].target().is_none());
     assert_eq!((counters.unknown_message, counters.packets), (1, 2));
 }
@@ -192,15 +176,11 @@ fn a_command_of_unknown_number_can_be_read_and_answered() {
     let len = serialize_payload(HEADER, 76, &payload, &mut out).unwrap();
     let (found, _) = scan(&out[..len]);
     assert!(found[0].message().is_err(), "the crate has no such command");
-    let command = found[0].command().unwrap();
-    assert_eq!(
-        (command.number, command.target_system, command.target_component),
-        (54_321, 1, 191)
-    );
-    assert_eq!(
-        (command.param(1), command.form),
-        (Some(2.5), CommandForm::Long { confirmation: 3 })
-    );
+    let command = Command {
+        target_component: 191,
+        ..Command::to_autopilot(1, 54_321, [2.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 3)
+    };
+    assert_eq!(found[0].command(), Some(command));
 
     let ack = CommandAck {
         command: command.number,
@@ -211,10 +191,8 @@ fn a_command_of_unknown_number_can_be_read_and_answered() {
     };
     let len = ack.serialize(HEADER, &mut out).unwrap();
     let (found, counters) = scan(&out[..len]);
-    assert_eq!(
-        (found[0].command_ack(), found[0].target(), counters.bad_crc),
-        (Some(ack), Some((255, 190)), 0)
-    );
+    assert_eq!((found[0].command_ack(), counters.bad_crc), (Some(ack), 0));
+    assert_eq!(found[0].target(), Some((255, 190)));
 }
 
 #[test]
@@ -236,15 +214,9 @@ fn commands_read_raw_equal_those_of_the_crates_parser() {
     let bytes = bytes_of(&MavMessage::COMMAND_INT(int));
     let (found, _) = scan(&bytes);
     let c = found[0].command().unwrap();
-    assert_eq!(
-        (c.number, c.target_system, c.target_component, c.frame()),
-        (192, 1, 191, 1)
-    );
-    assert_eq!(
-        (c.param(2), c.param(4), c.param(5), c.param(7)),
-        (Some(1.0), None, None, Some(-3.5))
-    );
-    assert_eq!(c.param(0), None);
+    assert_eq!((c.number, c.frame()), (192, 1));
+    let params = [0, 2, 4, 5, 7].map(|number| c.param(number));
+    assert_eq!(params, [None, Some(1.0), None, None, Some(-3.5)]);
     let (lat, lon) = c.latitude_longitude_deg().unwrap();
     assert!((lat - 47.397742).abs() < 1e-9 && (lon + 0.02).abs() < 1e-9);
     assert!((c.local_x_y_m().unwrap().1 + 20.0).abs() < 1e-5);
@@ -267,10 +239,8 @@ fn a_command_survives_the_way_to_bytes_and_back() {
     assert_eq!(scan(&out[..len]).0[0].command(), Some(long));
     let len = int.serialize(HEADER, &mut out).unwrap();
     let read = scan(&out[..len]).0[0].command().unwrap();
-    assert_eq!(
-        (read.form, read.number, read.params[6]),
-        (int.form, int.number, int.params[6])
-    );
+    assert_eq!((read.form, read.number), (int.form, int.number));
+    assert_eq!(read.params[6], int.params[6]);
 }
 
 #[test]
@@ -304,28 +274,18 @@ fn the_target_of_a_message_that_does_not_parse_is_found_by_its_layout() {
 
 #[test]
 fn what_cannot_be_serialised_is_an_error() {
-    let mut out = [0; 8];
-    assert!(matches!(
-        serialize(HEADER, &heartbeat(), &mut out),
-        Err(SerializeError::BufferTooSmall { available: 8, .. })
-    ));
-    let mut out = [0; 600];
-    let header = MavHeader {
-        system_id: 300,
-        ..HEADER
-    };
-    assert_eq!(
-        serialize(header, &heartbeat(), &mut out),
-        Err(SerializeError::SystemId { system_id: 300 })
-    );
-    assert_eq!(
-        serialize_payload(HEADER, 12_900_000, &[1], &mut out),
-        Err(SerializeError::UnknownMessage { message_id: 12_900_000 })
-    );
-    assert_eq!(
-        serialize_payload(HEADER, 0, &[1; 300], &mut out),
-        Err(SerializeError::PayloadTooLong { len: 300 })
-    );
+    use SerializeError::*;
+    let short = serialize(HEADER, &heartbeat(), &mut [0; 8]);
+    assert!(matches!(short, Err(BufferTooSmall { available: 8, .. })));
+    let system_id = 300;
+    let (message_id, far) = (12_900_000, MavHeader { system_id, ..HEADER });
+    for (header, id, payload, error) in [
+        (far, 0, &[1; 9][..], SystemId { system_id }),
+        (HEADER, message_id, &[1], UnknownMessage { message_id }),
+        (HEADER, 0, &[1; 300], PayloadTooLong { len: 300 }),
+    ] {
+        assert_eq!(serialize_payload(header, id, payload, &mut [0; 600]), Err(error));
+    }
 }
 
 #[test]

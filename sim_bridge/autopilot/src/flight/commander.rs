@@ -49,7 +49,7 @@ impl Core {
     /// Whether the vehicle could be armed now.
     pub fn arming_check(&self) -> Result<(), Denial> {
         if self.commander.terminated {
-            return Err(Denial::Terminated);
+            return Err(Denial::Terminated("arming"));
         }
         if self.commander.broken {
             return Err(Denial::Broken("arming"));
@@ -251,7 +251,7 @@ impl Core {
             return Err(Denial::Broken("takeoff"));
         }
         if self.commander.terminated {
-            return Err(Denial::TakeoffTerminated);
+            return Err(Denial::Terminated("takeoff"));
         }
         self.clear_failsafe();
         if self.commander.armed {

@@ -42,12 +42,10 @@ pub enum Failsafe {
 /// Why arming, disarming or a mode change is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum Denial {
-    #[error("arming denied: flight terminated, reboot first")]
-    Terminated,
+    #[error("{0} denied: flight terminated, reboot first")]
+    Terminated(&'static str),
     #[error("{0} denied: broken by a collision, reboot first")]
     Broken(&'static str),
-    #[error("takeoff denied: flight terminated, reboot first")]
-    TakeoffTerminated,
     #[error("arming denied: vehicle is tilted")]
     Tilted,
     #[error("{} denied: no manual control", .0.name())]

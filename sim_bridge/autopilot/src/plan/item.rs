@@ -3,7 +3,7 @@
 
 use crate::core::padded;
 use crate::plan::PlanDefect;
-use crate::services::BELOW_HOME_M;
+use crate::services::{BELOW_HOME_M, GLOBAL_FRAMES, MAX_DISTANCE_M, MAX_HEIGHT_M};
 use crate::{HomePosition, geo, used_parameters};
 use vigil_mavlink::common::{MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA, MavMissionResult};
 use vigil_mavlink::mavlink::MessageData;
@@ -14,9 +14,6 @@ use vigil_types::settings::required;
 const NO_FRAME: u8 = u8::MAX;
 /// Length of the payload of both messages, their extension included.
 pub(crate) const ITEM_PAYLOAD_LEN: usize = 38;
-/// Farther than this is a mistake in the coordinates, not a place to fly to.
-const MAX_DISTANCE_M: f32 = 10_000.0;
-const MAX_HEIGHT_M: f32 = 500.0;
 
 settings! {
     /// An item. Parameters 1 to 4 are NaN where they are not given.
@@ -54,7 +51,7 @@ pub(crate) struct Envelope {
 }
 
 fn is_global(frame: u8) -> bool {
-    matches!(frame, 0 | 3 | 5 | 6)
+    GLOBAL_FRAMES.contains(&frame)
 }
 
 impl PlanItem {

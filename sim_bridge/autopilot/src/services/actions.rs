@@ -21,10 +21,10 @@ const CUSTOM_MODE: u8 = 1;
 /// MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
 const MAY_CHANGE_MODE: f32 = 1.0;
 /// Farther than this is a mistake in the coordinates, not a place to fly to.
-pub(super) const MAX_DISTANCE_M: f32 = 10_000.0;
-const MAX_HEIGHT_M: f32 = 500.0;
+pub(crate) const MAX_DISTANCE_M: f32 = 10_000.0;
+pub(crate) const MAX_HEIGHT_M: f32 = 500.0;
 /// MAV_FRAME numbers of global places.
-pub(super) const GLOBAL_FRAMES: [u8; 4] = [0, 3, 5, 6];
+pub(crate) const GLOBAL_FRAMES: [u8; 4] = [0, 3, 5, 6];
 /// A height that is farther below home was meant above something else than its frame says; the world is level.
 pub(crate) const BELOW_HOME_M: f32 = 1.0;
 

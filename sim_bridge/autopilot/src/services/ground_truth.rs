@@ -2,9 +2,8 @@
 //! never on an onboard link: whoever guides the vehicle must not know.
 
 use crate::service::prelude::*;
+use crate::services::sensors::STANDARD_GRAVITY_M_S2;
 use crate::{LinkRole, geo};
-
-const STANDARD_GRAVITY_M_S2: f32 = 9.806_65;
 
 #[derive(Default)]
 pub(crate) struct GroundTruth;

@@ -45,7 +45,7 @@ use crate::core::Core;
 use crate::service::{Answer, Handler, Produced, Service, Source};
 use vigil_mavlink::framing::Command;
 
-pub(crate) use actions::BELOW_HOME_M;
+pub(crate) use actions::{BELOW_HOME_M, GLOBAL_FRAMES, MAX_DISTANCE_M, MAX_HEIGHT_M};
 pub(crate) use intervals::message_interval;
 
 /// Messages that are built of what all services share, and nothing else.

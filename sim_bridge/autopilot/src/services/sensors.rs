@@ -11,7 +11,7 @@ use vigil_types::FrdVector;
 const FIELD_NED_GAUSS: [f32; 3] = [0.215, 0.012, 0.430];
 /// Air temperature that the readings report.
 const TEMPERATURE_C: f32 = 20.0;
-const STANDARD_GRAVITY_M_S2: f32 = 9.806_65;
+pub(super) const STANDARD_GRAVITY_M_S2: f32 = 9.806_65;
 
 pub(super) const MESSAGES: &[Produced] = &[
     Produced::from(HIGHRES_IMU_DATA::ID, [0.0, 20.0, 0.0], imu),

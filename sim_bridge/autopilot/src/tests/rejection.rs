@@ -28,14 +28,18 @@ fn bad_setpoints_are_counted_and_do_not_keep_offboard_alive() {
     assert_eq!(b.status().refusals.setpoint_form, 1);
 }
 
-fn command(command: MavCmd, param1: f32) -> MavMessage {
-    message!(COMMAND_LONG, param1, command, target_system = 1, target_component = 1)
-}
-
 #[test]
 fn damaged_truncated_and_garbage_bytes_are_counted_and_the_next_packet_is_heard() {
     let mut b = Bench::new();
-    let good = b.packet(SCRIPT, &command(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1.0));
+    let command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM;
+    let arm = message!(
+        COMMAND_LONG,
+        param1 = 1.0,
+        command,
+        target_system = 1,
+        target_component = 1
+    );
+    let good = b.packet(SCRIPT, &arm);
     let mut damaged = good.clone();
     damaged[12] ^= 0x40;
     b.send_raw(API, &damaged);
@@ -72,31 +76,6 @@ fn a_caller_that_never_transmits_costs_bounded_memory() {
     let mut bytes = 0;
     endpoint.transmit(|_, datagram| bytes += datagram.len());
     assert!(bytes <= 256 * 1024);
-}
-
-/// Valid packets to mutate: everything that the vehicle obeys.
-fn seeds() -> Vec<Vec<u8>> {
-    let mut b = Bench::new();
-    let messages = [
-        command(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1.0),
-        command(MavCmd::MAV_CMD_NAV_TAKEOFF, 0.0),
-        command(MavCmd::MAV_CMD_DO_SET_MODE, 129.0),
-        command(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, 30.0),
-        message!(
-            COMMAND_INT,
-            command = MavCmd::MAV_CMD_DO_REPOSITION,
-            target_system = 1,
-            target_component = 1
-        ),
-        velocity_message([1.0, 0.0, 0.0]),
-        message!(SET_ATTITUDE_TARGET),
-        message!(PARAM_SET, param_id = "MIS_TAKEOFF_ALT".into(), target_system = 1),
-        message!(PARAM_REQUEST_READ),
-        message!(PING),
-        message!(TIMESYNC),
-        message!(HEARTBEAT),
-    ];
-    messages.iter().map(|m| b.packet(SCRIPT, m)).collect()
 }
 
 proptest! {
@@ -137,33 +116,6 @@ proptest! {
             prop_assert!(b.sent.len() < 200, "{}", b.sent.len());
         }
         prop_assert!(b.status().armed && b.status().dropped == 0);
-    }
-
-    #[test]
-    fn damaged_bytes_are_never_obeyed(
-        seed in 0..12_usize,
-        flips in prop::collection::vec((any::<prop::sample::Index>(), 1..=255_u8), 1..4),
-        cut in any::<prop::sample::Index>(),
-        truncate in any::<bool>(),
-    ) {
-        let mut packet = seeds().swap_remove(seed);
-        let original = packet.clone();
-        for (at, mask) in &flips {
-            let at = at.index(packet.len());
-            packet[at] ^= mask;
-        }
-        if truncate {
-            packet.truncate(cut.index(packet.len()));
-        }
-        prop_assume!(packet != original);
-        let mut b = Bench::new();
-        b.sent.clear();
-        b.send_raw(API, &packet);
-        b.run_ms(5);
-        // A changed checksum byte pair could fit another message by chance (1 in 65 536); such a command has one answer.
-        let obeyed = b.sent.iter().filter(|s| s.ack.is_some()).count();
-        prop_assert!(obeyed <= usize::from(b.status().framing.packets > 0));
-        prop_assert!(!b.status().armed);
     }
 }
 

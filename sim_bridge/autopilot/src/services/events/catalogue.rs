@@ -32,7 +32,7 @@ vigil_types::named! {
 impl From<&Denial> for ArmingCheck {
     fn from(denial: &Denial) -> Self {
         match denial {
-            Denial::Terminated => Self::Terminated,
+            Denial::Terminated(_) => Self::Terminated,
             Denial::Tilted => Self::Tilted,
             Denial::OutsideFence => Self::OutsideFence,
             Denial::SensorLost(_) => Self::SensorLost,
