@@ -103,15 +103,13 @@ impl EndpointConfig {
             return Err(ConfigError::SystemId);
         }
         if self.links.is_empty() || self.links.len() > Self::MAX_LINKS {
-            return Err(ConfigError::Links {
-                count: self.links.len(),
-            });
+            return Err(ConfigError::Links(self.links.len()));
         }
         let home = &self.home;
         let sound =
             home.latitude_deg.abs() <= 85.0 && home.longitude_deg.abs() <= 180.0 && home.altitude_m.abs() <= 9000.0;
         if !sound {
-            return Err(ConfigError::Home { home: self.home });
+            return Err(ConfigError::Home(self.home));
         }
         Ok(())
     }
@@ -123,20 +121,14 @@ pub enum ConfigError {
     /// 0 means "everybody" in MAVLink.
     #[error("system_id is 0, which means everybody: use 1 to 255")]
     SystemId,
-    /// No link, or too many.
-    #[error("links has {count} entries: use 1 to {max}", max = EndpointConfig::MAX_LINKS)]
-    Links {
-        /// Entries given.
-        count: usize,
-    },
+    /// No link, or so many that they are too many.
+    #[error("links has {0} entries: use 1 to {max}", max = EndpointConfig::MAX_LINKS)]
+    Links(usize),
     /// Home is not a place where local coordinates work.
     #[error(
-        "home {home:?} is not usable: latitude within 85 degrees, longitude within 180 degrees, altitude_m within 9000"
+        "home {0:?} is not usable: latitude within 85 degrees, longitude within 180 degrees, altitude_m within 9000"
     )]
-    Home {
-        /// The position given.
-        home: HomePosition,
-    },
+    Home(HomePosition),
     /// A plan that was saved.
     #[error("{kind}: {reason}")]
     Plan {

@@ -80,24 +80,15 @@ impl ParameterInfo {
 /// Why a parameter was not set.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ParameterError {
-    /// No such parameter.
-    #[error("there is no parameter {name}")]
-    Unknown {
-        /// The name asked for.
-        name: String,
-    },
-    /// The parameter cannot be set.
-    #[error("{name} cannot be set: it tells what the vehicle is")]
-    Fixed {
-        /// The parameter.
-        name: &'static str,
-    },
-    /// The value's type is not the parameter's.
-    #[error("{name} is of another type")]
-    WrongType {
-        /// The parameter.
-        name: &'static str,
-    },
+    /// No parameter of this name.
+    #[error("there is no parameter {0}")]
+    Unknown(String),
+    /// The parameter of this name cannot be set.
+    #[error("{0} cannot be set: it tells what the vehicle is")]
+    Fixed(&'static str),
+    /// The value's type is not that of the parameter of this name.
+    #[error("{0} is of another type")]
+    WrongType(&'static str),
     /// The value lies outside the limits or is not finite.
     #[error("{name}: {value} is not within {min} to {max}")]
     OutOfRange {
@@ -372,7 +363,7 @@ impl Parameters {
 
     /// Sets a value that a file gives, where whole numbers and fractions look alike.
     pub fn set_by_name(&mut self, name: &str, value: f64) -> Result<(), ParameterError> {
-        let index = Self::index_of(name).ok_or_else(|| ParameterError::Unknown { name: name.to_owned() })?;
+        let index = Self::index_of(name).ok_or_else(|| ParameterError::Unknown(name.to_owned()))?;
         let typed = match TABLE[index].default {
             // A fraction is of another type.
             ParameterValue::Int32(_) if value.fract() == 0.0 => ParameterValue::Int32(value as i32),
@@ -425,16 +416,16 @@ impl Parameters {
 
     /// Sets a value after checking its type and limits.
     pub fn set(&mut self, index: usize, value: ParameterValue) -> Result<(), ParameterError> {
-        let info = TABLE.get(index).ok_or_else(|| ParameterError::Unknown {
-            name: format!("#{index}"),
-        })?;
+        let info = TABLE
+            .get(index)
+            .ok_or_else(|| ParameterError::Unknown(format!("#{index}")))?;
         if discriminant(&info.default) != discriminant(&value) {
-            return Err(ParameterError::WrongType { name: info.name });
+            return Err(ParameterError::WrongType(info.name));
         }
         if info.role == ParameterRole::Fixed {
             return match self.values.get(index) == Some(&value) {
                 true => Ok(()),
-                false => Err(ParameterError::Fixed { name: info.name }),
+                false => Err(ParameterError::Fixed(info.name)),
             };
         }
         // NaN is in no range.

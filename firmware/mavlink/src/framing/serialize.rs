@@ -17,24 +17,15 @@ pub enum SerializeError {
         /// Bytes of the buffer.
         available: usize,
     },
-    /// A MAVLink 2 payload has at most 255 bytes.
-    #[error("payload of {len} bytes, at most 255 fit in a packet")]
-    PayloadTooLong {
-        /// Bytes of the payload.
-        len: usize,
-    },
+    /// A MAVLink 2 payload has at most 255 bytes, this many are too many.
+    #[error("payload of {0} bytes, at most 255 fit in a packet")]
+    PayloadTooLong(usize),
     /// A system id above 255 does not fit in the header.
-    #[error("system id {system_id} does not fit in a MAVLink 2 header")]
-    SystemId {
-        /// The id.
-        system_id: u32,
-    },
-    /// The dialect does not have the message, so its checksum is unknown.
-    #[error("message {message_id} is not part of the dialect")]
-    UnknownMessage {
-        /// The message's number.
-        message_id: u32,
-    },
+    #[error("system id {0} does not fit in a MAVLink 2 header")]
+    SystemId(u32),
+    /// The dialect does not have the message of this number, so its checksum is unknown.
+    #[error("message {0} is not part of the dialect")]
+    UnknownMessage(u32),
 }
 
 /// Writes `message` as an unsigned MAVLink 2 packet into `out` and returns its length.
@@ -101,13 +92,11 @@ pub fn serialize_payload(
     payload: &[u8],
     out: &mut [u8],
 ) -> Result<usize, SerializeError> {
-    let system_id = u8::try_from(header.system_id).map_err(|_| SerializeError::SystemId {
-        system_id: header.system_id,
-    })?;
-    let extra_crc = extra_crc(message_id).ok_or(SerializeError::UnknownMessage { message_id })?;
+    let system_id = u8::try_from(header.system_id).map_err(|_| SerializeError::SystemId(header.system_id))?;
+    let extra_crc = extra_crc(message_id).ok_or(SerializeError::UnknownMessage(message_id))?;
     let significant = payload.iter().rposition(|b| *b != 0).map_or(1, |last| last + 1);
     let payload = payload.get(..significant).unwrap_or(payload);
-    let payload_len = u8::try_from(payload.len()).map_err(|_| SerializeError::PayloadTooLong { len: payload.len() })?;
+    let payload_len = u8::try_from(payload.len()).map_err(|_| SerializeError::PayloadTooLong(payload.len()))?;
     let needed = 10 + payload.len() + 2;
     let available = out.len();
     let too_small = SerializeError::BufferTooSmall { needed, available };

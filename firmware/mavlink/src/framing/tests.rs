@@ -277,12 +277,14 @@ fn what_cannot_be_serialised_is_an_error() {
     use SerializeError::*;
     let short = serialize(HEADER, &heartbeat(), &mut [0; 8]);
     assert!(matches!(short, Err(BufferTooSmall { available: 8, .. })));
-    let system_id = 300;
-    let (message_id, far) = (12_900_000, MavHeader { system_id, ..HEADER });
+    let far = MavHeader {
+        system_id: 300,
+        ..HEADER
+    };
     for (header, id, payload, error) in [
-        (far, 0, &[1; 9][..], SystemId { system_id }),
-        (HEADER, message_id, &[1], UnknownMessage { message_id }),
-        (HEADER, 0, &[1; 300], PayloadTooLong { len: 300 }),
+        (far, 0, &[1; 9][..], SystemId(300)),
+        (HEADER, 12_900_000, &[1], UnknownMessage(12_900_000)),
+        (HEADER, 0, &[1; 300], PayloadTooLong(300)),
     ] {
         assert_eq!(serialize_payload(header, id, payload, &mut [0; 600]), Err(error));
     }

@@ -133,16 +133,14 @@ fn set(m: &PARAM_SET_DATA, source: Source, core: &mut Core) {
     let name = m.param_id.to_str().unwrap_or("");
     let index = Parameters::index_of(name);
     let outcome = match (index, m.param_type) {
-        (None, _) => Err(ParameterError::Unknown { name: name.to_owned() }),
+        (None, _) => Err(ParameterError::Unknown(name.to_owned())),
         (Some(index), MavParamType::MAV_PARAM_TYPE_INT32) => core
             .parameters
             .set(index, ParameterValue::Int32(m.param_value.to_bits() as i32)),
         (Some(index), MavParamType::MAV_PARAM_TYPE_REAL32) => {
             core.parameters.set(index, ParameterValue::Real32(m.param_value))
         }
-        (Some(index), _) => Err(ParameterError::WrongType {
-            name: crate::parameter_table()[index].name,
-        }),
+        (Some(index), _) => Err(ParameterError::WrongType(crate::parameter_table()[index].name)),
     };
     let message = index.and_then(|index| value_message(core, index));
     let Err(error) = outcome else {
@@ -152,9 +150,9 @@ fn set(m: &PARAM_SET_DATA, source: Source, core: &mut Core) {
         return;
     };
     let code = match error {
-        ParameterError::Unknown { .. } => MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
-        ParameterError::WrongType { .. } => MavParamError::MAV_PARAM_ERROR_TYPE_MISMATCH,
-        ParameterError::Fixed { .. } => MavParamError::MAV_PARAM_ERROR_READ_ONLY,
+        ParameterError::Unknown(_) => MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
+        ParameterError::WrongType(_) => MavParamError::MAV_PARAM_ERROR_TYPE_MISMATCH,
+        ParameterError::Fixed(_) => MavParamError::MAV_PARAM_ERROR_READ_ONLY,
         ParameterError::OutOfRange { .. } => MavParamError::MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
     };
     // The error first: a client that knows it would take the unchanged value for a lost packet and try again.

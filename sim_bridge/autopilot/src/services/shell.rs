@@ -208,7 +208,7 @@ fn set(name: &str, value: &str, core: &mut Core) -> String {
 }
 
 fn try_set(name: &str, value: &str, core: &mut Core) -> Result<(), String> {
-    let unknown = || ParameterError::Unknown { name: name.to_owned() }.to_string();
+    let unknown = || ParameterError::Unknown(name.to_owned()).to_string();
     let index = Parameters::index_of(name).ok_or_else(unknown)?;
     let parsed = match core.parameters.at(index) {
         Some((_, ParameterValue::Int32(_))) => value.parse().ok().map(ParameterValue::Int32),
