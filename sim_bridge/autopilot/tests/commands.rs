@@ -460,8 +460,8 @@ fn any_number() -> impl Strategy<Value = f32> + Clone {
 fn any_command() -> impl Strategy<Value = ControlCommand> {
     let yaw = prop_oneof![
         Just(YawCommand::Hold),
-        any_number().prop_map(|yaw_rad| YawCommand::Angle(yaw_rad)),
-        any_number().prop_map(|yaw_rate_rad_s| YawCommand::Rate(yaw_rate_rad_s)),
+        any_number().prop_map(YawCommand::Angle),
+        any_number().prop_map(YawCommand::Rate),
     ];
     let three = (any_number(), any_number(), any_number());
     prop_oneof![
