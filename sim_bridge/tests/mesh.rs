@@ -63,8 +63,8 @@ fn gltf() -> (String, Vec<u8>) {
     (text.to_owned(), bytes)
 }
 
-/// The same surface told otherwise: what is replaced by what.
-const TOLD_OTHERWISE: [[&str; 2]; 5] = [
+/// The same surface in other ways: what is replaced by what.
+const OTHER_WAYS: [[&str; 2]; 5] = [
     [r#""scale":[1,2,1]"#, r#""matrix":[1,0,0,0, 0,2,0,0, 0,0,1,0, 0,0,0,1]"#],
     ["[1]}", r#"[1],"rotation":[0,2,0,0],"translation":[3,0,-10]}"#],
     [r#""indices":1"#, r#""mode":6"#],
@@ -99,10 +99,10 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
     write("beside.gltf", gltf_at("its%20data.bin").as_bytes());
     write("its data.bin", &buffer);
     write("m.GLB", &glb(&text, &buffer));
-    for (n, [from, to]) in TOLD_OTHERWISE.iter().enumerate() {
+    for (n, [from, to]) in OTHER_WAYS.iter().enumerate() {
         write(&format!("{n}.glb"), &glb(&text.replace(from, to), &buffer));
     }
-    let otherwise = (0..TOLD_OTHERWISE.len()).map(|n| format!("file = \"{n}.glb\""));
+    let others = (0..OTHER_WAYS.len()).map(|n| format!("file = \"{n}.glb\""));
     let entries = [
         "file = \"m.gltf\"",
         "file = \"beside.gltf\"\nup = \"y\"",
@@ -114,7 +114,7 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
         // Turned to the right, what was 5 m north is 5 m east, and moved back.
         "file = \"m.obj\"\nyaw_deg = 90.0\nnorth_m = 6.5\neast_m = -3.5",
     ];
-    for entry in entries.map(String::from).into_iter().chain(otherwise) {
+    for entry in entries.map(String::from).into_iter().chain(others) {
         let course = course(folder.path(), &entry).unwrap_or_else(|e| panic!("{entry}: {e}"));
         assert_eq!(course.meshes[0].triangles_and_open_edges(), Some((2, 4)), "{entry}");
         let world = World::new(&course);
@@ -179,21 +179,8 @@ fn what_cannot_be_used_is_refused_with_a_sentence() {
     }
 }
 
-#[test]
-fn a_gltf_that_cannot_be_used_is_refused_with_a_sentence() {
-    let folder = folder();
-    let write = |name: &str, content: &[u8]| std::fs::write(folder.path().join(name), content).expect("written");
-    let refused = |name: &str, expected: &str| {
-        let error = course(folder.path(), &format!("file = {name:?}")).expect_err(expected);
-        let error = error.to_string();
-        assert!(
-            error.contains(&format!("{name} is not a mesh that can be read ({expected}")),
-            "{expected}: {error}"
-        );
-    };
-    let (text, buffer) = gltf();
-    // What is replaced by what, and what the sentence says.
-    let cases = r#"
+/// What of a glTF is replaced by what, and what the sentence says.
+const REFUSED_GLTF: &str = r#"
         KHR_materials_unlit => KHR_draco_mesh_compression => it requires KHR_draco_mesh_compression: export it without, uncompressed
         KHR_materials_unlit => EXT_meshopt_compression => it requires EXT_meshopt_compression: export it without
         "2.0" => "1.0" => it is of glTF 1.0: export it as 2.0
@@ -220,7 +207,24 @@ fn a_gltf_that_cannot_be_used_is_refused_with_a_sentence() {
         [1,2,1] => [1,1e999,1] => number out of range
         "nodes":[{ => "nodes":[3,{ => invalid type
     "#;
-    let cases: Vec<Vec<&str>> = cases.lines().map(|case| case.trim().split(" => ").collect()).collect();
+
+#[test]
+fn a_gltf_that_cannot_be_used_is_refused_with_a_sentence() {
+    let folder = folder();
+    let write = |name: &str, content: &[u8]| std::fs::write(folder.path().join(name), content).expect("written");
+    let refused = |name: &str, expected: &str| {
+        let error = course(folder.path(), &format!("file = {name:?}")).expect_err(expected);
+        let error = error.to_string();
+        assert!(
+            error.contains(&format!("{name} is not a mesh that can be read ({expected}")),
+            "{expected}: {error}"
+        );
+    };
+    let (text, buffer) = gltf();
+    let cases: Vec<Vec<&str>> = REFUSED_GLTF
+        .lines()
+        .map(|case| case.trim().split(" => ").collect())
+        .collect();
     let mut count = 0;
     for case in cases.iter().filter(|case| case.len() == 3) {
         let wrong = text.replacen(case[0], case[1].trim(), 1);

@@ -63,6 +63,7 @@ impl Course {
     /// The first field that is wrong.
     pub fn check(&self) -> Result<(), FieldProblem> {
         self.check_frame()?;
+        self.check_numbers()?;
         self.check_obstacles()?;
         self.check_places()
     }
@@ -101,7 +102,7 @@ impl Course {
         Ok(())
     }
 
-    fn check_obstacles(&self) -> Result<(), FieldProblem> {
+    fn check_numbers(&self) -> Result<(), FieldProblem> {
         let lists = [
             ("column", self.columns.len()),
             ("box", self.boxes.len()),
@@ -125,6 +126,10 @@ impl Course {
                 format!("there are {wires} wires, at most {MAX_WIRES} are allowed"),
             );
         }
+        Ok(())
+    }
+
+    fn check_obstacles(&self) -> Result<(), FieldProblem> {
         for (i, c) in self.columns.iter().enumerate() {
             coordinate(&format!("column[{i}].north_m"), c.north_m)?;
             coordinate(&format!("column[{i}].east_m"), c.east_m)?;
