@@ -271,7 +271,7 @@ impl Parameters {
 
     /// PARAM_VALUE of a parameter. PX4 and its clients put integers bytewise into the value's field, ArduPilot and its clients
     /// by conversion.
-    pub(crate) fn told(&self, index: usize, flavour: Flavour) -> Option<MavMessage> {
+    pub(crate) fn value(&self, index: usize, flavour: Flavour) -> Option<MavMessage> {
         let parameter = self.all.get(index)?;
         let (param_value, param_type) = match (parameter.value, flavour) {
             (ParameterValue::Real(v), _) => (v, MavParamType::MAV_PARAM_TYPE_REAL32),

@@ -216,12 +216,12 @@ fn what_flies_is_not_taken_for_another_autopilot_in_flight() {
 fn a_wrong_vehicle_is_named_at_once_and_again_every_half_minute_and_never_commanded() {
     for (configured, actual) in [(Px4, ArduPilot), (ArduPilot, Px4)] {
         let (set, is) = (configured.name(), actual.name());
-        let told = format!("vehicle is {is}, but set is {set}: it is not flown; use --vehicle auto");
+        let text = format!("vehicle is {is}, but set is {set}: it is not flown; use --vehicle auto");
         let mut f = Flight::new(configured, Peer::in_the_air(actual));
         f.step();
-        f.assert_told(&told);
+        f.assert_told(&text);
         f.run(seconds(61.0));
-        assert_eq!(f.texts.iter().filter(|t| **t == told).count(), 3);
+        assert_eq!(f.texts.iter().filter(|t| **t == text).count(), 3);
         let is_still = f.peer.setpoints.iter().all(|(_, setpoint)| *setpoint == [0.0; 4]);
         assert!(f.peer.commands.is_empty() && is_still, "{:?}", f.peer.commands);
         // A PX4 streams unprompted, so that guidance becomes ready; an ArduPilot is not even asked to.
@@ -424,8 +424,9 @@ fn what_the_sensor_sees_of_the_ground_is_not_told_as_obstacles() {
         (InFlight, (0, 0), (8, 8)),
         (KeepAlive, (8, 0), (8, 8)),
     ] {
-        let told = [Peer::on_the_ground(ArduPilot), Peer::in_the_air(ArduPilot)].map(|p| obstacles_told(obstacles, p));
-        assert_eq!(told, [on_ground, in_air], "{obstacles:?}");
+        let counts =
+            [Peer::on_the_ground(ArduPilot), Peer::in_the_air(ArduPilot)].map(|p| obstacles_told(obstacles, p));
+        assert_eq!(counts, [on_ground, in_air], "{obstacles:?}");
     }
     assert_eq!(ObstacleReports::default(), InFlight);
 }

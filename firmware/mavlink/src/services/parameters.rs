@@ -19,7 +19,7 @@ pub(crate) struct ParameterService {
 impl ParameterService {
     /// Answers with a parameter's value in force.
     fn tell_value(&self, core: &mut Core, link: u8, index: usize) {
-        if let Some(message) = self.table.told(index, core.vehicle.flavour()) {
+        if let Some(message) = self.table.value(index, core.vehicle.flavour()) {
             core.reply(link, &message);
         }
     }

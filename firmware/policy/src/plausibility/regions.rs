@@ -442,7 +442,8 @@ mod tests {
     }
 
     fn note(regions: &mut Regions, frame: &DepthFrame) -> bool {
-        Picture::EMPTY.take(frame, &mut regions.sides);
+        let mut picture = Picture::EMPTY;
+        picture.take(frame, &mut regions.sides);
         regions.note(frame, &Directions::new(), HEIGHT_M)
     }
 

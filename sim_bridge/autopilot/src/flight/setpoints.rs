@@ -362,7 +362,7 @@ mod tests {
         for bad in [f32::INFINITY, 1e9] {
             let (with, good) = (ned(BODY, 0x5C7), read(BODY, 0x5C7));
             // A field that the mask ignores may hold anything: MAVSDK sends NaN there.
-            for (m, told) in [
+            for (m, taken) in [
                 (
                     Setpoint {
                         vy: bad,
@@ -379,7 +379,7 @@ mod tests {
                 ),
                 (Setpoint { x: bad, ..with }, good),
             ] {
-                assert_eq!(position_setpoint(&m, 5.0, 0.0), told);
+                assert_eq!(position_setpoint(&m, 5.0, 0.0), taken);
             }
         }
     }

@@ -42,7 +42,7 @@ impl From<&Denial> for ArmingCheck {
 }
 
 impl ArmingCheck {
-    /// Index of the health component it concerns, and what is told.
+    /// Index of the health component it concerns, and its text.
     fn component_and_message(self) -> (u8, &'static str) {
         match self {
             Self::Terminated => (1, "Flight was terminated: reboot first"),
