@@ -183,13 +183,13 @@ def actor_case(c: Context) -> Case:
             net(*inputs)
 
     peers = {
-        "ONNX Runtime": Peer(lambda: single.run(None, feed), 50, goal=0.9),
+        "ONNX Runtime": Peer(lambda: single.run(None, feed), 50, goal=2.6),
         "PyTorch": Peer(by_torch, 20),
     }
     if c.tract is not None:
         tract = Tract.start(c.tract, frozen.REPOSITORY / "target/peers", model, list(feed.values()))
         agreement.append(within("tract", tract.first, t["state_action"][0], 1e-5))
-        peers["tract"] = Peer(runs=20, goal=3.0, time_ns=tract.time_ns)
+        peers["tract"] = Peer(runs=20, goal=5.8, time_ns=tract.time_ns)
     return Case("One new frame through the actor", "actor", 50, peers, ", ".join(agreement), 30)
 
 
@@ -207,8 +207,8 @@ def hidden_shap_case(c: Context) -> Case:
     agreement = [within("shap", by_shap, t["shap_hidden"], 1e-5), within("captum", by_captum, t["shap_hidden"], 1e-5)]
     one = [x[:1] for x in states]
     peers = {
-        "captum": Peer(lambda: lift.attribute(tuple(one), tuple(background)), 5, goal=20.0),
-        "shap": Peer(lambda: explainer.shap_values(one, check_additivity=False), 5, goal=20.0),
+        "captum": Peer(lambda: lift.attribute(tuple(one), tuple(background)), 5, goal=104.0),
+        "shap": Peer(lambda: explainer.shap_values(one, check_additivity=False), 5, goal=160.0),
     }
     return Case("Hidden DeepSHAP, yaw, 30 backgrounds", "shap-hidden", 200, peers, ", ".join(agreement), 20)
 
@@ -308,8 +308,8 @@ def attack_case(c: Context, strength: list[dict]) -> Case:
     paper = {"method": "bim-accumulating", "epsilon_255": 1.0, "iterations": 20}
     attack = art_bim(net, paper)
     peers = {
-        "PyTorch": Peer(lambda: torch_bim(net, frames, target, paper), goal=4.0),
-        "ART": Peer(lambda: attack.generate(frames.numpy(), y), goal=4.0),
+        "PyTorch": Peer(lambda: torch_bim(net, frames, target, paper), goal=5.6),
+        "ART": Peer(lambda: attack.generate(frames.numpy(), y), goal=6.5),
     }
     return Case("BIM, 20 iterations, newest frame", "bim", 1, peers, agreement, 5)
 
@@ -373,23 +373,21 @@ def table(results: dict) -> str:
         return f"{x:.1f} µs" if x < 100 else f"{x:.0f} µs" if x < 1e4 else f"{x / 1e3:.0f} ms"
 
     lines = [
-        f"{results['processor']}, {results['isa']}, one core, one thread a side, processor time; median of the rounds' ratios, lowest–highest."
-        f" Load average {results['load_average']:g} (other work on the machine).",
+        f"{results['processor']}, {results['isa']}, load average {results['load_average']:g}; differences of results before timing: `results.json`.",
         "",
-        "| | Ours | Peer | Theirs | Theirs / ours | Goal |",
+        "| Case | Ours | Peer | Theirs | Theirs / ours | Goal |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
-    for case in results["cases"].values():
+    for short, case in results["cases"].items():
         for name, p in case["peers"].items():
             goal = "" if p["goal"] is None else f"≥ {p['goal']:g}: {'met' if p['met'] else 'missed'}"
             spread = f"**{p['ratio']:.2f}** ({p['ratio_low']:.2f}–{p['ratio_high']:.2f})"
-            cells = [case["title"], us(case["ours_median_us"]), name, us(p["median_us"]), spread, goal]
+            cells = [f"`{short}`", us(case["ours_median_us"]), name, us(p["median_us"]), spread, goal]
             lines.append(f"| {' | '.join(cells)} |")
-    lines += ["", "Largest differences of results before anything is timed:", ""]
-    lines += [f"- {case['title']}: {case['agreement']}" for case in results["cases"].values()]
     if results["attack_strength"]:
-        apart = max(abs(r["ours"] - r["art"]) for r in results["attack_strength"])
-        lines.append(f"- Strength, mean |change of yaw| (of ±1.5) of {len(results['attack_strength'])} settings: ours and ART's at most {apart:.4f} apart")
+        apart = [abs(r["ours"] - r["art"]) for r in results["attack_strength"]]
+        between = f"{np.median(apart):.2g} in the middle, {max(apart):.2g} at most"
+        lines += ["", f"Our and ART's change of yaw (of ±1.5), {len(apart)} settings of BIM, differ by {between}."]
     return "\n".join(lines)
 
 
