@@ -121,7 +121,7 @@ pub enum ConfigError {
     /// 0 means "everybody" in MAVLink.
     #[error("system_id is 0, which means everybody: use 1 to 255")]
     SystemId,
-    /// No link, or so many that they are too many.
+    /// No link, or too many: as many as this.
     #[error("links has {0} entries: use 1 to {max}", max = EndpointConfig::MAX_LINKS)]
     Links(usize),
     /// Home is not a place where local coordinates work.

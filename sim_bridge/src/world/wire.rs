@@ -114,8 +114,9 @@ impl Wire {
 impl Course {
     /// What is seen and touched by its triangles: each mesh, and all wires as one.
     pub(crate) fn surfaces(&self) -> Vec<Arc<Surface>> {
-        let wires = standing(self.wires.iter().flat_map(Wire::triangles).collect());
+        // Prisms are closed.
+        let wires = standing(self.wires.iter().flat_map(Wire::triangles).collect(), 0);
         let meshes = self.meshes.iter().filter_map(|mesh| mesh.surface().cloned());
-        meshes.chain(wires.ok().map(Arc::new)).collect()
+        meshes.chain(wires.map(Arc::new)).collect()
     }
 }

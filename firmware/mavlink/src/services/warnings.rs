@@ -84,6 +84,8 @@ impl Service for WarningService {
 /// Whether what is repeated after a while is due, which is noted.
 fn is_due(told_ns: &mut Option<Nanos>, now_ns: Nanos) -> bool {
     let is_due = told_ns.is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= WRONG_VEHICLE_NS);
-    *told_ns = if is_due { Some(now_ns) } else { *told_ns };
+    if is_due {
+        *told_ns = Some(now_ns);
+    }
     is_due
 }

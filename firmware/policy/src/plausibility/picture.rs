@@ -155,8 +155,10 @@ impl CellCounts {
     }
 }
 
-/// What is shown farther away than this, of the image's range, has no sides: 60 m.
-const FAR: f32 = 0.6;
+/// What is shown farther away than this is no surface that has sides, metres.
+pub(super) const FAR_M: f32 = 60.0;
+/// The part of a line's or a column's sum that is its mean, metres.
+const LINE_M: f32 = DEPTH_FULL_SCALE_M / SIDE as f32;
 
 /// The means of the cells that show a surface, and of their outermost rows and columns, metres; not a number where none is shown.
 #[derive(Debug, Clone)]
@@ -264,18 +266,12 @@ impl Picture {
                 let kept = if is_smooth { 1.0 / mean_m } else { -1.0 };
                 inverse[i] = if low >= 1.0 { 0.0 } else { kept };
                 // Metres, where the cell has sides.
-                let has_sides = is_smooth & (high < FAR);
-                let side = |sum: f32, of: usize| {
-                    if has_sides {
-                        sum * (DEPTH_FULL_SCALE_M / of as f32)
-                    } else {
-                        f32::NAN
-                    }
-                };
+                let has_sides = is_smooth & (high * DEPTH_FULL_SCALE_M < FAR_M);
+                let side = |value_m: f32| if has_sides { value_m } else { f32::NAN };
                 let line = |[a, b, c, d]: [f32; SIDE]| a + b + c + d;
-                mean[i] = side(a + b + c + d, SIDE * SIDE);
-                (left[i], right[i]) = (side(a, SIDE), side(d, SIDE));
-                (top[i], bottom[i]) = (side(line(first), SIDE), side(line(last), SIDE));
+                mean[i] = side(mean_m);
+                (left[i], right[i]) = (side(a * LINE_M), side(d * LINE_M));
+                (top[i], bottom[i]) = (side(line(first) * LINE_M), side(line(last) * LINE_M));
                 // Every second row is a ring of the LiDAR, those between lie between.
                 let more = |[a, b, c, d]: [f32; SIDE]| (a - b).abs() + (b - c).abs() + (c - d).abs() - (a - d).abs();
                 let may = |cells: [f32; SIDE]| RAGGED_PART / SIDE as f32 * line(cells) + RAGGED_M / DEPTH_FULL_SCALE_M;

@@ -6,12 +6,10 @@
 //! whatever range it is shown, and where it is by the vehicle's height and attitude: so a region that shows ground says itself by how much
 //! it was moved, and one beside it by what goes on across their common side. Of a region that neither reaches nothing is known.
 
-use super::picture::{CELLS, COLS, CellCounts, Directions, Picture, ROWS, SIDE, Sides};
+use super::picture::{CELLS, COLS, CellCounts, Directions, FAR_M, Picture, ROWS, SIDE, Sides};
 use crate::smaller;
 use vigil_types::{Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DepthFrame, NedVector};
 
-/// What is shown farther away than this is no surface, metres.
-const FAR_M: f32 = 60.0;
 /// Two cells jump if their sides are apart by more than their slopes make: metres, and a part of the range.
 const JUMP_M: f32 = 0.2;
 const JUMP_PART: f32 = 0.03;
@@ -143,7 +141,7 @@ impl Regions {
         (self.are_moved && !self.too_small).then_some(&self.restored)
     }
 
-    /// Has a picture taken of that frame; what counts there is.
+    /// Takes that frame into a picture; returns what was counted there.
     pub(super) fn take_restored(&mut self, picture: &mut Picture) -> Option<CellCounts> {
         self.restored()?;
         Some(picture.take(&self.restored, &mut self.sides))
@@ -165,17 +163,15 @@ impl Regions {
 
     /// Counts the frames in which each line was torn; whether so many are in this one that it is of moved regions.
     fn find_lines(&mut self) -> bool {
-        let Sides {
-            mean_m,
-            top_m,
-            bottom_m,
-            left_m,
-            right_m,
-        } = &self.sides;
+        let sides = &self.sides;
         let (mut above, mut left_of) = ([(0_u16, 0_u16); ROWS], [(0_u16, 0_u16); COLS]);
         // A checked sum would keep the loops from being vectorised.
         let note = |count: &mut u16, is: bool| *count = count.wrapping_add(u16::from(is));
-        let down = mean_m.windows(2).zip(top_m.windows(2)).zip(bottom_m.windows(2));
+        let down = sides
+            .mean_m
+            .windows(2)
+            .zip(sides.top_m.windows(2))
+            .zip(sides.bottom_m.windows(2));
         for (counts, ((means, tops), bottoms)) in above.iter_mut().skip(1).zip(down) {
             let ([mean_a, mean_b], [top_a, top_b], [bottom_a, bottom_b]) = (means, tops, bottoms) else {
                 continue;
@@ -193,7 +189,7 @@ impl Regions {
             }
             *counts = (all, jumps);
         }
-        for ((means, left), right) in mean_m.iter().zip(left_m).zip(right_m) {
+        for ((means, left), right) in sides.mean_m.iter().zip(&sides.left_m).zip(&sides.right_m) {
             let pairs = means.windows(2).zip(left.windows(2)).zip(right.windows(2));
             for ((all, jumps), ((means, left), right)) in left_of.iter_mut().skip(1).zip(pairs) {
                 let ([mean_a, mean_b], [left_a, left_b], [right_a, right_b]) = (means, left, right) else {

@@ -344,15 +344,12 @@ fn draw_solid(layer: &mut Layer, view: &View, solid: &Solid, colour: Rgb888, out
 fn draw_obstacles(canvas: &mut Canvas, view: &View, course: &Course) {
     canvas.layer(1.0, |layer| {
         // As the corridor has them: where they are at the heights that it needs.
-        for c in course
-            .mesh_boxes(course.corridor_reach_m())
-            .iter()
-            .filter_map(|b| corners(view, b))
-        {
+        let reach_m = course.corridor_reach_m();
+        let meshes = course.mesh_boxes(reach_m);
+        for c in meshes.iter().filter_map(|b| corners(view, b)) {
             quadrangle(layer, c, MESH);
         }
-        let reach_m = course.corridor_reach_m();
-        let [low_m, high_m] = [-reach_m, reach_m].map(|m| course.flight_height_m + m);
+        let [low_m, high_m] = course.band_m(reach_m);
         for wire in &course.wires {
             let ends = [wire.from_m, wire.to_m].map(|[north_m, east_m, _]| view.at(north_m, east_m));
             line(layer, ends, GRID_5M, 1.2);

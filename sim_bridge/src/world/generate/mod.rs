@@ -440,8 +440,11 @@ impl Builder {
             0.1
         };
         // Around what is far off there is no need to go.
-        let reach_m = |(north_m, east_m): (f32, f32)| north_m + east_m;
-        let reach_m = reach_m(a_solid.plan_half_extents_m()) + reach_m(b_solid.plan_half_extents_m());
+        let extent_m = |solid: &Solid| {
+            let (north_m, east_m) = solid.plan_half_extents_m();
+            north_m + east_m
+        };
+        let reach_m = extent_m(a_solid) + extent_m(b_solid);
         let [a, b] = [a_solid, b_solid].map(Solid::centre_ned_m);
         if libm::hypotf(a.x - b.x, a.y - b.y) > reach_m + gap_m + 0.01 {
             return false;

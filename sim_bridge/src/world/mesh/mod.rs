@@ -90,7 +90,7 @@ impl Mesh {
     pub fn of_triangles(triangles: &[[NedVector; 3]]) -> Result<Self, MeshError> {
         let placed = triangles.iter().map(|t| t.map(|p| p.to_array())).collect();
         let path = PathBuf::from("a mesh in memory");
-        match standing(placed) {
+        match surface_of_mesh(placed) {
             Ok(surface) => Ok(Self {
                 surface: Some(Arc::new(surface)),
                 file: path,
@@ -130,7 +130,7 @@ impl Mesh {
         }
         let content = vigil_types::files::read(path, SIZE_LIMIT).map_err(|e| format!("cannot be read: {e}"))?;
         let (triangles, up) = formats::triangles(path, &content)?;
-        standing(self.placed(&triangles, self.up.unwrap_or(up))?)
+        surface_of_mesh(self.placed(&triangles, self.up.unwrap_or(up))?)
     }
 
     /// How many triangles stand on the course, and how many of their edges belong to one triangle alone: the rims of holes, and of
@@ -229,8 +229,8 @@ impl Mesh {
     }
 }
 
-/// What of placed triangles stands above the ground and has an area.
-pub(crate) fn standing(mut placed: Vec<Triangle>) -> Result<Surface, String> {
+/// A mesh's surface of its placed triangles.
+fn surface_of_mesh(placed: Vec<Triangle>) -> Result<Surface, String> {
     if placed.len() > MAX_TRIANGLES {
         let count = placed.len();
         return Err(format!(
@@ -238,9 +238,12 @@ pub(crate) fn standing(mut placed: Vec<Triangle>) -> Result<Surface, String> {
         ));
     }
     let open_edges = surface::open_edges(&placed);
+    standing(placed, open_edges)
+        .ok_or_else(|| "has no triangles above the ground; raise it by height_m, or set `up`".to_owned())
+}
+
+/// What of placed triangles, which have so many open edges, stands above the ground and has an area; `None` where nothing does.
+pub(crate) fn standing(mut placed: Vec<Triangle>, open_edges: usize) -> Option<Surface> {
     placed.retain(|t| t.iter().any(|p| -p[2] > FLOOR_M) && surface::has_area(t));
-    if placed.is_empty() {
-        return Err("has no triangles above the ground; raise it by height_m, or set `up`".to_owned());
-    }
-    Ok(Surface::new(placed, open_edges))
+    (!placed.is_empty()).then(|| Surface::new(placed, open_edges))
 }

@@ -92,11 +92,16 @@ impl Course {
     /// The course's meshes as whoever searches a way in the plan view has them: boxes over the squares of 10 cm that they cross no farther than
     /// this above and below the flight height.
     pub(crate) fn mesh_boxes(&self, half_band_m: f32) -> Vec<Solid> {
-        let (low_m, high_m) = (self.flight_height_m - half_band_m, self.flight_height_m + half_band_m);
+        let [low_m, high_m] = self.band_m(half_band_m);
         let surfaces = self.meshes.iter().filter_map(|mesh| mesh.surface());
         surfaces
             .flat_map(|surface| surface.boxes(low_m.max(0.0), high_m))
             .collect()
+    }
+
+    /// The heights this far below and above the flight height.
+    pub(crate) fn band_m(&self, half_band_m: f32) -> [f32; 2] {
+        [self.flight_height_m - half_band_m, self.flight_height_m + half_band_m]
     }
 
     /// What stands in the plan view of a corridor.
@@ -116,7 +121,7 @@ impl Course {
     pub(crate) fn plan_solids(&self, half_band_m: f32) -> Vec<Solid> {
         let mut solids = self.solids();
         solids.extend(self.mesh_boxes(half_band_m));
-        let [low_m, high_m] = [-half_band_m, half_band_m].map(|m| self.flight_height_m + m);
+        let [low_m, high_m] = self.band_m(half_band_m);
         solids.extend(self.wires.iter().filter_map(|wire| wire.between(low_m, high_m)));
         solids
     }
