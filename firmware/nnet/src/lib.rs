@@ -62,6 +62,7 @@ pub use elementwise::Function;
 pub use graph::{Graph, GraphBuilder, NodeId, Params, Purpose};
 pub use gru::Gru;
 pub use isa::Isa;
+pub use kernels::Task;
 pub use layer_norm::LayerNorm;
 pub use lstm::Lstm;
 pub use norm::BatchNorm;

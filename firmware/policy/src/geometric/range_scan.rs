@@ -5,6 +5,7 @@
 
 use crate::apf::NearestObstacle;
 use crate::{PilotInput, larger, smaller};
+use vigil_nnet::{Isa, Task};
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrdVector, HeadingVector, NedVector, column_bearing_rad,
     row_elevation_rad,
@@ -23,17 +24,16 @@ pub const USEFUL_RANGE_M: f32 = 30.0;
 /// Where a sector's point is put when nothing was seen in it, metres.
 pub const FAR_M: f32 = 1e4;
 
-/// Columns handled together: one cache line of pixels.
+/// Bins that are looked at together.
 const BLOCK: usize = 16;
-const BLOCKS: usize = DEPTH_COLS / BLOCK;
 /// Squared normalised range that stands for "nothing".
 const NOTHING: f32 = 4.0;
 /// What a distrusting look takes for level: at 3.3 m the band of [`BAND_HALF_HEIGHT_M`], nearer the vehicle's own height.
 const DISTRUST_HALF_ANGLE_RAD: f32 = 0.105;
 /// Below one half, so that what fills not quite half of that height is seen; and ranges that were moved err to the near side.
 const DISTRUST_QUANTILE: f32 = 0.4;
-/// Columns on either side of a sector's own two.
-const DISTRUST_NEIGHBOURS: usize = 4;
+/// Sectors on either side of a sector.
+const DISTRUST_NEIGHBOURS: usize = 2;
 /// Ranges are counted in bins; the last takes everything from 16 m on.
 const DISTRUST_BIN_M: f32 = 0.25;
 const DISTRUST_BINS: usize = 65;
@@ -207,7 +207,13 @@ impl RangeScan {
 
     /// For each sector the third smallest squared horizontal range (normalised) of its points within the band.
     fn nearest_by_sector(&self, frame: &DepthFrame, axes: &Axes) -> [f32; SECTORS] {
-        let nearest = self.nearest_by_column(frame, axes);
+        let mut nearest = [[NOTHING; 3]; DEPTH_COLS];
+        Isa::detect().run(NearestByColumn {
+            tables: self,
+            frame,
+            axes,
+            nearest: &mut nearest,
+        });
         let mut squared = [NOTHING; SECTORS];
         for (squared, [a, b]) in squared.iter_mut().zip(nearest.as_chunks::<2>().0) {
             *squared = third_smallest(*a, *b);
@@ -218,102 +224,158 @@ impl RangeScan {
     /// For each sector the squared [`DISTRUST_QUANTILE`] (normalised) of the ranges of all pixels that look level to within
     /// [`DISTRUST_HALF_ANGLE_RAD`], its neighbouring sectors' included.
     fn quantile_by_sector(&self, frame: &DepthFrame, axes: &Axes) -> [f32; SECTORS] {
-        let mut columns = [[0_u8; DISTRUST_BINS]; DEPTH_COLS];
+        let mut sectors = [[0; DISTRUST_BINS]; SECTORS];
+        Isa::detect().run(CountBySector {
+            tables: self,
+            frame,
+            axes,
+            sectors: &mut sectors,
+        });
+        let mut squared = [NOTHING; SECTORS];
+        let mut bins = [0_u16; DISTRUST_BINS];
+        // Some thousand pixels at the most; checked sums would keep the loops from being vectorised.
+        let add = |bins: &mut [u16; DISTRUST_BINS], counts: &[u16; DISTRUST_BINS]| {
+            bins.iter_mut()
+                .zip(counts)
+                .for_each(|(sum, count)| *sum = sum.wrapping_add(*count));
+        };
+        sectors
+            .iter()
+            .take(DISTRUST_NEIGHBOURS)
+            .for_each(|counts| add(&mut bins, counts));
+        for (sector, squared) in squared.iter_mut().enumerate() {
+            if let Some(counts) = sectors.get(sector + DISTRUST_NEIGHBOURS) {
+                add(&mut bins, counts);
+            }
+            if let Some(counts) = sector
+                .checked_sub(DISTRUST_NEIGHBOURS + 1)
+                .and_then(|left| sectors.get(left))
+            {
+                bins.iter_mut()
+                    .zip(counts)
+                    .for_each(|(sum, count)| *sum = sum.wrapping_sub(*count));
+            }
+            let all = bins.iter().fold(0_u16, |sum, count| sum.wrapping_add(*count));
+            let wanted = DISTRUST_QUANTILE * f32::from(all);
+            let mut below = 0.0;
+            for (chunk, counts) in bins.as_chunks::<BLOCK>().0.iter().enumerate() {
+                let chunk_sum = f32::from(counts.iter().fold(0_u16, |sum, count| sum.wrapping_add(*count)));
+                if below + chunk_sum < wanted {
+                    below += chunk_sum;
+                    continue;
+                }
+                for (bin, count) in (chunk * BLOCK..).zip(counts) {
+                    let count = f32::from(*count);
+                    if count > 0.0 && below + count >= wanted {
+                        let range_m = (bin as f32 + (wanted - below) / count) * DISTRUST_BIN_M;
+                        let range = range_m / DEPTH_FULL_SCALE_M;
+                        *squared = range * range;
+                        break;
+                    }
+                    below += count;
+                }
+                break;
+            }
+        }
+        squared
+    }
+}
+
+/// For each sector, how many of its pixels look level, by range.
+struct CountBySector<'a> {
+    tables: &'a RangeScan,
+    frame: &'a DepthFrame,
+    axes: &'a Axes,
+    sectors: &'a mut [[u16; DISTRUST_BINS]; SECTORS],
+}
+
+impl Task for CountBySector<'_> {
+    #[inline(always)]
+    fn run<const FUSED: bool>(self) {
+        let Self {
+            tables,
+            frame,
+            axes,
+            sectors,
+        } = self;
         let band = libm::sinf(DISTRUST_HALF_ANGLE_RAD);
         let lean = libm::hypotf(axes.forward.z, axes.right.z);
-        for (pixels, &(cos_row, sin_row)) in frame.depth.as_chunks::<DEPTH_COLS>().0.iter().zip(&self.rows) {
+        for (pixels, &(cos_row, sin_row)) in frame.depth.as_chunks::<DEPTH_COLS>().0.iter().zip(&tables.rows) {
             let rise = axes.down.z * sin_row;
             // None of a row looks level that no bearing brings into the band; the rest is for rounding.
             if rise.abs() > band + cos_row * lean + 1e-4 {
                 continue;
             }
-            let directions = self.cos_column.iter().zip(&self.sin_column);
-            for ((depth, (c, s)), bins) in pixels.iter().zip(directions).zip(&mut columns) {
+            let directions = tables.cos_column.iter().zip(&tables.sin_column);
+            let mut bins = [0_i32; DEPTH_COLS];
+            for ((bin, depth), (c, s)) in bins.iter_mut().zip(pixels).zip(directions) {
                 let below = cos_row * (axes.forward.z * c + axes.right.z * s) - rise;
-                if below.abs() < band {
-                    // `as` saturates; the last bin takes everything beyond.
-                    let bin = (depth * (DEPTH_FULL_SCALE_M / DISTRUST_BIN_M)) as usize;
-                    if let Some(count) = bins.get_mut(bin.min(DISTRUST_BINS - 1)) {
-                        // At most 128 rows.
+                // `as` saturates; the last bin takes everything beyond.
+                let by_range = ((depth * (DEPTH_FULL_SCALE_M / DISTRUST_BIN_M)) as i32).min(DISTRUST_BINS as i32 - 1);
+                *bin = if below.abs() < band { by_range } else { -1 };
+            }
+            for (bins, counts) in bins.as_chunks::<2>().0.iter().zip(sectors.iter_mut()) {
+                for bin in bins {
+                    // What does not look level has no bin. At most 128 rows of two.
+                    if let Some(count) = counts.get_mut(*bin as usize) {
                         *count += 1;
                     }
                 }
             }
         }
-        let mut squared = [NOTHING; SECTORS];
-        for (sector, squared) in squared.iter_mut().enumerate() {
-            let mut bins = [0_u16; DISTRUST_BINS];
-            let from = (2 * sector).saturating_sub(DISTRUST_NEIGHBOURS);
-            for column in columns.iter().take(2 * sector + 2 + DISTRUST_NEIGHBOURS).skip(from) {
-                // Some thousand pixels at the most; a checked sum would keep the loop from being vectorised.
-                for (sum, count) in bins.iter_mut().zip(column) {
-                    *sum = sum.wrapping_add(u16::from(*count));
-                }
-            }
-            let all = bins.iter().fold(0_u16, |sum, count| sum.wrapping_add(*count));
-            let wanted = DISTRUST_QUANTILE * f32::from(all);
-            let mut below = 0.0;
-            for (bin, count) in bins.iter().take(DISTRUST_BINS - 1).enumerate() {
-                let count = f32::from(*count);
-                if count > 0.0 && below + count >= wanted {
-                    let range_m = (bin as f32 + (wanted - below) / count) * DISTRUST_BIN_M;
-                    let range = range_m / DEPTH_FULL_SCALE_M;
-                    *squared = range * range;
-                    break;
-                }
-                below += count;
-            }
-        }
-        squared
     }
+}
 
-    /// For each column the three smallest squared horizontal ranges (normalised) of points within the band, ascending.
-    /// Three, because one alone could be a stray return.
-    fn nearest_by_column(&self, frame: &DepthFrame, axes: &Axes) -> [[f32; 3]; DEPTH_COLS] {
-        let mut nearest = [[NOTHING; 3]; DEPTH_COLS];
+/// For each column the three smallest squared horizontal ranges (normalised) of points within the band, ascending.
+/// Three, because one alone could be a stray return.
+struct NearestByColumn<'a> {
+    tables: &'a RangeScan,
+    frame: &'a DepthFrame,
+    axes: &'a Axes,
+    nearest: &'a mut [[f32; 3]; DEPTH_COLS],
+}
+
+impl Task for NearestByColumn<'_> {
+    #[inline(always)]
+    fn run<const FUSED: bool>(self) {
+        let Self {
+            tables,
+            frame,
+            axes,
+            nearest,
+        } = self;
         let band = BAND_HALF_HEIGHT_M / DEPTH_FULL_SCALE_M;
         let farthest = USEFUL_RANGE_M / DEPTH_FULL_SCALE_M;
-        let columns = self
-            .cos_column
-            .as_chunks::<BLOCK>()
-            .0
-            .iter()
-            .zip(self.sin_column.as_chunks::<BLOCK>().0)
-            .zip(nearest.as_chunks_mut::<BLOCK>().0);
-        for (block, ((cos, sin), out)) in columns.enumerate() {
-            let mut drop = [0.0_f32; BLOCK];
-            for ((k, c), s) in drop.iter_mut().zip(cos).zip(sin) {
-                *k = axes.forward.z * c + axes.right.z * s;
-            }
-            let (mut first, mut second, mut third) = ([NOTHING; BLOCK], [NOTHING; BLOCK], [NOTHING; BLOCK]);
-            let pixels = frame.depth.as_chunks::<BLOCK>().0.iter().skip(block).step_by(BLOCKS);
-            for (pixels, &(cos_row, sin_row)) in pixels.zip(&self.rows) {
-                let rise = axes.down.z * sin_row;
-                for i in 0..BLOCK {
-                    // All arrays have BLOCK items.
-                    #[allow(clippy::indexing_slicing)]
-                    {
-                        let depth = pixels[i];
-                        let below = depth * (cos_row * drop[i] - rise);
-                        let squared = depth * depth - below * below;
-                        let v = if below.abs() < band && depth < farthest {
-                            squared
-                        } else {
-                            NOTHING
-                        };
-                        let v1 = larger(first[i], v);
-                        first[i] = smaller(first[i], v);
-                        let v2 = larger(second[i], v1);
-                        second[i] = smaller(second[i], v1);
-                        third[i] = smaller(third[i], v2);
-                    }
+        let mut drop = [0.0; DEPTH_COLS];
+        for ((k, c), s) in drop.iter_mut().zip(&tables.cos_column).zip(&tables.sin_column) {
+            *k = axes.forward.z * c + axes.right.z * s;
+        }
+        let [mut first, mut second, mut third] = [[NOTHING; DEPTH_COLS]; 3];
+        for (pixels, &(cos_row, sin_row)) in frame.depth.as_chunks::<DEPTH_COLS>().0.iter().zip(&tables.rows) {
+            let rise = axes.down.z * sin_row;
+            for i in 0..DEPTH_COLS {
+                // All arrays have DEPTH_COLS items.
+                #[allow(clippy::indexing_slicing)]
+                {
+                    let depth = pixels[i];
+                    let below = depth * (cos_row * drop[i] - rise);
+                    let squared = depth * depth - below * below;
+                    let v = if (below.abs() < band) & (depth < farthest) {
+                        squared
+                    } else {
+                        NOTHING
+                    };
+                    let v1 = larger(first[i], v);
+                    first[i] = smaller(first[i], v);
+                    let v2 = larger(second[i], v1);
+                    second[i] = smaller(second[i], v1);
+                    third[i] = smaller(third[i], v2);
                 }
             }
-            for (((o, a), b), c) in out.iter_mut().zip(first).zip(second).zip(third) {
-                *o = [a, b, c];
-            }
         }
-        nearest
+        for (((nearest, a), b), c) in nearest.iter_mut().zip(first).zip(second).zip(third) {
+            *nearest = [a, b, c];
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::PART;
 use crate::{larger, smaller};
+use vigil_nnet::{Isa, Task};
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrdVector, HORIZONTAL_FOV_RAD, PIXEL_PITCH_RAD,
     VERTICAL_FOV_RAD, column_bearing_rad, row_elevation_rad,
@@ -183,8 +184,6 @@ impl Default for Sides {
     }
 }
 
-impl Sides {}
-
 /// A reduced frame.
 #[derive(Debug, Clone)]
 pub(super) struct Picture {
@@ -198,19 +197,30 @@ impl Picture {
     /// Takes a frame, and the sides of its cells; counts what is counts.
     pub(super) fn take(&mut self, frame: &DepthFrame, sides: &mut Sides) -> CellCounts {
         let mut counts = CellCounts::default();
+        Isa::detect().run(Reduction {
+            picture: self,
+            frame,
+            sides,
+            counts: &mut counts,
+        });
+        counts
+    }
+
+    #[inline(always)]
+    fn take_all(&mut self, frame: &DepthFrame, sides: &mut Sides, counts: &mut CellCounts) {
         let bands = frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
         for (part, bands) in bands.as_chunks::<PART>().0.iter().enumerate() {
             let mut ragged = [0; COLS];
             for (row, band) in (part * PART..).zip(bands) {
-                self.take_row(row, band, sides, &mut counts, &mut ragged);
+                self.take_row(row, band, sides, counts, &mut ragged);
             }
             let parts = ragged.as_chunks::<PART>().0.iter();
             counts.torn += parts.filter(|cells| cells.iter().sum::<u8>() >= TORN_CELLS).count();
         }
-        counts
     }
 
     /// Takes a row of cells; counts the cells of a column in which ranges go to and fro.
+    #[inline(always)]
     fn take_row(
         &mut self,
         row: usize,
@@ -329,6 +339,21 @@ impl Picture {
         } else {
             Seen::Mixed
         }
+    }
+}
+
+/// [`Picture::take`], compiled for each instruction set.
+struct Reduction<'a> {
+    picture: &'a mut Picture,
+    frame: &'a DepthFrame,
+    sides: &'a mut Sides,
+    counts: &'a mut CellCounts,
+}
+
+impl Task for Reduction<'_> {
+    #[inline(always)]
+    fn run<const FUSED: bool>(self) {
+        self.picture.take_all(self.frame, self.sides, self.counts);
     }
 }
 
