@@ -6,7 +6,8 @@ use crate::report::{TextTable, numbers, words};
 use crate::threads::thread_pool_of;
 use crate::trainer::evaluation::{EvaluatedActor, EvaluationSpec, evaluate};
 use crate::trainer::observation::Drift;
-use anyhow::{Result, ensure};
+use crate::trainer::probe::{Readout, probe};
+use anyhow::{Result, bail, ensure};
 use std::path::Path;
 use std::process::ExitCode;
 use vigil_firmware::arguments::choice;
@@ -26,6 +27,8 @@ Examples:
   vigil rollout --actor zero                            what the field does without any actor
   vigil rollout --actor random                          ... and with one that draws its action evenly each step
   vigil rollout --actor geometric --family hard         the geometric pilot
+  vigil rollout --actor built-in --family hard --flights 180 --probe
+                                                        what its 48 values hold of what it saw 5 to 30 s ago
 
 The actor decides every step on the simulator's own frames and estimates. `vigil evaluate` flies the whole stack.")]
 pub struct RolloutArgs {
@@ -64,6 +67,11 @@ pub struct RolloutArgs {
     /// A flight that takes longer has failed, seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = 90.0)]
     time_limit: f32,
+
+    /// Tell instead how much a linear read-out of the actor's 48 values says of surfaces that it saw 5, 15 and 30 s ago and that now lie
+    /// out of view; two flights of three are fitted on.
+    #[arg(long, conflicts_with = "ablate")]
+    probe: bool,
 }
 
 /// Flies the courses without and with the field and prints both.
@@ -95,19 +103,28 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         EvaluatedActor::Geometric => &[false],
         _ => &[false, true],
     };
-    for &field in fields {
-        let what = EvaluationSpec {
-            family: args.family,
-            first_seed: args.seed,
-            flights: args.flights,
-            time_limit_s: args.time_limit,
-            field,
-            ablation: args.ablate,
-            drift: Drift {
-                scale: args.drift_scale,
-                yaw_rad_s: args.drift_yaw.to_radians(),
-            },
+    let spec = |field| EvaluationSpec {
+        family: args.family,
+        first_seed: args.seed,
+        flights: args.flights,
+        time_limit_s: args.time_limit,
+        field,
+        ablation: args.ablate,
+        drift: Drift {
+            scale: args.drift_scale,
+            yaw_rad_s: args.drift_yaw.to_radians(),
+        },
+    };
+    if args.probe {
+        let EvaluatedActor::Actor(params) = evaluated else {
+            bail!("--probe is for actors, and {} is none", args.actor);
         };
+        let readouts = pool.install(|| probe(params, Isa::detect(), &spec(false)))?;
+        say!("{}", probed(&readouts));
+        return Ok(ExitCode::SUCCESS);
+    }
+    for &field in fields {
+        let what = spec(field);
         let result = pool.install(|| evaluate(evaluated, Isa::detect(), &what))?;
         let field = [if field { "on" } else { "off" }.to_owned()];
         let mean_time = [or_dash(result.mean_time_s().unwrap_or(f64::NAN), 1, " s")];
@@ -115,4 +132,22 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
     }
     say!("{table}");
     Ok(ExitCode::SUCCESS)
+}
+
+/// Shares of variance, with their controls.
+fn probed(readouts: &[Readout]) -> TextTable {
+    let columns = [
+        "moments",
+        "48 values",
+        "memory wiped",
+        "newest scan",
+        "another flight's past",
+    ];
+    let mut table = TextTable::new([words("R² of what was seen")].into_iter().chain(columns.map(numbers)));
+    for readout in readouts {
+        let shares = [readout.state, readout.wiped, readout.scan, readout.shuffled];
+        let cells = [format!("{} s ago", readout.lag_s), readout.samples.to_string()];
+        table.row(cells.into_iter().chain(shares.map(|share| or_dash(share, 2, ""))));
+    }
+    table
 }

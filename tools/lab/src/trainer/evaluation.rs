@@ -10,11 +10,11 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use vigil_nnet::Isa;
 use vigil_policy::actor::{Actor, ActorSpec};
-use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, RangeScan};
+use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_sim::environment::Environment;
 use vigil_sim::vehicle::Wind;
 use vigil_sim::world::{Family, Outcome, generate};
-use vigil_types::{ACTION_LIMIT, Ablation, Action, Choice};
+use vigil_types::{ACTION_LIMIT, Ablation, Action, Choice, NedVector};
 
 /// Who decides.
 #[derive(Debug, Clone, Copy)]
@@ -121,12 +121,19 @@ impl FamilyCount {
 pub fn evaluate(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec) -> Result<EvaluationResult> {
     let flights = (0..what.flights)
         .into_par_iter()
-        .map(|i| fly(actor, isa, what, what.first_seed.wrapping_add(i)))
+        .map(|i| fly(actor, isa, what, what.first_seed.wrapping_add(i), |_, _, _| Ok(())))
         .collect::<Result<Vec<_>>>()?;
     Ok(EvaluationResult { flights })
 }
 
-fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<(Outcome, f64)> {
+/// Flies one; `each` gets the actor after each of its decisions, what it decided on, and where the vehicle is.
+pub(super) fn fly(
+    actor: EvaluatedActor<'_>,
+    isa: Isa,
+    what: &EvaluationSpec,
+    seed: u64,
+    mut each: impl FnMut(&Actor, &PilotInput<'_>, NedVector) -> Result<()>,
+) -> Result<(Outcome, f64)> {
     let mut course = generate(what.family, seed);
     course.time_limit_s = what.time_limit_s;
     let mut flight = Flight::of(Environment::new(&course, Wind::default(), seed)?);
@@ -146,6 +153,7 @@ fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) ->
         let mut action = match (&mut network, &mut geometric) {
             (Some(actor), _) => {
                 let [forward_m_s, yaw] = drifting.with(&flight.input(), |input| actor.decide(input))?;
+                each(actor, &flight.input(), flight.estimate().position_ned_m)?;
                 Action { forward_m_s, yaw }
             }
             (None, Some(pilot)) => pilot.decide(&flight.input()),

@@ -13,6 +13,7 @@ mod mlp;
 mod noise;
 pub mod observation;
 mod priorities;
+pub mod probe;
 mod replay;
 pub mod reward;
 pub mod run;
