@@ -180,7 +180,7 @@ mod tests {
     fn what_is_linear_in_the_source_is_read_out_whole_and_what_has_nothing_to_do_with_it_not_at_all() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let sources: Vec<[f32; 6]> = (0..3000).map(|_| rng.random()).collect();
-        let told = |source: &[f32; 6]| {
+        let shown = |source: &[f32; 6]| {
             [
                 source[0] - 0.5 * source[3],
                 1.0 + source[1],
@@ -197,7 +197,7 @@ mod tests {
             let (fitted, tried) = pairs.split_at(2000);
             r_squared(fitted, tried).unwrap()
         };
-        let linear: Vec<_> = sources.iter().map(told).collect();
+        let linear: Vec<_> = sources.iter().map(shown).collect();
         let unrelated: Vec<_> = linear.iter().skip(7).chain(linear.iter().take(7)).copied().collect();
         assert!(pairs(&linear) > 0.999, "{}", pairs(&linear));
         assert!(pairs(&unrelated).abs() < 0.02, "{}", pairs(&unrelated));
