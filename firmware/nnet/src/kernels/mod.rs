@@ -18,7 +18,7 @@ pub(crate) use product::{Product, Start};
 use crate::isa::{Isa, Level};
 
 /// Element-wise work that is compiled once for each instruction set. [`Task::run`] is plain Rust, to be marked
-/// `#[inline(always)]`: the compiler vectorises its loops with what each set has, and fuses only where [`mul_add`] says.
+/// `#[inline(always)]`: the compiler vectorises its loops with what each set has, and fuses only what is written as fused.
 pub trait Task {
     /// Does the work. `FUSED`: the instruction set has fused multiply-add.
     fn run<const FUSED: bool>(self);
