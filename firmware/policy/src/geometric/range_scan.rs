@@ -207,13 +207,7 @@ impl RangeScan {
 
     /// For each sector the third smallest squared horizontal range (normalised) of its points within the band.
     fn nearest_by_sector(&self, frame: &DepthFrame, axes: &Axes) -> [f32; SECTORS] {
-        let mut nearest = [[NOTHING; 3]; DEPTH_COLS];
-        Isa::detect().run(NearestByColumn {
-            tables: self,
-            frame,
-            axes,
-            nearest: &mut nearest,
-        });
+        let nearest = self.look(frame, axes, [[NOTHING; 3]; DEPTH_COLS]);
         let mut squared = [NOTHING; SECTORS];
         for (squared, [a, b]) in squared.iter_mut().zip(nearest.as_chunks::<2>().0) {
             *squared = third_smallest(*a, *b);
@@ -224,36 +218,16 @@ impl RangeScan {
     /// For each sector the squared [`DISTRUST_QUANTILE`] (normalised) of the ranges of all pixels that look level to within
     /// [`DISTRUST_HALF_ANGLE_RAD`], its neighbouring sectors' included.
     fn quantile_by_sector(&self, frame: &DepthFrame, axes: &Axes) -> [f32; SECTORS] {
-        let mut sectors = [[0; DISTRUST_BINS]; SECTORS];
-        Isa::detect().run(CountBySector {
-            tables: self,
-            frame,
-            axes,
-            sectors: &mut sectors,
-        });
+        let sectors = self.look(frame, axes, [[0_u16; DISTRUST_BINS]; SECTORS]);
         let mut squared = [NOTHING; SECTORS];
-        let mut bins = [0_u16; DISTRUST_BINS];
-        // Some thousand pixels at the most; checked sums would keep the loops from being vectorised.
-        let add = |bins: &mut [u16; DISTRUST_BINS], counts: &[u16; DISTRUST_BINS]| {
-            bins.iter_mut()
-                .zip(counts)
-                .for_each(|(sum, count)| *sum = sum.wrapping_add(*count));
-        };
-        sectors
-            .iter()
-            .take(DISTRUST_NEIGHBOURS)
-            .for_each(|counts| add(&mut bins, counts));
         for (sector, squared) in squared.iter_mut().enumerate() {
-            if let Some(counts) = sectors.get(sector + DISTRUST_NEIGHBOURS) {
-                add(&mut bins, counts);
-            }
-            if let Some(counts) = sector
-                .checked_sub(DISTRUST_NEIGHBOURS + 1)
-                .and_then(|left| sectors.get(left))
-            {
-                bins.iter_mut()
-                    .zip(counts)
-                    .for_each(|(sum, count)| *sum = sum.wrapping_sub(*count));
+            let mut bins = [0_u16; DISTRUST_BINS];
+            let from = sector.saturating_sub(DISTRUST_NEIGHBOURS);
+            for counts in sectors.iter().take(sector + 1 + DISTRUST_NEIGHBOURS).skip(from) {
+                // Some thousand pixels at the most; a checked sum would keep the loop from being vectorised.
+                for (sum, count) in bins.iter_mut().zip(counts) {
+                    *sum = sum.wrapping_add(*count);
+                }
             }
             let all = bins.iter().fold(0_u16, |sum, count| sum.wrapping_add(*count));
             let wanted = DISTRUST_QUANTILE * f32::from(all);
@@ -279,24 +253,39 @@ impl RangeScan {
         }
         squared
     }
+
+    /// Fills `seen` from a frame, compiled for this processor's vectors.
+    fn look<T>(&self, frame: &DepthFrame, axes: &Axes, mut seen: T) -> T
+    where
+        for<'a> Look<'a, T>: Task,
+    {
+        Isa::detect().run(Look {
+            tables: self,
+            frame,
+            axes,
+            seen: &mut seen,
+        });
+        seen
+    }
 }
 
-/// For each sector, how many of its pixels look level, by range.
-struct CountBySector<'a> {
+/// What is read from a frame's pixels.
+struct Look<'a, T> {
     tables: &'a RangeScan,
     frame: &'a DepthFrame,
     axes: &'a Axes,
-    sectors: &'a mut [[u16; DISTRUST_BINS]; SECTORS],
+    seen: &'a mut T,
 }
 
-impl Task for CountBySector<'_> {
+/// For each sector, how many of its pixels look level, by range.
+impl Task for Look<'_, [[u16; DISTRUST_BINS]; SECTORS]> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
         let Self {
             tables,
             frame,
             axes,
-            sectors,
+            seen: sectors,
         } = self;
         let band = libm::sinf(DISTRUST_HALF_ANGLE_RAD);
         let lean = libm::hypotf(axes.forward.z, axes.right.z);
@@ -328,21 +317,14 @@ impl Task for CountBySector<'_> {
 
 /// For each column the three smallest squared horizontal ranges (normalised) of points within the band, ascending.
 /// Three, because one alone could be a stray return.
-struct NearestByColumn<'a> {
-    tables: &'a RangeScan,
-    frame: &'a DepthFrame,
-    axes: &'a Axes,
-    nearest: &'a mut [[f32; 3]; DEPTH_COLS],
-}
-
-impl Task for NearestByColumn<'_> {
+impl Task for Look<'_, [[f32; 3]; DEPTH_COLS]> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
         let Self {
             tables,
             frame,
             axes,
-            nearest,
+            seen: nearest,
         } = self;
         let band = BAND_HALF_HEIGHT_M / DEPTH_FULL_SCALE_M;
         let farthest = USEFUL_RANGE_M / DEPTH_FULL_SCALE_M;

@@ -70,7 +70,7 @@ pub struct RolloutArgs {
 
     /// Tell instead how much a linear read-out of the actor's 48 values says of surfaces that it saw 5, 15 and 30 s ago and that now lie
     /// out of view; two flights of three are fitted on.
-    #[arg(long, conflicts_with = "ablate")]
+    #[arg(long, conflicts_with_all = ["ablate", "drift_scale", "drift_yaw"])]
     probe: bool,
 }
 

@@ -126,7 +126,7 @@ pub fn evaluate(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec) -> R
     Ok(EvaluationResult { flights })
 }
 
-/// Flies one; `each` gets the actor after each of its decisions, what it decided on, and where the vehicle is.
+/// Flies one; `each` gets the actor after each of its decisions, what it decided on but for the drift, and where the vehicle is.
 pub(super) fn fly(
     actor: EvaluatedActor<'_>,
     isa: Isa,

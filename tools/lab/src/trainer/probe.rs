@@ -8,12 +8,13 @@ use std::f32::consts::{FRAC_PI_3, PI};
 use vigil_nnet::Isa;
 use vigil_policy::actor::memory::{proximity, range_m, scan_bearing_rad};
 use vigil_policy::actor::{Actor, ActorSpec};
-use vigil_types::{Ablation, Nanos, STEP_NS};
+use vigil_types::Ablation;
 
 /// How long ago what is asked for was seen, seconds.
-pub const LAGS_S: [u64; 3] = [5, 15, 30];
-/// What is seen within this of the moment that is asked for counts.
-const WITHIN_NS: Nanos = 250_000_000;
+pub const LAGS_S: [usize; 3] = [5, 15, 30];
+/// Steps of a second, and steps on either side of the moment that is asked for that count as well.
+const STEPS_PER_S: usize = 20;
+const WITHIN: usize = 5;
 /// Directions that are out of view, each 60° wide: 60° to 120° and 120° to 180° on either side.
 const SECTORS: usize = 4;
 /// A sample is taken every so many steps.
@@ -25,7 +26,7 @@ const RIDGE: f64 = 1e-4;
 #[derive(Debug, Clone, Copy)]
 pub struct Readout {
     /// How long ago, seconds.
-    pub lag_s: u64,
+    pub lag_s: usize,
     /// Moments of the flights that it was tried on.
     pub samples: usize,
     /// From the 48 values.
@@ -54,7 +55,7 @@ pub fn probe(params: &[f32], isa: Isa, what: &EvaluationSpec) -> Result<Vec<Read
         .into_par_iter()
         .map(|i| samples(params, isa, what, what.first_seed.wrapping_add(i)))
         .collect::<Result<Vec<_>>>()?;
-    let readout = |(lag, &lag_s): (usize, &u64)| {
+    let readout = |(lag, &lag_s): (usize, &usize)| {
         let r2 = |source: usize, shift: usize| {
             let pairs = |is_fitted: bool| {
                 let chosen = (0..flights.len()).filter(move |i| (i % 3 < 2) == is_fitted);
@@ -84,8 +85,8 @@ pub fn probe(params: &[f32], isa: Isa, what: &EvaluationSpec) -> Result<Vec<Read
 /// One flight of the actor, its twin without a memory beside it.
 fn samples(params: &[f32], isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<Vec<Sample>> {
     let mut twin = Actor::new(ActorSpec::FULL, isa, params)?.without(Ablation::Memory);
-    // When, and the places of the surfaces seen, north and east.
-    let mut seen: Vec<(Nanos, Vec<(f32, f32)>)> = Vec::new();
+    // In each step the places of the surfaces seen, north and east.
+    let mut seen: Vec<Vec<(f32, f32)>> = Vec::new();
     let mut samples = Vec::new();
     fly(
         EvaluatedActor::Actor(params),
@@ -104,27 +105,23 @@ fn samples(params: &[f32], isa: Isa, what: &EvaluationSpec, seed: u64) -> Result
                     position_ned_m.y + sin * forward_m + cos * right_m,
                 )
             });
-            seen.push((input.now_ns, places.collect()));
+            seen.push(places.collect());
             if seen.len().is_multiple_of(EVERY) {
-                let first_ns = seen[0].0;
-                let of = |lag_s: &u64| {
-                    let at_ns = input
-                        .now_ns
-                        .checked_sub(lag_s * 20 * STEP_NS)
-                        .filter(|at_ns| *at_ns >= first_ns)?;
+                let of = |lag_s: &usize| {
+                    let at = seen.len().checked_sub(1 + lag_s * STEPS_PER_S)?;
                     let mut nearest = [0.0_f32; SECTORS];
-                    let then = seen.iter().filter(|(when_ns, _)| when_ns.abs_diff(at_ns) <= WITHIN_NS);
-                    for (north_m, east_m) in then.flat_map(|(_, places)| places) {
+                    let then = &seen[at.saturating_sub(WITHIN)..=at + WITHIN];
+                    for (north_m, east_m) in then.iter().flatten() {
                         let (north, east) = (north_m - position_ned_m.x, east_m - position_ned_m.y);
                         let bearing_rad = (cos * east - sin * north).atan2(cos * north + sin * east);
                         let sector = ((bearing_rad + PI) / FRAC_PI_3) as usize;
                         // Of the six those ahead, the third and the fourth, are in view.
-                        if let Some(nearest) = [0, 1, 9, 9, 2, 3]
-                            .get(sector)
-                            .and_then(|at: &usize| nearest.get_mut(*at))
-                        {
-                            *nearest = nearest.max(proximity(north.hypot(east)));
-                        }
+                        let at = match sector {
+                            0 | 1 => sector,
+                            4 | 5 => sector - 2,
+                            _ => continue,
+                        };
+                        nearest[at] = nearest[at].max(proximity(north.hypot(east)));
                     }
                     Some(nearest)
                 };
