@@ -3,8 +3,8 @@
 //! A single verdict neither raises nor ends an alarm: five attacked steps (0.25 s) hardly turn the vehicle, and false
 //! verdicts seldom last as long. *Unknown* ends none, and too many of them in a row raise one. So does, whatever the
 //! verdict, an action that leads into something, and an actor that does not bring the vehicle on along the way that the
-//! guard plans: such an alarm clean verdicts do not end, for who leads an actor astray under clean verdicts goes on
-//! supplying them.
+//! guard plans. What ends an alarm are clean steps in a row: the verdict is clean, the picture is not rough, and the actor's action
+//! leads into nothing.
 
 use crate::input::Risk;
 use vigil_types::parameters::{self, OutOfRange, Range};
@@ -57,7 +57,7 @@ pub struct AlarmConfig {
     pub apart_yaw: f32,
     /// Fewer cells of one surface than this share make a picture rough; as many rough ones as verdicts of attack raise the alarm. 0 is never.
     pub smooth_share: f32,
-    /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
+    /// Consecutive clean steps that end the first alarm of a flight; each further one asks for twice as many.
     pub clear_steps: u16,
     /// The vehicle counts as stopped below this speed, metres per second.
     pub stopped_m_s: f32,
@@ -171,14 +171,6 @@ struct Raised {
     recovery_stopped: bool,
 }
 
-impl Raised {
-    /// Whether only an operator gives the vehicle back to the actor in this flight. The verdict then had nothing to say when the actor
-    /// was led astray, so it has nothing to say on when that is over.
-    fn is_final(&self) -> bool {
-        !matches!(self.cause, AlarmCause::Attack | AlarmCause::NoVerdict)
-    }
-}
-
 /// What the steps of a flight speak for.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Evidence {
@@ -212,11 +204,13 @@ impl Evidence {
         };
         self.attacks = self.attacks << 1 | u32::from(input.verdict == Some(Verdict::Attack));
         count(&mut self.unknown_steps, input.verdict == Some(Verdict::Unknown));
-        count(&mut self.clean_steps, looks_clean && !on_collision_course);
         count(&mut self.course_steps, on_collision_course);
         if let Some(smooth_share) = input.smooth_share {
             self.rough = self.rough << 1 | u32::from(smooth_share < config.smooth_share);
         }
+        // Who knows the detector goes on supplying clean verdicts.
+        let is_rough = self.rough & 1 != 0;
+        count(&mut self.clean_steps, looks_clean && !is_rough && !on_collision_course);
         match (is_raised, input.guided) {
             (true, _) => {}
             // What is judged while the vehicle holds moves nothing.
@@ -282,9 +276,9 @@ impl AlarmLogic {
         u32::from(config.clear_steps) << self.ended.min(MOST_DOUBLINGS)
     }
 
-    /// An operator trusts the actor again: ends an alarm that nothing else ends.
+    /// An operator trusts the actor again: ends an alarm of the guard.
     pub fn trust_again(&mut self) {
-        if self.raised.is_some_and(|raised| raised.is_final()) {
+        if self.raised.is_some_and(|raised| raised.cause.is_of_guard()) {
             self.end();
         }
     }
@@ -317,10 +311,15 @@ impl AlarmLogic {
                     stopped: false,
                     recovery_stopped: false,
                 });
+                // Of an actor led astray, or that disagrees, every step before was clean.
+                self.evidence.clean_steps = 0;
             }
-            (Some(raised), _) if raised.is_final() => {}
+            // Where nobody else flies on, a person decides whether the actor may.
+            (Some(raised), _) if raised.cause.is_of_guard() && config.policy == AlarmPolicy::Stop => {}
             // It is known now to be an attack; the actor does not fly any more, so there is nothing to stop anew.
-            (Some(raised), Some(AlarmCause::Attack)) => raised.cause = AlarmCause::Attack,
+            (Some(raised), Some(AlarmCause::Attack)) if !raised.cause.is_of_guard() => {
+                raised.cause = AlarmCause::Attack
+            }
             (Some(_), _) if clean => self.end(),
             _ => {}
         }

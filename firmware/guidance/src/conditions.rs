@@ -163,7 +163,7 @@ pub static CONDITIONS: [Condition; 34] = [
         Demand::Hold,
         false,
         "{raise_count} of the last {raise_window} verdicts on the flying actor were *attack*, and the policy is *stop* or *recover*",
-        "*recover*: slower than {stopped}, at the latest after {stop_limit}; *stop*: {alarm_clear_steps} clean verdicts in a row, after each further alarm of a flight twice as many",
+        "*recover*: slower than {stopped}, at the latest after {stop_limit}; *stop*: {alarm_clear_steps} clean steps in a row (the verdict is clean, the picture not rough, the actor on no collision course), after each further alarm of a flight twice as many",
     ),
     condition(
         Reason::NoVerdict,
@@ -177,7 +177,7 @@ pub static CONDITIONS: [Condition; 34] = [
         Demand::Recover,
         false,
         "the policy is *recover*, and *attack*, *no verdict*, *collision course*, *led astray*, *disagreement* or *rough picture* has stopped the vehicle",
-        "after *attack* or *no verdict* {alarm_clear_steps} clean verdicts in a row, after each further alarm of a flight twice as many; after one of the last three an operator's engage; the end of the flight",
+        "{alarm_clear_steps} clean steps in a row, after each further alarm of a flight twice as many; where the guard raised it, an operator's engage; the end of the flight",
     ),
     condition(
         Reason::CollisionCourse,

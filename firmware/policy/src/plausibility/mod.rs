@@ -475,7 +475,8 @@ impl PlausibilityCheck {
         } else if self.raised.is_some() {
             self.look_for_a_fit(&pose, stamp_ns);
         } else {
-            self.compare(&pose, stamp_ns);
+            let comparable = one_step && self.pose_before.is_some() && self.restored().is_none();
+            self.compare(&pose, stamp_ns, comparable);
         }
         self.note_velocity(pose.attitude, guided);
         self.pose_before = in_flight.then_some(pose);
@@ -610,8 +611,9 @@ impl PlausibilityCheck {
         };
     }
 
-    /// Compares the picture with the one before and with two that were kept; raises what that tells, or keeps the picture.
-    fn compare(&mut self, pose: &Pose, stamp_ns: Nanos) {
+    /// Compares the picture with the one before (`comparable`: a step older, and neither has regions moved back) and with two that were
+    /// kept; raises what that tells, or keeps the picture.
+    fn compare(&mut self, pose: &Pose, stamp_ns: Nanos, comparable: bool) {
         let same = self
             .pose_before
             .map_or(0, |before| self.cells_that_stayed(&Map::between(pose, &before)));
@@ -623,7 +625,12 @@ impl PlausibilityCheck {
         if let Some(far) = self.anchor_at(FAR_M, ANCHOR_USEFUL_NS, pose, stamp_ns) {
             self.compare_far(far, pose, stamp_ns);
         }
-        if let Some(raised) = self.verdict() {
+        let vanished = comparable && silence::have_vanished(&self.before, &self.picture);
+        let wiped = vanished.then_some(Raised {
+            reason: Reason::InconsistentPicture,
+            stays: false,
+        });
+        if let Some(raised) = wiped.or_else(|| self.verdict()) {
             self.raises = self.raises.saturating_add(1);
             let stays = raised.stays || self.raises >= LAST_RAISE;
             self.raised = Some(Raised { stays, ..raised });

@@ -1,8 +1,9 @@
-//! A side of the view that goes dead: from one frame to the next nothing is seen there any more.
+//! What is gone from one frame to the next: a side of the view that goes dead, and things that vanish from the midst of it.
 //!
 //! What leaves a view leaves it over its edge, some cells in a step; what goes out of range is far away. Near surfaces that are gone
 //! within one step, and with them whatever lay between them and one edge of the view, are gone because the sensor no longer sees
-//! them: where they lay deep inside the view or, above and below, where the rest of the same surface is still there.
+//! them: where they lay deep inside the view or, above and below, where the rest of the same surface is still there. Nor does what
+//! stands there give way to what is behind it within a step: somebody wiped it from the picture.
 
 use super::picture::{COLS, Picture, ROWS};
 use super::{BLIND_FRAMES, SEEING_FRAMES, count};
@@ -19,6 +20,41 @@ const REST: usize = 2;
 const SAME_PART: f32 = 0.15;
 /// Cells with a near surface that must have gone.
 const GONE_CELLS: usize = 6;
+
+/// What vanishes stood so far away, metres: nearer things, and those that move, go farther than [`ABOUT_COLUMNS`] in a step.
+const VANISHED_FROM_M: f32 = 1.5;
+const VANISHED_TO_M: f32 = 12.0;
+/// Rows and columns about a cell in which what it showed may be a step later.
+const ABOUT_ROWS: usize = 1;
+const ABOUT_COLUMNS: usize = 3;
+/// What is behind a surface is farther by this part of its range, and metres.
+const BEHIND_PART: f32 = 0.3;
+const BEHIND_M: f32 = 0.5;
+/// Cells that must have vanished: no frame of 300 hard flights had one.
+const VANISHED_CELLS: usize = 12;
+
+/// Whether surfaces of the picture a step before are neither where they were nor about there, and what is behind them is seen. Where nothing is
+/// seen behind any of them the sensor may have failed ([`SilentSide`]).
+pub(super) fn have_vanished(before: &Picture, now: &Picture) -> bool {
+    let (mut cells, mut shown) = (0, 0);
+    for row in ABOUT_ROWS..ROWS - ABOUT_ROWS {
+        for column in ABOUT_COLUMNS..COLS - ABOUT_COLUMNS {
+            let cell = row * COLS + column;
+            let inverse = before.inverse(cell);
+            let behind = inverse / (1.0 + BEHIND_PART + BEHIND_M * inverse);
+            let is_behind = |cell: usize| (0.0..behind).contains(&now.inverse(cell));
+            let about = |cell: usize| (cell - ABOUT_COLUMNS..=cell + ABOUT_COLUMNS).all(is_behind);
+            if (1.0 / VANISHED_TO_M..1.0 / VANISHED_FROM_M).contains(&inverse)
+                && is_behind(cell)
+                && (row - ABOUT_ROWS..=row + ABOUT_ROWS).all(|row| about(row * COLS + column))
+            {
+                cells += 1;
+                shown += usize::from(now.inverse(cell) > 0.0);
+            }
+        }
+    }
+    cells >= VANISHED_CELLS && shown > 0
+}
 
 /// A side of the view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
