@@ -611,7 +611,7 @@ impl PlausibilityCheck {
         };
     }
 
-    /// Compares the picture with the one before (`comparable`: a step older, and neither has regions moved back) and with two that were
+    /// Compares the picture with the one before (`comparable`: that is a step older, and this one has no regions moved back) and with two that were
     /// kept; raises what that tells, or keeps the picture.
     fn compare(&mut self, pose: &Pose, stamp_ns: Nanos, comparable: bool) {
         let same = self

@@ -307,32 +307,6 @@ fn what_leaves_the_view_by_itself_is_no_dead_side() {
 }
 
 #[test]
-fn what_is_wiped_from_a_picture_in_flight_is_missed_at_once_and_known_when_it_comes_back() {
-    // The hall without pillars and walls: its floor alone.
-    let wipe = |frame: &mut DepthFrame| {
-        let (height_m, attitude) = (-frame.header.position_ned_m.z, frame.header.attitude);
-        for (pixel, depth) in frame.depth.iter_mut().enumerate() {
-            let bearing = column_bearing_rad((pixel % DEPTH_COLS) as f32);
-            let elevation = row_elevation_rad((pixel / DEPTH_COLS) as f32);
-            let level = libm::cosf(elevation);
-            let (x, y) = (level * libm::cosf(bearing), level * libm::sinf(bearing));
-            let falls = attitude.to_ned(FrdVector::new(x, y, -libm::sinf(elevation))).z;
-            let floor_m = if falls > 0.0 { height_m / falls } else { f32::INFINITY };
-            *depth = (floor_m / DEPTH_FULL_SCALE_M).min(1.0);
-        }
-    };
-    let mut flight = Flight::new();
-    assert_eq!(flight.first_fault(40, good), None);
-    // It stops within a metre.
-    assert_eq!(flight.fly(10, wipe)[0], Reasons::of(Reason::InconsistentPicture));
-    flight.speed_m_s = 0.0;
-    let held = flight.fly(60, wipe);
-    assert!(held.iter().all(|d| d.contains(Reason::InconsistentPicture)));
-    let faults = flight.fly(40, good);
-    assert!(faults[39].is_empty(), "{:?}", faults[39]);
-}
-
-#[test]
 fn what_moves_beside_the_vehicle_and_goes_away_is_no_fault() {
     // Somebody 0.6 m wide and 0.9 m away crosses the view from left to right, stays before it a while, and goes on.
     for stays in [0, 40] {

@@ -48,6 +48,20 @@ fn who_repaints_the_ground_before_what_is_shown_farther_away_is_found_by_the_edg
 }
 
 #[test]
+fn what_is_wiped_from_a_picture_in_flight_is_missed_at_once_and_known_when_it_comes_back() {
+    let mut wipe = repaint(DEPTH_FULL_SCALE_M);
+    let mut flight = Flight::new();
+    assert_eq!(flight.first_fault(40, good), None);
+    // It stops within a metre.
+    assert_eq!(flight.fly(10, &mut wipe)[0], Reasons::of(Reason::InconsistentPicture));
+    flight.speed_m_s = 0.0;
+    let held = flight.fly(60, &mut wipe);
+    assert!(held.iter().all(|d| d.contains(Reason::InconsistentPicture)));
+    let faults = flight.fly(40, good);
+    assert!(faults[39].is_empty(), "{:?}", faults[39]);
+}
+
+#[test]
 fn true_ranges_odometry_of_a_tenth_too_much_and_a_hall_without_edges_convict_nobody() {
     let mut flight = Flight::new();
     assert_eq!(flight.fly(100, good), [Reasons::NONE; 100]);
