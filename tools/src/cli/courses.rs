@@ -200,7 +200,8 @@ fn obstacles_of(file: &Path) -> Result<String> {
         "{}: the movers leave no time to get to the goal",
         file.display()
     );
-    let mut found = format!("{} obstacles", course.solids().len() + course.movers.len());
+    let count = course.solids().len() + course.movers.len();
+    let mut found = format!("{count} obstacle{}", if count == 1 { "" } else { "s" });
     if !course.wires.is_empty() {
         found += &format!(", {} wires", course.wires.len());
     }

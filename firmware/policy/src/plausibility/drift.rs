@@ -230,6 +230,8 @@ impl Errors {
 /// nothing.
 const READING_NS: Nanos = 1_000_000_000;
 const READING_INFORMATION: f32 = 20.0;
+/// With so much aside it counts for a whole one of the turn: with less, readings that followed each other were seen to err alike.
+const WHOLE_READING_INFORMATION: f32 = 60.0;
 const LONGEST_READING_NS: Nanos = 4_000_000_000;
 /// What a reading may leave unexplained, variances a sample: of a sensor that is turned, for it is so everywhere, and something that
 /// moves beside the vehicle is not; and of a view of another width, which these small steps do not explain to the end.
@@ -253,36 +255,45 @@ const LEAST_TURN: f32 = 0.7;
 const MOST_TURN: f32 = 2.5;
 const LEAST_WIDENING: f32 = 0.15;
 
-/// Readings of one error, the newest last.
+/// Readings of one error, the newest last, and for how much of a reading each counts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Readings {
-    values: [f32; READINGS],
+    values: [(f32, f32); READINGS],
     used: usize,
 }
 
 impl Readings {
     const NONE: Self = Self {
-        values: [0.0; READINGS],
+        values: [(0.0, 0.0); READINGS],
         used: 0,
     };
 
-    fn add(&mut self, value: f32) {
+    fn add(&mut self, value: f32, weight: f32) {
         self.values.rotate_left(1);
         if let Some(newest) = self.values.last_mut() {
-            *newest = value;
+            *newest = (value, weight);
         }
         self.used = (self.used + 1).min(READINGS);
+    }
+
+    /// Number, sum and sum of squares of the newest so many.
+    fn sums(&self, newest: usize) -> (f32, f32, f32) {
+        let newest = self.values.iter().rev().take(newest);
+        newest.fold((0.0, 0.0, 0.0), |(count, sum, squares), (value, weight)| {
+            let weighed = weight * value;
+            (count + weight, sum + weighed, squares + weighed * value)
+        })
     }
 
     /// Whether the mean of the newest, two or more, is in this range and no accident: not one of what scatters as the others do, and as so
     /// many more with this sum of squares.
     fn tell(&self, range: core::ops::Range<f32>, others: f32, squares: f32) -> bool {
-        let newest = |readings: usize| self.values.iter().rev().take(readings);
-        let all = squares + newest(self.used).map(|value| value * value).sum::<f32>();
+        let (all, _, squares_of_all) = self.sums(self.used);
         (FEWEST_READINGS..=self.used).any(|last| {
-            let mean = newest(last).sum::<f32>() / last as f32;
-            let of_mean = mean * mean * last as f32;
-            let variance = (all - of_mean) / (others + self.used as f32);
+            let (count, sum, _) = self.sums(last);
+            let mean = sum / count;
+            let of_mean = mean * sum;
+            let variance = (squares + squares_of_all - of_mean) / (others + all);
             range.contains(&mean.abs()) && of_mean > SURE * SURE * variance
         })
     }
@@ -333,18 +344,19 @@ impl MountReadings {
         }
         let Some(Solved {
             causes: [turn, along, _, widening],
+            information: [aside, ..],
             ..
         }) = read
         else {
             return false;
         };
         if left <= MOST_LEFT_BY_TURN {
-            self.turns.add(turn);
+            self.turns.add(turn, (aside / WHOLE_READING_INFORMATION).min(1.0));
             self.along_squared = KEEP_ALONG * self.along_squared + along * along;
             self.alongs = KEEP_ALONG * self.alongs + 1.0;
         }
         if left <= MOST_LEFT_BY_WIDTH {
-            self.widenings.add(WIDENING * widening);
+            self.widenings.add(WIDENING * widening, 1.0);
         }
         let before = |deviation: f32| READINGS_BEFORE * deviation * deviation;
         let drift = before(DRIFT_IN_TURNS) + self.along_squared;
@@ -379,5 +391,21 @@ mod tests {
         let [first, _] = squares.solved([0.0, 1e9]).expect("one cause").causes;
         assert!((first - 0.5).abs() > 0.2, "{first}");
         assert_eq!(Squares::<2>::NONE.solved([0.0; 2]), None, "no samples");
+    }
+
+    #[test]
+    fn two_readings_convict_a_sensor_by_what_they_know() {
+        // Of validation course 98000343, whose sensor sits well: the last two knew little of what lies aside.
+        let last_two_count = |weight: f32| {
+            let mut turns = Readings::NONE;
+            for turn in [-0.149, 0.039, 0.068, -0.080, -0.074] {
+                turns.add(turn, 1.0);
+            }
+            for turn in [-0.600, -0.905] {
+                turns.add(turn, weight);
+            }
+            turns.tell(LEAST_TURN..MOST_TURN, READINGS_BEFORE + 7.0, 0.4)
+        };
+        assert!(last_two_count(1.0) && !last_two_count(0.36));
     }
 }
