@@ -200,13 +200,14 @@ fn obstacles_of(file: &Path) -> Result<String> {
         "{}: the movers leave no time to get to the goal",
         file.display()
     );
-    let count = course.solids().len() + course.movers.len();
-    let mut found = format!("{count} obstacle{}", if count == 1 { "" } else { "s" });
+    let counted = |count: usize, what: &str| format!("{count} {what}{}", if count == 1 { "" } else { "s" });
+    let mut found = counted(course.solids().len() + course.movers.len(), "obstacle");
     if !course.wires.is_empty() {
-        found += &format!(", {} wires", course.wires.len());
+        found += &format!(", {}", counted(course.wires.len(), "wire"));
     }
     for (triangles, open_edges) in course.meshes.iter().filter_map(Mesh::triangles_and_open_edges) {
-        found += &format!(", a mesh of {triangles} triangles with {open_edges} open edges");
+        let (triangles, open_edges) = (counted(triangles, "triangle"), counted(open_edges, "open edge"));
+        found += &format!(", a mesh of {triangles} with {open_edges}");
     }
     Ok(found)
 }
