@@ -96,10 +96,7 @@ impl Deciding {
             recovery.observe(&believed, self.along_path);
             detour = detour.map(|_| along_path(recovery.lead(&believed)));
         }
-        let limited = |action: Action| Action {
-            forward_m_s: action.forward_m_s.clamp(-limit_m_s, limit_m_s),
-            ..action
-        };
+        let limited = |action: Action| action.within(limit_m_s);
         let decided = pilot.decide(&PilotInput {
             goal: detour.unwrap_or(goal),
             ..input

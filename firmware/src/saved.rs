@@ -280,10 +280,10 @@ mod tests {
             ("[parameters]\nGD_AT_GOAL = 0.5", "whole numbers"),
             (
                 "[parameters]\nGD_SPEED_LIM = 99.0",
-                "line 2: GD_SPEED_LIM = 99: allowed: 0.1 to 1.5",
+                "line 2: GD_SPEED_LIM = 99: allowed: 0.1 to 3",
             ),
-            ("[parameters]\nGD_SPEED_LIM = nan", "allowed: 0.1 to 1.5"),
-            ("[parameters]\nGD_SPEED_LIM = 1e300", "allowed: 0.1 to 1.5"),
+            ("[parameters]\nGD_SPEED_LIM = nan", "allowed: 0.1 to 3"),
+            ("[parameters]\nGD_SPEED_LIM = 1e300", "allowed: 0.1 to 3"),
             ("[parameters]\nMPC_XY_CRUISE = 1.0", "no parameter of that name"),
         ] {
             let error = start(text.as_bytes()).unwrap_err();

@@ -1,7 +1,7 @@
 //! What an action becomes on its way to the vehicle.
 
 use crate::GuidanceConfig;
-use vigil_types::{Action, Goal, HeadingVector, NedVector, VelocitySetpoint};
+use vigil_types::{Action, FASTEST_M_S, Goal, HeadingVector, NedVector, VelocitySetpoint};
 
 /// Off the goal's height by no more than this the vehicle flies ahead as it is asked to, and not at all beyond the second, metres.
 const LEVEL_M: f32 = 0.5;
@@ -13,7 +13,7 @@ pub fn changes_height(goal: Goal, position_ned_m: NedVector) -> bool {
     (goal.position_ned_m.z - position_ned_m.z).abs() > OFF_LEVEL_M
 }
 
-/// The setpoint of guided flight: the clipped action, and a bounded vertical speed that keeps the goal's height. Far from that height
+/// The setpoint of guided flight: the action within [`FASTEST_M_S`], and a bounded vertical speed that keeps the goal's height. Far from that height
 /// the vehicle climbs or descends where it is. Hold where any of it is not finite. `position_ned_m` and the goal are metres from the local origin.
 pub fn guided_setpoint(
     config: &GuidanceConfig,
@@ -21,7 +21,7 @@ pub fn guided_setpoint(
     goal: Goal,
     position_ned_m: NedVector,
 ) -> VelocitySetpoint {
-    let action = action.clipped();
+    let action = action.within(FASTEST_M_S);
     let below_m = goal.position_ned_m.z - position_ned_m.z;
     let limit_m_s = config.vertical_limit_m_s;
     let down_m_s = (config.height_gain_per_s * below_m).clamp(-limit_m_s, limit_m_s);

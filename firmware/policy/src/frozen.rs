@@ -139,7 +139,7 @@ pub enum Decider {
 }
 
 impl Decider {
-    /// Decides on the newest frame: forward speed in m/s and yaw, each within ±1.5.
+    /// Decides on the newest frame: forward speed in m/s, and yaw within ±1.5.
     ///
     /// # Errors
     /// A frame of another length.

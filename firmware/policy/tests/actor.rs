@@ -1,7 +1,7 @@
 //! The frozen actor's file and the pilot made of it.
 
 use vigil_nnet::{Isa, Purpose};
-use vigil_policy::actor::{Actor, ActorSpec};
+use vigil_policy::actor::{ACTOR_LIMIT, Actor, ActorSpec};
 use vigil_policy::{
     ActorPilot, FlightPilot, FrozenActor, GeometricConfig, GeometricPilot, Pilot, PilotInput, RecoveryPilot, apf,
 };
@@ -16,6 +16,7 @@ fn frozen() -> FrozenActor {
         training_config: "seed = 3\n".to_owned(),
         seed: 3,
         updates: 1000,
+        cruise_m_s: ACTOR_LIMIT,
         git_commit: Some("abc".to_owned()),
     }
 }
@@ -34,6 +35,34 @@ fn an_actor_survives_its_file() {
     let missing = FrozenActor::load(&folder.join("none.safetensors")).unwrap_err();
     assert!(missing.to_string().contains("none.safetensors"), "{missing}");
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn an_actor_trained_to_be_twice_as_fast_flies_twice_as_fast_with_its_field_and_from_its_file() {
+    let fast = FrozenActor {
+        cruise_m_s: 2.0 * ACTOR_LIMIT,
+        ..frozen()
+    };
+    let read = FrozenActor::from_bytes("fast", &fast.to_bytes().unwrap()).unwrap();
+    assert_eq!(read, fast);
+    assert_ne!(fast.sha256(), frozen().sha256());
+    let frame = DepthFrame::EMPTY;
+    for field in [false, true] {
+        let pilot = |actor: &FrozenActor| ActorPilot::new(actor.actor(Isa::detect()).unwrap(), field);
+        let (mut slow, mut quick) = (pilot(&frozen()), pilot(&read));
+        // Of its last action the actor knows in units, so that both decide alike from step to step.
+        for _ in 0..3 {
+            let (own, twice) = (slow.decide(&input(&frame)), quick.decide(&input(&frame)));
+            assert!(own.forward_m_s != 0.0, "{own:?}");
+            assert_eq!(twice, own.scaled(2.0), "field {field}");
+        }
+    }
+    let too_fast = FrozenActor {
+        cruise_m_s: 5.0,
+        ..frozen()
+    };
+    let error = FrozenActor::from_bytes("a", &too_fast.to_bytes().unwrap()).unwrap_err();
+    assert!(error.to_string().contains("5 m/s; allowed: 0.5 to 3"), "{error}");
 }
 
 #[test]

@@ -5,13 +5,15 @@ use core::f32::consts::PI;
 
 /// Both outputs of a pilot lie in ±1.5 (docs/paper.md, "Actor").
 pub const ACTION_LIMIT: f32 = 1.5;
+/// The fastest forward speed that is asked of a vehicle: an actor's whose unit is 2 m/s.
+pub const FASTEST_M_S: f32 = 2.0 * ACTION_LIMIT;
 /// One unit of the yaw output is 30 °/s (docs/paper.md, "Action").
 pub const YAW_RATE_PER_UNIT_RAD_S: f32 = 30.0 * PI / 180.0;
 
 /// A pilot's decision in the paper's action units.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Action {
-    /// Forward velocity, metres per second, in ±[`ACTION_LIMIT`].
+    /// Forward velocity, metres per second, in ±[`ACTION_LIMIT`] unless an actor was trained to be faster.
     pub forward_m_s: f32,
     /// Yaw output in ±[`ACTION_LIMIT`]; one unit is 30 °/s clockwise ([`YAW_RATE_PER_UNIT_RAD_S`]).
     pub yaw: f32,
@@ -28,8 +30,23 @@ impl Action {
 
     /// Limits both outputs to ±[`ACTION_LIMIT`].
     pub fn clipped(self) -> Self {
-        let within = |output: f32| output.clamp(-ACTION_LIMIT, ACTION_LIMIT);
-        Self::new(within(self.forward_m_s), within(self.yaw))
+        self.within(ACTION_LIMIT)
+    }
+
+    /// Limits the forward speed, and the yaw output to ±[`ACTION_LIMIT`].
+    #[must_use]
+    pub fn within(self, limit_m_s: f32) -> Self {
+        Self::new(
+            self.forward_m_s.clamp(-limit_m_s, limit_m_s),
+            self.yaw.clamp(-ACTION_LIMIT, ACTION_LIMIT),
+        )
+    }
+
+    /// The same with its forward speed times `factor`: from a pilot's units, which the potential field is in too, to metres per second and
+    /// back.
+    #[must_use]
+    pub fn scaled(self, factor: f32) -> Self {
+        Self::new(self.forward_m_s * factor, self.yaw)
     }
 
     /// Whether both outputs are finite.

@@ -42,7 +42,7 @@ mod telemetry;
 mod vector;
 mod vehicle_requests;
 
-pub use action::{ACTION_LIMIT, Action, Goal, GoalRelative, VelocitySetpoint, YAW_RATE_PER_UNIT_RAD_S};
+pub use action::{ACTION_LIMIT, Action, FASTEST_M_S, Goal, GoalRelative, VelocitySetpoint, YAW_RATE_PER_UNIT_RAD_S};
 pub use choice::{
     Ablation, AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, LogContent, ObstacleReports,
     OnNoProgress, PilotKind,

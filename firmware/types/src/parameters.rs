@@ -4,7 +4,7 @@
 //! default, the MAVLink parameter of that name, the text of `--help` and the reference in docs/firmware.md.
 
 use crate::{
-    ACTION_LIMIT, Ablation, AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, LogContent,
+    ACTION_LIMIT, Ablation, AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, FASTEST_M_S, LogContent,
     ObstacleReports, OnNoProgress, PilotKind,
 };
 use core::fmt;
@@ -328,8 +328,10 @@ const HEIGHT_M: (f64, f64) = (0.1, 1000.0);
 const LENGTH_M: (f64, f64) = (0.1, 100_000.0);
 const AGE_S: (f64, f64) = (0.05, 10.0);
 const LONG_TIME_S: (f64, f64) = (1.0, 86_400.0);
-/// What a vehicle is told to fly at the most: the limit of every pilot's action.
-const SPEED_M_S: (f64, f64) = (0.1, ACTION_LIMIT as f64);
+/// What a vehicle is told to fly at the most.
+const SPEED_M_S: (f64, f64) = (0.1, FASTEST_M_S as f64);
+/// The geometric pilot's: its actions have the paper's limit.
+const CRUISE_M_S: (f64, f64) = (0.1, ACTION_LIMIT as f64);
 /// Longest count of steps: one minute.
 const STEPS: (u32, u32) = (1, 1200);
 
@@ -444,7 +446,7 @@ table! {
     ABLATE = choice("pilot.ablate", Ablation::WORDS, Ablation::Nothing as usize, "what is taken from the actor, as a control (docs/learning.md)");
     APF = switch("pilot.apf", true, "add the potential field to the actor's action");
     ACTOR_FILE = text("pilot.actor_file", "\"my.safetensors\"", "the frozen actor; without it the one built into the program");
-    CRUISE = real("pilot.cruise_m_s", SPEED_M_S, "m/s", ACTION_LIMIT as f64, "fastest forward speed of the geometric pilot").mavlink("PLT_CRUISE", false);
+    CRUISE = real("pilot.cruise_m_s", CRUISE_M_S, "m/s", ACTION_LIMIT as f64, "fastest forward speed of the geometric pilot").mavlink("PLT_CRUISE", false);
     REPULSIVE_RANGE = real("pilot.repulsive_range_m", (0.0, 20.0), "m", 3.0, "range of the geometric pilot's repulsive field").mavlink("PLT_APF_RANGE", false);
 
     DETECTOR = switch("detector.enabled", true, "the detector judges the actor's explanations; default: on where the actor flies").absent("true");

@@ -35,7 +35,7 @@ impl StreamAttack {
     /// # Errors
     /// A configuration out of range, parameters of another length.
     pub fn new(isa: Isa, actor: &FrozenActor, config: &AttackConfig) -> Result<Self, AttackError> {
-        let delivered = Actor::new(ActorSpec::FULL, isa, &actor.params)?;
+        let delivered = Actor::new(ActorSpec::FULL, isa, &actor.params)?.cruising_at(actor.cruise_m_s);
         Ok(Self {
             isa,
             surrogate: SurrogateActor::new(isa, &actor.params)?,

@@ -182,7 +182,10 @@ fn about_actor(actor: &FrozenActor) -> Vec<(&'static str, String)> {
         ),
         (
             "action",
-            "forward speed in m/s; yaw in units of 30 degrees/s, clockwise".to_owned(),
+            format!(
+                "forward speed in units of {} m/s; yaw in units of 30 degrees/s, clockwise",
+                actor.cruise_m_s / ACTOR_LIMIT
+            ),
         ),
     ]
 }

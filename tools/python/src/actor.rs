@@ -107,6 +107,7 @@ impl Actor {
             training_config,
             seed,
             updates,
+            cruise_m_s: self.frozen.cruise_m_s,
             git_commit: None,
         };
         frozen.save(&path).map_err(refused)?;

@@ -357,7 +357,7 @@ fn actions_beyond_the_limits_are_clipped() {
     let mut s = Story::guided(GuidanceConfig::default());
     s.action = Some(Action::new(-9.0, 4.0));
     let v = s.step().setpoint.unwrap();
-    assert_eq!((v.velocity_m_s.x, v.velocity_m_s.y), (-1.5, 0.0));
+    assert_eq!((v.velocity_m_s.x, v.velocity_m_s.y), (-3.0, 0.0));
     assert!((v.yaw_rate_rad_s.to_degrees() - 45.0).abs() < 1e-4);
     // Far above its goal it descends where it is.
     s.position_ned_m.z = -30.0;

@@ -1,14 +1,14 @@
 //! The frozen actor's file ([`vigil_nnet::network_file`]).
 //!
 //! Metadata: `format`, `architecture`, `normalisation` (these three must be this version's), `training_config` (TOML),
-//! `seed`, `updates`, `git_commit`, `sha256`; tensors in the order of [`ActorParams`](crate::actor::ActorParams).
+//! `seed`, `updates`, `cruise_m_s` (1.5 where it is missing), `git_commit`, `sha256`; tensors in the order of [`ActorParams`](crate::actor::ActorParams).
 
 extern crate alloc;
 #[cfg(feature = "std")]
 extern crate std;
 
 use crate::ExplainedHead;
-use crate::actor::{Actor, ActorSpec};
+use crate::actor::{ACTOR_LIMIT, Actor, ActorSpec};
 use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec;
@@ -17,7 +17,10 @@ use alloc::vec::Vec;
 use std::path::Path;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
 use vigil_nnet::{Isa, Purpose};
+use vigil_types::FASTEST_M_S;
 
+/// The slowest that an actor may be trained to fly, metres per second.
+pub const SLOWEST_M_S: f32 = 0.5;
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil actor 2";
 /// Value of the entry `format` of actors of version 0.2.0.
@@ -40,6 +43,8 @@ pub struct FrozenActor {
     pub seed: u64,
     /// Updates after which it was frozen.
     pub updates: u64,
+    /// What its first output is at its limit, metres per second: [`ACTOR_LIMIT`] but for one that was trained to be faster.
+    pub cruise_m_s: f32,
     /// Commit of the program that trained it, if known.
     pub git_commit: Option<String>,
 }
@@ -107,7 +112,10 @@ impl FrozenActor {
             ("seed", self.seed.to_string()),
             ("updates", self.updates.to_string()),
         ];
-        let mut contents = Contents::new(&KIND, entries.into_iter().chain(commit));
+        // Actors of before have no such entry, and keep their digest.
+        let is_other = self.cruise_m_s != ACTOR_LIMIT;
+        let cruise = is_other.then(|| ("cruise_m_s", self.cruise_m_s.to_string()));
+        let mut contents = Contents::new(&KIND, entries.into_iter().chain(commit).chain(cruise));
         contents.push_all(&tensors(), &self.params);
         contents
     }
@@ -122,7 +130,9 @@ impl FrozenActor {
     /// # Errors
     /// Parameters of another length.
     pub fn actor(&self, isa: Isa) -> Result<Actor, FileError> {
-        Actor::new(ActorSpec::FULL, isa, &self.params).map_err(|e| KIND.content_error("in memory", e.to_string()))
+        let actor = Actor::new(ActorSpec::FULL, isa, &self.params);
+        let actor = actor.map_err(|e| KIND.content_error("in memory", e.to_string()))?;
+        Ok(actor.cruising_at(self.cruise_m_s))
     }
 
     /// What decides behind its split point.
@@ -160,7 +170,16 @@ impl FrozenActor {
             ),
             other => other,
         })?;
+        let cruise_m_s = match read.optional("cruise_m_s") {
+            None => ACTOR_LIMIT,
+            Some(_) => read.number("cruise_m_s")?,
+        };
+        if !(SLOWEST_M_S..=FASTEST_M_S).contains(&cruise_m_s) {
+            let why = format!("flies at {cruise_m_s} m/s; allowed: {SLOWEST_M_S} to {FASTEST_M_S}");
+            return Err(KIND.content_error(file, why));
+        }
         Ok(Self {
+            cruise_m_s,
             training_config: read.text("training_config")?,
             seed: read.number("seed")?,
             updates: read.number("updates")?,

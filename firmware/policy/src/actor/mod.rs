@@ -9,7 +9,7 @@ mod positional;
 pub mod senses;
 
 #[cfg(feature = "actor-file")]
-pub use file::FrozenActor;
+pub use file::{FrozenActor, SLOWEST_M_S};
 pub use memory::{CONTEXT, SCAN};
 pub use network::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, Actor, ActorParams, ActorSpec, HEAD, LOW_UNITS, TRUNK};
 pub use pilot::{ActorPilot, FlightPilot};

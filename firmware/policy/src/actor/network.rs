@@ -283,7 +283,10 @@ pub struct Actor {
     context: [f32; CONTEXT],
     state: [f32; ACTOR_HIDDEN],
     low: [f32; LOW_DIM],
+    /// The last action, in units.
     last: Action,
+    /// Metres per second that one unit of the first output is.
+    unit_m_s: f32,
     ablation: Ablation,
 }
 
@@ -336,8 +339,21 @@ impl Actor {
             state: [0.0; ACTOR_HIDDEN],
             low: [0.0; LOW_DIM],
             last: Action::HOVER,
+            unit_m_s: 1.0,
             ablation: Ablation::Nothing,
         })
+    }
+
+    /// The same actor, trained to fly `cruise_m_s` where the paper's flies [`ACTOR_LIMIT`].
+    #[must_use]
+    pub fn cruising_at(mut self, cruise_m_s: f32) -> Self {
+        self.unit_m_s = cruise_m_s / ACTOR_LIMIT;
+        self
+    }
+
+    /// Metres per second that one unit of its first output is: 1 for the paper's.
+    pub fn unit_m_s(&self) -> f32 {
+        self.unit_m_s
     }
 
     /// The same actor without something.
@@ -370,7 +386,7 @@ impl Actor {
         self.senses.forgotten()
     }
 
-    /// One decision: x-velocity and yaw in ±[`ACTOR_LIMIT`].
+    /// One decision: x-velocity in metres per second, up to [`ACTOR_LIMIT`] times [`Self::unit_m_s`], and yaw in ±[`ACTOR_LIMIT`].
     ///
     /// # Errors
     /// A frame of another size: nothing is remembered of it.
@@ -396,9 +412,10 @@ impl Actor {
             .forward(self.isa, &self.params, &[&self.state, &self.low], &mut self.head_tape)?;
         let mut action = [0.0; ACTOR_OUTPUTS];
         action.copy_from_slice(self.head.output(&self.head_tape)?);
-        let [forward_m_s, yaw] = action;
-        self.note_action(Action { forward_m_s, yaw });
-        Ok(action)
+        let [forward, yaw] = action;
+        let decided = Action::new(forward, yaw).scaled(self.unit_m_s);
+        self.note_action(decided);
+        Ok([decided.forward_m_s, yaw])
     }
 
     /// The 48 values of the last decision: the split point, input of the second half.
@@ -424,7 +441,11 @@ impl Actor {
     /// Takes note of the action that is flown after the last decision, if it is not the actor's own. One that is not finite is not flown:
     /// the vehicle holds.
     pub fn note_action(&mut self, flown: Action) {
-        self.last = if flown.is_finite() { flown } else { Action::HOVER };
+        self.last = if flown.is_finite() {
+            flown.scaled(1.0 / self.unit_m_s)
+        } else {
+            Action::HOVER
+        };
     }
 
     /// The parameters.

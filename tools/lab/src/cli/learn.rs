@@ -115,6 +115,7 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
                 training_config: config.to_toml(),
                 seed: config.seed,
                 updates: result.frozen_after,
+                cruise_m_s: config.cruise_m_s,
                 git_commit: git_commit(),
             };
             actor.save(&path)?;

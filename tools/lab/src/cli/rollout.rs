@@ -86,12 +86,12 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
                 "built-in" => FrozenActor::built_in()?,
                 file => FrozenActor::load(Path::new(file))?,
             };
-            EvaluatedActor::Actor(&frozen.params)
+            EvaluatedActor::Actor(&frozen.params, frozen.cruise_m_s)
         }
     };
     let controlled = args.ablate != Ablation::Nothing || args.drift_scale != 0.0 || args.drift_yaw != 0.0;
     ensure!(
-        !controlled || matches!(evaluated, EvaluatedActor::Actor(_)),
+        !controlled || matches!(evaluated, EvaluatedActor::Actor(..)),
         "--ablate, --drift-scale and --drift-yaw are for actors, and {} is none",
         args.actor
     );
@@ -116,10 +116,10 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         },
     };
     if args.probe {
-        let EvaluatedActor::Actor(params) = evaluated else {
+        let EvaluatedActor::Actor(params, cruise_m_s) = evaluated else {
             bail!("--probe is for actors, and {} is none", args.actor);
         };
-        let readouts = pool.install(|| probe(params, Isa::detect(), &spec(false)))?;
+        let readouts = pool.install(|| probe((params, cruise_m_s), Isa::detect(), &spec(false)))?;
         say!("{}", probed(&readouts));
         return Ok(ExitCode::SUCCESS);
     }

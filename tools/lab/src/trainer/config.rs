@@ -1,10 +1,12 @@
 //! What a run is made of: a TOML file whose every key is optional and whose unknown keys are refused.
 
 use std::path::Path;
+use vigil_policy::actor::SLOWEST_M_S;
 use vigil_sim::world::Family;
 use vigil_types::parameters::Range;
 use vigil_types::settings;
 use vigil_types::settings::{Outside, SettingsError, free, named_setting, section, within};
+use vigil_types::{ACTION_LIMIT, FASTEST_M_S};
 
 settings! {
     /// A run.
@@ -24,6 +26,8 @@ settings! {
         pub warm_up_forward: f32 = within(0.7, (-1.5, 1.5), ""),
         /// Flights at the same time.
         pub environments: usize = within(32, (1.0, 256.0), ""),
+        /// What the forward output is at its limit.
+        pub cruise_m_s: f32 = within(ACTION_LIMIT, (f64::from(SLOWEST_M_S), f64::from(FASTEST_M_S)), "m/s"),
         /// Steps of 0.05 s that a decision lasts while training.
         pub steps_per_decision: usize = within(4, (1.0, 40.0), ""),
         /// A training flight is cut off after this time, seconds. The value of its last state still counts.

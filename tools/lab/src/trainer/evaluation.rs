@@ -19,8 +19,8 @@ use vigil_types::{ACTION_LIMIT, Ablation, Action, Choice, NedVector};
 /// Who decides.
 #[derive(Debug, Clone, Copy)]
 pub enum EvaluatedActor<'a> {
-    /// An actor's parameters.
-    Actor(&'a [f32]),
+    /// An actor's parameters, and what its first output is at its limit, metres per second.
+    Actor(&'a [f32], f32),
     /// No motion at all: what the field does alone.
     Zero,
     /// Each output drawn evenly anew each step.
@@ -138,7 +138,10 @@ pub(super) fn fly(
     course.time_limit_s = what.time_limit_s;
     let mut flight = Flight::of(Environment::new(&course, Wind::default(), seed)?);
     let mut network = match actor {
-        EvaluatedActor::Actor(params) => Some(Actor::new(ActorSpec::FULL, isa, params)?.without(what.ablation)),
+        EvaluatedActor::Actor(params, cruise_m_s) => {
+            let actor = Actor::new(ActorSpec::FULL, isa, params)?.cruising_at(cruise_m_s);
+            Some(actor.without(what.ablation))
+        }
         EvaluatedActor::Zero | EvaluatedActor::Random | EvaluatedActor::Geometric => None,
     };
     let mut geometric = matches!(actor, EvaluatedActor::Geometric).then(|| {
@@ -165,7 +168,11 @@ pub(super) fn fly(
         };
         if what.field {
             let input = flight.input();
-            action = field.add_to(action, &input, surroundings.observe(&input));
+            let unit_m_s = network.as_ref().map_or(1.0, Actor::unit_m_s);
+            let scan = surroundings.observe(&input);
+            action = field
+                .add_to(action.scaled(1.0 / unit_m_s), &input, scan)
+                .scaled(unit_m_s);
             if let Some(actor) = &mut network {
                 actor.note_action(action);
             }

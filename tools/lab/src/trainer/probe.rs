@@ -46,14 +46,14 @@ struct Sample {
     seen: [Option<[f32; SECTORS]>; LAGS_S.len()],
 }
 
-/// Flies and fits; of three flights two are fitted on.
+/// Flies an actor of these parameters and fits; of three flights two are fitted on. Its cruise is in metres per second.
 ///
 /// # Errors
 /// Parameters of another architecture.
-pub fn probe(params: &[f32], isa: Isa, what: &EvaluationSpec) -> Result<Vec<Readout>> {
+pub fn probe((params, cruise_m_s): (&[f32], f32), isa: Isa, what: &EvaluationSpec) -> Result<Vec<Readout>> {
     let flights = (0..what.flights)
         .into_par_iter()
-        .map(|i| samples(params, isa, what, what.first_seed.wrapping_add(i)))
+        .map(|i| samples((params, cruise_m_s), isa, what, what.first_seed.wrapping_add(i)))
         .collect::<Result<Vec<_>>>()?;
     let readout = |(lag, &lag_s): (usize, &usize)| {
         let r2 = |source: usize, shift: usize| {
@@ -83,13 +83,14 @@ pub fn probe(params: &[f32], isa: Isa, what: &EvaluationSpec) -> Result<Vec<Read
 }
 
 /// One flight of the actor, its twin without a memory beside it.
-fn samples(params: &[f32], isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<Vec<Sample>> {
-    let mut twin = Actor::new(ActorSpec::FULL, isa, params)?.without(Ablation::Memory);
+fn samples((params, cruise_m_s): (&[f32], f32), isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<Vec<Sample>> {
+    let twin = Actor::new(ActorSpec::FULL, isa, params)?;
+    let mut twin = twin.cruising_at(cruise_m_s).without(Ablation::Memory);
     // In each step the places of the surfaces seen, north and east.
     let mut seen: Vec<Vec<(f32, f32)>> = Vec::new();
     let mut samples = Vec::new();
     fly(
-        EvaluatedActor::Actor(params),
+        EvaluatedActor::Actor(params, cruise_m_s),
         isa,
         what,
         seed,

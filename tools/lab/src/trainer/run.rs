@@ -346,7 +346,7 @@ impl<'a> Run<'a> {
             drift: Drift::default(),
         };
         let whole = self.whole(params);
-        let result = evaluate(EvaluatedActor::Actor(&whole), self.isa, &what)?;
+        let result = evaluate(EvaluatedActor::Actor(&whole, self.config.cruise_m_s), self.isa, &what)?;
         Ok(FamilyCount::new(&what, &result))
     }
 

@@ -20,7 +20,7 @@ use vigil_sim::environment::Environment;
 use vigil_sim::environment::true_state::{RAYS, TRUE_STATE, TrueCourse, range_m};
 use vigil_sim::vehicle::{Truth, VehicleParams, Wind};
 use vigil_sim::world::{Family, LidarConfig, Outcome, generate};
-use vigil_types::{Action, GoalRelative, NedVector, wrap_pi};
+use vigil_types::{ACTION_LIMIT, Action, GoalRelative, NedVector, wrap_pi};
 
 /// Seeds of the training courses begin here; those that evaluate an actor are below 10 000 or above 7 000 000 000.
 const FIRST_TRAINING_SEED: u64 = 1_000_000;
@@ -122,11 +122,11 @@ impl Current {
         self.course.state(&truth, seen_from(self.goal, &truth))
     }
 
-    /// Flies a decision's steps. Returns the reward and the outcome.
+    /// Flies a decision's steps; the action is in units. Returns the reward and the outcome.
     fn step(&mut self, config: &LearnConfig, action: Action) -> Result<(f32, Option<Outcome>), ShapeError> {
         let (mut outcome, mut steps) = (None, 0);
         while outcome.is_none() && steps < config.steps_per_decision {
-            outcome = self.flight.advance(action);
+            outcome = self.flight.advance(action.scaled(config.cruise_m_s / ACTION_LIMIT));
             // The state in which it is cut off is observed as well.
             if matches!(outcome, None | Some(Outcome::TimeOut)) {
                 self.observe(action)?;
