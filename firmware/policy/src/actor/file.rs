@@ -113,7 +113,7 @@ impl FrozenActor {
             ("updates", self.updates.to_string()),
         ];
         // Actors of before have no such entry, and keep their digest.
-        let is_other = self.cruise_m_s != ACTOR_LIMIT;
+        let is_other = self.cruise_m_s.to_bits() != ACTOR_LIMIT.to_bits();
         let cruise = is_other.then(|| ("cruise_m_s", self.cruise_m_s.to_string()));
         let mut contents = Contents::new(&KIND, entries.into_iter().chain(commit).chain(cruise));
         contents.push_all(&tensors(), &self.params);
