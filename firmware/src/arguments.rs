@@ -99,6 +99,9 @@ pub struct PilotArgs {
     #[arg(long, value_parser = choice::<Ablation>(), help = help(&parameters::ABLATE))]
     ablate: Option<Ablation>,
 
+    #[arg(long, value_name = "M/S", value_parser = number::<f32>(&parameters::SPEED_LIMIT), help = help(&parameters::SPEED_LIMIT))]
+    speed_limit: Option<f32>,
+
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::DETECTOR))]
     detector: Option<bool>,
 
@@ -132,6 +135,7 @@ impl PilotArgs {
         config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file.take());
         config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
         config.pilot.ablate = self.ablate.unwrap_or(config.pilot.ablate);
+        config.limits.speed_m_s = self.speed_limit.unwrap_or(config.limits.speed_m_s);
         config.detector.enabled = self.detector.or(config.detector.enabled);
         config.detector.file = self.detector_file.clone().or(config.detector.file.take());
         config.detector.threshold = self.threshold.or(config.detector.threshold);
@@ -168,6 +172,7 @@ impl PilotArgs {
         hand("--pilot", self.pilot.map(|kind| kind.name().to_owned()));
         hand("--apf", self.apf.map(switch));
         hand("--ablate", self.ablate.map(|what| what.name().to_owned()));
+        hand("--speed-limit", self.speed_limit.map(|limit| limit.to_string()));
         hand("--detector", self.detector.map(switch));
         hand("--threshold", self.threshold.map(|score| score.to_string()));
         hand("--raise", self.raise.map(|(count, window)| format!("{count}/{window}")));
