@@ -33,8 +33,8 @@ pub struct FlightField {
 }
 
 impl FlightField {
-    /// The actor's own action and the field's, clipped. `scan` is what the input's frame shows.
-    pub fn add_to(&mut self, own: Action, input: &PilotInput<'_>, scan: &Scan) -> Action {
+    /// The actor's own action and the field's, clipped, both in units of `unit_m_s` ahead. `scan` is what the input's frame shows.
+    pub fn add_to(&mut self, own: Action, unit_m_s: f32, input: &PilotInput<'_>, scan: &Scan) -> Action {
         let obstacle = scan.nearest_within(FIELD_HALF_ANGLE_RAD);
         let here = input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input);
         let turn = Action::new(0.0, ESCAPE_YAW * self.escape.side(here, input.now_ns, obstacle));
@@ -43,7 +43,7 @@ impl FlightField {
             Some(obstacle) => apf::repulsion(obstacle, FIELD_RANGE_M),
             None => apf::attraction(input.goal),
         };
-        apf::add(apf::add(own, force), turn)
+        apf::add(apf::add(own.scaled(1.0 / unit_m_s), force), turn).scaled(unit_m_s)
     }
 }
 

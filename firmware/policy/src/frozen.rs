@@ -154,6 +154,14 @@ impl Decider {
         }
     }
 
+    /// Metres per second that one unit of its forward output is ([`Actor::unit_m_s`]).
+    pub fn unit_m_s(&self) -> f32 {
+        match self {
+            Self::Actor(actor) => actor.unit_m_s(),
+            Self::Imported(_) => 1.0,
+        }
+    }
+
     /// What it decided from beside frames and memory, in the last decision.
     pub fn position(&self) -> Option<PositionalInputs> {
         match self {

@@ -198,7 +198,7 @@ pub fn fly(isa: Isa, frozen: &FrozenPilot, scenario: &Scenario, onlooker: &mut i
         let helm = helmsman.take(number, frame != Frame::Unaltered);
         let action = match helm {
             Helm::Actor { field: false } => own,
-            Helm::Actor { field: true } => field.add_to(own, &input, surroundings.observe(&input)),
+            Helm::Actor { field: true } => field.add_to(own, actor.unit_m_s(), &input, surroundings.observe(&input)),
             Helm::Geometric => geometric.unwrap_or(Action::HOVER),
             Helm::Hover => Action::HOVER,
         };

@@ -67,8 +67,7 @@ impl Pilot for ActorPilot {
         let own = Action { forward_m_s, yaw };
         match &mut self.field {
             Some(field) if own.is_finite() => {
-                let unit_m_s = self.actor.unit_m_s();
-                let flown = field.add_to(own.scaled(1.0 / unit_m_s), input, scan).scaled(unit_m_s);
+                let flown = field.add_to(own, self.actor.unit_m_s(), input, scan);
                 self.actor.note_action(flown);
                 flown
             }

@@ -241,7 +241,7 @@ impl Pilot for ImportedPilot {
         let own = self.decide_on(&input.depth.depth, PositionalInputs::of_goal(input.goal));
         let scan = self.surroundings.observe(input);
         match &mut self.field {
-            Some(field) if own.is_finite() => field.add_to(own, input, scan),
+            Some(field) if own.is_finite() => field.add_to(own, 1.0, input, scan),
             _ => own,
         }
     }

@@ -169,10 +169,7 @@ pub(super) fn fly(
         if what.field {
             let input = flight.input();
             let unit_m_s = network.as_ref().map_or(1.0, Actor::unit_m_s);
-            let scan = surroundings.observe(&input);
-            action = field
-                .add_to(action.scaled(1.0 / unit_m_s), &input, scan)
-                .scaled(unit_m_s);
+            action = field.add_to(action, unit_m_s, &input, surroundings.observe(&input));
             if let Some(actor) = &mut network {
                 actor.note_action(action);
             }
