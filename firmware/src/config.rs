@@ -322,6 +322,7 @@ impl FirmwareConfig {
                 Duty::FlyAround => OnNoProgress::Hold,
                 _ => limits.no_progress,
             },
+            speed_limit_m_s: limits.speed_m_s,
             battery_limit: limits.battery,
             default_height_m: self.height_m,
             time_limit_ns: limits.flight_time_s.map(nanos),
@@ -377,7 +378,6 @@ impl FirmwareConfig {
                 cruise_m_s: self.pilot.cruise_m_s,
                 repulsive_range_m: self.pilot.repulsive_range_m,
             },
-            speed_limit_m_s: limits.speed_m_s,
             goal: self.goal.map(|goal| Goal {
                 position_ned_m: NedVector::new(goal.north_m, goal.east_m, -goal.height_m.unwrap_or(self.height_m)),
             }),

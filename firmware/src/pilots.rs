@@ -189,6 +189,17 @@ impl FirmwareConfig {
         }))
     }
 
+    /// What to tell where an actor was trained to be faster than it may be.
+    pub fn slowed(&self) -> Option<String> {
+        let (actor, limit_m_s) = (self.frozen_actor().ok()??, self.limits.speed_m_s);
+        (actor.cruise_m_s > limit_m_s).then(|| {
+            format!(
+                "it was trained for {} m/s and flies {limit_m_s} at the most (--speed-limit)",
+                actor.cruise_m_s
+            )
+        })
+    }
+
     /// The detector that is to watch it; `None` when it is off, or no actor flies.
     ///
     /// # Errors

@@ -16,8 +16,6 @@ pub struct StackConfig {
     pub companion: CompanionConfig,
     /// The geometric pilot.
     pub pilot: GeometricConfig,
-    /// Greatest speed that any pilot's action may have, metres per second.
-    pub speed_limit_m_s: f32,
     /// Where to fly, from home; `None` waits for an operator.
     pub goal: Option<Goal>,
     /// Whether frames are checked before the pilots see them (docs/sensor-faults.md).

@@ -86,8 +86,7 @@ impl Tunables {
     pub fn of(config: &StackConfig, threshold: Option<f32>, is_watched: bool) -> Self {
         Self {
             pilot: config.pilot,
-            // NaN or a negative number would be no limit that can be kept.
-            speed_limit_m_s: config.speed_limit_m_s.max(0.0),
+            speed_limit_m_s: config.guidance.speed_limit_m_s,
             goal_radius_m: config.guidance.goal_radius_m,
             at_goal: config.guidance.at_goal,
             threshold,
@@ -133,6 +132,7 @@ impl Tunables {
         GuidanceConfig {
             goal_radius_m: self.goal_radius_m,
             at_goal: self.at_goal,
+            speed_limit_m_s: self.speed_limit_m_s,
             alarm: AlarmConfig {
                 policy: self.alarm.unwrap_or(config.alarm.policy),
                 ..config.alarm

@@ -55,7 +55,6 @@ impl Setup {
             },
             companion: Default::default(),
             pilot: Default::default(),
-            speed_limit_m_s: parameters::SPEED_LIMIT.number_f32(),
             goal: Some(Goal {
                 position_ned_m: NedVector::new(north_m, east_m, down_m),
             }),

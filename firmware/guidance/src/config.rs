@@ -119,6 +119,8 @@ pub struct GuidanceConfig {
     pub time_limit_ns: Option<Nanos>,
     /// Height for a goal without one, metres above home.
     pub default_height_m: f32,
+    /// Greatest forward speed.
+    pub speed_limit_m_s: f32,
     /// Vertical speed per metre of height error, 1/s.
     pub height_gain_per_s: f32,
     /// Greatest vertical speed that corrects the height.
@@ -154,6 +156,7 @@ impl Default for GuidanceConfig {
             battery_limit: parameters::BATTERY.number_f32(),
             time_limit_ns: None,
             default_height_m: parameters::HEIGHT.number_f32(),
+            speed_limit_m_s: parameters::SPEED_LIMIT.number_f32(),
             height_gain_per_s: HEIGHT_GAIN.number_f32(),
             vertical_limit_m_s: VERTICAL_LIMIT.number_f32(),
             alarm: AlarmConfig::default(),
@@ -206,6 +209,7 @@ impl GuidanceConfig {
             (&RELEASE_STEPS, self.release_steps.into()),
             (&parameters::BATTERY, self.battery_limit.into()),
             (&parameters::HEIGHT, self.default_height_m.into()),
+            (&parameters::SPEED_LIMIT, self.speed_limit_m_s.into()),
             (&HEIGHT_GAIN, self.height_gain_per_s.into()),
             (&VERTICAL_LIMIT, self.vertical_limit_m_s.into()),
         ] {

@@ -1,7 +1,7 @@
 //! What an action becomes on its way to the vehicle.
 
 use crate::GuidanceConfig;
-use vigil_types::{Action, FASTEST_M_S, Goal, HeadingVector, NedVector, VelocitySetpoint};
+use vigil_types::{Action, Goal, HeadingVector, NedVector, VelocitySetpoint};
 
 /// Off the goal's height by no more than this the vehicle flies ahead as it is asked to, and not at all beyond the second, metres.
 const LEVEL_M: f32 = 0.5;
@@ -13,15 +13,15 @@ pub fn changes_height(goal: Goal, position_ned_m: NedVector) -> bool {
     (goal.position_ned_m.z - position_ned_m.z).abs() > OFF_LEVEL_M
 }
 
-/// The setpoint of guided flight: the action within [`FASTEST_M_S`], and a bounded vertical speed that keeps the goal's height. Far from that height
-/// the vehicle climbs or descends where it is. Hold where any of it is not finite. `position_ned_m` and the goal are metres from the local origin.
+/// The setpoint of guided flight: the action within the limit of speed, and a bounded vertical speed that keeps the goal's height. Far
+/// from that height the vehicle climbs or descends where it is. Hold where any of it is not finite. `position_ned_m` and the goal are metres from the local origin.
 pub fn guided_setpoint(
     config: &GuidanceConfig,
     action: Action,
     goal: Goal,
     position_ned_m: NedVector,
 ) -> VelocitySetpoint {
-    let action = action.within(FASTEST_M_S);
+    let action = action.within(config.speed_limit_m_s);
     let below_m = goal.position_ned_m.z - position_ned_m.z;
     let limit_m_s = config.vertical_limit_m_s;
     let down_m_s = (config.height_gain_per_s * below_m).clamp(-limit_m_s, limit_m_s);

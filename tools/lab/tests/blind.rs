@@ -20,12 +20,7 @@ fn the_actor_completes_courses_that_it_does_not_complete_blind() {
             ablation,
             drift: Drift::default(),
         };
-        let result = evaluate(
-            EvaluatedActor::Actor(&actor.params, actor.cruise_m_s),
-            Isa::detect(),
-            &what,
-        )
-        .unwrap();
+        let result = evaluate(EvaluatedActor::Actor(&actor), Isa::detect(), &what).unwrap();
         FamilyCount::new(&what, &result).successes
     };
     // Of 95 % in the mean fewer than 9 of 12 are one chance in five thousand; of 15 % more than 5 are one in two hundred.

@@ -47,13 +47,13 @@ fn options(folder: &Path, resume: bool) -> LearnOptions {
 
 fn complete(end: LearnEnd) -> Vec<f32> {
     match end {
-        LearnEnd::Complete(params, result) => {
+        LearnEnd::Complete(actor, result) => {
             assert_eq!(
                 result.test.len(),
                 9,
                 "three families, each as it is, blind and without memory"
             );
-            params
+            actor.params
         }
         LearnEnd::Interrupted(_) => panic!("it was not interrupted"),
     }

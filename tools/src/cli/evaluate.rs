@@ -227,6 +227,9 @@ impl Settings {
         let mut firmware = FirmwareConfig::to_goal(NedVector::default());
         pilot.apply(&mut firmware);
         let (actor, detector) = (firmware.frozen_pilot()?, firmware.frozen_detector()?);
+        if let Some(note) = firmware.slowed() {
+            tracing::warn!("the actor: {note}");
+        }
         (firmware.pilot.actor_file, firmware.detector.file) = (None, None);
         let attacked = attack.map(|attack| attack.pilot.sha256());
         let simulation = config.as_ref().map(|file| {

@@ -5,7 +5,7 @@ use vigil_guidance::{GuidanceConfig, guided_setpoint};
 use vigil_policy::{PilotInput, RangeScan, apf};
 use vigil_sim::environment::Environment;
 use vigil_sim::world::Outcome;
-use vigil_types::Action;
+use vigil_types::{Action, FASTEST_M_S};
 
 /// One flight over one course, stepped at 20 Hz by actions, not by setpoints; else an environment.
 pub struct Flight {
@@ -33,7 +33,11 @@ impl Flight {
     pub fn of(environment: Environment) -> Self {
         Self {
             environment,
-            guidance: GuidanceConfig::default(),
+            // What is slower is so by its own actions.
+            guidance: GuidanceConfig {
+                speed_limit_m_s: FASTEST_M_S,
+                ..GuidanceConfig::default()
+            },
             surroundings: Box::new(RangeScan::new()),
         }
     }

@@ -357,8 +357,17 @@ fn actions_beyond_the_limits_are_clipped() {
     let mut s = Story::guided(GuidanceConfig::default());
     s.action = Some(Action::new(-9.0, 4.0));
     let v = s.step().setpoint.unwrap();
-    assert_eq!((v.velocity_m_s.x, v.velocity_m_s.y), (-3.0, 0.0));
+    assert_eq!((v.velocity_m_s.x, v.velocity_m_s.y), (-1.5, 0.0));
     assert!((v.yaw_rate_rad_s.to_degrees() - 45.0).abs() < 1e-4);
+    // An operator may set another limit while it flies.
+    for speed_limit_m_s in [0.7, 3.0] {
+        let config = GuidanceConfig {
+            speed_limit_m_s,
+            ..*s.guidance.config()
+        };
+        s.guidance.reconfigure(config).unwrap();
+        assert_eq!(s.step().setpoint.unwrap().velocity_m_s.x, -speed_limit_m_s);
+    }
     // Far above its goal it descends where it is.
     s.position_ned_m.z = -30.0;
     let v = s.step().setpoint.unwrap();
@@ -389,6 +398,11 @@ fn a_configuration_that_must_not_fly_is_refused_by_field() {
         radius.contains("limits.goal_radius_m is NaN") && radius.contains("0.1 to 100"),
         "{radius}"
     );
+    let speed = refused(GuidanceConfig {
+        speed_limit_m_s: 3.5,
+        ..d
+    });
+    assert!(speed.contains("limits.speed_m_s is 3.5"), "{speed}");
     assert!(refused(GuidanceConfig { slip_limit: 9, ..d }).contains("limits.slips is 9"));
     assert!(
         refused(GuidanceConfig {

@@ -1,7 +1,8 @@
 //! The frozen actor's file ([`vigil_nnet::network_file`]).
 //!
 //! Metadata: `format`, `architecture`, `normalisation` (these three must be this version's), `training_config` (TOML),
-//! `seed`, `updates`, `cruise_m_s` (1.5 where it is missing), `git_commit`, `sha256`; tensors in the order of [`ActorParams`](crate::actor::ActorParams).
+//! `seed`, `updates`, `cruise_m_s` (1.5 where it is missing), `git_commit`, `sha256`; tensors in the order of
+//! [`ActorParams`](crate::actor::ActorParams).
 
 extern crate alloc;
 #[cfg(feature = "std")]

@@ -105,21 +105,14 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
             say!("checkpoint       {}", checkpoint.display());
             Ok(ExitCode::from(EXIT_INTERRUPTED))
         }
-        LearnEnd::Complete(params, result) => {
+        LearnEnd::Complete(mut actor, result) => {
             for count in &result.test {
                 say!("{}", completion(count));
             }
             let path = args.output.join("actor.safetensors");
-            let actor = FrozenActor {
-                params,
-                training_config: config.to_toml(),
-                seed: config.seed,
-                updates: result.frozen_after,
-                cruise_m_s: config.cruise_m_s,
-                git_commit: git_commit(),
-            };
+            actor.git_commit = git_commit();
             actor.save(&path)?;
-            let written = format!("written    {} after {} updates", path.display(), result.frozen_after);
+            let written = format!("written    {} after {} updates", path.display(), actor.updates);
             say!("{}", Paint::stdout().verdict(true, &written));
             Ok(ExitCode::SUCCESS)
         }

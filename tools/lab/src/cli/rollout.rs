@@ -86,7 +86,7 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
                 "built-in" => FrozenActor::built_in()?,
                 file => FrozenActor::load(Path::new(file))?,
             };
-            EvaluatedActor::Actor(&frozen.params, frozen.cruise_m_s)
+            EvaluatedActor::Actor(&frozen)
         }
     };
     let controlled = args.ablate != Ablation::Nothing || args.drift_scale != 0.0 || args.drift_yaw != 0.0;
@@ -116,10 +116,10 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         },
     };
     if args.probe {
-        let EvaluatedActor::Actor(params, cruise_m_s) = evaluated else {
+        let EvaluatedActor::Actor(frozen) = evaluated else {
             bail!("--probe is for actors, and {} is none", args.actor);
         };
-        let readouts = pool.install(|| probe((params, cruise_m_s), Isa::detect(), &spec(false)))?;
+        let readouts = pool.install(|| probe(frozen, Isa::detect(), &spec(false)))?;
         say!("{}", probed(&readouts));
         return Ok(ExitCode::SUCCESS);
     }

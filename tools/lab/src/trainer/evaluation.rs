@@ -9,8 +9,8 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use vigil_nnet::Isa;
-use vigil_policy::actor::{Actor, ActorSpec};
-use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
+use vigil_policy::actor::Actor;
+use vigil_policy::{FlightField, FrozenActor, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_sim::environment::Environment;
 use vigil_sim::vehicle::Wind;
 use vigil_sim::world::{Family, Outcome, generate};
@@ -19,8 +19,8 @@ use vigil_types::{ACTION_LIMIT, Ablation, Action, Choice, NedVector};
 /// Who decides.
 #[derive(Debug, Clone, Copy)]
 pub enum EvaluatedActor<'a> {
-    /// An actor's parameters, and what its first output is at its limit, metres per second.
-    Actor(&'a [f32], f32),
+    /// An actor.
+    Actor(&'a FrozenActor),
     /// No motion at all: what the field does alone.
     Zero,
     /// Each output drawn evenly anew each step.
@@ -138,10 +138,7 @@ pub(super) fn fly(
     course.time_limit_s = what.time_limit_s;
     let mut flight = Flight::of(Environment::new(&course, Wind::default(), seed)?);
     let mut network = match actor {
-        EvaluatedActor::Actor(params, cruise_m_s) => {
-            let actor = Actor::new(ActorSpec::FULL, isa, params)?.cruising_at(cruise_m_s);
-            Some(actor.without(what.ablation))
-        }
+        EvaluatedActor::Actor(frozen) => Some(frozen.actor(isa)?.without(what.ablation)),
         EvaluatedActor::Zero | EvaluatedActor::Random | EvaluatedActor::Geometric => None,
     };
     let mut geometric = matches!(actor, EvaluatedActor::Geometric).then(|| {

@@ -6,8 +6,8 @@ use nalgebra::DMatrix;
 use rayon::prelude::*;
 use std::f32::consts::{FRAC_PI_3, PI};
 use vigil_nnet::Isa;
+use vigil_policy::FrozenActor;
 use vigil_policy::actor::memory::{proximity, range_m, scan_bearing_rad};
-use vigil_policy::actor::{Actor, ActorSpec};
 use vigil_types::Ablation;
 
 /// How long ago what is asked for was seen, seconds.
@@ -46,14 +46,14 @@ struct Sample {
     seen: [Option<[f32; SECTORS]>; LAGS_S.len()],
 }
 
-/// Flies an actor of these parameters and fits; of three flights two are fitted on. Its cruise is in metres per second.
+/// Flies an actor and fits; of three flights two are fitted on.
 ///
 /// # Errors
 /// Parameters of another architecture.
-pub fn probe((params, cruise_m_s): (&[f32], f32), isa: Isa, what: &EvaluationSpec) -> Result<Vec<Readout>> {
+pub fn probe(frozen: &FrozenActor, isa: Isa, what: &EvaluationSpec) -> Result<Vec<Readout>> {
     let flights = (0..what.flights)
         .into_par_iter()
-        .map(|i| samples((params, cruise_m_s), isa, what, what.first_seed.wrapping_add(i)))
+        .map(|i| samples(frozen, isa, what, what.first_seed.wrapping_add(i)))
         .collect::<Result<Vec<_>>>()?;
     let readout = |(lag, &lag_s): (usize, &usize)| {
         let r2 = |source: usize, shift: usize| {
@@ -83,14 +83,13 @@ pub fn probe((params, cruise_m_s): (&[f32], f32), isa: Isa, what: &EvaluationSpe
 }
 
 /// One flight of the actor, its twin without a memory beside it.
-fn samples((params, cruise_m_s): (&[f32], f32), isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<Vec<Sample>> {
-    let twin = Actor::new(ActorSpec::FULL, isa, params)?;
-    let mut twin = twin.cruising_at(cruise_m_s).without(Ablation::Memory);
+fn samples(frozen: &FrozenActor, isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<Vec<Sample>> {
+    let mut twin = frozen.actor(isa)?.without(Ablation::Memory);
     // In each step the places of the surfaces seen, north and east.
     let mut seen: Vec<Vec<(f32, f32)>> = Vec::new();
     let mut samples = Vec::new();
     fly(
-        EvaluatedActor::Actor(params, cruise_m_s),
+        EvaluatedActor::Actor(frozen),
         isa,
         what,
         seed,

@@ -21,6 +21,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use vigil_nnet::Isa;
+use vigil_policy::FrozenActor;
 use vigil_sim::world::{Family, Outcome};
 use vigil_types::Ablation;
 
@@ -103,8 +104,8 @@ pub struct LearnResult {
 pub enum LearnEnd {
     /// It was stopped; its checkpoint is this file.
     Interrupted(PathBuf),
-    /// It is complete: the actor's parameters, the encoder's first.
-    Complete(Vec<f32>, Box<LearnResult>),
+    /// It is complete.
+    Complete(Box<FrozenActor>, Box<LearnResult>),
 }
 
 /// Something to report while a run goes on.
@@ -345,14 +346,21 @@ impl<'a> Run<'a> {
             ablation,
             drift: Drift::default(),
         };
-        let whole = self.whole(params);
-        let result = evaluate(EvaluatedActor::Actor(&whole, self.config.cruise_m_s), self.isa, &what)?;
+        let actor = self.frozen(params, self.learner.updates);
+        let result = evaluate(EvaluatedActor::Actor(&actor), self.isa, &what)?;
         Ok(FamilyCount::new(&what, &result))
     }
 
-    /// All parameters of an actor, the encoder's first.
-    fn whole(&self, params: &[f32]) -> Vec<f32> {
-        [self.encoder_params.as_slice(), params].concat()
+    /// The actor of these parameters behind the encoder's, after so many updates.
+    fn frozen(&self, params: &[f32], updates: u64) -> FrozenActor {
+        FrozenActor {
+            params: [self.encoder_params.as_slice(), params].concat(),
+            training_config: self.config.to_toml(),
+            seed: self.config.seed,
+            updates,
+            cruise_m_s: self.config.cruise_m_s,
+            git_commit: None,
+        }
     }
 
     /// Evaluates the best once more over other courses, takes the one that flies best, and tests that one and its blind twin.
@@ -407,7 +415,8 @@ impl<'a> Run<'a> {
         };
         let text = serde_json::to_vec_pretty(&result).unwrap_or_default();
         replace(&self.options.folder.join("result.json"), &text)?;
-        Ok(LearnEnd::Complete(self.whole(&chosen.params), Box::new(result)))
+        let actor = self.frozen(&chosen.params, chosen.updates);
+        Ok(LearnEnd::Complete(Box::new(actor), Box::new(result)))
     }
 }
 
