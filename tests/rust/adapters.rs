@@ -1,5 +1,5 @@
 //! Depth frames from outside: a scanner's packets over UDP, a camera's raw stream and drivers in C and Rust, each by the program or the
-//! library that carries it, against the checking command; and a flight by a scanner's packets.
+//! library that carries it, against the checking command.
 
 #[path = "../../tools/sensors/tests/common/device.rs"]
 mod device;
@@ -14,14 +14,10 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_io::clock::{monotonic_ns, sleep_until};
-use vigil_sensors::Mount;
-use vigil_sensors::adapters::{OusterAdapter, OusterDevice};
-use vigil_sim::world::{Course, Family, Outcome, World, generate};
-use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_sim::world::{Course, World};
 use vigil_tests::{PATIENCE, Running, has, refused, run, run_line, said, text, vigil};
-use vigil_types::{Attitude, Datagrams, DepthFrame, FrdVector, NedVector, STEP_NS};
+use vigil_types::{Attitude, FrdVector, NedVector, STEP_NS};
 
 /// A wall across the way, 4 m ahead of the start.
 fn walled(folder: &Path) -> Course {
@@ -228,46 +224,6 @@ fn a_cameras_recorded_stream_is_published_and_its_broken_end_is_named() {
     has(&findings, &["4.00 m in the middle", "never returned anything"]);
     adapter.wait_for("the stream ended 28700 bytes into an image of 28800");
     adapter.wait_for("199 published");
-}
-
-#[test]
-fn a_vehicle_flies_a_course_by_a_scanners_packets() {
-    let course = generate(Family::Validation, 7);
-    let world = World::new(&course);
-    let mount = (FrdVector::new(0.05, 0.0, -0.05), Attitude::LEVEL_NORTH);
-    let device = Device::new(64, mount);
-    let described = OusterDevice::from_metadata(&device.metadata(false)).expect("metadata");
-    let mut adapter =
-        OusterAdapter::new(described, Mount::new(mount.0, mount.1).expect("a mount")).expect("an adapter");
-
-    let mut config = SimConfig::new(course, 7);
-    config.start = Start::Airborne;
-    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(config.course.goal_ned_m())).expect("a firmware");
-    let mut simulator = Simulator::new(&config, 0).expect("a simulator");
-    let (mut model, mut seen) = (Box::new(DepthFrame::EMPTY), Box::new(DepthFrame::EMPTY));
-    let (mut received, mut sent) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
-    let mut steps = 0u16;
-    while simulator.ending().is_none() && steps < 1600 {
-        simulator.lockstep(&sent, &mut model, &mut received);
-        let truth = simulator.truth();
-        // Twenty seconds before the simulation began the device was on: its stamps are never negative.
-        let ahead_ns = simulator.now_ns() + 20 * 1_000_000_000;
-        let pose = (truth.position_ned_m, truth.attitude);
-        let mut taken = None;
-        for packet in device.turn(&world, pose, steps, ahead_ns) {
-            taken = taken.or(adapter
-                .packet(&packet, ahead_ns, &mut seen.depth)
-                .expect("sound packets"));
-        }
-        taken.expect("a frame a turn");
-        // Captured now; pose and numbers as the driver of a vehicle has them.
-        (seen.header, seen.header.checksum) = (model.header, 0);
-        seen.seal();
-        firmware.step(simulator.now_ns(), Some(&seen), &received, &mut sent);
-        steps += 1;
-    }
-    let ending = simulator.ending().unwrap_or_else(|| panic!("no end in {steps} steps"));
-    assert_eq!(ending.outcome, Outcome::Success, "{} s", ending.flight_time_s);
 }
 
 /// Compiles the C driver against the library; `None` where there is no C compiler.
