@@ -205,26 +205,3 @@ fn a_second_publisher_is_refused_by_name_and_other_instances_are_free() {
     assert_eq!(second.publish(&sealed(2)).unwrap(), 1);
     assert_eq!(deaf.newest().unwrap().unwrap().header.sequence, 2);
 }
-
-#[test]
-fn another_payload_type_is_refused_by_name() {
-    use iceoryx2::prelude::*;
-    // What an older or foreign program would have put there: same names, other type.
-    let instance = Instance::own(6);
-    let domain = Domain::open(instance.0, "test").unwrap();
-    let mut config = Config::default();
-    let uid = rustix::process::getuid().as_raw();
-    let root = std::path::PathBuf::from(format!("/dev/shm/vigil-{uid}/{}", domain.instance()));
-    config
-        .global
-        .set_root_path(&Path::new(root.to_str().unwrap().as_bytes()).unwrap());
-    config.global.prefix = FileName::new(format!("vigil{uid}_{}_", domain.instance()).as_bytes()).unwrap();
-    let node = NodeBuilder::new().config(&config).create::<ipc::Service>().unwrap();
-    let _foreign = node
-        .service_builder(&DEPTH_TOPIC.try_into().unwrap())
-        .publish_subscribe::<u64>()
-        .create()
-        .unwrap();
-    let refused = FrameSubscriber::create(&domain, DEPTH_TOPIC).err().unwrap();
-    assert!(matches!(&refused, FrameError::WrongType { .. }), "{refused}");
-}

@@ -123,24 +123,3 @@ fn each_role_exists_once() {
         "{second}"
     );
 }
-
-#[test]
-fn another_payload_type_is_refused_by_name() {
-    use iceoryx2::prelude::*;
-    // What a program of another version would have put there: same names, other type.
-    let instance = Instance::own(3);
-    let domain = Domain::open(instance.0, "test").unwrap();
-    let mut config = Config::default();
-    let uid = rustix::process::getuid().as_raw();
-    let root = format!("/dev/shm/vigil-{uid}/{}", instance.0);
-    config.global.set_root_path(&Path::new(root.as_bytes()).unwrap());
-    config.global.prefix = FileName::new(format!("vigil{uid}_{}_", instance.0).as_bytes()).unwrap();
-    let node = NodeBuilder::new().config(&config).create::<ipc::Service>().unwrap();
-    let _foreign = node
-        .service_builder(&"lockstep".try_into().unwrap())
-        .request_response::<u64, u64>()
-        .create()
-        .unwrap();
-    let refused = LockstepServer::create(&domain).err().unwrap();
-    assert!(matches!(&refused, LockstepError::WrongType { .. }), "{refused}");
-}
