@@ -514,6 +514,16 @@ mod tests {
     }
 
     #[test]
+    fn an_actor_that_may_not_be_as_fast_as_it_was_trained_is_told_of() {
+        let mut config = FirmwareConfig::default();
+        config.pilot.kind = PilotKind::Actor;
+        assert_eq!(config.slowed(), None);
+        config.limits.speed_m_s = 0.8;
+        let note = config.slowed().unwrap();
+        assert!(note.contains("for 1.5 m/s and flies 0.8"), "{note}");
+    }
+
+    #[test]
     fn a_file_that_is_not_there_is_named() {
         let error = FirmwareConfig::load(Path::new("no/such/file.toml")).unwrap_err();
         assert!(error.to_string().contains("no/such/file.toml"), "{error}");
