@@ -13,8 +13,9 @@ pub fn changes_height(goal: Goal, position_ned_m: NedVector) -> bool {
     (goal.position_ned_m.z - position_ned_m.z).abs() > OFF_LEVEL_M
 }
 
-/// The setpoint of guided flight: the action within the limit of speed, and a bounded vertical speed that keeps the goal's height. Far
-/// from that height the vehicle climbs or descends where it is. Hold where any of it is not finite. `position_ned_m` and the goal are metres from the local origin.
+/// The setpoint of guided flight: the action within the limit of speed, and a bounded vertical speed that keeps the goal's
+/// height. Far from that height the vehicle climbs or descends where it is. Hold where any of it is not finite.
+/// `position_ned_m` and the goal are metres from the local origin.
 pub fn guided_setpoint(
     config: &GuidanceConfig,
     action: Action,
