@@ -517,9 +517,10 @@ mod tests {
     fn an_actor_that_may_not_be_as_fast_as_it_was_trained_is_told_of() {
         let mut config = FirmwareConfig::default();
         config.pilot.kind = PilotKind::Actor;
-        assert_eq!(config.slowed(), None);
+        let pilot = config.frozen_pilot().unwrap().unwrap();
+        assert_eq!(config.slowed(&pilot), None);
         config.limits.speed_m_s = 0.8;
-        let note = config.slowed().unwrap();
+        let note = config.slowed(&pilot).unwrap();
         assert!(note.contains("for 1.5 m/s and flies 0.8"), "{note}");
     }
 

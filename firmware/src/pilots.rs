@@ -189,9 +189,11 @@ impl FirmwareConfig {
         }))
     }
 
-    /// What to tell where an actor was trained to be faster than it may be.
-    pub fn slowed(&self) -> Option<String> {
-        let (actor, limit_m_s) = (self.frozen_actor().ok()??, self.limits.speed_m_s);
+    /// What to tell where the pilot was trained to be faster than it may be.
+    pub fn slowed(&self, pilot: &FrozenPilot) -> Option<String> {
+        let (FrozenPilot::Actor(actor), limit_m_s) = (pilot, self.limits.speed_m_s) else {
+            return None;
+        };
         (actor.cruise_m_s > limit_m_s).then(|| {
             format!(
                 "it was trained for {} m/s and flies {limit_m_s} at the most (--speed-limit)",

@@ -330,7 +330,9 @@ fn pilot_line(config: &FirmwareConfig) -> String {
         None => "built in".to_owned(),
     };
     let field = if config.pilot.apf { "with" } else { "without" };
-    let slowed = config.slowed().map(|note| format!("; {note}")).unwrap_or_default();
+    let frozen = config.frozen_pilot().ok().flatten();
+    let slowed = frozen.and_then(|pilot| config.slowed(&pilot));
+    let slowed = slowed.map(|note| format!("; {note}")).unwrap_or_default();
     let actor = format!(
         "the actor ({}), {field} the potential field{slowed}",
         named(&config.pilot.actor_file)

@@ -227,7 +227,7 @@ impl Settings {
         let mut firmware = FirmwareConfig::to_goal(NedVector::default());
         pilot.apply(&mut firmware);
         let (actor, detector) = (firmware.frozen_pilot()?, firmware.frozen_detector()?);
-        if let Some(note) = firmware.slowed() {
+        if let Some(note) = actor.as_ref().and_then(|pilot| firmware.slowed(pilot)) {
             tracing::warn!("the actor: {note}");
         }
         (firmware.pilot.actor_file, firmware.detector.file) = (None, None);
