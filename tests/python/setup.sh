@@ -6,6 +6,8 @@ here="$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)"
 top="$(cd "$here/../.." && pwd)"
 python="${PYTHON:-python3}"
 mkdir -p "$top/target"
+# One pip for all environments, and what it installs is compiled where it is imported: two thirds of the time otherwise.
+pip="$top/target/venv-pip/bin/python"
 for requirements in "$here"/requirements-*.txt; do
     name="$(basename "$requirements" .txt)"
     name="${name#requirements-}"
@@ -16,10 +18,11 @@ for requirements in "$here"/requirements-*.txt; do
     fi
     echo "python: making target/venv-$name"
     rm -rf "$venv"
-    "$python" -m venv "$venv"
+    "$pip" -m pip --version >/dev/null 2>&1 || "$python" -m venv --clear "$top/target/venv-pip"
+    "$python" -m venv --without-pip "$venv"
     # Options that a requirements file cannot hold stand in its first line.
     read -r -a options <<< "$(sed -n '1s/^# pip: //p' "$requirements")"
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "${options[@]}" -r "$requirements"
+    "$pip" -m pip --python "$venv/bin/python" install --no-compile --quiet --disable-pip-version-check "${options[@]}" -r "$requirements"
     # Written last: an interrupted install is done again.
     echo "$key" > "$venv/.key"
 done
