@@ -40,10 +40,11 @@ pub enum SettingsError {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Refused {
     /// Where in the text, bytes from its start.
-    at: usize,
-    /// Dotted path of the key.
-    key: String,
-    message: String,
+    pub at: usize,
+    /// Dotted path of the key, as `wall[2].height_m`, counted from 0; empty where the text is not TOML at all.
+    pub key: String,
+    /// What is wrong and what would be right.
+    pub message: String,
 }
 
 /// Refuses a value.
@@ -278,28 +279,31 @@ macro_rules! named_setting {
 pub use {named_setting, value_setting};
 
 /// Declares tables of settings: `NAME: TYPE = SOURCE,` for each field, where the source ([`settings::Source`](crate::settings::Source))
-/// is a row of the table of parameters, or a default as [`free`](crate::settings::free) and its neighbours make it.
+/// is a row of the table of parameters, or a default as [`free`](crate::settings::free) and its neighbours make it; `=> "KEY"` behind it
+/// where the file has another name. After `..` stands a field that is no setting, with its first value.
 #[macro_export]
 macro_rules! settings {
     ($($(#[$meta:meta])* $vis:vis struct $name:ident {
-        $($(#[$doc:meta])* $field_vis:vis $field:ident: $type:ty = $source:expr,)*
+        $($(#[$doc:meta])* $field_vis:vis $field:ident: $type:ty = $source:expr $(=> $key:literal)?,)*
+        $(.. $(#[$own_doc:meta])* $own:ident: $own_type:ty = $own_value:expr,)?
     })+) => {$(
         $(#[$meta])*
         #[derive(Debug, Clone, PartialEq)]
         $vis struct $name {
             $($(#[$doc])* $field_vis $field: $type,)*
+            $($(#[$own_doc])* $own: $own_type,)?
         }
 
         impl Default for $name {
             fn default() -> Self {
-                Self { $($field: $crate::settings::Source::<$type>::value($source),)* }
+                Self { $($field: $crate::settings::Source::<$type>::value($source),)* $($own: $own_value,)? }
             }
         }
 
         impl $crate::settings::Section for $name {
             fn fields(&mut self) -> Vec<$crate::settings::Field<'_>> {
                 vec![$($crate::settings::Field {
-                    name: stringify!($field),
+                    name: [$($key,)? stringify!($field)][0],
                     setting: &mut self.$field,
                     rule: $crate::settings::Source::<$type>::rule($source),
                 },)*]
@@ -444,13 +448,31 @@ pub fn read_over(settings: &mut impl Section, text: &str) -> Result<(), String> 
 }
 
 fn read_text(text: &str, fields: &mut [Field<'_>]) -> Result<(), String> {
-    let root = DeTable::parse(text).map_err(|e| Refused {
+    parse(text)
+        .and_then(|root| read_table(root.get_ref(), 0, fields))
+        .map_err(|refused| refused.in_text(text))
+}
+
+/// What a text of TOML says, not yet as settings.
+///
+/// # Errors
+/// It is not TOML.
+pub fn parse(text: &str) -> Result<Spanned<DeTable<'_>>, Refused> {
+    DeTable::parse(text).map_err(|e| Refused {
         at: e.span().map_or(0, |span| span.start),
         key: String::new(),
         message: e.message().trim().replace('\n', ", "),
-    });
-    root.and_then(|root| read_table(root.get_ref(), 0, fields))
-        .map_err(|refused| refused.in_text(text))
+    })
+}
+
+/// Reads what was parsed; what it does not name keeps its default.
+///
+/// # Errors
+/// Place, key and what is allowed.
+pub fn from_table<S: Section>(root: &DeTable<'_>) -> Result<S, Refused> {
+    let mut settings = S::default();
+    read_table(root, 0, &mut settings.fields())?;
+    Ok(settings)
 }
 
 /// Reads a file; what it does not name keeps its default.

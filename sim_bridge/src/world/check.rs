@@ -1,7 +1,7 @@
 //! What makes a course usable, beyond its syntax.
 
 use crate::world::course::Course;
-use crate::world::mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
+use crate::world::mover::{BoxOutline, ColumnOutline, MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 use crate::world::solid::Solid;
 use crate::world::vehicle::VEHICLE;
 
@@ -266,12 +266,14 @@ impl Mover {
         }
         size(&format!("mover[{i}].height_m"), self.height_m)?;
         match self.shape {
-            MoverShape::Column { radius_m } => size(&format!("mover[{i}].shape.column.radius_m"), radius_m),
-            MoverShape::Box {
+            MoverShape::Column(ColumnOutline { radius_m }) => {
+                size(&format!("mover[{i}].shape.column.radius_m"), radius_m)
+            }
+            MoverShape::Box(BoxOutline {
                 length_m,
                 width_m,
                 yaw_deg,
-            } => {
+            }) => {
                 size(&format!("mover[{i}].shape.box.length_m"), length_m)?;
                 size(&format!("mover[{i}].shape.box.width_m"), width_m)?;
                 angle(&format!("mover[{i}].shape.box.yaw_deg"), yaw_deg)

@@ -7,64 +7,157 @@ use crate::world::wire::Wire;
 use serde::{Deserialize, Serialize};
 use vigil_types::NedVector;
 use vigil_types::named;
-use vigil_types::settings::named_setting;
+use vigil_types::settings;
+use vigil_types::settings::{free, named_setting, required, section};
 
-/// A course. Everything is measured from the vehicle's home: north, east and height above ground in metres, angles in
-/// degrees clockwise from north. `docs/courses.md` describes the file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Course {
-    /// Name for tables and pictures.
-    pub name: String,
-    /// The generator's family; absent in a course made by hand.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub family: Option<Family>,
-    /// The generator's seed; 0 in a course made by hand.
-    #[serde(default)]
-    pub seed: u64,
-    /// Height above ground to fly at.
-    #[serde(default = "default_flight_height_m")]
-    pub flight_height_m: f32,
-    /// A flight succeeds within this distance of the goal.
-    #[serde(default = "default_goal_radius_m")]
-    pub goal_radius_m: f32,
-    /// A flight that takes longer has failed.
-    #[serde(default = "default_time_limit_s")]
-    pub time_limit_s: f32,
-    /// Height of a flat ceiling over everything, if there is one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub ceiling_height_m: Option<f32>,
-    /// Where the vehicle stands at first.
-    #[serde(default)]
-    pub start: Start,
-    /// Where to go.
-    pub goal: GoalPoint,
-    /// What must not be left.
-    pub bounds: Bounds,
-    /// Lines on the way that training rewards, in order.
-    #[serde(default, rename = "checkpoint", skip_serializing_if = "Vec::is_empty")]
-    pub checkpoints: Vec<Checkpoint>,
-    /// Upright cylinders.
-    #[serde(default, rename = "column", skip_serializing_if = "Vec::is_empty")]
-    pub columns: Vec<Column>,
-    /// Boxes on the ground.
-    #[serde(default, rename = "box", skip_serializing_if = "Vec::is_empty")]
-    pub boxes: Vec<BoxObstacle>,
-    /// Walls.
-    #[serde(default, rename = "wall", skip_serializing_if = "Vec::is_empty")]
-    pub walls: Vec<Wall>,
-    /// Boxes whose lower face is above the ground: beams, lintels, low roofs.
-    #[serde(default, rename = "overhang", skip_serializing_if = "Vec::is_empty")]
-    pub overhangs: Vec<Overhang>,
-    /// Wires, cables, branches.
-    #[serde(default, rename = "wire", skip_serializing_if = "Vec::is_empty")]
-    pub wires: Vec<Wire>,
-    /// Surfaces from files.
-    #[serde(default, rename = "mesh", skip_serializing_if = "Vec::is_empty")]
-    pub meshes: Vec<Mesh>,
-    /// Columns and boxes that go to and fro.
-    #[serde(default, rename = "mover", skip_serializing_if = "Vec::is_empty")]
-    pub movers: Vec<Mover>,
+/// A flight takes at most so long where the course does not say.
+pub(crate) const TIME_LIMIT_S: f32 = 90.0;
+
+settings! {
+    /// A course. Everything is measured from the vehicle's home: north, east and height above ground in metres, angles in
+    /// degrees clockwise from north. `docs/courses.md` describes the file.
+    pub struct Course {
+        /// Name for tables and pictures.
+        pub name: String = required(),
+        /// The generator's family; absent in a course made by hand.
+        pub family: Option<Family> = free(None),
+        /// The generator's seed; 0 in a course made by hand.
+        pub seed: u64 = free(0),
+        /// Height above ground to fly at.
+        pub flight_height_m: f32 = free(1.5),
+        /// A flight succeeds within this distance of the goal.
+        pub goal_radius_m: f32 = free(1.0),
+        /// A flight that takes longer has failed.
+        pub time_limit_s: f32 = free(TIME_LIMIT_S),
+        /// Height of a flat ceiling over everything, if there is one.
+        pub ceiling_height_m: Option<f32> = free(None),
+        /// Where the vehicle stands at first.
+        pub start: Start = section(),
+        /// Where to go.
+        pub goal: GoalPoint = required(),
+        /// What must not be left.
+        pub bounds: Bounds = required(),
+        /// Lines on the way that training rewards, in order.
+        pub checkpoints: Vec<Checkpoint> = free(Vec::new()) => "checkpoint",
+        /// Upright cylinders.
+        pub columns: Vec<Column> = free(Vec::new()) => "column",
+        /// Boxes on the ground.
+        pub boxes: Vec<BoxObstacle> = free(Vec::new()) => "box",
+        /// Walls.
+        pub walls: Vec<Wall> = free(Vec::new()) => "wall",
+        /// Boxes whose lower face is above the ground: beams, lintels, low roofs.
+        pub overhangs: Vec<Overhang> = free(Vec::new()) => "overhang",
+        /// Wires, cables, branches.
+        pub wires: Vec<Wire> = free(Vec::new()) => "wire",
+        /// Surfaces from files.
+        pub meshes: Vec<Mesh> = free(Vec::new()) => "mesh",
+        /// Columns and boxes that go to and fro.
+        pub movers: Vec<Mover> = free(Vec::new()) => "mover",
+    }
+
+    /// The start: on the ground at home, with this heading.
+    #[derive(Copy)]
+    pub struct Start {
+        /// North of home.
+        pub north_m: f32 = free(0.0),
+        /// East of home.
+        pub east_m: f32 = free(0.0),
+        /// Heading, clockwise from north.
+        pub heading_deg: f32 = free(0.0),
+    }
+
+    /// The goal's place; its height is the flight height.
+    #[derive(Copy)]
+    pub struct GoalPoint {
+        /// North of home.
+        pub north_m: f32 = required(),
+        /// East of home.
+        pub east_m: f32 = required(),
+    }
+
+    /// A box in which the flight must stay, each as `[lowest, highest]`.
+    #[derive(Copy)]
+    pub struct Bounds {
+        /// North of home.
+        pub north_m: [f32; 2] = required(),
+        /// East of home.
+        pub east_m: [f32; 2] = required(),
+        /// Height above which the flight is out of bounds.
+        pub top_m: f32 = required(),
+    }
+
+    /// A line across the way; it is passed where the vehicle gets beyond it, anywhere along it.
+    #[derive(Copy)]
+    pub struct Checkpoint {
+        /// A point of the line, north of home.
+        pub north_m: f32 = required(),
+        /// A point of the line, east of home.
+        pub east_m: f32 = required(),
+        /// The direction in which the line is passed, square to it.
+        pub heading_deg: f32 = required(),
+    }
+
+    /// An upright cylinder on the ground.
+    #[derive(Copy)]
+    pub struct Column {
+        /// North of home.
+        pub north_m: f32 = required(),
+        /// East of home.
+        pub east_m: f32 = required(),
+        /// Radius.
+        pub radius_m: f32 = required(),
+        /// Height.
+        pub height_m: f32 = required(),
+    }
+
+    /// A box on the ground.
+    #[derive(Copy)]
+    pub struct BoxObstacle {
+        /// Centre, north of home.
+        pub north_m: f32 = required(),
+        /// Centre, east of home.
+        pub east_m: f32 = required(),
+        /// Size along the box's own heading.
+        pub length_m: f32 = required(),
+        /// Size across it.
+        pub width_m: f32 = required(),
+        /// Height.
+        pub height_m: f32 = required(),
+        /// Heading of the length axis.
+        pub yaw_deg: f32 = free(0.0),
+    }
+
+    /// A wall between two points.
+    #[derive(Copy)]
+    pub struct Wall {
+        /// One end, `[north, east]`.
+        pub from_m: [f32; 2] = required(),
+        /// Other end, `[north, east]`.
+        pub to_m: [f32; 2] = required(),
+        /// Thickness.
+        pub thickness_m: f32 = required(),
+        /// Height.
+        pub height_m: f32 = required(),
+    }
+
+    /// A box above the ground.
+    #[derive(Copy)]
+    pub struct Overhang {
+        /// Centre, north of home.
+        pub north_m: f32 = required(),
+        /// Centre, east of home.
+        pub east_m: f32 = required(),
+        /// Size along the overhang's own heading.
+        pub length_m: f32 = required(),
+        /// Size across it.
+        pub width_m: f32 = required(),
+        /// Height of the lower face above ground.
+        pub bottom_m: f32 = required(),
+        /// Height of the upper face above ground.
+        pub top_m: f32 = required(),
+        /// Heading of the length axis.
+        pub yaw_deg: f32 = free(0.0),
+    }
 }
 
 named! {
@@ -105,43 +198,6 @@ impl core::fmt::Display for Family {
     }
 }
 
-/// The start: on the ground at home, with this heading.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Start {
-    /// North of home.
-    #[serde(default)]
-    pub north_m: f32,
-    /// East of home.
-    #[serde(default)]
-    pub east_m: f32,
-    /// Heading, clockwise from north.
-    #[serde(default)]
-    pub heading_deg: f32,
-}
-
-/// The goal's place; its height is the flight height.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GoalPoint {
-    /// North of home.
-    pub north_m: f32,
-    /// East of home.
-    pub east_m: f32,
-}
-
-/// A box in which the flight must stay, each as `[lowest, highest]`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Bounds {
-    /// North of home.
-    pub north_m: [f32; 2],
-    /// East of home.
-    pub east_m: [f32; 2],
-    /// Height above which the flight is out of bounds.
-    pub top_m: f32,
-}
-
 impl Bounds {
     /// Whether a point is inside. There is no lower bound: the ground is one.
     pub fn contains(&self, p: NedVector) -> bool {
@@ -152,98 +208,6 @@ impl Bounds {
     pub fn contains_plan(&self, north_m: f32, east_m: f32) -> bool {
         (self.north_m[0]..=self.north_m[1]).contains(&north_m) && (self.east_m[0]..=self.east_m[1]).contains(&east_m)
     }
-}
-
-/// A line across the way; it is passed where the vehicle gets beyond it, anywhere along it.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Checkpoint {
-    /// A point of the line, north of home.
-    pub north_m: f32,
-    /// A point of the line, east of home.
-    pub east_m: f32,
-    /// The direction in which the line is passed, square to it.
-    pub heading_deg: f32,
-}
-
-/// An upright cylinder on the ground.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Column {
-    /// North of home.
-    pub north_m: f32,
-    /// East of home.
-    pub east_m: f32,
-    /// Radius.
-    pub radius_m: f32,
-    /// Height.
-    pub height_m: f32,
-}
-
-/// A box on the ground.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct BoxObstacle {
-    /// Centre, north of home.
-    pub north_m: f32,
-    /// Centre, east of home.
-    pub east_m: f32,
-    /// Size along the box's own heading.
-    pub length_m: f32,
-    /// Size across it.
-    pub width_m: f32,
-    /// Height.
-    pub height_m: f32,
-    /// Heading of the length axis.
-    #[serde(default)]
-    pub yaw_deg: f32,
-}
-
-/// A wall between two points.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Wall {
-    /// One end, `[north, east]`.
-    pub from_m: [f32; 2],
-    /// Other end, `[north, east]`.
-    pub to_m: [f32; 2],
-    /// Thickness.
-    pub thickness_m: f32,
-    /// Height.
-    pub height_m: f32,
-}
-
-/// A box above the ground.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Overhang {
-    /// Centre, north of home.
-    pub north_m: f32,
-    /// Centre, east of home.
-    pub east_m: f32,
-    /// Size along the overhang's own heading.
-    pub length_m: f32,
-    /// Size across it.
-    pub width_m: f32,
-    /// Height of the lower face above ground.
-    pub bottom_m: f32,
-    /// Height of the upper face above ground.
-    pub top_m: f32,
-    /// Heading of the length axis.
-    #[serde(default)]
-    pub yaw_deg: f32,
-}
-
-pub(crate) fn default_flight_height_m() -> f32 {
-    1.5
-}
-
-pub(crate) fn default_goal_radius_m() -> f32 {
-    1.0
-}
-
-pub(crate) fn default_time_limit_s() -> f32 {
-    90.0
 }
 
 impl Column {

@@ -3,8 +3,8 @@
 use crate::world::check::FieldProblem;
 use crate::world::course::Course;
 use std::path::{Path, PathBuf};
-use toml::Spanned;
 use toml::de::{DeTable, DeValue};
+use vigil_types::settings::{self, Refused};
 
 /// A course of a thousand obstacles has 100 kB.
 const SIZE_LIMIT: u64 = 4 << 20;
@@ -40,9 +40,9 @@ pub enum CourseError {
         /// What is wrong and what would be right.
         problem: String,
     },
-    /// A value cannot be written as TOML.
-    #[error("course cannot be written as TOML: {0}")]
-    Unwritable(#[from] toml::ser::Error),
+    /// TOML's integers do not hold the seed.
+    #[error("the course cannot be written as TOML: its seed {0} is not below 2⁶³")]
+    Unwritable(u64),
 }
 
 impl Course {
@@ -51,23 +51,25 @@ impl Course {
     /// # Errors
     /// [`CourseError::Invalid`] with line and field.
     pub fn from_toml_str(text: &str, file_name: &str) -> Result<Self, CourseError> {
-        let invalid = |at: usize, field: String, problem: &str| CourseError::Invalid {
+        let invalid = |Refused { at, key, message }| CourseError::Invalid {
             file: file_name.to_owned(),
-            line: line_of(text, at),
-            field,
-            problem: problem.to_owned(),
+            line: 1 + text.bytes().take(at).filter(|b| *b == b'\n').count(),
+            field: key,
+            problem: message,
         };
-        let root = DeTable::parse(text)
-            .map_err(|e| invalid(e.span().map_or(0, |s| s.start), String::new(), e.message().trim()))?;
-        let mut course: Self = toml::from_str(text).map_err(|e| {
-            let at = e.span().map_or(0, |s| s.start);
-            invalid(at, field_at(root.get_ref(), at), e.message().trim())
-        })?;
+        let root = settings::parse(text).map_err(invalid)?;
+        let mut course: Self = settings::from_table(root.get_ref()).map_err(invalid)?;
         let folder = Path::new(file_name).parent().unwrap_or(Path::new(""));
         course
             .read_meshes(folder)
             .and_then(|()| course.check())
-            .map_err(|FieldProblem { field, problem }| invalid(offset_of(root.get_ref(), &field), field, &problem))?;
+            .map_err(|wrong| {
+                invalid(Refused {
+                    at: offset_of(root.get_ref(), &wrong.field),
+                    key: wrong.field,
+                    message: wrong.problem,
+                })
+            })?;
         Ok(course)
     }
 
@@ -99,7 +101,10 @@ impl Course {
     /// # Errors
     /// [`CourseError::Unwritable`] for a seed of 2⁶³ or more, which TOML's integers cannot hold.
     pub fn to_toml_string(&self) -> Result<String, CourseError> {
-        Ok(toml::to_string(self)?)
+        match i64::try_from(self.seed) {
+            Ok(_) => Ok(settings::to_toml(self)),
+            Err(_) => Err(CourseError::Unwritable(self.seed)),
+        }
     }
 
     /// Writes the course to a file.
@@ -114,55 +119,6 @@ impl Course {
                 source,
             }
         })
-    }
-}
-
-fn line_of(text: &str, offset: usize) -> usize {
-    1 + text.bytes().take(offset).filter(|b| *b == b'\n').count()
-}
-
-/// Path of the innermost key or value that holds byte `at`; empty at the top.
-fn field_at(root: &DeTable<'_>, at: usize) -> String {
-    let mut path = String::new();
-    descend_at(root, at, &mut path);
-    path
-}
-
-fn descend_at(table: &DeTable<'_>, at: usize, path: &mut String) {
-    for (key, value) in table.iter() {
-        let before = path.len();
-        if !path.is_empty() {
-            path.push('.');
-        }
-        path.push_str(key.get_ref());
-        if key.span().contains(&at) || enter_at(value, at, path) {
-            return;
-        }
-        path.truncate(before);
-    }
-}
-
-/// Extends `path` to what in `value` holds byte `at`; whether anything does.
-fn enter_at(value: &Spanned<DeValue<'_>>, at: usize, path: &mut String) -> bool {
-    match value.get_ref() {
-        DeValue::Array(items) => {
-            for (i, item) in items.iter().enumerate() {
-                let before = path.len();
-                path.push_str(&format!("[{i}]"));
-                if enter_at(item, at, path) {
-                    return true;
-                }
-                path.truncate(before);
-            }
-            value.span().contains(&at)
-        }
-        DeValue::Table(table) => {
-            // A `[header]` table's span is its header, so its entries are looked at whatever the span says.
-            let before = path.len();
-            descend_at(table, at, path);
-            path.len() > before || value.span().contains(&at)
-        }
-        _ => value.span().contains(&at),
     }
 }
 
@@ -245,6 +201,11 @@ shape = { column = { radius_m = 0.35 } }
         assert_eq!(course.flight_height_m, 1.5);
         let again = Course::from_toml_str(&course.to_toml_string().expect("writable"), "again").expect("again");
         assert_eq!(course, again);
+        let seed = u64::MAX;
+        let unwritable = Course { seed, ..course }
+            .to_toml_string()
+            .expect_err("too large for TOML");
+        assert!(unwritable.to_string().contains(&seed.to_string()), "{unwritable}");
     }
 
     #[test]
@@ -254,8 +215,8 @@ shape = { column = { radius_m = 0.35 } }
             radius_m = 0.3 => radius_m = -0.3 => 18: `column[1].radius_m`
             radius_m = 0.3 => radius_m = nan => 18: `column[1].radius_m`
             radius_m = 0.3 => radius_m = "wide" => 18: `column[1].radius_m`
-            radius_m = 0.3 => raduis_m = 0.3 => 18: `column[1].raduis_m`
-            radius_m = 0.3 =>  => 15: `column[1]`: missing field `radius_m`
+            radius_m = 0.3 => raduis_m = 0.3 => 18: `column[1]`: there is no key `raduis_m` here
+            radius_m = 0.3 =>  => 15: `column[1]`: `radius_m` is missing
             to_m = [5.0, -2.0] => to_m = [5.0] => 23: `wall[0].to_m`
             to_m = [5.0, -2.0] => to_m = [5.0, inf] => 23: `wall[0].to_m[1]`
             to_m = [5.0, -2.0] => to_m = [5.0, -6.0] => 23: `wall[0].to_m`
@@ -268,6 +229,7 @@ shape = { column = { radius_m = 0.35 } }
             speed_m_s = 0.5 => speed_m_s = 1.5 => 30: `mover[0].speed_m_s`
             to_m = [16.0, 4.0] => to_m = [16.0, 0.0] => 29: `mover[0].to_m`
             to_m = [16.0, 4.0] => to_m = [22.0, 7.5] => 27: `mover[0]`: covers the goal
+            shape = { column => shape = { box = { length_m = 1, width_m = 1 }, column => 32: `mover[0].shape`: one of `column` and `box`
             column = { radius_m = 0.35 } => column = { radius_m = 0.0 } => 32: `mover[0].shape.column.radius_m`
         "#;
         let mut count = 0;
@@ -285,7 +247,7 @@ shape = { column = { radius_m = 0.35 } }
             assert!(message.starts_with(&format!("bad.toml:{expected}")), "{to}: {message}");
             count += 1;
         }
-        assert_eq!(count, 18);
+        assert_eq!(count, 19);
     }
 
     #[test]

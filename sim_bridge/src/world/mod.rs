@@ -39,7 +39,7 @@ pub use lidar::{
     ring_row, split_mix,
 };
 pub use mesh::{MAX_TRIANGLES, Mesh, MeshError, Up};
-pub use mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
+pub use mover::{BoxOutline, ColumnOutline, MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee};
 pub use solid::Solid;
 pub use space::World;

@@ -2,50 +2,103 @@
 
 use crate::world::solid::Solid;
 use crate::world::solid::radians;
-use serde::{Deserialize, Serialize};
+use vigil_types::settings;
+use vigil_types::settings::{Field, Given, Refused, Rule, Setting, Value, free, refused, required};
 use vigil_types::{Nanos, NedVector};
 
 /// No mover may be faster: the pace of somebody who walks slowly.
 pub const MAX_MOVER_SPEED_M_S: f32 = 1.0;
 
-/// A column or box on the ground that goes to and fro between two points at constant speed, turning at once at each end.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Mover {
-    /// One end of the way of its centre, `[north, east]` of home.
-    pub from_m: [f32; 2],
-    /// Other end, `[north, east]` of home.
-    pub to_m: [f32; 2],
-    /// Speed along the way, at most [`MAX_MOVER_SPEED_M_S`].
-    pub speed_m_s: f32,
-    /// Where it is at time zero, as a share of one way to and fro: 0 at `from_m`, 0.5 at `to_m`, 0.75 half-way back.
-    #[serde(default)]
-    pub phase: f32,
-    /// Height.
-    pub height_m: f32,
-    /// Outline.
-    pub shape: MoverShape,
+settings! {
+    /// A column or box on the ground that goes to and fro between two points at constant speed, turning at once at each end.
+    #[derive(Copy)]
+    pub struct Mover {
+        /// One end of the way of its centre, `[north, east]` of home.
+        pub from_m: [f32; 2] = required(),
+        /// Other end, `[north, east]` of home.
+        pub to_m: [f32; 2] = required(),
+        /// Speed along the way, at most [`MAX_MOVER_SPEED_M_S`].
+        pub speed_m_s: f32 = required(),
+        /// Where it is at time zero, as a share of one way to and fro: 0 at `from_m`, 0.5 at `to_m`, 0.75 half-way back.
+        pub phase: f32 = free(0.0),
+        /// Height.
+        pub height_m: f32 = required(),
+        /// Outline.
+        pub shape: MoverShape = required(),
+    }
+
+    /// An outline as a file has it: exactly one of these.
+    struct Outline {
+        column: Option<ColumnOutline> = free(None),
+        cuboid: Option<BoxOutline> = free(None) => "box",
+    }
+
+    /// The outline of an upright cylinder.
+    #[derive(Copy)]
+    pub struct ColumnOutline {
+        /// Radius.
+        pub radius_m: f32 = required(),
+    }
+
+    /// The outline of a box, which does not turn while it moves.
+    #[derive(Copy)]
+    pub struct BoxOutline {
+        /// Size along the box's own heading.
+        pub length_m: f32 = required(),
+        /// Size across it.
+        pub width_m: f32 = required(),
+        /// Heading of the length axis.
+        pub yaw_deg: f32 = free(0.0),
+    }
 }
 
 /// The outline of a [`Mover`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase", deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MoverShape {
     /// An upright cylinder.
-    Column {
-        /// Radius.
-        radius_m: f32,
-    },
-    /// A box; it does not turn while it moves.
-    Box {
-        /// Size along the box's own heading.
-        length_m: f32,
-        /// Size across it.
-        width_m: f32,
-        /// Heading of the length axis.
-        #[serde(default)]
-        yaw_deg: f32,
-    },
+    Column(ColumnOutline),
+    /// A box.
+    Box(BoxOutline),
+}
+
+impl Default for MoverShape {
+    fn default() -> Self {
+        Self::Column(ColumnOutline::default())
+    }
+}
+
+impl Setting for MoverShape {
+    fn from_given(given: &Given<'_>) -> Result<Self, Refused> {
+        match Outline::from_given(given)? {
+            Outline {
+                column: Some(column),
+                cuboid: None,
+            } => Ok(Self::Column(column)),
+            Outline {
+                column: None,
+                cuboid: Some(cuboid),
+            } => Ok(Self::Box(cuboid)),
+            _ => Err(refused(given, "one of `column` and `box` is needed")),
+        }
+    }
+
+    fn read(&mut self, given: &Given<'_>) -> Result<(), Refused> {
+        *self = Self::from_given(given)?;
+        Ok(())
+    }
+
+    fn write(&self) -> Option<Value> {
+        None
+    }
+
+    fn tables(&mut self) -> Vec<Vec<Field<'_>>> {
+        let (name, setting): (_, &mut dyn Setting) = match self {
+            Self::Column(column) => ("column", column),
+            Self::Box(cuboid) => ("box", cuboid),
+        };
+        let rule = Rule::default();
+        vec![vec![Field { name, setting, rule }]]
+    }
 }
 
 impl Mover {
@@ -69,16 +122,16 @@ impl Mover {
     pub fn solid_at(&self, at_ns: Nanos) -> Solid {
         let [north_m, east_m] = self.centre_at_m(at_ns);
         match self.shape {
-            MoverShape::Column { radius_m } => Solid::Cylinder {
+            MoverShape::Column(ColumnOutline { radius_m }) => Solid::Cylinder {
                 centre_ned_m: NedVector::new(north_m, east_m, -0.5 * self.height_m),
                 radius_m,
                 half_height_m: 0.5 * self.height_m,
             },
-            MoverShape::Box {
+            MoverShape::Box(BoxOutline {
                 length_m,
                 width_m,
                 yaw_deg,
-            } => Solid::cuboid(
+            }) => Solid::cuboid(
                 (north_m, east_m),
                 length_m,
                 width_m,
@@ -106,12 +159,12 @@ impl Mover {
         let heading_rad = libm::atan2f(east, north);
         // Half of the outline's size along the way and across it.
         let (along_m, across_m) = match self.shape {
-            MoverShape::Column { radius_m } => (radius_m, radius_m),
-            MoverShape::Box {
+            MoverShape::Column(ColumnOutline { radius_m }) => (radius_m, radius_m),
+            MoverShape::Box(BoxOutline {
                 length_m,
                 width_m,
                 yaw_deg,
-            } => {
+            }) => {
                 let turn = radians(yaw_deg) - heading_rad;
                 let (s, c) = (libm::sinf(turn).abs(), libm::cosf(turn).abs());
                 (0.5 * (c * length_m + s * width_m), 0.5 * (s * length_m + c * width_m))
@@ -144,7 +197,7 @@ mod tests {
             speed_m_s: 0.5,
             phase: 0.0,
             height_m: 2.0,
-            shape: MoverShape::Column { radius_m: 0.3 },
+            shape: MoverShape::Column(ColumnOutline { radius_m: 0.3 }),
         }
     }
 
@@ -167,11 +220,11 @@ mod tests {
         let boxy = Mover {
             to_m: [8.0, 1.0],
             phase: 0.3,
-            shape: MoverShape::Box {
+            shape: MoverShape::Box(BoxOutline {
                 length_m: 1.4,
                 width_m: 0.5,
                 yaw_deg: 35.0,
-            },
+            }),
             ..column()
         };
         for m in [column(), boxy] {

@@ -6,19 +6,21 @@ use crate::world::course::Course;
 use crate::world::mesh::{Surface, standing};
 use crate::world::solid::Solid;
 use glamx::Vec3;
-use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+use vigil_types::settings;
+use vigil_types::settings::required;
 
-/// A straight wire.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Wire {
-    /// One end, `[north, east, height above ground]`.
-    pub from_m: [f32; 3],
-    /// Other end.
-    pub to_m: [f32; 3],
-    /// Radius, 0.005 to 0.05 m.
-    pub radius_m: f32,
+settings! {
+    /// A straight wire.
+    #[derive(Copy)]
+    pub struct Wire {
+        /// One end, `[north, east, height above ground]`.
+        pub from_m: [f32; 3] = required(),
+        /// Other end.
+        pub to_m: [f32; 3] = required(),
+        /// Radius, 0.005 to 0.05 m.
+        pub radius_m: f32 = required(),
+    }
 }
 
 const SIDES: usize = 6;

@@ -4,6 +4,7 @@ use super::{Field, FromRow, Given, Refused, Rule, Setting, other_type, refused};
 use crate::choice::Choice;
 use crate::parameters::{ParameterSpec, Preset};
 use crate::value_setting;
+use std::borrow::ToOwned;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::string::{String, ToString};
@@ -211,6 +212,8 @@ value_setting!(i32, whole, |value: &i32| *value);
 value_setting!(u64, whole, |value: &u64| *value as i64);
 value_setting!(usize, whole, |value: &usize| *value as i64);
 value_setting!(bool, switch, |value: &bool| *value);
+value_setting!(String, |given| text(given).map(str::to_owned), |text: &String| text
+    .clone());
 value_setting!(PathBuf, |given| text(given).map(PathBuf::from), |path: &PathBuf| {
     path.to_string_lossy().into_owned()
 });

@@ -2,7 +2,7 @@
 
 use super::{Area, Builder, Kind, Obstacle, PLACEMENT_TRIES, cm};
 use crate::world::course::{Overhang, Wall};
-use crate::world::mover::{Mover, MoverShape};
+use crate::world::mover::{BoxOutline, ColumnOutline, Mover, MoverShape};
 use crate::world::solid::radians;
 use core::ops::Range;
 use rand::RngExt;
@@ -217,15 +217,15 @@ fn patrols(b: &mut Builder, count: Range<usize>, area: &Area) {
 
 fn mover(b: &mut Builder, from_m: [f32; 2], to_m: [f32; 2]) -> Mover {
     let shape = if b.chance(0.6) {
-        MoverShape::Column {
+        MoverShape::Column(ColumnOutline {
             radius_m: b.length(0.2..0.4),
-        }
+        })
     } else {
-        MoverShape::Box {
+        MoverShape::Box(BoxOutline {
             length_m: b.length(0.4..0.9),
             width_m: b.length(0.3..0.6),
             yaw_deg: cm(b.rng.random_range(0.0..180.0)),
-        }
+        })
     };
     Mover {
         from_m,

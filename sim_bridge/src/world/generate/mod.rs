@@ -3,10 +3,7 @@
 //! Every family flies from home to a goal 20 m north and 5 m to one side (docs/paper.md, "Arena"). All lengths are rounded to
 //! centimetres, so that a course written to a file and read back is the same course.
 
-use crate::world::course::{
-    Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, Wall, default_flight_height_m,
-    default_goal_radius_m, default_time_limit_s,
-};
+use crate::world::course::{Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, Wall};
 use crate::world::mover::Mover;
 use crate::world::solid::{Solid, radians};
 use crate::world::wire::Wire;
@@ -256,10 +253,6 @@ impl Builder {
             name: format!("{family} {seed}"),
             family: Some(family),
             seed,
-            flight_height_m: default_flight_height_m(),
-            goal_radius_m: default_goal_radius_m(),
-            time_limit_s: default_time_limit_s(),
-            ceiling_height_m: None,
             start: Start {
                 heading_deg: cm(rng.random_range(-20.0..20.0)),
                 ..Start::default()
@@ -271,13 +264,7 @@ impl Builder {
                 top_m: 6.0,
             },
             checkpoints,
-            columns: Vec::new(),
-            boxes: Vec::new(),
-            walls: Vec::new(),
-            overhangs: Vec::new(),
-            wires: Vec::new(),
-            meshes: Vec::new(),
-            movers: Vec::new(),
+            ..Course::default()
         };
         Self {
             rng,

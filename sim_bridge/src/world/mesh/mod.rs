@@ -14,11 +14,12 @@ use crate::world::vehicle::VEHICLE;
 use glamx::{Pose3, Vec3};
 use parry3d::bounding_volume::Aabb;
 use parry3d::shape::Cylinder;
-use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use surface::Triangle;
 use vigil_types::NedVector;
+use vigil_types::settings;
+use vigil_types::settings::{free, named_setting, required};
 
 /// More triangles than this are not cast.
 pub const MAX_TRIANGLES: usize = 1_000_000;
@@ -29,38 +30,31 @@ const MAX_EXTENT_M: f64 = 1000.0;
 /// What lies no higher than this is the ground, which every course has: a hall's floor is nothing to collide with.
 const FLOOR_M: f32 = 0.05;
 
-/// A surface from a file, as it stands on a course. It is seen and touched from both sides; what it encloses is air.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Mesh {
-    /// OBJ, STL or glTF; beside the course's file where it is not absolute, and absolute once it was read.
-    pub file: PathBuf,
-    /// Metres of the file's unit; 0.001 for millimetres.
-    #[serde(default = "one")]
-    pub unit_m: f32,
-    /// Where the file's origin is, north of home.
-    #[serde(default)]
-    pub north_m: f32,
-    /// East of home.
-    #[serde(default)]
-    pub east_m: f32,
-    /// Above ground.
-    #[serde(default)]
-    pub height_m: f32,
-    /// Turn about the file's origin, clockwise from above.
-    #[serde(default)]
-    pub yaw_deg: f32,
-    /// The file's axis that points up; if absent, z, and y of glTF.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub up: Option<Up>,
-    /// What was read.
-    #[serde(skip)]
-    surface: Option<Arc<Surface>>,
+settings! {
+    /// A surface from a file, as it stands on a course. It is seen and touched from both sides; what it encloses is air.
+    pub struct Mesh {
+        /// OBJ, STL or glTF; beside the course's file where it is not absolute, and absolute once it was read.
+        pub file: PathBuf = required(),
+        /// Metres of the file's unit; 0.001 for millimetres.
+        pub unit_m: f32 = free(1.0),
+        /// Where the file's origin is, north of home.
+        pub north_m: f32 = free(0.0),
+        /// East of home.
+        pub east_m: f32 = free(0.0),
+        /// Above ground.
+        pub height_m: f32 = free(0.0),
+        /// Turn about the file's origin, clockwise from above.
+        pub yaw_deg: f32 = free(0.0),
+        /// The file's axis that points up; if absent, z, and y of glTF.
+        pub up: Option<Up> = free(None),
+        ..
+        /// What was read.
+        surface: Option<Arc<Surface>> = None,
+    }
 }
 
 /// A file's axis that points up; x always points east.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Up {
     /// And z south.
     Y,
@@ -68,9 +62,7 @@ pub enum Up {
     Z,
 }
 
-fn one() -> f32 {
-    1.0
-}
+named_setting!(Up, [("y", Up::Y), ("z", Up::Z)]);
 
 /// Why a file is no surface for a course.
 #[derive(Debug, thiserror::Error)]
@@ -94,12 +86,7 @@ impl Mesh {
             Ok(surface) => Ok(Self {
                 surface: Some(Arc::new(surface)),
                 file: path,
-                unit_m: 1.0,
-                north_m: 0.0,
-                east_m: 0.0,
-                height_m: 0.0,
-                yaw_deg: 0.0,
-                up: None,
+                ..Self::default()
             }),
             Err(problem) => Err(MeshError { path, problem }),
         }
