@@ -7,7 +7,9 @@ top="$(cd "$here/../.." && pwd)"
 export top
 "$here/setup.sh"
 # All of it at once, as `tests/run` has built it: a part of it would be compiled anew with other features of the libraries.
-cargo build --quiet --release --manifest-path "$top/Cargo.toml" --workspace --lib --bins --example sample_log --example vigil_depth --locked
+programs=(--workspace --lib --bins --example sample_log --example vigil_depth)
+# Not asked of cargo a second time, which would wait for the checks beside it.
+[ -n "${VIGIL_IS_BUILT:-}" ] || cargo build --quiet --release --manifest-path "$top/Cargo.toml" "${programs[@]}" --locked
 cd "$here"
 
 test_files() { "$top/target/venv-log/bin/python" -m pytest -p no:cacheprovider --ignore=package "$@"; }

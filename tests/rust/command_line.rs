@@ -50,7 +50,7 @@ fn a_malformed_course_is_refused_with_file_line_and_field() {
         vec!["fly", "--course", text(&course)],
         vec!["sim", "--course", text(&course)],
     ] {
-        refused(&run(&command), &["bent.toml:5: `goal_radios_m`"]);
+        refused(&run(&command), &["bent.toml:5: there is no key `goal_radios_m`"]);
     }
     ended(&run(&["courses", "check", text(&course)]), 3, &[]);
 }

@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-use vigil_tests::{Running, files_below, json, refused, root, run, succeed, text};
+use vigil_tests::{Running, ended, files_below, json, refused, root, run, succeed, text};
 
 /// Pictures in the documentation that are no figures of data, and what makes each.
 const OTHER_PICTURES: [(&str, &str); 12] = [
@@ -48,13 +48,17 @@ fn items(manifest: &Value) -> BTreeMap<String, BTreeMap<String, String>> {
         .collect()
 }
 
-/// The first words of `vigil reproduce --list`, but for the heading.
-fn listed() -> BTreeSet<String> {
-    succeed(&run(&["reproduce", "--list"]))
-        .lines()
-        .skip(1)
-        .filter_map(|line| Some(line.split_whitespace().next()?.to_owned()))
-        .collect()
+/// What `vigil reproduce --list` names, and the units that each is made of.
+fn listed() -> BTreeMap<String, BTreeSet<String>> {
+    let table = succeed(&run(&["reproduce", "--list"]));
+    let units = table.lines().next().and_then(|heading| heading.find("made of")).expect("a column");
+    let mut items = BTreeMap::new();
+    for line in table.lines().skip(1) {
+        let name = line.split_whitespace().next().expect("a name").to_owned();
+        let of = line[units..].split(", ").map(|unit| unit.trim().to_owned()).collect();
+        assert!(items.insert(name, of).is_none(), "named twice: {line}");
+    }
+    items
 }
 
 /// Pictures that the pages show.
@@ -89,7 +93,7 @@ fn the_committed_data_make_every_item_and_the_documentation_shows_what_they_make
     // What is listed is made, what is made is in the manifest, and what is in the manifest lies in the folder.
     let manifest = manifest(&out);
     let items = items(&manifest);
-    assert_eq!(items.keys().cloned().collect::<BTreeSet<_>>(), listed());
+    assert!(items.keys().eq(listed().keys()), "{:?}", items.keys());
     let of_paper = (1..=4)
         .map(|n| format!("table-{n}"))
         .chain((9..=14).map(|n| format!("figure-{n}")));
@@ -173,6 +177,35 @@ fn the_documentation_shows_what_is_made(out: &Path, is_made: impl Fn(&String) ->
             "docs/images/{name} is shown nowhere"
         );
     }
+}
+
+#[test]
+fn every_item_is_made_of_units_that_there_are_and_their_commands_are_commands() {
+    let specification = root().join("tools/assets/reproduce/units.toml");
+    let units: toml::Table = toml::from_str(&fs::read_to_string(specification).expect("a file")).expect("TOML");
+    let text_of = |value: &toml::Value| value.as_str().expect("a text").to_owned();
+    let (mut known, mut commands) = (BTreeSet::new(), Vec::new());
+    for unit in units["unit"].as_array().expect("units") {
+        known.insert(text_of(&unit["name"]));
+        commands.extend(unit["commands"].as_array().expect("commands").iter().map(text_of));
+    }
+    // What is measured otherwise is committed with the command that measures it.
+    known.extend(["training-runs", "peers"].map(str::to_owned));
+    let used: BTreeSet<String> = listed().into_values().flatten().collect();
+    assert_eq!(used, known);
+
+    for command in commands {
+        for size in 0..2 {
+            // `2/5`: few and many.
+            let sized = |word: &str| match word.split_once('/') {
+                Some(both) if word.chars().all(|c| c.is_ascii_digit() || c == '/') => [both.0, both.1][size].to_owned(),
+                _ => word.to_owned(),
+            };
+            let words: Vec<String> = command.split(' ').map(sized).chain(["--help".to_owned()]).collect();
+            succeed(&run(&words.iter().map(String::as_str).collect::<Vec<_>>()));
+        }
+    }
+    ended(&run(&["attack", "deflection", "--stats", "2", "--help"]), 2, &["--stats"]);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 mod common;
 
 use common::*;
-use vigil_nnet::train::{SumTree, soft_update};
+use vigil_nnet::train::{Adam, SumTree, adam, soft_update};
 use vigil_nnet::{Isa, Purpose};
 
 #[test]
@@ -65,4 +65,34 @@ fn first_weights_are_seeded_and_bounded_and_a_network_with_them_is_not_saturated
     let mut tape = vec![0.0; graph.tape_len()];
     graph.forward(Isa::detect(), &params, &inputs, &mut tape).unwrap();
     assert!(graph.output(&tape).unwrap().iter().all(|y| y.abs() < 0.75));
+}
+
+#[test]
+fn the_first_step_has_the_length_of_the_rate_whatever_the_gradient() {
+    let mut adam = Adam::new(3);
+    let mut p = [1.0, 1.0, 1.0];
+    adam.step_by_shares(0.1, &[1.0, 0.5], &mut p, &[1e-3, -50.0, 0.0]);
+    assert!(
+        (p[0] - 0.9).abs() < 1e-5 && (p[1] - 1.05).abs() < 1e-5 && p[2] == 1.0,
+        "{p:?}"
+    );
+}
+
+#[test]
+fn it_reaches_the_bottom_of_a_narrow_valley() {
+    // f = (x − 3)² + 100 (y + 1)²
+    let mut adam = Adam::new(2);
+    let mut p = [0.0_f32, 0.0];
+    for _ in 0..4000 {
+        let g = [2.0 * (p[0] - 3.0), 200.0 * (p[1] + 1.0)];
+        adam.step(0.01, &mut p, &g);
+    }
+    assert!((p[0] - 3.0).abs() < 1e-3 && (p[1] + 1.0).abs() < 1e-3, "{p:?}");
+}
+
+#[test]
+fn only_long_gradients_are_shortened() {
+    assert_eq!(adam::norm(&[3.0, 0.0, 4.0]), 5.0);
+    assert_eq!(adam::shortening(5.0, 5.0), 1.0);
+    assert_eq!(adam::shortening(10.0, 5.0), 0.5);
 }

@@ -1,13 +1,13 @@
 //! Trains any network with one output to tell two classes apart.
 
 use crate::report::decimals;
-use crate::trainer::adam::{Adam, norm, shortening};
 use anyhow::{Result, ensure};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use vigil_nnet::train::adam::{Adam, norm, shortening};
 use vigil_nnet::{Graph, Isa};
 
 /// Examples with their class.

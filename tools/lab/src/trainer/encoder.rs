@@ -1,7 +1,6 @@
 //! What the encoder learns before it is frozen: the collision scan, from single frames taken anywhere on courses of all families. There
 //! is no teacher but the simulator, and afterwards a frame is encoded once, not in each of the transitions that hold it.
 
-use crate::trainer::adam::{self, Adam};
 use crate::trainer::config::EncoderConfig;
 use crate::trainer::learner::finite;
 use crate::trainer::noise::normal;
@@ -10,6 +9,7 @@ use core::f32::consts::{PI, TAU};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
+use vigil_nnet::train::adam::{self, Adam};
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::actor::ActorSpec;
 use vigil_policy::actor::memory::{SCAN, proximity, scan_bearing_rad};

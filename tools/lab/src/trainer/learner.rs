@@ -2,7 +2,6 @@
 //! what the actor observes: of the state alone, the gradient of an actor that remembers is biased (Baisero, Amato 2021).
 
 use crate::trainer::actor_net::{ActorNet, LAST_LAYER_LIMIT, squash};
-use crate::trainer::adam::{self, Adam};
 use crate::trainer::config::{LearnConfig, LearningConfig};
 use crate::trainer::mlp::{Mlp, MlpTape};
 use crate::trainer::noise::normal;
@@ -12,6 +11,7 @@ use anyhow::{Result, ensure};
 use rand::Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use vigil_nnet::train::adam::{self, Adam};
 use vigil_nnet::train::soft_update;
 use vigil_nnet::{Isa, ShapeError};
 use vigil_policy::actor::ACTOR_LIMIT;

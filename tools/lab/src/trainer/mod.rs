@@ -4,7 +4,6 @@
 //! what they stored. `docs/learning.md` describes the method and what was measured.
 
 mod actor_net;
-pub(crate) mod adam;
 pub mod config;
 mod encoder;
 pub mod evaluation;

@@ -327,34 +327,3 @@ fn write(folder: &Path, made_by: &MadeBy, all: &[Shown]) -> Result<()> {
     };
     output::write(&folder.join("manifest.json"), serde_json::to_string_pretty(&manifest)?)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::units::SPECS;
-    use super::*;
-
-    #[test]
-    fn every_item_is_made_of_units_that_there_are_and_every_unit_is_used() {
-        let known: Vec<&str> = SPECS.iter().map(|s| s.name.as_str()).chain(COMMITTED_ONLY).collect();
-        let used: Vec<&str> = ITEMS.iter().flat_map(|item| item.units.iter().copied()).collect();
-        assert!(used.iter().all(|unit| known.contains(unit)), "{used:?}");
-        assert!(known.iter().all(|unit| used.contains(unit)), "{known:?}");
-        let mut names: Vec<&str> = ITEMS.iter().map(|item| item.id).collect();
-        names.dedup();
-        assert_eq!(names.len(), ITEMS.len());
-    }
-
-    #[test]
-    fn the_commands_of_all_units_are_commands() {
-        use clap::CommandFactory as _;
-        for size in [Size::Quick, Size::Full] {
-            let setting = Setting::new(None, None, None, size).unwrap();
-            for spec in SPECS.iter() {
-                for line in spec.command(&setting).split(" && ") {
-                    let parsed = crate::cli::Cli::command().try_get_matches_from(line.split(' '));
-                    assert!(parsed.is_ok(), "{line}: {}", parsed.unwrap_err());
-                }
-            }
-        }
-    }
-}

@@ -1,7 +1,6 @@
 //! A run that is stored, and goes on from there to the bit.
 
 use super::{Candidate, Run, SoFar};
-use crate::trainer::adam::Adam;
 use crate::trainer::config::LearnConfig;
 use crate::trainer::replay::Transition;
 use crate::trainer::store::{Stored, Values, save};
@@ -10,6 +9,7 @@ use anyhow::{Result, ensure};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
+use vigil_nnet::train::adam::Adam;
 use vigil_types::settings;
 
 const FORMAT: &str = "vigil learn checkpoint 2";

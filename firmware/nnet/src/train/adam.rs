@@ -1,5 +1,8 @@
 //! Adam (Kingma and Ba 2015), and a limit for gradients.
 
+use alloc::vec;
+use alloc::vec::Vec;
+
 /// Adam's two running moments for a parameter slice; β₁ = 0.9, β₂ = 0.999, ε = 1e-8.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adam {
@@ -7,6 +10,7 @@ pub struct Adam {
     pub mean: Vec<f32>,
     /// Running mean of its square.
     pub square: Vec<f32>,
+    /// Steps taken.
     pub steps: u64,
 }
 
@@ -15,6 +19,7 @@ const BETA_SQUARE: f32 = 0.999;
 const EPSILON: f32 = 1e-8;
 
 impl Adam {
+    /// At rest, for so many parameters.
     pub fn new(len: usize) -> Self {
         Self {
             mean: vec![0.0; len],
@@ -48,6 +53,7 @@ impl Adam {
     }
 }
 
+/// Length of a gradient.
 pub fn norm(gradient: &[f32]) -> f64 {
     let squares = gradient.iter().map(|g| f64::from(*g) * f64::from(*g));
     squares.sum::<f64>().sqrt()
@@ -59,40 +65,5 @@ pub fn shortening(norm: f64, limit: f32) -> f32 {
         (f64::from(limit) / norm) as f32
     } else {
         1.0
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_first_step_has_the_length_of_the_rate_whatever_the_gradient() {
-        let mut adam = Adam::new(3);
-        let mut p = [1.0, 1.0, 1.0];
-        adam.step_by_shares(0.1, &[1.0, 0.5], &mut p, &[1e-3, -50.0, 0.0]);
-        assert!(
-            (p[0] - 0.9).abs() < 1e-5 && (p[1] - 1.05).abs() < 1e-5 && p[2] == 1.0,
-            "{p:?}"
-        );
-    }
-
-    #[test]
-    fn it_reaches_the_bottom_of_a_narrow_valley() {
-        // f = (x − 3)² + 100 (y + 1)²
-        let mut adam = Adam::new(2);
-        let mut p = [0.0_f32, 0.0];
-        for _ in 0..4000 {
-            let g = [2.0 * (p[0] - 3.0), 200.0 * (p[1] + 1.0)];
-            adam.step(0.01, &mut p, &g);
-        }
-        assert!((p[0] - 3.0).abs() < 1e-3 && (p[1] + 1.0).abs() < 1e-3, "{p:?}");
-    }
-
-    #[test]
-    fn only_long_gradients_are_shortened() {
-        assert_eq!(norm(&[3.0, 0.0, 4.0]), 5.0);
-        assert_eq!(shortening(5.0, 5.0), 1.0);
-        assert_eq!(shortening(10.0, 5.0), 0.5);
     }
 }
