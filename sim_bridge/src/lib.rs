@@ -27,6 +27,9 @@ mod depth_sensor;
 pub mod environment;
 pub mod foreign;
 pub mod lockstep_flight;
+#[cfg(test)]
+#[path = "../tests/stories/packet.rs"]
+mod packet;
 pub mod program;
 mod saved_state;
 mod sensor_fault;
@@ -36,8 +39,6 @@ pub mod statistics;
 mod testing;
 mod udp;
 pub mod vehicle_links;
-#[cfg(test)]
-mod vehicle_models;
 pub mod world;
 
 pub use companion_view::CompanionView;

@@ -181,6 +181,3 @@ impl VehicleLinks {
         link.wire.send(&mut self.gate, &self.to_send);
     }
 }
-
-#[cfg(test)]
-mod tests;

@@ -51,7 +51,11 @@ fn items(manifest: &Value) -> BTreeMap<String, BTreeMap<String, String>> {
 /// What `vigil reproduce --list` names, and the units that each is made of.
 fn listed() -> BTreeMap<String, BTreeSet<String>> {
     let table = succeed(&run(&["reproduce", "--list"]));
-    let units = table.lines().next().and_then(|heading| heading.find("made of")).expect("a column");
+    let units = table
+        .lines()
+        .next()
+        .and_then(|heading| heading.find("made of"))
+        .expect("a column");
     let mut items = BTreeMap::new();
     for line in table.lines().skip(1) {
         let name = line.split_whitespace().next().expect("a name").to_owned();
@@ -183,29 +187,32 @@ fn the_documentation_shows_what_is_made(out: &Path, is_made: impl Fn(&String) ->
 fn every_item_is_made_of_units_that_there_are_and_their_commands_are_commands() {
     let specification = root().join("tools/assets/reproduce/units.toml");
     let units: toml::Table = toml::from_str(&fs::read_to_string(specification).expect("a file")).expect("TOML");
+    let units = units["unit"].as_array().expect("units").iter();
     let text_of = |value: &toml::Value| value.as_str().expect("a text").to_owned();
-    let (mut known, mut commands) = (BTreeSet::new(), Vec::new());
-    for unit in units["unit"].as_array().expect("units") {
-        known.insert(text_of(&unit["name"]));
-        commands.extend(unit["commands"].as_array().expect("commands").iter().map(text_of));
-    }
+    let commands = units
+        .clone()
+        .flat_map(|unit| unit["commands"].as_array().expect("commands"));
+    let mut known: BTreeSet<String> = units.map(|unit| text_of(&unit["name"])).collect();
     // What is measured otherwise is committed with the command that measures it.
     known.extend(["training-runs", "peers"].map(str::to_owned));
     let used: BTreeSet<String> = listed().into_values().flatten().collect();
     assert_eq!(used, known);
 
-    for command in commands {
-        for size in 0..2 {
-            // `2/5`: few and many.
-            let sized = |word: &str| match word.split_once('/') {
-                Some(both) if word.chars().all(|c| c.is_ascii_digit() || c == '/') => [both.0, both.1][size].to_owned(),
-                _ => word.to_owned(),
-            };
-            let words: Vec<String> = command.split(' ').map(sized).chain(["--help".to_owned()]).collect();
-            succeed(&run(&words.iter().map(String::as_str).collect::<Vec<_>>()));
-        }
+    for (command, size) in commands.flat_map(|command| [(text_of(command), 0), (text_of(command), 1)]) {
+        // `2/5`: few and many.
+        let is_sized = |word: &&str| word.contains('/') && word.chars().all(|c| c.is_ascii_digit() || c == '/');
+        let sized = |word| {
+            let both = Some(word).filter(is_sized);
+            both.and_then(|word| word.split('/').nth(size)).unwrap_or(word)
+        };
+        succeed(&run(&command
+            .split(' ')
+            .map(sized)
+            .chain(["--help"])
+            .collect::<Vec<_>>()));
     }
-    ended(&run(&["attack", "deflection", "--stats", "2", "--help"]), 2, &["--stats"]);
+    let mistyped = run(&["attack", "deflection", "--stats", "2", "--help"]);
+    ended(&mistyped, 2, &["--stats"]);
 }
 
 #[test]

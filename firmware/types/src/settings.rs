@@ -444,13 +444,8 @@ pub fn from_toml<S: Section>(text: &str) -> Result<S, String> {
 /// # Errors
 /// Line, key and what is allowed; the settings are then of no use.
 pub fn read_over(settings: &mut impl Section, text: &str) -> Result<(), String> {
-    read_text(text, &mut settings.fields())
-}
-
-fn read_text(text: &str, fields: &mut [Field<'_>]) -> Result<(), String> {
-    parse(text)
-        .and_then(|root| read_table(root.get_ref(), 0, fields))
-        .map_err(|refused| refused.in_text(text))
+    let read = parse(text).and_then(|root| read_table(root.get_ref(), 0, &mut settings.fields()));
+    read.map_err(|refused| refused.in_text(text))
 }
 
 /// What a text of TOML says, not yet as settings.

@@ -10,9 +10,6 @@ use vigil_types::named;
 use vigil_types::settings;
 use vigil_types::settings::{free, named_setting, required, section};
 
-/// A flight takes at most so long where the course does not say.
-pub(crate) const TIME_LIMIT_S: f32 = 90.0;
-
 settings! {
     /// A course. Everything is measured from the vehicle's home: north, east and height above ground in metres, angles in
     /// degrees clockwise from north. `docs/courses.md` describes the file.
@@ -28,7 +25,7 @@ settings! {
         /// A flight succeeds within this distance of the goal.
         pub goal_radius_m: f32 = free(1.0),
         /// A flight that takes longer has failed.
-        pub time_limit_s: f32 = free(TIME_LIMIT_S),
+        pub time_limit_s: f32 = free(90.0),
         /// Height of a flat ceiling over everything, if there is one.
         pub ceiling_height_m: Option<f32> = free(None),
         /// Where the vehicle stands at first.

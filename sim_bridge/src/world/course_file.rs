@@ -60,16 +60,16 @@ impl Course {
         let root = settings::parse(text).map_err(invalid)?;
         let mut course: Self = settings::from_table(root.get_ref()).map_err(invalid)?;
         let folder = Path::new(file_name).parent().unwrap_or(Path::new(""));
-        course
-            .read_meshes(folder)
-            .and_then(|()| course.check())
-            .map_err(|wrong| {
-                invalid(Refused {
-                    at: offset_of(root.get_ref(), &wrong.field),
-                    key: wrong.field,
-                    message: wrong.problem,
-                })
-            })?;
+        let checked = course.read_meshes(folder).and_then(|()| course.check());
+        checked.map_err(
+            |FieldProblem {
+                 field: key,
+                 problem: message,
+             }| {
+                let at = offset_of(root.get_ref(), &key);
+                invalid(Refused { at, key, message })
+            },
+        )?;
         Ok(course)
     }
 

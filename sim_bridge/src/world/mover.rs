@@ -69,15 +69,10 @@ impl Default for MoverShape {
 
 impl Setting for MoverShape {
     fn from_given(given: &Given<'_>) -> Result<Self, Refused> {
-        match Outline::from_given(given)? {
-            Outline {
-                column: Some(column),
-                cuboid: None,
-            } => Ok(Self::Column(column)),
-            Outline {
-                column: None,
-                cuboid: Some(cuboid),
-            } => Ok(Self::Box(cuboid)),
+        let outline = Outline::from_given(given)?;
+        match (outline.column, outline.cuboid) {
+            (Some(column), None) => Ok(Self::Column(column)),
+            (None, Some(cuboid)) => Ok(Self::Box(cuboid)),
             _ => Err(refused(given, "one of `column` and `box` is needed")),
         }
     }

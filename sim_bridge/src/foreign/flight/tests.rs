@@ -1,11 +1,9 @@
 use super::*;
-use crate::config::{SimConfig, Start};
-use crate::simulator::Simulator;
-use crate::testing::packet;
+use crate::packet::packet;
 use crate::world::{Column, Family, Outcome, generate};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
-use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, STEP_NS};
+use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, STEP_NS};
 
 /// Pixels in the middle of the image.
 const AHEAD: usize = 64 * DEPTH_COLS + 128;
@@ -289,34 +287,4 @@ fn the_true_pose_is_rendered_where_it_is_wanted_and_waited_for_where_it_is_missi
     assert_eq!(vehicle.look(), (true, PoseState::Tracking));
     assert!((vehicle.ahead_m() - 6.39).abs() < 0.2, "{}", vehicle.ahead_m());
     assert_eq!(vehicle.frame.header.position_ned_m.x, 0.0, "what it believes");
-}
-
-#[test]
-fn our_own_vehicle_heard_by_mavlink_alone_sees_what_its_simulator_shows() {
-    let mut config = SimConfig::new(generate(Family::Validation, 7), 7);
-    config.start = Start::Airborne;
-    let mut simulator = Simulator::new(&config, 0).expect("valid");
-    let foreign_config = ForeignConfig {
-        lidar: config.lidar,
-        seed: 7,
-        ..Default::default()
-    };
-    let mut foreign = ForeignFlight::new(&config.course, &foreign_config, 0).expect("valid");
-    let (mut shown, mut rendered) = (Box::new(DepthFrame::EMPTY), Box::new(DepthFrame::EMPTY));
-    let (silence, mut telemetry) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
-    let mut frames = 0;
-    for _ in 0..60 {
-        simulator.lockstep(&silence, &mut shown, &mut telemetry);
-        for (_, datagram) in telemetry.iter() {
-            foreign.receive(simulator.now_ns(), datagram);
-        }
-        frames += u32::from(foreign.capture(simulator.now_ns(), &mut rendered));
-    }
-    assert!(frames > 35, "{frames} of 60");
-    let pixels = shown.depth.iter().zip(&rendered.depth);
-    let mut apart_m: Vec<f32> = pixels.map(|(a, b)| (a - b).abs() * DEPTH_FULL_SCALE_M).collect();
-    apart_m.sort_by(f32::total_cmp);
-    let median_m = apart_m[apart_m.len() / 2];
-    assert!(median_m < 0.3, "half of the pixels are within {median_m} m");
-    assert_eq!(rendered.header.stamp_ns, simulator.now_ns());
 }

@@ -2,7 +2,7 @@
 
 use super::{CLEAR_GOAL_M, GOAL_DOWNRANGE_M, GOAL_OFFSET_M, cm, generate};
 use crate::world::check::MAX_OBSTACLES;
-use crate::world::course::{Column, Course, Family, TIME_LIMIT_S, Wall};
+use crate::world::course::{Column, Course, Family, Wall};
 use crate::world::solid::Solid;
 use crate::world::wire::Wire;
 
@@ -52,7 +52,7 @@ pub fn generate_long(family: Family, seed: u64, goal_north_m: f32) -> Option<Cou
         *west_m + (side * GOAL_OFFSET_M).min(0.0),
         *east_m + (side * GOAL_OFFSET_M).max(0.0),
     );
-    course.time_limit_s = TIME_LIMIT_S * (goal_north_m / GOAL_DOWNRANGE_M).max(1.0);
+    course.time_limit_s *= (goal_north_m / GOAL_DOWNRANGE_M).max(1.0);
     course.checkpoints.retain(|c| c.north_m < goal_north_m);
     finish(course)
 }

@@ -1,12 +1,12 @@
 //! Other people's vehicles hold as their autopilots do: the way that a mission goes on after HOLD, by the simulated vehicle's MAVLink.
 //! The figures are those measured on PX4 1.18.
 
-use crate::testing::command;
-use crate::vehicle::{VehicleModel, Wind};
-use crate::world::{Family, generate};
-use crate::{SimConfig, Simulator, Start};
+use crate::packets::command;
 use vigil_autopilot::Saved;
 use vigil_mavlink::globe;
+use vigil_sim::vehicle::{VehicleModel, Wind};
+use vigil_sim::world::{Family, generate};
+use vigil_sim::{SimConfig, Simulator, Start};
 
 /// A ground station's change of mode: PX4's AUTO with this sub mode.
 fn change_to(sub_mode: f32) -> Vec<u8> {

@@ -1,13 +1,18 @@
-use super::*;
-use crate::testing;
+//! The links of the simulated vehicle.
+
+use crate::{packet, packets};
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpStream, UdpSocket};
 use std::os::unix::fs::PermissionsExt;
+use std::path::PathBuf;
 use std::time::Duration;
-use vigil_autopilot::{Endpoint, EndpointConfig};
+use vigil_autopilot::{Endpoint, EndpointConfig, LinkId, SigningSetup};
+use vigil_io::gate::AllowUnsigned;
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, SETUP_SIGNING_DATA};
 use vigil_mavlink::framing::MAX_PACKET_LEN;
-use vigil_mavlink::signing::{Signing, SigningMemory, Timestamp, timestamp_of_unix_ns};
+use vigil_mavlink::signing::{Signing, SigningKey, SigningMemory, Timestamp, timestamp_of_unix_ns};
+use vigil_sim::vehicle_links::{LinksConfig, VehicleLinks};
+use vigil_types::Nanos;
 
 const SECOND: Nanos = 1_000_000_000;
 const KEY: SigningKey = SigningKey([3; 32]);
@@ -20,7 +25,7 @@ fn packet(number: u32) -> Vec<u8> {
         custom_mode: number,
         ..HEARTBEAT_DATA::DEFAULT
     };
-    testing::packet(STATION, &MavMessage::HEARTBEAT(heartbeat))
+    packet::packet(STATION, &MavMessage::HEARTBEAT(heartbeat))
 }
 
 /// A file with the key.
@@ -220,7 +225,7 @@ fn setup(key: [u8; 32]) -> Vec<u8> {
         secret_key: key,
         ..SETUP_SIGNING_DATA::DEFAULT
     };
-    testing::packet(STATION, &MavMessage::SETUP_SIGNING(message))
+    packet::packet(STATION, &MavMessage::SETUP_SIGNING(message))
 }
 
 /// A packet with a right checksum of random content, if it is one.
@@ -228,7 +233,7 @@ fn random_packet(random: &mut impl FnMut() -> u8) -> Option<Vec<u8>> {
     let from = (random(), random());
     let id = u32::from(random()) + u32::from(random());
     let payload: Vec<u8> = (0..random()).map(|_| random()).collect();
-    testing::raw(from, id, &payload).ok()
+    packets::raw(from, id, &payload).ok()
 }
 
 /// A hundred thousand packets with right checksums and random content, each tenth a SETUP_SIGNING for the vehicle, on a

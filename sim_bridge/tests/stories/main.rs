@@ -1,0 +1,7 @@
+//! Stories of the whole simulator.
+
+mod packet;
+mod packets;
+mod simulator;
+mod vehicle_links;
+mod vehicle_models;
