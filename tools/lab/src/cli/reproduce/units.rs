@@ -253,3 +253,22 @@ pub fn measure(
     }
     Ok(true)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_commands_of_all_units_are_commands() {
+        use clap::CommandFactory as _;
+        for size in [Size::Quick, Size::Full] {
+            let setting = Setting::new(None, None, None, size).unwrap();
+            for spec in SPECS.iter() {
+                for line in spec.command(&setting).split(" && ") {
+                    let parsed = crate::cli::Cli::command().try_get_matches_from(line.split(' '));
+                    assert!(parsed.is_ok(), "{line}: {}", parsed.unwrap_err());
+                }
+            }
+        }
+    }
+}
