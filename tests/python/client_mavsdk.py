@@ -52,7 +52,8 @@ class Vehicle:
         self.named_values[fields["name"]] = fields["value"]
 
     async def wait_ready(self):
-        await plan.until("health_all_ok", lambda: self.ready, 15.0)
+        # Until the autopilot's own heartbeat, which a companion's may come before, MAVSDK 4.1 keeps a take-off height to itself.
+        await plan.until("health_all_ok and a mode", lambda: self.ready and self.mode, 15.0)
 
     async def set_takeoff_height(self, height_m):
         await self.system.action.set_takeoff_altitude(height_m)
