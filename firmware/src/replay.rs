@@ -224,40 +224,16 @@ fn departure(record: &TickRecord, sent: &Datagrams, report: &StepReport) -> Opti
 
 /// Compares by the printed form, which is exact for numbers and takes NaN for equal to itself.
 fn report_departure(recorded: &StepReport, replayed: &StepReport) -> Option<Departure> {
+    // Taken apart by name, so that a new field does not compile until it is compared.
+    macro_rules! printed {
+        ($report:ident: $($field:ident),*) => {{
+            let StepReport { $($field),* } = $report;
+            [$((stringify!($field), format!("{:?}", $field))),*]
+        }};
+    }
     let fields = |report: &StepReport| {
-        // Taken apart by name, so that a new field does not compile until it is compared.
-        let StepReport {
-            now_ns,
-            timing,
-            state,
-            reasons,
-            telemetry,
-            goal,
-            goal_relative,
-            action,
-            judgement,
-            alarm,
-            setpoint,
-            frame_sequence,
-            frame_age_ns,
-            frames_refused,
-        } = report;
-        [
-            ("now_ns", format!("{now_ns:?}")),
-            ("timing", format!("{timing:?}")),
-            ("state", format!("{state:?}")),
-            ("reasons", format!("{reasons:?}")),
-            ("telemetry", format!("{telemetry:?}")),
-            ("goal", format!("{goal:?}")),
-            ("goal_relative", format!("{goal_relative:?}")),
-            ("action", format!("{action:?}")),
-            ("judgement", format!("{judgement:?}")),
-            ("alarm", format!("{alarm:?}")),
-            ("setpoint", format!("{setpoint:?}")),
-            ("frame_sequence", format!("{frame_sequence:?}")),
-            ("frame_age_ns", format!("{frame_age_ns:?}")),
-            ("frames_refused", format!("{frames_refused:?}")),
-        ]
+        printed!(report: now_ns, timing, state, reasons, telemetry, goal, goal_relative, action, judgement, alarm, setpoint,
+            frame_sequence, frame_age_ns, frames_refused)
     };
     if recorded == replayed {
         return None;

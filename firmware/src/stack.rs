@@ -118,7 +118,7 @@ impl FlightStack {
         }
         Ok(Self {
             frames: FrameKeeper::new(config.sensor_id),
-            plausibility: config.plausibility.then(PlausibilityCheck::new),
+            plausibility: config.plausibility.then(PlausibilityCheck::default),
             second_sensor: config.second_sensor.then(SecondSensor::new),
             companion: Companion::new(config.companion).with_parameters(tunables.parameters()),
             tunables,

@@ -64,13 +64,13 @@ fn decide(bencher: Bencher) {
 #[divan::bench]
 fn check(bencher: Bencher) {
     let frames = frames();
-    let mut plausibility = Box::new(PlausibilityCheck::new());
+    let mut plausibility = Box::new(PlausibilityCheck::default());
     let mut i = 0;
     bencher.bench_local(|| {
         i = (i + 1) % frames.len();
         if i == 0 {
             // The walk begins again: for one that has flown it, a jump.
-            *plausibility = PlausibilityCheck::new();
+            *plausibility = PlausibilityCheck::default();
         }
         let header = frames[i].header;
         let telemetry = VehicleTelemetry {

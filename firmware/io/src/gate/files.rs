@@ -158,14 +158,8 @@ fn stream_of(line: &str) -> Option<StreamTime> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::key_file::tests::key_file;
     use std::os::unix::fs::PermissionsExt;
-
-    fn key_file(folder: &Path, content: &[u8], mode: u32) -> PathBuf {
-        let path = folder.join("vigil.key");
-        std::fs::write(&path, content).unwrap();
-        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
-        path
-    }
 
     fn memory() -> SigningMemory {
         let mut memory = SigningMemory {

@@ -2,7 +2,7 @@
 //! explains a misfit and convicts no sensor; and a sensor that is turned on its mount must differ from a drift.
 
 use super::motion::{Found, Map, cost, look, sigma_m};
-use super::picture::{Directions, Picture};
+use super::picture::{COLS, Directions, Picture};
 use vigil_types::{FrdVector, Nanos};
 
 /// How far an estimate drifts, metres and metres a second, as real ones do in one second of twenty (a PX4 in SIH); and at the most, metres.
@@ -43,7 +43,7 @@ impl<I: Iterator<Item = (usize, usize)> + Clone> Pair<'_, I> {
     }
 
     fn error(&self, cell: (usize, usize), map: &Map) -> Option<(f32, f32)> {
-        let seen = self.from.at(cell.0 * super::COLS + cell.1);
+        let seen = self.from.at(cell.0 * COLS + cell.1);
         match look(self.directions, cell, seen, map, self.to).0 {
             Found::Surface { error_m, range_m } => Some((error_m, range_m)),
             Found::Nothing { .. } | Found::Unknown => None,
@@ -68,7 +68,7 @@ impl<I: Iterator<Item = (usize, usize)> + Clone> Pair<'_, I> {
         let probes = axes.map(|axis| map.shifted(axis));
         let mut squares = Squares::<3>::NONE;
         for cell in self.cells.clone() {
-            let seen = self.from.at(cell.0 * super::COLS + cell.1);
+            let seen = self.from.at(cell.0 * COLS + cell.1);
             let found = |map: &Map| look(self.directions, cell, seen, map, self.to).0;
             squares.add(found(map), probes.each_ref().map(found), 1.0);
         }

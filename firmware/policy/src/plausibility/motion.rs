@@ -1,11 +1,10 @@
 //! Two pictures and the way between them: does one follow from the other?
 
-use super::METRES_PER_RADIAN;
 use super::picture::{COLS, Directions, MIDDLE_COLUMN, Picture, ROWS, Seen, bearing_rad, place_of};
 use vigil_types::{Attitude, FrdVector, NedVector};
 
 /// Where and how turned the sensor was.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Pose {
     pub position_ned_m: NedVector,
     pub attitude: Attitude,
@@ -87,6 +86,8 @@ pub(super) fn sigma_m(range_m: f32) -> f32 {
     0.06 + 0.02 * range_m
 }
 
+/// A turn of a radian counts as so many metres of way.
+const METRES_PER_RADIAN: f32 = 3.0;
 /// A squared error counts for no more than this many variances: what is hidden, moves, or lies at an edge decides nothing.
 pub(super) const MOST_COST: f32 = 9.0;
 /// A surface nearer than this is not lost for being far.
@@ -206,6 +207,17 @@ pub(super) fn samples(phase: usize) -> impl Iterator<Item = (usize, usize)> + Cl
         let cell = i * 8 + (phase + 3 * (i / 8)) % 8;
         (cell / COLS, cell % COLS)
     })
+}
+
+/// How far two poses are apart, metres; turns count as [`METRES_PER_RADIAN`].
+pub(super) fn apart_m(a: &Pose, b: &Pose) -> f32 {
+    (a.position_ned_m - b.position_ned_m).norm() + METRES_PER_RADIAN * turn_rad(a.attitude, b.attitude)
+}
+
+/// The angle φ between two attitudes as 2 sin(φ/2), radians.
+pub(super) fn turn_rad(p: Attitude, q: Attitude) -> f32 {
+    let alike = (p.w * q.w + p.x * q.x + p.y * q.y + p.z * q.z).abs().min(1.0);
+    2.0 * libm::sqrtf(1.0 - alike * alike)
 }
 
 #[cfg(test)]

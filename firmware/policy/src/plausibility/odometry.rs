@@ -5,7 +5,7 @@
 //! that fits best is what the velocity, summed up between the two, is off by. The surfaces are found along the rays (projective data
 //! association; Newcombe et al. 2011), in one step of Gauss and Newton.
 
-use super::Anchor;
+use super::comparison::Anchor;
 use super::drift::Pair;
 use super::motion::{Map, Pose, samples};
 use super::picture::{Directions, Picture};

@@ -1,6 +1,5 @@
 //! A depth frame reduced to cells of 4 × 4 pixels: what two frames are compared by.
 
-use super::PART;
 use crate::{larger, smaller};
 use vigil_nnet::{Isa, Task};
 use vigil_types::{
@@ -8,6 +7,11 @@ use vigil_types::{
     VERTICAL_FOV_RAD, column_bearing_rad, row_elevation_rad,
 };
 
+/// Parts of the view of 4 × 4 cells.
+pub(super) const PART: usize = 4;
+pub(super) const PART_COLS: usize = COLS / PART;
+pub(super) const PART_ROWS: usize = ROWS / PART;
+pub(super) const PARTS: usize = PART_ROWS * PART_COLS;
 /// Pixels along a cell's side.
 pub(super) const SIDE: usize = 4;
 /// Rows of cells.
@@ -51,8 +55,8 @@ pub(super) struct Directions {
     columns: [(f32, f32); COLS],
 }
 
-impl Directions {
-    pub(super) fn new() -> Self {
+impl Default for Directions {
+    fn default() -> Self {
         let middle = |cell: usize| (cell * SIDE) as f32 + 0.5 * (SIDE as f32 - 1.0);
         let both = |angle: f32| (libm::cosf(angle), libm::sinf(angle));
         Self {
@@ -60,7 +64,9 @@ impl Directions {
             columns: core::array::from_fn(|c| both(column_bearing_rad(middle(c)))),
         }
     }
+}
 
+impl Directions {
     /// Cosine and sine of the bearing of a column of cells.
     #[inline]
     pub(super) fn column(&self, column: usize) -> (f32, f32) {
@@ -191,9 +197,14 @@ pub(super) struct Picture {
     inverse: [f32; CELLS],
 }
 
-impl Picture {
-    pub(super) const EMPTY: Self = Self { inverse: [-1.0; CELLS] };
+impl Default for Picture {
+    /// Nothing that could be compared.
+    fn default() -> Self {
+        Self { inverse: [-1.0; CELLS] }
+    }
+}
 
+impl Picture {
     /// Takes a frame, and the sides of its cells; counts what is counts.
     pub(super) fn take(&mut self, frame: &DepthFrame, sides: &mut Sides) -> CellCounts {
         let mut counts = CellCounts::default();
@@ -368,6 +379,11 @@ fn seen(inverse: f32) -> Seen {
     }
 }
 
+/// The part of the view in which a cell lies.
+pub(super) fn part_of(row: usize, column: usize) -> usize {
+    (row / PART) * PART_COLS + column / PART
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -382,7 +398,7 @@ mod tests {
 
     #[test]
     fn a_cell_s_middle_is_seen_in_the_cell() {
-        let directions = Directions::new();
+        let directions = Directions::default();
         for row in 0..ROWS {
             for column in 0..COLS {
                 // The outermost may come out a hair outside.
@@ -410,7 +426,7 @@ mod tests {
         for row in 0..SIDE {
             frame.depth[row * DEPTH_COLS + 16..][..SIDE].fill(0.0);
         }
-        let mut picture = Picture::EMPTY;
+        let mut picture = Picture::default();
         // An edge before something far away.
         frame.depth[24] = 0.6;
         let counts = picture.take(&frame, &mut Sides::default());
@@ -446,7 +462,7 @@ mod tests {
                 *depth = 1.0;
             }
         }
-        let mut picture = Picture::EMPTY;
+        let mut picture = Picture::default();
         assert_eq!(picture.take(&frame, &mut Sides::default()).torn, 0);
         for (top, left) in [(0, 0), (37, 91), (96, 224)] {
             let mut patched = frame.clone();

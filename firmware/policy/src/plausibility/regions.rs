@@ -438,9 +438,9 @@ mod tests {
     }
 
     fn note(regions: &mut Regions, frame: &DepthFrame) -> bool {
-        let mut picture = Picture::EMPTY;
+        let mut picture = Picture::default();
         picture.take(frame, &mut regions.sides);
-        regions.note(frame, &Directions::new(), HEIGHT_M)
+        regions.note(frame, &Directions::default(), HEIGHT_M)
     }
 
     #[test]

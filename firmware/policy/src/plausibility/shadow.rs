@@ -4,8 +4,8 @@
 //! show: a surface there, seen through the ground, is none. Where those rows show no ground nothing can be told, which is no good word
 //! for the picture.
 
+use super::blindness::{STRIP, STRIPS};
 use super::picture::{COLS, Directions, Picture, ROWS, Seen};
-use super::{STRIP, STRIPS};
 use vigil_types::{Attitude, FrdVector, NedVector};
 
 /// Rays at least this steep, the sine of 21°, show what ground there is; depths are counted in bins, metres.

@@ -5,8 +5,9 @@
 //! them: where they lay deep inside the view or, above and below, where the rest of the same surface is still there. Nor does what
 //! stands there give way to what is behind it within a step: somebody wiped it from the picture.
 
+use super::blindness::{BLIND_FRAMES, SEEING_FRAMES};
+use super::count;
 use super::picture::{COLS, Picture, ROWS};
-use super::{BLIND_FRAMES, SEEING_FRAMES, count};
 
 /// What is farther away may go out of range, metres.
 const NEAR_M: f32 = 15.0;

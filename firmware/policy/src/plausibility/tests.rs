@@ -2,15 +2,15 @@ extern crate std;
 
 mod odometry;
 mod parallax;
+mod poses;
 mod shadow;
 
 use super::*;
 use core::f32::consts::PI;
-use std::boxed::Box;
-use std::vec::Vec;
+use std::{boxed::Box, vec::Vec};
 use vigil_types::{
-    AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, Heartbeat, Kinematics, Landed, STEP_NS, STEP_S,
-    VehicleMode, column_bearing_rad, row_elevation_rad,
+    AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, FrdVector, Heartbeat, Kinematics, STEP_NS, STEP_S,
+    column_bearing_rad, row_elevation_rad,
 };
 
 /// A hall with a floor and pillars, and a vehicle that flies through it at 1.5 m/s while it turns and sways.
@@ -520,45 +520,6 @@ fn an_estimate_that_drifted_while_no_frames_came_convicts_nobody_and_a_mirrored_
         found.is_some_and(|(_, d)| d == Reasons::of(Reason::InconsistentPicture)),
         "{found:?}"
     );
-}
-
-#[test]
-fn a_pose_that_is_not_the_vehicle_s_is_implausible() {
-    let far = |m: f32| move |f: &mut DepthFrame| f.header.position_ned_m = NedVector::new(m, m, m);
-    found("out of this world", Reason::ImplausiblePose, 3, far(1e30));
-    found("overflowing", Reason::ImplausiblePose, 3, far(f32::MAX));
-    let mut flight = found("25 m off", Reason::ImplausiblePose, 3, far(25.0));
-    let faults = flight.fly(30, good);
-    assert!(faults[5].contains(Reason::ImplausiblePose) && faults[29].is_empty());
-    found("turned by 20°", Reason::ImplausiblePose, 3, |f| {
-        f.header.attitude = turned_by_exactly(f.header.attitude, 0.35);
-    });
-    let mut kept = None;
-    found("frozen", Reason::ImplausiblePose, 12, |f| {
-        f.header.position_ned_m = *kept.get_or_insert(f.header.position_ned_m)
-    });
-}
-
-#[test]
-fn a_position_that_jumps_in_flight_is_implausible_until_ten_poses_fit_and_on_the_ground_it_may() {
-    for jump_m in [2.0, 12.0] {
-        let mut flight = Flight::new();
-        assert_eq!(flight.fly(20, good), [Reasons::NONE; 20]);
-        // Telemetry and header agree on it, and so does every picture from there on.
-        flight.position.x -= jump_m;
-        let faults = flight.fly(30, good);
-        let implausible = faults
-            .iter()
-            .take_while(|d| d.contains(Reason::ImplausiblePose))
-            .count();
-        assert_eq!(implausible, 10, "{jump_m} m: {faults:?}");
-        assert!(faults[10..].iter().all(|d| d.is_empty()), "{jump_m} m: {faults:?}");
-    }
-    let mut flight = Flight::new();
-    (flight.position.z, flight.speed_m_s) = (-0.12, 0.0);
-    flight.fly(5, good);
-    flight.position.x -= 12.0;
-    assert_eq!(flight.fly(5, good), [Reasons::NONE; 5]);
 }
 
 #[test]
