@@ -51,25 +51,18 @@ impl Course {
     /// # Errors
     /// [`CourseError::Invalid`] with line and field.
     pub fn from_toml_str(text: &str, file_name: &str) -> Result<Self, CourseError> {
-        let invalid = |Refused { at, key, message }| CourseError::Invalid {
+        let invalid = |at: usize, field, problem| CourseError::Invalid {
             file: file_name.to_owned(),
             line: 1 + text.bytes().take(at).filter(|b| *b == b'\n').count(),
-            field: key,
-            problem: message,
+            field,
+            problem,
         };
-        let root = settings::parse(text).map_err(invalid)?;
-        let mut course: Self = settings::from_table(root.get_ref()).map_err(invalid)?;
+        let refused = |r: Refused| invalid(r.at, r.key, r.message);
+        let root = settings::parse(text).map_err(refused)?;
+        let mut course: Self = settings::from_table(root.get_ref()).map_err(refused)?;
         let folder = Path::new(file_name).parent().unwrap_or(Path::new(""));
         let checked = course.read_meshes(folder).and_then(|()| course.check());
-        checked.map_err(
-            |FieldProblem {
-                 field: key,
-                 problem: message,
-             }| {
-                let at = offset_of(root.get_ref(), &key);
-                invalid(Refused { at, key, message })
-            },
-        )?;
+        checked.map_err(|wrong| invalid(offset_of(root.get_ref(), &wrong.field), wrong.field, wrong.problem))?;
         Ok(course)
     }
 
