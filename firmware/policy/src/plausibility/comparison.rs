@@ -29,7 +29,7 @@ const DIRECTED_M_S: f32 = 0.5;
 /// A way shorter than so many times what the estimate may have drifted meanwhile says nothing: a vehicle that hovers for seconds on a real
 /// one seems to have come half a metre, and a picture that did not move must not be taken for one that did.
 const DRIFTS: f32 = 1.5;
-/// Cells that did not change by a bit although they should have, of a step's samples, and how many steps in a row.
+/// Cells that did not change by a bit although they should have, of a step's samples.
 const SAME_CELLS: u16 = 10;
 /// A cell should have changed if the motion asks for more than this, metres.
 const CHANGE_M: f32 = 0.03;
@@ -140,14 +140,18 @@ impl PlausibilityCheck {
         let mut stayed = 0;
         for (row, column) in samples(self.step) {
             let cell = row * COLS + column;
-            let inverse = self.picture.inverse(cell);
-            if inverse > 0.0 && inverse.to_bits() == self.before.inverse(cell).to_bits() {
+            if self.is_same_to_the_bit(cell) {
                 let seen = self.picture.at(cell);
                 let (found, _) = look(&self.directions, (row, column), seen, map, &self.before);
                 stayed += u16::from(matches!(found, Found::Surface { error_m, .. } if error_m.abs() > CHANGE_M));
             }
         }
         stayed
+    }
+
+    fn is_same_to_the_bit(&self, cell: usize) -> bool {
+        let inverse = self.picture.inverse(cell);
+        inverse > 0.0 && inverse.to_bits() == self.before.inverse(cell).to_bits()
     }
 
     /// Did the picture move at all, everywhere?
@@ -307,8 +311,7 @@ impl PlausibilityCheck {
         for (row, column) in cells {
             let cell = row * COLS + column;
             let seen = self.picture.at(cell);
-            let inverse = self.picture.inverse(cell);
-            same += u16::from(inverse > 0.0 && inverse.to_bits() == self.before.inverse(cell).to_bits());
+            same += u16::from(self.is_same_to_the_bit(cell));
             let (found, _) = look(&self.directions, (row, column), seen, &back, &anchor.picture);
             if let (Some(moved), Seen::Surface(range_m)) = (found.cost(), seen) {
                 told += 1;

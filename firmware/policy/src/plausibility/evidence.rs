@@ -7,6 +7,7 @@ use vigil_types::Reason;
 /// What is found counts for about ten frames, and for about forty where directions are told.
 const KEEP: f32 = 0.9;
 const KEEP_LONG: f32 = 0.975;
+/// Frames in a row that hardly changed by a bit, although the vehicle moved: the sensor is frozen.
 const SAME_FRAMES: u8 = 2;
 /// Cost of the motion over that of standing still, for the view (and as a share of the motion's) and for a part of it, that
 /// tells frozen; and how many parts.
@@ -37,7 +38,7 @@ const MIRRORED_NEAR: f32 = 0.05;
 const VANISHED: f32 = 6.0;
 const VANISHED_PARTS: usize = 16;
 /// Points that were seen through above one row of the view, where next to nothing was found: that side of the view is dead, and
-/// showed too little when it died for [`SilentSide`] to tell.
+/// showed too little when it died for [`SilentSide`](super::silence::SilentSide) to tell.
 const VANISHED_ABOVE: f32 = 10.0;
 const FOUND_ABOVE: f32 = 0.1;
 

@@ -216,8 +216,13 @@ pub(super) fn apart_m(a: &Pose, b: &Pose) -> f32 {
 
 /// The angle φ between two attitudes as 2 sin(φ/2), radians.
 pub(super) fn turn_rad(p: Attitude, q: Attitude) -> f32 {
-    let alike = (p.w * q.w + p.x * q.x + p.y * q.y + p.z * q.z).abs().min(1.0);
+    let alike = alike(p, q).min(1.0);
     2.0 * libm::sqrtf(1.0 - alike * alike)
+}
+
+/// The cosine of half the angle between two attitudes.
+pub(super) fn alike(p: Attitude, q: Attitude) -> f32 {
+    (p.w * q.w + p.x * q.x + p.y * q.y + p.z * q.z).abs()
 }
 
 #[cfg(test)]

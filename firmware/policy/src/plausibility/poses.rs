@@ -1,7 +1,7 @@
 //! The frame header's pose against the telemetry's at the same time.
 
 use super::count;
-use super::motion::Pose;
+use super::motion::{Pose, alike};
 use vigil_types::{Attitude, AttitudeSample, FrdVector, Kinematics, Nanos, NedVector};
 
 /// How far the header's position and attitude may be from the telemetry's, and by how much the difference may change in 10 frames.
@@ -70,10 +70,8 @@ impl PoseCheck {
         } else {
             self.poses + 1
         };
-        let (a, b) = (pose.attitude, attitude);
-        let alike = a.w * b.w + a.x * b.x + a.y * b.y + a.z * b.z;
         // Written so that NaN is bad.
-        let good = error.norm() <= POSE_M && drift_m <= POSE_DRIFT_M && alike.abs() >= POSE_COS_HALF;
+        let good = error.norm() <= POSE_M && drift_m <= POSE_DRIFT_M && alike(pose.attitude, attitude) >= POSE_COS_HALF;
         count(&mut self.bad_poses, !good);
         count(&mut self.good_poses, good);
         self.is_bad = if self.is_bad {
