@@ -71,7 +71,7 @@ fn first_weights_are_seeded_and_bounded_and_a_network_with_them_is_not_saturated
 fn the_first_step_has_the_length_of_the_rate_whatever_the_gradient() {
     let mut adam = Adam::new(3);
     let mut p = [1.0, 1.0, 1.0];
-    adam.step_by_shares(0.1, &[1.0, 0.5], &mut p, &[1e-3, -50.0, 0.0]);
+    adam.step_by_shares(0.1, &[1.0, 0.5], 2.0, &mut p, &mut [1e-3, -50.0, 0.0]);
     assert!(
         (p[0] - 0.9).abs() < 1e-5 && (p[1] - 1.05).abs() < 1e-5 && p[2] == 1.0,
         "{p:?}"
@@ -82,10 +82,11 @@ fn the_first_step_has_the_length_of_the_rate_whatever_the_gradient() {
 fn it_reaches_the_bottom_of_a_narrow_valley() {
     // f = (x − 3)² + 100 (y + 1)²
     let mut adam = Adam::new(2);
-    let mut p = [0.0_f32, 0.0];
+    let (mut p, mut g) = ([0.0_f32, 0.0], [0.0; 2]);
     for _ in 0..4000 {
-        let g = [2.0 * (p[0] - 3.0), 200.0 * (p[1] + 1.0)];
-        adam.step(0.01, &mut p, &g);
+        g[0] += 2.0 * (p[0] - 3.0);
+        g[1] += 200.0 * (p[1] + 1.0);
+        adam.step(0.01, 1.0, &mut p, &mut g);
     }
     assert!((p[0] - 3.0).abs() < 1e-3 && (p[1] + 1.0).abs() < 1e-3, "{p:?}");
 }

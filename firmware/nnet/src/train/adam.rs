@@ -28,24 +28,26 @@ impl Adam {
         }
     }
 
-    /// One step down the gradient.
-    pub fn step(&mut self, rate: f32, params: &mut [f32], gradient: &[f32]) {
-        self.step_by_shares(rate, &[], params, gradient);
+    /// One step down `factor` times the gradient, which is zero afterwards: the next is added up in it.
+    pub fn step(&mut self, rate: f32, factor: f32, params: &mut [f32], gradient: &mut [f32]) {
+        self.step_by_shares(rate, &[], factor, params, gradient);
     }
 
     /// The same, each parameter at its own share of the rate; those without a share at the whole.
-    pub fn step_by_shares(&mut self, rate: f32, shares: &[f32], params: &mut [f32], gradient: &[f32]) {
+    pub fn step_by_shares(&mut self, rate: f32, shares: &[f32], factor: f32, params: &mut [f32], gradient: &mut [f32]) {
         self.steps += 1;
         let bias = |beta: f32| 1.0 - f64::from(beta).powf(self.steps as f64);
         let rate = (f64::from(rate) / bias(BETA_MEAN)) as f32;
         let unbias = (1.0 / bias(BETA_SQUARE)) as f32;
         let moments = self.mean.iter_mut().zip(&mut self.square);
-        for (((p, g), share), (m, s)) in params
+        for (((p, slot), share), (m, s)) in params
             .iter_mut()
             .zip(gradient)
             .zip(shares.iter().chain(core::iter::repeat(&1.0)))
             .zip(moments)
         {
+            let g = *slot * factor;
+            *slot = 0.0;
             *m += (1.0 - BETA_MEAN) * (g - *m);
             *s += (1.0 - BETA_SQUARE) * (g * g - *s);
             *p -= rate * share * *m / ((*s * unbias).sqrt() + EPSILON);

@@ -151,6 +151,7 @@ pub fn fit(
 ) -> Result<Fitted> {
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     let mut adam = Adam::new(params.len());
+    let mut gradient = vec![0.0; params.len()];
     let mut packed = vec![0.0; params.len()];
     let mut order: Vec<usize> = (0..train.count()).collect();
     let steps = train.count().div_ceil(config.batch) * config.epochs;
@@ -166,7 +167,6 @@ pub fn fit(
             let parts = batch.par_chunks(SHARE);
             let parts = parts.map(|share| add_up(graph, isa, (&params, &packed), train, share));
             let parts = parts.collect::<Result<Vec<_>>>()?;
-            let mut gradient = vec![0.0; params.len()];
             for (part_sum, part) in parts {
                 sum += part_sum;
                 for (g, part) in gradient.iter_mut().zip(part) {
@@ -176,11 +176,10 @@ pub fn fit(
             let length = norm(&gradient);
             ensure!(length.is_finite(), diverged());
             let factor = shortening(length, config.gradient_norm);
-            gradient.iter_mut().for_each(|g| *g *= factor);
             let turn = core::f64::consts::PI * step as f64 / steps as f64;
             let rate = config.rate * (0.01 + 0.99 * 0.5 * (1.0 + libm::cos(turn) as f32));
             params.iter_mut().for_each(|p| *p *= 1.0 - rate * config.weight_decay);
-            adam.step(rate, &mut params, &gradient);
+            adam.step(rate, factor, &mut params, &mut gradient);
             step += 1;
             progress(step, None);
         }

@@ -236,9 +236,8 @@ pub fn teach_encoder(
         let norm = adam::norm(d);
         finite(update, "gradient", "encoder", norm as f32)?;
         let scale = adam::shortening(norm, GRADIENT_NORM);
-        d.iter_mut().for_each(|d| *d *= scale);
         let rate = config.rate * (1.0 - 0.97 * (update as f32 / config.updates as f32));
-        adam.step_by_shares(rate, &shares, &mut params[..len], d);
+        adam.step_by_shares(rate, &shares, scale, &mut params[..len], d);
         mean_loss += total.loss / 100.0;
         if (update + 1).is_multiple_of(100) {
             report(update + 1, mean_loss);

@@ -222,7 +222,6 @@ impl Learner {
                     c.loss += step.weight * error * error / count;
                 }
                 mlp.pack(&c.params, &mut c.packed)?;
-                c.d.fill(0.0);
                 let (packed, out, d) = (&c.packed, &c.out[..batch.len()], Some(&mut *c.d));
                 mlp.backward(isa, &c.params, packed, x, &mut c.tape, out, d, None)?;
                 c.norm = adam::norm(&c.d) as f32;
@@ -278,7 +277,6 @@ impl Learner {
             };
             *d_pre = (d_action * ACTOR_LIMIT * (1.0 - squashed * squashed) + penalty) / count;
         }
-        self.d_actor.fill(0.0);
         self.net.backward(isa, &self.actor, d_pre, &mut self.d_actor)?;
         report.actor_norm = adam::norm(&self.d_actor) as f32;
         finite(self.updates, "gradient", "actor", report.actor_norm)?;
@@ -290,8 +288,7 @@ impl Learner {
         let (share, limit, tau) = (self.rates_share(), self.config.gradient_norm, self.config.tau);
         let step = |rate: f32, adam: &mut Adam, params: &mut [f32], d: &mut [f32], norm: f32| {
             let scale = adam::shortening(f64::from(norm), limit);
-            d.iter_mut().for_each(|d| *d *= scale);
-            adam.step(rate * share, params, d);
+            adam.step(rate * share, scale, params, d);
         };
         step(
             self.config.actor_rate,
