@@ -1,4 +1,4 @@
-//! Layer timings, in the sizes of the actor's layers: `cargo bench --profile release -p vigil-nnet`. The actor's own are in
+//! Layer timings, in sizes like the encoder's: `cargo bench --profile release -p vigil-nnet`. The actor's own are in
 //! `firmware/policy/benches/network.rs`.
 
 use divan::counter::ItemsCount;
@@ -71,7 +71,7 @@ fn layer(i: usize) -> Conv2d {
 
 // Items are floating-point operations, so that the throughput column reads in FLOP/s.
 fn flops(layer: &Conv2d) -> ItemsCount {
-    ItemsCount::new(2 * layer.macs())
+    ItemsCount::new(2 * layer.out_rows() * layer.out_cols() * layer.weight_len())
 }
 
 #[divan::bench(args = layers())]

@@ -71,7 +71,7 @@ impl StreamAttack {
     /// None for an actor of this project's frames.
     pub fn pass(&mut self, taken: &PilotInput<'_>) -> Result<(), AttackError> {
         let [forward_m_s, yaw] = self.delivered.decide(taken)?;
-        self.clean.decide(taken)?;
+        self.clean.decide_beside(&self.delivered, taken)?;
         self.clean.note_action(Action { forward_m_s, yaw });
         self.direction = None;
         if let Some(evasion) = &mut self.evasion {
@@ -106,7 +106,7 @@ impl StreamAttack {
         // What the actor will hold beside this frame: what it would hold beside it unaltered. (But for a flight's first frame, which stands
         // for the missing older ones.)
         self.foreseen.remember_as(&self.delivered);
-        self.foreseen.decide(taken)?;
+        self.foreseen.decide_beside(&self.clean, taken)?;
         self.surrogate.hold(Beside::of(&self.foreseen));
         let before = self.surrogate.look(&delivered.depth)?;
         self.perturber.see_from(taken.depth.header.attitude, taken.height_m);

@@ -10,14 +10,14 @@ from conftest import TOP, VIGIL
 from vigil import log
 from vigil.evaluate import completion
 
-SEEDS = 3
+SEEDS = 2
 
 
 @pytest.fixture(scope="module")
 def evaluated(tmp_path_factory):
-    """What `vigil evaluate` says of three flights, and their logs."""
+    """What `vigil evaluate` says of these flights, and their logs."""
     folder = tmp_path_factory.mktemp("evaluated")
-    arguments = ["--flights", "3", "--seed", "7", "--ground-every", "0", "--threads", "2", "--attack", "bim-accumulating"]
+    arguments = ["--flights", str(SEEDS), "--seed", "7", "--ground-every", "0", "--threads", "2", "--attack", "bim-accumulating"]
     arguments += ["--iterations", "5", "--burst", "20"]
     command = [VIGIL, "evaluate", *arguments, "-o", folder / "e.json", "--logs", folder / "logs"]
     subprocess.run(command, check=True, capture_output=True, timeout=240)

@@ -168,11 +168,6 @@ impl Conv2d {
         self.weight_len() + self.filters
     }
 
-    /// Multiply-adds of one forward pass, padding included.
-    pub fn macs(&self) -> usize {
-        self.out_rows() * self.out_cols() * self.weight_len()
-    }
-
     fn vertical(&self) -> Axis {
         Axis {
             size: self.rows,

@@ -398,6 +398,19 @@ impl Actor {
         self.encoder
             .forward(self.isa, &self.params, &[depth], &mut self.encoder_tape)?;
         self.scan.copy_from_slice(self.encoder.output(&self.encoder_tape)?);
+        self.decide_on_scan(input)
+    }
+
+    /// The same on a frame that another actor with this one's encoder has just decided on: its scan is not computed a second time.
+    ///
+    /// # Errors
+    /// None for a valid description.
+    pub fn decide_beside(&mut self, other: &Self, input: &PilotInput<'_>) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
+        self.scan = other.scan;
+        self.decide_on_scan(input)
+    }
+
+    fn decide_on_scan(&mut self, input: &PilotInput<'_>) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
         self.low = self.senses.observe(&self.scan, Odometry::of(input), input, self.last);
         self.context = *self.senses.context();
         take(self.ablation, &mut self.context, &mut self.low);

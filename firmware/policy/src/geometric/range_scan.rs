@@ -24,7 +24,7 @@ pub const USEFUL_RANGE_M: f32 = 30.0;
 /// Where a sector's point is put when nothing was seen in it, metres.
 pub const FAR_M: f32 = 1e4;
 
-/// Bins that are looked at together.
+/// Bins, or columns, that are looked at together.
 const BLOCK: usize = 16;
 /// Squared normalised range that stands for "nothing".
 const NOTHING: f32 = 4.0;
@@ -281,12 +281,7 @@ struct Look<'a, T> {
 impl Task for Look<'_, [[u16; DISTRUST_BINS]; SECTORS]> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
-        let Self {
-            tables,
-            frame,
-            axes,
-            seen: sectors,
-        } = self;
+        let (tables, frame, axes, sectors) = (self.tables, self.frame, self.axes, self.seen);
         let band = libm::sinf(DISTRUST_HALF_ANGLE_RAD);
         let lean = libm::hypotf(axes.forward.z, axes.right.z);
         for (pixels, &(cos_row, sin_row)) in frame.depth.as_chunks::<DEPTH_COLS>().0.iter().zip(&tables.rows) {
@@ -320,43 +315,44 @@ impl Task for Look<'_, [[u16; DISTRUST_BINS]; SECTORS]> {
 impl Task for Look<'_, [[f32; 3]; DEPTH_COLS]> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
-        let Self {
-            tables,
-            frame,
-            axes,
-            seen: nearest,
-        } = self;
+        let (tables, frame, axes, nearest) = (self.tables, self.frame, self.axes, self.seen);
         let band = BAND_HALF_HEIGHT_M / DEPTH_FULL_SCALE_M;
         let farthest = USEFUL_RANGE_M / DEPTH_FULL_SCALE_M;
-        let mut drop = [0.0; DEPTH_COLS];
-        for ((k, c), s) in drop.iter_mut().zip(&tables.cos_column).zip(&tables.sin_column) {
-            *k = axes.forward.z * c + axes.right.z * s;
-        }
-        let [mut first, mut second, mut third] = [[NOTHING; DEPTH_COLS]; 3];
-        for (pixels, &(cos_row, sin_row)) in frame.depth.as_chunks::<DEPTH_COLS>().0.iter().zip(&tables.rows) {
-            let rise = axes.down.z * sin_row;
-            for i in 0..DEPTH_COLS {
-                // All arrays have DEPTH_COLS items.
-                #[allow(clippy::indexing_slicing)]
-                {
-                    let depth = pixels[i];
-                    let below = depth * (cos_row * drop[i] - rise);
-                    let squared = depth * depth - below * below;
-                    let v = if (below.abs() < band) & (depth < farthest) {
-                        squared
-                    } else {
-                        NOTHING
-                    };
-                    let v1 = larger(first[i], v);
-                    first[i] = smaller(first[i], v);
-                    let v2 = larger(second[i], v1);
-                    second[i] = smaller(second[i], v1);
-                    third[i] = smaller(third[i], v2);
+        let directions =
+            (tables.cos_column.as_chunks::<BLOCK>().0.iter()).zip(tables.sin_column.as_chunks::<BLOCK>().0);
+        let blocks = nearest.as_chunks_mut::<BLOCK>().0.iter_mut().zip(directions);
+        // Some columns after the others, so that what was found in them stays in registers.
+        for (block, (nearest, (cos, sin))) in blocks.enumerate() {
+            let mut drop = [0.0; BLOCK];
+            for ((k, c), s) in drop.iter_mut().zip(cos).zip(sin) {
+                *k = axes.forward.z * c + axes.right.z * s;
+            }
+            let [mut first, mut second, mut third] = [[NOTHING; BLOCK]; 3];
+            for (pixels, &(cos_row, sin_row)) in frame.depth.as_chunks::<DEPTH_COLS>().0.iter().zip(&tables.rows) {
+                let rise = axes.down.z * sin_row;
+                let Some(pixels) = pixels.as_chunks::<BLOCK>().0.get(block) else {
+                    break;
+                };
+                for i in 0..BLOCK {
+                    // All arrays have BLOCK items.
+                    #[allow(clippy::indexing_slicing)]
+                    {
+                        let depth = pixels[i];
+                        let below = depth * (cos_row * drop[i] - rise);
+                        let squared = depth * depth - below * below;
+                        let counts = (below.abs() < band) & (depth < farthest);
+                        let v = if counts { squared } else { NOTHING };
+                        let v1 = larger(first[i], v);
+                        first[i] = smaller(first[i], v);
+                        let v2 = larger(second[i], v1);
+                        second[i] = smaller(second[i], v1);
+                        third[i] = smaller(third[i], v2);
+                    }
                 }
             }
-        }
-        for (((nearest, a), b), c) in nearest.iter_mut().zip(first).zip(second).zip(third) {
-            *nearest = [a, b, c];
+            for (((nearest, a), b), c) in nearest.iter_mut().zip(first).zip(second).zip(third) {
+                *nearest = [a, b, c];
+            }
         }
     }
 }

@@ -146,9 +146,12 @@ fn falling(
     (0..ROWS).flat_map(move |row| {
         (0..COLS).filter_map(move |column| {
             let falls = directions.falls(down, row, column);
-            match picture.at(row * COLS + column) {
-                Seen::Surface(range_m) if falls >= least => Some((falls, range_m, column)),
-                _ => None,
+            if falls >= least
+                && let Seen::Surface(range_m) = picture.at(row * COLS + column)
+            {
+                Some((falls, range_m, column))
+            } else {
+                None
             }
         })
     })

@@ -32,7 +32,7 @@ fn bits(ranges: &Ranges) -> Vec<u32> {
 fn both_methods_and_all_vector_widths_give_the_same_bits() {
     let mut hits = 0;
     for family in Family::ALL {
-        for seed in 0..12 {
+        for seed in 0..4 {
             let mut world = World::new(&generate(family, seed));
             let mut reference = Lidar::new(LidarConfig::default(), 1)
                 .expect("valid")
@@ -50,11 +50,8 @@ fn both_methods_and_all_vector_widths_give_the_same_bits() {
                 for simd in Simd::available() {
                     let mut fast = Lidar::new(LidarConfig::default(), 1).expect("valid");
                     fast.simd = simd;
-                    assert_eq!(
-                        bits(fast.cast(&world, pose.0, pose.1)),
-                        expected,
-                        "{family} {seed} {pose:?} {simd:?}"
-                    );
+                    let ranges = bits(fast.cast(&world, pose.0, pose.1));
+                    assert_eq!(ranges, expected, "{family} {seed} {pose:?} {simd:?}");
                     let mut other = Box::new(DepthFrame::EMPTY);
                     fast.capture(&world, &shot(pose, i as u64), &mut other);
                     let frame = frame.get_or_insert_with(|| other.clone());
@@ -69,17 +66,14 @@ fn both_methods_and_all_vector_widths_give_the_same_bits() {
 #[test]
 fn a_thinned_sensor_sees_what_its_beams_meet() {
     for every in Lidar::EVERY {
-        for seed in 0..12 {
+        for seed in 0..4 {
             let world = World::new(&generate(Family::Validation, seed));
             let sensor = || Lidar::new(LidarConfig::default(), 1).expect("valid").every(every);
             let (mut fast, mut reference) = (sensor(), sensor().with_method(Method::Reference));
             for pose in poses() {
                 let expected = bits(reference.cast(&world, pose.0, pose.1));
-                assert_eq!(
-                    bits(fast.cast(&world, pose.0, pose.1)),
-                    expected,
-                    "{every} {seed} {pose:?}"
-                );
+                let ranges = bits(fast.cast(&world, pose.0, pose.1));
+                assert_eq!(ranges, expected, "{every} {seed} {pose:?}");
             }
         }
     }
@@ -173,11 +167,8 @@ fn triangles_are_met_the_same_ray_by_ray_and_strip_by_strip_on_all_vector_widths
                 let expected = bits(reference.cast(&world, pose.0, pose.1));
                 for simd in Simd::available() {
                     fast.simd = simd;
-                    assert_eq!(
-                        bits(fast.cast(&world, pose.0, pose.1)),
-                        expected,
-                        "{seed} {every} {simd:?} {pose:?}"
-                    );
+                    let ranges = bits(fast.cast(&world, pose.0, pose.1));
+                    assert_eq!(ranges, expected, "{seed} {every} {simd:?} {pose:?}");
                 }
             }
         }

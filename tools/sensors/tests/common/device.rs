@@ -64,7 +64,7 @@ impl Device {
     }
 
     /// The packets of one turn on a course from a standing vehicle: in the middle of the turn, when it looks ahead, the machine's clock
-    /// reads `ahead_ns`. Only what the front half sees is cast; behind nothing returns.
+    /// reads `ahead_ns`. Only what lies within 72° of the nose is cast; beside and behind it nothing returns.
     pub fn turn(&self, world: &World, pose: (NedVector, Attitude), number: u16, ahead_ns: u64) -> Vec<Vec<u8>> {
         (0..COLUMNS / PER_PACKET)
             .map(|packet| {
@@ -85,7 +85,7 @@ impl Device {
         bytes.extend(number.to_le_bytes());
         bytes.extend((column as u32 * 90_112 / COLUMNS as u32).to_le_bytes());
         for beam in 0..self.altitudes_deg.len() {
-            let is_front = (COLUMNS / 4..3 * COLUMNS / 4).contains(&column);
+            let is_front = (3 * COLUMNS / 10..7 * COLUMNS / 10).contains(&column);
             let range_mm = is_front
                 .then(|| self.range_mm(world, pose, column, beam))
                 .flatten()
