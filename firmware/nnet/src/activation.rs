@@ -154,9 +154,9 @@ impl Task for Apply<'_> {
         let y = self.y;
         match self.act {
             Activation::Identity => {}
-            // Written so that NaN stays NaN.
-            Activation::Relu => map(y, |x| if x < 0.0 { 0.0 } else { x }),
-            // A sum of which one part is 0: a choice between the two becomes a masked store, which costs AVX2 more than the rest.
+            // Written so that NaN stays NaN. A sum of which one part is 0, as below: a choice between the two becomes a masked store,
+            // which costs AVX2 more than the rest.
+            Activation::Relu => map(y, |x| 0.0 + if x < 0.0 { 0.0 } else { x }),
             Activation::Elu => map(y, |x| {
                 let (above, below) = if x > 0.0 { (x, 0.0) } else { (0.0, x) };
                 above + exp_m1_negative::<FUSED>(below)
