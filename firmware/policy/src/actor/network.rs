@@ -401,7 +401,8 @@ impl Actor {
         self.decide_on_scan(input)
     }
 
-    /// The same on a frame that another actor with this one's encoder has just decided on: its scan is not computed a second time.
+    /// The same on a frame that another actor with this one's encoder has just decided on: its scan is taken over, so that neither
+    /// may be one without frames ([`Ablation::Frames`]).
     ///
     /// # Errors
     /// None for a valid description.
