@@ -271,6 +271,14 @@ fn files_of_another_kind_or_size_are_refused_at_once_and_told_once() {
 }
 
 #[test]
+fn a_seed_that_no_configuration_can_keep_is_refused() {
+    for command in [&["learn"][..], &["detector", "train"]] {
+        let seed = ["--seed", "9223372036854775808"];
+        ended(&run(&[command, &seed].concat()), 2, &["not in 0..9223372036854775808"]);
+    }
+}
+
+#[test]
 fn a_state_that_is_refused_is_named_with_file_and_line() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("vehicle92.toml");

@@ -66,8 +66,8 @@ enum DetectorCommand {
         /// Epochs.
         #[arg(long, default_value_t = LstmConfig::default().fit.epochs)]
         epochs: usize,
-        /// Seed of first weights, order and background sample.
-        #[arg(long, default_value_t = LstmConfig::default().fit.seed)]
+        /// Seed of first weights, order and background sample; below 2⁶³, as TOML's integers.
+        #[arg(long, default_value_t = LstmConfig::default().fit.seed, value_parser = clap::value_parser!(u64).range(..1 << 63))]
         seed: u64,
     },
     /// Judge flights on courses never trained on.

@@ -28,8 +28,8 @@ pub struct LearnArgs {
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 
-    /// Seed, instead of the configuration's.
-    #[arg(long)]
+    /// Seed, instead of the configuration's; below 2⁶³, as TOML's integers.
+    #[arg(long, value_parser = clap::value_parser!(u64).range(..1 << 63))]
     seed: Option<u64>,
 
     /// Threads, instead of the configuration's; any number trains the same.
