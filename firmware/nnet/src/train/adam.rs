@@ -55,20 +55,6 @@ impl Adam {
     }
 }
 
-/// Adds one `of`-th of another part of a gradient to it.
-pub fn add(gradient: &mut [f32], part: &[f32], of: f32) {
-    for (g, part) in gradient.iter_mut().zip(part) {
-        *g += part / of;
-    }
-}
-
-/// Lets parameters decay to a share of themselves.
-pub fn decay(share: f32, params: &mut [f32]) {
-    for p in params {
-        *p *= share;
-    }
-}
-
 /// Length of a gradient.
 pub fn norm(gradient: &[f32]) -> f64 {
     let squares = gradient.iter().map(|g| f64::from(*g) * f64::from(*g));

@@ -7,7 +7,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use vigil_nnet::train::adam::{Adam, add, decay, norm, shortening};
+use vigil_nnet::train::adam::{Adam, norm, shortening};
 use vigil_nnet::{Graph, Isa};
 
 /// Examples with their class.
@@ -169,14 +169,16 @@ pub fn fit(
             let parts = parts.collect::<Result<Vec<_>>>()?;
             for (part_sum, part) in parts {
                 sum += part_sum;
-                add(&mut gradient, &part, batch.len() as f32);
+                for (g, part) in gradient.iter_mut().zip(part) {
+                    *g += part / batch.len() as f32;
+                }
             }
             let length = norm(&gradient);
             ensure!(length.is_finite(), diverged());
             let factor = shortening(length, config.gradient_norm);
             let turn = core::f64::consts::PI * step as f64 / steps as f64;
             let rate = config.rate * (0.01 + 0.99 * 0.5 * (1.0 + libm::cos(turn) as f32));
-            decay(1.0 - rate * config.weight_decay, &mut params);
+            params.iter_mut().for_each(|p| *p *= 1.0 - rate * config.weight_decay);
             adam.step(rate, factor, &mut params, &mut gradient);
             step += 1;
             progress(step, None);

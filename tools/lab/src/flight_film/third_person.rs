@@ -1,6 +1,6 @@
 //! What a camera behind the vehicle sees: obstacles, ground, goal, the vehicle and its path, in few flat shades, which keep a film small.
 
-use super::picture::{Canvas, Colour, span};
+use super::picture::{Canvas, Colour};
 use vigil_log::SceneSolid;
 use vigil_types::{Attitude, FrdVector, NedVector};
 
@@ -30,14 +30,9 @@ fn dot(a: Vec3, b: Vec3) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// `a + s · b`.
-fn along(a: Vec3, s: f32, b: Vec3) -> Vec3 {
-    [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]]
-}
-
 fn unit(a: Vec3) -> Vec3 {
     let length = dot(a, a).sqrt().max(f32::MIN_POSITIVE);
-    [a[0] / length, a[1] / length, a[2] / length]
+    a.map(|v| v / length)
 }
 
 /// A box or an upright cylinder.
@@ -174,19 +169,18 @@ impl Stage {
 
         let [left, top, width, height] = place;
         // Most obstacles are far away or behind.
-        let near = self.blocks.iter().filter(|block| {
-            let reach = block.half[0].hypot(block.half[1]) + block.half[2];
-            let to = minus(block.centre, camera.eye);
-            dot(to, camera.ahead) > -reach && dot(to, to).sqrt() - reach < FURTHEST_M
-        });
-        let near: Vec<_> = near.map(|block| (block, camera.frame_of(block))).collect();
-        // Two pixels more than rounding needs.
-        let is_in = |at: usize, (from, to): (f32, f32)| from - 2.0 < at as f32 && (at as f32) < to + 2.0;
+        let near: Vec<&Block> = self
+            .blocks
+            .iter()
+            .filter(|block| {
+                let reach = block.half[0].hypot(block.half[1]) + block.half[2];
+                let to = minus(block.centre, camera.eye);
+                dot(to, camera.ahead) > -reach && dot(to, to).sqrt() - reach < FURTHEST_M
+            })
+            .collect();
         let mut ranges = vec![f32::INFINITY; width * height];
-        for x in 0..width {
-            let beside = |frame: &Option<[(f32, f32); 2]>| frame.is_some_and(|[columns, _]| !is_in(x, columns));
-            let within: Vec<_> = near.iter().filter(|(_, frame)| !beside(frame)).collect();
-            for y in 0..height {
+        for y in 0..height {
+            for x in 0..width {
                 let ray = camera.ray(x as f32 + 0.5, y as f32 + 0.5);
                 let mut nearest = (f32::INFINITY, Colour::BANNER);
                 if ray[2] > 0.0 {
@@ -204,9 +198,8 @@ impl Stage {
                         nearest = (t, Colour::PAPER);
                     }
                 }
-                for (block, frame) in &within {
-                    if frame.is_none_or(|[_, rows]| is_in(y, rows))
-                        && let Some((t, shade)) = block.hit(camera.eye, ray)
+                for block in &near {
+                    if let Some((t, shade)) = block.hit(camera.eye, ray)
                         && t < nearest.0
                     {
                         nearest = (t, shade);
@@ -245,7 +238,7 @@ impl Stage {
         let free = self.blocks.iter().filter(|block| !block.is_goal);
         let wall = free.filter_map(|block| block.hit(at, way)).map(|(t, _)| t - WALL_M);
         let stands = wall.fold(length, f32::min).max(0.8);
-        let eye = along(at, stands, way);
+        let eye = [0, 1, 2].map(|k| at[k] + stands * way[k]);
         let ahead = unit(minus([at[0] + AHEAD_M * cos, at[1] + AHEAD_M * sin, at[2]], eye));
         let right = [-sin, cos, 0.0];
         let down = [
@@ -278,18 +271,7 @@ impl Camera {
     /// The unit vector of a pixel.
     fn ray(&self, x: f32, y: f32) -> Vec3 {
         let (u, v) = ((x - self.middle.0) / self.focal, (y - self.middle.1) / self.focal);
-        unit(along(along(self.ahead, u, self.right), v, self.down))
-    }
-
-    /// The columns and the rows between a block's corners; `None` where one is not before the camera.
-    fn frame_of(&self, block: &Block) -> Option<[(f32, f32); 2]> {
-        let corner = |corner: usize| {
-            let [x, y, z] = [0, 1, 2].map(|axis| [-block.half[axis], block.half[axis]][corner >> axis & 1]);
-            let (sin, cos) = block.yaw;
-            self.project(along(block.centre, 1.0, [cos * x - sin * y, cos * y + sin * x, z]))
-        };
-        let corners: Vec<_> = (0..8).map(corner).collect::<Option<_>>()?;
-        Some([span(corners.iter().map(|c| c.0)), span(corners.iter().map(|c| c.1))])
+        unit([0, 1, 2].map(|k| self.ahead[k] + u * self.right[k] + v * self.down[k]))
     }
 
     /// Pixel and distance of a point before the camera.

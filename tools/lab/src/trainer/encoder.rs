@@ -229,7 +229,8 @@ pub fn teach_encoder(
         let total = &mut total[0];
         for other in others {
             total.loss += other.loss;
-            adam::add(&mut total.d_encoder[..len], &other.d_encoder, 1.0);
+            let pairs = total.d_encoder.iter_mut().zip(&*other.d_encoder);
+            pairs.for_each(|(to, from)| *to += from);
         }
         let d = &mut total.d_encoder[..len];
         let norm = adam::norm(d);
