@@ -3,7 +3,7 @@
 use alloc::borrow::ToOwned;
 use alloc::string::String;
 use alloc::vec::Vec;
-use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Isa, Lstm, Purpose, ShapeError};
+use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Isa, Lstm, Purpose, ShapeError, shape::expect};
 use vigil_policy::actor::ACTOR_HIDDEN;
 
 /// Rows of a window: SHAP values of the newest ten steps.
@@ -110,13 +110,7 @@ impl LstmAd {
     /// A parameter slice of another length.
     pub fn new(isa: Isa, params: &[f32]) -> Result<Self, ShapeError> {
         let graph = Self::graph(ROW, Self::CELL, Activation::Sigmoid)?;
-        if params.len() != graph.param_len() {
-            return Err(ShapeError::Length {
-                what: "LSTM-AD parameters",
-                expected: graph.param_len(),
-                got: params.len(),
-            });
-        }
+        expect("LSTM-AD parameters", params, graph.param_len())?;
         Ok(Self {
             isa,
             tape: vec![0.0; graph.tape_len()],

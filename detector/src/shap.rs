@@ -1,7 +1,7 @@
 //! DeepSHAP: what each input contributed to an output, against a background sample.
 
 use alloc::vec::Vec;
-use vigil_nnet::{Graph, Isa, Purpose, ShapeError};
+use vigil_nnet::{Graph, Isa, Purpose, ShapeError, shape::expect};
 
 /// Why there is no explanation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -210,13 +210,7 @@ impl DeepShap {
         if !self.evaluated {
             return Err(ShapError::NotEvaluated);
         }
-        if phi.len() != self.phi_len {
-            return Err(ShapError::Shape(ShapeError::Length {
-                what: "explanation",
-                expected: self.phi_len,
-                got: phi.len(),
-            }));
-        }
+        expect("explanation", phi, self.phi_len)?;
         let outputs = seed.len();
         seed.fill(0.0);
         let slot = seed.get_mut(output).ok_or(ShapError::Output { output, outputs })?;

@@ -9,7 +9,7 @@ use crate::stack_config::StackConfig;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;
-use vigil_guidance::{AlarmConfig, FenceShape, Geofence, GuidanceConfig, JustStopConfig};
+use vigil_guidance::{AlarmConfig, Geofence, GuidanceConfig, JustStopConfig};
 use vigil_io::key_file::{KeyFileError, frame_keys};
 use vigil_log::FlightInfo;
 use vigil_mavlink::{CompanionConfig, Flavour};
@@ -248,11 +248,13 @@ impl FirmwareConfig {
             accept_first_key,
         } = &self.signing;
         let name = self.instance.to_string();
+        if let Some(folder) = &self.state.directory {
+            make_folder(folder).map_err(at(folder))?;
+        }
         let gate = match (key_file, &self.state.directory) {
             (Some(path), _) => SigningGate::with_key_file(path, &name, *allow_unsigned),
             (None, Some(folder)) => {
                 let path = folder.join(format!("firmware{name}.key"));
-                make_folder(folder).map_err(at(folder))?;
                 SigningGate::with_kept_key(&path, &name, *allow_unsigned)
             }
             (None, None) => Ok(SigningGate::new(None, *allow_unsigned)),
@@ -306,11 +308,7 @@ impl FirmwareConfig {
                 Duty::JustStop | Duty::FlyAround => EngagePolicy::Command,
             },
             taken_over: self.state.taken_over,
-            // A mission that was flown around something is handed back, and does not end there.
-            at_goal: match self.duty {
-                Duty::FlyAround => AtGoal::Hold,
-                _ => self.at_goal,
-            },
+            at_goal: self.at_goal,
             frame_age_limit_ns: nanos(limits.frame_age_s),
             telemetry_age_limit_ns: nanos(limits.telemetry_age_s),
             heartbeat_age_limit_ns: nanos(limits.heartbeat_age_s),
@@ -318,19 +316,13 @@ impl FirmwareConfig {
             goal_radius_m: limits.goal_radius_m,
             goal_limit_m: limits.goal_m,
             no_progress_limit_ns: Some(nanos(limits.no_progress_s)).filter(|limit_ns| *limit_ns > 0),
-            on_no_progress: match self.duty {
-                Duty::FlyAround => OnNoProgress::Hold,
-                _ => limits.no_progress,
-            },
+            on_no_progress: limits.no_progress,
             speed_limit_m_s: limits.speed_m_s,
             battery_limit: limits.battery,
             default_height_m: self.height_m,
             time_limit_ns: limits.flight_time_s.map(nanos),
             geofence: limits.geofence.map(|fence| Geofence {
-                shape: FenceShape::Cylinder {
-                    center_m: [0.0, 0.0],
-                    radius_m: fence.radius_m,
-                },
+                radius_m: fence.radius_m,
                 min_height_m: fence.min_height_m,
                 max_height_m: fence.max_height_m,
             }),

@@ -7,7 +7,7 @@ use crate::frame_keeper::FrameRefusals;
 use crate::ports::links::{LinkError, LinkStatistics};
 use crate::ports::live::{MonotonicClock, SharedFrames};
 use crate::ports::router::{RoutedLinks, RoutingCounters};
-use crate::ports::{Clock, Link};
+use crate::ports::{Clock, FrameSource, Link};
 use crate::rate::RateSchedule;
 use crate::realtime::{self, Granted};
 use crate::saved::{ParameterKeeper, SavedError};
@@ -251,6 +251,8 @@ pub struct LiveLoop {
     alarms: AlarmTally,
     console: Console,
     parameters: Option<ParameterKeeper>,
+    /// What flies: parameters that were kept are part of it.
+    config: FirmwareConfig,
     _domain: Domain,
 }
 
@@ -266,7 +268,6 @@ impl LiveLoop {
             Some(folder) => Some(ParameterKeeper::load(&folder, &mut config)?),
             None => None,
         };
-        let config = &config;
         let mut clock = MonotonicClock;
         let domain = Domain::open(config.instance, "firmware")?;
         let frames = SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC)?);
@@ -275,8 +276,8 @@ impl LiveLoop {
             pending: Box::default(),
         };
         let frame_keys = config.frame_keys()?;
-        let recorder = start_recorder(config, clock.now_ns())?;
-        let mut firmware = Firmware::of(config, recorder)?;
+        let recorder = start_recorder(&config, clock.now_ns())?;
+        let mut firmware = Firmware::of(&config, recorder)?;
         firmware.require_frame_keys(frame_keys);
         let parameters = match saved {
             Some(saved) => Some(saved.start(firmware.parameters())?),
@@ -299,12 +300,15 @@ impl LiveLoop {
             alarms: AlarmTally::new(config.is_watched()),
             console: Console::start(now_ns).map_err(LiveError::Console)?,
             parameters,
+            config,
             _domain: domain,
         })
     }
 
     /// Asks the system for real-time scheduling and locked memory, and starts the grid of deadlines now.
     pub fn start(&mut self) -> Granted {
+        // The memory of a sensor that publishes already is mapped here, and not in a step.
+        let _ = self.frames.newest();
         // Last of all: everything is allocated, and the recorder's thread was started with its ordinary priority.
         let granted = realtime::request(self.priority);
         self.schedule = RateSchedule::new(self.clock.now_ns(), self.offset_ns);
@@ -406,18 +410,20 @@ pub fn recorder_config(config: &FirmwareConfig) -> Result<Option<RecorderConfig>
     }))
 }
 
-/// Flies until `stop` is set. `started` is told what the system granted, just before the loop begins.
+/// Flies until `stop` is set. `started` gets what flies, parameters that were kept included, and what the system granted, just before the
+/// loop begins.
 ///
 /// # Errors
 /// [`LiveError`]; once the loop runs nothing ends it but `stop`.
 pub fn fly(
     config: &FirmwareConfig,
     stop: &AtomicBool,
-    started: impl FnOnce(&Granted),
+    started: impl FnOnce(&FirmwareConfig, &Granted),
 ) -> Result<FlightSummary, LiveError> {
     let mut flight = LiveLoop::open(config)?;
     let manager = ServiceManager::find().map_err(LiveError::Service)?;
-    started(&flight.start());
+    let granted = flight.start();
+    started(&flight.config, &granted);
     while !stop.load(Ordering::Relaxed) {
         let report = flight.step();
         if let Some(manager) = &manager {

@@ -231,8 +231,8 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
         );
         run_lockstep(&config, Duration::from_secs(args.lockstep_timeout), &stop)?;
     } else {
-        let summary = live_loop::fly(&config, &stop, |granted| {
-            announce(&format!("{}\nscheduling {granted}", Start(&config)));
+        let summary = live_loop::fly(&config, &stop, |config, granted| {
+            announce(&format!("{}\nscheduling {granted}", Start(config)));
             announce("end        Ctrl-C or SIGTERM: it brakes, has the vehicle hold by itself and closes the log");
         })?;
         vigil_types::files::print_line(&summary.to_string())?;

@@ -10,8 +10,8 @@ use vigil_io::background::Background;
 use vigil_io::state::{StateError, StateFile, exact};
 use vigil_mavlink::{ParameterValue, Parameters};
 use vigil_types::parameters::{self, Kind};
-use vigil_types::settings;
 use vigil_types::settings::{Value, section};
+use vigil_types::{Duty, settings};
 
 /// Tables that may wait to be stored; the newest is offered again in the next step.
 const CAPACITY: usize = 8;
@@ -69,6 +69,11 @@ impl ParameterKeeper {
         let saved = file.load()?;
         let table = Tunables::full_table(&config.stack());
         for (name, value) in &saved.parameters {
+            // Whoever wanted to be left alone could not be guarded again by the parameter, which only a firmware that guards has.
+            if config.duty != Duty::Fly && parameters::DUTY.mavlink.is_some_and(|own| own.name == name) && *value == 0.0
+            {
+                continue;
+            }
             table
                 .check(name, *value)
                 .map_err(|e| e.to_string())
@@ -115,20 +120,19 @@ impl LoadedParameters {
             table: table.clone(),
             taken_over: saved.taken_over,
         };
+        let mut unstored = false;
         let writer = Background::start(
             "parameters",
             CAPACITY,
             PAUSE,
             move |offered: &mut dyn Iterator<Item = Kept>| {
-                let mut changed = false;
                 for kept in offered {
                     note(&mut saved, &begun_with, &kept.table);
                     saved.taken_over = kept.taken_over;
-                    changed = true;
+                    unstored = true;
                 }
-                if changed {
-                    file.store(&saved);
-                }
+                // A disk that refused is tried again in the next round.
+                unstored = unstored && !file.store(&saved);
             },
         );
         let writer = writer.map_err(SavedError::Thread)?;
@@ -250,6 +254,18 @@ mod tests {
         assert!(run(false), "engaged by an operator in this one");
         assert!(!run(false));
         assert!(start(b"taken_over = 1").unwrap_err().contains("firmware0.toml"));
+    }
+
+    #[test]
+    fn who_wanted_to_be_left_alone_is_guarded_again_after_a_restart() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("firmware0.toml"), "[parameters]\nGD_DUTY = 0.0\n").unwrap();
+        let mut config = FirmwareConfig {
+            duty: Duty::FlyAround,
+            ..FirmwareConfig::default()
+        };
+        ParameterKeeper::load(folder.path(), &mut config).unwrap();
+        assert_eq!(config.duty, Duty::FlyAround);
     }
 
     #[test]

@@ -33,6 +33,8 @@ const GROUND_STATION: MavHeader = MavHeader {
     component_id: 190,
     sequence: 0,
 };
+/// A standing vehicle's height moves by less than this from step to step, metres.
+const SAME_HEIGHT_M: f32 = 0.5;
 /// A vehicle's system unless somebody changed it.
 const DEFAULT_SYSTEM: u8 = 1;
 
@@ -96,12 +98,12 @@ impl FlightStack {
     /// # Errors
     /// A guidance configuration that must not fly, or a goal that it does not permit.
     pub fn with_pilots(config: &StackConfig, pilots: Pilots) -> Result<Self, ConfigError> {
-        let mut guidance = Guidance::new(config.guidance)?;
         let tunables = Tunables::of(
             config,
             pilots.monitor.as_ref().map(|monitor| monitor.threshold()),
             pilots.watched,
         );
+        let mut guidance = Guidance::new(tunables.guidance(&config.guidance))?;
         if let Some(Goal { position_ned_m }) = config.goal {
             let outcome = guidance.request(OperatorRequest::Goal {
                 north_m: position_ned_m.x,
@@ -371,10 +373,9 @@ impl FlightStack {
         }
         let mut guarded = guarding.step(&input);
         if let Some((north_m, east_m, height_m)) = guarded.fly_to_m {
-            let known = self
-                .guidance
-                .goal()
-                .is_some_and(|goal| (goal.position_ned_m.x, goal.position_ned_m.y) == (north_m, east_m));
+            let known = self.guidance.goal().is_some_and(|Goal { position_ned_m: at }| {
+                (at.x, at.y) == (north_m, east_m) && (at.z + height_m).abs() < SAME_HEIGHT_M
+            });
             let outcome = if known {
                 self.guidance.request(OperatorRequest::Engage)
             } else {

@@ -12,7 +12,7 @@ use crate::stack_config::StackConfig;
 use vigil_guidance::{AlarmConfig, GuidanceConfig};
 use vigil_mavlink::{Parameter, ParameterValue, Parameters};
 use vigil_policy::GeometricConfig;
-use vigil_types::{AlarmPolicy, AtGoal, Choice, Duty, ParameterSpec, parameters};
+use vigil_types::{AlarmPolicy, AtGoal, Choice, Duty, OnNoProgress, ParameterSpec, parameters};
 
 /// The values in force.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,6 +21,7 @@ pub(crate) struct Tunables {
     pub speed_limit_m_s: f32,
     goal_radius_m: f32,
     at_goal: AtGoal,
+    on_no_progress: OnNoProgress,
     /// The detector's; `None` without one.
     pub threshold: Option<f32>,
     /// `None` when nothing raises an alarm.
@@ -89,6 +90,7 @@ impl Tunables {
             speed_limit_m_s: config.guidance.speed_limit_m_s,
             goal_radius_m: config.guidance.goal_radius_m,
             at_goal: config.guidance.at_goal,
+            on_no_progress: config.guidance.on_no_progress,
             threshold,
             alarm: is_watched.then_some(config.guidance.alarm.policy),
             duty: (config.duty != Duty::Fly).then_some(config.duty),
@@ -129,15 +131,49 @@ impl Tunables {
 
     /// A configuration of guidance with these values.
     pub fn guidance(&self, config: &GuidanceConfig) -> GuidanceConfig {
+        // A mission that was flown around something is handed back, and does not end there.
+        let flies_around = self.duty() == Duty::FlyAround;
         GuidanceConfig {
             goal_radius_m: self.goal_radius_m,
-            at_goal: self.at_goal,
+            at_goal: if flies_around { AtGoal::Hold } else { self.at_goal },
+            on_no_progress: if flies_around {
+                OnNoProgress::Hold
+            } else {
+                self.on_no_progress
+            },
             speed_limit_m_s: self.speed_limit_m_s,
             alarm: AlarmConfig {
                 policy: self.alarm.unwrap_or(config.alarm.policy),
                 ..config.alarm
             },
             ..*config
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::FirmwareConfig;
+
+    #[test]
+    fn who_flies_around_something_holds_at_its_end_or_without_a_way_and_no_other_duty_is_changed_by_it() {
+        let config = FirmwareConfig {
+            duty: Duty::JustStop,
+            at_goal: AtGoal::Land,
+            ..FirmwareConfig::default()
+        };
+        let mut tunables = Tunables::of(&config.stack(), None, false);
+        let mut guidance = config.stack().guidance;
+        let lands = (AtGoal::Land, OnNoProgress::Land);
+        for (duty, ends) in [
+            (Duty::JustStop, lands),
+            (Duty::FlyAround, (AtGoal::Hold, OnNoProgress::Hold)),
+            (Duty::JustStop, lands),
+        ] {
+            tunables.duty = Some(duty);
+            guidance = tunables.guidance(&guidance);
+            assert_eq!((guidance.at_goal, guidance.on_no_progress), ends, "{duty:?}");
         }
     }
 }

@@ -257,7 +257,7 @@ fn files_of_another_kind_or_size_are_refused_at_once_and_told_once() {
         (["sim", "--config"], "1 MiB"),
         (["firmware", "--config"], "1 MiB"),
         (["learn", "--config"], "1 MiB"),
-        (["rollout", "--actor"], "64 MiB"),
+        (["rollout", "--actor"], "256 MiB"),
     ] {
         let huge = run(&[&arguments[..], &[text(&huge)]].concat());
         assert!(!huge.status.success());

@@ -15,30 +15,11 @@ const RELEASE_STEPS: ParameterSpec = ParameterSpec::unlisted("release_steps", (1
 const HEIGHT_GAIN: ParameterSpec = ParameterSpec::unlisted("height_gain", (0.0, 5.0), "1/s", 0.8);
 const VERTICAL_LIMIT: ParameterSpec = ParameterSpec::unlisted("vertical_limit", (0.0, 1.0), "m/s", 0.5);
 
-/// Horizontal outline of the permitted region.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum FenceShape {
-    /// A rectangle along north and east.
-    Box {
-        /// Southern, western corner: metres north and east of home.
-        min_m: [f32; 2],
-        /// Northern, eastern corner.
-        max_m: [f32; 2],
-    },
-    /// A circle.
-    Cylinder {
-        /// Centre: metres north and east of home.
-        center_m: [f32; 2],
-        /// Radius in metres.
-        radius_m: f32,
-    },
-}
-
-/// The permitted region.
+/// The permitted region: a cylinder around home.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Geofence {
-    /// Horizontal outline.
-    pub shape: FenceShape,
+    /// Radius in metres.
+    pub radius_m: f32,
     /// Lowest height in metres above home; counts in the states guided and hold only.
     pub min_height_m: f32,
     /// Greatest height in metres above home.
@@ -46,21 +27,10 @@ pub struct Geofence {
 }
 
 impl Geofence {
-    /// Whether the place, seen from home, is within the outline and below the greatest height, each reduced by `margin_m`.
+    /// Whether the place, seen from home, is within the radius and below the greatest height, each reduced by `margin_m`.
     pub fn contains(&self, position_ned_m: NedVector, margin_m: f32) -> bool {
-        let NedVector { x, y, z, .. } = position_ned_m;
-        let inside = match self.shape {
-            FenceShape::Box { min_m, max_m } => {
-                let within = |v: f32, [low, high]: [f32; 2]| v >= low + margin_m && v <= high - margin_m;
-                let ([min_n, min_e], [max_n, max_e]) = (min_m, max_m);
-                within(x, [min_n, max_n]) && within(y, [min_e, max_e])
-            }
-            FenceShape::Cylinder {
-                center_m: [north, east],
-                radius_m,
-            } => NedVector::new(x - north, y - east, 0.0).horizontal_norm() <= radius_m - margin_m,
-        };
-        inside && -z <= self.max_height_m - margin_m
+        let inside = position_ned_m.horizontal_norm() <= self.radius_m - margin_m;
+        inside && -position_ned_m.z <= self.max_height_m - margin_m
     }
 
     /// Whether the place, seen from home, is high enough.
@@ -224,19 +194,9 @@ impl GuidanceConfig {
 }
 
 impl Geofence {
-    /// Whether the outline is finite and holds something.
+    /// Whether it is finite and holds something.
     fn is_valid(&self) -> bool {
         let spans = |low: f32, high: f32| low.is_finite() && high.is_finite() && low < high;
-        let outline = match self.shape {
-            FenceShape::Box {
-                min_m: [min_n, min_e],
-                max_m: [max_n, max_e],
-            } => spans(min_n, max_n) && spans(min_e, max_e),
-            FenceShape::Cylinder {
-                center_m: [north, east],
-                radius_m,
-            } => north.is_finite() && east.is_finite() && spans(0.0, radius_m),
-        };
-        outline && spans(self.min_height_m, self.max_height_m)
+        spans(0.0, self.radius_m) && spans(self.min_height_m, self.max_height_m)
     }
 }

@@ -42,7 +42,7 @@ mod stopping_way;
 pub mod table;
 
 pub use alarm::{AlarmConfig, ROUGH_BELOW};
-pub use config::{ConfigError, FenceShape, GREATEST_GOAL_M, Geofence, GuidanceConfig};
+pub use config::{ConfigError, GREATEST_GOAL_M, Geofence, GuidanceConfig};
 pub use input::{FrameStatus, GuidanceInput, GuidanceOutput, Risk};
 pub use just_stop::{JustStop, JustStopConfig, JustStopInput, JustStopState};
 pub use machine::Guidance;

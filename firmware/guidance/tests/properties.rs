@@ -5,9 +5,7 @@ mod common;
 use common::{QUIET, Story};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use vigil_guidance::{
-    AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, FrameStatus, Geofence, GuidanceConfig,
-};
+use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FrameStatus, Geofence, GuidanceConfig};
 use vigil_types::{
     Action, AlarmResponse, GuidanceState, HandoverProgress, NedVector, OperatorRequest, Reason, Reasons, STEP_NS,
     VehicleMode, VelocitySetpoint, Verdict,
@@ -119,10 +117,7 @@ fn config() -> impl Strategy<Value = GuidanceConfig> {
             },
             at_goal: if land { AtGoal::Land } else { AtGoal::Hold },
             geofence: fence.then_some(Geofence {
-                shape: FenceShape::Cylinder {
-                    center_m: [10.0, 0.0],
-                    radius_m: 40.0,
-                },
+                radius_m: 50.0,
                 min_height_m: 0.5,
                 max_height_m: 20.0,
             }),

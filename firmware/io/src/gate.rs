@@ -165,11 +165,6 @@ impl SigningGate {
         self.signing.as_ref().map_or(self.counters, |s| *s.counters())
     }
 
-    /// What was found in the datagrams that were looked into.
-    pub fn framing(&self) -> FramingCounters {
-        self.framing
-    }
-
     /// Statistics of a wire with what the gate found in its datagrams, unless it finds the packets itself, and signing's.
     pub(crate) fn statistics(&self, (wire, is_stream): (LinkStatistics, bool)) -> LinkStatistics {
         LinkStatistics {
@@ -201,7 +196,9 @@ impl SigningGate {
         }
         // The streams' times stay: the same key again must not make good what was accepted before.
         let mut memory = self.signing.as_ref().map_or(&self.past, Signing::memory).clone();
-        memory.newest = memory.newest.max(newest.min((self.clock)() + MAX_AHEAD));
+        // What goes out in this step is signed with it already.
+        self.now = (self.clock)();
+        memory.newest = memory.newest.max(newest.min(self.now + MAX_AHEAD));
         if let Some(keeper) = &mut self.keeper {
             keeper.replace_key(key, memory.clone().ahead(STORE_AHEAD));
         }
@@ -222,13 +219,8 @@ impl SigningGate {
         self.keys_refused.is_due(now_ns, refused).then_some(text)
     }
 
-    /// Appends to `received` what may pass of a datagram; refused packets are left out and counted. Tells whether anything
-    /// passed. `is_local`: the sender is on this machine.
-    pub fn admit(&mut self, is_local: bool, link: u8, datagram: &[u8], received: &mut Datagrams) -> bool {
-        self.admit_by(self.allow_unsigned, is_local, link, datagram, received)
-    }
-
-    /// The same by the policy of one of several links that share the gate. They share it, and not only the key, so that a
+    /// Appends to `received` what may pass of a datagram by the policy of its link; refused packets are left out and counted. Tells whether
+    /// anything passed. `is_local`: the sender is on this machine. Several links share the gate, and not only the key, so that a
     /// packet taken from one link cannot be replayed on another.
     pub fn admit_by(
         &mut self,
@@ -341,7 +333,7 @@ mod tests {
 
     fn admitted(gate: &mut SigningGate, is_local: bool, datagram: &[u8]) -> Vec<Vec<u8>> {
         let mut received = Datagrams::default();
-        let passed = gate.admit(is_local, 0, datagram, &mut received);
+        let passed = gate.admit_by(gate.allow_unsigned, is_local, 0, datagram, &mut received);
         assert_eq!(passed, !received.is_empty());
         received.iter().map(|(_, bytes)| bytes.to_vec()).collect()
     }
@@ -454,7 +446,7 @@ mod tests {
         assert_eq!(admitted(&mut gate, true, &mixed), [[signed(0), signed(1)].concat()]);
         let counters = gate.counters();
         assert_eq!((counters.signed, counters.unsigned, counters.replayed), (2, 1, 1));
-        assert_eq!(gate.framing().garbage_bytes, 7);
+        assert_eq!(gate.framing.garbage_bytes, 7);
     }
 
     #[test]

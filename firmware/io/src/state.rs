@@ -83,22 +83,22 @@ impl<T: Section + Clone> StateFile<T> {
         }
     }
 
-    /// Writes what changed. A disk that refuses is told once and does not end the flight.
-    pub fn store(&mut self, saved: &T) {
+    /// Writes what changed; whether it is on the disk now. A disk that refuses is told once and does not end the flight.
+    pub fn store(&mut self, saved: &T) -> bool {
         // NaN differs from itself, its text does not.
         let text = to_toml(saved);
         if self.stored.as_ref() == Some(&text) {
-            return;
+            return true;
         }
-        let result = self.write(&text);
-        match result {
-            Ok(()) => self.stored = Some(text),
-            Err(e) if !self.failing => {
-                tracing::warn!("cannot store {}: {e}; it will be tried again", self.path.display())
+        match self.write(&text) {
+            Ok(()) => (self.stored, self.failing) = (Some(text), false),
+            Err(e) => {
+                if !std::mem::replace(&mut self.failing, true) {
+                    tracing::warn!("cannot store {}: {e}; it will be tried again", self.path.display());
+                }
             }
-            Err(_) => {}
         }
-        self.failing = self.stored.is_none();
+        !self.failing
     }
 
     fn write(&self, text: &str) -> std::io::Result<()> {
@@ -112,4 +112,31 @@ impl<T: Section + Clone> StateFile<T> {
 /// A float as people write it: 0.4, not the double next to it.
 pub fn exact(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vigil_types::settings;
+    use vigil_types::settings::free;
+
+    settings! {
+        struct Saved {
+            value: u64 = free(0),
+        }
+    }
+
+    #[test]
+    fn what_a_disk_refused_is_not_taken_for_stored_and_can_be_tried_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let in_the_way = folder.path().join("state");
+        let mut file = StateFile::<Saved>::in_folder(&in_the_way, "own");
+        assert!(file.store(&Saved { value: 1 }));
+        std::fs::remove_dir_all(&in_the_way).unwrap();
+        std::fs::write(&in_the_way, "").unwrap();
+        assert!(!file.store(&Saved { value: 2 }) && !file.store(&Saved { value: 2 }));
+        std::fs::remove_file(&in_the_way).unwrap();
+        assert!(file.store(&Saved { value: 2 }));
+        assert_eq!(file.load().unwrap(), Saved { value: 2 });
+    }
 }

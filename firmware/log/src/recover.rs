@@ -1,6 +1,6 @@
 //! Makes a closed log of one that was not closed or is damaged: everything that is whole, and what was lost in words.
 
-use crate::log_file::{self, META_END, topic};
+use crate::log_file::{self, META_END, META_STORY, topic};
 use crate::proto::foxglove::RawImage;
 use crate::{LogEnd, ReadError, Reader, TickRecord, convert, display, proto, salvage, tlog};
 use mcap::McapError;
@@ -205,13 +205,14 @@ fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Cop
             copy.counted = number("records").zip(number("dropped"));
             Ok(())
         }
+        Record::Metadata(metadata) if metadata.name == META_STORY => copy.writer.write_metadata(&metadata),
         _ => Ok(()),
     })?;
     copy.end_group()?;
     if let Some((counted, dropped)) = copy.counted {
         let lost = counted.saturating_sub(copy.records);
         copy.writer
-            .write_metadata(&log_file::end_metadata(copy.records, dropped + lost))?;
+            .write_metadata(&log_file::end_metadata(copy.records, dropped.saturating_add(lost)))?;
     }
     copy.writer.finish()?;
     keep.sync_all()?;
@@ -252,10 +253,20 @@ impl Copy {
     fn end_group(&mut self) -> Result<(), McapError> {
         let group = std::mem::take(&mut self.group);
         let Some(mut tick) = self.whole(&group) else {
+            // Of no record is what the simulation or a replay added.
+            let of_record =
+                |(header, _): &(MessageHeader, Vec<u8>)| [self.tick, self.depth].contains(&Some(header.channel_id));
+            if !group.iter().any(of_record) {
+                for (header, data) in group {
+                    self.writer.write_to_known_channel(&header, &data)?;
+                }
+            }
             return Ok(());
         };
         let (step, now_ns, dropped) = (self.scratch.timing.step, self.scratch.now_ns, tick.dropped_before);
-        let (expected, dropped_then) = self.last.map_or((0, 0), |(last, _, dropped)| (last + 1, dropped));
+        let (expected, dropped_then) = self
+            .last
+            .map_or((0, 0), |(last, _, dropped)| (last.saturating_add(1), dropped));
         let missing = step
             .saturating_sub(expected)
             .saturating_sub(dropped.saturating_sub(dropped_then));
@@ -270,7 +281,7 @@ impl Copy {
                 records: missing,
                 seconds: seconds.max(0.0),
             });
-            self.lost += missing;
+            self.lost = self.lost.saturating_add(missing);
         }
         if self.records == 0 {
             self.first_ns = now_ns;
@@ -279,7 +290,7 @@ impl Copy {
         self.records += 1;
         for (header, data) in group {
             if Some(header.channel_id) == self.tick && self.lost > 0 {
-                tick.dropped_before += self.lost;
+                tick.dropped_before = tick.dropped_before.saturating_add(self.lost);
                 self.writer.write_to_known_channel(&header, &tick.encode_to_vec())?;
             } else {
                 self.writer.write_to_known_channel(&header, &data)?;

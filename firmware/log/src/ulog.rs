@@ -118,7 +118,7 @@ const TOPICS: [Topic; 7] = [
                 VehicleMode::Unknown | VehicleMode::Other => 2,
             };
             let row = Row::default().byte(nav_state).byte(if heartbeat.armed { 2 } else { 1 });
-            Some(row.byte(1).byte(0))
+            Some(row.byte(1).byte(u8::from(heartbeat.failsafe)))
         },
     },
     Topic {

@@ -21,7 +21,7 @@ const TOLERANCE: u64 = 60 * UNITS_PER_SECOND;
 /// 2015-01-01T00:00:00Z, the protocol's epoch, in seconds of Unix time.
 const EPOCH_UNIX_S: u64 = 1_420_070_400;
 /// Timestamps have 48 bits: they end in the year 2104.
-const LAST_TIMESTAMP: u64 = (1 << 48) - 1;
+pub const LAST_TIMESTAMP: u64 = (1 << 48) - 1;
 const SIGNED_FLAG: u8 = 0x01;
 
 /// Time as signatures have it: units of 10 µs since 2015-01-01 UTC.

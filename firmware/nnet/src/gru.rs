@@ -82,11 +82,6 @@ impl Gru {
         self.input() + self.recurrent() + 6 * self.hidden
     }
 
-    /// Length of `projection`: what the input contributes to the gates.
-    pub fn projection_len(&self) -> usize {
-        3 * self.hidden
-    }
-
     /// Length of `gates`: what a step remembers for the backward passes.
     pub fn gates_len(&self) -> usize {
         7 * self.hidden
@@ -97,19 +92,7 @@ impl Gru {
         6 * self.hidden
     }
 
-    /// `projection = W x + b`, from `x` `[inputs]` to `projection` `[3][hidden]`: the part of a step that does not depend on the state, so it can be kept.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn project(&self, isa: Isa, params: &[f32], x: &[f32], projection: &mut [f32]) -> Result<(), ShapeError> {
-        expect("GRU parameters", params, self.param_len())?;
-        expect("GRU input", x, self.inputs)?;
-        expect("GRU projection", projection, self.projection_len())?;
-        let bias = part("GRU bias", params, self.input() + self.recurrent(), 3 * self.hidden)?;
-        row_times_matrix(isa, x, params, 0, 3 * self.hidden, Start::Bias(bias), projection)
-    }
-
-    /// One step from a projection: from `h` `[hidden]` to `h_out` `[hidden]`, which must be different slices.
+    /// One step with the input `x` `[inputs]`: from `h` `[hidden]` to `h_out` `[hidden]`, which must be different slices.
     ///
     /// # Errors
     /// Slices that do not fit.
@@ -117,25 +100,22 @@ impl Gru {
         &self,
         isa: Isa,
         params: &[f32],
-        projection: &[f32],
+        x: &[f32],
         h: &[f32],
         gates: &mut [f32],
         h_out: &mut [f32],
     ) -> Result<(), ShapeError> {
         let width = self.hidden;
         expect("GRU parameters", params, self.param_len())?;
-        expect("GRU projection", projection, self.projection_len())?;
+        expect("GRU input", x, self.inputs)?;
         expect("GRU state", h, width)?;
         expect("GRU gates", gates, self.gates_len())?;
         expect("GRU next state", h_out, width)?;
+        let biases = self.input() + self.recurrent();
+        let bias = part("GRU bias", params, biases, 3 * width)?;
         let sums = part_mut("GRU gates", gates, 0, 3 * width)?;
-        sums.copy_from_slice(projection);
-        let bias = part(
-            "GRU bias",
-            params,
-            self.input() + self.recurrent() + 3 * width,
-            3 * width,
-        )?;
+        row_times_matrix(isa, x, params, 0, 3 * width, Start::Bias(bias), sums)?;
+        let bias = part("GRU bias", params, biases + 3 * width, 3 * width)?;
         let from_state = part_mut("GRU gates", gates, 3 * width, 3 * width)?;
         row_times_matrix(isa, h, params, self.input(), 3 * width, Start::Bias(bias), from_state)?;
         // [pre_r pre_z pre_n | from the state: r z n | n]: finish r and z, which take the place of the state's share.
@@ -328,7 +308,7 @@ impl GraphBuilder {
 
 impl Operation for Gru {
     fn aux_len(&self, _len: usize, _purpose: Purpose) -> usize {
-        self.gates_len() + self.projection_len()
+        self.gates_len()
     }
 
     fn scratch_len(&self) -> usize {
@@ -337,21 +317,17 @@ impl Operation for Gru {
 
     fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
         let (x, state) = (node.source(0)?, node.source(1)?);
-        let (gates, projection) = node.aux.split_at_mut_checked(self.gates_len()).unwrap_or_default();
-        self.project(node.isa, node.params, x, projection)?;
-        self.step(node.isa, node.params, projection, state, gates, node.value)
+        self.step(node.isa, node.params, x, state, node.aux, node.value)
     }
 
     fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
-        let (isa, packed, len) = (node.isa, node.packed, self.gates_len());
+        let (isa, packed) = (node.isa, node.packed);
         recurrent_backward(
             node,
             pass,
             self.gate_gradient_len(),
             |(h, kept, _), (h_ref, kept_ref, _), d_gates, dx, dh| {
-                let step = (h, part("tape", kept, 0, len)?);
-                let reference = (h_ref, part("tape", kept_ref, 0, len)?);
-                self.backward(isa, packed, step, reference, d, d_gates, dx, dh)
+                self.backward(isa, packed, (h, kept), (h_ref, kept_ref), d, d_gates, dx, dh)
             },
             |x, h, d_gates, d_params| self.weight_gradient(isa, x, h, d_gates, d_params),
         )

@@ -258,24 +258,6 @@ fn layer_normalisation_is_explained_as_the_layers_that_it_is_made_of() {
         n,
         params.clone(),
     );
-    let definition = |x: &[f64]| -> Vec<f64> {
-        let of_row = |x: &[f64]| -> Vec<f64> {
-            let mean = x.iter().sum::<f64>() / width as f64;
-            let variance = x.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / width as f64;
-            let normal = x.iter().map(|x| (x - mean) / (variance + 1e-3).sqrt());
-            let both = params[..width].iter().zip(&params[width..]);
-            normal
-                .zip(both)
-                .map(|(x, (g, b))| x * f64::from(*g) + f64::from(*b))
-                .collect()
-        };
-        x.chunks_exact(width).flat_map(of_row).collect()
-    };
-    assert!(distance(&whole.output(&x), &definition(&wide(&x))) < 1e-5);
-    let want = finite_differences(definition, &wide(&m), &wide(&x));
-    assert!(distance(&whole.gradient(&x, &m), &want) < 1e-4 * largest(&want).max(1.0));
-    whole.adds_up(&x, &x_ref, &m);
-
     let parts = one_row_written_out(width, &params);
     let (of_whole, first) = (whole.multipliers(&x, &x_ref, &m), |x: &[f32]| x[..width].to_vec());
     let of_parts = parts.multipliers(&first(&x), &first(&x_ref), &first(&m));

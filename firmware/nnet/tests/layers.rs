@@ -258,17 +258,20 @@ fn layer_normalisation_matches_its_definition() {
         let layer = LayerNorm { width, epsilon: 1e-5 };
         Case {
             name: "layer norm",
-            inputs: &[width],
+            inputs: &[2 * width],
             params: layer.param_len(),
             learned: layer.param_len(),
             build: &|b, x, p| b.layer_norm(x[0], layer, p),
             oracle: &|p, x| {
-                let mean = x[0].iter().sum::<f64>() / width as f64;
-                let variance = x[0].iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / width as f64;
-                let root = (variance + 1e-5).sqrt();
-                let row = x[0].iter().zip(p.iter().zip(&p[width..]));
-                row.map(|(x, (scale, shift))| scale * (x - mean) / root + shift)
-                    .collect()
+                let of_row = |x: &[f64]| -> Vec<f64> {
+                    let mean = x.iter().sum::<f64>() / width as f64;
+                    let variance = x.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / width as f64;
+                    let root = (variance + 1e-5).sqrt();
+                    let row = x.iter().zip(p.iter().zip(&p[width..]));
+                    row.map(|(x, (scale, shift))| scale * (x - mean) / root + shift)
+                        .collect()
+                };
+                x[0].chunks_exact(width).flat_map(of_row).collect()
             },
             tame: &|_| {},
         }

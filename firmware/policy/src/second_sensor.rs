@@ -21,7 +21,7 @@ const AGREEING: u8 = 15;
 const LOW_M: f32 = 0.5;
 
 /// Judges each report of the second sensor. No allocation.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct SecondSensor {
     scan: RangeScan,
     last_ns: Option<Nanos>,
@@ -33,23 +33,10 @@ pub struct SecondSensor {
     times: u8,
 }
 
-impl Default for SecondSensor {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl SecondSensor {
     /// One that has seen nothing.
     pub fn new() -> Self {
-        Self {
-            scan: RangeScan::new(),
-            last_ns: None,
-            contradicted: 0,
-            agreeing: 0,
-            disagrees: false,
-            times: 0,
-        }
+        Self::default()
     }
 
     /// What is wrong now: [`Reason::SecondSensorSilent`], [`Reason::SensorsDisagree`]. `newest` is the sensor's newest report, `input` the newest

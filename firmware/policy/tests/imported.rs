@@ -212,6 +212,11 @@ fn what_lies_behind_a_split_point_decides_as_the_whole_policy_does() {
 fn the_split_point_proposed_is_the_last_one_of_a_size_that_is_explained() {
     let policy = branched(None);
     assert_eq!(policy.network.proposed_split(&policy.params, 0), Some(6));
+    // A curve that is a layer of its own belongs to the weights before it.
+    let leaky = "input 96\nconv2d 0 4 8 3 6 3 2 1 identity\nfunction 1 leaky_relu*0.1\ndense 2 48 12 identity\nfunction 3 leaky_relu*0.1\ndense 4 12 2 identity\noutput 5\n";
+    let leaky: Network = leaky.parse().unwrap();
+    let params = vec![0.1; leaky.graph(Purpose::Gradients).unwrap().param_len()];
+    assert_eq!(leaky.proposed_split(&params, 0), Some(4));
     // Of the picking policy nothing lies between frame and action.
     let nothing = picking(INPUTS, [1, 2]);
     assert_eq!(nothing.network.proposed_split(&nothing.params, 0), None);

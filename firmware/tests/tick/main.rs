@@ -331,7 +331,7 @@ fn a_goal_beyond_the_limit_is_refused_before_anything_flies_with_both_distances(
         height_m: None,
     });
     let error = LockstepFirmware::new(&config).err().unwrap().to_string();
-    for part in ["601 m", "500 m", "goal_m", "[limits]"] {
+    for part in ["600 m", "500 m", "goal_m", "[limits]"] {
         assert!(error.contains(part), "{error}");
     }
     config.limits.goal_m = 1000.0;

@@ -66,7 +66,10 @@ pub fn replace(path: &Path, content: &[u8], access: Access) -> io::Result<()> {
 pub fn replace_with(path: &Path, access: Access, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     let before = match std::fs::metadata(path) {
         Ok(metadata) if metadata.is_dir() => return Err(ErrorKind::IsADirectory.into()),
-        Ok(metadata) if !metadata.is_file() => return write(&mut File::options().write(true).open(path)?),
+        // `/dev/stdout` may lead to a file that others write to as well: what they wrote stays.
+        Ok(metadata) if !metadata.is_file() || path.starts_with("/dev") => {
+            return write(&mut File::options().append(true).open(path)?);
+        }
         Ok(metadata) => Some(metadata),
         Err(error) if error.kind() == ErrorKind::NotFound => None,
         Err(error) => return Err(error),

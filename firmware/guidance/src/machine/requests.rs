@@ -65,8 +65,9 @@ impl Guidance {
         }
         let distance_m = from_home_m.horizontal_norm();
         if distance_m > self.config.goal_limit_m {
+            let whole_m = distance_m as u32;
             return RequestOutcome::TooFar {
-                distance_m: (distance_m as u32).saturating_add(1),
+                distance_m: whole_m.saturating_add(u32::from((whole_m as f32) < distance_m)),
                 limit_m: self.config.goal_limit_m as u32,
             };
         }

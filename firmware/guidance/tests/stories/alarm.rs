@@ -262,17 +262,6 @@ fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
 }
 
 #[test]
-fn a_new_flight_begins_with_the_actor() {
-    let mut s = watched(AlarmPolicy::Recover);
-    s.risk.collision_course = true;
-    assert!(s.run(4).alarm.is_some());
-    s.risk.collision_course = false;
-    s.armed = false;
-    s.until(Standby);
-    assert_eq!(s.step().alarm, None);
-}
-
-#[test]
 fn the_recovery_pilot_is_stopped_before_what_it_would_fly_into_and_begins_anew_from_there() {
     let mut s = watched(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Attack);

@@ -73,7 +73,7 @@ fn an_operator_engages_and_the_vehicle_flies_to_the_goal_and_hovers_there() {
 
 #[test]
 fn goals_and_the_fence_are_counted_from_home_which_the_autopilot_sets_anew_when_it_is_armed() {
-    let geofence = fence(cylinder([0.0, 0.0], 30.0));
+    let geofence = fence(30.0);
     let mut s = Story::begin(GuidanceConfig { geofence, ..auto() });
     let goal_m = |s: &Story| s.guidance.goal().unwrap().position_ned_m;
     s.step();
@@ -275,53 +275,45 @@ fn slips_before_the_first_step_are_not_held_against_the_flight() {
 
 #[test]
 fn the_fence_holds_the_vehicle_and_refuses_goals_outside() {
-    let config = |shape| GuidanceConfig {
-        geofence: fence(shape),
+    let config = GuidanceConfig {
+        geofence: fence(25.0),
         ..Default::default()
     };
-    for shape in [
-        FenceShape::Box {
-            min_m: [-5.0, -10.0],
-            max_m: [25.0, 10.0],
-        },
-        cylinder([10.0, 0.0], 15.0),
+    let mut s = Story::guided(config);
+    for (north_m, height_m) in [(24.8, 3.0), (5.0, 5.8), (5.0, 0.9), (f32::NAN, 3.0), (5.0, -1.0)] {
+        let bad = goal(north_m, 0.0, Some(height_m));
+        assert_eq!(s.ask(bad), RequestOutcome::Denied, "{bad:?}");
+    }
+    assert_eq!(s.ask(goal(5.0, 0.0, Some(3.0))), RequestOutcome::Accepted);
+    for (x, height, inside) in [
+        (24.9, 3.0, true),
+        (25.1, 3.0, false),
+        (10.0, 6.1, false),
+        (10.0, 0.7, false),
     ] {
-        let mut s = Story::guided(config(shape));
-        for (north_m, height_m) in [(24.8, 3.0), (5.0, 5.8), (5.0, 0.9), (f32::NAN, 3.0), (5.0, -1.0)] {
-            let bad = goal(north_m, 0.0, Some(height_m));
-            assert_eq!(s.ask(bad), RequestOutcome::Denied, "{bad:?}");
-        }
-        assert_eq!(s.ask(goal(5.0, 0.0, Some(3.0))), RequestOutcome::Accepted);
-        for (x, height, inside) in [
-            (24.9, 3.0, true),
-            (25.1, 3.0, false),
-            (10.0, 6.1, false),
-            (10.0, 0.7, false),
-        ] {
-            let mut s = Story::guided(config(shape));
-            s.position_ned_m = NedVector::new(x, 0.0, -height);
-            let out = s.step();
-            assert_eq!(
-                (out.state == Guided, out.reasons.contains(Reason::Geofence)),
-                (inside, !inside),
-                "{x} {height}"
-            );
-            s.position_ned_m = NedVector::new(24.7, 0.0, -3.0);
-            assert_eq!(
-                s.run(30).state,
-                if inside { Guided } else { Hold },
-                "clears half a metre inside"
-            );
-            s.position_ned_m = NedVector::new(24.0, 0.0, -3.0);
-            assert_eq!(s.run(30).state, Guided);
-        }
+        let mut s = Story::guided(config);
+        s.position_ned_m = NedVector::new(x, 0.0, -height);
+        let out = s.step();
+        assert_eq!(
+            (out.state == Guided, out.reasons.contains(Reason::Geofence)),
+            (inside, !inside),
+            "{x} {height}"
+        );
+        s.position_ned_m = NedVector::new(24.7, 0.0, -3.0);
+        assert_eq!(
+            s.run(30).state,
+            if inside { Guided } else { Hold },
+            "clears half a metre inside"
+        );
+        s.position_ned_m = NedVector::new(24.0, 0.0, -3.0);
+        assert_eq!(s.run(30).state, Guided);
     }
 }
 
 #[test]
 fn on_the_ground_the_least_height_of_the_fence_does_not_count() {
     let mut s = Story::begin(GuidanceConfig {
-        geofence: fence(cylinder([10.0, 0.0], 15.0)),
+        geofence: fence(25.0),
         ..Default::default()
     });
     assert_eq!(s.run(20).state, Ready);
@@ -411,11 +403,7 @@ fn a_configuration_that_must_not_fly_is_refused_by_field() {
         })
         .contains("limits.frame_age_s is 0")
     );
-    let shape = FenceShape::Box {
-        min_m: [5.0, 0.0],
-        max_m: [5.0, 9.0],
-    };
-    let geofence = fence(shape);
+    let geofence = fence(0.0);
     assert!(refused(GuidanceConfig { geofence, ..d }).contains("geofence"));
 }
 

@@ -7,9 +7,7 @@ mod common;
 mod flight;
 
 use common::{GOAL, Story};
-use vigil_guidance::{
-    AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig, OnNoProgress,
-};
+use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, Geofence, GuidanceConfig, OnNoProgress};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
 use vigil_types::{
     Action, AlarmCause, AlarmResponse, HandoverProgress, Landed, NedVector, OperatorRequest, Reason, Reasons,
@@ -35,14 +33,10 @@ fn goal(north_m: f32, east_m: f32, height_m: Option<f32>) -> OperatorRequest {
     }
 }
 
-fn cylinder(center_m: [f32; 2], radius_m: f32) -> FenceShape {
-    FenceShape::Cylinder { center_m, radius_m }
-}
-
 /// A fence from 0.8 to 6 m.
-fn fence(shape: FenceShape) -> Option<Geofence> {
+fn fence(radius_m: f32) -> Option<Geofence> {
     Some(Geofence {
-        shape,
+        radius_m,
         min_height_m: 0.8,
         max_height_m: 6.0,
     })

@@ -4,7 +4,7 @@ use crate::background::Background;
 use crate::key_file::{KeyFileError, read_secret};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use vigil_mavlink::signing::{SigningKey, SigningMemory, StreamTime};
+use vigil_mavlink::signing::{LAST_TIMESTAMP, SigningKey, SigningMemory, StreamTime, Timestamp};
 use vigil_types::files::{Access, FileError, at};
 
 /// A line for each stream, of which there are a few dozen at most.
@@ -136,12 +136,16 @@ fn read_state(path: &Path) -> Result<SigningMemory, SigningFileError> {
         line,
     };
     let mut lines = text.lines();
-    memory.newest = lines.next().and_then(|l| l.parse().ok()).ok_or_else(|| damaged(1))?;
+    memory.newest = lines.next().and_then(timestamp_of).ok_or_else(|| damaged(1))?;
     for (i, line) in lines.enumerate() {
         let stream = stream_of(line).ok_or_else(|| damaged(i + 2))?;
         memory.streams.push(stream).map_err(|_| damaged(i + 2))?;
     }
     Ok(memory)
+}
+
+fn timestamp_of(text: &str) -> Option<Timestamp> {
+    text.parse().ok().filter(|timestamp| *timestamp <= LAST_TIMESTAMP)
 }
 
 fn stream_of(line: &str) -> Option<StreamTime> {
@@ -150,7 +154,7 @@ fn stream_of(line: &str) -> Option<StreamTime> {
         link_id: fields.next()?.parse().ok()?,
         system_id: fields.next()?.parse().ok()?,
         component_id: fields.next()?.parse().ok()?,
-        timestamp: fields.next()?.parse().ok()?,
+        timestamp: timestamp_of(fields.next()?)?,
     };
     fields.next().is_none().then_some(stream)
 }
@@ -216,6 +220,7 @@ mod tests {
         let key = folder.path().join("vigil.key");
         for (text, line) in [
             ("", "line 1"),
+            ("18446744073709551615", "line 1"),
             ("5\n1 2 3", "line 2"),
             ("5\n1 2 3 4\n1 2 3 4 5\n", "line 3"),
         ] {

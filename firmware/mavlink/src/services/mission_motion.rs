@@ -30,6 +30,8 @@ const fn named(flavour: Flavour) -> [(&'static str, f32); 2] {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct MissionMotionService {
     wanted: bool,
+    /// Of the vehicle that was asked so often.
+    restarts: u32,
     attempts: [u8; 2],
     sent_ns: Nanos,
 }
@@ -63,9 +65,13 @@ impl Service for MissionMotionService {
 
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
         let now_ns = step.report.now_ns;
-        let Some(system) = core.system_id.filter(|_| self.wanted) else {
+        // Before it is heard there is nobody to answer.
+        let Some(system) = core.system_id.filter(|_| self.wanted && core.vehicle_heard) else {
             return;
         };
+        if self.restarts != core.vehicle.restarts {
+            (self.restarts, self.attempts) = (core.vehicle.restarts, [0; 2]);
+        }
         if self.sent_ns > 0 && now_ns.saturating_sub(self.sent_ns) < RETRY_NS {
             return;
         }

@@ -269,7 +269,6 @@ impl ActorSpec {
 /// nothing after it does.
 #[derive(Debug, Clone)]
 pub struct Actor {
-    spec: ActorSpec,
     isa: Isa,
     params: Aligned,
     encoder: Graph,
@@ -324,7 +323,6 @@ impl Actor {
         );
         expect("actor parameters", params, head.param_len())?;
         Ok(Self {
-            spec,
             isa,
             params: Aligned::from(params),
             encoder_tape: Aligned::zeros(encoder.tape_len()),
@@ -465,10 +463,5 @@ impl Actor {
     /// The parameters.
     pub fn params(&self) -> &[f32] {
         &self.params
-    }
-
-    /// The dimensions.
-    pub fn spec(&self) -> ActorSpec {
-        self.spec
     }
 }

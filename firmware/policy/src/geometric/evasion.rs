@@ -99,10 +99,6 @@ impl Guesses {
 
     /// Enters where a mover may be. What differs only in what comes after the horizon is one guess.
     fn enter(&mut self, m: &Track, age_s: f32) {
-        if m.turns_after_s().is_finite() {
-            self.add(m, m.position_after(age_s), 1.0, m.turns_after_s() - age_s, 1.0);
-            return;
-        }
         let reach_m = m.speed_m_s() * HORIZON_S;
         // Ends come in such an order that those which make no difference follow one another, but for those that it does not reach: they are
         // the first guess.

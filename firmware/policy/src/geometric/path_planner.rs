@@ -90,12 +90,6 @@ pub struct PathPlanner {
     len: usize,
 }
 
-impl Default for PathPlanner {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl PathPlanner {
     /// No way yet.
     pub fn new() -> Self {

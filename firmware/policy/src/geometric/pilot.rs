@@ -94,8 +94,6 @@ pub struct GeometricPilot {
     last_sequence: Option<u64>,
     /// Where the vehicle last got to, and when.
     progress: Option<(NedVector, Nanos)>,
-    /// The farthest point of the way that can be flown to in a straight line, since [`Self::lead`].
-    waypoint: Option<NedVector>,
     /// How it got out of the way of what moves in the step before.
     evading: Option<Plan>,
 }
@@ -122,7 +120,6 @@ impl GeometricPilot {
             last_position_ned_m: None,
             last_sequence: None,
             progress: None,
-            waypoint: None,
             evading: None,
         }
     }
@@ -435,7 +432,6 @@ impl Pilot for GeometricPilot {
         self.grid.clear();
         self.planner.clear();
         self.movers.clear();
-        self.waypoint = None;
         self.evading = None;
         self.last_position_ned_m = None;
         self.last_sequence = None;

@@ -1,5 +1,5 @@
 //! The recovery pilot: flies on when an attack on the depth frames is detected, or the actor is about to fly into something
-//! (docs/detection.md). The path that it plans meanwhile leads an actor whose file asks for one (docs/architecture.md).
+//! (docs/detection.md). The path that it plans meanwhile leads an imported policy to a far goal.
 
 use crate::geometric::governor::REACTION_S;
 use crate::geometric::pilot::{LEAST_LEAD_M, led_to, position_ned_m};

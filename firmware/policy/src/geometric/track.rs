@@ -66,8 +66,6 @@ pub struct Track {
     pub(super) unseen_s: f32,
     /// Not where it would be had it gone on.
     pub(super) lost: bool,
-    /// When it turns back, seconds from now, where that is known; otherwise infinite.
-    turns_after_s: f32,
     /// Whether it was seen to turn back at either end of `lane_m`.
     pub(super) turned: [bool; 2],
     /// Whether it last went towards the second of them, if it is known.
@@ -107,34 +105,15 @@ impl Track {
             moving_frames: 0,
             unseen_s: 0.0,
             lost: false,
-            turns_after_s: f32::INFINITY,
             turned: [false; 2],
             heads_to_second: None,
             refuted: 0,
         }
     }
 
-    /// Where it will be, metres north and east.
-    pub fn position_after(&self, seconds: f32) -> (f32, f32) {
-        (
-            self.north_m + self.north_m_s * seconds,
-            self.east_m + self.east_m_s * seconds,
-        )
-    }
-
-    /// When it turns back, seconds from now; infinite where that is not known.
-    pub fn turns_after_s(&self) -> f32 {
-        self.turns_after_s
-    }
-
     /// Speed, metres per second.
     pub fn speed_m_s(&self) -> f32 {
         libm::hypotf(self.north_m_s, self.east_m_s)
-    }
-
-    /// Seconds since it was last seen.
-    pub fn unseen_s(&self) -> f32 {
-        self.unseen_s
     }
 
     /// Whether it was seen lately enough to be where it is said to be.
@@ -246,7 +225,8 @@ impl Track {
     }
 
     pub(super) fn predict(&mut self, seconds: f32) {
-        (self.north_m, self.east_m) = self.position_after(seconds);
+        self.north_m += self.north_m_s * seconds;
+        self.east_m += self.east_m_s * seconds;
         let [position, both, velocity] = self.variance;
         let q = ACCELERATION_DENSITY;
         self.variance = [

@@ -14,7 +14,7 @@ use vigil_nnet::{
 };
 
 /// Multiply-adds of one decision, at most: some 20 ms of the step's 50 with the portable kernels, 3 ms with AVX-512; the
-/// built-in actor has 19 million.
+/// built-in actor has 12 million.
 pub const MOST_MULTIPLY_ADDS: u64 = 250_000_000;
 /// Values of all layers together, and parameters, at most: 128 MiB each.
 pub const MOST_VALUES: u64 = 32 << 20;

@@ -55,7 +55,7 @@ pub struct PolicyInputs {
     pub scale: f32,
     /// Place of the frame among the network's inputs, 0 or 1.
     pub frame_input: usize,
-    /// The other input gets distance and bearing of the goal, as our actor does ([`PositionalInputs`]).
+    /// The other input gets distance and bearing of the goal ([`PositionalInputs`]).
     pub has_position: bool,
     /// The two outputs are multiplied by it: 1.5 for a policy with outputs in ±1.
     pub output_scale: f32,

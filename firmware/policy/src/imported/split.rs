@@ -206,20 +206,24 @@ impl Network {
         })
     }
 
-    /// The split point that is proposed: the last layer with weights of a size that is explained, which stands between the frame and
-    /// the action. It is the closest to the decision, so the least of it is left to be explained.
+    /// The split point that is proposed: the last layer with weights, its curve included, of a size that is explained, which stands between the
+    /// frame and the action. It is the closest to the decision, so the least of it is left to be explained.
     pub fn proposed_split(&self, params: &[f32], frame_input: usize) -> Option<usize> {
-        let with_weights = |number: &usize| {
-            let layer = self.layers.get(*number);
-            layer.is_some_and(|layer| layer.params_of(*number).is_some()) && self.not_followed_by_curve(*number)
+        // A layer's sources come before it.
+        let has_weights = |mut number: usize| loop {
+            match self.layers.get(number) {
+                Some(Layer::Curve { x, .. } | Layer::Function { x, .. }) => number = *x,
+                layer => return layer.is_some_and(|layer| layer.params_of(number).is_some()),
+            }
         };
+        let with_weights = |number: &usize| has_weights(*number) && self.not_followed_by_curve(*number);
         let numbers = (0..self.layers.len()).rev();
         numbers
             .filter(with_weights)
             .find(|number| self.head(params, *number, frame_input).is_ok())
     }
 
-    /// Whether nothing but an element-wise function reads the layer: then what that gives is the better split point.
+    /// Whether something else than an element-wise function reads the layer: otherwise what that gives is the better split point.
     fn not_followed_by_curve(&self, number: usize) -> bool {
         let mut readers = self.layers.iter().filter(|layer| layer.sources().contains(&number));
         !readers.all(|layer| matches!(layer, Layer::Curve { .. } | Layer::Function { .. }))

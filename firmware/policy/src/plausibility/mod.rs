@@ -195,7 +195,9 @@ impl PlausibilityCheck {
     /// Looks whether regions were moved. From when on they are known to be, the pictures before are none to compare with.
     fn note_regions(&mut self, frame: &DepthFrame) {
         let height_m = self.ground_down_m - frame.header.position_ned_m.z;
-        if height_m > LOW_M && self.regions.note(frame, &self.directions, height_m) {
+        if height_m <= LOW_M {
+            self.regions.skip();
+        } else if self.regions.note(frame, &self.directions, height_m) {
             self.forget_motion();
             self.raised = self.raised.filter(|raised| raised.stays);
             self.forget_ranges();

@@ -80,6 +80,8 @@ pub(super) struct Regions {
     /// The last pictures, the newest lowest: set where regions were moved.
     last: u32,
     are_moved: bool,
+    /// The last frame was looked at.
+    is_current: bool,
     /// Regions of this flight are too small.
     too_small: bool,
     /// By how much the region of each cell is shown too far, metres; not a number where nothing is known.
@@ -95,6 +97,7 @@ impl Default for Regions {
             left_of: [0; COLS],
             last: 0,
             are_moved: false,
+            is_current: false,
             too_small: false,
             moved_m: [f32::NAN; CELLS],
             restored: DepthFrame::EMPTY,
@@ -113,6 +116,7 @@ impl Regions {
     /// Takes a frame, whose sides are known, from so high above the ground, metres. Returns whether it is the first of a flight that is
     /// known to be of moved regions.
     pub(super) fn note(&mut self, frame: &DepthFrame, directions: &Directions, height_m: f32) -> bool {
+        self.is_current = true;
         let is_torn = self.find_lines();
         self.last = (self.last << 1 | u32::from(is_torn)) & ((1 << LAST_FRAMES) - 1);
         let sides = |frames: &[u8]| frames.iter().filter(|frames| **frames >= LINE_FRAMES).count();
@@ -128,17 +132,20 @@ impl Regions {
         begins
     }
 
+    /// The last frame is not looked at: too near the ground.
+    pub(super) fn skip(&mut self) {
+        self.is_current = false;
+    }
+
     /// The flight is over.
     pub(super) fn forget(&mut self) {
-        if self.last != 0 || self.are_moved {
-            (self.above, self.left_of) = ([0; ROWS], [0; COLS]);
-            (self.last, self.are_moved, self.too_small) = (0, false, false);
-        }
+        (self.above, self.left_of) = ([0; ROWS], [0; COLS]);
+        (self.last, self.are_moved, self.too_small) = (0, false, false);
     }
 
     /// The last frame with its regions where they were; `None` where none are moved.
     pub(super) fn restored(&self) -> Option<&DepthFrame> {
-        (self.are_moved && !self.too_small).then_some(&self.restored)
+        (self.are_moved && self.is_current && !self.too_small).then_some(&self.restored)
     }
 
     /// Takes that frame into a picture; returns what was counted there.
@@ -459,6 +466,9 @@ mod tests {
             let level = 60 * DEPTH_COLS..68 * DEPTH_COLS;
             let right = level.clone().filter(|i| error_m(*i) < 0.3).count();
             assert!(right * 4 > level.len() * 3, "{side}: {right} of {}", level.len());
+            regions.skip();
+            assert!(regions.restored().is_none(), "of a frame that is not looked at");
+            assert!(!note(&mut regions, &moved(&hall, side, 12)) && regions.restored().is_some());
             regions.forget();
             assert!(regions.restored().is_none());
         }
