@@ -21,8 +21,6 @@ pub struct CompanionView {
     pub slips: u64,
     /// The detector's last score; `None` while it told none.
     pub score: Option<f32>,
-    /// Last STATUSTEXT.
-    pub text: String,
 }
 
 impl CompanionView {
@@ -41,8 +39,8 @@ impl CompanionView {
     /// Looks at a datagram that came from the guidance computer.
     pub fn observe(&mut self, datagram: &[u8]) {
         for packet in framing::packets(datagram, &mut self.counters) {
-            match packet.message() {
-                Ok(MavMessage::NAMED_VALUE_FLOAT(m)) => match m.name.to_str().unwrap_or_default() {
+            if let Ok(MavMessage::NAMED_VALUE_FLOAT(m)) = packet.message() {
+                match m.name.to_str().unwrap_or_default() {
                     "gd_state" => self.state_code = Some(m.value as u8),
                     "gd_reason" => self.reason_bits = (self.reason_bits & !LOW_BITS) | (m.value as u64 & LOW_BITS),
                     "gd_reason2" => self.reason_bits = (self.reason_bits & LOW_BITS) | ((m.value as u64) << 24),
@@ -50,15 +48,7 @@ impl CompanionView {
                     "dt_score" => self.score = Some(m.value),
                     "slips" => self.slips = m.value as u64,
                     _ => {}
-                },
-                Ok(MavMessage::STATUSTEXT(m)) => {
-                    if m.chunk_seq == 0 {
-                        self.text.clear();
-                    }
-                    // Chunks of other texts do not come in between: each text is sent as a whole.
-                    self.text.push_str(m.text.to_str().unwrap_or_default());
                 }
-                _ => {}
             }
         }
     }

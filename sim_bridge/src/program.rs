@@ -92,20 +92,20 @@ pub struct SimArgs {
 
     /// A further link for ground stations: a URL as of `vigil firmware --link`, then options separated by commas:
     /// unsigned=loopback|never|always and rate=BYTES_PER_SECOND. May be repeated.
-    #[arg(long, value_name = "URL[,OPTION]")]
+    #[arg(long, value_name = "URL[,OPTION]", conflicts_with = "lockstep")]
     pub link: Vec<LinkSpec>,
 
     /// File with the key of MAVLink signing: 64 hexadecimal digits or 32 bytes, mode 0600. Without it nothing is signed.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "lockstep")]
     pub signing_key: Option<PathBuf>,
 
     /// While there is no signing key, take one by SETUP_SIGNING from whoever may speak without a signature. Without this,
     /// and once there is a key, only a packet signed with it brings another.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "lockstep")]
     pub accept_first_key: bool,
 
     /// From whom packets without a signature are accepted: from this machine, nobody, everybody.
-    #[arg(long, value_name = "WHO", value_enum, default_value_t)]
+    #[arg(long, value_name = "WHO", value_enum, default_value_t, conflicts_with = "lockstep")]
     pub allow_unsigned: AllowUnsigned,
 
     /// File with the secret of the depth frames' key, as the sensor's driver has it: 64 hexadecimal digits or 32 bytes, mode 0600. Without it
@@ -114,15 +114,15 @@ pub struct SimArgs {
     pub frame_key: Option<PathBuf>,
 
     /// Folder that keeps the vehicle's parameters and plans over restarts. Without it they end with the process.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with = "lockstep")]
     pub state: Option<PathBuf>,
 
     /// Print one JSON status line five times a second to standard output.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "lockstep")]
     pub status: bool,
 
     /// End this many seconds after the flight ended (the default is to go on until Ctrl-C).
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", conflicts_with = "lockstep")]
     pub end_after: Option<f64>,
 }
 

@@ -4,7 +4,7 @@ use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::policy_attack::PolicyAttack;
 use crate::stream_attack::StreamAttack;
 use vigil_nnet::Isa;
-use vigil_policy::actor::PositionalInputs;
+use vigil_policy::actor::{ACTOR_OUTPUTS, PositionalInputs};
 use vigil_policy::{FrozenPilot, PilotInput};
 use vigil_types::DepthFrame;
 
@@ -36,14 +36,14 @@ impl FrameAttack {
         })
     }
 
-    /// Lets what the pilot is given pass unaltered, but remembers it. Ends a burst.
+    /// Lets what the pilot is given pass unaltered, but remembers it; returns what an actor decides. Ends a burst.
     ///
     /// # Errors
     /// None for a pilot of this project's frames.
-    pub fn pass(&mut self, taken: &PilotInput<'_>) -> Result<(), AttackError> {
+    pub fn pass(&mut self, taken: &PilotInput<'_>) -> Result<Option<[f32; ACTOR_OUTPUTS]>, AttackError> {
         match self {
-            Self::Actor(attack) => attack.pass(taken),
-            Self::Policy(attack) => attack.pass(&taken.depth.depth),
+            Self::Actor(attack) => attack.pass(taken).map(Some),
+            Self::Policy(attack) => attack.pass(&taken.depth.depth).map(|()| None),
         }
     }
 

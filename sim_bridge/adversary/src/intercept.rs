@@ -107,7 +107,11 @@ impl Interceptor {
     ) -> Result<PassedStep, AttackError> {
         let velocity = self.velocity(&frame.header);
         if !self.plan.attacks(step) {
-            self.attack.pass(&seen(frame, self.goal_ned_m, velocity))?;
+            let seen = seen(frame, self.goal_ned_m, velocity);
+            let decided = self.attack.pass(&seen)?;
+            if let (Some(guard), Some(decided)) = (&mut self.guard, decided) {
+                guard.delivered(&seen, decided);
+            }
             return Ok(PassedStep::Unaltered);
         }
         if let (Some(guard), FrameAttack::Actor(attack)) = (&self.guard, &mut self.attack) {

@@ -140,7 +140,7 @@ pub fn run(args: &AdversaryArgs) -> Result<ExitCode> {
             }
             let mut in_time = true;
             let passed = interceptor.pass_while(under_way, &mut frame, || {
-                in_time = monotonic_ns() < stamp_ns + deadline_ns;
+                in_time = monotonic_ns() < stamp_ns.saturating_add(deadline_ns);
                 in_time
             })?;
             to.publish(&frame)?;

@@ -6,7 +6,7 @@ use crate::perturb::{Perturber, before_saturation, limit};
 use crate::surrogate::{Beside, Surrogate, SurrogateActor};
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
-use vigil_policy::actor::{ACTOR_LIMIT, Actor, ActorSpec};
+use vigil_policy::actor::{ACTOR_LIMIT, ACTOR_OUTPUTS, Actor, ActorSpec};
 use vigil_policy::{FrozenActor, PilotInput};
 use vigil_types::{Action, DepthFrame};
 
@@ -65,11 +65,11 @@ impl StreamAttack {
         self.yaw_bounds = bounds;
     }
 
-    /// Lets what the actor is given pass unaltered, but remembers it. Ends a burst.
+    /// Lets what the actor is given pass unaltered, but remembers it; returns what the actor decides. Ends a burst.
     ///
     /// # Errors
     /// None for an actor of this project's frames.
-    pub fn pass(&mut self, taken: &PilotInput<'_>) -> Result<(), AttackError> {
+    pub fn pass(&mut self, taken: &PilotInput<'_>) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
         let [forward_m_s, yaw] = self.delivered.decide(taken)?;
         self.clean.decide_beside(&self.delivered, taken)?;
         self.clean.note_action(Action { forward_m_s, yaw });
@@ -78,7 +78,7 @@ impl StreamAttack {
             evasion.begin_step(self.delivered.low_dim());
             evasion.look(self.delivered.state())?;
         }
-        Ok(())
+        Ok([forward_m_s, yaw])
     }
 
     /// Alters what the actor is given: `delivered` becomes the frame taken with other pixels, each within 0 to 1; it is to be sealed again.

@@ -106,7 +106,7 @@ impl FrameAttack {
     /// A frame that passes as it is.
     fn pass_on(&mut self, frame: PyReadonlyArrayDyn<'_, f32>, position: Vec<f32>) -> PyResult<()> {
         let moment = Moment::of(&frame, &position, &mut self.next_ns)?;
-        self.attack.pass(&moment.input()).map_err(refused)
+        self.attack.pass(&moment.input()).map(drop).map_err(refused)
     }
 
     /// The frame altered, metres.

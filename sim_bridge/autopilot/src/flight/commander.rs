@@ -176,9 +176,7 @@ impl Core {
 
     /// A mode command of `commander`. Clears a failsafe. Accepted also while disarmed: the mode acts once armed.
     pub fn change_mode(&mut self, mode: FlightMode, commander: Source) -> Result<(), Denial> {
-        if !mode.is_flown_without_position() && !self.knows_position() {
-            return Err(Denial::PositionUnknown(mode));
-        }
+        self.position_check(mode)?;
         if mode == FlightMode::Offboard {
             return self.enter_offboard(commander);
         }
@@ -253,6 +251,7 @@ impl Core {
         if self.commander.terminated {
             return Err(Denial::Terminated("takeoff"));
         }
+        self.position_check(FlightMode::Takeoff)?;
         self.clear_failsafe();
         if self.commander.armed {
             self.begin_climb(height_m);
@@ -301,17 +300,25 @@ impl Core {
         self.enter(FlightMode::Return, maneuver);
     }
 
-    /// Whether it flies.
-    pub(super) fn in_air_check(&self) -> Result<(), Denial> {
-        match self.commander.armed && !self.commander.is_on_ground() {
+    /// Whether the mode can be flown by what is known of the position.
+    fn position_check(&self, mode: FlightMode) -> Result<(), Denial> {
+        match mode.is_flown_without_position() || self.knows_position() {
             true => Ok(()),
+            false => Err(Denial::PositionUnknown(mode)),
+        }
+    }
+
+    /// Whether it flies, and the mode can be entered.
+    pub(super) fn in_air_check(&self, mode: FlightMode) -> Result<(), Denial> {
+        match self.commander.armed && !self.commander.is_on_ground() {
+            true => self.position_check(mode),
             false => Err(Denial::NotInAir),
         }
     }
 
     /// Goes to a position and holds there.
     pub fn go_to(&mut self, position_ned_m: NedVector, yaw: YawCommand, speed_m_s: Option<f32>) -> Result<(), Denial> {
-        self.in_air_check()?;
+        self.in_air_check(FlightMode::Hold)?;
         if !self.fence_allows((position_ned_m.x, position_ned_m.y), -position_ned_m.z) {
             return Err(Denial::OutsideFence);
         }
@@ -331,7 +338,7 @@ impl Core {
 
     /// Brakes, and holds where it stops.
     pub fn stop_here(&mut self) -> Result<(), Denial> {
-        self.in_air_check()?;
+        self.in_air_check(FlightMode::Hold)?;
         self.clear_failsafe();
         self.enter(FlightMode::Hold, Maneuver::default());
         Ok(())

@@ -110,9 +110,9 @@ impl Core {
                 self.commander.region_of_interest_m = place_m;
                 self.end_item(true);
             }
-            MissionItem::Home { place_m } => {
+            MissionItem::Home => {
                 let here = self.view.estimate.position_ned_m;
-                self.home_m = place_m.unwrap_or((here.x, here.y));
+                self.home_m = (here.x, here.y);
                 self.announce::<HOME_POSITION_DATA>();
                 self.end_item(true);
             }

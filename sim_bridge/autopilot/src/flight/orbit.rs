@@ -20,7 +20,7 @@ const FENCE_POINTS: u16 = 32;
 impl Core {
     /// Begins to circle.
     pub fn begin_orbit(&mut self, mut orbit: Orbit) -> Result<(), Denial> {
-        self.in_air_check()?;
+        self.in_air_check(FlightMode::Orbit)?;
         let centre = orbit.centre_ned_m;
         let leaves_fence = (0..FENCE_POINTS).any(|i| {
             let bearing = f32::from(i) * TAU / f32::from(FENCE_POINTS);

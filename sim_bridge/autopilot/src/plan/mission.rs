@@ -88,10 +88,8 @@ pub(crate) enum MissionItem {
     Interest {
         place_m: Option<(f32, f32)>,
     },
-    /// Home is there from here on; `None` is where the vehicle is.
-    Home {
-        place_m: Option<(f32, f32)>,
-    },
+    /// Home is from here on where the vehicle is.
+    Home,
     /// Nothing that this vehicle does.
     PassedOver,
 }
@@ -163,11 +161,12 @@ impl MissionItem {
             }
             NAV_TAKEOFF => to(Purpose::TakeOff),
             NAV_RETURN_TO_LAUNCH => Ok(Self::Return),
-            // The place of a home as the command has it: parameter 1 is 1 where it is the vehicle's.
-            DO_SET_HOME if item.param(1) == Some(1.0) => Ok(Self::Home { place_m: None }),
-            DO_SET_HOME => Ok(Self::Home {
-                place_m: Some(item.point(home)?),
-            }),
+            // A mission's command in a frame without places.
+            DO_SET_HOME if item.param(1) == Some(1.0) => Ok(Self::Home),
+            DO_SET_HOME => Err(PlanDefect::of_parameter(
+                1,
+                "a mission sets home only where the vehicle is",
+            )),
             NAV_DELAY | CONDITION_DELAY => Ok(Self::Delay {
                 wait_ns: seconds(item)?,
             }),
@@ -304,8 +303,7 @@ impl Mission {
     pub fn next_place_m(&self) -> Option<(f32, f32)> {
         let after = self.items.get(self.current + 1..)?;
         use MissionItem::{Home, Interest, PassedOver, Speed};
-        let takes_time =
-            |item: &&MissionItem| !matches!(item, PassedOver | Interest { .. } | Speed { .. } | Home { .. });
+        let takes_time = |item: &&MissionItem| !matches!(item, PassedOver | Interest { .. } | Speed { .. } | Home);
         match after.iter().find(takes_time)? {
             MissionItem::Leg(leg) => leg.place.north_east_m,
             _ => None,

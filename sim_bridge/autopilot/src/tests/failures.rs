@@ -49,6 +49,10 @@ fn without_gps_the_vehicle_lands_and_is_not_armed_again() {
     assert_eq!(b.status().failsafe, Some(Failsafe::PositionLost));
     b.assert_told("position lost: land");
     assert_eq!(b.set_mode(API, SCRIPT, 4, 3), REJECTED, "nowhere to hold");
+    for (number, command) in [(192, "reposition"), (22, "take-off"), (34, "orbit")] {
+        let answer = b.ask(number, &[-1.0, 0.0, 0.0, f32::NAN, f32::NAN, f32::NAN, f32::NAN]);
+        assert!(answer != ACCEPTED && b.status().failsafe.is_some(), "{command}");
+    }
     b.run_until(30, "landed", |b| {
         b.status().landed == LandedState::OnGround && !b.status().armed
     });

@@ -220,7 +220,7 @@ impl Wander {
         let [horizontal_m, vertical_m] = params.wander_m;
         let [level_m_s, down_m_s] = params.velocity_error_m_s;
         let is_astray = level_m_s > 0.0 || down_m_s > 0.0;
-        if horizontal_m == 0.0 && vertical_m == 0.0 && !is_astray {
+        if horizontal_m == 0.0 && vertical_m == 0.0 && !is_astray && params.heading_error_rad == 0.0 {
             return None;
         }
         let [horizontal_s, vertical_s] = params.wander_time_s;
