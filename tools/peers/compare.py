@@ -19,7 +19,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -144,7 +144,6 @@ class Context:
     ours: Ours
     actor: frozen.Actor
     tract: Path | None = None
-    config: dict[str, float] = field(default_factory=dict)
 
     def given(self, of: str) -> tuple[torch.Tensor, ...]:
         """Frames [n, 1, 128, 256], what is remembered [n, 328] and low-dimensional observations [n, 8] of `state` or `background`."""

@@ -83,7 +83,7 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
             stop.store(row.updates == 500, Ordering::Relaxed);
         }
     });
-    assert!(matches!(end.unwrap(), LearnEnd::Interrupted(path) if path.exists()));
+    assert!(matches!(end.unwrap(), LearnEnd::Interrupted(Some(path)) if path.exists()));
     let two = LearnConfig { threads: 2, ..small() };
     let end = learn(&two, &options(&parts, true), &AtomicBool::new(false), &mut |_| {});
     assert!(complete(end.unwrap()) == expected, "the same bits");
@@ -98,14 +98,23 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
         assert_eq!(lines(&whole), lines(&parts), "{file}");
     }
 
-    // It goes on for longer, over other courses.
+    // Stopped while the end is tested, it is tested when it goes on.
+    let stopped = learn(&two, &options(&parts, true), &AtomicBool::new(true), &mut |_| {});
+    assert!(matches!(stopped.unwrap(), LearnEnd::Interrupted(Some(_))));
+
+    // It goes on for longer, over other courses, and every flight is in the table.
     let longer = LearnConfig {
         decisions: 1_280,
         families: vec![Family::Hard],
         ..small()
     };
     let end = learn(&longer, &options(&parts, true), &AtomicBool::new(false), &mut |_| {});
-    assert!(matches!(end.unwrap(), LearnEnd::Complete(_, result) if result.decisions == longer.decisions));
+    let LearnEnd::Complete(_, result) = end.unwrap() else {
+        panic!("it was not interrupted")
+    };
+    assert_eq!(result.decisions, longer.decisions);
+    let flights = std::fs::read_to_string(parts.join("flights.csv")).unwrap();
+    assert_eq!(flights.lines().count(), 1 + result.flights);
 
     // Another configuration cannot go on with it, and no run begins where one is.
     let other = LearnConfig { seed: 2, ..small() };
@@ -121,4 +130,16 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
     bytes[middle] ^= 1;
     std::fs::write(&checkpoint, &bytes).unwrap();
     assert!(refused(&longer, true).contains("was altered"));
+}
+
+#[test]
+fn who_is_stopped_while_the_encoder_is_taught_ends_and_keeps_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let from_nothing = LearnOptions {
+        encoder: None,
+        ..options(folder.path(), false)
+    };
+    let end = learn(&small(), &from_nothing, &AtomicBool::new(true), &mut |_| {});
+    assert!(matches!(end.unwrap(), LearnEnd::Interrupted(None)));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }

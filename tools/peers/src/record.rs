@@ -8,21 +8,17 @@ use std::path::Path;
 /// Named tensors being collected.
 #[derive(Default)]
 pub struct Record {
-    tensors: Vec<(String, Vec<usize>, Dtype, Vec<u8>)>,
+    tensors: Vec<(String, Vec<usize>, Vec<u8>)>,
     metadata: HashMap<String, String>,
 }
 
 impl Record {
     /// Adds numbers; the first dimension follows from the length.
     pub fn floats<'a>(&mut self, name: &str, inner: &[usize], values: impl IntoIterator<Item = &'a f32>) {
-        let bytes = values.into_iter().flat_map(|x| x.to_le_bytes()).collect();
-        self.push(name, inner, Dtype::F32, bytes);
-    }
-
-    fn push(&mut self, name: &str, inner: &[usize], dtype: Dtype, bytes: Vec<u8>) {
-        let row = inner.iter().product::<usize>() * if dtype == Dtype::F32 { 4 } else { 1 };
+        let bytes: Vec<u8> = values.into_iter().flat_map(|x| x.to_le_bytes()).collect();
+        let row = 4 * inner.iter().product::<usize>();
         let shape = [&[bytes.len() / row], inner].concat();
-        self.tensors.push((name.to_owned(), shape, dtype, bytes));
+        self.tensors.push((name.to_owned(), shape, bytes));
     }
 
     /// Adds a line of metadata.
@@ -35,7 +31,7 @@ impl Record {
         let views = self
             .tensors
             .iter()
-            .map(|(name, shape, dtype, bytes)| Ok((name, TensorView::new(*dtype, shape.clone(), bytes)?)))
+            .map(|(name, shape, bytes)| Ok((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
             .collect::<Result<Vec<_>>>()?;
         let bytes = safetensors::serialize(views, Some(self.metadata))?;
         vigil_types::files::replace(path, &bytes, vigil_types::files::Access::Shared)

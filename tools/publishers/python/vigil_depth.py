@@ -76,6 +76,9 @@ def frame_key(path: os.PathLike | str, sensor_id: int) -> bytes:
     """The key of a sensor in this boot of the machine, from the secret in a file (docs/frame-authentication.md)."""
     import blake3
 
+    about = os.stat(path)
+    if about.st_mode & 0o077 or about.st_uid not in (0, os.getuid()):
+        raise ValueError(f"{path} is open to others: chown it to yourself and chmod 600 it")
     content = pathlib.Path(path).read_bytes()
     secret = content if len(content) == 32 else bytes.fromhex(content.decode().strip())
     if len(secret) != 32 or not any(secret):

@@ -28,8 +28,6 @@ from vigil.policy import Actor
 
 ACTION_LIMIT = 1.5
 """Largest forward speed, m/s, and largest yaw, units of 30 °/s."""
-YAW_UNIT_RAD_S = math.radians(30.0)
-"""Yaw rate of a yaw of 1."""
 OUTCOMES = ("success", "collision", "out of bounds", "time-out")
 """How a flight can end."""
 DEFAULT_REWARD: Mapping[str, float | str] = {
@@ -40,7 +38,7 @@ DEFAULT_REWARD: Mapping[str, float | str] = {
     "checkpoint": 0.0,
     "near": 0.0,
 }
-"""The reward's terms and their defaults, those of ``vigil learn`` (docs/training.md)."""
+"""The reward's terms and their defaults, those of ``vigil learn`` (docs/training.md) but for ``near``."""
 # Memory of frames that is kept to be written anew: what the system has just given costs as much as the flight itself.
 _SPARE = 3
 _SEEDS = 2**48
@@ -256,7 +254,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
     dead        −6       for a collision or leaving the bounds
     decision    −0.02    for each step
     checkpoint  0        at checkpoint C of N, times (1 + C/N)
-    near        0        for each step that ends less than 1 m from an obstacle, the share of that metre that is missing
+    near        0        for each step that ends less than 1 m from an obstacle, the square of the share of that metre that is missing
     ==========  =======  ==========================================================================================
 
     A flight is terminated by success, collision and leaving the bounds, truncated by the course's time limit; ``info["outcome"]`` then

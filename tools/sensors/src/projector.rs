@@ -80,16 +80,6 @@ impl Counts {
     }
 }
 
-impl core::ops::AddAssign for Counts {
-    fn add_assign(&mut self, other: Self) {
-        self.used += other.used;
-        self.out_of_view += other.out_of_view;
-        self.no_return += other.no_return;
-        self.too_near += other.too_near;
-        self.impossible += other.impossible;
-    }
-}
-
 /// Makes the image: give it what one or several sensors saw at one moment, then [`finish`](Self::finish).
 ///
 /// Of several points in a pixel the nearest counts. A pixel between points that are no farther apart than two beams of the sensor gets

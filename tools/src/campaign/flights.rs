@@ -217,10 +217,10 @@ where
         if path.exists() && existing != Existing::Replace {
             ensure!(
                 existing == Existing::Resume,
-                "{name} holds a campaign's flights; add --resume to fly what it lacks, or name another place with --output"
+                "{name} holds a campaign's flights; add --resume to fly what it lacks, or name another place with -o"
             );
             self.read(path)
-                .context("name another place with --output, or leave --resume out")?;
+                .context("name another place with -o, or leave --resume out")?;
         }
         self.write(path)?;
         let file = OpenOptions::new().append(true).open(path);

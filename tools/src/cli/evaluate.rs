@@ -278,7 +278,7 @@ fn check_ranges(args: &EvaluateArgs) -> Result<()> {
 }
 
 /// Makes the folders, before a flight is flown for nothing.
-fn prepare(args: &EvaluateArgs) -> Result<()> {
+fn prepare(args: &EvaluateArgs, faults: &[Option<SensorFault>]) -> Result<()> {
     if args.view.is_some() {
         args.viewer.check_with_port()?;
     }
@@ -288,9 +288,21 @@ fn prepare(args: &EvaluateArgs) -> Result<()> {
     }
     if let Some(folder) = &args.logs {
         ensure!(
-            args.flights <= MOST_LOGS,
+            args.flights.saturating_mul(faults.len() as u64) <= MOST_LOGS,
             "--logs keeps at most {MOST_LOGS} flights: their logs have some 100 MB each; fewer --flights, please"
         );
+        // Before flights of an earlier campaign are replaced.
+        let names = faults
+            .iter()
+            .flat_map(|fault| (0..args.flights).map(|i| log_name(args, *fault, args.seed + i)));
+        for log in names.map(|name| folder.join(name + ".mcap")) {
+            let is_there = !args.resume && log.exists();
+            ensure!(
+                !is_there,
+                "{} is there and is kept: name another folder with --logs",
+                log.display()
+            );
+        }
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
     Ok(())
@@ -318,8 +330,8 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     check_ranges(args)?;
     let models = args.vehicle.models(args.config.as_deref())?;
     let attack = args.attack.attack(args.pilot.actor_file())?;
-    prepare(args)?;
     let faults = faults(args.sensor_fault);
+    prepare(args, &faults)?;
     let jobs = Jobs {
         first_seed: args.seed,
         flights: args.flights,
@@ -429,7 +441,8 @@ fn fly(
     let recording = logs.map(|folder| recording(args, folder, fault, seed));
     let flight = campaign::fly_recorded(&config, &firmware, attack, recording)?;
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !flight.record.is_success()) {
-        let file = format!("{seed}-{}.png", outcome_name(flight.record.outcome).replace(' ', "-"));
+        let outcome = outcome_name(flight.record.outcome).replace(' ', "-");
+        let file = format!("{}-{outcome}.png", log_name(args, fault, seed));
         draw(&config.course, &flight.record, &folder.join(file))?;
     }
     Ok(flight)

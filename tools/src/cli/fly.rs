@@ -128,6 +128,10 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         !args.foreign.is_foreign() || args.vehicle == VehicleChoice::default(),
         "--vehicle flies a vehicle that already runs: --vehicle-model and --noisy-estimate are for the simulated one"
     );
+    ensure!(
+        !args.foreign.is_foreign() || args.second_sensor.heads == 0,
+        "--second-sensor-heads are the simulated vehicle's: a vehicle that has such a sensor sends OBSTACLE_DISTANCE"
+    );
     if args.view {
         args.viewer.check_with_port()?;
     }
@@ -169,6 +173,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let code = summarise(&course, &last, &folder, &said, interrupt.came())?;
     match film {
         None => {}
+        Some(Ok(words)) if words.is_empty() => {}
         Some(Ok(told)) => say!("film      {}", told.trim_end()),
         // The flight has its own end; the film can be made of its log again.
         Some(Err(error)) => tell!("vigil: {}", vigil_firmware::program::told(&error)),

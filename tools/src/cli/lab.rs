@@ -80,6 +80,9 @@ pub fn check_film(to: &Path) -> Result<()> {
 pub fn film(folder: &Path, to: &Path, title: &str) -> Result<String> {
     let mut film = program()?;
     film.arg("film").arg(folder).arg("-o").arg(to).args(["--title", title]);
+    if super::output::is_stdout(to) {
+        film.stdout(Stdio::inherit());
+    }
     let filmed = film.stderr(Stdio::inherit()).output()?;
     ensure!(filmed.status.success(), "no film of {}", folder.display());
     Ok(String::from_utf8_lossy(&filmed.stdout).into_owned())

@@ -27,7 +27,12 @@ pub fn command_again(
     let mut again = vec!["vigil".to_owned(), command.to_owned()];
     let text = |argument: OsString| argument.to_string_lossy().into_owned();
     let arguments = arguments.into_iter().map(|argument| text(argument.into()));
-    let mut arguments = arguments.skip(1).skip_while(|a| a == command);
+    let mut named = false;
+    let mut arguments = arguments.skip(1).filter(|a| {
+        let is_command = !named && a == command;
+        named |= is_command;
+        !is_command
+    });
     while let Some(argument) = arguments.next() {
         let (name, has_value) = argument
             .split_once('=')
@@ -67,6 +72,7 @@ mod tests {
             command_again(line, "fly", &["-o", "--log", "--seed"], &["--seed", "7"])
         };
         assert_eq!(again(&["/usr/bin/vigil"]), "vigil fly --seed 7");
+        assert_eq!(again(&["vigil", "-v", "fly"]), "vigil fly -v --seed 7");
         assert_eq!(
             again(&["vigil", "fly", "--seed=9", "--apf", "off"]),
             "vigil fly --apf off --seed 7"

@@ -266,7 +266,11 @@ pub fn run_search(args: &SearchArgs) -> Result<ExitCode> {
                     towards: *towards,
                     ..args.strength.of(*method)
                 };
-                settings.push((args.apf, Some(Setting { config, burst: *burst })));
+                let arm = (args.apf, Some(Setting { config, burst: *burst }));
+                // One that is given twice is flown once.
+                if settings.iter().all(|known| arm_name(*known) != arm_name(arm)) {
+                    settings.push(arm);
+                }
             }
         }
     }

@@ -198,7 +198,10 @@ fn measure(args: &RealtimeArgs, interrupt: &Interrupt) -> Result<RealtimeReport>
                 run.ended_early = Some(format!("{error:#}"));
                 break;
             }
-            Err(error) => return Err(error),
+            Err(error) => {
+                let _ = std::fs::remove_dir_all(&folder);
+                return Err(error);
+            }
         }
         flight += 1;
     }

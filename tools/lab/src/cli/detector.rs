@@ -8,13 +8,12 @@ pub(crate) use report::roc;
 use crate::cli::collect::CollectArgs;
 use crate::cli::output::{self, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
-    EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Scenario, Set, WindowScorer, fly_all,
-    of_other_actor, sets,
+    EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Scenario, Set, WindowScorer, fly_all, sets,
 };
 use crate::report::{Picture, TextTable, numbers, to_csv, words};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use report::{curves_png, percent, roc_of_features, text};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -94,7 +93,7 @@ enum DetectorCommand {
         /// Steps whose pixels are explained.
         #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=20))]
         pictures: u64,
-        /// The frozen detector [default: the one built in].
+        /// The frozen detector [default: lstm_ad.safetensors in the folder, or else the one built in].
         #[arg(long, value_name = "FILE")]
         detector: Option<PathBuf>,
     },
@@ -360,14 +359,16 @@ impl Stage<'_> {
     /// The frozen LSTM-AD of this actor: of the file, of the folder, or the one built in.
     fn detector(&self, file: Option<&Path>) -> Result<FrozenDetector> {
         let path = file.map_or_else(|| self.path("lstm_ad.safetensors"), Path::to_owned);
-        let frozen = match file.is_some() || path.exists() {
-            true => FrozenDetector::load(&path)?,
-            false => FrozenDetector::built_in()?,
+        let (frozen, which) = match file.is_some() || path.exists() {
+            true => (FrozenDetector::load(&path)?, path.display().to_string()),
+            false => (FrozenDetector::built_in()?, "that is built in".to_owned()),
         };
-        let expected = self.pilot.sha256();
-        if frozen.actor_sha256 != expected {
-            return Err(of_other_actor(&path, &frozen.actor_sha256, &expected));
-        }
+        let (expected, found) = (self.pilot.sha256(), &frozen.actor_sha256);
+        ensure!(
+            *found == expected,
+            "the detector {which} was trained for the actor {found}, this is the actor {expected}: collect data and train one \
+             for it, or give --detector"
+        );
         Ok(frozen)
     }
 

@@ -100,7 +100,11 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
         Progress::Row(row, all) => say!("{}", line(row, all)),
     });
     match end? {
-        LearnEnd::Interrupted(checkpoint) => {
+        LearnEnd::Interrupted(None) => {
+            say!("stopped while the encoder was taught, of which nothing is kept: the same command begins anew");
+            Ok(ExitCode::from(EXIT_INTERRUPTED))
+        }
+        LearnEnd::Interrupted(Some(checkpoint)) => {
             say!("stopped; go on with the same command and --resume");
             say!("checkpoint       {}", checkpoint.display());
             Ok(ExitCode::from(EXIT_INTERRUPTED))

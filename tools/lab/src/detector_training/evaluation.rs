@@ -107,11 +107,11 @@ pub fn sets(size: &EvaluationSize) -> Vec<Set> {
         (Method::BimAccumulating, 0.5, 20, Role::Trained),
         (Method::BimAccumulating, 1.0, 5, Role::Trained),
         (Method::BimClipped, 5.0, 20, Role::Trained),
-        (Method::Fgsm, 10.0, 1, Role::Untrained),
+        (Method::Fgsm, 10.0, 1, Role::Trained),
         (Method::Pgd, 5.0, 20, Role::Untrained),
         (Method::Momentum, 5.0, 20, Role::Untrained),
         (Method::L2, 5.0, 20, Role::Untrained),
-        (Method::Patch, 5.0, 20, Role::Untrained),
+        (Method::Patch, 5.0, 20, Role::Trained),
         (Method::Noise, 1.0, 20, Role::Control),
     ] {
         let name = format!("{} {epsilon_255} x {iterations}", method.name());

@@ -115,7 +115,7 @@ pub(super) fn not_collected(path: &Path, message: &str) -> Error {
 }
 
 /// Refuses data of another actor.
-pub fn of_other_actor(path: &Path, found: &str, expected: &str) -> Error {
+fn of_other_actor(path: &Path, found: &str, expected: &str) -> Error {
     let path = path.display();
     anyhow!("{path} was collected with the actor {found}, this is the actor {expected}; collect the data anew")
 }

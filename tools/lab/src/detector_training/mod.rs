@@ -17,7 +17,7 @@ pub(crate) use evaluation::{EvaluationSize, Report, Role, Set, SetReport, evalua
 pub(crate) use explained_flight::{ExplainedFrame, ExplainedStep, Portrait, portray};
 pub use features::Feature;
 pub use fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
-pub(crate) use flight_files::{BLOCK, Recorded, of_other_actor};
+pub(crate) use flight_files::{BLOCK, Recorded};
 pub use flight_files::{Counts, Flights};
 pub(crate) use lstm::train_steps;
 pub use lstm::{LstmConfig, WindowScorer, train};

@@ -28,7 +28,7 @@ const MAP_TOP: usize = BANNER + VIEW_HEIGHT + 2;
 /// Where the right column begins.
 const RIGHT: usize = VIEW_WIDTH + 14;
 /// Left, top, width and height of the detector's score.
-const SCORE: [usize; 4] = [RIGHT, BANNER + 2 + 2 * (DEPTH_ROWS + 4 + LINE) + LINE, 256, 38];
+const SCORE: [usize; 4] = [RIGHT, BANNER + 2 + 2 * (DEPTH_ROWS + 4 + LINE) + LINE, 256, 26];
 /// A line of text.
 const LINE: usize = 16;
 /// A picture of the film is shown so long, hundredths of a second.
@@ -413,7 +413,7 @@ impl Scene {
             before = point;
         }
         if log.info.detector_sha256.is_none() {
-            canvas.text(left + 90, top + 13, "no detector", Colour::SOFT);
+            canvas.text(left + 90, top + 6, "no detector", Colour::SOFT);
         }
     }
 

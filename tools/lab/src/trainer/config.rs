@@ -109,11 +109,11 @@ settings! {
         /// Decisions per update.
         pub decisions_per_update: u64 = within(2, (1.0, f64::INFINITY), ""),
         /// Adam's rate for the actor.
-        pub actor_rate: f32 = free(3e-4),
+        pub actor_rate: f32 = within(3e-4, (0.0, 1.0), ""),
         /// Adam's rate for the critics.
-        pub critic_rate: f32 = free(5e-4),
+        pub critic_rate: f32 = within(5e-4, (0.0, 1.0), ""),
         /// Share of all updates after which the rates begin to fall linearly, to a tenth at the end; 1 keeps them.
-        pub rates_fall_from: f64 = free(0.6),
+        pub rates_fall_from: f64 = within(0.6, (0.0, 1.0), ""),
         /// Share of the weights that the target networks take over at each update.
         pub tau: f32 = within(0.005, (0.0, 1.0), ""),
         /// Longest gradient.
@@ -121,9 +121,9 @@ settings! {
         /// Weight of the square of what exceeds 1 before the actor's last tanh.
         pub saturation_penalty: f32 = free(0.05),
         /// Standard deviation of the noise on the target's action, cut off at twice that.
-        pub smoothing: f32 = free(0.15),
+        pub smoothing: f32 = within(0.15, (0.0, 10.0), ""),
         /// Units of the critics' two layers.
-        pub critic_units: [usize; 2] = free([256, 256]),
+        pub critic_units: [usize; 2] = within([256, 256], (1.0, 4096.0), ""),
         /// Half of the sampled transitions are seen in a mirror.
         pub mirror: bool = free(true),
     }
@@ -131,7 +131,7 @@ settings! {
     /// Replay memory.
     pub struct ReplayConfig {
         /// Decisions stored; one takes 1 kB.
-        pub decisions: usize = free(300_000),
+        pub decisions: usize = within(300_000, (1.0, 1e8), ""),
         /// Exponent of the priority; 0 samples evenly.
         pub alpha: f64 = within(0.0, (0.0, 1.0), ""),
         /// Exponent of the importance weights.
@@ -159,9 +159,9 @@ settings! {
         /// Updates.
         pub updates: u64 = free(8_000),
         /// Frames in an update.
-        pub batch: usize = free(48),
+        pub batch: usize = within(48, (1.0, 4096.0), ""),
         /// Adam's rate.
-        pub rate: f32 = free(2e-3),
+        pub rate: f32 = within(2e-3, (0.0, 1.0), ""),
     }
 }
 
@@ -230,6 +230,9 @@ mod tests {
             ("drift_share = nan", "`drift_share`"),
             ("families = []", "`families`"),
             ("warm_up = 10", "`warm_up`"),
+            ("[learning]\nsmoothing = -0.1", "`learning.smoothing`"),
+            ("[learning]\ncritic_units = [0, 256]", "`learning.critic_units`"),
+            ("[replay]\ndecisions = 100_000_000_000_000", "`replay.decisions`"),
         ] {
             let config: Result<LearnConfig, _> = settings::from_toml(text);
             let error = config.map_or_else(|e| e, |c| c.check().unwrap_err().to_string());

@@ -6,6 +6,7 @@ use crate::trainer::learner::finite;
 use crate::trainer::noise::normal;
 use anyhow::Result;
 use core::f32::consts::{PI, TAU};
+use core::sync::atomic::{AtomicBool, Ordering};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -197,7 +198,8 @@ fn initial(spec: ActorSpec, rng: &mut ChaCha8Rng) -> (Vec<f32>, Vec<f32>) {
     (params, shares)
 }
 
-/// Teaches an encoder; returns its parameters. `report` gets the mean squared error of the proximity after each hundred updates.
+/// Teaches an encoder; returns its parameters, or none where it was stopped. `report` gets the mean squared error of the proximity after each
+/// hundred updates.
 ///
 /// # Errors
 /// A loss that is not finite.
@@ -205,8 +207,9 @@ pub fn teach_encoder(
     config: &EncoderConfig,
     seed: u64,
     isa: Isa,
+    stop: &AtomicBool,
     report: &mut (dyn FnMut(u64, f32) + Send),
-) -> Result<Vec<f32>> {
+) -> Result<Option<Vec<f32>>> {
     let spec = ActorSpec::FULL;
     let graph = spec.encoder_graph(Purpose::Gradients, false)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -220,6 +223,9 @@ pub fn teach_encoder(
     let mut shards: Vec<Shard> = (0..SHARDS as u64).map(|i| Shard::new(&graph, seed, i)).collect();
     let mut mean_loss = 0.0;
     for update in 0..config.updates {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
         graph.pack(&params, &mut packed)?;
         let share = config.batch.div_ceil(SHARDS);
         let count = (share * SHARDS * SCAN) as f32;
@@ -245,5 +251,5 @@ pub fn teach_encoder(
         }
     }
     params.truncate(len);
-    Ok(params)
+    Ok(Some(params))
 }

@@ -1,11 +1,6 @@
-//! What the replay memories share, whatever they keep of a decision: which outcomes are known, returns over n decisions, and the
-//! priorities by which transitions are sampled (Schaul et al. 2016).
+//! What is reckoned with of the replay memory's decisions, whatever it keeps of them: which outcomes are known, and returns over n decisions.
 
 use serde::{Deserialize, Serialize};
-use vigil_nnet::train::SumTree;
-
-/// Keeps every transition possible to sample.
-const LEAST_PRIORITY: f64 = 1e-3;
 
 /// What follows a decision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -78,77 +73,6 @@ impl Returns {
 pub fn newest_in_slot(slot: u64, end: u64, capacity: u64) -> u64 {
     let last = end - 1;
     last - (last + capacity - slot) % capacity
-}
-
-/// The priorities of all lanes' decisions, each in a place of its own.
-pub struct Priorities {
-    tree: SumTree,
-    /// The exponent of an error.
-    alpha: f64,
-    largest: f64,
-}
-
-impl Priorities {
-    /// Nothing can be sampled yet.
-    pub fn new(places: usize, alpha: f64) -> Self {
-        Self {
-            tree: SumTree::new(places),
-            alpha,
-            largest: 1.0,
-        }
-    }
-
-    /// A decision whose outcome became known: it is sampled as if its error were the largest, unless nothing was done in it.
-    pub fn settle(&mut self, leaf: usize, next: Next) {
-        let priority = match next {
-            Next::Nothing => 0.0,
-            _ => self.largest,
-        };
-        self.tree.set(leaf, priority);
-    }
-
-    /// A decision that is not to be sampled.
-    pub fn take_out(&mut self, leaf: usize) {
-        self.tree.set(leaf, 0.0);
-    }
-
-    /// The place at `part` of `of` equal parts of the sum; `None` while nothing can be sampled.
-    pub fn find(&self, part: f64, of: usize) -> Option<usize> {
-        self.tree.find(part / of as f64 * self.tree.total())
-    }
-
-    /// A place's priority, and the sum of all.
-    pub fn get(&self, leaf: usize) -> (f64, f64) {
-        (self.tree.get(leaf), self.tree.total())
-    }
-
-    /// Sets the priority of a sampled transition from its error.
-    pub fn set_error(&mut self, leaf: usize, error: f32) {
-        // An overwritten or ended place stays out.
-        if self.tree.get(leaf) > 0.0 {
-            let priority = (f64::from(error.abs()) + LEAST_PRIORITY).powf(self.alpha);
-            self.largest = self.largest.max(priority);
-            self.tree.set(leaf, priority);
-        }
-    }
-
-    /// Places; there may be more than decisions fit.
-    pub fn places(&self) -> usize {
-        self.tree.slots()
-    }
-
-    /// All priorities and the largest that was ever set.
-    pub fn all(&self) -> (Vec<f64>, f64) {
-        ((0..self.tree.slots()).map(|i| self.tree.get(i)).collect(), self.largest)
-    }
-
-    /// Takes over what [`Self::all`] gave.
-    pub fn restore(&mut self, priorities: &[f64], largest: f64) {
-        self.largest = largest;
-        for (i, p) in priorities.iter().enumerate().filter(|(_, p)| **p > 0.0) {
-            self.tree.set(i, *p);
-        }
-    }
 }
 
 /// Importance weights as shares of the largest.

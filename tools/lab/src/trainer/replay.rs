@@ -2,11 +2,14 @@
 
 use crate::trainer::config::LearnConfig;
 use crate::trainer::observation::{OBSERVATION, mirror as mirror_observation};
-use crate::trainer::priorities::{Next, Priorities, Returns, newest_in_slot, normalised};
+use crate::trainer::priorities::{Next, Returns, newest_in_slot, normalised};
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
+use vigil_nnet::train::SumTree;
 use vigil_sim::environment::true_state::{TRUE_STATE, mirror as mirror_truth};
 
+/// Keeps every transition possible to sample.
+const LEAST_PRIORITY: f64 = 1e-3;
 /// Values stored of a state.
 const STATE: usize = TRUE_STATE + OBSERVATION;
 
@@ -114,10 +117,15 @@ pub struct Sample<'a> {
     pub weight: f32,
 }
 
-/// The replay memory of all environments.
+/// The replay memory of all environments, sampled by priority (Schaul et al. 2016).
 pub struct Replay {
     pub trajectories: Vec<Trajectory>,
-    priorities: Priorities,
+    /// The priorities of all trajectories' decisions, each in a place of its own.
+    tree: SumTree,
+    /// The exponent of an error.
+    alpha: f64,
+    /// The largest priority that was ever set.
+    largest: f64,
     capacity: usize,
     returns: Returns,
     beta: f64,
@@ -130,7 +138,9 @@ impl Replay {
         let capacity = config.replay.decisions / count;
         Self {
             trajectories: (0..count).map(|_| Trajectory::new(capacity)).collect(),
-            priorities: Priorities::new(count * capacity, config.replay.alpha),
+            tree: SumTree::new(count * capacity),
+            alpha: config.replay.alpha,
+            largest: 1.0,
             capacity,
             returns: Returns {
                 n_steps: config.learning.n_steps as u64,
@@ -152,12 +162,14 @@ impl Replay {
                 {
                     break;
                 }
-                self.priorities
-                    .settle(leaf(lane.settled), lane.transition(lane.settled).next);
+                // Sampled as if its error were the largest, unless nothing was done in it.
+                let is_nothing = lane.transition(lane.settled).next == Next::Nothing;
+                let priority = if is_nothing { 0.0 } else { self.largest };
+                self.tree.set(leaf(lane.settled), priority);
                 lane.settled += 1;
             }
             for number in lane.settled..lane.next {
-                self.priorities.take_out(leaf(number));
+                self.tree.set(leaf(number), 0.0);
             }
         }
     }
@@ -169,10 +181,10 @@ impl Replay {
         let mut weights = Vec::with_capacity(count);
         for k in 0..count {
             let u: f64 = rng.random_range(0.0..1.0);
-            let Some(leaf) = self.priorities.find(k as f64 + u, count) else {
+            let Some(leaf) = self.tree.find((k as f64 + u) / count as f64 * self.tree.total()) else {
                 return Vec::new();
             };
-            let (priority, total) = self.priorities.get(leaf);
+            let (priority, total) = (self.tree.get(leaf), self.tree.total());
             weights.push((held * priority / total).max(f64::MIN_POSITIVE).powf(-self.beta));
             batch.push(self.step(leaf, self.mirror && rng.random_bool(0.5)));
         }
@@ -204,23 +216,31 @@ impl Replay {
 
     /// Sets the priority of a sampled transition from its temporal-difference error.
     pub fn set_error(&mut self, leaf: usize, error: f32) {
-        self.priorities.set_error(leaf, error);
+        // An overwritten or ended place stays out.
+        if self.tree.get(leaf) > 0.0 {
+            let priority = (f64::from(error.abs()) + LEAST_PRIORITY).powf(self.alpha);
+            self.largest = self.largest.max(priority);
+            self.tree.set(leaf, priority);
+        }
     }
 
     /// All priorities, the largest that was ever set, and of each trajectory how many decisions were stored and are settled.
     pub fn places(&self) -> (Vec<f64>, f64, Vec<(u64, u64)>) {
-        let (priorities, largest) = self.priorities.all();
+        let priorities = (0..self.tree.slots()).map(|i| self.tree.get(i)).collect();
         let lanes = self.trajectories.iter().map(|l| (l.next, l.settled)).collect();
-        (priorities, largest, lanes)
+        (priorities, self.largest, lanes)
     }
 
     /// Takes over what [`Self::places`] gave, the trajectories' content being back. `false` if it does not fit.
     #[must_use]
     pub fn restore(&mut self, priorities: &[f64], largest: f64, lanes: &[(u64, u64)]) -> bool {
-        if self.priorities.places() != priorities.len() || self.trajectories.len() != lanes.len() {
+        if self.tree.slots() != priorities.len() || self.trajectories.len() != lanes.len() {
             return false;
         }
-        self.priorities.restore(priorities, largest);
+        self.largest = largest;
+        for (i, priority) in priorities.iter().enumerate().filter(|(_, p)| **p > 0.0) {
+            self.tree.set(i, *priority);
+        }
         self.trajectories.iter_mut().zip(lanes).all(|(lane, &(next, settled))| {
             (lane.next, lane.settled) = (next, settled);
             let held = next.min(lane.capacity) as usize;

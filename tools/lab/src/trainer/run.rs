@@ -102,8 +102,8 @@ pub struct LearnResult {
 /// How a run ended.
 #[derive(Debug, Clone, PartialEq)]
 pub enum LearnEnd {
-    /// It was stopped; its checkpoint is this file.
-    Interrupted(PathBuf),
+    /// It was stopped; its checkpoint is this file. There is none while the encoder is taught.
+    Interrupted(Option<PathBuf>),
     /// It is complete.
     Complete(Box<FrozenActor>, Box<LearnResult>),
 }
@@ -126,8 +126,10 @@ pub type Report<'a> = &'a mut (dyn FnMut(Progress<'_>) + Send);
 /// A bad configuration, a checkpoint of another run, a file that cannot be written, a loss that is not finite. The folder's last good checkpoint is kept.
 pub fn learn(config: &LearnConfig, options: &LearnOptions, stop: &AtomicBool, report: Report<'_>) -> Result<LearnEnd> {
     config.check()?;
-    vigil_tools::threads::thread_pool(config.threads)?
-        .install(|| Run::begin(config, options, report)?.complete(stop, report))
+    vigil_tools::threads::thread_pool(config.threads)?.install(|| match Run::begin(config, options, stop, report)? {
+        Some(run) => run.complete(stop, report),
+        None => Ok(LearnEnd::Interrupted(None)),
+    })
 }
 
 /// What has come of a run so far, but for what it learned.
@@ -162,7 +164,13 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    fn begin(config: &'a LearnConfig, options: &'a LearnOptions, report: Report<'_>) -> Result<Self> {
+    /// `None` if it was stopped while the encoder was taught.
+    fn begin(
+        config: &'a LearnConfig,
+        options: &'a LearnOptions,
+        stop: &AtomicBool,
+        report: Report<'_>,
+    ) -> Result<Option<Self>> {
         let folder = &options.folder;
         std::fs::create_dir_all(folder).map_err(|e| not_written(folder, &e))?;
         let checkpoint = folder.join("checkpoint.safetensors");
@@ -176,9 +184,13 @@ impl<'a> Run<'a> {
         let encoder_params = match (&saved, &options.encoder) {
             (Some(saved), _) => saved.f32("encoder", None)?,
             (None, Some(encoder)) => encoder.clone(),
-            (None, None) => teach_encoder(&config.encoder, config.seed, isa, &mut |updates, loss| {
-                report(Progress::Encoder(updates, loss));
-            })?,
+            (None, None) => {
+                let mut progress = |updates, loss| report(Progress::Encoder(updates, loss));
+                match teach_encoder(&config.encoder, config.seed, isa, stop, &mut progress)? {
+                    Some(params) => params,
+                    None => return Ok(None),
+                }
+            }
         };
         let encoder = Arc::new(Encoder::new(isa, &encoder_params)?);
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
@@ -204,7 +216,7 @@ impl<'a> Run<'a> {
             run.restore(saved)?;
         }
         replace(&folder.join("config.toml"), config.to_toml().as_bytes())?;
-        Ok(run)
+        Ok(Some(run))
     }
 
     fn elapsed_s(&self) -> f64 {
@@ -216,7 +228,7 @@ impl<'a> Run<'a> {
             while self.learner.updates < self.config.updates_due(self.so_far.decisions) {
                 if stop.load(Ordering::Relaxed) {
                     self.save()?;
-                    return Ok(LearnEnd::Interrupted(self.checkpoint));
+                    return Ok(LearnEnd::Interrupted(Some(self.checkpoint)));
                 }
                 self.update(report)?;
             }
@@ -226,7 +238,7 @@ impl<'a> Run<'a> {
             self.collect()?;
         }
         self.save()?;
-        self.freeze()
+        self.freeze(stop)
     }
 
     /// One decision in every environment.
@@ -312,21 +324,24 @@ impl<'a> Run<'a> {
             self.candidates.truncate(CANDIDATES);
         }
         self.so_far.rows.push(row);
-        replace(
-            &self.options.folder.join("curves.csv"),
-            csv(&self.so_far.rows).as_bytes(),
-        )?;
-        replace(
-            &self.options.folder.join("flights.csv"),
-            flights_csv(&self.so_far.flights).as_bytes(),
-        )?;
         if evaluates {
             self.save()?;
+        } else {
+            self.write_tables()?;
         }
         if let Some(row) = self.so_far.rows.last() {
             report(Progress::Row(row, self.config.updates_due(self.config.decisions)));
         }
         Ok(())
+    }
+
+    fn write_tables(&self) -> Result<()> {
+        let folder = &self.options.folder;
+        replace(&folder.join("curves.csv"), csv(&self.so_far.rows).as_bytes())?;
+        replace(
+            &folder.join("flights.csv"),
+            flights_csv(&self.so_far.flights).as_bytes(),
+        )
     }
 
     fn evaluate(
@@ -363,8 +378,9 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Evaluates the best once more over other courses, takes the one that flies best, and tests that one and its blind twin.
-    fn freeze(mut self) -> Result<LearnEnd> {
+    /// Evaluates the best once more over other courses, takes the one that flies best, and tests that one and its blind twin. Who resumes a
+    /// run that was stopped here has this to do again.
+    fn freeze(mut self, stop: &AtomicBool) -> Result<LearnEnd> {
         if self.candidates.is_empty() {
             self.candidates.push(Candidate {
                 updates: self.learner.updates,
@@ -377,6 +393,9 @@ impl<'a> Run<'a> {
         for candidate in &self.candidates {
             let mut successes = 0;
             for family in &e.families {
+                if stop.load(Ordering::Relaxed) {
+                    return Ok(LearnEnd::Interrupted(Some(self.checkpoint)));
+                }
                 let count = self.evaluate(
                     &candidate.params,
                     *family,
@@ -391,11 +410,14 @@ impl<'a> Run<'a> {
             }
         }
         let Some((_, chosen)) = best else {
-            return Ok(LearnEnd::Interrupted(self.checkpoint));
+            return Ok(LearnEnd::Interrupted(Some(self.checkpoint)));
         };
         let mut test = Vec::new();
         for family in [Family::Validation, Family::Dense, Family::Hard] {
             for ablation in [Ablation::Nothing, Ablation::Frames, Ablation::Memory] {
+                if stop.load(Ordering::Relaxed) {
+                    return Ok(LearnEnd::Interrupted(Some(self.checkpoint)));
+                }
                 if self.options.test_flights > 0 {
                     let flights = self.options.test_flights;
                     test.push(self.evaluate(&chosen.params, family, FIRST_TEST_SEED, flights, ablation)?);

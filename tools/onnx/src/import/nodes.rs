@@ -118,6 +118,9 @@ impl<'a> Importer<'a> {
                     Some(tensor) => Constant::of(tensor)?.checked(false)?,
                     None => Constant::one(Data::Real(vec![0.0])),
                 };
+                if value.len() != 1 {
+                    return Err("its value is not one number".to_owned());
+                }
                 let places = vec![0; len_of(&shape)?];
                 return Ok(Some(value.moved(shape, &places)));
             }

@@ -141,7 +141,7 @@ impl Importer<'_> {
     /// A square kernel with its stride and padding, for pooling.
     fn square(settings: &Settings<'_>) -> Result<[usize; 3], String> {
         let (height, width) = Self::kernel_shape(settings)?;
-        if height != width {
+        if height != width || height == 0 {
             return Err(not_square(height, width));
         }
         match Self::window(settings)? {

@@ -128,10 +128,10 @@ fn print_flights(flights: &[&Flight], is_attacked: bool) {
 fn print_failed(flights: &[&Flight]) {
     const SHOWN: usize = 12;
     let failed = flights.iter().filter(|f| !f.record.is_success());
-    let failed: Vec<String> = failed.take(SHOWN).map(|f| f.seed.to_string()).collect();
+    let failed: Vec<String> = failed.map(|f| f.seed.to_string()).collect();
     if !failed.is_empty() {
-        let more = if failed.len() == SHOWN { " …" } else { "" };
-        say!("failed seeds     {}{more}", failed.join(" "));
+        let more = if failed.len() > SHOWN { " …" } else { "" };
+        say!("failed seeds     {}{more}", failed[..failed.len().min(SHOWN)].join(" "));
     }
 }
 

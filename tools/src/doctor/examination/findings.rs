@@ -1,6 +1,6 @@
 //! What is found in what a vehicle sent: each value graded, with what is wanted and why.
 
-use super::{Examination, GOOD_HZ, Gaps, SECOND_NS, late_ns, s};
+use super::{EKF_STATUS_REPORT, Examination, GOOD_HZ, Gaps, SECOND_NS, late_ns, s};
 use crate::doctor::finding::{Finding, Report, Severity};
 use crate::doctor::parameters::{self, Row, STICKS_BY_SPEED, Versions};
 use std::collections::BTreeSet;
@@ -32,7 +32,7 @@ const LOW_BATTERY: f32 = 0.2;
 /// A message that comes every two seconds or more often has stopped if it did not come for so long.
 const STOPPED_NS: Nanos = 3 * SECOND_NS;
 /// What tells of the vehicle's state, and what its end leaves open.
-const TOLD_OF: [(&str, u32, &str); 3] = [
+const TOLD_OF: [(&str, u32, &str); 4] = [
     (
         "EXTENDED_SYS_STATE",
         EXTENDED_SYS_STATE_DATA::ID,
@@ -46,6 +46,11 @@ const TOLD_OF: [(&str, u32, &str); 3] = [
     (
         "ESTIMATOR_STATUS",
         ESTIMATOR_STATUS_DATA::ID,
+        "whether the position can be relied on is what it was",
+    ),
+    (
+        "EKF_STATUS_REPORT",
+        EKF_STATUS_REPORT,
         "whether the position can be relied on is what it was",
     ),
 ];

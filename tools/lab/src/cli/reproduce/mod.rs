@@ -35,7 +35,7 @@ Examples:
 
 The folder then holds index.html (one file, which needs no network), figures/*.svg and *.png (300 dpi), tables/*.csv,
 manifest.json, and in data/ what was measured. Ctrl-C keeps what is whole; the same command goes on with it. The training
-runs of table I and figures 9 and 10 and the comparison with other programs are always the committed ones: `vigil train`
+runs of table I and figures 9 and 10 and the comparison with other programs are always the committed ones: `vigil learn`
 and tools/peers/run.sh make them. docs/reproduce.md explains it.
 Exit code: 0 all is there, 1 error, 130 interrupted.")]
 pub struct ReproduceArgs {

@@ -93,6 +93,7 @@ impl Run<'_> {
     }
 
     pub(super) fn save(&self) -> Result<()> {
+        self.write_tables()?;
         let at = self.rng.get_word_pos();
         let (priorities, largest, lanes) = self.replay.places();
         let l = &self.learner;
