@@ -86,7 +86,7 @@ fn refusals() -> Row {
         "evaluate --flights 1 --pilot geometric --json /dev/null > /dev/full",
         "courses write --seed 7 > /dev/full",
         "courses draw --seed 7 -o /dev/full/course.png",
-        "detector images --seed 7 -o /dev/full/images",
+        "detector figures --seed 7 --pictures 1 -o /dev/full/images",
         "fly --instance 0 -o /dev/full/runs",
         "attack deflection --states 1 -o /dev/full",
     ];
@@ -97,6 +97,8 @@ fn refusals() -> Row {
                 let said = vigil_tests::said(&output);
                 match output.status.code() {
                     Some(0) => Trial::wrong(Ending::Named, format!("`vigil {command}` is a success")),
+                    // A command that is none tries nothing.
+                    Some(2) => Trial::wrong(Ending::Named, format!("`vigil {command}`: {said}")),
                     Some(101) | None => Trial::wrong(Ending::Crashed, format!("`vigil {command}`: {said}")),
                     Some(_) if said.trim().is_empty() => {
                         Trial::wrong(Ending::Named, format!("`vigil {command}` says nothing"))
@@ -143,13 +145,16 @@ fn flights(site: &Site<'_>) -> Result<Row> {
             _ if !fallen.is_empty() => Trial::wrong(Ending::Crashed, format!("{} ended", fallen.join(", "))),
             (Err(error), _) | (_, Err(error)) => Trial::wrong(Ending::TimeOut, format!("{error:#}")),
             (Ok(_), Ok(said)) => {
-                let ending = if arrived { Ending::Arrived } else { Ending::TimeOut };
                 let named = said
                     .iter()
                     .any(|line| line.starts_with("log") && line.contains("space"));
-                match named {
-                    true => Trial::right(ending),
-                    false => Trial::wrong(ending, format!("the full disk is not named: {}", said.join(" | "))),
+                match (arrived, named) {
+                    (true, true) => Trial::right(Ending::Arrived),
+                    (true, false) => {
+                        let said = said.join(" | ");
+                        Trial::wrong(Ending::Arrived, format!("the full disk is not named: {said}"))
+                    }
+                    (false, _) => Trial::wrong(Ending::TimeOut, "it does not arrive"),
                 }
             }
         });

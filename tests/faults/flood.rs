@@ -361,6 +361,7 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
             at(1.0)
         )),
         (_, _, Some(1..)) if !site.quick => Some(format!("{} steps missed", missed.unwrap_or(0))),
+        _ if ending == Ending::TimeOut && !site.stop.load(Ordering::Relaxed) => Some("it does not arrive".to_owned()),
         _ => None,
     };
     let rate = sent.load(Ordering::Relaxed) as f64 / begun.elapsed().as_secs_f64();

@@ -224,13 +224,14 @@ fn fly(kind: &Kind, seed: u64) -> Flown {
         }
     }
     let named = || reasons.iter().map(Reason::name).collect::<Vec<_>>().join(", ");
-    let right = hostile == 0
-        || match (kind.must, held_after) {
-            (Must::Refuse, Some(0)) => reasons.contains(Reason::BadFrame),
-            (Must::Hold(names), Some(steps)) => steps <= MOST_STEPS && names.iter().any(|name| reasons.contains(*name)),
-            (Must::Pass, None) => true,
-            _ => false,
-        };
+    let right = match (kind.must, held_after) {
+        // Guidance never engaged.
+        _ if hostile == 0 => false,
+        (Must::Refuse, Some(0)) => reasons.contains(Reason::BadFrame),
+        (Must::Hold(names), Some(steps)) => steps <= MOST_STEPS && names.iter().any(|name| reasons.contains(*name)),
+        (Must::Pass, None) => true,
+        _ => false,
+    };
     if !right {
         wrong.get_or_insert_with(|| {
             let when = held_after.map_or("never".to_owned(), |steps| format!("after {steps} steps"));

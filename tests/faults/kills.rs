@@ -121,6 +121,9 @@ fn trial(who: Who, how: How, instance: u32, seed: u64, work: &Path, stop: &Atomi
                 Some(delay_s) if delay_s > OWN_HOLD_S => {
                     Some(format!("{who:?}, {how:?}, seed {seed}: hold after {delay_s:.2} s"))
                 }
+                _ if matches!(ending, Ending::Held | Ending::TimeOut) && !stop.load(Ordering::Relaxed) => {
+                    Some(format!("{who:?}, {how:?}, seed {seed}: it does not go on"))
+                }
                 _ => flight.end_firmware().err().map(|error| format!("{error:#}")),
             };
             (Trial { ending, wrong }, delay_s)

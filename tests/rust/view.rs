@@ -109,8 +109,25 @@ fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
         text(&json)
     )));
     let log = folder.path().join("3001.mcap");
+    // The same again loses neither the log nor the flight.
+    let flights = std::fs::read(json.with_extension("jsonl")).expect("flights");
+    let again = format!(
+        "evaluate --flights 1 --seed 3001 --logs {} -o {}",
+        text(folder.path()),
+        text(&json)
+    );
+    refused(&run_line(&again), &["3001.mcap is there and is kept"]);
+    assert!(std::fs::read(json.with_extension("jsonl")).expect("flights") == flights);
     let about = |log: &Path| vigil_log::Story::read(log).expect("a log").about;
     let (before, records) = (about(&log), Reader::open(&log).expect("a log").count());
+    let saved = folder.path().join("saved.mcap");
+    succeed(&run(&["recover", text(&log), text(&saved)]));
+    let added = |log: &Path| vigil_log::Story::read(log).expect("a log").truth;
+    assert!(
+        added(&log).len() > 10 && added(&saved) == added(&log),
+        "what was added is saved too"
+    );
+    assert_eq!(about(&saved), before);
     let mut told = Vec::new();
     for _ in 0..2 {
         let derived = succeed(&run(&["log", "derive", text(&log)]));
