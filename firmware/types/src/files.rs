@@ -66,8 +66,7 @@ pub fn replace(path: &Path, content: &[u8], access: Access) -> io::Result<()> {
 pub fn replace_with(path: &Path, access: Access, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     let before = match std::fs::metadata(path) {
         Ok(metadata) if metadata.is_dir() => return Err(ErrorKind::IsADirectory.into()),
-        // `/dev/stdout` may lead to a file that others write to as well: what they wrote stays.
-        Ok(metadata) if !metadata.is_file() || path.starts_with("/dev") => {
+        Ok(metadata) if !metadata.is_file() || is_of_process(path) => {
             return write(&mut File::options().append(true).open(path)?);
         }
         Ok(metadata) => Some(metadata),
@@ -99,6 +98,13 @@ pub fn replace_with(path: &Path, access: Access, write: impl FnOnce(&mut File) -
     beside.as_file().sync_all()?;
     beside.persist(&path)?;
     sync_folder(folder)
+}
+
+/// Whether it is a file that this process was started with: others write to it as well, and what they wrote stays.
+fn is_of_process(path: &Path) -> bool {
+    ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc/self/fd"]
+        .iter()
+        .any(|own| path.starts_with(own))
 }
 
 /// Waits until the names in a folder are on the disk.
@@ -274,6 +280,16 @@ mod tests {
         assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
         assert_eq!(read(&path, 100).unwrap(), b"secret");
         assert_eq!(names(folder.path()), ["state.toml"], "nothing is left beside it");
+    }
+
+    #[test]
+    fn what_others_wrote_to_a_file_that_the_process_was_started_with_stays() {
+        use std::os::fd::AsRawFd;
+        let mut file = tempfile::NamedTempFile::new().unwrap();
+        file.write_all(b"earlier, ").unwrap();
+        let own = std::format!("/proc/self/fd/{}", file.as_file().as_raw_fd());
+        replace(Path::new(&own), b"then ours", Access::Shared).unwrap();
+        assert_eq!(read(file.path(), 100).unwrap(), b"earlier, then ours");
     }
 
     #[test]

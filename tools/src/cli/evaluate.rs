@@ -294,7 +294,7 @@ fn prepare(args: &EvaluateArgs, faults: &[Option<SensorFault>]) -> Result<()> {
         // Before flights of an earlier campaign are replaced.
         let names = faults
             .iter()
-            .flat_map(|fault| (0..args.flights).map(|i| log_name(args, *fault, args.seed + i)));
+            .flat_map(|fault| (0..args.flights).map(|i| log_name(args, *fault, args.seed.saturating_add(i))));
         for log in names.map(|name| folder.join(name + ".mcap")) {
             let is_there = !args.resume && log.exists();
             ensure!(
