@@ -28,6 +28,8 @@ from vigil.policy import Actor
 
 ACTION_LIMIT = 1.5
 """Largest forward speed, m/s, and largest yaw, units of 30 °/s."""
+YAW_UNIT_RAD_S = math.radians(30.0)
+"""Yaw rate of a yaw of 1."""
 OUTCOMES = ("success", "collision", "out of bounds", "time-out")
 """How a flight can end."""
 DEFAULT_REWARD: Mapping[str, float | str] = {

@@ -71,6 +71,11 @@ class Actor:
         """Its digest, which a detector's file names."""
         return self.native.sha256
 
+    @property
+    def positional_inputs(self) -> int:
+        """Values of its low-dimensional observation."""
+        return self.native.positional_inputs
+
 
 def freeze(
     path: str | PathLike[str],
