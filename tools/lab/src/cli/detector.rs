@@ -22,6 +22,22 @@ use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
 use vigil_policy::{FrozenActor, FrozenPilot};
 
+/// The detector of this actor: of a file, or the one built in.
+///
+/// # Errors
+/// A file that is none, a detector of another actor.
+pub(crate) fn detector_of(actor_sha256: &str, file: Option<&Path>) -> Result<FrozenDetector> {
+    let detector = file.map_or_else(FrozenDetector::built_in, FrozenDetector::load)?;
+    ensure!(
+        detector.actor_sha256 == actor_sha256,
+        "the detector {} was trained for the actor {}, but the actor that flies is {actor_sha256}: give --detector a detector of this \
+         actor (`vigil detector train --actor FILE`)",
+        file.map_or("built in".to_owned(), |file| file.display().to_string()),
+        detector.actor_sha256
+    );
+    Ok(detector)
+}
+
 /// Arguments of `vigil detector`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
@@ -358,18 +374,8 @@ impl Stage<'_> {
 
     /// The frozen LSTM-AD of this actor: of the file, of the folder, or the one built in.
     fn detector(&self, file: Option<&Path>) -> Result<FrozenDetector> {
-        let path = file.map_or_else(|| self.path("lstm_ad.safetensors"), Path::to_owned);
-        let (frozen, which) = match file.is_some() || path.exists() {
-            true => (FrozenDetector::load(&path)?, path.display().to_string()),
-            false => (FrozenDetector::built_in()?, "that is built in".to_owned()),
-        };
-        let (expected, found) = (self.pilot.sha256(), &frozen.actor_sha256);
-        ensure!(
-            *found == expected,
-            "the detector {which} was trained for the actor {found}, this is the actor {expected}: collect data and train one \
-             for it, or give --detector"
-        );
-        Ok(frozen)
+        let own = self.path("lstm_ad.safetensors");
+        detector_of(&self.pilot.sha256(), file.or(own.exists().then_some(&own)))
     }
 
     fn times(&self, seed: u64, pictures: usize, detector: Option<&Path>) -> Result<()> {

@@ -1,6 +1,7 @@
 //! What is flown and computed: each unit of data is one or two other `vigil` commands, run in this process.
 
 use super::data::{Data, Unit};
+use crate::cli::detector::detector_of;
 use crate::cli::output::{self, Interrupt, say};
 use anyhow::{Context, Result};
 use serde::Deserialize;
@@ -9,7 +10,6 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::LazyLock;
-use vigil_detector::FrozenDetector;
 use vigil_policy::FrozenActor;
 
 /// How much is flown.
@@ -63,15 +63,8 @@ impl Setting {
     /// Files that are none, a detector of another actor.
     pub fn new(actor: Option<&Path>, detector: Option<&Path>, threads: Option<u16>, size: Size) -> Result<Self> {
         let flying = actor.map_or_else(FrozenActor::built_in, FrozenActor::load)?;
-        let judging = load_detector(detector)?;
         let sha256 = flying.sha256();
-        anyhow::ensure!(
-            judging.actor_sha256 == sha256,
-            "the detector {} was trained for the actor {}, but the actor that flies is {sha256}: give --detector a detector of this \
-             actor (`vigil detector train --actor FILE`)",
-            detector.map_or("built in".to_owned(), |file| file.display().to_string()),
-            judging.actor_sha256
-        );
+        let judging = detector_of(&sha256, detector)?;
         Ok(Self {
             actor: actor.map(Path::to_owned),
             detector: detector.map(Path::to_owned),
@@ -82,10 +75,6 @@ impl Setting {
             commit: output::git_commit().unwrap_or_else(|| "unknown".to_owned()),
         })
     }
-}
-
-fn load_detector(file: Option<&Path>) -> Result<FrozenDetector> {
-    Ok(file.map_or_else(FrozenDetector::built_in, FrozenDetector::load)?)
 }
 
 impl Spec {
@@ -132,7 +121,7 @@ impl Spec {
         let copy = folder.join("known-detector.safetensors");
         for line in self.lines(setting.size) {
             if line.contains("DETECTOR") {
-                load_detector(setting.detector.as_deref())?.save(&copy)?;
+                detector_of(&setting.actor_sha256, setting.detector.as_deref())?.save(&copy)?;
             }
             let mut words: Vec<OsString> = vec!["vigil".into()];
             words.extend(line.split(' ').map(|word| match word {
