@@ -36,7 +36,7 @@ impl Flight {
     fn guided(config: &FirmwareConfig, isa: Isa) -> Self {
         let pilots = Pilots::of_with(config, isa).unwrap();
         let mut flight = Self {
-            stack: Box::new(FlightStack::with_pilots(&config.stack(), pilots).unwrap()),
+            stack: FlightStack::with_pilots(&config.stack(), pilots).unwrap(),
             output: Box::default(),
             vehicle: TestVehicle::hovering(2.5),
             step: 0,

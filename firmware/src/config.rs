@@ -251,15 +251,18 @@ impl FirmwareConfig {
         if let Some(folder) = &self.state.directory {
             make_folder(folder).map_err(at(folder))?;
         }
-        let gate = match (key_file, &self.state.directory) {
+        let gate = match (key_file, self.kept_key()) {
             (Some(path), _) => SigningGate::with_key_file(path, &name, *allow_unsigned),
-            (None, Some(folder)) => {
-                let path = folder.join(format!("firmware{name}.key"));
-                SigningGate::with_kept_key(&path, &name, *allow_unsigned)
-            }
+            (None, Some(path)) => SigningGate::with_kept_key(&path, &name, *allow_unsigned),
             (None, None) => Ok(SigningGate::new(None, *allow_unsigned)),
         };
         Ok(gate?.accepting_first_key(*accept_first_key))
+    }
+
+    /// Where a key is kept that SETUP_SIGNING brought, if anything is kept.
+    pub(crate) fn kept_key(&self) -> Option<PathBuf> {
+        let folder = self.state.directory.as_ref()?;
+        Some(folder.join(format!("firmware{}.key", self.instance)))
     }
 
     /// The keys of the sensor's frames, their files read.

@@ -276,13 +276,16 @@ impl LiveLoop {
             pending: Box::default(),
         };
         let frame_keys = config.frame_keys()?;
-        let recorder = start_recorder(&config, clock.now_ns())?;
-        let mut firmware = Firmware::of(&config, recorder)?;
+        let mut firmware = Firmware::of(&config)?;
         firmware.require_frame_keys(frame_keys);
         let parameters = match saved {
             Some(saved) => Some(saved.start(firmware.parameters())?),
             None => None,
         };
+        // What is refused leaves no empty log.
+        if let Some(recorder) = start_recorder(&config, clock.now_ns())? {
+            firmware.record(recorder);
+        }
         let now_ns = clock.now_ns();
         let offset_ns = Nanos::from(config.rate.offset_ms) * 1_000_000;
         Ok(Self {

@@ -20,18 +20,15 @@ impl LockstepFirmware {
     /// # Errors
     /// A configuration that must not fly, an actor that is refused.
     pub fn new(config: &FirmwareConfig) -> Result<Self, StackError> {
-        Self::recording(config, None)
-    }
-
-    /// A firmware with a log, if a recorder is given ([`vigil_log::WhenFull::Wait`] loses no record).
-    ///
-    /// # Errors
-    /// A configuration that must not fly, an actor that is refused.
-    pub fn recording(config: &FirmwareConfig, recorder: Option<Recorder>) -> Result<Self, StackError> {
         Ok(Self {
-            firmware: Firmware::of(config, recorder)?,
+            firmware: Firmware::of(config)?,
             steps: 0,
         })
+    }
+
+    /// Keeps a log of all steps from now on ([`vigil_log::WhenFull::Wait`] loses no record).
+    pub fn record(&mut self, recorder: Recorder) {
+        self.firmware.record(recorder);
     }
 
     /// One step at simulated time `now_ns` with the frame that is new in it and what the links received since the last

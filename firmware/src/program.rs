@@ -1,13 +1,13 @@
 //! The `firmware` program, which is also `vigil firmware`.
 
 use crate::arguments::{PilotArgs, choice, help, number};
-use crate::config::{FirmwareConfig, GoalConfig, SigningConfig};
+use crate::config::{FirmwareConfig, GoalConfig};
 use crate::link_spec::LinkSpec;
 use crate::live_loop::{self, recorder_config};
 use crate::lockstep::{self, LockstepFirmware};
 use crate::ports::gate::AllowUnsigned;
 use crate::reference;
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -52,17 +52,17 @@ pub struct FirmwareArgs {
     /// first is the vehicle's, the others are for ground stations. Options follow, separated by commas:
     /// unsigned=loopback|never|always, rate=BYTES_PER_SECOND, values=PER_SECOND (how often the guidance computer's values are
     /// sent, at most 4; fewer by default where the link leaves this machine), and of the vehicle's link system=ID.
-    #[arg(long, value_name = "URL[,OPTION]")]
+    #[arg(long, value_name = "URL[,OPTION]", conflicts_with = "lockstep")]
     link: Vec<LinkSpec>,
 
-    #[arg(long, value_name = "FILE", help = help(&parameters::KEY_FILE))]
+    #[arg(long, value_name = "FILE", conflicts_with = "lockstep", help = help(&parameters::KEY_FILE))]
     signing_key: Option<PathBuf>,
 
     /// From whom packets without a signature are accepted: from this machine, nobody, everybody [default: loopback].
-    #[arg(long, value_enum, value_name = "WHO")]
+    #[arg(long, value_enum, value_name = "WHO", conflicts_with = "lockstep")]
     allow_unsigned: Option<AllowUnsigned>,
 
-    #[arg(long, help = help(&parameters::ACCEPT_FIRST_KEY))]
+    #[arg(long, conflicts_with = "lockstep", help = help(&parameters::ACCEPT_FIRST_KEY))]
     accept_first_key: bool,
 
     #[arg(long, value_name = "FILE", help = help(&parameters::FRAME_KEY_FILES))]
@@ -94,7 +94,8 @@ pub struct FirmwareArgs {
     #[command(flatten)]
     pilot: PilotArgs,
 
-    #[arg(long, value_name = "PRIORITY", value_parser = number::<u8>(&parameters::PRIORITY), help = help(&parameters::PRIORITY))]
+    #[arg(long, value_name = "PRIORITY", value_parser = number::<u8>(&parameters::PRIORITY), conflicts_with = "lockstep",
+        help = help(&parameters::PRIORITY))]
     priority: Option<u8>,
 
     #[arg(long, value_name = "DIR", help = help(&parameters::LOG))]
@@ -225,10 +226,6 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
     let flag = Arc::clone(&stop);
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
     if args.lockstep {
-        ensure!(
-            args.link.is_empty(),
-            "--lockstep takes the simulator's MAVLink from shared memory: leave --link out"
-        );
         run_lockstep(&config, Duration::from_secs(args.lockstep_timeout), &stop)?;
     } else {
         let summary = live_loop::fly(&config, &stop, |config, granted| {
@@ -242,16 +239,14 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
 
 fn run_lockstep(config: &FirmwareConfig, timeout: Duration, stop: &AtomicBool) -> Result<()> {
     let domain = Domain::open(config.instance, "firmware")?;
-    let recorder = recorder_config(config)?
-        .map(|recorder| {
-            Recorder::start(RecorderConfig {
-                when_full: WhenFull::Wait,
-                ..recorder
-            })
-        })
-        .transpose()?;
-    let mut firmware = LockstepFirmware::recording(config, recorder)?;
+    let mut firmware = LockstepFirmware::new(config)?;
     firmware.require_frame_keys(config.frame_keys()?);
+    if let Some(recorder) = recorder_config(config)? {
+        firmware.record(Recorder::start(RecorderConfig {
+            when_full: WhenFull::Wait,
+            ..recorder
+        })?);
+    }
     let mut last = StepReport::default();
     let cancelled = || stop.load(Ordering::Relaxed);
     announce(&format!(
@@ -316,7 +311,7 @@ impl std::fmt::Display for Start<'_> {
             }
         )?;
         writeln!(f, "pilot      {}", pilot_line(config))?;
-        write!(f, "signing    {}", config.signing)
+        write!(f, "signing    {}", signing_line(config))
     }
 }
 
@@ -361,16 +356,18 @@ fn ground_links(links: &[LinkSpec]) -> String {
     }
 }
 
-impl std::fmt::Display for SigningConfig {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self.key_file {
-            Some(_) => "signed",
-            None => "not signed",
-        })?;
-        f.write_str(match self.allow_unsigned {
-            AllowUnsigned::Loopback => ", unsigned packets from this machine only",
-            AllowUnsigned::Never => ", no unsigned packets",
-            AllowUnsigned::Always => ", unsigned packets from everybody",
-        })
-    }
+/// Whether the links are signed, and who may speak without a signature.
+fn signing_line(config: &FirmwareConfig) -> String {
+    let kept = config.kept_key().is_some_and(|path| path.exists());
+    let signed = match &config.signing.key_file {
+        Some(_) => "signed",
+        None if kept => "signed with the key that SETUP_SIGNING brought",
+        None => "not signed",
+    };
+    let unsigned = match config.signing.allow_unsigned {
+        AllowUnsigned::Loopback => "unsigned packets from this machine only",
+        AllowUnsigned::Never => "no unsigned packets",
+        AllowUnsigned::Always => "unsigned packets from everybody",
+    };
+    format!("{signed}, {unsigned}")
 }

@@ -144,7 +144,7 @@ pub fn firmware_of(reader: &Reader) -> Result<Firmware, ReplayError> {
             });
         }
     }
-    Ok(Firmware::of(&config, None)?)
+    Ok(Firmware::of(&config)?)
 }
 
 /// Replays a log from its first record with the configuration in the log, up to the first difference.

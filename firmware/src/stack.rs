@@ -16,6 +16,7 @@ use crate::motion::Motion;
 use crate::pilots::Pilots;
 pub use crate::stack_config::StackConfig;
 use crate::tunables::Tunables;
+use alloc::boxed::Box;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceInput, GuidanceOutput};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, LET_GO, LinkCounters, MavHeader, Parameters, StatusText, framing};
@@ -86,18 +87,18 @@ impl FlightStack {
     ///
     /// # Errors
     /// A guidance configuration that must not fly.
-    pub fn new(config: &StackConfig) -> Result<Self, ConfigError> {
+    pub fn new(config: &StackConfig) -> Result<Box<Self>, ConfigError> {
         Self::with_pilots(
             config,
             Pilots::unwatched(FlightPilot::Geometric(GeometricPilot::new(config.pilot))),
         )
     }
 
-    /// A stack with pilots that have seen nothing yet.
+    /// A stack with pilots that have seen nothing yet; it is too large for a thread's stack.
     ///
     /// # Errors
     /// A guidance configuration that must not fly, or a goal that it does not permit.
-    pub fn with_pilots(config: &StackConfig, pilots: Pilots) -> Result<Self, ConfigError> {
+    pub fn with_pilots(config: &StackConfig, pilots: Pilots) -> Result<Box<Self>, ConfigError> {
         let tunables = Tunables::of(
             config,
             pilots.monitor.as_ref().map(|monitor| monitor.threshold()),
@@ -118,7 +119,7 @@ impl FlightStack {
                 RequestOutcome::Denied | RequestOutcome::TemporarilyRejected => return Err(ConfigError::GoalDenied),
             }
         }
-        Ok(Self {
+        Ok(Box::new(Self {
             frames: FrameKeeper::new(config.sensor_id),
             plausibility: config.plausibility.then(PlausibilityCheck::default),
             second_sensor: config.second_sensor.then(SecondSensor::new),
@@ -130,7 +131,7 @@ impl FlightStack {
             forgotten: 0,
             component_id: config.companion.component_id,
             link: config.companion.link,
-        })
+        }))
     }
 
     /// One step: what came in, what is known of the vehicle, what the pilots want, what guidance permits, what goes out.

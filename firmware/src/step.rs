@@ -27,27 +27,31 @@ impl Firmware {
     ///
     /// # Errors
     /// A guidance configuration that must not fly.
-    pub fn new(config: &StackConfig, recorder: Option<Recorder>) -> Result<Self, ConfigError> {
-        Ok(Self {
-            stack: Box::new(FlightStack::new(config)?),
-            received: Box::default(),
-            output: Box::default(),
-            recorder,
-        })
+    pub fn new(config: &StackConfig) -> Result<Self, ConfigError> {
+        Ok(Self::flying(FlightStack::new(config)?))
     }
 
     /// A stack with the pilots of a configuration.
     ///
     /// # Errors
     /// [`StackError`]: a guidance configuration that must not fly, an actor or a detector that is refused.
-    pub fn of(config: &FirmwareConfig, recorder: Option<Recorder>) -> Result<Self, StackError> {
+    pub fn of(config: &FirmwareConfig) -> Result<Self, StackError> {
         let stack = FlightStack::with_pilots(&config.stack(), Pilots::of(config)?)?;
-        Ok(Self {
-            stack: Box::new(stack),
+        Ok(Self::flying(stack))
+    }
+
+    fn flying(stack: Box<FlightStack>) -> Self {
+        Self {
+            stack,
             received: Box::default(),
             output: Box::default(),
-            recorder,
-        })
+            recorder: None,
+        }
+    }
+
+    /// Keeps a log of all steps from now on.
+    pub fn record(&mut self, recorder: Recorder) {
+        self.recorder = Some(recorder);
     }
 
     /// One step. Never waits, unless the recorder was told to ([`vigil_log::WhenFull::Wait`]).

@@ -195,7 +195,7 @@ impl<L: Link, F: FarEnd> Live<L, F> {
         let instance = Instance::own(number);
         let domain = Domain::open(instance.0, "test").unwrap();
         Self {
-            firmware: Firmware::new(&config().stack(), None).unwrap(),
+            firmware: Firmware::new(&config().stack()).unwrap(),
             frames: SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap()),
             publisher: FramePublisher::create(&domain, DEPTH_TOPIC).unwrap(),
             link,
@@ -438,7 +438,7 @@ fn lockstep_in_one_process_conforms() {
 
 #[test]
 fn replay_conforms() {
-    let mut firmware = Firmware::new(&config().stack(), None).unwrap();
+    let mut firmware = Firmware::new(&config().stack()).unwrap();
     let mut record = Box::<TickRecord>::default();
     let mut timing = StepTiming::default();
     suite(Driver::new(move |now_ns, frame, received, sent| {

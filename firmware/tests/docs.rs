@@ -68,14 +68,6 @@ fn the_page_holds_the_table_of_parameters() {
 }
 
 #[test]
-fn the_reference_is_the_default() {
-    assert_eq!(
-        FirmwareConfig::from_toml(&reference::configuration()),
-        Ok(FirmwareConfig::default())
-    );
-}
-
-#[test]
 fn every_key_of_the_reference_is_known_and_every_key_is_in_the_reference() {
     // With the keys that have no default switched on.
     let full = reference::configuration().replace("\n# ", "\n");

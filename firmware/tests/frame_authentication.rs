@@ -182,7 +182,9 @@ fn a_flight_with_forged_frames_is_replayed_to_the_byte_by_somebody_without_the_k
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("flight.mcap");
     let recorder = Recorder::start(RecorderConfig::lossless(&path, config().flight_info())).unwrap();
-    let mut flight = Flight::of(LockstepFirmware::recording(&config(), Some(recorder)).unwrap());
+    let mut firmware = LockstepFirmware::new(&config()).unwrap();
+    firmware.record(recorder);
+    let mut flight = Flight::of(firmware);
     for step in 0..60 {
         flight.step_altered(|frame| {
             if step % 20 == 7 {

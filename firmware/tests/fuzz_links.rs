@@ -3,15 +3,16 @@
 
 mod common;
 
-use common::PseudoTerminal;
+use common::{PseudoTerminal, Random};
 use std::io::{ErrorKind, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::links::{Gated, PeerRule};
-use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
+use vigil_mavlink::common::MavCmd;
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, encode, packets};
+use vigil_mavlink::message;
 use vigil_mavlink::signing::{SIGNATURE_LEN, Signing, SigningKey, SigningMemory};
 use vigil_types::{Datagrams, Nanos};
 
@@ -22,17 +23,7 @@ const KEY: SigningKey = SigningKey([0x5A; 32]);
 /// Ten microseconds since 2015; the gate's clock stands still.
 const NOW: u64 = 40_000_000_000_000;
 
-/// A generator whose stream never changes (xorshift64*).
-struct Random(u64);
-
 impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        self.0.wrapping_mul(0x2545_F491_4F6C_DD1D)
-    }
-
     fn below(&mut self, end: usize) -> usize {
         (self.next() % end as u64) as usize
     }
@@ -97,13 +88,13 @@ impl<L: Link, F: FnMut(&[u8]) -> std::io::Result<usize>> Rig<L, F> {
 }
 
 fn command(random: &mut Random) -> Vec<u8> {
-    let engage = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        target_system: 1,
-        target_component: 191,
-        command: MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
-        param1: 1.0,
-        ..COMMAND_LONG_DATA::DEFAULT
-    });
+    let engage = message!(
+        COMMAND_LONG,
+        target_system = 1,
+        target_component = 191,
+        command = MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
+        param1 = 1.0
+    );
     encode((255, 190), random.next() as u8, &engage)
 }
 

@@ -12,8 +12,9 @@ use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::links::{Gated, LinkError, PeerRule};
 use vigil_firmware::ports::router::RoutedLinks;
-use vigil_mavlink::common::{HEARTBEAT_DATA, MavAutopilot, MavMessage};
+use vigil_mavlink::common::MavAutopilot;
 use vigil_mavlink::framing::{FramingCounters, StreamFramer, encode};
+use vigil_mavlink::message;
 use vigil_types::{Datagrams, Nanos};
 
 const SECOND: Nanos = 1_000_000_000;
@@ -24,11 +25,11 @@ fn loopback() -> SocketAddr {
 }
 
 fn packet(sequence: u8) -> Vec<u8> {
-    let message = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
-        mavlink_version: 3,
-        ..HEARTBEAT_DATA::DEFAULT
-    });
+    let message = message!(
+        HEARTBEAT,
+        autopilot = MavAutopilot::MAV_AUTOPILOT_PX4,
+        mavlink_version = 3
+    );
     encode((1, 1), sequence, &message)
 }
 
@@ -175,11 +176,13 @@ fn a_peer_that_does_not_read_costs_packets_and_neither_time_nor_the_framing() {
 
 #[test]
 fn a_port_in_use_is_named() {
-    let link = server();
-    let url = LinkUrl::TcpIn(link.local_address().unwrap());
-    let error = Gated::open(&url, VEHICLE, SigningGate::open()).err().unwrap();
-    assert!(matches!(error, LinkError::InUse { .. }));
-    assert!(error.to_string().contains(&url.to_string()), "{error}");
+    for listen in [LinkUrl::UdpIn, LinkUrl::TcpIn] {
+        let link = Gated::open(&listen(loopback()), VEHICLE, SigningGate::open()).unwrap();
+        let url = listen(link.local_address().unwrap());
+        let error = Gated::open(&url, VEHICLE, SigningGate::open()).err().unwrap();
+        assert!(matches!(error, LinkError::InUse { .. }));
+        assert!(error.to_string().contains(&url.to_string()), "{error}");
+    }
 }
 
 #[test]

@@ -18,10 +18,9 @@ use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
-use vigil_mavlink::common::{
-    GPS_GLOBAL_ORIGIN_DATA, MavMessage, MavParamType, PARAM_SET_DATA, POSITION_TARGET_GLOBAL_INT_DATA,
-};
+use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
 use vigil_mavlink::framing::encode;
+use vigil_mavlink::message;
 use vigil_nnet::Purpose;
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Network, PolicyInputs};
 use vigil_types::{Duty, GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
@@ -121,7 +120,7 @@ fn whole_flight_of(config: &FirmwareConfig, change: impl FnOnce(&mut StackConfig
     let pilots = Pilots::of(config).unwrap();
     let mut stack_config = config.stack();
     change(&mut stack_config);
-    let mut stack = Box::new(FlightStack::with_pilots(&stack_config, pilots).unwrap());
+    let mut stack = FlightStack::with_pilots(&stack_config, pilots).unwrap();
     let mut output = Box::new(TickOutput::default());
     let mut vehicle = TestVehicle::on_ground();
     let mut states = Vec::new();
@@ -161,7 +160,7 @@ fn a_guarded_flight_that_is_stopped_and_flown_around_allocates_nothing() {
     let mut config = config();
     config.duty = Duty::FlyAround;
     config.goal = None;
-    let mut stack = Box::new(FlightStack::new(&config.stack()).unwrap());
+    let mut stack = FlightStack::new(&config.stack()).unwrap();
     let mut output = Box::new(TickOutput::default());
     let mut vehicle = TestVehicle::hovering(2.5);
     let (mut stopped, mut guided) = (false, false);
@@ -195,17 +194,13 @@ fn a_guarded_flight_that_is_stopped_and_flown_around_allocates_nothing() {
 /// Where the vehicle's local origin is on the globe, and its mission's place 30 m north of it.
 fn places(step: u64) -> [Vec<u8>; 2] {
     let (latitude, longitude) = (473_977_420, 85_455_940);
-    let origin = MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
-        latitude,
-        longitude,
-        ..GPS_GLOBAL_ORIGIN_DATA::DEFAULT
-    });
-    let place = MavMessage::POSITION_TARGET_GLOBAL_INT(POSITION_TARGET_GLOBAL_INT_DATA {
-        time_boot_ms: step as u32 * 50,
-        lat_int: latitude + 2_698,
-        lon_int: longitude,
-        ..POSITION_TARGET_GLOBAL_INT_DATA::DEFAULT
-    });
+    let origin = message!(GPS_GLOBAL_ORIGIN, latitude, longitude);
+    let place = message!(
+        POSITION_TARGET_GLOBAL_INT,
+        time_boot_ms = step as u32 * 50,
+        lat_int = latitude + 2_698,
+        lon_int = longitude
+    );
     [origin, place].map(|message| encode((SYSTEM_ID, 1), 0, &message))
 }
 

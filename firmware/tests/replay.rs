@@ -22,7 +22,8 @@ fn record(folder: &Path) -> PathBuf {
 
 fn record_flight(folder: &Path, config: &FirmwareConfig) -> PathBuf {
     let path = folder.join("flight.mcap");
-    let mut firmware = LockstepFirmware::recording(config, Some(recorder(&path, config.flight_info()))).unwrap();
+    let mut firmware = LockstepFirmware::new(config).unwrap();
+    firmware.record(recorder(&path, config.flight_info()));
     let mut vehicle = TestVehicle::hovering(2.5);
     let mut sent = Datagrams::default();
     let mut guided = false;

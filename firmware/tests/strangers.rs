@@ -15,6 +15,7 @@ use vigil_firmware::ports::router::RoutedLinks;
 use vigil_firmware::step::Firmware;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{FramingCounters, StreamFramer, encode};
+use vigil_mavlink::message;
 use vigil_types::{GuidanceState, Nanos, Reason, STEP_NS, StepTiming};
 
 /// 20 000 datagrams a second.
@@ -36,19 +37,13 @@ fn contents() -> [(&'static str, Vec<Vec<u8>>); 4] {
     let garbage = (0..64)
         .map(|i| (0..20 + 4 * i).map(|_| byte()).chain([0xFD, 0xFE]).rev().collect())
         .collect();
-    let heartbeat = |autopilot| {
-        MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            autopilot,
-            mavlink_version: 3,
-            ..HEARTBEAT_DATA::DEFAULT
-        })
-    };
-    let land = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        command: MavCmd::MAV_CMD_NAV_LAND,
-        target_system: 1,
-        target_component: 191,
-        ..COMMAND_LONG_DATA::DEFAULT
-    });
+    let heartbeat = |autopilot| message!(HEARTBEAT, autopilot, mavlink_version = 3);
+    let land = message!(
+        COMMAND_LONG,
+        command = MavCmd::MAV_CMD_NAV_LAND,
+        target_system = 1,
+        target_component = 191
+    );
     let stations = vec![
         packet((255, 190), &heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID)),
         packet((255, 190), &land),
@@ -211,7 +206,7 @@ impl<N: Network> Flight<N> {
         Self {
             links,
             network: network(([127, 0, 0, 1], port).into()),
-            firmware: Firmware::of(&config, None).unwrap(),
+            firmware: Firmware::of(&config).unwrap(),
             vehicle: TestVehicle::hovering(2.5),
             content,
             step: 0,

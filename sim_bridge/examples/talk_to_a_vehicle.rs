@@ -2,11 +2,9 @@
 //!
 //! `cargo run --release -p vigil-sim --example talk_to_a_vehicle`
 
-use vigil_mavlink::common::{
-    COMMAND_LONG_DATA, MavCmd, MavFrame, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA,
-};
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
-use vigil_mavlink::{MavHeader, MavMessage};
+use vigil_mavlink::common::{MavCmd, MavFrame, PositionTargetTypemask};
+use vigil_mavlink::framing::{FramingCounters, encode, packets};
+use vigil_mavlink::{MavMessage, message};
 use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_types::{Datagrams, DepthFrame};
@@ -16,27 +14,27 @@ fn setpoint() -> MavMessage {
     // Position, acceleration and heading are left out.
     let type_mask = PositionTargetTypemask::from_bits_retain(0x5C7);
     #[expect(deprecated, reason = "its vehicles still speak it")]
-    let message = MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
-        vx: 1.0,
+    let message = message!(
+        SET_POSITION_TARGET_LOCAL_NED,
+        vx = 1.0,
         type_mask,
-        coordinate_frame: MavFrame::MAV_FRAME_BODY_NED,
-        target_system: 1,
-        target_component: 1,
-        ..Default::default()
-    });
+        coordinate_frame = MavFrame::MAV_FRAME_BODY_NED,
+        target_system = 1,
+        target_component = 1
+    );
     message
 }
 
 /// PX4's Offboard mode.
 fn offboard() -> MavMessage {
-    MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        command: MavCmd::MAV_CMD_DO_SET_MODE,
-        param1: 1.0,
-        param2: 6.0,
-        target_system: 1,
-        target_component: 1,
-        ..Default::default()
-    })
+    message!(
+        COMMAND_LONG,
+        command = MavCmd::MAV_CMD_DO_SET_MODE,
+        param1 = 1.0,
+        param2 = 6.0,
+        target_system = 1,
+        target_component = 1
+    )
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -64,14 +62,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut messages = vec![setpoint()];
         messages.extend((step == 20).then(offboard));
         for message in messages {
-            let header = MavHeader {
-                system_id: 1,
-                component_id: 191,
-                sequence,
-            };
-            let mut bytes = [0; MAX_PACKET_LEN];
-            let len = serialize(header, &message, &mut bytes)?;
-            sent.push(0, &bytes[..len]);
+            sent.push(0, &encode((1, 191), sequence, &message));
             sequence = sequence.wrapping_add(1);
         }
     }

@@ -150,7 +150,7 @@ pub struct Status {
     /// Reasons as the firmware's telemetry tells them.
     pub reasons: Vec<String>,
     /// The newest depth frame as the sensor took it, small: [`NEARNESS_ROWS`] rows of [`NEARNESS_COLS`] digits of how near the nearest
-    /// return is: 9 is within a metre, 0 nothing within 10 m.
+    /// return is: 9 is within a metre, 0 nothing within 9 m.
     #[serde(default)]
     pub nearness: String,
     /// The detector's last score as the firmware's telemetry tells it; absent while it told none.
@@ -300,7 +300,8 @@ fn start_lines(args: &SimArgs, config: &SimConfig) -> String {
     let extra: String = args.link.iter().map(|link| format!(", and {link}")).collect();
     let signing = match &args.signing_key {
         Some(file) => format!("signed with {}", file.display()),
-        None => "not signed until SETUP_SIGNING brings a key".to_owned(),
+        None if args.accept_first_key => "not signed until SETUP_SIGNING brings a key".to_owned(),
+        None => "not signed".to_owned(),
     };
     let unsigned = match args.allow_unsigned {
         AllowUnsigned::Loopback => "unsigned packets from this machine only",

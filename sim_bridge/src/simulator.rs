@@ -149,11 +149,11 @@ impl Simulator {
         let view = self.vehicle.view();
         self.endpoint.observe_truth(&self.vehicle.truth());
         let command = self.endpoint.step(self.vehicle_ns(), &view);
-        if self.endpoint.take_reboot() && self.has_collided() {
+        if self.endpoint.take_reboot() && self.referee.has_collided() {
             self.mend();
         }
         // A vehicle that hit something has broken propellers, whatever its autopilot asks.
-        let crashed = self.has_collided();
+        let crashed = self.referee.has_collided();
         let before = self.vehicle.truth();
         self.vehicle
             .step(if crashed { &ControlCommand::MotorsOff } else { &command });
@@ -190,27 +190,24 @@ impl Simulator {
                 self.referee.set_estimate_error(estimated_ned_m - truth.position_ned_m);
             }
             self.referee.set_motors(self.vehicle.view().armed);
+            let outcome = self.referee.observe(
+                &self.world,
+                self.elapsed_ms * MILLISECOND_NS,
+                truth.position_ned_m,
+                truth.attitude,
+                truth.velocity_ned_m_s,
+            );
             if self.ending.is_none()
-                && let Some(outcome) = self.referee.observe(
-                    &self.world,
-                    self.elapsed_ms * MILLISECOND_NS,
-                    truth.position_ned_m,
-                    truth.attitude,
-                    truth.velocity_ned_m_s,
-                )
+                && let Some(outcome) = outcome
             {
                 let flight_time_s = (self.elapsed_ms - lifted_off_ms) as f64 * 1e-3;
                 self.ending = Some(Ending { outcome, flight_time_s });
-                if outcome == Outcome::Collision {
-                    // It would look as if it did not obey.
-                    self.endpoint.break_down();
-                }
+            }
+            if !crashed && self.referee.has_collided() {
+                // It would look as if it did not obey.
+                self.endpoint.break_down();
             }
         }
-    }
-
-    fn has_collided(&self) -> bool {
-        self.ending.is_some_and(|ending| ending.outcome == Outcome::Collision)
     }
 
     /// After a collision and a reboot: another flight, of a whole vehicle that stands at the start again.

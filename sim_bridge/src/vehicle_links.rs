@@ -14,6 +14,9 @@ use vigil_types::{Datagrams, Nanos};
 /// Links by URL, besides the three that every vehicle has.
 pub const MAX_EXTRA_LINKS: usize = 4;
 
+/// Of instance 0.
+const ONBOARD: ([u8; 4], u16) = ([127, 0, 0, 1], 14280);
+
 /// How the links are opened.
 #[derive(Debug, Clone, Default)]
 pub struct LinksConfig {
@@ -95,6 +98,11 @@ impl VehicleLinks {
             None => SigningGate::new(None, allow_unsigned),
         }
         .accepting_first_key(config.accept_first_key);
+        let is_deaf = |link: &LinkSpec| link.allow_unsigned.is_none_or(|policy| policy == AllowUnsigned::Never);
+        if config.extra.iter().all(is_deaf) {
+            let first = LinkUrl::UdpIn(ONBOARD.into());
+            somebody_is_heard(&first, gate.has_key(), allow_unsigned)?;
+        }
         let mut links: Vec<VehicleLink> = onboard_api_gcs(config.instance)?
             .into_iter()
             .map(|(id, udp)| VehicleLink {

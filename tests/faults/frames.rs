@@ -76,6 +76,7 @@ const PICTURE: Must = Must::Hold(&[
     Reason::FrozenSensor,
     Reason::InconsistentPicture,
     Reason::CollisionCourse,
+    Reason::RoughPicture,
 ]);
 const STALE: Must = Must::Hold(&[Reason::StaleFrame]);
 
@@ -165,6 +166,13 @@ fn kinds() -> Vec<Kind> {
     ]
 }
 
+impl Kind {
+    /// A picture may stay in doubt until the motors are off (docs/sensor-faults.md, "How it ends").
+    fn may_be_held(&self) -> bool {
+        matches!(self.must, Must::Hold(names) if names.contains(&Reason::FrozenSensor))
+    }
+}
+
 struct Flown {
     trial: Trial,
     hold_s: Option<f64>,
@@ -223,7 +231,6 @@ fn fly(kind: &Kind, seed: u64) -> Flown {
             break;
         }
     }
-    let named = || reasons.iter().map(Reason::name).collect::<Vec<_>>().join(", ");
     let right = match (kind.must, held_after) {
         // Guidance never engaged.
         _ if hostile == 0 => false,
@@ -235,14 +242,17 @@ fn fly(kind: &Kind, seed: u64) -> Flown {
     if !right {
         wrong.get_or_insert_with(|| {
             let when = held_after.map_or("never".to_owned(), |steps| format!("after {steps} steps"));
-            format!("{}, seed {seed}: held {when} ({})", kind.name, named())
+            let named: Vec<_> = reasons.iter().map(Reason::name).collect();
+            format!("{}, seed {seed}: held {when} ({})", kind.name, named.join(", "))
         });
     }
-    let outcome = pair.simulator.ending().map(|ending| ending.outcome);
-    let ending = Ending::of(outcome).unwrap_or(match last {
+    let ending = Ending::of(pair.simulator.ending().map(|ending| ending.outcome)).unwrap_or(match last {
         GuidanceState::Hold => Ending::Held,
         _ => Ending::TimeOut,
     });
+    if ending == Ending::TimeOut || ending == Ending::Held && !kind.may_be_held() {
+        wrong.get_or_insert_with(|| format!("{}, seed {seed}: does not go on with good frames", kind.name));
+    }
     Flown {
         trial: Trial { ending, wrong },
         hold_s: held_after.map(|steps| steps as f64 * f64::from(STEP_S)),

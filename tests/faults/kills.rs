@@ -229,6 +229,13 @@ fn whole_flights(site: &Site<'_>, folder: &Folder) -> Result<Row> {
             .stderr(Stdio::null())
             .spawn()?;
         std::thread::sleep(Duration::from_secs_f64(draw.between(0.3, 6.0)));
+        if let Some(status) = flight.try_wait()? {
+            trials.push(Trial::wrong(
+                Ending::Crashed,
+                format!("flight {number} ended by itself: {status}"),
+            ));
+            continue;
+        }
         flight.kill()?;
         flight.wait()?;
         let killed = Instant::now();

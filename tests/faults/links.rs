@@ -12,6 +12,7 @@ use vigil_autopilot::{EndpointConfig, LinkId};
 use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::MAX_PACKET_LEN;
+use vigil_mavlink::message;
 use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
@@ -34,16 +35,16 @@ const CLAIMANTS: [(u8, LinkId, u64); 4] = [
 /// Full speed into whatever is there.
 #[expect(deprecated, reason = "the frame that the guidance computer sends")]
 fn setpoint(number: u64) -> MavMessage {
-    MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
-        time_boot_ms: number as u32,
-        vx: 1.5,
-        vy: -1.5,
-        target_system: 1,
-        target_component: 1,
-        coordinate_frame: MavFrame::MAV_FRAME_BODY_NED,
-        type_mask: PositionTargetTypemask::from_bits_truncate(0x5C7),
-        ..SET_POSITION_TARGET_LOCAL_NED_DATA::DEFAULT
-    })
+    message!(
+        SET_POSITION_TARGET_LOCAL_NED,
+        time_boot_ms = number as u32,
+        vx = 1.5,
+        vy = -1.5,
+        target_system = 1,
+        target_component = 1,
+        coordinate_frame = MavFrame::MAV_FRAME_BODY_NED,
+        type_mask = PositionTargetTypemask::from_bits_truncate(0x5C7)
+    )
 }
 
 /// How a flight in lockstep ended, where, and the foreign setpoints refused.
@@ -146,26 +147,19 @@ impl Attacker {
             number: 0,
         };
         // As it was captured: an hour ago.
-        let land = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-            command: MavCmd::MAV_CMD_NAV_LAND,
-            target_system: system,
-            target_component: 0,
-            ..COMMAND_LONG_DATA::DEFAULT
-        });
+        let land = message!(
+            COMMAND_LONG,
+            command = MavCmd::MAV_CMD_NAV_LAND,
+            target_system = system,
+            target_component = 0
+        );
         attacker.captured = sign(&mut signing(KEY), -3600, &packet((255, 190), 0, &land));
         attacker
     }
 
     fn next(&mut self) -> Vec<u8> {
         self.number += 1;
-        let setup = |key| {
-            MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
-                target_system: 0,
-                target_component: 0,
-                secret_key: key,
-                ..SETUP_SIGNING_DATA::DEFAULT
-            })
-        };
+        let setup = |key| message!(SETUP_SIGNING, target_system = 0, target_component = 0, secret_key = key);
         let say = |message: &MavMessage| packet((255, 190), self.number as u8, message);
         match self.attack {
             Attack::UnsignedSetup => say(&setup(OTHER_KEY)),
@@ -190,12 +184,12 @@ impl Attacker {
                     false => packet(
                         sender,
                         self.number as u8,
-                        &MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-                            command: MavCmd::MAV_CMD_NAV_LAND,
-                            target_system: self.draw.below(3) as u8,
-                            target_component: self.draw.below(256) as u8,
-                            ..COMMAND_LONG_DATA::DEFAULT
-                        }),
+                        &message!(
+                            COMMAND_LONG,
+                            command = MavCmd::MAV_CMD_NAV_LAND,
+                            target_system = self.draw.below(3) as u8,
+                            target_component = self.draw.below(256) as u8
+                        ),
                     ),
                 }
             }

@@ -251,7 +251,7 @@ fn fly_campaign(args: &CampaignArgs, stop: &AtomicBool) -> Result<bool> {
     let (in_turn, together): (Vec<_>, Vec<_>) = parts
         .into_iter()
         .filter(|(kind, _)| wanted(*kind))
-        .partition(|(kind, _)| !(args.quick && kind.is_real_time()));
+        .partition(|(kind, _)| !(args.quick && kind.is_real_time() && args.side_by_side >= 3));
     for (_, part) in in_turn {
         if !stop.load(Ordering::Relaxed) {
             let rows = part(&site, &folder)?;

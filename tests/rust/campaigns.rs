@@ -87,6 +87,14 @@ fn seeds_flown_on_three_machines_make_the_files_that_one_machine_writes_byte_for
         &merge(&[&a, &c], &whole),
         &["2 of 5 flights are missing: fly --seed 5 --flights 2"],
     );
+    flown("1000000000000", "1", &file("far.json"), &[]);
+    let far = "fly --seed 5 --flights 2, --seed 8 --flights 999999999992";
+    refused(&merge(&[&a, &c, &file("far.jsonl")], &whole), &[far]);
+    let words = flown("9", "1", &file("far.json"), &["--resume"]);
+    assert!(
+        words.contains("incomplete") && !words.contains("interrupted"),
+        "{words}"
+    );
     flown("5", "2", &file("still.json"), &["--still"]);
     refused(
         &merge(&[&a, &file("still.jsonl"), &c], &whole),

@@ -7,7 +7,7 @@
 use std::fmt::Write;
 use std::path::Path;
 use vigil_adversary::{AttackArgs, Burst, Method};
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_firmware::FirmwareConfig;
 use vigil_log::{Reader, Recorder, RecorderConfig};
 use vigil_sim::world::{Course, Family, generate, generate_long};
 use vigil_sim::{SimConfig, Start};
@@ -134,7 +134,7 @@ fn fly(arm: &Arm, seed: u64, log: Option<&Path>) -> String {
     if let Some(log) = log {
         let recording = RecorderConfig::lossless(log, config.flight_info());
         let recorder = Recorder::start(recording).expect("a log");
-        pair.firmware = LockstepFirmware::recording(&config, Some(recorder)).expect("a firmware");
+        pair.firmware.record(recorder);
     }
     let attack = arm.attack.attack(None).expect("an attack");
     let mut adversary = attack.map(|a| a.interceptor(seed, goal_ned_m).expect("an adversary"));

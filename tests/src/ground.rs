@@ -1,9 +1,8 @@
 //! What a ground station says to the guidance computer.
 
-use vigil_mavlink::common::{
-    COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavFrame, MavMessage,
-};
+use vigil_mavlink::common::{MavAutopilot, MavCmd, MavFrame, MavMessage};
 pub use vigil_mavlink::framing::encode as packet;
+use vigil_mavlink::message;
 
 /// A request of an operator to component 191.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,16 +22,16 @@ pub const STATION: (u8, u8) = (255, 190);
 
 /// A command of a ground station to the autopilot of system 1, with the first and the later parameters.
 pub fn command(command: MavCmd, [param1, param2, param3, param7]: [f32; 4]) -> MavMessage {
-    MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+    message!(
+        COMMAND_LONG,
         param1,
         param2,
         param3,
         param7,
         command,
-        target_system: 1,
-        target_component: 1,
-        ..COMMAND_LONG_DATA::DEFAULT
-    })
+        target_system = 1,
+        target_component = 1
+    )
 }
 
 /// DO_SET_MODE to PX4's AUTO with this sub-mode: 3 is a ground station's hold, 4 the mission.
@@ -42,11 +41,7 @@ pub fn set_auto_mode(sub_mode: f32) -> MavMessage {
 
 /// A heartbeat of such an autopilot, or of somebody who has none.
 pub fn heartbeat(autopilot: MavAutopilot) -> MavMessage {
-    MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        autopilot,
-        mavlink_version: 3,
-        ..HEARTBEAT_DATA::DEFAULT
-    })
+    message!(HEARTBEAT, autopilot, mavlink_version = 3)
 }
 
 impl Request {
@@ -54,28 +49,28 @@ impl Request {
     pub fn message(self, system: u8) -> MavMessage {
         const GUIDANCE: u8 = 191;
         let long = |command, param1, param2| {
-            MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+            message!(
+                COMMAND_LONG,
                 param1,
                 param2,
                 command,
-                target_system: system,
-                target_component: GUIDANCE,
-                ..COMMAND_LONG_DATA::DEFAULT
-            })
+                target_system = system,
+                target_component = GUIDANCE
+            )
         };
         match self {
-            Self::Goal([north_m, east_m]) => MavMessage::COMMAND_INT(COMMAND_INT_DATA {
-                param1: -1.0,
-                param4: f32::NAN,
-                x: (north_m * 1e4) as i32,
-                y: (east_m * 1e4) as i32,
-                z: f32::NAN,
-                command: MavCmd::MAV_CMD_DO_REPOSITION,
-                target_system: system,
-                target_component: GUIDANCE,
-                frame: MavFrame::MAV_FRAME_LOCAL_NED,
-                ..COMMAND_INT_DATA::DEFAULT
-            }),
+            Self::Goal([north_m, east_m]) => message!(
+                COMMAND_INT,
+                param1 = -1.0,
+                param4 = f32::NAN,
+                x = (north_m * 1e4) as i32,
+                y = (east_m * 1e4) as i32,
+                z = f32::NAN,
+                command = MavCmd::MAV_CMD_DO_REPOSITION,
+                target_system = system,
+                target_component = GUIDANCE,
+                frame = MavFrame::MAV_FRAME_LOCAL_NED
+            ),
             Self::Land => long(MavCmd::MAV_CMD_NAV_LAND, 0.0, 0.0),
             Self::Engage => long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, 1.0, 0.0),
             Self::LetGo => long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, 0.0, 1.0),

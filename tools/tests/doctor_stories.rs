@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
-use vigil_mavlink::{Flavour, MavHeader, MavMessage};
+use vigil_mavlink::framing::{FramingCounters, encode, packets};
+use vigil_mavlink::message;
+use vigil_mavlink::{Flavour, MavMessage};
 use vigil_sim::world::{Family, Lidar, LidarConfig, Shot, World, generate};
 use vigil_tools::doctor::{Examination, ExaminationConfig, Finding, Severity, ground_tilt};
 use vigil_types::{Attitude, Datagrams, DepthFrame, NedVector};
@@ -74,15 +75,15 @@ impl Scripted {
     }
 
     fn heartbeat(&self) -> MavMessage {
-        MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            autopilot: match self.flavour {
+        message!(
+            HEARTBEAT,
+            autopilot = match self.flavour {
                 Flavour::Px4 => MavAutopilot::MAV_AUTOPILOT_PX4,
                 Flavour::ArduPilot => MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
             },
-            mavtype: MavType::MAV_TYPE_QUADROTOR,
-            system_status: MavState::MAV_STATE_STANDBY,
-            ..Default::default()
-        })
+            mavtype = MavType::MAV_TYPE_QUADROTOR,
+            system_status = MavState::MAV_STATE_STANDBY
+        )
     }
 
     /// What it sends at a millisecond.
@@ -99,47 +100,44 @@ impl Scripted {
         }
         if ms.is_multiple_of(self.stream_ms) {
             if self.has_position && streams(32) && !self.no_position.contains(&ms) {
-                out.push(MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
-                    time_boot_ms: boot_ms,
-                    x: match self.no_numbers.contains(&ms) {
+                out.push(message!(
+                    LOCAL_POSITION_NED,
+                    time_boot_ms = boot_ms,
+                    x = match self.no_numbers.contains(&ms) {
                         true => f32::NAN,
                         false => 4.0 * f32::from(u8::from(is_after(self.position_jumps_ms))),
-                    },
-                    ..Default::default()
-                }));
+                    }
+                ));
             }
             if streams(30) && !self.no_attitude.contains(&ms) {
-                out.push(MavMessage::ATTITUDE(ATTITUDE_DATA {
-                    time_boot_ms: boot_ms,
-                    yaw: self.yaw_rad + 60_f32.to_radians() * f32::from(u8::from(is_after(self.heading_jumps_ms))),
-                    ..Default::default()
-                }));
+                out.push(message!(
+                    ATTITUDE,
+                    time_boot_ms = boot_ms,
+                    yaw = self.yaw_rad + 60_f32.to_radians() * f32::from(u8::from(is_after(self.heading_jumps_ms)))
+                ));
             }
         }
         if ms.is_multiple_of(200) {
             if streams(33) {
-                out.push(MavMessage::GLOBAL_POSITION_INT(GLOBAL_POSITION_INT_DATA {
-                    hdg: 3000,
-                    ..Default::default()
-                }));
+                out.push(message!(GLOBAL_POSITION_INT, hdg = 3000));
             }
             if streams(245) && !self.no_status.contains(&ms) {
-                out.push(MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
-                    landed_state: MavLandedState::MAV_LANDED_STATE_ON_GROUND,
-                    ..Default::default()
-                }));
+                out.push(message!(
+                    EXTENDED_SYS_STATE,
+                    landed_state = MavLandedState::MAV_LANDED_STATE_ON_GROUND
+                ));
             }
         }
         if ms.is_multiple_of(500) {
             out.extend(self.health(ms, boot_ms));
         }
         if self.has_home && ms.is_multiple_of(1000) && streams(242) {
-            out.push(MavMessage::HOME_POSITION(HOME_POSITION_DATA {
-                latitude: 473_977_420,
-                longitude: 85_455_940,
-                altitude: 488_000,
-                ..Default::default()
-            }));
+            out.push(message!(
+                HOME_POSITION,
+                latitude = 473_977_420,
+                longitude = 85_455_940,
+                altitude = 488_000
+            ));
         }
         out
     }
@@ -160,24 +158,24 @@ impl Scripted {
         let prearm = MavSysStatusSensor::from_bits_retain(0x1000_0000);
         let is_ready = !self.not_ready.contains(&ms);
         if self.streams(1) && !self.no_status.contains(&ms) {
-            out.push(MavMessage::SYS_STATUS(SYS_STATUS_DATA {
-                battery_remaining: 87,
-                onboard_control_sensors_present: prearm,
-                onboard_control_sensors_enabled: prearm,
-                onboard_control_sensors_health: match self.prearm && is_ready {
+            out.push(message!(
+                SYS_STATUS,
+                battery_remaining = 87,
+                onboard_control_sensors_present = prearm,
+                onboard_control_sensors_enabled = prearm,
+                onboard_control_sensors_health = match self.prearm && is_ready {
                     true => prearm,
                     false => MavSysStatusSensor::empty(),
-                },
-                ..Default::default()
-            }));
+                }
+            ));
         }
         // ESTIMATOR_STATUS has the flags that ArduPilot puts into a message of its own.
         if (self.streams(230) || self.is_asked_for(193)) && !self.no_status.contains(&ms) {
             let flags = if is_ready { self.estimator } else { 1 | 128 };
-            out.push(MavMessage::ESTIMATOR_STATUS(ESTIMATOR_STATUS_DATA {
-                flags: EstimatorStatusFlags::from_bits_retain(flags),
-                ..Default::default()
-            }));
+            out.push(message!(
+                ESTIMATOR_STATUS,
+                flags = EstimatorStatusFlags::from_bits_retain(flags)
+            ));
         }
         if self.streams(2) {
             out.push(MavMessage::SYSTEM_TIME(SYSTEM_TIME_DATA {
@@ -185,12 +183,11 @@ impl Scripted {
                 time_boot_ms: boot_ms,
             }));
         }
-        out.extend(self.texts.iter().map(|text| {
-            MavMessage::STATUSTEXT(STATUSTEXT_DATA {
-                text: (*text).into(),
-                ..Default::default()
-            })
-        }));
+        out.extend(
+            self.texts
+                .iter()
+                .map(|text| message!(STATUSTEXT, text = (*text).into())),
+        );
         out
     }
 
@@ -199,41 +196,24 @@ impl Scripted {
             MavMessage::PARAM_REQUEST_READ(m) => {
                 let name = m.param_id.to_str().expect("a name").to_owned();
                 let value = self.parameters.get(name.as_str())?;
-                Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
-                    param_id: name.as_str().into(),
-                    param_value: *value,
-                    param_type: match self.flavour == Flavour::Px4
-                        && name.starts_with("COM_")
-                        && name != "COM_OF_LOSS_T"
-                    {
-                        true => MavParamType::MAV_PARAM_TYPE_INT32,
-                        false => MavParamType::MAV_PARAM_TYPE_REAL32,
-                    },
-                    ..Default::default()
-                }))
+                Some(message!(
+                    PARAM_VALUE,
+                    param_id = name.as_str().into(),
+                    param_value = *value,
+                    param_type =
+                        match self.flavour == Flavour::Px4 && name.starts_with("COM_") && name != "COM_OF_LOSS_T" {
+                            true => MavParamType::MAV_PARAM_TYPE_INT32,
+                            false => MavParamType::MAV_PARAM_TYPE_REAL32,
+                        }
+                ))
             }
-            MavMessage::TIMESYNC(m) => Some(MavMessage::TIMESYNC(TIMESYNC_DATA {
-                tc1: 77,
-                ts1: m.ts1,
-                ..Default::default()
-            })),
+            MavMessage::TIMESYNC(m) => Some(message!(TIMESYNC, tc1 = 77, ts1 = m.ts1)),
             _ => {
                 self.asked.push(message.clone());
                 None
             }
         }
     }
-}
-
-fn bytes_of(from: (u8, u8), message: &MavMessage) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: from.0.into(),
-        component_id: from.1,
-        sequence: 0,
-    };
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, message, &mut out).expect("fits");
-    out[..len].to_vec()
 }
 
 /// What is said of a vehicle after eight seconds on a link within this machine.
@@ -259,11 +239,11 @@ fn examined_by(vehicle: &mut Scripted, config: ExaminationConfig, frames: &[&Dep
     for ms in 0..8000 {
         let now_ns = ms * MS;
         for message in vehicle.says(ms) {
-            examination.receive(now_ns, &bytes_of((1, 1), &message));
+            examination.receive(now_ns, &encode((1, 1), 0, &message));
         }
         for (from, every_ms, message) in &vehicle.extra {
             if ms.is_multiple_of(*every_ms) {
-                examination.receive(now_ns, &bytes_of(*from, message));
+                examination.receive(now_ns, &encode(*from, 0, message));
             }
         }
         questions.clear();
@@ -273,7 +253,7 @@ fn examined_by(vehicle: &mut Scripted, config: ExaminationConfig, frames: &[&Dep
                 assert_ne!(packet.component_id(), 191, "it does not pass for the guidance computer");
                 let message = packet.message().expect("known");
                 if let Some(answer) = vehicle.answers(&message) {
-                    examination.receive(now_ns + MS / 2, &bytes_of((1, 1), &answer));
+                    examination.receive(now_ns + MS / 2, &encode((1, 1), 0, &answer));
                 }
             }
         }
@@ -428,11 +408,11 @@ fn an_ardupilot_whose_failsafes_are_off_is_told_so_and_what_it_never_sends_too()
 
 #[test]
 fn who_else_is_on_the_link_is_named() {
-    let companion = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        mavtype: MavType::MAV_TYPE_ONBOARD_CONTROLLER,
-        autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
-        ..Default::default()
-    });
+    let companion = message!(
+        HEARTBEAT,
+        mavtype = MavType::MAV_TYPE_ONBOARD_CONTROLLER,
+        autopilot = MavAutopilot::MAV_AUTOPILOT_INVALID
+    );
     let one = |every_ms| ((1, 191), every_ms, companion.clone());
     let mut vehicle = Scripted::well(Flavour::Px4);
     vehicle.extra = vec![one(1000)];

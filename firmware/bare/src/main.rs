@@ -110,7 +110,7 @@ extern "C" fn main() -> ! {
     let config = setup.stack();
     assert!(Digest::of(&config) == setup.config, "this image's configuration is not the flight's: {config:?}");
 
-    let mut stack = Box::new(FlightStack::with_pilots(&config, pilots(&setup)).expect("the configuration may fly"));
+    let mut stack = FlightStack::with_pilots(&config, pilots(&setup)).expect("the configuration may fly");
     let mut received = Box::<Datagrams>::default();
     let mut recorded = Box::<Datagrams>::default();
     let mut output = Box::<TickOutput>::default();

@@ -204,7 +204,7 @@ impl SigningGate {
         }
         self.signing = Some(match &self.signing {
             Some(signing) => signing.rekeyed(key, memory),
-            None => Signing::new(key, 0, memory),
+            None => Signing::new(key, 0, memory).with_counters(self.counters),
         });
         true
     }
@@ -304,8 +304,9 @@ fn wall_clock() -> Timestamp {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, SETUP_SIGNING_DATA};
+    use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
     use vigil_mavlink::framing::encode;
+    use vigil_mavlink::message;
 
     const NOW: Timestamp = 40_000_000_000_000;
 
@@ -394,12 +395,12 @@ mod tests {
     }
 
     fn setup(key: [u8; 32]) -> Vec<u8> {
-        let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
-            target_system: 1,
-            target_component: 191,
-            secret_key: key,
-            ..SETUP_SIGNING_DATA::DEFAULT
-        });
+        let message = message!(
+            SETUP_SIGNING,
+            target_system = 1,
+            target_component = 191,
+            secret_key = key
+        );
         encode((255, 190), 0, &message)
     }
 

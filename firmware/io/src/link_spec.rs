@@ -10,6 +10,8 @@ use vigil_types::settings::{parsed, value_setting};
 const BITS_PER_BYTE: f64 = 10.0;
 /// A link that was quiet may send this much at once: a burst of a file transfer's.
 const BURST_S: f64 = 0.25;
+/// A burst has room for the longest packet, also where a quarter of it is kept.
+const LEAST_BURST_BYTES: f64 = 400.0;
 
 /// How often a link that leaves this machine gets the guidance computer's values unless it is told: often enough to watch,
 /// a twelfth of a 57 600 baud radio.
@@ -146,7 +148,7 @@ impl Budget {
     /// A link's, full; at most `burst_bytes` of what was not used are kept. `None` for one without a limit.
     pub fn of(link: &LinkSpec, burst_bytes: f64) -> Option<Self> {
         let bytes_per_s = link.bytes_per_s()?;
-        let burst_bytes = burst_bytes.min(bytes_per_s * BURST_S);
+        let burst_bytes = burst_bytes.min((bytes_per_s * BURST_S).max(LEAST_BURST_BYTES));
         Some(Self {
             bytes_per_s,
             burst_bytes,
@@ -213,6 +215,15 @@ mod tests {
         }
         let error = "ftp://x".parse::<LinkSpec>().unwrap_err().to_string();
         assert!(error.contains("udpout://"), "{error}");
+    }
+
+    #[test]
+    fn a_slow_link_sends_long_packets_seldom_but_does() {
+        let link: LinkSpec = "serial:///dev/ttyUSB0:9600".parse().unwrap();
+        let mut budget = Budget::of(&link, 4096.0).unwrap();
+        assert!(budget.spend(0, 280, 0.25));
+        assert!(!budget.spend(100_000_000, 280, 0.25));
+        assert!(budget.spend(1_000_000_000, 280, 0.25));
     }
 
     #[test]

@@ -89,7 +89,8 @@ fn call(address: &str) -> Result<SocketAddr, &'static str> {
     (host.trim_matches(['[', ']']), port)
         .to_socket_addrs()
         .ok()
-        .and_then(|mut found| found.next())
+        // As MAVSDK: `localhost` is 127.0.0.1, whatever stands first.
+        .and_then(|found| found.min_by_key(SocketAddr::is_ipv6))
         .ok_or("the host is not known")
 }
 

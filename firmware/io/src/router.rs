@@ -204,6 +204,7 @@ impl Switch {
                 port.sequence = port.sequence.wrapping_add(1);
                 port.own.push(number, own);
             } else {
+                port.values.forget(&parsed);
                 self.counters.over_rate += 1;
             }
         }

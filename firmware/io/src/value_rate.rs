@@ -21,7 +21,7 @@ struct Told {
     at_ns: Nanos,
 }
 
-/// What a link was told, and when.
+/// What a link was sent, and when.
 #[derive(Debug)]
 pub(crate) struct ValueRate {
     /// `None`: everything passes. The longest time there is: changes only.
@@ -66,6 +66,12 @@ impl ValueRate {
         }
         passes
     }
+
+    /// The packet was not sent after all: the next of its name is.
+    pub fn forget(&mut self, packet: &Packet<'_>) {
+        let of_packet = value_of(packet).map(|(name, _)| name);
+        self.told.retain(|other| Some(other.name) != of_packet);
+    }
 }
 
 /// A value's name and bits. What the pilot sees is one value, of no name.
@@ -90,6 +96,7 @@ mod tests {
     use super::*;
     use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
     use vigil_mavlink::framing::{FramingCounters, encode, packets};
+    use vigil_mavlink::message;
 
     fn passes(rate: &mut ValueRate, step: u64, message: &MavMessage) -> bool {
         let (packet, mut counters) = (encode((1, 191), 0, message), FramingCounters::default());
@@ -97,11 +104,7 @@ mod tests {
     }
 
     fn named(name: &str, value: f32) -> MavMessage {
-        MavMessage::NAMED_VALUE_FLOAT(NAMED_VALUE_FLOAT_DATA {
-            name: name.into(),
-            value,
-            ..NAMED_VALUE_FLOAT_DATA::DEFAULT
-        })
+        message!(NAMED_VALUE_FLOAT, name = name.into(), value)
     }
 
     #[test]
@@ -136,6 +139,10 @@ mod tests {
             );
         }
         let mut rate = ValueRate::new(Some(0.0));
+        assert!(passes(&mut rate, 0, &named("goal_m", 1.0)));
+        // One that found no room on the line comes again.
+        let (packet, mut counters) = (encode((1, 191), 0, &named("goal_m", 1.0)), FramingCounters::default());
+        rate.forget(&packets(&packet, &mut counters).next().unwrap());
         assert!(passes(&mut rate, 0, &named("goal_m", 1.0)));
         assert!((1..1000).all(|step| !passes(&mut rate, step, &named("goal_m", step as f32))));
     }

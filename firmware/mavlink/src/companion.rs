@@ -10,7 +10,7 @@ use crate::service::Step;
 use crate::services::Services;
 use crate::status_text::{StatusText, WARNING};
 use mavlink::MessageData;
-use mavlink::dialects::common::{MavState, OBSTACLE_DISTANCE_DATA};
+use mavlink::dialects::common::{MavState, MavType, OBSTACLE_DISTANCE_DATA};
 use vigil_types::{
     Datagrams, GuardNotice, GuidanceState, HandoverProgress, MissionMotion, Nanos, NedVector, ObstacleReports,
     RequestOutcome, SectorRanges, StepReport, VehicleRequest, VehicleStatus, VehicleTelemetry, parameters,
@@ -277,7 +277,10 @@ impl Companion {
     pub fn shutdown(&mut self, now_ns: Nanos, out: &mut Datagrams) {
         let Self { core, services } = self;
         services.setpoints.end(core, now_ns, out);
-        core.say(out, &report::heartbeat(MavState::MAV_STATE_POWEROFF));
+        core.say(
+            out,
+            &report::heartbeat(MavType::MAV_TYPE_ONBOARD_CONTROLLER, MavState::MAV_STATE_POWEROFF),
+        );
         core.farewell(out);
     }
 }

@@ -57,6 +57,7 @@ pub use mavlink::MavHeader;
 pub use mavlink::dialects::common::{self, MavMessage};
 pub use operator::{LET_GO, PendingRequest};
 pub use parameter_table::{MAX_PARAMETERS, Parameter, ParameterValue, Parameters, ValueError};
+pub use sender::Sender;
 pub use status_text::StatusText;
 pub use vehicle::Vehicle;
 

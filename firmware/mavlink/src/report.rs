@@ -13,14 +13,14 @@ pub(crate) fn time_boot_ms(now_ns: Nanos) -> u32 {
     (now_ns / 1_000_000) as u32
 }
 
-/// A companion's heartbeat: base_mode 0 and no autopilot, so that nobody takes it for the vehicle's (MAVLINK.md).
-pub(crate) fn heartbeat(state: MavState) -> MavMessage {
+/// A heartbeat with base_mode 0 and no autopilot, so that nobody takes it for the vehicle's.
+pub(crate) fn heartbeat(mavtype: MavType, system_status: MavState) -> MavMessage {
     MavMessage::HEARTBEAT(HEARTBEAT_DATA {
         custom_mode: 0,
-        mavtype: MavType::MAV_TYPE_ONBOARD_CONTROLLER,
+        mavtype,
         autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
         base_mode: MavModeFlag::empty(),
-        system_status: state,
+        system_status,
         mavlink_version: 3,
     })
 }

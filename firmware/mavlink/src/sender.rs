@@ -1,19 +1,23 @@
 //! Numbers and serialises what the guidance computer says.
 
 use crate::framing::{Command, MAX_PACKET_LEN, SerializeError, serialize, serialize_payload};
+use crate::report::heartbeat;
 use mavlink::MavHeader;
-use mavlink::dialects::common::MavMessage;
+use mavlink::dialects::common::{MavMessage, MavState, MavType};
 use vigil_types::Datagrams;
 
-/// The guidance computer's identity and packet counter.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Sender {
+/// Who speaks, and its packet counter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Sender {
+    /// Its system.
     pub system_id: u8,
+    /// Its component.
     pub component_id: u8,
     sequence: u8,
 }
 
 impl Sender {
+    /// One that has said nothing yet.
     pub fn new(system_id: u8, component_id: u8) -> Self {
         Self {
             system_id,
@@ -22,18 +26,29 @@ impl Sender {
         }
     }
 
+    /// Says a message.
     pub fn message(&mut self, out: &mut Datagrams, link: u8, message: &MavMessage) {
         self.push(out, link, |header, buffer| serialize(header, message, buffer));
     }
 
+    /// Says a command.
     pub fn command(&mut self, out: &mut Datagrams, link: u8, command: &Command) {
         self.push(out, link, |header, buffer| command.serialize(header, buffer));
     }
 
-    pub fn payload(&mut self, out: &mut Datagrams, link: u8, message_id: u32, payload: &[u8]) {
+    pub(crate) fn payload(&mut self, out: &mut Datagrams, link: u8, message_id: u32, payload: &[u8]) {
         self.push(out, link, |header, buffer| {
             serialize_payload(header, message_id, payload, buffer)
         });
+    }
+
+    /// The heartbeat of one who listens and asks, and commands nothing.
+    pub fn listener_heartbeat(&mut self, out: &mut Datagrams, link: u8) {
+        self.message(
+            out,
+            link,
+            &heartbeat(MavType::MAV_TYPE_GENERIC, MavState::MAV_STATE_ACTIVE),
+        );
     }
 
     /// One packet is one datagram. What does not fit is counted by `out`.

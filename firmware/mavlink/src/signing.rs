@@ -209,6 +209,12 @@ impl Signing {
         }
     }
 
+    /// The same, which goes on counting from what was counted without a key.
+    #[must_use]
+    pub fn with_counters(self, counters: SigningCounters) -> Self {
+        Self { counters, ..self }
+    }
+
     /// What to keep over a restart.
     pub fn memory(&self) -> &SigningMemory {
         &self.memory

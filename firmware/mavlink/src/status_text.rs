@@ -22,7 +22,8 @@ pub struct StatusText {
 }
 
 impl StatusText {
-    pub(crate) fn new(severity: MavSeverity, text: Arguments<'_>) -> Self {
+    /// Of any length; what is beyond 200 bytes is cut.
+    pub fn new(severity: MavSeverity, text: Arguments<'_>) -> Self {
         let mut new = Self {
             severity,
             bytes: [0; LONGEST],
@@ -50,7 +51,7 @@ impl StatusText {
 
     /// The messages of the text. A text of one message has the id 0; several share `id`, and the first zero byte ends the
     /// text, so one that fills its last chunk is followed by an empty one.
-    pub(crate) fn messages(&self, id: u16) -> impl Iterator<Item = MavMessage> {
+    pub fn messages(&self, id: u16) -> impl Iterator<Item = MavMessage> {
         let is_one = self.len <= CHUNK;
         let count = if is_one { 1 } else { self.len / CHUNK + 1 };
         (0..count).map(move |number| {

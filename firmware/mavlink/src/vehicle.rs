@@ -57,6 +57,8 @@ fn sector_ranges(now_ns: Nanos, m: &OBSTACLE_DISTANCE_DATA) -> Option<SectorRang
         *range_m = match distance_cm {
             UNKNOWN => f32::NAN,
             nothing if u32::from(nothing) == u32::from(most_cm) + 1 => f32::INFINITY,
+            // The obstacle touches the sensor.
+            0 => 0.0,
             seen if (least_cm..=most_cm).contains(&seen) => f32::from(seen) * 0.01,
             _ => return None,
         };

@@ -58,8 +58,8 @@ fn layers() -> Vec<Layer> {
 /// Rows, columns, channels, filters, kernel.
 const CONVOLUTIONS: [[usize; 5]; 5] = [
     [128, 256, 1, 16, 5],
-    [64, 128, 16, 32, 3],
-    [32, 64, 32, 32, 3],
+    [64, 128, 16, 16, 3],
+    [32, 64, 16, 32, 3],
     [16, 32, 32, 32, 3],
     [8, 16, 32, 32, 3],
 ];

@@ -3,7 +3,8 @@
 //! It looks ahead only, coarsely and not far, so it does not steer; but it does not come through the same driver, and who alters frames does not
 //! alter it. It convicts frames of hiding something, never of showing too much: what it does not see may be beside its view.
 
-use crate::{PilotInput, RangeScan};
+use crate::geometric::range_scan::SECTORS;
+use crate::{PilotInput, RangeScan, larger};
 use vigil_types::{HORIZONTAL_FOV_RAD, Nanos, Reason, Reasons, SectorRanges, wrap_pi};
 
 /// A report older than this is as good as none: four of a 15 Hz sensor's are missing.
@@ -51,7 +52,10 @@ impl SecondSensor {
         if !airborne {
             (self.contradicted, self.agreeing, self.disagrees, self.times) = (0, 0, false, 0);
         }
-        let newest = newest.filter(|ranges| now_ns.saturating_sub(ranges.at_ns) <= AGE_LIMIT_NS);
+        let newest = newest.filter(|ranges| {
+            // Sectors too wide to lie in the camera's view are compared with nothing.
+            now_ns.saturating_sub(ranges.at_ns) <= AGE_LIMIT_NS && half_rad(ranges) <= 0.5 * HORIZONTAL_FOV_RAD
+        });
         let Some(ranges) = newest else {
             return Reasons::of(Reason::SecondSensorSilent).with_if(self.disagrees, Reason::SensorsDisagree);
         };
@@ -80,7 +84,7 @@ impl SecondSensor {
     /// Whether the frame shows nothing as near as the sensor does, in any of its sectors.
     fn hides(&mut self, ranges: &SectorRanges, input: &PilotInput<'_>) -> bool {
         let scan = self.scan.observe(input);
-        let half_rad = ranges.step_rad.abs() * (0.5 + SLACK);
+        let half_rad = half_rad(ranges);
         let least_cos = libm::cosf(half_rad);
         ranges.known().any(|(bearing_rad, range_m)| {
             // Where the camera does not look it hides nothing.
@@ -97,6 +101,14 @@ impl SecondSensor {
             range_m + HIDDEN_M < nearest_m
         })
     }
+}
+
+/// From a sector's middle to the end of what is compared with it: at least one direction of the frame's scan.
+fn half_rad(ranges: &SectorRanges) -> f32 {
+    larger(
+        ranges.step_rad.abs() * (0.5 + SLACK),
+        HORIZONTAL_FOV_RAD / SECTORS as f32,
+    )
 }
 
 #[cfg(test)]
@@ -194,5 +206,25 @@ mod tests {
         };
         assert!(!sensor.hides(&behind, &input));
         assert!(sensor.hides(&report(0, 2.0), &input));
+    }
+
+    #[test]
+    fn a_narrow_beam_is_compared_with_what_is_nearest_to_it_and_one_wider_than_the_view_is_none() {
+        let mut sensor = SecondSensor::new();
+        let mut frame = DepthFrame::EMPTY;
+        frame.depth.fill(0.03);
+        let input = hovering(0, &frame);
+        let beam = |step_deg: f32, i: i16| SectorRanges {
+            first_rad: f32::from(i) * 0.02 - 0.5,
+            step_rad: step_deg.to_radians(),
+            range_m: core::array::from_fn(|sector| if sector == 0 { 3.0 } else { f32::NAN }),
+            ..report(0, 3.0)
+        };
+        assert!(
+            (0..50).all(|i| !sensor.hides(&beam(0.2, i), &input)),
+            "both see the wall"
+        );
+        let silent = Reasons::of(Reason::SecondSensorSilent);
+        assert_eq!(sensor.check(0, Some(&beam(43.0, 25)), Some(&input), true), silent);
     }
 }

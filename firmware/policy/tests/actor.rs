@@ -156,6 +156,14 @@ fn the_field_is_added_to_the_actor_s_action() {
     let (own, sum, _) = decide(0.005);
     assert_eq!(sum.forward_m_s, own.forward_m_s);
     assert!(sum.yaw < own.yaw - 0.5, "0.5 m: turned away: {sum:?} {own:?}");
+    // What is flown is its last action: another one, another decision.
+    let frame = DepthFrame::EMPTY;
+    let (seen, pull) = (input(&frame), apf::attraction(input(&frame).goal));
+    for pilot in [&mut with, &mut without] {
+        pilot.reset();
+        pilot.decide(&seen);
+    }
+    assert_ne!(with.decide(&seen), apf::add(without.decide(&seen), pull));
 }
 
 #[test]

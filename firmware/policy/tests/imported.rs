@@ -124,6 +124,8 @@ fn a_file_comes_back_as_it_was_and_its_text_is_read_as_it_was_written() {
 #[test]
 fn hostile_descriptions_are_refused_before_anything_is_made_of_them() {
     let refused = |text: &str| text.parse::<Network>().unwrap_err().to_string();
+    let doublings: String = (0..30).map(|layer| format!("concat {layer} {layer}\n")).collect();
+    let doubled = format!("input 32768\n{doublings}output 30\n");
     for (text, told) in [
         ("", "lack an output"),
         ("input 4\n", "lack an output"),
@@ -136,6 +138,7 @@ fn hostile_descriptions_are_refused_before_anything_is_made_of_them() {
             "multiply-adds",
         ),
         ("input 4\ncurve 0 softmax\noutput 1\n", "line 2"),
+        (&doubled, "values"),
         ("input 4\ncurve 0 tanh*nan\noutput 1\n", "line 2"),
         ("input 4\noutput 0\ninput 4\n", "line 3"),
         ("input four\noutput 0\n", "line 1"),

@@ -11,8 +11,8 @@ use plain::{distance, rng, uniform, wide};
 use scene::{Scene, block, column};
 use torch::{Reference, Tensors, actor_params};
 use vigil_nnet::{ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
-use vigil_policy::actor::{ACTOR_HIDDEN, Actor, ActorSpec, CONTEXT, LOW_DIM, SCAN};
-use vigil_policy::{ActorPilot, Pilot, PilotInput, apf};
+use vigil_policy::PilotInput;
+use vigil_policy::actor::{Actor, ActorSpec, CONTEXT, LOW_DIM};
 use vigil_types::{Ablation, Attitude, DepthFrame, GoalRelative, HeadingVector, NedVector};
 
 const FRAME: usize = 128 * 256;
@@ -140,7 +140,6 @@ fn a_pixel_that_is_not_a_number_is_not_hidden_and_is_not_remembered() {
         );
         let after = actor.decide(&input(&frames[2], 2)).unwrap();
         assert!(after.iter().all(|x| x.is_finite()), "{}", isa.name());
-        assert_eq!((actor.state().len(), actor.scan().len()), (ACTOR_HIDDEN, SCAN));
     }
 }
 
@@ -233,26 +232,6 @@ fn what_is_taken_from_an_actor_it_does_not_use() {
             "{what:?}"
         );
     }
-}
-
-#[test]
-fn the_field_is_added_to_the_actor_s_action_and_is_its_last_action_then() {
-    let actor = Actor::new(ActorSpec::FULL, Isa::detect(), &params()).unwrap();
-    let (mut with, mut without) = (ActorPilot::new(actor.clone(), true), ActorPilot::new(actor, false));
-    let frame = DepthFrame::EMPTY;
-    let seen = input(&frame, 0);
-    let (own, sum) = (without.decide(&seen), with.decide(&seen));
-    assert_eq!(
-        sum,
-        apf::add(own, apf::attraction(seen.goal)),
-        "nothing near: the goal pulls"
-    );
-    let (own, sum) = (without.decide(&seen), with.decide(&seen));
-    assert_ne!(
-        sum,
-        apf::add(own, apf::attraction(seen.goal)),
-        "another last action, another decision"
-    );
 }
 
 #[test]

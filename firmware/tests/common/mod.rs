@@ -13,17 +13,30 @@ use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{DetectorConfig, GoalConfig, PilotConfig};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{
-    ATTITUDE_QUATERNION_DATA, COMMAND_ACK_DATA, COMMAND_LONG_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA,
-    LOCAL_POSITION_NED_DATA, MavAutopilot, MavCmd, MavLandedState, MavMessage, MavModeFlag, MavResult, MavState,
-    MavType, SET_POSITION_TARGET_LOCAL_NED_DATA,
+    ATTITUDE_QUATERNION_DATA, COMMAND_ACK_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA,
+    MavAutopilot, MavCmd, MavLandedState, MavMessage, MavModeFlag, MavResult, MavState, MavType,
+    SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_mavlink::framing::{self, FramingCounters};
+use vigil_mavlink::message;
 use vigil_policy::actor::PositionalInputs;
 use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, EngagePolicy, Nanos, NedVector, PilotKind,
     STEP_NS, STEP_S, column_bearing_rad, row_elevation_rad,
 };
+
+/// A generator whose stream never changes (xorshift64*).
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> u64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        self.0.wrapping_mul(0x2545_F491_4F6C_DD1D)
+    }
+}
 
 /// Bounds every wait; far above what any of them takes.
 pub const PATIENCE: Duration = Duration::from_secs(20);
@@ -311,24 +324,14 @@ impl TestVehicle {
                 yawspeed: self.setpoints.last().map_or(0.0, |s| s.yaw_rate * fills_rates),
                 ..ATTITUDE_QUATERNION_DATA::DEFAULT
             }),
-            MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
-                landed_state,
-                ..EXTENDED_SYS_STATE_DATA::DEFAULT
-            }),
+            message!(EXTENDED_SYS_STATE, landed_state),
         ];
         for message in messages
             .into_iter()
             .chain(acks.into_iter().map(MavMessage::COMMAND_ACK))
         {
-            let mut buffer = [0; 300];
-            let header = MavHeader {
-                system_id: SYSTEM_ID.into(),
-                component_id: 1,
-                sequence: self.sequence,
-            };
+            assert!(told.push(0, &framing::encode((SYSTEM_ID, 1), self.sequence, &message)));
             self.sequence = self.sequence.wrapping_add(1);
-            let len = framing::serialize(header, &message, &mut buffer).unwrap();
-            assert!(told.push(0, &buffer[..len]));
         }
         told
     }

@@ -5,7 +5,7 @@ mod common;
 mod sharing;
 mod signing;
 
-use common::{PseudoTerminal, SENSOR_ID, TestVehicle, config};
+use common::{PseudoTerminal, Random, SENSOR_ID, TestVehicle, config};
 use std::io::{Read, Write};
 use std::net::UdpSocket;
 use std::os::unix::fs::{PermissionsExt, symlink};
@@ -22,6 +22,7 @@ use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{
     FramingCounters, MAX_PACKET_LEN, StreamFramer, encode, packets, serialize, serialize_payload,
 };
+use vigil_mavlink::message;
 use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
@@ -42,12 +43,12 @@ fn heartbeat(from: (u8, u8)) -> Vec<u8> {
 }
 
 fn command(from: (u8, u8), target: (u8, u8), number: MavCmd) -> Vec<u8> {
-    let command = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        command: number,
-        target_system: target.0,
-        target_component: target.1,
-        ..COMMAND_LONG_DATA::DEFAULT
-    });
+    let command = message!(
+        COMMAND_LONG,
+        command = number,
+        target_system = target.0,
+        target_component = target.1
+    );
     packet(from, &command)
 }
 
@@ -213,12 +214,12 @@ fn the_vehicle_and_the_guidance_computer_are_seen_on_every_link_and_commanded_fr
 }
 
 fn ack_for(target: (u8, u8)) -> MavMessage {
-    MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {
-        command: MavCmd::MAV_CMD_NAV_LAND,
-        target_system: target.0,
-        target_component: target.1,
-        ..COMMAND_ACK_DATA::DEFAULT
-    })
+    message!(
+        COMMAND_ACK,
+        command = MavCmd::MAV_CMD_NAV_LAND,
+        target_system = target.0,
+        target_component = target.1
+    )
 }
 
 #[test]
@@ -237,17 +238,7 @@ fn nobody_on_a_ground_link_is_taken_for_the_vehicle_and_nobody_at_all_for_the_gu
     assert_eq!(rig.vehicle.heard(), [(ME, COMMAND_LONG)]);
 }
 
-/// A generator whose stream never changes (xorshift64*).
-struct Random(u64);
-
 impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        self.0.wrapping_mul(0x2545_F491_4F6C_DD1D)
-    }
-
     /// A packet with a right checksum; or a SETUP_SIGNING to the guidance computer with a random key.
     fn packet(&mut self, is_setup: bool) -> Vec<u8> {
         let bytes: Vec<u8> = (0..32).flat_map(|_| self.next().to_le_bytes()).collect();
@@ -298,12 +289,12 @@ fn a_ground_link_on_which_nobody_would_be_heard_is_not_opened_and_there_are_four
 
 /// SETUP_SIGNING of the first station.
 fn setup(target: (u8, u8), key: [u8; 32]) -> Vec<u8> {
-    let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
-        target_system: target.0,
-        target_component: target.1,
-        secret_key: key,
-        ..SETUP_SIGNING_DATA::DEFAULT
-    });
+    let message = message!(
+        SETUP_SIGNING,
+        target_system = target.0,
+        target_component = target.1,
+        secret_key = key
+    );
     packet(STATION, &message)
 }
 

@@ -180,7 +180,7 @@ impl Flight {
         };
         let mut flight = Self {
             rig: Rig::unsigned(),
-            firmware: Firmware::of(&config, None).unwrap(),
+            firmware: Firmware::of(&config).unwrap(),
             vehicle: TestVehicle::hovering(2.5),
             step: 0,
         };

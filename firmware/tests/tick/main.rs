@@ -7,9 +7,9 @@ mod common;
 use common::{LOITER, OFFBOARD, TestVehicle, config, undecided_detector, watched_config};
 use vigil_firmware::config::GoalConfig;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_mavlink::MavHeader;
-use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
-use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+use vigil_mavlink::common::{MavMessage, MavParamType};
+use vigil_mavlink::framing::encode;
+use vigil_mavlink::message;
 use vigil_types::{
     AlarmCause, AtGoal, Datagrams, DepthFrame, EngagePolicy, GuidanceState, Nanos, NedVector, Reason, Reasons, STEP_NS,
     STEP_S, StepReport, Verdict,
@@ -63,22 +63,16 @@ impl Flight {
 
     /// Sets a parameter as a ground station does, and gives what the firmware then says it is.
     fn set(&mut self, name: &str, param_value: f32, param_type: MavParamType) -> f32 {
-        let message = MavMessage::PARAM_SET(PARAM_SET_DATA {
+        let message = message!(
+            PARAM_SET,
             param_value,
-            target_system: 1,
-            target_component: 191,
-            param_id: name.into(),
-            param_type,
-        });
-        let station = MavHeader {
-            system_id: 255,
-            component_id: 190,
-            sequence: 0,
-        };
-        let mut packet = [0; MAX_PACKET_LEN];
-        let len = serialize(station, &message, &mut packet).unwrap();
+            target_system = 1,
+            target_component = 191,
+            param_id = name.into(),
+            param_type
+        );
         let (frame, mut received) = (self.vehicle.frame(self.now_ns), self.vehicle.telemetry());
-        received.push(0, &packet[..len]);
+        received.push(0, &encode((255, 190), 0, &message));
         self.step_with(Some(&frame), &received);
         let told = self.vehicle.heard.iter().rev().find_map(|(_, message)| match message {
             MavMessage::PARAM_VALUE(value) if value.param_id.to_str() == Ok(name) => Some(value.param_value),

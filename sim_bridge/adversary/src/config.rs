@@ -29,13 +29,13 @@ named! {
         L2 => "l2",
         /// Only the 32 × 32 pixels that count most, each within 32 ε: the whole frame's budget in one place.
         Patch => "patch",
-        /// The control: random signs of size iterations · ε, as large as [`Method::BimAccumulating`] may get. With one iteration it is
-        /// as large as the others.
+        /// The control: random signs of size iterations · ε, as large as bim-accumulating may get. With one iteration it is as large as
+        /// the others.
         Noise => "noise",
         /// No gradient: everything above and ahead is shown farther away, by iterations · ε. It deceives whoever believes the frames, the recovery
         /// pilot and the guard as well as the actor; the ground below stays where it is.
         Recede => "recede",
-        /// The same, swelling from nothing to that over the first [`SWELL_FRAMES`] frames.
+        /// The same, swelling from nothing to that over the first 5 s.
         Swell => "swell",
         /// No gradient: everything but the ground is shown farther away, by iterations · ε, and what of the ground would be seen before it is
         /// painted there: nothing lies beneath the ground, and nothing hides it.
@@ -44,8 +44,8 @@ named! {
         Blind => "blind",
         /// No gradient: the first two seconds of what passed while attacking are shown again and again.
         Replay => "replay",
-        /// Black box: as [`Method::BimAccumulating`], by an estimate of the gradient from the yaw output alone, asked [`SPSA_QUERIES`] times in each
-        /// iteration (simultaneous perturbation; Spall 1992, Uesato et al. 2018). Finds more with [`AttackConfig::region_pixels`].
+        /// Black box: as bim-accumulating, by an estimate of the gradient from the yaw output alone, asked 16 times in each iteration
+        /// (simultaneous perturbation; Spall 1992, Uesato et al. 2018). Finds more with `--region`.
         Spsa => "spsa",
     }
 }
@@ -165,7 +165,11 @@ impl AttackConfig {
         if self.region_pixels > 1 { REGION_FLOOR } else { 0.0 }
     }
 
-    pub(crate) fn check(&self) -> Result<(), AttackError> {
+    /// Whether an attack can be made with it.
+    ///
+    /// # Errors
+    /// What is out of its range.
+    pub fn check(&self) -> Result<(), AttackError> {
         if !(self.epsilon_255 > 0.0 && self.epsilon_255 <= 255.0) {
             return Err(AttackError::Epsilon {
                 epsilon_255: self.epsilon_255,

@@ -214,8 +214,9 @@ impl Perturber {
                 if length > 0.0 {
                     let step = (f64::from(STEP_GAIN) / f64::from(iterations)).min(1.0) * radius;
                     let scale = (step / length) as f32;
-                    for (x, g) in frame.iter_mut().zip(&self.gradient) {
-                        *x = (*x - scale * g).clamp(0.0, 1.0);
+                    let floor = self.config.floor();
+                    for ((x, g), clean) in frame.iter_mut().zip(&self.gradient).zip(&self.clean) {
+                        *x = (*x - scale * g).clamp(floor.min(*clean), 1.0);
                     }
                 }
                 let moved = norm(frame.iter().zip(&self.clean).map(|(x, clean)| x - clean));

@@ -41,7 +41,7 @@ fn second_of_telemetry(bencher: Bencher<'_, '_>, links: usize) {
 #[divan::bench]
 fn receive_a_setpoint(bencher: Bencher<'_, '_>) {
     use vigil_mavlink::common::{MavFrame, PositionTargetTypemask};
-    use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+    use vigil_mavlink::framing::encode;
     #[allow(deprecated)]
     let message = vigil_mavlink::message!(
         SET_POSITION_TARGET_LOCAL_NED,
@@ -51,13 +51,7 @@ fn receive_a_setpoint(bencher: Bencher<'_, '_>) {
         target_system = 1,
         target_component = 1
     );
-    let header = vigil_mavlink::MavHeader {
-        system_id: 1,
-        component_id: 191,
-        sequence: 0,
-    };
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, &message, &mut out).expect("fits");
+    let packet = encode((1, 191), 0, &message);
     let mut endpoint = Endpoint::new(EndpointConfig::default()).expect("default configuration is valid");
-    bencher.bench_local(|| endpoint.receive(1, LinkId::ONBOARD, black_box(&out[..len])));
+    bencher.bench_local(|| endpoint.receive(1, LinkId::ONBOARD, black_box(&packet)));
 }

@@ -10,11 +10,11 @@ use crate::plan::Plans;
 use crate::vehicle::{HoldLaw, Sensors, Truth, VehicleView};
 use crate::vehicle_parameters::{ParamId, ParameterValue, Parameters};
 use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
+use vigil_mavlink::common::MavSeverity;
 use vigil_mavlink::framing::{FramingCounters, Packet};
 use vigil_mavlink::mavlink::MessageData;
 pub use vigil_mavlink::routing::ComponentId;
+use vigil_mavlink::{MavMessage, StatusText};
 use vigil_types::{Nanos, RANGE_SECTORS};
 
 /// What was refused since start, besides what the framing refused.
@@ -121,8 +121,8 @@ pub(crate) fn padded<const N: usize>(bytes: &[u8]) -> [u8; N] {
     padded
 }
 
-/// Bytes of a STATUSTEXT.
-const TEXT_CHUNK: usize = 50;
+/// Texts that wait for the flight log, at most.
+const MOST_UNLOGGED: usize = 64;
 
 /// What a sensor of zones beside the depth camera measured: horizontal distances, left to right over its field of view.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -177,6 +177,8 @@ pub(crate) struct Core {
     pub forwarded: u64,
     pub texts: u64,
     pub last_text: String,
+    /// Texts since the last record of the flight log.
+    pub unlogged: Vec<(MavSeverity, String)>,
     /// Messages to send at the end of this call, besides their streams: on one link or on all.
     pub wanted: Vec<(Option<LinkId>, u32)>,
 }
@@ -225,6 +227,7 @@ impl Core {
             forwarded: 0,
             texts: 0,
             last_text: String::new(),
+            unlogged: Vec::new(),
             wanted: Vec::with_capacity(8),
         })
     }
@@ -265,19 +268,11 @@ impl Core {
     pub fn text(&mut self, severity: MavSeverity, text: &str) {
         self.texts += 1;
         text.clone_into(&mut self.last_text);
-        // An id of 0 means that the text is not continued.
-        let id = if text.len() > TEXT_CHUNK {
-            (self.texts % u64::from(u16::MAX)) as u16 + 1
-        } else {
-            0
-        };
-        for (chunk_seq, chunk) in text.as_bytes().chunks(TEXT_CHUNK).enumerate() {
-            let message = MavMessage::STATUSTEXT(STATUSTEXT_DATA {
-                severity,
-                text: padded::<TEXT_CHUNK>(chunk).into(),
-                id,
-                chunk_seq: chunk_seq as u8,
-            });
+        if self.unlogged.len() < MOST_UNLOGGED {
+            self.unlogged.push((severity, text.to_owned()));
+        }
+        let id = (self.texts % u64::from(u16::MAX)) as u16 + 1;
+        for message in StatusText::new(severity, format_args!("{text}")).messages(id) {
             self.outbox.send_all(&message);
         }
     }

@@ -49,6 +49,16 @@ struct Entry {
     own: bool,
 }
 
+impl Entry {
+    fn own(content: Option<Vec<u8>>, modified_s: u64) -> Self {
+        Self {
+            content,
+            modified_s,
+            own: true,
+        }
+    }
+}
+
 /// An entry of a listing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Listed<'a> {
@@ -95,16 +105,16 @@ fn parent(path: &str) -> &str {
 impl FileSystem {
     /// Puts a file of the vehicle's own in place, with the directories on the way.
     pub fn provide(&mut self, path: &str, content: Vec<u8>, now_s: u64) {
-        let own = |content| Entry {
-            content,
-            modified_s: now_s,
-            own: true,
-        };
+        self.own_directories(path, now_s);
+        self.entries.insert(path.to_owned(), Entry::own(Some(content), now_s));
+    }
+
+    /// Puts the directories on the way to a path in place.
+    pub fn own_directories(&mut self, path: &str, now_s: u64) {
         for (end, _) in path.match_indices('/') {
             let directory = path.get(..end).unwrap_or_default().to_owned();
-            self.entries.entry(directory).or_insert(own(None));
+            self.entries.entry(directory).or_insert(Entry::own(None, now_s));
         }
-        self.entries.insert(path.to_owned(), own(Some(content)));
     }
 
     /// Appends to a file of the vehicle's own; nothing if it is not there.

@@ -10,29 +10,19 @@ use vigil_types::Nanos;
 
 /// The answer to a command.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Answer {
-    pub result: MavResult,
-    pub result_param2: i32,
-}
+pub(crate) struct Answer(MavResult);
 
 impl Answer {
-    pub const ACCEPTED: Self = Self::of(MavResult::MAV_RESULT_ACCEPTED);
-    pub const DENIED: Self = Self::of(MavResult::MAV_RESULT_DENIED);
+    pub const ACCEPTED: Self = Self(MavResult::MAV_RESULT_ACCEPTED);
+    pub const DENIED: Self = Self(MavResult::MAV_RESULT_DENIED);
     /// Not now: the same command may be accepted in another state.
-    pub const REJECTED: Self = Self::of(MavResult::MAV_RESULT_TEMPORARILY_REJECTED);
-    pub const UNSUPPORTED: Self = Self::of(MavResult::MAV_RESULT_UNSUPPORTED);
-    pub const FAILED: Self = Self::of(MavResult::MAV_RESULT_FAILED);
-
-    pub const fn of(result: MavResult) -> Self {
-        Self {
-            result,
-            result_param2: 0,
-        }
-    }
+    pub const REJECTED: Self = Self(MavResult::MAV_RESULT_TEMPORARILY_REJECTED);
+    pub const UNSUPPORTED: Self = Self(MavResult::MAV_RESULT_UNSUPPORTED);
+    pub const FAILED: Self = Self(MavResult::MAV_RESULT_FAILED);
 
     /// Counts a refusal, and acknowledges the command to whom it came from.
     pub fn send(self, command: u16, to: Source, core: &mut Core) {
-        match self.result {
+        match self.0 {
             MavResult::MAV_RESULT_UNSUPPORTED => core.refusals.command_unsupported += 1,
             MavResult::MAV_RESULT_DENIED | MavResult::MAV_RESULT_TEMPORARILY_REJECTED => {
                 core.refusals.command_denied += 1
@@ -41,11 +31,10 @@ impl Answer {
         }
         let ack = CommandAck {
             command,
-            result: self.result as u8,
-            progress: 0,
-            result_param2: self.result_param2,
+            result: self.0 as u8,
             target_system: to.id.system,
             target_component: to.id.component,
+            ..CommandAck::default()
         };
         core.outbox.acknowledge(to.link, &ack);
     }

@@ -163,9 +163,7 @@ impl Bench {
 
     pub fn packet(&mut self, from: ComponentId, message: &MavMessage) -> Vec<u8> {
         self.sequence = self.sequence.wrapping_add(1);
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = framing::serialize(header(from, self.sequence), message, &mut out).expect("fits");
-        out[..len].to_vec()
+        framing::encode((from.system, from.component), self.sequence, message)
     }
 
     pub fn send(&mut self, link: LinkId, from: ComponentId, message: &MavMessage) {
@@ -411,18 +409,15 @@ impl Bench {
     }
 }
 
-fn header(from: ComponentId, sequence: u8) -> MavHeader {
-    MavHeader {
-        system_id: u32::from(from.system),
-        component_id: from.component,
-        sequence,
-    }
-}
-
 /// A packet of a payload that may be any.
 pub fn raw(from: ComponentId, id: u32, payload: &[u8]) -> Vec<u8> {
+    let header = MavHeader {
+        system_id: u32::from(from.system),
+        component_id: from.component,
+        sequence: 0,
+    };
     let mut out = [0; MAX_PACKET_LEN];
-    let len = framing::serialize_payload(header(from, 0), id, payload, &mut out).expect("fits");
+    let len = framing::serialize_payload(header, id, payload, &mut out).expect("fits");
     out[..len].to_vec()
 }
 

@@ -4,13 +4,12 @@
 use crate::core::Core;
 use crate::flight::LandedState;
 use crate::vehicle_parameters::ParameterValue;
+use vigil_mavlink::common::MavSeverity;
 
 /// Bytes before the first message: magic, version, start.
 const HEADER_LEN: usize = 16;
 /// Bytes of a message before its payload: size, type.
 const MESSAGE_HEADER_LEN: usize = 3;
-/// Levels of messages in ULog are those of syslog, in ASCII.
-const LEVEL_INFO: u8 = b'6';
 
 /// Topics by their number, with names and fields as PX4 has them.
 const TOPICS: [(&str, &str); 6] = [
@@ -71,12 +70,13 @@ pub(crate) fn begin(core: &Core) -> Vec<u8> {
     out
 }
 
-/// Appends a status text.
-pub(crate) fn text(out: &mut Vec<u8>, core: &Core, text: &str) {
+/// Appends a status text. Levels are those of syslog, as MAVLink's are, in ASCII.
+pub(crate) fn text(out: &mut Vec<u8>, core: &Core, severity: MavSeverity, text: &str) {
+    let level = [b'0' + severity as u8];
     message(
         out,
         b'L',
-        &[&[LEVEL_INFO], &core.time_boot_us().to_le_bytes(), text.as_bytes()],
+        &[&level, &core.time_boot_us().to_le_bytes(), text.as_bytes()],
     );
 }
 

@@ -1,15 +1,16 @@
 //! A link on which a foreign vehicle is heard, and asked for what is missing of its pose.
 
+use anyhow::bail;
 use mavlink::MessageData;
 use mavlink::dialects::common::{
-    ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, GPS_GLOBAL_ORIGIN_DATA, HEARTBEAT_DATA, HIL_STATE_QUATERNION_DATA,
-    HOME_POSITION_DATA, LOCAL_POSITION_NED_DATA, MavAutopilot, MavMessage, MavModeFlag, MavState, MavType,
+    ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, GPS_GLOBAL_ORIGIN_DATA, HIL_STATE_QUATERNION_DATA, HOME_POSITION_DATA,
+    LOCAL_POSITION_NED_DATA,
 };
 use vigil_io::gate::{AllowUnsigned, SigningGate};
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::links::{LinkAdmission, LinkError, PeerRule, Wire, open_wire, somebody_is_heard};
-use vigil_mavlink::MavHeader;
-use vigil_mavlink::framing::{Command, FramingCounters, MAX_PACKET_LEN, packets, serialize};
+use vigil_mavlink::Sender;
+use vigil_mavlink::framing::{Command, FramingCounters, packets};
 use vigil_types::{Datagrams, Nanos};
 
 const SECOND_NS: Nanos = 1_000_000_000;
@@ -42,15 +43,31 @@ pub struct PoseLink {
     heard_ns: [Nanos; STREAMS.len()],
     ask_next_ns: Nanos,
     asked: usize,
-    sequence: u8,
+    sender: Sender,
 }
 
 impl PoseLink {
+    /// Opens all links of `--pose`; the second is the vehicle's system, where one is named.
+    ///
+    /// # Errors
+    /// Options that contradict each other or are not for such a link; a link that cannot be opened.
+    pub fn open_all(specs: &[LinkSpec], allow_unsigned: AllowUnsigned) -> anyhow::Result<(Vec<Self>, Option<u8>)> {
+        let system = specs.iter().find_map(|spec| spec.system);
+        if specs.iter().any(|spec| spec.system.is_some() && spec.system != system) {
+            bail!("--pose: the links name different vehicles: give the same system= on each");
+        }
+        if let Some(spec) = (specs.iter()).find(|s| s.values_hz.is_some() || s.rate_bytes_s.is_some()) {
+            bail!("--pose {spec}: the options rate= and values= are for the firmware's links: leave them out");
+        }
+        let links: Result<_, LinkError> = specs.iter().map(|spec| Self::open(spec, allow_unsigned)).collect();
+        Ok((links?, system))
+    }
+
     /// Opens the link. The peer is whoever first passes on an autopilot's heartbeat: the vehicle, or a firmware in front of it.
     ///
     /// # Errors
     /// [`LinkError`], naming the link.
-    pub fn open(spec: &LinkSpec, allow_unsigned: AllowUnsigned) -> Result<Self, LinkError> {
+    fn open(spec: &LinkSpec, allow_unsigned: AllowUnsigned) -> Result<Self, LinkError> {
         let allow_unsigned = spec.allow_unsigned.unwrap_or(allow_unsigned);
         let gate = SigningGate::new(None, allow_unsigned);
         somebody_is_heard(&spec.url, gate.has_key(), allow_unsigned)?;
@@ -65,7 +82,7 @@ impl PoseLink {
             heard_ns: [0; STREAMS.len()],
             ask_next_ns: 0,
             asked: 0,
-            sequence: 0,
+            sender: Sender::new(1, COMPONENT),
         })
     }
 
@@ -90,8 +107,9 @@ impl PoseLink {
                 if packet.is_autopilots_heartbeat() && self.spec.system.is_none_or(|s| s == packet.system_id()) {
                     self.system.get_or_insert(packet.system_id());
                 }
+                let is_the_vehicles = self.system.is_none_or(|system| system == packet.system_id());
                 for (heard_ns, (id, or, _)) in self.heard_ns.iter_mut().zip(STREAMS) {
-                    if packet.message_id() == id || packet.message_id() == or {
+                    if is_the_vehicles && (packet.message_id() == id || packet.message_id() == or) {
                         *heard_ns = now_ns;
                     }
                 }
@@ -103,13 +121,21 @@ impl PoseLink {
     /// Once a second: says that somebody listens, and asks for what is missing. `wants_truth`: HIL_STATE_QUATERNION too;
     /// `wants_places`: home and origin are not known yet.
     pub fn ask(&mut self, now_ns: Nanos, wants_truth: bool, wants_places: bool) {
-        let Some(system) = self.system else { return };
         if now_ns < self.ask_next_ns {
             return;
         }
         self.ask_next_ns = now_ns + SECOND_NS;
         self.to_send.clear();
-        self.say_heartbeat(system);
+        // Some vehicles speak only to whom they have heard.
+        self.sender.system_id = self.system.or(self.spec.system).unwrap_or(1);
+        self.sender.listener_heartbeat(&mut self.to_send, 0);
+        if let Some(system) = self.system {
+            self.ask_for_what_is_missing(now_ns, system, wants_truth, wants_places);
+        }
+        self.wire.send(&mut self.gate, &self.to_send);
+    }
+
+    fn ask_for_what_is_missing(&mut self, now_ns: Nanos, system: u8, wants_truth: bool, wants_places: bool) {
         for (stream, (id, _, interval_us)) in STREAMS.into_iter().enumerate() {
             let is_wanted = wants_truth || id != HIL_STATE_QUATERNION_DATA::ID;
             if is_wanted && now_ns.saturating_sub(self.heard_ns[stream]) > MISSING_NS {
@@ -122,38 +148,10 @@ impl PoseLink {
             self.asked += 1;
             self.command(system, REQUEST_MESSAGE, [id as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         }
-        self.wire.send(&mut self.gate, &self.to_send);
-    }
-
-    fn header(&mut self, system: u8) -> MavHeader {
-        self.sequence = self.sequence.wrapping_add(1);
-        MavHeader {
-            system_id: system.into(),
-            component_id: COMPONENT,
-            sequence: self.sequence,
-        }
-    }
-
-    fn say_heartbeat(&mut self, system: u8) {
-        let message = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            custom_mode: 0,
-            mavtype: MavType::MAV_TYPE_GENERIC,
-            autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
-            base_mode: MavModeFlag::empty(),
-            system_status: MavState::MAV_STATE_ACTIVE,
-            mavlink_version: 3,
-        });
-        let mut packet = [0; MAX_PACKET_LEN];
-        if let Ok(len) = serialize(self.header(system), &message, &mut packet) {
-            self.to_send.push(0, &packet[..len]);
-        }
     }
 
     fn command(&mut self, system: u8, number: u16, params: [f32; 7]) {
         let command = Command::to_autopilot(system, number, params, 0);
-        let mut packet = [0; MAX_PACKET_LEN];
-        if let Ok(len) = command.serialize(self.header(system), &mut packet) {
-            self.to_send.push(0, &packet[..len]);
-        }
+        self.sender.command(&mut self.to_send, 0, &command);
     }
 }

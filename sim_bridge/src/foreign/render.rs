@@ -5,7 +5,7 @@ use super::pose_link::PoseLink;
 use crate::program::{STATUS_STEPS, Status, announce, ending_code, nearness, print_status, set_by_interrupt};
 use crate::world::Course;
 use crate::{CompanionView, CourseChoice, LIDAR_SENSOR_ID, Models, SensorFault};
-use anyhow::{Result, bail};
+use anyhow::Result;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
@@ -89,12 +89,9 @@ pub struct RenderArgs {
 pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     let seed = args.course.seed_or_random();
     let course = args.course.load(seed)?;
-    let config = configure(args, seed)?;
+    let (links, system) = PoseLink::open_all(&args.pose, args.allow_unsigned)?;
+    let config = configure(args, seed, system)?;
     let stop = set_by_interrupt()?;
-    let mut links = Vec::new();
-    for spec in &args.pose {
-        links.push(PoseLink::open(spec, args.allow_unsigned)?);
-    }
     let domain = Domain::open(args.instance, "sensor")?;
     let mut publisher = FramePublisher::create(&domain, &args.frames)?;
     let epoch_ns = monotonic_ns().next_multiple_of(STEP_NS);
@@ -108,17 +105,20 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
         epoch_ns,
     };
     announce(&start_lines(args, &course, seed));
-    let (mut now_ns, mut ended_ns) = (epoch_ns, None);
+    let (mut now_ns, mut due_ns, mut ended_ns) = (epoch_ns, epoch_ns, None);
     while !stop.load(Ordering::Relaxed) {
         sleep_until(now_ns);
         sensor.listen(monotonic_ns());
-        let step = (now_ns - epoch_ns) / STEP_NS;
-        if (now_ns - epoch_ns).is_multiple_of(STEP_NS) {
+        if now_ns >= due_ns {
+            // A stall is not made up for by a burst of old frames.
+            let at_ns = now_ns / STEP_NS * STEP_NS;
+            due_ns = at_ns + STEP_NS;
+            let step = (at_ns - epoch_ns) / STEP_NS;
             let tells = args.status && step.is_multiple_of(STATUS_STEPS);
-            sensor.publish(now_ns, &mut publisher, tells)?;
-            sensor.told.tell(now_ns, &sensor.flight);
+            sensor.publish(at_ns, &mut publisher, tells)?;
+            sensor.told.tell(at_ns, &sensor.flight);
             if tells {
-                print_status(&sensor.status(now_ns))?;
+                print_status(&sensor.status(at_ns))?;
             }
         }
         if sensor.flight.ending().is_some() || sensor.flight.pose_state(now_ns).is_final() {
@@ -127,7 +127,6 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
                 break;
             }
         }
-        // A stall is not made up for by a burst of old frames.
         now_ns = (now_ns + SLICE_NS).max(monotonic_ns() / SLICE_NS * SLICE_NS);
     }
     if args.status {
@@ -137,18 +136,7 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     Ok(ExitCode::from(args.end_after.map_or(0, |_| ending_code(ending))))
 }
 
-fn configure(args: &RenderArgs, seed: u64) -> Result<ForeignConfig> {
-    let systems: Vec<u8> = args.pose.iter().filter_map(|spec| spec.system).collect();
-    if systems.iter().any(|system| Some(system) != systems.first()) {
-        bail!("--pose: the links name different vehicles: give the same system= on each");
-    }
-    if let Some(spec) = args
-        .pose
-        .iter()
-        .find(|s| s.values_hz.is_some() || s.rate_bytes_s.is_some())
-    {
-        bail!("--pose {spec}: the options rate= and values= are for the firmware's links: leave them out");
-    }
+fn configure(args: &RenderArgs, seed: u64, system: Option<u8>) -> Result<ForeignConfig> {
     let models = args
         .config
         .as_deref()
@@ -165,7 +153,7 @@ fn configure(args: &RenderArgs, seed: u64) -> Result<ForeignConfig> {
         seed,
         sensor_fault: args.sensor_fault,
         frame_key,
-        system: systems.first().copied(),
+        system,
         truth: args.truth,
     })
 }
@@ -230,7 +218,10 @@ impl Sensor {
 
     fn status(&self, now_ns: Nanos) -> Status {
         let flight = &self.flight;
-        let pose = flight.pose(now_ns);
+        // JSON has no numbers that are none.
+        let pose = flight
+            .pose(now_ns)
+            .filter(|p| p.position_ned_m.is_finite() && p.velocity_ned_m_s.is_finite() && p.attitude.is_valid());
         let state = flight.pose_state(now_ns);
         let ending = flight.ending();
         Status {

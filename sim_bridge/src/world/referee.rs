@@ -42,7 +42,7 @@ impl core::fmt::Display for Outcome {
     }
 }
 
-/// Watches the true motion and says when the flight is over. The first end counts; later motion changes nothing.
+/// Watches the true motion and says when the flight is over. The first end counts; what is hit later breaks the vehicle all the same.
 #[derive(Debug, Clone)]
 pub struct Referee {
     goal_ned_m: NedVector,
@@ -65,6 +65,7 @@ pub struct Referee {
     free_radius_m: f32,
     outcome: Option<Outcome>,
     ended_ns: Nanos,
+    collided: bool,
 }
 
 impl Referee {
@@ -90,6 +91,7 @@ impl Referee {
             free_radius_m: -1.0,
             outcome: None,
             ended_ns: 0,
+            collided: false,
         }
     }
 
@@ -115,17 +117,19 @@ impl Referee {
         attitude: Attitude,
         velocity_ned_m_s: NedVector,
     ) -> Option<Outcome> {
-        if self.outcome.is_some() {
-            return self.outcome;
-        }
         let started_ns = *self.started_ns.get_or_insert(at_ns);
         let from = self.last_ned_m.replace(position_ned_m).unwrap_or(position_ned_m);
         let finite = position_ned_m.is_finite() && attitude.is_valid() && velocity_ned_m_s.is_finite();
+        let collides = finite
+            && (self.touches(world, from, position_ned_m, attitude)
+                || self.crashed_into_ground(position_ned_m, attitude, velocity_ned_m_s));
+        self.collided |= collides;
+        if self.outcome.is_some() {
+            return self.outcome;
+        }
         self.outcome = if !finite {
             Some(Outcome::OutOfBounds)
-        } else if self.touches(world, from, position_ned_m, attitude)
-            || self.crashed_into_ground(position_ned_m, attitude, velocity_ned_m_s)
-        {
+        } else if collides {
             Some(Outcome::Collision)
         } else if !self.bounds.contains(position_ned_m) {
             Some(Outcome::OutOfBounds)
@@ -146,6 +150,11 @@ impl Referee {
     /// How the flight ended, if it has.
     pub fn outcome(&self) -> Option<Outcome> {
         self.outcome
+    }
+
+    /// Whether the vehicle hit something, be it after the end.
+    pub fn has_collided(&self) -> bool {
+        self.collided
     }
 
     /// From the first truth to the end, in seconds; `None` while the flight lasts.

@@ -83,9 +83,12 @@ def _taken(words: list, name: str, usual):
     for at, word in enumerate(words):
         flag, equals, value = word.partition("=")
         if flag == name:
-            value = value if equals else words.pop(at + 1)
+            try:
+                number = int(value if equals else words.pop(at + 1))
+            except (IndexError, ValueError) as error:
+                raise CampaignError(f"{name} needs a whole number") from error
             del words[at]
-            return int(value)
+            return number
     if usual is None:
         raise CampaignError(f"{name} is needed")
     return usual
@@ -117,6 +120,10 @@ def fly(words, output, vigil, address=None, at_a_time=20, retries=5, installed=F
     words, output, vigil = list(words), Path(output), Path(vigil)
     if not os.access(vigil, os.X_OK):
         raise CampaignError(f"{vigil} is no program; build it, or name it with --vigil")
+    # It flies what `vigil` hands on to it, and puts all parts together.
+    laboratory = vigil.resolve().with_name("vigil-lab")
+    if not os.access(laboratory, os.X_OK):
+        raise CampaignError(f"{laboratory} is no program; build it (cargo build --release -p vigil-lab)")
     for word in (word.split("=")[0] for word in words):
         if word in REFUSED:
             raise CampaignError(f"{word} is not for a cluster: {REFUSED[word]}")
@@ -133,7 +140,7 @@ def fly(words, output, vigil, address=None, at_a_time=20, retries=5, installed=F
     if started:
         ray.init(address=address, log_to_driver=False, logging_level="warning")
     try:
-        program = str(vigil.resolve()) if installed else ray.put(vigil.read_bytes())
+        program = str(vigil.resolve()) if installed else ray.put((vigil if words[:1] == ["evaluate"] else laboratory).read_bytes())
         # A node that is lost is Ray's to notice; a flight that was killed is ours.
         task = ray.remote(_fly_some).options(num_cpus=1, max_retries=retries, retry_exceptions=[ConnectionAbortedError])
         sent = _sent(words)

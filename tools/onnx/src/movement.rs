@@ -49,7 +49,8 @@ pub fn transpose(shape: &[usize], order: &[usize]) -> Result<Moved, String> {
     }
     let mut strides = vec![1usize; shape.len()];
     for i in (1..shape.len()).rev() {
-        strides[i - 1] = strides[i] * shape[i];
+        // Beyond the largest where nothing is moved: another axis has no places.
+        strides[i - 1] = strides[i].saturating_mul(shape[i]);
     }
     let result: Vec<usize> = order.iter().map(|axis| shape[*axis]).collect();
     let len = len_of(&result)?;

@@ -28,8 +28,8 @@ vigil_depth_publisher *vigil_depth_open(uint32_t instance, uint32_t sensor_id, c
 /* Publishes an image. Returns the number of readers, or -1: see vigil_depth_error; nothing was published then.
  * ranges_m: row by row from the top left, metres along each pixel's ray; infinity, NaN, 0 or less, or 100 to 1000: no return. Refused,
  * for no return reads as free space: an image without a single return, and one with more than 1000 (millimetres?).
- * position_ned_m, attitude_wxyz: the vehicle's estimate at capture, metres from home, within 100 km; unit quaternion, body (FRD) to
- * NED.
+ * position_ned_m, attitude_wxyz: the vehicle's estimate at capture, metres as in LOCAL_POSITION_NED, within 100 km; unit quaternion,
+ * body (FRD) to NED.
  * stamp_ns: time of capture on CLOCK_MONOTONIC (vigil_depth_now_ns), at most a second ago; must rise. */
 int vigil_depth_publish(vigil_depth_publisher *publisher, const float ranges_m[VIGIL_DEPTH_PIXELS],
                         const float position_ned_m[3], const float attitude_wxyz[4], uint64_t stamp_ns);

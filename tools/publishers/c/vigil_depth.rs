@@ -18,7 +18,7 @@ const LAST_INSTANCE: u32 = 99;
 const LEAST_M: f32 = 1e-30;
 /// No depth sensor measures farther: what is, is of another unit.
 const FARTHEST_M: f32 = 1000.0;
-/// An estimate farther from home is none.
+/// An estimate farther from the origin is none.
 const FARTHEST_PLACE_M: f32 = 100_000.0;
 /// What was captured longer ago is used by nobody: such a stamp is of another clock.
 const OLDEST_NS: Nanos = 1_000_000_000;

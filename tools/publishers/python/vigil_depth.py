@@ -24,7 +24,7 @@ FULL_SCALE_M = 100.0
 LEAST_M = 1e-30
 #: No depth sensor measures farther: what is, is of another unit.
 FARTHEST_M = 1000.0
-#: An estimate farther from home is none.
+#: An estimate farther from the origin is none.
 FARTHEST_PLACE_M = 100_000.0
 LAST_INSTANCE = 99
 #: How far a stamp may lie ahead of the clock: one step of the loop that reads the frames.
@@ -173,7 +173,7 @@ class DepthPublisher:
 
         ranges_m: array (128, 256) of real numbers, metres along each pixel's ray, at most 1000; infinity, NaN or 0 where nothing
         returned, which is what 100 m and farther count as. One pixel at least has a range.
-        position_ned_m: 3 numbers, the vehicle's estimate at capture, metres from home.
+        position_ned_m: 3 numbers, the vehicle's estimate at capture, metres as in LOCAL_POSITION_NED.
         attitude_wxyz: unit quaternion, body (FRD) to NED.
         stamp_ns: whole number, time of capture on CLOCK_MONOTONIC, at most a second ago; must rise. Now, if it is not given.
         """

@@ -5,7 +5,7 @@
         -r points:=/ouster/points -r odometry:=/mavros/local_position/odom
 
 Subscribes to `points` (sensor_msgs/PointCloud2, x, y, z of either float; axes forward, left, up, or a camera's optical ones) and
-`odometry` (nav_msgs/Odometry, ENU and forward-left-up, origin at the vehicle's home). What does not need ROS is above the node and tested by
+`odometry` (nav_msgs/Odometry, ENU and forward-left-up, the vehicle's local frame). What does not need ROS is above the node and tested by
 tests/python/test_depth_publisher.py; the node itself was not run against ROS.
 """
 

@@ -116,12 +116,14 @@ class Curve(BaseCallback):
     def __init__(self, folder: Path, every: int, flights: int) -> None:
         super().__init__()
         self.folder, self.every, self.flights = folder, every, flights
+        self.due = every
         self.best, self.begun = -1.0, time.monotonic()
         self.rows: list[list[float]] = []
 
     def _on_step(self) -> bool:
-        if self.num_timesteps % self.every:
+        if self.num_timesteps < self.due:
             return True
+        self.due += self.every
         cpu = time.process_time()
         training, _ = completed(self.model, range(1_000, 1_000 + self.flights), "training")
         validation, score = completed(self.model, range(1_000, 1_000 + self.flights), "validation")

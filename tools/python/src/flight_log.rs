@@ -77,7 +77,7 @@ impl Content {
         self.now_ns.push(record.now_ns);
         self.state.push(report.state.name());
         let reasons: Vec<&str> = report.reasons.iter().map(|reason| reason.name()).collect();
-        self.reasons.push(reasons.join(" "));
+        self.reasons.push(reasons.join(", "));
         self.alarm.push(report.alarm.map(|alarm| alarm.cause.name()));
         self.verdict
             .push(report.judgement.map_or(Verdict::Unknown, |j| j.verdict).name());

@@ -18,7 +18,7 @@ class Flight:
 
     seed: int
     outcome: str
-    """``success``, ``collision``, ``out-of-bounds``, ``time-out``, as `vigil evaluate` names them, or ``never took off``."""
+    """``success``, ``collision``, ``out of bounds``, ``time-out``, as `vigil evaluate` names them, or ``never took off``."""
     time_s: float
     """Simulated seconds from lift-off, or from the start in the air."""
     path_length_m: float

@@ -168,28 +168,32 @@ class _Flown:
         """Begins the flights that have a seed, flies a step of the others where there are actions. Gives what is observed of all,
         ``[count, …]``; views that cannot be written to, but for the caller's buffers. ``anew``: not where the last observation lies."""
         older: Floats | None = None
+        frames = self._frames
         if "frames" in self._given:
-            self._frames = self._given["frames"].reshape(self.shape)
-        elif anew or self._frames is None:
-            older, self._frames = self._frames, self._unseen()
+            frames = self._given["frames"].reshape(self.shape)
+        elif anew or frames is None:
+            older, frames = frames, self._unseen()
         parts = {
             name: self._given.get(name, np.empty((self.count, *(space.shape or ())), np.float32))
             for name, space in self.observed.items()
             if name != "frames"
         }
         self.flights.advance(
-            seeds, actions, older, self._frames, parts["goal"], parts.get("position"), parts.get("state"), self.rewards, self.ends
+            seeds, actions, older, frames, parts["goal"], parts.get("position"), parts.get("state"), self.rewards, self.ends
         )
+        self._frames = frames
         if older is not None:
             self._spare = [*self._spare, older][-_SPARE:]
         if actions is not None:
             np.logical_and(self.ends >= 0, self.ends != 3, out=self.flags["terminated"])
             np.equal(self.ends, 3, out=self.flags["truncated"])
-        frames = self._given.get("frames")
         if self.images:
-            return {"frames": as_images(self._frames, self.full_scale), **parts}
-        if frames is None:
-            frames = self._frames[:, 0] if self.newest else self._frames[:]
+            return {"frames": as_images(frames, self.full_scale), **parts}
+        given = self._given.get("frames")
+        if given is not None:
+            frames = given
+        else:
+            frames = frames[:, 0] if self.newest else frames[:]
             frames = frames.copy() if self.copied else frames
             frames.flags.writeable = self.copied
         return {"frames": frames, **parts}
@@ -349,6 +353,8 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
             if unknown := set(options) - {"course_seed"}:
                 raise ValueError(f"options: there is course_seed, not {', '.join(sorted(unknown))}")
             self.course_seed = int(options["course_seed"])
+            if not 0 <= self.course_seed < 1 << 64:
+                raise ValueError(f"options: course_seed is 0 or more, below 2^64, got {self.course_seed}")
         observation = self._advance(self.course_seed)
         self._begun = True
         return observation, {**self._flown.info(0), "course_seed": self.course_seed}

@@ -28,7 +28,7 @@ class Log:
     it; ``action``: forward speed (m/s) and yaw (30 °/s); ``score``: 0 to 1; ``contributions``: of image, bearing, distance, own motion (`told`), and the base;
     ``phi``: ``[T, 48]``."""
     words: dict[str, list[Any]]
-    """``state`` of guidance, ``reasons`` present, cause of the ``alarm`` or ``None``, ``verdict``."""
+    """``state`` of guidance, ``reasons`` present (divided by ``", "``), cause of the ``alarm`` or ``None``, ``verdict``."""
     frame_steps: NDArray[np.uint64]
     """Steps of the frames, ``[F]``."""
     frames: Floats

@@ -113,6 +113,8 @@ impl Existing {
 /// Flights of one origin, in a file and in memory.
 pub struct Campaign<S, F> {
     heading: Heading<S>,
+    /// What it was made for; the heading's has the jobs of the files that were read, too.
+    asked_for: Jobs,
     of: String,
     /// By seed and the arm's number.
     flown: BTreeMap<(u64, usize), F>,
@@ -154,6 +156,7 @@ where
         let mut of = sha256(&serde_json::to_vec(&heading.origin)?);
         of.truncate(DIGITS);
         Ok(Self {
+            asked_for: heading.jobs.clone(),
             heading,
             of,
             flown: BTreeMap::new(),
@@ -191,18 +194,20 @@ where
         self.flown.get(&(seed, arm))
     }
 
-    /// Whether flights are missing; then it is said how many.
+    /// Whether flights that it was made for are missing; says how many are, and of the other files' which.
     pub fn is_interrupted(&self) -> bool {
-        let (flown, asked_for) = (self.flown.len() as u64, self.jobs().count());
-        if flown < asked_for {
-            let hint = if self.file.is_some() {
-                "; the same command with --resume goes on"
-            } else {
-                ""
+        let (flown, all) = (self.flown.len() as u64, self.jobs().count());
+        let interrupted = !self.missing(&self.asked_for).is_empty();
+        if interrupted {
+            let hint = match self.file {
+                Some(_) => "; the same command with --resume goes on",
+                None => "",
             };
-            say!("interrupted      {flown} of {asked_for} flights were flown{hint}");
+            say!("interrupted      {flown} of {all} flights were flown{hint}");
+        } else if flown < all {
+            say!("incomplete       {}", self.missing_in_words());
         }
-        flown < asked_for
+        interrupted
     }
 
     /// Keeps its flights in a file from now on, each as soon as it has ended; not where `path` is standard output or a device.
@@ -220,7 +225,7 @@ where
                 "{name} holds a campaign's flights; add --resume to fly what it lacks, or name another place with -o"
             );
             self.read(path)
-                .context("name another place with -o, or leave --resume out")?;
+                .context("name another place with -o, or remove the file")?;
         }
         self.write(path)?;
         let file = OpenOptions::new().append(true).open(path);
@@ -397,14 +402,23 @@ where
     fn missing_in_words(&self) -> String {
         const MOST: usize = 12;
         let jobs = self.jobs();
+        // Files may name seeds that lie far apart.
         let mut runs: Vec<(u64, u64)> = Vec::new();
-        let is_missing = |seed: &u64| (0..jobs.arms.len()).any(|arm| !self.flown.contains_key(&(*seed, arm)));
-        for seed in (jobs.first_seed..jobs.end()).filter(is_missing) {
-            match runs.last_mut() {
-                Some((first, count)) if *first + *count == seed => *count += 1,
-                _ => runs.push((seed, 1)),
+        let mut next = jobs.first_seed;
+        let mut add_until = |seed: u64, behind: u64| {
+            if seed > next {
+                runs.push((next, seed - next));
             }
+            next = behind;
+        };
+        let seeds: Vec<u64> = self.flown.keys().map(|(seed, _)| *seed).collect();
+        for whole in seeds
+            .chunk_by(|a, b| a == b)
+            .filter(|arms| arms.len() == jobs.arms.len())
+        {
+            add_until(whole[0], whole[0] + 1);
         }
+        add_until(jobs.end(), jobs.end());
         if runs.is_empty() {
             return String::new();
         }

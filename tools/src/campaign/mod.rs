@@ -168,12 +168,15 @@ pub fn fly_recorded(
     let mut recording = recording.map(|r| r.begin(config, firmware)).transpose()?;
     let mut simulator = Simulator::new(config, 0)?;
     let mut firmware = SameProcess {
-        firmware: LockstepFirmware::recording(firmware, recording.as_mut().and_then(|r| r.recorder.take()))?,
+        firmware: LockstepFirmware::new(firmware)?,
         watch: WatchRecord::default(),
         sensor: SensorRecord::default(),
         altered: Rc::default(),
         altered_frames_used: 0,
     };
+    if let Some(recorder) = recording.as_mut().and_then(|r| r.recorder.take()) {
+        firmware.firmware.record(recorder);
+    }
     if let Some(key) = &config.frame_key {
         firmware.firmware.require_frame_keys(FrameKeys {
             current: Some(key.clone()),

@@ -184,15 +184,11 @@ impl PoseSource {
             }
             return Ok(Self::Still(NedVector::new(0.0, 0.0, -height_m)));
         }
-        let links: Result<Vec<PoseLink>, _> = args
-            .pose
-            .iter()
-            .map(|spec| PoseLink::open(spec, args.allow_unsigned))
-            .collect();
+        let (links, system) = PoseLink::open_all(&args.pose, args.allow_unsigned)?;
         Ok(Self::Heard(Box::new(Heard {
-            links: links?,
+            links,
             vehicle: Vehicle::new(None),
-            system: args.pose.iter().find_map(|spec| spec.system),
+            system,
             counters: FramingCounters::default(),
             track: PoseTrack::default(),
         })))
@@ -219,16 +215,15 @@ impl PoseSource {
         }
         let telemetry = &vehicle.telemetry;
         if let (Some(position), Some(attitude)) = (telemetry.kinematics, telemetry.attitude) {
-            let home_ned_m = vehicle.home_ned_m().unwrap_or(NedVector::ZERO);
             // The position at the attitude's time.
             let lead_s = (attitude.at_ns as f64 - position.at_ns as f64) as f32 * 1e-9;
             if lead_s.abs() <= MOST_APART_S {
-                let position_ned_m = position.position_ned_m + position.velocity_ned_m_s * lead_s - home_ned_m;
+                let position_ned_m = position.position_ned_m + position.velocity_ned_m_s * lead_s;
                 track.note(attitude.at_ns, position_ned_m, attitude.attitude);
             }
         }
         for link in links {
-            link.ask(now_ns, false, vehicle.home_ned_m().is_none());
+            link.ask(now_ns, false, false);
         }
     }
 
@@ -249,6 +244,10 @@ struct Output {
     published: u64,
     tally: Tally,
     heard_ns: Nanos,
+    /// So long a silence is the next that is worth a word.
+    next_silence_ns: Nanos,
+    /// The same after an image.
+    silence_ns: Nanos,
     interrupt: Interrupt,
 }
 
@@ -289,8 +288,14 @@ impl Output {
             published: 0,
             tally: Tally::default(),
             heard_ns: monotonic_ns(),
+            next_silence_ns: SILENCE_NS,
+            silence_ns: SILENCE_NS,
             interrupt,
         })
+    }
+
+    fn heard(&mut self, now_ns: Nanos) {
+        (self.heard_ns, self.next_silence_ns) = (now_ns, self.silence_ns);
     }
 
     fn refuse(&mut self, now_ns: Nanos, fault: Fault) {
@@ -304,7 +309,8 @@ impl Output {
         let now_ns = monotonic_ns();
         self.pose.listen(now_ns);
         let silent_ns = now_ns.saturating_sub(self.heard_ns);
-        if silent_ns > SILENCE_NS {
+        if silent_ns > self.next_silence_ns {
+            self.next_silence_ns = silent_ns + 2 * SILENCE_NS;
             let since_s = silent_ns as f64 * 1e-9;
             self.refuse(now_ns, Fault::Silence { since_s });
         }
@@ -373,7 +379,7 @@ pub fn ouster(args: &OusterArgs) -> Result<ExitCode> {
         match socket.recv_from(&mut buffer) {
             Ok((len, peer)) if args.from.is_none_or(|from| from == peer.ip()) => {
                 let arrived_ns = monotonic_ns();
-                out.heard_ns = arrived_ns;
+                out.heard(arrived_ns);
                 match adapter.packet(&buffer[..len], arrived_ns, &mut out.frame.depth) {
                     Ok(Some(stamp_ns)) => out.publish(stamp_ns)?,
                     Ok(None) => {}
@@ -410,13 +416,16 @@ pub fn z16(args: &DepthStreamArgs) -> Result<ExitCode> {
     let mut out = Output::open(&args.common, &what, stream.view)?;
     let (sender, images) = sync_channel(1);
     let (bytes, rate) = (stream.image_bytes(), args.rate);
+    if let Some(rate_hz) = rate {
+        out.silence_ns = SILENCE_NS.max(2_000_000_000 / Nanos::from(rate_hz));
+    }
     // Ends with the process where the stream does not.
     std::thread::spawn(move || read_images(&mut *input, bytes, rate, &sender));
     while !out.interrupt.came() {
         match images.recv_timeout(LOOK) {
             Ok(arrival) => {
                 let (arrived_ns, image) = arrival.with_context(|| shown.to_string())?;
-                out.heard_ns = arrived_ns;
+                out.heard(arrived_ns);
                 match stream.image(&image, &mut out.frame.depth) {
                     Ok(()) => out.publish(arrived_ns.saturating_sub(u64::from(args.latency_ms) * 1_000_000))?,
                     // Less than an image is the rest of a stream that ended.
@@ -463,5 +472,48 @@ fn read_images(input: &mut dyn Read, bytes: usize, rate_hz: Option<u32>, sender:
         if !is_wanted {
             return;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vigil_mavlink::common::MavAutopilot;
+    use vigil_mavlink::framing::encode;
+    use vigil_mavlink::message;
+
+    /// With LOCAL_POSITION_NED the firmware compares what frames say of the pose.
+    #[test]
+    fn poses_are_told_in_the_vehicles_local_frame_wherever_home_is() {
+        let mut heard = Heard {
+            links: Vec::new(),
+            vehicle: Vehicle::new(None),
+            system: None,
+            counters: FramingCounters::default(),
+            track: PoseTrack::default(),
+        };
+        const NOW_NS: Nanos = 1_000_000_000;
+        for message in [
+            message!(HEARTBEAT, autopilot = MavAutopilot::MAV_AUTOPILOT_PX4),
+            message!(
+                HOME_POSITION,
+                latitude = 473_977_420,
+                longitude = 85_455_940,
+                x = 30.0,
+                z = 1.0
+            ),
+            message!(LOCAL_POSITION_NED, x = 31.0, z = -2.0),
+            message!(ATTITUDE_QUATERNION, q1 = 1.0),
+        ] {
+            let bytes = encode((1, 1), 0, &message);
+            for packet in packets(&bytes, &mut heard.counters) {
+                heard.vehicle.receive(NOW_NS, &packet);
+            }
+        }
+        assert!(heard.vehicle.home_ned_m().is_some_and(|home| home.x == 30.0));
+        let mut source = PoseSource::Heard(Box::new(heard));
+        source.listen(NOW_NS);
+        let (position_ned_m, _) = source.at(NOW_NS).expect("a pose");
+        assert_eq!(position_ned_m, NedVector::new(31.0, 0.0, -2.0));
     }
 }

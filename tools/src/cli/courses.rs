@@ -222,7 +222,6 @@ fn write_png(image: &Image, path: &Path) -> Result<()> {
 fn depth_image(frame: &DepthFrame) -> Image {
     const SCALE: usize = 4;
     Image::from_fn(DEPTH_COLS * SCALE, DEPTH_ROWS * SCALE, |x, y| {
-        let range_m = frame.depth[(y / SCALE) * DEPTH_COLS + x / SCALE] * DEPTH_FULL_SCALE_M;
-        [(255.0 / (1.0 + range_m / 3.0)) as u8; 3]
+        output::range_grey(frame.depth[(y / SCALE) * DEPTH_COLS + x / SCALE])
     })
 }

@@ -282,6 +282,10 @@ fn prepare(args: &EvaluateArgs, faults: &[Option<SensorFault>]) -> Result<()> {
     if args.view.is_some() {
         args.viewer.check_with_port()?;
     }
+    ensure!(
+        !args.resume || output::is_file(&args.json),
+        "--resume goes on from the flights beside a report in a file: name one with -o"
+    );
     output::prepare(&args.json)?;
     if let Some(folder) = &args.draw_failures {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
@@ -342,7 +346,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     let pool = thread_pool_of(args.threads)?;
     let mut shown = args.view.map(|count| Shown::begin(args, count, &faults)).transpose()?;
     let live = shown.as_ref().map(|shown| (shown.count, shown.folder.clone()));
-    let begun = Instant::now();
+    let (begun, before_s) = (Instant::now(), report::simulated_s(&campaign));
     let interrupt = campaign.fly(&jobs, &pool, |seed, arm, bar| {
         let number = (seed - args.seed) * faults.len() as u64 + arm as u64;
         let of_shown = live.as_ref().filter(|(count, _)| number < *count);
@@ -359,6 +363,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     let took = Took {
         wall_s: begun.elapsed().as_secs_f64(),
         threads: pool.current_num_threads(),
+        before_s,
     };
     report(&campaign, about(campaign.settings()), &args.json, Some(&took))?;
     if let Some(shown) = &mut shown {
@@ -438,7 +443,7 @@ fn fly(
     config.second_sensor_heads = args.second_sensor.heads.into();
     firmware.second_sensor = args.second_sensor.heads > 0;
     args.pilot.apply(&mut firmware);
-    let recording = logs.map(|folder| recording(args, folder, fault, seed));
+    let recording = logs.map(|folder| recording(args, folder, fault, seed)).transpose()?;
     let flight = campaign::fly_recorded(&config, &firmware, attack, recording)?;
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !flight.record.is_success()) {
         let outcome = outcome_name(flight.record.outcome).replace(' ', "-");
@@ -538,14 +543,27 @@ const REPLACED: [&str; 10] = [
 ];
 
 /// What to keep of a flight.
-fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, seed: u64) -> Recording {
-    let name = format!("{}.mcap", log_name(args, fault, seed));
-    let command = flight_report::command_again(
-        std::env::args_os().filter(|word| word != "--resume"),
-        "evaluate",
-        &REPLACED,
-        &["--flights", "1", "--seed", &seed.to_string()],
-    );
+fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, seed: u64) -> Result<Recording> {
+    let name = log_name(args, fault, seed);
+    let log = folder.join(format!("{name}.mcap"));
+    if args.resume && log.exists() {
+        // The flight is not among those that ended: a killed process left half of its log.
+        for ending in ["mcap", "tlog"] {
+            let (from, to) = (
+                log.with_extension(ending),
+                folder.join(format!("{name}-cut-short.{ending}")),
+            );
+            std::fs::rename(&from, &to).with_context(|| format!("cannot rename {}", from.display()))?;
+        }
+    }
+    let (seed, fault) = (seed.to_string(), fault.map(|fault| fault.to_string()));
+    let (mut dropped, mut added) = (REPLACED.to_vec(), vec!["--flights", "1", "--seed", &seed]);
+    if let Some(fault) = &fault {
+        dropped.push("--sensor-fault");
+        added.extend(["--sensor-fault", fault]);
+    }
+    let words = std::env::args_os().filter(|word| word != "--resume");
+    let command = flight_report::command_again(words, "evaluate", &dropped, &added);
     let mut about = BTreeMap::from([("command".to_owned(), command)]);
     if let Some(commit) = output::git_commit() {
         about.insert("git_commit".to_owned(), commit);
@@ -553,10 +571,7 @@ fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, see
     if let Some(attack) = args.attack.attack {
         about.insert("attack".to_owned(), attack.name().to_owned());
     }
-    Recording {
-        log: folder.join(name),
-        about,
-    }
+    Ok(Recording { log, about })
 }
 
 fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Result<()> {

@@ -8,12 +8,13 @@ use super::parameters;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use vigil_mavlink::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ESTIMATOR_STATUS_DATA, EXTENDED_SYS_STATE_DATA, GLOBAL_POSITION_INT_DATA,
-    GPS_GLOBAL_ORIGIN_DATA, HEARTBEAT_DATA, HOME_POSITION_DATA, LOCAL_POSITION_NED_DATA, MavAutopilot, MavModeFlag,
-    MavParamType, MavState, MavType, PARAM_REQUEST_READ_DATA, SYS_STATUS_DATA, SYSTEM_TIME_DATA, TIMESYNC_DATA,
+    GPS_GLOBAL_ORIGIN_DATA, HEARTBEAT_DATA, HOME_POSITION_DATA, LOCAL_POSITION_NED_DATA, MavParamType,
+    PARAM_REQUEST_READ_DATA, SYS_STATUS_DATA, SYSTEM_TIME_DATA,
 };
-use vigil_mavlink::framing::{Command, FramingCounters, MAX_PACKET_LEN, Packet, packets, serialize};
+use vigil_mavlink::framing::{Command, FramingCounters, Packet, packets};
 use vigil_mavlink::mavlink::MessageData;
-use vigil_mavlink::{Flavour, MavHeader, MavMessage, Vehicle};
+use vigil_mavlink::message;
+use vigil_mavlink::{Flavour, MavMessage, Sender, Vehicle};
 use vigil_types::{Attitude, Datagrams, DepthFrame, Kinematics, Nanos, NedVector, wrap_pi};
 
 const AUTOPILOT: u8 = 1;
@@ -189,7 +190,7 @@ pub struct Examination {
     tilts: Vec<(f32, f32)>,
     next_question_ns: Nanos,
     turn: u64,
-    sequence: u8,
+    sender: Sender,
 }
 
 impl Examination {
@@ -197,6 +198,7 @@ impl Examination {
     pub fn new(config: ExaminationConfig, now_ns: Nanos) -> Self {
         Self {
             system: config.system,
+            sender: Sender::new(1, COMPONENT),
             config,
             started_ns: now_ns,
             next_question_ns: now_ns,
@@ -398,17 +400,14 @@ impl Examination {
         self.turn += 1;
         // Some vehicles answer on a link only to whom they have heard.
         if self.turn % 20 == 1 {
-            self.say_heartbeat(out);
+            self.sender.system_id = self.system.unwrap_or(1);
+            self.sender.listener_heartbeat(out, 0);
         }
         let Some(system) = self.system.filter(|_| self.vehicle.telemetry.heartbeat.is_some()) else {
             return;
         };
         if self.turn.is_multiple_of(4) {
-            let message = MavMessage::TIMESYNC(TIMESYNC_DATA {
-                tc1: 0,
-                ts1: now_ns as i64,
-                ..TIMESYNC_DATA::DEFAULT
-            });
+            let message = message!(TIMESYNC, tc1 = 0, ts1 = now_ns as i64);
             self.say(&message, out);
         } else if self.turn % 4 == 2 {
             self.ask_for_messages(now_ns, system, out);
@@ -476,38 +475,14 @@ impl Examination {
         self.say(&message, out);
     }
 
-    fn header(&mut self) -> MavHeader {
-        self.sequence = self.sequence.wrapping_add(1);
-        MavHeader {
-            system_id: self.system.unwrap_or(1).into(),
-            component_id: COMPONENT,
-            sequence: self.sequence,
-        }
-    }
-
     fn say(&mut self, message: &MavMessage, out: &mut Datagrams) {
-        let mut packet = [0; MAX_PACKET_LEN];
-        if let Ok(len) = serialize(self.header(), message, &mut packet) {
-            out.push(0, &packet[..len]);
-        }
+        self.sender.system_id = self.system.unwrap_or(1);
+        self.sender.message(out, 0, message);
     }
 
     fn command(&mut self, system: u8, number: u16, params: [f32; 7], out: &mut Datagrams) {
-        let mut packet = [0; MAX_PACKET_LEN];
-        if let Ok(len) = Command::to_autopilot(system, number, params, 0).serialize(self.header(), &mut packet) {
-            out.push(0, &packet[..len]);
-        }
-    }
-
-    fn say_heartbeat(&mut self, out: &mut Datagrams) {
-        let message = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            custom_mode: 0,
-            mavtype: MavType::MAV_TYPE_GENERIC,
-            autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
-            base_mode: MavModeFlag::empty(),
-            system_status: MavState::MAV_STATE_ACTIVE,
-            mavlink_version: 3,
-        });
-        self.say(&message, out);
+        self.sender.system_id = self.system.unwrap_or(1);
+        self.sender
+            .command(out, 0, &Command::to_autopilot(system, number, params, 0));
     }
 }

@@ -34,9 +34,13 @@ pub fn command_again(
         !is_command
     });
     while let Some(argument) = arguments.next() {
-        let (name, has_value) = argument
-            .split_once('=')
-            .map_or((argument.as_str(), false), |(n, _)| (n, true));
+        let (name, has_value) = match argument.split_at_checked(2) {
+            // `-oFILE`
+            Some((short, value)) if !short.ends_with('-') && dropped.contains(&short) => (short, !value.is_empty()),
+            _ => argument
+                .split_once('=')
+                .map_or((argument.as_str(), false), |(n, _)| (n, true)),
+        };
         if !dropped.contains(&name) {
             again.push(quoted(&argument));
         } else if !has_value {
@@ -78,7 +82,16 @@ mod tests {
             "vigil fly --apf off --seed 7"
         );
         assert_eq!(
-            again(&["vigil", "fly", "-o", "my runs", "--log=x", "--course", "it's.toml"]),
+            again(&[
+                "vigil",
+                "fly",
+                "-o",
+                "my runs",
+                "--log=x",
+                "-oruns",
+                "--course",
+                "it's.toml"
+            ]),
             "vigil fly --course 'it'\\''s.toml' --seed 7"
         );
     }

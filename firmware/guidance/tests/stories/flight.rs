@@ -336,15 +336,6 @@ fn a_handed_over_vehicle_is_held_while_an_input_is_bad() {
 }
 
 #[test]
-fn a_firmware_that_starts_in_the_air_takes_the_vehicle_over() {
-    let mut s = Story::begin(auto());
-    (s.armed, s.mode, s.failsafe, s.position_ned_m.z) = (true, VehicleMode::Hold, true, -3.0);
-    assert_eq!(s.until(Engaging), 11);
-    s.hand_over();
-    assert_eq!(s.until(Guided), 1);
-}
-
-#[test]
 fn actions_beyond_the_limits_are_clipped() {
     let mut s = Story::guided(GuidanceConfig::default());
     s.action = Some(Action::new(-9.0, 4.0));

@@ -184,14 +184,12 @@ fn read<'a>(wire: &mut impl Read, chunk: &'a mut [u8], received: &Datagrams) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_mavlink::common::{MavMessage, STATUSTEXT_DATA};
+
     use vigil_mavlink::framing::encode;
+    use vigil_mavlink::message;
 
     fn packet(sequence: u8) -> Vec<u8> {
-        let message = MavMessage::STATUSTEXT(STATUSTEXT_DATA {
-            text: "of some length".into(),
-            ..STATUSTEXT_DATA::DEFAULT
-        });
+        let message = message!(STATUSTEXT, text = "of some length".into());
         encode((1, 1), sequence, &message)
     }
 

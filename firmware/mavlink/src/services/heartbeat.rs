@@ -3,6 +3,7 @@
 use crate::core::{Core, Periodic};
 use crate::report;
 use crate::service::{Service, Step};
+use mavlink::dialects::common::MavType;
 use vigil_types::{Datagrams, Nanos, STEP_NS};
 
 const HEARTBEAT_NS: Nanos = 1_000_000_000;
@@ -40,7 +41,8 @@ impl Service for HeartbeatService {
             *newest = report.timing.previous_execution_ns;
         }
         if self.due.is_due(report.now_ns, HEARTBEAT_NS) {
-            core.say(out, &report::heartbeat(report::mav_state(report.state, report.reasons)));
+            let state = report::mav_state(report.state, report.reasons);
+            core.say(out, &report::heartbeat(MavType::MAV_TYPE_ONBOARD_CONTROLLER, state));
         }
         if self.computer_due.is_due(report.now_ns, COMPUTER_NS) {
             core.say(out, &report::onboard_computer(report.now_ns, self.busy_percent()));

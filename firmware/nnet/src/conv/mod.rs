@@ -216,17 +216,12 @@ impl Conv2d {
         // `rows` outputs, `out_row` values apart, that see the same taps.
         let product = |h: Run, v: Run, oy: usize, rows: usize, a_row: usize, out_row: usize| {
             let ((t0, t1), (s0, s1)) = (v.taps, h.taps);
-            let sees = t1 > t0 && s1 > s0;
             Product {
                 rows,
                 cols: self.filters,
                 n_u: t1 - t0,
                 n_k: (s1 - s0) * self.channels,
-                a_at: if sees {
-                    (vertical.input(oy, t0) * row + horizontal.input(h.from, s0) * column) as isize
-                } else {
-                    0
-                },
+                a_at: (vertical.input(oy, t0) * row + horizontal.input(h.from, s0) * column) as isize,
                 a_row: (self.stride * a_row) as isize,
                 a_u: row as isize,
                 a_k: 1,
@@ -307,9 +302,6 @@ impl Conv2d {
                     };
                     product.run(isa, x, dy, Start::Output, d_params)
                 };
-                if s0 == s1 {
-                    continue;
-                }
                 if h.border {
                     // The weights of some kernel columns do not lie one behind the other.
                     for t in t0..t1 {

@@ -73,11 +73,8 @@ pub fn largest(x: &[f64]) -> f64 {
 pub fn distance(a: &[f32], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len());
     a.iter().zip(b).fold(0.0, |m, (a, b)| {
-        if a.is_nan() {
-            f64::NAN
-        } else {
-            m.max((f64::from(*a) - b).abs())
-        }
+        let d = (f64::from(*a) - b).abs();
+        if d > m || d.is_nan() { d } else { m }
     })
 }
 

@@ -97,8 +97,8 @@ impl Odometry {
 /// A cell in which a surface was seen.
 #[derive(Debug, Clone, Copy, Default)]
 struct Cell {
-    north: i16,
-    east: i16,
+    north: i32,
+    east: i32,
     seen_ns: Nanos,
 }
 
@@ -204,11 +204,10 @@ impl Heading {
 impl ActorMemory {
     /// One that has seen nothing.
     pub fn new() -> Self {
-        let mut columns = [(1.0, 0.0); SCAN];
-        for (k, column) in columns.iter_mut().enumerate() {
+        let columns = core::array::from_fn(|k| {
             let bearing_rad = scan_bearing_rad(k);
-            *column = (libm::cosf(bearing_rad), libm::sinf(bearing_rad));
-        }
+            (libm::cosf(bearing_rad), libm::sinf(bearing_rad))
+        });
         Self {
             columns,
             history: vec![[None; SCAN]; HISTORY],
@@ -319,7 +318,7 @@ impl ActorMemory {
         let mut seen_ns = [0; RING];
         let mut at = 0;
         while let Some(cell) = self.cells.get(at).copied() {
-            let place = (f32::from(cell.north) * CELL_M, f32::from(cell.east) * CELL_M);
+            let place = (cell.north as f32 * CELL_M, cell.east as f32 * CELL_M);
             let (forward, right) = heading.seen(place);
             let away_m = libm::sqrtf(forward * forward + right * right);
             let bearing = bearing_rad(forward, right);
@@ -362,10 +361,9 @@ impl ActorMemory {
                 continue;
             }
             let (north_m, east_m) = heading.place(range_m * cos, range_m * sin);
-            // `as` saturates: a place farther than 6 km from home is no place of a flight.
             let cell = Cell {
-                north: libm::roundf(north_m / CELL_M) as i16,
-                east: libm::roundf(east_m / CELL_M) as i16,
+                north: libm::roundf(north_m / CELL_M) as i32,
+                east: libm::roundf(east_m / CELL_M) as i32,
                 seen_ns: now_ns,
             };
             self.put(cell);
@@ -373,7 +371,7 @@ impl ActorMemory {
     }
 
     fn slot_of(cell: &Cell) -> usize {
-        let wrap = |number: i16| (i32::from(number) & (INDEX as i32 - 1)) as usize;
+        let wrap = |number: i32| (number & (INDEX as i32 - 1)) as usize;
         wrap(cell.north) * INDEX + wrap(cell.east)
     }
 

@@ -14,7 +14,7 @@ pub const BEARING_SCALE_RAD: f32 = 1.0;
 /// Positional inputs of an imported policy: distance and bearing.
 pub const GOAL_INPUTS: usize = 2;
 
-/// A learned pilot's inputs beside frames and memory: 2 values of an imported policy ([`goal_inputs`]), 8 of our actor
+/// A learned pilot's inputs beside frames and memory: 2 values of an imported policy ([`Self::of_goal`]), 8 of our actor
 /// ([`LOW_DIM`]).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PositionalInputs {
@@ -23,9 +23,13 @@ pub struct PositionalInputs {
 }
 
 impl PositionalInputs {
-    /// Of an imported policy.
+    /// Of an imported policy: distance and bearing of the goal.
     pub fn of_goal(goal: GoalRelative) -> Self {
-        goal_inputs(goal).into()
+        [
+            smaller(goal.distance_m, FARTHEST_KNOWN_M) / DISTANCE_SCALE_M,
+            goal.bearing_rad / BEARING_SCALE_RAD,
+        ]
+        .into()
     }
 
     /// Those of a record, as they were given to a pilot; `None` for a number of values that no pilot has.
@@ -65,12 +69,4 @@ impl core::ops::Deref for PositionalInputs {
     fn deref(&self) -> &[f32] {
         self.values.get(..self.len).unwrap_or_default()
     }
-}
-
-/// Distance and bearing of the goal as an imported policy is given them.
-pub fn goal_inputs(goal: GoalRelative) -> [f32; GOAL_INPUTS] {
-    [
-        smaller(goal.distance_m, FARTHEST_KNOWN_M) / DISTANCE_SCALE_M,
-        goal.bearing_rad / BEARING_SCALE_RAD,
-    ]
 }

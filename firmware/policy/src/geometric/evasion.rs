@@ -132,22 +132,18 @@ impl Guesses {
     }
 
     fn add_whereabouts(&mut self, m: &Track, w: Whereabouts) {
-        if w.weight > LEAST_WEIGHT {
-            let turns_after_s = w.turns_after_m / larger(m.speed_m_s(), LEAST_SPEED_M_S);
-            self.add(m, m.place_m(w.along_m), w.direction, turns_after_s, w.weight);
-        }
-    }
-
-    fn add(&mut self, m: &Track, (north_m, east_m): (f32, f32), direction: f32, turns_after_s: f32, weight: f32) {
-        if let Some(guess) = self.guesses.get_mut(self.used) {
+        if w.weight > LEAST_WEIGHT
+            && let Some(guess) = self.guesses.get_mut(self.used)
+        {
+            let (north_m, east_m) = m.place_m(w.along_m);
             *guess = Guess {
                 north_m,
                 east_m,
-                north_m_s: direction * m.north_m_s,
-                east_m_s: direction * m.east_m_s,
+                north_m_s: w.direction * m.north_m_s,
+                east_m_s: w.direction * m.east_m_s,
                 radius_m: m.radius_m,
-                turns_after_s,
-                weight,
+                turns_after_s: w.turns_after_m / larger(m.speed_m_s(), LEAST_SPEED_M_S),
+                weight: w.weight,
             };
             self.used += 1;
         }

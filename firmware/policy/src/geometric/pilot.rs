@@ -408,18 +408,6 @@ impl GeometricPilot {
     }
 }
 
-/// Where an actor is led: the bearing of the path's waypoint, at the goal's distance; without a path the goal as it is.
-pub(crate) fn led_to(input: &PilotInput<'_>, waypoint: Option<NedVector>) -> GoalRelative {
-    let to_waypoint = waypoint.map(|waypoint| waypoint - position_ned_m(input));
-    match to_waypoint.filter(|to| to.horizontal_norm() > LEAST_LEAD_M) {
-        None => input.goal,
-        Some(to) => GoalRelative {
-            bearing_rad: wrap_pi(libm::atan2f(to.y, to.x) - input.attitude.yaw_rad()),
-            ..input.goal
-        },
-    }
-}
-
 impl Pilot for GeometricPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
         let waypoint = self.plan(input);

@@ -110,22 +110,17 @@ impl Default for RangeScan {
 impl RangeScan {
     /// Computes the tables.
     pub fn new() -> Self {
-        let mut s = Self {
-            cos_column: [0.0; DEPTH_COLS],
-            sin_column: [0.0; DEPTH_COLS],
-            rows: [(0.0, 0.0); DEPTH_ROWS],
-            scan: Scan::EMPTY,
-        };
-        for (c, (cos, sin)) in s.cos_column.iter_mut().zip(&mut s.sin_column).enumerate() {
-            let bearing = column_bearing_rad(c as f32);
-            *cos = libm::cosf(bearing);
-            *sin = libm::sinf(bearing);
-        }
-        for (r, row) in s.rows.iter_mut().enumerate() {
+        let of_columns = |of: fn(f32) -> f32| core::array::from_fn(|c| of(column_bearing_rad(c as f32)));
+        let of_row = |r: usize| {
             let elevation = row_elevation_rad(r as f32);
-            *row = (libm::cosf(elevation), libm::sinf(elevation));
+            (libm::cosf(elevation), libm::sinf(elevation))
+        };
+        Self {
+            cos_column: of_columns(libm::cosf),
+            sin_column: of_columns(libm::sinf),
+            rows: core::array::from_fn(of_row),
+            scan: Scan::EMPTY,
         }
-        s
     }
 
     /// The last scan.

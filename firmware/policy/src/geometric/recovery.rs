@@ -2,9 +2,9 @@
 //! (docs/detection.md). The path that it plans meanwhile leads an imported policy to a far goal.
 
 use crate::geometric::governor::REACTION_S;
-use crate::geometric::pilot::{LEAST_LEAD_M, led_to, position_ned_m};
+use crate::geometric::pilot::{LEAST_LEAD_M, position_ned_m};
 use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput};
-use vigil_types::{Action, GoalRelative, NedVector};
+use vigil_types::{Action, GoalRelative, NedVector, wrap_pi};
 
 /// So long the actor is taken to go on as it does, seconds. With the 0.2 s alone that go by before braking begins, the alarm came too late for most
 /// of what it was raised for; with more it is raised beside what the actor would have passed (docs/robustness.md).
@@ -51,7 +51,14 @@ impl RecoveryPilot {
     /// Where an actor is led: bearing of the planned path, distance of the goal; without a path the goal as it is. After [`Self::observe`], with
     /// the same input.
     pub fn lead(&self, input: &PilotInput<'_>) -> GoalRelative {
-        led_to(input, self.waypoint)
+        let to_waypoint = self.waypoint.map(|waypoint| waypoint - position_ned_m(input));
+        match to_waypoint.filter(|to| to.horizontal_norm() > LEAST_LEAD_M) {
+            None => input.goal,
+            Some(to) => GoalRelative {
+                bearing_rad: wrap_pi(libm::atan2f(to.y, to.x) - input.attitude.yaw_rad()),
+                ..input.goal
+            },
+        }
     }
 
     /// Decides. After [`Self::observe`], with the same input.

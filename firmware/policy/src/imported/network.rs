@@ -315,6 +315,7 @@ impl Network {
             )));
         }
         let (mut params, mut values, mut multiply_adds) = (0u64, 0u64, 0u64);
+        let mut lens: Vec<u64> = Vec::with_capacity(self.layers.len());
         for (number, layer) in self.layers.iter().enumerate() {
             let line = layer.line();
             // Before anything is computed from them.
@@ -328,7 +329,18 @@ impl Network {
                     "layer {number} uses a layer that does not come before it"
                 )));
             }
-            let (p, v, m) = layer.cost();
+            let (p, own, m) = layer.cost();
+            let len_of = |source: &usize| lens.get(*source).copied().unwrap_or(0);
+            let v = match layer {
+                Layer::Concat { .. } => line.sources.iter().map(len_of).fold(0, u64::saturating_add),
+                Layer::Curve { .. } | Layer::Function { .. } | Layer::Sum { .. } | Layer::Product { .. } => {
+                    line.sources.first().map_or(0, len_of)
+                }
+                // As many as there are groups of channels, or rows.
+                Layer::BatchNorm { .. } | Layer::LayerNorm { .. } => line.sources.first().map_or(own, len_of),
+                _ => own,
+            };
+            lens.push(v);
             (params, values) = (params.saturating_add(p), values.saturating_add(v));
             multiply_adds = multiply_adds.saturating_add(m);
         }

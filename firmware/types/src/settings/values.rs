@@ -124,11 +124,11 @@ fn real(given: &Given<'_>) -> Result<f64, Refused> {
     number(given).ok_or_else(|| other_type(given, "a number"))
 }
 
-fn whole<T: TryFrom<i128>>(given: &Given<'_>) -> Result<T, Refused> {
+fn whole<T: TryFrom<i64>>(given: &Given<'_>) -> Result<T, Refused> {
     let DeValue::Integer(integer) = given.get_ref() else {
         return Err(other_type(given, "a whole number"));
     };
-    let value = i128::from_str_radix(integer.as_str(), integer.radix()).ok();
+    let value = i64::from_str_radix(integer.as_str(), integer.radix()).ok();
     let value = value.and_then(|value| T::try_from(value).ok());
     value.ok_or_else(|| refused(given, format!("{integer} is too large or too small")))
 }

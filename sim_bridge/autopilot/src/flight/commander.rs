@@ -3,12 +3,12 @@
 use crate::core::{ComponentId, Core};
 use crate::flight::mode::FlightMode;
 use crate::flight::setpoint_owner::{Claim, Setpoints};
-use crate::flight::state::{Commander, Denial, Failsafe, LandedState, Maneuver, Sticks};
+use crate::flight::state::{Commander, Denial, Failsafe, LandedState, LostSensors, Maneuver, Sticks};
 use crate::source::Source;
 use crate::vehicle::YawCommand;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::{
-    CURRENT_MODE_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA, MavSeverity, NAMED_VALUE_FLOAT_DATA,
+    CURRENT_MODE_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA, HOME_POSITION_DATA, MavSeverity, NAMED_VALUE_FLOAT_DATA,
 };
 use vigil_types::{Nanos, NedVector};
 
@@ -168,6 +168,9 @@ impl Core {
         };
         self.setpoints = Setpoints::default();
         self.sticks = Sticks::default();
+        self.lost_sensors = LostSensors::default();
+        self.home_m = (0.0, 0.0);
+        self.announce::<HOME_POSITION_DATA>();
         self.rebooted = true;
         self.inform("rebooted");
         self.announce::<HEARTBEAT_DATA>();

@@ -227,7 +227,7 @@ impl Core {
                 yaw: YawCommand::Hold,
             };
         }
-        let speed_limit_m_s = self.param(ParamId::CruiseSpeedMS);
+        let speed_limit_m_s = self.default_speed_m_s();
         let station = |position_ned_m| Maneuver::Station {
             position_ned_m,
             yaw: YawCommand::Hold,

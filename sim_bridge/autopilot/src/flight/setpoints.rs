@@ -50,7 +50,8 @@ const VERTICAL: [bool; 3] = [false, false, true];
 /// Whether the used ones of some fields are within the limit.
 fn check(used: [bool; 3], names: [&'static str; 3], values: [f32; 3], limit: f32) -> Result<(), SetpointDefect> {
     let mut fields = used.into_iter().zip(names).zip(values);
-    match fields.find(|((is_used, _), value)| *is_used && value.abs() > limit) {
+    // Written so that NaN is beyond it.
+    match fields.find(|((is_used, _), value)| *is_used && !(0.0..=limit).contains(&value.abs())) {
         None => Ok(()),
         Some(((_, name), _)) => Err(SetpointDefect::Value(name)),
     }
@@ -451,5 +452,13 @@ mod tests {
         let mut skewed = target(0x07);
         skewed.q = [0.5, 0.0, 0.0, 0.0];
         assert_eq!(attitude_setpoint(&skewed), Err(SetpointDefect::Value("q")));
+        let unknown = SET_ATTITUDE_TARGET_DATA {
+            body_pitch_rate: f32::NAN,
+            ..target(0x80)
+        };
+        assert_eq!(
+            attitude_setpoint(&unknown),
+            Err(SetpointDefect::Value("body_pitch_rate"))
+        );
     }
 }

@@ -5,19 +5,10 @@ use crate::service::prelude::*;
 /// How often the commander is looked at.
 const WATCH_NS: Nanos = 20_000_000;
 
-/// Times of the present or last flight, microseconds since the first step; 0 where it has not happened.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-struct FlightTimes {
-    armed_us: u64,
-    took_off_us: u64,
-    landed_ms: u32,
-    /// Times armed.
-    flight: u64,
-}
-
 #[derive(Default)]
 pub(crate) struct FlightInformation {
-    times: FlightTimes,
+    /// Of the present or last flight: times since boot, 0 where it has not happened, and how often it was armed. Its fields are misnamed.
+    times: FLIGHT_INFORMATION_DATA,
     armed: bool,
     in_air: bool,
     watch_ns: Nanos,
@@ -29,7 +20,10 @@ impl Service for FlightInformation {
     }
 
     fn produce(&self, _message_id: u32, _link: LinkId, core: &Core) -> Option<MavMessage> {
-        Some(flight_information(&self.times, core))
+        Some(MavMessage::FLIGHT_INFORMATION(FLIGHT_INFORMATION_DATA {
+            time_boot_ms: core.time_boot_ms(),
+            ..self.times.clone()
+        }))
     }
 
     fn due_ns(&self) -> Nanos {
@@ -42,30 +36,18 @@ impl Service for FlightInformation {
         let (now_us, now_ms) = (core.time_boot_us(), core.time_boot_ms());
         let times = &mut self.times;
         if armed && !self.armed {
-            *times = FlightTimes {
-                armed_us: now_us,
-                flight: times.flight + 1,
-                ..FlightTimes::default()
+            *times = FLIGHT_INFORMATION_DATA {
+                arming_time_utc: now_us,
+                flight_uuid: times.flight_uuid + 1,
+                ..FLIGHT_INFORMATION_DATA::default()
             };
         }
         if in_air && !self.in_air {
-            times.took_off_us = now_us;
-            times.landed_ms = 0;
+            (times.takeoff_time_utc, times.landing_time) = (now_us, 0);
         }
         if !in_air && self.in_air {
-            times.landed_ms = now_ms;
+            times.landing_time = now_ms;
         }
         (self.armed, self.in_air) = (armed, in_air);
     }
-}
-
-/// Times since boot and the number of the flight, as the message is defined; its fields are misnamed.
-fn flight_information(times: &FlightTimes, core: &Core) -> MavMessage {
-    MavMessage::FLIGHT_INFORMATION(FLIGHT_INFORMATION_DATA {
-        arming_time_utc: times.armed_us,
-        takeoff_time_utc: times.took_off_us,
-        flight_uuid: times.flight,
-        time_boot_ms: core.time_boot_ms(),
-        landing_time: times.landed_ms,
-    })
 }

@@ -63,8 +63,6 @@ pub(crate) struct Logs {
     /// Whether it has reached its size.
     full: bool,
     recorded: u32,
-    /// Texts sent when the last record was written.
-    texts: u64,
     bytes: Vec<u8>,
     record_ns: Nanos,
     send_ns: Nanos,
@@ -73,6 +71,11 @@ pub(crate) struct Logs {
 }
 
 impl Service for Logs {
+    fn start(&mut self, core: &mut Core) {
+        // Before a client makes a file of that name.
+        core.files.own_directories(&format!("{DIRECTORY}/"), core.unix_time_s());
+    }
+
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
         if let Some(LOG_REQUEST_LIST_DATA { start, end, .. }) = core.read(packet) {
             let count = paths(core).len();
@@ -252,19 +255,18 @@ impl Logs {
     }
 
     fn record(&mut self, core: &mut Core) {
-        if !core.commander.is_armed() {
-            self.recording = None;
-            self.texts = core.texts;
-            return;
-        }
-        let path = match &self.recording {
-            Some(path) => path.clone(),
-            None => self.begin_log(core),
+        let texts = std::mem::take(&mut core.unlogged);
+        let is_armed = core.commander.is_armed();
+        // What is said as it ends is part of it.
+        let path = match self.recording.take() {
+            Some(path) => path,
+            None if is_armed => self.begin_log(core),
+            None => return,
         };
+        self.recording = is_armed.then(|| path.clone());
         self.bytes.clear();
-        if core.texts != self.texts {
-            self.texts = core.texts;
-            ulog::text(&mut self.bytes, core, &core.last_text);
+        for (severity, text) in texts {
+            ulog::text(&mut self.bytes, core, severity, &text);
         }
         ulog::record(&mut self.bytes, core);
         let size = core.files.read(&path).map_or(0, <[u8]>::len);
@@ -274,7 +276,7 @@ impl Logs {
                 return;
             }
             self.bytes.clear();
-            ulog::text(&mut self.bytes, core, "log full");
+            ulog::text(&mut self.bytes, core, MavSeverity::MAV_SEVERITY_WARNING, "log full");
         }
         core.files.append_own(&path, &self.bytes, core.unix_time_s());
     }
@@ -288,7 +290,6 @@ impl Logs {
         self.recorded += 1;
         let path = format!("{DIRECTORY}/flight_{:05}.ulg", self.recorded);
         core.files.provide(&path, ulog::begin(core), core.unix_time_s());
-        self.recording = Some(path.clone());
         self.full = false;
         path
     }

@@ -15,7 +15,7 @@ const PULSES_US: core::ops::RangeInclusive<u16> = 800..=2200;
 impl Service for Manual {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
         let sticks = if let Some(m) = core.read(packet) {
-            joystick(&m, core.id.system).ok_or(())
+            joystick(&m).ok_or(())
         } else if let Some(m) = core.read(packet)
             && let Some(sticks) = channels(&m).transpose()
         {
@@ -32,11 +32,11 @@ impl Service for Manual {
     }
 }
 
-/// The message names its target alone, without a component. z is the throttle: 0 down, 500 neutral, 1000 up.
-fn joystick(m: &MANUAL_CONTROL_DATA, own_system: u8) -> Option<Deflections> {
+/// z is the throttle: 0 down, 500 neutral, 1000 up.
+fn joystick(m: &MANUAL_CONTROL_DATA) -> Option<Deflections> {
     let axes = [m.x, m.y, m.r];
     let is_sound = axes.iter().all(|a| (-1000..=1000).contains(a)) && (0..=1000).contains(&m.z);
-    if m.target != own_system || !is_sound {
+    if !is_sound {
         return None;
     }
     let [forward, right, clockwise] = axes.map(|a| f32::from(a) * 1e-3);

@@ -26,18 +26,11 @@ struct Upload {
     retries: u32,
 }
 
-/// The last upload that ended well: its acknowledgement may have been lost.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Finished {
-    source: Source,
-    kind: PlanKind,
-    count: u16,
-}
-
 #[derive(Debug, Default)]
 pub(crate) struct PlanTransfer {
     upload: Option<Upload>,
-    finished: Option<Finished>,
+    /// Of the last upload that ended well, with the number of its items: its acknowledgement may have been lost.
+    finished: Option<(Source, PlanKind, u16)>,
 }
 
 fn acknowledge(core: &mut Core, source: Source, mission_type: u8, result: MavMissionResult) {
@@ -182,11 +175,8 @@ impl PlanTransfer {
                 && envelope.current < 2
         };
         let Some(mut upload) = self.upload.take_if(|upload| is_this(upload)) else {
-            let again = PlanKind::from_number(envelope.mission_type).map(|kind| Finished {
-                source,
-                kind,
-                count: envelope.seq.saturating_add(1),
-            });
+            let again =
+                PlanKind::from_number(envelope.mission_type).map(|kind| (source, kind, envelope.seq.saturating_add(1)));
             if again.is_some() && again == self.finished {
                 let result = MavMissionResult::MAV_MISSION_ACCEPTED;
                 acknowledge(core, source, envelope.mission_type, result);
@@ -227,7 +217,7 @@ impl PlanTransfer {
         } = upload;
         match replace(core, kind, upload.items) {
             Ok(()) => {
-                self.finished = Some(Finished { source, kind, count });
+                self.finished = Some((source, kind, count));
                 acknowledge(core, source, kind.wire() as u8, MavMissionResult::MAV_MISSION_ACCEPTED);
             }
             Err(defect) => refuse(core, source, kind, defect.result, defect.reason),

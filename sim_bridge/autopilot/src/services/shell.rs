@@ -125,7 +125,7 @@ fn execute(line: &str, client: Source, core: &mut Core) -> String {
         ["commander", "arm"] => outcome(core.arm(client)),
         ["commander", "disarm"] => outcome(core.disarm(false)),
         ["commander", "takeoff"] => {
-            let taken_off = core.arm(client).and_then(|()| core.take_off(None));
+            let taken_off = core.take_off(None).and_then(|()| core.arm(client));
             outcome(taken_off)
         }
         ["commander", "land"] => outcome(core.change_mode(FlightMode::Land, client)),

@@ -153,12 +153,19 @@ fn land_and_return_can_be_chosen_on_the_ground_and_not_armed_in() {
 
 /// PX4's RTL_CONE_ANG of 45 degrees.
 #[test]
-fn a_return_from_near_home_climbs_no_higher_than_it_is_away() {
+fn a_return_from_near_home_climbs_no_higher_than_it_is_away_and_keeps_to_the_largest_speed() {
     for (north_m, height_m) in [(7.0, 7.0), (3.0, 4.0), (1.0, 3.0)] {
         let mut b = Bench::airborne();
         assert_eq!(b.go_to((north_m, 0.0), 491.0), ACCEPTED);
         b.run_ms(8_000);
         assert_eq!(b.set_mode(API, SCRIPT, 4, 5), ACCEPTED);
+        let set = message!(
+            PARAM_SET,
+            param_id = "MPC_XY_VEL_MAX".into(),
+            param_value = 1.0,
+            param_type = MavParamType::MAV_PARAM_TYPE_REAL32
+        );
+        b.tell(set);
         let highest_m = b.most(60_000, Bench::height_m);
         assert!((highest_m - height_m).abs() < 0.4, "{north_m}: {highest_m}");
         let home_m = b.position_m()[0].abs();

@@ -30,7 +30,23 @@ fn fly(b: &mut Bench) {
 fn a_client_gets_the_piece_it_asks_for_and_can_stop() {
     let mut b = Bench::new();
     fly(&mut b);
+    let texts = b.texts();
     let size = list(&mut b)[0].size;
+    request_data(&mut b, 0, 0, size);
+    b.run_ms(2_000);
+    let log: Vec<u8> = data(&b)
+        .iter()
+        .flat_map(|d| d.data[..usize::from(d.count)].to_vec())
+        .collect();
+    assert_eq!(log.len(), size as usize);
+    // Also those of one step, and those that it ends with.
+    assert!(
+        texts.last().is_some_and(|text| text.starts_with("disarmed")),
+        "{texts:?}"
+    );
+    for text in texts.iter().skip_while(|text| !text.starts_with("armed")) {
+        assert!(log.windows(text.len()).any(|w| w == text.as_bytes()), "{text}");
+    }
     request_data(&mut b, 0, 180, 100);
     b.run_ms(20);
     let sizes: Vec<_> = data(&b).iter().map(|d| (d.ofs, d.count)).collect();

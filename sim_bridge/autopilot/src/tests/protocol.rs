@@ -267,24 +267,6 @@ fn a_bad_parameter_set_changes_nothing_and_says_why() {
 }
 
 #[test]
-fn a_long_text_is_sent_in_chunks_of_one_id() {
-    let mut core = crate::core::Core::new(&EndpointConfig::companion_only()).expect("valid");
-    let text = "a text of more than fifty characters that has to be sent in two chunks";
-    core.text(MavSeverity::MAV_SEVERITY_INFO, text);
-    let (mut joined, mut ids) = (String::new(), Vec::new());
-    core.outbox.drain(|_, datagram| {
-        let mut counters = Default::default();
-        let packet = vigil_mavlink::framing::packets(datagram, &mut counters).next();
-        if let Some(Ok(MavMessage::STATUSTEXT(s))) = packet.map(|packet| packet.message()) {
-            joined += s.text.to_str().expect("ASCII");
-            ids.push((s.id, s.chunk_seq));
-        }
-    });
-    assert_eq!(joined, text);
-    assert!(ids[0].0 != 0 && ids == [(ids[0].0, 0), (ids[0].0, 1)]);
-}
-
-#[test]
 fn a_calibration_is_told_as_px4_tells_it_and_one_that_needs_hands_is_refused() {
     let mut b = Bench::new();
     let ask =

@@ -12,7 +12,8 @@ const MODES: [(u8, FlightMode); 5] = [
 ];
 
 fn sticks(x: i16, y: i16, z: i16, r: i16) -> MavMessage {
-    message!(MANUAL_CONTROL, target = 1, x, y, z, r)
+    // 0 is every system.
+    message!(MANUAL_CONTROL, target = 0, x, y, z, r)
 }
 
 fn channels(pulses: [u16; 4]) -> MavMessage {

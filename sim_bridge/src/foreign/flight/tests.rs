@@ -3,6 +3,7 @@ use crate::packet::packet;
 use crate::world::{Column, Family, Outcome, generate};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
+use vigil_mavlink::message;
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, STEP_NS};
 
 /// Pixels in the middle of the image.
@@ -177,13 +178,13 @@ fn on_the_ground_the_estimator_may_find_its_place_and_home_is_where_the_course_b
     vehicle.height_m = 0.0;
     vehicle.report(0.0, 0.0);
     // The estimator is reset, and home with it.
-    vehicle.hear(&MavMessage::HOME_POSITION(HOME_POSITION_DATA {
-        latitude: 473_977_420,
-        longitude: 85_455_940,
-        altitude: 488_000,
-        x: 30.0,
-        ..Default::default()
-    }));
+    vehicle.hear(&message!(
+        HOME_POSITION,
+        latitude = 473_977_420,
+        longitude = 85_455_940,
+        altitude = 488_000,
+        x = 30.0
+    ));
     assert_eq!(vehicle.report(30.0, 0.0), (true, PoseState::Tracking));
     vehicle.height_m = 2.5;
     vehicle.report(30.0, 0.0);
@@ -197,19 +198,8 @@ fn on_the_ground_the_estimator_may_find_its_place_and_home_is_where_the_course_b
 #[test]
 fn a_home_whose_height_follows_the_gnss_does_not_carry_the_course_with_it() {
     let mut vehicle = Scripted::new(None);
-    let home = |z| {
-        MavMessage::HOME_POSITION(HOME_POSITION_DATA {
-            x: 0.3,
-            z,
-            ..Default::default()
-        })
-    };
-    let landed = |landed_state| {
-        MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
-            landed_state,
-            ..Default::default()
-        })
-    };
+    let home = |z| message!(HOME_POSITION, x = 0.3, z);
+    let landed = |landed_state| message!(EXTENDED_SYS_STATE, landed_state);
     vehicle.height_m = -0.3;
     vehicle.report(0.0, 0.0);
     vehicle.hear(&landed(MavLandedState::MAV_LANDED_STATE_ON_GROUND));
@@ -277,13 +267,13 @@ fn the_true_pose_is_rendered_where_it_is_wanted_and_waited_for_where_it_is_missi
         time_usec: 0,
     }));
     // A hundred units of latitude north of where it believes to be: 1.11 m.
-    vehicle.hear(&MavMessage::HIL_STATE_QUATERNION(HIL_STATE_QUATERNION_DATA {
-        attitude_quaternion: [1.0, 0.0, 0.0, 0.0],
-        lat: latitude + 100,
-        lon: longitude,
-        alt: 490_500,
-        ..Default::default()
-    }));
+    vehicle.hear(&message!(
+        HIL_STATE_QUATERNION,
+        attitude_quaternion = [1.0, 0.0, 0.0, 0.0],
+        lat = latitude + 100,
+        lon = longitude,
+        alt = 490_500
+    ));
     assert_eq!(vehicle.look(), (true, PoseState::Tracking));
     assert!((vehicle.ahead_m() - 6.39).abs() < 0.2, "{}", vehicle.ahead_m());
     assert_eq!(vehicle.frame.header.position_ned_m.x, 0.0, "what it believes");

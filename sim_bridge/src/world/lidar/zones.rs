@@ -106,7 +106,9 @@ impl ZoneSensor {
             let level = direction.to_heading(yaw_rad);
             // In the column that its bearing belongs to, which is another where the vehicle banks.
             let place = (level.y.atan2(level.x) / fov_rad + 0.5) * columns as f32;
-            if let Some(column_m) = nearest_m.get_mut(place.max(0.0) as usize) {
+            if place >= 0.0
+                && let Some(column_m) = nearest_m.get_mut(place as usize)
+            {
                 *column_m = column_m.min(measured_m * level.x.hypot(level.y));
             }
         }

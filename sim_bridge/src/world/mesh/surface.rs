@@ -61,36 +61,14 @@ pub(crate) enum Within<'a> {
     Leaf(&'a Block),
 }
 
-#[derive(Clone, Copy)]
-struct Extent {
-    low: [f32; 3],
-    high: [f32; 3],
+fn box_of(triangles: &[Triangle]) -> Aabb {
+    Aabb::from_points(triangles.iter().flatten().map(|p| Vec3::from(*p)))
 }
 
-impl Extent {
-    const NONE: Self = Self {
-        low: [f32::INFINITY; 3],
-        high: [f32::NEG_INFINITY; 3],
-    };
-
-    fn with(mut self, other: &Self) -> Self {
-        for k in 0..3 {
-            self.low[k] = self.low[k].min(other.low[k]);
-            self.high[k] = self.high[k].max(other.high[k]);
-        }
-        self
-    }
-
-    fn of(triangles: &[Triangle]) -> Self {
-        let points = triangles.iter().flatten();
-        points.fold(Self::NONE, |all, p| all.with(&Self { low: *p, high: *p }))
-    }
-
-    /// Half of its surface.
-    fn area_m2(&self) -> f32 {
-        let [x, y, z] = core::array::from_fn(|k| self.high[k] - self.low[k]);
-        x * y + y * z + z * x
-    }
+/// Half of a box's surface.
+fn area_m2(of: &Aabb) -> f32 {
+    let [x, y, z] = (of.maxs - of.mins).to_array();
+    x * y + y * z + z * x
 }
 
 /// Three times the middle.
@@ -102,9 +80,8 @@ fn middle(t: &Triangle) -> [f32; 3] {
 /// the longest axis, or into halves.
 fn split(triangles: &mut [Triangle], depth: usize) -> usize {
     const BINS: usize = 32;
-    let middles = triangles.iter().map(middle);
-    let all = middles.fold(Extent::NONE, |all, p| all.with(&Extent { low: p, high: p }));
-    let wide = |k: &usize| all.high[*k] - all.low[*k];
+    let all = Aabb::from_points(triangles.iter().map(|t| Vec3::from(middle(t))));
+    let wide = |k: &usize| all.maxs[*k] - all.mins[*k];
     let axis = (0..3).max_by(|a, b| wide(a).total_cmp(&wide(b))).unwrap_or(0);
     let half = triangles.len() / 2;
     if depth >= FREE_DEPTH || wide(&axis) <= 0.0 {
@@ -112,20 +89,20 @@ fn split(triangles: &mut [Triangle], depth: usize) -> usize {
         return half;
     }
     let scale = BINS as f32 / wide(&axis);
-    let bin = |t: &Triangle| (((middle(t)[axis] - all.low[axis]) * scale) as usize).min(BINS - 1);
-    let mut bins = [(0, Extent::NONE); BINS];
+    let bin = |t: &Triangle| (((middle(t)[axis] - all.mins[axis]) * scale) as usize).min(BINS - 1);
+    let mut bins = [(0, Aabb::new_invalid()); BINS];
     for t in triangles.iter() {
         let (count, extent) = &mut bins[bin(t)];
         *count += 1;
-        *extent = extent.with(&Extent::of(core::slice::from_ref(t)));
+        extent.merge(&box_of(core::slice::from_ref(t)));
     }
-    let join = |(n, a): (usize, Extent), (m, b): &(usize, Extent)| (n + m, a.with(b));
-    let cost = |(count, extent): (usize, Extent)| match count {
+    let join = |(n, a): (usize, Aabb), (m, b): &(usize, Aabb)| (n + m, a.merged(b));
+    let cost = |(count, extent): (usize, Aabb)| match count {
         0 => f32::INFINITY,
-        _ => extent.area_m2() * count.div_ceil(LANES) as f32,
+        _ => area_m2(&extent) * count.div_ceil(LANES) as f32,
     };
     let cut = |at: usize| {
-        let none = (0, Extent::NONE);
+        let none = (0, Aabb::new_invalid());
         cost(bins[..at].iter().fold(none, join)) + cost(bins[at..].iter().fold(none, join))
     };
     let best = (1..BINS).map(|at| (cut(at), at)).min_by(|a, b| a.0.total_cmp(&b.0));
@@ -158,7 +135,7 @@ impl Surface {
         while parts.len() < LANES {
             let large = parts.iter().enumerate().filter(|(_, part)| part.len() > LANES);
             let size = |part: &[Triangle]| match depth < FREE_DEPTH {
-                true => Extent::of(part).area_m2(),
+                true => area_m2(&box_of(part)),
                 false => part.len() as f32,
             };
             let Some((largest, _)) = large.max_by(|a, b| size(a.1).total_cmp(&size(b.1))) else {
@@ -177,7 +154,7 @@ impl Surface {
             count: parts.len(),
         });
         for (lane, part) in parts.into_iter().enumerate() {
-            let extent = Extent::of(part);
+            let extent = box_of(part);
             let child = match part.len() > LANES {
                 true => Child((self.add(part, depth + 1) as u32) << 1),
                 false => Child((self.add_block(part) as u32) << 1 | 1),
@@ -185,8 +162,8 @@ impl Surface {
             let node = &mut self.nodes[number];
             node.child[lane] = child;
             for k in 0..3 {
-                node.centre_m[k][lane] = 0.5 * (extent.low[k] + extent.high[k]);
-                node.half_m[k][lane] = 0.5 * (extent.high[k] - extent.low[k]) + MARGIN_M;
+                node.centre_m[k][lane] = 0.5 * (extent.mins[k] + extent.maxs[k]);
+                node.half_m[k][lane] = 0.5 * (extent.maxs[k] - extent.mins[k]) + MARGIN_M;
             }
         }
         number
@@ -227,10 +204,9 @@ impl Surface {
 
     /// Lowest and highest coordinates.
     pub(crate) fn extent_ned_m(&self) -> ([f32; 3], [f32; 3]) {
-        let all = self
-            .triangles()
-            .fold(Extent::NONE, |all, t| all.with(&Extent::of(&[t])));
-        (all.low, all.high)
+        let points = self.triangles().flatten().map(Vec3::from);
+        let all = Aabb::from_points(points);
+        (all.mins.to_array(), all.maxs.to_array())
     }
 
     /// Goes through the leaves whose boxes' keys (`key` of a node, by lane) are below a limit, the lowest of a node first; `leaf` looks at one and

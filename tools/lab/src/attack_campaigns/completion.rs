@@ -104,7 +104,6 @@ pub struct Report {
     actor_sha256: String,
     first_seed: u64,
     /// Ctrl-C came: rows are missing, or of fewer flights.
-    #[serde(default)]
     interrupted: bool,
     pub rows: Vec<Row>,
 }
@@ -163,6 +162,10 @@ fn fly_all(
     command: &str,
 ) -> Result<ExitCode> {
     let victim = common.pilot()?;
+    // Before flights of an earlier campaign are replaced.
+    for setting in arms.iter().filter_map(|(_, setting)| *setting) {
+        setting.config.check()?;
+    }
     // The files are called as the last word of the command.
     let name = command.rsplit(' ').next().unwrap_or(command);
     let lines = common.folder()?.join(format!("{name}.jsonl"));

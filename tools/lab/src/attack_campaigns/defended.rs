@@ -6,6 +6,7 @@
 use super::{Common, Seeds, Strength, write_json};
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::campaign::{self, Flight, Tally};
+use crate::cli::detector::detector_of;
 use crate::report::{TextTable, decimals, numbers, to_csv, words};
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
@@ -353,12 +354,16 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         .attack(args.common.actor.as_deref())?
         .context("an attack was asked for")?;
     let detector = FirmwareConfig::default().detector;
+    let arms: Vec<Arm> = Arm::ALL.into_iter().filter(|arm| args.arms.contains(arm)).collect();
+    let (actor_sha256, file) = (args.common.pilot()?.sha256(), args.detector.as_deref());
+    let frozen = match arms.iter().any(|arm| arm.alarm().is_some()) {
+        true => detector_of(&actor_sha256, file)?,
+        false => file.map_or_else(FrozenDetector::built_in, FrozenDetector::load)?,
+    };
     let settings = Settings {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        actor_sha256: args.common.pilot()?.sha256(),
-        detector_sha256: (args.detector.as_deref())
-            .map_or_else(FrozenDetector::built_in, FrozenDetector::load)?
-            .sha256(),
+        actor_sha256,
+        detector_sha256: frozen.sha256(),
         raise: (detector.raise_count, detector.raise_window),
         guard: args.guard,
         second_sensor_heads: args.second_sensor_heads,
@@ -368,7 +373,6 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         evades_sha256: attack.evade.as_ref().map(FrozenDetector::sha256),
         evades_guard: args.evade_guard,
     };
-    let arms: Vec<Arm> = Arm::ALL.into_iter().filter(|arm| args.arms.contains(arm)).collect();
     let jobs = Jobs {
         first_seed: args.seeds.seed,
         flights: args.flights,
@@ -445,16 +449,12 @@ fn report(campaign: &Campaign<Settings, Flight>, json: &Path) -> Result<()> {
     })
     .collect();
     campaign.is_interrupted();
-    let table = if output::is_file(json) {
-        json.with_extension("csv")
-    } else {
-        PathBuf::from("defended.csv")
-    };
-    output::write(
-        &table,
-        format!("# {}\n{}", serde_json::to_string(settings)?, to_csv(lines.values())),
-    )?;
-    say!("flights   {}", table.display());
+    if output::is_file(json) {
+        let table = json.with_extension("csv");
+        let text = format!("# {}\n{}", serde_json::to_string(settings)?, to_csv(lines.values()));
+        output::write(&table, text)?;
+        say!("flights   {}", table.display());
+    }
     write_json(
         json,
         &Report {

@@ -66,7 +66,7 @@ enum AttackCommand {
 /// What all of them take.
 #[derive(Debug, Clone, clap::Args)]
 struct Common {
-    /// The actor or imported policy under attack [default: the actor built in].
+    /// The actor under attack, in flights (completion, search, defended) also an imported policy [default: the actor built in].
     #[arg(long, value_name = "FILE")]
     actor: Option<PathBuf>,
 

@@ -2,9 +2,9 @@
 
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::cli::detector::Stage;
-use crate::cli::output::{Interrupt, Progress, say};
+use crate::cli::output::{self, Interrupt, Progress, say};
 use crate::detector_training::{BLOCK, Counts, Flights, LstmConfig, Record, Recorded, Scenario, fly};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use rayon::ThreadPool;
@@ -75,7 +75,15 @@ impl Stage<'_> {
         ] {
             let path = self.lines(set).with_extension("safetensors");
             let flights = match path.exists() {
-                true => Flights::load(&path, &self.pilot)?,
+                true => {
+                    let kept = Flights::load(&path, &self.pilot)?;
+                    ensure!(
+                        Counts::of(&kept.records).reach(windows as usize),
+                        "{} holds fewer than {windows} windows of each class: remove it, or name another folder with -o",
+                        path.display()
+                    );
+                    kept
+                }
                 false => match self.gather(set, seed, windows, pool)? {
                     Some(flights) => {
                         flights.save(&path)?;
@@ -174,6 +182,10 @@ fn unpacked(recorded: &Recorded, seed: u64, packed: &Packed) -> Result<Record> {
 
 /// Puts the lines of several files into one, which `vigil detector collect` takes its flights from.
 pub fn merge(files: &[PathBuf], lines: &Path) -> Result<ExitCode> {
+    ensure!(
+        output::is_file(lines),
+        "flights to learn from go into a file: name it with -o"
+    );
     Campaign::<Recorded, Packed>::load(files, lines)?;
     say!("flights          {}", lines.with_extension("jsonl").display());
     Ok(ExitCode::SUCCESS)

@@ -14,6 +14,7 @@ use crate::report::{Picture, TextTable, numbers, to_csv, words};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, bail, ensure};
+use clap::builder::RangedU64ValueParser;
 use report::{curves_png, percent, roc_of_features, text};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -21,6 +22,10 @@ use std::process::ExitCode;
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
 use vigil_policy::{FrozenActor, FrozenPilot};
+
+fn epochs() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(1..=10_000)
+}
 
 /// The detector of this actor: of a file, or the one built in.
 ///
@@ -79,7 +84,7 @@ enum DetectorCommand {
     /// Train LSTM-AD and freeze it.
     Train {
         /// Epochs.
-        #[arg(long, default_value_t = LstmConfig::default().fit.epochs)]
+        #[arg(long, default_value_t = LstmConfig::default().fit.epochs, value_parser = epochs())]
         epochs: usize,
         /// Seed of first weights, order and background sample; below 2⁶³, as TOML's integers.
         #[arg(long, default_value_t = LstmConfig::default().fit.seed, value_parser = clap::value_parser!(u64).range(..1 << 63))]
@@ -140,7 +145,7 @@ enum DetectorCommand {
     /// Train CNN-AD, FCN-AD and PCA on the images, and judge the same states by all four.
     Table {
         /// Epochs of CNN-AD and FCN-AD.
-        #[arg(long, default_value_t = 8)]
+        #[arg(long, default_value_t = 8, value_parser = epochs())]
         epochs: usize,
         /// Seed of their first weights and order.
         #[arg(long, default_value_t = 1)]
@@ -442,6 +447,10 @@ impl Stage<'_> {
             numbers("untrained attacks found"),
         ]);
         for feature in Feature::ALL {
+            if Interrupt::on_ctrl_c()?.came() {
+                say!("interrupted: nothing of the comparison is kept");
+                return Ok(());
+            }
             let scorer = self.train_on(feature, &flights, &config)?;
             let report = crate::detector_training::evaluate(self.isa, &self.pilot, &scorer, 0.5, (&sets, &records))?;
             let untrained = report.sets.iter().filter(|s| s.role == Role::Untrained);

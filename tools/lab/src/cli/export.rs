@@ -36,6 +36,7 @@ pub struct ExportArgs {
 
 /// Writes the model.
 pub fn run(args: &ExportArgs) -> Result<ExitCode> {
+    output::prepare(&args.output)?;
     let pilot = FrozenPilot::load_or_built_in(args.actor.as_deref())?;
     let model = vigil_onnx::export(&pilot)?;
     let (graph, params) = match &pilot {

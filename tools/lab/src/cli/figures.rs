@@ -269,7 +269,7 @@ pub(crate) struct ExplanationLine {
     #[serde(serialize_with = "decimals::<7, _, _>")]
     pub distance: f32,
     /// Of actors that are told of more than the goal.
-    #[serde(default, serialize_with = "decimals::<7, _, _>")]
+    #[serde(serialize_with = "decimals::<7, _, _>")]
     pub told: f32,
     #[serde(serialize_with = "maybe_decimals::<7, _, _>")]
     pub score: Option<f32>,

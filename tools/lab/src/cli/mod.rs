@@ -2,7 +2,7 @@
 
 mod bench;
 mod collect;
-mod detector;
+pub(crate) mod detector;
 mod export;
 mod figures;
 mod film;

@@ -41,7 +41,7 @@ pub struct RolloutArgs {
     ablate: Ablation,
 
     /// The odometry that the actor remembers by seems longer by this share of the way ...
-    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
     drift_scale: f32,
 
     /// ... and turns by so much that the vehicle does not, degrees per second.
@@ -76,6 +76,15 @@ pub struct RolloutArgs {
 
 /// Flies the courses without and with the field and prints both.
 pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
+    ensure!(
+        args.time_limit > 0.0 && args.time_limit <= 3600.0,
+        "--time-limit must be above 0, at most 3600 s, got {}",
+        args.time_limit
+    );
+    ensure!(
+        args.drift_scale.abs() <= 0.5 && args.drift_yaw.abs() <= 10.0,
+        "--drift-scale must be within 0.5, --drift-yaw within 10 degrees per second"
+    );
     let frozen;
     let evaluated = match args.actor.as_str() {
         "zero" => EvaluatedActor::Zero,

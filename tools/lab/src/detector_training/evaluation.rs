@@ -61,7 +61,7 @@ pub struct EvaluationSize {
 const MOST_FLIGHTS: u64 = 10_000_000;
 
 /// How a recovery flies in the evaluation: it stops at the second altered frame.
-const RECOVERING: Plan = Plan::Recovering {
+pub(super) const RECOVERING: Plan = Plan::Recovering {
     delay: 2,
     hover: 20,
     trust: 20,
@@ -175,15 +175,10 @@ pub struct SetReport {
     /// Bursts in which an alarm was raised before they ended.
     pub bursts_noticed: Proportion,
     /// Rough pictures by the guard's measure among its altered frames, or among all where none is altered.
-    #[serde(default = "nothing_looked_at")]
     pub rough: Proportion,
     /// Receiver operating characteristic of its attacked windows against those of the unattacked flights: its corners.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub roc: Vec<(f64, f64)>,
-}
-
-fn nothing_looked_at() -> Proportion {
-    Proportion::new(0, 0)
 }
 
 /// Detection over the number of altered rows in the window.

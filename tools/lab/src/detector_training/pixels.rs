@@ -1,6 +1,7 @@
 //! States with the SHAP image of their newest frame, for the detectors that look at images.
 
 use crate::cli::output;
+use crate::detector_training::evaluation::RECOVERING;
 use crate::detector_training::flight_files::{Flights, not_collected};
 use crate::explained::{Adversary, Frame, MAX_STEPS, Onlooker, Plan, Scenario, Shown, Step, YAW, explainer, fly};
 use anyhow::{Context, Result};
@@ -96,11 +97,7 @@ fn scenario(family: Family, seed: u64) -> Scenario {
     let plan = if seed.is_multiple_of(2) {
         Plan::Actor
     } else {
-        Plan::Recovering {
-            delay: 2,
-            hover: 20,
-            trust: 20,
-        }
+        RECOVERING
     };
     let config = AttackConfig {
         towards: [Towards::Left, Towards::Right, Towards::Away][rng.random_range(0..3)],

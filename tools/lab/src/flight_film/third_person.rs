@@ -374,6 +374,6 @@ mod tests {
             yaw_rad: 0.0,
         };
         let canvas = view(&[wall], None);
-        assert!(count(&canvas, &[Colour::INK], 0..120) > 20, "the vehicle is seen");
+        assert!(count(&canvas, &[Colour::INK], 0..120) > 200, "the vehicle is seen");
     }
 }

@@ -151,7 +151,7 @@ settings! {
         /// Seed of the first course.
         pub first_seed: u64 = free(0),
         /// A flight that takes longer has failed, seconds.
-        pub time_limit_s: f32 = free(90.0),
+        pub time_limit_s: f32 = within(90.0, (1.0, 3600.0), ""),
     }
 
     /// What the encoder learns before it is frozen: the collision scan, from single frames.

@@ -225,17 +225,19 @@ impl<'a> Run<'a> {
 
     fn complete(mut self, stop: &AtomicBool, report: Report<'_>) -> Result<LearnEnd> {
         loop {
-            while self.learner.updates < self.config.updates_due(self.so_far.decisions) {
-                if stop.load(Ordering::Relaxed) {
-                    self.save()?;
-                    return Ok(LearnEnd::Interrupted(Some(self.checkpoint)));
-                }
-                self.update(report)?;
-            }
-            if self.so_far.decisions >= self.config.decisions {
+            let is_due = self.learner.updates < self.config.updates_due(self.so_far.decisions);
+            if !is_due && self.so_far.decisions >= self.config.decisions {
                 break;
             }
-            self.collect()?;
+            if stop.load(Ordering::Relaxed) {
+                self.save()?;
+                return Ok(LearnEnd::Interrupted(Some(self.checkpoint)));
+            }
+            if is_due {
+                self.update(report)?;
+            } else {
+                self.collect()?;
+            }
         }
         self.save()?;
         self.freeze(stop)
@@ -444,18 +446,24 @@ impl<'a> Run<'a> {
 
 /// The curve as comma-separated values.
 pub fn csv(rows: &[Row]) -> String {
-    let evaluated = rows.iter().find(|r| !r.evaluated.is_empty());
-    let families = evaluated.map_or(&[][..], |r| &r.evaluated);
-    let names: String = families.iter().map(|c| format!(",{}", c.family)).collect();
+    // A run that goes on may evaluate other families.
+    let mut families: Vec<Family> = Vec::new();
+    for family in rows.iter().flat_map(|r| r.evaluated.iter().map(|c| c.family)) {
+        if !families.contains(&family) {
+            families.push(family);
+        }
+    }
+    let names: String = families.iter().map(|family| format!(",{family}")).collect();
     let mut text = format!(
         "updates,decisions,elapsed_s,flights,successes,reward,critic_loss,value,saturated,critic_norm,actor_norm{names}\n"
     );
     for r in rows {
         let u = &r.update;
-        let evaluated: String = match r.evaluated.is_empty() {
-            true => ",".repeat(families.len()),
-            false => r.evaluated.iter().map(|c| format!(",{:.4}", c.completion())).collect(),
+        let completion = |family: &Family| {
+            let of_it = r.evaluated.iter().find(|c| c.family == *family);
+            of_it.map_or(",".to_owned(), |c| format!(",{:.4}", c.completion()))
         };
+        let evaluated: String = families.iter().map(completion).collect();
         text += &format!(
             "{},{},{:.1},{},{},{:.4},{:.5},{:.4},{:.4},{:.4},{:.5}{evaluated}\n",
             r.updates,

@@ -174,7 +174,7 @@ impl Importer<'_> {
                 w.shape
             ));
         }
-        if height != width {
+        if height != width || height == 0 {
             return Err(not_square(height, width));
         }
         let [stride, padding, dilation] = Self::window(settings)?;

@@ -53,6 +53,19 @@ const OUTCOMES: [Option<Outcome>; 5] = [
 pub(super) struct Took {
     pub(super) wall_s: f64,
     pub(super) threads: usize,
+    /// Simulated by runs before, seconds.
+    pub(super) before_s: f64,
+}
+
+/// What the flights of a campaign took in the simulation, seconds.
+pub(super) fn simulated_s<S>(campaign: &Campaign<S, Flight>) -> f64
+where
+    S: Serialize + DeserializeOwned + Sync,
+{
+    campaign
+        .flights()
+        .map(|(_, f)| f.record.steps as f64 * f64::from(STEP_S))
+        .sum()
 }
 
 /// How flights ended, each way with its share.
@@ -154,7 +167,7 @@ pub(super) fn report<S: Serialize + DeserializeOwned + Sync>(
         .collect();
     let interrupted = campaign.is_interrupted();
     let rates = rates_of(&flights);
-    let simulated_s: f64 = flights.iter().map(|f| f.record.steps as f64 * f64::from(STEP_S)).sum();
+    let simulated_s = simulated_s(campaign);
 
     let paint = Paint::stdout();
     print_rates(&rates, &paint);
@@ -168,9 +181,15 @@ pub(super) fn report<S: Serialize + DeserializeOwned + Sync>(
         paint.table(&FaultTally::table(&tallies), &good);
         say!("");
     }
-    if let Some(Took { wall_s, threads }) = took {
-        let factor = simulated_s / wall_s / (*threads).min(flights.len()).max(1) as f64;
-        say!("{simulated_s:.0} s simulated in {wall_s:.1} s on {threads} threads: {factor:.0} x real time per thread");
+    if let Some(Took {
+        wall_s,
+        threads,
+        before_s,
+    }) = took
+    {
+        let new_s = simulated_s - before_s;
+        let factor = new_s / wall_s / (*threads).min(flights.len()).max(1) as f64;
+        say!("{new_s:.0} s simulated in {wall_s:.1} s on {threads} threads: {factor:.0} x real time per thread");
     }
     print_failed(&flights);
 

@@ -7,7 +7,7 @@ use crate::detector_training::{
     ImageNetwork, States, WindowScorer, gather_states, image_fit, lstm_scores, pca_scores, row,
 };
 use crate::report::{TextTable, numbers, to_csv, words};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use std::path::Path;
 use vigil_sim::world::Family;
 
@@ -27,7 +27,13 @@ impl Stage<'_> {
             let name = format!("images-{part}.safetensors");
             let path = self.path(&name);
             if path.exists() {
-                States::load(&path, self.actor("images")?)?;
+                let there = States::load(&path, self.actor("images")?)?.states.len();
+                ensure!(
+                    there >= 2 * count,
+                    "{} holds {there} states, not {}: remove it, or name another folder with -o",
+                    path.display(),
+                    2 * count
+                );
                 say!("{name:<26} is there already");
                 continue;
             }
