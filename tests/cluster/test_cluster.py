@@ -110,9 +110,9 @@ def test_files_are_sent_along_and_what_fails_is_said(tmp_path, capfd):
             with pytest.raises(CampaignError, match=why):
                 fly(["evaluate", *words], tmp_path / "no.json", **{"vigil": VIGIL} | program)
         # A program that is none.
-        program = tmp_path / "vigil"
-        program.write_bytes(b"\x7fELF no program")
-        program.chmod(0o755)
+        for program in [tmp_path / "vigil-lab", tmp_path / "vigil"]:
+            program.write_bytes(b"\x7fELF no program")
+            program.chmod(0o755)
         with pytest.raises(CampaignError, match="cannot run the program"):
             fly(["evaluate", "--flights", "2"], tmp_path / "no.json", program)
         assert not (tmp_path / "no.json").exists()
