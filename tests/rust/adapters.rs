@@ -11,9 +11,8 @@ use std::cell::RefCell;
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
+use std::time::Duration;
+use vigil_io::background::Background;
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_sim::world::{Course, World};
 use vigil_tests::{PATIENCE, Running, has, refused, run, run_line, said, text, vigil};
@@ -82,54 +81,35 @@ fn good(instance: u32, further: &[&str]) -> String {
     panic!("{last}");
 }
 
-/// A scanner that sends one recorded turn again and again, each with fresh stamps, until it is dropped.
-struct Sender {
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl Sender {
-    /// `spoil` may alter what is sent: given the turn's and the packet's number, it says whether the packet goes out.
-    fn start(turn: Vec<Vec<u8>>, port: u16, spoil: impl Fn(u16, usize, &mut Vec<u8>) -> bool + Send + 'static) -> Self {
-        let stop = Arc::new(AtomicBool::new(false));
-        let ends = Arc::clone(&stop);
-        let thread = std::thread::spawn(move || {
-            let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
-            let (begun_ns, mut number) = (monotonic_ns(), 0u16);
-            while !ends.load(Ordering::Relaxed) {
-                for (i, packet) in turn.iter().enumerate() {
-                    let column_ns = PER_PACKET as u64 * COLUMN_NS;
-                    let at_ns = begun_ns + u64::from(number) * STEP_NS + (i as u64 + 1) * column_ns;
-                    let mut packet = packet.clone();
-                    let block = packet.len() / PER_PACKET;
-                    for (k, column) in packet.chunks_exact_mut(block).enumerate() {
-                        let stamp_ns = at_ns - column_ns + k as u64 * COLUMN_NS + 77_000_000_000;
-                        column[..8].copy_from_slice(&stamp_ns.to_le_bytes());
-                        column[10..12].copy_from_slice(&number.to_le_bytes());
-                    }
-                    sleep_until(at_ns);
-                    if spoil(number, i, &mut packet) {
-                        // Nobody may listen yet.
-                        let _ = socket.send_to(&packet, ("127.0.0.1", port));
-                    }
-                }
-                number = number.wrapping_add(1);
+/// A scanner that sends one recorded turn again and again, each with fresh stamps, until it is dropped. `spoil` may alter what is sent: given
+/// the turn's and the packet's number, it says whether the packet goes out.
+fn send(
+    turn: Vec<Vec<u8>>,
+    port: u16,
+    spoil: impl Fn(u16, usize, &mut Vec<u8>) -> bool + Send + 'static,
+) -> Background<()> {
+    let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
+    let (begun_ns, mut number) = (monotonic_ns(), 0u16);
+    let started = Background::start("scanner", 1, Duration::ZERO, move |_| {
+        for (i, packet) in turn.iter().enumerate() {
+            let column_ns = PER_PACKET as u64 * COLUMN_NS;
+            let at_ns = begun_ns + u64::from(number) * STEP_NS + (i as u64 + 1) * column_ns;
+            let mut packet = packet.clone();
+            let block = packet.len() / PER_PACKET;
+            for (k, column) in packet.chunks_exact_mut(block).enumerate() {
+                let stamp_ns = at_ns - column_ns + k as u64 * COLUMN_NS + 77_000_000_000;
+                column[..8].copy_from_slice(&stamp_ns.to_le_bytes());
+                column[10..12].copy_from_slice(&number.to_le_bytes());
             }
-        });
-        Self {
-            stop,
-            thread: Some(thread),
+            sleep_until(at_ns);
+            if spoil(number, i, &mut packet) {
+                // Nobody may listen yet.
+                let _ = socket.send_to(&packet, ("127.0.0.1", port));
+            }
         }
-    }
-}
-
-impl Drop for Sender {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-    }
+        number = number.wrapping_add(1);
+    });
+    started.expect("a thread")
 }
 
 fn recorded(folder: &Path) -> (PathBuf, Vec<Vec<u8>>) {
@@ -156,12 +136,12 @@ fn a_scanners_packets_over_udp_are_frames_that_the_check_accepts() {
     // 64 beams lie 0.94° apart: the outermost row of pixels may have none.
     has(&view, &["-60° to 60° across and -30° to ", "98 %"]);
     adapter.wait_for("nothing for");
-    let sender = Sender::start(turn.clone(), 17502, |_, _, _| true);
+    let sender = send(turn.clone(), 17502, |_, _, _| true);
     let findings = good(61, &["--wall", "4"]);
     has(&findings, &["are taken", "-60° to 60° across", "4.00 m in the middle"]);
     drop(sender);
     // What is wrong is named, and gives no frame.
-    let sender = Sender::start(turn, 17502, |number, packet, bytes| match (packet, number % 4) {
+    let sender = send(turn, 17502, |number, packet, bytes| match (packet, number % 4) {
         (30, 1) => false,
         (31, 2) => {
             bytes.truncate(900);

@@ -1,14 +1,12 @@
 //! A second sensor that looks ahead: who hides obstacles from the depth frames is found before the vehicle touches them.
 
 use vigil_firmware::FirmwareConfig;
-use vigil_mavlink::MavMessage;
-use vigil_mavlink::framing::{self, FramingCounters};
+use vigil_mavlink::common::OBSTACLE_DISTANCE_DATA;
+use vigil_mavlink::mavlink::MessageData;
 use vigil_sim::world::{Family, Outcome, generate};
 use vigil_sim::{SimConfig, Start};
-use vigil_tests::Pair;
-use vigil_types::{
-    DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, GuidanceState, Reason, Reasons, row_elevation_rad,
-};
+use vigil_tests::{Pair, without};
+use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DepthFrame, GuidanceState, Reason, Reasons, row_elevation_rad};
 
 const SEED: u64 = 4203;
 /// Steps of a story: 25 s, enough to arrive.
@@ -59,20 +57,6 @@ fn hide(frame: &mut DepthFrame) {
     frame.seal();
 }
 
-/// Without the second sensor's reports.
-fn without_ranges(datagrams: &Datagrams) -> Box<Datagrams> {
-    let mut kept = Box::<Datagrams>::default();
-    for (link, datagram) in datagrams.iter() {
-        let mut counters = FramingCounters::default();
-        let mut packets = framing::packets(datagram, &mut counters);
-        let is_ranges = packets.any(|packet| matches!(packet.message(), Ok(MavMessage::OBSTACLE_DISTANCE(_))));
-        if !is_ranges {
-            kept.push(link, datagram);
-        }
-    }
-    kept
-}
-
 fn fly(story: Story) -> End {
     let mut config = SimConfig::new(generate(Family::Validation, SEED), SEED);
     config.start = Start::Airborne;
@@ -88,7 +72,7 @@ fn fly(story: Story) -> End {
             hide(&mut pair.frame);
         }
         if step >= story.silent_from {
-            pair.to_firmware = without_ranges(&pair.to_firmware);
+            pair.to_firmware = without(&pair.to_firmware, &[OBSTACLE_DISTANCE_DATA::ID]);
         }
         let report = pair.decide(true);
         end.state = report.state;

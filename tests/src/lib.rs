@@ -3,10 +3,8 @@
 pub mod ground;
 pub mod mission;
 mod pair;
-mod watched;
 
-pub use pair::{Pair, texts};
-pub use watched::fly_watched;
+pub use pair::{Pair, fly_watched, texts, without};
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};

@@ -3,9 +3,9 @@
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::framing::{FramingCounters, packets};
-use vigil_sim::world::{Family, generate};
+use vigil_sim::world::{Family, Outcome, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_types::{Datagrams, DepthFrame, GuidanceState, StepReport};
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, STEP_S, StepReport};
 
 /// A longer hand-over than this, in steps, is a failure.
 const MOST_STEPS_TO_GUIDED: usize = 1200;
@@ -86,6 +86,36 @@ impl Pair {
         }
         panic!("guided flight did not last {steps} steps");
     }
+}
+
+/// Flies a course to its end, with the default firmware but for `change`; how it ended, and every step's report.
+pub fn fly_watched(
+    simulation: &SimConfig,
+    change: impl FnOnce(&mut FirmwareConfig),
+) -> (Option<Outcome>, Vec<StepReport>) {
+    let mut config = FirmwareConfig::to_goal(simulation.course.goal_ned_m());
+    change(&mut config);
+    let mut pair = Pair::of(simulation, &config);
+    // The referee does not see a vehicle that never lifts off: a minute is ample for arming and take-off.
+    let most_steps = ((simulation.course.time_limit_s + 60.0) / STEP_S) as usize;
+    let mut reports = Vec::new();
+    while reports.len() < most_steps && pair.simulator.ending().is_none() {
+        pair.simulate();
+        reports.push(pair.decide(true));
+    }
+    (pair.simulator.ending().map(|ending| ending.outcome), reports)
+}
+
+/// The datagrams that hold no message of these numbers.
+pub fn without(said: &Datagrams, ids: &[u32]) -> Box<Datagrams> {
+    let mut kept = Box::<Datagrams>::default();
+    for (link, datagram) in said.iter() {
+        let mut counters = FramingCounters::default();
+        if packets(datagram, &mut counters).all(|packet| !ids.contains(&packet.message_id())) {
+            kept.push(link, datagram);
+        }
+    }
+    kept
 }
 
 /// The beginnings (50 bytes) of the STATUSTEXTs in some datagrams.

@@ -21,7 +21,7 @@ use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sim::vehicle::{HoldLaw, VehicleModel, VehicleParams, Wind};
 use vigil_sim::world::{BoxObstacle, Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
 use vigil_sim::{LIDAR_SENSOR_ID, SimConfig, Start};
-use vigil_tests::{Pair, mission};
+use vigil_tests::{Pair, mission, without};
 use vigil_types::{
     Attitude, Datagrams, DepthFrame, Duty, EngagePolicy, Nanos, NedVector, PilotKind, Reason, STEP_NS, VehicleMode,
 };
@@ -86,20 +86,6 @@ impl Stop {
 /// Metres over the ground from a place to a column's surface.
 fn away_m(from_ned_m: NedVector, column: &Column) -> f32 {
     (column.north_m - from_ned_m.x).hypot(column.east_m - from_ned_m.y) - column.radius_m
-}
-
-/// The vehicle never tells where its local origin is on the globe, nor what it brakes with.
-fn keep_origin_and_parameters_from(told: &mut Datagrams) {
-    let mut kept = Datagrams::default();
-    for (link, datagram) in told.iter() {
-        let mut counters = FramingCounters::default();
-        if packets(datagram, &mut counters)
-            .all(|packet| ![GPS_GLOBAL_ORIGIN, PARAM_VALUE].contains(&packet.message_id()))
-        {
-            kept.push(link, datagram);
-        }
-    }
-    *told = kept;
 }
 
 /// Flies the mission over a course; how it ended, and the least distance to an obstacle on the way.
@@ -167,7 +153,8 @@ fn fly_as(vehicle: VehicleParams, course: Course, seed: u64, duty: Duty, plan: &
         // The simulated autopilot speaks as PX4 does. An ArduCopter is told no place and brakes by its mode, by
         // no parameter: so is one without either.
         if vehicle.control.hold == HoldLaw::Brake {
-            keep_origin_and_parameters_from(&mut pair.to_firmware);
+            // Where its local origin is on the globe, and what it brakes with.
+            pair.to_firmware = without(&pair.to_firmware, &[GPS_GLOBAL_ORIGIN, PARAM_VALUE]);
         }
         let report = pair.decide(step % plan.frame_every == 0);
         assert!(

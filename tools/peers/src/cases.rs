@@ -67,16 +67,21 @@ pub fn prepare(actor: Option<&Path>, to: &Path) -> Result<HashMap<&'static str, 
     let mut record = Record::default();
     record.note("actor_sha256", frozen.sha256());
     record.note("isa", isa.name());
-    let mut cases: HashMap<&'static str, Case> = HashMap::new();
     record_states(&mut record, "background", &backgrounds);
     record_states(&mut record, "state", &states);
-    actor_case(&mut record, &mut cases, isa, &frozen, &states)?;
-    hidden_shap_case(&mut record, &mut cases, isa, &frozen, &states, &backgrounds)?;
-    pixel_shap_case(&mut record, &mut cases, isa, &frozen, &states[0], &backgrounds)?;
-    attack_case(&mut record, &mut cases, isa, &frozen, &states)?;
-    lstm_ad_case(&mut record, &mut cases, isa)?;
-    record.save(to)?;
-    Ok(cases)
+    let mut comparison = Comparison {
+        record,
+        cases: HashMap::new(),
+        isa,
+        frozen: &frozen,
+    };
+    comparison.actor(&states)?;
+    comparison.hidden_shap(&states, &backgrounds)?;
+    comparison.pixel_shap(&states[0], &backgrounds)?;
+    comparison.attack(&states)?;
+    comparison.lstm_ad()?;
+    comparison.record.save(to)?;
+    Ok(comparison.cases)
 }
 
 fn record_states(record: &mut Record, name: &str, states: &[State]) {
@@ -90,135 +95,6 @@ fn record_states(record: &mut Record, name: &str, states: &[State]) {
     record.floats(&format!("{name}_hidden"), &[ACTOR_HIDDEN], hidden);
 }
 
-/// The network on a new frame, without the memory's own work: what the other side computes.
-fn actor_case(
-    record: &mut Record,
-    cases: &mut HashMap<&'static str, Case>,
-    isa: Isa,
-    frozen: &FrozenActor,
-    states: &[State],
-) -> Result<()> {
-    record.floats("state_action", &[2], states.iter().flat_map(|s| &s.action));
-    let graph = ActorSpec::FULL.graph(Purpose::Gradients)?;
-    let (params, mut tape) = (frozen.params.clone(), vec![0.0; graph.tape_len()]);
-    let state = states[0].clone();
-    cases.insert(
-        "actor",
-        Box::new(move || {
-            graph.forward(isa, &params, black_box(&state.inputs()), &mut tape)?;
-            black_box(graph.output(&tape)?);
-            Ok(())
-        }),
-    );
-    Ok(())
-}
-
-/// DeepSHAP of the yaw output at the split point.
-fn hidden_shap_case(
-    record: &mut Record,
-    cases: &mut HashMap<&'static str, Case>,
-    isa: Isa,
-    frozen: &FrozenActor,
-    states: &[State],
-    backgrounds: &[State],
-) -> Result<()> {
-    let split =
-        |states: &[State]| -> Vec<Background> { states.iter().map(|s| (s.hidden.to_vec(), s.low_dim)).collect() };
-    let (points, inputs) = (split(backgrounds), split(states));
-    let head = frozen.head(Purpose::Multipliers)?;
-    let mut shap = vigil_detector::split_point_shap(isa, head, &points)?;
-    let mut phi = vec![0.0; shap.phi_len()];
-    let mut all = Vec::new();
-    for (hidden, position) in &inputs {
-        shap.evaluate(&[hidden, position])?;
-        shap.attribute(YAW, &mut phi)?;
-        all.extend_from_slice(&phi);
-    }
-    record.floats("shap_hidden", &[phi.len()], &all);
-    let (hidden, position) = inputs[0].clone();
-    cases.insert(
-        "shap-hidden",
-        Box::new(move || {
-            shap.evaluate(black_box(&[&hidden, &position]))?;
-            Ok(shap.attribute(YAW, &mut phi)?)
-        }),
-    );
-    Ok(())
-}
-
-/// DeepSHAP of the yaw output at the newest frame's pixels and at what the actor holds beside them.
-fn pixel_shap_case(
-    record: &mut Record,
-    cases: &mut HashMap<&'static str, Case>,
-    isa: Isa,
-    frozen: &FrozenActor,
-    state: &State,
-    backgrounds: &[State],
-) -> Result<()> {
-    let graph = ActorSpec::FULL.graph(Purpose::Multipliers)?;
-    let views: Vec<[&[f32]; 3]> = backgrounds.iter().map(State::inputs).collect();
-    let mut shap = DeepShap::new(isa, graph, &frozen.params, &views)?;
-    let mut phi = vec![0.0; shap.phi_len()];
-    let state = state.clone();
-    shap.evaluate(&state.inputs())?;
-    shap.attribute(YAW, &mut phi)?;
-    let (image, beside) = phi.split_at(DEPTH_PIXELS);
-    record.floats("shap_pixels", &[1, DEPTH_ROWS, DEPTH_COLS], image);
-    record.floats("shap_pixels_beside", &[beside.len()], beside);
-    cases.insert(
-        "shap-pixels",
-        Box::new(move || {
-            shap.evaluate(black_box(&state.inputs()))?;
-            Ok(shap.attribute(YAW, &mut phi)?)
-        }),
-    );
-    Ok(())
-}
-
-/// BIM on the newest frame, clipped and accumulating.
-fn attack_case(
-    record: &mut Record,
-    cases: &mut HashMap<&'static str, Case>,
-    isa: Isa,
-    frozen: &FrozenActor,
-    states: &[State],
-) -> Result<()> {
-    let settings: Vec<AttackConfig> = [Method::BimClipped, Method::BimAccumulating]
-        .into_iter()
-        .flat_map(|method| {
-            SETTINGS.map(|(epsilon_255, iterations)| AttackConfig {
-                method,
-                epsilon_255,
-                iterations,
-                towards: Towards::Away,
-                ..AttackConfig::PAPER
-            })
-        })
-        .collect();
-    record.note("attacks", serde_json::to_string(&settings)?);
-    let mut yaw_changes = Vec::new();
-    for config in &settings {
-        let mut attack = StateAttack::new(isa, frozen, config)?;
-        for state in states.iter().take(ATTACKED) {
-            let mut frame = state.frame.clone();
-            yaw_changes.push(attack.attack(&mut frame, &beside(state))?.yaw_change());
-        }
-    }
-    record.floats("attack_yaw_changes", &[ATTACKED], &yaw_changes);
-    let mut attack = StateAttack::new(isa, frozen, &AttackConfig::PAPER)?;
-    let (state, mut frame) = (states[0].clone(), states[0].frame.clone());
-    let held = beside(&state);
-    cases.insert(
-        "bim",
-        Box::new(move || {
-            frame.copy_from_slice(&state.frame);
-            black_box(attack.attack(&mut frame, &held)?);
-            Ok(())
-        }),
-    );
-    Ok(())
-}
-
 /// What the actor holds beside a state's frame.
 fn beside(state: &State) -> Beside {
     let mut context = [0.0; CONTEXT];
@@ -229,34 +105,138 @@ fn beside(state: &State) -> Beside {
     }
 }
 
-/// One window through LSTM-AD, with weights of the size that training begins with.
-fn lstm_ad_case(record: &mut Record, cases: &mut HashMap<&'static str, Case>, isa: Isa) -> Result<()> {
-    let mut rng = ChaCha8Rng::seed_from_u64(12);
-    let mut params = Vec::new();
-    for (name, shape) in LstmAd::tensors() {
-        let limit = 2.0 / (shape[0] as f32).sqrt();
-        let len = shape.iter().product::<usize>();
-        let values: Vec<f32> = (0..len).map(|_| 0.5 * rng.random_range(-limit..limit)).collect();
-        record.floats(&format!("lstm_ad_{name}"), &shape[1..], &values);
-        params.extend(values);
+/// What is being prepared.
+struct Comparison<'a> {
+    record: Record,
+    cases: HashMap<&'static str, Case>,
+    isa: Isa,
+    frozen: &'a FrozenActor,
+}
+
+impl Comparison<'_> {
+    fn case(&mut self, name: &'static str, run: impl FnMut() -> Result<()> + 'static) {
+        self.cases.insert(name, Box::new(run));
     }
-    let mut windows: Vec<[[f32; ROW]; WINDOW]> = vec![[[0.0; ROW]; WINDOW]; WINDOWS];
-    for value in windows.iter_mut().flatten().flatten() {
-        *value = rng.random_range(-2.0..2.0);
+
+    /// The network on a new frame, without the memory's own work: what the other side computes.
+    fn actor(&mut self, states: &[State]) -> Result<()> {
+        self.record
+            .floats("state_action", &[2], states.iter().flat_map(|s| &s.action));
+        let graph = ActorSpec::FULL.graph(Purpose::Gradients)?;
+        let (isa, params, mut tape) = (self.isa, self.frozen.params.clone(), vec![0.0; graph.tape_len()]);
+        let state = states[0].clone();
+        self.case("actor", move || {
+            graph.forward(isa, &params, black_box(&state.inputs()), &mut tape)?;
+            black_box(graph.output(&tape)?);
+            Ok(())
+        });
+        Ok(())
     }
-    let mut detector = LstmAd::new(isa, &params)?;
-    let scores = windows
-        .iter()
-        .map(|w| Ok(detector.score(w)?))
-        .collect::<Result<Vec<f32>>>()?;
-    record.floats("lstm_ad_windows", &[WINDOW, ROW], windows.iter().flatten().flatten());
-    record.floats("lstm_ad_scores", &[], &scores);
-    cases.insert(
-        "lstm-ad",
-        Box::new(move || {
+
+    /// DeepSHAP of the yaw output at the split point.
+    fn hidden_shap(&mut self, states: &[State], backgrounds: &[State]) -> Result<()> {
+        let split =
+            |states: &[State]| -> Vec<Background> { states.iter().map(|s| (s.hidden.to_vec(), s.low_dim)).collect() };
+        let (points, inputs) = (split(backgrounds), split(states));
+        let head = self.frozen.head(Purpose::Multipliers)?;
+        let mut shap = vigil_detector::split_point_shap(self.isa, head, &points)?;
+        let mut phi = vec![0.0; shap.phi_len()];
+        let mut all = Vec::new();
+        for (hidden, position) in &inputs {
+            shap.evaluate(&[hidden, position])?;
+            shap.attribute(YAW, &mut phi)?;
+            all.extend_from_slice(&phi);
+        }
+        self.record.floats("shap_hidden", &[phi.len()], &all);
+        let (hidden, position) = inputs[0].clone();
+        self.case("shap-hidden", move || {
+            shap.evaluate(black_box(&[&hidden, &position]))?;
+            Ok(shap.attribute(YAW, &mut phi)?)
+        });
+        Ok(())
+    }
+
+    /// DeepSHAP of the yaw output at the newest frame's pixels and at what the actor holds beside them.
+    fn pixel_shap(&mut self, state: &State, backgrounds: &[State]) -> Result<()> {
+        let graph = ActorSpec::FULL.graph(Purpose::Multipliers)?;
+        let views: Vec<[&[f32]; 3]> = backgrounds.iter().map(State::inputs).collect();
+        let mut shap = DeepShap::new(self.isa, graph, &self.frozen.params, &views)?;
+        let mut phi = vec![0.0; shap.phi_len()];
+        let state = state.clone();
+        shap.evaluate(&state.inputs())?;
+        shap.attribute(YAW, &mut phi)?;
+        let (image, beside) = phi.split_at(DEPTH_PIXELS);
+        self.record.floats("shap_pixels", &[1, DEPTH_ROWS, DEPTH_COLS], image);
+        self.record.floats("shap_pixels_beside", &[beside.len()], beside);
+        self.case("shap-pixels", move || {
+            shap.evaluate(black_box(&state.inputs()))?;
+            Ok(shap.attribute(YAW, &mut phi)?)
+        });
+        Ok(())
+    }
+
+    /// BIM on the newest frame, clipped and accumulating.
+    fn attack(&mut self, states: &[State]) -> Result<()> {
+        let settings: Vec<AttackConfig> = [Method::BimClipped, Method::BimAccumulating]
+            .into_iter()
+            .flat_map(|method| {
+                SETTINGS.map(|(epsilon_255, iterations)| AttackConfig {
+                    method,
+                    epsilon_255,
+                    iterations,
+                    towards: Towards::Away,
+                    ..AttackConfig::PAPER
+                })
+            })
+            .collect();
+        self.record.note("attacks", serde_json::to_string(&settings)?);
+        let mut yaw_changes = Vec::new();
+        for config in &settings {
+            let mut attack = StateAttack::new(self.isa, self.frozen, config)?;
+            for state in states.iter().take(ATTACKED) {
+                let mut frame = state.frame.clone();
+                yaw_changes.push(attack.attack(&mut frame, &beside(state))?.yaw_change());
+            }
+        }
+        self.record.floats("attack_yaw_changes", &[ATTACKED], &yaw_changes);
+        let mut attack = StateAttack::new(self.isa, self.frozen, &AttackConfig::PAPER)?;
+        let (state, mut frame) = (states[0].clone(), states[0].frame.clone());
+        let held = beside(&state);
+        self.case("bim", move || {
+            frame.copy_from_slice(&state.frame);
+            black_box(attack.attack(&mut frame, &held)?);
+            Ok(())
+        });
+        Ok(())
+    }
+
+    /// One window through LSTM-AD, with weights of the size that training begins with.
+    fn lstm_ad(&mut self) -> Result<()> {
+        let mut rng = ChaCha8Rng::seed_from_u64(12);
+        let mut params = Vec::new();
+        for (name, shape) in LstmAd::tensors() {
+            let limit = 2.0 / (shape[0] as f32).sqrt();
+            let len = shape.iter().product::<usize>();
+            let values: Vec<f32> = (0..len).map(|_| 0.5 * rng.random_range(-limit..limit)).collect();
+            self.record.floats(&format!("lstm_ad_{name}"), &shape[1..], &values);
+            params.extend(values);
+        }
+        let mut windows: Vec<[[f32; ROW]; WINDOW]> = vec![[[0.0; ROW]; WINDOW]; WINDOWS];
+        for value in windows.iter_mut().flatten().flatten() {
+            *value = rng.random_range(-2.0..2.0);
+        }
+        let mut detector = LstmAd::new(self.isa, &params)?;
+        let scores = windows
+            .iter()
+            .map(|w| Ok(detector.score(w)?))
+            .collect::<Result<Vec<f32>>>()?;
+        self.record
+            .floats("lstm_ad_windows", &[WINDOW, ROW], windows.iter().flatten().flatten());
+        self.record.floats("lstm_ad_scores", &[], &scores);
+        self.case("lstm-ad", move || {
             black_box(detector.score(black_box(&windows[0]))?);
             Ok(())
-        }),
-    );
-    Ok(())
+        });
+        Ok(())
+    }
 }

@@ -12,47 +12,41 @@ use vigil_sim::{SimConfig, Start};
 use vigil_tools::threads::thread_pool;
 use vigil_types::PilotKind;
 
-/// What all flights have in common.
-struct Plan {
-    family: Family,
-    wind_m_s: f64,
-    noise: f32,
-    ground: bool,
-    firmware: FirmwareConfig,
-    attack: Option<Attack>,
-}
-
 /// Seed, outcome, seconds, metres flown, closest goal, altered frames, step of the first alarm.
 type FlightRow = (u64, &'static str, f64, f64, f32, u64, Option<u64>);
 
-impl Plan {
-    fn fly(&self, seed: u64) -> Result<FlightRow, String> {
-        let mut config = SimConfig::new(generate(self.family, seed), seed);
-        config.lidar.range_noise_sigma_m *= self.noise;
-        config.lidar.dropout_probability = (config.lidar.dropout_probability * self.noise).min(1.0);
-        if self.wind_m_s > 0.0 {
-            config.wind = vigil_tools::campaign::wind(self.wind_m_s, seed);
-        }
-        config.start = match self.ground {
-            true => Start::Ground,
-            false => Start::Airborne,
-        };
-        let goal = config.course.goal_ned_m();
-        let mut firmware = FirmwareConfig::to_goal(goal);
-        firmware.pilot = self.firmware.pilot.clone();
-        firmware.detector = self.firmware.detector.clone();
-        let flight = vigil_tools::fly(&config, &firmware, self.attack.as_ref()).map_err(|e| format!("{e:#}"))?;
-        let record = flight.record;
-        Ok((
-            seed,
-            vigil_tools::campaign::outcome_name(record.outcome),
-            record.flight_time_s,
-            record.path_length_m,
-            record.closest_goal_m,
-            flight.attack.map_or(0, |attack| attack.attacked_steps),
-            flight.watch.and_then(|watch| watch.first_alarm_step),
-        ))
+/// A flight in wind of so many metres per second, with so much noise, from the ground or not.
+fn flown(
+    (family, seed): (Family, u64),
+    (wind_m_s, noise, ground): (f64, f32, bool),
+    common: &FirmwareConfig,
+    attack: Option<&Attack>,
+) -> Result<FlightRow, String> {
+    let mut config = SimConfig::new(generate(family, seed), seed);
+    config.lidar.range_noise_sigma_m *= noise;
+    config.lidar.dropout_probability = (config.lidar.dropout_probability * noise).min(1.0);
+    if wind_m_s > 0.0 {
+        config.wind = vigil_tools::campaign::wind(wind_m_s, seed);
     }
+    config.start = match ground {
+        true => Start::Ground,
+        false => Start::Airborne,
+    };
+    let goal = config.course.goal_ned_m();
+    let mut firmware = FirmwareConfig::to_goal(goal);
+    firmware.pilot = common.pilot.clone();
+    firmware.detector = common.detector.clone();
+    let flight = vigil_tools::fly(&config, &firmware, attack).map_err(|e| format!("{e:#}"))?;
+    let record = flight.record;
+    Ok((
+        seed,
+        vigil_tools::campaign::outcome_name(record.outcome),
+        record.flight_time_s,
+        record.path_length_m,
+        record.closest_goal_m,
+        flight.attack.map_or(0, |attack| attack.attacked_steps),
+        flight.watch.and_then(|watch| watch.first_alarm_step),
+    ))
 }
 
 /// Flies generated courses with the whole stack, some after the other on each thread; Ctrl-C ends it between flights.
@@ -98,21 +92,15 @@ pub fn fly(
         burst: burst.parse().map_err(refused)?,
         ..AttackArgs::default()
     };
-    let plan = Plan {
-        family: family.parse().map_err(refused)?,
-        wind_m_s: wind,
-        noise,
-        ground,
-        attack: attack.attack(actor.as_deref()).map_err(refused)?,
-        firmware,
-    };
+    let family: Family = family.parse().map_err(refused)?;
+    let attack = attack.attack(actor.as_deref()).map_err(refused)?;
     let threads = threads.max(1);
     let pool = thread_pool(threads).map_err(failed)?;
     let mut rows = Vec::with_capacity(seeds.len());
     for some in seeds.chunks(4 * threads) {
-        let flown: Result<Vec<FlightRow>, String> =
-            py.detach(|| pool.install(|| some.par_iter().map(|seed| plan.fly(*seed)).collect()));
-        rows.append(&mut flown.map_err(refused)?);
+        let fly = |seed: &u64| flown((family, *seed), (wind, noise, ground), &firmware, attack.as_ref());
+        let all: Result<Vec<FlightRow>, String> = py.detach(|| pool.install(|| some.par_iter().map(fly).collect()));
+        rows.append(&mut all.map_err(refused)?);
         py.check_signals()?;
     }
     Ok(rows)
