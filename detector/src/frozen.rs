@@ -9,8 +9,6 @@ use crate::{DeepShap, ShapError};
 use alloc::borrow::ToOwned;
 use alloc::string::{String, ToString};
 use alloc::vec::Vec;
-#[cfg(feature = "std")]
-use std::path::Path;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
 use vigil_policy::actor::{ACTOR_HIDDEN, GOAL_INPUTS, LOW_DIM, PositionalInputs};
@@ -209,11 +207,6 @@ impl FrozenDetector {
         contents
     }
 
-    /// The digest of the detector and its metadata.
-    pub fn sha256(&self) -> String {
-        self.contents().sha256()
-    }
-
     /// Checks what a file's reader would refuse.
     fn check(&self, file: &str) -> Result<(), FileError> {
         let refused = |message: &str| Err(KIND.content_error(file, message));
@@ -283,22 +276,6 @@ impl FrozenDetector {
         detector.check(file)?;
         Ok(detector)
     }
-
-    /// Reads and verifies a file.
-    ///
-    /// # Errors
-    /// [`FileError`].
-    #[cfg(feature = "std")]
-    pub fn load(path: &Path) -> Result<Self, FileError> {
-        Self::from_bytes(&path.display().to_string(), &KIND.load(path)?)
-    }
-
-    /// Writes a file beside and renames it, so that an earlier one survives a full disk.
-    ///
-    /// # Errors
-    /// [`FileError`].
-    #[cfg(feature = "std")]
-    pub fn save(&self, path: &Path) -> Result<(), FileError> {
-        KIND.save(path, &self.to_bytes()?)
-    }
 }
+
+vigil_nnet::stored_network!(FrozenDetector, KIND);

@@ -6,7 +6,6 @@ mod common;
 use common::{TestVehicle, config, watched_config};
 use divan::Bencher;
 use std::cell::RefCell;
-use std::fmt;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::pilots::Pilots;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
@@ -108,20 +107,8 @@ fn guided_by_the_actor(bencher: Bencher) {
 
 /// The same watched: with explanation against 30 states, LSTM-AD, and the recovery pilot beside the actor. On each instruction set
 /// that this processor has.
-#[divan::bench(sample_size = 1, sample_count = 2000, args = kernels())]
-fn guided_by_the_watched_actor(bencher: Bencher, kernels: &Kernels) {
+#[divan::bench(sample_size = 1, sample_count = 2000, args = Isa::available())]
+fn guided_by_the_watched_actor(bencher: Bencher, isa: Isa) {
     let folder = tempfile::tempdir().unwrap();
-    bench_with(bencher, &watched_config(folder.path()), true, kernels.0);
-}
-
-struct Kernels(Isa);
-
-impl fmt::Display for Kernels {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.0.name())
-    }
-}
-
-fn kernels() -> impl Iterator<Item = Kernels> {
-    Isa::available().map(Kernels)
+    bench_with(bencher, &watched_config(folder.path()), true, isa);
 }

@@ -10,6 +10,7 @@
 
 extern crate alloc;
 
+mod air;
 #[cfg(feature = "std")]
 mod alarms;
 #[cfg(feature = "std")]

@@ -7,7 +7,7 @@ use crate::live_loop::{self, recorder_config};
 use crate::lockstep::{self, LockstepFirmware};
 use crate::ports::gate::AllowUnsigned;
 use crate::reference;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -101,13 +101,13 @@ pub struct FirmwareArgs {
     #[arg(long, value_name = "DIR", help = help(&parameters::LOG))]
     log: Option<PathBuf>,
 
-    #[arg(long, value_name = "WHAT", requires = "log", value_parser = choice::<LogContent>(), help = help(&parameters::LOG_CONTENT))]
+    #[arg(long, value_name = "WHAT", value_parser = choice::<LogContent>(), help = help(&parameters::LOG_CONTENT))]
     log_content: Option<LogContent>,
 
     #[arg(long, value_name = "DIR", conflicts_with = "lockstep", help = help(&parameters::STATE))]
     state: Option<PathBuf>,
 
-    #[arg(long, value_name = "FILE", requires = "log", help = help(&parameters::SCENE))]
+    #[arg(long, value_name = "FILE", help = help(&parameters::SCENE))]
     scene: Option<PathBuf>,
 
     /// Answer a simulator in lockstep instead of running in real time; ends with its flight.
@@ -140,7 +140,7 @@ impl FirmwareArgs {
     /// The configuration: the file's, with the flags over it.
     ///
     /// # Errors
-    /// An unreadable or wrong configuration file, with file, line and field.
+    /// An unreadable or wrong configuration file, with file, line and field; what a log is to hold, without a log.
     pub fn resolve(&self) -> Result<FirmwareConfig> {
         let mut config = match &self.config {
             Some(path) => FirmwareConfig::load(path)?,
@@ -181,6 +181,10 @@ impl FirmwareArgs {
         config.log.directory = self.log.clone().or(config.log.directory);
         config.log.content = self.log_content.unwrap_or(config.log.content);
         config.log.scene = self.scene.clone().or(config.log.scene);
+        ensure!(
+            config.log.directory.is_some() || (self.log_content.is_none() && self.scene.is_none()),
+            "--log-content and --scene are of a log: give --log DIR"
+        );
         Ok(config)
     }
 }

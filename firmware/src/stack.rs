@@ -367,8 +367,12 @@ impl FlightStack {
         if !matches!(guidance.state, GuidanceState::Standby | GuidanceState::Ready) {
             let guided = guidance.state == GuidanceState::Guided;
             let reached = guidance.state == GuidanceState::Hold && guidance.reasons.contains(Reason::GoalReached);
+            let request = guarding.accompany(&input, guided, reached);
+            if request == VehicleRequest::Resume {
+                self.guidance.hands_back();
+            }
             return Guarded {
-                request: guarding.accompany(&input, guided, reached),
+                request,
                 ..Guarded::default()
             };
         }
@@ -402,6 +406,13 @@ impl FlightStack {
         let _ = self
             .guidance
             .reconfigure(self.tunables.guidance(self.guidance.config()));
+        if let (Some(guarding), Duty::Fly) = (&mut self.guarding, self.tunables.duty())
+            && before.duty() != Duty::Fly
+            && guarding.reset()
+        {
+            // The vehicle hovers where its detour was, and a person decides.
+            let _ = self.guidance.request(OperatorRequest::Disengage);
+        }
         if let (Some(monitor), Some(threshold)) = (&mut self.deciding.pilots.monitor, self.tunables.threshold) {
             monitor.set_threshold(threshold);
         }

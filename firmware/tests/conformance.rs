@@ -3,7 +3,7 @@
 mod common;
 
 use common::instance::Instance;
-use common::{PATIENCE, PseudoTerminal, TestVehicle, config};
+use common::{PATIENCE, PseudoTerminal, TestVehicle, VEHICLE, config, loopback};
 use rustix::io::ioctl_fionread;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
@@ -362,16 +362,9 @@ fn lockstep_in_two_processes_conforms() {
     }));
 }
 
-const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
-
 #[test]
 fn a_udp_link_conforms() {
-    let link = Gated::open(
-        &LinkUrl::UdpIn(([127, 0, 0, 1], 0).into()),
-        VEHICLE,
-        SigningGate::open(),
-    )
-    .unwrap();
+    let link = Gated::open(&LinkUrl::UdpIn(loopback()), VEHICLE, SigningGate::open()).unwrap();
     let vehicle = UdpSocket::bind("127.0.0.1:0").unwrap();
     vehicle.connect(link.local_address().unwrap()).unwrap();
     vehicle.set_nonblocking(true).unwrap();
@@ -390,12 +383,7 @@ fn tcp_end(socket: TcpStream) -> StreamEnd<TcpStream> {
 
 #[test]
 fn a_tcp_server_conforms() {
-    let link = Gated::open(
-        &LinkUrl::TcpIn(([127, 0, 0, 1], 0).into()),
-        VEHICLE,
-        SigningGate::open(),
-    )
-    .unwrap();
+    let link = Gated::open(&LinkUrl::TcpIn(loopback()), VEHICLE, SigningGate::open()).unwrap();
     let vehicle = TcpStream::connect(link.local_address().unwrap()).unwrap();
     suite(Live::new(2, link, tcp_end(vehicle)));
 }

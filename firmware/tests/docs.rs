@@ -1,28 +1,13 @@
 //! The references in the documentation are what the program takes: both come from the table of parameters.
 //! `UPDATE_DOCS=1 cargo test --release -p vigil-firmware --test docs` writes them.
 
+#[path = "../guidance/tests/common/page.rs"]
+mod page;
+
 use std::fmt::Write as _;
-use std::path::Path;
 use vigil_firmware::{FirmwareConfig, reference};
 use vigil_types::parameters::{ALL, Kind, SECTIONS};
 use vigil_types::settings::Value;
-
-fn page() -> (std::path::PathBuf, String) {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/firmware.md");
-    let text = std::fs::read_to_string(&path).unwrap();
-    (path, text)
-}
-
-/// The text between the markers of a section replaced.
-fn with_section(text: &str, section: &str, content: &str) -> String {
-    let (begin, end) = (
-        format!("<!-- {section}: generated -->\n"),
-        format!("<!-- {section}: end -->"),
-    );
-    let (head, rest) = text.split_once(&begin).unwrap();
-    let (_, tail) = rest.split_once(&end).unwrap();
-    format!("{head}{begin}{content}{end}{tail}")
-}
 
 fn mavlink_parameters() -> String {
     let mut out =
@@ -53,18 +38,10 @@ fn mavlink_parameters() -> String {
 
 #[test]
 fn the_page_holds_the_table_of_parameters() {
-    let (path, text) = page();
     let configuration = format!("```toml\n{}```\n", reference::configuration());
-    let expected = with_section(&text, "configuration", &configuration);
-    let expected = with_section(&expected, "parameters", &mavlink_parameters());
-    if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(&path, &expected).unwrap();
-        return;
-    }
-    assert!(
-        text == expected,
-        "docs/firmware.md differs from the table of parameters: UPDATE_DOCS=1 cargo test --release -p vigil-firmware --test docs"
-    );
+    let sections = [("configuration", configuration), ("parameters", mavlink_parameters())];
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/firmware.md");
+    page::holds(path, &sections, "-p vigil-firmware --test docs");
 }
 
 #[test]

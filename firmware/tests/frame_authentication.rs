@@ -3,16 +3,12 @@
 
 mod common;
 
-use common::{TestVehicle, config};
+use common::{Flight, SENSOR_ID, TestVehicle, config};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use vigil_firmware::{LockstepFirmware, replay};
 use vigil_log::{Reader, Recorder, RecorderConfig};
-use vigil_types::{
-    Datagrams, DepthFrame, FrameKey, FrameKeys, GuidanceState, Nanos, Reason, Reasons, STEP_NS, StepReport,
-};
-
-const SENSOR_ID: u32 = 1;
+use vigil_types::{DepthFrame, FrameKey, FrameKeys, GuidanceState, Reason, Reasons};
 
 fn key(secret: u8) -> FrameKey {
     FrameKey::new(&[secret; 32], SENSOR_ID, b"this boot")
@@ -25,65 +21,22 @@ fn only(secret: u8) -> FrameKeys {
     }
 }
 
-/// Vehicle and firmware in step. The driver has the key of secret 1 unless a test exchanges it.
-struct Flight {
-    vehicle: TestVehicle,
-    firmware: LockstepFirmware,
-    driver: FrameKey,
-    now_ns: Nanos,
-    last: StepReport,
-    sent: Datagrams,
-}
-
 impl Flight {
-    fn of(mut firmware: LockstepFirmware) -> Self {
+    /// A guided flight. The driver has the key of secret 1 unless a test exchanges it.
+    fn authenticated(mut firmware: LockstepFirmware) -> Self {
         firmware.require_frame_keys(only(1));
-        let mut flight = Self {
-            vehicle: TestVehicle::hovering(2.5),
-            firmware,
-            driver: key(1),
-            now_ns: 1_000_000_000,
-            last: StepReport::default(),
-            sent: Datagrams::default(),
-        };
-        flight.run_until(GuidanceState::Guided);
+        let mut flight = Self::of(TestVehicle::hovering(2.5), firmware);
+        flight.driver = Some(key(1));
+        flight.until_guided();
         flight
     }
 
     fn guided() -> Self {
-        Self::of(LockstepFirmware::new(&config()).unwrap())
+        Self::authenticated(LockstepFirmware::new(&config()).unwrap())
     }
 
-    /// A frame of the driver, which somebody alters on its way.
-    fn step_altered(&mut self, alter: impl FnOnce(&mut DepthFrame)) -> StepReport {
-        let mut frame = self.vehicle.frame(self.now_ns);
-        frame.authenticate(&self.driver);
-        alter(&mut frame);
-        self.step_with(&frame)
-    }
-
-    fn step_with(&mut self, frame: &DepthFrame) -> StepReport {
-        let telemetry = self.vehicle.telemetry();
-        self.last = *self.firmware.step(self.now_ns, Some(frame), &telemetry, &mut self.sent);
-        for (_, datagram) in self.sent.iter() {
-            self.vehicle.hear(datagram);
-        }
-        self.vehicle.advance();
-        self.now_ns += STEP_NS;
-        self.last
-    }
-
-    fn step(&mut self) -> StepReport {
-        self.step_altered(|_| {})
-    }
-
-    fn run_until(&mut self, state: GuidanceState) {
-        for _ in 0..200 {
-            if self.step().state == state {
-                return;
-            }
-        }
-        panic!("not {state:?} within 10 s: {:?}", self.last);
+    fn until_guided(&mut self) {
+        self.until(GuidanceState::Guided, 10.0);
     }
 
     fn stopped_by(&mut self, alter: impl FnOnce(&mut DepthFrame)) {
@@ -107,7 +60,7 @@ fn an_altered_frame_with_a_right_checksum_stops_the_vehicle_by_name_and_true_one
         frame.depth[9_999] = 0.07;
         frame.seal();
     });
-    flight.run_until(GuidanceState::Guided);
+    flight.until_guided();
     assert_eq!(flight.last.frames_refused, 1);
 }
 
@@ -115,21 +68,16 @@ fn an_altered_frame_with_a_right_checksum_stops_the_vehicle_by_name_and_true_one
 fn a_publisher_without_the_key_or_with_another_never_gets_the_vehicle_off_its_place() {
     let mut firmware = LockstepFirmware::new(&config()).unwrap();
     firmware.require_frame_keys(only(1));
-    let mut vehicle = TestVehicle::hovering(2.5);
-    let mut sent = Datagrams::default();
+    let mut flight = Flight::of(TestVehicle::hovering(2.5), firmware);
     for step in 0..60 {
-        let mut frame = vehicle.frame(step * STEP_NS);
-        if step % 2 == 0 {
-            frame.authenticate(&key(2));
-        }
-        let report = *firmware.step(step * STEP_NS, Some(&frame), &vehicle.telemetry(), &mut sent);
+        flight.driver = (step % 2 == 0).then(|| key(2));
+        let report = flight.step();
         assert_eq!(report.state, GuidanceState::Standby);
         assert!(
             report.reasons.contains(Reason::UnauthenticatedFrame),
             "{:?}",
             report.reasons
         );
-        vehicle.advance();
     }
 }
 
@@ -140,12 +88,13 @@ fn frames_that_were_kept_do_not_fly_the_vehicle_again() {
     kept.authenticate(&key(1));
     flight.step();
     // In the same boot: its stamp is not newer.
-    let report = flight.step_with(&kept);
+    let telemetry = flight.vehicle.telemetry();
+    let report = flight.step_with(Some(&kept), &telemetry);
     assert_eq!(
         (report.state, report.reasons),
         (GuidanceState::Hold, Reasons::of(Reason::BadFrame))
     );
-    flight.run_until(GuidanceState::Guided);
+    flight.until_guided();
     // With its stamp set right: the tag covers the stamp.
     let now_ns = flight.now_ns;
     flight.stopped_by(|frame| {
@@ -154,7 +103,7 @@ fn frames_that_were_kept_do_not_fly_the_vehicle_again() {
         frame.seal();
     });
     // Of another boot, with a stamp that fits.
-    flight.run_until(GuidanceState::Guided);
+    flight.until_guided();
     flight.stopped_by(|frame| frame.authenticate(&FrameKey::new(&[1; 32], SENSOR_ID, b"the boot before")));
 }
 
@@ -166,14 +115,14 @@ fn a_key_is_exchanged_in_flight_without_a_hold() {
         other: Some(key(1)),
     });
     for driver in [1, 2] {
-        flight.driver = key(driver);
+        flight.driver = Some(key(driver));
         for _ in 0..20 {
             assert_eq!(flight.step().state, GuidanceState::Guided);
         }
     }
     flight.firmware.require_frame_keys(only(2));
     assert_eq!(flight.step().state, GuidanceState::Guided);
-    flight.driver = key(1);
+    flight.driver = Some(key(1));
     flight.stopped_by(|_| {});
 }
 
@@ -184,7 +133,7 @@ fn a_flight_with_forged_frames_is_replayed_to_the_byte_by_somebody_without_the_k
     let recorder = Recorder::start(RecorderConfig::lossless(&path, config().flight_info())).unwrap();
     let mut firmware = LockstepFirmware::new(&config()).unwrap();
     firmware.record(recorder);
-    let mut flight = Flight::of(firmware);
+    let mut flight = Flight::authenticated(firmware);
     for step in 0..60 {
         flight.step_altered(|frame| {
             if step % 20 == 7 {

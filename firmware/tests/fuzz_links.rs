@@ -3,9 +3,9 @@
 
 mod common;
 
-use common::{PseudoTerminal, Random};
+use common::{PseudoTerminal, Random, loopback};
 use std::io::{ErrorKind, Write};
-use std::net::{SocketAddr, TcpStream, UdpSocket};
+use std::net::{TcpStream, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
@@ -172,10 +172,6 @@ fn gate(has_key: bool) -> SigningGate {
         true => SigningGate::new(Some(signing), AllowUnsigned::Never).with_clock(|| NOW),
         false => SigningGate::open(),
     }
-}
-
-fn loopback() -> SocketAddr {
-    ([127, 0, 0, 1], 0).into()
 }
 
 #[test]

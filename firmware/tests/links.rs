@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::PseudoTerminal;
+use common::{PseudoTerminal, SECOND, VEHICLE, heard, loopback};
 use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{TcpListener, TcpStream};
 use std::os::unix::fs::symlink;
 use std::time::Duration;
 use vigil_firmware::link_url::LinkUrl;
@@ -17,13 +17,6 @@ use vigil_mavlink::framing::{FramingCounters, StreamFramer, encode};
 use vigil_mavlink::message;
 use vigil_types::{Datagrams, Nanos};
 
-const SECOND: Nanos = 1_000_000_000;
-const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
-
-fn loopback() -> SocketAddr {
-    ([127, 0, 0, 1], 0).into()
-}
-
 fn packet(sequence: u8) -> Vec<u8> {
     let message = message!(
         HEARTBEAT,
@@ -31,12 +24,6 @@ fn packet(sequence: u8) -> Vec<u8> {
         mavlink_version = 3
     );
     encode((1, 1), sequence, &message)
-}
-
-fn heard(link: &mut impl Link, now_ns: Nanos) -> Vec<Vec<u8>> {
-    let mut received = Datagrams::default();
-    link.receive(now_ns, &mut received);
-    received.iter().map(|(_, datagram)| datagram.to_vec()).collect()
 }
 
 /// What is heard once something is; the turns only bridge the system's own pace.

@@ -2,12 +2,12 @@
 
 mod common;
 
-use common::{TestVehicle, config, undecided_detector, watched_config};
+use common::{Flight, TestVehicle, config, undecided_detector, watched_config};
 use std::path::{Path, PathBuf};
 use vigil_firmware::replay::{ReplayError, ReplayReport};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware, replay};
 use vigil_log::{FlightInfo, LogEnd, LogPlace, Reader, Recorder, RecorderConfig, TickRecord};
-use vigil_types::{AlarmResponse, Datagrams, GuidanceState, STEP_NS};
+use vigil_types::{AlarmResponse, Datagrams, GuidanceState};
 
 const STEPS: u64 = 240;
 
@@ -24,25 +24,19 @@ fn record_flight(folder: &Path, config: &FirmwareConfig) -> PathBuf {
     let path = folder.join("flight.mcap");
     let mut firmware = LockstepFirmware::new(config).unwrap();
     firmware.record(recorder(&path, config.flight_info()));
-    let mut vehicle = TestVehicle::hovering(2.5);
-    let mut sent = Datagrams::default();
+    let mut flight = Flight::of(TestVehicle::hovering(2.5), firmware);
+    flight.now_ns = 0;
     let mut guided = false;
     for step in 0..STEPS {
-        let now_ns = step * STEP_NS;
-        let mut frame = vehicle.frame(now_ns);
+        let (mut frame, telemetry) = (flight.vehicle.frame(flight.now_ns), flight.vehicle.telemetry());
         if step == 100 {
             frame.depth[77] = f32::NAN;
         }
-        let telemetry = vehicle.telemetry();
-        let report = firmware.step(now_ns, (step % 3 != 0).then_some(&frame), &telemetry, &mut sent);
+        let report = flight.step_with((step % 3 != 0).then_some(&frame), &telemetry);
         guided |= report.state == GuidanceState::Guided;
-        for (_, datagram) in sent.iter() {
-            vehicle.hear(datagram);
-        }
-        vehicle.advance();
     }
     assert!(guided, "the record is of a flight");
-    let summary = firmware.finish().unwrap();
+    let summary = flight.firmware.finish().unwrap();
     assert_eq!((summary.records, summary.dropped, summary.failure), (STEPS, 0, None));
     path
 }

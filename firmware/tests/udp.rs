@@ -1,5 +1,8 @@
 //! The vehicle's link over UDP: who is heard, who is answered.
 
+mod common;
+
+use common::{SECOND, VEHICLE, heard, loopback};
 use std::net::{SocketAddr, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
@@ -7,15 +10,7 @@ use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::links::{Gated, PeerRule};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavMessage, MavType};
 use vigil_mavlink::framing::encode as packet;
-use vigil_types::{Datagrams, Nanos};
-
-const SECOND: Nanos = 1_000_000_000;
-
-fn loopback() -> SocketAddr {
-    ([127, 0, 0, 1], 0).into()
-}
-
-const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
+use vigil_types::Datagrams;
 
 fn listening() -> Gated {
     Gated::open(&LinkUrl::UdpIn(loopback()), VEHICLE, SigningGate::open()).unwrap()
@@ -42,12 +37,6 @@ fn caller(link: &Gated) -> UdpSocket {
     socket.connect(link.local_address().unwrap()).unwrap();
     socket.set_nonblocking(true).unwrap();
     socket
-}
-
-fn heard(link: &mut Gated, now_ns: Nanos) -> Vec<Vec<u8>> {
-    let mut received = Datagrams::default();
-    link.receive(now_ns, &mut received);
-    received.iter().map(|(_, datagram)| datagram.to_vec()).collect()
 }
 
 fn say(link: &mut Gated, datagram: &[u8]) {

@@ -27,9 +27,6 @@ mod depth_sensor;
 pub mod environment;
 pub mod foreign;
 pub mod lockstep_flight;
-#[cfg(test)]
-#[path = "../tests/stories/packet.rs"]
-mod packet;
 pub mod program;
 mod saved_state;
 mod sensor_fault;

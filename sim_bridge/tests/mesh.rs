@@ -89,6 +89,9 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
     let folder = folder();
     let write = |name: &str, content: &[u8]| std::fs::write(folder.path().join(name), content).expect("written");
     write("m.stl", &stl());
+    // No UTF-8, and a line of several points, which is no face.
+    let latin = [&b"# caf\xe9\no Geb\xe4ude\n"[..], obj(1.0).as_bytes(), b"l 1 2 3\n"].concat();
+    write("latin.obj", &latin);
     write("y.obj", b"v 1 0 -5\nv 2 0 -5\nv 2 3 -5\nv 1 3 -5\nf 1 2 3 4\n");
     let (text, buffer) = gltf();
     let data = base64::engine::general_purpose::STANDARD.encode(&buffer);
@@ -96,8 +99,8 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
         "m.gltf",
         gltf_at(&format!("data:application/octet-stream;base64,{data}")).as_bytes(),
     );
-    write("beside.gltf", gltf_at("its%20data.bin").as_bytes());
-    write("its data.bin", &buffer);
+    write("beside.gltf", gltf_at("its%20d%C3%a4ta%.bin").as_bytes());
+    write("its däta%.bin", &buffer);
     write("m.GLB", &glb(&text, &buffer));
     for (n, [from, to]) in OTHER_WAYS.iter().enumerate() {
         write(&format!("{n}.glb"), &glb(&text.replace(from, to), &buffer));
@@ -109,6 +112,7 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
         "file = \"m.GLB\"",
         "file = \"m.obj\"",
         "file = \"mm.obj\"\nunit_m = 0.001",
+        "file = \"latin.obj\"",
         "file = \"m.stl\"",
         "file = \"y.obj\"\nup = \"y\"",
         // Turned to the right, what was 5 m north is 5 m east, and moved back.
@@ -131,6 +135,33 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
 }
 
 #[test]
+fn a_text_stl_is_read_whole_however_many_solids_it_has_and_however_they_are_spelt() {
+    let folder = folder();
+    let [a, b] = FACES.map(|face| {
+        let corners = face.map(|n| format!("vertex {}\n", POST[n].map(|x| x.to_string()).join(" ")));
+        let corners = corners.concat();
+        format!("facet normal 0 0 0\nouter loop\n{corners}endloop\nendfacet\n")
+    });
+    for text in [
+        format!("solid a\n{a}endsolid a\nsolid b\n{b}endsolid b\n"),
+        format!("solid b\n{b}endsolid b\n\nsolid a\n{a}endsolid a"),
+        format!("  solid\n{a}{b}endsolid\n"),
+        format!("solid a\n{a}{b}endsolid a\n").to_uppercase(),
+    ] {
+        std::fs::write(folder.path().join("text.stl"), &text).expect("written");
+        let course = course(folder.path(), "file = \"text.stl\"").unwrap_or_else(|e| panic!("{text}: {e}"));
+        assert_eq!(course.meshes[0].triangles_and_open_edges(), Some((2, 4)), "{text}");
+    }
+}
+
+#[test]
+fn a_triangle_that_is_a_line_neither_opens_nor_closes_an_edge() {
+    let [a, b, c] = [[1.0, -1.0], [2.0, -1.0], [1.0, -2.0]].map(|[east_m, z]| NedVector::new(5.0, east_m, z));
+    let mesh = Mesh::of_triangles(&[[a, b, c], [a, b, b]]).expect("a mesh");
+    assert_eq!(mesh.triangles_and_open_edges(), Some((1, 3)));
+}
+
+#[test]
 fn what_cannot_be_used_is_refused_with_a_sentence() {
     let folder = folder();
     let write = |name: &str, content: &[u8]| std::fs::write(folder.path().join(name), content).expect("written");
@@ -138,7 +169,14 @@ fn what_cannot_be_used_is_refused_with_a_sentence() {
     write("nan.obj", obj(1.0).replace("v 2 5 3", "v 2 nan 3").as_bytes());
     write("prose.stl", b"this is not a mesh at all");
     write("cut.stl", &stl()[..120]);
+    write("open.stl", b"solid a\nfacet normal 0 0 1\n");
     write("m.ply", b"ply");
+    write("far.obj", obj(1.0).replace("v ", "v 50000").as_bytes());
+    // A ramp that the start is on, 2 cm high there.
+    write("ramp.obj", b"v -1 -1 0.01\nv 1 -1 0.01\nv 0 15 0.1\nf 1 2 3\n");
+    // A wall with a door, as one face.
+    let door = "v 1 5 0\nv 2 5 0\nv 2 5 2\nv 3 5 2\nv 3 5 0\nv 4 5 0\nv 4 5 3\nv 1 5 3\nf 1 2 3 4 5 6 7 8\n";
+    write("door.obj", door.as_bytes());
     let mut many = b"v 1 5 0\nv 2 5 0\nv 2 5 3\n".to_vec();
     many.extend(b"f 1 2 3\n".repeat(1_000_001));
     write("many.obj", &many);
@@ -151,6 +189,10 @@ fn what_cannot_be_used_is_refused_with_a_sentence() {
         file = "m.ply" => m.ply is no mesh by its name; one that is read ends in .obj, .stl, .gltf or .glb
         file = "prose.stl" => prose.stl is not a mesh that can be read
         file = "cut.stl" => cut.stl is not a mesh that can be read
+        file = "open.stl" => open.stl is not a mesh that can be read (it is cut off); export it again
+        file = "door.obj" => (it has a face of 8 corners that is not convex: triangulate its faces)
+        file = "far.obj" => far.obj lies 500002 m from its file's origin; export it about its own middle
+        file = "ramp.obj" => is nearer to the start at [0, 0] than the vehicle's radius
         file = "points.obj" => points.obj has no triangles; export its faces
         file = "m.obj"|height_m = -4.0 => m.obj has no triangles above the ground; raise it
         file = "nan.obj" => nan.obj has a corner that is not a number, of triangle 1;
@@ -167,7 +209,7 @@ fn what_cannot_be_used_is_refused_with_a_sentence() {
         .lines()
         .filter_map(|case| case.trim().split_once(" => "))
         .collect();
-    assert_eq!(cases.len(), 15);
+    assert_eq!(cases.len(), 19);
     for (entry, expected) in cases {
         let error = course(folder.path(), &entry.replace('|', "\n"))
             .expect_err(entry)

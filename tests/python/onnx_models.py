@@ -112,7 +112,9 @@ def batch_norm_before_and_after_curves():
     x = norm(b, b.Relu(b.conv(x, 6, 4, 3)), 4)
     x = norm(b, b.gemm(b.Flatten(x), 4 * 16 * 24, 10), 10)
     x = norm(b, b.Tanh(x), 10)
-    return b.model(b.gemm(x, 10, 2))
+    row = np.array([0.5, 2.0], np.float32)
+    several_rows = b.BatchNormalization(b.Reshape(x, np.array([5, 2])), row, row, row, row)
+    return b.model(b.gemm(b.Reshape(several_rows, np.array([1, 10])), 10, 2))
 
 
 def products_and_sums():
@@ -139,7 +141,9 @@ def recurrent(operator, gates):
     b = Build(frame=[1, 1, 8, 16])
     x = b.Reshape("frame", np.array([8, 1, 16]))
     hidden = 12
-    more = {"linear_before_reset": 1} if operator == "GRU" else {}
+    more = {"activations": ["Sigmoid", "Tanh", "Tanh"]}
+    if operator == "GRU":
+        more = {"activations": ["Sigmoid", "Tanh"], "linear_before_reset": 1}
     w = b.weights(1, gates * hidden, 16)
     r = b.weights(1, gates * hidden, hidden, gain=4.0)
     call = getattr(b, operator)
@@ -191,6 +195,8 @@ def batches_of_any_size():
     x = b.Relu(b.conv("frame", 1, 3, 3, pads=[1] * 4))
     size = b.Unsqueeze(b.Gather(b.Shape(x), np.array(0), axis=0), np.array([0]))
     x = b.Reshape(x, b.Concat(size, np.array([-1]), axis=0))
+    # As PyTorch's default exporter asks for the batch, and for the last size.
+    x = b.Reshape(x, b.Concat(b.Shape(x, start=0, end=1), b.Shape(x, start=-1), axis=0))
     x = b.Identity(b.Cast(x, to=TensorProto.FLOAT))
     return b.model(b.gemm(x, 3 * 12 * 16, 2))
 
@@ -465,6 +471,7 @@ def refused():
         return b.model(make(b))
 
     flat = lambda b: b.Flatten("frame")  # noqa: E731
+    columns = lambda b, gates: (b.Reshape("frame", np.array([8, 1, 8])), b.weights(1, gates, 8), b.weights(1, gates, 1))  # noqa: E731
     nan = np.full((64, 2), np.nan, np.float32)
     two_pieces = lambda b, x, from_: b.Where(b.Greater(x, np.float32(from_)), x, b.Softplus(x))  # noqa: E731
     cases = {
@@ -493,6 +500,14 @@ def refused():
                 direction="bidirectional",
                 linear_before_reset=1,
             )
+        ),
+        "input_forget = 1 is not supported": one(lambda b: b.LSTM(*columns(b, 4), hidden_size=1, input_forget=1)),
+        "other activations": one(
+            lambda b: b.GRU(*columns(b, 3), hidden_size=1, linear_before_reset=1, activations=["Sigmoid", "Relu"])
+        ),
+        "auto_pad = SAME_UPPER": one(lambda b: b.MaxPool("frame", kernel_shape=[8, 8], auto_pad="SAME_UPPER")),
+        "(GlobalAveragePool): it has 33554464 parameters": one(
+            lambda b: b.Add(b.GlobalAveragePool("frame"), b.GlobalAveragePool("frame")), (1, 16, 256, 256)
         ),
         "name the action's with --action": (lambda b: b.model(b.gemm(flat(b), 64, 2), flat(b)))(Build(frame=[1, 1, 8, 8])),
         "depends on no frame": (lambda b: b.model(b.gemm("goal", 2, 2)))(Build(goal=[1, 2], frame=[1, 1, 8, 8])),

@@ -215,11 +215,16 @@ class Field:
     count: int = 1
 
 
+def header_at(sec, frame_id="os_lidar"):
+    """std_msgs/Header."""
+    return SimpleNamespace(frame_id=frame_id, stamp=SimpleNamespace(sec=sec, nanosec=0))
+
+
 def cloud_of(array, fields, frame_id="os_lidar", **declared):
     """sensor_msgs/PointCloud2 of a structured array of one row, or several."""
     rows = np.atleast_2d(array)
     layout = {
-        "header": SimpleNamespace(frame_id=frame_id, stamp=SimpleNamespace(sec=0, nanosec=0)),
+        "header": header_at(0, frame_id),
         "height": rows.shape[0],
         "width": rows.shape[1],
         "fields": fields,
@@ -337,6 +342,7 @@ def test_the_ros_node_publishes_what_it_can_read_and_says_why_where_it_publishes
         (cloud_of(usual[:0], fields_of(usual)), "not one point"),
         (cloud_of(usual[-1:], fields_of(usual)), "no free space"),
         (cloud_of(wall_of_points(scale=1000.0), fields_of(usual)), "divide by 1000"),
+        (cloud_of(usual, fields_of(usual), header=header_at(2)), "odometry is 2.000 s from the cloud's stamp"),
     ]
     published, said = [], []
     parameters = {"library": str(Path(VIGIL).with_name("examples") / "libvigil_depth.so"), "instance": INSTANCE, "restamp": True}
@@ -362,7 +368,7 @@ def test_the_ros_node_publishes_what_it_can_read_and_says_why_where_it_publishes
         place, turn = SimpleNamespace(x=0.0, y=0.0, z=1.5), SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
         for quaternion in (SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0), turn):
             pose = SimpleNamespace(position=place, orientation=quaternion)
-            node.heard["odometry"](SimpleNamespace(pose=SimpleNamespace(pose=pose)))
+            node.heard["odometry"](SimpleNamespace(header=header_at(0), pose=SimpleNamespace(pose=pose)))
             if quaternion is not turn:
                 node.heard["points"](clouds[0][0])
                 assert "unit length" in said.pop() and not published
@@ -402,3 +408,8 @@ def test_the_ros_bridge_turns_poses_and_stamps_into_ours_and_refuses_another_clo
     assert depth_bridge.monotonic_of(5_000_000_000, 5_010_000_000, 90_000_000_000) == 89_990_000_000
     with pytest.raises(ValueError, match="synchronise the clocks"):
         depth_bridge.monotonic_of(0, 5_000_000_000, 90_000_000_000)
+    # A frame has the pose of its own moment, and none of one for which no pose was reported.
+    poses = [(0, "then"), (40_000_000, "now")]
+    assert depth_bridge.pose_at(poses, 10_000_000) == "then" and depth_bridge.pose_at(poses, 90_000_000) == "now"
+    with pytest.raises(ValueError, match="the nearest odometry is 0.160 s from the cloud's stamp"):
+        depth_bridge.pose_at(poses, 200_000_000)

@@ -108,6 +108,9 @@ def test_any_log_is_decoded_by_the_schemas_it_carries(any_path):
     for _, pose in topics["/pose"]:
         q = pose.pose.orientation
         assert math.isclose(q.w**2 + q.x**2 + q.y**2 + q.z**2, 1, abs_tol=0.05)
+    # Also of what the simulation or a replay added.
+    for message, decoded in (pair for pairs in topics.values() for pair in pairs):
+        assert not hasattr(decoded, "timestamp") or decoded.timestamp.ToNanoseconds() == message.log_time
 
 
 def test_any_tlog_holds_the_packets_of_the_log(any_path):
@@ -364,6 +367,22 @@ def test_the_view_in_rerun_draws_the_whole_flight_of_any_log(any_path, view):
     half = view.Show()
     assert view.read(short, half) is not None
     assert "/status" in half.seen
+
+
+def test_the_view_in_rerun_shows_a_damaged_log_up_to_the_damage(sample_path, view):
+    damaged = bytearray(sample_path.read_bytes())
+    damaged[len(damaged) // 2] ^= 0x10
+    show = view.Show()
+    assert view.read(io.BytesIO(damaged), show)
+    assert "/status" in show.seen
+
+
+def test_of_several_logs_in_a_folder_the_newest_is_followed(view, tmp_path):
+    for name, modified_s in (("flight-0001", 1), ("flight-0003", 3), ("flight-0002", 2)):
+        log = tmp_path / f"{name}.mcap"
+        log.touch()
+        os.utime(log, (modified_s, modified_s))
+    assert view.wait_for(tmp_path).name == "flight-0003.mcap"
 
 
 def test_a_log_that_lacks_a_channel_leaves_its_part_of_the_view_empty_and_that_is_noticed(any_path, view):

@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Output;
-use vigil_tests::{ended, json, refused, run, succeed, text};
+use vigil_tests::{ended, has, json, refused, run, succeed, text};
 
 /// Short flights in the wind.
 const FLIGHTS: [&str; 10] = [
@@ -132,9 +132,20 @@ fn a_killed_campaign_goes_on_with_every_flight_that_had_ended() {
     assert!(words.contains("2 of 4 flights are there already"), "{words}");
     same(&one, &killed, &["json", "jsonl"]);
     // More flights of the same campaign, some of which are there.
-    let words = flown("3", "5", &killed, &["--resume"]);
-    assert!(words.contains("4 of 5 flights are there already"), "{words}");
+    let pictures = folder.path().join("pictures");
+    let words = flown("3", "5", &killed, &["--resume", "--draw-failures", text(&pictures)]);
+    has(
+        &words,
+        &[
+            "4 of 5 flights are there already",
+            "--draw-failures have the others only",
+        ],
+    );
     let before = bytes(&killed.with_extension("jsonl"));
+    // What the first flight would be refused for is found before earlier flights make room.
+    let hard = ["evaluate", "--family=hard", "--goal-distance=30", "-o", text(&killed)];
+    refused(&run(&hard), &["cannot be made longer"]);
+    assert!(bytes(&killed.with_extension("jsonl")) == before);
     refused(
         &fly("3", "5", &killed, &["--resume", "--still"]),
         &["still was false, and is true"],
@@ -158,6 +169,14 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
         &file("faults.json"),
     ));
     same(&file("fault.json"), &file("faults.json"), &["json", "jsonl"]);
+    // A report of that name would take the place of the flights beside it.
+    let own = file("fault-1.jsonl");
+    let before = bytes(&own);
+    refused(
+        &merge(&[&own, &file("fault-2.jsonl")], &own),
+        &["give it another ending"],
+    );
+    assert!(bytes(&own) == before);
     let report = json(&file("faults.json"));
     assert_eq!(report["second_sensor_heads"], 1);
 

@@ -2,6 +2,8 @@
 
 use rustix::process::Signal;
 use std::net::UdpSocket;
+use std::process::Stdio;
+use vigil_log::{FlightInfo, Recorder, RecorderConfig};
 use vigil_tests::{Running, ended, has, json, only_log, processes_of, refused, run, run_line, said, succeed, text};
 
 #[test]
@@ -216,14 +218,67 @@ fn a_reader_that_has_gone_is_no_fault_and_a_full_one_is() {
 
 #[test]
 fn a_report_on_standard_output_is_json_alone() {
-    let told = run(&["evaluate", "--flights", "1", "--pilot", "geometric", "--json", "-"]);
-    succeed(&told);
-    let report: serde_json::Value = serde_json::from_slice(&told.stdout).expect("JSON alone");
-    assert_eq!(report["interrupted"], false);
-    assert!(
-        String::from_utf8_lossy(&told.stderr).contains("outcome"),
-        "the table is for people"
-    );
+    for name in ["-", "/dev/stdout"] {
+        let flown = run(&["evaluate", "--flights", "1", "--pilot", "geometric", "--json", name]);
+        succeed(&flown);
+        let report: serde_json::Value = serde_json::from_slice(&flown.stdout).expect("JSON alone");
+        assert_eq!(report["interrupted"], false);
+        assert!(
+            String::from_utf8_lossy(&flown.stderr).contains("outcome"),
+            "the table is for people"
+        );
+    }
+    // Into a file that is appended to: what stands there stays.
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("kept");
+    std::fs::write(&file, "earlier\n").expect("written");
+    let appended = vigil_tests::program()
+        .args(["courses", "write", "--seed", "7", "-o", "/dev/stdout"])
+        .stdout(std::fs::File::options().append(true).open(&file).expect("a file"))
+        .output();
+    assert_eq!(succeed(&appended.expect("vigil starts")), "");
+    let kept = std::fs::read_to_string(&file).expect("text");
+    assert!(kept.starts_with("earlier\nname = "), "{kept}");
+}
+
+#[test]
+fn a_folder_in_the_place_of_a_file_is_refused_before_a_flight() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for name in [text(folder.path()), &format!("{}/new/", folder.path().display())] {
+        refused(&run(&["evaluate", "-o", name]), &["is a folder: name a file"]);
+    }
+}
+
+#[test]
+fn what_is_made_of_a_log_does_not_take_its_place_and_without_a_step_nothing_is_made() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("empty.mcap");
+    let empty = Recorder::start(RecorderConfig::lossless(&log, FlightInfo::default())).expect("a new log");
+    assert_eq!(empty.finish().failure, None);
+    let (name, before) = (text(&log), std::fs::read(&log).expect("a log"));
+    for (arguments, words) in [
+        (&["log", "report", name, "-o", name][..], "is the log itself"),
+        (&["log", "ulg", name, "-o", name], "is the log itself"),
+        (&["view", name, "--save", name], "is the log itself"),
+        (&["view", name, "--save", "-"], "a recording is a file"),
+        (&["log", "ulg", name], "holds no whole step"),
+        (&["replay", name], "holds no step"),
+    ] {
+        refused(&run(arguments), &[words]);
+    }
+    assert!(std::fs::read(&log).expect("a log") == before);
+}
+
+#[test]
+fn what_a_log_holds_can_be_chosen_where_the_configuration_names_its_folder() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let config = folder.path().join("log.toml");
+    std::fs::write(&config, format!("[log]\ndirectory = {:?}\n", folder.path())).expect("written");
+    // Refused for the detector, if not for the log.
+    let light = "firmware --instance 96 --log-content light --pilot geometric --detector on";
+    refused(&run_line(light), &["give --log DIR"]);
+    let named = run_line(&format!("{light} --config {}", text(&config)));
+    refused(&named, &["it watches the actor only"]);
 }
 
 #[test]
@@ -292,26 +347,18 @@ fn a_state_that_is_refused_is_named_with_file_and_line() {
 
 #[test]
 fn simulator_and_firmware_say_at_start_what_they_are_and_how_they_end() {
-    let told = |arguments: &[&str], words: &[&str]| {
-        let mut process = vigil_tests::program()
-            .args(arguments)
-            .stdout(std::process::Stdio::null())
-            .stderr(std::process::Stdio::piped())
-            .spawn()
-            .expect("vigil starts");
-        let lines = std::io::BufRead::lines(std::io::BufReader::new(process.stderr.take().expect("it is piped")));
+    let says = |arguments: &[&str], words: &[&str]| {
+        let mut process = Running::start_saying(arguments, Stdio::piped());
         let mut heard = String::new();
-        for line in lines.map_while(Result::ok) {
-            heard += &(line + "\n");
-            if heard.contains("\nend ") {
-                break;
-            }
-        }
-        rustix::process::kill_process(rustix::process::Pid::from_child(&process), Signal::TERM).expect("it runs");
-        assert_eq!(process.wait().expect("it ends").code(), Some(0), "{heard}");
+        process.wait_for("how it ends", |line| {
+            heard += line;
+            line.starts_with("end ").then_some(())
+        });
+        process.signal(Signal::TERM);
+        assert_eq!(process.wait(), Some(0), "{heard}");
         has(&heard, words);
     };
-    told(
+    says(
         &["sim", "--instance", "93", "--seed", "5"],
         &[
             "14373",
@@ -336,9 +383,9 @@ fn simulator_and_firmware_say_at_start_what_they_are_and_how_they_end() {
         "the detector (built in) and the guard watch it",
         "recover",
     ];
-    told(&["firmware", "--instance", "93"], &[&start[..], &watched[..]].concat());
+    says(&["firmware", "--instance", "93"], &[&start[..], &watched[..]].concat());
     let geometric = ["the geometric pilot; nothing watches it"];
-    told(&["firmware", "--instance", "93", "--pilot", "geometric"], &geometric);
+    says(&["firmware", "--instance", "93", "--pilot", "geometric"], &geometric);
 }
 
 #[test]

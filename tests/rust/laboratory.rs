@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use std::process::Command;
-use vigil_tests::{ended, refused, run, succeed, text, vigil};
+use vigil_tests::{ended, refused, root, run, run_line, succeed, text, vigil};
 
 /// `vigil` alone in a folder, without the laboratory.
 fn flight_tier_alone(folder: &Path) -> std::path::PathBuf {
@@ -17,6 +17,8 @@ fn flight_tier_alone(folder: &Path) -> std::path::PathBuf {
 fn the_laboratory_is_started_where_it_is_built_and_otherwise_told_how_to_build_it() {
     let handed_on = run(&["detector", "evaluate", "--help"]);
     ended(&handed_on, 0, &["Usage: vigil detector evaluate"]);
+    let help = run(&["help", "attack", "completion"]);
+    ended(&help, 0, &["Usage: vigil attack completion"]);
     ended(&run(&["attack", "table", "--states", "none"]), 2, &[]);
 
     let folder = tempfile::tempdir().expect("a folder");
@@ -44,4 +46,23 @@ fn a_laboratory_of_other_sources_is_refused() {
     };
     refused(&called("0123456789abcdef"), &["other sources", "0123456789ab"]);
     succeed(&run(&["reproduce", "--list"]));
+}
+
+#[test]
+fn what_no_work_can_come_of_is_refused_before_the_work() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let empty = text(folder.path());
+    refused(
+        &run(&["import", "missing.onnx", "-o", empty]),
+        &["is a folder: name a file"],
+    );
+    for metres in ["nan", "-1", "inf"] {
+        let attack = run_line(&format!("attack deflection --goal-distance={metres} -o {empty}"));
+        refused(&attack, &["--goal-distance must be above 0"]);
+    }
+    // A folder that is named has runs, or is not left out in silence.
+    let runs = root().join("docs/runs/from-nothing");
+    let report = run(&["report", text(&runs), empty, "-o", empty]);
+    refused(&report, &[&format!("no finished run in {empty}")]);
+    assert_eq!(std::fs::read_dir(folder.path()).expect("the folder").count(), 0);
 }

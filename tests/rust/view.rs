@@ -3,9 +3,10 @@
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use vigil_firmware::FirmwareConfig;
 use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, TickRecord};
 use vigil_tests::{attacked_flight, ended, has, only_log, refused, run, run_line, succeed, text};
-use vigil_types::{Datagrams, StepReport, StepTiming};
+use vigil_types::{Datagrams, NedVector, StepReport, StepTiming};
 
 /// A log of a vehicle that stood for three steps without a frame.
 fn short_log(folder: &Path) -> PathBuf {
@@ -134,23 +135,46 @@ fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
         told.push((derived, std::fs::metadata(&log).expect("the log").len()));
     }
     assert_eq!(told[0], told[1], "derived anew, not twice");
+    let (said, size) = &told[0];
+    // The pixels of each explained frame take 8 kB: they stay while the map is derived anew.
+    succeed(&run(&["log", "derive", "--only", "map", text(&log)]));
+    let bytes = std::fs::metadata(&log).expect("the log").len();
+    assert!(bytes.abs_diff(*size) < 20_000, "{bytes}, {size}");
     let number = |word: &str| -> usize {
-        let words: Vec<&str> = told[0].0.split_whitespace().collect();
+        let words: Vec<&str> = said.split_whitespace().collect();
         let at = words
             .iter()
             .position(|w| *w == word)
-            .unwrap_or_else(|| panic!("no {word} in {}", told[0].0));
+            .unwrap_or_else(|| panic!("no {word} in {said}"));
         words[at - 1].parse().expect("a number")
     };
     // Twice and once a second, of 20 steps each; the first seconds have no goal yet.
     assert!(
         number("maps,") > records / 12 && number("explained") > records / 24,
-        "{}",
-        told[0].0
+        "{said}"
     );
     assert_eq!(about(&log), before, "what is known of the flight stays");
     succeed(&run(&["replay", text(&log)]));
     assert_eq!(Reader::open(&log).expect("a log").count(), records);
+}
+
+#[test]
+fn nothing_is_derived_from_a_log_with_a_time_that_no_loop_reaches_and_it_stays_as_it_is() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("late.mcap");
+    let info = FirmwareConfig::to_goal(NedVector::new(20.0, 0.0, -1.5)).flight_info();
+    let mut recorder = Recorder::start(RecorderConfig::lossless(&log, info)).expect("a log");
+    recorder.record(|slot: &mut TickRecord| slot.now_ns = u64::MAX);
+    recorder.finish();
+    let before = std::fs::read(&log).expect("the log");
+    refused(
+        &run(&["log", "derive", "--only", "map", text(&log)]),
+        &[
+            "nothing was derived from",
+            "step 0 has the time 18446744073709551615 ns",
+        ],
+    );
+    assert!(std::fs::read(&log).expect("the log") == before);
 }
 
 /// Runs `vigil` with a folder of programs before those on the path, or with no other program at all.

@@ -2,7 +2,7 @@
 
 use crate::explained::{PixelExplainer, YAW};
 use crate::flight_report::LogSeen;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use std::path::Path;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::replay::{firmware_of, step_again};
@@ -21,6 +21,8 @@ const SHAP_LIMIT: usize = 120;
 /// Each frame is explained that is no further from an alarm, of the first ones of a flight.
 const AROUND_ALARM_NS: Nanos = 1_000_000_000;
 const ALARMS: usize = 3;
+/// A record of a later time is none of a flight: a step that is replayed adds to its time.
+const LATEST_NS: Nanos = Nanos::MAX / 2;
 
 /// What to derive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,14 +44,14 @@ pub struct Derived {
     pub gap_before_step: Option<u64>,
 }
 
-/// Replays `log` and puts what is wanted into it, in the place of what was derived earlier. What a replay reads stays as it is.
+/// Replays `log` and puts what is wanted into it, in the place of what was derived of it earlier. What a replay reads stays as it is.
 ///
 /// # Errors
 /// A log that cannot be read or replayed, a file that cannot be written; the log is then as it was.
 pub fn derive(log: &Path, wanted: Wanted) -> Result<Derived> {
     let notes = log.with_extension("derived.part");
     let derived = write(log, &notes, wanted).and_then(|derived| {
-        merge_derived(log, &notes)?;
+        merge_derived(log, &notes, wanted.map, wanted.shap)?;
         Ok(derived)
     });
     // Its content is in the log, or of no use.
@@ -67,7 +69,7 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
         .flat_map(|seen| seen.alarms().into_iter().map(|i| seen.steps[i].now_ns));
     let alarms_ns: Vec<Nanos> = alarms.take(ALARMS).collect();
     let mut sparse = 0;
-    let mut to = DerivedLog::create(notes, reader.epoch_offset_ns())?;
+    let mut to = DerivedLog::create(notes)?;
     let mut derived = Derived::default();
     let mut record = Box::<TickRecord>::default();
     let mut sent = Box::<Datagrams>::default();
@@ -79,6 +81,11 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
             break;
         }
         let (now_ns, step) = (record.now_ns, record.timing.step as u32);
+        ensure!(
+            now_ns <= LATEST_NS,
+            "step {} has the time {now_ns} ns, later than any loop runs",
+            record.timing.step
+        );
         step_again(&mut firmware, &record, &mut sent);
         if wanted.map
             && now_ns >= next_map_ns
@@ -136,7 +143,7 @@ fn explainer(reader: &Reader) -> Result<Option<PixelExplainer>> {
 
 /// Replays a log beside whoever reads it and explains its frames: what the actor remembered is not in the log.
 pub struct ExplainedReplay {
-    /// `None` behind a gap in the log.
+    /// `None` behind a gap in the log, or a time that is none.
     firmware: Option<Firmware>,
     explainer: PixelExplainer,
     sent: Box<Datagrams>,
@@ -157,7 +164,7 @@ impl ExplainedReplay {
 
     /// Takes the next step, which has to be every one.
     pub fn step(&mut self, record: &TickRecord) {
-        if record.dropped_before > 0 {
+        if record.dropped_before > 0 || record.now_ns > LATEST_NS {
             self.firmware = None;
         }
         if let Some(firmware) = &mut self.firmware {

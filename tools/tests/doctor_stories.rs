@@ -39,6 +39,8 @@ struct Scripted {
     clock_jumps_ms: u64,
     position_jumps_ms: u64,
     heading_jumps_ms: u64,
+    /// Whose position comes 0.9 s late, after newer ones; none where that is 0.
+    late_ms: u64,
 }
 
 impl Scripted {
@@ -100,9 +102,10 @@ impl Scripted {
         }
         if ms.is_multiple_of(self.stream_ms) {
             if self.has_position && streams(32) && !self.no_position.contains(&ms) {
+                let late_ms = 900 * u32::from(ms > 0 && ms == self.late_ms);
                 out.push(message!(
                     LOCAL_POSITION_NED,
-                    time_boot_ms = boot_ms,
+                    time_boot_ms = boot_ms - late_ms,
                     x = match self.no_numbers.contains(&ms) {
                         true => f32::NAN,
                         false => 4.0 * f32::from(u8::from(is_after(self.position_jumps_ms))),
@@ -134,6 +137,13 @@ impl Scripted {
         if self.has_home && ms.is_multiple_of(1000) && streams(242) {
             out.push(message!(
                 HOME_POSITION,
+                latitude = 473_977_420,
+                longitude = 85_455_940,
+                altitude = 488_000
+            ));
+            // Without it nobody knows that home is where the estimator began.
+            out.push(message!(
+                GPS_GLOBAL_ORIGIN,
                 latitude = 473_977_420,
                 longitude = 85_455_940,
                 altitude = 488_000
@@ -550,6 +560,9 @@ fn what_was_wrong_only_in_the_middle_is_named_too() {
     assert_eq!(bad(&findings), [("restart", Severity::Failure)]);
     assert!(value(&findings, "restart").contains("3.0 s ago"));
     assert!(value(&findings, "clock").contains("since its restart"));
+
+    let findings = say(|v| v.late_ms = 4_000);
+    assert_eq!(bad(&findings), [], "a packet out of order is no restart");
 
     let findings = say(|v| v.clock_jumps_ms = 4_000);
     assert!(

@@ -134,7 +134,7 @@ pub static CONDITIONS: [Condition; 34] = [
         Reason::HandoverFailed,
         Demand::Wait,
         false,
-        "the vehicle refused or did not answer, or the hand-over took longer than {handover_limit}",
+        "the vehicle refused or did not answer, or the hand-over took longer than {handover_limit} and a second a metre of climb",
         "after {handover_pause}; an operator engages",
     ),
     condition(

@@ -72,6 +72,11 @@ pub struct Guidance {
     taken_over: bool,
     /// Guidance began to take this vehicle, and since then neither did a person nor ended the flight.
     begun: bool,
+    /// The vehicle is given back to its own mission: who has it then did not take it.
+    handed_back: bool,
+    /// Whether the vehicle is armed, and its mode, while it is being taken.
+    engaged_as: Option<(bool, VehicleMode)>,
+    hand_over_taken: bool,
     /// When the vehicle came back disarmed after silence.
     returned_disarmed_ns: Option<Nanos>,
     /// An operator disengaged or told to land.
@@ -124,6 +129,9 @@ impl Guidance {
             asked: false,
             taken_over: config.taken_over,
             begun: false,
+            handed_back: false,
+            engaged_as: None,
+            hand_over_taken: false,
             returned_disarmed_ns: None,
             operator: false,
             operator_land: false,
@@ -194,6 +202,7 @@ impl Guidance {
             self.restarts.replace(input.vehicle.restarts) != Some(input.vehicle.restarts) && input.vehicle.restarts > 0;
         self.note_home(input, restarted);
         self.note_return(input.now_ns);
+        self.note_who_has_it(input);
         self.note_slips(input);
         self.note_hand_over(input);
         let alarm = self.note_verdict(input);
@@ -245,6 +254,31 @@ impl Guidance {
         }
     }
 
+    /// Who disarms a vehicle that is being taken, or puts it into a mode that no hand-over leads to, keeps it.
+    fn note_who_has_it(&mut self, input: &GuidanceInput<'_>) {
+        use VehicleMode::{External, Hold, Takeoff, Unknown};
+        let heartbeat = input
+            .telemetry
+            .heartbeat
+            .filter(|_| self.state == GuidanceState::Engaging);
+        let now = heartbeat.map(|h| (h.armed, h.mode));
+        self.hand_over_taken = match (core::mem::replace(&mut self.engaged_as, now), heartbeat) {
+            (Some((was_armed, before)), Some(h)) => {
+                let leaves = match (before, h.mode) {
+                    (External, Hold) => !h.failsafe,
+                    (before, mode) => mode != before && !matches!(mode, External | Hold | Takeoff | Unknown),
+                };
+                was_armed && !h.armed || leaves
+            }
+            _ => false,
+        };
+    }
+
+    /// The vehicle is given back to its own mission: that it leaves the external mode then is nobody's take-over.
+    pub fn hands_back(&mut self) {
+        self.handed_back = true;
+    }
+
     /// A person has the vehicle from now on.
     fn take_over(&mut self) {
         self.taken_over = true;
@@ -288,7 +322,10 @@ impl Guidance {
 
     fn note_hand_over(&mut self, input: &GuidanceInput<'_>) {
         if self.state == GuidanceState::Engaging {
-            let too_long = input.now_ns.saturating_sub(self.since_ns) > self.config.handover_limit_ns;
+            // A climb takes its time.
+            let climb_m = self.goal.map_or(0.0, |goal| self.home_ned_m.z - goal.position_ned_m.z);
+            let limit_ns = self.config.handover_limit_ns + (climb_m.max(0.0) * 1e9) as Nanos;
+            let too_long = input.now_ns.saturating_sub(self.since_ns) > limit_ns;
             if input.vehicle.handover == HandoverProgress::Failed || too_long {
                 self.handover_failed_ns = Some(input.now_ns);
             }
@@ -383,6 +420,7 @@ impl Guidance {
                     && heartbeat.is_some_and(|h| h.mode != VehicleMode::Land)
             }
             Guard::Reengaged => self.intent && !self.must_land(reasons),
+            Guard::HandOverTaken => self.hand_over_taken,
             Guard::HandoverFailed => reasons.contains(Reason::HandoverFailed),
             Guard::Disengaged => reasons.contains(Reason::Operator),
             Guard::HandedOver => done && !unclear,
@@ -416,7 +454,9 @@ impl Guidance {
         let auto = self.config.engage == EngagePolicy::Auto;
         let ended_by_restart = row.when == Guard::VehicleRestarted && self.returned_disarmed_ns.take().is_some();
         match (row.when, self.state) {
-            (Guard::VehicleTaken | Guard::LandingTakenOver, _) => self.take_over(),
+            (Guard::VehicleTaken, _) if self.handed_back => self.begun = false,
+            (Guard::HandOverTaken, _) if was_lost => self.returned_disarmed_ns = Some(now_ns),
+            (Guard::VehicleTaken | Guard::LandingTakenOver | Guard::HandOverTaken, _) => self.take_over(),
             // A landing that ends disarmed is the end of the flight, and of guidance's claim.
             (Guard::MotorsOff, GuidanceState::Land) => self.begun = false,
             (Guard::MotorsOff, _) if was_lost => self.returned_disarmed_ns = Some(now_ns),
@@ -434,7 +474,7 @@ impl Guidance {
             Intent::Renew => self.intent = auto && (self.intent || ended_by_restart),
         }
         match row.to {
-            GuidanceState::Engaging => self.begun = true,
+            GuidanceState::Engaging => (self.begun, self.handed_back) = (true, false),
             GuidanceState::Standby => {
                 self.asked = false;
                 self.operator_land = false;

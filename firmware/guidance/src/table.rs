@@ -17,6 +17,8 @@ named! {
         LandingTakenOver => "landing taken over",
         /// An operator wants to fly, and nothing demands landing.
         Reengaged => "re-engaged",
+        /// While it was being taken, the vehicle was disarmed, or went into a mode that no hand-over leads to.
+        HandOverTaken => "hand-over taken over",
         /// The hand-over failed.
         HandoverFailed => "hand-over failed",
         /// An operator disengaged.
@@ -91,13 +93,20 @@ const fn row(
 
 /// All transitions in order of precedence: in each step the first row whose state and condition fit is taken, at most one.
 /// What ends a flight comes before landing, landing before hold, hold before guided.
-pub static TRANSITIONS: [Transition; 16] = [
+pub static TRANSITIONS: [Transition; 17] = [
     row(
         &[Standby, Ready, Engaging, Guided, Hold, Land],
         Guard::VehicleRestarted,
         Standby,
         Intent::Renew,
         "nothing of the hand-over is left",
+    ),
+    row(
+        &[Engaging],
+        Guard::HandOverTaken,
+        Standby,
+        Intent::Clear,
+        "somebody else has the vehicle",
     ),
     row(
         &[Guided, Hold, Land],

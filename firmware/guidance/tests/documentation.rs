@@ -1,7 +1,9 @@
 //! `docs/guidance.md` holds exactly what the tables say. `UPDATE_DOCS=1 cargo test --release -p vigil-guidance` writes it.
 
+#[path = "common/page.rs"]
+mod page;
+
 use std::fmt::Write;
-use std::path::Path;
 use vigil_guidance::GuidanceConfig;
 use vigil_guidance::conditions::{CONDITIONS, Demand};
 use vigil_guidance::table::TRANSITIONS;
@@ -100,34 +102,13 @@ fn diagram() -> String {
     out + "```\n"
 }
 
-/// The text between the markers of a section replaced by what the tables say.
-fn with_section(text: &str, section: &str, content: &str) -> String {
-    let (begin, end) = (
-        format!("<!-- {section}: generated -->\n"),
-        format!("<!-- {section}: end -->"),
-    );
-    let (head, rest) = text
-        .split_once(&begin)
-        .unwrap_or_else(|| panic!("docs/guidance.md has no line {begin:?}"));
-    let (_, tail) = rest
-        .split_once(&end)
-        .unwrap_or_else(|| panic!("docs/guidance.md has no line {end:?}"));
-    format!("{head}{begin}{content}{end}{tail}")
-}
-
 #[test]
 fn the_page_holds_the_tables_as_they_are() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/guidance.md");
-    let page = std::fs::read_to_string(&path).expect("docs/guidance.md can be read");
-    let expected = with_section(&page, "conditions", &conditions());
-    let expected = with_section(&expected, "transitions", &transitions());
-    let expected = with_section(&expected, "diagram", &diagram());
-    if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(&path, &expected).expect("docs/guidance.md can be written");
-        return;
-    }
-    assert!(
-        page == expected,
-        "docs/guidance.md differs from the tables: UPDATE_DOCS=1 cargo test --release -p vigil-guidance"
-    );
+    let sections = [
+        ("conditions", conditions()),
+        ("transitions", transitions()),
+        ("diagram", diagram()),
+    ];
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/guidance.md");
+    page::holds(path, &sections, "-p vigil-guidance");
 }

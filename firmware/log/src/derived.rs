@@ -4,7 +4,7 @@
 use crate::display::{self, MAP_FRAME};
 use crate::log_file::{self, topic};
 use crate::proto::foxglove::packed_element_field::NumericType;
-use crate::proto::foxglove::{Grid, PackedElementField, PosesInFrame, Vector2, Vector3};
+use crate::proto::foxglove::{Grid, PackedElementField, PosesInFrame, RawImage, Vector2, Vector3};
 use crate::side::{Sheet, SideError, Writer, at};
 use mcap::McapError;
 use std::path::Path;
@@ -30,21 +30,20 @@ pub struct MapSeen<'a> {
     pub score_limit: i8,
 }
 
-/// A file of derived messages, in the order of their times; [`crate::merge_derived`] puts them into the log.
+/// A file of derived messages, in the order of their times; [`crate::merge_derived`] puts them into the log and stamps them.
 pub struct DerivedLog {
     sheet: Sheet,
-    epoch_offset_ns: u64,
     grid: u16,
     way: u16,
     shap: u16,
 }
 
 impl DerivedLog {
-    /// Starts a file, in the place of what may be there, for a log with this offset of its stamps ([`crate::Reader::epoch_offset_ns`]).
+    /// Starts a file, in the place of what may be there.
     ///
     /// # Errors
     /// A file that cannot be written.
-    pub fn create(path: &Path, epoch_offset_ns: u64) -> Result<Self, SideError> {
+    pub fn create(path: &Path) -> Result<Self, SideError> {
         let mut sheet = Sheet::create(path)?;
         let begin = |writer: &mut Writer| -> Result<_, McapError> {
             Ok((
@@ -54,13 +53,7 @@ impl DerivedLog {
             ))
         };
         let (grid, way, shap) = begin(&mut sheet.writer).map_err(at(path))?;
-        Ok(Self {
-            sheet,
-            epoch_offset_ns,
-            grid,
-            way,
-            shap,
-        })
+        Ok(Self { sheet, grid, way, shap })
     }
 
     /// A pilot's map at `at_ns` of the loop's clock, drawn on the ground: evidence of an obstacle in percent. `sequence` is the step's.
@@ -73,7 +66,7 @@ impl DerivedLog {
         let (north, east) = seen.corner_ned_m;
         let cell_m = f64::from(seen.cell_m);
         let message = Grid {
-            timestamp: Some(display::timestamp(at_ns.saturating_add(self.epoch_offset_ns))),
+            timestamp: None,
             frame_id: MAP_FRAME.to_owned(),
             pose: Some(display::unturned_at(Vector3 {
                 x: east.into(),
@@ -108,7 +101,7 @@ impl DerivedLog {
         let pose =
             |&(north, east): &(f32, f32)| display::unturned_at(display::map_point(NedVector::new(north, east, down_m)));
         let message = PosesInFrame {
-            timestamp: Some(display::timestamp(at_ns.saturating_add(self.epoch_offset_ns))),
+            timestamp: None,
             frame_id: MAP_FRAME.to_owned(),
             poses: points_ned_m.iter().map(pose).collect(),
         };
@@ -121,8 +114,10 @@ impl DerivedLog {
     /// A file that cannot be written.
     pub fn shap(&mut self, at_ns: Nanos, sequence: u32, sums: &[f32]) -> Result<(), SideError> {
         let data = sums.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let shown_ns = at_ns.saturating_add(self.epoch_offset_ns);
-        let message = display::image(SHAP_ROWS, SHAP_COLS, "32FC1", data, shown_ns);
+        let message = RawImage {
+            timestamp: None,
+            ..display::image(SHAP_ROWS, SHAP_COLS, "32FC1", data, at_ns)
+        };
         self.sheet.put(self.shap, at_ns, sequence, &message)
     }
 

@@ -47,8 +47,6 @@ pub(crate) mod topic {
     pub(crate) const GRID: &str = "/map/grid";
     pub(crate) const WAY: &str = "/map/way";
     pub(crate) const SHAP: &str = "/shap";
-    /// What a replay of the log gives, and may give anew.
-    pub(crate) const DERIVED: [&str; 3] = [GRID, WAY, SHAP];
 }
 
 pub(crate) struct Channels {

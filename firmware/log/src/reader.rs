@@ -343,7 +343,11 @@ impl Reader {
                     };
                 }
                 Next::Cut => {
-                    self.end = Some(LogEnd::Interrupted { records: self.records });
+                    self.end = Some(match self.counted {
+                        // Only the index behind all records is cut.
+                        Some((counted, dropped)) if counted == self.records => LogEnd::Closed { dropped },
+                        _ => LogEnd::Interrupted { records: self.records },
+                    });
                     return Ok(false);
                 }
             };

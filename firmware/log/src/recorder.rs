@@ -102,13 +102,13 @@ pub enum StartError {
     /// The file was made and its first bytes could not be written, for example on a full disk.
     #[error(
         "log file {path} cannot be written: {}; free some space or give another place",
-        describe(source)
+        describe(.what)
     )]
     Write {
         /// The file.
         path: PathBuf,
         /// What went wrong.
-        source: McapError,
+        what: McapError,
     },
     /// No slots were asked for.
     #[error("a recorder needs at least one slot")]
@@ -218,9 +218,9 @@ impl Recorder {
             config.scene,
             config.content,
         )
-        .map_err(|source| StartError::Write {
+        .map_err(|what| StartError::Write {
             path: path.clone(),
-            source,
+            what,
         })?;
         let (mut free_in, free) = RingBuffer::new(config.slots);
         let (full, full_out) = RingBuffer::new(config.slots);
@@ -511,7 +511,7 @@ impl<W: Write + Seek, T: Write> Scribe<W, T> {
 }
 
 /// An error with its cause: MCAP's own text hides what the system said.
-fn describe(error: &McapError) -> String {
+pub(crate) fn describe(error: &McapError) -> String {
     match error {
         McapError::Io(source) => source.to_string(),
         other => other.to_string(),

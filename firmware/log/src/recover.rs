@@ -38,12 +38,12 @@ pub enum RecoverError {
         path: PathBuf,
     },
     /// The new file cannot be written.
-    #[error("{path} cannot be written: {source}")]
+    #[error("{path} cannot be written: {}", crate::recorder::describe(.what))]
     Write {
         /// The new file.
         path: PathBuf,
         /// What went wrong.
-        source: McapError,
+        what: McapError,
     },
 }
 
@@ -134,9 +134,9 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
     let epoch_offset_ns = reader.epoch_offset_ns();
     drop(reader);
     let description = salvage::describe(from).map_err(at(from)).map_err(ReadError::Io)?;
-    let unwritable = |source: McapError| RecoverError::Write {
+    let unwritable = |what: McapError| RecoverError::Write {
         path: to.to_owned(),
-        source,
+        what,
     };
     let sink = File::create_new(to).map_err(|error| match error.kind() {
         io::ErrorKind::AlreadyExists => RecoverError::Exists { path: to.to_owned() },

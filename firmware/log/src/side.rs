@@ -7,6 +7,7 @@ use crate::container::{Container, Next};
 use crate::display::{self, MAP_FRAME};
 use crate::log_file::{self, META_STORY, topic};
 use crate::proto;
+use crate::proto::foxglove::{FrameTransform, PoseInFrame, PosesInFrame, RawImage};
 use crate::{ReadError, Reader};
 use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata, Record};
@@ -47,7 +48,8 @@ pub(crate) fn at(path: &Path) -> impl Fn(McapError) -> SideError + '_ {
     }
 }
 
-/// A file of messages of one who knows more than the firmware, in the order of their times.
+/// A file of messages of one who knows more than the firmware, in the order of their times. They get their time stamps when they
+/// are put into the log, which knows what to add to the loop's time.
 pub struct SideLog {
     sheet: Sheet,
     truth: u16,
@@ -104,12 +106,18 @@ impl SideLog {
             return Ok(());
         }
         let pose = display::pose(position_ned_m, attitude.unwrap_or(Attitude::LEVEL_NORTH));
-        self.sheet
-            .put(self.truth, at_ns, 0, &display::pose_in_map(pose, at_ns))?;
+        let in_map = PoseInFrame {
+            timestamp: None,
+            ..display::pose_in_map(pose, at_ns)
+        };
+        self.sheet.put(self.truth, at_ns, 0, &in_map)?;
         if attitude.is_none() {
             return Ok(());
         }
-        let transform = display::transform(MAP_FRAME, "base_link_true", pose, at_ns);
+        let transform = FrameTransform {
+            timestamp: None,
+            ..display::transform(MAP_FRAME, "base_link_true", pose, at_ns)
+        };
         self.sheet.put(self.transform, at_ns, 0, &transform)
     }
 
@@ -131,8 +139,11 @@ impl SideLog {
             && (self.altered < Self::CLEAN_FIRST || log_file::due(&mut self.last_clean_ns, at_ns, Self::CLEAN_NS))
         {
             self.altered = self.altered.saturating_add(1);
-            self.sheet
-                .put(self.clean, at_ns, sequence as u32, &display::depth_image(clean, at_ns))?;
+            let image = RawImage {
+                timestamp: None,
+                ..display::depth_image(clean, at_ns)
+            };
+            self.sheet.put(self.clean, at_ns, sequence as u32, &image)?;
         }
         Ok(())
     }
@@ -201,13 +212,20 @@ pub fn merge_into(log: &Path, sides: &[&Path], about: &BTreeMap<String, String>)
     replace_merged(log, sides, about, &[], epoch_offset_ns)
 }
 
-/// Puts what was derived from the log among its messages, in the place of what was derived earlier ([`crate::DerivedLog`]).
+/// Puts what was derived from the log among its messages ([`crate::DerivedLog`]): `map` and way, `shap`, or both, in the place of
+/// what was derived of them earlier.
 ///
 /// # Errors
 /// As [`merge_into`].
-pub fn merge_derived(log: &Path, derived: &Path) -> Result<(), SideError> {
+pub fn merge_derived(log: &Path, derived: &Path, map: bool, shap: bool) -> Result<(), SideError> {
     let epoch_offset_ns = Reader::open(log)?.epoch_offset_ns();
-    replace_merged(log, &[derived], &BTreeMap::new(), &topic::DERIVED, epoch_offset_ns)
+    let replaced: &'static [&'static str] = match (map, shap) {
+        (true, true) => &[topic::GRID, topic::WAY, topic::SHAP],
+        (true, false) => &[topic::GRID, topic::WAY],
+        (false, true) => &[topic::SHAP],
+        (false, false) => &[],
+    };
+    replace_merged(log, &[derived], &BTreeMap::new(), replaced, epoch_offset_ns)
 }
 
 fn replace_merged(
@@ -235,11 +253,11 @@ fn merge(
     let mut main = Source {
         without,
         keeps_story: about.is_empty(),
-        ..Source::open(log, 0)?
+        ..Source::open(log, None)?
     };
     let mut sides = sides
         .iter()
-        .map(|path| Source::open(path, epoch_offset_ns))
+        .map(|path| Source::open(path, Some(epoch_offset_ns)))
         .collect::<Result<Vec<_>, _>>()?;
     // What stands before the first message goes first: a reader expects the metadata at the start.
     main.advance(&mut writer)?;
@@ -283,9 +301,11 @@ fn merge(
 struct Source<'a> {
     path: &'a Path,
     container: Container,
-    offset_ns: u64,
-    schemas: HashMap<u16, u16>,
-    channels: HashMap<u16, u16>,
+    /// Of a side log: what its times lack, and the stamps of its messages, too.
+    lacks_ns: Option<u64>,
+    /// Number in the merged log, and whether the kind has a stamp, by number in this file.
+    schemas: HashMap<u16, (u16, bool)>,
+    channels: HashMap<u16, (u16, bool)>,
     next: Option<(MessageHeader, Vec<u8>)>,
     end: Option<Metadata>,
     /// Topics whose messages are left out.
@@ -296,11 +316,11 @@ struct Source<'a> {
 }
 
 impl<'a> Source<'a> {
-    fn open(path: &'a Path, offset_ns: u64) -> Result<Self, SideError> {
+    fn open(path: &'a Path, lacks_ns: Option<u64>) -> Result<Self, SideError> {
         Ok(Self {
             path,
             container: Container::open(path)?,
-            offset_ns,
+            lacks_ns,
             schemas: HashMap::new(),
             channels: HashMap::new(),
             next: None,
@@ -331,26 +351,34 @@ impl<'a> Source<'a> {
                     let id = writer
                         .add_schema(&header.name, &header.encoding, &data)
                         .map_err(at(self.path))?;
-                    self.schemas.insert(header.id, id);
+                    // Of the kinds of a side log, those that viewers know have one.
+                    self.schemas
+                        .insert(header.id, (id, header.name.starts_with("foxglove.")));
                 }
                 Record::Channel(channel) if self.without.contains(&channel.topic.as_str()) => {}
                 Record::Channel(channel) => {
-                    let schema = self.schemas.get(&channel.schema_id).copied().unwrap_or(0);
+                    let (schema, stamped) = self.schemas.get(&channel.schema_id).copied().unwrap_or_default();
                     let id = writer
                         .add_channel(schema, &channel.topic, &channel.message_encoding, &channel.metadata)
                         .map_err(at(self.path))?;
-                    self.channels.insert(channel.id, id);
+                    self.channels.insert(channel.id, (id, stamped));
                 }
                 Record::Metadata(meta) if meta.name == log_file::META_END => self.end = Some(meta),
                 // A second merge says anew what there is to say.
                 Record::Metadata(meta) if meta.name == META_STORY && !self.keeps_story => {}
                 Record::Metadata(meta) => writer.write_metadata(&meta).map_err(at(self.path))?,
                 Record::Message { mut header, data } => {
-                    if let Some(id) = self.channels.get(&header.channel_id) {
+                    if let Some((id, stamped)) = self.channels.get(&header.channel_id) {
                         header.channel_id = *id;
-                        header.log_time = header.log_time.saturating_add(self.offset_ns);
-                        header.publish_time = header.publish_time.saturating_add(self.offset_ns);
-                        self.next = Some((header, data.into_owned()));
+                        let mut data = data.into_owned();
+                        if let Some(lacks_ns) = self.lacks_ns {
+                            header.log_time = header.log_time.saturating_add(lacks_ns);
+                            header.publish_time = header.publish_time.saturating_add(lacks_ns);
+                            if *stamped {
+                                data = with_stamp(header.log_time, &data);
+                            }
+                        }
+                        self.next = Some((header, data));
                         break;
                     }
                 }
@@ -366,6 +394,73 @@ impl<'a> Source<'a> {
         match &self.next {
             Some((header, data)) => writer.write_to_known_channel(header, data).map_err(at(self.path)),
             None => Ok(()),
+        }
+    }
+}
+
+/// The message with its stamp in front, where an encoder puts it: the stamp is the first field of each kind in a side log.
+fn with_stamp(at_ns: u64, message: &[u8]) -> Vec<u8> {
+    let stamp = PosesInFrame {
+        timestamp: Some(display::timestamp(at_ns)),
+        ..PosesInFrame::default()
+    };
+    [stamp.encode_to_vec().as_slice(), message].concat()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{DerivedLog, FlightInfo, Recorder, RecorderConfig, SHAP_COLS, SHAP_ROWS};
+
+    /// The messages of a topic: times in the log and contents.
+    fn messages(log: &Path, topic: &str) -> Vec<(u64, Vec<u8>)> {
+        let bytes = std::fs::read(log).unwrap();
+        let all = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+        all.filter(|message| message.channel.topic == topic)
+            .map(|message| (message.log_time, message.data.into_owned()))
+            .collect()
+    }
+
+    #[test]
+    fn what_is_added_has_the_logs_time_and_what_is_not_derived_anew_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let (log, side) = (folder.path().join("log.mcap"), folder.path().join("side.part"));
+        let epoch_offset_ns = 1_767_323_045_000_000_000;
+        let mut recorder = Recorder::start(RecorderConfig {
+            epoch_offset_ns,
+            ..RecorderConfig::lossless(&log, FlightInfo::default())
+        })
+        .unwrap();
+        recorder.record(|_| {});
+        assert_eq!(recorder.finish().failure, None);
+
+        let (at_ns, place) = (50_000_000, NedVector::new(1.0, 2.0, -3.0));
+        let mut truth = SideLog::create(&side).unwrap();
+        truth.truth(at_ns, place, Some(Attitude::LEVEL_NORTH)).unwrap();
+        truth.finish().unwrap();
+        merge_into(&log, &[side.as_path()], &BTreeMap::new()).unwrap();
+        let shown_ns = epoch_offset_ns + at_ns;
+        let pose = display::pose(place, Attitude::LEVEL_NORTH);
+        let in_map = display::pose_in_map(pose, shown_ns).encode_to_vec();
+        assert_eq!(messages(&log, topic::TRUTH), [(shown_ns, in_map)]);
+        let turned = display::transform(MAP_FRAME, "base_link_true", pose, shown_ns).encode_to_vec();
+        assert!(messages(&log, topic::TRANSFORM).contains(&(shown_ns, turned)));
+
+        for (map, shap) in [(true, true), (true, false), (false, true)] {
+            let mut derived = DerivedLog::create(&side).unwrap();
+            if map {
+                derived.way(at_ns, 1, &[(0.0, 1.0)], -1.5).unwrap();
+            }
+            if shap {
+                derived.shap(at_ns, 1, &[0.5; SHAP_ROWS * SHAP_COLS]).unwrap();
+            }
+            derived.finish().unwrap();
+            merge_derived(&log, &side, map, shap).unwrap();
+            for topic in [topic::WAY, topic::SHAP] {
+                let held = messages(&log, topic);
+                assert_eq!(held.len(), 1, "{topic}, {map}, {shap}");
+                assert!(held[0].1.starts_with(&with_stamp(shown_ns, &[])), "{topic}");
+            }
         }
     }
 }

@@ -56,13 +56,21 @@ fn a_log_cut_anywhere_gives_its_complete_part_and_says_so() {
     let dir = tempfile::tempdir().unwrap();
     let good = small_log(dir.path());
     let path = dir.path().join("cut.mcap");
+    // What counts the records is the last metadata; behind it stands only the index.
+    let (begin, length) = *pieces(&good, &[12]).last().unwrap();
     let mut last = 0;
     let mut counts = Vec::new();
     for cut in (0..good.len()).step_by(good.len() / 150) {
         std::fs::write(&path, &good[..cut]).unwrap();
         match read_all(&path) {
             Ok((records, end)) => {
-                assert_eq!(end, Some(LogEnd::Interrupted { records }), "cut at {cut}");
+                let whole = cut >= begin + length;
+                let expected = match whole {
+                    true => LogEnd::Closed { dropped: 0 },
+                    false => LogEnd::Interrupted { records },
+                };
+                assert_eq!(end, Some(expected), "cut at {cut}");
+                assert!(!whole || records == STEPS, "cut at {cut}");
                 assert!(records >= last, "a longer part gives no fewer records");
                 last = records;
                 counts.push(records);
@@ -104,6 +112,14 @@ fn a_log_that_was_not_closed_is_recovered_into_a_new_file_with_an_index() {
 
     // What is there is never overwritten.
     assert!(matches!(recover(&cut, &closed), Err(RecoverError::Exists { .. })));
+    // Where nothing can be written, what the system said is passed on, and nothing else.
+    let nowhere = recover(&cut, &dir.path().join("none").join("x.mcap"))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        nowhere.contains("x.mcap cannot be written: No such file or directory"),
+        "{nowhere}"
+    );
 }
 
 /// The chunks of a log that are not packed, packed by Zstandard; the index behind them is of no more use.

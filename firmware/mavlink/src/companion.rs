@@ -234,6 +234,9 @@ impl Companion {
 
     /// Writes this step's packets: `report` is what was decided, `request` what guidance asks of the vehicle.
     pub fn emit(&mut self, report: &StepReport, request: VehicleRequest, out: &mut Datagrams) {
+        self.core.vehicle.in_flight = !matches!(report.state, GuidanceState::Standby | GuidanceState::Ready);
+        // Let go of it is let go of.
+        self.core.letting_go &= self.core.vehicle.in_flight;
         let request = match request {
             VehicleRequest::None if self.core.letting_go && report.has_vehicle() => VehicleRequest::Hold {
                 cause: None,
@@ -241,7 +244,6 @@ impl Companion {
             },
             other => other,
         };
-        self.core.vehicle.in_flight = !matches!(report.state, GuidanceState::Standby | GuidanceState::Ready);
         self.core.begin_step(out);
         self.services.speak(&mut self.core, &Step { report, request }, out);
     }

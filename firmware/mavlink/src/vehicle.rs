@@ -157,7 +157,12 @@ impl Vehicle {
             _ => None,
         };
         let is_filled = home.ned_m.is_finite()
-            && (home.ned_m != NedVector::ZERO || on_globe.is_none_or(|p| p.norm() < SAME_PLACE_M));
+            && match on_globe {
+                _ if home.ned_m != NedVector::ZERO => true,
+                Some(place) => place.norm() < SAME_PLACE_M,
+                // Zeros beside a place on the globe say nothing until the origin is known.
+                None => home.place.is_none(),
+            };
         if is_filled { Some(home.ned_m) } else { on_globe }
     }
 
@@ -253,14 +258,18 @@ impl Vehicle {
         if let (false, false, Some(named)) = (self.fixed, self.in_flight, self.named) {
             self.flavour = named;
         }
+        let mode = match self.is_other_autopilot() {
+            true => VehicleMode::Unknown,
+            false => self.flavour.mode(base_mode, custom_mode),
+        };
+        if mode != VehicleMode::Mission {
+            // The next one may lead elsewhere.
+            self.mission_place_deg = None;
+        }
         self.telemetry.heartbeat = Some(Heartbeat {
             at_ns: now_ns,
             armed: base_mode & ARMED != 0,
-            mode: if self.is_other_autopilot() {
-                VehicleMode::Unknown
-            } else {
-                self.flavour.mode(base_mode, custom_mode)
-            },
+            mode,
             failsafe: FAILSAFE_STATES.contains(&state),
         });
     }

@@ -359,3 +359,18 @@ fn a_companion_told_to_leave_the_timeout_alone_neither_asks_nor_sets() {
     f.run(100);
     assert_eq!((f.peer.parameters_read, f.peer.parameters_set.len()), (0, 0));
 }
+
+#[test]
+fn a_copter_whose_home_lies_below_the_local_origin_climbs_to_the_goals_height_and_is_flown() {
+    let peer = Peer {
+        height_m: -10.0,
+        tells_landed: true,
+        home_ned_m: [0.0, 0.0, 10.0],
+        ..Peer::on_the_ground(ArduPilot)
+    };
+    let mut f = Flight::on_command(ArduPilot, peer);
+    f.run(160);
+    f.engage();
+    f.until(Guided);
+    assert!((f.peer.height_m + 7.0).abs() < 0.4, "{}", f.peer.height_m);
+}

@@ -306,7 +306,7 @@ fn a_hand_over_that_is_not_done_in_time_names_what_it_waited_for() {
     f.engage();
     f.until(Engaging);
     // It accepts the take-off and climbs half a metre.
-    for _ in 0..seconds(62.0) {
+    for _ in 0..seconds(65.0) {
         f.step();
         if f.peer.height_m > 0.5 {
             f.peer.target_height_m = Some(0.6);

@@ -2,10 +2,10 @@
 
 mod common;
 
-use common::{Bench, GROUND_STATION, bytes_of, header, messages, report};
+use common::{Bench, GROUND_STATION, bytes_of, messages, report};
 use core::f32::consts::FRAC_PI_2;
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize_payload};
+use vigil_mavlink::framing::encode_payload;
 use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavMessage, message};
 use vigil_types::GuidanceState::{Hold, Standby};
 use vigil_types::{Landed, NedVector, Reasons, STEP_NS, StepReport, VehicleMode, VehicleRequest, VelocitySetpoint};
@@ -157,9 +157,8 @@ fn a_vehicle_of_unknown_type_and_state_is_still_heard() {
     // custom_mode OFFBOARD, type 250, autopilot PX4, armed | custom, state 5 and 77, version 3.
     for (state, failsafe) in [(5u8, true), (77, false)] {
         let payload = [0, 0, 6, 0, 250, 12, 0x81, state, 3];
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = serialize_payload(header(vehicle(1)), 0, &payload, &mut out).unwrap();
-        b.companion.receive(b.now_ns, 0, &out[..len]);
+        let packet = encode_payload(vehicle(1), 0, 0, &payload).unwrap();
+        b.companion.receive(b.now_ns, 0, &packet);
         let h = b.companion.telemetry().heartbeat.unwrap();
         assert_eq!((h.armed, h.mode, h.failsafe), (true, VehicleMode::External, failsafe));
     }

@@ -27,26 +27,12 @@ fn values(len: usize, limit: f32) -> Aligned {
     Aligned::from(&*uniform(&mut ChaCha8Rng::seed_from_u64(1), len, limit))
 }
 
-/// Names an instruction set in the table.
-#[derive(Clone, Copy)]
-struct Named(Isa);
-
-impl std::fmt::Display for Named {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.0.name())
-    }
-}
-
-fn sets() -> Vec<Named> {
-    isas().into_iter().map(Named).collect()
-}
-
 /// One convolution of the encoder on one instruction set.
 struct Layer(usize, Isa);
 
 impl std::fmt::Display for Layer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "conv {} {}", self.0 + 1, self.1.name())
+        write!(f, "conv {} {}", self.0 + 1, self.1)
     }
 }
 
@@ -111,14 +97,14 @@ fn convolution_weight_gradient(bencher: Bencher, case: &Layer) {
     });
 }
 
-#[divan::bench(args = sets())]
-fn elu_of_131072(bencher: Bencher, isa: Named) {
+#[divan::bench(args = Isa::available())]
+fn elu_of_131072(bencher: Bencher, isa: Isa) {
     let (x, mut y) = (values(131_072, 2.0), vec![0.0; 131_072]);
-    bencher.bench_local(|| Activation::Elu.apply(isa.0, black_box(&x), &mut y).unwrap());
+    bencher.bench_local(|| Activation::Elu.apply(isa, black_box(&x), &mut y).unwrap());
 }
 
-#[divan::bench(args = sets())]
-fn gru_step(bencher: Bencher, isa: Named) {
+#[divan::bench(args = Isa::available())]
+fn gru_step(bencher: Bencher, isa: Isa) {
     let gru = Gru {
         inputs: layer(4).output_len(),
         hidden: 48,
@@ -126,8 +112,7 @@ fn gru_step(bencher: Bencher, isa: Named) {
     let (params, x) = (values(gru.param_len(), 0.1), values(gru.inputs, 1.0));
     let (h, mut gates, mut out) = (values(48, 1.0), vec![0.0; gru.gates_len()], vec![0.0; 48]);
     bencher.bench_local(|| {
-        gru.step(isa.0, &params, black_box(&x), &h, &mut gates, &mut out)
-            .unwrap();
+        gru.step(isa, &params, black_box(&x), &h, &mut gates, &mut out).unwrap();
     });
 }
 

@@ -2,12 +2,8 @@
 
 use crate::activation::{Activation, rescale};
 use crate::dense::{column_sums, transpose};
-use crate::graph::layer::recurrent_backward;
-use crate::graph::operation::Operation;
-#[cfg(feature = "train")]
-use crate::graph::operation::draw_for;
-use crate::graph::run::{Backward, Forward, Pass};
-use crate::graph::{GraphBuilder, NodeId, Params, Purpose, description};
+use crate::graph::layer::recurrent_operation;
+use crate::graph::{GraphBuilder, NodeId, Params, description};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
 use crate::shape::{ShapeError, expect, part, part_mut};
@@ -152,8 +148,8 @@ impl Gru {
 
     /// Multipliers of a step against a reference step; with the reference equal to the step itself, its gradient.
     ///
-    /// `d_out` is with respect to `h_out`. Products of two varying values follow the midpoint rule (`a·b` gives `a` the
-    /// mean of both `b`s and `b` the mean of both `a`s), curves the rescale rule, so that
+    /// A step is `(h, gates, h_out)`, whose `h_out` is not read; `d_out` is with respect to it. Products of two varying values
+    /// follow the midpoint rule (`a·b` gives `a` the mean of both `b`s and `b` the mean of both `a`s), curves the rescale rule, so that
     /// `Σ dx·(x − x_ref) + Σ dh·(h − h_ref) = Σ d_out·(h_out − h_out_ref)` exactly, but for rounding. Writes `d_gates`
     /// (for [`Self::weight_gradient`]), `dx` and `dh`.
     ///
@@ -164,8 +160,8 @@ impl Gru {
         &self,
         isa: Isa,
         packed: &[f32],
-        (h, gates): (&[f32], &[f32]),
-        (h_ref, gates_ref): (&[f32], &[f32]),
+        (h, gates, _): (&[f32], &[f32], &[f32]),
+        (h_ref, gates_ref, _): (&[f32], &[f32], &[f32]),
         d_out: &[f32],
         d_gates: &mut [f32],
         dx: &mut [f32],
@@ -306,39 +302,4 @@ impl GraphBuilder {
     }
 }
 
-impl Operation for Gru {
-    fn aux_len(&self, _len: usize, _purpose: Purpose) -> usize {
-        self.gates_len()
-    }
-
-    fn scratch_len(&self) -> usize {
-        self.gate_gradient_len()
-    }
-
-    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
-        let (x, state) = (node.source(0)?, node.source(1)?);
-        self.step(node.isa, node.params, x, state, node.aux, node.value)
-    }
-
-    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
-        let (isa, packed) = (node.isa, node.packed);
-        recurrent_backward(
-            node,
-            pass,
-            self.gate_gradient_len(),
-            |(h, kept, _), (h_ref, kept_ref, _), d_gates, dx, dh| {
-                self.backward(isa, packed, (h, kept), (h_ref, kept_ref), d, d_gates, dx, dh)
-            },
-            |x, h, d_gates, d_params| self.weight_gradient(isa, x, h, d_gates, d_params),
-        )
-    }
-
-    fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
-        self.pack(params, packed)
-    }
-
-    #[cfg(feature = "train")]
-    fn initialize_node(&self, params: &mut [f32], draw: &mut dyn FnMut(f32) -> f32) {
-        draw_for(self.hidden, params, draw);
-    }
-}
+recurrent_operation!(Gru);

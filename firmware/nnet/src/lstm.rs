@@ -2,12 +2,8 @@
 
 use crate::activation::{Activation, rescale};
 use crate::dense::column_sums;
-use crate::graph::layer::recurrent_backward;
-use crate::graph::operation::Operation;
-#[cfg(feature = "train")]
-use crate::graph::operation::draw_for;
-use crate::graph::run::{Backward, Forward, Pass};
-use crate::graph::{GraphBuilder, NodeId, Params, Purpose, description};
+use crate::graph::layer::recurrent_operation;
+use crate::graph::{GraphBuilder, NodeId, Params, description};
 use crate::gru::{outer_product, pack_matrices, row_times_matrix};
 use crate::isa::Isa;
 use crate::kernels::Start;
@@ -218,39 +214,4 @@ impl GraphBuilder {
     }
 }
 
-impl Operation for Lstm {
-    fn aux_len(&self, _len: usize, _purpose: Purpose) -> usize {
-        self.gates_len()
-    }
-
-    fn scratch_len(&self) -> usize {
-        self.gate_gradient_len()
-    }
-
-    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
-        let (x, state) = (node.source(0)?, node.source(1)?);
-        self.step(node.isa, node.params, x, state, node.aux, node.value)
-    }
-
-    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
-        let (isa, packed) = (node.isa, node.packed);
-        recurrent_backward(
-            node,
-            pass,
-            self.gate_gradient_len(),
-            |step, reference, d_gates, dx, d_state| {
-                self.backward(isa, packed, step, reference, d, d_gates, dx, d_state)
-            },
-            |x, state, d_gates, d_params| self.weight_gradient(isa, x, state, d_gates, d_params),
-        )
-    }
-
-    fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
-        self.pack(params, packed)
-    }
-
-    #[cfg(feature = "train")]
-    fn initialize_node(&self, params: &mut [f32], draw: &mut dyn FnMut(f32) -> f32) {
-        draw_for(self.hidden, params, draw);
-    }
-}
+recurrent_operation!(Lstm);

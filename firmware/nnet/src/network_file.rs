@@ -271,6 +271,38 @@ impl Contents {
     }
 }
 
+/// Digest, reading and writing of a type that is stored as a file of this kind: it has `contents`, `from_bytes` and, with the
+/// feature `std` of its own crate, `to_bytes`.
+#[macro_export]
+macro_rules! stored_network {
+    ($type:ty, $kind:expr) => {
+        impl $type {
+            /// The digest of the network and its metadata.
+            pub fn sha256(&self) -> String {
+                self.contents().sha256()
+            }
+
+            /// Reads and verifies a file.
+            ///
+            /// # Errors
+            /// [`FileError`].
+            #[cfg(feature = "std")]
+            pub fn load(path: &std::path::Path) -> Result<Self, FileError> {
+                Self::from_bytes(&path.display().to_string(), &$kind.load(path)?)
+            }
+
+            /// Writes a file beside and renames it, so that an earlier one survives a full disk.
+            ///
+            /// # Errors
+            /// [`FileError`].
+            #[cfg(feature = "std")]
+            pub fn save(&self, path: &std::path::Path) -> Result<(), FileError> {
+                $kind.save(path, &self.to_bytes()?)
+            }
+        }
+    };
+}
+
 /// A file that was read and verified: of the kind, whole, unaltered, finite.
 #[derive(Debug)]
 pub struct Verified<'a> {

@@ -22,39 +22,25 @@ fn values(len: usize, limit: f32) -> Aligned {
     Aligned::from(&*values)
 }
 
-/// Names an instruction set in the table.
-#[derive(Clone, Copy)]
-struct Named(Isa);
-
-impl std::fmt::Display for Named {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.0.name())
-    }
-}
-
-fn sets() -> Vec<Named> {
-    Isa::available().map(Named).collect()
-}
-
 fn initial(graph: &Graph) -> Aligned {
     values(graph.param_len(), 0.08)
 }
 
-#[divan::bench(args = sets())]
-fn encoder_one_frame(bencher: Bencher, isa: Named) {
+#[divan::bench(args = Isa::available())]
+fn encoder_one_frame(bencher: Bencher, isa: Isa) {
     let graph = ActorSpec::FULL.encoder_graph(Purpose::Gradients, false).unwrap();
     let (params, frame) = (initial(&graph), values(ActorSpec::FULL.frame_len(), 0.5));
     let mut tape = Aligned::zeros(graph.tape_len());
-    bencher.bench_local(|| graph.forward(isa.0, &params, &[black_box(&frame)], &mut tape).unwrap());
+    bencher.bench_local(|| graph.forward(isa, &params, &[black_box(&frame)], &mut tape).unwrap());
 }
 
-#[divan::bench(args = sets())]
-fn actor_one_new_frame(bencher: Bencher, isa: Named) {
+#[divan::bench(args = Isa::available())]
+fn actor_one_new_frame(bencher: Bencher, isa: Isa) {
     let graph = ActorSpec::FULL.head_graph(Purpose::Gradients).unwrap();
     let mut frame = DepthFrame::EMPTY;
     frame.depth.copy_from_slice(&values(ActorSpec::FULL.frame_len(), 0.5));
     let params = initial(&graph);
-    let mut actor = Actor::new(ActorSpec::FULL, isa.0, &params).unwrap();
+    let mut actor = Actor::new(ActorSpec::FULL, isa, &params).unwrap();
     let mut now_ns = 0;
     bencher.bench_local(|| {
         now_ns += 50_000_000;

@@ -5,9 +5,9 @@ extern crate alloc;
 extern crate std;
 
 use crate::actor::{ACTOR_OUTPUTS, Actor, ActorSpec, PositionalInputs};
+use crate::imported::Head;
 #[cfg(feature = "std")]
 use crate::imported::POLICY_FORMAT;
-use crate::imported::{Channels, Head};
 use crate::{FrozenActor, FrozenPolicy, ImportedPilot, PilotInput};
 use alloc::boxed::Box;
 use alloc::string::String;
@@ -90,18 +90,7 @@ impl FrozenPilot {
         }
     }
 
-    /// How many decisions ago each frame was taken that it decides from, oldest first.
-    pub fn frame_ages(&self) -> Vec<usize> {
-        match self {
-            Self::Actor(_) => [0].to_vec(),
-            Self::Imported(policy) => match policy.inputs.order {
-                Channels::Stack => (0..policy.inputs.channels).rev().collect(),
-                Channels::Repeat => [0].to_vec(),
-            },
-        }
-    }
-
-    /// What decides behind its split point.
+    /// What decides behind its split point; an imported policy's outputs are those before its output scale.
     ///
     /// # Errors
     /// A policy without a split point.

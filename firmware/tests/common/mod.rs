@@ -5,12 +5,15 @@
 pub mod instance;
 
 use std::fs::File;
+use std::net::SocketAddr;
 use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::time::Duration;
 use vigil_detector::{FrozenDetector, LstmAd, Of};
-use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{DetectorConfig, GoalConfig, PilotConfig};
+use vigil_firmware::ports::Link;
+use vigil_firmware::ports::links::PeerRule;
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{
     ATTITUDE_QUATERNION_DATA, COMMAND_ACK_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA,
@@ -22,8 +25,8 @@ use vigil_mavlink::message;
 use vigil_policy::actor::PositionalInputs;
 use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, EngagePolicy, Nanos, NedVector, PilotKind,
-    STEP_NS, STEP_S, column_bearing_rad, row_elevation_rad,
+    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, EngagePolicy, FrameKey, GuidanceState, Nanos,
+    NedVector, PilotKind, STEP_NS, STEP_S, StepReport, column_bearing_rad, row_elevation_rad,
 };
 
 /// A generator whose stream never changes (xorshift64*).
@@ -40,6 +43,22 @@ impl Random {
 
 /// Bounds every wait; far above what any of them takes.
 pub const PATIENCE: Duration = Duration::from_secs(20);
+
+pub const SECOND: Nanos = 1_000_000_000;
+/// Whose link takes any vehicle for its peer.
+pub const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
+
+/// A port of this machine that is free.
+pub fn loopback() -> SocketAddr {
+    ([127, 0, 0, 1], 0).into()
+}
+
+/// The datagrams that a link has for us now.
+pub fn heard(link: &mut impl Link, now_ns: Nanos) -> Vec<Vec<u8>> {
+    let mut received = Datagrams::default();
+    link.receive(now_ns, &mut received);
+    received.iter().map(|(_, datagram)| datagram.to_vec()).collect()
+}
 
 /// A serial line: `device` is what the firmware opens, `master` the end of the cable.
 pub struct PseudoTerminal {
@@ -371,5 +390,65 @@ impl TestVehicle {
         frame.seal();
         self.frames += 1;
         frame
+    }
+}
+
+/// Vehicle and firmware in step; either side's contribution can be left out of a step.
+pub struct Flight {
+    pub vehicle: TestVehicle,
+    pub firmware: LockstepFirmware,
+    /// The key with which the sensor's driver authenticates frames.
+    pub driver: Option<FrameKey>,
+    pub now_ns: Nanos,
+    pub last: StepReport,
+    pub sent: Datagrams,
+}
+
+impl Flight {
+    pub fn new(vehicle: TestVehicle, config: &FirmwareConfig) -> Self {
+        Self::of(vehicle, LockstepFirmware::new(config).unwrap())
+    }
+
+    pub fn of(vehicle: TestVehicle, firmware: LockstepFirmware) -> Self {
+        Self {
+            vehicle,
+            firmware,
+            driver: None,
+            now_ns: SECOND,
+            last: StepReport::default(),
+            sent: Datagrams::default(),
+        }
+    }
+
+    pub fn step_with(&mut self, frame: Option<&DepthFrame>, telemetry: &Datagrams) -> StepReport {
+        self.last = *self.firmware.step(self.now_ns, frame, telemetry, &mut self.sent);
+        for (_, datagram) in self.sent.iter() {
+            self.vehicle.hear(datagram);
+        }
+        self.vehicle.advance();
+        self.now_ns += STEP_NS;
+        self.last
+    }
+
+    /// A step with a frame of the driver, which somebody alters on its way.
+    pub fn step_altered(&mut self, alter: impl FnOnce(&mut DepthFrame)) -> StepReport {
+        let (mut frame, telemetry) = (self.vehicle.frame(self.now_ns), self.vehicle.telemetry());
+        if let Some(key) = &self.driver {
+            frame.authenticate(key);
+        }
+        alter(&mut frame);
+        self.step_with(Some(&frame), &telemetry)
+    }
+
+    pub fn step(&mut self) -> StepReport {
+        self.step_altered(|_| {})
+    }
+
+    pub fn until(&mut self, state: GuidanceState, limit_s: f64) {
+        let deadline_ns = self.now_ns + (limit_s * 1e9) as Nanos;
+        while self.last.state != state {
+            assert!(self.now_ns < deadline_ns, "not {state:?} in time: {:?}", self.last);
+            self.step();
+        }
     }
 }

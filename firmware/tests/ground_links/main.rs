@@ -17,11 +17,8 @@ use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::handed::{HandedClock, HandedFrame};
 use vigil_firmware::ports::router::RoutedLinks;
 use vigil_firmware::step::Firmware;
-use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{
-    FramingCounters, MAX_PACKET_LEN, StreamFramer, encode, packets, serialize, serialize_payload,
-};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, encode, encode_payload, packets};
 use vigil_mavlink::message;
 use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
@@ -242,31 +239,26 @@ impl Random {
     /// A packet with a right checksum; or a SETUP_SIGNING to the guidance computer with a random key.
     fn packet(&mut self, is_setup: bool) -> Vec<u8> {
         let bytes: Vec<u8> = (0..32).flat_map(|_| self.next().to_le_bytes()).collect();
-        let header = MavHeader {
-            system_id: u32::from(bytes[250]),
-            component_id: bytes[251],
-            sequence: bytes[252],
-        };
-        let mut out = [0; MAX_PACKET_LEN];
-        let len = if is_setup {
+        let (from, sequence) = ((bytes[250], bytes[251]), bytes[252]);
+        let packet = if is_setup {
             let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
                 initial_timestamp: self.next(),
                 target_system: ME.0,
                 target_component: ME.1,
                 secret_key: bytes[..32].try_into().unwrap(),
             });
-            serialize(header, &message, &mut out).unwrap()
+            encode(from, sequence, &message)
         } else {
             let mut write = || {
                 let id = (self.next() % 450) as u32;
-                serialize_payload(header, id, &bytes[..usize::from(bytes[253])], &mut out).ok()
+                encode_payload(from, sequence, id, &bytes[..usize::from(bytes[253])]).ok()
             };
             // Not every number is a message's.
             std::iter::repeat_with(&mut write).flatten().next().unwrap()
         };
         match bytes[254] % 4 {
-            0 => signed(bytes[200..232].try_into().unwrap(), 0, &out[..len]),
-            _ => out[..len].to_vec(),
+            0 => signed(bytes[200..232].try_into().unwrap(), 0, &packet),
+            _ => packet,
         }
     }
 }

@@ -160,17 +160,20 @@ fn a_detector_that_cannot_judge_the_actor_is_refused_by_name_before_anything_fli
     assert!(LockstepFirmware::new(&config).is_ok());
 }
 
-/// What raises the alarm in the time in which a gust carries a vehicle in full flight towards a wall, whatever it is told.
-fn alarm_before_a_wall(config: &FirmwareConfig) -> Option<AlarmCause> {
+/// What raises the alarm in so many steps in which a vehicle in full flight is carried north at so many m/s, whatever it is
+/// told, with a wall so many metres ahead.
+fn alarm_while_carried(
+    config: &FirmwareConfig,
+    (north_m_s, wall_ahead_m, steps): (f32, f32, usize),
+) -> Option<AlarmCause> {
     let mut flight = Flight::guided_by(config);
     for _ in 0..60 {
         flight.step();
     }
     assert!(flight.velocity()[0] > 1.2, "{:?}", flight.velocity());
-    let carried_m_s = NedVector::new(1.5, 0.0, 0.0);
-    let wall_north_m = flight.vehicle.position_ned_m.x + 2.2;
-    // It would be there after 29.
-    (0..28).find_map(|_| {
+    let carried_m_s = NedVector::new(north_m_s, 0.0, 0.0);
+    let wall_north_m = flight.vehicle.position_ned_m.x + wall_ahead_m;
+    (0..steps).find_map(|_| {
         flight.vehicle.velocity_ned_m_s = carried_m_s;
         let (from, yaw_rad) = (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad);
         let frame = flight.vehicle.frame_with_wall(flight.now_ns, wall_north_m);
@@ -182,26 +185,29 @@ fn alarm_before_a_wall(config: &FirmwareConfig) -> Option<AlarmCause> {
 }
 
 #[test]
-fn the_guard_stops_an_actor_before_a_wall_with_and_without_the_detector_and_either_can_be_off() {
+fn the_guard_stops_an_actor_before_a_wall_or_off_its_way_with_and_without_the_detector_and_either_can_be_off() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = watched_config(folder.path());
     // A wall that was not there a moment ago is no plausible picture.
     config.plausibility = false;
-    for (detector, guard, raised) in [
-        (false, Some(true), Some(AlarmCause::CollisionCourse)),
-        (true, Some(true), Some(AlarmCause::CollisionCourse)),
-        (true, None, Some(AlarmCause::CollisionCourse)),
-        (true, Some(false), None),
-        (false, Some(false), None),
-        (false, None, None),
+    // A gust carries it to a wall, where it would be after 29 steps; or away from its goal over open ground, for 22 seconds.
+    let to_wall = ((1.5, 2.2, 28), AlarmCause::CollisionCourse);
+    let away = ((-0.5, f32::INFINITY, 450), AlarmCause::LedAstray);
+    for (detector, guard, is_raised) in [
+        (false, Some(true), true),
+        (true, Some(true), true),
+        (true, None, true),
+        (true, Some(false), false),
+        (false, Some(false), false),
+        (false, None, false),
     ] {
         config.detector.enabled = Some(detector);
         config.detector.guard = guard;
-        assert_eq!(
-            alarm_before_a_wall(&config),
-            raised,
-            "detector {detector}, guard {guard:?}"
-        );
+        for (carried, cause) in [to_wall, away] {
+            let raised = alarm_while_carried(&config, carried);
+            let expected = is_raised.then_some(cause);
+            assert_eq!(raised, expected, "detector {detector}, guard {guard:?}, {carried:?}");
+        }
     }
 
     // The detector alone: its verdict raises the alarm without any wall.
@@ -211,44 +217,6 @@ fn the_guard_stops_an_actor_before_a_wall_with_and_without_the_detector_and_eith
     let mut flight = Flight::guided_by(&config);
     let cause = (0..40).find_map(|_| flight.step().alarm.map(|alarm| alarm.cause));
     assert_eq!(cause, Some(AlarmCause::Attack));
-}
-
-/// What raises the alarm in 22 seconds in which a vehicle is carried away from its goal over open ground, whatever it is told.
-fn alarm_while_carried_away(config: &FirmwareConfig) -> Option<AlarmCause> {
-    let mut flight = Flight::guided_by(config);
-    for _ in 0..60 {
-        flight.step();
-    }
-    let carried_m_s = NedVector::new(-0.5, 0.0, 0.0);
-    (0..450).find_map(|_| {
-        flight.vehicle.velocity_ned_m_s = carried_m_s;
-        let (from, yaw_rad) = (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad);
-        let (frame, telemetry) = (flight.vehicle.frame(flight.now_ns), flight.vehicle.telemetry());
-        let alarm = flight.step_with(Some(&frame), &telemetry).alarm;
-        (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad) = (from + carried_m_s * STEP_S, yaw_rad);
-        alarm.map(|alarm| alarm.cause)
-    })
-}
-
-#[test]
-fn the_guard_finds_that_the_vehicle_is_led_astray_with_and_without_the_detector() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut config = watched_config(folder.path());
-    config.plausibility = false;
-    for (detector, guard, raised) in [
-        (false, Some(true), Some(AlarmCause::LedAstray)),
-        (true, None, Some(AlarmCause::LedAstray)),
-        (true, Some(false), None),
-        (false, None, None),
-    ] {
-        config.detector.enabled = Some(detector);
-        config.detector.guard = guard;
-        assert_eq!(
-            alarm_while_carried_away(&config),
-            raised,
-            "detector {detector}, guard {guard:?}"
-        );
-    }
 }
 
 #[test]

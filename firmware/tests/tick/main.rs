@@ -4,37 +4,17 @@ mod alarm;
 #[path = "../common/mod.rs"]
 mod common;
 
-use common::{LOITER, OFFBOARD, TestVehicle, config, undecided_detector, watched_config};
+use common::{Flight, LOITER, OFFBOARD, TestVehicle, config, undecided_detector, watched_config};
 use vigil_firmware::config::GoalConfig;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::common::{MavMessage, MavParamType};
 use vigil_mavlink::framing::encode;
 use vigil_mavlink::message;
 use vigil_types::{
-    AlarmCause, AtGoal, Datagrams, DepthFrame, EngagePolicy, GuidanceState, Nanos, NedVector, Reason, Reasons, STEP_NS,
-    STEP_S, StepReport, Verdict,
+    AlarmCause, AtGoal, Datagrams, EngagePolicy, GuidanceState, NedVector, Reason, Reasons, STEP_S, Verdict,
 };
 
-/// Vehicle and firmware in step; either side's contribution can be left out of a step.
-struct Flight {
-    vehicle: TestVehicle,
-    firmware: LockstepFirmware,
-    now_ns: Nanos,
-    last: StepReport,
-    sent: Datagrams,
-}
-
 impl Flight {
-    fn new(vehicle: TestVehicle, config: &FirmwareConfig) -> Self {
-        Self {
-            vehicle,
-            firmware: LockstepFirmware::new(config).unwrap(),
-            now_ns: 1_000_000_000,
-            last: StepReport::default(),
-            sent: Datagrams::default(),
-        }
-    }
-
     /// A flight that has reached its guided state.
     fn guided() -> Self {
         Self::guided_by(&config())
@@ -44,21 +24,6 @@ impl Flight {
         let mut flight = Self::new(TestVehicle::hovering(2.5), config);
         flight.until(GuidanceState::Guided, 10.0);
         flight
-    }
-
-    fn step_with(&mut self, frame: Option<&DepthFrame>, telemetry: &Datagrams) -> StepReport {
-        self.last = *self.firmware.step(self.now_ns, frame, telemetry, &mut self.sent);
-        for (_, datagram) in self.sent.iter() {
-            self.vehicle.hear(datagram);
-        }
-        self.vehicle.advance();
-        self.now_ns += STEP_NS;
-        self.last
-    }
-
-    fn step(&mut self) -> StepReport {
-        let (frame, telemetry) = (self.vehicle.frame(self.now_ns), self.vehicle.telemetry());
-        self.step_with(Some(&frame), &telemetry)
     }
 
     /// Sets a parameter as a ground station does, and gives what the firmware then says it is.
@@ -89,14 +54,6 @@ impl Flight {
             fastest = fastest.max(self.velocity()[0]);
         }
         fastest
-    }
-
-    fn until(&mut self, state: GuidanceState, limit_s: f64) {
-        let deadline_ns = self.now_ns + (limit_s * 1e9) as Nanos;
-        while self.last.state != state {
-            assert!(self.now_ns < deadline_ns, "not {state:?} in time: {:?}", self.last);
-            self.step();
-        }
     }
 
     /// The velocity last sent to the vehicle.

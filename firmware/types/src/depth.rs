@@ -45,9 +45,9 @@ pub struct FrameHeader {
     pub rows: u16,
     /// Columns of the image; always [`DEPTH_COLS`] in a valid frame.
     pub cols: u16,
-    /// Estimated sensor position at capture, metres from home.
+    /// The vehicle's estimated position at capture, metres as in LOCAL_POSITION_NED.
     pub position_ned_m: NedVector,
-    /// Estimated sensor attitude at capture.
+    /// The vehicle's estimated attitude at capture.
     pub attitude: Attitude,
     /// Keeps the layout free of padding.
     pub reserved: u32,

@@ -21,8 +21,8 @@ named! {
     }
 }
 
-/// One step's judgement: the explanation of the actor's yaw output (DeepSHAP, action units) and the verdict on the last
-/// explanations; [`Judgement::yaw`] puts it together again.
+/// One step's judgement: the explanation of the actor's yaw output (DeepSHAP, action units; an imported policy's before its
+/// `--output-scale`) and the verdict on the last explanations; [`Judgement::yaw`] puts it together again.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Judgement {
     /// The verdict.
@@ -57,7 +57,8 @@ impl Judgement {
         phi: [f32::NAN; EXPLAINED_STATE],
     };
 
-    /// The sum of base and contributions: the actor's yaw output, but for rounding. NaN without an explanation.
+    /// The sum of base and contributions: the actor's yaw output, but for rounding; an imported policy's before its `--output-scale`. NaN
+    /// without an explanation.
     pub fn yaw(&self) -> f32 {
         self.base + self.image + self.bearing + self.distance + self.told
     }

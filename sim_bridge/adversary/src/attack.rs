@@ -55,25 +55,12 @@ pub struct AttackArgs {
 
 impl Default for AttackArgs {
     fn default() -> Self {
-        let AttackConfig {
-            epsilon_255: epsilon,
-            iterations,
-            towards,
-            region_pixels: region,
-            ..
-        } = AttackConfig::PAPER;
-        Self {
-            attack: None,
-            epsilon,
-            iterations,
-            burst: Burst::Steps(50),
-            towards,
-            attack_actor: None,
-            evade: None,
-            region,
-            evade_guard: false,
-            truthful_ahead: 0.0,
+        #[derive(clap::Parser)]
+        struct Given {
+            #[command(flatten)]
+            attack: AttackArgs,
         }
+        <Given as clap::Parser>::parse_from([""]).attack
     }
 }
 

@@ -3,8 +3,8 @@
 use crate::core::EndpointStatus;
 use crate::vehicle::{Vehicle, VehicleParams, VehicleView, Wind};
 use crate::{Endpoint, HomePosition, geo};
-use vigil_mavlink::framing::{self, CommandAck, FramingCounters, MAX_PACKET_LEN};
-use vigil_mavlink::mavlink::{MavHeader, MavlinkVersion, Message};
+use vigil_mavlink::framing::{self, CommandAck, FramingCounters};
+use vigil_mavlink::mavlink::{MavlinkVersion, Message};
 use vigil_types::{Nanos, NedVector};
 
 // What tests name besides the bench.
@@ -411,14 +411,7 @@ impl Bench {
 
 /// A packet of a payload that may be any.
 pub fn raw(from: ComponentId, id: u32, payload: &[u8]) -> Vec<u8> {
-    let header = MavHeader {
-        system_id: u32::from(from.system),
-        component_id: from.component,
-        sequence: 0,
-    };
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = framing::serialize_payload(header, id, payload, &mut out).expect("fits");
-    out[..len].to_vec()
+    framing::encode_payload((from.system, from.component), 0, id, payload).expect("fits")
 }
 
 pub const ACCEPTED: u8 = 0;

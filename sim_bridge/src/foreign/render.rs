@@ -5,7 +5,7 @@ use super::pose_link::PoseLink;
 use crate::program::{STATUS_STEPS, Status, announce, ending_code, nearness, print_status, set_by_interrupt};
 use crate::world::Course;
 use crate::{CompanionView, CourseChoice, LIDAR_SENSOR_ID, Models, SensorFault};
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
@@ -14,7 +14,7 @@ use vigil_io::gate::AllowUnsigned;
 use vigil_io::key_file::frame_key;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
-use vigil_types::{Nanos, STEP_NS};
+use vigil_types::{Nanos, NedVector, STEP_NS};
 
 /// Time between two looks at the links.
 const SLICE_NS: Nanos = 2_000_000;
@@ -89,6 +89,7 @@ pub struct RenderArgs {
 pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     let seed = args.course.seed_or_random();
     let course = args.course.load(seed)?;
+    begins_at_home(&course)?;
     let (links, system) = PoseLink::open_all(&args.pose, args.allow_unsigned)?;
     let config = configure(args, seed, system)?;
     let stop = set_by_interrupt()?;
@@ -134,6 +135,16 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     }
     let ending = sensor.flight.ending().map(|e| e.outcome);
     Ok(ExitCode::from(args.end_after.map_or(0, |_| ending_code(ending))))
+}
+
+/// The vehicle is where it is: nobody puts it at a course's start.
+fn begins_at_home(course: &Course) -> Result<()> {
+    ensure!(
+        course.start_ned_m() == NedVector::ZERO,
+        "{}: the course begins at the vehicle's home: set start.north_m and start.east_m to 0",
+        course.name
+    );
+    Ok(())
 }
 
 fn configure(args: &RenderArgs, seed: u64, system: Option<u8>) -> Result<ForeignConfig> {
@@ -291,5 +302,20 @@ impl Told {
                 ending.outcome, ending.flight_time_s
             ));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_course_that_does_not_begin_at_home_is_refused() {
+        let mut course = crate::testing::field(0.0, 10.0, "");
+        course.start.heading_deg = 20.0;
+        begins_at_home(&course).expect("only turned");
+        course.start.east_m = 1.5;
+        let error = begins_at_home(&course).expect_err("elsewhere").to_string();
+        assert!(error.starts_with("test: ") && error.contains("start.east_m"), "{error}");
     }
 }

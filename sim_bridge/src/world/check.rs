@@ -1,7 +1,7 @@
 //! What makes a course usable, beyond its syntax.
 
 use crate::world::course::Course;
-use crate::world::mover::{BoxOutline, ColumnOutline, MAX_MOVER_SPEED_M_S, Mover, MoverShape};
+use crate::world::mover::{ColumnOutline, MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 use crate::world::solid::Solid;
 use crate::world::vehicle::VEHICLE;
 
@@ -54,6 +54,14 @@ fn size(field: &str, value: f32) -> Result<(), FieldProblem> {
         field,
         format!("is {value}, must be a size from 0.01 to {MAX_COORDINATE_M} m"),
     )
+}
+
+/// Checks fields of a table in turn, each by its own name.
+macro_rules! check_fields {
+    ($of:expr, $table:expr, $($check:ident: $($field:ident)+),+) => {{
+        let table = $table;
+        $($($check(&format!("{table}.{}", stringify!($field)), $of.$field)?;)+)+
+    }};
 }
 
 impl Course {
@@ -131,18 +139,11 @@ impl Course {
 
     fn check_obstacles(&self) -> Result<(), FieldProblem> {
         for (i, c) in self.columns.iter().enumerate() {
-            coordinate(&format!("column[{i}].north_m"), c.north_m)?;
-            coordinate(&format!("column[{i}].east_m"), c.east_m)?;
-            size(&format!("column[{i}].radius_m"), c.radius_m)?;
-            size(&format!("column[{i}].height_m"), c.height_m)?;
+            check_fields!(c, format!("column[{i}]"), coordinate: north_m east_m, size: radius_m height_m);
         }
         for (i, b) in self.boxes.iter().enumerate() {
-            coordinate(&format!("box[{i}].north_m"), b.north_m)?;
-            coordinate(&format!("box[{i}].east_m"), b.east_m)?;
-            size(&format!("box[{i}].length_m"), b.length_m)?;
-            size(&format!("box[{i}].width_m"), b.width_m)?;
-            size(&format!("box[{i}].height_m"), b.height_m)?;
-            angle(&format!("box[{i}].yaw_deg"), b.yaw_deg)?;
+            let table = format!("box[{i}]");
+            check_fields!(b, table, coordinate: north_m east_m, size: length_m width_m height_m, angle: yaw_deg);
         }
         for (i, w) in self.walls.iter().enumerate() {
             for k in 0..2 {
@@ -159,13 +160,9 @@ impl Course {
             }
         }
         for (i, o) in self.overhangs.iter().enumerate() {
-            coordinate(&format!("overhang[{i}].north_m"), o.north_m)?;
-            coordinate(&format!("overhang[{i}].east_m"), o.east_m)?;
-            size(&format!("overhang[{i}].length_m"), o.length_m)?;
-            size(&format!("overhang[{i}].width_m"), o.width_m)?;
-            size(&format!("overhang[{i}].bottom_m"), o.bottom_m)?;
-            angle(&format!("overhang[{i}].yaw_deg"), o.yaw_deg)?;
-            size(&format!("overhang[{i}].top_m"), o.top_m)?;
+            let table = format!("overhang[{i}]");
+            check_fields!(o, table, coordinate: north_m east_m, size: length_m width_m bottom_m,
+                angle: yaw_deg, size: top_m);
             if o.top_m < o.bottom_m + 0.01 {
                 return problem(
                     format!("overhang[{i}].top_m"),
@@ -180,15 +177,10 @@ impl Course {
     }
 
     fn check_places(&self) -> Result<(), FieldProblem> {
-        coordinate("start.north_m", self.start.north_m)?;
-        coordinate("start.east_m", self.start.east_m)?;
-        angle("start.heading_deg", self.start.heading_deg)?;
-        coordinate("goal.north_m", self.goal.north_m)?;
-        coordinate("goal.east_m", self.goal.east_m)?;
+        check_fields!(self.start, "start", coordinate: north_m east_m, angle: heading_deg);
+        check_fields!(self.goal, "goal", coordinate: north_m east_m);
         for (i, c) in self.checkpoints.iter().enumerate() {
-            coordinate(&format!("checkpoint[{i}].north_m"), c.north_m)?;
-            coordinate(&format!("checkpoint[{i}].east_m"), c.east_m)?;
-            angle(&format!("checkpoint[{i}].heading_deg"), c.heading_deg)?;
+            check_fields!(c, format!("checkpoint[{i}]"), coordinate: north_m east_m, angle: heading_deg);
         }
         let places = [
             ("start", self.start.north_m, self.start.east_m),
@@ -269,14 +261,9 @@ impl Mover {
             MoverShape::Column(ColumnOutline { radius_m }) => {
                 size(&format!("mover[{i}].shape.column.radius_m"), radius_m)
             }
-            MoverShape::Box(BoxOutline {
-                length_m,
-                width_m,
-                yaw_deg,
-            }) => {
-                size(&format!("mover[{i}].shape.box.length_m"), length_m)?;
-                size(&format!("mover[{i}].shape.box.width_m"), width_m)?;
-                angle(&format!("mover[{i}].shape.box.yaw_deg"), yaw_deg)
+            MoverShape::Box(outline) => {
+                check_fields!(outline, format!("mover[{i}].shape.box"), size: length_m width_m, angle: yaw_deg);
+                Ok(())
             }
         }
     }

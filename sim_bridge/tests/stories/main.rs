@@ -1,6 +1,5 @@
 //! Stories of the whole simulator.
 
-mod packet;
 mod packets;
 mod simulator;
 mod vehicle_links;

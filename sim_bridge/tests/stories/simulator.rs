@@ -1,9 +1,9 @@
 //! The simulator in lockstep: the same bits for the same seed.
 
-use crate::packet::packet;
 use crate::packets::command;
 use vigil_autopilot::FlightMode;
 use vigil_mavlink::common::{MavFrame, MavMessage, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA};
+use vigil_mavlink::framing::encode;
 use vigil_sim::foreign::{ForeignConfig, ForeignFlight};
 use vigil_sim::world::{Column, Family, Outcome, generate};
 use vigil_sim::{STEP_MS, SimConfig, Simulator, Start};
@@ -54,7 +54,7 @@ fn a_simulator_that_stood_still_for_a_second_says_so_and_flies_on_as_if_nothing_
         coordinate_frame: MavFrame::MAV_FRAME_BODY_NED,
         ..Default::default()
     };
-    let setpoint = packet((1, 191), &MavMessage::SET_POSITION_TARGET_LOCAL_NED(setpoint));
+    let setpoint = encode((1, 191), 0, &MavMessage::SET_POSITION_TARGET_LOCAL_NED(setpoint));
     let offboard = command((1, 191), 176, [129.0, 6.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     let mut simulator = Simulator::new(&config, 0).expect("valid");
     let mut said = Vec::new();

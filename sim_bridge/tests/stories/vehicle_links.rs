@@ -1,6 +1,5 @@
 //! The links of the simulated vehicle.
 
-use crate::{packet, packets};
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpStream, UdpSocket};
 use std::os::unix::fs::PermissionsExt;
@@ -9,7 +8,7 @@ use std::time::Duration;
 use vigil_autopilot::{Endpoint, EndpointConfig, LinkId, SigningSetup};
 use vigil_io::gate::AllowUnsigned;
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, SETUP_SIGNING_DATA};
-use vigil_mavlink::framing::MAX_PACKET_LEN;
+use vigil_mavlink::framing::{MAX_PACKET_LEN, encode, encode_payload};
 use vigil_mavlink::signing::{Signing, SigningKey, SigningMemory, Timestamp, timestamp_of_unix_ns};
 use vigil_sim::vehicle_links::{LinksConfig, VehicleLinks};
 use vigil_types::Nanos;
@@ -25,7 +24,7 @@ fn packet(number: u32) -> Vec<u8> {
         custom_mode: number,
         ..HEARTBEAT_DATA::DEFAULT
     };
-    packet::packet(STATION, &MavMessage::HEARTBEAT(heartbeat))
+    encode(STATION, 0, &MavMessage::HEARTBEAT(heartbeat))
 }
 
 /// A file with the key.
@@ -225,7 +224,7 @@ fn setup(key: [u8; 32]) -> Vec<u8> {
         secret_key: key,
         ..SETUP_SIGNING_DATA::DEFAULT
     };
-    packet::packet(STATION, &MavMessage::SETUP_SIGNING(message))
+    encode(STATION, 0, &MavMessage::SETUP_SIGNING(message))
 }
 
 /// A packet with a right checksum of random content, if it is one.
@@ -233,7 +232,7 @@ fn random_packet(random: &mut impl FnMut() -> u8) -> Option<Vec<u8>> {
     let from = (random(), random());
     let id = u32::from(random()) + u32::from(random());
     let payload: Vec<u8> = (0..random()).map(|_| random()).collect();
-    packets::raw(from, id, &payload).ok()
+    encode_payload(from, 0, id, &payload).ok()
 }
 
 /// A hundred thousand packets with right checksums and random content, each tenth a SETUP_SIGNING for the vehicle, on a

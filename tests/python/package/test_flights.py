@@ -68,6 +68,19 @@ def test_a_log_is_read_as_columns(evaluated):
     assert len(table) == steps and {"action_0", "score", "state"} <= set(table.columns)
 
 
+def test_a_log_that_ends_before_its_first_step_has_the_same_columns_without_values(evaluated, tmp_path):
+    whole, at, kind = (evaluated[1] / "7.mcap").read_bytes(), 8, 0
+    # MCAP's records up to the first of metadata: their kind, their length, what they hold.
+    while kind != 12:
+        kind, at = whole[at], at + 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+    (tmp_path / "short.mcap").write_bytes(whole[:at])
+    read = log.read(tmp_path / "short.mcap")
+    assert len(read.step) == 0 and "not closed" in read.end
+    assert read["position_ned_m"].shape == (0, 3) and read["score"].shape == (0,)
+    assert read.numbers.keys() == log.read(evaluated[1] / "7.mcap").numbers.keys()
+    assert len(read.table()) == 0
+
+
 def test_what_is_no_log_is_refused(tmp_path):
     with pytest.raises(ValueError, match="missing.mcap"):
         log.read(tmp_path / "missing.mcap")

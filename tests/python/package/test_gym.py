@@ -446,6 +446,24 @@ def test_an_option_out_of_range_is_refused_by_name(options, said):
         VigilEnv(**options)
 
 
+def test_a_reset_that_is_refused_draws_nothing():
+    env, other = VigilEnv(frames=1), VigilEnv(frames=1)
+    for one in (env, other):
+        one.reset(seed=3)
+    for wrong in ({"course_seed": -1}, {"course": 4}):
+        with pytest.raises(ValueError, match="course_seed"):
+            env.reset(seed=9, options=wrong)
+        assert env.course_seed == other.course_seed
+    for one in (env, other):
+        one.reset()
+    assert env.course_seed == other.course_seed
+    vector = VigilVectorEnv(2, frames=1, threads=1)
+    before = list(vector._random)
+    with pytest.raises(ValueError, match="have not begun: reset all of them first"):
+        vector.reset(seed=9, options={"reset_mask": np.array([True, False])})
+    assert vector._random == before
+
+
 def test_what_comes_before_a_reset_is_refused():
     with pytest.raises(ValueError, match="reset first"):
         VigilEnv(frames=1).step([0.0, 0.0])

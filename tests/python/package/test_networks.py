@@ -172,6 +172,12 @@ def test_an_imported_policy_is_judged_at_its_split_point_and_attacked_frame_by_f
     assert not (tmp_path / "no").exists()
 
 
+def test_an_imported_policy_takes_the_goal_of_a_position(flown, policies):
+    frames, _, positions, *_ = flown
+    of_position, of_goal = (Policy(policies["goal_beside_the_frame"]) for _ in range(2))
+    assert of_position.decide(frames[0][-1], positions[0]) == of_goal.decide(frames[0][-1], positions[0][:2])
+
+
 def test_an_actor_written_from_python_decides_as_the_program_does(flown, tmp_path):
     frames, _, positions, _, actions, _ = flown
     built_in = Actor()
@@ -241,6 +247,8 @@ def test_what_does_not_fit_is_refused_in_words(flown, tmp_path):
         actor.decide(frame, [1.0])
     with pytest.raises(ValueError, match="a distance of 0 m or more"):
         actor.decide(frame, [-1.0, 0.0])
+    with pytest.raises(ValueError, match="a time of at most 1000000000 s"):
+        actor.decide(frame, [*position[:8], 1e11])
     with pytest.raises(ValueError, match=r"state: expected shape \(48,\)"):
         Monitor(actor).judge(states[0][:47], low_dim)
     with pytest.raises(ValueError, match="output: 0"):

@@ -14,6 +14,7 @@ import json
 import math
 import os
 import signal
+import struct
 import sys
 import threading
 import time
@@ -22,12 +23,15 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from mcap.exceptions import EndOfFile, McapError
+from google.protobuf.message import DecodeError
+from mcap.exceptions import McapError
 from mcap.records import Channel, DataEnd, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
 FORMAT = "1"
+# What is raised of a damaged piece: what unpacks LZ4 has RuntimeError, a wrong length OverflowError or struct.error.
+DAMAGE = (McapError, DecodeError, RuntimeError, ValueError, OSError, OverflowError, MemoryError, struct.error)
 # Rows and columns of a frame, its fields of view, the range of a pixel of 1.
 ROWS, COLS = 128, 256
 WIDTH_RAD, HEIGHT_RAD = math.radians(120), math.radians(60)
@@ -298,7 +302,7 @@ def read(file, show):
                 show.message(topic, record, decode(record.data))
             elif isinstance(record, DataEnd):
                 return None
-    except (EndOfFile, McapError, ValueError, OSError) as error:
+    except DAMAGE as error:
         return f"{type(error).__name__}: {error}".rstrip(": ")
     return "no end"
 
@@ -374,12 +378,12 @@ def show_course(course):
 
 
 def wait_for(path, patience_s=15.0):
-    """The log, or the one log in a folder, once it is there."""
+    """The log, or the newest one in a folder, once it is there."""
     begun = time.monotonic()
     while time.monotonic() - begun < patience_s:
-        logs = sorted(path.glob("*.mcap")) if path.is_dir() else [path] if path.exists() else []
+        logs = list(path.glob("*.mcap")) if path.is_dir() else [path] if path.exists() else []
         if logs:
-            return logs[0]
+            return max(logs, key=lambda log: log.stat().st_mtime)
         time.sleep(0.1)
     sys.exit(f"no log came to be in {path}")
 

@@ -12,11 +12,15 @@ tests/python/test_depth_publisher.py; the node itself was not run against ROS.
 import ctypes
 import math
 import time
+from collections import deque
 
 import numpy as np
 
 PIXELS = 128 * 256
 FLOATS = ctypes.POINTER(ctypes.c_float)
+#: Odometry that is kept, and how far from a cloud's stamp the nearest of it may be.
+POSES = 200
+MOST_APART_NS = 100_000_000
 
 
 def _floats(array: np.ndarray):
@@ -148,6 +152,21 @@ def monotonic_of(stamp_ns: int, now_wall_ns: int, now_monotonic_ns: int) -> int:
     return now_monotonic_ns - age_ns
 
 
+def stamp_of(header) -> int:
+    """The nanoseconds of a std_msgs/Header."""
+    return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+
+
+def pose_at(poses, stamp_ns: int):
+    """The pose reported nearest to a stamp, the later of two; `poses` are (stamp in nanoseconds, pose), the newest last."""
+    if not poses:
+        raise ValueError("no odometry yet")
+    reported_ns, pose = min(reversed(poses), key=lambda reported: abs(reported[0] - stamp_ns))
+    if (apart_ns := abs(reported_ns - stamp_ns)) > MOST_APART_NS:
+        raise ValueError(f"the nearest odometry is {apart_ns * 1e-9:.3f} s from the cloud's stamp")
+    return pose
+
+
 def main() -> None:
     import rclpy
     from nav_msgs.msg import Odometry
@@ -164,24 +183,22 @@ def main() -> None:
             self.mount = value("mount", [0.0] * 6)
             self.restamp = value("restamp", False)
             self.resolution = value("across_deg", 0.352), value("down_deg", 0.704)
-            self.pose = None
+            self.poses = deque(maxlen=POSES)
             self.create_subscription(Odometry, "odometry", self.on_odometry, qos_profile_sensor_data)
             self.create_subscription(PointCloud2, "points", self.on_points, qos_profile_sensor_data)
 
         def on_odometry(self, message):
             p, q = message.pose.pose.position, message.pose.pose.orientation
-            self.pose = pose_of_odometry((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+            self.poses.append((stamp_of(message.header), pose_of_odometry((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))))
 
         def on_points(self, message):
-            if self.pose is None:
-                self.get_logger().warning("no odometry yet: no frame", throttle_duration_sec=10.0)
-                return
-            stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+            stamp_ns = stamp_of(message.header)
             try:
+                pose = pose_at(self.poses, stamp_ns)
                 now_ns = time.monotonic_ns()
                 stamp_ns = now_ns if self.restamp else monotonic_of(stamp_ns, time.time_ns(), now_ns)
                 ranges_m = self.library.project(points_of_cloud(message), self.mount, *self.resolution)
-                self.library.publish(ranges_m, *self.pose, stamp_ns)
+                self.library.publish(ranges_m, *pose, stamp_ns)
             except (RuntimeError, ValueError) as error:
                 self.get_logger().warning(f"no frame: {error}", throttle_duration_sec=10.0)
 

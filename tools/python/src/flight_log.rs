@@ -51,8 +51,8 @@ struct Content {
 
 fn read(path: &Path, with_frames: bool) -> Result<Content, vigil_log::ReadError> {
     let mut reader = Reader::open(path)?;
-    let mut content = Content::default();
     let mut record = Box::new(TickRecord::default());
+    let mut content = Content::without_steps(&record);
     while reader.read_next(&mut record)? {
         content.take(&record, with_frames);
     }
@@ -71,6 +71,18 @@ fn read(path: &Path, with_frames: bool) -> Result<Content, vigil_log::ReadError>
 }
 
 impl Content {
+    /// With every column that a step has.
+    fn without_steps(step: &TickRecord) -> Self {
+        let mut one = Self::default();
+        one.take(step, false);
+        let mut columns = one.columns;
+        columns.0.iter_mut().for_each(|column| column.values.clear());
+        Self {
+            columns,
+            ..Self::default()
+        }
+    }
+
     fn take(&mut self, record: &TickRecord, with_frames: bool) {
         let report = &record.report;
         self.step.push(record.timing.step);

@@ -100,6 +100,13 @@ impl Moment {
                 "goal: a distance of 0 m or more and finite numbers, got {position:?}"
             )));
         }
+        if let Some((_, _, _, time_s)) = odometry
+            && time_s > MOST_TIME_S
+        {
+            return Err(refused(format!(
+                "goal: a time of at most {MOST_TIME_S} s, got {time_s} s"
+            )));
+        }
         let (place, yaw_rad, velocity_m_s, now_ns) = match odometry {
             // Tenths of a millisecond: a float32 of seconds has no more.
             Some((place, yaw_rad, moves, time_s)) => {
@@ -140,6 +147,9 @@ impl Moment {
         }
     }
 }
+
+/// Latest time of a decision, seconds: thirty years, whose nanoseconds leave room for those of a flight.
+const MOST_TIME_S: f32 = 1e9;
 
 /// Height of a vehicle of which only the goal is given, metres: the courses'.
 const HOVER_M: f32 = 2.5;

@@ -90,7 +90,8 @@ class Detector(Lstm):
 
 @dataclass(frozen=True)
 class Judgement:
-    """A decision explained and judged. ``base + image + bearing + distance + told`` is the policy's yaw output, but for rounding."""
+    """A decision explained and judged. ``base + image + bearing + distance + told`` is the policy's yaw output, but for rounding; of an
+    imported policy all of them are before its ``--output-scale``."""
 
     attacked: bool | None
     """The verdict; ``None`` until ten decisions were explained."""

@@ -65,7 +65,8 @@ def _explanation(explainer: _vigil.Explainer, inputs: list[Floats], output: int,
 
 
 class SplitPoint:
-    """Explains a decision at the policy's split point, the values of its state: what the detector looks at in flight.
+    """Explains a decision at the policy's split point, the values of its state: what the detector looks at in flight, of an imported policy
+    before its ``--output-scale``.
 
     Args:
         actor: the actor, or an imported policy that has a split point.

@@ -347,14 +347,16 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Begins a flight, hovering at the course's start. ``options``: ``course_seed``."""
-        super().reset(seed=seed)
-        self.course_seed = _drawn(self.np_random, self._flown.seeds)
+        wanted: int | None = None
         if options:
             if unknown := set(options) - {"course_seed"}:
                 raise ValueError(f"options: there is course_seed, not {', '.join(sorted(unknown))}")
-            self.course_seed = int(options["course_seed"])
-            if not 0 <= self.course_seed < 1 << 64:
-                raise ValueError(f"options: course_seed is 0 or more, below 2^64, got {self.course_seed}")
+            wanted = int(options["course_seed"])
+            if not 0 <= wanted < 1 << 64:
+                raise ValueError(f"options: course_seed is 0 or more, below 2^64, got {wanted}")
+        super().reset(seed=seed)
+        drawn = _drawn(self.np_random, self._flown.seeds)
+        self.course_seed = drawn if wanted is None else wanted
         observation = self._advance(self.course_seed)
         self._begun = True
         return observation, {**self._flown.info(0), "course_seed": self.course_seed}
@@ -478,15 +480,14 @@ class VigilVectorEnv(VectorEnv[dict[str, NDArray[Any]], Floats, NDArray[Any]]):
                 raise ValueError(
                     f"reset_mask: {self.num_envs} of bool are needed, one at least true, got {mask.dtype} {list(mask.shape)}"
                 )
+        if not self._begun and not mask.all():
+            raise ValueError("reset_mask: the flights have not begun: reset all of them first")
         seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
         if seeds is not None:
             if len(seeds) != self.num_envs:
                 raise ValueError(f"seed: one for each of {self.num_envs} flights, got {len(seeds)}")
-            for number, own in enumerate(seeds):
-                if own is not None and mask[number]:
-                    self._random[number] = seeding.np_random(own)[0]
-        if not self._begun and not mask.all():
-            raise ValueError("reset_mask: the flights have not begun: reset all of them first")
+            own = {i: seeding.np_random(given)[0] for i, given in enumerate(seeds) if given is not None and mask[i]}
+            self._random = [own.get(i, random) for i, random in enumerate(self._random)]
         observation = self._flown.advance(self._drawn_for(mask))
         self._begun, self._ended = True, self._ended & ~mask
         return observation, {"course_seed": np.array(self.course_seeds)}

@@ -26,7 +26,7 @@ class Log:
     numbers: dict[str, Floats]
     """``[T, width]``; ``[T]`` where one number is told. Units are in the names; ``goal``: distance (m) and bearing (rad) as the pilot saw
     it; ``action``: forward speed (m/s) and yaw (30 °/s); ``score``: 0 to 1; ``contributions``: of image, bearing, distance, own motion (`told`), and the base;
-    ``phi``: ``[T, 48]``."""
+    ``phi``: ``[T, 48]``; both of an imported policy before its ``--output-scale``."""
     words: dict[str, list[Any]]
     """``state`` of guidance, ``reasons`` present (divided by ``", "``), cause of the ``alarm`` or ``None``, ``verdict``."""
     frame_steps: NDArray[np.uint64]

@@ -122,8 +122,9 @@ class Policy:
         self.native = _vigil.Policy(str(path))
 
     def decide(self, frame: Any, goal: Any) -> Action:
-        """As :meth:`Actor.decide`, exactly as in flight."""
-        return Action(*self.native.decide(_given.frames_of("frame", frame, None), *_given.goal(goal)))
+        """As :meth:`Actor.decide`, exactly as in flight; of a position it takes the goal alone."""
+        distance_m, bearing_rad, *_ = _given.position(goal)
+        return Action(*self.native.decide(_given.frames_of("frame", frame, None), distance_m, bearing_rad))
 
     def state(self) -> Floats:
         """The values at the split point of the last decision: what is explained in flight.

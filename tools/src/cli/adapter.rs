@@ -18,7 +18,7 @@ use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sensors::adapters::{DepthStream, Fault, OusterAdapter, OusterDevice, PoseTrack, Tally};
 use vigil_sensors::{Mount, Pinhole, View};
 use vigil_sim::foreign::PoseLink;
-use vigil_types::{Attitude, DepthFrame, FrameKey, FrdVector, Nanos, NedVector};
+use vigil_types::{Attitude, DepthFrame, FrameKey, FrdVector, Nanos, NedVector, STEP_NS};
 
 /// The device's packets are waited for so long before the vehicle's are looked at again.
 const LOOK: Duration = Duration::from_millis(2);
@@ -30,6 +30,8 @@ const RECEIVE_BUFFER: usize = 4 << 20;
 const METADATA_LIMIT: u64 = 1 << 20;
 /// Position and attitude that came farther apart are no pose, seconds.
 const MOST_APART_S: f32 = 0.3;
+/// A frame older than this is of another clock, or of no use.
+const OLDEST_NS: Nanos = 1_000_000_000;
 
 /// The frames of a sensor: where they are published.
 #[derive(Debug, Clone, clap::Args)]
@@ -235,6 +237,12 @@ impl PoseSource {
     }
 }
 
+/// Whether a frame of this stamp may be published at `now_ns` after one of `last_ns`: newer, of the last second, not of the future.
+fn may_follow(stamp_ns: Nanos, last_ns: Option<Nanos>, now_ns: Nanos) -> bool {
+    let in_time = now_ns.saturating_sub(OLDEST_NS)..=now_ns.saturating_add(STEP_NS);
+    in_time.contains(&stamp_ns) && last_ns.is_none_or(|last_ns| stamp_ns > last_ns)
+}
+
 /// Where images go, and what is told of those that are none.
 struct Output {
     publisher: FramePublisher,
@@ -318,9 +326,16 @@ impl Output {
 
     /// Publishes the image in the frame, taken at `stamp_ns`, with the newest that the vehicle said of its pose.
     fn publish(&mut self, stamp_ns: Nanos) -> Result<()> {
-        self.pose.listen(monotonic_ns());
+        let now_ns = monotonic_ns();
+        self.pose.listen(now_ns);
+        let last_ns = (self.published > 0).then_some(self.frame.header.stamp_ns);
+        if !may_follow(stamp_ns, last_ns, now_ns) {
+            let age_s = (now_ns as f64 - stamp_ns as f64) * 1e-9;
+            self.refuse(now_ns, Fault::Stamp { age_s });
+            return Ok(());
+        }
         let Some((position_ned_m, attitude)) = self.pose.at(stamp_ns) else {
-            self.refuse(monotonic_ns(), Fault::NoPose);
+            self.refuse(now_ns, Fault::NoPose);
             return Ok(());
         };
         let header = &mut self.frame.header;
@@ -481,6 +496,14 @@ mod tests {
     use vigil_mavlink::common::MavAutopilot;
     use vigil_mavlink::framing::encode;
     use vigil_mavlink::message;
+
+    #[test]
+    fn a_stamp_of_long_ago_of_the_future_or_not_newer_than_the_last_is_no_frame() {
+        const NOW_NS: Nanos = 90_000_000_000;
+        assert!(may_follow(NOW_NS - OLDEST_NS, None, NOW_NS) && may_follow(NOW_NS + STEP_NS, None, NOW_NS));
+        assert!(!may_follow(NOW_NS - OLDEST_NS - 1, None, NOW_NS) && !may_follow(NOW_NS + STEP_NS + 1, None, NOW_NS));
+        assert!(may_follow(NOW_NS, Some(NOW_NS - 1), NOW_NS) && !may_follow(NOW_NS, Some(NOW_NS), NOW_NS));
+    }
 
     /// With LOCAL_POSITION_NED the firmware compares what frames say of the pose.
     #[test]

@@ -197,8 +197,12 @@ fn obstacles_of(file: &Path) -> Result<String> {
     );
     ensure!(
         course.earliest_arrival_s(0.0).is_some(),
-        "{}: the movers leave no time to get to the goal",
-        file.display()
+        "{}: {}",
+        file.display(),
+        match course.movers.is_empty() {
+            true => "`time_limit_s` is too short for the way at 1 m/s",
+            false => "the movers leave no time to get to the goal",
+        }
     );
     let counted = |count: usize, what: &str| format!("{count} {what}{}", if count == 1 { "" } else { "s" });
     let mut found = counted(course.solids().len() + course.movers.len(), "obstacle");
@@ -213,6 +217,9 @@ fn obstacles_of(file: &Path) -> Result<String> {
 }
 
 fn write_png(image: &Image, path: &Path) -> Result<()> {
+    if output::is_stdout(path) {
+        return output::write(path, image.to_png()?);
+    }
     image.write_png(path)?;
     say!("{}", path.display());
     Ok(())
@@ -224,4 +231,23 @@ fn depth_image(frame: &DepthFrame) -> Image {
     Image::from_fn(DEPTH_COLS * SCALE, DEPTH_ROWS * SCALE, |x, y| {
         output::range_grey(frame.depth[(y / SCALE) * DEPTH_COLS + x / SCALE])
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_limit_below_the_way_is_named_where_nothing_moves() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("short.toml");
+        let text = "name = \"short\"\ntime_limit_s = 9.0\ngoal = { north_m = 20.0, east_m = 0.0 }\n\
+                    bounds = { north_m = [-4.0, 26.0], east_m = [-10.0, 10.0], top_m = 6.0 }\n";
+        std::fs::write(&file, text).unwrap();
+        let error = obstacles_of(&file).unwrap_err().to_string();
+        assert!(
+            error.ends_with("`time_limit_s` is too short for the way at 1 m/s"),
+            "{error}"
+        );
+    }
 }

@@ -2,10 +2,11 @@
 
 mod goal_distance;
 mod report;
+mod shown;
 
 use crate::campaign::flights::{Campaign, Existing, Jobs, sha256};
 use crate::campaign::{self, FaultChoice, Flight, Recording, outcome_name};
-use crate::cli::output::{self, Interrupt, say, tell};
+use crate::cli::output::{self, tell};
 use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
 use crate::cli::view::ViewerArgs;
 use crate::flight_report;
@@ -15,16 +16,17 @@ use goal_distance::GoalDistance;
 use report::{NO_FAULT, Took, report};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use shown::Shown;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ExitCode};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::process::ExitCode;
+use std::time::Instant;
 use vigil_adversary::{Attack, AttackArgs, AttackConfig, Burst};
 use vigil_detector::FrozenDetector;
-use vigil_firmware::FirmwareConfig;
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::lockstep_flight::FlightRecord;
 use vigil_sim::world::{Course, Family, FlightPath, generate, generate_long};
-use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Start, VehicleChoice, family_parser};
+use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Simulator, Start, VehicleChoice, family_parser};
 use vigil_types::{FrameKey, NedVector};
 
 /// Beyond it the report would not fit the memory.
@@ -341,9 +343,16 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         flights: args.flights,
         arms: faults.iter().map(|fault| arm_name(*fault)).collect(),
     };
-    let mut campaign = Campaign::new(COMMAND, Settings::of(args, attack.as_ref())?, jobs.clone())?
-        .keep_in(&lines_beside(args)?, Existing::replaced_unless(args.resume))?;
+    let settings = Settings::of(args, attack.as_ref())?;
     let pool = thread_pool_of(args.threads)?;
+    pool.install(|| check_first(args, &models, attack.as_ref(), faults[0]))?;
+    let mut campaign = Campaign::new(COMMAND, settings, jobs.clone())?
+        .keep_in(&lines_beside(args)?, Existing::replaced_unless(args.resume))?;
+    if campaign.flights().next().is_some() && (args.logs.is_some() || args.draw_failures.is_some()) {
+        tell!(
+            "vigil: flights that are there already are not flown again: --logs and --draw-failures have the others only"
+        );
+    }
     let mut shown = args.view.map(|count| Shown::begin(args, count, &faults)).transpose()?;
     let live = shown.as_ref().map(|shown| (shown.count, shown.folder.clone()));
     let (begun, before_s) = (Instant::now(), report::simulated_s(&campaign));
@@ -402,14 +411,29 @@ fn faults(choice: Option<FaultChoice>) -> Vec<Option<SensorFault>> {
     }
 }
 
-fn fly(
+/// Makes what the first flight is flown with: what refuses it does so before earlier flights are replaced.
+fn check_first(
     args: &EvaluateArgs,
     models: &Models,
     attack: Option<&Attack>,
     fault: Option<SensorFault>,
+) -> Result<()> {
+    let (config, firmware) = configured(args, models, fault, args.seed)?;
+    Simulator::new(&config, 0)?;
+    LockstepFirmware::new(&firmware)?;
+    if let Some(attack) = attack {
+        attack.interceptor(config.seed, config.course.goal_ned_m())?;
+    }
+    Ok(())
+}
+
+/// What a flight is flown with.
+fn configured(
+    args: &EvaluateArgs,
+    models: &Models,
+    fault: Option<SensorFault>,
     seed: u64,
-    logs: Option<&Path>,
-) -> Result<Flight> {
+) -> Result<(SimConfig, FirmwareConfig)> {
     let mut course = match args.goal_distance {
         None => generate(args.family, seed),
         Some(distance) => generate_long(args.family, seed, distance.of(seed)).with_context(|| {
@@ -443,6 +467,18 @@ fn fly(
     config.second_sensor_heads = args.second_sensor.heads.into();
     firmware.second_sensor = args.second_sensor.heads > 0;
     args.pilot.apply(&mut firmware);
+    Ok((config, firmware))
+}
+
+fn fly(
+    args: &EvaluateArgs,
+    models: &Models,
+    attack: Option<&Attack>,
+    fault: Option<SensorFault>,
+    seed: u64,
+    logs: Option<&Path>,
+) -> Result<Flight> {
+    let (config, firmware) = configured(args, models, fault, seed)?;
     let recording = logs.map(|folder| recording(args, folder, fault, seed)).transpose()?;
     let flight = campaign::fly_recorded(&config, &firmware, attack, recording)?;
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !flight.record.is_success()) {
@@ -451,73 +487,6 @@ fn fly(
         draw(&config.course, &flight.record, &folder.join(file))?;
     }
     Ok(flight)
-}
-
-/// Flights in the viewer while they fly.
-struct Shown {
-    count: u64,
-    folder: PathBuf,
-    script: Child,
-}
-
-impl Shown {
-    /// Opens the viewer for the first `count` flights.
-    fn begin(args: &EvaluateArgs, count: u64, faults: &[Option<SensorFault>]) -> Result<Self> {
-        let count = count.min(args.flights * faults.len() as u64);
-        let folder = match &args.logs {
-            Some(folder) => folder.clone(),
-            None => {
-                let stamp = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-                let parent = args.json.parent();
-                let parent = parent.filter(|p| !p.as_os_str().is_empty() && !output::is_stdout(&args.json));
-                let parent = parent.unwrap_or(Path::new("runs"));
-                vigil_types::files::make_new_folder(parent, &format!("evaluate-{stamp}-{}", args.seed))
-                    .with_context(|| format!("cannot make a folder in {}", parent.display()))?
-            }
-        };
-        let names: Vec<String> = (0..count)
-            .map(|number| {
-                let (seed, arm) = (number / faults.len() as u64, number % faults.len() as u64);
-                log_name(args, faults[arm as usize], args.seed.wrapping_add(seed))
-            })
-            .collect();
-        let script = args.viewer.follow_all(&folder, &names)?;
-        Ok(Self { count, folder, script })
-    }
-
-    /// All flights are over: the script shows what it has not yet, and ends; the viewer stays open.
-    fn end(&mut self, interrupt: &Interrupt) -> Result<()> {
-        if self.script.try_wait()?.is_none() {
-            // A log that is not there by now does not come any more.
-            rustix::process::kill_process(
-                rustix::process::Pid::from_child(&self.script),
-                rustix::process::Signal::TERM,
-            )?;
-        }
-        let mut told = false;
-        let status = loop {
-            match self.script.try_wait()? {
-                Some(status) => break status,
-                None if interrupt.came() => {
-                    self.script.kill()?;
-                    break self.script.wait()?;
-                }
-                None => std::thread::sleep(Duration::from_millis(100)),
-            }
-            if !told {
-                tell!("vigil: the viewer reads the rest of the logs; Ctrl-C leaves it there");
-                told = true;
-            }
-        };
-        say!("logs             {}", self.folder.display());
-        if !status.success() && !interrupt.came() {
-            tell!(
-                "vigil: the viewer ended early: see {}",
-                self.folder.join("viewer.log").display()
-            );
-        }
-        Ok(())
-    }
 }
 
 /// The name of a flight's log, without its ending.

@@ -47,8 +47,14 @@ pub struct Words {
     _words: Vec<OsString>,
 }
 
+/// Whether these words ask for help with a command of the laboratory, whose arguments only `vigil-lab` knows.
+pub fn is_asked_about(mut words: impl Iterator<Item = OsString>) -> bool {
+    let is_own = |word: OsString| word.to_str().is_some_and(<Command as clap::Subcommand>::has_subcommand);
+    words.next().is_some_and(|word| word == "help") && words.next().is_some_and(is_own)
+}
+
 /// Becomes `vigil-lab` with the arguments of this process.
-pub fn hand_on(_: &Command) -> Result<ExitCode> {
+pub fn hand_on() -> Result<ExitCode> {
     let error = program()?.args(std::env::args_os().skip(1)).exec();
     Err(error).context(PROGRAM)
 }

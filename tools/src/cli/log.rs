@@ -1,10 +1,10 @@
 //! `vigil log`: what can be made of a flight log.
 
 use crate::cli::output::{self, is_stdout, say};
-use crate::cli::replay::find_log;
+use crate::cli::replay::{check_not_over, find_log};
 use crate::flight_derived::{Wanted, derive};
 use crate::flight_report::{self, EXPLAINED};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::builder::RangedU64ValueParser;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -34,7 +34,7 @@ enum LogCommand {
 #[command(after_help = "\
 Examples:
   vigil log ulg runs/fly-1760000000-7               flight-0001.ulg beside the log
-  vigil log ulg flight-0001.mcap -o - | ulog_info /dev/stdin
+  vigil log ulg flight-0001.mcap -o f.ulg && ulog_info f.ulg
 
 It holds what the guidance computer knows: position, attitude, setpoints, status, battery, texts, and its own topic vigil_status. A log
 that was cut off or is damaged is converted as far as it is whole.")]
@@ -125,23 +125,26 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
             let log = find_log(&args.log)?;
             let to = args.output.clone().unwrap_or_else(|| flight_report::beside(&log));
             output::prepare(&to)?;
+            check_not_over(&log, &to)?;
             let (bytes, incomplete) = write_report(&log, &to, args.shap)?;
             if !is_stdout(&to) {
                 say!("{} ({:.1} MB)", to.display(), bytes as f64 / 1e6);
-                say_what_is_missing(incomplete);
             }
+            say_what_is_missing(incomplete);
         }
         LogCommand::Ulg(args) => {
             let log = find_log(&args.log)?;
             let to = args.output.clone().unwrap_or_else(|| log.with_extension("ulg"));
             output::prepare(&to)?;
             let converted = vigil_log::ulog(&log).with_context(|| format!("no ULog of {}", log.display()))?;
+            check_not_over(&log, &to)?;
+            ensure!(converted.records > 0, "{} holds no whole step", log.display());
             output::write(&to, &converted.bytes)?;
             if !is_stdout(&to) {
                 let megabytes = converted.bytes.len() as f64 / 1e6;
                 say!("{} ({} records, {megabytes:.1} MB)", to.display(), converted.records);
-                say_what_is_missing(converted.incomplete);
             }
+            say_what_is_missing(converted.incomplete);
         }
         LogCommand::Derive(args) => {
             let log = find_log(&args.log)?;

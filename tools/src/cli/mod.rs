@@ -103,6 +103,9 @@ pub enum Command {
 
 /// Reads the arguments of the process and does what they say.
 pub fn main() -> ExitCode {
+    if lab::is_asked_about(std::env::args_os().skip(1)) {
+        return output::finish(lab::hand_on());
+    }
     let cli: Cli = vigil_firmware::removed::parse();
     cli.every.run(|| run(cli.command))
 }
@@ -111,7 +114,7 @@ fn run(command: Option<Any>) -> Result<ExitCode> {
     match command {
         None => run(Cli::parse_from(["vigil", "fly"]).command),
         Some(Any::Flight(command)) => execute(*command),
-        Some(Any::Lab(command)) => lab::hand_on(&command),
+        Some(Any::Lab(_)) => lab::hand_on(),
     }
 }
 

@@ -1,7 +1,7 @@
 //! What all commands share in talking to people: output, progress, interruption, exit codes, colours, tracing.
 
 use crate::report::TextTable;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, IsTerminal, Write};
@@ -100,7 +100,7 @@ pub fn finish(result: Result<ExitCode>) -> ExitCode {
 
 /// Whether a path means standard output.
 pub fn is_stdout(path: &Path) -> bool {
-    path == Path::new("-")
+    ["-", "/dev/stdout"].iter().any(|name| path == Path::new(name))
 }
 
 /// Whether a path is or will be a file, neither standard output nor a device.
@@ -110,18 +110,26 @@ pub fn is_file(path: &Path) -> bool {
 
 /// Reserves standard output for the report that goes to `path`, if that is standard output, and otherwise makes the
 /// folder of `path` before the work, so that the work is not lost.
+///
+/// # Errors
+/// A folder in the place of the file, or one that cannot be made.
 pub fn prepare(path: &Path) -> Result<()> {
     if is_stdout(path) {
         REPORT_ON_STDOUT.store(true, Ordering::Relaxed);
         return Ok(());
     }
+    ensure!(
+        !path.is_dir() && !path.as_os_str().as_encoded_bytes().ends_with(b"/"),
+        "{} is a folder: name a file",
+        path.display()
+    );
     match path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         Some(folder) => std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display())),
         None => Ok(()),
     }
 }
 
-/// Replaces a file ([`vigil_types::files::replace`]); `-` is standard output.
+/// Replaces a file ([`vigil_types::files::replace`]), or writes to standard output ([`is_stdout`]).
 ///
 /// # Errors
 /// Whatever keeps it from being written whole, with the file's name. An earlier file is then kept.

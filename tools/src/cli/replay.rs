@@ -1,7 +1,7 @@
 //! `vigil replay`: does the tick give the same bytes again?
 
 use crate::cli::output::{EXIT_DIFFERS, Paint, say};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_log::Reader;
@@ -22,11 +22,17 @@ pub struct ReplayArgs {
 /// Replays the log and compares.
 ///
 /// # Errors
-/// A log that is missing, unreadable, or of another version.
+/// A log that is missing, unreadable, of another version, or without a step.
 pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     let path = find_log(&args.log)?;
     let mut reader = Reader::open(&path)?;
     let report = vigil_firmware::replay(&mut reader).with_context(|| path.display().to_string())?;
+    // Without a step, only a log that is read to its end is equal.
+    ensure!(
+        report.steps > 0 || !report.is_equal(),
+        "{} holds no step: there is nothing to compare",
+        path.display()
+    );
     say!("{}", Paint::stdout().verdict(report.is_equal(), &report.to_string()));
     Ok(if report.is_equal() {
         ExitCode::SUCCESS
@@ -53,4 +59,17 @@ pub fn find_log(path: &Path) -> Result<PathBuf> {
         (None, _) => anyhow::bail!("no .mcap file in {}", path.display()),
         (Some(_), more) => anyhow::bail!("{} holds {} logs: name one", path.display(), more + 1),
     }
+}
+
+/// Whether what is made of a log goes elsewhere than into the log itself.
+///
+/// # Errors
+/// `to` is the log, by whatever name.
+pub fn check_not_over(log: &Path, to: &Path) -> Result<()> {
+    let is_same = match (std::fs::canonicalize(log), std::fs::canonicalize(to)) {
+        (Ok(log), Ok(to)) => log == to,
+        _ => false,
+    };
+    ensure!(!is_same, "{} is the log itself: give another name", to.display());
+    Ok(())
 }

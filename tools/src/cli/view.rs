@@ -1,7 +1,7 @@
 //! `vigil view`: a flight log in the viewers that people have.
 
-use crate::cli::output::{say, tell};
-use crate::cli::replay::find_log;
+use crate::cli::output::{self, say, tell};
+use crate::cli::replay::{check_not_over, find_log};
 use anyhow::{Context, Result, bail, ensure};
 use std::fs::File;
 use std::io::{ErrorKind, Write};
@@ -161,14 +161,15 @@ impl ViewerArgs {
     pub fn course(&self, json: &str, save: Option<&Path>) -> Result<()> {
         match save {
             Some(to) => {
+                check_recording(to)?;
                 self.check()?;
-                crate::cli::output::prepare(to)?;
+                output::prepare(to)?;
             }
             None => self.check_with_port()?,
         }
         // The script itself comes over standard input.
         let file = std::env::temp_dir().join(format!("vigil-course-{}.json", std::process::id()));
-        crate::cli::output::write(&file, json)?;
+        output::write(&file, json)?;
         let mut arguments = vec!["--course".as_ref(), file.as_os_str()];
         if let Some(to) = save {
             arguments.extend(["--save".as_ref(), to.as_os_str()]);
@@ -190,11 +191,15 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
         return ended(shown);
     }
     let log = find_log(&args.log)?;
+    if let Some(to) = &args.save {
+        check_recording(to)?;
+        check_not_over(&log, to)?;
+    }
     // Another version, or no log at all, is told here.
     Reader::open(&log)?;
     if args.foxglove {
         let layout = log.with_file_name("foxglove-layout.json");
-        crate::cli::output::write(&layout, FOXGLOVE_LAYOUT)?;
+        output::write(&layout, FOXGLOVE_LAYOUT)?;
         say!("Foxglove: Open local file…  {}", log.display());
         say!("          Layouts → Import from file…  {}", layout.display());
         return Ok(ExitCode::SUCCESS);
@@ -202,7 +207,7 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
     let shown = match &args.save {
         Some(to) => {
             args.viewer.check()?;
-            crate::cli::output::prepare(to)?;
+            output::prepare(to)?;
             args.viewer
                 .start(&[log.as_os_str(), "--save".as_ref(), to.as_os_str()], None)?
         }
@@ -212,6 +217,12 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
         }
     };
     ended(shown)
+}
+
+/// The viewer's own program writes it, and takes `-` for a name.
+fn check_recording(to: &Path) -> Result<()> {
+    ensure!(!output::is_stdout(to), "a recording is a file: give --save a name");
+    Ok(())
 }
 
 fn ended(mut shown: Child) -> Result<ExitCode> {

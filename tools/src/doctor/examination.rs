@@ -47,6 +47,8 @@ const JUMP_M_S: f32 = 10.0;
 const JUMP_RAD: f32 = 0.35;
 /// The vehicle's clock has jumped if it went on by so much more than ours.
 const CLOCK_JUMP_NS: Nanos = SECOND_NS / 2;
+/// A time since boot this much earlier than the last one is a restart; a smaller step back is a packet out of order.
+const RESTART_MS: u32 = 1_000;
 /// MAV_SYS_STATUS_PREARM_CHECK.
 const PREARM: u32 = 0x1000_0000;
 
@@ -268,7 +270,9 @@ impl Examination {
         let Ok(message) = packet.message() else { return };
         match message {
             MavMessage::LOCAL_POSITION_NED(m) => {
-                self.note_clock(m.time_boot_ms, now_ns);
+                if !self.note_clock(m.time_boot_ms, now_ns) {
+                    return;
+                }
                 let position = NedVector::new(m.x, m.y, m.z);
                 let velocity = NedVector::new(m.vx, m.vy, m.vz);
                 self.note_position(m.time_boot_ms, position, velocity);
@@ -315,19 +319,22 @@ impl Examination {
         }
     }
 
-    /// A vehicle that starts anew while it is looked at has another zero; one whose clock jumps has not.
-    fn note_clock(&mut self, boot_ms: u32, now_ns: Nanos) {
+    /// A vehicle that starts anew while it is looked at has another zero; one whose clock jumps has not. Whether the packet is in order.
+    fn note_clock(&mut self, boot_ms: u32, now_ns: Nanos) -> bool {
         let now = (boot_ms, now_ns);
         let Some((first, last)) = self.boot else {
             self.boot = Some((now, now));
-            return;
+            return true;
         };
+        if boot_ms < last.0 && last.0 - boot_ms < RESTART_MS {
+            return false;
+        }
         let Some(since_ms) = boot_ms.checked_sub(last.0) else {
             self.restarted_ns = Some(now_ns);
             self.position = None;
             self.heading = None;
             self.boot = Some((now, now));
-            return;
+            return true;
         };
         let ahead_ns = (u64::from(since_ms) * 1_000_000).saturating_sub(now_ns - last.1);
         if ahead_ns > CLOCK_JUMP_NS {
@@ -335,6 +342,7 @@ impl Examination {
             self.clock_jumps_s = Some(self.clock_jumps_s.map_or(ahead_s, |s| s.max(ahead_s)));
         }
         self.boot = Some((first, now));
+        true
     }
 
     fn note_estimator(&mut self, flags: u16) {

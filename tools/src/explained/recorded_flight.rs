@@ -9,6 +9,7 @@ use vigil_guidance::ROUGH_BELOW;
 use vigil_nnet::Isa;
 use vigil_policy::actor::memory::SCAN_AGES;
 use vigil_policy::actor::{ACTOR_OUTPUTS, PositionalInputs};
+use vigil_policy::imported::Channels;
 use vigil_policy::plausibility::smooth_share_of;
 use vigil_policy::{Decider, FlightField, FrozenPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_sim::environment::Environment;
@@ -116,7 +117,10 @@ impl Onlooker for () {
 pub fn held_frames(pilot: &FrozenPilot) -> Vec<usize> {
     match pilot {
         FrozenPilot::Actor(_) => SCAN_AGES.into_iter().chain([0]).collect(),
-        FrozenPilot::Imported(_) => pilot.frame_ages(),
+        FrozenPilot::Imported(policy) => match policy.inputs.order {
+            Channels::Stack => (0..policy.inputs.channels).rev().collect(),
+            Channels::Repeat => vec![0],
+        },
     }
 }
 

@@ -272,7 +272,8 @@ fn alarms(log: &LogSeen) -> String {
 fn delay(log: &LogSeen) -> Option<String> {
     let from = log.steps.iter().position(|s| log.is_altered(s))?;
     let raised = log.alarms().into_iter().find(|i| *i >= from)?;
-    let seconds = (log.steps.get(raised)?.now_ns - log.steps.get(from)?.now_ns) as f64 * 1e-9;
+    let at_ns = |step: usize| log.steps.get(step).map(|s| s.now_ns);
+    let seconds = at_ns(raised)?.saturating_sub(at_ns(from)?) as f64 * 1e-9;
     Some(format!(
         "{seconds:.2} s ({} steps) after the first altered frame",
         raised - from

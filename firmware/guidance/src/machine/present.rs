@@ -39,12 +39,13 @@ impl Guidance {
             self.note_progress(now_ns, kinematics.position_ned_m);
         }
         let since = |at_ns: Option<Nanos>| at_ns.map(|at_ns| now_ns.saturating_sub(at_ns));
-        self.progress.dwelt = since(self.progress.stopped_ns) >= Some(self.config.no_progress_dwell_ns);
-        self.dwelt = since(self.reached_ns) >= Some(self.config.goal_dwell_ns);
         let mode_lost = match self.state {
             GuidanceState::Guided | GuidanceState::Hold => !self.obeys(input),
             _ => false,
         };
+        // Nobody lands a vehicle that a person may just have taken.
+        self.progress.dwelt = !mode_lost && since(self.progress.stopped_ns) >= Some(self.config.no_progress_dwell_ns);
+        self.dwelt = !mode_lost && since(self.reached_ns) >= Some(self.config.goal_dwell_ns);
         let pilot_in_command = match self.state {
             GuidanceState::Standby | GuidanceState::Ready => {
                 self.taken_over || self.config.engage == EngagePolicy::Auto && !self.auto_may_take(input)

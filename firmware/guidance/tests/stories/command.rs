@@ -248,13 +248,13 @@ fn a_failed_hand_over_is_tried_again_by_policy_auto_after_a_pause_and_never_by_p
 }
 
 #[test]
-fn a_hand_over_that_never_ends_fails_after_a_minute() {
+fn a_hand_over_that_never_ends_fails_after_a_minute_and_a_second_a_metre() {
     let mut s = Story::begin(GuidanceConfig::default());
     s.until(Ready);
     assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
     s.until(Engaging);
     s.handover = HandoverProgress::InProgress { stream_setpoints: true };
-    assert_eq!(s.run(seconds(60.0)).state, Engaging);
+    assert_eq!(s.run(seconds(63.0)).state, Engaging);
     assert_eq!(s.step().state, Standby);
 }
 
@@ -488,4 +488,44 @@ fn an_engage_that_was_accepted_is_not_kept_when_an_input_fails_before_it_takes_e
     assert_eq!(s.step().state, Standby);
     s.frame.refused = false;
     assert_eq!(s.run(seconds(60.0)).state, Ready);
+}
+
+#[test]
+fn who_disarms_or_takes_a_vehicle_while_it_is_being_taken_keeps_it() {
+    use VehicleMode::{External, Hold as Own, Land as Landing, Mission, Other, Return, Takeoff};
+    for (before, disarms, after, keeps) in [
+        (Takeoff, false, Other, true),
+        (Takeoff, false, Return, true),
+        (External, false, Own, true),
+        (External, false, Landing, true),
+        (Takeoff, true, Takeoff, true),
+        // The way of every hand-over.
+        (Other, false, Takeoff, false),
+        (Mission, false, Takeoff, false),
+        (Takeoff, false, Own, false),
+        (Own, false, External, false),
+    ] {
+        let mut s = Story::begin(auto());
+        s.until(Engaging);
+        (s.armed, s.mode) = (true, before);
+        s.step();
+        (s.armed, s.mode) = (!disarms, after);
+        let out = s.run(seconds(5.0));
+        let story = format!("{before:?} to {after:?}, disarmed {disarms}");
+        assert_eq!(out.reasons.contains(Reason::PilotInCommand), keeps, "{story}");
+        assert_eq!(out.state == Engaging, !keeps, "{story}");
+    }
+}
+
+#[test]
+fn a_vehicle_that_is_given_back_was_not_taken_over() {
+    for gives_back in [false, true] {
+        let mut s = Story::guided(GuidanceConfig::default());
+        if gives_back {
+            s.guidance.hands_back();
+        }
+        s.mode = VehicleMode::Mission;
+        s.until(Ready);
+        assert_eq!(s.guidance.taken_over(), !gives_back);
+    }
 }

@@ -483,3 +483,32 @@ fn a_goal_farther_than_the_limit_is_refused_with_its_distance_and_the_one_before
     s.guidance.reconfigure(farther).unwrap();
     assert_eq!(s.ask(goal(-300.0, 400.5, None)), RequestOutcome::Accepted);
 }
+
+#[test]
+fn a_landing_that_was_due_is_not_ordered_over_who_has_just_taken_the_vehicle() {
+    let mut s = Story::guided(GuidanceConfig {
+        at_goal: AtGoal::Land,
+        ..auto()
+    });
+    s.position_ned_m = NedVector::new(20.0, 5.0, -3.0);
+    s.run(seconds(1.8));
+    s.mode = VehicleMode::Other;
+    let states: Vec<_> = (0..seconds(3.0)).map(|_| s.step()).collect();
+    assert!(
+        states
+            .iter()
+            .all(|out| out.state != Land && out.request == VehicleRequest::None)
+    );
+    assert!(s.guidance.taken_over());
+}
+
+#[test]
+fn a_high_climb_has_the_time_that_it_takes() {
+    let mut s = Story::begin(auto());
+    assert_eq!(s.ask(goal(20.0, 5.0, Some(100.0))), RequestOutcome::Accepted);
+    s.until(Engaging);
+    (s.armed, s.mode) = (true, VehicleMode::Takeoff);
+    s.handover = HandoverProgress::InProgress { stream_setpoints: true };
+    assert_eq!(s.run(seconds(150.0)).state, Engaging);
+    assert!(s.until(Standby) < seconds(12.0));
+}

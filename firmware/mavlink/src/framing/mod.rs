@@ -13,9 +13,9 @@ mod tests;
 
 pub use command::{Command, CommandAck, CommandForm};
 pub use packet::{FramingCounters, Packet, Packets, packets};
-#[cfg(feature = "std")]
-pub use serialize::encode;
 pub use serialize::{MAX_PACKET_LEN, SerializeError, renumber, serialize, serialize_payload};
+#[cfg(feature = "std")]
+pub use serialize::{encode, encode_payload};
 pub(crate) use serialize::{extra_crc, seal};
 pub use stream::StreamFramer;
 

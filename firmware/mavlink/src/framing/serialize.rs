@@ -42,15 +42,32 @@ pub fn serialize(header: MavHeader, message: &MavMessage, out: &mut [u8]) -> Res
 /// The unsigned MAVLink 2 packet of `message` from `(system, component)`, in memory of its own; the loop uses [`serialize`].
 #[cfg(feature = "std")]
 pub fn encode(from: (u8, u8), sequence: u8, message: &MavMessage) -> std::vec::Vec<u8> {
+    let mut payload = [0; 255];
+    let len = message.ser(MavlinkVersion::V2, &mut payload);
+    let payload = payload.get(..len).unwrap_or_default();
+    // Whatever the dialect has fits.
+    encode_payload(from, sequence, message.message_id(), payload).unwrap_or_default()
+}
+
+/// The same of a raw payload, for what [`serialize_payload`] is for.
+///
+/// # Errors
+/// [`SerializeError`].
+#[cfg(feature = "std")]
+pub fn encode_payload(
+    from: (u8, u8),
+    sequence: u8,
+    id: u32,
+    payload: &[u8],
+) -> Result<std::vec::Vec<u8>, SerializeError> {
     let header = MavHeader {
         system_id: from.0.into(),
         component_id: from.1,
         sequence,
     };
     let mut out = [0; MAX_PACKET_LEN];
-    // Whatever the dialect has fits.
-    let len = serialize(header, message, &mut out).unwrap_or(0);
-    out.get(..len).unwrap_or_default().to_vec()
+    let len = serialize_payload(header, id, payload, &mut out)?;
+    Ok(out.get(..len).unwrap_or_default().to_vec())
 }
 
 /// A message's part of its packets' checksum; `None` for one that the dialect does not have.

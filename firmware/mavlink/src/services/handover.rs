@@ -275,7 +275,8 @@ impl HandoverService {
         let begun = heartbeat.mode == VehicleMode::Takeoff
             || vehicle.telemetry.landed == Landed::TakingOff
             || self.tracker.is_accepted(command_number::NAV_TAKEOFF);
-        let reached_m = takeoff_height_m - CLIMB_TOLERANCE_M.min(0.1 * takeoff_height_m);
+        let climb_m = (takeoff_height_m - vehicle.home_height_m()).max(0.0);
+        let reached_m = takeoff_height_m - CLIMB_TOLERANCE_M.min(0.1 * climb_m);
         if height_m(vehicle).is_some_and(|height_m| height_m >= reached_m) {
             self.climbing_since_ns = None;
         } else if begun {

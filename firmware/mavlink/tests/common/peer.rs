@@ -204,7 +204,13 @@ impl Peer {
     }
 
     fn landed_state(&self) -> MavLandedState {
-        match (self.height_m > 0.1, self.target_height_m.is_some(), self.mode) {
+        // The ground may lie below the local origin.
+        let ground_m = -self.home_ned_m[2].max(0.0);
+        match (
+            self.height_m > ground_m + 0.1,
+            self.target_height_m.is_some(),
+            self.mode,
+        ) {
             (false, ..) => MavLandedState::MAV_LANDED_STATE_ON_GROUND,
             (_, true, _) => MavLandedState::MAV_LANDED_STATE_TAKEOFF,
             (_, _, Mode::Land) => MavLandedState::MAV_LANDED_STATE_LANDING,
@@ -488,7 +494,7 @@ impl Peer {
                     c.param7 - self.home_ned_m[2]
                 };
                 let guided = px4 || self.mode == Mode::External;
-                if !self.armed || !guided || height_m <= 0.0 {
+                if !self.armed || !guided || height_m <= self.height_m {
                     return FAILED;
                 }
                 self.target_height_m = Some(height_m);

@@ -50,3 +50,51 @@ pub(crate) fn recurrent_backward(
         }
     })
 }
+
+/// A recurrent layer's step as a node, whose sources are input and state.
+macro_rules! recurrent_operation {
+    ($layer:ty) => {
+        impl $crate::graph::operation::Operation for $layer {
+            fn aux_len(&self, _len: usize, _purpose: $crate::Purpose) -> usize {
+                self.gates_len()
+            }
+
+            fn scratch_len(&self) -> usize {
+                self.gate_gradient_len()
+            }
+
+            fn forward_node(&self, node: &mut $crate::graph::run::Forward<'_>) -> Result<(), ShapeError> {
+                let (x, state) = (node.source(0)?, node.source(1)?);
+                self.step(node.isa, node.params, x, state, node.aux, node.value)
+            }
+
+            fn backward_node(
+                &self,
+                node: &mut $crate::graph::run::Backward<'_>,
+                d: &mut [f32],
+                pass: &mut $crate::graph::run::Pass<'_>,
+            ) -> Result<(), ShapeError> {
+                let (isa, packed) = (node.isa, node.packed);
+                $crate::graph::layer::recurrent_backward(
+                    node,
+                    pass,
+                    self.gate_gradient_len(),
+                    |step, reference, d_gates, dx, d_state| {
+                        self.backward(isa, packed, step, reference, d, d_gates, dx, d_state)
+                    },
+                    |x, state, d_gates, d_params| self.weight_gradient(isa, x, state, d_gates, d_params),
+                )
+            }
+
+            fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
+                self.pack(params, packed)
+            }
+
+            #[cfg(feature = "train")]
+            fn initialize_node(&self, params: &mut [f32], draw: &mut dyn FnMut(f32) -> f32) {
+                $crate::graph::operation::draw_for(self.hidden, params, draw);
+            }
+        }
+    };
+}
+pub(crate) use recurrent_operation;

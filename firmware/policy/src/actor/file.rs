@@ -14,8 +14,6 @@ use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec;
 use alloc::vec::Vec;
-#[cfg(feature = "std")]
-use std::path::Path;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
 use vigil_nnet::{Isa, Purpose};
 use vigil_types::FASTEST_M_S;
@@ -144,11 +142,6 @@ impl FrozenActor {
         ExplainedHead::of_actor(&self.params, purpose).map_err(|e| KIND.content_error("in memory", e.to_string()))
     }
 
-    /// The digest of the actor and its metadata.
-    pub fn sha256(&self) -> String {
-        self.contents().sha256()
-    }
-
     /// The file's content.
     ///
     /// # Errors
@@ -188,22 +181,6 @@ impl FrozenActor {
             params: read.into_values().flatten().collect(),
         })
     }
-
-    /// Reads and verifies a file.
-    ///
-    /// # Errors
-    /// [`FileError`].
-    #[cfg(feature = "std")]
-    pub fn load(path: &Path) -> Result<Self, FileError> {
-        Self::from_bytes(&path.display().to_string(), &KIND.load(path)?)
-    }
-
-    /// Writes a file beside and renames it, so that an earlier one survives a full disk.
-    ///
-    /// # Errors
-    /// [`FileError`].
-    #[cfg(feature = "std")]
-    pub fn save(&self, path: &Path) -> Result<(), FileError> {
-        KIND.save(path, &self.to_bytes()?)
-    }
 }
+
+vigil_nnet::stored_network!(FrozenActor, KIND);

@@ -11,8 +11,6 @@ use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec;
 use alloc::vec::Vec;
-#[cfg(feature = "std")]
-use std::path::Path;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
 
@@ -72,11 +70,6 @@ impl FrozenPolicy {
         let mut contents = Contents::new(&KIND, entries.into_iter().chain(split));
         contents.push("parameters", &[self.params.len()], self.params.clone());
         contents
-    }
-
-    /// The digest of the policy and its metadata.
-    pub fn sha256(&self) -> String {
-        self.contents().sha256()
     }
 
     /// The file's content.
@@ -163,22 +156,6 @@ impl FrozenPolicy {
     pub(crate) fn refused(&self, error: &NetworkError) -> FileError {
         KIND.content_error(&self.source, format!("cannot be explained: {error}"))
     }
-
-    /// Reads and verifies a file.
-    ///
-    /// # Errors
-    /// [`FileError`].
-    #[cfg(feature = "std")]
-    pub fn load(path: &Path) -> Result<Self, FileError> {
-        Self::from_bytes(&path.display().to_string(), &KIND.load(path)?)
-    }
-
-    /// Writes a file beside and renames it, so that an earlier one survives a full disk.
-    ///
-    /// # Errors
-    /// [`FileError`].
-    #[cfg(feature = "std")]
-    pub fn save(&self, path: &Path) -> Result<(), FileError> {
-        KIND.save(path, &self.to_bytes()?)
-    }
 }
+
+vigil_nnet::stored_network!(FrozenPolicy, KIND);

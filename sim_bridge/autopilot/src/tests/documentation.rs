@@ -1,11 +1,12 @@
 //! `docs/mavlink.md` holds exactly what the tables say. `UPDATE_DOCS=1 cargo test --release -p vigil-autopilot` writes it.
 
+#[path = "../../../../firmware/guidance/tests/common/page.rs"]
+mod page;
+
 use crate::{ParameterRole, parameter_table, services};
 use std::fmt::Write;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::mavlink::Message;
-
-const FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/mavlink.md");
 
 fn streams() -> String {
     let services = services::all();
@@ -36,24 +37,9 @@ fn parameters() -> String {
     table
 }
 
-fn with_section(text: &str, name: &str, content: &str) -> String {
-    let start = format!("<!-- {name}: generated -->\n");
-    let (before, rest) = text.split_once(&start).expect("the section's start is marked");
-    let (_, after) = rest.split_once("<!-- end -->").expect("the section's end is marked");
-    format!("{before}{start}{content}<!-- end -->{after}")
-}
-
 #[test]
 fn the_documentation_has_the_tables_of_the_code() {
-    let text = std::fs::read_to_string(FILE).expect("docs/mavlink.md");
-    let current = with_section(&text, "streams", &streams());
-    let current = with_section(&current, "parameters", &parameters());
-    if std::env::var_os("UPDATE_DOCS").is_some() {
-        std::fs::write(FILE, &current).expect("docs/mavlink.md can be written");
-    }
-    let written = std::fs::read_to_string(FILE).expect("docs/mavlink.md");
-    assert!(
-        written == current,
-        "docs/mavlink.md differs from the tables: UPDATE_DOCS=1 cargo test --release -p vigil-autopilot"
-    );
+    let sections = [("streams", streams()), ("parameters", parameters())];
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/mavlink.md");
+    page::holds(path, &sections, "-p vigil-autopilot");
 }

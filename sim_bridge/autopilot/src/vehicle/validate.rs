@@ -32,8 +32,11 @@ impl VehicleParams {
     /// Names the first field that is not finite or out of range, its value and what is accepted.
     pub fn validate(&self) -> Result<(), ParamsError> {
         settings::check(self)?;
-        let (m, g, b, mass_kg) = (&self.motors, &self.ground, &self.battery, self.airframe.mass_kg);
+        let (m, g, b, a) = (&self.motors, &self.ground, &self.battery, &self.airframe);
+        let mass_kg = a.mass_kg;
         let top_thrust_n = 4.0 * m.thrust_coefficient_n_s2 * m.max_speed_rad_s * m.max_speed_rad_s;
+        let foot_m2 = a.gear_half_track_m * a.gear_half_track_m + a.gear_height_m * a.gear_height_m;
+        let least_inertia_kg_m2 = a.inertia_kg_m2.into_iter().fold(f64::INFINITY, f64::min);
         // Explicit integration at 1 ms bounds what the ground may be made of.
         let rows = [
             (
@@ -59,6 +62,19 @@ impl VehicleParams {
                 g.damping_n_s_m / mass_kg,
                 (1.0, 100.0),
                 "from 1 to 100 N per m/s per kilogram of mass",
+            ),
+            (
+                "ground.damping_n_s_m",
+                g.damping_n_s_m / g.stiffness_n_m,
+                (1e-3, f64::INFINITY),
+                "at least 0.001 N per m/s per N/m of ground.stiffness_n_m",
+            ),
+            (
+                "airframe.inertia_kg_m2 (against ground.damping_n_s_m)",
+                4.0 * g.damping_n_s_m * foot_m2 / least_inertia_kg_m2,
+                (0.0, 1500.0),
+                "at most 1500: raise the least inertia, or lower ground.damping_n_s_m, airframe.gear_half_track_m or \
+                 airframe.gear_height_m",
             ),
             (
                 "battery.full_v",
@@ -137,6 +153,16 @@ mod tests {
         params.motors.max_speed_rad_s = 700.0;
         let error = params.validate().unwrap_err();
         assert!(error.to_string().contains("thrust-to-weight"), "{error}");
+
+        // Ground contact that swings up by itself at 1 ms.
+        let mut params = VehicleParams::default();
+        (params.ground.stiffness_n_m, params.ground.damping_n_s_m) = (20_000.0, 10.0);
+        let error = params.validate().unwrap_err();
+        assert!(error.to_string().contains("N/m of ground.stiffness_n_m"), "{error}");
+        let mut params = VehicleParams::default();
+        params.airframe.inertia_kg_m2[1] = 0.004;
+        let error = params.validate().unwrap_err();
+        assert!(error.field.starts_with("airframe.inertia_kg_m2"), "{error}");
 
         let wind = Wind {
             mean_ned_m_s: [0.0, f64::INFINITY, 0.0],

@@ -1,8 +1,8 @@
 use super::*;
-use crate::packet::packet;
 use crate::world::{Column, Family, Outcome, generate};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
+use vigil_mavlink::framing::encode;
 use vigil_mavlink::message;
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, STEP_NS};
 
@@ -46,7 +46,7 @@ impl Scripted {
     }
 
     fn hear_of(&mut self, from: (u8, u8), message: &MavMessage) {
-        self.flight.receive(self.step * STEP_NS, &packet(from, message));
+        self.flight.receive(self.step * STEP_NS, &encode(from, 0, message));
     }
 
     fn heartbeat(&mut self, system: u8) {

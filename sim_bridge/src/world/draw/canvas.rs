@@ -101,7 +101,11 @@ impl Image {
         })
     }
 
-    fn to_png(&self) -> Result<Vec<u8>, png::EncodingError> {
+    /// The picture as PNG.
+    ///
+    /// # Errors
+    /// What cannot be encoded: a picture without pixels.
+    pub fn to_png(&self) -> Result<Vec<u8>, png::EncodingError> {
         let mut bytes = Vec::new();
         // The sizes are a few thousand pixels at most.
         let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);

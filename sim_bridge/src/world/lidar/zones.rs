@@ -84,9 +84,9 @@ impl ZoneSensor {
                 let bearing_rad = angle_rad(column, ray % RAYS, columns, fov_rad);
                 let depression_rad = angle_rad(row, ray / RAYS, ZONE_COLUMNS, ZONE_FOV_RAD);
                 let direction = attitude.to_ned(FrdVector::new(
-                    depression_rad.cos() * bearing_rad.cos(),
-                    depression_rad.cos() * bearing_rad.sin(),
-                    depression_rad.sin(),
+                    libm::cosf(depression_rad) * libm::cosf(bearing_rad),
+                    libm::cosf(depression_rad) * libm::sinf(bearing_rad),
+                    libm::sinf(depression_rad),
                 ));
                 let range_m = cast_ray(
                     world,
@@ -105,11 +105,11 @@ impl ZoneSensor {
             let measured_m = (range_m + keys.normal(zone as u32) * (SIGMA_M + SIGMA_SHARE * range_m)).max(0.0);
             let level = direction.to_heading(yaw_rad);
             // In the column that its bearing belongs to, which is another where the vehicle banks.
-            let place = (level.y.atan2(level.x) / fov_rad + 0.5) * columns as f32;
+            let place = (libm::atan2f(level.y, level.x) / fov_rad + 0.5) * columns as f32;
             if place >= 0.0
                 && let Some(column_m) = nearest_m.get_mut(place as usize)
             {
-                *column_m = column_m.min(measured_m * level.x.hypot(level.y));
+                *column_m = column_m.min(measured_m * libm::hypotf(level.x, level.y));
             }
         }
         nearest_m

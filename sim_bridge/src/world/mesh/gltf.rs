@@ -141,8 +141,23 @@ fn of_uri(uri: &str, path: &Path, limit: u64) -> Result<Vec<u8>, String> {
         let decoded = text.and_then(|text| base64::engine::general_purpose::STANDARD.decode(text).ok());
         return decoded.ok_or_else(|| "its data within are not base64".to_owned());
     }
-    let beside = path.with_file_name(uri.replace("%20", " "));
+    let beside = path.with_file_name(file_name(uri));
     vigil_types::files::read(&beside, limit).map_err(|e| format!("its {uri} beside it cannot be read: {e}"))
+}
+
+/// A URI as a name: `%` and two hexadecimal digits are a byte.
+fn file_name(uri: &str) -> String {
+    let (mut bytes, mut rest) = (Vec::new(), uri.as_bytes());
+    while let Some((first, after)) = rest.split_first() {
+        let digit = |at: usize| after.get(at).and_then(|digit| char::from(*digit).to_digit(16));
+        let (byte, left) = match (*first, digit(0), digit(1)) {
+            (b'%', Some(high), Some(low)) => ((high << 4 | low) as u8, &after[2..]),
+            _ => (*first, after),
+        };
+        bytes.push(byte);
+        rest = left;
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
 }
 
 /// What an accessor reaches: elements, so many bytes from one to the next.

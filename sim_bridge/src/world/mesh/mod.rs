@@ -27,7 +27,7 @@ pub const MAX_TRIANGLES: usize = 1_000_000;
 const SIZE_LIMIT: u64 = 256 << 20;
 /// What is wider than this is hardly in metres.
 const MAX_EXTENT_M: f64 = 1000.0;
-/// What lies no higher than this is the ground, which every course has: a hall's floor is nothing to collide with.
+/// A triangle no corner of which is higher than this is the ground, which every course has: a hall's floor is nothing to collide with.
 const FLOOR_M: f32 = 0.05;
 
 settings! {
@@ -153,6 +153,12 @@ impl Mesh {
                 "is {extent_m:.0} m wide: is it in millimetres? Then unit_m = 0.001"
             ));
         }
+        let farthest_m = low.into_iter().chain(high).map(f64::abs).fold(0.0, f64::max);
+        if farthest_m > 2.0 * MAX_EXTENT_M {
+            return Err(format!(
+                "lies {farthest_m:.0} m from its file's origin; export it about its own middle"
+            ));
+        }
         let yaw_rad = f64::from(radians(self.yaw_deg));
         let (sin, cos) = (libm::sin(yaw_rad), libm::cos(yaw_rad));
         let [north_m, east_m, height_m] = [self.north_m, self.east_m, self.height_m].map(f64::from);
@@ -192,10 +198,10 @@ impl Mesh {
         Ok(())
     }
 
-    /// Whether it reaches into the air over a place, as wide as the vehicle, between floor and `top_m`.
+    /// Whether it reaches into the air over a place, as wide as the vehicle, between the ground and `top_m`.
     pub(crate) fn covers(&self, north_m: f32, east_m: f32, top_m: f32) -> bool {
-        let half = Vec3::new(VEHICLE.radius_m, VEHICLE.radius_m, 0.5 * (top_m - FLOOR_M));
-        let centre = Vec3::new(north_m, east_m, -0.5 * (top_m + FLOOR_M));
+        let half = Vec3::new(VEHICLE.radius_m, VEHICLE.radius_m, 0.5 * top_m);
+        let centre = Vec3::new(north_m, east_m, -half.z);
         let reach = Aabb::new(centre - half, centre + half);
         let (pose, shape) = (Pose3::from_parts(centre, UPRIGHT), Cylinder::new(half.z, half.x));
         (self.surface.iter()).any(|surface| surface.touches(&pose, &shape, &reach))

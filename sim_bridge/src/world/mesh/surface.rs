@@ -319,7 +319,10 @@ pub(super) fn open_edges(triangles: &[Triangle]) -> usize {
             let next = numbers.len() as u32;
             *numbers.entry(p.map(f32::to_bits)).or_insert(next)
         });
-        edges.extend([(a, b), (b, c), (c, a)].map(|(a, b)| (a.min(b), a.max(b))));
+        // Two corners at one place: a line, which is no part of the surface.
+        if a != b && b != c && c != a {
+            edges.extend([(a, b), (b, c), (c, a)].map(|(a, b)| (a.min(b), a.max(b))));
+        }
     }
     edges.sort_unstable();
     edges.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).count()

@@ -2,7 +2,7 @@
 
 use super::{Common, Strength, write_json};
 use crate::report::{TextTable, numbers, words};
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
@@ -73,6 +73,11 @@ pub struct Report {
 
 /// Attacks hovering states before the wall, with both readings of the paper's attack.
 pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
+    ensure!(
+        args.goal_distance > 0.0 && args.goal_distance <= 1000.0,
+        "--goal-distance must be above 0 and at most 1000 m, got {}",
+        args.goal_distance
+    );
     let victim = args.common.victim()?;
     let folder = args.common.folder()?;
     let places: Vec<_> = [Method::BimAccumulating, Method::BimClipped]

@@ -1,6 +1,6 @@
 //! `vigil import`: a policy of others, in ONNX, becomes one that flies here.
 
-use crate::cli::output::say;
+use crate::cli::output::{self, say};
 use anyhow::{Context, Result, ensure};
 use clap::builder::PossibleValuesParser;
 use std::path::{Path, PathBuf};
@@ -91,6 +91,7 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
             "{name} must be a number above 0, got {factor}"
         );
     }
+    output::prepare(&args.output)?;
     let name = args.model.display().to_string();
     let bytes = vigil_types::files::read(&args.model, SIZE_LIMIT).with_context(|| format!("cannot read {name}"))?;
     let adapter = Adapter {
@@ -115,7 +116,7 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         "a decision of {name} takes {:.1} ms here, more than half of the step of 50 ms",
         1e3 * longest.as_secs_f64()
     );
-    policy.save(&args.output)?;
+    output::write(&args.output, policy.to_bytes()?)?;
     describe(&policy, &graph, longest, &args.output)?;
     if let Some(output) = output {
         say!("{}", serde_json::to_string(&output)?);

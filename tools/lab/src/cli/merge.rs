@@ -37,10 +37,15 @@ pub struct MergeArgs {
 /// # Errors
 /// Flights that contradict each other or are not all; a file that cannot be written.
 pub fn run(args: &MergeArgs) -> Result<ExitCode> {
-    output::prepare(&args.json)?;
     let files = all_files(&args.files)?;
+    output::prepare(&args.json)?;
     let first = files.first().context("name the files")?;
-    match flights::command_of(first)?.as_str() {
+    let command = flights::command_of(first)?;
+    ensure!(
+        command == collect::COMMAND || args.json.extension().is_none_or(|ending| ending != "jsonl"),
+        "-o names the report, and the flights go beside it as .jsonl: give it another ending"
+    );
+    match command.as_str() {
         evaluate::COMMAND => evaluate::merge(&files, &args.json),
         collect::COMMAND => collect::merge(&files, &args.json),
         other => attack_campaigns::merge(other, &files, &args.json).unwrap_or_else(|| {

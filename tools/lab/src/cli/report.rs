@@ -70,17 +70,7 @@ pub(crate) fn arms(given: &[PathBuf]) -> Result<Vec<Arm>> {
         let arm = if run.result.apf_share > 0.0 { with } else { without };
         arm.runs.push(run);
     }
-    let arms: Vec<Arm> = arms.into_iter().filter(|a| !a.runs.is_empty()).collect();
-    ensure!(
-        !arms.is_empty(),
-        "no run in {}: `vigil learn -o DIR` makes one",
-        given
-            .iter()
-            .map(|p| p.display().to_string())
-            .collect::<Vec<_>>()
-            .join(", ")
-    );
-    Ok(arms)
+    Ok(arms.into_iter().filter(|a| !a.runs.is_empty()).collect())
 }
 
 /// Reads the runs, prints table I and draws the figures.
@@ -112,6 +102,11 @@ fn folders(given: &[PathBuf]) -> Result<Vec<PathBuf>> {
             .filter_map(|e| Some(e.ok()?.path()))
             .filter(|p| p.join("result.json").exists())
             .collect();
+        ensure!(
+            !inner.is_empty(),
+            "no finished run in {}: `vigil learn -o DIR` makes one",
+            folder.display()
+        );
         inner.sort();
         all.append(&mut inner);
     }

@@ -15,7 +15,7 @@ use std::io::Write;
 use std::path::Path;
 use third_person::{Seen, Stage};
 use vigil_log::{Reader, SHAP_COLS, SceneSolid, TickRecord};
-use vigil_types::{DEPTH_COLS, DEPTH_ROWS, GuidanceState, Judgement, NedVector};
+use vigil_types::{Alarm, DEPTH_COLS, DEPTH_ROWS, GuidanceState, Judgement, NedVector};
 
 /// Size of the film, pixels; even, as an mp4 needs it.
 const WIDTH: usize = 640;
@@ -423,13 +423,7 @@ impl Scene {
         let who = log.who(&step.report);
         let y = HEIGHT - 2 * LINE + 2;
         canvas.rectangle(left, y, 14, 12, Self::colour(who));
-        let words = match step.report.alarm {
-            Some(alarm) if who == 4 => format!("stopped: alarm, {}", alarm.cause.name()),
-            Some(alarm) => format!("{}: alarm, {}", WHO[usize::from(who)], alarm.cause.name()),
-            None if who == 4 => "holds".to_owned(),
-            None => format!("{} flies", WHO[usize::from(who)]),
-        };
-        canvas.text(left + 22, y, &words, Colour::INK);
+        canvas.text(left + 22, y, &state_words(who, step.report.alarm), Colour::INK);
         let ended = log.story.about.get("outcome").filter(|_| {
             // In lockstep the log ends with the flight.
             log.ended_ns()
@@ -440,6 +434,17 @@ impl Scene {
             let colour = if good { Colour::GOAL } else { Colour::ATTACK };
             canvas.text(left, y + LINE, outcome, colour);
         }
+    }
+}
+
+/// Who flies, and the alarm that made it so: at most 35 letters, or the picture's edge cuts them.
+fn state_words(who: u8, alarm: Option<Alarm>) -> String {
+    let name = WHO[usize::from(who)];
+    match alarm {
+        Some(alarm) if who == 4 => format!("stopped: alarm, {}", alarm.cause.name()),
+        Some(alarm) => format!("{name}: {}", alarm.cause.name()),
+        None if who == 4 => "holds".to_owned(),
+        None => format!("{name} flies"),
     }
 }
 
@@ -463,5 +468,23 @@ fn causes(canvas: &mut Canvas, (left, top): (usize, usize), judgement: &Judgemen
         };
         canvas.rectangle(from, y + 3, length, 7, colour);
         canvas.rectangle(middle, y, 1, 12, Colour::LINE);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vigil_types::{AlarmCause, AlarmResponse};
+
+    #[test]
+    fn the_cause_of_an_alarm_is_read_to_its_last_letter_whoever_flies() {
+        let response = AlarmResponse::Recovery;
+        for who in 0..WHO.len() as u8 {
+            for cause in AlarmCause::ALL {
+                let words = state_words(who, Some(Alarm { cause, response }));
+                // Letters are 7 pixels wide.
+                assert!(RIGHT + 22 + 7 * words.len() <= WIDTH, "{words}");
+            }
+        }
     }
 }

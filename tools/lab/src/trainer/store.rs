@@ -9,7 +9,8 @@ use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 const DIGEST: &str = "sha256";
-const SIZE_LIMIT: u64 = 2 << 30;
+/// More than the largest replay memory of a run takes: what it writes it can go on with.
+const SIZE_LIMIT: u64 = 128 << 30;
 
 fn digest<S: AsRef<str>>(tensors: &[(S, TensorView<'_>)]) -> String {
     let mut sorted: Vec<_> = tensors.iter().map(|(name, view)| (name.as_ref(), view)).collect();

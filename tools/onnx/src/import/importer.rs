@@ -67,6 +67,8 @@ pub(super) struct Importer<'a> {
     pub(super) params: Vec<Vec<f32>>,
     /// Values of each layer.
     pub(super) lens: Vec<usize>,
+    /// Parameters and values of all layers.
+    totals: [u64; 2],
     pub(super) tensors: HashMap<&'a str, Value>,
     /// How many nodes read a tensor.
     pub(super) uses: HashMap<&'a str, usize>,
@@ -161,9 +163,16 @@ impl<'a> Importer<'a> {
         })
     }
 
+    /// A further layer; what is too large is refused here, before the memory for the rest of it is taken.
     pub(super) fn push(&mut self, layer: Layer, params: Vec<f32>, len: usize) -> Result<usize, String> {
-        if len as u64 > MOST_VALUES {
-            return Err(format!("it has {len} values, the limit is {MOST_VALUES}"));
+        let [all_params, all_values] = &mut self.totals;
+        for (what, total, more) in [("parameters", all_params, params.len()), ("values", all_values, len)] {
+            *total = total.saturating_add(more as u64);
+            if *total > MOST_VALUES {
+                return Err(format!(
+                    "it has {total} {what}, more than the {MOST_VALUES} that fit the step of 50 ms and the memory kept for it"
+                ));
+            }
         }
         self.network.layers.push(layer);
         self.params.push(params);

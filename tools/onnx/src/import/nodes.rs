@@ -41,7 +41,7 @@ impl<'a> Importer<'a> {
             }
             "Shape" => {
                 let (_, value) = self.input(node, 0)?;
-                let sizes = shape_of(&value).iter().map(|size| *size as i64).collect();
+                let sizes = stated_sizes(shape_of(&value), &settings);
                 Value::Constant(Rc::new(Constant::row(Data::Whole(sizes))))
             }
             "Identity" | "Dropout" | "Cast" | "Reshape" | "Flatten" | "Squeeze" | "Unsqueeze" | "Transpose"
@@ -167,6 +167,15 @@ impl<'a> Importer<'a> {
         }
         Ok(())
     }
+}
+
+/// What a node `Shape` gives: the sizes of the axes from `start` to before `end`.
+fn stated_sizes(shape: &[usize], settings: &Settings<'_>) -> Vec<i64> {
+    let rank = shape.len() as i64;
+    let place = |value: i64| if value < 0 { value.saturating_add(rank) } else { value }.clamp(0, rank) as usize;
+    let (start, end) = (place(settings.whole("start", 0)), place(settings.whole("end", rank)));
+    let sizes = shape.get(start..end).unwrap_or_default();
+    sizes.iter().map(|size| *size as i64).collect()
 }
 
 /// What a node `Constant` states.

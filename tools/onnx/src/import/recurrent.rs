@@ -191,7 +191,13 @@ fn refuse_unknown_recurrence(node: &Node, settings: &Settings<'_>, is_gru: bool)
         return Err(format!("direction = {direction} is not supported"));
     }
     settings.only("layout", 0)?;
-    if settings.get("activations").is_some() || settings.get("clip").is_some() {
+    settings.only("input_forget", 0)?;
+    let usual: &[&[u8]] = match is_gru {
+        true => &[b"Sigmoid", b"Tanh"],
+        false => &[b"Sigmoid", b"Tanh", b"Tanh"],
+    };
+    let activations = settings.get("activations");
+    if activations.is_some_and(|given| given.strings != usual) || settings.get("clip").is_some() {
         return Err("other activations, or clipped ones, are not supported".to_owned());
     }
     if is_gru && settings.whole("linear_before_reset", 0) != 1 {

@@ -115,16 +115,20 @@ impl Importer<'_> {
         Ok((x.layer, [channels, rows, cols]))
     }
 
+    /// Refuses padding that is not written out.
+    fn refuse_auto_pad(settings: &Settings<'_>) -> Result<(), String> {
+        let pad = settings.word("auto_pad");
+        match pad.filter(|pad| pad != "NOTSET" && pad != "VALID") {
+            Some(pad) => Err(format!(
+                "auto_pad = {pad} is not supported: export it with explicit padding"
+            )),
+            None => Ok(()),
+        }
+    }
+
     /// Stride, padding and dilation, which have to be the same both ways.
     fn window(settings: &Settings<'_>) -> Result<[usize; 3], String> {
-        if let Some(pad) = settings
-            .word("auto_pad")
-            .filter(|pad| pad != "NOTSET" && pad != "VALID")
-        {
-            return Err(format!(
-                "auto_pad = {pad} is not supported: export it with explicit padding"
-            ));
-        }
+        Self::refuse_auto_pad(settings)?;
         settings.only("ceil_mode", 0)?;
         let same = |what: &str, default: i64| match settings.list(what) {
             None | Some([]) => Ok(default),
@@ -207,6 +211,7 @@ impl Importer<'_> {
     }
 
     pub(super) fn max_pool(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
+        Self::refuse_auto_pad(settings)?;
         let (x, [channels, rows, cols]) = self.image(node)?;
         let whole = match node.op_type.as_str() {
             "MaxPool" => Self::kernel_shape(settings)? == (rows, cols),
@@ -292,8 +297,12 @@ impl Importer<'_> {
             factors.push(factor as f32);
             summands.push((shift - factor * mean) as f32);
         }
-        let inner = x.places.len() / channels.max(1);
-        let each = |values: &[f32]| -> Vec<f32> { (0..x.places.len()).map(|i| values[i / inner]).collect() };
+        // Several rows have the same channels.
+        let inner = x.shape.iter().skip(2).product::<usize>().max(1);
+        let each = |values: &[f32]| -> Vec<f32> {
+            let of = |i: usize| values[i / inner % channels];
+            (0..x.places.len()).map(of).collect()
+        };
         let (factors, summands) = (each(&factors), each(&summands));
         self.scaled(&x, &factors, &summands)
     }

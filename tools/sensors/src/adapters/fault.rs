@@ -66,6 +66,14 @@ pub enum Fault {
     /// The vehicle's pose at the moment of capture is not known.
     #[error("the vehicle's pose at the moment of capture is not known: is its telemetry heard, position and attitude?")]
     NoPose,
+    /// A stamp of the future, of long ago, or not newer than that of the frame before.
+    #[error(
+        "a stamp that is {age_s:.3} s old, or not newer than that of the frame before: is --latency-ms right? no frame"
+    )]
+    Stamp {
+        /// How old it is by this machine's clock; negative where it is of the future.
+        age_s: f64,
+    },
 }
 
 impl Fault {

@@ -8,6 +8,8 @@ const KEPT: usize = 64;
 /// A pose is told so long beyond the newest report, and between reports that are no farther apart than the firmware's limit of telemetry.
 const MOST_BEYOND_NS: Nanos = 100_000_000;
 const MOST_APART_NS: Nanos = 300_000_000;
+/// The motion beyond the newest report is taken over at least this: reports are stamped as they arrive, and come in bundles.
+const LEAST_APART_NS: Nanos = 50_000_000;
 
 /// A vehicle's reported poses of the last second.
 #[derive(Debug, Clone, Default)]
@@ -39,7 +41,8 @@ impl PoseTrack {
             Some(i) => (self.reports.get(i - 1)?, self.reports.get(i)?),
             None => {
                 let newest = self.reports.back().filter(|(t, ..)| at_ns - t <= MOST_BEYOND_NS)?;
-                let before = self.reports.len().checked_sub(2).and_then(|i| self.reports.get(i));
+                let mut earlier = self.reports.iter().rev();
+                let before = earlier.find(|(t, ..)| newest.0 - t >= LEAST_APART_NS);
                 let before = before.filter(|(t, ..)| newest.0 - t <= MOST_APART_NS);
                 (before.unwrap_or(newest), newest)
             }
@@ -97,6 +100,26 @@ mod tests {
             let error = vigil_types::wrap_pi(attitude.yaw_rad() - 3.0 - 0.5 * s);
             assert!(error.abs() < 1e-3 && attitude.is_valid(), "{ms}: {error}");
         }
+    }
+
+    #[test]
+    fn two_reports_of_one_bundle_are_not_taken_for_a_leap() {
+        let mut track = flown();
+        let newest_ns = 1980 * MS + 800_000;
+        track.note(
+            newest_ns,
+            NedVector::new(4.0, 0.0, -1.5),
+            Attitude::from_euler_rad(0.0, 0.0, 4.0),
+        );
+        let (position, attitude) = track.at(newest_ns + 20 * MS).expect("known");
+        assert!(
+            (position - NedVector::new(4.04, 0.0, -1.5)).norm() < 0.1,
+            "{position:?}"
+        );
+        assert!(
+            vigil_types::wrap_pi(attitude.yaw_rad() - 4.01).abs() < 0.02,
+            "{attitude:?}"
+        );
     }
 
     #[test]

@@ -17,6 +17,8 @@ const RANGE_BITS: u32 = 0x000f_ffff;
 const ENCODER_STEPS: u32 = 90_112;
 /// What every beam measures where the view is looked for, millimetres.
 const PROBE_MM: u32 = 10_000;
+/// And the nearest thing of which no column in view may be left out: from a sensor beside the middle it is seen at other bearings.
+const NEAR_MM: u32 = 1_000;
 
 /// Why an adapter cannot be set up.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -68,13 +70,16 @@ impl OusterAdapter {
     pub fn new(device: OusterDevice, mount: Mount) -> Result<Self, SetupError> {
         let (across, down) = device.resolution_deg();
         let mut projector = Projector::new(Resolution::of_degrees(across, down)?);
-        let mut is_needed = Vec::with_capacity(device.columns);
-        for column in 0..device.columns {
-            let points = (0..device.beams()).filter_map(|beam| device.point_frd_m(column, beam, PROBE_MM));
-            is_needed.push(projector.add_points(&mount, points).used > 0);
-        }
+        let mut is_needed = vec![false; device.columns];
         let mut depth = Box::new([1.0; DEPTH_PIXELS]);
-        projector.finish(&mut depth);
+        // The image of the last range stays: the view.
+        for range_mm in [NEAR_MM, PROBE_MM] {
+            for (column, is_needed) in is_needed.iter_mut().enumerate() {
+                let points = (0..device.beams()).filter_map(|beam| device.point_frd_m(column, beam, range_mm));
+                *is_needed |= projector.add_points(&mount, points).used > 0;
+            }
+            projector.finish(&mut depth);
+        }
         let first = is_needed.iter().position(|n| *n).ok_or(SetupError::LooksElsewhere)?;
         let count = is_needed.iter().filter(|n| **n).count();
         let needed = first..first + count;

@@ -532,8 +532,8 @@ impl Examination {
                 roll.to_degrees()
             )),
             "at most 3° over level ground",
-            "the sensor is mounted at another angle than its driver tells (or the ground is not level): add the mount's angles to the pose in \
-             the frames' header",
+            "the sensor is mounted at another angle than its driver tells (or the ground is not level): give its driver the mount \
+             (--mount of `vigil sensor`; docs/sensor-interface.md, Projection); the pose in the frames' header stays the vehicle's own",
         );
     }
 }

@@ -1,0 +1,76 @@
+//! The first flights of a campaign in the viewer while they fly.
+
+use super::{EvaluateArgs, log_name};
+use crate::cli::output::{self, Interrupt, say, tell};
+use anyhow::{Context, Result};
+use std::path::{Path, PathBuf};
+use std::process::Child;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use vigil_sim::SensorFault;
+
+/// Flights in the viewer while they fly.
+pub(super) struct Shown {
+    pub count: u64,
+    pub folder: PathBuf,
+    script: Child,
+}
+
+impl Shown {
+    /// Opens the viewer for the first `count` flights.
+    pub fn begin(args: &EvaluateArgs, count: u64, faults: &[Option<SensorFault>]) -> Result<Self> {
+        let count = count.min(args.flights * faults.len() as u64);
+        let folder = match &args.logs {
+            Some(folder) => folder.clone(),
+            None => {
+                let stamp = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+                let parent = args.json.parent();
+                let parent = parent.filter(|p| !p.as_os_str().is_empty() && !output::is_stdout(&args.json));
+                let parent = parent.unwrap_or(Path::new("runs"));
+                vigil_types::files::make_new_folder(parent, &format!("evaluate-{stamp}-{}", args.seed))
+                    .with_context(|| format!("cannot make a folder in {}", parent.display()))?
+            }
+        };
+        let names: Vec<String> = (0..count)
+            .map(|number| {
+                let (seed, arm) = (number / faults.len() as u64, number % faults.len() as u64);
+                log_name(args, faults[arm as usize], args.seed.wrapping_add(seed))
+            })
+            .collect();
+        let script = args.viewer.follow_all(&folder, &names)?;
+        Ok(Self { count, folder, script })
+    }
+
+    /// All flights are over: the script shows what it has not yet, and ends; the viewer stays open.
+    pub fn end(&mut self, interrupt: &Interrupt) -> Result<()> {
+        if self.script.try_wait()?.is_none() {
+            // A log that is not there by now does not come any more.
+            rustix::process::kill_process(
+                rustix::process::Pid::from_child(&self.script),
+                rustix::process::Signal::TERM,
+            )?;
+        }
+        let mut said = false;
+        let status = loop {
+            match self.script.try_wait()? {
+                Some(status) => break status,
+                None if interrupt.came() => {
+                    self.script.kill()?;
+                    break self.script.wait()?;
+                }
+                None => std::thread::sleep(Duration::from_millis(100)),
+            }
+            if !said {
+                tell!("vigil: the viewer reads the rest of the logs; Ctrl-C leaves it there");
+                said = true;
+            }
+        };
+        say!("logs             {}", self.folder.display());
+        if !status.success() && !interrupt.came() {
+            tell!(
+                "vigil: the viewer ended early: see {}",
+                self.folder.join("viewer.log").display()
+            );
+        }
+        Ok(())
+    }
+}
