@@ -1,7 +1,8 @@
 //! CNN-AD and FCN-AD: networks that say from a state's SHAP image whether its frame was altered.
 
 use crate::images::{IMAGE, IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS};
-use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, MaxPool2d, NodeId, Purpose, ShapeError};
+use crate::lstm_ad::dense_layers;
+use vigil_nnet::{Activation, BatchNorm, Conv2d, Graph, GraphBuilder, MaxPool2d, Purpose, ShapeError};
 
 /// Filters of each pair of convolutions; the paper leaves them open.
 const FILTERS: [usize; 3] = [8, 16, 32];
@@ -11,25 +12,6 @@ const CNN_UNITS: [usize; 4] = [64, 32, 16, 8];
 const FCN_UNITS: [usize; 2] = [32, 16];
 /// Added to batch norm's variance.
 const EPSILON: f32 = 1e-5;
-
-/// Adds dense ReLU layers and a last one with `output`.
-fn dense_layers(
-    b: &mut GraphBuilder,
-    mut x: NodeId,
-    inputs: usize,
-    units: &[usize],
-    output: Activation,
-) -> Result<NodeId, ShapeError> {
-    let mut inputs = inputs;
-    let curves = units.iter().map(|units| (*units, Activation::Relu));
-    for (outputs, curve) in curves.chain([(1, output)]) {
-        let layer = Dense { inputs, outputs };
-        let params = b.params(layer.param_len());
-        x = b.dense(x, layer, curve, params)?;
-        inputs = outputs;
-    }
-    Ok(x)
-}
 
 /// CNN-AD (docs/paper.md): batch norm, six convolutions of 3 × 3, max pooling after every second, five dense layers. One input of
 /// [`IMAGE`] values in 0..=1, `[64][128][2]` (the paper's actor has five frames, ours one); one output, whose curve is `output`. Batch norm comes first, so its parameters do, too: scale, shift, running mean, running variance of both

@@ -76,8 +76,6 @@ pub enum Of {
 }
 
 impl Of {
-    const ALL: [Self; 2] = [Self::Actor, Self::Imported];
-
     fn kind(self) -> &'static Kind {
         match self {
             Self::Actor => &KIND,
@@ -238,7 +236,7 @@ impl FrozenDetector {
     /// [`FileError`]: anything but an unaltered detector of this architecture.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
         let (read, which) = Verified::of_any(&KIND, &[&KIND_IMPORTED], file, bytes).map_err(|e| of_before(file, e))?;
-        let of = Of::ALL.get(which).copied().unwrap_or(Of::Actor);
+        let of = if which == 0 { Of::Actor } else { Of::Imported };
         let mut detector = Self {
             of,
             actor_sha256: read.text("actor_sha256")?,

@@ -3,7 +3,7 @@
 use alloc::borrow::ToOwned;
 use alloc::string::String;
 use alloc::vec::Vec;
-use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Isa, Lstm, Purpose, ShapeError, shape::expect};
+use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Isa, Lstm, NodeId, Purpose, ShapeError, shape::expect};
 use vigil_policy::actor::ACTOR_HIDDEN;
 
 /// Rows of a window: SHAP values of the newest ten steps.
@@ -39,6 +39,24 @@ pub fn normalise(phi: &[f32; ROW], centre: &[f32; ROW], scale: &[f32; ROW]) -> [
     row
 }
 
+/// Adds dense ReLU layers and a last one with `output`.
+pub(crate) fn dense_layers(
+    b: &mut GraphBuilder,
+    mut x: NodeId,
+    mut inputs: usize,
+    units: &[usize],
+    output: Activation,
+) -> Result<NodeId, ShapeError> {
+    let curves = units.iter().map(|units| (*units, Activation::Relu));
+    for (outputs, curve) in curves.chain([(1, output)]) {
+        let layer = Dense { inputs, outputs };
+        let params = b.params(layer.param_len());
+        x = b.dense(x, layer, curve, params)?;
+        inputs = outputs;
+    }
+    Ok(x)
+}
+
 /// The network (docs/paper.md): LSTM(100) over the window's rows, three dense ReLU layers, one output.
 #[derive(Debug, Clone)]
 pub struct LstmAd {
@@ -72,15 +90,8 @@ impl LstmAd {
         for row in rows {
             state = b.lstm(row, state, layer, params)?;
         }
-        let mut x = b.slice(state, 0, LSTM_UNITS)?;
-        let mut inputs = LSTM_UNITS;
-        let curves = DENSE_UNITS.map(|units| (units, Activation::Relu));
-        for (outputs, curve) in curves.into_iter().chain([(1, output)]) {
-            let dense = Dense { inputs, outputs };
-            let params = b.params(dense.param_len());
-            x = b.dense(x, dense, curve, params)?;
-            inputs = outputs;
-        }
+        let x = b.slice(state, 0, LSTM_UNITS)?;
+        let x = dense_layers(&mut b, x, LSTM_UNITS, &DENSE_UNITS, output)?;
         b.finish(x, Purpose::Gradients)
     }
 

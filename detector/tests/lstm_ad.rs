@@ -182,37 +182,23 @@ fn detectors_that_cannot_judge_are_not_written() {
 
 #[test]
 fn another_programs_file_is_refused_by_what_differs() {
-    let bytes = frozen().to_bytes().unwrap();
+    let refused = |file: &str, bytes: &[u8], parts: &[&str]| {
+        let refused = FrozenDetector::from_bytes(file, bytes).unwrap_err().to_string();
+        for part in parts {
+            assert!(refused.contains(part), "{part}: {refused}");
+        }
+    };
+    let mut other = frozen().to_bytes().unwrap();
     let header = b"vigil detector 2";
-    let at = bytes.windows(header.len()).position(|w| w == header).unwrap();
-    let mut other = bytes.clone();
+    let at = other.windows(header.len()).position(|w| w == header).unwrap();
     other[at + header.len() - 1] = b'9';
-    let refused = FrozenDetector::from_bytes("mine", &other).unwrap_err().to_string();
-    assert!(
-        refused.contains("vigil detector 9") && refused.contains("vigil detector 2"),
-        "{refused}"
-    );
+    refused("mine", &other, &["vigil detector 9", "vigil detector 2"]);
     // The format before is named with the version that flies it.
     other[at + header.len() - 1] = b'1';
-    let refused = FrozenDetector::from_bytes("mine", &other).unwrap_err().to_string();
-    for part in ["mine", "vigil detector 1", "Vigil 0.2.0 flies it", "train"] {
-        assert!(refused.contains(part), "{part}: {refused}");
-    }
-    let actor = actors_file();
-    let refused = FrozenDetector::from_bytes("actor.safetensors", &actor)
-        .unwrap_err()
-        .to_string();
-    assert!(
-        refused.contains("actor.safetensors") && refused.contains("vigil actor 2"),
-        "{refused}"
-    );
-}
-
-/// The actor's own file: safetensors too, but no detector.
-fn actors_file() -> Vec<u8> {
-    let path = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../firmware/policy/actor/actor.safetensors"
-    );
-    std::fs::read(path).unwrap()
+    let parts = ["mine", "vigil detector 1", "Vigil 0.2.0 flies it", "train"];
+    refused("mine", &other, &parts);
+    // The actor's own file: safetensors too, but no detector.
+    let actor = include_bytes!("../../firmware/policy/actor/actor.safetensors");
+    let file = "actor.safetensors";
+    refused(file, actor, &[file, "vigil actor 2"]);
 }

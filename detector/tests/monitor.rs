@@ -70,13 +70,16 @@ impl Bench {
     }
 
     /// The actor's own yaw output.
-    fn yaw(&self, (state, position): &Background) -> f32 {
-        let mut tape = vec![0.0; self.head.tape_len()];
-        self.head
-            .forward(Isa::detect(), &self.params, &[state, position], &mut tape)
-            .unwrap();
-        self.head.output(&tape).unwrap()[1]
+    fn yaw(&self, decision: &Background) -> f32 {
+        yaw_of(&self.head, &self.params, decision)
     }
+}
+
+fn yaw_of(head: &Graph, params: &[f32], (state, position): &Background) -> f32 {
+    let mut tape = vec![0.0; head.tape_len()];
+    head.forward(Isa::detect(), params, &[state, position], &mut tape)
+        .unwrap();
+    head.output(&tape).unwrap()[1]
 }
 
 #[test]
@@ -228,14 +231,8 @@ fn an_imported_policy_is_explained_at_as_many_values_as_its_split_point_has() {
             backgrounds,
             ..bench.detector.clone()
         };
-        let mut tape = vec![0.0; head.graph.tape_len()];
-        let mut yaw = |(state, position): &Background| {
-            head.graph
-                .forward(Isa::detect(), &head.params, &[state, position], &mut tape)
-                .unwrap();
-            head.graph.output(&tape).unwrap()[1]
-        };
-        let mean = detector.backgrounds.iter().map(&mut yaw).sum::<f32>() / 20.0;
+        let yaw = |made: &Background| yaw_of(&head.graph, &head.params, made);
+        let mean = detector.backgrounds.iter().map(yaw).sum::<f32>() / 20.0;
         let mut monitor = Monitor::new(Isa::detect(), head.clone(), ACTOR, &detector).unwrap();
         for step in 1..=WINDOW {
             let made = decision();

@@ -327,21 +327,6 @@ impl OtherProcess {
     }
 }
 
-impl OtherProcess {
-    fn step(
-        &mut self,
-        now_ns: Nanos,
-        frame: Option<&DepthFrame>,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> StepReport {
-        let client = self.client.as_mut().unwrap();
-        client.exchange(self.steps, now_ns, frame, received, sent).unwrap();
-        self.steps += 1;
-        self.reports.recv_timeout(PATIENCE).unwrap()
-    }
-}
-
 impl Drop for OtherProcess {
     fn drop(&mut self) {
         let finished = self.client.take().map(|client| client.finish(self.steps));
@@ -358,7 +343,11 @@ impl Drop for OtherProcess {
 fn lockstep_in_two_processes_conforms() {
     let mut process = OtherProcess::start();
     suite(Driver::new(move |now_ns, frame, received, sent| {
-        process.step(now_ns, frame, received, sent)
+        let process = &mut process;
+        let client = process.client.as_mut().unwrap();
+        client.exchange(process.steps, now_ns, frame, received, sent).unwrap();
+        process.steps += 1;
+        process.reports.recv_timeout(PATIENCE).unwrap()
     }));
 }
 
@@ -402,10 +391,7 @@ fn a_tcp_client_conforms() {
 #[test]
 fn a_serial_line_conforms() {
     let line = PseudoTerminal::open();
-    let url = LinkUrl::Serial {
-        device: line.device.clone(),
-        baud: 57_600,
-    };
+    let url = format!("serial://{}:57600", line.device).parse().unwrap();
     let waiting = line.other_end();
     let link = Gated::open(&url, PeerRule::Anyone, SigningGate::open()).unwrap();
     let vehicle = StreamEnd {

@@ -198,10 +198,7 @@ fn tcp_is_fuzzed() {
 fn a_serial_line_is_fuzzed() {
     for has_key in [true, false] {
         let line = PseudoTerminal::open();
-        let url = LinkUrl::Serial {
-            device: line.device.clone(),
-            baud: 921_600,
-        };
+        let url = format!("serial://{}:921600", line.device).parse().unwrap();
         let link = Gated::open(&url, PeerRule::Anyone, gate(has_key)).unwrap();
         fuzz(link, |bytes| (&line.master).write(bytes), has_key);
     }

@@ -121,12 +121,8 @@ fn a_client_waits_for_its_peer_and_finds_it_again() {
 #[test]
 fn a_client_calls_anew_when_the_network_lost_its_peer_without_a_word() {
     let listener = TcpListener::bind(loopback()).unwrap();
-    let mut link = Gated::open(
-        &LinkUrl::TcpOut(listener.local_addr().unwrap()),
-        VEHICLE,
-        SigningGate::open(),
-    )
-    .unwrap();
+    let url = LinkUrl::TcpOut(listener.local_addr().unwrap());
+    let mut link = Gated::open(&url, VEHICLE, SigningGate::open()).unwrap();
     heard(&mut link, SECOND);
     let (_silent, _) = listener.accept().unwrap();
     for second in 2..20 {
@@ -178,10 +174,7 @@ fn a_serial_device_that_disappears_and_returns_is_found_again() {
     let device = folder.path().join("ttyVehicle");
     let mut line = PseudoTerminal::open();
     symlink(&line.device, &device).unwrap();
-    let url = LinkUrl::Serial {
-        device: device.to_str().unwrap().to_owned(),
-        baud: 921_600,
-    };
+    let url = format!("serial://{}:921600", device.display()).parse().unwrap();
     let mut link = Gated::open(&url, PeerRule::Anyone, SigningGate::open()).unwrap();
     line.master.write_all(&packet(1)).unwrap();
     assert_eq!(heard_soon(&mut link, SECOND), [packet(1)]);
@@ -225,10 +218,7 @@ fn a_serial_device_that_disappears_and_returns_is_found_again() {
 #[test]
 fn a_device_that_is_not_there_or_no_line_is_named() {
     for device in ["/dev/no-such-line", "/dev/null"] {
-        let url = LinkUrl::Serial {
-            device: device.to_owned(),
-            baud: 57_600,
-        };
+        let url = format!("serial://{device}:57600").parse().unwrap();
         let error = Gated::open(&url, PeerRule::Anyone, SigningGate::open())
             .err()
             .unwrap()

@@ -5,7 +5,9 @@ mod common;
 mod counting;
 
 use common::instance::Instance;
-use common::{LOITER, MISSION, SYSTEM_ID, TestVehicle, config, undecided_detector, watched_config};
+use common::{
+    LOITER, MISSION, SYSTEM_ID, TestVehicle, config, free_port, set_parameter, undecided_detector, watched_config,
+};
 use counting::allocations;
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
@@ -18,7 +20,7 @@ use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
-use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
+use vigil_mavlink::common::MavParamType;
 use vigil_mavlink::framing::encode;
 use vigil_mavlink::message;
 use vigil_nnet::Purpose;
@@ -251,7 +253,8 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
             socket.send(datagram).unwrap();
         }
         if step == 30 {
-            socket.send(&set_goal_radius()).unwrap();
+            let radius = set_parameter("GD_GOAL_RAD", 2.5, MavParamType::MAV_PARAM_TYPE_REAL32);
+            socket.send(&encode((255, 0), 0, &radius)).unwrap();
         }
         let mut state = GuidanceState::Standby;
         let allocations = counted(|| state = flight.step().state);
@@ -280,20 +283,4 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
         "{error}"
     );
     assert_eq!(std::fs::read_to_string(&state).unwrap(), kept[..kept.len() - 5]);
-}
-
-/// A port that is free at this moment.
-fn free_port() -> u16 {
-    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
-}
-
-fn set_goal_radius() -> Vec<u8> {
-    let message = MavMessage::PARAM_SET(PARAM_SET_DATA {
-        target_system: 1,
-        target_component: 191,
-        param_id: "GD_GOAL_RAD".into(),
-        param_value: 2.5,
-        param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
-    });
-    encode((255, 0), 0, &message)
 }

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{LOITER, PATIENCE, TestVehicle};
+use common::{LOITER, PATIENCE, TestVehicle, free_port};
 use std::net::UdpSocket;
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
@@ -41,11 +41,6 @@ fn free_instance() -> (u32, Domain, FramePublisher) {
         }
     }
     panic!("every instance is in use");
-}
-
-/// A port that is free at this moment.
-fn free_port() -> u16 {
-    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 /// The simulator's side of a flight, and the program.

@@ -33,8 +33,9 @@ fn vehicle(sequence: u8) -> Vec<u8> {
 
 /// A sender that is connected to the link.
 fn caller(link: &Gated) -> UdpSocket {
-    let socket = UdpSocket::bind(loopback()).unwrap();
-    socket.connect(link.local_address().unwrap()).unwrap();
+    let address = link.local_address().unwrap();
+    let socket = UdpSocket::bind((address.ip(), 0)).unwrap();
+    socket.connect(address).unwrap();
     socket.set_nonblocking(true).unwrap();
     socket
 }
@@ -187,12 +188,7 @@ fn the_same_by_ipv6() {
         // A machine without it.
         return;
     };
-    let call = || {
-        let socket = UdpSocket::bind(here).unwrap();
-        socket.connect(link.local_address().unwrap()).unwrap();
-        socket
-    };
-    let (vehicle_end, stranger) = (call(), call());
+    let (vehicle_end, stranger) = (caller(&link), caller(&link));
     vehicle_end.send(&vehicle(0)).unwrap();
     assert_eq!(heard(&mut link, SECOND), [vehicle(0)]);
     stranger.send(&vehicle(66)).unwrap();
@@ -208,18 +204,10 @@ fn a_flood_of_the_vehicles_is_taken_in_bounded_portions_and_nothing_of_it_is_los
     for i in 0..=250u8 {
         vehicle_end.send(&vehicle(i)).unwrap();
     }
-    let mut all = Vec::new();
-    let mut portions = 0;
-    loop {
-        let portion = heard(&mut link, SECOND);
-        if portion.is_empty() {
-            break;
-        }
-        portions += 1;
-        all.extend(portion);
-    }
-    assert!(portions > 1);
-    assert!(all.iter().map(|datagram| datagram[4]).eq(0..=250));
+    let portions = std::iter::repeat_with(|| heard(&mut link, SECOND));
+    let portions: Vec<_> = portions.take_while(|portion| !portion.is_empty()).collect();
+    assert!(portions.len() > 1);
+    assert!(portions.iter().flatten().map(|datagram| datagram[4]).eq(0..=250));
 }
 
 #[test]

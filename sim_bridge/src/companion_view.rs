@@ -2,7 +2,6 @@
 
 use mavlink::dialects::common::MavMessage;
 use vigil_mavlink::framing::{self, FramingCounters};
-use vigil_types::{GuidanceState, Reasons};
 
 /// What "gd_reason" holds of the reasons; the others are in "gd_reason2".
 const LOW_BITS: u64 = (1 << 24) - 1;
@@ -24,18 +23,6 @@ pub struct CompanionView {
 }
 
 impl CompanionView {
-    /// The guidance state's name, once one was heard.
-    pub(crate) fn guidance(&self) -> Option<String> {
-        let state = GuidanceState::from_code(self.state_code?)?;
-        Some(state.name().to_owned())
-    }
-
-    /// The reasons' names.
-    pub(crate) fn reasons(&self) -> Vec<String> {
-        let reasons = Reasons(self.reason_bits);
-        reasons.iter().map(|reason| reason.name().to_owned()).collect()
-    }
-
     /// Looks at a datagram that came from the guidance computer.
     pub fn observe(&mut self, datagram: &[u8]) {
         for packet in framing::packets(datagram, &mut self.counters) {

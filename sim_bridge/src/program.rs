@@ -7,7 +7,8 @@ use crate::udp::ports_in_words;
 use crate::vehicle_links::{LinksConfig, VehicleLinks};
 use crate::world::Outcome;
 use crate::{
-    CompanionView, CourseChoice, LIDAR_SENSOR_ID, STEP_MS, SensorFault, SimConfig, Simulator, Start, VehicleChoice,
+    CompanionView, CourseChoice, Ending, LIDAR_SENSOR_ID, STEP_MS, SensorFault, SimConfig, Simulator, Start,
+    VehicleChoice,
 };
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
@@ -23,7 +24,9 @@ use vigil_io::gate::AllowUnsigned;
 use vigil_io::key_file::frame_key;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
-use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, Nanos, STEP_NS};
+use vigil_types::{
+    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, GuidanceState, Nanos, Reasons, STEP_NS,
+};
 
 /// Later than this, the simulation has stood still (a suspended machine, a debugger, a stopped process); what is less is caught up with.
 const STANDSTILL_NS: Nanos = 250_000_000;
@@ -127,7 +130,7 @@ pub struct SimArgs {
 }
 
 /// One status line of a real-time simulation.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Status {
     /// Simulated seconds since the simulator's start.
     pub time_s: f64,
@@ -169,6 +172,25 @@ pub struct Status {
     /// Of a foreign vehicle: why its pose cannot be rendered; absent while it can.
     #[serde(default)]
     pub pose: Option<String>,
+}
+
+impl Status {
+    /// What is told of every vehicle in the same way: the firmware's telemetry, the frame, the ending.
+    pub(crate) fn of(companion: &CompanionView, nearness: &str, ending: Option<Ending>) -> Self {
+        let state = companion.state_code.and_then(GuidanceState::from_code);
+        let reasons = Reasons(companion.reason_bits);
+        Self {
+            guidance: state.map(|state| state.name().to_owned()),
+            reasons: reasons.iter().map(|reason| reason.name().to_owned()).collect(),
+            nearness: nearness.to_owned(),
+            score: companion.score,
+            step_us: companion.step_us,
+            slips: companion.slips,
+            outcome: ending.map(|e| e.outcome),
+            flight_time_s: ending.map_or(0.0, |e| e.flight_time_s),
+            ..Self::default()
+        }
+    }
 }
 
 /// What Ctrl-C and SIGTERM set.
@@ -242,14 +264,9 @@ struct OtherProcess<'a> {
     steps: u64,
 }
 
-/// Why a flight in lockstep did not end by itself.
-enum Broken {
-    Lockstep(LockstepError),
-    Interrupted,
-}
-
 impl FirmwarePort for OtherProcess<'_> {
-    type Error = Broken;
+    /// `None` of a flight that was interrupted.
+    type Error = Option<LockstepError>;
 
     fn step(
         &mut self,
@@ -258,13 +275,13 @@ impl FirmwarePort for OtherProcess<'_> {
         frame: &DepthFrame,
         received: &Datagrams,
         sent: &mut Datagrams,
-    ) -> Result<(), Broken> {
+    ) -> Result<(), Self::Error> {
         if self.stop.load(Ordering::Relaxed) {
-            return Err(Broken::Interrupted);
+            return Err(None);
         }
         self.steps = step + 1;
         let exchanged = self.client.exchange(step, now_ns, Some(frame), received, sent);
-        exchanged.map_err(Broken::Lockstep)
+        exchanged.map_err(Some)
     }
 }
 
@@ -339,8 +356,8 @@ fn run_lockstep(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Atom
     };
     let record = match fly_lockstep(&mut simulator, &mut port, f64::from(config.course.time_limit_s), 0.0) {
         Ok(record) => record,
-        Err(Broken::Lockstep(error)) => return Err(error.into()),
-        Err(Broken::Interrupted) => {
+        Err(Some(error)) => return Err(error.into()),
+        Err(None) => {
             port.client.finish(port.steps)?;
             announce(&format!("interrupted after {} steps", port.steps));
             return Ok(ExitCode::from(INTERRUPTED));
@@ -499,7 +516,6 @@ pub(crate) fn nearness(frame: &DepthFrame) -> String {
 fn status(simulator: &Simulator, companion: &CompanionView, nearness: &str, elapsed_ms: u64) -> Status {
     let truth = simulator.truth();
     let endpoint = simulator.status();
-    let ending = simulator.ending();
     Status {
         time_s: elapsed_ms as f64 * 1e-3,
         at_ns: simulator.now_ns(),
@@ -509,16 +525,8 @@ fn status(simulator: &Simulator, companion: &CompanionView, nearness: &str, elap
         goal_distance_m: simulator.goal_distance_m(),
         mode: endpoint.mode.name().to_owned(),
         armed: endpoint.armed,
-        guidance: companion.guidance(),
-        reasons: companion.reasons(),
-        nearness: nearness.to_owned(),
-        score: companion.score,
-        step_us: companion.step_us,
-        slips: companion.slips,
-        outcome: ending.map(|e| e.outcome),
-        flight_time_s: ending.map_or(0.0, |e| e.flight_time_s),
         path_length_m: simulator.path_length_m(),
-        pose: None,
+        ..Status::of(companion, nearness, simulator.ending())
     }
 }
 

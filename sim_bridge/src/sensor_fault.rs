@@ -5,7 +5,8 @@ use crate::world::split_mix;
 use std::ops::RangeBounds;
 use std::str::FromStr;
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, NedVector, PIXEL_PITCH_RAD, STEP_NS,
+    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, NedVector, PIXEL_PITCH_RAD,
+    STEP_NS, named,
 };
 
 /// Steps by which a delayed frame comes late: 0.3 s.
@@ -24,67 +25,59 @@ const NOISE_SIGMA_M: f32 = 0.02;
 /// Moments from which [`Onset::Random`] is drawn, seconds.
 const RANDOM_ONSET_S: (f64, f64) = (0.5, 15.0);
 
-/// What is wrong with the sensor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum SensorFaultMode {
-    /// Every pixel 0.0.
-    Zeros,
-    /// Every pixel 1.0: no return anywhere.
-    Ones,
-    /// The same image again and again, under fresh stamps and poses.
-    Frozen,
-    /// The same with fresh noise on it.
-    FrozenNoisy,
-    /// No return in the left half.
-    DeadLeft,
-    /// No return in the right half.
-    DeadRight,
-    /// No return in the upper half.
-    DeadTop,
-    /// No return in the lower half.
-    DeadBottom,
-    /// The left half stays as it was.
-    FrozenLeft,
-    /// The right half stays as it was.
-    FrozenRight,
-    /// The upper half stays as it was.
-    FrozenTop,
-    /// The lower half stays as it was.
-    FrozenBottom,
-    /// A band of 24 rows stays as it was.
-    StuckRows,
-    /// A band of 48 columns stays as it was.
-    StuckColumns,
-    /// Left and right are exchanged.
-    Mirrored,
-    /// The image is shifted by 11 columns (5.2°), to a side drawn from the seed; the outermost column fills the rest.
-    Shifted,
-    /// The sensor is turned by 5° on its mount, to a side drawn from the seed.
-    Turned,
-    /// Frames arrive 0.3 s late, with the stamp of their capture.
-    Delayed,
-    /// The header's position is 1e30.
-    FarPosition,
-    /// The header's position is 25 m off.
-    DisplacedPosition,
-    /// The header's quaternion is not of unit length.
-    BadQuaternion,
-    /// The header's pose stays as it was.
-    FrozenPose,
-    /// The stamp stays as it was.
-    FrozenStamp,
-    /// Stamps go back by a second.
-    EarlierStamp,
-}
-
-impl SensorFaultMode {
-    /// The name on the command line and in reports.
-    pub fn name(self) -> String {
-        use clap::ValueEnum;
-        // No variant is skipped.
-        self.to_possible_value()
-            .map_or_else(String::new, |v| v.get_name().to_owned())
+named! {
+    /// What is wrong with the sensor.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, clap::ValueEnum)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum SensorFaultMode {
+        /// Every pixel 0.0.
+        Zeros => "zeros",
+        /// Every pixel 1.0: no return anywhere.
+        Ones => "ones",
+        /// The same image again and again, under fresh stamps and poses.
+        Frozen => "frozen",
+        /// The same with fresh noise on it.
+        FrozenNoisy => "frozen-noisy",
+        /// No return in the left half.
+        DeadLeft => "dead-left",
+        /// No return in the right half.
+        DeadRight => "dead-right",
+        /// No return in the upper half.
+        DeadTop => "dead-top",
+        /// No return in the lower half.
+        DeadBottom => "dead-bottom",
+        /// The left half stays as it was.
+        FrozenLeft => "frozen-left",
+        /// The right half stays as it was.
+        FrozenRight => "frozen-right",
+        /// The upper half stays as it was.
+        FrozenTop => "frozen-top",
+        /// The lower half stays as it was.
+        FrozenBottom => "frozen-bottom",
+        /// A band of 24 rows stays as it was.
+        StuckRows => "stuck-rows",
+        /// A band of 48 columns stays as it was.
+        StuckColumns => "stuck-columns",
+        /// Left and right are exchanged.
+        Mirrored => "mirrored",
+        /// The image is shifted by 11 columns (5.2°), to a side drawn from the seed; the outermost column fills the rest.
+        Shifted => "shifted",
+        /// The sensor is turned by 5° on its mount, to a side drawn from the seed.
+        Turned => "turned",
+        /// Frames arrive 0.3 s late, with the stamp of their capture.
+        Delayed => "delayed",
+        /// The header's position is 1e30.
+        FarPosition => "far-position",
+        /// The header's position is 25 m off.
+        DisplacedPosition => "displaced-position",
+        /// The header's quaternion is not of unit length.
+        BadQuaternion => "bad-quaternion",
+        /// The header's pose stays as it was.
+        FrozenPose => "frozen-pose",
+        /// The stamp stays as it was.
+        FrozenStamp => "frozen-stamp",
+        /// Stamps go back by a second.
+        EarlierStamp => "earlier-stamp",
     }
 }
 
@@ -111,11 +104,10 @@ impl FromStr for SensorFault {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        use clap::ValueEnum;
         let (mode, onset) = text.split_once('@').unwrap_or((text, "0"));
-        let mode = SensorFaultMode::from_str(mode, false).map_err(|_| {
-            let names: Vec<String> = SensorFaultMode::value_variants().iter().map(|m| m.name()).collect();
-            format!("`{mode}` is no sensor fault; there are {}", names.join(", "))
+        let mode = SensorFaultMode::from_name(mode).ok_or_else(|| {
+            let names = SensorFaultMode::ALL.map(SensorFaultMode::name).join(", ");
+            format!("`{mode}` is no sensor fault; there are {names}")
         })?;
         let onset = match onset {
             "random" => Onset::Random,
@@ -318,11 +310,10 @@ mod tests {
 
     #[test]
     fn every_fault_is_named_as_it_is_parsed_and_seals_its_frame() {
-        use clap::ValueEnum;
-        for mode in SensorFaultMode::value_variants() {
+        for mode in SensorFaultMode::ALL {
             let fault: SensorFault = mode.name().parse().unwrap();
-            assert_eq!((fault.mode, fault.to_string()), (*mode, mode.name()));
-            let frame = spoiled(&mode.name(), 9);
+            assert_eq!((fault.mode, fault.to_string().as_str()), (mode, mode.name()));
+            let frame = spoiled(mode.name(), 9);
             assert_eq!(frame.header.checksum, frame.compute_checksum(), "{}", mode.name());
         }
         let fault: SensorFault = "frozen@2.5".parse().unwrap();

@@ -1,7 +1,7 @@
 //! The vehicle's three UDP links, on the ports of PX4's software in the loop. docs/mavlink.md has the table of ports.
 
 use std::io::ErrorKind;
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+use std::net::{Ipv4Addr, SocketAddr};
 use vigil_autopilot::LinkId;
 use vigil_io::links::UdpPeers;
 
@@ -70,6 +70,7 @@ pub(crate) fn ports_in_words(instance: u32) -> String {
 /// # Errors
 /// A port is in use, or the system refuses the socket.
 pub(crate) fn onboard_api_gcs(instance: u32) -> Result<Vec<(LinkId, UdpPeers)>, UdpError> {
+    let loopback = |port: u16| SocketAddr::from((Ipv4Addr::LOCALHOST, port));
     let open = |(id, local, peer)| {
         let (port, peer_port) = ports(id, local, peer, instance);
         let link = UdpPeers::open(loopback(port), Some(loopback(peer_port))).map_err(|source| match source.kind() {
@@ -79,10 +80,6 @@ pub(crate) fn onboard_api_gcs(instance: u32) -> Result<Vec<(LinkId, UdpPeers)>, 
         Ok((id, link))
     };
     PORTS.into_iter().map(open).collect()
-}
-
-fn loopback(port: u16) -> SocketAddr {
-    SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, port))
 }
 
 #[cfg(test)]

@@ -29,26 +29,24 @@ fn plan_clearance_m(course: &Course, north_m: f32, east_m: f32) -> f32 {
 
 #[test]
 fn every_course_has_a_corridor_that_keeps_its_margin() {
-    for family in Family::ALL {
-        for course in courses(family) {
-            let way = course
-                .corridor()
-                .unwrap_or_else(|| panic!("{} has no way", course.name));
-            assert_eq!(way.first(), Some(&[course.start.north_m, course.start.east_m]));
-            assert_eq!(way.last(), Some(&[course.goal.north_m, course.goal.east_m]));
-            for leg in way.windows(2) {
-                let steps = 40;
-                for k in 0..=steps {
-                    let f = k as f32 / steps as f32;
-                    let at = [0, 1].map(|i| leg[0][i] + f * (leg[1][i] - leg[0][i]));
-                    assert!(course.bounds.contains_plan(at[0], at[1]));
-                    let clearance_m = plan_clearance_m(course, at[0], at[1]);
-                    assert!(
-                        clearance_m >= VEHICLE.radius_m + course.corridor_margin_m() - 0.01,
-                        "{}: {clearance_m} m at {at:?}",
-                        course.name
-                    );
-                }
+    for course in Family::ALL.into_iter().flat_map(courses) {
+        let way = course
+            .corridor()
+            .unwrap_or_else(|| panic!("{} has no way", course.name));
+        assert_eq!(way.first(), Some(&[course.start.north_m, course.start.east_m]));
+        assert_eq!(way.last(), Some(&[course.goal.north_m, course.goal.east_m]));
+        for leg in way.windows(2) {
+            let steps = 40;
+            for k in 0..=steps {
+                let f = k as f32 / steps as f32;
+                let at = [0, 1].map(|i| leg[0][i] + f * (leg[1][i] - leg[0][i]));
+                assert!(course.bounds.contains_plan(at[0], at[1]));
+                let clearance_m = plan_clearance_m(course, at[0], at[1]);
+                assert!(
+                    clearance_m >= VEHICLE.radius_m + course.corridor_margin_m() - 0.01,
+                    "{}: {clearance_m} m at {at:?}",
+                    course.name
+                );
             }
         }
     }
@@ -56,12 +54,10 @@ fn every_course_has_a_corridor_that_keeps_its_margin() {
 
 #[test]
 fn every_course_is_valid_and_survives_its_file() {
-    for family in Family::ALL {
-        for course in courses(family) {
-            course.check().unwrap_or_else(|e| panic!("{}: {e}", course.name));
-            let text = course.to_toml_string().expect("writable");
-            assert_eq!(&Course::from_toml_str(&text, "again").expect("readable"), course);
-        }
+    for course in Family::ALL.into_iter().flat_map(courses) {
+        course.check().unwrap_or_else(|e| panic!("{}: {e}", course.name));
+        let text = course.to_toml_string().expect("writable");
+        assert_eq!(&Course::from_toml_str(&text, "again").expect("readable"), course);
     }
 }
 
@@ -214,12 +210,10 @@ fn movers_run_into_nothing_and_keep_away_from_start_and_goal() {
 
 #[test]
 fn the_start_is_free_and_the_vehicle_can_stand_there() {
-    for family in Family::ALL {
-        for course in courses(family) {
-            let world = World::new(course);
-            assert!(world.clearance_m(course.start_ned_m()) > 1.0);
-            assert!(world.clearance_m(course.goal_ned_m()) > VEHICLE.radius_m);
-        }
+    for course in Family::ALL.into_iter().flat_map(courses) {
+        let world = World::new(course);
+        assert!(world.clearance_m(course.start_ned_m()) > 1.0);
+        assert!(world.clearance_m(course.goal_ned_m()) > VEHICLE.radius_m);
     }
 }
 

@@ -122,39 +122,21 @@ fn a_way_leads_around_the_wires_at_flight_height_alone_and_pictures_have_them() 
 
 #[test]
 fn a_wire_that_cannot_be_is_refused_with_a_sentence() {
-    for (from_m, to_m, radius_m, expected) in [
-        (
-            [5.0, 0.0, 1.0],
-            [5.0, 0.0, 1.0],
-            0.02,
-            "6: `wire[0].to_m`: is the same point as from_m",
-        ),
-        (
-            [5.0, 0.0, 1.0],
-            [5.0, 2.0, 1.0],
-            0.06,
-            "7: `wire[0].radius_m`: is 0.06, must be from 0.005 to 0.05 m",
-        ),
-        (
-            [5.0, f32::NAN, 1.0],
-            [5.0, 2.0, 1.0],
-            0.02,
-            "5: `wire[0].from_m[1]`: is NaN",
-        ),
-        (
-            [0.2, -1.0, 1.0],
-            [0.2, 1.0, 1.0],
-            0.02,
-            "4: `wire[0]`: covers the start",
-        ),
-        (
-            [12.0, -1.0, 1.8],
-            [12.0, 1.0, 1.2],
-            0.02,
-            "4: `wire[0]`: covers the goal",
-        ),
-    ] {
-        let error = read(&wire(from_m, to_m, radius_m)).expect_err(expected).to_string();
+    // Its ends and radius, and what the sentence says.
+    let cases = r#"
+        [5.0, 0.0, 1.0] => [5.0, 0.0, 1.0] => 0.02 => 6: `wire[0].to_m`: is the same point as from_m
+        [5.0, 0.0, 1.0] => [5.0, 2.0, 1.0] => 0.06 => 7: `wire[0].radius_m`: is 0.06, must be from 0.005 to 0.05 m
+        [5.0, nan, 1.0] => [5.0, 2.0, 1.0] => 0.02 => 5: `wire[0].from_m[1]`: is NaN
+        [0.2, -1.0, 1.0] => [0.2, 1.0, 1.0] => 0.02 => 4: `wire[0]`: covers the start
+        [12.0, -1.0, 1.8] => [12.0, 1.0, 1.2] => 0.02 => 4: `wire[0]`: covers the goal
+    "#;
+    for case in cases.trim().lines() {
+        let parts: Vec<&str> = case.trim().split(" => ").collect();
+        let [from_m, to_m, radius_m, expected] = parts[..] else {
+            panic!("{case}")
+        };
+        let wire = format!("[[wire]]\nfrom_m = {from_m}\nto_m = {to_m}\nradius_m = {radius_m}\n");
+        let error = read(&wire).expect_err(expected).to_string();
         assert!(error.starts_with(&format!("test.toml:{expected}")), "{error}");
     }
 }

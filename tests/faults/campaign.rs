@@ -135,12 +135,12 @@ impl Row {
 }
 
 /// The table so far; kept on the disk after each row.
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 pub struct Table {
     seed: u64,
     quick: bool,
     rows: Vec<Row>,
-    interrupted: bool,
+    pub interrupted: bool,
 }
 
 impl Table {
@@ -148,8 +148,7 @@ impl Table {
         Self {
             seed,
             quick,
-            rows: Vec::new(),
-            interrupted: false,
+            ..Self::default()
         }
     }
 
@@ -172,10 +171,6 @@ impl Table {
         Ok(())
     }
 
-    pub fn interrupt(&mut self) {
-        self.interrupted = true;
-    }
-
     pub fn is_good(&self) -> bool {
         !self.interrupted && self.rows.iter().all(Row::is_good)
     }
@@ -187,13 +182,7 @@ impl Table {
         );
         for row in &self.rows {
             let counts = row.counts().map(|(count, _)| count.to_string()).join(" | ");
-            let Row {
-                fault,
-                trials,
-                measured,
-                ..
-            } = row;
-            let _ = writeln!(text, "| {fault} | {trials} | {counts} | {measured} |");
+            let _ = writeln!(text, "| {} | {} | {counts} | {} |", row.fault, row.trials, row.measured);
         }
         text
     }
@@ -235,6 +224,12 @@ pub fn spread(what: &str, unit: &str, mut values: Vec<f64>) -> String {
         (Some(median), Some(most)) => format!("{what} median {median:.2} {unit}, at most {most:.2} {unit}"),
         _ => String::new(),
     }
+}
+
+/// What was measured, without what is empty.
+pub fn joined<const N: usize>(texts: [String; N]) -> String {
+    let said: Vec<String> = texts.into_iter().filter(|text| !text.is_empty()).collect();
+    said.join("; ")
 }
 
 /// Runs trials `0..count` on as many threads as there are instances; each thread has an instance of its own. In order of the trials.

@@ -3,7 +3,7 @@
 use crate::campaign::{Ending, Folder, Row, Trial};
 use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site};
 use anyhow::Result;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use vigil_sim::world::Outcome;
 
@@ -115,22 +115,15 @@ fn refusals() -> Row {
 /// Flights whose log and state go to a disk that fills up.
 fn flights(site: &Site<'_>) -> Result<Row> {
     const NAME: &str = "disk full in flight";
-    let text = |path: PathBuf| path.display().to_string();
     let mut trials = Vec::new();
     for number in 0..4 {
         let (Some(logs), Some(state)) = (SmallDisk::mount("8m"), SmallDisk::mount("256k")) else {
             return Ok(Row::of(NAME, &[], "left out: needs the right to mount"));
         };
+        let to = state.path().display();
         let extras = Extras {
-            firmware: [
-                "--log",
-                &text(logs.path().join(number.to_string())),
-                "--state",
-                &text(state.path().to_owned()),
-            ]
-            .map(str::to_owned)
-            .into(),
-            simulator: ["--state", &text(state.path().to_owned())].map(str::to_owned).into(),
+            firmware: format!("--log {}/{number} --state {to}", logs.path().display()),
+            simulator: format!("--state {to}"),
             ..Extras::default()
         };
         let work = tempfile::tempdir()?;
@@ -140,7 +133,7 @@ fn flights(site: &Site<'_>) -> Result<Row> {
             flight.follow(FLIGHT_LIMIT, site.stop, |s| s.outcome.is_some())
         });
         let fallen = flight.fallen();
-        let arrived = flight.last().and_then(|s| s.outcome) == Some(Outcome::Success);
+        let arrived = flight.last.as_ref().and_then(|s| s.outcome) == Some(Outcome::Success);
         trials.push(match (flown, flight.end_firmware()) {
             _ if !fallen.is_empty() => Trial::wrong(Ending::Crashed, format!("{} ended", fallen.join(", "))),
             (Err(error), _) | (_, Err(error)) => Trial::wrong(Ending::TimeOut, format!("{error:#}")),

@@ -79,9 +79,7 @@ impl Operator {
     /// Looks, and says what he asks for.
     pub fn look(&mut self, now_s: f64, state: GuidanceState, reasons: Reasons) -> Option<Request> {
         let own = [Reason::GoalReached, Reason::Operator];
-        let held = reasons
-            .iter()
-            .filter(|reason| state == GuidanceState::Hold && !own.contains(reason));
+        let held = (reasons.iter()).filter(|reason| state == GuidanceState::Hold && !own.contains(reason));
         let held = held.fold(Reasons::NONE, |all, reason| all.with_if(true, reason));
         for reason in held.iter().filter(|reason| !self.held.contains(*reason)) {
             *self.holds.entry(reason.name()).or_default() += 1;
@@ -135,7 +133,7 @@ pub fn resident_kib(process: u32) -> Result<u64> {
 }
 
 /// Memory of a process over the flight, KiB.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 pub struct Memory {
     pub of: &'static str,
     /// At the end of the warm-up: after 20 minutes, but no more than a third of the flight.
@@ -153,10 +151,7 @@ impl Memory {
         Self {
             warm_s: WARM_S.min(flight_s / 3.0),
             of,
-            start_kib: 0,
-            end_kib: 0,
-            most_kib: 0,
-            samples: Vec::new(),
+            ..Self::default()
         }
     }
 

@@ -32,14 +32,15 @@ pub struct Site<'a> {
 /// What a flight needs besides instance and seed.
 #[derive(Default)]
 pub struct Extras {
-    pub firmware: Vec<String>,
-    pub simulator: Vec<String>,
+    /// Further arguments, between spaces.
+    pub firmware: String,
+    pub simulator: String,
     /// A process that passes frames on sits between sensor and firmware.
     pub adversary: bool,
 }
 
 /// How the programs of a flight are started; what they say goes into files of the folder.
-struct Programs {
+pub struct Programs {
     instance: u32,
     seed: u64,
     goal: NedVector,
@@ -48,26 +49,27 @@ struct Programs {
 }
 
 impl Programs {
-    fn simulator(&self) -> Running {
+    pub fn simulator(&self) -> Running {
         let frames = if self.extras.adversary {
             " --frames depth-raw"
         } else {
             ""
         };
-        let line = format!("sim --status --airborne --seed {}{frames}", self.seed);
-        self.start("simulator", &line, &self.extras.simulator)
+        let (seed, extra) = (self.seed, &self.extras.simulator);
+        let line = format!("sim --status --airborne --seed {seed}{frames} {extra}");
+        self.start("simulator", &line)
     }
 
-    fn firmware(&self) -> Running {
-        let line = format!("firmware --engage auto {}", self.to_goal());
-        self.start("firmware", &line, &self.extras.firmware)
+    pub fn firmware(&self) -> Running {
+        let line = format!("firmware --engage auto {} {}", self.to_goal(), self.extras.firmware);
+        self.start("firmware", &line)
     }
 
     /// Passes frames on; one of them is altered by less than the sensor's noise.
-    fn adversary(&self) -> Running {
+    pub fn adversary(&self) -> Running {
         let least = "--attack noise --epsilon 0.01 --iterations 1 --burst 1";
         let line = format!("adversary --seed {} {} {least}", self.seed, self.to_goal());
-        self.start("adversary", &line, &[])
+        self.start("adversary", &line)
     }
 
     fn to_goal(&self) -> String {
@@ -75,24 +77,23 @@ impl Programs {
         format!("--goal={},{} --height {}", goal.x, goal.y, -goal.z)
     }
 
-    /// Starts `vigil` with the arguments of a line, and more.
-    fn start(&self, who: &str, line: &str, extra: &[String]) -> Running {
+    /// Starts `vigil` with the arguments of a line.
+    fn start(&self, who: &str, line: &str) -> Running {
         let log = self.folder.join(format!("{who}.log"));
         let log = File::options().create(true).append(true).open(log);
         let instance = self.instance.to_string();
-        let arguments = line.split(' ').chain(["--instance", &instance]);
-        let arguments: Vec<&str> = arguments.chain(extra.iter().map(String::as_str)).collect();
+        let arguments: Vec<&str> = line.split_whitespace().chain(["--instance", &instance]).collect();
         Running::start_saying(&arguments, log.map_or_else(|_| Stdio::null(), Stdio::from))
     }
 }
 
 /// The programs of one flight over a validation course.
 pub struct Flight {
-    programs: Programs,
+    pub programs: Programs,
     pub simulator: Running,
     pub firmware: Running,
     pub adversary: Option<Running>,
-    last: Option<Status>,
+    pub last: Option<Status>,
 }
 
 impl Flight {
@@ -118,24 +119,6 @@ impl Flight {
         })
     }
 
-    pub fn restart_firmware(&mut self) {
-        self.firmware = self.programs.firmware();
-    }
-
-    /// A new vehicle at the start of the course.
-    pub fn restart_simulator(&mut self) {
-        self.last = None;
-        self.simulator = self.programs.simulator();
-    }
-
-    pub fn restart_adversary(&mut self) {
-        self.adversary = Some(self.programs.adversary());
-    }
-
-    pub fn last(&self) -> Option<&Status> {
-        self.last.as_ref()
-    }
-
     /// Follows the flight until `done`, its end, the limit, or Ctrl-C; whether `done` was.
     ///
     /// # Errors
@@ -153,11 +136,8 @@ impl Flight {
             };
             let (is_done, is_over) = (done(&status), status.outcome.is_some());
             self.last = Some(status);
-            if is_done {
-                return Ok(true);
-            }
-            if is_over {
-                return Ok(false);
+            if is_done || is_over {
+                return Ok(is_done);
             }
         }
         Ok(false)
@@ -174,17 +154,11 @@ impl Flight {
 
     /// The programs that should run and do not.
     pub fn fallen(&mut self) -> Vec<&'static str> {
-        let mut fallen = Vec::new();
-        if !self.simulator.is_running() {
-            fallen.push("simulator");
-        }
-        if !self.firmware.is_running() {
-            fallen.push("firmware");
-        }
-        if self.adversary.as_mut().is_some_and(|adversary| !adversary.is_running()) {
-            fallen.push("adversary");
-        }
-        fallen
+        let always = [("simulator", &mut self.simulator), ("firmware", &mut self.firmware)];
+        let adversary = self.adversary.as_mut().map(|adversary| ("adversary", adversary));
+        let all = always.into_iter().chain(adversary);
+        let fallen = all.filter_map(|(name, program)| (!program.is_running()).then_some(name));
+        fallen.collect()
     }
 
     /// Ends the firmware as a person would; what it says.

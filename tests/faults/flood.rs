@@ -8,7 +8,7 @@ use clap::builder::PossibleValue;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_mavlink::common::*;
@@ -86,26 +86,15 @@ pub struct Flood {
 }
 
 impl Flood {
-    /// Floods for a time; how many were sent.
-    pub fn send_for(&self, seconds: f64, stop: &AtomicBool) -> u64 {
-        let begun = Instant::now();
-        let sent = AtomicU64::new(0);
-        self.send(
-            &|| begun.elapsed().as_secs_f64() >= seconds || stop.load(Ordering::Relaxed),
-            &sent,
-        );
-        sent.load(Ordering::Relaxed)
-    }
-
-    /// Floods until `done`; counts.
-    fn send(&self, done: &dyn Fn() -> bool, sent: &AtomicU64) {
+    /// Floods until `done`; how many were sent.
+    pub fn send(&self, done: impl Fn() -> bool) -> u64 {
         let content = self.content.datagrams();
         let sockets: Vec<UdpSocket> = (0..STRANGERS)
             .filter_map(|_| UdpSocket::bind("127.0.0.1:0").ok())
             .collect();
         let mut calls: Vec<Option<TcpStream>> = (0..STRANGERS).map(|_| None).collect();
         let mut due_ns = monotonic_ns();
-        let (mut owed, mut number) = (0.0, 0_usize);
+        let (mut owed, mut number, mut sent) = (0.0, 0_usize, 0);
         while !done() {
             due_ns += BURST_NS;
             sleep_until(due_ns);
@@ -122,9 +111,10 @@ impl Flood {
                         .get(stranger)
                         .is_some_and(|socket| socket.send_to(bytes, self.address).is_ok())
                 };
-                sent.fetch_add(u64::from(taken), Ordering::Relaxed);
+                sent += u64::from(taken);
             }
         }
+        sent
     }
 }
 
@@ -207,9 +197,12 @@ impl Tap {
                     }
                 }
             });
-            self.to_firmware(done, |bytes| {
-                let _ = socket.send(bytes);
-            });
+            let mut buffer = [0; 2048];
+            while !done.load(Ordering::Relaxed) {
+                if let Ok(len) = self.vehicle.recv(&mut buffer) {
+                    let _ = socket.send(&buffer[..len]);
+                }
+            }
         });
     }
 
@@ -249,15 +242,6 @@ impl Tap {
                     }
                 }
             });
-        }
-    }
-
-    fn to_firmware(&self, done: &AtomicBool, send: impl Fn(&[u8])) {
-        let mut buffer = [0; 2048];
-        while !done.load(Ordering::Relaxed) {
-            if let Ok(len) = self.vehicle.recv(&mut buffer) {
-                send(&buffer[..len]);
-            }
         }
     }
 }
@@ -303,13 +287,12 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
     // A link that is still there would be somebody else's.
     drop(TcpListener::bind(link).with_context(|| format!("port {link}"))?);
     let scheme = if tcp { "tcpin" } else { "udpin" };
-    let to_vehicle = format!("{scheme}://{link},system={}", instance + 1);
     let extras = Extras {
-        firmware: vec!["--link".to_owned(), to_vehicle],
+        firmware: format!("--link {scheme}://{link},system={}", instance + 1),
         ..Extras::default()
     };
     let work = tempfile::tempdir()?;
-    let (done, sent) = (AtomicBool::new(false), AtomicU64::new(0));
+    let done = AtomicBool::new(false);
     let flood = content.map(|content| Flood {
         tcp,
         address: link,
@@ -319,12 +302,9 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
     let begun = Instant::now();
     let mut flight = Flight::start(instance, seed, work.path(), extras)?;
     let tap = Tap::open(instance, link, tcp)?;
-    let (flown, said) = std::thread::scope(|scope| {
-        if let Some(flood) = &flood {
-            let (done, sent) = (&done, &sent);
-            scope.spawn(move || flood.send(&|| done.load(Ordering::Relaxed), sent));
-        }
+    let (flown, said, sent) = std::thread::scope(|scope| {
         let (tap, over) = (&tap, &done);
+        let flooding = (flood.as_ref()).map(|flood| scope.spawn(move || flood.send(|| over.load(Ordering::Relaxed))));
         scope.spawn(move || {
             // The strangers come first.
             std::thread::sleep(BEFORE);
@@ -335,7 +315,8 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
             .and_then(|()| flight.follow(FLIGHT_LIMIT, site.stop, |s| s.outcome.is_some()));
         let said = flight.end_firmware();
         done.store(true, Ordering::Relaxed);
-        (flown, said)
+        let sent = flooding.map_or(0, |flooding| flooding.join().expect("a flood does not fail"));
+        (flown, said, sent)
     });
     let setpoints_ns = tap.setpoints_ns.into_inner().unwrap_or_default();
     let mut gaps_ns: Vec<Nanos> = setpoints_ns.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -345,7 +326,7 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
         let gap = gaps_ns.get(((gaps_ns.len().max(1) - 1) as f64 * share) as usize);
         gap.map_or(0.0, |gap| *gap as f64 * 1e-6)
     };
-    let ending = Ending::of(flight.last().and_then(|s| s.outcome));
+    let ending = Ending::of(flight.last.as_ref().and_then(|s| s.outcome));
     let ending = ending.unwrap_or(match flight.simulator.is_running() {
         true => Ending::TimeOut,
         false => Ending::Crashed,
@@ -364,7 +345,7 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
         _ if ending == Ending::TimeOut && !site.stop.load(Ordering::Relaxed) => Some("it does not arrive".to_owned()),
         _ => None,
     };
-    let rate = sent.load(Ordering::Relaxed) as f64 / begun.elapsed().as_secs_f64();
+    let rate = sent as f64 / begun.elapsed().as_secs_f64();
     let flooded = content.map_or(String::new(), |_| format!("{rate:.0} a second; "));
     let measured = format!(
         "{flooded}{} setpoints, {:.1} / {:.1} / {:.1} ms apart (p50 / p99 / most), {late} late, {} steps missed",

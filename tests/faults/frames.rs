@@ -1,6 +1,6 @@
 //! Frames that no sensor sends, for three seconds of a flight in lockstep; then the sensor is itself again.
 
-use crate::campaign::{Draw, Ending, Folder, Row, Trial, in_lockstep, spread, tell};
+use crate::campaign::{Draw, Ending, Folder, Row, Trial, in_lockstep, joined, spread, tell};
 use crate::flight::{Site, collided_anyway};
 use anyhow::Result;
 use vigil_sim::world::Family;
@@ -166,13 +166,6 @@ fn kinds() -> Vec<Kind> {
     ]
 }
 
-impl Kind {
-    /// A picture may stay in doubt until the motors are off (docs/sensor-faults.md, "How it ends").
-    fn may_be_held(&self) -> bool {
-        matches!(self.must, Must::Hold(names) if names.contains(&Reason::FrozenSensor))
-    }
-}
-
 struct Flown {
     trial: Trial,
     hold_s: Option<f64>,
@@ -250,7 +243,9 @@ fn fly(kind: &Kind, seed: u64) -> Flown {
         GuidanceState::Hold => Ending::Held,
         _ => Ending::TimeOut,
     });
-    if ending == Ending::TimeOut || ending == Ending::Held && !kind.may_be_held() {
+    // A picture may stay in doubt until the motors are off (docs/sensor-faults.md, "How it ends").
+    let may_be_held = matches!(kind.must, Must::Hold(names) if names.contains(&Reason::FrozenSensor));
+    if ending == Ending::TimeOut || ending == Ending::Held && !may_be_held {
         wrong.get_or_insert_with(|| format!("{}, seed {seed}: does not go on with good frames", kind.name));
     }
     Flown {
@@ -264,11 +259,7 @@ pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     let mut kinds = kinds();
     let mut trials = TRIALS;
     if site.quick {
-        let mut number = 0;
-        kinds.retain(|_| {
-            number += 1;
-            number % QUICK_STRIDE == 1
-        });
+        kinds = kinds.into_iter().step_by(QUICK_STRIDE).collect();
         trials = 1;
     } else {
         tell(&format!(
@@ -292,15 +283,13 @@ pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
         });
         let trials: Vec<Trial> = flown.iter().map(|flown| flown.trial.clone()).collect();
         let holds = flown.iter().filter_map(|flown| flown.hold_s).collect();
-        let mut measured = format!("{} kinds", chosen.len());
-        let seeds = flown.iter().map(|flown| (&flown.trial, flown.seed));
-        let again = collided_anyway(seeds);
-        for text in [spread("hold after", "s", holds), again] {
-            if !text.is_empty() {
-                measured += &format!("; {text}");
-            }
-        }
-        rows.push(Row::of(name, &trials, measured));
+        let again = collided_anyway(flown.iter().map(|flown| (&flown.trial, flown.seed)));
+        let measured = [
+            format!("{} kinds", chosen.len()),
+            spread("hold after", "s", holds),
+            again,
+        ];
+        rows.push(Row::of(name, &trials, joined(measured)));
     }
     Ok(rows)
 }

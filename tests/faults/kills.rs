@@ -1,6 +1,6 @@
 //! Processes killed and stopped at random moments of real-time flights, and started again.
 
-use crate::campaign::{Draw, Ending, Folder, Row, Trial, side_by_side, spread};
+use crate::campaign::{Draw, Ending, Folder, Row, Trial, joined, side_by_side, spread};
 use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site, collided_anyway};
 use anyhow::{Result, bail};
 use rustix::process::Signal;
@@ -81,17 +81,9 @@ pub fn rows(site: &Site<'_>, folder: &Folder) -> Result<Vec<Row>> {
             "guidance's hold after"
         };
         let seeds = (0..).map(|number| seed_of(site, case, number));
-        let mut measured = spread(who_held, "s", delays);
-        let collided = collided_anyway(trials.iter().zip(seeds));
-        if !collided.is_empty() {
-            measured += if measured.is_empty() { "" } else { "; " };
-            measured += &collided;
-        }
-        rows.push(Row::of(
-            format!("{} {what}", format!("{who:?}").to_lowercase()),
-            &trials,
-            measured,
-        ));
+        let measured = joined([spread(who_held, "s", delays), collided_anyway(trials.iter().zip(seeds))]);
+        let name = format!("{} {what}", format!("{who:?}").to_lowercase());
+        rows.push(Row::of(name, &trials, measured));
     }
     if !site.quick && !site.stop.load(Ordering::Relaxed) {
         rows.push(whole_flights(site, folder)?);
@@ -114,37 +106,29 @@ fn trial(who: Who, how: How, instance: u32, seed: u64, work: &Path, stop: &Atomi
         Err(error) => return (Trial::wrong(Ending::Crashed, format!("{error:#}")), None),
     };
     let result = fault(&mut flight, who, how, seed, stop);
-    let fallen = flight.fallen();
+    let (fallen, trial) = (flight.fallen(), format!("{who:?}, {how:?}, seed {seed}"));
     match result {
         Ok((ending, delay_s)) if fallen.is_empty() => {
             let wrong = match delay_s {
-                Some(delay_s) if delay_s > OWN_HOLD_S => {
-                    Some(format!("{who:?}, {how:?}, seed {seed}: hold after {delay_s:.2} s"))
-                }
+                Some(delay_s) if delay_s > OWN_HOLD_S => Some(format!("{trial}: hold after {delay_s:.2} s")),
                 _ if matches!(ending, Ending::Held | Ending::TimeOut) && !stop.load(Ordering::Relaxed) => {
-                    Some(format!("{who:?}, {how:?}, seed {seed}: it does not go on"))
+                    Some(format!("{trial}: it does not go on"))
                 }
                 _ => flight.end_firmware().err().map(|error| format!("{error:#}")),
             };
             (Trial { ending, wrong }, delay_s)
         }
-        Ok((_, delay_s)) => (
-            Trial::wrong(
-                Ending::Crashed,
-                format!("{who:?}, {how:?}, seed {seed}: {} ended", fallen.join(", ")),
-            ),
-            delay_s,
-        ),
+        Ok((_, delay_s)) => {
+            let wrong = format!("{trial}: {} ended", fallen.join(", "));
+            (Trial::wrong(Ending::Crashed, wrong), delay_s)
+        }
         Err(error) => {
             let ending = if fallen.is_empty() {
                 Ending::TimeOut
             } else {
                 Ending::Crashed
             };
-            (
-                Trial::wrong(ending, format!("{who:?}, {how:?}, seed {seed}: {error:#}")),
-                None,
-            )
+            (Trial::wrong(ending, format!("{trial}: {error:#}")), None)
         }
     }
 }
@@ -154,26 +138,27 @@ fn fault(flight: &mut Flight, who: Who, how: How, seed: u64, stop: &AtomicBool) 
     let moment_s = draw.between(0.0, LATEST_S);
     let (pause_s, stopped_s) = (draw.between(0.0, 2.0), draw.between(0.05, 3.0));
     flight.take_off(stop)?;
-    let begun_s = flight.last().map_or(0.0, |s| s.time_s);
+    let begun_s = flight.last.as_ref().map_or(0.0, |s| s.time_s);
     flight.follow(FLIGHT_LIMIT, stop, |s| s.time_s >= begun_s + moment_s)?;
-    let at_s = flight.last().map_or(0.0, |s| s.time_s);
+    let at_s = flight.last.as_ref().map_or(0.0, |s| s.time_s);
     let mut delay_s = None;
     match (who, how) {
         (Who::Firmware, How::Kill) => {
             flight.firmware.signal(Signal::KILL);
             if !flight.follow(SOON, stop, |s| s.mode != "offboard")?
-                && flight.last().is_some_and(|s| s.outcome.is_none())
+                && flight.last.as_ref().is_some_and(|s| s.outcome.is_none())
             {
                 bail!("the vehicle flies on without guidance");
             }
-            delay_s = flight.last().map(|s| s.time_s - at_s);
+            delay_s = flight.last.as_ref().map(|s| s.time_s - at_s);
             std::thread::sleep(Duration::from_secs_f64(pause_s));
-            flight.restart_firmware();
+            flight.firmware = flight.programs.firmware();
         }
         (Who::Simulator, How::Kill) => {
             flight.simulator.signal(Signal::KILL);
             std::thread::sleep(Duration::from_secs_f64(0.2 + pause_s));
-            flight.restart_simulator();
+            // A new vehicle at the start of the course.
+            (flight.last, flight.simulator) = (None, flight.programs.simulator());
         }
         (Who::Adversary, How::Kill | How::Stop) => {
             let signal = if how == How::Kill { Signal::KILL } else { Signal::STOP };
@@ -185,12 +170,12 @@ fn fault(flight: &mut Flight, who: Who, how: How, seed: u64, stop: &AtomicBool) 
             let held = |s: &vigil_sim::program::Status| s.guidance.as_deref() == Some("hold");
             // A pause below the age of a stale frame is no hold.
             if for_s > 0.8 && flight.follow(SOON, stop, held)? {
-                delay_s = flight.last().map(|s| s.time_s - at_s);
+                delay_s = flight.last.as_ref().map(|s| s.time_s - at_s);
             }
             std::thread::sleep(Duration::from_secs_f64(for_s).saturating_sub(stopped.elapsed()));
             match (how, &flight.adversary) {
                 (How::Stop, Some(adversary)) => adversary.signal(Signal::CONT),
-                _ => flight.restart_adversary(),
+                _ => flight.adversary = Some(flight.programs.adversary()),
             }
         }
         (Who::Firmware | Who::Simulator, How::Stop) => {
@@ -205,7 +190,7 @@ fn fault(flight: &mut Flight, who: Who, how: How, seed: u64, stop: &AtomicBool) 
         }
     }
     flight.follow(FLIGHT_LIMIT, stop, |s| s.outcome.is_some())?;
-    let last = flight.last();
+    let last = flight.last.as_ref();
     let outcome = last.and_then(|s| s.outcome);
     let holds = last.is_some_and(|s| s.guidance.as_deref() == Some("hold") && !s.reasons.is_empty());
     let otherwise = if holds { Ending::Held } else { Ending::TimeOut };

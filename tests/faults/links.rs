@@ -169,29 +169,23 @@ impl Attacker {
             // Twenty of them a second apart.
             Attack::RatchetOfAHolder => {
                 let ahead = (self.number / ATTACK_RATE).min(20) as i64;
-                sign(
-                    &mut self.holder,
-                    55 * ahead,
-                    &say(&heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID)),
-                )
+                let heartbeat = say(&heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID));
+                sign(&mut self.holder, 55 * ahead, &heartbeat)
             }
             Attack::RandomPackets => {
                 let mut key = [0; 32];
                 key.iter_mut().for_each(|byte| *byte = self.draw.bits() as u8);
                 let sender = (self.draw.below(255) as u8 + 1, self.draw.below(255) as u8 + 1);
-                match self.number.is_multiple_of(10) {
-                    true => packet(sender, self.number as u8, &setup(key)),
-                    false => packet(
-                        sender,
-                        self.number as u8,
-                        &message!(
-                            COMMAND_LONG,
-                            command = MavCmd::MAV_CMD_NAV_LAND,
-                            target_system = self.draw.below(3) as u8,
-                            target_component = self.draw.below(256) as u8
-                        ),
+                let message = match self.number.is_multiple_of(10) {
+                    true => setup(key),
+                    false => message!(
+                        COMMAND_LONG,
+                        command = MavCmd::MAV_CMD_NAV_LAND,
+                        target_system = self.draw.below(3) as u8,
+                        target_component = self.draw.below(256) as u8
                     ),
-                }
+                };
+                packet(sender, self.number as u8, &message)
             }
         }
     }
@@ -256,21 +250,15 @@ fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u6
         Attack::RandomPackets => "never",
         _ => "loopback",
     };
-    let unsigned = ["--allow-unsigned", unsigned].map(str::to_owned);
-    let mut extras = Extras {
-        firmware: vec![
-            "--signing-key".to_owned(),
-            firmware_key,
-            "--link".to_owned(),
-            format!("udpin://127.0.0.1:{main},system={}", instance + 1),
-            "--link".to_owned(),
-            format!("udpin://127.0.0.1:{ground}"),
-        ],
-        simulator: vec!["--signing-key".to_owned(), vehicle_key],
+    let extras = Extras {
+        firmware: format!(
+            "--signing-key {firmware_key} --link udpin://127.0.0.1:{main},system={} --link udpin://127.0.0.1:{ground} \
+             --allow-unsigned {unsigned}",
+            instance + 1
+        ),
+        simulator: format!("--signing-key {vehicle_key} --allow-unsigned {unsigned}"),
         ..Extras::default()
     };
-    extras.firmware.extend(unsigned.clone());
-    extras.simulator.extend(unsigned);
     let ends = [main, ground, port(14280)?, port(14580)?, port(18570)?];
     let mut flight = Flight::start(instance, seed, work.path(), extras)?;
     let (done, sent) = (AtomicBool::new(false), AtomicU64::new(0));
@@ -284,7 +272,7 @@ fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u6
         flown
     });
     let fallen = flight.fallen();
-    let outcome = flight.last().and_then(|s| s.outcome);
+    let outcome = flight.last.as_ref().and_then(|s| s.outcome);
     let said = flight.end_firmware();
     let mut changed = Vec::new();
     for file in &files {

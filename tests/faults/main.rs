@@ -19,6 +19,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 /// Tries the faults that the stack must survive, and tells how each ended.
 #[derive(Parser)]
@@ -210,13 +211,14 @@ fn run(cli: Cli) -> Result<ExitCode> {
             }
         }
         Command::Flood(args) => {
-            let sent = flood::Flood {
+            let flood = flood::Flood {
                 tcp: args.transport == Transport::Tcp,
                 address: args.address,
                 content: args.content,
                 rate: args.rate,
-            }
-            .send_for(args.seconds, &stop);
+            };
+            let begun = Instant::now();
+            let sent = flood.send(|| begun.elapsed().as_secs_f64() >= args.seconds || stop.load(Ordering::Relaxed));
             tell(&format!("{sent} sent, {:.0} a second", sent as f64 / args.seconds));
             true
         }
@@ -280,7 +282,7 @@ fn fly_campaign(args: &CampaignArgs, stop: &AtomicBool) -> Result<bool> {
         table.add(rows, &folder)?;
     }
     if stop.load(Ordering::Relaxed) {
-        table.interrupt();
+        table.interrupted = true;
         table.add(Vec::new(), &folder)?;
     }
     tell(&format!("table: {}", folder.path("faults.md").display()));

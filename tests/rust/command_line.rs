@@ -178,6 +178,13 @@ fn a_killed_flight_leaves_nothing_running_and_the_next_one_on_its_instance_flies
     assert_eq!(folders, 2, "each flight has a folder of its own");
 }
 
+/// A command of `vigil` in a shell that was told something before.
+fn shell(told: &str, command: &str) -> std::process::Output {
+    let line = format!("{told}; {} {command}", vigil_tests::vigil().display());
+    let done = std::process::Command::new("bash").args(["-c", &line]).output();
+    done.expect("a shell")
+}
+
 #[test]
 fn what_cannot_be_written_is_named_and_is_no_success() {
     refused(
@@ -188,30 +195,18 @@ fn what_cannot_be_written_is_named_and_is_no_success() {
     let folder = tempfile::tempdir().expect("a folder");
     let course = folder.path().join("course.toml");
     std::fs::write(&course, "name = 'kept'").expect("a file");
-    let command = format!(
-        "ulimit -f 0; trap '' XFSZ; {} courses write --seed 7 -o {}",
-        vigil_tests::vigil().display(),
-        course.display()
-    );
-    let cut = std::process::Command::new("bash").args(["-c", &command]).output();
-    refused(&cut.expect("a shell"), &["course.toml"]);
+    let command = format!("courses write --seed 7 -o {}", course.display());
+    refused(&shell("ulimit -f 0; trap '' XFSZ", &command), &["course.toml"]);
     assert_eq!(std::fs::read_to_string(&course).expect("a file"), "name = 'kept'");
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1);
 }
 
 #[test]
 fn a_reader_that_has_gone_is_no_fault_and_a_full_one_is() {
-    let shell = |command: &str| {
-        let command = format!("set -o pipefail; {} {command}", vigil_tests::vigil().display());
-        std::process::Command::new("bash")
-            .args(["-c", &command])
-            .output()
-            .expect("a shell")
-    };
-    let closed = shell("courses write --seed 7 | true");
+    let closed = shell("set -o pipefail", "courses write --seed 7 | true");
     assert_eq!((closed.status.code(), said(&closed)), (Some(0), String::new()));
     refused(
-        &shell("courses write --seed 7 > /dev/full"),
+        &shell("set -o pipefail", "courses write --seed 7 > /dev/full"),
         &["cannot write standard output"],
     );
 }

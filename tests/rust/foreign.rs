@@ -103,10 +103,7 @@ fn fly(
     let folder = tempfile::tempdir().expect("a folder");
     let port = 15_100 + instance;
     let vehicle = Vehicle::start(Peer::on_the_ground(flavour), port, &[], script);
-    let name = match flavour {
-        Flavour::Px4 => "px4",
-        Flavour::ArduPilot => "ardupilot",
-    };
+    let name = flavour.name().to_lowercase();
     let course = course(folder.path(), 6.0, None);
     let output = run_line(&format!(
         "fly --vehicle {name} --link udpin://127.0.0.1:{port} --course {course} --seed 1 --pilot geometric \

@@ -46,13 +46,8 @@ fn fly(fault: &str, plausibility: bool) -> End {
     end
 }
 
-/// The fault stops the vehicle and is named; without the judge it does neither.
-fn held(fault: &str, reason: Reason) {
-    held_for_one_of(fault, &[reason]);
-}
-
-/// The same where more than one name is right.
-fn held_for_one_of(fault: &str, reasons: &[Reason]) {
+/// The fault stops the vehicle and is named by one of these; without the judge it does neither.
+fn held(fault: &str, reasons: &[Reason]) {
     let end = fly(fault, true);
     assert!(
         reasons.iter().any(|reason| end.reasons.contains(*reason)),
@@ -81,7 +76,7 @@ fn held_for_one_of(fault: &str, reasons: &[Reason]) {
 #[test]
 fn a_dead_sensor_is_blind() {
     for fault in ["zeros@4", "ones@4", "dead-left@4", "dead-right@4", "dead-bottom@4"] {
-        held(fault, Reason::BlindSensor);
+        held(fault, &[Reason::BlindSensor]);
     }
 }
 
@@ -94,23 +89,23 @@ fn a_frozen_picture_is_frozen_whole_in_part_and_under_noise() {
         "frozen-right@4",
         "stuck-columns@4",
     ] {
-        held(fault, Reason::FrozenSensor);
+        held(fault, &[Reason::FrozenSensor]);
     }
     // Fresh noise on an old picture: which of the two shows first depends on the way flown.
-    held_for_one_of("frozen-noisy@4", &[Reason::FrozenSensor, Reason::InconsistentPicture]);
+    held("frozen-noisy@4", &[Reason::FrozenSensor, Reason::InconsistentPicture]);
 }
 
 #[test]
 fn a_sensor_that_sits_wrong_is_found_by_the_way_its_picture_moves() {
     for fault in ["mirrored", "mirrored@4", "shifted", "turned"] {
-        held(fault, Reason::InconsistentPicture);
+        held(fault, &[Reason::InconsistentPicture]);
     }
 }
 
 #[test]
 fn a_pose_that_is_not_the_vehicle_s_is_implausible() {
     for fault in ["far-position@4", "displaced-position@4", "frozen-pose@4"] {
-        held(fault, Reason::ImplausiblePose);
+        held(fault, &[Reason::ImplausiblePose]);
     }
 }
 

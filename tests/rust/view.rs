@@ -100,24 +100,28 @@ fn what_is_no_log_of_this_version_is_refused_before_a_viewer_opens() {
     assert!(!folder.path().join("python.asked").exists());
 }
 
+/// The number before a word.
+fn before_word(word: &str, said: &str) -> usize {
+    let words: Vec<&str> = said.split_whitespace().collect();
+    let at = words.iter().position(|w| *w == word);
+    let at = at.unwrap_or_else(|| panic!("no {word} in {said}"));
+    words[at - 1].parse().expect("a number")
+}
+
 #[test]
 fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
     let folder = tempfile::tempdir().expect("a folder");
     let json = folder.path().join("evaluate.json");
-    succeed(&run_line(&format!(
-        "evaluate --flights 1 --seed 3001 --logs {} -o {}",
-        text(folder.path()),
-        text(&json)
-    )));
-    let log = folder.path().join("3001.mcap");
-    // The same again loses neither the log nor the flight.
-    let flights = std::fs::read(json.with_extension("jsonl")).expect("flights");
-    let again = format!(
+    let line = format!(
         "evaluate --flights 1 --seed 3001 --logs {} -o {}",
         text(folder.path()),
         text(&json)
     );
-    refused(&run_line(&again), &["3001.mcap is there and is kept"]);
+    succeed(&run_line(&line));
+    let log = folder.path().join("3001.mcap");
+    // The same again loses neither the log nor the flight.
+    let flights = std::fs::read(json.with_extension("jsonl")).expect("flights");
+    refused(&run_line(&line), &["3001.mcap is there and is kept"]);
     assert!(std::fs::read(json.with_extension("jsonl")).expect("flights") == flights);
     let about = |log: &Path| vigil_log::Story::read(log).expect("a log").about;
     let (before, records) = (about(&log), Reader::open(&log).expect("a log").count());
@@ -140,17 +144,9 @@ fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
     succeed(&run(&["log", "derive", "--only", "map", text(&log)]));
     let bytes = std::fs::metadata(&log).expect("the log").len();
     assert!(bytes.abs_diff(*size) < 20_000, "{bytes}, {size}");
-    let number = |word: &str| -> usize {
-        let words: Vec<&str> = said.split_whitespace().collect();
-        let at = words
-            .iter()
-            .position(|w| *w == word)
-            .unwrap_or_else(|| panic!("no {word} in {said}"));
-        words[at - 1].parse().expect("a number")
-    };
     // Twice and once a second, of 20 steps each; the first seconds have no goal yet.
     assert!(
-        number("maps,") > records / 12 && number("explained") > records / 24,
+        before_word("maps,", said) > records / 12 && before_word("explained", said) > records / 24,
         "{said}"
     );
     assert_eq!(about(&log), before, "what is known of the flight stays");
@@ -198,12 +194,7 @@ fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_th
     let folder = tempfile::tempdir().expect("a folder");
     let log = attacked_flight(folder.path());
     let told = succeed(&run(&["log", "derive", "--only", "shap", text(&log)]));
-    let explained: usize = told
-        .split_whitespace()
-        .rev()
-        .nth(2)
-        .and_then(|word| word.parse().ok())
-        .unwrap_or_else(|| panic!("{told}"));
+    let explained = before_word("explained", &told);
     let steps = Reader::open(&log).expect("a log").count();
     // One a second, and each frame of the two seconds around the alarm.
     assert!(

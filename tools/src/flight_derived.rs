@@ -94,22 +94,16 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
         {
             next_map_ns = now_ns + MAP_NS;
             derived.maps += 1;
-            to.map(
-                now_ns,
-                step,
-                &MapSeen {
-                    corner_ned_m,
-                    cell_m: CELL_M,
-                    cols: SIDE,
-                    scores: pilot.grid().scores(),
-                    score_limit: SCORE_LIMIT,
-                },
-            )?;
-            let down_m = record
-                .report
-                .telemetry
-                .kinematics
-                .map_or(0.0, |kinematics| kinematics.position_ned_m.z);
+            let map = MapSeen {
+                corner_ned_m,
+                cell_m: CELL_M,
+                cols: SIDE,
+                scores: pilot.grid().scores(),
+                score_limit: SCORE_LIMIT,
+            };
+            to.map(now_ns, step, &map)?;
+            let kinematics = record.report.telemetry.kinematics;
+            let down_m = kinematics.map_or(0.0, |kinematics| kinematics.position_ned_m.z);
             to.way(now_ns, step, pilot.way_ned_m(), down_m)?;
         }
         if let (Some(explainer), Some((actor, frame))) = (&mut explainer, firmware.actor()) {

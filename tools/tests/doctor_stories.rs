@@ -152,14 +152,14 @@ impl Scripted {
         out
     }
 
-    fn is_asked_for(&self, id: u32) -> bool {
-        let is_of = |m: &MavMessage| matches!(m, MavMessage::COMMAND_LONG(c) if c.param1 == id as f32);
-        self.asked.iter().any(is_of)
+    fn times_asked_for(&self, id: u32) -> usize {
+        let is_of = |m: &&MavMessage| matches!(m, MavMessage::COMMAND_LONG(c) if c.param1 == id as f32);
+        self.asked.iter().filter(is_of).count()
     }
 
     /// PX4 streams unprompted; an ArduPilot sends only what is asked for.
     fn streams(&self, id: u32) -> bool {
-        self.flavour == Flavour::Px4 || self.is_asked_for(id)
+        self.flavour == Flavour::Px4 || self.times_asked_for(id) > 0
     }
 
     /// What it says of itself twice a second.
@@ -180,7 +180,7 @@ impl Scripted {
             ));
         }
         // ESTIMATOR_STATUS has the flags that ArduPilot puts into a message of its own.
-        if (self.streams(230) || self.is_asked_for(193)) && !self.no_status.contains(&ms) {
+        if (self.streams(230) || self.times_asked_for(193) > 0) && !self.no_status.contains(&ms) {
             let flags = if is_ready { self.estimator } else { 1 | 128 };
             out.push(message!(
                 ESTIMATOR_STATUS,
@@ -409,11 +409,7 @@ fn an_ardupilot_whose_failsafes_are_off_is_told_so_and_what_it_never_sends_too()
         ],
         "{findings:#?}"
     );
-    let asks = vehicle.asked.iter().filter(|m| match m {
-        MavMessage::COMMAND_LONG(c) => c.param1 == 32.0,
-        _ => false,
-    });
-    assert!(asks.count() > 1, "it was asked for");
+    assert!(vehicle.times_asked_for(32) > 1, "it was asked for");
 }
 
 #[test]

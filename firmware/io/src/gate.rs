@@ -176,12 +176,10 @@ impl SigningGate {
 
     /// Before anything is received in a step: looks at the clock, and has the state stored once a second.
     pub fn begin(&mut self, now_ns: Nanos) {
-        let (Some(signing), Some(keeper)) = (&self.signing, &mut self.keeper) else {
-            self.now = if self.signing.is_some() { (self.clock)() } else { 0 };
-            return;
-        };
-        self.now = (self.clock)();
-        if now_ns.saturating_sub(self.stored_ns) >= STORE_NS {
+        self.now = if self.has_key() { (self.clock)() } else { 0 };
+        if let (Some(signing), Some(keeper)) = (&self.signing, &mut self.keeper)
+            && now_ns.saturating_sub(self.stored_ns) >= STORE_NS
+        {
             self.stored_ns = now_ns;
             keeper.offer(signing.memory().clone().ahead(STORE_AHEAD));
         }

@@ -16,11 +16,11 @@ use crate::links::{
     LinkAdmission, LinkError, LinkStatistics, MAX_GROUND_LINKS, PeerRule, Wire, open_wire, somebody_is_heard,
 };
 use crate::value_rate::ValueRate;
-use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
+use vigil_mavlink::common::MavSeverity;
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, Packet, packets, renumber, serialize};
 use vigil_mavlink::routing::{ComponentId, LinkSet, MAX_LINKS, Routing};
 use vigil_mavlink::signing::{SIGNATURE_LEN, SigningKey, Timestamp, carries_key};
-use vigil_mavlink::{MavHeader, MavMessage};
+use vigil_mavlink::{MavHeader, MavMessage, message};
 use vigil_types::{Datagrams, Nanos};
 
 /// The vehicle's link.
@@ -283,11 +283,8 @@ impl RoutedLinks {
     }
 
     fn say_text(&mut self, text: &str) {
-        let message = MavMessage::STATUSTEXT(STATUSTEXT_DATA {
-            severity: MavSeverity::MAV_SEVERITY_NOTICE,
-            text: text.into(),
-            ..STATUSTEXT_DATA::DEFAULT
-        });
+        let severity = MavSeverity::MAV_SEVERITY_NOTICE;
+        let message = message!(STATUSTEXT, severity, text = text.into());
         let own = self.switch.own;
         let header = MavHeader {
             system_id: own.system.into(),

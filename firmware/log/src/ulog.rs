@@ -46,6 +46,11 @@ impl Row {
     }
 }
 
+fn heading_rad(record: &TickRecord) -> f32 {
+    let attitude = record.report.telemetry.attitude;
+    attitude.map_or(f32::NAN, |a| a.attitude.yaw_rad())
+}
+
 const TRUTH: &str = "vehicle_local_position_groundtruth";
 const TRUTH_FIELDS: &str = "float x;float y;float z;";
 
@@ -56,11 +61,7 @@ const TOPICS: [Topic; 7] = [
                  bool v_z_valid;",
         row: |record| {
             let kinematics = record.report.telemetry.kinematics?;
-            let heading = record
-                .report
-                .telemetry
-                .attitude
-                .map_or(f32::NAN, |a| a.attitude.yaw_rad());
+            let heading = heading_rad(record);
             let (place, velocity) = (kinematics.position_ned_m, kinematics.velocity_ned_m_s);
             let row = Row::default()
                 .floats(place.to_array())
@@ -88,11 +89,7 @@ const TOPICS: [Topic; 7] = [
         fields: "float x;float y;float z;float vx;float vy;float vz;float yaw;float yawspeed;",
         row: |record| {
             let setpoint = record.report.setpoint?;
-            let heading = record
-                .report
-                .telemetry
-                .attitude
-                .map_or(f32::NAN, |a| a.attitude.yaw_rad());
+            let heading = heading_rad(record);
             let (forward, right) = (setpoint.velocity_m_s.x, setpoint.velocity_m_s.y);
             let (north, east) = (
                 forward * heading.cos() - right * heading.sin(),
@@ -125,11 +122,8 @@ const TOPICS: [Topic; 7] = [
         name: "battery_status",
         fields: "float remaining;bool connected;",
         row: |record| {
-            Some(
-                Row::default()
-                    .floats([record.report.telemetry.battery_remaining?])
-                    .byte(1),
-            )
+            let remaining = record.report.telemetry.battery_remaining?;
+            Some(Row::default().floats([remaining]).byte(1))
         },
     },
     Topic {

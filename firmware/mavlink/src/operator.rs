@@ -1,12 +1,11 @@
 //! Commands of an operator to the guidance computer.
 
+use crate::autopilot::command_number::{DO_REPOSITION, NAV_LAND};
 use crate::framing::{Command, CommandForm};
 use crate::vehicle::Vehicle;
 use vigil_types::{OperatorRequest, RequestOutcome};
 
-const NAV_LAND: u16 = 21;
 const NAV_GUIDED_ENABLE: u16 = 92;
-const DO_REPOSITION: u16 = 192;
 
 /// MAV_RESULT numbers.
 pub(crate) mod result {

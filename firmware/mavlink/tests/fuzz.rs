@@ -42,14 +42,11 @@ fn corpus() -> Vec<Vec<u8>> {
     .iter()
     .map(|m| bytes_of(VEHICLE, m))
     .collect();
-    packets.push(bytes_of(
-        GROUND_STATION,
-        &command_long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, (1, 191), 1.0),
-    ));
-    packets.push(bytes_of(
-        GROUND_STATION,
-        &reposition(MavFrame::MAV_FRAME_LOCAL_NED, 1, 2, -3.0),
-    ));
+    let asked = [
+        command_long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, (1, 191), 1.0),
+        reposition(MavFrame::MAV_FRAME_LOCAL_NED, 1, 2, -3.0),
+    ];
+    packets.extend(asked.iter().map(|m| bytes_of(GROUND_STATION, m)));
     packets
 }
 

@@ -2,65 +2,44 @@
 
 mod common;
 
-use common::{GROUND_STATION, ME, VEHICLE, bytes_of, messages, report, texts};
+use common::{Bench, GROUND_STATION, ME, VEHICLE, bytes_of, messages, texts};
 use vigil_mavlink::common::{MavFrame, MavParamError, MavParamType, OBSTACLE_DISTANCE_DATA, PARAM_VALUE_DATA};
 use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavMessage, Parameter, ParameterValue, Parameters, message};
-use vigil_types::{Datagrams, GuidanceState, Nanos, STEP_NS, VehicleRequest};
+use vigil_types::{Datagrams, GuidanceState, Reasons, STEP_NS, VehicleRequest};
 
 const REAL: MavParamType = MavParamType::MAV_PARAM_TYPE_REAL32;
 const INTEGER: MavParamType = MavParamType::MAV_PARAM_TYPE_INT32;
 
-struct Computer {
-    companion: Companion,
-    now_ns: Nanos,
-    sent: Datagrams,
+/// A computer with two parameters.
+fn computer(flavour: Flavour) -> Bench {
+    let mut bench = Bench::new(flavour);
+    *bench.companion.parameters() = Parameters::new([
+        Parameter {
+            name: "PLT_CRUISE",
+            value: ParameterValue::Real(1.5),
+            least: 0.1,
+            greatest: 1.5,
+            in_flight: false,
+        },
+        Parameter {
+            // As long as the wire permits.
+            name: "GD_SIXTEEN_CHARS",
+            value: ParameterValue::Integer(0),
+            least: -3.0,
+            greatest: 300.0,
+            in_flight: true,
+        },
+    ]);
+    bench
 }
 
-impl Computer {
-    fn new(flavour: Flavour) -> Self {
-        let parameters = Parameters::new([
-            Parameter {
-                name: "PLT_CRUISE",
-                value: ParameterValue::Real(1.5),
-                least: 0.1,
-                greatest: 1.5,
-                in_flight: false,
-            },
-            Parameter {
-                // As long as the wire permits.
-                name: "GD_SIXTEEN_CHARS",
-                value: ParameterValue::Integer(0),
-                least: -3.0,
-                greatest: 300.0,
-                in_flight: true,
-            },
-        ]);
-        let config = CompanionConfig {
-            flavour: Some(flavour),
-            ..CompanionConfig::default()
-        };
-        Self {
-            companion: Companion::new(config).with_parameters(parameters),
-            now_ns: STEP_NS,
-            sent: Datagrams::default(),
-        }
-    }
-
-    fn step(&mut self, state: GuidanceState) {
-        self.now_ns += STEP_NS;
-        self.sent.clear();
-        self.companion
-            .emit(&report(self.now_ns, state), VehicleRequest::None, &mut self.sent);
-    }
-
+impl Bench {
     /// The answers to a message, in a step of `state`.
     fn ask_in(&mut self, state: GuidanceState, message: &MavMessage) -> Vec<PARAM_VALUE_DATA> {
-        self.step(state);
-        self.companion
-            .receive(self.now_ns, 0, &bytes_of(GROUND_STATION, message));
-        self.step(state);
-        messages(&self.sent)
-            .into_iter()
+        self.step(state, Reasons::NONE, VehicleRequest::None);
+        self.hear(GROUND_STATION, message);
+        let sent = self.step(state, Reasons::NONE, VehicleRequest::None);
+        sent.into_iter()
             .filter_map(|(from, message)| match message {
                 MavMessage::PARAM_VALUE(value) => {
                     assert_eq!((from.system_id, from.component_id), (1, 191));
@@ -111,7 +90,7 @@ fn name(value: &PARAM_VALUE_DATA) -> &str {
 
 #[test]
 fn a_ground_station_lists_and_reads_by_name_and_by_index() {
-    let mut computer = Computer::new(Flavour::Px4);
+    let mut computer = computer(Flavour::Px4);
     // To this component, and to all of the system.
     for target in [ME, (1, 0)] {
         let all = computer.ask(&list(target));
@@ -128,7 +107,7 @@ fn a_ground_station_lists_and_reads_by_name_and_by_index() {
 
 #[test]
 fn what_is_for_others_or_not_there_is_not_answered() {
-    let mut computer = Computer::new(Flavour::Px4);
+    let mut computer = computer(Flavour::Px4);
     for message in [
         list((1, 1)),
         list((2, 191)),
@@ -145,8 +124,8 @@ fn what_is_for_others_or_not_there_is_not_answered() {
 
 #[test]
 fn who_asks_the_guidance_computer_for_what_it_has_not_is_told_so() {
-    let mut computer = Computer::new(Flavour::Px4);
-    let errors = |computer: &mut Computer, message: &MavMessage| -> Vec<(String, i16)> {
+    let mut computer = computer(Flavour::Px4);
+    let errors = |computer: &mut Bench, message: &MavMessage| -> Vec<(String, i16)> {
         computer.ask(message);
         let told = only!(messages(&computer.sent), PARAM_ERROR).map(|e| {
             assert_eq!(e.error, MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST);
@@ -170,7 +149,7 @@ fn who_asks_the_guidance_computer_for_what_it_has_not_is_told_so() {
 
 #[test]
 fn a_value_within_its_range_is_set_and_told() {
-    let mut computer = Computer::new(Flavour::Px4);
+    let mut computer = computer(Flavour::Px4);
     let answers = computer.ask(&set("PLT_CRUISE", 0.75, REAL));
     assert_eq!(answers.len(), 1);
     assert_eq!(answers[0].param_value, 0.75);
@@ -184,7 +163,7 @@ fn a_value_within_its_range_is_set_and_told() {
 
 #[test]
 fn a_wrong_type_or_a_value_out_of_range_is_answered_with_the_value_in_force_and_a_word() {
-    let mut computer = Computer::new(Flavour::Px4);
+    let mut computer = computer(Flavour::Px4);
     let integer = f32::from_bits;
     for (message, why, in_force) in [
         (set("PLT_CRUISE", 1.51, REAL), "out of range", 1.5),
@@ -215,7 +194,7 @@ fn a_wrong_type_or_a_value_out_of_range_is_answered_with_the_value_in_force_and_
 
 #[test]
 fn in_flight_only_what_is_made_for_it_is_set() {
-    let mut computer = Computer::new(Flavour::Px4);
+    let mut computer = computer(Flavour::Px4);
     for state in [
         GuidanceState::Engaging,
         GuidanceState::Guided,
@@ -238,12 +217,12 @@ fn in_flight_only_what_is_made_for_it_is_set() {
 #[test]
 fn integers_go_bytewise_to_px4s_clients_and_as_numbers_to_ardupilots() {
     for (flavour, wire) in [(Flavour::Px4, f32::from_bits(-2i32 as u32)), (Flavour::ArduPilot, -2.0)] {
-        let mut computer = Computer::new(flavour);
+        let mut computer = computer(flavour);
         let answers = computer.ask(&set("GD_SIXTEEN_CHARS", wire, INTEGER));
         assert_eq!(answers[0].param_value.to_bits(), wire.to_bits());
         assert_eq!(computer.value(1), ParameterValue::Integer(-2));
     }
-    let mut computer = Computer::new(Flavour::ArduPilot);
+    let mut computer = computer(Flavour::ArduPilot);
     computer.ask(&set("GD_SIXTEEN_CHARS", 1.5, INTEGER));
     assert_eq!(computer.value(1), ParameterValue::Integer(0), "no integer");
 }

@@ -304,12 +304,8 @@ fn a_vehicle_that_drifts_and_says_that_it_stands_is_told_to_go_against_it() {
         b.now_ns += STEP_NS;
         let time_boot_ms = u32::from(step) * 50;
         b.hear(vehicle(1), &attitude(time_boot_ms, FRAC_PI_2));
-        let position = LOCAL_POSITION_NED_DATA {
-            time_boot_ms,
-            x: 0.015 * f32::from(step),
-            ..Default::default()
-        };
-        b.hear(vehicle(1), &MavMessage::LOCAL_POSITION_NED(position));
+        let position = message!(LOCAL_POSITION_NED, time_boot_ms, x = 0.015 * f32::from(step));
+        b.hear(vehicle(1), &position);
     }
     let known = b.companion.telemetry().kinematics.expect("reports");
     assert!((known.velocity_ned_m_s.x - 0.25).abs() < 0.02, "{known:?}");

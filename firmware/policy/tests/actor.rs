@@ -27,14 +27,12 @@ fn an_actor_survives_its_file() {
     let bytes = actor.to_bytes().unwrap();
     assert!(bytes.len() < 2_000_000);
     assert_eq!(FrozenActor::from_bytes("a", &bytes).unwrap(), actor);
-    let folder = std::env::temp_dir().join(format!("vigil-actor-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let path = folder.join("actor.safetensors");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("actor.safetensors");
     actor.save(&path).unwrap();
     assert_eq!(FrozenActor::load(&path).unwrap(), actor);
-    let missing = FrozenActor::load(&folder.join("none.safetensors")).unwrap_err();
+    let missing = FrozenActor::load(&folder.path().join("none.safetensors")).unwrap_err();
     assert!(missing.to_string().contains("none.safetensors"), "{missing}");
-    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 #[test]

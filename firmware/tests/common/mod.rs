@@ -5,7 +5,7 @@
 pub mod instance;
 
 use std::fs::File;
-use std::net::SocketAddr;
+use std::net::{SocketAddr, UdpSocket};
 use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::time::Duration;
@@ -17,7 +17,7 @@ use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{
     ATTITUDE_QUATERNION_DATA, COMMAND_ACK_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA,
-    MavAutopilot, MavCmd, MavLandedState, MavMessage, MavModeFlag, MavResult, MavState, MavType,
+    MavAutopilot, MavCmd, MavLandedState, MavMessage, MavModeFlag, MavParamType, MavResult, MavState, MavType,
     SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_mavlink::framing::{self, FramingCounters};
@@ -51,6 +51,23 @@ pub const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
 /// A port of this machine that is free.
 pub fn loopback() -> SocketAddr {
     ([127, 0, 0, 1], 0).into()
+}
+
+/// A port of this machine that is free at this moment.
+pub fn free_port() -> u16 {
+    UdpSocket::bind(loopback()).unwrap().local_addr().unwrap().port()
+}
+
+/// A ground station's wish that a parameter of the guidance computer has this value.
+pub fn set_parameter(name: &str, param_value: f32, param_type: MavParamType) -> MavMessage {
+    message!(
+        PARAM_SET,
+        param_value,
+        target_system = 1,
+        target_component = 191,
+        param_id = name.into(),
+        param_type
+    )
 }
 
 /// The datagrams that a link has for us now.
@@ -163,6 +180,7 @@ pub const LAND: (u8, u8) = (4, 6);
 /// Northwards, through whatever stands there.
 pub const MISSION: (u8, u8) = (4, 4);
 
+#[derive(Default)]
 pub struct TestVehicle {
     pub position_ned_m: NedVector,
     pub velocity_ned_m_s: NedVector,
@@ -185,19 +203,8 @@ pub struct TestVehicle {
 impl TestVehicle {
     pub fn on_ground() -> Self {
         Self {
-            position_ned_m: NedVector::ZERO,
-            velocity_ned_m_s: NedVector::ZERO,
-            yaw_rad: 0.0,
-            heading_error_rad: 0.0,
             mode: LOITER,
-            armed: false,
-            setpoints: Vec::new(),
-            heard: Vec::new(),
-            bad_packets: 0,
-            sequence: 0,
-            frames: 0,
-            steps: 0,
-            acks: Vec::new(),
+            ..Self::default()
         }
     }
 
@@ -236,34 +243,22 @@ impl TestVehicle {
     }
 
     fn obey(&mut self, command: &COMMAND_LONG_DATA, from: MavHeader) {
-        let result = match command.command {
-            MavCmd::MAV_CMD_COMPONENT_ARM_DISARM => {
-                self.armed = command.param1 > 0.5;
-                MavResult::MAV_RESULT_ACCEPTED
-            }
-            MavCmd::MAV_CMD_NAV_TAKEOFF => {
-                self.mode = TAKEOFF;
-                MavResult::MAV_RESULT_ACCEPTED
-            }
-            MavCmd::MAV_CMD_NAV_LAND => {
-                self.mode = LAND;
-                MavResult::MAV_RESULT_ACCEPTED
-            }
-            MavCmd::MAV_CMD_DO_SET_MODE if (command.param2, command.param3) == (6.0, 0.0) => {
+        let mut result = MavResult::MAV_RESULT_ACCEPTED;
+        match command.command {
+            MavCmd::MAV_CMD_COMPONENT_ARM_DISARM => self.armed = command.param1 > 0.5,
+            MavCmd::MAV_CMD_NAV_TAKEOFF => self.mode = TAKEOFF,
+            MavCmd::MAV_CMD_NAV_LAND => self.mode = LAND,
+            MavCmd::MAV_CMD_DO_SET_MODE => {
+                let mode = (command.param2 as u8, command.param3 as u8);
                 // PX4 refuses OFFBOARD without a stream of setpoints.
-                if self.setpoints.is_empty() {
-                    MavResult::MAV_RESULT_TEMPORARILY_REJECTED
+                if mode == OFFBOARD && self.setpoints.is_empty() {
+                    result = MavResult::MAV_RESULT_TEMPORARILY_REJECTED;
                 } else {
-                    self.mode = OFFBOARD;
-                    MavResult::MAV_RESULT_ACCEPTED
+                    self.mode = mode;
                 }
             }
-            MavCmd::MAV_CMD_DO_SET_MODE => {
-                self.mode = (command.param2 as u8, command.param3 as u8);
-                MavResult::MAV_RESULT_ACCEPTED
-            }
-            _ => MavResult::MAV_RESULT_UNSUPPORTED,
-        };
+            _ => result = MavResult::MAV_RESULT_UNSUPPORTED,
+        }
         self.acks.push(COMMAND_ACK_DATA {
             command: command.command,
             result,

@@ -5,7 +5,7 @@ mod common;
 mod sharing;
 mod signing;
 
-use common::{PseudoTerminal, Random, SENSOR_ID, TestVehicle, config};
+use common::{PseudoTerminal, Random, SENSOR_ID, TestVehicle, config, set_parameter};
 use std::io::{Read, Write};
 use std::net::UdpSocket;
 use std::os::unix::fs::{PermissionsExt, symlink};

@@ -234,13 +234,7 @@ fn two_ground_stations_at_once_each_get_their_answers_and_both_see_what_the_othe
     flight.rig.stations[1].say(&heartbeat(OTHER_STATION));
     flight.steps(2);
     flight.rig.hush();
-    let set = MavMessage::PARAM_SET(PARAM_SET_DATA {
-        target_system: 1,
-        target_component: 191,
-        param_id: "GD_SPEED_LIM".into(),
-        param_value: 0.75,
-        param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
-    });
+    let set = set_parameter("GD_SPEED_LIM", 0.75, MavParamType::MAV_PARAM_TYPE_REAL32);
     flight.rig.stations[0].say(&packet(STATION, &set));
     flight.rig.stations[1].say(&command(OTHER_STATION, ME, MavCmd::MAV_CMD_DO_SET_HOME));
     let first = flight.heard_by(0);

@@ -5,8 +5,8 @@ use super::*;
 #[test]
 fn an_attacked_actor_is_stopped_and_replaced_and_told_of_and_gets_its_place_back() {
     let folder = tempfile::tempdir().unwrap();
-    let mut flight = Flight::new(TestVehicle::hovering(2.5), &watched_config(folder.path()));
-    flight.until(GuidanceState::Guided, 10.0);
+    let mut flight = Flight::guided_by(&watched_config(folder.path()));
+    let alarms = |flight: &Flight| texts(&flight.vehicle, "alarm");
     flight.fastest_m_s(1);
     let judgement = flight.last.judgement.unwrap();
     assert_eq!((judgement.verdict, judgement.score), (Verdict::Clean, Some(0.5)));
@@ -33,7 +33,7 @@ fn an_attacked_actor_is_stopped_and_replaced_and_told_of_and_gets_its_place_back
         (GuidanceState::Hold, Reasons::of(Reason::Attack))
     );
     assert_eq!(flight.velocity(), [0.0; 4]);
-    assert_eq!(texts(&flight.vehicle), [(2, "alarm: attack, stopping".to_owned())]);
+    assert_eq!(alarms(&flight), [(2, "alarm: attack, stopping".to_owned())]);
 
     flight.until(GuidanceState::Guided, 5.0);
     assert_eq!(flight.last.reasons, Reasons::of(Reason::Recovering));
@@ -43,34 +43,26 @@ fn an_attacked_actor_is_stopped_and_replaced_and_told_of_and_gets_its_place_back
         flight.vehicle.position_ned_m.x > before_m + 1.5,
         "the recovery pilot flies on"
     );
-    assert_eq!(
-        texts(&flight.vehicle).last().unwrap().1,
-        "alarm: attack, recovery pilot flies"
-    );
+    assert_eq!(alarms(&flight).last().unwrap().1, "alarm: attack, recovery pilot flies");
 
     flight.set("DT_THRESH", 0.6, MavParamType::MAV_PARAM_TYPE_REAL32);
     for _ in 0..38 {
         assert!(flight.step().reasons.contains(Reason::Recovering));
     }
     assert_eq!(flight.step().alarm, None);
-    assert_eq!(texts(&flight.vehicle).last().unwrap(), &(6, "alarm: clear".to_owned()));
+    assert_eq!(alarms(&flight).last().unwrap(), &(6, "alarm: clear".to_owned()));
 }
 
 #[test]
 fn an_operator_sets_policy_and_threshold_and_values_out_of_range_change_nothing() {
     let folder = tempfile::tempdir().unwrap();
-    let mut flight = Flight::new(TestVehicle::hovering(2.5), &watched_config(folder.path()));
-    flight.until(GuidanceState::Guided, 10.0);
+    let mut flight = Flight::guided_by(&watched_config(folder.path()));
     let integer = |value: u32| f32::from_bits(value);
     assert_eq!(flight.set("DT_THRESH", 1.5, MavParamType::MAV_PARAM_TYPE_REAL32), 0.6);
     let policy = flight.set("DT_ALARM", integer(3), MavParamType::MAV_PARAM_TYPE_INT32);
     assert_eq!(policy.to_bits(), 2);
-    assert_eq!(
-        flight
-            .set("DT_ALARM", integer(0), MavParamType::MAV_PARAM_TYPE_INT32)
-            .to_bits(),
-        0
-    );
+    let policy = flight.set("DT_ALARM", integer(0), MavParamType::MAV_PARAM_TYPE_INT32);
+    assert_eq!(policy.to_bits(), 0);
     flight.set("DT_THRESH", 0.4, MavParamType::MAV_PARAM_TYPE_REAL32);
     flight.fastest_m_s(2);
     assert!(flight.last.alarm.is_some());
@@ -82,8 +74,7 @@ fn an_operator_sets_policy_and_threshold_and_values_out_of_range_change_nothing(
 #[test]
 fn a_gap_in_the_frames_leaves_the_verdict_unknown_until_ten_explanations_are_there_again() {
     let folder = tempfile::tempdir().unwrap();
-    let mut flight = Flight::new(TestVehicle::hovering(2.5), &watched_config(folder.path()));
-    flight.until(GuidanceState::Guided, 10.0);
+    let mut flight = Flight::guided_by(&watched_config(folder.path()));
     for _ in 0..8 {
         let telemetry = flight.vehicle.telemetry();
         flight.step_with(None, &telemetry);
@@ -103,17 +94,8 @@ fn odometry_that_jumps_makes_the_actor_forget_what_it_saw_and_people_are_told_on
         plausibility: false,
         ..watched_config(folder.path())
     };
-    let mut flight = Flight::new(TestVehicle::hovering(2.5), &config);
-    flight.until(GuidanceState::Guided, 10.0);
-    let jumps = |flight: &Flight| {
-        let heard = flight.vehicle.heard.iter();
-        heard
-            .filter(|(_, message)| match message {
-                MavMessage::STATUSTEXT(text) => text.text.to_str().unwrap().contains("the position jumped"),
-                _ => false,
-            })
-            .count()
-    };
+    let mut flight = Flight::guided_by(&config);
+    let jumps = |flight: &Flight| texts(&flight.vehicle, "the position jumped").len();
     assert_eq!(jumps(&flight), 0);
     flight.vehicle.position_ned_m.y += 30.0;
     for _ in 0..20 {
@@ -127,34 +109,28 @@ fn a_detector_that_cannot_judge_the_actor_is_refused_by_name_before_anything_fli
     let folder = tempfile::tempdir().unwrap();
     let mut config = watched_config(folder.path());
     let file = config.detector.file.clone().unwrap();
-    let refused = |config: &FirmwareConfig| LockstepFirmware::new(config).err().unwrap().to_string();
+    let refused = |why: &str| {
+        let error = LockstepFirmware::new(&config).err().unwrap().to_string();
+        assert!(
+            error.contains("undecided.safetensors") && error.contains(why),
+            "{error}"
+        );
+    };
 
     let mut other = undecided_detector();
     other.actor_sha256 = "0123".to_owned();
     other.save(&file).unwrap();
-    let error = refused(&config);
-    assert!(
-        error.contains("undecided.safetensors") && error.contains("0123"),
-        "{error}"
-    );
+    refused("0123");
 
     undecided_detector().save(&file).unwrap();
     let mut bytes = std::fs::read(&file).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     std::fs::write(&file, &bytes).unwrap();
-    let error = refused(&config);
-    assert!(
-        error.contains("undecided.safetensors") && error.contains("altered"),
-        "{error}"
-    );
+    refused("altered");
 
     std::fs::write(&file, &bytes[..middle]).unwrap();
-    let error = refused(&config);
-    assert!(
-        error.contains("undecided.safetensors") && error.contains("truncated"),
-        "{error}"
-    );
+    refused("truncated");
 
     config.detector.enabled = Some(false);
     assert!(LockstepFirmware::new(&config).is_ok());

@@ -4,12 +4,11 @@ mod alarm;
 #[path = "../common/mod.rs"]
 mod common;
 
-use common::{Flight, LOITER, OFFBOARD, TestVehicle, config, undecided_detector, watched_config};
+use common::{Flight, LOITER, OFFBOARD, TestVehicle, config, set_parameter, undecided_detector, watched_config};
 use vigil_firmware::config::GoalConfig;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_mavlink::common::{MavMessage, MavParamType};
+use vigil_mavlink::common::{MavMessage, MavParamType, OBSTACLE_DISTANCE_DATA};
 use vigil_mavlink::framing::encode;
-use vigil_mavlink::message;
 use vigil_types::{
     AlarmCause, AtGoal, Datagrams, EngagePolicy, GuidanceState, NedVector, Reason, Reasons, STEP_S, Verdict,
 };
@@ -28,14 +27,7 @@ impl Flight {
 
     /// Sets a parameter as a ground station does, and gives what the firmware then says it is.
     fn set(&mut self, name: &str, param_value: f32, param_type: MavParamType) -> f32 {
-        let message = message!(
-            PARAM_SET,
-            param_value,
-            target_system = 1,
-            target_component = 191,
-            param_id = name.into(),
-            param_type
-        );
+        let message = set_parameter(name, param_value, param_type);
         let (frame, mut received) = (self.vehicle.frame(self.now_ns), self.vehicle.telemetry());
         received.push(0, &encode((255, 190), 0, &message));
         self.step_with(Some(&frame), &received);
@@ -296,10 +288,7 @@ fn what_the_pilot_sees_is_told_four_times_a_second_and_only_while_it_looks() {
         plausibility: false,
         ..config()
     });
-    let count = |flight: &Flight| {
-        let obstacles = |message: &MavMessage| matches!(message, MavMessage::OBSTACLE_DISTANCE(_));
-        flight.vehicle.heard.iter().filter(|(_, m)| obstacles(m)).count()
-    };
+    let count = |flight: &Flight| obstacles(&flight.vehicle).len();
     let before = count(&flight);
     for _ in 0..100 {
         let mut frame = flight.vehicle.frame(flight.now_ns);
@@ -311,16 +300,7 @@ fn what_the_pilot_sees_is_told_four_times_a_second_and_only_while_it_looks() {
     }
     let told = count(&flight) - before;
     assert!((19..=21).contains(&told), "{told} in 5 s");
-    let Some(MavMessage::OBSTACLE_DISTANCE(last)) = flight
-        .vehicle
-        .heard
-        .iter()
-        .rev()
-        .map(|(_, m)| m)
-        .find(|m| matches!(m, MavMessage::OBSTACLE_DISTANCE(_)))
-    else {
-        panic!();
-    };
+    let last = obstacles(&flight.vehicle).pop().unwrap();
     assert!(last.distances[36].abs_diff(600) < 60, "{:?}", last.distances);
 
     let seen = count(&flight);
@@ -334,6 +314,14 @@ fn what_the_pilot_sees_is_told_four_times_a_second_and_only_while_it_looks() {
     );
 }
 
+fn obstacles(vehicle: &TestVehicle) -> Vec<&OBSTACLE_DISTANCE_DATA> {
+    let told = vehicle.heard.iter().filter_map(|(_, message)| match message {
+        MavMessage::OBSTACLE_DISTANCE(seen) => Some(seen),
+        _ => None,
+    });
+    told.collect()
+}
+
 /// The values of a name that the vehicle heard, newest last.
 fn values(vehicle: &TestVehicle, name: &str) -> Vec<f32> {
     let told = vehicle.heard.iter().filter_map(|(_, message)| match message {
@@ -343,10 +331,11 @@ fn values(vehicle: &TestVehicle, name: &str) -> Vec<f32> {
     told.collect()
 }
 
-fn texts(vehicle: &TestVehicle) -> Vec<(u8, String)> {
+/// The texts that begin so, with their severity.
+fn texts(vehicle: &TestVehicle, begin: &str) -> Vec<(u8, String)> {
     let told = vehicle.heard.iter().filter_map(|(_, message)| match message {
         MavMessage::STATUSTEXT(told) => Some((told.severity as u8, told.text.to_str().unwrap().to_owned())),
         _ => None,
     });
-    told.filter(|(_, text)| text.starts_with("alarm")).collect()
+    told.filter(|(_, text)| text.starts_with(begin)).collect()
 }

@@ -158,10 +158,8 @@ impl Endpoint {
         if let Some(server) = self.services.iter_mut().find(|s| s.serves(number)) {
             answer = Some(match used_parameters::misused_in_command(command) {
                 Some(parameter) => {
-                    core.warn(&format!(
-                        "command {number} denied: parameter {parameter} has no meaning"
-                    ));
-                    Answer::DENIED
+                    let text = format!("command {number} denied: parameter {parameter} has no meaning");
+                    Answer::DENIED.told(&text, core)
                 }
                 None => server.command(command, source, core),
             });

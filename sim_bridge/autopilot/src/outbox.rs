@@ -1,8 +1,9 @@
 //! What waits to be sent: packets with their link, one packet per datagram.
 
 use crate::LinkId;
+use crate::source::Source;
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize, serialize_payload};
-use vigil_mavlink::mavlink::MavHeader;
+use vigil_mavlink::mavlink::{MavHeader, Message};
 use vigil_mavlink::{MavMessage, framing::CommandAck};
 
 /// Bytes that may wait between two calls of `transmit`; more is dropped and counted.
@@ -73,6 +74,17 @@ impl Outbox {
     /// Queues a message of the vehicle on one link.
     pub fn send(&mut self, link: LinkId, message: &MavMessage) {
         self.build(link, |header, out| serialize(header, message, out).ok());
+    }
+
+    /// Queues a message of the vehicle on the link of the component that it then names as its target.
+    pub fn send_to(&mut self, to: Source, mut message: MavMessage) {
+        if let Some(system) = message.target_system_id_mut() {
+            *system = to.id.system;
+        }
+        if let Some(component) = message.target_component_id_mut() {
+            *component = to.id.component;
+        }
+        self.send(to.link, &message);
     }
 
     /// Queues a message of the vehicle whose payload is given: for what the crate's types cannot hold.

@@ -20,6 +20,12 @@ impl Answer {
     pub const UNSUPPORTED: Self = Self(MavResult::MAV_RESULT_UNSUPPORTED);
     pub const FAILED: Self = Self(MavResult::MAV_RESULT_FAILED);
 
+    /// The same, told as a text.
+    pub fn told(self, text: &str, core: &mut Core) -> Self {
+        core.warn(text);
+        self
+    }
+
     /// Counts a refusal, and acknowledges the command to whom it came from.
     pub fn send(self, command: u16, to: Source, core: &mut Core) {
         match self.0 {
@@ -135,5 +141,6 @@ pub(crate) mod prelude {
     pub(crate) use vigil_mavlink::common::*;
     pub(crate) use vigil_mavlink::framing::{Command, Packet};
     pub(crate) use vigil_mavlink::mavlink::MessageData;
+    pub(crate) use vigil_mavlink::message;
     pub(crate) use vigil_types::Nanos;
 }

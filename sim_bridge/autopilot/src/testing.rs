@@ -3,8 +3,8 @@
 use crate::core::EndpointStatus;
 use crate::vehicle::{Vehicle, VehicleParams, VehicleView, Wind};
 use crate::{Endpoint, HomePosition, geo};
-use vigil_mavlink::framing::{self, CommandAck, FramingCounters};
-use vigil_mavlink::mavlink::{MavlinkVersion, Message};
+use vigil_mavlink::framing::{self, Command, CommandAck, CommandForm, FramingCounters, MAX_PACKET_LEN};
+use vigil_mavlink::mavlink::{MavHeader, MavlinkVersion, Message};
 use vigil_types::{Nanos, NedVector};
 
 // What tests name besides the bench.
@@ -194,18 +194,12 @@ impl Bench {
 
     /// Sends a COMMAND_LONG to the vehicle and returns the result of the acknowledgement that came back.
     pub fn command_long(&mut self, link: LinkId, from: ComponentId, number: u16, params: [f32; 7]) -> u8 {
-        let mut payload = Vec::with_capacity(33);
-        for p in params {
-            payload.extend_from_slice(&p.to_le_bytes());
-        }
-        payload.extend_from_slice(&number.to_le_bytes());
-        payload.extend_from_slice(&[1, 1, 0]);
-        self.command_payload(link, from, number, COMMAND_LONG_ID, &payload)
+        self.answer(link, from, number, &command(from, number, params, LONG))
     }
 
-    fn command_payload(&mut self, link: LinkId, from: ComponentId, number: u16, id: u32, payload: &[u8]) -> u8 {
+    fn answer(&mut self, link: LinkId, from: ComponentId, number: u16, packet: &[u8]) -> u8 {
         let before = self.sent.len();
-        self.send_raw(link, &raw(from, id, payload));
+        self.send_raw(link, packet);
         let acks: Vec<_> = self.sent[before..]
             .iter()
             .filter(|s| s.link == link)
@@ -274,7 +268,8 @@ impl Bench {
 
     /// Sends SET_MODE, the message, and returns the result.
     pub fn set_mode_message(&mut self, main: u8, sub: u8) -> u8 {
-        self.command_payload(API, SCRIPT, 176, SET_MODE_DATA::ID, &[0, 0, main, sub, 1, 1])
+        let packet = raw(SCRIPT, SET_MODE_DATA::ID, &[0, 0, main, sub, 1, 1]);
+        self.answer(API, SCRIPT, 176, &packet)
     }
 
     /// Sets a parameter by PARAM_SET; whole numbers bytewise.
@@ -352,6 +347,13 @@ impl Bench {
         self.streaming.push((link, from, velocity));
     }
 
+    /// Streams a velocity for this long, then has it flown.
+    pub fn fly(&mut self, link: LinkId, from: ComponentId, velocity: [f32; 3], ms: u64) {
+        self.stream(link, from, velocity);
+        self.run_ms(ms);
+        assert_eq!(self.set_mode(link, from, 6, 0), ACCEPTED);
+    }
+
     pub fn stop_stream(&mut self, from: ComponentId) {
         self.streaming.retain(|s| s.1 != from);
     }
@@ -409,6 +411,25 @@ impl Bench {
     }
 }
 
+/// The form of a COMMAND_LONG.
+pub const LONG: CommandForm = CommandForm::Long { confirmation: 0 };
+
+/// The packet of a command to the vehicle, whose number may be any.
+pub fn command(from: ComponentId, number: u16, params: [f32; 7], form: CommandForm) -> Vec<u8> {
+    let command = Command {
+        form,
+        ..Command::to_autopilot(1, number, params, 0)
+    };
+    let header = MavHeader {
+        system_id: from.system.into(),
+        component_id: from.component,
+        sequence: 0,
+    };
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = command.serialize(header, &mut out).expect("fits");
+    out[..len].to_vec()
+}
+
 /// A packet of a payload that may be any.
 pub fn raw(from: ComponentId, id: u32, payload: &[u8]) -> Vec<u8> {
     framing::encode_payload((from.system, from.component), 0, id, payload).expect("fits")
@@ -419,7 +440,6 @@ pub const REJECTED: u8 = 1;
 pub const DENIED: u8 = 2;
 pub const UNSUPPORTED: u8 = 3;
 pub const FAILED: u8 = 4;
-const COMMAND_LONG_ID: u32 = COMMAND_LONG_DATA::ID;
 
 /// Frame 8, mask 0x5C7: what MAVSDK and the companion send.
 pub fn velocity_message(velocity: [f32; 3]) -> MavMessage {

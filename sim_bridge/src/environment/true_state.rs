@@ -133,6 +133,12 @@ impl Outline {
     }
 }
 
+/// Distance along a direction of length 1 to the first of outlines; infinite where it meets none.
+fn nearest_m<'a>(outlines: impl Iterator<Item = &'a Outline>, from: [f32; 2], direction: [f32; 2]) -> f32 {
+    let ranges_m = outlines.map(|o| o.range_m(from, direction));
+    ranges_m.fold(f32::INFINITY, f32::min)
+}
+
 /// What stands and moves on a course, in the plan view of the flight band: what a collision scan is measured from.
 pub struct TruePlan {
     outlines: Vec<Outline>,
@@ -172,13 +178,7 @@ impl TruePlan {
             .flat_map(|o| o.grown(VEHICLE.radius_m))
             .collect();
         directions_rad
-            .map(|angle_rad| {
-                let direction = unit(angle_rad);
-                grown
-                    .iter()
-                    .map(|o| o.range_m(here, direction))
-                    .fold(f32::INFINITY, f32::min)
-            })
+            .map(|angle_rad| nearest_m(grown.iter(), here, unit(angle_rad)))
             .collect()
     }
 }
@@ -206,11 +206,7 @@ impl TrueCourse {
         let moving: Vec<Outline> = movers.iter().map(Outline::of).collect();
         for (k, slot) in state[..RAYS].iter_mut().enumerate() {
             let direction = unit(yaw_rad + k as f32 * (TAU / RAYS as f32));
-            let outlines = self.plan.outlines.iter().chain(&moving);
-            let range_m = outlines
-                .map(|o| o.range_m(here, direction))
-                .fold(f32::INFINITY, f32::min);
-            *slot = contrast(range_m);
+            *slot = contrast(nearest_m(self.plan.outlines.iter().chain(&moving), here, direction));
         }
         let velocity = truth.velocity_ned_m_s.to_heading(yaw_rad);
         let way_m = self.way.length_m(here[0], here[1]);

@@ -8,7 +8,7 @@ use mavlink::dialects::common::{HIL_STATE_QUATERNION_DATA, MavMessage};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{self, FramingCounters, Packet};
 use vigil_types::named;
-use vigil_types::{Attitude, DepthFrame, FrameKey, Nanos, NedVector, VehicleMode, VehicleTelemetry};
+use vigil_types::{Attitude, DepthFrame, FrameKey, Kinematics, Nanos, NedVector, VehicleMode, VehicleTelemetry};
 
 /// A report older than this is no pose; the firmware's own limit of telemetry.
 const REPORT_AGE_NS: Nanos = vigil_types::parameters::TELEMETRY_AGE.nanos();
@@ -57,28 +57,22 @@ impl PoseState {
     }
 }
 
-/// A position and a velocity in the vehicle's local frame, as reported.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Motion {
-    at_ns: Nanos,
-    ned_m: NedVector,
-    velocity_ned_m_s: NedVector,
+/// Seconds since a report, as far as it can be carried on.
+fn since_s(at_ns: Nanos, now_ns: Nanos) -> f32 {
+    now_ns.saturating_sub(at_ns).min(REPORT_AGE_NS) as f32 * 1e-9
 }
 
-impl Motion {
-    /// Where the vehicle is at `now_ns`, by its velocity.
-    fn at(&self, now_ns: Nanos) -> NedVector {
-        let since_s = now_ns.saturating_sub(self.at_ns).min(REPORT_AGE_NS) as f32 * 1e-9;
-        self.ned_m + self.velocity_ned_m_s * since_s
-    }
+/// Where a vehicle that reported this is at `now_ns`, by its velocity.
+fn carried_on(reported: &Kinematics, now_ns: Nanos) -> NedVector {
+    reported.position_ned_m + reported.velocity_ned_m_s * since_s(reported.at_ns, now_ns)
+}
 
-    fn is_finite(&self) -> bool {
-        self.ned_m.is_finite() && self.velocity_ned_m_s.is_finite()
-    }
+fn is_finite(reported: &Kinematics) -> bool {
+    reported.position_ned_m.is_finite() && reported.velocity_ned_m_s.is_finite()
+}
 
-    fn is_fresh(&self, now_ns: Nanos) -> bool {
-        now_ns.saturating_sub(self.at_ns) <= REPORT_AGE_NS
-    }
+fn is_fresh(at_ns: Nanos, now_ns: Nanos) -> bool {
+    now_ns.saturating_sub(at_ns) <= REPORT_AGE_NS
 }
 
 /// A pose on the course.
@@ -121,9 +115,9 @@ pub struct ForeignFlight {
     system_is_named: bool,
     other_system: Option<u8>,
     wants_truth: bool,
-    truth: Option<(Motion, Attitude)>,
+    truth: Option<(Kinematics, Attitude)>,
     /// The last position that was good, by which a jump is told.
-    last: Option<Motion>,
+    last: Option<Kinematics>,
     restarts: u32,
     jumped: bool,
     epoch_ns: Nanos,
@@ -195,7 +189,7 @@ impl ForeignFlight {
             self.note_truth(now_ns, &m);
         }
         if self.vehicle.telemetry.kinematics != before
-            && let Some(motion) = self.reported()
+            && let Some(motion) = self.vehicle.telemetry.kinematics
         {
             self.note_position(motion);
             if !self.wants_truth {
@@ -211,35 +205,24 @@ impl ForeignFlight {
         let down_m = (origin.altitude_m - f64::from(m.alt) * 1e-3) as f32;
         let m_s = |cm_s: i16| f32::from(cm_s) * 0.01;
         let [w, x, y, z] = m.attitude_quaternion;
-        let motion = Motion {
-            at_ns: now_ns,
-            ned_m: NedVector::new(north_m, east_m, down_m),
-            velocity_ned_m_s: NedVector::new(m_s(m.vx), m_s(m.vy), m_s(m.vz)),
-        };
+        let position_ned_m = NedVector::new(north_m, east_m, down_m);
+        let velocity_ned_m_s = NedVector::new(m_s(m.vx), m_s(m.vy), m_s(m.vz));
+        let motion = Kinematics::new(now_ns, position_ned_m, velocity_ned_m_s);
         self.truth = Some((motion, Attitude { w, x, y, z }));
         self.referee_step(now_ns);
     }
 
-    /// The position that the vehicle reported last.
-    fn reported(&self) -> Option<Motion> {
-        self.vehicle.telemetry.kinematics.map(|k| Motion {
-            at_ns: k.at_ns,
-            ned_m: k.position_ned_m,
-            velocity_ned_m_s: k.velocity_ned_m_s,
-        })
-    }
-
-    fn note_position(&mut self, new: Motion) {
-        if !new.is_finite() {
+    fn note_position(&mut self, new: Kinematics) {
+        if !is_finite(&new) {
             return;
         }
         if let Some(last) = self.last.replace(new) {
             // After a gap nothing more is allowed than after the longest that is no gap.
-            let since_s = new.at_ns.saturating_sub(last.at_ns).min(REPORT_AGE_NS) as f32 * 1e-9;
-            let astray_m = (new.ned_m - last.at(new.at_ns)).norm();
+            let allowed_m = JUMP_M + JUMP_M_S * since_s(last.at_ns, new.at_ns);
+            let astray_m = (new.position_ned_m - carried_on(&last, new.at_ns)).norm();
             // On the ground an estimator may still find its place. After the end nothing is judged.
             let flies = self.lifted_off_ns.is_some() && self.ending.is_none();
-            self.jumped |= flies && astray_m > JUMP_M + JUMP_M_S * since_s;
+            self.jumped |= flies && astray_m > allowed_m;
         }
         if self.lifted_off_ns.is_none() {
             self.home_ned_m = self.vehicle.home_ned_m().unwrap_or(NedVector::ZERO);
@@ -247,10 +230,13 @@ impl ForeignFlight {
     }
 
     /// What is rendered and judged: position and attitude in the local frame.
-    fn rendered(&self) -> Option<(Motion, Attitude)> {
+    fn rendered(&self) -> Option<(Kinematics, Attitude)> {
         match self.wants_truth {
             true => self.truth,
-            false => Some((self.reported()?, self.vehicle.telemetry.attitude?.attitude)),
+            false => Some((
+                self.vehicle.telemetry.kinematics?,
+                self.vehicle.telemetry.attitude?.attitude,
+            )),
         }
     }
 
@@ -258,7 +244,7 @@ impl ForeignFlight {
     pub fn pose(&self, now_ns: Nanos) -> Option<CoursePose> {
         let (motion, attitude) = self.rendered()?;
         Some(CoursePose {
-            position_ned_m: motion.at(now_ns) - self.home_ned_m,
+            position_ned_m: carried_on(&motion, now_ns) - self.home_ned_m,
             attitude,
             velocity_ned_m_s: motion.velocity_ned_m_s,
         })
@@ -296,7 +282,7 @@ impl ForeignFlight {
     /// What is known of the pose at `now_ns`.
     pub fn pose_state(&self, now_ns: Nanos) -> PoseState {
         let telemetry = &self.vehicle.telemetry;
-        let (Some(position), Some(attitude)) = (self.reported(), telemetry.attitude) else {
+        let (Some(position), Some(attitude)) = (telemetry.kinematics, telemetry.attitude) else {
             return match self.system.and(telemetry.heartbeat) {
                 _ if self.jumped => PoseState::Jumped,
                 None => PoseState::Silent,
@@ -305,15 +291,15 @@ impl ForeignFlight {
                 Some(_) => PoseState::NoAttitude,
             };
         };
-        let is_old = !position.is_fresh(now_ns) || now_ns.saturating_sub(attitude.at_ns) > REPORT_AGE_NS;
+        let is_old = !is_fresh(position.at_ns, now_ns) || !is_fresh(attitude.at_ns, now_ns);
         match self.rendered() {
             _ if self.jumped => PoseState::Jumped,
             _ if self.has_two_vehicles() => PoseState::TwoVehicles,
             None => PoseState::NoTruth,
-            Some((rendered, _)) if is_old || !rendered.is_fresh(now_ns) => PoseState::Stopped,
+            Some((rendered, _)) if is_old || !is_fresh(rendered.at_ns, now_ns) => PoseState::Stopped,
             Some((rendered, turn))
-                if !rendered.is_finite()
-                    || !position.is_finite()
+                if !is_finite(&rendered)
+                    || !is_finite(&position)
                     || !turn.is_valid()
                     || !attitude.attitude.is_valid() =>
             {
@@ -332,7 +318,7 @@ impl ForeignFlight {
     pub fn capture(&mut self, now_ns: Nanos, frame: &mut DepthFrame) -> bool {
         let (PoseState::Tracking, Some(reported), Some(estimate), Some(pose)) = (
             self.pose_state(now_ns),
-            self.reported(),
+            self.vehicle.telemetry.kinematics,
             self.vehicle.telemetry.attitude,
             self.pose(now_ns),
         ) else {
@@ -343,7 +329,7 @@ impl ForeignFlight {
         let mut position_ned_m = pose.position_ned_m;
         position_ned_m.z = position_ned_m.z.min(-LOWEST_SENSOR_M);
         let shot = Shot {
-            estimated_position_ned_m: reported.at(now_ns),
+            estimated_position_ned_m: carried_on(&reported, now_ns),
             estimated_attitude: estimate.attitude,
             stamp_ns: now_ns,
             ..Shot::at(position_ned_m, pose.attitude)

@@ -234,7 +234,6 @@ impl Sensor {
             .pose(now_ns)
             .filter(|p| p.position_ned_m.is_finite() && p.velocity_ned_m_s.is_finite() && p.attitude.is_valid());
         let state = flight.pose_state(now_ns);
-        let ending = flight.ending();
         Status {
             time_s: (now_ns - self.epoch_ns) as f64 * 1e-9,
             at_ns: now_ns,
@@ -249,16 +248,9 @@ impl Sensor {
                 .unwrap_or(0.0),
             mode: flight.mode_name().to_owned(),
             armed: flight.telemetry().heartbeat.is_some_and(|h| h.armed),
-            guidance: self.companion.guidance(),
-            reasons: self.companion.reasons(),
-            nearness: self.seen.clone(),
-            score: self.companion.score,
-            step_us: self.companion.step_us,
-            slips: self.companion.slips,
-            outcome: ending.map(|e| e.outcome),
-            flight_time_s: ending.map_or(0.0, |e| e.flight_time_s),
             path_length_m: flight.path_length_m(),
             pose: (state != PoseState::Tracking).then(|| state.name().to_owned()),
+            ..Status::of(&self.companion, &self.seen, flight.ending())
         }
     }
 }

@@ -235,18 +235,7 @@ impl BoxObstacle {
 impl Wall {
     /// Its geometry: a box whose length runs from end to end.
     pub fn solid(&self) -> Solid {
-        let (north, east) = (self.to_m[0] - self.from_m[0], self.to_m[1] - self.from_m[1]);
-        Solid::cuboid(
-            (
-                0.5 * (self.from_m[0] + self.to_m[0]),
-                0.5 * (self.from_m[1] + self.to_m[1]),
-            ),
-            libm::hypotf(north, east),
-            self.thickness_m,
-            0.0,
-            self.height_m,
-            libm::atan2f(east, north),
-        )
+        Solid::along(self.from_m, self.to_m, 0.0, self.thickness_m, self.height_m)
     }
 }
 

@@ -150,8 +150,6 @@ impl Mover {
 
     /// A box that holds the mover at all times.
     pub fn track(&self) -> Solid {
-        let (north, east) = (self.to_m[0] - self.from_m[0], self.to_m[1] - self.from_m[1]);
-        let heading_rad = libm::atan2f(east, north);
         // Half of the outline's size along the way and across it.
         let (along_m, across_m) = match self.shape {
             MoverShape::Column(ColumnOutline { radius_m }) => (radius_m, radius_m),
@@ -160,22 +158,13 @@ impl Mover {
                 width_m,
                 yaw_deg,
             }) => {
+                let heading_rad = libm::atan2f(self.to_m[1] - self.from_m[1], self.to_m[0] - self.from_m[0]);
                 let turn = radians(yaw_deg) - heading_rad;
                 let (s, c) = (libm::sinf(turn).abs(), libm::cosf(turn).abs());
                 (0.5 * (c * length_m + s * width_m), 0.5 * (s * length_m + c * width_m))
             }
         };
-        Solid::cuboid(
-            (
-                0.5 * (self.from_m[0] + self.to_m[0]),
-                0.5 * (self.from_m[1] + self.to_m[1]),
-            ),
-            self.length_m() + 2.0 * along_m,
-            2.0 * across_m,
-            0.0,
-            self.height_m,
-            heading_rad,
-        )
+        Solid::along(self.from_m, self.to_m, along_m, 2.0 * across_m, self.height_m)
     }
 }
 

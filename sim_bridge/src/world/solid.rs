@@ -49,6 +49,14 @@ impl Solid {
         }
     }
 
+    /// A box on the ground along a line, at each end so much longer than that.
+    pub(crate) fn along(from_m: [f32; 2], to_m: [f32; 2], longer_m: f32, width_m: f32, height_m: f32) -> Self {
+        let [north, east] = [0, 1].map(|k| to_m[k] - from_m[k]);
+        let middle_m = (0.5 * (from_m[0] + to_m[0]), 0.5 * (from_m[1] + to_m[1]));
+        let length_m = libm::hypotf(north, east) + 2.0 * longer_m;
+        Self::cuboid(middle_m, length_m, width_m, 0.0, height_m, libm::atan2f(east, north))
+    }
+
     /// Centre, NED metres.
     pub fn centre_ned_m(&self) -> NedVector {
         match *self {

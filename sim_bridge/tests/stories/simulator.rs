@@ -2,8 +2,9 @@
 
 use crate::packets::command;
 use vigil_autopilot::FlightMode;
-use vigil_mavlink::common::{MavFrame, MavMessage, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA};
+use vigil_mavlink::common::{MavFrame, PositionTargetTypemask};
 use vigil_mavlink::framing::encode;
+use vigil_mavlink::message;
 use vigil_sim::foreign::{ForeignConfig, ForeignFlight};
 use vigil_sim::world::{Column, Family, Outcome, generate};
 use vigil_sim::{STEP_MS, SimConfig, Simulator, Start};
@@ -47,14 +48,14 @@ fn movers_move_with_simulated_time_whatever_the_clock_says() {
 fn a_simulator_that_stood_still_for_a_second_says_so_and_flies_on_as_if_nothing_had_been() {
     let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
     config.start = Start::Airborne;
-    let setpoint = SET_POSITION_TARGET_LOCAL_NED_DATA {
-        type_mask: PositionTargetTypemask::from_bits_retain(0x5C7),
-        target_system: 1,
-        target_component: 1,
-        coordinate_frame: MavFrame::MAV_FRAME_BODY_NED,
-        ..Default::default()
-    };
-    let setpoint = encode((1, 191), 0, &MavMessage::SET_POSITION_TARGET_LOCAL_NED(setpoint));
+    let setpoint = message!(
+        SET_POSITION_TARGET_LOCAL_NED,
+        type_mask = PositionTargetTypemask::from_bits_retain(0x5C7),
+        target_system = 1,
+        target_component = 1,
+        coordinate_frame = MavFrame::MAV_FRAME_BODY_NED
+    );
+    let setpoint = encode((1, 191), 0, &setpoint);
     let offboard = command((1, 191), 176, [129.0, 6.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     let mut simulator = Simulator::new(&config, 0).expect("valid");
     let mut said = Vec::new();

@@ -7,8 +7,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 use vigil_autopilot::{Endpoint, EndpointConfig, LinkId, SigningSetup};
 use vigil_io::gate::AllowUnsigned;
-use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, SETUP_SIGNING_DATA};
 use vigil_mavlink::framing::{MAX_PACKET_LEN, encode, encode_payload};
+use vigil_mavlink::message;
 use vigil_mavlink::signing::{Signing, SigningKey, SigningMemory, Timestamp, timestamp_of_unix_ns};
 use vigil_sim::vehicle_links::{LinksConfig, VehicleLinks};
 use vigil_types::Nanos;
@@ -20,11 +20,7 @@ const STATION: (u8, u8) = (255, 190);
 
 /// A packet that differs from those of other numbers.
 fn packet(number: u32) -> Vec<u8> {
-    let heartbeat = HEARTBEAT_DATA {
-        custom_mode: number,
-        ..HEARTBEAT_DATA::DEFAULT
-    };
-    encode(STATION, 0, &MavMessage::HEARTBEAT(heartbeat))
+    encode(STATION, 0, &message!(HEARTBEAT, custom_mode = number))
 }
 
 /// A file with the key.
@@ -218,13 +214,9 @@ fn a_key_from_setup_signing_is_in_force_at_once_and_after_a_restart() {
 }
 
 fn setup(key: [u8; 32]) -> Vec<u8> {
-    let message = SETUP_SIGNING_DATA {
-        target_system: 1,
-        target_component: 1,
-        secret_key: key,
-        ..SETUP_SIGNING_DATA::DEFAULT
-    };
-    encode(STATION, 0, &MavMessage::SETUP_SIGNING(message))
+    let (target_system, target_component) = (1, 1);
+    let message = message!(SETUP_SIGNING, target_system, target_component, secret_key = key);
+    encode(STATION, 0, &message)
 }
 
 /// A packet with a right checksum of random content, if it is one.

@@ -90,7 +90,7 @@ fn away_m(from_ned_m: NedVector, column: &Column) -> f32 {
 
 /// Flies the mission over a course; how it ended, and the least distance to an obstacle on the way.
 fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
-    let flown = fly_with(VehicleParams::default(), course, seed, speed_m_s, duty);
+    let flown = fly_as(VehicleParams::default(), course, seed, duty, &Plan::straight(speed_m_s));
     (flown.end, flown.nearest_m)
 }
 
@@ -120,10 +120,6 @@ impl Plan {
             command: |_| mission::start(),
         }
     }
-}
-
-fn fly_with(vehicle: VehicleParams, course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> Flown {
-    fly_as(vehicle, course, seed, duty, &Plan::straight(speed_m_s))
 }
 
 fn fly_as(vehicle: VehicleParams, course: Course, seed: u64, duty: Duty, plan: &Plan) -> Flown {
@@ -176,13 +172,12 @@ fn fly_as(vehicle: VehicleParams, course: Course, seed: u64, duty: Duty, plan: &
             });
         }
         stop.iter_mut().for_each(|stop| stop.follow(truth.position_ned_m));
-        let end = match pair.simulator.ending().map(|ending| ending.outcome) {
-            Some(Outcome::Success) => Some(End::Arrived),
-            Some(Outcome::Collision) => Some(End::Collision),
-            Some(_) => Some(End::Other),
-            None => None,
-        };
-        if let Some(end) = end {
+        if let Some(ending) = pair.simulator.ending() {
+            let end = match ending.outcome {
+                Outcome::Success => End::Arrived,
+                Outcome::Collision => End::Collision,
+                _ => End::Other,
+            };
             return Flown { end, nearest_m, stop };
         }
         let holds = report.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);

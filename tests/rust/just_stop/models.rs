@@ -207,7 +207,8 @@ fn column_on_the_way(away_m: f32) -> Course {
 fn a_px4_that_is_stopped_while_it_gains_speed_comes_to_rest_where_it_can_and_does_not_fly_back() {
     for model in [VehicleModel::Px4Sih, VehicleModel::Px4Light] {
         for away_m in [6.5, 8.0] {
-            let flown = fly_with(model.params(), column_on_the_way(away_m), 1, 5.0, Duty::JustStop);
+            let plan = Plan::straight(5.0);
+            let flown = fly_as(model.params(), column_on_the_way(away_m), 1, Duty::JustStop, &plan);
             println!("{} {away_m} m: {flown:?}", model.name());
             let stop = flown.stop.expect("it was stopped");
             assert_eq!(flown.end, End::Stopped, "{flown:?}");
@@ -222,7 +223,8 @@ fn a_px4_that_is_stopped_while_it_gains_speed_comes_to_rest_where_it_can_and_doe
 fn an_arducopter_brakes_in_a_second_and_a_half_times_its_speed_and_that_is_reckoned_with() {
     for speed_m_s in [2.0, 3.5, 5.0] {
         let vehicle = VehicleModel::ArduCopter.params();
-        let flown = fly_with(vehicle, column_on_the_way(17.0), 1, speed_m_s, Duty::JustStop);
+        let plan = Plan::straight(speed_m_s);
+        let flown = fly_as(vehicle, column_on_the_way(17.0), 1, Duty::JustStop, &plan);
         println!("{speed_m_s} m/s: {flown:?}");
         let stop = flown.stop.expect("it was stopped");
         assert_eq!(flown.end, End::Stopped, "{flown:?}");

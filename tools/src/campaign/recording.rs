@@ -64,24 +64,18 @@ impl Begun {
 
     /// Puts the notes into the log and makes the report, without an explanation of pixels, which takes long.
     pub fn end(self, config: &SimConfig, record: &FlightRecord) -> Result<()> {
-        let Self {
-            notes,
-            notes_file,
-            failure,
-            recording: Recording { log, mut about },
-            ..
-        } = self;
-        if let Some(failure) = failure {
+        let Recording { log, mut about } = self.recording;
+        if let Some(failure) = self.failure {
             return Err(failure.into());
         }
-        let truth_file = notes_file.with_extension("truth.part");
+        let truth_file = self.notes_file.with_extension("truth.part");
         let mut truth = SideLog::create(&truth_file)?;
         // The path's last point is that of the ending.
         for (point, step) in record.path_ned_m.iter().zip((0..).step_by(PATH_STRIDE as usize)) {
             truth.truth(step.min(record.steps) * STEP_NS, *point, None)?;
         }
         truth.finish()?;
-        notes.finish()?;
+        self.notes.finish()?;
         about.insert("course".to_owned(), config.course.name.clone());
         about.insert("seed".to_owned(), config.seed.to_string());
         let text = format!(
@@ -91,7 +85,7 @@ impl Begun {
             record.path_length_m
         );
         about.insert("outcome".to_owned(), text);
-        let sides: [&Path; 2] = [&truth_file, &notes_file];
+        let sides: [&Path; 2] = [&truth_file, &self.notes_file];
         let merged = merge_into(&log, &sides, &about);
         for side in sides {
             // What they hold is in the log.

@@ -199,32 +199,26 @@ impl PoseSource {
     /// Hears what arrived. Never waits.
     fn listen(&mut self, now_ns: Nanos) {
         let Self::Heard(heard) = self else { return };
-        let Heard {
-            links,
-            vehicle,
-            system,
-            counters,
-            track,
-        } = &mut **heard;
-        for link in links.iter_mut() {
+        let heard = &mut **heard;
+        for link in &mut heard.links {
             link.receive(now_ns, |datagram| {
-                for packet in packets(datagram, counters) {
-                    if packet.is_of_autopilot(system) {
-                        vehicle.receive(now_ns, &packet);
+                for packet in packets(datagram, &mut heard.counters) {
+                    if packet.is_of_autopilot(&mut heard.system) {
+                        heard.vehicle.receive(now_ns, &packet);
                     }
                 }
             });
         }
-        let telemetry = &vehicle.telemetry;
+        let telemetry = &heard.vehicle.telemetry;
         if let (Some(position), Some(attitude)) = (telemetry.kinematics, telemetry.attitude) {
             // The position at the attitude's time.
             let lead_s = (attitude.at_ns as f64 - position.at_ns as f64) as f32 * 1e-9;
             if lead_s.abs() <= MOST_APART_S {
                 let position_ned_m = position.position_ned_m + position.velocity_ned_m_s * lead_s;
-                track.note(attitude.at_ns, position_ned_m, attitude.attitude);
+                heard.track.note(attitude.at_ns, position_ned_m, attitude.attitude);
             }
         }
-        for link in links {
+        for link in &mut heard.links {
             link.ask(now_ns, false, false);
         }
     }

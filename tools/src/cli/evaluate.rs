@@ -518,10 +518,8 @@ fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, see
     if args.resume && log.exists() {
         // The flight is not among those that ended: a killed process left half of its log.
         for ending in ["mcap", "tlog"] {
-            let (from, to) = (
-                log.with_extension(ending),
-                folder.join(format!("{name}-cut-short.{ending}")),
-            );
+            let from = log.with_extension(ending);
+            let to = folder.join(format!("{name}-cut-short.{ending}"));
             std::fs::rename(&from, &to).with_context(|| format!("cannot rename {}", from.display()))?;
         }
     }

@@ -109,17 +109,13 @@ pub fn program() -> Result<std::process::Command> {
 
 /// Whether who started this process is of the same sources.
 pub fn check_caller() -> Result<()> {
-    match std::env::var(SOURCES_VARIABLE) {
-        Ok(caller) if caller != SOURCES => refuse(&caller),
-        _ => Ok(()),
-    }
-}
-
-fn refuse(caller: &str) -> Result<()> {
     let short = |digest: &str| digest.chars().take(12).collect::<String>();
-    anyhow::bail!(
+    let caller = std::env::var(SOURCES_VARIABLE).unwrap_or_else(|_| SOURCES.to_owned());
+    ensure!(
+        caller == SOURCES,
         "this {PROGRAM} is of other sources ({}) than the `vigil` that started it ({}): `{BUILD}`, and `cargo build --release`",
         short(SOURCES),
-        short(caller)
-    )
+        short(&caller)
+    );
+    Ok(())
 }

@@ -154,27 +154,30 @@ impl ViewerArgs {
         )
     }
 
+    /// Whether the viewer can show something, or write it into the file that is named.
+    fn ready(&self, save: Option<&Path>) -> Result<()> {
+        let Some(to) = save else { return self.check_with_port() };
+        check_recording(to)?;
+        self.check()?;
+        output::prepare(to)
+    }
+
+    /// Shows what the arguments name, or writes it into a file.
+    fn show<'a>(&self, mut what: Vec<&'a std::ffi::OsStr>, save: Option<&'a Path>) -> Result<ExitCode> {
+        what.extend(save.into_iter().flat_map(|to| ["--save".as_ref(), to.as_os_str()]));
+        ended(self.start(&what, None)?)
+    }
+
     /// Shows a course that is described in JSON, or saves what the viewer would show.
     ///
     /// # Errors
     /// No viewer, a port that is taken, a file that cannot be written.
     pub fn course(&self, json: &str, save: Option<&Path>) -> Result<()> {
-        match save {
-            Some(to) => {
-                check_recording(to)?;
-                self.check()?;
-                output::prepare(to)?;
-            }
-            None => self.check_with_port()?,
-        }
+        self.ready(save)?;
         // The script itself comes over standard input.
         let file = std::env::temp_dir().join(format!("vigil-course-{}.json", std::process::id()));
         output::write(&file, json)?;
-        let mut arguments = vec!["--course".as_ref(), file.as_os_str()];
-        if let Some(to) = save {
-            arguments.extend(["--save".as_ref(), to.as_os_str()]);
-        }
-        let shown = self.start(&arguments, None).and_then(ended);
+        let shown = self.show(vec!["--course".as_ref(), file.as_os_str()], save);
         let _ = std::fs::remove_file(&file);
         shown.map(|_| ())
     }
@@ -187,8 +190,7 @@ impl ViewerArgs {
 pub fn run(args: &ViewArgs) -> Result<ExitCode> {
     if args.follow {
         args.viewer.check_with_port()?;
-        let shown = args.viewer.start(&[args.log.as_os_str(), "--follow".as_ref()], None)?;
-        return ended(shown);
+        return args.viewer.show(vec![args.log.as_os_str(), "--follow".as_ref()], None);
     }
     let log = find_log(&args.log)?;
     if let Some(to) = &args.save {
@@ -204,19 +206,8 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
         say!("          Layouts → Import from file…  {}", layout.display());
         return Ok(ExitCode::SUCCESS);
     }
-    let shown = match &args.save {
-        Some(to) => {
-            args.viewer.check()?;
-            output::prepare(to)?;
-            args.viewer
-                .start(&[log.as_os_str(), "--save".as_ref(), to.as_os_str()], None)?
-        }
-        None => {
-            args.viewer.check_with_port()?;
-            args.viewer.start(&[log.as_os_str()], None)?
-        }
-    };
-    ended(shown)
+    args.viewer.ready(args.save.as_deref())?;
+    args.viewer.show(vec![log.as_os_str()], args.save.as_deref())
 }
 
 /// The viewer's own program writes it, and takes `-` for a name.

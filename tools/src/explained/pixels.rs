@@ -24,6 +24,7 @@ const BACKGROUND_FLIGHTS: u64 = 6;
 const STRIDE: usize = 14;
 
 /// Collects states for the background sample.
+#[derive(Default)]
 struct Backgrounds {
     steps: usize,
     inputs: Vec<Vec<Vec<f32>>>,
@@ -45,16 +46,9 @@ impl Onlooker for Backgrounds {
 pub fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<DeepShap> {
     let (pilot, mut inputs) = (FrozenPilot::from(actor), Vec::new());
     for seed in BACKGROUND_SEED..BACKGROUND_SEED + BACKGROUND_FLIGHTS {
-        let mut onlooker = Backgrounds {
-            steps: 0,
-            inputs: Vec::new(),
-        };
-        fly(
-            isa,
-            &pilot,
-            &Scenario::unattacked(Family::Training, seed, Plan::Actor),
-            &mut onlooker,
-        )?;
+        let mut onlooker = Backgrounds::default();
+        let scenario = Scenario::unattacked(Family::Training, seed, Plan::Actor);
+        fly(isa, &pilot, &scenario, &mut onlooker)?;
         inputs.append(&mut onlooker.inputs);
     }
     inputs.shuffle(&mut ChaCha8Rng::seed_from_u64(BACKGROUND_SEED));

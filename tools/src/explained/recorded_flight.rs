@@ -1,6 +1,6 @@
 //! A flight flown and written down.
 
-use super::scenario::{Adversary, Helm, Scenario};
+use super::scenario::{Adversary, Helm, Plan, Scenario};
 use super::stepped::Flight;
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
@@ -137,10 +137,6 @@ fn flight_of(scenario: &Scenario) -> Result<Flight> {
     Ok(Flight::of(environment))
 }
 
-fn attacker<'a>(frozen: &FrozenPilot, isa: Isa, adversary: &'a Adversary) -> Result<(&'a Adversary, FrameAttack)> {
-    Ok((adversary, FrameAttack::on(frozen, isa, &adversary.config)?))
-}
-
 /// Alters the frame that is delivered, where the adversary attacks in this step; by how much that changes the yaw.
 fn alter(
     adversary: &Adversary,
@@ -169,10 +165,11 @@ pub fn fly(isa: Isa, frozen: &FrozenPilot, scenario: &Scenario, onlooker: &mut i
     let mut flight = flight_of(scenario)?;
     let mut actor = frozen.decider(isa)?;
     let adversary = scenario.adversary.as_ref();
-    let mut attack = adversary.map(|by| attacker(frozen, isa, by)).transpose()?;
+    let attacker = adversary.map(|by| anyhow::Ok((by, FrameAttack::on(frozen, isa, &by.config)?)));
+    let mut attack = attacker.transpose()?;
     let mut helmsman = scenario.helmsman();
-    let mut geometric = helmsman
-        .needs_geometric()
+    // In any other plan the geometric pilot may steer at some time.
+    let mut geometric = (!matches!(scenario.plan, Plan::Actor | Plan::ActorWithField))
         .then(|| Box::new(GeometricPilot::new(GeometricConfig::default())));
     let mut surroundings = Box::new(RangeScan::new());
     let mut field = FlightField::default();

@@ -208,11 +208,6 @@ pub(crate) struct Helmsman {
 }
 
 impl Helmsman {
-    /// Whether the geometric pilot will ever steer.
-    pub fn needs_geometric(&self) -> bool {
-        !matches!(self.plan, Plan::Actor | Plan::ActorWithField)
-    }
-
     pub fn take(&mut self, step: u64, altered: bool) -> Helm {
         (self.altered, self.unaltered) = if altered {
             (self.altered + 1, 0)

@@ -229,12 +229,15 @@ mod tests {
         }
     }
 
-    fn admission(gate: &mut SigningGate) -> LinkAdmission<'_> {
-        LinkAdmission {
+    /// Takes what is there; tells whether the peer was heard.
+    fn receive(stream: &mut PacketStream, line: &mut Line, gate: &mut SigningGate, received: &mut Datagrams) -> bool {
+        let mut admission = LinkAdmission {
             allow_unsigned: gate.allow_unsigned(),
             gate,
             link: 0,
-        }
+        };
+        let from = (PeerRule::Anyone, &mut admission, true);
+        stream.receive(line, from, received).unwrap()
     }
 
     fn line() -> Line {
@@ -283,15 +286,7 @@ mod tests {
             .collect();
         let mut got = Vec::new();
         let mut received = Datagrams::default();
-        while stream
-            .receive(
-                &mut line,
-                (PeerRule::Anyone, &mut admission(&mut gate), true),
-                &mut received,
-            )
-            .unwrap()
-            || !line.to_read.is_empty()
-        {
+        while receive(&mut stream, &mut line, &mut gate, &mut received) || !line.to_read.is_empty() {
             got.extend(received.iter().map(|(_, d)| d.to_vec()));
             received.clear();
         }
@@ -311,13 +306,7 @@ mod tests {
         let mut steps = 0;
         while !line.to_read.is_empty() {
             let mut received = Datagrams::default();
-            stream
-                .receive(
-                    &mut line,
-                    (PeerRule::Anyone, &mut admission(&mut gate), true),
-                    &mut received,
-                )
-                .unwrap();
+            receive(&mut stream, &mut line, &mut gate, &mut received);
             assert_eq!(received.dropped(), 0);
             count += received.len();
             steps += 1;

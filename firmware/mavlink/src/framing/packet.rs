@@ -219,10 +219,11 @@ impl Scanner {
             self.at += marker;
             let rest = rest.get(marker..).unwrap_or_default();
             let fresh = self.at >= self.refused_until;
-            match candidate(rest) {
+            let (refused, len) = match candidate(rest) {
                 // Its checksum is unknown: only where a packet is expected, and where another one or nothing follows.
                 Candidate::Whole(p) if !(p.known || fresh && is_boundary(rest, p.raw.len())) => {
-                    self.refuse(1, counters)
+                    self.refuse(1, counters);
+                    continue;
                 }
                 Candidate::Whole(p) => {
                     self.at += p.raw.len();
@@ -231,19 +232,12 @@ impl Scanner {
                     return Found::Packet(p);
                 }
                 Candidate::Short if !whole => return Found::Incomplete,
-                Candidate::Short => {
-                    counters.truncated += u64::from(fresh);
-                    self.refuse(rest.len(), counters);
-                }
-                Candidate::BadCrc { len } => {
-                    counters.bad_crc += u64::from(fresh);
-                    self.refuse(len, counters);
-                }
-                Candidate::Incompatible { len } => {
-                    counters.incompatible += u64::from(fresh);
-                    self.refuse(len, counters);
-                }
-            }
+                Candidate::Short => (&mut counters.truncated, rest.len()),
+                Candidate::BadCrc { len } => (&mut counters.bad_crc, len),
+                Candidate::Incompatible { len } => (&mut counters.incompatible, len),
+            };
+            *refused += u64::from(fresh);
+            self.refuse(len, counters);
         }
         counters.garbage_bytes += data.len().saturating_sub(self.at) as u64;
         self.at = data.len();

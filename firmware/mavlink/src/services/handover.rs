@@ -7,9 +7,10 @@ use crate::autopilot::{Flavour, command_number};
 use crate::core::Core;
 use crate::framing::{Command, CommandForm, Packet};
 use crate::service::{Service, Step};
-use crate::status_text::{CRITICAL, ERROR, StatusText};
+use crate::status_text::{CRITICAL, ERROR};
 use crate::tracker::{Failure, Next, Tracker, Wanted};
 use crate::vehicle::Vehicle;
+use core::fmt::Arguments;
 use vigil_types::{
     Datagrams, HandoverProgress, Heartbeat, Landed, Nanos, Reason, StopCause, VehicleMode, VehicleRequest,
 };
@@ -361,17 +362,14 @@ impl Service for HandoverService {
         if let VehicleRequest::Hold { cause: Some(cause), .. } = step.request
             && !matches!(self.asked, Some(Asked::Mode(_)))
         {
-            let text = match cause {
-                StopCause::Obstacle { ahead_m } => StatusText::new(
-                    CRITICAL,
-                    format_args!("stop: something {ahead_m:.1} m ahead on the course"),
-                ),
-                StopCause::Blind => StatusText::new(CRITICAL, format_args!("stop: nobody sees the course")),
-                StopCause::Unseen => {
-                    StatusText::new(CRITICAL, format_args!("stop: it moves where the sensor does not look"))
+            let mut tell = |text: Arguments<'_>| core.tell(out, CRITICAL, text);
+            match cause {
+                StopCause::Obstacle { ahead_m } => {
+                    tell(format_args!("stop: something {ahead_m:.1} m ahead on the course"));
                 }
-            };
-            core.tell_text(out, &text);
+                StopCause::Blind => tell(format_args!("stop: nobody sees the course")),
+                StopCause::Unseen => tell(format_args!("stop: it moves where the sensor does not look")),
+            }
         }
         let action = self.step(step.report.now_ns, step.request, core.streaming, &core.vehicle);
         let Some(system) = core.system_id else { return };

@@ -4,6 +4,7 @@
 //! The files never change and nothing can be written, so a repeated request gets the same answer without being remembered.
 //! There is no metadata of events: the guidance computer sends none.
 
+use crate::autopilot::command_number::REQUEST_MESSAGE;
 use crate::core::Core;
 use crate::crc::crc32;
 use crate::framing::{Packet, Zeroed};
@@ -15,7 +16,6 @@ use mavlink::MessageData;
 use mavlink::dialects::common::{COMPONENT_METADATA_DATA, FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr, MavMessage};
 use vigil_types::{Datagrams, Nanos, Reasons};
 
-const REQUEST_MESSAGE: u16 = 512;
 /// Without a component's number: the component that names the file has it.
 const GENERAL_URI: &str = "mftp:///general.json";
 /// Bytes of FILE_TRANSFER_PROTOCOL before the data, and of the data at most.

@@ -209,10 +209,8 @@ impl StreamService {
             return None;
         }
         for ((needed, watched), ask) in NEEDED.iter().zip(&mut self.watched).zip(&mut self.ask) {
-            if needed.id == POSITION_TARGET_GLOBAL_INT_DATA::ID && !self.guards {
-                continue;
-            }
-            if needed.of_ardupilot && self.flavour != Flavour::ArduPilot {
+            let is_place = needed.id == POSITION_TARGET_GLOBAL_INT_DATA::ID;
+            if is_place && !self.guards || needed.of_ardupilot && self.flavour != Flavour::ArduPilot {
                 continue;
             }
             watched.since_ns.get_or_insert(now_ns);
@@ -258,11 +256,7 @@ impl StreamService {
             .cycle()
             .skip(usize::from(self.places_asked) % 2);
         let (id, _) = by_turns.take(2).find(|(_, known)| !known)?;
-        self.places_asked = if self.places_asked == u8::MAX {
-            64
-        } else {
-            self.places_asked + 1
-        };
+        self.places_asked = self.places_asked.checked_add(1).unwrap_or(64);
         self.asked_ns = now_ns;
         let params = self.flavour.params(&[(1, *id as f32), (7, 0.0)]);
         Some(Ask::Command(command_number::REQUEST_MESSAGE, params))

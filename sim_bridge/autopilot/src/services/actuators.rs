@@ -40,8 +40,7 @@ impl Service for Actuators {
             return Answer::ACCEPTED;
         }
         if core.commander.is_armed() {
-            core.warn("actuator test denied: armed");
-            return Answer::DENIED;
+            return Answer::DENIED.told("actuator test denied: armed", core);
         }
         let function = match command.form {
             CommandForm::Int { x, .. } => Some(x as f32),

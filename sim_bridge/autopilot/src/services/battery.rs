@@ -14,26 +14,22 @@ fn battery(core: &Core) -> Option<MavMessage> {
     // Cells are not modelled: the first entry holds the pack's voltage, the rest is unknown.
     let mut voltages = [u16::MAX; 10];
     voltages[0] = (s.battery_voltage_v * 1e3) as u16;
-    let remaining = percent(core);
-    let charge_state = match remaining {
+    let battery_remaining = percent(core);
+    let charge_state = match battery_remaining {
         ..=5 => MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_CRITICAL,
         6..=15 => MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_LOW,
         _ => MavBatteryChargeState::MAV_BATTERY_CHARGE_STATE_OK,
     };
-    Some(MavMessage::BATTERY_STATUS(BATTERY_STATUS_DATA {
-        current_consumed: -1,
-        energy_consumed: -1,
-        temperature: i16::MAX,
+    Some(message!(
+        BATTERY_STATUS,
+        current_consumed = -1,
+        energy_consumed = -1,
+        temperature = i16::MAX,
         voltages,
-        current_battery: (s.battery_current_a * 100.0) as i16,
-        id: 0,
-        battery_function: MavBatteryFunction::MAV_BATTERY_FUNCTION_ALL,
-        mavtype: MavBatteryType::MAV_BATTERY_TYPE_LIPO,
-        battery_remaining: remaining,
-        time_remaining: 0,
-        charge_state,
-        voltages_ext: [0; 4],
-        mode: MavBatteryMode::MAV_BATTERY_MODE_UNKNOWN,
-        ..Default::default()
-    }))
+        current_battery = (s.battery_current_a * 100.0) as i16,
+        battery_function = MavBatteryFunction::MAV_BATTERY_FUNCTION_ALL,
+        mavtype = MavBatteryType::MAV_BATTERY_TYPE_LIPO,
+        battery_remaining,
+        charge_state
+    ))
 }

@@ -37,10 +37,6 @@ impl Service for Calibration {
 
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
         let params: [f32; 7] = std::array::from_fn(|i| command.param(i + 1).unwrap_or(0.0));
-        let warn = |core: &mut Core, text: &str| {
-            core.warn(text);
-            Answer::REJECTED
-        };
         let (name, look, limit): (_, fn(&VehicleView) -> _, _) = match params {
             p if p == [0.0; 7] => {
                 if self.running.take().is_some() {
@@ -51,15 +47,16 @@ impl Service for Calibration {
             [1.0, ..] => ("gyro", gyro, MAX_RATE_RAD_S),
             [_, _, _, _, 2.0, ..] => ("level", tilt, MAX_TILT_RAD),
             [_, 1.0, ..] | [_, _, _, _, 1.0, ..] => {
-                return warn(core, "calibration denied: nobody turns a simulated vehicle by hand");
+                let text = "calibration denied: nobody turns a simulated vehicle by hand";
+                return Answer::REJECTED.told(text, core);
             }
             _ => return Answer::UNSUPPORTED,
         };
         if core.commander.is_armed() {
-            return warn(core, "calibration denied: armed");
+            return Answer::REJECTED.told("calibration denied: armed", core);
         }
         if self.running.is_some() {
-            return warn(core, "calibration denied: another one is running");
+            return Answer::REJECTED.told("calibration denied: another one is running", core);
         }
         core.inform(&format!("[cal] calibration started: 2 {name}"));
         self.due_ns = core.now_ns + LOOK_NS;

@@ -143,8 +143,7 @@ impl Service for Ftp {
             a.client == source && a.request == message.payload && core.now_ns.saturating_sub(a.at_ns) < ANSWER_KEPT_NS
         });
         if let Some(answer) = answered {
-            send(core, source, answer.payload);
-            return;
+            return send(core, source, answer.payload);
         }
         let request = Request::read(&message.payload);
         let outcome = self.handle(&request, source, core);
@@ -220,13 +219,7 @@ fn encode(
 }
 
 fn send(core: &mut Core, client: Source, payload: [u8; 251]) {
-    let message = MavMessage::FILE_TRANSFER_PROTOCOL(FILE_TRANSFER_PROTOCOL_DATA {
-        target_network: 0,
-        target_system: client.id.system,
-        target_component: client.id.component,
-        payload,
-    });
-    core.outbox.send(client.link, &message);
+    core.outbox.send_to(client, message!(FILE_TRANSFER_PROTOCOL, payload));
 }
 
 impl Ftp {
@@ -238,19 +231,19 @@ impl Ftp {
         }
         let is = |opcode: Opcode| request.opcode == opcode as u8;
         let now_s = core.unix_time_s();
-        let done = Reply::new;
+        let done = |()| Reply::new();
         let reply = if is(MAV_FTP_OPCODE_NONE) {
-            done()
+            done(())
         } else if is(MAV_FTP_OPCODE_TERMINATESESSION) {
             let index = self.find(client, request.session)?;
             let session = self.sessions.remove(index);
             if let Some(stored) = session.made.filter(|_| session.writes) {
                 packed_parameters::store(&stored, core).map_err(|()| MavFtpErr::MAV_FTP_ERR_FAIL)?;
             }
-            done()
+            done(())
         } else if is(MAV_FTP_OPCODE_RESETSESSION) {
             self.sessions.retain(|s| s.client != client);
-            done()
+            done(())
         } else if is(MAV_FTP_OPCODE_LISTDIRECTORY) {
             list(&core.files, request, false)?
         } else if is(MAV_FTP_OPCODE_LISTDIRECTORYWITHTIME) {
@@ -275,21 +268,16 @@ impl Ftp {
         } else if is(MAV_FTP_OPCODE_WRITEFILE) {
             self.write(request, client, core)?
         } else if is(MAV_FTP_OPCODE_REMOVEFILE) {
-            core.files.remove_file(request.path()?)?;
-            done()
+            core.files.remove_file(request.path()?).map(done)?
         } else if is(MAV_FTP_OPCODE_CREATEDIRECTORY) {
-            core.files.make_directory(request.path()?, now_s)?;
-            done()
+            core.files.make_directory(request.path()?, now_s).map(done)?
         } else if is(MAV_FTP_OPCODE_REMOVEDIRECTORY) {
-            core.files.remove_directory(request.path()?)?;
-            done()
+            core.files.remove_directory(request.path()?).map(done)?
         } else if is(MAV_FTP_OPCODE_TRUNCATEFILE) {
-            core.files.truncate(request.path()?, request.offset, now_s)?;
-            done()
+            core.files.truncate(request.path()?, request.offset, now_s).map(done)?
         } else if is(MAV_FTP_OPCODE_RENAME) {
             let (from, to) = request.texts()?;
-            core.files.rename(from, to)?;
-            done()
+            core.files.rename(from, to).map(done)?
         } else if is(MAV_FTP_OPCODE_CALCFILECRC) {
             let path = request.path()?;
             match packed_parameters::read(path, core) {

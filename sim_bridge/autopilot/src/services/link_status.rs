@@ -41,19 +41,16 @@ impl Service for LinkStatus {
         let rates = self.links.get(usize::from(link.0))?;
         let received = core.received.get(usize::from(link.0))?;
         // Damaged packets and dropped ones are counted for all links together.
-        Some(MavMessage::LINK_NODE_STATUS(LINK_NODE_STATUS_DATA {
-            timestamp: core.time_boot_us(),
-            tx_rate: rates.tx_bytes_s,
-            rx_rate: rates.rx_bytes_s,
-            messages_sent: core.outbox.sent(link).packets as u32,
-            messages_received: received.packets as u32,
-            messages_lost: 0,
-            rx_parse_err: (core.framing.bad_crc + core.framing.truncated).min(u64::from(u16::MAX)) as u16,
-            tx_overflows: core.outbox.dropped().min(u64::from(u16::MAX)) as u16,
-            rx_overflows: 0,
-            tx_buf: 0,
-            rx_buf: 0,
-        }))
+        Some(message!(
+            LINK_NODE_STATUS,
+            timestamp = core.time_boot_us(),
+            tx_rate = rates.tx_bytes_s,
+            rx_rate = rates.rx_bytes_s,
+            messages_sent = core.outbox.sent(link).packets as u32,
+            messages_received = received.packets as u32,
+            rx_parse_err = (core.framing.bad_crc + core.framing.truncated).min(u64::from(u16::MAX)) as u16,
+            tx_overflows = core.outbox.dropped().min(u64::from(u16::MAX)) as u16
+        ))
     }
 
     fn due_ns(&self) -> Nanos {
@@ -74,10 +71,9 @@ impl Service for LinkStatus {
 
 /// To everybody, who answers as `services::time` does. The time tells one from the next.
 fn ping(core: &Core) -> Option<MavMessage> {
-    Some(MavMessage::PING(PING_DATA {
-        time_usec: core.time_boot_us(),
-        seq: (core.time_boot_ms() as f32 * 1e-3 * PING_HZ) as u32,
-        target_system: 0,
-        target_component: 0,
-    }))
+    Some(message!(
+        PING,
+        time_usec = core.time_boot_us(),
+        seq = (core.time_boot_ms() as f32 * 1e-3 * PING_HZ) as u32
+    ))
 }

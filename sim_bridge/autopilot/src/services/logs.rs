@@ -228,17 +228,16 @@ impl Stream {
             }
             self.message = ulog::next_message(content, self.message, self.offset);
             let first = self.message.saturating_sub(self.offset);
-            let message = MavMessage::LOGGING_DATA(LOGGING_DATA_DATA {
-                sequence: self.sequence,
-                target_system: self.client.id.system,
-                target_component: self.client.id.component,
-                length: bytes.len() as u8,
-                first_message_offset: if first < bytes.len() { first as u8 } else { NO_MESSAGE },
-                data: padded::<STREAM_CHUNK>(bytes),
-            });
+            let message = message!(
+                LOGGING_DATA,
+                sequence = self.sequence,
+                length = bytes.len() as u8,
+                first_message_offset = if first < bytes.len() { first as u8 } else { NO_MESSAGE },
+                data = padded::<STREAM_CHUNK>(bytes)
+            );
             self.offset = to;
             self.sequence = self.sequence.wrapping_add(1);
-            core.outbox.send(self.client.link, &message);
+            core.outbox.send_to(self.client, message);
         }
     }
 }

@@ -67,11 +67,7 @@ fn set_current(index: usize, core: &mut Core) -> bool {
 fn start(command: &Command, source: Source, core: &mut Core) -> Answer {
     match command.param(1) {
         None | Some(-1.0) => {}
-        Some(first) if first >= 0.0 => {
-            if !set_current(first as usize, core) {
-                return Answer::DENIED;
-            }
-        }
+        Some(first) if first >= 0.0 && set_current(first as usize, core) => {}
         Some(_) => return Answer::DENIED,
     }
     if let Err(denial) = core.mission_check() {

@@ -31,9 +31,12 @@ impl Service for Modes {
     fn messages(&self) -> &'static [Produced] {
         const {
             &[
-                Produced::from(AVAILABLE_MODES_DATA::ID, [0.0; 3], first),
+                Produced::from(AVAILABLE_MODES_DATA::ID, [0.0; 3], |_| available(1)),
                 Produced::from(CURRENT_MODE_DATA::ID, [0.0, 0.5, 0.5], current),
-                Produced::from(AVAILABLE_MODES_MONITOR_DATA::ID, [0.0, 0.3, 0.3], monitor),
+                // The modes are always the same.
+                Produced::from(AVAILABLE_MODES_MONITOR_DATA::ID, [0.0, 0.3, 0.3], |_| {
+                    Some(message!(AVAILABLE_MODES_MONITOR))
+                }),
             ]
         }
     }
@@ -89,22 +92,11 @@ fn available(index: usize) -> Option<MavMessage> {
     }))
 }
 
-fn first(_core: &Core) -> Option<MavMessage> {
-    available(1)
-}
-
 fn current(core: &Core) -> Option<MavMessage> {
     let mode = core.commander.mode();
     Some(MavMessage::CURRENT_MODE(CURRENT_MODE_DATA {
         custom_mode: mode.custom_mode(),
         intended_custom_mode: core.commander.intended_mode().custom_mode(),
         standard_mode: standard(mode),
-    }))
-}
-
-/// The modes are always the same.
-fn monitor(_core: &Core) -> Option<MavMessage> {
-    Some(MavMessage::AVAILABLE_MODES_MONITOR(AVAILABLE_MODES_MONITOR_DATA {
-        seq: 0,
     }))
 }

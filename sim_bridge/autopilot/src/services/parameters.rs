@@ -117,14 +117,8 @@ fn hash_message(core: &Core) -> MavMessage {
 /// Counts a refusal and tells the sender.
 fn refuse(core: &mut Core, source: Source, param_id: CharArray<16>, param_index: i16, error: MavParamError) {
     core.refusals.parameter += 1;
-    let message = MavMessage::PARAM_ERROR(PARAM_ERROR_DATA {
-        param_index,
-        target_system: source.id.system,
-        target_component: source.id.component,
-        param_id,
-        error,
-    });
-    core.outbox.send(source.link, &message);
+    core.outbox
+        .send_to(source, message!(PARAM_ERROR, param_index, param_id, error));
 }
 
 /// Sets and tells everybody the value in force. A refusal tells the sender the value that stays and why, for clients that

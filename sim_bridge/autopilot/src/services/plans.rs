@@ -245,14 +245,13 @@ fn tell_count(mission_type: u8, source: Source, core: &mut Core) {
         return acknowledge(core, source, mission_type, MavMissionResult::MAV_MISSION_UNSUPPORTED);
     };
     let wire = core.plans.wire(kind);
-    let message = MavMessage::MISSION_COUNT(MISSION_COUNT_DATA {
-        count: wire.items.len() as u16,
-        target_system: source.id.system,
-        target_component: source.id.component,
-        mission_type: kind.wire(),
-        opaque_id: wire.id,
-    });
-    core.outbox.send(source.link, &message);
+    let message = message!(
+        MISSION_COUNT,
+        count = wire.items.len() as u16,
+        mission_type = kind.wire(),
+        opaque_id = wire.id
+    );
+    core.outbox.send_to(source, message);
 }
 
 fn tell_item(seq: u16, mission_type: u8, as_int: bool, source: Source, core: &mut Core) {

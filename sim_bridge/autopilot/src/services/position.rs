@@ -122,16 +122,14 @@ fn global_target(core: &Core) -> Option<MavMessage> {
         _ => core.place_flown_to()?,
     };
     let (lat, lon, alt_m) = geo::to_global(&core.home, place);
-    Some(MavMessage::POSITION_TARGET_GLOBAL_INT(
-        POSITION_TARGET_GLOBAL_INT_DATA {
-            time_boot_ms: core.time_boot_ms(),
-            lat_int: geo::deg_e7(lat),
-            lon_int: geo::deg_e7(lon),
-            alt: alt_m as f32,
-            // A position alone.
-            type_mask: PositionTargetTypemask::from_bits_truncate(0xDF8),
-            coordinate_frame: MavFrame::MAV_FRAME_GLOBAL,
-            ..Default::default()
-        },
+    Some(message!(
+        POSITION_TARGET_GLOBAL_INT,
+        time_boot_ms = core.time_boot_ms(),
+        lat_int = geo::deg_e7(lat),
+        lon_int = geo::deg_e7(lon),
+        alt = alt_m as f32,
+        // A position alone.
+        type_mask = PositionTargetTypemask::from_bits_truncate(0xDF8),
+        coordinate_frame = MavFrame::MAV_FRAME_GLOBAL
     ))
 }

@@ -128,13 +128,12 @@ fn raw_imu(core: &Core) -> Option<MavMessage> {
 
 fn pressure(core: &Core) -> Option<MavMessage> {
     let altitude_m = barometric_altitude_m(core)?;
-    Some(MavMessage::SCALED_PRESSURE(SCALED_PRESSURE_DATA {
-        time_boot_ms: core.time_boot_ms(),
-        press_abs: pressure_hpa(altitude_m),
-        press_diff: 0.0,
-        temperature: (TEMPERATURE_C * 100.0) as i16,
-        ..Default::default()
-    }))
+    Some(message!(
+        SCALED_PRESSURE,
+        time_boot_ms = core.time_boot_ms(),
+        press_abs = pressure_hpa(altitude_m),
+        temperature = (TEMPERATURE_C * 100.0) as i16
+    ))
 }
 
 fn gps(core: &Core) -> Option<MavMessage> {

@@ -66,17 +66,14 @@ impl Service for Shell {
 
 fn reply(output: &str, client: Source, core: &mut Core) {
     for chunk in output.as_bytes().chunks(CHUNK) {
-        let message = MavMessage::SERIAL_CONTROL(SERIAL_CONTROL_DATA {
-            baudrate: 0,
-            timeout: 0,
-            device: SerialControlDev::SERIAL_CONTROL_DEV_SHELL,
-            flags: SerialControlFlag::SERIAL_CONTROL_FLAG_REPLY,
-            count: chunk.len() as u8,
-            data: padded::<CHUNK>(chunk),
-            target_system: client.id.system,
-            target_component: client.id.component,
-        });
-        core.outbox.send(client.link, &message);
+        let message = message!(
+            SERIAL_CONTROL,
+            device = SerialControlDev::SERIAL_CONTROL_DEV_SHELL,
+            flags = SerialControlFlag::SERIAL_CONTROL_FLAG_REPLY,
+            count = chunk.len() as u8,
+            data = padded::<CHUNK>(chunk)
+        );
+        core.outbox.send_to(client, message);
     }
 }
 

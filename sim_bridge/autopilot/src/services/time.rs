@@ -6,27 +6,16 @@ pub(crate) struct Time;
 
 impl Service for Time {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        let (target_system, target_component) = (source.id.system, source.id.component);
         // 0/0 asks everybody; anything else is somebody's answer.
         if let Some(ping) = core.read::<PING_DATA>(packet)
             && (ping.target_system, ping.target_component) == (0, 0)
         {
-            let answer = PING_DATA {
-                target_system,
-                target_component,
-                ..ping
-            };
-            core.outbox.send(source.link, &MavMessage::PING(answer));
+            core.outbox.send_to(source, MavMessage::PING(ping));
         }
         // tc1 is 0 in a request.
         if let Some(TIMESYNC_DATA { tc1: 0, ts1, .. }) = core.read(packet) {
-            let answer = TIMESYNC_DATA {
-                tc1: core.since_boot_ns() as i64,
-                ts1,
-                target_system,
-                target_component,
-            };
-            core.outbox.send(source.link, &MavMessage::TIMESYNC(answer));
+            let tc1 = core.since_boot_ns() as i64;
+            core.outbox.send_to(source, message!(TIMESYNC, tc1, ts1));
         }
     }
 

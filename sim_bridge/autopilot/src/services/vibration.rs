@@ -44,14 +44,12 @@ impl Service for Vibration {
 }
 
 fn vibration([vibration_x, vibration_y, vibration_z]: [f32; 3], core: &Core) -> MavMessage {
-    MavMessage::VIBRATION(VIBRATION_DATA {
-        time_usec: core.time_boot_us(),
+    // The modelled accelerometer does not clip.
+    message!(
+        VIBRATION,
+        time_usec = core.time_boot_us(),
         vibration_x,
         vibration_y,
-        vibration_z,
-        // The modelled accelerometer does not clip.
-        clipping_0: 0,
-        clipping_1: 0,
-        clipping_2: 0,
-    })
+        vibration_z
+    )
 }

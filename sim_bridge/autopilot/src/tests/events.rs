@@ -37,9 +37,7 @@ fn a_flight_is_told_in_order_and_without_gaps() {
 #[test]
 fn a_lost_stream_is_a_critical_event() {
     let mut b = Bench::airborne();
-    b.stream(API, SCRIPT, [0.0; 3]);
-    b.run_ms(200);
-    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.fly(API, SCRIPT, [0.0; 3], 200);
     b.run_ms(100);
     b.sent.clear();
     b.stop_stream(SCRIPT);

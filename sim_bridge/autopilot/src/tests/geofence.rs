@@ -21,16 +21,9 @@ fn airborne(parameters: &[(&str, f64)]) -> Bench {
     b
 }
 
-/// Flies forward under OFFBOARD.
-fn fly(b: &mut Bench, velocity: [f32; 3]) {
-    b.stream(API, SCRIPT, velocity);
-    b.run_ms(100);
-    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
-}
-
-/// The same until the vehicle leaves that mode.
+/// Flies under OFFBOARD until the vehicle leaves that mode.
 fn fly_out(b: &mut Bench, velocity: [f32; 3]) {
-    fly(b, velocity);
+    b.fly(API, SCRIPT, velocity, 100);
     b.run_until(30, "leaves OFFBOARD", |b| b.status().mode != FlightMode::Offboard);
 }
 
@@ -55,7 +48,7 @@ fn leaving_a_polygon_holds_by_default() {
     assert_eq!((status.breach_status, status.breach_count), (1, 1));
     assert_eq!(status.breach_type, FenceBreach::FENCE_BREACH_BOUNDARY);
     // The pilot takes over and flies back in: the breach is over, and the next one counts again.
-    fly(&mut b, [-2.0, 0.0, 0.0]);
+    b.fly(API, SCRIPT, [-2.0, 0.0, 0.0], 100);
     b.run_until(10, "back inside", |b| {
         fence_status(b).is_some_and(|s| s.breach_status == 0)
     });
@@ -84,13 +77,13 @@ fn the_action_is_a_parameter() {
     }
     let mut b = airborne(&[("GF_ACTION", 4.0)]);
     b.upload(FENCE, &square(5001, (0.0, 0.0), 5.0));
-    fly(&mut b, [1.5, 0.0, 0.0]);
+    b.fly(API, SCRIPT, [1.5, 0.0, 0.0], 100);
     b.run_until(20, "terminated", |b| b.status().terminated);
     // A warning, or nothing at all, lets it fly on.
     for (action, warns) in [(1.0, true), (0.0, false)] {
         let mut b = airborne(&[("GF_ACTION", action)]);
         b.upload(FENCE, &square(5001, (0.0, 0.0), 5.0));
-        fly(&mut b, [1.5, 0.0, 0.0]);
+        b.fly(API, SCRIPT, [1.5, 0.0, 0.0], 100);
         b.run_until(20, "outside", |b| b.position_m()[0] > 8.0);
         assert_eq!(b.status().mode, FlightMode::Offboard);
         assert_eq!(b.texts().iter().any(|t| t == "geofence breached: warning"), warns);

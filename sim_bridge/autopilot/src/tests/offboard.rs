@@ -177,9 +177,7 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
     b.send_raw(API, &raw(SCRIPT, 84, &payload));
     assert_eq!(b.texts(), ["setpoints of 245/190: frame 99 is not flown"]);
     // Who mends his frame is flown, and hears nothing more.
-    b.stream(API, SCRIPT, [0.5, 0.0, 0.0]);
-    b.run_ms(100);
-    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.fly(API, SCRIPT, [0.5, 0.0, 0.0], 100);
     b.run_ms(6_000);
     let texts = b.texts();
     assert!(!texts[1..].iter().any(|text| text.contains("not flown")), "{texts:?}");

@@ -80,9 +80,7 @@ fn two_sources_never_mix() {
 fn an_owners_identity_claimed_elsewhere_is_somebody_else() {
     for (link, peer) in [(API, 0), (GCS, 3), (ONBOARD, 7)] {
         let mut b = Bench::airborne();
-        b.stream(ONBOARD, COMPANION, [1.0, 0.0, 0.0]);
-        b.run_ms(200);
-        assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), ACCEPTED);
+        b.fly(ONBOARD, COMPANION, [1.0, 0.0, 0.0], 200);
         b.run_ms(200);
         let before = b.status().refusals;
         for _ in 0..200 {
@@ -137,9 +135,7 @@ fn a_flood_of_made_up_claimants_neither_fills_the_links_with_texts_nor_keeps_the
 #[test]
 fn a_lost_stream_means_hold_within_half_a_second_until_it_comes_again() {
     let mut b = Bench::airborne();
-    b.stream(ONBOARD, COMPANION, [1.5, 0.0, 0.0]);
-    b.run_ms(1_000);
-    assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), ACCEPTED);
+    b.fly(ONBOARD, COMPANION, [1.5, 0.0, 0.0], 1_000);
     // Somebody else's stream neither keeps a dead owner alive nor brings OFFBOARD back; its own does, as with PX4.
     b.stream(API, SCRIPT, [0.5, 0.0, 0.0]);
     b.run_ms(2_000);
@@ -177,9 +173,7 @@ fn a_lost_stream_means_hold_within_half_a_second_until_it_comes_again() {
 #[test]
 fn offboard_on_the_ground_idles_until_the_setpoint_goes_up() {
     let mut b = Bench::new();
-    b.stream(API, SCRIPT, [1.0, 0.0, 0.0]);
-    b.run_ms(500);
-    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.fly(API, SCRIPT, [1.0, 0.0, 0.0], 500);
     b.arm();
     b.run_ms(500);
     assert_eq!(b.command, ControlCommand::Idle);
@@ -194,9 +188,7 @@ fn speeds_beyond_the_limits_are_limited_and_keep_their_direction() {
     config.parameters.insert("MPC_XY_VEL_MAX".into(), 2.0);
     let mut b = Bench::with(config);
     b.take_off();
-    b.stream(API, SCRIPT, [30.0, 40.0, -50.0]);
-    b.run_ms(100);
-    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.fly(API, SCRIPT, [30.0, 40.0, -50.0], 100);
     b.run_ms(100);
     let v = flown(&b);
     let is_limited = (v.x - 1.2).abs() < 1e-5 && (v.y - 1.6).abs() < 1e-5 && v.z == -2.5;

@@ -251,6 +251,7 @@ fn a_plan_that_makes_no_sense_is_refused_with_a_reason_and_the_old_one_stays() {
     let good = waypoint((10.0, 2.0), 5.0);
     assert_eq!(b.upload(MISSION, &[good]), R::MAV_MISSION_ACCEPTED);
     let with = |params| PlanItem { params, ..good };
+    let (west, high) = (-2_000_000_000, f32::INFINITY);
     for (bad, result) in [
         (item(60_000, [0.0; 4], (0.0, 1.0), 5.0), R::MAV_MISSION_UNSUPPORTED),
         (action(84, [0.0; 4]), R::MAV_MISSION_UNSUPPORTED),
@@ -263,21 +264,9 @@ fn a_plan_that_makes_no_sense_is_refused_with_a_reason_and_the_old_one_stays() {
         (PlanItem { x: 0, y: 0, ..good }, R::MAV_MISSION_INVALID_PARAM5_X),
         (PlanItem { x: 100_000_000, ..good }, R::MAV_MISSION_INVALID_PARAM5_X),
         (PlanItem { x: 950_000_000, ..good }, R::MAV_MISSION_INVALID_PARAM5_X),
-        (
-            PlanItem {
-                y: -2_000_000_000,
-                ..good
-            },
-            R::MAV_MISSION_INVALID_PARAM6_Y,
-        ),
+        (PlanItem { y: west, ..good }, R::MAV_MISSION_INVALID_PARAM6_Y),
         (PlanItem { z: 501.0, ..good }, R::MAV_MISSION_INVALID_PARAM7),
-        (
-            PlanItem {
-                z: f32::INFINITY,
-                ..good
-            },
-            R::MAV_MISSION_INVALID_PARAM7,
-        ),
+        (PlanItem { z: high, ..good }, R::MAV_MISSION_INVALID_PARAM7),
         (action(93, [-1.0, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
         (action(177, [9.0, 1.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
         (action(177, [0.0, f32::NAN, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
@@ -326,20 +315,19 @@ fn ids_tell_which_plan_is_on_board() {
     assert_eq!((one.fence_id, one.rally_points_id), (0, 0));
 }
 
-/// Payload of a message of the mission protocol with its target fields set to the vehicle.
-fn addressed(id: u32, mut payload: Vec<u8>) -> Vec<u8> {
-    let at = match id {
-        MISSION_ITEM_DATA::ID | MISSION_ITEM_INT_DATA::ID => 32,
-        MISSION_REQUEST_PARTIAL_LIST_DATA::ID | MISSION_WRITE_PARTIAL_LIST_DATA::ID => 4,
-        MISSION_COUNT_DATA::ID
-        | MISSION_REQUEST_DATA::ID
-        | MISSION_REQUEST_INT_DATA::ID
-        | MISSION_SET_CURRENT_DATA::ID => 2,
-        _ => 0,
-    };
-    payload[at..at + 2].copy_from_slice(&[1, 1]);
-    payload
-}
+/// Messages of the mission protocol, where their target fields are, and how much of them is sent.
+const MESSAGES: [(u32, usize, usize); 10] = [
+    (MISSION_REQUEST_PARTIAL_LIST_DATA::ID, 4, 9),
+    (MISSION_WRITE_PARTIAL_LIST_DATA::ID, 4, 9),
+    (MISSION_ITEM_DATA::ID, 32, 38),
+    (MISSION_REQUEST_DATA::ID, 2, 9),
+    (MISSION_SET_CURRENT_DATA::ID, 2, 9),
+    (MISSION_REQUEST_LIST_DATA::ID, 0, 9),
+    (MISSION_COUNT_DATA::ID, 2, 9),
+    (MISSION_ACK_DATA::ID, 0, 9),
+    (MISSION_REQUEST_INT_DATA::ID, 2, 9),
+    (MISSION_ITEM_INT_DATA::ID, 32, 38),
+];
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
@@ -348,24 +336,11 @@ proptest! {
     fn nonsense_in_the_mission_protocol_does_no_harm(
         messages in proptest::collection::vec((0_usize..10, proptest::collection::vec(any::<u8>(), 38)), 1..60),
     ) {
-        const IDS: [u32; 10] = [
-            MISSION_REQUEST_PARTIAL_LIST_DATA::ID,
-            MISSION_WRITE_PARTIAL_LIST_DATA::ID,
-            MISSION_ITEM_DATA::ID,
-            MISSION_REQUEST_DATA::ID,
-            MISSION_SET_CURRENT_DATA::ID,
-            MISSION_REQUEST_LIST_DATA::ID,
-            MISSION_COUNT_DATA::ID,
-            MISSION_ACK_DATA::ID,
-            MISSION_REQUEST_INT_DATA::ID,
-            MISSION_ITEM_INT_DATA::ID,
-        ];
         let mut b = Bench::airborne();
         prop_assert_eq!(b.upload(MISSION, &[waypoint((10.0, 2.0), 5.0)]), R::MAV_MISSION_ACCEPTED);
-        for (which, payload) in messages {
-            let id = IDS[which];
-            let len = if id == MISSION_ITEM_DATA::ID || id == MISSION_ITEM_INT_DATA::ID { 38 } else { 9 };
-            let mut payload = addressed(id, payload);
+        for (which, mut payload) in messages {
+            let (id, target_at, len) = MESSAGES[which];
+            payload[target_at..target_at + 2].copy_from_slice(&[1, 1]);
             // Few kinds and small counts, so that uploads do begin.
             if id == MISSION_COUNT_DATA::ID {
                 payload[0] &= 3;

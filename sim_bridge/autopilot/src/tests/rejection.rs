@@ -2,6 +2,7 @@
 
 use crate::testing::*;
 use proptest::prelude::*;
+use vigil_mavlink::framing::{CommandForm, FramingCounters, packets};
 
 #[test]
 fn arming_with_nonsense_is_denied() {
@@ -15,9 +16,7 @@ fn arming_with_nonsense_is_denied() {
 #[test]
 fn bad_setpoints_are_counted_and_do_not_keep_offboard_alive() {
     let mut b = Bench::airborne();
-    b.stream(API, SCRIPT, [0.5, 0.0, 0.0]);
-    b.run_ms(200);
-    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.fly(API, SCRIPT, [0.5, 0.0, 0.0], 200);
     b.stream(API, SCRIPT, [f32::INFINITY, 0.0, 0.0]);
     b.run_ms(1_100);
     let status = b.status();
@@ -31,15 +30,8 @@ fn bad_setpoints_are_counted_and_do_not_keep_offboard_alive() {
 #[test]
 fn damaged_truncated_and_garbage_bytes_are_counted_and_the_next_packet_is_heard() {
     let mut b = Bench::new();
-    let command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM;
-    let arm = message!(
-        COMMAND_LONG,
-        param1 = 1.0,
-        command,
-        target_system = 1,
-        target_component = 1
-    );
-    let good = b.packet(SCRIPT, &arm);
+    let arm = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let good = command(SCRIPT, 400, arm, LONG);
     let mut damaged = good.clone();
     damaged[12] ^= 0x40;
     b.send_raw(API, &damaged);
@@ -136,26 +128,11 @@ fn raw(id: u32, payload: &[u8]) -> Vec<u8> {
     crate::testing::raw(SCRIPT, id, payload)
 }
 
-fn command_payload(number: u16, params: [f32; 7], as_int: Option<(u8, i32, i32)>) -> (u32, Vec<u8>) {
-    let mut payload: Vec<u8> = params.iter().flat_map(|p| p.to_le_bytes()).collect();
-    payload.extend_from_slice(&number.to_le_bytes());
-    payload.extend_from_slice(&[1, 1, 0]);
-    let Some((frame, x, y)) = as_int else {
-        return (COMMAND_LONG_DATA::ID, payload);
-    };
-    payload[16..24].copy_from_slice(&[x.to_le_bytes(), y.to_le_bytes()].concat());
-    payload[32] = frame;
-    payload.extend_from_slice(&[0, 0]);
-    (COMMAND_INT_DATA::ID, payload)
-}
-
 /// The commands of the dialect, and one number that it does not have.
 fn commands() -> impl Iterator<Item = u16> {
     let is_known = |number: &u16| {
-        let (id, payload) = command_payload(*number, [0.0; 7], None);
-        let packet = raw(id, &payload);
-        let mut counters = vigil_mavlink::framing::FramingCounters::default();
-        vigil_mavlink::framing::packets(&packet, &mut counters).any(|packet| packet.message().is_ok())
+        let packet = command(SCRIPT, *number, [0.0; 7], LONG);
+        packets(&packet, &mut FramingCounters::default()).any(|packet| packet.message().is_ok())
     };
     (0..u16::MAX).filter(is_known).chain([65_000])
 }
@@ -187,8 +164,7 @@ fn every_command_of_the_dialect_is_answered_once_with_extremes_in_every_paramete
                     Some(param) => *param = extreme,
                     None => params = [extreme; 7],
                 }
-                let (id, payload) = command_payload(number, params, None);
-                let answers = b.survives(&raw(id, &payload), &(number, params));
+                let answers = b.survives(&command(SCRIPT, number, params, LONG), &(number, params));
                 assert_eq!(answers, 1, "{number} {params:?}");
             }
         }
@@ -196,8 +172,8 @@ fn every_command_of_the_dialect_is_answered_once_with_extremes_in_every_paramete
             let extreme = EXTREMES[i % EXTREMES.len()];
             let x = EXTREME_INTEGERS[i % EXTREME_INTEGERS.len()];
             let y = EXTREME_INTEGERS[i / 5 % EXTREME_INTEGERS.len()];
-            let (id, payload) = command_payload(number, [extreme; 7], Some((frame, x, y)));
-            let answers = b.survives(&raw(id, &payload), &(number, frame, extreme, x, y));
+            let packet = command(SCRIPT, number, [extreme; 7], CommandForm::Int { frame, x, y });
+            let answers = b.survives(&packet, &(number, frame, extreme, x, y));
             assert_eq!(answers, 1, "{number} {frame}");
         }
         b.run_ms(200);

@@ -10,6 +10,12 @@ fn forwarded(b: &Bench, link: LinkId) -> Vec<(ComponentId, MavMessage)> {
         .collect()
 }
 
+const ARM: MavCmd = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM;
+
+fn command_to(target_system: u8, target_component: u8, command: MavCmd) -> MavMessage {
+    message!(COMMAND_LONG, param1 = 1.0, command, target_system, target_component)
+}
+
 #[test]
 fn a_script_sees_the_companions_heartbeat_texts_and_values() {
     let mut b = Bench::new();
@@ -31,24 +37,13 @@ fn a_command_for_the_companion_reaches_it_and_the_vehicle_does_not_answer() {
     let mut b = Bench::new();
     b.send_heartbeat(ONBOARD, COMPANION);
     b.sent.clear();
-    let command = message!(
-        COMMAND_LONG,
-        param1 = 1.0,
-        command = MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
-        target_system = 1,
-        target_component = 191
-    );
+    let command = command_to(1, 191, MavCmd::MAV_CMD_NAV_GUIDED_ENABLE);
     b.send(API, SCRIPT, &command);
     assert_eq!(forwarded(&b, ONBOARD), [(SCRIPT, command)]);
     assert!(b.sent.iter().all(|s| s.ack.is_none()));
     assert!(forwarded(&b, GCS).is_empty());
     // To everybody it is passed on, and the vehicle neither arms nor answers, as PX4 does not.
-    let to_all = message!(
-        COMMAND_LONG,
-        param1 = 1.0,
-        command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM
-    );
-    b.send(API, SCRIPT, &to_all);
+    b.send(API, SCRIPT, &command_to(0, 0, ARM));
     assert!(b.sent.iter().all(|s| s.ack.is_none()) && !b.status().armed);
     // Its acknowledgement goes back to the script alone.
     b.sent.clear();
@@ -67,24 +62,12 @@ fn a_command_for_the_companion_reaches_it_and_the_vehicle_does_not_answer() {
 fn a_command_for_a_component_nobody_saw_goes_nowhere_and_stays_unanswered() {
     let mut b = Bench::new();
     b.sent.clear();
-    let command = message!(
-        COMMAND_LONG,
-        command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
-        param1 = 1.0,
-        target_system = 1,
-        target_component = 154
-    );
-    b.send(API, SCRIPT, &command);
+    b.send(API, SCRIPT, &command_to(1, 154, ARM));
     assert!(b.sent.iter().all(|s| s.ack.is_none()));
     assert!(forwarded(&b, ONBOARD).is_empty());
     assert!(!b.status().armed);
     // Another system's vehicle neither.
-    let MavMessage::COMMAND_LONG(mut other) = command else {
-        unreachable!()
-    };
-    other.target_system = 2;
-    other.target_component = 1;
-    b.send(API, SCRIPT, &MavMessage::COMMAND_LONG(other));
+    b.send(API, SCRIPT, &command_to(2, 1, ARM));
     assert!(!b.status().armed);
 }
 

@@ -50,31 +50,24 @@ impl Scripted {
     }
 
     fn heartbeat(&mut self, system: u8) {
-        let message = HEARTBEAT_DATA {
-            autopilot: MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
-            mavtype: MavType::MAV_TYPE_QUADROTOR,
-            ..Default::default()
-        };
-        self.hear_of((system, 1), &MavMessage::HEARTBEAT(message));
+        let (autopilot, mavtype) = (MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA, MavType::MAV_TYPE_QUADROTOR);
+        self.hear_of((system, 1), &message!(HEARTBEAT, autopilot, mavtype));
     }
 
     fn attitude(&mut self) {
-        let message = ATTITUDE_DATA {
-            time_boot_ms: self.step as u32 * 50,
-            ..Default::default()
-        };
-        self.hear(&MavMessage::ATTITUDE(message));
+        let time_boot_ms = self.step as u32 * 50;
+        self.hear(&message!(ATTITUDE, time_boot_ms));
     }
 
     fn position(&mut self, north_m: f32, north_m_s: f32) {
-        let message = LOCAL_POSITION_NED_DATA {
-            time_boot_ms: self.step as u32 * 50,
-            x: north_m,
-            z: -self.height_m,
-            vx: north_m_s,
-            ..Default::default()
-        };
-        self.hear(&MavMessage::LOCAL_POSITION_NED(message));
+        let (time_boot_ms, z) = (self.step as u32 * 50, -self.height_m);
+        self.hear(&message!(
+            LOCAL_POSITION_NED,
+            time_boot_ms,
+            x = north_m,
+            z,
+            vx = north_m_s
+        ));
     }
 
     /// Reports at `north_m` in the next step; whether there is a frame, and the state.
@@ -130,7 +123,7 @@ fn each_way_to_have_no_pose_has_its_name_and_no_frames() {
     let mut vehicle = Scripted::new(None);
     assert_eq!(vehicle.look(), (false, PoseState::Silent));
     // A ground station is no vehicle.
-    vehicle.hear_of((255, 190), &MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()));
+    vehicle.hear_of((255, 190), &message!(HEARTBEAT));
     assert_eq!(vehicle.look(), (false, PoseState::Silent));
     vehicle.heartbeat(1);
     assert_eq!(vehicle.look(), (false, PoseState::NoPosition));
@@ -207,12 +200,7 @@ fn a_home_whose_height_follows_the_gnss_does_not_carry_the_course_with_it() {
     vehicle.report(0.0, 0.0);
     assert_eq!(vehicle.flight.home_ned_m.z, 0.3, "the ground under it");
     // A home elsewhere is as it is reported.
-    let elsewhere = HOME_POSITION_DATA {
-        x: 9.0,
-        z: -2.2,
-        ..Default::default()
-    };
-    vehicle.hear(&MavMessage::HOME_POSITION(elsewhere));
+    vehicle.hear(&message!(HOME_POSITION, x = 9.0, z = -2.2));
     assert_eq!(vehicle.flight.vehicle.home_ned_m().expect("a home").z, -2.2);
     vehicle.hear(&home(-2.2));
     vehicle.hear(&landed(MavLandedState::MAV_LANDED_STATE_IN_AIR));
@@ -243,11 +231,7 @@ fn a_vehicle_that_starts_anew_in_flight_has_no_verdict() {
     let mut vehicle = Scripted::new(None);
     vehicle.step = 100;
     assert_eq!(vehicle.report(5.0, 0.0), (true, PoseState::Tracking));
-    let message = LOCAL_POSITION_NED_DATA {
-        time_boot_ms: 10,
-        ..Default::default()
-    };
-    vehicle.hear(&MavMessage::LOCAL_POSITION_NED(message));
+    vehicle.hear(&message!(LOCAL_POSITION_NED, time_boot_ms = 10));
     assert_eq!(vehicle.look(), (false, PoseState::Jumped));
 }
 
@@ -260,12 +244,8 @@ fn the_true_pose_is_rendered_where_it_is_wanted_and_waited_for_where_it_is_missi
     let mut vehicle = Scripted::with(Some(8.0), config);
     assert_eq!(vehicle.report(0.0, 0.0), (false, PoseState::NoTruth));
     let (latitude, longitude) = (473_977_420, 85_455_940);
-    vehicle.hear(&MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
-        latitude,
-        longitude,
-        altitude: 488_000,
-        time_usec: 0,
-    }));
+    let altitude = 488_000;
+    vehicle.hear(&message!(GPS_GLOBAL_ORIGIN, latitude, longitude, altitude));
     // A hundred units of latitude north of where it believes to be: 1.11 m.
     vehicle.hear(&message!(
         HIL_STATE_QUATERNION,

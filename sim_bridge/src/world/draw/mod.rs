@@ -469,17 +469,24 @@ mod tests {
         [image.rgb()[at], image.rgb()[at + 1], image.rgb()[at + 2]]
     }
 
+    /// A course with nothing but columns 10.3 m north, so far east and so high.
+    fn with_columns(columns: &[(f32, f32)]) -> Course {
+        let mut course = generate(Family::Training, 0);
+        course.clear_obstacles();
+        course
+            .columns
+            .extend(columns.iter().map(|(east_m, height_m)| crate::world::Column {
+                north_m: 10.3,
+                east_m: *east_m,
+                radius_m: 0.5,
+                height_m: *height_m,
+            }));
+        course
+    }
+
     #[test]
     fn a_column_is_where_the_course_says_and_darker_the_taller() {
-        let mut course = generate(Family::Training, 0);
-        (course.boxes, course.walls, course.overhangs) = (Vec::new(), Vec::new(), Vec::new());
-        let column = |east_m, height_m| crate::world::Column {
-            north_m: 10.3,
-            east_m,
-            radius_m: 0.5,
-            height_m,
-        };
-        course.columns = vec![column(-6.3, 1.0), column(6.3, 4.0)];
+        let course = with_columns(&[(-6.3, 1.0), (6.3, 4.0)]);
         let image = draw(&course, &[]);
         let view = View::of(&course);
         let (low, tall) = (pixel(&image, view.at(10.3, -6.3)), pixel(&image, view.at(10.3, 6.3)));
@@ -493,15 +500,8 @@ mod tests {
 
     #[test]
     fn the_vector_picture_has_the_shapes_of_the_raster() {
-        let mut course = generate(Family::Training, 0);
+        let mut course = with_columns(&[(-6.3, 4.0)]);
         course.name = "one <column> & nothing else".to_owned();
-        (course.boxes, course.walls, course.overhangs) = (Vec::new(), Vec::new(), Vec::new());
-        course.columns = vec![crate::world::Column {
-            north_m: 10.3,
-            east_m: -6.3,
-            radius_m: 0.5,
-            height_m: 4.0,
-        }];
         let svg = draw_svg(&course, &[]);
         let view = View::of(&course);
         let [x, y] = view.at(10.3, -6.3);

@@ -1,6 +1,6 @@
 //! The forest family: trees whose branches are thinner than the LiDAR's beams are apart, and trunks that lie about.
 
-use super::{Area, Builder, Obstacle, PLACEMENT_TRIES, cm};
+use super::{Area, Builder, Obstacle, cm};
 use crate::world::course::{BoxObstacle, Column};
 use crate::world::wire::Wire;
 use core::ops::Range;
@@ -12,12 +12,10 @@ const BRANCH_RADIUS_MM: Range<f32> = 5.0..25.0;
 /// Trees as close as their gap allows, two of them on the straight way.
 pub(super) fn fill(b: &mut Builder) {
     for along in [0.25..0.5, 0.6..0.8] {
-        for _ in 0..PLACEMENT_TRIES {
+        b.try_to_place(|b| {
             let (north_m, east_m, _) = b.on_the_line(along.clone());
-            if tree(b, north_m, east_m) {
-                break;
-            }
-        }
+            tree(b, north_m, east_m)
+        });
     }
     let area = Area::new(3.0..19.0, -8.0..8.0);
     for _ in 0..b.rng.random_range(0..4) {
@@ -34,12 +32,10 @@ pub(super) fn fill(b: &mut Builder) {
         b.place(Obstacle::Box(fallen));
     }
     for _ in 0..b.rng.random_range(24..40) {
-        for _ in 0..PLACEMENT_TRIES {
+        b.try_to_place(|b| {
             let [north_m, east_m] = b.point(&area);
-            if tree(b, north_m, east_m) {
-                break;
-            }
-        }
+            tree(b, north_m, east_m)
+        });
     }
 }
 

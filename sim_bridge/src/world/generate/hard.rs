@@ -1,6 +1,6 @@
 //! The hard family: walls across the arena with narrow doors, pockets, dense columns, low roofs, and obstacles that move.
 
-use super::{Area, Builder, Kind, Obstacle, PLACEMENT_TRIES, cm};
+use super::{Area, Builder, Kind, Obstacle, cm};
 use crate::world::course::{Overhang, Wall};
 use crate::world::mover::{BoxOutline, ColumnOutline, Mover, MoverShape};
 use crate::world::solid::radians;
@@ -150,7 +150,7 @@ fn wall_with(b: &mut Builder, door: &Door) -> Vec<Obstacle> {
 
 /// Three walls in the straight way between two points, open towards the first: a dead end.
 fn pocket(b: &mut Builder, from_m: [f32; 2], to_m: [f32; 2]) {
-    for _ in 0..PLACEMENT_TRIES {
+    b.try_to_place(|b| {
         let f = b.rng.random_range(0.3..0.8);
         let bearing = libm::atan2f(to_m[1] - from_m[1], to_m[0] - from_m[0]);
         let heading = bearing + radians(b.rng.random_range(-25.0..25.0));
@@ -173,15 +173,13 @@ fn pocket(b: &mut Builder, from_m: [f32; 2], to_m: [f32; 2]) {
             (right, at(-depth_m, half_m)),
         ]
         .map(|(from_m, to_m)| wall(from_m, to_m, 0.15, height_m));
-        if b.place_together(&parts) {
-            return;
-        }
-    }
+        b.place_together(&parts)
+    });
 }
 
 /// A mover that goes to and fro before or behind a door, along its wall.
 fn guard(b: &mut Builder, door: &Door) {
-    for _ in 0..PLACEMENT_TRIES {
+    b.try_to_place(|b| {
         let side = if b.chance(0.5) { 1.0 } else { -1.0 };
         let away_m = side * b.rng.random_range(0.8..1.8);
         let (left_m, right_m) = (b.rng.random_range(1.6..3.5), b.rng.random_range(1.6..3.5));
@@ -192,26 +190,22 @@ fn guard(b: &mut Builder, door: &Door) {
             ]
         };
         let mover = mover(b, at(-left_m), at(right_m));
-        if b.place(Obstacle::Mover(mover)) {
-            return;
-        }
-    }
+        b.place(Obstacle::Mover(mover))
+    });
 }
 
 /// Movers on straight ways anywhere.
 fn patrols(b: &mut Builder, count: Range<usize>, area: &Area) {
     for _ in 0..b.rng.random_range(count) {
-        for _ in 0..PLACEMENT_TRIES {
-            let (north_m, east_m) = (b.length(area.north_m.clone()), b.length(area.east_m.clone()));
+        b.try_to_place(|b| {
+            let [north_m, east_m] = b.point(area);
             let half_m = 0.5 * b.rng.random_range(3.0..6.0);
             let heading = b.rng.random_range(0.0..core::f32::consts::PI);
             let (s, c) = (libm::sinf(heading), libm::cosf(heading));
             let at = |along_m: f32| [cm(north_m + along_m * c), cm(east_m + along_m * s)];
             let mover = mover(b, at(-half_m), at(half_m));
-            if b.place(Obstacle::Mover(mover)) {
-                break;
-            }
-        }
+            b.place(Obstacle::Mover(mover))
+        });
     }
 }
 

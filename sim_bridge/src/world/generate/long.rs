@@ -68,53 +68,32 @@ fn keep_sides_within(walls: &mut [Wall], is_last: bool) {
     }
 }
 
+/// North and east of all checkpoints and obstacles; of walls and wires those of both ends.
+fn places(course: &mut Course) -> impl Iterator<Item = (&mut f32, &mut f32)> {
+    let checkpoints = course.checkpoints.iter_mut().map(|c| (&mut c.north_m, &mut c.east_m));
+    let columns = course.columns.iter_mut().map(|c| (&mut c.north_m, &mut c.east_m));
+    let boxes = course.boxes.iter_mut().map(|b| (&mut b.north_m, &mut b.east_m));
+    let overhangs = course.overhangs.iter_mut().map(|o| (&mut o.north_m, &mut o.east_m));
+    let wires = course.wires.iter_mut().flat_map(|w| [&mut w.from_m, &mut w.to_m]);
+    let walls = course.walls.iter_mut().flat_map(|w| [&mut w.from_m, &mut w.to_m]);
+    let ends = wires.map(|[n, e, _]| (n, e)).chain(walls.map(|[n, e]| (n, e)));
+    checkpoints.chain(columns).chain(boxes).chain(overhangs).chain(ends)
+}
+
 /// East becomes west.
 fn mirror(course: &mut Course) {
     course.goal.east_m = -course.goal.east_m;
-    for c in &mut course.checkpoints {
-        (c.east_m, c.heading_deg) = (-c.east_m, -c.heading_deg);
-    }
-    for c in &mut course.columns {
-        c.east_m = -c.east_m;
-    }
-    for b in &mut course.boxes {
-        (b.east_m, b.yaw_deg) = (-b.east_m, -b.yaw_deg);
-    }
-    for o in &mut course.overhangs {
-        (o.east_m, o.yaw_deg) = (-o.east_m, -o.yaw_deg);
-    }
-    for w in &mut course.wires {
-        (w.from_m[1], w.to_m[1]) = (-w.from_m[1], -w.to_m[1]);
-    }
-    for w in &mut course.walls {
-        (w.from_m[1], w.to_m[1]) = (-w.from_m[1], -w.to_m[1]);
-    }
+    places(course).for_each(|(_, east_m)| *east_m = -*east_m);
+    let checkpoints = course.checkpoints.iter_mut().map(|c| &mut c.heading_deg);
+    let boxes = course.boxes.iter_mut().map(|b| &mut b.yaw_deg);
+    let overhangs = course.overhangs.iter_mut().map(|o| &mut o.yaw_deg);
+    (checkpoints.chain(boxes).chain(overhangs)).for_each(|heading_deg| *heading_deg = -*heading_deg);
 }
 
 /// Adds an arena's obstacles and checkpoints, moved.
 fn append(course: &mut Course, mut arena: Course, north_m: f32, east_m: f32) {
-    let shift = |n: &mut f32, e: &mut f32| (*n, *e) = (cm(*n + north_m), cm(*e + east_m));
-    for c in &mut arena.checkpoints {
-        shift(&mut c.north_m, &mut c.east_m);
-    }
-    for c in &mut arena.columns {
-        shift(&mut c.north_m, &mut c.east_m);
-    }
-    for b in &mut arena.boxes {
-        shift(&mut b.north_m, &mut b.east_m);
-    }
-    for o in &mut arena.overhangs {
-        shift(&mut o.north_m, &mut o.east_m);
-    }
-    for Wire { from_m, to_m, .. } in &mut arena.wires {
-        for [n, e, _] in [from_m, to_m] {
-            shift(n, e);
-        }
-    }
-    for Wall { from_m, to_m, .. } in &mut arena.walls {
-        for [n, e] in [from_m, to_m] {
-            shift(n, e);
-        }
+    for (n, e) in places(&mut arena) {
+        (*n, *e) = (cm(*n + north_m), cm(*e + east_m));
     }
     course.checkpoints.append(&mut arena.checkpoints);
     course.columns.append(&mut arena.columns);

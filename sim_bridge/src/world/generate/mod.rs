@@ -301,18 +301,20 @@ impl Builder {
         }
     }
 
+    /// Draws until what was drawn has found room, [`PLACEMENT_TRIES`] times at most.
+    fn try_to_place(&mut self, mut draw_and_place: impl FnMut(&mut Self) -> bool) {
+        (0..PLACEMENT_TRIES).any(|_| draw_and_place(self));
+    }
+
     /// Places up to a drawn number of obstacles of a kind.
     fn scatter(&mut self, kind: Kind, count: Range<usize>, area: &Area) {
         for _ in 0..self.rng.random_range(count) {
-            for _ in 0..PLACEMENT_TRIES {
-                let north_m = self.length(area.north_m.clone());
-                let east_m = self.length(area.east_m.clone());
-                let yaw_deg = cm(self.rng.random_range(0.0..180.0));
-                let obstacle = self.obstacle(kind, north_m, east_m, yaw_deg);
-                if self.place(obstacle) {
-                    break;
-                }
-            }
+            self.try_to_place(|b| {
+                let [north_m, east_m] = b.point(area);
+                let yaw_deg = cm(b.rng.random_range(0.0..180.0));
+                let obstacle = b.obstacle(kind, north_m, east_m, yaw_deg);
+                b.place(obstacle)
+            });
         }
     }
 
@@ -335,13 +337,11 @@ impl Builder {
 
     /// Places an obstacle across the straight line to the goal, at a drawn share of it.
     fn block_line(&mut self, kind: Kind, along: Range<f32>) {
-        for _ in 0..PLACEMENT_TRIES {
-            let (north_m, east_m, yaw_deg) = self.on_the_line(along.clone());
-            let obstacle = self.obstacle(kind, north_m, east_m, yaw_deg);
-            if self.place(obstacle) {
-                break;
-            }
-        }
+        self.try_to_place(|b| {
+            let (north_m, east_m, yaw_deg) = b.on_the_line(along.clone());
+            let obstacle = b.obstacle(kind, north_m, east_m, yaw_deg);
+            b.place(obstacle)
+        });
     }
 
     fn obstacle(&mut self, kind: Kind, north_m: f32, east_m: f32, yaw_deg: f32) -> Obstacle {

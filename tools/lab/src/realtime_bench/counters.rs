@@ -66,18 +66,12 @@ impl ThreadCounters {
     /// What was counted so far; a file that tells nothing counts nothing.
     pub fn read(&mut self) -> Counters {
         let mut counters = Counters::default();
-        let Self {
-            schedule,
-            status,
-            faults,
-            machine,
-            text,
-        } = self;
-        parse_schedule(read(schedule, text.as_mut_slice()), &mut counters);
-        parse_status(read(status, text.as_mut_slice()), &mut counters);
-        parse_faults(read(faults, text.as_mut_slice()), &mut counters);
+        let text = self.text.as_mut_slice();
+        parse_schedule(read(&self.schedule, text), &mut counters);
+        parse_status(read(&self.status, text), &mut counters);
+        parse_faults(read(&self.faults, text), &mut counters);
         // The first line stands for all processors.
-        counters.stolen_ns = parse_stolen(read(machine, &mut text[..256]));
+        counters.stolen_ns = parse_stolen(read(&self.machine, &mut text[..256]));
         counters
     }
 }

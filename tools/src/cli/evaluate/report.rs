@@ -181,14 +181,9 @@ pub(super) fn report<S: Serialize + DeserializeOwned + Sync>(
         paint.table(&FaultTally::table(&tallies), &good);
         say!("");
     }
-    if let Some(Took {
-        wall_s,
-        threads,
-        before_s,
-    }) = took
-    {
-        let new_s = simulated_s - before_s;
-        let factor = new_s / wall_s / (*threads).min(flights.len()).max(1) as f64;
+    if let Some(took) = took {
+        let (new_s, wall_s, threads) = (simulated_s - took.before_s, took.wall_s, took.threads);
+        let factor = new_s / wall_s / threads.min(flights.len()).max(1) as f64;
         say!("{new_s:.0} s simulated in {wall_s:.1} s on {threads} threads: {factor:.0} x real time per thread");
     }
     print_failed(&flights);

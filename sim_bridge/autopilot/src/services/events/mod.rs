@@ -144,11 +144,10 @@ impl Events {
             id: event.id(),
             event_time_boot_ms: core.time_boot_ms(),
             sequence: self.sequence,
-            destination_component: 0,
-            destination_system: 0,
             // The level for logs above the level for people.
             log_levels: severity << 4 | severity,
             arguments: event.arguments(),
+            ..EVENT_DATA::default()
         };
         if self.kept.len() >= KEPT {
             self.kept.pop_front();
@@ -166,10 +165,7 @@ impl Events {
             MavEventCurrentSequenceFlags::MAV_EVENT_CURRENT_SEQUENCE_FLAGS_RESET,
             !std::mem::replace(&mut self.told, true),
         );
-        let message = MavMessage::CURRENT_EVENT_SEQUENCE(CURRENT_EVENT_SEQUENCE_DATA {
-            sequence: self.sequence,
-            flags,
-        });
+        let message = message!(CURRENT_EVENT_SEQUENCE, sequence = self.sequence, flags);
         core.outbox.send_all(&message);
     }
 
@@ -178,21 +174,16 @@ impl Events {
         let count = request.last_sequence.wrapping_sub(request.first_sequence);
         for i in 0..=count.min(KEPT as u16) {
             let sequence = request.first_sequence.wrapping_add(i);
-            let message = match self.kept.iter().find(|e| e.sequence == sequence) {
-                Some(event) => MavMessage::EVENT(event.clone()),
-                None => MavMessage::RESPONSE_EVENT_ERROR(RESPONSE_EVENT_ERROR_DATA {
+            let Some(event) = self.kept.iter().find(|e| e.sequence == sequence) else {
+                let error = message!(
+                    RESPONSE_EVENT_ERROR,
                     sequence,
-                    sequence_oldest_available: self.kept.front().map_or(0, |e| e.sequence),
-                    target_system: source.id.system,
-                    target_component: source.id.component,
-                    reason: MavEventErrorReason::MAV_EVENT_ERROR_REASON_UNAVAILABLE,
-                }),
+                    sequence_oldest_available = self.kept.front().map_or(0, |e| e.sequence),
+                    reason = MavEventErrorReason::MAV_EVENT_ERROR_REASON_UNAVAILABLE
+                );
+                return core.outbox.send_to(source, error);
             };
-            let is_error = matches!(message, MavMessage::RESPONSE_EVENT_ERROR(_));
-            core.outbox.send(source.link, &message);
-            if is_error {
-                return;
-            }
+            core.outbox.send(source.link, &MavMessage::EVENT(event.clone()));
         }
     }
 }

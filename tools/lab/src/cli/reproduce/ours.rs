@@ -85,9 +85,8 @@ struct Evaluation {
 }
 
 pub(super) fn detection(sources: &Sources) -> Result<Made> {
-    let Evaluation {
-        at_one_half: report, ..
-    } = sources.of("detector-evaluate").json("detector-evaluate")?;
+    let evaluation: Evaluation = sources.of("detector-evaluate").json("detector-evaluate")?;
+    let report = evaluation.at_one_half;
     let mut table = Grid::new(
         "attack | learned from | found at 0.5 | 95 % interval | AUC | found at 1 % false alarms | at 0.1 % | the paper (accuracy)",
     );
@@ -119,9 +118,8 @@ pub(super) fn detection(sources: &Sources) -> Result<Made> {
 }
 
 pub(super) fn alarm_delay(sources: &Sources) -> Result<Made> {
-    let Evaluation {
-        at_threshold: report, ..
-    } = sources.of("detector-evaluate").json("detector-evaluate")?;
+    let evaluation: Evaluation = sources.of("detector-evaluate").json("detector-evaluate")?;
+    let report = evaluation.at_threshold;
     let series = |label: &str, points: Vec<(usize, &Proportion)>| {
         let known = points.into_iter();
         let known = known.filter_map(|(at, p)| Some((at as f64, p.share?, p.interval.0, p.interval.1)));
