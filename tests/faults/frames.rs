@@ -166,6 +166,11 @@ fn kinds() -> Vec<Kind> {
     ]
 }
 
+/// A picture may stay in doubt until the motors are off (docs/sensor-faults.md, "How it ends").
+fn may_be_held(must: &Must) -> bool {
+    matches!(must, Must::Hold(names) if names.contains(&Reason::FrozenSensor))
+}
+
 struct Flown {
     trial: Trial,
     hold_s: Option<f64>,
@@ -243,9 +248,7 @@ fn fly(kind: &Kind, seed: u64) -> Flown {
         GuidanceState::Hold => Ending::Held,
         _ => Ending::TimeOut,
     });
-    // A picture may stay in doubt until the motors are off (docs/sensor-faults.md, "How it ends").
-    let may_be_held = matches!(kind.must, Must::Hold(names) if names.contains(&Reason::FrozenSensor));
-    if ending == Ending::TimeOut || ending == Ending::Held && !may_be_held {
+    if ending == Ending::TimeOut || ending == Ending::Held && !may_be_held(&kind.must) {
         wrong.get_or_insert_with(|| format!("{}, seed {seed}: does not go on with good frames", kind.name));
     }
     Flown {

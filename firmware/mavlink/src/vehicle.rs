@@ -263,7 +263,7 @@ impl Vehicle {
             false => self.flavour.mode(base_mode, custom_mode),
         };
         if mode != VehicleMode::Mission {
-            // The next one may lead elsewhere.
+            // The next mission goes elsewhere.
             self.mission_place_deg = None;
         }
         self.telemetry.heartbeat = Some(Heartbeat {

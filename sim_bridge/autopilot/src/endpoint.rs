@@ -159,7 +159,7 @@ impl Endpoint {
             answer = Some(match used_parameters::misused_in_command(command) {
                 Some(parameter) => {
                     let text = format!("command {number} denied: parameter {parameter} has no meaning");
-                    Answer::DENIED.told(&text, core)
+                    Answer::DENIED.warned(&text, core)
                 }
                 None => server.command(command, source, core),
             });

@@ -21,7 +21,7 @@ impl Answer {
     pub const FAILED: Self = Self(MavResult::MAV_RESULT_FAILED);
 
     /// The same, told as a text.
-    pub fn told(self, text: &str, core: &mut Core) -> Self {
+    pub fn warned(self, text: &str, core: &mut Core) -> Self {
         core.warn(text);
         self
     }

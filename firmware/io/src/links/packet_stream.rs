@@ -229,7 +229,7 @@ mod tests {
         }
     }
 
-    /// Takes what is there; tells whether the peer was heard.
+    /// Takes what is there; says whether the peer was heard.
     fn receive(stream: &mut PacketStream, line: &mut Line, gate: &mut SigningGate, received: &mut Datagrams) -> bool {
         let mut admission = LinkAdmission {
             allow_unsigned: gate.allow_unsigned(),

@@ -102,7 +102,7 @@ fn is_flown_at(height_m: f32, core: &mut Core) -> bool {
 fn take_off(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let height = command.param(7).map(|altitude_m| height_m(core, altitude_m));
     if height.is_some_and(|height| height > MAX_HEIGHT_M) {
-        return Answer::DENIED.told("denied: too far from home", core);
+        return Answer::DENIED.warned("denied: too far from home", core);
     }
     answer(core.take_off(height), core)
 }
@@ -144,7 +144,7 @@ pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core
 /// Without any place it stops where it is: so ground stations pause a flight.
 fn reposition(command: &Command, _source: Source, core: &mut Core) -> Answer {
     if command.param(2) != Some(MAY_CHANGE_MODE) {
-        return Answer::UNSUPPORTED.told("denied: parameter 2 is not 1, change the mode", core);
+        return Answer::UNSUPPORTED.warned("denied: parameter 2 is not 1, change the mode", core);
     }
     let is_placed = match command.form {
         CommandForm::Int { x, y, .. } => x != i32::MAX && y != i32::MAX,

@@ -40,7 +40,7 @@ impl Service for Actuators {
             return Answer::ACCEPTED;
         }
         if core.commander.is_armed() {
-            return Answer::DENIED.told("actuator test denied: armed", core);
+            return Answer::DENIED.warned("actuator test denied: armed", core);
         }
         let function = match command.form {
             CommandForm::Int { x, .. } => Some(x as f32),

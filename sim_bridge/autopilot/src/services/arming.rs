@@ -56,6 +56,6 @@ pub(super) fn reboot_now(core: &mut Core) -> Answer {
 pub(super) fn answer(outcome: Result<(), Denial>, core: &mut Core) -> Answer {
     match outcome {
         Ok(()) => Answer::ACCEPTED,
-        Err(denial) => Answer::REJECTED.told(&denial.to_string(), core),
+        Err(denial) => Answer::REJECTED.warned(&denial.to_string(), core),
     }
 }

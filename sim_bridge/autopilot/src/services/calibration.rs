@@ -48,15 +48,15 @@ impl Service for Calibration {
             [_, _, _, _, 2.0, ..] => ("level", tilt, MAX_TILT_RAD),
             [_, 1.0, ..] | [_, _, _, _, 1.0, ..] => {
                 let text = "calibration denied: nobody turns a simulated vehicle by hand";
-                return Answer::REJECTED.told(text, core);
+                return Answer::REJECTED.warned(text, core);
             }
             _ => return Answer::UNSUPPORTED,
         };
         if core.commander.is_armed() {
-            return Answer::REJECTED.told("calibration denied: armed", core);
+            return Answer::REJECTED.warned("calibration denied: armed", core);
         }
         if self.running.is_some() {
-            return Answer::REJECTED.told("calibration denied: another one is running", core);
+            return Answer::REJECTED.warned("calibration denied: another one is running", core);
         }
         core.inform(&format!("[cal] calibration started: 2 {name}"));
         self.due_ns = core.now_ns + LOOK_NS;

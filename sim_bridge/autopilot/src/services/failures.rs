@@ -20,7 +20,7 @@ pub(super) const COMMANDS: &[(u16, Handler)] = &[(INJECT_FAILURE, inject)];
 
 fn inject(command: &Command, _source: Source, core: &mut Core) -> Answer {
     if !core.injects_failures() {
-        return Answer::DENIED.told("failure injection denied: set SYS_FAILURE_EN to 1", core);
+        return Answer::DENIED.warned("failure injection denied: set SYS_FAILURE_EN to 1", core);
     }
     let Some(kind @ (OK | OFF | STUCK)) = command.param(2) else {
         // Wrong, slow or noisy readings are not modelled.

@@ -54,14 +54,14 @@ fn set_home(command: &Command, core: &mut Core) -> Answer {
             let altitude_m = command.param(7).map_or(core.home.altitude_m, f64::from);
             // An infinite altitude is at no height.
             if (altitude_m - core.home.altitude_m).abs() > SAME_HEIGHT_M {
-                return Answer::DENIED.told("denied: home keeps its height", core);
+                return Answer::DENIED.warned("denied: home keeps its height", core);
             }
             geo::to_local(&core.home, lat, lon)
         }
         _ => return Answer::DENIED,
     };
     if libm::hypotf(home_m.0 - here.x, home_m.1 - here.y) > MAX_DISTANCE_M {
-        return Answer::DENIED.told("denied: too far from the vehicle", core);
+        return Answer::DENIED.warned("denied: too far from the vehicle", core);
     }
     core.home_m = home_m;
     core.announce::<HOME_POSITION_DATA>();

@@ -15,7 +15,7 @@ pub(super) const COMMANDS: &[(u16, Handler)] = &[(PREFLIGHT_STORAGE, store)];
 
 fn store(command: &Command, _source: Source, core: &mut Core) -> Answer {
     if core.commander.is_armed() {
-        return Answer::REJECTED.told("parameter storage denied: armed", core);
+        return Answer::REJECTED.warned("parameter storage denied: armed", core);
     }
     match command.param(1) {
         // Whatever is set is kept at once, where the simulator keeps anything (`--state`); calibrations change nothing.
