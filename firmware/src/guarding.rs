@@ -9,8 +9,10 @@
     clippy::alloc_instead_of_core
 )]
 
-use crate::air::Air;
+mod air;
+
 use crate::motion::Motion;
+use air::Air;
 use vigil_guidance::just_stop::{Course, Gain, JustStop, JustStopConfig, JustStopInput, JustStopState};
 use vigil_policy::plausibility::has_jumped;
 use vigil_policy::{Aside, Lookout, Scan, TakeOff};
@@ -39,7 +41,7 @@ const TURNING_ROOM_M: f32 = 1.0;
 /// Guidance takes a stopped vehicle within this time, or not at all.
 const TAKE_NS: Nanos = 15_000_000_000;
 /// Slower than this the vehicle stands, metres per second.
-pub(crate) const STANDING_M_S: f32 = 0.3;
+const STANDING_M_S: f32 = 0.3;
 /// The mission goes on when the straight way to its place is free for so many metres, seen in so many steps in a row.
 const FREE_M: f32 = 8.0;
 const FREE_STEPS: u16 = 20;

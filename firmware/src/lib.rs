@@ -10,7 +10,6 @@
 
 extern crate alloc;
 
-mod air;
 #[cfg(feature = "std")]
 mod alarms;
 #[cfg(feature = "std")]

@@ -368,10 +368,5 @@ fn signing_line(config: &FirmwareConfig) -> String {
         None if kept => "signed with the key that SETUP_SIGNING brought",
         None => "not signed",
     };
-    let unsigned = match config.signing.allow_unsigned {
-        AllowUnsigned::Loopback => "unsigned packets from this machine only",
-        AllowUnsigned::Never => "no unsigned packets",
-        AllowUnsigned::Always => "unsigned packets from everybody",
-    };
-    format!("{signed}, {unsigned}")
+    format!("{signed}, {}", config.signing.allow_unsigned.in_words())
 }

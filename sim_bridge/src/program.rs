@@ -320,11 +320,7 @@ fn start_lines(args: &SimArgs, config: &SimConfig) -> String {
         None if args.accept_first_key => "not signed until SETUP_SIGNING brings a key".to_owned(),
         None => "not signed".to_owned(),
     };
-    let unsigned = match args.allow_unsigned {
-        AllowUnsigned::Loopback => "unsigned packets from this machine only",
-        AllowUnsigned::Never => "no unsigned packets",
-        AllowUnsigned::Always => "unsigned packets from everybody",
-    };
+    let unsigned = args.allow_unsigned.in_words();
     format!(
         "simulator  instance {}: {}, seed {}, vehicle {place}\n\
          links      MAVLink on UDP 127.0.0.1: {}{extra}\n\

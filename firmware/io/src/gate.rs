@@ -49,6 +49,15 @@ impl AllowUnsigned {
             Self::Always => true,
         }
     }
+
+    /// What people read at start.
+    pub fn in_words(self) -> &'static str {
+        match self {
+            Self::Loopback => "unsigned packets from this machine only",
+            Self::Never => "no unsigned packets",
+            Self::Always => "unsigned packets from everybody",
+        }
+    }
 }
 
 named_setting!(AllowUnsigned, AllowUnsigned::ALL.map(|policy| (policy.name(), policy)));

@@ -59,7 +59,7 @@ pub use operator::{LET_GO, PendingRequest};
 pub use parameter_table::{MAX_PARAMETERS, Parameter, ParameterValue, Parameters, ValueError};
 pub use sender::Sender;
 pub use status_text::StatusText;
-pub use vehicle::Vehicle;
+pub use vehicle::{RESTART_MS, Vehicle};
 
 /// A message of the dialect with these fields, the others as they are by default.
 ///

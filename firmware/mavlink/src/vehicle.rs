@@ -18,7 +18,7 @@ use vigil_types::{
 };
 
 /// A time since boot this much earlier than the last one is a restart; a smaller step back is a packet out of order.
-const RESTART_MS: i32 = 1_000;
+pub const RESTART_MS: u32 = 1_000;
 
 /// MAV_STATE numbers that mean a failsafe: CRITICAL, EMERGENCY, FLIGHT_TERMINATION.
 const FAILSAFE_STATES: [u8; 3] = [5, 6, 8];
@@ -367,7 +367,7 @@ impl Vehicle {
     fn is_in_order(&mut self, boot_ms: u32, last: impl Fn(&mut Self) -> &mut Option<u32>) -> bool {
         // Wraps after 49 days.
         let later_ms = last(self).map_or(0, |last_ms| boot_ms.wrapping_sub(last_ms) as i32);
-        if later_ms <= -RESTART_MS {
+        if later_ms <= -(RESTART_MS as i32) {
             self.restart();
         } else if later_ms < 0 {
             self.late += 1;

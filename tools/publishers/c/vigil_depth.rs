@@ -8,9 +8,9 @@ use std::path::Path;
 use std::ptr;
 use vigil_io::clock::monotonic_ns;
 use vigil_io::key_file::frame_key;
-use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, is_timely};
 use vigil_sensors::{Counts, Mount, Pinhole, Projector, Resolution};
-use vigil_types::{Attitude, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, FrameKey, FrdVector, Nanos, NedVector, STEP_NS};
+use vigil_types::{Attitude, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, FrameKey, FrdVector, Nanos, NedVector};
 
 /// The highest instance.
 const LAST_INSTANCE: u32 = 99;
@@ -20,8 +20,6 @@ const LEAST_M: f32 = 1e-30;
 const FARTHEST_M: f32 = 1000.0;
 /// An estimate farther from the origin is none.
 const FARTHEST_PLACE_M: f32 = 100_000.0;
-/// What was captured longer ago is used by nobody: such a stamp is of another clock.
-const OLDEST_NS: Nanos = 1_000_000_000;
 
 thread_local! {
     static ERROR: RefCell<CString> = RefCell::default();
@@ -68,7 +66,7 @@ impl Publisher {
         }
         check_ranges(ranges_m)?;
         let now_ns = monotonic_ns();
-        if !(now_ns.saturating_sub(OLDEST_NS)..=now_ns.saturating_add(STEP_NS)).contains(&stamp_ns) {
+        if !is_timely(stamp_ns, now_ns) {
             bail!(
                 "stamp_ns {stamp_ns} is not of the last second of CLOCK_MONOTONIC ({now_ns} now): stamp with vigil_depth_now_ns, at \
                  capture"

@@ -12,13 +12,13 @@ use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::key_file::frame_key;
 use vigil_io::link_spec::LinkSpec;
-use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, is_timely};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sensors::adapters::{DepthStream, Fault, OusterAdapter, OusterDevice, PoseTrack, Tally};
 use vigil_sensors::{Mount, Pinhole, View};
 use vigil_sim::foreign::PoseLink;
-use vigil_types::{Attitude, DepthFrame, FrameKey, FrdVector, Nanos, NedVector, STEP_NS};
+use vigil_types::{Attitude, DepthFrame, FrameKey, FrdVector, Nanos, NedVector};
 
 /// The device's packets are waited for so long before the vehicle's are looked at again.
 const LOOK: Duration = Duration::from_millis(2);
@@ -30,8 +30,6 @@ const RECEIVE_BUFFER: usize = 4 << 20;
 const METADATA_LIMIT: u64 = 1 << 20;
 /// Position and attitude that came farther apart are no pose, seconds.
 const MOST_APART_S: f32 = 0.3;
-/// A frame older than this is of another clock, or of no use.
-const OLDEST_NS: Nanos = 1_000_000_000;
 
 /// The frames of a sensor: where they are published.
 #[derive(Debug, Clone, clap::Args)]
@@ -231,10 +229,9 @@ impl PoseSource {
     }
 }
 
-/// Whether a frame of this stamp may be published at `now_ns` after one of `last_ns`: newer, of the last second, not of the future.
+/// Whether a frame of this stamp may be published at `now_ns` after one of `last_ns`: timely, and newer.
 fn may_follow(stamp_ns: Nanos, last_ns: Option<Nanos>, now_ns: Nanos) -> bool {
-    let in_time = now_ns.saturating_sub(OLDEST_NS)..=now_ns.saturating_add(STEP_NS);
-    in_time.contains(&stamp_ns) && last_ns.is_none_or(|last_ns| stamp_ns > last_ns)
+    is_timely(stamp_ns, now_ns) && last_ns.is_none_or(|last_ns| stamp_ns > last_ns)
 }
 
 /// Where images go, and what is told of those that are none.
@@ -490,10 +487,12 @@ mod tests {
     use vigil_mavlink::common::MavAutopilot;
     use vigil_mavlink::framing::encode;
     use vigil_mavlink::message;
+    use vigil_types::STEP_NS;
 
     #[test]
     fn a_stamp_of_long_ago_of_the_future_or_not_newer_than_the_last_is_no_frame() {
         const NOW_NS: Nanos = 90_000_000_000;
+        const OLDEST_NS: Nanos = 1_000_000_000;
         assert!(may_follow(NOW_NS - OLDEST_NS, None, NOW_NS) && may_follow(NOW_NS + STEP_NS, None, NOW_NS));
         assert!(!may_follow(NOW_NS - OLDEST_NS - 1, None, NOW_NS) && !may_follow(NOW_NS + STEP_NS + 1, None, NOW_NS));
         assert!(may_follow(NOW_NS, Some(NOW_NS - 1), NOW_NS) && !may_follow(NOW_NS, Some(NOW_NS), NOW_NS));

@@ -14,7 +14,7 @@ use vigil_mavlink::common::{
 use vigil_mavlink::framing::{Command, FramingCounters, Packet, packets};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_mavlink::message;
-use vigil_mavlink::{Flavour, MavMessage, Sender, Vehicle};
+use vigil_mavlink::{Flavour, MavMessage, RESTART_MS, Sender, Vehicle};
 use vigil_types::{Attitude, Datagrams, DepthFrame, Kinematics, Nanos, NedVector, wrap_pi};
 
 const AUTOPILOT: u8 = 1;
@@ -47,8 +47,6 @@ const JUMP_M_S: f32 = 10.0;
 const JUMP_RAD: f32 = 0.35;
 /// The vehicle's clock has jumped if it went on by so much more than ours.
 const CLOCK_JUMP_NS: Nanos = SECOND_NS / 2;
-/// A time since boot this much earlier than the last one is a restart; a smaller step back is a packet out of order.
-const RESTART_MS: u32 = 1_000;
 /// MAV_SYS_STATUS_PREARM_CHECK.
 const PREARM: u32 = 0x1000_0000;
 
@@ -408,8 +406,7 @@ impl Examination {
         self.turn += 1;
         // Some vehicles answer on a link only to whom they have heard.
         if self.turn % 20 == 1 {
-            self.sender.system_id = self.system.unwrap_or(1);
-            self.sender.listener_heartbeat(out, 0);
+            self.sender().listener_heartbeat(out, 0);
         }
         let Some(system) = self.system.filter(|_| self.vehicle.telemetry.heartbeat.is_some()) else {
             return;
@@ -483,9 +480,14 @@ impl Examination {
         self.say(&message, out);
     }
 
-    fn say(&mut self, message: &MavMessage, out: &mut Datagrams) {
+    /// Who speaks: of the vehicle's system.
+    fn sender(&mut self) -> &mut Sender {
         self.sender.system_id = self.system.unwrap_or(1);
-        self.sender.message(out, 0, message);
+        &mut self.sender
+    }
+
+    fn say(&mut self, message: &MavMessage, out: &mut Datagrams) {
+        self.sender().message(out, 0, message);
     }
 
     fn command(&mut self, system: u8, number: u16, params: [f32; 7], out: &mut Datagrams) {

@@ -8,10 +8,17 @@ use iceoryx2::sample::Sample;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::port_factory::publish_subscribe;
 use std::ops::Deref;
-use vigil_types::DepthFrame;
+use vigil_types::{DepthFrame, Nanos, STEP_NS};
 
 /// The service on which the firmware expects its frames.
 pub const DEPTH_TOPIC: &str = "depth";
+/// What was captured longer ago is used by nobody: such a stamp is of another clock.
+const OLDEST_NS: Nanos = 1_000_000_000;
+
+/// Whether a frame of this stamp is worth publishing at `now_ns`: of the last second, and not of the future.
+pub fn is_timely(stamp_ns: Nanos, now_ns: Nanos) -> bool {
+    (now_ns.saturating_sub(OLDEST_NS)..=now_ns.saturating_add(STEP_NS)).contains(&stamp_ns)
+}
 
 /// Readers that may listen at the same time (firmware, recorders, displays).
 const MAX_SUBSCRIBERS: usize = 8;

@@ -13,4 +13,4 @@ mod layout;
 
 pub use domain::{Domain, DomainError, remove_leftovers};
 pub use exchange::{LockstepClient, LockstepError, LockstepServer, Served, StepRequest};
-pub use frames::{BorrowedFrame, DEPTH_TOPIC, FrameError, FramePublisher, FrameSubscriber};
+pub use frames::{BorrowedFrame, DEPTH_TOPIC, FrameError, FramePublisher, FrameSubscriber, is_timely};

@@ -42,11 +42,8 @@ pub fn serialize(header: MavHeader, message: &MavMessage, out: &mut [u8]) -> Res
 /// The unsigned MAVLink 2 packet of `message` from `(system, component)`, in memory of its own; the loop uses [`serialize`].
 #[cfg(feature = "std")]
 pub fn encode(from: (u8, u8), sequence: u8, message: &MavMessage) -> std::vec::Vec<u8> {
-    let mut payload = [0; 255];
-    let len = message.ser(MavlinkVersion::V2, &mut payload);
-    let payload = payload.get(..len).unwrap_or_default();
     // Whatever the dialect has fits.
-    encode_payload(from, sequence, message.message_id(), payload).unwrap_or_default()
+    packet(from, sequence, |header, out| serialize(header, message, out)).unwrap_or_default()
 }
 
 /// The same of a raw payload, for what [`serialize_payload`] is for.
@@ -60,13 +57,24 @@ pub fn encode_payload(
     id: u32,
     payload: &[u8],
 ) -> Result<std::vec::Vec<u8>, SerializeError> {
+    packet(from, sequence, |header, out| {
+        serialize_payload(header, id, payload, out)
+    })
+}
+
+#[cfg(feature = "std")]
+fn packet(
+    (system, component_id): (u8, u8),
+    sequence: u8,
+    write: impl FnOnce(MavHeader, &mut [u8]) -> Result<usize, SerializeError>,
+) -> Result<std::vec::Vec<u8>, SerializeError> {
     let header = MavHeader {
-        system_id: from.0.into(),
-        component_id: from.1,
+        system_id: system.into(),
+        component_id,
         sequence,
     };
     let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize_payload(header, id, payload, &mut out)?;
+    let len = write(header, &mut out)?;
     Ok(out.get(..len).unwrap_or_default().to_vec())
 }
 

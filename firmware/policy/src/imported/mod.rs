@@ -9,6 +9,6 @@ mod split;
 
 #[cfg(feature = "actor-file")]
 pub use file::{FORMAT as POLICY_FORMAT, FrozenPolicy};
-pub use network::{Layer, MOST_MULTIPLY_ADDS, MOST_VALUES, Network, NetworkError, SPLIT_VALUES};
+pub use network::{Layer, MOST_MULTIPLY_ADDS, MOST_VALUES, Network, NetworkError, SPLIT_VALUES, refuse_more};
 pub use pilot::{Channels, Depth, ImportedPilot, PolicyInputs};
 pub use split::{Head, UNSATURATED};

@@ -295,6 +295,19 @@ impl Line {
     }
 }
 
+/// Refuses what there are more of than fit.
+///
+/// # Errors
+/// How many there are, and the limit.
+pub fn refuse_more(what: &str, found: u64, limit: u64) -> Result<(), NetworkError> {
+    if found > limit {
+        return Err(NetworkError(format!(
+            "it has {found} {what}, more than the {limit} that fit the step of 50 ms and the memory kept for it"
+        )));
+    }
+    Ok(())
+}
+
 fn recurrent(gates: u64, inputs: usize, hidden: usize) -> (u64, u64, u64) {
     let weights = (product(&[inputs, hidden]).saturating_add(product(&[hidden, hidden]))).saturating_mul(gates);
     let biases = 2 * gates * hidden as u64;
@@ -349,11 +362,7 @@ impl Network {
             ("values", values, MOST_VALUES),
             ("multiply-adds a decision", multiply_adds, MOST_MULTIPLY_ADDS),
         ] {
-            if found > limit {
-                return Err(NetworkError(format!(
-                    "it has {found} {what}, more than the {limit} that fit the step of 50 ms and the memory kept for it"
-                )));
-            }
+            refuse_more(what, found, limit)?;
         }
         Ok(())
     }

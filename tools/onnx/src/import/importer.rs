@@ -5,7 +5,7 @@ use crate::constant::Constant;
 use crate::proto::{Attribute, Graph, Node};
 use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
-use vigil_policy::imported::{Layer, MOST_VALUES, Network};
+use vigil_policy::imported::{Layer, MOST_VALUES, Network, refuse_more};
 
 /// Values of a layer.
 #[derive(Debug, Clone)]
@@ -168,11 +168,7 @@ impl<'a> Importer<'a> {
         let [all_params, all_values] = &mut self.totals;
         for (what, total, more) in [("parameters", all_params, params.len()), ("values", all_values, len)] {
             *total = total.saturating_add(more as u64);
-            if *total > MOST_VALUES {
-                return Err(format!(
-                    "it has {total} {what}, more than the {MOST_VALUES} that fit the step of 50 ms and the memory kept for it"
-                ));
-            }
+            refuse_more(what, *total, MOST_VALUES).map_err(|e| e.to_string())?;
         }
         self.network.layers.push(layer);
         self.params.push(params);

@@ -1,14 +1,6 @@
 //! What drag and wind do to a guarded vehicle (docs/just-stop.md).
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::indexing_slicing,
-    clippy::std_instead_of_core,
-    clippy::alloc_instead_of_core
-)]
 
-use crate::guarding::STANDING_M_S;
+use super::STANDING_M_S;
 use vigil_guidance::just_stop::Gain;
 use vigil_types::{Kinematics, Nanos, NedVector};
 
@@ -24,9 +16,10 @@ const WIND_S: f32 = 1.0;
 const GREATEST_LOSS_M_S2: f32 = 4.0;
 /// After a gap so long between two velocities it begins anew, seconds.
 const OBSERVER_GAP_S: f32 = 0.5;
+
 /// What drag and wind take off the acceleration that the tilt gives: a steady tilt against them is no gain of speed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Air {
+pub(super) struct Air {
     at_ns: Nanos,
     /// Followed velocity, NED.
     velocity_ned_m_s: NedVector,
