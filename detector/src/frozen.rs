@@ -257,8 +257,10 @@ impl FrozenDetector {
         let positions = positions.chunks_exact(of.positional());
         let positions: Vec<PositionalInputs> = positions.filter_map(PositionalInputs::from_values).collect();
         let width = states.len() / positions.len().max(1);
-        let is_known = of == Of::Imported || width == ACTOR_HIDDEN;
-        if !is_known || width == 0 || states.len() != width * positions.len() {
+        // An empty sample is refused by its own name, below.
+        let is_empty = states.is_empty() && positions.is_empty();
+        let is_known = of == Of::Imported && width > 0 || width == ACTOR_HIDDEN;
+        if !is_empty && (!is_known || states.len() != width * positions.len()) {
             let message = format!(
                 "has {} values of background states, but positions of {}",
                 states.len(),
@@ -266,7 +268,7 @@ impl FrozenDetector {
             );
             return Err(KIND.content_error(file, message));
         }
-        let states = states.chunks_exact(width).map(<[f32]>::to_vec);
+        let states = states.chunks_exact(width.max(1)).map(<[f32]>::to_vec);
         detector.backgrounds = states.zip(positions).collect();
         detector.centre.copy_from_slice(&next());
         detector.scale.copy_from_slice(&next());

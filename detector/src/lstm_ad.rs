@@ -82,10 +82,8 @@ impl LstmAd {
             cell,
         };
         let params = b.params(layer.param_len());
-        let mut rows = Vec::with_capacity(WINDOW);
-        for _ in 0..WINDOW {
-            rows.push(b.input(width, true)?);
-        }
+        let rows: Result<Vec<_>, _> = (0..WINDOW).map(|_| b.input(width, true)).collect();
+        let rows = rows?;
         let mut state = b.zeros(layer.state_len())?;
         for row in rows {
             state = b.lstm(row, state, layer, params)?;

@@ -29,23 +29,15 @@ impl Bench {
         let head = ActorSpec::FULL.head_graph(Purpose::Gradients).unwrap();
         let mut draw = |n: usize| -> Vec<f32> { (0..n).map(|_| random.random_range(-0.3..0.3)).collect() };
         let params = draw(head.param_len());
+        let built_in = FrozenDetector::built_in().unwrap();
         let detector = FrozenDetector {
-            of: Of::Actor,
             actor_sha256: ACTOR.to_owned(),
             backgrounds: Vec::new(),
             centre: [0.01; ACTOR_HIDDEN],
             scale: [0.05; ACTOR_HIDDEN],
             threshold: 0.5,
-            threshold_choice: "for a test".to_owned(),
-            params: draw(
-                LstmAd::tensors()
-                    .iter()
-                    .map(|(_, shape)| shape.iter().product::<usize>())
-                    .sum(),
-            ),
-            training_config: String::new(),
-            seed: 7,
-            git_commit: None,
+            params: draw(built_in.params.len()),
+            ..built_in
         };
         let mut bench = Self {
             random,

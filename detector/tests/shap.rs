@@ -44,6 +44,17 @@ fn column(reference: &[f32], i: usize, n: usize, output: usize) -> Vec<f32> {
         .collect()
 }
 
+/// Of each output φ, and the change of the output that it explains.
+fn explained(shap: &mut DeepShap, inputs: &[&[f32]]) -> Vec<(Vec<f32>, f32)> {
+    let outputs = shap.evaluate(inputs).unwrap().to_vec();
+    let explain = |(output, f)| {
+        let mut phi = vec![0.0; shap.phi_len()];
+        shap.attribute(output, &mut phi).unwrap();
+        (phi, f - shap.expected()[output])
+    };
+    outputs.into_iter().enumerate().map(explain).collect()
+}
+
 #[test]
 fn the_second_half_is_explained_as_by_shap_and_in_float64() {
     let t = Tensors::load("second_half");
@@ -52,16 +63,13 @@ fn the_second_half_is_explained_as_by_shap_and_in_float64() {
         let graph = Reference::new().head_graph(Purpose::Multipliers);
         let mut shap = DeepShap::new(isa, graph, &actor_params(), &pairs(&bg_h, 48, &bg_pos, 2)).unwrap();
         for (i, inputs) in pairs(&x_h, 48, &x_pos, 2).iter().enumerate() {
-            let f = shap.evaluate(inputs).unwrap().to_vec();
-            for (output, f) in f.iter().enumerate() {
-                let mut phi = vec![0.0; shap.phi_len()];
-                shap.attribute(output, &mut phi).unwrap();
+            for (output, (phi, change)) in explained(&mut shap, inputs).iter().enumerate() {
                 for who in ["shap", "np64"] {
                     let h = column(&t.get(&format!("{who}_h")), i, 48, output);
                     let pos = column(&t.get(&format!("{who}_pos")), i, 2, output);
-                    close(who, &phi, &[h, pos].concat());
+                    close(who, phi, &[h, pos].concat());
                 }
-                additive("second half", &phi, f - shap.expected()[output]);
+                additive("second half", phi, *change);
             }
         }
     }
@@ -94,15 +102,12 @@ fn a_small_network_is_explained_as_in_float64() {
     let (graph, params) = tiny(&t);
     let mut shap = DeepShap::new(Isa::detect(), graph, &params, &pairs(&bg_h, 8, &bg_pos, 2)).unwrap();
     for (i, inputs) in pairs(&x_h, 8, &x_pos, 2).iter().enumerate() {
-        let f = shap.evaluate(inputs).unwrap().to_vec();
-        for (output, f) in f.iter().enumerate() {
-            let mut phi = vec![0.0; 10];
-            shap.attribute(output, &mut phi).unwrap();
-            close("tiny10", &phi, &column(&t.get("deepshap_np64"), i, 10, output));
+        for (output, (phi, change)) in explained(&mut shap, inputs).iter().enumerate() {
+            close("tiny10", phi, &column(&t.get("deepshap_np64"), i, 10, output));
             let exact = column(&t.get("exact"), i, 10, output);
             // DeepSHAP only approximates Shapley values, but both explain the same change.
-            additive("tiny10", &phi, f - shap.expected()[output]);
-            additive("exact Shapley values", &exact, f - shap.expected()[output]);
+            additive("tiny10", phi, *change);
+            additive("exact Shapley values", &exact, *change);
         }
     }
 }
@@ -121,10 +126,7 @@ fn for_a_linear_network_deepshap_is_the_exact_shapley_value() {
     let params = [transposed(&t.get("linear_W"), 2), vec![0.25; 2]].concat();
     let mut shap = DeepShap::new(Isa::detect(), graph, &params, &pairs(&bg_h, 8, &bg_pos, 2)).unwrap();
     for (i, inputs) in pairs(&x_h, 8, &x_pos, 2).iter().enumerate() {
-        shap.evaluate(inputs).unwrap();
-        for output in 0..2 {
-            let mut phi = vec![0.0; 10];
-            shap.attribute(output, &mut phi).unwrap();
+        for (output, (phi, _)) in explained(&mut shap, inputs).iter().enumerate() {
             let exact = column(&t.get("linear_exact"), i, 10, output);
             for (a, b) in phi.iter().zip(exact) {
                 assert!((a - b).abs() < 1e-6, "{a} against {b}");
@@ -146,22 +148,15 @@ fn through_the_gru_each_frames_share_is_as_in_float64() {
             .collect()
     };
     let (backgrounds, inputs) = (states(&bg_feat, &bg_pos), states(&x_feat, &x_pos));
-    let views: Vec<Vec<&[f32]>> = backgrounds
-        .iter()
-        .map(|b| b.iter().map(Vec::as_slice).collect())
-        .collect();
-    let mut shap = DeepShap::new(Isa::detect(), graph, &actor_params(), &views).unwrap();
+    let backgrounds: Vec<_> = backgrounds.iter().map(|b| views(b)).collect();
+    let mut shap = DeepShap::new(Isa::detect(), graph, &actor_params(), &backgrounds).unwrap();
     for (i, state) in inputs.iter().enumerate() {
-        let view: Vec<&[f32]> = state.iter().map(Vec::as_slice).collect();
-        let f = shap.evaluate(&view).unwrap().to_vec();
-        for (output, f) in f.iter().enumerate() {
-            let mut phi = vec![0.0; shap.phi_len()];
-            shap.attribute(output, &mut phi).unwrap();
+        for (output, (phi, change)) in explained(&mut shap, &views(state)).iter().enumerate() {
             let (frames, pos) = phi.split_at(5 * 1024);
             let mut players: Vec<f32> = frames.chunks_exact(1024).map(|f| f.iter().sum()).collect();
             players.extend(pos);
             close("frames", &players, &column(&t.get("deepshap_np64"), i, 7, output));
-            additive("frames", &phi, f - shap.expected()[output]);
+            additive("frames", phi, *change);
         }
     }
 }
@@ -179,13 +174,9 @@ fn the_whole_actor_is_explained_at_its_pixels_as_in_float64() {
     let backgrounds: Vec<Vec<&[f32]>> = rows.map(|(images, position)| state(images, position)).collect();
     let graph = Reference::new().graph(Purpose::Multipliers, true);
     let mut shap = DeepShap::new(Isa::detect(), graph, &actor_params(), &backgrounds).unwrap();
-    let f = shap.evaluate(&state(&x_img, &x_pos)).unwrap().to_vec();
     let sampled = t.get("np64_img_every_5th");
-    for (output, f) in f.iter().enumerate() {
-        let mut phi = vec![0.0; shap.phi_len()];
-        shap.attribute(output, &mut phi).unwrap();
-        let change = f - shap.expected()[output];
-        additive("pixels", &phi, change);
+    for (output, (phi, change)) in explained(&mut shap, &state(&x_img, &x_pos)).iter().enumerate() {
+        additive("pixels", phi, *change);
         // The reference saw the images before they were rounded to 1/65535.
         assert!((change - t.get("f_diff")[output]).abs() < TOLERANCE);
         let (images, position) = phi.split_at(5 * FRAME);
@@ -218,13 +209,10 @@ fn views(state: &[Vec<f32>]) -> Vec<&[f32]> {
 }
 
 /// φ of the yaw output, and the change of the output that it explains.
-fn explained(graph: Graph, params: &[f32], backgrounds: &[Vec<Vec<f32>>], x: &[Vec<f32>]) -> (Vec<f32>, f32) {
+fn yaw_explained(graph: Graph, params: &[f32], backgrounds: &[Vec<Vec<f32>>], x: &[Vec<f32>]) -> (Vec<f32>, f32) {
     let backgrounds: Vec<_> = backgrounds.iter().map(|b| views(b)).collect();
     let mut shap = DeepShap::new(Isa::detect(), graph, params, &backgrounds).unwrap();
-    let yaw = shap.evaluate(&views(x)).unwrap()[1];
-    let mut phi = vec![0.0; shap.phi_len()];
-    shap.attribute(1, &mut phi).unwrap();
-    (phi, yaw - shap.expected()[1])
+    explained(&mut shap, &views(x)).swap_remove(1)
 }
 
 /// The actor of flight: the newest frame's pixels carry what its scan does, and what is remembered and low-dimensional keeps its share.
@@ -261,8 +249,8 @@ fn the_actors_pixels_share_out_what_its_scan_contributed() {
     };
     let x = state(0);
     let (frames, scans): (Vec<_>, Vec<_>) = (1..5).map(&mut state).unzip();
-    let (pixels, change) = explained(graph, &params, &frames, &x.0);
-    let (columns, same_change) = explained(behind_the_scan, &params, &scans, &x.1);
+    let (pixels, change) = yaw_explained(graph, &params, &frames, &x.0);
+    let (columns, same_change) = yaw_explained(behind_the_scan, &params, &scans, &x.1);
     assert!(change.abs() > 1e-2, "the outputs differ: {change}");
     assert!((change - same_change).abs() < TOLERANCE);
     additive("pixels, memory and low-dimensional values", &pixels, change);

@@ -10,8 +10,7 @@ use vigil_firmware::FirmwareConfig;
 use vigil_firmware::pilots::Pilots;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
 use vigil_nnet::Isa;
-use vigil_types::PilotKind;
-use vigil_types::{Datagrams, DepthFrame, GuidanceState, STEP_NS, StepTiming};
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, PilotKind, STEP_NS, StepTiming};
 
 fn main() {
     divan::main();
@@ -74,11 +73,7 @@ impl Flight {
     }
 }
 
-fn bench(bencher: Bencher, config: &FirmwareConfig, with_frame: bool) {
-    bench_with(bencher, config, with_frame, Isa::detect());
-}
-
-fn bench_with(bencher: Bencher, config: &FirmwareConfig, with_frame: bool, isa: Isa) {
+fn bench(bencher: Bencher, config: &FirmwareConfig, with_frame: bool, isa: Isa) {
     let flight = RefCell::new(Flight::guided(config, isa));
     bencher
         .with_inputs(|| flight.borrow_mut().inputs(with_frame))
@@ -88,13 +83,13 @@ fn bench_with(bencher: Bencher, config: &FirmwareConfig, with_frame: bool, isa: 
 /// The whole tick in guided flight: frame copied and checked, telemetry parsed, pilot, guidance, packets.
 #[divan::bench(sample_size = 1, sample_count = 2000)]
 fn guided(bencher: Bencher) {
-    bench(bencher, &config(), true);
+    bench(bencher, &config(), true, Isa::detect());
 }
 
 /// A tick without a new frame: telemetry, guidance, packets, and the pilot while the last frame is fresh.
 #[divan::bench(sample_size = 1, sample_count = 2000)]
 fn without_a_new_frame(bencher: Bencher) {
-    bench(bencher, &config(), false);
+    bench(bencher, &config(), false, Isa::detect());
 }
 
 /// The same with the actor in the pilot's place.
@@ -102,7 +97,7 @@ fn without_a_new_frame(bencher: Bencher) {
 fn guided_by_the_actor(bencher: Bencher) {
     let mut config = config();
     config.pilot.kind = PilotKind::Actor;
-    bench(bencher, &config, true);
+    bench(bencher, &config, true, Isa::detect());
 }
 
 /// The same watched: with explanation against 30 states, LSTM-AD, and the recovery pilot beside the actor. On each instruction set
@@ -110,5 +105,5 @@ fn guided_by_the_actor(bencher: Bencher) {
 #[divan::bench(sample_size = 1, sample_count = 2000, args = Isa::available())]
 fn guided_by_the_watched_actor(bencher: Bencher, isa: Isa) {
     let folder = tempfile::tempdir().unwrap();
-    bench_with(bencher, &watched_config(folder.path()), true, isa);
+    bench(bencher, &watched_config(folder.path()), true, isa);
 }

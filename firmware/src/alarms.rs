@@ -53,31 +53,34 @@ impl std::fmt::Display for AlarmTally {
         let Some(first) = self.first_at_step else {
             return write!(f, "none in {flown_s:.1} s of flight");
         };
-        write!(f, "{} (", self.raised.iter().sum::<u64>())?;
-        let mut separator = "";
-        for (cause, count) in AlarmCause::ALL
-            .into_iter()
-            .zip(self.raised)
-            .filter(|(_, count)| *count > 0)
-        {
-            let by = match cause {
-                AlarmCause::Attack => "by the detector: an attack",
-                AlarmCause::NoVerdict => "for want of a verdict",
-                AlarmCause::CollisionCourse => "by the guard: a collision course",
-                AlarmCause::LedAstray => "by the guard: led astray",
-                AlarmCause::Disagreement => "by the guard: a disagreement",
-                AlarmCause::RoughPicture => "by the guard: a rough picture",
-            };
-            write!(f, "{separator}{count} {by}")?;
-            separator = ", ";
-        }
+        let by = AlarmCause::ALL.map(|cause| match cause {
+            AlarmCause::Attack => "by the detector: an attack",
+            AlarmCause::NoVerdict => "for want of a verdict",
+            AlarmCause::CollisionCourse => "by the guard: a collision course",
+            AlarmCause::LedAstray => "by the guard: led astray",
+            AlarmCause::Disagreement => "by the guard: a disagreement",
+            AlarmCause::RoughPicture => "by the guard: a rough picture",
+        });
         write!(
             f,
-            "), the first after {:.1} s of flight; of {flown_s:.1} s it stopped for {:.1} s and the recovery pilot flew {:.1} s",
+            "{}{}, the first after {:.1} s of flight; of {flown_s:.1} s it stopped for {:.1} s and the recovery pilot \
+             flew {:.1} s",
+            self.raised.iter().sum::<u64>(),
+            in_brackets(by.into_iter().zip(self.raised), ""),
             seconds(first),
             seconds(self.stop_steps),
             seconds(self.recovery_steps)
         )
+    }
+}
+
+/// " (3 for their size, 1 for their pose)" of what there is; nothing for none.
+pub(crate) fn in_brackets(counts: impl IntoIterator<Item = (&'static str, u64)>, words: &str) -> String {
+    let counts = counts.into_iter().filter(|(_, count)| *count > 0);
+    let listed: Vec<_> = counts.map(|(what, count)| format!("{count} {words}{what}")).collect();
+    match listed.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", listed.join(", ")),
     }
 }
 

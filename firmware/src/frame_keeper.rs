@@ -113,9 +113,8 @@ pub struct FrameKeeper {
     sensor_id: u32,
     keys: FrameKeys,
     frames: [DepthFrame; 2],
-    /// The valid frame is the second; the other one is room.
-    valid_is_second: bool,
-    has_valid: bool,
+    /// The valid frame, if there is one, is the second; the other one is room.
+    valid_is_second: Option<bool>,
     refusals: FrameRefusals,
 }
 
@@ -129,8 +128,7 @@ impl FrameKeeper {
                 other: None,
             },
             frames: [DepthFrame::EMPTY; 2],
-            valid_is_second: false,
-            has_valid: false,
+            valid_is_second: None,
             refusals: FrameRefusals {
                 counts: [0; REASONS],
                 last: None,
@@ -151,7 +149,8 @@ impl FrameKeeper {
     pub fn take(&mut self, frame: &DepthFrame, known_altered: bool, now_ns: Nanos) -> Result<(), Refusal> {
         let newest_ns = self.newest().map(|valid| valid.header.stamp_ns);
         let [first, second] = &mut self.frames;
-        let candidate = if self.valid_is_second { first } else { second };
+        let is_second = self.valid_is_second == Some(true);
+        let candidate = if is_second { first } else { second };
         candidate.header = frame.header;
         candidate.depth.copy_from_slice(&frame.depth);
         let checked = check(candidate, self.sensor_id, newest_ns, now_ns).and_then(|()| {
@@ -161,10 +160,7 @@ impl FrameKeeper {
             }
         });
         match checked {
-            Ok(()) => {
-                self.valid_is_second = !self.valid_is_second;
-                self.has_valid = true;
-            }
+            Ok(()) => self.valid_is_second = Some(!is_second),
             Err(refusal) => self.refusals.count(refusal),
         }
         checked
@@ -173,14 +169,14 @@ impl FrameKeeper {
     /// The newest valid frame.
     pub fn newest(&self) -> Option<&DepthFrame> {
         let [first, second] = &self.frames;
-        let valid = if self.valid_is_second { second } else { first };
-        self.has_valid.then_some(valid)
+        Some(if self.valid_is_second? { second } else { first })
     }
 
     /// Turns the newest valid frame's pose about the vertical: a sensor has it from the vehicle's report.
     pub fn correct_heading(&mut self, turn_rad: f32) {
         let [first, second] = &mut self.frames;
-        let header = &mut if self.valid_is_second { second } else { first }.header;
+        let is_second = self.valid_is_second == Some(true);
+        let header = &mut if is_second { second } else { first }.header;
         header.attitude = header.attitude.turned_heading(turn_rad);
     }
 
@@ -188,11 +184,6 @@ impl FrameKeeper {
     pub fn fresh(&self, now_ns: Nanos, age_limit_ns: Nanos) -> Option<&DepthFrame> {
         self.newest()
             .filter(|frame| now_ns.saturating_sub(frame.header.stamp_ns) <= age_limit_ns)
-    }
-
-    /// Frames refused so far.
-    pub fn refused(&self) -> u64 {
-        self.refusals.total()
     }
 
     /// Frames refused so far, by reason.
@@ -242,7 +233,7 @@ mod tests {
             assert_eq!(refused, Err(Refusal::Defect(FrameDefect::BadChecksum)));
             assert_eq!(keeper.newest(), Some(&*sealed(i * STEP_NS, i)));
         }
-        assert_eq!(keeper.refused(), 4);
+        assert_eq!(keeper.refusals().total(), 4);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! A real-time flight: the fixed-rate loop over the live ports.
 
-use crate::alarms::AlarmTally;
+use crate::alarms::{AlarmTally, in_brackets};
 use crate::config::FirmwareConfig;
 use crate::console::Console;
 use crate::frame_keeper::FrameRefusals;
@@ -55,12 +55,9 @@ pub enum LiveError {
     /// Parameters that were kept are refused.
     #[error(transparent)]
     Saved(#[from] SavedError),
-    /// No thread for the console.
-    #[error("cannot start the console thread: {0}")]
-    Console(std::io::Error),
-    /// No thread for the service manager.
-    #[error("cannot start the thread that tells the service manager: {0}")]
-    Service(std::io::Error),
+    /// No thread for what it names.
+    #[error("cannot start the {0}: {1}")]
+    Thread(&'static str, std::io::Error),
 }
 
 /// What came of a flight.
@@ -98,13 +95,8 @@ pub struct FlightSummary {
 
 impl std::fmt::Display for FlightSummary {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        writeln!(
-            f,
-            "loop      {} steps, {} missed, ended in {}",
-            self.steps,
-            self.slips,
-            self.state.name()
-        )?;
+        let (steps, slips, state) = (self.steps, self.slips, self.state.name());
+        writeln!(f, "loop      {steps} steps, {slips} missed, ended in {state}")?;
         match self.holds {
             Some(true) => writeln!(f, "vehicle   holds by itself")?,
             Some(false) => writeln!(
@@ -115,18 +107,9 @@ impl std::fmt::Display for FlightSummary {
         }
         writeln!(f, "step      {}", self.execution)?;
         writeln!(f, "wake-up   {} late", self.wake_late)?;
-        write!(
-            f,
-            "frames    {} used, {} refused",
-            self.frames,
-            self.frames_refused.total()
-        )?;
-        let mut separator = " (";
-        for (reason, count) in self.frames_refused.by_reason() {
-            write!(f, "{separator}{count} for their {reason}")?;
-            separator = ", ";
-        }
-        f.write_str(if self.frames_refused.total() > 0 { ")" } else { "" })?;
+        let (used, refused) = (self.frames, self.frames_refused.total());
+        let reasons = in_brackets(self.frames_refused.by_reason(), "for their ");
+        write!(f, "frames    {used} used, {refused} refused{reasons}")?;
         if self.frame_failures > 0 {
             write!(f, ", {} times the transport failed", self.frame_failures)?;
         }
@@ -199,19 +182,12 @@ fn write_signing(f: &mut std::fmt::Formatter<'_>, signing: &SigningCounters) -> 
     if signing.signed + signing.refused() == 0 {
         return Ok(());
     }
+    let (signed, unsigned, refused) = (signing.signed, signing.unsigned_allowed, signing.refused());
+    let reasons = in_brackets(signing.refusals(), "");
     write!(
         f,
-        "\nsigning   {} packets signed, {} unsigned accepted, {} refused",
-        signing.signed,
-        signing.unsigned_allowed,
-        signing.refused()
-    )?;
-    let mut separator = " (";
-    for (reason, count) in signing.refusals().into_iter().filter(|(_, count)| *count > 0) {
-        write!(f, "{separator}{count} {reason}")?;
-        separator = ", ";
-    }
-    f.write_str(if signing.refused() > 0 { ")" } else { "" })
+        "\nsigning   {signed} packets signed, {unsigned} unsigned accepted, {refused} refused{reasons}"
+    )
 }
 
 /// Adds datagrams of the program's own to what a link receives: requests of the person at the terminal reach the
@@ -262,6 +238,8 @@ impl LiveLoop {
     /// # Errors
     /// [`LiveError`], each telling what to do.
     pub fn open(config: &FirmwareConfig) -> Result<Self, LiveError> {
+        // Before anything else that another firmware of this instance would change too.
+        let domain = Domain::open_alone(config.instance, "firmware")?;
         // Parameters that were kept are part of the configuration that flies, and that the log holds.
         let mut config = config.clone();
         let saved = match config.state.directory.clone() {
@@ -269,7 +247,6 @@ impl LiveLoop {
             None => None,
         };
         let mut clock = MonotonicClock;
-        let domain = Domain::open(config.instance, "firmware")?;
         let frames = SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC)?);
         let link = OperatorLink {
             link: config.open_links()?,
@@ -279,7 +256,7 @@ impl LiveLoop {
         let mut firmware = Firmware::of(&config)?;
         firmware.require_frame_keys(frame_keys);
         let parameters = match saved {
-            Some(saved) => Some(saved.start(firmware.parameters())?),
+            Some(saved) => Some(saved.start(firmware.stack.parameters())?),
             None => None,
         };
         // What is refused leaves no empty log.
@@ -301,7 +278,7 @@ impl LiveLoop {
             last: StepReport::default(),
             used_frames: 0,
             alarms: AlarmTally::new(config.is_watched()),
-            console: Console::start(now_ns).map_err(LiveError::Console)?,
+            console: Console::start(now_ns).map_err(|e| LiveError::Thread("console thread", e))?,
             parameters,
             config,
             _domain: domain,
@@ -327,17 +304,17 @@ impl LiveLoop {
             .step(timing, &mut self.clock, &mut self.frames, &mut self.link);
         self.console.observe(&report);
         if let Some(keeper) = &mut self.parameters {
-            let taken_over = self.firmware.taken_over();
-            keeper.observe(self.firmware.parameters(), taken_over);
+            let taken_over = self.firmware.stack.taken_over();
+            keeper.observe(self.firmware.stack.parameters(), taken_over);
         }
-        for text in self.firmware.told() {
+        for text in self.firmware.stack.told() {
             self.console.text(report.now_ns, text);
         }
         self.console.refused(report.now_ns, self.link.link.signing_refused());
         self.console
             .other_vehicle(report.now_ns, self.link.link.statistics().other_system);
         self.console
-            .frames_refused(report.now_ns, &self.firmware.frame_refusals());
+            .frames_refused(report.now_ns, &self.firmware.stack.frame_refusals());
         self.alarms.observe(&report);
         if report.frame_sequence.is_some() && report.frame_sequence != self.last.frame_sequence {
             self.used_frames += 1;
@@ -359,7 +336,7 @@ impl LiveLoop {
         // What follows is the program's own end, and no person's take-over to be kept. Dropped last: it waits for its writer.
         let _keeper = self.parameters.take();
         let flew = self.last.has_vehicle();
-        self.firmware.disengage_command(&mut self.link.pending);
+        self.firmware.stack.disengage_command(&mut self.link.pending);
         for step in 0..LET_GO_STEPS {
             if step >= FAREWELL_STEPS && !self.last.has_vehicle() {
                 break;
@@ -373,10 +350,10 @@ impl LiveLoop {
             execution: self.execution.spread(),
             wake_late: self.wake_late.spread(),
             frames: self.used_frames,
-            frames_refused: self.firmware.frame_refusals(),
+            frames_refused: self.firmware.stack.frame_refusals(),
             alarms: self.alarms,
             frame_failures: self.frames.failures(),
-            link: self.firmware.link_counters(),
+            link: self.firmware.stack.link_counters(),
             line: self.link.link.statistics(),
             routing: self.link.link.routing(),
             state: self.last.state,
@@ -424,7 +401,8 @@ pub fn fly(
     started: impl FnOnce(&FirmwareConfig, &Granted),
 ) -> Result<FlightSummary, LiveError> {
     let mut flight = LiveLoop::open(config)?;
-    let manager = ServiceManager::find().map_err(LiveError::Service)?;
+    let manager = ServiceManager::find();
+    let manager = manager.map_err(|e| LiveError::Thread("thread that tells the service manager", e))?;
     let granted = flight.start();
     started(&flight.config, &granted);
     while !stop.load(Ordering::Relaxed) {

@@ -286,6 +286,7 @@ struct Start<'a>(&'a FirmwareConfig);
 impl std::fmt::Display for Start<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let config = self.0;
+        let ground: Vec<_> = config.links.iter().map(ToString::to_string).collect();
         writeln!(
             f,
             "firmware   instance {}: {} on {}{}; engages {}",
@@ -296,7 +297,10 @@ impl std::fmt::Display for Start<'_> {
                 AutopilotChoice::ArduPilot => "ArduPilot",
             },
             config.vehicle_link(),
-            ground_links(&config.links),
+            match ground.is_empty() {
+                true => String::new(),
+                false => format!(", ground stations on {}", ground.join(" and ")),
+            },
             match config.engage {
                 _ if config.duty == Duty::JustStop => "on command only: it guards somebody else's flight",
                 _ if config.duty == Duty::FlyAround => "to fly a guarded mission around what is there, or on command",
@@ -315,7 +319,13 @@ impl std::fmt::Display for Start<'_> {
             }
         )?;
         writeln!(f, "pilot      {}", pilot_line(config))?;
-        write!(f, "signing    {}", signing_line(config))
+        let kept = config.kept_key().is_some_and(|path| path.exists());
+        let signed = match &config.signing.key_file {
+            Some(_) => "signed",
+            None if kept => "signed with the key that SETUP_SIGNING brought",
+            None => "not signed",
+        };
+        write!(f, "signing    {signed}, {}", config.signing.allow_unsigned.in_words())
     }
 }
 
@@ -349,24 +359,4 @@ fn pilot_line(config: &FirmwareConfig) -> String {
         "{actor}; {watching}, an alarm brings about: {}",
         config.detector.alarm.name()
     )
-}
-
-/// Those links as the terminal is told of them.
-fn ground_links(links: &[LinkSpec]) -> String {
-    let listed: Vec<_> = links.iter().map(ToString::to_string).collect();
-    match listed.is_empty() {
-        true => String::new(),
-        false => format!(", ground stations on {}", listed.join(" and ")),
-    }
-}
-
-/// Whether the links are signed, and who may speak without a signature.
-fn signing_line(config: &FirmwareConfig) -> String {
-    let kept = config.kept_key().is_some_and(|path| path.exists());
-    let signed = match &config.signing.key_file {
-        Some(_) => "signed",
-        None if kept => "signed with the key that SETUP_SIGNING brought",
-        None => "not signed",
-    };
-    format!("{signed}, {}", config.signing.allow_unsigned.in_words())
 }

@@ -9,7 +9,6 @@ use vigil_types::{Nanos, STEP_NS, StepTiming};
 /// deadlines in between are counted as slips and never made up for.
 #[derive(Debug, Clone)]
 pub struct RateSchedule {
-    period_ns: Nanos,
     next_deadline_ns: Nanos,
     step: u64,
     slips: u64,
@@ -23,7 +22,6 @@ impl RateSchedule {
         let offset_ns = offset_ns % STEP_NS;
         let passed = (now_ns + STEP_NS - offset_ns) / STEP_NS;
         Self {
-            period_ns: STEP_NS,
             next_deadline_ns: passed * STEP_NS + offset_ns,
             step: 0,
             slips: 0,
@@ -40,14 +38,14 @@ impl RateSchedule {
     /// The step that was due begins now: counts what was missed and tells the step's timing.
     pub fn begin(&mut self, now_ns: Nanos) -> StepTiming {
         let late_ns = now_ns.saturating_sub(self.next_deadline_ns);
-        let missed = late_ns / self.period_ns;
+        let missed = late_ns / STEP_NS;
         self.slips += missed;
-        self.next_deadline_ns += (missed + 1) * self.period_ns;
+        self.next_deadline_ns += (missed + 1) * STEP_NS;
         self.began_ns = now_ns;
         let timing = StepTiming {
             step: self.step,
             previous_execution_ns: self.previous_execution_ns,
-            wake_late_ns: late_ns % self.period_ns,
+            wake_late_ns: late_ns % STEP_NS,
             slips: self.slips,
         };
         self.step += 1;

@@ -7,7 +7,7 @@ use vigil_log::{LogEnd, ReadError, Reader, TickRecord};
 use vigil_types::{Datagrams, LogContent, Nanos, Reason, StepReport};
 
 /// What a replay found.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ReplayReport {
     /// Steps that were run and compared.
     pub steps: u64,
@@ -155,13 +155,7 @@ pub fn replay(reader: &mut Reader) -> Result<ReplayReport, ReplayError> {
     let mut firmware = firmware_of(reader)?;
     let mut record = Box::<TickRecord>::default();
     let mut sent = Box::<Datagrams>::default();
-    let mut result = ReplayReport {
-        steps: 0,
-        sent_bytes: 0,
-        difference: None,
-        gap_before_step: None,
-        log_end: None,
-    };
+    let mut result = ReplayReport::default();
     while reader.read_next(&mut record)? {
         if record.dropped_before > 0 {
             result.gap_before_step = Some(record.timing.step);

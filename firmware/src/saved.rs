@@ -186,6 +186,17 @@ mod tests {
         result.map(|_| config).map_err(|e| e.to_string())
     }
 
+    /// A run in which an operator changes what flies: what the file then holds.
+    fn run(folder: &Path, config: &mut FirmwareConfig, change: impl FnOnce(&mut FirmwareConfig)) -> String {
+        let table = |config: &FirmwareConfig| Tunables::of(&config.stack(), None, false).parameters();
+        let loaded = ParameterKeeper::load(folder, config).unwrap();
+        let mut keeper = loaded.start(&table(config)).unwrap();
+        change(config);
+        keeper.observe(&table(config), false);
+        drop(keeper);
+        std::fs::read_to_string(folder.join("firmware0.toml")).unwrap()
+    }
+
     #[test]
     fn each_parameter_of_the_table_is_kept_and_put_where_the_configuration_has_it() {
         let mut config = FirmwareConfig::default();
@@ -205,33 +216,22 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let state = folder.path().join("made");
         let mut config = FirmwareConfig::default();
-        let loaded = ParameterKeeper::load(&state, &mut config).unwrap();
-        assert_eq!(config, FirmwareConfig::default(), "there is none yet");
-        let begun_with = Tunables::of(&config.stack(), None, false).parameters();
-        let mut keeper = loaded.start(&begun_with).unwrap();
-        config.limits.speed_m_s = 0.7;
-        config.at_goal = AtGoal::Land;
-        keeper.observe(&Tunables::of(&config.stack(), None, false).parameters(), false);
-        drop(keeper);
+        let text = run(&state, &mut config, |config| {
+            assert_eq!(*config, FirmwareConfig::default(), "there is none yet");
+            config.limits.speed_m_s = 0.7;
+            config.at_goal = AtGoal::Land;
+        });
+        assert_eq!(text, "[parameters]\nGD_AT_GOAL = 1.0\nGD_SPEED_LIM = 0.7\n");
 
-        let path = state.join("firmware0.toml");
-        let text = "[parameters]\nGD_AT_GOAL = 1.0\nGD_SPEED_LIM = 0.7\n";
-        assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
         let mut again = FirmwareConfig::default();
         again.pilot.cruise_m_s = 1.1;
-        let loaded = ParameterKeeper::load(&state, &mut again).unwrap();
-        assert_eq!((again.limits.speed_m_s, again.at_goal), (0.7, AtGoal::Land));
-        assert_eq!(again.pilot.cruise_m_s, 1.1);
-
-        // Set back, it stays set: the configuration may say something else tomorrow.
-        let mut keeper = loaded
-            .start(&Tunables::of(&again.stack(), None, false).parameters())
-            .unwrap();
-        again.at_goal = AtGoal::Hold;
-        keeper.observe(&Tunables::of(&again.stack(), None, false).parameters(), false);
-        drop(keeper);
-        let text = "[parameters]\nGD_AT_GOAL = 0.0\nGD_SPEED_LIM = 0.7\n";
-        assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+        let text = run(&state, &mut again, |again| {
+            assert_eq!((again.limits.speed_m_s, again.at_goal), (0.7, AtGoal::Land));
+            assert_eq!(again.pilot.cruise_m_s, 1.1);
+            // Set back, it stays set: the configuration may say something else tomorrow.
+            again.at_goal = AtGoal::Hold;
+        });
+        assert_eq!(text, "[parameters]\nGD_AT_GOAL = 0.0\nGD_SPEED_LIM = 0.7\n");
     }
 
     #[test]
@@ -272,16 +272,10 @@ mod tests {
     fn the_detectors_parameters_are_kept_while_it_is_off() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("firmware0.toml"), "[parameters]\nDT_THRESH = 0.4\n").unwrap();
-        let mut config = FirmwareConfig::default();
-        let loaded = ParameterKeeper::load(folder.path(), &mut config).unwrap();
-        assert_eq!(config.detector.threshold, Some(0.4));
-        let mut keeper = loaded
-            .start(&Tunables::of(&config.stack(), None, false).parameters())
-            .unwrap();
-        config.limits.goal_radius_m = 2.5;
-        keeper.observe(&Tunables::of(&config.stack(), None, false).parameters(), false);
-        drop(keeper);
-        let text = std::fs::read_to_string(folder.path().join("firmware0.toml")).unwrap();
+        let text = run(folder.path(), &mut FirmwareConfig::default(), |config| {
+            assert_eq!(config.detector.threshold, Some(0.4));
+            config.limits.goal_radius_m = 2.5;
+        });
         assert_eq!(text, "[parameters]\nDT_THRESH = 0.4\nGD_GOAL_RAD = 2.5\n");
     }
 

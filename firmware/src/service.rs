@@ -64,7 +64,7 @@ impl ServiceManager {
 }
 
 /// What the manager was told.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Told {
     watched: bool,
     steps: u64,
@@ -100,8 +100,7 @@ fn report(progress: &Progress, watchdog: Option<Duration>) {
     });
     let mut told = Told {
         watched: watchdog.is_some(),
-        steps: 0,
-        state: None,
+        ..Told::default()
     };
     let mut warned = false;
     loop {
@@ -133,8 +132,7 @@ mod tests {
     fn a_loop_that_does_not_advance_is_not_reported() {
         let mut told = Told {
             watched: true,
-            steps: 0,
-            state: None,
+            ..Told::default()
         };
         let mut look = |steps, state| -> String {
             let news = told.news(steps, Some(state));
@@ -151,11 +149,7 @@ mod tests {
 
     #[test]
     fn a_manager_that_does_not_watch_hears_of_changes_only() {
-        let mut told = Told {
-            watched: false,
-            steps: 0,
-            state: None,
-        };
+        let mut told = Told::default();
         assert_eq!(told.news(1, Some(GuidanceState::Ready)).len(), 2);
         assert!(told.news(2, Some(GuidanceState::Ready)).is_empty());
     }

@@ -296,7 +296,7 @@ impl FlightStack {
             setpoint: guided.setpoint,
             frame_sequence: self.frames.newest().map(|frame| frame.header.sequence),
             frame_age_ns: seen.frame.age_ns,
-            frames_refused: self.frames.refused(),
+            frames_refused: self.frames.refusals().total(),
         }
     }
 
@@ -465,8 +465,8 @@ impl FlightStack {
         self.companion.counters()
     }
 
-    /// Appends the command of a person at the terminal who disengages guidance. It is meant for [`TickInput::received`]:
-    /// it enters the stack as any operator's does, and the log has it.
+    /// Appends the command of a person at the terminal who disengages guidance and has the vehicle hold by itself. It is meant for
+    /// [`TickInput::received`]: it enters the stack as any operator's does, and the log has it.
     pub fn disengage_command(&self, received: &mut Datagrams) {
         let command = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
             command: MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,

@@ -1,7 +1,6 @@
 //! One step over the ports, the same live, in lockstep and in replay: receive, tick, send, record.
 
 use crate::config::FirmwareConfig;
-use crate::frame_keeper::FrameRefusals;
 use crate::pilots::Pilots;
 pub use crate::pilots::StackError;
 use crate::ports::{Clock, FrameSource, Link};
@@ -9,14 +8,13 @@ use crate::stack::{FlightStack, TickInput, TickOutput};
 use crate::stack_config::StackConfig;
 use vigil_guidance::ConfigError;
 use vigil_log::Recorder;
-use vigil_mavlink::{LinkCounters, Parameters, StatusText};
 use vigil_policy::GeometricPilot;
 use vigil_policy::actor::Actor;
 use vigil_types::{Datagrams, DepthFrame, FrameKeys, Nanos, StepReport, StepTiming};
 
 /// The flight stack with its buffers and its log. Allocates nothing after it was made.
 pub struct Firmware {
-    stack: Box<FlightStack>,
+    pub(crate) stack: Box<FlightStack>,
     received: Box<Datagrams>,
     output: Box<TickOutput>,
     recorder: Option<Recorder>,
@@ -91,31 +89,10 @@ impl Firmware {
         self.stack.require_frame_keys(keys);
     }
 
-    /// Frames refused since start, by reason.
-    pub fn frame_refusals(&self) -> FrameRefusals {
-        self.stack.frame_refusals()
-    }
-
-    /// The command of a person at the terminal who disengages guidance and has the vehicle hold by itself, for the next step's link to
-    /// receive.
-    pub fn disengage_command(&self, received: &mut Datagrams) {
-        self.stack.disengage_command(received);
-    }
-
     /// Sends the last packets before the firmware ends. They belong to no step and are not in the log.
     pub fn shut_down(&mut self, now_ns: Nanos, link: &mut impl Link) {
         self.stack.shut_down(now_ns, &mut self.output.sent);
         link.send(&self.output.sent);
-    }
-
-    /// The parameters and their values in force.
-    pub fn parameters(&mut self) -> &Parameters {
-        self.stack.parameters()
-    }
-
-    /// Whether a person took the vehicle over and no operator engaged since.
-    pub fn taken_over(&self) -> bool {
-        self.stack.taken_over()
     }
 
     /// The pilot that keeps a map and plans a way ([`FlightStack::mapping`]).
@@ -126,16 +103,6 @@ impl Firmware {
     /// The actor and the frame that it decided on ([`FlightStack::actor`]).
     pub fn actor(&self) -> Option<(&Actor, &DepthFrame)> {
         self.stack.actor()
-    }
-
-    /// The texts that the last step told people.
-    pub fn told(&self) -> &[StatusText] {
-        self.stack.told()
-    }
-
-    /// What the link refused or dropped, since start.
-    pub fn link_counters(&self) -> LinkCounters {
-        self.stack.link_counters()
     }
 
     /// Closes the log, if there is one, and says what became of it.

@@ -3,7 +3,7 @@
 mod common;
 
 use common::instance::Instance;
-use common::{PATIENCE, PseudoTerminal, TestVehicle, VEHICLE, config, loopback};
+use common::{PATIENCE, PseudoTerminal, TestVehicle, VEHICLE, config, loopback, socket};
 use rustix::io::ioctl_fionread;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
@@ -20,7 +20,6 @@ use vigil_firmware::step::Firmware;
 use vigil_firmware::{LockstepFirmware, lockstep, replay};
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber, LockstepClient};
 use vigil_log::TickRecord;
-use vigil_mavlink::common::MavMessage;
 use vigil_mavlink::framing::{FramingCounters, Packet, StreamFramer};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, STEP_NS, StepReport, StepTiming};
 
@@ -104,16 +103,9 @@ fn suite(mut rig: impl Rig) {
         vehicle.hear(datagram);
     }
     assert_eq!(vehicle.bad_packets, 0);
-    assert!(
-        vehicle
-            .heard
-            .iter()
-            .all(|(from, _)| (from.system_id, from.component_id) == (1, 191))
-    );
-    let texts = vehicle
-        .heard
-        .iter()
-        .filter(|(_, message)| matches!(message, MavMessage::STATUSTEXT(_)));
+    let mut heard = vehicle.heard.iter();
+    assert!(heard.all(|(from, _)| (from.system_id, from.component_id) == (1, 191)));
+    let texts = only!(&vehicle.heard, STATUSTEXT);
     assert!(texts.count() >= 1, "its states are told");
 }
 
@@ -132,10 +124,7 @@ impl FarEnd for UdpSocket {
     }
 
     fn receive(&mut self, arrived: &mut Vec<Vec<u8>>) {
-        let mut buffer = [0; 2048];
-        while let Ok(len) = self.recv(&mut buffer) {
-            arrived.push(buffer[..len].to_vec());
-        }
+        arrived.extend(common::arrived(self));
     }
 }
 
@@ -192,8 +181,7 @@ struct Live<L, F> {
 
 impl<L: Link, F: FarEnd> Live<L, F> {
     fn new(number: u32, link: L, vehicle: F) -> Self {
-        let instance = Instance::own(number);
-        let domain = Domain::open(instance.0, "test").unwrap();
+        let (instance, domain) = Instance::joined(number);
         Self {
             firmware: Firmware::new(&config().stack()).unwrap(),
             frames: SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap()),
@@ -301,7 +289,7 @@ struct OtherProcess {
 
 impl OtherProcess {
     fn start() -> Self {
-        let instance = Instance::own(1);
+        let (instance, domain) = Instance::joined(1);
         let number = instance.0;
         let (sender, reports) = channel();
         let firmware = std::thread::spawn(move || {
@@ -316,7 +304,6 @@ impl OtherProcess {
             )
             .unwrap();
         });
-        let domain = Domain::open(number, "test-simulator").unwrap();
         Self {
             client: Some(LockstepClient::connect(&domain, PATIENCE).unwrap()),
             reports,
@@ -354,9 +341,8 @@ fn lockstep_in_two_processes_conforms() {
 #[test]
 fn a_udp_link_conforms() {
     let link = Gated::open(&LinkUrl::UdpIn(loopback()), VEHICLE, SigningGate::open()).unwrap();
-    let vehicle = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let vehicle = socket();
     vehicle.connect(link.local_address().unwrap()).unwrap();
-    vehicle.set_nonblocking(true).unwrap();
     suite(Live::new(0, link, vehicle));
 }
 

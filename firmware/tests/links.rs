@@ -18,12 +18,13 @@ use vigil_mavlink::message;
 use vigil_types::{Datagrams, Nanos};
 
 fn packet(sequence: u8) -> Vec<u8> {
-    let message = message!(
-        HEARTBEAT,
-        autopilot = MavAutopilot::MAV_AUTOPILOT_PX4,
-        mavlink_version = 3
-    );
-    encode((1, 1), sequence, &message)
+    packet_of(1, sequence)
+}
+
+fn packet_of(system: u8, sequence: u8) -> Vec<u8> {
+    let autopilot = MavAutopilot::MAV_AUTOPILOT_PX4;
+    let message = message!(HEARTBEAT, autopilot, mavlink_version = 3);
+    encode((system, 1), sequence, &message)
 }
 
 /// What is heard once something is; the turns only bridge the system's own pace.
@@ -76,6 +77,8 @@ fn a_server_serves_one_peer_and_the_next_when_that_one_is_gone_or_silent() {
     let mut second = caller(&link);
     second.write_all(&packet(2)).unwrap();
     assert_eq!(heard_soon(&mut link, 6 * SECOND), [packet(2)]);
+    let mut other_vehicle = caller(&link);
+    other_vehicle.write_all(&packet_of(2, 0)).unwrap();
     let mut third = caller(&link);
     third.write_all(&packet(3)).unwrap();
     assert_eq!(heard_soon(&mut link, 9 * SECOND), [packet(3)], "the second was silent");
@@ -87,10 +90,8 @@ fn a_server_serves_one_peer_and_the_next_when_that_one_is_gone_or_silent() {
 
 #[test]
 fn a_client_waits_for_its_peer_and_finds_it_again() {
-    let address = {
-        // A port that is free at this moment.
-        TcpListener::bind(loopback()).unwrap().local_addr().unwrap()
-    };
+    // A port that is free at this moment.
+    let address = TcpListener::bind(loopback()).unwrap().local_addr().unwrap();
     let mut link = Gated::open(&LinkUrl::TcpOut(address), VEHICLE, SigningGate::open()).unwrap();
     for second in 1..4 {
         assert!(heard(&mut link, second * SECOND).is_empty());

@@ -6,10 +6,10 @@ mod counting;
 
 use common::instance::Instance;
 use common::{
-    LOITER, MISSION, SYSTEM_ID, TestVehicle, config, free_port, set_parameter, undecided_detector, watched_config,
+    LOITER, MISSION, SYSTEM_ID, TestVehicle, arrived, config, free_port, set_parameter, undecided_detector,
+    watched_config,
 };
 use counting::allocations;
-use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use vigil_detector::{FrozenDetector, Of};
 use vigil_firmware::FirmwareConfig;
@@ -19,13 +19,13 @@ use vigil_firmware::pilots::Pilots;
 use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::stack::{FlightStack, StackConfig, TickInput, TickOutput};
-use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
+use vigil_io::shared_memory::{DEPTH_TOPIC, FramePublisher};
 use vigil_mavlink::common::MavParamType;
 use vigil_mavlink::framing::encode;
 use vigil_mavlink::message;
 use vigil_nnet::Purpose;
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Network, PolicyInputs};
-use vigil_types::{Duty, GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
+use vigil_types::{Datagrams, DepthFrame, Duty, GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
 
 fn counted(work: impl FnOnce()) -> u64 {
     let before = allocations();
@@ -114,6 +114,26 @@ fn explanation_verdict_and_recovery_allocate_nothing() {
     whole_flight(&config);
 }
 
+/// A tick in which nothing is allocated; the vehicle hears what is sent.
+fn tick(
+    stack: &mut FlightStack,
+    output: &mut TickOutput,
+    vehicle: &mut TestVehicle,
+    step: u64,
+    frame: Option<&DepthFrame>,
+    received: &Datagrams,
+) {
+    let input = TickInput {
+        now_ns: (step + 1) * STEP_NS,
+        timing: StepTiming::of_step(step),
+        frame,
+        frame_known_altered: false,
+        received,
+    };
+    assert_eq!(counted(|| stack.tick(&input, output)), 0, "step {step}");
+    output.sent.iter().for_each(|(_, datagram)| vehicle.hear(datagram));
+}
+
 fn whole_flight(config: &FirmwareConfig) {
     whole_flight_of(config, |_| {});
 }
@@ -129,21 +149,11 @@ fn whole_flight_of(config: &FirmwareConfig, change: impl FnOnce(&mut StackConfig
     let mut sent_bytes = 0;
     let mut recovered = false;
     for step in 0..1200 {
-        let now_ns = (step + 1) * STEP_NS;
-        let (frame, received) = (vehicle.frame(now_ns), vehicle.telemetry());
-        let input = TickInput {
-            now_ns,
-            timing: StepTiming::of_step(step),
-            // Frames stay out for a while in flight, so that the paths of a hold are walked too.
-            frame: (!(500..520).contains(&step)).then_some(&*frame),
-            frame_known_altered: false,
-            received: &received,
-        };
-        assert_eq!(counted(|| stack.tick(&input, &mut output)), 0, "step {step}");
-        for (_, datagram) in output.sent.iter() {
-            sent_bytes += datagram.len();
-            vehicle.hear(datagram);
-        }
+        let (frame, received) = (vehicle.frame((step + 1) * STEP_NS), vehicle.telemetry());
+        // Frames stay out for a while in flight, so that the paths of a hold are walked too.
+        let frame = (!(500..520).contains(&step)).then_some(&*frame);
+        tick(&mut stack, &mut output, &mut vehicle, step, frame, &received);
+        sent_bytes += output.sent.iter().map(|(_, datagram)| datagram.len()).sum::<usize>();
         vehicle.advance();
         recovered |= output.report.reasons.contains(Reason::Recovering);
         if !states.contains(&output.report.state) {
@@ -175,17 +185,7 @@ fn a_guarded_flight_that_is_stopped_and_flown_around_allocates_nothing() {
         for message in places(step) {
             assert!(received.push(0, &message));
         }
-        let input = TickInput {
-            now_ns,
-            timing: StepTiming::of_step(step),
-            frame: Some(&*frame),
-            frame_known_altered: false,
-            received: &received,
-        };
-        assert_eq!(counted(|| stack.tick(&input, &mut output)), 0, "step {step}");
-        for (_, datagram) in output.sent.iter() {
-            vehicle.hear(datagram);
-        }
+        tick(&mut stack, &mut output, &mut vehicle, step, Some(&frame), &received);
         stopped |= vehicle.mode == LOITER && output.report.reasons.contains(Reason::CollisionCourse);
         guided |= output.report.state == GuidanceState::Guided;
         vehicle.advance();
@@ -208,8 +208,7 @@ fn places(step: u64) -> [Vec<u8>; 2] {
 
 #[test]
 fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
-    let instance = Instance::own(0);
-    let domain = Domain::open(instance.0, "test-simulator").unwrap();
+    let (instance, domain) = Instance::joined(0);
     let mut publisher = FramePublisher::create(&domain, DEPTH_TOPIC).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let key = folder.path().join("vigil.key");
@@ -242,9 +241,8 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
     };
     let mut flight = LiveLoop::open(&config).unwrap();
     flight.start();
-    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let socket = common::socket();
     socket.connect(("127.0.0.1", port)).unwrap();
-    socket.set_nonblocking(true).unwrap();
     let mut vehicle = TestVehicle::hovering(2.5);
     let mut engaged = false;
     for step in 0..60 {
@@ -261,10 +259,7 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
         // In its first steps the transport maps the publisher's memory.
         assert!(step < 5 || allocations == 0, "step {step}: {allocations} allocations");
         engaged |= state >= GuidanceState::Engaging;
-        let mut buffer = [0; 512];
-        while let Ok(len) = socket.recv(&mut buffer) {
-            vehicle.hear(&buffer[..len]);
-        }
+        arrived(&socket).iter().for_each(|datagram| vehicle.hear(datagram));
         vehicle.advance();
     }
     assert!(engaged, "the loop was at work");

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{LOITER, PATIENCE, TestVehicle, free_port};
+use common::{LOITER, PATIENCE, TestVehicle, arrived, free_port};
 use std::net::UdpSocket;
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
@@ -14,7 +14,6 @@ use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::{FirmwareConfig, replay};
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameError, FramePublisher, remove_leftovers};
 use vigil_log::{LogEnd, Reader};
-use vigil_mavlink::common::MavMessage;
 
 fn firmware(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_firmware"));
@@ -54,15 +53,10 @@ struct Flight {
 }
 
 impl Flight {
-    fn start(log: &Path) -> Self {
-        Self::start_with(log, &[])
-    }
-
-    fn start_with(log: &Path, further: &[&str]) -> Self {
+    fn start(log: &Path, further: &[&str]) -> Self {
         let (instance, domain, publisher) = free_instance();
-        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let socket = common::socket();
         socket.connect(("127.0.0.1", free_port())).unwrap();
-        socket.set_nonblocking(true).unwrap();
         let mut flight = Self {
             vehicle: TestVehicle::hovering(2.5),
             socket,
@@ -105,9 +99,8 @@ impl Flight {
     }
 
     fn hear(&mut self) {
-        let mut buffer = [0; 512];
-        while let Ok(len) = self.socket.recv(&mut buffer) {
-            self.vehicle.hear(&buffer[..len]);
+        for datagram in arrived(&self.socket) {
+            self.vehicle.hear(&datagram);
         }
     }
 
@@ -122,10 +115,7 @@ impl Flight {
     fn until_text(&mut self, text: &str) {
         self.vehicle.heard.clear();
         self.until(text, |vehicle| {
-            vehicle.heard.iter().any(|(_, message)| match message {
-                MavMessage::STATUSTEXT(m) => m.text.to_str().unwrap().contains(text),
-                _ => false,
-            })
+            only!(&vehicle.heard, STATUSTEXT).any(|m| m.text.to_str().unwrap().contains(text))
         });
     }
 
@@ -158,10 +148,7 @@ fn moving(vehicle: &TestVehicle) -> bool {
 }
 
 fn said(output: &Output) -> String {
-    let (out, err) = (
-        String::from_utf8_lossy(&output.stdout),
-        String::from_utf8_lossy(&output.stderr),
-    );
+    let [out, err] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
     format!("{}\n{out}\n{err}", output.status)
 }
 
@@ -178,7 +165,7 @@ fn only_log(folder: &Path) -> std::path::PathBuf {
 #[test]
 fn it_flies_holds_when_the_simulator_goes_flies_on_when_it_returns_and_ends_with_zeros_and_a_whole_log() {
     let folder = tempfile::tempdir().unwrap();
-    let mut flight = Flight::start(folder.path());
+    let mut flight = Flight::start(folder.path(), &[]);
     flight.until("guided flight", moving);
 
     // The simulator's frames end: hold, named.
@@ -215,7 +202,7 @@ fn a_vehicle_that_a_person_took_over_is_not_taken_by_a_firmware_that_is_killed_a
     const POSITION: (u8, u8) = (3, 0);
     let folder = tempfile::tempdir().unwrap();
     let (log, state) = (folder.path().join("log"), folder.path().join("state"));
-    let mut flight = Flight::start_with(&log, &["--state", state.to_str().unwrap()]);
+    let mut flight = Flight::start(&log, &["--state", state.to_str().unwrap()]);
     flight.until("guided flight", moving);
     flight.vehicle.mode = POSITION;
     flight.until_text("guidance: standby");
@@ -232,11 +219,7 @@ fn a_vehicle_that_a_person_took_over_is_not_taken_by_a_firmware_that_is_killed_a
     for _ in 0..40 {
         flight.step();
     }
-    let commanded = flight
-        .vehicle
-        .heard
-        .iter()
-        .any(|(_, m)| matches!(m, MavMessage::COMMAND_LONG(c) if (c.command as u16) < 500));
+    let commanded = only!(&flight.vehicle.heard, COMMAND_LONG).any(|c| (c.command as u16) < 500);
     assert!(!commanded && flight.vehicle.setpoints.is_empty() && flight.vehicle.mode == LOITER);
     let ended = flight.signal_and_fly_on(rustix::process::Signal::TERM);
     assert!(

@@ -16,11 +16,7 @@ fn recorder(path: &Path, info: FlightInfo) -> Recorder {
 }
 
 /// Flies for [`STEPS`] and records; every third step has no frame, one has a bad one.
-fn record(folder: &Path) -> PathBuf {
-    record_flight(folder, &config())
-}
-
-fn record_flight(folder: &Path, config: &FirmwareConfig) -> PathBuf {
+fn record(folder: &Path, config: &FirmwareConfig) -> PathBuf {
     let path = folder.join("flight.mcap");
     let mut firmware = LockstepFirmware::new(config).unwrap();
     firmware.record(recorder(&path, config.flight_info()));
@@ -79,7 +75,7 @@ fn flip(datagrams: &mut Datagrams, datagram: usize, byte: usize) {
 #[test]
 fn a_recorded_flight_runs_again_to_the_byte() {
     let folder = tempfile::tempdir().unwrap();
-    let report = replayed(&record(folder.path()));
+    let report = replayed(&record(folder.path(), &config()));
     assert!(report.is_equal(), "{report}");
     assert_eq!(report.steps, STEPS);
     assert!(report.sent_bytes > 10_000, "{report}");
@@ -91,7 +87,7 @@ fn judgements_and_alarms_run_again_to_the_bit_and_only_with_the_detector_that_fl
     let folder = tempfile::tempdir().unwrap();
     let mut config = watched_config(folder.path());
     config.detector.threshold = Some(0.4);
-    let path = record_flight(folder.path(), &config);
+    let path = record(folder.path(), &config);
     let report = replayed(&path);
     assert!(report.is_equal(), "{report}");
 
@@ -102,18 +98,9 @@ fn judgements_and_alarms_run_again_to_the_bit_and_only_with_the_detector_that_fl
     let mut record = Box::<TickRecord>::default();
     let (mut judged, mut recovering) = (0, 0);
     while reader.read_next(&mut record).unwrap() {
-        judged += u64::from(
-            record
-                .report
-                .judgement
-                .is_some_and(|j| j.phi.iter().all(|phi| phi.is_finite())),
-        );
-        recovering += u64::from(
-            record
-                .report
-                .alarm
-                .is_some_and(|a| a.response == AlarmResponse::Recovery),
-        );
+        let (judgement, alarm) = (record.report.judgement, record.report.alarm);
+        judged += u64::from(judgement.is_some_and(|j| j.phi.iter().all(|phi| phi.is_finite())));
+        recovering += u64::from(alarm.is_some_and(|a| a.response == AlarmResponse::Recovery));
     }
     assert!(judged > 200 && recovering > 50, "{judged} {recovering}");
 
@@ -137,7 +124,7 @@ fn judgements_and_alarms_run_again_to_the_bit_and_only_with_the_detector_that_fl
 #[test]
 fn one_byte_of_difference_is_found_and_named() {
     let folder = tempfile::tempdir().unwrap();
-    let original = record(folder.path());
+    let original = record(folder.path(), &config());
 
     // An output that was not what the tick gave.
     let sent = altered(folder.path(), &original, 150, |record| flip(&mut record.sent, 0, 20));
@@ -150,33 +137,31 @@ fn one_byte_of_difference_is_found_and_named() {
     assert_eq!(byte(&difference.what.recorded) ^ byte(&difference.what.replayed), 1);
     assert!(report.to_string().contains("step 150"), "{report}");
 
+    let differs = |step, alter: fn(&mut TickRecord)| {
+        let bent = altered(folder.path(), &original, step, alter);
+        replayed(&bent).difference.unwrap()
+    };
+
     // An input that was not what the tick got: a byte of the vehicle's position, with its packet's checksum now wrong,
     // so that the position is missing and older ones count.
-    let received = altered(folder.path(), &original, 160, |record| {
-        flip(&mut record.received, 1, 15)
-    });
-    let difference = replayed(&received).difference.unwrap();
+    let difference = differs(160, |record| flip(&mut record.received, 1, 15));
     assert!(difference.step >= 160, "{difference}");
 
     // A pixel of a frame: its checksum is wrong and the frame is refused.
-    let frame = altered(folder.path(), &original, 170, |record| {
+    let difference = differs(170, |record| {
         let mut frame = Box::new(record.frame().unwrap().clone());
         frame.depth[12_345] = 0.5;
         record.set_frame(Some(&frame));
     });
-    assert_eq!(replayed(&frame).difference.unwrap().step, 170);
+    assert_eq!(difference.step, 170);
 
     // A report that says something else.
-    let report = altered(folder.path(), &original, 180, |record| {
-        record.report.frames_refused += 1;
-    });
-    let difference = replayed(&report).difference.unwrap();
+    let difference = differs(180, |record| record.report.frames_refused += 1);
     assert_eq!(difference.step, 180);
     assert!(difference.to_string().contains("frames_refused"), "{difference}");
 
     // A datagram that is not there.
-    let missing = altered(folder.path(), &original, 190, |record| record.sent.clear());
-    let difference = replayed(&missing).difference.unwrap();
+    let difference = differs(190, |record| record.sent.clear());
     assert_eq!(difference.what.place, "the number of datagrams");
     assert_eq!(difference.what.recorded, "0", "{difference}");
 }
@@ -184,7 +169,7 @@ fn one_byte_of_difference_is_found_and_named() {
 #[test]
 fn where_records_were_dropped_the_replay_ends_and_says_so() {
     let folder = tempfile::tempdir().unwrap();
-    let original = record(folder.path());
+    let original = record(folder.path(), &config());
     let path = folder.path().join("gap.mcap");
     // A recorder with one slot that drops: whatever is lost, the records say so.
     let mut reader = Reader::open(&original).unwrap();

@@ -5,10 +5,9 @@
 
 mod common;
 
-use common::{SENSOR_ID, TestVehicle, config};
+use common::{TestVehicle, arrived, config, socket};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
-use vigil_firmware::FirmwareConfig;
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::handed::{HandedClock, HandedFrame};
 use vigil_firmware::ports::router::RoutedLinks;
@@ -81,11 +80,6 @@ struct Udp {
 
 impl Udp {
     fn new(link: SocketAddr) -> Self {
-        let socket = || {
-            let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-            socket.set_nonblocking(true).unwrap();
-            socket
-        };
         Self {
             link,
             strangers: (0..STRANGERS).map(|_| socket()).collect(),
@@ -106,12 +100,7 @@ impl Network for Udp {
     }
 
     fn heard(&mut self) -> Vec<Vec<u8>> {
-        let mut buffer = [0; 2048];
-        let mut got = Vec::new();
-        while let Ok(len) = self.vehicle.recv(&mut buffer) {
-            got.push(buffer[..len].to_vec());
-        }
-        got
+        arrived(&self.vehicle)
     }
 }
 
@@ -195,10 +184,6 @@ struct Flight<N: Network> {
 
 impl<N: Network> Flight<N> {
     fn new(scheme: &str, network: impl FnOnce(SocketAddr) -> N, content: Vec<Vec<u8>>) -> Self {
-        let config = FirmwareConfig {
-            sensor_id: SENSOR_ID,
-            ..config()
-        };
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let vehicle = format!("{scheme}://127.0.0.1:{port},system=1").parse().unwrap();
         let gate = SigningGate::new(None, AllowUnsigned::Loopback);
@@ -206,7 +191,7 @@ impl<N: Network> Flight<N> {
         Self {
             links,
             network: network(([127, 0, 0, 1], port).into()),
-            firmware: Firmware::of(&config).unwrap(),
+            firmware: Firmware::of(&config()).unwrap(),
             vehicle: TestVehicle::hovering(2.5),
             content,
             step: 0,

@@ -10,6 +10,7 @@ use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::links::{Gated, PeerRule};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavMessage, MavType};
 use vigil_mavlink::framing::encode as packet;
+use vigil_mavlink::message;
 use vigil_types::Datagrams;
 
 fn listening() -> Gated {
@@ -18,13 +19,10 @@ fn listening() -> Gated {
 
 /// A heartbeat as of this autopilot.
 fn autopilot(from: (u8, u8), sequence: u8) -> Vec<u8> {
-    let heartbeat = HEARTBEAT_DATA {
-        mavtype: MavType::MAV_TYPE_QUADROTOR,
-        autopilot: MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
-        mavlink_version: 3,
-        ..HEARTBEAT_DATA::DEFAULT
-    };
-    packet(from, sequence, &MavMessage::HEARTBEAT(heartbeat))
+    let mavtype = MavType::MAV_TYPE_QUADROTOR;
+    let autopilot = MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA;
+    let heartbeat = message!(HEARTBEAT, mavtype, autopilot, mavlink_version = 3);
+    packet(from, sequence, &heartbeat)
 }
 
 fn vehicle(sequence: u8) -> Vec<u8> {
@@ -134,6 +132,8 @@ fn a_vehicle_that_comes_back_from_another_port_is_taken_after_a_silence() {
     after.send(&vehicle(2)).unwrap();
     assert!(heard(&mut link, 3 * SECOND).is_empty());
     heard(&mut link, 4 * SECOND);
+    let other_vehicle = caller(&link);
+    other_vehicle.send(&autopilot((2, 1), 0)).unwrap();
     after.send(&vehicle(3)).unwrap();
     assert_eq!(heard(&mut link, 4 * SECOND), [vehicle(3)]);
     say(&mut link, b"setpoint");

@@ -41,11 +41,18 @@ fn lidar(method: Method) -> Lidar {
         .with_method(method)
 }
 
-fn bench_cast(bencher: Bencher, world: &World, method: Method) {
-    let mut lidar = lidar(method);
+/// What is to be timed is given the number of its run.
+fn bench<T>(bencher: Bencher, mut run: impl FnMut(u64) -> T) {
     let mut count = 0;
     bencher.bench_local(|| {
         count += 1;
+        run(count)
+    });
+}
+
+fn bench_cast(bencher: Bencher, world: &World, method: Method) {
+    let mut lidar = lidar(method);
+    bench(bencher, |count| {
         let s = shot(count);
         divan::black_box(lidar.cast(world, s.position_ned_m, s.attitude)[0])
     });
@@ -98,13 +105,8 @@ fn triangles(mesh: &str) -> Vec<[NedVector; 3]> {
     tube([9.0, 0.0], [16.0, 11.0], 6.0, [340, 100], 0.99);
     for pillar in 0..16_u8 {
         let (row, column) = (f32::from(pillar / 4), f32::from(pillar % 4));
-        tube(
-            [-1.0 + 6.5 * row, -7.0 + 4.5 * column],
-            [0.35, 0.35],
-            5.0,
-            [20, 50],
-            0.1,
-        );
+        let centre = [-1.0 + 6.5 * row, -7.0 + 4.5 * column];
+        tube(centre, [0.35, 0.35], 5.0, [20, 50], 0.1);
     }
     all
 }
@@ -113,9 +115,8 @@ fn triangles(mesh: &str) -> Vec<[NedVector; 3]> {
 fn mesh_fast(bencher: Bencher, mesh: &str) {
     let mut course = course(1);
     course.clear_obstacles();
-    course
-        .meshes
-        .push(Mesh::of_triangles(&triangles(mesh)).expect("a mesh"));
+    let mesh = Mesh::of_triangles(&triangles(mesh)).expect("a mesh");
+    course.meshes.push(mesh);
     bench_cast(bencher, &World::new(&course), Method::Fast);
 }
 
@@ -125,20 +126,15 @@ fn mesh_fast(bencher: Bencher, mesh: &str) {
 fn mesh_parry(bencher: Bencher, mesh: &str) {
     let triangles = triangles(mesh);
     let points = triangles.iter().flatten().map(|p| Vector::new(p.x, p.y, p.z)).collect();
-    let numbers = (0..triangles.len() as u32)
-        .map(|t| [3 * t, 3 * t + 1, 3 * t + 2])
-        .collect();
-    let mesh = TriMesh::new(points, numbers).expect("a mesh");
-    let mut count = 0;
-    bencher.bench_local(|| {
-        count += 1;
+    let numbers = (0..triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]);
+    let mesh = TriMesh::new(points, numbers.collect()).expect("a mesh");
+    bench(bencher, |count| {
         let s = shot(count);
         let origin = Vector::from(s.position_ned_m.to_array());
         let nearest = |beam: usize| {
-            let direction = s
-                .attitude
-                .to_ned(beam_direction_frd(beam / LIDAR_FIRINGS, beam % LIDAR_FIRINGS));
-            let ray = Ray::new(origin, Vector::from(direction.to_array()));
+            let direction_frd = beam_direction_frd(beam / LIDAR_FIRINGS, beam % LIDAR_FIRINGS);
+            let direction = s.attitude.to_ned(direction_frd).to_array();
+            let ray = Ray::new(origin, Vector::from(direction));
             mesh.cast_local_ray(&ray, 100.0, true).unwrap_or(100.0)
         };
         (0..LIDAR_BEAMS).map(nearest).fold(0.0, f32::max)
@@ -151,11 +147,7 @@ fn measure(bencher: Bencher) {
     let mut lidar = lidar(Method::Fast);
     let s = shot(1);
     lidar.cast(&world, s.position_ned_m, s.attitude);
-    let mut count = 0;
-    bencher.bench_local(|| {
-        count += 1;
-        lidar.measure(count);
-    });
+    bench(bencher, |count| lidar.measure(count));
 }
 
 #[divan::bench]
@@ -190,20 +182,12 @@ fn bench_capture(bencher: Bencher, course: &Course) {
     let world = World::new(course);
     let mut lidar = lidar(Method::Fast);
     let mut frame = Box::new(DepthFrame::EMPTY);
-    let mut count = 0;
-    bencher.bench_local(|| {
-        count += 1;
-        lidar.capture(&world, &shot(count), &mut frame);
-    });
+    bench(bencher, |count| lidar.capture(&world, &shot(count), &mut frame));
 }
 
 #[divan::bench]
 fn generate_validation_course(bencher: Bencher) {
-    let mut seed = 0;
-    bencher.bench_local(|| {
-        seed += 1;
-        course(seed)
-    });
+    bench(bencher, course);
 }
 
 fn environment(seed: u64) -> Environment {
@@ -213,13 +197,12 @@ fn environment(seed: u64) -> Environment {
 /// 50 ms of vehicle and referee, in circles: what a step costs but for its frame.
 #[divan::bench(args = SEEDS)]
 fn advance(bencher: Bencher, seed: u64) {
-    let (mut environment, mut steps) = (environment(seed), 0);
+    let mut environment = environment(seed);
     let setpoint = VelocitySetpoint {
         velocity_m_s: HeadingVector::new(0.5, 0.0, 0.0),
         yaw_rate_rad_s: 0.6,
     };
-    bencher.bench_local(|| {
-        steps += 1;
+    bench(bencher, |steps| {
         if environment.advance_unseen(setpoint).is_some() || steps % 600 == 0 {
             environment = self::environment(seed);
         }
@@ -229,9 +212,7 @@ fn advance(bencher: Bencher, seed: u64) {
 /// The beginning of a flight: its course, world, vehicle and ways.
 #[divan::bench]
 fn begin(bencher: Bencher) {
-    let mut seed = 0;
-    bencher.bench_local(|| {
-        seed += 1;
+    bench(bencher, |seed| {
         let course = course(seed);
         let environment = Environment::unseen(&course, VehicleParams::default(), Wind::default(), seed);
         (

@@ -72,20 +72,8 @@ impl FlightRecord {
 /// Steps between two points of [`FlightRecord::path_ned_m`].
 pub const PATH_STRIDE: u64 = 4;
 
-/// Flies until the referee ends the flight, and `linger_s` longer (to see a landing, or a hold after a crash).
-///
-/// # Errors
-/// The firmware port's error.
-pub fn fly_lockstep<P: FirmwarePort>(
-    simulator: &mut Simulator,
-    port: &mut P,
-    time_limit_s: f64,
-    linger_s: f64,
-) -> Result<FlightRecord, P::Error> {
-    fly_lockstep_through(simulator, &mut |_, _| {}, port, time_limit_s, linger_s)
-}
-
-/// The same with something between the sensor and the firmware, an attack for one: `between` gets each step's number and frame before the firmware does.
+/// Flies until the referee ends the flight, and `linger_s` longer (to see a landing, or a hold after a crash). What is between the sensor
+/// and the firmware, an attack for one, gets each step's number and frame before the firmware does: `between`.
 ///
 /// # Errors
 /// The firmware port's error.

@@ -1,7 +1,7 @@
 //! The simulator as a process: real time with sockets and shared memory, or lockstep with a firmware process.
 
 use crate::config::SimError;
-use crate::lockstep_flight::{FirmwarePort, fly_lockstep};
+use crate::lockstep_flight::{FirmwarePort, fly_lockstep_through};
 use crate::saved_state::state_file;
 use crate::udp::ports_in_words;
 use crate::vehicle_links::{LinksConfig, VehicleLinks};
@@ -12,8 +12,8 @@ use crate::{
 };
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
-use std::io::Write;
-use std::path::PathBuf;
+use std::io::{ErrorKind, Write};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,7 +25,7 @@ use vigil_io::key_file::frame_key;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
 use vigil_types::{
-    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, GuidanceState, Nanos, Reasons, STEP_NS,
+    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, FrameKey, GuidanceState, Nanos, Reasons, STEP_NS,
 };
 
 /// Later than this, the simulation has stood still (a suspended machine, a debugger, a stopped process); what is less is caught up with.
@@ -236,11 +236,7 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
     config.start = if args.airborne { Start::Airborne } else { Start::Ground };
     config.sensor_fault = args.sensor_fault;
     config.second_sensor_heads = args.second_sensor_heads.into();
-    config.frame_key = args
-        .frame_key
-        .as_ref()
-        .map(|path| frame_key(path, LIDAR_SENSOR_ID))
-        .transpose()?;
+    config.frame_key = lidar_key(args.frame_key.as_deref())?;
     if let Some(folder) = &args.state {
         config.saved = state_file(folder, args.instance).load()?;
     }
@@ -256,6 +252,11 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
         };
     }
     Ok(config)
+}
+
+/// The key of the LiDAR's frames, if they have one.
+pub(crate) fn lidar_key(file: Option<&Path>) -> Result<Option<FrameKey>> {
+    Ok(file.map(|path| frame_key(path, LIDAR_SENSOR_ID)).transpose()?)
 }
 
 struct OtherProcess<'a> {
@@ -350,7 +351,8 @@ fn run_lockstep(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Atom
         stop,
         steps: 0,
     };
-    let record = match fly_lockstep(&mut simulator, &mut port, f64::from(config.course.time_limit_s), 0.0) {
+    let limit_s = f64::from(config.course.time_limit_s);
+    let record = match fly_lockstep_through(&mut simulator, &mut |_, _| {}, &mut port, limit_s, 0.0) {
         Ok(record) => record,
         Err(Some(error)) => return Err(error.into()),
         Err(None) => {
@@ -441,8 +443,8 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
                     seen = nearness(frame);
                 }
             })?;
-            if tells {
-                print_status(&status(&simulator, &companion, &seen, elapsed_ms))?;
+            if tells && !print_status(&status(&simulator, &companion, &seen, elapsed_ms))? {
+                break;
             }
         }
         if elapsed_ms.is_multiple_of(SAVE_MS)
@@ -471,10 +473,8 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
         print_status(&status(&simulator, &companion, &seen, elapsed_ms))?;
     }
     tell_refused(&simulator, &links);
-    Ok(ExitCode::from(
-        args.end_after
-            .map_or(0, |_| ending_code(simulator.ending().map(|e| e.outcome))),
-    ))
+    let ending = simulator.ending().map(|e| e.outcome);
+    Ok(ExitCode::from(args.end_after.map_or(0, |_| ending_code(ending))))
 }
 
 /// What the vehicle and its links refused, if anything.
@@ -526,11 +526,11 @@ fn status(simulator: &Simulator, companion: &CompanionView, nearness: &str, elap
     }
 }
 
-/// A closed pipe means that nobody reads any more: that ends the simulator like Ctrl-C.
-pub(crate) fn print_status(status: &Status) -> Result<()> {
+/// `false` means that nobody reads any more: that ends the simulator like Ctrl-C.
+pub(crate) fn print_status(status: &Status) -> Result<bool> {
     let mut out = std::io::stdout().lock();
-    serde_json::to_writer(&mut out, status)?;
-    writeln!(out)
-        .and_then(|()| out.flush())
-        .context("standard output was closed")
+    match writeln!(out, "{}", serde_json::to_string(status)?).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(false),
+        written => written.map(|()| true).context("cannot write standard output"),
+    }
 }

@@ -103,26 +103,22 @@ impl VehicleLinks {
             let first = LinkUrl::UdpIn(ONBOARD.into());
             somebody_is_heard(&first, gate.has_key(), allow_unsigned)?;
         }
-        let mut links: Vec<VehicleLink> = onboard_api_gcs(config.instance)?
-            .into_iter()
-            .map(|(id, udp)| VehicleLink {
-                id,
-                wire: Box::new(udp),
-                allow_unsigned,
-                budget: None,
-                over_budget: 0,
-            })
+        let link = |id, wire: Box<dyn Wire>, allow_unsigned, budget| VehicleLink {
+            id,
+            wire,
+            allow_unsigned,
+            budget,
+            over_budget: 0,
+        };
+        let udp = onboard_api_gcs(config.instance)?.into_iter();
+        let mut links: Vec<_> = udp
+            .map(|(id, udp)| link(id, Box::new(udp), allow_unsigned, None))
             .collect();
         for extra in &config.extra {
             let policy = extra.allow_unsigned.unwrap_or(allow_unsigned);
             somebody_is_heard(&extra.url, gate.has_key(), policy)?;
-            links.push(VehicleLink {
-                id: LinkId(links.len() as u8),
-                wire: open_wire(&extra.url, PeerRule::Anyone)?,
-                allow_unsigned: policy,
-                budget: Budget::of(extra, f64::INFINITY),
-                over_budget: 0,
-            });
+            let (id, wire) = (LinkId(links.len() as u8), open_wire(&extra.url, PeerRule::Anyone)?);
+            links.push(link(id, wire, policy, Budget::of(extra, f64::INFINITY)));
         }
         Ok(Self {
             links,

@@ -270,24 +270,17 @@ fn the_seed_and_the_frames_number_fix_every_bit() {
 
 #[test]
 fn a_config_that_makes_no_sense_is_refused_by_field() {
-    let with = |change: fn(&mut LidarConfig)| {
+    type Change = fn(&mut LidarConfig);
+    let cases: [(Change, &str); 4] = [
+        (|c| c.range_noise_sigma_m = f32::NAN, "`range_noise_sigma_m` is NaN"),
+        (|c| c.dropout_probability = 1.5, "`dropout_probability` is 1.5"),
+        (|c| c.max_range_m = 400.0, "`max_range_m` is 400"),
+        (|c| c.min_range_m = 0.0, "`min_range_m` is 0"),
+    ];
+    for (change, expected) in cases {
         let mut config = LidarConfig::default();
         change(&mut config);
-        config
-    };
-    for (config, expected) in [
-        (
-            with(|c| c.range_noise_sigma_m = f32::NAN),
-            "lidar: `range_noise_sigma_m` is NaN",
-        ),
-        (
-            with(|c| c.dropout_probability = 1.5),
-            "lidar: `dropout_probability` is 1.5",
-        ),
-        (with(|c| c.max_range_m = 400.0), "lidar: `max_range_m` is 400"),
-        (with(|c| c.min_range_m = 0.0), "lidar: `min_range_m` is 0"),
-    ] {
         let error = Lidar::new(config, 0).err().expect("must be refused").to_string();
-        assert!(error.starts_with(expected), "{error}");
+        assert!(error.starts_with(&format!("lidar: {expected}")), "{error}");
     }
 }

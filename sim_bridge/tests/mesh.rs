@@ -1,6 +1,8 @@
 //! Surfaces from files: read in every format, refused with a sentence, looked at, touched, flown around.
 
 use base64::Engine;
+use std::ffi::OsStr;
+use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 use vigil_sim::world::{Course, CourseError, Mesh, Outcome, Referee, VEHICLE, World};
 use vigil_types::{Attitude, NedVector};
@@ -11,7 +13,8 @@ fn course(folder: &Path, entry: &str) -> Result<Course, CourseError> {
         "name = \"test\"\ngoal = {{ north_m = 20.0, east_m = 0.0 }}\n\
          bounds = {{ north_m = [-4.0, 26.0], east_m = [-10.0, 10.0], top_m = 6.0 }}\n[[mesh]]\n{entry}\n"
     );
-    Course::from_toml_str(&text, &folder.join("test.toml").display().to_string())
+    std::fs::write(folder.join("test.toml"), text).expect("written");
+    Course::load(&folder.join("test.toml"))
 }
 
 /// Two triangles: a gate's post from the ground to 3 m, 1 m to 2 m east, 5 m north. Nothing thick, nothing closed.
@@ -132,6 +135,11 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
         let again = Course::from_toml_str(&course.to_toml_string().expect("writable"), "elsewhere/again.toml");
         assert_eq!(course, again.expect("read from where it was"));
     }
+    // A folder's name need not be Unicode.
+    let named = folder.path().join(OsStr::from_bytes(b"caf\xe9"));
+    std::fs::create_dir(&named).expect("made");
+    std::fs::write(named.join("m.obj"), obj(1.0)).expect("written");
+    course(&named, "file = \"m.obj\"").expect("a course");
 }
 
 #[test]

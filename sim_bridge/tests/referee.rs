@@ -51,6 +51,11 @@ fn fly(course: &Course, points: &[[f32; 3]], speed_m_s: f32, period_ms: u64) -> 
     (None, at, referee)
 }
 
+/// The verdict on a vehicle that is shown once, at rest.
+fn shown(course: &Course, at: NedVector, attitude: Attitude) -> Option<Outcome> {
+    Referee::new(course).observe(&World::new(course), 0, at, attitude, NedVector::ZERO)
+}
+
 #[test]
 fn a_straight_flight_over_an_open_field_succeeds_at_the_goals_rim() {
     let way = [[0.0, 0.0, 0.0], [0.0, 0.0, -1.5], [20.0, 0.0, -1.5]];
@@ -166,13 +171,10 @@ fn the_same_flight_passes_before_the_mover_or_hits_it_as_its_phase_says() {
 #[test]
 fn a_tilted_vehicle_reaches_higher_than_a_level_one() {
     let low = course("ceiling_height_m = 2.0");
-    let world = World::new(&low);
     let at = NedVector::new(3.0, 0.0, -1.85);
-    let mut referee = Referee::new(&low);
-    assert_eq!(referee.observe(&world, 0, at, LEVEL, NedVector::ZERO), None);
+    assert_eq!(shown(&low, at, LEVEL), None);
     let tilted = Attitude::from_euler_rad(0.4, 0.0, 0.0);
-    let outcome = referee.observe(&world, MS, at, tilted, NedVector::ZERO);
-    assert_eq!(outcome, Some(Outcome::Collision));
+    assert_eq!(shown(&low, at, tilted), Some(Outcome::Collision));
 }
 
 #[test]
@@ -181,11 +183,8 @@ fn a_soft_landing_is_no_collision_and_a_fall_is() {
     let way = [[3.0, 0.0, -1.5], [3.0, 0.0, -0.05]];
     assert_eq!(fly(&c, &way, 0.5, 4).0, None);
     assert_eq!(fly(&c, &way, 4.0, 4).0, Some(Outcome::Collision));
-    let world = World::new(&c);
     let on_its_side = Attitude::from_euler_rad(1.5, 0.0, 0.0);
-    let mut referee = Referee::new(&c);
-    let at = NedVector::new(3.0, 0.0, -0.2);
-    let outcome = referee.observe(&world, 0, at, on_its_side, NedVector::ZERO);
+    let outcome = shown(&c, NedVector::new(3.0, 0.0, -0.2), on_its_side);
     assert_eq!(outcome, Some(Outcome::Collision));
 }
 
@@ -197,8 +196,7 @@ fn leaving_sideways_or_upwards_is_out_of_bounds_and_so_is_no_position() {
         assert_eq!(outcome, Some(Outcome::OutOfBounds));
     }
     let nowhere = NedVector::new(f32::NAN, 0.0, -1.5);
-    let outcome = Referee::new(&c).observe(&World::new(&c), 0, nowhere, LEVEL, NedVector::ZERO);
-    assert_eq!(outcome, Some(Outcome::OutOfBounds));
+    assert_eq!(shown(&c, nowhere, LEVEL), Some(Outcome::OutOfBounds));
 }
 
 #[test]

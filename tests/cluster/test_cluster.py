@@ -70,6 +70,7 @@ def test_an_interrupted_campaign_goes_on_with_its_parts_on_a_ray_of_its_own(tmp_
     out, parts = tmp_path / "flown.json", tmp_path / "flown.parts"
     words = [*FLIGHTS[:-1], "6", "--wind", "2"]
     line = [*words, "--vigil", str(VIGIL), "--at-a-time", "2", "-o", str(out)]
+    assert main([*line, "--address", "nonsense"]) == 1
     assert main(line) == 0
     assert out.read_bytes() == one_machine(tmp_path, words)
     # One part of three was lost.
@@ -88,7 +89,9 @@ def test_an_interrupted_campaign_goes_on_with_its_parts_on_a_ray_of_its_own(tmp_
     assert out.read_bytes() == one_machine(tmp_path, words)
 
 
-def test_files_are_sent_along_and_what_fails_is_said(tmp_path, capfd):
+def test_files_are_sent_along_and_what_fails_is_said(tmp_path, monkeypatch):
+    # Nodes do not have this package.
+    monkeypatch.delenv("PYTHONPATH")
     ray.init(num_cpus=2, log_to_driver=False)
     try:
         actor = ["evaluate", "--seed", "7", "--flights=1", "--actor", str(ACTOR), "--detector=off"]

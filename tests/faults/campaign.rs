@@ -7,6 +7,7 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use vigil_sim::world::Outcome;
+use vigil_tests::side_by_side;
 
 /// Tells a person something at once; where nobody listens nothing can be told.
 pub fn tell(text: &str) {
@@ -230,36 +231,6 @@ pub fn spread(what: &str, unit: &str, mut values: Vec<f64>) -> String {
 pub fn joined<const N: usize>(texts: [String; N]) -> String {
     let said: Vec<String> = texts.into_iter().filter(|text| !text.is_empty()).collect();
     said.join("; ")
-}
-
-/// Runs trials `0..count` on as many threads as there are instances; each thread has an instance of its own. In order of the trials.
-pub fn side_by_side<T: Send>(
-    count: usize,
-    instances: &[u32],
-    trial: impl Fn(usize, u32) -> Option<T> + Sync,
-) -> Vec<T> {
-    let next = std::sync::atomic::AtomicUsize::new(0);
-    let done = std::sync::Mutex::new(Vec::new());
-    std::thread::scope(|scope| {
-        for instance in instances {
-            scope.spawn(|| {
-                loop {
-                    let number = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-                    if number >= count {
-                        return;
-                    }
-                    let Some(result) = trial(number, *instance) else { return };
-                    // Nobody panics while holding it.
-                    if let Ok(mut done) = done.lock() {
-                        done.push((number, result));
-                    }
-                }
-            });
-        }
-    });
-    let mut done = done.into_inner().unwrap_or_default();
-    done.sort_by_key(|(number, _)| *number);
-    done.into_iter().map(|(_, result)| result).collect()
 }
 
 /// Runs lockstep flights `0..count` of the site's seeds, as many at a time as there are cores and instances, until Ctrl-C: the

@@ -1,7 +1,7 @@
 //! Disks without room: what flies flies on and says so, what only writes ends by name.
 
 use crate::campaign::{Ending, Folder, Row, Trial};
-use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site};
+use crate::flight::{Extras, Flight, Site};
 use anyhow::Result;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -75,11 +75,9 @@ fn no_state(site: &Site<'_>) -> Row {
 fn refusals() -> Row {
     let vigil = vigil_tests::vigil();
     let shell = |command: &str| {
-        let command = format!("{} {command}", vigil.display());
-        Command::new("bash")
-            .args(["-c", &command])
-            .stdin(Stdio::null())
-            .output()
+        let mut shell = Command::new("bash");
+        shell.args(["-c", &format!("{} {command}", vigil.display())]);
+        shell.stdin(Stdio::null()).output()
     };
     let commands = [
         "evaluate --flights 1 --pilot geometric --json /dev/full",
@@ -130,18 +128,16 @@ fn flights(site: &Site<'_>) -> Result<Row> {
         let mut flight = Flight::start(site.instances[0], site.seed + number, work.path(), extras)?;
         let flown = flight.take_off(site.stop).and_then(|()| {
             state.fill();
-            flight.follow(FLIGHT_LIMIT, site.stop, |s| s.outcome.is_some())
+            flight.fly_to_its_end(site.stop)
         });
         let fallen = flight.fallen();
-        let arrived = flight.last.as_ref().and_then(|s| s.outcome) == Some(Outcome::Success);
+        let arrived = flight.outcome() == Some(Outcome::Success);
         trials.push(match (flown, flight.end_firmware()) {
             _ if !fallen.is_empty() => Trial::wrong(Ending::Crashed, format!("{} ended", fallen.join(", "))),
             (Err(error), _) | (_, Err(error)) => Trial::wrong(Ending::TimeOut, format!("{error:#}")),
             (Ok(_), Ok(said)) => {
-                let named = said
-                    .iter()
-                    .any(|line| line.starts_with("log") && line.contains("space"));
-                match (arrived, named) {
+                let names = |line: &String| line.starts_with("log") && line.contains("space");
+                match (arrived, said.iter().any(names)) {
                     (true, true) => Trial::right(Ending::Arrived),
                     (true, false) => {
                         let said = said.join(" | ");

@@ -97,21 +97,20 @@ impl Operator {
         if now_s - self.said_s < PATIENCE_S {
             return None;
         }
-        let request = match state {
-            GuidanceState::Guided | GuidanceState::Hold if doubted && now_s - doubt_since_s > DOUBT_LIMIT_S => {
-                self.landings += 1;
-                Request::Land
-            }
-            GuidanceState::Guided | GuidanceState::Hold if reasons.contains(Reason::GoalReached) => {
-                self.goals += 1;
-                Request::Goal(self.goal())
-            }
-            GuidanceState::Guided | GuidanceState::Hold if now_s - self.leg_since_s > LEG_LIMIT_S => {
-                self.given_up += 1;
-                Request::Goal(self.goal())
-            }
-            GuidanceState::Ready => Request::Engage,
-            _ => return None,
+        let flies = matches!(state, GuidanceState::Guided | GuidanceState::Hold);
+        let request = if flies && doubted && now_s - doubt_since_s > DOUBT_LIMIT_S {
+            self.landings += 1;
+            Request::Land
+        } else if flies && reasons.contains(Reason::GoalReached) {
+            self.goals += 1;
+            Request::Goal(self.goal())
+        } else if flies && now_s - self.leg_since_s > LEG_LIMIT_S {
+            self.given_up += 1;
+            Request::Goal(self.goal())
+        } else if state == GuidanceState::Ready {
+            Request::Engage
+        } else {
+            return None;
         };
         self.said_s = now_s;
         if matches!(request, Request::Goal(_) | Request::Engage) {
@@ -405,31 +404,24 @@ mod tests {
 
     #[test]
     fn the_operator_gives_the_next_goal_once_and_lands_where_a_doubt_lasts() {
+        use GuidanceState::{Guided, Hold, Ready};
         let mut operator = Operator::default();
-        let reached = Reasons::of(Reason::GoalReached);
-        assert_eq!(operator.look(5.0, GuidanceState::Guided, Reasons::NONE), None);
-        assert_eq!(
-            operator.look(20.0, GuidanceState::Hold, reached),
-            Some(Request::Goal(GOALS[1]))
-        );
-        assert_eq!(
-            operator.look(20.2, GuidanceState::Hold, reached),
-            None,
-            "it was just said"
-        );
+        let (none, reached) = (Reasons::NONE, Reasons::of(Reason::GoalReached));
         let doubt = Reasons::of(Reason::InconsistentPicture);
-        assert_eq!(operator.look(30.0, GuidanceState::Hold, doubt), None);
-        assert_eq!(operator.look(39.0, GuidanceState::Hold, doubt), None);
-        assert_eq!(operator.look(40.5, GuidanceState::Hold, doubt), Some(Request::Land));
-        assert_eq!(
-            operator.look(50.0, GuidanceState::Ready, Reasons::NONE),
-            Some(Request::Engage)
-        );
-        assert_eq!(operator.look(100.0, GuidanceState::Guided, Reasons::NONE), None);
-        assert_eq!(
-            operator.look(141.0, GuidanceState::Guided, Reasons::NONE),
-            Some(Request::Goal(GOALS[2]))
-        );
+        for (now_s, state, reasons, asked) in [
+            (5.0, Guided, none, None),
+            (20.0, Hold, reached, Some(Request::Goal(GOALS[1]))),
+            // It was just said.
+            (20.2, Hold, reached, None),
+            (30.0, Hold, doubt, None),
+            (39.0, Hold, doubt, None),
+            (40.5, Hold, doubt, Some(Request::Land)),
+            (50.0, Ready, none, Some(Request::Engage)),
+            (100.0, Guided, none, None),
+            (141.0, Guided, none, Some(Request::Goal(GOALS[2]))),
+        ] {
+            assert_eq!(operator.look(now_s, state, reasons), asked, "{now_s} s");
+        }
         assert_eq!((operator.goals, operator.given_up, operator.landings), (1, 1, 1));
         assert_eq!(operator.holds["inconsistent picture"], 1);
     }

@@ -9,7 +9,7 @@ use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use vigil_sim::program::Status;
-use vigil_sim::world::{Family, generate};
+use vigil_sim::world::{Family, Outcome, generate};
 use vigil_tests::{Pair, Running};
 use vigil_types::{NedVector, STEP_NS};
 
@@ -50,11 +50,7 @@ pub struct Programs {
 
 impl Programs {
     pub fn simulator(&self) -> Running {
-        let frames = if self.extras.adversary {
-            " --frames depth-raw"
-        } else {
-            ""
-        };
+        let frames = ["", " --frames depth-raw"][usize::from(self.extras.adversary)];
         let (seed, extra) = (self.seed, &self.extras.simulator);
         let line = format!("sim --status --airborne --seed {seed}{frames} {extra}");
         self.start("simulator", &line)
@@ -152,6 +148,16 @@ impl Flight {
         Ok(())
     }
 
+    /// Follows a flight that has taken off until the referee's verdict.
+    pub fn fly_to_its_end(&mut self, stop: &AtomicBool) -> Result<bool> {
+        self.follow(FLIGHT_LIMIT, stop, |s| s.outcome.is_some())
+    }
+
+    /// The referee's verdict, if there was one.
+    pub fn outcome(&self) -> Option<Outcome> {
+        self.last.as_ref().and_then(|s| s.outcome)
+    }
+
     /// The programs that should run and do not.
     pub fn fallen(&mut self) -> Vec<&'static str> {
         let always = [("simulator", &mut self.simulator), ("firmware", &mut self.firmware)];
@@ -179,15 +185,8 @@ impl Flight {
 /// How the flight of a seed ends in lockstep with nothing done to it: the pilots' own collisions are told apart.
 fn collides_by_itself(seed: u64) -> bool {
     let mut pair = Pair::new(Family::Validation, seed);
-    for _ in 0..(FLIGHT_LIMIT.as_nanos() as u64 / STEP_NS) {
-        pair.simulate();
-        pair.decide(true);
-        if pair.simulator.ending().is_some() {
-            break;
-        }
-    }
-    let outcome = pair.simulator.ending().map(|ending| ending.outcome);
-    Ending::of(outcome) == Some(Ending::Collided)
+    pair.fly((FLIGHT_LIMIT.as_nanos() as u64 / STEP_NS) as usize, |_, _| true);
+    Ending::of(pair.outcome()) == Some(Ending::Collided)
 }
 
 /// The seeds of trials that collided, and which of them do with nothing done to the flight, in words.
@@ -195,12 +194,10 @@ pub fn collided_anyway<'a>(trials: impl Iterator<Item = (&'a Trial, u64)>) -> St
     let mut told = String::new();
     for (_, seed) in trials.filter(|(trial, _)| trial.ending == Ending::Collided) {
         let separator = if told.is_empty() { "collided: seed" } else { "," };
-        let anyway = if collides_by_itself(seed) {
-            " (without the fault too)"
-        } else {
-            ""
-        };
-        told += &format!("{separator} {seed}{anyway}");
+        told += &format!("{separator} {seed}");
+        if collides_by_itself(seed) {
+            told += " (without the fault too)";
+        }
     }
     told
 }

@@ -1,7 +1,7 @@
 //! Strangers who flood the firmware's link to its vehicle, and when each setpoint arrives at the vehicle's side.
 
 use crate::campaign::{Ending, Folder, Row, Trial};
-use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site};
+use crate::flight::{Extras, Flight, Site};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
@@ -30,6 +30,8 @@ const LOST_NS: Nanos = 400_000_000;
 const RATE: u32 = 20_000;
 /// Strangers come this long before the vehicle.
 const BEFORE: Duration = Duration::from_secs(2);
+/// A socket is listened to so long at a time.
+const LISTEN: Duration = Duration::from_millis(100);
 /// Port of the firmware's link at instance 0; far from the default ports.
 const PORT: u16 = 24_000;
 
@@ -49,8 +51,6 @@ pub enum Content {
 }
 
 impl Content {
-    const EACH: [Self; 5] = [Self::OneByte, Self::Garbage, Self::Station, Self::Vehicles, Self::Mixed];
-
     fn datagrams(self) -> Vec<Vec<u8>> {
         match self {
             Self::OneByte => vec![vec![0xFD]],
@@ -71,7 +71,10 @@ impl Content {
             Self::Vehicles => (110..200)
                 .map(|system| packet((system, 1), 0, &heartbeat(MavAutopilot::MAV_AUTOPILOT_PX4)))
                 .collect(),
-            Self::Mixed => Self::EACH[..4].iter().flat_map(|content| content.datagrams()).collect(),
+            Self::Mixed => Self::value_variants()[..4]
+                .iter()
+                .flat_map(|content| content.datagrams())
+                .collect(),
         }
     }
 }
@@ -89,9 +92,8 @@ impl Flood {
     /// Floods until `done`; how many were sent.
     pub fn send(&self, done: impl Fn() -> bool) -> u64 {
         let content = self.content.datagrams();
-        let sockets: Vec<UdpSocket> = (0..STRANGERS)
-            .filter_map(|_| UdpSocket::bind("127.0.0.1:0").ok())
-            .collect();
+        let sockets = (0..STRANGERS).filter_map(|_| UdpSocket::bind("127.0.0.1:0").ok());
+        let sockets: Vec<UdpSocket> = sockets.collect();
         let mut calls: Vec<Option<TcpStream>> = (0..STRANGERS).map(|_| None).collect();
         let mut due_ns = monotonic_ns();
         let (mut owed, mut number, mut sent) = (0.0, 0_usize, 0);
@@ -107,9 +109,8 @@ impl Flood {
                 let taken = if self.tcp {
                     call(&mut calls[stranger], self.address, bytes)
                 } else {
-                    sockets
-                        .get(stranger)
-                        .is_some_and(|socket| socket.send_to(bytes, self.address).is_ok())
+                    let socket = sockets.get(stranger);
+                    socket.is_some_and(|socket| socket.send_to(bytes, self.address).is_ok())
                 };
                 sent += u64::from(taken);
             }
@@ -148,7 +149,7 @@ impl Tap {
         let port = u16::try_from(14030 + instance)?;
         let vehicle = UdpSocket::bind(("127.0.0.1", port)).with_context(|| format!("UDP port {port}"))?;
         vehicle.connect(("127.0.0.1", u16::try_from(14280 + instance)?))?;
-        vehicle.set_read_timeout(Some(Duration::from_millis(100)))?;
+        vehicle.set_read_timeout(Some(LISTEN))?;
         Ok(Self {
             vehicle,
             link,
@@ -183,10 +184,7 @@ impl Tap {
         let Ok(socket) = UdpSocket::bind("127.0.0.1:0") else {
             return;
         };
-        let _ = (
-            socket.connect(self.link),
-            socket.set_read_timeout(Some(Duration::from_millis(100))),
-        );
+        let _ = (socket.connect(self.link), socket.set_read_timeout(Some(LISTEN)));
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 let _ = vigil_firmware::realtime::request(40);
@@ -212,10 +210,7 @@ impl Tap {
                 std::thread::sleep(Duration::from_millis(100));
                 continue;
             };
-            let _ = (
-                socket.set_nodelay(true),
-                socket.set_read_timeout(Some(Duration::from_millis(100))),
-            );
+            let _ = (socket.set_nodelay(true), socket.set_read_timeout(Some(LISTEN)));
             let hung_up = AtomicBool::new(false);
             std::thread::scope(|scope| {
                 scope.spawn(|| {
@@ -250,10 +245,11 @@ pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     let cases: Vec<(bool, Option<Content>)> = if site.quick {
         vec![(false, Some(Content::Mixed))]
     } else {
-        let floods = [false, true]
+        let contents = || std::iter::once(None).chain(Content::value_variants().iter().copied().map(Some));
+        [false, true]
             .into_iter()
-            .flat_map(|tcp| std::iter::once((tcp, None)).chain(Content::EACH.map(|content| (tcp, Some(content)))));
-        floods.collect()
+            .flat_map(|tcp| contents().map(move |content| (tcp, content)))
+            .collect()
     };
     let mut rows = Vec::new();
     for (number, (tcp, content)) in cases.into_iter().enumerate() {
@@ -268,10 +264,10 @@ fn named(tcp: bool, content: Option<Content>) -> String {
     let transport = if tcp { "TCP" } else { "UDP" };
     match content.map(|content| content.to_possible_value()) {
         None => format!("no strangers, {transport}"),
-        Some(value) => format!(
-            "strangers, {transport}: {}",
-            value.as_ref().map_or("", PossibleValue::get_name)
-        ),
+        Some(value) => {
+            let name = value.as_ref().map_or("", PossibleValue::get_name);
+            format!("strangers, {transport}: {name}")
+        }
     }
 }
 
@@ -312,7 +308,7 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
         });
         let flown = flight
             .take_off(site.stop)
-            .and_then(|()| flight.follow(FLIGHT_LIMIT, site.stop, |s| s.outcome.is_some()));
+            .and_then(|()| flight.fly_to_its_end(site.stop));
         let said = flight.end_firmware();
         done.store(true, Ordering::Relaxed);
         let sent = flooding.map_or(0, |flooding| flooding.join().expect("a flood does not fail"));
@@ -326,8 +322,7 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
         let gap = gaps_ns.get(((gaps_ns.len().max(1) - 1) as f64 * share) as usize);
         gap.map_or(0.0, |gap| *gap as f64 * 1e-6)
     };
-    let ending = Ending::of(flight.last.as_ref().and_then(|s| s.outcome));
-    let ending = ending.unwrap_or(match flight.simulator.is_running() {
+    let ending = Ending::of(flight.outcome()).unwrap_or(match flight.simulator.is_running() {
         true => Ending::TimeOut,
         false => Ending::Crashed,
     });

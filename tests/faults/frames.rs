@@ -244,7 +244,7 @@ fn fly(kind: &Kind, seed: u64) -> Flown {
             format!("{}, seed {seed}: held {when} ({})", kind.name, named.join(", "))
         });
     }
-    let ending = Ending::of(pair.simulator.ending().map(|ending| ending.outcome)).unwrap_or(match last {
+    let ending = Ending::of(pair.outcome()).unwrap_or(match last {
         GuidanceState::Hold => Ending::Held,
         _ => Ending::TimeOut,
     });

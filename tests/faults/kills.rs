@@ -1,6 +1,6 @@
 //! Processes killed and stopped at random moments of real-time flights, and started again.
 
-use crate::campaign::{Draw, Ending, Folder, Row, Trial, joined, side_by_side, spread};
+use crate::campaign::{Draw, Ending, Folder, Row, Trial, joined, spread};
 use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site, collided_anyway};
 use anyhow::{Result, bail};
 use rustix::process::Signal;
@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use vigil_tests::{processes_of, vigil};
+use vigil_tests::{processes_of, side_by_side, vigil};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Who {
@@ -38,18 +38,12 @@ const APART: u64 = 1000;
 
 pub fn rows(site: &Site<'_>, folder: &Folder) -> Result<Vec<Row>> {
     let work = tempfile::tempdir()?;
-    let cases: &[(Who, How)] = if site.quick {
-        &[(Who::Firmware, How::Kill), (Who::Adversary, How::Stop)]
-    } else {
-        &[
-            (Who::Firmware, How::Kill),
-            (Who::Simulator, How::Kill),
-            (Who::Adversary, How::Kill),
-            (Who::Firmware, How::Stop),
-            (Who::Simulator, How::Stop),
-            (Who::Adversary, How::Stop),
-        ]
-    };
+    let who = [Who::Firmware, Who::Simulator, Who::Adversary];
+    let cases = [How::Kill, How::Stop]
+        .into_iter()
+        .flat_map(|how| who.map(|who| (who, how)));
+    // The quick part has the first and the last.
+    let cases: Vec<(Who, How)> = cases.step_by(if site.quick { 5 } else { 1 }).collect();
     let mut rows = Vec::new();
     // Trials of all cases at once: a quick part is as long as its longest flight.
     let count = |how| match (site.quick, how) {
@@ -75,10 +69,9 @@ pub fn rows(site: &Site<'_>, folder: &Folder) -> Result<Vec<Row>> {
             How::Kill => "killed, started again",
             How::Stop => "stopped for up to 3 s",
         };
-        let who_held = if *who == Who::Firmware {
-            "vehicle's own hold after"
-        } else {
-            "guidance's hold after"
+        let who_held = match who {
+            Who::Firmware => "vehicle's own hold after",
+            _ => "guidance's hold after",
         };
         let seeds = (0..).map(|number| seed_of(site, case, number));
         let measured = joined([spread(who_held, "s", delays), collided_anyway(trials.iter().zip(seeds))]);
@@ -123,11 +116,7 @@ fn trial(who: Who, how: How, instance: u32, seed: u64, work: &Path, stop: &Atomi
             (Trial::wrong(Ending::Crashed, wrong), delay_s)
         }
         Err(error) => {
-            let ending = if fallen.is_empty() {
-                Ending::TimeOut
-            } else {
-                Ending::Crashed
-            };
+            let ending = [Ending::Crashed, Ending::TimeOut][usize::from(fallen.is_empty())];
             (Trial::wrong(ending, format!("{trial}: {error:#}")), None)
         }
     }
@@ -145,9 +134,8 @@ fn fault(flight: &mut Flight, who: Who, how: How, seed: u64, stop: &AtomicBool) 
     match (who, how) {
         (Who::Firmware, How::Kill) => {
             flight.firmware.signal(Signal::KILL);
-            if !flight.follow(SOON, stop, |s| s.mode != "offboard")?
-                && flight.last.as_ref().is_some_and(|s| s.outcome.is_none())
-            {
+            let left = flight.follow(SOON, stop, |s| s.mode != "offboard")?;
+            if !left && flight.last.is_some() && flight.outcome().is_none() {
                 bail!("the vehicle flies on without guidance");
             }
             delay_s = flight.last.as_ref().map(|s| s.time_s - at_s);
@@ -179,19 +167,16 @@ fn fault(flight: &mut Flight, who: Who, how: How, seed: u64, stop: &AtomicBool) 
             }
         }
         (Who::Firmware | Who::Simulator, How::Stop) => {
-            let process = if who == Who::Firmware {
-                &flight.firmware
-            } else {
-                &flight.simulator
-            };
+            let is_firmware = who == Who::Firmware;
+            let process = [&flight.simulator, &flight.firmware][usize::from(is_firmware)];
             process.signal(Signal::STOP);
             std::thread::sleep(Duration::from_secs_f64(stopped_s));
             process.signal(Signal::CONT);
         }
     }
-    flight.follow(FLIGHT_LIMIT, stop, |s| s.outcome.is_some())?;
+    flight.fly_to_its_end(stop)?;
     let last = flight.last.as_ref();
-    let outcome = last.and_then(|s| s.outcome);
+    let outcome = flight.outcome();
     let holds = last.is_some_and(|s| s.guidance.as_deref() == Some("hold") && !s.reasons.is_empty());
     let otherwise = if holds { Ending::Held } else { Ending::TimeOut };
     Ok((Ending::of(outcome).unwrap_or(otherwise), delay_s))
@@ -215,10 +200,8 @@ fn whole_flights(site: &Site<'_>, folder: &Folder) -> Result<Row> {
             .spawn()?;
         std::thread::sleep(Duration::from_secs_f64(draw.between(0.3, 6.0)));
         if let Some(status) = flight.try_wait()? {
-            trials.push(Trial::wrong(
-                Ending::Crashed,
-                format!("flight {number} ended by itself: {status}"),
-            ));
+            let wrong = format!("flight {number} ended by itself: {status}");
+            trials.push(Trial::wrong(Ending::Crashed, wrong));
             continue;
         }
         flight.kill()?;

@@ -1,7 +1,7 @@
 //! Those who speak in another's name: setpoints of a second guidance computer, and attacks on MAVLink signing.
 
-use crate::campaign::{Draw, Ending, Folder, Row, Trial, in_lockstep, side_by_side};
-use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site};
+use crate::campaign::{Draw, Ending, Folder, Row, Trial, in_lockstep};
+use crate::flight::{Extras, Flight, Site};
 use anyhow::{Context, Result};
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
@@ -17,13 +17,12 @@ use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
 use vigil_sim::world::{Family, Outcome, generate};
-use vigil_sim::{SimConfig, Start};
-use vigil_tests::Pair;
 use vigil_tests::ground::{heartbeat, packet};
+use vigil_tests::{Pair, airborne, side_by_side};
 use vigil_types::NedVector;
 
 /// A flight that has not ended after this has not arrived: two minutes.
-const FLIGHT_STEPS: u64 = 2400;
+const FLIGHT_STEPS: usize = 2400;
 /// Claimants of a setpoint stream in each step: (component, link, end of the link).
 const CLAIMANTS: [(u8, LinkId, u64); 4] = [
     (191, LinkId::ONBOARD, 7),
@@ -34,7 +33,7 @@ const CLAIMANTS: [(u8, LinkId, u64); 4] = [
 
 /// Full speed into whatever is there.
 #[expect(deprecated, reason = "the frame that the guidance computer sends")]
-fn setpoint(number: u64) -> MavMessage {
+fn setpoint(number: usize) -> MavMessage {
     message!(
         SET_POSITION_TARGET_LOCAL_NED,
         time_boot_ms = number as u32,
@@ -49,25 +48,19 @@ fn setpoint(number: u64) -> MavMessage {
 
 /// How a flight in lockstep ended, where, and the foreign setpoints refused.
 fn spoofed(seed: u64, by: &[(u8, LinkId, u64)]) -> (Option<Outcome>, NedVector, u64) {
-    let mut config = SimConfig::new(generate(Family::Validation, seed), seed);
-    config.start = Start::Airborne;
+    let mut config = airborne(generate(Family::Validation, seed), seed);
     config.endpoint = EndpointConfig::default();
     let mut pair = Pair::of(&config, &FirmwareConfig::to_goal(config.course.goal_ned_m()));
-    for step in 0..FLIGHT_STEPS {
-        pair.simulate();
-        pair.decide(true);
+    pair.fly(FLIGHT_STEPS, |pair, step| {
         // From the second second on: whoever is first would be somebody's guidance computer.
         for (component, link, end) in by.iter().filter(|_| step > 40) {
             let bytes = packet((1, *component), step as u8, &setpoint(step));
             pair.simulator.receive_from(link.0, *end, &bytes);
         }
-        if pair.simulator.ending().is_some() {
-            break;
-        }
-    }
-    let (simulator, refused) = (&pair.simulator, pair.simulator.status().refusals.setpoint_foreign);
-    let outcome = simulator.ending().map(|ending| ending.outcome);
-    (outcome, simulator.truth().position_ned_m, refused)
+        true
+    });
+    let refused = pair.simulator.status().refusals.setpoint_foreign;
+    (pair.outcome(), pair.simulator.truth().position_ned_m, refused)
 }
 
 /// The row of spoofed setpoints: the same flights, bit for bit, as without them.
@@ -79,13 +72,10 @@ pub fn spoofing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     for (number, (alone, (outcome, position, count))) in flown.into_iter().enumerate() {
         refused += count;
         let ending = Ending::of(outcome).unwrap_or(Ending::TimeOut);
-        trials.push(match (alone.0, alone.1) == (outcome, position) && count > 0 {
-            true => Trial::right(ending),
-            false => Trial::wrong(
-                ending,
-                format!("seed {}: another flight than without them", site.seed + number as u64),
-            ),
-        });
+        let (is_same, seed) = ((alone.0, alone.1) == (outcome, position), site.seed + number as u64);
+        let another = || format!("seed {seed}: another flight than without them");
+        let wrong = (!is_same || count == 0).then(another);
+        trials.push(Trial { ending, wrong });
     }
     Ok(vec![Row::of(
         "setpoints of four others, each step",
@@ -267,12 +257,12 @@ fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u6
         scope.spawn(move || keep_sending(attack, (instance + 1) as u8, ends, over, sent));
         let flown = flight
             .take_off(site.stop)
-            .and_then(|()| flight.follow(FLIGHT_LIMIT, site.stop, |s| s.outcome.is_some()));
+            .and_then(|()| flight.fly_to_its_end(site.stop));
         done.store(true, Ordering::Relaxed);
         flown
     });
     let fallen = flight.fallen();
-    let outcome = flight.last.as_ref().and_then(|s| s.outcome);
+    let outcome = flight.outcome();
     let said = flight.end_firmware();
     let mut changed = Vec::new();
     for file in &files {

@@ -96,6 +96,13 @@ def test_with_a_key_its_frames_are_authentic_and_without_they_are_refused_by_nam
     assert told.split()[1] == "0" and "authentication" in told, told
 
 
+@pytest.mark.parametrize("content", [b"no key", bytes(range(200, 250)), bytes(32)])
+def test_a_file_that_is_no_key_is_refused_with_what_a_key_is(key_file, content):
+    key_file.write_bytes(content)
+    with pytest.raises(ValueError, match="depth.key is not a key: it needs 32 bytes"):
+        vigil_depth.frame_key(key_file, 1)
+
+
 def test_nobody_publishing_is_said_with_where_to_look():
     code, findings = check()
     assert code == 3 and "none within 1 s" in findings["frames"]["text"]

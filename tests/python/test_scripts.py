@@ -33,11 +33,12 @@ def sides(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scripts")
     with free_simulator("open_field.toml", folder) as square, free_simulator("mission_course.toml", folder) as guided:
         with Firmware(guided.instance, folder):
-            goal = ("--north", "20", "--east", "-3", "--height", "3", "--land")
+            goal = ("--north", "20", "--east", "-3", "--height", "3")
             with script("fly_to_goal", "pymavlink", guided, folder, *goal) as going:
                 flown = run("arm_and_fly", "mavsdk4", square, folder, "--side", "3")
                 code = going.wait(120.0)
                 assert code == 0, going.said()
+            going.lines.append(run("fly_to_goal", "pymavlink", guided, folder, "--north", "17", "--east", "-3", "--land"))
             lists = {c: run("param_dump", "pymavlink", guided, folder, "--component", c) for c in PARAMETERS}
         log = folder / "flight.ulg"
         logs = run("log_download", "mavsdk4", square, folder, "--list")
@@ -61,10 +62,10 @@ def test_arm_and_fly_flies_a_square_and_lands(sides):
         assert 2.5 < extent < 5.5
 
 
-def test_fly_to_goal_arrives_shows_the_way_and_lands(sides):
+def test_fly_to_goal_arrives_shows_the_way_goes_on_to_another_goal_and_lands(sides):
     said, truth = sides["guided"]
     assert truth[-1]["outcome"] == "success" and truth[-1]["armed"] is False
-    assert "guidance: guided" in said and "arrived" in said and said.rstrip().endswith("landed and disarmed")
+    assert "guidance: guided" in said and said.count("arrived") == 2 and said.rstrip().endswith("landed and disarmed")
     distances = [float(d) for d in re.findall(r"goal +([0-9.]+) m", said)]
     assert distances[0] > 15.0 and min(distances) < 1.5
     # The score of a detector that flies along, or that there is none.

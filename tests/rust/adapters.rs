@@ -15,7 +15,7 @@ use std::time::Duration;
 use vigil_io::background::Background;
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_sim::world::{Course, World};
-use vigil_tests::{PATIENCE, Running, has, refused, run, run_line, said, text, vigil};
+use vigil_tests::{PATIENCE, Running, has, refused, root, run, run_line, said, succeed, text, vigil};
 use vigil_types::{Attitude, FrdVector, NedVector, STEP_NS};
 
 /// A wall across the way, 4 m ahead of the start.
@@ -62,10 +62,8 @@ impl Adapter {
 
 /// What `vigil sensor check` finds, as JSON, and its exit code.
 fn check(instance: u32, further: &[&str]) -> (Option<i32>, String) {
-    let instance = instance.to_string();
-    let mut arguments = vec!["sensor", "check", "--instance", &instance, "--seconds", "2", "-o", "-"];
-    arguments.extend(further);
-    let output = run(&arguments);
+    let instance = format!("--instance={instance}");
+    let output = run(&[&["sensor", "check", &instance, "--seconds=2", "-o", "-"][..], further].concat());
     (output.status.code(), said(&output))
 }
 
@@ -141,13 +139,11 @@ fn a_scanners_packets_over_udp_are_frames_that_the_check_accepts() {
     has(&findings, &["are taken", "-60° to 60° across", "4.00 m in the middle"]);
     drop(sender);
     // What is wrong is named, and gives no frame.
-    let sender = send(turn, 17502, |number, packet, bytes| match (packet, number % 4) {
-        (30, 1) => false,
-        (31, 2) => {
+    let sender = send(turn, 17502, |number, packet, bytes| {
+        if (packet, number % 4) == (31, 2) {
             bytes.truncate(900);
-            true
         }
-        _ => true,
+        (packet, number % 4) != (30, 1)
     });
     for words in ["packets were lost, no frame", "a packet of 900 bytes, 12608 expected"] {
         adapter.wait_for(words);
@@ -208,33 +204,23 @@ fn a_cameras_recorded_stream_is_published_and_its_broken_end_is_named() {
 
 /// Compiles the C driver against the library; `None` where there is no C compiler.
 fn c_driver(folder: &Path) -> Option<PathBuf> {
-    Command::new("cc")
-        .arg("--version")
-        .output()
-        .ok()
-        .filter(|out| out.status.success())?;
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let version = Command::new("cc").arg("--version").output();
+    version.ok().filter(|out| out.status.success())?;
     let library = vigil().with_file_name("examples");
     assert!(
         library.join("libvigil_depth.so").is_file(),
         "run `cargo build --release -p vigil-sensors --example vigil_depth`"
     );
     let program = folder.join("publish_wall");
-    let sources = root.join("tools/publishers/c");
-    let output = Command::new("cc")
-        .args(["-std=c11", "-Wall", "-Wextra", "-Werror"])
+    let sources = root().join("tools/publishers/c");
+    let (libraries, headers) = (text(&library), text(&sources));
+    let mut compile = Command::new("cc");
+    compile.args(["-std=c11", "-Wall", "-Wextra", "-Werror"]);
+    compile
         .arg(sources.join("publish_wall.c"))
-        .arg("-I")
-        .arg(&sources)
-        .arg("-L")
-        .arg(&library)
-        .arg("-lvigil_depth")
-        .arg(format!("-Wl,-rpath,{}", library.display()))
-        .arg("-o")
-        .arg(&program)
-        .output()
-        .expect("cc starts");
-    assert!(output.status.success(), "{}", said(&output));
+        .args(["-I", headers, "-L", libraries, "-lvigil_depth"]);
+    compile.args([&format!("-Wl,-rpath,{libraries}"), "-o", text(&program)]);
+    succeed(&compile.output().expect("cc starts"));
     Some(program)
 }
 
@@ -243,23 +229,16 @@ fn accepted(program: &Path, instance: u32, folder: &Path) {
     let key = folder.join("depth.key");
     std::fs::write(&key, [7; 32]).expect("written");
     std::fs::set_permissions(&key, std::os::unix::fs::PermissionsExt::from_mode(0o600)).expect("set");
-    let key = key.to_str().expect("UTF-8");
+    let key = text(&key);
     for with_key in [false, true] {
         let mut driver = Command::new(program);
-        driver.args([&instance.to_string(), "60"]);
-        if with_key {
-            driver.arg(key);
-        }
+        driver.args([&instance.to_string(), "60"]).args(with_key.then_some(key));
         let mut driver = driver.spawn().expect("it starts");
-        let further: &[&str] = if with_key {
-            &["--wall", "2.5", "--frame-key", key]
-        } else {
-            &["--wall", "2.5"]
-        };
-        let findings = good(instance, further);
+        let further = ["--wall", "2.5", "--frame-key", key];
+        let findings = good(instance, if with_key { &further } else { &further[..2] });
         driver.kill().expect("it runs");
         driver.wait().expect("it ends");
-        assert!(findings.contains("2.50 m in the middle"), "{findings}");
+        has(&findings, &["2.50 m in the middle"]);
     }
 }
 

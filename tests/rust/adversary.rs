@@ -4,15 +4,13 @@
 use rustix::process::Signal;
 use serde_json::Value;
 use std::path::Path;
-use vigil_tests::{Running, json, run, run_in, run_line, said, succeed, text};
+use vigil_tests::{Running, evaluate, run_in, run_line, said, succeed, text};
 
 /// Seeds and flights of a small campaign of the actor.
 fn campaign(folder: &Path, name: &str, arguments: &[&str]) -> Vec<Value> {
-    let file = folder.join(name);
-    let common = "evaluate --pilot actor --apf off --detector off --flights 2 --seed 60 --json";
-    let common: Vec<&str> = common.split(' ').chain([text(&file)]).collect();
-    succeed(&run(&[&common, arguments].concat()));
-    json(&file)["flights"].as_array().expect("flights").clone()
+    let actor = ["--pilot=actor", "--apf=off", "--detector=off", "--seed=60"];
+    let report = evaluate(folder, name, "2", &[&actor[..], arguments].concat());
+    report["flights"].as_array().expect("flights").clone()
 }
 
 #[test]
@@ -28,10 +26,8 @@ fn an_attacked_campaign_is_the_same_on_any_number_of_threads_and_says_what_was_a
         assert_ne!(attacked["state_hash"], unattacked["state_hash"]);
         let told = &attacked["attack"];
         assert_eq!(told["attacked_steps"], 20, "{told}");
-        assert!(
-            (20..=200).contains(&told["first_step"].as_u64().expect("a step")),
-            "{told}"
-        );
+        let first_step = told["first_step"].as_u64().expect("a step");
+        assert!((20..=200).contains(&first_step), "{told}");
         assert!(told["effective_steps"].as_u64().expect("a number") <= 20, "{told}");
         assert!(told["mean_yaw_change"].as_f64().expect("a number") > 0.0, "{told}");
         assert!(unattacked.get("attack").is_none());
@@ -111,15 +107,10 @@ fn a_live_adversary_alters_what_the_firmware_believes_and_its_death_makes_the_ve
     let mut second = adversary();
     simulator.wait_for_status("guided flight again", |s| s.guidance.as_deref() == Some("guided"));
     second.signal(Signal::TERM);
-    let summary = second.wait_for("the adversary's summary", |line| {
-        serde_json::from_str::<Value>(line).ok()
-    });
+    let summary: Value = second.wait_for("the adversary's summary", |line| serde_json::from_str(line).ok());
     assert_eq!(second.wait(), Some(0));
-    assert!(summary["attacked_steps"].as_u64().expect("a number") > 0, "{summary}");
-    assert!(
-        summary["frames"].as_u64() >= summary["attacked_steps"].as_u64(),
-        "{summary}"
-    );
+    let (frames, attacked) = (summary["frames"].as_u64(), summary["attacked_steps"].as_u64());
+    assert!(attacked > Some(0) && frames >= attacked, "{summary}");
     assert!(summary["latency_max_ms"].as_f64().expect("a number") > 0.0, "{summary}");
     firmware.signal(Signal::TERM);
     assert_eq!(firmware.wait(), Some(0));

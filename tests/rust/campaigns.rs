@@ -2,7 +2,7 @@
 //! writes in one go.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Output;
 use vigil_tests::{ended, has, json, refused, run, succeed, text};
 
@@ -44,12 +44,7 @@ fn bytes(path: &Path) -> Vec<u8> {
 fn same(one: &Path, other: &Path, endings: &[&str]) {
     for ending in endings {
         let (one, other) = (one.with_extension(ending), other.with_extension(ending));
-        assert!(
-            bytes(&one) == bytes(&other),
-            "{} differs from {}",
-            other.display(),
-            one.display()
-        );
+        assert!(bytes(&one) == bytes(&other), "{other:?} differs from {one:?}");
     }
 }
 
@@ -66,13 +61,17 @@ fn seeds_flown_on_three_machines_make_the_files_that_one_machine_writes_byte_for
     let words = succeed(&merge(&[&b, &c, &a, &b], &whole));
     same(&file("one.json"), &whole, &["json", "jsonl"]);
     // The same table; only one machine knows how long it took.
-    let rows = |words: &str| -> Vec<String> {
-        let of_both = |line: &&str| {
-            ["simulated in", "details", "gone"]
-                .iter()
-                .all(|word| !line.contains(word))
-        };
-        words.lines().filter(of_both).map(str::to_owned).collect()
+    let of_one = |line: &str| {
+        ["simulated in", "details", "gone"]
+            .iter()
+            .any(|word| line.contains(word))
+    };
+    let rows = |words: &'_ str| {
+        words
+            .lines()
+            .filter(|line| !of_one(line))
+            .map(str::to_owned)
+            .collect::<Vec<_>>()
     };
     assert_eq!(rows(&table), rows(&words));
     // Lines that were put together by other means.
@@ -83,23 +82,16 @@ fn seeds_flown_on_three_machines_make_the_files_that_one_machine_writes_byte_for
 
     // What does not make a whole is refused, and the file that is there is kept.
     let before = bytes(&whole);
-    refused(
-        &merge(&[&a, &c], &whole),
-        &["2 of 5 flights are missing: fly --seed 5 --flights 2"],
-    );
+    let makes_none = |files: &[&Path], why: &str| refused(&merge(files, &whole), &[why]);
+    makes_none(&[&a, &c], "2 of 5 flights are missing: fly --seed 5 --flights 2");
     flown("1000000000000", "1", &file("far.json"), &[]);
     let far = "fly --seed 5 --flights 2, --seed 8 --flights 999999999992";
-    refused(&merge(&[&a, &c, &file("far.jsonl")], &whole), &[far]);
+    makes_none(&[&a, &c, &file("far.jsonl")], far);
     let words = flown("9", "1", &file("far.json"), &["--resume"]);
-    assert!(
-        words.contains("incomplete") && !words.contains("interrupted"),
-        "{words}"
-    );
+    let (is_part, is_cut) = (words.contains("incomplete"), words.contains("interrupted"));
+    assert!(is_part && !is_cut, "{words}");
     flown("5", "2", &file("still.json"), &["--still"]);
-    refused(
-        &merge(&[&a, &file("still.jsonl"), &c], &whole),
-        &["still was true, and is false"],
-    );
+    makes_none(&[&a, &file("still.jsonl"), &c], "still was true, and is false");
     let lines = fs::read_to_string(&b).expect("lines");
     let program = lines.split("\"program_sha256\":\"").nth(1).expect("a program")[..64].to_owned();
     let altered = |name: &str, from: &str, to: &str| {
@@ -107,15 +99,12 @@ fn seeds_flown_on_three_machines_make_the_files_that_one_machine_writes_byte_for
         file(name)
     };
     let other = altered("program.jsonl", &program, &"0".repeat(64));
-    refused(&merge(&[&a, &other, &c], &whole), &["program_sha256 was"]);
+    makes_none(&[&a, &other, &c], "program_sha256 was");
     let other = altered("longer.jsonl", "\"steps\":", "\"steps\":1");
-    refused(
-        &merge(&[&a, &b, &other, &c], &whole),
-        &["contradicts an earlier flight of seed 5"],
-    );
+    makes_none(&[&a, &b, &other, &c], "contradicts an earlier flight of seed 5");
     let other = altered("cut.jsonl", "\"steps\":", "\"ste");
-    refused(&merge(&[&a, &other, &c], &whole), &["line 2 is damaged"]);
-    refused(&merge(&[&a, &file("one.json"), &c], &whole), &["one.json"]);
+    makes_none(&[&a, &other, &c], "line 2 is damaged");
+    makes_none(&[&a, &file("one.json"), &c], "one.json");
     assert!(bytes(&whole) == before, "what was there is kept");
 }
 
@@ -134,22 +123,15 @@ fn a_killed_campaign_goes_on_with_every_flight_that_had_ended() {
     // More flights of the same campaign, some of which are there.
     let pictures = folder.path().join("pictures");
     let words = flown("3", "5", &killed, &["--resume", "--draw-failures", text(&pictures)]);
-    has(
-        &words,
-        &[
-            "4 of 5 flights are there already",
-            "--draw-failures have the others only",
-        ],
-    );
+    let there = "4 of 5 flights are there already";
+    has(&words, &[there, "--draw-failures have the others only"]);
     let before = bytes(&killed.with_extension("jsonl"));
     // What the first flight would be refused for is found before earlier flights make room.
     let hard = ["evaluate", "--family=hard", "--goal-distance=30", "-o", text(&killed)];
     refused(&run(&hard), &["cannot be made longer"]);
     assert!(bytes(&killed.with_extension("jsonl")) == before);
-    refused(
-        &fly("3", "5", &killed, &["--resume", "--still"]),
-        &["still was false, and is true"],
-    );
+    let still = fly("3", "5", &killed, &["--resume", "--still"]);
+    refused(&still, &["still was false, and is true"]);
     assert!(bytes(&killed.with_extension("jsonl")) == before);
     // Without the word it is flown anew.
     assert!(!flown("3", "4", &killed, &[]).contains("already"));
@@ -164,18 +146,12 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
     flown("3", "2", &file("fault.json"), &fault);
     flown("3", "1", &file("fault-1.json"), &fault);
     flown("4", "1", &file("fault-2.json"), &fault);
-    succeed(&merge(
-        &[&file("fault-1.jsonl"), &file("fault-2.jsonl")],
-        &file("faults.json"),
-    ));
+    let [own, other] = ["fault-1.jsonl", "fault-2.jsonl"].map(file);
+    succeed(&merge(&[&own, &other], &file("faults.json")));
     same(&file("fault.json"), &file("faults.json"), &["json", "jsonl"]);
     // A report of that name would take the place of the flights beside it.
-    let own = file("fault-1.jsonl");
     let before = bytes(&own);
-    refused(
-        &merge(&[&own, &file("fault-2.jsonl")], &own),
-        &["give it another ending"],
-    );
+    refused(&merge(&[&own, &other], &own), &["give it another ending"]);
     assert!(bytes(&own) == before);
     let report = json(&file("faults.json"));
     assert_eq!(report["second_sensor_heads"], 1);
@@ -184,11 +160,8 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
         run(&[&["attack"], words, &["--iterations=1", "-o", text(folder)], more].concat())
     };
     let completion = |folder: &Path, seed: &str, flights: &str| {
-        succeed(&attack(
-            folder,
-            &["completion", "--seed", seed, "--flights", flights],
-            &[],
-        ));
+        let words = ["completion", "--seed", seed, "--flights", flights];
+        succeed(&attack(folder, &words, &[]));
     };
     let defended = ["defended", "--seed=5003", "--flights=1", "--arms"];
     let one_arm = |arm| [&defended[..], &[arm, "--burst=20"]].concat();
@@ -198,11 +171,8 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
     completion(&two, "5004", "1");
     let lines = [one.join("completion.jsonl"), two.join("completion.jsonl")];
     succeed(&merge(&[&lines[1], &lines[0]], &file("completion.json")));
-    same(
-        &all.join("completion.json"),
-        &file("completion.json"),
-        &["json", "jsonl"],
-    );
+    let of_all = all.join("completion.json");
+    same(&of_all, &file("completion.json"), &["json", "jsonl"]);
 
     // With the detector and without it; the arms may have been flown one after the other.
     succeed(&attack(&all, &one_arm("recover,none"), &[]));
@@ -213,20 +183,14 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
     }
     refused(&attack(&one, &one_arm("none"), &[]), &["add --resume"]);
     let longer = [&defended[..], &["none", "--burst=21"]].concat();
-    refused(
-        &attack(&one, &longer, &["--resume"]),
-        &["burst was \"20\", and is \"21\""],
-    );
-    let both: [PathBuf; 2] = [lines[0].clone(), one.join("defended.jsonl")];
-    refused(
-        &merge(&[&both[0], &both[1]], &file("x.json")),
-        &["it is of `attack defended`, not of `attack completion`"],
-    );
-    refused(
-        &merge(&[&both[0], &file("fault.jsonl")], &file("x.json")),
-        &["it is of `evaluate`"],
-    );
-    assert!(!file("x.json").exists());
+    let longer = attack(&one, &longer, &["--resume"]);
+    refused(&longer, &["burst was \"20\", and is \"21\""]);
+    let none = file("x.json");
+    let makes_none = |other: &Path, why: &str| refused(&merge(&[&lines[0], other], &none), &[why]);
+    let defended = one.join("defended.jsonl");
+    makes_none(&defended, "it is of `attack defended`, not of `attack completion`");
+    makes_none(&file("fault.jsonl"), "it is of `evaluate`");
+    assert!(!none.exists());
 }
 
 #[test]
@@ -248,9 +212,6 @@ fn a_detectors_flights_are_gathered_on_several_machines_and_make_the_files_of_on
     fs::copy(all.join("choose.safetensors"), one.join("choose.safetensors")).expect("a copy");
     collect(&one, &["--windows", "100"]);
     same(&all.join("learn"), &one.join("learn"), &["safetensors"]);
-    ended(
-        &run(&["detector", "collect", "--set", "learn", "-o", text(&one)]),
-        2,
-        &[],
-    );
+    let unnamed = run(&["detector", "collect", "--set", "learn", "-o", text(&one)]);
+    ended(&unnamed, 2, &[]);
 }

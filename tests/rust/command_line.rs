@@ -35,11 +35,7 @@ fn an_interrupted_flight_ends_all_processes_and_leaves_a_closed_log() {
     drop(UdpSocket::bind(("127.0.0.1", 14280 + 88)).expect("the simulator's port is free"));
     drop(UdpSocket::bind(("127.0.0.1", 14030 + 88)).expect("the firmware's port is free"));
     let replay = succeed(&run(&["replay", text(&only_log(runs.path()))]));
-    assert!(
-        !replay.contains("interrupted"),
-        "the log was closed properly: {}",
-        replay
-    );
+    assert!(!replay.contains("interrupted"), "not closed properly: {replay}");
 }
 
 #[test]
@@ -48,11 +44,9 @@ fn a_malformed_course_is_refused_with_file_line_and_field() {
     let course = folder.path().join("bent.toml");
     let good = String::from_utf8(run(&["courses", "write", "--seed", "7"]).stdout).expect("TOML");
     std::fs::write(&course, good.replacen("goal_radius_m = ", "goal_radios_m = ", 1)).expect("a file");
-    for command in [
-        vec!["fly", "--course", text(&course)],
-        vec!["sim", "--course", text(&course)],
-    ] {
-        refused(&run(&command), &["bent.toml:5: there is no key `goal_radios_m`"]);
+    for command in ["fly", "sim"] {
+        let flown = run(&[command, "--course", text(&course)]);
+        refused(&flown, &["bent.toml:5: there is no key `goal_radios_m`"]);
     }
     ended(&run(&["courses", "check", text(&course)]), 3, &[]);
 }
@@ -61,18 +55,14 @@ fn a_malformed_course_is_refused_with_file_line_and_field() {
 fn a_malformed_configuration_is_refused_with_file_line_and_field() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("wrong.toml");
-    for (content, command, words) in [
-        ("[lidar]\nmax_range = 3\n", "sim", ["wrong.toml", "line"]),
-        ("[lidar]\nmax_range = 3\n", "firmware", ["wrong.toml", "line"]),
-        ("[lidar]\nmax_range_m = -3.0\n", "sim", ["wrong.toml", "max_range_m"]),
-        (
-            "[limits]\nframe_age_s = nan\n",
-            "firmware",
-            ["wrong.toml", "frame_age_s"],
-        ),
+    for (content, command, word) in [
+        ("[lidar]\nmax_range = 3\n", "sim", "line"),
+        ("[lidar]\nmax_range = 3\n", "firmware", "line"),
+        ("[lidar]\nmax_range_m = -3.0\n", "sim", "max_range_m"),
+        ("[limits]\nframe_age_s = nan\n", "firmware", "frame_age_s"),
     ] {
         std::fs::write(&file, content).expect("a file");
-        refused(&run(&[command, "--config", text(&file)]), &words);
+        refused(&run(&[command, "--config", text(&file)]), &["wrong.toml", word]);
     }
 }
 
@@ -134,18 +124,14 @@ fn every_part_of_a_decision_is_timed_beside_the_paper_s_figure() {
     let folder = tempfile::tempdir().expect("a folder");
     let into = folder.path().display().to_string();
     let text = succeed(&run(&["detector", "times", "--pictures", "1", "-o", &into]));
-    let rows: Vec<Vec<f64>> = text
-        .lines()
-        .filter(|line| line.contains(" ms "))
-        .map(|line| line.split_whitespace().filter_map(|word| word.parse().ok()).collect())
-        .collect();
-    assert_eq!(rows.len(), 7, "{text}");
-    for row in &rows {
-        let [median, late, paper] = row[..] else {
-            panic!("{text}")
-        };
-        assert!(0.0 < median && median <= late && paper > 0.0, "{text}");
+    let mut rows = 0;
+    for line in text.lines().filter(|line| line.contains(" ms ")) {
+        let numbers: Vec<f64> = line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+        let is_sound = matches!(numbers[..], [median, late, paper] if 0.0 < median && median <= late && paper > 0.0);
+        assert!(is_sound, "{text}");
+        rows += 1;
     }
+    assert_eq!(rows, 7, "{text}");
 }
 
 fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
@@ -187,10 +173,8 @@ fn shell(told: &str, command: &str) -> std::process::Output {
 
 #[test]
 fn what_cannot_be_written_is_named_and_is_no_success() {
-    refused(
-        &run_line("evaluate --flights 1 --pilot geometric --json /dev/full"),
-        &["cannot write /dev/full: No space left"],
-    );
+    let full = run_line("evaluate --flights 1 --pilot geometric --json /dev/full");
+    refused(&full, &["cannot write /dev/full: No space left"]);
     // A file size limit stands for a disk that fills up: what was there before is kept.
     let folder = tempfile::tempdir().expect("a folder");
     let course = folder.path().join("course.toml");
@@ -205,10 +189,8 @@ fn what_cannot_be_written_is_named_and_is_no_success() {
 fn a_reader_that_has_gone_is_no_fault_and_a_full_one_is() {
     let closed = shell("set -o pipefail", "courses write --seed 7 | true");
     assert_eq!((closed.status.code(), said(&closed)), (Some(0), String::new()));
-    refused(
-        &shell("set -o pipefail", "courses write --seed 7 > /dev/full"),
-        &["cannot write standard output"],
-    );
+    let full = shell("set -o pipefail", "courses write --seed 7 > /dev/full");
+    refused(&full, &["cannot write standard output"]);
 }
 
 #[test]
@@ -218,10 +200,8 @@ fn a_report_on_standard_output_is_json_alone() {
         succeed(&flown);
         let report: serde_json::Value = serde_json::from_slice(&flown.stdout).expect("JSON alone");
         assert_eq!(report["interrupted"], false);
-        assert!(
-            String::from_utf8_lossy(&flown.stderr).contains("outcome"),
-            "the table is for people"
-        );
+        let for_people = String::from_utf8_lossy(&flown.stderr);
+        assert!(for_people.contains("outcome"), "no table: {for_people}");
     }
     // Into a file that is appended to: what stands there stays.
     let folder = tempfile::tempdir().expect("a folder");
@@ -297,34 +277,31 @@ fn an_interrupted_campaign_keeps_the_flights_that_had_ended_and_says_so() {
 fn files_of_another_kind_or_size_are_refused_at_once_and_told_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let huge = folder.path().join("huge");
-    std::fs::File::create(&huge)
-        .expect("a file")
-        .set_len(10 << 30)
-        .expect("a sparse file");
+    let sparse = std::fs::File::create(&huge).and_then(|file| file.set_len(10 << 30));
+    sparse.expect("a sparse file");
     for (arguments, limit) in [
-        (["courses", "check"], "4 MiB"),
-        (["sim", "--course"], "4 MiB"),
-        (["sim", "--config"], "1 MiB"),
-        (["firmware", "--config"], "1 MiB"),
-        (["learn", "--config"], "1 MiB"),
-        (["rollout", "--actor"], "256 MiB"),
+        ("courses check", "4 MiB"),
+        ("sim --course", "4 MiB"),
+        ("sim --config", "1 MiB"),
+        ("firmware --config", "1 MiB"),
+        ("learn --config", "1 MiB"),
+        ("rollout --actor", "256 MiB"),
     ] {
-        let huge = run(&[&arguments[..], &[text(&huge)]].concat());
+        let of = |file: &str| run_line(&format!("{arguments} {file}"));
+        let huge = of(text(&huge));
         assert!(!huge.status.success());
-        let words = said(&huge);
-        has(&words, &[&format!("it holds 10 GiB, the limit is {limit}")]);
-        let device = said(&run(&[&arguments[..], &["/dev/zero"]].concat()));
-        assert!(device.contains("/dev/zero: it is a device"), "{device}");
-        let missing = said(&run(&[&arguments[..], &["/no/such/file"]].concat()));
+        has(&said(&huge), &[&format!("it holds 10 GiB, the limit is {limit}")]);
+        has(&said(&of("/dev/zero")), &["/dev/zero: it is a device"]);
+        let missing = said(&of("/no/such/file"));
         assert_eq!(missing.matches("No such file").count(), 1, "{missing}");
     }
 }
 
 #[test]
 fn a_seed_that_no_configuration_can_keep_is_refused() {
-    for command in [&["learn"][..], &["detector", "train"]] {
-        let seed = ["--seed", "9223372036854775808"];
-        ended(&run(&[command, &seed].concat()), 2, &["not in 0..9223372036854775808"]);
+    for command in ["learn", "detector train"] {
+        let taught = run_line(&format!("{command} --seed 9223372036854775808"));
+        ended(&taught, 2, &["not in 0..9223372036854775808"]);
     }
 }
 
@@ -334,10 +311,8 @@ fn a_state_that_is_refused_is_named_with_file_and_line() {
     let file = folder.path().join("vehicle92.toml");
     std::fs::write(&file, "[parameters]\nMIS_TAKEOFF_ALT = 3.1\nCOM_OBL_RC_ACT = 4.5\n").expect("a file");
     let started = run(&["sim", "--instance", "92", "--seed", "1", "--state", text(folder.path())]);
-    refused(
-        &started,
-        &["vehicle92.toml: mend or delete it: line 3: ", "COM_OBL_RC_ACT"],
-    );
+    let mend = "vehicle92.toml: mend or delete it: line 3: ";
+    refused(&started, &[mend, "COM_OBL_RC_ACT"]);
 }
 
 #[test]
@@ -399,14 +374,9 @@ fn a_bench_whose_load_ends_too_early_tells_what_it_measured_until_then() {
 
 #[test]
 fn a_detector_that_would_watch_nothing_is_refused() {
-    for command in [
-        &["firmware", "--instance", "94"][..],
-        &["evaluate", "--flights", "1", "--json", "/dev/null"],
-    ] {
-        refused(
-            &run(&[command, &["--pilot", "geometric", "--detector", "on"]].concat()),
-            &["it watches the actor only"],
-        );
+    for command in ["firmware --instance 94", "evaluate --flights 1 --json /dev/null"] {
+        let blind = run_line(&format!("{command} --pilot geometric --detector on"));
+        refused(&blind, &["it watches the actor only"]);
     }
 }
 

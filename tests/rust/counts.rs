@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::{env, fs};
-use vigil_tests::{files_below, root};
+use vigil_tests::{files_below, pages, root};
 
 /// A function may be as long; a longer one is counted.
 const LONG_FUNCTION: usize = 80;
@@ -48,36 +48,27 @@ fn counts() -> BTreeMap<String, usize> {
     count("packages of the workspace".to_owned(), members.len());
     let lock = fs::read_to_string(root().join("Cargo.lock")).expect("a lock file");
     count("packages in Cargo.lock".to_owned(), lock.matches("[[package]]").count());
-    let rust = files_below(&root(), &[".rs"]);
-    let mut pages = files_below(&root().join("docs"), &[".md"]);
-    pages.push(root().join("README.md"));
-    for path in rust.iter().chain(&pages) {
-        let text = fs::read_to_string(path).expect("UTF-8");
+    for path in files_below(&root(), &[".rs"]).into_iter().chain(pages()) {
+        let text = fs::read_to_string(&path).expect("UTF-8");
         for word in text.split(|c: char| !c.is_alphanumeric() && c != '_') {
             let word = word.to_lowercase();
             if WORDS.contains(&&*word) {
                 count(format!("word {word}"), 1);
             }
         }
-    }
-    for path in &rust {
-        let text = fs::read_to_string(path).expect("UTF-8");
+        if path.extension().is_some_and(|ending| ending == "md") {
+            count("words in the pages".to_owned(), text.split_whitespace().count());
+            continue;
+        }
         let within = path.strip_prefix(root()).expect("below the root");
         // The member whose folder is the longest that holds the file.
         let of = (members.iter().filter(|member| within.starts_with(member))).max_by_key(|member| member.len());
         count(format!("lines of {}", of.unwrap_or(&"others")), text.lines().count());
-        count(
-            format!("files over {LONG_FILE} lines"),
-            usize::from(text.lines().count() > LONG_FILE),
-        );
-        let long = function_lengths(&text)
-            .into_iter()
-            .filter(|length| *length > LONG_FUNCTION);
-        count(format!("functions over {LONG_FUNCTION} lines"), long.count());
-    }
-    for page in &pages {
-        let text = fs::read_to_string(page).expect("UTF-8");
-        count("words in the pages".to_owned(), text.split_whitespace().count());
+        let is_long = text.lines().count() > LONG_FILE;
+        count(format!("files over {LONG_FILE} lines"), usize::from(is_long));
+        let lengths = function_lengths(&text).into_iter();
+        let long = lengths.filter(|length| *length > LONG_FUNCTION).count();
+        count(format!("functions over {LONG_FUNCTION} lines"), long);
     }
     counts
 }
@@ -86,11 +77,8 @@ fn counts() -> BTreeMap<String, usize> {
 fn no_count_has_risen() {
     let (counts, file) = (counts(), Path::new(env!("CARGO_MANIFEST_DIR")).join("rust/counts.txt"));
     if env::var_os("UPDATE_COUNTS").is_some() {
-        let lines: Vec<String> = counts
-            .iter()
-            .map(|(name, count)| format!("{name}: {count}\n"))
-            .collect();
-        fs::write(&file, lines.concat()).expect("written");
+        let lines = counts.iter().map(|(name, count)| format!("{name}: {count}\n"));
+        fs::write(&file, lines.collect::<String>()).expect("written");
     }
     let reached = fs::read_to_string(&file).expect("counts.txt");
     let reached: BTreeMap<&str, usize> = (reached.lines().filter_map(|line| line.split_once(": ")))

@@ -23,11 +23,7 @@ fn output(program: &str, arguments: &[&str]) -> String {
         .current_dir(root())
         .output()
         .unwrap_or_else(|e| panic!("{program}: {e}"));
-    assert!(
-        output.status.success(),
-        "{program} {arguments:?}: {}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    vigil_tests::succeed(&output);
     String::from_utf8(output.stdout).expect("UTF-8")
 }
 
@@ -36,14 +32,8 @@ fn packages() -> Vec<Value> {
     let about = output("rustc", &["-vV"]);
     let host = about.lines().find_map(|l| l.strip_prefix("host: ")).expect("a host");
     // What is built was fetched before; other platforms' crates were not.
-    let arguments = [
-        "metadata",
-        "--format-version=1",
-        "--locked",
-        "--offline",
-        "--filter-platform",
-        host,
-    ];
+    let line = format!("metadata --format-version=1 --locked --offline --filter-platform {host}");
+    let arguments: Vec<&str> = line.split(' ').collect();
     let metadata: Value = serde_json::from_str(&output(env!("CARGO"), &arguments)).expect("metadata");
     let nodes = list(&metadata["resolve"], "nodes").iter();
     let built: BTreeSet<&str> = nodes.map(|node| word(node, "id")).collect();
@@ -98,21 +88,20 @@ fn nothing_is_built_in_two_versions_but_what_others_force() {
         let name = word(&package, "name").to_owned();
         versions.entry(name).or_default().push(version.to_owned());
     }
-    for (name, versions) in versions {
-        let left: Vec<&String> = versions
-            .iter()
-            .filter(|version| match skipped.remove(&*format!("{name}@{version}")) {
-                Some(reason) => {
-                    assert!(!reason.is_empty(), "{name}@{version} is skipped without a reason");
-                    assert!(versions.len() > 1, "{name}@{version} need not be skipped any more");
-                    false
-                }
-                None => true,
-            })
-            .collect();
+    for (name, mut versions) in versions {
+        let built = versions.len();
+        versions.retain(|version| {
+            let reason = skipped.remove(&*format!("{name}@{version}"));
+            assert!(reason != Some(""), "{name}@{version} is skipped without a reason");
+            assert!(
+                reason.is_none() || built > 1,
+                "{name}@{version} need not be skipped any more"
+            );
+            reason.is_none()
+        });
         assert!(
-            left.len() <= 1,
-            "{name} is built as {left:?}: take one, or say in deny.toml who forces the other"
+            versions.len() <= 1,
+            "{name} is built as {versions:?}: take one, or say in deny.toml who forces the other"
         );
     }
     assert!(skipped.is_empty(), "skipped in deny.toml, but not built: {skipped:?}");
@@ -124,12 +113,8 @@ fn what_vigil_asks_for_itself_is_pinned_and_has_its_reason() {
     let reasons: BTreeSet<&str> = page.split('`').skip(1).step_by(2).collect();
     for package in packages().iter().filter(|package| package["source"].is_null()) {
         for asked in list(package, "dependencies").iter().filter(|d| d["path"].is_null()) {
-            let (name, req) = (word(asked, "name"), word(asked, "req"));
-            assert!(
-                req.starts_with('='),
-                "{} asks for {name} {req}: pin it",
-                package["name"]
-            );
+            let (who, name, req) = (&package["name"], word(asked, "name"), word(asked, "req"));
+            assert!(req.starts_with('='), "{who} asks for {name} {req}: pin it");
             assert!(reasons.contains(name), "docs/dependencies.md does not say why {name}");
         }
     }

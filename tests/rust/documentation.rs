@@ -3,14 +3,11 @@
 use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
-use vigil_tests::{files_below, root};
+use vigil_tests::root;
 
 fn pages() -> Vec<PathBuf> {
-    let mut pages = files_below(&root().join("docs"), &[".md"]);
-    for name in ["README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md"] {
-        pages.push(root().join(name));
-    }
-    pages
+    let beside = ["CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md"].map(|name| root().join(name));
+    vigil_tests::pages().into_iter().chain(beside).collect()
 }
 
 /// The text without fenced code, where brackets are not links.
@@ -27,19 +24,9 @@ fn links(text: &str) -> impl Iterator<Item = &str> {
 /// The anchors that headings get on the usual hosts: lower case, blanks as hyphens, signs dropped.
 fn anchors(text: &str) -> HashSet<String> {
     let headings = text.lines().filter(|l| l.starts_with('#'));
-    headings
-        .map(|heading| {
-            let words = heading.trim_start_matches('#').trim().to_lowercase();
-            words
-                .chars()
-                .filter_map(|c| match c {
-                    ' ' => Some('-'),
-                    c if c.is_alphanumeric() || c == '-' || c == '_' => Some(c),
-                    _ => None,
-                })
-                .collect()
-        })
-        .collect()
+    let words = headings.map(|heading| heading.trim_start_matches('#').trim().to_lowercase().replace(' ', "-"));
+    let is_kept = |c: &char| c.is_alphanumeric() || "-_".contains(*c);
+    words.map(|words| words.chars().filter(is_kept).collect()).collect()
 }
 
 #[test]
@@ -49,10 +36,9 @@ fn every_link_leads_somewhere() {
         let text = prose(&page);
         for link in links(&text).filter(|l| !l.contains("://") && !l.starts_with("mailto:")) {
             let (file, anchor) = link.split_once('#').unwrap_or((link, ""));
-            let target = if file.is_empty() {
-                page.clone()
-            } else {
-                page.parent().unwrap().join(file)
+            let target = match file {
+                "" => page.clone(),
+                file => page.parent().unwrap().join(file),
             };
             let found =
                 target.exists() && (anchor.is_empty() || target.is_dir() || anchors(&prose(&target)).contains(anchor));

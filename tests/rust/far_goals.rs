@@ -2,8 +2,7 @@
 
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::world::{Course, Outcome};
-use vigil_sim::{SimConfig, Start};
-use vigil_tests::{ended, fly_watched, refused, run, run_line};
+use vigil_tests::{airborne, ended, fly_watched, refused, run, run_line};
 use vigil_types::{GuidanceState, PilotKind, Reason, StepReport};
 
 /// Columns in the way, and a screen that has to be passed at its side.
@@ -36,9 +35,7 @@ height_m = 3.0
 /// How a flight of the actor alone ended, and its reports.
 fn fly(course: &str, change: impl FnOnce(&mut FirmwareConfig)) -> (Option<Outcome>, Vec<StepReport>) {
     let course = Course::from_toml_str(course, "course of a test").expect("a course");
-    let mut simulation = SimConfig::new(course, 11);
-    simulation.start = Start::Airborne;
-    fly_watched(&simulation, |config| {
+    fly_watched(&airborne(course, 11), |config| {
         config.pilot.apf = false;
         change(config);
     })
@@ -88,17 +85,15 @@ fn distances_that_no_course_has_are_refused_with_what_is_allowed() {
         (["--goal-distance", "300..30"], "nearer distance comes first"),
         (["--goal-distance", "far"], "150 or 30..300"),
     ] {
-        ended(
-            &run(&[&["evaluate", "--flights", "1"][..], &arguments].concat()),
-            2,
-            &[part],
-        );
+        let evaluated = run(&[&["evaluate", "--flights", "1"][..], &arguments].concat());
+        ended(&evaluated, 2, &[part]);
     }
+    let write = "courses write --seed 3 --goal-distance 90";
     refused(
-        &run_line("courses write --seed 3 --goal-distance 90 --family hard"),
+        &run_line(&format!("{write} --family hard")),
         &["hard cannot be made longer"],
     );
-    let output = run(&["courses", "write", "--seed", "3", "--goal-distance", "90"]);
+    let output = run_line(write);
     let course = Course::from_toml_str(&String::from_utf8_lossy(&output.stdout), "written").expect("a course");
     assert_eq!(course.goal.north_m, 90.0);
 }

@@ -35,22 +35,22 @@ fn course(folder: &Path, goal_m: f32, column_m: Option<f32>) -> String {
     );
     let path = folder.join("straight.toml");
     std::fs::write(&path, text).expect("written");
-    path.to_str().expect("a UTF-8 path").to_owned()
+    vigil_tests::text(&path).to_owned()
 }
 
 /// A scripted vehicle that runs in real time and speaks to a port of this machine.
 struct Vehicle {
     stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<Peer>>,
+    thread: JoinHandle<Peer>,
 }
 
 impl Vehicle {
-    /// `script` is shown the vehicle and the time before each step; what it leaves out of the sent messages is `silenced`.
+    /// `script` is shown the vehicle before each step; what is left out of the sent messages is `silenced`.
     fn start(
         mut peer: Peer,
         port: u16,
         silenced: &'static [u32],
-        mut script: impl FnMut(&mut Peer, Nanos) + Send + 'static,
+        mut script: impl FnMut(&mut Peer) + Send + 'static,
     ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&stop);
@@ -69,7 +69,7 @@ impl Vehicle {
                         }
                     }
                 }
-                script(&mut peer, now_ns);
+                script(&mut peer);
                 for datagram in peer.step(now_ns) {
                     let mut found = packets(&datagram, &mut counters);
                     if found.next().is_some_and(|p| !silenced.contains(&p.message_id())) {
@@ -82,24 +82,17 @@ impl Vehicle {
             }
             peer
         });
-        Self {
-            stop,
-            thread: Some(thread),
-        }
+        Self { stop, thread }
     }
 
-    fn end(mut self) -> Peer {
+    fn end(self) -> Peer {
         self.stop.store(true, Ordering::Relaxed);
-        self.thread.take().expect("running").join().expect("it did not fail")
+        self.thread.join().expect("it did not fail")
     }
 }
 
 /// Flies a scripted vehicle to a goal 6 m ahead; exit code and what was said.
-fn fly(
-    flavour: Flavour,
-    instance: u16,
-    script: impl FnMut(&mut Peer, Nanos) + Send + 'static,
-) -> (Option<i32>, String) {
+fn fly(flavour: Flavour, instance: u16, script: impl FnMut(&mut Peer) + Send + 'static) -> (Option<i32>, String) {
     let folder = tempfile::tempdir().expect("a folder");
     let port = 15_100 + instance;
     let vehicle = Vehicle::start(Peer::on_the_ground(flavour), port, &[], script);
@@ -124,7 +117,7 @@ fn a_vehicle_that_already_runs_flies_our_course_whichever_autopilot_it_has() {
     let flights = [(Flavour::Px4, 71), (Flavour::ArduPilot, 72)].map(|(flavour, instance)| {
         // An ArduPilot starts in a pilot's mode: somebody changes it once the flight is ready, and has waited long enough to be told to.
         let mut steps = 0;
-        let gives_it_away = move |peer: &mut Peer, _| {
+        let gives_it_away = move |peer: &mut Peer| {
             steps += 1;
             if flavour == Flavour::ArduPilot && steps == GIVEN_AWAY_STEP {
                 peer.mode = Mode::External;
@@ -136,26 +129,22 @@ fn a_vehicle_that_already_runs_flies_our_course_whichever_autopilot_it_has() {
         let (code, text) = flight.join().expect("it did not fail");
         assert_eq!(text.contains("in its pilot's mode"), waits, "{text}");
         assert_eq!(code, Some(0), "{text}");
-        has(
-            &text,
-            &["success after", "on straight", "landed, disarmed", "report    "],
-        );
+        let told = ["success after", "on straight", "landed, disarmed", "report    "];
+        has(&text, &told);
     }
 }
 
 #[test]
 fn a_position_that_jumps_in_flight_ends_it_without_a_verdict() {
-    let (code, text) = fly(Flavour::Px4, 73, |peer, _| {
+    let (code, text) = fly(Flavour::Px4, 73, |peer| {
         // In the middle of the way, once.
         if (2.0..3.0).contains(&peer.north_m) {
             peer.north_m += 10.0;
         }
     });
     assert_eq!(code, Some(13), "{text}");
-    has(
-        &text,
-        &[&format!("no verdict: {}", PoseState::Jumped.name()), "flown anew"],
-    );
+    let jumped = format!("no verdict: {}", PoseState::Jumped.name());
+    has(&text, &[&jumped, "flown anew"]);
 }
 
 /// `vigil sensor render` on an instance.
@@ -174,12 +163,8 @@ fn a_vehicle_that_never_reports_its_position_is_named_and_gets_no_frames() {
     let sensor = sensor(74, &course, "--status");
     let silent = sensor.wait_for_status("a first status", |_| true);
     assert_eq!(silent.pose.as_deref(), Some(PoseState::Silent.name()));
-    let vehicle = Vehicle::start(
-        Peer::on_the_ground(Flavour::Px4),
-        15_174,
-        &[LOCAL_POSITION_NED],
-        |_, _| {},
-    );
+    let silent = Peer::on_the_ground(Flavour::Px4);
+    let vehicle = Vehicle::start(silent, 15_174, &[LOCAL_POSITION_NED], |_| {});
     sensor.wait_for_status("the missing position", |s| {
         s.pose.as_deref() == Some(PoseState::NoPosition.name())
     });
@@ -196,7 +181,7 @@ fn a_vehicle_that_flies_itself_into_a_column_is_judged_and_a_second_sensor_is_re
     let line = format!("sensor render --pose udpin://127.0.0.1:15199 --instance 75 --course {course}");
     refused(&run_line(&line), &["already"]);
 
-    let vehicle = Vehicle::start(Peer::in_the_air(Flavour::Px4), 15_175, &[], |peer, _| {
+    let vehicle = Vehicle::start(Peer::in_the_air(Flavour::Px4), 15_175, &[], |peer| {
         peer.mode = Mode::Loiter;
         peer.north_m += 0.1;
     });

@@ -11,7 +11,7 @@ use vigil_firmware::FirmwareConfig;
 use vigil_log::{Reader, Recorder, RecorderConfig};
 use vigil_sim::world::{Course, Family, generate, generate_long};
 use vigil_sim::{SimConfig, Start};
-use vigil_tests::{Pair, mission};
+use vigil_tests::{Pair, airborne, mission};
 use vigil_types::{AlarmResponse, Duty, EngagePolicy, GuidanceState, PilotKind, Reasons};
 
 /// The longest that a flight is followed: 25 s.
@@ -125,8 +125,7 @@ fn arms() -> Vec<Arm> {
 
 /// Flies, and says in a line what became of it.
 fn fly(arm: &Arm, seed: u64, log: Option<&Path>) -> String {
-    let mut simulation = SimConfig::new(arm.course(seed), seed);
-    simulation.start = Start::Airborne;
+    let mut simulation = airborne(arm.course(seed), seed);
     let goal_ned_m = simulation.course.goal_ned_m();
     let mut config = FirmwareConfig::to_goal(goal_ned_m);
     (arm.prepare)(&mut simulation, &mut config);
@@ -153,11 +152,8 @@ fn fly(arm: &Arm, seed: u64, log: Option<&Path>) -> String {
         recovered += u32::from(report.alarm.is_some_and(|a| a.response == AlarmResponse::Recovery));
         steps += 1;
     }
+    let end = pair.outcome().map_or("flying".to_owned(), |end| end.to_string());
     pair.firmware.finish();
-    let end = pair
-        .simulator
-        .ending()
-        .map_or("flying".to_owned(), |e| e.outcome.to_string());
     let names: Vec<&str> = reasons.iter().map(|reason| reason.name()).collect();
     let (name, hash, reasons) = (&arm.name, pair.simulator.state_hash(), names.join(", "));
     format!("{name} {seed}: {hash:016x} {end}, {steps} steps, {guided} guided, {recovered} by recovery; {reasons}")

@@ -9,9 +9,8 @@ use vigil_firmware::FirmwareConfig;
 use vigil_log::{Reader, TickRecord};
 use vigil_sim::vehicle::VehicleModel;
 use vigil_sim::world::{Family, generate};
-use vigil_sim::{SimConfig, Start};
 use vigil_tests::ground::{Request, STATION, packet, set_auto_mode};
-use vigil_tests::{Pair, Running, only_log, text};
+use vigil_tests::{Pair, Running, airborne, only_log, text};
 use vigil_types::{EngagePolicy, GuidanceState, Nanos, Reason, StepReport};
 
 const HALF_A_SECOND_NS: Nanos = 500_000_000;
@@ -54,9 +53,8 @@ fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight(
 
     // The vehicle's end of the link is free now: whoever listens there sees what the firmware says without a vehicle.
     let socket = UdpSocket::bind(("127.0.0.1", 14280 + 85)).expect("the port of a killed simulator is free");
-    socket
-        .set_read_timeout(Some(Duration::from_secs(5)))
-        .expect("a timeout");
+    let limited = socket.set_read_timeout(Some(Duration::from_secs(5)));
+    limited.expect("a timeout");
     let mut heard = vigil_sim::CompanionView::default();
     let mut buffer = [0; 2048];
     for _ in 0..1000 {
@@ -148,8 +146,7 @@ struct Card {
 
 impl Card {
     fn on(model: VehicleModel) -> Self {
-        let mut simulation = SimConfig::new(generate(Family::Training, 11), 11);
-        simulation.start = Start::Airborne;
+        let mut simulation = airborne(generate(Family::Training, 11), 11);
         simulation.vehicle = model.params();
         let config = FirmwareConfig {
             engage: EngagePolicy::Command,
@@ -181,10 +178,6 @@ impl Card {
     fn flies(report: &StepReport, mode: &str) -> bool {
         report.state == GuidanceState::Guided && mode == "offboard"
     }
-
-    fn speed_m_s(&self) -> f32 {
-        self.pair.simulator.truth().velocity_ned_m_s.norm()
-    }
 }
 
 /// PX4's test card for modes that another computer flies: engage, leave, engage again, let go, engage again, kill.
@@ -198,11 +191,8 @@ fn the_test_card_of_an_external_mode_passes_on_every_vehicle_model() {
         card.until("left", None, |report, mode| report.setpoint.is_none() && mode == "hold");
         for _ in 0..200 {
             card.pair.simulate();
-            let report = card.pair.decide(true);
-            assert_eq!(
-                (report.setpoint, card.pair.simulator.status().mode.name()),
-                (None, "hold")
-            );
+            assert_eq!(card.pair.decide(true).setpoint, None);
+            assert_eq!(card.pair.simulator.status().mode.name(), "hold");
         }
         card.until("engaged again", Some(Request::Engage), Card::flies);
         // Let go: it is still sent zeros until it holds by itself.
@@ -221,6 +211,7 @@ fn the_test_card_of_an_external_mode_passes_on_every_vehicle_model() {
             card.pair.simulate();
         }
         assert_eq!(card.pair.simulator.status().mode.name(), "hold", "{}", model.name());
-        assert!(card.speed_m_s() < 0.3, "{} {}", model.name(), card.speed_m_s());
+        let speed_m_s = card.pair.speed_m_s();
+        assert!(speed_m_s < 0.3, "{} {speed_m_s}", model.name());
     }
 }

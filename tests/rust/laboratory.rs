@@ -52,10 +52,8 @@ fn a_laboratory_of_other_sources_is_refused() {
 fn what_no_work_can_come_of_is_refused_before_the_work() {
     let folder = tempfile::tempdir().expect("a folder");
     let empty = text(folder.path());
-    refused(
-        &run(&["import", "missing.onnx", "-o", empty]),
-        &["is a folder: name a file"],
-    );
+    let import = run(&["import", "missing.onnx", "-o", empty]);
+    refused(&import, &["is a folder: name a file"]);
     for metres in ["nan", "-1", "inf"] {
         let attack = run_line(&format!("attack deflection --goal-distance={metres} -o {empty}"));
         refused(&attack, &["--goal-distance must be above 0"]);

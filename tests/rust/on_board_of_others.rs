@@ -43,33 +43,20 @@ impl Flight {
         }
     }
 
-    /// A step in which `spoil` has its hand between vehicle, sensor and firmware; it says whether the frame arrives.
-    fn step(&mut self, spoil: &mut impl FnMut(&mut Pair, u64) -> bool) -> StepReport {
-        self.pair.simulate();
-        let arrives = spoil(&mut self.pair, self.step);
-        let report = self.pair.decide(arrives);
-        self.step += 1;
-        self.reasons = self.reasons.union(report.reasons);
-        self.texts.extend(self.pair.texts());
-        self.guided += usize::from(report.state == GuidanceState::Guided);
-        assert!(
-            self.pair.simulator.ending().is_none(),
-            "it ended after {} steps",
-            self.step
-        );
-        report
-    }
-
+    /// Steps in which `spoil` has its hand between vehicle, sensor and firmware; it says whether the frame arrives.
     fn run(&mut self, steps: u64, mut spoil: impl FnMut(&mut Pair, u64) -> bool) -> StepReport {
         let mut last = None;
         for _ in 0..steps {
-            last = Some(self.step(&mut spoil));
+            self.pair.simulate();
+            let arrives = spoil(&mut self.pair, self.step);
+            let report = last.insert(self.pair.decide(arrives));
+            self.step += 1;
+            self.reasons = self.reasons.union(report.reasons);
+            self.guided += usize::from(report.state == GuidanceState::Guided);
+            self.texts.extend(self.pair.texts());
+            assert_eq!(self.pair.outcome(), None, "it ended after {} steps", self.step);
         }
         last.expect("a step")
-    }
-
-    fn speed_m_s(&self) -> f32 {
-        self.pair.simulator.truth().velocity_ned_m_s.norm()
     }
 
     #[track_caller]
@@ -95,7 +82,8 @@ fn frames_hold(what: &str, name: Reason, ends: bool, mut spoil: impl FnMut(&mut 
     let told = flight.names();
     assert!(flight.reasons.contains(name), "{what}: {told:?}");
     assert_eq!(report.state, GuidanceState::Hold, "{what}: {told:?}");
-    assert!(flight.speed_m_s() < 0.2, "{what}: {} m/s", flight.speed_m_s());
+    let speed_m_s = flight.pair.speed_m_s();
+    assert!(speed_m_s < 0.2, "{what}: {speed_m_s} m/s");
     if ends {
         let report = flight.run(30, |_, _| true);
         assert_eq!(report.state, GuidanceState::Guided, "{what}: {told:?}");
@@ -209,11 +197,9 @@ fn a_pose_that_jumps_is_implausible_and_is_flown_on_from_only_when_poses_fit_aga
         true
     };
     let report = flight.run(8, &mut set_anew);
-    assert_eq!(report.state, GuidanceState::Hold);
-    assert_eq!(
-        (flight.names(), flight.guided),
-        (vec![Reason::ImplausiblePose.name()], 0)
-    );
+    let held_by = |flight: &Flight, report: StepReport| (report.state, flight.names(), flight.guided);
+    let by_pose = (GuidanceState::Hold, vec![Reason::ImplausiblePose.name()], 0);
+    assert_eq!(held_by(&flight, report), by_pose);
     let report = flight.run(40, &mut set_anew);
     assert_eq!(report.state, GuidanceState::Guided, "{:?}", flight.names());
 
@@ -223,12 +209,9 @@ fn a_pose_that_jumps_is_implausible_and_is_flown_on_from_only_when_poses_fit_aga
         pair.to_firmware = with_position(&pair.to_firmware, |north_m| Some(north_m + 3.0));
         true
     });
-    assert_eq!(report.state, GuidanceState::Hold);
-    assert_eq!(
-        (flight.names(), flight.guided),
-        (vec![Reason::ImplausiblePose.name()], 0)
-    );
-    assert!(flight.speed_m_s() < 0.2, "{} m/s", flight.speed_m_s());
+    assert_eq!(held_by(&flight, report), by_pose);
+    let speed_m_s = flight.pair.speed_m_s();
+    assert!(speed_m_s < 0.2, "{speed_m_s} m/s");
 }
 
 #[test]

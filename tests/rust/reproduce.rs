@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
-use vigil_tests::{Running, files_below, json, refused, root, run, succeed, text};
+use vigil_tests::{Running, files_below, json, pages, refused, root, run, succeed, text};
 
 /// Pictures in the documentation that are no figures of data, and what makes each.
 const OTHER_PICTURES: [(&str, &str); 12] = [
@@ -51,13 +51,13 @@ fn items(manifest: &Value) -> BTreeMap<String, BTreeMap<String, String>> {
 /// What `vigil reproduce --list` names, and the units that each is made of.
 fn listed() -> BTreeMap<String, BTreeSet<String>> {
     let table = succeed(&run(&["reproduce", "--list"]));
-    let units = table
-        .lines()
+    let mut lines = table.lines();
+    let units = lines
         .next()
         .and_then(|heading| heading.find("made of"))
         .expect("a column");
     let mut items = BTreeMap::new();
-    for line in table.lines().skip(1) {
+    for line in lines {
         let name = line.split_whitespace().next().expect("a name").to_owned();
         let of = line[units..].split(", ").map(|unit| unit.trim().to_owned()).collect();
         assert!(items.insert(name, of).is_none(), "named twice: {line}");
@@ -65,25 +65,23 @@ fn listed() -> BTreeMap<String, BTreeSet<String>> {
     items
 }
 
+fn is_picture(name: &str) -> bool {
+    [".png", ".svg", ".gif", ".jpg"]
+        .iter()
+        .any(|ending| name.ends_with(ending))
+}
+
 /// Pictures that the pages show.
 fn pictures_in_documentation() -> BTreeSet<String> {
-    let mut pages = files_below(&root().join("docs"), &[".md"]);
-    pages.push(root().join("README.md"));
     let mut pictures = BTreeSet::new();
-    for page in pages {
+    for page in pages() {
         let page = fs::read_to_string(page).expect("a page");
-        for after in page.split("images/").skip(1) {
-            let name: String = after
-                .chars()
-                .take_while(|c| c.is_alphanumeric() || "-_.".contains(*c))
-                .collect();
-            if [".png", ".svg", ".gif", ".jpg"]
-                .iter()
-                .any(|ending| name.ends_with(ending))
-            {
-                pictures.insert(name);
-            }
-        }
+        let is_of_name = |c: char| c.is_alphanumeric() || "-_.".contains(c);
+        let names = page
+            .split("images/")
+            .skip(1)
+            .filter_map(|after| after.split(|c: char| !is_of_name(c)).next());
+        pictures.extend(names.filter(|name| is_picture(name)).map(str::to_owned));
     }
     pictures
 }
@@ -98,10 +96,11 @@ fn the_committed_data_make_every_item_and_the_documentation_shows_what_they_make
     let manifest = manifest(&out);
     let items = items(&manifest);
     assert!(items.keys().eq(listed().keys()), "{:?}", items.keys());
-    let of_paper = (1..=4)
-        .map(|n| format!("table-{n}"))
-        .chain((9..=14).map(|n| format!("figure-{n}")));
-    for paper in of_paper {
+    let (tables, figures) = (
+        (1..=4).map(|n| format!("table-{n}")),
+        (9..=14).map(|n| format!("figure-{n}")),
+    );
+    for paper in tables.chain(figures) {
         assert!(items.contains_key(&paper), "{paper}");
     }
     let named: BTreeMap<&String, &String> = items.values().flatten().collect();
@@ -116,37 +115,25 @@ fn the_committed_data_make_every_item_and_the_documentation_shows_what_they_make
             assert!(named.contains_key(&name), "the manifest lacks {name}");
         }
     }
-    for (id, files) in &items {
-        assert!(files.contains_key(&format!("tables/{id}.csv")), "{id} has no numbers");
-        let is_figure = manifest["items"]
-            .as_array()
-            .expect("items")
-            .iter()
-            .any(|i| i["id"] == **id && i["kind"] == "figure");
-        for ending in ["svg", "png"] {
-            assert_eq!(files.contains_key(&format!("figures/{id}.{ending}")), is_figure, "{id}");
-        }
-    }
+    let page = fs::read_to_string(out.join("index.html")).expect("a page");
     for item in manifest["items"].as_array().expect("items") {
+        let id = item["id"].as_str().expect("a name");
+        let has = |file: String| items[id].contains_key(&file);
+        assert!(has(format!("tables/{id}.csv")), "{id} has no numbers");
+        for ending in ["svg", "png"] {
+            let is_drawn = has(format!("figures/{id}.{ending}"));
+            assert_eq!(is_drawn, item["kind"] == "figure", "{id}");
+        }
         for source in item["sources"].as_array().expect("sources") {
             for field in ["command", "seeds", "commit", "version"] {
-                assert!(
-                    source[field].as_str().is_some_and(|s| !s.is_empty()),
-                    "{}: {field}",
-                    item["id"]
-                );
+                let is_told = source[field].as_str().is_some_and(|s| !s.is_empty());
+                assert!(is_told, "{id}: {field}");
             }
         }
+        let section = format!("<section id=\"{id}\"");
+        assert!(page.contains(&section), "{id} is not on the page");
     }
-
     // The page is whole in itself.
-    let page = fs::read_to_string(out.join("index.html")).expect("a page");
-    for id in items.keys() {
-        assert!(
-            page.contains(&format!("<section id=\"{id}\"")),
-            "{id} is not on the page"
-        );
-    }
     for fetched in ["<script", "src=\"http", "href=\"http", "@import", "url("] {
         assert!(!page.contains(fetched), "the page has {fetched}");
     }
@@ -175,11 +162,8 @@ fn the_documentation_shows_what_is_made(out: &Path, is_made: impl Fn(&String) ->
     let shown = pictures_in_documentation();
     for entry in fs::read_dir(root().join("docs/images")).expect("a folder") {
         let name = entry.expect("readable").file_name().to_string_lossy().into_owned();
-        let is_picture = [".png", ".svg", ".gif"].iter().any(|ending| name.ends_with(ending));
-        assert!(
-            !is_picture || shown.contains(&name),
-            "docs/images/{name} is shown nowhere"
-        );
+        let is_used = !is_picture(&name) || shown.contains(&name);
+        assert!(is_used, "docs/images/{name} is shown nowhere");
     }
 }
 
@@ -271,23 +255,16 @@ fn an_interrupted_run_keeps_what_is_whole_and_goes_on() {
     let before = fs::metadata(&explained).and_then(|m| m.modified()).expect("a file");
     let again = succeed(&reproduce(&out, &["--quick", "--only", "figure-14"]));
     assert!(again.contains("is there"), "{}", again);
-    assert_eq!(
-        fs::metadata(&explained).and_then(|m| m.modified()).expect("a file"),
-        before
-    );
+    let after = fs::metadata(&explained).and_then(|m| m.modified()).expect("a file");
+    assert_eq!(after, before);
     let manifest = manifest(&out);
     assert_eq!(manifest["made_by"]["mode"], "quick");
     assert_eq!(manifest["items"][0]["sources"][0]["flown_anew"], true);
-    assert!(
-        fs::read_to_string(out.join("index.html"))
-            .expect("a page")
-            .contains("few flights")
-    );
+    let page = fs::read_to_string(out.join("index.html")).expect("a page");
+    assert!(page.contains("few flights"));
 
-    refused(
-        &reproduce(&out, &["--only", "figure-14"]),
-        &["its mode is quick, this one's full"],
-    );
+    let full = reproduce(&out, &["--only", "figure-14"]);
+    refused(&full, &["its mode is quick, this one's full"]);
 }
 
 /// Every file below a folder by its path from there.

@@ -4,8 +4,7 @@ use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::common::OBSTACLE_DISTANCE_DATA;
 use vigil_mavlink::mavlink::MessageData;
 use vigil_sim::world::{Family, Outcome, generate};
-use vigil_sim::{SimConfig, Start};
-use vigil_tests::{Pair, without};
+use vigil_tests::{Pair, airborne, without};
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DepthFrame, GuidanceState, Reason, Reasons, row_elevation_rad};
 
 const SEED: u64 = 4203;
@@ -34,7 +33,6 @@ const SEEING: Story = Story {
     silent_from: usize::MAX,
 };
 
-#[derive(Default)]
 struct End {
     /// Everything that was wrong, whoever flew.
     reasons: Reasons,
@@ -58,33 +56,28 @@ fn hide(frame: &mut DepthFrame) {
 }
 
 fn fly(story: Story) -> End {
-    let mut config = SimConfig::new(generate(Family::Validation, SEED), SEED);
-    config.start = Start::Airborne;
+    let mut config = airborne(generate(Family::Validation, SEED), SEED);
     config.second_sensor_heads = story.heads;
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
     firmware.second_sensor = story.asked_for;
     firmware.plausibility = !story.unchecked;
     let mut pair = Pair::of(&config, &firmware);
-    let mut end = End::default();
-    for step in 0..STEPS {
-        pair.simulate();
+    let reports = pair.fly(STEPS, |pair, step| {
         if story.hides {
             hide(&mut pair.frame);
         }
         if step >= story.silent_from {
             pair.to_firmware = without(&pair.to_firmware, &[OBSTACLE_DISTANCE_DATA::ID]);
         }
-        let report = pair.decide(true);
-        end.state = report.state;
-        end.flew |= report.state == GuidanceState::Guided;
-        end.reasons = end.reasons.union(report.reasons);
-        end.outcome = pair.simulator.ending().map(|ending| ending.outcome);
-        if end.outcome.is_some() {
-            break;
-        }
+        true
+    });
+    End {
+        reasons: reports.iter().fold(Reasons::NONE, |all, r| all.union(r.reasons)),
+        flew: reports.iter().any(|r| r.state == GuidanceState::Guided),
+        state: reports[reports.len() - 1].state,
+        speed_m_s: pair.speed_m_s(),
+        outcome: pair.outcome(),
     }
-    end.speed_m_s = pair.simulator.truth().velocity_ned_m_s.norm();
-    end
 }
 
 #[test]

@@ -2,15 +2,13 @@
 
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::world::{Family, generate};
-use vigil_sim::{SimConfig, Start};
-use vigil_tests::Pair;
-use vigil_types::{GuidanceState, Reason, Reasons};
+use vigil_tests::{Pair, airborne};
+use vigil_types::{GuidanceState, Reason, Reasons, StepReport};
 
 const SEED: u64 = 4203;
 /// Steps of a story: 12 s.
 const STEPS: usize = 240;
 
-#[derive(Default)]
 struct End {
     /// Everything that was wrong while guidance flew.
     reasons: Reasons,
@@ -21,8 +19,7 @@ struct End {
 }
 
 fn fly(fault: &str, plausibility: bool) -> End {
-    let mut config = SimConfig::new(generate(Family::Validation, SEED), SEED);
-    config.start = Start::Airborne;
+    let mut config = airborne(generate(Family::Validation, SEED), SEED);
     config.sensor_fault = Some(fault.parse().unwrap());
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
     firmware.plausibility = plausibility;
@@ -31,19 +28,16 @@ fn fly(fault: &str, plausibility: bool) -> End {
         firmware.detector.guard = Some(false);
     }
     let mut pair = Pair::of(&config, &firmware);
-    let mut end = End::default();
-    for _ in 0..STEPS {
-        pair.simulate();
-        let report = pair.decide(true);
-        end.state = report.state;
-        if matches!(report.state, GuidanceState::Guided | GuidanceState::Hold) {
-            end.reasons = end.reasons.union(report.reasons);
-        }
+    let reports = pair.fly(STEPS, |_, _| true);
+    let flies = |r: &&StepReport| matches!(r.state, GuidanceState::Guided | GuidanceState::Hold);
+    let flown = reports.iter().filter(flies);
+    End {
+        reasons: flown.fold(Reasons::NONE, |all, r| all.union(r.reasons)),
+        state: reports[reports.len() - 1].state,
+        speed_m_s: pair.speed_m_s(),
+        ended: pair.outcome().is_some(),
+        goal_m: pair.simulator.goal_distance_m(),
     }
-    end.speed_m_s = pair.simulator.truth().velocity_ned_m_s.norm();
-    end.ended = pair.simulator.ending().is_some();
-    end.goal_m = pair.simulator.goal_distance_m();
-    end
 }
 
 /// The fault stops the vehicle and is named by one of these; without the judge it does neither.

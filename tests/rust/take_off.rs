@@ -3,10 +3,10 @@
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::common::MavCmd;
+use vigil_sim::SimConfig;
 use vigil_sim::world::{Course, Family, Outcome, generate};
-use vigil_sim::{SimConfig, Start};
 use vigil_tests::ground::{Request, STATION, command, packet};
-use vigil_tests::{Pair, fly_watched};
+use vigil_tests::{Pair, airborne, fly_watched};
 use vigil_types::{AlarmResponse, EngagePolicy, GuidanceState, NedVector, PilotKind, Reason, StepReport};
 
 /// Nothing but ground; the vehicle stands with its nose to the goal.
@@ -38,10 +38,8 @@ fn motion(reports: &[StepReport], flies: impl Fn(&StepReport) -> bool) -> Vec<(f
 fn flown_straight(motion: &[(f32, f32)], seconds: usize) {
     assert!(motion.len() > 20 * seconds, "{} steps", motion.len());
     let first_deg = motion[0].0;
-    let turned_deg = motion
-        .iter()
-        .map(|(yaw, _)| (yaw - first_deg).abs())
-        .fold(0.0, f32::max);
+    let turns_deg = motion.iter().map(|(yaw, _)| (yaw - first_deg).abs());
+    let turned_deg = turns_deg.fold(0.0, f32::max);
     let back_m_s = motion.iter().map(|(_, ahead)| -ahead).fold(0.0, f32::max);
     assert!(turned_deg < 10.0, "turned by {turned_deg}°");
     assert!(back_m_s < 0.15, "backwards at {back_m_s} m/s");
@@ -70,10 +68,8 @@ fn after_a_take_off_the_recovery_pilot_flies_straight_to_the_goal() {
         config.detector.threshold = Some(0.4);
     });
     let recovery = motion(&reports, |report| {
-        report.state == GuidanceState::Guided
-            && report
-                .alarm
-                .is_some_and(|alarm| alarm.response == AlarmResponse::Recovery)
+        let recovers = report.alarm.is_some_and(|a| a.response == AlarmResponse::Recovery);
+        recovers && report.state == GuidanceState::Guided
     });
     flown_straight(&recovery, 20);
 }
@@ -84,23 +80,16 @@ fn no_pilot_is_asked_and_nothing_is_judged_before_the_vehicle_is_handed_over() {
         config.pilot.kind = PilotKind::Actor;
         config.detector.enabled = Some(true);
     });
-    let begun = reports
-        .iter()
-        .position(|report| report.state == GuidanceState::Guided)
-        .expect("guided");
-    assert!(begun > 40, "it has to climb first");
-    assert!(
-        reports[..begun]
-            .iter()
-            .all(|r| r.action.is_none() && r.judgement.is_none())
-    );
-    assert!(reports[begun..].iter().all(|r| r.action.is_some()));
+    let begun = reports.iter().position(|r| r.state == GuidanceState::Guided);
+    let (before, guided) = reports.split_at(begun.expect("guided"));
+    assert!(before.len() > 40, "it has to climb first");
+    assert!(before.iter().all(|r| r.action.is_none() && r.judgement.is_none()));
+    assert!(guided.iter().all(|r| r.action.is_some()));
 }
 
 /// A flight of 50 s that begins with a hover at `height_m` ends at the course's goal at 2 m; the greatest height at which it flew ahead.
 fn from_a_hover(seed: u64, height_m: f32, kind: PilotKind) -> f32 {
-    let mut simulation = SimConfig::new(generate(Family::Validation, seed), seed);
-    simulation.start = Start::Airborne;
+    let mut simulation = airborne(generate(Family::Validation, seed), seed);
     // A hover at 6 m is above the ceilings that some courses have.
     (simulation.course.bounds.top_m, simulation.course.ceiling_height_m) = (20.0, None);
     simulation.course.time_limit_s = 50.0;

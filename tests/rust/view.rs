@@ -5,7 +5,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use vigil_firmware::FirmwareConfig;
 use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, TickRecord};
-use vigil_tests::{attacked_flight, ended, has, only_log, refused, run, run_line, succeed, text};
+use vigil_tests::{attacked_flight, ended, has, json, only_log, refused, run, run_line, succeed, text};
 use vigil_types::{Datagrams, NedVector, StepReport, StepTiming};
 
 /// A log of a vehicle that stood for three steps without a frame.
@@ -51,11 +51,8 @@ fn a_viewer_that_is_absent_is_told_with_the_command_that_installs_it() {
         }
     }
     // Nothing was flown without the viewer that was asked for.
-    assert_eq!(
-        std::fs::read_dir(folder.path()).expect("the folder").count(),
-        2,
-        "the log and its tlog"
-    );
+    let left = std::fs::read_dir(folder.path()).expect("the folder").count();
+    assert_eq!(left, 2, "the log and its tlog");
 }
 
 #[test]
@@ -112,11 +109,8 @@ fn before_word(word: &str, said: &str) -> usize {
 fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
     let folder = tempfile::tempdir().expect("a folder");
     let json = folder.path().join("evaluate.json");
-    let line = format!(
-        "evaluate --flights 1 --seed 3001 --logs {} -o {}",
-        text(folder.path()),
-        text(&json)
-    );
+    let (logs, report) = (text(folder.path()), text(&json));
+    let line = format!("evaluate --flights 1 --seed 3001 --logs {logs} -o {report}");
     succeed(&run_line(&line));
     let log = folder.path().join("3001.mcap");
     // The same again loses neither the log nor the flight.
@@ -128,10 +122,8 @@ fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
     let saved = folder.path().join("saved.mcap");
     succeed(&run(&["recover", text(&log), text(&saved)]));
     let added = |log: &Path| vigil_log::Story::read(log).expect("a log").truth;
-    assert!(
-        added(&log).len() > 10 && added(&saved) == added(&log),
-        "what was added is saved too"
-    );
+    let is_saved = added(&saved) == added(&log);
+    assert!(added(&log).len() > 10 && is_saved, "what was added is saved too");
     assert_eq!(about(&saved), before);
     let mut told = Vec::new();
     for _ in 0..2 {
@@ -145,10 +137,8 @@ fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
     let bytes = std::fs::metadata(&log).expect("the log").len();
     assert!(bytes.abs_diff(*size) < 20_000, "{bytes}, {size}");
     // Twice and once a second, of 20 steps each; the first seconds have no goal yet.
-    assert!(
-        before_word("maps,", said) > records / 12 && before_word("explained", said) > records / 24,
-        "{said}"
-    );
+    let (maps, explained) = (before_word("maps,", said), before_word("explained", said));
+    assert!(maps > records / 12 && explained > records / 24, "{said}");
     assert_eq!(about(&log), before, "what is known of the flight stays");
     succeed(&run(&["replay", text(&log)]));
     assert_eq!(Reader::open(&log).expect("a log").count(), records);
@@ -163,13 +153,9 @@ fn nothing_is_derived_from_a_log_with_a_time_that_no_loop_reaches_and_it_stays_a
     recorder.record(|slot: &mut TickRecord| slot.now_ns = u64::MAX);
     recorder.finish();
     let before = std::fs::read(&log).expect("the log");
-    refused(
-        &run(&["log", "derive", "--only", "map", text(&log)]),
-        &[
-            "nothing was derived from",
-            "step 0 has the time 18446744073709551615 ns",
-        ],
-    );
+    let derived = run(&["log", "derive", "--only", "map", text(&log)]);
+    let time = "step 0 has the time 18446744073709551615 ns";
+    refused(&derived, &["nothing was derived from", time]);
     assert!(std::fs::read(&log).expect("the log") == before);
 }
 
@@ -197,17 +183,12 @@ fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_th
     let explained = before_word("explained", &told);
     let steps = Reader::open(&log).expect("a log").count();
     // One a second, and each frame of the two seconds around the alarm.
-    assert!(
-        (steps / 20 + 36..steps / 20 + 46).contains(&explained),
-        "{told}, {steps} steps"
-    );
+    let around = steps / 20 + 36..steps / 20 + 46;
+    assert!(around.contains(&explained), "{told}, {steps} steps");
 
     let gif = folder.path().join("film.gif");
-    succeed(&run_line(&format!(
-        "log film {} -o {} --speed 10 --shap 3",
-        text(&log),
-        text(&gif)
-    )));
+    let (from, to) = (text(&log), text(&gif));
+    succeed(&run_line(&format!("log film {from} -o {to} --speed 10 --shap 3")));
     let film = std::fs::read(&gif).expect("a film");
     // The signature, then 640 × 448 pixels.
     assert_eq!(&film[..10], b"GIF89a\x80\x02\xc0\x01");
@@ -217,15 +198,10 @@ fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_th
     let bytes = std::fs::read(&log).expect("a log");
     let cut = folder.path().join("cut.mcap");
     std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("a file");
-    succeed(&run(&["log", "film", text(&cut), "--shap", "0"]));
-    let python = stand_in(folder.path());
-    let saved = folder.path().join("cut.rrd");
-    succeed(&run_line(&format!(
-        "view {} --save {} --python {}",
-        text(&cut),
-        text(&saved),
-        text(&python)
-    )));
+    assert!(succeed(&run(&["log", "film", text(&cut), "--shap", "0"])).contains("it is not all of the flight"));
+    let (python, saved) = (stand_in(folder.path()), folder.path().join("cut.rrd"));
+    let (cut, python, saved) = (text(&cut), text(&python), text(&saved));
+    succeed(&run_line(&format!("view {cut} --save {saved} --python {python}")));
 }
 
 #[test]
@@ -244,16 +220,13 @@ fn an_mp4_is_as_many_pictures_handed_to_ffmpeg_and_one_that_fails_leaves_the_ear
     let mp4 = folder.join("film.mp4");
     let film = ["log", "film", text(log), "-o", text(&mp4), "--speed=10", "--shap=0"];
     let words = succeed(&run_with_path(&film, &path));
-    let pictures: usize = words
-        .split_once('(')
-        .and_then(|(_, rest)| rest.split(' ').next()?.parse().ok())
-        .unwrap_or_else(|| panic!("{words}"));
-    let bytes: usize = std::fs::read_to_string(&mp4)
-        .expect("what came")
-        .trim()
+    let (_, pictures) = words.split_once('(').expect("how many pictures");
+    let pictures: usize = pictures[..pictures.find(' ').expect("a word")]
         .parse()
         .expect("a number");
-    assert_eq!(bytes, (pictures + 24) * 640 * 448 * 3);
+    let came = || std::fs::read_to_string(&mp4).expect("what came").trim().to_owned();
+    let bytes = ((pictures + 24) * 640 * 448 * 3).to_string();
+    assert_eq!(came(), bytes);
 
     // One that fails is told, and leaves no half of a film and the earlier one as it was.
     program(
@@ -262,10 +235,7 @@ fn an_mp4_is_as_many_pictures_handed_to_ffmpeg_and_one_that_fails_leaves_the_ear
         "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho no such encoder >&2\nexit 1\n",
     );
     refused(&run_with_path(&film, &path), &["no such encoder"]);
-    assert_eq!(
-        std::fs::read_to_string(&mp4).expect("the earlier one").trim(),
-        bytes.to_string()
-    );
+    assert_eq!(came(), bytes, "the earlier one");
     assert!(!mp4.with_extension("mp4.part").exists());
     // Before anything is flown.
     let runs = folder.join("runs");
@@ -281,15 +251,10 @@ fn what_cannot_be_filmed_is_told_with_what_can_be_seen_of_it() {
     let log = short_log(folder.path());
     refused(&run(&["log", "film", text(&log)]), &["never took off", "log report"]);
     assert!(!log.with_extension("gif").exists());
-    ended(
-        &run(&["log", "film", text(&log), "-o", "film.avi"]),
-        2,
-        &[".gif or .mp4"],
-    );
-    refused(
-        &run(&["log", "film", text(&folder.path().join("none.mcap"))]),
-        &["none.mcap"],
-    );
+    let avi = run(&["log", "film", text(&log), "-o", "film.avi"]);
+    ended(&avi, 2, &[".gif or .mp4"]);
+    let none = folder.path().join("none.mcap");
+    refused(&run(&["log", "film", text(&none)]), &["none.mcap"]);
 }
 
 #[test]
@@ -308,10 +273,8 @@ fn a_flight_leaves_a_film_and_a_light_log_that_is_looked_at_and_not_replayed() {
     assert!(bytes < 300_000 * seconds, "{bytes} bytes in {seconds} s");
     assert!(log.with_extension("html").is_file(), "the report");
     for command in [["replay"].as_slice(), &["log", "derive"]] {
-        refused(
-            &run(&[command, &[text(&log)]].concat()),
-            &["recorded without its frames"],
-        );
+        let looked_at = run(&[command, &[text(&log)]].concat());
+        refused(&looked_at, &["recorded without its frames"]);
     }
 }
 
@@ -333,13 +296,10 @@ fn a_course_is_handed_to_the_viewer_with_its_obstacles_way_and_what_is_seen_at_i
     )));
     let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
     has(&asked, &["- --course ", text(&saved)]);
-    let json = std::fs::read_to_string(folder.path().join("python.json")).expect("the course");
-    let course: serde_json::Value = serde_json::from_str(&json).expect("JSON");
+    let course = json(&folder.path().join("python.json"));
     let count = |key: &str| course[key].as_array().map_or(0, Vec::len);
-    assert!(
-        count("solids") > 5 && count("way_ne_m") > 1 && count("movers") > 100,
-        "{json}"
-    );
+    let counts = ["solids", "way_ne_m", "movers"].map(count);
+    assert!(counts[0] > 5 && counts[1] > 1 && counts[2] > 100, "{counts:?}");
     let depth: Vec<&serde_json::Value> = course["depth_mm"].as_array().expect("rows").iter().collect();
     assert_eq!((depth.len(), depth[0].as_array().map(Vec::len)), (64, Some(128)));
     let moving = |step: usize| &course["movers"][step]["solids"][0];

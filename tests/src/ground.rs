@@ -48,16 +48,9 @@ impl Request {
     /// The message to the guidance computer of a system.
     pub fn message(self, system: u8) -> MavMessage {
         const GUIDANCE: u8 = 191;
-        let long = |command, param1, param2| {
-            message!(
-                COMMAND_LONG,
-                param1,
-                param2,
-                command,
-                target_system = system,
-                target_component = GUIDANCE
-            )
-        };
+        let (target_system, target_component) = (system, GUIDANCE);
+        let long =
+            |command, param1, param2| message!(COMMAND_LONG, param1, param2, command, target_system, target_component);
         match self {
             Self::Goal([north_m, east_m]) => message!(
                 COMMAND_INT,
@@ -67,8 +60,8 @@ impl Request {
                 y = (east_m * 1e4) as i32,
                 z = f32::NAN,
                 command = MavCmd::MAV_CMD_DO_REPOSITION,
-                target_system = system,
-                target_component = GUIDANCE,
+                target_system,
+                target_component,
                 frame = MavFrame::MAV_FRAME_LOCAL_NED
             ),
             Self::Land => long(MavCmd::MAV_CMD_NAV_LAND, 0.0, 0.0),

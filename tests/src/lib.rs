@@ -4,11 +4,12 @@ pub mod ground;
 pub mod mission;
 mod pair;
 
-pub use pair::{Pair, fly_watched, texts, without};
+pub use pair::{Pair, airborne, fly_watched, texts, without};
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 use vigil_sim::program::Status;
@@ -116,6 +117,21 @@ pub fn text(path: &Path) -> &str {
     path.to_str().expect("a UTF-8 path")
 }
 
+/// The pages of the documentation.
+pub fn pages() -> Vec<PathBuf> {
+    let mut pages = files_below(&root().join("docs"), &[".md"]);
+    pages.push(root().join("README.md"));
+    pages
+}
+
+/// The report of a campaign of the default stack with so many flights, into a file of this name.
+pub fn evaluate(folder: &Path, name: &str, flights: &str, arguments: &[&str]) -> serde_json::Value {
+    let file = folder.join(name);
+    let common = ["evaluate", "--flights", flights, "--json", text(&file)];
+    succeed(&run(&[&common[..], arguments].concat()));
+    json(&file)
+}
+
 /// The repository's folder.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
@@ -153,6 +169,29 @@ pub fn attacked_flight(folder: &Path) -> PathBuf {
         text(&folder.join("evaluate.json"))
     )));
     folder.join("3001.mcap")
+}
+
+/// Runs trials `0..count` on as many threads as there are instances; each thread has an instance of its own. In order of the trials.
+pub fn side_by_side<T: Send>(
+    count: usize,
+    instances: &[u32],
+    trial: impl Fn(usize, u32) -> Option<T> + Sync,
+) -> Vec<T> {
+    let next = AtomicUsize::new(0);
+    let on = |instance: u32| {
+        let numbers = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed)).take_while(|n| *n < count);
+        let done = numbers.map_while(|number| Some((number, trial(number, instance)?)));
+        done.collect::<Vec<_>>()
+    };
+    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
+        let threads: Vec<_> = instances.iter().map(|instance| scope.spawn(|| on(*instance))).collect();
+        let done = threads
+            .into_iter()
+            .map(|thread| thread.join().expect("no trial panics"));
+        done.flatten().collect()
+    });
+    done.sort_by_key(|(number, _)| *number);
+    done.into_iter().map(|(_, result)| result).collect()
 }
 
 /// A running `vigil` command; killed when dropped.

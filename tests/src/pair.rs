@@ -3,12 +3,19 @@
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::framing::{FramingCounters, packets};
-use vigil_sim::world::{Family, Outcome, generate};
+use vigil_sim::world::{Course, Family, Outcome, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, STEP_S, StepReport};
 
 /// A longer hand-over than this, in steps, is a failure.
 const MOST_STEPS_TO_GUIDED: usize = 1200;
+
+/// A vehicle that hovers at the start of a course.
+pub fn airborne(course: Course, seed: u64) -> SimConfig {
+    let mut config = SimConfig::new(course, seed);
+    config.start = Start::Airborne;
+    config
+}
 
 /// A simulated vehicle, and the firmware that flies it.
 pub struct Pair {
@@ -26,8 +33,7 @@ pub struct Pair {
 impl Pair {
     /// Both on the course of a seed, the vehicle hovering at its start.
     pub fn new(family: Family, seed: u64) -> Self {
-        let mut config = SimConfig::new(generate(family, seed), seed);
-        config.start = Start::Airborne;
+        let config = airborne(generate(family, seed), seed);
         Self::of(&config, &FirmwareConfig::to_goal(config.course.goal_ned_m()))
     }
 
@@ -74,6 +80,28 @@ impl Pair {
         self.from_firmware.clear();
     }
 
+    /// Flies to the flight's end, but for no more than so many steps; what each came to. `spoil` has its hand between vehicle, sensor
+    /// and firmware in each step, and says whether the frame arrives.
+    pub fn fly(&mut self, steps: usize, mut spoil: impl FnMut(&mut Self, usize) -> bool) -> Vec<StepReport> {
+        let mut reports = Vec::new();
+        while reports.len() < steps && self.simulator.ending().is_none() {
+            self.simulate();
+            let arrives = spoil(self, reports.len());
+            reports.push(self.decide(arrives));
+        }
+        reports
+    }
+
+    /// How the flight ended, if it has.
+    pub fn outcome(&self) -> Option<Outcome> {
+        self.simulator.ending().map(|ending| ending.outcome)
+    }
+
+    /// The vehicle's true speed.
+    pub fn speed_m_s(&self) -> f32 {
+        self.simulator.truth().velocity_ned_m_s.norm()
+    }
+
     /// Flies until guidance has flown for `steps`.
     pub fn fly_guided(&mut self, steps: usize) {
         let mut guided = 0;
@@ -98,12 +126,8 @@ pub fn fly_watched(
     let mut pair = Pair::of(simulation, &config);
     // The referee does not see a vehicle that never lifts off: a minute is ample for arming and take-off.
     let most_steps = ((simulation.course.time_limit_s + 60.0) / STEP_S) as usize;
-    let mut reports = Vec::new();
-    while reports.len() < most_steps && pair.simulator.ending().is_none() {
-        pair.simulate();
-        reports.push(pair.decide(true));
-    }
-    (pair.simulator.ending().map(|ending| ending.outcome), reports)
+    let reports = pair.fly(most_steps, |_, _| true);
+    (pair.outcome(), reports)
 }
 
 /// The datagrams that hold no message of these numbers.

@@ -74,8 +74,7 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
     let mut record = Box::<TickRecord>::default();
     let mut sent = Box::<Datagrams>::default();
     let (mut next_map_ns, mut next_shap_ns) = (0, 0);
-    // A log that was cut ends in a damage after its last whole record: what stands before is replayed.
-    while let Ok(true) = reader.read_next(&mut record) {
+    while reader.read_next(&mut record)? {
         if record.dropped_before > 0 {
             derived.gap_before_step = Some(record.timing.step);
             break;

@@ -190,7 +190,7 @@ struct Evidence {
 }
 
 /// Counts a step in which something holds, or begins anew.
-fn count(steps: &mut u16, holds: bool) {
+pub(crate) fn count(steps: &mut u16, holds: bool) {
     *steps = if holds { steps.saturating_add(1) } else { 0 };
 }
 
@@ -438,6 +438,17 @@ mod tests {
         }
     }
 
+    /// Steps, each as `change` says, before the one that raises the alarm for this cause.
+    fn steps_until(cause: AlarmCause, config: &AlarmConfig, change: impl Fn(usize, &mut AlarmInput)) -> Option<usize> {
+        let mut logic = AlarmLogic::default();
+        (0..2400).find(|&i| {
+            let mut input = FLYING;
+            input.now_ns = i as u64 * 50_000_000;
+            change(i, &mut input);
+            logic.step(config, &input).map(|alarm| alarm.cause) == Some(cause)
+        })
+    }
+
     #[test]
     fn pictures_that_are_rough_again_and_again_raise_the_alarm_for_good_and_single_ones_do_not() {
         let config = AlarmConfig::default();
@@ -446,18 +457,11 @@ mod tests {
             ..config
         };
         let steps_until_rough = |smooth_shares: &[f32], config: &AlarmConfig| {
-            let mut logic = AlarmLogic::default();
-            (1..200).find(|i| {
-                let input = AlarmInput {
-                    now_ns: i * 50_000_000,
-                    smooth_share: smooth_shares.get(*i as usize % smooth_shares.len()).copied(),
-                    ..FLYING
-                };
-                let alarm = logic.step(config, &input);
-                alarm.is_some_and(|alarm| alarm.cause == AlarmCause::RoughPicture)
+            steps_until(AlarmCause::RoughPicture, config, |i, input| {
+                input.smooth_share = Some(smooth_shares[i % smooth_shares.len()]);
             })
         };
-        assert_eq!(steps_until_rough(&[0.3], &config), Some(5));
+        assert_eq!(steps_until_rough(&[0.3], &config), Some(4));
         assert_eq!(steps_until_rough(&[0.3, 0.3, 0.8], &config), None);
         assert_eq!(steps_until_rough(&[0.65], &config), None, "a crowded hall");
         assert_eq!(steps_until_rough(&[f32::NAN], &config), None);
@@ -467,22 +471,17 @@ mod tests {
 
     /// Steps until the guard finds that the actor is led astray, when the vehicle flies along its way as these speeds say, over and over.
     fn steps_until_astray(speeds_m_s: &[f32]) -> Option<usize> {
-        let mut logic = AlarmLogic::default();
         let config = AlarmConfig {
             astray_limit_m: 3.0,
             way_speed_m_s: 0.3,
             ..AlarmConfig::default()
         };
-        (0..2400).find(|&i| {
-            let input = AlarmInput {
-                now_ns: i as u64 * 50_000_000,
-                risk: Some(Risk {
-                    speed_along_way_m_s: speeds_m_s[i % speeds_m_s.len()],
-                    ..QUIET
-                }),
-                ..FLYING
-            };
-            logic.step(&config, &input).map(|alarm| alarm.cause) == Some(AlarmCause::LedAstray)
+        steps_until(AlarmCause::LedAstray, &config, |i, input| {
+            let speed_along_way_m_s = speeds_m_s[i % speeds_m_s.len()];
+            input.risk = Some(Risk {
+                speed_along_way_m_s,
+                ..QUIET
+            });
         })
     }
 
@@ -506,15 +505,8 @@ mod tests {
     #[test]
     fn pilots_that_go_on_turning_apart_raise_the_alarm_and_those_that_differ_now_and_then_do_not() {
         let steps_until_disagreement = |apart: &[f32]| {
-            let mut logic = AlarmLogic::default();
-            (0..2400).find(|&i| {
-                let input = AlarmInput {
-                    now_ns: i as u64 * 50_000_000,
-                    yaw_apart: apart.get(i % apart.len()).copied(),
-                    ..FLYING
-                };
-                let alarm = logic.step(&AlarmConfig::default(), &input);
-                alarm.map(|alarm| alarm.cause) == Some(AlarmCause::Disagreement)
+            steps_until(AlarmCause::Disagreement, &AlarmConfig::default(), |i, input| {
+                input.yaw_apart = Some(apart[i % apart.len()]);
             })
         };
         assert_eq!(steps_until_disagreement(&[3.0]), Some(70), "three and a half seconds");

@@ -3,7 +3,7 @@
 mod present;
 mod requests;
 
-use crate::alarm::{AlarmInput, AlarmLogic};
+use crate::alarm::{AlarmInput, AlarmLogic, count};
 use crate::conditions::{Demand, blocking_ready, demanding};
 use crate::config::{ConfigError, GuidanceConfig};
 use crate::input::{GuidanceInput, GuidanceOutput};
@@ -49,12 +49,10 @@ struct Progress {
     dwelt: bool,
 }
 
-/// The state machine. Plain data; time only comes in as an argument.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// The state machine. Plain data; time only comes in as an argument. By default it stands by, without a goal.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Guidance {
     config: GuidanceConfig,
-    hold_conditions: Reasons,
-    ready_conditions: Reasons,
     state: GuidanceState,
     since_ns: Nanos,
     goal: Option<Goal>,
@@ -116,41 +114,9 @@ impl Guidance {
         config.check()?;
         Ok(Self {
             config,
-            hold_conditions: demanding(Demand::Hold),
-            ready_conditions: blocking_ready(),
-            state: GuidanceState::Standby,
-            since_ns: 0,
-            goal: None,
-            given: None,
-            home_ned_m: NedVector::ZERO,
-            home_known: false,
-            progress: Progress::default(),
             intent: config.engage == EngagePolicy::Auto,
-            asked: false,
             taken_over: config.taken_over,
-            begun: false,
-            handed_back: false,
-            engaged_as: None,
-            hand_over_taken: false,
-            returned_disarmed_ns: None,
-            operator: false,
-            operator_land: false,
-            outside_fence: false,
-            landing_seen: false,
-            reached_ns: None,
-            dwelt: false,
-            handover_failed_ns: None,
-            flight_started_ns: None,
-            reasons: Reasons::NONE,
-            restarts: None,
-            slips: None,
-            slip_times_ns: [None; SLIPS_REMEMBERED],
-            interrupted_ns: None,
-            setpoints_lost: None,
-            clear_steps: 0,
-            regain_steps: 0,
-            released_steps: 0,
-            alarm: AlarmLogic::default(),
+            ..Self::default()
         })
     }
 
@@ -390,10 +356,9 @@ impl Guidance {
 
     fn count_steps(&mut self, input: &GuidanceInput<'_>, reasons: Reasons) {
         self.note_failsafe(input, reasons);
-        let count = |steps: &mut u16, holds: bool| *steps = if holds { steps.saturating_add(1) } else { 0 };
         let relevant = match self.state {
-            GuidanceState::Standby => self.ready_conditions,
-            _ => self.hold_conditions,
+            GuidanceState::Standby => blocking_ready(),
+            _ => demanding(Demand::Hold),
         };
         let mode_aside =
             Reasons(relevant.0 & !(Reasons::of(Reason::ModeLost).0 | Reasons::of(Reason::VehicleFailsafe).0));
@@ -406,7 +371,7 @@ impl Guidance {
     /// Whether a transition's condition holds.
     fn holds(&self, guard: Guard, input: &GuidanceInput<'_>, reasons: Reasons, restarted: bool) -> bool {
         let heartbeat = input.telemetry.heartbeat;
-        let unclear = reasons.intersects(self.hold_conditions);
+        let unclear = reasons.intersects(demanding(Demand::Hold));
         let done = input.vehicle.handover == HandoverProgress::Done && self.obeys(input) && !self.disarmed(input);
         let failsafe_hold =
             self.config.engage == EngagePolicy::Auto && self.intent && self.setpoints_lost == Some(true);
@@ -429,7 +394,7 @@ impl Guidance {
             Guard::FailsafeHoldRegainable => failsafe_hold && self.regain_steps >= self.config.clear_steps,
             Guard::VehicleTaken => !failsafe_hold && self.released_steps >= self.config.release_steps,
             Guard::ClearLongEnough | Guard::InputsGood => self.clear_steps >= self.config.clear_steps,
-            Guard::InputsMissing => reasons.intersects(self.ready_conditions),
+            Guard::InputsMissing => reasons.intersects(blocking_ready()),
             Guard::EngageWanted => {
                 let permitted = self.asked || !reasons.contains(Reason::PilotInCommand);
                 self.intent && permitted && !reasons.contains(Reason::HandoverFailed)

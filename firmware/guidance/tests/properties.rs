@@ -28,8 +28,8 @@ enum Event {
     SensorFaults(Reasons),
     TelemetryAge(u64),
     HeartbeatAge(Option<u64>),
-    Action(Option<[f32; 2]>),
-    Recovery(Option<[f32; 2]>),
+    Action(Option<Action>),
+    Recovery(Option<Action>),
     Verdict(Option<Verdict>),
     CollisionCourse(bool),
     RecoveryCourse(bool),
@@ -64,6 +64,7 @@ fn event() -> impl Strategy<Value = Event> {
         Just(HandoverProgress::Failed),
         Just(HandoverProgress::Done),
     ];
+    let action = || [number(), number()].prop_map(|[forward_m_s, yaw]| Action { forward_m_s, yaw });
     let request = prop_oneof![
         Just(OperatorRequest::Engage),
         Just(OperatorRequest::Disengage),
@@ -86,8 +87,8 @@ fn event() -> impl Strategy<Value = Event> {
         2 => prop_oneof![Just(Reasons::NONE), Just(Reasons::of(Reason::BlindSensor)), Just(Reasons::of(Reason::FrozenSensor))].prop_map(Event::SensorFaults),
         1 => (0u64..600_000_000).prop_map(Event::TelemetryAge),
         1 => proptest::option::of(0u64..3_000_000_000).prop_map(Event::HeartbeatAge),
-        3 => proptest::option::of([number(), number()]).prop_map(Event::Action),
-        2 => proptest::option::of([number(), number()]).prop_map(Event::Recovery),
+        3 => proptest::option::of(action()).prop_map(Event::Action),
+        2 => proptest::option::of(action()).prop_map(Event::Recovery),
         4 => prop_oneof![2 => Just(Some(Verdict::Attack)), 1 => Just(Some(Verdict::Unknown)), 1 => Just(Some(Verdict::Clean)), 1 => Just(None)].prop_map(Event::Verdict),
         2 => any::<bool>().prop_map(Event::CollisionCourse),
         1 => any::<bool>().prop_map(Event::RecoveryCourse),
@@ -164,12 +165,8 @@ fn apply(s: &mut Story, event: &Event) -> usize {
         Event::SensorFaults(sensor_faults) => s.frame.sensor_faults = sensor_faults,
         Event::TelemetryAge(age_ns) => s.telemetry_age_ns = age_ns,
         Event::HeartbeatAge(age_ns) => s.heartbeat_age_ns = age_ns,
-        Event::Action(action) => {
-            s.action = action.map(|[forward_m_s, yaw]| Action { forward_m_s, yaw });
-        }
-        Event::Recovery(action) => {
-            s.recovery = action.map(|[forward_m_s, yaw]| Action { forward_m_s, yaw });
-        }
+        Event::Action(action) => s.action = action,
+        Event::Recovery(action) => s.recovery = action,
         Event::Verdict(verdict) => s.verdict = verdict,
         Event::CollisionCourse(course) => s.risk.collision_course = course,
         Event::RecoveryCourse(course) => s.risk.recovery_course = course,
@@ -178,9 +175,7 @@ fn apply(s: &mut Story, event: &Event) -> usize {
         Event::Handover(handover) => s.handover = handover,
         Event::Slips(slips) => s.slips += slips,
         Event::Restart => s.restarts += 1,
-        Event::Request(request) => {
-            s.ask(request);
-        }
+        Event::Request(request) => _ = s.ask(request),
         Event::Good => good(s),
         Event::Steps(steps) => return steps,
     }

@@ -1,5 +1,9 @@
 //! What a frame and a lockstep step cost between two threads that meet in shared memory as two processes do.
 
+#[path = "../tests/common/mod.rs"]
+mod common;
+
+use common::Instance;
 use std::time::Duration;
 use vigil_io::shared_memory::{
     DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber, LockstepClient, LockstepServer, Served,
@@ -10,14 +14,9 @@ fn main() {
     divan::main();
 }
 
-/// An instance of this process's own.
-fn own_instance(number: u32) -> u32 {
-    1_000_000 + std::process::id() * 16 + number
-}
-
 #[divan::bench]
 fn publish_and_receive_a_frame(bencher: divan::Bencher) {
-    let domain = Domain::open(own_instance(0), "bench").unwrap();
+    let (_instance, domain) = Instance::joined(0);
     let mut publisher = FramePublisher::create(&domain, DEPTH_TOPIC).unwrap();
     let mut subscriber = FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap();
     let mut frame = Box::new(DepthFrame::EMPTY);
@@ -26,8 +25,6 @@ fn publish_and_receive_a_frame(bencher: divan::Bencher) {
         publisher.publish(&frame).unwrap();
         subscriber.newest().unwrap().unwrap().header.checksum
     });
-    drop((publisher, subscriber, domain));
-    vigil_io::shared_memory::remove_leftovers(own_instance(0)).unwrap();
 }
 
 /// What a driver and the firmware each spend on a frame, without and with a key.
@@ -45,14 +42,14 @@ fn authentication_tag_of_a_frame(bencher: divan::Bencher) {
 
 #[divan::bench(args = [false, true])]
 fn lockstep_exchange(bencher: divan::Bencher, with_frame: bool) {
-    let instance = own_instance(1);
+    let (instance, domain) = Instance::joined(1);
+    let number = instance.0;
     let firmware = std::thread::spawn(move || {
-        let domain = Domain::open(instance, "bench-firmware").unwrap();
+        let domain = Domain::open(number, "bench-firmware").unwrap();
         let mut server = LockstepServer::create(&domain).unwrap();
         let sent = Datagrams::default();
         while server.serve(Duration::from_secs(10), || false, |_| &sent).unwrap() == Served::Step {}
     });
-    let domain = Domain::open(instance, "bench-simulator").unwrap();
     let mut client = LockstepClient::connect(&domain, Duration::from_secs(10)).unwrap();
     let (received, mut sent) = (Datagrams::default(), Datagrams::default());
     let frame = Box::new(DepthFrame::EMPTY);
@@ -63,6 +60,4 @@ fn lockstep_exchange(bencher: divan::Bencher, with_frame: bool) {
     });
     client.finish(0).unwrap();
     firmware.join().unwrap();
-    drop(domain);
-    vigil_io::shared_memory::remove_leftovers(instance).unwrap();
 }

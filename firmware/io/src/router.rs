@@ -16,8 +16,9 @@ use crate::links::{
     LinkAdmission, LinkError, LinkStatistics, MAX_GROUND_LINKS, PeerRule, Wire, open_wire, somebody_is_heard,
 };
 use crate::value_rate::ValueRate;
-use vigil_mavlink::common::MavSeverity;
+use vigil_mavlink::common::{HEARTBEAT_DATA, MavSeverity};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, Packet, packets, renumber, serialize};
+use vigil_mavlink::mavlink::MessageData;
 use vigil_mavlink::routing::{ComponentId, LinkSet, MAX_LINKS, Routing};
 use vigil_mavlink::signing::{SIGNATURE_LEN, SigningKey, Timestamp, carries_key};
 use vigil_mavlink::{MavHeader, MavMessage, message};
@@ -74,10 +75,12 @@ impl Port {
             true => PeerRule::Vehicle { system: spec.system },
             false => PeerRule::Anyone,
         };
+        let mut values = ValueRate::new(spec.values_per_s());
+        values.spares_obstacles = is_vehicle && spec.values_hz.is_none();
         Ok(Self {
             wire: open_wire(&spec.url, rule)?,
             budget: Budget::of(spec, BURST_BYTES),
-            values: ValueRate::new(spec.values_per_s()),
+            values,
             spec: LinkSpec {
                 allow_unsigned: Some(policy),
                 ..spec.clone()
@@ -358,7 +361,9 @@ fn give_of_vehicle(switch: &mut Switch, datagram: &[u8], received: &mut Datagram
         }
     };
     let own = switch.own;
-    let may_pass = |packet: &Packet<'_>| id_of(packet) != own && !carries_key(packet);
+    // The heartbeat of a second guidance computer passes: a person must be warned of it.
+    let is_anothers = |packet: &Packet<'_>| id_of(packet) != own || packet.message_id() == HEARTBEAT_DATA::ID;
+    let may_pass = |packet: &Packet<'_>| is_anothers(packet) && !carries_key(packet);
     let mut framing = FramingCounters::default();
     if packets(datagram, &mut framing).all(|packet| may_pass(&packet)) {
         give(datagram);

@@ -27,6 +27,8 @@ pub(crate) struct ValueRate {
     /// `None`: everything passes. The longest time there is: changes only.
     interval_ns: Option<Nanos>,
     told: heapless::Vec<Told, MAX_NAMES>,
+    /// What the pilot sees always passes: an autopilot that uses it forgets it after half a second.
+    pub spares_obstacles: bool,
 }
 
 impl ValueRate {
@@ -39,6 +41,7 @@ impl ValueRate {
         Self {
             interval_ns: per_s.map(interval_ns),
             told: heapless::Vec::new(),
+            spares_obstacles: false,
         }
     }
 
@@ -47,6 +50,9 @@ impl ValueRate {
         let (Some(interval_ns), Some((name, value))) = (self.interval_ns, value_of(packet)) else {
             return true;
         };
+        if self.spares_obstacles && packet.message_id() == OBSTACLE_DISTANCE_DATA::ID {
+            return true;
+        }
         let new = Told {
             name,
             value,
@@ -110,16 +116,19 @@ mod tests {
     #[test]
     fn each_value_comes_at_the_links_rate_and_other_messages_always() {
         let mut rate = ValueRate::new(Some(1.0));
+        let obstacles = MavMessage::OBSTACLE_DISTANCE(OBSTACLE_DISTANCE_DATA::DEFAULT);
         let (mut goal, mut step_us, mut seen, mut others) = (0, 0, 0, 0);
         // Told every fifth step, for 10 s.
         for step in (0..200).step_by(5) {
             goal += u32::from(passes(&mut rate, step, &named("goal_m", step as f32)));
             step_us += u32::from(passes(&mut rate, step, &named("step_us", step as f32)));
-            let obstacles = MavMessage::OBSTACLE_DISTANCE(OBSTACLE_DISTANCE_DATA::DEFAULT);
             seen += u32::from(passes(&mut rate, step, &obstacles));
             others += u32::from(passes(&mut rate, step, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT)));
         }
         assert_eq!((goal, step_us, seen, others), (10, 10, 10, 40));
+        rate.spares_obstacles = true;
+        assert!((200..220).all(|step| passes(&mut rate, step, &obstacles)));
+        assert!(!passes(&mut rate, 190, &named("goal_m", 1.0)));
         let mut all = ValueRate::new(None);
         assert!((0..200).all(|step| passes(&mut all, step, &named("goal_m", 1.0))));
     }

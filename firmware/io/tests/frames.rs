@@ -113,8 +113,7 @@ fn publish_until_received(publisher: &mut Process, subscriber: &mut FrameSubscri
 
 #[test]
 fn a_killed_and_restarted_publisher_serves_the_same_subscriber_again() {
-    let instance = Instance::own(0);
-    let domain = Domain::open(instance.0, "test-subscriber").unwrap();
+    let (instance, domain) = Instance::joined(0);
     let mut subscriber = FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap();
     for _ in 0..2 {
         let mut publisher = Process::start("child_publisher", instance.0);
@@ -129,8 +128,7 @@ fn a_killed_and_restarted_publisher_serves_the_same_subscriber_again() {
 
 #[test]
 fn a_killed_subscriber_does_not_disturb_the_publisher() {
-    let instance = Instance::own(1);
-    let domain = Domain::open(instance.0, "test").unwrap();
+    let (instance, domain) = Instance::joined(1);
     let mut publisher = FramePublisher::create(&domain, DEPTH_TOPIC).unwrap();
     for _ in 0..2 {
         let mut subscriber = Process::start("child_subscriber", instance.0);
@@ -144,12 +142,15 @@ fn a_killed_subscriber_does_not_disturb_the_publisher() {
     }
 }
 
+fn both_ends(domain: &Domain) -> (FramePublisher, FrameSubscriber) {
+    let publisher = FramePublisher::create(domain, DEPTH_TOPIC).unwrap();
+    (publisher, FrameSubscriber::create(domain, DEPTH_TOPIC).unwrap())
+}
+
 #[test]
 fn the_newest_frame_wins() {
-    let instance = Instance::own(2);
-    let domain = Domain::open(instance.0, "test").unwrap();
-    let mut publisher = FramePublisher::create(&domain, DEPTH_TOPIC).unwrap();
-    let mut subscriber = FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap();
+    let (_instance, domain) = Instance::joined(2);
+    let (mut publisher, mut subscriber) = both_ends(&domain);
     assert!(subscriber.newest().unwrap().is_none());
     for sequence in 0..5 {
         assert_eq!(publisher.publish(&sealed(sequence)).unwrap(), 1);
@@ -165,10 +166,8 @@ fn the_newest_frame_wins() {
 
 #[test]
 fn a_frame_is_written_where_it_is_read() {
-    let instance = Instance::own(3);
-    let domain = Domain::open(instance.0, "test").unwrap();
-    let mut publisher = FramePublisher::create(&domain, DEPTH_TOPIC).unwrap();
-    let mut subscriber = FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap();
+    let (_instance, domain) = Instance::joined(3);
+    let (mut publisher, mut subscriber) = both_ends(&domain);
     publisher
         .publish_with(|frame| {
             assert_eq!(*frame, DepthFrame::EMPTY);
@@ -182,8 +181,7 @@ fn a_frame_is_written_where_it_is_read() {
 
 #[test]
 fn a_second_publisher_is_refused_by_name_and_other_instances_are_free() {
-    let (instance, other_instance) = (Instance::own(4), Instance::own(5));
-    let domain = Domain::open(instance.0, "test").unwrap();
+    let (instance, domain) = Instance::joined(4);
     let publisher = FramePublisher::create(&domain, DEPTH_TOPIC).unwrap();
     // From another node, as another process would.
     let other_node = Domain::open(instance.0, "test-2").unwrap();
@@ -191,9 +189,8 @@ fn a_second_publisher_is_refused_by_name_and_other_instances_are_free() {
     assert!(matches!(&refused, FrameError::AlreadyPublished { .. }), "{refused}");
     assert!(refused.to_string().contains("--instance"), "{refused}");
 
-    let elsewhere = Domain::open(other_instance.0, "test").unwrap();
-    let mut deaf = FrameSubscriber::create(&elsewhere, DEPTH_TOPIC).unwrap();
-    let mut second = FramePublisher::create(&elsewhere, DEPTH_TOPIC).unwrap();
+    let (_other_instance, elsewhere) = Instance::joined(5);
+    let (mut second, mut deaf) = both_ends(&elsewhere);
     drop(publisher);
     let mut first = FramePublisher::create(&other_node, DEPTH_TOPIC).unwrap();
     assert_eq!(

@@ -44,12 +44,9 @@ fn summary(now_ns: u64, frame: Option<&DepthFrame>) -> Vec<u8> {
 
 #[test]
 fn each_step_is_answered_with_its_own_data_until_the_simulator_says_that_it_is_over() {
-    let instance = Instance::own(0);
-    let firmware = thread::spawn({
-        let instance = instance.0;
-        move || echo(instance)
-    });
-    let domain = Domain::open(instance.0, "test-simulator").unwrap();
+    let (instance, domain) = Instance::joined(0);
+    let number = instance.0;
+    let firmware = thread::spawn(move || echo(number));
     let mut client = LockstepClient::connect(&domain, PATIENCE).unwrap();
     let mut sent = Datagrams::default();
     let mut frame = Box::new(DepthFrame::EMPTY);
@@ -72,8 +69,7 @@ fn each_step_is_answered_with_its_own_data_until_the_simulator_says_that_it_is_o
 
 #[test]
 fn a_time_out_names_who_is_missing() {
-    let instance = Instance::own(1);
-    let domain = Domain::open(instance.0, "test-simulator").unwrap();
+    let (instance, domain) = Instance::joined(1);
     let nobody = LockstepClient::connect(&domain, Duration::from_millis(60))
         .err()
         .unwrap();
@@ -108,8 +104,7 @@ fn a_time_out_names_who_is_missing() {
 
 #[test]
 fn each_role_exists_once() {
-    let instance = Instance::own(2);
-    let domain = Domain::open(instance.0, "test").unwrap();
+    let (instance, domain) = Instance::joined(2);
     let _server = LockstepServer::create(&domain).unwrap();
     let second = LockstepServer::create(&domain).err().unwrap();
     assert!(
@@ -122,4 +117,10 @@ fn each_role_exists_once() {
         matches!(second, LockstepError::RoleTaken { role: "simulator", .. }),
         "{second}"
     );
+    // In real time too, until the first has ended.
+    let flying = Domain::open_alone(instance.0, "firmware").unwrap();
+    let second = Domain::open_alone(instance.0, "firmware").unwrap_err().to_string();
+    assert!(second.contains("another firmware already runs"), "{second}");
+    drop(flying);
+    Domain::open_alone(instance.0, "firmware").unwrap();
 }

@@ -18,8 +18,7 @@ fn other_version(domain: &Domain) -> Node<ipc::Service> {
 
 #[test]
 fn frames_of_another_type_are_refused_by_name() {
-    let instance = Instance::own(1);
-    let domain = Domain::open(instance.0, "test").unwrap();
+    let (_instance, domain) = Instance::joined(1);
     let node = other_version(&domain);
     let topic = node.service_builder(&DEPTH_TOPIC.try_into().unwrap());
     let _service = topic.publish_subscribe::<u64>().create().unwrap();
@@ -29,8 +28,7 @@ fn frames_of_another_type_are_refused_by_name() {
 
 #[test]
 fn a_lockstep_of_another_type_is_refused_by_name() {
-    let instance = Instance::own(2);
-    let domain = Domain::open(instance.0, "test").unwrap();
+    let (_instance, domain) = Instance::joined(2);
     let node = other_version(&domain);
     let exchange = node.service_builder(&"lockstep".try_into().unwrap());
     let _service = exchange.request_response::<u64, u64>().create().unwrap();

@@ -50,16 +50,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         frame.seal();
         let report = report(step);
         traffic(step, &mut received, &mut sent);
-        recorder.record(|slot| {
-            slot.fill(
-                report.now_ns,
-                report.timing,
-                step.is_multiple_of(2).then_some(&*frame),
-                &received,
-                &sent,
-                &report,
-            );
-        });
+        let frame = step.is_multiple_of(2).then_some(&*frame);
+        recorder.record(|slot| slot.fill(report.now_ns, report.timing, frame, &received, &sent, &report));
     }
     let summary = recorder.finish();
     if let Some(failure) = summary.failure {
@@ -128,15 +120,13 @@ fn report(step: u64) -> StepReport {
         goal: Some(goal),
         goal_relative: Some(goal.relative_to(&kinematics, &attitude)),
         action: guided.then_some(Action::new(1.5, -0.25)),
-        judgement: None,
-        alarm: None,
         setpoint: guided.then_some(VelocitySetpoint {
             velocity_m_s: HeadingVector::new(1.5, 0.0, 0.0),
             yaw_rate_rad_s: -0.125,
         }),
         frame_sequence: Some(step / 2),
         frame_age_ns: Some(step % 2 * STEP_NS),
-        frames_refused: 0,
+        ..StepReport::default()
     }
 }
 

@@ -1,15 +1,16 @@
 //! Drives the MCAP reader over a file, as far as the file is complete.
 
 use mcap::McapError;
-use mcap::records::Record;
+use mcap::records::{Record, op};
 use mcap::sans_io::decompressor::{DecompressResult, Decompressor};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::Path;
 use vigil_types::files::{FileError, at};
 
-/// No record or chunk of a log comes near this; a corrupted length must not ask for memory.
+/// No record or chunk of a log comes near this, but what somebody attached to it; a corrupted length must not ask for memory.
 pub(crate) const LENGTH_LIMIT: u64 = 64 << 20;
 
 /// What comes next in a file.
@@ -32,6 +33,17 @@ pub(crate) fn linear_reader(options: LinearReaderOptions) -> LinearReader {
     // Refused are only those without a name.
     let _ = reader.add_decompressor(Zstandard::default());
     reader
+}
+
+/// A record by its content. The library believes that an attachment goes on to its checksum, and panics where it does not.
+pub(crate) fn parse(opcode: u8, data: &[u8]) -> Result<Record<'static>, McapError> {
+    let text_end = |at: usize| Some(at + 4 + u32::from_le_bytes(*data.get(at..)?.first_chunk()?) as usize);
+    // Behind two times and two texts stand the length and, behind the content, the checksum.
+    let texts_end = text_end(16).and_then(text_end);
+    if opcode == op::ATTACHMENT && texts_end.is_none_or(|at| at + 8 + 4 > data.len()) {
+        return Err(McapError::UnexpectedEof);
+    }
+    Ok(mcap::parse_record(opcode, data)?.into_owned())
 }
 
 /// Unpacks Zstandard. Logs of ours are packed by LZ4; other programs write them anew so.
@@ -67,9 +79,9 @@ impl Decompressor for Zstandard {
 }
 
 /// An MCAP file being read from its start. Chunks whose checksum does not match give an error, not records.
-pub(crate) struct Container {
-    file: BufReader<File>,
-    reader: LinearReader,
+pub(crate) struct Container<R = BufReader<File>> {
+    pub(crate) file: R,
+    pub(crate) reader: LinearReader,
 }
 
 impl Container {
@@ -77,6 +89,19 @@ impl Container {
         Ok(Self {
             file: BufReader::new(vigil_types::files::open(path).map_err(at(path))?),
             reader: linear_reader(LinearReaderOptions::default()),
+        })
+    }
+}
+
+impl<R: Read> Container<R> {
+    /// The next channel, metadata, or message of one of these channels.
+    pub(crate) fn next_of(&mut self, channels: &BTreeMap<u16, String>) -> Result<Next, McapError> {
+        self.next(|opcode, data| match opcode {
+            op::CHANNEL | op::METADATA => true,
+            op::MESSAGE => data
+                .split_first_chunk()
+                .is_none_or(|(id, _)| channels.contains_key(&u16::from_le_bytes(*id))),
+            _ => false,
         })
     }
 
@@ -94,10 +119,21 @@ impl Container {
                     self.reader.notify_read(read);
                 }
                 Ok(LinearReadEvent::Record { opcode, data }) if wanted(opcode, data) => {
-                    return Ok(Next::Record(mcap::parse_record(opcode, data)?.into_owned()));
+                    return Ok(Next::Record(parse(opcode, data)?));
                 }
                 Ok(LinearReadEvent::Record { .. }) => (),
                 Err(McapError::UnexpectedEof) => return Ok(Next::Cut),
+                // The reader asks for no byte too many: what comes next in the file is the content, as far as there is one.
+                Err(McapError::RecordTooLarge { opcode, len }) if opcode == op::ATTACHMENT => {
+                    let mut data = Vec::new();
+                    if (self.file.by_ref().take(len).read_to_end(&mut data)? as u64) < len {
+                        return Err(McapError::RecordTooLarge { opcode, len });
+                    }
+                    self.reader = linear_reader(LinearReaderOptions::default().with_skip_start_magic(true));
+                    if wanted(opcode, &data) {
+                        return Ok(Next::Record(parse(opcode, &data)?));
+                    }
+                }
                 // The file was read above: this is what unpacks a chunk.
                 Err(McapError::Io(error)) => return Err(McapError::DecompressionError(error.to_string())),
                 Err(error) => return Err(error),

@@ -203,6 +203,16 @@ impl Part<Vec<u8>> for [u8; FRAME_TAG_BYTES] {
     }
 }
 
+impl<const N: usize> Part<Vec<f32>> for [f32; N] {
+    fn to(self) -> Vec<f32> {
+        self.to_vec()
+    }
+
+    fn from(on_disk: &Vec<f32>, field: &'static str) -> Result<Self, RecordDefect> {
+        need(on_disk.as_slice().try_into().ok(), field)
+    }
+}
+
 /// Structs whose messages have the same fields, with where these messages lie. Each is taken apart by name, so that a field added to
 /// the loop's data fails to compile here until the log records it.
 macro_rules! records {
@@ -230,6 +240,7 @@ records! {
     GoalRelative = GoalRelative in "report.goal_relative." { distance_m, bearing_rad }
     Action = Action in "report.action." { forward_m_s, yaw }
     Alarm = Alarm in "report.alarm." { cause, response }
+    Judgement = Judgement in "report.judgement." { verdict, score, image, bearing, distance, told, base, phi }
     VehicleTelemetry = Telemetry in "report.telemetry." { heartbeat, kinematics, attitude, landed, battery_remaining }
     Heartbeat = Heartbeat in "report.telemetry.heartbeat." { at_ns, armed, mode, failsafe }
     Kinematics = Kinematics in "report.telemetry.kinematics." { at_ns, position_ned_m, velocity_ned_m_s }
@@ -255,48 +266,6 @@ impl Record for VelocitySetpoint {
         Ok(Self {
             velocity_m_s: Part::from(velocity, "report.setpoint.velocity_heading_m_s")?,
             yaw_rate_rad_s: Part::from(&setpoint.yaw_rate_rad_s, "report.setpoint.yaw_rate_rad_s")?,
-        })
-    }
-}
-
-impl Record for Judgement {
-    type Message = proto::Judgement;
-
-    fn message(self) -> proto::Judgement {
-        let Self {
-            verdict,
-            score,
-            image,
-            bearing,
-            distance,
-            told,
-            base,
-            phi,
-        } = self;
-        proto::Judgement {
-            verdict: verdict.to(),
-            score,
-            image: Some(image),
-            bearing: Some(bearing),
-            distance: Some(distance),
-            told: Some(told),
-            base: Some(base),
-            phi: phi.to_vec(),
-        }
-    }
-
-    fn of(judgement: &proto::Judgement) -> Result<Self, RecordDefect> {
-        let phi = judgement.phi.as_slice().try_into();
-        Ok(Self {
-            verdict: Part::from(&judgement.verdict, "report.judgement.verdict")?,
-            score: judgement.score,
-            image: need(judgement.image, "report.judgement.image")?,
-            bearing: need(judgement.bearing, "report.judgement.bearing")?,
-            distance: need(judgement.distance, "report.judgement.distance")?,
-            // Logs of actors that were given the goal alone do not have it.
-            told: judgement.told.unwrap_or(0.0),
-            base: need(judgement.base, "report.judgement.base")?,
-            phi: phi.map_err(|_| RecordDefect::Missing("report.judgement.phi"))?,
         })
     }
 }
@@ -359,6 +328,11 @@ fn report_to_proto(report: &StepReport) -> proto::Report {
 fn report_from_proto(report: &proto::Report) -> Result<StepReport, RecordDefect> {
     let goal = &report.goal_position_ned_m;
     let goal = goal.map(|_| Part::from(goal, "report.goal_position_ned_m"));
+    // Logs of actors that were given the goal alone do not have what they were told.
+    let judgement = report.judgement.clone().map(|judgement| proto::Judgement {
+        told: judgement.told.or(Some(0.0)),
+        ..judgement
+    });
     Ok(StepReport {
         now_ns: report.now_ns,
         timing: Part::from(&report.timing, "report.timing")?,
@@ -372,7 +346,7 @@ fn report_from_proto(report: &proto::Report) -> Result<StepReport, RecordDefect>
         frame_sequence: report.frame_sequence,
         frame_age_ns: report.frame_age_ns,
         frames_refused: report.frames_refused,
-        judgement: Part::from(&report.judgement, "report.judgement")?,
+        judgement: Part::from(&judgement, "report.judgement")?,
         alarm: Part::from(&report.alarm, "report.alarm")?,
     })
 }

@@ -2,11 +2,10 @@
 //! decision. It is computed after the flight, by replay: the loop knows nothing of it.
 
 use crate::display::{self, MAP_FRAME};
-use crate::log_file::{self, topic};
+use crate::log_file::topic;
 use crate::proto::foxglove::packed_element_field::NumericType;
-use crate::proto::foxglove::{Grid, PackedElementField, PosesInFrame, RawImage, Vector2, Vector3};
-use crate::side::{Sheet, SideError, Writer, at};
-use mcap::McapError;
+use crate::proto::foxglove::{Grid, PackedElementField, PosesInFrame, Vector2, Vector3};
+use crate::side::{SideError, SideFile};
 use std::path::Path;
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, Nanos, NedVector};
 
@@ -32,10 +31,7 @@ pub struct MapSeen<'a> {
 
 /// A file of derived messages, in the order of their times; [`crate::merge_derived`] puts them into the log and stamps them.
 pub struct DerivedLog {
-    sheet: Sheet,
-    grid: u16,
-    way: u16,
-    shap: u16,
+    file: SideFile,
 }
 
 impl DerivedLog {
@@ -44,16 +40,12 @@ impl DerivedLog {
     /// # Errors
     /// A file that cannot be written.
     pub fn create(path: &Path) -> Result<Self, SideError> {
-        let mut sheet = Sheet::create(path)?;
-        let begin = |writer: &mut Writer| -> Result<_, McapError> {
-            Ok((
-                log_file::channel(writer, topic::GRID, "foxglove.Grid")?,
-                log_file::channel(writer, topic::WAY, "foxglove.PosesInFrame")?,
-                log_file::channel(writer, topic::SHAP, "foxglove.RawImage")?,
-            ))
-        };
-        let (grid, way, shap) = begin(&mut sheet.writer).map_err(at(path))?;
-        Ok(Self { sheet, grid, way, shap })
+        let kinds = [
+            (topic::GRID, "foxglove.Grid"),
+            (topic::WAY, "foxglove.PosesInFrame"),
+            (topic::SHAP, "foxglove.RawImage"),
+        ];
+        SideFile::create(path, &kinds).map(|file| Self { file })
     }
 
     /// A pilot's map at `at_ns` of the loop's clock, drawn on the ground: evidence of an obstacle in percent. `sequence` is the step's.
@@ -84,7 +76,7 @@ impl DerivedLog {
             }],
             data: seen.scores.iter().map(percent).collect(),
         };
-        self.sheet.put(self.grid, at_ns, sequence, &message)
+        self.file.put(topic::GRID, (at_ns, sequence), &message)
     }
 
     /// The way that a pilot planned, NED metres (north, east), at the height of the vehicle.
@@ -105,7 +97,7 @@ impl DerivedLog {
             frame_id: MAP_FRAME.to_owned(),
             poses: points_ned_m.iter().map(pose).collect(),
         };
-        self.sheet.put(self.way, at_ns, sequence, &message)
+        self.file.put(topic::WAY, (at_ns, sequence), &message)
     }
 
     /// What the pixels of the step's frame added to the actor's yaw output: [`SHAP_ROWS`] × [`SHAP_COLS`] sums, action units.
@@ -114,11 +106,8 @@ impl DerivedLog {
     /// A file that cannot be written.
     pub fn shap(&mut self, at_ns: Nanos, sequence: u32, sums: &[f32]) -> Result<(), SideError> {
         let data = sums.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let message = RawImage {
-            timestamp: None,
-            ..display::image(SHAP_ROWS, SHAP_COLS, "32FC1", data, at_ns)
-        };
-        self.sheet.put(self.shap, at_ns, sequence, &message)
+        let message = display::image(SHAP_ROWS, SHAP_COLS, "32FC1", data, None);
+        self.file.put(topic::SHAP, (at_ns, sequence), &message)
     }
 
     /// Closes the file.
@@ -126,14 +115,6 @@ impl DerivedLog {
     /// # Errors
     /// A file that cannot be written.
     pub fn finish(self) -> Result<(), SideError> {
-        self.sheet.finish()
-    }
-}
-
-impl std::fmt::Debug for DerivedLog {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("DerivedLog")
-            .field("path", &self.sheet.path)
-            .finish_non_exhaustive()
+        self.file.finish()
     }
 }

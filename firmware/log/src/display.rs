@@ -5,6 +5,7 @@
 
 use crate::TickRecord;
 use crate::proto::Status;
+use crate::proto::foxglove::log::Level;
 use crate::proto::foxglove::{FrameTransform, Log, Pose, PoseInFrame, PosesInFrame, Quaternion, RawImage, Vector3};
 use crate::proto::google::protobuf::Timestamp;
 use std::f64::consts::FRAC_1_SQRT_2;
@@ -22,13 +23,14 @@ pub(crate) const SENSOR_FRAME: &str = "depth_sensor";
 /// Bytes of one image row.
 const ROW_BYTES: usize = DEPTH_COLS * 4;
 
-/// A viewer's time stamp of nanoseconds since the UNIX epoch.
-pub(crate) fn timestamp(at_ns: u64) -> Timestamp {
+/// A viewer's time stamp of nanoseconds since the UNIX epoch; none as long as they are not known.
+pub(crate) fn timestamp(at_ns: impl Into<Option<u64>>) -> Option<Timestamp> {
     let second = 1_000_000_000;
-    Timestamp {
+    let at_ns: Option<u64> = at_ns.into();
+    at_ns.map(|at_ns| Timestamp {
         seconds: (at_ns / second) as i64,
         nanos: (at_ns % second) as i32,
-    }
+    })
 }
 
 /// NED → map.
@@ -72,9 +74,9 @@ pub(crate) fn pose(position_ned_m: NedVector, attitude: Attitude) -> Pose {
     }
 }
 
-pub(crate) fn transform(parent: &str, child: &str, pose: Pose, at_ns: u64) -> FrameTransform {
+pub(crate) fn transform(parent: &str, child: &str, pose: Pose, at_ns: impl Into<Option<u64>>) -> FrameTransform {
     FrameTransform {
-        timestamp: Some(timestamp(at_ns)),
+        timestamp: timestamp(at_ns),
         parent_frame_id: parent.to_owned(),
         child_frame_id: child.to_owned(),
         translation: pose.position,
@@ -82,9 +84,9 @@ pub(crate) fn transform(parent: &str, child: &str, pose: Pose, at_ns: u64) -> Fr
     }
 }
 
-pub(crate) fn pose_in_map(pose: Pose, at_ns: u64) -> PoseInFrame {
+pub(crate) fn pose_in_map(pose: Pose, at_ns: impl Into<Option<u64>>) -> PoseInFrame {
     PoseInFrame {
-        timestamp: Some(timestamp(at_ns)),
+        timestamp: timestamp(at_ns),
         frame_id: MAP_FRAME.to_owned(),
         pose: Some(pose),
     }
@@ -111,9 +113,15 @@ pub(crate) fn unturned_at(position: Vector3) -> Pose {
 }
 
 /// Pixels of the sensor, in rows.
-pub(crate) fn image(rows: usize, cols: usize, encoding: &str, data: Vec<u8>, at_ns: u64) -> RawImage {
+pub(crate) fn image(
+    rows: usize,
+    cols: usize,
+    encoding: &str,
+    data: Vec<u8>,
+    at_ns: impl Into<Option<u64>>,
+) -> RawImage {
     RawImage {
-        timestamp: Some(timestamp(at_ns)),
+        timestamp: timestamp(at_ns),
         frame_id: SENSOR_FRAME.to_owned(),
         width: cols as u32,
         height: rows as u32,
@@ -124,7 +132,7 @@ pub(crate) fn image(rows: usize, cols: usize, encoding: &str, data: Vec<u8>, at_
 }
 
 /// The frame as an image with the exact bits of its pixels: 32FC1 is little-endian.
-pub(crate) fn depth_image(frame: &DepthFrame, at_ns: u64) -> RawImage {
+pub(crate) fn depth_image(frame: &DepthFrame, at_ns: impl Into<Option<u64>>) -> RawImage {
     let mut data = vec![0; DEPTH_PIXELS * 4];
     for (bytes, value) in data.chunks_exact_mut(4).zip(&frame.depth) {
         bytes.copy_from_slice(&value.to_le_bytes());
@@ -204,7 +212,7 @@ impl PathTrail {
 
     pub(crate) fn message(&self, at_ns: u64) -> PosesInFrame {
         PosesInFrame {
-            timestamp: Some(timestamp(at_ns)),
+            timestamp: timestamp(at_ns),
             frame_id: MAP_FRAME.to_owned(),
             poses: self.poses.clone(),
         }
@@ -297,12 +305,7 @@ struct Told {
 
 impl Narrator {
     /// Hands every line that this record calls for to `tell`, with its level.
-    pub(crate) fn lines(
-        &mut self,
-        record: &TickRecord,
-        mut tell: impl FnMut(crate::proto::foxglove::log::Level, String),
-    ) {
-        use crate::proto::foxglove::log::Level;
+    pub(crate) fn lines(&mut self, record: &TickRecord, mut tell: impl FnMut(Level, String)) {
         let report = &record.report;
         let heartbeat = report.telemetry.heartbeat;
         let now = Told {
@@ -354,14 +357,13 @@ impl Narrator {
     }
 }
 
-pub(crate) fn log_line(level: crate::proto::foxglove::log::Level, message: String, at_ns: u64) -> Log {
+pub(crate) fn log_line(level: Level, message: String, at_ns: u64) -> Log {
     Log {
-        timestamp: Some(timestamp(at_ns)),
+        timestamp: timestamp(at_ns),
         level: level as i32,
         message,
         name: "vigil".to_owned(),
-        file: String::new(),
-        line: 0,
+        ..Log::default()
     }
 }
 
@@ -422,7 +424,6 @@ mod tests {
 
     #[test]
     fn changes_are_told_once_and_a_hold_for_cause_is_a_warning() {
-        use crate::proto::foxglove::log::Level;
         let mut narrator = Narrator::default();
         let mut record = TickRecord::default();
         let mut told = |record: &TickRecord| {

@@ -29,29 +29,24 @@ const EPOCH_OFFSET: &str = "epoch_offset_ns";
 
 impl FlightInfo {
     pub(crate) fn to_metadata(&self, epoch_offset_ns: u64) -> BTreeMap<String, String> {
-        let mut map = BTreeMap::from([
-            (FORMAT.to_owned(), LOG_FORMAT.to_string()),
-            (EPOCH_OFFSET.to_owned(), epoch_offset_ns.to_string()),
-            ("program".to_owned(), self.program.clone()),
-            ("instance".to_owned(), self.instance.to_string()),
-            ("config".to_owned(), self.config_toml.clone()),
-        ]);
-        for (key, value) in [
-            ("git_commit", &self.git_commit),
-            ("actor_sha256", &self.actor_sha256),
-            ("detector_sha256", &self.detector_sha256),
-        ] {
-            if let Some(value) = value {
-                map.insert(key.to_owned(), value.clone());
-            }
-        }
-        if let Some(threshold) = self.detector_threshold {
-            map.insert("detector_threshold".to_owned(), threshold.to_string());
-        }
-        if let Some(seed) = self.seed {
-            map.insert("seed".to_owned(), seed.to_string());
-        }
-        map
+        [
+            (FORMAT, Some(LOG_FORMAT.to_string())),
+            (EPOCH_OFFSET, Some(epoch_offset_ns.to_string())),
+            ("program", Some(self.program.clone())),
+            ("instance", Some(self.instance.to_string())),
+            ("config", Some(self.config_toml.clone())),
+            ("git_commit", self.git_commit.clone()),
+            ("actor_sha256", self.actor_sha256.clone()),
+            ("detector_sha256", self.detector_sha256.clone()),
+            (
+                "detector_threshold",
+                self.detector_threshold.map(|threshold| threshold.to_string()),
+            ),
+            ("seed", self.seed.map(|seed| seed.to_string())),
+        ]
+        .into_iter()
+        .filter_map(|(key, value)| Some((key.to_owned(), value?)))
+        .collect()
     }
 
     /// Format version, flight information and epoch offset of a metadata record; `Err` names the first bad entry.

@@ -3,10 +3,10 @@
 use crate::display::{self, MAP_FRAME, Narrator, PathTrail};
 use crate::proto::foxglove::log::Level;
 use crate::{FlightInfo, Scene, TickRecord, convert, proto};
-use mcap::records::{MessageHeader, Metadata};
+use mcap::records::{AttachmentHeader, MessageHeader, Metadata};
 use mcap::{Compression, McapError, McapResult, WriteOptions};
 use prost::Message;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::{Seek, Write};
 use vigil_types::{Goal, LogContent, Nanos};
 
@@ -49,42 +49,35 @@ pub(crate) mod topic {
     pub(crate) const SHAP: &str = "/shap";
 }
 
-pub(crate) struct Channels {
-    pub(crate) depth: u16,
-    pub(crate) tick: u16,
-    range: u16,
-    status: u16,
-    transform: u16,
-    pose: u16,
-    path: u16,
-    goal: u16,
-    scene: u16,
-    scene_points: u16,
-    log: u16,
-}
+/// A topic and the kind of its messages.
+pub(crate) type Kind = (&'static str, &'static str);
 
-impl Channels {
-    pub(crate) fn register<W: Write + Seek>(writer: &mut mcap::Writer<W>) -> McapResult<Self> {
-        Ok(Self {
-            depth: channel(writer, topic::DEPTH, "foxglove.RawImage")?,
-            tick: channel(writer, topic::TICK, "vigil.log.Tick")?,
-            status: channel(writer, topic::STATUS, "vigil.log.Status")?,
-            range: channel(writer, topic::RANGE, "foxglove.RawImage")?,
-            transform: channel(writer, topic::TRANSFORM, "foxglove.FrameTransform")?,
-            pose: channel(writer, topic::POSE, "foxglove.PoseInFrame")?,
-            path: channel(writer, topic::PATH, "foxglove.PosesInFrame")?,
-            goal: channel(writer, topic::GOAL, "foxglove.PoseInFrame")?,
-            scene: channel(writer, topic::SCENE, "foxglove.SceneUpdate")?,
-            scene_points: channel(writer, topic::SCENE_POINTS, "foxglove.PointCloud")?,
-            log: channel(writer, topic::LOG, "foxglove.Log")?,
-        })
+/// What a recorder writes, in the order of its channels' numbers.
+pub(crate) const RECORDED: [Kind; 11] = [
+    (topic::DEPTH, "foxglove.RawImage"),
+    (topic::TICK, "vigil.log.Tick"),
+    (topic::STATUS, "vigil.log.Status"),
+    (topic::RANGE, "foxglove.RawImage"),
+    (topic::TRANSFORM, "foxglove.FrameTransform"),
+    (topic::POSE, "foxglove.PoseInFrame"),
+    (topic::PATH, "foxglove.PosesInFrame"),
+    (topic::GOAL, "foxglove.PoseInFrame"),
+    (topic::SCENE, "foxglove.SceneUpdate"),
+    (topic::SCENE_POINTS, "foxglove.PointCloud"),
+    (topic::LOG, "foxglove.Log"),
+];
+
+/// Adds channels with the schemas of their messages; their numbers by topic.
+pub(crate) fn register<W: Write + Seek>(
+    writer: &mut mcap::Writer<W>,
+    kinds: &[Kind],
+) -> McapResult<HashMap<&'static str, u16>> {
+    let mut numbers = HashMap::new();
+    for (topic, kind) in kinds {
+        let schema = writer.add_schema(kind, "protobuf", proto::descriptors(kind))?;
+        numbers.insert(*topic, writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())?);
     }
-}
-
-/// A channel of messages of one kind, with their schema.
-pub(crate) fn channel<W: Write + Seek>(writer: &mut mcap::Writer<W>, topic: &str, kind: &str) -> McapResult<u16> {
-    let schema = writer.add_schema(kind, "protobuf", proto::descriptors(kind))?;
-    writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())
+    Ok(numbers)
 }
 
 /// How all logs are written.
@@ -98,14 +91,12 @@ pub(crate) fn write_options() -> WriteOptions {
 
 /// An open log. Everything up to the last flush can be read even if nothing more is ever written.
 pub(crate) struct LogFile<W: Write + Seek> {
-    writer: mcap::Writer<W>,
-    channels: Channels,
+    sheet: Sheet<W>,
     epoch_offset_ns: u64,
     scene: Option<Scene>,
     content: LogContent,
     /// Score above which the detector's verdict is attack.
     threshold: Option<f32>,
-    buffer: Vec<u8>,
     narrator: Narrator,
     trail: PathTrail,
     goal: Option<Goal>,
@@ -128,16 +119,14 @@ impl<W: Write + Seek> LogFile<W> {
             name: META.to_owned(),
             metadata: info.to_metadata(epoch_offset_ns),
         })?;
-        let channels = Channels::register(&mut writer)?;
-        writer.flush()?;
+        let mut sheet = Sheet::new(writer, &RECORDED)?;
+        sheet.writer.flush()?;
         Ok(Self {
-            writer,
-            channels,
+            sheet,
             epoch_offset_ns,
             scene,
             content,
             threshold: info.detector_threshold,
-            buffer: Vec::new(),
             narrator: Narrator::default(),
             trail: PathTrail::new(),
             goal: None,
@@ -151,57 +140,50 @@ impl<W: Write + Seek> LogFile<W> {
     /// are then in the file.
     pub(crate) fn write(&mut self, record: &TickRecord) -> McapResult<bool> {
         let at_ns = record.now_ns.saturating_add(self.epoch_offset_ns);
-        // Wraps after 2³² steps, as the MCAP field does.
-        let sequence = record.timing.step as u32;
-        let mut messages = Messages {
-            writer: &mut self.writer,
-            buffer: &mut self.buffer,
-            at_ns,
-            sequence,
-        };
+        // The number wraps after 2³² steps, as the MCAP field does.
+        let place = (at_ns, record.timing.step as u32);
+        let sheet = &mut self.sheet;
         let (exact, drawn) = (self.content != LogContent::Light, self.content != LogContent::Replay);
         if let Some(scene) = self.scene.take() {
-            messages.put(self.channels.scene, &scene.to_update(at_ns))?;
+            sheet.put(topic::SCENE, place, &scene.to_update(at_ns))?;
             if drawn {
-                messages.put(self.channels.scene_points, &scene.to_point_cloud(at_ns))?;
+                sheet.put(topic::SCENE_POINTS, place, &scene.to_point_cloud(at_ns))?;
             }
         }
         if let Some(frame) = record.frame().filter(|_| exact) {
-            messages.put(self.channels.depth, &display::depth_image(frame, at_ns))?;
+            sheet.put(topic::DEPTH, place, &display::depth_image(frame, at_ns))?;
         }
         let mut tick = convert::to_wire(record);
         if !exact {
             // A header announces pixels, and there are none.
             tick.frame = None;
         }
-        messages.put(self.channels.tick, &tick)?;
+        sheet.put(topic::TICK, place, &tick)?;
         if drawn {
-            messages.put(self.channels.status, &display::status(record, self.threshold))?;
+            sheet.put(topic::STATUS, place, &display::status(record, self.threshold))?;
             let slow_due = due(&mut self.last_slow_ns, record.now_ns, SLOW_NS);
             if let Some(frame) = record.frame()
                 && due(&mut self.last_range_ns, record.now_ns, RANGE_NS)
             {
-                messages.put(self.channels.range, &display::range_image(frame, at_ns))?;
+                sheet.put(topic::RANGE, place, &display::range_image(frame, at_ns))?;
             }
             if slow_due {
-                messages.put(self.channels.transform, &display::sensor_transform(at_ns))?;
+                sheet.put(topic::TRANSFORM, place, &display::sensor_transform(at_ns))?;
             }
             if let Some(pose) = display::vehicle_pose(record) {
                 self.trail.offer(pose);
-                messages.put(
-                    self.channels.transform,
-                    &display::transform(MAP_FRAME, display::BODY_FRAME, pose, at_ns),
-                )?;
-                messages.put(self.channels.pose, &display::pose_in_map(pose, at_ns))?;
+                let body = display::transform(MAP_FRAME, display::BODY_FRAME, pose, at_ns);
+                sheet.put(topic::TRANSFORM, place, &body)?;
+                sheet.put(topic::POSE, place, &display::pose_in_map(pose, at_ns))?;
                 if slow_due {
-                    messages.put(self.channels.path, &self.trail.message(at_ns))?;
+                    sheet.put(topic::PATH, place, &self.trail.message(at_ns))?;
                 }
             }
             let goal = record.report.goal.filter(|g| g.position_ned_m.is_finite());
             if let Some(goal) = goal
                 && (slow_due || self.goal != Some(goal))
             {
-                messages.put(self.channels.goal, &display::goal_in_map(goal, at_ns))?;
+                sheet.put(topic::GOAL, place, &display::goal_in_map(goal, at_ns))?;
             }
             self.goal = goal;
         }
@@ -209,14 +191,14 @@ impl<W: Write + Seek> LogFile<W> {
         let mut told = Ok(());
         self.narrator.lines(record, |level: Level, line| {
             if told.is_ok() {
-                told = messages.put(self.channels.log, &display::log_line(level, line, at_ns));
+                told = sheet.put(topic::LOG, place, &display::log_line(level, line, at_ns));
             }
         });
         told?;
 
         let first = self.last_flush_ns.is_none();
         if due(&mut self.last_flush_ns, record.now_ns, FLUSH_NS) && !first {
-            self.writer.flush()?;
+            self.sheet.writer.flush()?;
             return Ok(true);
         }
         Ok(false)
@@ -224,14 +206,15 @@ impl<W: Write + Seek> LogFile<W> {
 
     /// Puts everything written so far into the file as a complete chunk.
     pub(crate) fn flush(&mut self) -> McapResult<()> {
-        self.writer.flush()
+        self.sheet.writer.flush()
     }
 
     /// Closes the log: notes how it ended and writes the index that lets viewers seek.
-    pub(crate) fn finish(mut self, records: u64, dropped: u64) -> McapResult<W> {
-        self.writer.write_metadata(&end_metadata(records, dropped))?;
-        self.writer.finish()?;
-        Ok(self.writer.into_inner())
+    pub(crate) fn finish(self, records: u64, dropped: u64) -> McapResult<W> {
+        let mut writer = self.sheet.writer;
+        writer.write_metadata(&end_metadata(records, dropped))?;
+        writer.finish()?;
+        Ok(writer.into_inner())
     }
 }
 
@@ -246,6 +229,17 @@ pub(crate) fn end_metadata(records: u64, dropped: u64) -> Metadata {
     }
 }
 
+/// Copies what somebody attached to a log.
+pub(crate) fn attach<W: Write + Seek>(
+    writer: &mut mcap::Writer<W>,
+    header: AttachmentHeader,
+    data: &[u8],
+) -> McapResult<()> {
+    writer.start_attachment(data.len() as u64, header)?;
+    writer.put_attachment_bytes(data)?;
+    writer.finish_attachment()
+}
+
 /// Whether `period_ns` passed since `last`, which is then set to `now_ns`. A clock that went back counts as passed.
 pub(crate) fn due(last: &mut Option<Nanos>, now_ns: Nanos, period_ns: Nanos) -> bool {
     let is_due = last.is_none_or(|then| then.abs_diff(now_ns) >= period_ns);
@@ -255,41 +249,36 @@ pub(crate) fn due(last: &mut Option<Nanos>, now_ns: Nanos, period_ns: Nanos) -> 
     is_due
 }
 
-/// Puts messages of one instant into the file.
-struct Messages<'a, W: Write + Seek> {
-    writer: &'a mut mcap::Writer<W>,
-    buffer: &'a mut Vec<u8>,
-    at_ns: u64,
-    sequence: u32,
+/// Messages that are being written, on the channels of their topics.
+pub(crate) struct Sheet<W: Write + Seek> {
+    pub(crate) writer: mcap::Writer<W>,
+    channels: HashMap<&'static str, u16>,
+    buffer: Vec<u8>,
 }
 
-impl<W: Write + Seek> Messages<'_, W> {
-    fn put(&mut self, channel_id: u16, message: &impl Message) -> McapResult<()> {
-        put(
-            self.writer,
-            self.buffer,
-            (channel_id, self.at_ns, self.sequence),
-            message,
-        )
+impl<W: Write + Seek> Sheet<W> {
+    /// Registers the channels.
+    pub(crate) fn new(mut writer: mcap::Writer<W>, kinds: &[Kind]) -> McapResult<Self> {
+        Ok(Self {
+            channels: register(&mut writer, kinds)?,
+            writer,
+            buffer: Vec::new(),
+        })
     }
-}
 
-/// Puts a message into a file: to this channel, at this time, with this number. `buffer` is overwritten.
-pub(crate) fn put<W: Write + Seek>(
-    writer: &mut mcap::Writer<W>,
-    buffer: &mut Vec<u8>,
-    (channel_id, at_ns, sequence): (u16, u64, u32),
-    message: &impl Message,
-) -> McapResult<()> {
-    buffer.clear();
-    let header = MessageHeader {
-        channel_id,
-        sequence,
-        log_time: at_ns,
-        publish_time: at_ns,
-    };
-    message
-        .encode(buffer)
-        .map_err(|error| McapError::Io(std::io::Error::other(error)))?;
-    writer.write_to_known_channel(&header, buffer)
+    /// Puts a message into the file: on this topic, at this time, with this number.
+    pub(crate) fn put(&mut self, topic: &str, (at_ns, sequence): (u64, u32), message: &impl Message) -> McapResult<()> {
+        self.buffer.clear();
+        let header = MessageHeader {
+            // A topic that was not registered has no channel, which the writer says.
+            channel_id: self.channels.get(topic).copied().unwrap_or(u16::MAX),
+            sequence,
+            log_time: at_ns,
+            publish_time: at_ns,
+        };
+        message
+            .encode(&mut self.buffer)
+            .map_err(|error| McapError::Io(std::io::Error::other(error)))?;
+        self.writer.write_to_known_channel(&header, &self.buffer)
+    }
 }

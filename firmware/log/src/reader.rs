@@ -5,7 +5,7 @@ use crate::log_file::{LOG_FORMAT, META, META_END, topic};
 use crate::proto::foxglove::RawImage;
 use crate::{FlightInfo, RecordDefect, TickRecord, convert, display, proto, salvage};
 use mcap::McapError;
-use mcap::records::{MessageHeader, Record, op};
+use mcap::records::{MessageHeader, Record};
 use prost::Message;
 use std::collections::BTreeMap;
 use std::io;
@@ -197,8 +197,8 @@ pub struct Reader {
     container: Container,
     info: FlightInfo,
     epoch_offset_ns: u64,
-    /// The channels that a replay needs, by their number in this file.
-    channels: BTreeMap<u16, Channel>,
+    /// Topics of the channels that a replay needs, by their number in this file.
+    channels: BTreeMap<u16, String>,
     /// The image that waits for its step.
     image: Option<(MessageHeader, RawImage)>,
     records: u64,
@@ -207,12 +207,6 @@ pub struct Reader {
     counted: Option<(u64, u64)>,
     end: Option<LogEnd>,
     done: bool,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Channel {
-    Depth,
-    Tick,
 }
 
 impl Reader {
@@ -329,50 +323,33 @@ impl Reader {
         loop {
             let next = match self.next_container_record()? {
                 Next::Record(next) => next,
-                Next::End => {
-                    return match self.counted {
-                        Some((counted, _)) if counted != self.records => Err(Damage::Count { counted }),
-                        counted => {
-                            self.end = Some(
-                                counted.map_or(LogEnd::Interrupted { records: self.records }, |(_, dropped)| {
-                                    LogEnd::Closed { dropped }
-                                }),
-                            );
-                            Ok(false)
-                        }
-                    };
-                }
-                Next::Cut => {
+                end => {
                     self.end = Some(match self.counted {
-                        // Only the index behind all records is cut.
+                        // Of a log that is cut, only the index behind all records is missing then.
                         Some((counted, dropped)) if counted == self.records => LogEnd::Closed { dropped },
+                        Some((counted, _)) if matches!(end, Next::End) => return Err(Damage::Count { counted }),
                         _ => LogEnd::Interrupted { records: self.records },
                     });
                     return Ok(false);
                 }
             };
             match next {
-                Record::Channel(channel) => {
-                    let kind = match channel.topic.as_str() {
-                        topic::DEPTH => Channel::Depth,
-                        topic::TICK => Channel::Tick,
-                        _ => continue,
-                    };
-                    self.channels.insert(channel.id, kind);
+                Record::Channel(channel) if [topic::DEPTH, topic::TICK].contains(&channel.topic.as_str()) => {
+                    self.channels.insert(channel.id, channel.topic);
                 }
                 Record::Metadata(meta) if meta.name == META_END => {
                     let number = |key| meta.metadata.get(key).and_then(|text| text.parse().ok());
                     self.counted = number("records").zip(number("dropped"));
                 }
-                Record::Message { header, data } => match self.channels.get(&header.channel_id) {
-                    Some(Channel::Depth) => {
+                Record::Message { header, data } => match self.channels.get(&header.channel_id).map(String::as_str) {
+                    Some(topic::DEPTH) => {
                         let image = RawImage::decode(data.as_ref()).map_err(|source| Damage::Message {
                             topic: topic::DEPTH,
                             source,
                         })?;
                         self.image = Some((header, image));
                     }
-                    Some(Channel::Tick) => {
+                    Some(_) => {
                         self.take_tick(&data, record)?;
                         self.records += 1;
                         let first_ns = self.span_ns.map_or(record.now_ns, |(first, _)| first);
@@ -408,15 +385,7 @@ impl Reader {
 
     /// The next channel, metadata or message of interest.
     fn next_container_record(&mut self) -> Result<Next, Damage> {
-        let channels = &self.channels;
-        let wanted = |opcode, data: &[u8]| match opcode {
-            op::CHANNEL | op::METADATA => true,
-            op::MESSAGE => data
-                .split_first_chunk()
-                .is_none_or(|(id, _)| channels.contains_key(&u16::from_le_bytes(*id))),
-            _ => false,
-        };
-        self.container.next(wanted).map_err(Damage::Container)
+        self.container.next_of(&self.channels).map_err(Damage::Container)
     }
 }
 

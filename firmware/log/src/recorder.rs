@@ -488,13 +488,10 @@ impl<W: Write + Seek, T: Write> Scribe<W, T> {
     fn report(&mut self, message: String) {
         self.shared.failed.store(true, Ordering::Relaxed);
         tracing::error!("{message}");
-        match &mut self.failure {
-            Some(failure) => {
-                failure.push_str("; ");
-                failure.push_str(&message);
-            }
-            None => self.failure = Some(message),
-        }
+        self.failure = Some(match self.failure.take() {
+            Some(before) => format!("{before}; {message}"),
+            None => message,
+        });
     }
 
     fn finish(mut self) -> Option<String> {

@@ -130,9 +130,7 @@ impl std::fmt::Display for Recovery {
 /// [`RecoverError`] when `from` is no log or holds no whole record, or when `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
     // Whose log it is, and of which version.
-    let reader = Reader::open(from)?;
-    let epoch_offset_ns = reader.epoch_offset_ns();
-    drop(reader);
+    let epoch_offset_ns = Reader::open(from)?.epoch_offset_ns();
     let description = salvage::describe(from).map_err(at(from)).map_err(ReadError::Io)?;
     let unwritable = |what: McapError| RecoverError::Write {
         path: to.to_owned(),
@@ -177,8 +175,9 @@ fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Cop
     }
     if description.channels.is_empty() {
         // Those of this version, which numbers them as the one that wrote the log did: the format is the same.
-        let channels = log_file::Channels::register(&mut copy.writer)?;
-        (copy.depth, copy.tick) = (Some(channels.depth), Some(channels.tick));
+        let channels = log_file::register(&mut copy.writer, &log_file::RECORDED)?;
+        let number = |topic: &str| channels.get(topic).copied();
+        (copy.depth, copy.tick) = (number(topic::DEPTH), number(topic::TICK));
     }
     for (header, data) in description.schemas.values() {
         copy.writer
@@ -198,7 +197,7 @@ fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Cop
             &channel.metadata,
         )?;
     }
-    salvage::pieces(from, |piece| match piece {
+    salvage::walk(from, &mut |piece| match piece {
         Record::Message { header, data } => copy.take(header, data.into_owned()),
         Record::Metadata(metadata) if metadata.name == META_END => {
             let number = |key: &str| metadata.metadata.get(key).and_then(|text| text.parse().ok());
@@ -206,6 +205,7 @@ fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Cop
             Ok(())
         }
         Record::Metadata(metadata) if metadata.name == META_STORY => copy.writer.write_metadata(&metadata),
+        Record::Attachment { header, data, .. } => log_file::attach(&mut copy.writer, header, &data),
         _ => Ok(()),
     })?;
     copy.end_group()?;

@@ -5,11 +5,11 @@
 //! piece is found by its form: of a chunk, behind opcode and length two times, size, checksum, and the name of the compression,
 //! the stored size, which must agree with the record's length; of a message, the records that follow it.
 
-use crate::container::{LENGTH_LIMIT, linear_reader};
+use crate::container::{Container, LENGTH_LIMIT, Next, linear_reader, parse};
 use crate::log_file::META;
 use mcap::McapError;
 use mcap::records::{Channel, ChunkHeader, Metadata, Record, SchemaHeader, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReaderOptions};
+use mcap::sans_io::linear_reader::LinearReaderOptions;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io;
@@ -73,16 +73,11 @@ pub(crate) fn describe(path: &Path) -> io::Result<Description> {
     })
 }
 
-/// Hands over every whole record, those of chunks included, in the order of the file.
-pub(crate) fn pieces(
+/// Hands every whole record to `take`, those of chunks included, in the order of the file; what is not whole is described.
+pub(crate) fn walk(
     path: &Path,
-    mut take: impl FnMut(Record<'static>) -> Result<(), McapError>,
-) -> Result<(), McapError> {
-    walk(path, &mut take).map(|_| ())
-}
-
-/// What is whole goes to `take`; what is not is described.
-fn walk(path: &Path, take: &mut dyn FnMut(Record<'static>) -> Result<(), McapError>) -> Result<Description, McapError> {
+    take: &mut dyn FnMut(Record<'static>) -> Result<(), McapError>,
+) -> Result<Description, McapError> {
     let file = vigil_types::files::open(path)?;
     let size = file.metadata()?.len();
     let mut walked = Description::default();
@@ -123,10 +118,9 @@ fn walk(path: &Path, take: &mut dyn FnMut(Record<'static>) -> Result<(), McapErr
                     None
                 })
             }
-            op::METADATA | op::SCHEMA | op::CHANNEL | op::MESSAGE => {
-                mcap::parse_record(opcode, &read(&file, content, length)?)
-                    .map(|record| vec![record.into_owned()])
-                    .ok()
+            op::METADATA | op::ATTACHMENT | op::SCHEMA | op::CHANNEL | op::MESSAGE => {
+                let record = parse(opcode, &read(&file, content, length)?);
+                record.map(|record| vec![record]).ok()
             }
             // Only the mark follows.
             op::FOOTER => return Ok(walked),
@@ -159,12 +153,13 @@ fn head(file: &File, at: u64, size: u64) -> io::Result<Option<(u8, u64)>> {
         return Ok(None);
     };
     let length = u64::from_le_bytes(length.try_into().unwrap_or_default());
-    let possible = (op::HEADER..=op::DATA_END).contains(opcode) && length <= LENGTH_LIMIT && at + HEAD + length <= size;
+    let longest = if *opcode == op::ATTACHMENT { size } else { LENGTH_LIMIT };
+    let possible = (op::HEADER..=op::DATA_END).contains(opcode) && length <= longest.min(size - at - HEAD);
     Ok(possible.then_some((*opcode, length)))
 }
 
 fn read(file: &File, at: u64, length: u64) -> io::Result<Vec<u8>> {
-    // At most LENGTH_LIMIT.
+    // At most LENGTH_LIMIT, of an attachment what the file has.
     let mut bytes = vec![0; length as usize];
     file.read_exact_at(&mut bytes, at)?;
     Ok(bytes)
@@ -197,30 +192,21 @@ fn chunk(bytes: &[u8]) -> Result<Option<Vec<Record<'static>>>, McapError> {
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(true)
         .with_skip_end_magic(true);
-    let mut reader = linear_reader(options);
     let length = (bytes.len() as u64).to_le_bytes();
     let whole = [&[op::CHUNK], length.as_slice(), bytes].concat();
-    let mut rest = whole.as_slice();
+    let mut container = Container {
+        file: whole.as_slice(),
+        reader: linear_reader(options),
+    };
     let mut records = Vec::new();
-    while let Some(event) = reader.next_event() {
-        match event {
-            Ok(LinearReadEvent::ReadRequest(need)) => {
-                let (next, left) = rest.split_at(need.min(rest.len()));
-                if let Some(to) = reader.insert(need).get_mut(..next.len()) {
-                    to.copy_from_slice(next);
-                }
-                reader.notify_read(next.len());
-                rest = left;
-            }
-            Ok(LinearReadEvent::Record { opcode, data }) => match mcap::parse_record(opcode, data) {
-                Ok(record) => records.push(record.into_owned()),
-                Err(_) => return Ok(None),
-            },
+    loop {
+        match container.next(|_, _| true) {
+            Ok(Next::Record(record)) => records.push(record),
+            Ok(Next::End) => return Ok(Some(records)),
             Err(error @ McapError::UnsupportedCompression(_)) => return Err(error),
-            Err(_) => return Ok(None),
+            Ok(Next::Cut) | Err(_) => return Ok(None),
         }
     }
-    Ok(Some(records))
 }
 
 /// The next place from `from` on at which a piece of these kinds, chunks or messages, begins, by its form.

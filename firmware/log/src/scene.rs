@@ -120,14 +120,13 @@ impl Scene {
             path: path.to_owned(),
             source,
         })?;
-        files::replace(path, (text + "\n").as_bytes(), files::Access::Shared).map_err(files::at(path))?;
-        Ok(())
+        Ok(files::replace(path, (text + "\n").as_bytes(), files::Access::Shared).map_err(files::at(path))?)
     }
 
     /// The solids as one entity of a 3D view, in the z-up `map` frame.
     pub(crate) fn to_update(&self, at_ns: u64) -> SceneUpdate {
         let mut entity = SceneEntity {
-            timestamp: Some(timestamp(at_ns)),
+            timestamp: timestamp(at_ns),
             frame_id: crate::display::MAP_FRAME.to_owned(),
             id: "obstacles".to_owned(),
             ..Default::default()
@@ -176,7 +175,7 @@ impl Scene {
             }
         }
         PointCloud {
-            timestamp: Some(timestamp(at_ns)),
+            timestamp: timestamp(at_ns),
             frame_id: crate::display::MAP_FRAME.to_owned(),
             pose: Some(display::unturned_at(Vector3::default())),
             point_stride: 12,
@@ -190,33 +189,29 @@ impl Scene {
 pub(crate) fn solids_of(update: &SceneUpdate) -> Vec<SceneSolid> {
     let centre = |pose: &Pose| pose.position.map(|p| display::ned_point(p).to_array());
     let half = |size: &Vector3| [0.5 * size.x as f32, 0.5 * size.y as f32, 0.5 * size.z as f32];
-    let cuboids = |entity: &SceneEntity| {
-        let solid = |cube: &CubePrimitive| {
-            let pose = cube.pose?;
-            let turn = pose.orientation?;
-            Some(SceneSolid::Cuboid {
-                centre_ned_m: centre(&pose)?,
-                half_extents_m: half(&cube.size?),
-                yaw_rad: (std::f64::consts::FRAC_PI_2 - 2.0 * turn.z.atan2(turn.w)) as f32,
-            })
-        };
-        entity.cubes.iter().filter_map(solid).collect::<Vec<_>>()
+    let cuboid = |cube: &CubePrimitive| {
+        let pose = cube.pose?;
+        let turn = pose.orientation?;
+        Some(SceneSolid::Cuboid {
+            centre_ned_m: centre(&pose)?,
+            half_extents_m: half(&cube.size?),
+            yaw_rad: (std::f64::consts::FRAC_PI_2 - 2.0 * turn.z.atan2(turn.w)) as f32,
+        })
     };
-    let cylinders = |entity: &SceneEntity| {
-        let solid = |cylinder: &CylinderPrimitive| {
-            let [radius_m, _, half_height_m] = half(&cylinder.size?);
-            Some(SceneSolid::Cylinder {
-                centre_ned_m: centre(&cylinder.pose?)?,
-                radius_m,
-                half_height_m,
-            })
-        };
-        entity.cylinders.iter().filter_map(solid).collect::<Vec<_>>()
+    let cylinder = |cylinder: &CylinderPrimitive| {
+        let [radius_m, _, half_height_m] = half(&cylinder.size?);
+        Some(SceneSolid::Cylinder {
+            centre_ned_m: centre(&cylinder.pose?)?,
+            radius_m,
+            half_height_m,
+        })
     };
-    let entities = update.entities.iter();
-    entities
-        .flat_map(|e| cuboids(e).into_iter().chain(cylinders(e)))
-        .collect()
+    let mut solids = Vec::new();
+    for entity in &update.entities {
+        solids.extend(entity.cubes.iter().filter_map(cuboid));
+        solids.extend(entity.cylinders.iter().filter_map(cylinder));
+    }
+    solids
 }
 
 impl SceneSolid {

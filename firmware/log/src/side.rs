@@ -5,9 +5,9 @@
 
 use crate::container::{Container, Next};
 use crate::display::{self, MAP_FRAME};
-use crate::log_file::{self, META_STORY, topic};
+use crate::log_file::{self, Kind, META_STORY, Sheet, topic};
 use crate::proto;
-use crate::proto::foxglove::{FrameTransform, PoseInFrame, PosesInFrame, RawImage};
+use crate::proto::foxglove::PosesInFrame;
 use crate::{ReadError, Reader};
 use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata, Record};
@@ -38,7 +38,7 @@ pub enum SideError {
     },
 }
 
-pub(crate) fn at(path: &Path) -> impl Fn(McapError) -> SideError + '_ {
+fn at(path: &Path) -> impl Fn(McapError) -> SideError + '_ {
     |source| match source {
         McapError::Io(error) => files::at(path)(error).into(),
         source => SideError::Mcap {
@@ -51,11 +51,7 @@ pub(crate) fn at(path: &Path) -> impl Fn(McapError) -> SideError + '_ {
 /// A file of messages of one who knows more than the firmware, in the order of their times. They get their time stamps when they
 /// are put into the log, which knows what to add to the loop's time.
 pub struct SideLog {
-    sheet: Sheet,
-    truth: u16,
-    transform: u16,
-    attack: u16,
-    clean: u16,
+    file: SideFile,
     last_clean_ns: Option<Nanos>,
     altered: u32,
 }
@@ -71,21 +67,14 @@ impl SideLog {
     /// # Errors
     /// A file that cannot be written.
     pub fn create(path: &Path) -> Result<Self, SideError> {
-        let mut sheet = Sheet::create(path)?;
-        let begin = |writer: &mut Writer| -> Result<_, McapError> {
-            let truth = log_file::channel(writer, topic::TRUTH, "foxglove.PoseInFrame")?;
-            let transform = log_file::channel(writer, topic::TRANSFORM, "foxglove.FrameTransform")?;
-            let attack = log_file::channel(writer, topic::ATTACK, "vigil.log.Attack")?;
-            let clean = log_file::channel(writer, topic::CLEAN_DEPTH, "foxglove.RawImage")?;
-            Ok((truth, transform, attack, clean))
-        };
-        let (truth, transform, attack, clean) = begin(&mut sheet.writer).map_err(at(path))?;
+        let kinds = [
+            (topic::TRUTH, "foxglove.PoseInFrame"),
+            (topic::TRANSFORM, "foxglove.FrameTransform"),
+            (topic::ATTACK, "vigil.log.Attack"),
+            (topic::CLEAN_DEPTH, "foxglove.RawImage"),
+        ];
         Ok(Self {
-            sheet,
-            truth,
-            transform,
-            attack,
-            clean,
+            file: SideFile::create(path, &kinds)?,
             last_clean_ns: None,
             altered: 0,
         })
@@ -106,19 +95,13 @@ impl SideLog {
             return Ok(());
         }
         let pose = display::pose(position_ned_m, attitude.unwrap_or(Attitude::LEVEL_NORTH));
-        let in_map = PoseInFrame {
-            timestamp: None,
-            ..display::pose_in_map(pose, at_ns)
-        };
-        self.sheet.put(self.truth, at_ns, 0, &in_map)?;
+        let in_map = display::pose_in_map(pose, None);
+        self.file.put(topic::TRUTH, (at_ns, 0), &in_map)?;
         if attitude.is_none() {
             return Ok(());
         }
-        let transform = FrameTransform {
-            timestamp: None,
-            ..display::transform(MAP_FRAME, "base_link_true", pose, at_ns)
-        };
-        self.sheet.put(self.transform, at_ns, 0, &transform)
+        let transform = display::transform(MAP_FRAME, "base_link_true", pose, None);
+        self.file.put(topic::TRANSFORM, (at_ns, 0), &transform)
     }
 
     /// The frame number `sequence` as the adversary handed it on at `at_ns`: as it was, or altered from `clean` with this effect
@@ -134,16 +117,14 @@ impl SideLog {
             altered: f64::from(u8::from(altered.is_some())),
             yaw_change: altered.map_or(0.0, |(change, _)| f64::from(change)),
         };
-        self.sheet.put(self.attack, at_ns, sequence as u32, &message)?;
+        let place = (at_ns, sequence as u32);
+        self.file.put(topic::ATTACK, place, &message)?;
         if let Some((_, clean)) = altered
             && (self.altered < Self::CLEAN_FIRST || log_file::due(&mut self.last_clean_ns, at_ns, Self::CLEAN_NS))
         {
             self.altered = self.altered.saturating_add(1);
-            let image = RawImage {
-                timestamp: None,
-                ..display::depth_image(clean, at_ns)
-            };
-            self.sheet.put(self.clean, at_ns, sequence as u32, &image)?;
+            let image = display::depth_image(clean, None);
+            self.file.put(topic::CLEAN_DEPTH, place, &image)?;
         }
         Ok(())
     }
@@ -153,51 +134,33 @@ impl SideLog {
     /// # Errors
     /// A file that cannot be written.
     pub fn finish(self) -> Result<(), SideError> {
-        self.sheet.finish()
+        self.file.finish()
     }
 }
 
-impl std::fmt::Debug for SideLog {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("SideLog")
-            .field("path", &self.sheet.path)
-            .finish_non_exhaustive()
-    }
+/// A file of messages that is being written, and its name.
+pub(crate) struct SideFile {
+    path: PathBuf,
+    sheet: Sheet<BufWriter<File>>,
 }
 
-pub(crate) type Writer = mcap::Writer<BufWriter<File>>;
-
-/// A file of messages that is being written.
-pub(crate) struct Sheet {
-    pub(crate) path: PathBuf,
-    pub(crate) writer: Writer,
-    buffer: Vec<u8>,
-}
-
-impl Sheet {
-    pub(crate) fn create(path: &Path) -> Result<Self, SideError> {
+impl SideFile {
+    pub(crate) fn create(path: &Path, kinds: &[Kind]) -> Result<Self, SideError> {
         let sink = File::create(path).map_err(files::at(path))?;
         let writer = log_file::write_options().create(BufWriter::new(sink));
+        let sheet = writer.and_then(|writer| Sheet::new(writer, kinds)).map_err(at(path))?;
         Ok(Self {
             path: path.to_owned(),
-            writer: writer.map_err(at(path))?,
-            buffer: Vec::new(),
+            sheet,
         })
     }
 
-    pub(crate) fn put(
-        &mut self,
-        channel_id: u16,
-        at_ns: Nanos,
-        sequence: u32,
-        message: &impl Message,
-    ) -> Result<(), SideError> {
-        let place = (channel_id, at_ns, sequence);
-        log_file::put(&mut self.writer, &mut self.buffer, place, message).map_err(at(&self.path))
+    pub(crate) fn put(&mut self, topic: &str, place: (Nanos, u32), message: &impl Message) -> Result<(), SideError> {
+        self.sheet.put(topic, place, message).map_err(at(&self.path))
     }
 
     pub(crate) fn finish(mut self) -> Result<(), SideError> {
-        self.writer.finish().map(|_| ()).map_err(at(&self.path))
+        self.sheet.writer.finish().map(|_| ()).map_err(at(&self.path))
     }
 }
 
@@ -208,8 +171,7 @@ impl Sheet {
 /// # Errors
 /// [`SideError`]: a log that cannot be read, a file that cannot be written; the log is then as it was.
 pub fn merge_into(log: &Path, sides: &[&Path], about: &BTreeMap<String, String>) -> Result<(), SideError> {
-    let epoch_offset_ns = Reader::open(log)?.epoch_offset_ns();
-    replace_merged(log, sides, about, &[], epoch_offset_ns)
+    replace_merged(log, sides, about, &[])
 }
 
 /// Puts what was derived from the log among its messages ([`crate::DerivedLog`]): `map` and way, `shap`, or both, in the place of
@@ -218,14 +180,13 @@ pub fn merge_into(log: &Path, sides: &[&Path], about: &BTreeMap<String, String>)
 /// # Errors
 /// As [`merge_into`].
 pub fn merge_derived(log: &Path, derived: &Path, map: bool, shap: bool) -> Result<(), SideError> {
-    let epoch_offset_ns = Reader::open(log)?.epoch_offset_ns();
     let replaced: &'static [&'static str] = match (map, shap) {
         (true, true) => &[topic::GRID, topic::WAY, topic::SHAP],
         (true, false) => &[topic::GRID, topic::WAY],
         (false, true) => &[topic::SHAP],
         (false, false) => &[],
     };
-    replace_merged(log, &[derived], &BTreeMap::new(), replaced, epoch_offset_ns)
+    replace_merged(log, &[derived], &BTreeMap::new(), replaced)
 }
 
 fn replace_merged(
@@ -233,8 +194,8 @@ fn replace_merged(
     sides: &[&Path],
     about: &BTreeMap<String, String>,
     without: &'static [&'static str],
-    epoch_offset_ns: u64,
 ) -> Result<(), SideError> {
+    let epoch_offset_ns = Reader::open(log)?.epoch_offset_ns();
     let merged = files::replace_with(log, Access::Shared, |file| {
         merge(log, sides, about, without, epoch_offset_ns, file).map_err(io::Error::other)
     });
@@ -279,15 +240,12 @@ fn merge(
             .filter(|s| s.time_ns().is_some_and(|ns| ns < main_ns))
             .min_by_key(|s| s.time_ns())
         {
-            side.write(&mut writer)?;
             side.advance(&mut writer)?;
         }
-        main.write(&mut writer)?;
         main.advance(&mut writer)?;
     }
     for side in &mut sides {
         while side.time_ns().is_some() {
-            side.write(&mut writer)?;
             side.advance(&mut writer)?;
         }
     }
@@ -335,11 +293,17 @@ impl<'a> Source<'a> {
         self.next.as_ref().map(|(header, _)| header.log_time)
     }
 
-    /// Goes to the next message; schemas, channels and metadata before it are written.
+    /// Writes the message and goes to the next; schemas, channels, metadata and attachments before that are written.
     fn advance(&mut self, writer: &mut mcap::Writer<BufWriter<&mut File>>) -> Result<(), SideError> {
-        self.next = None;
+        self.pass_on(writer).map_err(at(self.path))
+    }
+
+    fn pass_on(&mut self, writer: &mut mcap::Writer<BufWriter<&mut File>>) -> Result<(), McapError> {
+        if let Some((header, data)) = self.next.take() {
+            writer.write_to_known_channel(&header, &data)?;
+        }
         while !self.over {
-            let record = match self.container.next(|_, _| true).map_err(at(self.path))? {
+            let record = match self.container.next(|_, _| true)? {
                 Next::Record(record) => record,
                 Next::End | Next::Cut => {
                     self.over = true;
@@ -348,9 +312,7 @@ impl<'a> Source<'a> {
             };
             match record {
                 Record::Schema { header, data } => {
-                    let id = writer
-                        .add_schema(&header.name, &header.encoding, &data)
-                        .map_err(at(self.path))?;
+                    let id = writer.add_schema(&header.name, &header.encoding, &data)?;
                     // Of the kinds of a side log, those that viewers know have one.
                     self.schemas
                         .insert(header.id, (id, header.name.starts_with("foxglove.")));
@@ -358,15 +320,15 @@ impl<'a> Source<'a> {
                 Record::Channel(channel) if self.without.contains(&channel.topic.as_str()) => {}
                 Record::Channel(channel) => {
                     let (schema, stamped) = self.schemas.get(&channel.schema_id).copied().unwrap_or_default();
-                    let id = writer
-                        .add_channel(schema, &channel.topic, &channel.message_encoding, &channel.metadata)
-                        .map_err(at(self.path))?;
+                    let id =
+                        writer.add_channel(schema, &channel.topic, &channel.message_encoding, &channel.metadata)?;
                     self.channels.insert(channel.id, (id, stamped));
                 }
                 Record::Metadata(meta) if meta.name == log_file::META_END => self.end = Some(meta),
                 // A second merge says anew what there is to say.
                 Record::Metadata(meta) if meta.name == META_STORY && !self.keeps_story => {}
-                Record::Metadata(meta) => writer.write_metadata(&meta).map_err(at(self.path))?,
+                Record::Metadata(meta) => writer.write_metadata(&meta)?,
+                Record::Attachment { header, data, .. } => log_file::attach(writer, header, &data)?,
                 Record::Message { mut header, data } => {
                     if let Some((id, stamped)) = self.channels.get(&header.channel_id) {
                         header.channel_id = *id;
@@ -389,19 +351,12 @@ impl<'a> Source<'a> {
         }
         Ok(())
     }
-
-    fn write(&mut self, writer: &mut mcap::Writer<BufWriter<&mut File>>) -> Result<(), SideError> {
-        match &self.next {
-            Some((header, data)) => writer.write_to_known_channel(header, data).map_err(at(self.path)),
-            None => Ok(()),
-        }
-    }
 }
 
 /// The message with its stamp in front, where an encoder puts it: the stamp is the first field of each kind in a side log.
 fn with_stamp(at_ns: u64, message: &[u8]) -> Vec<u8> {
     let stamp = PosesInFrame {
-        timestamp: Some(display::timestamp(at_ns)),
+        timestamp: display::timestamp(at_ns),
         ..PosesInFrame::default()
     };
     [stamp.encode_to_vec().as_slice(), message].concat()
@@ -437,6 +392,15 @@ mod tests {
         let (at_ns, place) = (50_000_000, NedVector::new(1.0, 2.0, -3.0));
         let mut truth = SideLog::create(&side).unwrap();
         truth.truth(at_ns, place, Some(Attitude::LEVEL_NORTH)).unwrap();
+        let film = mcap::Attachment {
+            log_time: at_ns,
+            create_time: at_ns,
+            name: "film.mp4".to_owned(),
+            media_type: "video/mp4".to_owned(),
+            // Larger than any record of a recorder's.
+            data: vec![7; 65 << 20].into(),
+        };
+        truth.file.sheet.writer.attach(&film).unwrap();
         truth.finish().unwrap();
         merge_into(&log, &[side.as_path()], &BTreeMap::new()).unwrap();
         let shown_ns = epoch_offset_ns + at_ns;
@@ -461,6 +425,14 @@ mod tests {
                 assert_eq!(held.len(), 1, "{topic}, {map}, {shap}");
                 assert!(held[0].1.starts_with(&with_stamp(shown_ns, &[])), "{topic}");
             }
+        }
+        let copy = folder.path().join("copy.mcap");
+        crate::recover(&log, &copy).unwrap();
+        for path in [&log, &copy] {
+            let bytes = std::fs::read(path).unwrap();
+            let index = mcap::Summary::read(&bytes).unwrap().unwrap().attachment_indexes;
+            assert!(mcap::read::attachment(&bytes, &index[0]).unwrap() == film);
+            assert_eq!(Reader::open(path).unwrap().filter(Result::is_ok).count(), 1);
         }
     }
 }

@@ -6,9 +6,9 @@ use crate::log_file::{META_STORY, topic};
 use crate::proto;
 use crate::proto::foxglove::{Log, PoseInFrame, RawImage, SceneUpdate};
 use crate::{ReadError, Reader, SceneSolid};
-use mcap::records::{Record, op};
+use mcap::records::Record;
 use prost::Message;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::path::Path;
 use vigil_types::{DEPTH_PIXELS, Nanos, NedVector};
 
@@ -84,17 +84,9 @@ impl Story {
         let epoch_offset_ns = Reader::open(path)?.epoch_offset_ns();
         let mut container = Container::open(path)?;
         let mut story = Self::default();
-        let mut topics: HashMap<u16, String> = HashMap::new();
+        let mut topics = BTreeMap::new();
         loop {
-            let told = &topics;
-            let wanted = |opcode, data: &[u8]| match opcode {
-                op::CHANNEL | op::METADATA => true,
-                op::MESSAGE => data
-                    .split_first_chunk()
-                    .is_some_and(|(id, _)| told.contains_key(&u16::from_le_bytes(*id))),
-                _ => false,
-            };
-            match container.next(wanted) {
+            match container.next_of(&topics) {
                 Ok(Next::Record(Record::Channel(channel))) => {
                     const TOLD: [&str; 5] = [
                         topic::SCENE,

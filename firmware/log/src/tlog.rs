@@ -6,21 +6,25 @@ use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 use vigil_types::Datagrams;
 
+/// The length of a packet that begins so, if one does.
+fn packet_len([magic, length, flags]: [u8; 3]) -> Option<usize> {
+    match magic {
+        // v2: 10 header bytes, payload, checksum, and 13 bytes of signature if the first flag says so.
+        0xFD => Some(12 + usize::from(length) + if flags & 1 == 1 { 13 } else { 0 }),
+        // v1: 6 header bytes, payload, checksum.
+        0xFE => Some(8 + usize::from(length)),
+        _ => None,
+    }
+}
+
 /// Cuts a datagram into its MAVLink packets by their length fields. Bytes that are no packet are left out, because a
 /// tlog has no place for them; the MCAP file holds the whole datagram. Checksums are not checked: what was on the wire
 /// is kept.
 fn packets(mut bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     std::iter::from_fn(move || {
         loop {
-            let total = match *bytes {
-                [] => return None,
-                // v2: 10 header bytes, payload, checksum, and 13 bytes of signature if the first flag says so.
-                [0xFD, length, flags, ..] => 12 + usize::from(length) + if flags & 1 == 1 { 13 } else { 0 },
-                // v1: 6 header bytes, payload, checksum.
-                [0xFE, length, ..] => 8 + usize::from(length),
-                _ => usize::MAX,
-            };
-            match bytes.split_at_checked(total) {
+            let len = bytes.first_chunk().copied().and_then(packet_len);
+            match len.and_then(|len| bytes.split_at_checked(len)) {
                 Some((packet, rest)) => {
                     bytes = rest;
                     return Some(packet);
@@ -60,20 +64,18 @@ pub(crate) fn last_stamp_ns(path: &Path) -> Option<u64> {
     let mut file = BufReader::new(vigil_types::files::open(path).ok()?);
     let mut last = None;
     loop {
-        let mut entry = [0; 11];
+        let mut entry = [0; 8 + 3];
         if file.read_exact(&mut entry).is_err() {
             return last;
         }
-        let [s0, s1, s2, s3, s4, s5, s6, s7, magic, length, flags] = entry;
-        let rest = match magic {
-            0xFD => 12 + i64::from(length) + if flags & 1 == 1 { 13 } else { 0 } - 3,
-            0xFE => 8 + i64::from(length) - 3,
-            _ => return last,
+        let [stamp @ .., magic, length, flags] = entry;
+        let Some(len) = packet_len([magic, length, flags]) else {
+            return last;
         };
-        if file.seek_relative(rest).is_err() {
+        if file.seek_relative(len as i64 - 3).is_err() {
             return last;
         }
-        last = Some(u64::from_be_bytes([s0, s1, s2, s3, s4, s5, s6, s7]).saturating_mul(1000));
+        last = Some(u64::from_be_bytes(stamp).saturating_mul(1000));
     }
 }
 

@@ -197,10 +197,10 @@ fn micros(at_ns: Nanos) -> [u8; 8] {
 pub fn ulog(path: &Path) -> Result<ULog, ReadError> {
     let story = Story::read(path)?;
     let mut reader = Reader::open(path)?;
-    let mut first = TickRecord::default();
-    let has_first = reader.read_next(&mut first)?;
+    let mut record: Box<TickRecord> = Box::default();
+    let mut is_there = reader.read_next(&mut record)?;
     let mut out = Writer(b"ULog\x01\x12\x35\x01".to_vec());
-    out.0.extend(micros(first.now_ns));
+    out.0.extend(micros(record.now_ns));
     // No appended data, nothing that an older reader must know.
     out.put(b'B', &[&[0; 40]]);
     let info = reader.info();
@@ -219,8 +219,7 @@ pub fn ulog(path: &Path) -> Result<ULog, ReadError> {
     }
     let mut lines = story.lines.iter().peekable();
     let mut truth = story.truth.iter().peekable();
-    let (mut records, mut incomplete, mut record) = (0, None, Box::new(first));
-    let mut is_there = has_first;
+    let (mut records, mut incomplete) = (0, None);
     while is_there {
         // In the order of time, as PX4 writes them.
         while let Some((at_ns, place)) = truth.next_if(|(at_ns, _)| *at_ns <= record.now_ns) {

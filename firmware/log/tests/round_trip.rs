@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Draw, bits, drawn, info, lockstep};
+use common::{Draw, bits, drawn, info, lockstep, recorded};
 use proptest::prelude::*;
 use vigil_log::{LogEnd, LogPlace, Reader, Recorder, RecorderConfig, StartError, TickRecord, WhenFull};
 use vigil_types::{Choice, LogContent};
@@ -57,11 +57,7 @@ fn the_same_flight_in_lockstep_gives_the_same_file() {
         .into_iter()
         .map(|name| {
             let path = dir.path().join(name).with_extension("mcap");
-            let mut recorder = Recorder::start(lockstep(LogPlace::File(path.clone()))).unwrap();
-            for step in 0..50 {
-                assert!(recorder.record(|slot| Draw(step).record(step, step * 50_000_000, slot)));
-            }
-            let summary = recorder.finish();
+            let summary = recorded(lockstep(LogPlace::File(path.clone())), 50);
             assert_eq!(summary.bytes, std::fs::metadata(&path).unwrap().len());
             std::fs::read(&path).unwrap()
         })
@@ -73,16 +69,12 @@ fn the_same_flight_in_lockstep_gives_the_same_file() {
 fn in_real_time_an_idle_recorder_takes_every_record() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("flight.mcap");
-    let mut recorder = Recorder::start(RecorderConfig {
+    let config = RecorderConfig {
         slots: 30,
         when_full: WhenFull::Drop,
         ..RecorderConfig::new(LogPlace::File(path.clone()), info())
-    })
-    .unwrap();
-    for step in 0..30 {
-        assert!(recorder.record(|slot| Draw(step).record(step, step * 50_000_000, slot)));
-    }
-    let summary = recorder.finish();
+    };
+    let summary = recorded(config, 30);
     assert_eq!((summary.records, summary.dropped, summary.failure), (30, 0, None));
     let steps: Vec<u64> = Reader::open(&path).unwrap().map(|r| r.unwrap().timing.step).collect();
     assert!(steps.into_iter().eq(0..30));
@@ -98,11 +90,7 @@ fn a_log_holds_what_was_asked_for_and_no_more() {
             content,
             ..lockstep(LogPlace::File(path.clone()))
         };
-        let mut recorder = Recorder::start(config).unwrap();
-        for step in 0..40 {
-            assert!(recorder.record(|slot| Draw(step).record(step, step * 50_000_000, slot)));
-        }
-        sizes.push(recorder.finish().bytes);
+        sizes.push(recorded(config, 40).bytes);
         let mut frames = 0;
         for (step, read) in (0..).zip(Reader::open(&path).unwrap()) {
             let (read, mut expected) = (read.unwrap(), drawn(step));

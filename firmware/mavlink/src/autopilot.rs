@@ -112,7 +112,7 @@ impl Flavour {
     }
 }
 
-/// PX4: `main << 16 | sub << 24` (MAVLINK.md; px4_custom_mode.h).
+/// PX4: `main << 16 | sub << 24` (px4_custom_mode.h).
 const fn px4_mode(custom_mode: u32) -> VehicleMode {
     const OFFBOARD: u8 = 6;
     const AUTO: u8 = 4;

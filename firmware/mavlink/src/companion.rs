@@ -138,7 +138,7 @@ impl Companion {
 
     /// How far the vehicle is with the hand-over.
     pub fn handover(&self) -> HandoverProgress {
-        self.services.handover.progress()
+        self.services.handover.progress
     }
 
     /// How it stands with the vehicle.
@@ -170,7 +170,7 @@ impl Companion {
 
     /// The texts that the last step told.
     pub fn told(&self) -> &[StatusText] {
-        self.core.told()
+        &self.core.told
     }
 
     /// The vehicle's system, once it is known.
@@ -224,7 +224,7 @@ impl Companion {
 
     /// The next request of an operator; give guidance's answer to [`Companion::answer`].
     pub fn take_request(&mut self) -> Option<PendingRequest> {
-        self.services.commands.take_request()
+        self.services.commands.requests.pop_front()
     }
 
     /// Acknowledges a request; one that is refused with the reasons of the last step, and with a text.

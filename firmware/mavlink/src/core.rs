@@ -76,8 +76,8 @@ pub(crate) struct Core {
     pub vehicle_heard: bool,
     links_heard: u64,
     replies: Vec<Reply, REPLIES>,
-    /// The texts of this step.
-    told: Vec<StatusText, TOLD>,
+    /// The texts of this step, or the last one.
+    pub told: Vec<StatusText, TOLD>,
     /// The newest texts from before the vehicle was heard.
     kept: Vec<StatusText, KEPT>,
     /// Of the last text of several chunks.
@@ -105,11 +105,6 @@ impl Core {
             kept: Vec::new(),
             text_id: 0,
         }
-    }
-
-    /// The texts of the last step.
-    pub fn told(&self) -> &[StatusText] {
-        &self.told
     }
 
     /// Whether guidance flies, or is about to.
@@ -146,7 +141,7 @@ impl Core {
         let ack = CommandAck {
             command,
             result: mav_result,
-            // Why it was refused, as the bits of `gd_reason`.
+            // Why it was refused, as the reasons' bits; the field has room for 32 of them.
             result_param2: reasons.0 as i32,
             target_system: to.system,
             target_component: to.component,

@@ -15,7 +15,9 @@ pub fn to_global((latitude0_deg, longitude0_deg): (f64, f64), north_m: f32, east
     let (sin0, cos0) = (libm::sin(lat0), libm::cos(lat0));
     let lat = libm::asin((cos_c * sin0 + x * sin_c * cos0 / c).clamp(-1.0, 1.0));
     let lon = longitude0_deg.to_radians() + libm::atan2(y * sin_c, c * cos0 * cos_c - x * sin0 * sin_c);
-    (lat.to_degrees(), lon.to_degrees())
+    let lon_deg = lon.to_degrees();
+    // Beyond the date line it is counted from the other side.
+    (lat.to_degrees(), lon_deg - 360.0 * libm::round(lon_deg / 360.0))
 }
 
 /// Metres north and east, of a place on the globe, in the plane whose origin has this latitude and longitude (degrees).
@@ -129,5 +131,6 @@ mod tests {
         let origin = Origin::from_integers(0, 1_799_999_000, 0).unwrap();
         let (_, east) = origin.north_east_m(0.0, -179.9999);
         assert!((east - 22.24).abs() < 0.1, "{east}");
+        assert_eq!(origin.place_e7(0.0, 20.0), Some((0, -1_799_999_201)));
     }
 }

@@ -103,35 +103,16 @@ pub enum ValueError {
     NotWhole,
 }
 
-/// Why a parameter was not set.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum SetRefusal {
-    WrongType,
-    OutOfRange,
-    InFlight,
-}
-
-impl SetRefusal {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::WrongType => "wrong type",
-            Self::OutOfRange => "out of range",
-            Self::InFlight => "not in flight",
-        }
-    }
-}
-
 /// A request of the parameter protocol.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum ParameterRequest {
     List,
-    ReadIndex(usize),
-    ReadName([u8; NAME_LEN]),
-    Set {
+    /// Of one parameter: the one of that index or, where it is -1, of that name.
+    One {
         name: [u8; NAME_LEN],
-        /// The value field's bytes.
-        raw: [u8; 4],
-        mav_type: u8,
+        index: i16,
+        /// To be set: the value field's bytes, and its MAV_PARAM_TYPE.
+        set: Option<([u8; 4], u8)>,
     },
 }
 
@@ -143,21 +124,13 @@ impl ParameterRequest {
         Some(match message_id {
             PARAM_REQUEST_LIST_DATA::ID => (Self::List, target(0)),
             PARAM_REQUEST_READ_DATA::ID => {
-                let index = i16::from_le_bytes(field.bytes(0));
-                let what = match usize::try_from(index) {
-                    Ok(index) => Self::ReadIndex(index),
-                    // -1: by name.
-                    Err(_) => Self::ReadName(field.bytes(4)),
-                };
-                (what, target(2))
+                let index = i16::from_le_bytes(field.bytes(0)).max(-1);
+                let name = if index < 0 { field.bytes(4) } else { [0; NAME_LEN] };
+                (Self::One { name, index, set: None }, target(2))
             }
             PARAM_SET_DATA::ID => {
-                let set = Self::Set {
-                    name: field.bytes(6),
-                    raw: field.bytes(0),
-                    mav_type: field.u8(22),
-                };
-                (set, target(4))
+                let (name, set) = (field.bytes(6), Some((field.bytes(0), field.u8(22))));
+                (Self::One { name, index: -1, set }, target(4))
             }
             _ => return None,
         })
@@ -220,16 +193,18 @@ impl Parameters {
         core::mem::take(&mut self.changed)
     }
 
-    pub(crate) fn name(&self, index: usize) -> &'static str {
-        self.all.get(index).map_or("", |p| p.name)
+    /// The place of the parameter of that index or, where it is -1, of that name, as the wire has it: filled with zeros.
+    pub(crate) fn find(&self, name: &[u8; NAME_LEN], index: i16) -> Option<usize> {
+        match usize::try_from(index) {
+            Ok(place) => (place < self.all.len()).then_some(place),
+            Err(_) => {
+                let has_name = |p: &Parameter| Zeroed(p.name.as_bytes()).bytes::<NAME_LEN>(0) == *name;
+                self.all.iter().position(has_name)
+            }
+        }
     }
 
-    /// The place of a parameter of that name.
-    pub(crate) fn find(&self, name: &[u8; NAME_LEN]) -> Option<usize> {
-        self.all.iter().position(|p| padded(p.name) == *name)
-    }
-
-    /// Sets a parameter if type and value are right.
+    /// Sets a parameter if type and value are right; else says why it was not set.
     pub(crate) fn set(
         &mut self,
         index: usize,
@@ -237,7 +212,7 @@ impl Parameters {
         mav_type: u8,
         flavour: Flavour,
         flying: bool,
-    ) -> Result<(), SetRefusal> {
+    ) -> Result<(), &'static str> {
         let Some(parameter) = self.all.get_mut(index) else {
             return Ok(());
         };
@@ -247,22 +222,22 @@ impl Parameters {
             (ParameterValue::Integer(_), INT32, Flavour::ArduPilot) => {
                 let number = f32::from_le_bytes(raw);
                 if libm::truncf(number) != number {
-                    return Err(SetRefusal::OutOfRange);
+                    return Err("out of range");
                 }
                 ParameterValue::Integer(number as i32)
             }
-            _ => return Err(SetRefusal::WrongType),
+            _ => return Err("wrong type"),
         };
         // NaN is in no range.
         let range = f64::from(parameter.least)..=f64::from(parameter.greatest);
         if !range.contains(&value.as_f64()) {
-            return Err(SetRefusal::OutOfRange);
+            return Err("out of range");
         }
         if value == parameter.value {
             return Ok(());
         }
         if flying && !parameter.in_flight {
-            return Err(SetRefusal::InFlight);
+            return Err("not in flight");
         }
         parameter.value = value;
         self.changed = true;
@@ -289,9 +264,4 @@ impl Parameters {
             param_type,
         }))
     }
-}
-
-/// A name as the wire has it: filled with zeros.
-fn padded(name: &str) -> [u8; NAME_LEN] {
-    Zeroed(name.as_bytes()).bytes(0)
 }

@@ -54,9 +54,11 @@ pub(crate) fn onboard_computer(now_ns: Nanos, busy_percent: [u8; 10]) -> MavMess
     })
 }
 
-/// Holding at the goal or by an operator's wish is in order; any other hold is not.
+/// Holding at the goal or by an operator's wish is in order, whatever is only warned of; any other hold is not.
 fn is_faulty_hold(state: GuidanceState, reasons: Reasons) -> bool {
-    let in_order = Reasons::of(Reason::GoalReached).union(Reasons::of(Reason::Operator));
+    let in_order = Reasons::of(Reason::GoalReached)
+        .union(Reasons::of(Reason::Operator))
+        .union(Reasons::of(Reason::SlowTelemetry));
     state == GuidanceState::Hold && !Reasons(reasons.0 & !in_order.0).is_empty()
 }
 

@@ -55,7 +55,7 @@ fn an_ardupilot_on_the_ground_is_flown_lands_at_the_goal_and_gets_zeros_before_s
         at_goal: AtGoal::Land,
         ..Default::default()
     };
-    let mut f = Flight::with(ArduPilot, Peer::on_the_ground(ArduPilot), config);
+    let mut f = Flight::of(Some(ArduPilot), Peer::on_the_ground(ArduPilot), config);
     f.engage_and_fly();
     assert_eq!(f.peer.flight_commands(), [176, 400, 22]);
     let of = |number| f.peer.got(number)[0];
@@ -123,8 +123,7 @@ fn a_vehicle_that_does_not_tell_whether_it_landed_is_judged_by_its_height() {
 fn failed_with(flavour: Flavour, command: u16, answer: Option<MavResult>) -> (Flight, String) {
     let mut f = Flight::on_command(flavour, Peer::on_the_ground(flavour));
     f.peer.answer(command, answer, 9);
-    f.until(Ready);
-    f.guidance.request(vigil_types::OperatorRequest::Engage);
+    f.engage();
     f.until(Engaging);
     f.until(Standby);
     let text = told(&f, "hand-over:").into_iter().next().unwrap_or_default();
@@ -261,12 +260,18 @@ fn told(f: &Flight, begin: &str) -> Vec<String> {
     f.texts.iter().filter(|text| text.starts_with(begin)).cloned().collect()
 }
 
+/// A flight of such a vehicle, five seconds after it was handed over.
+fn flown(peer: Peer) -> Flight {
+    let mut f = Flight::new(peer.flavour, peer);
+    f.engage_and_fly();
+    f.run(100);
+    f
+}
+
 #[test]
 fn a_vehicle_that_would_fly_on_for_seconds_is_told_not_to_and_stops_when_the_firmware_dies() {
     for (flavour, name, before) in [(ArduPilot, "GUID_TIMEOUT", "3"), (Px4, "COM_OF_LOSS_T", "1")] {
-        let mut f = Flight::new(flavour, Peer::on_the_ground(flavour));
-        f.engage_and_fly();
-        f.run(60);
+        let mut f = flown(Peer::on_the_ground(flavour));
         assert_eq!(told(&f, name), [format!("{name} was {before} s, set to 0.5 s")]);
         assert_eq!((f.peer.setpoint_timeout_s, f.peer.parameters_set.len()), (0.5, 1));
         assert_eq!(f.peer.parameters_read, 1);
@@ -287,13 +292,10 @@ fn a_vehicle_that_would_fly_on_for_seconds_is_told_not_to_and_stops_when_the_fir
 
 #[test]
 fn a_short_setpoint_timeout_is_left_as_it_is() {
-    let peer = Peer {
+    let f = flown(Peer {
         setpoint_timeout_s: 0.4,
         ..Peer::in_the_air(Px4)
-    };
-    let mut f = Flight::new(Px4, peer);
-    f.engage_and_fly();
-    f.run(60);
+    });
     assert_eq!(told(&f, "COM_OF_LOSS_T"), ["COM_OF_LOSS_T is 0.4 s"]);
     assert!(f.peer.parameters_set.is_empty());
 }
@@ -304,13 +306,10 @@ fn a_vehicle_with_a_timeout_for_the_guidance_computer_alone_keeps_the_one_for_ev
         (0.4, "VGL_OF_LOSS_T is 0.4 s"),
         (2.0, "VGL_OF_LOSS_T was 2 s, set to 0.5 s"),
     ] {
-        let peer = Peer {
+        let f = flown(Peer {
             own_timeout_s: Some(own_s),
             ..Peer::in_the_air(Px4)
-        };
-        let mut f = Flight::new(Px4, peer);
-        f.engage_and_fly();
-        f.run(60);
+        });
         assert_eq!(told(&f, "VGL_OF_LOSS_T"), [told_of_it]);
         assert_eq!(f.peer.own_timeout_s, Some(own_s.min(0.5)));
         assert_eq!(
@@ -324,23 +323,17 @@ fn a_vehicle_with_a_timeout_for_the_guidance_computer_alone_keeps_the_one_for_ev
 #[test]
 fn a_vehicle_that_does_not_tell_or_not_set_its_timeout_is_flown_and_people_are_told() {
     for flavour in [ArduPilot, Px4] {
-        let silent = Peer {
+        let f = flown(Peer {
             tells_parameters: false,
             ..Peer::in_the_air(flavour)
-        };
-        let mut f = Flight::new(flavour, silent);
-        f.engage_and_fly();
-        f.run(100);
+        });
         assert_eq!(f.peer.parameters_read, 4, "asked a few times, and not for ever");
         f.assert_told("is not told by the vehicle");
 
-        let locked = Peer {
+        let f = flown(Peer {
             sets_parameters: false,
             ..Peer::in_the_air(flavour)
-        };
-        let mut f = Flight::new(flavour, locked);
-        f.engage_and_fly();
-        f.run(100);
+        });
         assert_eq!(f.peer.parameters_set, [0.5; 4]);
         f.assert_told("s, wanted 0.5 s");
         assert_eq!(f.last.unwrap().state, Guided);

@@ -260,8 +260,7 @@ fn missing_inputs_are_named_one_by_one_with_their_age() {
                 ..report(b.now_ns, Standby)
             };
             change(&mut report);
-            b.sent.clear();
-            b.companion.emit(&report, VehicleRequest::None, &mut b.sent);
+            b.emit(&report, VehicleRequest::None);
             told.extend(texts(&b.sent).into_iter().filter(|t| t.starts_with("missing")));
         }
         told

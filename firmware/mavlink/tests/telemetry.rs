@@ -283,8 +283,7 @@ fn a_ground_station_learns_every_five_seconds_how_busy_the_guidance_computer_is(
         // A tenth of the step, and from a second before the second message on half of it.
         let mut report = report(b.now_ns, Standby);
         report.timing.previous_execution_ns = if n > 80 { STEP_NS / 2 } else { STEP_NS / 10 };
-        b.sent.clear();
-        b.companion.emit(&report, VehicleRequest::None, &mut b.sent);
+        b.emit(&report, VehicleRequest::None);
         found.extend(only!(messages(&b.sent), ONBOARD_COMPUTER_STATUS));
     }
     let busy: Vec<_> = found.iter().map(|status| status.cpu_combined).collect();
@@ -314,8 +313,7 @@ fn a_vehicle_that_drifts_and_says_that_it_stands_is_told_to_go_against_it() {
             setpoint: Some(VelocitySetpoint::HOLD),
             ..common::report(b.now_ns, Hold)
         };
-        b.sent.clear();
-        b.companion.emit(&hold, VehicleRequest::None, &mut b.sent);
+        b.emit(&hold, VehicleRequest::None);
         only!(common::messages(&b.sent), SET_POSITION_TARGET_LOCAL_NED)
             .map(|s| (s.vx, s.vy))
             .next()

@@ -48,20 +48,9 @@ impl Activation {
     pub(crate) fn slope(self, y: f32) -> f32 {
         match self {
             Self::Identity => 1.0,
-            Self::Relu => {
-                if y > 0.0 {
-                    1.0
-                } else {
-                    0.0
-                }
-            }
-            Self::Elu => {
-                if y > 0.0 {
-                    1.0
-                } else {
-                    y + 1.0
-                }
-            }
+            Self::Relu | Self::Elu if y > 0.0 => 1.0,
+            Self::Relu => 0.0,
+            Self::Elu => y + 1.0,
             Self::Tanh { scale } => scale - y * y / scale,
             Self::Sigmoid => y * (1.0 - y),
             Self::NearContrast { gain } => -gain * y * y,
@@ -93,7 +82,7 @@ impl Activation {
     pub fn gradient(self, isa: Isa, y: &[f32], d: &mut [f32]) -> Result<(), ShapeError> {
         expect("activation gradient", d, y.len())?;
         if self != Self::Identity {
-            kernels::run(isa, Gradient { act: self, y, d });
+            kernels::run(isa, ByCurve(self, Gradient { y, d }));
         }
         Ok(())
     }
@@ -114,15 +103,8 @@ impl Activation {
             expect("activation multipliers", slice, y.len())?;
         }
         if self != Self::Identity {
-            let task = Multipliers {
-                act: self,
-                x,
-                y,
-                x_ref,
-                y_ref,
-                m,
-            };
-            kernels::run(isa, task);
+            let task = Multipliers { x, y, x_ref, y_ref, m };
+            kernels::run(isa, ByCurve(self, task));
         }
         Ok(())
     }
@@ -168,17 +150,22 @@ impl Task for Apply<'_> {
     }
 }
 
-/// Calls `with` with the activation's derivative as a function of its output, one curve at a time, so that the choice is
+/// Calls a loop with the activation's derivative as a function of its output, one curve at a time, so that the choice is
 /// made outside the loop.
-#[inline(always)]
-fn with_slope(act: Activation, with: impl SlopeUser) {
-    match act {
-        Activation::Identity => with.call(|y| Activation::Identity.slope(y)),
-        Activation::Relu => with.call(|y| Activation::Relu.slope(y)),
-        Activation::Elu => with.call(|y| Activation::Elu.slope(y)),
-        Activation::Tanh { scale } => with.call(move |y| Activation::Tanh { scale }.slope(y)),
-        Activation::Sigmoid => with.call(|y| Activation::Sigmoid.slope(y)),
-        Activation::NearContrast { gain } => with.call(move |y| Activation::NearContrast { gain }.slope(y)),
+struct ByCurve<U>(Activation, U);
+
+impl<U: SlopeUser> Task for ByCurve<U> {
+    #[inline(always)]
+    fn run<const FUSED: bool>(self) {
+        let Self(act, with) = self;
+        match act {
+            Activation::Identity => with.call(|y| Activation::Identity.slope(y)),
+            Activation::Relu => with.call(|y| Activation::Relu.slope(y)),
+            Activation::Elu => with.call(|y| Activation::Elu.slope(y)),
+            Activation::Tanh { scale } => with.call(move |y| Activation::Tanh { scale }.slope(y)),
+            Activation::Sigmoid => with.call(|y| Activation::Sigmoid.slope(y)),
+            Activation::NearContrast { gain } => with.call(move |y| Activation::NearContrast { gain }.slope(y)),
+        }
     }
 }
 
@@ -188,7 +175,6 @@ trait SlopeUser {
 }
 
 struct Gradient<'a> {
-    act: Activation,
     y: &'a [f32],
     d: &'a mut [f32],
 }
@@ -202,15 +188,7 @@ impl SlopeUser for Gradient<'_> {
     }
 }
 
-impl Task for Gradient<'_> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        with_slope(self.act, self);
-    }
-}
-
 struct Multipliers<'a> {
-    act: Activation,
     x: &'a [f32],
     y: &'a [f32],
     x_ref: &'a [f32],
@@ -226,13 +204,6 @@ impl SlopeUser for Multipliers<'_> {
         for ((m, (x, y)), (x_ref, y_ref)) in self.m.iter_mut().zip(now).zip(reference) {
             *m *= rescale(*x, *y, *x_ref, *y_ref, slope(*y));
         }
-    }
-}
-
-impl Task for Multipliers<'_> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        with_slope(self.act, self);
     }
 }
 

@@ -205,15 +205,8 @@ impl Operation for (Dense, Activation) {
 
     fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
         let (layer, activation) = self;
-        let x = node.source(0)?;
-        layer.forward(
-            node.isa,
-            node.params,
-            *activation,
-            x,
-            unless_empty(node.aux),
-            node.value,
-        )
+        let (x, pre) = (node.source(0)?, unless_empty(node.aux));
+        layer.forward(node.isa, node.params, *activation, x, pre, node.value)
     }
 
     fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {

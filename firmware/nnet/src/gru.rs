@@ -23,56 +23,7 @@ pub struct Gru {
     pub hidden: usize,
 }
 
-/// What a step remembers for the backward passes: seven rows of `hidden` values.
-struct Gates<'a> {
-    pre_r: &'a [f32],
-    pre_z: &'a [f32],
-    pre_n: &'a [f32],
-    r: &'a [f32],
-    z: &'a [f32],
-    /// `U_n h + c_n`.
-    recurrent_n: &'a [f32],
-    n: &'a [f32],
-}
-
-impl<'a> Gates<'a> {
-    fn of(gates: &'a [f32], hidden: usize) -> Result<Self, ShapeError> {
-        let row = |i: usize| part("GRU gates", gates, i * hidden, hidden);
-        Ok(Self {
-            pre_r: row(0)?,
-            pre_z: row(1)?,
-            pre_n: row(2)?,
-            r: row(3)?,
-            z: row(4)?,
-            recurrent_n: row(5)?,
-            n: row(6)?,
-        })
-    }
-
-    /// One hidden unit's values.
-    fn unit(&self, i: usize) -> [f32; 7] {
-        [
-            self.pre_r,
-            self.pre_z,
-            self.pre_n,
-            self.r,
-            self.z,
-            self.recurrent_n,
-            self.n,
-        ]
-        .map(|row| row.get(i).copied().unwrap_or(f32::NAN))
-    }
-}
-
 impl Gru {
-    fn input(&self) -> usize {
-        self.inputs * 3 * self.hidden
-    }
-
-    fn recurrent(&self) -> usize {
-        self.hidden * 3 * self.hidden
-    }
-
     /// Number of parameters.
     pub fn param_len(&self) -> usize {
         self.input() + self.recurrent() + 6 * self.hidden
@@ -136,16 +87,6 @@ impl Gru {
         Ok(())
     }
 
-    /// Writes the parameters in the order that the backward passes read: both matrices transposed, biases unused.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn pack(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
-        expect("GRU parameters", params, self.param_len())?;
-        expect("packed GRU parameters", packed, self.param_len())?;
-        pack_matrices([self.inputs, self.hidden], 3 * self.hidden, params, packed)
-    }
-
     /// Multipliers of a step against a reference step; with the reference equal to the step itself, its gradient.
     ///
     /// A step is `(h, gates, h_out)`, whose `h_out` is not read; `d_out` is with respect to it. Products of two varying values
@@ -175,12 +116,16 @@ impl Gru {
         expect("GRU gate gradient", d_gates, self.gate_gradient_len())?;
         expect("GRU input gradient", dx, self.inputs)?;
         expect("GRU state gradient", dh, width)?;
-        let now = Gates::of(gates, width)?;
-        let reference = Gates::of(gates_ref, width)?;
+        expect("GRU gates", gates, self.gates_len())?;
+        expect("GRU reference gates", gates_ref, self.gates_len())?;
+        // One hidden unit's values of the seven rows that a step remembers; `rec_n` is `U_n h + c_n`.
+        let unit = |gates: &[f32], i: usize| -> [f32; 7] {
+            core::array::from_fn(|row| gates.get(row * width + i).copied().unwrap_or(f32::NAN))
+        };
         let mid = |a: f32, b: f32| 0.5 * (a + b);
         for (i, ((h, h_ref), (d, dh))) in h.iter().zip(h_ref).zip(d_out.iter().zip(dh.iter_mut())).enumerate() {
-            let [pre_r, pre_z, pre_n, r, z, rec_n, n] = now.unit(i);
-            let [pre_r0, pre_z0, pre_n0, r0, z0, rec_n0, n0] = reference.unit(i);
+            let [pre_r, pre_z, pre_n, r, z, rec_n, n] = unit(gates, i);
+            let [pre_r0, pre_z0, pre_n0, r0, z0, rec_n0, n0] = unit(gates_ref, i);
             // h' = n + z·(h − n)
             let d_z = d * mid(h - n, h_ref - n0);
             let d_h = d * mid(z, z0);
@@ -302,4 +247,4 @@ impl GraphBuilder {
     }
 }
 
-recurrent_operation!(Gru);
+recurrent_operation!(Gru, "GRU", 3);

@@ -186,21 +186,14 @@ struct Forward<'a> {
 impl Task for Forward<'_> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
-        let Self {
-            layer,
-            params,
-            x,
-            normal,
-            inverse,
-            y,
-        } = self;
-        let width = layer.width.max(1);
-        let (scale, shift) = params.split_at_checked(layer.width).unwrap_or_default();
-        let slots = normal.chunks_exact_mut(width).zip(y.chunks_exact_mut(width));
-        for ((x, (normal, y)), inverse) in x.chunks_exact(width).zip(slots).zip(inverse) {
+        let LayerNorm { width, epsilon } = self.layer;
+        let (scale, shift) = self.params.split_at_checked(width).unwrap_or_default();
+        let width = width.max(1);
+        let slots = self.normal.chunks_exact_mut(width).zip(self.y.chunks_exact_mut(width));
+        for ((x, (normal, y)), inverse) in self.x.chunks_exact(width).zip(slots).zip(self.inverse) {
             let mean = sum(x, |x| x) / width as f32;
             let variance = sum(x, |x| (x - mean) * (x - mean)) / width as f32;
-            *inverse = 1.0 / libm::sqrtf(variance + layer.epsilon);
+            *inverse = 1.0 / libm::sqrtf(variance + epsilon);
             let columns = scale.iter().zip(shift).zip(normal.iter_mut().zip(y.iter_mut()));
             for (x, ((scale, shift), (normal, y))) in x.iter().zip(columns) {
                 *normal = (x - mean) * *inverse;
@@ -222,17 +215,10 @@ struct Backward<'a> {
 impl Task for Backward<'_> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
-        let Self {
-            layer,
-            params,
-            normal,
-            inverse,
-            d,
-            mut d_params,
-        } = self;
-        let width = layer.width.max(1);
-        let (scale, _) = params.split_at_checked(layer.width).unwrap_or_default();
-        for ((d, normal), inverse) in d.chunks_exact_mut(width).zip(normal.chunks_exact(width)).zip(inverse) {
+        let (width, mut d_params) = (self.layer.width.max(1), self.d_params);
+        let (scale, _) = self.params.split_at_checked(self.layer.width).unwrap_or_default();
+        let rows = self.d.chunks_exact_mut(width).zip(self.normal.chunks_exact(width));
+        for ((d, normal), inverse) in rows.zip(self.inverse) {
             if let Some((d_scale, d_shift)) = d_params.as_deref_mut().and_then(|p| p.split_at_mut_checked(width)) {
                 for ((d_scale, d_shift), (d, normal)) in d_scale.iter_mut().zip(d_shift).zip(d.iter().zip(normal)) {
                     *d_scale += d * normal;

@@ -4,7 +4,7 @@ use crate::activation::{Activation, rescale};
 use crate::dense::column_sums;
 use crate::graph::layer::recurrent_operation;
 use crate::graph::{GraphBuilder, NodeId, Params, description};
-use crate::gru::{outer_product, pack_matrices, row_times_matrix};
+use crate::gru::{outer_product, row_times_matrix};
 use crate::isa::Isa;
 use crate::kernels::Start;
 use crate::shape::{ShapeError, expect, part, part_mut};
@@ -28,14 +28,6 @@ pub struct Lstm {
 }
 
 impl Lstm {
-    fn input(&self) -> usize {
-        self.inputs * 4 * self.hidden
-    }
-
-    fn recurrent(&self) -> usize {
-        self.hidden * 4 * self.hidden
-    }
-
     /// Number of parameters.
     pub fn param_len(&self) -> usize {
         self.input() + self.recurrent() + 4 * self.hidden
@@ -97,16 +89,6 @@ impl Lstm {
             *h_out = o * cell;
         }
         Ok(())
-    }
-
-    /// Writes the parameters in the order that the backward passes read: both matrices transposed, bias unused.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn pack(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
-        expect("LSTM parameters", params, self.param_len())?;
-        expect("packed LSTM parameters", packed, self.param_len())?;
-        pack_matrices([self.inputs, self.hidden], 4 * self.hidden, params, packed)
     }
 
     /// Multipliers of a step against a reference step; with the reference equal to the step itself, its gradient. As
@@ -214,4 +196,4 @@ impl GraphBuilder {
     }
 }
 
-recurrent_operation!(Lstm);
+recurrent_operation!(Lstm, "LSTM", 4);

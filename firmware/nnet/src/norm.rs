@@ -2,7 +2,7 @@
 
 use crate::graph::operation::Operation;
 use crate::graph::run::{Backward, Forward, Pass};
-use crate::graph::{GraphBuilder, NodeId, Params};
+use crate::graph::{GraphBuilder, NodeId, Params, description};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
 use crate::shape::{ShapeError, expect, part, part_mut};
@@ -19,14 +19,8 @@ pub struct BatchNorm {
     pub epsilon: f32,
 }
 
-/// The four rows of parameters.
-#[derive(Clone, Copy)]
-struct Parts<'a> {
-    scale: &'a [f32],
-    shift: &'a [f32],
-    mean: &'a [f32],
-    variance: &'a [f32],
-}
+/// The four rows of parameters: scale, shift, mean, variance.
+type Parts<'a> = [&'a [f32]; 4];
 
 impl BatchNorm {
     /// Number of parameters, running statistics included.
@@ -37,12 +31,7 @@ impl BatchNorm {
     fn split<'a>(&self, params: &'a [f32]) -> Result<Parts<'a>, ShapeError> {
         expect("batch norm parameters", params, self.param_len())?;
         let row = |i: usize| part("batch norm parameters", params, i * self.channels, self.channels);
-        Ok(Parts {
-            scale: row(0)?,
-            shift: row(1)?,
-            mean: row(2)?,
-            variance: row(3)?,
-        })
+        Ok([row(0)?, row(1)?, row(2)?, row(3)?])
     }
 
     fn rows(&self, x: &[f32]) -> Result<usize, ShapeError> {
@@ -88,7 +77,7 @@ impl BatchNorm {
         dy: &[f32],
         d_params: &mut [f32],
     ) -> Result<(), ShapeError> {
-        let p = self.split(params)?;
+        let [_, _, mean, variance] = self.split(params)?;
         self.rows(x)?;
         expect("batch norm output gradient", dy, x.len())?;
         expect("batch norm parameter gradient", d_params, self.param_len())?;
@@ -96,7 +85,7 @@ impl BatchNorm {
         let d_shift = part_mut("batch norm parameter gradient", rest, 0, self.channels)?;
         let width = self.channels.max(1);
         for (x, dy) in x.chunks_exact(width).zip(dy.chunks_exact(width)) {
-            let statistics = p.mean.iter().zip(p.variance);
+            let statistics = mean.iter().zip(variance);
             let slots = d_scale.iter_mut().zip(d_shift.iter_mut());
             for ((x, dy), ((mean, variance), (d_scale, d_shift))) in x.iter().zip(dy).zip(statistics.zip(slots)) {
                 *d_scale += dy * (x - mean) / libm::sqrtf(variance + self.epsilon);
@@ -118,10 +107,10 @@ struct Affine<'a> {
 impl Task for Affine<'_> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
-        let (p, epsilon) = (self.p, self.epsilon);
-        let width = p.scale.len().max(1);
+        let ([scale, shift, mean, variance], epsilon) = (self.p, self.epsilon);
+        let width = scale.len().max(1);
         for (x, y) in self.x.chunks_exact(width).zip(self.y.chunks_exact_mut(width)) {
-            let curve = p.scale.iter().zip(p.shift).zip(p.mean.iter().zip(p.variance));
+            let curve = scale.iter().zip(shift).zip(mean.iter().zip(variance));
             for ((x, y), ((scale, shift), (mean, variance))) in x.iter().zip(y).zip(curve) {
                 *y = scale * (x - mean) / libm::sqrtf(variance + epsilon) + shift;
             }
@@ -140,10 +129,10 @@ struct Slopes<'a> {
 impl Task for Slopes<'_> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
-        let (p, epsilon) = (self.p, self.epsilon);
-        let width = p.scale.len().max(1);
+        let ([scale, _, _, variance], epsilon) = (self.p, self.epsilon);
+        let width = scale.len().max(1);
         for (dy, dx) in self.dy.chunks_exact(width).zip(self.dx.chunks_exact_mut(width)) {
-            for ((dy, dx), (scale, variance)) in dy.iter().zip(dx).zip(p.scale.iter().zip(p.variance)) {
+            for ((dy, dx), (scale, variance)) in dy.iter().zip(dx).zip(scale.iter().zip(variance)) {
                 *dx = dy * scale / libm::sqrtf(variance + epsilon);
             }
         }
@@ -154,10 +143,13 @@ impl GraphBuilder {
     /// Batch normalisation with running statistics of `[rows][channels]`.
     ///
     /// # Errors
-    /// Lengths that do not fit.
+    /// Lengths that do not fit; an epsilon that makes no numbers.
     pub fn batch_norm(&mut self, x: NodeId, layer: BatchNorm, params: Params) -> Result<NodeId, ShapeError> {
         let len = self.len_of(x)?;
         self.check("batch norm input", x, len / layer.channels.max(1) * layer.channels)?;
+        if !(layer.epsilon >= 0.0 && layer.epsilon.is_finite()) {
+            return description("batch norm", "epsilon is negative or not finite");
+        }
         Self::check_params("batch norm parameters", params, layer.param_len())?;
         self.add(layer, &[x], len, params)
     }

@@ -4,7 +4,7 @@
 mod common;
 
 use common::*;
-use vigil_nnet::{Activation, Dense, Function, Graph, GraphBuilder, Isa, LayerNorm, NodeId, Purpose};
+use vigil_nnet::{Activation, BatchNorm, Dense, Function, Graph, GraphBuilder, Isa, LayerNorm, NodeId, Purpose};
 
 /// A function and its definition in float64.
 type Defined = (Function, fn(f64) -> f64);
@@ -119,6 +119,15 @@ impl Evaluated {
     }
 }
 
+/// m · Δy / Δx of each value.
+fn quotients(definition: fn(f64) -> f64, m: &[f32], x: &[f32], x_ref: &[f32]) -> Vec<f64> {
+    let of = |i: usize| {
+        let [a, b] = [x[i], x_ref[i]].map(f64::from);
+        f64::from(m[i]) * (definition(a) - definition(b)) / (a - b)
+    };
+    (0..m.len()).map(of).collect()
+}
+
 #[test]
 fn each_function_has_its_definitions_value_gradient_and_quotient() {
     let mut rng = rng(11);
@@ -144,12 +153,7 @@ fn each_function_has_its_definitions_value_gradient_and_quotient() {
                 distance(&layer.gradient(&x, &m), &want) < 1e-5 * largest(&want).max(1.0),
                 "{function:?}"
             );
-            let quotients: Vec<f64> = (0..n)
-                .map(|i| {
-                    let [a, b] = [x[i], x_ref[i]].map(f64::from);
-                    f64::from(m[i]) * (definition(a) - definition(b)) / (a - b)
-                })
-                .collect();
+            let quotients = quotients(definition, &m, &x, &x_ref);
             // A quotient of two differences that may be small.
             let got = layer.multipliers(&x, &x_ref, &m);
             assert!(
@@ -166,11 +170,7 @@ fn each_function_has_its_definitions_value_gradient_and_quotient() {
 #[test]
 fn sums_and_products_share_what_they_have_in_common() {
     let (mut rng, n) = (rng(12), 16);
-    let (x, x_ref, m) = (
-        uniform(&mut rng, n, 1.5),
-        uniform(&mut rng, n, 1.5),
-        uniform(&mut rng, n, 1.0),
-    );
+    let [x, x_ref, m] = [1.5, 1.5, 1.0].map(|limit| uniform(&mut rng, n, limit));
     // (x + x · sigmoid(x) + x) · (x · sigmoid(x)): a node that is read five times.
     let network = |b: &mut GraphBuilder, x: NodeId| {
         let gate = b.activation(x, Activation::Sigmoid).unwrap();
@@ -196,13 +196,7 @@ fn sums_and_products_share_what_they_have_in_common() {
         n,
         vec![],
     );
-    let quotients: Vec<f64> = (0..n)
-        .map(|i| {
-            let [a, b] = [x[i], x_ref[i]].map(f64::from);
-            let value = |x: f64| x / (1.0 + (-x).exp());
-            f64::from(m[i]) * (value(a) - value(b)) / (a - b)
-        })
-        .collect();
+    let quotients = quotients(|x| x / (1.0 + (-x).exp()), &m, &x, &x_ref);
     assert!(distance(&silu.multipliers(&x, &x_ref, &m), &quotients) < 1e-4);
 }
 
@@ -245,11 +239,7 @@ fn layer_normalisation_is_explained_as_the_layers_that_it_is_made_of() {
     let n = rows * width;
     let layer = LayerNorm { width, epsilon: 1e-3 };
     let params = uniform(&mut rng, 2 * width, 1.0);
-    let (x, x_ref, m) = (
-        uniform(&mut rng, n, 2.0),
-        uniform(&mut rng, n, 2.0),
-        uniform(&mut rng, n, 1.0),
-    );
+    let [x, x_ref, m] = [2.0, 2.0, 1.0].map(|limit| uniform(&mut rng, n, limit));
     let whole = Evaluated::new(
         |b, x| {
             let own = b.params(layer.param_len());
@@ -268,19 +258,14 @@ fn layer_normalisation_is_explained_as_the_layers_that_it_is_made_of() {
 fn what_does_not_fit_is_refused() {
     let mut b = GraphBuilder::new();
     let (x, y) = (b.input(4, true).unwrap(), b.input(3, true).unwrap());
-    let own = b.params(10);
+    let (own, of_batch) = (b.params(8), b.params(16));
     assert!(b.sum(&[]).is_err() && b.sum(&[x, y]).is_err() && b.product(x, y).is_err());
-    for layer in [
-        LayerNorm {
-            width: 5,
-            epsilon: 1e-5,
-        },
-        LayerNorm {
-            width: 0,
-            epsilon: 1e-5,
-        },
-        LayerNorm { width: 4, epsilon: 0.0 },
-    ] {
+    for (width, epsilon) in [(5, 1e-5), (0, 1e-5), (4, 0.0)] {
+        let layer = LayerNorm { width, epsilon };
         assert!(b.layer_norm(x, layer, own).is_err(), "{layer:?}");
+    }
+    for (epsilon, fits) in [(0.0, true), (-1e-3, false), (f32::NAN, false), (f32::INFINITY, false)] {
+        let layer = BatchNorm { channels: 4, epsilon };
+        assert_eq!(b.batch_norm(x, layer, of_batch).is_ok(), fits, "{layer:?}");
     }
 }

@@ -5,7 +5,7 @@ mod counting;
 
 use common::*;
 use counting::allocations;
-use vigil_nnet::{Activation, Dense, GraphBuilder, Gru, Isa, Lstm, Params, Purpose};
+use vigil_nnet::{Activation, Conv2d, Dense, GraphBuilder, Gru, Isa, Lstm, Params, Purpose};
 
 /// Two windows over shared features, a shared GRU, a node used three times: every way an edge can meet another.
 #[test]
@@ -114,24 +114,17 @@ fn what_the_output_does_not_need_is_not_computed() {
 fn an_input_that_is_not_explained_costs_no_gradient_but_weights_still_learn() {
     let gradient = |explained| {
         let graph = small_network(Purpose::Gradients, explained);
-        let mut rng = rng(9);
+        let (mut rng, isa) = (rng(9), Isa::detect());
         let params = uniform(&mut rng, graph.param_len(), 0.2);
         let inputs: Vec<Vec<f32>> = (0..3).map(|i| uniform(&mut rng, graph.input_len(i), 0.9)).collect();
         let views: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
         let (mut tape, mut packed) = (vec![0.0; graph.tape_len()], vec![0.0; graph.param_len()]);
-        graph.forward(Isa::detect(), &params, &views, &mut tape).unwrap();
+        graph.forward(isa, &params, &views, &mut tape).unwrap();
         graph.pack(&params, &mut packed).unwrap();
         let mut work = vec![7.0; graph.work_len()];
         let mut d_params = vec![0.0; graph.param_len()];
         graph
-            .backward(
-                Isa::detect(),
-                &packed,
-                &tape,
-                &[1.0, 1.0],
-                Some(&mut d_params),
-                &mut work,
-            )
+            .backward(isa, &packed, &tape, &[1.0, 1.0], Some(&mut d_params), &mut work)
             .unwrap();
         (d_params, graph.input_gradient(&work, 0).unwrap().to_vec())
     };
@@ -161,16 +154,7 @@ fn descriptions_that_do_not_fit_are_refused_with_the_numbers() {
         foreign.activation(x, Activation::Relu).is_err(),
         "a node of another graph"
     );
-    let layer = vigil_nnet::Conv2d {
-        rows: 2,
-        cols: 2,
-        channels: 1,
-        filters: 1,
-        kernel: 5,
-        stride: 1,
-        padding: 1,
-    };
-    assert!(layer.validate().is_err());
+    assert!(Conv2d::new([2, 2, 1], 1, 5, 1, 1).validate().is_err());
     let out = b.dense(y, Dense { inputs: 4, outputs: 2 }, Activation::Elu, p).unwrap();
     let graph = b.finish(out, Purpose::Gradients).unwrap();
     let (tape, mut work) = (vec![0.0; graph.tape_len()], vec![0.0; graph.work_len()]);

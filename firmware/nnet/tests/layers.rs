@@ -256,13 +256,12 @@ fn layer_normalisation_matches_its_definition() {
     // Of two values the norm is ±1, whatever they are.
     for width in [3, 7, 48, 129] {
         let layer = LayerNorm { width, epsilon: 1e-5 };
-        Case {
-            name: "layer norm",
-            inputs: &[2 * width],
-            params: layer.param_len(),
-            learned: layer.param_len(),
-            build: &|b, x, p| b.layer_norm(x[0], layer, p),
-            oracle: &|p, x| {
+        check(
+            "layer norm",
+            &[2 * width],
+            layer.param_len(),
+            &|b, x, p| b.layer_norm(x[0], layer, p),
+            &|p, x| {
                 let of_row = |x: &[f64]| -> Vec<f64> {
                     let mean = x.iter().sum::<f64>() / width as f64;
                     let variance = x.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / width as f64;
@@ -273,9 +272,7 @@ fn layer_normalisation_matches_its_definition() {
                 };
                 x[0].chunks_exact(width).flat_map(of_row).collect()
             },
-            tame: &|_| {},
-        }
-        .check();
+        );
     }
 }
 
@@ -315,10 +312,7 @@ fn gradients_of_any_convolution_are_its_adjoints() {
         checked += 1;
         let mut params = uniform(&mut rng, layer.param_len(), 0.5);
         params[layer.weight_len()..].fill(0.0);
-        let (x, d) = (
-            uniform(&mut rng, layer.input_len(), 1.0),
-            uniform(&mut rng, layer.output_len(), 1.0),
-        );
+        let [x, d] = [layer.input_len(), layer.output_len()].map(|len| uniform(&mut rng, len, 1.0));
         let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
         let want: f64 = conv2d(layer, Activation::Identity, &wide(&params), &wide(&x))
             .iter()

@@ -143,6 +143,11 @@ fn hostile_descriptions_are_refused_before_anything_is_made_of_them() {
         ("input 4\noutput 0\ninput 4\n", "line 3"),
         ("input four\noutput 0\n", "line 1"),
         ("gru 0 0 4 4 0\noutput 0\n", "does not come before it"),
+        // A layer of many rows would make more values than it says.
+        (
+            "input 32768\ndense 0 1 4096 identity\nslice 1 0 8\ndense 2 8 2 identity\noutput 3\n",
+            "layer 1: dense of 1 inputs reads 32768 values",
+        ),
     ] {
         let error = refused(text);
         assert!(error.contains(told), "{text:?}: {error}");

@@ -68,11 +68,15 @@ fn params() -> Vec<f32> {
     uniform(&mut rng(3), len, 0.08)
 }
 
-fn input<'a>(frame: &'a DepthFrame, step: u64) -> PilotInput<'a> {
+fn actor(isa: Isa) -> Actor {
+    Actor::new(ActorSpec::FULL, isa, &params()).unwrap()
+}
+
+fn input(frame: &DepthFrame) -> PilotInput<'_> {
     PilotInput {
         now_ns: frame.header.stamp_ns,
         depth: frame,
-        goal: GoalRelative::new(12.0 - 0.1 * step as f32, 0.4),
+        goal: GoalRelative::new(12.0 - 0.1 * frame.header.sequence as f32, 0.4),
         attitude: frame.header.attitude,
         velocity_m_s: HeadingVector::new(1.0, 0.1, 0.0),
         height_m: 1.5,
@@ -104,41 +108,35 @@ fn the_actor_in_flight_decides_as_the_graph_of_the_whole() {
     let (params, graph) = (params(), ActorSpec::FULL.graph(Purpose::Gradients).unwrap());
     let mut tape = vec![0.0; graph.tape_len()];
     for isa in Isa::available() {
-        let mut actor = Actor::new(ActorSpec::FULL, isa, &params).unwrap();
+        let mut actor = actor(isa);
         let mut twin = actor.clone();
         for (step, frame) in frames().iter().enumerate() {
-            let action = actor.decide(&input(frame, step as u64)).unwrap();
+            let action = actor.decide(&input(frame)).unwrap();
             let low = actor.low_dim();
             graph
                 .forward(isa, &params, &[&frame.depth, actor.context(), &low], &mut tape)
                 .unwrap();
             assert_eq!(action, graph.output(&tape).unwrap(), "step {step} on {}", isa.name());
-            assert_eq!(twin.decide(&input(frame, step as u64)).unwrap(), action);
+            assert_eq!(twin.decide(&input(frame)).unwrap(), action);
         }
         assert!(actor.context().iter().any(|x| *x > 0.0), "it remembers");
         // After a reset the past is gone.
         actor.reset();
-        let mut fresh = Actor::new(ActorSpec::FULL, isa, &params).unwrap();
         let frame = &frames()[3];
-        assert_eq!(actor.decide(&input(frame, 3)), fresh.decide(&input(frame, 3)));
+        assert_eq!(actor.decide(&input(frame)), self::actor(isa).decide(&input(frame)));
     }
     assert!(Actor::new(ActorSpec::FULL, Isa::detect(), &params[1..]).is_err());
 }
 
 #[test]
 fn a_pixel_that_is_not_a_number_is_not_hidden_and_is_not_remembered() {
-    let params = params();
     for isa in Isa::available() {
-        let mut actor = Actor::new(ActorSpec::FULL, isa, &params).unwrap();
-        let mut frames = frames();
-        actor.decide(&input(&frames[0], 0)).unwrap();
+        let (mut actor, mut frames) = (actor(isa), frames());
+        actor.decide(&input(&frames[0])).unwrap();
         frames[1].depth[777] = f32::NAN;
-        assert!(
-            actor.decide(&input(&frames[1], 1)).unwrap()[0].is_nan(),
-            "{}",
-            isa.name()
-        );
-        let after = actor.decide(&input(&frames[2], 2)).unwrap();
+        let blind = actor.decide(&input(&frames[1])).unwrap();
+        assert!(blind[0].is_nan(), "{}", isa.name());
+        let after = actor.decide(&input(&frames[2])).unwrap();
         assert!(after.iter().all(|x| x.is_finite()), "{}", isa.name());
     }
 }
@@ -190,15 +188,12 @@ fn instruction_sets_agree() {
 
 #[test]
 fn what_is_taken_from_an_actor_it_does_not_use() {
-    let params = params();
     let frames = frames();
     let fly = |what: Ablation, frames: &[DepthFrame], bearing_rad: f32| {
-        let mut actor = Actor::new(ActorSpec::FULL, Isa::detect(), &params)
-            .unwrap()
-            .without(what);
+        let mut actor = actor(Isa::detect()).without(what);
         let mut last = [0.0; 2];
-        for (step, frame) in frames.iter().enumerate() {
-            let seen = input(frame, step as u64);
+        for frame in frames {
+            let seen = input(frame);
             let goal = GoalRelative {
                 bearing_rad,
                 ..seen.goal
@@ -227,16 +222,14 @@ fn what_is_taken_from_an_actor_it_does_not_use() {
 
 #[test]
 fn after_a_gap_in_flight_what_is_remembered_of_places_is_still_there_and_nothing_of_its_own_motion() {
-    let params = params();
-    let mut actor = Actor::new(ActorSpec::FULL, Isa::detect(), &params).unwrap();
+    let (mut actor, mut fresh) = (actor(Isa::detect()), actor(Isa::detect()));
     let frames = frames();
-    for (step, frame) in frames[..20].iter().enumerate() {
-        actor.decide(&input(frame, step as u64)).unwrap();
+    for frame in &frames[..20] {
+        actor.decide(&input(frame)).unwrap();
     }
-    let mut fresh = Actor::new(ActorSpec::FULL, Isa::detect(), &params).unwrap();
     actor.pause();
     // Ten frames are missing.
-    let after = input(&frames[29], 29);
+    let after = input(&frames[29]);
     actor.decide(&after).unwrap();
     fresh.decide(&after).unwrap();
     assert_eq!(actor.low_dim(), fresh.low_dim(), "no yaw rate and no last action");
@@ -246,16 +239,15 @@ fn after_a_gap_in_flight_what_is_remembered_of_places_is_still_there_and_nothing
 
 #[test]
 fn an_actor_that_remembers_as_another_decides_as_it_does() {
-    let params = params();
-    let mut actor = Actor::new(ActorSpec::FULL, Isa::detect(), &params).unwrap();
+    let mut actor = actor(Isa::detect());
     let mut twin = actor.clone();
     let frames = frames();
-    for (step, frame) in frames[..20].iter().enumerate() {
-        actor.decide(&input(frame, step as u64)).unwrap();
+    for frame in &frames[..20] {
+        actor.decide(&input(frame)).unwrap();
     }
     twin.remember_as(&actor);
     for (step, frame) in frames.iter().enumerate().skip(20) {
-        let seen = input(frame, step as u64);
+        let seen = input(frame);
         assert_eq!(twin.decide(&seen), actor.decide(&seen), "step {step}");
         assert_eq!(twin.context(), actor.context());
     }

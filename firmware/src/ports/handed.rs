@@ -23,10 +23,7 @@ pub struct HandedFrame<'a> {
 impl<'a> HandedFrame<'a> {
     /// A frame of which nothing is known.
     pub fn new(frame: Option<&'a DepthFrame>) -> Self {
-        Self {
-            frame,
-            unauthenticated: false,
-        }
+        Self::recorded(frame, false)
     }
 
     /// The frame of a recorded step, and whether that step refused it as not made with the sensor's key.

@@ -58,6 +58,31 @@ pub fn free_port() -> u16 {
     UdpSocket::bind(loopback()).unwrap().local_addr().unwrap().port()
 }
 
+/// A socket on this machine that waits for nobody.
+pub fn socket() -> UdpSocket {
+    let socket = UdpSocket::bind(loopback()).unwrap();
+    socket.set_nonblocking(true).unwrap();
+    socket
+}
+
+/// The datagrams that a socket has now. On the loopback interface one has arrived when its sending returns.
+pub fn arrived(socket: &UdpSocket) -> Vec<Vec<u8>> {
+    let mut buffer = [0; 2048];
+    let next = std::iter::from_fn(|| socket.recv(&mut buffer).ok().map(|len| buffer[..len].to_vec()));
+    next.collect()
+}
+
+/// The messages of one kind among those that somebody heard.
+#[macro_export]
+macro_rules! only {
+    ($heard:expr, $kind:ident) => {
+        $heard.into_iter().filter_map(|(_, message)| match message {
+            vigil_mavlink::MavMessage::$kind(found) => Some(found),
+            _ => None,
+        })
+    };
+}
+
 /// A ground station's wish that a parameter of the guidance computer has this value.
 pub fn set_parameter(name: &str, param_value: f32, param_type: MavParamType) -> MavMessage {
     message!(

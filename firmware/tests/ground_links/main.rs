@@ -5,7 +5,7 @@ mod common;
 mod sharing;
 mod signing;
 
-use common::{PseudoTerminal, Random, SENSOR_ID, TestVehicle, config, set_parameter};
+use common::{PseudoTerminal, Random, TestVehicle, arrived, config, set_parameter, socket};
 use std::io::{Read, Write};
 use std::net::UdpSocket;
 use std::os::unix::fs::{PermissionsExt, symlink};
@@ -67,26 +67,21 @@ struct Far(UdpSocket);
 
 impl Far {
     fn new() -> Self {
-        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-        socket.set_nonblocking(true).unwrap();
-        Self(socket)
+        Self(socket())
     }
 
     fn url(&self) -> String {
         format!("udpout://{}", self.0.local_addr().unwrap())
     }
 
-    /// On the loopback interface a datagram has arrived when its sending returns.
+    /// What came; who called first is who is answered.
     fn raw(&self) -> Vec<Vec<u8>> {
-        let mut buffer = [0; 2048];
-        let mut got = Vec::new();
-        while let Ok((len, from)) = self.0.recv_from(&mut buffer) {
-            if self.0.peer_addr().is_err() {
-                self.0.connect(from).unwrap();
-            }
-            got.push(buffer[..len].to_vec());
+        if self.0.peer_addr().is_err()
+            && let Ok((_, from)) = self.0.peek_from(&mut [0])
+        {
+            self.0.connect(from).unwrap();
         }
-        got
+        arrived(&self.0)
     }
 
     fn heard(&self) -> Vec<Seen> {
@@ -225,10 +220,11 @@ fn nobody_on_a_ground_link_is_taken_for_the_vehicle_and_nobody_at_all_for_the_gu
     rig.introduce();
     rig.stations[0].say(&heartbeat(VEHICLE));
     rig.stations[0].say(&heartbeat(ME));
-    rig.vehicle.say(&heartbeat(ME));
-    assert!(rig.step().is_empty());
+    let land = command(ME, ME, MavCmd::MAV_CMD_NAV_LAND);
+    rig.vehicle.say(&[heartbeat(ME), land].concat());
+    assert_eq!(rig.step(), [(0, (ME, HEARTBEAT))], "a person is warned of a second one");
     assert!(rig.vehicle.heard().is_empty() && rig.stations[1].heard().is_empty());
-    assert_eq!(rig.links.routing().impostors, 3);
+    assert_eq!(rig.links.routing().impostors, 4);
     // Nor do the vehicle's commands go to the impostor.
     rig.own(&[command(ME, VEHICLE, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM)]);
     assert!(rig.stations[0].heard().is_empty());

@@ -175,7 +175,6 @@ impl Flight {
     fn new() -> Self {
         let config = FirmwareConfig {
             engage: EngagePolicy::Command,
-            sensor_id: SENSOR_ID,
             ..config()
         };
         let mut flight = Self {
@@ -244,13 +243,11 @@ fn two_ground_stations_at_once_each_get_their_answers_and_both_see_what_the_othe
             .any(|m| matches!(m, MavMessage::PARAM_VALUE(m) if m.param_value == 0.75))
     };
     let acks = |messages: &[MavMessage]| {
-        let mut results = Vec::new();
-        for message in messages {
-            if let MavMessage::COMMAND_ACK(m) = message {
-                results.push((m.command, m.result, m.target_system));
-            }
-        }
-        results
+        let results = messages.iter().filter_map(|message| match message {
+            MavMessage::COMMAND_ACK(m) => Some((m.command, m.result, m.target_system)),
+            _ => None,
+        });
+        results.collect::<Vec<_>>()
     };
     assert!(told(&first) && acks(&first).is_empty());
     let second = flight.heard_by(1);
@@ -263,15 +260,11 @@ fn two_ground_stations_at_once_each_get_their_answers_and_both_see_what_the_othe
     assert_eq!(acks(&second), [unsupported]);
 
     // One engages, the other stops the flight: the last word counts, whoever's it is.
-    let guided = |on: f32, from| {
-        let command = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-            command: MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
-            target_system: 1,
-            target_component: 191,
-            param1: on,
-            ..COMMAND_LONG_DATA::DEFAULT
-        });
-        packet(from, &command)
+    let guided = |param1: f32, from| {
+        let (target_system, target_component) = ME;
+        let command = MavCmd::MAV_CMD_NAV_GUIDED_ENABLE;
+        let message = message!(COMMAND_LONG, param1, command, target_system, target_component);
+        packet(from, &message)
     };
     flight.rig.stations[0].say(&guided(1.0, STATION));
     flight.steps(60);

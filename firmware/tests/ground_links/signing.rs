@@ -75,13 +75,8 @@ fn a_first_key_from_setup_signing_is_in_force_at_once_kept_for_the_next_start_an
         }
         assert_eq!(rig.links.statistics().signing.unsigned_key, 1);
     }
-    let mode = std::fs::metadata(&key_file).unwrap().permissions().mode() & 0o777;
-    let folder_mode = std::fs::metadata(key_file.parent().unwrap())
-        .unwrap()
-        .permissions()
-        .mode()
-        & 0o777;
-    assert_eq!((mode, folder_mode), (0o600, 0o700));
+    let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+    assert_eq!([&*key_file, key_file.parent().unwrap()].map(mode), [0o600, 0o700]);
     let mut rig = Rig::new(["", ""], config.gate().unwrap());
     for (bytes, passes) in [(&captured, false), (&signed(KEY, 10, &land), true)] {
         rig.stations[0].say(bytes);

@@ -7,7 +7,7 @@ mod common;
 use common::{Flight, LOITER, OFFBOARD, TestVehicle, config, set_parameter, undecided_detector, watched_config};
 use vigil_firmware::config::GoalConfig;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_mavlink::common::{MavMessage, MavParamType, OBSTACLE_DISTANCE_DATA};
+use vigil_mavlink::common::{MavParamType, OBSTACLE_DISTANCE_DATA};
 use vigil_mavlink::framing::encode;
 use vigil_types::{
     AlarmCause, AtGoal, Datagrams, EngagePolicy, GuidanceState, NedVector, Reason, Reasons, STEP_S, Verdict,
@@ -31,11 +31,9 @@ impl Flight {
         let (frame, mut received) = (self.vehicle.frame(self.now_ns), self.vehicle.telemetry());
         received.push(0, &encode((255, 190), 0, &message));
         self.step_with(Some(&frame), &received);
-        let told = self.vehicle.heard.iter().rev().find_map(|(_, message)| match message {
-            MavMessage::PARAM_VALUE(value) if value.param_id.to_str() == Ok(name) => Some(value.param_value),
-            _ => None,
-        });
-        told.unwrap()
+        let mut told = only!(self.vehicle.heard.iter().rev(), PARAM_VALUE);
+        let named = told.find(|value| value.param_id.to_str() == Ok(name));
+        named.unwrap().param_value
     }
 
     /// The greatest speed of the next seconds.
@@ -315,27 +313,18 @@ fn what_the_pilot_sees_is_told_four_times_a_second_and_only_while_it_looks() {
 }
 
 fn obstacles(vehicle: &TestVehicle) -> Vec<&OBSTACLE_DISTANCE_DATA> {
-    let told = vehicle.heard.iter().filter_map(|(_, message)| match message {
-        MavMessage::OBSTACLE_DISTANCE(seen) => Some(seen),
-        _ => None,
-    });
-    told.collect()
+    only!(&vehicle.heard, OBSTACLE_DISTANCE).collect()
 }
 
 /// The values of a name that the vehicle heard, newest last.
 fn values(vehicle: &TestVehicle, name: &str) -> Vec<f32> {
-    let told = vehicle.heard.iter().filter_map(|(_, message)| match message {
-        MavMessage::NAMED_VALUE_FLOAT(value) if value.name.to_str() == Ok(name) => Some(value.value),
-        _ => None,
-    });
-    told.collect()
+    let told = only!(&vehicle.heard, NAMED_VALUE_FLOAT).filter(|value| value.name.to_str() == Ok(name));
+    told.map(|value| value.value).collect()
 }
 
 /// The texts that begin so, with their severity.
 fn texts(vehicle: &TestVehicle, begin: &str) -> Vec<(u8, String)> {
-    let told = vehicle.heard.iter().filter_map(|(_, message)| match message {
-        MavMessage::STATUSTEXT(told) => Some((told.severity as u8, told.text.to_str().unwrap().to_owned())),
-        _ => None,
-    });
+    let told =
+        only!(&vehicle.heard, STATUSTEXT).map(|told| (told.severity as u8, told.text.to_str().unwrap().to_owned()));
     told.filter(|(_, text)| text.starts_with(begin)).collect()
 }

@@ -60,7 +60,7 @@ impl Action {
     }
 }
 
-/// What goes to the vehicle each step: SET_POSITION_TARGET_LOCAL_NED, frame 8, mask 0x5C7 (MAVLINK.md).
+/// What goes to the vehicle each step: SET_POSITION_TARGET_LOCAL_NED, frame 8, mask 0x5C7 (docs/mavlink.md).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct VelocitySetpoint {
     /// Velocity in level axes along the heading.

@@ -78,6 +78,9 @@ macro_rules! choices {
             const ALL: &'static [Self] = &[$(Self::$variant),+];
             const WORDS: &'static [(&'static str, &'static str)] = &[$(($word, $text)),+];
         }
+
+        #[cfg(feature = "files")]
+        crate::value_setting!($name, crate::settings::choice, |value: &$name| value.name());
     )+};
 }
 

@@ -75,7 +75,11 @@ pub fn replace_with(path: &Path, access: Access, write: impl FnOnce(&mut File) -
     };
     let path = match &before {
         Some(_) => std::fs::canonicalize(path)?,
-        None => path.to_owned(),
+        // A link may name a file that is not there yet.
+        None => match std::fs::read_link(path) {
+            Ok(named) => path.parent().unwrap_or(Path::new("")).join(named),
+            Err(_) => path.to_owned(),
+        },
     };
     let (folder, name) = place(&path)?;
     let mut prefix = OsString::from(".");
@@ -201,21 +205,17 @@ pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
 }
 
 fn too_large(size: u64, limit: u64) -> io::Error {
-    let message = format!("it holds {}, the limit is {}", Size(size), Size(limit));
+    let message = format!("it holds {}, the limit is {}", in_words(size), in_words(limit));
     io::Error::new(ErrorKind::FileTooLarge, message)
 }
 
 /// A number of bytes as people say it.
-struct Size(u64);
-
-impl std::fmt::Display for Size {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        const UNITS: [(u64, &str); 3] = [(1 << 30, "GiB"), (1 << 20, "MiB"), (1 << 10, "KiB")];
-        match UNITS.into_iter().find(|(unit, _)| self.0 >= *unit) {
-            Some((unit, name)) if self.0.is_multiple_of(unit) => write!(f, "{} {name}", self.0 / unit),
-            Some((unit, name)) => write!(f, "{:.1} {name}", self.0 as f64 / unit as f64),
-            None => write!(f, "{} bytes", self.0),
-        }
+fn in_words(bytes: u64) -> String {
+    const UNITS: [(u64, &str); 3] = [(1 << 30, "GiB"), (1 << 20, "MiB"), (1 << 10, "KiB")];
+    match UNITS.into_iter().find(|(unit, _)| bytes >= *unit) {
+        Some((unit, name)) if bytes.is_multiple_of(unit) => format!("{} {name}", bytes / unit),
+        Some((unit, name)) => format!("{:.1} {name}", bytes as f64 / unit as f64),
+        None => format!("{bytes} bytes"),
     }
 }
 
@@ -314,9 +314,15 @@ mod tests {
         let (file, link) = (folder.path().join("file"), folder.path().join("link"));
         std::fs::write(&file, "old").unwrap();
         std::os::unix::fs::symlink("file", &link).unwrap();
-        replace(&link, b"new", Access::Shared).unwrap();
-        assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
-        assert_eq!(std::fs::read(&file).unwrap(), b"new");
+        for content in ["new", "where none was"] {
+            replace(&link, content.as_bytes(), Access::Shared).unwrap();
+            assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
+            assert_eq!(std::fs::read_to_string(&file).unwrap(), content);
+            std::fs::remove_file(&file).unwrap();
+        }
+        std::fs::remove_file(&link).unwrap();
+        std::os::unix::fs::symlink("no/file", &link).unwrap();
+        assert!(replace(&link, b"x", Access::Shared).is_err() && names(folder.path()) == ["link"]);
     }
 
     #[test]

@@ -169,6 +169,7 @@ impl Reasons {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{AlarmCause, AlarmResponse, Verdict};
 
     #[test]
     fn codes_and_bits_match_their_positions() {
@@ -177,6 +178,9 @@ mod tests {
             assert_eq!(s as usize, i);
         }
         assert_eq!(GuidanceState::from_code(6), None);
+        assert!(Verdict::ALL.iter().enumerate().all(|(i, v)| *v as usize == i));
+        assert!(AlarmCause::ALL.iter().enumerate().all(|(i, c)| *c as usize == i));
+        assert!(AlarmResponse::ALL.iter().enumerate().all(|(i, r)| *r as usize == i));
         assert!(
             Reason::ALL.is_sorted_by(|a, b| (*a as u8) < (*b as u8)),
             "a bit of its own"

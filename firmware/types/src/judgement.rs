@@ -116,15 +116,3 @@ pub struct Alarm {
     /// What guidance does.
     pub response: AlarmResponse,
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_match_their_positions() {
-        assert!(Verdict::ALL.iter().enumerate().all(|(i, v)| *v as usize == i));
-        assert!(AlarmCause::ALL.iter().enumerate().all(|(i, c)| *c as usize == i));
-        assert!(AlarmResponse::ALL.iter().enumerate().all(|(i, r)| *r as usize == i));
-    }
-}

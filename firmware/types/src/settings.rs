@@ -11,6 +11,7 @@ use std::string::{String, ToString};
 use std::vec::Vec;
 use toml::de::{DeTable, DeValue};
 pub use toml::{Spanned, Value};
+pub(crate) use values::choice;
 use values::number;
 pub use values::{named, parsed, text};
 
@@ -49,11 +50,7 @@ pub struct Refused {
 
 /// Refuses a value.
 pub fn refused(given: &Given<'_>, message: impl Into<String>) -> Refused {
-    Refused {
-        at: given.span().start,
-        key: String::new(),
-        message: message.into(),
-    }
+    Refused::new(given.span().start, message)
 }
 
 /// Refuses a value that is of another type.
@@ -65,6 +62,11 @@ fn other_type(given: &Given<'_>, needed: &str) -> Refused {
 }
 
 impl Refused {
+    fn new(at: usize, message: impl Into<String>) -> Self {
+        let (key, message) = (String::new(), message.into());
+        Self { at, key, message }
+    }
+
     fn within(mut self, name: &str) -> Self {
         let dot = if self.key.is_empty() || self.key.starts_with('[') {
             ""
@@ -147,29 +149,13 @@ pub struct Rule {
     pub most: Option<usize>,
 }
 
-/// Where a field's default and rule come from.
-pub trait Source<T> {
-    /// The default.
-    fn value(self) -> T;
-    /// What is accepted.
-    fn rule(self) -> Rule;
-}
-
-/// A default with a rule.
+/// A default with a rule: where a field's come from.
 #[derive(Debug, Clone, Copy)]
 pub struct With<T> {
-    value: T,
-    rule: Rule,
-}
-
-impl<T> Source<T> for With<T> {
-    fn value(self) -> T {
-        self.value
-    }
-
-    fn rule(self) -> Rule {
-        self.rule
-    }
+    /// The default.
+    pub value: T,
+    /// What is accepted.
+    pub rule: Rule,
 }
 
 /// A default; everything of its type is accepted.
@@ -212,25 +198,20 @@ pub fn required_row<T: Default>(row: &'static ParameterSpec) -> With<T> {
 
 /// A list of a row of the table of parameters, of at most so many.
 pub fn at_most<T: FromRow>(most: usize, row: &'static ParameterSpec) -> With<T> {
-    let rule = Rule {
-        most: Some(most),
-        ..Source::<T>::rule(row)
-    };
-    let value = row.value();
-    With { value, rule }
+    let mut with = With::from(row);
+    with.rule.most = Some(most);
+    with
 }
 
-impl<T: FromRow> Source<T> for &'static ParameterSpec {
-    fn value(self) -> T {
-        T::default_of(self)
-    }
-
-    fn rule(self) -> Rule {
-        Rule {
-            range: self.range(),
-            is_quiet: matches!(self.default, Preset::Absent(_)),
+impl<T: FromRow> From<&'static ParameterSpec> for With<T> {
+    fn from(row: &'static ParameterSpec) -> Self {
+        let rule = Rule {
+            range: row.range(),
+            is_quiet: matches!(row.default, Preset::Absent(_)),
             ..Rule::default()
-        }
+        };
+        let value = T::default_of(row);
+        Self { value, rule }
     }
 }
 
@@ -278,7 +259,7 @@ macro_rules! named_setting {
 
 pub use {named_setting, value_setting};
 
-/// Declares tables of settings: `NAME: TYPE = SOURCE,` for each field, where the source ([`settings::Source`](crate::settings::Source))
+/// Declares tables of settings: `NAME: TYPE = SOURCE,` for each field, where the source ([`settings::With`](crate::settings::With))
 /// is a row of the table of parameters, or a default as [`free`](crate::settings::free) and its neighbours make it; `=> "KEY"` behind it
 /// where the file has another name. After `..` stands a field that is no setting, with its first value.
 #[macro_export]
@@ -296,7 +277,7 @@ macro_rules! settings {
 
         impl Default for $name {
             fn default() -> Self {
-                Self { $($field: $crate::settings::Source::<$type>::value($source),)* $($own: $own_value,)? }
+                Self { $($field: $crate::settings::With::<$type>::from($source).value,)* $($own: $own_value,)? }
             }
         }
 
@@ -305,7 +286,7 @@ macro_rules! settings {
                 vec![$($crate::settings::Field {
                     name: [$($key,)? stringify!($field)][0],
                     setting: &mut self.$field,
-                    rule: $crate::settings::Source::<$type>::rule($source),
+                    rule: $crate::settings::With::<$type>::from($source).rule,
                 },)*]
             }
         }
@@ -347,11 +328,7 @@ fn read_table(table: &DeTable<'_>, start: usize, fields: &mut [Field<'_>]) -> Re
         .iter()
         .find(|field| field.rule.is_required && !table.contains_key(field.name))
     {
-        Some(field) => Err(Refused {
-            at: start,
-            key: String::new(),
-            message: format!("`{}` is missing", field.name),
-        }),
+        Some(field) => Err(Refused::new(start, format!("`{}` is missing", field.name))),
         None => Ok(()),
     }
 }
@@ -378,11 +355,8 @@ fn read_field(field: &mut Field<'_>, given: &Given<'_>) -> Result<(), Refused> {
 fn unknown(table: &DeTable<'_>, name: &str, fields: &[Field<'_>]) -> Refused {
     let at = table.iter().map(|(key, _)| key).find(|key| key.get_ref() == name);
     let known: Vec<_> = fields.iter().map(|field| format!("`{}`", field.name)).collect();
-    Refused {
-        at: at.map_or(0, |key| key.span().start),
-        key: String::new(),
-        message: format!("there is no key `{name}` here, only {}", known.join(", ")),
-    }
+    let message = format!("there is no key `{name}` here, only {}", known.join(", "));
+    Refused::new(at.map_or(0, |key| key.span().start), message)
 }
 
 fn numbers_of(setting: &dyn Setting) -> Vec<f64> {
@@ -434,9 +408,8 @@ fn check_fields(within: &str, fields: Vec<Field<'_>>) -> Result<(), Outside> {
 /// # Errors
 /// Line, key and what is allowed.
 pub fn from_toml<S: Section>(text: &str) -> Result<S, String> {
-    let mut settings = S::default();
-    read_over(&mut settings, text)?;
-    Ok(settings)
+    let read = parse(text).and_then(|root| from_table(root.get_ref()));
+    read.map_err(|refused| refused.in_text(text))
 }
 
 /// Reads TOML over settings; what it does not name stays.
@@ -453,10 +426,9 @@ pub fn read_over(settings: &mut impl Section, text: &str) -> Result<(), String> 
 /// # Errors
 /// It is not TOML.
 pub fn parse(text: &str) -> Result<Spanned<DeTable<'_>>, Refused> {
-    DeTable::parse(text).map_err(|e| Refused {
-        at: e.span().map_or(0, |span| span.start),
-        key: String::new(),
-        message: e.message().trim().replace('\n', ", "),
+    DeTable::parse(text).map_err(|e| {
+        let at = e.span().map_or(0, |span| span.start);
+        Refused::new(at, e.message().trim().replace('\n', ", "))
     })
 }
 

@@ -15,7 +15,7 @@ pub struct Ned;
 pub struct Frd;
 
 /// Forward, right, down with forward along the heading and down along gravity: NED turned by yaw alone.
-/// This is what `MAV_FRAME_BODY_NED` velocity setpoints mean to PX4 and ArduPilot (MAVLINK.md, "The guidance computer").
+/// This is what `MAV_FRAME_BODY_NED` velocity setpoints mean to PX4 and ArduPilot (docs/mavlink.md).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Heading;
 

@@ -56,51 +56,30 @@ impl FromStr for Burst {
     }
 }
 
-/// Which steps are attacked. The same seed gives the same steps.
+/// Which steps are attacked: from the first on so many. The same seed gives the same steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct BurstPlan(Plan);
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Plan {
-    Once { first: u64, steps: u64 },
-    Repeated { seed: u64, steps: u64, period: u64 },
-    Continuous,
+pub struct BurstPlan {
+    first: u64,
+    steps: u64,
 }
 
 impl BurstPlan {
     /// One burst that begins at a step drawn evenly from [`SINGLE_BURST_FIRST`] to [`SINGLE_BURST_LAST`], or all steps.
     pub fn new(burst: Burst, seed: u64) -> Self {
-        Self(match burst {
-            Burst::Continuous => Plan::Continuous,
-            Burst::Steps(steps) => Plan::Once {
+        match burst {
+            Burst::Continuous => Self {
+                first: 0,
+                steps: u64::MAX,
+            },
+            Burst::Steps(steps) => Self {
                 first: ChaCha8Rng::seed_from_u64(seed).random_range(SINGLE_BURST_FIRST..=SINGLE_BURST_LAST),
                 steps,
             },
-        })
-    }
-
-    /// A burst of `steps` in each `period`, somewhere within it, the first period apart; at most one step fewer than the period. For
-    /// gathering many bursts from one flight.
-    pub fn repeated(steps: u64, period: u64, seed: u64) -> Self {
-        let period = period.max(2);
-        Self(Plan::Repeated {
-            seed,
-            steps: steps.min(period - 1),
-            period,
-        })
+        }
     }
 
     /// Whether step number `step` is attacked.
     pub fn attacks(&self, step: u64) -> bool {
-        match self.0 {
-            Plan::Continuous => true,
-            Plan::Once { first, steps } => (first..first.saturating_add(steps)).contains(&step),
-            Plan::Repeated { seed, steps, period } => {
-                let mut rng = ChaCha8Rng::seed_from_u64(seed);
-                rng.set_stream(step / period);
-                let first = rng.random_range(0..=period - steps);
-                step >= period && (first..first + steps).contains(&(step % period))
-            }
-        }
+        (self.first..self.first.saturating_add(self.steps)).contains(&step)
     }
 }

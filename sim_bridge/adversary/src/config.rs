@@ -171,9 +171,7 @@ impl AttackConfig {
     /// What is out of its range.
     pub fn check(&self) -> Result<(), AttackError> {
         if !(self.epsilon_255 > 0.0 && self.epsilon_255 <= 255.0) {
-            return Err(AttackError::Epsilon {
-                epsilon_255: self.epsilon_255,
-            });
+            return Err(AttackError::Epsilon(self.epsilon_255));
         }
         if self.iterations == 0 {
             return Err(AttackError::Iterations);
@@ -182,9 +180,7 @@ impl AttackConfig {
             return Err(AttackError::Region);
         }
         if !(0.0..=180.0).contains(&self.truthful_ahead_deg) {
-            return Err(AttackError::TruthfulAhead {
-                degrees: self.truthful_ahead_deg,
-            });
+            return Err(AttackError::TruthfulAhead(self.truthful_ahead_deg));
         }
         Ok(())
     }
@@ -227,17 +223,11 @@ impl AttackOutcome {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum AttackError {
     /// ε is out of its range.
-    #[error("epsilon must be above 0 and at most 255 (in 1/255 of the image's range), got {epsilon_255}")]
-    Epsilon {
-        /// The value.
-        epsilon_255: f32,
-    },
+    #[error("epsilon must be above 0 and at most 255 (in 1/255 of the image's range), got {0}")]
+    Epsilon(f32),
     /// The angle that is spared is out of its range.
-    #[error("the angle that is spared must be from 0 to 180 degrees, got {degrees}")]
-    TruthfulAhead {
-        /// The value.
-        degrees: f32,
-    },
+    #[error("the angle that is spared must be from 0 to 180 degrees, got {0}")]
+    TruthfulAhead(f32),
     /// No iterations.
     #[error("an attack needs at least one iteration")]
     Iterations,

@@ -62,7 +62,7 @@ impl FrameAttack {
             Self::Actor(attack) => attack.attack_while(taken, delivered, go_on),
             Self::Policy(attack) => {
                 delivered.clone_from(taken.depth);
-                attack.see_from(taken.depth.header.attitude, taken.height_m);
+                attack.perturber.see_from(taken.depth.header.attitude, taken.height_m);
                 attack.attack_while(&mut delivered.depth, &PositionalInputs::of_goal(taken.goal), go_on)
             }
         }

@@ -115,7 +115,7 @@ impl Interceptor {
             return Ok(PassedStep::Unaltered);
         }
         if let (Some(guard), FrameAttack::Actor(attack)) = (&self.guard, &mut self.attack) {
-            attack.keep_yaw_within(guard.yaw_bounds());
+            attack.yaw_bounds = guard.yaw_bounds();
         }
         (*self.taken).clone_from(frame);
         let taken = seen(&self.taken, self.goal_ned_m, velocity);

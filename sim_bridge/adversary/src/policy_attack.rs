@@ -9,13 +9,13 @@ use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::FrozenPolicy;
 use vigil_policy::actor::{ACTOR_LIMIT, ACTOR_OUTPUTS, GOAL_INPUTS, PositionalInputs};
 use vigil_policy::imported::{Channels, NetworkError, PolicyInputs};
-use vigil_types::{Attitude, DEPTH_PIXELS};
+use vigil_types::DEPTH_PIXELS;
 
 /// Alters frames as they pass to an imported policy. It remembers what it delivered and what it was given. Pixels that the policy
 /// does not sample stay as they are.
 #[derive(Debug, Clone)]
 pub struct PolicyAttack {
-    perturber: Perturber,
+    pub(crate) perturber: Perturber,
     surrogate: SurrogatePolicy,
     /// The policy itself, saturation and all.
     policy: Evaluated,
@@ -169,11 +169,6 @@ impl PolicyAttack {
         self.remember(frame, None);
         self.direction = None;
         Ok(())
-    }
-
-    /// Whence the next frames are taken: attitude, and height above the ground in metres.
-    pub(crate) fn see_from(&mut self, attitude: Attitude, height_m: f32) {
-        self.perturber.see_from(attitude, height_m);
     }
 
     /// Alters a frame in place; the same as [`crate::StreamAttack::attack_while`].

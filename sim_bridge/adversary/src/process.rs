@@ -129,32 +129,29 @@ pub fn run(args: &AdversaryArgs) -> Result<ExitCode> {
             }
         }
         let (taken_ns, stamp_ns) = (monotonic_ns(), frame.header.stamp_ns);
-        if under_way == 0 && frame.header.position_ned_m.z > UNDER_WAY * goal_ned_m.z {
-            to.publish(&frame)?;
-            if let Some(notes) = &mut notes {
-                notes.frame(monotonic_ns(), frame.header.sequence, None)?;
-            }
-        } else {
+        let waits = under_way == 0 && frame.header.position_ned_m.z > UNDER_WAY * goal_ned_m.z;
+        let mut passed = PassedStep::Unaltered;
+        if !waits {
             if notes.is_some() {
                 (*clean).clone_from(&frame);
             }
             let mut in_time = true;
-            let passed = interceptor.pass_while(under_way, &mut frame, || {
+            passed = interceptor.pass_while(under_way, &mut frame, || {
                 in_time = monotonic_ns() < stamp_ns.saturating_add(deadline_ns);
                 in_time
             })?;
-            to.publish(&frame)?;
             record.observe(under_way, &passed);
-            // After it was handed on: the note costs the frame no time.
-            if let Some(notes) = &mut notes {
-                let altered = match &passed {
-                    PassedStep::Unaltered => None,
-                    PassedStep::Attacked(outcome) => Some((outcome.yaw_change(), &*clean)),
-                };
-                notes.frame(monotonic_ns(), frame.header.sequence, altered)?;
-            }
             cut_short += u64::from(!in_time);
             under_way += 1;
+        }
+        to.publish(&frame)?;
+        // After it was handed on: the note costs the frame no time.
+        if let Some(notes) = &mut notes {
+            let altered = match &passed {
+                PassedStep::Unaltered => None,
+                PassedStep::Attacked(outcome) => Some((outcome.yaw_change(), &*clean)),
+            };
+            notes.frame(monotonic_ns(), frame.header.sequence, altered)?;
         }
         frames += 1;
         // A value beyond the histogram's range counts as its largest.

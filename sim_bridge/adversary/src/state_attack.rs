@@ -107,7 +107,7 @@ impl StateAttack {
 
     fn look(&mut self, frame: &[f32], beside: &Beside) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
         check(frame)?;
-        self.surrogate.hold(*beside);
+        self.surrogate.beside = *beside;
         Ok(self.surrogate.look(frame)?)
     }
 }

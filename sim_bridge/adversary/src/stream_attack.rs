@@ -23,8 +23,8 @@ pub struct StreamAttack {
     foreseen: Actor,
     /// Where the burst under way aims, so that it does not turn back half-way.
     direction: Option<f32>,
-    /// Least and greatest yaw output that the next attack may aim at.
-    yaw_bounds: Option<(f32, f32)>,
+    /// Least and greatest yaw output that the next attack may aim at, both within ±1.5 and in this order; without them it aims at a limit.
+    pub(crate) yaw_bounds: Option<(f32, f32)>,
     /// The detector whose score is to stay low.
     evasion: Option<Box<DetectorEvasion>>,
 }
@@ -58,11 +58,6 @@ impl StreamAttack {
         let evasion = DetectorEvasion::new(self.isa, self.delivered.params(), detector)?;
         self.evasion = Some(Box::new(evasion));
         Ok(self)
-    }
-
-    /// From now on aims at no yaw output below the first or above the second, both within ±1.5 and in this order; without bounds, at a limit.
-    pub(crate) fn keep_yaw_within(&mut self, bounds: Option<(f32, f32)>) {
-        self.yaw_bounds = bounds;
     }
 
     /// Lets what the actor is given pass unaltered, but remembers it; returns what the actor decides. Ends a burst.
@@ -107,7 +102,7 @@ impl StreamAttack {
         // for the missing older ones.)
         self.foreseen.remember_as(&self.delivered);
         self.foreseen.decide_beside(&self.clean, taken)?;
-        self.surrogate.hold(Beside::of(&self.foreseen));
+        self.surrogate.beside = Beside::of(&self.foreseen);
         let before = self.surrogate.look(&delivered.depth)?;
         self.perturber.see_from(taken.depth.header.attitude, taken.height_m);
         let towards = self.perturber.config().towards;
@@ -168,7 +163,7 @@ mod tests {
         };
         let attacked = |bounds: Option<(f32, f32)>| {
             let mut adversary = StreamAttack::new(Isa::detect(), &actor, &config).unwrap();
-            adversary.keep_yaw_within(bounds);
+            adversary.yaw_bounds = bounds;
             // A wall at 8 m; all frames of 1.5 s are altered.
             let (mut frame, mut altered) = (DepthFrame::EMPTY, DepthFrame::EMPTY);
             frame.depth.fill(0.08);

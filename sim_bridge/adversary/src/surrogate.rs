@@ -49,8 +49,8 @@ pub(crate) struct SurrogateActor {
     work: Aligned,
     /// The split point.
     state: NodeId,
-    /// What is held beside the frame.
-    beside: Beside,
+    /// What stands beside the frames that are looked at from now on.
+    pub beside: Beside,
 }
 
 impl SurrogateActor {
@@ -82,11 +82,6 @@ impl SurrogateActor {
                 low_dim: [0.0; LOW_DIM].into(),
             },
         })
-    }
-
-    /// What stands beside the frames that are looked at from now on.
-    pub fn hold(&mut self, beside: Beside) {
-        self.beside = beside;
     }
 }
 

@@ -30,10 +30,6 @@ pub enum LinkRole {
 impl LinkRole {
     /// All roles, in the order of the default links.
     pub const ALL: [Self; 3] = [Self::Onboard, Self::Api, Self::Gcs];
-
-    pub(crate) fn index(self) -> usize {
-        self as usize
-    }
 }
 
 /// Where the local origin lies on the globe.
@@ -147,16 +143,12 @@ mod tests {
     use super::*;
     use crate::Endpoint;
 
-    fn refusal(config: EndpointConfig) -> String {
-        Endpoint::new(config).err().map(|e| e.to_string()).unwrap_or_default()
-    }
-
     #[test]
     fn a_bad_configuration_is_refused_with_what_to_do() {
         let with = |change: fn(&mut EndpointConfig)| {
             let mut config = EndpointConfig::default();
             change(&mut config);
-            refusal(config)
+            Endpoint::new(config).err().map(|e| e.to_string()).unwrap_or_default()
         };
         assert!(with(|c| c.system_id = 0).contains("use 1 to 255"));
         assert!(with(|c| c.links.clear()).contains("use 1 to 8"));

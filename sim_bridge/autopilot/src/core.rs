@@ -322,7 +322,7 @@ impl Core {
             framing: self.framing,
             refusals: self.refusals,
             forwarded: self.forwarded,
-            dropped: self.outbox.dropped(),
+            dropped: self.outbox.dropped,
             texts: self.texts,
             last_text: self.last_text.clone(),
         }

@@ -1,7 +1,7 @@
 //! The endpoint: datagrams and the vehicle's view in, datagrams and a command for the controllers out.
 
 use crate::core::{ComponentId, Core, EndpointStatus, SigningSetup, ZoneRanges};
-use crate::service::{Answer, Service, Source};
+use crate::service::{Refusal, Service, Source, acknowledge};
 use crate::streams::Streams;
 use crate::vehicle::{ControlCommand, HoldLaw, Truth, VehicleView};
 use crate::{ConfigError, EndpointConfig, LinkId, Saved, services, used_parameters};
@@ -152,25 +152,24 @@ impl Endpoint {
     }
 
     fn command(&mut self, command: &Command, source: Source) {
-        let core = &mut self.core;
-        let number = command.number;
-        let mut answer = services::message_interval(command, source, core, &mut self.streams, &self.services);
-        if let Some(server) = self.services.iter_mut().find(|s| s.serves(number)) {
-            answer = Some(match used_parameters::misused_in_command(command) {
+        let (core, number) = (&mut self.core, command.number);
+        let answer = match self.services.iter_mut().find(|s| s.serves(number)) {
+            None => self.streams.command(command, source, core, &self.services),
+            Some(server) => match used_parameters::misused_in_command(command) {
+                None => server.command(command, source, core),
                 Some(parameter) => {
                     let text = format!("command {number} denied: parameter {parameter} has no meaning");
-                    Answer::DENIED.warned(&text, core)
+                    Err(Refusal::DENIED.saying(text))
                 }
-                None => server.command(command, source, core),
-            });
-        }
-        answer.unwrap_or(Answer::UNSUPPORTED).send(number, source, core);
+            },
+        };
+        acknowledge(answer, number, source, core);
     }
 
     fn next_due_ns(&self) -> Nanos {
         self.services
             .iter()
-            .fold(self.streams.due_ns(), |due, service| due.min(service.due_ns()))
+            .fold(self.streams.due_ns, |due, service| due.min(service.due_ns()))
     }
 
     /// Advances to `now_ns` and gives the command for the vehicle's controllers until the next call.
@@ -206,9 +205,7 @@ impl Endpoint {
 
     /// Hands out the datagrams that wait, in order.
     pub fn transmit(&mut self, send: impl FnMut(LinkId, &[u8])) {
-        if !self.core.outbox.is_empty() {
-            self.core.outbox.drain(send);
-        }
+        self.core.outbox.drain(send);
     }
 
     /// What is to outlive a restart.

@@ -16,18 +16,10 @@ pub(crate) struct Traffic {
     pub bytes: u64,
 }
 
-impl Traffic {
-    pub fn count(&mut self, bytes: usize) {
-        self.packets += 1;
-        self.bytes += bytes as u64;
-    }
-}
-
 /// The queue. It keeps its memory, so that a steady flow allocates nothing.
 #[derive(Debug)]
 pub(crate) struct Outbox {
     system_id: u8,
-    links: usize,
     bytes: Vec<u8>,
     /// (link, end offset) of each packet.
     marks: Vec<(u8, u32)>,
@@ -35,14 +27,14 @@ pub(crate) struct Outbox {
     sequences: Vec<u8>,
     /// What was queued on each link.
     sent: Vec<Traffic>,
-    dropped: u64,
+    /// Packets dropped because nobody took them.
+    pub dropped: u64,
 }
 
 impl Outbox {
     pub fn new(system_id: u8, links: usize) -> Self {
         Self {
             system_id,
-            links,
             bytes: Vec::with_capacity(16 * 1024),
             marks: Vec::with_capacity(256),
             sequences: vec![0; links],
@@ -53,22 +45,12 @@ impl Outbox {
 
     /// Number of links.
     pub fn links(&self) -> usize {
-        self.links
+        self.sequences.len()
     }
 
     /// What was queued on a link.
     pub fn sent(&self, link: LinkId) -> Traffic {
         self.sent.get(usize::from(link.0)).copied().unwrap_or_default()
-    }
-
-    /// Packets dropped because nobody took them.
-    pub fn dropped(&self) -> u64 {
-        self.dropped
-    }
-
-    /// Whether nothing waits.
-    pub fn is_empty(&self) -> bool {
-        self.marks.is_empty()
     }
 
     /// Queues a message of the vehicle on one link.
@@ -96,7 +78,7 @@ impl Outbox {
 
     /// Queues a message of the vehicle on all links.
     pub fn send_all(&mut self, message: &MavMessage) {
-        for link in 0..self.links as u8 {
+        for link in 0..self.links() as u8 {
             self.send(LinkId(link), message);
         }
     }
@@ -129,7 +111,8 @@ impl Outbox {
             return;
         }
         if let Some(sent) = self.sent.get_mut(usize::from(link)) {
-            sent.count(packet.len());
+            sent.packets += 1;
+            sent.bytes += packet.len() as u64;
         }
         self.bytes.extend_from_slice(packet);
         self.marks.push((link, self.bytes.len() as u32));

@@ -2,48 +2,68 @@
 
 use crate::LinkId;
 use crate::core::Core;
+use crate::flight::Denial;
 pub(crate) use crate::source::Source;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::MavResult;
 use vigil_mavlink::framing::{Command, CommandAck, Packet};
 use vigil_types::Nanos;
 
-/// The answer to a command.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Answer(MavResult);
+/// Why a command is not carried out, and what people read of it.
+#[derive(Debug)]
+pub(crate) struct Refusal(MavResult, Option<String>);
 
-impl Answer {
-    pub const ACCEPTED: Self = Self(MavResult::MAV_RESULT_ACCEPTED);
-    pub const DENIED: Self = Self(MavResult::MAV_RESULT_DENIED);
+/// What came of a command.
+pub(crate) type Answer = Result<(), Refusal>;
+
+impl Refusal {
+    pub const DENIED: Self = Self(MavResult::MAV_RESULT_DENIED, None);
     /// Not now: the same command may be accepted in another state.
-    pub const REJECTED: Self = Self(MavResult::MAV_RESULT_TEMPORARILY_REJECTED);
-    pub const UNSUPPORTED: Self = Self(MavResult::MAV_RESULT_UNSUPPORTED);
-    pub const FAILED: Self = Self(MavResult::MAV_RESULT_FAILED);
+    pub const REJECTED: Self = Self(MavResult::MAV_RESULT_TEMPORARILY_REJECTED, None);
+    pub const UNSUPPORTED: Self = Self(MavResult::MAV_RESULT_UNSUPPORTED, None);
+    pub const FAILED: Self = Self(MavResult::MAV_RESULT_FAILED, None);
 
     /// The same, told as a text.
-    pub fn warned(self, text: &str, core: &mut Core) -> Self {
-        core.warn(text);
-        self
+    pub fn saying(self, text: impl ToString) -> Self {
+        Self(self.0, Some(text.to_string()))
     }
+}
 
-    /// Counts a refusal, and acknowledges the command to whom it came from.
-    pub fn send(self, command: u16, to: Source, core: &mut Core) {
-        match self.0 {
-            MavResult::MAV_RESULT_UNSUPPORTED => core.refusals.command_unsupported += 1,
-            MavResult::MAV_RESULT_DENIED | MavResult::MAV_RESULT_TEMPORARILY_REJECTED => {
-                core.refusals.command_denied += 1
-            }
-            _ => {}
-        }
-        let ack = CommandAck {
-            command,
-            result: self.0 as u8,
-            target_system: to.id.system,
-            target_component: to.id.component,
-            ..CommandAck::default()
-        };
-        core.outbox.acknowledge(to.link, &ack);
+impl From<Denial> for Refusal {
+    fn from(denial: Denial) -> Self {
+        Self::REJECTED.saying(denial)
     }
+}
+
+/// Counts a refusal, says it, and acknowledges the command to whom it came from.
+pub(crate) fn acknowledge(answer: Answer, command: u16, to: Source, core: &mut Core) {
+    let accepted = Refusal(MavResult::MAV_RESULT_ACCEPTED, None);
+    let Refusal(result, text) = answer.err().unwrap_or(accepted);
+    if let Some(text) = text {
+        core.warn(&text);
+    }
+    match result {
+        MavResult::MAV_RESULT_UNSUPPORTED => core.refusals.command_unsupported += 1,
+        MavResult::MAV_RESULT_DENIED | MavResult::MAV_RESULT_TEMPORARILY_REJECTED => core.refusals.command_denied += 1,
+        _ => {}
+    }
+    let ack = CommandAck {
+        command,
+        result: result as u8,
+        target_system: to.id.system,
+        target_component: to.id.component,
+        ..CommandAck::default()
+    };
+    core.outbox.acknowledge(to.link, &ack);
+}
+
+/// Keeps something of a client instead of what was kept of it; of more clients than `most` the oldest gives way.
+pub(crate) fn keep<T>(kept: &mut Vec<(Source, T)>, most: usize, client: Source, new: T) {
+    kept.retain(|(of, _)| *of != client);
+    if kept.len() >= most {
+        kept.remove(0);
+    }
+    kept.push((client, new));
 }
 
 /// A message that a service can produce: streamed, requested once (512) or at an interval (511).
@@ -53,31 +73,32 @@ pub(crate) struct Produced {
     pub id: u32,
     /// Messages per second on an onboard, API and GCS link; 0 is on request only.
     pub rate_hz: [f32; 3],
-    /// How it is built.
-    pub build: Build,
+    /// How it is built of what all services share: `None` if there is nothing to tell. Without, [`Service::produce`] builds it,
+    /// of its own state or differently on each link.
+    pub build: Option<fn(&Core) -> Option<MavMessage>>,
+    /// How a REQUEST_MESSAGE is answered that depends on its further parameters.
+    pub request: Option<Handler>,
 }
 
 impl Produced {
     /// One that is built of what all services share.
     pub const fn from(id: u32, rate_hz: [f32; 3], build: fn(&Core) -> Option<MavMessage>) -> Self {
-        let build = Build::From(build);
-        Self { id, rate_hz, build }
+        let build = Some(build);
+        Self {
+            build,
+            ..Self::stateful(id, rate_hz)
+        }
     }
 
     /// One that its service builds.
     pub const fn stateful(id: u32, rate_hz: [f32; 3]) -> Self {
-        let build = Build::Stateful;
-        Self { id, rate_hz, build }
+        Self {
+            id,
+            rate_hz,
+            build: None,
+            request: None,
+        }
     }
-}
-
-/// Where a message's contents are.
-#[derive(Clone, Copy)]
-pub(crate) enum Build {
-    /// In what all services share; `None` if there is nothing to tell.
-    From(fn(&Core) -> Option<MavMessage>),
-    /// In the service itself, or different on each link: [`Service::produce`] builds it.
-    Stateful,
 }
 
 /// How a command is served that needs nothing but what all services share.
@@ -101,7 +122,7 @@ pub(crate) trait Service {
 
     /// One of its commands, addressed to the vehicle. The dispatcher sends the acknowledgement.
     fn command(&mut self, _command: &Command, _source: Source, _core: &mut Core) -> Answer {
-        Answer::UNSUPPORTED
+        Err(Refusal::UNSUPPORTED)
     }
 
     /// The messages it can produce.
@@ -109,14 +130,8 @@ pub(crate) trait Service {
         &[]
     }
 
-    /// Builds one of its [`Build::Stateful`] messages for a link; `None` if there is nothing to tell.
+    /// Builds one of its messages that it has to build itself for a link; `None` if there is nothing to tell.
     fn produce(&self, _message_id: u32, _link: LinkId, _core: &Core) -> Option<MavMessage> {
-        None
-    }
-
-    /// A REQUEST_MESSAGE for one of its messages that depends on the request's further parameters; `None` has the message
-    /// built as for a stream.
-    fn request(&self, _message_id: u32, _request: &Command, _source: Source, _core: &mut Core) -> Option<Answer> {
         None
     }
 
@@ -134,7 +149,7 @@ pub(crate) type Services = [Box<dyn Service + Send>];
 
 /// What most services use: the core, this module, and MAVLink's messages.
 pub(crate) mod prelude {
-    pub(crate) use super::{Answer, Handler, Produced, Service, Source};
+    pub(crate) use super::{Answer, Handler, Produced, Refusal, Service, Source, acknowledge, keep};
     pub(crate) use crate::LinkId;
     pub(crate) use crate::core::Core;
     pub(crate) use vigil_mavlink::MavMessage;

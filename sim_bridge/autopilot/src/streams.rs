@@ -1,12 +1,16 @@
-//! Which message goes out on which link when.
+//! Which message goes out on which link when, and the commands that say so.
+//! <https://mavlink.io/en/mavgen_python/howto_requestmessages.html>
 
 use crate::core::{Core, nanos};
-use crate::service::{Answer, Build, Produced, Services, Source};
+use crate::service::{Answer, Produced, Refusal, Services, Source};
 use crate::{LinkId, LinkRole};
-use vigil_mavlink::MavMessage;
 use vigil_mavlink::framing::Command;
+use vigil_mavlink::{MavMessage, message};
 use vigil_types::Nanos;
 
+const GET_MESSAGE_INTERVAL: u16 = 510;
+const SET_MESSAGE_INTERVAL: u16 = 511;
+const REQUEST_MESSAGE: u16 = 512;
 /// Shortest interval that can be asked for.
 const MIN_INTERVAL_NS: Nanos = 2_000_000;
 
@@ -31,8 +35,8 @@ struct Stream {
 impl Origin {
     fn build(&self, link: LinkId, core: &Core, services: &Services) -> Option<MavMessage> {
         match self.produced.build {
-            Build::From(build) => build(core),
-            Build::Stateful => services.get(self.service)?.produce(self.produced.id, link, core),
+            Some(build) => build(core),
+            None => services.get(self.service)?.produce(self.produced.id, link, core),
         }
     }
 }
@@ -40,59 +44,80 @@ impl Origin {
 /// All streams of all links.
 pub(crate) struct Streams {
     streams: Vec<Stream>,
-    roles: Vec<LinkRole>,
-    next_ns: Nanos,
+    /// Earliest time at which something is due.
+    pub due_ns: Nanos,
 }
 
 fn default_interval_ns(produced: &Produced, role: LinkRole) -> Option<Nanos> {
-    let rate_hz = produced.rate_hz.get(role.index()).copied().unwrap_or(0.0);
+    let rate_hz = produced.rate_hz.get(role as usize).copied().unwrap_or(0.0);
     (rate_hz > 0.0).then(|| (1e9 / f64::from(rate_hz)) as Nanos)
 }
 
 impl Streams {
     pub fn new(roles: &[LinkRole], services: &Services) -> Self {
-        let produced = services
-            .iter()
-            .enumerate()
-            .flat_map(|(index, service)| service.messages().iter().map(move |produced| (index, *produced)));
-        let mut streams: Vec<Stream> = produced
-            .map(|(service, produced)| Stream {
-                origin: Origin { produced, service },
-                per_link: roles
-                    .iter()
-                    .map(|role| Schedule {
-                        interval_ns: default_interval_ns(&produced, *role),
-                        next_ns: 0,
-                    })
-                    .collect(),
-            })
-            .collect();
+        let mut streams: Vec<Stream> = Vec::new();
+        for (service, producer) in services.iter().enumerate() {
+            for produced in producer.messages() {
+                let origin = Origin {
+                    produced: *produced,
+                    service,
+                };
+                let schedule = |role: &LinkRole| Schedule {
+                    interval_ns: default_interval_ns(produced, *role),
+                    next_ns: 0,
+                };
+                let per_link = roles.iter().map(schedule).collect();
+                streams.push(Stream { origin, per_link });
+            }
+        }
         streams.sort_by_key(|s| s.origin.produced.id);
         debug_assert!(streams.is_sorted_by(|a, b| a.origin.produced.id < b.origin.produced.id));
-        Self {
-            streams,
-            roles: roles.to_vec(),
-            next_ns: 0,
-        }
-    }
-
-    /// Earliest time at which something is due.
-    #[inline]
-    pub fn due_ns(&self) -> Nanos {
-        self.next_ns
+        Self { streams, due_ns: 0 }
     }
 
     fn index_of(&self, id: u32) -> Option<usize> {
         self.streams.binary_search_by_key(&id, |s| s.origin.produced.id).ok()
     }
 
-    fn find(&self, id: u32) -> Option<&Stream> {
-        self.streams.get(self.index_of(id)?)
+    /// Answers 510, 511 and 512 for the link that the command came on; UNSUPPORTED is any other. A message that the vehicle does
+    /// not have is DENIED, of 511 FAILED, of 510 the interval 0, as in PX4: UNSUPPORTED would tell the client that the command
+    /// itself does not exist.
+    pub fn command(&mut self, command: &Command, source: Source, core: &mut Core, services: &Services) -> Answer {
+        // The largest message id is 2^24 − 1, which a float holds exactly.
+        let number = command.param(1).filter(|p| (0.0..=16_777_215.0).contains(p));
+        let id = number.map(|p| p as u32);
+        let index = id.and_then(|id| self.index_of(id));
+        match (command.number, id, index) {
+            (GET_MESSAGE_INTERVAL, Some(id), _) => {
+                let interval_us = index.map_or(0, |index| self.interval_us(source.link, index));
+                let message = message!(MESSAGE_INTERVAL, interval_us, message_id = id as u16);
+                core.outbox.send(source.link, &message);
+                Ok(())
+            }
+            (SET_MESSAGE_INTERVAL, _, Some(index)) => {
+                let is_set = self.set_interval(core, source.link, index, command.param(2));
+                is_set.ok_or(Refusal::DENIED)
+            }
+            (SET_MESSAGE_INTERVAL, ..) => Err(Refusal::FAILED),
+            (REQUEST_MESSAGE, _, Some(index)) => {
+                let origin = &self.streams[index].origin;
+                if let Some(answer) = origin.produced.request {
+                    return answer(command, source, core);
+                }
+                // Known, but nothing to tell: a setpoint's echo outside OFFBOARD, a sensor that the vehicle does not have.
+                let has_content = origin.build(source.link, core, services).is_some();
+                has_content
+                    .then(|| core.request(source.link, origin.produced.id))
+                    .ok_or(Refusal::DENIED)
+            }
+            (GET_MESSAGE_INTERVAL | REQUEST_MESSAGE, ..) => Err(Refusal::DENIED),
+            _ => Err(Refusal::UNSUPPORTED),
+        }
     }
 
-    /// Interval of a message on a link in microseconds as MESSAGE_INTERVAL tells it: 0 unknown message, −1 off.
-    pub fn interval_us(&self, link: LinkId, id: u32) -> i32 {
-        let schedule = self.find(id).and_then(|s| s.per_link.get(usize::from(link.0)));
+    /// Interval of a message on a link in microseconds as MESSAGE_INTERVAL says it: −1 off.
+    fn interval_us(&self, link: LinkId, index: usize) -> i32 {
+        let schedule = self.streams[index].per_link.get(usize::from(link.0));
         match schedule.map(|schedule| schedule.interval_ns) {
             None => 0,
             Some(None) => -1,
@@ -100,65 +125,32 @@ impl Streams {
         }
     }
 
-    /// Sets the interval as SET_MESSAGE_INTERVAL asks: −1 off, 0 default, else microseconds. `false` if there is no such
-    /// message or the number is no time.
-    pub fn set_interval(&mut self, now_ns: Nanos, link: LinkId, id: u32, interval_us: f32) -> bool {
-        let Some(stream) = self.index_of(id).map(|i| &mut self.streams[i]) else {
-            return false;
-        };
-        let index = usize::from(link.0);
-        let (Some(schedule), Some(role)) = (stream.per_link.get_mut(index), self.roles.get(index)) else {
-            return false;
-        };
+    /// Sets the interval as SET_MESSAGE_INTERVAL asks: −1 off, 0 default, else microseconds. `None` if the number is no time.
+    fn set_interval(&mut self, core: &Core, link: LinkId, index: usize, interval_us: Option<f32>) -> Option<()> {
+        let (stream, link, interval_us) = (&mut self.streams[index], usize::from(link.0), interval_us?);
+        let schedule = stream.per_link.get_mut(link)?;
         schedule.interval_ns = if interval_us < 0.0 && interval_us.is_finite() {
             None
         } else if interval_us == 0.0 {
-            default_interval_ns(&stream.origin.produced, *role)
-        } else if let Some(interval_ns) = nanos(f64::from(interval_us) * 1e-6) {
-            Some(interval_ns.max(MIN_INTERVAL_NS))
+            default_interval_ns(&stream.origin.produced, *core.roles.get(link)?)
         } else {
-            return false;
+            Some(nanos(f64::from(interval_us) * 1e-6)?.max(MIN_INTERVAL_NS))
         };
-        schedule.next_ns = now_ns;
-        self.next_ns = self.next_ns.min(now_ns);
-        true
-    }
-
-    /// Whether there is such a message.
-    pub fn knows(&self, id: u32) -> bool {
-        self.find(id).is_some()
-    }
-
-    /// Whether there is such a message and something for it to tell now.
-    pub fn has(&self, link: LinkId, core: &Core, services: &Services, id: u32) -> bool {
-        self.find(id)
-            .is_some_and(|s| s.origin.build(link, core, services).is_some())
-    }
-
-    /// Offers a request for a message to the service that produces it.
-    pub fn request(
-        &self,
-        id: u32,
-        request: &Command,
-        source: Source,
-        core: &mut Core,
-        services: &Services,
-    ) -> Option<Answer> {
-        services
-            .get(self.find(id)?.origin.service)?
-            .request(id, request, source, core)
+        schedule.next_ns = core.now_ns;
+        self.due_ns = self.due_ns.min(core.now_ns);
+        Some(())
     }
 
     /// Sends everything that was asked for besides the streams.
     pub fn send_wanted(&self, core: &mut Core, services: &Services) {
         let mut wanted = std::mem::take(&mut core.wanted);
         for (link, id) in wanted.drain(..) {
-            let Some(stream) = self.find(id) else {
+            let Some(stream) = self.index_of(id).map(|index| &self.streams[index]) else {
                 continue;
             };
             let links = match link {
                 Some(link) => link.0..link.0 + 1,
-                None => 0..self.roles.len() as u8,
+                None => 0..core.outbox.links() as u8,
             };
             for link in links.map(LinkId) {
                 if let Some(message) = stream.origin.build(link, core, services) {
@@ -173,7 +165,7 @@ impl Streams {
     /// Sends what is due.
     pub fn step(&mut self, core: &mut Core, services: &Services) {
         let now_ns = core.now_ns;
-        let mut next_ns = Nanos::MAX;
+        self.due_ns = Nanos::MAX;
         for stream in &mut self.streams {
             let mut built = None;
             for (link, schedule) in stream.per_link.iter_mut().enumerate() {
@@ -182,7 +174,7 @@ impl Streams {
                 };
                 if schedule.next_ns <= now_ns {
                     let link = LinkId(link as u8);
-                    if matches!(stream.origin.produced.build, Build::Stateful) {
+                    if stream.origin.produced.build.is_none() {
                         built = None;
                     }
                     let message = built.get_or_insert_with(|| stream.origin.build(link, core, services));
@@ -195,9 +187,8 @@ impl Streams {
                         schedule.next_ns = now_ns + interval_ns;
                     }
                 }
-                next_ns = next_ns.min(schedule.next_ns);
+                self.due_ns = self.due_ns.min(schedule.next_ns);
             }
         }
-        self.next_ns = next_ns;
     }
 }

@@ -224,7 +224,7 @@ acting {
     "MC_YAWRATE_MAX", Real32(200.0), 0.0, 1800.0, "deg/s", "No effect";
     "MIS_DIST_1WP", Real32(10_000.0), -1.0, 100_000.0, "m", "A mission's first place may be as far as any other";
     "MIS_TKO_LAND_REQ", Int32(0), 0.0, 6.0, "", "Missions need neither a take-off nor a landing";
-    "MPC_ACC_HOR", Real32(3.0), 2.0, 15.0, "m/s^2", "No effect";
+    "MPC_ACC_DOWN_MAX MPC_ACC_HOR", Real32(3.0), 2.0, 15.0, "m/s^2", "No effect";
     "MPC_ACC_HOR_MAX", Real32(5.0), 2.0, 15.0, "m/s^2", "No effect";
     "MPC_JERK_AUTO", Real32(4.0), 1.0, 80.0, "m/s^3", "No effect";
     "MPC_JERK_MAX", Real32(8.0), 0.5, 500.0, "m/s^3", "No effect";
@@ -242,7 +242,6 @@ acting {
     "MC_YAW_P", Real32(2.8), 0.0, 5.0, "", "No effect";
     "MIS_YAW_ERR", Real32(12.0), 0.0, 90.0, "deg", "No effect";
     "MIS_YAW_TMT", Real32(-1.0), -1.0, 20.0, "s", "No effect";
-    "MPC_ACC_DOWN_MAX", Real32(3.0), 2.0, 15.0, "m/s^2", "No effect";
     "MPC_ACC_UP_MAX", Real32(4.0), 2.0, 15.0, "m/s^2", "No effect";
     "MPC_LAND_ALT1", Real32(10.0), 0.0, 122.0, "m", "No effect";
     "MPC_LAND_CRWL", Real32(0.3), 0.1, 5.0, "m/s", "No effect";

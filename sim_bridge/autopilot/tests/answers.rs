@@ -52,15 +52,8 @@ fn nose_before_course_deg(truths: &[Truth]) -> f32 {
     (truths.iter().map(angle).sum::<f32>() / truths.len() as f32).to_degrees()
 }
 
-/// Times of 10, 63 and 90 % and the overshoot as a share of the step.
-#[derive(Debug)]
-struct Answer {
-    times_s: [f64; 3],
-    overshoot: f64,
-}
-
-/// Reads an answer off samples at 50 Hz of a quantity that goes from 0 to `step`.
-fn answer(samples: &[f64], step: f64) -> Answer {
+/// Times of 10, 63 and 90 % and the overshoot as a share of the step, of samples at 50 Hz of a quantity that goes from 0 to `step`.
+fn answer(samples: &[f64], step: f64) -> ([f64; 3], f64) {
     let time_of = |share: f64| {
         let i = samples
             .iter()
@@ -71,40 +64,24 @@ fn answer(samples: &[f64], step: f64) -> Answer {
         0.02 * (i as f64 + (share - before) / (after - before))
     };
     let most = samples.iter().fold(0.0f64, |m, v| m.max(v / step));
-    Answer {
-        times_s: [time_of(0.10), time_of(0.63), time_of(0.90)],
-        overshoot: most - 1.0,
-    }
+    ([0.10, 0.63, 0.90].map(time_of), most - 1.0)
 }
 
 /// The mean answer of a few seeds: what is left of estimator noise.
-fn mean_answer(step: f64, command: ControlCommand, read: impl Fn(&Truth) -> f64) -> Answer {
+fn mean_answer(step: f32, axis: usize) -> ([f64; 3], f64) {
+    let on = |n| if n == axis { step } else { 0.0 };
+    let command = setpoint(on(0), on(1), on(2), on(3));
     let runs = [1, 2, 3];
     let mut mean: Vec<f64> = Vec::new();
     for seed in runs {
-        let samples: Vec<f64> = fly(&mut ours(seed), 8.0, command).iter().map(&read).collect();
+        let truths = fly(&mut ours(seed), 8.0, command);
+        let samples: Vec<f64> = truths.iter().map(|t| f64::from(motion(t)[axis])).collect();
         mean.resize(samples.len(), 0.0);
-        mean.iter_mut()
-            .zip(&samples)
-            .for_each(|(m, s)| *m += s / runs.len() as f64);
+        for (mean, sample) in mean.iter_mut().zip(samples) {
+            *mean += sample / runs.len() as f64;
+        }
     }
-    answer(&mean, step)
-}
-
-/// The real autopilot's figures with the band: ±15 % or ±0.05 s, whichever is larger.
-fn assert_in_band(what: &str, answer: &Answer, real_times_s: [f64; 3], overshoot: std::ops::RangeInclusive<f64>) {
-    let ([tenth, most, nearly], over) = (answer.times_s, answer.overshoot * 100.0);
-    println!("| {what} | {tenth:.2} | {most:.2} | {nearly:.2} | {over:.1} % |");
-    let shares = ["10 %", "63 %", "90 %"];
-    for ((name, measured), real) in shares.into_iter().zip(answer.times_s).zip(real_times_s) {
-        let band = (0.15 * real).max(0.05);
-        assert_near(&format!("{what}: {name}"), measured, real, band);
-    }
-    assert!(
-        overshoot.contains(&answer.overshoot),
-        "{what}: overshoot {:.3}, wanted {overshoot:?}",
-        answer.overshoot
-    );
+    answer(&mean, f64::from(step))
 }
 
 /// The vehicle's figure lies this near to the real one's.
@@ -116,48 +93,39 @@ fn assert_near(what: &str, ours: impl Into<f64>, real: impl Into<f64>, band: imp
     );
 }
 
-/// Velocity along a direction of the heading frame.
-fn along(truth: &Truth, direction: (f64, f64)) -> f64 {
+/// What a setpoint commands: velocity forward, right and down, and the turning rate.
+fn motion(truth: &Truth) -> [f32; 4] {
     let v = truth.velocity_ned_m_s.to_heading(truth.attitude.yaw_rad());
-    f64::from(v.x) * direction.0 + f64::from(v.y) * direction.1
+    [v.x, v.y, v.z, truth.rates_frd_rad_s.z]
 }
 
-fn velocity_step(speed: f32, direction: (f64, f64)) -> Answer {
-    let (x, y) = (direction.0 as f32, direction.1 as f32);
-    let command = setpoint(speed * x, speed * y, 0.0, 0.0);
-    mean_answer(f64::from(speed), command, |t| along(t, direction))
-}
-
+/// The band about the real autopilot's times: ±15 % or ±0.05 s, whichever is larger.
 #[test]
-fn horizontal_velocity_steps_answer_like_the_real_autopilot() {
-    let forward = (1.0, 0.0);
-    for (name, speed, direction, times_s) in [
-        ("0.5 m/s", 0.5, forward, [0.22, 0.62, 1.05]),
-        ("1.5 m/s forward", 1.5, forward, [0.35, 0.79, 1.25]),
-        ("1.5 m/s back", 1.5, (-1.0, 0.0), [0.35, 0.79, 1.25]),
-        ("1.5 m/s right", 1.5, (0.0, 1.0), [0.35, 0.79, 1.25]),
-        ("3.0 m/s", 3.0, forward, [0.45, 1.06, 1.59]),
+fn steps_of_velocity_and_yaw_rate_answer_like_the_real_autopilot() {
+    let rate = 45f32.to_radians();
+    for (what, axis, step, real_times_s) in [
+        ("0.5 m/s", 0, 0.5, [0.22f64, 0.62, 1.05]),
+        ("1.5 m/s forward", 0, 1.5, [0.35, 0.79, 1.25]),
+        ("1.5 m/s back", 0, -1.5, [0.35, 0.79, 1.25]),
+        ("1.5 m/s right", 1, 1.5, [0.35, 0.79, 1.25]),
+        ("3.0 m/s", 0, 3.0, [0.45, 1.06, 1.59]),
+        ("down 0.5 m/s", 2, 0.5, [0.20, 0.50, 0.70]),
+        ("up 0.5 m/s", 2, -0.5, [0.20, 0.50, 0.70]),
+        ("yaw 45 °/s", 3, rate, [0.15, 0.32, 0.41]),
+        ("yaw −45 °/s", 3, -rate, [0.15, 0.32, 0.41]),
     ] {
-        assert_in_band(name, &velocity_step(speed, direction), times_s, 0.005..=0.05);
-    }
-}
-
-#[test]
-fn a_vertical_velocity_step_answers_like_the_real_autopilot() {
-    for (name, speed) in [("down 0.5 m/s", 0.5f32), ("up 0.5 m/s", -0.5)] {
-        let down = |t: &Truth| f64::from(t.velocity_ned_m_s.z);
-        let answer = mean_answer(f64::from(speed), setpoint(0.0, 0.0, speed, 0.0), down);
-        assert_in_band(name, &answer, [0.20, 0.50, 0.70], 0.05..=0.15);
-    }
-}
-
-#[test]
-fn a_yaw_rate_step_answers_like_the_real_autopilot() {
-    for (name, rate) in [("yaw 45 °/s", 45f32), ("yaw −45 °/s", -45.0)] {
-        let rate = rate.to_radians();
-        let turning = |t: &Truth| f64::from(t.rates_frd_rad_s.z);
-        let answer = mean_answer(f64::from(rate), setpoint(0.0, 0.0, 0.0, rate), turning);
-        assert_in_band(name, &answer, [0.15, 0.32, 0.41], 0.15..=0.25);
+        let (times_s, overshoot) = mean_answer(step, axis);
+        let ([tenth, most, nearly], over) = (times_s, overshoot * 100.0);
+        println!("| {what} | {tenth:.2} | {most:.2} | {nearly:.2} | {over:.1} % |");
+        for ((share, measured), real) in [10, 63, 90].into_iter().zip(times_s).zip(real_times_s) {
+            let band = (0.15 * real).max(0.05);
+            assert_near(&format!("{what}: {share} %"), measured, real, band);
+        }
+        let wanted = [0.005..=0.05, 0.005..=0.05, 0.05..=0.15, 0.15..=0.25][axis].clone();
+        assert!(
+            wanted.contains(&overshoot),
+            "{what}: overshoot {overshoot:.3}, wanted {wanted:?}"
+        );
     }
 }
 
@@ -176,13 +144,9 @@ fn it_hovers_on_the_spot() {
     for seed in 1..=4 {
         let truths = fly(&mut ours(seed), 10.0, HOVER);
         let n = truths.len() as f32;
-        let mean = truths
-            .iter()
-            .fold(NedVector::ZERO, |m, t| m + t.position_ned_m * (1.0 / n));
-        let off = truths
-            .iter()
-            .map(|t| (t.position_ned_m - mean).norm())
-            .fold(0.0, f32::max);
+        let places = truths.iter().map(|t| t.position_ned_m);
+        let mean = places.clone().fold(NedVector::ZERO, |m, place| m + place * (1.0 / n));
+        let off = places.map(|place| (place - mean).norm()).fold(0.0, f32::max);
         worst = worst.max(off);
         println!("| hover, seed {seed}, furthest from the mean of 10 s | {off:.3} m |");
     }
@@ -208,10 +172,6 @@ fn in_a_turn_the_velocity_lags_the_heading_as_the_real_one_does() {
     assert!((lag_deg - 11.0).abs() < 1.5, "{lag_deg}");
 }
 
-fn forward_m_s(truth: &Truth) -> f32 {
-    truth.velocity_ned_m_s.to_heading(truth.attitude.yaw_rad()).x
-}
-
 /// Seconds until a share of the step is reached; infinite where it never is.
 fn time_of(samples: &[f32], level: f32) -> f32 {
     let reached = samples.iter().position(|v| v / level >= 1.0);
@@ -224,7 +184,7 @@ fn time_of(samples: &[f32], level: f32) -> f32 {
 fn assert_steps(model: VehicleModel, steps: [(f32, [f32; 3], f32); 3]) {
     for (step, real_times_s, settles_at) in steps {
         let truths = fly(&mut hovering(model.params(), 1), 9.0, setpoint(step, 0.0, 0.0, 0.0));
-        let samples: Vec<f32> = truths.iter().map(forward_m_s).collect();
+        let samples: Vec<f32> = truths.iter().map(|t| motion(t)[0]).collect();
         let times = [0.10, 0.63, 0.90].map(|share| time_of(&samples, share * step));
         let settled = samples[350..].iter().sum::<f32>() / samples[350..].len() as f32 / step;
         println!("{} {step} m/s: {times:.2?}, settles at {settled:.2}", model.name());

@@ -10,6 +10,8 @@ const BREEZE: Wind = Wind {
     gust_time_s: 3.0,
 };
 
+const HOVER: ControlCommand = ControlCommand::STOP;
+
 fn vehicle(wind: Wind, seed: u64) -> Vehicle {
     Vehicle::new(VehicleParams::default(), wind, seed).unwrap()
 }
@@ -50,9 +52,9 @@ fn velocity(north: f32, east: f32, down: f32) -> ControlCommand {
     }
 }
 
-fn velocity_ahead(ahead: f32, right: f32, yaw: YawCommand) -> ControlCommand {
+fn velocity_ahead(ahead: f32, right: f32, down: f32, yaw: YawCommand) -> ControlCommand {
     ControlCommand::VelocityHeading {
-        velocity_m_s: HeadingVector::new(ahead, right, 0.0),
+        velocity_m_s: HeadingVector::new(ahead, right, down),
         yaw,
     }
 }
@@ -72,9 +74,9 @@ fn rates(rates_frd_rad_s: FrdVector, thrust: f32) -> ControlCommand {
     }
 }
 
-fn acceleration(north: f32, east: f32, yaw: YawCommand) -> ControlCommand {
+fn acceleration(acceleration_ned_m_s2: NedVector, yaw: YawCommand) -> ControlCommand {
     ControlCommand::Acceleration {
-        acceleration_ned_m_s2: NedVector::new(north, east, 0.0),
+        acceleration_ned_m_s2,
         yaw,
     }
 }
@@ -124,10 +126,9 @@ fn a_disarmed_vehicle_rests_where_it_stands_even_in_wind() {
 fn an_armed_vehicle_stays_on_the_ground_until_it_is_told_to_climb() {
     let mut v = vehicle(Wind::CALM, 2);
     let stand = v.truth().position_ned_m;
-    let hold = velocity(0.0, 0.0, 0.0);
     let sideways = velocity(1.0, 0.0, 0.0);
     let here = go_to(stand, 1.0, YawCommand::Hold);
-    for command in [ControlCommand::Idle, hold, sideways, here] {
+    for command in [ControlCommand::Idle, HOVER, sideways, here] {
         fly(&mut v, 3.0, &command);
         let view = v.view();
         assert!(view.armed && view.on_ground, "{command:?}");
@@ -151,10 +152,8 @@ fn it_takes_off_hovers_lands_softly_and_idles() {
         let above = v.truth().position_ned_m;
 
         let descent = fly(&mut v, 8.0, &ControlCommand::Descend { rate_m_s: 0.7 });
-        let touch = descent
-            .iter()
-            .find(|t| -t.position_ned_m.z <= v.standing_height_m() + 0.002)
-            .expect("it reaches the ground");
+        let touches = |t: &&Truth| -t.position_ned_m.z <= v.standing_height_m() + 0.002;
+        let touch = descent.iter().find(touches).expect("it reaches the ground");
         assert!(touch.velocity_ned_m_s.z < 0.9, "{}", touch.velocity_ned_m_s.z);
         assert!((touch.position_ned_m - above).horizontal_norm() < 0.6);
         let fastest = most(&descent, |t| t.velocity_ned_m_s.z);
@@ -187,16 +186,11 @@ fn a_position_is_approached_within_the_speed_limit_and_without_passing_it() {
     assert!(past < 0.15, "passed by {past} m");
     assert!((v.truth().position_ned_m - goal).norm() < 0.05);
     // Smooth: the acceleration never jumps by more than a few tenths within 20 ms.
-    let accelerations: Vec<NedVector> = truths
-        .windows(21)
-        .step_by(20)
-        .map(|w| (w[20].velocity_ned_m_s - w[0].velocity_ned_m_s) * 50.0)
-        .collect();
-    let jump = accelerations
-        .windows(2)
-        .map(|w| (w[1] - w[0]).norm())
-        .fold(0.0, f32::max);
-    assert!(jump < 0.6, "{jump}");
+    let velocities: Vec<NedVector> = truths.iter().step_by(20).map(|t| t.velocity_ned_m_s).collect();
+    for v in velocities.windows(3) {
+        let jump = ((v[2] - v[1]) - (v[1] - v[0])).norm() * 50.0;
+        assert!(jump < 0.6, "{jump}");
+    }
 }
 
 #[test]
@@ -205,10 +199,8 @@ fn a_heading_is_reached_the_short_way_round_and_then_held() {
     v.place(NedVector::new(0.0, 0.0, -5.0), 2.8, true);
     let here = v.truth().position_ned_m;
     let truths = fly(&mut v, 4.0, &go_to(here, 1.0, YawCommand::Angle(-2.8)));
-    assert!(
-        truths.iter().all(|t| t.attitude.yaw_rad().abs() > 2.7),
-        "turned the long way"
-    );
+    let is_near = |t: &Truth| t.attitude.yaw_rad().abs() > 2.7;
+    assert!(truths.iter().all(is_near), "turned the long way");
     assert!(wrap_pi(v.truth().attitude.yaw_rad() + 2.8).abs() < 0.02);
     fly(&mut v, 5.0, &velocity(1.0, 1.0, 0.0));
     assert!(wrap_pi(v.truth().attitude.yaw_rad() + 2.8).abs() < 0.03);
@@ -219,17 +211,14 @@ fn velocity_follows_the_frame_it_is_given_in() {
     let east = std::f32::consts::FRAC_PI_2;
     for (command, north, easting) in [
         (velocity(1.0, 0.0, 0.0), 1.0, 0.0),
-        (velocity_ahead(1.0, 0.0, YawCommand::Hold), 0.0, 1.0),
-        (velocity_ahead(0.0, 1.0, YawCommand::Hold), -1.0, 0.0),
+        (velocity_ahead(1.0, 0.0, 0.0, YawCommand::Hold), 0.0, 1.0),
+        (velocity_ahead(0.0, 1.0, 0.0, YawCommand::Hold), -1.0, 0.0),
     ] {
         let mut v = precise();
         v.place(NedVector::new(0.0, 0.0, -5.0), east, true);
         fly(&mut v, 5.0, &command);
-        let now = v.truth().velocity_ned_m_s;
-        assert!(
-            (now.x - north).abs() < 0.05 && (now.y - easting).abs() < 0.05,
-            "{now:?}"
-        );
+        let off = v.truth().velocity_ned_m_s - NedVector::new(north, easting, 0.0);
+        assert!(off.x.abs() < 0.05 && off.y.abs() < 0.05, "{off:?}");
     }
 }
 
@@ -253,13 +242,13 @@ fn an_attitude_is_reached_and_half_thrust_carries_the_weight() {
 #[test]
 fn an_acceleration_is_flown_and_none_keeps_the_velocity() {
     let mut v = airborne(precise());
-    fly(&mut v, 2.0, &acceleration(1.0, 0.0, YawCommand::Hold));
+    let north = NedVector::new(1.0, 0.0, 0.0);
+    fly(&mut v, 2.0, &acceleration(north, YawCommand::Hold));
     let faster = v.truth().velocity_ned_m_s;
     // The tilt takes a moment to build up, and there is drag.
     assert!((1.4..2.0).contains(&faster.x) && faster.y.abs() < 0.1, "{faster:?}");
     assert!((v.truth().position_ned_m.z + 5.0).abs() < 0.1);
-    let turning = YawCommand::Rate(0.5);
-    fly(&mut v, 1.0, &acceleration(0.0, 0.0, turning));
+    fly(&mut v, 1.0, &acceleration(NedVector::ZERO, YawCommand::Rate(0.5)));
     assert!(v.truth().velocity_ned_m_s.x > 0.8 * faster.x);
     assert!((v.truth().attitude.yaw_rad() - 0.5).abs() < 0.15);
 }
@@ -267,25 +256,17 @@ fn an_acceleration_is_flown_and_none_keeps_the_velocity() {
 #[test]
 fn a_velocity_at_a_height_and_a_climb_at_a_place_keep_what_they_name() {
     let mut v = airborne(precise());
-    fly(
-        &mut v,
-        8.0,
-        &at_height(NedVector::new(0.0, 2.0, 9.0), -7.0, YawCommand::Hold),
-    );
+    let east = at_height(NedVector::new(0.0, 2.0, 9.0), -7.0, YawCommand::Hold);
+    fly(&mut v, 8.0, &east);
     let t = v.truth();
     assert!((t.velocity_ned_m_s.y - 2.0).abs() < 0.05, "{t:?}");
     assert!((t.position_ned_m.z + 7.0).abs() < 0.05, "{t:?}");
-    fly(
-        &mut v,
-        10.0,
-        &climb(NedVector::new(3.0, 10.0, 50.0), -0.5, 3.0, YawCommand::Hold),
-    );
+    let up = climb(NedVector::new(3.0, 10.0, 50.0), -0.5, 3.0, YawCommand::Hold);
+    fly(&mut v, 10.0, &up);
     let t = v.truth();
     assert!((t.velocity_ned_m_s.z + 0.5).abs() < 0.05, "{t:?}");
-    assert!(
-        (t.position_ned_m.x - 3.0).abs() < 0.1 && (t.position_ned_m.y - 10.0).abs() < 0.1,
-        "{t:?}"
-    );
+    let (north, east) = (t.position_ned_m.x, t.position_ned_m.y);
+    assert!((north - 3.0).abs() < 0.1 && (east - 10.0).abs() < 0.1, "{t:?}");
 }
 
 #[test]
@@ -302,14 +283,13 @@ fn rates_are_reached_about_each_axis() {
 
 #[test]
 fn it_recovers_a_hover_from_an_upset() {
-    let mut v = airborne(vehicle(Wind::CALM, 4));
+    let mut v = vehicle(Wind::CALM, 4);
     v.place(NedVector::new(0.0, 0.0, -30.0), 0.0, true);
     fly(&mut v, 0.7, &rates(FrdVector::new(3.5, 0.0, 0.0), 0.5));
     assert!(v.truth().attitude.roll_rad().abs() > 1.2);
-    fly(&mut v, 8.0, &velocity(0.0, 0.0, 0.0));
+    fly(&mut v, 8.0, &HOVER);
     let t = v.truth();
-    assert!(t.velocity_ned_m_s.norm() < 0.1, "{t:?}");
-    assert!(t.position_ned_m.z < -15.0, "{t:?}");
+    assert!(t.velocity_ned_m_s.norm() < 0.1 && t.position_ned_m.z < -15.0, "{t:?}");
 }
 
 #[test]
@@ -324,10 +304,8 @@ fn motors_off_in_the_air_is_a_fall_that_ends_on_the_ground() {
         assert!((1.5..2.0).contains(&speed_gained), "{speed_gained} from {roll_rad}");
         fly(&mut v, 6.0, &ControlCommand::MotorsOff);
         let t = v.truth();
-        assert!(
-            t.velocity_ned_m_s.norm() < 0.05 && t.rates_frd_rad_s.norm() < 0.2,
-            "{t:?}"
-        );
+        let (speed, rate) = (t.velocity_ned_m_s.norm(), t.rates_frd_rad_s.norm());
+        assert!(speed < 0.05 && rate < 0.2, "{t:?}");
         assert!(t.position_ned_m.z < 0.0, "sank into the ground: {t:?}");
         assert!(!v.view().armed && v.view().on_ground);
     }
@@ -336,7 +314,7 @@ fn motors_off_in_the_air_is_a_fall_that_ends_on_the_ground() {
 #[test]
 fn it_holds_its_place_in_wind_and_gusts() {
     let mut v = airborne(vehicle(BREEZE, 6));
-    let truths = fly(&mut v, 20.0, &velocity(0.0, 0.0, 0.0));
+    let truths = fly(&mut v, 20.0, &HOVER);
     let start = NedVector::new(0.0, 0.0, -5.0);
     let off = most(&truths, |t| (t.position_ned_m - start).norm());
     assert!(off < 0.5, "{off}");
@@ -354,12 +332,12 @@ fn a_command_that_is_not_finite_is_a_hold() {
     };
     for command in [
         velocity(nan, 0.0, 0.0),
-        velocity_ahead(1.0, f32::INFINITY, YawCommand::Rate(nan)),
+        velocity_ahead(1.0, f32::INFINITY, 0.0, YawCommand::Rate(nan)),
         go_to(NedVector::new(nan, 0.0, 0.0), 2.0, YawCommand::Hold),
         ControlCommand::Descend { rate_m_s: nan },
         attitude(nowhere, 0.0, 0.9),
         attitude(Attitude::LEVEL_NORTH, nan, 0.9),
-        acceleration(1.0, nan, YawCommand::Hold),
+        acceleration(NedVector::new(1.0, nan, 0.0), YawCommand::Hold),
         at_height(NedVector::new(1.0, 0.0, 0.0), nan, YawCommand::Hold),
         climb(NedVector::ZERO, f32::INFINITY, 2.0, YawCommand::Hold),
         rates(FrdVector::new(nan, 0.0, 0.0), 0.9),
@@ -415,20 +393,14 @@ fn flying_drains_the_battery_and_sags_its_voltage() {
     fly(&mut v, 1.0, &ControlCommand::MotorsOff);
     let resting = v.view().sensors;
     let mut v = airborne(vehicle(Wind::CALM, 1));
-    fly(&mut v, 30.0, &velocity(0.0, 0.0, 0.0));
+    fly(&mut v, 30.0, &HOVER);
     let flying = v.view().sensors;
     assert!(flying.battery_voltage_v < resting.battery_voltage_v - 0.2);
     // A 2 kg quadcopter of this size hovers on 15 to 25 A.
-    assert!(
-        (15.0..25.0).contains(&flying.battery_current_a),
-        "{}",
-        flying.battery_current_a
-    );
+    let current_a = flying.battery_current_a;
+    assert!((15.0..25.0).contains(&current_a), "{current_a}");
     let used_ah = (1.0 - flying.battery_remaining) * 5.0;
-    assert!(
-        (used_ah - flying.battery_current_a * 30.0 / 3600.0).abs() < 0.02,
-        "{used_ah}"
-    );
+    assert!((used_ah - current_a * 30.0 / 3600.0).abs() < 0.02, "{used_ah}");
 }
 
 #[test]
@@ -453,52 +425,38 @@ fn at_rest_the_accelerometer_feels_gravity_and_the_estimate_is_off_by_centimetre
     assert!((0.1..0.6).contains(&tilt_deg), "{tilt_deg}");
 }
 
-fn any_number() -> impl Strategy<Value = f32> + Clone {
+fn number() -> impl Strategy<Value = f32> + Clone {
     prop_oneof![4 => -20f32..20.0, 1 => prop::num::f32::ANY]
 }
 
 fn any_command() -> impl Strategy<Value = ControlCommand> {
     let yaw = prop_oneof![
         Just(YawCommand::Hold),
-        any_number().prop_map(YawCommand::Angle),
-        any_number().prop_map(YawCommand::Rate),
+        number().prop_map(YawCommand::Angle),
+        number().prop_map(YawCommand::Rate),
     ];
-    let three = (any_number(), any_number(), any_number());
+    let three = || (number(), number(), number()).prop_map(|(x, y, z)| NedVector::new(x, y, z));
     prop_oneof![
         Just(ControlCommand::MotorsOff),
         Just(ControlCommand::Idle),
-        (three.clone(), yaw.clone()).prop_map(|((x, y, z), yaw)| ControlCommand::VelocityHeading {
-            velocity_m_s: HeadingVector::new(x, y, z),
-            yaw,
-        }),
-        (three.clone(), any_number(), yaw.clone()).prop_map(|((x, y, z), speed_limit_m_s, yaw)| {
+        (three(), yaw.clone()).prop_map(|(v, yaw)| velocity_ahead(v.x, v.y, v.z, yaw)),
+        (three(), three(), number(), yaw.clone()).prop_map(|(position_ned_m, velocity_m_s, speed_limit_m_s, yaw)| {
             ControlCommand::Position {
-                position_ned_m: NedVector::new(x, y, z),
-                velocity_m_s: NedVector::new(z, x, y),
+                position_ned_m,
+                velocity_m_s,
                 speed_limit_m_s,
                 yaw,
             }
         }),
-        (three.clone(), any_number(), any_number()).prop_map(|((roll, pitch, yaw), yaw_rate_rad_s, thrust)| {
-            attitude(Attitude::from_euler_rad(roll, pitch, yaw), yaw_rate_rad_s, thrust)
+        (three(), number(), number()).prop_map(|(angles, yaw_rate_rad_s, thrust)| {
+            let wanted = Attitude::from_euler_rad(angles.x, angles.y, angles.z);
+            attitude(wanted, yaw_rate_rad_s, thrust)
         }),
-        (three.clone(), yaw.clone()).prop_map(|((x, y, z), yaw)| ControlCommand::Acceleration {
-            acceleration_ned_m_s2: NedVector::new(x, y, z),
-            yaw,
-        }),
-        (three.clone(), any_number(), yaw.clone()).prop_map(|((x, y, z), down_m, yaw)| at_height(
-            NedVector::new(x, y, z),
-            down_m,
-            yaw
-        )),
-        (three.clone(), any_number(), any_number(), yaw).prop_map(|((x, y, z), down_m_s, limit_m_s, yaw)| climb(
-            NedVector::new(x, y, z),
-            down_m_s,
-            limit_m_s,
-            yaw
-        )),
-        (three, any_number()).prop_map(|((x, y, z), thrust)| rates(FrdVector::new(x, y, z), thrust)),
-        any_number().prop_map(|rate_m_s| ControlCommand::Descend { rate_m_s }),
+        (three(), yaw.clone()).prop_map(|(a, yaw)| acceleration(a, yaw)),
+        (three(), number(), yaw.clone()).prop_map(|(v, down_m, yaw)| at_height(v, down_m, yaw)),
+        (three(), number(), number(), yaw).prop_map(|(place, down, limit, yaw)| climb(place, down, limit, yaw)),
+        (three(), number()).prop_map(|(r, thrust)| rates(FrdVector::new(r.x, r.y, r.z), thrust)),
+        number().prop_map(|rate_m_s| ControlCommand::Descend { rate_m_s }),
     ]
 }
 

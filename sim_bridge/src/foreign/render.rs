@@ -2,16 +2,17 @@
 
 use super::flight::{ForeignConfig, ForeignFlight, PoseState};
 use super::pose_link::PoseLink;
-use crate::program::{STATUS_STEPS, Status, announce, ending_code, nearness, print_status, set_by_interrupt};
+use crate::program::{
+    STATUS_STEPS, Status, announce, ending_code, lidar_key, nearness, print_status, set_by_interrupt,
+};
 use crate::world::Course;
-use crate::{CompanionView, CourseChoice, LIDAR_SENSOR_ID, Models, SensorFault};
+use crate::{CompanionView, CourseChoice, SensorFault, VehicleChoice};
 use anyhow::{Result, ensure};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
-use vigil_io::key_file::frame_key;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
 use vigil_types::{Nanos, NedVector, STEP_NS};
@@ -118,8 +119,8 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
             let tells = args.status && step.is_multiple_of(STATUS_STEPS);
             sensor.publish(at_ns, &mut publisher, tells)?;
             sensor.told.tell(at_ns, &sensor.flight);
-            if tells {
-                print_status(&sensor.status(at_ns))?;
+            if tells && !print_status(&sensor.status(at_ns))? {
+                break;
             }
         }
         if sensor.flight.ending().is_some() || sensor.flight.pose_state(now_ns).is_final() {
@@ -148,22 +149,12 @@ fn begins_at_home(course: &Course) -> Result<()> {
 }
 
 fn configure(args: &RenderArgs, seed: u64, system: Option<u8>) -> Result<ForeignConfig> {
-    let models = args
-        .config
-        .as_deref()
-        .map(vigil_types::settings::load::<Models>)
-        .transpose()?
-        .unwrap_or_default();
-    let frame_key = args
-        .frame_key
-        .as_ref()
-        .map(|path| frame_key(path, LIDAR_SENSOR_ID))
-        .transpose()?;
+    let models = VehicleChoice::default().models(args.config.as_deref())?;
     Ok(ForeignConfig {
         lidar: models.lidar,
         seed,
         sensor_fault: args.sensor_fault,
-        frame_key,
+        frame_key: lidar_key(args.frame_key.as_deref())?,
         system,
         truth: args.truth,
     })

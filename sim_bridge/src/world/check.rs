@@ -4,6 +4,7 @@ use crate::world::course::Course;
 use crate::world::mover::{ColumnOutline, MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 use crate::world::solid::Solid;
 use crate::world::vehicle::VEHICLE;
+use core::ops::RangeInclusive;
 
 /// More obstacles than this is a mistake in the file.
 pub const MAX_OBSTACLES: usize = 1000;
@@ -29,31 +30,26 @@ pub(super) fn problem<T>(field: impl Into<String>, problem: impl Into<String>) -
     })
 }
 
-pub(super) fn coordinate(field: &str, value: f32) -> Result<(), FieldProblem> {
-    if value.is_finite() && value.abs() <= MAX_COORDINATE_M {
-        return Ok(());
+/// `expected` says what a value must be, in words.
+pub(super) fn within(field: &str, value: f32, range: RangeInclusive<f32>, expected: &str) -> Result<(), FieldProblem> {
+    match range.contains(&value) {
+        true => Ok(()),
+        false => problem(field, format!("is {value}, must be {expected}")),
     }
-    problem(
-        field,
-        format!("is {value}, must be a number within ±{MAX_COORDINATE_M} m"),
-    )
+}
+
+pub(super) fn coordinate(field: &str, value: f32) -> Result<(), FieldProblem> {
+    let expected = format!("a number within ±{MAX_COORDINATE_M} m");
+    within(field, value, -MAX_COORDINATE_M..=MAX_COORDINATE_M, &expected)
 }
 
 pub(super) fn angle(field: &str, value: f32) -> Result<(), FieldProblem> {
-    if value.is_finite() && value.abs() <= 360.0 {
-        return Ok(());
-    }
-    problem(field, format!("is {value}, must be within ±360 degrees"))
+    within(field, value, -360.0..=360.0, "within ±360 degrees")
 }
 
 fn size(field: &str, value: f32) -> Result<(), FieldProblem> {
-    if (0.01..=MAX_COORDINATE_M).contains(&value) {
-        return Ok(());
-    }
-    problem(
-        field,
-        format!("is {value}, must be a size from 0.01 to {MAX_COORDINATE_M} m"),
-    )
+    let expected = format!("a size from 0.01 to {MAX_COORDINATE_M} m");
+    within(field, value, 0.01..=MAX_COORDINATE_M, &expected)
 }
 
 /// Checks fields of a table in turn, each by its own name.
@@ -82,9 +78,7 @@ impl Course {
             ("goal_radius_m", self.goal_radius_m, (0.1, 100.0), "m"),
             ("time_limit_s", self.time_limit_s, (1.0, 3600.0), "s"),
         ] {
-            if !(low..=high).contains(&value) {
-                return problem(name, format!("is {value}, must be from {low} to {high} {unit}"));
-            }
+            within(name, value, low..=high, &format!("from {low} to {high} {unit}"))?;
         }
         let b = &self.bounds;
         for (name, range) in [("north_m", b.north_m), ("east_m", b.east_m)] {
@@ -150,8 +144,7 @@ impl Course {
                 coordinate(&format!("wall[{i}].from_m[{k}]"), w.from_m[k])?;
                 coordinate(&format!("wall[{i}].to_m[{k}]"), w.to_m[k])?;
             }
-            size(&format!("wall[{i}].thickness_m"), w.thickness_m)?;
-            size(&format!("wall[{i}].height_m"), w.height_m)?;
+            check_fields!(w, format!("wall[{i}]"), size: thickness_m height_m);
             if libm::hypotf(w.to_m[0] - w.from_m[0], w.to_m[1] - w.from_m[1]) < 0.01 {
                 return problem(
                     format!("wall[{i}].to_m"),
@@ -244,25 +237,16 @@ impl Mover {
                 "is the same point as from_m, must be another; what stands still is a column or a box",
             );
         }
-        if !(0.01..=MAX_MOVER_SPEED_M_S).contains(&self.speed_m_s) {
-            return problem(
-                format!("mover[{i}].speed_m_s"),
-                format!("is {}, must be from 0.01 to {MAX_MOVER_SPEED_M_S} m/s", self.speed_m_s),
-            );
-        }
-        if !(0.0..=1.0).contains(&self.phase) {
-            return problem(
-                format!("mover[{i}].phase"),
-                format!("is {}, must be a share of the way to and fro, from 0 to 1", self.phase),
-            );
-        }
-        size(&format!("mover[{i}].height_m"), self.height_m)?;
+        let field = |name: &str| format!("mover[{i}].{name}");
+        let pace = format!("from 0.01 to {MAX_MOVER_SPEED_M_S} m/s");
+        within(&field("speed_m_s"), self.speed_m_s, 0.01..=MAX_MOVER_SPEED_M_S, &pace)?;
+        let share = "a share of the way to and fro, from 0 to 1";
+        within(&field("phase"), self.phase, 0.0..=1.0, share)?;
+        size(&field("height_m"), self.height_m)?;
         match self.shape {
-            MoverShape::Column(ColumnOutline { radius_m }) => {
-                size(&format!("mover[{i}].shape.column.radius_m"), radius_m)
-            }
+            MoverShape::Column(ColumnOutline { radius_m }) => size(&field("shape.column.radius_m"), radius_m),
             MoverShape::Box(outline) => {
-                check_fields!(outline, format!("mover[{i}].shape.box"), size: length_m width_m, angle: yaw_deg);
+                check_fields!(outline, field("shape.box"), size: length_m width_m, angle: yaw_deg);
                 Ok(())
             }
         }

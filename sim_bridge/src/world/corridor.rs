@@ -266,8 +266,7 @@ impl Course {
     /// none. Movers are the matter of [`Course::earliest_arrival_s`].
     pub fn corridor(&self) -> Option<Vec<[f32; 2]>> {
         let solids = self.corridor_solids();
-        let (grid, ends) = self.corridor_grid(&solids)?;
-        let [start, goal] = ends;
+        let (grid, [start, goal]) = self.corridor_grid(&solids)?;
         let cells = grid.search(grid.lattice.nearest(start), grid.lattice.nearest(goal))?;
         let mut points = vec![start];
         points.extend(cells.iter().map(|cell| grid.lattice.point(*cell)));

@@ -210,11 +210,7 @@ impl Bounds {
 impl Column {
     /// Its geometry.
     pub fn solid(&self) -> Solid {
-        Solid::Cylinder {
-            centre_ned_m: NedVector::new(self.north_m, self.east_m, -0.5 * self.height_m),
-            radius_m: self.radius_m,
-            half_height_m: 0.5 * self.height_m,
-        }
+        Solid::cylinder((self.north_m, self.east_m), self.radius_m, self.height_m)
     }
 }
 
@@ -223,10 +219,8 @@ impl BoxObstacle {
     pub fn solid(&self) -> Solid {
         Solid::cuboid(
             (self.north_m, self.east_m),
-            self.length_m,
-            self.width_m,
-            0.0,
-            self.height_m,
+            [self.length_m, self.width_m],
+            [0.0, self.height_m],
             radians(self.yaw_deg),
         )
     }
@@ -244,10 +238,8 @@ impl Overhang {
     pub fn solid(&self) -> Solid {
         Solid::cuboid(
             (self.north_m, self.east_m),
-            self.length_m,
-            self.width_m,
-            self.bottom_m,
-            self.top_m,
+            [self.length_m, self.width_m],
+            [self.bottom_m, self.top_m],
             radians(self.yaw_deg),
         )
     }

@@ -2,8 +2,9 @@
 
 use crate::world::check::FieldProblem;
 use crate::world::course::Course;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use toml::de::{DeTable, DeValue};
+use vigil_types::files::{self, FileError, at};
 use vigil_types::settings::{self, Refused};
 
 /// A course of a thousand obstacles has 100 kB.
@@ -13,21 +14,11 @@ const SIZE_LIMIT: u64 = 4 << 20;
 #[derive(Debug, thiserror::Error)]
 pub enum CourseError {
     /// The file cannot be read.
-    #[error("cannot read course {}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error("cannot read course {0}")]
+    Read(FileError),
     /// The file cannot be written.
-    #[error("cannot write course {}: {source}", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error("cannot write course {0}")]
+    Write(FileError),
     /// The text is not a course.
     #[error("{file}:{line}: {}{problem}", if field.is_empty() { String::new() } else { format!("`{field}`: ") })]
     Invalid {
@@ -51,6 +42,10 @@ impl Course {
     /// # Errors
     /// [`CourseError::Invalid`] with line and field.
     pub fn from_toml_str(text: &str, file_name: &str) -> Result<Self, CourseError> {
+        Self::read(text, file_name, Path::new(file_name))
+    }
+
+    fn read(text: &str, file_name: &str, path: &Path) -> Result<Self, CourseError> {
         let invalid = |at: usize, field, problem| CourseError::Invalid {
             file: file_name.to_owned(),
             line: 1 + text.bytes().take(at).filter(|b| *b == b'\n').count(),
@@ -60,7 +55,7 @@ impl Course {
         let refused = |r: Refused| invalid(r.at, r.key, r.message);
         let root = settings::parse(text).map_err(refused)?;
         let mut course: Self = settings::from_table(root.get_ref()).map_err(refused)?;
-        let folder = Path::new(file_name).parent().unwrap_or(Path::new(""));
+        let folder = path.parent().unwrap_or(Path::new(""));
         let checked = course.read_meshes(folder).and_then(|()| course.check());
         checked.map_err(|wrong| invalid(offset_of(root.get_ref(), &wrong.field), wrong.field, wrong.problem))?;
         Ok(course)
@@ -82,11 +77,8 @@ impl Course {
     /// # Errors
     /// [`CourseError::Read`] or [`CourseError::Invalid`].
     pub fn load(path: &Path) -> Result<Self, CourseError> {
-        let text = vigil_types::files::read_text(path, SIZE_LIMIT).map_err(|source| CourseError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        Self::from_toml_str(&text, &path.display().to_string())
+        let text = files::read_text(path, SIZE_LIMIT).map_err(at(path));
+        Self::read(&text.map_err(CourseError::Read)?, &path.display().to_string(), path)
     }
 
     /// The course as TOML text.
@@ -106,12 +98,8 @@ impl Course {
     /// [`CourseError::Unwritable`] or [`CourseError::Write`].
     pub fn save(&self, path: &Path) -> Result<(), CourseError> {
         let text = self.to_toml_string()?;
-        vigil_types::files::replace(path, text.as_bytes(), vigil_types::files::Access::Shared).map_err(|source| {
-            CourseError::Write {
-                path: path.to_owned(),
-                source,
-            }
-        })
+        let written = files::replace(path, text.as_bytes(), files::Access::Shared);
+        written.map_err(|error| CourseError::Write(at(path)(error)))
     }
 }
 

@@ -2,9 +2,9 @@
 
 use crate::world::solid::Solid;
 use crate::world::solid::radians;
+use vigil_types::Nanos;
 use vigil_types::settings;
 use vigil_types::settings::{Field, Given, Refused, Rule, Setting, Value, free, refused, required};
-use vigil_types::{Nanos, NedVector};
 
 /// No mover may be faster: the pace of somebody who walks slowly.
 pub const MAX_MOVER_SPEED_M_S: f32 = 1.0;
@@ -117,22 +117,14 @@ impl Mover {
     pub fn solid_at(&self, at_ns: Nanos) -> Solid {
         let [north_m, east_m] = self.centre_at_m(at_ns);
         match self.shape {
-            MoverShape::Column(ColumnOutline { radius_m }) => Solid::Cylinder {
-                centre_ned_m: NedVector::new(north_m, east_m, -0.5 * self.height_m),
-                radius_m,
-                half_height_m: 0.5 * self.height_m,
-            },
-            MoverShape::Box(BoxOutline {
-                length_m,
-                width_m,
-                yaw_deg,
-            }) => Solid::cuboid(
+            MoverShape::Column(ColumnOutline { radius_m }) => {
+                Solid::cylinder((north_m, east_m), radius_m, self.height_m)
+            }
+            MoverShape::Box(outline) => Solid::cuboid(
                 (north_m, east_m),
-                length_m,
-                width_m,
-                0.0,
-                self.height_m,
-                radians(yaw_deg),
+                [outline.length_m, outline.width_m],
+                [0.0, self.height_m],
+                radians(outline.yaw_deg),
             ),
         }
     }
@@ -153,14 +145,11 @@ impl Mover {
         // Half of the outline's size along the way and across it.
         let (along_m, across_m) = match self.shape {
             MoverShape::Column(ColumnOutline { radius_m }) => (radius_m, radius_m),
-            MoverShape::Box(BoxOutline {
-                length_m,
-                width_m,
-                yaw_deg,
-            }) => {
+            MoverShape::Box(outline) => {
                 let heading_rad = libm::atan2f(self.to_m[1] - self.from_m[1], self.to_m[0] - self.from_m[0]);
-                let turn = radians(yaw_deg) - heading_rad;
+                let turn = radians(outline.yaw_deg) - heading_rad;
                 let (s, c) = (libm::sinf(turn).abs(), libm::cosf(turn).abs());
+                let (length_m, width_m) = (outline.length_m, outline.width_m);
                 (0.5 * (c * length_m + s * width_m), 0.5 * (s * length_m + c * width_m))
             }
         };

@@ -36,10 +36,8 @@ impl Solid {
     /// A box that stands on `bottom_m` and ends at `top_m` (heights above ground).
     pub(crate) fn cuboid(
         (north_m, east_m): (f32, f32),
-        length_m: f32,
-        width_m: f32,
-        bottom_m: f32,
-        top_m: f32,
+        [length_m, width_m]: [f32; 2],
+        [bottom_m, top_m]: [f32; 2],
         yaw_rad: f32,
     ) -> Self {
         Self::Cuboid {
@@ -49,12 +47,26 @@ impl Solid {
         }
     }
 
+    /// An upright cylinder on the ground.
+    pub(crate) fn cylinder((north_m, east_m): (f32, f32), radius_m: f32, height_m: f32) -> Self {
+        Self::Cylinder {
+            centre_ned_m: NedVector::new(north_m, east_m, -0.5 * height_m),
+            radius_m,
+            half_height_m: 0.5 * height_m,
+        }
+    }
+
     /// A box on the ground along a line, at each end so much longer than that.
     pub(crate) fn along(from_m: [f32; 2], to_m: [f32; 2], longer_m: f32, width_m: f32, height_m: f32) -> Self {
         let [north, east] = [0, 1].map(|k| to_m[k] - from_m[k]);
         let middle_m = (0.5 * (from_m[0] + to_m[0]), 0.5 * (from_m[1] + to_m[1]));
         let length_m = libm::hypotf(north, east) + 2.0 * longer_m;
-        Self::cuboid(middle_m, length_m, width_m, 0.0, height_m, libm::atan2f(east, north))
+        Self::cuboid(
+            middle_m,
+            [length_m, width_m],
+            [0.0, height_m],
+            libm::atan2f(east, north),
+        )
     }
 
     /// Centre, NED metres.
@@ -232,7 +244,7 @@ mod tests {
 
     /// A wall 4 m long and 0.2 m thick, turned by 90°: its length lies east.
     fn wall_to_the_east() -> Solid {
-        Solid::cuboid((5.0, 0.0), 4.0, 0.2, 0.0, 3.0, core::f32::consts::FRAC_PI_2)
+        Solid::cuboid((5.0, 0.0), [4.0, 0.2], [0.0, 3.0], core::f32::consts::FRAC_PI_2)
     }
 
     #[test]
@@ -250,12 +262,8 @@ mod tests {
     fn distances_agree_with_parry() {
         let solids = [
             wall_to_the_east(),
-            Solid::cuboid((3.0, -2.0), 1.0, 2.0, 1.0, 1.8, 0.7),
-            Solid::Cylinder {
-                centre_ned_m: NedVector::new(-2.0, 4.0, -1.5),
-                radius_m: 0.4,
-                half_height_m: 1.5,
-            },
+            Solid::cuboid((3.0, -2.0), [1.0, 2.0], [1.0, 1.8], 0.7),
+            Solid::cylinder((-2.0, 4.0), 0.4, 3.0),
         ];
         for solid in solids {
             let (pose, shape) = solid.shape();
@@ -304,13 +312,9 @@ mod tests {
                 let g = f + shift;
                 let (north, east) = (1.6 * libm::sinf(1.3 * g), 1.6 * libm::cosf(2.1 * g));
                 if k % 3 == 0 && shift > 0.0 {
-                    Solid::Cylinder {
-                        centre_ned_m: NedVector::new(north, east, -1.0),
-                        radius_m: 0.2 + 0.3 * libm::sinf(g).abs(),
-                        half_height_m: 1.0,
-                    }
+                    Solid::cylinder((north, east), 0.2 + 0.3 * libm::sinf(g).abs(), 2.0)
                 } else {
-                    Solid::cuboid((north, east), 3.0, 0.2 + libm::cosf(g).abs(), 0.0, 2.0, g)
+                    Solid::cuboid((north, east), [3.0, 0.2 + libm::cosf(g).abs()], [0.0, 2.0], g)
                 }
             });
             let [a, b] = solids.map(|s| outline(&s));

@@ -74,11 +74,8 @@ impl Course {
         );
         let step_s = grid.lattice.cell_m / SPEED_M_S;
         let mut free = Cells::none(&grid);
-        for cell in grid.lattice.all() {
-            if grid.is_free(cell) {
-                free.insert(cell);
-            }
-        }
+        let cells = grid.lattice.all().filter(|cell| grid.is_free(*cell));
+        cells.for_each(|cell| free.insert(cell));
         let (mut reached, mut wide, mut next) = (Cells::none(&grid), Cells::none(&grid), Cells::none(&grid));
         reached.insert(start);
         let movers: Vec<_> = self.movers.iter().filter(|m| in_the_way(self, &m.track())).collect();

@@ -1,7 +1,7 @@
 //! Wires, cables and branches: thin, straight, in any direction. To be seen and touched each is a closed prism of six sides, within 7.2 % of its
 //! radius (3.6 mm of the thickest), in one surface with all others of its course.
 
-use crate::world::check::{FieldProblem, coordinate, problem};
+use crate::world::check::{FieldProblem, coordinate, problem, within};
 use crate::world::course::Course;
 use crate::world::mesh::{Surface, standing};
 use crate::world::solid::Solid;
@@ -85,9 +85,9 @@ impl Wire {
         let [a, b] = shares.map(|share| from + share * (to - from));
         let (plan, middle, r) = (b - a, 0.5 * (a + b), self.radius_m);
         let length_m = libm::hypotf(plan.x, plan.y) + 2.0 * r;
-        let [bottom_m, top_m] = [a.z.min(b.z) - r, a.z.max(b.z) + r];
+        let heights_m = [a.z.min(b.z) - r, a.z.max(b.z) + r];
         let yaw_rad = libm::atan2f(plan.y, plan.x);
-        Solid::cuboid((middle.x, middle.y), length_m, 2.0 * r, bottom_m, top_m, yaw_rad)
+        Solid::cuboid((middle.x, middle.y), [length_m, 2.0 * r], heights_m, yaw_rad)
     }
 
     pub(crate) fn check(&self, i: usize) -> Result<(), FieldProblem> {
@@ -102,14 +102,8 @@ impl Wire {
                 "is the same point as from_m, must be another",
             );
         }
-        if !(0.005..=0.05).contains(&self.radius_m) {
-            let wrong = format!(
-                "is {}, must be from 0.005 to 0.05 m; what is thicker is a column or a box",
-                self.radius_m
-            );
-            return problem(format!("wire[{i}].radius_m"), wrong);
-        }
-        Ok(())
+        let expected = "from 0.005 to 0.05 m; what is thicker is a column or a box";
+        within(&format!("wire[{i}].radius_m"), self.radius_m, 0.005..=0.05, expected)
     }
 }
 

@@ -95,6 +95,8 @@ def test_what_is_no_log_is_refused(tmp_path):
         ({"family": "nowhere"}, "no course family"),
         ({"flights": 0}, "flights: 1 or more"),
         ({"seeds": []}, "seeds: is empty"),
+        ({"seeds": [-1]}, "seeds: 0 or more"),
+        ({"first_seed": -1}, "first_seed: 0 or more"),
         ({"pilot": "me"}, "pilot: actor or geometric"),
         ({"attack": "magic"}, "attack: magic is none of"),
         ({"wind": 50.0}, "wind: 0 to 20"),

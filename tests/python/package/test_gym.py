@@ -351,11 +351,13 @@ def test_a_time_limit_truncates_and_a_vector_begins_anew_in_the_next_step():
     assert not truncated.any()
 
 
-def test_a_course_file_is_flown_and_drawn(tmp_path):
+def test_a_course_file_is_flown_and_drawn_with_the_mesh_beside_it(tmp_path):
     file = tmp_path / "field.toml"
+    (tmp_path / "post.obj").write_text("v 1 6 0\nv 2 6 0\nv 2 6 3\nf 1 2 3\n")
     file.write_text(
         'name = "field"\ngoal = { north_m = 4.0, east_m = 0.0 }\n'
         "bounds = { north_m = [-5.0, 25.0], east_m = [-8.0, 8.0], top_m = 6.0 }\n"
+        '[[mesh]]\nfile = "post.obj"\n'
     )
     env = VigilEnv(course=file, frames=1, render_mode="rgb_array")
     observation, _ = env.reset(seed=0)
@@ -369,6 +371,9 @@ def test_a_course_file_is_flown_and_drawn(tmp_path):
     picture = env.render()
     assert picture.dtype == np.uint8 and picture.shape == at_first.shape and picture.shape[2] == 3
     assert (picture != at_first).any(), "the way flown is drawn"
+    (tmp_path / "post.obj").unlink()
+    with pytest.raises(ValueError, match="field.toml:.*post.obj"):
+        VigilEnv(course=file)
 
 
 def test_wind_and_noise_change_a_flight_and_the_true_state_knows_the_goal():
@@ -462,6 +467,8 @@ def test_a_reset_that_is_refused_draws_nothing():
     with pytest.raises(ValueError, match="have not begun: reset all of them first"):
         vector.reset(seed=9, options={"reset_mask": np.array([True, False])})
     assert vector._random == before
+    with pytest.raises(ValueError, match="seeds: 0 or more, below 2.64, got 18446744073709551616"):
+        VigilEnv(frames=1, seeds=[2**64]).reset()
 
 
 def test_what_comes_before_a_reset_is_refused():

@@ -223,8 +223,8 @@ def test_a_detector_is_trained_on_rows_of_any_width_and_kept(tmp_path):
     assert len(trained.epochs) == 4 and trained.epochs[trained.chosen - 1][1] == min(e[1] for e in trained.epochs)
     again = train(learn, choose, epochs=4, threads=1)
     np.testing.assert_array_equal(again.lstm.params, trained.lstm.params)
-    trained.lstm.save(tmp_path / "own.npz")
-    np.testing.assert_array_equal(Lstm.load(tmp_path / "own.npz").scores(rows), scores)
+    trained.lstm.save(tmp_path / "own")
+    np.testing.assert_array_equal(Lstm.load(tmp_path / "own").scores(rows), scores)
     found, labels = windows([rows_of(1), (rows[:5], attacked[:5])])
     assert found.shape == (51, 10, 7) and labels.sum() == 30
 

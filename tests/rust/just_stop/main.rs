@@ -11,17 +11,14 @@ mod peer;
 mod scripted;
 
 use peer::{Mode, Peer, Quirk};
-use std::fmt::Write;
-use std::sync::atomic::{AtomicU64, Ordering};
-use vigil_firmware::config::PilotConfig;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::Flavour;
 use vigil_mavlink::common::MavResult;
 use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sim::vehicle::{HoldLaw, VehicleModel, VehicleParams, Wind};
 use vigil_sim::world::{BoxObstacle, Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
-use vigil_sim::{LIDAR_SENSOR_ID, SimConfig, Start};
-use vigil_tests::{Pair, mission, without};
+use vigil_sim::{LIDAR_SENSOR_ID, SimConfig};
+use vigil_tests::{Pair, airborne, mission, side_by_side, without};
 use vigil_types::{
     Attitude, Datagrams, DepthFrame, Duty, EngagePolicy, Nanos, NedVector, PilotKind, Reason, STEP_NS, VehicleMode,
 };
@@ -88,10 +85,9 @@ fn away_m(from_ned_m: NedVector, column: &Column) -> f32 {
     (column.north_m - from_ned_m.x).hypot(column.east_m - from_ned_m.y) - column.radius_m
 }
 
-/// Flies the mission over a course; how it ended, and the least distance to an obstacle on the way.
-fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
-    let flown = fly_as(VehicleParams::default(), course, seed, duty, &Plan::straight(speed_m_s));
-    (flown.end, flown.nearest_m)
+/// Flies the straight mission over a course.
+fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> Flown {
+    fly_as(VehicleParams::default(), course, seed, duty, &Plan::straight(speed_m_s))
 }
 
 /// A mission to the course's goal.
@@ -124,22 +120,15 @@ impl Plan {
 
 fn fly_as(vehicle: VehicleParams, course: Course, seed: u64, duty: Duty, plan: &Plan) -> Flown {
     let columns = course.columns.clone();
-    let mut simulation = SimConfig::new(course, seed);
-    simulation.start = Start::Airborne;
+    let mut simulation = airborne(course, seed);
     simulation.vehicle = vehicle;
     simulation.wind = plan.wind;
     simulation.saved = mission::plan(&simulation, plan.speed_m_s, &plan.via_m, plan.nose_deg);
-    let config = FirmwareConfig {
-        duty,
-        engage: EngagePolicy::Command,
-        pilot: PilotConfig {
-            kind: PilotKind::Geometric,
-            ..PilotConfig::default()
-        },
-        ..FirmwareConfig::to_goal(simulation.course.goal_ned_m())
-    };
+    let mut config = FirmwareConfig::to_goal(simulation.course.goal_ned_m());
+    (config.duty, config.engage) = (duty, EngagePolicy::Command);
+    config.pilot.kind = PilotKind::Geometric;
     let mut pair = Pair::of(&simulation, &config);
-    let (mut nearest_m, mut stood) = (f32::INFINITY, 0);
+    let (mut end, mut nearest_m, mut stood) = (End::Other, f32::INFINITY, 0);
     let mut stop: Option<Stop> = None;
     for step in 0..2400 {
         if step == 40 {
@@ -172,71 +161,66 @@ fn fly_as(vehicle: VehicleParams, course: Course, seed: u64, duty: Duty, plan: &
             });
         }
         stop.iter_mut().for_each(|stop| stop.follow(truth.position_ned_m));
-        if let Some(ending) = pair.simulator.ending() {
-            let end = match ending.outcome {
+        if let Some(outcome) = pair.outcome() {
+            end = match outcome {
                 Outcome::Success => End::Arrived,
                 Outcome::Collision => End::Collision,
                 _ => End::Other,
             };
-            return Flown { end, nearest_m, stop };
+            break;
         }
         let holds = report.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
         let stands = holds && truth.velocity_ned_m_s.horizontal_norm() < 0.4;
         stood += u32::from(stands && report.reasons.contains(Reason::CollisionCourse));
         if stood == 100 {
-            let end = End::Stopped;
-            return Flown { end, nearest_m, stop };
+            end = End::Stopped;
+            break;
         }
     }
-    let end = End::Other;
     Flown { end, nearest_m, stop }
 }
 
 /// The same course with everything taken away that stands.
 fn emptied(mut course: Course) -> Course {
-    (course.columns, course.boxes, course.walls) = (vec![], vec![], vec![]);
-    (course.overhangs, course.movers) = (vec![], vec![]);
+    course.clear_obstacles();
     course
 }
 
 /// On the first courses whose straight way is blocked it is stopped before what stands there, and arrives where nothing does.
-fn is_stopped_only_before_something(fly: impl Fn(Course, u64, Duty) -> (End, f32)) {
+fn is_stopped_only_before_something(plan: &Plan) {
+    let fly = |course, seed, duty| fly_as(VehicleParams::default(), course, seed, duty, plan);
     let blocked: Vec<u64> = (1..20)
-        .filter(|seed| fly(generate(Family::Training, *seed), *seed, Duty::Fly).0 == End::Collision)
+        .filter(|seed| fly(generate(Family::Training, *seed), *seed, Duty::Fly).end == End::Collision)
         .take(3)
         .collect();
     assert_eq!(blocked.len(), 3, "{blocked:?}");
     for seed in blocked {
         let course = generate(Family::Training, seed);
-        let (end, nearest_m) = fly(course.clone(), seed, Duty::JustStop);
-        assert_eq!(end, End::Stopped, "course {seed}, nearest {nearest_m} m");
-        let (end, _) = fly(emptied(course), seed, Duty::JustStop);
-        assert_eq!(end, End::Arrived, "course {seed}");
+        let flown = fly(course.clone(), seed, Duty::JustStop);
+        assert_eq!(flown.end, End::Stopped, "course {seed}: {flown:?}");
+        let flown = fly(emptied(course), seed, Duty::JustStop);
+        assert_eq!(flown.end, End::Arrived, "course {seed}");
     }
 }
 
 #[test]
 fn a_mission_through_an_obstacle_is_stopped_before_it_and_a_free_one_arrives() {
-    is_stopped_only_before_something(|course, seed, duty| fly(course, seed, 3.0, duty));
+    is_stopped_only_before_something(&Plan::straight(3.0));
 }
 
 /// DO_REPOSITION leaves the vehicle in hold, which is not standing still.
 #[test]
 fn a_go_to_through_an_obstacle_is_stopped_before_it_and_a_free_one_arrives() {
-    let plan = Plan {
+    is_stopped_only_before_something(&Plan {
         command: mission::go_to,
         ..Plan::straight(3.0)
-    };
-    is_stopped_only_before_something(|course, seed, duty| {
-        let flown = fly_as(VehicleParams::default(), course, seed, duty, &plan);
-        (flown.end, flown.nearest_m)
     });
 }
 
 #[test]
 fn a_mission_that_was_stopped_is_flown_around_and_handed_back() {
     for seed in [2, 3] {
-        let (end, nearest_m) = fly(generate(Family::Training, seed), seed, 3.0, Duty::FlyAround);
-        assert_eq!(end, End::Arrived, "course {seed}, nearest {nearest_m} m");
+        let flown = fly(generate(Family::Training, seed), seed, 3.0, Duty::FlyAround);
+        assert_eq!(flown.end, End::Arrived, "course {seed}: {flown:?}");
     }
 }

@@ -239,8 +239,7 @@ fn an_arducopter_brakes_in_a_second_and_a_half_times_its_speed_and_that_is_recko
 fn two_missions_in_a_row_through_the_same_wall_are_held_before_they_move_where_it_is_too_near() {
     let course = column_on_the_way(3.5);
     let start = course.start_ned_m();
-    let mut simulation = SimConfig::new(course, 1);
-    simulation.start = Start::Airborne;
+    let mut simulation = airborne(course, 1);
     simulation.vehicle = VehicleModel::Px4Sih.params();
     simulation.saved = mission::plan(&simulation, 5.0, &[], None);
     let config = FirmwareConfig {
@@ -301,48 +300,29 @@ fn missions_on_a_model() {
 fn two_hundred_missions_through_what_stands_there() {
     let first_seed: u64 = std::env::var("FIRST_SEED").map_or(1, |text| text.parse().expect("FIRST_SEED is a number"));
     for speed_m_s in [2.0, 3.0, 4.0] {
-        let next = AtomicU64::new(0);
-        // Of missions that alone end in a collision, and of the others: how the guarded ones end, by duty.
-        let counts = std::sync::Mutex::new([[[0_u32; 4]; 2]; 2]);
-        std::thread::scope(|scope| {
-            for _ in 0..2 {
-                scope.spawn(|| {
-                    loop {
-                        let n = next.fetch_add(1, Ordering::Relaxed);
-                        if n >= 200 {
-                            break;
-                        }
-                        let family = if n < 100 { Family::Training } else { Family::Validation };
-                        let seed = first_seed + n % 100;
-                        let alone = fly(generate(family, seed), seed, speed_m_s, Duty::Fly).0;
-                        for (row, duty) in [Duty::JustStop, Duty::FlyAround].into_iter().enumerate() {
-                            let (end, nearest_m) = fly(generate(family, seed), seed, speed_m_s, duty);
-                            let blocked = usize::from(alone == End::Collision);
-                            counts.lock().expect("no panic")[row][blocked][end as usize] += 1;
-                            if matches!(end, End::Collision | End::Other) || row == 1 && end != End::Arrived {
-                                println!("{family:?} {seed}, {speed_m_s} m/s, {duty:?}: {end:?}, {nearest_m:.2} m");
-                            }
-                        }
-                    }
-                });
-            }
+        // Whether the mission alone ends in a collision, and how the guarded ones end.
+        let flown = side_by_side(200, &[0, 1], |n, _| {
+            let family = if n < 100 { Family::Training } else { Family::Validation };
+            let seed = first_seed + n as u64 % 100;
+            let fly = |duty| fly(generate(family, seed), seed, speed_m_s, duty);
+            let guarded = [Duty::JustStop, Duty::FlyAround].map(|duty| {
+                let Flown { end, nearest_m, .. } = fly(duty);
+                if matches!(end, End::Collision | End::Other) || duty == Duty::FlyAround && end != End::Arrived {
+                    println!("{family:?} {seed}, {speed_m_s} m/s, {duty:?}: {end:?}, {nearest_m:.2} m");
+                }
+                end
+            });
+            Some((fly(Duty::Fly).end == End::Collision, guarded))
         });
-        let mut table = String::new();
-        for (of_duty, duty) in counts
-            .into_inner()
-            .expect("no panic")
-            .iter()
-            .zip(["just-stop", "fly-around"])
-        {
-            for (ends, way) in of_duty.iter().zip(["free", "blocked"]) {
-                let [arrived, stopped, collisions, other] = ends;
-                writeln!(
-                    table,
+        for (row, duty) in ["just-stop", "fly-around"].into_iter().enumerate() {
+            for (blocked, way) in [(false, "free"), (true, "blocked")] {
+                let ends = [End::Arrived, End::Stopped, End::Collision, End::Other];
+                let [arrived, stopped, collisions, other] =
+                    ends.map(|end| flown.iter().filter(|f| f.0 == blocked && f.1[row] == end).count());
+                println!(
                     "{speed_m_s} m/s, {duty}, way {way}: {arrived} arrived, {stopped} stopped, {collisions} collisions, {other} other"
-                )
-                .expect("a text");
+                );
             }
         }
-        print!("{table}");
     }
 }

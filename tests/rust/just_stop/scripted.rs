@@ -23,13 +23,8 @@ struct Guarded {
 impl Guarded {
     /// In its mission at 2.5 m height; a wall across its way, so far north.
     fn before_a_wall(flavour: Flavour, wall_m: f32) -> Self {
-        let mut course = emptied(generate(Family::Training, 1));
-        course.columns = vec![Column {
-            north_m: wall_m + 4.0,
-            east_m: 0.0,
-            radius_m: 4.0,
-            height_m: 8.0,
-        }];
+        let mut course = column_at(wall_m + 4.0, 0.0, 4.0);
+        course.columns[0].height_m = 8.0;
         Self::over(flavour, &course)
     }
 
@@ -237,11 +232,8 @@ fn a_mission_faster_than_it_can_be_stopped_is_said_to_be_unguarded_once() {
         let mut f = Guarded::before_a_wall(flavour, 400.0);
         f.peer.cruise_m_s = cruise_m_s;
         f.run_s(8.0);
-        let times = f
-            .texts
-            .iter()
-            .filter(|text| text.contains("not guarded: faster"))
-            .count();
+        let unguarded = f.texts.iter().filter(|text| text.contains("not guarded: faster"));
+        let times = unguarded.count();
         assert_eq!(times, usize::from(cruise_m_s > 5.5), "{cruise_m_s} m/s: {:?}", f.texts);
     }
 }

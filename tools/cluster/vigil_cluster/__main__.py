@@ -48,7 +48,7 @@ def main(arguments=None) -> int:
     try:
         words = [own.command, *rest]
         fly(words, own.output, found, own.address, own.at_a_time, own.retries, own.installed)
-    except (CampaignError, ConnectionError) as error:
+    except (CampaignError, ConnectionError, ValueError) as error:
         print(f"vigil-cluster: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -145,6 +145,8 @@ def fly(words, output, vigil, address=None, at_a_time=20, retries=5, installed=F
         ray.init(address=address, log_to_driver=False, logging_level="warning")
     try:
         program = str(vigil.resolve()) if installed else ray.put((vigil if words[:1] == ["evaluate"] else laboratory).read_bytes())
+        # Nodes need Ray, not this package.
+        ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
         # A node that is lost is Ray's to notice; a flight that was killed is ours.
         task = ray.remote(_fly_some).options(num_cpus=1, max_retries=retries, retry_exceptions=[ConnectionAbortedError])
         sent = _sent(words)

@@ -4,8 +4,8 @@ use anyhow::Result;
 use std::path::Path;
 use vigil_adversary::{AttackConfig, Method};
 use vigil_lab::detector_training::{
-    Adversary, Counts, Examples, FitConfig, Flights, Frame, LstmConfig, PixelExplainer, Plan, Scenario, Shown, Step,
-    YAW, fit, fly,
+    Adversary, Counts, Examples, Feature, FitConfig, Flights, Frame, LstmConfig, Onlooker, PixelExplainer, Plan,
+    Record, Scenario, Shown, Step, WindowScorer, YAW, fit, fly, train,
 };
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
 use vigil_policy::{FrozenActor, FrozenPilot};
@@ -14,6 +14,12 @@ use vigil_tools::threads::thread_pool;
 
 fn actor() -> FrozenPilot {
     FrozenPilot::load_or_built_in(None).unwrap()
+}
+
+/// Attacks these steps.
+fn attacking(config: AttackConfig, steps: std::ops::Range<u64>) -> Option<Adversary> {
+    let bursts = std::iter::once(steps).collect();
+    Some(Adversary { config, bursts })
 }
 
 /// Thirty steps with two attacked ones in the middle.
@@ -25,80 +31,70 @@ fn attacked(plan: Plan) -> Scenario {
         ..AttackConfig::PAPER
     };
     Scenario {
-        adversary: Some(Adversary {
-            config,
-            bursts: std::iter::once(12..14).collect(),
-        }),
+        adversary: attacking(config, 12..14),
         steps: 30,
         ..Scenario::unattacked(Family::Training, 3001, plan)
     }
 }
 
-/// Compares what was delivered with what was taken.
-#[derive(Default)]
-struct Differences(Vec<usize>);
+/// Looks on while flying.
+struct Watch<F>(F);
 
-impl vigil_lab::detector_training::Onlooker for Differences {
+impl<F: FnMut(&Shown<'_>)> Onlooker for Watch<F> {
     fn step(&mut self, _: &Step, shown: &Shown<'_>) -> Result<()> {
-        let pairs = shown.input.depth.depth.iter().zip(&shown.taken.depth);
-        self.0.push(pairs.filter(|(a, b)| a != b).count());
+        self.0(shown);
         Ok(())
     }
+}
+
+fn watched(scenario: &Scenario, watch: impl FnMut(&Shown<'_>)) -> Record {
+    fly(Isa::detect(), &actor(), scenario, &mut Watch(watch)).unwrap()
+}
+
+fn flown(scenario: &Scenario) -> Record {
+    watched(scenario, |_| {})
 }
 
 #[test]
 fn only_frames_that_count_as_attacked_differ_from_what_the_sensor_took() {
-    let mut differences = Differences::default();
-    let record = fly(Isa::detect(), &actor(), &attacked(Plan::Actor), &mut differences).unwrap();
+    let mut differences = Vec::new();
+    let record = watched(&attacked(Plan::Actor), |shown| {
+        let pairs = shown.input.depth.depth.iter().zip(&shown.taken.depth);
+        differences.push(pairs.filter(|(a, b)| a != b).count());
+    });
     assert_eq!(record.steps.len(), 30);
-    for (i, (step, pixels)) in record.steps.iter().zip(&differences.0).enumerate() {
+    for (i, (step, pixels)) in record.steps.iter().zip(differences).enumerate() {
         let within = (12..14).contains(&i);
         assert_eq!(step.frame == Frame::Attacked, within, "step {i}");
-        assert_eq!(*pixels > 1000, within, "step {i}: {pixels} pixels differ");
+        assert_eq!(pixels > 1000, within, "step {i}: {pixels} pixels differ");
         assert_eq!(step.yaw_change != 0.0, within, "step {i}");
-    }
-}
-
-/// Explains each frame's pixels.
-struct Explained {
-    explainer: PixelExplainer,
-    frames: usize,
-}
-
-impl vigil_lab::detector_training::Onlooker for Explained {
-    fn step(&mut self, _: &Step, shown: &Shown<'_>) -> Result<()> {
-        let vigil_policy::Decider::Actor(actor) = shown.pilot else {
-            panic!("an actor of ours flies")
-        };
-        let phi = self.explainer.newest_frame(actor, shown.input.depth, YAW)?;
-        assert_eq!(phi.len(), shown.input.depth.depth.len(), "one value a pixel");
-        assert!(
-            phi.iter().any(|phi| phi.abs() > 0.0),
-            "the frame has a share in the decision"
-        );
-        self.frames += 1;
-        Ok(())
     }
 }
 
 #[test]
 fn the_pixels_of_the_built_in_actor_s_newest_frame_are_explained() {
     let frozen = FrozenActor::built_in().unwrap();
-    let mut onlooker = Explained {
-        explainer: PixelExplainer::new(Isa::detect(), &frozen).unwrap(),
-        frames: 0,
-    };
+    let (mut explainer, mut frames) = (PixelExplainer::new(Isa::detect(), &frozen).unwrap(), 0);
     let scenario = Scenario {
         steps: 3,
         ..Scenario::unattacked(Family::Validation, 6501, Plan::Actor)
     };
-    fly(Isa::detect(), &actor(), &scenario, &mut onlooker).unwrap();
-    assert_eq!(onlooker.frames, 3);
+    watched(&scenario, |shown| {
+        let vigil_policy::Decider::Actor(actor) = shown.pilot else {
+            panic!("an actor of ours flies")
+        };
+        let phi = explainer.newest_frame(actor, shown.input.depth, YAW).unwrap();
+        assert_eq!(phi.len(), shown.input.depth.depth.len(), "one value a pixel");
+        let has_share = phi.iter().any(|phi| phi.abs() > 0.0);
+        assert!(has_share, "the frame has a share in the decision");
+        frames += 1;
+    });
+    assert_eq!(frames, 3);
 }
 
 #[test]
 fn who_steers_changes_the_flight_but_not_what_is_explained_first() {
-    let flown = |plan| fly(Isa::detect(), &actor(), &attacked(plan), &mut ()).unwrap().steps;
+    let flown = |plan| flown(&attacked(plan)).steps;
     let (own, other) = (flown(Plan::Actor), flown(Plan::Geometric));
     assert_eq!(own[0], other[0], "the same first frame, the same decision");
     assert_ne!(own[29].state, other[29].state, "by then they are elsewhere");
@@ -116,11 +112,8 @@ fn the_same_seed_flies_the_same_flight() {
     let fly = |seed, is_attacked| {
         let mut scenario = Scenario::drawn(seed, is_attacked);
         scenario.steps = 20;
-        scenario.adversary = scenario.adversary.map(|a| Adversary {
-            bursts: std::iter::once(8..10).collect(),
-            ..a
-        });
-        fly(Isa::detect(), &actor(), &scenario, &mut ()).unwrap()
+        scenario.adversary = scenario.adversary.and_then(|a| attacking(a.config, 8..10));
+        flown(&scenario)
     };
     let (first, again, other) = (fly(3100, true), fly(3100, true), fly(3101, true));
     assert_eq!(first, again);
@@ -134,7 +127,7 @@ fn flights_come_back_from_their_file_and_only_for_their_actor() {
     let path = folder.path().join("flights.safetensors");
     let flights = Flights {
         actor_sha256: actor().sha256(),
-        records: vec![fly(Isa::detect(), &actor(), &attacked(Plan::Switching), &mut ()).unwrap()],
+        records: vec![flown(&attacked(Plan::Switching))],
     };
     flights.save(&path).unwrap();
     let back = Flights::load(&path, &actor()).unwrap();
@@ -143,20 +136,14 @@ fn flights_come_back_from_their_file_and_only_for_their_actor() {
     let mut other = FrozenActor::built_in().unwrap();
     other.seed += 1;
     let other = FrozenPilot::Actor(other);
-    let refused = Flights::load(&path, &other).unwrap_err().to_string();
-    assert!(
-        refused.contains("collect the data anew") && refused.contains(&other.sha256()),
-        "{refused}"
-    );
-    let foreign = Path::new(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../firmware/policy/actor/actor.safetensors"
-    ));
-    let refused = Flights::load(foreign, &actor()).unwrap_err().to_string();
-    assert!(
-        refused.contains("holds no data of `vigil detector collect`"),
-        "{refused}"
-    );
+    let foreign = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../firmware/policy/actor/actor.safetensors");
+    for (path, pilot, words) in [
+        (&path, &other, ["collect the data anew", &other.sha256()]),
+        (&foreign, &actor(), ["holds no data of", "`vigil detector collect`"]),
+    ] {
+        let refused = Flights::load(path, pilot).unwrap_err().to_string();
+        assert!(words.iter().all(|word| refused.contains(word)), "{refused}");
+    }
 }
 
 #[test]
@@ -173,39 +160,22 @@ fn the_built_in_detector_judges_the_built_in_actor() {
         steps: 60,
         ..Scenario::unattacked(Family::Validation, 6501, Plan::Actor)
     };
-    let quiet = fly(Isa::detect(), &actor, &scenario, &mut ()).unwrap();
-    scenario.adversary = Some(Adversary {
-        config: AttackConfig::PAPER,
-        bursts: std::iter::once(30..60).collect(),
-    });
-    let bent = fly(Isa::detect(), &actor, &scenario, &mut ()).unwrap();
-    let scorer = vigil_lab::detector_training::WindowScorer::from_frozen(&frozen);
+    let quiet = flown(&scenario);
+    scenario.adversary = attacking(AttackConfig::PAPER, 30..60);
+    let bent = flown(&scenario);
+    let scorer = WindowScorer::from_frozen(&frozen);
     let scores = scorer.scores(Isa::detect(), &actor, &[quiet, bent]).unwrap();
-    let alarms = |flight: usize| scores[flight].iter().flatten().filter(|s| **s > 0.5).count();
-    assert_eq!(
-        scores[0].iter().flatten().count(),
-        51,
-        "no verdict before the window is full"
-    );
-    assert!(
-        alarms(0) <= 3 && alarms(1) >= 25,
-        "{} and {} alarms",
-        alarms(0),
-        alarms(1)
-    );
+    let alarms = [0, 1].map(|flight: usize| scores[flight].iter().flatten().filter(|s| **s > 0.5).count());
+    let verdicts = scores[0].iter().flatten().count();
+    assert_eq!(verdicts, 51, "no verdict before the window is full");
+    assert!(alarms[0] <= 3 && alarms[1] >= 25, "{alarms:?} alarms");
 }
 
 #[test]
 fn nothing_to_learn_from_is_said_with_numbers() {
     let config = LstmConfig::default();
-    let refused = vigil_lab::detector_training::train(
-        Isa::detect(),
-        &actor(),
-        vigil_lab::detector_training::Feature::Shap,
-        (&[], &[]),
-        &config,
-        &mut |_, _| {},
-    );
+    let (isa, shap) = (Isa::detect(), Feature::Shap);
+    let refused = train(isa, &actor(), shap, (&[], &[]), &config, &mut |_, _| {});
     let refused = refused.unwrap_err().to_string();
     assert!(
         refused.contains("0 attacked and 0 unattacked windows for training"),
@@ -258,18 +228,9 @@ fn a_network_learns_what_no_straight_line_separates_with_the_same_bits_on_any_nu
     let train = |threads| {
         let pool = thread_pool(threads).unwrap();
         let first: Vec<f32> = (0..graph.param_len()).map(|i| (i as f32 * 1.7).sin() * 0.5).collect();
-        pool.install(|| {
-            fit(
-                &graph,
-                Isa::detect(),
-                first,
-                &Moons(400),
-                &Moons(100),
-                &config,
-                &mut |_, _| {},
-            )
-            .unwrap()
-        })
+        let (isa, learn, choose) = (Isa::detect(), Moons(400), Moons(100));
+        let fitted = pool.install(|| fit(&graph, isa, first, &learn, &choose, &config, &mut |_, _| {}));
+        fitted.unwrap()
     };
     let fitted = train(1);
     assert_eq!(fitted, train(2));

@@ -1,5 +1,6 @@
 //! Whole runs, small ones.
 
+use anyhow::Result;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use vigil_lab::trainer::config::LearnConfig;
@@ -45,6 +46,11 @@ fn options(folder: &Path, resume: bool) -> LearnOptions {
     }
 }
 
+/// What becomes of a run in this folder that nothing stops.
+fn unstopped(config: &LearnConfig, folder: &Path, resume: bool) -> Result<LearnEnd> {
+    learn(config, &options(folder, resume), &AtomicBool::new(false), &mut |_| {})
+}
+
 fn complete(end: LearnEnd) -> Vec<f32> {
     match end {
         LearnEnd::Complete(actor, result) => {
@@ -64,14 +70,10 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
     let folder = tempfile::tempdir().unwrap();
     let whole = folder.path().join("whole");
     let mut rows = 0;
-    let end = learn(
-        &small(),
-        &options(&whole, false),
-        &AtomicBool::new(false),
-        &mut |progress| {
-            rows += usize::from(matches!(progress, Progress::Row(..)));
-        },
-    );
+    let (config, given, never) = (small(), options(&whole, false), AtomicBool::new(false));
+    let end = learn(&config, &given, &never, &mut |progress| {
+        rows += usize::from(matches!(progress, Progress::Row(..)));
+    });
     let expected = complete(end.unwrap());
     assert_eq!(rows, 2);
 
@@ -85,7 +87,7 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
     });
     assert!(matches!(end.unwrap(), LearnEnd::Interrupted(Some(path)) if path.exists()));
     let two = LearnConfig { threads: 2, ..small() };
-    let end = learn(&two, &options(&parts, true), &AtomicBool::new(false), &mut |_| {});
+    let end = unstopped(&two, &parts, true);
     assert!(complete(end.unwrap()) == expected, "the same bits");
     for file in ["curves.csv", "flights.csv"] {
         let lines = |folder: &Path| {
@@ -108,7 +110,7 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
         families: vec![Family::Hard],
         ..small()
     };
-    let end = learn(&longer, &options(&parts, true), &AtomicBool::new(false), &mut |_| {});
+    let end = unstopped(&longer, &parts, true);
     let LearnEnd::Complete(_, result) = end.unwrap() else {
         panic!("it was not interrupted")
     };
@@ -118,12 +120,13 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
 
     // Another configuration cannot go on with it, and no run begins where one is.
     let other = LearnConfig { seed: 2, ..small() };
-    let refused = |config: &LearnConfig, resume| {
-        let end = learn(config, &options(&parts, resume), &AtomicBool::new(false), &mut |_| {});
-        end.unwrap_err().to_string()
-    };
+    let refused = |config: &LearnConfig, resume| unstopped(config, &parts, resume).unwrap_err().to_string();
     assert!(refused(&other, true).contains("another configuration"));
     assert!(refused(&small(), false).contains("holds a run already"));
+    let mut another = options(&parts, true);
+    another.encoder = Some(Vec::new());
+    let end = learn(&longer, &another, &AtomicBool::new(false), &mut |_| {});
+    assert!(end.unwrap_err().to_string().contains("another encoder"));
     let checkpoint = parts.join("checkpoint.safetensors");
     let mut bytes = std::fs::read(&checkpoint).unwrap();
     let middle = bytes.len() / 2;

@@ -36,7 +36,7 @@ fn data_of(
         .value;
     let inside = Path::new(name)
         .components()
-        .all(|part| matches!(part, Component::Normal(_)));
+        .all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
     if name.is_empty() || !inside {
         return Err(format!("its data are in `{name}`, which is not in the model's folder"));
     }

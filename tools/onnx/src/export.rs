@@ -30,8 +30,9 @@ struct Placed<'a> {
 /// A pilot's network as a model of ONNX. Inputs of an actor of ours: `frame` `[1, 1, 128, 256]`, ranges over 100 m, `context` `[1, 328]`,
 /// what it remembers ([`CONTEXT`]), and `low_dim` `[1, 8]` ([`LOW_DIM`]); of an imported policy `frame` `[1, channels, rows, columns]` and,
 /// if it has one, `position` `[1, 2]`. Output: `action` `[1, 2]`, of an imported policy before its
-/// factor. What is to be known beside it is in the model's metadata.
-pub fn export(pilot: &FrozenPilot) -> Result<Vec<u8>, NetworkError> {
+/// factor. What is to be known beside it is in the model's metadata. With it comes the name of the imported policy's split point in the
+/// model, if it has one.
+pub fn export(pilot: &FrozenPilot) -> Result<(Vec<u8>, Option<String>), NetworkError> {
     let (placed, about) = match pilot {
         FrozenPilot::Actor(actor) => (of_actor(actor), about_actor(actor)),
         FrozenPilot::Imported(policy) => (of_policy(policy)?, about_policy(policy)),
@@ -76,7 +77,11 @@ pub fn export(pilot: &FrozenPilot) -> Result<Vec<u8>, NetworkError> {
             })
             .collect(),
     };
-    Ok(model.encode_to_vec())
+    let split = match pilot {
+        FrozenPilot::Imported(policy) => policy.split.and_then(|layer| values.get(layer)),
+        FrozenPilot::Actor(_) => None,
+    };
+    Ok((model.encode_to_vec(), split.map(|(name, _)| name.clone())))
 }
 
 fn of_policy(policy: &FrozenPolicy) -> Result<Placed<'_>, NetworkError> {

@@ -116,3 +116,49 @@ fn action_name<'a>(graph: &'a Graph, wanted: Option<&str>) -> Result<&'a str, St
         )),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::importer::{Importer, Live, Value, identity};
+    use crate::constant::{Constant, Data};
+    use crate::proto::{Attribute, Node};
+    use std::rc::Rc;
+
+    #[test]
+    fn shapes_of_other_ranks_or_beyond_all_numbers_are_refused() {
+        for (operator, name, i, shapes) in [
+            ("Concat", "axis", 1, vec![vec![1, 16], vec![1]]),
+            ("Conv", "group", 1 << 20, vec![vec![1, 1, 4, 4], vec![0, 1 << 50, 1, 1]]),
+            (
+                "LSTM",
+                "hidden_size",
+                1,
+                vec![vec![1, 1, 16], vec![1, 0, 16], vec![1, 0, 1 << 62]],
+            ),
+        ] {
+            let name = name.to_owned();
+            let node = Node {
+                input: (0..shapes.len()).map(|i| i.to_string()).collect(),
+                output: vec!["y".to_owned()],
+                op_type: operator.to_owned(),
+                attribute: vec![Attribute {
+                    name,
+                    i,
+                    ..Attribute::default()
+                }],
+                ..Node::default()
+            };
+            let mut importer = Importer::default();
+            for (name, shape) in node.input.iter().zip(shapes) {
+                let data = Data::Real(vec![0.0; shape.iter().product()]);
+                let value = match importer.tensors.is_empty() {
+                    true => Value::Live(Live::of(0, shape, identity(16))),
+                    false => Value::Constant(Rc::new(Constant { shape, data })),
+                };
+                importer.tensors.insert(name, value);
+            }
+            let refused = importer.node(&node).unwrap_err();
+            assert!(refused.contains("shape"), "{operator}: {refused}");
+        }
+    }
+}

@@ -3,10 +3,10 @@
 use anyhow::Result;
 use vigil_policy::PilotInput;
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, Actor, PositionalInputs};
+use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
 use vigil_types::{
     ACTION_LIMIT, Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics, NedVector, STEP_NS,
 };
-use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
 
 /// Steps between two states of a flight.
 const EVERY_STEPS: u64 = 12;
@@ -53,13 +53,9 @@ pub fn watch(actor: &mut Actor, seed: u64) -> Result<Vec<State>> {
         let at_ns = step * STEP_NS;
         world.set_time_ns(at_ns);
         let shot = Shot {
-            position_ned_m,
-            attitude,
-            estimated_position_ned_m: position_ned_m,
-            estimated_attitude: attitude,
             stamp_ns: at_ns,
             sequence: step,
-            sensor_id: 0,
+            ..Shot::at(position_ned_m, attitude)
         };
         lidar.capture(&world, &shot, &mut frame);
         let kinematics = Kinematics::new(at_ns, position_ned_m, NedVector::new(0.0, 0.0, 0.0));

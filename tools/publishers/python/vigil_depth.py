@@ -80,7 +80,10 @@ def frame_key(path: os.PathLike | str, sensor_id: int) -> bytes:
     if about.st_mode & 0o077 or about.st_uid not in (0, os.getuid()):
         raise ValueError(f"{path} is open to others: chown it to yourself and chmod 600 it")
     content = pathlib.Path(path).read_bytes()
-    secret = content if len(content) == 32 else bytes.fromhex(content.decode().strip())
+    try:
+        secret = content if len(content) == 32 else bytes.fromhex(content.decode().strip())
+    except ValueError:
+        secret = b""
     if len(secret) != 32 or not any(secret):
         raise ValueError(f"{path} is not a key: it needs 32 bytes or 64 hexadecimal digits, not all zero")
     boot = pathlib.Path("/proc/sys/kernel/random/boot_id").read_bytes().strip()

@@ -49,15 +49,13 @@ impl Detector {
     /// DeepSHAP's background sample: states, one after the other, and positional inputs.
     fn backgrounds<'py>(&self, py: Python<'py>) -> (usize, Floats<'py>, Floats<'py>) {
         let backgrounds = &self.0.backgrounds;
-        let states = backgrounds
-            .iter()
-            .flat_map(|(state, _)| state.iter().copied())
-            .collect();
-        let positions = backgrounds
-            .iter()
-            .flat_map(|(_, inputs)| inputs.iter().copied())
-            .collect();
-        (backgrounds.len(), array(py, states), array(py, positions))
+        let states = backgrounds.iter().flat_map(|(state, _)| state.to_vec());
+        let positions = backgrounds.iter().flat_map(|(_, inputs)| inputs.to_vec());
+        (
+            backgrounds.len(),
+            array(py, states.collect()),
+            array(py, positions.collect()),
+        )
     }
 
     /// Parameters, shift and scale of its network.
@@ -236,6 +234,23 @@ struct Windows<'a> {
     attacked: &'a [bool],
 }
 
+impl<'a> Windows<'a> {
+    fn of(
+        what: &str,
+        rows: &'a PyReadonlyArrayDyn<'_, f32>,
+        attacked: &'a PyReadonlyArray1<'_, bool>,
+        width: usize,
+    ) -> PyResult<Self> {
+        let rows = values(what, rows, attacked.len() * WINDOW * width)?;
+        let attacked = attacked.as_slice().map_err(refused)?;
+        if !(attacked.contains(&true) && attacked.contains(&false)) {
+            let text = format!("the {what} have to hold attacked and unattacked ones");
+            return Err(refused(text));
+        }
+        Ok(Self { rows, width, attacked })
+    }
+}
+
 impl Examples for Windows<'_> {
     fn count(&self) -> usize {
         self.attacked.len()
@@ -278,34 +293,14 @@ pub fn train<'py>(
     if epochs == 0 || batch == 0 || !(rate > 0.0 && rate < 1.0) || width == 0 {
         return Err(refused("epochs and batch have to be 1 or more, rate between 0 and 1"));
     }
-    let windows = |what: &str, rows: &PyReadonlyArrayDyn<'_, f32>, attacked: &PyReadonlyArray1<'_, bool>| {
-        values(what, rows, attacked.len() * WINDOW * width).map(|_| ())
-    };
-    windows("windows to learn from", &learn, &learn_attacked)?;
-    windows("windows that choose", &choose, &choose_attacked)?;
-    let learn = Windows {
-        rows: learn.as_slice().map_err(refused)?,
-        width,
-        attacked: learn_attacked.as_slice().map_err(refused)?,
-    };
-    let choose = Windows {
-        rows: choose.as_slice().map_err(refused)?,
-        width,
-        attacked: choose_attacked.as_slice().map_err(refused)?,
-    };
-    for (what, windows) in [("to learn from", &learn), ("that choose", &choose)] {
-        if !(windows.attacked.contains(&true) && windows.attacked.contains(&false)) {
-            return Err(refused(format!(
-                "the windows {what} have to hold attacked and unattacked ones"
-            )));
-        }
-    }
+    let learn = Windows::of("windows to learn from", &learn, &learn_attacked, width)?;
+    let choose = Windows::of("windows that choose", &choose, &choose_attacked, width)?;
     let fitted = py.detach(|| {
-        let graph = LstmAd::graph(width, LstmAd::CELL, Activation::Identity).map_err(|e| e.to_string())?;
+        let graph = LstmAd::graph(width, LstmAd::CELL, Activation::Identity).map_err(refused)?;
         let mut first = vec![0.0; graph.param_len()];
         graph
             .initialize(&mut ChaCha8Rng::seed_from_u64(seed), &mut first)
-            .map_err(|e| e.to_string())?;
+            .map_err(refused)?;
         let config = FitConfig {
             epochs,
             batch,
@@ -314,15 +309,11 @@ pub fn train<'py>(
             weight_decay: 0.01,
             seed,
         };
-        let pool = thread_pool(threads.max(1)).map_err(|e| e.to_string())?;
-        pool.install(|| {
-            fit(&graph, Isa::detect(), first, &learn, &choose, &config, &mut |_, _| {}).map_err(|e| e.to_string())
-        })
-    });
-    let fitted = fitted.map_err(refused)?;
-    let rows = fitted
-        .epochs
-        .iter()
-        .map(|e| (e.train_loss, e.choose_loss, e.choose_accuracy));
+        let pool = thread_pool(threads.max(1)).map_err(refused)?;
+        let fitted = pool.install(|| fit(&graph, Isa::detect(), first, &learn, &choose, &config, &mut |_, _| {}));
+        fitted.map_err(refused)
+    })?;
+    let epochs = fitted.epochs.iter();
+    let rows = epochs.map(|e| (e.train_loss, e.choose_loss, e.choose_accuracy));
     Ok((array(py, fitted.params), fitted.chosen, rows.collect()))
 }

@@ -308,7 +308,7 @@ impl Flights {
         Ok(Self {
             conditions: Conditions {
                 course: course
-                    .map(|text| Course::from_toml_str(text, "course"))
+                    .map(|path| Course::load(path.as_ref()))
                     .transpose()
                     .map_err(refused)?,
                 family: family.parse().map_err(refused)?,

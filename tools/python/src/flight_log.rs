@@ -8,29 +8,15 @@ use std::path::{Path, PathBuf};
 use vigil_log::{Reader, TickRecord};
 use vigil_types::{DEPTH_FULL_SCALE_M, Verdict};
 
-/// A column of numbers with its values a step.
-#[derive(Default)]
-struct Column {
-    name: &'static str,
-    width: usize,
-    values: Vec<f32>,
-}
+/// Columns of numbers in the order in which they first came: name, values a step, values.
+type Columns = Vec<(&'static str, usize, Vec<f32>)>;
 
-#[derive(Default)]
-struct Columns(Vec<Column>);
-
-impl Columns {
-    fn put<const N: usize>(&mut self, name: &'static str, values: Option<[f32; N]>) {
-        let at = self.0.iter().position(|c| c.name == name).unwrap_or_else(|| {
-            self.0.push(Column {
-                name,
-                width: N,
-                values: Vec::new(),
-            });
-            self.0.len() - 1
-        });
-        self.0[at].values.extend(values.unwrap_or([f32::NAN; N]));
-    }
+fn put<const N: usize>(columns: &mut Columns, name: &'static str, values: Option<[f32; N]>) {
+    let at = columns.iter().position(|column| column.0 == name).unwrap_or_else(|| {
+        columns.push((name, N, Vec::new()));
+        columns.len() - 1
+    });
+    columns[at].2.extend(values.unwrap_or([f32::NAN; N]));
 }
 
 /// What a log holds.
@@ -76,7 +62,7 @@ impl Content {
         let mut one = Self::default();
         one.take(step, false);
         let mut columns = one.columns;
-        columns.0.iter_mut().for_each(|column| column.values.clear());
+        columns.iter_mut().for_each(|column| column.2.clear());
         Self {
             columns,
             ..Self::default()
@@ -94,32 +80,28 @@ impl Content {
         self.verdict
             .push(report.judgement.map_or(Verdict::Unknown, |j| j.verdict).name());
         let c = &mut self.columns;
-        let kinematics = report.telemetry.kinematics;
-        c.put("position_ned_m", kinematics.map(|k| k.position_ned_m.to_array()));
-        c.put("velocity_ned_m_s", kinematics.map(|k| k.velocity_ned_m_s.to_array()));
-        let euler = report.telemetry.attitude.map(|a| a.attitude);
-        c.put(
-            "roll_pitch_yaw_rad",
-            euler.map(|a| [a.roll_rad(), a.pitch_rad(), a.yaw_rad()]),
+        let (kinematics, judgement) = (report.telemetry.kinematics, report.judgement);
+        put(c, "position_ned_m", kinematics.map(|k| k.position_ned_m.to_array()));
+        put(c, "velocity_ned_m_s", kinematics.map(|k| k.velocity_ned_m_s.to_array()));
+        let attitude = report.telemetry.attitude.map(|a| a.attitude);
+        let euler = attitude.map(|a| [a.roll_rad(), a.pitch_rad(), a.yaw_rad()]);
+        put(c, "roll_pitch_yaw_rad", euler);
+        put(c, "goal_ned_m", report.goal.map(|g| g.position_ned_m.to_array()));
+        put(c, "goal", report.goal_relative.map(|g| [g.distance_m, g.bearing_rad]));
+        put(c, "action", report.action.map(|a| [a.forward_m_s, a.yaw]));
+        let setpoint = report.setpoint;
+        put(c, "setpoint_velocity_m_s", setpoint.map(|s| s.velocity_m_s.to_array()));
+        put(c, "setpoint_yaw_rate_rad_s", setpoint.map(|s| [s.yaw_rate_rad_s]));
+        put(c, "score", judgement.and_then(|j| j.score).map(|score| [score]));
+        let contributions = judgement.map(|j| [j.image, j.bearing, j.distance, j.told, j.base]);
+        put(c, "contributions", contributions);
+        put(c, "phi", judgement.map(|j| j.phi));
+        put(c, "frame_age_s", report.frame_age_ns.map(|age| [age as f32 * 1e-9]));
+        put(
+            c,
+            "execution_s",
+            Some([record.timing.previous_execution_ns as f32 * 1e-9]),
         );
-        c.put("goal_ned_m", report.goal.map(|g| g.position_ned_m.to_array()));
-        c.put("goal", report.goal_relative.map(|g| [g.distance_m, g.bearing_rad]));
-        c.put("action", report.action.map(|a| [a.forward_m_s, a.yaw]));
-        c.put(
-            "setpoint_velocity_m_s",
-            report.setpoint.map(|s| s.velocity_m_s.to_array()),
-        );
-        c.put("setpoint_yaw_rate_rad_s", report.setpoint.map(|s| [s.yaw_rate_rad_s]));
-        c.put("score", report.judgement.and_then(|j| j.score).map(|score| [score]));
-        c.put(
-            "contributions",
-            report
-                .judgement
-                .map(|j| [j.image, j.bearing, j.distance, j.told, j.base]),
-        );
-        c.put("phi", report.judgement.map(|j| j.phi));
-        c.put("frame_age_s", report.frame_age_ns.map(|age| [age as f32 * 1e-9]));
-        c.put("execution_s", Some([record.timing.previous_execution_ns as f32 * 1e-9]));
         if let Some(frame) = record.frame().filter(|_| with_frames) {
             self.frame_steps.push(record.timing.step);
             self.frames
@@ -136,8 +118,8 @@ pub fn read_log<'py>(py: Python<'py>, path: PathBuf, frames: bool) -> PyResult<B
     log.set_item("step", PyArray1::from_vec(py, content.step))?;
     log.set_item("now_ns", PyArray1::from_vec(py, content.now_ns))?;
     let numbers = PyDict::new(py);
-    for column in content.columns.0 {
-        numbers.set_item(column.name, (column.width, array(py, column.values)))?;
+    for (name, width, values) in content.columns {
+        numbers.set_item(name, (width, array(py, values)))?;
     }
     log.set_item("numbers", numbers)?;
     log.set_item("state", content.state)?;

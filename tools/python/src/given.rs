@@ -69,30 +69,21 @@ impl Moment {
     /// stands where its flight began, and the time is `next_ns`, which becomes that of the step after.
     pub fn of(frame: &PyReadonlyArrayDyn<'_, f32>, position: &[f32], next_ns: &mut Nanos) -> PyResult<Self> {
         let pixels = frames("frame", frame, 1)?;
-        let (distance_m, bearing_rad, odometry) = match *position {
-            [distance_m, bearing_rad] => (distance_m, bearing_rad, None),
-            [
-                distance_m,
-                bearing_rad,
-                north_m,
-                east_m,
-                height_m,
-                yaw_rad,
-                forward,
-                right,
-                time_s,
-            ] => {
+        let other = || {
+            refused(format!(
+                "goal: a distance in metres and a bearing in radians, or the {POSITION} values of an environment's position, got {} \
+                 values",
+                position.len()
+            ))
+        };
+        let (&[distance_m, bearing_rad], odometry) = position.split_first_chunk::<2>().ok_or_else(other)?;
+        let (place, yaw_rad, velocity_m_s, time_s) = match *odometry {
+            [] => (NedVector::new(0.0, 0.0, -HOVER_M), 0.0, HeadingVector::ZERO, None),
+            [north_m, east_m, height_m, yaw_rad, forward, right, time_s] => {
                 let place = NedVector::new(north_m, east_m, -height_m);
-                let moves = HeadingVector::new(forward, right, 0.0);
-                (distance_m, bearing_rad, Some((place, yaw_rad, moves, time_s)))
+                (place, yaw_rad, HeadingVector::new(forward, right, 0.0), Some(time_s))
             }
-            _ => {
-                return Err(refused(format!(
-                    "goal: a distance in metres and a bearing in radians, or the {POSITION} values of an environment's position, got {} \
-                     values",
-                    position.len()
-                )));
-            }
+            _ => return Err(other()),
         };
         let all_finite = position.iter().all(|value| value.is_finite());
         if !(distance_m >= 0.0 && all_finite) {
@@ -100,21 +91,15 @@ impl Moment {
                 "goal: a distance of 0 m or more and finite numbers, got {position:?}"
             )));
         }
-        if let Some((_, _, _, time_s)) = odometry
-            && time_s > MOST_TIME_S
-        {
+        if let Some(time_s) = time_s.filter(|time_s| *time_s > MOST_TIME_S) {
             return Err(refused(format!(
                 "goal: a time of at most {MOST_TIME_S} s, got {time_s} s"
             )));
         }
-        let (place, yaw_rad, velocity_m_s, now_ns) = match odometry {
-            // Tenths of a millisecond: a float32 of seconds has no more.
-            Some((place, yaw_rad, moves, time_s)) => {
-                let now_ns = (f64::from(time_s.max(0.0)) * 1e4).round() as Nanos * 100_000;
-                (place, yaw_rad, moves, now_ns)
-            }
-            None => (NedVector::new(0.0, 0.0, -HOVER_M), 0.0, HeadingVector::ZERO, *next_ns),
-        };
+        // Tenths of a millisecond: a float32 of seconds has no more.
+        let now_ns = time_s.map_or(*next_ns, |time_s| {
+            (f64::from(time_s.max(0.0)) * 1e4).round() as Nanos * 100_000
+        });
         *next_ns = now_ns + STEP_NS;
         let attitude = Attitude::from_euler_rad(0.0, 0.0, yaw_rad);
         let mut depth = Box::new(DepthFrame::EMPTY);

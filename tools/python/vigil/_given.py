@@ -38,6 +38,13 @@ def floats(what: str, values: Any, shape: Sequence[int | None]) -> Floats:
     return array
 
 
+def seed(what: str, given: int) -> int:
+    """A course's seed."""
+    if not 0 <= given < 1 << 64:
+        raise ValueError(f"{what}: 0 or more, below 2^64, got {given}")
+    return given
+
+
 def goal(value: Any) -> tuple[float, float]:
     """Distance in metres and bearing in radians."""
     distance_m, bearing_rad = floats("goal", value, (2,))

@@ -42,8 +42,9 @@ class Lstm:
         return self.native_lstm.scores(_given.floats("rows", rows, (None, len(self.centre))))
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Writes it as ``.npz``."""
-        np.savez(path, params=self.params, centre=self.centre, scale=self.scale)
+        """Writes it as ``.npz``, under the very name that is given."""
+        with open(path, "wb") as file:
+            np.savez(file, params=self.params, centre=self.centre, scale=self.scale)
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Lstm:

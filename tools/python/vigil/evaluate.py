@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
 
-from vigil import _vigil
+from vigil import _given, _vigil
 
 
 @dataclass(frozen=True)
@@ -98,6 +98,7 @@ def completion(
         ValueError: an argument out of range, a file that is refused.
         KeyboardInterrupt: Ctrl-C, between flights.
     """
+    named = "first_seed" if seeds is None else "seeds"
     if seeds is None:
         if flights < 1:
             raise ValueError(f"flights: 1 or more, got {flights}")
@@ -106,7 +107,7 @@ def completion(
         raise ValueError("seeds: is empty")
     rows = _vigil.fly(
         family=family,
-        seeds=list(seeds),
+        seeds=[_given.seed(named, seed) for seed in seeds],
         threads=threads or len(os.sched_getaffinity(0)),
         pilot=pilot,
         actor=None if actor is None else str(actor),

@@ -22,6 +22,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from vigil import _given
 from vigil._given import COLUMNS, FRAMES, FULL_SCALE_M, ROWS, Floats
 from vigil._vigil import Flights
 from vigil.policy import Actor
@@ -116,7 +117,7 @@ class _Flown:
         self.flights = Flights(
             count,
             family=options["family"],
-            course=None if course is None else Path(course).read_text(encoding="utf-8"),
+            course=None if course is None else str(course),
             wind=float(options["wind"]),
             noise=float(options["noise"]),
             time_limit=options["time_limit"],
@@ -264,7 +265,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
     ==========  =======  ==========================================================================================
 
     A flight is terminated by success, collision and leaving the bounds, truncated by the course's time limit; ``info["outcome"]`` then
-    says which, ``info["is_success"]`` whether it arrived. After a collision the frame is that of the step before.
+    says which, ``info["is_success"]`` whether it arrived. After a flight that is terminated the frame is that of the step before.
 
     Args:
         family: ``training``, ``validation``, ``hard``, ``dense`` or ``forest`` (docs/courses.md).
@@ -276,8 +277,8 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
         privileged: the observation has the true state.
         actor: the observation has the position that an actor takes. It is not asked for decisions.
         wind: mean wind in m/s, 0 to 20, from a direction that the seed decides, with gusts a third as strong.
-        noise: multiplies the LiDAR's range noise and dropouts; 0 to 100.
-        time_limit: seconds after which a flight is cut off; absent: the course's.
+        noise: multiplies the LiDAR's range noise and dropouts, 0 to 100; not for :meth:`potential_field`, whose LiDAR has them as with 1.
+        time_limit: seconds after which a flight is cut off (0.5: after 10 steps and the beginning of another); absent: the course's.
         reward: terms of the reward that differ from the defaults.
         normalized: spaces of ±1 (``VigilNormalized-v0``): frames over 100 m, distance over 20 m and at most 1, bearing over π; actions of
             ±1 are the whole ±1.5. Not with ``privileged`` or ``actor``, which have no bounds.
@@ -314,24 +315,9 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
         copy: bool = False,
         render_mode: str | None = None,
     ) -> None:
+        options = dict(locals())
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode: None or 'rgb_array', got {render_mode!r}")
-        options = dict(
-            family=family,
-            seeds=seeds,
-            course=course,
-            frames=frames,
-            every=every,
-            privileged=privileged,
-            actor=actor,
-            wind=wind,
-            noise=noise,
-            time_limit=time_limit,
-            reward=reward,
-            normalized=normalized,
-            images=images,
-            copy=copy,
-        )
         self._flown = _Flown(1, options, 1)
         self._begun = False
         self.render_mode = render_mode
@@ -351,9 +337,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
         if options:
             if unknown := set(options) - {"course_seed"}:
                 raise ValueError(f"options: there is course_seed, not {', '.join(sorted(unknown))}")
-            wanted = int(options["course_seed"])
-            if not 0 <= wanted < 1 << 64:
-                raise ValueError(f"options: course_seed is 0 or more, below 2^64, got {wanted}")
+            wanted = _given.seed("options: course_seed", int(options["course_seed"]))
         super().reset(seed=seed)
         drawn = _drawn(self.np_random, self._flown.seeds)
         self.course_seed = drawn if wanted is None else wanted
@@ -382,7 +366,9 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
 
 
 def _drawn(random: np.random.Generator, seeds: Sequence[int] | None) -> int:
-    return int(random.integers(_SEEDS)) if seeds is None else int(seeds[int(random.integers(len(seeds)))])
+    if seeds is None:
+        return int(random.integers(_SEEDS))
+    return _given.seed("seeds", int(seeds[int(random.integers(len(seeds)))]))
 
 
 class VigilVectorEnv(VectorEnv[dict[str, NDArray[Any]], Floats, NDArray[Any]]):
@@ -429,24 +415,9 @@ class VigilVectorEnv(VectorEnv[dict[str, NDArray[Any]], Floats, NDArray[Any]]):
         buffers: Mapping[str, NDArray[Any]] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
+        options = dict(locals())
         if not 1 <= num_envs <= _MOST_FLIGHTS:
             raise ValueError(f"num_envs: 1 to {_MOST_FLIGHTS}, whose frames are 2 GB, got {num_envs}")
-        options = dict(
-            family=family,
-            seeds=seeds,
-            course=course,
-            frames=frames,
-            every=every,
-            privileged=privileged,
-            actor=actor,
-            wind=wind,
-            noise=noise,
-            time_limit=time_limit,
-            reward=reward,
-            normalized=normalized,
-            images=images,
-            copy=copy,
-        )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self._flown = _Flown(num_envs, options, _threads(threads), buffers)

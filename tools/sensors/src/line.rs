@@ -14,7 +14,7 @@ const LEAST_WAY: f32 = 0.5;
 const MOST_BACK: usize = 2;
 
 /// What fell on a pixel: reciprocal of range (0 where nothing did, 1/m), and how far from the pixel's centre, pixels.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Sample {
     pub(crate) inverse: f32,
     /// Along the line that is filled first.
@@ -23,21 +23,8 @@ pub(crate) struct Sample {
     pub(crate) across: f32,
 }
 
-impl Sample {
-    pub(crate) const NONE: Self = Self {
-        inverse: 0.0,
-        down: 0.0,
-        across: 0.0,
-    };
-}
-
-/// A sample's place on the line, its reciprocal, and what is carried along.
-#[derive(Clone, Copy, Default)]
-struct Mark {
-    at: f32,
-    inverse: f32,
-    across: f32,
-}
+/// A sample's place on the line, and the sample.
+type Mark = (f32, Sample);
 
 /// The samples of one line.
 pub(crate) struct Line {
@@ -70,50 +57,39 @@ impl Line {
             if sample.inverse > 0.0
                 && let Some(mark) = self.marks.get_mut(self.count)
             {
-                *mark = Mark {
-                    at: pixel as f32 + at(sample),
-                    inverse: sample.inverse,
-                    across: sample.across,
-                };
+                *mark = (pixel as f32 + at(sample), sample);
                 self.count += 1;
             }
         }
         let mut next = 0;
         for pixel in 0..pixels {
             let centre = pixel as f32;
-            while next < self.count && self.mark(next).is_some_and(|mark| mark.at < centre) {
+            while next < self.count && self.mark(next).is_some_and(|(at, _)| at < centre) {
                 next += 1;
             }
             let before = next.checked_sub(1).and_then(|i| self.mark(i));
             let after = self.mark(next);
-            let own = |mark: Option<Mark>| mark.filter(|m| (m.at - centre).abs() <= 0.5);
+            let own = |mark: Option<Mark>| mark.filter(|(at, _)| (at - centre).abs() <= 0.5);
             let found = match (before, after) {
-                (Some(a), Some(b)) if b.at - a.at <= self.span => {
+                (Some((from, a)), Some((to, b))) if to - from <= self.span => {
                     match (self.is_one_surface(next - 1), own(before), own(after)) {
                         (true, _, _) => {
-                            let part = (centre - a.at) / (b.at - a.at).max(f32::EPSILON);
-                            Some(Mark {
-                                at: centre,
+                            let part = (centre - from) / (to - from).max(f32::EPSILON);
+                            Some(Sample {
                                 inverse: a.inverse + part * (b.inverse - a.inverse),
                                 across: a.across + part * (b.across - a.across),
+                                ..a
                             })
                         }
-                        (false, Some(a), None) => Some(a),
-                        (false, None, Some(b)) => Some(b),
+                        (false, Some(_), None) => Some(a),
+                        (false, None, Some(_)) => Some(b),
                         _ if a.inverse > b.inverse => Some(a),
                         _ => Some(b),
                     }
                 }
-                _ => own(after).or(own(before)),
+                _ => own(after).or(own(before)).map(|(_, sample)| sample),
             };
-            write(
-                pixel,
-                found.map_or(Sample::NONE, |mark| Sample {
-                    inverse: mark.inverse,
-                    down: 0.0,
-                    across: mark.across,
-                }),
-            );
+            write(pixel, found.map(|s| Sample { down: 0.0, ..s }).unwrap_or_default());
         }
     }
 
@@ -127,22 +103,20 @@ impl Line {
         let (Some(a), Some(b)) = (self.mark(i), self.mark(i + 1)) else {
             return false;
         };
-        let tolerance = TOLERANCE_M * a.inverse * b.inverse;
-        let continues = |from: Mark, to: Mark, outer: &mut dyn Iterator<Item = Option<Mark>>| {
-            let outer = outer.flatten().find(|m| (from.at - m.at).abs() >= LEAST_WAY);
-            outer.is_some_and(|m| {
-                let slope = (from.inverse - m.inverse) / (from.at - m.at);
-                let is_near = (from.at - m.at).abs() <= self.span;
-                is_near && (from.inverse + slope * (to.at - from.at) - to.inverse).abs() <= tolerance
+        let tolerance = TOLERANCE_M * a.1.inverse * b.1.inverse;
+        let continues = |(at, from): Mark, (to_at, to): Mark, outer: &dyn Fn(usize) -> Option<Mark>| {
+            let outer = (1..=MOST_BACK)
+                .filter_map(outer)
+                .find(|m| (at - m.0).abs() >= LEAST_WAY);
+            outer.is_some_and(|(outer_at, outer)| {
+                let slope = (from.inverse - outer.inverse) / (at - outer_at);
+                let is_near = (at - outer_at).abs() <= self.span;
+                is_near && (from.inverse + slope * (to_at - at) - to.inverse).abs() <= tolerance
             })
         };
-        (a.inverse - b.inverse).abs() <= tolerance
-            || continues(
-                a,
-                b,
-                &mut (1..=MOST_BACK).map(|n| i.checked_sub(n).and_then(|i| self.mark(i))),
-            )
-            || continues(b, a, &mut (1..=MOST_BACK).map(|n| self.mark(i + 1 + n)))
+        (a.1.inverse - b.1.inverse).abs() <= tolerance
+            || continues(a, b, &|n| self.mark(i.checked_sub(n)?))
+            || continues(b, a, &|n| self.mark(i + 1 + n))
     }
 }
 
@@ -154,14 +128,11 @@ mod tests {
 
     /// Ranges of ten pixels, of samples (place, range).
     fn centred(span: f32, samples: &[(f32, f32)]) -> Vec<f32> {
-        let mut given = [Sample::NONE; 10];
+        let mut given = [Sample::default(); 10];
         for (at, range_m) in samples {
             let pixel = libm::roundf(*at);
-            given[pixel as usize] = Sample {
-                inverse: 1.0 / range_m,
-                down: at - pixel,
-                across: 0.0,
-            };
+            let sample = &mut given[pixel as usize];
+            (sample.inverse, sample.down) = (1.0 / range_m, at - pixel);
         }
         let mut out = [0.0; 10];
         Line::new(span).centre(10, |i| given[i], |s| s.down, |i, s| out[i] = s.inverse);

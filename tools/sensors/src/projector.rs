@@ -95,7 +95,7 @@ impl Projector {
     /// For a sensor whose beams are that far apart; of several sensors the coarsest counts.
     pub fn new(resolution: Resolution) -> Self {
         let (span_across, span_down) = resolution.spans();
-        let samples = || vec![Sample::NONE; DEPTH_PIXELS].into_boxed_slice();
+        let samples = || vec![Sample::default(); DEPTH_PIXELS].into_boxed_slice();
         Self {
             samples: samples(),
             centred: samples(),
@@ -129,12 +129,8 @@ impl Projector {
         metres_per_unit: f32,
     ) -> Result<Counts, ProjectionError> {
         check_unit(metres_per_unit)?;
-        self.add_image(
-            mount,
-            camera,
-            depth.len(),
-            depth.iter().map(|d| f32::from(*d) * metres_per_unit),
-        )
+        let depth_m = depth.iter().map(|d| f32::from(*d) * metres_per_unit);
+        self.add_image(mount, camera, depth.len(), depth_m)
     }
 
     /// The same of metres; 0 is no return, and so is infinity.
@@ -219,7 +215,7 @@ impl Projector {
             let at = |row: usize| row * DEPTH_COLS + col;
             line.centre(
                 DEPTH_ROWS,
-                |row| samples.get(at(row)).copied().unwrap_or(Sample::NONE),
+                |row| samples.get(at(row)).copied().unwrap_or_default(),
                 |sample| sample.down,
                 |row, sample| {
                     if let Some(place) = centred.get_mut(at(row)) {
@@ -233,7 +229,7 @@ impl Projector {
         for (row, out) in centred.chunks_exact(DEPTH_COLS).zip(depth.chunks_exact_mut(DEPTH_COLS)) {
             line.centre(
                 DEPTH_COLS,
-                |col| row.get(col).copied().unwrap_or(Sample::NONE),
+                |col| row.get(col).copied().unwrap_or_default(),
                 |sample| sample.across,
                 |col, sample| {
                     if let Some(pixel) = out.get_mut(col) {
@@ -244,7 +240,7 @@ impl Projector {
                 },
             );
         }
-        samples.fill(Sample::NONE);
+        samples.fill(Sample::default());
         returned
     }
 }

@@ -4,7 +4,7 @@
 #[path = "common/rays.rs"]
 mod rays;
 
-use vigil_sensors::{Mount, Pinhole, ProjectionError, Projector, Resolution, View};
+use vigil_sensors::{Counts, Mount, Pinhole, ProjectionError, Projector, Resolution, View};
 use vigil_sim::world::{Family, Lidar, LidarConfig, Shot, World, generate};
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FrdVector, NedVector, column_bearing_rad,
@@ -12,6 +12,12 @@ use vigil_types::{
 };
 
 const REACH_M: f64 = 60.0;
+
+/// The direction of an elevation and a bearing, radians.
+fn towards(elevation: f32, bearing: f32) -> FrdVector {
+    let (e, b) = (elevation, bearing);
+    FrdVector::new(e.cos() * b.cos(), e.cos() * b.sin(), -e.sin())
+}
 
 struct Scene {
     world: World,
@@ -51,23 +57,12 @@ impl Scene {
     /// Whether all beams around a pixel's centre, two pixels to every side, meet the same solid.
     fn is_inside_a_surface(&self, row: usize, col: usize) -> bool {
         let met = |dr: f32, dc: f32| {
-            let (e, b) = (row_elevation_rad(row as f32 + dr), column_bearing_rad(col as f32 + dc));
-            let direction = FrdVector::new(e.cos() * b.cos(), e.cos() * b.sin(), -e.sin());
+            let direction = towards(row_elevation_rad(row as f32 + dr), column_bearing_rad(col as f32 + dc));
             rays::cast(&self.world, self.position, self.attitude.to_ned(direction)).map(|(_, what)| what)
         };
         let here = met(0.0, 0.0);
-        [
-            (-2.0, 0.0),
-            (2.0, 0.0),
-            (0.0, -2.0),
-            (0.0, 2.0),
-            (-2.0, -2.0),
-            (2.0, 2.0),
-            (-2.0, 2.0),
-            (2.0, -2.0),
-        ]
-        .into_iter()
-        .all(|(dr, dc)| met(dr, dc) == here)
+        let sides = [-2.0, 0.0, 2.0];
+        sides.iter().all(|dr| sides.iter().all(|dc| met(*dr, *dc) == here))
     }
 }
 
@@ -119,11 +114,7 @@ fn scanner(rings: usize, firings: usize, half_height_deg: f32) -> impl Iterator<
         let elevation = (half_height_deg - (ring as f32 + 0.5) * 2.0 * half_height_deg / rings as f32).to_radians();
         (0..firings).map(move |firing| {
             let bearing = ((firing as f32 + 0.3) * 360.0 / firings as f32 - 180.0).to_radians();
-            FrdVector::new(
-                elevation.cos() * bearing.cos(),
-                elevation.cos() * bearing.sin(),
-                -elevation.sin(),
-            )
+            towards(elevation, bearing)
         })
     })
 }
@@ -167,12 +158,11 @@ fn a_cameras_depth_image_becomes_the_part_of_the_image_that_it_sees() {
                 let (u, v) = ((pixel % width) as f32, (pixel / width) as f32);
                 FrdVector::new(focal, u - centre[0], v - centre[1])
             };
-            let depth_mm: Vec<u16> = (0..width * height)
-                .map(|pixel| {
-                    let point = scene.point((FrdVector::ZERO, Attitude::LEVEL_NORTH), ray(pixel));
-                    (point.x * 1000.0).round() as u16
-                })
-                .collect();
+            let depth_mm = |pixel: usize| {
+                let point = scene.point((FrdVector::ZERO, Attitude::LEVEL_NORTH), ray(pixel));
+                (point.x * 1000.0).round() as u16
+            };
+            let depth_mm: Vec<u16> = (0..width * height).map(depth_mm).collect();
             let mut projector = Projector::new(camera.resolution().unwrap());
             let mut depth = [1.0; DEPTH_PIXELS];
             let counts = projector
@@ -221,12 +211,9 @@ fn two_cameras_side_by_side_see_the_whole_width_as_one() {
         view.across_deg[0] < -59.9 && view.across_deg[1] > 59.9 && view.is_whole(),
         "{view}"
     );
-    let one = View::of(&{
-        projector.add_depth_m(&Mount::STRAIGHT, &camera, &wall).unwrap();
-        projector.finish(&mut depth);
-        depth
-    })
-    .unwrap();
+    projector.add_depth_m(&Mount::STRAIGHT, &camera, &wall).unwrap();
+    projector.finish(&mut depth);
+    let one = View::of(&depth).unwrap();
     assert!(
         !one.is_whole() && (one.across_deg[0] + 38.6).abs() < 0.5 && (one.up_deg[1] - 30.0).abs() < 0.5,
         "{one}"
@@ -239,20 +226,13 @@ fn what_is_no_measurement_is_counted_by_its_name_and_leaves_no_mark() {
     let ahead = |x: f32| FrdVector::new(x, 0.0, 0.0);
     let given = [f32::NAN, f32::INFINITY, 0.0, 0.05, -3.0, 100.0, 1e30];
     let counts = projector.add_points(&Mount::STRAIGHT, given.map(ahead));
-    assert_eq!(
-        (counts.impossible, counts.no_return, counts.too_near),
-        (2, 3, 1),
-        "{counts:?}"
-    );
+    let sorted = |counts: Counts| [counts.impossible, counts.no_return, counts.too_near];
+    assert_eq!(sorted(counts), [2, 3, 1], "{counts:?}");
     assert_eq!((counts.out_of_view, counts.used), (1, 0), "{counts:?}");
     let camera = Pinhole::new([4, 2], [4.0; 2], [1.5, 0.5]).unwrap();
     let depth_m = [0.0, -1.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.01, 200.0, 0.0];
     let counts = projector.add_depth_m(&Mount::STRAIGHT, &camera, &depth_m).unwrap();
-    assert_eq!(
-        (counts.impossible, counts.no_return, counts.too_near),
-        (3, 4, 1),
-        "{counts:?}"
-    );
+    assert_eq!(sorted(counts), [3, 4, 1], "{counts:?}");
     let mut depth = [0.5; DEPTH_PIXELS];
     assert_eq!(projector.finish(&mut depth), 0);
     assert!(depth.iter().all(|v| *v == 1.0) && View::of(&depth).is_none());

@@ -18,10 +18,15 @@ const STEP_NS: Nanos = 50_000_000;
 const START_NS: Nanos = 200_000_000_000;
 
 fn mount() -> (FrdVector, Attitude) {
-    (
-        FrdVector::new(0.08, 0.0, -0.06),
-        Attitude::from_euler_rad(0.0, 0.1, 0.0),
-    )
+    let turn = Attitude::from_euler_rad(0.0, 0.1, 0.0);
+    (FrdVector::new(0.08, 0.0, -0.06), turn)
+}
+
+/// The adapter for a device as its metadata describe it.
+fn adapter(device: &Device, in_groups: bool) -> OusterAdapter {
+    let described = OusterDevice::from_metadata(&device.metadata(in_groups)).expect("metadata");
+    let (position, turn) = device.mount;
+    OusterAdapter::new(described, Mount::new(position, turn).unwrap()).expect("an adapter")
 }
 
 struct Bench {
@@ -37,13 +42,10 @@ impl Bench {
     fn new(beams: usize, seed: u64) -> Self {
         let course = generate(Family::Validation, seed);
         let device = Device::new(beams, mount());
-        let described = OusterDevice::from_metadata(&device.metadata(seed.is_multiple_of(2))).expect("metadata");
-        let (position, turn) = device.mount;
-        let adapter = OusterAdapter::new(described, Mount::new(position, turn).unwrap()).expect("an adapter");
         let start = course.start_ned_m();
         Self {
+            adapter: adapter(&device, seed.is_multiple_of(2)),
             device,
-            adapter,
             world: World::new(&course),
             pose: (
                 NedVector::new(start.x, start.y, -course.flight_height_m),
@@ -66,13 +68,15 @@ impl Bench {
         let mut out = Vec::new();
         for (i, packet) in packets.iter().enumerate() {
             let arrived_ns = middle_ns + (i as u64 + 1) * PER_PACKET as u64 * device::COLUMN_NS - 25_000_000 + 200_000;
-            match self.adapter.packet(packet, arrived_ns, &mut self.depth) {
-                Ok(None) => {}
-                Ok(Some(stamp_ns)) => out.push(Ok(stamp_ns)),
-                Err(fault) => out.push(Err(fault)),
-            }
+            out.extend(self.adapter.packet(packet, arrived_ns, &mut self.depth).transpose());
         }
         out
+    }
+
+    /// A whole turn, handed over.
+    fn turned(&mut self, number: u16) -> Vec<Result<Nanos, Fault>> {
+        let packets = self.turn(number);
+        self.feed(number, &packets)
     }
 }
 
@@ -80,26 +84,16 @@ impl Bench {
 fn recorded_packets_of_a_course_become_the_lidar_models_image_with_the_stamp_of_its_middle() {
     for (beams, seed) in [(128, 7), (64, 8)] {
         let mut bench = Bench::new(beams, seed);
-        assert!(
-            bench.adapter.view.is_some_and(|v| v.is_whole()),
-            "{:?}",
-            bench.adapter.view
-        );
+        let view = bench.adapter.view;
+        assert!(view.is_some_and(|v| v.is_whole()), "{view:?}");
         assert_eq!(bench.adapter.packet_bytes(), 16 * (16 + 12 * beams + 4));
-        let stamps: Vec<Nanos> = (0..3u16)
-            .flat_map(|n| {
-                let turn = bench.turn(n);
-                bench.feed(n, &turn)
-            })
-            .map(|taken| taken.expect("a frame"))
-            .collect();
+        let taken = (0..3).flat_map(|n| bench.turned(n));
+        let stamps: Vec<Nanos> = taken.map(|taken| taken.expect("a frame")).collect();
         assert_eq!(stamps.len(), 3, "one a turn");
         for (n, stamp_ns) in stamps.iter().enumerate() {
             let error_ns = *stamp_ns as i64 - (START_NS + n as u64 * STEP_NS) as i64;
-            assert!(
-                (0..1_500_000).contains(&error_ns),
-                "a stamp is {error_ns} ns beside the middle of the turn"
-            );
+            let is_near = (0..1_500_000).contains(&error_ns);
+            assert!(is_near, "a stamp is {error_ns} ns beside the middle of the turn");
         }
         let shot = Shot {
             sensor_id: 1,
@@ -119,16 +113,12 @@ fn recorded_packets_of_a_course_become_the_lidar_models_image_with_the_stamp_of_
             }
         }
         errors_m.sort_by(f32::total_cmp);
-        let within = errors_m.iter().filter(|e| **e <= 0.3).count() as f32 / errors_m.len() as f32;
-        let median_m = errors_m[errors_m.len() / 2];
-        println!(
-            "{beams} beams, course {seed}: median {median_m} m, {within} within 0.3 m of {} pixels",
-            errors_m.len()
-        );
-        assert!(
-            errors_m.len() > 5000 && median_m < 0.02 && within > 0.97,
-            "{median_m} m, {within}"
-        );
+        let pixels = errors_m.len();
+        let within = errors_m.iter().filter(|e| **e <= 0.3).count() as f32 / pixels as f32;
+        let median_m = errors_m[pixels / 2];
+        let found = format!("median {median_m} m, {within} within 0.3 m of {pixels} pixels");
+        println!("{beams} beams, course {seed}: {found}");
+        assert!(pixels > 5000 && median_m < 0.02 && within > 0.97, "{found}");
     }
 }
 
@@ -157,26 +147,16 @@ fn a_turn_without_columns_in_which_only_near_things_are_in_view_is_no_frame() {
     let mut bench = Bench::new(64, 7);
     let mount = (FrdVector::new(0.3, 0.0, 0.0), Attitude::LEVEL_NORTH);
     bench.device = Device::new(64, mount);
-    let described = OusterDevice::from_metadata(&bench.device.metadata(false)).expect("metadata");
-    bench.adapter = OusterAdapter::new(described, Mount::new(mount.0, mount.1).unwrap()).expect("an adapter");
+    bench.adapter = adapter(&bench.device, false);
     let (mut holed, next) = (bench.turn(0), bench.turn(1));
     // 73° to 79° to the left.
     holed.remove(18);
     assert_eq!(bench.feed(0, &holed), []);
     let after = bench.feed(1, &next);
-    assert!(
-        matches!(
-            after[..],
-            [
-                Err(Fault::LostColumns {
-                    missing: PER_PACKET,
-                    ..
-                }),
-                Ok(_)
-            ]
-        ),
-        "{after:?}"
-    );
+    let [Err(Fault::LostColumns { missing, .. }), Ok(_)] = after[..] else {
+        panic!("{after:?}")
+    };
+    assert_eq!(missing, PER_PACKET);
 }
 
 #[test]
@@ -209,11 +189,8 @@ fn what_is_not_the_devices_packet_is_named_and_disturbs_nothing() {
     let mut given = turn.clone();
     let mut shuffled = turn[5].clone();
     shuffled[8] ^= 0x40;
-    let beyond = {
-        let mut packet = turn[5].clone();
-        packet[9] = 0x7f;
-        packet
-    };
+    let mut beyond = turn[5].clone();
+    beyond[9] = 0x7f;
     given.insert(20, turn[19][..12_000].to_vec());
     given.insert(21, Vec::new());
     given.insert(22, shuffled);
@@ -229,33 +206,26 @@ fn what_is_not_the_devices_packet_is_named_and_disturbs_nothing() {
 fn a_clock_that_goes_back_and_packets_held_up_are_no_frames() {
     let mut bench = Bench::new(64, 7);
     for n in 0..3 {
-        let turn = bench.turn(n);
-        assert!(matches!(bench.feed(n, &turn)[..], [Ok(_)]));
+        assert!(matches!(bench.turned(n)[..], [Ok(_)]));
     }
     bench.device.clock_ns -= 10_000_000_000;
-    let turn = bench.turn(3);
-    assert!(matches!(bench.feed(3, &turn)[..], [Err(Fault::ClockBack { .. })]));
-    let turn = bench.turn(4);
-    assert!(matches!(bench.feed(4, &turn)[..], [Ok(_)]));
+    assert!(matches!(bench.turned(3)[..], [Err(Fault::ClockBack { .. })]));
+    assert!(matches!(bench.turned(4)[..], [Ok(_)]));
     // Packets whose stamps are 0.2 s older than they were.
     let turn = bench.turn(5);
     assert!(
         matches!(bench.feed(9, &turn)[..], [Err(Fault::ClockBehind { behind_s })] if (behind_s - 0.2).abs() < 0.01)
     );
-    let turn = bench.turn(10);
-    let after = bench.feed(10, &turn);
-    assert!(
-        matches!(after[..], [Err(Fault::LostColumns { .. }), Ok(_)]),
-        "{after:?}"
-    );
+    let after = bench.turned(10);
+    let goes_on = matches!(after[..], [Err(Fault::LostColumns { .. }), Ok(_)]);
+    assert!(goes_on, "{after:?}");
 }
 
 #[test]
 fn an_empty_sky_all_around_is_named() {
     let mut bench = Bench::new(64, 7);
     bench.pose.0.z = -5000.0;
-    let turn = bench.turn(0);
-    assert_eq!(bench.feed(0, &turn), [Err(Fault::EmptyImage)]);
+    assert_eq!(bench.turned(0), [Err(Fault::EmptyImage)]);
 }
 
 #[test]
@@ -276,42 +246,18 @@ fn metadata_that_cannot_be_used_says_what_is_missing() {
         ("LEGACY", "RNG19_RFL8_SIG16_NIR16", "LEGACY"),
         ("1024x20", "1000x20", "lidar_mode"),
         ("1024x20", "1024x7", "lidar_mode"),
-        (
-            "\"pixels_per_column\": 64",
-            "\"pixels_per_column\": 32",
-            "pixels_per_column",
-        ),
-        (
-            "beam_azimuth_angles\": [",
-            "beam_azimuth_angles\": [0.5, ",
-            "beam_azimuth_angles",
-        ),
-        (
-            "lidar_to_sensor_transform\": [-1,",
-            "lidar_to_sensor_transform\": [",
-            "lidar_to_sensor_transform",
-        ),
-        (
-            "lidar_origin_to_beam_origin_mm",
-            "origin",
-            "lidar_origin_to_beam_origin_mm",
-        ),
-        (
-            "\"columns_per_packet\": 16",
-            "\"columns_per_packet\": 15",
-            "columns_per_packet",
-        ),
+        ("_column\": 64", "_column\": 32", "pixels_per_column"),
+        ("azimuth_angles\": [", "azimuth_angles\": [0.5, ", "beam_azimuth_angles"),
+        ("transform\": [-1,", "transform\": [", "lidar_to_sensor_transform"),
+        ("lidar_origin_to", "origin_to", "lidar_origin_to_beam_origin_mm"),
+        ("_packet\": 16", "_packet\": 15", "columns_per_packet"),
     ] {
         assert!(good.contains(from), "{from}");
-        let error = OusterDevice::from_metadata(&good.replace(from, to))
-            .expect_err(from)
-            .to_string();
-        assert!(error.contains(word), "{from}: {error}");
+        let error = OusterDevice::from_metadata(&good.replace(from, to)).expect_err(from);
+        assert!(error.to_string().contains(word), "{from}: {error}");
     }
-    assert!(matches!(
-        OusterDevice::from_metadata("<html>"),
-        Err(MetadataError::Json(_))
-    ));
+    let page = OusterDevice::from_metadata("<html>");
+    assert!(matches!(page, Err(MetadataError::Json(_))));
 }
 
 #[test]
@@ -320,9 +266,7 @@ fn a_vehicle_flies_a_course_by_a_scanners_packets() {
     let world = World::new(&course);
     let mount = (FrdVector::new(0.05, 0.0, -0.05), Attitude::LEVEL_NORTH);
     let device = Device::new(64, mount);
-    let described = OusterDevice::from_metadata(&device.metadata(false)).expect("metadata");
-    let mut adapter =
-        OusterAdapter::new(described, Mount::new(mount.0, mount.1).expect("a mount")).expect("an adapter");
+    let mut adapter = adapter(&device, false);
 
     let mut config = SimConfig::new(course, 7);
     config.start = Start::Airborne;
@@ -339,9 +283,8 @@ fn a_vehicle_flies_a_course_by_a_scanners_packets() {
         let pose = (truth.position_ned_m, truth.attitude);
         let mut taken = None;
         for packet in device.turn(&world, pose, steps, ahead_ns) {
-            taken = taken.or(adapter
-                .packet(&packet, ahead_ns, &mut seen.depth)
-                .expect("sound packets"));
+            let image = adapter.packet(&packet, ahead_ns, &mut seen.depth);
+            taken = taken.or(image.expect("sound packets"));
         }
         taken.expect("a frame a turn");
         // Captured now; pose and numbers as the driver of a vehicle has them.

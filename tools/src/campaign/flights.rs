@@ -11,7 +11,7 @@ use serde_json::Value;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
-use std::io::Write;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use vigil_nnet::Isa;
@@ -213,13 +213,15 @@ where
     /// Keeps its flights in a file from now on, each as soon as it has ended; not where `path` is standard output or a device.
     ///
     /// # Errors
-    /// A file that cannot be read or is of another campaign, flights that are not to be there.
+    /// A file that cannot be read, is of another campaign or of none, flights that are not to be there.
     pub fn keep_in(mut self, path: &Path, existing: Existing) -> Result<Self> {
         if !output::is_file(path) {
             return Ok(self);
         }
         let name = path.display();
-        if path.exists() && existing != Existing::Replace {
+        if existing == Existing::Replace {
+            check_replaceable(path)?;
+        } else if path.exists() {
             ensure!(
                 existing == Existing::Resume,
                 "{name} holds a campaign's flights; add --resume to fly what it lacks, or name another place with -o"
@@ -333,7 +335,9 @@ where
         let missing = whole.missing_in_words();
         ensure!(missing.is_empty(), "{missing}");
         if output::is_file(json) {
-            whole.write(&json.with_extension("jsonl"))?;
+            let lines = json.with_extension("jsonl");
+            check_replaceable(&lines)?;
+            whole.write(&lines)?;
         }
         Ok(whole)
     }
@@ -388,14 +392,8 @@ where
         let own: Origin<Value> = serde_json::from_str(&serde_json::to_string(own)?)?;
         // The settings first: their names say more.
         let settings = difference(&own.settings, &other.settings, "");
-        let all = || {
-            Ok::<_, anyhow::Error>(difference(
-                &serde_json::to_value(&own)?,
-                &serde_json::to_value(other)?,
-                "",
-            ))
-        };
-        settings.map_or_else(all, |difference| Ok(Some(difference)))
+        let [own, other] = [&own, other].map(serde_json::to_value);
+        Ok(settings.or(difference(&own?, &other?, "")))
     }
 
     /// The flights that are missing, as arguments that fly them; empty if none is.
@@ -441,18 +439,13 @@ pub fn command_of(path: &Path) -> Result<String> {
 }
 
 fn heading_of<S: DeserializeOwned>(path: &Path, line: &str) -> Result<Heading<S>> {
-    let what = || {
-        format!(
-            "{} does not begin with the heading of a campaign's flights",
-            path.display()
-        )
-    };
+    let name = path.display();
+    let what = || format!("{name} does not begin with the heading of a campaign's flights");
     let heading: Heading<S> = serde_json::from_str(line).with_context(what)?;
+    let format = &heading.format;
     ensure!(
-        heading.format == FORMAT,
-        "{} has the format \"{}\", this program reads \"{FORMAT}\"",
-        path.display(),
-        heading.format
+        format == FORMAT,
+        "{name} has the format \"{format}\", this program reads \"{FORMAT}\""
     );
     Ok(heading)
 }
@@ -463,6 +456,21 @@ fn read(path: &Path) -> Result<String> {
 
 fn cannot_write(path: &Path) -> String {
     format!("cannot write {}", path.display())
+}
+
+/// Refuses a file that holds something else than a campaign's flights.
+fn check_replaceable(path: &Path) -> Result<()> {
+    const BEGINNING: &[u8] = b"{\"format\":\"vigil campaign ";
+    let (mut beginning, name) = (Vec::new(), path.display());
+    if path.is_file() {
+        let result = File::open(path).and_then(|file| file.take(BEGINNING.len() as u64).read_to_end(&mut beginning));
+        result.with_context(|| format!("cannot read {name}"))?;
+    }
+    ensure!(
+        beginning.is_empty() || beginning == BEGINNING,
+        "{name} is there and is no campaign's: name another place with -o"
+    );
+    Ok(())
 }
 
 /// SHA-256 of the file of the program that runs.
@@ -501,4 +509,29 @@ fn difference(a: &Value, b: &Value, place: &str) -> Option<String> {
         _ => value.to_string(),
     };
     Some(format!("{place} was {}, and is {}", value(b), value(a)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_that_are_no_campaigns_are_not_replaced() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("data.jsonl");
+        let kept = || {
+            let jobs = Jobs {
+                first_seed: 1,
+                flights: 1,
+                arms: vec!["one".to_owned()],
+            };
+            let campaign = Campaign::<(), u8>::new("evaluate", (), jobs).expect("a campaign");
+            campaign.keep_in(&file, Existing::Replace).map(drop)
+        };
+        kept().expect("a new file");
+        kept().expect("in place of the campaign's");
+        std::fs::write(&file, "{\"mine\":1}\n").expect("written");
+        let refused = kept().expect_err("another's").to_string();
+        assert!(refused.contains("is no campaign's"), "{refused}");
+    }
 }

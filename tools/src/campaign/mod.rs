@@ -127,7 +127,8 @@ pub fn outcome_name(outcome: Option<Outcome>) -> &'static str {
 
 /// A number from 0 to 1 for each seed. Multiples of the golden ratio spread neighbouring seeds evenly.
 pub fn spread(seed: u64) -> f64 {
-    (seed as f64 * 0.618_033_988_749_895) % 1.0
+    // Multiples of larger seeds are no longer apart in an f64.
+    ((seed % (1 << 32)) as f64 * 0.618_033_988_749_895) % 1.0
 }
 
 /// A wind of mean speed `mean_m_s` from a direction that depends on the seed, with gusts a third as strong.
@@ -245,5 +246,14 @@ impl FirmwarePort for SameProcess {
         let used = report.frame_sequence == Some(frame.header.sequence);
         self.altered_frames_used += u64::from(self.altered.take() && used);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn large_seeds_are_spread_as_small_ones_are() {
+        let of = |seed: u64| super::spread((1 << 60) + seed);
+        assert!((of(1) - of(2)).abs() > 0.3);
     }
 }

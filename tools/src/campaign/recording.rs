@@ -20,12 +20,33 @@ pub struct Recording {
 }
 
 impl Recording {
+    /// Renames the half of a log that a killed process left, to the first name that is free.
+    ///
+    /// # Errors
+    /// A file that cannot be renamed.
+    pub fn set_aside(folder: &Path, name: &str) -> Result<()> {
+        let file = |name: &str, ending: &str| folder.join(format!("{name}.{ending}"));
+        let (mut free, mut number) = (format!("{name}-cut-short"), 2);
+        while ["mcap", "tlog"].iter().any(|ending| file(&free, ending).exists()) {
+            free = format!("{name}-cut-short-{number}");
+            number += 1;
+        }
+        for ending in ["mcap", "tlog"] {
+            let from = file(name, ending);
+            if from.exists() {
+                let renamed = std::fs::rename(&from, file(&free, ending));
+                renamed.with_context(|| format!("cannot rename {}", from.display()))?;
+            }
+        }
+        Ok(())
+    }
+
     pub(super) fn begin(self, config: &SimConfig, firmware: &FirmwareConfig) -> Result<Begun> {
         let mut info = firmware.flight_info();
         info.seed = Some(config.seed);
         let recorder = Recorder::start(RecorderConfig {
             when_full: WhenFull::Wait,
-            scene: Some(crate::cli::scene_of(&config.course)),
+            scene: Some(crate::cli::scene::of(&config.course)),
             ..RecorderConfig::new(LogPlace::File(self.log.clone()), info)
         })?;
         let notes_file = self.log.with_extension("part");
@@ -92,7 +113,24 @@ impl Begun {
             let _ = std::fs::remove_file(side);
         }
         merged.with_context(|| format!("cannot complete {}", log.display()))?;
-        crate::cli::write_flight_report(&log, &flight_report::beside(&log), 0)?;
+        crate::cli::log::write_report(&log, &flight_report::beside(&log), 0)?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_half_of_a_log_takes_the_place_of_another_and_one_without_a_tlog_is_set_aside_too() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = |name: &str| folder.path().join(name);
+        for half in ["one", "two"] {
+            std::fs::write(file("7.mcap"), half).expect("written");
+            Recording::set_aside(folder.path(), "7").expect("renamed");
+        }
+        let text = |name| std::fs::read_to_string(file(name)).expect("kept");
+        assert_eq!([text("7-cut-short.mcap"), text("7-cut-short-2.mcap")], ["one", "two"]);
     }
 }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use vigil_sim::lockstep_flight::FlightRecord;
 use vigil_sim::world::Outcome;
 use vigil_sim::{SensorFault, SensorFaultMode};
-use vigil_types::{GuidanceState, Reason, Reasons, STEP_S, StepReport};
+use vigil_types::{GuidanceState, Reason, STEP_S, StepReport};
 
 /// Conditions that say that frames cannot be used.
 const SENSOR_REASONS: [Reason; 10] = [
@@ -45,21 +45,18 @@ impl SensorRecord {
             return;
         }
         self.flown_steps += 1;
-        let all = SENSOR_REASONS
-            .iter()
-            .fold(Reasons::NONE, |set, r| set.with_if(true, *r));
-        let found = Reasons(report.reasons.0 & all.0);
-        for reason in found.iter().map(Reason::name) {
-            if !self.reasons.iter().any(|known| known == reason) {
-                self.reasons.push(reason.to_owned());
+        let held_before = std::mem::take(&mut self.held_at_end);
+        for reason in report.reasons.iter().filter(|reason| SENSOR_REASONS.contains(reason)) {
+            self.held_at_end = true;
+            if !self.reasons.iter().any(|known| known == reason.name()) {
+                self.reasons.push(reason.name().to_owned());
             }
         }
-        if !found.is_empty() {
+        if self.held_at_end {
             self.hold_steps += 1;
             self.first_step.get_or_insert(step);
-            self.holds += u64::from(!self.held_at_end);
+            self.holds += u64::from(!held_before);
         }
-        self.held_at_end = !found.is_empty();
     }
 
     /// A line on all flights of a campaign.
@@ -180,6 +177,7 @@ impl FaultTally {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use vigil_types::Reasons;
 
     #[test]
     fn a_hold_counts_once_however_long_it_lasts_and_only_in_flight() {

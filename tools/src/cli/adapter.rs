@@ -168,6 +168,7 @@ enum PoseSource {
     Heard(Box<Heard>),
 }
 
+#[derive(Default)]
 struct Heard {
     links: Vec<PoseLink>,
     vehicle: Vehicle,
@@ -187,10 +188,8 @@ impl PoseSource {
         let (links, system) = PoseLink::open_all(&args.pose, args.allow_unsigned)?;
         Ok(Self::Heard(Box::new(Heard {
             links,
-            vehicle: Vehicle::new(None),
             system,
-            counters: FramingCounters::default(),
-            track: PoseTrack::default(),
+            ..Heard::default()
         })))
     }
 
@@ -393,12 +392,10 @@ pub fn ouster(args: &OusterArgs) -> Result<ExitCode> {
                 }
             }
             Ok(_) => {}
-            Err(e)
-                if matches!(
-                    e.kind(),
-                    ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
-                ) => {}
-            Err(e) => return Err(e).context("the socket of the sensor's packets"),
+            Err(e) => match e.kind() {
+                ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => {}
+                _ => return Err(e).context("the socket of the sensor's packets"),
+            },
         }
         out.look_around();
     }
@@ -501,13 +498,7 @@ mod tests {
     /// With LOCAL_POSITION_NED the firmware compares what frames say of the pose.
     #[test]
     fn poses_are_told_in_the_vehicles_local_frame_wherever_home_is() {
-        let mut heard = Heard {
-            links: Vec::new(),
-            vehicle: Vehicle::new(None),
-            system: None,
-            counters: FramingCounters::default(),
-            track: PoseTrack::default(),
-        };
+        let mut heard = Heard::default();
         const NOW_NS: Nanos = 1_000_000_000;
         for message in [
             message!(HEARTBEAT, autopilot = MavAutopilot::MAV_AUTOPILOT_PX4),

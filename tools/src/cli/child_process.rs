@@ -32,11 +32,6 @@ pub fn end_with(parent: u32) -> Result<()> {
     Ok(())
 }
 
-/// The arguments that have a child of this process end with it.
-fn arguments() -> [String; 2] {
-    ["--ends-with".to_owned(), std::process::id().to_string()]
-}
-
 /// A child that is asked to end, and killed if it does not, however this program ends.
 pub struct Process {
     pub(super) name: &'static str,
@@ -54,7 +49,7 @@ impl Process {
         let stderr_file = folder.join(format!("{name}.log"));
         let log = File::create(&stderr_file).with_context(|| format!("cannot write {}", stderr_file.display()))?;
         let mut command = Command::new(program);
-        command.args(arguments());
+        command.args(["--ends-with", &std::process::id().to_string()]);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log);
         arrange(&mut command);
         let child = command.spawn().with_context(|| format!("cannot start the {name}"))?;

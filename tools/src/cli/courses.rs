@@ -174,17 +174,17 @@ fn in_3d(course: &Course, frame: &DepthFrame) -> Result<String> {
 }
 
 fn check(files: &[PathBuf]) -> ExitCode {
-    let mut code = ExitCode::SUCCESS;
+    let mut is_good = true;
     for file in files {
         match obstacles_of(file) {
             Ok(found) => say!("{}: ok, {found}", file.display()),
             Err(fault) => {
                 say!("{fault}");
-                code = ExitCode::from(output::EXIT_DIFFERS);
+                is_good = false;
             }
         }
     }
-    code
+    output::checked(is_good)
 }
 
 /// What a course has that is as it should be.

@@ -17,7 +17,6 @@ use report::{NO_FAULT, Took, report};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use shown::Shown;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
@@ -165,6 +164,9 @@ struct AttackReport {
     burst: Burst,
     /// Whether it deceives a detector as well.
     adaptive: bool,
+    /// Whether it stays within what the guard lets pass.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    evades_guard: bool,
 }
 
 /// Everything that decides what the flights are, wherever they are flown: files by their content.
@@ -254,6 +256,7 @@ impl Settings {
                 config: attack.config,
                 burst: attack.burst,
                 adaptive: attack.evade.is_some(),
+                evades_guard: attack.evades_guard,
             }),
             attacked_actor_sha256: attacked,
             evaded_detector_sha256: attack.and_then(|a| a.evade.as_ref()).map(FrozenDetector::sha256),
@@ -302,16 +305,18 @@ fn prepare(args: &EvaluateArgs, faults: &[Option<SensorFault>]) -> Result<()> {
             .iter()
             .flat_map(|fault| (0..args.flights).map(|i| log_name(args, *fault, args.seed.saturating_add(i))));
         for log in names.map(|name| folder.join(name + ".mcap")) {
-            let is_there = !args.resume && log.exists();
-            ensure!(
-                !is_there,
-                "{} is there and is kept: name another folder with --logs",
-                log.display()
-            );
+            ensure!(args.resume || !log.exists(), is_kept(&log));
         }
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
     Ok(())
+}
+
+fn is_kept(log: &Path) -> String {
+    format!(
+        "{} is there and is kept: name another folder with --logs",
+        log.display()
+    )
 }
 
 /// Where the flights go, a line each.
@@ -516,12 +521,9 @@ fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, see
     let name = log_name(args, fault, seed);
     let log = folder.join(format!("{name}.mcap"));
     if args.resume && log.exists() {
-        // The flight is not among those that ended: a killed process left half of its log.
-        for ending in ["mcap", "tlog"] {
-            let from = log.with_extension(ending);
-            let to = folder.join(format!("{name}-cut-short.{ending}"));
-            std::fs::rename(&from, &to).with_context(|| format!("cannot rename {}", from.display()))?;
-        }
+        // The report is made last: a log with one is whole, and of another campaign, as this one lacks the flight.
+        ensure!(!flight_report::beside(&log).exists(), is_kept(&log));
+        Recording::set_aside(folder, &name)?;
     }
     let (seed, fault) = (seed.to_string(), fault.map(|fault| fault.to_string()));
     let (mut dropped, mut added) = (REPLACED.to_vec(), vec!["--flights", "1", "--seed", &seed]);
@@ -531,13 +533,7 @@ fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, see
     }
     let words = std::env::args_os().filter(|word| word != "--resume");
     let command = flight_report::command_again(words, "evaluate", &dropped, &added);
-    let mut about = BTreeMap::from([("command".to_owned(), command)]);
-    if let Some(commit) = output::git_commit() {
-        about.insert("git_commit".to_owned(), commit);
-    }
-    if let Some(attack) = args.attack.attack {
-        about.insert("attack".to_owned(), attack.name().to_owned());
-    }
+    let about = flight_report::about(command, &args.attack);
     Ok(Recording { log, about })
 }
 
@@ -548,4 +544,28 @@ fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Resul
         outcome: record.outcome,
     };
     Ok(vigil_sim::world::draw(course, &[flight]).write_png(path)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: EvaluateArgs,
+    }
+
+    #[test]
+    fn an_attack_that_evades_the_guard_is_of_another_campaign() {
+        let attack = |more: &[&str]| {
+            let args = Line::parse_from([&["evaluate", "--attack=fgsm"][..], more].concat()).args;
+            let attack = args.attack.attack(args.pilot.actor_file()).expect("an attack");
+            let settings = Settings::of(&args, attack.as_ref()).expect("settings");
+            serde_json::to_value(settings.attack).expect("JSON")
+        };
+        assert_eq!(attack(&["--evade-guard"])["evades_guard"], true);
+        assert!(attack(&[]).get("evades_guard").is_none(), "flights of earlier versions");
+    }
 }

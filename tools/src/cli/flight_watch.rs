@@ -106,6 +106,7 @@ pub(super) fn watch(
     let mut reached_at: Option<Instant> = None;
     let (mut has_flown, mut disarmed_at) = (false, None::<Instant>);
     let (mut pose, mut pilot) = (PoseWatch::default(), PilotWatch::default());
+    let is_quiet = matches!(terminal, Terminal::Quiet);
     while !interrupt.came() {
         match statuses.recv_timeout(SILENCE_LIMIT) {
             Ok(status) => {
@@ -127,7 +128,7 @@ pub(super) fn watch(
         if pose.observe(status)? {
             break;
         }
-        if let Some(advice) = pilot.observe(status) {
+        if let Some(advice) = pilot.observe(status).filter(|_| !is_quiet) {
             bar.suspend(|| say!("{advice}"));
         }
         match status.outcome {
@@ -143,12 +144,10 @@ pub(super) fn watch(
                 let landed = has_flown && !status.armed && status.position_ned_m[2] > -FLIES_M;
                 disarmed_at = disarmed_at.or_else(|| Some(Instant::now())).filter(|_| landed);
                 if disarmed_at.is_some_and(|at| at.elapsed() > DISARMED_LIMIT) {
-                    bar.suspend(|| {
-                        say!(
-                            "landed     the vehicle landed and disarmed {:.1} m from the goal",
-                            status.goal_distance_m
-                        )
-                    });
+                    let away_m = status.goal_distance_m;
+                    if !is_quiet {
+                        bar.suspend(|| say!("landed     the vehicle landed and disarmed {away_m:.1} m from the goal"));
+                    }
                     break;
                 }
             }

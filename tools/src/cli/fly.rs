@@ -8,16 +8,16 @@ use crate::cli::live::Live;
 use crate::cli::log::film_name;
 use crate::cli::output::{self, EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
 use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
-use crate::cli::view::ViewerArgs;
+use crate::cli::view::{self, ViewerArgs};
 use crate::flight_derived::{Wanted, derive};
 use crate::flight_report::{self, EXPLAINED};
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode};
 use std::sync::mpsc::Receiver;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 use vigil_adversary::AttackArgs;
 use vigil_adversary::process::RAW_TOPIC;
 use vigil_firmware::FirmwareConfig;
@@ -139,8 +139,10 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         lab::check_film(film)?;
         output::prepare(film)?;
     }
+    // A course that cannot be written is refused before there is a folder for it.
+    course.to_toml_string()?;
     let interrupt = Interrupt::on_ctrl_c()?;
-    let folder = make_folder(&args.log, seed)?;
+    let folder = output::make_folder(&args.log, "fly", seed)?;
     let mut processes = Processes::start(args, &course, seed, &folder)?;
     let mut viewer = args.view.then(|| args.viewer.follow(&folder)).transpose()?;
     let mut terminal = terminal(args, &course, seed);
@@ -219,10 +221,20 @@ impl Processes {
         course.save(&course_file)?;
         let scene_file = folder.join("scene.json");
         crate::cli::scene::of(course).save(&scene_file)?;
+        let instance = |c: &mut Command| {
+            c.args(["--instance", &args.instance.to_string()]);
+        };
+        let goal = course.goal_ned_m();
+        let to_goal = |c: &mut Command| {
+            instance(c);
+            c.arg(format!("--goal={},{}", goal.x, goal.y));
+            c.arg(format!("--height={}", -goal.z));
+        };
         // What simulator and sensor have in common.
         let world = |c: &mut Command| {
             c.arg("--status").arg("--course").arg(&course_file);
-            c.args(["--seed", &seed.to_string(), "--instance", &args.instance.to_string()]);
+            instance(c);
+            c.args(["--seed", &seed.to_string()]);
             if let Some(config) = &args.config {
                 c.arg("--config").arg(config);
             }
@@ -249,13 +261,10 @@ impl Processes {
             })?,
         };
         let statuses = read_statuses(&mut simulator)?;
-        let goal = course.goal_ned_m();
         let adversary = args.attack.attack.map(|_| {
             Process::start("adversary", folder, |c| {
-                c.arg("adversary").args(["--instance", &args.instance.to_string()]);
-                c.args(["--seed", &seed.to_string()]);
-                c.arg(format!("--goal={},{}", goal.x, goal.y))
-                    .arg(format!("--height={}", -goal.z));
+                c.args(["adversary", "--seed", &seed.to_string()]);
+                to_goal(c);
                 if let Some(file) = args.pilot.actor_file() {
                     c.arg("--actor").arg(file);
                 }
@@ -266,10 +275,8 @@ impl Processes {
         });
 
         let firmware = Process::start("firmware", folder, |c| {
-            c.arg("firmware").args(["--instance", &args.instance.to_string()]);
-            c.args(["--engage", "auto", "--at-goal", "land"]);
-            c.arg(format!("--goal={},{}", goal.x, goal.y))
-                .arg(format!("--height={}", -goal.z));
+            c.args(["firmware", "--engage", "auto", "--at-goal", "land"]);
+            to_goal(c);
             if let Some(key) = &args.frame_key {
                 c.arg("--frame-key").arg(key);
             }
@@ -341,26 +348,19 @@ fn about(
     last: Option<&Status>,
     ended_ns: Option<Nanos>,
 ) -> BTreeMap<String, String> {
-    let mut about = BTreeMap::from([
-        ("course".to_owned(), course.name.clone()),
-        ("seed".to_owned(), seed.to_string()),
-        ("command".to_owned(), command_again(args, seed)),
-    ]);
-    if let Some(commit) = crate::cli::output::git_commit() {
-        about.insert("git_commit".to_owned(), commit);
-    }
-    if let Some(vehicle) = args.foreign.in_words().or_else(|| args.vehicle.name()) {
-        about.insert("vehicle".to_owned(), vehicle);
-    }
-    if let Some(attack) = args.attack.attack {
-        about.insert("attack".to_owned(), attack.name().to_owned());
-    }
-    if let Some(text) = last.and_then(ending) {
-        about.insert("outcome".to_owned(), text);
-    }
-    if let Some(ended_ns) = ended_ns {
-        about.insert("ended_ns".to_owned(), ended_ns.to_string());
-    }
+    let mut about = flight_report::about(command_again(args, seed), &args.attack);
+    let known = [
+        ("course", Some(course.name.clone())),
+        ("seed", Some(seed.to_string())),
+        ("vehicle", args.foreign.in_words().or_else(|| args.vehicle.name())),
+        ("outcome", last.and_then(ending)),
+        ("ended_ns", ended_ns.map(|ns| ns.to_string())),
+    ];
+    about.extend(
+        known
+            .into_iter()
+            .filter_map(|(name, value)| Some((name.to_owned(), value?))),
+    );
     about
 }
 
@@ -380,12 +380,6 @@ fn command_again(args: &FlyArgs, seed: u64) -> String {
         None => (&["-o", "--log", "--record", "--seed"], &drawn),
     };
     flight_report::command_again(std::env::args_os(), "fly", dropped, added)
-}
-
-fn make_folder(parent: &Path, seed: u64) -> Result<PathBuf> {
-    let stamp = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    vigil_types::files::make_new_folder(parent, &format!("fly-{stamp}-{seed}"))
-        .with_context(|| format!("cannot make a folder in {}", parent.display()))
 }
 
 /// What the adversary's last line says. One that was killed has none; the flight went on or held without frames.
@@ -435,10 +429,7 @@ fn end_viewer(script: &mut Child, folder: &Path) -> Result<()> {
     };
     match status {
         Some(status) if status.success() => {}
-        Some(_) => tell!(
-            "vigil: the viewer ended early: see {}",
-            folder.join("viewer.log").display()
-        ),
+        Some(_) => view::tell_ended_early(folder),
         None => {
             tell!("vigil: the viewer is far behind and is left there; `vigil view` opens the whole flight");
             script.kill()?;

@@ -122,10 +122,7 @@ pub fn is_video(path: &Path) -> bool {
 pub fn run(args: &LogArgs) -> Result<ExitCode> {
     match &args.command {
         LogCommand::Report(args) => {
-            let log = find_log(&args.log)?;
-            let to = args.output.clone().unwrap_or_else(|| flight_report::beside(&log));
-            output::prepare(&to)?;
-            check_not_over(&log, &to)?;
+            let (log, to) = from_and_to(&args.log, args.output.as_deref(), flight_report::beside)?;
             let (bytes, incomplete) = write_report(&log, &to, args.shap)?;
             if !is_stdout(&to) {
                 say!("{} ({:.1} MB)", to.display(), bytes as f64 / 1e6);
@@ -133,11 +130,8 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
             say_what_is_missing(incomplete);
         }
         LogCommand::Ulg(args) => {
-            let log = find_log(&args.log)?;
-            let to = args.output.clone().unwrap_or_else(|| log.with_extension("ulg"));
-            output::prepare(&to)?;
+            let (log, to) = from_and_to(&args.log, args.output.as_deref(), |log| log.with_extension("ulg"))?;
             let converted = vigil_log::ulog(&log).with_context(|| format!("no ULog of {}", log.display()))?;
-            check_not_over(&log, &to)?;
             ensure!(converted.records > 0, "{} holds no whole step", log.display());
             output::write(&to, &converted.bytes)?;
             if !is_stdout(&to) {
@@ -154,12 +148,8 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
             };
             let derived =
                 derive(&log, wanted).with_context(|| format!("nothing was derived from {}", log.display()))?;
-            say!(
-                "{}: {} maps, {} explained frames",
-                log.display(),
-                derived.maps,
-                derived.explained
-            );
+            let (maps, frames) = (derived.maps, derived.explained);
+            say!("{}: {maps} maps, {frames} explained frames", log.display());
             if let Some(step) = derived.gap_before_step {
                 say!("records are missing before step {step}: what follows cannot be replayed");
             }
@@ -167,6 +157,15 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
         LogCommand::Film(_) => return crate::cli::lab::film_log(),
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The log, and where what is made of it goes.
+fn from_and_to(log: &Path, to: Option<&Path>, beside: fn(&Path) -> PathBuf) -> Result<(PathBuf, PathBuf)> {
+    let log = find_log(log)?;
+    let to = to.map_or_else(|| beside(&log), Path::to_owned);
+    output::prepare(&to)?;
+    check_not_over(&log, &to)?;
+    Ok((log, to))
 }
 
 /// Writes the report of `log` to `to`; returns its size, and why it is not all of the flight where it is not.

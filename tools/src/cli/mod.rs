@@ -3,7 +3,6 @@
 mod adapter;
 pub mod child_process;
 mod courses;
-
 mod doctor;
 pub mod evaluate;
 mod flight_watch;
@@ -16,12 +15,9 @@ pub mod output;
 pub mod pilot;
 mod recover;
 pub mod replay;
-mod scene;
+pub(crate) mod scene;
 mod sensor;
 mod view;
-
-pub(crate) use log::write_report as write_flight_report;
-pub(crate) use scene::of as scene_of;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};

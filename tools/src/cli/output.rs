@@ -6,11 +6,11 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tracing_subscriber::prelude::*;
 
 /// The command could not do its work (bad arguments, missing file, port in use, full disk).
@@ -298,7 +298,7 @@ pub fn start_tracing(verbosity: u8) {
     let default = ["warn", "info", "debug"][usize::from(verbosity.min(2))];
     let diagnostics = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
+        .with_ansi(colours(std::io::stderr().is_terminal()))
         .with_target(false)
         // Told on standard error, which is what could not be written.
         .log_internal_errors(false);
@@ -308,7 +308,13 @@ pub fn start_tracing(verbosity: u8) {
         .init();
 }
 
-/// Paints text for a terminal; plain text anywhere else, or when `NO_COLOR` is set.
+/// Whether there are colours: on a terminal that has them, where `NO_COLOR` does not forbid them.
+fn colours(is_terminal: bool) -> bool {
+    let is_forbidden = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    is_terminal && !is_forbidden && std::env::var_os("TERM").is_none_or(|term| term != "dumb")
+}
+
+/// Paints text where there are colours; plain text anywhere else.
 pub struct Paint {
     on: bool,
 }
@@ -317,7 +323,7 @@ impl Paint {
     /// Colours for standard output.
     pub fn stdout() -> Self {
         Self {
-            on: std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none(),
+            on: colours(std::io::stdout().is_terminal()),
         }
     }
 
@@ -340,6 +346,21 @@ impl Paint {
             }
         }
     }
+}
+
+/// The exit code of a comparison or check.
+pub fn checked(is_good: bool) -> ExitCode {
+    ExitCode::from(if is_good { 0 } else { EXIT_DIFFERS })
+}
+
+/// Makes a folder for what a command does now with a seed.
+///
+/// # Errors
+/// One that cannot be made, with where.
+pub fn make_folder(parent: &Path, command: &str, seed: u64) -> Result<PathBuf> {
+    let stamp = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    vigil_types::files::make_new_folder(parent, &format!("{command}-{stamp}-{seed}"))
+        .with_context(|| format!("cannot make a folder in {}", parent.display()))
 }
 
 /// The commit of the working tree, if there is one and git is there.

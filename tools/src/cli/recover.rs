@@ -1,4 +1,4 @@
-//! `vigil recover`: a closed log of one whose process was killed, or that is damaged.
+//! `vigil recover`: a copy with an index of a log whose process was killed, or that is damaged.
 
 use crate::cli::output::say;
 use anyhow::Result;
@@ -16,11 +16,11 @@ damaged themselves, and what is lost is told in steps, records and seconds.")]
 pub struct RecoverArgs {
     /// The log that was not closed, or is damaged.
     from: PathBuf,
-    /// The closed copy; must not exist yet.
+    /// A copy with an index; where the log was not closed, the copy goes on saying so. Must not exist yet.
     to: PathBuf,
 }
 
-/// Writes the closed copy.
+/// Writes the copy.
 ///
 /// # Errors
 /// A log that is missing or unreadable, a copy that exists or cannot be written.

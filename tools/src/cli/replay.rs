@@ -1,6 +1,6 @@
 //! `vigil replay`: does the tick give the same bytes again?
 
-use crate::cli::output::{EXIT_DIFFERS, Paint, say};
+use crate::cli::output::{Paint, checked, say};
 use anyhow::{Context, Result, ensure};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -34,11 +34,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
         path.display()
     );
     say!("{}", Paint::stdout().verdict(report.is_equal(), &report.to_string()));
-    Ok(if report.is_equal() {
-        ExitCode::SUCCESS
-    } else {
-        ExitCode::from(EXIT_DIFFERS)
-    })
+    Ok(checked(report.is_equal()))
 }
 
 /// The path itself, or the one MCAP file in it if it is a folder.

@@ -1,7 +1,7 @@
 //! `vigil sensor`: what a driver's author needs.
 
 use crate::cli::adapter::{self, DepthStreamArgs, OusterArgs, ServiceArgs};
-use crate::cli::output::{self, EXIT_DIFFERS, Paint, say, tell};
+use crate::cli::output::{self, Paint, say, tell};
 use crate::sensor_check::{Expected, Finding, SensorCheck, Severity};
 use anyhow::Result;
 use serde::Serialize;
@@ -108,7 +108,7 @@ pub(super) fn report<F: Serialize>(
     line: impl Fn(&F) -> (Severity, String),
     json: Option<&Path>,
 ) -> Result<ExitCode> {
-    let (paint, mut code) = (Paint::stdout(), ExitCode::SUCCESS);
+    let (paint, mut is_good) = (Paint::stdout(), true);
     for finding in findings {
         let (severity, line) = line(finding);
         let mark = match severity {
@@ -116,18 +116,14 @@ pub(super) fn report<F: Serialize>(
             Severity::Warning => "warning",
             Severity::Failure => fails,
         };
-        say!(
-            "{}",
-            paint.verdict(severity < Severity::Failure, &format!("{mark:<7}  {line}"))
-        );
-        if severity == Severity::Failure {
-            code = ExitCode::from(EXIT_DIFFERS);
-        }
+        let holds = severity < Severity::Failure;
+        say!("{}", paint.verdict(holds, &format!("{mark:<7}  {line}")));
+        is_good &= holds;
     }
     if let Some(path) = json {
         output::write(path, serde_json::to_vec_pretty(findings)?)?;
     }
-    Ok(code)
+    Ok(output::checked(is_good))
 }
 
 /// Does what was asked.

@@ -183,6 +183,11 @@ impl ViewerArgs {
     }
 }
 
+/// Says that the script of a viewer in `folder` failed.
+pub(super) fn tell_ended_early(folder: &Path) {
+    tell!("vigil: the viewer ended early: see {}", folder.join(LOG).display());
+}
+
 /// Opens the viewer.
 ///
 /// # Errors

@@ -251,7 +251,10 @@ impl Examination {
         self.vehicle.receive(now_ns, packet);
         let t = &self.vehicle.telemetry;
         match packet.message_id() {
-            HEARTBEAT_DATA::ID => self.vehicle_type = packet.payload().get(4).copied(),
+            HEARTBEAT_DATA::ID => {
+                self.vehicle_type = packet.payload().get(4).copied();
+                self.was_in_failsafe |= t.heartbeat.is_some_and(|h| h.failsafe);
+            }
             LOCAL_POSITION_NED_DATA::ID => {
                 let is_number = |k: Kinematics| k.position_ned_m.is_finite() && k.velocity_ned_m_s.is_finite();
                 self.unusable += u32::from(!t.kinematics.is_none_or(is_number));
@@ -276,9 +279,6 @@ impl Examination {
                 self.note_position(m.time_boot_ms, position, velocity);
             }
             MavMessage::ATTITUDE(m) => self.note_heading(m.time_boot_ms, m.yaw, m.yawspeed),
-            MavMessage::HEARTBEAT(_) => {
-                self.was_in_failsafe |= self.vehicle.telemetry.heartbeat.is_some_and(|h| h.failsafe);
-            }
             MavMessage::ESTIMATOR_STATUS(m) => self.note_estimator(m.flags.bits()),
             MavMessage::SYS_STATUS(m) => {
                 let checked = m.onboard_control_sensors_present & m.onboard_control_sensors_enabled;
@@ -404,16 +404,18 @@ impl Examination {
         }
         self.next_question_ns = now_ns + PAUSE_NS;
         self.turn += 1;
+        // Who speaks: of the vehicle's system.
+        self.sender.system_id = self.system.unwrap_or(1);
         // Some vehicles answer on a link only to whom they have heard.
         if self.turn % 20 == 1 {
-            self.sender().listener_heartbeat(out, 0);
+            self.sender.listener_heartbeat(out, 0);
         }
         let Some(system) = self.system.filter(|_| self.vehicle.telemetry.heartbeat.is_some()) else {
             return;
         };
         if self.turn.is_multiple_of(4) {
             let message = message!(TIMESYNC, tc1 = 0, ts1 = now_ns as i64);
-            self.say(&message, out);
+            self.sender.message(out, 0, &message);
         } else if self.turn % 4 == 2 {
             self.ask_for_messages(now_ns, system, out);
         } else {
@@ -438,7 +440,7 @@ impl Examination {
         ];
         let once = [HOME_POSITION_DATA::ID, GPS_GLOBAL_ORIGIN_DATA::ID];
         let place = (self.turn / 4) as usize % (streams.len() + once.len());
-        match (streams.get(place), once.get(place.wrapping_sub(streams.len()))) {
+        let (number, [id, interval_us]) = match (streams.get(place), once.get(place.wrapping_sub(streams.len()))) {
             (Some((id, interval_us, least_hz)), _) => {
                 let rate_hz = |id: u32| self.arrivals.get(&id).and_then(|a| a.rate_hz(now_ns)).unwrap_or(0.0);
                 // Attitude comes in one of two messages.
@@ -447,17 +449,16 @@ impl Examination {
                 } else {
                     *id
                 };
-                if rate_hz(*id).max(rate_hz(or)) < *least_hz {
-                    let params = [*id as f32, *interval_us, 0.0, 0.0, 0.0, 0.0, 0.0];
-                    self.command(system, SET_MESSAGE_INTERVAL, params, out);
+                if rate_hz(*id).max(rate_hz(or)) >= *least_hz {
+                    return;
                 }
+                (SET_MESSAGE_INTERVAL, [*id as f32, *interval_us])
             }
-            (None, Some(id)) if !self.arrivals.contains_key(id) => {
-                let params = [*id as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-                self.command(system, REQUEST_MESSAGE, params, out);
-            }
-            _ => {}
-        }
+            (None, Some(id)) if !self.arrivals.contains_key(id) => (REQUEST_MESSAGE, [*id as f32, 0.0]),
+            _ => return,
+        };
+        let command = Command::to_autopilot(system, number, [id, interval_us, 0.0, 0.0, 0.0, 0.0, 0.0], 0);
+        self.sender.command(out, 0, &command);
     }
 
     fn ask_for_parameters(&mut self, now_ns: Nanos, system: u8, out: &mut Datagrams) {
@@ -477,22 +478,6 @@ impl Examination {
             target_component: AUTOPILOT,
             param_id: row.name.into(),
         });
-        self.say(&message, out);
-    }
-
-    /// Who speaks: of the vehicle's system.
-    fn sender(&mut self) -> &mut Sender {
-        self.sender.system_id = self.system.unwrap_or(1);
-        &mut self.sender
-    }
-
-    fn say(&mut self, message: &MavMessage, out: &mut Datagrams) {
-        self.sender().message(out, 0, message);
-    }
-
-    fn command(&mut self, system: u8, number: u16, params: [f32; 7], out: &mut Datagrams) {
-        self.sender.system_id = self.system.unwrap_or(1);
-        self.sender
-            .command(out, 0, &Command::to_autopilot(system, number, params, 0));
+        self.sender.message(out, 0, &message);
     }
 }

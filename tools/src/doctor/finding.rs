@@ -52,12 +52,17 @@ impl Finding {
 pub(super) struct Report(pub(super) Vec<Finding>);
 
 impl Report {
-    pub(super) fn failure(&mut self, name: &str, value: Option<String>, wanted: &str, why: &str) {
-        self.add(name, Severity::Failure, value, wanted, why);
+    pub(super) fn failure(&mut self, name: &str, value: String, wanted: &str, why: &str) {
+        self.add(name, Severity::Failure, Some(value), wanted, why);
     }
 
-    pub(super) fn warning(&mut self, name: &str, value: Option<String>, wanted: &str, why: &str) {
-        self.add(name, Severity::Warning, value, wanted, why);
+    pub(super) fn warning(&mut self, name: &str, value: String, wanted: &str, why: &str) {
+        self.add(name, Severity::Warning, Some(value), wanted, why);
+    }
+
+    /// A warning of what was not told.
+    pub(super) fn absent(&mut self, name: &str, wanted: &str, why: &str) {
+        self.add(name, Severity::Warning, None, wanted, why);
     }
 
     fn add(&mut self, name: &str, severity: Severity, value: Option<String>, wanted: &str, why: &str) {

@@ -8,32 +8,21 @@ use vigil_mavlink::Flavour;
 
 /// A parameter, and how its value is graded.
 pub(crate) struct Row {
-    pub flavour: Flavour,
     pub name: &'static str,
     pub unit: &'static str,
-    /// Which versions of the autopilot have it, or need it.
-    pub versions: Versions,
+    /// Whether it is of PX4 from 1.18 on, those that have [`STICKS_BY_SPEED`], or of those before; `None` is of all.
+    pub by_speed: Option<bool>,
     pub wanted: &'static str,
     /// Why, and what to do.
     pub why: &'static str,
     pub grade: fn(f32) -> Severity,
 }
 
-/// Versions of an autopilot that a parameter is judged for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Versions {
-    All,
-    /// PX4 before 1.18.
-    BeforeSticksBySpeed,
-    /// PX4 from 1.18 on: those that have [`STICKS_BY_SPEED`].
-    SticksBySpeed,
-}
-
 /// What PX4 1.18 has in place of COM_RC_OVERRIDE; whoever tells it needs no COM_RCL_EXCEPT either.
 pub(crate) const STICKS_BY_SPEED: &str = "MAN_OVERRIDE_SPD";
 
 /// The fastest mission that is stopped within the 11 m that are looked ahead (docs/just-stop.md).
-const GUARDED_M_S: f32 = 5.5;
+const GUARDED_M_S: f32 = 5.3;
 const TOO_FAST: &str = "--duty just-stop and fly-around look 11 m ahead: a faster mission is not stopped in time, and is said to be unguarded";
 
 /// Whether a bit of a parameter that is a set is on.
@@ -41,25 +30,28 @@ fn has_bit(value: f32, bit: u32) -> bool {
     value >= 0.0 && value as u32 & bit != 0
 }
 
-pub(crate) const ROWS: [Row; 11] = [
+/// How long a vehicle may keep to its last setpoint.
+fn grade_silence_s(limit_s: f32) -> Severity {
+    match limit_s {
+        s if s <= 1.0 => Good,
+        s if s <= 5.0 => Warning,
+        _ => Failure,
+    }
+}
+
+const PX4: [Row; 6] = [
     Row {
-        flavour: Flavour::Px4,
         name: "COM_OF_LOSS_T",
         unit: "s",
-        versions: Versions::All,
+        by_speed: None,
         wanted: "at most 1 s",
         why: "the vehicle keeps to its last setpoint for so long when the guidance computer falls silent",
-        grade: |v| match v {
-            v if v <= 1.0 => Good,
-            v if v <= 5.0 => Warning,
-            _ => Failure,
-        },
+        grade: grade_silence_s,
     },
     Row {
-        flavour: Flavour::Px4,
         name: "COM_OBL_RC_ACT",
         unit: "",
-        versions: Versions::All,
+        by_speed: None,
         wanted: "5 (hold) or 4 (land)",
         why: "what follows a lost setpoint stream, as when the firmware is killed: 3, and 0 to 2 without sticks, return at RTL_RETURN_ALT through \
               whatever is there; below 0 nothing follows, 6 and 7 let the vehicle fall: param set COM_OBL_RC_ACT 5",
@@ -70,87 +62,77 @@ pub(crate) const ROWS: [Row; 11] = [
         },
     },
     Row {
-        flavour: Flavour::Px4,
         name: STICKS_BY_SPEED,
         unit: "",
-        versions: Versions::SticksBySpeed,
+        by_speed: Some(true),
         wanted: "above 0",
         why: "without it the pilot's sticks do not end OFFBOARD; only the mode switch does",
         grade: |v| if v > 0.0 { Good } else { Warning },
     },
     Row {
-        flavour: Flavour::Px4,
         name: "COM_RC_OVERRIDE",
         unit: "",
-        versions: Versions::BeforeSticksBySpeed,
+        by_speed: Some(false),
         wanted: "bit 1 on (add 2)",
         why: "without it the pilot's sticks do not end OFFBOARD; only the mode switch does",
         grade: |v| if has_bit(v, 2) { Good } else { Warning },
     },
     Row {
-        flavour: Flavour::Px4,
         name: "COM_RCL_EXCEPT",
         unit: "",
-        versions: Versions::BeforeSticksBySpeed,
+        by_speed: Some(false),
         wanted: "bit 2 on (add 4) where nobody has sticks",
         why: "without it, and without sticks, OFFBOARD ends in the failsafe of lost sticks as soon as it begins",
         grade: |v| if has_bit(v, 4) { Good } else { Warning },
     },
     Row {
-        flavour: Flavour::Px4,
         name: "MPC_XY_CRUISE",
         unit: "m/s",
-        versions: Versions::All,
-        wanted: "at most 5.5 m/s where missions are guarded",
+        by_speed: None,
+        wanted: "at most 5.3 m/s (5.0 with fly-around) where missions are guarded",
         why: TOO_FAST,
         grade: |v| if v <= GUARDED_M_S { Good } else { Warning },
     },
+];
+
+const ARDUPILOT: [Row; 5] = [
     Row {
-        flavour: Flavour::ArduPilot,
         name: "GUID_TIMEOUT",
         unit: "s",
-        versions: Versions::All,
+        by_speed: None,
         wanted: "at most 1 s",
         why: "the vehicle flies on by its last setpoint for so long when the guidance computer falls silent; Vigil sets 0.5 s when it takes \
               the vehicle, unless told otherwise",
-        grade: |v| match v {
-            v if v <= 1.0 => Good,
-            v if v <= 5.0 => Warning,
-            _ => Failure,
-        },
+        grade: grade_silence_s,
     },
     Row {
-        flavour: Flavour::ArduPilot,
         name: "WPNAV_SPEED",
         unit: "cm/s",
-        versions: Versions::All,
-        wanted: "at most 550 cm/s where missions are guarded",
+        by_speed: None,
+        wanted: "at most 530 cm/s (500 with fly-around) where missions are guarded",
         why: TOO_FAST,
         grade: |v| if v <= 100.0 * GUARDED_M_S { Good } else { Warning },
     },
     Row {
-        flavour: Flavour::ArduPilot,
         name: "FS_EKF_ACTION",
         unit: "",
-        versions: Versions::All,
+        by_speed: None,
         wanted: "1 (land), 2 (altitude hold) or 3",
         why: "at 0 nothing follows when the estimator fails, and setpoints are flown by a position that is wrong",
         grade: |v| if v > 0.0 { Good } else { Warning },
     },
     Row {
-        flavour: Flavour::ArduPilot,
         name: "ARMING_CHECK",
         unit: "",
-        versions: Versions::All,
+        by_speed: None,
         wanted: "1 (all)",
         why: "at 0 the vehicle arms whatever is wrong with it",
         grade: |v| if v == 0.0 { Warning } else { Good },
     },
     Row {
-        flavour: Flavour::ArduPilot,
         name: "RC_OVERRIDE_TIME",
         unit: "s",
-        versions: Versions::All,
+        by_speed: None,
         wanted: "0 to 3 s",
         why: "how long sticks sent by MAVLink count after the last of them: below 0 a program that died holds them for ever",
         grade: |v| match v {
@@ -162,6 +144,9 @@ pub(crate) const ROWS: [Row; 11] = [
 ];
 
 /// The rows of an autopilot.
-pub(crate) fn of(flavour: Flavour) -> impl Iterator<Item = &'static Row> {
-    ROWS.iter().filter(move |row| row.flavour == flavour)
+pub(crate) fn of(flavour: Flavour) -> std::slice::Iter<'static, Row> {
+    match flavour {
+        Flavour::Px4 => PX4.iter(),
+        Flavour::ArduPilot => ARDUPILOT.iter(),
+    }
 }

@@ -11,7 +11,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use vigil_log::{LogEnd, SceneSolid};
-use vigil_types::{EXPLAINED_STATE, NedVector};
+use vigil_types::{EXPLAINED_STATE, Nanos, NedVector};
 
 /// A flight as its report shows it. Times are seconds since the first step.
 #[derive(Debug, Clone, Serialize)]
@@ -164,9 +164,12 @@ fn flight(path: &Path, log: &LogSeen, film: Film) -> Flight {
     }
 }
 
+fn ms(ns: Nanos) -> f32 {
+    (ns as f64 * 1e-6) as f32
+}
+
 fn columns(steps: &[&StepSeen], threshold: Option<f32>) -> BTreeMap<&'static str, Vec<Option<f64>>> {
     type Value = fn(&StepSeen) -> Option<f32>;
-    const MS: f64 = 1e-6;
     let columns: [(&str, Value); 23] = [
         ("detector_score", |s| s.report.judgement?.score),
         ("contribution_image", |s| s.report.judgement.map(|j| j.image)),
@@ -180,20 +183,11 @@ fn columns(steps: &[&StepSeen], threshold: Option<f32>) -> BTreeMap<&'static str
         ("setpoint_yaw_rate_deg_s", |s| {
             s.report.setpoint.map(|p| p.yaw_rate_rad_s.to_degrees())
         }),
-        ("speed_m_s", |s| {
-            s.report
-                .telemetry
-                .kinematics
-                .map(|k| k.velocity_ned_m_s.horizontal_norm())
-        }),
-        ("climb_m_s", |s| {
-            s.report.telemetry.kinematics.map(|k| -k.velocity_ned_m_s.z)
-        }),
-        ("north_m", |s| s.report.telemetry.kinematics.map(|k| k.position_ned_m.x)),
-        ("east_m", |s| s.report.telemetry.kinematics.map(|k| k.position_ned_m.y)),
-        ("height_m", |s| {
-            s.report.telemetry.kinematics.map(|k| -k.position_ned_m.z)
-        }),
+        ("speed_m_s", |s| Some(s.moves()?.velocity_ned_m_s.horizontal_norm())),
+        ("climb_m_s", |s| s.moves().map(|k| -k.velocity_ned_m_s.z)),
+        ("north_m", |s| s.moves().map(|k| k.position_ned_m.x)),
+        ("east_m", |s| s.moves().map(|k| k.position_ned_m.y)),
+        ("height_m", |s| s.moves().map(|k| -k.position_ned_m.z)),
         ("heading_deg", |s| {
             s.report.telemetry.attitude.map(|a| a.attitude.yaw_rad().to_degrees())
         }),
@@ -203,18 +197,11 @@ fn columns(steps: &[&StepSeen], threshold: Option<f32>) -> BTreeMap<&'static str
         ("goal_distance_m", |s| s.report.goal_relative.map(|g| g.distance_m)),
         ("clearance_m", |s| s.clearance_m),
         ("nearest_return_m", |s| s.nearest_return_m),
-        ("frame_age_ms", |s| {
-            s.report.frame_age_ns.map(|ns| (ns as f64 * MS) as f32)
-        }),
+        ("frame_age_ms", |s| s.report.frame_age_ns.map(ms)),
         ("telemetry_age_ms", |s| {
-            s.report
-                .telemetry
-                .flight_data_age_ns(s.now_ns)
-                .map(|ns| (ns as f64 * MS) as f32)
+            s.report.telemetry.flight_data_age_ns(s.now_ns).map(ms)
         }),
-        ("wake_late_ms", |s| {
-            timed(s).then_some((s.report.timing.wake_late_ns as f64 * MS) as f32)
-        }),
+        ("wake_late_ms", |s| timed(s).then_some(ms(s.report.timing.wake_late_ns))),
     ];
     let number = |value: Option<f32>| {
         let value = value.map(f64::from).filter(|v| v.is_finite());
@@ -227,7 +214,7 @@ fn columns(steps: &[&StepSeen], threshold: Option<f32>) -> BTreeMap<&'static str
     let judged = |s: &&StepSeen| s.report.judgement.and(threshold);
     table.insert("detector_threshold", steps.iter().map(|s| number(judged(s))).collect());
     // A step knows how long the one before it took.
-    let took = |s: &StepSeen| timed(s).then_some((s.report.timing.previous_execution_ns as f64 * MS) as f32);
+    let took = |s: &StepSeen| timed(s).then_some(ms(s.report.timing.previous_execution_ns));
     let mut times: Vec<Option<f64>> = steps.iter().skip(1).map(|s| number(took(s))).collect();
     times.push(None);
     table.insert("step_time_ms", times);

@@ -6,8 +6,8 @@ use vigil_firmware::FirmwareConfig;
 use vigil_log::{FlightInfo, LogEnd, ReadError, Reader, SceneSolid, Story, TickRecord};
 use vigil_sim::world::Solid;
 use vigil_types::{
-    AlarmResponse, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, GuidanceState, Landed, Nanos, NedVector, PilotKind, Reason,
-    StepReport,
+    AlarmResponse, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, GuidanceState, Kinematics, Landed, Nanos, NedVector, PilotKind,
+    Reason, StepReport,
 };
 
 /// Who had the vehicle in a step; the number is the place in this list.
@@ -189,10 +189,14 @@ impl StepSeen {
         seen
     }
 
+    /// How the vehicle took itself to move.
+    pub fn moves(&self) -> Option<Kinematics> {
+        self.report.telemetry.kinematics
+    }
+
     /// Where the vehicle took itself to be.
     pub fn position_ned_m(&self) -> Option<NedVector> {
-        let kinematics = self.report.telemetry.kinematics?;
-        Some(kinematics.position_ned_m).filter(|p| p.is_finite())
+        Some(self.moves()?.position_ned_m).filter(|p| p.is_finite())
     }
 }
 

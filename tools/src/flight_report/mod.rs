@@ -10,11 +10,26 @@ pub use flight_data::{Flight, outline_of, read};
 pub use log_seen::{LogSeen, StepSeen, WHO};
 pub use page::{DATA_LIMIT, html};
 
+use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
+use vigil_adversary::AttackArgs;
 
 /// Frames around the first alarm whose pixels are explained, unless told otherwise.
 pub const EXPLAINED: usize = 12;
+
+/// What is known of any flight besides its course, for its log: the command that flies it again, our commit, the attack.
+pub fn about(command: String, attack: &AttackArgs) -> BTreeMap<String, String> {
+    let known = [
+        ("command", Some(command)),
+        ("git_commit", crate::cli::output::git_commit()),
+        ("attack", attack.attack.map(|method| method.name().to_owned())),
+    ];
+    known
+        .into_iter()
+        .filter_map(|(name, value)| Some((name.to_owned(), value?)))
+        .collect()
+}
 
 /// The command line that flies the same again: `arguments` are those of the process, with its name first, without the options
 /// `dropped` (each with a value) and with `added` behind.

@@ -23,18 +23,16 @@ pub struct Event {
 
 pub fn title(path: &Path, log: &LogSeen) -> String {
     let about = &log.story.about;
-    let course = about.get("course").map(String::as_str);
-    let log_name = path.file_stem().unwrap_or_default().to_string_lossy();
-    match course {
-        Some(course) => format!("Flight report: {course}"),
-        None => format!("Flight report: {log_name}"),
-    }
+    let log_name = || path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    format!(
+        "Flight report: {}",
+        about.get("course").cloned().unwrap_or_else(log_name)
+    )
 }
 
 pub fn verdict(log: &LogSeen) -> Verdict {
     let about = &log.story.about;
-    if let Some(outcome) = about.get("outcome") {
-        let good = outcome.starts_with("success");
+    let (text, good) = if let Some(outcome) = about.get("outcome") {
         let mut text = outcome.clone();
         // The outcome's own words are lower case.
         if let Some(first) = text.get_mut(..1) {
@@ -43,32 +41,21 @@ pub fn verdict(log: &LogSeen) -> Verdict {
         if let Some(alarm) = log.alarms().first().and_then(|i| log.steps[*i].report.alarm) {
             text += &format!("; an alarm was raised ({})", alarm.cause.name());
         }
-        return Verdict { text: text + ".", good };
-    }
-    if !log.took_off() {
-        return Verdict {
-            text: "The vehicle never took off.".to_owned(),
-            good: false,
-        };
-    }
-    if log.reached_goal() {
-        return Verdict {
-            text: "The goal was reached.".to_owned(),
-            good: true,
-        };
-    }
-    let last = log.steps.last().map(|s| (s.report.state, s.report.reasons));
-    let (state, reasons) = last.unwrap_or_default();
-    let left = log.steps.iter().rev().find_map(|s| s.report.goal_relative);
-    let left = left.map_or(String::new(), |g| format!(", {:.1} m from the goal", g.distance_m));
-    Verdict {
-        text: format!(
-            "Guidance did not hold at the goal; the log ends in {}{}{left}.",
-            state.name(),
-            why(reasons)
-        ),
-        good: false,
-    }
+        (text + ".", outcome.starts_with("success"))
+    } else if !log.took_off() {
+        ("The vehicle never took off.".to_owned(), false)
+    } else if log.reached_goal() {
+        ("The goal was reached.".to_owned(), true)
+    } else {
+        let last = log.steps.last().map(|s| (s.report.state, s.report.reasons));
+        let (state, reasons) = last.unwrap_or_default();
+        let left = log.steps.iter().rev().find_map(|s| s.report.goal_relative);
+        let left = left.map_or(String::new(), |g| format!(", {:.1} m from the goal", g.distance_m));
+        let (state, why) = (state.name(), why(reasons));
+        let text = format!("Guidance did not hold at the goal; the log ends in {state}{why}{left}.");
+        (text, false)
+    };
+    Verdict { text, good }
 }
 
 fn why(reasons: Reasons) -> String {
@@ -85,8 +72,7 @@ pub fn notes(log: &LogSeen) -> Vec<String> {
         notes.push(format!("The log is shown as far as it is whole: {damage}."));
     }
     if let Some(end @ (LogEnd::Interrupted { .. } | LogEnd::Closed { dropped: 1.. })) = log.end {
-        let text = end.to_string();
-        notes.push(format!("Note: {text}."));
+        notes.push(format!("Note: {end}."));
     }
     if !log.took_off() {
         notes.push(format!("The vehicle never took off. {}", standby_reasons(log)));
@@ -108,13 +94,9 @@ pub fn notes(log: &LogSeen) -> Vec<String> {
 
 /// What kept the vehicle on the ground.
 fn standby_reasons(log: &LogSeen) -> String {
-    let mut counts = [0_usize; Reason::ALL.len()];
-    for step in &log.steps {
-        for (count, reason) in counts.iter_mut().zip(Reason::ALL) {
-            *count += usize::from(step.report.reasons.contains(reason));
-        }
-    }
-    let mut named: Vec<(usize, Reason)> = counts.into_iter().zip(Reason::ALL).filter(|(n, _)| *n > 0).collect();
+    let steps_with = |reason| log.steps.iter().filter(|s| s.report.reasons.contains(reason)).count();
+    let counted = Reason::ALL.into_iter().map(|reason| (steps_with(reason), reason));
+    let mut named: Vec<(usize, Reason)> = counted.filter(|(n, _)| *n > 0).collect();
     named.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
     let last = log.steps.last().map_or(GuidanceState::Standby, |s| s.report.state);
     let list: Vec<String> = named
@@ -122,12 +104,10 @@ fn standby_reasons(log: &LogSeen) -> String {
         .take(4)
         .map(|(count, reason)| format!("{} for {:.1} s", reason.name(), *count as f64 * f64::from(STEP_S)))
         .collect();
+    let (last, list) = (last.name(), list.join(", "));
     match list.is_empty() {
-        true => format!(
-            "Guidance ended in {} and named no reason: it was not engaged.",
-            last.name()
-        ),
-        false => format!("Guidance ended in {} and named: {}.", last.name(), list.join(", ")),
+        true => format!("Guidance ended in {last} and named no reason: it was not engaged."),
+        false => format!("Guidance ended in {last} and named: {list}."),
     }
 }
 
@@ -157,10 +137,8 @@ pub fn facts(path: &Path, log: &LogSeen) -> Vec<(String, String)> {
     let (first, last) = (log.steps.first(), log.steps.last());
     let span_s = last.map_or(0.0, |s| log.seconds(s.now_ns));
     if let Some(first) = first.filter(|_| log.epoch_offset_ns > 0) {
-        put(
-            "Began",
-            date((first.now_ns.saturating_add(log.epoch_offset_ns)) / 1_000_000_000),
-        );
+        let began_ns = first.now_ns.saturating_add(log.epoch_offset_ns);
+        put("Began", date(began_ns / 1_000_000_000));
     }
     put("Length", format!("{span_s:.1} s, {} steps", log.steps.len()));
     let info = &log.info;
@@ -169,13 +147,8 @@ pub fn facts(path: &Path, log: &LogSeen) -> Vec<(String, String)> {
         "Program",
         commit.map_or(info.program.clone(), |c| format!("{} ({})", info.program, short(c))),
     );
-    let seed = log
-        .story
-        .about
-        .get("seed")
-        .cloned()
-        .or(info.seed.map(|s| s.to_string()));
-    if let Some(seed) = seed {
+    let noted = log.story.about.get("seed").cloned();
+    if let Some(seed) = noted.or(info.seed.map(|s| s.to_string())) {
         put("Seed", seed);
     }
     put("Instance", info.instance.to_string());
@@ -185,38 +158,26 @@ pub fn facts(path: &Path, log: &LogSeen) -> Vec<(String, String)> {
     if let Some(actor) = &info.actor_sha256 {
         put("Actor", format!("SHA-256 {}…", short(actor)));
     }
-    match (&info.detector_sha256, log.threshold()) {
-        (Some(detector), Some(threshold)) => {
-            put(
-                "Detector",
-                format!("SHA-256 {}…, threshold {threshold:.3}", short(detector)),
-            );
-        }
-        (Some(detector), None) => put("Detector", format!("SHA-256 {}…", short(detector))),
-        (None, _) => put("Detector", "none".to_owned()),
-    }
+    let threshold = log.threshold().map_or(String::new(), |t| format!(", threshold {t:.3}"));
+    let detector = info.detector_sha256.as_deref();
+    let detector = detector.map_or("none".to_owned(), |d| format!("SHA-256 {}…{threshold}", short(d)));
+    put("Detector", detector);
     put("Attack", attack(log));
     put("Alarms", alarms(log));
     put("Who flew", who_flew(log));
     put("Path", path_flown(log));
-    let clearance = log.steps.iter().filter(|s| in_flight(s)).filter_map(|s| s.clearance_m);
-    let closest = clearance.fold(f32::INFINITY, f32::min);
-    if closest.is_finite() {
-        put(
-            "Closest to an obstacle",
-            format!("{closest:.2} m, by the vehicle's own estimate of where it is"),
-        );
+    if let Some((_, closest)) = closest(log) {
+        let text = format!("{closest:.2} m, by the vehicle's own estimate of where it is");
+        put("Closest to an obstacle", text);
     }
     put("Step time", step_times(log));
     let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
     let frames = log.steps.iter().filter(|s| s.has_frame).count();
     let per_minute = bytes as f64 / span_s.max(1.0) * 60.0 / 1e6;
+    let megabytes = bytes as f64 / 1e6;
     put(
         "Log",
-        format!(
-            "{:.1} MB ({per_minute:.0} MB a minute), {frames} frames",
-            bytes as f64 / 1e6
-        ),
+        format!("{megabytes:.1} MB ({per_minute:.0} MB a minute), {frames} frames"),
     );
     facts
 }
@@ -227,6 +188,13 @@ fn short(digest: &str) -> &str {
 
 fn in_flight(step: &StepSeen) -> bool {
     matches!(step.report.state, GuidanceState::Guided | GuidanceState::Hold)
+}
+
+/// The step in flight that was closest to an obstacle, and its distance.
+fn closest(log: &LogSeen) -> Option<(&StepSeen, f32)> {
+    let flown = log.steps.iter().filter(|s| in_flight(s));
+    let clear = flown.filter_map(|s| Some((s, s.clearance_m?)));
+    clear.min_by(|a, b| a.1.total_cmp(&b.1))
 }
 
 fn pilot(config: &vigil_firmware::FirmwareConfig) -> String {
@@ -301,7 +269,7 @@ fn who_flew(log: &LogSeen) -> String {
 }
 
 fn path_flown(log: &LogSeen) -> String {
-    let kinematics = log.steps.iter().filter_map(|s| s.report.telemetry.kinematics);
+    let kinematics = log.steps.iter().filter_map(StepSeen::moves);
     let positions: Vec<_> = log.steps.iter().filter_map(StepSeen::position_ned_m).collect();
     let length: f32 = positions.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
     let fastest = kinematics.map(|k| k.velocity_ned_m_s.horizontal_norm());
@@ -325,20 +293,7 @@ fn step_times(log: &LogSeen) -> String {
 }
 
 pub fn events(log: &LogSeen) -> Vec<Event> {
-    let mut events: Vec<Event> = log
-        .story
-        .lines
-        .iter()
-        .map(|line| Event {
-            t: log.seconds(line.at_ns),
-            weight: match line.weight {
-                Weight::Info => "info",
-                Weight::Warning => "warning",
-                Weight::Error => "error",
-            },
-            text: line.text.clone(),
-        })
-        .collect();
+    let mut events = Vec::new();
     let mut put = |at_ns: u64, weight, text: String| {
         events.push(Event {
             t: log.seconds(at_ns),
@@ -346,6 +301,14 @@ pub fn events(log: &LogSeen) -> Vec<Event> {
             text,
         });
     };
+    for line in &log.story.lines {
+        let weight = match line.weight {
+            Weight::Info => "info",
+            Weight::Warning => "warning",
+            Weight::Error => "error",
+        };
+        put(line.at_ns, weight, line.text.clone());
+    }
     // Runs of altered frames.
     let marks = &log.story.attack;
     for (i, mark) in marks.iter().enumerate() {
@@ -355,30 +318,19 @@ pub fn events(log: &LogSeen) -> Vec<Event> {
                 let text = format!("adversary: frames are altered from frame {} on", mark.frame_sequence);
                 put(mark.at_ns, "warning", text);
             }
-            (true, false) => put(
-                mark.at_ns,
-                "info",
-                "adversary: frames are as they were again".to_owned(),
-            ),
+            (true, false) => {
+                let text = "adversary: frames are as they were again".to_owned();
+                put(mark.at_ns, "info", text);
+            }
             _ => {}
         }
     }
-    let closest = log
-        .steps
-        .iter()
-        .filter(|s| in_flight(s))
-        .filter(|s| s.clearance_m.is_some());
-    let closest = closest.min_by(|a, b| a.clearance_m.unwrap_or(0.0).total_cmp(&b.clearance_m.unwrap_or(0.0)));
-    if let Some((step, clearance)) = closest.and_then(|s| Some((s, s.clearance_m?))) {
+    if let Some((step, clearance)) = closest(log) {
         let text = format!("closest to an obstacle: {} m", rounded(clearance.into(), 2));
         put(step.now_ns, "info", text);
     }
     if let (Some(outcome), Some(last)) = (log.story.about.get("outcome"), log.steps.last()) {
-        let weight = if outcome.starts_with("success") {
-            "info"
-        } else {
-            "error"
-        };
+        let weight = if verdict(log).good { "info" } else { "error" };
         let ended_ns = log.ended_ns().unwrap_or(last.now_ns);
         put(ended_ns, weight, format!("the flight ended: {outcome}"));
     }

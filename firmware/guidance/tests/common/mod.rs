@@ -4,8 +4,8 @@
 use vigil_guidance::{FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput, Risk};
 use vigil_types::{
     Action, Attitude, AttitudeSample, FrdVector, GuidanceState, HandoverProgress, Heartbeat, Kinematics, Landed, Nanos,
-    NedVector, OperatorRequest, RequestOutcome, STEP_NS, StepTiming, VehicleMode, VehicleStatus, VehicleTelemetry,
-    Verdict,
+    NedVector, OperatorRequest, Reasons, RequestOutcome, STEP_NS, StepTiming, VehicleMode, VehicleStatus,
+    VehicleTelemetry, Verdict,
 };
 
 /// The recovery pilot foresees nothing.
@@ -90,11 +90,7 @@ impl Story {
         let mut story = Self::begin(config);
         story.run(20);
         if story.guidance.state() == GuidanceState::Ready {
-            assert_eq!(
-                story.guidance.request(OperatorRequest::Engage),
-                RequestOutcome::Accepted
-            );
-            story.step();
+            story.engages();
         }
         story.hand_over();
         assert_eq!(story.step().state, GuidanceState::Guided);
@@ -160,6 +156,12 @@ impl Story {
         (0..steps).map(|_| self.step()).last().expect("at least one step")
     }
 
+    /// State and reasons after several steps with the same inputs.
+    pub fn ends(&mut self, steps: usize) -> (GuidanceState, Reasons) {
+        let output = self.run(steps);
+        (output.state, output.reasons)
+    }
+
     /// Steps until the state is reached; how many it took.
     pub fn until(&mut self, state: GuidanceState) -> usize {
         for n in 1..=400 {
@@ -168,6 +170,12 @@ impl Story {
             }
         }
         panic!("{} was not reached: {:?}", state.name(), self.last);
+    }
+
+    /// An operator engages; the state after the next step.
+    pub fn engages(&mut self) -> GuidanceState {
+        assert_eq!(self.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+        self.step().state
     }
 
     pub fn ask(&mut self, request: OperatorRequest) -> RequestOutcome {

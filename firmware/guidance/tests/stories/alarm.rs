@@ -30,12 +30,19 @@ fn watched_with(alarm: AlarmConfig) -> Story {
     s.recovery = Some(RECOVERY);
     s.verdict = Some(Verdict::Clean);
     s.velocity_ned_m_s.x = 1.0;
-    assert_eq!(
-        s.run(seconds(1.0)).setpoint.unwrap().velocity_m_s.x,
-        1.0,
-        "the actor flies"
-    );
+    assert_eq!(sent_m_s(s.run(seconds(1.0))), 1.0, "the actor flies");
     s
+}
+
+/// The vehicle stops, and then the recovery pilot flies on.
+#[track_caller]
+fn recovers(s: &mut Story) -> GuidanceOutput {
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    let out = s.last.unwrap();
+    let expected = (Reasons::of(Reason::Recovering), s.recovery);
+    assert_eq!((out.reasons, out.action), expected);
+    out
 }
 
 #[test]
@@ -49,8 +56,7 @@ fn an_attacked_vehicle_stops_then_the_recovery_pilot_flies_and_the_actor_gets_it
         "four verdicts are not an alarm"
     );
     let alarm = s.step();
-    assert_eq!((alarm.state, alarm.reasons), (Hold, Reasons::of(Reason::Attack)));
-    assert_eq!(alarm.setpoint, Some(VelocitySetpoint::HOLD));
+    assert_holds(alarm, Reason::Attack);
     let raised = alarm.alarm.unwrap();
     assert_eq!(
         (raised.cause, raised.response),
@@ -78,10 +84,10 @@ fn an_attacked_vehicle_stops_then_the_recovery_pilot_flies_and_the_actor_gets_it
     s.verdict = Some(Verdict::Unknown);
     s.step();
     s.verdict = Some(Verdict::Clean);
-    assert_eq!(s.run(39).setpoint.unwrap().velocity_m_s.x, 0.6, "unknown is not clean");
+    assert_eq!(sent_m_s(s.run(39)), 0.6, "unknown is not clean");
     let over = s.step();
     assert_eq!((over.alarm, over.reasons), (None, Reasons::NONE));
-    assert_eq!(over.setpoint.unwrap().velocity_m_s.x, 1.0, "the actor flies again");
+    assert_eq!(sent_m_s(over), 1.0, "the actor flies again");
 }
 
 #[test]
@@ -90,12 +96,11 @@ fn with_the_policy_stop_the_vehicle_stays_until_the_verdict_is_clean() {
     s.verdict = Some(Verdict::Attack);
     s.run(5);
     s.velocity_ned_m_s.x = 0.0;
-    let standing = s.run(seconds(60.0));
-    assert_eq!((standing.state, standing.reasons), (Hold, Reasons::of(Reason::Attack)));
+    assert_eq!(s.ends(seconds(60.0)), (Hold, Reasons::of(Reason::Attack)));
     s.verdict = Some(Verdict::Clean);
     // Forty clean verdicts, and with the last of them the first of ten steps without a condition.
     assert_eq!(s.until(Guided), 49);
-    assert_eq!(s.last.unwrap().setpoint.unwrap().velocity_m_s.x, 1.0);
+    assert_eq!(sent_m_s(s.last.unwrap()), 1.0);
 }
 
 #[test]
@@ -105,7 +110,7 @@ fn with_the_policy_ignore_the_alarm_is_told_and_the_flight_is_not_touched() {
     let out = s.run(seconds(5.0));
     assert_eq!((out.state, out.reasons), (Guided, Reasons::NONE));
     assert_eq!(out.alarm.unwrap().response, AlarmResponse::Ignored);
-    assert_eq!(out.setpoint.unwrap().velocity_m_s.x, 1.0);
+    assert_eq!(sent_m_s(out), 1.0);
 }
 
 #[test]
@@ -113,11 +118,9 @@ fn an_actor_without_a_verdict_is_not_trusted_for_longer_than_half_a_second() {
     let mut s = watched(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Unknown);
     assert_eq!(s.run(10).alarm, None);
-    let raised = s.step();
-    assert_eq!((raised.state, raised.reasons), (Hold, Reasons::of(Reason::NoVerdict)));
-    s.velocity_ned_m_s.x = 0.0;
-    s.until(Guided);
-    assert_eq!(s.run(seconds(10.0)).setpoint.unwrap().velocity_m_s.x, 0.6);
+    assert_holds(s.step(), Reason::NoVerdict);
+    recovers(&mut s);
+    assert_eq!(sent_m_s(s.run(seconds(10.0))), 0.6);
     s.verdict = Some(Verdict::Attack);
     assert_eq!(s.run(5).alarm.unwrap().cause, AlarmCause::Attack);
     assert_eq!(s.last.unwrap().state, Guided, "the recovery pilot need not stop for it");
@@ -128,21 +131,15 @@ fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_cle
     let mut s = watched(AlarmPolicy::Recover);
     s.risk.collision_course = true;
     assert_eq!(s.run(3).alarm, None, "a few steps may be noise");
-    let alarm = s.step();
-    assert_eq!(
-        (alarm.state, alarm.reasons, alarm.setpoint),
-        (Hold, Reasons::of(Reason::CollisionCourse), Some(VelocitySetpoint::HOLD))
-    );
-    s.velocity_ned_m_s.x = 0.0;
-    s.until(Guided);
-    assert_eq!(s.last.unwrap().action, Some(RECOVERY));
+    assert_holds(s.step(), Reason::CollisionCourse);
+    recovers(&mut s);
 
     // The clean verdicts that led it here do not give it back: rough pictures are no clean steps.
     s.risk.collision_course = false;
     s.smooth_share = Some(0.3);
     let flying = s.run(seconds(60.0));
     assert_eq!(
-        (flying.reasons, flying.setpoint.unwrap().velocity_m_s.x),
+        (flying.reasons, sent_m_s(flying)),
         (Reasons::of(Reason::Recovering), 0.6)
     );
     s.verdict = Some(Verdict::Attack);
@@ -151,7 +148,7 @@ fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_cle
 
     assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
     let trusted = s.step();
-    assert_eq!((trusted.alarm, trusted.setpoint.unwrap().velocity_m_s.x), (None, 1.0));
+    assert_eq!((trusted.alarm, sent_m_s(trusted)), (None, 1.0));
 
     // What it was about to meet passes by: the second time, and the third, it waits twice as long as the time before.
     for clean_steps in [80, 160] {
@@ -169,14 +166,10 @@ fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator()
     s.risk.collision_course = true;
     s.run(4);
     s.risk.collision_course = false;
-    let standing = s.run(seconds(300.0));
-    assert_eq!(
-        (standing.state, standing.reasons),
-        (Hold, Reasons::of(Reason::CollisionCourse))
-    );
+    assert_eq!(s.ends(seconds(300.0)), (Hold, Reasons::of(Reason::CollisionCourse)));
     assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
     s.until(Guided);
-    assert_eq!(s.last.unwrap().setpoint.unwrap().velocity_m_s.x, 1.0);
+    assert_eq!(sent_m_s(s.last.unwrap()), 1.0);
 }
 
 #[test]
@@ -190,22 +183,10 @@ fn an_actor_that_is_led_away_from_the_guard_s_way_is_stopped_although_every_verd
     let flown = s.until(Hold);
     assert!((80..90).contains(&flown), "6 m at 1.5 m/s, found after {flown} steps");
     let stop = s.last.unwrap();
-    assert_eq!(
-        (stop.reasons, stop.setpoint, stop.alarm.unwrap().cause),
-        (
-            Reasons::of(Reason::LedAstray),
-            Some(VelocitySetpoint::HOLD),
-            AlarmCause::LedAstray
-        )
-    );
-    s.velocity_ned_m_s.x = 0.0;
-    s.until(Guided);
+    assert_holds(stop, Reason::LedAstray);
+    assert_eq!(stop.alarm.unwrap().cause, AlarmCause::LedAstray);
+    recovers(&mut s);
     s.risk.speed_along_way_m_s = 0.6;
-    let flying = s.last.unwrap();
-    assert_eq!(
-        (flying.reasons, flying.action),
-        (Reasons::of(Reason::Recovering), Some(RECOVERY))
-    );
     assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
     assert_eq!(s.step().alarm, None, "the operator trusts it again");
 }
@@ -238,16 +219,10 @@ fn an_actor_that_goes_on_turning_the_other_way_than_the_planner_is_stopped_altho
     s.action.as_mut().unwrap().yaw = -1.5;
     assert!((70..72).contains(&s.until(Hold)));
     let stop = s.last.unwrap();
-    assert_eq!(
-        (stop.reasons, stop.alarm.unwrap().cause),
-        (Reasons::of(Reason::Disagreement), AlarmCause::Disagreement)
-    );
-    s.velocity_ned_m_s.x = 0.0;
-    s.until(Guided);
-    assert!(
-        s.last.unwrap().alarm.is_some(),
-        "the clean steps before it do not count"
-    );
+    assert_holds(stop, Reason::Disagreement);
+    assert_eq!(stop.alarm.unwrap().cause, AlarmCause::Disagreement);
+    // The clean steps before it do not count.
+    assert!(recovers(&mut s).alarm.is_some());
 }
 
 #[test]
@@ -266,24 +241,13 @@ fn the_recovery_pilot_is_stopped_before_what_it_would_fly_into_and_begins_anew_f
     let mut s = watched(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Attack);
     s.run(5);
-    s.velocity_ned_m_s.x = 0.0;
-    s.until(Guided);
+    recovers(&mut s);
     s.velocity_ned_m_s.x = 0.6;
     s.risk.recovery_course = true;
     assert_eq!(s.step().state, Guided, "one step may be noise");
-    let stop = s.step();
-    assert_eq!(
-        (stop.state, stop.reasons, stop.setpoint),
-        (Hold, Reasons::of(Reason::CollisionCourse), Some(VelocitySetpoint::HOLD))
-    );
-    s.velocity_ned_m_s.x = 0.0;
+    assert_holds(s.step(), Reason::CollisionCourse);
     s.risk.recovery_course = false;
-    s.until(Guided);
-    let again = s.last.unwrap();
-    assert_eq!(
-        (again.reasons, again.action),
-        (Reasons::of(Reason::Recovering), Some(RECOVERY))
-    );
+    let again = recovers(&mut s);
     // Its own error says nothing of the actor: the alarm is still the verdict's, and ends as such.
     assert_eq!(again.alarm.unwrap().cause, AlarmCause::Attack);
     s.verdict = Some(Verdict::Clean);
@@ -322,7 +286,7 @@ fn an_operator_changes_the_policy_in_flight() {
     config.alarm.policy = AlarmPolicy::Recover;
     s.guidance.reconfigure(config).unwrap();
     s.until(Guided);
-    assert_eq!(s.last.unwrap().setpoint.unwrap().velocity_m_s.x, 0.6);
+    assert_eq!(sent_m_s(s.last.unwrap()), 0.6);
 }
 
 #[test]

@@ -47,8 +47,7 @@ fn a_failsafe_hold_that_lost_setpoints_are_not_the_reason_of_stays_until_an_oper
     let out = s.run(seconds(60.0));
     assert_eq!((out.state, out.setpoint), (Ready, None));
     assert!(out.reasons.contains(Reason::VehicleFailsafe) && out.reasons.contains(Reason::PilotInCommand));
-    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
-    assert_eq!(s.step().state, Engaging);
+    assert_eq!(s.engages(), Engaging);
 }
 
 #[test]
@@ -74,8 +73,7 @@ fn a_person_who_changes_the_mode_keeps_the_vehicle() {
             (out.state, out.setpoint, out.reasons),
             (Ready, None, Reasons::of(Reason::PilotInCommand))
         );
-        assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
-        assert_eq!(s.step().state, Engaging);
+        assert_eq!(s.engages(), Engaging);
     }
 }
 
@@ -111,11 +109,7 @@ fn disarming_ends_the_flight_and_nothing_arms_again_by_itself() {
     let out = s.step();
     assert_eq!((out.state, out.setpoint), (Standby, None));
     assert!(out.reasons.contains(Reason::Disarmed));
-    let later = s.run(seconds(60.0));
-    assert_eq!(
-        (later.state, later.reasons),
-        (Ready, Reasons::of(Reason::PilotInCommand))
-    );
+    assert_eq!(s.ends(seconds(60.0)), (Ready, Reasons::of(Reason::PilotInCommand)));
 }
 
 #[test]
@@ -185,13 +179,11 @@ fn at_the_goal_it_lands_when_configured_and_is_silent_once_the_vehicle_lands_by_
 fn an_operator_lands_it_goes_around_and_lands_again() {
     let mut s = Story::guided(GuidanceConfig::default());
     assert_eq!(s.ask(OperatorRequest::Land), RequestOutcome::Accepted);
-    let out = s.step();
-    assert_eq!((out.state, out.reasons), (Land, Reasons::of(Reason::Operator)));
+    assert_eq!(s.ends(1), (Land, Reasons::of(Reason::Operator)));
     s.mode = VehicleMode::Land;
     s.run(5);
     s.handover = HandoverProgress::Idle;
-    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
-    assert_eq!(s.step().state, Engaging);
+    assert_eq!(s.engages(), Engaging);
     s.hand_over();
     s.until(Guided);
     assert_eq!(s.ask(OperatorRequest::Land), RequestOutcome::Accepted);
@@ -210,10 +202,7 @@ fn low_battery_and_the_time_limit_land_the_vehicle_and_an_engage_does_not_lift_t
     };
     let mut s = Story::guided(limit);
     assert_eq!(s.run(seconds(10.0)).state, Guided);
-    assert_eq!(
-        (s.step().state, s.last.unwrap().reasons),
-        (Land, Reasons::of(Reason::TimeLimit))
-    );
+    assert_eq!(s.ends(1), (Land, Reasons::of(Reason::TimeLimit)));
     assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::TemporarilyRejected);
 
     let mut s = Story::guided(GuidanceConfig::default());
@@ -241,8 +230,7 @@ fn a_failed_hand_over_is_tried_again_by_policy_auto_after_a_pause_and_never_by_p
         assert_eq!(s.run(seconds(4.0)).state, Ready);
         assert_eq!(s.run(seconds(2.0)).state, if tries { Engaging } else { Ready });
         if !tries {
-            assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
-            assert_eq!(s.step().state, Engaging);
+            assert_eq!(s.engages(), Engaging);
         }
     }
 }
@@ -367,8 +355,7 @@ fn a_flight_that_ended_on_the_ground_is_not_repeated_because_the_autopilot_resta
     s.armed = false;
     s.until(Standby);
     reboot(&mut s);
-    let later = s.run(seconds(60.0));
-    assert_eq!((later.state, later.reasons), (Ready, Reasons::NONE));
+    assert_eq!(s.ends(seconds(60.0)), (Ready, Reasons::NONE));
     assert!(!s.guidance.taken_over(), "nobody took it");
 }
 
@@ -394,13 +381,8 @@ fn a_take_over_of_an_earlier_run_is_kept_until_an_operator_engages() {
         taken_over: true,
         ..auto()
     });
-    let waiting = s.run(seconds(60.0));
-    assert_eq!(
-        (waiting.state, waiting.reasons),
-        (Ready, Reasons::of(Reason::PilotInCommand))
-    );
-    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
-    assert_eq!(s.step().state, Engaging);
+    assert_eq!(s.ends(seconds(60.0)), (Ready, Reasons::of(Reason::PilotInCommand)));
+    assert_eq!(s.engages(), Engaging);
     assert!(!s.guidance.taken_over());
 }
 
@@ -442,8 +424,7 @@ fn auto_engages_only_from_where_it_is_allowed_to() {
             "{story}"
         );
         if !takes {
-            assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted, "{story}");
-            assert_eq!(s.step().state, Engaging, "an operator may: {story}");
+            assert_eq!(s.engages(), Engaging, "an operator may: {story}");
         }
     }
 }

@@ -7,7 +7,9 @@ mod common;
 mod flight;
 
 use common::{GOAL, Story};
-use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, Geofence, GuidanceConfig, OnNoProgress};
+use vigil_guidance::{
+    AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, Geofence, GuidanceConfig, GuidanceOutput, OnNoProgress,
+};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
 use vigil_types::{
     Action, AlarmCause, AlarmResponse, HandoverProgress, Landed, NedVector, OperatorRequest, Reason, Reasons,
@@ -19,6 +21,18 @@ fn auto() -> GuidanceConfig {
         engage: EngagePolicy::Auto,
         ..Default::default()
     }
+}
+
+/// It holds, for this reason alone.
+#[track_caller]
+fn assert_holds(out: GuidanceOutput, reason: Reason) {
+    let holds = (Hold, Reasons::of(reason), Some(VelocitySetpoint::HOLD));
+    assert_eq!((out.state, out.reasons, out.setpoint), holds, "{}", reason.name());
+}
+
+/// The forward speed that is sent, metres per second.
+fn sent_m_s(out: GuidanceOutput) -> f32 {
+    out.setpoint.unwrap().velocity_m_s.x
 }
 
 fn seconds(s: f64) -> usize {

@@ -37,6 +37,16 @@ impl PeerRule {
         packets(datagram, &mut counters).any(|packet| self.introduces(&packet, has_key))
     }
 
+    /// Who passed the gate with `datagram` is the peer: the first vehicle that calls is the only one from then on, as whoever
+    /// reads the link knows no other.
+    pub(super) fn keep_to(&mut self, datagram: &[u8], has_key: bool) {
+        let (rule, mut counters) = (*self, FramingCounters::default());
+        let first = packets(datagram, &mut counters).find(|packet| rule.introduces(packet, has_key));
+        if let (Self::Vehicle { system }, Some(first)) = (self, first) {
+            system.get_or_insert(first.system_id());
+        }
+    }
+
     /// The system of a vehicle that calls and is not the one that is asked for.
     pub(super) fn other_system(self, packet: &Packet<'_>) -> Option<u8> {
         let is_other = match self {

@@ -126,11 +126,14 @@ impl TcpWire {
             self.foreign += self.callers.dismiss();
             return;
         }
-        let with = (self.rule, &mut *admission);
+        let (before, with) = (received.len(), (self.rule, &mut *admission));
         let admitted = self
             .callers
             .listen(now_ns, with, &mut self.stream, received, &mut self.foreign);
         if let Some(caller) = admitted {
+            let introduction = received.iter().nth(before).map(|(_, packet)| packet);
+            let has_key = admission.gate.has_key();
+            self.rule.keep_to(introduction.unwrap_or_default(), has_key);
             self.stream.continue_with(caller.framer);
             self.connections += 1;
             self.connection = Some(Connection {

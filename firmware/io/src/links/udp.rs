@@ -91,6 +91,7 @@ impl UdpWire {
         } else {
             self.peer = Some(from);
             self.peer_heard_ns = now_ns;
+            self.rule.keep_to(received.last().unwrap_or_default(), has_key);
             self.filter.peers_changed();
             self.set_filter(now_ns);
         }

@@ -1,12 +1,23 @@
 //! Who can meet whom: the instance number and the user separate whole sets of processes.
 
 use iceoryx2::prelude::*;
+use rustix::fs::{FlockOperation, Mode, OFlags};
+use rustix::io::Errno;
+use std::os::fd::OwnedFd;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 
 /// Why a [`Domain`] could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum DomainError {
-    /// The directory for the transport's files could not be made.
+    /// The role is taken.
+    #[error("another {role} already runs on instance {instance}: stop it, or use another --instance")]
+    RoleTaken {
+        /// The name of this process's part.
+        role: &'static str,
+        /// The instance.
+        instance: u32,
+    },
+    /// The directory for the transport's files, or a file in it, could not be made.
     #[error("cannot make {path} for the transport's files: {source}")]
     Directory {
         /// The directory.
@@ -59,6 +70,8 @@ pub enum DomainError {
 pub struct Domain {
     node: Node<ipc::Service>,
     instance: u32,
+    /// Locked while the role is this process's alone.
+    _role: Option<OwnedFd>,
 }
 
 impl std::fmt::Debug for Domain {
@@ -90,7 +103,31 @@ impl Domain {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|e| node_error(e.to_string()))?;
-        Ok(Self { node, instance })
+        Ok(Self {
+            node,
+            instance,
+            _role: None,
+        })
+    }
+
+    /// The same for a role that one process at a time has, until this is dropped or the process ends, however it does.
+    ///
+    /// # Errors
+    /// [`DomainError::RoleTaken`] while another has it, and those of [`Domain::open`].
+    pub fn open_alone(instance: u32, role: &'static str) -> Result<Self, DomainError> {
+        let domain = Self::open(instance, role)?;
+        let path = format!("{}/{role}.lock", domain.node.config().global.root_path());
+        let flags = OFlags::CREATE | OFlags::RDWR | OFlags::NOFOLLOW | OFlags::CLOEXEC;
+        let locked = rustix::fs::open(&*path, flags, Mode::RUSR | Mode::WUSR)
+            .and_then(|file| rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).map(|()| file));
+        match locked {
+            Ok(file) => Ok(Self {
+                _role: Some(file),
+                ..domain
+            }),
+            Err(Errno::WOULDBLOCK) => Err(DomainError::RoleTaken { role, instance }),
+            Err(e) => Err(DomainError::Directory { path, source: e.into() }),
+        }
     }
 
     /// The instance number.

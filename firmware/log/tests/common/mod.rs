@@ -1,7 +1,7 @@
 //! Records whose every field is drawn from a seed, NaN and all, and their bits for comparison.
 #![allow(dead_code, reason = "each test file uses its part")]
 
-use vigil_log::{FlightInfo, LogPlace, RecorderConfig, TickRecord, WhenFull};
+use vigil_log::{FlightInfo, LogPlace, Recorder, RecorderConfig, Summary, TickRecord, WhenFull};
 use vigil_types::{
     Action, Alarm, AlarmCause, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, Frame, FrameHeader,
     FrdVector, Goal, GoalRelative, GuidanceState, HeadingVector, Heartbeat, Judgement, Kinematics, Landed, NedVector,
@@ -280,4 +280,13 @@ pub fn lockstep(place: LogPlace) -> RecorderConfig {
         slots: 8,
         ..RecorderConfig::new(place, info())
     }
+}
+
+/// Records steps, each drawn from its number, 50 ms apart; none is missing.
+pub fn recorded(config: RecorderConfig, steps: u64) -> Summary {
+    let mut recorder = Recorder::start(config).unwrap();
+    for step in 0..steps {
+        assert!(recorder.record(|slot| Draw(step).record(step, step * 50_000_000, slot)));
+    }
+    recorder.finish()
 }

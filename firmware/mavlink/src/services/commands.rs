@@ -18,9 +18,8 @@ const REFUSALS_NS: Nanos = 1_000_000_000;
 
 #[derive(Debug, Clone, Default)]
 pub(crate) struct CommandService {
-    requests: Deque<PendingRequest, REQUESTS>,
-    /// The last goal that was too far, to be told of: its distance and what is allowed, metres.
-    goal_refused: Option<(u32, u32)>,
+    /// Of operators, the oldest first.
+    pub requests: Deque<PendingRequest, REQUESTS>,
     /// Texts about the requests that were refused since the last step.
     refused: Vec<StatusText, REFUSALS_PER_SECOND>,
     refusals_since_ns: Nanos,
@@ -28,16 +27,16 @@ pub(crate) struct CommandService {
 }
 
 impl CommandService {
-    /// The next request of an operator.
-    pub fn take_request(&mut self) -> Option<PendingRequest> {
-        self.requests.pop_front()
-    }
-
     /// Acknowledges a request; one that is refused with the reasons of the last step, and with a text.
     pub fn answer(&mut self, core: &mut Core, pending: &PendingRequest, outcome: RequestOutcome) {
         let (state, reasons) = core.said.unwrap_or_default();
         let told = match outcome {
-            RequestOutcome::Accepted | RequestOutcome::TooFar { .. } => Reasons::NONE,
+            RequestOutcome::Accepted => Reasons::NONE,
+            RequestOutcome::TooFar { distance_m, limit_m } => {
+                let command = pending.command;
+                self.refuse(command, format_args!(": {distance_m} m from home, at most {limit_m} m"));
+                Reasons::NONE
+            }
             RequestOutcome::TemporarilyRejected | RequestOutcome::Denied => {
                 let (command, state) = (pending.command, state.name());
                 match pending.request {
@@ -59,9 +58,6 @@ impl CommandService {
             }
         };
         core.acknowledge(pending.reply, pending.command, result_of(outcome), told);
-        if let RequestOutcome::TooFar { distance_m, limit_m } = outcome {
-            self.goal_refused = Some((distance_m, limit_m));
-        }
     }
 
     fn command(&mut self, core: &mut Core, command: &Command, reply: ReplyTo) {
@@ -109,10 +105,6 @@ impl Service for CommandService {
     }
 
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
-        if let Some((distance_m, limit_m)) = self.goal_refused.take() {
-            let text = format_args!("goal refused: {distance_m} m from home, at most {limit_m} m");
-            core.tell(out, WARNING, text);
-        }
         let now_ns = step.report.now_ns;
         if now_ns.saturating_sub(self.refusals_since_ns) >= REFUSALS_NS {
             (self.refusals_since_ns, self.refusals_told) = (now_ns, 0);

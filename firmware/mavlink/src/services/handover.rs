@@ -67,7 +67,8 @@ enum Asked {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct HandoverService {
     flavour: Flavour,
-    progress: HandoverProgress,
+    /// How far the vehicle is with it.
+    pub progress: HandoverProgress,
     tracker: Tracker,
     /// Of the last step.
     asked: Option<Asked>,
@@ -80,11 +81,6 @@ pub(crate) struct HandoverService {
 }
 
 impl HandoverService {
-    /// How far the vehicle is with it.
-    pub fn progress(&self) -> HandoverProgress {
-        self.progress
-    }
-
     /// What an unfinished hand-over waits for; `None` when there is none.
     fn unfinished(&self) -> Option<&'static str> {
         if !matches!(self.progress, HandoverProgress::InProgress { .. }) {
@@ -116,7 +112,8 @@ impl HandoverService {
             }
             VehicleRequest::Land => {
                 self.ask(Asked::Land);
-                self.land(now_ns, vehicle)
+                let wanted = self.wanted(command_number::NAV_LAND, EFFECT_NS, &[]);
+                self.insist(now_ns, &wanted, LAND_PAUSE_NS, vehicle)
             }
             VehicleRequest::Hold { place_m, .. } => {
                 self.ask(Asked::Mode(self.flavour.hold_mode()));
@@ -313,11 +310,6 @@ impl HandoverService {
             Flavour::ArduPilot => takeoff_height_m - vehicle.home_height_m(),
         };
         self.wanted(command_number::NAV_TAKEOFF, TAKEOFF_EFFECT_NS, &[(7, altitude_m)])
-    }
-
-    fn land(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Action {
-        let wanted = self.wanted(command_number::NAV_LAND, EFFECT_NS, &[]);
-        self.insist(now_ns, &wanted, LAND_PAUSE_NS, vehicle)
     }
 
     /// Asks until it is done: what failed is asked again after a pause.

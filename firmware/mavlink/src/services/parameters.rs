@@ -3,7 +3,7 @@
 use crate::core::Core;
 use crate::framing::Packet;
 use crate::operator::ReplyTo;
-use crate::parameter_table::{ParameterRequest, Parameters, SetRefusal};
+use crate::parameter_table::{ParameterRequest, Parameters};
 use crate::service::{Service, Step};
 use crate::status_text::WARNING;
 use mavlink::dialects::common::{MavMessage, MavParamError, PARAM_ERROR_DATA};
@@ -12,8 +12,8 @@ use vigil_types::{Datagrams, Nanos};
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ParameterService {
     pub table: Parameters,
-    /// The last parameter that was not set, to be told of.
-    refused: Option<(usize, SetRefusal)>,
+    /// The last parameter that was not set, and why.
+    refused: Option<(usize, &'static str)>,
 }
 
 impl ParameterService {
@@ -27,45 +27,35 @@ impl ParameterService {
     /// Answers on the link it came on. What there is not is told to who asked this very component: of a request to all
     /// another one may have it.
     fn request(&mut self, core: &mut Core, from: ReplyTo, is_for_me: bool, request: &ParameterRequest) {
-        let link = from.link;
-        match request {
-            ParameterRequest::List => {
-                for index in 0..self.table.count() {
-                    self.tell_value(core, link, index);
-                }
+        let ParameterRequest::One { name, index, set } = request else {
+            for place in 0..self.table.count() {
+                self.tell_value(core, from.link, place);
             }
-            ParameterRequest::ReadIndex(index) => {
-                if *index < self.table.count() {
-                    self.tell_value(core, link, *index);
-                } else if is_for_me {
-                    // It came as 16 bits.
-                    no_such_parameter(core, from, [0; 16], *index as i16);
-                }
-            }
-            ParameterRequest::ReadName(name) => {
-                if let Some(index) = self.table.find(name) {
-                    self.tell_value(core, link, index);
-                } else if is_for_me {
-                    no_such_parameter(core, from, *name, -1);
-                }
-            }
-            ParameterRequest::Set { name, raw, mav_type } => {
-                let Some(index) = self.table.find(name) else {
-                    if is_for_me {
-                        core.counters.parameters_refused += 1;
-                        no_such_parameter(core, from, *name, -1);
-                    }
-                    return;
+            return;
+        };
+        let Some(place) = self.table.find(name, *index) else {
+            if is_for_me {
+                core.counters.parameters_refused += u64::from(set.is_some());
+                let error = PARAM_ERROR_DATA {
+                    param_index: *index,
+                    target_system: from.system,
+                    target_component: from.component,
+                    param_id: (*name).into(),
+                    error: MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
                 };
-                let (flying, flavour) = (core.is_flying(), core.vehicle.flavour());
-                if let Err(refusal) = self.table.set(index, *raw, *mav_type, flavour, flying) {
-                    core.counters.parameters_refused += 1;
-                    self.refused = Some((index, refusal));
-                }
-                // The value in force, whichever it is: that is the protocol's answer.
-                self.tell_value(core, link, index);
+                core.reply(from.link, &MavMessage::PARAM_ERROR(error));
+            }
+            return;
+        };
+        if let Some((raw, mav_type)) = set {
+            let (flying, flavour) = (core.is_flying(), core.vehicle.flavour());
+            if let Err(why) = self.table.set(place, *raw, *mav_type, flavour, flying) {
+                core.counters.parameters_refused += 1;
+                self.refused = Some((place, why));
             }
         }
+        // The value in force, whichever it is: that is the protocol's answer.
+        self.tell_value(core, from.link, place);
     }
 }
 
@@ -85,21 +75,9 @@ impl Service for ParameterService {
     }
 
     fn speak(&mut self, core: &mut Core, _: &Step<'_>, out: &mut Datagrams) {
-        if let Some((index, refusal)) = self.refused.take() {
-            let text = format_args!("{} not set: {}", self.table.name(index), refusal.name());
-            core.tell(out, WARNING, text);
+        if let Some((place, why)) = self.refused.take() {
+            let name = self.table.all().get(place).map_or("", |parameter| parameter.name);
+            core.tell(out, WARNING, format_args!("{name} not set: {why}"));
         }
     }
-}
-
-/// PARAM_ERROR to who asked for what there is not.
-fn no_such_parameter(core: &mut Core, to: ReplyTo, name: [u8; 16], param_index: i16) {
-    let error = PARAM_ERROR_DATA {
-        param_index,
-        target_system: to.system,
-        target_component: to.component,
-        param_id: name.into(),
-        error: MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
-    };
-    core.reply(to.link, &MavMessage::PARAM_ERROR(error));
 }

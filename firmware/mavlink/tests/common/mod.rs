@@ -145,23 +145,16 @@ pub struct Flight {
 
 impl Flight {
     pub fn new(flavour: Flavour, peer: Peer) -> Self {
-        Self::with(
-            flavour,
-            peer,
-            GuidanceConfig {
-                engage: EngagePolicy::Auto,
-                ..Default::default()
-            },
-        )
+        let config = GuidanceConfig {
+            engage: EngagePolicy::Auto,
+            ..Default::default()
+        };
+        Self::of(Some(flavour), peer, config)
     }
 
     /// An operator engages it.
     pub fn on_command(flavour: Flavour, peer: Peer) -> Self {
-        Self::with(flavour, peer, GuidanceConfig::default())
-    }
-
-    pub fn with(flavour: Flavour, peer: Peer, config: GuidanceConfig) -> Self {
-        Self::of(Some(flavour), peer, config)
+        Self::of(Some(flavour), peer, GuidanceConfig::default())
     }
 
     /// `flavour`: the configured one, `None` to recognise it.
@@ -323,8 +316,12 @@ impl Bench {
             setpoint,
             ..report(self.now_ns, state)
         };
-        self.sent.clear();
-        self.companion.emit(&report, request, &mut self.sent);
+        self.emit(&report, request);
         messages(&self.sent)
+    }
+
+    pub fn emit(&mut self, report: &StepReport, request: VehicleRequest) {
+        self.sent.clear();
+        self.companion.emit(report, request, &mut self.sent);
     }
 }

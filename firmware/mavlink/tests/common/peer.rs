@@ -358,34 +358,26 @@ impl Peer {
                     }
                     self.setpoints.push((now_ns, [s.vx, s.vy, s.vz, s.yaw_rate]));
                 }
-                MavMessage::PARAM_REQUEST_READ(p) if p.param_id.to_str() == Ok(OWN_TIMEOUT) => {
-                    // An autopilot that has no such parameter says nothing.
-                    self.replies
-                        .extend(self.own_timeout_s.map(|s| value_of(OWN_TIMEOUT, s)));
-                }
-                MavMessage::PARAM_SET(p) if p.param_id.to_str() == Ok(OWN_TIMEOUT) => {
-                    self.own_timeout_s = self.own_timeout_s.map(|_| p.param_value);
-                    self.replies
-                        .extend(self.own_timeout_s.map(|s| value_of(OWN_TIMEOUT, s)));
-                }
-                MavMessage::PARAM_REQUEST_READ(p) if self.motion_value(p.param_id.to_str()).is_some() => {
-                    let value = self.motion_value(p.param_id.to_str()).filter(|_| self.tells_parameters);
-                    self.replies.extend(value);
-                }
                 MavMessage::PARAM_REQUEST_READ(p) if p.target_system == self.system && p.target_component == 1 => {
-                    assert_eq!((p.param_index, p.param_id.to_str()), (-1, Ok(self.timeout_name())));
-                    self.parameters_read += 1;
-                    if self.tells_parameters {
-                        self.replies.push(self.timeout_value());
-                    }
+                    let name = p.param_id.to_str().expect("a name is UTF-8");
+                    assert_eq!(p.param_index, -1, "{name}");
+                    self.parameters_read += u32::from(TIMEOUTS.contains(&name));
+                    // An autopilot that has no such parameter says nothing.
+                    let tells = self.tells_parameters || name == OWN_TIMEOUT;
+                    self.replies.extend(self.value(name).filter(|_| tells));
                 }
                 MavMessage::PARAM_SET(p) if p.target_system == self.system && p.target_component == 1 => {
-                    assert_eq!(p.param_id.to_str(), Ok(self.timeout_name()));
-                    self.parameters_set.push(p.param_value);
-                    if self.sets_parameters {
-                        self.setpoint_timeout_s = p.param_value;
+                    let name = p.param_id.to_str().expect("a name is UTF-8");
+                    if name == OWN_TIMEOUT {
+                        self.own_timeout_s = self.own_timeout_s.map(|_| p.param_value);
+                    } else {
+                        assert!(TIMEOUTS.contains(&name), "{name}");
+                        self.parameters_set.push(p.param_value);
+                        if self.sets_parameters {
+                            self.setpoint_timeout_s = p.param_value;
+                        }
                     }
-                    self.replies.push(self.timeout_value());
+                    self.replies.extend(self.value(name));
                 }
                 MavMessage::COMMAND_LONG(c) if c.target_system == self.system && c.target_component == 1 => {
                     self.command(now_ns, &c)
@@ -446,27 +438,25 @@ impl Peer {
         }
     }
 
-    fn timeout_name(&self) -> &'static str {
-        match self.flavour {
-            Flavour::Px4 => "COM_OF_LOSS_T",
-            Flavour::ArduPilot => "GUID_TIMEOUT",
-        }
-    }
-
-    /// Of a parameter by which it changes its speed in missions.
-    fn motion_value(&self, name: Result<&str, core::str::Utf8Error>) -> Option<MavMessage> {
-        let (name, value) = match (self.flavour, name.ok()?) {
-            (Flavour::Px4, name @ "MPC_ACC_HOR") => (name, 1.2 * self.gain_m_s2),
-            (Flavour::Px4, name @ "MPC_JERK_AUTO") => (name, 4.0),
-            (Flavour::ArduPilot, name @ "WPNAV_ACCEL") => (name, 100.0 * self.gain_m_s2),
-            (Flavour::ArduPilot, name @ "PSC_JERK_XY") => (name, 5.0),
-            _ => return None,
+    /// A parameter: the limits, and those by which it changes its speed in missions.
+    fn value(&self, name: &str) -> Option<MavMessage> {
+        let param_value = match (self.flavour, name) {
+            (_, OWN_TIMEOUT) => self.own_timeout_s?,
+            (Flavour::Px4, "COM_OF_LOSS_T") | (Flavour::ArduPilot, "GUID_TIMEOUT") => self.setpoint_timeout_s,
+            (Flavour::Px4, "MPC_ACC_HOR") => 1.2 * self.gain_m_s2,
+            (Flavour::Px4, "MPC_JERK_AUTO") => 4.0,
+            (Flavour::ArduPilot, "WPNAV_ACCEL") => 100.0 * self.gain_m_s2,
+            (Flavour::ArduPilot, "PSC_JERK_XY") => 5.0,
+            _ => panic!("{name} is asked of a {}", self.flavour.name()),
         };
-        Some(value_of(name, value))
-    }
-
-    fn timeout_value(&self) -> MavMessage {
-        value_of(self.timeout_name(), self.setpoint_timeout_s)
+        Some(message!(
+            PARAM_VALUE,
+            param_value,
+            param_count = 900,
+            param_index = u16::MAX,
+            param_id = name.into(),
+            param_type = MavParamType::MAV_PARAM_TYPE_REAL32
+        ))
     }
 
     fn obey(&mut self, now_ns: Nanos, c: &COMMAND_LONG_DATA) -> MavResult {
@@ -556,16 +546,6 @@ pub fn longest_gap_ns(setpoints: &[(Nanos, [f32; 4])], from_ns: Nanos) -> Nanos 
     at.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(STEP_NS)
 }
 
-/// The limit for the guidance computer alone.
+/// The limit for the guidance computer alone, and those for everybody.
 const OWN_TIMEOUT: &str = "VGL_OF_LOSS_T";
-
-fn value_of(name: &str, value: f32) -> MavMessage {
-    message!(
-        PARAM_VALUE,
-        param_value = value,
-        param_count = 900,
-        param_index = u16::MAX,
-        param_id = name.into(),
-        param_type = MavParamType::MAV_PARAM_TYPE_REAL32
-    )
-}
+const TIMEOUTS: [&str; 2] = ["COM_OF_LOSS_T", "GUID_TIMEOUT"];

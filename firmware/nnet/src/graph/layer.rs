@@ -51,9 +51,29 @@ pub(crate) fn recurrent_backward(
     })
 }
 
-/// A recurrent layer's step as a node, whose sources are input and state.
+/// What recurrent layers of so many gates share: their two matrices, and a step as a node, whose sources are input and state.
 macro_rules! recurrent_operation {
-    ($layer:ty) => {
+    ($layer:ty, $name:literal, $gates:literal) => {
+        impl $layer {
+            fn input(&self) -> usize {
+                self.inputs * $gates * self.hidden
+            }
+
+            fn recurrent(&self) -> usize {
+                self.hidden * $gates * self.hidden
+            }
+
+            /// Writes the parameters in the order that the backward passes read: both matrices transposed, biases unused.
+            ///
+            /// # Errors
+            /// Slices that do not fit.
+            pub fn pack(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
+                $crate::shape::expect(concat!($name, " parameters"), params, self.param_len())?;
+                $crate::shape::expect(concat!("packed ", $name, " parameters"), packed, self.param_len())?;
+                $crate::gru::pack_matrices([self.inputs, self.hidden], $gates * self.hidden, params, packed)
+            }
+        }
+
         impl $crate::graph::operation::Operation for $layer {
             fn aux_len(&self, _len: usize, _purpose: $crate::Purpose) -> usize {
                 self.gates_len()

@@ -123,17 +123,12 @@ impl Graph {
 
     fn input_node(&self, i: usize) -> Result<&Node, ShapeError> {
         let node = self.inputs.get(i).and_then(|n| self.nodes.get(*n));
-        node.ok_or(ShapeError::Description {
-            what: "graph",
-            why: "there is no input of that number",
-        })
+        node.map_or_else(|| description("graph", "there is no input of that number"), Ok)
     }
 
     fn node(&self, id: usize) -> Result<&Node, ShapeError> {
-        self.nodes.get(id).ok_or(ShapeError::Description {
-            what: "graph",
-            why: "a node belongs to another graph",
-        })
+        let node = self.nodes.get(id);
+        node.map_or_else(|| description("graph", "a node belongs to another graph"), Ok)
     }
 
     /// The output on a tape.

@@ -1,7 +1,7 @@
 //! Evaluating a network forwards and backwards.
 
 use super::structure::Input;
-use super::{AnyOperation, Graph, Node, Params, Purpose};
+use super::{AnyOperation, Graph, Node, Params, Purpose, description};
 use crate::Activation;
 use crate::isa::Isa;
 use crate::shape::{ShapeError, expect, expect_len, part, part_mut};
@@ -113,11 +113,10 @@ impl Graph {
     }
 
     pub(super) fn source(&self, node: &Node, i: usize) -> Result<&Node, ShapeError> {
-        let edge = node.sources.get(i).ok_or(ShapeError::Description {
-            what: "graph",
-            why: "a node lacks a source",
-        })?;
-        self.node(edge.source)
+        match node.sources.get(i) {
+            Some(edge) => self.node(edge.source),
+            None => description("graph", "a node lacks a source"),
+        }
     }
 
     /// Writes the parameters in the order that the backward passes read (matrices transposed). To be repeated whenever
@@ -173,10 +172,7 @@ impl Graph {
         work: &mut [f32],
     ) -> Result<(), ShapeError> {
         if self.purpose != Purpose::Multipliers {
-            return Err(ShapeError::Description {
-                what: "graph",
-                why: "it was finished for gradients only",
-            });
+            return description("graph", "it was finished for gradients only");
         }
         expect("reference tape", reference, self.tape_len)?;
         self.reverse(isa, packed, tape, m_output, Pass::Multipliers(reference), work)

@@ -259,28 +259,16 @@ impl Tiles {
         let (mut row, mut tiles) = (0, rows.div_ceil(most));
         while tiles > 0 {
             let height = (rows - row).div_ceil(tiles);
-            // SAFETY: `row + height ≤ rows`.
-            unsafe {
-                match height {
-                    1 => S::tile::<1, C, A_ROW, MASKED>(self, row, col, last),
-                    2 => S::tile::<2, C, A_ROW, MASKED>(self, row, col, last),
-                    3 => S::tile::<3, C, A_ROW, MASKED>(self, row, col, last),
-                    4 => S::tile::<4, C, A_ROW, MASKED>(self, row, col, last),
-                    5 if most >= 5 => S::tile::<5, C, A_ROW, MASKED>(self, row, col, last),
-                    6 if most >= 6 => S::tile::<6, C, A_ROW, MASKED>(self, row, col, last),
-                    7 if most >= 7 => S::tile::<7, C, A_ROW, MASKED>(self, row, col, last),
-                    8 if most >= 8 => S::tile::<8, C, A_ROW, MASKED>(self, row, col, last),
-                    9 if most >= 9 => S::tile::<9, C, A_ROW, MASKED>(self, row, col, last),
-                    10 if most >= 10 => S::tile::<10, C, A_ROW, MASKED>(self, row, col, last),
-                    11 if most >= 11 => S::tile::<11, C, A_ROW, MASKED>(self, row, col, last),
-                    12 if most >= 12 => S::tile::<12, C, A_ROW, MASKED>(self, row, col, last),
-                    13 if most >= 13 => S::tile::<13, C, A_ROW, MASKED>(self, row, col, last),
-                    14 if most >= 14 => S::tile::<14, C, A_ROW, MASKED>(self, row, col, last),
-                    15 if most >= 15 => S::tile::<15, C, A_ROW, MASKED>(self, row, col, last),
-                    16 if most >= 16 => S::tile::<16, C, A_ROW, MASKED>(self, row, col, last),
-                    _ => {}
-                }
+            macro_rules! tile_of {
+                ($($height:tt)*) => {
+                    match height {
+                        $($height if most >= $height => S::tile::<$height, C, A_ROW, MASKED>(self, row, col, last),)*
+                        _ => {}
+                    }
+                };
             }
+            // SAFETY: `row + height ≤ rows`.
+            unsafe { tile_of!(1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16) }
             row += height;
             tiles -= 1;
         }

@@ -2,6 +2,45 @@
 
 use super::product::Tiles;
 
+/// [`Tiles::tile`], [`Tiles::square`] and [`Tiles::strip`], compiled for an instruction set.
+macro_rules! compiled_for {
+    ($(#[$features:meta])?) => {
+        $(#[$features])?
+        unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
+            tiles: &Tiles,
+            row: usize,
+            col: usize,
+            last: usize,
+        ) {
+            // SAFETY: the caller's.
+            unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
+        }
+
+        $(#[$features])?
+        unsafe fn square(tiles: &Tiles) {
+            // SAFETY: the caller's.
+            unsafe { tiles.square::<Self>() }
+        }
+
+        $(#[$features])?
+        unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
+            // SAFETY: the caller's.
+            unsafe { tiles.strip::<Self, R>(row, col) }
+        }
+    };
+}
+
+/// Vector operations, each an expression of intrinsics.
+#[cfg(any(target_arch = "x86_64", all(target_arch = "aarch64", target_feature = "neon")))]
+macro_rules! operations {
+    ($($name:ident($($arg:ident: $type:ty),*) $(-> $out:ty)? = $body:expr;)*) => {$(
+        #[inline(always)]
+        unsafe fn $name($($arg: $type),*) $(-> $out)? {
+            unsafe { $body }
+        }
+    )*};
+}
+
 /// A vector of [`Simd::LANES`] float32.
 ///
 /// # Safety
@@ -28,26 +67,8 @@ pub(super) trait Simd: Sized {
     unsafe fn store_first(p: *mut f32, v: Self::V, n: usize);
     /// `a · b + c`, fused where the instruction set fuses.
     unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V;
-    /// [`Tiles::tile`], compiled for the instruction set.
-    unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
-        tiles: &Tiles,
-        row: usize,
-        col: usize,
-        last: usize,
-    ) {
-        // SAFETY: the caller's.
-        unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
-    }
-    /// [`Tiles::square`], compiled for the instruction set.
-    unsafe fn square(tiles: &Tiles) {
-        // SAFETY: the caller's.
-        unsafe { tiles.square::<Self>() }
-    }
-    /// [`Tiles::strip`], compiled for the instruction set.
-    unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
-        // SAFETY: the caller's.
-        unsafe { tiles.strip::<Self, R>(row, col) }
-    }
+
+    compiled_for!();
 }
 
 /// Four lanes of plain Rust: the registers of the target's baseline after optimisation.
@@ -116,44 +137,6 @@ mod x86 {
     use super::{Simd, Tiles};
     use core::arch::x86_64::*;
 
-    /// Vector operations, each an expression of intrinsics.
-    macro_rules! operations {
-        ($($name:ident($($arg:ident: $type:ty),*) $(-> $out:ty)? = $body:expr;)*) => {$(
-            #[inline(always)]
-            unsafe fn $name($($arg: $type),*) $(-> $out)? {
-                unsafe { $body }
-            }
-        )*};
-    }
-
-    /// What the trait computes from them, compiled for the instruction set.
-    macro_rules! compiled_for {
-        ($features:literal) => {
-            #[target_feature(enable = $features)]
-            unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
-                tiles: &Tiles,
-                row: usize,
-                col: usize,
-                last: usize,
-            ) {
-                // SAFETY: the caller's.
-                unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
-            }
-
-            #[target_feature(enable = $features)]
-            unsafe fn square(tiles: &Tiles) {
-                // SAFETY: the caller's.
-                unsafe { tiles.square::<Self>() }
-            }
-
-            #[target_feature(enable = $features)]
-            unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
-                // SAFETY: the caller's.
-                unsafe { tiles.strip::<Self, R>(row, col) }
-            }
-        };
-    }
-
     /// Eight lanes; sixteen registers.
     pub(in super::super) struct Avx2Fma;
 
@@ -184,7 +167,7 @@ mod x86 {
             mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V = _mm256_fmadd_ps(a, b, c);
         }
 
-        compiled_for!("avx2,fma");
+        compiled_for!(#[target_feature(enable = "avx2,fma")]);
     }
 
     /// Sixteen lanes; thirty-two registers.
@@ -206,7 +189,7 @@ mod x86 {
             mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V = _mm512_fmadd_ps(a, b, c);
         }
 
-        compiled_for!("avx512f,avx2,fma");
+        compiled_for!(#[target_feature(enable = "avx512f,avx2,fma")]);
     }
 }
 
@@ -229,41 +212,17 @@ mod arm {
         const ROWS_1: usize = 8;
         const CONSTANT: bool = false;
 
-        #[inline(always)]
-        unsafe fn splat(x: f32) -> Self::V {
-            unsafe { vdupq_n_f32(x) }
-        }
-
-        #[inline(always)]
-        unsafe fn load(p: *const f32) -> Self::V {
-            unsafe { vld1q_f32(p) }
-        }
-
-        #[inline(always)]
-        unsafe fn store(p: *mut f32, v: Self::V) {
-            unsafe { vst1q_f32(p, v) }
-        }
-
-        #[inline(always)]
-        unsafe fn load_first(p: *const f32, n: usize) -> Self::V {
-            unsafe {
-                let lanes = Portable::load_first(p, n);
-                vld1q_f32(lanes.as_ptr())
-            }
-        }
-
-        #[inline(always)]
-        unsafe fn store_first(p: *mut f32, v: Self::V, n: usize) {
-            let mut lanes = [0.0; 4];
-            unsafe {
+        operations! {
+            splat(x: f32) -> Self::V = vdupq_n_f32(x);
+            load(p: *const f32) -> Self::V = vld1q_f32(p);
+            store(p: *mut f32, v: Self::V) = vst1q_f32(p, v);
+            load_first(p: *const f32, n: usize) -> Self::V = vld1q_f32(Portable::load_first(p, n).as_ptr());
+            store_first(p: *mut f32, v: Self::V, n: usize) = {
+                let mut lanes = [0.0; 4];
                 vst1q_f32(lanes.as_mut_ptr(), v);
                 Portable::store_first(p, lanes, n);
-            }
-        }
-
-        #[inline(always)]
-        unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
-            unsafe { vfmaq_f32(c, a, b) }
+            };
+            mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V = vfmaq_f32(c, a, b);
         }
     }
 }

@@ -82,15 +82,10 @@ pub fn activation(act: Activation, x: &[f64]) -> Vec<f64> {
     let f = |x: f64| match act {
         Activation::Identity => x,
         Activation::Relu => x.max(0.0),
-        Activation::Elu => {
-            if x > 0.0 {
-                x
-            } else {
-                x.exp_m1()
-            }
-        }
+        Activation::Elu if x > 0.0 => x,
+        Activation::Elu => x.exp_m1(),
         Activation::Tanh { scale } => f64::from(scale) * x.tanh(),
-        Activation::Sigmoid => 1.0 / (1.0 + (-x).exp()),
+        Activation::Sigmoid => sigmoid(x),
         Activation::NearContrast { gain } => 1.0 / (1.0 + f64::from(gain) * x),
     };
     x.iter().map(|x| f(*x)).collect()

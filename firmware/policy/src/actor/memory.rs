@@ -6,11 +6,12 @@
 
 extern crate alloc;
 
-use crate::PilotInput;
 use crate::geometric::position_ned_m;
+use crate::{PilotInput, smaller};
 use alloc::vec;
 use alloc::vec::Vec;
 use core::f32::consts::{FRAC_PI_2, PI, TAU};
+use core::mem::take;
 use vigil_types::{HORIZONTAL_FOV_RAD, Nanos, NedVector};
 
 const NANOS_PER_S: Nanos = 1_000_000_000;
@@ -71,6 +72,9 @@ const TRAIL_M: f32 = 4.0;
 /// somewhere else.
 const FASTEST_M_S: f32 = 20.0;
 const JUMP_M: f32 = 1.0;
+/// A vehicle of which no frame counts for longer than this, seconds, is held: it goes on no faster than the fastest cruise.
+const HELD_AFTER_S: f32 = 0.1;
+const HELD_M_S: f32 = 3.0;
 
 /// Where the vehicle believes to be when a scan counts.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -121,12 +125,6 @@ pub struct ActorMemory {
     trail_since_ns: Nanos,
     forgotten: u32,
     context: [f32; CONTEXT],
-}
-
-impl Default for ActorMemory {
-    fn default() -> Self {
-        Self::new()
-    }
 }
 
 /// `1 / (1 + range / 3 m)`: how near a surface is, 1 where it touches, 0 far away.
@@ -201,9 +199,9 @@ impl Heading {
     }
 }
 
-impl ActorMemory {
+impl Default for ActorMemory {
     /// One that has seen nothing.
-    pub fn new() -> Self {
+    fn default() -> Self {
         let columns = core::array::from_fn(|k| {
             let bearing_rad = scan_bearing_rad(k);
             (libm::cosf(bearing_rad), libm::sinf(bearing_rad))
@@ -222,7 +220,9 @@ impl ActorMemory {
             context: [0.0; CONTEXT],
         }
     }
+}
 
+impl ActorMemory {
     /// Forgets everything.
     pub fn reset(&mut self) {
         self.last = None;
@@ -234,30 +234,17 @@ impl ActorMemory {
 
     /// Takes over what another remembers, without allocating.
     pub(super) fn copy_from(&mut self, other: &Self) {
-        let Self {
-            columns,
-            history,
-            newest,
-            last,
-            cells,
-            index,
-            next_overwritten,
-            trail,
-            trail_since_ns,
-            forgotten,
-            context,
-        } = other;
-        self.columns = *columns;
-        self.history.clone_from(history);
-        self.newest = *newest;
-        self.last = *last;
-        self.cells.clone_from(cells);
-        self.index.clone_from(index);
-        self.next_overwritten = *next_overwritten;
-        self.trail.clone_from(trail);
-        self.trail_since_ns = *trail_since_ns;
-        self.forgotten = *forgotten;
-        self.context = *context;
+        self.history.clone_from(&other.history);
+        self.cells.clone_from(&other.cells);
+        self.index.clone_from(&other.index);
+        self.trail.clone_from(&other.trail);
+        *self = Self {
+            history: take(&mut self.history),
+            cells: take(&mut self.cells),
+            index: take(&mut self.index),
+            trail: take(&mut self.trail),
+            ..*other
+        };
     }
 
     /// The memory's values ([`CONTEXT`]), as of the last scan.
@@ -278,8 +265,9 @@ impl ActorMemory {
         if let Some(last) = self.last {
             let moved_m = (at.position_ned_m - last.position_ned_m).horizontal_norm();
             let waited_s = at.at_ns.saturating_sub(last.at_ns) as f32 * 1e-9;
+            let fastest_m = FASTEST_M_S * waited_s.min(HELD_AFTER_S) + HELD_M_S * (waited_s - HELD_AFTER_S).max(0.0);
             // A position that is not a number is a jump too.
-            let goes_on = moved_m <= JUMP_M + FASTEST_M_S * waited_s && at.at_ns >= last.at_ns;
+            let goes_on = moved_m <= JUMP_M + fastest_m && at.at_ns >= last.at_ns;
             if !goes_on {
                 self.reset();
                 self.forgotten = self.forgotten.saturating_add(1);
@@ -488,14 +476,8 @@ impl ActorMemory {
 fn seen_through(ranges_m: &[f32; SCAN], bearing_rad: f32, away_m: f32) -> bool {
     let column = (bearing_rad + 0.5 * HORIZONTAL_FOV_RAD) / (HORIZONTAL_FOV_RAD / SCAN as f32);
     let column = libm::floorf(column) as usize;
-    let least_m = ranges_m
-        .iter()
-        .skip(column.saturating_sub(1))
-        .take(3)
-        .fold(
-            f32::INFINITY,
-            |least, range| if *range < least { *range } else { least },
-        );
+    let about = ranges_m.iter().skip(column.saturating_sub(1)).take(3);
+    let least_m = about.fold(f32::INFINITY, |least_m, range_m| smaller(least_m, *range_m));
     away_m < least_m * (1.0 - CLEARED_SHARE) - CLEARED_M
 }
 

@@ -76,9 +76,8 @@ impl Pilot for ActorPilot {
     }
 
     fn reset(&mut self) {
+        self.pause();
         self.actor.reset();
-        self.low_dim = None;
-        self.field = self.field.as_ref().map(|_| FlightField::default());
     }
 
     fn pause(&mut self) {

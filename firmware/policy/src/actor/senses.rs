@@ -2,8 +2,8 @@
 
 extern crate alloc;
 
-use crate::PilotInput;
 use crate::actor::memory::{ActorMemory, CONTEXT, Odometry, SCAN};
+use crate::{PilotInput, smaller};
 use alloc::boxed::Box;
 use core::f32::consts::PI;
 use vigil_types::{ACTION_LIMIT, Action, GoalRelative, HeadingVector, Nanos, wrap_pi};
@@ -91,11 +91,7 @@ const TURN_RAD_S: f32 = PI / 4.0;
 
 /// The low-dimensional observation ([`LOW_DIM`]).
 fn low_dim(goal: GoalRelative, velocity_m_s: HeadingVector, yaw_rate_rad_s: f32, last: Action) -> [f32; LOW_DIM] {
-    let distance_m = if goal.distance_m < FARTHEST_GOAL_M {
-        goal.distance_m
-    } else {
-        FARTHEST_GOAL_M
-    };
+    let distance_m = smaller(FARTHEST_GOAL_M, goal.distance_m);
     [
         libm::logf(1.0 + distance_m) / libm::logf(1.0 + FARTHEST_GOAL_M),
         libm::sinf(goal.bearing_rad),

@@ -51,7 +51,7 @@ const LEAST_WEIGHT: f32 = 0.005;
 const SAME_M: f32 = 1e-3;
 
 /// Where a mover may be and go to, and how much that counts.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 struct Guess {
     north_m: f32,
     east_m: f32,
@@ -73,26 +73,14 @@ pub struct Guesses {
 impl Guesses {
     /// Of movers whose places are `age_s` old.
     pub fn new<'a>(movers: impl Iterator<Item = &'a Track> + Clone, age_s: f32) -> Self {
-        const NOBODY: Guess = Guess {
-            north_m: 0.0,
-            east_m: 0.0,
-            north_m_s: 0.0,
-            east_m_s: 0.0,
-            radius_m: 0.0,
-            turns_after_s: f32::INFINITY,
-            weight: 0.0,
-        };
         let mut all = Self {
-            guesses: [NOBODY; MOST_GUESSES],
+            guesses: [Guess::default(); MOST_GUESSES],
             used: 0,
         };
         // Those that are seen first: one that is lost may be at many places.
-        let is_located = |m: &&Track| m.is_located();
-        for m in movers.clone().filter(is_located) {
-            all.enter(m, age_s);
-        }
-        for m in movers.filter(|m| !is_located(m)) {
-            all.enter(m, age_s);
+        for is_located in [true, false] {
+            let movers = movers.clone().filter(|m| m.is_located() == is_located);
+            movers.for_each(|m| all.enter(m, age_s));
         }
         all
     }
@@ -104,11 +92,8 @@ impl Guesses {
         // the first guess.
         let (mut first, mut last): (Option<Whereabouts>, Option<Whereabouts>) = (None, None);
         m.for_each_whereabouts(age_s, |w| {
-            let turns_after_m = if w.turns_after_m > reach_m {
-                f32::INFINITY
-            } else {
-                w.turns_after_m
-            };
+            let is_later = w.turns_after_m > reach_m;
+            let turns_after_m = if is_later { f32::INFINITY } else { w.turns_after_m };
             let w = Whereabouts { turns_after_m, ..w };
             let is_same = |a: f32, b: f32| a == b || (a - b).abs() < SAME_M;
             for one in [&mut first, &mut last].into_iter().flatten() {
@@ -231,15 +216,8 @@ pub fn evade<'a>(
         let forward_m_s = speed * cruise_m_s;
         for yaw in YAWS {
             let action = Action::new(forward_m_s, yaw * ACTION_LIMIT);
-            compare(
-                Plan {
-                    action,
-                    then_m_s: forward_m_s,
-                },
-                0.0,
-            );
-            for then_m_s in [cruise_m_s, 0.0] {
-                if then_m_s != forward_m_s {
+            for (i, then_m_s) in [forward_m_s, cruise_m_s, 0.0].into_iter().enumerate() {
+                if i == 0 || then_m_s != forward_m_s {
                     compare(Plan { action, then_m_s }, 0.0);
                 }
             }
@@ -333,12 +311,10 @@ mod tests {
     fn decide(tracker: &MoverTracker, wanted: Action, last: Option<Plan>) -> Option<Plan> {
         let guesses = Guesses::new(tracker.movers(), 0.0);
         let motion = Motion {
-            position_ned_m: NedVector::ZERO,
-            yaw_rad: 0.0,
             velocity_m_s: HeadingVector::new(wanted.forward_m_s, 0.0, 0.0),
-            yaw_rate_rad_s: 0.0,
+            ..Motion::default()
         };
-        let memory = Box::new(OccupancyGrid::new());
+        let memory = Box::<OccupancyGrid>::default();
         let wanted = Wanted {
             action: wanted,
             cruise_m_s: 1.5,

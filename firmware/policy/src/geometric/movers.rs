@@ -89,7 +89,7 @@ impl Outline {
     }
 }
 
-/// Follows what moves. Fixed size, no allocation.
+/// Follows what moves; by default one that has seen nothing. Fixed size, no allocation.
 #[derive(Debug, Clone, Default)]
 pub struct MoverTracker {
     tracks: [Option<Track>; MAX_TRACKS],
@@ -97,11 +97,6 @@ pub struct MoverTracker {
 }
 
 impl MoverTracker {
-    /// One that has seen nothing.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Forgets everything.
     pub fn clear(&mut self) {
         *self = Self::default();

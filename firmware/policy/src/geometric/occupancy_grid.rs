@@ -54,6 +54,15 @@ impl Cell {
             .then(|| self.north as usize * SIDE + self.east as usize)
     }
 
+    /// The cell so many farther north and east.
+    #[inline]
+    pub fn moved(self, north: i32, east: i32) -> Self {
+        Self {
+            north: self.north + north,
+            east: self.east + east,
+        }
+    }
+
     /// The cell of an index.
     #[inline]
     pub fn of_index(index: usize) -> Self {
@@ -80,14 +89,8 @@ pub struct OccupancyGrid {
 }
 
 impl Default for OccupancyGrid {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl OccupancyGrid {
     /// An empty memory.
-    pub const fn new() -> Self {
+    fn default() -> Self {
         Self {
             corner: None,
             level_m: 0.0,
@@ -96,7 +99,9 @@ impl OccupancyGrid {
             parity: false,
         }
     }
+}
 
+impl OccupancyGrid {
     /// Forgets everything.
     pub fn clear(&mut self) {
         self.corner = None;
@@ -357,7 +362,7 @@ mod tests {
 
     #[test]
     fn what_was_seen_at_another_height_is_forgotten() {
-        let mut grid = OccupancyGrid::new();
+        let mut grid = OccupancyGrid::default();
         grid.follow(NedVector::new(0.0, 0.0, -6.0));
         grid.occupy(3.0, 0.0);
         for z in [-6.3, -5.7, -5.4, -6.6] {
@@ -410,7 +415,7 @@ mod tests {
 
     #[test]
     fn what_was_seen_stays_when_the_vehicle_turns_away_and_passes() {
-        let mut memory = OccupancyGrid::new();
+        let mut memory = OccupancyGrid::default();
         memory.follow(at(0.0, 0.0));
         memory.observe(&ahead(4.0), HIT, at(0.0, 0.0), 0.0, STILL);
         assert!(occupied(&mut memory, 4.1, 0.1));
@@ -424,7 +429,7 @@ mod tests {
 
     #[test]
     fn what_is_seen_through_is_forgotten() {
-        let mut memory = OccupancyGrid::new();
+        let mut memory = OccupancyGrid::default();
         memory.follow(at(0.0, 0.0));
         memory.observe(&ahead(4.0), HIT, at(0.0, 0.0), 0.0, STILL);
         for _ in 0..2 * SCORE_LIMIT {
@@ -436,7 +441,7 @@ mod tests {
 
     #[test]
     fn a_ray_proves_nothing_about_cells_nearer_than_the_view_reaches() {
-        let mut memory = OccupancyGrid::new();
+        let mut memory = OccupancyGrid::default();
         memory.follow(at(0.0, 0.0));
         memory.observe(&ahead(0.6), HIT, at(0.0, 0.0), 0.0, STILL);
         for _ in 0..50 {
@@ -447,7 +452,7 @@ mod tests {
 
     #[test]
     fn the_grid_moves_with_the_vehicle_and_keeps_what_it_still_covers() {
-        let mut memory = OccupancyGrid::new();
+        let mut memory = OccupancyGrid::default();
         memory.follow(at(100.0, -50.0));
         memory.observe(&ahead(5.0), HIT, at(100.0, -50.0), 0.0, STILL);
         for (north, east) in [(103.0, -52.5), (104.0, -46.0), (98.0, -45.0)] {
@@ -462,7 +467,7 @@ mod tests {
 
     #[test]
     fn clearance_is_the_distance_to_the_nearest_obstacle() {
-        let mut memory = OccupancyGrid::new();
+        let mut memory = OccupancyGrid::default();
         memory.follow(at(0.0, 0.0));
         let obstacles = [(3_i32, 4_i32), (40, 50), (41, 52), (60, 20), (60, 27)];
         for (north, east) in obstacles {
@@ -484,7 +489,7 @@ mod tests {
 
     #[test]
     fn positions_and_cells_agree_on_both_sides_of_the_origin() {
-        let mut memory = OccupancyGrid::new();
+        let mut memory = OccupancyGrid::default();
         memory.follow(at(-3.1, 0.2));
         for north in [-9.9_f32, -0.3, -0.01, 0.0, 0.24, 0.26, 7.0] {
             let (n, e) = memory.middle_of(memory.cell_of(north, -north));
@@ -494,7 +499,7 @@ mod tests {
 
     #[test]
     fn a_position_far_away_or_not_finite_is_survived() {
-        let mut memory = OccupancyGrid::new();
+        let mut memory = OccupancyGrid::default();
         for bad in [1e30, -1e30, f32::NAN, f32::INFINITY] {
             memory.follow(at(bad, bad));
             memory.observe(&ahead(3.0), HIT, at(bad, 0.0), bad, STILL);

@@ -156,13 +156,9 @@ impl PathPlanner {
         self.mark_way(memory);
         if interior(self.goal) {
             // The goal may lie within an obstacle's cell: any free cell around it will do.
-            let around = || (-2..=2).flat_map(|north| (-2..=2).map(move |east| (north, east)));
             let goal = self.goal;
-            let cells = around().map(|(north, east)| Cell {
-                north: goal.north + north,
-                east: goal.east + east,
-            });
-            self.open_ends(memory, cells);
+            let around = (-2..=2).flat_map(|north| (-2..=2).map(move |east| goal.moved(north, east)));
+            self.open_ends(memory, around);
         } else {
             let last = SIDE as i32 - 2;
             let border = (1..=last).flat_map(|i| [(1, i), (last, i), (i, 1), (i, last)]);
@@ -190,10 +186,7 @@ impl PathPlanner {
             for (towards, &(north, east, length)) in (0_u8..).zip(&NEIGHBOURS) {
                 // From the neighbour, the way leads back here: the opposite direction.
                 let towards = (towards + 4) % 8;
-                let neighbour = Cell {
-                    north: cell.north + north,
-                    east: cell.east + east,
-                };
+                let neighbour = cell.moved(north, east);
                 let Some(index) = neighbour.index() else { continue };
                 if self.towards.get(index).is_none_or(|t| t & SETTLED != 0) {
                     continue;
@@ -202,11 +195,8 @@ impl PathPlanner {
                 if factor == 0 {
                     continue;
                 }
-                let off_way = if self.on_way.get(index) == Some(&true) {
-                    0
-                } else {
-                    OFF_WAY
-                };
+                let is_on_way = self.on_way.get(index) == Some(&true);
+                let off_way = if is_on_way { 0 } else { OFF_WAY };
                 let through = cost + ((length * factor) >> FACTOR_SHIFT) + off_way;
                 self.open(index, neighbour, through, towards);
             }
@@ -324,10 +314,7 @@ impl PathPlanner {
             let Some(&(north, east, _)) = NEIGHBOURS.get(usize::from(towards & !SETTLED)) else {
                 break;
             };
-            cell = Cell {
-                north: cell.north + north,
-                east: cell.east + east,
-            };
+            cell = cell.moved(north, east);
         }
     }
 
@@ -337,11 +324,7 @@ impl PathPlanner {
         for &(north_m, east_m) in self.points.iter().take(self.len) {
             let cell = memory.cell_of(north_m, east_m);
             for (north, east) in NEIGHBOURS.iter().map(|n| (n.0, n.1)).chain([(0, 0)]) {
-                let near = Cell {
-                    north: cell.north + north,
-                    east: cell.east + east,
-                };
-                if let Some(index) = near.index() {
+                if let Some(index) = cell.moved(north, east).index() {
                     put(&mut self.on_way, index, true);
                 }
             }
@@ -391,7 +374,7 @@ mod tests {
 
     /// A memory around home with these north-east points occupied.
     fn memory_of(points: impl IntoIterator<Item = (f32, f32)>) -> Box<OccupancyGrid> {
-        let mut memory = Box::new(OccupancyGrid::new());
+        let mut memory = Box::<OccupancyGrid>::default();
         memory.follow(at(0.0, 0.0));
         for (north, east) in points {
             memory.occupy(north, east);
@@ -410,6 +393,12 @@ mod tests {
         way.advance(memory, usize::MAX)
     }
 
+    fn found(memory: &OccupancyGrid, goal: (f32, f32)) -> Box<PathPlanner> {
+        let mut way = Box::new(PathPlanner::new());
+        assert_eq!(search(&mut way, memory, goal), Search::Found);
+        way
+    }
+
     fn length_m(way: &PathPlanner) -> f32 {
         way.points()
             .windows(2)
@@ -419,9 +408,7 @@ mod tests {
 
     #[test]
     fn without_obstacles_the_way_is_straight_and_ends_at_the_goal() {
-        let memory = memory_of([]);
-        let mut way = Box::new(PathPlanner::new());
-        assert_eq!(search(&mut way, &memory, (8.0, 0.1)), Search::Found);
+        let way = found(&memory_of([]), (8.0, 0.1));
         assert!((length_m(&way) - 8.0).abs() < 0.8, "{}", length_m(&way));
         let end = way.points().last().expect("a way");
         assert!((end.0 - 8.0).abs() < 0.8 && end.1.abs() < 0.8, "{end:?}");
@@ -442,8 +429,7 @@ mod tests {
     #[test]
     fn no_cell_of_the_way_is_too_near_to_an_obstacle() {
         let memory = memory_of(wall(4.0, -6.0..-1.0).chain(wall(4.0, 1.0..6.0)).chain([(7.0, 0.0)]));
-        let mut way = Box::new(PathPlanner::new());
-        assert_eq!(search(&mut way, &memory, (9.0, 0.0)), Search::Found);
+        let way = found(&memory, (9.0, 0.0));
         for &(north, east) in way.points() {
             assert!(f32::from(memory.clearance_squared_at(north, east)).sqrt() * CELL_M >= LETHAL_CLEARANCE_M);
         }
@@ -464,8 +450,7 @@ mod tests {
     #[test]
     fn slices_find_the_same_way_as_one_go() {
         let memory = memory_of(wall(4.0, -6.0..2.0).chain(wall(7.0, -1.0..8.0)));
-        let mut whole = Box::new(PathPlanner::new());
-        assert_eq!(search(&mut whole, &memory, (20.0, -3.0)), Search::Found);
+        let whole = found(&memory, (20.0, -3.0));
         let mut sliced = Box::new(PathPlanner::new());
         sliced.start(&memory, at(0.0, 0.0), at(20.0, -3.0));
         let mut slices = 0;
@@ -478,21 +463,15 @@ mod tests {
 
     #[test]
     fn of_two_equal_ways_the_one_taken_before_is_kept() {
-        let mut way = Box::new(PathPlanner::new());
         // The wall reaches farther left at first, so the way goes right.
-        assert_eq!(
-            search(&mut way, &memory_of(wall(4.0, -4.0..2.5)), (9.0, 0.0)),
-            Search::Found
-        );
+        let mut way = found(&memory_of(wall(4.0, -4.0..2.5)), (9.0, 0.0));
         let right = |way: &PathPlanner| way.points().iter().any(|p| p.1 > 2.0);
         assert!(right(&way));
         // Seen wholly, left would be a little shorter: not enough to turn around.
         let seen = memory_of(wall(4.0, -2.75..3.25));
         assert_eq!(search(&mut way, &seen, (9.0, 0.0)), Search::Found);
         assert!(right(&way));
-        let mut fresh = Box::new(PathPlanner::new());
-        assert_eq!(search(&mut fresh, &seen, (9.0, 0.0)), Search::Found);
-        assert!(!right(&fresh));
+        assert!(!right(&found(&seen, (9.0, 0.0))));
     }
 
     #[test]
@@ -502,20 +481,14 @@ mod tests {
                 .chain(wall(6.0, -8.0..1.0))
                 .chain([(1.5, -3.0), (8.0, 3.0)]),
         );
-        let goal = at(9.0, 4.0);
-        let mut way = Box::new(PathPlanner::new());
-        way.start(&memory, at(0.0, 0.0), goal);
-        assert_eq!(way.advance(&memory, usize::MAX), Search::Found);
+        let way = found(&memory, (9.0, 4.0));
         let found = way.cost[way.vehicle.index().expect("inside")];
 
         // Bellman-Ford over the same costs, from the same ends, until nothing changes.
         let mut cost = std::vec![u32::MAX; CELLS];
         for north in -2..=2 {
             for east in -2..=2 {
-                let cell = Cell {
-                    north: way.goal.north + north,
-                    east: way.goal.east + east,
-                };
+                let cell = way.goal.moved(north, east);
                 cost[cell.index().expect("inside")] = octile(cell, way.goal);
             }
         }
@@ -528,11 +501,8 @@ mod tests {
                     continue;
                 }
                 for (north, east, length) in NEIGHBOURS {
-                    let from = Cell {
-                        north: cell.north + north,
-                        east: cell.east + east,
-                    };
-                    let before = from.index().map_or(u32::MAX, |i| cost[i]);
+                    let from = cell.moved(north, east).index();
+                    let before = from.map_or(u32::MAX, |i| cost[i]);
                     if before != u32::MAX {
                         let through = before + ((length * factor) >> FACTOR_SHIFT) + OFF_WAY;
                         changed |= through < cost[index];

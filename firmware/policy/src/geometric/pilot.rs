@@ -7,10 +7,10 @@
 use crate::geometric::evasion::{self, Guesses, Plan, Wanted};
 use crate::geometric::governor::{self, Motion};
 use crate::geometric::movers::MoverTracker;
-use crate::geometric::occupancy_grid::{self, OccupancyGrid};
+use crate::geometric::occupancy_grid::{DOUBTFUL_HIT, HIT, MARK_RANGE_M, OccupancyGrid};
 use crate::geometric::path_planner::{PathPlanner, Search};
 use crate::geometric::range_scan::FAR_M;
-use crate::{NearestObstacle, Pilot, PilotInput, RangeScan, Scan, apf};
+use crate::{Pilot, PilotInput, RangeScan, Scan, apf};
 use core::f32::consts::PI;
 use vigil_types::{
     ACTION_LIMIT, Action, GoalRelative, HeadingVector, Nanos, NedVector, YAW_RATE_PER_UNIT_RAD_S, parameters, wrap_pi,
@@ -66,25 +66,17 @@ const STUCK_NS: Nanos = 10_000_000_000;
 /// Clearance of a straight line to a waypoint: 0.75 m, in cells, squared.
 const SIGHT_SQUARED_CELLS: u8 = 9;
 /// A straight line towards the goal that is clear this far is taken whatever the way, metres: as far as surfaces are remembered.
-const GOAL_SIGHT_M: f32 = occupancy_grid::MARK_RANGE_M;
+const GOAL_SIGHT_M: f32 = MARK_RANGE_M;
 /// The repulsive field takes points within 45° of the nose that the vehicle would pass nearer than this, metres: its radius and
 /// 0.20 m. Points beside the way would push it out of every gap.
 const REPULSIVE_HALF_WIDTH_M: f32 = 0.50;
 
-/// The geometric pilots there are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Strategy {
-    /// Flies by the newest frame and by what earlier ones have shown.
-    Mapping,
-    /// Flies when an attack on the depth frames is detected: every frame may have been altered, so what only one of them shows
-    /// neither enters the grid nor moves the vehicle.
-    Recovery,
-}
-
 /// The pilot. A large value (about 120 kB) without pointers; no allocation.
 #[derive(Debug, Clone)]
 pub struct GeometricPilot {
-    strategy: Strategy,
+    /// Flies when an attack on the depth frames is detected: every frame may have been altered, so what only one of them shows
+    /// neither enters the grid nor moves the vehicle.
+    distrusts: bool,
     config: GeometricConfig,
     surroundings: RangeScan,
     grid: OccupancyGrid,
@@ -101,22 +93,22 @@ pub struct GeometricPilot {
 impl GeometricPilot {
     /// A pilot that remembers nothing.
     pub fn new(config: GeometricConfig) -> Self {
-        Self::of(Strategy::Mapping, config)
+        Self::of(false, config)
     }
 
     /// The pilot that takes the actor's place, and believes what it sees only when several frames say it (docs/detection.md).
     pub(crate) fn recovery(config: GeometricConfig) -> Self {
-        Self::of(Strategy::Recovery, config)
+        Self::of(true, config)
     }
 
-    fn of(strategy: Strategy, config: GeometricConfig) -> Self {
+    fn of(distrusts: bool, config: GeometricConfig) -> Self {
         Self {
-            strategy,
+            distrusts,
             config,
             surroundings: RangeScan::new(),
-            grid: OccupancyGrid::new(),
+            grid: OccupancyGrid::default(),
             planner: PathPlanner::new(),
-            movers: MoverTracker::new(),
+            movers: MoverTracker::default(),
             last_position_ned_m: None,
             last_sequence: None,
             progress: None,
@@ -194,14 +186,9 @@ impl GeometricPilot {
 
     /// The repulsive field of the nearest point that the vehicle would run into, going on as it points.
     fn repulsion(&self, seen: &Scan, bearing_of_waypoint_rad: f32) -> Action {
-        let in_the_way = |&(x, y, _): &(f32, f32, f32)| y.abs() < REPULSIVE_HALF_WIDTH_M && y.abs() <= x;
-        let points = seen.points().filter(in_the_way);
-        let Some((x, y, distance_m)) = points.min_by(|a, b| a.2.total_cmp(&b.2)) else {
+        let in_the_way = |x: f32, y: f32, _: f32| y.abs() < REPULSIVE_HALF_WIDTH_M && y.abs() <= x;
+        let Some(obstacle) = seen.nearest_where(in_the_way) else {
             return Action::HOVER;
-        };
-        let obstacle = NearestObstacle {
-            distance_m,
-            bearing_rad: libm::atan2f(y, x),
         };
         let push = apf::repulsion(obstacle, self.config.repulsive_range_m);
         let side_chosen = bearing_of_waypoint_rad.abs() > SIDE_CHOSEN_RAD;
@@ -219,12 +206,8 @@ impl GeometricPilot {
     /// Whether an action that is carried on for `carried_s` leads into something remembered, even if the vehicle is told to stop after it. To be
     /// asked after [`Pilot::decide`], with the same input.
     pub(crate) fn foresees_collision(&self, input: &PilotInput<'_>, action: Action, carried_s: f32) -> bool {
-        governor::on_collision_course(
-            &motion_of(input, position_ned_m(input), action.yaw),
-            &self.grid,
-            action.forward_m_s,
-            carried_s,
-        )
+        let motion = motion_of(input, position_ned_m(input), action.yaw);
+        governor::on_collision_course(&motion, &self.grid, action.forward_m_s, carried_s)
     }
 
     /// Forgets everything after a jump of the position, and what is remembered of the obstacles when the vehicle has not
@@ -235,35 +218,17 @@ impl GeometricPilot {
             self.reset();
         }
         self.last_position_ned_m = Some(here);
-        match self.progress {
-            Some((at, since_ns)) if moved_m(at) < STUCK_M => {
-                if now_ns.saturating_sub(since_ns) > STUCK_NS {
-                    self.grid.clear();
-                    self.planner.clear();
-                    self.progress = Some((here, now_ns));
-                }
-            }
-            _ => self.progress = Some((here, now_ns)),
+        let since_ns = self.progress.filter(|(at, _)| moved_m(*at) < STUCK_M).map(|(_, ns)| ns);
+        let is_stuck = since_ns.is_some_and(|since_ns| now_ns.saturating_sub(since_ns) > STUCK_NS);
+        if is_stuck {
+            self.grid.clear();
+            self.planner.clear();
+        }
+        if is_stuck || since_ns.is_none() {
+            self.progress = Some((here, now_ns));
         }
     }
-}
 
-/// Where the vehicle is now: where it was at capture, and how far it has come since.
-pub(crate) fn position_ned_m(input: &PilotInput<'_>) -> NedVector {
-    input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input)
-}
-
-/// How the vehicle moves under a yaw output.
-fn motion_of(input: &PilotInput<'_>, position_ned_m: NedVector, yaw: f32) -> Motion {
-    Motion {
-        position_ned_m,
-        yaw_rad: input.attitude.yaw_rad(),
-        velocity_m_s: input.velocity_m_s,
-        yaw_rate_rad_s: yaw * YAW_RATE_PER_UNIT_RAD_S,
-    }
-}
-
-impl GeometricPilot {
     /// Enters the frame into the grid, searches on, and gives the farthest point of the path that can be flown to in a straight
     /// line; `None` without a path. Bounded work: a slice of the search a step.
     pub(crate) fn plan(&mut self, input: &PilotInput<'_>) -> Option<NedVector> {
@@ -272,20 +237,17 @@ impl GeometricPilot {
         let here = position_ned_m(input);
         self.doubt(here, input.now_ns);
 
-        let (scan, hit) = if self.strategy == Strategy::Recovery {
-            (
-                self.surroundings.observe_distrusting(input),
-                occupancy_grid::DOUBTFUL_HIT,
-            )
+        let (scan, hit) = if self.distrusts {
+            (self.surroundings.observe_distrusting(input), DOUBTFUL_HIT)
         } else {
-            (self.surroundings.observe(input), occupancy_grid::HIT)
+            (self.surroundings.observe(input), HIT)
         };
         if self.grid.follow(here) {
             self.planner.abandon_search();
         }
         if self.last_sequence != Some(header.sequence) {
             self.last_sequence = Some(header.sequence);
-            if self.strategy == Strategy::Mapping {
+            if !self.distrusts {
                 self.movers.observe(scan, here, yaw_rad, header.stamp_ns);
             }
             for mover in self.movers.traces() {
@@ -355,15 +317,8 @@ impl GeometricPilot {
     fn steer_and_plan(&self, input: &PilotInput<'_>, waypoint: Option<NedVector>) -> (Action, Option<Plan>) {
         let (yaw_rad, here) = (input.attitude.yaw_rad(), position_ned_m(input));
         let Some(waypoint) = waypoint else {
-            let action = Action {
-                forward_m_s: 0.0,
-                yaw: if input.goal.bearing_rad < 0.0 {
-                    -LOOK_AROUND_YAW
-                } else {
-                    LOOK_AROUND_YAW
-                },
-            };
-            return (action, None);
+            let side = if input.goal.bearing_rad < 0.0 { -1.0 } else { 1.0 };
+            return (Action::new(0.0, side * LOOK_AROUND_YAW), None);
         };
         let to_waypoint = waypoint - here;
         let target = GoalRelative::new(
@@ -372,7 +327,7 @@ impl GeometricPilot {
         );
         let seeking = Action::new(self.config.cruise_m_s, YAW_GAIN * target.bearing_rad);
         // One frame alone moves the recovery pilot neither aside nor to a stop: it goes by its grid.
-        let seen = if self.strategy == Strategy::Recovery {
+        let seen = if self.distrusts {
             &Scan::EMPTY
         } else {
             self.surroundings.scan()
@@ -395,16 +350,24 @@ impl GeometricPilot {
         }
         let motion = motion_of(input, here, wanted.yaw);
         let standing = self.standing(seen, here, yaw_rad);
-        let action = Action {
-            forward_m_s: governor::admissible_speed_m_s(
-                &motion,
-                standing.as_ref().unwrap_or(seen),
-                &self.grid,
-                wanted.forward_m_s,
-            ),
-            yaw: wanted.yaw,
-        };
-        (action, plan)
+        let standing = standing.as_ref().unwrap_or(seen);
+        let forward_m_s = governor::admissible_speed_m_s(&motion, standing, &self.grid, wanted.forward_m_s);
+        (Action::new(forward_m_s, wanted.yaw), plan)
+    }
+}
+
+/// Where the vehicle is now: where it was at capture, and how far it has come since.
+pub(crate) fn position_ned_m(input: &PilotInput<'_>) -> NedVector {
+    input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input)
+}
+
+/// How the vehicle moves under a yaw output.
+fn motion_of(input: &PilotInput<'_>, position_ned_m: NedVector, yaw: f32) -> Motion {
+    Motion {
+        position_ned_m,
+        yaw_rad: input.attitude.yaw_rad(),
+        velocity_m_s: input.velocity_m_s,
+        yaw_rate_rad_s: yaw * YAW_RATE_PER_UNIT_RAD_S,
     }
 }
 

@@ -77,16 +77,18 @@ impl Scan {
 
     /// The nearest surface within ±`half_angle_rad` of the nose: what the repulsive field takes.
     pub fn nearest_within(&self, half_angle_rad: f32) -> Option<NearestObstacle> {
-        let mut best: Option<(f32, f32, f32)> = None;
         let cos_limit = libm::cosf(half_angle_rad.clamp(0.0, core::f32::consts::PI));
-        for (x, y, r) in self.points() {
-            if x >= r * cos_limit && best.is_none_or(|(_, _, nearest)| r < nearest) {
-                best = Some((x, y, r));
-            }
-        }
-        best.map(|(x, y, r)| NearestObstacle {
-            distance_m: r,
-            bearing_rad: libm::atan2f(y, x),
+        self.nearest_where(|x, _, r| x >= r * cos_limit)
+    }
+
+    /// The nearest surface of those (forward, right, distance) that count.
+    pub(super) fn nearest_where(&self, counts: impl Fn(f32, f32, f32) -> bool) -> Option<NearestObstacle> {
+        let points = self.points().filter(|&(x, y, r)| counts(x, y, r));
+        let (x, y, distance_m) = points.min_by(|a, b| a.2.total_cmp(&b.2))?;
+        let bearing_rad = libm::atan2f(y, x);
+        Some(NearestObstacle {
+            distance_m,
+            bearing_rad,
         })
     }
 }

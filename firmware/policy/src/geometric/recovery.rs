@@ -21,9 +21,9 @@ pub struct RecoveryPilot {
     waypoint: Option<NedVector>,
 }
 
-impl RecoveryPilot {
+impl Default for RecoveryPilot {
     /// A pilot that remembers nothing.
-    pub fn new() -> Self {
+    fn default() -> Self {
         Self {
             pilot: GeometricPilot::recovery(GeometricConfig {
                 cruise_m_s: CRUISE_M_S,
@@ -32,7 +32,9 @@ impl RecoveryPilot {
             waypoint: None,
         }
     }
+}
 
+impl RecoveryPilot {
     /// Enters the frame into the grid and plans on: a slice of the search. To be asked once in every step, before the others. `flying`
     /// says whether the vehicle was flown by this pilot or along its path in the step before: only then may standing still
     /// mean that its memory is wrong.
@@ -93,11 +95,5 @@ impl RecoveryPilot {
     pub fn foresees_own_collision(&self, input: &PilotInput<'_>, own: Action) -> bool {
         let foresees = |action| self.pilot.foresees_collision(input, action, REACTION_S);
         foresees(own) && !foresees(Action::HOVER)
-    }
-}
-
-impl Default for RecoveryPilot {
-    fn default() -> Self {
-        Self::new()
     }
 }

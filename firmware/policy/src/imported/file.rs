@@ -99,7 +99,7 @@ impl FrozenPolicy {
         let depth = Depth::from_name(&depth).ok_or_else(|| wrong("depth", &depth))?;
         let layers = read.text("layers")?.parse::<Network>();
         let policy = Self {
-            network: layers.map_err(|e| KIND.content_error(file, format!("cannot be flown: {e}")))?,
+            network: layers.map_err(|e| not_flown(file, &e))?,
             inputs: PolicyInputs {
                 rows,
                 cols,
@@ -119,15 +119,13 @@ impl FrozenPolicy {
             params: read.into_values().flatten().collect(),
         };
         // Whatever does not fit each other is found here, not in flight.
-        let unfit = policy.build(Isa::PORTABLE, false).err();
-        match unfit {
-            None => Ok(policy),
-            Some(e) => Err(KIND.content_error(file, format!("cannot be flown: {e}"))),
-        }
+        policy.build(file, Isa::PORTABLE, false)?;
+        Ok(policy)
     }
 
-    fn build(&self, isa: Isa, field: bool) -> Result<ImportedPilot, NetworkError> {
-        ImportedPilot::new(&self.network, &self.params, self.inputs, self.split, field, isa)
+    fn build(&self, file: &str, isa: Isa, field: bool) -> Result<ImportedPilot, FileError> {
+        let pilot = ImportedPilot::new(&self.network, &self.params, self.inputs, self.split, field, isa);
+        pilot.map_err(|e| not_flown(file, &e))
     }
 
     /// The policy itself, ready to fly.
@@ -135,8 +133,7 @@ impl FrozenPolicy {
     /// # Errors
     /// A network that does not fit the step or its own inputs.
     pub fn pilot(&self, isa: Isa, field: bool) -> Result<ImportedPilot, FileError> {
-        self.build(isa, field)
-            .map_err(|e| KIND.content_error("in memory", format!("cannot be flown: {e}")))
+        self.build("in memory", isa, field)
     }
 
     /// The layers behind its split point.
@@ -156,6 +153,10 @@ impl FrozenPolicy {
     pub(crate) fn refused(&self, error: &NetworkError) -> FileError {
         KIND.content_error(&self.source, format!("cannot be explained: {error}"))
     }
+}
+
+fn not_flown(file: &str, error: &NetworkError) -> FileError {
+    KIND.content_error(file, format!("cannot be flown: {error}"))
 }
 
 vigil_nnet::stored_network!(FrozenPolicy, KIND);

@@ -318,7 +318,7 @@ impl Network {
     /// Checks it against the limits: sizes, memory, and the time that a decision may take.
     ///
     /// # Errors
-    /// What is too large, with the limit; a layer that uses one that does not come before it.
+    /// What is too large, with the limit; a layer that uses one that does not come before it; a dense layer of several rows.
     pub fn check(&self) -> Result<(), NetworkError> {
         if self.layers.is_empty() || self.layers.len() > MOST_LAYERS || self.output >= self.layers.len() {
             return Err(NetworkError(format!(
@@ -363,6 +363,16 @@ impl Network {
             ("multiply-adds a decision", multiply_adds, MOST_MULTIPLY_ADDS),
         ] {
             refuse_more(what, found, limit)?;
+        }
+        // Not before: lengths within the limits cannot overflow.
+        let lens = self.lens();
+        for (number, layer) in self.layers.iter().enumerate() {
+            if let Layer::Dense { x, layer, .. } = layer
+                && let Some(found) = lens.get(*x).filter(|found| **found != layer.inputs)
+            {
+                let wrong = format!("layer {number}: dense of {} inputs reads {found} values", layer.inputs);
+                return Err(NetworkError(wrong));
+            }
         }
         Ok(())
     }

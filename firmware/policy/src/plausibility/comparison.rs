@@ -130,7 +130,7 @@ impl PlausibilityCheck {
             self.raised = Some(Raised { stays, ..raised });
             (self.fit_steps, self.fits) = (0, 0);
         } else {
-            let path_ned_m = self.odometry.path_ned_m();
+            let path_ned_m = self.odometry.path_ned_m;
             self.kept.keep(&self.picture, pose, stamp_ns, path_ned_m);
         }
     }
@@ -184,10 +184,10 @@ impl PlausibilityCheck {
                 if let Some(stayed) = stayed {
                     let more = moved - stayed;
                     evidence.frozen += more;
-                    let part = part_of(row, column);
+                    let (part, cost_parts) = (part_of(row, column), evidence.cost_parts.as_flattened_mut());
+                    let frozen_parts = evidence.frozen_parts.as_flattened_mut();
                     if range_m > MAY_MOVE_M
-                        && let (Some(frozen), Some(cost)) =
-                            (evidence.frozen_parts.get_mut(part), evidence.cost_parts.get_mut(part))
+                        && let (Some(frozen), Some(cost)) = (frozen_parts.get_mut(part), cost_parts.get_mut(part))
                     {
                         *frozen += more;
                         *cost += moved;
@@ -217,7 +217,7 @@ impl PlausibilityCheck {
         let mirror = map.mirrored();
         // Straight ahead or straight up a mirrored sensor sees the same: what differs there is the error of the estimated roll.
         let aside = map.aside_m() >= LEAST_ASIDE_M;
-        let mut errors = Errors::NONE;
+        let mut errors = Errors::default();
         for (row, column) in samples(self.step).filter(|_| swift) {
             let cell = row * COLS + column;
             let there = anchor.picture.at(cell);
@@ -227,7 +227,6 @@ impl PlausibilityCheck {
             if near || !found.is_beyond(MAY_MOVE_M) {
                 continue;
             }
-            let part = part_of(there_row, there_column);
             let evidence = &mut self.evidence;
             let (parts, rows) = if found.is_seen_through() {
                 (&mut evidence.lost_parts, &mut evidence.lost_rows)
@@ -236,7 +235,8 @@ impl PlausibilityCheck {
             } else {
                 continue;
             };
-            if let (Some(part), Some(row)) = (parts.get_mut(part), rows.get_mut(there_row / PART)) {
+            let part = parts.as_flattened_mut().get_mut(part_of(there_row, there_column));
+            if let (Some(part), Some(row)) = (part, rows.get_mut(there_row / PART)) {
                 *part += 1.0;
                 *row += 1.0;
             }

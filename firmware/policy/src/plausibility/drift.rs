@@ -66,7 +66,7 @@ impl<I: Iterator<Item = (usize, usize)> + Clone> Pair<'_, I> {
         let axes =
             [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)].map(|(x, y, z)| FrdVector::new(x, y, z) * PROBE_M);
         let probes = axes.map(|axis| map.shifted(axis));
-        let mut squares = Squares::<3>::NONE;
+        let mut squares = Squares::<3>::default();
         for cell in self.cells.clone() {
             let seen = self.from.at(cell.0 * COLS + cell.1);
             let found = |map: &Map| look(self.directions, cell, seen, map, self.to).0;
@@ -102,14 +102,18 @@ pub(super) struct Solved<const CAUSES: usize> {
     gain: f32,
 }
 
-impl<const CAUSES: usize> Squares<CAUSES> {
-    pub(super) const NONE: Self = Self {
-        normal: [[0.0; CAUSES]; CAUSES],
-        right: [0.0; CAUSES],
-        left: 0.0,
-        samples: 0.0,
-    };
+impl<const CAUSES: usize> Default for Squares<CAUSES> {
+    fn default() -> Self {
+        Self {
+            normal: [[0.0; CAUSES]; CAUSES],
+            right: [0.0; CAUSES],
+            left: 0.0,
+            samples: 0.0,
+        }
+    }
+}
 
+impl<const CAUSES: usize> Squares<CAUSES> {
     /// Takes a sample: how it is found by the motion, and with each cause by a step to this side (1 or −1). Where one of them shows no
     /// surface, or another one, it tells nothing.
     pub(super) fn add(&mut self, found: Found, tested: [Found; CAUSES], side: f32) {
@@ -256,18 +260,13 @@ const MOST_TURN: f32 = 2.5;
 const LEAST_WIDENING: f32 = 0.15;
 
 /// Readings of one error, the newest last, and for how much of a reading each counts.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Readings {
     values: [(f32, f32); READINGS],
     used: usize,
 }
 
 impl Readings {
-    const NONE: Self = Self {
-        values: [(0.0, 0.0); READINGS],
-        used: 0,
-    };
-
     fn add(&mut self, value: f32, weight: f32) {
         self.values.rotate_left(1);
         if let Some(newest) = self.values.last_mut() {
@@ -301,7 +300,7 @@ impl Readings {
 
 /// Tells a sensor that is turned on its mount from an estimate that drifts: the turn shows aside of every way alike, the drift to all
 /// sides, along the way as well, and changes within seconds. And tells a view of another width, which no drift looks like.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct MountReadings {
     since_ns: Option<Nanos>,
     errors: Errors,
@@ -313,18 +312,9 @@ pub(super) struct MountReadings {
 }
 
 impl MountReadings {
-    pub(super) const NONE: Self = Self {
-        since_ns: None,
-        errors: Errors::NONE,
-        turns: Readings::NONE,
-        widenings: Readings::NONE,
-        along_squared: 0.0,
-        alongs: 0.0,
-    };
-
     /// The reading that was begun says nothing.
     pub(super) fn give_up(&mut self) {
-        (self.since_ns, self.errors) = (None, Errors::NONE);
+        (self.since_ns, self.errors) = (None, Errors::default());
     }
 
     /// Takes a picture's samples. Whether the sensor is turned, or its view of another width.
@@ -340,7 +330,7 @@ impl MountReadings {
         });
         let left = read.map_or(0.0, |solved| (self.errors.left - solved.gain) / self.errors.samples);
         if read.is_some() || passed_ns >= LONGEST_READING_NS {
-            (self.since_ns, self.errors) = (Some(stamp_ns), Errors::NONE);
+            (self.since_ns, self.errors) = (Some(stamp_ns), Errors::default());
         }
         let Some(Solved {
             causes: [turn, along, _, widening],
@@ -373,7 +363,7 @@ mod tests {
     fn causes_are_told_apart_and_what_they_leave_is_told() {
         // Errors of two causes, 0.5 and -2 steps, and of neither: 0.3 by turns.
         let surface = |error_m| Found::Surface { error_m, range_m: 2.0 };
-        let mut squares = Squares::<2>::NONE;
+        let mut squares = Squares::<2>::default();
         for i in 0..40_u8 {
             let along = f32::from(i % 5) * 0.01 - 0.02;
             let (first, second) = (0.02 + along, 0.01 - 0.5 * along);
@@ -390,14 +380,14 @@ mod tests {
         // One that is known takes the other's place.
         let [first, _] = squares.solved([0.0, 1e9]).expect("one cause").causes;
         assert!((first - 0.5).abs() > 0.2, "{first}");
-        assert_eq!(Squares::<2>::NONE.solved([0.0; 2]), None, "no samples");
+        assert_eq!(Squares::<2>::default().solved([0.0; 2]), None, "no samples");
     }
 
     #[test]
     fn two_readings_convict_a_sensor_by_what_they_know() {
         // Of validation course 98000343, whose sensor sits well: the last two knew little of what lies aside.
         let last_two_count = |weight: f32| {
-            let mut turns = Readings::NONE;
+            let mut turns = Readings::default();
             for turn in [-0.149, 0.039, 0.068, -0.080, -0.074] {
                 turns.add(turn, 1.0);
             }

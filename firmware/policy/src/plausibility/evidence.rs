@@ -1,7 +1,7 @@
 //! What comparisons with earlier pictures tell, gathered over frames.
 
 use super::drift::{Errors, MountReadings};
-use super::picture::{PART_COLS, PART_ROWS, PARTS};
+use super::picture::{PART_COLS, PART_ROWS};
 use vigil_types::Reason;
 
 /// What is found counts for about ten frames, and for about forty where directions are told.
@@ -42,8 +42,17 @@ const VANISHED_PARTS: usize = 16;
 const VANISHED_ABOVE: f32 = 10.0;
 const FOUND_ABOVE: f32 = 0.1;
 
+/// A value for each part of the view.
+type Parts = [[f32; PART_COLS]; PART_ROWS];
+
+/// The parts of which that is so.
+fn count(a: &Parts, b: &Parts, is: impl Fn(f32, f32) -> bool) -> usize {
+    let both = a.as_flattened().iter().zip(b.as_flattened());
+    both.filter(|(a, b)| is(**a, **b)).count()
+}
+
 /// Evidence on the picture's motion, fading with time.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Evidence {
     /// Samples, and what the motion cost them, by columns of parts.
     pub samples: [f32; PART_COLS],
@@ -51,11 +60,11 @@ pub(super) struct Evidence {
     /// What the motion cost all samples, and that over what standing still would have.
     pub cost: f32,
     pub frozen: f32,
-    pub frozen_parts: [f32; PARTS],
-    pub cost_parts: [f32; PARTS],
+    pub frozen_parts: Parts,
+    pub cost_parts: Parts,
     /// Points found and seen through.
-    pub found_parts: [f32; PARTS],
-    pub lost_parts: [f32; PARTS],
+    pub found_parts: Parts,
+    pub lost_parts: Parts,
     /// The same by row, for longer.
     pub found_rows: [f32; PART_ROWS],
     pub lost_rows: [f32; PART_ROWS],
@@ -71,29 +80,6 @@ pub(super) struct Evidence {
     pub same_frames: u8,
 }
 
-impl Default for Evidence {
-    fn default() -> Self {
-        Self {
-            samples: [0.0; PART_COLS],
-            costs: [0.0; PART_COLS],
-            cost: 0.0,
-            frozen: 0.0,
-            frozen_parts: [0.0; PARTS],
-            cost_parts: [0.0; PARTS],
-            found_parts: [0.0; PARTS],
-            lost_parts: [0.0; PARTS],
-            found_rows: [0.0; PART_ROWS],
-            lost_rows: [0.0; PART_ROWS],
-            mirrored: 0.0,
-            drift: Errors::NONE,
-            mount: MountReadings::NONE,
-            wrong_mount: false,
-            far_cost: 0.0,
-            same_frames: 0,
-        }
-    }
-}
-
 impl Evidence {
     pub(super) fn fade(&mut self) {
         self.frozen *= KEEP;
@@ -102,7 +88,8 @@ impl Evidence {
             *value *= KEEP;
         }
         let parts = self.frozen_parts.iter_mut().chain(&mut self.cost_parts);
-        for value in parts.chain(&mut self.found_parts).chain(&mut self.lost_parts) {
+        let parts = parts.chain(&mut self.found_parts).chain(&mut self.lost_parts);
+        for value in parts.flatten() {
             *value *= KEEP;
         }
         for value in self.found_rows.iter_mut().chain(&mut self.lost_rows) {
@@ -137,14 +124,11 @@ impl Evidence {
     pub(super) fn verdict(&self, is_restored: bool) -> Option<Raised> {
         // A picture that moves another way may cost less standing still too, but hardly fits.
         let is_frozen = |frozen: f32, cost: f32, least: f32| frozen > least && frozen > FROZEN_FIT * cost;
-        let frozen_parts = self.frozen_parts.iter().zip(&self.cost_parts);
-        let frozen_parts = frozen_parts
-            .filter(|(frozen, cost)| is_frozen(**frozen, **cost, FROZEN_PART))
-            .count();
-        let lost = self.found_parts.iter().zip(&self.lost_parts);
-        let lost_parts = lost
-            .filter(|(found, lost)| **lost > VANISHED && **lost > 4.0 * **found)
-            .count();
+        let frozen_parts = count(&self.frozen_parts, &self.cost_parts, |frozen, cost| {
+            is_frozen(frozen, cost, FROZEN_PART)
+        });
+        let is_lost = |found: f32, lost: f32| lost > VANISHED && lost > 4.0 * found;
+        let lost_parts = count(&self.found_parts, &self.lost_parts, is_lost);
         // Whatever rises above some row of the view vanishes, and nothing is ever found there.
         let (mut found_above, mut lost_above, mut dead_above) = (0.0, 0.0, false);
         for (found, lost) in self.found_rows.iter().zip(&self.lost_rows) {

@@ -155,7 +155,7 @@ impl PlausibilityCheck {
             self.forget_pictures();
         }
         self.silent.note(&self.picture, one_step.then_some(&self.before));
-        let blind = sees_nothing || self.silent.is_dead();
+        let blind = sees_nothing || self.silent.is_dead;
         let in_flight = armed && height_m.is_some_and(|height_m| height_m > LOW_M);
         if let Some(known) = known {
             self.poses.note(&pose, stamp_ns, known, in_flight);
@@ -164,7 +164,7 @@ impl PlausibilityCheck {
         let takes_off = known.is_some_and(|(kinematics, _)| self.take_off.goes_on(telemetry, &kinematics))
             && !obeys_setpoints(telemetry)
             || stands_or_takes_off(telemetry);
-        let guided = in_flight && obeys_setpoints(telemetry) && !blind && !self.poses.is_bad();
+        let guided = in_flight && obeys_setpoints(telemetry) && !blind && !self.poses.is_bad;
         self.note_ranges(frame, &pose, height_m.filter(|_| guided));
         if !armed {
             // The flight is over.
@@ -173,7 +173,7 @@ impl PlausibilityCheck {
             self.estimate_errs = false;
             self.forget_ranges();
             self.regions.forget();
-        } else if !in_flight || takes_off || blind || self.poses.is_bad() {
+        } else if !in_flight || takes_off || blind || self.poses.is_bad {
             self.forget_pictures();
         } else if self.raised.is_some() {
             self.look_for_a_fit(&pose, stamp_ns);
@@ -183,11 +183,13 @@ impl PlausibilityCheck {
         }
         self.note_velocity(pose.attitude, guided);
         self.pose_before = in_flight.then_some(pose);
+        // Only pictures of a vehicle that obeys setpoints could end it: no other is held for it.
+        let beneath_ground = self.shadow.is_raised && obeys_setpoints(telemetry);
         self.faults = Reasons::NONE
             .with_if(blind, Reason::BlindSensor)
-            .with_if(self.poses.is_bad(), Reason::ImplausiblePose)
-            .with_if(self.shadow.is_raised(), Reason::BeneathGround)
-            .with_if(self.parallax.is_raised(), Reason::InconsistentPicture)
+            .with_if(self.poses.is_bad, Reason::ImplausiblePose)
+            .with_if(beneath_ground, Reason::BeneathGround)
+            .with_if(self.parallax.is_raised, Reason::InconsistentPicture)
             .union(self.raised.map_or(Reasons::NONE, |raised| Reasons::of(raised.reason)));
         self.faults
     }

@@ -34,16 +34,12 @@ pub(super) struct Odometry {
     last: Option<(Nanos, Kinematics)>,
     /// From the last frame to this one, seconds.
     since_s: f32,
-    path_ned_m: NedVector,
+    /// The reported velocity summed up, metres.
+    pub(super) path_ned_m: NedVector,
     error_m_s: NedVector,
 }
 
 impl Odometry {
-    /// The reported velocity summed up, metres.
-    pub(super) fn path_ned_m(&self) -> NedVector {
-        self.path_ned_m
-    }
-
     /// What the reported velocity is more than the vehicle's, NED, metres per second.
     pub(super) fn error_m_s(&self) -> NedVector {
         let norm_m_s = self.error_m_s.norm();

@@ -52,7 +52,7 @@ struct Edge {
     is_right: bool,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct View {
     stamp_ns: Nanos,
     position_ned_m: NedVector,
@@ -62,24 +62,12 @@ struct View {
 }
 
 impl View {
-    const NONE: Self = Self {
-        stamp_ns: 0,
-        position_ned_m: NedVector::ZERO,
-        yaw_rad: 0.0,
-        edges: [Edge {
-            bearing_rad: 0.0,
-            range_m: 0.0,
-            is_right: false,
-        }; EDGES],
-        count: 0,
-    };
-
     fn of(frame: &DepthFrame, directions: &Directions, pose: &Pose) -> Self {
         let mut view = Self {
             stamp_ns: frame.header.stamp_ns,
             position_ned_m: pose.position_ned_m,
             yaw_rad: pose.attitude.yaw_rad(),
-            ..Self::NONE
+            ..Self::default()
         };
         let ranges_m = along_horizon_m(frame, directions, pose);
         for (i, four) in ranges_m.windows(4).enumerate() {
@@ -141,7 +129,7 @@ struct Side {
 }
 
 /// Whether edges move as far as the ranges shown ask for.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Parallax {
     views: [View; VIEWS],
     newest: usize,
@@ -149,21 +137,8 @@ pub(super) struct Parallax {
     left: Side,
     right: Side,
     pictures: u8,
-    raised: bool,
-}
-
-impl Default for Parallax {
-    fn default() -> Self {
-        Self {
-            views: [View::NONE; VIEWS],
-            newest: 0,
-            used: 0,
-            left: Side::default(),
-            right: Side::default(),
-            pictures: 0,
-            raised: false,
-        }
-    }
+    /// Until the motors are off: a vehicle that is held moves past nothing by which it could end.
+    pub(super) is_raised: bool,
 }
 
 impl Parallax {
@@ -181,7 +156,7 @@ impl Parallax {
         }
         let displaced = |side: &Side| side.all >= LEAST_EDGES && side.displaced > DISPLACED_SHARE * side.all;
         super::count(&mut self.pictures, displaced(&self.left) && displaced(&self.right));
-        self.raised |= self.pictures >= RAISE_PICTURES;
+        self.is_raised |= self.pictures >= RAISE_PICTURES;
         let newest = self.views.get(self.newest).filter(|_| self.used > 0);
         if newest.is_none_or(|newest| view.level_m_from(newest) >= EVERY_M) {
             self.newest = (self.newest + 1) % VIEWS;
@@ -196,11 +171,6 @@ impl Parallax {
     pub(super) fn skip(&mut self) {
         (self.used, self.pictures) = (0, 0);
         (self.left, self.right) = (Side::default(), Side::default());
-    }
-
-    /// Until the motors are off: a vehicle that is held moves past nothing by which it could end.
-    pub(super) fn is_raised(&self) -> bool {
-        self.raised
     }
 
     fn compare(&mut self, now: &View, then: &View) {

@@ -11,7 +11,6 @@ use vigil_types::{
 pub(super) const PART: usize = 4;
 pub(super) const PART_COLS: usize = COLS / PART;
 pub(super) const PART_ROWS: usize = ROWS / PART;
-pub(super) const PARTS: usize = PART_ROWS * PART_COLS;
 /// Pixels along a cell's side.
 pub(super) const SIDE: usize = 4;
 /// Rows of cells.
@@ -217,19 +216,6 @@ impl Picture {
         counts
     }
 
-    #[inline(always)]
-    fn take_all(&mut self, frame: &DepthFrame, sides: &mut Sides, counts: &mut CellCounts) {
-        let bands = frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
-        for (part, bands) in bands.as_chunks::<PART>().0.iter().enumerate() {
-            let mut ragged = [0; COLS];
-            for (row, band) in (part * PART..).zip(bands) {
-                self.take_row(row, band, sides, counts, &mut ragged);
-            }
-            let parts = ragged.as_chunks::<PART>().0.iter();
-            counts.torn += parts.filter(|cells| cells.iter().sum::<u8>() >= TORN_CELLS).count();
-        }
-    }
-
     /// Takes a row of cells; counts the cells of a column in which ranges go to and fro.
     #[inline(always)]
     fn take_row(
@@ -327,7 +313,11 @@ impl Picture {
     /// What a cell shows.
     #[inline]
     pub(super) fn at(&self, cell: usize) -> Seen {
-        seen(self.inverse(cell))
+        match self.inverse(cell) {
+            inverse if inverse > 0.0 => Seen::Surface(1.0 / inverse),
+            0.0 => Seen::Nothing,
+            _ => Seen::Mixed,
+        }
     }
 
     /// What is seen between cells.
@@ -364,18 +354,15 @@ struct Reduction<'a> {
 impl Task for Reduction<'_> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
-        self.picture.take_all(self.frame, self.sides, self.counts);
-    }
-}
-
-#[inline]
-fn seen(inverse: f32) -> Seen {
-    if inverse > 0.0 {
-        Seen::Surface(1.0 / inverse)
-    } else if inverse == 0.0 {
-        Seen::Nothing
-    } else {
-        Seen::Mixed
+        let bands = self.frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
+        for (part, bands) in bands.as_chunks::<PART>().0.iter().enumerate() {
+            let mut ragged = [0; COLS];
+            for (row, band) in (part * PART..).zip(bands) {
+                self.picture.take_row(row, band, self.sides, self.counts, &mut ragged);
+            }
+            let parts = ragged.as_chunks::<PART>().0.iter();
+            self.counts.torn += parts.filter(|cells| cells.iter().sum::<u8>() >= TORN_CELLS).count();
+        }
     }
 }
 

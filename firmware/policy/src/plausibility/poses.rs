@@ -23,7 +23,7 @@ pub(super) struct PoseCheck {
     poses: usize,
     bad_poses: u8,
     good_poses: u8,
-    is_bad: bool,
+    pub(super) is_bad: bool,
     /// What the vehicle told when the frame before was checked.
     kinematics_before: Option<Kinematics>,
 }
@@ -37,10 +37,6 @@ pub fn has_jumped(before: &Kinematics, now: &Kinematics) -> bool {
 }
 
 impl PoseCheck {
-    pub(super) fn is_bad(&self) -> bool {
-        self.is_bad
-    }
-
     /// A frame's pose, and the telemetry to which it belongs.
     pub(super) fn note(
         &mut self,

@@ -314,33 +314,18 @@ impl Regions {
     /// By how much a region was moved, by the surest of its neighbours.
     fn by_neighbours(&self, region: Region, least_share: f32) -> Option<f32> {
         let Region { rows, columns } = region;
-        let mut best: Option<(f32, f32)> = None;
-        let mut take = |across: Option<(f32, f32)>| {
-            if let Some((moved_m, share)) = across.filter(|(_, share)| *share >= least_share)
-                && best.is_none_or(|(_, most)| share > most)
-            {
-                best = Some((moved_m, share));
-            }
-        };
-        take(
-            rows.0
-                .checked_sub(1)
-                .and_then(|row| self.across(columns, |c| (row, c), |c| self.step_down_m(row, c), 1.0)),
-        );
-        take(self.across(columns, |c| (rows.1, c), |c| self.step_down_m(rows.1 - 1, c), -1.0));
-        take(
-            columns
-                .0
-                .checked_sub(1)
-                .and_then(|c| self.across(rows, |row| (row, c), |row| self.step_right_m(row, c), 1.0)),
-        );
-        take(self.across(
-            rows,
-            |row| (row, columns.1),
-            |row| self.step_right_m(row, columns.1 - 1),
-            -1.0,
-        ));
-        best.map(|(moved_m, _)| moved_m)
+        // What wraps is no line, as what follows the last one is none.
+        let (above, left) = (rows.0.wrapping_sub(1), columns.0.wrapping_sub(1));
+        let (below, right) = (rows.1, columns.1);
+        let sides = [
+            self.across(columns, |c| (above, c), |c| self.step_down_m(above, c), 1.0),
+            self.across(columns, |c| (below, c), |c| self.step_down_m(below - 1, c), -1.0),
+            self.across(rows, |r| (r, left), |r| self.step_right_m(r, left), 1.0),
+            self.across(rows, |r| (r, right), |r| self.step_right_m(r, right - 1), -1.0),
+        ];
+        let sure = sides.into_iter().flatten().filter(|(_, share)| *share >= least_share);
+        let surest = sure.reduce(|first, next| if next.1 > first.1 { next } else { first });
+        surest.map(|(moved_m, _)| moved_m)
     }
 
     /// What the cells beyond a side say of the region before it: the neighbour's move and the steps across; and the share of them that agrees.

@@ -49,11 +49,11 @@ pub(super) enum GroundSight {
 /// Whether pictures show what the ground would hide.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Shadow {
-    sight: GroundSight,
+    pub(super) sight: GroundSight,
     /// The last pictures, the newest lowest: set where the ground was seen through.
     seen_through: u32,
     agreeing: u8,
-    raised: bool,
+    pub(super) is_raised: bool,
     raises: u8,
 }
 
@@ -67,10 +67,10 @@ impl Shadow {
             GroundSight::Agrees => self.agreeing.saturating_add(1),
             GroundSight::CannotTell | GroundSight::SeenThrough => 0,
         };
-        if self.raised {
-            self.raised = self.raises >= LAST_RAISE || self.agreeing < CLEAR_PICTURES;
+        if self.is_raised {
+            self.is_raised = self.raises >= LAST_RAISE || self.agreeing < CLEAR_PICTURES;
         } else if self.seen_through.count_ones() >= RAISE_PICTURES {
-            self.raised = true;
+            self.is_raised = true;
             self.raises = self.raises.saturating_add(1);
         }
     }
@@ -78,15 +78,6 @@ impl Shadow {
     /// A picture of which nothing can be said; what was raised stays.
     pub(super) fn skip(&mut self) {
         (self.sight, self.seen_through, self.agreeing) = (GroundSight::CannotTell, 0, 0);
-    }
-
-    pub(super) fn is_raised(&self) -> bool {
-        self.raised
-    }
-
-    #[cfg(test)]
-    pub(super) fn sight(&self) -> GroundSight {
-        self.sight
     }
 }
 

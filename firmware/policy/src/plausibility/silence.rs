@@ -126,7 +126,8 @@ impl Side {
 pub(super) struct SilentSide {
     /// The side that fell silent, and how many of its lines.
     part: Option<(Side, usize)>,
-    dead: bool,
+    /// From the second silent frame until something is seen there in three frames in a row.
+    pub(super) is_dead: bool,
     silent_frames: u8,
     seeing_frames: u8,
 }
@@ -145,15 +146,10 @@ impl SilentSide {
         let silent = cells.all(|(row, column)| now.inverse(row * COLS + column) == 0.0);
         count(&mut self.silent_frames, silent);
         count(&mut self.seeing_frames, !silent);
-        self.dead |= self.silent_frames >= BLIND_FRAMES;
-        let enough = if self.dead { SEEING_FRAMES } else { 1 };
+        self.is_dead |= self.silent_frames >= BLIND_FRAMES;
+        let enough = if self.is_dead { SEEING_FRAMES } else { 1 };
         if self.seeing_frames >= enough {
             *self = Self::default();
         }
-    }
-
-    /// From the second silent frame until something is seen there in three frames in a row.
-    pub(super) fn is_dead(&self) -> bool {
-        self.dead
     }
 }

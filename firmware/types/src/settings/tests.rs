@@ -56,6 +56,7 @@ fn what_is_refused_is_told_by_line_column_and_key_with_what_is_allowed() {
             "gains = [0.5, true]",
             "`gains[1]`: a number is needed, this is of type boolean",
         ),
+        ("gains = [99999999999999999999]", "99999999999999999999 is too large"),
         ("on = 1", "true or false is needed"),
         ("[place]\ny_m = 1", "line 1, column 1: `place`: `x_m` is missing"),
         (

@@ -45,8 +45,7 @@ impl<T: Setting> Setting for Vec<T> {
     }
 
     fn read(&mut self, given: &Given<'_>) -> Result<(), Refused> {
-        *self = Self::from_given(given)?;
-        Ok(())
+        Self::from_given(given).map(|new| *self = new)
     }
 
     fn write(&self) -> Option<Value> {
@@ -70,8 +69,7 @@ impl<T: Setting, const N: usize> Setting for [T; N] {
     }
 
     fn read(&mut self, given: &Given<'_>) -> Result<(), Refused> {
-        *self = Self::from_given(given)?;
-        Ok(())
+        Self::from_given(given).map(|new| *self = new)
     }
 
     fn write(&self) -> Option<Value> {
@@ -93,8 +91,7 @@ impl<T: Setting> Setting for BTreeMap<String, T> {
     }
 
     fn read(&mut self, given: &Given<'_>) -> Result<(), Refused> {
-        *self = Self::from_given(given)?;
-        Ok(())
+        Self::from_given(given).map(|new| *self = new)
     }
 
     fn write(&self) -> Option<Value> {
@@ -121,7 +118,10 @@ pub(super) fn number(given: &Given<'_>) -> Option<f64> {
 }
 
 fn real(given: &Given<'_>) -> Result<f64, Refused> {
-    number(given).ok_or_else(|| other_type(given, "a number"))
+    number(given).ok_or_else(|| match given.get_ref() {
+        DeValue::Integer(integer) => refused(given, format!("{integer} is too large or too small")),
+        _ => other_type(given, "a number"),
+    })
 }
 
 fn whole<T: TryFrom<i64>>(given: &Given<'_>) -> Result<T, Refused> {
@@ -225,23 +225,17 @@ fn switch(given: &Given<'_>) -> Result<bool, Refused> {
     }
 }
 
-fn choice<T: Choice>(given: &Given<'_>) -> Result<T, Refused> {
+/// One of a choice's values by its name.
+pub(crate) fn choice<T: Choice>(given: &Given<'_>) -> Result<T, Refused> {
     let names = T::WORDS.iter().map(|(name, _)| *name);
     named(given, &mut names.zip(T::ALL.iter().copied()))
 }
 
-macro_rules! choices {
-    ($($type:ident)+) => {$(
-        value_setting!(crate::$type, choice, |value: &crate::$type| value.name());
-
-        impl FromRow for crate::$type {
-            fn default_of(row: &ParameterSpec) -> Self {
-                match row.default {
-                    Preset::Choice(place) => Self::ALL.get(place).copied().unwrap_or_default(),
-                    _ => Self::default(),
-                }
-            }
+impl<T: Choice + Default> FromRow for T {
+    fn default_of(row: &ParameterSpec) -> Self {
+        match row.default {
+            Preset::Choice(place) => T::ALL.get(place).copied().unwrap_or_default(),
+            _ => T::default(),
         }
-    )+};
+    }
 }
-choices! { Ablation AlarmPolicy AtGoal AutopilotChoice Duty EngagePolicy LogContent ObstacleReports OnNoProgress PilotKind }

@@ -1,8 +1,8 @@
 //! Arming, mode changes, failsafes and the landed state: the decisions that PX4's commander takes.
 
-use crate::core::{ComponentId, Core};
+use crate::core::Core;
 use crate::flight::mode::FlightMode;
-use crate::flight::setpoint_owner::{Claim, Setpoints};
+use crate::flight::setpoint_owner::Setpoints;
 use crate::flight::state::{Commander, Denial, Failsafe, LandedState, LostSensors, Maneuver, Sticks};
 use crate::source::Source;
 use crate::vehicle::YawCommand;
@@ -33,16 +33,6 @@ enum Response {
     Enter(FlightMode),
     Terminate,
     Disarm,
-}
-
-impl Response {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Enter(mode) => mode.name(),
-            Self::Terminate => "terminate",
-            Self::Disarm => "disarm",
-        }
-    }
 }
 
 impl Core {
@@ -96,20 +86,21 @@ impl Core {
 
     /// Arms. Armed already is accepted. In OFFBOARD that was chosen before anybody streamed, the commander decides who owns it.
     pub fn arm(&mut self, commander: Source) -> Result<(), Denial> {
+        if self.commander.armed && !self.commander.terminated {
+            return Ok(());
+        }
         self.arming_check()?;
         if self.commander.mode == FlightMode::Offboard && self.setpoints.owner().is_none() {
             self.take_ownership(commander)?;
         }
-        if !self.commander.armed {
-            self.commander.armed = true;
-            self.commander.has_flown = !self.commander.is_on_ground();
-            self.commander.idle_since_ns = self.now_ns;
-            if self.commander.mode == FlightMode::Takeoff {
-                self.begin_climb(None);
-            }
-            self.inform("armed");
-            self.announce::<HEARTBEAT_DATA>();
+        self.commander.armed = true;
+        self.commander.has_flown = !self.commander.is_on_ground();
+        self.commander.idle_since_ns = self.now_ns;
+        if self.commander.mode == FlightMode::Takeoff {
+            self.begin_climb(None);
         }
+        self.inform("armed");
+        self.announce::<HEARTBEAT_DATA>();
         Ok(())
     }
 
@@ -158,9 +149,8 @@ impl Core {
 
     /// Starts the autopilot anew; the caller has checked that the vehicle is disarmed or terminated.
     pub fn reboot(&mut self) {
-        let landed = self.commander.landed;
         self.commander = Commander {
-            landed,
+            landed: self.commander.landed,
             contact: self.commander.contact,
             contact_since_ns: self.commander.contact_since_ns,
             rests_since_ns: self.now_ns,
@@ -180,26 +170,30 @@ impl Core {
     /// A mode command of `commander`. Clears a failsafe. Accepted also while disarmed: the mode acts once armed.
     pub fn change_mode(&mut self, mode: FlightMode, commander: Source) -> Result<(), Denial> {
         self.position_check(mode)?;
-        if mode == FlightMode::Offboard {
-            return self.enter_offboard(commander);
-        }
-        if mode == FlightMode::Mission {
-            return self.begin_mission();
-        }
-        if mode.needs_sticks() {
-            return self.enter_manual(mode);
-        }
-        if mode == FlightMode::Takeoff {
-            return self.take_off(None);
+        match mode {
+            FlightMode::Offboard => return self.enter_offboard(commander),
+            FlightMode::Mission => return self.begin_mission(),
+            FlightMode::Takeoff => return self.take_off(None),
+            // While disarmed a mode that is flown by sticks waits for them.
+            _ if mode.needs_sticks() && self.commander.armed && self.current_sticks().is_none() => {
+                return Err(Denial::NoSticks(mode));
+            }
+            _ => {}
         }
         self.clear_failsafe();
+        self.begin(mode);
+        Ok(())
+    }
+
+    /// Enters a mode that needs nothing to begin with, any other as Hold.
+    fn begin(&mut self, mode: FlightMode) {
         match mode {
             FlightMode::Follow => self.enter(mode, Maneuver::Follow { waits_ned_m: None }),
             FlightMode::Return => self.begin_return(),
             FlightMode::Land => self.enter(mode, Maneuver::Descend),
+            _ if mode.needs_sticks() => self.enter(mode, Maneuver::Sticks { held_down_m: None }),
             _ => self.enter(FlightMode::Hold, Maneuver::default()),
         }
-        Ok(())
     }
 
     fn enter_offboard(&mut self, commander: Source) -> Result<(), Denial> {
@@ -208,8 +202,8 @@ impl Core {
             && let Some(owner) = self.setpoints.owner()
         {
             // Whoever streams itself and is not the owner wants something else than what is flown.
-            let claim = self.setpoints.claim(self.now_ns, max_age_ns, commander);
-            return if claim == Claim::Owner(commander) && commander != owner {
+            let claims = self.setpoints.claims(self.now_ns, max_age_ns, commander);
+            return if claims == [commander] && commander != owner {
                 Err(Denial::OwnedByOther(owner))
             } else {
                 Ok(())
@@ -229,13 +223,13 @@ impl Core {
     /// Enters OFFBOARD for whom the setpoints of now and the commander make its owner.
     fn take_ownership(&mut self, commander: Source) -> Result<(), Denial> {
         let max_age_ns = self.setpoint_max_age_ns();
-        match self.setpoints.claim(self.now_ns, max_age_ns, commander) {
-            Claim::Nobody => Err(self
-                .setpoints
-                .refused(self.now_ns, max_age_ns)
-                .map_or(Denial::NoSetpoints, Denial::SetpointsRefused)),
-            Claim::Several(sources) => Err(Denial::SeveralSources(sources)),
-            Claim::Owner(owner) => {
+        let claims = self.setpoints.claims(self.now_ns, max_age_ns, commander);
+        match claims.as_slice() {
+            [] => {
+                let defect = self.setpoints.refused(self.now_ns, max_age_ns);
+                Err(defect.map_or(Denial::NoSetpoints, Denial::SetpointsRefused))
+            }
+            &[owner] => {
                 self.clear_failsafe();
                 self.enter(FlightMode::Offboard, Maneuver::Offboard);
                 self.setpoints.set_owner(Some(owner));
@@ -243,6 +237,7 @@ impl Core {
                 self.announce::<NAMED_VALUE_FLOAT_DATA>();
                 Ok(())
             }
+            _ => Err(Denial::SeveralSources(claims)),
         }
     }
 
@@ -328,7 +323,7 @@ impl Core {
         self.clear_failsafe();
         let speed_limit_m_s = match speed_m_s {
             Some(speed_m_s) => speed_m_s.clamp(0.5, self.param(ParamId::MaxSpeedMS)),
-            None => self.cruise_speed_m_s(),
+            None => self.way_speed_m_s(self.commander.speed_m_s),
         };
         let station = Maneuver::Station {
             position_ned_m,
@@ -378,27 +373,20 @@ impl Core {
     /// The same for the owner: shorter where that is the guidance computer, whose every setpoint is a decision on a
     /// fresh frame.
     pub(super) fn owner_max_age_ns(&self) -> Nanos {
-        let guidance = ComponentId {
-            system: self.id.system,
-            component: GUIDANCE_COMPONENT,
-        };
         let max_age_ns = self.setpoint_max_age_ns();
-        if self.setpoints.owner().map(|owner| owner.id) == Some(guidance) {
-            max_age_ns.min(self.param_ns(ParamId::GuidanceLossS))
-        } else {
-            max_age_ns
+        let guidance = (self.id.system, GUIDANCE_COMPONENT);
+        match self.setpoints.owner() {
+            Some(owner) if (owner.id.system, owner.id.component) == guidance => {
+                max_age_ns.min(self.param_ns(ParamId::GuidanceLossS))
+            }
+            _ => max_age_ns,
         }
     }
 
-    /// Horizontal speed of a way: what DO_CHANGE_SPEED asked for since arming, else MPC_XY_CRUISE.
-    pub(super) fn cruise_speed_m_s(&self) -> f32 {
-        let speed_m_s = self.commander.speed_m_s.unwrap_or(self.param(ParamId::CruiseSpeedMS));
+    /// Horizontal speed of a way: what was asked for, else MPC_XY_CRUISE.
+    pub(super) fn way_speed_m_s(&self, asked_m_s: Option<f32>) -> f32 {
+        let speed_m_s = asked_m_s.unwrap_or(self.param(ParamId::CruiseSpeedMS));
         speed_m_s.min(self.param(ParamId::MaxSpeedMS))
-    }
-
-    /// The same where nobody asked for another speed.
-    pub(super) fn default_speed_m_s(&self) -> f32 {
-        self.param(ParamId::CruiseSpeedMS).min(self.param(ParamId::MaxSpeedMS))
     }
 
     /// The setpoints that were lost come again: OFFBOARD goes on, as PX4's does.
@@ -469,7 +457,12 @@ impl Core {
     }
 
     fn respond(&mut self, cause: &str, response: Response, failsafe: Failsafe) {
-        let text = format!("{cause}: {}", response.name());
+        let name = match response {
+            Response::Enter(mode) => mode.name(),
+            Response::Terminate => "terminate",
+            Response::Disarm => "disarm",
+        };
+        let text = format!("{cause}: {name}");
         self.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
         match response {
             Response::Enter(mode) => self.fail_over(mode, failsafe),
@@ -484,12 +477,7 @@ impl Core {
     /// Changes to Return, Land, Hold or a mode that is flown by sticks, by itself; CRITICAL until the next mode command.
     pub(super) fn fail_over(&mut self, action: FlightMode, failsafe: Failsafe) {
         let intended = self.commander.intended_mode;
-        match action {
-            FlightMode::Return => self.begin_return(),
-            FlightMode::Land => self.enter(action, Maneuver::Descend),
-            mode if mode.needs_sticks() => self.enter(mode, Maneuver::Sticks { held_down_m: None }),
-            _ => self.enter(FlightMode::Hold, Maneuver::default()),
-        }
+        self.begin(action);
         self.commander.intended_mode = intended;
         self.commander.failsafe = Some(failsafe);
         self.announce::<HEARTBEAT_DATA>();

@@ -1,6 +1,7 @@
 //! From mode to the command for the vehicle's controllers, once per millisecond.
 
 use crate::core::Core;
+use crate::flight::manual;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::{Climb, Maneuver};
 use crate::vehicle::{ControlCommand, HoldLaw, YawCommand};
@@ -8,7 +9,7 @@ use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::{
     ATTITUDE_TARGET_DATA, AttitudeTargetTypemask, MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask,
 };
-use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
+use vigil_types::{Attitude, Frame, FrdVector, Nanos, NedVector, Vector};
 
 /// Nearer than this the direction of a region of interest is the estimate's noise.
 const INTEREST_RADIUS_M: f32 = 1.0;
@@ -162,21 +163,19 @@ impl Core {
                 yaw: YawCommand::Hold,
             };
         }
-        let mut position_ned_m = self.view.estimate.position_ned_m;
-        if let Some(height_m) = height_m {
-            position_ned_m.z = -height_m;
-        }
-        self.hold_at(position_ned_m, self.cruise_speed_m_s())
+        let speed_limit_m_s = self.way_speed_m_s(self.commander.speed_m_s);
+        self.hold_at(self.view.estimate.position_ned_m, height_m, speed_limit_m_s)
     }
 
-    /// Begins to hold a position.
-    fn hold_at(&mut self, position_ned_m: NedVector, speed_limit_m_s: f32) -> ControlCommand {
+    /// Begins to hold a position, at `height_m` if given.
+    fn hold_at(&mut self, mut place: NedVector, height_m: Option<f32>, speed_limit_m_s: f32) -> ControlCommand {
+        place.z = height_m.map_or(place.z, |height_m| -height_m);
         self.commander.maneuver = Maneuver::Station {
-            position_ned_m,
+            position_ned_m: place,
             yaw: YawCommand::Hold,
             speed_limit_m_s,
         };
-        self.fly_station(position_ned_m, YawCommand::Hold, speed_limit_m_s)
+        self.fly_station(place, YawCommand::Hold, speed_limit_m_s)
     }
 
     /// Holds the point at which the vehicle would stop if it did not gain speed.
@@ -184,12 +183,8 @@ impl Core {
         let speed_m_s = velocity.horizontal_norm();
         let stop_s = speed_m_s / (2.0 * PROJECTED_BRAKING_M_S2) + PROJECTED_BRAKING_M_S2 / PROJECTED_JERK_M_S3;
         let here = self.view.estimate.position_ned_m;
-        let position_ned_m = NedVector::new(
-            here.x + velocity.x * stop_s,
-            here.y + velocity.y * stop_s,
-            height_m.map_or(here.z, |height_m| -height_m),
-        );
-        self.hold_at(position_ned_m, self.param(ParamId::MaxSpeedMS))
+        let projected = NedVector::new(here.x + velocity.x * stop_s, here.y + velocity.y * stop_s, here.z);
+        self.hold_at(projected, height_m, self.param(ParamId::MaxSpeedMS))
     }
 
     fn fly_station(&mut self, position_ned_m: NedVector, yaw: YawCommand, speed_limit_m_s: f32) -> ControlCommand {
@@ -227,7 +222,7 @@ impl Core {
                 yaw: YawCommand::Hold,
             };
         }
-        let speed_limit_m_s = self.default_speed_m_s();
+        let speed_limit_m_s = self.way_speed_m_s(None);
         let station = |position_ned_m| Maneuver::Station {
             position_ned_m,
             yaw: YawCommand::Hold,
@@ -300,13 +295,12 @@ impl Core {
 
     /// The thrust asked for, where the thrust itself is commanded.
     pub(super) fn wanted_thrust(&self) -> Option<f32> {
-        match self.commander.maneuver {
-            Maneuver::Offboard => match self.setpoints.current(self.now_ns, self.owner_max_age_ns())? {
+        match self.commander.mode() {
+            FlightMode::Stabilized | FlightMode::Manual | FlightMode::Acro => self.current_sticks().map(manual::thrust),
+            _ => match self.setpoints.current(self.now_ns, self.owner_max_age_ns())? {
                 ControlCommand::Attitude { thrust, .. } | ControlCommand::Rates { thrust, .. } => Some(thrust),
                 _ => None,
             },
-            Maneuver::Sticks { .. } => self.stick_thrust(),
-            _ => None,
         }
     }
 
@@ -331,22 +325,17 @@ impl Core {
 
     /// Velocities within MPC_XY_VEL_MAX and MPC_Z_VEL_MAX_*; the direction is kept.
     fn limited(&self, mut command: ControlCommand) -> ControlCommand {
+        fn within<F: Frame>(v: Vector<F>, max_m_s: f32, down_m_s: f32) -> Vector<F> {
+            let norm = v.horizontal_norm();
+            let k = if norm > max_m_s { max_m_s / norm } else { 1.0 };
+            Vector::new(v.x * k, v.y * k, down_m_s)
+        }
         let max_m_s = self.param(ParamId::MaxSpeedMS);
         let (up, down) = (self.param(ParamId::MaxUpMS), self.param(ParamId::MaxDownMS));
-        let scale = |norm: f32| if norm > max_m_s { max_m_s / norm } else { 1.0 };
         match &mut command {
-            ControlCommand::VelocityHeading { velocity_m_s: v, .. } => {
-                let k = scale(v.horizontal_norm());
-                *v = HeadingVector::new(v.x * k, v.y * k, v.z.clamp(-up, down));
-            }
-            ControlCommand::VelocityNed { velocity_m_s: v, .. } => {
-                let k = scale(v.horizontal_norm());
-                *v = NedVector::new(v.x * k, v.y * k, v.z.clamp(-up, down));
-            }
-            ControlCommand::VelocityAtHeight { velocity_m_s: v, .. } => {
-                let k = scale(v.horizontal_norm());
-                *v = NedVector::new(v.x * k, v.y * k, 0.0);
-            }
+            ControlCommand::VelocityHeading { velocity_m_s: v, .. } => *v = within(*v, max_m_s, v.z.clamp(-up, down)),
+            ControlCommand::VelocityNed { velocity_m_s: v, .. } => *v = within(*v, max_m_s, v.z.clamp(-up, down)),
+            ControlCommand::VelocityAtHeight { velocity_m_s: v, .. } => *v = within(*v, max_m_s, 0.0),
             ControlCommand::ClimbAtPlace { down_m_s, .. } => *down_m_s = down_m_s.clamp(-up, down),
             _ => {}
         }
@@ -431,10 +420,7 @@ pub(crate) fn attitude_target(core: &Core) -> ATTITUDE_TARGET_DATA {
     const RATES_IGNORED: u8 = 0x07;
     const TILT_RATES_IGNORED: u8 = 0x03;
     const ATTITUDE_IGNORED: u8 = 0x80;
-    let command = match core.commander.maneuver {
-        Maneuver::Offboard => core.setpoints.current(core.now_ns, core.owner_max_age_ns()),
-        _ => None,
-    };
+    let command = core.setpoints.current(core.now_ns, core.owner_max_age_ns());
     let (estimate, throttle) = (&core.view.estimate, core.view.sensors.throttle);
     let (attitude, rates, thrust, mask) = match command {
         Some(ControlCommand::Attitude {

@@ -76,7 +76,7 @@ impl Core {
             return ControlCommand::Position {
                 position_ned_m,
                 velocity_m_s: NedVector::ZERO,
-                speed_limit_m_s: self.cruise_speed_m_s(),
+                speed_limit_m_s: self.way_speed_m_s(self.commander.speed_m_s),
                 yaw: YawCommand::Hold,
             };
         };

@@ -3,7 +3,7 @@
 use crate::core::Core;
 use crate::flight::control::HOVER_THRUST;
 use crate::flight::mode::FlightMode;
-use crate::flight::state::{Deflections, Denial, Failsafe, Maneuver};
+use crate::flight::state::{Deflections, Failsafe, Maneuver};
 use crate::source::Source;
 use crate::vehicle::{ControlCommand, YawCommand};
 use crate::vehicle_parameters::ParamId;
@@ -30,7 +30,7 @@ fn beyond_dead_zone(deflection: f32) -> f32 {
 }
 
 /// The throttle stick from 0 to 1.
-fn thrust(sticks: Deflections) -> f32 {
+pub(super) fn thrust(sticks: Deflections) -> f32 {
     (sticks.up + 1.0) / 2.0
 }
 
@@ -82,7 +82,7 @@ impl Core {
     fn velocity_by(&self, sticks: Deflections) -> ControlCommand {
         let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
         let norm = libm::hypotf(forward, right).max(1.0);
-        let speed_m_s = self.default_speed_m_s() / norm;
+        let speed_m_s = self.way_speed_m_s(None) / norm;
         ControlCommand::VelocityHeading {
             velocity_m_s: HeadingVector::new(forward * speed_m_s, right * speed_m_s, -self.climb_m_s(sticks)),
             yaw: YawCommand::Rate(clockwise * MAX_YAW_RATE_RAD_S),
@@ -126,24 +126,6 @@ impl Core {
             yaw_rate_rad_s: clockwise * MAX_YAW_RATE_RAD_S,
             thrust: thrust(sticks),
         }
-    }
-
-    /// The thrust that the sticks ask for, in modes in which they do.
-    pub(super) fn stick_thrust(&self) -> Option<f32> {
-        match self.commander.mode() {
-            FlightMode::Stabilized | FlightMode::Manual | FlightMode::Acro => self.current_sticks().map(thrust),
-            _ => None,
-        }
-    }
-
-    /// Enters a mode that is flown by sticks. While disarmed it waits for them.
-    pub(super) fn enter_manual(&mut self, mode: FlightMode) -> Result<(), Denial> {
-        if self.commander.is_armed() && self.current_sticks().is_none() {
-            return Err(Denial::NoSticks(mode));
-        }
-        self.clear_failsafe();
-        self.enter(mode, Maneuver::Sticks { held_down_m: None });
-        Ok(())
     }
 }
 

@@ -26,14 +26,11 @@ impl Core {
     ///
     /// A mode can be chosen before what it flies is there, as in PX4: arming is then what is refused.
     pub(super) fn begin_mission(&mut self) -> Result<(), Denial> {
-        self.mission_check().or_else(|denial| match self.commander.armed {
-            true => Err(denial),
-            false => Ok(()),
-        })?;
-        self.clear_failsafe();
-        if !self.plans.mission.is_empty() {
-            self.plans.mission.start();
+        if self.commander.armed {
+            self.mission_check()?;
         }
+        self.clear_failsafe();
+        self.plans.mission.start();
         self.plans.mission.not_before_ns = self.now_ns;
         self.enter(FlightMode::Mission, Maneuver::default());
         self.announce::<MISSION_CURRENT_DATA>();
@@ -88,20 +85,14 @@ impl Core {
     fn begin_item(&mut self, item: MissionItem, on_ground: bool) {
         match item {
             MissionItem::Leg(leg) if !on_ground => self.travel(&leg),
-            MissionItem::Leg(Leg {
-                purpose: Purpose::Land, ..
-            }) => self.end_item(true),
+            MissionItem::Leg(leg) if leg.purpose == Purpose::Land => self.end_item(true),
             MissionItem::Leg(leg) => self.leave_ground(&leg),
             MissionItem::Return => {
                 self.plans.mission.advance(false);
                 self.announce::<MISSION_CURRENT_DATA>();
                 self.begin_return();
             }
-            MissionItem::Delay { wait_ns } => {
-                self.plans.mission.stage = Stage::Waiting {
-                    until_ns: self.now_ns.saturating_add(wait_ns),
-                };
-            }
+            MissionItem::Delay { wait_ns } => self.wait(wait_ns),
             MissionItem::Speed { speed_m_s } => {
                 self.plans.mission.speed_m_s = speed_m_s;
                 self.end_item(true);
@@ -119,6 +110,11 @@ impl Core {
             MissionItem::PassedOver => self.end_item(true),
             MissionItem::Jump { .. } => self.end_item(false),
         }
+    }
+
+    fn wait(&mut self, wait_ns: Nanos) {
+        let until_ns = self.now_ns.saturating_add(wait_ns);
+        self.plans.mission.stage = Stage::Waiting { until_ns };
     }
 
     /// Climbs before the first way, as PX4 does even where the mission has no take-off.
@@ -159,7 +155,7 @@ impl Core {
         self.commander.maneuver = Maneuver::Station {
             position_ned_m: NedVector::new(north, east, z_m),
             yaw,
-            speed_limit_m_s: self.mission_speed_m_s(),
+            speed_limit_m_s: self.way_speed_m_s(self.plans.mission.speed_m_s),
         };
         self.plans.mission.passing_m_s = self.passing_at((here.x, here.y), (north, east), leg);
         self.plans.mission.stage = Stage::Travelling;
@@ -182,8 +178,8 @@ impl Core {
         }
         let along = (in_north * out_north + in_east * out_east) / (in_m * out_m);
         // On a short way on, no faster than can be braked there.
-        let speed_m_s =
-            (self.mission_speed_m_s() * along.max(0.0)).min(libm::sqrtf(2.0 * PASSING_BRAKING_M_S2 * out_m));
+        let speed_m_s = self.way_speed_m_s(self.plans.mission.speed_m_s) * along.max(0.0);
+        let speed_m_s = speed_m_s.min(libm::sqrtf(2.0 * PASSING_BRAKING_M_S2 * out_m));
         (in_north / in_m * speed_m_s, in_east / in_m * speed_m_s)
     }
 
@@ -199,14 +195,6 @@ impl Core {
         }
     }
 
-    fn mission_speed_m_s(&self) -> f32 {
-        let max_m_s = self.param(ParamId::MaxSpeedMS);
-        match self.plans.mission.speed_m_s {
-            Some(speed_m_s) => speed_m_s.min(max_m_s),
-            None => self.default_speed_m_s(),
-        }
-    }
-
     /// Changes the speed of ways: of the mission's while one is flown, else of the present one and those that follow until
     /// disarming. `None` goes back to MPC_XY_CRUISE.
     pub fn change_speed(&mut self, speed_m_s: Option<f32>) {
@@ -217,7 +205,7 @@ impl Core {
         } else {
             self.commander.speed_m_s = wanted;
         }
-        let now_m_s = wanted.unwrap_or(self.default_speed_m_s());
+        let now_m_s = self.way_speed_m_s(wanted);
         if let Maneuver::Station { speed_limit_m_s, .. } = &mut self.commander.maneuver {
             *speed_limit_m_s = now_m_s;
         }
@@ -244,11 +232,7 @@ impl Core {
         let mission = &mut self.plans.mission;
         match leg.purpose {
             Purpose::Visit { stay_ns: 0 } | Purpose::TakeOff => self.end_item(true),
-            Purpose::Visit { stay_ns } => {
-                mission.stage = Stage::Waiting {
-                    until_ns: self.now_ns.saturating_add(stay_ns),
-                }
-            }
+            Purpose::Visit { stay_ns } => self.wait(stay_ns),
             Purpose::Stay => mission.stage = Stage::Staying,
             Purpose::Land => {
                 mission.stage = Stage::Landing;

@@ -68,10 +68,7 @@ impl FlightMode {
 
     /// Whether it goes on when the position is lost.
     pub(crate) const fn is_flown_without_position(self) -> bool {
-        matches!(
-            self,
-            Self::Land | Self::Altitude | Self::Stabilized | Self::Manual | Self::Acro
-        )
+        matches!(self, Self::Land) || (self.needs_sticks() && !matches!(self, Self::Position))
     }
 
     /// Main and sub mode, `vehicle_status.nav_state` and name, all as PX4 has them.

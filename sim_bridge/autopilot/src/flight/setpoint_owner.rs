@@ -32,16 +32,6 @@ pub(crate) struct Setpoints {
     refused: Option<(Nanos, SetpointDefect)>,
 }
 
-/// Who would own OFFBOARD if it were entered now.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Claim {
-    Owner(Source),
-    /// Nobody streams.
-    Nobody,
-    /// Several stream, and the commander is none of them.
-    Several(Vec<Source>),
-}
-
 impl Setpoints {
     /// Whose setpoints are flown.
     pub fn owner(&self) -> Option<Source> {
@@ -116,8 +106,8 @@ impl Setpoints {
         self.sources.iter().any(is_fresh)
     }
 
-    /// Who would own OFFBOARD on a mode command of `commander`.
-    pub fn claim(&self, now_ns: Nanos, max_age_ns: Nanos, commander: Source) -> Claim {
+    /// Who could own OFFBOARD on a mode command of `commander`: it alone where it streams, else everybody who does.
+    pub fn claims(&self, now_ns: Nanos, max_age_ns: Nanos, commander: Source) -> Vec<Source> {
         let mut streaming: Vec<Source> = self
             .sources
             .iter()
@@ -125,14 +115,10 @@ impl Setpoints {
             .map(|s| s.id)
             .collect();
         if streaming.contains(&commander) {
-            return Claim::Owner(commander);
+            return vec![commander];
         }
         streaming.sort_unstable();
-        match streaming.as_slice() {
-            [] => Claim::Nobody,
-            [only] => Claim::Owner(*only),
-            _ => Claim::Several(streaming),
-        }
+        streaming
     }
 
     /// Sets or clears the owner.

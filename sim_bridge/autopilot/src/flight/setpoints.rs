@@ -48,20 +48,17 @@ const HORIZONTAL: [bool; 3] = [true, true, false];
 const VERTICAL: [bool; 3] = [false, false, true];
 
 /// Whether the used ones of some fields are within the limit.
-fn check(used: [bool; 3], names: [&'static str; 3], values: [f32; 3], limit: f32) -> Result<(), SetpointDefect> {
+fn check<const N: usize>(
+    used: [bool; N],
+    names: [&'static str; N],
+    values: [f32; N],
+    limit: f32,
+) -> Result<(), SetpointDefect> {
     let mut fields = used.into_iter().zip(names).zip(values);
     // Written so that NaN is beyond it.
     match fields.find(|((is_used, _), value)| *is_used && !(0.0..=limit).contains(&value.abs())) {
         None => Ok(()),
         Some(((_, name), _)) => Err(SetpointDefect::Value(name)),
-    }
-}
-
-fn check_one(name: &'static str, value: f32, limit: f32) -> Result<(), SetpointDefect> {
-    if value.abs() <= limit {
-        Ok(())
-    } else {
-        Err(SetpointDefect::Value(name))
     }
 }
 
@@ -109,10 +106,10 @@ pub(crate) fn position_setpoint(
     let [position, velocity, acceleration] = used_axes(m, is_local)?;
     let ignores = |field| m.type_mask.contains(field);
     let yaw = if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) && !m.yaw.is_nan() {
-        check_one("yaw", m.yaw, ABSURD_RATE_RAD_S)?;
+        check([true], ["yaw"], [m.yaw], ABSURD_RATE_RAD_S)?;
         YawCommand::Angle(m.yaw)
     } else if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE) && !m.yaw_rate.is_nan() {
-        check_one("yaw_rate", m.yaw_rate, ABSURD_RATE_RAD_S)?;
+        check([true], ["yaw_rate"], [m.yaw_rate], ABSURD_RATE_RAD_S)?;
         YawCommand::Rate(m.yaw_rate)
     } else {
         YawCommand::Hold
@@ -215,19 +212,17 @@ pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlC
     let ignores = |field| m.type_mask.contains(field);
     if !ignores(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE) {
         let turns = !ignores(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE);
-        let yaw_rate_rad_s = if turns { m.body_yaw_rate } else { 0.0 };
-        check_one("body_yaw_rate", yaw_rate_rad_s, ABSURD_RATE_RAD_S)?;
+        check([turns], ["body_yaw_rate"], [m.body_yaw_rate], ABSURD_RATE_RAD_S)?;
         let [w, x, y, z] = m.q;
         let attitude = Attitude { w, x, y, z };
-        return if attitude.is_valid() {
-            Ok(ControlCommand::Attitude {
-                attitude,
-                yaw_rate_rad_s,
-                thrust: m.thrust,
-            })
-        } else {
-            Err(SetpointDefect::Value("q"))
-        };
+        if !attitude.is_valid() {
+            return Err(SetpointDefect::Value("q"));
+        }
+        return Ok(ControlCommand::Attitude {
+            attitude,
+            yaw_rate_rad_s: if turns { m.body_yaw_rate } else { 0.0 },
+            thrust: m.thrust,
+        });
     }
     if m.type_mask.intersects(rates) {
         return Err(not_flown);
@@ -372,40 +367,36 @@ mod tests {
     fn a_place_on_the_globe_is_flown_to_as_the_local_point_it_is() {
         let home = HomePosition::default();
         let (lat, lon, _) = geo::to_global(&home, NedVector::new(40.0, -30.0, 0.0));
-        let mut m = SET_POSITION_TARGET_GLOBAL_INT_DATA {
-            lat_int: geo::deg_e7(lat),
-            lon_int: geo::deg_e7(lon),
-            alt: 495.0,
-            type_mask: PositionMask::from_bits_retain(0x9F8),
-            coordinate_frame: MavFrame::MAV_FRAME_GLOBAL_INT,
-            ..Default::default()
-        };
-        let place = |m: &SET_POSITION_TARGET_GLOBAL_INT_DATA| match global_setpoint(m, &home, 5.0) {
-            Ok(ControlCommand::Position { position_ned_m, .. }) => position_ned_m,
-            other => panic!("{other:?}"),
+        let read = |coordinate_frame, lat_deg, alt, mask| {
+            let m = SET_POSITION_TARGET_GLOBAL_INT_DATA {
+                lat_int: geo::deg_e7(lat_deg),
+                lon_int: geo::deg_e7(lon),
+                alt,
+                type_mask: PositionMask::from_bits_retain(mask),
+                coordinate_frame,
+                ..Default::default()
+            };
+            global_setpoint(&m, &home, 5.0)
         };
         let wanted = NedVector::new(40.0, -30.0, -7.0);
-        assert!((place(&m) - wanted).norm() < 0.05, "{:?}", place(&m));
-        m.coordinate_frame = MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT;
-        m.alt = 7.0;
-        assert!((place(&m) - wanted).norm() < 0.05, "{:?}", place(&m));
+        // Above the ground is above home.
+        for (frame, alt) in [
+            (MavFrame::MAV_FRAME_GLOBAL_INT, 495.0),
+            (MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, 7.0),
+            (MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT, 7.0),
+        ] {
+            match read(frame, lat, alt, 0x9F8) {
+                Ok(ControlCommand::Position { position_ned_m: p, .. }) => assert!((p - wanted).norm() < 0.05, "{p:?}"),
+                other => panic!("{other:?}"),
+            }
+        }
         // On the other side of the globe: absurd.
-        m.lat_int = -m.lat_int;
-        assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Value("lat_int")));
-        m.coordinate_frame = MavFrame::MAV_FRAME_GLOBAL;
-        assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Frame(0)));
-        // A place that is not whole is none, in whatever frame; above the ground is above home.
-        m.type_mask = PositionMask::from_bits_retain(0xDC4);
-        let still = NedVector::ZERO;
-        let velocity = ControlCommand::VelocityNed {
-            velocity_m_s: still,
-            yaw: YawCommand::Hold,
-        };
-        assert_eq!(global_setpoint(&m, &home, 5.0), Ok(velocity));
-        m.type_mask = PositionMask::from_bits_retain(0x9F8);
-        m.lat_int = geo::deg_e7(lat);
-        m.coordinate_frame = MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT;
-        assert!((place(&m) - wanted).norm() < 0.05);
+        let absurd = read(MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, -lat, 7.0, 0x9F8);
+        assert_eq!(absurd, Err(SetpointDefect::Value("lat_int")));
+        let frame_0 = MavFrame::MAV_FRAME_GLOBAL;
+        assert_eq!(read(frame_0, -lat, 7.0, 0x9F8), Err(SetpointDefect::Frame(0)));
+        // A place that is not whole is none, in whatever frame.
+        assert_eq!(read(frame_0, -lat, 7.0, 0xDC4), Ok(ControlCommand::STOP));
     }
 
     #[test]
@@ -432,16 +423,11 @@ mod tests {
             let refused = Err(SetpointDefect::Mask(u16::from(mask)));
             assert_eq!(attitude_setpoint(&target(mask)), refused);
         }
-        let mut skewed = target(0x07);
+        let (mut skewed, mut unknown) = (target(0x07), target(0x80));
         skewed.q = [0.5, 0.0, 0.0, 0.0];
-        assert_eq!(attitude_setpoint(&skewed), Err(SetpointDefect::Value("q")));
-        let unknown = SET_ATTITUDE_TARGET_DATA {
-            body_pitch_rate: f32::NAN,
-            ..target(0x80)
-        };
-        assert_eq!(
-            attitude_setpoint(&unknown),
-            Err(SetpointDefect::Value("body_pitch_rate"))
-        );
+        unknown.body_pitch_rate = f32::NAN;
+        for (bad, field) in [(skewed, "q"), (unknown, "body_pitch_rate")] {
+            assert_eq!(attitude_setpoint(&bad), Err(SetpointDefect::Value(field)));
+        }
     }
 }

@@ -292,13 +292,10 @@ pub(crate) struct LostSensors {
 impl LostSensors {
     /// The first that is lost.
     pub fn name(&self) -> Option<&'static str> {
-        match self {
-            Self {
-                gps_since_ns: Some(_), ..
-            } => Some("GPS"),
-            lost if lost.barometer.is_lost() => Some("barometer"),
-            lost if lost.magnetometer.is_lost() => Some("compass"),
-            _ => None,
+        match self.gps_since_ns {
+            Some(_) => Some("GPS"),
+            None if self.barometer.is_lost() => Some("barometer"),
+            None => self.magnetometer.is_lost().then_some("compass"),
         }
     }
 }

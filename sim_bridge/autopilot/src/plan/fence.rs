@@ -215,10 +215,8 @@ mod tests {
         items.push(item(5003, 5.0, (15.0, 15.0)));
         items.push(item(5004, 2.0, (5.0, 5.0)));
         let fence = fence(items);
-        assert!(fence.allows((2.0, 2.0)));
-        assert!(fence.allows((15.0, 15.0)));
-        assert!(!fence.allows((5.0, 6.0)));
-        assert!(!fence.allows((25.0, 25.0)));
+        assert!(fence.allows((2.0, 2.0)) && fence.allows((15.0, 15.0)));
+        assert!(!fence.allows((5.0, 6.0)) && !fence.allows((25.0, 25.0)));
     }
 
     #[test]

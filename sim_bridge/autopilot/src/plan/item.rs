@@ -42,7 +42,7 @@ pub(crate) struct Place {
 }
 
 /// What an item's packet tells besides the item.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Envelope {
     pub seq: u16,
     /// 2 and 3 are another vehicle flavour's commands in the shape of an item.
@@ -69,9 +69,10 @@ impl PlanItem {
             MISSION_ITEM_INT_DATA::ID => (i32::from_le_bytes(word(16)), i32::from_le_bytes(word(20))),
             MISSION_ITEM_DATA::ID => {
                 let scale = if is_global(frame) { 1e7 } else { 1.0 };
+                // What is too large, such as degrees · 1e7, must not become what stands for NaN.
                 let integer = |v: f32| {
                     if v.is_finite() {
-                        libm::round(f64::from(v) * scale) as i32
+                        (libm::round(f64::from(v) * scale) as i32).min(i32::MAX - 1)
                     } else {
                         i32::MAX
                     }
@@ -134,12 +135,7 @@ impl PlanItem {
 
     /// The bytes that make items equal.
     pub fn content(&self) -> [u8; ITEM_PAYLOAD_LEN] {
-        let envelope = Envelope {
-            seq: 0,
-            current: 0,
-            mission_type: 0,
-        };
-        self.payload(envelope, (0, 0), true)
+        self.payload(Envelope::default(), (0, 0), true)
     }
 
     /// Parameter 1 to 4; `None` if it is NaN.

@@ -377,12 +377,11 @@ impl Mission {
                 *jumped = jumped.saturating_add(1);
                 to
             }
-            // Passed by, it jumps again when it is come to once more.
-            (Some(MissionItem::Jump { .. }), Some(jumped)) => {
-                *jumped = 0;
+            (_, jumped) => {
+                // Passed by, it jumps again when it is come to once more.
+                jumped.into_iter().for_each(|times| *times = 0);
                 self.current + 1
             }
-            _ => self.current + 1,
         };
         self.is_complete = next >= self.items.len();
         if !self.is_complete {

@@ -92,14 +92,12 @@ pub(crate) struct Wire {
 impl Wire {
     pub fn new(items: Vec<PlanItem>) -> Self {
         // FNV-1a, 32 bits.
-        let hash = |hash: u32, byte: &u8| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193);
-        let id = if items.is_empty() {
-            0
-        } else {
-            let bytes = items.iter().flat_map(PlanItem::content);
-            bytes.fold(0x811C_9DC5, |h, byte| hash(h, &byte)).max(1)
-        };
-        Self { items, id }
+        let hash = |hash: u32, byte: u8| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
+        let id = items.iter().flat_map(PlanItem::content).fold(0x811C_9DC5, hash);
+        Self {
+            id: if items.is_empty() { 0 } else { id.max(1) },
+            items,
+        }
     }
 }
 

@@ -5,7 +5,6 @@ use crate::core::padded;
 use crate::flight::FlightMode;
 use crate::geo;
 use crate::service::prelude::*;
-use crate::services::arming::answer;
 use crate::vehicle::YawCommand;
 use vigil_mavlink::framing::CommandForm;
 use vigil_types::NedVector;
@@ -39,7 +38,8 @@ impl Service for SetMode {
             if target_system == core.id.system && base_mode & CUSTOM_MODE != 0 {
                 let requested = FlightMode::from_custom_mode(u32::from_le_bytes([a, b, c, d]));
                 // PX4 hands it on as the command, which is what it acknowledges.
-                set_mode(requested, source, core).send(DO_SET_MODE, source, core);
+                let answer = set_mode(requested, source, core);
+                acknowledge(answer, DO_SET_MODE, source, core);
             }
         }
     }
@@ -61,25 +61,20 @@ pub(super) const COMMANDS: &[(u16, Handler)] = &[
 fn do_set_mode(command: &Command, source: Source, core: &mut Core) -> Answer {
     let [base, main, sub] = [1, 2, 3].map(|n| command.param(n).unwrap_or(0.0) as u8);
     match base & CUSTOM_MODE {
-        0 => Answer::DENIED,
+        0 => Err(Refusal::DENIED),
         _ => set_mode(FlightMode::from_px4(main, sub), source, core),
     }
 }
 
 pub(super) fn set_mode(mode: Option<FlightMode>, source: Source, core: &mut Core) -> Answer {
-    match mode {
-        Some(mode) => answer(core.change_mode(mode, source), core),
-        None => Answer::REJECTED,
-    }
+    let mode = mode.ok_or_else(|| Refusal::REJECTED.saying("mode denied: not flown by this vehicle"))?;
+    Ok(core.change_mode(mode, source)?)
 }
 
-/// Whether places of a frame are flown to: those on the globe; told where they are not.
-fn is_flown_in(frame: u8, core: &mut Core) -> bool {
-    let is_global = GLOBAL_FRAMES.contains(&frame);
-    if !is_global {
-        core.warn(&format!("denied: frame {frame} is not flown, 0, 3, 5 and 6 are"));
-    }
-    is_global
+/// Places are flown to that are on the globe.
+fn check_frame(frame: u8) -> Answer {
+    let text = || Refusal::DENIED.saying(format!("denied: frame {frame} is not flown, 0, 3, 5 and 6 are"));
+    GLOBAL_FRAMES.contains(&frame).then_some(()).ok_or_else(text)
 }
 
 /// Height above home of a command's altitude. PX4 reads it above sea level whatever the frame says.
@@ -87,38 +82,39 @@ fn height_m(core: &Core, altitude_m: f32) -> f32 {
     (f64::from(altitude_m) - core.home.altitude_m) as f32
 }
 
-/// Whether a height above home is one to fly at; told where it is not.
-fn is_flown_at(height_m: f32, core: &mut Core) -> bool {
-    let is_sound = (-BELOW_HOME_M..=MAX_HEIGHT_M).contains(&height_m);
+fn too_far() -> Refusal {
+    Refusal::DENIED.saying("denied: too far from home")
+}
+
+/// Whether a height above home is one to fly at.
+fn check_height(height_m: f32) -> Answer {
     if height_m < -BELOW_HOME_M {
-        core.warn(&format!("denied: {:.0} m below home; altitudes are AMSL", -height_m));
-    } else if !is_sound {
-        core.warn("denied: too far from home");
+        let text = format!("denied: {:.0} m below home; altitudes are AMSL", -height_m);
+        return Err(Refusal::DENIED.saying(text));
     }
-    is_sound
+    // NaN fails the comparison.
+    (height_m <= MAX_HEIGHT_M).then_some(()).ok_or_else(too_far)
 }
 
 /// Parameter 7 is the altitude; NaN is MIS_TAKEOFF_ALT above the vehicle.
 fn take_off(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let height = command.param(7).map(|altitude_m| height_m(core, altitude_m));
     if height.is_some_and(|height| height > MAX_HEIGHT_M) {
-        return Answer::DENIED.warned("denied: too far from home", core);
+        return Err(too_far());
     }
-    answer(core.take_off(height), core)
+    Ok(core.take_off(height)?)
 }
 
-/// The place of parameters 5 to 7 in a global frame, NaN or the largest integer for "where the vehicle is"; `None` if it
-/// is no place to fly to.
-pub(super) fn place(command: &Command, core: &mut Core) -> Option<NedVector> {
+/// The place of parameters 5 to 7 in a global frame, NaN or the largest integer for "where the vehicle is".
+pub(super) fn place(command: &Command, core: &Core) -> Result<NedVector, Refusal> {
     let height_m = command.param(7).map(|altitude_m| height_m(core, altitude_m));
     place_at(command, height_m, core)
 }
 
 /// The same with its height above home given; `None` is the vehicle's.
-pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core) -> Option<NedVector> {
-    if !is_flown_in(command.frame(), core) || height_m.is_some_and(|height_m| !is_flown_at(height_m, core)) {
-        return None;
-    }
+pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &Core) -> Result<NedVector, Refusal> {
+    check_frame(command.frame())?;
+    height_m.map_or(Ok(()), check_height)?;
     let here = core.view.estimate.position_ned_m;
     let horizontal = match command.form {
         CommandForm::Int { x: i32::MAX, .. } | CommandForm::Int { y: i32::MAX, .. } => None,
@@ -127,16 +123,13 @@ pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core
     let (x, y) = match horizontal {
         None => (here.x, here.y),
         Some((lat, lon)) if lat.abs() <= 90.0 && lon.abs() <= 180.0 => geo::to_local(&core.home, lat, lon),
-        Some(_) => return None,
+        Some(_) => return Err(Refusal::DENIED),
     };
     let z = height_m.map_or(here.z, |height_m| -height_m);
     let position = NedVector::new(x, y, z);
     // NaN fails the comparison.
     let is_near = position.horizontal_norm() <= MAX_DISTANCE_M;
-    if !is_near {
-        core.warn("denied: too far from home");
-    }
-    is_near.then_some(position)
+    is_near.then_some(position).ok_or_else(too_far)
 }
 
 /// Goes to a place: parameter 1 speed (−1: default), 2 that the mode may change, 4 yaw in radians (NaN: unchanged), 5 to 7 the
@@ -144,36 +137,33 @@ pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core
 /// Without any place it stops where it is: so ground stations pause a flight.
 fn reposition(command: &Command, _source: Source, core: &mut Core) -> Answer {
     if command.param(2) != Some(MAY_CHANGE_MODE) {
-        return Answer::UNSUPPORTED.warned("denied: parameter 2 is not 1, change the mode", core);
+        return Err(Refusal::UNSUPPORTED.saying("denied: parameter 2 is not 1, change the mode"));
     }
     let is_placed = match command.form {
         CommandForm::Int { x, y, .. } => x != i32::MAX && y != i32::MAX,
         CommandForm::Long { .. } => command.latitude_longitude_deg().is_some(),
     };
     if !is_placed && command.param(7).is_none() && command.param(4).is_none() {
-        return answer(core.stop_here(), core);
+        return Ok(core.stop_here()?);
     }
-    let Some(position) = place(command, core) else {
-        return Answer::DENIED;
-    };
+    let position = place(command, core)?;
     let yaw = match command.param(4) {
         Some(yaw_rad) if yaw_rad.is_finite() => YawCommand::Angle(yaw_rad),
         _ => YawCommand::Hold,
     };
     let speed_m_s = command.param(1).filter(|s| s.is_finite() && *s > 0.0);
-    answer(core.go_to(position, yaw, speed_m_s), core)
+    Ok(core.go_to(position, yaw, speed_m_s)?)
 }
 
 /// Climbs or descends where it is: parameter 1 the altitude, 2 the frame that it is in.
 fn change_altitude(command: &Command, _source: Source, core: &mut Core) -> Answer {
-    let (Some(altitude_m), Some(0.0..=11.0)) = (command.param(1), command.param(2)) else {
-        return Answer::DENIED;
+    let (Some(altitude_m), Some(frame @ 0.0..=11.0)) = (command.param(1), command.param(2)) else {
+        return Err(Refusal::DENIED);
     };
     let height = height_m(core, altitude_m);
-    if !is_flown_in(command.param(2).unwrap_or(0.0) as u8, core) || !is_flown_at(height, core) {
-        return Answer::DENIED;
-    }
+    check_frame(frame as u8)?;
+    check_height(height)?;
     let here = core.view.estimate.position_ned_m;
     let place = NedVector::new(here.x, here.y, -height);
-    answer(core.go_to(place, YawCommand::Hold, None), core)
+    Ok(core.go_to(place, YawCommand::Hold, None)?)
 }

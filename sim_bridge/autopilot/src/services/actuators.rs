@@ -37,10 +37,10 @@ impl Service for Actuators {
     /// Parameter 1 is the output (0 to 1, NaN ends the test), 2 the time in seconds, 5 the motor.
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
         if command.number != ACTUATOR_TEST {
-            return Answer::ACCEPTED;
+            return Ok(());
         }
         if core.commander.is_armed() {
-            return Answer::DENIED.warned("actuator test denied: armed", core);
+            return Err(Refusal::DENIED.saying("actuator test denied: armed"));
         }
         let function = match command.form {
             CommandForm::Int { x, .. } => Some(x as f32),
@@ -49,7 +49,7 @@ impl Service for Actuators {
         let (output, lasts_s) = (command.param(1), command.param(2));
         let motor = function.filter(|function| MOTORS.contains(function) && function.fract() == 0.0);
         let Some(test) = motor.and_then(|motor| self.tests.get_mut(motor as usize - 1)) else {
-            return Answer::UNSUPPORTED;
+            return Err(Refusal::UNSUPPORTED);
         };
         let lasts_s = lasts_s.filter(|s| *s > 0.0).unwrap_or(LONGEST_TEST_S);
         let lasts_ns = nanos(f64::from(lasts_s)).filter(|_| lasts_s <= LONGEST_TEST_S);
@@ -59,9 +59,9 @@ impl Service for Actuators {
                 pulse_us: 1000.0 + 1000.0 * output,
                 until_ns: core.now_ns + lasts_ns,
             }),
-            (Some(_), _) => return Answer::DENIED,
+            (Some(_), _) => return Err(Refusal::DENIED),
         };
-        Answer::ACCEPTED
+        Ok(())
     }
 
     fn produce(&self, message_id: u32, _link: LinkId, core: &Core) -> Option<MavMessage> {
@@ -96,9 +96,7 @@ impl Actuators {
 
 fn actuator_outputs(pulses_us: [f32; 4], core: &Core) -> MavMessage {
     let mut actuator = [0.0; 32];
-    for (output, pulse) in actuator.iter_mut().zip(pulses_us) {
-        *output = pulse;
-    }
+    actuator[..4].copy_from_slice(&pulses_us);
     MavMessage::ACTUATOR_OUTPUT_STATUS(ACTUATOR_OUTPUT_STATUS_DATA {
         time_usec: core.time_boot_us(),
         // One bit per motor.
@@ -108,13 +106,8 @@ fn actuator_outputs(pulses_us: [f32; 4], core: &Core) -> MavMessage {
 }
 
 fn servo_outputs(pulses_us: [f32; 4], core: &Core) -> MavMessage {
-    let [servo1_raw, servo2_raw, servo3_raw, servo4_raw] = pulses_us.map(|pulse| pulse as u16);
-    MavMessage::SERVO_OUTPUT_RAW(SERVO_OUTPUT_RAW_DATA {
-        time_usec: core.time_boot_us() as u32,
-        servo1_raw,
-        servo2_raw,
-        servo3_raw,
-        servo4_raw,
-        ..Default::default()
-    })
+    let mut m = SERVO_OUTPUT_RAW_DATA::default();
+    [m.servo1_raw, m.servo2_raw, m.servo3_raw, m.servo4_raw] = pulses_us.map(|pulse| pulse as u16);
+    m.time_usec = core.time_boot_us() as u32;
+    MavMessage::SERVO_OUTPUT_RAW(m)
 }

@@ -1,6 +1,5 @@
 //! Arming, disarming, termination, reboot.
 
-use crate::flight::Denial;
 use crate::service::prelude::*;
 
 const COMPONENT_ARM_DISARM: u16 = 400;
@@ -18,26 +17,26 @@ pub(super) const COMMANDS: &[(u16, Handler)] = &[
 fn arm_or_disarm(command: &Command, source: Source, core: &mut Core) -> Answer {
     let forced = command.param(2) == Some(FORCE);
     match command.param(1) {
-        Some(1.0) => answer(core.arm(source), core),
-        Some(0.0) => answer(core.disarm(forced), core),
-        _ => Answer::DENIED,
+        Some(1.0) => Ok(core.arm(source)?),
+        Some(0.0) => Ok(core.disarm(forced)?),
+        _ => Err(Refusal::DENIED),
     }
 }
 
 fn terminate(command: &Command, _source: Source, core: &mut Core) -> Answer {
     if command.param(1).is_none_or(|p| p <= 0.5) || !core.commander.is_armed() {
-        return Answer::DENIED;
+        return Err(Refusal::DENIED);
     }
     core.terminate();
-    Answer::ACCEPTED
+    Ok(())
 }
 
 /// 0 does nothing, 1 restarts the autopilot; anything else there is (shutdown, boot loader) does not exist in a simulation.
 fn reboot(command: &Command, _source: Source, core: &mut Core) -> Answer {
     match command.param(1) {
-        Some(0.0) => Answer::ACCEPTED,
+        Some(0.0) => Ok(()),
         Some(1.0) => reboot_now(core),
-        _ => Answer::DENIED,
+        _ => Err(Refusal::DENIED),
     }
 }
 
@@ -46,16 +45,8 @@ pub(super) fn reboot_now(core: &mut Core) -> Answer {
     let c = &core.commander;
     if !c.is_armed() || (c.is_terminated() && c.is_on_ground()) {
         core.reboot();
-        Answer::ACCEPTED
+        Ok(())
     } else {
-        Answer::DENIED
-    }
-}
-
-/// The answer to an attempt; a denial is told as a text.
-pub(super) fn answer(outcome: Result<(), Denial>, core: &mut Core) -> Answer {
-    match outcome {
-        Ok(()) => Answer::ACCEPTED,
-        Err(denial) => Answer::REJECTED.warned(&denial.to_string(), core),
+        Err(Refusal::DENIED)
     }
 }

@@ -10,31 +10,19 @@ pub(super) const MESSAGES: &[Produced] = &[
 ];
 
 fn attitude(core: &Core) -> Option<MavMessage> {
-    let e = &core.view.estimate;
-    Some(MavMessage::ATTITUDE(ATTITUDE_DATA {
-        time_boot_ms: core.time_boot_ms(),
-        roll: e.attitude.roll_rad(),
-        pitch: e.attitude.pitch_rad(),
-        yaw: e.attitude.yaw_rad(),
-        rollspeed: e.rates_frd_rad_s.x,
-        pitchspeed: e.rates_frd_rad_s.y,
-        yawspeed: e.rates_frd_rad_s.z,
-    }))
+    let (mut m, a) = (ATTITUDE_DATA::default(), core.view.estimate.attitude);
+    [m.roll, m.pitch, m.yaw] = [a.roll_rad(), a.pitch_rad(), a.yaw_rad()];
+    [m.rollspeed, m.pitchspeed, m.yawspeed] = core.view.estimate.rates_frd_rad_s.to_array();
+    m.time_boot_ms = core.time_boot_ms();
+    Some(MavMessage::ATTITUDE(m))
 }
 
 fn attitude_quaternion(core: &Core) -> Option<MavMessage> {
-    let e = &core.view.estimate;
-    Some(MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
-        time_boot_ms: core.time_boot_ms(),
-        q1: e.attitude.w,
-        q2: e.attitude.x,
-        q3: e.attitude.y,
-        q4: e.attitude.z,
-        rollspeed: e.rates_frd_rad_s.x,
-        pitchspeed: e.rates_frd_rad_s.y,
-        yawspeed: e.rates_frd_rad_s.z,
-        ..Default::default()
-    }))
+    let (mut m, a) = (ATTITUDE_QUATERNION_DATA::default(), core.view.estimate.attitude);
+    [m.q1, m.q2, m.q3, m.q4] = [a.w, a.x, a.y, a.z];
+    [m.rollspeed, m.pitchspeed, m.yawspeed] = core.view.estimate.rates_frd_rad_s.to_array();
+    m.time_boot_ms = core.time_boot_ms();
+    Some(MavMessage::ATTITUDE_QUATERNION(m))
 }
 
 fn target(core: &Core) -> Option<MavMessage> {

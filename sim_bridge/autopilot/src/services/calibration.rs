@@ -5,6 +5,7 @@
 
 use crate::service::prelude::*;
 use crate::vehicle::VehicleView;
+use vigil_mavlink::framing::CommandForm;
 
 const PREFLIGHT_CALIBRATION: u16 = 241;
 const LASTS_NS: Nanos = 1_000_000_000;
@@ -36,27 +37,32 @@ impl Service for Calibration {
     }
 
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
-        let params: [f32; 7] = std::array::from_fn(|i| command.param(i + 1).unwrap_or(0.0));
+        let mut params: [f32; 7] = std::array::from_fn(|i| command.param(i + 1).unwrap_or(0.0));
+        if let CommandForm::Int { x, .. } = command.form
+            && x != i32::MAX
+        {
+            params[4] = x as f32;
+        }
         let (name, look, limit): (_, fn(&VehicleView) -> _, _) = match params {
             p if p == [0.0; 7] => {
                 if self.running.take().is_some() {
                     core.inform("[cal] calibration cancelled");
                 }
-                return Answer::ACCEPTED;
+                return Ok(());
             }
             [1.0, ..] => ("gyro", gyro, MAX_RATE_RAD_S),
             [_, _, _, _, 2.0, ..] => ("level", tilt, MAX_TILT_RAD),
             [_, 1.0, ..] | [_, _, _, _, 1.0, ..] => {
                 let text = "calibration denied: nobody turns a simulated vehicle by hand";
-                return Answer::REJECTED.warned(text, core);
+                return Err(Refusal::REJECTED.saying(text));
             }
-            _ => return Answer::UNSUPPORTED,
+            _ => return Err(Refusal::UNSUPPORTED),
         };
         if core.commander.is_armed() {
-            return Answer::REJECTED.warned("calibration denied: armed", core);
+            return Err(Refusal::REJECTED.saying("calibration denied: armed"));
         }
         if self.running.is_some() {
-            return Answer::REJECTED.warned("calibration denied: another one is running", core);
+            return Err(Refusal::REJECTED.saying("calibration denied: another one is running"));
         }
         core.inform(&format!("[cal] calibration started: 2 {name}"));
         self.due_ns = core.now_ns + LOOK_NS;
@@ -69,15 +75,11 @@ impl Service for Calibration {
             sums: [0.0; 3],
             told_half: false,
         });
-        Answer::ACCEPTED
+        Ok(())
     }
 
     fn due_ns(&self) -> Nanos {
-        if self.running.is_some() {
-            self.due_ns
-        } else {
-            Nanos::MAX
-        }
+        self.running.as_ref().map_or(Nanos::MAX, |_| self.due_ns)
     }
 
     fn step(&mut self, core: &mut Core) {
@@ -113,8 +115,7 @@ impl Service for Calibration {
 }
 
 fn gyro(view: &VehicleView) -> [f32; 3] {
-    let rates = view.sensors.gyroscope_frd_rad_s;
-    [rates.x, rates.y, rates.z]
+    view.sensors.gyroscope_frd_rad_s.to_array()
 }
 
 fn tilt(view: &VehicleView) -> [f32; 3] {

@@ -20,15 +20,15 @@ pub(super) const COMMANDS: &[(u16, Handler)] = &[(INJECT_FAILURE, inject)];
 
 fn inject(command: &Command, _source: Source, core: &mut Core) -> Answer {
     if !core.injects_failures() {
-        return Answer::DENIED.warned("failure injection denied: set SYS_FAILURE_EN to 1", core);
+        return Err(Refusal::DENIED.saying("failure injection denied: set SYS_FAILURE_EN to 1"));
     }
     let Some(kind @ (OK | OFF | STUCK)) = command.param(2) else {
         // Wrong, slow or noisy readings are not modelled.
-        return Answer::UNSUPPORTED;
+        return Err(Refusal::UNSUPPORTED);
     };
     // 0 is all of a kind, and there is one of each.
     if !matches!(command.param(3), None | Some(0.0 | 1.0)) {
-        return Answer::DENIED;
+        return Err(Refusal::DENIED);
     }
     let name = match command.param(1) {
         Some(GPS) if matches!(kind, OK | OFF) => {
@@ -45,7 +45,7 @@ fn inject(command: &Command, _source: Source, core: &mut Core) -> Answer {
             core.lost_sensors.magnetometer = fault(kind, field_gauss(core));
             "compass"
         }
-        _ => return Answer::UNSUPPORTED,
+        _ => return Err(Refusal::UNSUPPORTED),
     };
     let (severity, what) = match kind {
         OK => (MavSeverity::MAV_SEVERITY_INFO, "back"),
@@ -53,7 +53,7 @@ fn inject(command: &Command, _source: Source, core: &mut Core) -> Answer {
         _ => (MavSeverity::MAV_SEVERITY_WARNING, "lost"),
     };
     core.text(severity, &format!("{name} {what}"));
-    Answer::ACCEPTED
+    Ok(())
 }
 
 fn fault<T>(kind: f32, reading: T) -> SensorFault<T> {

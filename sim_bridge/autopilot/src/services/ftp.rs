@@ -121,7 +121,6 @@ struct Session {
 
 /// The last answer to a client that must not be worked out twice.
 struct Answer {
-    client: Source,
     request: [u8; 251],
     payload: [u8; 251],
     at_ns: Nanos,
@@ -130,7 +129,7 @@ struct Answer {
 #[derive(Default)]
 pub(crate) struct Ftp {
     sessions: Vec<Session>,
-    answers: Vec<Answer>,
+    answers: Vec<(Source, Answer)>,
     due_ns: Nanos,
 }
 
@@ -139,10 +138,11 @@ impl Service for Ftp {
         let Some(message) = core.read::<FILE_TRANSFER_PROTOCOL_DATA>(packet) else {
             return;
         };
-        let answered = self.answers.iter().find(|a| {
-            a.client == source && a.request == message.payload && core.now_ns.saturating_sub(a.at_ns) < ANSWER_KEPT_NS
-        });
-        if let Some(answer) = answered {
+        let now_ns = core.now_ns;
+        if let Some((_, answer)) = self.answers.iter().find(|(client, _)| *client == source)
+            && answer.request == message.payload
+            && now_ns.saturating_sub(answer.at_ns) < ANSWER_KEPT_NS
+        {
             return send(core, source, answer.payload);
         }
         let request = Request::read(&message.payload);
@@ -159,17 +159,19 @@ impl Service for Ftp {
         let header = (sequence, request.session, request.opcode, offset);
         let payload = encode(header, outcome, false);
         if acts_once(request.opcode) {
-            self.keep_answer(source, message.payload, payload, core.now_ns);
+            let answer = Answer {
+                request: message.payload,
+                payload,
+                at_ns: now_ns,
+            };
+            keep(&mut self.answers, MAX_ANSWERS, source, answer);
         }
         send(core, source, payload);
     }
 
     fn due_ns(&self) -> Nanos {
-        if self.sessions.iter().any(|s| s.burst.is_some()) {
-            self.due_ns
-        } else {
-            Nanos::MAX
-        }
+        let burst = self.sessions.iter().find_map(|s| s.burst);
+        burst.map_or(Nanos::MAX, |_| self.due_ns)
     }
 
     fn step(&mut self, core: &mut Core) {
@@ -244,10 +246,8 @@ impl Ftp {
         } else if is(MAV_FTP_OPCODE_RESETSESSION) {
             self.sessions.retain(|s| s.client != client);
             done(())
-        } else if is(MAV_FTP_OPCODE_LISTDIRECTORY) {
-            list(&core.files, request, false)?
-        } else if is(MAV_FTP_OPCODE_LISTDIRECTORYWITHTIME) {
-            list(&core.files, request, true)?
+        } else if is(MAV_FTP_OPCODE_LISTDIRECTORY) || is(MAV_FTP_OPCODE_LISTDIRECTORYWITHTIME) {
+            list(&core.files, request, is(MAV_FTP_OPCODE_LISTDIRECTORYWITHTIME))?
         } else if is(MAV_FTP_OPCODE_OPENFILERO) {
             let path = request.path()?;
             let made = packed_parameters::read(path, core);
@@ -255,10 +255,10 @@ impl Ftp {
                 Some(made) => made.len(),
                 None => core.files.read(path)?.len(),
             };
-            self.open(client, request.session, path, false, core.now_ns)?.made = made;
+            self.open(request, client, false, core.now_ns)?.made = made;
             number(size as u32)
         } else if is(MAV_FTP_OPCODE_CREATEFILE) || is(MAV_FTP_OPCODE_OPENFILEWO) {
-            self.open_for_writing(request, client, core, is(MAV_FTP_OPCODE_OPENFILEWO))?
+            self.open_for_writing(request, client, core)?
         } else if is(MAV_FTP_OPCODE_READFILE) {
             let session = self.session(client, request.session, core.now_ns)?;
             session.read(&core.files, request.offset, request.size)?
@@ -307,23 +307,18 @@ impl Ftp {
     }
 
     /// Opens a file to write it: one that is there already, or a new one.
-    fn open_for_writing(
-        &mut self,
-        request: &Request<'_>,
-        client: Source,
-        core: &mut Core,
-        exists: bool,
-    ) -> Result<Reply, Nak> {
+    fn open_for_writing(&mut self, request: &Request<'_>, client: Source, core: &mut Core) -> Result<Reply, Nak> {
+        let exists = request.opcode == Opcode::MAV_FTP_OPCODE_OPENFILEWO as u8;
         let now_s = core.unix_time_s();
         let path = request.path()?;
         if packed_parameters::is_it(path) {
             // It takes effect as a whole when the session ends.
-            self.open(client, request.session, path, true, core.now_ns)?.made = Some(Vec::new());
+            self.open(request, client, true, core.now_ns)?.made = Some(Vec::new());
             return Ok(number(0));
         }
         self.make_room(client, request.session, core.now_ns)?;
         core.files.open_for_writing(path, exists, now_s)?;
-        self.open(client, request.session, path, true, core.now_ns)?;
+        self.open(request, client, true, core.now_ns)?;
         Ok(number(core.files.read(path)?.len() as u32))
     }
 
@@ -377,14 +372,15 @@ impl Ftp {
         Ok(())
     }
 
+    /// Opens what a request names.
     fn open(
         &mut self,
+        request: &Request<'_>,
         client: Source,
-        number: u8,
-        path: &str,
         writes: bool,
         now_ns: Nanos,
     ) -> Result<&mut Session, Nak> {
+        let (number, path) = (request.session, request.path()?);
         self.make_room(client, number, now_ns)?;
         self.sessions.push(Session {
             client,
@@ -396,19 +392,6 @@ impl Ftp {
             burst: None,
         });
         self.session(client, number, now_ns)
-    }
-
-    fn keep_answer(&mut self, client: Source, request: [u8; 251], payload: [u8; 251], now_ns: Nanos) {
-        self.answers.retain(|a| a.client != client);
-        if self.answers.len() >= MAX_ANSWERS {
-            self.answers.remove(0);
-        }
-        self.answers.push(Answer {
-            client,
-            request,
-            payload,
-            at_ns: now_ns,
-        });
     }
 }
 

@@ -13,59 +13,43 @@ const DO_SET_HOME: u16 = 179;
 /// How far the height of a place may be from home's that is still meant to be the same.
 const SAME_HEIGHT_M: f64 = 1.0;
 
-pub(crate) struct Geography;
+pub(super) const COMMANDS: &[(u16, Handler)] = &[(DO_SET_HOME, set_home)];
 
-impl Service for Geography {
-    fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
-        // The origin is where the simulated world has it; whoever wants another is told the one in force.
-        if packet.message_id() == SET_GPS_GLOBAL_ORIGIN_DATA::ID {
-            core.announce::<GPS_GLOBAL_ORIGIN_DATA>();
-        }
-    }
+pub(super) const MESSAGES: &[Produced] = &[
+    Produced::from(HOME_POSITION_DATA::ID, [0.5, 0.5, 0.5], home),
+    Produced::from(GPS_GLOBAL_ORIGIN_DATA::ID, [0.5, 0.5, 0.5], origin),
+];
 
-    fn serves(&self, command: u16) -> bool {
-        command == DO_SET_HOME
-    }
-
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
-        set_home(command, core)
-    }
-
-    fn messages(&self) -> &'static [Produced] {
-        const {
-            &[
-                Produced::from(HOME_POSITION_DATA::ID, [0.5, 0.5, 0.5], home),
-                Produced::from(GPS_GLOBAL_ORIGIN_DATA::ID, [0.5, 0.5, 0.5], origin),
-            ]
-        }
-    }
+/// The origin is where the simulated world has it; whoever wants another is told the one in force.
+pub(super) fn set_origin(_wanted: SET_GPS_GLOBAL_ORIGIN_DATA, _source: Source, core: &mut Core) {
+    core.announce::<GPS_GLOBAL_ORIGIN_DATA>();
 }
 
 /// Parameter 1 says whether home is where the vehicle is now (1) or where parameters 5 to 7 say (0). The altitude is above
 /// sea level whatever the frame, as PX4 reads it: MAVSDK sends it so in a frame that is relative to home.
-fn set_home(command: &Command, core: &mut Core) -> Answer {
+fn set_home(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let here = core.view.estimate.position_ned_m;
     let home_m = match (command.param(1), command.latitude_longitude_deg()) {
         (Some(1.0), _) => (here.x, here.y),
         (Some(0.0) | None, Some((lat, lon))) if GLOBAL_FRAMES.contains(&command.frame()) => {
             if lat.abs() > 90.0 || lon.abs() > 180.0 {
-                return Answer::DENIED;
+                return Err(Refusal::DENIED);
             }
             let altitude_m = command.param(7).map_or(core.home.altitude_m, f64::from);
             // An infinite altitude is at no height.
             if (altitude_m - core.home.altitude_m).abs() > SAME_HEIGHT_M {
-                return Answer::DENIED.warned("denied: home keeps its height", core);
+                return Err(Refusal::DENIED.saying("denied: home keeps its height"));
             }
             geo::to_local(&core.home, lat, lon)
         }
-        _ => return Answer::DENIED,
+        _ => return Err(Refusal::DENIED),
     };
     if libm::hypotf(home_m.0 - here.x, home_m.1 - here.y) > MAX_DISTANCE_M {
-        return Answer::DENIED.warned("denied: too far from the vehicle", core);
+        return Err(Refusal::DENIED.saying("denied: too far from the vehicle"));
     }
     core.home_m = home_m;
     core.announce::<HOME_POSITION_DATA>();
-    Answer::ACCEPTED
+    Ok(())
 }
 
 fn home(core: &Core) -> Option<MavMessage> {

@@ -5,7 +5,6 @@ use crate::service::prelude::*;
 use crate::services::sensors::STANDARD_GRAVITY_M_S2;
 use crate::{LinkRole, geo};
 
-#[derive(Default)]
 pub(crate) struct GroundTruth;
 
 impl Service for GroundTruth {
@@ -19,28 +18,21 @@ impl Service for GroundTruth {
         }
         let truth = core.truth?;
         let (lat, lon, altitude_m) = geo::to_global(&core.home, truth.position_ned_m);
-        let hundredths = |m_s: f32| (m_s * 100.0) as i16;
-        let thousandths_g = |m_s2: f32| (m_s2 / STANDARD_GRAVITY_M_S2 * 1e3) as i16;
-        let (v, a) = (truth.velocity_ned_m_s, core.view.sensors.accelerometer_frd_m_s2);
-        // There is no wind that the telemetry knows of.
-        let airspeed = (v.norm() * 100.0) as u16;
-        Some(MavMessage::HIL_STATE_QUATERNION(HIL_STATE_QUATERNION_DATA {
+        let mut m = HIL_STATE_QUATERNION_DATA {
             time_usec: core.time_boot_us(),
             attitude_quaternion: [truth.attitude.w, truth.attitude.x, truth.attitude.y, truth.attitude.z],
-            rollspeed: truth.rates_frd_rad_s.x,
-            pitchspeed: truth.rates_frd_rad_s.y,
-            yawspeed: truth.rates_frd_rad_s.z,
             lat: geo::deg_e7(lat),
             lon: geo::deg_e7(lon),
             alt: (altitude_m * 1e3) as i32,
-            vx: hundredths(v.x),
-            vy: hundredths(v.y),
-            vz: hundredths(v.z),
-            ind_airspeed: airspeed,
-            true_airspeed: airspeed,
-            xacc: thousandths_g(a.x),
-            yacc: thousandths_g(a.y),
-            zacc: thousandths_g(a.z),
-        }))
+            // There is no wind that the telemetry knows of.
+            ind_airspeed: (truth.velocity_ned_m_s.norm() * 100.0) as u16,
+            ..Default::default()
+        };
+        m.true_airspeed = m.ind_airspeed;
+        [m.rollspeed, m.pitchspeed, m.yawspeed] = truth.rates_frd_rad_s.to_array();
+        [m.vx, m.vy, m.vz] = truth.velocity_ned_m_s.to_array().map(|m_s| (m_s * 100.0) as i16);
+        let accelerations = core.view.sensors.accelerometer_frd_m_s2.to_array();
+        [m.xacc, m.yacc, m.zacc] = accelerations.map(|m_s2| (m_s2 / STANDARD_GRAVITY_M_S2 * 1e3) as i16);
+        Some(MavMessage::HIL_STATE_QUATERNION(m))
     }
 }

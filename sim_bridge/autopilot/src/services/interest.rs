@@ -20,23 +20,16 @@ pub(super) const COMMANDS: &[(u16, Handler)] = &[
 ];
 
 fn look_at(command: &Command, _source: Source, core: &mut Core) -> Answer {
-    let is_place = match (command.number, command.param(1)) {
-        (DO_SET_ROI_LOCATION, _) | (NAV_ROI | DO_SET_ROI, Some(ROI_LOCATION)) => true,
-        (DO_SET_ROI_NONE, _) | (NAV_ROI | DO_SET_ROI, Some(ROI_NONE)) => false,
+    let place_m = match (command.number, command.param(1)) {
+        (DO_SET_ROI_LOCATION, _) | (NAV_ROI | DO_SET_ROI, Some(ROI_LOCATION)) => {
+            command.latitude_longitude_deg().ok_or(Refusal::DENIED)?;
+            let place = actions::place_at(command, None, core)?;
+            Some((place.x, place.y))
+        }
+        (DO_SET_ROI_NONE, _) | (NAV_ROI | DO_SET_ROI, Some(ROI_NONE)) => None,
         // Other vehicles and mission items are not looked at.
-        _ => return Answer::DENIED,
-    };
-    let place_m = if is_place {
-        if command.latitude_longitude_deg().is_none() {
-            return Answer::DENIED;
-        }
-        match actions::place_at(command, None, core) {
-            Some(place) => Some((place.x, place.y)),
-            None => return Answer::DENIED,
-        }
-    } else {
-        None
+        _ => return Err(Refusal::DENIED),
     };
     core.commander.region_of_interest_m = place_m;
-    Answer::ACCEPTED
+    Ok(())
 }

@@ -49,7 +49,7 @@ impl Service for LinkStatus {
             messages_sent = core.outbox.sent(link).packets as u32,
             messages_received = received.packets as u32,
             rx_parse_err = (core.framing.bad_crc + core.framing.truncated).min(u64::from(u16::MAX)) as u16,
-            tx_overflows = core.outbox.dropped().min(u64::from(u16::MAX)) as u16
+            tx_overflows = core.outbox.dropped.min(u64::from(u16::MAX)) as u16
         ))
     }
 

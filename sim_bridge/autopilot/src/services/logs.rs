@@ -119,7 +119,7 @@ impl Service for Logs {
         self.streams.retain(|s| s.client != source);
         if command.number == LOGGING_START {
             if self.streams.len() >= MAX_DOWNLOADS {
-                return Answer::REJECTED;
+                return Err(Refusal::REJECTED.saying("log streaming denied: four clients have it"));
             }
             self.streams.push(Stream {
                 client: source,
@@ -129,15 +129,12 @@ impl Service for Logs {
                 sequence: 0,
             });
         }
-        Answer::ACCEPTED
+        Ok(())
     }
 
     fn due_ns(&self) -> Nanos {
-        if self.work.is_empty() {
-            self.record_ns
-        } else {
-            self.record_ns.min(self.send_ns)
-        }
+        let send_ns = self.work.first().map_or(Nanos::MAX, |_| self.send_ns);
+        self.record_ns.min(send_ns)
     }
 
     fn step(&mut self, core: &mut Core) {
@@ -245,11 +242,7 @@ impl Stream {
 impl Logs {
     /// A new request of a client ends what it asked for before.
     fn begin(&mut self, client: Source, work: Work, now_ns: Nanos) {
-        self.work.retain(|(of, _)| *of != client);
-        if self.work.len() >= MAX_DOWNLOADS {
-            self.work.remove(0);
-        }
-        self.work.push((client, work));
+        keep(&mut self.work, MAX_DOWNLOADS, client, work);
         self.send_ns = now_ns;
     }
 

@@ -3,59 +3,25 @@
 use crate::flight::FlightMode;
 use crate::plan::PlanKind;
 use crate::service::prelude::*;
-use crate::services::arming::answer;
 
 const DO_CHANGE_SPEED: u16 = 178;
 const MISSION_START: u16 = 300;
 
-pub(crate) struct MissionService;
+pub(super) const COMMANDS: &[(u16, Handler)] = &[(DO_CHANGE_SPEED, change_speed), (MISSION_START, start)];
 
-impl Service for MissionService {
-    fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
-        if let Some(MISSION_SET_CURRENT_DATA { seq, .. }) = core.read(packet)
-            && !set_current(usize::from(seq), core)
-        {
-            core.refusals.plan += 1;
-            core.warn(&format!("there is no mission item {seq}"));
-        }
-    }
+pub(super) const MESSAGES: &[Produced] = &[
+    Produced::from(MISSION_CURRENT_DATA::ID, [0.0, 1.0, 1.0], current),
+    Produced::from(MISSION_ITEM_REACHED_DATA::ID, [0.0, 1.0, 1.0], reached),
+];
 
-    fn serves(&self, command: u16) -> bool {
-        matches!(command, DO_CHANGE_SPEED | MISSION_START)
-    }
-
-    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {
-        match command.number {
-            MISSION_START => start(command, source, core),
-            DO_CHANGE_SPEED => match (command.param(1), command.param(2)) {
-                // Airspeed and ground speed are one without wind; rates of climb are parameters.
-                (Some(0.0 | 1.0), Some(speed_m_s)) if speed_m_s > 0.0 => {
-                    core.change_speed(Some(speed_m_s));
-                    Answer::ACCEPTED
-                }
-                // −1 changes nothing, −2 goes back to the default.
-                (Some(0.0 | 1.0), Some(-1.0)) => Answer::ACCEPTED,
-                (Some(0.0 | 1.0), Some(-2.0)) => {
-                    core.change_speed(None);
-                    Answer::ACCEPTED
-                }
-                _ => Answer::DENIED,
-            },
-            _ => Answer::UNSUPPORTED,
-        }
-    }
-
-    fn messages(&self) -> &'static [Produced] {
-        const {
-            &[
-                Produced::from(MISSION_CURRENT_DATA::ID, [0.0, 1.0, 1.0], current),
-                Produced::from(MISSION_ITEM_REACHED_DATA::ID, [0.0, 1.0, 1.0], reached),
-            ]
-        }
+pub(super) fn set_current(m: MISSION_SET_CURRENT_DATA, _source: Source, core: &mut Core) {
+    if !make_current(usize::from(m.seq), core) {
+        core.refusals.plan += 1;
+        core.warn(&format!("there is no mission item {}", m.seq));
     }
 }
 
-fn set_current(index: usize, core: &mut Core) -> bool {
+fn make_current(index: usize, core: &mut Core) -> bool {
     let is_set = core.plans.mission.set_current(index);
     if is_set {
         core.mission_changed();
@@ -63,19 +29,31 @@ fn set_current(index: usize, core: &mut Core) -> bool {
     is_set
 }
 
+fn change_speed(command: &Command, _source: Source, core: &mut Core) -> Answer {
+    // Airspeed and ground speed are one without wind; rates of climb are parameters.
+    let (Some(0.0 | 1.0), Some(speed_m_s)) = (command.param(1), command.param(2)) else {
+        return Err(Refusal::DENIED);
+    };
+    // −1 changes nothing, −2 goes back to the default.
+    match speed_m_s {
+        -1.0 => {}
+        -2.0 => core.change_speed(None),
+        _ if speed_m_s > 0.0 => core.change_speed(Some(speed_m_s)),
+        _ => return Err(Refusal::DENIED),
+    }
+    Ok(())
+}
+
 /// Starts with the item of parameter 1 (−1: the current one), and arms, as PX4 does.
 fn start(command: &Command, source: Source, core: &mut Core) -> Answer {
     match command.param(1) {
         None | Some(-1.0) => {}
-        Some(first) if first >= 0.0 && set_current(first as usize, core) => {}
-        Some(_) => return Answer::DENIED,
+        Some(first) if first >= 0.0 && make_current(first as usize, core) => {}
+        Some(_) => return Err(Refusal::DENIED),
     }
-    if let Err(denial) = core.mission_check() {
-        answer(Err(denial), core);
-        return Answer::DENIED;
-    }
-    let outcome = core.change_mode(FlightMode::Mission, source);
-    answer(outcome.and_then(|()| core.arm(source)), core)
+    core.mission_check().map_err(|denial| Refusal::DENIED.saying(denial))?;
+    core.change_mode(FlightMode::Mission, source)?;
+    Ok(core.arm(source)?)
 }
 
 fn current(core: &Core) -> Option<MavMessage> {
@@ -83,9 +61,10 @@ fn current(core: &Core) -> Option<MavMessage> {
     const SUSPENDED: u8 = 2;
     let is_flown = core.commander.mode() == FlightMode::Mission;
     let mission = &core.plans.mission;
+    let count = mission.len() as u16;
     Some(MavMessage::MISSION_CURRENT(MISSION_CURRENT_DATA {
         seq: mission.current(),
-        total: mission.len() as u16,
+        total: if count == 0 { u16::MAX } else { count },
         mission_state: mission.state(is_flown),
         mission_mode: if is_flown { IN_MISSION_MODE } else { SUSPENDED },
         mission_id: core.plans.wire(PlanKind::Mission).id,

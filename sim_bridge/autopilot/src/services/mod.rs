@@ -18,7 +18,6 @@ mod geography;
 mod ground_truth;
 mod health;
 mod interest;
-mod intervals;
 mod link_status;
 mod logs;
 mod manual;
@@ -41,12 +40,9 @@ mod time;
 mod version;
 mod vibration;
 
-use crate::core::Core;
-use crate::service::{Answer, Handler, Produced, Service, Source};
-use vigil_mavlink::framing::Command;
+use crate::service::prelude::*;
 
 pub(crate) use actions::{BELOW_HOME_M, GLOBAL_FRAMES, MAX_DISTANCE_M, MAX_HEIGHT_M};
-pub(crate) use intervals::message_interval;
 
 /// Messages that are built of what all services share, and nothing else.
 struct Telemetry(&'static [Produced]);
@@ -67,7 +63,18 @@ impl Service for Commands {
 
     fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {
         let served = self.0.iter().find(|(number, _)| *number == command.number);
-        served.map_or(Answer::UNSUPPORTED, |(_, serve)| serve(command, source, core))
+        served.map_or(Err(Refusal::UNSUPPORTED), |(_, serve)| serve(command, source, core))
+    }
+}
+
+/// A message that is taken by what all services share, and nothing else.
+struct Receiver<M>(fn(M, Source, &mut Core));
+
+impl<M: MessageData<Message = MavMessage>> Service for Receiver<M> {
+    fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
+        if let Some(message) = core.read(packet) {
+            (self.0)(message, source, core);
+        }
     }
 }
 
@@ -75,7 +82,8 @@ impl Service for Commands {
 pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
     vec![
         Box::<setpoints::SetpointService>::default(),
-        Box::new(manual::Manual),
+        Box::new(Receiver(manual::joystick)),
+        Box::new(Receiver(manual::channels)),
         Box::new(Telemetry(state::MESSAGES)),
         Box::new(Telemetry(attitude::MESSAGES)),
         Box::new(Telemetry(position::MESSAGES)),
@@ -90,13 +98,17 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(Commands(failures::COMMANDS)),
         Box::new(Telemetry(battery::MESSAGES)),
         Box::new(Telemetry(health::MESSAGES)),
-        Box::new(geography::Geography),
+        Box::new(Receiver(geography::set_origin)),
+        Box::new(Commands(geography::COMMANDS)),
+        Box::new(Telemetry(geography::MESSAGES)),
         Box::new(Commands(arming::COMMANDS)),
         Box::new(actions::SetMode),
         Box::new(Commands(actions::COMMANDS)),
         Box::<calibration::Calibration>::default(),
         Box::<plans::PlanTransfer>::default(),
-        Box::new(mission::MissionService),
+        Box::new(Receiver(mission::set_current)),
+        Box::new(Commands(mission::COMMANDS)),
+        Box::new(Telemetry(mission::MESSAGES)),
         Box::<geofence::Geofence>::default(),
         Box::new(Telemetry(orbit::MESSAGES)),
         Box::new(Commands(orbit::COMMANDS)),
@@ -109,10 +121,13 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::<logs::Logs>::default(),
         Box::<events::Events>::default(),
         Box::<shell::Shell>::default(),
-        Box::new(time::Time),
+        Box::new(Receiver(time::ping)),
+        Box::new(Receiver(time::synchronise)),
+        Box::new(Telemetry(time::MESSAGES)),
         Box::<link_status::LinkStatus>::default(),
-        Box::new(modes::Modes),
+        Box::new(Commands(modes::COMMANDS)),
+        Box::new(Telemetry(modes::MESSAGES)),
         Box::new(Telemetry(version::MESSAGES)),
-        Box::new(signing::SigningService),
+        Box::new(Receiver(signing::set_up)),
     ]
 }

@@ -7,56 +7,45 @@ use vigil_mavlink::common::MavModeProperty as Property;
 
 const DO_SET_STANDARD_MODE: u16 = 262;
 
-#[derive(Default)]
-pub(crate) struct Modes;
+pub(super) const COMMANDS: &[(u16, Handler)] = &[(DO_SET_STANDARD_MODE, set_standard_mode)];
 
-impl Service for Modes {
-    fn serves(&self, command: u16) -> bool {
-        command == DO_SET_STANDARD_MODE
+pub(super) const MESSAGES: &[Produced] = &[
+    Produced {
+        request: Some(tell_available),
+        ..Produced::from(AVAILABLE_MODES_DATA::ID, [0.0; 3], |_| available(1))
+    },
+    Produced::from(CURRENT_MODE_DATA::ID, [0.0, 0.5, 0.5], current),
+    // The modes are always the same.
+    Produced::from(AVAILABLE_MODES_MONITOR_DATA::ID, [0.0, 0.3, 0.3], |_| {
+        Some(message!(AVAILABLE_MODES_MONITOR))
+    }),
+];
+
+fn set_standard_mode(command: &Command, source: Source, core: &mut Core) -> Answer {
+    let wanted = command.param(1).unwrap_or(0.0);
+    let is_wanted = |mode: &FlightMode| {
+        let standard = standard(*mode);
+        standard != MavStandardMode::MAV_STANDARD_MODE_NON_STANDARD && f32::from(standard as u8) == wanted
+    };
+    let mut commanded = FlightMode::ALL.into_iter().filter(|mode| mode.is_commanded());
+    match commanded.find(is_wanted) {
+        None => Err(Refusal::FAILED),
+        mode => set_mode(mode, source, core),
     }
+}
 
-    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Answer {
-        let wanted = command.param(1).unwrap_or(0.0);
-        let is_wanted = |mode: &FlightMode| {
-            let standard = standard(*mode);
-            standard != MavStandardMode::MAV_STANDARD_MODE_NON_STANDARD && f32::from(standard as u8) == wanted
-        };
-        let mut commanded = FlightMode::ALL.into_iter().filter(|mode| mode.is_commanded());
-        match commanded.find(is_wanted) {
-            None => Answer::FAILED,
-            mode => set_mode(mode, source, core),
-        }
-    }
-
-    fn messages(&self) -> &'static [Produced] {
-        const {
-            &[
-                Produced::from(AVAILABLE_MODES_DATA::ID, [0.0; 3], |_| available(1)),
-                Produced::from(CURRENT_MODE_DATA::ID, [0.0, 0.5, 0.5], current),
-                // The modes are always the same.
-                Produced::from(AVAILABLE_MODES_MONITOR_DATA::ID, [0.0, 0.3, 0.3], |_| {
-                    Some(message!(AVAILABLE_MODES_MONITOR))
-                }),
-            ]
-        }
-    }
-
-    /// Parameter 2 is the index from 1, or 0 for all of them.
-    fn request(&self, message_id: u32, request: &Command, source: Source, core: &mut Core) -> Option<Answer> {
-        if message_id != AVAILABLE_MODES_DATA::ID {
-            return None;
-        }
-        let wanted = request.param(2).unwrap_or(0.0);
-        let mut is_found = false;
-        for index in 1..=FlightMode::ALL.len() {
-            if (wanted == 0.0 || wanted == index as f32)
-                && let Some(message) = available(index)
-            {
-                is_found = true;
-                core.outbox.send(source.link, &message);
-            }
-        }
-        Some(if is_found { Answer::ACCEPTED } else { Answer::DENIED })
+/// Parameter 2 is the index from 1, or 0 for all of them.
+fn tell_available(request: &Command, source: Source, core: &mut Core) -> Answer {
+    let wanted = request.param(2).unwrap_or(0.0);
+    let indices = (1..=FlightMode::ALL.len()).filter(|index| wanted == 0.0 || wanted == *index as f32);
+    let messages: Vec<_> = indices.filter_map(available).collect();
+    messages
+        .iter()
+        .for_each(|message| core.outbox.send(source.link, message));
+    if messages.is_empty() {
+        Err(Refusal::DENIED)
+    } else {
+        Ok(())
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::flight::{Facing, Orbit};
 use crate::geo;
 use crate::service::prelude::*;
-use crate::services::{actions, arming::answer};
+use crate::services::actions;
 
 const DO_ORBIT: u16 = 34;
 /// Used where the command gives none (PX4's defaults are the same).
@@ -23,27 +23,26 @@ fn begin(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let facing = match command.param(3) {
         None | Some(0.0) => Facing::Centre,
         // There are no sticks: what they would turn stays.
-        Some(1.0 | 2.0 | 4.0 | 5.0) => Facing::Unchanged,
+        Some(1.0 | 2.0 | 4.0) => Facing::Unchanged,
         Some(3.0) => Facing::Tangent,
-        Some(_) => return Answer::DENIED,
+        // As the orbit that is being flown has it.
+        Some(5.0) => core.orbit().map_or(Facing::Centre, |orbit| orbit.facing),
+        Some(_) => return Err(Refusal::DENIED),
     };
     let is_sound = (1.0..=1000.0).contains(&radius_m.abs()) && (0.1..=50.0).contains(&speed_m_s.abs());
     if !is_sound || !angle_rad.is_finite() {
-        return Answer::DENIED;
+        return Err(Refusal::DENIED);
     }
-    let Some(centre_ned_m) = actions::place(command, core) else {
-        return Answer::DENIED;
-    };
-    let outcome = core.begin_orbit(Orbit {
-        centre_ned_m,
+    let orbit = Orbit {
+        centre_ned_m: actions::place(command, core)?,
         radius_m: radius_m.abs(),
         is_clockwise: (radius_m > 0.0) == (speed_m_s > 0.0),
         speed_m_s: speed_m_s.abs(),
         facing,
         left_rad: (angle_rad != 0.0).then_some(angle_rad.abs()),
         bearing_rad: None,
-    });
-    answer(outcome, core)
+    };
+    Ok(core.begin_orbit(orbit)?)
 }
 
 /// Nothing while it does not circle.

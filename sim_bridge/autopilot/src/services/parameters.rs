@@ -61,11 +61,7 @@ impl Service for ParameterService {
     }
 
     fn due_ns(&self) -> Nanos {
-        if self.listings.is_empty() {
-            Nanos::MAX
-        } else {
-            self.due_ns
-        }
+        self.listings.first().map_or(Nanos::MAX, |_| self.due_ns)
     }
 
     fn step(&mut self, core: &mut Core) {

@@ -7,6 +7,7 @@
 use crate::core::padded;
 use crate::plan::{Envelope, MissionItem, PlanDefect, PlanItem, PlanKind, Plans};
 use crate::service::prelude::*;
+use MavMissionResult::*;
 
 /// An item that does not come is asked for again after this time, as in PX4.
 const RETRY_NS: Nanos = 250_000_000;
@@ -34,7 +35,7 @@ pub(crate) struct PlanTransfer {
 }
 
 fn acknowledge(core: &mut Core, source: Source, mission_type: u8, result: MavMissionResult) {
-    if result != MavMissionResult::MAV_MISSION_ACCEPTED {
+    if result != MAV_MISSION_ACCEPTED {
         core.refusals.plan += 1;
     }
     let id = PlanKind::from_number(mission_type).map_or(0, |kind| core.plans.wire(kind).id);
@@ -64,7 +65,7 @@ fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>) -> Result<(), 
 
 /// Whether a mission's item leads to where the vehicle may be.
 fn inside_fence(item: &PlanItem, kind: PlanKind, core: &Core) -> Result<(), PlanDefect> {
-    let outside = PlanDefect::new(MavMissionResult::MAV_MISSION_DENIED, "outside the geofence");
+    let outside = PlanDefect::new(MAV_MISSION_DENIED, "outside the geofence");
     match MissionItem::read(item, &core.home) {
         Ok(MissionItem::Leg(leg)) if kind == PlanKind::Mission && !core.fence_allows_leg(&leg) => Err(outside),
         _ => Ok(()),
@@ -90,11 +91,11 @@ impl Service for PlanTransfer {
             MISSION_CLEAR_ALL_DATA::ID => self.clear(f[2], source, core),
             // The client gives up, or confirms a download.
             MISSION_ACK_DATA::ID => {
-                let gives_up = f[2] != MavMissionResult::MAV_MISSION_ACCEPTED as u8;
+                let gives_up = f[2] != MAV_MISSION_ACCEPTED as u8;
                 self.upload.take_if(|upload| gives_up && upload.source == source);
             }
             MISSION_REQUEST_PARTIAL_LIST_DATA::ID | MISSION_WRITE_PARTIAL_LIST_DATA::ID => {
-                acknowledge(core, source, f[6], MavMissionResult::MAV_MISSION_UNSUPPORTED);
+                acknowledge(core, source, f[6], MAV_MISSION_UNSUPPORTED);
             }
             _ => {}
         }
@@ -115,7 +116,7 @@ impl Service for PlanTransfer {
         }
         let (source, kind) = (upload.source, upload.kind);
         self.upload = None;
-        let result = MavMissionResult::MAV_MISSION_OPERATION_CANCELLED;
+        let result = MAV_MISSION_OPERATION_CANCELLED;
         refuse(core, source, kind, result, "upload timed out, the old one stays");
     }
 }
@@ -138,17 +139,16 @@ impl Upload {
 impl PlanTransfer {
     fn begin(&mut self, count: u16, mission_type: u8, source: Source, core: &mut Core) {
         let Some(kind) = PlanKind::from_number(mission_type) else {
-            return acknowledge(core, source, mission_type, MavMissionResult::MAV_MISSION_UNSUPPORTED);
+            return acknowledge(core, source, mission_type, MAV_MISSION_UNSUPPORTED);
         };
         if self.upload.as_ref().is_some_and(|upload| upload.source != source) {
-            let result = MavMissionResult::MAV_MISSION_DENIED;
-            return refuse(core, source, kind, result, "another upload is under way");
+            return refuse(core, source, kind, MAV_MISSION_DENIED, "another upload is under way");
         }
         self.finished = None;
         self.upload = None;
         if count > kind.capacity() {
             let reason = format!("{count} items, at most {}", kind.capacity());
-            return refuse(core, source, kind, MavMissionResult::MAV_MISSION_NO_SPACE, &reason);
+            return refuse(core, source, kind, MAV_MISSION_NO_SPACE, &reason);
         }
         let mut upload = Upload {
             source,
@@ -178,8 +178,7 @@ impl PlanTransfer {
             let again =
                 PlanKind::from_number(envelope.mission_type).map(|kind| (source, kind, envelope.seq.saturating_add(1)));
             if again.is_some() && again == self.finished {
-                let result = MavMissionResult::MAV_MISSION_ACCEPTED;
-                acknowledge(core, source, envelope.mission_type, result);
+                acknowledge(core, source, envelope.mission_type, MAV_MISSION_ACCEPTED);
             } else {
                 core.refusals.plan += 1;
             }
@@ -218,7 +217,7 @@ impl PlanTransfer {
         match replace(core, kind, upload.items) {
             Ok(()) => {
                 self.finished = Some((source, kind, count));
-                acknowledge(core, source, kind.wire() as u8, MavMissionResult::MAV_MISSION_ACCEPTED);
+                acknowledge(core, source, kind.wire() as u8, MAV_MISSION_ACCEPTED);
             }
             Err(defect) => refuse(core, source, kind, defect.result, defect.reason),
         }
@@ -228,7 +227,7 @@ impl PlanTransfer {
         let kinds: Vec<PlanKind> = match PlanKind::from_number(mission_type) {
             Some(kind) => vec![kind],
             None if mission_type == ALL_KINDS => PlanKind::ALL.to_vec(),
-            None => return acknowledge(core, source, mission_type, MavMissionResult::MAV_MISSION_UNSUPPORTED),
+            None => return acknowledge(core, source, mission_type, MAV_MISSION_UNSUPPORTED),
         };
         for kind in kinds {
             // An empty plan is always valid.
@@ -236,13 +235,13 @@ impl PlanTransfer {
                 return refuse(core, source, kind, defect.result, defect.reason);
             }
         }
-        acknowledge(core, source, mission_type, MavMissionResult::MAV_MISSION_ACCEPTED);
+        acknowledge(core, source, mission_type, MAV_MISSION_ACCEPTED);
     }
 }
 
 fn tell_count(mission_type: u8, source: Source, core: &mut Core) {
     let Some(kind) = PlanKind::from_number(mission_type) else {
-        return acknowledge(core, source, mission_type, MavMissionResult::MAV_MISSION_UNSUPPORTED);
+        return acknowledge(core, source, mission_type, MAV_MISSION_UNSUPPORTED);
     };
     let wire = core.plans.wire(kind);
     let message = message!(
@@ -256,11 +255,10 @@ fn tell_count(mission_type: u8, source: Source, core: &mut Core) {
 
 fn tell_item(seq: u16, mission_type: u8, as_int: bool, source: Source, core: &mut Core) {
     let Some(kind) = PlanKind::from_number(mission_type) else {
-        return acknowledge(core, source, mission_type, MavMissionResult::MAV_MISSION_UNSUPPORTED);
+        return acknowledge(core, source, mission_type, MAV_MISSION_UNSUPPORTED);
     };
     let Some(item) = core.plans.wire(kind).items.get(usize::from(seq)) else {
-        let result = MavMissionResult::MAV_MISSION_INVALID_SEQUENCE;
-        return acknowledge(core, source, mission_type, result);
+        return acknowledge(core, source, mission_type, MAV_MISSION_INVALID_SEQUENCE);
     };
     let is_current = kind == PlanKind::Mission && core.plans.mission.current() == seq;
     let envelope = Envelope {

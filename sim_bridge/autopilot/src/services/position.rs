@@ -19,37 +19,35 @@ pub(super) const MESSAGES: &[Produced] = &[
 /// A direction in degrees, 0 to 360.
 pub(super) fn bearing_deg(bearing_rad: f32) -> f32 {
     let deg = bearing_rad.to_degrees();
-    if deg < 0.0 { deg + 360.0 } else { deg }
+    let deg = if deg < 0.0 { deg + 360.0 } else { deg };
+    // A hair left of north the sum rounds to 360.
+    if deg < 360.0 { deg } else { 0.0 }
 }
 
 fn local_position(core: &Core) -> Option<MavMessage> {
-    let e = &core.view.estimate;
-    Some(MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
-        time_boot_ms: core.time_boot_ms(),
-        x: e.position_ned_m.x,
-        y: e.position_ned_m.y,
-        z: e.position_ned_m.z,
-        vx: e.velocity_ned_m_s.x,
-        vy: e.velocity_ned_m_s.y,
-        vz: e.velocity_ned_m_s.z,
-    }))
+    let (mut m, e) = (LOCAL_POSITION_NED_DATA::default(), &core.view.estimate);
+    [m.x, m.y, m.z] = e.position_ned_m.to_array();
+    [m.vx, m.vy, m.vz] = e.velocity_ned_m_s.to_array();
+    m.time_boot_ms = core.time_boot_ms();
+    Some(MavMessage::LOCAL_POSITION_NED(m))
 }
 
 fn global_position(core: &Core) -> Option<MavMessage> {
     let e = &core.view.estimate;
     let (lat, lon, alt_m) = geo::to_global(&core.home, e.position_ned_m);
-    let cm_s = |v: f32| (v * 100.0) as i16;
-    Some(MavMessage::GLOBAL_POSITION_INT(GLOBAL_POSITION_INT_DATA {
-        time_boot_ms: core.time_boot_ms(),
-        lat: geo::deg_e7(lat),
-        lon: geo::deg_e7(lon),
-        alt: (alt_m * 1e3) as i32,
-        relative_alt: (-e.position_ned_m.z * 1e3) as i32,
-        vx: cm_s(e.velocity_ned_m_s.x),
-        vy: cm_s(e.velocity_ned_m_s.y),
-        vz: cm_s(e.velocity_ned_m_s.z),
-        hdg: (bearing_deg(e.attitude.yaw_rad()) * 100.0) as u16,
-    }))
+    let [vx, vy, vz] = e.velocity_ned_m_s.to_array().map(|m_s| (m_s * 100.0) as i16);
+    Some(message!(
+        GLOBAL_POSITION_INT,
+        time_boot_ms = core.time_boot_ms(),
+        lat = geo::deg_e7(lat),
+        lon = geo::deg_e7(lon),
+        alt = (alt_m * 1e3) as i32,
+        relative_alt = (-e.position_ned_m.z * 1e3) as i32,
+        vx,
+        vy,
+        vz,
+        hdg = (bearing_deg(e.attitude.yaw_rad()) * 100.0) as u16
+    ))
 }
 
 fn heads_up_display(core: &Core) -> Option<MavMessage> {
@@ -80,29 +78,23 @@ fn altitude(core: &Core) -> Option<MavMessage> {
 
 fn odometry(core: &Core) -> Option<MavMessage> {
     let e = &core.view.estimate;
-    let velocity_frd_m_s = e.attitude.to_frd(e.velocity_ned_m_s);
     let mut unknown_covariance = [0.0; 21];
     unknown_covariance[0] = f32::NAN;
-    Some(MavMessage::ODOMETRY(ODOMETRY_DATA {
+    let mut m = ODOMETRY_DATA {
         time_usec: core.time_boot_us(),
-        x: e.position_ned_m.x,
-        y: e.position_ned_m.y,
-        z: e.position_ned_m.z,
         q: [e.attitude.w, e.attitude.x, e.attitude.y, e.attitude.z],
-        vx: velocity_frd_m_s.x,
-        vy: velocity_frd_m_s.y,
-        vz: velocity_frd_m_s.z,
-        rollspeed: e.rates_frd_rad_s.x,
-        pitchspeed: e.rates_frd_rad_s.y,
-        yawspeed: e.rates_frd_rad_s.z,
         pose_covariance: unknown_covariance,
         velocity_covariance: unknown_covariance,
         frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
         child_frame_id: MavFrame::MAV_FRAME_BODY_FRD,
-        reset_counter: 0,
         estimator_type: MavEstimatorType::MAV_ESTIMATOR_TYPE_AUTOPILOT,
         quality: 100,
-    }))
+        ..Default::default()
+    };
+    [m.x, m.y, m.z] = e.position_ned_m.to_array();
+    [m.vx, m.vy, m.vz] = e.attitude.to_frd(e.velocity_ned_m_s).to_array();
+    [m.rollspeed, m.pitchspeed, m.yawspeed] = e.rates_frd_rad_s.to_array();
+    Some(MavMessage::ODOMETRY(m))
 }
 
 /// The setpoint in force, the vehicle's own where it flies by itself.
@@ -132,4 +124,15 @@ fn global_target(core: &Core) -> Option<MavMessage> {
         type_mask = PositionTargetTypemask::from_bits_truncate(0xDF8),
         coordinate_frame = MavFrame::MAV_FRAME_GLOBAL
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::bearing_deg;
+
+    #[test]
+    fn a_bearing_is_below_360_degrees() {
+        assert_eq!([-1e-7_f32, 0.0].map(bearing_deg), [0.0; 2]);
+        assert!((bearing_deg(-1.0) - 302.704).abs() < 0.001);
+    }
 }

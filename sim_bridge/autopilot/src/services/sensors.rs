@@ -11,6 +11,7 @@ use vigil_types::FrdVector;
 const FIELD_NED_GAUSS: [f32; 3] = [0.215, 0.012, 0.430];
 /// Air temperature that the readings report.
 const TEMPERATURE_C: f32 = 20.0;
+const TEMPERATURE_CENTIDEG: i16 = (TEMPERATURE_C * 100.0) as i16;
 pub(super) const STANDARD_GRAVITY_M_S2: f32 = 9.806_65;
 
 pub(super) const MESSAGES: &[Produced] = &[
@@ -49,7 +50,6 @@ fn compass_gauss(core: &Core) -> FrdVector {
 
 fn imu(core: &Core) -> Option<MavMessage> {
     let s = &core.view.sensors;
-    let field = compass_gauss(core);
     let barometric_m = barometric_altitude_m(core);
     let altitude_m = barometric_m.unwrap_or(core.home.altitude_m);
     // All but differential pressure.
@@ -60,70 +60,52 @@ fn imu(core: &Core) -> Option<MavMessage> {
     if core.lost_sensors.magnetometer == SensorFault::Off {
         updated &= !Updated::from_bits_truncate(0x1C0);
     }
-    Some(MavMessage::HIGHRES_IMU(HIGHRES_IMU_DATA {
+    let mut m = HIGHRES_IMU_DATA {
         time_usec: core.time_boot_us(),
-        xacc: s.accelerometer_frd_m_s2.x,
-        yacc: s.accelerometer_frd_m_s2.y,
-        zacc: s.accelerometer_frd_m_s2.z,
-        xgyro: s.gyroscope_frd_rad_s.x,
-        ygyro: s.gyroscope_frd_rad_s.y,
-        zgyro: s.gyroscope_frd_rad_s.z,
-        xmag: field.x,
-        ymag: field.y,
-        zmag: field.z,
         abs_pressure: pressure_hpa(altitude_m),
-        diff_pressure: 0.0,
         pressure_alt: altitude_m as f32,
         temperature: TEMPERATURE_C,
         fields_updated: updated,
-        id: 0,
-    }))
+        ..Default::default()
+    };
+    [m.xacc, m.yacc, m.zacc] = s.accelerometer_frd_m_s2.to_array();
+    [m.xgyro, m.ygyro, m.zgyro] = s.gyroscope_frd_rad_s.to_array();
+    [m.xmag, m.ymag, m.zmag] = compass_gauss(core).to_array();
+    Some(MavMessage::HIGHRES_IMU(m))
 }
 
-/// Readings as whole numbers: thousandths of standard gravity, of a radian per second and of a gauss, and hundredths of
-/// a degree Celsius.
-fn scaled_readings(core: &Core) -> SCALED_IMU_DATA {
+/// Readings as whole numbers: thousandths of standard gravity, of a radian per second and of a gauss.
+fn thousandths(core: &Core) -> [[i16; 3]; 3] {
     let s = &core.view.sensors;
-    let thousandths = |v: FrdVector, unit: f32| [v.x, v.y, v.z].map(|value| libm::roundf(value / unit * 1e3) as i16);
-    let [xacc, yacc, zacc] = thousandths(s.accelerometer_frd_m_s2, STANDARD_GRAVITY_M_S2);
-    let [xgyro, ygyro, zgyro] = thousandths(s.gyroscope_frd_rad_s, 1.0);
-    let [xmag, ymag, zmag] = thousandths(compass_gauss(core), 1.0);
-    SCALED_IMU_DATA {
-        time_boot_ms: core.time_boot_ms(),
-        xacc,
-        yacc,
-        zacc,
-        xgyro,
-        ygyro,
-        zgyro,
-        xmag,
-        ymag,
-        zmag,
-        temperature: (TEMPERATURE_C * 100.0) as i16,
-    }
+    [
+        (s.accelerometer_frd_m_s2, STANDARD_GRAVITY_M_S2),
+        (s.gyroscope_frd_rad_s, 1.0),
+        (compass_gauss(core), 1.0),
+    ]
+    .map(|(reading, unit)| reading.to_array().map(|value| libm::roundf(value / unit * 1e3) as i16))
 }
 
 fn scaled_imu(core: &Core) -> Option<MavMessage> {
-    Some(MavMessage::SCALED_IMU(scaled_readings(core)))
+    let mut m = SCALED_IMU_DATA::default();
+    [
+        [m.xacc, m.yacc, m.zacc],
+        [m.xgyro, m.ygyro, m.zgyro],
+        [m.xmag, m.ymag, m.zmag],
+    ] = thousandths(core);
+    (m.time_boot_ms, m.temperature) = (core.time_boot_ms(), TEMPERATURE_CENTIDEG);
+    Some(MavMessage::SCALED_IMU(m))
 }
 
 /// The same numbers: the sensors are modelled behind their calibration.
 fn raw_imu(core: &Core) -> Option<MavMessage> {
-    let s = scaled_readings(core);
-    Some(MavMessage::RAW_IMU(RAW_IMU_DATA {
-        time_usec: core.time_boot_us(),
-        xacc: s.xacc,
-        yacc: s.yacc,
-        zacc: s.zacc,
-        xgyro: s.xgyro,
-        ygyro: s.ygyro,
-        zgyro: s.zgyro,
-        xmag: s.xmag,
-        ymag: s.ymag,
-        zmag: s.zmag,
-        id: 0,
-        temperature: s.temperature,
-    }))
+    let mut m = RAW_IMU_DATA::default();
+    [
+        [m.xacc, m.yacc, m.zacc],
+        [m.xgyro, m.ygyro, m.zgyro],
+        [m.xmag, m.ymag, m.zmag],
+    ] = thousandths(core);
+    (m.time_usec, m.temperature) = (core.time_boot_us(), TEMPERATURE_CENTIDEG);
+    Some(MavMessage::RAW_IMU(m))
 }
 
 fn pressure(core: &Core) -> Option<MavMessage> {
@@ -132,7 +114,7 @@ fn pressure(core: &Core) -> Option<MavMessage> {
         SCALED_PRESSURE,
         time_boot_ms = core.time_boot_ms(),
         press_abs = pressure_hpa(altitude_m),
-        temperature = (TEMPERATURE_C * 100.0) as i16
+        temperature = TEMPERATURE_CENTIDEG
     ))
 }
 

@@ -137,8 +137,8 @@ fn execute(line: &str, client: Source, core: &mut Core) -> String {
         ["ls"] => list("", core),
         ["ls", path] => list(path, core),
         ["reboot"] => match arming::reboot_now(core) {
-            Answer::ACCEPTED => "rebooted\n".to_owned(),
-            _ => "refused: not disarmed\n".to_owned(),
+            Ok(()) => "rebooted\n".to_owned(),
+            Err(_) => "refused: not disarmed\n".to_owned(),
         },
         [command, ..] => format!("{command}: unknown; try help\n"),
     }

@@ -4,25 +4,17 @@
 use crate::core::SigningSetup;
 use crate::service::prelude::*;
 
-pub(crate) struct SigningService;
-
-impl Service for SigningService {
-    fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
-        let Some(m) = core.read::<SETUP_SIGNING_DATA>(packet) else {
-            return;
-        };
-        // To everybody or to another system: a key is given to one component.
-        if (m.target_system, m.target_component) != (core.id.system, core.id.component) {
-            return;
-        }
-        if m.secret_key == [0; 32] {
-            core.warn("signing stays on: remove it at the vehicle's start");
-            return;
-        }
-        core.signing_setup = Some(SigningSetup {
-            key: m.secret_key,
-            initial_timestamp: m.initial_timestamp,
-        });
-        core.inform("signing key accepted");
+pub(super) fn set_up(m: SETUP_SIGNING_DATA, _source: Source, core: &mut Core) {
+    // To everybody or to another system: a key is given to one component.
+    if (m.target_system, m.target_component) != (core.id.system, core.id.component) {
+        return;
     }
+    if m.secret_key == [0; 32] {
+        return core.warn("signing stays on: remove it at the vehicle's start");
+    }
+    core.signing_setup = Some(SigningSetup {
+        key: m.secret_key,
+        initial_timestamp: m.initial_timestamp,
+    });
+    core.inform("signing key accepted");
 }

@@ -15,16 +15,16 @@ pub(super) const COMMANDS: &[(u16, Handler)] = &[(PREFLIGHT_STORAGE, store)];
 
 fn store(command: &Command, _source: Source, core: &mut Core) -> Answer {
     if core.commander.is_armed() {
-        return Answer::REJECTED.warned("parameter storage denied: armed", core);
+        return Err(Refusal::REJECTED.saying("parameter storage denied: armed"));
     }
     match command.param(1) {
         // Whatever is set is kept at once, where the simulator keeps anything (`--state`); calibrations change nothing.
-        Some(READ | WRITE | RESET_CALIBRATION) => Answer::ACCEPTED,
+        Some(READ | WRITE | RESET_CALIBRATION) => Ok(()),
         Some(RESET | RESET_ALL) => {
             core.parameters.reset();
             core.inform("parameters reset to their defaults");
-            Answer::ACCEPTED
+            Ok(())
         }
-        _ => Answer::DENIED,
+        _ => Err(Refusal::DENIED),
     }
 }

@@ -2,25 +2,20 @@
 
 use crate::service::prelude::*;
 
-pub(crate) struct Time;
+pub(super) const MESSAGES: &[Produced] = &[Produced::from(SYSTEM_TIME_DATA::ID, [1.0, 1.0, 1.0], system_time)];
 
-impl Service for Time {
-    fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        // 0/0 asks everybody; anything else is somebody's answer.
-        if let Some(ping) = core.read::<PING_DATA>(packet)
-            && (ping.target_system, ping.target_component) == (0, 0)
-        {
-            core.outbox.send_to(source, MavMessage::PING(ping));
-        }
-        // tc1 is 0 in a request.
-        if let Some(TIMESYNC_DATA { tc1: 0, ts1, .. }) = core.read(packet) {
-            let tc1 = core.since_boot_ns() as i64;
-            core.outbox.send_to(source, message!(TIMESYNC, tc1, ts1));
-        }
+/// 0/0 asks everybody; anything else is somebody's answer.
+pub(super) fn ping(ping: PING_DATA, source: Source, core: &mut Core) {
+    if (ping.target_system, ping.target_component) == (0, 0) {
+        core.outbox.send_to(source, MavMessage::PING(ping));
     }
+}
 
-    fn messages(&self) -> &'static [Produced] {
-        const { &[Produced::from(SYSTEM_TIME_DATA::ID, [1.0, 1.0, 1.0], system_time)] }
+/// tc1 is 0 in a request.
+pub(super) fn synchronise(TIMESYNC_DATA { tc1, ts1, .. }: TIMESYNC_DATA, source: Source, core: &mut Core) {
+    if tc1 == 0 {
+        let tc1 = core.since_boot_ns() as i64;
+        core.outbox.send_to(source, message!(TIMESYNC, tc1, ts1));
     }
 }
 

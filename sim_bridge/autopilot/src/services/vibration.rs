@@ -20,7 +20,15 @@ impl Service for Vibration {
     }
 
     fn produce(&self, _message_id: u32, _link: LinkId, core: &Core) -> Option<MavMessage> {
-        Some(vibration(self.mean_m_s2, core))
+        let [vibration_x, vibration_y, vibration_z] = self.mean_m_s2;
+        // The modelled accelerometer does not clip.
+        Some(message!(
+            VIBRATION,
+            time_usec = core.time_boot_us(),
+            vibration_x,
+            vibration_y,
+            vibration_z
+        ))
     }
 
     fn due_ns(&self) -> Nanos {
@@ -29,27 +37,11 @@ impl Service for Vibration {
 
     fn step(&mut self, core: &mut Core) {
         self.due_ns = core.now_ns + LOOK_NS;
-        let a = core.view.sensors.accelerometer_frd_m_s2;
-        let reading = [a.x, a.y, a.z];
-        for ((mean, now), last) in self
-            .mean_m_s2
-            .iter_mut()
-            .zip(reading)
-            .zip(self.last_m_s2.unwrap_or(reading))
-        {
+        let reading = core.view.sensors.accelerometer_frd_m_s2.to_array();
+        let last = self.last_m_s2.unwrap_or(reading);
+        for (mean, (now, last)) in self.mean_m_s2.iter_mut().zip(reading.into_iter().zip(last)) {
             *mean += WEIGHT * ((now - last).abs() - *mean);
         }
         self.last_m_s2 = Some(reading);
     }
-}
-
-fn vibration([vibration_x, vibration_y, vibration_z]: [f32; 3], core: &Core) -> MavMessage {
-    // The modelled accelerometer does not clip.
-    message!(
-        VIBRATION,
-        time_usec = core.time_boot_us(),
-        vibration_x,
-        vibration_y,
-        vibration_z
-    )
 }

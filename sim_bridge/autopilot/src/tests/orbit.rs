@@ -2,6 +2,7 @@
 
 use crate::testing::*;
 use crate::tests::plans::{FENCE, item};
+use core::f32::consts::{FRAC_PI_2, PI, TAU};
 use vigil_types::wrap_pi;
 
 const CENTRE: (f32, f32) = (8.0, -4.0);
@@ -18,9 +19,9 @@ fn off_centre(b: &Bench) -> (f32, f32) {
 
 #[test]
 fn it_circles_either_way_with_the_nose_at_the_centre() {
-    for (radius, speed) in [(6.0, 2.0), (-6.0, 2.0), (10.0, 3.0)] {
+    for (radius, speed, facing) in [(6.0, 2.0, 0.0), (-6.0, 2.0, 5.0), (10.0, 3.0, 0.0)] {
         let mut b = Bench::airborne();
-        assert_eq!(orbit(&mut b, radius, speed, 0.0, 0.0), ACCEPTED);
+        assert_eq!(orbit(&mut b, radius, speed, facing, 0.0), ACCEPTED);
         assert_eq!(b.status().mode, FlightMode::Orbit);
         assert_eq!(b.heartbeat(API).custom_mode, 0x0103_0000);
         b.run_ms(15_000);
@@ -31,7 +32,7 @@ fn it_circles_either_way_with_the_nose_at_the_centre() {
             let (distance, bearing) = off_centre(&b);
             assert!((distance - radius.abs()).abs() < 0.5, "{radius}: {distance}");
             assert!((b.height_m() - 5.0).abs() < 0.3, "{}", b.height_m());
-            let nose = wrap_pi(b.yaw_rad() - bearing - core::f32::consts::PI);
+            let nose = wrap_pi(b.yaw_rad() - bearing - PI);
             assert!(nose.abs() < 0.35, "{nose}");
             turned += wrap_pi(bearing - last);
             last = bearing;
@@ -46,7 +47,13 @@ fn it_circles_either_way_with_the_nose_at_the_centre() {
 #[test]
 fn an_orbit_of_a_given_angle_ends_in_hold_and_any_mode_command_ends_it() {
     let mut b = Bench::airborne();
-    assert_eq!(orbit(&mut b, 5.0, 2.0, 3.0, core::f32::consts::TAU), ACCEPTED);
+    assert_eq!(orbit(&mut b, 5.0, 2.0, 3.0, 0.0), ACCEPTED);
+    b.run_ms(8_000);
+    // Facing 5: the nose stays along the circle.
+    assert_eq!(orbit(&mut b, 5.0, 2.0, 5.0, TAU), ACCEPTED);
+    b.run_ms(3_000);
+    let nose = wrap_pi(b.yaw_rad() - off_centre(&b).1 - FRAC_PI_2);
+    assert!(nose.abs() < 0.5, "{nose}");
     b.run_until(60, "once around", |b| b.status().mode == FlightMode::Hold);
     assert_eq!(orbit(&mut b, 5.0, 2.0, 1.0, 0.0), ACCEPTED);
     b.run_ms(3_000);

@@ -163,12 +163,16 @@ fn a_client_that_knows_only_the_float_form_is_served() {
     let MISSION_ITEM_DATA { seq, x, frame, .. } = b.first(API).expect("sent");
     assert!(seq == 1 && (x - 47.4).abs() < 0.1);
     assert_eq!([frame as u8, back[1].frame as u8], [3, 6], "each form has its frames");
-    // 5 and 6 are not among this form's.
-    b.count_message(API, SCRIPT, MISSION, 1);
-    let mut float = [0; 38];
-    (float[30], float[32], float[33], float[34]) = (16, 1, 1, 6);
-    b.send_raw(API, &raw(SCRIPT, MISSION_ITEM_DATA::ID, &float));
-    assert_eq!(b.mission_acks(API).last(), Some(&R::MAV_MISSION_UNSUPPORTED_FRAME));
+    // Frames 5 and 6 and degrees · 1e7 are not this form's, not even a landing's.
+    let (no_frame, no_latitude) = (R::MAV_MISSION_UNSUPPORTED_FRAME, R::MAV_MISSION_INVALID_PARAM5_X);
+    for (frame, result) in [(6, no_frame), (3, no_latitude)] {
+        b.count_message(API, SCRIPT, MISSION, 1);
+        let mut float = [0; 38];
+        float[16..20].copy_from_slice(&473_977_420.0_f32.to_le_bytes());
+        (float[30], float[32], float[33], float[34]) = (21, 1, 1, frame);
+        b.send_raw(API, &raw(SCRIPT, MISSION_ITEM_DATA::ID, &float));
+        assert_eq!(b.mission_acks(API).last(), Some(&result));
+    }
 }
 
 #[test]
@@ -302,7 +306,7 @@ fn ids_tell_which_plan_is_on_board() {
         found.expect("MISSION_CURRENT streams")
     };
     let none = current(&mut b);
-    assert_eq!((none.mission_id, none.total), (0, 0));
+    assert_eq!((none.mission_id, none.total), (0, u16::MAX));
     assert_eq!(none.mission_state, MissionState::MISSION_STATE_NO_MISSION);
     b.upload(MISSION, &[waypoint((10.0, 2.0), 5.0)]);
     let one = current(&mut b);

@@ -286,6 +286,10 @@ fn a_calibration_is_told_as_px4_tells_it_and_one_that_needs_hands_is_refused() {
     assert_eq!(ask(&mut b, 0.0, 0.0, 0.0), ACCEPTED, "cancels");
     b.run_ms(1_500);
     b.assert_told("[cal] calibration cancelled");
+    b.sent.clear();
+    let (calibrate, frame) = (MavCmd::MAV_CMD_PREFLIGHT_CALIBRATION, MavFrame::MAV_FRAME_LOCAL_NED);
+    assert_eq!(b.command_at(calibrate, [0.0; 4], frame, (2e-7, 0.0), 0.0), ACCEPTED);
+    b.assert_told("started: 2 level");
     assert_eq!(b.arm(), ACCEPTED);
     assert_eq!(ask(&mut b, 1.0, 0.0, 0.0), REJECTED, "armed");
 }

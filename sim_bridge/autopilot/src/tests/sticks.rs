@@ -150,9 +150,10 @@ fn overridden_channels_are_sticks() {
     assert!(b.position_m()[0] > 2.0, "{:?}", b.position_m());
     hold(&mut b, &channels([1500, 1500, 1900, 0]), 2_000);
     assert!(b.height_m() > 4.0, "{}", b.height_m());
-    // No pulse at all is a mistake, and channels given back are let go of.
+    // No pulse or axis at all is a mistake, and channels given back are let go of.
     hold(&mut b, &channels([1500, 20, 1500, 1500]), 100);
-    assert_eq!(b.status().refusals.setpoint_value, 2);
+    hold(&mut b, &sticks(i16::MAX, i16::MAX, i16::MAX, i16::MAX), 50);
+    assert_eq!(b.status().refusals.setpoint_value, 3);
     hold(&mut b, &channels([0, u16::MAX, 0, 0]), 600);
     assert_eq!(b.status().mode, FlightMode::Hold);
 }
@@ -162,7 +163,8 @@ fn sticks_fly_the_vehicle_until_they_are_let_go_of_or_lost() {
     let mut b = Bench::airborne();
     hold(&mut b, &sticks(0, 0, 500, 0), 200);
     assert_eq!(b.set_mode(GCS, STATION, 3, 0), ACCEPTED);
-    hold(&mut b, &sticks(400, 0, 500, 0), 3_000);
+    // A joystick of one axis.
+    hold(&mut b, &sticks(400, i16::MAX, i16::MAX, i16::MAX), 3_000);
     let there = b.position_m()[0];
     assert!((2.0..6.0).contains(&there), "flew {there} m north");
     // Somebody else's sticks are not mixed in.

@@ -82,14 +82,14 @@ fn rotation_derivative(q: &Quaternion<f64>, w: &Vec3, torque: &Vec3, inertia: &I
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::vehicle::params::GRAVITY_M_S2;
     use proptest::prelude::*;
 
     const DT_S: f64 = 1e-3;
 
-    fn vector(limit: f64) -> impl Strategy<Value = Vec3> {
+    pub(crate) fn vector(limit: f64) -> impl Strategy<Value = Vec3> {
         (-limit..limit, -limit..limit, -limit..limit).prop_map(|(x, y, z)| Vec3::new(x, y, z))
     }
 

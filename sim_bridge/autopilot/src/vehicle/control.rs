@@ -2,7 +2,7 @@
 
 use crate::vehicle::body::Inertia;
 use crate::vehicle::interface::{ControlCommand, YawCommand};
-use crate::vehicle::math::{Rotation, Vec3, from_attitude, heading, tilt_and_heading, vec3, wrap};
+use crate::vehicle::math::{Rotation, StateBytes, Vec3, from_attitude, heading, tilt_and_heading, vec3, wrap};
 use crate::vehicle::params::{ControlParams, GRAVITY_M_S2, VelocityLaw};
 use crate::vehicle::rotors::Wrench;
 use crate::vehicle::shaping::{Limits, Shaped, advance_horizontal, square_root_law};
@@ -70,7 +70,8 @@ pub(crate) struct Controller {
     horizontal: Limits,
     vertical: Limits,
     yaw: Limits,
-    stage: Stage,
+    /// Which part of the cascade runs.
+    pub(crate) stage: Stage,
     reference: Reference,
     /// The wanted velocity as far as [`VelocityLaw::Direct`] has taken it up.
     taken_up_m_s: Vec3,
@@ -78,7 +79,8 @@ pub(crate) struct Controller {
     rates_wanted_rad_s: Vec3,
     thrust_wanted_n: f64,
     rate_integral_rad_s2: Vec3,
-    saturated: bool,
+    /// Whether the motors could not give the last wrench: integrals wait.
+    pub(crate) saturated: bool,
 }
 
 impl Controller {
@@ -114,11 +116,6 @@ impl Controller {
         }
     }
 
-    /// Which part of the cascade runs.
-    pub(crate) fn stage(&self) -> Stage {
-        self.stage
-    }
-
     /// Thrust of one weight, newtons.
     fn weight_n(&self) -> f64 {
         self.mass_kg * GRAVITY_M_S2
@@ -137,11 +134,6 @@ impl Controller {
         self.rates_wanted_rad_s = Vec3::zeros();
         self.thrust_wanted_n = thrust_n;
         (tilt_and_heading(&(force / thrust_n), belief.yaw_rad), thrust_n)
-    }
-
-    /// Forgets everything, motors off.
-    pub(crate) fn reset(&mut self) {
-        self.stop(Stage::Off);
     }
 
     /// The slow part, once per control interval: from the command to wanted rates and thrust. A command with a number
@@ -173,16 +165,13 @@ impl Controller {
                 self.rates_wanted_rad_s = vec3(rates_frd_rad_s).map(|r| r.clamp(-RATE_MAX_RAD_S, RATE_MAX_RAD_S));
             }
             _ => {
-                self.enter_path(belief);
+                self.enter(Stage::Path, belief);
                 let (velocity, yaw) = self.path_velocity(command, belief);
-                let is_velocity = matches!(
-                    command,
-                    ControlCommand::VelocityHeading { .. } | ControlCommand::VelocityNed { .. }
-                );
-                let law = if is_velocity {
-                    self.params.velocity_law
-                } else {
-                    VelocityLaw::Shaped
+                let law = match command {
+                    ControlCommand::VelocityHeading { .. } | ControlCommand::VelocityNed { .. } => {
+                        self.params.velocity_law
+                    }
+                    _ => VelocityLaw::Shaped,
                 };
                 self.follow(&velocity, yaw, (belief, on_ground), law, dt_s);
             }
@@ -238,26 +227,20 @@ impl Controller {
         if matches!(self.stage, Stage::Off | Stage::Idle) {
             return None;
         }
-        let [tilt, yaw] = self.params.rate_gain_per_s;
         let error = self.rates_wanted_rad_s - rates_rad_s;
         if !self.saturated {
-            let [tilt, yaw] = self.params.rate_integral_per_s2;
-            let sum = self.rate_integral_rad_s2 + error.component_mul(&Vec3::new(tilt, tilt, yaw)) * dt_s;
+            let sum = self.rate_integral_rad_s2 + weighed(&error, self.params.rate_integral_per_s2) * dt_s;
             self.rate_integral_rad_s2 = sum.map(|v| v.clamp(-RATE_INTEGRAL_MAX_RAD_S2, RATE_INTEGRAL_MAX_RAD_S2));
         }
-        let angular = error.component_mul(&Vec3::new(tilt, tilt, yaw)) + self.rate_integral_rad_s2;
+        let angular = weighed(&error, self.params.rate_gain_per_s) + self.rate_integral_rad_s2;
         Some(Wrench {
             thrust_n: self.thrust_wanted_n,
             torque_frd_n_m: self.inertia.moments_kg_m2.component_mul(&angular) + self.inertia.gyroscopic(rates_rad_s),
         })
     }
 
-    /// Whether the motors could not give the last wrench: integrals wait.
-    pub(crate) fn tell_saturated(&mut self, saturated: bool) {
-        self.saturated = saturated;
-    }
-
-    fn stop(&mut self, stage: Stage) {
+    /// Forgets everything, motors off or idle.
+    pub(crate) fn stop(&mut self, stage: Stage) {
         self.stage = stage;
         self.velocity_integral_m_s2 = Vec3::zeros();
         self.rate_integral_rad_s2 = Vec3::zeros();
@@ -293,9 +276,9 @@ impl Controller {
             .clamp(-self.params.climb_max_m_s, self.params.descent_max_m_s);
     }
 
-    fn enter_path(&mut self, belief: &Belief) {
-        if self.stage != Stage::Path {
-            self.stage = Stage::Path;
+    fn enter(&mut self, stage: Stage, belief: &Belief) {
+        if self.stage != stage {
+            self.stage = stage;
             self.reset_reference(belief);
         }
     }
@@ -307,10 +290,7 @@ impl Controller {
 
     /// From a wanted acceleration to attitude and thrust, without a path. The heading is held from where this began.
     fn accelerate(&mut self, acceleration: &Vec3, yaw: YawCommand, belief: &Belief) {
-        if self.stage != Stage::Acceleration {
-            self.stage = Stage::Acceleration;
-            self.reset_reference(belief);
-        }
+        self.enter(Stage::Acceleration, belief);
         let (yaw_rad, yaw_rate) = match yaw {
             YawCommand::Angle(yaw_rad) if yaw_rad.is_finite() => (wrap(f64::from(yaw_rad)), 0.0),
             YawCommand::Rate(yaw_rate_rad_s) if yaw_rate_rad_s.is_finite() => {
@@ -371,25 +351,17 @@ impl Controller {
             }
             _ => 0.0,
         };
-        r.yaw_rate.advance(
-            yaw_rate_wanted.clamp(-p.yaw_rate_max_rad_s, p.yaw_rate_max_rad_s),
-            &self.yaw,
-            dt_s,
-        );
+        let most = p.yaw_rate_max_rad_s;
+        r.yaw_rate.advance(yaw_rate_wanted.clamp(-most, most), &self.yaw, dt_s);
         let turned = wrap(r.yaw_rad + r.yaw_rate.value * dt_s - belief.yaw_rad).clamp(-YAW_LEASH_RAD, YAW_LEASH_RAD);
         r.yaw_rad = wrap(belief.yaw_rad + turned);
         let r = *r;
 
-        let [velocity_h, velocity_v] = p.velocity_gain_per_s;
-        let [integral_h, integral_v] = p.velocity_integral_per_s2;
-        let acceleration = ahead
-            + velocity_error.component_mul(&Vec3::new(velocity_h, velocity_h, velocity_v))
-            + self.velocity_integral_m_s2;
+        let acceleration = ahead + weighed(&velocity_error, p.velocity_gain_per_s) + self.velocity_integral_m_s2;
         let unlimited = self.unlimited_force(&acceleration);
         let force = self.force_for(&acceleration);
         if !self.saturated && (force - unlimited).norm() < 1e-9 {
-            let sum = self.velocity_integral_m_s2
-                + velocity_error.component_mul(&Vec3::new(integral_h, integral_h, integral_v)) * dt_s;
+            let sum = self.velocity_integral_m_s2 + weighed(&velocity_error, p.velocity_integral_per_s2) * dt_s;
             self.velocity_integral_m_s2 = sum.map(|v| v.clamp(-INTEGRAL_MAX_M_S2, INTEGRAL_MAX_M_S2));
         }
 
@@ -423,10 +395,8 @@ impl Controller {
         limit_horizontal(&mut error, LEASH_M);
         error.z = error.z.clamp(-LEASH_M, LEASH_M);
         r.position_ned_m = belief.position_ned_m + error;
-        let [position_h, position_v] = self.params.position_gain_per_s;
-        let velocity_error = r.velocity_ned_m_s + error.component_mul(&Vec3::new(position_h, position_h, position_v))
-            - belief.velocity_ned_m_s;
-        (r.acceleration_ned_m_s2, velocity_error)
+        let wanted_m_s = r.velocity_ned_m_s + weighed(&error, self.params.position_gain_per_s);
+        (r.acceleration_ned_m_s2, wanted_m_s - belief.velocity_ned_m_s)
     }
 
     /// The reference is where the vehicle is and moves as it does, for the path that may follow; the error of the velocity,
@@ -465,14 +435,12 @@ impl Controller {
 
     /// Rates that turn the body to the wanted attitude, while its heading turns at `yaw_rate`.
     fn rates_towards(&self, wanted: &Rotation, belief: &Belief, yaw_rate_rad_s: f64) -> Vec3 {
-        let [tilt, yaw] = self.params.attitude_gain_per_s;
         let error = belief.attitude.inverse() * wanted;
         let side = if error.w < 0.0 { -2.0 } else { 2.0 };
-        let v = error.imag() * side;
         let feed_forward = belief
             .attitude
             .inverse_transform_vector(&Vec3::new(0.0, 0.0, yaw_rate_rad_s));
-        let mut rates = Vec3::new(v.x * tilt, v.y * tilt, v.z * yaw) + feed_forward;
+        let mut rates = weighed(&(error.imag() * side), self.params.attitude_gain_per_s) + feed_forward;
         limit_horizontal(&mut rates, self.params.tilt_rate_max_rad_s);
         let yaw_limit = 1.5 * self.params.yaw_rate_max_rad_s;
         rates.z = rates.z.clamp(-yaw_limit, yaw_limit);
@@ -480,26 +448,29 @@ impl Controller {
     }
 
     /// Everything that the next step depends on, for the state hash.
-    pub(crate) fn memory(&self) -> ([Vec3; 6], [f64; 4], [u64; 2]) {
+    pub(crate) fn tell_state(&self, bytes: &mut StateBytes) {
         let r = &self.reference;
-        (
-            [
-                r.position_ned_m,
-                r.velocity_ned_m_s,
-                r.acceleration_ned_m_s2,
-                self.velocity_integral_m_s2,
-                self.rates_wanted_rad_s,
-                self.rate_integral_rad_s2,
-            ],
-            [r.yaw_rad, r.yaw_rate.value, r.yaw_rate.slope, self.thrust_wanted_n],
-            [u64::from(self.saturated), self.stage as u64],
-        )
+        let vectors = [
+            r.position_ned_m,
+            r.velocity_ned_m_s,
+            r.acceleration_ned_m_s2,
+            self.velocity_integral_m_s2,
+            self.rates_wanted_rad_s,
+            self.rate_integral_rad_s2,
+        ];
+        bytes.numbers(vectors.iter().flatten());
+        bytes.numbers(&[r.yaw_rad, r.yaw_rate.value, r.yaw_rate.slope, self.thrust_wanted_n]);
+        bytes.word(u64::from(self.saturated));
+        bytes.word(self.stage as u64);
+        if self.params.velocity_law == VelocityLaw::Direct {
+            bytes.numbers(&self.taken_up_m_s);
+        }
     }
+}
 
-    /// What the next step depends on beside that under [`VelocityLaw::Direct`].
-    pub(crate) fn taken_up_m_s(&self) -> Option<Vec3> {
-        (self.params.velocity_law == VelocityLaw::Direct).then_some(self.taken_up_m_s)
-    }
+/// A vector with one gain for the first two components and another for the third.
+fn weighed(v: &Vec3, [level, down]: [f64; 2]) -> Vec3 {
+    Vec3::new(v.x * level, v.y * level, v.z * down)
 }
 
 /// Shortens the first two components to a length of at most `limit`.

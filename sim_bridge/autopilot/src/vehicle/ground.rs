@@ -4,13 +4,6 @@ use crate::vehicle::body::Body;
 use crate::vehicle::math::Vec3;
 use crate::vehicle::params::{AirframeParams, GroundParams};
 
-/// Force and torque of the ground on the body.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Contact {
-    pub(crate) force_ned_n: Vec3,
-    pub(crate) torque_frd_n_m: Vec3,
-}
-
 /// A contact point with the place where its foot stands.
 #[derive(Debug, Clone, Copy)]
 struct Point {
@@ -76,18 +69,15 @@ impl Ground {
         self.touching = false;
     }
 
-    /// The ground's force and torque on the body, `None` in the air.
-    pub(crate) fn contact(&mut self, body: &Body) -> Option<Contact> {
+    /// The ground's force (NED) and torque (FRD) on the body, `None` in the air.
+    pub(crate) fn contact(&mut self, body: &Body) -> Option<(Vec3, Vec3)> {
         if body.position_ned_m.z < -self.reach_m {
             if self.touching {
                 self.release();
             }
             return None;
         }
-        let mut total = Contact {
-            force_ned_n: Vec3::zeros(),
-            torque_frd_n_m: Vec3::zeros(),
-        };
+        let (mut force_ned_n, mut torque_frd_n_m) = (Vec3::zeros(), Vec3::zeros());
         self.touching = false;
         for point in &mut self.points {
             let arm = body.attitude * point.offset_frd_m;
@@ -112,11 +102,11 @@ impl Ground {
                 Some((north, east))
             };
             let force = Vec3::new(fx, fy, -normal);
-            total.force_ned_n += force;
-            total.torque_frd_n_m += body.attitude.inverse_transform_vector(&arm.cross(&force));
+            force_ned_n += force;
+            torque_frd_n_m += body.attitude.inverse_transform_vector(&arm.cross(&force));
             self.touching = true;
         }
-        self.touching.then_some(total)
+        self.touching.then_some((force_ned_n, torque_frd_n_m))
     }
 
     /// Anchors, for the state hash.

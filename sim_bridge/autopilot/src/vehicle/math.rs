@@ -73,6 +73,20 @@ pub(crate) fn from_attitude(a: Attitude) -> Rotation {
     Rotation::new_normalize(Quaternion::new(w, x, y, z))
 }
 
+/// The bits of a state.
+#[derive(Default)]
+pub(crate) struct StateBytes(pub(crate) Vec<u8>);
+
+impl StateBytes {
+    pub(crate) fn word(&mut self, word: u64) {
+        self.0.extend(word.to_le_bytes());
+    }
+
+    pub(crate) fn numbers<'a>(&mut self, numbers: impl IntoIterator<Item = &'a f64>) {
+        numbers.into_iter().for_each(|n| self.word(n.to_bits()));
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

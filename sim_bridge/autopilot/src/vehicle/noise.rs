@@ -39,10 +39,7 @@ impl Noise {
 
     /// Three independent ones.
     pub(crate) fn normal3(&mut self) -> Vec3 {
-        let x = self.normal();
-        let y = self.normal();
-        let z = self.normal();
-        Vec3::new(x, y, z)
+        [(); 3].map(|()| self.normal()).into()
     }
 
     /// How much of the stream was used: with the seed, the generator's whole state.

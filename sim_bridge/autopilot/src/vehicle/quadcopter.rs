@@ -4,7 +4,7 @@ use crate::vehicle::body::{Body, Inertia};
 use crate::vehicle::control::{Belief, Controller, Stage};
 use crate::vehicle::ground::Ground;
 use crate::vehicle::interface::{ControlCommand, Estimate, Truth, VehicleView};
-use crate::vehicle::math::{Vec3, attitude, frd, heading, ned, vec3, yaw_of};
+use crate::vehicle::math::{StateBytes, Vec3, attitude, frd, heading, ned, vec3, yaw_of};
 use crate::vehicle::noise::{Noise, OrnsteinUhlenbeck};
 use crate::vehicle::params::{GRAVITY_M_S2, VehicleParams, Wind};
 use crate::vehicle::rotors::Rotors;
@@ -79,7 +79,7 @@ impl Vehicle {
             on_ground: true,
             contact_steps: 0,
         };
-        vehicle.stand(0.0, 0.0, 0.0);
+        vehicle.place(NedVector::ZERO, 0.0, false);
         Ok(vehicle)
     }
 
@@ -99,36 +99,25 @@ impl Vehicle {
     /// from their stationary distribution); never below the standing height. Otherwise standing on the ground with
     /// motors off; `position_ned_m.z` is not used then.
     pub fn place(&mut self, position_ned_m: NedVector, yaw_rad: f32, airborne: bool) {
-        let position = vec3(position_ned_m);
-        let yaw_rad = f64::from(yaw_rad);
-        if !airborne {
-            self.stand(position.x, position.y, yaw_rad);
-            return;
+        let (mut position, stand) = (vec3(position_ned_m), -self.standing());
+        position.z = if airborne { position.z.min(stand) } else { stand };
+        self.body = Body::at_rest(position, heading(f64::from(yaw_rad)));
+        self.ground.release();
+        self.acceleration_ned_m_s2 = Vec3::zeros();
+        self.armed = airborne;
+        self.on_ground = !airborne;
+        self.contact_steps = 0;
+        if airborne {
+            let wind_acceleration = self.drag_ned_n(&self.mean_wind_ned_m_s) / self.params.airframe.mass_kg;
+            self.errors.settle(&self.body);
+            let (attitude, thrust_n) = self.controller.settle(&self.belief(), &wind_acceleration);
+            self.body.attitude = attitude;
+            self.rotors.settle(thrust_n);
+        } else {
+            self.controller.stop(Stage::Off);
+            self.rotors.stop();
+            self.rotors.speeds_rad_s = [0.0; 4];
         }
-        let above_ground = Vec3::new(position.x, position.y, position.z.min(-self.standing()));
-        self.body = Body::at_rest(above_ground, heading(yaw_rad));
-        self.ground.release();
-        let wind_acceleration = self.drag_ned_n(&self.mean_wind_ned_m_s) / self.params.airframe.mass_kg;
-        self.errors.settle(&self.body);
-        let (attitude, thrust_n) = self.controller.settle(&self.belief(), &wind_acceleration);
-        self.body.attitude = attitude;
-        self.rotors.settle(thrust_n);
-        self.acceleration_ned_m_s2 = Vec3::zeros();
-        self.armed = true;
-        self.on_ground = false;
-        self.contact_steps = 0;
-    }
-
-    fn stand(&mut self, north_m: f64, east_m: f64, yaw_rad: f64) {
-        self.body = Body::at_rest(Vec3::new(north_m, east_m, -self.standing()), heading(yaw_rad));
-        self.ground.release();
-        self.controller.reset();
-        self.rotors.stop();
-        self.rotors.speeds_rad_s = [0.0; 4];
-        self.acceleration_ned_m_s2 = Vec3::zeros();
-        self.armed = false;
-        self.on_ground = true;
-        self.contact_steps = 0;
     }
 
     /// Advances by 1 ms ([`STEP_NS`]). No allocation. Path, attitude and errors are updated every fourth step, so a
@@ -142,14 +131,11 @@ impl Vehicle {
             self.controller.plan(command, &self.belief(), self.on_ground, SLOW_S);
         }
         if !self.armed {
-            self.controller.reset();
+            self.controller.stop(Stage::Off);
         }
         match self.controller.wrench(&self.errors.rates_frd_rad_s(&self.body), STEP_S) {
-            Some(wanted) => {
-                let saturated = self.rotors.ask(&wanted, self.battery.speed_scale());
-                self.controller.tell_saturated(saturated);
-            }
-            None if self.controller.stage() == Stage::Idle => self.rotors.idle(),
+            Some(wanted) => self.controller.saturated = self.rotors.ask(&wanted, self.battery.speed_scale()),
+            None if self.controller.stage == Stage::Idle => self.rotors.idle(),
             None => self.rotors.stop(),
         }
         self.rotors.advance();
@@ -161,10 +147,10 @@ impl Vehicle {
         let weight_n = self.params.airframe.mass_kg * GRAVITY_M_S2;
         let contact = self.ground.contact(&self.body);
         let mut load_n = 0.0;
-        if let Some(contact) = &contact {
-            force += contact.force_ned_n;
-            torque += contact.torque_frd_n_m;
-            load_n = -contact.force_ned_n.z;
+        if let Some((of_ground_n, of_ground_n_m)) = &contact {
+            force += of_ground_n;
+            torque += of_ground_n_m;
+            load_n = -of_ground_n.z;
         }
         self.judge_landed(contact.is_some(), load_n > 0.2 * weight_n);
         force.z += weight_n;
@@ -182,13 +168,8 @@ impl Vehicle {
             .attitude
             .inverse_transform_vector(&(self.body.velocity_ned_m_s - wind_ned_m_s));
         let quadratic = a.drag_quadratic_n_s2_m2 * airspeed.norm();
-        let [x, y, z] = a.drag_linear_n_s_m;
-        self.body.attitude
-            * Vec3::new(
-                -(x + quadratic) * airspeed.x,
-                -(y + quadratic) * airspeed.y,
-                -(z + quadratic) * airspeed.z,
-            )
+        let drag = Vec3::from(a.drag_linear_n_s_m).map(|linear| -(linear + quadratic));
+        self.body.attitude * drag.component_mul(&airspeed)
     }
 
     fn judge_landed(&mut self, touches: bool, loaded: bool) {
@@ -269,22 +250,12 @@ impl Vehicle {
         }
         bytes.numbers(&self.body.attitude.coords);
         bytes.numbers(&self.rotors.speeds_rad_s);
-        bytes.numbers(self.rotors.commands_rad_s());
+        bytes.numbers(&self.rotors.commands_rad_s);
         for (north, east) in self.ground.anchors_m() {
             bytes.numbers(&[north, east]);
         }
-        let (vectors, numbers, flags) = self.controller.memory();
-        bytes.numbers(vectors.iter().flatten().chain(&numbers));
-        flags.into_iter().for_each(|f| bytes.word(f));
-        bytes.numbers(self.controller.taken_up_m_s().iter().flatten());
-        let (vectors, numbers, words) = self.errors.memory();
-        bytes.numbers(vectors.iter().flatten().chain(&numbers));
-        words.into_iter().for_each(|w| bytes.word(w));
-        if let Some((vectors, word)) = self.errors.wander_memory() {
-            bytes.numbers(vectors.iter().flatten());
-            bytes.word(word);
-        }
-        bytes.numbers(&self.errors.heading_error_rad());
+        self.controller.tell_state(&mut bytes);
+        self.errors.tell_state(&mut bytes);
         bytes.numbers(&[self.battery.charge, self.battery.voltage_v]);
         bytes.word(self.gust_noise.position());
         bytes.word(u64::from(self.armed) | u64::from(self.on_ground) << 1 | u64::from(self.contact_steps) << 8);
@@ -292,29 +263,12 @@ impl Vehicle {
     }
 }
 
-/// The state's bits.
-#[derive(Default)]
-struct StateBytes(Vec<u8>);
-
-impl StateBytes {
-    fn word(&mut self, word: u64) {
-        self.0.extend(word.to_le_bytes());
-    }
-
-    fn numbers<'a>(&mut self, numbers: impl IntoIterator<Item = &'a f64>) {
-        numbers.into_iter().for_each(|n| self.word(n.to_bits()));
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::vehicle::body::tests::vector;
     use crate::vehicle::math::Rotation;
     use proptest::prelude::*;
-
-    fn vector(limit: f64) -> impl Strategy<Value = Vec3> {
-        (-limit..limit, -limit..limit, -limit..limit).prop_map(|(x, y, z)| Vec3::new(x, y, z))
-    }
 
     proptest! {
         #![proptest_config(ProptestConfig { cases: 32, failure_persistence: None, ..ProptestConfig::default() })]
@@ -354,11 +308,8 @@ mod tests {
         }
         let a = vehicle.params.airframe;
         // 0.04 v² + 0.12 v = m g.
-        let (q, l, w) = (
-            a.drag_quadratic_n_s2_m2,
-            a.drag_linear_n_s_m[2],
-            a.mass_kg * GRAVITY_M_S2,
-        );
+        let (q, l) = (a.drag_quadratic_n_s2_m2, a.drag_linear_n_s_m[2]);
+        let w = a.mass_kg * GRAVITY_M_S2;
         let terminal = (-l + (l * l + 4.0 * q * w).sqrt()) / (2.0 * q);
         assert!((vehicle.body.velocity_ned_m_s.z - terminal).abs() < 0.01);
     }
@@ -375,9 +326,8 @@ mod tests {
         };
         let mut vehicle = Vehicle::new(params, wind, 1).unwrap();
         vehicle.place(NedVector::new(1.0, 2.0, -3.0), 0.5, true);
-        let hold = ControlCommand::STOP;
         for _ in 0..5_000 {
-            vehicle.step(&hold);
+            vehicle.step(&ControlCommand::STOP);
             let off = vehicle.truth().position_ned_m - NedVector::new(1.0, 2.0, -3.0);
             assert!(off.norm() < 0.02, "{off:?}");
         }

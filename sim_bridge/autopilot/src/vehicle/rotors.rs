@@ -16,7 +16,7 @@ pub(crate) struct Rotors {
     /// Speeds, rad/s.
     pub(crate) speeds_rad_s: [f64; 4],
     /// Speeds that the controllers ask for, rad/s.
-    commands_rad_s: [f64; 4],
+    pub(crate) commands_rad_s: [f64; 4],
     coefficient: f64,
     torque_per_thrust_m: f64,
     arm_forward_m: f64,
@@ -64,16 +64,14 @@ impl Rotors {
 
     /// Sets commands and speeds to what gives this thrust, at once.
     pub(crate) fn settle(&mut self, thrust_n: f64) {
-        let speed = self.speed_for(0.25 * thrust_n);
+        let speed = self.speed_for(0.25 * thrust_n, self.max_speed_rad_s);
         self.commands_rad_s = [speed; 4];
         self.speeds_rad_s = self.commands_rad_s;
     }
 
-    fn speed_for(&self, thrust_n: f64) -> f64 {
-        (thrust_n / self.coefficient)
-            .max(0.0)
-            .sqrt()
-            .clamp(self.idle_speed_rad_s, self.max_speed_rad_s)
+    fn speed_for(&self, thrust_n: f64, top_speed_rad_s: f64) -> f64 {
+        let speed_rad_s = (thrust_n / self.coefficient).max(0.0).sqrt();
+        speed_rad_s.clamp(self.idle_speed_rad_s, top_speed_rad_s)
     }
 
     /// Asks for a wrench. `speed_scale` is the share of the top speed that the battery gives.
@@ -109,12 +107,7 @@ impl Rotors {
         }
         let wanted_each = 0.25 * wanted.thrust_n;
         let each = wanted_each.min(low + room - most).max(low - least);
-        for (command, part) in self.commands_rad_s.iter_mut().zip(parts) {
-            *command = ((each + part) / self.coefficient)
-                .max(0.0)
-                .sqrt()
-                .clamp(self.idle_speed_rad_s, top_speed);
-        }
+        self.commands_rad_s = parts.map(|part| self.speed_for(each + part, top_speed));
         tilt_scale < 1.0 || yaw_given != yaw || (each - wanted_each).abs() > 0.01 * room
     }
 
@@ -161,11 +154,6 @@ impl Rotors {
     /// Commanded speeds as shares of the top speed, 0 to 1.
     pub(crate) fn command_shares(&self) -> [f64; 4] {
         self.commands_rad_s.map(|speed| speed / self.max_speed_rad_s)
-    }
-
-    /// Commanded speeds, for the state hash.
-    pub(crate) fn commands_rad_s(&self) -> &[f64; 4] {
-        &self.commands_rad_s
     }
 }
 
@@ -232,8 +220,8 @@ mod tests {
                 for yaw in [-2.0, 0.0, 2.0] {
                     let mut r = rotors();
                     r.ask(&wrench(thrust_n, [roll, -roll, yaw]), 0.9);
-                    for c in r.commands_rad_s() {
-                        assert!(*c >= m.idle_speed_rad_s && *c <= 0.9 * m.max_speed_rad_s + 1e-9);
+                    for c in r.commands_rad_s {
+                        assert!(c >= m.idle_speed_rad_s && c <= 0.9 * m.max_speed_rad_s + 1e-9);
                     }
                 }
             }
@@ -246,7 +234,7 @@ mod tests {
         r.settle(0.0);
         let start = r.speeds_rad_s[0];
         r.ask(&wrench(20.0, [0.0; 3]), 1.0);
-        let end = r.commands_rad_s()[0];
+        let end = r.commands_rad_s[0];
         for _ in 0..12 {
             r.advance();
         }

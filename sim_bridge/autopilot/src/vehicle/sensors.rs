@@ -2,7 +2,7 @@
 
 use crate::vehicle::body::Body;
 use crate::vehicle::interface::Sensors;
-use crate::vehicle::math::{Rotation, Vec3, frd, heading, ned, small_rotation};
+use crate::vehicle::math::{Rotation, StateBytes, Vec3, frd, heading, ned, small_rotation};
 use crate::vehicle::noise::{Noise, OrnsteinUhlenbeck};
 use crate::vehicle::params::{BatteryParams, SensorParams};
 use crate::vehicle::rotors::Rotors;
@@ -43,19 +43,9 @@ pub(crate) struct Errors {
 impl Errors {
     /// Starts at home: no position error, the others drawn from their stationary distribution.
     pub(crate) fn new(params: &SensorParams, mut noise: Noise, wander_noise: Noise, interval_s: f64) -> Self {
-        let all = |deviation| Vec3::repeat(deviation);
-        let velocity = OrnsteinUhlenbeck::new(
-            all(params.estimate_velocity_m_s),
-            params.estimate_velocity_time_s,
-            interval_s,
-            &mut noise,
-        );
-        let attitude = OrnsteinUhlenbeck::new(
-            all(params.estimate_attitude_rad),
-            params.estimate_attitude_time_s,
-            interval_s,
-            &mut noise,
-        );
+        let mut drawn = |each, time_s| OrnsteinUhlenbeck::new(Vec3::repeat(each), time_s, interval_s, &mut noise);
+        let velocity = drawn(params.estimate_velocity_m_s, params.estimate_velocity_time_s);
+        let attitude = drawn(params.estimate_attitude_rad, params.estimate_attitude_time_s);
         Self {
             params: *params,
             noise,
@@ -173,31 +163,30 @@ impl Errors {
     }
 
     /// Everything that the next step depends on, for the state hash.
-    pub(crate) fn memory(&self) -> ([Vec3; 7], [f64; 1], [u64; 2]) {
-        (
-            [
-                self.velocity.value,
-                self.attitude.value,
-                self.position_m,
-                self.accelerometer,
-                self.gyroscope,
-                self.gps_position_m,
-                self.gps_velocity_m_s,
-            ],
-            [self.barometer_height_m],
-            [self.noise.position(), u64::from(self.updates)],
-        )
-    }
-
-    /// The same of the wander, where there is one.
-    pub(crate) fn wander_memory(&self) -> Option<([Vec3; 3], u64)> {
-        let wander = self.wander.as_ref()?;
-        let vectors = [wander.velocity.value, wander.position_m, wander.astray_m_s()];
-        Some((vectors, wander.noise.position()))
+    pub(crate) fn tell_state(&self, bytes: &mut StateBytes) {
+        let vectors = [
+            self.velocity.value,
+            self.attitude.value,
+            self.position_m,
+            self.accelerometer,
+            self.gyroscope,
+            self.gps_position_m,
+            self.gps_velocity_m_s,
+        ];
+        bytes.numbers(vectors.iter().flatten());
+        bytes.numbers(&[self.barometer_height_m]);
+        bytes.word(self.noise.position());
+        bytes.word(u64::from(self.updates));
+        if let Some(wander) = &self.wander {
+            let vectors = [wander.velocity.value, wander.position_m, wander.astray_m_s()];
+            bytes.numbers(vectors.iter().flatten());
+            bytes.word(wander.noise.position());
+        }
+        bytes.numbers(&self.heading_error_rad());
     }
 
     /// What the estimated heading is off beside the attitude's error, radians, where it wanders.
-    pub(crate) fn heading_error_rad(&self) -> Option<f64> {
+    fn heading_error_rad(&self) -> Option<f64> {
         Some(self.wander.as_ref()?.heading.as_ref()?.value.z)
     }
 }
@@ -229,22 +218,13 @@ impl Wander {
             deviation_m / leak_s * libm::sqrt((WANDER_VELOCITY_TIME_S + leak_s) / WANDER_VELOCITY_TIME_S)
         };
         let (level, down) = (velocity(horizontal_m, horizontal_s), velocity(vertical_m, vertical_s));
+        let mut drawn = |x, y, z, time_s| OrnsteinUhlenbeck::new(Vec3::new(x, y, z), time_s, interval_s, &mut noise);
         Some(Self {
-            velocity: OrnsteinUhlenbeck::new(
-                Vec3::new(level, level, down),
-                WANDER_VELOCITY_TIME_S,
-                interval_s,
-                &mut noise,
-            ),
-            astray: is_astray.then(|| {
-                let deviation_m_s = Vec3::new(level_m_s, level_m_s, down_m_s);
-                OrnsteinUhlenbeck::new(deviation_m_s, params.velocity_error_time_s, interval_s, &mut noise)
-            }),
+            velocity: drawn(level, level, down, WANDER_VELOCITY_TIME_S),
+            astray: is_astray.then(|| drawn(level_m_s, level_m_s, down_m_s, params.velocity_error_time_s)),
             // Begins at 0, in a flight that begins in the air too: on the ground the compass is right, and the firmware heard it there.
             heading: (params.heading_error_rad > 0.0).then(|| {
-                let deviation_rad = Vec3::new(0.0, 0.0, params.heading_error_rad);
-                let mut error =
-                    OrnsteinUhlenbeck::new(deviation_rad, params.heading_error_time_s, interval_s, &mut noise);
+                let mut error = drawn(0.0, 0.0, params.heading_error_rad, params.heading_error_time_s);
                 error.value = Vec3::zeros();
                 error
             }),

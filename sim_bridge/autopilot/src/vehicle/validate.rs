@@ -130,39 +130,31 @@ mod tests {
         let params: VehicleParams = settings::from_toml("[airframe]\nmass_kg = 1.5").unwrap();
         assert_eq!(params.airframe.mass_kg, 1.5);
         assert_eq!(params.motors, MotorParams::default());
-        let error = settings::from_toml::<VehicleParams>("[airframe]\nmas_kg = 1.5").unwrap_err();
-        assert!(error.contains("line 2") && error.contains("mas_kg"), "{error}");
-        let error = settings::from_toml::<VehicleParams>("[airframe]\nmass_kg = 99.0").unwrap_err();
-        assert!(error.contains("line 2") && error.contains("0.1 to 50 kg"), "{error}");
-        let error = settings::from_toml::<VehicleParams>("[control]\nhold = \"stay\"").unwrap_err();
-        assert!(
-            error.contains("line 2") && error.contains("stop, fly_back, brake"),
-            "{error}"
-        );
+        for (text, told) in [
+            ("[airframe]\nmas_kg = 1.5", "mas_kg"),
+            ("[airframe]\nmass_kg = 99.0", "0.1 to 50 kg"),
+            ("[control]\nhold = \"stay\"", "stop, fly_back, brake"),
+        ] {
+            let error = settings::from_toml::<VehicleParams>(text).unwrap_err();
+            assert!(error.contains("line 2") && error.contains(told), "{error}");
+        }
     }
 
     #[test]
     fn a_refused_value_is_named_with_what_is_accepted() {
-        let mut params = VehicleParams::default();
-        params.airframe.mass_kg = f64::NAN;
-        let error = params.validate().unwrap_err();
-        assert_eq!(error.field, "airframe.mass_kg");
-        assert!(error.to_string().contains("from 0.1 to 50 kg"), "{error}");
-
-        let mut params = VehicleParams::default();
-        params.motors.max_speed_rad_s = 700.0;
-        let error = params.validate().unwrap_err();
-        assert!(error.to_string().contains("thrust-to-weight"), "{error}");
-
+        let refused = |change: fn(&mut VehicleParams), told: &str| {
+            let mut params = VehicleParams::default();
+            change(&mut params);
+            let error = params.validate().unwrap_err().to_string();
+            assert!(error.contains(told), "{error}");
+        };
+        let weightless = |p: &mut VehicleParams| p.airframe.mass_kg = f64::NAN;
+        refused(weightless, "`airframe.mass_kg` is NaN; it must be from 0.1 to 50 kg");
+        refused(|p| p.motors.max_speed_rad_s = 700.0, "thrust-to-weight");
         // Ground contact that swings up by itself at 1 ms.
-        let mut params = VehicleParams::default();
-        (params.ground.stiffness_n_m, params.ground.damping_n_s_m) = (20_000.0, 10.0);
-        let error = params.validate().unwrap_err();
-        assert!(error.to_string().contains("N/m of ground.stiffness_n_m"), "{error}");
-        let mut params = VehicleParams::default();
-        params.airframe.inertia_kg_m2[1] = 0.004;
-        let error = params.validate().unwrap_err();
-        assert!(error.field.starts_with("airframe.inertia_kg_m2"), "{error}");
+        let swings = |p: &mut VehicleParams| (p.ground.stiffness_n_m, p.ground.damping_n_s_m) = (20_000.0, 10.0);
+        refused(swings, "N/m of ground.stiffness_n_m");
+        refused(|p| p.airframe.inertia_kg_m2[1] = 0.004, "`airframe.inertia_kg_m2");
 
         let wind = Wind {
             mean_ned_m_s: [0.0, f64::INFINITY, 0.0],

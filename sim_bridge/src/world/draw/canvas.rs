@@ -2,6 +2,7 @@
 //! and the same shapes and text as SVG.
 
 use core::convert::Infallible;
+use core::ops::Range;
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
 use std::path::{Path, PathBuf};
@@ -50,11 +51,7 @@ pub fn check_png_name(path: &Path) -> Result<(), ImageError> {
 impl Image {
     pub(crate) fn new(width: usize, height: usize, background: Rgb888) -> Self {
         let pixel = [background.r(), background.g(), background.b()];
-        Self {
-            width,
-            height,
-            rgb: pixel.repeat(width * height),
-        }
+        Self::from_fn(width, height, |_, _| pixel)
     }
 
     /// A picture whose pixel in column `x`, row `y` is `colour(x, y)`: red, green, blue.
@@ -134,7 +131,7 @@ impl Canvas {
                 width: layer_width,
                 height: layer_height,
                 pixels: vec![None; layer_width * layer_height],
-                touched: Touched::NOTHING,
+                touched: [NOTHING; 2],
                 svg: String::new(),
             },
             svg: format!(
@@ -165,10 +162,10 @@ impl Canvas {
         if !elements.is_empty() {
             self.svg += &format!("<g opacity=\"{opacity}\">\n{elements}</g>\n");
         }
-        let touched = core::mem::replace(&mut self.layer.touched, Touched::NOTHING);
-        let whole = |from: usize, to: usize| from / OVERSAMPLING..to.div_ceil(OVERSAMPLING);
-        for y in whole(touched.top, touched.bottom) {
-            for x in whole(touched.left, touched.right) {
+        let touched = core::mem::replace(&mut self.layer.touched, [NOTHING; 2]);
+        let [columns, rows] = touched.map(|part| part.start / OVERSAMPLING..part.end.div_ceil(OVERSAMPLING));
+        for y in rows {
+            for x in columns.clone() {
                 self.average(x, y, opacity);
             }
         }
@@ -201,22 +198,11 @@ impl Canvas {
     }
 }
 
-/// The part of a layer that was drawn on; right and bottom are one beyond.
-struct Touched {
-    left: usize,
-    right: usize,
-    top: usize,
-    bottom: usize,
-}
-
-impl Touched {
-    const NOTHING: Self = Self {
-        left: usize::MAX,
-        right: 0,
-        top: usize::MAX,
-        bottom: 0,
-    };
-}
+/// No column or row.
+const NOTHING: Range<usize> = Range {
+    start: usize::MAX,
+    end: 0,
+};
 
 /// Text and everything that needs no smoothing is drawn right onto the picture.
 impl DrawTarget for Image {
@@ -247,7 +233,8 @@ pub(crate) struct Layer {
     width: usize,
     height: usize,
     pixels: Vec<Option<Rgb888>>,
-    touched: Touched,
+    /// The columns and rows that were drawn on.
+    touched: [Range<usize>; 2],
     /// The same shapes as SVG elements.
     svg: String,
 }
@@ -291,9 +278,9 @@ impl DrawTarget for Layer {
                 && y < self.height
             {
                 self.pixels[y * self.width + x] = Some(colour);
-                let t = &mut self.touched;
-                (t.left, t.right) = (t.left.min(x), t.right.max(x + 1));
-                (t.top, t.bottom) = (t.top.min(y), t.bottom.max(y + 1));
+                for (part, at) in self.touched.iter_mut().zip([x, y]) {
+                    *part = part.start.min(at)..part.end.max(at + 1);
+                }
             }
         }
         Ok(())

@@ -534,25 +534,17 @@ mod tests {
         let (with, without) = (draw(&course, core::slice::from_ref(&path)), draw(&course, &[]));
         let view = View::of(&course);
         let at = view.at(-2.0, -10.3);
-        assert!(
-            pixel(&with, at)[0] > 180 && pixel(&with, at)[1] < 90,
-            "{:?}",
-            pixel(&with, at)
-        );
-        assert_ne!(pixel(&with, at), pixel(&without, at));
+        let seen = pixel(&with, at);
+        assert!(seen[0] > 180 && seen[1] < 90, "{seen:?}");
+        assert_ne!(seen, pixel(&without, at));
     }
 
     #[test]
     fn a_picture_that_cannot_be_written_names_the_file() {
         let image = Image::new(4, 4, BACKGROUND);
-        let error = image
-            .write_png(std::path::Path::new("no/such/folder/a.png"))
-            .expect_err("no folder");
-        assert!(
-            error
-                .to_string()
-                .starts_with("cannot write picture no/such/folder/a.png: "),
-            "{error}"
-        );
+        let written = image.write_png(std::path::Path::new("no/such/folder/a.png"));
+        let error = written.expect_err("no folder").to_string();
+        let told = "cannot write picture no/such/folder/a.png: ";
+        assert!(error.starts_with(told), "{error}");
     }
 }

@@ -18,15 +18,8 @@ const DOOR_OFFSET_M: Range<f32> = 3.0..7.0;
 /// No door lies further from the middle.
 const DOOR_EAST_M: f32 = 6.0;
 
-#[derive(Clone, Copy)]
-enum Layout {
-    /// Three walls with doors, obstacles going to and fro before them.
-    Rooms,
-    /// Two walls with doors and pockets between them.
-    Pockets,
-    /// One wall with a door in a thicket of columns, a pocket before it.
-    Thicket,
-}
+/// Where obstacles lie that no wall is.
+const AREA: Area = Area::new(3.0..18.0, -7.0..7.0);
 
 /// One of three layouts, each with doors, a pocket or columns in the straight way, and movers.
 pub(super) fn fill(b: &mut Builder) {
@@ -35,40 +28,45 @@ pub(super) fn fill(b: &mut Builder) {
     if b.chance(0.2) {
         b.course.ceiling_height_m = Some(b.length(3.0..4.0));
     }
-    let area = Area::new(3.0..18.0, -7.0..7.0);
     // What a course must have comes first: obstacles are taken back from the end.
-    match b.pick(&[Layout::Rooms, Layout::Pockets, Layout::Thicket]) {
-        Layout::Rooms => {
-            let doors = walls(b, &[6.0, 10.8, 15.6]);
-            for door in doors {
-                guard(b, &door);
-            }
-            patrols(b, 0..2, &area);
-            b.scatter(Kind::LowOverhang, 0..2, &area);
-            b.scatter(Kind::Column, 4..8, &area);
-        }
-        Layout::Pockets => {
-            let doors = walls(b, &[8.0, 15.5]);
-            let first_m = [doors[0].north_m, doors[0].east_m];
-            let second_m = [doors[1].north_m, doors[1].east_m];
-            pocket(b, [0.0, 0.0], first_m);
-            pocket(b, first_m, second_m);
-            guard(b, &doors[1]);
-            patrols(b, 1..3, &area);
-            b.scatter(Kind::LowOverhang, 1..3, &area);
-            b.scatter(Kind::Column, 6..12, &area);
-        }
-        Layout::Thicket => {
-            let north_m = b.length(9.0..12.0);
-            let doors = walls(b, &[north_m]);
-            let door_m = [doors[0].north_m, doors[0].east_m];
-            pocket(b, [0.0, 0.0], door_m);
-            guard(b, &doors[0]);
-            patrols(b, 1..3, &area);
-            b.scatter(Kind::LowOverhang, 1..3, &area);
-            b.scatter(Kind::Column, 24..36, &area);
-        }
+    let lay_out: fn(&mut Builder) = b.pick(&[rooms, pockets, thicket]);
+    lay_out(b);
+}
+
+/// Three walls with doors, obstacles going to and fro before them.
+fn rooms(b: &mut Builder) {
+    for door in walls(b, &[6.0, 10.8, 15.6]) {
+        guard(b, &door);
     }
+    patrols(b, 0..2);
+    b.scatter(Kind::LowOverhang, 0..2, &AREA);
+    b.scatter(Kind::Column, 4..8, &AREA);
+}
+
+/// Two walls with doors and pockets between them.
+fn pockets(b: &mut Builder) {
+    behind_pockets(b, &[8.0, 15.5], 6..12);
+}
+
+/// One wall with a door in a thicket of columns, a pocket before it.
+fn thicket(b: &mut Builder) {
+    let north_m = b.length(9.0..12.0);
+    behind_pockets(b, &[north_m], 24..36);
+}
+
+/// Walls with doors, each behind a pocket.
+fn behind_pockets(b: &mut Builder, north_m: &[f32], columns: Range<usize>) {
+    let doors = walls(b, north_m);
+    let mut from_m = [0.0, 0.0];
+    for door in &doors {
+        let door_m = [door.north_m, door.east_m];
+        pocket(b, from_m, door_m);
+        from_m = door_m;
+    }
+    guard(b, &doors[doors.len() - 1]);
+    patrols(b, 1..3);
+    b.scatter(Kind::LowOverhang, 1..3, &AREA);
+    b.scatter(Kind::Column, columns, &AREA);
 }
 
 /// The opening of a wall.
@@ -195,10 +193,10 @@ fn guard(b: &mut Builder, door: &Door) {
 }
 
 /// Movers on straight ways anywhere.
-fn patrols(b: &mut Builder, count: Range<usize>, area: &Area) {
+fn patrols(b: &mut Builder, count: Range<usize>) {
     for _ in 0..b.rng.random_range(count) {
         b.try_to_place(|b| {
-            let [north_m, east_m] = b.point(area);
+            let [north_m, east_m] = b.point(&AREA);
             let half_m = 0.5 * b.rng.random_range(3.0..6.0);
             let heading = b.rng.random_range(0.0..core::f32::consts::PI);
             let (s, c) = (libm::sinf(heading), libm::cosf(heading));

@@ -4,6 +4,7 @@ use super::{CLEAR_GOAL_M, GOAL_DOWNRANGE_M, GOAL_OFFSET_M, cm, generate};
 use crate::world::check::MAX_OBSTACLES;
 use crate::world::course::{Column, Course, Family, Wall};
 use crate::world::solid::Solid;
+use crate::world::split_mix;
 use crate::world::wire::Wire;
 
 /// Nearest and farthest goal of a long course, metres.
@@ -25,7 +26,9 @@ pub fn generate_long(family: Family, seed: u64, goal_north_m: f32) -> Option<Cou
     }
     let goal_north_m = cm(goal_north_m.clamp(*LONG_GOAL_M.start(), *LONG_GOAL_M.end()));
     let arenas = (goal_north_m / GOAL_DOWNRANGE_M).ceil() as u64;
-    let arena_seed = |k: u64| ARENA_SEEDS | (seed << 8) | k;
+    // Between the arena's number and the mark is room for 55 bits.
+    let course_seed = if seed >> 55 == 0 { seed } else { split_mix(seed) };
+    let arena_seed = |k: u64| ARENA_SEEDS | (course_seed << 8) | k;
     let mut course = generate(family, arena_seed(0));
     course.name = format!("{family} {seed}, {goal_north_m} m");
     course.seed = seed;

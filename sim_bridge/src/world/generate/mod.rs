@@ -41,7 +41,7 @@ pub fn generate(family: Family, seed: u64) -> Course {
     let mut builder = Builder::new(family, seed);
     match family {
         Family::Training => training(&mut builder),
-        Family::Validation => validation(&mut builder),
+        Family::Validation => lay_out(&mut builder),
         Family::Hard => hard::fill(&mut builder),
         Family::Dense => dense(&mut builder),
         Family::Forest => forest::fill(&mut builder),
@@ -79,12 +79,6 @@ fn training(b: &mut Builder) {
     }
 }
 
-/// One of four layouts that training does not have, each denser, with gaps from 2 m.
-fn validation(b: &mut Builder) {
-    b.gap_m = 2.0;
-    lay_out(b);
-}
-
 /// Validation's layouts with gaps from 1.8 m, filled up with columns, boxes and walls wherever there is room.
 fn dense(b: &mut Builder) {
     b.gap_m = 1.8;
@@ -95,7 +89,7 @@ fn dense(b: &mut Builder) {
     b.scatter(Kind::Column, 20..40, &area);
 }
 
-/// A layout drawn.
+/// One of four layouts that training does not have, each denser, with gaps from 2 m.
 fn lay_out(b: &mut Builder) {
     if b.chance(0.5) {
         b.side_walls(7.5..9.0);

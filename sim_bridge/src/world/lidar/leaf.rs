@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn from_inside_the_range_is_zero() {
-        let solid = Solid::cuboid((0.0, 0.0), 2.0, 2.0, 0.0, 2.0, 0.3);
+        let solid = Solid::cuboid((0.0, 0.0), [2.0, 2.0], [0.0, 2.0], 0.3);
         let leaf = Leaf::of(&solid, NedVector::new(0.1, 0.1, -1.0));
         assert_eq!(leaf.range_m(&Ray::new((1.0, 0.0, 0.0))), 0.0);
     }

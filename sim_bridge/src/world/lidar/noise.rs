@@ -13,7 +13,7 @@ const SIGMA_OF_SUM: f32 = 37_837.2;
 const MEAN_OF_SUM: f32 = 2.0 * 65_535.0;
 
 /// What a beam's number is multiplied by before a key is added.
-const SPREAD: u32 = 0x9E37_79B9;
+pub(super) const SPREAD: u32 = 0x9E37_79B9;
 
 /// Three keys that differ from frame to frame.
 #[derive(Debug, Clone, Copy)]
@@ -26,14 +26,9 @@ impl NoiseKeys {
         Self([a as u32, (a >> 32) as u32, b as u32])
     }
 
-    /// A number that is close to a standard normal one (Irwin–Hall of four: at most 3.46 in size).
+    /// A number that is close to a standard normal one (Irwin–Hall of four: at most 3.46 in size), of a beam's number times [`SPREAD`].
     #[inline(always)]
-    pub(crate) fn normal(self, beam: u32) -> f32 {
-        self.normal_of(beam.wrapping_mul(SPREAD))
-    }
-
-    #[inline(always)]
-    fn normal_of(self, spread: u32) -> f32 {
+    pub(crate) fn normal(self, spread: u32) -> f32 {
         let (u, v) = (mix(spread, self.0[0]), mix(spread, self.0[1]));
         let sum = (u & 0xFFFF) + (u >> 16) + (v & 0xFFFF) + (v >> 16);
         // The sum is below 2^18, so it is exact as i32 and f32.
@@ -41,12 +36,7 @@ impl NoiseKeys {
     }
 
     #[inline(always)]
-    pub(crate) fn uniform(self, beam: u32) -> u32 {
-        self.uniform_of(beam.wrapping_mul(SPREAD))
-    }
-
-    #[inline(always)]
-    fn uniform_of(self, spread: u32) -> u32 {
+    pub(crate) fn uniform(self, spread: u32) -> u32 {
         mix(spread, self.0[2])
     }
 }
@@ -80,9 +70,9 @@ fn measure_body(config: &LidarConfig, keys: NoiseKeys, ranges: &[f32], inverse: 
     // Probabilities are within 0..=1; the cast saturates at 1.
     let dropped_below = (f64::from(config.dropout_probability) * 4_294_967_296.0) as u32;
     let measured = |spread: u32, true_m: f32| {
-        let measured_m = true_m + sigma_m * keys.normal_of(spread);
+        let measured_m = true_m + sigma_m * keys.normal(spread);
         let measured_m = if measured_m > min_m { measured_m } else { min_m };
-        let returned = (true_m <= max_m) & (keys.uniform_of(spread) >= dropped_below);
+        let returned = (true_m <= max_m) & (keys.uniform(spread) >= dropped_below);
         if returned { 1.0 / measured_m } else { 0.0 }
     };
     let (ranges, _) = ranges.as_chunks::<TILE_FIRINGS>();
@@ -108,7 +98,9 @@ mod tests {
 
     fn samples(seed: u64, sequence: u64) -> Vec<f64> {
         let keys = NoiseKeys::new(seed, sequence);
-        (0..LIDAR_BEAMS as u32).map(|b| f64::from(keys.normal(b))).collect()
+        (0..LIDAR_BEAMS as u32)
+            .map(|b| f64::from(keys.normal(b.wrapping_mul(SPREAD))))
+            .collect()
     }
 
     fn correlation(a: &[f64], b: &[f64]) -> f64 {

@@ -63,18 +63,26 @@ fn both_methods_and_all_vector_widths_give_the_same_bits() {
     assert!(hits > 1_000_000, "{hits}");
 }
 
+/// A sensor of one beam in `every` has the same ranges ray by ray and strip by strip, on all vector widths.
+fn both_methods_agree(world: &World, every: usize, what: &str) {
+    let sensor = || Lidar::new(LidarConfig::default(), 1).expect("valid").every(every);
+    let (mut fast, mut reference) = (sensor(), sensor().with_method(Method::Reference));
+    for pose in poses() {
+        let expected = bits(reference.cast(world, pose.0, pose.1));
+        for simd in Simd::available() {
+            fast.simd = simd;
+            let ranges = bits(fast.cast(world, pose.0, pose.1));
+            assert_eq!(ranges, expected, "{what} {every} {simd:?} {pose:?}");
+        }
+    }
+}
+
 #[test]
 fn a_thinned_sensor_sees_what_its_beams_meet() {
     for every in Lidar::EVERY {
         for seed in 0..4 {
             let world = World::new(&generate(Family::Validation, seed));
-            let sensor = || Lidar::new(LidarConfig::default(), 1).expect("valid").every(every);
-            let (mut fast, mut reference) = (sensor(), sensor().with_method(Method::Reference));
-            for pose in poses() {
-                let expected = bits(reference.cast(&world, pose.0, pose.1));
-                let ranges = bits(fast.cast(&world, pose.0, pose.1));
-                assert_eq!(ranges, expected, "{every} {seed} {pose:?}");
-            }
+            both_methods_agree(&world, every, &format!("course {seed}"));
         }
     }
 }
@@ -161,16 +169,7 @@ fn triangles_are_met_the_same_ray_by_ray_and_strip_by_strip_on_all_vector_widths
     for (seed, count, size_m) in [(1, 4000, 1.0), (2, 300, 8.0), (3, 40, 40.0), (4, 20_000, 0.2)] {
         let world = world_of(&soup(seed, count, size_m));
         for every in Lidar::EVERY.into_iter().take(if seed < 3 { 4 } else { 1 }) {
-            let sensor = || Lidar::new(LidarConfig::default(), 1).expect("valid").every(every);
-            let (mut fast, mut reference) = (sensor(), sensor().with_method(Method::Reference));
-            for pose in poses() {
-                let expected = bits(reference.cast(&world, pose.0, pose.1));
-                for simd in Simd::available() {
-                    fast.simd = simd;
-                    let ranges = bits(fast.cast(&world, pose.0, pose.1));
-                    assert_eq!(ranges, expected, "{seed} {every} {simd:?} {pose:?}");
-                }
-            }
+            both_methods_agree(&world, every, &format!("triangles {seed}"));
         }
     }
 }

@@ -5,7 +5,7 @@
 //! the ground nor a ceiling counts: one horizontal distance a column, as OBSTACLE_DISTANCE tells them.
 
 use super::cast::cast_ray;
-use super::noise::NoiseKeys;
+use super::noise::{NoiseKeys, SPREAD};
 use super::scene::Scene;
 use crate::world::World;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
@@ -99,10 +99,11 @@ impl ZoneSensor {
                     nearest = Some((range_m, direction));
                 }
             }
-            let Some((range_m, direction)) = nearest.filter(|_| keys.uniform(zone as u32) >= DROPOUT) else {
+            let spread = (zone as u32).wrapping_mul(SPREAD);
+            let Some((range_m, direction)) = nearest.filter(|_| keys.uniform(spread) >= DROPOUT) else {
                 continue;
             };
-            let measured_m = (range_m + keys.normal(zone as u32) * (SIGMA_M + SIGMA_SHARE * range_m)).max(0.0);
+            let measured_m = (range_m + keys.normal(spread) * (SIGMA_M + SIGMA_SHARE * range_m)).max(0.0);
             let level = direction.to_heading(yaw_rad);
             // In the column that its bearing belongs to, which is another where the vehicle banks.
             let place = (libm::atan2f(level.y, level.x) / fov_rad + 0.5) * columns as f32;

@@ -7,7 +7,7 @@ mod surface;
 
 pub(crate) use surface::{Block, Boxes, Child, LANES, Surface, Within};
 
-use crate::world::check::{FieldProblem, angle, coordinate, problem};
+use crate::world::check::{FieldProblem, angle, coordinate, problem, within};
 use crate::world::course::Bounds;
 use crate::world::solid::{UPRIGHT, radians};
 use crate::world::vehicle::VEHICLE;
@@ -208,13 +208,8 @@ impl Mesh {
     }
 
     pub(crate) fn check_values(&self, i: usize) -> Result<(), FieldProblem> {
-        if !(1e-6..=1000.0).contains(&self.unit_m) {
-            let wrong = format!(
-                "is {}, must be the metres of the file's unit, from 1e-6 to 1000",
-                self.unit_m
-            );
-            return problem(format!("mesh[{i}].unit_m"), wrong);
-        }
+        let expected = "the metres of the file's unit, from 1e-6 to 1000";
+        within(&format!("mesh[{i}].unit_m"), self.unit_m, 1e-6..=1000.0, expected)?;
         coordinate(&format!("mesh[{i}].north_m"), self.north_m)?;
         coordinate(&format!("mesh[{i}].east_m"), self.east_m)?;
         coordinate(&format!("mesh[{i}].height_m"), self.height_m)?;

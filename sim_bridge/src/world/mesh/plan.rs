@@ -64,14 +64,8 @@ impl Surface {
                 if run[0] {
                     let middle = column as f32 + 0.5 * run.len() as f32;
                     let at = (low[0] + (row as f32 + 0.5) * square_m, low[1] + middle * square_m);
-                    boxes.push(Solid::cuboid(
-                        at,
-                        square_m,
-                        run.len() as f32 * square_m,
-                        low_m,
-                        high_m,
-                        0.0,
-                    ));
+                    let size_m = [square_m, run.len() as f32 * square_m];
+                    boxes.push(Solid::cuboid(at, size_m, [low_m, high_m], 0.0));
                 }
                 column += run.len();
             }

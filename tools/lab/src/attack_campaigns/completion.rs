@@ -118,12 +118,9 @@ struct Settings {
 
 impl Row {
     fn table(rows: &[Self]) -> TextTable {
-        let names = ["field", "attack", "burst", "towards"].map(words);
-        let columns = names
-            .into_iter()
-            .chain(Tally::columns())
-            .chain([words("yaw moved ≥ 1.0")]);
-        let mut table = TextTable::new(columns);
+        let names = ["field", "attack", "burst", "towards"].map(words).into_iter();
+        let columns = names.chain(Tally::columns());
+        let mut table = TextTable::new(columns.chain([words("yaw moved ≥ 1.0")]));
         for row in rows {
             let (attack, burst, towards) = row.attack.map_or(("none", "—".to_owned(), "—"), |s| {
                 (s.config.method.name(), s.burst.to_string(), s.config.towards.name())
@@ -139,17 +136,14 @@ impl Row {
     fn of((apf, attack): (bool, Option<Setting>), flights: &[&Flight]) -> Self {
         let outcomes: Vec<_> = flights.iter().map(|flight| flight.record.outcome).collect();
         let attacks = || flights.iter().filter_map(|flight| flight.attack);
+        let failed = flights.iter().filter(|flight| !flight.record.is_success());
         Self {
             apf,
             attack,
             tally: Tally::of(&outcomes),
             attacked_steps: attacks().map(|attack| attack.attacked_steps).sum(),
             effective_steps: attacks().map(|attack| attack.effective_steps).sum(),
-            failed_seeds: flights
-                .iter()
-                .filter(|flight| !flight.record.is_success())
-                .map(|flight| flight.seed)
-                .collect(),
+            failed_seeds: failed.map(|flight| flight.seed).collect(),
         }
     }
 }
@@ -222,40 +216,30 @@ fn report(campaign: &Campaign<Settings, Flight>, path: &Path) -> Result<()> {
     });
     let rows: Vec<Row> = rows.collect();
     say!("{}", Row::table(&rows));
-    write_json(
-        path,
-        &Report {
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            actor_sha256: settings.actor_sha256.clone(),
-            first_seed: campaign.jobs().first_seed,
-            interrupted: campaign.is_interrupted(),
-            rows,
-        },
-    )
+    let report = Report {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        actor_sha256: settings.actor_sha256.clone(),
+        first_seed: campaign.jobs().first_seed,
+        interrupted: campaign.is_interrupted(),
+        rows,
+    };
+    write_json(path, &report)
 }
 
 /// What lines call these commands.
 pub const COMMANDS: [&str; 2] = ["attack completion", "attack search"];
 
 /// Makes one table of the flights in several files.
-pub fn merge(files: &[PathBuf], json: &Path) -> Result<ExitCode> {
-    report(&Campaign::load(files, json)?, json)?;
-    Ok(ExitCode::SUCCESS)
+pub fn merge(files: &[PathBuf], json: &Path) -> Result<()> {
+    report(&Campaign::load(files, json)?, json)
 }
 
 /// Field on and off, times no attack, 5 and 50 steps.
 pub fn run_completion(args: &CompletionArgs) -> Result<ExitCode> {
     let config = args.strength.of(args.attack);
-    let bursts = [None, Some(5), Some(50)].map(|steps| {
-        steps.map(|steps| Setting {
-            config,
-            burst: Burst::Steps(steps),
-        })
-    });
-    let settings: Vec<_> = [true, false]
-        .into_iter()
-        .flat_map(|apf| bursts.map(|setting| (apf, setting)))
-        .collect();
+    let bursts = [None, Some(Burst::Steps(5)), Some(Burst::Steps(50))];
+    let arms = |apf| bursts.map(|burst| (apf, burst.map(|burst| Setting { config, burst })));
+    let settings = [true, false].map(arms).concat();
     fly_all(&args.common, (&args.seeds, args.flights), settings, COMMANDS[0])
 }
 

@@ -11,6 +11,7 @@ use crate::report::{TextTable, decimals, numbers, to_csv, words};
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::num::NonZeroU8;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_adversary::{Attack, AttackArgs, AttackConfig, Burst, Method, Towards};
@@ -110,10 +111,6 @@ named! {
 }
 
 impl Arm {
-    fn named(name: &str) -> Result<Self> {
-        Self::from_name(name).with_context(|| format!("there is no arm {name}"))
-    }
-
     fn attacked(self) -> bool {
         !matches!(self, Self::None | Self::NoneWatched)
     }
@@ -136,8 +133,8 @@ struct Settings {
     /// Verdicts that raise the alarm, and of how many.
     raise: (u8, u8),
     guard: bool,
-    #[serde(default, skip_serializing_if = "is_none")]
-    second_sensor_heads: u8,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    second_sensor_heads: Option<NonZeroU8>,
     apf: bool,
     attack: AttackConfig,
     burst: Burst,
@@ -149,18 +146,13 @@ struct Settings {
     evades_guard: bool,
 }
 
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "what serde calls it with")]
-fn is_none(heads: &u8) -> bool {
-    *heads == 0
-}
-
 /// A flight: a line of `defended.csv`.
 #[derive(Debug, Clone, Serialize)]
 struct Line {
     arm: Arm,
     seed: u64,
-    #[serde(serialize_with = "outcome_or_none")]
-    outcome: Option<Outcome>,
+    /// Its name, and `none` for a vehicle that never took off.
+    outcome: &'static str,
     #[serde(serialize_with = "decimals::<2, _, _>")]
     flight_time_s: f64,
     /// Of the vehicle's middle.
@@ -181,12 +173,6 @@ struct Line {
     recovery_steps: u64,
 }
 
-/// An outcome by its name, and `none` for a vehicle that never took off.
-#[allow(clippy::ref_option, reason = "what serde calls it with")]
-fn outcome_or_none<S: serde::Serializer>(outcome: &Option<Outcome>, s: S) -> Result<S::Ok, S::Error> {
-    s.serialize_str(outcome.map_or("none", Outcome::name))
-}
-
 impl Line {
     fn of(arm: Arm, flight: &Flight) -> Self {
         let attack = flight.attack.unwrap_or_default();
@@ -194,7 +180,7 @@ impl Line {
         Self {
             arm,
             seed: flight.seed,
-            outcome: flight.record.outcome,
+            outcome: flight.record.outcome.map_or("none", Outcome::name),
             flight_time_s: flight.record.flight_time_s,
             closest_obstacle_m: flight.record.closest_obstacle_m,
             attacked_steps: attack.attacked_steps,
@@ -211,7 +197,7 @@ impl Line {
     }
 
     fn is_success(&self) -> bool {
-        self.outcome == Some(Outcome::Success)
+        self.outcome == Outcome::Success.name()
     }
 }
 
@@ -238,7 +224,7 @@ struct Row {
 impl Row {
     fn of<'a>(arm: Arm, lines: impl Iterator<Item = &'a Line>) -> Option<Self> {
         let lines: Vec<&Line> = lines.filter(|line| line.arm == arm).collect();
-        let outcomes: Vec<_> = lines.iter().map(|line| line.outcome).collect();
+        let outcomes: Vec<_> = lines.iter().map(|line| Outcome::from_name(line.outcome)).collect();
         let sum = |of: fn(&Line) -> u64| lines.iter().map(|line| of(line)).sum::<u64>();
         let judged = sum(|l| l.judged_steps).max(1) as f64;
         let alarms = sum(|l| l.alarms);
@@ -260,20 +246,13 @@ impl Row {
     }
 
     fn table(rows: &[Self]) -> TextTable {
-        let mut table = TextTable::new(
-            [words("arm"), numbers("flights")]
-                .into_iter()
-                .chain(Tally::columns())
-                .chain([words("yaw moved ≥ 1.0"), words("alarms")]),
-        );
+        let names = [words("arm"), numbers("flights")].into_iter().chain(Tally::columns());
+        let mut table = TextTable::new(names.chain([words("yaw moved ≥ 1.0"), words("alarms")]));
         for row in rows {
             let name = [row.arm.name().to_owned(), row.tally.flights.to_string()];
             let effective = campaign::effective_share(row.attacked_steps, row.effective_steps);
-            table.row(
-                name.into_iter()
-                    .chain(row.tally.cells())
-                    .chain([effective, row.alarms_in_words()]),
-            );
+            let cells = name.into_iter().chain(row.tally.cells());
+            table.row(cells.chain([effective, row.alarms_in_words()]));
         }
         table
     }
@@ -366,7 +345,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         detector_sha256: frozen.sha256(),
         raise: (detector.raise_count, detector.raise_window),
         guard: args.guard,
-        second_sensor_heads: args.second_sensor_heads,
+        second_sensor_heads: NonZeroU8::new(args.second_sensor_heads),
         apf: args.apf,
         attack: attack.config,
         burst: attack.burst,
@@ -402,16 +381,15 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
 pub const COMMAND: &str = "attack defended";
 
 /// Makes one table of the flights in several files.
-pub fn merge(files: &[PathBuf], json: &Path) -> Result<ExitCode> {
-    report(&Campaign::load(files, json)?, json)?;
-    Ok(ExitCode::SUCCESS)
+pub fn merge(files: &[PathBuf], json: &Path) -> Result<()> {
+    report(&Campaign::load(files, json)?, json)
 }
 
 /// Prints and writes the tables.
 fn report(campaign: &Campaign<Settings, Flight>, json: &Path) -> Result<()> {
     let (settings, first_seed) = (campaign.settings(), campaign.jobs().first_seed);
     let lines = campaign.flights().map(|(arm, flight)| {
-        let arm = Arm::named(arm)?;
+        let arm = Arm::from_name(arm).with_context(|| format!("there is no arm {arm}"))?;
         Ok(((flight.seed, arm), Line::of(arm, flight)))
     });
     let lines: BTreeMap<(u64, Arm), Line> = lines.collect::<Result<_>>()?;
@@ -425,10 +403,8 @@ fn report(campaign: &Campaign<Settings, Flight>, json: &Path) -> Result<()> {
         if settings.apf { "on" } else { "off" },
         first_seed
     );
-    let rows: Vec<Row> = Arm::ALL
-        .into_iter()
-        .filter_map(|arm| Row::of(arm, lines.values()))
-        .collect();
+    let row = |arm| Row::of(arm, lines.values());
+    let rows: Vec<Row> = Arm::ALL.into_iter().filter_map(row).collect();
     say!("{}", Row::table(&rows));
     let pairs: Vec<Pair> = [
         (Arm::None, Arm::NoneWatched),
@@ -455,15 +431,13 @@ fn report(campaign: &Campaign<Settings, Flight>, json: &Path) -> Result<()> {
         output::write(&table, text)?;
         say!("flights   {}", table.display());
     }
-    write_json(
-        json,
-        &Report {
-            settings,
-            first_seed,
-            rows,
-            pairs,
-        },
-    )
+    let report = Report {
+        settings,
+        first_seed,
+        rows,
+        pairs,
+    };
+    write_json(json, &report)
 }
 
 fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flight> {
@@ -486,7 +460,7 @@ mod tests {
         Line {
             arm,
             seed,
-            outcome: Some(outcome),
+            outcome: outcome.name(),
             flight_time_s: 21.35,
             closest_obstacle_m: 0.62,
             attacked_steps: 100,

@@ -80,13 +80,8 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
     );
     let victim = args.common.victim()?;
     let folder = args.common.folder()?;
-    let places: Vec<_> = [Method::BimAccumulating, Method::BimClipped]
-        .into_iter()
-        .flat_map(|method| {
-            GAPS.into_iter()
-                .flat_map(move |(gap, _)| BEARINGS_DEG.map(|b| (method, gap, b)))
-        })
-        .collect();
+    let of = |method: Method| GAPS.map(|(gap, _)| BEARINGS_DEG.map(|b| (method, gap, b))).concat();
+    let places = [Method::BimAccumulating, Method::BimClipped].map(of).concat();
     let interrupt = Interrupt::on_ctrl_c()?;
     let cells: Vec<Cell> = args.common.pool()?.install(|| {
         places
@@ -109,40 +104,30 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
             args.strength.iterations
         );
         let bearings = BEARINGS_DEG.map(|b| numbers(format!("{b}°")));
-        let mut table = TextTable::new(
-            [words("gap to wall")]
-                .into_iter()
-                .chain(bearings)
-                .chain([numbers("mean"), numbers("the paper")]),
-        );
+        let columns = [words("gap to wall")].into_iter().chain(bearings);
+        let mut table = TextTable::new(columns.chain([numbers("mean"), numbers("the paper")]));
         for (row, (gap_m, paper)) in block.chunks(BEARINGS_DEG.len()).zip(GAPS) {
             let mean = row.iter().map(|c| c.deflection_deg_s).sum::<f32>() / row.len() as f32;
             let cells = row.iter().map(|c| format!("{:.0}", c.deflection_deg_s));
-            table.row(
-                [format!("{gap_m:.1} m")]
-                    .into_iter()
-                    .chain(cells)
-                    .chain([format!("{mean:.0}"), format!("{paper:.0}")]),
-            );
+            let cells = [format!("{gap_m:.1} m")].into_iter().chain(cells);
+            table.row(cells.chain([format!("{mean:.0}"), format!("{paper:.0}")]));
         }
         say!("{table}");
         say!();
     }
-    write_json(
-        &folder.join("table-2.json"),
-        &Report {
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            actor_sha256: victim.sha256(),
-            seed: args.seed,
-            states_per_cell: args.states,
-            epsilon_255: args.strength.epsilon,
-            iterations: args.strength.iterations,
-            goal_distance_m: args.goal_distance,
-            wall_width_m: WALL_WIDTH_M,
-            interrupted,
-            cells,
-        },
-    )?;
+    let report = Report {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        actor_sha256: victim.sha256(),
+        seed: args.seed,
+        states_per_cell: args.states,
+        epsilon_255: args.strength.epsilon,
+        iterations: args.strength.iterations,
+        goal_distance_m: args.goal_distance,
+        wall_width_m: WALL_WIDTH_M,
+        interrupted,
+        cells,
+    };
+    write_json(&folder.join("table-2.json"), &report)?;
     Ok(interrupt.exit_code())
 }
 

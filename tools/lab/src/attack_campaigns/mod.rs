@@ -161,11 +161,12 @@ pub fn run(args: &AttackCommands) -> Result<ExitCode> {
 /// # Errors
 /// Flights that contradict each other or are not all; a file that cannot be written.
 pub fn merge(command: &str, files: &[PathBuf], json: &Path) -> Option<Result<ExitCode>> {
-    match command {
-        defended::COMMAND => Some(defended::merge(files, json)),
-        command if completion::COMMANDS.contains(&command) => Some(completion::merge(files, json)),
-        _ => None,
-    }
+    let merged = match command {
+        defended::COMMAND => defended::merge(files, json),
+        command if completion::COMMANDS.contains(&command) => completion::merge(files, json),
+        _ => return None,
+    };
+    Some(merged.map(|()| ExitCode::SUCCESS))
 }
 
 fn write_json(path: &Path, report: &impl Serialize) -> Result<()> {

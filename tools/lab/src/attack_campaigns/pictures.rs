@@ -70,11 +70,9 @@ pub fn run(args: &PicturesArgs) -> Result<ExitCode> {
         .context("the flight was over before the actor remembered anything")?;
     let clean = &state.frame;
     let grey = |frame: &[f32]| frame.iter().flat_map(|range| range_grey(*range)).collect::<Vec<u8>>();
-    let change = |frame: &[f32]| {
+    let change = |frame: &[f32]| -> Vec<u8> {
         let moved_m = frame.iter().zip(clean).map(|(x, clean)| 100.0 * (x - clean));
-        moved_m
-            .flat_map(|m| change_colour(m / FULL_COLOUR_M))
-            .collect::<Vec<u8>>()
+        moved_m.flat_map(|m| change_colour(m / FULL_COLOUR_M)).collect()
     };
     let mut rows = vec![(vec!["as taken".to_owned()], [grey(clean), change(clean)])];
     for (name, config) in attacks() {
@@ -86,6 +84,8 @@ pub fn run(args: &PicturesArgs) -> Result<ExitCode> {
         words.push(format!("yaw {turned_deg_s:+.0} °/s").replace('-', "−"));
         rows.push((words, [grey(&frame), change(&frame)]));
     }
+    let place = |m: f32| f64::from(0.5 + 0.5 * m / FULL_COLOUR_M);
+    let tick = |m: f32| (place(m), format!("{m}").replace('-', "−"));
     let plate = Plate {
         title: format!("What attacks make of a frame of validation course {}", args.seed),
         columns: [
@@ -94,14 +94,7 @@ pub fn run(args: &PicturesArgs) -> Result<ExitCode> {
                 "change".to_owned(),
                 ColourScale {
                     label: "change of the range (m): red nearer, blue farther".to_owned(),
-                    ticks: [-FULL_COLOUR_M, 0.0, FULL_COLOUR_M]
-                        .map(|m| {
-                            (
-                                f64::from(0.5 + 0.5 * m / FULL_COLOUR_M),
-                                format!("{m}").replace('-', "−"),
-                            )
-                        })
-                        .into(),
+                    ticks: [-FULL_COLOUR_M, 0.0, FULL_COLOUR_M].map(tick).into(),
                     colours: (-127..=127).map(|i| change_colour(i as f32 / 127.0)).collect(),
                 },
             ),

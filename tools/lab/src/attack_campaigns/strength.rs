@@ -123,18 +123,16 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
     if let Some(state) = met_in_flight(&victim, args.seed)?.first() {
         picture(&victim, state)?.write_png(&folder.join("frames.png"))?;
     }
-    write_json(
-        &folder.join("figure-11.json"),
-        &Report {
-            version: env!("CARGO_PKG_VERSION"),
-            actor_sha256: victim.sha256(),
-            first_seed: args.seed,
-            states: attacked.len(),
-            wall_s,
-            interrupted: interrupt.came(),
-            cells: &cells,
-        },
-    )?;
+    let report = Report {
+        version: env!("CARGO_PKG_VERSION"),
+        actor_sha256: victim.sha256(),
+        first_seed: args.seed,
+        states: attacked.len(),
+        wall_s,
+        interrupted: interrupt.came(),
+        cells: &cells,
+    };
+    write_json(&folder.join("figure-11.json"), &report)?;
     Ok(interrupt.exit_code())
 }
 

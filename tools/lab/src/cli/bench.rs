@@ -105,10 +105,8 @@ fn minutes(text: &str) -> Result<f64, String> {
 
 fn figure_name(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    match path
-        .extension()
-        .is_some_and(|ending| ending == "svg" || ending == "png")
-    {
+    let ending = path.extension();
+    match ending.is_some_and(|ending| ending == "svg" || ending == "png") {
         true => Ok(path),
         false => Err("give a file that ends in .svg or .png".to_owned()),
     }

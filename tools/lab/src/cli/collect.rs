@@ -16,9 +16,9 @@ use vigil_types::named;
 pub const COMMAND: &str = "detector collect";
 /// The only arm.
 const ARM: &str = "flights";
-/// First seeds of the flights to learn from and of those that choose; all below 10 000, on training courses.
+/// First seeds of the flights to learn from, without an end, and below them of those that choose; on training courses.
 const LEARN_SEED: u64 = 3000;
-const CHOOSE_SEED: u64 = 4500;
+const CHOOSE_SEED: u64 = 1500;
 
 /// Arguments of `vigil detector collect`.
 #[derive(Debug, Clone, clap::Args)]
@@ -32,7 +32,7 @@ pub struct CollectArgs {
     #[arg(long, value_enum, requires_all = ["seed", "flights"])]
     set: Option<SetName>,
 
-    /// With --set: the first flight; the usual ones begin at 3000 to learn, and at 4500 to choose.
+    /// With --set: the first flight; the usual ones begin at 3000 to learn, and at 1500 to choose.
     #[arg(long, requires = "set")]
     seed: Option<u64>,
 

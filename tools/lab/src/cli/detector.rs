@@ -10,7 +10,7 @@ use crate::cli::output::{self, Interrupt, Progress, git_commit, or_dash, put, sa
 use crate::detector_training::{
     EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Scenario, Set, WindowScorer, fly_all, sets,
 };
-use crate::report::{Picture, TextTable, numbers, to_csv, words};
+use crate::report::{Figure, Picture, TextTable, numbers, to_csv, words};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, bail, ensure};
@@ -191,10 +191,9 @@ pub(super) struct Stage<'a> {
 /// # Errors
 /// A file that is no actor, data of another actor, a folder that cannot be written.
 pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
-    let pilot = FrozenPilot::load_or_built_in(args.actor.as_deref())?;
     let stage = Stage {
         isa: Isa::detect(),
-        pilot,
+        pilot: FrozenPilot::load_or_built_in(args.actor.as_deref())?,
         folder: &args.output,
     };
     let pool = thread_pool_of(args.threads)?;
@@ -214,16 +213,10 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
             pictures,
             detector,
         } => {
+            let actor = stage.actor("figures")?;
             let detector = stage.detector(detector.as_deref())?;
             let course = (*seed, *attacked);
-            crate::cli::figures::draw(
-                stage.isa,
-                stage.actor("figures")?,
-                &detector,
-                course,
-                *pictures as usize,
-                stage.folder,
-            )
+            crate::cli::figures::draw(stage.isa, actor, &detector, course, *pictures as usize, stage.folder)
         }
         DetectorCommand::Times {
             seed,
@@ -268,12 +261,8 @@ impl Stage<'_> {
             config,
             &mut |step, epoch| {
                 bar.set_position(step as u64);
-                if let Some(epoch) = epoch {
-                    bar.set_message(format!(
-                        "epoch {}: {:.2} % right",
-                        epoch.epoch,
-                        100.0 * epoch.choose_accuracy
-                    ));
+                if let Some(e) = epoch {
+                    bar.set_message(format!("epoch {}: {:.2} % right", e.epoch, 100.0 * e.choose_accuracy));
                 }
             },
         )?;
@@ -368,13 +357,7 @@ impl Stage<'_> {
             "at_one_half": report,
             "at_threshold": in_flight,
         });
-        self.write("evaluate.json", serde_json::to_string_pretty(&json)?)?;
-        roc(&report).save(self.folder, "roc")?;
-        say!(
-            "written          {}, roc.png and roc.svg",
-            self.path("evaluate.json").display()
-        );
-        Ok(())
+        self.write_with_curves("evaluate.json", &json, (&roc(&report), "roc"))
     }
 
     /// The frozen LSTM-AD of this actor: of the file, of the folder, or the one built in.
@@ -384,9 +367,8 @@ impl Stage<'_> {
     }
 
     fn times(&self, seed: u64, pictures: usize, detector: Option<&Path>) -> Result<()> {
-        let detector = self.detector(detector)?;
-        let (record, times) =
-            crate::detector_training::time(self.isa, self.actor("times")?, &detector, seed, pictures)?;
+        let (actor, detector) = (self.actor("times")?, self.detector(detector)?);
+        let (record, times) = crate::detector_training::time(self.isa, actor, &detector, seed, pictures)?;
         say!(
             "validation course {seed}, {} steps, {} of them with all pixels; one thread, {}",
             record.steps.len(),
@@ -468,12 +450,14 @@ impl Stage<'_> {
             reports.push(report);
         }
         say!("{table}");
-        self.write("ablate.json", serde_json::to_string_pretty(&reports)?)?;
-        roc_of_features(&reports).save(self.folder, "ablate")?;
-        say!(
-            "written          {}, ablate.png and ablate.svg",
-            self.path("ablate.json").display()
-        );
+        self.write_with_curves("ablate.json", &reports, (&roc_of_features(&reports), "ablate"))
+    }
+
+    fn write_with_curves(&self, json: &str, report: &impl Serialize, (curves, name): (&Figure, &str)) -> Result<()> {
+        self.write(json, serde_json::to_string_pretty(report)?)?;
+        curves.save(self.folder, name)?;
+        let path = self.path(json);
+        say!("written          {}, {name}.png and {name}.svg", path.display());
         Ok(())
     }
 

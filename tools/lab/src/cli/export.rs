@@ -38,7 +38,7 @@ pub struct ExportArgs {
 pub fn run(args: &ExportArgs) -> Result<ExitCode> {
     output::prepare(&args.output)?;
     let pilot = FrozenPilot::load_or_built_in(args.actor.as_deref())?;
-    let model = vigil_onnx::export(&pilot)?;
+    let (model, split) = vigil_onnx::export(&pilot)?;
     let (graph, params) = match &pilot {
         FrozenPilot::Actor(actor) => (ActorSpec::FULL.graph(Purpose::Gradients)?, &actor.params),
         FrozenPilot::Imported(policy) => (policy.network.graph(Purpose::Gradients)?, &policy.params),
@@ -49,13 +49,16 @@ pub fn run(args: &ExportArgs) -> Result<ExitCode> {
     say!("exported         SHA-256 {}", pilot.sha256());
     if let FrozenPilot::Imported(policy) = &pilot {
         let inputs = policy.inputs;
+        let proposed = policy.network.proposed_split(&policy.params, inputs.frame_input);
+        let other = split.filter(|_| policy.split != proposed);
         say!(
-            "to import it     vigil import {} -o FILE --channels {} --depth {} --scale {} --output-scale {}",
+            "to import it     vigil import {} -o FILE --channels {} --depth {} --scale {} --output-scale {}{}",
             args.output.display(),
             inputs.order.name(),
             inputs.depth.name(),
             inputs.scale,
-            inputs.output_scale
+            inputs.output_scale,
+            other.map_or_else(String::new, |name| format!(" --split {name}"))
         );
     }
     say!("written          {}", args.output.display());

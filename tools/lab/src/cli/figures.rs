@@ -141,14 +141,11 @@ pub fn draw(
     for path in drawn.as_flattened() {
         say!("{}", path.display());
     }
+    let burst = attacked.then(|| format!(", those from {} to {} attacked", BURST.start, BURST.end - 1));
     say!(
         "validation course {seed}, {} steps{}, flight ended: {}",
         steps.len(),
-        if attacked {
-            format!(", those from {} to {} attacked", BURST.start, BURST.end - 1)
-        } else {
-            String::new()
-        },
+        burst.unwrap_or_default(),
         pixels.outcome
     );
     Ok(())

@@ -1,7 +1,7 @@
 //! `vigil log film`: a flight as an animated picture or a video.
 
 use crate::cli::output::{self, is_stdout, say};
-use crate::flight_film::{FilmOptions, Video, film, film_video};
+use crate::flight_film::{FilmOptions, Gif, Video, film};
 use anyhow::{Context, Result, bail};
 use clap::builder::RangedU64ValueParser;
 use std::path::{Path, PathBuf};
@@ -98,21 +98,25 @@ fn check_film(to: &Path) -> Result<()> {
 fn write_film(log: &Path, to: &Path, options: &FilmOptions) -> Result<String> {
     check_film(to)?;
     let none = || format!("no film of {}", log.display());
-    let (pictures, bytes) = if is_video(to) {
-        let pictures = film_video(log, options, to).with_context(none)?;
+    let ((pictures, incomplete), bytes) = if is_video(to) {
+        let mut video = Video::begin(to).with_context(none)?;
+        let filmed = film(log, options, &mut video).with_context(none)?;
+        video.finish().with_context(none)?;
         let Ok(file) = std::fs::metadata(to) else {
             bail!("ffmpeg left no film {}", to.display());
         };
-        (pictures, file.len())
+        (filmed, file.len())
     } else {
         let mut bytes = Vec::new();
-        let pictures = film(log, options, &mut bytes).with_context(none)?;
+        let filmed = film(log, options, &mut Gif::begin(&mut bytes).with_context(none)?).with_context(none)?;
         output::write(to, &bytes)?;
-        (pictures, bytes.len() as u64)
+        (filmed, bytes.len() as u64)
     };
+    let missing = incomplete.map(|why| format!("\nit is not all of the flight: {why}"));
     Ok(format!(
-        "{} ({pictures} pictures, {:.1} MB)",
+        "{} ({pictures} pictures, {:.1} MB){}",
         to.display(),
-        bytes as f64 / 1e6
+        bytes as f64 / 1e6,
+        missing.unwrap_or_default()
     ))
 }

@@ -125,13 +125,11 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
 
 fn completion(count: &FamilyCount) -> String {
     let (low, high) = count.wilson_95;
+    let taken = count.ablation.as_ref().map(|taken| format!("without {taken}"));
     format!(
         "{:<10} {:<16} {:.1} % of {} (95 %: {:.1} to {:.1} %), {} collisions, {} time-outs",
         count.family.name(),
-        count
-            .ablation
-            .as_ref()
-            .map_or(String::new(), |taken| format!("without {taken}")),
+        taken.unwrap_or_default(),
         100.0 * count.completion(),
         count.flights,
         100.0 * low,
@@ -142,11 +140,8 @@ fn completion(count: &FamilyCount) -> String {
 }
 
 fn line(row: &Row, all: u64) -> String {
-    let evaluated: String = row
-        .evaluated
-        .iter()
-        .map(|c| format!(", {} {:.1} %", c.family, 100.0 * c.completion()))
-        .collect();
+    let told = |c: &FamilyCount| format!(", {} {:.1} %", c.family, 100.0 * c.completion());
+    let evaluated: String = row.evaluated.iter().map(told).collect();
     format!(
         "{:>6} of {all} updates, {:.0} s: {} of {} training flights at the goal, reward {:.1}, critic {:.3}, value {:.2}{evaluated}",
         row.updates, row.elapsed_s, row.successes, row.flights, row.reward, row.update.critic_loss, row.update.value

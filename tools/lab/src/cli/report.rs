@@ -91,17 +91,15 @@ pub fn run(args: &ReportArgs) -> Result<ExitCode> {
 
 /// The folders themselves where they hold a finished run, otherwise those in them that do, by name.
 fn folders(given: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    let is_run = |folder: &PathBuf| folder.join("result.json").exists();
     let mut all = Vec::new();
     for folder in given {
-        if folder.join("result.json").exists() {
+        if is_run(folder) {
             all.push(folder.clone());
             continue;
         }
         let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
-        let mut inner: Vec<PathBuf> = entries
-            .filter_map(|e| Some(e.ok()?.path()))
-            .filter(|p| p.join("result.json").exists())
-            .collect();
+        let mut inner: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).filter(is_run).collect();
         ensure!(
             !inner.is_empty(),
             "no finished run in {}: `vigil learn -o DIR` makes one",
@@ -188,11 +186,8 @@ pub(crate) fn mean_and_interval(values: &[f64]) -> (f64, Option<f64>) {
 
 /// Mean of each run of `count` neighbours, at the last one's number.
 fn rolling(values: &[f64], count: usize) -> Vec<(f64, f64)> {
-    values
-        .windows(count)
-        .enumerate()
-        .map(|(i, w)| ((i + count) as f64, w.iter().sum::<f64>() / count as f64))
-        .collect()
+    let mean = |(i, w): (usize, &[f64])| ((i + count) as f64, w.iter().sum::<f64>() / count as f64);
+    values.windows(count).enumerate().map(mean).collect()
 }
 
 /// The flights of the actor; in those of the warm-up it was not flying yet.
@@ -211,11 +206,8 @@ fn over_seeds(label: &str, runs: &[Vec<(f64, f64)>]) -> Series {
     let over = |(i, (x, _)): (usize, &(f64, f64))| {
         let at = || runs.iter().filter_map(|r| r.get(i)).map(|(_, y)| *y);
         let mean = at().sum::<f64>() / at().count() as f64;
-        let (least, greatest) = (
-            at().fold(f64::INFINITY, f64::min),
-            at().fold(f64::NEG_INFINITY, f64::max),
-        );
-        (*x, mean, least, greatest)
+        let least = at().fold(f64::INFINITY, f64::min);
+        (*x, mean, least, at().fold(f64::NEG_INFINITY, f64::max))
     };
     Series::banded(label, longest.iter().enumerate().map(over))
 }
@@ -260,11 +252,8 @@ impl Curve {
             over_seeds(&format!("{}, {} seeds", arm.name, runs.len()), &runs)
         });
         let panel = Panel::of(self.title, self.y_label, series);
-        Figure::over(
-            "training flight (those of the warm-up are left out)",
-            longest(arms),
-            vec![panel],
-        )
+        let label = "training flight (those of the warm-up are left out)";
+        Figure::over(label, longest(arms), vec![panel])
     }
 }
 
@@ -293,26 +282,20 @@ mod tests {
                 r#"{{"sees": "pictures", "seed": 3, "apf_share": 0.25, "steps": 480, "flights": 9, "decisions": 120, "updates": 60, "frozen_after": 50, "elapsed_s": 90.0, "test": [{tests}]}}"#
             )
         };
-        let folder = std::env::temp_dir().join(format!("vigil-report-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
+        let temporary = tempfile::tempdir().unwrap();
+        let folder = temporary.path();
         let flights = "flight,updates,warm_up,field,outcome,decisions,reward\n1,0,1,0,collision,20,-3.5\n2,4,0,1,success,88,24.6\n";
         std::fs::write(folder.join("flights.csv"), flights).unwrap();
         let tests = [count("training", 40), count("validation", 39)].join(", ");
         std::fs::write(folder.join("result.json"), result(&tests)).unwrap();
-        let run = read(&folder).unwrap();
+        let run = read(folder).unwrap();
         assert_eq!(own(&run, |f| f.reward), [24.6]);
-        let arms = [Arm {
-            name: "DDPG-APF",
-            runs: vec![run],
-        }];
-        assert!(
-            table(&arms).contains("| DDPG-APF | 3 | 120 (480) | 9 | 60 | 2 | 97.50 % of 40 |"),
-            "{}",
-            table(&arms)
-        );
+        let (name, runs) = ("DDPG-APF", vec![run]);
+        let table = table(&[Arm { name, runs }]);
+        let line = "| DDPG-APF | 3 | 120 (480) | 9 | 60 | 2 | 97.50 % of 40 |";
+        assert!(table.contains(line), "{table}");
         std::fs::write(folder.join("result.json"), result(&count("hard", 4))).unwrap();
-        let error = format!("{:#}", read(&folder).err().unwrap());
-        std::fs::remove_dir_all(&folder).unwrap();
+        let error = format!("{:#}", read(folder).err().unwrap());
         assert!(
             error.contains("result.json") && error.contains("--test-flights"),
             "{error}"

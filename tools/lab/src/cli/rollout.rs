@@ -128,6 +128,10 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         let EvaluatedActor::Actor(frozen) = evaluated else {
             bail!("--probe is for actors, and {} is none", args.actor);
         };
+        ensure!(
+            args.flights >= 6,
+            "--probe needs 6 flights or more: two of three are fitted on, and each is compared with another one"
+        );
         let readouts = pool.install(|| probe(frozen, Isa::detect(), &spec(false)))?;
         say!("{}", probed(&readouts));
         return Ok(ExitCode::SUCCESS);

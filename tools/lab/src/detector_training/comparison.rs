@@ -1,8 +1,8 @@
 //! The paper's table III: four detectors on the same states.
 
 use crate::detector_training::fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
-use crate::detector_training::lstm::WindowScorer;
-use crate::detector_training::metrics::Separation;
+use crate::detector_training::lstm::{LstmConfig, WindowScorer};
+use crate::detector_training::metrics::{Separation, moments};
 use crate::detector_training::pixels::{State, States};
 use anyhow::Result;
 use rand::SeedableRng;
@@ -42,10 +42,8 @@ pub fn image_fit(epochs: usize, seed: u64) -> FitConfig {
     FitConfig {
         epochs,
         batch: 32,
-        rate: 1e-3,
-        gradient_norm: 5.0,
-        weight_decay: 0.01,
         seed,
+        ..LstmConfig::default().fit
     }
 }
 
@@ -61,11 +59,19 @@ named! {
 }
 
 impl ImageNetwork {
-    pub(crate) fn graph(self, output: Activation) -> Result<Graph> {
+    fn graph(self, output: Activation) -> Result<Graph> {
         Ok(match self {
             Self::Cnn => cnn_ad(output)?,
             Self::Fcn => fcn_ad(output)?,
         })
+    }
+
+    /// It, with drawn weights.
+    pub(crate) fn drawn(self, output: Activation, seed: u64) -> Result<(Graph, Vec<f32>)> {
+        let graph = self.graph(output)?;
+        let mut params = vec![0.0; graph.param_len()];
+        graph.initialize(&mut ChaCha8Rng::seed_from_u64(seed), &mut params)?;
+        Ok((graph, params))
     }
 
     /// Trains it.
@@ -79,14 +85,14 @@ impl ImageNetwork {
         config: &FitConfig,
         progress: &mut dyn FnMut(usize, Option<&Epoch>),
     ) -> Result<Fitted> {
-        let graph = self.graph(Activation::Identity)?;
-        let mut params = vec![0.0; graph.param_len()];
-        graph.initialize(&mut ChaCha8Rng::seed_from_u64(config.seed), &mut params)?;
+        let (graph, mut params) = self.drawn(Activation::Identity, config.seed)?;
         if self == Self::Cnn {
             // Batch norm is the first layer: scale, shift, mean, variance of both channels.
-            for (channel, (mean, variance)) in statistics(&learn.states).into_iter().enumerate() {
-                params[2 * IMAGE_CHANNELS + channel] = mean;
-                params[3 * IMAGE_CHANNELS + channel] = variance;
+            let pixels = learn.states.iter().flat_map(|s| s.image.chunks_exact(IMAGE_CHANNELS));
+            let pixels = pixels.map(|pixel| pixel.iter().map(|byte| f64::from(*byte) / 255.0));
+            for (channel, (mean, variance)) in moments(IMAGE_CHANNELS, pixels).into_iter().enumerate() {
+                params[2 * IMAGE_CHANNELS + channel] = mean as f32;
+                params[3 * IMAGE_CHANNELS + channel] = variance.max(1e-6) as f32;
             }
         }
         let (learn, choose) = (learn.states.as_slice(), choose.states.as_slice());
@@ -98,32 +104,9 @@ impl ImageNetwork {
     /// # Errors
     /// Parameters of another network.
     pub fn scores(self, isa: Isa, params: &[f32], states: &States) -> Result<Vec<f32>> {
-        outputs(
-            &self.graph(Activation::Sigmoid)?,
-            isa,
-            params,
-            &states.states.as_slice(),
-        )
+        let graph = self.graph(Activation::Sigmoid)?;
+        outputs(&graph, isa, params, &states.states.as_slice())
     }
-}
-
-/// Mean and variance of each channel.
-fn statistics(states: &[State]) -> [(f32, f32); IMAGE_CHANNELS] {
-    let mut sums = [(0.0f64, 0.0f64); IMAGE_CHANNELS];
-    let mut count = 0usize;
-    for pair in states.iter().flat_map(|s| s.image.chunks_exact(IMAGE_CHANNELS)) {
-        count += 1;
-        for (sum, byte) in sums.iter_mut().zip(pair) {
-            let x = f64::from(*byte) / 255.0;
-            sum.0 += x;
-            sum.1 += x * x;
-        }
-    }
-    let count = count.max(1) as f64;
-    sums.map(|(sum, squares)| {
-        let mean = sum / count;
-        (mean as f32, (squares / count - mean * mean).max(1e-6) as f32)
-    })
 }
 
 /// Components of the PCA detector.
@@ -157,10 +140,8 @@ pub fn pca_scores(learn: &States, choose: &States, test: &States) -> Vec<f32> {
         verdicts.filter(|(score, s)| (**score > limit) == s.attacked).count()
     };
     let limit = chosen.iter().copied().max_by_key(|limit| right(*limit)).unwrap_or(1.0);
-    score(test)
-        .into_iter()
-        .map(|s| s / limit.max(f32::MIN_POSITIVE))
-        .collect()
+    let limit = limit.max(f32::MIN_POSITIVE);
+    score(test).into_iter().map(|s| s / limit).collect()
 }
 
 /// LSTM-AD's scores of the windows that end in the states.

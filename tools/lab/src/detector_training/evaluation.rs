@@ -61,11 +61,19 @@ pub struct EvaluationSize {
 const MOST_FLIGHTS: u64 = 10_000_000;
 
 /// How a recovery flies in the evaluation: it stops at the second altered frame.
-pub(super) const RECOVERING: Plan = Plan::Recovering {
+const RECOVERING: Plan = Plan::Recovering {
     delay: 2,
     hover: 20,
     trust: 20,
 };
+
+/// Every other attacked flight is recovered, since the verdict must hold there as well.
+pub(super) fn plan_of(flight: u64) -> Plan {
+    match flight % 2 {
+        0 => Plan::Actor,
+        _ => RECOVERING,
+    }
+}
 
 /// Attacked frames after which a flight is cut off.
 const ALTERED: u64 = 100;
@@ -73,9 +81,7 @@ const ALTERED: u64 = 100;
 pub fn sets(size: &EvaluationSize) -> Vec<Set> {
     let validation = |i: u64, plan| Scenario::unattacked(Family::Validation, size.first_seed.wrapping_add(i), plan);
     let attacked = |method, epsilon_255, iterations, i: u64| {
-        // Every other flight is recovered, since the verdict must hold there as well.
-        let plan = if i.is_multiple_of(2) { Plan::Actor } else { RECOVERING };
-        let mut scenario = validation(i, plan);
+        let mut scenario = validation(i, plan_of(i));
         let config = AttackConfig {
             method,
             epsilon_255,
@@ -95,15 +101,10 @@ pub fn sets(size: &EvaluationSize) -> Vec<Set> {
         role,
         scenarios: (0..count).map(scenario).collect(),
     };
-    let mut sets = vec![
-        set("unattacked", Role::Unattacked, size.unattacked, &|i| {
-            validation(i, Plan::Actor)
-        }),
-        set("bim-accumulating 1 x 20", Role::Paper, size.attacked, &|i| {
-            attacked(Method::BimAccumulating, 1.0, 20, i)
-        }),
-    ];
+    let unattacked = |i| validation(i, Plan::Actor);
+    let mut sets = vec![set("unattacked", Role::Unattacked, size.unattacked, &unattacked)];
     for (method, epsilon_255, iterations, role) in [
+        (Method::BimAccumulating, 1.0, 20, Role::Paper),
         (Method::BimAccumulating, 0.5, 20, Role::Trained),
         (Method::BimAccumulating, 1.0, 5, Role::Trained),
         (Method::BimClipped, 5.0, 20, Role::Trained),
@@ -115,13 +116,16 @@ pub fn sets(size: &EvaluationSize) -> Vec<Set> {
         (Method::Noise, 1.0, 20, Role::Control),
     ] {
         let name = format!("{} {epsilon_255} x {iterations}", method.name());
-        sets.push(set(&name, role, size.other, &|i| {
-            attacked(method, epsilon_255, iterations, i)
-        }));
+        let count = match role {
+            Role::Paper => size.attacked,
+            _ => size.other,
+        };
+        let attacked = |i| attacked(method, epsilon_255, iterations, i);
+        sets.push(set(&name, role, count, &attacked));
     }
     let control = |name: &str, change: &dyn Fn(&mut Scenario)| {
         set(name, Role::Control, size.other, &|i| {
-            let mut scenario = validation(i, Plan::Actor);
+            let mut scenario = unattacked(i);
             change(&mut scenario);
             scenario
         })
@@ -239,10 +243,8 @@ fn attacked(record: &Record, step: usize) -> bool {
 }
 
 fn effective(record: &Record, step: usize) -> bool {
-    record
-        .steps
-        .get(step)
-        .is_some_and(|s| s.yaw_change.abs() >= EFFECTIVE_YAW)
+    let step = record.steps.get(step);
+    step.is_some_and(|s| s.yaw_change.abs() >= EFFECTIVE_YAW)
 }
 
 /// No altered frame, attacked or noisy, is in the actor's state.
@@ -253,40 +255,26 @@ fn untouched(record: &Record, step: usize) -> bool {
 /// Altered frames from each burst's beginning to its first alarm; `None` if it ended unnoticed. Bursts that begin before the
 /// window is full are left out.
 fn delays(record: &Record, scores: &[Option<f32>], threshold: f32) -> Vec<Option<usize>> {
-    let mut delays = Vec::new();
-    let mut step = 0;
-    while step < record.steps.len() {
-        if !attacked(record, step) {
-            step += 1;
-            continue;
-        }
-        let begin = step;
-        while step < record.steps.len() && attacked(record, step) {
-            step += 1;
-        }
-        if begin >= WINDOW {
-            let alarm = (begin..step).find(|i| scores[*i].is_some_and(|s| s > threshold));
+    let (mut delays, mut begin) = (Vec::new(), 0);
+    let is_attacked = |step: &Step| step.frame == Frame::Attacked;
+    for steps in record.steps.chunk_by(|a, b| is_attacked(a) == is_attacked(b)) {
+        let end = begin + steps.len();
+        if begin >= WINDOW && is_attacked(&steps[0]) {
+            let alarm = (begin..end).find(|i| scores[*i].is_some_and(|s| s > threshold));
             delays.push(alarm.map(|i| i - begin + 1));
         }
+        begin = end;
     }
     delays
 }
 
 /// Times at which the verdict turns to attack in a flight, those within a second counting once.
 fn alarms(scores: &[Option<f32>], threshold: f32) -> usize {
-    let mut last: Option<usize> = None;
-    let mut count = 0;
-    for (step, _) in scores
-        .iter()
-        .enumerate()
-        .filter(|(_, s)| s.is_some_and(|s| s > threshold))
-    {
-        if last.is_none_or(|last| step - last > ONE_ALARM) {
-            count += 1;
-        }
-        last = Some(step);
-    }
-    count
+    let all = scores.iter().enumerate();
+    let raised: Vec<usize> = all
+        .filter_map(|(step, score)| (*score)?.gt(&threshold).then_some(step))
+        .collect();
+    raised.len() - raised.windows(2).filter(|w| w[1] - w[0] <= ONE_ALARM).count()
 }
 
 fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32, unattacked: &[f32]) -> SetReport {
@@ -347,15 +335,13 @@ fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>
     };
     let unattacked = scores_of(flights(Role::Unattacked), &|_, _| true);
     let paper = |keep: &dyn Fn(&Record, usize) -> bool| scores_of(flights(Role::Paper), keep);
-    let under_attack = paper(&attacked);
+    let above = |keep: &dyn Fn(&Record, usize) -> bool| Proportion::above(threshold, paper(keep));
+    let (under_attack, moved) = (paper(&attacked), paper(&|r, s| attacked(r, s) && effective(r, s)));
     let separation = Separation::of(threshold, &under_attack, &unattacked);
     let quiet = 1.0 - separation.false_alarms.share.unwrap_or(0.0);
     let rows = (1..=WINDOW)
         .map(|attacked_rows| {
-            let detected = Proportion::above(
-                threshold,
-                paper(&|r, step| attacked(r, step) && r.altered_of_last(step, WINDOW) == attacked_rows),
-            );
+            let detected = above(&|r, step| attacked(r, step) && r.altered_of_last(step, WINDOW) == attacked_rows);
             RowsReport {
                 attacked_rows,
                 detected,
@@ -364,14 +350,11 @@ fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>
         })
         .collect();
     let after = (1..=2 * WINDOW)
-        .map(|steps_after| {
-            let alarmed = paper(&|r, step| {
+        .map(|steps_after| AfterReport {
+            steps_after,
+            alarmed: above(&|r, step| {
                 r.altered_of_last(step, steps_after) == 0 && r.altered_of_last(step, steps_after + 1) == 1
-            });
-            AfterReport {
-                steps_after,
-                alarmed: Proportion::above(threshold, alarmed),
-            }
+            }),
         })
         .collect();
     let steps: usize = flights(Role::Unattacked).map(|(r, _)| r.steps.len()).sum();
@@ -379,11 +362,7 @@ fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>
         feature,
         threshold,
         separation,
-        separation_effective: Separation::of(
-            threshold,
-            &paper(&|r, s| attacked(r, s) && effective(r, s)),
-            &unattacked,
-        ),
+        separation_effective: Separation::of(threshold, &moved, &unattacked),
         false_stops: flights(Role::Unattacked).map(|(_, s)| alarms(s, threshold)).sum(),
         unattacked_hours: steps as f64 * STEP_NS as f64 * 1e-9 / 3600.0,
         rows,

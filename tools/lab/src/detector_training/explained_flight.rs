@@ -28,7 +28,7 @@ pub struct ExplainedFrame {
     pub phi: Vec<f32>,
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Portrait {
     pub steps: Vec<ExplainedStep>,
     pub frames: Vec<ExplainedFrame>,
@@ -83,10 +83,7 @@ pub fn portray(
         monitor: Monitor::new(isa, actor.head(Purpose::Multipliers)?, &actor.sha256(), detector)?,
         pixels: PixelExplainer::new(isa, actor)?,
         chosen: &chosen,
-        portrait: Portrait {
-            steps: Vec::new(),
-            frames: Vec::new(),
-        },
+        portrait: Portrait::default(),
     };
     let record = fly(isa, &pilot, scenario, &mut onlooker)?;
     Ok((record, onlooker.portrait))

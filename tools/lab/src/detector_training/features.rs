@@ -42,8 +42,6 @@ pub struct Extractor {
     isa: Isa,
     shap: DeepShap,
     phi: Vec<f32>,
-    /// Values of the split point.
-    width: usize,
     row: [f32; ROW],
     /// For the gradient.
     head: Graph,
@@ -67,7 +65,6 @@ impl Extractor {
             feature,
             isa,
             phi: vec![0.0; shap.phi_len()],
-            width: shap.graph().input_len(0),
             shap,
             row: [0.0; ROW],
             params,
@@ -87,7 +84,7 @@ impl Extractor {
             Feature::Shap => {
                 self.shap.evaluate(&[&step.state, &step.position])?;
                 self.shap.attribute(YAW, &mut self.phi)?;
-                self.row = row_of(&self.phi[..self.width]);
+                self.row = row_of(&self.phi[..step.state.len()]);
             }
             Feature::State => self.row = row_of(&step.state),
             Feature::Action => self.row[..ACTOR_OUTPUTS].copy_from_slice(&step.output),

@@ -2,7 +2,7 @@
 
 use crate::cli::output;
 use crate::explained::{Ending, Frame, Record, Scenario, Step, held_frames};
-use anyhow::{Context, Error, Result, anyhow};
+use anyhow::{Context, Error, Result, anyhow, ensure};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
@@ -112,12 +112,6 @@ const BESIDE_STATE: usize = ACTOR_OUTPUTS + 1;
 pub(super) fn not_collected(path: &Path, message: &str) -> Error {
     let path = path.display();
     anyhow!("{path} holds no data of `vigil detector collect`: {message}; collect them anew")
-}
-
-/// Refuses data of another actor.
-fn of_other_actor(path: &Path, found: &str, expected: &str) -> Error {
-    let path = path.display();
-    anyhow!("{path} was collected with the actor {found}, this is the actor {expected}; collect the data anew")
 }
 
 /// What a pilot's flights have in common: whose they are, and how wide their steps.
@@ -234,19 +228,16 @@ impl Flights {
             .and_then(|entries| entries.get(FORMAT))
             .ok_or_else(|| data("it is of another format"))?;
         let about: About = serde_json::from_str(json).map_err(|e| data(&e.to_string()))?;
-        if about.actor_sha256 != recorded.actor_sha256 {
-            return Err(of_other_actor(path, &about.actor_sha256, &recorded.actor_sha256));
-        }
+        let (path, found, expected) = (path.display(), &about.actor_sha256, &recorded.actor_sha256);
+        ensure!(
+            found == expected,
+            "{path} was collected with the actor {found}, this is the actor {expected}; collect the data anew"
+        );
         let entries = about.flights;
         let tensor = |name| content.tensor(name).map_err(|e| data(&e.to_string()));
         let (values, frames) = (tensor("steps")?, tensor("frames")?);
-        let values: Vec<f32> = values
-            .data()
-            .as_chunks::<4>()
-            .0
-            .iter()
-            .map(|b| f32::from_le_bytes(*b))
-            .collect();
+        let numbers = values.data().as_chunks::<4>().0.iter();
+        let values: Vec<f32> = numbers.map(|b| f32::from_le_bytes(*b)).collect();
         let (hidden, positional) = (recorded.state, recorded.position);
         let width = BESIDE_STATE + hidden + positional;
         if entries.iter().map(|e| e.steps).sum::<usize>() * width != values.len()
@@ -258,11 +249,11 @@ impl Flights {
             let (state, rest) = values.split_at(hidden);
             let (position, rest) = rest.split_at(positional);
             let (output, yaw_change) = rest.split_at(ACTOR_OUTPUTS);
-            let mut step = Step {
+            Step {
                 state: state.to_vec(),
                 position: PositionalInputs::from_values(position)
                     .unwrap_or_else(|| unreachable!("as many as an actor has")),
-                output: [0.0; ACTOR_OUTPUTS],
+                output: core::array::from_fn(|k| output[k]),
                 frame: match frame & !ROUGH {
                     1 => Frame::Attacked,
                     2 => Frame::Noisy,
@@ -270,9 +261,7 @@ impl Flights {
                 },
                 yaw_change: yaw_change[0],
                 rough: frame & ROUGH != 0,
-            };
-            step.output.copy_from_slice(output);
-            step
+            }
         });
         let records = entries
             .into_iter()

@@ -1,8 +1,9 @@
 //! Trains LSTM-AD on gathered flights.
 
 use crate::detector_training::features::{Extractor, Feature, Rows};
-use crate::detector_training::fit::{Epoch, Examples, FitConfig, Fitted, fit};
+use crate::detector_training::fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
 use crate::detector_training::flight_files::{Class, Counts};
+use crate::detector_training::metrics::moments;
 use crate::explained::Record;
 use anyhow::{Result, bail};
 use rand::SeedableRng;
@@ -53,25 +54,21 @@ impl LstmConfig {
     }
 }
 
-/// Windows of normalised rows, with their class.
-pub(crate) struct Windows<'a> {
-    pub rows: &'a Rows,
-    /// Flight, newest step, whether it was attacked.
-    pub at: Vec<(usize, usize, bool)>,
-}
+/// Windows of normalised rows: of each the flight, the newest step, whether it was attacked.
+struct Windows<'a>(&'a Rows, Vec<(usize, usize, bool)>);
 
 impl Examples for Windows<'_> {
     fn count(&self) -> usize {
-        self.at.len()
+        self.1.len()
     }
 
     fn inputs<'a>(&'a self, i: usize, _: &'a mut Vec<f32>) -> Vec<&'a [f32]> {
-        let (flight, step, _) = self.at[i];
-        (step + 1 - WINDOW..=step).map(|s| self.rows.row(flight, s)).collect()
+        let (flight, step, _) = self.1[i];
+        (step + 1 - WINDOW..=step).map(|s| self.0.row(flight, s)).collect()
     }
 
     fn attacked(&self, i: usize) -> bool {
-        self.at[i].2
+        self.1[i].2
     }
 }
 
@@ -101,32 +98,18 @@ fn draw_backgrounds(records: &[Record], count: usize, seed: u64) -> Vec<Backgrou
     let quiet = records.iter().filter(|r| r.scenario.adversary.is_none());
     let mut steps: Vec<_> = quiet.flat_map(|r| &r.steps).collect();
     steps.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
-    steps
-        .iter()
-        .take(count)
-        .map(|s| (s.state.clone(), s.position))
-        .collect()
+    let chosen = steps.iter().take(count);
+    chosen.map(|s| (s.state.clone(), s.position)).collect()
 }
 
 /// Mean and standard deviation of each value over the unattacked windows' newest rows.
 fn statistics(rows: &Rows, at: &[(usize, usize, bool)]) -> (Vec<f32>, Vec<f32>) {
-    let quiet = || at.iter().filter(|(.., attacked)| !attacked);
-    let count = quiet().count().max(1) as f64;
-    let (mut sum, mut squares) = (vec![0.0f64; rows.width], vec![0.0f64; rows.width]);
-    for (flight, step, _) in quiet() {
-        for (k, x) in rows.row(*flight, *step).iter().enumerate() {
-            sum[k] += f64::from(*x);
-            squares[k] += f64::from(*x) * f64::from(*x);
-        }
-    }
-    let centre: Vec<f32> = sum.iter().map(|s| (s / count) as f32).collect();
-    let scale = sum
-        .iter()
-        .zip(squares)
-        // A value that never changes is not scaled up to noise.
-        .map(|(s, q)| ((q / count - (s / count) * (s / count)).max(0.0).sqrt() as f32).max(1e-4))
-        .collect();
-    (centre, scale)
+    let quiet = at.iter().filter(|(.., attacked)| !attacked);
+    let quiet = quiet.map(|(flight, step, _)| rows.row(*flight, *step).iter().map(|x| f64::from(*x)));
+    // A value that never changes is not scaled up to noise.
+    let scale = |variance: f64| (variance.max(0.0).sqrt() as f32).max(1e-4);
+    let moments = moments(rows.width, quiet).into_iter();
+    moments.map(|(mean, variance)| (mean as f32, scale(variance))).unzip()
 }
 
 /// A trained network over one kind of rows, and all that is needed to use it.
@@ -180,14 +163,7 @@ pub fn train(
     let graph = LstmAd::graph(feature.width(), LstmAd::CELL, Activation::Identity)?;
     let mut first = vec![0.0; graph.param_len()];
     graph.initialize(&mut ChaCha8Rng::seed_from_u64(seed), &mut first)?;
-    let learn = Windows {
-        rows: &learn_rows,
-        at: learn_at,
-    };
-    let choose = Windows {
-        rows: &choose_rows,
-        at: choose_at,
-    };
+    let (learn, choose) = (Windows(&learn_rows, learn_at), Windows(&choose_rows, choose_at));
     let fitted = fit(&graph, isa, first, &learn, &choose, &config.fit, progress)?;
     Ok(WindowScorer {
         feature,
@@ -195,7 +171,7 @@ pub fn train(
         centre,
         scale,
         fitted,
-        windows: learn.at.len(),
+        windows: learn.count(),
     })
 }
 
@@ -239,10 +215,8 @@ impl WindowScorer {
     /// # Errors
     /// Parameters of another architecture.
     pub fn threshold(&self, isa: Isa, pilot: &FrozenPilot, choose: &[Record]) -> Result<f32> {
-        let (count, window) = (
-            parameters::RAISE_COUNT.number() as usize,
-            parameters::RAISE_WINDOW.number() as usize,
-        );
+        let count = parameters::RAISE_COUNT.number() as usize;
+        let window = parameters::RAISE_WINDOW.number() as usize;
         let scores = self.scores(isa, pilot, choose)?;
         let mut highest = 0.5_f32;
         for (record, scores) in choose.iter().zip(&scores) {
@@ -291,14 +265,11 @@ impl WindowScorer {
         rows.normalise(&self.centre, &self.scale);
         let all = records.iter().enumerate();
         let at = all.flat_map(|(flight, r)| (WINDOW - 1..r.steps.len()).map(move |step| (flight, step, false)));
-        let windows = Windows {
-            rows: &rows,
-            at: at.collect(),
-        };
+        let windows = Windows(&rows, at.collect());
         let graph = LstmAd::graph(self.feature.width(), LstmAd::CELL, Activation::Sigmoid)?;
-        let outputs = crate::detector_training::fit::outputs(&graph, isa, &self.fitted.params, &windows)?;
+        let outputs = outputs(&graph, isa, &self.fitted.params, &windows)?;
         let mut scores: Vec<Vec<Option<f32>>> = records.iter().map(|r| vec![None; r.steps.len()]).collect();
-        for ((flight, step, _), score) in windows.at.iter().zip(outputs) {
+        for ((flight, step, _), score) in windows.1.iter().zip(outputs) {
             scores[*flight][*step] = Some(score);
         }
         Ok(scores)

@@ -10,11 +10,7 @@ pub fn roc(attacked: &[f32], unattacked: &[f32]) -> Vec<(f64, f64)> {
     let (mut hits, mut false_alarms) = (0usize, 0usize);
     let mut points = vec![(0.0, 0.0)];
     for (i, (score, is_attacked)) in all.iter().enumerate() {
-        if *is_attacked {
-            hits += 1;
-        } else {
-            false_alarms += 1;
-        }
+        *if *is_attacked { &mut hits } else { &mut false_alarms } += 1;
         // Equal scores are passed by a threshold together.
         if all.get(i + 1).is_none_or(|(next, _)| next != score) {
             points.push((
@@ -50,6 +46,21 @@ pub fn auc(points: &[(f64, f64)]) -> f64 {
 pub fn true_positives_at(points: &[(f64, f64)], false_positives: f64) -> f64 {
     let within = points.iter().filter(|(x, _)| *x <= false_positives);
     within.map(|(_, y)| *y).fold(0.0, f64::max)
+}
+
+/// Mean and variance of each column.
+pub fn moments<R: Iterator<Item = f64>>(width: usize, rows: impl Iterator<Item = R>) -> Vec<(f64, f64)> {
+    let (mut sums, mut count) = (vec![(0.0, 0.0); width], 0usize);
+    for row in rows {
+        count += 1;
+        for ((sum, squares), x) in sums.iter_mut().zip(row) {
+            *sum += x;
+            *squares += x * x;
+        }
+    }
+    let count = count.max(1) as f64;
+    let of = |(sum, squares)| (sum / count, squares / count - (sum / count) * (sum / count));
+    sums.into_iter().map(of).collect()
 }
 
 /// A share with its 95 % interval (Wilson).
@@ -130,13 +141,7 @@ mod tests {
         let mut wins = 0.0;
         for x in a {
             for y in u {
-                wins += if x > y {
-                    1.0
-                } else if x == y {
-                    0.5
-                } else {
-                    0.0
-                };
+                wins += f64::from(x > y) + 0.5 * f64::from(x == y);
             }
         }
         assert!((auc(&roc(&a, &u)) - wins / 20.0).abs() < 1e-12);

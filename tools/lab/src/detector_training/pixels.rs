@@ -1,9 +1,9 @@
 //! States with the SHAP image of their newest frame, for the detectors that look at images.
 
 use crate::cli::output;
-use crate::detector_training::evaluation::RECOVERING;
+use crate::detector_training::evaluation::plan_of;
 use crate::detector_training::flight_files::{Flights, not_collected};
-use crate::explained::{Adversary, Frame, MAX_STEPS, Onlooker, Plan, Scenario, Shown, Step, YAW, explainer, fly};
+use crate::explained::{Adversary, Frame, MAX_STEPS, Onlooker, Scenario, Shown, Step, YAW, explainer, fly};
 use anyhow::{Context, Result};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -43,6 +43,8 @@ pub struct States {
     pub flights: Flights,
     /// The states, half of them attacked.
     pub states: Vec<State>,
+    /// States of the background sample; `None` in older files.
+    pub backgrounds: Option<u32>,
 }
 
 /// Explains states as they are met.
@@ -94,11 +96,6 @@ impl Onlooker for Explaining<'_> {
 /// A flight under the paper's attack, streaming, in bursts of 10 to 60 steps; the actor flies, or a recovery.
 fn scenario(family: Family, seed: u64) -> Scenario {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let plan = if seed.is_multiple_of(2) {
-        Plan::Actor
-    } else {
-        RECOVERING
-    };
     let config = AttackConfig {
         towards: [Towards::Left, Towards::Right, Towards::Away][rng.random_range(0..3)],
         seed,
@@ -108,7 +105,7 @@ fn scenario(family: Family, seed: u64) -> Scenario {
     Scenario {
         adversary: Some(Adversary::in_bursts(config, length, MAX_STEPS, &mut rng)),
         altered: (STRIDE * PER_FLIGHT) as u64,
-        ..Scenario::unattacked(family, seed, plan)
+        ..Scenario::unattacked(family, seed, plan_of(seed))
     }
 }
 
@@ -160,7 +157,13 @@ pub fn gather_states(
         actor_sha256: actor.sha256(),
         records,
     };
-    Ok((States { flights, states }, complete))
+    let backgrounds = Some(backgrounds as u32);
+    let states = States {
+        flights,
+        states,
+        backgrounds,
+    };
+    Ok((states, complete))
 }
 
 /// A state has 16 kB.
@@ -180,7 +183,12 @@ impl States {
             .flat_map(u32::to_le_bytes)
             .collect();
         let count = self.states.len();
+        let backgrounds: Vec<u8> = self.backgrounds.iter().flat_map(|n| n.to_le_bytes()).collect();
         let tensors = [
+            (
+                "backgrounds",
+                TensorView::new(Dtype::U32, vec![backgrounds.len() / 4], &backgrounds)?,
+            ),
             ("images", TensorView::new(Dtype::U8, vec![count, IMAGE], &images)?),
             ("places", TensorView::new(Dtype::U32, vec![count, 3], &places)?),
         ];
@@ -205,13 +213,8 @@ impl States {
         }
         let tensor = |name| content.tensor(name).map_err(|e| data(&e.to_string()));
         let (images, places) = (tensor("images")?, tensor("places")?);
-        let numbers = places
-            .data()
-            .as_chunks::<4>()
-            .0
-            .iter()
-            .map(|b| u32::from_le_bytes(*b) as usize);
-        let numbers: Vec<usize> = numbers.collect();
+        let numbers = places.data().as_chunks::<4>().0.iter();
+        let numbers: Vec<usize> = numbers.map(|b| u32::from_le_bytes(*b) as usize).collect();
         let places = numbers.as_chunks::<3>().0;
         let known = |[flight, step, _]: &[usize; 3]| {
             let record = flights.records.get(*flight);
@@ -221,7 +224,10 @@ impl States {
             return Err(data("its images and its flights do not belong together"));
         }
         let states = images.data().chunks_exact(IMAGE).zip(places);
+        let backgrounds = content.tensor("backgrounds").ok();
+        let backgrounds = backgrounds.and_then(|tensor| tensor.data().first_chunk().copied());
         Ok(Self {
+            backgrounds: backgrounds.map(u32::from_le_bytes),
             states: states
                 .map(|(image, [flight, step, attacked])| State {
                     flight: *flight,
@@ -232,5 +238,27 @@ impl States {
                 .collect(),
             flights,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_of_images_says_how_many_backgrounds_they_are_against() {
+        let (folder, actor) = (tempfile::tempdir().unwrap(), FrozenActor::built_in().unwrap());
+        let path = folder.path().join("images.safetensors");
+        let flights = Flights {
+            actor_sha256: actor.sha256(),
+            records: Vec::new(),
+        };
+        let states = States {
+            flights,
+            states: Vec::new(),
+            backgrounds: Some(30),
+        };
+        states.save(&path).unwrap();
+        assert_eq!(States::load(&path, &actor).unwrap(), states);
     }
 }

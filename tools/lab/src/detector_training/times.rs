@@ -3,8 +3,6 @@
 use crate::detector_training::comparison::ImageNetwork;
 use crate::explained::{BACKGROUNDS, Onlooker, Plan, Record, Scenario, Shown, Step, YAW, explainer, fly};
 use anyhow::Result;
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 use std::time::Instant;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, WINDOW, image, normalise};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
@@ -39,9 +37,7 @@ struct ImageDetector {
 
 impl ImageDetector {
     fn new(network: ImageNetwork) -> Result<Self> {
-        let graph = network.graph(Activation::Sigmoid)?;
-        let mut params = vec![0.0; graph.param_len()];
-        graph.initialize(&mut ChaCha8Rng::seed_from_u64(1), &mut params)?;
+        let (graph, params) = network.drawn(Activation::Sigmoid, 1)?;
         Ok(Self {
             tape: vec![0.0; graph.tape_len()],
             params,
@@ -54,6 +50,9 @@ impl ImageDetector {
     }
 }
 
+/// Steps between two explanations of all pixels.
+const STRIDE: usize = 10;
+
 struct Timing {
     isa: Isa,
     actor: Actor,
@@ -65,8 +64,7 @@ struct Timing {
     phi: Vec<f32>,
     cnn: ImageDetector,
     fcn: ImageDetector,
-    /// Steps between two explanations of all pixels, and how many there shall be.
-    stride: usize,
+    /// How many explanations of all pixels there shall be.
     pictures: usize,
     times: Times,
 }
@@ -93,7 +91,7 @@ impl Onlooker for Timing {
         self.rows[WINDOW - 1] = normalise(&self.rows[WINDOW - 1], &self.detector.centre, &self.detector.scale);
         timed(&mut times.verdict_s, || self.lstm.score(&self.rows))?;
 
-        let due = times.action_s.len().is_multiple_of(self.stride) && times.pixels_s.len() < self.pictures;
+        let due = times.action_s.len().is_multiple_of(STRIDE) && times.pixels_s.len() < self.pictures;
         if due && let Some(inputs) = shown.inputs(step) {
             timed(&mut times.pixels_s, || {
                 self.pixels.evaluate(&inputs)?;
@@ -131,7 +129,6 @@ pub fn time(
         pixels,
         cnn: ImageDetector::new(ImageNetwork::Cnn)?,
         fcn: ImageDetector::new(ImageNetwork::Fcn)?,
-        stride: 10,
         pictures,
         times: Times::default(),
     };

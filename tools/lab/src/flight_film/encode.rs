@@ -1,7 +1,7 @@
 //! Pictures become an animated GIF, or go to ffmpeg, which makes an mp4 of them.
 
 use super::picture::{Canvas, Colour, PALETTE};
-use super::{HEIGHT, WIDTH};
+use super::{HEIGHT, PICTURE_CS, WIDTH};
 use anyhow::{Context, Error, Result, anyhow, bail};
 use gif::{DisposalMethod, Encoder, Frame, Repeat};
 use std::borrow::Cow;
@@ -54,10 +54,8 @@ fn difference(before: Option<&Canvas>, now: &Canvas, delay: u16) -> Frame<'stati
     let whole = (0, 0, WIDTH, HEIGHT);
     let (left, top, right, bottom) = before.map_or(whole, |before| {
         let changed = || (0..WIDTH * HEIGHT).filter(|i| before.pixels[*i] != now.pixels[*i]);
-        let (top, bottom) = (
-            changed().next().map_or(0, |i| i / WIDTH),
-            changed().next_back().map_or(0, |i| i / WIDTH),
-        );
+        let row = |i: Option<usize>| i.map_or(0, |i| i / WIDTH);
+        let (top, bottom) = (row(changed().next()), row(changed().next_back()));
         let (left, right) = changed().fold((WIDTH - 1, 0), |(l, r), i| (l.min(i % WIDTH), r.max(i % WIDTH)));
         (left.min(right), top, right + 1, bottom + 1)
     });
@@ -96,25 +94,19 @@ pub struct Video {
 impl Video {
     /// Whether there is a program that makes it.
     pub fn check() -> Result<()> {
-        let asked = Command::new(FFMPEG)
-            .arg("-version")
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .status();
-        match asked {
-            Ok(status) if status.success() => Ok(()),
+        match Command::new(FFMPEG).arg("-version").output() {
+            Ok(said) if said.status.success() => Ok(()),
             Err(error) if error.kind() == ErrorKind::NotFound => bail!(
                 "an mp4 is made by the program ffmpeg, and there is none on the path: install it, or give the film a name that ends in .gif"
             ),
-            Ok(status) => Err(not_made(format!("`ffmpeg -version` ended with {status}"))),
+            Ok(said) => Err(not_made(format!("`ffmpeg -version` ended with {}", said.status))),
             Err(error) => Err(not_made(error)),
         }
     }
 
-    /// Begins it, in the place of a file that may be there, with so many pictures a second.
-    pub fn begin(file: &Path, pictures_per_s: u16) -> Result<Self> {
-        Self::check()?;
+    /// Begins it, in the place of a file that may be there.
+    pub fn begin(file: &Path) -> Result<Self> {
+        let pictures_per_s = 100 / PICTURE_CS;
         let part = file.with_extension("mp4.part");
         // What every player shows, and a browser before it has the whole file.
         let arguments = format!(
@@ -171,9 +163,8 @@ impl Pictures for Video {
         for (rgb, colour) in self.bytes.chunks_exact_mut(3).zip(&canvas.pixels) {
             rgb.copy_from_slice(&PALETTE[usize::from(*colour) % PALETTE.len()]);
         }
-        for _ in 0..(delay_cs / super::PICTURE_CS).max(1) {
-            let written = self.pictures.as_mut().map(|pipe| pipe.write_all(&self.bytes));
-            if let Some(Err(_)) = written {
+        for _ in 0..(delay_cs / PICTURE_CS).max(1) {
+            if let Some(Err(_)) = self.pictures.as_mut().map(|pipe| pipe.write_all(&self.bytes)) {
                 // It ended early, and says why.
                 let why = self.end().unwrap_or_else(|| "it ended early".to_owned());
                 return Err(not_made(why));

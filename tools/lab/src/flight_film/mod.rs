@@ -8,13 +8,12 @@ mod third_person;
 use crate::flight_derived::ExplainedReplay;
 use crate::flight_report::{LogSeen, StepSeen, WHO};
 use anyhow::{Context, Result};
-pub use encode::Video;
-use encode::{Gif, Pictures};
+use encode::Pictures;
+pub use encode::{Gif, Video};
 use picture::{Canvas, Colour, span};
-use std::io::Write;
 use std::path::Path;
 use third_person::{Seen, Stage};
-use vigil_log::{Reader, SHAP_COLS, SceneSolid, TickRecord};
+use vigil_log::{LogEnd, Reader, SHAP_COLS, SceneSolid, TickRecord};
 use vigil_types::{Alarm, DEPTH_COLS, DEPTH_ROWS, GuidanceState, Judgement, NedVector};
 
 /// Size of the film, pixels; even, as an mp4 needs it.
@@ -54,26 +53,14 @@ pub struct FilmOptions {
     pub explained: usize,
 }
 
-/// Films the log at `path` as an animated GIF into `sink`. Returns the number of pictures.
+/// The number of a film's pictures, and why they are not all of the flight where they are not.
+pub type Filmed = (usize, Option<String>);
+
+/// Films the log at `path`.
 ///
 /// # Errors
-/// A log that cannot be read, a flight that never took off, a sink that takes no more.
-pub fn film(path: &Path, options: &FilmOptions, sink: impl Write) -> Result<usize> {
-    shoot(path, options, &mut Gif::begin(sink)?)
-}
-
-/// Films the log at `path` as an mp4. Returns the number of pictures.
-///
-/// # Errors
-/// As [`film`], and no ffmpeg, or one that does not do it.
-pub fn film_video(path: &Path, options: &FilmOptions, to: &Path) -> Result<usize> {
-    let mut video = Video::begin(to, 100 / PICTURE_CS)?;
-    let pictures = shoot(path, options, &mut video)?;
-    video.finish()?;
-    Ok(pictures)
-}
-
-fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<usize> {
+/// A log that cannot be read, a flight that never took off, what takes no more pictures.
+pub fn film(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<Filmed> {
     let log = LogSeen::read(path)?;
     let steps = shown(&log);
     let ends = steps.first().copied().zip(steps.last().copied());
@@ -82,7 +69,7 @@ fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<u
     let stride = (options.speed * STEPS_A_SECOND * f64::from(PICTURE_CS) / 100.0)
         .round()
         .max(1.0) as usize;
-    let stride = stride.max((last - first).div_ceil(MOST_PICTURES));
+    let stride = stride.max((last - first).div_ceil(MOST_PICTURES - 1));
 
     let scene = Scene::of(&log, first, last);
     let background = scene.background(&log);
@@ -114,7 +101,8 @@ fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<u
         to.picture(&canvas, delay)?;
         pictures += 1;
     }
-    Ok(pictures)
+    let interrupted = log.end.filter(|end| matches!(end, LogEnd::Interrupted { .. }));
+    Ok((pictures, log.damage.or_else(|| interrupted.map(|end| end.to_string()))))
 }
 
 /// Explains what the actor was shown, now and then.
@@ -219,12 +207,7 @@ fn half_size(depth: &[f32], to: &mut Vec<u8>) {
     let range = |row: usize, col: usize| depth.get(row * DEPTH_COLS + col).copied().unwrap_or(1.0);
     for (i, value) in to.iter_mut().enumerate() {
         let (row, col) = (2 * (i / (DEPTH_COLS / 2)), 2 * (i % (DEPTH_COLS / 2)));
-        let mut four = [
-            range(row, col),
-            range(row, col + 1),
-            range(row + 1, col),
-            range(row + 1, col + 1),
-        ];
+        let mut four = [(0, 0), (0, 1), (1, 0), (1, 1)].map(|(down, right)| range(row + down, col + right));
         four.sort_by(f32::total_cmp);
         let grey = vigil_tools::cli::output::range_grey(0.5 * (four[1] + four[2]))[0];
         *value = grey / 32;
@@ -260,10 +243,8 @@ impl Scene {
         let margin = 1.5;
         let (length, width) = (n1 - n0 + 2.0 * margin, e1 - e0 + 2.0 * margin);
         let scale = (VIEW_WIDTH as f32 / length).min((HEIGHT - MAP_TOP) as f32 / width);
-        let (over_n, over_e) = (
-            VIEW_WIDTH as f32 / scale - length,
-            (HEIGHT - MAP_TOP) as f32 / scale - width,
-        );
+        let over_n = VIEW_WIDTH as f32 / scale - length;
+        let over_e = (HEIGHT - MAP_TOP) as f32 / scale - width;
         Self {
             origin: (n0 - margin - 0.5 * over_n, e0 - margin - 0.5 * over_e),
             scale,

@@ -46,29 +46,24 @@ struct Block {
 
 impl Block {
     fn of(solid: &SceneSolid) -> Self {
-        match *solid {
+        let (centre, half, yaw_rad) = match *solid {
             SceneSolid::Cuboid {
                 centre_ned_m,
                 half_extents_m,
                 yaw_rad,
-            } => Self {
-                centre: centre_ned_m,
-                half: half_extents_m,
-                yaw: yaw_rad.sin_cos(),
-                is_round: false,
-                is_goal: false,
-            },
+            } => (centre_ned_m, half_extents_m, yaw_rad),
             SceneSolid::Cylinder {
                 centre_ned_m,
                 radius_m,
                 half_height_m,
-            } => Self {
-                centre: centre_ned_m,
-                half: [radius_m, radius_m, half_height_m],
-                yaw: (0.0, 1.0),
-                is_round: true,
-                is_goal: false,
-            },
+            } => (centre_ned_m, [radius_m, radius_m, half_height_m], 0.0),
+        };
+        Self {
+            centre,
+            half,
+            yaw: f32::sin_cos(yaw_rad),
+            is_round: matches!(solid, SceneSolid::Cylinder { .. }),
+            is_goal: false,
         }
     }
 
@@ -90,10 +85,8 @@ impl Block {
         };
         let slab = |axis: usize| {
             let speed = if along[axis].abs() < 1e-9 { 1e-9 } else { along[axis] };
-            let (a, b) = (
-                (-self.half[axis] - from[axis]) / speed,
-                (self.half[axis] - from[axis]) / speed,
-            );
+            let (half, from) = (self.half[axis], from[axis]);
+            let (a, b) = ((-half - from) / speed, (half - from) / speed);
             (a.min(b), a.max(b))
         };
         let (low, high) = slab(2);
@@ -106,14 +99,11 @@ impl Block {
             // No root, no contact: the comparison below fails with what is no number.
             let near = (-b - root) / a;
             let across = (from[1] + near * along[1]) / self.half[0];
-            let of = if across > 0.3 {
-                Colour::SOLID_DARK
-            } else {
-                Colour::SOLID
-            };
+            let is_dark = across > 0.3;
             if root.is_nan() {
                 return None;
             }
+            let of = if is_dark { Colour::SOLID_DARK } else { Colour::SOLID };
             face(near, (-b + root) / a, of);
         } else {
             for (axis, of) in [(0, Colour::SOLID), (1, Colour::SOLID_DARK)] {
@@ -169,15 +159,12 @@ impl Stage {
 
         let [left, top, width, height] = place;
         // Most obstacles are far away or behind.
-        let near: Vec<&Block> = self
-            .blocks
-            .iter()
-            .filter(|block| {
-                let reach = block.half[0].hypot(block.half[1]) + block.half[2];
-                let to = minus(block.centre, camera.eye);
-                dot(to, camera.ahead) > -reach && dot(to, to).sqrt() - reach < FURTHEST_M
-            })
-            .collect();
+        let is_near = |block: &&Block| {
+            let reach = block.half[0].hypot(block.half[1]) + block.half[2];
+            let to = minus(block.centre, camera.eye);
+            dot(to, camera.ahead) > -reach && dot(to, to).sqrt() - reach < FURTHEST_M
+        };
+        let near: Vec<&Block> = self.blocks.iter().filter(is_near).collect();
         let mut ranges = vec![f32::INFINITY; width * height];
         for y in 0..height {
             for x in 0..width {
@@ -185,18 +172,9 @@ impl Stage {
                 let mut nearest = (f32::INFINITY, Colour::BANNER);
                 if ray[2] > 0.0 {
                     let t = -camera.eye[2] / ray[2];
-                    if t > 0.0 && t < FURTHEST_M {
-                        let square = |v: f32| v.div_euclid(2.0) as i32;
-                        let odd = square(camera.eye[0] + t * ray[0]) + square(camera.eye[1] + t * ray[1]);
-                        let shade = if odd.rem_euclid(2) == 0 {
-                            Colour::PAPER
-                        } else {
-                            Colour::GROUND
-                        };
-                        nearest = (t, shade);
-                    } else {
-                        nearest = (t, Colour::PAPER);
-                    }
+                    let square = |axis: usize| (camera.eye[axis] + t * ray[axis]).div_euclid(2.0) as i32;
+                    let is_odd = t > 0.0 && t < FURTHEST_M && (square(0) + square(1)).rem_euclid(2) != 0;
+                    nearest = (t, if is_odd { Colour::GROUND } else { Colour::PAPER });
                 }
                 for block in &near {
                     if let Some((t, shade)) = block.hit(camera.eye, ray)
@@ -217,11 +195,8 @@ impl Stage {
             let is_seen = inside && ranges[y as usize * width + x as usize] > distance - 0.3;
             is_seen.then_some((left as f32 + x, top as f32 + y))
         };
-        let points: Vec<_> = seen
-            .trail
-            .iter()
-            .map(|(p, colour)| (on_canvas([p.x, p.y, p.z]), *colour))
-            .collect();
+        let place = |(p, colour): &(NedVector, u8)| (on_canvas([p.x, p.y, p.z]), *colour);
+        let points: Vec<_> = seen.trail.iter().map(place).collect();
         for pair in points.windows(2) {
             if let (Some(a), Some(b)) = (pair[0].0, pair[1].0) {
                 canvas.line(a, b, 3.0, pair[1].1);
@@ -336,11 +311,8 @@ mod tests {
     }
 
     fn count(canvas: &Canvas, colours: &[u8], columns: std::ops::Range<usize>) -> usize {
-        let within = |i: &usize| columns.contains(&(i % 120));
-        (0..120 * 80)
-            .filter(within)
-            .filter(|i| colours.contains(&canvas.pixels[*i]))
-            .count()
+        let is_one = |i: &usize| columns.contains(&(i % 120)) && colours.contains(&canvas.pixels[*i]);
+        (0..120 * 80).filter(is_one).count()
     }
 
     #[test]

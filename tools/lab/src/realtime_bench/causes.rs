@@ -1,6 +1,7 @@
 //! Why a step began late or took long, as far as what was counted tells it.
 
 use super::ObservedStep;
+use super::text::or;
 use std::fmt;
 use vigil_types::{StepReport, Verdict, named};
 
@@ -8,7 +9,7 @@ use vigil_types::{StepReport, Verdict, named};
 const NOTABLE_NS: u64 = 1_000_000;
 
 /// What a step had to do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Work {
     pub frame: bool,
     pub decided: bool,
@@ -37,10 +38,7 @@ impl fmt::Display for Work {
             (self.alarm, "alarm"),
         ];
         let words: Vec<_> = parts.iter().filter(|(is, _)| *is).map(|(_, word)| *word).collect();
-        match words.is_empty() {
-            true => f.write_str("telemetry only"),
-            false => f.write_str(&words.join(", ")),
-        }
+        f.write_str(or(&words.join(", "), "telemetry only"))
     }
 }
 
@@ -162,28 +160,24 @@ mod tests {
 
     #[test]
     fn a_late_wake_up_is_the_step_befores_the_queues_the_hypervisors_or_the_timers() {
-        let counted = |queued_ns, stolen_ns| Counters {
-            queued_ns,
-            stolen_ns,
-            ..Counters::default()
+        let late = |late_ns, queued_ns, stolen_ns| {
+            let counted = Counters {
+                queued_ns,
+                stolen_ns,
+                ..Counters::default()
+            };
+            step(late_ns, MS, counted)
         };
-        assert_eq!(of_lateness(&step(4 * MS, MS, counted(3 * MS, 0))), Some(Cause::Queued));
-        assert_eq!(
-            of_lateness(&step(4 * MS, MS, counted(MS, 10 * MS))),
-            Some(Cause::Stolen)
-        );
-        assert_eq!(of_lateness(&step(4 * MS, MS, counted(MS, 0))), Some(Cause::WokenLate));
-        assert_eq!(of_lateness(&step(MS, MS, counted(MS, 0))), None);
-        let held_up = ObservedStep {
-            held_up: true,
-            ..step(4 * MS, MS, counted(4 * MS, 10 * MS))
-        };
+        assert_eq!(of_lateness(&late(4 * MS, 3 * MS, 0)), Some(Cause::Queued));
+        assert_eq!(of_lateness(&late(4 * MS, MS, 10 * MS)), Some(Cause::Stolen));
+        assert_eq!(of_lateness(&late(4 * MS, MS, 0)), Some(Cause::WokenLate));
+        assert_eq!(of_lateness(&late(MS, MS, 0)), None);
+        let mut held_up = late(4 * MS, 4 * MS, 10 * MS);
+        held_up.held_up = true;
         assert_eq!(of_lateness(&held_up), Some(Cause::Overrun));
         // 60 ms late are a missed step and 10 ms: 3 ms in the queue do not explain it.
-        let missed = ObservedStep {
-            missed: 1,
-            ..step(10 * MS, MS, counted(6 * MS, 0))
-        };
+        let mut missed = late(10 * MS, 6 * MS, 0);
+        missed.missed = 1;
         assert_eq!(of_lateness(&missed), Some(Cause::WokenLate));
     }
 

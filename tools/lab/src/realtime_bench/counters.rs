@@ -1,5 +1,6 @@
 //! What the system counts for a thread, read from files that stay open: no memory is asked for after the start.
 
+use super::machine::field;
 use anyhow::{Context, Result};
 use std::fs::File;
 use std::os::unix::fs::FileExt as _;
@@ -89,17 +90,9 @@ fn parse_schedule(text: &str, counters: &mut Counters) {
 }
 
 fn parse_status(text: &str, counters: &mut Counters) {
-    for line in text.lines() {
-        let Some((name, value)) = line.split_once(':') else {
-            continue;
-        };
-        let value = || value.trim().parse().unwrap_or(0);
-        match name {
-            "voluntary_ctxt_switches" => counters.voluntary = value(),
-            "nonvoluntary_ctxt_switches" => counters.involuntary = value(),
-            _ => {}
-        }
-    }
+    let count = |name| field(text, name).and_then(|count| count.parse().ok()).unwrap_or(0);
+    counters.voluntary = count("voluntary_ctxt_switches");
+    counters.involuntary = count("nonvoluntary_ctxt_switches");
 }
 
 /// The name in brackets may hold anything; minor and major faults are the 8th and 10th field behind it.

@@ -39,11 +39,8 @@ impl Machine {
             .map(|cpu| line(&format!("sys/devices/system/cpu/cpu{cpu}/cpufreq/scaling_governor")))
             .take_while(|governor| !governor.is_empty())
             .collect::<std::collections::BTreeSet<_>>();
-        let kernel = format!(
-            "{} {}",
-            line("proc/sys/kernel/osrelease"),
-            line("proc/sys/kernel/version")
-        );
+        let kernel = ["osrelease", "version"].map(|part| line(&format!("proc/sys/kernel/{part}")));
+        let kernel = kernel.join(" ");
         Self {
             // Boards tell what they are in the device tree.
             processor: model.unwrap_or_else(|| line("proc/device-tree/model")),
@@ -58,7 +55,8 @@ impl Machine {
     }
 }
 
-fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
+/// What stands behind a name and a colon.
+pub(super) fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
     text.lines().find_map(|line| {
         let (key, value) = line.split_once(':')?;
         (key.trim() == name).then(|| value.trim())
@@ -80,12 +78,8 @@ impl ProcessorTime {
 
     fn from_line(line: &str) -> Self {
         // Guests' time behind the eighth number is in the first already.
-        let ticks: Vec<u64> = line
-            .split_ascii_whitespace()
-            .skip(1)
-            .take(8)
-            .map_while(|t| t.parse().ok())
-            .collect();
+        let ticks = line.split_ascii_whitespace().skip(1).take(8);
+        let ticks: Vec<u64> = ticks.map_while(|t| t.parse().ok()).collect();
         Self {
             idle: ticks.iter().skip(3).take(2).sum(),
             all: ticks.iter().sum(),

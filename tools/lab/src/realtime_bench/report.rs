@@ -148,21 +148,17 @@ impl RealtimeReport {
         let lateness = Distribution::of(steps.iter().map(ObservedStep::lateness_ns));
         let duration = Distribution::of(steps.iter().map(|step| step.took_ns));
         // Steps with other work take other times.
-        let mut usual: Vec<(Work, Vec<u64>)> = Vec::new();
+        let mut usual: BTreeMap<Work, Vec<u64>> = BTreeMap::new();
         for step in steps {
-            match usual.iter_mut().find(|(work, _)| *work == step.work) {
-                Some((_, times_ns)) => times_ns.push(step.took_ns),
-                None => usual.push((step.work, vec![step.took_ns])),
-            }
+            usual.entry(step.work).or_default().push(step.took_ns);
         }
-        usual.iter_mut().for_each(|(_, times_ns)| times_ns.sort_unstable());
+        usual.values_mut().for_each(|times_ns| times_ns.sort_unstable());
         let usual_ns = |step: &ObservedStep| {
-            let same = usual.iter().find(|(work, _)| *work == step.work);
-            same.map_or(0, |(_, times_ns)| times_ns[times_ns.len() / 2])
+            let same = usual.get(&step.work);
+            same.map_or(0, |times_ns| times_ns[times_ns.len() / 2])
         };
-        let worst = |key: &dyn Fn(&ObservedStep) -> u64,
-                     cause: &dyn Fn(&ObservedStep) -> Option<Cause>|
-         -> Vec<WorstStep> {
+        type Of<'a, T> = &'a dyn Fn(&ObservedStep) -> T;
+        let worst = |key: Of<u64>, cause: Of<Option<Cause>>| -> Vec<WorstStep> {
             let mut sorted: Vec<&ObservedStep> = steps.iter().collect();
             sorted.sort_by_key(|step| (std::cmp::Reverse(key(step)), step.at_ns));
             let told = |step: &&ObservedStep| WorstStep {
@@ -322,7 +318,7 @@ pub(super) fn told_us(us: f64) -> String {
 mod tests {
     use super::super::Counters;
     use super::*;
-    use crate::report::Picture as _;
+    use crate::report::{Picture as _, assert_shows};
     use vigil_types::STEP_NS;
 
     /// A run of a thousand steps, each 200 µs long and 30 µs late.
@@ -434,10 +430,7 @@ mod tests {
     fn steps_with_more_work_are_compared_with_their_like() {
         let mut steps = punctual();
         for step in steps.iter_mut().step_by(2) {
-            step.work = Work {
-                judged: true,
-                ..Work::default()
-            };
+            step.work.judged = true;
             (step.took_ns, step.counted.processor_ns) = (2_000_000, 2_000_000);
         }
         assert!(RealtimeReport::of(run(), &steps).long_causes.is_empty());
@@ -453,13 +446,7 @@ mod tests {
         assert_eq!(again.to_string(), report.to_string());
         let picture = report.figure().svg();
         assert_eq!(again.figure().svg(), picture);
-        for text in [
-            "Wake-up late: p50 30 µs",
-            "max 2000 µs",
-            "Step: p50 200 µs",
-            "log10(1 + steps)",
-        ] {
-            assert!(picture.contains(text), "{text} is not in the picture");
-        }
+        let texts = "Wake-up late: p50 30 µs|max 2000 µs|Step: p50 200 µs|log10(1 + steps)";
+        assert_shows(&picture, texts);
     }
 }

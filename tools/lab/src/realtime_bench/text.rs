@@ -4,17 +4,17 @@ use super::report::{RealtimeReport, told_us};
 use crate::report::{TextTable, numbers, words};
 use std::fmt;
 
+/// A text, or what stands for an empty one.
+pub(super) fn or<'a>(text: &'a str, none: &'a str) -> &'a str {
+    if text.is_empty() { none } else { text }
+}
+
 impl fmt::Display for RealtimeReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.fmt_run(f)?;
         writeln!(f)?;
-        let mut table = TextTable::new([
-            words(""),
-            numbers("p50"),
-            numbers("p99"),
-            numbers("p99.9"),
-            numbers("max"),
-        ]);
+        let quantiles = ["p50", "p99", "p99.9", "max"].map(numbers);
+        let mut table = TextTable::new([words("")].into_iter().chain(quantiles));
         for (name, of) in [("wake-up late", &self.lateness), ("step", &self.duration)] {
             table.row([name.to_owned()].into_iter().chain(of.told()));
         }
@@ -31,14 +31,9 @@ impl fmt::Display for RealtimeReport {
             totals.stolen_ms
         )?;
         self.fmt_causes(f)?;
-        if self.advice.is_empty() {
-            return write!(
-                f,
-                "advice      none: nothing that was counted would be better elsewhere"
-            );
-        }
         let advice: Vec<_> = self.advice.iter().map(|text| format!("advice      {text}")).collect();
-        f.write_str(&advice.join("\n"))
+        let none = "advice      none: nothing that was counted would be better elsewhere";
+        f.write_str(or(&advice.join("\n"), none))
     }
 }
 
@@ -46,18 +41,14 @@ impl RealtimeReport {
     /// What ran, and where.
     fn fmt_run(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (run, machine) = (&self.run, &self.run.machine);
-        let flights: Vec<_> = run
-            .flights
-            .iter()
-            .map(|(outcome, n)| format!("{n} {outcome}"))
-            .collect();
+        let flights = run.flights.iter().map(|(outcome, n)| format!("{n} {outcome}"));
         writeln!(
             f,
             "loop        {:.1} min, {} steps, {} missed; flights: {}",
             run.minutes,
             self.steps,
             self.missed,
-            flights.join(", ")
+            flights.collect::<Vec<_>>().join(", ")
         )?;
         writeln!(
             f,
@@ -71,23 +62,15 @@ impl RealtimeReport {
             },
             machine.kernel
         )?;
-        let governors = match machine.governors.is_empty() {
-            true => "not told".to_owned(),
-            false => machine.governors.join(", "),
-        };
-        let isolated = match machine.isolated.as_str() {
-            "" => "none",
-            isolated => isolated,
-        };
+        let governors = machine.governors.join(", ");
+        let (governors, isolated) = (or(&governors, "not told"), or(&machine.isolated, "none"));
         writeln!(f, "            governor {governors}; isolated processors: {isolated}")?;
         writeln!(f, "scheduling  {}", run.granted)?;
-        let load = run
-            .load
-            .as_ref()
-            .map_or_else(|| "none asked for".to_owned(), |load| format!("`{load}`"));
+        let load = run.load.as_ref().map(|load| format!("`{load}`"));
         writeln!(
             f,
-            "load        {load}; all processors busy for {:.0} % of the time",
+            "load        {}; all processors busy for {:.0} % of the time",
+            load.as_deref().unwrap_or("none asked for"),
             run.busy * 100.0
         )?;
         if let Some(reason) = &run.ended_early {
@@ -103,12 +86,7 @@ impl RealtimeReport {
             ("1 ms longer than usual", &self.long_causes),
         ] {
             let causes: Vec<_> = causes.iter().map(|(cause, n)| format!("{n} {cause}")).collect();
-            let causes = if causes.is_empty() {
-                "none".to_owned()
-            } else {
-                causes.join(", ")
-            };
-            writeln!(f, "{what}: {causes}")?;
+            writeln!(f, "{what}: {}", or(&causes.join(", "), "none"))?;
         }
         for (what, worst) in [("latest", &self.latest), ("longest", &self.longest)] {
             let Some(step) = worst.first() else { continue };

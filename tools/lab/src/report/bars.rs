@@ -1,7 +1,6 @@
 //! Bar charts: named rows of bars with their intervals, and what others measured beside them.
 
-use super::picture::{COLOURS, Fault, GRID, INK, Picture, WIDTH, draw_dashed, text, tick, ticks};
-use plotters::coord::Shift;
+use super::picture::{Area, COLOURS, Fault, GRID, INK, Picture, WIDTH, draw_dashed, text, tick, ticks};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
@@ -72,7 +71,7 @@ impl Bars {
         row.bars.len().max(1) as u32 * BAR + GAP
     }
 
-    fn draw_legend<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>, scale: u32) -> Result<(), Fault<DB>> {
+    fn draw_legend<DB: DrawingBackend>(&self, area: &Area<DB>, scale: u32) -> Result<(), Fault<DB>> {
         let dots = |n: u32| (n * scale) as i32;
         let style = text(scale, 11, HPos::Left, VPos::Center);
         let (mut x, y) = (dots(LEFT), dots(32));
@@ -83,10 +82,8 @@ impl Bars {
         };
         if self.series.len() > 1 {
             for (label, colour) in self.series.iter().zip(COLOURS.iter().cycle()) {
-                area.draw(&Rectangle::new(
-                    [(x, y - dots(4)), (x + dots(11), y + dots(4))],
-                    colour.filled(),
-                ))?;
+                let mark = [(x, y - dots(4)), (x + dots(11), y + dots(4))];
+                area.draw(&Rectangle::new(mark, colour.filled()))?;
                 next(&mut x, label)?;
             }
         }
@@ -103,21 +100,15 @@ impl Bars {
     }
 
     /// A bar with its interval and note, from `start` on, its upper edge at `y`.
-    fn draw_bar<DB: DrawingBackend>(
-        &self,
-        area: &DrawingArea<DB, Shift>,
-        scale: u32,
-        bar: &Bar,
-        start: i32,
-        y: i32,
-    ) -> Result<(), Fault<DB>> {
+    fn draw_bar<DB>(&self, area: &Area<DB>, scale: u32, bar: &Bar, (start, y): (i32, i32)) -> Result<(), Fault<DB>>
+    where
+        DB: DrawingBackend,
+    {
         let dots = |n: u32| (n * scale) as i32;
         let (upper, lower, centre) = (y + dots(1), y + dots(BAR - 2), y + dots(BAR) / 2);
         let (end, colour) = (self.at(bar.value, scale), COLOURS[bar.series % COLOURS.len()]);
-        area.draw(&Rectangle::new(
-            [(start.min(end), upper), (start.max(end), lower)],
-            colour.mix(0.75).filled(),
-        ))?;
+        let corners = [(start.min(end), upper), (start.max(end), lower)];
+        area.draw(&Rectangle::new(corners, colour.mix(0.75).filled()))?;
         // So that a bar of nothing tells whose it is.
         if self.series.len() > 1 {
             let mark = [(start - dots(6), upper), (start - dots(2), lower)];
@@ -127,13 +118,9 @@ impl Bars {
         if let Some((low, high)) = bar.interval {
             let (low, high) = (self.at(low, scale), self.at(high, scale));
             rightmost = rightmost.max(high);
-            let line = INK.stroke_width(scale);
-            area.draw(&PathElement::new(vec![(low, centre), (high, centre)], line))?;
-            for x in [low, high] {
-                area.draw(&PathElement::new(
-                    vec![(x, centre - dots(3)), (x, centre + dots(3))],
-                    line,
-                ))?;
+            let ends = [low, high].map(|x| [(x, centre - dots(3)), (x, centre + dots(3))]);
+            for line in [[(low, centre), (high, centre)], ends[0], ends[1]] {
+                area.draw(&PathElement::new(line.to_vec(), INK.stroke_width(scale)))?;
             }
         }
         let place = (rightmost + dots(6), centre + dots(1));
@@ -151,69 +138,48 @@ impl Picture for Bars {
         (WIDTH, HEAD + self.rows.iter().map(Self::row_height).sum::<u32>() + FOOT)
     }
 
-    fn draw<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>, scale: u32) -> Result<(), Fault<DB>> {
+    fn draw<DB: DrawingBackend>(&self, area: &Area<DB>, scale: u32) -> Result<(), Fault<DB>> {
         let dots = |n: u32| (n * scale) as i32;
-        area.draw_text(
-            &self.title,
-            &text(scale, 14, HPos::Left, VPos::Center),
-            (dots(12), dots(13)),
-        )?;
+        let write = |words: &str, size, h, v, at| area.draw_text(words, &text(scale, size, h, v), at);
+        let line = |ends: [(i32, i32); 2], style: ShapeStyle| area.draw(&PathElement::new(ends.to_vec(), style));
+        write(&self.title, 14, HPos::Left, VPos::Center, (dots(12), dots(13)))?;
         self.draw_legend(area, scale)?;
         let bottom = dots(self.size().1 - FOOT);
         for value in self.ticks() {
             let x = self.at(value, scale);
-            area.draw(&PathElement::new(
-                vec![(x, dots(HEAD)), (x, bottom)],
-                GRID.stroke_width(scale),
-            ))?;
-            let name = tick(
-                value,
-                if self.logarithmic {
-                    value
-                } else {
-                    self.x_range.1 - self.x_range.0
-                },
-            );
-            area.draw_text(&name, &text(scale, 11, HPos::Center, VPos::Top), (x, bottom + dots(4)))?;
+            line([(x, dots(HEAD)), (x, bottom)], GRID.stroke_width(scale))?;
+            let apart = self.x_range.1 - self.x_range.0;
+            let name = tick(value, if self.logarithmic { value } else { apart });
+            write(&name, 11, HPos::Center, VPos::Top, (x, bottom + dots(4)))?;
         }
         // Shares of a logarithmic axis are longer or shorter than one.
         let start = self.at(if self.logarithmic { 1.0 } else { self.x_range.0 }, scale);
         let mut top = HEAD + GAP / 2;
         for row in &self.rows {
             let middle = dots(top) + dots(row.bars.len().max(1) as u32 * BAR) / 2;
-            area.draw_text(
-                &row.label,
-                &text(scale, 12, HPos::Right, VPos::Center),
-                (dots(LEFT - 12), middle),
-            )?;
+            write(&row.label, 12, HPos::Right, VPos::Center, (dots(LEFT - 12), middle))?;
             for (number, bar) in row.bars.iter().enumerate() {
-                self.draw_bar(area, scale, bar, start, dots(top + number as u32 * BAR))?;
+                self.draw_bar(area, scale, bar, (start, dots(top + number as u32 * BAR)))?;
             }
             if let Some(paper) = row.paper {
                 area.draw(&diamond(self.at(paper, scale), middle, dots(5)))?;
             }
             top += Self::row_height(row);
         }
-        area.draw(&PathElement::new(
-            vec![(start, dots(HEAD)), (start, bottom)],
-            INK.stroke_width(scale),
-        ))?;
+        line([(start, dots(HEAD)), (start, bottom)], INK.stroke_width(scale))?;
         if let Some((_, level)) = &self.threshold {
             let x = self.at(*level, scale);
             let ends = [(x, dots(HEAD)), (x, bottom)];
             draw_dashed(area, ends, (6 * scale, 4 * scale), INK.stroke_width(scale))?;
         }
-        let middle = dots((LEFT + WIDTH - RIGHT) / 2);
-        area.draw_text(
-            &self.x_label,
-            &text(scale, 12, HPos::Center, VPos::Bottom),
-            (middle, dots(self.size().1 - 5)),
-        )
+        let at = (dots((LEFT + WIDTH - RIGHT) / 2), dots(self.size().1 - 5));
+        write(&self.x_label, 12, HPos::Center, VPos::Bottom, at)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::picture::assert_shows;
     use super::*;
 
     #[test]
@@ -238,19 +204,8 @@ mod tests {
             }],
         };
         assert_eq!(chart.at(50.0, 1), (LEFT + (WIDTH - LEFT - RIGHT) / 2) as i32);
-        let svg = chart.svg();
-        for text in [
-            "Completed",
-            "share (%)",
-            "undefended",
-            "the paper",
-            "half",
-            "90 %",
-            "continuous",
-            ">\n40\n<",
-        ] {
-            assert!(svg.contains(text), "{text} is not in the chart");
-        }
+        let texts = "Completed|share (%)|undefended|the paper|half|90 %|continuous|>\n40\n<";
+        assert_shows(&chart.svg(), texts);
         (chart.logarithmic, chart.x_range) = (true, (1.0, 100.0));
         assert_eq!(chart.at(10.0, 1), (LEFT + (WIDTH - LEFT - RIGHT) / 2) as i32);
         assert_eq!(chart.ticks(), [1.0, 10.0, 100.0]);

@@ -34,6 +34,8 @@ pub(super) const COLOURS: [RGBColor; 7] = [
     RGBColor(110, 110, 110),
 ];
 
+/// What is drawn on.
+pub(super) type Area<DB> = DrawingArea<DB, Shift>;
 /// What a drawing surface says when it fails.
 pub(super) type Fault<DB> = DrawingAreaErrorKind<<DB as DrawingBackend>::ErrorType>;
 
@@ -54,11 +56,7 @@ pub trait Picture {
     fn size(&self) -> (u32, u32);
 
     /// Draws all but the rasters, `scale` times as large.
-    fn draw<DB: DrawingBackend>(
-        &self,
-        area: &DrawingArea<DB, Shift>,
-        scale: u32,
-    ) -> Result<(), DrawingAreaErrorKind<DB::ErrorType>>;
+    fn draw<DB: DrawingBackend>(&self, area: &Area<DB>, scale: u32) -> Result<(), Fault<DB>>;
 
     /// Writes NAME.png and NAME.svg into a folder; their paths.
     fn save(&self, folder: &Path, name: &str) -> Result<[PathBuf; 2]> {
@@ -130,7 +128,7 @@ pub trait Picture {
     }
 }
 
-fn drawn<P: Picture + ?Sized, DB: DrawingBackend>(picture: &P, area: &DrawingArea<DB, Shift>, scale: u32) {
+fn drawn<P: Picture + ?Sized, DB: DrawingBackend>(picture: &P, area: &Area<DB>, scale: u32) {
     let all = || {
         area.fill(&BACKGROUND)?;
         picture.draw(area, scale)?;
@@ -167,10 +165,8 @@ pub(super) fn ticks(low: f64, high: f64, most: usize) -> Vec<f64> {
     let rough = range / most.max(2) as f64;
     let power = 10f64.powf(rough.log10().floor());
     let steps = [1.0, 2.0, 5.0, 10.0].map(|n| n * power);
-    let step = steps
-        .into_iter()
-        .find(|s| *s >= rough * (1.0 - 1e-9))
-        .unwrap_or(10.0 * power);
+    let is_enough = |step: &f64| *step >= rough * (1.0 - 1e-9);
+    let step = steps.into_iter().find(is_enough).unwrap_or(10.0 * power);
     let (first, last) = ((low / step - 1e-9).ceil() as i64, (high / step + 1e-9).floor() as i64);
     (first..=last).map(|n| n as f64 * step).collect()
 }
@@ -195,7 +191,7 @@ pub(super) fn text(scale: u32, size: u32, h: HPos, v: VPos) -> TextStyle<'static
 
 /// A dashed straight line, dots.
 pub(super) fn draw_dashed<DB: DrawingBackend>(
-    area: &DrawingArea<DB, Shift>,
+    area: &Area<DB>,
     [(x0, y0), (x1, y1)]: [(i32, i32); 2],
     (dash, gap): (u32, u32),
     style: ShapeStyle,
@@ -220,6 +216,14 @@ fn register_font() {
         // Fails for bytes that are no font only; a test draws with it.
         let _ = plotters::style::register_font("sans-serif", FontStyle::Normal, FONT);
     });
+}
+
+/// Finds texts in an SVG file's content; a bar between two.
+#[cfg(test)]
+pub fn assert_shows(svg: &str, texts: &str) {
+    for text in texts.split('|') {
+        assert!(svg.contains(text), "{text} is not in the chart");
+    }
 }
 
 #[cfg(test)]

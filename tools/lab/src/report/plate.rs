@@ -1,7 +1,6 @@
 //! Pictures in rows and columns with their names, and scales of their colours.
 
-use super::picture::{Fault, INK, Picture, Raster, WIDTH, text};
-use plotters::coord::Shift;
+use super::picture::{Area, Fault, INK, Picture, Raster, WIDTH, text};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
@@ -62,7 +61,7 @@ impl Picture for Plate {
         (WIDTH, self.scales_top() + FOOT)
     }
 
-    fn draw<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>, scale: u32) -> Result<(), Fault<DB>> {
+    fn draw<DB: DrawingBackend>(&self, area: &Area<DB>, scale: u32) -> Result<(), Fault<DB>> {
         let dots = |n: u32| (n * scale) as i32;
         let text = |size: u32, h, v| text(scale, size, h, v);
         area.draw_text(&self.title, &text(14, HPos::Left, VPos::Center), (dots(12), dots(13)))?;
@@ -73,10 +72,8 @@ impl Picture for Plate {
             let top = dots(self.scales_top() + 14);
             for (share, value) in &colours.ticks {
                 let x = dots(left) + (share * f64::from(COLUMN * scale)).round() as i32;
-                area.draw(&PathElement::new(
-                    vec![(x, top), (x, top + dots(4))],
-                    INK.stroke_width(scale),
-                ))?;
+                let ends = vec![(x, top), (x, top + dots(4))];
+                area.draw(&PathElement::new(ends, INK.stroke_width(scale)))?;
                 // Numbers at the ends keep within the scale: its neighbour has some as well.
                 let side = match *share {
                     s if s < 0.05 => HPos::Left,
@@ -86,11 +83,8 @@ impl Picture for Plate {
                 area.draw_text(value, &text(10, side, VPos::Top), (x, top + dots(5)))?;
             }
             let centre = text(11, HPos::Center, VPos::Bottom);
-            area.draw_text(
-                &colours.label,
-                &centre,
-                (dots(left + COLUMN / 2), dots(self.size().1 - 6)),
-            )?;
+            let at = (dots(left + COLUMN / 2), dots(self.size().1 - 6));
+            area.draw_text(&colours.label, &centre, at)?;
         }
         for (number, (lines, _)) in self.rows.iter().enumerate() {
             let middle = HEAD + number as u32 * (ROW + GAP) + ROW / 2;

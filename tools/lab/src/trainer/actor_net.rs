@@ -1,11 +1,12 @@
 //! The actor behind its encoder over whole batches, with its gradient. Parameters are in the order of
 //! [`ActorParams`](vigil_policy::actor::ActorParams), without the encoder's; a test holds it against the graph that flies.
 
-use crate::trainer::mlp::{Mlp, MlpTape};
+use crate::trainer::mlp::{Mlp, MlpTape, draw};
 use crate::trainer::observation::{FIRST_HALF, OBSERVATION};
-use rand::{Rng, RngExt};
+use core::ops::Range;
+use rand::Rng;
 use vigil_nnet::{Activation, Dense, Isa, ShapeError};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, HEAD, LOW_UNITS, TRUNK};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, LOW_UNITS, TRUNK};
 
 /// Largest weight of the last layers at first (Lillicrap et al. 2016).
 pub const LAST_LAYER_LIMIT: f32 = 3e-3;
@@ -15,30 +16,24 @@ const FORWARD_AT_FIRST: f32 = 0.5;
 /// Values joined behind the split point.
 const JOINED: usize = ACTOR_HIDDEN + LOW_UNITS;
 
+/// A layer, and where its parameters lie.
+type Layer = (Dense, Range<usize>);
+
 /// The actor's network with buffers for batches.
 pub struct ActorNet {
     trunk: Mlp,
     tape: MlpTape,
-    low: Dense,
-    head: [Dense; 2],
-    output: Dense,
+    low: Layer,
+    /// Those behind the split point, the output last.
+    head: [Layer; 3],
     rows: usize,
     first_half: Vec<f32>,
     low_dim: Vec<f32>,
-    joined: Vec<f32>,
-    hidden: [Vec<f32>; 2],
-    d_joined: Vec<f32>,
-    d_hidden: [Vec<f32>; 2],
+    /// What goes into each of the head's layers.
+    x: [Vec<f32>; 3],
+    d_x: [Vec<f32>; 3],
     d_state: Vec<f32>,
     packed: Vec<f32>,
-}
-
-/// Where the layers have their parameters.
-struct At {
-    low: usize,
-    head: [usize; 2],
-    output: usize,
-    len: usize,
 }
 
 impl ActorNet {
@@ -46,59 +41,43 @@ impl ActorNet {
     pub fn new(rows: usize) -> Self {
         let spec = ActorSpec::FULL;
         let trunk = Mlp::new(FIRST_HALF, &TRUNK, ACTOR_HIDDEN);
-        let mut net = Self {
+        let mut len = trunk.param_len();
+        let mut layer = |layer: Dense| {
+            let at = len;
+            len += layer.param_len();
+            (layer, at..len)
+        };
+        let low = layer(spec.low());
+        let [first, second] = spec.head();
+        let head = [first, second, spec.output()].map(layer);
+        let inputs = || head.each_ref().map(|(layer, _)| vec![0.0; rows * layer.inputs]);
+        Self {
             tape: trunk.tape(rows),
             trunk,
-            low: spec.low(),
-            head: spec.head(),
-            output: spec.output(),
+            low,
             rows: 0,
             first_half: Vec::new(),
             low_dim: Vec::new(),
-            joined: vec![0.0; rows * JOINED],
-            hidden: HEAD.map(|units| vec![0.0; rows * units]),
-            d_joined: vec![0.0; rows * JOINED],
-            d_hidden: HEAD.map(|units| vec![0.0; rows * units]),
+            x: inputs(),
+            d_x: inputs(),
             d_state: vec![0.0; rows * ACTOR_HIDDEN],
-            packed: Vec::new(),
-        };
-        net.packed = vec![0.0; net.param_len()];
-        net
-    }
-
-    fn at(&self) -> At {
-        let low = self.trunk.param_len();
-        let first = low + self.low.param_len();
-        let second = first + self.head[0].param_len();
-        let output = second + self.head[1].param_len();
-        At {
-            low,
-            head: [first, second],
-            output,
-            len: output + self.output.param_len(),
+            packed: vec![0.0; head[2].1.end],
+            head,
         }
-    }
-
-    pub fn param_len(&self) -> usize {
-        self.at().len
     }
 
     /// First weights.
     pub fn initial(&self, rng: &mut impl Rng) -> Vec<f32> {
-        let at = self.at();
         let mut params = self.trunk.initial(rng, (3.0 / TRUNK[1] as f32).sqrt());
-        params.resize(at.len, 0.0);
-        for (layer, at) in [
-            (self.low, at.low),
-            (self.head[0], at.head[0]),
-            (self.head[1], at.head[1]),
-        ] {
+        params.resize(self.packed.len(), 0.0);
+        let [first, second, (output, at)] = &self.head;
+        for (layer, at) in [&self.low, first, second] {
             let limit = (3.0 / layer.inputs as f32).sqrt();
-            params[at..at + layer.weight_len()].fill_with(|| rng.random_range(-limit..limit));
+            draw(&mut params[at.clone()][..layer.weight_len()], limit, rng);
         }
-        let last = &mut params[at.output..];
-        last[..self.output.weight_len()].fill_with(|| rng.random_range(-LAST_LAYER_LIMIT..LAST_LAYER_LIMIT));
-        last[self.output.weight_len()] = FORWARD_AT_FIRST;
+        let last = &mut params[at.clone()];
+        draw(&mut last[..output.weight_len()], LAST_LAYER_LIMIT, rng);
+        last[output.weight_len()] = FORWARD_AT_FIRST;
         params
     }
 
@@ -107,7 +86,6 @@ impl ActorNet {
     /// # Errors
     /// Parameters of another length.
     pub fn forward(&mut self, isa: Isa, params: &[f32], rows: &[f32], out: &mut [f32]) -> Result<(), ShapeError> {
-        let at = self.at();
         self.rows = rows.len() / OBSERVATION;
         self.first_half.clear();
         self.low_dim.clear();
@@ -115,15 +93,20 @@ impl ActorNet {
             self.first_half.extend_from_slice(&row[..FIRST_HALF]);
             self.low_dim.extend_from_slice(&row[FIRST_HALF..]);
         }
+        let (layer, at) = &self.low;
         self.trunk
-            .forward(isa, &params[..at.low], &self.first_half, &mut self.tape)?;
+            .forward(isa, &params[..at.start], &self.first_half, &mut self.tape)?;
         let mut low = vec![0.0; self.rows * LOW_UNITS];
-        let low_params = &params[at.low..at.head[0]];
-        self.low
-            .forward(isa, low_params, Activation::TANH, &self.low_dim, None, &mut low)?;
-        let states = self.tape.out(&self.trunk).chunks_exact(ACTOR_HIDDEN);
-        let joined = &mut self.joined[..self.rows * JOINED];
-        for (joined, (state, low)) in joined
+        layer.forward(
+            isa,
+            &params[at.clone()],
+            Activation::TANH,
+            &self.low_dim,
+            None,
+            &mut low,
+        )?;
+        let states = self.tape.out.chunks_exact(ACTOR_HIDDEN);
+        for (joined, (state, low)) in self.x[0]
             .chunks_exact_mut(JOINED)
             .zip(states.zip(low.chunks_exact(LOW_UNITS)))
         {
@@ -131,26 +114,16 @@ impl ActorNet {
             joined[ACTOR_HIDDEN..].copy_from_slice(low);
             Activation::TANH.apply_in_place(isa, &mut joined[..ACTOR_HIDDEN]);
         }
-        let [first, second] = &mut self.hidden;
-        let (first, second) = (&mut first[..self.rows * HEAD[0]], &mut second[..self.rows * HEAD[1]]);
-        self.head[0].forward(
-            isa,
-            &params[at.head[0]..at.head[1]],
-            Activation::Elu,
-            joined,
-            None,
-            first,
-        )?;
-        self.head[1].forward(
-            isa,
-            &params[at.head[1]..at.output],
-            Activation::Elu,
-            first,
-            None,
-            second,
-        )?;
-        self.output
-            .forward(isa, &params[at.output..at.len], Activation::Identity, second, None, out)
+        for (i, (layer, at)) in self.head.iter().enumerate() {
+            let (before, behind) = self.x.split_at_mut(i + 1);
+            let (curve, y) = match behind.first_mut() {
+                Some(y) => (Activation::Elu, &mut y[..self.rows * layer.outputs]),
+                None => (Activation::Identity, &mut *out),
+            };
+            let x = &before[i][..self.rows * layer.inputs];
+            layer.forward(isa, &params[at.clone()], curve, x, None, y)?;
+        }
+        Ok(())
     }
 
     /// Adds the parameters' gradient of the last forward pass to `d_params`, from `d`, that at its outputs.
@@ -158,51 +131,37 @@ impl ActorNet {
     /// # Errors
     /// Slices of other lengths.
     pub fn backward(&mut self, isa: Isa, params: &[f32], d: &[f32], d_params: &mut [f32]) -> Result<(), ShapeError> {
-        let (at, rows) = (self.at(), self.rows);
-        let packed = &mut self.packed;
-        let (trunk_packed, rest) = packed.split_at_mut(at.low);
-        self.trunk.pack(&params[..at.low], trunk_packed)?;
-        let rest = &mut rest[self.low.param_len()..];
-        let (first_packed, rest) = rest.split_at_mut(self.head[0].param_len());
-        let (second_packed, output_packed) = rest.split_at_mut(self.head[1].param_len());
-        self.head[0].pack(&params[at.head[0]..at.head[1]], first_packed)?;
-        self.head[1].pack(&params[at.head[1]..at.output], second_packed)?;
-        self.output.pack(&params[at.output..at.len], output_packed)?;
-        let [first, second] = &self.hidden;
-        let (first, second) = (&first[..rows * HEAD[0]], &second[..rows * HEAD[1]]);
-        let [d_first, d_second] = &mut self.d_hidden;
-        let (d_first, d_second) = (&mut d_first[..rows * HEAD[0]], &mut d_second[..rows * HEAD[1]]);
-        let joined = &self.joined[..rows * JOINED];
-        let d_joined = &mut self.d_joined[..rows * JOINED];
-        self.output
-            .weight_gradient(isa, second, d, &mut d_params[at.output..at.len])?;
-        self.output.input_gradient(isa, output_packed, d, d_second)?;
-        Activation::Elu.gradient(isa, second, d_second)?;
-        self.head[1].weight_gradient(isa, first, d_second, &mut d_params[at.head[1]..at.output])?;
-        self.head[1].input_gradient(isa, second_packed, d_second, d_first)?;
-        Activation::Elu.gradient(isa, first, d_first)?;
-        self.head[0].weight_gradient(isa, joined, d_first, &mut d_params[at.head[0]..at.head[1]])?;
-        self.head[0].input_gradient(isa, first_packed, d_first, d_joined)?;
-        Activation::TANH.gradient(isa, joined, d_joined)?;
+        let rows = self.rows;
+        for (i, (layer, at)) in self.head.iter().enumerate().rev() {
+            let (below, above) = self.d_x.split_at_mut(i + 1);
+            let d = above.first().map_or(d, |d| &d[..rows * layer.outputs]);
+            let inputs = rows * layer.inputs;
+            let (x, d_x) = (&self.x[i][..inputs], &mut below[i][..inputs]);
+            let packed = &mut self.packed[at.clone()];
+            layer.pack(&params[at.clone()], packed)?;
+            layer.weight_gradient(isa, x, d, &mut d_params[at.clone()])?;
+            layer.input_gradient(isa, packed, d, d_x)?;
+            let curve = if i == 0 { Activation::TANH } else { Activation::Elu };
+            curve.gradient(isa, x, d_x)?;
+        }
         let mut d_low = Vec::with_capacity(rows * LOW_UNITS);
         let d_state = &mut self.d_state[..rows * ACTOR_HIDDEN];
-        for (d_joined, d_state) in d_joined
+        for (d_joined, d_state) in self.d_x[0]
             .chunks_exact(JOINED)
             .zip(d_state.chunks_exact_mut(ACTOR_HIDDEN))
         {
             d_state.copy_from_slice(&d_joined[..ACTOR_HIDDEN]);
             d_low.extend_from_slice(&d_joined[ACTOR_HIDDEN..]);
         }
-        self.low
-            .weight_gradient(isa, &self.low_dim, &d_low, &mut d_params[at.low..at.head[0]])?;
+        let (low, at) = &self.low;
+        low.weight_gradient(isa, &self.low_dim, &d_low, &mut d_params[at.clone()])?;
         self.trunk.backward(
             isa,
-            &params[..at.low],
-            trunk_packed,
+            &params[..at.start],
             &self.first_half,
             &mut self.tape,
             d_state,
-            Some(&mut d_params[..at.low]),
+            Some(&mut d_params[..at.start]),
             None,
         )
     }
@@ -216,15 +175,11 @@ pub fn squash(pre: &[f32]) -> [f32; ACTOR_OUTPUTS] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::SeedableRng;
+    use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use vigil_nnet::{GraphBuilder, Purpose};
     use vigil_policy::actor::memory::{CONTEXT, SCAN};
     use vigil_policy::actor::senses::LOW_DIM;
-
-    fn observations(rng: &mut ChaCha8Rng, rows: usize) -> Vec<f32> {
-        (0..rows * OBSERVATION).map(|_| rng.random_range(-1.0..1.0)).collect()
-    }
 
     /// Scan, memory and low-dimensional observation to the outputs before saturation, as it flies.
     fn graph() -> vigil_nnet::Graph {
@@ -252,10 +207,9 @@ mod tests {
             .iter_mut()
             .for_each(|p| *p += rng.random_range(-0.05..0.05));
         assert_eq!(all.len(), graph.param_len());
-        let (x, d) = (
-            observations(&mut rng, ROWS),
-            [0.3, -0.7, 1.0, 0.1, -0.4, 0.2, 0.9, 0.5, -1.0, 0.6],
-        );
+        let mut x = vec![0.0; ROWS * OBSERVATION];
+        draw(&mut x, 1.0, &mut rng);
+        let d = [0.3, -0.7, 1.0, 0.1, -0.4, 0.2, 0.9, 0.5, -1.0, 0.6];
         let mut out = [0.0; 2 * ROWS];
         net.forward(isa, &all[encoder..], &x, &mut out).unwrap();
         let mut d_params = vec![0.0; all.len() - encoder];

@@ -123,12 +123,9 @@ struct Shard {
 
 impl Shard {
     fn new(graph: &Graph, seed: u64, number: u64) -> Self {
+        let first_seed = FIRST_SEED.wrapping_add(seed << 22).wrapping_add(number << 18);
         Self {
-            photographer: Photographer::new(
-                seed,
-                1 + number,
-                FIRST_SEED.wrapping_add(seed << 22).wrapping_add(number << 18),
-            ),
+            photographer: Photographer::new(seed, 1 + number, first_seed),
             tape: Aligned::zeros(graph.tape_len()),
             work: Aligned::zeros(graph.work_len()),
             d_encoder: Aligned::zeros(graph.param_len()),
@@ -179,11 +176,9 @@ fn initial(spec: ActorSpec, rng: &mut ChaCha8Rng) -> (Vec<f32>, Vec<f32>) {
             .collect();
         for filter in 0..layer.filters {
             let mean = weights.iter().skip(filter).step_by(layer.filters).sum::<f32>() / fan_in as f32;
-            weights
-                .iter_mut()
-                .skip(filter)
-                .step_by(layer.filters)
-                .for_each(|w| *w -= mean);
+            for w in weights.iter_mut().skip(filter).step_by(layer.filters) {
+                *w -= mean;
+            }
         }
         params.extend(weights);
         params.resize(params.len() + layer.filters, 0.0);
@@ -214,10 +209,9 @@ pub fn teach_encoder(
     let graph = spec.encoder_graph(Purpose::Gradients, false)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(STREAM);
-    let (encoder, shares) = initial(spec, &mut rng);
-    let mut params = vec![0.0; graph.param_len()];
-    params[..encoder.len()].copy_from_slice(&encoder);
-    let len = encoder.len();
+    let (mut params, shares) = initial(spec, &mut rng);
+    let len = params.len();
+    params.resize(graph.param_len(), 0.0);
     let mut adam = Adam::new(len);
     let mut packed = vec![0.0; params.len()];
     let mut shards: Vec<Shard> = (0..SHARDS as u64).map(|i| Shard::new(&graph, seed, i)).collect();

@@ -141,27 +141,24 @@ pub(super) fn fly(
         EvaluatedActor::Actor(frozen) => Some(frozen.actor(isa)?.without(what.ablation)),
         EvaluatedActor::Zero | EvaluatedActor::Random | EvaluatedActor::Geometric => None,
     };
-    let mut geometric = matches!(actor, EvaluatedActor::Geometric).then(|| {
-        let config = GeometricConfig::default();
-        Box::new(GeometricPilot::new(config))
-    });
+    let mut geometric = Box::new(GeometricPilot::new(GeometricConfig::default()));
     let mut drifting = Drifting::new(what.drift);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut surroundings = Box::new(RangeScan::new());
     let mut field = FlightField::default();
     loop {
-        let mut action = match (&mut network, &mut geometric) {
+        let mut action = match (&mut network, actor) {
             (Some(actor), _) => {
                 let [forward_m_s, yaw] = drifting.with(&flight.input(), |input| actor.decide(input))?;
                 each(actor, &flight.input(), flight.estimate().position_ned_m)?;
                 Action { forward_m_s, yaw }
             }
-            (None, Some(pilot)) => pilot.decide(&flight.input()),
-            (None, None) if matches!(actor, EvaluatedActor::Random) => Action {
+            (None, EvaluatedActor::Geometric) => geometric.decide(&flight.input()),
+            (None, EvaluatedActor::Random) => Action {
                 forward_m_s: rng.random_range(-ACTION_LIMIT..ACTION_LIMIT),
                 yaw: rng.random_range(-ACTION_LIMIT..ACTION_LIMIT),
             },
-            (None, None) => Action::HOVER,
+            (None, EvaluatedActor::Zero | EvaluatedActor::Actor(_)) => Action::HOVER,
         };
         if what.field {
             let input = flight.input();

@@ -21,17 +21,51 @@ const ACTIONS: usize = 2;
 /// Inputs of a critic: the true state, the action, the observation.
 pub const CRITIC_INPUTS: usize = TRUE_STATE + ACTIONS + OBSERVATION;
 
-pub struct Critic {
+/// A network's parameters, and what moves them.
+pub struct Trained {
     pub params: Vec<f32>,
-    /// Their slow copy.
+    /// Their slow copy: of the actor, what is evaluated and frozen.
     pub target: Vec<f32>,
     pub adam: Adam,
-    packed: Vec<f32>,
-    tape: MlpTape,
+    /// Their gradient, and its length.
     d: Vec<f32>,
-    out: Vec<f32>,
-    loss: f32,
     norm: f32,
+}
+
+impl Trained {
+    fn new(params: Vec<f32>) -> Self {
+        Self {
+            target: params.clone(),
+            adam: Adam::new(params.len()),
+            d: vec![0.0; params.len()],
+            params,
+            norm: 0.0,
+        }
+    }
+
+    /// Its numbers, each with the end of its name in a checkpoint.
+    pub fn parts(&mut self) -> [(&'static str, &mut Vec<f32>); 4] {
+        [
+            ("", &mut self.params),
+            ("_target", &mut self.target),
+            ("_mean", &mut self.adam.mean),
+            ("_square", &mut self.adam.square),
+        ]
+    }
+
+    /// Moves the weights down their gradient, and their slow copy after them.
+    fn step(&mut self, rate: f32, config: &LearningConfig) -> Result<(), ShapeError> {
+        let scale = adam::shortening(f64::from(self.norm), config.gradient_norm);
+        self.adam.step(rate, scale, &mut self.params, &mut self.d);
+        soft_update(config.tau, &self.params, &mut self.target)
+    }
+}
+
+struct Critic {
+    net: Trained,
+    tape: MlpTape,
+    d_out: Vec<f32>,
+    loss: f32,
 }
 
 /// What an update was like; means over its transitions.
@@ -69,22 +103,13 @@ pub struct Learner {
     all_updates: u64,
     pub updates: u64,
     net: ActorNet,
-    /// The actor's trained parameters, behind the encoder.
-    pub actor: Vec<f32>,
-    /// Their slow copy, which is evaluated and frozen.
-    pub actor_target: Vec<f32>,
-    pub actor_adam: Adam,
-    d_actor: Vec<f32>,
+    /// The actor behind the encoder.
+    pub actor: Trained,
     critic_mlp: Mlp,
-    /// Two.
-    pub critics: Vec<Critic>,
+    critics: [Critic; 2],
     x: Vec<f32>,
     observations: Vec<f32>,
     pre: Vec<f32>,
-    d_pre: Vec<f32>,
-    d_x: Vec<f32>,
-    targets: Vec<f32>,
-    ones: Vec<f32>,
 }
 
 impl Learner {
@@ -93,45 +118,37 @@ impl Learner {
         let l = &config.learning;
         let rows = l.batch;
         let net = ActorNet::new(rows);
-        let actor = net.initial(rng);
+        let actor = Trained::new(net.initial(rng));
         let critic_mlp = Mlp::new(CRITIC_INPUTS, &l.critic_units, 1);
-        let len = critic_mlp.param_len();
-        let critics = (0..2)
-            .map(|_| {
-                let params = critic_mlp.initial(rng, LAST_LAYER_LIMIT);
-                Critic {
-                    target: params.clone(),
-                    params,
-                    adam: Adam::new(len),
-                    packed: vec![0.0; len],
-                    tape: critic_mlp.tape(rows),
-                    d: vec![0.0; len],
-                    out: vec![0.0; rows],
-                    loss: 0.0,
-                    norm: 0.0,
-                }
-            })
-            .collect();
+        let critics = core::array::from_fn(|_| Critic {
+            net: Trained::new(critic_mlp.initial(rng, LAST_LAYER_LIMIT)),
+            tape: critic_mlp.tape(rows),
+            d_out: Vec::new(),
+            loss: 0.0,
+        });
         Self {
             isa,
             all_updates: config.updates_due(config.decisions),
             updates: 0,
-            actor_target: actor.clone(),
-            actor_adam: Adam::new(actor.len()),
-            d_actor: vec![0.0; actor.len()],
             actor,
             net,
             critic_mlp,
             critics,
             x: Vec::new(),
             observations: Vec::new(),
-            pre: vec![0.0; rows * ACTIONS],
-            d_pre: vec![0.0; rows * ACTIONS],
-            d_x: vec![0.0; rows * CRITIC_INPUTS],
-            targets: vec![0.0; rows],
-            ones: Vec::new(),
+            pre: Vec::new(),
             config: l.clone(),
         }
+    }
+
+    /// All networks, each with its name in a checkpoint.
+    pub fn networks(&mut self) -> [(&'static str, &mut Trained); 3] {
+        let [first, second] = &mut self.critics;
+        [
+            ("actor", &mut self.actor),
+            ("critic_0", &mut first.net),
+            ("critic_1", &mut second.net),
+        ]
     }
 
     fn rates_share(&self) -> f32 {
@@ -141,14 +158,13 @@ impl Learner {
     }
 
     /// Sets the observations of a batch, and has an actor decide on them: outputs before saturation in `pre`.
-    fn look<'a>(&mut self, of_target: bool, states: impl Iterator<Item = Stored<'a>>) -> Result<usize, ShapeError> {
+    fn look<'a>(&mut self, of_target: bool, states: impl Iterator<Item = Stored<'a>>) -> Result<(), ShapeError> {
         self.observations.clear();
         states.for_each(|state| state.push_observation(&mut self.observations));
-        let rows = self.observations.len() / OBSERVATION;
-        let params = if of_target { &self.actor_target } else { &self.actor };
-        self.net
-            .forward(self.isa, params, &self.observations, &mut self.pre[..rows * ACTIONS])?;
-        Ok(rows)
+        self.pre.resize(self.observations.len() / OBSERVATION * ACTIONS, 0.0);
+        let actor = &self.actor;
+        let params = if of_target { &actor.target } else { &actor.params };
+        self.net.forward(self.isa, params, &self.observations, &mut self.pre)
     }
 
     /// Sets the critics' inputs: true states, actions, the observations last looked at.
@@ -168,15 +184,20 @@ impl Learner {
     pub fn update(&mut self, batch: &[Sample<'_>], rng: &mut impl Rng) -> Result<(UpdateReport, Vec<(usize, f32)>)> {
         let errors = self.critic_step(batch, rng)?;
         let report = self.actor_step(batch)?;
-        self.targets_step(report.actor_norm)?;
+        let (share, config) = (self.rates_share(), &self.config);
+        self.actor.step(config.actor_rate * share, config)?;
+        let rate = config.critic_rate * share;
+        self.critics.par_iter_mut().try_for_each(|c| c.net.step(rate, config))?;
+        self.updates += 1;
         Ok((report, errors))
     }
 
     /// What the decisions turned out to be worth, by the target networks.
-    fn set_targets(&mut self, batch: &[Sample<'_>], rng: &mut impl Rng) -> Result<(), ShapeError> {
-        let rows = self.look(true, batch.iter().map(|s| s.next))?;
+    fn targets(&mut self, batch: &[Sample<'_>], rng: &mut impl Rng) -> Result<Vec<f32>, ShapeError> {
+        self.look(true, batch.iter().map(|s| s.next))?;
         let limit = 2.0 * self.config.smoothing;
-        let actions: Vec<[f32; ACTIONS]> = self.pre[..rows * ACTIONS]
+        let actions: Vec<[f32; ACTIONS]> = self
+            .pre
             .chunks_exact(ACTIONS)
             .map(|pre| {
                 squash(pre).map(|a| {
@@ -187,51 +208,44 @@ impl Learner {
             .collect();
         self.arrange(batch.iter().map(|s| s.next).zip(actions));
         let (isa, mlp, x) = (self.isa, &self.critic_mlp, &self.x);
-        self.critics.par_iter_mut().try_for_each(|c| {
-            mlp.forward(isa, &c.target, x, &mut c.tape)?;
-            c.out[..rows].copy_from_slice(c.tape.out(mlp));
-            Ok(())
-        })?;
-        for (i, (target, step)) in self.targets.iter_mut().zip(batch).enumerate() {
-            let lowest = self.critics.iter().map(|c| c.out[i]).fold(f32::INFINITY, f32::min);
-            *target = step.reward
-                + if step.discount > 0.0 {
-                    step.discount * lowest
-                } else {
-                    0.0
-                };
-        }
-        Ok(())
+        let critics = self.critics.par_iter_mut();
+        critics.try_for_each(|c| mlp.forward(isa, &c.net.target, x, &mut c.tape))?;
+        let [first, second] = self.critics.each_ref().map(|c| &c.tape.out);
+        let lowest = first.iter().zip(second).map(|(a, b)| f32::INFINITY.min(*a).min(*b));
+        let worth = |(step, lowest): (&Sample<'_>, f32)| {
+            let share = step.discount;
+            step.reward + if share > 0.0 { share * lowest } else { 0.0 }
+        };
+        Ok(batch.iter().zip(lowest).map(worth).collect())
     }
 
     /// L = mean of w (Q(s, a) − y)².
     fn critic_step(&mut self, batch: &[Sample<'_>], rng: &mut impl Rng) -> Result<Vec<(usize, f32)>> {
-        self.set_targets(batch, rng)?;
+        let targets = &self.targets(batch, rng)?;
         self.look(false, batch.iter().map(|s| s.state))?;
         self.arrange(batch.iter().map(|s| (s.state, s.action)));
-        let (isa, mlp, x, targets, count) = (self.isa, &self.critic_mlp, &self.x, &self.targets, batch.len() as f32);
+        let (isa, mlp, x, count) = (self.isa, &self.critic_mlp, &self.x, batch.len() as f32);
         self.critics
             .par_iter_mut()
             .try_for_each(|c| -> Result<(), ShapeError> {
-                mlp.forward(isa, &c.params, x, &mut c.tape)?;
+                let net = &mut c.net;
+                mlp.forward(isa, &net.params, x, &mut c.tape)?;
                 c.loss = 0.0;
-                let values = c.tape.out(mlp).to_vec();
-                for (((slot, value), target), step) in c.out.iter_mut().zip(&values).zip(targets).zip(batch) {
+                c.d_out.clear();
+                for ((value, target), step) in c.tape.out.iter().zip(targets).zip(batch) {
                     let error = value - target;
-                    *slot = 2.0 * step.weight * error / count;
+                    c.d_out.push(2.0 * step.weight * error / count);
                     c.loss += step.weight * error * error / count;
                 }
-                mlp.pack(&c.params, &mut c.packed)?;
-                let (packed, out, d) = (&c.packed, &c.out[..batch.len()], Some(&mut *c.d));
-                mlp.backward(isa, &c.params, packed, x, &mut c.tape, out, d, None)?;
-                c.norm = adam::norm(&c.d) as f32;
+                mlp.backward(isa, &net.params, x, &mut c.tape, &c.d_out, Some(&mut net.d), None)?;
+                net.norm = adam::norm(&net.d) as f32;
                 Ok(())
             })?;
         for critic in &self.critics {
             finite(self.updates, "loss", "critic", critic.loss)?;
-            finite(self.updates, "gradient", "critic", critic.norm)?;
+            finite(self.updates, "gradient", "critic", critic.net.norm)?;
         }
-        let errors = &self.critics[0].out;
+        let errors = &self.critics[0].d_out;
         let error = |(i, step): (usize, &Sample<'_>)| (step.leaf, 0.5 * count * errors[i] / step.weight.max(1e-6));
         Ok(batch.iter().enumerate().map(error).collect())
     }
@@ -239,33 +253,22 @@ impl Learner {
     /// L = mean of penalty − Q(s, μ(s)), through the first critic as it was before this update's step.
     fn actor_step(&mut self, batch: &[Sample<'_>]) -> Result<UpdateReport> {
         let (isa, rows, count) = (self.isa, batch.len(), batch.len() as f32);
-        let pre = &self.pre[..rows * ACTIONS];
-        for (row, pre) in self.x.chunks_exact_mut(CRITIC_INPUTS).zip(pre.chunks_exact(ACTIONS)) {
+        let actions = self.pre.chunks_exact(ACTIONS);
+        for (row, pre) in self.x.chunks_exact_mut(CRITIC_INPUTS).zip(actions) {
             row[TRUE_STATE..TRUE_STATE + ACTIONS].copy_from_slice(&squash(pre));
         }
-        self.ones.resize(rows, 1.0);
         let (mlp, critic) = (&self.critic_mlp, &mut self.critics[0]);
-        mlp.forward(isa, &critic.params, &self.x, &mut critic.tape)?;
+        let (params, tape) = (&critic.net.params, &mut critic.tape);
+        mlp.forward(isa, params, &self.x, tape)?;
         let mut report = UpdateReport {
-            value: critic.tape.out(mlp).iter().sum::<f32>() / count,
+            value: tape.out.iter().sum::<f32>() / count,
             critic_loss: critic.loss,
-            critic_norm: critic.norm,
+            critic_norm: critic.net.norm,
             ..UpdateReport::default()
         };
-        let d_x = &mut self.d_x[..rows * CRITIC_INPUTS];
-        let (packed, ones) = (&critic.packed, &self.ones[..rows]);
-        mlp.backward(
-            isa,
-            &critic.params,
-            packed,
-            &self.x,
-            &mut critic.tape,
-            ones,
-            None,
-            Some(&mut *d_x),
-        )?;
-        let d_pre = &mut self.d_pre[..rows * ACTIONS];
-        for (i, (d_pre, before)) in d_pre.iter_mut().zip(pre).enumerate() {
+        let mut d_x = vec![0.0; rows * CRITIC_INPUTS];
+        mlp.backward(isa, params, &self.x, tape, &vec![1.0; rows], None, Some(&mut d_x))?;
+        let d_pre = self.pre.iter().enumerate().map(|(i, before)| {
             let squashed = libm::tanhf(*before);
             let d_action = -d_x[i / ACTIONS * CRITIC_INPUTS + TRUE_STATE + i % ACTIONS];
             let beyond = before.abs() - 1.0;
@@ -275,36 +278,14 @@ impl Learner {
             } else {
                 0.0
             };
-            *d_pre = (d_action * ACTOR_LIMIT * (1.0 - squashed * squashed) + penalty) / count;
-        }
-        self.net.backward(isa, &self.actor, d_pre, &mut self.d_actor)?;
-        report.actor_norm = adam::norm(&self.d_actor) as f32;
+            (d_action * ACTOR_LIMIT * (1.0 - squashed * squashed) + penalty) / count
+        });
+        let (d_pre, actor): (Vec<f32>, _) = (d_pre.collect(), &mut self.actor);
+        self.net.backward(isa, &actor.params, &d_pre, &mut actor.d)?;
+        actor.norm = adam::norm(&actor.d) as f32;
+        report.actor_norm = actor.norm;
         finite(self.updates, "gradient", "actor", report.actor_norm)?;
         Ok(report)
-    }
-
-    /// Moves the weights down their gradients, and the target networks after them.
-    fn targets_step(&mut self, actor_norm: f32) -> Result<()> {
-        let (share, limit, tau) = (self.rates_share(), self.config.gradient_norm, self.config.tau);
-        let step = |rate: f32, adam: &mut Adam, params: &mut [f32], d: &mut [f32], norm: f32| {
-            let scale = adam::shortening(f64::from(norm), limit);
-            adam.step(rate * share, scale, params, d);
-        };
-        step(
-            self.config.actor_rate,
-            &mut self.actor_adam,
-            &mut self.actor,
-            &mut self.d_actor,
-            actor_norm,
-        );
-        soft_update(tau, &self.actor, &mut self.actor_target)?;
-        let rate = self.config.critic_rate;
-        self.critics.par_iter_mut().try_for_each(|c| {
-            step(rate, &mut c.adam, &mut c.params, &mut c.d, c.norm);
-            soft_update(tau, &c.params, &mut c.target)
-        })?;
-        self.updates += 1;
-        Ok(())
     }
 }
 

@@ -5,6 +5,11 @@ use vigil_nnet::{Activation, Aligned, Dense, Isa, LayerNorm, ShapeError};
 
 const EPSILON: f32 = 1e-5;
 
+/// Draws first weights, evenly up to `limit`.
+pub fn draw(weights: &mut [f32], limit: f32, rng: &mut impl Rng) {
+    weights.fill_with(|| rng.random_range(-limit..limit));
+}
+
 /// A hidden layer and where its parameters lie: dense, then norm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Hidden {
@@ -27,15 +32,11 @@ pub struct MlpTape {
     layers: Vec<(Aligned, Vec<f32>, Aligned)>,
     pre: Aligned,
     d: [Aligned; 2],
-    out: Vec<f32>,
-    rows: usize,
-}
-
-impl MlpTape {
+    /// The weights in the order that the inputs' gradients read.
+    packed: Vec<f32>,
     /// The outputs of the last forward pass, `[rows][outputs]`.
-    pub fn out(&self, of: &Mlp) -> &[f32] {
-        &self.out[..self.rows * of.out.outputs]
-    }
+    pub out: Vec<f32>,
+    rows: usize,
 }
 
 impl Mlp {
@@ -75,16 +76,11 @@ impl Mlp {
     pub fn initial(&self, rng: &mut impl Rng, last_limit: f32) -> Vec<f32> {
         let mut params = vec![0.0; self.param_len()];
         for layer in &self.hidden {
-            let (weights, norm) = (layer.dense.weight_len(), layer.at + layer.dense.param_len());
             let limit = (3.0 / layer.dense.inputs as f32).sqrt();
-            for p in &mut params[layer.at..layer.at + weights] {
-                *p = rng.random_range(-limit..limit);
-            }
-            params[norm..norm + layer.norm.width].fill(1.0);
+            draw(&mut params[layer.at..][..layer.dense.weight_len()], limit, rng);
+            params[layer.at + layer.dense.param_len()..][..layer.norm.width].fill(1.0);
         }
-        for p in &mut params[self.out_at..self.out_at + self.out.weight_len()] {
-            *p = rng.random_range(-last_limit..last_limit);
-        }
+        draw(&mut params[self.out_at..][..self.out.weight_len()], last_limit, rng);
         params
     }
 
@@ -103,7 +99,8 @@ impl Mlp {
                 .collect(),
             pre: Aligned::zeros(wide),
             d: [Aligned::zeros(wide), Aligned::zeros(wide)],
-            out: vec![0.0; rows * self.out.outputs],
+            packed: vec![0.0; self.param_len()],
+            out: Vec::new(),
             rows: 0,
         }
     }
@@ -126,32 +123,15 @@ impl Mlp {
                 .dense
                 .forward(isa, &params[layer.at..norm], Activation::Identity, input, None, pre)?;
             let norm_params = &params[norm..norm + layer.norm.param_len()];
-            layer.norm.forward(
-                isa,
-                norm_params,
-                pre,
-                &mut normal[..len],
-                &mut inverse[..rows],
-                &mut y[..len],
-            )?;
-            Activation::Elu.apply_in_place(isa, &mut y[..len]);
+            let (normal, inverse, y) = (&mut normal[..len], &mut inverse[..rows], &mut y[..len]);
+            layer.norm.forward(isa, norm_params, pre, normal, inverse, y)?;
+            Activation::Elu.apply_in_place(isa, y);
         }
         let input = tape.layers.last().map_or(x, |(_, _, y)| &y[..rows * self.out.inputs]);
-        let out = &mut tape.out[..rows * self.out.outputs];
+        tape.out.resize(rows * self.out.outputs, 0.0);
+        let params = &params[self.out_at..];
         self.out
-            .forward(isa, &params[self.out_at..], Activation::Identity, input, None, out)
-    }
-
-    /// Writes the parameters in the order that [`Self::backward`] reads for the inputs' gradients.
-    ///
-    /// # Errors
-    /// Slices of other lengths.
-    pub fn pack(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
-        for layer in &self.hidden {
-            let range = layer.at..layer.at + layer.dense.param_len();
-            layer.dense.pack(&params[range.clone()], &mut packed[range])?;
-        }
-        self.out.pack(&params[self.out_at..], &mut packed[self.out_at..])
+            .forward(isa, params, Activation::Identity, input, None, &mut tape.out)
     }
 
     /// Backward from `d_out`, the gradient at the outputs of the tape's forward pass over `x`: adds the parameters' gradient to
@@ -164,7 +144,6 @@ impl Mlp {
         &self,
         isa: Isa,
         params: &[f32],
-        packed: &[f32],
         x: &[f32],
         tape: &mut MlpTape,
         d_out: &[f32],
@@ -179,38 +158,31 @@ impl Mlp {
         }
         let [d, below] = &mut tape.d;
         let (mut d, mut below) = (d, below);
+        let packed = &mut tape.packed[self.out_at..];
+        self.out.pack(&params[self.out_at..], packed)?;
         self.out
-            .input_gradient(isa, &packed[self.out_at..], d_out, &mut d[..rows * self.out.inputs])?;
+            .input_gradient(isa, packed, d_out, &mut d[..rows * self.out.inputs])?;
         for (i, layer) in self.hidden.iter().enumerate().rev() {
             let (normal, inverse, y) = &tape.layers[i];
-            let len = rows * layer.dense.outputs;
+            let (dense, len) = (layer.dense, rows * layer.dense.outputs);
             let norm = layer.at + layer.dense.param_len();
             let norm_range = norm..norm + layer.norm.param_len();
-            Activation::Elu.gradient(isa, &y[..len], &mut d[..len])?;
+            let (normal, inverse, y) = (&normal[..len], &inverse[..rows], &y[..len]);
+            Activation::Elu.gradient(isa, y, &mut d[..len])?;
             let d_norm = d_params.as_deref_mut().map(|p| &mut p[norm_range.clone()]);
             let norm_params = &params[norm_range.clone()];
-            layer.norm.backward(
-                isa,
-                norm_params,
-                &normal[..len],
-                &inverse[..rows],
-                &mut d[..len],
-                d_norm,
-            )?;
-            let input = match i.checked_sub(1) {
-                Some(below) => &tape.layers[below].2[..rows * layer.dense.inputs],
-                None => x,
-            };
+            layer
+                .norm
+                .backward(isa, norm_params, normal, inverse, &mut d[..len], d_norm)?;
+            let before = tape.layers[..i].last();
+            let input = before.map_or(x, |(_, _, y)| &y[..rows * layer.dense.inputs]);
             if let Some(d_params) = d_params.as_deref_mut() {
-                layer
-                    .dense
-                    .weight_gradient(isa, input, &d[..len], &mut d_params[layer.at..norm])?;
+                dense.weight_gradient(isa, input, &d[..len], &mut d_params[layer.at..norm])?;
             }
             if i > 0 || d_x.is_some() {
-                let inputs = rows * layer.dense.inputs;
-                layer
-                    .dense
-                    .input_gradient(isa, &packed[layer.at..norm], &d[..len], &mut below[..inputs])?;
+                let (inputs, packed) = (rows * dense.inputs, &mut tape.packed[layer.at..norm]);
+                dense.pack(&params[layer.at..norm], packed)?;
+                dense.input_gradient(isa, packed, &d[..len], &mut below[..inputs])?;
                 core::mem::swap(&mut d, &mut below);
             }
         }
@@ -233,7 +205,7 @@ mod tests {
     fn loss(mlp: &Mlp, params: &[f32], x: &[f32], toward: &[f32]) -> f64 {
         let mut tape = mlp.tape(ROWS);
         mlp.forward(Isa::PORTABLE, params, x, &mut tape).unwrap();
-        tape.out(mlp).iter().zip(toward).map(|(y, t)| f64::from(y * t)).sum()
+        tape.out.iter().zip(toward).map(|(y, t)| f64::from(y * t)).sum()
     }
 
     /// Every parameter's and every input's gradient against a central difference of the whole network.
@@ -246,20 +218,10 @@ mod tests {
         for isa in [Isa::PORTABLE, Isa::detect()] {
             let mut tape = mlp.tape(ROWS + 3);
             mlp.forward(isa, &params, &x, &mut tape).unwrap();
-            let mut packed = vec![0.0; params.len()];
-            mlp.pack(&params, &mut packed).unwrap();
             let (mut d_params, mut d_x) = (vec![0.0; params.len()], vec![0.0; x.len()]);
-            mlp.backward(
-                isa,
-                &params,
-                &packed,
-                &x,
-                &mut tape,
-                &toward,
-                Some(&mut d_params),
-                Some(&mut d_x),
-            )
-            .unwrap();
+            let (to_params, to_x) = (Some(&mut d_params[..]), Some(&mut d_x[..]));
+            mlp.backward(isa, &params, &x, &mut tape, &toward, to_params, to_x)
+                .unwrap();
             const STEP: f32 = 1e-2;
             let slope = |values: &[f32], i: usize, f: &dyn Fn(&[f32]) -> f64| {
                 let mut moved = values.to_vec();

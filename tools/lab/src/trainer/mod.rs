@@ -11,7 +11,6 @@ mod learner;
 mod mlp;
 mod noise;
 pub mod observation;
-mod priorities;
 pub mod probe;
 mod replay;
 pub mod reward;

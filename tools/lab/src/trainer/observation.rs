@@ -1,5 +1,6 @@
 //! What the actor observes, as the trainer stores it and sees it in a mirror, and how an environment makes it.
 
+use std::sync::Arc;
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::actor::ActorSpec;
 use vigil_policy::actor::memory::{CONTEXT, MOVED, Odometry, RING, SCAN, SCAN_AGES, TRAIL};
@@ -47,6 +48,7 @@ impl Encoder {
 
 /// Observes step by step, as the actor in flight does.
 pub struct Observer {
+    encoder: Arc<Encoder>,
     senses: Senses,
     tape: Aligned,
     drifting: Drifting,
@@ -124,23 +126,22 @@ impl Drifting {
 
 impl Observer {
     /// One that has seen nothing.
-    pub fn new(encoder: &Encoder, drift: Drift) -> Self {
+    pub fn new(encoder: Arc<Encoder>, drift: Drift) -> Self {
         Self {
             senses: Senses::default(),
             tape: Aligned::zeros(encoder.graph.tape_len()),
+            encoder,
             drifting: Drifting::new(drift),
             now: [0.0; OBSERVATION],
         }
     }
 
     /// Takes a step's frame and odometry; `last` is the action before it.
-    pub fn observe(&mut self, encoder: &Encoder, input: &PilotInput<'_>, last: Action) -> Result<(), ShapeError> {
-        let depth = &input.depth.depth;
-        encoder
-            .graph
-            .forward(encoder.isa, &encoder.params, &[depth], &mut self.tape)?;
+    pub fn observe(&mut self, input: &PilotInput<'_>, last: Action) -> Result<(), ShapeError> {
+        let Encoder { graph, isa, params } = &*self.encoder;
+        graph.forward(*isa, params, &[&input.depth.depth], &mut self.tape)?;
         let mut scan = [0.0; SCAN];
-        scan.copy_from_slice(encoder.graph.output(&self.tape)?);
+        scan.copy_from_slice(graph.output(&self.tape)?);
         let odometry = self.drifting.of(Odometry::of(input));
         let low = self.senses.observe(&scan, odometry, input, last);
         self.now[..SCAN].copy_from_slice(&scan);

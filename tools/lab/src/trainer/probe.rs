@@ -177,20 +177,10 @@ mod tests {
     fn what_is_linear_in_the_source_is_read_out_whole_and_what_has_nothing_to_do_with_it_not_at_all() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let sources: Vec<[f32; 6]> = (0..3000).map(|_| rng.random()).collect();
-        let shown = |source: &[f32; 6]| {
-            [
-                source[0] - 0.5 * source[3],
-                1.0 + source[1],
-                source[2],
-                source[4] + source[5],
-            ]
-        };
+        let shown = |s: &[f32; 6]| [s[0] - 0.5 * s[3], 1.0 + s[1], s[2], s[4] + s[5]];
         let pairs = |of: &[[f32; SECTORS]]| {
-            let pairs: Vec<(&[f32], [f32; SECTORS])> = sources
-                .iter()
-                .zip(of)
-                .map(|(source, seen)| (&source[..], *seen))
-                .collect();
+            let pairs = sources.iter().zip(of).map(|(source, seen)| (&source[..], *seen));
+            let pairs: Vec<(&[f32], [f32; SECTORS])> = pairs.collect();
             let (fitted, tried) = pairs.split_at(2000);
             r_squared(fitted, tried).unwrap()
         };

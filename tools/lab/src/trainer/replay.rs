@@ -2,7 +2,6 @@
 
 use crate::trainer::config::LearnConfig;
 use crate::trainer::observation::{OBSERVATION, mirror as mirror_observation};
-use crate::trainer::priorities::{Next, Returns, newest_in_slot, normalised};
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use vigil_nnet::train::SumTree;
@@ -12,6 +11,19 @@ use vigil_sim::environment::true_state::{TRUE_STATE, mirror as mirror_truth};
 const LEAST_PRIORITY: f64 = 1e-3;
 /// Values stored of a state.
 const STATE: usize = TRUE_STATE + OBSERVATION;
+
+/// What follows a decision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Next {
+    /// The next decision of the trajectory.
+    Decision,
+    /// Nothing: success, collision, out of bounds.
+    Terminal,
+    /// The next entry of the trajectory is the state in which the flight was cut off.
+    CutOff,
+    /// This is that state; no action was taken in it.
+    Nothing,
+}
 
 /// A decision, beside its state.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -45,16 +57,9 @@ fn double(kept: u16) -> f32 {
 }
 
 impl Trajectory {
-    fn new(capacity: usize) -> Self {
-        Self {
-            capacity: capacity as u64,
-            ..Self::default()
-        }
-    }
-
     /// Stores a decision.
     pub fn push(&mut self, truth: &[f32; TRUE_STATE], observation: &[f32; OBSERVATION], transition: Transition) {
-        let slot = (self.next % self.capacity) as usize;
+        let slot = self.slot(self.next);
         let state = truth.iter().chain(observation).map(|x| halve(*x));
         if slot < self.transitions.len() {
             let stored = &mut self.states[slot * STATE..(slot + 1) * STATE];
@@ -78,6 +83,18 @@ impl Trajectory {
     fn state(&self, number: u64) -> &[u16] {
         let slot = self.slot(number);
         &self.states[slot * STATE..(slot + 1) * STATE]
+    }
+
+    /// Whether the return of decision `number` over up to `n_steps` lies within what is stored.
+    fn is_known(&self, number: u64, n_steps: usize) -> bool {
+        (number..self.next)
+            .take(n_steps)
+            .find_map(|n| match self.transition(n).next {
+                Next::Decision => None,
+                Next::CutOff => Some(n + 1 < self.next),
+                Next::Terminal | Next::Nothing => Some(true),
+            })
+            .unwrap_or(number.saturating_add(n_steps as u64) < self.next)
     }
 }
 
@@ -122,32 +139,26 @@ pub struct Replay {
     pub trajectories: Vec<Trajectory>,
     /// The priorities of all trajectories' decisions, each in a place of its own.
     tree: SumTree,
-    /// The exponent of an error.
-    alpha: f64,
     /// The largest priority that was ever set.
     largest: f64,
     capacity: usize,
-    returns: Returns,
-    beta: f64,
-    mirror: bool,
+    config: LearnConfig,
 }
 
 impl Replay {
     pub fn new(config: &LearnConfig) -> Self {
         let count = config.environments;
         let capacity = config.replay.decisions / count;
+        let lane = Trajectory {
+            capacity: capacity as u64,
+            ..Trajectory::default()
+        };
         Self {
-            trajectories: (0..count).map(|_| Trajectory::new(capacity)).collect(),
+            trajectories: vec![lane; count],
             tree: SumTree::new(count * capacity),
-            alpha: config.replay.alpha,
             largest: 1.0,
             capacity,
-            returns: Returns {
-                n_steps: config.learning.n_steps as u64,
-                gamma: config.learning.gamma,
-            },
-            beta: config.replay.beta,
-            mirror: config.learning.mirror,
+            config: config.clone(),
         }
     }
 
@@ -155,13 +166,7 @@ impl Replay {
     pub fn settle(&mut self) {
         for (i, lane) in self.trajectories.iter_mut().enumerate() {
             let leaf = |number: u64| i * self.capacity + (number % lane.capacity) as usize;
-            while lane.settled < lane.next {
-                if !self
-                    .returns
-                    .is_known(lane.settled, lane.next, |n| lane.transition(n).next)
-                {
-                    break;
-                }
+            while lane.settled < lane.next && lane.is_known(lane.settled, self.config.learning.n_steps) {
                 // Sampled as if its error were the largest, unless nothing was done in it.
                 let is_nothing = lane.transition(lane.settled).next == Next::Nothing;
                 let priority = if is_nothing { 0.0 } else { self.largest };
@@ -185,31 +190,49 @@ impl Replay {
                 return Vec::new();
             };
             let (priority, total) = (self.tree.get(leaf), self.tree.total());
-            weights.push((held * priority / total).max(f64::MIN_POSITIVE).powf(-self.beta));
-            batch.push(self.step(leaf, self.mirror && rng.random_bool(0.5)));
+            weights.push(
+                (held * priority / total)
+                    .max(f64::MIN_POSITIVE)
+                    .powf(-self.config.replay.beta),
+            );
+            batch.push(self.step(leaf, self.config.learning.mirror && rng.random_bool(0.5)));
         }
-        for (step, weight) in batch.iter_mut().zip(normalised(&weights)) {
-            step.weight = weight;
+        let largest = weights.iter().copied().fold(0.0, f64::max);
+        for (step, weight) in batch.iter_mut().zip(weights) {
+            step.weight = (weight / largest) as f32;
         }
         batch
     }
 
     fn step(&self, leaf: usize, mirror: bool) -> Sample<'_> {
         let lane = &self.trajectories[leaf / self.capacity];
-        let slot = (leaf % self.capacity) as u64;
-        let number = newest_in_slot(slot, lane.next, lane.capacity);
-        let outcome = self.returns.of(number, |at| {
-            let transition = lane.transition(at);
-            (transition.reward, transition.next)
-        });
+        let (slot, last) = ((leaf % self.capacity) as u64, lane.next - 1);
+        // The newest that lies there.
+        let number = last - (last + lane.capacity - slot) % lane.capacity;
+        let (mut reward, mut discount, mut at) = (0.0, 1.0, number);
+        let next = loop {
+            let decision = lane.transition(at);
+            reward += discount * decision.reward;
+            discount *= self.config.learning.gamma;
+            at += 1;
+            match decision.next {
+                Next::Terminal | Next::Nothing => {
+                    discount = 0.0;
+                    break number;
+                }
+                Next::CutOff => break at,
+                Next::Decision if at - number == self.config.learning.n_steps as u64 => break at,
+                Next::Decision => {}
+            }
+        };
         let [forward, yaw] = lane.transition(number).action;
         Sample {
             leaf,
             state: Stored(lane.state(number), mirror),
             action: [forward, if mirror { -yaw } else { yaw }],
-            reward: outcome.reward,
-            discount: outcome.discount,
-            next: Stored(lane.state(outcome.next), mirror),
+            reward,
+            discount,
+            next: Stored(lane.state(next), mirror),
             weight: 1.0,
         }
     }
@@ -218,7 +241,7 @@ impl Replay {
     pub fn set_error(&mut self, leaf: usize, error: f32) {
         // An overwritten or ended place stays out.
         if self.tree.get(leaf) > 0.0 {
-            let priority = (f64::from(error.abs()) + LEAST_PRIORITY).powf(self.alpha);
+            let priority = (f64::from(error.abs()) + LEAST_PRIORITY).powf(self.config.replay.alpha);
             self.largest = self.largest.max(priority);
             self.tree.set(leaf, priority);
         }

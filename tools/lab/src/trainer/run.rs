@@ -182,7 +182,14 @@ impl<'a> Run<'a> {
         let (isa, begun) = (Isa::detect(), Instant::now());
         let saved = options.resume.then(|| Stored::read(&checkpoint)).transpose()?;
         let encoder_params = match (&saved, &options.encoder) {
-            (Some(saved), _) => saved.f32("encoder", None)?,
+            (Some(saved), given) => {
+                let own = saved.f32("encoder", None)?;
+                ensure!(
+                    given.as_ref().is_none_or(|given| *given == own),
+                    "--encoder-of names another encoder than the checkpoint's: leave it out"
+                );
+                own
+            }
             (None, Some(encoder)) => encoder.clone(),
             (None, None) => {
                 let mut progress = |updates, loss| report(Progress::Encoder(updates, loss));
@@ -253,8 +260,12 @@ impl<'a> Run<'a> {
             .collect::<Result<Vec<[f32; OBSERVATION]>>>()?;
         let mut pre = vec![0.0; 2 * self.workers.len()];
         if !warm_up {
-            self.deciding
-                .forward(self.isa, &self.learner.actor, observations.as_flattened(), &mut pre)?;
+            self.deciding.forward(
+                self.isa,
+                &self.learner.actor.params,
+                observations.as_flattened(),
+                &mut pre,
+            )?;
         }
         let sigma = self.sigma();
         let ended = self
@@ -308,7 +319,7 @@ impl<'a> Run<'a> {
         (self.so_far.sum, self.so_far.summed) = (UpdateReport::default(), 0);
         if evaluates {
             let e = &self.config.evaluation;
-            let params = self.learner.actor_target.clone();
+            let params = self.learner.actor.target.clone();
             for family in &e.families {
                 row.evaluated
                     .push(self.evaluate(&params, *family, e.first_seed, e.flights, Ablation::Nothing)?);
@@ -340,10 +351,8 @@ impl<'a> Run<'a> {
     fn write_tables(&self) -> Result<()> {
         let folder = &self.options.folder;
         replace(&folder.join("curves.csv"), csv(&self.so_far.rows).as_bytes())?;
-        replace(
-            &folder.join("flights.csv"),
-            flights_csv(&self.so_far.flights).as_bytes(),
-        )
+        let flights = flights_csv(&self.so_far.flights);
+        replace(&folder.join("flights.csv"), flights.as_bytes())
     }
 
     fn evaluate(
@@ -387,33 +396,25 @@ impl<'a> Run<'a> {
             self.candidates.push(Candidate {
                 updates: self.learner.updates,
                 completion: 0.0,
-                params: self.learner.actor_target.clone(),
+                params: self.learner.actor.target.clone(),
             });
         }
         let e = &self.config.evaluation;
-        let mut best: Option<(usize, &Candidate)> = None;
+        let (mut most, mut chosen) = (None, &self.candidates[0]);
         for candidate in &self.candidates {
             let mut successes = 0;
             for family in &e.families {
                 if stop.load(Ordering::Relaxed) {
                     return Ok(LearnEnd::Interrupted(Some(self.checkpoint)));
                 }
-                let count = self.evaluate(
-                    &candidate.params,
-                    *family,
-                    FIRST_CHOOSING_SEED,
-                    e.final_flights,
-                    Ablation::Nothing,
-                )?;
+                let (params, flights) = (&candidate.params, e.final_flights);
+                let count = self.evaluate(params, *family, FIRST_CHOOSING_SEED, flights, Ablation::Nothing)?;
                 successes += count.successes;
             }
-            if best.is_none_or(|(most, _)| successes > most) {
-                best = Some((successes, candidate));
+            if most < Some(successes) {
+                (most, chosen) = (Some(successes), candidate);
             }
         }
-        let Some((_, chosen)) = best else {
-            return Ok(LearnEnd::Interrupted(Some(self.checkpoint)));
-        };
         let mut test = Vec::new();
         for family in [Family::Validation, Family::Dense, Family::Hard] {
             for ablation in [Ablation::Nothing, Ablation::Frames, Ablation::Memory] {
@@ -464,20 +465,12 @@ pub fn csv(rows: &[Row]) -> String {
             of_it.map_or(",".to_owned(), |c| format!(",{:.4}", c.completion()))
         };
         let evaluated: String = families.iter().map(completion).collect();
-        text += &format!(
-            "{},{},{:.1},{},{},{:.4},{:.5},{:.4},{:.4},{:.4},{:.5}{evaluated}\n",
-            r.updates,
-            r.decisions,
-            r.elapsed_s,
-            r.flights,
-            r.successes,
-            r.reward,
-            u.critic_loss,
-            u.value,
-            u.saturated,
-            u.critic_norm,
-            u.actor_norm,
-        );
+        let (updates, decisions, elapsed_s) = (r.updates, r.decisions, r.elapsed_s);
+        let (flights, successes, reward) = (r.flights, r.successes, r.reward);
+        text += &format!("{updates},{decisions},{elapsed_s:.1},{flights},{successes},{reward:.4}");
+        let (loss, value, saturated, critic, actor) =
+            (u.critic_loss, u.value, u.saturated, u.critic_norm, u.actor_norm);
+        text += &format!(",{loss:.5},{value:.4},{saturated:.4},{critic:.4},{actor:.5}{evaluated}\n");
     }
     text
 }

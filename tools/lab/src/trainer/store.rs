@@ -25,24 +25,19 @@ fn digest<S: AsRef<str>>(tensors: &[(S, TensorView<'_>)]) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-pub enum Values<'a> {
-    F32(&'a [f32]),
-    F64(&'a [f64]),
-    U16(&'a [u16]),
+/// A tensor's name, type, length and bytes.
+pub type Tensor = (String, Dtype, usize, Vec<u8>);
+
+/// Of numbers of N bytes.
+pub fn tensor<const N: usize, T: Copy>(name: String, dtype: Dtype, values: &[T], write: fn(T) -> [u8; N]) -> Tensor {
+    let bytes = values.iter().flat_map(|x| write(*x)).collect();
+    (name, dtype, values.len(), bytes)
 }
 
 /// Writes a description (JSON) and tensors beside and renames the file.
-pub fn save<S: Serialize>(path: &Path, state: &S, tensors: &[(String, Values<'_>)]) -> Result<()> {
+pub fn save<S: Serialize>(path: &Path, state: &S, mut all: Vec<Tensor>) -> Result<()> {
     let state = serde_json::to_vec(state)?;
-    let mut all: Vec<(String, Dtype, usize, Vec<u8>)> = vec![("state".into(), Dtype::U8, state.len(), state)];
-    for (name, values) in tensors {
-        let (dtype, len, bytes) = match values {
-            Values::F32(v) => (Dtype::F32, v.len(), v.iter().flat_map(|x| x.to_le_bytes()).collect()),
-            Values::F64(v) => (Dtype::F64, v.len(), v.iter().flat_map(|x| x.to_le_bytes()).collect()),
-            Values::U16(v) => (Dtype::U16, v.len(), v.iter().flat_map(|x| x.to_le_bytes()).collect()),
-        };
-        all.push((name.clone(), dtype, len, bytes));
-    }
+    all.push(("state".into(), Dtype::U8, state.len(), state));
     let views = all
         .iter()
         .map(|(name, dtype, len, bytes)| Ok((name, TensorView::new(*dtype, vec![*len], bytes)?)))
@@ -112,10 +107,15 @@ impl Stored {
         serde_json::from_slice(&self.tensor("state", Dtype::U8)?).map_err(|e| self.none(e))
     }
 
+    /// Numbers of N bytes.
+    pub fn numbers<const N: usize, T>(&self, name: &str, dtype: Dtype, read: fn([u8; N]) -> T) -> Result<Vec<T>> {
+        let data = self.tensor(name, dtype)?;
+        Ok(data.as_chunks().0.iter().map(|bytes| read(*bytes)).collect())
+    }
+
     /// Numbers, of a length or of any.
     pub fn f32(&self, name: &str, expected: Option<usize>) -> Result<Vec<f32>> {
-        let data = self.tensor(name, Dtype::F32)?;
-        let values: Vec<f32> = data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+        let values = self.numbers(name, Dtype::F32, f32::from_le_bytes)?;
         if let Some(expected) = expected {
             let (path, found) = (self.path.display(), values.len());
             ensure!(
@@ -124,15 +124,5 @@ impl Stored {
             );
         }
         Ok(values)
-    }
-
-    pub fn f64(&self, name: &str) -> Result<Vec<f64>> {
-        let data = self.tensor(name, Dtype::F64)?;
-        Ok(data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect())
-    }
-
-    pub fn u16(&self, name: &str) -> Result<Vec<u16>> {
-        let data = self.tensor(name, Dtype::U16)?;
-        Ok(data.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect())
     }
 }

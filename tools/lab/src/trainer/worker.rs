@@ -5,8 +5,7 @@ use crate::trainer::actor_net::squash;
 use crate::trainer::config::{Along, LearnConfig};
 use crate::trainer::noise::OrnsteinUhlenbeck;
 use crate::trainer::observation::{Drift, Encoder, OBSERVATION, Observer};
-use crate::trainer::priorities::Next;
-use crate::trainer::replay::{Trajectory, Transition};
+use crate::trainer::replay::{Next, Trajectory, Transition};
 use crate::trainer::reward::{DecisionResult, reward};
 use anyhow::Result;
 use core::f32::consts::{PI, TAU};
@@ -22,7 +21,7 @@ use vigil_sim::vehicle::{Truth, VehicleParams, Wind};
 use vigil_sim::world::{Family, LidarConfig, Outcome, generate};
 use vigil_types::{ACTION_LIMIT, Action, GoalRelative, NedVector, wrap_pi};
 
-/// Seeds of the training courses begin here; those that evaluate an actor are below 10 000 or above 7 000 000 000.
+/// Seeds of the training courses begin here; those that evaluate an actor are below it or above 7 000 000 000.
 const FIRST_TRAINING_SEED: u64 = 1_000_000;
 /// The repulsive field takes the nearest surface within this angle of the nose.
 const FIELD_HALF_ANGLE_RAD: f32 = PI / 4.0;
@@ -71,7 +70,6 @@ pub struct WorkerState {
 /// A flight that lasts, as its actor observes it.
 struct Current {
     flight: Flight,
-    encoder: Arc<Encoder>,
     observer: Observer,
     course: TrueCourse,
     goal: NedVector,
@@ -85,15 +83,12 @@ impl Current {
     fn begin(config: &LearnConfig, encoder: Arc<Encoder>, episode: Episode) -> Result<Self> {
         let mut course = generate(episode.family, episode.seed);
         course.time_limit_s = config.time_limit_s;
-        let vehicle = match episode.drawn_vehicle {
-            true => VehicleParams::drawn(episode.seed),
-            false => VehicleParams::default(),
-        };
+        let drawn = episode.drawn_vehicle.then(|| VehicleParams::drawn(episode.seed));
+        let vehicle = drawn.unwrap_or_default();
         let environment = Environment::of(&course, vehicle, Wind::default(), LidarConfig::default(), episode.seed)?;
         let mut current = Self {
             flight: Flight::of(environment),
-            observer: Observer::new(&encoder, episode.drift),
-            encoder,
+            observer: Observer::new(encoder, episode.drift),
             goal: course.goal_ned_m(),
             course: TrueCourse::new(&course),
             to_go_m: 0.0,
@@ -101,12 +96,8 @@ impl Current {
             episode,
         };
         current.to_go_m = current.measure_m(config.reward.along);
-        current.observe(Action::HOVER)?;
+        current.observer.observe(&current.flight.input(), Action::HOVER)?;
         Ok(current)
-    }
-
-    fn observe(&mut self, last: Action) -> Result<(), ShapeError> {
-        self.observer.observe(&self.encoder, &self.flight.input(), last)
     }
 
     fn measure_m(&self, along: Along) -> f32 {
@@ -129,7 +120,7 @@ impl Current {
             outcome = self.flight.advance(action.scaled(config.cruise_m_s / ACTION_LIMIT));
             // The state in which it is cut off is observed as well.
             if matches!(outcome, None | Some(Outcome::TimeOut)) {
-                self.observe(action)?;
+                self.observer.observe(&self.flight.input(), action)?;
             }
             steps += 1;
         }
@@ -213,14 +204,11 @@ impl EnvWorker {
                 scale: within(config.drift_scale),
                 yaw_rad_s: within(config.drift_yaw_deg_s.to_radians()),
             };
+            let drifts = rng.random_bool(config.drift_share).then_some(drift);
             let episode = Episode {
                 seed,
                 family,
-                drift: if rng.random_bool(config.drift_share) {
-                    drift
-                } else {
-                    Drift::default()
-                },
+                drift: drifts.unwrap_or_default(),
                 // No number is drawn at 0, so that runs of before are trained again bit for bit.
                 drawn_vehicle: config.drawn_vehicle_share > 0.0 && rng.random_bool(config.drawn_vehicle_share),
                 actions: Vec::new(),
@@ -264,24 +252,17 @@ impl EnvWorker {
         let (reward, outcome) = c.step(config, action)?;
         c.episode.report.reward += reward;
         c.episode.report.decisions += 1;
-        c.episode.actions.push([action.forward_m_s, action.yaw]);
-        let transition = Transition {
-            action: [action.forward_m_s, action.yaw],
-            reward,
-            next: match outcome {
-                None => Next::Decision,
-                Some(Outcome::TimeOut) => Next::CutOff,
-                Some(_) => Next::Terminal,
-            },
+        let action = [action.forward_m_s, action.yaw];
+        c.episode.actions.push(action);
+        let next = match outcome {
+            None => Next::Decision,
+            Some(Outcome::TimeOut) => Next::CutOff,
+            Some(_) => Next::Terminal,
         };
-        trajectory.push(&truth, &observation, transition);
+        trajectory.push(&truth, &observation, Transition { action, reward, next });
         if outcome == Some(Outcome::TimeOut) {
-            let last = Transition {
-                action: [0.0; 2],
-                reward: 0.0,
-                next: Next::Nothing,
-            };
-            trajectory.push(&c.truth(), &c.observer.now, last);
+            let (action, reward, next) = ([0.0; 2], 0.0, Next::Nothing);
+            trajectory.push(&c.truth(), &c.observer.now, Transition { action, reward, next });
         }
         if outcome.is_none() {
             self.current = Some(c);

@@ -152,10 +152,7 @@ impl Importer<'_> {
         };
         // Both are read twice.
         let other = &match other {
-            Value::Live(other) => Value::Live(Live {
-                alone: false,
-                ..other.clone()
-            }),
+            Value::Live(other) => Value::Live(other.clone().shared()),
             constant => constant.clone(),
         };
         if let Value::Constant(constant) = other
@@ -173,10 +170,7 @@ impl Importer<'_> {
             constant.map_err(|_| "bounds of which some are infinite and others are not".to_owned())?;
         }
         // max(x, c) = c + relu(x − c), min(x, c) = c − relu(c − x): a bound for each value, or two that both vary.
-        let shared = Value::Live(Live {
-            alone: false,
-            ..x.clone()
-        });
+        let shared = Value::Live(x.clone().shared());
         let above = match larger {
             true => self.arithmetic("Sub", &shared, other)?,
             false => self.arithmetic("Sub", other, &shared)?,
@@ -214,10 +208,7 @@ impl Importer<'_> {
     /// Curves that are made of others.
     pub(super) fn composed(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
         // It is read more than once.
-        let x = Live {
-            alone: false,
-            ..self.live(node, 0)?
-        };
+        let x = self.live(node, 0)?.shared();
         let gate = match node.op_type.as_str() {
             "Selu" => {
                 let alpha = settings.real("alpha", 1.673_263_2);
@@ -297,12 +288,7 @@ impl Importer<'_> {
             None => {
                 let layer = self.arranged(x)?;
                 len = x.places.len();
-                own = Live {
-                    layer,
-                    shape: x.shape.clone(),
-                    places: identity(len),
-                    alone: false,
-                };
+                own = Live::of(layer, x.shape.clone(), identity(len)).shared();
                 (&own, (factors.to_vec(), summands.to_vec()))
             }
         };

@@ -30,6 +30,11 @@ impl Live {
         }
     }
 
+    /// The same where something else uses them as well.
+    pub(super) fn shared(self) -> Self {
+        Self { alone: false, ..self }
+    }
+
     /// Values of these, each from its place among them.
     pub(super) fn moved(&self, shape: Vec<usize>, places: &[usize]) -> Result<Self, String> {
         let of = |place: &usize| self.places.get(*place).copied();

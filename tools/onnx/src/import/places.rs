@@ -243,7 +243,10 @@ impl<'a> Importer<'a> {
             let kept = shape.iter().enumerate().filter(|(i, _)| *i != along);
             kept.map(|(_, size)| *size).collect()
         };
-        if let Some(wrong) = shapes.iter().find(|shape| others(shape) != others(first)) {
+        if let Some(wrong) = shapes
+            .iter()
+            .find(|s| s.len() != first.len() || others(s) != others(first))
+        {
             return Err(format!("the shapes {first:?} and {wrong:?} along axis {along}"));
         }
         let mut shape = first.to_vec();

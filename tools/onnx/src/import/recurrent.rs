@@ -91,7 +91,7 @@ impl<'a> Importer<'a> {
             return Err(format!("shapes {:?}, {:?}, {:?}", x.shape, w.shape, r.shape));
         };
         let (steps, inputs, hidden) = (*steps, *inputs, *hidden);
-        let rows = if is_gru { 3 } else { 4 } * hidden;
+        let rows = (if is_gru { 3_usize } else { 4 }).saturating_mul(hidden);
         if *wide != inputs || w.shape[1] != rows || r.shape[1] != rows || steps > 256 || hidden == 0 {
             return Err(format!("shapes {:?}, {:?}, {:?}", x.shape, w.shape, r.shape));
         }
@@ -178,7 +178,7 @@ impl<'a> Importer<'a> {
             if wanted(i) {
                 let places = Rc::new((from as u32..(from + hidden) as u32).collect());
                 let last = Live::of(state, vec![1, 1, hidden], places);
-                self.set(node, i, Value::Live(Live { alone: false, ..last }))?;
+                self.set(node, i, Value::Live(last.shared()))?;
             }
         }
         Ok(())

@@ -172,7 +172,7 @@ impl Importer<'_> {
             return Err(format!("weights of shape {:?}: two dimensions only", w.shape));
         };
         let groups = positive(settings.whole("group", 1), "group")?;
-        if depth * groups != channels || !filters.is_multiple_of(groups) {
+        if depth.checked_mul(groups) != Some(channels) || !filters.is_multiple_of(groups) {
             return Err(format!(
                 "weights of shape {:?} in {groups} groups for {channels} channels",
                 w.shape

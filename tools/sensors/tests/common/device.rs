@@ -119,12 +119,9 @@ impl Device {
         let frd = |v: [f64; 3]| FrdVector::new(-v[0] as f32, v[1] as f32, -v[2] as f32);
         let from = frd([from[0], from[1], SENSOR_UP_M]);
         let (offset, turn) = self.mount;
-        let in_vehicle = |v: FrdVector| {
-            let [x, y, z] = turn.to_ned(v).to_array();
-            FrdVector::new(x, y, z)
-        };
-        let origin = position + attitude.to_ned(offset + in_vehicle(from));
-        let (range_m, _) = rays::cast(world, origin, attitude.to_ned(in_vehicle(frd(along))))?;
+        let origin = position + attitude.to_ned(offset + rays::in_vehicle(turn, from));
+        let direction = attitude.to_ned(rays::in_vehicle(turn, frd(along)));
+        let (range_m, _) = rays::cast(world, origin, direction)?;
         // The range is told from where the axis is, not from where the beam leaves.
         (range_m < REACH_M).then(|| ((range_m + ORIGIN_M) * 1e3).round() as u32)
     }

@@ -82,6 +82,12 @@ fn range_of(solid: &Solid, o: [f64; 3], d: [f64; 3]) -> Option<f64> {
     (enter <= leave && enter > 0.0).then_some(enter)
 }
 
+/// A direction of a sensor's axes in the vehicle's, into which they are turned by `turn`.
+pub fn in_vehicle(turn: Attitude, direction: FrdVector) -> FrdVector {
+    let [x, y, z] = turn.to_ned(direction).to_array();
+    FrdVector::new(x, y, z)
+}
+
 /// The point that a sensor measures along `direction` of its own axes, if something is within `reach_m`. The sensor's axes are
 /// turned into the vehicle's by `turn` and sit at `offset`.
 #[allow(dead_code, reason = "not every user of this file has a mounted sensor")]
@@ -92,8 +98,7 @@ pub fn measure(
     direction: FrdVector,
     reach_m: f64,
 ) -> Option<FrdVector> {
-    let in_vehicle = turn.to_ned(direction).to_array();
-    let in_world = attitude.to_ned(FrdVector::new(in_vehicle[0], in_vehicle[1], in_vehicle[2]));
+    let in_world = attitude.to_ned(in_vehicle(turn, direction));
     let from = position + attitude.to_ned(offset);
     let (range_m, _) = cast(world, from, in_world)?;
     (range_m < reach_m).then(|| direction * (range_m as f32 / direction.norm()))

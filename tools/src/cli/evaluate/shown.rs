@@ -2,10 +2,12 @@
 
 use super::{EvaluateArgs, log_name};
 use crate::cli::output::{self, Interrupt, say, tell};
-use anyhow::{Context, Result};
+use crate::cli::view::tell_ended_early;
+use anyhow::Result;
+use rustix::process::{Pid, Signal, kill_process};
 use std::path::{Path, PathBuf};
 use std::process::Child;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use vigil_sim::SensorFault;
 
 /// Flights in the viewer while they fly.
@@ -22,12 +24,9 @@ impl Shown {
         let folder = match &args.logs {
             Some(folder) => folder.clone(),
             None => {
-                let stamp = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
                 let parent = args.json.parent();
                 let parent = parent.filter(|p| !p.as_os_str().is_empty() && !output::is_stdout(&args.json));
-                let parent = parent.unwrap_or(Path::new("runs"));
-                vigil_types::files::make_new_folder(parent, &format!("evaluate-{stamp}-{}", args.seed))
-                    .with_context(|| format!("cannot make a folder in {}", parent.display()))?
+                output::make_folder(parent.unwrap_or(Path::new("runs")), "evaluate", args.seed)?
             }
         };
         let names: Vec<String> = (0..count)
@@ -44,10 +43,7 @@ impl Shown {
     pub fn end(&mut self, interrupt: &Interrupt) -> Result<()> {
         if self.script.try_wait()?.is_none() {
             // A log that is not there by now does not come any more.
-            rustix::process::kill_process(
-                rustix::process::Pid::from_child(&self.script),
-                rustix::process::Signal::TERM,
-            )?;
+            kill_process(Pid::from_child(&self.script), Signal::TERM)?;
         }
         let mut said = false;
         let status = loop {
@@ -66,10 +62,7 @@ impl Shown {
         };
         say!("logs             {}", self.folder.display());
         if !status.success() && !interrupt.came() {
-            tell!(
-                "vigil: the viewer ended early: see {}",
-                self.folder.join("viewer.log").display()
-            );
+            tell_ended_early(&self.folder);
         }
         Ok(())
     }

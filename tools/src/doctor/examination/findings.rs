@@ -2,7 +2,7 @@
 
 use super::{EKF_STATUS_REPORT, Examination, GOOD_HZ, Gaps, SECOND_NS, late_ns, s};
 use crate::doctor::finding::{Finding, Report, Severity};
-use crate::doctor::parameters::{self, Row, STICKS_BY_SPEED, Versions};
+use crate::doctor::parameters::{self, STICKS_BY_SPEED};
 use std::collections::BTreeSet;
 use vigil_mavlink::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ESTIMATOR_STATUS_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA,
@@ -28,7 +28,7 @@ const TOO_SLOW_S: f64 = 0.3;
 /// The vehicle's wall clock and ours may differ by this, seconds: signing refuses more than a minute.
 const WALL_S: f64 = 10.0;
 /// Battery below which guidance does not begin, by default.
-const LOW_BATTERY: f32 = 0.2;
+const LOW_BATTERY: f32 = vigil_types::parameters::BATTERY.number_f32();
 /// A message that comes every two seconds or more often has stopped if it did not come for so long.
 const STOPPED_NS: Nanos = 3 * SECOND_NS;
 /// What tells of the vehicle's state, and what its end leaves open.
@@ -80,7 +80,9 @@ impl Examination {
         if self.vehicle.telemetry.heartbeat.is_none() {
             let others: Vec<String> = self.other_systems.iter().map(u8::to_string).collect();
             let value = (!others.is_empty()).then(|| format!("other vehicles: system {}", others.join(", ")));
-            report.failure("HEARTBEAT",
+            report.grade(
+                "HEARTBEAT",
+                Severity::Failure,
                 value,
                 "the heartbeat of an autopilot (component 1), once a second",
                 "nobody is heard: is the link's address that to which the vehicle sends, is its port in use by another program, does it \
@@ -94,31 +96,26 @@ impl Examination {
             None => format!("MAV_AUTOPILOT {}", self.vehicle.mav_autopilot),
         };
         let told = format!("system {}, {name}", self.system.unwrap_or_default());
+        let gaps = self.gaps(&[HEARTBEAT_DATA::ID], now_ns);
         match (self.config.flavour, self.vehicle.named) {
-            _ if rate_hz.is_some() && self.gaps(&[HEARTBEAT_DATA::ID], now_ns).count > 0 => {
-                let gaps = self.gaps(&[HEARTBEAT_DATA::ID], now_ns);
-                report.failure(
-                    "HEARTBEAT",
-                    Some(format!("{told}, away for {} at the longest", s(gaps.longest_ns))),
-                    "once a second",
-                    "without it guidance holds: link lost",
-                );
-            }
-            _ if rate_hz.is_none() => report.failure(
+            _ if rate_hz.is_none() || gaps.count > 0 => report.failure(
                 "HEARTBEAT",
-                Some(format!("{told}, and then silence")),
+                match rate_hz {
+                    Some(_) => format!("{told}, away for {} at the longest", s(gaps.longest_ns)),
+                    None => format!("{told}, and then silence"),
+                },
                 "once a second",
                 "without it guidance holds: link lost",
             ),
             (Some(wanted), Some(named)) if wanted != named => report.failure(
                 "HEARTBEAT",
-                Some(told),
+                told,
                 wanted.name(),
                 "the vehicle is not flown: name what it is with --vehicle, or leave that out",
             ),
             (None, None) => report.warning(
                 "HEARTBEAT",
-                Some(told),
+                told,
                 "PX4 (12) or ArduPilot (3)",
                 "an autopilot that is not known is flown as PX4",
             ),
@@ -132,7 +129,7 @@ impl Examination {
         if let Some(kind) = self.vehicle_type.filter(|kind| !MULTICOPTERS.contains(kind)) {
             report.failure(
                 "MAV_TYPE",
-                Some(kind.to_string()),
+                kind.to_string(),
                 "a multicopter (2, 13, 14, 15, 29, 35)",
                 "setpoints of velocity that may be zero are for what can hover",
             );
@@ -140,24 +137,23 @@ impl Examination {
         if self.vehicle.telemetry.heartbeat.is_some_and(|h| h.failsafe) {
             report.failure(
                 "failsafe",
-                Some("the vehicle reports CRITICAL or EMERGENCY".to_owned()),
+                "the vehicle reports CRITICAL or EMERGENCY".to_owned(),
                 "none",
                 "guidance holds while it lasts; the vehicle's texts say what it is",
             );
         } else if self.was_in_failsafe {
             report.warning(
                 "failsafe",
-                Some("the vehicle reported CRITICAL or EMERGENCY for a while".to_owned()),
+                "the vehicle reported CRITICAL or EMERGENCY for a while".to_owned(),
                 "none",
                 "guidance holds while one lasts; the vehicle's texts say what it was",
             );
         }
         if let Some(battery) = self.vehicle.telemetry.battery_remaining {
-            let value = format!("{:.0} %", 100.0 * battery);
-            match battery < LOW_BATTERY {
-                true => report.failure("battery", Some(value), "at least 20 %", "guidance does not begin below"),
-                false => report.good("battery", value),
-            }
+            let [value, least] = [battery, LOW_BATTERY].map(|charge| format!("{:.0} %", 100.0 * charge));
+            let severity = Severity::good_if(battery >= LOW_BATTERY, Severity::Failure);
+            let (wanted, why) = (format!("at least {least}"), "guidance does not begin below");
+            report.grade("battery", severity, Some(value), &wanted, why);
         }
     }
 
@@ -167,11 +163,7 @@ impl Examination {
             let ids: Vec<String> = self.other_systems.iter().map(u8::to_string).collect();
             report.failure(
                 "vehicles",
-                Some(format!(
-                    "system {} and {}",
-                    self.system.unwrap_or_default(),
-                    ids.join(", ")
-                )),
+                format!("system {} and {}", self.system.unwrap_or_default(), ids.join(", ")),
                 "one, or one that is named",
                 "whose telemetry is flown by would be chance: add system=ID to the link",
             );
@@ -186,7 +178,7 @@ impl Examination {
             let each = if doubled { " (with the heartbeats of two)" } else { "" };
             report.failure(
                 "companions",
-                Some(format!("{}{each}", names.join(", "))),
+                format!("{}{each}", names.join(", ")),
                 "one",
                 "two guidance computers give setpoints in turn, and the vehicle obeys both: stop one of them",
             );
@@ -196,17 +188,17 @@ impl Examination {
         if !self.setpoints_of.is_empty() {
             report.failure(
                 "setpoints",
-                Some(format!("sent by {}", ids(&self.setpoints_of))),
+                format!("sent by {}", ids(&self.setpoints_of)),
                 "none before the flight",
                 "somebody already steers the vehicle: stop that program",
             );
         }
         if !self.sticks_of.is_empty() {
             report.warning("RC override",
-                Some(format!(
+                format!(
                     "MANUAL_CONTROL or RC_CHANNELS_OVERRIDE by {}",
                     ids(&self.sticks_of)
-                )),
+                ),
                 "none, or a pilot who means it",
                 "sticks by MAVLink may take the vehicle out of OFFBOARD or GUIDED: switch the ground station's joystick off",
             );
@@ -220,10 +212,10 @@ impl Examination {
         if self.unusable > 0 {
             report.failure(
                 "values",
-                Some(format!(
+                format!(
                     "{} times a position, velocity or attitude that is no number",
                     self.unusable
-                )),
+                ),
                 "finite numbers, and a quaternion of unit length",
                 "the estimator failed: guidance holds",
             );
@@ -234,13 +226,12 @@ impl Examination {
                 && silent_ns > STOPPED_NS
             {
                 let value = format!("it came, and stopped {} ago", s(silent_ns));
-                report.warning(name, Some(value), "1 Hz or more", why);
+                report.warning(name, value, "1 Hz or more", why);
             }
         }
         if self.vehicle.telemetry.landed == Landed::Unknown {
-            report.warning(
+            report.absent(
                 "EXTENDED_SYS_STATE",
-                None,
                 "1 Hz or more",
                 "without it the height alone says whether the vehicle flies",
             );
@@ -304,7 +295,7 @@ impl Examination {
     fn changes(&self, now_ns: Nanos, report: &mut Report) {
         if let Some(restarted_ns) = self.restarted_ns {
             report.failure("restart",
-                Some(format!("the vehicle started anew {} ago", s(now_ns - restarted_ns))),
+                format!("the vehicle started anew {} ago", s(now_ns - restarted_ns)),
                 "a vehicle that keeps running",
                 "in flight that is a fall: look for its cause (power, a watchdog, a simulation that was restarted) and examine it again",
             );
@@ -312,9 +303,7 @@ impl Examination {
         if let Some(ahead_s) = self.clock_jumps_s {
             report.failure(
                 "clock jumps",
-                Some(format!(
-                    "the vehicle's time since its start jumped ahead by {ahead_s:.1} s"
-                )),
+                format!("the vehicle's time since its start jumped ahead by {ahead_s:.1} s"),
                 "none",
                 "what it stamps is believed by its order and age",
             );
@@ -322,7 +311,7 @@ impl Examination {
         let (count, most_m) = self.position_jumps;
         if count > 0 {
             report.failure("position jumps",
-                Some(format!("{count}, by {most_m:.1} m at the most")),
+                format!("{count}, by {most_m:.1} m at the most"),
                 "none",
                 "the estimator changes its mind (GPS glitch, a reset, two vehicles of one system): guidance holds (implausible pose)",
             );
@@ -331,7 +320,7 @@ impl Examination {
         if count > 0 {
             report.failure(
                 "heading jumps",
-                Some(format!("{count}, by {:.0}° at the most", most_rad.to_degrees())),
+                format!("{count}, by {:.0}° at the most", most_rad.to_degrees()),
                 "none",
                 "the estimator changes its mind (compass, a reset): setpoints in the body's frame then lead elsewhere",
             );
@@ -385,9 +374,8 @@ impl Examination {
                     "the logs' times differ, and signing refuses what is a minute old: set one of the clocks",
                 );
             }
-            _ => report.warning(
+            _ => report.absent(
                 "SYSTEM_TIME",
-                None,
                 "the vehicle's wall clock",
                 "without it the vehicle's and Vigil's logs cannot be laid side by side by time of day",
             ),
@@ -398,8 +386,7 @@ impl Examination {
         let home = self.vehicle.home_ned_m();
         match home {
             Some(home) => report.good("HOME_POSITION", format!("{:.1} m north, {:.1} m east, {:.1} m up", home.x, home.y, 0.0 - home.z)),
-            None => report.warning("HOME_POSITION",
-                None,
+            None => report.absent("HOME_POSITION",
                 "where home is",
                 "goals are then from the local origin, where the estimator began: an ArduPilot sets home when it is armed or has GPS, a PX4 \
                  when it has a global position",
@@ -422,7 +409,7 @@ impl Examination {
                     true => "the local frame's z points up: it must point down (NED, not ENU)",
                     false => "the two frames' origins differ: a goal's height would be wrong by as much",
                 };
-                report.failure("height", Some(value), "the same height above home", why);
+                report.failure("height", value, "the same height above home", why);
             }
         }
         if let Some(heading_rad) = heading_rad {
@@ -440,7 +427,7 @@ impl Examination {
                     true => "attitude is told in east-north-up: yaw must be clockwise from north (NED)",
                     false => "setpoints are in the body's frame: the vehicle would fly another way than it looks",
                 };
-                report.failure("heading", Some(value), "one heading", why);
+                report.failure("heading", value, "one heading", why);
             }
         }
     }
@@ -450,13 +437,13 @@ impl Examination {
             (true, true) => report.good("signing", "signed with the key".to_owned()),
             (true, false) => report.failure(
                 "signing",
-                Some("the vehicle signs its packets, and there is no key here".to_owned()),
+                "the vehicle signs its packets, and there is no key here".to_owned(),
                 "the vehicle's key",
                 "it will refuse commands and setpoints without a signature: give --signing-key",
             ),
             (false, true) => report.failure(
                 "signing",
-                Some("packets without a signature".to_owned()),
+                "packets without a signature".to_owned(),
                 "packets signed with the key",
                 "the vehicle has another key or none: give it this one (SETUP_SIGNING)",
             ),
@@ -465,7 +452,7 @@ impl Examination {
             }
             (false, false) => report.warning(
                 "signing",
-                Some("none".to_owned()),
+                "none".to_owned(),
                 "signed packets where others reach the link",
                 "whoever reaches the link may command the vehicle: docs/firmware.md, Signing",
             ),
@@ -473,21 +460,18 @@ impl Examination {
     }
 
     fn read_parameters(&self, report: &mut Report) {
-        let told = |name: &str| self.parameters.get(name).is_some_and(|asked| asked.value.is_some());
-        let by_speed = told(STICKS_BY_SPEED);
-        let applies = |row: &&Row| match row.versions {
-            Versions::All => true,
-            Versions::BeforeSticksBySpeed => !by_speed,
-            Versions::SticksBySpeed => by_speed,
-        };
-        for row in parameters::of(self.vehicle.flavour()).filter(applies) {
-            match self.parameters.get(row.name).and_then(|asked| asked.value) {
+        let value_of = |name: &str| self.parameters.get(name).and_then(|asked| asked.value);
+        let by_speed = value_of(STICKS_BY_SPEED).is_some();
+        for row in parameters::of(self.vehicle.flavour()) {
+            if row.by_speed.is_some_and(|wanted| wanted != by_speed) {
+                continue;
+            }
+            match value_of(row.name) {
                 Some(value) => {
                     let told = format!("{value} {}", row.unit).trim_end().to_owned();
                     report.grade(row.name, (row.grade)(value), Some(told), row.wanted, row.why);
                 }
-                None => report.warning(row.name,
-                    None,
+                None => report.absent(row.name,
                     row.wanted,
                     "the vehicle did not tell this parameter: it may be of a version that does not have it, or not answer on this link",
                 ),

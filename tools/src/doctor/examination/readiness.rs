@@ -39,9 +39,8 @@ impl Examination {
     pub(super) fn estimator(&self, report: &mut Report) {
         const WANTED: &str = "attitude, velocity, position and height";
         let Some(flags) = self.estimator else {
-            report.warning(
+            report.absent(
                 "estimator",
-                None,
                 "ESTIMATOR_STATUS or EKF_STATUS_REPORT",
                 "the vehicle does not say whether its position can be relied on",
             );
@@ -51,7 +50,7 @@ impl Examination {
         if !lacks.is_empty() {
             report.failure(
                 "estimator",
-                Some(format!("not ready ({flags:#06x}): lacks {}", lacks.join(", "))),
+                format!("not ready ({flags:#06x}): lacks {}", lacks.join(", ")),
                 WANTED,
                 "the vehicle refuses OFFBOARD or GUIDED, or flies by a wrong position: wait for GPS, or see its texts",
             );
@@ -59,9 +58,7 @@ impl Examination {
             let lacked = self.estimator_lacks(before).join(", ");
             report.warning(
                 "estimator",
-                Some(format!(
-                    "ready ({flags:#06x}), but for a while it was not ({before:#06x}): it lacked {lacked}"
-                )),
+                format!("ready ({flags:#06x}), but for a while it was not ({before:#06x}): it lacked {lacked}"),
                 WANTED,
                 "in flight the vehicle leaves OFFBOARD or GUIDED then: did it just start, does GPS come and go?",
             );
@@ -80,13 +77,13 @@ impl Examination {
             None => {}
             Some(false) => report.failure(
                 "arming",
-                Some(said("the pre-arm check fails")),
+                said("the pre-arm check fails"),
                 "the pre-arm check passes",
                 "the vehicle will refuse to be armed",
             ),
             Some(true) if self.was_not_armable => report.warning(
                 "arming",
-                Some(format!("for a while: {}", said("the pre-arm check failed"))),
+                format!("for a while: {}", said("the pre-arm check failed")),
                 "the pre-arm check passes",
                 "did the vehicle just start? Else it will refuse now and then",
             ),

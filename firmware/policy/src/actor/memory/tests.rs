@@ -12,7 +12,7 @@ struct Flight {
 impl Flight {
     fn beside_a_wall(east_m: f32) -> Self {
         Self {
-            memory: ActorMemory::new(),
+            memory: ActorMemory::default(),
             at: Odometry {
                 at_ns: 0,
                 position_ned_m: NedVector::new(0.0, 0.0, -1.5),
@@ -40,6 +40,10 @@ impl Flight {
         self.memory.observe(&scan, self.at);
     }
 
+    fn steps(&mut self, steps: usize, north_m: f32, yaw_rad: f32) {
+        (0..steps).for_each(|_| self.step(north_m, yaw_rad));
+    }
+
     fn ring(&self) -> (&[f32], &[f32]) {
         self.memory.context()[OLDER_SCANS..OLDER_SCANS + 2 * RING].split_at(RING)
     }
@@ -48,9 +52,7 @@ impl Flight {
 #[test]
 fn a_wall_that_was_seen_is_still_there_when_the_vehicle_looks_away() {
     let mut flight = Flight::beside_a_wall(2.0);
-    for _ in 0..20 {
-        flight.step(0.0, FRAC_PI_2);
-    }
+    flight.steps(20, 0.0, FRAC_PI_2);
     let (near, _) = flight.ring();
     // Bins within 52° of the nose.
     let in_view = near[..8].iter().chain(&near[RING - 7..]);
@@ -58,9 +60,7 @@ fn a_wall_that_was_seen_is_still_there_when_the_vehicle_looks_away() {
         in_view.copied().all(|near| near == 0.0),
         "what is in view is not told twice: {near:?}"
     );
-    for _ in 0..20 {
-        flight.step(0.0, 0.0);
-    }
+    flight.steps(20, 0.0, 0.0);
     let (near, fresh) = flight.ring();
     // 2 m to the right: a quarter of the way round.
     let right = near[RING / 4];
@@ -68,9 +68,7 @@ fn a_wall_that_was_seen_is_still_there_when_the_vehicle_looks_away() {
     assert!((fresh[RING / 4] - libm::expf(-0.1)).abs() < 0.02, "{}", fresh[RING / 4]);
     assert_eq!(near[3 * RING / 4], 0.0, "nothing on the left");
     // Turned about, it is on the left.
-    for _ in 0..10 {
-        flight.step(0.0, PI);
-    }
+    flight.steps(10, 0.0, PI);
     let (near, _) = flight.ring();
     assert!((range_m(near[3 * RING / 4]) - 2.0).abs() < 0.25);
 }
@@ -78,9 +76,7 @@ fn a_wall_that_was_seen_is_still_there_when_the_vehicle_looks_away() {
 #[test]
 fn what_a_ray_passes_through_is_forgotten_and_so_is_what_is_old() {
     let mut flight = Flight::beside_a_wall(2.0);
-    for _ in 0..20 {
-        flight.step(0.0, FRAC_PI_2);
-    }
+    flight.steps(20, 0.0, FRAC_PI_2);
     // The wall is gone: seen once more, then looked away.
     flight.wall_east_m = None;
     flight.step(0.0, FRAC_PI_2);
@@ -99,9 +95,7 @@ fn what_a_ray_passes_through_is_forgotten_and_so_is_what_is_old() {
 #[test]
 fn older_scans_are_told_as_they_would_be_seen_from_here() {
     let mut flight = Flight::beside_a_wall(2.0);
-    for _ in 0..60 {
-        flight.step(0.05, 0.6);
-    }
+    flight.steps(60, 0.05, 0.6);
     let context = *flight.memory.context();
     for (older, age) in context.chunks_exact(MOVED).zip(SCAN_AGES) {
         let (mut told, mut right) = (0, 0);
@@ -118,17 +112,13 @@ fn older_scans_are_told_as_they_would_be_seen_from_here() {
 #[test]
 fn a_vehicle_knows_where_it_has_been() {
     let mut flight = Flight::beside_a_wall(50.0);
-    for _ in 0..100 {
-        flight.step(0.05, 0.0);
-    }
+    flight.steps(100, 0.05, 0.0);
     let trail = &flight.memory.context()[CONTEXT - TRAIL..];
     assert!(trail[TRAIL / 2] > 0.5, "behind it: {trail:?}");
     assert_eq!((trail[0], trail[TRAIL / 4]), (0.0, 0.0), "not ahead, not aside");
     // However long it flies to and fro, it remembers where it began.
     for turn in 0..40 {
-        for _ in 0..100 {
-            flight.step(if turn % 2 == 0 { 0.05 } else { -0.05 }, 0.0);
-        }
+        flight.steps(100, if turn % 2 == 0 { 0.05 } else { -0.05 }, 0.0);
     }
     assert!(flight.memory.trail.len() <= TRAIL_PLACES);
     assert!(flight.memory.trail.iter().any(|(north_m, _)| *north_m < 1.5));
@@ -137,16 +127,18 @@ fn a_vehicle_knows_where_it_has_been() {
 #[test]
 fn odometry_that_jumps_means_that_everything_is_forgotten_and_counted() {
     let mut flight = Flight::beside_a_wall(2.0);
-    for _ in 0..20 {
-        flight.step(0.0, FRAC_PI_2);
-    }
+    flight.steps(20, 0.0, FRAC_PI_2);
     flight.step(0.0, -FRAC_PI_2);
     assert!(flight.ring().0.iter().any(|near| *near > 0.0));
-    flight.step(5.0, -FRAC_PI_2);
-    assert!(flight.ring().0.iter().all(|near| *near == 0.0));
-    assert_eq!(flight.memory.forgotten(), 1);
+    // Half a second without frames is no time for 5 m; three seconds are.
+    for (missing, forgotten) in [(0, 1), (10, 2), (60, 2)] {
+        flight.at.at_ns += missing * STEP_NS;
+        flight.step(5.0, -FRAC_PI_2);
+        assert!(flight.ring().0.iter().all(|near| *near == 0.0));
+        assert_eq!(flight.memory.forgotten(), forgotten, "{missing} frames missing");
+    }
     flight.step(f32::NAN, -FRAC_PI_2);
-    assert_eq!(flight.memory.forgotten(), 2);
+    assert_eq!(flight.memory.forgotten(), 3);
 }
 
 #[test]

@@ -67,7 +67,7 @@ fn watch_and_look(
     at: impl Fn(u64) -> (f32, f32),
     look: impl Fn(u64, &MoverTracker),
 ) -> MoverTracker {
-    let mut tracker = MoverTracker::new();
+    let mut tracker = MoverTracker::default();
     for frame in 0..frames {
         let scan = seen(NedVector::ZERO, at(frame), radius_m);
         tracker.observe(&scan, NedVector::ZERO, 0.0, frame * 50_000_000);
@@ -175,7 +175,7 @@ fn what_moves_is_known_with_its_place_velocity_and_size() {
 
 #[test]
 fn what_stands_does_not_move_however_the_vehicle_does() {
-    let mut tracker = MoverTracker::new();
+    let mut tracker = MoverTracker::default();
     for frame in 0..80_u32 {
         let from = NedVector::new(0.04 * frame as f32, 0.3 * libm::sinf(0.1 * frame as f32), 0.0);
         tracker.observe(&seen(from, (5.0, 0.6), 0.25), from, 0.0, u64::from(frame) * 50_000_000);

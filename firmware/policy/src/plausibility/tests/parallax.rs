@@ -76,9 +76,9 @@ fn true_ranges_odometry_of_a_tenth_too_much_and_a_hall_without_edges_convict_nob
             kinematics.position_ned_m.x *= 1.1;
         }
         flight.check();
-        assert!(!flight.plausibility.parallax.is_raised());
+        assert!(!flight.plausibility.parallax.is_raised);
     }
     let mut flight = Flight::new();
     flight.fly(60, |frame| frame.depth.fill(0.05));
-    assert!(!flight.plausibility.parallax.is_raised() && !flight.plausibility.parallax.sees_both_sides());
+    assert!(!flight.plausibility.parallax.is_raised && !flight.plausibility.parallax.sees_both_sides());
 }

@@ -30,7 +30,7 @@ fn who_shows_everything_but_the_ground_farther_away_is_found_within_half_a_secon
     for by_m in [4.0, 7.8, 12.0] {
         let mut flight = Flight::new();
         assert_eq!(steps_until_beneath(&mut flight, 40, recede(by_m)), Some(7), "{by_m} m");
-        assert_eq!(flight.plausibility.shadow.sight(), GroundSight::SeenThrough);
+        assert_eq!(flight.plausibility.shadow.sight, GroundSight::SeenThrough);
     }
     // Growing by 8 m in five seconds: found before it has come to 4 m.
     let mut by_m = 0.0;
@@ -51,26 +51,27 @@ fn a_picture_beneath_the_ground_holds_until_forty_agree_and_the_second_time_unti
         .take_while(|faults| faults.contains(Reason::BeneathGround))
         .count();
     assert_eq!(held, 39, "{faults:?}");
-    assert_eq!(flight.plausibility.shadow.sight(), GroundSight::Agrees);
+    assert_eq!(flight.plausibility.shadow.sight, GroundSight::Agrees);
     flight.fly(12, recede(7.8));
     let faults = flight.fly(80, good);
     assert!(faults.iter().all(|faults| faults.contains(Reason::BeneathGround)));
     flight.telemetry.heartbeat.as_mut().unwrap().armed = false;
-    assert_eq!(
-        flight.plausibility.check(&flight.frame, &flight.telemetry),
-        Reasons::NONE
-    );
+    assert_eq!(flight.check(), Reasons::NONE);
 }
 
 #[test]
 fn where_no_ground_is_seen_nothing_is_known_and_what_was_raised_stays() {
     let mut flight = Flight::new();
     flight.fly(10, walled_in);
-    assert_eq!(flight.plausibility.shadow.sight(), GroundSight::CannotTell);
+    assert_eq!(flight.plausibility.shadow.sight, GroundSight::CannotTell);
     let mut flight = Flight::new();
     flight.fly(12, recede(7.8));
     let faults = flight.fly(80, walled_in);
     assert!(faults.iter().all(|faults| faults.contains(Reason::BeneathGround)));
+    flight.telemetry.heartbeat.as_mut().unwrap().mode = VehicleMode::Mission;
+    // A mission is not held for it, and what flies by setpoints again is.
+    assert!(!flight.check().contains(Reason::BeneathGround));
+    assert_eq!(steps_until_beneath(&mut flight, 1, walled_in), Some(0));
 }
 
 #[test]
@@ -82,11 +83,8 @@ fn a_height_and_a_tilt_that_are_estimated_wrong_and_a_slope_convict_nobody() {
         for _ in 0..40 {
             flight.look();
             flight.frame.header.attitude = Attitude::from_euler_rad(roll_rad, -slope, flight.yaw_rad);
-            flight.frame.header.position_ned_m.z -= height_error_m;
-            if let Some(kinematics) = &mut flight.telemetry.kinematics {
-                kinematics.position_ned_m.z -= height_error_m;
-            }
-            let faults = flight.plausibility.check(&flight.frame, &flight.telemetry);
+            flight.misplace(NedVector::new(0.0, 0.0, -height_error_m));
+            let faults = flight.check();
             assert!(
                 !faults.contains(Reason::BeneathGround),
                 "{height_error_m} m, {roll_rad}, {slope}"

@@ -8,9 +8,9 @@ use serde_json::{Map, Value, json};
 /// Upper byte of an event's number: the autopilot's name space.
 const COMPONENT: u32 = 1 << 24;
 /// All modes share the same checks.
-pub(super) const MODE_GROUP: u32 = 1;
+const MODE_GROUP: u32 = 1;
 /// Bit 0 of the health components: none of them.
-pub(super) const HEALTH_NONE: u32 = 0;
+const HEALTH_NONE: u32 = 0;
 const BATTERY_BIT: u32 = 1 << 4;
 const PRESENT: u32 = 0b1_1110;
 /// Numbers of the events that sum others up; the failed checks follow the first.
@@ -52,10 +52,6 @@ impl ArmingCheck {
             Self::Other => (1, "Vehicle is not ready"),
         }
     }
-
-    pub(super) fn component_bit(self) -> u32 {
-        1 << self.component_and_message().0
-    }
 }
 
 /// What can be told.
@@ -69,7 +65,8 @@ pub(super) enum Event {
     Terminated,
     TookOff,
     Landed,
-    ArmingCheckSummary { failing: u32, groups_that_can: u32 },
+    /// With the check that fails.
+    ArmingCheckSummary(Option<ArmingCheck>),
     CheckFailed(ArmingCheck),
     HealthSummary,
 }
@@ -102,7 +99,7 @@ impl Event {
             Self::Terminated => (6, "terminated", "Flight terminated", &[]),
             Self::TookOff => (7, "took_off", "Took off", &[]),
             Self::Landed => (8, "landed", "Landed", &[]),
-            Self::ArmingCheckSummary { .. } => (
+            Self::ArmingCheckSummary(_) => (
                 CHECK_SUMMARY,
                 "arming_check_summary",
                 "Arming checks",
@@ -161,16 +158,12 @@ impl Event {
                 let place = FAILSAFES.iter().position(|(known, ..)| *known == failsafe);
                 bytes.push(place.map_or(0, |place| place as u8 + 1));
             }
-            Self::ArmingCheckSummary {
-                failing,
-                groups_that_can,
-            } => {
+            Self::ArmingCheckSummary(check) => {
+                let failing = check.map_or(HEALTH_NONE, |check| 1 << check.component_and_message().0);
+                let groups_that_can = if check.is_none() { MODE_GROUP } else { 0 };
                 bytes.push(0);
-                bytes.extend(
-                    [failing, 0, groups_that_can, groups_that_can]
-                        .map(u32::to_le_bytes)
-                        .concat(),
-                );
+                let words = [failing, 0, groups_that_can, groups_that_can];
+                bytes.extend(words.map(u32::to_le_bytes).concat());
             }
             Self::CheckFailed(check) => {
                 number(MODE_GROUP);
@@ -239,11 +232,7 @@ pub(crate) fn definitions() -> Value {
         Event::TookOff,
         Event::Landed,
     ];
-    let summary = Event::ArmingCheckSummary {
-        failing: 0,
-        groups_that_can: 0,
-    };
-    let checks = ArmingCheck::ALL.map(Event::CheckFailed).into_iter().chain([summary]);
+    let checks = ArmingCheck::ALL.map(Event::CheckFailed).into_iter();
     json!({
         "version": 1,
         "components": { "1": {
@@ -251,7 +240,7 @@ pub(crate) fn definitions() -> Value {
             "enums": enums(),
             "event_groups": {
                 "default": group(happened),
-                "arming_check": group(checks),
+                "arming_check": group(checks.chain([Event::ArmingCheckSummary(None)])),
                 "health": group([Event::HealthSummary]),
             },
             "supported_protocols": ["health_and_arming_check"],

@@ -9,7 +9,7 @@ use crate::service::prelude::*;
 use std::collections::VecDeque;
 
 pub(crate) use catalogue::definitions;
-use catalogue::{ArmingCheck, Event, HEALTH_NONE, MODE_GROUP};
+use catalogue::{ArmingCheck, Event};
 
 const RUN_PREARM_CHECKS: u16 = 401;
 /// How often the commander is looked at.
@@ -69,10 +69,10 @@ impl Service for Events {
 
     fn command(&mut self, _command: &Command, _source: Source, core: &mut Core) -> Answer {
         if core.commander.is_armed() {
-            return Answer::REJECTED;
+            return Err(Refusal::REJECTED.saying("pre-arm checks denied: armed"));
         }
         self.report_checks(Watched::of(core).check, core);
-        Answer::ACCEPTED
+        Ok(())
     }
 
     fn due_ns(&self) -> Nanos {
@@ -123,14 +123,7 @@ impl Events {
 
     /// The health and arming check protocol: a summary, each problem, a summary of health.
     fn report_checks(&mut self, check: Option<ArmingCheck>, core: &mut Core) {
-        let can_arm = check.is_none();
-        self.send(
-            Event::ArmingCheckSummary {
-                failing: check.map_or(HEALTH_NONE, ArmingCheck::component_bit),
-                groups_that_can: if can_arm { MODE_GROUP } else { 0 },
-            },
-            core,
-        );
+        self.send(Event::ArmingCheckSummary(check), core);
         if let Some(check) = check {
             self.send(Event::CheckFailed(check), core);
         }

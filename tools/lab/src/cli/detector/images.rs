@@ -11,14 +11,25 @@ use anyhow::{Context, Result, ensure};
 use std::path::Path;
 use vigil_sim::world::Family;
 
-/// First seeds of the states with images to learn from and of those that choose; those to judge are on validation courses.
+/// First seeds of the states with images to learn from, without an end, and below them of those that choose; the others are on validation
+/// courses.
 const LEARN_SEED: u64 = 5000;
-const CHOOSE_SEED: u64 = 5700;
+const CHOOSE_SEED: u64 = 2500;
 const JUDGE_SEED: u64 = 7000;
 
 impl Stage<'_> {
     pub(super) fn images(&self, states: usize, judged: usize, backgrounds: usize) -> Result<()> {
         let interrupt = Interrupt::on_ctrl_c()?;
+        let load = |path: &Path| -> Result<States> {
+            let there = States::load(path, self.actor("images")?)?;
+            ensure!(
+                there.backgrounds.is_none_or(|of| of as usize == backgrounds),
+                "{} is of {} backgrounds, not {backgrounds}: remove it, or name another folder with -o",
+                path.display(),
+                there.backgrounds.unwrap_or_default()
+            );
+            Ok(there)
+        };
         for (part, family, seed, count) in [
             ("learn", Family::Training, LEARN_SEED, states / 2),
             ("choose", Family::Training, CHOOSE_SEED, states / 20),
@@ -27,7 +38,7 @@ impl Stage<'_> {
             let name = format!("images-{part}.safetensors");
             let path = self.path(&name);
             if path.exists() {
-                let there = States::load(&path, self.actor("images")?)?.states.len();
+                let there = load(&path)?.states.len();
                 ensure!(
                     there >= 2 * count,
                     "{} holds {there} states, not {}: remove it, or name another folder with -o",
@@ -40,10 +51,7 @@ impl Stage<'_> {
             let bar = Progress::new(count as u64, "states of each class")?;
             let (place, size) = ((family, seed), (count, backgrounds));
             let part = self.path(&format!("{name}.part"));
-            let begun = match part.exists() {
-                true => Some(States::load(&part, self.actor("images")?)?),
-                false => None,
-            };
+            let begun = part.exists().then(|| load(&part)).transpose()?;
             let mut progress = |count| {
                 bar.set_position(count as u64);
                 interrupt.flow()
@@ -73,9 +81,8 @@ impl Stage<'_> {
     }
 
     pub(super) fn table(&self, epochs: usize, seed: u64, detector: Option<&Path>) -> Result<()> {
-        let frozen = self.detector(detector)?;
-        let load =
-            |name| States::load(&self.path(name), self.actor("table")?).context("run `vigil detector images` first");
+        let (actor, frozen) = (self.actor("table")?, self.detector(detector)?);
+        let load = |name| States::load(&self.path(name), actor).context("run `vigil detector images` first");
         let (learn, choose) = (load("images-learn.safetensors")?, load("images-choose.safetensors")?);
         let judged = load("images-judge.safetensors")?;
         let mut rows = Vec::new();

@@ -52,14 +52,11 @@ pub(super) fn curves_png(epochs: &[Epoch]) -> Vec<u8> {
 
 /// ROC of the paper's attack, and of the methods that are not found as well.
 pub(crate) fn roc(report: &Report) -> Figure {
-    let others = report
-        .sets
-        .iter()
-        .filter(|s| s.role != Role::Paper && !s.roc.is_empty());
+    let is_other = |s: &&SetReport| s.role != Role::Paper && !s.roc.is_empty();
     let name = |s: &SetReport| s.name.split(' ').next().unwrap_or_default().to_owned();
     // The hardest of each method: the others lie above it.
     let mut hardest: Vec<(String, &SetReport)> = Vec::new();
-    for set in others {
+    for set in report.sets.iter().filter(is_other) {
         match hardest.iter_mut().find(|(method, _)| *method == name(set)) {
             Some((_, kept)) if auc(&set.roc) < auc(&kept.roc) => *kept = set,
             Some(_) => {}

@@ -14,7 +14,7 @@ const SIZE_LIMIT: u64 = 256 << 20;
 const INDEX: &str = "index.toml";
 
 /// What was measured by one command.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Unit {
     /// The command, as a user would type it.
@@ -233,11 +233,7 @@ mod tests {
     fn unit(command: &str) -> Unit {
         Unit {
             command: command.to_owned(),
-            seeds: "1 to 3".to_owned(),
-            commit: "c".to_owned(),
-            version: "0".to_owned(),
-            note: String::new(),
-            files: BTreeMap::new(),
+            ..Unit::default()
         }
     }
 
@@ -247,14 +243,10 @@ mod tests {
         let mut data = Data::fresh(folder.path()).unwrap();
         let file = data.folder.join("wall").join("table.json");
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
-        assert!(
-            data.enter("wall", unit("vigil wall"), &["table.json".to_owned()])
-                .is_err(),
-            "no file yet"
-        );
+        let mut enter = || data.enter("wall", unit("vigil wall"), &["table.json".to_owned()]);
+        assert!(enter().is_err(), "no file yet");
         std::fs::write(&file, "[1, 2]").unwrap();
-        data.enter("wall", unit("vigil wall"), &["table.json".to_owned()])
-            .unwrap();
+        enter().unwrap();
 
         let again = Data::fresh(folder.path()).unwrap();
         assert!(again.has("wall", "vigil wall") && !again.has("wall", "vigil wall --states 2"));

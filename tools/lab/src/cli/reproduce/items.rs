@@ -7,7 +7,7 @@ use super::paper::{
     contributions, figure_9, figure_10, figure_11, pixels_of_a_flight, sum_and_action, table_1, table_2, table_3,
     table_4,
 };
-use anyhow::{Context, Result};
+use anyhow::Result;
 
 /// A table or a figure.
 pub struct Item {
@@ -15,17 +15,8 @@ pub struct Item {
     pub title: &'static str,
     /// The units of data that it needs.
     pub units: &'static [&'static str],
-    make: fn(&Sources) -> Result<Made>,
-}
-
-impl Item {
-    /// Makes it.
-    ///
-    /// # Errors
-    /// Data that are missing, damaged or of something else.
-    pub fn make(&self, sources: &Sources) -> Result<Made> {
-        (self.make)(sources).with_context(|| format!("{} cannot be made", self.id))
-    }
+    /// Makes it; fails where data are missing, damaged or of something else.
+    pub make: fn(&Sources) -> Result<Made>,
 }
 
 const fn item(

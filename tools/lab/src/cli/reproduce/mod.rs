@@ -12,21 +12,21 @@ use crate::campaign::flights::{program_sha256, sha256};
 use crate::cli::output::{self, EXIT_INTERRUPTED, put, say};
 use crate::report::{TextTable, words};
 use anyhow::{Context, Result, ensure};
-use data::{Data, Sources, Unit};
+use data::{Data, Sources};
 use items::{ITEMS, Item};
 use made::Made;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use units::{COMMITTED_ONLY, Setting, Size};
+use units::{COMMITTED_ONLY, Setting};
 
 /// Arguments of `vigil reproduce`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
 Examples:
   vigil reproduce --committed                  from what the repository holds: seconds, nothing is flown
-  vigil reproduce --quick                      flown anew with few flights: some 15 minutes on two cores
+  vigil reproduce --quick                      flown anew with few flights: a quarter of an hour on two cores
   vigil reproduce                              flown anew with as many flights as the figures need: hours
   vigil reproduce --committed --only table-1,figure-9
   vigil reproduce --only table-3 -o runs/1     on another machine
@@ -102,16 +102,16 @@ impl MadeBy {
     fn claim(&self, folder: &Path) -> Result<()> {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
         let path = folder.join(MADE_BY);
-        if !path.exists() {
+        if path.exists() {
+            self.expect_in(folder, "; name another folder with --output, or remove it")?;
+        } else {
             let mut entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
             ensure!(
                 entries.next().is_none(),
                 "{} holds other files; name an empty or a new folder with --output",
                 folder.display()
             );
-            return output::write(&path, toml::to_string_pretty(self)?);
         }
-        self.expect_in(folder, "; name another folder with --output, or remove it")?;
         // What cannot be written is told before the work.
         output::write(&path, toml::to_string_pretty(self)?)
     }
@@ -148,7 +148,7 @@ impl MadeBy {
 struct Shown<'a> {
     item: &'a Item,
     made: Made,
-    sources: Vec<(&'a str, Unit, bool)>,
+    sources: Vec<Source<'a>>,
 }
 
 /// What `manifest.json` says of an item.
@@ -160,9 +160,10 @@ struct Entry<'a> {
     caption: &'a str,
     /// Each file, and its SHA-256.
     files: BTreeMap<String, String>,
-    sources: Vec<Source<'a>>,
+    sources: &'a [Source<'a>],
 }
 
+/// A unit, and whether it was measured now.
 #[derive(Serialize)]
 struct Source<'a> {
     unit: &'a str,
@@ -190,8 +191,8 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let items = chosen(&args.only)?;
-    let size = if args.quick { Size::Quick } else { Size::Full };
-    let setting = Setting::new(args.actor.as_deref(), args.detector.as_deref(), args.threads, size)?;
+    let (actor, detector) = (args.actor.as_deref(), args.detector.as_deref());
+    let setting = Setting::new(actor, detector, args.threads, args.quick)?;
     let committed = Data::committed(&args.data)?;
     let made_by = MadeBy {
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -229,25 +230,16 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
         let there = |unit: &&str| COMMITTED_ONLY.contains(unit) || sources.of(unit).is_fresh;
         args.committed || item.units.iter().all(there)
     };
-    let ready: Vec<&Item> = items.iter().copied().filter(ready).collect();
-    make(&ready, &sources, &args.output, &made_by)?;
+    let made = items.iter().copied().filter(ready).map(|item| show(item, &sources));
+    let made: Vec<Shown> = made.collect::<Result<_>>()?;
+    write(&args.output, &made_by, &made)?;
+    let page = args.output.join("index.html");
+    say!("{} tables and figures: {}", made.len(), page.display());
     if !whole {
         say!("interrupted: what is whole is kept; the same command goes on");
         return Ok(ExitCode::from(EXIT_INTERRUPTED));
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Makes the items and the page.
-fn make(items: &[&Item], sources: &Sources, output: &Path, made_by: &MadeBy) -> Result<()> {
-    let made: Vec<Shown> = items.iter().map(|item| show(item, sources)).collect::<Result<_>>()?;
-    write(output, made_by, &made)?;
-    say!(
-        "{} tables and figures: {}",
-        made.len(),
-        output.join("index.html").display()
-    );
-    Ok(())
 }
 
 fn list() -> String {
@@ -269,14 +261,23 @@ fn chosen(only: &[String]) -> Result<Vec<&'static Item>> {
     Ok(ITEMS.iter().filter(wanted).collect())
 }
 
-fn show<'a>(item: &'a Item, sources: &Sources) -> Result<Shown<'a>> {
+fn show<'a>(item: &'a Item, sources: &'a Sources) -> Result<Shown<'a>> {
     let of = |unit: &&'a str| {
         let data = sources.of(unit);
-        Some((*unit, data.unit(unit)?.clone(), data.is_fresh))
+        let known = data.unit(unit)?;
+        Some(Source {
+            unit,
+            command: &known.command,
+            seeds: &known.seeds,
+            commit: &known.commit,
+            version: &known.version,
+            note: &known.note,
+            flown_anew: data.is_fresh,
+        })
     };
     Ok(Shown {
         item,
-        made: item.make(sources)?,
+        made: (item.make)(sources).with_context(|| format!("{} cannot be made", item.id))?,
         sources: item.units.iter().filter_map(of).collect(),
     })
 }
@@ -287,7 +288,7 @@ fn write(folder: &Path, made_by: &MadeBy, all: &[Shown]) -> Result<()> {
         let inner = folder.join(name);
         std::fs::create_dir_all(&inner).with_context(|| format!("cannot make {}", inner.display()))?;
     }
-    let mut entries = Vec::new();
+    let mut items = Vec::new();
     for Shown { item, made, sources } in all {
         let mut files = BTreeMap::new();
         let mut keep = |name: String, content: &[u8]| {
@@ -300,30 +301,16 @@ fn write(folder: &Path, made_by: &MadeBy, all: &[Shown]) -> Result<()> {
             keep(format!("figures/{}.png", item.id), &figure.png)?;
         }
         keep(format!("tables/{}.csv", item.id), made.table.csv()?.as_bytes())?;
-        entries.push(Entry {
+        items.push(Entry {
             id: item.id,
             kind: if made.figure.is_some() { "figure" } else { "table" },
             title: item.title,
             caption: &made.caption,
             files,
-            sources: sources
-                .iter()
-                .map(|(name, unit, is_fresh)| Source {
-                    unit: name,
-                    command: &unit.command,
-                    seeds: &unit.seeds,
-                    commit: &unit.commit,
-                    version: &unit.version,
-                    note: &unit.note,
-                    flown_anew: *is_fresh,
-                })
-                .collect(),
+            sources,
         });
     }
     output::write(&folder.join("index.html"), page::html(made_by, all))?;
-    let manifest = Manifest {
-        made_by,
-        items: entries,
-    };
+    let manifest = Manifest { made_by, items };
     output::write(&folder.join("manifest.json"), serde_json::to_string_pretty(&manifest)?)
 }

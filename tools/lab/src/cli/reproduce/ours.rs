@@ -43,11 +43,8 @@ pub(super) fn attacked_completion(sources: &Sources) -> Result<Made> {
             }),
         }
     }
-    let chart = completion_chart(
-        "Validation courses completed, undefended",
-        &["field on", "field off"],
-        rows,
-    );
+    let title = "Validation courses completed, undefended";
+    let chart = completion_chart(title, &["field on", "field off"], rows);
     made(
         drawn(&chart),
         table,
@@ -120,39 +117,22 @@ pub(super) fn detection(sources: &Sources) -> Result<Made> {
 pub(super) fn alarm_delay(sources: &Sources) -> Result<Made> {
     let evaluation: Evaluation = sources.of("detector-evaluate").json("detector-evaluate")?;
     let report = evaluation.at_threshold;
-    let series = |label: &str, points: Vec<(usize, &Proportion)>| {
-        let known = points.into_iter();
-        let known = known.filter_map(|(at, p)| Some((at as f64, p.share?, p.interval.0, p.interval.1)));
-        Series::banded(label, known)
+    let panel = |title: &str, label: &str, points: &mut dyn Iterator<Item = (usize, &Proportion)>| {
+        let known = points.filter_map(|(at, p)| Some((at as f64, p.share?, p.interval.0, p.interval.1)));
+        Panel {
+            top: Some(1.0),
+            ..Panel::of(title, "share of windows", [Series::banded(label, known)])
+        }
     };
-    let panel = |title: &str, line: Series| Panel {
-        top: Some(1.0),
-        ..Panel::of(title, "share of windows", [line])
-    };
-    let rising = report
-        .rows
-        .iter()
-        .map(|row| (row.attacked_rows, &row.detected))
-        .collect();
-    let falling = report
-        .after
-        .iter()
-        .map(|after| (after.steps_after, &after.alarmed))
-        .collect();
-    let figure = Figure::over(
-        "steps of 0.05 s",
-        20.0,
-        vec![
-            panel(
-                "Judged attacked, by attacked frames among the last ten",
-                series("found", rising),
-            ),
-            panel(
-                "Still judged attacked, by steps since the last attacked frame",
-                series("lingers", falling),
-            ),
-        ],
-    );
+    let mut rising = report.rows.iter().map(|row| (row.attacked_rows, &row.detected));
+    let mut falling = report.after.iter().map(|after| (after.steps_after, &after.alarmed));
+    let found = "Judged attacked, by attacked frames among the last ten";
+    let lingers = "Still judged attacked, by steps since the last attacked frame";
+    let panels = [
+        panel(found, "found", &mut rising),
+        panel(lingers, "lingers", &mut falling),
+    ];
+    let figure = Figure::over("steps of 0.05 s", 20.0, panels.into());
     let mut table = Grid::new(
         "attack | bursts noticed before they ended | 95 % interval | delay of those, median | 90 % within | the paper",
     );
@@ -193,31 +173,13 @@ pub(super) fn defences(sources: &Sources) -> Result<Made> {
         "attacker | defence | completed | 95 % interval | the paper | collisions | out of bounds | time-outs | flights with an alarm | median time to the goal",
     );
     let mut rows: BTreeMap<usize, BarRow> = BTreeMap::new();
-    let mut count = |attacker: (usize, &str), defence: (usize, &str), paper: &str, flights: &[&Flight]| {
-        let ends: Vec<Option<Outcome>> = flights.iter().map(|f| Outcome::from_name(&f.outcome)).collect();
-        let tally = Tally::of(&ends);
-        let arrived = flights.iter().filter(|f| f.outcome == Outcome::Success.name());
-        let times: Vec<f64> = arrived.map(|f| f.flight_time_s).collect();
-        let alarmed = flights.iter().filter(|f| f.alarms > 0).count();
-        let cells = [attacker.1, defence.1].map(str::to_owned).into_iter();
-        table.row(cells.chain(outcomes(&tally, paper)).chain([
-            alarmed.to_string(),
-            optional(quantile(&times, 0.5), |s| format!("{s:.1} s")),
-        ]));
-        let row = rows.entry(attacker.0).or_insert_with(|| BarRow {
-            label: attacker.1.to_owned(),
-            bars: Vec::new(),
-            paper: None,
-        });
-        row.bars.push(completion_bar(defence.0, &tally));
-    };
     const DEFENCES: [&str; 4] = [
         "undefended",
         "alarm stops",
         "alarm stops, then recovery",
         "the same without the guard",
     ];
-    for (unit, attacker, guarded) in [
+    for (unit, (place, attacker), guarded) in [
         ("defended-continuous", (0, "nobody"), true),
         ("defended-100", (1, "for 100 steps (5 s)"), true),
         ("defended-continuous", (2, "all the time"), true),
@@ -228,22 +190,37 @@ pub(super) fn defences(sources: &Sources) -> Result<Made> {
         let text = data.text(unit, ".csv")?;
         let lines = text.split_once('\n').map_or("", |(_, lines)| lines);
         let flights: Vec<Flight> = from_csv(lines).with_context(|| data.other(unit))?;
-        let arms = match attacker.0 {
-            0 => [(Arm::None, 0), (Arm::NoneWatched, 2), (Arm::Stop, 1)],
-            _ => [(Arm::Undefended, 0), (Arm::Stop, 1), (Arm::Recover, 2)],
+        let arms: &[(Arm, usize)] = match place {
+            0 => &[(Arm::None, 0), (Arm::NoneWatched, 2)],
+            _ => &[(Arm::Undefended, 0), (Arm::Stop, 1), (Arm::Recover, 2)],
         };
         for (arm, defence) in arms {
-            let own: Vec<&Flight> = flights.iter().filter(|f| f.arm == arm).collect();
-            if own.is_empty() || (attacker.0 == 0 && arm == Arm::Stop) {
+            let own: Vec<&Flight> = flights.iter().filter(|f| f.arm == *arm).collect();
+            if own.is_empty() {
                 continue;
             }
-            let defence = if guarded { defence } else { 3 };
-            let paper = match (attacker.0, defence) {
+            let defence = if guarded { *defence } else { 3 };
+            let paper = match (place, defence) {
                 (1, 0) => "35 % (a shorter burst)",
                 (1, 1) => "it stops; recovery is open work",
                 _ => NONE,
             };
-            count(attacker, (defence, DEFENCES[defence]), paper, &own);
+            let ends: Vec<Option<Outcome>> = own.iter().map(|f| Outcome::from_name(&f.outcome)).collect();
+            let tally = Tally::of(&ends);
+            let arrived = own.iter().filter(|f| f.outcome == Outcome::Success.name());
+            let times: Vec<f64> = arrived.map(|f| f.flight_time_s).collect();
+            let alarmed = own.iter().filter(|f| f.alarms > 0).count();
+            let cells = [attacker, DEFENCES[defence]].map(str::to_owned).into_iter();
+            table.row(cells.chain(outcomes(&tally, paper)).chain([
+                alarmed.to_string(),
+                optional(quantile(&times, 0.5), |s| format!("{s:.1} s")),
+            ]));
+            let row = rows.entry(place).or_insert_with(|| BarRow {
+                label: attacker.to_owned(),
+                bars: Vec::new(),
+                paper: None,
+            });
+            row.bars.push(completion_bar(defence, &tally));
         }
     }
     let chart = completion_chart(
@@ -359,12 +336,16 @@ pub(super) fn peers(sources: &Sources) -> Result<Made> {
         false => format!("{us:.1} µs"),
     };
     for (name, case) in &report.cases {
-        let paper = match name.as_str() {
-            "actor" => "52 to 56 ms",
-            "shap-hidden" => "19 ms",
-            "shap-pixels" => "13.3 s",
-            "lstm-ad" => "1 ms",
-            _ => NONE,
+        // A name that fits beside the bars, and the paper's time.
+        let (label, paper) = match name.as_str() {
+            "actor" => ("a new frame decided on", "52 to 56 ms"),
+            "update" => ("DDPG update, batch 32", NONE),
+            "update-as-trained" => ("update as we train", NONE),
+            "shap-hidden" => ("SHAP at the split point", "19 ms"),
+            "shap-pixels" => ("SHAP of all pixels", "13.3 s"),
+            "bim" => ("BIM, 20 iterations", NONE),
+            "lstm-ad" => ("LSTM-AD's verdict", "1 ms"),
+            _ => (case.title.as_str(), NONE),
         };
         let mut bars = Vec::new();
         for (peer, p) in &case.peers {
@@ -385,7 +366,7 @@ pub(super) fn peers(sources: &Sources) -> Result<Made> {
             });
         }
         rows.push(BarRow {
-            label: peer_label(name, &case.title),
+            label: label.to_owned(),
             bars,
             paper: None,
         });
@@ -408,19 +389,4 @@ pub(super) fn peers(sources: &Sources) -> Result<Made> {
             report.processor, report.isa
         ),
     )
-}
-
-/// A name that fits beside the bars.
-fn peer_label(name: &str, title: &str) -> String {
-    match name {
-        "actor" => "a new frame decided on",
-        "update" => "DDPG update, batch 32",
-        "update-as-trained" => "update as we train",
-        "shap-hidden" => "SHAP at the split point",
-        "shap-pixels" => "SHAP of all pixels",
-        "bim" => "BIM, 20 iterations",
-        "lstm-ad" => "LSTM-AD's verdict",
-        _ => title,
-    }
-    .to_owned()
 }

@@ -19,21 +19,15 @@ impl Grid {
     }
 
     fn html(&self, out: &mut String) {
-        let heading = self
-            .columns
-            .iter()
-            .map(|name| format!("<th scope=\"col\">{}</th>", escaped(name)));
+        let heading = |name: &String| format!("<th scope=\"col\">{}</th>", escaped(name));
         *out += "<div class=\"scroll\"><table><thead><tr>";
-        out.extend(heading);
+        out.extend(self.columns.iter().map(heading));
         *out += "</tr></thead><tbody>\n";
         for row in &self.rows {
             *out += "<tr>";
             for (column, cell) in self.columns.iter().zip(row) {
-                let class = if column.starts_with("the paper") {
-                    " class=\"paper\""
-                } else {
-                    ""
-                };
+                let is_paper = column.starts_with("the paper");
+                let class = if is_paper { " class=\"paper\"" } else { "" };
                 let _ = write!(out, "<td{class}>{}</td>", escaped(cell));
             }
             *out += "</tr>\n";
@@ -62,22 +56,25 @@ pub fn html(made_by: &MadeBy, all: &[Shown]) -> String {
     out += "</style>\n</head>\n<body>\n<header>\n<h1>Vigil beside the paper</h1>\n";
     out += "<p>Every table and figure of Hickling, Aouf, Spencer, <cite>Robust Adversarial Attacks Detection based on Explainable Deep \
             Reinforcement Learning for UAV Guidance and Planning</cite>, measured again, and those that Vigil adds.</p>\n";
-    let mode = match made_by.mode.as_str() {
+    out += match made_by.mode.as_str() {
         "quick" => {
             "<p class=\"quick\"><strong>Quick:</strong> flown anew with few flights. The intervals are wide; do not cite these numbers.</p>\n"
         }
         "committed" => "<p>From the data that the repository holds; nothing was flown for this page.</p>\n",
         _ => "<p>Flown anew with as many flights as the figures need.</p>\n",
     };
-    out += mode;
-    let _ = writeln!(
-        out,
-        "<p class=\"soft\">vigil {} · commit {} · actor {} · detector {}</p>",
-        escaped(&made_by.version),
-        escaped(&made_by.commit),
-        short(&made_by.actor_sha256),
-        short(&made_by.detector_sha256)
-    );
+    let _ = write!(out, "<p class=\"soft\">vigil {}", escaped(&made_by.version));
+    // What is committed was measured at other commits, which each section names.
+    if made_by.mode != "committed" {
+        let _ = write!(
+            out,
+            " · commit {} · actor {} · detector {}",
+            escaped(&made_by.commit),
+            short(&made_by.actor_sha256),
+            short(&made_by.detector_sha256)
+        );
+    }
+    out += "</p>\n";
     out += "<nav aria-label=\"Tables and figures\"><ul>\n";
     for Shown { item, .. } in all {
         let _ = writeln!(out, "<li><a href=\"#{}\">{}</a></li>", item.id, escaped(item.title));
@@ -97,7 +94,7 @@ fn short(digest: &str) -> &str {
 
 fn section(out: &mut String, shown: &Shown, is_quick: bool) {
     let Shown { item, made, sources } = shown;
-    let any_fresh = sources.iter().any(|(.., is_fresh)| *is_fresh);
+    let any_fresh = sources.iter().any(|source| source.flown_anew);
     let _ = writeln!(out, "<section id=\"{0}\" aria-labelledby=\"h-{0}\">", item.id);
     let _ = write!(out, "<h2 id=\"h-{}\">{}", item.id, escaped(item.title));
     if is_quick && any_fresh {
@@ -134,22 +131,21 @@ fn section(out: &mut String, shown: &Shown, is_quick: bool) {
     }
     let _ = writeln!(out, "<a href=\"tables/{}.csv\">CSV</a></p>", item.id);
     *out += "<details class=\"sources\"><summary>Where the numbers come from</summary>\n<ul>\n";
-    for (_, unit, is_fresh) in sources {
-        let _ = write!(out, "<li><code>{}</code><br>", escaped(&unit.command));
-        let whence = if *is_fresh {
-            "measured for this page"
-        } else {
-            "committed data"
+    for source in sources {
+        let _ = write!(out, "<li><code>{}</code><br>", escaped(source.command));
+        let whence = match source.flown_anew {
+            true => "measured for this page",
+            false => "committed data",
         };
         let _ = write!(
             out,
             "{whence}; seeds: {}; commit {}, version {}",
-            escaped(&unit.seeds),
-            escaped(&unit.commit),
-            escaped(&unit.version)
+            escaped(source.seeds),
+            escaped(source.commit),
+            escaped(source.version)
         );
-        if !unit.note.is_empty() {
-            let _ = write!(out, "; {}", escaped(&unit.note));
+        if !source.note.is_empty() {
+            let _ = write!(out, "; {}", escaped(source.note));
         }
         *out += "</li>\n";
     }

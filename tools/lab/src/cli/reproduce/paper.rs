@@ -70,14 +70,10 @@ pub(super) fn table_2(sources: &Sources) -> Result<Made> {
             bearings.push(cell.bearing_deg);
         }
     }
-    let mut table = Grid {
-        columns: ["attack", "gap to the wall"].map(str::to_owned).into(),
-        rows: Vec::new(),
-    };
-    table.columns.extend(bearings.iter().map(|b| format!("goal at {b}°")));
-    table
-        .columns
-        .extend(["mean", "95 % interval of the mean", "the paper"].map(str::to_owned));
+    let goals: String = bearings.iter().map(|b| format!(" | goal at {b}°")).collect();
+    let mut table = Grid::new(&format!(
+        "attack | gap to the wall{goals} | mean | 95 % interval of the mean | the paper"
+    ));
     for block in report.cells.chunks(bearings.len().max(1)) {
         let values: Vec<f64> = block.iter().map(|cell| f64::from(cell.deflection_deg_s)).collect();
         let (mean, half) = training::mean_and_interval(&values);
@@ -219,11 +215,8 @@ pub(super) fn figure_11(sources: &Sources) -> Result<Made> {
     };
     let shares = |title: &str, method: Method| {
         let series = iterations.iter().map(|count| {
-            let unit = if Some(count) == iterations.last() {
-                " iterations"
-            } else {
-                ""
-            };
+            let is_last = Some(count) == iterations.last();
+            let unit = if is_last { " iterations" } else { "" };
             let shares = of(method, *count).map(|(size, line)| (size, line.share, line.low_95, line.high_95));
             Series::banded(format!("{count}{unit}"), shares)
         });

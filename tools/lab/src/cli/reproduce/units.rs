@@ -7,17 +7,11 @@ use anyhow::{Context, Result};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
+use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::LazyLock;
 use vigil_policy::FrozenActor;
-
-/// How much is flown.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Size {
-    Quick,
-    Full,
-}
 
 /// A unit of data and how it is measured; `units.toml` says how to read it.
 #[derive(Deserialize)]
@@ -30,16 +24,12 @@ pub struct Spec {
     pub files: Vec<String>,
 }
 
-#[derive(Deserialize)]
-struct Units {
-    unit: Vec<Spec>,
-}
-
 /// In the order in which they are measured.
 pub static SPECS: LazyLock<Vec<Spec>> = LazyLock::new(|| {
-    let units: Result<Units, _> = toml::from_str(include_str!("../../../../assets/reproduce/units.toml"));
+    let units: Result<BTreeMap<String, Vec<Spec>>, _> =
+        toml::from_str(include_str!("../../../../assets/reproduce/units.toml"));
     // A test reads it.
-    units.map(|units| units.unit).unwrap_or_default()
+    units.map_or_else(|_| Vec::new(), |mut units| units.remove("unit").unwrap_or_default())
 });
 
 /// Units that only the repository has: training takes hours, and the peers need 5 GB of Python.
@@ -52,7 +42,8 @@ pub struct Setting {
     pub actor_sha256: String,
     pub detector_sha256: String,
     pub threads: Option<u16>,
-    pub size: Size,
+    /// Few flights.
+    pub quick: bool,
     pub commit: String,
 }
 
@@ -61,7 +52,7 @@ impl Setting {
     ///
     /// # Errors
     /// Files that are none, a detector of another actor.
-    pub fn new(actor: Option<&Path>, detector: Option<&Path>, threads: Option<u16>, size: Size) -> Result<Self> {
+    pub fn new(actor: Option<&Path>, detector: Option<&Path>, threads: Option<u16>, quick: bool) -> Result<Self> {
         let flying = actor.map_or_else(FrozenActor::built_in, FrozenActor::load)?;
         let sha256 = flying.sha256();
         let judging = detector_of(&sha256, detector)?;
@@ -71,18 +62,17 @@ impl Setting {
             actor_sha256: sha256,
             detector_sha256: judging.sha256(),
             threads,
-            size,
+            quick,
             commit: output::git_commit().unwrap_or_else(|| "unknown".to_owned()),
         })
     }
 }
 
 impl Spec {
-    fn lines(&self, size: Size) -> impl Iterator<Item = String> {
-        let of_size = move |word: &str| match (word.split_once('/'), size) {
-            (Some((quick, _)), Size::Quick) => quick.to_owned(),
-            (Some((_, full)), Size::Full) => full.to_owned(),
-            (None, _) => word.to_owned(),
+    fn lines(&self, quick: bool) -> impl Iterator<Item = String> {
+        let of_size = move |word: &str| match word.split_once('/') {
+            Some((few, all)) => if quick { few } else { all }.to_owned(),
+            None => word.to_owned(),
         };
         let line = move |command: &String| command.split(' ').map(of_size).collect::<Vec<_>>().join(" ");
         self.commands.iter().map(line)
@@ -90,14 +80,11 @@ impl Spec {
 
     /// The command as a user would type it in the repository.
     pub fn command(&self, setting: &Setting) -> String {
-        let detector = setting
-            .detector
-            .as_ref()
-            .map_or("detector/frozen/lstm_ad.safetensors".to_owned(), |file| {
-                file.display().to_string()
-            });
+        let detector = setting.detector.as_deref();
+        let detector = detector.unwrap_or(Path::new("detector/frozen/lstm_ad.safetensors"));
+        let detector = detector.display().to_string();
         let mut told = Vec::new();
-        for line in self.lines(setting.size) {
+        for line in self.lines(setting.quick) {
             let mut words = format!("vigil {}", line.replace("DETECTOR", &detector));
             for (name, file) in extra(&line, setting) {
                 words += &format!(" {name} {}", file.display());
@@ -119,7 +106,7 @@ impl Spec {
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
         // The attacker's copy: a campaign that is gone on with must name the same file.
         let copy = folder.join("known-detector.safetensors");
-        for line in self.lines(setting.size) {
+        for line in self.lines(setting.quick) {
             if line.contains("DETECTOR") {
                 detector_of(&setting.actor_sha256, setting.detector.as_deref())?.save(&copy)?;
             }
@@ -133,10 +120,8 @@ impl Spec {
                 false => folder.clone(),
             };
             words.extend(["-o".into(), place.into_os_string()]);
-            if ["evaluate", "attack completion", "attack defended"]
-                .iter()
-                .any(|command| line.starts_with(command))
-            {
+            let goes_on = ["evaluate", "attack completion", "attack defended"];
+            if goes_on.iter().any(|command| line.starts_with(command)) {
                 words.push("--resume".into());
             }
             if let Some(threads) = setting.threads {
@@ -151,10 +136,8 @@ impl Spec {
             }
         }
         let entries = std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?;
-        for entry in entries
-            .flatten()
-            .filter(|entry| !self.files.iter().any(|file| entry.file_name() == **file))
-        {
+        let is_other = |entry: &DirEntry| !self.files.iter().any(|file| entry.file_name() == **file);
+        for entry in entries.flatten().filter(is_other) {
             // What stays takes room, no more.
             let _ = std::fs::remove_file(entry.path());
         }
@@ -169,8 +152,7 @@ impl Spec {
             seeds: self.seeds.clone(),
             commit: setting.commit.clone(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            note: String::new(),
-            files: BTreeMap::new(),
+            ..Unit::default()
         }
     }
 }
@@ -250,8 +232,8 @@ mod tests {
     #[test]
     fn the_commands_of_all_units_are_commands() {
         use clap::CommandFactory as _;
-        for size in [Size::Quick, Size::Full] {
-            let setting = Setting::new(None, None, None, size).unwrap();
+        for quick in [true, false] {
+            let setting = Setting::new(None, None, None, quick).unwrap();
             for spec in SPECS.iter() {
                 for line in spec.command(&setting).split(" && ") {
                     let parsed = crate::cli::Cli::command().try_get_matches_from(line.split(' '));

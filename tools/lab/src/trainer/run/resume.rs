@@ -3,13 +3,13 @@
 use super::{Candidate, Run, SoFar};
 use crate::trainer::config::LearnConfig;
 use crate::trainer::replay::Transition;
-use crate::trainer::store::{Stored, Values, save};
+use crate::trainer::store::{Stored, Tensor, save, tensor};
 use crate::trainer::worker::{EnvWorker, WorkerState};
 use anyhow::{Result, ensure};
 use rayon::prelude::*;
+use safetensors::Dtype;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
-use vigil_nnet::train::adam::Adam;
 use vigil_types::settings;
 
 const FORMAT: &str = "vigil learn checkpoint 2";
@@ -50,39 +50,29 @@ impl Run<'_> {
         let is_whole = counts.iter().all(|n| *n == counts[0]) && state.adam_steps.len() == 3;
         ensure!(same && is_whole, other);
         for (i, (lane, transitions)) in self.replay.trajectories.iter_mut().zip(state.transitions).enumerate() {
-            lane.states = saved.u16(&format!("states_{i}"))?;
+            lane.states = saved.numbers(&format!("states_{i}"), Dtype::U16, u16::from_le_bytes)?;
             lane.transitions = transitions;
         }
         let largest = f64::from_bits(state.largest_bits);
-        let fits = self.replay.restore(&saved.f64("priorities")?, largest, &state.lanes);
+        let priorities = saved.numbers("priorities", Dtype::F64, f64::from_le_bytes)?;
+        let fits = self.replay.restore(&priorities, largest, &state.lanes);
         ensure!(fits, other);
         let config = self.config;
         let states = self.workers.par_iter_mut().zip(&state.workers);
         states.try_for_each(|(worker, state)| worker.restore(config, state))?;
-        let l = &mut self.learner;
-        let adam = |name: &str, len: usize, steps: u64| -> Result<Adam> {
-            Ok(Adam {
-                mean: saved.f32(&format!("{name}_mean"), Some(len))?,
-                square: saved.f32(&format!("{name}_square"), Some(len))?,
-                steps,
-            })
-        };
-        let len = l.actor.len();
-        l.actor = saved.f32("actor", Some(len))?;
-        l.actor_target = saved.f32("actor_target", Some(len))?;
-        l.actor_adam = adam("actor", len, state.adam_steps[0])?;
-        for (i, (critic, steps)) in l.critics.iter_mut().zip(&state.adam_steps[1..]).enumerate() {
-            let len = critic.params.len();
-            critic.params = saved.f32(&format!("critic_{i}"), Some(len))?;
-            critic.target = saved.f32(&format!("critic_{i}_target"), Some(len))?;
-            critic.adam = adam(&format!("critic_{i}"), len, *steps)?;
+        for ((name, network), steps) in self.learner.networks().into_iter().zip(state.adam_steps) {
+            let len = network.params.len();
+            network.adam.steps = steps;
+            for (end, values) in network.parts() {
+                *values = saved.f32(&format!("{name}{end}"), Some(len))?;
+            }
         }
-        l.updates = state.updates;
+        self.learner.updates = state.updates;
         for (i, (updates, completion)) in state.candidates.into_iter().enumerate() {
             self.candidates.push(Candidate {
                 updates,
                 completion,
-                params: saved.f32(&format!("candidate_{i}"), Some(len))?,
+                params: saved.f32(&format!("candidate_{i}"), Some(self.learner.actor.params.len()))?,
             });
         }
         let (high, low) = state.random_at;
@@ -92,48 +82,44 @@ impl Run<'_> {
         Ok(())
     }
 
-    pub(super) fn save(&self) -> Result<()> {
+    pub(super) fn save(&mut self) -> Result<()> {
         self.write_tables()?;
         let at = self.rng.get_word_pos();
         let (priorities, largest, lanes) = self.replay.places();
-        let l = &self.learner;
-        let adams = [&l.actor_adam, &l.critics[0].adam, &l.critics[1].adam];
-        let state = RunState {
+        let mut state = RunState {
             format: FORMAT.to_owned(),
             config: self.config.to_toml(),
             so_far: self.so_far.clone(),
-            updates: l.updates,
+            updates: self.learner.updates,
             elapsed_s: self.elapsed_s(),
             random_at: ((at >> 64) as u64, at as u64),
-            adam_steps: adams.iter().map(|adam| adam.steps).collect(),
+            adam_steps: Vec::new(),
             largest_bits: largest.to_bits(),
             lanes,
             transitions: self.replay.trajectories.iter().map(|l| l.transitions.clone()).collect(),
             workers: self.workers.iter().map(EnvWorker::state).collect(),
             candidates: self.candidates.iter().map(|c| (c.updates, c.completion)).collect(),
         };
-        let mut tensors = vec![
-            ("encoder".to_owned(), Values::F32(&self.encoder_params)),
-            ("priorities".to_owned(), Values::F64(&priorities)),
-            ("actor".to_owned(), Values::F32(&l.actor)),
-            ("actor_target".to_owned(), Values::F32(&l.actor_target)),
-            ("actor_mean".to_owned(), Values::F32(&l.actor_adam.mean)),
-            ("actor_square".to_owned(), Values::F32(&l.actor_adam.square)),
+        let f32s = |name: String, values: &[f32]| tensor(name, Dtype::F32, values, f32::to_le_bytes);
+        let mut tensors: Vec<Tensor> = vec![
+            f32s("encoder".into(), &self.encoder_params),
+            tensor("priorities".into(), Dtype::F64, &priorities, f64::to_le_bytes),
         ];
-        for (i, critic) in l.critics.iter().enumerate() {
-            tensors.extend([
-                (format!("critic_{i}"), Values::F32(&critic.params)),
-                (format!("critic_{i}_target"), Values::F32(&critic.target)),
-                (format!("critic_{i}_mean"), Values::F32(&critic.adam.mean)),
-                (format!("critic_{i}_square"), Values::F32(&critic.adam.square)),
-            ]);
+        for (name, network) in self.learner.networks() {
+            state.adam_steps.push(network.adam.steps);
+            let parts = network.parts().into_iter();
+            tensors.extend(parts.map(|(end, values)| f32s(format!("{name}{end}"), values)));
         }
         for (i, lane) in self.replay.trajectories.iter().enumerate() {
-            tensors.push((format!("states_{i}"), Values::U16(&lane.states)));
+            tensors.push(tensor(
+                format!("states_{i}"),
+                Dtype::U16,
+                &lane.states,
+                u16::to_le_bytes,
+            ));
         }
-        for (i, candidate) in self.candidates.iter().enumerate() {
-            tensors.push((format!("candidate_{i}"), Values::F32(&candidate.params)));
-        }
-        save(&self.checkpoint, &state, &tensors)
+        let candidates = self.candidates.iter().enumerate();
+        tensors.extend(candidates.map(|(i, candidate)| f32s(format!("candidate_{i}"), &candidate.params)));
+        save(&self.checkpoint, &state, tensors)
     }
 }
