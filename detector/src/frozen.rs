@@ -167,10 +167,6 @@ impl FrozenDetector {
         split_point_shap(isa, head, &self.backgrounds)
     }
 
-    fn kind(&self) -> &'static Kind {
-        self.of.kind()
-    }
-
     /// Values of the split point.
     fn width(&self) -> usize {
         self.backgrounds.first().map_or(ACTOR_HIDDEN, |(state, _)| state.len())
@@ -185,7 +181,7 @@ impl FrozenDetector {
             ("training_config", self.training_config.clone()),
             ("seed", self.seed.to_string()),
         ];
-        let mut contents = Contents::new(self.kind(), entries.into_iter().chain(commit));
+        let mut contents = Contents::new(self.of.kind(), entries.into_iter().chain(commit));
         let count = self.backgrounds.len();
         let states = self.backgrounds.iter().flat_map(|(state, _)| state).copied();
         let positions = self
@@ -227,7 +223,7 @@ impl FrozenDetector {
     #[cfg(feature = "std")]
     pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
         self.check("to be written")?;
-        self.contents().to_bytes(self.kind())
+        self.contents().to_bytes(self.of.kind())
     }
 
     /// Reads and verifies a file's content. `file` names it in errors.

@@ -17,11 +17,7 @@ fn param_len() -> usize {
 
 fn window(seed: u64) -> [[f32; ROW]; WINDOW] {
     let values = uniform(&mut rng(seed), WINDOW * ROW, 2.0);
-    let mut rows = [[0.0; ROW]; WINDOW];
-    for (row, values) in rows.iter_mut().zip(values.chunks_exact(ROW)) {
-        row.copy_from_slice(values);
-    }
-    rows
+    core::array::from_fn(|i| *values[i * ROW..].first_chunk().unwrap())
 }
 
 /// docs/paper.md's LSTM-AD, written plainly.
@@ -38,12 +34,8 @@ fn oracle(params: &[f32], rows: &[[f32; ROW]; WINDOW]) -> f64 {
         state = lstm(layer, own, &wide(row), &state);
     }
     let mut x = state[..100].to_vec();
-    for (outputs, curve) in [
-        (64, Activation::Relu),
-        (32, Activation::Relu),
-        (16, Activation::Relu),
-        (1, Activation::Sigmoid),
-    ] {
+    let hidden = [64, 32, 16].map(|outputs| (outputs, Activation::Relu));
+    for (outputs, curve) in hidden.into_iter().chain([(1, Activation::Sigmoid)]) {
         let layer = Dense::new(x.len(), outputs);
         let (own, after) = rest.split_at(layer.inputs * outputs + outputs);
         x = dense(layer, curve, own, &x);

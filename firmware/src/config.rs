@@ -6,7 +6,7 @@ use crate::ports::gate::{AllowUnsigned, SigningFileError, SigningGate};
 use crate::ports::links::{LinkError, MAX_GROUND_LINKS};
 use crate::ports::router::RoutedLinks;
 use crate::stack_config::StackConfig;
-use std::os::unix::fs::DirBuilderExt;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;
 use vigil_guidance::{AlarmConfig, Geofence, GuidanceConfig, JustStopConfig};
@@ -380,9 +380,18 @@ impl FirmwareConfig {
     }
 }
 
-/// Makes the folder of the state if it is not there, closed to others: a key will lie in it.
+/// Makes the folder of the state if it is not there, closed to others: a key will lie in it. Whoever else could write there
+/// could take the key away, and nobody would notice.
 fn make_folder(folder: &Path) -> std::io::Result<()> {
-    std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)
+    std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
+    let (found, user) = (folder.metadata()?, rustix::process::geteuid());
+    let is_ours = user.is_root() || found.uid() == user.as_raw();
+    match is_ours && found.mode() & 0o022 == 0 {
+        true => Ok(()),
+        false => Err(std::io::Error::other(
+            "others may write there: `chmod 700` it, as a folder of the firmware's user",
+        )),
+    }
 }
 
 fn nanos(s: f64) -> u64 {
@@ -498,14 +507,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("my.safetensors");
         config.pilot.actor_file = Some(path.clone());
-        let error = Pilots::of(&config).err().unwrap().to_string();
-        assert!(error.contains("my.safetensors"), "{error}");
-        std::fs::write(&path, "no actor").unwrap();
-        let error = Pilots::of(&config).err().unwrap().to_string();
-        assert!(
-            error.contains("my.safetensors") && error.contains("truncated"),
-            "{error}"
-        );
+        for why in ["my.safetensors", "truncated"] {
+            let error = Pilots::of(&config).err().unwrap().to_string();
+            assert!(error.contains("my.safetensors") && error.contains(why), "{error}");
+            std::fs::write(&path, "no actor").unwrap();
+        }
     }
 
     #[test]

@@ -7,11 +7,10 @@ use crate::live_loop::{self, recorder_config};
 use crate::lockstep::{self, LockstepFirmware};
 use crate::ports::gate::AllowUnsigned;
 use crate::reference;
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tracing_subscriber::filter::Targets;
@@ -37,7 +36,7 @@ Examples:
   firmware --lockstep                       answer a simulator that sets the pace
   firmware --config my.toml                 with a configuration file (docs/firmware.md); flags override it
 
-Ctrl-C or SIGTERM: brakes, has the vehicle hold by itself (3 s at most), closes the log.
+Ctrl-C, SIGTERM, SIGHUP: brakes, has the vehicle hold by itself (3 s at most), closes the log.
 Exit code: 0 ended on request, 1 error, 2 wrong arguments.")]
 pub struct FirmwareArgs {
     /// Configuration file (TOML).
@@ -120,7 +119,7 @@ pub struct FirmwareArgs {
     lockstep_timeout: u64,
 
     /// Print a configuration file with every key, its default and what it accepts, and end.
-    #[arg(long)]
+    #[arg(long, exclusive = true)]
     print_config: bool,
 }
 
@@ -226,9 +225,7 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let config = args.resolve()?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    let stop = vigil_io::interrupt::set_by_interrupt()?;
     if args.lockstep {
         run_lockstep(&config, Duration::from_secs(args.lockstep_timeout), &stop)?;
     } else {

@@ -38,28 +38,23 @@ struct Tunable {
     set: fn(&mut Tunables, ParameterValue),
 }
 
+/// A number that every firmware has.
+macro_rules! real {
+    ($spec:ident, $($field:ident).+) => {
+        Tunable {
+            spec: parameters::$spec,
+            get: |all| Some(ParameterValue::Real(all.$($field).+)),
+            set: |all, value| all.$($field).+ = value.as_f32(),
+        }
+    };
+}
+
 /// In the order in which they are listed to a ground station.
 const TUNABLES: [Tunable; 8] = [
-    Tunable {
-        spec: parameters::CRUISE,
-        get: |all| Some(ParameterValue::Real(all.pilot.cruise_m_s)),
-        set: |all, value| all.pilot.cruise_m_s = value.as_f32(),
-    },
-    Tunable {
-        spec: parameters::REPULSIVE_RANGE,
-        get: |all| Some(ParameterValue::Real(all.pilot.repulsive_range_m)),
-        set: |all, value| all.pilot.repulsive_range_m = value.as_f32(),
-    },
-    Tunable {
-        spec: parameters::SPEED_LIMIT,
-        get: |all| Some(ParameterValue::Real(all.speed_limit_m_s)),
-        set: |all, value| all.speed_limit_m_s = value.as_f32(),
-    },
-    Tunable {
-        spec: parameters::GOAL_RADIUS,
-        get: |all| Some(ParameterValue::Real(all.goal_radius_m)),
-        set: |all, value| all.goal_radius_m = value.as_f32(),
-    },
+    real!(CRUISE, pilot.cruise_m_s),
+    real!(REPULSIVE_RANGE, pilot.repulsive_range_m),
+    real!(SPEED_LIMIT, speed_limit_m_s),
+    real!(GOAL_RADIUS, goal_radius_m),
     Tunable {
         spec: parameters::AT_GOAL,
         get: |all| Some(ParameterValue::Integer(all.at_goal.code())),

@@ -305,7 +305,7 @@ impl OtherProcess {
             .unwrap();
         });
         Self {
-            client: Some(LockstepClient::connect(&domain, PATIENCE).unwrap()),
+            client: Some(LockstepClient::connect(&domain, PATIENCE, || false).unwrap()),
             reports,
             firmware: Some(firmware),
             steps: 0,

@@ -88,13 +88,8 @@ impl<L: Link, F: FnMut(&[u8]) -> std::io::Result<usize>> Rig<L, F> {
 }
 
 fn command(random: &mut Random) -> Vec<u8> {
-    let engage = message!(
-        COMMAND_LONG,
-        target_system = 1,
-        target_component = 191,
-        command = MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
-        param1 = 1.0
-    );
+    let (command, target_system, target_component) = (MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, 1, 191);
+    let engage = message!(COMMAND_LONG, target_system, target_component, command, param1 = 1.0);
     encode((255, 190), random.next() as u8, &engage)
 }
 

@@ -197,12 +197,8 @@ fn a_guarded_flight_that_is_stopped_and_flown_around_allocates_nothing() {
 fn places(step: u64) -> [Vec<u8>; 2] {
     let (latitude, longitude) = (473_977_420, 85_455_940);
     let origin = message!(GPS_GLOBAL_ORIGIN, latitude, longitude);
-    let place = message!(
-        POSITION_TARGET_GLOBAL_INT,
-        time_boot_ms = step as u32 * 50,
-        lat_int = latitude + 2_698,
-        lon_int = longitude
-    );
+    let (time_boot_ms, lat_int, lon_int) = (step as u32 * 50, latitude + 2_698, longitude);
+    let place = message!(POSITION_TARGET_GLOBAL_INT, time_boot_ms, lat_int, lon_int);
     [origin, place].map(|message| encode((SYSTEM_ID, 1), 0, &message))
 }
 

@@ -16,8 +16,9 @@ use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameError, FramePublisher, r
 use vigil_log::{LogEnd, Reader};
 
 fn firmware(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_firmware"));
+    let mut command = Command::new("nohup");
     command
+        .arg(env!("CARGO_BIN_EXE_firmware"))
         .args(arguments)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
@@ -284,6 +285,10 @@ fn a_service_manager_hears_that_it_is_ready_that_its_loop_advances_and_that_it_e
         eprintln!("left out: no thread may be stopped here");
     }
 
+    // The end of its terminal is not that of a program that was begun with `nohup`.
+    rustix::process::kill_process(pid, rustix::process::Signal::HUP).unwrap();
+    let heard = hear_service(&manager, Duration::from_millis(600));
+    assert!(!heard.iter().any(|line| line == "STOPPING=1"), "{heard:?}");
     rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
     let heard = until_service(&manager, "STOPPING=1");
     assert_eq!(heard.last().unwrap(), "STOPPING=1");
@@ -363,6 +368,7 @@ fn what_is_wrong_is_told_in_one_place_with_what_to_do() {
     refused(&config, 1, &["wrong.toml", "line 3", "frame_age_ms"]);
     for (arguments, expected) in [
         (["--goal", "here"], "NORTH,EAST"),
+        (["--print-config", "--lockstep"], "cannot be used with"),
         (["--height", "-3"], "0.1 to 1000"),
         (["--instance", "100"], "0 to 99"),
         (["--link", "14030"], "udpin://"),

@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{TestVehicle, arrived, config, socket};
+use common::{Random, TestVehicle, arrived, config, socket};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
@@ -28,21 +28,14 @@ fn packet(from: (u8, u8), message: &MavMessage) -> Vec<u8> {
 
 /// What strangers send: one byte, garbage, MAVLink of no vehicle, heartbeats of another vehicle's autopilot.
 fn contents() -> [(&'static str, Vec<Vec<u8>>); 4] {
-    let mut state = 0x9E37_79B9_7F4A_7C15_u64;
-    let mut byte = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        (state >> 56) as u8
-    };
+    let mut random = Random(0x9E37_79B9_7F4A_7C15);
+    let mut byte = || (random.next() >> 56) as u8;
     let garbage = (0..64)
         .map(|i| (0..20 + 4 * i).map(|_| byte()).chain([0xFD, 0xFE]).rev().collect())
         .collect();
     let heartbeat = |autopilot| message!(HEARTBEAT, autopilot, mavlink_version = 3);
-    let land = message!(
-        COMMAND_LONG,
-        command = MavCmd::MAV_CMD_NAV_LAND,
-        target_system = 1,
-        target_component = 191
-    );
+    let (command, target_system, target_component) = (MavCmd::MAV_CMD_NAV_LAND, 1, 191);
+    let land = message!(COMMAND_LONG, command, target_system, target_component);
     let stations = vec![
         packet((255, 190), &heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID)),
         packet((255, 190), &land),
@@ -65,7 +58,7 @@ trait Network {
     /// Sends as a stranger; what the system does not take is lost.
     fn shout(&mut self, stranger: usize, bytes: &[u8]);
     /// The vehicle comes.
-    fn appear(&mut self);
+    fn appear(&mut self) {}
     /// Sends as the vehicle.
     fn tell(&mut self, bytes: &[u8]);
     /// The packets that the vehicle got.
@@ -92,8 +85,6 @@ impl Network for Udp {
     fn shout(&mut self, stranger: usize, bytes: &[u8]) {
         let _ = self.strangers[stranger].send_to(bytes, self.link);
     }
-
-    fn appear(&mut self) {}
 
     fn tell(&mut self, bytes: &[u8]) {
         self.vehicle.send_to(bytes, self.link).unwrap();

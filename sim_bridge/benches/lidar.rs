@@ -172,7 +172,7 @@ fn capture(bencher: Bencher, seed: u64) {
     bench_capture(bencher, &course(seed));
 }
 
-/// Among trees: some twenty trunks, and a hundred branches of 20 triangles each.
+/// Among trees: some twenty trunks, and a hundred branches of 24 triangles each.
 #[divan::bench(args = SEEDS)]
 fn capture_forest(bencher: Bencher, seed: u64) {
     bench_capture(bencher, &generate(Family::Forest, seed));

@@ -3,7 +3,7 @@
 use crate::Simulator;
 use crate::world::Outcome;
 use serde::{Deserialize, Deserializer, Serialize};
-use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_NS, STEP_S};
+use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_S};
 
 /// The firmware's side of a step, in the same process or in another.
 pub trait FirmwarePort {
@@ -72,8 +72,8 @@ impl FlightRecord {
 /// Steps between two points of [`FlightRecord::path_ned_m`].
 pub const PATH_STRIDE: u64 = 4;
 
-/// Flies until the referee ends the flight, and `linger_s` longer (to see a landing, or a hold after a crash). What is between the sensor
-/// and the firmware, an attack for one, gets each step's number and frame before the firmware does: `between`.
+/// Flies until the referee ends the flight. What is between the sensor and the firmware, an attack for one, gets each step's number and
+/// frame before the firmware does: `between`.
 ///
 /// # Errors
 /// The firmware port's error.
@@ -82,30 +82,25 @@ pub fn fly_lockstep_through<P: FirmwarePort>(
     between: &mut dyn FnMut(u64, &mut DepthFrame),
     port: &mut P,
     time_limit_s: f64,
-    linger_s: f64,
 ) -> Result<FlightRecord, P::Error> {
     // A vehicle that never lifts off is never seen by the referee: 60 s are ample for arming and take-off.
     let most_steps = ((time_limit_s + 60.0) / f64::from(STEP_S)) as u64;
-    let mut last_step = most_steps;
     let mut frame = Box::new(DepthFrame::EMPTY);
     let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
     let mut path_ned_m = Vec::with_capacity((most_steps / PATH_STRIDE) as usize + 1);
     let mut closest_obstacle_m = f32::INFINITY;
     let mut step = 0;
-    while step < last_step {
+    while step < most_steps && simulator.ending().is_none() {
         simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
         from_firmware.clear();
         between(step, &mut frame);
         port.step(step, simulator.now_ns(), &frame, &to_firmware, &mut from_firmware)?;
-        if simulator.ending().is_none() {
+        let has_ended = simulator.ending().is_some();
+        if !has_ended {
             closest_obstacle_m = closest_obstacle_m.min(simulator.obstacle_distance_m());
-            if step.is_multiple_of(PATH_STRIDE) {
-                path_ned_m.push(simulator.truth().position_ned_m);
-            }
         }
-        if simulator.ending().is_some() && last_step == most_steps {
+        if has_ended || step.is_multiple_of(PATH_STRIDE) {
             path_ned_m.push(simulator.truth().position_ned_m);
-            last_step = step + 1 + (linger_s * 1e9 / STEP_NS as f64) as u64;
         }
         step += 1;
     }

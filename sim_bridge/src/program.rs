@@ -193,14 +193,6 @@ impl Status {
     }
 }
 
-/// What Ctrl-C and SIGTERM set.
-pub(crate) fn set_by_interrupt() -> Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
-    Ok(stop)
-}
-
 /// Runs the simulator until its end or Ctrl-C.
 ///
 /// # Errors
@@ -208,10 +200,10 @@ pub(crate) fn set_by_interrupt() -> Result<Arc<AtomicBool>> {
 /// firmware missing in lockstep.
 pub fn run(args: SimArgs) -> Result<ExitCode> {
     let config = configure(&args)?;
-    let stop = set_by_interrupt()?;
+    let stop = vigil_io::interrupt::set_by_interrupt()?;
     let domain = Domain::open(args.instance, "simulator")?;
     if args.lockstep {
-        run_lockstep(&args, &config, &domain, &stop)
+        run_lockstep(&args, &config, &domain, stop)
     } else {
         run_real_time(&args, &config, &domain, &stop)
     }
@@ -259,15 +251,13 @@ pub(crate) fn lidar_key(file: Option<&Path>) -> Result<Option<FrameKey>> {
     Ok(file.map(|path| frame_key(path, LIDAR_SENSOR_ID)).transpose()?)
 }
 
-struct OtherProcess<'a> {
+struct OtherProcess {
     client: LockstepClient,
-    stop: &'a AtomicBool,
     steps: u64,
 }
 
-impl FirmwarePort for OtherProcess<'_> {
-    /// `None` of a flight that was interrupted.
-    type Error = Option<LockstepError>;
+impl FirmwarePort for OtherProcess {
+    type Error = LockstepError;
 
     fn step(
         &mut self,
@@ -277,12 +267,9 @@ impl FirmwarePort for OtherProcess<'_> {
         received: &Datagrams,
         sent: &mut Datagrams,
     ) -> Result<(), Self::Error> {
-        if self.stop.load(Ordering::Relaxed) {
-            return Err(None);
-        }
+        self.client.exchange(step, now_ns, Some(frame), received, sent)?;
         self.steps = step + 1;
-        let exchanged = self.client.exchange(step, now_ns, Some(frame), received, sent);
-        exchanged.map_err(Some)
+        Ok(())
     }
 }
 
@@ -336,7 +323,7 @@ fn start_lines(args: &SimArgs, config: &SimConfig) -> String {
     )
 }
 
-fn run_lockstep(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &AtomicBool) -> Result<ExitCode> {
+fn run_lockstep(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: Arc<AtomicBool>) -> Result<ExitCode> {
     let mut simulator = simulator(args, config, 0)?;
     announce(&format!(
         "simulator  instance {}: {}, seed {}, in lockstep with `vigil firmware --lockstep`, for which it waits {} s\n\
@@ -346,20 +333,23 @@ fn run_lockstep(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Atom
         config.seed,
         LOCKSTEP_TIMEOUT.as_secs()
     ));
-    let mut port = OtherProcess {
-        client: LockstepClient::connect(domain, LOCKSTEP_TIMEOUT)?,
-        stop,
-        steps: 0,
+    let interrupted = |steps: u64| {
+        announce(&format!("interrupted after {steps} steps"));
+        Ok(ExitCode::from(INTERRUPTED))
     };
+    let client = match LockstepClient::connect(domain, LOCKSTEP_TIMEOUT, move || stop.load(Ordering::Relaxed)) {
+        Err(LockstepError::Cancelled) => return interrupted(0),
+        client => client?,
+    };
+    let mut port = OtherProcess { client, steps: 0 };
     let limit_s = f64::from(config.course.time_limit_s);
-    let record = match fly_lockstep_through(&mut simulator, &mut |_, _| {}, &mut port, limit_s, 0.0) {
-        Ok(record) => record,
-        Err(Some(error)) => return Err(error.into()),
-        Err(None) => {
-            port.client.finish(port.steps)?;
-            announce(&format!("interrupted after {} steps", port.steps));
-            return Ok(ExitCode::from(INTERRUPTED));
+    let record = match fly_lockstep_through(&mut simulator, &mut |_, _| {}, &mut port, limit_s) {
+        Err(LockstepError::Cancelled) => {
+            // A firmware that does not answer even this ends by itself.
+            let _ = port.client.finish(port.steps);
+            return interrupted(port.steps);
         }
+        record => record?,
     };
     port.client.finish(record.steps)?;
     vigil_types::files::print_line(&serde_json::to_string(&record)?)?;

@@ -3,6 +3,7 @@
 use crate::flight::Site;
 use anyhow::{Context, Result};
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -37,19 +38,22 @@ impl Folder {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ending {
-    /// The goal was reached.
-    Arrived,
-    /// The vehicle held to the end, and said why.
-    Held,
-    /// A program ended, or a command was refused, and said why.
-    Named,
-    TimeOut,
-    /// Something was touched, or the course left.
-    Collided,
-    /// A program of ours ended that should not have.
-    Crashed,
+vigil_types::named! {
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Ending {
+        /// The goal was reached.
+        Arrived => "arrived",
+        /// The vehicle held to the end, and said why.
+        Held => "held",
+        /// A program ended, or a command was refused, and said why.
+        Named => "ended by name",
+        TimeOut => "time-outs",
+        /// Something was touched, or the course left.
+        Collided => "collided",
+        /// A program of ours ended that should not have.
+        Crashed => "crashed",
+    }
 }
 
 impl Ending {
@@ -88,12 +92,8 @@ impl Trial {
 pub struct Row {
     pub fault: String,
     pub trials: usize,
-    arrived: usize,
-    held: usize,
-    named: usize,
-    time_out: usize,
-    collided: usize,
-    crashed: usize,
+    #[serde(flatten)]
+    endings: BTreeMap<Ending, usize>,
     /// Trials in which something was not as it must be, and the first of these.
     wrong: usize,
     first_wrong: Option<String>,
@@ -106,57 +106,39 @@ impl Row {
         Self {
             fault: fault.into(),
             trials: trials.len(),
-            arrived: count(Ending::Arrived),
-            held: count(Ending::Held),
-            named: count(Ending::Named),
-            time_out: count(Ending::TimeOut),
-            collided: count(Ending::Collided),
-            crashed: count(Ending::Crashed),
+            endings: Ending::ALL.map(|ending| (ending, count(ending))).into(),
             wrong: trials.iter().filter(|trial| trial.wrong.is_some()).count(),
             first_wrong: trials.iter().find_map(|trial| trial.wrong.clone()),
             measured: measured.into(),
         }
     }
 
-    fn counts(&self) -> [(usize, &'static str); 7] {
-        [
-            (self.arrived, "arrived"),
-            (self.held, "held"),
-            (self.named, "ended by name"),
-            (self.time_out, "time-outs"),
-            (self.collided, "collided"),
-            (self.crashed, "crashed"),
-            (self.wrong, "wrong"),
-        ]
+    /// How many ended how, and how many were wrong, each as `say` has it.
+    fn counts(&self, separator: &str, say: impl Fn(usize, &str) -> String) -> String {
+        let endings = self.endings.iter().map(|(ending, count)| say(*count, ending.name()));
+        let all: Vec<String> = endings.chain([say(self.wrong, "wrong")]).collect();
+        all.join(separator)
     }
 
     pub fn is_good(&self) -> bool {
-        self.collided + self.crashed + self.wrong == 0
+        self.endings[&Ending::Collided] + self.endings[&Ending::Crashed] + self.wrong == 0
     }
 }
 
 /// The table so far; kept on the disk after each row.
 #[derive(Default, Serialize)]
 pub struct Table {
-    seed: u64,
-    quick: bool,
-    rows: Vec<Row>,
+    pub seed: u64,
+    pub quick: bool,
+    pub rows: Vec<Row>,
     pub interrupted: bool,
 }
 
 impl Table {
-    pub fn new(seed: u64, quick: bool) -> Self {
-        Self {
-            seed,
-            quick,
-            ..Self::default()
-        }
-    }
-
     /// Adds rows, tells them and keeps them.
     pub fn add(&mut self, rows: Vec<Row>, folder: &Folder) -> Result<()> {
         for row in rows {
-            let counts = row.counts().map(|(count, how)| format!("{count} {how}")).join(", ");
+            let counts = row.counts(", ", |count, how| format!("{count} {how}"));
             let mut line = format!("{:<46} {:>4} trials: {counts}", row.fault, row.trials);
             if !row.measured.is_empty() {
                 line += &format!("; {}", row.measured);
@@ -182,7 +164,7 @@ impl Table {
              | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n",
         );
         for row in &self.rows {
-            let counts = row.counts().map(|(count, _)| count.to_string()).join(" | ");
+            let counts = row.counts(" | ", |count, _| count.to_string());
             let _ = writeln!(text, "| {} | {} | {counts} | {} |", row.fault, row.trials, row.measured);
         }
         text
@@ -258,7 +240,7 @@ mod tests {
             Trial::wrong(Ending::Held, "later"),
         ];
         let row = Row::of("a fault", &trials, "");
-        assert_eq!((row.trials, row.arrived, row.held, row.wrong), (3, 1, 2, 2));
+        assert_eq!(row.counts(" ", |count, _| count.to_string()), "1 2 0 0 0 0 2");
         assert!(!row.is_good());
         assert_eq!(row.first_wrong.as_deref(), Some("late"));
         assert!(Row::of("another", &trials[..1], "").is_good());

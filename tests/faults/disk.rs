@@ -90,22 +90,19 @@ fn refusals() -> Row {
     ];
     let trials: Vec<Trial> = commands
         .into_iter()
-        .map(|command| match shell(command) {
-            Ok(output) => {
-                let said = vigil_tests::said(&output);
-                match output.status.code() {
-                    Some(0) => Trial::wrong(Ending::Named, format!("`vigil {command}` is a success")),
-                    // A command that is none tries nothing.
-                    Some(2) => Trial::wrong(Ending::Named, format!("`vigil {command}`: {said}")),
-                    Some(101) | None => Trial::wrong(Ending::Crashed, format!("`vigil {command}`: {said}")),
-                    Some(_) if said.trim().is_empty() => {
-                        Trial::wrong(Ending::Named, format!("`vigil {command}` says nothing"))
-                    }
-                    Some(_) => Trial::right(Ending::Named),
+        .map(
+            |command| match shell(command).map(|output| (output.status.code(), vigil_tests::said(&output))) {
+                Ok((Some(0), _)) => Trial::wrong(Ending::Named, format!("`vigil {command}` is a success")),
+                // A command that is none tries nothing.
+                Ok((Some(2), said)) => Trial::wrong(Ending::Named, format!("`vigil {command}`: {said}")),
+                Ok((Some(101) | None, said)) => Trial::wrong(Ending::Crashed, format!("`vigil {command}`: {said}")),
+                Ok((_, said)) if said.trim().is_empty() => {
+                    Trial::wrong(Ending::Named, format!("`vigil {command}` says nothing"))
                 }
-            }
-            Err(error) => Trial::wrong(Ending::Crashed, error.to_string()),
-        })
+                Ok(_) => Trial::right(Ending::Named),
+                Err(error) => Trial::wrong(Ending::Crashed, error.to_string()),
+            },
+        )
         .collect();
     Row::of("nothing can be written", &trials, "exit code and words of each command")
 }

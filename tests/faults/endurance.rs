@@ -16,7 +16,7 @@ use vigil_sim::world::{Course, World};
 use vigil_sim::{SimConfig, Start};
 use vigil_tests::ground::{Request, STATION, packet};
 use vigil_tests::{Pair, Running};
-use vigil_types::{GuidanceState, NedVector, Reason, Reasons, STEP_S};
+use vigil_types::{GuidanceState, NedVector, Reason, Reasons, STEP_NS, STEP_S};
 
 /// The ring's course.
 pub const ORBIT: &str = include_str!("orbit.toml");
@@ -118,6 +118,11 @@ impl Operator {
         }
         Some(request)
     }
+}
+
+/// Steps of a time; exact, which the step's seconds in single precision are not.
+fn steps_of(seconds: f64) -> u64 {
+    (seconds * 1e9 / STEP_NS as f64).round() as u64
 }
 
 /// Resident memory of a process, KiB.
@@ -253,8 +258,7 @@ pub fn lockstep(duration_s: f64, seed: u64, folder: &Folder, stop: &AtomicBool) 
     let mut pair = Pair::of(&config, &firmware_config);
     let mut memory = Memory::new("all of it", duration_s);
     let (mut collisions, mut touching, mut sequence) = (0, false, 0_u8);
-    let steps = (duration_s / f64::from(STEP_S)).round() as u64;
-    let per_hour = (3600.0 / f64::from(STEP_S)) as u64;
+    let (steps, per_hour) = (steps_of(duration_s), steps_of(3600.0));
     let mut request = None;
     let mut step = 0;
     while step < steps && !stop.load(Ordering::Relaxed) {
@@ -387,7 +391,7 @@ pub fn real_time(duration_s: f64, seed: u64, instance: u32, folder: &Folder, sto
         asked_for_s: duration_s,
         flown_s,
         wall_s: begun.elapsed().as_secs_f64(),
-        steps: (flown_s / f64::from(STEP_S)) as u64,
+        steps: steps_of(flown_s),
         operator,
         collisions,
         state_hash: None,
@@ -424,5 +428,6 @@ mod tests {
         }
         assert_eq!((operator.goals, operator.given_up, operator.landings), (1, 1, 1));
         assert_eq!(operator.holds["inconsistent picture"], 1);
+        assert_eq!((steps_of(3600.0), steps_of(86_400.0)), (72_000, 1_728_000));
     }
 }

@@ -191,13 +191,11 @@ fn collides_by_itself(seed: u64) -> bool {
 
 /// The seeds of trials that collided, and which of them do with nothing done to the flight, in words.
 pub fn collided_anyway<'a>(trials: impl Iterator<Item = (&'a Trial, u64)>) -> String {
-    let mut told = String::new();
-    for (_, seed) in trials.filter(|(trial, _)| trial.ending == Ending::Collided) {
-        let separator = if told.is_empty() { "collided: seed" } else { "," };
-        told += &format!("{separator} {seed}");
-        if collides_by_itself(seed) {
-            told += " (without the fault too)";
-        }
-    }
-    told
+    let collided = trials.filter(|(trial, _)| trial.ending == Ending::Collided);
+    let without_too = |seed| ["", " (without the fault too)"][usize::from(collides_by_itself(seed))];
+    let seeds: Vec<String> = collided
+        .map(|(_, seed)| format!("{seed}{}", without_too(seed)))
+        .collect();
+    let told = if seeds.is_empty() { "" } else { "collided: seed " };
+    told.to_owned() + &seeds.join(", ")
 }

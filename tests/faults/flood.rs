@@ -4,7 +4,6 @@ use crate::campaign::{Ending, Folder, Row, Trial};
 use crate::flight::{Extras, Flight, Site};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use clap::builder::PossibleValue;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Mutex;
@@ -79,13 +78,31 @@ impl Content {
     }
 }
 
+/// Over what a stranger comes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Transport {
+    /// Datagrams.
+    Udp,
+    /// Connections.
+    Tcp,
+}
+
+#[derive(clap::Args)]
 pub struct Flood {
-    /// Over connections instead of datagrams.
-    pub tcp: bool,
-    pub address: SocketAddr,
-    pub content: Content,
+    /// Over what.
+    #[arg(value_enum)]
+    transport: Transport,
+
+    /// To whom.
+    address: SocketAddr,
+
+    /// What is sent.
+    #[arg(long, value_enum, default_value_t = Content::Mixed)]
+    content: Content,
+
     /// Datagrams a second.
-    pub rate: u32,
+    #[arg(long, default_value_t = RATE, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    rate: u32,
 }
 
 impl Flood {
@@ -106,7 +123,7 @@ impl Flood {
                 number += 1;
                 let bytes = &content[number % content.len()];
                 let stranger = number % STRANGERS;
-                let taken = if self.tcp {
+                let taken = if self.transport == Transport::Tcp {
                     call(&mut calls[stranger], self.address, bytes)
                 } else {
                     let socket = sockets.get(stranger);
@@ -140,12 +157,12 @@ fn call(socket: &mut Option<TcpStream>, address: SocketAddr, bytes: &[u8]) -> bo
 struct Tap {
     vehicle: UdpSocket,
     link: SocketAddr,
-    tcp: bool,
+    transport: Transport,
     setpoints_ns: Mutex<Vec<Nanos>>,
 }
 
 impl Tap {
-    fn open(instance: u32, link: SocketAddr, tcp: bool) -> Result<Self> {
+    fn open(instance: u32, link: SocketAddr, transport: Transport) -> Result<Self> {
         let port = u16::try_from(14030 + instance)?;
         let vehicle = UdpSocket::bind(("127.0.0.1", port)).with_context(|| format!("UDP port {port}"))?;
         vehicle.connect(("127.0.0.1", u16::try_from(14280 + instance)?))?;
@@ -153,7 +170,7 @@ impl Tap {
         Ok(Self {
             vehicle,
             link,
-            tcp,
+            transport,
             setpoints_ns: Mutex::default(),
         })
     }
@@ -162,10 +179,9 @@ impl Tap {
     fn run(&self, done: &AtomicBool) {
         // Where it is permitted this thread comes before the flood's, as a vehicle's own computer does.
         let _ = vigil_firmware::realtime::request(40);
-        if self.tcp {
-            self.run_tcp(done)
-        } else {
-            self.run_udp(done)
+        match self.transport {
+            Transport::Udp => self.run_udp(done),
+            Transport::Tcp => self.run_tcp(done),
         }
     }
 
@@ -242,32 +258,29 @@ impl Tap {
 }
 
 pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
-    let cases: Vec<(bool, Option<Content>)> = if site.quick {
-        vec![(false, Some(Content::Mixed))]
+    let cases: Vec<(Transport, Option<Content>)> = if site.quick {
+        vec![(Transport::Udp, Some(Content::Mixed))]
     } else {
         let contents = || std::iter::once(None).chain(Content::value_variants().iter().copied().map(Some));
-        [false, true]
+        [Transport::Udp, Transport::Tcp]
             .into_iter()
-            .flat_map(|tcp| contents().map(move |content| (tcp, content)))
+            .flat_map(|transport| contents().map(move |content| (transport, content)))
             .collect()
     };
     let mut rows = Vec::new();
-    for (number, (tcp, content)) in cases.into_iter().enumerate() {
+    for (number, (transport, content)) in cases.into_iter().enumerate() {
         if !site.stop.load(Ordering::Relaxed) {
-            rows.push(fly(site, site.seed + number as u64, tcp, content)?);
+            rows.push(fly(site, site.seed + number as u64, transport, content)?);
         }
     }
     Ok(rows)
 }
 
-fn named(tcp: bool, content: Option<Content>) -> String {
-    let transport = if tcp { "TCP" } else { "UDP" };
-    match content.map(|content| content.to_possible_value()) {
+fn named(transport: Transport, content: Option<Content>) -> String {
+    let transport = format!("{transport:?}").to_uppercase();
+    match content.and_then(|content| content.to_possible_value()) {
         None => format!("no strangers, {transport}"),
-        Some(value) => {
-            let name = value.as_ref().map_or("", PossibleValue::get_name);
-            format!("strangers, {transport}: {name}")
-        }
+        Some(value) => format!("strangers, {transport}: {}", value.get_name()),
     }
 }
 
@@ -277,30 +290,34 @@ fn missed_steps(line: &str) -> Option<u64> {
     missed.trim().strip_suffix(" missed")?.parse().ok()
 }
 
-fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Result<Row> {
+fn fly(site: &Site<'_>, seed: u64, transport: Transport, content: Option<Content>) -> Result<Row> {
     let instance = site.instances[0];
     let link = SocketAddr::from(([127, 0, 0, 1], PORT + u16::try_from(instance)?));
     // A link that is still there would be somebody else's.
     drop(TcpListener::bind(link).with_context(|| format!("port {link}"))?);
-    let scheme = if tcp { "tcpin" } else { "udpin" };
+    let scheme = format!("{transport:?}").to_lowercase();
     let extras = Extras {
-        firmware: format!("--link {scheme}://{link},system={}", instance + 1),
+        firmware: format!("--link {scheme}in://{link},system={}", instance + 1),
         ..Extras::default()
     };
     let work = tempfile::tempdir()?;
     let done = AtomicBool::new(false);
     let flood = content.map(|content| Flood {
-        tcp,
+        transport,
         address: link,
         content,
         rate: RATE,
     });
-    let begun = Instant::now();
     let mut flight = Flight::start(instance, seed, work.path(), extras)?;
-    let tap = Tap::open(instance, link, tcp)?;
-    let (flown, said, sent) = std::thread::scope(|scope| {
+    let tap = Tap::open(instance, link, transport)?;
+    let (flown, said, rate) = std::thread::scope(|scope| {
         let (tap, over) = (&tap, &done);
-        let flooding = (flood.as_ref()).map(|flood| scope.spawn(move || flood.send(|| over.load(Ordering::Relaxed))));
+        let flooding = flood.as_ref().map(|flood| {
+            scope.spawn(move || {
+                let begun = Instant::now();
+                flood.send(|| over.load(Ordering::Relaxed)) as f64 / begun.elapsed().as_secs_f64()
+            })
+        });
         scope.spawn(move || {
             // The strangers come first.
             std::thread::sleep(BEFORE);
@@ -311,8 +328,8 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
             .and_then(|()| flight.fly_to_its_end(site.stop));
         let said = flight.end_firmware();
         done.store(true, Ordering::Relaxed);
-        let sent = flooding.map_or(0, |flooding| flooding.join().expect("a flood does not fail"));
-        (flown, said, sent)
+        let rate = flooding.map_or(0.0, |flooding| flooding.join().expect("a flood does not fail"));
+        (flown, said, rate)
     });
     let setpoints_ns = tap.setpoints_ns.into_inner().unwrap_or_default();
     let mut gaps_ns: Vec<Nanos> = setpoints_ns.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -322,6 +339,7 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
         let gap = gaps_ns.get(((gaps_ns.len().max(1) - 1) as f64 * share) as usize);
         gap.map_or(0.0, |gap| *gap as f64 * 1e-6)
     };
+    let [p50, p99, most] = [0.5, 0.99, 1.0].map(at);
     let ending = Ending::of(flight.outcome()).unwrap_or(match flight.simulator.is_running() {
         true => Ending::TimeOut,
         false => Ending::Crashed,
@@ -333,22 +351,18 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
     let wrong = match (&flown, too_late, missed) {
         (Err(error), ..) => Some(format!("{error:#}")),
         (_, 1.., _) => Some(format!(
-            "{too_late} setpoints late, at most {:.1} ms after the one before",
-            at(1.0)
+            "{too_late} setpoints late, at most {most:.1} ms after the one before"
         )),
         (_, _, Some(1..)) if !site.quick => Some(format!("{} steps missed", missed.unwrap_or(0))),
         _ if ending == Ending::TimeOut && !site.stop.load(Ordering::Relaxed) => Some("it does not arrive".to_owned()),
         _ => None,
     };
-    let rate = sent as f64 / begun.elapsed().as_secs_f64();
     let flooded = content.map_or(String::new(), |_| format!("{rate:.0} a second; "));
     let measured = format!(
-        "{flooded}{} setpoints, {:.1} / {:.1} / {:.1} ms apart (p50 / p99 / most), {late} late, {} steps missed",
+        "{flooded}{} setpoints, {p50:.1} / {p99:.1} / {most:.1} ms apart (p50 / p99 / most), {late} late, \
+         {} steps missed",
         setpoints_ns.len(),
-        at(0.5),
-        at(0.99),
-        at(1.0),
         missed.map_or("unknown".to_owned(), |missed| missed.to_string())
     );
-    Ok(Row::of(named(tcp, content), &[Trial { ending, wrong }], measured))
+    Ok(Row::of(named(transport, content), &[Trial { ending, wrong }], measured))
 }

@@ -171,13 +171,8 @@ fn may_be_held(must: &Must) -> bool {
     matches!(must, Must::Hold(names) if names.contains(&Reason::FrozenSensor))
 }
 
-struct Flown {
-    trial: Trial,
-    hold_s: Option<f64>,
-    seed: u64,
-}
-
-fn fly(kind: &Kind, seed: u64) -> Flown {
+/// A flight, and the seconds from the first such frame to the hold that came of it.
+fn fly(kind: &Kind, seed: u64) -> (Trial, Option<f64>, u64) {
     let mut draw = Draw::new(seed);
     let onset = draw.below(160) as u64 + 10;
     let mut pair = Pair::new(Family::Validation, seed);
@@ -251,11 +246,8 @@ fn fly(kind: &Kind, seed: u64) -> Flown {
     if ending == Ending::TimeOut || ending == Ending::Held && !may_be_held(&kind.must) {
         wrong.get_or_insert_with(|| format!("{}, seed {seed}: does not go on with good frames", kind.name));
     }
-    Flown {
-        trial: Trial { ending, wrong },
-        hold_s: held_after.map(|steps| steps as f64 * f64::from(STEP_S)),
-        seed,
-    }
+    let hold_s = held_after.map(|steps| steps as f64 * f64::from(STEP_S));
+    (Trial { ending, wrong }, hold_s, seed)
 }
 
 pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
@@ -284,9 +276,9 @@ pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
         let flown = in_lockstep(site, chosen.len() * trials, |number, seed| {
             fly(chosen[number / trials], seed)
         });
-        let trials: Vec<Trial> = flown.iter().map(|flown| flown.trial.clone()).collect();
-        let holds = flown.iter().filter_map(|flown| flown.hold_s).collect();
-        let again = collided_anyway(flown.iter().map(|flown| (&flown.trial, flown.seed)));
+        let trials: Vec<Trial> = flown.iter().map(|(trial, ..)| trial.clone()).collect();
+        let holds = flown.iter().filter_map(|(_, hold_s, _)| *hold_s).collect();
+        let again = collided_anyway(flown.iter().map(|(trial, _, seed)| (trial, *seed)));
         let measured = [
             format!("{} kinds", chosen.len()),
             spread("hold after", "s", holds),

@@ -89,30 +89,17 @@ const OTHER_KEY: [u8; 32] = [0xA5; 32];
 /// Packets of an attack a second.
 const ATTACK_RATE: u64 = 200;
 
-#[derive(Debug, Clone, Copy)]
-enum Attack {
-    UnsignedSetup,
-    SetupOfAnotherKey,
-    Replay,
-    ZeroKeyOfAHolder,
-    RatchetOfAHolder,
-    RandomPackets,
+vigil_types::named! {
+    #[derive(Debug, Clone, Copy)]
+    enum Attack {
+        UnsignedSetup => "unsigned SETUP_SIGNING",
+        SetupOfAnotherKey => "SETUP_SIGNING signed with another key",
+        Replay => "a signed landing, captured and sent again",
+        ZeroKeyOfAHolder => "a key of zeros from one who has the key",
+        RatchetOfAHolder => "stamps ever 55 s ahead from one who has the key",
+        RandomPackets => "random commands and keys, where nobody may speak unsigned",
+    }
 }
-
-const ATTACKS: [(Attack, &str); 6] = [
-    (Attack::UnsignedSetup, "unsigned SETUP_SIGNING"),
-    (Attack::SetupOfAnotherKey, "SETUP_SIGNING signed with another key"),
-    (Attack::Replay, "a signed landing, captured and sent again"),
-    (Attack::ZeroKeyOfAHolder, "a key of zeros from one who has the key"),
-    (
-        Attack::RatchetOfAHolder,
-        "stamps ever 55 s ahead from one who has the key",
-    ),
-    (
-        Attack::RandomPackets,
-        "random commands and keys, where nobody may speak unsigned",
-    ),
-];
 
 /// The attack's packets, one after the other.
 struct Attacker {
@@ -202,11 +189,10 @@ fn key_file(folder: &Path, name: &str) -> Result<PathBuf> {
 
 /// The rows of attacks on signing: a flight each, attacked on all links of both ends.
 pub fn signing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
-    let attacks = if site.quick { &ATTACKS[..1] } else { &ATTACKS[..] };
+    let attacks = if site.quick { &Attack::ALL[..1] } else { &Attack::ALL };
     let rows = side_by_side(attacks.len(), &site.instances, |number, instance| {
-        let (attack, name) = attacks[number];
         let stopped = site.stop.load(Ordering::Relaxed);
-        (!stopped).then(|| attacked(site, attack, name, instance, site.seed + number as u64))
+        (!stopped).then(|| attacked(site, attacks[number], instance, site.seed + number as u64))
     });
     rows.into_iter().collect()
 }
@@ -226,7 +212,7 @@ fn keep_sending(attack: Attack, system: u8, ends: [u16; 5], over: &AtomicBool, s
     }
 }
 
-fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u64) -> Result<Row> {
+fn attacked(site: &Site<'_>, attack: Attack, instance: u32, seed: u64) -> Result<Row> {
     let work = tempfile::tempdir()?;
     let files = [
         key_file(work.path(), "firmware.key")?,
@@ -282,7 +268,7 @@ fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u6
         _ => None,
     };
     Ok(Row::of(
-        format!("signing: {name}"),
+        format!("signing: {}", attack.name()),
         &[Trial { ending, wrong }],
         format!("{} packets; no key changed", sent.load(Ordering::Relaxed)),
     ))

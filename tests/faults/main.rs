@@ -11,13 +11,11 @@ mod frames;
 mod kills;
 mod links;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use campaign::{Folder, Table, tell};
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -50,7 +48,14 @@ enum Command {
     /// Hours of flight, goal after goal, in one process of the firmware.
     Endurance(EnduranceArgs),
     /// Sends datagrams to a link as a stranger.
-    Flood(FloodArgs),
+    Flood {
+        #[command(flatten)]
+        flood: flood::Flood,
+
+        /// How long.
+        #[arg(long, default_value_t = 10.0)]
+        seconds: f64,
+    },
 }
 
 /// A kind of fault.
@@ -68,13 +73,6 @@ enum Kind {
     Kills,
     /// Strangers who flood the vehicle's link.
     Floods,
-}
-
-impl Kind {
-    /// Flights of it last as long as on a vehicle.
-    fn is_real_time(self) -> bool {
-        matches!(self, Self::Signing | Self::Kills | Self::Floods)
-    }
 }
 
 #[derive(Args)]
@@ -140,51 +138,12 @@ struct EnduranceArgs {
     out: PathBuf,
 }
 
-/// Over what a stranger comes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Transport {
-    /// Datagrams.
-    Udp,
-    /// Connections.
-    Tcp,
-}
-
-#[derive(Args)]
-struct FloodArgs {
-    /// Over what.
-    #[arg(value_enum)]
-    transport: Transport,
-
-    /// To whom.
-    address: SocketAddr,
-
-    /// What is sent.
-    #[arg(long, value_enum, default_value_t = flood::Content::Mixed)]
-    content: flood::Content,
-
-    /// Datagrams a second.
-    #[arg(long, default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    rate: u32,
-
-    /// How long.
-    #[arg(long, default_value_t = 10.0)]
-    seconds: f64,
-}
-
 /// A duration in seconds: a number and s, m or h.
 fn duration_s(text: &str) -> Result<f64, String> {
-    let allowed = "give a number and s, m or h, for example 90s, 30m, 24h";
-    let unit = text.chars().last().ok_or(allowed)?;
-    let factor = match unit {
-        's' => 1.0,
-        'm' => 60.0,
-        'h' => 3600.0,
-        _ => return Err(allowed.to_owned()),
-    };
-    match text.trim_end_matches(unit).parse::<f64>() {
-        Ok(count) if count > 0.0 && count.is_finite() => Ok(count * factor),
-        _ => Err(allowed.to_owned()),
-    }
+    let of_unit = |(unit, factor): (char, f64)| Some(text.strip_suffix(unit)?.parse::<f64>().ok()? * factor);
+    let duration_s = [('s', 1.0), ('m', 60.0), ('h', 3600.0)].into_iter().find_map(of_unit);
+    (duration_s.filter(|s| *s > 0.0 && s.is_finite()))
+        .ok_or_else(|| "give a number and s, m or h, for example 90s, 30m, 24h".to_owned())
 }
 
 fn main() -> ExitCode {
@@ -198,9 +157,7 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: Cli) -> Result<ExitCode> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    let stop = vigil_io::interrupt::set_by_interrupt()?;
     let good = match cli.command {
         Command::Campaign(args) => fly_campaign(&args, &stop)?,
         Command::Endurance(args) => {
@@ -210,16 +167,11 @@ fn run(cli: Cli) -> Result<ExitCode> {
                 Pace::Lockstep => endurance::lockstep(args.duration, args.seed, &folder, &stop)?,
             }
         }
-        Command::Flood(args) => {
-            let flood = flood::Flood {
-                tcp: args.transport == Transport::Tcp,
-                address: args.address,
-                content: args.content,
-                rate: args.rate,
-            };
+        Command::Flood { flood, seconds } => {
             let begun = Instant::now();
-            let sent = flood.send(|| begun.elapsed().as_secs_f64() >= args.seconds || stop.load(Ordering::Relaxed));
-            tell(&format!("{sent} sent, {:.0} a second", sent as f64 / args.seconds));
+            let sent = flood.send(|| begun.elapsed().as_secs_f64() >= seconds || stop.load(Ordering::Relaxed));
+            let rate = sent as f64 / begun.elapsed().as_secs_f64();
+            tell(&format!("{sent} sent, {rate:.0} a second"));
             true
         }
     };
@@ -232,7 +184,11 @@ fn run(cli: Cli) -> Result<ExitCode> {
 
 fn fly_campaign(args: &CampaignArgs, stop: &AtomicBool) -> Result<bool> {
     let folder = Folder::make(&args.out)?;
-    let mut table = Table::new(args.seed, args.quick);
+    let mut table = Table {
+        seed: args.seed,
+        quick: args.quick,
+        ..Table::default()
+    };
     let site = flight::Site {
         seed: args.seed,
         quick: args.quick,
@@ -242,19 +198,20 @@ fn fly_campaign(args: &CampaignArgs, stop: &AtomicBool) -> Result<bool> {
     };
     let wanted = |kind| args.only.is_empty() || args.only.contains(&kind);
     type Part = fn(&flight::Site<'_>, &Folder) -> Result<Vec<campaign::Row>>;
-    let parts: [(Kind, Part); 6] = [
-        (Kind::Frames, frames::rows),
-        (Kind::Spoofing, links::spoofing),
-        (Kind::Disk, disk::rows),
-        (Kind::Signing, links::signing),
-        (Kind::Floods, flood::rows),
-        (Kind::Kills, kills::rows),
+    // Whether its flights last as long as on a vehicle.
+    let parts: [(Kind, bool, Part); 6] = [
+        (Kind::Frames, false, frames::rows),
+        (Kind::Spoofing, false, links::spoofing),
+        (Kind::Disk, false, disk::rows),
+        (Kind::Signing, true, links::signing),
+        (Kind::Floods, true, flood::rows),
+        (Kind::Kills, true, kills::rows),
     ];
     let (in_turn, together): (Vec<_>, Vec<_>) = parts
         .into_iter()
-        .filter(|(kind, _)| wanted(*kind))
-        .partition(|(kind, _)| !(args.quick && kind.is_real_time() && args.side_by_side >= 3));
-    for (_, part) in in_turn {
+        .filter(|(kind, ..)| wanted(*kind))
+        .partition(|(_, is_real_time, _)| !(args.quick && *is_real_time && args.side_by_side >= 3));
+    for (.., part) in in_turn {
         if !stop.load(Ordering::Relaxed) {
             let rows = part(&site, &folder)?;
             table.add(rows, &folder)?;
@@ -264,7 +221,7 @@ fn fly_campaign(args: &CampaignArgs, stop: &AtomicBool) -> Result<bool> {
     let share = site.instances.len() / together.len().max(1);
     let rows = std::thread::scope(|scope| {
         let running: Vec<_> = (together.into_iter().zip(site.instances.chunks(share.max(1))))
-            .map(|((_, part), instances)| {
+            .map(|((.., part), instances)| {
                 let site = flight::Site {
                     instances: instances.to_vec(),
                     ..site.clone()

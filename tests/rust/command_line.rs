@@ -2,17 +2,23 @@
 
 use rustix::process::Signal;
 use std::net::UdpSocket;
+use std::path::Path;
 use std::process::Stdio;
-use vigil_log::{FlightInfo, Recorder, RecorderConfig};
-use vigil_tests::{Running, ended, has, json, only_log, processes_of, refused, run, run_line, said, succeed, text};
+use vigil_log::FlightInfo;
+use vigil_tests::{
+    Running, ended, has, json, only_log, processes_of, recorder, refused, run, run_line, said, succeed, text,
+};
+
+/// The command for a flight in real time on an instance, whose log goes to a folder.
+fn flight(instance: u32, log: &Path) -> String {
+    let log = text(log);
+    format!("fly --family training --seed 3 --instance {instance} --log {log}")
+}
 
 #[test]
 fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
     let runs = tempfile::tempdir().expect("a folder");
-    let flight = run_line(&format!(
-        "fly --family training --seed 3 --instance 87 --log {}",
-        text(runs.path())
-    ));
+    let flight = run_line(&flight(87, runs.path()));
     ended(&flight, 0, &["success", "landed, disarmed", "\nalarms    "]);
     let log = only_log(runs.path());
     for file in ["course.toml", "scene.json", "firmware.log", "simulator.log"] {
@@ -24,10 +30,7 @@ fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
 #[test]
 fn an_interrupted_flight_ends_all_processes_and_leaves_a_closed_log() {
     let runs = tempfile::tempdir().expect("a folder");
-    let mut flight = Running::start_line(&format!(
-        "fly --family training --seed 3 --instance 88 --log {}",
-        text(runs.path())
-    ));
+    let mut flight = Running::start_line(&flight(88, runs.path()));
     std::thread::sleep(std::time::Duration::from_secs(4));
     flight.signal(Signal::INT);
     assert_eq!(flight.wait(), Some(130));
@@ -145,12 +148,7 @@ fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
 #[test]
 fn a_killed_flight_leaves_nothing_running_and_the_next_one_on_its_instance_flies() {
     let runs = tempfile::tempdir().expect("a folder");
-    let fly = || {
-        Running::start_line(&format!(
-            "fly --family training --seed 3 --instance 91 --attack noise --log {}",
-            text(runs.path())
-        ))
-    };
+    let fly = || Running::start_line(&format!("{} --attack noise", flight(91, runs.path())));
     let first = fly();
     wait_until("fly, simulator, adversary and firmware run", || processes_of("91") == 4);
     first.kill();
@@ -228,8 +226,7 @@ fn a_folder_in_the_place_of_a_file_is_refused_before_a_flight() {
 fn what_is_made_of_a_log_does_not_take_its_place_and_without_a_step_nothing_is_made() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = folder.path().join("empty.mcap");
-    let empty = Recorder::start(RecorderConfig::lossless(&log, FlightInfo::default())).expect("a new log");
-    assert_eq!(empty.finish().failure, None);
+    assert_eq!(recorder(&log, FlightInfo::default()).finish().failure, None);
     let (name, before) = (text(&log), std::fs::read(&log).expect("a log"));
     for (arguments, words) in [
         (&["log", "report", name, "-o", name][..], "is the log itself"),

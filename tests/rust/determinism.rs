@@ -32,13 +32,9 @@ fn a_campaign_gives_the_same_bits_on_one_thread_and_on_two() {
 #[test]
 fn attacked_flights_with_alarm_stop_and_recovery_are_the_same_bits_too() {
     let folder = tempfile::tempdir().expect("a folder");
-    let attacked = [
-        ["--seed", "44", "--apf", "off"],
-        ["--attack", "bim-accumulating", "--burst", "20"],
-    ]
-    .concat();
-    let [one, two] = ["1", "2"].map(|threads| {
-        let arguments = [&attacked[..], &["--threads", threads]].concat();
+    let [one, two] = [1, 2].map(|threads| {
+        let line = format!("--seed 44 --apf off --attack bim-accumulating --burst 20 --threads {threads}");
+        let arguments: Vec<&str> = line.split(' ').collect();
         evaluate(folder.path(), &format!("{threads}.json"), "3", &arguments)
     });
     assert_eq!(hashes(&one), hashes(&two));

@@ -45,12 +45,10 @@ fn fly(course: &str, change: impl FnOnce(&mut FirmwareConfig)) -> (Option<Outcom
 fn the_actor_alone_arrives_at_a_goal_110_m_away_and_stays_within_the_course() {
     let (outcome, reports) = fly(COURSE, |_| {});
     assert_eq!(outcome, Some(Outcome::Success));
-    let first = reports.iter().find_map(|r| r.goal_relative).expect("a goal");
-    assert!(
-        first.distance_m > 109.0,
-        "what is told is the goal itself: {} m",
-        first.distance_m
-    );
+    let told_m = (reports.iter().find_map(|r| r.goal_relative))
+        .expect("a goal")
+        .distance_m;
+    assert!(told_m > 109.0, "what is told is the goal itself: {told_m} m");
 }
 
 /// A hall with no way out.
@@ -89,10 +87,8 @@ fn distances_that_no_course_has_are_refused_with_what_is_allowed() {
         ended(&evaluated, 2, &[part]);
     }
     let write = "courses write --seed 3 --goal-distance 90";
-    refused(
-        &run_line(&format!("{write} --family hard")),
-        &["hard cannot be made longer"],
-    );
+    let hard = run_line(&format!("{write} --family hard"));
+    refused(&hard, &["hard cannot be made longer"]);
     let output = run_line(write);
     let course = Course::from_toml_str(&String::from_utf8_lossy(&output.stdout), "written").expect("a course");
     assert_eq!(course.goal.north_m, 90.0);

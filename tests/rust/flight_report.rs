@@ -2,8 +2,8 @@
 
 use serde_json::Value;
 use std::path::Path;
-use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, Story, TickRecord};
-use vigil_tests::{attacked_flight, has, refused, run, succeed, text};
+use vigil_log::{FlightInfo, Story};
+use vigil_tests::{attacked_flight, copy_log, has, recorder, refused, run, succeed, text};
 use vigil_types::{Reason, Reasons};
 
 fn data(report: &Path) -> Value {
@@ -114,14 +114,7 @@ fn a_log_that_was_cut_is_shown_as_far_as_it_is_whole(log: &Path) {
 
 fn a_log_without_frames_says_so_and_shows_the_rest(log: &Path) {
     let blind = log.with_file_name("blind.mcap");
-    let mut reader = Reader::open(log).expect("a log");
-    let mut recorder = recorder(&blind, reader.info().clone());
-    let mut record = Box::<TickRecord>::default();
-    while reader.read_next(&mut record).expect("a readable log") {
-        let r = &record;
-        assert!(recorder.record(|slot| slot.fill(r.now_ns, r.timing, None, &r.received, &r.sent, &r.report)));
-    }
-    assert_eq!(recorder.finish().failure, None);
+    copy_log(log, &blind, |record| record.set_frame(None));
     let flight = report(&blind);
     has(&notes(&flight), &["No step of this log has a depth frame"]);
     assert_eq!(flight["film_none"], "The log holds no depth frames.");
@@ -142,11 +135,6 @@ fn a_log_of_another_version_is_refused_by_name(log: &Path) {
     let reported = run(&["log", "report", text(&other)]);
     refused(&reported, &["log format 9, this program reads 1"]);
     assert!(!other.with_extension("html").exists());
-}
-
-fn recorder(path: &Path, info: FlightInfo) -> Recorder {
-    let config = RecorderConfig::lossless(path, info);
-    Recorder::start(config).expect("a new log")
 }
 
 #[test]

@@ -6,11 +6,10 @@ use std::net::UdpSocket;
 use std::path::Path;
 use std::time::Duration;
 use vigil_firmware::FirmwareConfig;
-use vigil_log::{Reader, TickRecord};
 use vigil_sim::vehicle::VehicleModel;
 use vigil_sim::world::{Family, generate};
 use vigil_tests::ground::{Request, STATION, packet, set_auto_mode};
-use vigil_tests::{Pair, Running, airborne, only_log, text};
+use vigil_tests::{Pair, Running, airborne, only_log, read_log, text};
 use vigil_types::{EngagePolicy, GuidanceState, Nanos, Reason, StepReport};
 
 const HALF_A_SECOND_NS: Nanos = 500_000_000;
@@ -32,15 +31,6 @@ fn wait_for_guided_flight(simulator: &Running) {
     simulator.wait_for_status("guided flight", |s| {
         s.guidance.as_deref() == Some("guided") && s.speed_m_s > 0.5
     });
-}
-
-/// All records of the only log in a folder.
-fn steps(folder: &Path, mut look: impl FnMut(&TickRecord)) {
-    let mut reader = Reader::open(&only_log(folder)).expect("a log");
-    let mut record = Box::<TickRecord>::default();
-    while reader.read_next(&mut record).expect("a readable log") {
-        look(&record);
-    }
 }
 
 #[test]
@@ -79,7 +69,7 @@ fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight(
     // In the log: from the last frame of the first simulator to the first step that was not guided any more.
     let (mut last_frame_ns, mut left_ns, mut reasons) = (0, None, Default::default());
     let mut guided = false;
-    steps(folder.path(), |record| {
+    read_log(&only_log(folder.path()), |record| {
         let is_guided = record.report.state == GuidanceState::Guided;
         if guided && !is_guided && left_ns.is_none() {
             left_ns = Some(record.now_ns);

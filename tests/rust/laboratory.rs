@@ -1,17 +1,7 @@
 //! `vigil` and its laboratory: two programs of one build.
 
-use std::path::Path;
 use std::process::Command;
 use vigil_tests::{ended, refused, root, run, run_line, succeed, text, vigil};
-
-/// `vigil` alone in a folder, without the laboratory.
-fn flight_tier_alone(folder: &Path) -> std::path::PathBuf {
-    let alone = folder.join("vigil");
-    std::fs::hard_link(vigil(), &alone)
-        .or_else(|_| std::fs::copy(vigil(), &alone).map(|_| ()))
-        .expect("a copy of the program");
-    alone
-}
 
 #[test]
 fn the_laboratory_is_started_where_it_is_built_and_otherwise_told_how_to_build_it() {
@@ -22,7 +12,10 @@ fn the_laboratory_is_started_where_it_is_built_and_otherwise_told_how_to_build_i
     ended(&run(&["attack", "table", "--states", "none"]), 2, &[]);
 
     let folder = tempfile::tempdir().expect("a folder");
-    let alone = flight_tier_alone(folder.path());
+    // `vigil` without the laboratory beside it.
+    let alone = folder.path().join("vigil");
+    let made = std::fs::hard_link(vigil(), &alone).or_else(|_| std::fs::copy(vigil(), &alone).map(|_| ()));
+    made.expect("a copy of the program");
     let film = folder.path().join("flight.gif");
     for command in [
         vec!["attack", "table"],

@@ -1,8 +1,7 @@
 //! A flight's log holds everything: the tick run again over it gives the same bytes, and a changed byte is found.
 
 use std::path::{Path, PathBuf};
-use vigil_log::{Reader, Recorder, RecorderConfig, TickRecord};
-use vigil_tests::{Running, ended, only_log, run, run_line, said, succeed, text};
+use vigil_tests::{Running, copy_log, ended, only_log, run, run_line, said, succeed, text};
 use vigil_types::Datagrams;
 
 /// Flies a course in lockstep in two processes with a log; returns the log's path.
@@ -15,20 +14,6 @@ fn logged_flight(folder: &Path) -> PathBuf {
     assert!(!simulator.stdout.is_empty(), "{}", said(&simulator));
     assert_eq!(firmware.wait(), Some(0));
     only_log(folder)
-}
-
-/// Writes the records of one log into another, each after `alter` saw it.
-fn copy_log(from: &Path, to: &Path, mut alter: impl FnMut(&mut TickRecord)) {
-    let mut reader = Reader::open(from).expect("a log");
-    let config = RecorderConfig::lossless(to, reader.info().clone());
-    let mut recorder = Recorder::start(config).expect("a second log");
-    let mut record = Box::<TickRecord>::default();
-    while reader.read_next(&mut record).expect("a readable log") {
-        alter(&mut record);
-        let r = &record;
-        assert!(recorder.record(|slot| slot.fill(r.now_ns, r.timing, r.frame(), &r.received, &r.sent, &r.report)));
-    }
-    assert_eq!(recorder.finish().failure, None);
 }
 
 /// Flips the last bit of the last datagram's last byte.

@@ -96,11 +96,8 @@ fn the_committed_data_make_every_item_and_the_documentation_shows_what_they_make
     let manifest = manifest(&out);
     let items = items(&manifest);
     assert!(items.keys().eq(listed().keys()), "{:?}", items.keys());
-    let (tables, figures) = (
-        (1..=4).map(|n| format!("table-{n}")),
-        (9..=14).map(|n| format!("figure-{n}")),
-    );
-    for paper in tables.chain(figures) {
+    let tables = (1..=4).map(|n| format!("table-{n}"));
+    for paper in tables.chain((9..=14).map(|n| format!("figure-{n}"))) {
         assert!(items.contains_key(&paper), "{paper}");
     }
     let named: BTreeMap<&String, &String> = items.values().flatten().collect();

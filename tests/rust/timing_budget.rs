@@ -36,20 +36,11 @@ fn of_a_hundred_steps_of_the_default_stack_ninety_nine_take_less_than_their_peri
     }
     times.sort();
     let at = |q: f64| times[((times.len() - 1) as f64 * q) as usize];
-    println!(
-        "{} guided steps: p50 {:?}, p99 {:?}, max {:?}",
-        times.len(),
-        at(0.5),
-        at(0.99),
-        at(1.0)
-    );
-    assert!(times.len() > 100);
-    assert!(
-        judged + 10 > times.len(),
-        "{judged} of {} steps were judged",
-        times.len()
-    );
+    let ([p50, p99, max], steps) = ([0.5, 0.99, 1.0].map(at), times.len());
+    println!("{steps} guided steps: p50 {p50:?}, p99 {p99:?}, max {max:?}");
+    assert!(steps > 100);
+    assert!(judged + 10 > steps, "{judged} of {steps} steps were judged");
     // What holds on any machine that can fly at all. Missed steps and jitter depend on the machine's scheduler and are
     // measured, not asserted (docs/results.md).
-    assert!(at(0.99) < Duration::from_nanos(STEP_NS), "{:?}", at(0.99));
+    assert!(p99 < Duration::from_nanos(STEP_NS), "{p99:?}");
 }

@@ -23,11 +23,11 @@ fn short_log(folder: &Path) -> PathBuf {
     log
 }
 
-/// A Python that says it has the viewer, and notes what it is asked to show.
+/// A Python that says it has the viewer, and keeps the script, what it is asked to show, and the course that is shown.
 fn stand_in(folder: &Path) -> PathBuf {
-    let script =
-        "#!/bin/sh\nif [ \"$1\" = -c ]; then echo 0.41.0; exit; fi\ncat > \"$0.script\"\necho \"$@\" > \"$0.asked\"\n";
-    program(folder, "python", script);
+    let keeps = "cat > \"$0.script\"\n[ \"$2\" = --course ] && cp \"$3\" \"$0.json\"\necho \"$@\" > \"$0.asked\"\n";
+    let script = format!("#!/bin/sh\nif [ \"$1\" = -c ]; then echo 0.41.0; exit; fi\n{keeps}");
+    program(folder, "python", &script);
     folder.join("python")
 }
 
@@ -97,12 +97,12 @@ fn what_is_no_log_of_this_version_is_refused_before_a_viewer_opens() {
     assert!(!folder.path().join("python.asked").exists());
 }
 
-/// The number before a word.
+/// The number before a word, in brackets perhaps.
 fn before_word(word: &str, said: &str) -> usize {
     let words: Vec<&str> = said.split_whitespace().collect();
     let at = words.iter().position(|w| *w == word);
     let at = at.unwrap_or_else(|| panic!("no {word} in {said}"));
-    words[at - 1].parse().expect("a number")
+    words[at - 1].trim_start_matches('(').parse().expect("a number")
 }
 
 #[test]
@@ -211,29 +211,22 @@ fn an_mp4_is_as_many_pictures_handed_to_ffmpeg_and_one_that_fails_leaves_the_ear
     // An mp4 is as many pictures, handed to ffmpeg; the last one stands still for 2.5 s.
     let bin = folder.join("bin");
     std::fs::create_dir(&bin).expect("a folder");
-    program(
-        &bin,
-        "ffmpeg",
-        "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor last; do :; done\nwc -c > \"$last\"\n",
-    );
+    let ffmpeg = |does: &str| {
+        let script = format!("#!/bin/sh\n[ \"$1\" = -version ] && exit 0\n{does}\n");
+        program(&bin, "ffmpeg", &script);
+    };
+    ffmpeg("for last; do :; done\nwc -c > \"$last\"");
     let path = format!("{}:/usr/bin:/bin", text(&bin));
     let mp4 = folder.join("film.mp4");
     let film = ["log", "film", text(log), "-o", text(&mp4), "--speed=10", "--shap=0"];
     let words = succeed(&run_with_path(&film, &path));
-    let (_, pictures) = words.split_once('(').expect("how many pictures");
-    let pictures: usize = pictures[..pictures.find(' ').expect("a word")]
-        .parse()
-        .expect("a number");
+    let pictures = before_word("pictures,", &words);
     let came = || std::fs::read_to_string(&mp4).expect("what came").trim().to_owned();
     let bytes = ((pictures + 24) * 640 * 448 * 3).to_string();
     assert_eq!(came(), bytes);
 
     // One that fails is told, and leaves no half of a film and the earlier one as it was.
-    program(
-        &bin,
-        "ffmpeg",
-        "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho no such encoder >&2\nexit 1\n",
-    );
+    ffmpeg("echo no such encoder >&2\nexit 1");
     refused(&run_with_path(&film, &path), &["no such encoder"]);
     assert_eq!(came(), bytes, "the earlier one");
     assert!(!mp4.with_extension("mp4.part").exists());
@@ -281,13 +274,7 @@ fn a_flight_leaves_a_film_and_a_light_log_that_is_looked_at_and_not_replayed() {
 #[test]
 fn a_course_is_handed_to_the_viewer_with_its_obstacles_way_and_what_is_seen_at_its_start() {
     let folder = tempfile::tempdir().expect("a folder");
-    // Keeps the course that it is asked to show.
-    let python = folder.path().join("python");
-    program(
-        folder.path(),
-        "python",
-        "#!/bin/sh\nif [ \"$1\" = -c ]; then echo 0.41.0; exit; fi\ncat > \"$0.script\"\ncp \"$3\" \"$0.json\"\necho \"$@\" > \"$0.asked\"\n",
-    );
+    let python = stand_in(folder.path());
     let saved = folder.path().join("course.rrd");
     succeed(&run_line(&format!(
         "courses view --family hard --seed 7 --save {} --python {}",

@@ -12,6 +12,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
+use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, TickRecord};
 use vigil_sim::program::Status;
 
 /// Longest wait for anything that happens within seconds on an idle machine.
@@ -159,6 +160,30 @@ pub fn only_log(folder: &Path) -> PathBuf {
     let mut logs = files_below(folder, &[".mcap"]);
     assert_eq!(logs.len(), 1, "{logs:?}");
     logs.remove(0)
+}
+
+/// A recorder of a new log that waits for room rather than drop a step.
+pub fn recorder(log: &Path, info: FlightInfo) -> Recorder {
+    Recorder::start(RecorderConfig::lossless(log, info)).expect("a new log")
+}
+
+/// Shows every record of a log.
+pub fn read_log(log: &Path, mut look: impl FnMut(&mut TickRecord)) {
+    let mut reader = Reader::open(log).expect("a log");
+    let mut record = Box::<TickRecord>::default();
+    while reader.read_next(&mut record).expect("a readable log") {
+        look(&mut record);
+    }
+}
+
+/// Writes the records of one log into another, each after `alter` saw it.
+pub fn copy_log(from: &Path, to: &Path, mut alter: impl FnMut(&mut TickRecord)) {
+    let mut recorder = recorder(to, Reader::open(from).expect("a log").info().clone());
+    read_log(from, |r| {
+        alter(r);
+        assert!(recorder.record(|slot| slot.fill(r.now_ns, r.timing, r.frame(), &r.received, &r.sent, &r.report)));
+    });
+    assert_eq!(recorder.finish().failure, None);
 }
 
 /// The log of an attacked flight of the actor in lockstep, in which the detector raises the alarm and the recovery pilot flies.

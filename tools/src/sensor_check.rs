@@ -27,6 +27,7 @@ const MIDDLE: usize = 4;
 const WALL_TOLERANCE_M: f32 = 0.1;
 
 pub use crate::doctor::Severity;
+use Severity::{Failure, Good, Warning};
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
@@ -140,7 +141,7 @@ impl SensorCheck {
         if self.arrivals_s.is_empty() {
             add(
                 "frames",
-                Severity::Failure,
+                Failure,
                 format!(
                     "none within {seconds:.0} s: is the publisher running, for the same user, on the same instance and service?"
                 ),
@@ -152,7 +153,7 @@ impl SensorCheck {
         for (defect, count) in &self.refused {
             let _ = write!(text, "; {count} refused: {defect}");
         }
-        let severity = Severity::good_if(self.refused.is_empty(), Severity::Failure);
+        let severity = Severity::good_if(self.refused.is_empty(), Failure);
         add("frames", severity, text);
         self.rate(ended_ns as f64 * 1e-9, &mut add);
         if used == 0 {
@@ -170,7 +171,7 @@ impl SensorCheck {
             let text = format!(
                 "they came, and stopped {silent_s:.1} s ago: did the publisher end, does it still see its sensor?"
             );
-            add("rate", Severity::Failure, text);
+            add("rate", Failure, text);
             return;
         }
         let intervals: Vec<f64> = self.arrivals_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -179,17 +180,14 @@ impl SensorCheck {
         };
         let longest = quantile(&intervals, 1.0).unwrap_or(f64::NAN);
         let (severity, advice) = if longest > AGE_LIMIT_S {
-            (
-                Severity::Failure,
-                ": longer than the age limit of 0.25 s, so the vehicle holds",
-            )
+            (Failure, ": longer than the age limit of 0.25 s, so the vehicle holds")
         } else if mean > LONGEST_INTERVAL_S {
             (
-                Severity::Warning,
+                Warning,
                 ": slower than the 20 Hz loop, so some steps have no new picture",
             )
         } else {
-            (Severity::Good, "")
+            (Good, "")
         };
         let (hz, longest_ms) = (1.0 / mean, longest * 1e3);
         let text = format!("{hz:.1} Hz, longest interval {longest_ms:.0} ms{advice}");
@@ -204,18 +202,18 @@ impl SensorCheck {
                 "stamps lie up to {:.3} s in the future of CLOCK_MONOTONIC: stamp frames with that clock, at capture",
                 -least
             );
-            add("clock", Severity::Failure, text);
+            add("clock", Failure, text);
         } else if middle > 1000.0 {
             let text = format!("stamps are {middle:.0} s old: they are of another clock than CLOCK_MONOTONIC");
-            add("clock", Severity::Failure, text);
+            add("clock", Failure, text);
         } else {
             let (severity, advice) = if most > AGE_LIMIT_S {
                 let advice = ": older than the age limit of 0.25 s, so the vehicle holds";
-                (Severity::Failure, advice)
+                (Failure, advice)
             } else if middle > OLD_S {
-                (Severity::Warning, ": the vehicle flies by what it saw that long ago")
+                (Warning, ": the vehicle flies by what it saw that long ago")
             } else {
-                (Severity::Good, "")
+                (Good, "")
             };
             let (middle_ms, most_ms) = (middle * 1e3, most * 1e3);
             let text = format!("{middle_ms:.1} ms old on arrival, at most {most_ms:.1} ms{advice}");
@@ -224,28 +222,20 @@ impl SensorCheck {
     }
 
     fn order(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
-        let problems = [
-            (
-                self.not_newer,
-                "with a stamp that is not newer than the one before: refused in flight",
-            ),
-            (
-                self.restarted,
-                "times the number did not rise: a restarted publisher, or frames sent twice",
-            ),
-        ];
-        let named: Vec<String> = problems
-            .iter()
-            .filter(|(count, _)| *count > 0)
-            .map(|(count, what)| format!("{count} {what}"))
-            .collect();
-        let (severity, text) = match (self.not_newer, self.restarted) {
+        let stamps = "with a stamp that is not newer than the one before: refused in flight";
+        let numbers = "times the number did not rise: a restarted publisher, or frames sent twice";
+        let (not_newer, restarted) = (self.not_newer, self.restarted);
+        let (severity, text) = match (not_newer, restarted) {
             (0, 0) => {
                 let text = format!("stamps and numbers rise; {} numbers were left out", self.left_out);
-                (Severity::Good, text)
+                (Good, text)
             }
-            (0, _) => (Severity::Warning, named.join("; ")),
-            _ => (Severity::Failure, named.join("; ")),
+            (0, _) => (Warning, format!("{restarted} {numbers}")),
+            (_, 0) => (Failure, format!("{not_newer} {stamps}")),
+            _ => {
+                let text = format!("{not_newer} {stamps}; {restarted} {numbers}");
+                (Failure, text)
+            }
         };
         add("order", severity, text);
     }
@@ -253,14 +243,11 @@ impl SensorCheck {
     fn picture(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
         let share = self.returns.iter().sum::<f64>() / self.returns.len() as f64;
         let (severity, advice) = if share == 0.0 {
-            (Severity::Failure, ": a blind sensor")
+            (Failure, ": a blind sensor")
         } else if share < 0.05 {
-            (
-                Severity::Warning,
-                ": hardly anything returns; is the range divided by 100 m?",
-            )
+            (Warning, ": hardly anything returns; is the range divided by 100 m?")
         } else {
-            (Severity::Good, "")
+            (Good, "")
         };
         let text = format!("{:.1} % of the pixels{advice}", 100.0 * share);
         add("returns", severity, text);
@@ -268,13 +255,13 @@ impl SensorCheck {
             let middle = quantile(&self.smooth_shares, 0.5).unwrap_or(f64::NAN);
             let (severity, advice) = if least < ROUGH_SHARE {
                 (
-                    Severity::Warning,
+                    Warning,
                     ": the guard would take this sensor's pictures for altered ones: see to its noise, or fly without the guard",
                 )
             } else if least < NEARLY_ROUGH_SHARE {
-                (Severity::Warning, ": hardly more than the guard asks for")
+                (Warning, ": hardly more than the guard asks for")
             } else {
-                (Severity::Good, "")
+                (Good, "")
             };
             let text = format!(
                 "{:.0} % of the parts in which something is seen show one surface (2 % of the pictures below {:.0} %){advice}",
@@ -285,14 +272,14 @@ impl SensorCheck {
         }
         if self.zeros > 0 {
             let text = format!("{} pixels are 0.0, a surface at the lens: no return is 1.0", self.zeros);
-            add("zeros", Severity::Warning, text);
+            add("zeros", Warning, text);
         }
         if self.unchanged > 0 {
             let (unchanged, all) = (self.unchanged, self.returns.len());
             let text = format!(
                 "{unchanged} of {all} pictures are the one before to the bit: a real sensor's noise changes them"
             );
-            add("change", Severity::Warning, text);
+            add("change", Warning, text);
         }
         self.view(add);
         self.wall(add);
@@ -307,27 +294,23 @@ impl SensorCheck {
         let rows: Vec<usize> = (0..PART_ROWS)
             .filter(|r| self.seen[*r].iter().any(|seen| *seen))
             .collect();
-        if let (Some(left), Some(right), Some(top), Some(bottom)) =
-            (columns.first(), columns.last(), rows.first(), rows.last())
-        {
-            let whole = columns.len() == PART_COLS;
-            add(
-                "view",
-                Severity::good_if(whole, Severity::Warning),
-                format!(
-                    "returns from {:.0}° to {:.0}° across and {:.0}° to {:.0}° in height, of ±60° and ±30°{}",
-                    bearings(*left),
-                    bearings(right + 1),
-                    elevations(bottom + 1),
-                    elevations(*top),
-                    if whole {
-                        String::new()
-                    } else {
-                        format!("; {unseen} of {} parts never returned anything", PART_ROWS * PART_COLS)
-                    }
-                ),
-            );
+        let edges = [columns.first(), columns.last(), rows.first(), rows.last()];
+        let [Some(left), Some(right), Some(top), Some(bottom)] = edges else {
+            return;
+        };
+        let mut text = format!(
+            "returns from {:.0}° to {:.0}° across and {:.0}° to {:.0}° in height, of ±60° and ±30°",
+            bearings(*left),
+            bearings(right + 1),
+            elevations(bottom + 1),
+            elevations(*top)
+        );
+        let whole = columns.len() == PART_COLS;
+        if !whole {
+            let parts = PART_ROWS * PART_COLS;
+            let _ = write!(text, "; {unseen} of {parts} parts never returned anything");
         }
+        add("view", Severity::good_if(whole, Warning), text);
     }
 
     /// The wall that is expected in the middle.
@@ -337,8 +320,8 @@ impl SensorCheck {
             middle.sort_by(f32::total_cmp);
             let found_m = middle.get(middle.len() / 2).copied().unwrap_or(f32::NAN);
             let (severity, advice) = match (found_m - wall_m).abs() <= WALL_TOLERANCE_M {
-                true => (Severity::Good, ""),
-                false => (Severity::Failure, ": ranges are along the ray, divided by 100 m"),
+                true => (Good, ""),
+                false => (Failure, ": ranges are along the ray, divided by 100 m"),
             };
             let text = format!("{found_m:.2} m in the middle of the image, {wall_m:.2} m expected{advice}");
             add("wall", severity, text);
@@ -390,7 +373,7 @@ mod tests {
         let findings = check.findings(5.0, SECOND + 100 * STEP_NS);
         findings
             .into_iter()
-            .filter(|f| f.severity > Severity::Good)
+            .filter(|f| f.severity > Good)
             .map(|f| (f.name, f.text))
             .collect()
     }
@@ -404,7 +387,7 @@ mod tests {
     fn silence_is_a_failure_that_says_where_to_look() {
         let findings = SensorCheck::new(expected()).findings(5.0, 6 * SECOND);
         assert_eq!(findings.len(), 1);
-        assert!(findings[0].severity == Severity::Failure && findings[0].text.contains("instance"));
+        assert!(findings[0].severity == Failure && findings[0].text.contains("instance"));
     }
 
     /// Until it ended it was as good as ever.
@@ -416,16 +399,9 @@ mod tests {
                 check.observe(&frame(number), SECOND + number * STEP_NS);
             }
             let findings = check.findings(5.0, 6 * SECOND);
-            let rate = findings
-                .iter()
-                .find(|f| f.name == "rate")
-                .expect("of a sensor that stopped");
             let stopped = format!("stopped {:.1} s ago", 5.0 - 0.05 * (frames - 1) as f64);
-            assert!(
-                rate.severity == Severity::Failure && rate.text.contains(&stopped),
-                "{}",
-                rate.text
-            );
+            let is_it = |f: &Finding| f.name == "rate" && f.severity == Failure && f.text.contains(&stopped);
+            assert!(findings.iter().any(is_it), "{findings:?}");
         }
     }
 

@@ -34,257 +34,106 @@ pub struct Condition {
     pub clears: &'static str,
 }
 
-const fn condition(
-    reason: Reason,
-    demand: Demand,
-    blocks_ready: bool,
-    present: &'static str,
-    clears: &'static str,
-) -> Condition {
-    Condition {
-        reason,
-        demand,
-        blocks_ready,
-        present,
-        clears,
-    }
+macro_rules! conditions {
+    ($($reason:ident, $demand:ident, $blocks_ready:literal: $present:literal; $clears:literal;)+) => {
+        [$(Condition {
+            reason: Reason::$reason,
+            demand: Demand::$demand,
+            blocks_ready: $blocks_ready,
+            present: $present,
+            clears: $clears,
+        }),+]
+    };
 }
 
 /// All conditions, in the order of [`Reason`].
-pub static CONDITIONS: [Condition; 34] = [
-    condition(
-        Reason::StaleFrame,
-        Demand::Hold,
-        true,
-        "no valid depth frame yet, or the newest is older than {frame_age_limit}",
-        "a fresh valid frame",
-    ),
-    condition(
-        Reason::BadFrame,
-        Demand::Hold,
-        true,
-        "a frame was refused in this step (size, sensor, checksum, range, pose, stamp)",
-        "a step in which no frame is refused",
-    ),
-    condition(
-        Reason::StaleTelemetry,
-        Demand::Hold,
-        true,
-        "position or attitude never received, or older than {telemetry_age_limit}",
-        "both fresh",
-    ),
-    condition(
-        Reason::LinkLost,
-        Demand::Hold,
-        true,
-        "no heartbeat of the vehicle yet, or the last is older than {heartbeat_age_limit}",
-        "a heartbeat",
-    ),
-    condition(
-        Reason::NotFinite,
-        Demand::Hold,
-        true,
-        "a received position, velocity, attitude or rate, or the pilot's action, is NaN or infinite, or the pilot gave no action although it could",
-        "all finite",
-    ),
-    condition(
-        Reason::ModeLost,
-        Demand::Hold,
-        false,
-        "guided, hold: the vehicle is not in its external mode",
-        "it is again; or the end of the flight",
-    ),
-    condition(
-        Reason::Disarmed,
-        Demand::End,
-        false,
-        "guided, hold, land: the vehicle says that it is disarmed",
-        "at once in standby",
-    ),
-    condition(
-        Reason::Slip,
-        Demand::Hold,
-        true,
-        "{slip_limit} or more steps missed within {slip_window}",
-        "fewer missed within the window",
-    ),
-    condition(
-        Reason::Geofence,
-        Demand::Hold,
-        true,
-        "outside the permitted region (if one is configured); below its least height only in guided and hold",
-        "0.5 m inside",
-    ),
-    condition(
-        Reason::GoalReached,
-        Demand::Hold,
-        false,
-        "guided, hold: horizontally within {goal_radius} of the goal; with at-goal *land* demands landing after {goal_dwell}",
-        "another goal; the end of the flight",
-    ),
-    condition(Reason::NoGoal, Demand::Hold, true, "no goal was given", "a goal"),
-    condition(
-        Reason::Operator,
-        Demand::Hold,
-        false,
-        "an operator disengaged, or told to land (then it demands landing)",
-        "an operator engages",
-    ),
-    condition(
-        Reason::HandoverFailed,
-        Demand::Wait,
-        false,
-        "the vehicle refused or did not answer, or the hand-over took longer than {handover_limit} and a second a metre of climb",
-        "after {handover_pause}; an operator engages",
-    ),
-    condition(
-        Reason::LowBattery,
-        Demand::Land,
-        true,
-        "the vehicle reports less charge than {battery_limit}",
-        "more charge, but a landing that began goes on",
-    ),
-    condition(
-        Reason::VehicleFailsafe,
-        Demand::Hold,
-        false,
-        "the vehicle's heartbeat says CRITICAL, EMERGENCY or FLIGHT_TERMINATION",
-        "it says otherwise",
-    ),
-    condition(
-        Reason::TimeLimit,
-        Demand::Land,
-        false,
-        "the flight is longer than the configured limit (none by default)",
-        "the end of the flight",
-    ),
-    condition(
-        Reason::Attack,
-        Demand::Hold,
-        false,
-        "{raise_count} of the last {raise_window} verdicts on the flying actor were *attack*, and the policy is *stop* or *recover*",
-        "*recover*: slower than {stopped}, at the latest after {stop_limit}; *stop*: {alarm_clear_steps} clean steps in a row (the verdict is clean, the picture not rough, the actor on no collision course), after each further alarm of a flight twice as many",
-    ),
-    condition(
-        Reason::NoVerdict,
-        Demand::Hold,
-        false,
-        "no verdict on the flying actor for more than {unknown_limit} steps, and the policy is *stop* or *recover*",
-        "as *attack*",
-    ),
-    condition(
-        Reason::Recovering,
-        Demand::Recover,
-        false,
-        "the policy is *recover*, and *attack*, *no verdict*, *collision course*, *led astray*, *disagreement* or *rough picture* has stopped the vehicle",
-        "{alarm_clear_steps} clean steps in a row, after each further alarm of a flight twice as many; where the guard raised it, an operator's engage; the end of the flight",
-    ),
-    condition(
-        Reason::CollisionCourse,
-        Demand::Hold,
-        false,
-        "the recovery pilot saw the flying actor's action lead into something in {guard_steps} consecutive steps, or its own in {recovery_guard_steps}, and the policy is *stop* or *recover*",
-        "*recover*: as *attack*; *stop*: an operator engages; the end of the flight",
-    ),
-    condition(
-        Reason::BlindSensor,
-        Demand::Hold,
-        true,
-        "the frames show no return where the ground must be seen, or zeros for ranges, over 15° or more of the view",
-        "3 frames in a row that show it",
-    ),
-    condition(
-        Reason::FrozenSensor,
-        Demand::Hold,
-        false,
-        "in flight the picture, or a part of it, stays as it was although the vehicle moved",
-        "a picture that fits an earlier one and the way flown since; after the second time in a flight, the end of the flight",
-    ),
-    condition(
-        Reason::ImplausiblePose,
-        Demand::Hold,
-        true,
-        "the pose in the frame's header is more than 2 m or 15° from the telemetry's, or does not move as it does; or in flight the vehicle's position jumped",
-        "10 frames in a row whose pose fits",
-    ),
-    condition(
-        Reason::InconsistentPicture,
-        Demand::Hold,
-        false,
-        "in flight the picture does not move as the vehicle does: it jumps, parts of it vanish, or it moves as a mirrored or a turned sensor's would, or one's of another width",
-        "as *frozen sensor*; of such a sensor the end of the flight",
-    ),
-    condition(
-        Reason::NoProgress,
-        Demand::Hold,
-        false,
-        "{no_progress_limit} in *guided* did not bring the vehicle {no_progress_gain} nearer to the goal than it had been before; with no-progress *land* it demands landing after {no_progress_dwell}",
-        "another goal; an operator engages; the end of the flight",
-    ),
-    condition(
-        Reason::SlowTelemetry,
-        Demand::Warn,
-        false,
-        "position or attitude arrive more than {slow_telemetry} apart on average, half of the age that is *stale telemetry*",
-        "both arrive faster",
-    ),
-    condition(
-        Reason::PilotInCommand,
-        Demand::Wait,
-        false,
-        "standby, ready: a person took the vehicle over, or the policy is *auto* and the vehicle is where *auto* does not take it ([below](#where-auto-engages))",
-        "an operator engages; where nobody took it over also a state of the vehicle in which *auto* takes it",
-    ),
-    condition(
-        Reason::UnauthenticatedFrame,
-        Demand::Hold,
-        true,
-        "frame keys are configured, and a frame in this step was not made with one of them",
-        "a step without such a frame",
-    ),
-    condition(
-        Reason::LedAstray,
-        Demand::Hold,
-        false,
-        "the flying actor fell more than {astray} behind a vehicle that flies at {way_speed} along the way that the recovery pilot plans, what it had gained on it before not counted; and the policy is *stop* or *recover*",
-        "as *collision course*",
-    ),
-    condition(
-        Reason::Disagreement,
-        Demand::Hold,
-        false,
-        "the yaw outputs of the flying actor and the recovery pilot were more than {apart} (of 3) apart, for {disagreement} longer than they were not; and the policy is *stop* or *recover*",
-        "as *collision course*",
-    ),
-    condition(
-        Reason::RoughPicture,
-        Demand::Hold,
-        false,
-        "in `detector.raise_count` of the last `detector.raise_window` frames fewer than {smooth_share} of the cells of 4 × 4 pixels in which something is seen showed one surface, or a part of the picture was torn; and the policy is *stop* or *recover*",
-        "as *collision course*",
-    ),
-    condition(
-        Reason::SecondSensorSilent,
-        Demand::Hold,
-        true,
-        "`second_sensor` is on, and nothing usable came from it for 0.3 s, or ever",
-        "a report of it that can be used",
-    ),
-    condition(
-        Reason::SensorsDisagree,
-        Demand::Hold,
-        true,
-        "in the air, in 3 of the second sensor's last 5 reports something was nearer, by more than 0.5 m, than the depth frames show in that direction",
-        "15 reports in a row that agree; after the second time in a flight, the end of the flight",
-    ),
-    condition(
-        Reason::BeneathGround,
-        Demand::Hold,
-        false,
-        "in flight, in 8 of the last 10 frames, over 15° or more of the view, surfaces lie beneath the ground that the lowest rows show: nearer obstacles are shown farther away, or the ground falls away",
-        "40 frames in a row that show the ground and nothing beneath it; after the second time in a flight, the end of the flight",
-    ),
-];
+pub static CONDITIONS: [Condition; 34] = conditions! {
+    // Reason, demand, whether it keeps guidance from ready: when it is present; when it clears.
+    StaleFrame, Hold, true: "no valid depth frame yet, or the newest is older than {frame_age_limit}";
+        "a fresh valid frame";
+    BadFrame, Hold, true: "a frame was refused in this step (size, sensor, checksum, range, pose, stamp)";
+        "a step in which no frame is refused";
+    StaleTelemetry, Hold, true: "position or attitude never received, or older than {telemetry_age_limit}";
+        "both fresh";
+    LinkLost, Hold, true: "no heartbeat of the vehicle yet, or the last is older than {heartbeat_age_limit}";
+        "a heartbeat";
+    NotFinite, Hold, true:
+        "a received position, velocity, attitude or rate, or the pilot's action, is NaN or infinite, or the pilot gave no action although it could";
+        "all finite";
+    ModeLost, Hold, false: "guided, hold: the vehicle is not in its external mode";
+        "it is again; or the end of the flight";
+    Disarmed, End, false: "guided, hold, land: the vehicle says that it is disarmed"; "at once in standby";
+    Slip, Hold, true: "{slip_limit} or more steps missed within {slip_window}"; "fewer missed within the window";
+    Geofence, Hold, true:
+        "outside the permitted region (if one is configured); below its least height only in guided and hold";
+        "0.5 m inside";
+    GoalReached, Hold, false:
+        "guided, hold: horizontally within {goal_radius} of the goal; with at-goal *land* demands landing after {goal_dwell}";
+        "another goal; the end of the flight";
+    NoGoal, Hold, true: "no goal was given"; "a goal";
+    Operator, Hold, false: "an operator disengaged, or told to land (then it demands landing)"; "an operator engages";
+    HandoverFailed, Wait, false:
+        "the vehicle refused or did not answer, or the hand-over took longer than {handover_limit} and a second a metre of climb";
+        "after {handover_pause}; an operator engages";
+    LowBattery, Land, true: "the vehicle reports less charge than {battery_limit}";
+        "more charge, but a landing that began goes on";
+    VehicleFailsafe, Hold, false: "the vehicle's heartbeat says CRITICAL, EMERGENCY or FLIGHT_TERMINATION";
+        "it says otherwise";
+    TimeLimit, Land, false: "the flight is longer than the configured limit (none by default)"; "the end of the flight";
+    Attack, Hold, false:
+        "{raise_count} of the last {raise_window} verdicts on the flying actor were *attack*, and the policy is *stop* or *recover*";
+        "*recover*: slower than {stopped}, at the latest after {stop_limit}; *stop*: {alarm_clear_steps} clean steps in a row (the verdict is clean, the picture not rough, the actor on no collision course), after each further alarm of a flight twice as many";
+    NoVerdict, Hold, false:
+        "no verdict on the flying actor for more than {unknown_limit} steps, and the policy is *stop* or *recover*";
+        "as *attack*";
+    Recovering, Recover, false:
+        "the policy is *recover*, and *attack*, *no verdict*, *collision course*, *led astray*, *disagreement* or *rough picture* has stopped the vehicle";
+        "{alarm_clear_steps} clean steps in a row, after each further alarm of a flight twice as many; where the guard raised it, an operator's engage; the end of the flight";
+    CollisionCourse, Hold, false:
+        "the recovery pilot saw the flying actor's action lead into something in {guard_steps} consecutive steps, or its own in {recovery_guard_steps}, and the policy is *stop* or *recover*";
+        "*recover*: as *attack*; *stop*: an operator engages; the end of the flight";
+    BlindSensor, Hold, true:
+        "the frames show no return where the ground must be seen, or zeros for ranges, over 15° or more of the view";
+        "3 frames in a row that show it";
+    FrozenSensor, Hold, false:
+        "in flight the picture, or a part of it, stays as it was although the vehicle moved";
+        "a picture that fits an earlier one and the way flown since; after the second time in a flight, the end of the flight";
+    ImplausiblePose, Hold, true:
+        "the pose in the frame's header is more than 2 m or 15° from the telemetry's, or does not move as it does; or in flight the vehicle's position jumped";
+        "10 frames in a row whose pose fits";
+    InconsistentPicture, Hold, false:
+        "in flight the picture does not move as the vehicle does: it jumps, parts of it vanish, or it moves as a mirrored or a turned sensor's would, or one's of another width";
+        "as *frozen sensor*; of such a sensor the end of the flight";
+    NoProgress, Hold, false:
+        "{no_progress_limit} in *guided* did not bring the vehicle {no_progress_gain} nearer to the goal than it had been before; with no-progress *land* it demands landing after {no_progress_dwell}";
+        "another goal; an operator engages; the end of the flight";
+    SlowTelemetry, Warn, false:
+        "position or attitude arrive more than {slow_telemetry} apart on average, half of the age that is *stale telemetry*";
+        "both arrive faster";
+    PilotInCommand, Wait, false:
+        "standby, ready: a person took the vehicle over, or the policy is *auto* and the vehicle is where *auto* does not take it ([below](#where-auto-engages))";
+        "an operator engages; where nobody took it over also a state of the vehicle in which *auto* takes it";
+    UnauthenticatedFrame, Hold, true:
+        "frame keys are configured, and a frame in this step was not made with one of them";
+        "a step without such a frame";
+    LedAstray, Hold, false:
+        "the flying actor fell more than {astray} behind a vehicle that flies at {way_speed} along the way that the recovery pilot plans, what it had gained on it before not counted; and the policy is *stop* or *recover*";
+        "as *collision course*";
+    Disagreement, Hold, false:
+        "the yaw outputs of the flying actor and the recovery pilot were more than {apart} (of 3) apart, for {disagreement} longer than they were not; and the policy is *stop* or *recover*";
+        "as *collision course*";
+    RoughPicture, Hold, false:
+        "in `detector.raise_count` of the last `detector.raise_window` frames fewer than {smooth_share} of the cells of 4 × 4 pixels in which something is seen showed one surface, or a part of the picture was torn; and the policy is *stop* or *recover*";
+        "as *collision course*";
+    SecondSensorSilent, Hold, true: "`second_sensor` is on, and nothing usable came from it for 0.3 s, or ever";
+        "a report of it that can be used";
+    SensorsDisagree, Hold, true:
+        "in the air, in 3 of the second sensor's last 5 reports something was nearer, by more than 0.5 m, than the depth frames show in that direction";
+        "15 reports in a row that agree; after the second time in a flight, the end of the flight";
+    BeneathGround, Hold, false:
+        "in flight, in 8 of the last 10 frames, over 15° or more of the view, surfaces lie beneath the ground that the lowest rows show: nearer obstacles are shown farther away, or the ground falls away";
+        "40 frames in a row that show the ground and nothing beneath it; after the second time in a flight, the end of the flight";
+};
 
 /// Metres inside the fence at which [`Reason::Geofence`] clears.
 pub const FENCE_CLEAR_MARGIN_M: f32 = 0.5;

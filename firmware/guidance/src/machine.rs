@@ -172,13 +172,8 @@ impl Guidance {
         self.note_slips(input);
         self.note_hand_over(input);
         let alarm = self.note_verdict(input);
-        let action = match alarm {
-            Some(Alarm {
-                response: AlarmResponse::Recovery,
-                ..
-            }) => input.recovery,
-            _ => input.action,
-        };
+        let recovers = alarm.is_some_and(|alarm| alarm.response == AlarmResponse::Recovery);
+        let action = if recovers { input.recovery } else { input.action };
         let was_lost = self.reasons.contains(Reason::LinkLost);
         let reasons = self.conditions(input, alarm, action);
         self.reasons = reasons;
@@ -304,6 +299,7 @@ impl Guidance {
 
     fn note_verdict(&mut self, input: &GuidanceInput<'_>) -> Option<Alarm> {
         let kinematics = input.telemetry.kinematics;
+        let both = input.action.zip(input.recovery);
         self.alarm.step(
             &self.config.alarm,
             &AlarmInput {
@@ -311,10 +307,7 @@ impl Guidance {
                 verdict: input.verdict,
                 risk: input.risk,
                 smooth_share: input.smooth_share,
-                yaw_apart: match (input.action, input.recovery) {
-                    (Some(actor), Some(own)) => Some((actor.clipped().yaw - own.clipped().yaw).abs()),
-                    _ => None,
-                },
+                yaw_apart: both.map(|(actor, own)| (actor.clipped().yaw - own.clipped().yaw).abs()),
                 // A hand-over in the air regains a flight; the alarm survives it.
                 in_flight: self.in_flight() || self.state == GuidanceState::Engaging,
                 // On a climb or descent on the spot the action leads nowhere.

@@ -75,142 +75,38 @@ pub struct Transition {
     pub why: &'static str,
 }
 
-const fn row(
-    from: &'static [GuidanceState],
-    when: Guard,
-    to: GuidanceState,
-    intent: Intent,
-    why: &'static str,
-) -> Transition {
-    Transition {
-        from,
-        when,
-        to,
-        intent,
-        why,
-    }
+macro_rules! rows {
+    ($([$($from:ident),+] $when:ident => $to:ident, $intent:ident: $why:literal;)+) => {
+        [$(Transition {
+            from: &[$($from),+],
+            when: Guard::$when,
+            to: $to,
+            intent: Intent::$intent,
+            why: $why,
+        }),+]
+    };
 }
 
 /// All transitions in order of precedence: in each step the first row whose state and condition fit is taken, at most one.
 /// What ends a flight comes before landing, landing before hold, hold before guided.
-pub static TRANSITIONS: [Transition; 17] = [
-    row(
-        &[Standby, Ready, Engaging, Guided, Hold, Land],
-        Guard::VehicleRestarted,
-        Standby,
-        Intent::Renew,
-        "nothing of the hand-over is left",
-    ),
-    row(
-        &[Engaging],
-        Guard::HandOverTaken,
-        Standby,
-        Intent::Clear,
-        "somebody else has the vehicle",
-    ),
-    row(
-        &[Guided, Hold, Land],
-        Guard::MotorsOff,
-        Standby,
-        Intent::Clear,
-        "the flight is over; nobody but an operator may arm again",
-    ),
-    row(
-        &[Engaging, Guided, Hold],
-        Guard::LandDemanded,
-        Land,
-        Intent::Clear,
-        "on the ground is safer than in the air",
-    ),
-    row(
-        &[Land],
-        Guard::LandingTakenOver,
-        Standby,
-        Intent::Clear,
-        "somebody else has the vehicle",
-    ),
-    row(
-        &[Land],
-        Guard::Reengaged,
-        Engaging,
-        Intent::Keep,
-        "an operator may go around",
-    ),
-    row(
-        &[Engaging],
-        Guard::HandoverFailed,
-        Standby,
-        Intent::Spend,
-        "the vehicle does not obey; with the policy auto it is asked again after a pause",
-    ),
-    row(
-        &[Engaging],
-        Guard::Disengaged,
-        Hold,
-        Intent::Keep,
-        "the vehicle may be in the air",
-    ),
-    row(
-        &[Engaging],
-        Guard::HandedOver,
-        Guided,
-        Intent::Keep,
-        "armed, in the air, in its external mode, all inputs good",
-    ),
-    row(
-        &[Engaging],
-        Guard::HandedOverUnclear,
-        Hold,
-        Intent::Keep,
-        "the vehicle obeys, but an input is bad",
-    ),
-    row(
-        &[Guided],
-        Guard::HoldDemanded,
-        Hold,
-        Intent::Keep,
-        "a bad input is never answered with the last command",
-    ),
-    row(
-        &[Hold],
-        Guard::FailsafeHoldRegainable,
-        Engaging,
-        Intent::Keep,
-        "what made the vehicle hold is over",
-    ),
-    row(
-        &[Hold],
-        Guard::VehicleTaken,
-        Standby,
-        Intent::Clear,
-        "somebody else has the vehicle",
-    ),
-    row(
-        &[Hold],
-        Guard::ClearLongEnough,
-        Guided,
-        Intent::Keep,
-        "every condition has cleared",
-    ),
-    row(
-        &[Standby],
-        Guard::InputsGood,
-        Ready,
-        Intent::Keep,
-        "everything needed is here",
-    ),
-    row(
-        &[Ready],
-        Guard::InputsMissing,
-        Standby,
-        Intent::Spend,
-        "something needed is missing; an operator's engage is not kept for later",
-    ),
-    row(
-        &[Ready],
-        Guard::EngageWanted,
-        Engaging,
-        Intent::Keep,
-        "take the vehicle",
-    ),
-];
+pub static TRANSITIONS: [Transition; 17] = rows! {
+    [Standby, Ready, Engaging, Guided, Hold, Land] VehicleRestarted => Standby, Renew:
+        "nothing of the hand-over is left";
+    [Engaging] HandOverTaken => Standby, Clear: "somebody else has the vehicle";
+    [Guided, Hold, Land] MotorsOff => Standby, Clear: "the flight is over; nobody but an operator may arm again";
+    [Engaging, Guided, Hold] LandDemanded => Land, Clear: "on the ground is safer than in the air";
+    [Land] LandingTakenOver => Standby, Clear: "somebody else has the vehicle";
+    [Land] Reengaged => Engaging, Keep: "an operator may go around";
+    [Engaging] HandoverFailed => Standby, Spend:
+        "the vehicle does not obey; with the policy auto it is asked again after a pause";
+    [Engaging] Disengaged => Hold, Keep: "the vehicle may be in the air";
+    [Engaging] HandedOver => Guided, Keep: "armed, in the air, in its external mode, all inputs good";
+    [Engaging] HandedOverUnclear => Hold, Keep: "the vehicle obeys, but an input is bad";
+    [Guided] HoldDemanded => Hold, Keep: "a bad input is never answered with the last command";
+    [Hold] FailsafeHoldRegainable => Engaging, Keep: "what made the vehicle hold is over";
+    [Hold] VehicleTaken => Standby, Clear: "somebody else has the vehicle";
+    [Hold] ClearLongEnough => Guided, Keep: "every condition has cleared";
+    [Standby] InputsGood => Ready, Keep: "everything needed is here";
+    [Ready] InputsMissing => Standby, Spend: "something needed is missing; an operator's engage is not kept for later";
+    [Ready] EngageWanted => Engaging, Keep: "take the vehicle";
+};

@@ -50,7 +50,7 @@ fn lockstep_exchange(bencher: divan::Bencher, with_frame: bool) {
         let sent = Datagrams::default();
         while server.serve(Duration::from_secs(10), || false, |_| &sent).unwrap() == Served::Step {}
     });
-    let mut client = LockstepClient::connect(&domain, Duration::from_secs(10)).unwrap();
+    let mut client = LockstepClient::connect(&domain, Duration::from_secs(10), || false).unwrap();
     let (received, mut sent) = (Datagrams::default(), Datagrams::default());
     let frame = Box::new(DepthFrame::EMPTY);
     bencher.bench_local(|| {

@@ -401,34 +401,25 @@ mod tests {
         assert_eq!(u64::from_le_bytes(timestamp), NOW + MAX_AHEAD + 1);
     }
 
-    fn setup(key: [u8; 32]) -> Vec<u8> {
-        let message = message!(
-            SETUP_SIGNING,
-            target_system = 1,
-            target_component = 191,
-            secret_key = key
-        );
+    fn setup(secret_key: [u8; 32]) -> Vec<u8> {
+        let (target_system, target_component) = (1, 191);
+        let message = message!(SETUP_SIGNING, target_system, target_component, secret_key);
         encode((255, 190), 0, &message)
     }
 
     #[test]
     fn another_key_passes_only_when_signed_with_the_present_one_and_a_first_one_only_when_asked_for() {
+        let rest = [[heartbeat(1), heartbeat(2)].concat()];
         for policy in [AllowUnsigned::Loopback, AllowUnsigned::Always] {
             let mut with_key = gate(Some(signing()), policy);
             let datagram = [heartbeat(1), setup([9; 32]), heartbeat(2)].concat();
-            assert_eq!(
-                admitted(&mut with_key, true, &datagram),
-                [[heartbeat(1), heartbeat(2)].concat()]
-            );
+            assert_eq!(admitted(&mut with_key, true, &datagram), rest);
             assert_eq!(with_key.counters().unsigned_key, 1);
             let right = gate(Some(signing()), policy).seal(&setup([9; 32])).to_vec();
             assert_eq!(admitted(&mut with_key, true, &right), std::slice::from_ref(&right));
 
             let mut without = gate(None, policy);
-            assert_eq!(
-                admitted(&mut without, true, &datagram),
-                [[heartbeat(1), heartbeat(2)].concat()]
-            );
+            assert_eq!(admitted(&mut without, true, &datagram), rest);
             assert_eq!(without.counters().unsigned_key, 1);
             let mut waiting = gate(None, policy).accepting_first_key(true);
             assert_eq!(admitted(&mut waiting, true, &setup([9; 32])), [setup([9; 32])]);

@@ -1,6 +1,6 @@
 //! What the flight stack and the simulated vehicle share towards the machine: MAVLink over UDP, TCP and serial lines in MAVSDK's notation ([`links`],
 //! [`link_url`], [`link_spec`]), several at once ([`router`]), who may speak on a link ([`gate`]), secrets ([`key_file`]), files that outlive a restart ([`state`]), work beside the loop
-//! ([`background`]), what is told at most so often ([`throttle`]), and [`shared_memory`] with depth frames and lockstep exchanges.
+//! ([`background`]), what is told at most so often ([`throttle`]), a program's end ([`interrupt`]), and [`shared_memory`] with depth frames and lockstep exchanges.
 //!
 //! ```
 //! use vigil_io::link_url::LinkUrl;
@@ -19,6 +19,7 @@
 pub mod background;
 pub mod clock;
 pub mod gate;
+pub mod interrupt;
 pub mod key_file;
 pub mod link_spec;
 pub mod link_url;

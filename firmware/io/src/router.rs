@@ -183,7 +183,13 @@ impl Switch {
         let Some(parsed) = packets(packet, &mut framing).next() else {
             return;
         };
-        self.own = id_of(&parsed);
+        let own = id_of(&parsed);
+        if own.system != self.own.system {
+            // Before the vehicle was heard, somebody on a ground link may have claimed to be it.
+            let component = AUTOPILOT;
+            self.routing.keep_only_on(VEHICLE, ComponentId { component, ..own });
+        }
+        self.own = own;
         let known = self.routing.toward(parsed.target(), self.ports.len());
         let links = if known.is_empty() { LinkSet::only(link) } else { known };
         let len = packet.len() + self.signature_len;

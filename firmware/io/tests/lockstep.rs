@@ -47,7 +47,7 @@ fn each_step_is_answered_with_its_own_data_until_the_simulator_says_that_it_is_o
     let (instance, domain) = Instance::joined(0);
     let number = instance.0;
     let firmware = thread::spawn(move || echo(number));
-    let mut client = LockstepClient::connect(&domain, PATIENCE).unwrap();
+    let mut client = LockstepClient::connect(&domain, PATIENCE, || false).unwrap();
     let mut sent = Datagrams::default();
     let mut frame = Box::new(DepthFrame::EMPTY);
     for step in 0..200 {
@@ -70,7 +70,7 @@ fn each_step_is_answered_with_its_own_data_until_the_simulator_says_that_it_is_o
 #[test]
 fn a_time_out_names_who_is_missing() {
     let (instance, domain) = Instance::joined(1);
-    let nobody = LockstepClient::connect(&domain, Duration::from_millis(60))
+    let nobody = LockstepClient::connect(&domain, Duration::from_millis(60), || false)
         .err()
         .unwrap();
     assert!(matches!(nobody, LockstepError::NoFirmware { .. }), "{nobody}");
@@ -85,15 +85,25 @@ fn a_time_out_names_who_is_missing() {
         assert_eq!(server.serve(PATIENCE, || false, |_| &sent).unwrap(), Served::Step);
         until_quit.recv().unwrap();
     });
-    let client = LockstepClient::connect(&domain, PATIENCE);
+    let client = LockstepClient::connect(&domain, PATIENCE, || false);
     drop(client);
-    let mut client = LockstepClient::connect(&domain, Duration::from_millis(500)).unwrap();
+    let mut client = LockstepClient::connect(&domain, Duration::from_millis(500), || false).unwrap();
     let (received, mut sent) = (Datagrams::default(), Datagrams::default());
     client.exchange(122, 0, None, &received, &mut sent).unwrap();
     let silent = client.exchange(123, 0, None, &received, &mut sent).unwrap_err();
     assert_eq!(silent.to_string(), "firmware did not answer step 123 within 0.5 s");
+    // Who interrupts it waits neither for that firmware nor for one that is not there.
+    drop(client);
+    let calls = std::cell::Cell::new(0);
+    let interrupted = move || calls.replace(calls.get() + 1) > 0;
+    let mut client = LockstepClient::connect(&domain, PATIENCE, interrupted).unwrap();
+    let cancelled = client.exchange(124, 0, None, &received, &mut sent).unwrap_err();
+    assert!(matches!(cancelled, LockstepError::Cancelled), "{cancelled}");
+    drop(client);
     quit.send(()).unwrap();
     firmware.join().unwrap();
+    let cancelled = LockstepClient::connect(&domain, PATIENCE, || true).err().unwrap();
+    assert!(matches!(cancelled, LockstepError::Cancelled), "{cancelled}");
 
     let mut server = LockstepServer::create(&domain).unwrap();
     let unused = |_: StepRequest<'_>| -> &Datagrams { panic!("no step was sent") };
@@ -111,8 +121,8 @@ fn each_role_exists_once() {
         matches!(second, LockstepError::RoleTaken { role: "firmware", .. }),
         "{second}"
     );
-    let _client = LockstepClient::connect(&domain, PATIENCE).unwrap();
-    let second = LockstepClient::connect(&domain, PATIENCE).err().unwrap();
+    let _client = LockstepClient::connect(&domain, PATIENCE, || false).unwrap();
+    let second = LockstepClient::connect(&domain, PATIENCE, || false).err().unwrap();
     assert!(
         matches!(second, LockstepError::RoleTaken { role: "simulator", .. }),
         "{second}"

@@ -8,7 +8,7 @@ use mcap::{Compression, McapError, McapResult, WriteOptions};
 use prost::Message;
 use std::collections::{BTreeMap, HashMap};
 use std::io::{Seek, Write};
-use vigil_types::{Goal, LogContent, Nanos};
+use vigil_types::{Goal, LogContent, Nanos, STEP_NS};
 
 /// Version of what a replay reads: `META`, `topic::TICK` and `topic::DEPTH`. Raised when an older reader would
 /// misread a newer log; a field added to a message does not raise it.
@@ -240,9 +240,10 @@ pub(crate) fn attach<W: Write + Seek>(
     writer.finish_attachment()
 }
 
-/// Whether `period_ns` passed since `last`, which is then set to `now_ns`. A clock that went back counts as passed.
+/// Whether this step is the one nearest to `period_ns` after `last`, which is then set to `now_ns`. A clock that went back counts
+/// as passed.
 pub(crate) fn due(last: &mut Option<Nanos>, now_ns: Nanos, period_ns: Nanos) -> bool {
-    let is_due = last.is_none_or(|then| then.abs_diff(now_ns) >= period_ns);
+    let is_due = last.is_none_or(|then| then.abs_diff(now_ns).saturating_add(STEP_NS / 2) >= period_ns);
     if is_due {
         *last = Some(now_ns);
     }

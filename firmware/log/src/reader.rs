@@ -42,7 +42,7 @@ pub enum ReadError {
     /// A log of another format version.
     #[error(
         "{path} has log format {found}, this program reads {LOG_FORMAT}; read it with the version of Vigil that wrote it{}",
-        .program.as_deref().map(|p| format!(" ({p})")).unwrap_or_default()
+        .program.as_deref().map(|p| format!(" ({})", p.escape_debug())).unwrap_or_default()
     )]
     Version {
         /// The file.
@@ -94,7 +94,8 @@ pub(crate) fn in_words(error: &McapError) -> String {
         McapError::BadChunkCrc { .. } => unpacked("does not match its checksum"),
         McapError::DecompressionError(_) => unpacked("cannot be unpacked"),
         McapError::UnsupportedCompression(name) => unpacked(&format!(
-            "is compressed with `{name}`, and lz4, zstd and nothing are what can be read"
+            "is compressed with `{}`, and lz4, zstd and nothing are what can be read",
+            name.escape_debug()
         )),
         McapError::UnexpectedEoc | McapError::BadChunkLength { .. } => unpacked("ends within a record"),
         McapError::RecordTooLarge { len, .. } | McapError::ChunkTooLarge(len) => {

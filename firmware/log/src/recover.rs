@@ -22,7 +22,8 @@ pub enum RecoverError {
     #[error(
         "{path} holds no whole record{}; nothing was written",
         .compression.as_deref().map(|name| format!(
-            ": its chunks are compressed with `{name}`, and lz4, zstd and nothing are what can be read"
+            ": its chunks are compressed with `{}`, and lz4, zstd and nothing are what can be read",
+            name.escape_debug()
         )).unwrap_or_default()
     )]
     Nothing {

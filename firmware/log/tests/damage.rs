@@ -13,8 +13,9 @@ use vigil_log::{LOG_FORMAT, LogEnd, LogPlace, ReadError, Reader, Recorder, Recov
 const STEPS: u64 = 6;
 
 /// A small closed log. Steps lie 0.4 s apart, so that it has several chunks.
-fn small_log(dir: &Path) -> Vec<u8> {
-    let path = dir.join("good.mcap");
+fn small_log() -> Vec<u8> {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("good.mcap");
     let mut recorder = Recorder::start(lockstep(LogPlace::File(path.clone()))).unwrap();
     for step in 0..STEPS {
         assert!(recorder.record(|slot| {
@@ -54,7 +55,7 @@ fn read_all(path: &Path) -> Result<(u64, Option<LogEnd>), ReadError> {
 fn a_log_cut_anywhere_gives_its_complete_part_and_says_so() {
     assert!(drawn(1).frame().is_some(), "the step that is to have a frame has one");
     let dir = tempfile::tempdir().unwrap();
-    let good = small_log(dir.path());
+    let good = small_log();
     let path = dir.path().join("cut.mcap");
     // What counts the records is the last metadata; behind it stands only the index.
     let (begin, length) = *pieces(&good, &[12]).last().unwrap();
@@ -89,10 +90,10 @@ fn a_log_cut_anywhere_gives_its_complete_part_and_says_so() {
 #[test]
 fn a_log_that_was_not_closed_is_recovered_into_a_new_file_with_an_index() {
     let dir = tempfile::tempdir().unwrap();
-    let good = small_log(dir.path());
+    let good = small_log();
     let (cut, closed) = (dir.path().join("cut.mcap"), dir.path().join("closed.mcap"));
     // Within the last chunk: what counts the records comes after it.
-    let (begin, length) = *chunks(&good).last().unwrap();
+    let (begin, length) = *pieces(&good, &[CHUNK]).last().unwrap();
     std::fs::write(&cut, &good[..begin + length / 2]).unwrap();
     assert!(mcap::Summary::read(&std::fs::read(&cut).unwrap()).is_err());
     let (records, _) = read_all(&cut).unwrap();
@@ -125,7 +126,7 @@ fn a_log_that_was_not_closed_is_recovered_into_a_new_file_with_an_index() {
 /// The chunks of a log that are not packed, packed by Zstandard; the index behind them is of no more use.
 fn packed_by_zstandard(log: &[u8]) -> Vec<u8> {
     let (mut packed, mut from) = (Vec::new(), 0);
-    for (begin, length) in chunks(log) {
+    for (begin, length) in pieces(log, &[CHUNK]) {
         // Behind opcode and length: times, size and checksum, no name, the stored size.
         let head = &log[begin + 9..][..28];
         let content = &log[begin + 9 + 28 + 4 + 8..begin + length];
@@ -189,7 +190,7 @@ fn forms(chunk_size: u64) -> Vec<(&'static str, mcap::WriteOptions)> {
 #[test]
 fn a_log_that_another_program_wrote_anew_is_read_and_recovered_in_every_form_of_the_format() {
     let dir = tempfile::tempdir().unwrap();
-    let good = small_log(dir.path());
+    let good = small_log();
     // A chunk for each message.
     for (name, options) in forms(1) {
         for metadata_behind in [false, true] {
@@ -234,8 +235,8 @@ fn a_log_that_another_program_wrote_anew_is_read_and_recovered_in_every_form_of_
 #[test]
 fn a_compression_that_nobody_knows_is_named() {
     let dir = tempfile::tempdir().unwrap();
-    let mut log = small_log(dir.path());
-    for (begin, _) in chunks(&log) {
+    let mut log = small_log();
+    for (begin, _) in pieces(&log, &[CHUNK]) {
         log[begin + 9 + 28 + 4..][..3].copy_from_slice(b"br9");
     }
     let (path, copy) = (dir.path().join("br9.mcap"), dir.path().join("copy.mcap"));
@@ -258,7 +259,7 @@ fn broken(good: &[u8]) -> Vec<(String, Vec<u8>)> {
     let mut all = Vec::new();
     for (form, options) in forms(8_000).into_iter().take(3) {
         let log = rewritten(good, form, options, false);
-        let chunks = chunks(&log);
+        let chunks = pieces(&log, &[CHUNK]);
         for (number, (begin, length)) in chunks.iter().enumerate().skip(1).take(2) {
             let name_len = usize::from(log[begin + 9 + 28]);
             for (what, at, flip) in [
@@ -284,7 +285,7 @@ fn broken(good: &[u8]) -> Vec<(String, Vec<u8>)> {
 #[test]
 fn damage_is_told_by_record_place_and_remedy_and_never_as_a_librarys_bare_error() {
     let dir = tempfile::tempdir().unwrap();
-    let good = small_log(dir.path());
+    let good = small_log();
     let (mut told, mut silent) = (0, Vec::new());
     for (name, bytes) in broken(&good) {
         let (path, copy) = (dir.path().join("bad.mcap"), dir.path().join("copy.mcap"));
@@ -328,12 +329,10 @@ fn damage_is_told_by_record_place_and_remedy_and_never_as_a_librarys_bare_error(
     );
 }
 
-/// Where the chunks of a log begin, and how long each is.
-fn chunks(log: &[u8]) -> Vec<(usize, usize)> {
-    pieces(log, &[6])
-}
+/// Opcode of a chunk.
+const CHUNK: u8 = 6;
 
-/// The same of records of other kinds.
+/// Where the records of these kinds begin in a log, and how long each is.
 fn pieces(log: &[u8], opcodes: &[u8]) -> Vec<(usize, usize)> {
     let mut at = 8;
     let mut chunks = Vec::new();
@@ -377,9 +376,8 @@ fn recovered(bytes: &[u8]) -> (Vec<u64>, vigil_log::Recovery) {
 
 #[test]
 fn what_is_whole_around_damage_is_recovered_and_what_is_lost_is_told() {
-    let dir = tempfile::tempdir().unwrap();
-    let good = small_log(dir.path());
-    let chunks = chunks(&good);
+    let good = small_log();
+    let chunks = pieces(&good, &[CHUNK]);
     assert!(chunks.len() >= 3, "several chunks: {chunks:?}");
     let all: Vec<u64> = (0..STEPS).collect();
     let (steps, whole) = recovered(&good);
@@ -418,11 +416,7 @@ proptest! {
     #[test]
     fn an_altered_log_never_gives_a_wrong_record(edits in prop::collection::vec((any::<prop::sample::Index>(), 1_u8..), 1..4)) {
         thread_local! {
-            static GOOD: (tempfile::TempDir, Vec<u8>) = {
-                let dir = tempfile::tempdir().unwrap();
-                let good = small_log(dir.path());
-                (dir, good)
-            };
+            static GOOD: (tempfile::TempDir, Vec<u8>) = (tempfile::tempdir().unwrap(), small_log());
         }
         GOOD.with(|(dir, good)| {
             let mut bad = good.clone();
@@ -487,10 +481,10 @@ fn a_wrong_file_is_named_for_what_it_is() {
     assert!(matches!(error(&path), ReadError::Metadata { key: "format", .. }));
 
     let next = (LOG_FORMAT + 1).to_string();
-    with_metadata(&path, "vigil", &[("format", &next), ("program", "firmware 9.9.9")]);
+    with_metadata(&path, "vigil", &[("format", &next), ("program", "firmware 9\x1b")]);
     let version = error(&path);
     assert!(matches!(version, ReadError::Version { found, .. } if found == LOG_FORMAT + 1));
-    assert!(version.to_string().contains("firmware 9.9.9"), "{version}");
+    assert!(version.to_string().contains("(firmware 9\\u{1b})"), "{version}");
 
     let format = LOG_FORMAT.to_string();
     with_metadata(

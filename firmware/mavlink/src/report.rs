@@ -105,18 +105,14 @@ fn named(now_ns: Nanos, name: &str, value: f32) -> MavMessage {
 /// Bits of the reasons that a float holds exactly; two floats hold all of them.
 const REASON_BITS: u32 = 24;
 
-/// State and reasons: what is sent at once when it changes. The reasons beyond the bits that a float holds are told apart,
-/// while there are or were (`before`) any.
-pub(crate) fn state_values(report: &StepReport, before: Reasons) -> impl Iterator<Item = MavMessage> {
+/// State and reasons: what is sent at once when it changes.
+pub(crate) fn state_values(report: &StepReport) -> [MavMessage; 3] {
     let (now_ns, reasons) = (report.now_ns, report.reasons.0);
-    let further = (reasons | before.0) >> REASON_BITS != 0;
     [
-        Some(named(now_ns, "gd_state", f32::from(report.state as u8))),
-        Some(named(now_ns, "gd_reason", (reasons & ((1 << REASON_BITS) - 1)) as f32)),
-        further.then(|| named(now_ns, "gd_reason2", (reasons >> REASON_BITS) as f32)),
+        named(now_ns, "gd_state", f32::from(report.state as u8)),
+        named(now_ns, "gd_reason", (reasons & ((1 << REASON_BITS) - 1)) as f32),
+        named(now_ns, "gd_reason2", (reasons >> REASON_BITS) as f32),
     ]
-    .into_iter()
-    .flatten()
 }
 
 /// Verdict, score and contributions; without a judgement there is nothing to tell, and a number that is not one is left

@@ -102,6 +102,13 @@ impl Routing {
         }
     }
 
+    /// Forgets a component on all links but one.
+    pub fn keep_only_on(&mut self, link: u8, component: ComponentId) {
+        for (_, seen) in (0..).zip(&mut self.seen).filter(|(number, _)| *number != link) {
+            seen.retain(|s| s.component != component);
+        }
+    }
+
     /// The links on which a packet's target may be: all of `links` for a broadcast, else those where it was seen.
     pub fn toward(&self, target: Option<(u8, u8)>, links: usize) -> LinkSet {
         let all = LinkSet::first(links);

@@ -15,28 +15,19 @@ use vigil_types::{Reasons, VehicleRequest};
 
 /// One packet of everything that the companion reads.
 fn corpus() -> Vec<Vec<u8>> {
+    let autopilot = MavAutopilot::MAV_AUTOPILOT_PX4;
+    let landed_state = MavLandedState::MAV_LANDED_STATE_IN_AIR;
+    let (command, target_system, target_component) = (MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1, 191);
     let mut packets: Vec<Vec<u8>> = [
-        message!(
-            HEARTBEAT,
-            autopilot = MavAutopilot::MAV_AUTOPILOT_PX4,
-            mavlink_version = 3
-        ),
+        message!(HEARTBEAT, autopilot, mavlink_version = 3),
         message!(LOCAL_POSITION_NED, x = 1.0, vz = 2.0),
         message!(ATTITUDE, yaw = 1.0, yawspeed = 0.1),
         message!(ATTITUDE_QUATERNION, q1 = 1.0, yawspeed = 0.1),
-        message!(
-            EXTENDED_SYS_STATE,
-            landed_state = MavLandedState::MAV_LANDED_STATE_IN_AIR
-        ),
+        message!(EXTENDED_SYS_STATE, landed_state),
         message!(SYS_STATUS, battery_remaining = 50),
         message!(HOME_POSITION, latitude = 1, z = 1.0),
         message!(GPS_GLOBAL_ORIGIN, altitude = 1),
-        message!(
-            COMMAND_ACK,
-            command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
-            target_system = 1,
-            target_component = 191
-        ),
+        message!(COMMAND_ACK, command, target_system, target_component),
         message!(TIMESYNC, ts1 = 5),
     ]
     .iter()

@@ -92,13 +92,11 @@ fn a_vehicle_in_the_air_only_gets_the_change_of_mode() {
 
 #[test]
 fn a_vehicle_that_already_obeys_is_not_commanded_at_all() {
-    let mut f = Flight::new(
-        ArduPilot,
-        Peer {
-            mode: Mode::External,
-            ..Peer::in_the_air(ArduPilot)
-        },
-    );
+    let peer = Peer {
+        mode: Mode::External,
+        ..Peer::in_the_air(ArduPilot)
+    };
+    let mut f = Flight::new(ArduPilot, peer);
     f.until(Guided);
     assert!(f.peer.flight_commands().is_empty());
 }

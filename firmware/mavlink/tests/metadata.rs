@@ -49,13 +49,8 @@ impl Computer {
         payload[..5].copy_from_slice(&[7, 0, session, opcode, size]);
         payload[8..12].copy_from_slice(&offset.to_le_bytes());
         payload[12..12 + data.len()].copy_from_slice(data);
-        let message = message!(
-            FILE_TRANSFER_PROTOCOL,
-            target_network = 0,
-            target_system = ME.0,
-            target_component = ME.1,
-            payload
-        );
+        let (target_system, target_component) = ME;
+        let message = message!(FILE_TRANSFER_PROTOCOL, target_system, target_component, payload);
         self.0.receive(0, 1, &bytes_of(client, &message));
     }
 

@@ -36,7 +36,10 @@ fn computer(flavour: Flavour) -> Bench {
 impl Bench {
     /// The answers to a message, in a step of `state`.
     fn ask_in(&mut self, state: GuidanceState, message: &MavMessage) -> Vec<PARAM_VALUE_DATA> {
-        self.step(state, Reasons::NONE, VehicleRequest::None);
+        // A refusal is told four times a second at most.
+        for _ in 0..5 {
+            self.step(state, Reasons::NONE, VehicleRequest::None);
+        }
         self.hear(GROUND_STATION, message);
         let sent = self.step(state, Reasons::NONE, VehicleRequest::None);
         sent.into_iter()
@@ -164,7 +167,7 @@ fn a_value_within_its_range_is_set_and_told() {
 #[test]
 fn a_wrong_type_or_a_value_out_of_range_is_answered_with_the_value_in_force_and_a_word() {
     let mut computer = computer(Flavour::Px4);
-    let integer = f32::from_bits;
+    let integer = |value: i32| f32::from_bits(value as u32);
     for (message, why, in_force) in [
         (set("PLT_CRUISE", 1.51, REAL), "out of range", 1.5),
         (set("PLT_CRUISE", 0.0, REAL), "out of range", 1.5),
@@ -172,11 +175,7 @@ fn a_wrong_type_or_a_value_out_of_range_is_answered_with_the_value_in_force_and_
         (set("PLT_CRUISE", f32::INFINITY, REAL), "out of range", 1.5),
         (set("PLT_CRUISE", 1.0, INTEGER), "wrong type", 1.5),
         (set("GD_SIXTEEN_CHARS", integer(301), INTEGER), "out of range", 0.0),
-        (
-            set("GD_SIXTEEN_CHARS", integer(-4i32 as u32), INTEGER),
-            "out of range",
-            0.0,
-        ),
+        (set("GD_SIXTEEN_CHARS", integer(-4), INTEGER), "out of range", 0.0),
         (set("GD_SIXTEEN_CHARS", 1.0, REAL), "wrong type", 0.0),
     ] {
         let answers = computer.ask(&message);
@@ -189,26 +188,25 @@ fn a_wrong_type_or_a_value_out_of_range_is_answered_with_the_value_in_force_and_
         assert!(said.iter().any(|text| text.contains(why)), "{message:?}: {said:?}");
     }
     assert_eq!(computer.companion.counters().parameters_refused, 8);
+    let told = (0..20).filter(|_| {
+        computer.hear(GROUND_STATION, &set("PLT_CRUISE", 9.0, REAL));
+        computer.step(GuidanceState::Ready, Reasons::NONE, VehicleRequest::None);
+        texts(&computer.sent).iter().any(|text| text.contains("out of range"))
+    });
+    assert!((4..=5).contains(&told.count()), "of twenty in a second");
     assert!(!computer.companion.parameters().take_changed());
 }
 
 #[test]
 fn in_flight_only_what_is_made_for_it_is_set() {
+    use GuidanceState::{Engaging, Guided, Hold, Land};
     let mut computer = computer(Flavour::Px4);
-    for state in [
-        GuidanceState::Engaging,
-        GuidanceState::Guided,
-        GuidanceState::Hold,
-        GuidanceState::Land,
-    ] {
+    for state in [Engaging, Guided, Hold, Land] {
         let answers = computer.ask_in(state, &set("PLT_CRUISE", 0.5, REAL));
         assert_eq!(answers[0].param_value, 1.5, "{state:?}");
         assert!(texts(&computer.sent).iter().any(|text| text.contains("not in flight")));
     }
-    computer.ask_in(
-        GuidanceState::Guided,
-        &set("GD_SIXTEEN_CHARS", f32::from_bits(7), INTEGER),
-    );
+    computer.ask_in(Guided, &set("GD_SIXTEEN_CHARS", f32::from_bits(7), INTEGER));
     assert_eq!(computer.value(1), ParameterValue::Integer(7));
     computer.ask_in(GuidanceState::Ready, &set("PLT_CRUISE", 0.5, REAL));
     assert_eq!(computer.value(0), ParameterValue::Real(0.5));

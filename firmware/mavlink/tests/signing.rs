@@ -68,14 +68,9 @@ fn verdict(verifier: &mut Signing, now: Timestamp, bytes: &[u8]) -> Result<(), R
 
 /// A command that would be obeyed.
 fn unsigned(i: u32, sender: (u8, u8)) -> Vec<u8> {
-    let message = message!(
-        COMMAND_LONG,
-        param1 = 1.0,
-        param7 = i as f32,
-        command = MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
-        target_system = 1,
-        target_component = 191
-    );
+    let (command, param1, param7) = (MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, 1.0, i as f32);
+    let (target_system, target_component) = (1, 191);
+    let message = message!(COMMAND_LONG, param1, param7, command, target_system, target_component);
     encode(sender, i as u8, &message)
 }
 

@@ -55,26 +55,19 @@ fn north_m(b: &Bench) -> Option<f32> {
 fn the_vehicles_messages_become_telemetry() {
     let mut b = acquainted();
     b.hear(vehicle(1), &position(1000, 4.0));
-    b.hear(
-        vehicle(1),
-        &message!(
-            ATTITUDE,
-            time_boot_ms = 1000,
-            roll = 0.1,
-            pitch = -0.2,
-            yaw = 2.0,
-            rollspeed = 0.01,
-            pitchspeed = 0.02,
-            yawspeed = 0.03
-        ),
+    let turning = message!(
+        ATTITUDE,
+        time_boot_ms = 1000,
+        roll = 0.1,
+        pitch = -0.2,
+        yaw = 2.0,
+        rollspeed = 0.01,
+        pitchspeed = 0.02,
+        yawspeed = 0.03
     );
-    b.hear(
-        vehicle(1),
-        &message!(
-            EXTENDED_SYS_STATE,
-            landed_state = MavLandedState::MAV_LANDED_STATE_IN_AIR
-        ),
-    );
+    b.hear(vehicle(1), &turning);
+    let landed_state = MavLandedState::MAV_LANDED_STATE_IN_AIR;
+    b.hear(vehicle(1), &message!(EXTENDED_SYS_STATE, landed_state));
     b.hear(vehicle(1), &message!(SYS_STATUS, battery_remaining = 63));
     let t = *b.companion.telemetry();
     let (h, k, a) = (t.heartbeat.unwrap(), t.kinematics.unwrap(), t.attitude.unwrap());
@@ -91,15 +84,9 @@ fn the_vehicles_messages_become_telemetry() {
     assert!(t.is_finite());
 
     // A quaternion says the same: yaw 2 rad alone is (cos 1, 0, 0, sin 1).
-    b.hear(
-        vehicle(1),
-        &message!(
-            ATTITUDE_QUATERNION,
-            time_boot_ms = 1001,
-            q1 = 1f32.cos(),
-            q4 = 1f32.sin()
-        ),
-    );
+    let (q1, q4) = (1f32.cos(), 1f32.sin());
+    let quaternion = message!(ATTITUDE_QUATERNION, time_boot_ms = 1001, q1, q4);
+    b.hear(vehicle(1), &quaternion);
     let yaw_rad = b.companion.telemetry().attitude.unwrap().attitude.yaw_rad();
     assert!((yaw_rad - 2.0).abs() < 1e-5);
     b.hear(vehicle(1), &message!(SYS_STATUS, battery_remaining = -1));

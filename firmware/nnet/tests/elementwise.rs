@@ -74,11 +74,7 @@ impl Evaluated {
     }
 
     fn tape(&self, x: &[f32]) -> Vec<f32> {
-        let mut tape = vec![f32::NAN; self.graph.tape_len()];
-        self.graph
-            .forward(Isa::detect(), &self.params, &[x], &mut tape)
-            .unwrap();
-        tape
+        tape_of(&self.graph, Isa::detect(), &self.params, &[x])
     }
 
     fn output(&self, x: &[f32]) -> Vec<f32> {

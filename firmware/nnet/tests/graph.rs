@@ -56,12 +56,7 @@ fn gradients_of_shared_nodes_and_weights_add_up() {
     let isa = Isa::detect();
     let mut packed = vec![0.0; graph.param_len()];
     graph.pack(&params, &mut packed).unwrap();
-    let evaluate = |x: &[f32]| {
-        let mut tape = vec![f32::NAN; graph.tape_len()];
-        let views: Vec<&[f32]> = x.chunks_exact(4).collect();
-        graph.forward(isa, &params, &views, &mut tape).unwrap();
-        tape
-    };
+    let evaluate = |x: &[f32]| tape_of(&graph, isa, &params, &x.chunks_exact(4).collect::<Vec<_>>());
     let (tape, reference) = (evaluate(&x), evaluate(&x_ref));
     let mut work = vec![f32::NAN; graph.work_len()];
     let mut d_params = vec![0.0; graph.param_len()];

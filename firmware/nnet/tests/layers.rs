@@ -78,17 +78,14 @@ impl Case<'_> {
         let d_params_want = finite_differences(|p| (self.oracle)(p, &wide_slices()), &weights_wide, &params_wide);
         for isa in Isa::available() {
             let name = format!("{} on {}", self.name, isa.name());
-            let mut tape = vec![f32::NAN; graph.tape_len()];
-            let mut reference = tape.clone();
             let mut work = vec![f32::NAN; graph.work_len()];
             let mut packed = vec![f32::NAN; graph.param_len()];
             graph.pack(&params, &mut packed).unwrap();
-            let run = |inputs: &Vec<Vec<f32>>, tape: &mut [f32]| {
+            let run = |inputs: &[Vec<f32>]| {
                 let views: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
-                graph.forward(isa, &params, &views, tape).unwrap();
+                tape_of(&graph, isa, &params, &views)
             };
-            run(&inputs, &mut tape);
-            run(&references, &mut reference);
+            let (tape, reference) = (run(&inputs), run(&references));
             close(&format!("{name}: value"), graph.output(&tape).unwrap(), &value);
 
             // Gradients are added to what is there.

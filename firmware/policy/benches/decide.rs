@@ -3,11 +3,11 @@
 #[path = "../tests/common/mod.rs"]
 mod common;
 
-use common::{Scene, block, column, input};
+use common::{Scene, block, column, input, walk};
 use divan::Bencher;
 use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PlausibilityCheck, RangeScan};
 use vigil_types::{
-    Attitude, AttitudeSample, DepthFrame, FrdVector, Heartbeat, Kinematics, NedVector, VehicleMode, VehicleTelemetry,
+    AttitudeSample, DepthFrame, FrdVector, Heartbeat, Kinematics, NedVector, VehicleMode, VehicleTelemetry,
 };
 
 fn main() {
@@ -18,22 +18,7 @@ fn main() {
 fn frames() -> Vec<DepthFrame> {
     let mut solids = vec![block([9.0, 9.3], [-3.0, 6.0]), block([6.0, 7.0], [-7.0, -5.0])];
     solids.extend((0..10_i16).map(|i| column(3.0 + f32::from(i), f32::from(i * 37 % 11) - 5.0, 0.15)));
-    let scene = Scene::new(solids);
-    (0..40_u16)
-        .map(|i| {
-            let mut frame = DepthFrame::EMPTY;
-            let attitude = Attitude::from_euler_rad(0.02, -0.05, 0.01 * f32::from(i));
-            let stamp_ns = u64::from(i) * 50_000_000;
-            scene.render(
-                NedVector::new(0.05 * f32::from(i), 0.0, -1.5),
-                attitude,
-                stamp_ns,
-                &mut frame,
-            );
-            frame.header.sequence = u64::from(i);
-            frame
-        })
-        .collect()
+    walk(&Scene::new(solids), 40)
 }
 
 #[divan::bench]

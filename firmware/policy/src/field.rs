@@ -62,14 +62,10 @@ struct Escape {
 impl Escape {
     /// The side to turn to now: 1 is right, −1 left, 0 none. `obstacle` is the nearest one ahead.
     fn side(&mut self, here: NedVector, now_ns: Nanos, obstacle: Option<NearestObstacle>) -> f32 {
-        let paused = now_ns.saturating_sub(self.last_ns) > PAUSE_NS;
-        self.last_ns = now_ns;
-        if paused {
-            *self = Self {
-                last_ns: now_ns,
-                ..Self::default()
-            };
+        if now_ns.saturating_sub(self.last_ns) > PAUSE_NS {
+            *self = Self::default();
         }
+        self.last_ns = now_ns;
         if let (Some(until_ns), Some((side, _))) = (self.turn_until_ns, self.last_turn) {
             if now_ns < until_ns {
                 return side;

@@ -97,8 +97,10 @@ impl SecondSensor {
             let nearest_m = directions
                 .zip(&scan.range_m)
                 .filter(|((forward, right), _)| *forward * cos + *right * sin >= least_cos)
-                .fold(f32::INFINITY, |nearest_m, (_, seen_m)| nearest_m.min(*seen_m));
-            range_m + HIDDEN_M < nearest_m
+                .map(|(_, seen_m)| *seen_m)
+                .reduce(f32::min);
+            // In a turn the frame may have had no direction there.
+            nearest_m.is_some_and(|nearest_m| range_m + HIDDEN_M < nearest_m)
         })
     }
 }
@@ -224,6 +226,12 @@ mod tests {
             (0..50).all(|i| !sensor.hides(&beam(0.2, i), &input)),
             "both see the wall"
         );
+        let turned = PilotInput {
+            now_ns: 150_000_000,
+            attitude: Attitude::from_euler_rad(0.0, 0.0, 6.75_f32.to_radians()),
+            ..input
+        };
+        assert!(!sensor.hides(&beam(2.0, 74), &turned), "in a turn");
         let silent = Reasons::of(Reason::SecondSensorSilent);
         assert_eq!(sensor.check(0, Some(&beam(43.0, 25)), Some(&input), true), silent);
     }

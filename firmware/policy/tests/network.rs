@@ -8,12 +8,12 @@ mod scene;
 mod torch;
 
 use plain::{distance, rng, uniform, wide};
-use scene::{Scene, block, column};
+use scene::{Scene, block, column, walk};
 use torch::{Reference, Tensors, actor_params};
 use vigil_nnet::{ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
 use vigil_policy::PilotInput;
 use vigil_policy::actor::{Actor, ActorSpec, CONTEXT, LOW_DIM};
-use vigil_types::{Ablation, Attitude, DepthFrame, GoalRelative, HeadingVector, NedVector};
+use vigil_types::{Ablation, DepthFrame, GoalRelative, HeadingVector};
 
 const FRAME: usize = 128 * 256;
 
@@ -74,33 +74,20 @@ fn actor(isa: Isa) -> Actor {
 
 fn input(frame: &DepthFrame) -> PilotInput<'_> {
     PilotInput {
-        now_ns: frame.header.stamp_ns,
-        depth: frame,
         goal: GoalRelative::new(12.0 - 0.1 * frame.header.sequence as f32, 0.4),
-        attitude: frame.header.attitude,
         velocity_m_s: HeadingVector::new(1.0, 0.1, 0.0),
-        height_m: 1.5,
+        ..scene::input(frame, frame.header.attitude)
     }
 }
 
-/// A flight past a wall and two columns, a frame for each step of 0.05 s.
+/// A flight past a wall and two columns.
 fn frames() -> Vec<DepthFrame> {
     let scene = Scene::new(vec![
         block([6.0, 6.3], [-3.0, 1.0]),
         column(3.5, 1.5, 0.15),
         column(9.0, -4.0, 0.3),
     ]);
-    (0..30)
-        .map(|step| {
-            let mut frame = DepthFrame::EMPTY;
-            let here = NedVector::new(0.05 * step as f32, 0.0, -1.5);
-            let attitude = Attitude::from_euler_rad(0.02, -0.05, 0.01 * step as f32);
-            scene.render(here, attitude, 0, &mut frame);
-            frame.header.stamp_ns = step * 50_000_000;
-            frame.header.sequence = step;
-            frame
-        })
-        .collect()
+    walk(&scene, 30)
 }
 
 #[test]

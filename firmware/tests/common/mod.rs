@@ -16,9 +16,8 @@ use vigil_firmware::ports::links::PeerRule;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{
-    ATTITUDE_QUATERNION_DATA, COMMAND_ACK_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA,
-    MavAutopilot, MavCmd, MavLandedState, MavMessage, MavModeFlag, MavParamType, MavResult, MavState, MavType,
-    SET_POSITION_TARGET_LOCAL_NED_DATA,
+    ATTITUDE_QUATERNION_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavLandedState, MavMessage,
+    MavModeFlag, MavParamType, MavResult, MavState, MavType, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_mavlink::framing::{self, FramingCounters};
 use vigil_mavlink::message;
@@ -222,7 +221,7 @@ pub struct TestVehicle {
     sequence: u8,
     frames: u64,
     steps: u64,
-    acks: Vec<COMMAND_ACK_DATA>,
+    acks: Vec<MavMessage>,
 }
 
 impl TestVehicle {
@@ -284,13 +283,10 @@ impl TestVehicle {
             }
             _ => result = MavResult::MAV_RESULT_UNSUPPORTED,
         }
-        self.acks.push(COMMAND_ACK_DATA {
-            command: command.command,
-            result,
-            target_system: from.system_id as u8,
-            target_component: from.component_id,
-            ..COMMAND_ACK_DATA::DEFAULT
-        });
+        let command = command.command;
+        let (target_system, target_component) = (from.system_id as u8, from.component_id);
+        self.acks
+            .push(message!(COMMAND_ACK, command, result, target_system, target_component));
     }
 
     /// Flies for one step.
@@ -332,26 +328,17 @@ impl TestVehicle {
             system_status: MavState::MAV_STATE_ACTIVE,
             mavlink_version: 3,
         });
-        let (p, v) = (self.position_ned_m, self.velocity_ned_m_s);
+        let [x, y, z] = self.position_ned_m.to_array();
+        let [vx, vy, vz] = self.velocity_ned_m_s.to_array();
         let q = self.attitude();
         let fills_rates = f32::from(self.heading_error_rad != 0.0);
-        let landed_state = if self.is_in_air() {
-            MavLandedState::MAV_LANDED_STATE_IN_AIR
-        } else {
-            MavLandedState::MAV_LANDED_STATE_ON_GROUND
+        let landed_state = match self.is_in_air() {
+            true => MavLandedState::MAV_LANDED_STATE_IN_AIR,
+            false => MavLandedState::MAV_LANDED_STATE_ON_GROUND,
         };
-        let acks = std::mem::take(&mut self.acks);
         let messages = [
             heartbeat,
-            MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
-                time_boot_ms,
-                x: p.x,
-                y: p.y,
-                z: p.z,
-                vx: v.x,
-                vy: v.y,
-                vz: v.z,
-            }),
+            message!(LOCAL_POSITION_NED, time_boot_ms, x, y, z, vx, vy, vz),
             MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
                 time_boot_ms,
                 q1: q.w,
@@ -365,10 +352,7 @@ impl TestVehicle {
             }),
             message!(EXTENDED_SYS_STATE, landed_state),
         ];
-        for message in messages
-            .into_iter()
-            .chain(acks.into_iter().map(MavMessage::COMMAND_ACK))
-        {
+        for message in messages.into_iter().chain(std::mem::take(&mut self.acks)) {
             assert!(told.push(0, &framing::encode((SYSTEM_ID, 1), self.sequence, &message)));
             self.sequence = self.sequence.wrapping_add(1);
         }

@@ -39,14 +39,8 @@ fn heartbeat(from: (u8, u8)) -> Vec<u8> {
     packet(from, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT))
 }
 
-fn command(from: (u8, u8), target: (u8, u8), number: MavCmd) -> Vec<u8> {
-    let command = message!(
-        COMMAND_LONG,
-        command = number,
-        target_system = target.0,
-        target_component = target.1
-    );
-    packet(from, &command)
+fn command(from: (u8, u8), (target_system, target_component): (u8, u8), command: MavCmd) -> Vec<u8> {
+    packet(from, &message!(COMMAND_LONG, command, target_system, target_component))
 }
 
 /// Sender and number of a message.
@@ -205,13 +199,9 @@ fn the_vehicle_and_the_guidance_computer_are_seen_on_every_link_and_commanded_fr
     assert!(rig.stations[1].heard().is_empty() && rig.vehicle.heard().is_empty());
 }
 
-fn ack_for(target: (u8, u8)) -> MavMessage {
-    message!(
-        COMMAND_ACK,
-        command = MavCmd::MAV_CMD_NAV_LAND,
-        target_system = target.0,
-        target_component = target.1
-    )
+fn ack_for((target_system, target_component): (u8, u8)) -> MavMessage {
+    let command = MavCmd::MAV_CMD_NAV_LAND;
+    message!(COMMAND_ACK, command, target_system, target_component)
 }
 
 #[test]
@@ -229,6 +219,13 @@ fn nobody_on_a_ground_link_is_taken_for_the_vehicle_and_nobody_at_all_for_the_gu
     rig.own(&[command(ME, VEHICLE, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM)]);
     assert!(rig.stations[0].heard().is_empty());
     assert_eq!(rig.vehicle.heard(), [(ME, COMMAND_LONG)]);
+    // Nor to one who was there before the vehicle told which system it is.
+    rig.stations[0].say(&heartbeat((2, 1)));
+    rig.step();
+    rig.hush();
+    rig.own(&[command((2, 191), (2, 1), MavCmd::MAV_CMD_COMPONENT_ARM_DISARM)]);
+    assert!(rig.stations[0].heard().is_empty());
+    assert_eq!(rig.vehicle.heard(), [((2, 191), COMMAND_LONG)]);
 }
 
 impl Random {
@@ -276,13 +273,8 @@ fn a_ground_link_on_which_nobody_would_be_heard_is_not_opened_and_there_are_four
 }
 
 /// SETUP_SIGNING of the first station.
-fn setup(target: (u8, u8), key: [u8; 32]) -> Vec<u8> {
-    let message = message!(
-        SETUP_SIGNING,
-        target_system = target.0,
-        target_component = target.1,
-        secret_key = key
-    );
+fn setup((target_system, target_component): (u8, u8), secret_key: [u8; 32]) -> Vec<u8> {
+    let message = message!(SETUP_SIGNING, target_system, target_component, secret_key);
     packet(STATION, &message)
 }
 

@@ -235,7 +235,8 @@ fn two_ground_stations_at_once_each_get_their_answers_and_both_see_what_the_othe
     flight.rig.hush();
     let set = set_parameter("GD_SPEED_LIM", 0.75, MavParamType::MAV_PARAM_TYPE_REAL32);
     flight.rig.stations[0].say(&packet(STATION, &set));
-    flight.rig.stations[1].say(&command(OTHER_STATION, ME, MavCmd::MAV_CMD_DO_SET_HOME));
+    let set_home = MavCmd::MAV_CMD_DO_SET_HOME;
+    flight.rig.stations[1].say(&command(OTHER_STATION, ME, set_home));
     let first = flight.heard_by(0);
     let told = |messages: &[MavMessage]| {
         messages
@@ -252,11 +253,7 @@ fn two_ground_stations_at_once_each_get_their_answers_and_both_see_what_the_othe
     assert!(told(&first) && acks(&first).is_empty());
     let second = flight.heard_by(1);
     assert!(told(&second), "the other station's value is told to both");
-    let unsupported = (
-        MavCmd::MAV_CMD_DO_SET_HOME,
-        MavResult::MAV_RESULT_UNSUPPORTED,
-        OTHER_STATION.0,
-    );
+    let unsupported = (set_home, MavResult::MAV_RESULT_UNSUPPORTED, OTHER_STATION.0);
     assert_eq!(acks(&second), [unsupported]);
 
     // One engages, the other stops the flight: the last word counts, whoever's it is.

@@ -76,7 +76,13 @@ fn a_first_key_from_setup_signing_is_in_force_at_once_kept_for_the_next_start_an
         assert_eq!(rig.links.statistics().signing.unsigned_key, 1);
     }
     let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
-    assert_eq!([&*key_file, key_file.parent().unwrap()].map(mode), [0o600, 0o700]);
+    let state = key_file.parent().unwrap();
+    assert_eq!([&*key_file, state].map(mode), [0o600, 0o700]);
+    // Whoever could write there could take the key away.
+    std::fs::set_permissions(state, std::fs::Permissions::from_mode(0o770)).unwrap();
+    let refused = config.gate().err().unwrap().to_string();
+    assert!(refused.contains("chmod 700"), "{refused}");
+    std::fs::set_permissions(state, std::fs::Permissions::from_mode(0o700)).unwrap();
     let mut rig = Rig::new(["", ""], config.gate().unwrap());
     for (bytes, passes) in [(&captured, false), (&signed(KEY, 10, &land), true)] {
         rig.stations[0].say(bytes);

@@ -4,11 +4,10 @@ use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::perturb::{Perturber, limit};
 use crate::state_attack::check;
 use crate::surrogate::{Ends, Surrogate};
-use vigil_nnet::network_file::FileError;
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::FrozenPolicy;
 use vigil_policy::actor::{ACTOR_LIMIT, ACTOR_OUTPUTS, GOAL_INPUTS, PositionalInputs};
-use vigil_policy::imported::{Channels, NetworkError, PolicyInputs};
+use vigil_policy::imported::{Channels, PolicyInputs};
 use vigil_types::DEPTH_PIXELS;
 
 /// Alters frames as they pass to an imported policy. It remembers what it delivered and what it was given. Pixels that the policy
@@ -127,10 +126,7 @@ impl PolicyAttack {
     /// A configuration out of range, a policy that does not fit itself.
     pub fn new(isa: Isa, policy: &FrozenPolicy, config: &AttackConfig) -> Result<Self, AttackError> {
         let inputs = policy.inputs;
-        let refused = |e: NetworkError| AttackError::Policy(e.to_string());
-        policy
-            .pilot(isa, false)
-            .map_err(|e: FileError| AttackError::Policy(e.to_string()))?;
+        policy.pilot(isa, false).map_err(refused)?;
         let graph = policy
             .network
             .unsaturated()
@@ -225,6 +221,10 @@ impl PolicyAttack {
         self.surrogate.started = false;
         self.direction = None;
     }
+}
+
+fn refused(error: impl ToString) -> AttackError {
+    AttackError::Policy(error.to_string())
 }
 
 fn limited(outputs: [f32; ACTOR_OUTPUTS]) -> [f32; ACTOR_OUTPUTS] {

@@ -1,13 +1,12 @@
 //! The adversary as a process of its own, between the raw and the delivered frame service.
 
 use crate::{AttackArgs, AttackRecord, PassedStep};
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use hdrhistogram::Histogram;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 use vigil_io::clock::monotonic_ns;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber};
@@ -106,9 +105,7 @@ pub fn run(args: &AdversaryArgs) -> Result<ExitCode> {
     let (north_m, east_m) = args.goal;
     let goal_ned_m = NedVector::new(north_m, east_m, -args.height);
     let mut interceptor = attack.interceptor(args.seed, goal_ned_m)?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    let stop = vigil_io::interrupt::set_by_interrupt()?;
     let domain = Domain::open(args.instance, "adversary")?;
     let mut from = FrameSubscriber::create(&domain, &args.from)?;
     let mut to = FramePublisher::create(&domain, &args.to)?;

@@ -123,6 +123,26 @@ pub(crate) fn padded<const N: usize>(bytes: &[u8]) -> [u8; N] {
 
 /// Texts that wait for the flight log, at most.
 const MOST_UNLOGGED: usize = 64;
+/// Refusals that are told in a second, at most.
+const REFUSALS_TOLD_PER_S: u32 = 4;
+
+/// How often something was done in the present period, and when that ends.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Allowance {
+    until_ns: Nanos,
+    count: u32,
+}
+
+impl Allowance {
+    /// Whether it may be done now: at most `most` times in a period, which begins with the first of them.
+    pub fn takes(&mut self, now_ns: Nanos, period_ns: Nanos, most: u32) -> bool {
+        if now_ns >= self.until_ns {
+            (self.until_ns, self.count) = (now_ns + period_ns, 0);
+        }
+        self.count = self.count.saturating_add(1);
+        self.count <= most
+    }
+}
 
 /// What a sensor of zones beside the depth camera measured: horizontal distances, left to right over its field of view.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -177,6 +197,7 @@ pub(crate) struct Core {
     pub forwarded: u64,
     pub texts: u64,
     pub last_text: String,
+    pub refusals_told: Allowance,
     /// Texts since the last record of the flight log.
     pub unlogged: Vec<(MavSeverity, String)>,
     /// Messages to send at the end of this call, besides their streams: on one link or on all.
@@ -227,6 +248,7 @@ impl Core {
             forwarded: 0,
             texts: 0,
             last_text: String::new(),
+            refusals_told: Allowance::default(),
             unlogged: Vec::new(),
             wanted: Vec::with_capacity(8),
         })
@@ -260,7 +282,7 @@ impl Core {
 
     /// Unix time in seconds, by the endpoint's own fixed calendar.
     pub fn unix_time_s(&self) -> u64 {
-        self.unix_time_at_zero_us / 1_000_000 + self.now_ns / 1_000_000_000
+        (self.unix_time_at_zero_us + self.now_ns / 1000) / 1_000_000
     }
 
     /// Sends a text to people on all links; longer than 50 bytes in chunks of one id.
@@ -280,6 +302,14 @@ impl Core {
     /// A text of something that is not as it should be.
     pub fn warn(&mut self, text: &str) {
         self.text(MavSeverity::MAV_SEVERITY_WARNING, text);
+    }
+
+    /// A text of a refusal that is answered besides: a flood on one link must not become one on all.
+    pub fn warn_refused(&mut self, text: &str) {
+        let told = &mut self.refusals_told;
+        if told.takes(self.now_ns, 1_000_000_000, REFUSALS_TOLD_PER_S) {
+            self.warn(text);
+        }
     }
 
     /// A text of something that is as it should be.

@@ -1,6 +1,6 @@
 //! The endpoint: datagrams and the vehicle's view in, datagrams and a command for the controllers out.
 
-use crate::core::{ComponentId, Core, EndpointStatus, SigningSetup, ZoneRanges};
+use crate::core::{Allowance, ComponentId, Core, EndpointStatus, SigningSetup, ZoneRanges};
 use crate::service::{Refusal, Service, Source, acknowledge};
 use crate::streams::Streams;
 use crate::vehicle::{ControlCommand, HoldLaw, Truth, VehicleView};
@@ -21,8 +21,8 @@ pub struct Endpoint {
     routing: Routing,
     /// Earliest time at which a service or stream wants to run.
     due_ns: Nanos,
-    /// Packets of each link that were passed on in the present step's time, and when that ends.
-    passed_on: [(Nanos, u32); MAX_LINKS],
+    /// Packets of each link that were passed on.
+    passed_on: [Allowance; MAX_LINKS],
 }
 
 /// Packets of one link that are passed on in 50 ms: a file transfer's burst. What is beyond is counted.
@@ -60,7 +60,7 @@ impl Endpoint {
             streams,
             routing: Routing::default(),
             due_ns: 0,
-            passed_on: [(0, 0); MAX_LINKS],
+            passed_on: [Allowance::default(); MAX_LINKS],
         })
     }
 
@@ -141,14 +141,8 @@ impl Endpoint {
 
     /// Whether another packet of a link may be passed on: a flood on one link must not become one on the others.
     fn may_pass_on(&mut self, link: LinkId) -> bool {
-        let Some((until_ns, count)) = self.passed_on.get_mut(usize::from(link.0)) else {
-            return false;
-        };
-        if self.core.now_ns >= *until_ns {
-            (*until_ns, *count) = (self.core.now_ns + STEP_NS, 0);
-        }
-        *count += 1;
-        *count <= PASSED_ON_PER_STEP
+        let passed_on = self.passed_on.get_mut(usize::from(link.0));
+        passed_on.is_some_and(|passed_on| passed_on.takes(self.core.now_ns, STEP_NS, PASSED_ON_PER_STEP))
     }
 
     fn command(&mut self, command: &Command, source: Source) {

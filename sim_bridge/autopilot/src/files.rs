@@ -50,11 +50,11 @@ struct Entry {
 }
 
 impl Entry {
-    fn own(content: Option<Vec<u8>>, modified_s: u64) -> Self {
+    fn new(content: Option<Vec<u8>>, modified_s: u64, own: bool) -> Self {
         Self {
             content,
             modified_s,
-            own: true,
+            own,
         }
     }
 }
@@ -106,14 +106,15 @@ impl FileSystem {
     /// Puts a file of the vehicle's own in place, with the directories on the way.
     pub fn provide(&mut self, path: &str, content: Vec<u8>, now_s: u64) {
         self.own_directories(path, now_s);
-        self.entries.insert(path.to_owned(), Entry::own(Some(content), now_s));
+        self.entries
+            .insert(path.to_owned(), Entry::new(Some(content), now_s, true));
     }
 
     /// Puts the directories on the way to a path in place.
     pub fn own_directories(&mut self, path: &str, now_s: u64) {
         for (end, _) in path.match_indices('/') {
             let directory = path.get(..end).unwrap_or_default().to_owned();
-            self.entries.entry(directory).or_insert(Entry::own(None, now_s));
+            self.entries.entry(directory).or_insert(Entry::new(None, now_s, true));
         }
     }
 
@@ -187,12 +188,7 @@ impl FileSystem {
             return Err(FileError::NoSpace);
         }
         self.client_entries += 1;
-        let entry = Entry {
-            content,
-            modified_s: now_s,
-            own: false,
-        };
-        self.entries.insert(path, entry);
+        self.entries.insert(path, Entry::new(content, now_s, false));
         Ok(())
     }
 

@@ -40,7 +40,7 @@ pub(crate) fn acknowledge(answer: Answer, command: u16, to: Source, core: &mut C
     let accepted = Refusal(MavResult::MAV_RESULT_ACCEPTED, None);
     let Refusal(result, text) = answer.err().unwrap_or(accepted);
     if let Some(text) = text {
-        core.warn(&text);
+        core.warn_refused(&text);
     }
     match result {
         MavResult::MAV_RESULT_UNSUPPORTED => core.refusals.command_unsupported += 1,

@@ -51,8 +51,6 @@ pub(crate) fn begin(core: &Core) -> Vec<u8> {
     text(&mut out, "sys_name", "Vigil");
     text(&mut out, "ver_hw", "simulated quadcopter");
     text(&mut out, "ver_sw", env!("CARGO_PKG_VERSION"));
-    let start_us = core.unix_time_at_zero_us + core.now_ns / 1000;
-    named(&mut out, b'I', "uint64_t time_ref_utc", &start_us.to_le_bytes());
     for (name, fields) in TOPICS {
         let format = format!("{name}:uint64_t timestamp;{fields}");
         message(&mut out, b'F', &[format.as_bytes()]);

@@ -2,9 +2,7 @@
 
 use super::flight::{ForeignConfig, ForeignFlight, PoseState};
 use super::pose_link::PoseLink;
-use crate::program::{
-    STATUS_STEPS, Status, announce, ending_code, lidar_key, nearness, print_status, set_by_interrupt,
-};
+use crate::program::{STATUS_STEPS, Status, announce, ending_code, lidar_key, nearness, print_status};
 use crate::world::Course;
 use crate::{CompanionView, CourseChoice, SensorFault, VehicleChoice};
 use anyhow::{Result, ensure};
@@ -93,7 +91,7 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
     begins_at_home(&course)?;
     let (links, system) = PoseLink::open_all(&args.pose, args.allow_unsigned)?;
     let config = configure(args, seed, system)?;
-    let stop = set_by_interrupt()?;
+    let stop = vigil_io::interrupt::set_by_interrupt()?;
     let domain = Domain::open(args.instance, "sensor")?;
     let mut publisher = FramePublisher::create(&domain, &args.frames)?;
     let epoch_ns = monotonic_ns().next_multiple_of(STEP_NS);

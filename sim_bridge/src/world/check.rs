@@ -73,6 +73,9 @@ impl Course {
     }
 
     fn check_frame(&self) -> Result<(), FieldProblem> {
+        if self.name.contains(char::is_control) {
+            return problem("name", "holds a control character");
+        }
         for (name, value, (low, high), unit) in [
             ("flight_height_m", self.flight_height_m, (0.5, 100.0), "m"),
             ("goal_radius_m", self.goal_radius_m, (0.1, 100.0), "m"),
@@ -96,10 +99,9 @@ impl Course {
         for (name, top_m) in [("bounds.top_m", b.top_m)].into_iter().chain(ceiling) {
             coordinate(name, top_m)?;
             let height_m = self.flight_height_m;
-            if top_m < height_m + VEHICLE.height_m {
-                let wrong = format!("is {top_m}, must be above the flight height of {height_m} m");
-                return problem(name, wrong);
-            }
+            let least_m = height_m + VEHICLE.height_m;
+            let expected = format!("at least {least_m} m: the flight height of {height_m} m and the vehicle's height");
+            within(name, top_m, least_m..=f32::INFINITY, &expected)?;
         }
         Ok(())
     }
@@ -154,14 +156,11 @@ impl Course {
         }
         for (i, o) in self.overhangs.iter().enumerate() {
             let table = format!("overhang[{i}]");
-            check_fields!(o, table, coordinate: north_m east_m, size: length_m width_m bottom_m,
+            check_fields!(o, &table, coordinate: north_m east_m, size: length_m width_m bottom_m,
                 angle: yaw_deg, size: top_m);
-            if o.top_m < o.bottom_m + 0.01 {
-                return problem(
-                    format!("overhang[{i}].top_m"),
-                    format!("is {}, must be above bottom_m of {}", o.top_m, o.bottom_m),
-                );
-            }
+            let expected = format!("at least 0.01 m above bottom_m of {}", o.bottom_m);
+            let above = o.bottom_m + 0.01..=f32::INFINITY;
+            within(&format!("{table}.top_m"), o.top_m, above, &expected)?;
         }
         self.wires.iter().enumerate().try_for_each(|(i, w)| w.check(i))?;
         let mut meshes = self.meshes.iter().enumerate();

@@ -202,10 +202,11 @@ shape = { column = { radius_m = 0.35 } }
             to_m = [5.0, -2.0] => to_m = [5.0, inf] => 23: `wall[0].to_m[1]`
             to_m = [5.0, -2.0] => to_m = [5.0, -6.0] => 23: `wall[0].to_m`
             east_m = 5.0 } => east_m = 50.0 } => 2: `goal`
-            top_m = 6.0 => top_m = 1.0 => 7: `bounds.top_m`
+            top_m = 6.0 => top_m = 1.6 => 7: `bounds.top_m`: is 1.6, must be at least 1.7 m: the flight height of 1.5 m
             north_m = [-4.0, 26.0] => north_m = [26.0, -4.0] => 5: `bounds.north_m`
             north_m = 8.0\neast_m = 1.0 => north_m = 0.2\neast_m = 0.1 => 9: `column[0]`
             name = "two columns" => name = "two columns => 1:
+            name = "two columns" => name = "two\u0001columns" => 1: `name`: holds a control character
             [bounds] => flight_height_m = -1\n[bounds] => 4: `flight_height_m`
             speed_m_s = 0.5 => speed_m_s = 1.5 => 30: `mover[0].speed_m_s`
             to_m = [16.0, 4.0] => to_m = [16.0, 0.0] => 29: `mover[0].to_m`
@@ -228,7 +229,7 @@ shape = { column = { radius_m = 0.35 } }
             assert!(message.starts_with(&format!("bad.toml:{expected}")), "{to}: {message}");
             count += 1;
         }
-        assert_eq!(count, 19);
+        assert_eq!(count, 20);
     }
 
     #[test]

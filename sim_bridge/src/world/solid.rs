@@ -178,7 +178,7 @@ impl Solid {
         }
     }
 
-    /// The same solid as a parry shape at its pose; the one geometry behind collision and reference ray casting.
+    /// The same solid as a parry shape at its pose; the geometry behind collision and the tree's boxes.
     pub(crate) fn shape(&self) -> (Pose3, SharedShape) {
         let c = self.centre_ned_m();
         let at = Vec3::new(c.x, c.y, c.z);

@@ -14,8 +14,7 @@ use vigil_sim::vehicle_links::{LinksConfig, VehicleLinks};
 use vigil_types::Nanos;
 
 const SECOND: Nanos = 1_000_000_000;
-const KEY: SigningKey = SigningKey([3; 32]);
-
+const KEY: [u8; 32] = [3; 32];
 const STATION: (u8, u8) = (255, 190);
 
 /// A packet that differs from those of other numbers.
@@ -26,7 +25,7 @@ fn packet(number: u32) -> Vec<u8> {
 /// A file with the key.
 fn key_file(folder: &tempfile::TempDir) -> PathBuf {
     let file = folder.path().join("vigil.key");
-    std::fs::write(&file, KEY.0).unwrap();
+    std::fs::write(&file, KEY).unwrap();
     std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o600)).unwrap();
     file
 }
@@ -38,22 +37,11 @@ fn now() -> Timestamp {
     timestamp_of_unix_ns(unix.as_nanos() as u64)
 }
 
-fn sign(signing: &mut Signing, ahead: u64, packet: &[u8]) -> Vec<u8> {
+fn signed(key: [u8; 32], ahead: u64, packet: &[u8]) -> Vec<u8> {
     let mut out = [0; MAX_PACKET_LEN + 13];
+    let mut signing = Signing::new(SigningKey(key), 0, SigningMemory::default());
     let len = signing.sign(now() + ahead, packet, &mut out).unwrap();
     out[..len].to_vec()
-}
-
-fn fresh(key: [u8; 32]) -> Signing {
-    Signing::new(SigningKey(key), 0, SigningMemory::default())
-}
-
-fn signed(key: SigningKey, ahead: u64) -> Vec<u8> {
-    sign(&mut fresh(key.0), ahead, &packet(0))
-}
-
-fn signed_as(key: [u8; 32], packet: &[u8]) -> Vec<u8> {
-    sign(&mut fresh(key), 0, packet)
 }
 
 fn station() -> UdpSocket {
@@ -108,8 +96,8 @@ fn with_a_key_each_of_several_links_has_its_policy_and_a_replay_is_refused_on_al
     say(strict, &packet(0));
     let passed = passing(&mut links, SECOND);
     assert_eq!(passed, [(LinkId::API, packet(0))], "unsigned on loopback by default");
-    let right = signed(KEY, 0);
-    let (wrong, of_the_future) = (signed(SigningKey([4; 32]), 1), signed(KEY, 120 * 100_000));
+    let right = signed(KEY, 0, &packet(0));
+    let (wrong, of_the_future) = (signed([4; 32], 1, &packet(0)), signed(KEY, 120 * 100_000, &packet(0)));
     for bytes in [&right, &wrong, &of_the_future, &right] {
         say(strict, bytes);
     }
@@ -204,9 +192,9 @@ fn a_key_from_setup_signing_is_in_force_at_once_and_after_a_restart() {
             drop(links);
             links = VehicleLinks::open(&config).unwrap();
         }
-        for key in [KEY, SigningKey(setup.key)] {
+        for key in [KEY, setup.key] {
             // Beyond what the stored state is ahead by.
-            let bytes = signed(key, if restarted { 500_000 } else { 0 });
+            let bytes = signed(key, if restarted { 500_000 } else { 0 }, &packet(0));
             station.send_to(&bytes, (Ipv4Addr::LOCALHOST, 14580 + 94)).unwrap();
         }
         assert_eq!(passing(&mut links, SECOND).len(), 1, "restarted: {restarted}");
@@ -270,7 +258,7 @@ fn random_valid_packets_change_no_key_and_only_a_signed_one_does() {
             };
             let is_signed = random() % 4 == 0;
             if is_signed {
-                bytes = signed_as(key, &bytes);
+                bytes = signed(key, 0, &bytes);
             }
             say(&bytes);
             hear(&mut links, SECOND + i * 1_000_000);
@@ -279,10 +267,10 @@ fn random_valid_packets_change_no_key_and_only_a_signed_one_does() {
         assert!(told.starts_with("signing key refused"), "{told}");
         assert_eq!(links.refused_key(), None, "once");
         say(&setup([0; 32]));
-        say(&signed_as(KEY.0, &setup([0; 32])));
+        say(&signed(KEY, 0, &setup([0; 32])));
         // Stamps count ten microseconds, and of two packets with one stamp the second is a replay.
         std::thread::sleep(Duration::from_millis(1));
-        say(&signed_as(KEY.0, &setup([9; 32])));
+        say(&signed(KEY, 0, &setup([9; 32])));
         // A busy machine hands a datagram over late: as long as one is missing, and a moment more for one too many.
         let expected = u32::from(has_key);
         let mut moments_left = 20;
@@ -302,7 +290,7 @@ fn random_valid_packets_change_no_key_and_only_a_signed_one_does() {
         let kept = std::fs::read(&key_file).unwrap();
         match has_key {
             true => assert_eq!(kept, "09".repeat(32).into_bytes()),
-            false => assert_eq!(kept, KEY.0),
+            false => assert_eq!(kept, KEY),
         }
     }
 }

@@ -273,14 +273,9 @@ fn missions_on_a_model() {
     let number = |name: &str, otherwise| variable(name).map_or(otherwise, |text| text.parse().expect("a number"));
     let name = variable("MODEL").unwrap_or_else(|| "px4-sih".to_owned());
     let model = VehicleModel::from_name(&name).expect("a model's name");
-    let vehicle = match variable("NOISY").is_some() {
-        true => model.params().with_noisy_estimate(),
-        false => model.params(),
-    };
-    let duty = match variable("AROUND").is_some() {
-        true => Duty::FlyAround,
-        false => Duty::JustStop,
-    };
+    let is = |name| usize::from(variable(name).is_some());
+    let vehicle = [model.params(), model.params().with_noisy_estimate()][is("NOISY")];
+    let duty = [Duty::JustStop, Duty::FlyAround][is("AROUND")];
     let manner = Manner {
         turns: variable("TURNS").is_some(),
         nose_off_deg: variable("NOSE").map(|text| text.parse().expect("degrees")),
@@ -288,10 +283,8 @@ fn missions_on_a_model() {
         frame_every: variable("EVERY").map_or(0, |text| text.parse().expect("steps")),
         head_wind_m_s: variable("WIND").map_or(0.0, |text| text.parse().expect("metres per second")),
     };
-    println!(
-        "{name} {:?}",
-        missions_of(vehicle, duty, manner, number("FIRST_SEED", 1), number("MISSIONS", 40))
-    );
+    let (first_seed, count) = (number("FIRST_SEED", 1), number("MISSIONS", 40));
+    println!("{name} {:?}", missions_of(vehicle, duty, manner, first_seed, count));
 }
 
 /// `FIRST_SEED=1 cargo test --release -p vigil-tests --test just_stop -- --ignored --nocapture two_hundred_missions_through`

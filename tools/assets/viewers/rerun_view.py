@@ -264,7 +264,8 @@ class Show:
 
     def truth_pose(self, truth):
         self.shown_path.append(point(truth.pose.position))
-        self.draw("map/true_path", rr.LineStrips3D([self.shown_path[-600:]], colors=[GREEN], radii=[0.02]))
+        thinned = self.shown_path[:: 1 + len(self.shown_path) // 600]
+        self.draw("map/true_path", rr.LineStrips3D([[*thinned, self.shown_path[-1]]], colors=[GREEN], radii=[0.02]))
 
     def attack(self, attack):
         self.draw("plots/attack/yaw_change", rr.Scalars(abs(attack.yaw_change) if attack.altered > 0.5 else 0.0))
@@ -372,7 +373,9 @@ def show_course(course):
     moving = len(course["movers"][0]["solids"]) if course["movers"] else 0
     family = f"family {course['family']}, seed {course['seed']}" if course["family"] else "made by hand"
     way = "green line: a way that keeps clear" if course["way_ne_m"] else "**no way from start to goal keeps clear of the obstacles**"
-    lines = [f"# {course['name']}", family, f"{len(course['solids'])} obstacles stand still", f"{moving} move (pink; press play)", way,
+    # What is drawn of wires and meshes are pieces.
+    still = ", ".join(f"{course[kind]} {kind}" for kind in ("obstacles", "wires", "meshes") if course.get(kind))
+    lines = [f"# {course['name']}", family, f"standing still: {still or 'nothing'}", f"{moving} move (pink; press play)", way,
              f"goal reached within {course['goal_radius_m']:.1f} m, in {course['time_limit_s']:.0f} s"]
     rr.log("about", rr.TextDocument("\n\n".join(lines), media_type="text/markdown"), static=True)
 

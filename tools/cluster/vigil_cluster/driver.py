@@ -38,7 +38,7 @@ def _on_node(content: bytes, executable: bool = False) -> str:
     """The path of a file of this content on this node."""
     path = Path(tempfile.gettempdir()) / f"vigil-cluster-{os.getuid()}" / hashlib.sha256(content).hexdigest()
     path.parent.mkdir(mode=0o700, exist_ok=True)
-    if path.parent.stat().st_uid != os.getuid():
+    if path.parent.lstat().st_uid != os.getuid():
         raise CampaignError(f"{path.parent} on {platform.node()} belongs to another user")
     if not path.exists():
         handle, beside = tempfile.mkstemp(dir=path.parent)

@@ -1,8 +1,8 @@
 //! What a policy is given, and what is done with what it gives.
 
-use vigil_policy::imported::{Channels, Depth};
+use vigil_policy::imported::{Channels, Depth, PolicyInputs};
 
-/// How the policy is given what we have: see [`PolicyInputs`](vigil_policy::imported::PolicyInputs).
+/// How the policy is given what we have: see [`PolicyInputs`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Adapter {
     /// What its channels are.
@@ -31,6 +31,24 @@ impl Default for Adapter {
             flat: None,
             output: None,
             split: None,
+        }
+    }
+}
+
+impl Adapter {
+    /// How a policy is given a frame of so many rows, columns and channels as its input of this number, and the goal beside it or not.
+    pub(crate) fn inputs(&self, size: [usize; 3], frame_input: usize, has_position: bool) -> PolicyInputs {
+        let [rows, cols, channels] = size;
+        PolicyInputs {
+            rows,
+            cols,
+            channels,
+            order: self.order,
+            depth: self.depth,
+            scale: self.scale,
+            frame_input,
+            has_position,
+            output_scale: self.output_scale,
         }
     }
 }

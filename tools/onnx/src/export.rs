@@ -99,17 +99,10 @@ fn of_policy(policy: &FrozenPolicy) -> Result<Placed<'_>, NetworkError> {
         layers.push((layer.clone(), params));
     }
     let of_inputs = &policy.inputs;
-    let frame = Input {
-        name: "frame",
-        shape: vec![1, of_inputs.channels, of_inputs.rows, of_inputs.cols],
-    };
-    let mut inputs = vec![frame];
+    let frame_shape = vec![1, of_inputs.channels, of_inputs.rows, of_inputs.cols];
+    let mut inputs = vec![("frame", frame_shape)];
     if of_inputs.has_position {
-        let position = Input {
-            name: "position",
-            shape: vec![1, 2],
-        };
-        inputs.insert(1 - of_inputs.frame_input.min(1), position);
+        inputs.insert(1 - of_inputs.frame_input.min(1), ("position", vec![1, 2]));
     }
     Ok(Placed {
         layers,
@@ -157,18 +150,14 @@ fn of_actor(actor: &FrozenActor) -> Placed<'_> {
     }
     let scale = ACTOR_LIMIT;
     let output = push(dense(x, spec.output(), Activation::Tanh { scale }), own.output);
-    let input = |name, shape: &[usize]| Input {
-        name,
-        shape: shape.to_vec(),
-    };
     Placed {
         layers,
         output,
         params: &actor.params,
         inputs: vec![
-            input("frame", &[1, 1, spec.rows, spec.cols]),
-            input("context", &[1, CONTEXT]),
-            input("low_dim", &[1, LOW_DIM]),
+            ("frame", vec![1, 1, spec.rows, spec.cols]),
+            ("context", vec![1, CONTEXT]),
+            ("low_dim", vec![1, LOW_DIM]),
         ],
     }
 }

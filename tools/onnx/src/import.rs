@@ -22,7 +22,6 @@ use prost::Message;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::FileError;
 use vigil_policy::FrozenPolicy;
-use vigil_policy::imported::PolicyInputs;
 
 /// Why a model is not imported.
 #[derive(Debug, thiserror::Error)]
@@ -57,9 +56,7 @@ pub fn import(
     let action = action_name(graph, adapter.output.as_deref()).map_err(of_model)?;
     let needed = Needed::by(graph, action);
     let mut importer = Importer::new(graph, action, &needed).map_err(of_model)?;
-    let frame = importer
-        .inputs(graph, action, &needed, adapter.flat)
-        .map_err(of_model)?;
+    let inputs = importer.inputs(graph, action, &needed, adapter).map_err(of_model)?;
     let nodes = graph.node.iter().enumerate();
     for (number, node) in nodes.filter(|(number, _)| needed.nodes.get(*number) == Some(&true)) {
         importer.node(node).map_err(|message| {
@@ -71,10 +68,10 @@ pub fn import(
     importer.output(action).map_err(of_model)?;
     let params = importer.params.concat();
     let split = match adapter.split.as_deref() {
-        None => importer.network.proposed_split(&params, frame.input),
+        None => importer.network.proposed_split(&params, inputs.frame_input),
         Some(name) => Some(
             importer
-                .split_point(graph, name, &params, frame.input)
+                .split_point(graph, name, &params, inputs.frame_input)
                 .map_err(of_model)?,
         ),
     };
@@ -82,17 +79,7 @@ pub fn import(
         network: importer.network,
         params,
         split,
-        inputs: PolicyInputs {
-            rows: frame.rows,
-            cols: frame.cols,
-            channels: frame.channels,
-            order: adapter.order,
-            depth: adapter.depth,
-            scale: adapter.scale,
-            frame_input: frame.input,
-            has_position: frame.has_position,
-            output_scale: adapter.output_scale,
-        },
+        inputs,
         source: format!("{} {}", model.producer_name, graph.name).trim().to_owned(),
     };
     policy.network.check().map_err(|e| of_model(e.to_string()))?;

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use std::collections::HashMap;
 use std::hint::black_box;
 use std::path::Path;
-use vigil_adversary::{AttackConfig, Beside, Method, StateAttack, Towards};
+use vigil_adversary::{AttackConfig, Method, StateAttack, Towards};
 use vigil_detector::{Background, DeepShap, LstmAd, ROW, WINDOW};
 use vigil_nnet::{Isa, Purpose};
 use vigil_policy::FrozenActor;
@@ -87,22 +87,12 @@ pub fn prepare(actor: Option<&Path>, to: &Path) -> Result<HashMap<&'static str, 
 fn record_states(record: &mut Record, name: &str, states: &[State]) {
     let image = [1, DEPTH_ROWS, DEPTH_COLS];
     record.floats(&format!("{name}_frame"), &image, states.iter().flat_map(|s| &s.frame));
-    let contexts = states.iter().flat_map(|s| &s.context);
+    let contexts = states.iter().flat_map(|s| &s.beside.context);
     record.floats(&format!("{name}_context"), &[CONTEXT], contexts);
-    let low_dims = states.iter().flat_map(|s| s.low_dim.iter());
+    let low_dims = states.iter().flat_map(|s| s.beside.low_dim.iter());
     record.floats(&format!("{name}_low_dim"), &[LOW_DIM], low_dims);
     let hidden = states.iter().flat_map(|s| &s.hidden);
     record.floats(&format!("{name}_hidden"), &[ACTOR_HIDDEN], hidden);
-}
-
-/// What the actor holds beside a state's frame.
-fn beside(state: &State) -> Beside {
-    let mut context = [0.0; CONTEXT];
-    context.copy_from_slice(&state.context);
-    Beside {
-        context,
-        low_dim: state.low_dim,
-    }
 }
 
 /// What is being prepared.
@@ -135,8 +125,9 @@ impl Comparison<'_> {
 
     /// DeepSHAP of the yaw output at the split point.
     fn hidden_shap(&mut self, states: &[State], backgrounds: &[State]) -> Result<()> {
-        let split =
-            |states: &[State]| -> Vec<Background> { states.iter().map(|s| (s.hidden.to_vec(), s.low_dim)).collect() };
+        let split = |states: &[State]| -> Vec<Background> {
+            states.iter().map(|s| (s.hidden.to_vec(), s.beside.low_dim)).collect()
+        };
         let (points, inputs) = (split(backgrounds), split(states));
         let head = self.frozen.head(Purpose::Multipliers)?;
         let mut shap = vigil_detector::split_point_shap(self.isa, head, &points)?;
@@ -195,16 +186,15 @@ impl Comparison<'_> {
             let mut attack = StateAttack::new(self.isa, self.frozen, config)?;
             for state in states.iter().take(ATTACKED) {
                 let mut frame = state.frame.clone();
-                yaw_changes.push(attack.attack(&mut frame, &beside(state))?.yaw_change());
+                yaw_changes.push(attack.attack(&mut frame, &state.beside)?.yaw_change());
             }
         }
         self.record.floats("attack_yaw_changes", &[ATTACKED], &yaw_changes);
         let mut attack = StateAttack::new(self.isa, self.frozen, &AttackConfig::PAPER)?;
         let (state, mut frame) = (states[0].clone(), states[0].frame.clone());
-        let held = beside(&state);
         self.case("bim", move || {
             frame.copy_from_slice(&state.frame);
-            black_box(attack.attack(&mut frame, &held)?);
+            black_box(attack.attack(&mut frame, &state.beside)?);
             Ok(())
         });
         Ok(())

@@ -1,8 +1,9 @@
 //! States to compare on: what the actor sees and remembers on development courses.
 
 use anyhow::Result;
+use vigil_adversary::Beside;
 use vigil_policy::PilotInput;
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, Actor, PositionalInputs};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, Actor};
 use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
 use vigil_types::{
     ACTION_LIMIT, Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics, NedVector, STEP_NS,
@@ -21,8 +22,7 @@ const STEP_S: f32 = STEP_NS as f32 * 1e-9;
 #[derive(Debug, Clone)]
 pub struct State {
     pub frame: Vec<f32>,
-    pub context: Vec<f32>,
-    pub low_dim: PositionalInputs,
+    pub beside: Beside,
     pub hidden: [f32; ACTOR_HIDDEN],
     pub action: [f32; ACTOR_OUTPUTS],
 }
@@ -30,7 +30,7 @@ pub struct State {
 impl State {
     /// The networks' inputs.
     pub fn inputs(&self) -> [&[f32]; 3] {
-        [&self.frame, &self.context, &self.low_dim]
+        [&self.frame, &self.beside.context, &self.beside.low_dim]
     }
 }
 
@@ -71,8 +71,7 @@ pub fn watch(actor: &mut Actor, seed: u64) -> Result<Vec<State>> {
         if step > 0 && step % EVERY_STEPS == 0 {
             states.push(State {
                 frame: frame.depth.to_vec(),
-                context: actor.context().to_vec(),
-                low_dim: actor.low_dim(),
+                beside: Beside::of(actor),
                 hidden: *actor.state(),
                 action,
             });

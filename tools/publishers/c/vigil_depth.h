@@ -1,7 +1,8 @@
 /* Publishes depth frames to Vigil: docs/sensor-interface.md is the interface.
  *
  *     cargo build --release -p vigil-sensors --example vigil_depth
- *     cc publish_wall.c -I tools/publishers/c -L target/release/examples -lvigil_depth
+ *     cc tools/publishers/c/publish_wall.c -I tools/publishers/c -L target/release/examples -lvigil_depth \
+ *         -Wl,-rpath,target/release/examples
  *
  * A publisher belongs to the thread that opened it. Functions neither print nor exit. */
 

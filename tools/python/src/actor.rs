@@ -1,13 +1,13 @@
 //! Actors and imported policies for Python.
 
-use crate::given::{Floats, Moment, array, failed, refused, values};
+use crate::given::{Floats, array, at_moment, failed, refused, values};
 use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::actor::{ACTOR_OUTPUTS, GOAL_INPUTS, LOW_DIM};
 use vigil_policy::imported::{Channels, Depth};
-use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy, ImportedPilot, Pilot};
+use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy, ImportedPilot, Pilot, PilotInput};
 use vigil_types::Nanos;
 
 /// A frozen actor of Vigil's architecture.
@@ -40,11 +40,9 @@ impl Actor {
         frame: PyReadonlyArrayDyn<'_, f32>,
         position: Vec<f32>,
     ) -> PyResult<(f32, f32)> {
-        let moment = Moment::of(&frame, &position, &mut self.next_ns)?;
-        let input = moment.input();
         let actor = &mut self.actor;
-        let [forward, yaw] = py.detach(|| actor.decide(&input)).map_err(refused)?;
-        Ok((forward, yaw))
+        let decide = |input: &PilotInput<'_>| py.detach(|| actor.decide(input)).map_err(refused);
+        at_moment(&frame, &position, &mut self.next_ns, decide).map(Into::into)
     }
 
     /// Forgets what it saw.
@@ -199,8 +197,8 @@ impl Policy {
         distance_m: f32,
         bearing_rad: f32,
     ) -> PyResult<(f32, f32)> {
-        let moment = Moment::of(&frame, &[distance_m, bearing_rad], &mut 0)?;
-        let action = self.pilot.decide(&moment.input());
+        let decide = |input: &PilotInput<'_>| Ok(self.pilot.decide(input));
+        let action = at_moment(&frame, &[distance_m, bearing_rad], &mut 0, decide)?;
         Ok((action.forward_m_s, action.yaw))
     }
 

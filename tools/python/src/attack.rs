@@ -1,11 +1,12 @@
 //! Attacks on what a policy sees for Python.
 
 use crate::actor::{Actor, Learned};
-use crate::given::{Floats, Moment, array, beside, frames, refused, values};
+use crate::given::{Floats, array, at_moment, beside, frames, refused, values};
 use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
 use vigil_adversary::{AttackConfig, AttackOutcome, Beside, Method, Towards};
 use vigil_nnet::Isa;
+use vigil_policy::PilotInput;
 use vigil_policy::actor::CONTEXT;
 use vigil_types::{DEPTH_FULL_SCALE_M, DepthFrame, Nanos};
 
@@ -105,8 +106,8 @@ impl FrameAttack {
 
     /// A frame that passes as it is.
     fn pass_on(&mut self, frame: PyReadonlyArrayDyn<'_, f32>, position: Vec<f32>) -> PyResult<()> {
-        let moment = Moment::of(&frame, &position, &mut self.next_ns)?;
-        self.attack.pass(&moment.input()).map(drop).map_err(refused)
+        let pass = |input: &PilotInput<'_>| self.attack.pass(input).map(drop).map_err(refused);
+        at_moment(&frame, &position, &mut self.next_ns, pass)
     }
 
     /// The frame altered, metres.
@@ -116,11 +117,12 @@ impl FrameAttack {
         frame: PyReadonlyArrayDyn<'py, f32>,
         position: Vec<f32>,
     ) -> PyResult<Attacked<'py>> {
-        let moment = Moment::of(&frame, &position, &mut self.next_ns)?;
-        let input = moment.input();
         let (attack, delivered) = (&mut self.attack, &mut *self.delivered);
-        let outcome = py.detach(|| attack.attack_while(&input, delivered, || true));
-        Ok(attacked(py, self.delivered.depth.to_vec(), outcome.map_err(refused)?))
+        let outcome = at_moment(&frame, &position, &mut self.next_ns, |input| {
+            py.detach(|| attack.attack_while(input, delivered, || true))
+                .map_err(refused)
+        })?;
+        Ok(attacked(py, self.delivered.depth.to_vec(), outcome))
     }
 
     /// Forgets the frames: a new flight.

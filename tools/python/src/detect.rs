@@ -8,7 +8,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
 use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, ROW_LIMIT, WINDOW};
-use vigil_lab::detector_training::{Examples, FitConfig, fit};
+use vigil_lab::detector_training::{Examples, FitConfig, LstmConfig, fit};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
 use vigil_policy::FrozenPilot;
 use vigil_policy::actor::PositionalInputs;
@@ -305,9 +305,8 @@ pub fn train<'py>(
             epochs,
             batch,
             rate,
-            gradient_norm: 5.0,
-            weight_decay: 0.01,
             seed,
+            ..LstmConfig::default().fit
         };
         let pool = thread_pool(threads.max(1)).map_err(refused)?;
         let fitted = pool.install(|| fit(&graph, Isa::detect(), first, &learn, &choose, &config, &mut |_, _| {}));

@@ -30,8 +30,6 @@ struct Conditions {
     wind_m_s: f64,
     time_limit_s: Option<f32>,
     weights: RewardConfig,
-    /// Progress along the shortest free way, not the straight line.
-    along_way: bool,
     /// The true state is told.
     privileged: bool,
     /// Actions and what is observed are within ±1.
@@ -62,7 +60,7 @@ impl Conditions {
         };
         let environment = Environment::unseen(&course, VehicleParams::default(), wind, seed);
         let flight = Flight::of(environment.map_err(|e| e.to_string())?);
-        let truth = (self.along_way || self.privileged).then(|| TrueCourse::new(&course));
+        let truth = (self.weights.along == Along::Path || self.privileged).then(|| TrueCourse::new(&course));
         let mut begun = Begun {
             path_ned_m: vec![flight.truth().position_ned_m],
             course,
@@ -72,16 +70,16 @@ impl Conditions {
             steps: 0,
             outcome: None,
         };
-        begun.left_m = begun.left_m(self.along_way);
+        begun.left_m = begun.left_m(self.weights.along);
         Ok(begun)
     }
 }
 
 impl Begun {
     /// What is left of the way, metres.
-    fn left_m(&self, along_way: bool) -> f32 {
+    fn left_m(&self, along: Along) -> f32 {
         match &self.truth {
-            Some(course) if along_way => course.way_m(self.flight.truth().position_ned_m),
+            Some(course) if along == Along::Path => course.way_m(self.flight.truth().position_ned_m),
             _ => self.flight.goal_distance_m(),
         }
     }
@@ -89,7 +87,7 @@ impl Begun {
     fn step(&mut self, conditions: &Conditions, action: Action) -> f32 {
         let before = self.flight.checkpoints().0;
         self.outcome = self.flight.advance_unseen(action);
-        let left_m = self.left_m(conditions.along_way);
+        let left_m = self.left_m(conditions.weights.along);
         let (checkpoints, all_checkpoints) = self.flight.checkpoints();
         let result = DecisionResult {
             progress_m: self.left_m - left_m,
@@ -136,17 +134,6 @@ impl Begun {
     }
 }
 
-/// How a flight ended, as a number; −1: it goes on.
-fn code(outcome: Option<Outcome>) -> i8 {
-    match outcome {
-        None => -1,
-        Some(Outcome::Success) => 0,
-        Some(Outcome::Collision) => 1,
-        Some(Outcome::OutOfBounds) => 2,
-        Some(Outcome::TimeOut) => 3,
-    }
-}
-
 type Given<'py> = PyReadwriteArrayDyn<'py, f32>;
 /// Seconds, metres to the goal, checkpoints passed and all, position NED, velocity NED, heading.
 type Info = (f64, f32, usize, usize, [f32; 3], [f32; 3], f32);
@@ -162,6 +149,7 @@ struct Row<'a> {
     position: Option<&'a mut [f32]>,
     state: Option<&'a mut [f32]>,
     reward: &'a mut f32,
+    /// How the flight ended, as its place in [`Outcome`]; −1: it goes on.
     end: &'a mut i8,
 }
 
@@ -188,7 +176,7 @@ impl Row<'_> {
             let unit = if conditions.normalized { ACTION_LIMIT } else { 1.0 };
             let [forward_m_s, yaw] = [0, 1].map(|k| action[k].clamp(-most, most) * unit);
             *self.reward = begun.step(conditions, Action { forward_m_s, yaw });
-            *self.end = code(begun.outcome);
+            *self.end = begun.outcome.map_or(-1, |outcome| outcome as i8);
             match self.older {
                 Some(older) => self.frames[..len - pixels].copy_from_slice(&older[pixels..]),
                 None => self.frames.copy_within(pixels.., 0),
@@ -322,7 +310,6 @@ impl Flights {
                     checkpoint,
                     near,
                 },
-                along_way,
                 privileged,
                 normalized,
             },

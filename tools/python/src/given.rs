@@ -54,83 +54,64 @@ pub fn frames(what: &str, array: &PyReadonlyArrayDyn<'_, f32>, count: usize) -> 
 /// (m), heading (rad), velocity forward and right (m/s) as the vehicle believes; time (s).
 pub const POSITION: usize = 9;
 
-/// What a pilot decides on.
-pub struct Moment {
-    now_ns: Nanos,
-    depth: Box<DepthFrame>,
-    goal: GoalRelative,
-    attitude: Attitude,
-    velocity_m_s: HeadingVector,
-    height_m: f32,
-}
-
-impl Moment {
-    /// Of a frame in metres and an environment's position, or of a goal alone, distance in metres and bearing in radians: the vehicle then
-    /// stands where its flight began, and the time is `next_ns`, which becomes that of the step after.
-    pub fn of(frame: &PyReadonlyArrayDyn<'_, f32>, position: &[f32], next_ns: &mut Nanos) -> PyResult<Self> {
-        let pixels = frames("frame", frame, 1)?;
-        let other = || {
-            refused(format!(
-                "goal: a distance in metres and a bearing in radians, or the {POSITION} values of an environment's position, got {} \
+/// Hands a pilot's input to `decide`: of a frame in metres and an environment's position, or of a goal alone, distance in metres and bearing
+/// in radians: the vehicle then stands where its flight began, and the time is `next_ns`, which becomes that of the step after.
+pub fn at_moment<T>(
+    frame: &PyReadonlyArrayDyn<'_, f32>,
+    position: &[f32],
+    next_ns: &mut Nanos,
+    decide: impl FnOnce(&PilotInput<'_>) -> PyResult<T>,
+) -> PyResult<T> {
+    let pixels = frames("frame", frame, 1)?;
+    let other = || {
+        refused(format!(
+            "goal: a distance in metres and a bearing in radians, or the {POSITION} values of an environment's position, got {} \
                  values",
-                position.len()
-            ))
-        };
-        let (&[distance_m, bearing_rad], odometry) = position.split_first_chunk::<2>().ok_or_else(other)?;
-        let (place, yaw_rad, velocity_m_s, time_s) = match *odometry {
-            [] => (NedVector::new(0.0, 0.0, -HOVER_M), 0.0, HeadingVector::ZERO, None),
-            [north_m, east_m, height_m, yaw_rad, forward, right, time_s] => {
-                let place = NedVector::new(north_m, east_m, -height_m);
-                (place, yaw_rad, HeadingVector::new(forward, right, 0.0), Some(time_s))
-            }
-            _ => return Err(other()),
-        };
-        let all_finite = position.iter().all(|value| value.is_finite());
-        if !(distance_m >= 0.0 && all_finite) {
-            return Err(refused(format!(
-                "goal: a distance of 0 m or more and finite numbers, got {position:?}"
-            )));
+            position.len()
+        ))
+    };
+    let (&[distance_m, bearing_rad], odometry) = position.split_first_chunk::<2>().ok_or_else(other)?;
+    let (place, yaw_rad, velocity_m_s, time_s) = match *odometry {
+        [] => (NedVector::new(0.0, 0.0, -HOVER_M), 0.0, HeadingVector::ZERO, None),
+        [north_m, east_m, height_m, yaw_rad, forward, right, time_s] => {
+            let place = NedVector::new(north_m, east_m, -height_m);
+            (place, yaw_rad, HeadingVector::new(forward, right, 0.0), Some(time_s))
         }
-        if let Some(time_s) = time_s.filter(|time_s| *time_s > MOST_TIME_S) {
-            return Err(refused(format!(
-                "goal: a time of at most {MOST_TIME_S} s, got {time_s} s"
-            )));
-        }
-        // Tenths of a millisecond: a float32 of seconds has no more.
-        let now_ns = time_s.map_or(*next_ns, |time_s| {
-            (f64::from(time_s.max(0.0)) * 1e4).round() as Nanos * 100_000
-        });
-        *next_ns = now_ns + STEP_NS;
-        let attitude = Attitude::from_euler_rad(0.0, 0.0, yaw_rad);
-        let mut depth = Box::new(DepthFrame::EMPTY);
-        depth.depth.copy_from_slice(&pixels);
-        depth.header.stamp_ns = now_ns;
-        depth.header.position_ned_m = place;
-        depth.header.attitude = attitude;
-        Ok(Self {
-            now_ns,
-            depth,
-            goal: GoalRelative {
-                distance_m,
-                bearing_rad,
-            },
-            attitude,
-            velocity_m_s,
-            height_m: -place.z,
-        })
+        _ => return Err(other()),
+    };
+    let all_finite = position.iter().all(|value| value.is_finite());
+    if !(distance_m >= 0.0 && all_finite) {
+        return Err(refused(format!(
+            "goal: a distance of 0 m or more and finite numbers, got {position:?}"
+        )));
     }
-
-    /// For a pilot.
-    pub fn input(&self) -> PilotInput<'_> {
-        PilotInput {
-            now_ns: self.now_ns,
-            depth: &self.depth,
-            goal: self.goal,
-            attitude: self.attitude,
-            velocity_m_s: self.velocity_m_s,
-            height_m: self.height_m,
-        }
+    if let Some(time_s) = time_s.filter(|time_s| *time_s > MOST_TIME_S) {
+        return Err(refused(format!(
+            "goal: a time of at most {MOST_TIME_S} s, got {time_s} s"
+        )));
     }
+    // Tenths of a millisecond: a float32 of seconds has no more.
+    let now_ns = time_s.map_or(*next_ns, |time_s| {
+        (f64::from(time_s.max(0.0)) * 1e4).round() as Nanos * 100_000
+    });
+    *next_ns = now_ns + STEP_NS;
+    let attitude = Attitude::from_euler_rad(0.0, 0.0, yaw_rad);
+    let mut depth = Box::new(DepthFrame::EMPTY);
+    depth.depth.copy_from_slice(&pixels);
+    depth.header.stamp_ns = now_ns;
+    depth.header.position_ned_m = place;
+    depth.header.attitude = attitude;
+    decide(&PilotInput {
+        now_ns,
+        depth: &depth,
+        goal: GoalRelative {
+            distance_m,
+            bearing_rad,
+        },
+        attitude,
+        velocity_m_s,
+        height_m: -place.z,
+    })
 }
 
 /// Latest time of a decision, seconds: thirty years, whose nanoseconds leave room for those of a flight.

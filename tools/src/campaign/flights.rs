@@ -199,10 +199,8 @@ where
         let (flown, all) = (self.flown.len() as u64, self.jobs().count());
         let interrupted = !self.missing(&self.asked_for).is_empty();
         if interrupted {
-            let hint = match self.file {
-                Some(_) => "; the same command with --resume goes on",
-                None => "",
-            };
+            let goes_on = "; the same command with --resume goes on";
+            let hint = self.file.as_ref().map_or("", |_| goes_on);
             say!("interrupted      {flown} of {all} flights were flown{hint}");
         } else if flown < all {
             say!("incomplete       {}", self.missing_in_words());
@@ -347,22 +345,17 @@ where
         let (text, name) = (read(path)?, path.display());
         // A process that was killed leaves half a line at the end.
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
-        let headings = whole.lines().filter(|line| line.starts_with("{\"format\""));
-        ensure!(
-            whole.starts_with("{\"format\""),
-            "{name} has no heading: it is no campaign's"
-        );
-        for line in headings {
+        let is_heading = |line: &str| line.starts_with("{\"format\"");
+        ensure!(is_heading(whole), "{name} has no heading: it is no campaign's");
+        for line in whole.lines().filter(|line| is_heading(line)) {
             let other: Heading<Value> = heading_of(path, line)?;
             if let Some(difference) = self.difference(&other.origin)? {
                 bail!("{name} is of another campaign: {difference}");
             }
             self.heading.jobs.extend(&other.jobs);
         }
-        for (number, line) in (1..)
-            .zip(whole.lines())
-            .filter(|(_, line)| !line.starts_with("{\"format\""))
-        {
+        let lines = (1..).zip(whole.lines());
+        for (number, line) in lines.filter(|(_, line)| !is_heading(line)) {
             let line: Line<F> =
                 serde_json::from_str(line).with_context(|| format!("{name}, line {number} is damaged"))?;
             let arm = self.jobs().arms.iter().position(|arm| *arm == line.arm);
@@ -492,22 +485,15 @@ fn difference(a: &Value, b: &Value, place: &str) -> Option<String> {
     }
     if let (Value::Object(a), Value::Object(b)) = (a, b) {
         let names = a.keys().chain(b.keys().filter(|name| !a.contains_key(*name)));
-        return names
-            .filter_map(|name| {
-                let place = if place.is_empty() {
-                    name.clone()
-                } else {
-                    format!("{place}.{name}")
-                };
-                let of = |map: &serde_json::Map<String, Value>| map.get(name).cloned().unwrap_or(Value::Null);
-                difference(&of(a), &of(b), &place)
-            })
-            .next();
+        let of = |map: &serde_json::Map<String, Value>, name| map.get(name).cloned().unwrap_or(Value::Null);
+        let mut differences = names.map(|name| difference(&of(a, name), &of(b, name), &format!("{place}.{name}")));
+        return differences.find_map(|difference| difference);
     }
     let value = |value: &Value| match value {
         Value::Null => "absent".to_owned(),
         _ => value.to_string(),
     };
+    let place = place.trim_start_matches('.');
     Some(format!("{place} was {}, and is {}", value(b), value(a)))
 }
 

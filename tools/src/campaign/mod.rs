@@ -203,7 +203,7 @@ pub fn fly_recorded(
         }
     };
     let time_limit_s = f64::from(config.course.time_limit_s);
-    let Ok(record) = fly_lockstep_through(&mut simulator, &mut between, &mut firmware, time_limit_s, 0.0);
+    let Ok(record) = fly_lockstep_through(&mut simulator, &mut between, &mut firmware, time_limit_s);
     if let Some(recording) = recording {
         firmware.firmware.finish();
         recording.end(config, &record)?;

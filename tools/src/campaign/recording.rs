@@ -91,9 +91,9 @@ impl Begun {
         }
         let truth_file = self.notes_file.with_extension("truth.part");
         let mut truth = SideLog::create(&truth_file)?;
-        // The path's last point is that of the ending.
+        // A point is where a step ended; the path's last one is that of the ending.
         for (point, step) in record.path_ned_m.iter().zip((0..).step_by(PATH_STRIDE as usize)) {
-            truth.truth(step.min(record.steps) * STEP_NS, *point, None)?;
+            truth.truth((step + 1).min(record.steps) * STEP_NS, *point, None)?;
         }
         truth.finish()?;
         self.notes.finish()?;

@@ -252,24 +252,15 @@ struct Output {
 impl Output {
     fn open(args: &CommonArgs, what: &str, view: Option<View>) -> Result<Self> {
         let interrupt = Interrupt::on_ctrl_c()?;
-        let key = args
-            .frame_key
-            .as_ref()
-            .map(|path| frame_key(path, args.service.sensor_id))
-            .transpose()?;
+        let (instance, frames, id) = (args.service.instance, &args.service.frames, args.service.sensor_id);
+        let key = args.frame_key.as_ref().map(|path| frame_key(path, id)).transpose()?;
         let pose = PoseSource::open(args)?;
-        let domain = Domain::open(args.service.instance, "adapter")?;
-        let publisher = FramePublisher::create(&domain, &args.service.frames)?;
+        let publisher = FramePublisher::create(&Domain::open(instance, "adapter")?, frames)?;
         let mut frame = Box::new(DepthFrame::EMPTY);
-        frame.header.sensor_id = args.service.sensor_id;
+        frame.header.sensor_id = id;
         say!("device     {what}");
-        say!(
-            "frames     on `{}` of instance {}, sensor {}{}",
-            args.service.frames,
-            args.service.instance,
-            args.service.sensor_id,
-            if key.is_some() { "" } else { ", not authenticated" }
-        );
+        let unproven = if key.is_some() { "" } else { ", not authenticated" };
+        say!("frames     on `{frames}` of instance {instance}, sensor {id}{unproven}");
         if let Some(view) = view {
             say!("view       {view}");
             if !view.is_whole() {
@@ -358,21 +349,16 @@ pub fn ouster(args: &OusterArgs) -> Result<ExitCode> {
     let text = vigil_types::files::read_text(path, METADATA_LIMIT)
         .with_context(|| format!("--metadata {}", path.display()))?;
     let device = OusterDevice::from_metadata(&text).with_context(|| format!("--metadata {}", path.display()))?;
+    let (columns, turns, on) = (device.columns, device.rate_hz, args.listen);
+    let what = format!(
+        "{} beams, {columns} columns, {turns} turns a second, on {on}",
+        device.beams()
+    );
     let mut adapter = OusterAdapter::new(device, args.common.mount)?;
     let socket = UdpSocket::bind(args.listen).with_context(|| format!("--listen {}", args.listen))?;
     socket.set_read_timeout(Some(LOOK))?;
     // The system may give less; then packets are lost sooner, which is told.
     let _ = rustix::net::sockopt::set_socket_recv_buffer_size(&socket, RECEIVE_BUFFER);
-    let what = {
-        let device = &adapter.device;
-        format!(
-            "{} beams, {} columns, {} turns a second, on {}",
-            device.beams(),
-            device.columns,
-            device.rate_hz,
-            args.listen
-        )
-    };
     let mut out = Output::open(&args.common, &what, adapter.view)?;
     if adapter.device.rate_hz < 20.0 {
         tell!(

@@ -5,6 +5,7 @@ use anyhow::{Context, Result, bail, ensure};
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
+use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
@@ -51,6 +52,8 @@ impl Process {
         let mut command = Command::new(program);
         command.args(["--ends-with", &std::process::id().to_string()]);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log);
+        // Ctrl-C on the terminal reaches this process alone, which ends its children in order.
+        command.process_group(0);
         arrange(&mut command);
         let child = command.spawn().with_context(|| format!("cannot start the {name}"))?;
         Ok(Self {
@@ -100,22 +103,16 @@ impl Process {
             let asked = Instant::now();
             while self.child.try_wait()?.is_none() {
                 if asked.elapsed() > END_LIMIT {
-                    tell!(
-                        "vigil: the {} did not end within {} s and is killed",
-                        self.name,
-                        END_LIMIT.as_secs()
-                    );
+                    let (name, limit_s) = (self.name, END_LIMIT.as_secs());
+                    tell!("vigil: the {name} did not end within {limit_s} s and is killed");
                     self.child.kill()?;
                 }
                 std::thread::sleep(Duration::from_millis(20));
             }
         }
         // The reader does not panic, and ends with the pipe.
-        Ok(self
-            .report
-            .take()
-            .and_then(|reader| reader.join().ok())
-            .unwrap_or_default())
+        let report = self.report.take().and_then(|reader| reader.join().ok());
+        Ok(report.unwrap_or_default())
     }
 }
 
@@ -146,4 +143,17 @@ pub fn read_statuses(simulator: &mut Process) -> Result<Receiver<Status>> {
         }
     });
     Ok(receiver)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_child_is_in_a_group_of_its_own_which_a_terminal_does_not_interrupt() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let started = Process::start("child", folder.path(), |_| {}).expect("a child");
+        let pid = rustix::process::Pid::from_child(&started.child);
+        assert_eq!(rustix::process::getpgid(Some(pid)), Ok(pid));
+    }
 }

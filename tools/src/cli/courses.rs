@@ -165,6 +165,9 @@ fn in_3d(course: &Course, frame: &DepthFrame) -> Result<String> {
         "bounds": { "north_m": bounds.north_m, "east_m": bounds.east_m, "top_m": bounds.top_m },
         "ceiling_height_m": course.ceiling_height_m,
         "way_ne_m": course.corridor(),
+        "obstacles": course.solids().len(),
+        "wires": course.wires.len(),
+        "meshes": course.meshes.len(),
         "solids": crate::cli::scene::of(&still).solids,
         "movers": if course.movers.is_empty() { Vec::new() } else { movers },
         "movers_step_s": MOVERS_STEP_S,
@@ -236,6 +239,16 @@ fn depth_image(frame: &DepthFrame) -> Image {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_stands_still_is_counted_by_kind_and_not_by_the_pieces_that_are_drawn() {
+        let arena = Path::new(env!("CARGO_MANIFEST_DIR")).join("../sim_bridge/courses/arena.toml");
+        let shown = in_3d(&Course::load(&arena).unwrap(), &DepthFrame::EMPTY).unwrap();
+        let shown: serde_json::Value = serde_json::from_str(&shown).unwrap();
+        let counts = ["obstacles", "wires", "meshes"].map(|kind| shown[kind].as_u64());
+        assert_eq!(counts, [10, 1, 0].map(Some));
+        assert!(shown["solids"].as_array().is_some_and(|pieces| pieces.len() > 11));
+    }
 
     #[test]
     fn a_time_limit_below_the_way_is_named_where_nothing_moves() {

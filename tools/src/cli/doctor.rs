@@ -34,7 +34,7 @@ Examples:
 
 It commands nothing: it asks for messages, their rates and parameters. Run it on the link that the firmware will have, while the
 firmware does not run.
-Exit code: 0 nothing is missing or only warned of, 3 something is missing, 1 it could not be looked at.")]
+Exit code: 0 nothing is missing or only warned of, 3 something is missing, 1 it could not be looked at, 130 interrupted.")]
 pub struct DoctorArgs {
     /// Where the vehicle's MAVLink is: a URL as of `vigil firmware --link`, with the options system=ID and
     /// unsigned=loopback|never|always.
@@ -155,31 +155,40 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
         now_ns = monotonic_ns();
     }
     let mut findings = examination.findings(now_ns);
-    if let Some(other) = wire.statistics().0.other_system {
-        findings.push(Finding {
-            name: "system".to_owned(),
-            severity: Severity::Warning,
-            value: Some(format!("system {other} calls too")),
-            wanted: "the vehicle that was named".to_owned(),
-            why: "its packets are not read: is system=ID of the link right?".to_owned(),
-        });
-    }
+    findings.extend(of_link(wire.statistics().0.other_system, gate.counters().refused()));
     if let Some(frames) = &frames {
         findings.extend(of_sensor(&frames.check, started_ns, now_ns));
     }
-    report(args, &findings)
+    let code = report(args, &findings)?;
+    Ok(if interrupt.came() { interrupt.exit_code() } else { code })
+}
+
+/// What the examination does not see: packets that wire and gate kept from it.
+fn of_link(other_system: Option<u8>, refused: u64) -> impl Iterator<Item = Finding> {
+    let warning = |name, value, wanted, why| Finding::new(name, Severity::Warning, Some(value), wanted, why);
+    let other = other_system.map(|other| {
+        let why = "its packets are not read: is system=ID of the link right?";
+        warning(
+            "system",
+            format!("system {other} calls too"),
+            "the vehicle that was named",
+            why,
+        )
+    });
+    let refused = (refused > 0).then(|| {
+        let value = format!("{refused} packets refused: unsigned or wrongly signed");
+        let why = "give --signing-key, or --allow-unsigned always if only the vehicle reaches the link (docs/firmware.md, Signing)";
+        warning("signing", value, "packets that the link accepts", why)
+    });
+    other.into_iter().chain(refused)
 }
 
 /// What the sensor's own check says, as findings of the doctor's.
 fn of_sensor(check: &SensorCheck, started_ns: Nanos, ended_ns: Nanos) -> impl Iterator<Item = Finding> {
     let seconds = (ended_ns - started_ns) as f64 * 1e-9;
-    check.findings(seconds, ended_ns).into_iter().map(|found| Finding {
-        name: format!("sensor {}", found.name),
-        severity: found.severity,
-        value: Some(found.text),
-        wanted: "what docs/sensor-interface.md says".to_owned(),
-        why: "`vigil sensor check` says more".to_owned(),
-    })
+    let (wanted, why) = ("what docs/sensor-interface.md says", "`vigil sensor check` says more");
+    let found = check.findings(seconds, ended_ns).into_iter();
+    found.map(move |f| Finding::new(&format!("sensor {}", f.name), f.severity, Some(f.text), wanted, why))
 }
 
 fn report(args: &DoctorArgs, findings: &[Finding]) -> Result<ExitCode> {

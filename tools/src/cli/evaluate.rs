@@ -379,16 +379,11 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         threads: pool.current_num_threads(),
         before_s,
     };
-    report(&campaign, about(campaign.settings()), &args.json, Some(&took))?;
+    report(&campaign, &args.json, Some(&took))?;
     if let Some(shown) = &mut shown {
         shown.end(&interrupt)?;
     }
     Ok(interrupt.exit_code())
-}
-
-/// What the report names of the settings.
-fn about(settings: &Settings) -> (Option<&str>, bool) {
-    (settings.vehicle_model.as_deref(), settings.attack.is_some())
 }
 
 /// What lines of it call this command.
@@ -400,7 +395,7 @@ pub const COMMAND: &str = "evaluate";
 /// Flights that contradict each other or are not all; a file that cannot be written.
 pub fn merge(files: &[PathBuf], json: &Path) -> Result<ExitCode> {
     let campaign = Campaign::load(files, json)?;
-    report(&campaign, about(campaign.settings()), json, None)?;
+    report(&campaign, json, None)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -503,18 +498,7 @@ fn log_name(args: &EvaluateArgs, fault: Option<SensorFault>, seed: u64) -> Strin
 }
 
 /// Arguments that the command for a single flight does not have, or has of its own.
-const REPLACED: [&str; 10] = [
-    "--flights",
-    "--seed",
-    "--logs",
-    "--threads",
-    "-o",
-    "--json",
-    "--draw-failures",
-    "--view",
-    "--view-port",
-    "--python",
-];
+const REPLACED: &str = "--flights --seed --logs --threads -o --json --draw-failures --view --view-port --python";
 
 /// What to keep of a flight.
 fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, seed: u64) -> Result<Recording> {
@@ -526,14 +510,15 @@ fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, see
         Recording::set_aside(folder, &name)?;
     }
     let (seed, fault) = (seed.to_string(), fault.map(|fault| fault.to_string()));
-    let (mut dropped, mut added) = (REPLACED.to_vec(), vec!["--flights", "1", "--seed", &seed]);
+    let mut dropped: Vec<&str> = REPLACED.split(' ').collect();
+    let mut added = vec!["--flights", "1", "--seed", &seed];
     if let Some(fault) = &fault {
         dropped.push("--sensor-fault");
         added.extend(["--sensor-fault", fault]);
     }
     let words = std::env::args_os().filter(|word| word != "--resume");
     let command = flight_report::command_again(words, "evaluate", &dropped, &added);
-    let about = flight_report::about(command, &args.attack);
+    let about = flight_report::about(command, &args.attack, []);
     Ok(Recording { log, about })
 }
 

@@ -4,7 +4,7 @@ use crate::cli::child_process::Process;
 use crate::cli::foreign::{PilotWatch, PoseWatch};
 use crate::cli::live::{Live, state_line};
 use crate::cli::output::{Interrupt, say, tell};
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
@@ -18,8 +18,9 @@ const LANDING_LIMIT: Duration = Duration::from_secs(30);
 const DISARMED_LIMIT: Duration = Duration::from_secs(5);
 /// Above this height it flies, metres.
 const FLIES_M: f32 = 1.0;
-/// A simulator that says nothing for so long is given up.
-const SILENCE_LIMIT: Duration = Duration::from_secs(5);
+/// A simulator that says nothing for so many looks in a row is given up: looks, since time goes on while this process is stopped.
+const SILENT_LOOKS: u32 = 25;
+const LOOK: Duration = Duration::from_millis(200);
 
 pub(super) struct TruePose {
     pub(super) at_ns: Nanos,
@@ -104,17 +105,24 @@ pub(super) fn watch(
     let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{msg}")?);
     let mut flight = Flight::default();
     let mut reached_at: Option<Instant> = None;
-    let (mut has_flown, mut disarmed_at) = (false, None::<Instant>);
+    let (mut has_flown, mut disarmed_at, mut silent_looks) = (false, None::<Instant>, 0);
     let (mut pose, mut pilot) = (PoseWatch::default(), PilotWatch::default());
     let is_quiet = matches!(terminal, Terminal::Quiet);
     while !interrupt.came() {
-        match statuses.recv_timeout(SILENCE_LIMIT) {
+        match statuses.recv_timeout(LOOK) {
             Ok(status) => {
+                silent_looks = 0;
                 terminal.show(&bar, &flight.path, &status);
                 flight.keep(status);
             }
             Err(RecvTimeoutError::Timeout) => {
-                bail!("the {} said nothing for {} s", simulator.name, SILENCE_LIMIT.as_secs())
+                silent_looks += 1;
+                let (name, limit) = (simulator.name, LOOK * SILENT_LOOKS);
+                ensure!(
+                    silent_looks < SILENT_LOOKS,
+                    "the {name} said nothing for {} s",
+                    limit.as_secs()
+                );
             }
             Err(RecvTimeoutError::Disconnected) => {
                 // Its pipe closes a moment before its exit status can be read.

@@ -321,11 +321,8 @@ fn complete_log(
     }
     notes.finish()?;
     let adversary_file = folder.join(ADVERSARY_NOTES);
-    let sides: Vec<&Path> = [&truth_file, &adversary_file]
-        .into_iter()
-        .map(PathBuf::as_path)
-        .filter(|path| path.is_file())
-        .collect();
+    let mut sides = vec![truth_file.as_path(), &adversary_file];
+    sides.retain(|path| path.is_file());
     let merged = vigil_log::merge_into(&log, &sides, about);
     for side in sides {
         // Their content is in the log; one that stays behind does no harm.
@@ -348,7 +345,6 @@ fn about(
     last: Option<&Status>,
     ended_ns: Option<Nanos>,
 ) -> BTreeMap<String, String> {
-    let mut about = flight_report::about(command_again(args, seed), &args.attack);
     let known = [
         ("course", Some(course.name.clone())),
         ("seed", Some(seed.to_string())),
@@ -356,12 +352,7 @@ fn about(
         ("outcome", last.and_then(ending)),
         ("ended_ns", ended_ns.map(|ns| ns.to_string())),
     ];
-    about.extend(
-        known
-            .into_iter()
-            .filter_map(|(name, value)| Some((name.to_owned(), value?))),
-    );
-    about
+    flight_report::about(command_again(args, seed), &args.attack, known)
 }
 
 /// How the flight ended, if it did.
@@ -384,11 +375,8 @@ fn command_again(args: &FlyArgs, seed: u64) -> String {
 
 /// What the adversary's last line says. One that was killed has none; the flight went on or held without frames.
 fn adversary_in_words(said: &str) -> String {
-    let Some(record) = said
-        .lines()
-        .rev()
-        .find_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
-    else {
+    let mut lines = said.lines().rev();
+    let Some(record) = lines.find_map(|line| serde_json::from_str::<serde_json::Value>(line).ok()) else {
         return "ended without a report: see adversary.log".to_owned();
     };
     let number = |key: &str| record[key].as_u64().unwrap_or(0);
@@ -439,11 +427,6 @@ fn end_viewer(script: &mut Child, folder: &Path) -> Result<()> {
     Ok(())
 }
 
-fn report(folder: &Path) -> Option<PathBuf> {
-    let log = crate::cli::replay::find_log(folder).ok()?;
-    Some(flight_report::beside(&log)).filter(|path| path.is_file())
-}
-
 fn summarise(
     course: &Course,
     flight: &Option<Status>,
@@ -467,14 +450,10 @@ fn summarise(
     };
     say!("{} on {}", paint.verdict(success, &verdict), course.name);
     if success {
-        say!(
-            "vehicle   {}",
-            if status.armed {
-                "still armed: it did not land in time"
-            } else {
-                "landed, disarmed"
-            }
-        );
+        match status.armed {
+            true => say!("vehicle   still armed: it did not land in time"),
+            false => say!("vehicle   landed, disarmed"),
+        }
     }
     for line in said.firmware.lines().filter(|l| !l.trim().is_empty()) {
         say!("{line}");
@@ -482,7 +461,8 @@ fn summarise(
     if let Some(said) = &said.adversary {
         say!("adversary {}", adversary_in_words(said));
     }
-    if let Some(report) = report(folder) {
+    let report = crate::cli::replay::find_log(folder).map(|log| flight_report::beside(&log));
+    if let Some(report) = report.ok().filter(|path| path.is_file()) {
         say!("report    {}", report.display());
     }
     say!("files     {}", folder.display());

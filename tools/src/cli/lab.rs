@@ -47,22 +47,22 @@ pub struct Words {
     _words: Vec<OsString>,
 }
 
+fn is_own(word: &OsString) -> bool {
+    word.to_str().is_some_and(<Command as clap::Subcommand>::has_subcommand)
+}
+
 /// Whether these words ask for help with a command of the laboratory, whose arguments only `vigil-lab` knows.
-pub fn is_asked_about(mut words: impl Iterator<Item = OsString>) -> bool {
-    let is_own = |word: OsString| word.to_str().is_some_and(<Command as clap::Subcommand>::has_subcommand);
-    words.next().is_some_and(|word| word == "help") && words.next().is_some_and(is_own)
+pub fn is_asked_about(words: impl Iterator<Item = OsString>) -> bool {
+    let words: Vec<OsString> = words.take(3).collect();
+    let is_help = words.first().is_some_and(|word| word == "help");
+    words == ["help", "log", "film"] || is_help && words.get(1).is_some_and(is_own)
 }
 
-/// Becomes `vigil-lab` with the arguments of this process.
+/// Becomes `vigil-lab` with the arguments of this process; `log film` is its `film`.
 pub fn hand_on() -> Result<ExitCode> {
-    let error = program()?.args(std::env::args_os().skip(1)).exec();
-    Err(error).context(PROGRAM)
-}
-
-/// Becomes `vigil-lab film` with what follows `vigil log film`.
-pub fn film_log() -> Result<ExitCode> {
     let mut words: Vec<OsString> = std::env::args_os().skip(1).collect();
-    if let Some(log) = words.iter().position(|word| word == "log") {
+    let mut before = words.iter().take_while(|word| !is_own(word));
+    if let Some(log) = before.position(|word| word == "log") {
         words.remove(log);
     }
     let error = program()?.args(words).exec();

@@ -130,8 +130,9 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
             say_what_is_missing(incomplete);
         }
         LogCommand::Ulg(args) => {
-            let (log, to) = from_and_to(&args.log, args.output.as_deref(), |log| log.with_extension("ulg"))?;
+            let log = find_log(&args.log)?;
             let converted = vigil_log::ulog(&log).with_context(|| format!("no ULog of {}", log.display()))?;
+            let (log, to) = from_and_to(&log, args.output.as_deref(), |log| log.with_extension("ulg"))?;
             ensure!(converted.records > 0, "{} holds no whole step", log.display());
             output::write(&to, &converted.bytes)?;
             if !is_stdout(&to) {
@@ -154,7 +155,7 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
                 say!("records are missing before step {step}: what follows cannot be replayed");
             }
         }
-        LogCommand::Film(_) => return crate::cli::lab::film_log(),
+        LogCommand::Film(_) => return crate::cli::lab::hand_on(),
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -27,13 +27,22 @@ use std::process::ExitCode;
 ///
 /// Without a command, `vigil` flies one random validation course in real time (`vigil fly`).
 #[derive(Parser)]
-#[command(name = "vigil", version, after_help = EXAMPLES)]
+#[command(name = "vigil", version, after_help = EXAMPLES, mut_subcommands(with_negative_numbers))]
 struct Cli {
     #[command(subcommand)]
     command: Option<Any>,
 
     #[command(flatten)]
     every: EveryCommand,
+}
+
+/// A negative number behind an argument is its value, which its own parser refuses, and no argument that is unknown.
+pub fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let taken = |arg: clap::Arg| {
+        let is_named_value = arg.get_action().takes_values() && !arg.is_positional();
+        arg.allow_negative_numbers(is_named_value)
+    };
+    command.mut_args(taken).mut_subcommands(with_negative_numbers)
 }
 
 /// What every command takes.
@@ -140,5 +149,27 @@ pub fn execute(command: Command) -> Result<ExitCode> {
         Command::Doctor(args) => doctor::run(&args),
         Command::Sensor(args) => sensor::run(&args),
         Command::Courses(args) => courses::run(&args),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_negative_number_is_a_value_and_help_with_a_film_is_the_laboratory_s() {
+        let refused = |line: &str| Cli::try_parse_from(format!("vigil {line}").split(' ')).err();
+        assert!(refused("evaluate --wind -3 --noise -1").is_none());
+        for line in [
+            "courses write --seed -1",
+            "evaluate --goal-distance -1",
+            "sensor render --pose -1",
+        ] {
+            let error = refused(line).expect("no such value").to_string();
+            assert!(error.contains("invalid value '-1'"), "{error}");
+        }
+        let is_asked = |line: &str| lab::is_asked_about(line.split(' ').map(std::ffi::OsString::from));
+        let lines = ["help log film", "help learn", "help log report", "help fly"];
+        assert_eq!(lines.map(is_asked), [true, true, false, false]);
     }
 }

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tracing_subscriber::prelude::*;
 
 /// The command could not do its work (bad arguments, missing file, port in use, full disk).
@@ -19,6 +19,8 @@ pub const EXIT_ERROR: u8 = 1;
 pub const EXIT_DIFFERS: u8 = 3;
 /// Ctrl-C or SIGTERM ended it; what was done until then is kept.
 pub const EXIT_INTERRUPTED: u8 = 130;
+/// A terminal that closes and `timeout` send a signal twice; a person who presses Ctrl-C again is slower.
+const TWICE: Duration = Duration::from_millis(500);
 
 /// Why standard output took no more, the first time.
 static OUTPUT_FAILURE: OnceLock<io::Error> = OnceLock::new();
@@ -146,7 +148,7 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Set by Ctrl-C or SIGTERM; the second time ends the program at once.
+/// Set by Ctrl-C, SIGTERM or SIGHUP; another one, at least half a second later, ends the program at once.
 #[derive(Clone)]
 pub struct Interrupt(Arc<AtomicBool>);
 
@@ -160,12 +162,13 @@ impl Interrupt {
         }
         let interrupt = Self(Arc::default());
         let flag = interrupt.clone();
-        ctrlc::set_handler(move || {
-            if flag.0.swap(true, Ordering::Relaxed) {
+        let mut first = None;
+        vigil_io::interrupt::on_interrupt(move || {
+            flag.0.store(true, Ordering::Relaxed);
+            if first.get_or_insert_with(Instant::now).elapsed() > TWICE {
                 std::process::exit(EXIT_INTERRUPTED.into());
             }
-        })
-        .context("cannot install the Ctrl-C handler")?;
+        })?;
         *taken = Some(interrupt.clone());
         Ok(interrupt)
     }

@@ -165,7 +165,9 @@ impl ViewerArgs {
     /// Shows what the arguments name, or writes it into a file.
     fn show<'a>(&self, mut what: Vec<&'a std::ffi::OsStr>, save: Option<&'a Path>) -> Result<ExitCode> {
         what.extend(save.into_iter().flat_map(|to| ["--save".as_ref(), to.as_os_str()]));
-        ended(self.start(&what, None)?)
+        let status = self.start(&what, None)?.wait()?;
+        ensure!(status.success(), "the viewer was not opened ({status})");
+        Ok(ExitCode::SUCCESS)
     }
 
     /// Shows a course that is described in JSON, or saves what the viewer would show.
@@ -175,11 +177,15 @@ impl ViewerArgs {
     pub fn course(&self, json: &str, save: Option<&Path>) -> Result<()> {
         self.ready(save)?;
         // The script itself comes over standard input.
-        let file = std::env::temp_dir().join(format!("vigil-course-{}.json", std::process::id()));
-        output::write(&file, json)?;
-        let shown = self.show(vec!["--course".as_ref(), file.as_os_str()], save);
-        let _ = std::fs::remove_file(&file);
-        shown.map(|_| ())
+        let named = tempfile::Builder::new()
+            .prefix("vigil-course-")
+            .suffix(".json")
+            .tempfile();
+        let mut file = named.context("cannot make a file for the course")?;
+        file.write_all(json.as_bytes())
+            .context("the course could not be written")?;
+        self.show(vec!["--course".as_ref(), file.path().as_os_str()], save)?;
+        Ok(())
     }
 }
 
@@ -219,10 +225,4 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
 fn check_recording(to: &Path) -> Result<()> {
     ensure!(!output::is_stdout(to), "a recording is a file: give --save a name");
     Ok(())
-}
-
-fn ended(mut shown: Child) -> Result<ExitCode> {
-    let status = shown.wait()?;
-    ensure!(status.success(), "the viewer was not opened ({status})");
-    Ok(ExitCode::SUCCESS)
 }

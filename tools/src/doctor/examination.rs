@@ -302,11 +302,10 @@ impl Examination {
             }
             MavMessage::STATUSTEXT(m) => {
                 let text = m.text.to_str().unwrap_or_default();
-                if ["PreArm", "Arm:", "Preflight Fail"]
-                    .iter()
-                    .any(|start| text.starts_with(start))
-                {
-                    self.prearm_texts.insert(text.to_owned());
+                let starts = ["PreArm", "Arm:", "Preflight Fail"];
+                if starts.iter().any(|start| text.starts_with(start)) {
+                    // It is shown on a terminal.
+                    self.prearm_texts.insert(text.replace(char::is_control, "\u{fffd}"));
                 }
             }
             MavMessage::PARAM_VALUE(m) => {
@@ -444,10 +443,9 @@ impl Examination {
             (Some((id, interval_us, least_hz)), _) => {
                 let rate_hz = |id: u32| self.arrivals.get(&id).and_then(|a| a.rate_hz(now_ns)).unwrap_or(0.0);
                 // Attitude comes in one of two messages.
-                let or = if *id == ATTITUDE_DATA::ID {
-                    ATTITUDE_QUATERNION_DATA::ID
-                } else {
-                    *id
+                let or = match *id {
+                    ATTITUDE_DATA::ID => ATTITUDE_QUATERNION_DATA::ID,
+                    id => id,
                 };
                 if rate_hz(*id).max(rate_hz(or)) >= *least_hz {
                     return;

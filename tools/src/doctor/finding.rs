@@ -37,6 +37,16 @@ pub struct Finding {
 }
 
 impl Finding {
+    pub(crate) fn new(name: &str, severity: Severity, value: Option<String>, wanted: &str, why: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            severity,
+            value,
+            wanted: wanted.to_owned(),
+            why: why.to_owned(),
+        }
+    }
+
     /// A finding in one line.
     pub fn line(&self) -> String {
         let value = self.value.as_deref().unwrap_or("nothing");
@@ -66,13 +76,7 @@ impl Report {
     }
 
     fn add(&mut self, name: &str, severity: Severity, value: Option<String>, wanted: &str, why: &str) {
-        self.0.push(Finding {
-            name: name.to_owned(),
-            severity,
-            value,
-            wanted: wanted.to_owned(),
-            why: why.to_owned(),
-        });
+        self.0.push(Finding::new(name, severity, value, wanted, why));
     }
 
     pub(super) fn good(&mut self, name: &str, value: String) {

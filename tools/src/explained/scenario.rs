@@ -133,10 +133,8 @@ impl Scenario {
         };
         let mut scenario = Self::unattacked(family, seed, plan);
         if rng.random_bool(0.3) {
-            let (speed, towards) = (
-                rng.random_range(0.5..3.0),
-                rng.random_range(0.0..core::f64::consts::TAU),
-            );
+            let speed = rng.random_range(0.5..3.0);
+            let towards = rng.random_range(0.0..core::f64::consts::TAU);
             scenario.wind_m_s = [speed * libm::cos(towards), speed * libm::sin(towards), 0.2 * speed];
         }
         if rng.random_bool(0.3) {

@@ -48,7 +48,7 @@ pub struct Picture {
     pub shap: Option<String>,
 }
 
-/// The step of most interest: the first alarm, else the first altered frame, else the closest approach.
+/// The step of most interest: the first alarm, else the first altered frame.
 fn moment(log: &LogSeen) -> Option<usize> {
     log.alarms()
         .first()

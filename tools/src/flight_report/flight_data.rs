@@ -123,6 +123,11 @@ fn flight(path: &Path, log: &LogSeen, film: Film) -> Flight {
         ));
     }
     notes.extend(film.note);
+    let raised = |i: usize| {
+        let step = log.steps.get(i)?;
+        let (t, cause) = (log.seconds(step.now_ns), step.report.alarm?.cause.name());
+        Some(AlarmRaised { t, cause })
+    };
     Flight {
         title: words::title(path, log),
         verdict: words::verdict(log),
@@ -144,17 +149,7 @@ fn flight(path: &Path, log: &LogSeen, film: Film) -> Flight {
         columns: columns(&kept, log.threshold()),
         who: kept.iter().map(|s| log.who(&s.report)).collect(),
         attack,
-        alarms: log
-            .alarms()
-            .into_iter()
-            .filter_map(|i| {
-                let step = log.steps.get(i)?;
-                Some(AlarmRaised {
-                    t: log.seconds(step.now_ns),
-                    cause: step.report.alarm?.cause.name(),
-                })
-            })
-            .collect(),
+        alarms: log.alarms().into_iter().filter_map(raised).collect(),
         phi: explanations(&kept),
         map: map(log),
         film_none: film.none,

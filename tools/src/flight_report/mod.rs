@@ -18,8 +18,12 @@ use vigil_adversary::AttackArgs;
 /// Frames around the first alarm whose pixels are explained, unless told otherwise.
 pub const EXPLAINED: usize = 12;
 
-/// What is known of any flight besides its course, for its log: the command that flies it again, our commit, the attack.
-pub fn about(command: String, attack: &AttackArgs) -> BTreeMap<String, String> {
+/// What is known of a flight, for its log: the command that flies it again, our commit, the attack, and `more`.
+pub fn about<'a>(
+    command: String,
+    attack: &AttackArgs,
+    more: impl IntoIterator<Item = (&'a str, Option<String>)>,
+) -> BTreeMap<String, String> {
     let known = [
         ("command", Some(command)),
         ("git_commit", crate::cli::output::git_commit()),
@@ -27,6 +31,7 @@ pub fn about(command: String, attack: &AttackArgs) -> BTreeMap<String, String> {
     ];
     known
         .into_iter()
+        .chain(more)
         .filter_map(|(name, value)| Some((name.to_owned(), value?)))
         .collect()
 }
@@ -86,28 +91,20 @@ mod tests {
 
     #[test]
     fn the_command_that_flies_again_has_the_drawn_seed_and_not_this_flights_folder() {
-        let again = |line: &[&str]| {
-            let line = line.iter().map(|a| (*a).to_owned());
+        let again = |line: &str| {
+            let line = line.split('|').map(str::to_owned);
             command_again(line, "fly", &["-o", "--log", "--seed"], &["--seed", "7"])
         };
-        assert_eq!(again(&["/usr/bin/vigil"]), "vigil fly --seed 7");
-        assert_eq!(again(&["vigil", "-v", "fly"]), "vigil fly -v --seed 7");
-        assert_eq!(
-            again(&["vigil", "fly", "--seed=9", "--apf", "off"]),
-            "vigil fly --apf off --seed 7"
-        );
-        assert_eq!(
-            again(&[
-                "vigil",
-                "fly",
-                "-o",
-                "my runs",
-                "--log=x",
-                "-oruns",
-                "--course",
-                "it's.toml"
-            ]),
-            "vigil fly --course 'it'\\''s.toml' --seed 7"
-        );
+        for (line, command) in [
+            ("/usr/bin/vigil", "vigil fly --seed 7"),
+            ("vigil|-v|fly", "vigil fly -v --seed 7"),
+            ("vigil|fly|--seed=9|--apf|off", "vigil fly --apf off --seed 7"),
+            (
+                "vigil|fly|-o|my runs|--log=x|-oruns|--course|it's.toml",
+                "vigil fly --course 'it'\\''s.toml' --seed 7",
+            ),
+        ] {
+            assert_eq!(again(line), command);
+        }
     }
 }

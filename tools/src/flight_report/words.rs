@@ -113,20 +113,18 @@ fn standby_reasons(log: &LogSeen) -> String {
 
 /// Seconds since 1970 as a date, UTC.
 fn date(unix_s: u64) -> String {
-    let (days, second) = (unix_s / 86_400, unix_s % 86_400);
-    // Days to a civil date (H. Hinnant, "chrono-compatible low-level date algorithms"), for dates since 1970.
-    let shifted = days + 719_468;
-    let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let shifted_month = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * shifted_month + 2) / 5 + 1;
-    let month = if shifted_month < 10 {
-        shifted_month + 3
-    } else {
-        shifted_month - 9
+    let (mut day, second, mut months) = (unix_s / 86_400 + 1, unix_s % 86_400, 0);
+    let days_of = |months: u64| match (1970 + months / 12, months % 12 + 1) {
+        (year, 2) if year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400)) => 29,
+        (_, 2) => 28,
+        (_, 4 | 6 | 9 | 11) => 30,
+        _ => 31,
     };
-    let year = year_of_era + era * 400 + u64::from(month <= 2);
+    while day > days_of(months) {
+        day -= days_of(months);
+        months += 1;
+    }
+    let (year, month) = (1970 + months / 12, months % 12 + 1);
     let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
     format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02} UTC")
 }
@@ -271,7 +269,8 @@ fn who_flew(log: &LogSeen) -> String {
 fn path_flown(log: &LogSeen) -> String {
     let kinematics = log.steps.iter().filter_map(StepSeen::moves);
     let positions: Vec<_> = log.steps.iter().filter_map(StepSeen::position_ned_m).collect();
-    let length: f32 = positions.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+    let steps = positions.windows(2).map(|w| f64::from((w[1] - w[0]).norm()));
+    let length: f64 = steps.sum();
     let fastest = kinematics.map(|k| k.velocity_ned_m_s.horizontal_norm());
     let fastest = fastest.filter(|v| v.is_finite()).fold(0.0, f32::max);
     format!("{length:.1} m, at most {fastest:.1} m/s")
@@ -312,17 +311,18 @@ pub fn events(log: &LogSeen) -> Vec<Event> {
     // Runs of altered frames.
     let marks = &log.story.attack;
     for (i, mark) in marks.iter().enumerate() {
-        let before = i > 0 && marks[i - 1].altered;
-        match (before, mark.altered) {
-            (false, true) => {
-                let text = format!("adversary: frames are altered from frame {} on", mark.frame_sequence);
-                put(mark.at_ns, "warning", text);
-            }
-            (true, false) => {
-                let text = "adversary: frames are as they were again".to_owned();
-                put(mark.at_ns, "info", text);
-            }
-            _ => {}
+        if mark.altered == (i > 0 && marks[i - 1].altered) {
+            continue;
+        }
+        if mark.altered {
+            let text = format!("adversary: frames are altered from frame {} on", mark.frame_sequence);
+            put(mark.at_ns, "warning", text);
+        } else {
+            put(
+                mark.at_ns,
+                "info",
+                "adversary: frames are as they were again".to_owned(),
+            );
         }
     }
     if let Some((step, clearance)) = closest(log) {

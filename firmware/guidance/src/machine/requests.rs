@@ -51,11 +51,10 @@ impl Guidance {
         });
         let given_m = NedVector::new(north_m, east_m, -height_m);
         let from_home_m = given_m + (datum_ned_m - self.home_ned_m);
-        let permitted = from_home_m.is_finite()
-            && from_home_m.x.abs() <= GREATEST_GOAL_M
-            && from_home_m.y.abs() <= GREATEST_GOAL_M
+        // What is not a number is not within it either.
+        let is_near = |m: &f32| m.abs() <= GREATEST_GOAL_M;
+        let permitted = from_home_m.to_array().iter().all(is_near)
             && from_home_m.z < 0.0
-            && from_home_m.z >= -GREATEST_GOAL_M
             && self.config.geofence.is_none_or(|fence| {
                 fence.contains(from_home_m, FENCE_CLEAR_MARGIN_M)
                     && fence.is_high_enough(from_home_m, FENCE_CLEAR_MARGIN_M)

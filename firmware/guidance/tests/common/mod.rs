@@ -33,13 +33,9 @@ pub struct Story {
     pub risk: Risk,
     pub smooth_share: Option<f32>,
     pub velocity_ned_m_s: NedVector,
-    pub handover: HandoverProgress,
-    pub slips: u64,
-    pub restarts: u32,
-    pub up_ns: Option<Nanos>,
+    pub timing: StepTiming,
+    pub vehicle: VehicleStatus,
     pub landed: Landed,
-    pub home_ned_m: Option<NedVector>,
-    pub interval_ns: Option<Nanos>,
     pub last: Option<GuidanceOutput>,
 }
 
@@ -74,13 +70,12 @@ impl Story {
             risk: QUIET,
             smooth_share: Some(0.9),
             velocity_ned_m_s: NedVector::ZERO,
-            handover: HandoverProgress::Idle,
-            slips: 0,
-            restarts: 0,
-            up_ns: Some(600_000_000_000),
+            timing: StepTiming::default(),
+            vehicle: VehicleStatus {
+                up_ns: Some(600_000_000_000),
+                ..VehicleStatus::default()
+            },
             landed: Landed::Unknown,
-            home_ned_m: None,
-            interval_ns: None,
             last: None,
         }
     }
@@ -103,7 +98,7 @@ impl Story {
         self.mode = VehicleMode::External;
         self.failsafe = false;
         self.position_ned_m.z = -3.0;
-        self.handover = HandoverProgress::Done;
+        self.vehicle.handover = HandoverProgress::Done;
     }
 
     pub fn telemetry(&self) -> VehicleTelemetry {
@@ -134,17 +129,8 @@ impl Story {
             verdict: self.verdict,
             risk: Some(self.risk),
             smooth_share: self.smooth_share,
-            timing: StepTiming {
-                slips: self.slips,
-                ..Default::default()
-            },
-            vehicle: VehicleStatus {
-                handover: self.handover,
-                restarts: self.restarts,
-                up_ns: self.up_ns,
-                home_ned_m: self.home_ned_m,
-                telemetry_interval_ns: self.interval_ns,
-            },
+            timing: self.timing,
+            vehicle: self.vehicle,
         });
         self.last = Some(output);
         output

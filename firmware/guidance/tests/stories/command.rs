@@ -6,8 +6,8 @@ use super::*;
 fn with_policy_auto_guidance_takes_the_vehicle_back_after_a_failsafe_hold() {
     let mut s = Story::guided(auto());
     // A step was missed, so the vehicle missed setpoints and holds by itself; it says so.
-    s.slips += 1;
-    (s.mode, s.failsafe, s.handover) = (VehicleMode::Hold, true, HandoverProgress::Idle);
+    s.timing.slips += 1;
+    (s.mode, s.failsafe, s.vehicle.handover) = (VehicleMode::Hold, true, HandoverProgress::Idle);
     let hold = s.step();
     assert_eq!(
         hold.reasons,
@@ -29,7 +29,7 @@ fn with_policy_auto_guidance_takes_the_vehicle_back_after_a_failsafe_hold() {
 #[test]
 fn a_failsafe_hold_is_not_regained_while_frames_are_still_missing() {
     let mut s = Story::guided(auto());
-    s.slips += 1;
+    s.timing.slips += 1;
     (s.mode, s.failsafe, s.frame.age_ns) = (VehicleMode::Hold, true, Some(5_000_000_000));
     s.action = None;
     assert_eq!(s.run(seconds(20.0)).state, Hold);
@@ -42,7 +42,7 @@ fn a_failsafe_hold_is_not_regained_while_frames_are_still_missing() {
 #[test]
 fn a_failsafe_hold_that_lost_setpoints_are_not_the_reason_of_stays_until_an_operator_engages() {
     let mut s = Story::guided(auto());
-    (s.mode, s.failsafe, s.handover) = (VehicleMode::Hold, true, HandoverProgress::Idle);
+    (s.mode, s.failsafe, s.vehicle.handover) = (VehicleMode::Hold, true, HandoverProgress::Idle);
     s.until(Standby);
     let out = s.run(seconds(60.0));
     assert_eq!((out.state, out.setpoint), (Ready, None));
@@ -60,13 +60,9 @@ fn a_person_who_changes_the_mode_keeps_the_vehicle() {
         VehicleMode::Other,
     ] {
         let mut s = Story::guided(auto());
-        (s.mode, s.handover) = (mode, HandoverProgress::Idle);
-        let hold = s.step();
-        assert_eq!(
-            (hold.state, hold.setpoint),
-            (Hold, Some(VelocitySetpoint::HOLD)),
-            "zeros before silence"
-        );
+        (s.mode, s.vehicle.handover) = (mode, HandoverProgress::Idle);
+        // Zeros before silence.
+        assert_holds(s.step(), Reason::ModeLost);
         assert_eq!(s.until(Standby), 10);
         let out = s.run(seconds(20.0));
         assert_eq!(
@@ -105,7 +101,7 @@ fn a_mode_that_comes_back_by_itself_is_flown_again() {
 #[test]
 fn disarming_ends_the_flight_and_nothing_arms_again_by_itself() {
     let mut s = Story::guided(auto());
-    (s.armed, s.mode, s.handover) = (false, VehicleMode::Hold, HandoverProgress::Idle);
+    (s.armed, s.mode, s.vehicle.handover) = (false, VehicleMode::Hold, HandoverProgress::Idle);
     let out = s.step();
     assert_eq!((out.state, out.setpoint), (Standby, None));
     assert!(out.reasons.contains(Reason::Disarmed));
@@ -128,17 +124,10 @@ fn a_simulator_that_is_killed_and_started_again_is_flown_again() {
     }
     assert!(s.last.unwrap().reasons.contains(Reason::LinkLost));
 
-    let fresh = Story::begin(auto());
-    (s.armed, s.mode, s.position_ned_m, s.handover) = (fresh.armed, fresh.mode, fresh.position_ned_m, fresh.handover);
-    (s.frame, s.telemetry_age_ns, s.heartbeat_age_ns, s.action) = (
-        fresh.frame,
-        fresh.telemetry_age_ns,
-        fresh.heartbeat_age_ns,
-        fresh.action,
-    );
+    begin_again(&mut s);
     // Its heartbeat says disarmed one step before its clock is seen to have started anew.
     assert_eq!(s.step().state, Standby);
-    s.restarts += 1;
+    s.vehicle.restarts += 1;
     s.step();
     s.until(Engaging);
     s.hand_over();
@@ -160,11 +149,7 @@ fn at_the_goal_it_lands_when_configured_and_is_silent_once_the_vehicle_lands_by_
         (VehicleRequest::Land, Some(VelocitySetpoint::HOLD))
     );
     s.mode = VehicleMode::Land;
-    let landing = s.step();
-    assert_eq!(
-        (landing.state, landing.request, landing.setpoint),
-        (Land, VehicleRequest::None, None)
-    );
+    assert_silent(s.step(), Land);
     s.run(seconds(8.0));
     s.armed = false;
     assert_eq!(s.step().state, Standby);
@@ -182,7 +167,7 @@ fn an_operator_lands_it_goes_around_and_lands_again() {
     assert_eq!(s.ends(1), (Land, Reasons::of(Reason::Operator)));
     s.mode = VehicleMode::Land;
     s.run(5);
-    s.handover = HandoverProgress::Idle;
+    s.vehicle.handover = HandoverProgress::Idle;
     assert_eq!(s.engages(), Engaging);
     s.hand_over();
     s.until(Guided);
@@ -222,11 +207,11 @@ fn a_failed_hand_over_is_tried_again_by_policy_auto_after_a_pause_and_never_by_p
         s.until(Ready);
         assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
         s.until(Engaging);
-        s.handover = HandoverProgress::Failed;
+        s.vehicle.handover = HandoverProgress::Failed;
         let out = s.step();
         assert_eq!((out.state, out.request), (Standby, VehicleRequest::None));
         assert!(out.reasons.contains(Reason::HandoverFailed));
-        s.handover = HandoverProgress::Idle;
+        s.vehicle.handover = HandoverProgress::Idle;
         assert_eq!(s.run(seconds(4.0)).state, Ready);
         assert_eq!(s.run(seconds(2.0)).state, if tries { Engaging } else { Ready });
         if !tries {
@@ -241,7 +226,7 @@ fn a_hand_over_that_never_ends_fails_after_a_minute_and_a_second_a_metre() {
     s.until(Ready);
     assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
     s.until(Engaging);
-    s.handover = HandoverProgress::InProgress { stream_setpoints: true };
+    s.vehicle.handover = HandoverProgress::InProgress { stream_setpoints: true };
     assert_eq!(s.run(seconds(63.0)).state, Engaging);
     assert_eq!(s.step().state, Standby);
 }
@@ -250,7 +235,7 @@ fn a_hand_over_that_never_ends_fails_after_a_minute_and_a_second_a_metre() {
 fn an_operator_who_disengages_during_the_hand_over_gets_a_hovering_vehicle() {
     let mut s = Story::begin(auto());
     s.until(Engaging);
-    s.handover = HandoverProgress::InProgress { stream_setpoints: true };
+    s.vehicle.handover = HandoverProgress::InProgress { stream_setpoints: true };
     (s.armed, s.mode) = (true, VehicleMode::Takeoff);
     s.run(10);
     assert_eq!(s.ask(OperatorRequest::Disengage), RequestOutcome::Accepted);
@@ -267,36 +252,35 @@ fn an_operator_who_disengages_during_the_hand_over_gets_a_hovering_vehicle() {
     );
 }
 
+/// All but guidance, and what goes on counting, is as at the beginning.
+fn begin_again(s: &mut Story) {
+    let mut fresh = Story::begin(auto());
+    (fresh.guidance, fresh.now_ns, fresh.timing) = (s.guidance, s.now_ns, s.timing);
+    fresh.vehicle.restarts = s.vehicle.restarts;
+    *s = fresh;
+}
+
 /// The autopilot starts anew, on the ground.
 fn reboot(s: &mut Story) {
     s.heartbeat_age_ns = Some(3_000_000_000);
     s.telemetry_age_ns = 3_000_000_000;
     s.run(seconds(2.0));
-    let fresh = Story::begin(auto());
-    (s.armed, s.failsafe, s.mode) = (false, false, fresh.mode);
-    (s.position_ned_m, s.handover) = (fresh.position_ned_m, fresh.handover);
-    (s.telemetry_age_ns, s.heartbeat_age_ns) = (fresh.telemetry_age_ns, fresh.heartbeat_age_ns);
-    s.restarts += 1;
+    begin_again(s);
+    s.vehicle.restarts += 1;
+}
+
+/// Somebody puts the vehicle into this mode, and guidance lets go of it.
+fn leaves(s: &mut Story, mode: VehicleMode) {
+    (s.mode, s.vehicle.handover) = (mode, HandoverProgress::Idle);
+    s.until(Standby);
 }
 
 #[test]
 fn a_vehicle_that_a_person_took_is_not_taken_again_after_the_autopilot_restarted_until_an_operator_engages() {
     type Takes = fn(&mut Story);
     let stories: [(Takes, &str); 5] = [
-        (
-            |s| {
-                (s.mode, s.handover) = (VehicleMode::Land, HandoverProgress::Idle);
-                s.until(Standby);
-            },
-            "landed by a ground station",
-        ),
-        (
-            |s| {
-                (s.mode, s.handover) = (VehicleMode::Other, HandoverProgress::Idle);
-                s.until(Standby);
-            },
-            "flown by sticks",
-        ),
+        (|s| leaves(s, VehicleMode::Land), "landed by a ground station"),
+        (|s| leaves(s, VehicleMode::Other), "flown by sticks"),
         (
             |s| {
                 s.armed = false;
@@ -367,11 +351,11 @@ fn a_vehicle_that_was_landed_while_the_link_was_lost_is_not_taken_when_it_is_hea
     s.action = None;
     assert_eq!(s.run(seconds(20.0)).state, Hold);
     let fresh = Story::begin(auto());
-    (s.armed, s.mode, s.handover) = (false, VehicleMode::Hold, HandoverProgress::Idle);
+    (s.armed, s.mode, s.vehicle.handover) = (false, VehicleMode::Hold, HandoverProgress::Idle);
     (s.telemetry_age_ns, s.heartbeat_age_ns, s.action) = (fresh.telemetry_age_ns, fresh.heartbeat_age_ns, fresh.action);
     // Its clock goes on: it is not a restart that disarmed it.
     assert_eq!(s.run(seconds(5.0)).reasons, Reasons::of(Reason::PilotInCommand));
-    s.restarts += 1;
+    s.vehicle.restarts += 1;
     assert_eq!(s.run(seconds(30.0)).state, Ready);
 }
 
@@ -414,7 +398,7 @@ fn auto_engages_only_from_where_it_is_allowed_to() {
     ] {
         let mut s = Story::begin(auto());
         (s.armed, s.landed, s.mode, s.failsafe) = (armed, landed, mode, failsafe);
-        (s.up_ns, s.position_ned_m.z) = (Some(up_ns), height_m(landed));
+        (s.vehicle.up_ns, s.position_ned_m.z) = (Some(up_ns), height_m(landed));
         let out = s.run(seconds(20.0));
         let told = out.reasons.contains(Reason::PilotInCommand);
         let story = format!("armed {armed}, {landed:?}, {mode:?}, failsafe {failsafe}, up {up_ns}");
@@ -443,7 +427,7 @@ fn a_glitch_on_the_ground_does_not_renew_the_wish_to_fly_that_a_person_ended() {
     let mut s = Story::guided(auto());
     assert_eq!(s.ask(OperatorRequest::Disengage), RequestOutcome::Accepted);
     s.run(5);
-    (s.mode, s.handover) = (VehicleMode::Land, HandoverProgress::Idle);
+    (s.mode, s.vehicle.handover) = (VehicleMode::Land, HandoverProgress::Idle);
     s.until(Ready);
     s.frame.refused = true;
     assert_eq!(s.run(3).state, Standby);

@@ -5,24 +5,16 @@ use super::*;
 #[test]
 fn an_operator_engages_and_the_vehicle_flies_to_the_goal_and_hovers_there() {
     let mut s = Story::begin(GuidanceConfig::default());
-    let first = s.step();
-    assert_eq!(
-        (first.state, first.setpoint),
-        (Standby, None),
-        "not before half a second of good inputs"
-    );
+    // Not before half a second of good inputs.
+    assert_silent(s.step(), Standby);
     assert_eq!(s.until(Ready) + 1, 10);
-    let waiting = s.run(seconds(30.0));
-    assert_eq!(
-        (waiting.state, waiting.setpoint, waiting.request),
-        (Ready, None, VehicleRequest::None)
-    );
+    assert_silent(s.run(seconds(30.0)), Ready);
 
     assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
     let engaging = s.step();
     assert_eq!(engaging.state, Engaging);
     assert_eq!(engaging.request, VehicleRequest::FlyExternal { takeoff_height_m: 3.0 });
-    s.handover = HandoverProgress::InProgress {
+    s.vehicle.handover = HandoverProgress::InProgress {
         stream_setpoints: false,
     };
     assert_eq!(
@@ -30,7 +22,7 @@ fn an_operator_engages_and_the_vehicle_flies_to_the_goal_and_hovers_there() {
         None,
         "an ArduPilot that climbs must not get setpoints"
     );
-    s.handover = HandoverProgress::InProgress { stream_setpoints: true };
+    s.vehicle.handover = HandoverProgress::InProgress { stream_setpoints: true };
     assert_eq!(
         s.step().setpoint,
         Some(VelocitySetpoint::HOLD),
@@ -77,7 +69,7 @@ fn goals_and_the_fence_are_counted_from_home_which_the_autopilot_sets_anew_when_
         NedVector::new(20.0, 5.0, -3.0),
         "home is not known: the local origin"
     );
-    s.home_ned_m = Some(NedVector::new(12.0, 3.0, -1.0));
+    s.vehicle.home_ned_m = Some(NedVector::new(12.0, 3.0, -1.0));
     s.position_ned_m = NedVector::new(12.0, 3.0, -1.0);
     s.until(Engaging);
     assert_eq!(goal_m(&s), NedVector::new(32.0, 8.0, -4.0));
@@ -86,14 +78,14 @@ fn goals_and_the_fence_are_counted_from_home_which_the_autopilot_sets_anew_when_
         VehicleRequest::FlyExternal { takeoff_height_m: 4.0 }
     );
     // Armed: home is where it stands now.
-    s.home_ned_m = Some(NedVector::new(13.0, 3.0, -1.0));
+    s.vehicle.home_ned_m = Some(NedVector::new(13.0, 3.0, -1.0));
     s.step();
     assert_eq!(goal_m(&s), NedVector::new(33.0, 8.0, -4.0));
 
     s.hand_over();
     s.position_ned_m = NedVector::new(13.0, 3.0, -4.0);
     s.until(Guided);
-    s.home_ned_m = Some(NedVector::ZERO);
+    s.vehicle.home_ned_m = Some(NedVector::ZERO);
     s.run(20);
     assert_eq!(
         goal_m(&s),
@@ -127,7 +119,7 @@ fn goals_and_the_fence_are_counted_from_home_which_the_autopilot_sets_anew_when_
 #[test]
 fn a_home_that_is_told_only_in_flight_counts_once() {
     let mut s = Story::guided(auto());
-    s.home_ned_m = Some(NedVector::new(12.0, 3.0, 0.0));
+    s.vehicle.home_ned_m = Some(NedVector::new(12.0, 3.0, 0.0));
     s.step();
     let goal = s.guidance.goal().unwrap().position_ned_m;
     assert_eq!(goal, NedVector::new(32.0, 8.0, -3.0));
@@ -136,9 +128,9 @@ fn a_home_that_is_told_only_in_flight_counts_once() {
 #[test]
 fn telemetry_with_little_margin_is_told_and_flown_all_the_same() {
     let mut s = Story::guided(auto());
-    s.interval_ns = Some(150_000_000);
+    s.vehicle.telemetry_interval_ns = Some(150_000_000);
     assert_eq!(s.run(20).reasons, Reasons::NONE, "half of the age that is stale");
-    s.interval_ns = Some(250_000_000);
+    s.vehicle.telemetry_interval_ns = Some(250_000_000);
     let slow = s.run(20);
     assert_eq!((slow.state, slow.reasons), (Guided, Reasons::of(Reason::SlowTelemetry)));
     assert_eq!(sent_m_s(slow), 1.0);
@@ -189,7 +181,7 @@ fn every_bad_input_is_a_hold_with_its_name_within_one_step() {
         (|s, _| s.action = Some(Action::new(0.0, f32::NAN)), Reason::NotFinite),
         (|s, _| s.action = None, Reason::NotFinite),
         (|s, _| s.mode = VehicleMode::Hold, Reason::ModeLost),
-        (|s, _| s.slips += 3, Reason::Slip),
+        (|s, _| s.timing.slips += 3, Reason::Slip),
         (|s, _| s.failsafe = true, Reason::VehicleFailsafe),
         (
             |s, _| assert_eq!(s.ask(OperatorRequest::Disengage), RequestOutcome::Accepted),
@@ -221,10 +213,7 @@ fn nothing_is_sent_and_nothing_engages_while_an_input_is_missing() {
         spoil(&mut s, reason);
         for _ in 0..100 {
             let out = s.step();
-            assert_eq!(
-                (out.state, out.setpoint, out.request),
-                (Standby, None, VehicleRequest::None)
-            );
+            assert_silent(out, Standby);
             assert!(out.reasons.contains(reason), "{}", reason.name());
         }
         assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::TemporarilyRejected);
@@ -234,11 +223,11 @@ fn nothing_is_sent_and_nothing_engages_while_an_input_is_missing() {
 #[test]
 fn two_missed_steps_are_borne_three_within_a_second_are_not() {
     let mut s = Story::guided(GuidanceConfig::default());
-    s.slips += 2;
+    s.timing.slips += 2;
     assert_eq!(s.run(seconds(1.1)).state, Guided);
-    s.slips += 2;
+    s.timing.slips += 2;
     assert_eq!(s.step().state, Guided, "the first two are more than a second ago");
-    s.slips += 1;
+    s.timing.slips += 1;
     assert_eq!(s.step().state, Hold);
     assert_eq!(s.until(Guided), 29, "the window passes, then ten clear steps");
 }
@@ -246,7 +235,7 @@ fn two_missed_steps_are_borne_three_within_a_second_are_not() {
 #[test]
 fn slips_before_the_first_step_are_not_held_against_the_flight() {
     let mut s = Story::begin(GuidanceConfig::default());
-    s.slips = 500;
+    s.timing.slips = 500;
     assert!(!s.step().reasons.contains(Reason::Slip));
 }
 
@@ -482,7 +471,7 @@ fn a_high_climb_has_the_time_that_it_takes() {
     assert_eq!(s.ask(goal(20.0, 5.0, Some(100.0))), RequestOutcome::Accepted);
     s.until(Engaging);
     (s.armed, s.mode) = (true, VehicleMode::Takeoff);
-    s.handover = HandoverProgress::InProgress { stream_setpoints: true };
+    s.vehicle.handover = HandoverProgress::InProgress { stream_setpoints: true };
     assert_eq!(s.run(seconds(150.0)).state, Engaging);
     assert!(s.until(Standby) < seconds(12.0));
 }

@@ -30,6 +30,13 @@ fn assert_holds(out: GuidanceOutput, reason: Reason) {
     assert_eq!((out.state, out.reasons, out.setpoint), holds, "{}", reason.name());
 }
 
+/// It is in this state, sends nothing and asks nothing of the vehicle.
+#[track_caller]
+fn assert_silent(out: GuidanceOutput, state: vigil_types::GuidanceState) {
+    let silent = (state, None, VehicleRequest::None);
+    assert_eq!((out.state, out.setpoint, out.request), silent);
+}
+
 /// The forward speed that is sent, metres per second.
 fn sent_m_s(out: GuidanceOutput) -> f32 {
     out.setpoint.unwrap().velocity_m_s.x

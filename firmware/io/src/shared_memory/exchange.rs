@@ -67,6 +67,9 @@ pub enum LockstepError {
         /// iceoryx2's error.
         reason: String,
     },
+    /// The simulator's `cancelled` said so.
+    #[error("interrupted")]
+    Cancelled,
     /// The other side wrote something impossible.
     #[error("{who} sent a malformed message at step {step}: is it of the same version of Vigil?")]
     Malformed {
@@ -173,15 +176,20 @@ pub struct LockstepClient {
     bell: Bell,
     instance: u32,
     timeout: Duration,
+    cancelled: Box<dyn Fn() -> bool>,
 }
 
 impl LockstepClient {
     /// Becomes the simulator of this instance and waits for the firmware, at most `timeout`, which also bounds each
-    /// later exchange.
+    /// later exchange. `cancelled` ends any of these waits; it is asked a few times a second.
     ///
     /// # Errors
     /// [`LockstepError::NoFirmware`] and others.
-    pub fn connect(domain: &Domain, timeout: Duration) -> Result<Self, LockstepError> {
+    pub fn connect(
+        domain: &Domain,
+        timeout: Duration,
+        cancelled: impl Fn() -> bool + 'static,
+    ) -> Result<Self, LockstepError> {
         let instance = domain.instance();
         let factory = open(domain)?;
         let bell = Bell::open(domain, ANSWER_EVENT, REQUEST_EVENT)?;
@@ -198,6 +206,7 @@ impl LockstepClient {
             bell,
             instance,
             timeout,
+            cancelled: Box::new(cancelled),
         };
         let deadline = Instant::now() + timeout;
         while this.factory.dynamic_config().number_of_servers() == 0 {
@@ -207,9 +216,17 @@ impl LockstepClient {
                     waited_s: timeout.as_secs_f64(),
                 });
             }
+            this.go_on()?;
             this.bell.wait(deadline);
         }
         Ok(this)
+    }
+
+    fn go_on(&self) -> Result<(), LockstepError> {
+        match (self.cancelled)() {
+            true => Err(LockstepError::Cancelled),
+            false => Ok(()),
+        }
     }
 
     /// One step: hands time, a new frame if there is one, and the received datagrams to the firmware; fills `sent`
@@ -225,6 +242,7 @@ impl LockstepClient {
         received: &Datagrams,
         sent: &mut Datagrams,
     ) -> Result<(), LockstepError> {
+        self.go_on()?;
         let fill = |request: &mut WireRequest| {
             request.now_ns = now_ns;
             request.received.fill(received);
@@ -239,11 +257,16 @@ impl LockstepClient {
         }
     }
 
-    /// Tells the firmware that no more steps come and waits until it knows.
+    /// Tells the firmware that no more steps come and waits until it knows, whatever `cancelled` says.
     ///
     /// # Errors
     /// [`LockstepError::FirmwareSilent`] with the step given here.
-    pub fn finish(self, step: u64) -> Result<(), LockstepError> {
+    pub fn finish(mut self, step: u64) -> Result<(), LockstepError> {
+        // Who interrupts a flight does not wait for a firmware that hangs.
+        if (self.cancelled)() {
+            self.timeout = self.timeout.min(Duration::from_secs(1));
+        }
+        self.cancelled = Box::new(|| false);
         self.ask(step, |request| request.kind = KIND_FINISH, |_| ())
     }
 
@@ -279,6 +302,7 @@ impl LockstepClient {
                     waited_s: self.timeout.as_secs_f64(),
                 });
             }
+            self.go_on()?;
             self.bell.wait(deadline);
         }
     }

@@ -141,6 +141,14 @@ fn a_stalled_disk_drops_records_and_the_log_says_how_many() {
 }
 
 #[test]
+fn what_recurs_comes_at_its_rate_whatever_the_jitter_of_the_steps() {
+    let mut last = None;
+    let jittery = |step: u64| step * 50_000_000 + step % 7 * 30_000;
+    let due = (0..2000).filter(|step| crate::log_file::due(&mut last, jittery(*step), 200_000_000));
+    assert_eq!(due.count(), 500);
+}
+
+#[test]
 fn a_loop_that_falls_silent_has_its_last_records_on_disk() {
     let disk = Disk::new(usize::MAX);
     let mut recorder = start(disk.clone(), config(WhenFull::Drop, 4)).unwrap();

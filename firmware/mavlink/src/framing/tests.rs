@@ -29,13 +29,9 @@ fn bytes_of(message: &MavMessage) -> Vec<u8> {
 }
 
 fn arm() -> Vec<u8> {
-    bytes_of(&message!(
-        COMMAND_LONG,
-        param1 = 1.0,
-        command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
-        target_system = 1,
-        target_component = 1
-    ))
+    let (command, target_system, target_component) = (MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1, 1);
+    let message = message!(COMMAND_LONG, param1 = 1.0, command, target_system, target_component);
+    bytes_of(&message)
 }
 
 /// A packet of the message number 12 900 000, which no dialect has.
@@ -245,11 +241,8 @@ fn a_command_survives_the_way_to_bytes_and_back() {
 
 #[test]
 fn trailing_zeros_that_were_cut_read_as_zero() {
-    let bytes = bytes_of(&message!(
-        COMMAND_LONG,
-        param1 = 1.0,
-        command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM
-    ));
+    let command = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM;
+    let bytes = bytes_of(&message!(COMMAND_LONG, param1 = 1.0, command));
     let (found, _) = scan(&bytes);
     assert!(found[0].payload().len() < 33);
     let c = found[0].command().unwrap();

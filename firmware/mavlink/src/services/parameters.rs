@@ -1,6 +1,6 @@
 //! The parameter protocol: the guidance computer's own parameters. <https://mavlink.io/en/services/parameter.html>
 
-use crate::core::Core;
+use crate::core::{Core, Periodic};
 use crate::framing::Packet;
 use crate::operator::ReplyTo;
 use crate::parameter_table::{ParameterRequest, Parameters};
@@ -9,11 +9,15 @@ use crate::status_text::WARNING;
 use mavlink::dialects::common::{MavMessage, MavParamError, PARAM_ERROR_DATA};
 use vigil_types::{Datagrams, Nanos};
 
+/// Pause between two texts about parameters that were not set.
+const REFUSALS_NS: Nanos = 250_000_000;
+
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ParameterService {
     pub table: Parameters,
     /// The last parameter that was not set, and why.
     refused: Option<(usize, &'static str)>,
+    refusals: Periodic,
 }
 
 impl ParameterService {
@@ -74,7 +78,11 @@ impl Service for ParameterService {
         true
     }
 
-    fn speak(&mut self, core: &mut Core, _: &Step<'_>, out: &mut Datagrams) {
+    fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
+        // A flood of requests must not become one of texts.
+        if self.refused.is_some() && !self.refusals.is_due(step.report.now_ns, REFUSALS_NS) {
+            return;
+        }
         if let Some((place, why)) = self.refused.take() {
             let name = self.table.all().get(place).map_or("", |parameter| parameter.name);
             core.tell(out, WARNING, format_args!("{name} not set: {why}"));

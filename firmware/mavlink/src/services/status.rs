@@ -26,7 +26,7 @@ impl Service for StatusService {
         let (state_before, reasons_before) = (before.map(|b| b.0), before.map_or(Reasons::NONE, |b| b.1));
         let due = self.values.is_due(report.now_ns, VALUES_NS);
         if due || before != Some(now) {
-            for message in report::state_values(report, reasons_before) {
+            for message in report::state_values(report) {
                 core.say(out, &message);
             }
         }

@@ -92,14 +92,8 @@ pub fn named_values(sent: &Datagrams) -> Vec<(String, f32)> {
         .collect()
 }
 
-pub fn command_long(command: MavCmd, target: (u8, u8), param1: f32) -> MavMessage {
-    message!(
-        COMMAND_LONG,
-        param1,
-        command,
-        target_system = target.0,
-        target_component = target.1
-    )
+pub fn command_long(command: MavCmd, (target_system, target_component): (u8, u8), param1: f32) -> MavMessage {
+    message!(COMMAND_LONG, param1, command, target_system, target_component)
 }
 
 pub fn reposition(frame: MavFrame, x: i32, y: i32, z: f32) -> MavMessage {

@@ -234,15 +234,9 @@ impl Peer {
             .slowed_to_steps
             .is_none_or(|steps| self.steps.is_multiple_of(steps));
         if now && streams(32, px4, &self.wanted_messages) {
-            out.push(message!(
-                LOCAL_POSITION_NED,
-                time_boot_ms,
-                x = self.north_m,
-                y = self.east_m,
-                z = -self.height_m,
-                vx = north_m_s,
-                vz = -up_m_s
-            ));
+            let (x, y, z) = (self.north_m, self.east_m, -self.height_m);
+            let (vx, vz) = (north_m_s, -up_m_s);
+            out.push(message!(LOCAL_POSITION_NED, time_boot_ms, x, y, z, vx, vz));
         }
         if now && streams(30, px4, &self.wanted_messages) {
             out.push(message!(ATTITUDE, time_boot_ms, pitch = self.pitch_rad));
@@ -285,13 +279,9 @@ impl Peer {
     }
 
     fn origin(&self) -> MavMessage {
-        message!(
-            GPS_GLOBAL_ORIGIN,
-            latitude = 473_977_420,
-            longitude = 85_455_940,
-            altitude = (HOME_ALTITUDE_M * 1000.0) as i32,
-            time_usec = 0
-        )
+        let altitude = (HOME_ALTITUDE_M * 1000.0) as i32;
+        let (latitude, longitude) = (473_977_420, 85_455_940);
+        message!(GPS_GLOBAL_ORIGIN, latitude, longitude, altitude)
     }
 
     fn fly(&mut self, now_ns: Nanos) {
@@ -385,14 +375,10 @@ impl Peer {
                 MavMessage::COMMAND_INT(c) if c.target_system == self.system && c.target_component == 1 => {
                     assert_eq!(c.frame as u8, 0, "above sea level, where that is told");
                     self.places.push((c.x, c.y, [c.param1, c.param2, c.z]));
-                    let is_taken = self.flavour == Flavour::Px4 && c.command as u16 == 192 && !self.refuses_places;
-                    if is_taken {
-                        self.mode = Mode::Loiter;
+                    let mut result = MavResult::MAV_RESULT_DENIED;
+                    if self.flavour == Flavour::Px4 && c.command as u16 == 192 && !self.refuses_places {
+                        (self.mode, result) = (Mode::Loiter, MavResult::MAV_RESULT_ACCEPTED);
                     }
-                    let result = match is_taken {
-                        true => MavResult::MAV_RESULT_ACCEPTED,
-                        false => MavResult::MAV_RESULT_DENIED,
-                    };
                     self.acknowledge(c.command, result);
                 }
                 #[allow(deprecated)] // what ArduPilot's ground stations use
@@ -406,13 +392,9 @@ impl Peer {
     }
 
     fn acknowledge(&mut self, command: MavCmd, result: MavResult) {
-        self.replies.push(message!(
-            COMMAND_ACK,
-            command,
-            result,
-            target_system = self.system,
-            target_component = 191
-        ));
+        let (target_system, target_component) = (self.system, 191);
+        self.replies
+            .push(message!(COMMAND_ACK, command, result, target_system, target_component));
     }
 
     fn command(&mut self, now_ns: Nanos, c: &COMMAND_LONG_DATA) {
@@ -422,11 +404,8 @@ impl Peer {
             confirmation: c.confirmation,
             params: [c.param1, c.param2, c.param3, c.param4, c.param5, c.param6, c.param7],
         });
-        let answer = match self
-            .quirks
-            .iter_mut()
-            .find(|q| q.command == c.command as u16 && q.times > 0)
-        {
+        let mut quirks = self.quirks.iter_mut();
+        let answer = match quirks.find(|q| q.command == c.command as u16 && q.times > 0) {
             Some(quirk) => {
                 quirk.times -= 1;
                 quirk.answer
@@ -476,12 +455,10 @@ impl Peer {
                 ACCEPTED
             }
             22 => {
-                let height_m = if px4 && c.param7.is_nan() {
-                    2.5
-                } else if px4 {
-                    c.param7 - HOME_ALTITUDE_M
-                } else {
-                    c.param7 - self.home_ned_m[2]
+                let height_m = match c.param7 {
+                    none_m if px4 && none_m.is_nan() => 2.5,
+                    above_sea_m if px4 => above_sea_m - HOME_ALTITUDE_M,
+                    above_home_m => above_home_m - self.home_ned_m[2],
                 };
                 let guided = px4 || self.mode == Mode::External;
                 if !self.armed || !guided || height_m <= self.height_m {

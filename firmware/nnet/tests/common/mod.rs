@@ -3,7 +3,7 @@
 
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, Gru, Lstm, MaxPool2d, Purpose};
+use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, Gru, Isa, Lstm, MaxPool2d, Purpose};
 
 pub fn rng(seed: u64) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(seed)
@@ -46,6 +46,13 @@ pub fn small_network(purpose: Purpose, explained: bool) -> Graph {
     let x = b.dense(x, dense, Activation::Elu, params[3]).unwrap();
     let x = b.dense(x, output, Activation::Tanh { scale: 1.5 }, params[4]).unwrap();
     b.finish(x, purpose).unwrap()
+}
+
+/// The tape of an evaluation.
+pub fn tape_of(graph: &Graph, isa: Isa, params: &[f32], inputs: &[&[f32]]) -> Vec<f32> {
+    let mut tape = vec![f32::NAN; graph.tape_len()];
+    graph.forward(isa, params, inputs, &mut tape).unwrap();
+    tape
 }
 
 pub fn wide(x: &[f32]) -> Vec<f64> {

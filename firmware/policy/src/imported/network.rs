@@ -415,17 +415,13 @@ impl Network {
                 None => Params::default(),
             };
             own.push(params);
+            let all = |parts: &[usize]| parts.iter().map(|part| at(*part)).collect::<Result<Vec<_>, _>>();
             let node = match layer {
                 Layer::Input { len } => b.input(*len, true),
                 Layer::Zeros { len } => b.zeros(*len),
                 Layer::Slice { x, from, len } => b.slice(at(*x)?, *from, *len),
-                Layer::Concat { parts } | Layer::Sum { parts } => {
-                    let nodes: Result<Vec<NodeId>, _> = parts.iter().map(|part| at(*part)).collect();
-                    match layer {
-                        Layer::Sum { .. } => b.sum(&nodes?),
-                        _ => b.concat(&nodes?),
-                    }
-                }
+                Layer::Concat { parts } => b.concat(&all(parts)?),
+                Layer::Sum { parts } => b.sum(&all(parts)?),
                 Layer::Function { x, function } => b.function(at(*x)?, *function),
                 Layer::Product { x, y } => b.product(at(*x)?, at(*y)?),
                 Layer::LayerNorm { x, layer } => b.layer_norm(at(*x)?, *layer, params),

@@ -146,10 +146,7 @@ impl ImportedPilot {
         let (graph, nodes) = network.graph_and_nodes(Purpose::Gradients)?;
         let (rows, cols) = (inputs.rows, inputs.cols);
         let pixels = rows.saturating_mul(cols);
-        let expected = match inputs.has_position {
-            true => 2,
-            false => 1,
-        };
+        let expected = 1 + usize::from(inputs.has_position);
         let frame_len = pixels.saturating_mul(inputs.channels);
         let fits = graph.input_count() == expected
             && inputs.frame_input < expected
@@ -173,13 +170,9 @@ impl ImportedPilot {
                 inputs.channels
             )));
         }
-        let split = match split {
-            None => None,
-            Some(layer) => {
-                network.head(params, layer, inputs.frame_input)?;
-                nodes.get(layer).copied()
-            }
-        };
+        if let Some(layer) = split {
+            network.head(params, layer, inputs.frame_input)?;
+        }
         Ok(Self {
             isa,
             inputs,
@@ -188,7 +181,7 @@ impl ImportedPilot {
             graph,
             frame: vec![0.0; frame_len],
             places: inputs.places().collect(),
-            split,
+            split: split.and_then(|layer| nodes.get(layer).copied()),
             position: None,
             started: false,
             surroundings: RangeScan::new(),

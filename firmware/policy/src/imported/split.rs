@@ -99,17 +99,13 @@ impl Network {
             let len = match layer {
                 Layer::Input { len } | Layer::Zeros { len } | Layer::Slice { len, .. } => *len,
                 Layer::Concat { parts } => parts.iter().map(|part| of(*part)).sum(),
-                Layer::Curve { x, .. }
-                | Layer::BatchNorm { x, .. }
-                | Layer::Function { x, .. }
-                | Layer::Product { x, .. }
-                | Layer::LayerNorm { x, .. } => of(*x),
-                Layer::Sum { parts } => parts.first().map_or(0, |part| of(*part)),
                 Layer::Conv2d { layer, .. } => layer.output_len(),
                 Layer::Dense { layer, .. } => layer.outputs,
                 Layer::MaxPool2d { layer, .. } => layer.output_len(),
                 Layer::Gru { layer, .. } => layer.hidden,
                 Layer::Lstm { layer, .. } => layer.state_len(),
+                // As many as they read.
+                _ => layer.sources().first().map_or(0, |x| of(*x)),
             };
             lens.push(len);
         }
@@ -236,8 +232,7 @@ impl Network {
         let mut network = self.clone();
         let mut number = self.output;
         loop {
-            let layer = network.layers.get_mut(number);
-            if let Some(layer) = layer
+            if let Some(layer) = network.layers.get_mut(number)
                 && let Layer::Function {
                     x,
                     function: Function::Clip { .. },

@@ -171,7 +171,7 @@ impl PlausibilityCheck {
             self.forget_motion();
             (self.raised, self.raises) = (None, 0);
             self.estimate_errs = false;
-            self.forget_ranges();
+            (self.shadow, self.parallax) = (Shadow::default(), Parallax::default());
             self.regions.forget();
         } else if !in_flight || takes_off || blind || self.poses.is_bad {
             self.forget_pictures();
@@ -194,7 +194,7 @@ impl PlausibilityCheck {
         self.faults
     }
 
-    /// Looks whether regions were moved. From when on they are known to be, the pictures before are none to compare with.
+    /// Looks whether regions were moved. Once they are known to be, the pictures before are none to compare with; what ranges raised stays.
     fn note_regions(&mut self, frame: &DepthFrame) {
         let height_m = self.ground_down_m - frame.header.position_ned_m.z;
         if height_m <= LOW_M {
@@ -202,7 +202,8 @@ impl PlausibilityCheck {
         } else if self.regions.note(frame, &self.directions, height_m) {
             self.forget_motion();
             self.raised = self.raised.filter(|raised| raised.stays);
-            self.forget_ranges();
+            self.shadow.skip();
+            self.parallax.skip();
         }
         if let Some(counts) = self.regions.take_restored(&mut self.picture) {
             self.counts = counts;
@@ -238,10 +239,6 @@ impl PlausibilityCheck {
             self.forget_motion();
         }
         self.evidence.same_frames = 0;
-    }
-
-    fn forget_ranges(&mut self) {
-        (self.shadow, self.parallax) = (Shadow::default(), Parallax::default());
     }
 
     fn forget_motion(&mut self) {

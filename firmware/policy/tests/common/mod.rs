@@ -162,6 +162,19 @@ pub fn frame_of(scene: &Scene, position: NedVector, attitude: Attitude) -> Box<D
     frame
 }
 
+/// What is seen on a slow walk north through a scene, a frame for each step.
+pub fn walk(scene: &Scene, steps: u64) -> Vec<DepthFrame> {
+    let look = |step| {
+        let mut frame = DepthFrame::EMPTY;
+        let here = NedVector::new(0.05 * step as f32, 0.0, -1.5);
+        let attitude = Attitude::from_euler_rad(0.02, -0.05, 0.01 * step as f32);
+        scene.render(here, attitude, step * STEP_NS, &mut frame);
+        frame.header.sequence = step;
+        frame
+    };
+    (0..steps).map(look).collect()
+}
+
 pub fn input(frame: &DepthFrame, attitude: Attitude) -> PilotInput<'_> {
     PilotInput {
         now_ns: frame.header.stamp_ns,

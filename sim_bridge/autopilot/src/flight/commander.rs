@@ -325,11 +325,7 @@ impl Core {
             Some(speed_m_s) => speed_m_s.clamp(0.5, self.param(ParamId::MaxSpeedMS)),
             None => self.way_speed_m_s(self.commander.speed_m_s),
         };
-        let station = Maneuver::Station {
-            position_ned_m,
-            yaw,
-            speed_limit_m_s,
-        };
+        let station = Maneuver::station(position_ned_m, yaw, speed_limit_m_s);
         self.enter(FlightMode::Hold, station);
         Ok(())
     }
@@ -411,14 +407,13 @@ impl Core {
             7 => Response::Disarm,
             _ => Response::Enter(FlightMode::Hold),
         };
-        self.respond("setpoint lost", response, Failsafe::SetpointLost);
+        self.respond(response, Failsafe::SetpointLost);
     }
 
     /// The sticks stopped in a mode that is flown by them: hold, and after COM_FAIL_ACT_T the action of NAV_RCL_ACT.
     pub(super) fn lose_sticks(&mut self) {
         self.commander.acts_ns = Some(self.now_ns.saturating_add(self.param_ns(ParamId::FailsafeDelayS)));
-        let hold = Response::Enter(FlightMode::Hold);
-        self.respond("manual control lost", hold, Failsafe::ManualControlLost);
+        self.respond(Response::Enter(FlightMode::Hold), Failsafe::ManualControlLost);
     }
 
     /// Sticks that stop have their consequence in modes that fly without them too, unless COM_RCL_EXCEPT excepts the mode or
@@ -453,16 +448,16 @@ impl Core {
             6 => Response::Disarm,
             _ => return,
         };
-        self.respond("manual control lost", response, Failsafe::ManualControlLost);
+        self.respond(response, Failsafe::ManualControlLost);
     }
 
-    fn respond(&mut self, cause: &str, response: Response, failsafe: Failsafe) {
+    fn respond(&mut self, response: Response, failsafe: Failsafe) {
         let name = match response {
             Response::Enter(mode) => mode.name(),
             Response::Terminate => "terminate",
             Response::Disarm => "disarm",
         };
-        let text = format!("{cause}: {name}");
+        let text = format!("{}: {name}", failsafe.name());
         self.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
         match response {
             Response::Enter(mode) => self.fail_over(mode, failsafe),
@@ -499,8 +494,7 @@ impl Core {
         let c = &self.commander;
         let needs_position = !c.mode.is_flown_without_position();
         if c.armed && !c.is_on_ground() && needs_position && !self.knows_position() {
-            self.text(MavSeverity::MAV_SEVERITY_CRITICAL, "position lost: land");
-            self.fail_over(FlightMode::Land, Failsafe::PositionLost);
+            self.respond(Response::Enter(FlightMode::Land), Failsafe::PositionLost);
         }
     }
 

@@ -170,11 +170,7 @@ impl Core {
     /// Begins to hold a position, at `height_m` if given.
     fn hold_at(&mut self, mut place: NedVector, height_m: Option<f32>, speed_limit_m_s: f32) -> ControlCommand {
         place.z = height_m.map_or(place.z, |height_m| -height_m);
-        self.commander.maneuver = Maneuver::Station {
-            position_ned_m: place,
-            yaw: YawCommand::Hold,
-            speed_limit_m_s,
-        };
+        self.commander.maneuver = Maneuver::station(place, YawCommand::Hold, speed_limit_m_s);
         self.fly_station(place, YawCommand::Hold, speed_limit_m_s)
     }
 
@@ -223,11 +219,7 @@ impl Core {
             };
         }
         let speed_limit_m_s = self.way_speed_m_s(None);
-        let station = |position_ned_m| Maneuver::Station {
-            position_ned_m,
-            yaw: YawCommand::Hold,
-            speed_limit_m_s,
-        };
+        let station = |place| Maneuver::station(place, YawCommand::Hold, speed_limit_m_s);
         let target = climb.target_ned_m;
         if climb.is_done(&self.view.estimate) {
             match self.commander.mode() {

@@ -35,10 +35,11 @@ pub(super) fn thrust(sticks: Deflections) -> f32 {
 }
 
 impl Core {
-    /// Takes what a station sends; `false` if another one has the vehicle.
-    pub fn take_sticks(&mut self, from: Source, deflections: Deflections) -> bool {
+    /// Takes what a station sends; counted where another one has the vehicle.
+    pub fn take_sticks(&mut self, from: Source, deflections: Deflections) {
         let max_age_ns = self.param_ns(ParamId::SticksLossS);
-        self.sticks.take(self.now_ns, max_age_ns, from, deflections)
+        let is_taken = self.sticks.take(self.now_ns, max_age_ns, from, deflections);
+        self.refusals.setpoint_foreign += u64::from(!is_taken);
     }
 
     /// The sticks, unless they are lost.

@@ -152,11 +152,8 @@ impl Core {
             None if libm::hypotf(d_north, d_east) > TURN_DISTANCE_M => YawCommand::Angle(libm::atan2f(d_east, d_north)),
             None => YawCommand::Hold,
         };
-        self.commander.maneuver = Maneuver::Station {
-            position_ned_m: NedVector::new(north, east, z_m),
-            yaw,
-            speed_limit_m_s: self.way_speed_m_s(self.plans.mission.speed_m_s),
-        };
+        let speed_m_s = self.way_speed_m_s(self.plans.mission.speed_m_s);
+        self.commander.maneuver = Maneuver::station(NedVector::new(north, east, z_m), yaw, speed_m_s);
         self.plans.mission.passing_m_s = self.passing_at((here.x, here.y), (north, east), leg);
         self.plans.mission.stage = Stage::Travelling;
     }

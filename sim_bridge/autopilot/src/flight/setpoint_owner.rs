@@ -100,20 +100,20 @@ impl Setpoints {
         if told { Taken::Ignored } else { Taken::IgnoredFirst }
     }
 
+    /// Whose setpoints are fresh.
+    fn streaming(&self, now_ns: Nanos, max_age_ns: Nanos) -> impl Iterator<Item = Source> {
+        let is_fresh = move |s: &&SourceState| now_ns.saturating_sub(s.last_ns) <= max_age_ns;
+        self.sources.iter().filter(is_fresh).map(|s| s.id)
+    }
+
     /// Whether anybody streams.
     pub fn is_streamed(&self, now_ns: Nanos, max_age_ns: Nanos) -> bool {
-        let is_fresh = |s: &SourceState| now_ns.saturating_sub(s.last_ns) <= max_age_ns;
-        self.sources.iter().any(is_fresh)
+        self.streaming(now_ns, max_age_ns).next().is_some()
     }
 
     /// Who could own OFFBOARD on a mode command of `commander`: it alone where it streams, else everybody who does.
     pub fn claims(&self, now_ns: Nanos, max_age_ns: Nanos, commander: Source) -> Vec<Source> {
-        let mut streaming: Vec<Source> = self
-            .sources
-            .iter()
-            .filter(|s| now_ns.saturating_sub(s.last_ns) <= max_age_ns)
-            .map(|s| s.id)
-            .collect();
+        let mut streaming: Vec<Source> = self.streaming(now_ns, max_age_ns).collect();
         if streaming.contains(&commander) {
             return vec![commander];
         }
@@ -145,17 +145,16 @@ pub(crate) enum Taken {
 mod tests {
     use super::*;
 
-    fn source(system: u8, component: u8) -> Source {
+    fn id(system: u8) -> Source {
         Source {
             link: crate::LinkId::ONBOARD,
             peer: 0,
-            id: vigil_mavlink::routing::ComponentId { system, component },
+            id: vigil_mavlink::routing::ComponentId { system, component: 1 },
         }
     }
 
     #[test]
     fn a_flood_of_sources_never_evicts_the_owner() {
-        let id = |system| source(system, 1);
         let mut setpoints = Setpoints::default();
         setpoints.take(0, id(2), ControlCommand::Idle);
         setpoints.set_owner(Some(id(2)));

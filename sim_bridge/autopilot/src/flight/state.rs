@@ -26,17 +26,19 @@ pub enum LandedState {
     Landing,
 }
 
-/// A failsafe in force: the vehicle acts by itself until a new mode command comes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Failsafe {
-    /// The owner's setpoints stopped in OFFBOARD.
-    SetpointLost,
-    /// The vehicle left its geofence.
-    GeofenceBreached,
-    /// The sticks stopped in a mode that is flown by them.
-    ManualControlLost,
-    /// The GPS receiver stopped, and with it the position.
-    PositionLost,
+vigil_types::named! {
+    /// A failsafe in force: the vehicle acts by itself until a new mode command comes.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    pub enum Failsafe {
+        /// The owner's setpoints stopped in OFFBOARD.
+        SetpointLost => "setpoint lost",
+        /// The vehicle left its geofence.
+        GeofenceBreached => "geofence breached",
+        /// The sticks stopped in a mode that is flown by them.
+        ManualControlLost => "manual control lost",
+        /// The GPS receiver stopped, and with it the position.
+        PositionLost => "position lost",
+    }
 }
 
 /// Why arming, disarming or a mode change is refused.
@@ -208,6 +210,14 @@ impl Default for Maneuver {
 }
 
 impl Maneuver {
+    pub fn station(position_ned_m: NedVector, yaw: YawCommand, speed_limit_m_s: f32) -> Self {
+        Self::Station {
+            position_ned_m,
+            yaw,
+            speed_limit_m_s,
+        }
+    }
+
     pub fn climb(from_ned_m: NedVector, target_z_m: f32, rate_m_s: f32) -> Self {
         Self::Climb(Climb {
             target_ned_m: NedVector::new(from_ned_m.x, from_ned_m.y, target_z_m),

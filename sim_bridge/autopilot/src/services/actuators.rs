@@ -65,11 +65,21 @@ impl Service for Actuators {
     }
 
     fn produce(&self, message_id: u32, _link: LinkId, core: &Core) -> Option<MavMessage> {
-        let pulses_us = self.pulses_us(core);
-        Some(match message_id {
-            SERVO_OUTPUT_RAW_DATA::ID => servo_outputs(pulses_us, core),
-            _ => actuator_outputs(pulses_us, core),
-        })
+        let (pulses_us, now_us) = (self.pulses_us(core), core.time_boot_us());
+        if message_id == SERVO_OUTPUT_RAW_DATA::ID {
+            let mut m = SERVO_OUTPUT_RAW_DATA::default();
+            [m.servo1_raw, m.servo2_raw, m.servo3_raw, m.servo4_raw] = pulses_us.map(|pulse| pulse as u16);
+            m.time_usec = now_us as u32;
+            return Some(MavMessage::SERVO_OUTPUT_RAW(m));
+        }
+        let mut actuator = [0.0; 32];
+        actuator[..4].copy_from_slice(&pulses_us);
+        Some(MavMessage::ACTUATOR_OUTPUT_STATUS(ACTUATOR_OUTPUT_STATUS_DATA {
+            time_usec: now_us,
+            // One bit per motor.
+            active: 0b1111,
+            actuator,
+        }))
     }
 
     fn messages(&self) -> &'static [Produced] {
@@ -92,22 +102,4 @@ impl Actuators {
                 .map_or(DISARMED_US, |test| test.pulse_us)
         })
     }
-}
-
-fn actuator_outputs(pulses_us: [f32; 4], core: &Core) -> MavMessage {
-    let mut actuator = [0.0; 32];
-    actuator[..4].copy_from_slice(&pulses_us);
-    MavMessage::ACTUATOR_OUTPUT_STATUS(ACTUATOR_OUTPUT_STATUS_DATA {
-        time_usec: core.time_boot_us(),
-        // One bit per motor.
-        active: 0b1111,
-        actuator,
-    })
-}
-
-fn servo_outputs(pulses_us: [f32; 4], core: &Core) -> MavMessage {
-    let mut m = SERVO_OUTPUT_RAW_DATA::default();
-    [m.servo1_raw, m.servo2_raw, m.servo3_raw, m.servo4_raw] = pulses_us.map(|pulse| pulse as u16);
-    m.time_usec = core.time_boot_us() as u32;
-    MavMessage::SERVO_OUTPUT_RAW(m)
 }

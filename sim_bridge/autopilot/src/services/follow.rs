@@ -1,5 +1,6 @@
 //! FOLLOW_TARGET: where the target of follow mode is. <https://mavlink.io/en/messages/common.html#FOLLOW_TARGET>
 
+use crate::core::Allowance;
 use crate::geo;
 use crate::service::prelude::*;
 use crate::services::actions::MAX_DISTANCE_M;
@@ -15,7 +16,7 @@ const REPEATED_NS: Nanos = 5_000_000_000;
 
 #[derive(Default)]
 pub(crate) struct Follow {
-    told_next_ns: Nanos,
+    told: Allowance,
 }
 
 impl Service for Follow {
@@ -40,8 +41,7 @@ impl Service for Follow {
         };
         // A vehicle that waits for its target would otherwise not tell why.
         core.refusals.setpoint_value += 1;
-        if core.now_ns >= self.told_next_ns {
-            self.told_next_ns = core.now_ns + REPEATED_NS;
+        if self.told.takes(core.now_ns, REPEATED_NS, 1) {
             core.warn(&format!("target of {}: {defect}", source.id));
         }
     }

@@ -10,12 +10,6 @@ const TRAVEL_US: f32 = 500.0;
 /// What a receiver can send.
 const PULSES_US: core::ops::RangeInclusive<u16> = 800..=2200;
 
-fn take(sticks: Deflections, source: Source, core: &mut Core) {
-    if !core.take_sticks(source, sticks) {
-        core.refusals.setpoint_foreign += 1;
-    }
-}
-
 /// z is the throttle: 0 down, 500 neutral, 1000 up. The largest number is an axis that there is not: centred, unless all are.
 pub(super) fn joystick(m: MANUAL_CONTROL_DATA, source: Source, core: &mut Core) {
     let or = |axis: i16, centre: i16| if axis == i16::MAX { centre } else { axis };
@@ -33,7 +27,7 @@ pub(super) fn joystick(m: MANUAL_CONTROL_DATA, source: Source, core: &mut Core) 
         up,
         clockwise,
     };
-    take(sticks, source, core);
+    core.take_sticks(source, sticks);
 }
 
 /// Channels 1 to 4 as transmitters have them: roll, pitch (a higher pulse is the stick pulled back), throttle, yaw. 0 and the
@@ -62,5 +56,5 @@ pub(super) fn channels(m: RC_CHANNELS_OVERRIDE_DATA, source: Source, core: &mut 
         up,
         clockwise,
     };
-    take(sticks, source, core);
+    core.take_sticks(source, sticks);
 }

@@ -17,7 +17,7 @@ pub(super) const MESSAGES: &[Produced] = &[
 pub(super) fn set_current(m: MISSION_SET_CURRENT_DATA, _source: Source, core: &mut Core) {
     if !make_current(usize::from(m.seq), core) {
         core.refusals.plan += 1;
-        core.warn(&format!("there is no mission item {}", m.seq));
+        core.warn_refused(&format!("there is no mission item {}", m.seq));
     }
 }
 

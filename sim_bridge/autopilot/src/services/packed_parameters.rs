@@ -128,7 +128,7 @@ pub(super) fn store(file: &[u8], core: &mut Core) -> Result<(), ()> {
             Ok(())
         });
     if let Err(why) = outcome {
-        core.warn(&format!("parameter file refused: {why}"));
+        core.warn_refused(&format!("parameter file refused: {why}"));
         return Err(());
     }
     let before = std::mem::replace(&mut core.parameters, parameters);

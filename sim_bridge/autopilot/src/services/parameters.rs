@@ -150,5 +150,5 @@ fn set(m: &PARAM_SET_DATA, source: Source, core: &mut Core) {
     if let Some(message) = message {
         core.outbox.send(source.link, &message);
     }
-    core.warn(&error.to_string());
+    core.warn_refused(&error.to_string());
 }

@@ -48,7 +48,7 @@ fn acknowledge(core: &mut Core, source: Source, mission_type: u8, result: MavMis
 /// Refuses a plan with a reason.
 fn refuse(core: &mut Core, source: Source, kind: PlanKind, result: MavMissionResult, reason: &str) {
     acknowledge(core, source, kind.wire() as u8, result);
-    core.warn(&format!("{} refused: {reason}", kind.name()));
+    core.warn_refused(&format!("{} refused: {reason}", kind.name()));
 }
 
 fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>) -> Result<(), PlanDefect> {

@@ -1,5 +1,6 @@
 //! Offboard setpoints as they come. <https://docs.px4.io/main/en/flight_modes/offboard.html>
 
+use crate::core::Allowance;
 use crate::flight::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
 use crate::service::prelude::*;
 use crate::services::BELOW_HOME_M;
@@ -15,10 +16,10 @@ const FRAME_AT: usize = 52;
 
 #[derive(Default)]
 pub(crate) struct SetpointService {
-    told_next_ns: Nanos,
+    told: Allowance,
     /// The refusal that was told last, and when.
     refusal: Option<(Nanos, Source, SetpointDefect)>,
-    ground_next_ns: Nanos,
+    told_of_ground: Allowance,
 }
 
 impl SetpointService {
@@ -46,8 +47,7 @@ impl SetpointService {
             ControlCommand::VelocityAtHeight { down_m, .. } => *down_m,
             _ => return,
         };
-        if down_m > BELOW_HOME_M && core.now_ns >= self.ground_next_ns {
-            self.ground_next_ns = core.now_ns + REPEATED_NS;
+        if down_m > BELOW_HOME_M && self.told_of_ground.takes(core.now_ns, REPEATED_NS, 1) {
             core.warn(&format!("setpoints of {}: {down_m:.0} m below home", source.id));
         }
     }
@@ -88,10 +88,9 @@ impl Service for SetpointService {
             Taken::Ignored => core.refusals.setpoint_foreign += 1,
             Taken::IgnoredFirst => {
                 core.refusals.setpoint_foreign += 1;
-                if core.now_ns >= self.told_next_ns
-                    && let Some(owner) = core.setpoints.owner()
+                if let Some(owner) = core.setpoints.owner()
+                    && self.told.takes(core.now_ns, TOLD_NS, 1)
                 {
-                    self.told_next_ns = core.now_ns + TOLD_NS;
                     let text = match owner.id == source.id {
                         true => format!("setpoints of a second {source} ignored"),
                         false => format!("setpoints of {} ignored: owner {}", source.id, owner.id),

@@ -10,7 +10,7 @@ pub(super) fn set_up(m: SETUP_SIGNING_DATA, _source: Source, core: &mut Core) {
         return;
     }
     if m.secret_key == [0; 32] {
-        return core.warn("signing stays on: remove it at the vehicle's start");
+        return core.warn_refused("signing key refused: all zeros");
     }
     core.signing_setup = Some(SigningSetup {
         key: m.secret_key,

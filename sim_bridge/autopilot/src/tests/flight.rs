@@ -186,6 +186,7 @@ fn goto_is_refused_on_the_ground_far_away_and_in_a_foreign_frame() {
         let answer = b.reposition(frame, (lat, 8.5455), alt, 0.0);
         assert_eq!(answer, DENIED, "{frame:?} {lat} {alt}");
     }
+    b.run_ms(1_000);
     // A place at no height is one of its frame too, and whoever means another frame is told.
     for (frame, alt) in [
         (MavFrame::MAV_FRAME_LOCAL_NED, f32::NAN),

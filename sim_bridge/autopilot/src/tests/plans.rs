@@ -278,6 +278,7 @@ fn a_plan_that_makes_no_sense_is_refused_with_a_reason_and_the_old_one_stays() {
     ] {
         assert_eq!(b.upload(MISSION, &[good, bad]), result);
         b.assert_told("mission refused");
+        b.run_ms(250);
     }
     assert_eq!(b.download(MISSION).len(), 1);
     let at_its_height = PlanItem { z: f32::NAN, ..good };
@@ -377,6 +378,7 @@ fn a_mission_below_home_is_refused_with_its_item_and_a_landing_is_not() {
             assert_eq!(answer, R::MAV_MISSION_INVALID_PARAM7, "{command} {frame}");
             let texts = b.texts().concat();
             assert!(texts.contains("item 1: below home"), "{texts}");
+            b.run_ms(250);
         }
         assert_eq!(b.upload(MISSION, &[at(21)]), R::MAV_MISSION_ACCEPTED);
     }

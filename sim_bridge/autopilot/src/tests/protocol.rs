@@ -264,6 +264,16 @@ fn a_bad_parameter_set_changes_nothing_and_says_why() {
     }
     b.assert_told("is not within 0.5 to 80");
     assert!(values(&b, GCS).is_empty());
+    // Each of a flood is answered to its sender; the texts, which go to all, are few, and come again for the next mistake.
+    b.run_ms(1_000);
+    for (sets, told) in [(100, 4), (1, 1)] {
+        b.sent.clear();
+        for i in 0..sets {
+            b.set_parameter(&format!("NO_SUCH_{i}"), ParameterValue::Int32(1));
+            b.run_ms(10);
+        }
+        assert_eq!((b.count(API, PARAM_ERROR_DATA::ID), b.texts().len()), (sets, told));
+    }
 }
 
 #[test]
@@ -324,6 +334,7 @@ fn a_signing_key_reaches_the_vehicle_and_nobody_else() {
         b.send(API, SCRIPT, &message);
         assert!(b.endpoint.take_signing_setup().is_none());
     }
+    b.assert_told("signing key refused: all zeros");
     b.send(API, SCRIPT, &setup(1, 1, 5));
     let taken = b.endpoint.take_signing_setup().expect("taken");
     assert_eq!((taken.key, taken.initial_timestamp), ([5; 32], 77));

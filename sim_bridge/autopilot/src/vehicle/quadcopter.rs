@@ -125,7 +125,7 @@ impl Vehicle {
     pub fn step(&mut self, command: &ControlCommand) {
         self.armed = !matches!(command, ControlCommand::MotorsOff);
         if self.steps.is_multiple_of(SLOW_EVERY) {
-            self.errors.advance(&self.body);
+            self.errors.advance(&self.body, self.params.airframe.gear_height_m);
             self.gusts.advance(&mut self.gust_noise);
             self.battery.advance(self.rotors.power_w(), SLOW_S);
             self.controller.plan(command, &self.belief(), self.on_ground, SLOW_S);
@@ -312,6 +312,19 @@ mod tests {
         let w = a.mass_kg * GRAVITY_M_S2;
         let terminal = (-l + (l * l + 4.0 * q * w).sqrt()) / (2.0 * q);
         assert!((vehicle.body.velocity_ned_m_s.z - terminal).abs() < 0.01);
+    }
+
+    #[test]
+    fn a_heading_wanders_in_the_air_and_not_while_it_stands_on_a_tall_gear() {
+        let mut params = VehicleParams::default();
+        params.airframe.gear_height_m = 0.2;
+        params.sensors.heading_error_rad = 0.1;
+        let mut vehicle = Vehicle::new(params, Wind::CALM, 1).unwrap();
+        for is_airborne in [false, true] {
+            vehicle.place(NedVector::new(0.0, 0.0, -3.0), 0.0, is_airborne);
+            (0..1_000).for_each(|_| vehicle.step(&ControlCommand::STOP));
+            assert_eq!(vehicle.errors.heading_error_rad() != Some(0.0), is_airborne);
+        }
     }
 
     #[test]

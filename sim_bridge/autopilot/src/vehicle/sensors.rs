@@ -13,8 +13,6 @@ const BAROMETER_EVERY: u32 = 5;
 const GPS_EVERY: u32 = 25;
 /// Correlation time of the wander's velocity, seconds: what a hold has to follow, slower than the controllers.
 const WANDER_VELOCITY_TIME_S: f64 = 2.0;
-/// Above this height, metres, the compass is no longer trusted as on the ground, and the heading wanders.
-const AIRBORNE_M: f64 = 0.1;
 
 /// The errors between truth and belief, and the readings of the slower sensors.
 ///
@@ -80,14 +78,14 @@ impl Errors {
         self.read_gps(body);
     }
 
-    /// One interval later.
-    pub(crate) fn advance(&mut self, body: &Body) {
+    /// One interval later. Above `gear_height_m` the compass is no longer trusted as on the ground, and the heading wanders.
+    pub(crate) fn advance(&mut self, body: &Body, gear_height_m: f64) {
         self.velocity.advance(&mut self.noise);
         self.attitude.advance(&mut self.noise);
         self.attitude_error = small_rotation(&self.attitude.value);
         self.position_m = self.position_m * self.position_keep + self.velocity.value * self.interval_s;
         if let Some(wander) = &mut self.wander {
-            wander.advance(self.interval_s, -body.position_ned_m.z > AIRBORNE_M);
+            wander.advance(self.interval_s, -body.position_ned_m.z > gear_height_m);
         }
         self.accelerometer = self.noise.normal3() * self.params.accelerometer_m_s2;
         self.gyroscope = self.noise.normal3() * self.params.gyroscope_rad_s;
@@ -186,7 +184,7 @@ impl Errors {
     }
 
     /// What the estimated heading is off beside the attitude's error, radians, where it wanders.
-    fn heading_error_rad(&self) -> Option<f64> {
+    pub(super) fn heading_error_rad(&self) -> Option<f64> {
         Some(self.wander.as_ref()?.heading.as_ref()?.value.z)
     }
 }

@@ -119,7 +119,8 @@ impl Image {
 pub(crate) struct Canvas {
     pub(crate) image: Image,
     layer: Layer,
-    svg: String,
+    /// The elements of an SVG file so far.
+    pub(crate) svg: String,
 }
 
 impl Canvas {
@@ -148,11 +149,6 @@ impl Canvas {
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\">\n{}</svg>\n",
             self.svg
         )
-    }
-
-    /// Adds an element that lies on no layer.
-    pub(crate) fn add_svg(&mut self, element: &str) {
-        self.svg += element;
     }
 
     /// Lays what `shapes` draws over the picture at an opacity of 0 to 1. Shapes of one layer do not shine through each other.
@@ -236,7 +232,7 @@ pub(crate) struct Layer {
     /// The columns and rows that were drawn on.
     touched: [Range<usize>; 2],
     /// The same shapes as SVG elements.
-    svg: String,
+    pub(crate) svg: String,
 }
 
 /// A colour as SVG has it.
@@ -245,11 +241,6 @@ pub(crate) fn hex(colour: Rgb888) -> String {
 }
 
 impl Layer {
-    /// Adds an SVG element.
-    pub(crate) fn add_svg(&mut self, element: &str) {
-        self.svg += element;
-    }
-
     /// A length on this layer in pixels of the picture.
     pub(crate) fn pixels(&self, length: u32) -> f32 {
         length as f32 / OVERSAMPLING as f32

@@ -149,9 +149,9 @@ fn line(layer: &mut Layer, ends: [[f32; 2]; 2], colour: Rgb888, pixels: f32) {
     drawn(shape.into_styled(stroke(layer, colour, pixels)).draw(layer));
     let [[x0, y0], [x1, y1]] = ends;
     let colour = hex(colour);
-    layer.add_svg(&format!(
+    layer.svg += &format!(
         "<line x1=\"{x0:.1}\" y1=\"{y0:.1}\" x2=\"{x1:.1}\" y2=\"{y1:.1}\" stroke=\"{colour}\" stroke-width=\"{pixels}\"/>\n"
-    ));
+    );
 }
 
 fn dashed(layer: &mut Layer, [from, to]: [[f32; 2]; 2], colour: Rgb888, pixels: f32) {
@@ -172,29 +172,21 @@ fn disc(layer: &mut Layer, centre: [f32; 2], radius: f32, style: PrimitiveStyle<
     drawn(shape.into_styled(style).draw(layer));
     let [x, y] = centre;
     let or_none = |colour: Option<Rgb888>| colour.map_or("none".to_owned(), hex);
-    layer.add_svg(&format!(
+    layer.svg += &format!(
         "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\" fill=\"{}\" stroke=\"{}\" stroke-width=\"{:.1}\"/>\n",
         or_none(style.fill_color),
         or_none(style.stroke_color),
         layer.pixels(style.stroke_width)
-    ));
+    );
 }
 
-/// A filled polygon as SVG; the raster has it of triangles.
-fn add_polygon(layer: &mut Layer, corners: &[[f32; 2]], colour: Rgb888) {
+/// A filled convex polygon.
+fn polygon(layer: &mut Layer, corners: &[[f32; 2]], colour: Rgb888) {
     let points: Vec<String> = corners.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
-    layer.add_svg(&format!(
-        "<polygon points=\"{}\" fill=\"{}\"/>\n",
-        points.join(" "),
-        hex(colour)
-    ));
-}
-
-fn quadrangle(layer: &mut Layer, corners: [[f32; 2]; 4], colour: Rgb888) {
-    add_polygon(layer, &corners, colour);
-    let [a, b, c, d] = corners.map(|p| layer.point(p));
-    for shape in [Triangle::new(a, b, c), Triangle::new(a, c, d)] {
-        drawn(shape.into_styled(fill(colour)).draw(layer));
+    layer.svg += &format!("<polygon points=\"{}\" fill=\"{}\"/>\n", points.join(" "), hex(colour));
+    let corners: Vec<Point> = corners.iter().map(|p| layer.point(*p)).collect();
+    for [b, c] in corners[1..].array_windows() {
+        drawn(Triangle::new(corners[0], *b, *c).into_styled(fill(colour)).draw(layer));
     }
 }
 
@@ -205,25 +197,14 @@ fn cross(layer: &mut Layer, [x, y]: [f32; 2], reach: f32, colour: Rgb888) {
     }
 }
 
-/// The sides of a quadrangle.
-fn sides(corners: [[f32; 2]; 4]) -> [[[f32; 2]; 2]; 4] {
-    let [a, b, c, d] = corners;
-    [[a, b], [b, c], [c, d], [d, a]]
-}
-
 /// A thick line through points, with round joints.
 fn band(layer: &mut Layer, points: &[[f32; 2]], colour: Rgb888, pixels: f32) {
     for leg in points.windows(2) {
         let (dx, dy) = (leg[1][0] - leg[0][0], leg[1][1] - leg[0][1]);
         let half = 0.5 * pixels / libm::hypotf(dx, dy).max(1e-3);
-        let side = |p: [f32; 2], s: f32| [p[0] - s * half * dy, p[1] + s * half * dx];
-        let corners = [
-            side(leg[0], 1.0),
-            side(leg[0], -1.0),
-            side(leg[1], -1.0),
-            side(leg[1], 1.0),
-        ];
-        quadrangle(layer, corners, colour);
+        let beside = |p: [f32; 2]| [1.0, -1.0].map(|s: f32| [p[0] - s * half * dy, p[1] + s * half * dx]);
+        let ([a, b], [d, c]) = (beside(leg[0]), beside(leg[1]));
+        polygon(layer, &[a, b, c, d], colour);
     }
     for p in points {
         disc(layer, *p, 0.5 * pixels, fill(colour));
@@ -243,11 +224,11 @@ fn text(canvas: &mut Canvas, words: &str, [x, y]: [f32; 2], font: &MonoFont<'_>,
         Alignment::Right => "end",
     };
     let words = words.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
-    canvas.add_svg(&format!(
+    canvas.svg += &format!(
         "<text x=\"{x:.1}\" y=\"{y:.1}\" font-family=\"monospace\" font-size=\"{}\" text-anchor=\"{anchor}\" dominant-baseline=\"central\" fill=\"{}\" xml:space=\"preserve\">{words}</text>\n",
         font.character_size.height,
         hex(colour)
-    ));
+    );
 }
 
 fn draw_grid(canvas: &mut Canvas, view: &View, course: &Course) {
@@ -333,9 +314,9 @@ fn draw_solid(layer: &mut Layer, view: &View, solid: &Solid, colour: Rgb888, out
             let Some(c) = corners(view, solid) else {
                 return;
             };
-            quadrangle(layer, c, colour);
-            for side in sides(c) {
-                line(layer, side, outline, 1.2);
+            polygon(layer, &c, colour);
+            for i in 0..4 {
+                line(layer, [c[i], c[(i + 1) % 4]], outline, 1.2);
             }
         }
     }
@@ -347,7 +328,7 @@ fn draw_obstacles(canvas: &mut Canvas, view: &View, course: &Course) {
         let reach_m = course.corridor_reach_m();
         let meshes = course.mesh_boxes(reach_m);
         for c in meshes.iter().filter_map(|b| corners(view, b)) {
-            quadrangle(layer, c, MESH);
+            polygon(layer, &c, MESH);
         }
         let [low_m, high_m] = course.band_m(reach_m);
         for wire in &course.wires {
@@ -370,8 +351,8 @@ fn draw_obstacles(canvas: &mut Canvas, view: &View, course: &Course) {
         canvas.layer(opacity, |layer| draw_solid(layer, view, &solid, OVERHANG, OVERHANG));
         if let Some(c) = corners(view, &solid) {
             canvas.layer(1.0, |layer| {
-                for side in sides(c) {
-                    dashed(layer, side, OVERHANG, 1.6);
+                for i in 0..4 {
+                    dashed(layer, [c[i], c[(i + 1) % 4]], OVERHANG, 1.6);
                 }
             });
         }
@@ -407,10 +388,7 @@ fn arrow(layer: &mut Layer, from: [f32; 2], tip: [f32; 2], colour: Rgb888) {
     let (dx, dy) = (dx * scale, dy * scale);
     let behind = |back: f32, side: f32| [tip[0] - back * dx - side * dy, tip[1] - back * dy + side * dx];
     line(layer, [from, behind(length, 0.0)], colour, 3.0);
-    let head = [tip, behind(length, half), behind(length, -half)];
-    add_polygon(layer, &head, colour);
-    let [a, b, c] = head.map(|p| layer.point(p));
-    drawn(Triangle::new(a, b, c).into_styled(fill(colour)).draw(layer));
+    polygon(layer, &[tip, behind(length, half), behind(length, -half)], colour);
 }
 
 fn path_colour(path: &FlightPath, index: usize) -> Rgb888 {

@@ -1,7 +1,7 @@
 //! The hard family: walls across the arena with narrow doors, pockets, dense columns, low roofs, and obstacles that move.
 
-use super::{Area, Builder, Kind, Obstacle, cm};
-use crate::world::course::{Overhang, Wall};
+use super::{Area, Builder, Kind, Obstacle, cm, wall};
+use crate::world::course::Overhang;
 use crate::world::mover::{BoxOutline, ColumnOutline, Mover, MoverShape};
 use crate::world::solid::radians;
 use core::ops::Range;
@@ -112,15 +112,6 @@ fn walls(b: &mut Builder, north_m: &[f32]) -> Vec<Door> {
     doors
 }
 
-fn wall(from_m: [f32; 2], to_m: [f32; 2], thickness_m: f32, height_m: f32) -> Obstacle {
-    Obstacle::Wall(Wall {
-        from_m,
-        to_m,
-        thickness_m,
-        height_m,
-    })
-}
-
 /// The parts of a wall with a door.
 fn wall_with(b: &mut Builder, door: &Door) -> Vec<Obstacle> {
     let width_m = b.length(DOOR_WIDTH_M);
@@ -187,8 +178,7 @@ fn guard(b: &mut Builder, door: &Door) {
                 cm(door.east_m + aside_m),
             ]
         };
-        let mover = mover(b, at(-left_m), at(right_m));
-        b.place(Obstacle::Mover(mover))
+        place_mover(b, at(-left_m), at(right_m))
     });
 }
 
@@ -201,13 +191,12 @@ fn patrols(b: &mut Builder, count: Range<usize>) {
             let heading = b.rng.random_range(0.0..core::f32::consts::PI);
             let (s, c) = (libm::sinf(heading), libm::cosf(heading));
             let at = |along_m: f32| [cm(north_m + along_m * c), cm(east_m + along_m * s)];
-            let mover = mover(b, at(-half_m), at(half_m));
-            b.place(Obstacle::Mover(mover))
+            place_mover(b, at(-half_m), at(half_m))
         });
     }
 }
 
-fn mover(b: &mut Builder, from_m: [f32; 2], to_m: [f32; 2]) -> Mover {
+fn place_mover(b: &mut Builder, from_m: [f32; 2], to_m: [f32; 2]) -> bool {
     let shape = if b.chance(0.6) {
         MoverShape::Column(ColumnOutline {
             radius_m: b.length(0.2..0.4),
@@ -219,12 +208,13 @@ fn mover(b: &mut Builder, from_m: [f32; 2], to_m: [f32; 2]) -> Mover {
             yaw_deg: cm(b.rng.random_range(0.0..180.0)),
         })
     };
-    Mover {
+    let mover = Mover {
         from_m,
         to_m,
         speed_m_s: b.length(0.3..0.8),
         phase: cm(b.rng.random_range(0.0..1.0)),
         height_m: b.length(1.9..2.6),
         shape,
-    }
+    };
+    b.place(Obstacle::Mover(mover))
 }

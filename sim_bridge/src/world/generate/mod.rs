@@ -203,6 +203,15 @@ impl Obstacle {
     }
 }
 
+fn wall(from_m: [f32; 2], to_m: [f32; 2], thickness_m: f32, height_m: f32) -> Obstacle {
+    Obstacle::Wall(Wall {
+        from_m,
+        to_m,
+        thickness_m,
+        height_m,
+    })
+}
+
 /// Where obstacles' centres may lie.
 struct Area {
     north_m: Range<f32>,
@@ -286,12 +295,7 @@ impl Builder {
         let height_m = self.length(2.5..4.0);
         for side in [-1.0, 1.0] {
             let east_m = side * self.length(distance_m.clone());
-            self.place(Obstacle::Wall(Wall {
-                from_m: [-3.5, east_m],
-                to_m: [24.5, east_m],
-                thickness_m: 0.2,
-                height_m,
-            }));
+            self.place(wall([-3.5, east_m], [24.5, east_m], 0.2, height_m));
         }
     }
 
@@ -361,12 +365,8 @@ impl Builder {
                 let half_m = 0.5 * self.length(2.0..4.5);
                 let yaw_rad = radians(yaw_deg);
                 let (s, c) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
-                Obstacle::Wall(Wall {
-                    from_m: [cm(north_m - half_m * c), cm(east_m - half_m * s)],
-                    to_m: [cm(north_m + half_m * c), cm(east_m + half_m * s)],
-                    thickness_m: self.length(0.1..0.3),
-                    height_m: self.length(2.2..3.5),
-                })
+                let end = |along_m: f32| [cm(north_m + along_m * c), cm(east_m + along_m * s)];
+                wall(end(-half_m), end(half_m), self.length(0.1..0.3), self.length(2.2..3.5))
             }
             Kind::LowOverhang => self.overhang((north_m, east_m, yaw_deg), [0.8..1.5, 1.0..3.0, 0.4..1.5, 0.7..1.6]),
             Kind::Beam => self.overhang((north_m, east_m, yaw_deg), [2.25..2.7, 2.0..6.0, 0.2..0.6, 0.2..0.6]),

@@ -174,11 +174,8 @@ fn fly_all(
     };
     let existing = Existing::replaced_unless(seeds.resume);
     let mut campaign = Campaign::new(command, settings.clone(), jobs.clone())?.keep_in(&lines, existing)?;
-    say!(
-        "{} validation courses from seed {}, the same for every row",
-        jobs.flights,
-        jobs.first_seed
-    );
+    let seed = jobs.first_seed;
+    say!("{flights} validation courses from seed {seed}, the same for every row");
     let begun = Instant::now();
     let interrupt = campaign.fly(&jobs, &common.pool()?, |seed, arm, _| {
         let (apf, setting) = settings.arms[arm];

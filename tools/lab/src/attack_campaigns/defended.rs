@@ -94,10 +94,11 @@ pub struct DefendedArgs {
 
 named! {
     /// Who flies against what.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize, clap::ValueEnum)]
     #[serde(rename_all = "kebab-case")]
     pub enum Arm {
         /// Not attacked, no detector.
+        #[default]
         None => "none",
         /// Not attacked, detector and recovery on: what do they cost?
         NoneWatched => "none-watched",
@@ -147,7 +148,7 @@ struct Settings {
 }
 
 /// A flight: a line of `defended.csv`.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 struct Line {
     arm: Arm,
     seed: u64,
@@ -364,10 +365,9 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         "{} holds a campaign of an earlier version; name another folder with --output",
         table.display()
     );
-    let existing = if args.seeds.resume {
-        Existing::Resume
-    } else {
-        Existing::Refuse
+    let existing = match args.seeds.resume {
+        true => Existing::Resume,
+        false => Existing::Refuse,
     };
     let mut campaign = Campaign::new(COMMAND, settings, jobs.clone())?.keep_in(&lines, existing)?;
     let interrupt = campaign.fly(&jobs, &args.common.pool()?, |seed, arm, _| {
@@ -414,14 +414,8 @@ fn report(campaign: &Campaign<Settings, Flight>, json: &Path) -> Result<()> {
     .into_iter()
     .filter_map(|(without, with)| pair(&lines, without, with))
     .inspect(|p| {
-        say!(
-            "{} against {}: of {} courses {} completed only with, {} only without",
-            p.with.name(),
-            p.without.name(),
-            p.flights,
-            p.won,
-            p.lost
-        );
+        let ([with, without], Pair { flights, won, lost, .. }) = ([p.with, p.without].map(Arm::name), p);
+        say!("{with} against {without}: of {flights} courses {won} completed only with, {lost} only without");
     })
     .collect();
     campaign.is_interrupted();
@@ -461,18 +455,9 @@ mod tests {
             arm,
             seed,
             outcome: outcome.name(),
-            flight_time_s: 21.35,
-            closest_obstacle_m: 0.62,
-            attacked_steps: 100,
-            effective_steps: 87,
             judged_steps: 418,
             alarms: 1,
-            guard_alarms: 0,
-            astray_alarms: 0,
-            disagreement_alarms: 0,
-            first_alarm_step: Some(212),
-            stop_steps: 14,
-            recovery_steps: 120,
+            ..Line::default()
         }
     }
 

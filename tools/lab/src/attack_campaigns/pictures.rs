@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use vigil_adversary::{AttackConfig, Method, StateAttack};
 use vigil_nnet::Isa;
 use vigil_tools::cli::output::{range_grey, say};
-use vigil_types::{DEPTH_COLS, DEPTH_ROWS, YAW_RATE_PER_UNIT_RAD_S};
+use vigil_types::YAW_RATE_PER_UNIT_RAD_S;
 
 /// Changes of as many metres and more have the full colour.
 const FULL_COLOUR_M: f32 = 8.0;
@@ -86,20 +86,14 @@ pub fn run(args: &PicturesArgs) -> Result<ExitCode> {
     }
     let place = |m: f32| f64::from(0.5 + 0.5 * m / FULL_COLOUR_M);
     let tick = |m: f32| (place(m), format!("{m}").replace('-', "−"));
+    let changes = ColourScale {
+        label: "change of the range (m): red nearer, blue farther".to_owned(),
+        ticks: [-FULL_COLOUR_M, 0.0, FULL_COLOUR_M].map(tick).into(),
+        colours: (-127..=127).map(|i| change_colour(i as f32 / 127.0)).collect(),
+    };
     let plate = Plate {
         title: format!("What attacks make of a frame of validation course {}", args.seed),
-        columns: [
-            ("as delivered".to_owned(), ColourScale::of_ranges()),
-            (
-                "change".to_owned(),
-                ColourScale {
-                    label: "change of the range (m): red nearer, blue farther".to_owned(),
-                    ticks: [-FULL_COLOUR_M, 0.0, FULL_COLOUR_M].map(tick).into(),
-                    colours: (-127..=127).map(|i| change_colour(i as f32 / 127.0)).collect(),
-                },
-            ),
-        ],
-        size: (DEPTH_COLS as u32, DEPTH_ROWS as u32),
+        columns: [("as delivered", ColourScale::of_ranges()), ("change", changes)],
         rows,
     };
     for path in plate.save(folder, "attacks")?.iter().rev() {

@@ -88,11 +88,8 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
     bar.finish();
     let wall_s = begun.elapsed().as_secs_f64();
     if interrupt.came() {
-        say!(
-            "interrupted: {} of {} states were attacked",
-            attacked.len(),
-            args.states
-        );
+        let (done, all) = (attacked.len(), args.states);
+        say!("interrupted: {done} of {all} states were attacked");
     }
     if attacked.is_empty() {
         return Ok(interrupt.exit_code());

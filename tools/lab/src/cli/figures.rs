@@ -2,7 +2,7 @@
 //! `vigil reproduce` draws the same.
 
 use crate::cli::output::{self, range_grey, say};
-use crate::detector_training::{Adversary, ExplainedStep, Frame, Plan, Portrait, Scenario, portray};
+use crate::detector_training::{Adversary, Frame, Onlooker, PixelExplainer, Plan, Scenario, Shown, Step, YAW, fly};
 use crate::report::{ColourScale, Figure, Panel, Picture, Plate, decimals, maybe_decimals, png_bytes, to_csv};
 use anyhow::{Context, Result, ensure};
 use base64::Engine as _;
@@ -10,9 +10,9 @@ use base64::engine::general_purpose::STANDARD as BASE64;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use vigil_adversary::AttackConfig;
-use vigil_detector::FrozenDetector;
-use vigil_nnet::Isa;
-use vigil_policy::FrozenActor;
+use vigil_detector::{FrozenDetector, Monitor};
+use vigil_nnet::{Isa, Purpose};
+use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_sim::world::Family;
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, STEP_S};
 
@@ -75,17 +75,56 @@ fn unpacked(text: &str) -> Result<Vec<u8>> {
     Ok(pixels)
 }
 
+/// A step whose pixels were explained: its number, whether its frame was altered, the frame as delivered (range over full scale), and the
+/// SHAP values of its pixels for the yaw output: positive turns right.
+type Explained = (usize, bool, Vec<f32>, Vec<f32>);
+
+/// Explains and judges each step of a flight, and of those chosen every pixel.
+struct Explaining {
+    monitor: Monitor,
+    pixels: PixelExplainer,
+    chosen: Vec<usize>,
+    lines: Vec<ExplanationLine>,
+    frames: Vec<Explained>,
+}
+
+impl Onlooker for Explaining {
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()> {
+        let (number, altered) = (self.lines.len(), step.frame == Frame::Attacked);
+        let j = self.monitor.judge(&step.state, step.position);
+        self.lines.push(ExplanationLine {
+            time_s: seconds(number),
+            altered: altered.into(),
+            yaw: step.output[YAW],
+            base: j.base,
+            image: j.image,
+            bearing: j.bearing,
+            distance: j.distance,
+            told: j.told,
+            score: j.score,
+            verdict: j.verdict.name().to_owned(),
+        });
+        if self.chosen.contains(&number)
+            && let Some(inputs) = shown.inputs(step)
+        {
+            let phi = self.pixels.of_inputs(&inputs, YAW)?.to_vec();
+            let depth = shown.input.depth.depth.to_vec();
+            self.frames.push((number, altered, depth, phi));
+        }
+        Ok(())
+    }
+}
+
 impl Pixels {
-    fn of(portrait: &Portrait) -> (f64, Vec<PixelFrame>) {
-        let frames = &portrait.frames;
-        let sizes: Vec<f64> = frames.iter().flat_map(|f| &f.phi).map(|v| f64::from(v.abs())).collect();
+    fn of(frames: &[Explained]) -> (f64, Vec<PixelFrame>) {
+        let sizes: Vec<f64> = frames.iter().flat_map(|f| &f.3).map(|v| f64::from(v.abs())).collect();
         let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9);
         let level = |value: f32| (LEVELS * (value / full as f32).clamp(-1.0, 1.0)).round() as i16 + i16::from(NOTHING);
-        let frame = |f: &crate::detector_training::ExplainedFrame| PixelFrame {
-            step: f.number,
-            altered: f.frame == Frame::Attacked,
-            depth_png: packed(&f.depth.iter().map(|range| range_grey(*range)[0]).collect::<Vec<_>>()),
-            shap_png: packed(&f.phi.iter().map(|value| level(*value) as u8).collect::<Vec<_>>()),
+        let frame = |(step, altered, depth, phi): &Explained| PixelFrame {
+            step: *step,
+            altered: *altered,
+            depth_png: packed(&depth.iter().map(|range| range_grey(*range)[0]).collect::<Vec<_>>()),
+            shap_png: packed(&phi.iter().map(|value| level(*value) as u8).collect::<Vec<_>>()),
         };
         (full, frames.iter().map(frame).collect())
     }
@@ -107,21 +146,31 @@ pub fn draw(
         }),
         ..Scenario::unattacked(Family::Validation, seed, Plan::Actor)
     };
-    let (record, portrait) = portray(isa, actor, detector, &scenario, pictures)?;
+    // Explaining changes nothing, so the same flight is flown first to know how long it takes.
+    let pilot = FrozenPilot::from(actor);
+    let steps = fly(isa, &pilot, &scenario, &mut ())?.steps.len();
+    let mut seen = Explaining {
+        monitor: Monitor::new(isa, actor.head(Purpose::Multipliers)?, &actor.sha256(), detector)?,
+        pixels: PixelExplainer::new(isa, actor)?,
+        // Spread evenly over the flight.
+        chosen: (0..pictures).map(|i| (2 * i + 1) * steps / (2 * pictures)).collect(),
+        lines: Vec::new(),
+        frames: Vec::new(),
+    };
+    let record = fly(isa, &pilot, &scenario, &mut seen)?;
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let write = |name: &str, content: &[u8]| {
         let path = folder.join(name);
         say!("{}", path.display());
         output::write(&path, content)
     };
-    let steps = &portrait.steps;
-    let (full_strength, frames) = Pixels::of(&portrait);
+    let (full_strength, frames) = Pixels::of(&seen.frames);
     let pixels = Pixels {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         actor_sha256: actor.sha256(),
         detector_sha256: detector.sha256(),
         seed,
-        steps: steps.len(),
+        steps,
         attacked: attacked.then_some((BURST.start, BURST.end)),
         outcome: record
             .outcome
@@ -130,24 +179,19 @@ pub fn draw(
         full_strength,
         frames,
     };
-    let lines = explanations(&portrait);
     write("pixels.json", &serde_json::to_vec_pretty(&pixels)?)?;
-    write("explanations.csv", to_csv(&lines).as_bytes())?;
+    write("explanations.csv", to_csv(&seen.lines).as_bytes())?;
     let drawn = [
         figure_12(&pixels)?.save(folder, "figure-12")?,
-        figure_13(&pixels, &lines).save(folder, "figure-13")?,
-        figure_14(&pixels, &lines).save(folder, "figure-14")?,
+        figure_13(&pixels, &seen.lines).save(folder, "figure-13")?,
+        figure_14(&pixels, &seen.lines).save(folder, "figure-14")?,
     ];
     for path in drawn.as_flattened() {
         say!("{}", path.display());
     }
     let burst = attacked.then(|| format!(", those from {} to {} attacked", BURST.start, BURST.end - 1));
-    say!(
-        "validation course {seed}, {} steps{}, flight ended: {}",
-        steps.len(),
-        burst.unwrap_or_default(),
-        pixels.outcome
-    );
+    let (burst, outcome) = (burst.unwrap_or_default(), pixels.outcome);
+    say!("validation course {seed}, {steps} steps{burst}, flight ended: {outcome}");
     Ok(())
 }
 
@@ -177,20 +221,17 @@ pub(crate) fn figure_12(pixels: &Pixels) -> Result<Plate> {
         Ok((words, [depth, shap]))
     };
     let full = format!("{:.4}", pixels.full_strength);
+    let values = ColourScale {
+        label: "SHAP value of a pixel (action units): blue turns left, orange right".to_owned(),
+        ticks: vec![(0.0, format!("−{full}")), (0.5, "0".to_owned()), (1.0, full)],
+        colours: (1..=255).map(shap_colour).collect(),
+    };
     Ok(Plate {
         title: format!("Pixels that turn the vehicle, validation course {}", pixels.seed),
         columns: [
-            ("newest depth frame".to_owned(), ColourScale::of_ranges()),
-            (
-                "SHAP values for the yaw output".to_owned(),
-                ColourScale {
-                    label: "SHAP value of a pixel (action units): blue turns left, orange right".to_owned(),
-                    ticks: vec![(0.0, format!("−{full}")), (0.5, "0".to_owned()), (1.0, full)],
-                    colours: (1..=255).map(shap_colour).collect(),
-                },
-            ),
+            ("newest depth frame", ColourScale::of_ranges()),
+            ("SHAP values for the yaw output", values),
         ],
-        size: (DEPTH_COLS as u32, DEPTH_ROWS as u32),
         rows: pixels.frames.iter().map(row).collect::<Result<_>>()?,
     })
 }
@@ -278,20 +319,4 @@ impl ExplanationLine {
     pub fn sum(&self) -> f32 {
         self.base + self.image + self.bearing + self.distance + self.told
     }
-}
-
-fn explanations(portrait: &Portrait) -> Vec<ExplanationLine> {
-    let line = |(number, ExplainedStep { step, judgement: j }): (usize, &ExplainedStep)| ExplanationLine {
-        time_s: seconds(number),
-        altered: (step.frame == Frame::Attacked).into(),
-        yaw: step.output[1],
-        base: j.base,
-        image: j.image,
-        bearing: j.bearing,
-        distance: j.distance,
-        told: j.told,
-        score: j.score,
-        verdict: j.verdict.name().to_owned(),
-    };
-    portrait.steps.iter().enumerate().map(line).collect()
 }

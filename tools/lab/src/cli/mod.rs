@@ -20,11 +20,11 @@ use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
-use vigil_tools::cli::{EveryCommand, lab};
+use vigil_tools::cli::{EveryCommand, lab, with_negative_numbers};
 
 /// Train, attack, explain, measure: Vigil's laboratory. `vigil` starts it for each of its commands.
 #[derive(Parser)]
-#[command(name = "vigil", bin_name = "vigil", version)]
+#[command(name = "vigil", bin_name = "vigil", version, mut_subcommands(with_negative_numbers))]
 struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -4,7 +4,7 @@ use crate::campaign::Tally;
 use crate::cli::output::{or_dash, say};
 use crate::report::{TextTable, numbers, words};
 use crate::threads::thread_pool_of;
-use crate::trainer::evaluation::{EvaluatedActor, EvaluationSpec, evaluate};
+use crate::trainer::evaluation::{EvaluatedActor, EvaluationSpec, evaluate, mean_time_s, tally};
 use crate::trainer::observation::Drift;
 use crate::trainer::probe::{Readout, probe};
 use anyhow::{Result, bail, ensure};
@@ -138,10 +138,10 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
     }
     for &field in fields {
         let what = spec(field);
-        let result = pool.install(|| evaluate(evaluated, Isa::detect(), &what))?;
+        let flights = pool.install(|| evaluate(evaluated, Isa::detect(), &what))?;
         let field = [if field { "on" } else { "off" }.to_owned()];
-        let mean_time = [or_dash(result.mean_time_s().unwrap_or(f64::NAN), 1, " s")];
-        table.row(field.into_iter().chain(result.tally().cells()).chain(mean_time));
+        let mean_time = [or_dash(mean_time_s(&flights).unwrap_or(f64::NAN), 1, " s")];
+        table.row(field.into_iter().chain(tally(&flights).cells()).chain(mean_time));
     }
     say!("{table}");
     Ok(ExitCode::SUCCESS)

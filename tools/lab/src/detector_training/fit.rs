@@ -77,23 +77,6 @@ fn loss(logit: f32, attacked: bool) -> (f64, f32) {
     (value, (1.0 / (1.0 + libm::exp(-z)) - y) as f32)
 }
 
-/// A worker's buffers.
-struct Worker {
-    tape: Vec<f32>,
-    work: Vec<f32>,
-    values: Vec<f32>,
-}
-
-impl Worker {
-    fn new(graph: &Graph) -> Self {
-        Self {
-            tape: vec![0.0; graph.tape_len()],
-            work: vec![0.0; graph.work_len()],
-            values: Vec::new(),
-        }
-    }
-}
-
 /// The network's output for each example.
 ///
 /// # Errors
@@ -103,11 +86,10 @@ pub fn outputs(graph: &Graph, isa: Isa, params: &[f32], examples: &impl Examples
         .into_par_iter()
         .with_min_len(SHARE)
         .map_init(
-            || Worker::new(graph),
-            |worker, i| {
-                let inputs = examples.inputs(i, &mut worker.values);
-                graph.forward(isa, params, &inputs, &mut worker.tape)?;
-                Ok(graph.output(&worker.tape)?[0])
+            || (vec![0.0; graph.tape_len()], Vec::new()),
+            |(tape, values), i| {
+                graph.forward(isa, params, &examples.inputs(i, values), tape)?;
+                Ok(graph.output(tape)?[0])
             },
         )
         .collect()
@@ -121,16 +103,15 @@ fn add_up(
     train: &impl Examples,
     share: &[usize],
 ) -> Result<(f64, Vec<f32>)> {
-    let mut worker = Worker::new(graph);
+    let (mut tape, mut work) = (vec![0.0; graph.tape_len()], vec![0.0; graph.work_len()]);
+    let mut values = Vec::new();
     let mut gradient = vec![0.0; params.len()];
     let mut sum = 0.0;
     for i in share {
-        let inputs = train.inputs(*i, &mut worker.values);
-        graph.forward(isa, params, &inputs, &mut worker.tape)?;
-        let (value, slope) = loss(graph.output(&worker.tape)?[0], train.attacked(*i));
+        graph.forward(isa, params, &train.inputs(*i, &mut values), &mut tape)?;
+        let (value, slope) = loss(graph.output(&tape)?[0], train.attacked(*i));
         sum += value;
-        let (tape, work) = (&worker.tape, &mut worker.work);
-        graph.backward(isa, packed, tape, &[slope], Some(&mut gradient), work)?;
+        graph.backward(isa, packed, &tape, &[slope], Some(&mut gradient), &mut work)?;
     }
     Ok((sum, gradient))
 }

@@ -2,7 +2,6 @@
 
 mod comparison;
 mod evaluation;
-mod explained_flight;
 mod features;
 mod fit;
 mod flight_files;
@@ -14,7 +13,6 @@ mod times;
 pub use crate::explained::*;
 pub(crate) use comparison::{ImageNetwork, TableRow, image_fit, lstm_scores, pca_scores, row};
 pub(crate) use evaluation::{EvaluationSize, Report, Role, Set, SetReport, evaluate, fly_all, sets};
-pub(crate) use explained_flight::{ExplainedFrame, ExplainedStep, Portrait, portray};
 pub use features::Feature;
 pub use fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
 pub(crate) use flight_files::{BLOCK, Recorded};

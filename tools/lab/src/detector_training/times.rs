@@ -5,7 +5,7 @@ use crate::explained::{BACKGROUNDS, Onlooker, Plan, Record, Scenario, Shown, Ste
 use anyhow::Result;
 use std::time::Instant;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, WINDOW, image, normalise};
-use vigil_nnet::{Activation, Graph, Isa, Purpose};
+use vigil_nnet::{Activation, Isa, Purpose, ShapeError};
 use vigil_policy::actor::{Actor, LOW_DIM};
 use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_sim::world::Family;
@@ -28,33 +28,19 @@ pub struct Times {
     pub fcn_s: Vec<f64>,
 }
 
-/// An image detector with drawn weights: how long it takes does not depend on them.
-struct ImageDetector {
-    graph: Graph,
-    params: Vec<f32>,
-    tape: Vec<f32>,
-}
+/// Judges an image; how long it takes does not depend on its weights, which are drawn.
+type ImageDetector = Box<dyn FnMut(&[f32]) -> Result<(), ShapeError>>;
 
-impl ImageDetector {
-    fn new(network: ImageNetwork) -> Result<Self> {
-        let (graph, params) = network.drawn(Activation::Sigmoid, 1)?;
-        Ok(Self {
-            tape: vec![0.0; graph.tape_len()],
-            params,
-            graph,
-        })
-    }
-
-    fn score(&mut self, isa: Isa, inputs: &[&[f32]]) -> Result<()> {
-        Ok(self.graph.forward(isa, &self.params, inputs, &mut self.tape)?)
-    }
+fn image_detector(isa: Isa, network: ImageNetwork) -> Result<ImageDetector> {
+    let (graph, params) = network.drawn(Activation::Sigmoid, 1)?;
+    let mut tape = vec![0.0; graph.tape_len()];
+    Ok(Box::new(move |image| graph.forward(isa, &params, &[image], &mut tape)))
 }
 
 /// Steps between two explanations of all pixels.
 const STRIDE: usize = 10;
 
 struct Timing {
-    isa: Isa,
     actor: Actor,
     shap: DeepShap,
     detector: FrozenDetector,
@@ -99,8 +85,8 @@ impl Onlooker for Timing {
             })?;
             let bytes = image(&self.phi[..DEPTH_PIXELS]).unwrap_or_else(|| unreachable!("a frame's finite pixels"));
             let values: Vec<f32> = bytes.iter().map(|byte| f32::from(*byte) / 255.0).collect();
-            timed(&mut times.cnn_s, || self.cnn.score(self.isa, &[&values]))?;
-            timed(&mut times.fcn_s, || self.fcn.score(self.isa, &[&values]))?;
+            timed(&mut times.cnn_s, || (self.cnn)(&values))?;
+            timed(&mut times.fcn_s, || (self.fcn)(&values))?;
         }
         Ok(())
     }
@@ -119,7 +105,6 @@ pub fn time(
 ) -> Result<(Record, Times)> {
     let pixels = explainer(isa, actor, BACKGROUNDS)?;
     let mut timing = Timing {
-        isa,
         actor: actor.actor(isa)?,
         shap: detector.explainer(isa, actor.head(Purpose::Multipliers)?)?,
         detector: detector.clone(),
@@ -127,8 +112,8 @@ pub fn time(
         rows: [[0.0; ROW]; WINDOW],
         phi: vec![0.0; pixels.phi_len()],
         pixels,
-        cnn: ImageDetector::new(ImageNetwork::Cnn)?,
-        fcn: ImageDetector::new(ImageNetwork::Fcn)?,
+        cnn: image_detector(isa, ImageNetwork::Cnn)?,
+        fcn: image_detector(isa, ImageNetwork::Fcn)?,
         pictures,
         times: Times::default(),
     };

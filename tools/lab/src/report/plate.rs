@@ -3,6 +3,7 @@
 use super::picture::{Area, Fault, INK, Picture, Raster, WIDTH, text};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
+use vigil_types::{DEPTH_COLS, DEPTH_ROWS};
 
 /// Room for the rows' names, for title and columns' names, between pictures, for the scales of the colours.
 const LEFT: u32 = 92;
@@ -40,9 +41,8 @@ impl ColourScale {
 pub struct Plate {
     pub title: String,
     /// Names of the columns, and what their colours mean.
-    pub columns: [(String, ColourScale); 2],
-    pub size: (u32, u32),
-    /// Names of the rows, line by line, and their two pictures' colours.
+    pub columns: [(&'static str, ColourScale); 2],
+    /// Names of the rows, line by line, and the colours of their two pictures, as large as depth frames.
     pub rows: Vec<(Vec<String>, [Vec<u8>; 2])>,
 }
 
@@ -101,7 +101,7 @@ impl Picture for Plate {
         let pictures = self.rows.iter().enumerate().flat_map(|(row, (_, pictures))| {
             pictures.iter().enumerate().map(move |(column, rgb)| Raster {
                 place: [left_of(column), HEAD + row as u32 * (ROW + GAP), COLUMN, ROW],
-                size: self.size,
+                size: (DEPTH_COLS as u32, DEPTH_ROWS as u32),
                 rgb: rgb.clone(),
             })
         });

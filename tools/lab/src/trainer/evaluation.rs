@@ -48,26 +48,17 @@ pub struct EvaluationSpec {
     pub drift: Drift,
 }
 
-/// How they ended.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct EvaluationResult {
-    /// Outcome and time of each flight, in the order of the seeds.
-    pub flights: Vec<(Outcome, f64)>,
+/// How many flights ended how.
+pub fn tally(flights: &[(Outcome, f64)]) -> Tally {
+    let outcomes: Vec<_> = flights.iter().map(|(outcome, _)| Some(*outcome)).collect();
+    Tally::of(&outcomes)
 }
 
-impl EvaluationResult {
-    /// How many ended how.
-    pub fn tally(&self) -> Tally {
-        let outcomes: Vec<_> = self.flights.iter().map(|(outcome, _)| Some(*outcome)).collect();
-        Tally::of(&outcomes)
-    }
-
-    /// Mean time of those that reached the goal, seconds.
-    pub fn mean_time_s(&self) -> Option<f64> {
-        let arrived = self.flights.iter().filter(|(outcome, _)| *outcome == Outcome::Success);
-        let times: Vec<f64> = arrived.map(|(_, time_s)| *time_s).collect();
-        (!times.is_empty()).then(|| times.iter().sum::<f64>() / times.len() as f64)
-    }
+/// Mean time of those that reached the goal, seconds.
+pub fn mean_time_s(flights: &[(Outcome, f64)]) -> Option<f64> {
+    let arrived = flights.iter().filter(|(outcome, _)| *outcome == Outcome::Success);
+    let times: Vec<f64> = arrived.map(|(_, time_s)| *time_s).collect();
+    (!times.is_empty()).then(|| times.iter().sum::<f64>() / times.len() as f64)
 }
 
 /// Completion of a family.
@@ -93,9 +84,9 @@ pub struct FamilyCount {
 }
 
 impl FamilyCount {
-    /// Counts a result's flights.
-    pub fn new(what: &EvaluationSpec, result: &EvaluationResult) -> Self {
-        let tally = result.tally();
+    /// Counts flights.
+    pub fn new(what: &EvaluationSpec, flights: &[(Outcome, f64)]) -> Self {
+        let tally = tally(flights);
         Self {
             family: what.family,
             first_seed: what.first_seed,
@@ -114,16 +105,15 @@ impl FamilyCount {
     }
 }
 
-/// Flies all flights in the current thread pool.
+/// Flies all flights in the current thread pool: outcome and time of each, in the order of the seeds.
 ///
 /// # Errors
 /// Parameters of another architecture.
-pub fn evaluate(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec) -> Result<EvaluationResult> {
-    let flights = (0..what.flights)
+pub fn evaluate(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec) -> Result<Vec<(Outcome, f64)>> {
+    (0..what.flights)
         .into_par_iter()
         .map(|i| fly(actor, isa, what, what.first_seed.wrapping_add(i), |_, _, _| Ok(())))
-        .collect::<Result<Vec<_>>>()?;
-    Ok(EvaluationResult { flights })
+        .collect()
 }
 
 /// Flies one; `each` gets the actor after each of its decisions, what it decided on but for the drift, and where the vehicle is.

@@ -8,10 +8,7 @@ use vigil_nnet::{Activation, BatchNorm, Conv2d, Function, Gru, LayerNorm, Lstm, 
 use vigil_policy::imported::{Layer, NetworkError};
 
 /// An input: its name and its shape in ONNX.
-pub(super) struct Input {
-    pub(super) name: &'static str,
-    pub(super) shape: Vec<usize>,
-}
+pub(super) type Input = (&'static str, Vec<usize>);
 
 pub(super) fn value_of(values: &[(String, usize)], layer: usize) -> Result<(&str, usize), NetworkError> {
     match values.get(layer) {
@@ -38,40 +35,39 @@ pub(super) fn value_info(name: &str, shape: &[usize]) -> ValueInfo {
     }
 }
 
+/// A setting of this name and of one of [`attribute_type`], which `set` puts in its place.
+fn attribute(name: &str, r#type: i32, set: impl FnOnce(&mut Attribute)) -> Attribute {
+    let mut attribute = Attribute::default();
+    (attribute.name, attribute.r#type) = (name.to_owned(), r#type);
+    set(&mut attribute);
+    attribute
+}
+
 fn int(name: &str, i: usize) -> Attribute {
-    Attribute {
-        name: name.to_owned(),
-        i: i as i64,
-        r#type: attribute_type::INT,
-        ..Attribute::default()
-    }
+    attribute(name, attribute_type::INT, |a| a.i = i as i64)
 }
 
 fn ints(name: &str, ints: &[usize]) -> Attribute {
-    Attribute {
-        name: name.to_owned(),
-        ints: ints.iter().map(|i| *i as i64).collect(),
-        r#type: attribute_type::INTS,
-        ..Attribute::default()
-    }
+    let ints = ints.iter().map(|i| *i as i64);
+    attribute(name, attribute_type::INTS, |a| a.ints = ints.collect())
 }
 
 fn float(name: &str, f: f32) -> Attribute {
-    Attribute {
-        name: name.to_owned(),
-        f,
-        r#type: attribute_type::FLOAT,
-        ..Attribute::default()
-    }
+    attribute(name, attribute_type::FLOAT, |a| a.f = f)
 }
 
 fn strings(name: &str, words: &[&str]) -> Attribute {
-    Attribute {
-        name: name.to_owned(),
-        strings: words.iter().map(|word| word.as_bytes().to_vec()).collect(),
-        r#type: attribute_type::STRINGS,
-        ..Attribute::default()
-    }
+    let words = words.iter().map(|word| word.as_bytes().to_vec());
+    attribute(name, attribute_type::STRINGS, |a| a.strings = words.collect())
+}
+
+/// How a window moves over an image.
+fn window(kernel: &[usize; 2], stride: usize, padding: usize) -> Vec<Attribute> {
+    vec![
+        ints("kernel_shape", kernel),
+        ints("strides", &[stride; 2]),
+        ints("pads", &[padding; 4]),
+    ]
 }
 
 /// Name of a layer's parameters in the graph.
@@ -245,14 +241,14 @@ impl<'a> Writer<'a> {
         let several = |parts: &[usize]| parts.iter().map(of).collect::<Result<(Vec<&str>, Vec<usize>), _>>();
         Ok(match layer {
             Layer::Input { len } => {
-                let input = inputs
+                let (name, shape) = inputs
                     .next()
                     .ok_or_else(|| NetworkError("it has more inputs than a frame and a position".to_owned()))?;
-                self.graph.input.push(value_info(input.name, &input.shape));
-                let value = match *input.shape {
-                    [1, channels, ..] if input.name == "frame" && channels > 1 => self.row(input.name, *len),
-                    [1, _] => input.name.to_owned(),
-                    _ => self.reshaped(input.name, &[1, *len]),
+                self.graph.input.push(value_info(name, shape));
+                let value = match *shape.as_slice() {
+                    [1, channels, ..] if *name == "frame" && channels > 1 => self.row(name, *len),
+                    [1, _] => (*name).to_owned(),
+                    _ => self.reshaped(name, &[1, *len]),
                 };
                 (value, *len)
             }
@@ -284,12 +280,7 @@ impl<'a> Writer<'a> {
             }
             Layer::MaxPool2d { x, layer: p } => {
                 let x = self.image(of(x)?.0, [p.rows, p.cols, p.channels]);
-                let attributes = vec![
-                    ints("kernel_shape", &p.window),
-                    ints("strides", &[p.stride; 2]),
-                    ints("pads", &[p.padding; 4]),
-                ];
-                let y = self.node("MaxPool", &[&x], attributes);
+                let y = self.node("MaxPool", &[&x], window(&p.window, p.stride, p.padding));
                 (self.row(&y, p.output_len()), p.output_len())
             }
             Layer::Conv2d { x, layer, curve } => {
@@ -331,11 +322,7 @@ impl<'a> Writer<'a> {
         let bias = self.floats(&params_name("biases", params), &[filters], || {
             own[taps * channels * filters..].to_vec()
         });
-        let attributes = vec![
-            ints("kernel_shape", &[layer.kernel; 2]),
-            ints("strides", &[layer.stride; 2]),
-            ints("pads", &[layer.padding; 4]),
-        ];
+        let attributes = window(&[layer.kernel; 2], layer.stride, layer.padding);
         Ok(self.node("Conv", &[&x, &weights, &bias], attributes))
     }
 

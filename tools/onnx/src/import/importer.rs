@@ -54,15 +54,14 @@ pub(super) enum Value {
     Live(Live),
 }
 
-/// Weights of a recurrent layer that are among the parameters already.
-#[derive(Debug)]
+/// What tells the weights of a recurrent layer from others'.
+#[derive(Debug, PartialEq)]
 pub(super) struct RecurrentWeights<'a> {
     pub(super) is_gru: bool,
     pub(super) names: Vec<&'a str>,
     /// Where the inputs are in a layer of as many values.
     pub(super) places: Rc<Vec<u32>>,
     pub(super) inputs: usize,
-    pub(super) layer: usize,
 }
 
 #[derive(Default)]
@@ -79,7 +78,8 @@ pub(super) struct Importer<'a> {
     pub(super) uses: HashMap<&'a str, usize>,
     /// [`bounds`].
     pub(super) bounds: HashSet<&'a str>,
-    pub(super) recurrent_weights: Vec<RecurrentWeights<'a>>,
+    /// Those that are among the parameters already, and of which layer.
+    pub(super) recurrent_weights: Vec<(RecurrentWeights<'a>, usize)>,
     /// [`Needed::pieces`].
     pub(super) pieces: HashSet<&'a str>,
 }

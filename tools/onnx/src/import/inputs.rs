@@ -2,21 +2,12 @@
 
 use super::importer::{Importer, Live, Settings, Value, identity, image_places};
 use super::needed::Needed;
-use crate::adapter::{Flat, FlatGoal};
+use crate::adapter::{Adapter, Flat, FlatGoal};
 use crate::constant::len_of;
 use crate::proto::{Graph, ValueInfo};
 use std::collections::HashSet;
 use std::rc::Rc;
-use vigil_policy::imported::Layer;
-
-/// The frame among the inputs.
-pub(super) struct Frame {
-    pub(super) rows: usize,
-    pub(super) cols: usize,
-    pub(super) channels: usize,
-    pub(super) input: usize,
-    pub(super) has_position: bool,
-}
+use vigil_policy::imported::{Layer, PolicyInputs};
 
 impl<'a> Importer<'a> {
     pub(super) fn inputs(
@@ -24,9 +15,9 @@ impl<'a> Importer<'a> {
         graph: &'a Graph,
         action: &str,
         needed: &Needed<'a>,
-        flat: Option<Flat>,
-    ) -> Result<Frame, String> {
-        let mut found: Option<Frame> = None;
+        adapter: &Adapter,
+    ) -> Result<PolicyInputs, String> {
+        let mut found = None;
         let mut positions = 0;
         // Old exports list the weights among the inputs.
         let weights: HashSet<&str> = graph.initializer.iter().map(|tensor| tensor.name.as_str()).collect();
@@ -35,9 +26,9 @@ impl<'a> Importer<'a> {
             needed.tensors.contains(name) && !weights.contains(name)
         });
         let real: Vec<&ValueInfo> = real.collect();
-        if let Some(flat) = flat {
+        if let Some(flat) = adapter.flat {
             return match real.as_slice() {
-                [info] => self.flat_input(info, flat),
+                [info] => self.flat_input(info, adapter, flat),
                 _ => Err(format!("it has {} inputs; --flat is for policies with one", real.len())),
             };
         }
@@ -48,13 +39,7 @@ impl<'a> Importer<'a> {
                 [1, a, b, c] if found.is_none() => {
                     let channels_last = is_channels_last(graph, needed, &info.name).unwrap_or(c < a);
                     let (rows, cols, channels) = if channels_last { (a, b, c) } else { (b, c, a) };
-                    found = Some(Frame {
-                        rows,
-                        cols,
-                        channels,
-                        input: number,
-                        has_position: false,
-                    });
+                    found = Some(([rows, cols, channels], number));
                     match channels_last {
                         true => identity(len),
                         false => Rc::new(image_places(channels, rows, cols)),
@@ -80,20 +65,17 @@ impl<'a> Importer<'a> {
             let value = Live::of(layer, shape, places);
             self.tensors.insert(&info.name, Value::Live(value));
         }
-        let frame = found.ok_or_else(|| {
+        let (size, number) = found.ok_or_else(|| {
             format!(
                 "the action `{action}` depends on no frame: none of shape [1, channels, rows, columns] among the inputs that it is \
                  computed from"
             )
         })?;
-        Ok(Frame {
-            has_position: positions == 1,
-            ..frame
-        })
+        Ok(adapter.inputs(size, number, positions == 1))
     }
 
     /// The one input of a policy that takes its frame as a row of values.
-    fn flat_input(&mut self, info: &'a ValueInfo, flat: Flat) -> Result<Frame, String> {
+    fn flat_input(&mut self, info: &'a ValueInfo, adapter: &Adapter, flat: Flat) -> Result<PolicyInputs, String> {
         let shape = sizes_of(info)?;
         let [a, b, c] = flat.frame;
         let (rows, cols, channels) = if c < a { (a, b, c) } else { (b, c, a) };
@@ -125,13 +107,7 @@ impl<'a> Importer<'a> {
         }
         let value = Live::of(layer, shape, Rc::new(places));
         self.tensors.insert(&info.name, Value::Live(value));
-        Ok(Frame {
-            rows,
-            cols,
-            channels,
-            input: 0,
-            has_position,
-        })
+        Ok(adapter.inputs([rows, cols, channels], 0, has_position))
     }
 }
 

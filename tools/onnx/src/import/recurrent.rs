@@ -8,13 +8,6 @@ use vigil_nnet::{Activation, Gru, Lstm};
 use vigil_policy::imported::Layer;
 
 impl RecurrentWeights<'_> {
-    fn are(&self, other: &Self) -> bool {
-        self.is_gru == other.is_gru
-            && self.names == other.names
-            && self.places == other.places
-            && self.inputs == other.inputs
-    }
-
     /// The layer's parameters of ONNX's weights of the input `w`, of the state `r`, and both biases one after the other.
     fn params(&self, hidden: usize, w: &[f32], r: &[f32], bias: &[f32]) -> Result<Vec<f32>, String> {
         // ONNX's gates: z, r, h and i, o, f, c; ours: r, z, n and i, f, g, o.
@@ -113,26 +106,23 @@ impl<'a> Importer<'a> {
             let part = Live::of(x.layer, vec![1, inputs], places);
             let part = self.narrowed(&part)?;
             let inputs = self.lens.get(part.layer).copied().unwrap_or(0);
-            let mut weights = RecurrentWeights {
+            let weights = RecurrentWeights {
                 is_gru,
                 names: names.clone(),
                 places: part.places.clone(),
                 inputs,
-                layer: self.lens.len(),
             };
             // The same weights, in this node or an earlier one, are kept once.
-            let kept = self.recurrent_weights.iter().find(|kept| kept.are(&weights));
-            let params = match kept {
-                Some(kept) => {
-                    weights.layer = kept.layer;
-                    Vec::new()
+            let kept = self.recurrent_weights.iter().find(|(kept, _)| *kept == weights);
+            let (x, number) = (part.layer, self.lens.len());
+            let (params_of, params) = match kept {
+                Some((_, layer)) => (*layer, Vec::new()),
+                None => {
+                    let params = weights.params(hidden, w.real()?, r.real()?, &bias)?;
+                    self.recurrent_weights.push((weights, number));
+                    (number, params)
                 }
-                None => weights.params(hidden, w.real()?, r.real()?, &bias)?,
             };
-            let (x, params_of) = (part.layer, weights.layer);
-            if !params.is_empty() {
-                self.recurrent_weights.push(weights);
-            }
             let layer = match is_gru {
                 true => Layer::Gru {
                     x,

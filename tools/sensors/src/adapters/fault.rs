@@ -1,6 +1,7 @@
 //! What is wrong with a stream, in words, and how often it was.
 
 use std::fmt::Write;
+use std::mem::discriminant;
 use vigil_types::Nanos;
 
 /// Why a packet, or a whole picture, did not become a frame.
@@ -76,12 +77,6 @@ pub enum Fault {
     },
 }
 
-impl Fault {
-    fn kind(&self) -> std::mem::Discriminant<Self> {
-        std::mem::discriminant(self)
-    }
-}
-
 /// A fault is told at once, then at most this often.
 const TELL_EVERY_NS: Nanos = 10_000_000_000;
 
@@ -102,7 +97,8 @@ struct Kind {
 impl Tally {
     /// Counts a fault at `now_ns`; the line to tell, if it is time for one.
     pub fn note(&mut self, now_ns: Nanos, fault: Fault) -> Option<String> {
-        let Some(kind) = self.kinds.iter_mut().find(|k| k.last.kind() == fault.kind()) else {
+        let same = |kind: &&mut Kind| discriminant(&kind.last) == discriminant(&fault);
+        let Some(kind) = self.kinds.iter_mut().find(same) else {
             self.kinds.push(Kind {
                 last: fault,
                 count: 1,

@@ -1,5 +1,6 @@
 //! What `vigil evaluate` says of its flights: the table, and the JSON.
 
+use super::Settings;
 use crate::campaign::flights::Campaign;
 use crate::campaign::{FaultTally, Flight, SensorRecord, WatchRecord, outcome_name};
 use crate::cli::output::{self, Paint, say};
@@ -7,7 +8,6 @@ use crate::report::{TextTable, numbers, words};
 use crate::statistics::{quantile, wilson_95};
 use anyhow::Result;
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use std::path::Path;
 use vigil_sim::world::Outcome;
 use vigil_types::STEP_S;
@@ -25,14 +25,14 @@ struct Rate {
 
 /// Nothing in it depends on the machine or on the time that it took.
 #[derive(Serialize)]
-struct Report<'a, S> {
+struct Report<'a> {
     version: &'static str,
     /// Ctrl-C came before all flights that were asked for had been flown.
     interrupted: bool,
     flights_asked_for: u64,
     first_seed: u64,
     #[serde(flatten)]
-    settings: &'a S,
+    settings: &'a Settings,
     simulated_s: f64,
     rates: &'a [Rate],
     #[serde(skip_serializing_if = "<[_]>::is_empty")]
@@ -58,10 +58,7 @@ pub(super) struct Took {
 }
 
 /// What the flights of a campaign took in the simulation, seconds.
-pub(super) fn simulated_s<S>(campaign: &Campaign<S, Flight>) -> f64
-where
-    S: Serialize + DeserializeOwned + Sync,
-{
+pub(super) fn simulated_s(campaign: &Campaign<Settings, Flight>) -> f64 {
     campaign
         .flights()
         .map(|(_, f)| f.record.steps as f64 * f64::from(STEP_S))
@@ -148,13 +145,8 @@ fn print_failed(flights: &[&Flight]) {
     }
 }
 
-/// Prints the table of a campaign and writes its JSON. Of its settings, the vehicle's model and whether it is attacked are named.
-pub(super) fn report<S: Serialize + DeserializeOwned + Sync>(
-    campaign: &Campaign<S, Flight>,
-    (vehicle_model, is_attacked): (Option<&str>, bool),
-    json: &Path,
-    took: Option<&Took>,
-) -> Result<()> {
+/// Prints the table of a campaign and writes its JSON.
+pub(super) fn report(campaign: &Campaign<Settings, Flight>, json: &Path, took: Option<&Took>) -> Result<()> {
     let (settings, jobs) = (campaign.settings(), campaign.jobs());
     // All with one fault before the next.
     let flights: Vec<&Flight> = jobs.arms.iter().flat_map(|arm| campaign.flights_of(arm)).collect();
@@ -171,10 +163,10 @@ pub(super) fn report<S: Serialize + DeserializeOwned + Sync>(
 
     let paint = Paint::stdout();
     print_rates(&rates, &paint);
-    if let Some(model) = vehicle_model {
+    if let Some(model) = &settings.vehicle_model {
         say!("vehicle          {model}");
     }
-    print_flights(&flights, is_attacked);
+    print_flights(&flights, settings.attack.is_some());
     if !tallies.is_empty() {
         say!();
         let good: Vec<bool> = tallies.iter().map(|tally| tally.collisions == 0).collect();

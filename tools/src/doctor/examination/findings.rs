@@ -31,28 +31,16 @@ const WALL_S: f64 = 10.0;
 const LOW_BATTERY: f32 = vigil_types::parameters::BATTERY.number_f32();
 /// A message that comes every two seconds or more often has stopped if it did not come for so long.
 const STOPPED_NS: Nanos = 3 * SECOND_NS;
-/// What tells of the vehicle's state, and what its end leaves open.
+/// What the end of a message leaves open.
+const BY_HEIGHT: &str = "without it the height alone says whether the vehicle flies";
+const OLD_CHECKS: &str = "battery and pre-arm check are what they were";
+const OLD_TRUST: &str = "whether the position can be relied on is what it was";
+/// What tells of the vehicle's state.
 const TOLD_OF: [(&str, u32, &str); 4] = [
-    (
-        "EXTENDED_SYS_STATE",
-        EXTENDED_SYS_STATE_DATA::ID,
-        "without it the height alone says whether the vehicle flies",
-    ),
-    (
-        "SYS_STATUS",
-        SYS_STATUS_DATA::ID,
-        "battery and pre-arm check are what they were",
-    ),
-    (
-        "ESTIMATOR_STATUS",
-        ESTIMATOR_STATUS_DATA::ID,
-        "whether the position can be relied on is what it was",
-    ),
-    (
-        "EKF_STATUS_REPORT",
-        EKF_STATUS_REPORT,
-        "whether the position can be relied on is what it was",
-    ),
+    ("EXTENDED_SYS_STATE", EXTENDED_SYS_STATE_DATA::ID, BY_HEIGHT),
+    ("SYS_STATUS", SYS_STATUS_DATA::ID, OLD_CHECKS),
+    ("ESTIMATOR_STATUS", ESTIMATOR_STATUS_DATA::ID, OLD_TRUST),
+    ("EKF_STATUS_REPORT", EKF_STATUS_REPORT, OLD_TRUST),
 ];
 
 impl Examination {
@@ -230,11 +218,7 @@ impl Examination {
             }
         }
         if self.vehicle.telemetry.landed == Landed::Unknown {
-            report.absent(
-                "EXTENDED_SYS_STATE",
-                "1 Hz or more",
-                "without it the height alone says whether the vehicle flies",
-            );
+            report.absent("EXTENDED_SYS_STATE", "1 Hz or more", BY_HEIGHT);
         }
     }
 
@@ -250,34 +234,33 @@ impl Examination {
             Some(hz) if hz >= LEAST_HZ => Severity::Warning,
             _ => Severity::Failure,
         };
-        let value = match (hz, last_ns) {
-            (Some(hz), _) if gaps.count > 0 => Some(format!(
-                "{hz:.1} Hz, but away {} times, {} in all, {} at the longest",
-                gaps.count,
-                s(gaps.sum_ns),
-                s(gaps.longest_ns)
-            )),
-            (Some(hz), _) => Some(format!("{hz:.1} Hz")),
-            (None, Some(last_ns)) => Some(format!(
-                "it came, and stopped {} ago",
-                s(now_ns.saturating_sub(last_ns))
-            )),
-            (None, None) => None,
-        };
-        let why = match (hz, last_ns) {
-            (Some(_), _) if gaps.count > 0 => {
-                "guidance holds by what is older than 0.3 s: the link fails, the line is full, or the vehicle's estimator stops"
+        let (value, why) = match (hz, last_ns) {
+            (Some(hz), _) if gaps.count > 0 => {
+                let (sum, longest) = (s(gaps.sum_ns), s(gaps.longest_ns));
+                (
+                    Some(format!(
+                        "{hz:.1} Hz, but away {} times, {sum} in all, {longest} at the longest",
+                        gaps.count
+                    )),
+                    "guidance holds by what is older than 0.3 s: the link fails, the line is full, or the vehicle's estimator stops",
+                )
             }
-            (None, Some(_)) => {
-                "guidance holds: did the estimator lose its position (GPS), did somebody switch the stream off, did the link fail?"
-            }
-            (None, None) => {
+            (Some(hz), _) => (
+                Some(format!("{hz:.1} Hz")),
+                "guidance holds by what is older than 0.3 s: somebody slows the stream down, or the line is full",
+            ),
+            (None, Some(last_ns)) => (
+                Some(format!(
+                    "it came, and stopped {} ago",
+                    s(now_ns.saturating_sub(last_ns))
+                )),
+                "guidance holds: did the estimator lose its position (GPS), did somebody switch the stream off, did the link fail?",
+            ),
+            (None, None) => (
+                None,
                 "it never came, though it was asked for: does the estimator have a position (GPS, or another source), and may \
-                         this link ask (SET_MESSAGE_INTERVAL)?"
-            }
-            (Some(_), _) => {
-                "guidance holds by what is older than 0.3 s: somebody slows the stream down, or the line is full"
-            }
+                 this link ask (SET_MESSAGE_INTERVAL)?",
+            ),
         };
         report.grade(name, severity, value, "10 Hz or more, without a gap", why);
     }

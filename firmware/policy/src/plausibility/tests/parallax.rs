@@ -39,7 +39,14 @@ fn who_repaints_the_ground_before_what_is_shown_farther_away_is_found_by_the_edg
             steps.is_some_and(|steps| steps < 150) && !beneath,
             "{by_m} m: {steps:?}"
         );
-        // It stays until the motors are off.
+        // It stays until the motors are off, also when the attack becomes one of moved regions.
+        flight.fly(10, |frame| {
+            for (pixel, depth) in frame.depth.iter_mut().enumerate() {
+                let region = pixel / DEPTH_COLS / 16 + pixel % DEPTH_COLS / 32;
+                *depth = [0.05, 0.08][region % 2];
+            }
+        });
+        assert!(flight.plausibility.restored().is_some() && flight.plausibility.parallax.is_raised);
         let faults = flight.fly(60, good);
         assert!(faults.iter().all(|faults| faults.contains(Reason::InconsistentPicture)));
         flight.telemetry.heartbeat.as_mut().unwrap().armed = false;

@@ -71,18 +71,6 @@ pub(super) enum Event {
     HealthSummary,
 }
 
-/// Failsafes with their names, in the order of their numbers from 1.
-const FAILSAFES: [(Failsafe, &str, &str); 4] = [
-    (Failsafe::SetpointLost, "setpoint_lost", "setpoint lost"),
-    (Failsafe::GeofenceBreached, "geofence_breached", "geofence breached"),
-    (
-        Failsafe::ManualControlLost,
-        "manual_control_lost",
-        "manual control lost",
-    ),
-    (Failsafe::PositionLost, "position_lost", "position lost"),
-];
-
 impl Event {
     pub(super) fn id(self) -> u32 {
         COMPONENT | self.row().0
@@ -154,10 +142,7 @@ impl Event {
         let mut number = |value: u32| bytes.extend_from_slice(&value.to_le_bytes());
         match self {
             Self::ModeChanged(mode) => number(mode.custom_mode()),
-            Self::FailsafeEntered(failsafe) => {
-                let place = FAILSAFES.iter().position(|(known, ..)| *known == failsafe);
-                bytes.push(place.map_or(0, |place| place as u8 + 1));
-            }
+            Self::FailsafeEntered(failsafe) => bytes.push(failsafe as u8 + 1),
             Self::ArmingCheckSummary(check) => {
                 let failing = check.map_or(HEALTH_NONE, |check| 1 << check.component_and_message().0);
                 let groups_that_can = if check.is_none() { MODE_GROUP } else { 0 };
@@ -179,8 +164,8 @@ impl Event {
     }
 }
 
-fn entries<'a>(entries: impl IntoIterator<Item = (u32, &'a str, &'a str)>) -> Value {
-    let entry = |(value, name, description): (u32, _, _)| {
+fn entries<'a, N: serde::Serialize>(entries: impl IntoIterator<Item = (u32, N, &'a str)>) -> Value {
+    let entry = |(value, name, description): (u32, N, _)| {
         let entry = json!({ "name": name, "description": description });
         (value.to_string(), entry)
     };
@@ -195,13 +180,14 @@ fn group(events: impl IntoIterator<Item = Event>) -> Value {
 /// The enumerations that the events' arguments are of.
 fn enums() -> Value {
     let modes = FlightMode::ALL.map(|mode| (mode.custom_mode(), mode.name(), mode.name()));
+    let failsafes = Failsafe::ALL.map(|of| (of as u32 + 1, of.name().replace(' ', "_"), of.name()));
     json!({
         "flight_mode_t": {
             "type": "uint32_t", "description": "Custom mode", "entries": entries(modes),
         },
         "failsafe_t": {
             "type": "uint8_t", "description": "Failsafe",
-            "entries": entries((1..).zip(FAILSAFES).map(|(number, (_, name, text))| (number, name, text))),
+            "entries": entries(failsafes),
         },
         "navigation_mode_group_t": {
             "type": "uint32_t", "is_bitfield": true, "description": "Modes of the same checks",

@@ -60,22 +60,16 @@ impl Stage<'_> {
             bar.finish();
             if !complete {
                 states.save(&part)?;
-                say!(
-                    "interrupted: {} states are kept in {}; the same command goes on with them",
-                    states.states.len(),
-                    part.display()
-                );
+                let (count, part) = (states.states.len(), part.display());
+                say!("interrupted: {count} states are kept in {part}; the same command goes on with them");
                 return Ok(());
             }
             states.save(&path)?;
             // What they held is in the files just written.
             let _ = std::fs::remove_file(&part);
             let _ = std::fs::remove_file(part.with_extension("flights"));
-            say!(
-                "{name:<26} {} states of {} flights from seed {seed}",
-                states.states.len(),
-                states.flights.records.len()
-            );
+            let (count, flights) = (states.states.len(), states.flights.records.len());
+            say!("{name:<26} {count} states of {flights} flights from seed {seed}");
         }
         Ok(())
     }

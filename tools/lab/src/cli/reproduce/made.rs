@@ -5,11 +5,8 @@ use crate::detector_training::Proportion;
 use crate::report::Picture;
 use anyhow::Result;
 
-/// A figure's two files.
-pub struct Drawn {
-    pub svg: String,
-    pub png: Vec<u8>,
-}
+/// A figure's two files, SVG and PNG.
+pub type Drawn = (String, Vec<u8>);
 
 /// A table: headings, and rows as wide.
 pub struct Grid {
@@ -51,10 +48,7 @@ pub(super) fn made(figure: Option<Drawn>, table: Grid, caption: impl Into<String
 }
 
 pub(super) fn drawn(picture: &impl Picture) -> Option<Drawn> {
-    Some(Drawn {
-        svg: picture.svg(),
-        png: picture.png(),
-    })
+    Some((picture.svg(), picture.png()))
 }
 
 /// No number of the paper's.

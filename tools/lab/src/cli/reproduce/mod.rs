@@ -9,6 +9,7 @@ mod paper;
 mod units;
 
 use crate::campaign::flights::{program_sha256, sha256};
+use crate::cli::detector::detector_of;
 use crate::cli::output::{self, EXIT_INTERRUPTED, put, say};
 use crate::report::{TextTable, words};
 use anyhow::{Context, Result, ensure};
@@ -20,9 +21,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use units::{COMMITTED_ONLY, Setting};
+use vigil_policy::FrozenActor;
 
 /// Arguments of `vigil reproduce`.
-#[derive(Debug, Clone, clap::Args)]
+#[derive(Debug, Clone, Default, clap::Args)]
 #[command(after_help = "\
 Examples:
   vigil reproduce --committed                  from what the repository holds: seconds, nothing is flown
@@ -98,6 +100,28 @@ const MADE_BY: &str = "made-by.toml";
 const SMALL_FILE: u64 = 1 << 16;
 
 impl MadeBy {
+    /// Loads actor and detector, to refuse them before the work.
+    ///
+    /// # Errors
+    /// Files that are none, a detector of another actor.
+    fn by(args: &ReproduceArgs) -> Result<Self> {
+        let actor = args.actor.as_deref();
+        let actor_sha256 = actor.map_or_else(FrozenActor::built_in, FrozenActor::load)?.sha256();
+        let mode = match (args.committed, args.quick) {
+            (true, _) => "committed",
+            (false, true) => "quick",
+            (false, false) => "full",
+        };
+        Ok(Self {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            program: program_sha256()?,
+            commit: output::git_commit().unwrap_or_else(|| "unknown".to_owned()),
+            mode: mode.to_owned(),
+            detector_sha256: detector_of(&actor_sha256, args.detector.as_deref())?.sha256(),
+            actor_sha256,
+        })
+    }
+
     /// Makes the folder, or finds it made by the same.
     fn claim(&self, folder: &Path) -> Result<()> {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
@@ -191,22 +215,9 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let items = chosen(&args.only)?;
-    let (actor, detector) = (args.actor.as_deref(), args.detector.as_deref());
-    let setting = Setting::new(actor, detector, args.threads, args.quick)?;
+    let made_by = &MadeBy::by(args)?;
+    let setting = Setting { args, made_by };
     let committed = Data::committed(&args.data)?;
-    let made_by = MadeBy {
-        version: env!("CARGO_PKG_VERSION").to_owned(),
-        program: program_sha256()?,
-        commit: setting.commit.clone(),
-        mode: match (args.committed, args.quick) {
-            (true, _) => "committed",
-            (false, true) => "quick",
-            (false, false) => "full",
-        }
-        .to_owned(),
-        actor_sha256: setting.actor_sha256.clone(),
-        detector_sha256: setting.detector_sha256.clone(),
-    };
     made_by.claim(&args.output)?;
     let mut whole = true;
     let fresh = match args.committed {
@@ -232,7 +243,7 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
     };
     let made = items.iter().copied().filter(ready).map(|item| show(item, &sources));
     let made: Vec<Shown> = made.collect::<Result<_>>()?;
-    write(&args.output, &made_by, &made)?;
+    write(&args.output, made_by, &made)?;
     let page = args.output.join("index.html");
     say!("{} tables and figures: {}", made.len(), page.display());
     if !whole {
@@ -296,9 +307,9 @@ fn write(folder: &Path, made_by: &MadeBy, all: &[Shown]) -> Result<()> {
             files.insert(name, sha256(content));
             Ok::<_, anyhow::Error>(())
         };
-        if let Some(figure) = &made.figure {
-            keep(format!("figures/{}.svg", item.id), figure.svg.as_bytes())?;
-            keep(format!("figures/{}.png", item.id), &figure.png)?;
+        if let Some((svg, png)) = &made.figure {
+            keep(format!("figures/{}.svg", item.id), svg.as_bytes())?;
+            keep(format!("figures/{}.png", item.id), png)?;
         }
         keep(format!("tables/{}.csv", item.id), made.table.csv()?.as_bytes())?;
         items.push(Entry {

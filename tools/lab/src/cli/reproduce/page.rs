@@ -101,12 +101,12 @@ fn section(out: &mut String, shown: &Shown, is_quick: bool) {
         *out += " <span class=\"badge\">quick: few flights</span>";
     }
     *out += "</h2>\n";
-    if let Some(figure) = &made.figure {
+    if let Some((svg, _)) = &made.figure {
         let _ = writeln!(
             out,
             "<figure><div class=\"scroll\" role=\"img\" aria-label=\"{}\" tabindex=\"0\">\n{}</div><figcaption>{}</figcaption></figure>",
             escaped(item.title),
-            figure.svg,
+            svg,
             escaped(&made.caption)
         );
     } else {

@@ -1,6 +1,7 @@
 //! What is flown and computed: each unit of data is one or two other `vigil` commands, run in this process.
 
 use super::data::{Data, Unit};
+use super::{MadeBy, ReproduceArgs};
 use crate::cli::detector::detector_of;
 use crate::cli::output::{self, Interrupt, say};
 use anyhow::{Context, Result};
@@ -11,7 +12,6 @@ use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::LazyLock;
-use vigil_policy::FrozenActor;
 
 /// A unit of data and how it is measured; `units.toml` says how to read it.
 #[derive(Deserialize)]
@@ -35,37 +35,10 @@ pub static SPECS: LazyLock<Vec<Spec>> = LazyLock::new(|| {
 /// Units that only the repository has: training takes hours, and the peers need 5 GB of Python.
 pub const COMMITTED_ONLY: [&str; 2] = ["training-runs", "peers"];
 
-/// Whose decisions and verdicts are measured, by how many threads, how much.
-pub struct Setting {
-    pub actor: Option<PathBuf>,
-    pub detector: Option<PathBuf>,
-    pub actor_sha256: String,
-    pub detector_sha256: String,
-    pub threads: Option<u16>,
-    /// Few flights.
-    pub quick: bool,
-    pub commit: String,
-}
-
-impl Setting {
-    /// Loads actor and detector, to refuse them before the work.
-    ///
-    /// # Errors
-    /// Files that are none, a detector of another actor.
-    pub fn new(actor: Option<&Path>, detector: Option<&Path>, threads: Option<u16>, quick: bool) -> Result<Self> {
-        let flying = actor.map_or_else(FrozenActor::built_in, FrozenActor::load)?;
-        let sha256 = flying.sha256();
-        let judging = detector_of(&sha256, detector)?;
-        Ok(Self {
-            actor: actor.map(Path::to_owned),
-            detector: detector.map(Path::to_owned),
-            actor_sha256: sha256,
-            detector_sha256: judging.sha256(),
-            threads,
-            quick,
-            commit: output::git_commit().unwrap_or_else(|| "unknown".to_owned()),
-        })
-    }
+/// What is asked for, and by what it is made.
+pub struct Setting<'a> {
+    pub args: &'a ReproduceArgs,
+    pub made_by: &'a MadeBy,
 }
 
 impl Spec {
@@ -79,12 +52,12 @@ impl Spec {
     }
 
     /// The command as a user would type it in the repository.
-    pub fn command(&self, setting: &Setting) -> String {
-        let detector = setting.detector.as_deref();
+    pub fn command(&self, setting: &Setting<'_>) -> String {
+        let detector = setting.args.detector.as_deref();
         let detector = detector.unwrap_or(Path::new("detector/frozen/lstm_ad.safetensors"));
         let detector = detector.display().to_string();
         let mut told = Vec::new();
-        for line in self.lines(setting.quick) {
+        for line in self.lines(setting.args.quick) {
             let mut words = format!("vigil {}", line.replace("DETECTOR", &detector));
             for (name, file) in extra(&line, setting) {
                 words += &format!(" {name} {}", file.display());
@@ -97,7 +70,7 @@ impl Spec {
     /// Runs the commands. False when Ctrl-C came before they were done.
     pub fn measure(
         &self,
-        setting: &Setting,
+        setting: &Setting<'_>,
         data: &mut Data,
         interrupt: &Interrupt,
         run: &dyn Fn(Vec<OsString>) -> Result<ExitCode>,
@@ -106,9 +79,9 @@ impl Spec {
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
         // The attacker's copy: a campaign that is gone on with must name the same file.
         let copy = folder.join("known-detector.safetensors");
-        for line in self.lines(setting.quick) {
+        for line in self.lines(setting.args.quick) {
             if line.contains("DETECTOR") {
-                detector_of(&setting.actor_sha256, setting.detector.as_deref())?.save(&copy)?;
+                detector_of(&setting.made_by.actor_sha256, setting.args.detector.as_deref())?.save(&copy)?;
             }
             let mut words: Vec<OsString> = vec!["vigil".into()];
             words.extend(line.split(' ').map(|word| match word {
@@ -124,7 +97,7 @@ impl Spec {
             if goes_on.iter().any(|command| line.starts_with(command)) {
                 words.push("--resume".into());
             }
-            if let Some(threads) = setting.threads {
+            if let Some(threads) = setting.args.threads {
                 words.extend(["--threads".into(), threads.to_string().into()]);
             }
             for (name, file) in extra(&line, setting) {
@@ -146,11 +119,11 @@ impl Spec {
     }
 
     /// What the index says of it, but for the files.
-    pub fn unit(&self, setting: &Setting) -> Unit {
+    pub fn unit(&self, setting: &Setting<'_>) -> Unit {
         Unit {
             command: self.command(setting),
             seeds: self.seeds.clone(),
-            commit: setting.commit.clone(),
+            commit: setting.made_by.commit.clone(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             ..Unit::default()
         }
@@ -158,9 +131,9 @@ impl Spec {
 }
 
 /// Actor and detector, by the names that the command has for them.
-fn extra<'a>(line: &str, setting: &'a Setting) -> Vec<(&'static str, &'a PathBuf)> {
+fn extra<'a>(line: &str, setting: &Setting<'a>) -> Vec<(&'static str, &'a PathBuf)> {
     let mut words = Vec::new();
-    if let Some(actor) = &setting.actor {
+    if let Some(actor) = &setting.args.actor {
         words.push(("--actor", actor));
     }
     let name = match line.split(' ').take(2).collect::<Vec<_>>()[..] {
@@ -168,7 +141,7 @@ fn extra<'a>(line: &str, setting: &'a Setting) -> Vec<(&'static str, &'a PathBuf
         ["attack", "defended"] | ["detector", "figures" | "times" | "evaluate" | "table"] => Some("--detector"),
         _ => None,
     };
-    if let (Some(name), Some(file)) = (name, &setting.detector) {
+    if let (Some(name), Some(file)) = (name, &setting.args.detector) {
         words.push((name, file));
     }
     words
@@ -178,7 +151,7 @@ fn extra<'a>(line: &str, setting: &'a Setting) -> Vec<(&'static str, &'a PathBuf
 ///
 /// # Errors
 /// Units that are damaged, of another command or contradict those that are there; a folder that cannot be written.
-pub fn take(names: &[&str], setting: &Setting, from: &Data, data: &mut Data) -> Result<()> {
+pub fn take(names: &[&str], setting: &Setting<'_>, from: &Data, data: &mut Data) -> Result<()> {
     for spec in SPECS.iter().filter(|spec| names.contains(&&*spec.name)) {
         let Some(unit) = from.unit(&spec.name) else { continue };
         from.check(&spec.name, &spec.unit(setting), &spec.files)?;
@@ -204,7 +177,7 @@ pub fn take(names: &[&str], setting: &Setting, from: &Data, data: &mut Data) -> 
 /// Measures what is missing of some units. False when Ctrl-C came first.
 pub fn measure(
     names: &[&str],
-    setting: &Setting,
+    setting: &Setting<'_>,
     data: &mut Data,
     run: &dyn Fn(Vec<OsString>) -> Result<ExitCode>,
 ) -> Result<bool> {
@@ -233,7 +206,12 @@ mod tests {
     fn the_commands_of_all_units_are_commands() {
         use clap::CommandFactory as _;
         for quick in [true, false] {
-            let setting = Setting::new(None, None, None, quick).unwrap();
+            let args = &ReproduceArgs {
+                quick,
+                ..ReproduceArgs::default()
+            };
+            let made_by = &MadeBy::by(args).unwrap();
+            let setting = Setting { args, made_by };
             for spec in SPECS.iter() {
                 for line in spec.command(&setting).split(" && ") {
                     let parsed = crate::cli::Cli::command().try_get_matches_from(line.split(' '));

@@ -1,0 +1,31 @@
+//! The end that a person or the system asks a program for: Ctrl-C, SIGTERM, SIGHUP.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Runs `handler` on each; a SIGHUP that whoever began the process had it ignore (`nohup`) stays ignored.
+///
+/// # Errors
+/// A handler that cannot be installed: there is one already.
+pub fn on_interrupt(handler: impl FnMut() + Send + 'static) -> io::Result<()> {
+    // SAFETY: to ignore a signal runs no code of this process.
+    let ignore_hangup = || unsafe { libc::signal(libc::SIGHUP, libc::SIG_IGN) };
+    let before = ignore_hangup();
+    ctrlc::set_handler(handler).map_err(|e| io::Error::other(format!("cannot install the Ctrl-C handler: {e}")))?;
+    if before == libc::SIG_IGN {
+        ignore_hangup();
+    }
+    Ok(())
+}
+
+/// What each of them sets.
+///
+/// # Errors
+/// Those of [`on_interrupt`].
+pub fn set_by_interrupt() -> io::Result<Arc<AtomicBool>> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    on_interrupt(move || flag.store(true, Ordering::Relaxed))?;
+    Ok(stop)
+}
