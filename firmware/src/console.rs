@@ -129,7 +129,7 @@ fn print(at_s: f64, news: News) {
             "{at_s:8.2} s  {total} packets refused since start: unsigned or wrongly signed (docs/firmware.md, \"Signing\")"
         ),
         News::OtherVehicle(system) => tracing::warn!(
-            "{at_s:8.2} s  a vehicle of system {system} calls, which is not the one asked for: give the link with \
+            "{at_s:8.2} s  a vehicle of system {system} calls, which is not this link's: give the link with \
              system={system} if it is yours (docs/firmware.md, \"Who is the vehicle\")"
         ),
         News::FramesRefused { total, last } => tracing::warn!(

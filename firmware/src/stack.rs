@@ -177,7 +177,7 @@ impl FlightStack {
                 plausibility.note_estimate(self.guidance.home_ned_m().z, agrees);
                 plausibility.check(frame, &telemetry)
             }
-            (Some(plausibility), _) => plausibility.sensor_faults(),
+            (Some(plausibility), _) => plausibility.sensor_faults(&telemetry),
             (None, _) => Reasons::NONE,
         };
         self.correct_velocity(now_ns, &mut telemetry);

@@ -91,7 +91,7 @@ def test_an_interrupted_campaign_goes_on_with_its_parts_on_a_ray_of_its_own(tmp_
 
 def test_files_are_sent_along_and_what_fails_is_said(tmp_path, monkeypatch):
     # Nodes do not have this package.
-    monkeypatch.delenv("PYTHONPATH")
+    monkeypatch.delenv("PYTHONPATH", raising=False)
     ray.init(num_cpus=2, log_to_driver=False)
     try:
         actor = ["evaluate", "--seed", "7", "--flights=1", "--actor", str(ACTOR), "--detector=off"]

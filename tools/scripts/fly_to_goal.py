@@ -110,6 +110,7 @@ def main(args):
     guidance = Guidance(args.connection)
     guidance.wait("the guidance computer", lambda: "gd_state" in guidance.values, 10)
     guidance.set_goal(args.north, args.east, args.height)
+    guidance.text = ""  # of an earlier goal
     guidance.wait("ready to fly", lambda: guidance.state() in ("ready", "guided", "hold"), 10)
     guidance.engage()
     limit = time.monotonic() + args.limit

@@ -131,7 +131,7 @@ pub static CONDITIONS: [Condition; 34] = conditions! {
         "in the air, in 3 of the second sensor's last 5 reports something was nearer, by more than 0.5 m, than the depth frames show in that direction";
         "15 reports in a row that agree; after the second time in a flight, the end of the flight";
     BeneathGround, Hold, false:
-        "in flight, in 8 of the last 10 frames, over 15° or more of the view, surfaces lie beneath the ground that the lowest rows show: nearer obstacles are shown farther away, or the ground falls away";
+        "while the vehicle obeys setpoints: in 8 of the last 10 frames, over 15° or more of the view, surfaces lie beneath the ground that the lowest rows show: nearer obstacles are shown farther away, or the ground falls away";
         "40 frames in a row that show the ground and nothing beneath it; after the second time in a flight, the end of the flight";
 };
 

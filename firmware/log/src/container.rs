@@ -35,12 +35,15 @@ pub(crate) fn linear_reader(options: LinearReaderOptions) -> LinearReader {
     reader
 }
 
-/// A record by its content. The library believes that an attachment goes on to its checksum, and panics where it does not.
+/// A record by its content. The library believes that an attachment goes on to its checksum, and panics where it does not; what lies
+/// behind it would go with it.
 pub(crate) fn parse(opcode: u8, data: &[u8]) -> Result<Record<'static>, McapError> {
     let text_end = |at: usize| Some(at + 4 + u32::from_le_bytes(*data.get(at..)?.first_chunk()?) as usize);
     // Behind two times and two texts stand the length and, behind the content, the checksum.
     let texts_end = text_end(16).and_then(text_end);
-    if opcode == op::ATTACHMENT && texts_end.is_none_or(|at| at + 8 + 4 > data.len()) {
+    let end =
+        texts_end.and_then(|at| u64::from_le_bytes(*data.get(at..)?.first_chunk()?).checked_add(at as u64 + 8 + 4));
+    if opcode == op::ATTACHMENT && end != Some(data.len() as u64) {
         return Err(McapError::UnexpectedEof);
     }
     Ok(mcap::parse_record(opcode, data)?.into_owned())
@@ -125,12 +128,18 @@ impl<R: Read> Container<R> {
                 Err(McapError::UnexpectedEof) => return Ok(Next::Cut),
                 // The reader asks for no byte too many: what comes next in the file is the content, as far as there is one.
                 Err(McapError::RecordTooLarge { opcode, len }) if opcode == op::ATTACHMENT => {
-                    let mut data = Vec::new();
-                    if (self.file.by_ref().take(len).read_to_end(&mut data)? as u64) < len {
-                        return Err(McapError::RecordTooLarge { opcode, len });
+                    // By its kind alone: one that nobody wants takes no memory.
+                    let (is_wanted, mut data) = (wanted(opcode, &[]), Vec::new());
+                    let mut content = self.file.by_ref().take(len);
+                    let read = match is_wanted {
+                        true => content.read_to_end(&mut data)? as u64,
+                        false => io::copy(&mut content, &mut io::sink())?,
+                    };
+                    if read < len {
+                        return Ok(Next::Cut);
                     }
                     self.reader = linear_reader(LinearReaderOptions::default().with_skip_start_magic(true));
-                    if wanted(opcode, &data) {
+                    if is_wanted {
                         return Ok(Next::Record(parse(opcode, &data)?));
                     }
                 }

@@ -76,10 +76,13 @@ pub fn replace_with(path: &Path, access: Access, write: impl FnOnce(&mut File) -
     let path = match &before {
         Some(_) => std::fs::canonicalize(path)?,
         // A link may name a file that is not there yet.
-        None => match std::fs::read_link(path) {
-            Ok(named) => path.parent().unwrap_or(Path::new("")).join(named),
-            Err(_) => path.to_owned(),
-        },
+        None => {
+            let mut path = path.to_owned();
+            while let Ok(named) = std::fs::read_link(&path) {
+                path = path.parent().unwrap_or(Path::new("")).join(named);
+            }
+            path
+        }
     };
     let (folder, name) = place(&path)?;
     let mut prefix = OsString::from(".");

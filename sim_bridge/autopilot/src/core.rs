@@ -304,7 +304,7 @@ impl Core {
         self.text(MavSeverity::MAV_SEVERITY_WARNING, text);
     }
 
-    /// A text of a refusal that is answered besides: a flood on one link must not become one on all.
+    /// A text of a refusal, few a second: a flood on one link must not become one on all.
     pub fn warn_refused(&mut self, text: &str) {
         let told = &mut self.refusals_told;
         if told.takes(self.now_ns, 1_000_000_000, REFUSALS_TOLD_PER_S) {

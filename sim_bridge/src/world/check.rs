@@ -99,7 +99,7 @@ impl Course {
         for (name, top_m) in [("bounds.top_m", b.top_m)].into_iter().chain(ceiling) {
             coordinate(name, top_m)?;
             let height_m = self.flight_height_m;
-            let least_m = height_m + VEHICLE.height_m;
+            let least_m = ((height_m + VEHICLE.height_m) * 1e3).round() / 1e3;
             let expected = format!("at least {least_m} m: the flight height of {height_m} m and the vehicle's height");
             within(name, top_m, least_m..=f32::INFINITY, &expected)?;
         }

@@ -117,7 +117,7 @@ class _Flown:
         self.flights = Flights(
             count,
             family=options["family"],
-            course=None if course is None else str(course),
+            course=None if course is None else str(Path(course).resolve(strict=True)),
             wind=float(options["wind"]),
             noise=float(options["noise"]),
             time_limit=options["time_limit"],

@@ -19,19 +19,22 @@ pub struct Recording {
     pub about: BTreeMap<String, String>,
 }
 
+/// What a flight leaves: log, packets, report.
+const LEFT: [&str; 3] = ["mcap", "tlog", "html"];
+
 impl Recording {
-    /// Renames the half of a log that a killed process left, to the first name that is free.
+    /// Renames a log that a killed process left, whole or not, and what lies beside it, to the first name that is free.
     ///
     /// # Errors
     /// A file that cannot be renamed.
     pub fn set_aside(folder: &Path, name: &str) -> Result<()> {
         let file = |name: &str, ending: &str| folder.join(format!("{name}.{ending}"));
         let (mut free, mut number) = (format!("{name}-cut-short"), 2);
-        while ["mcap", "tlog"].iter().any(|ending| file(&free, ending).exists()) {
+        while LEFT.iter().any(|ending| file(&free, ending).exists()) {
             free = format!("{name}-cut-short-{number}");
             number += 1;
         }
-        for ending in ["mcap", "tlog"] {
+        for ending in LEFT {
             let from = file(name, ending);
             if from.exists() {
                 let renamed = std::fs::rename(&from, file(&free, ending));

@@ -178,7 +178,7 @@ fn of_link(other_system: Option<u8>, refused: u64) -> impl Iterator<Item = Findi
     let refused = (refused > 0).then(|| {
         let value = format!("{refused} packets refused: unsigned or wrongly signed");
         let why = "give --signing-key, or --allow-unsigned always if only the vehicle reaches the link (docs/firmware.md, Signing)";
-        warning("signing", value, "packets that the link accepts", why)
+        warning("refused packets", value, "packets that the link accepts", why)
     });
     other.into_iter().chain(refused)
 }

@@ -305,18 +305,15 @@ fn prepare(args: &EvaluateArgs, faults: &[Option<SensorFault>]) -> Result<()> {
             .iter()
             .flat_map(|fault| (0..args.flights).map(|i| log_name(args, *fault, args.seed.saturating_add(i))));
         for log in names.map(|name| folder.join(name + ".mcap")) {
-            ensure!(args.resume || !log.exists(), is_kept(&log));
+            ensure!(
+                args.resume || !log.exists(),
+                "{} is there and is kept: name another folder with --logs",
+                log.display()
+            );
         }
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
     Ok(())
-}
-
-fn is_kept(log: &Path) -> String {
-    format!(
-        "{} is there and is kept: name another folder with --logs",
-        log.display()
-    )
 }
 
 /// Where the flights go, a line each.
@@ -505,8 +502,7 @@ fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, see
     let name = log_name(args, fault, seed);
     let log = folder.join(format!("{name}.mcap"));
     if args.resume && log.exists() {
-        // The report is made last: a log with one is whole, and of another campaign, as this one lacks the flight.
-        ensure!(!flight_report::beside(&log).exists(), is_kept(&log));
+        // The flight is not among those that ended: it was cut short, or the log is another campaign's.
         Recording::set_aside(folder, &name)?;
     }
     let (seed, fault) = (seed.to_string(), fault.map(|fault| fault.to_string()));

@@ -21,7 +21,7 @@ pub(crate) struct Row {
 /// What PX4 1.18 has in place of COM_RC_OVERRIDE; whoever tells it needs no COM_RCL_EXCEPT either.
 pub(crate) const STICKS_BY_SPEED: &str = "MAN_OVERRIDE_SPD";
 
-/// The fastest mission that is stopped within the 11 m that are looked ahead (docs/just-stop.md).
+/// The fastest mission that is stopped within the 11 m that are looked ahead, rounded down (docs/just-stop.md).
 const GUARDED_M_S: f32 = 5.3;
 const TOO_FAST: &str = "--duty just-stop and fly-around look 11 m ahead: a faster mission is not stopped in time, and is said to be unguarded";
 

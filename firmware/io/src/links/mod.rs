@@ -109,7 +109,7 @@ pub struct LinkStatistics {
     pub unsent: u64,
     /// Connections made or devices opened; always 0 on UDP.
     pub connections: u64,
-    /// The system of a vehicle that called last and is not the one that is asked for.
+    /// The system of a vehicle that called last and is not the link's.
     pub other_system: Option<u8>,
     /// What the framing of a byte stream or of the signatures' check refused.
     pub framing: FramingCounters,

@@ -47,7 +47,7 @@ impl PeerRule {
         }
     }
 
-    /// The system of a vehicle that calls and is not the one that is asked for.
+    /// The system of a vehicle that calls and is not the link's.
     pub(super) fn other_system(self, packet: &Packet<'_>) -> Option<u8> {
         let is_other = match self {
             Self::Vehicle { system: Some(system) } => packet.is_autopilots_heartbeat() && packet.system_id() != system,

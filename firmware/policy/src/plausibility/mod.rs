@@ -112,8 +112,10 @@ impl PlausibilityCheck {
     }
 
     /// What is implausible about the last frame checked.
-    pub fn sensor_faults(&self) -> Reasons {
-        self.faults
+    pub fn sensor_faults(&self, telemetry: &VehicleTelemetry) -> Reasons {
+        // Only pictures of a vehicle that obeys setpoints could end it: no other is held for it.
+        let beneath_ground = self.shadow.is_raised && obeys_setpoints(telemetry);
+        self.faults.with_if(beneath_ground, Reason::BeneathGround)
     }
 
     /// Where the ground is, metres down from the local origin, from now on: near it everything is near, and nothing may move. And whether
@@ -183,15 +185,12 @@ impl PlausibilityCheck {
         }
         self.note_velocity(pose.attitude, guided);
         self.pose_before = in_flight.then_some(pose);
-        // Only pictures of a vehicle that obeys setpoints could end it: no other is held for it.
-        let beneath_ground = self.shadow.is_raised && obeys_setpoints(telemetry);
         self.faults = Reasons::NONE
             .with_if(blind, Reason::BlindSensor)
             .with_if(self.poses.is_bad, Reason::ImplausiblePose)
-            .with_if(beneath_ground, Reason::BeneathGround)
             .with_if(self.parallax.is_raised, Reason::InconsistentPicture)
             .union(self.raised.map_or(Reasons::NONE, |raised| Reasons::of(raised.reason)));
-        self.faults
+        self.sensor_faults(telemetry)
     }
 
     /// Looks whether regions were moved. Once they are known to be, the pictures before are none to compare with; what ranges raised stays.

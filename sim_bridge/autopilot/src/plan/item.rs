@@ -72,7 +72,7 @@ impl PlanItem {
                 // What is too large, such as degrees · 1e7, must not become what stands for NaN.
                 let integer = |v: f32| {
                     if v.is_finite() {
-                        (libm::round(f64::from(v) * scale) as i32).min(i32::MAX - 1)
+                        (libm::round(f64::from(v) * scale) as i32).clamp(i32::MIN + 1, i32::MAX - 1)
                     } else {
                         i32::MAX
                     }

@@ -39,7 +39,7 @@ impl Service for Calibration {
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Answer {
         let mut params: [f32; 7] = std::array::from_fn(|i| command.param(i + 1).unwrap_or(0.0));
         if let CommandForm::Int { x, .. } = command.form
-            && x != i32::MAX
+            && !matches!(x, i32::MIN | i32::MAX)
         {
             params[4] = x as f32;
         }

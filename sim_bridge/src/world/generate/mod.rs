@@ -89,7 +89,7 @@ fn dense(b: &mut Builder) {
     b.scatter(Kind::Column, 20..40, &area);
 }
 
-/// One of four layouts that training does not have, each denser, with gaps from 2 m.
+/// One of four layouts that training does not have, each denser; gaps are the builder's, from 2 m for validation.
 fn lay_out(b: &mut Builder) {
     if b.chance(0.5) {
         b.side_walls(7.5..9.0);

@@ -102,6 +102,7 @@ impl Stage<'_> {
                 },
             };
             let counts = Counts::of(&flights.records);
+            let seed = flights.records.first().map_or(seed, |record| record.scenario.seed);
             say!(
                 "{:<20} {} flights from seed {seed}: {} attacked windows, {} unattacked, {} weak, {} lingering",
                 format!("{}.safetensors", set.name()),

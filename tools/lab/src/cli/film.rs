@@ -79,9 +79,12 @@ pub fn run(args: &FilmArgs) -> Result<ExitCode> {
         title: args.title.clone().or(course).unwrap_or_default(),
         explained: args.shap,
     };
-    let told = write_film(&log, &to, &options)?;
-    if !is_stdout(&to) {
-        say!("{told}");
+    let (written, missing) = write_film(&log, &to, &options)?;
+    if is_stdout(&to) {
+        missing.iter().for_each(|missing| output::tell!("{missing}"));
+    } else {
+        say!("{written}");
+        missing.iter().for_each(|missing| say!("{missing}"));
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -94,8 +97,8 @@ fn check_film(to: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Films `log` into `to`; what came of it in words.
-fn write_film(log: &Path, to: &Path, options: &FilmOptions) -> Result<String> {
+/// Films `log` into `to`; in words what came of it, and what is missing of it.
+fn write_film(log: &Path, to: &Path, options: &FilmOptions) -> Result<(String, Option<String>)> {
     check_film(to)?;
     let none = || format!("no film of {}", log.display());
     let ((pictures, incomplete), bytes) = if is_video(to) {
@@ -112,11 +115,9 @@ fn write_film(log: &Path, to: &Path, options: &FilmOptions) -> Result<String> {
         output::write(to, &bytes)?;
         (filmed, bytes.len() as u64)
     };
-    let missing = incomplete.map(|why| format!("\nit is not all of the flight: {why}"));
-    Ok(format!(
-        "{} ({pictures} pictures, {:.1} MB){}",
-        to.display(),
-        bytes as f64 / 1e6,
-        missing.unwrap_or_default()
+    let written = format!("{} ({pictures} pictures, {:.1} MB)", to.display(), bytes as f64 / 1e6);
+    Ok((
+        written,
+        incomplete.map(|why| format!("it is not all of the flight: {why}")),
     ))
 }

@@ -129,8 +129,8 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
             bail!("--probe is for actors, and {} is none", args.actor);
         };
         ensure!(
-            args.flights >= 6,
-            "--probe needs 6 flights or more: two of three are fitted on, and each is compared with another one"
+            args.flights >= 4,
+            "--probe needs 4 flights or more: two of three are fitted on, and each is compared with another one"
         );
         let readouts = pool.install(|| probe(frozen, Isa::detect(), &spec(false)))?;
         say!("{}", probed(&readouts));

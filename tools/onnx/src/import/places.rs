@@ -219,7 +219,7 @@ impl<'a> Importer<'a> {
                     .collect()
             }
         };
-        if lens.iter().sum::<usize>() != shape[along] || lens.len() != count || lens.contains(&0) {
+        if total(&lens) != Some(shape[along]) || lens.len() != count || lens.contains(&0) {
             return Err(format!("parts of {lens:?} of an axis of {}", shape[along]));
         }
         let mut from = 0;
@@ -250,11 +250,12 @@ impl<'a> Importer<'a> {
             return Err(format!("the shapes {first:?} and {wrong:?} along axis {along}"));
         }
         let mut shape = first.to_vec();
-        shape[along] = shapes.iter().map(|shape| shape[along]).sum();
-        let total = len_of(&shape)?;
+        let lens: Vec<usize> = shapes.iter().map(|shape| shape[along]).collect();
+        shape[along] = total(&lens).ok_or_else(|| format!("shapes of {lens:?} along axis {along}"))?;
+        let count = len_of(&shape)?;
         let (outer, inner) = (len_of(&shape[..along])?, len_of(&shape[along + 1..])?);
         // Where each value of the result is: in which input, and where there.
-        let mut places = Vec::with_capacity(total);
+        let mut places = Vec::with_capacity(count);
         for o in 0..outer {
             for (input, own) in shapes.iter().enumerate() {
                 let run = own[along] * inner;
@@ -298,4 +299,9 @@ pub(super) fn expanded(shape: &[usize], wanted: &Constant) -> Result<Moved, Stri
     let wanted = fold::broadcast_shape(shape, &wanted.ok_or("a shape with a negative size")?)?;
     let places = fold::spread_places(shape, &wanted)?;
     Ok((wanted, places))
+}
+
+/// A sum that may be beyond all numbers.
+fn total(lens: &[usize]) -> Option<usize> {
+    lens.iter().try_fold(0usize, |sum, len| sum.checked_add(*len))
 }

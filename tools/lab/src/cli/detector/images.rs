@@ -52,6 +52,12 @@ impl Stage<'_> {
             let (place, size) = ((family, seed), (count, backgrounds));
             let part = self.path(&format!("{name}.part"));
             let begun = part.exists().then(|| load(&part)).transpose()?;
+            // What is mixed could not be told apart later.
+            ensure!(
+                begun.as_ref().is_none_or(|begun| begun.backgrounds.is_some()),
+                "{} is of an earlier version: remove it",
+                part.display()
+            );
             let mut progress = |count| {
                 bar.set_position(count as u64);
                 interrupt.flow()
