@@ -418,6 +418,7 @@ impl ActorMemory {
                 let (forward, right) = heading.seen(place);
                 let range_m = libm::sqrtf(forward * forward + right * right);
                 let bin = libm::floorf((bearing_rad(forward, right) + FRAC_PI_2) / WIDTH_RAD) as i32;
+                // Straight behind, where bearings wrap, a surface seen from its other side fills all between: the frozen actor learned with it.
                 let (first, farther_m) = match before {
                     Some((forward_before, right_before, bin_before))
                         if (forward - forward_before).abs() + (right - right_before).abs() < SAME_SURFACE_M
