@@ -17,7 +17,7 @@ fn main() -> ExitCode {
     let cli: Cli = vigil_firmware::removed::parse();
     let diagnostics = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
+        .with_ansi(vigil_firmware::program::colours(std::io::stderr().is_terminal()))
         .with_target(false)
         .without_time()
         .log_internal_errors(false);

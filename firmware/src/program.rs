@@ -188,6 +188,12 @@ impl FirmwareArgs {
     }
 }
 
+/// Whether there are colours: on a terminal that has them, where `NO_COLOR` does not forbid them.
+pub fn colours(is_terminal: bool) -> bool {
+    let is_forbidden = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    is_terminal && !is_forbidden && std::env::var_os("TERM").is_none_or(|term| term != "dumb")
+}
+
 /// Which diagnostics are shown: `RUST_LOG` (a level, or `target=level` with commas between), or else `default`, a level.
 pub fn diagnostics(default: &str) -> Targets {
     let wanted = std::env::var("RUST_LOG").ok().filter(|wanted| !wanted.is_empty());

@@ -28,6 +28,7 @@
 #[cfg(feature = "std")]
 extern crate std;
 
+mod allowance;
 mod autopilot;
 mod companion;
 mod core;
@@ -50,6 +51,7 @@ mod tracker;
 mod vehicle;
 mod velocity_error;
 
+pub use allowance::Allowance;
 pub use autopilot::Flavour;
 pub use companion::{Companion, CompanionConfig, LinkCounters};
 pub use mavlink;

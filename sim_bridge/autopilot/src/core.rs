@@ -14,7 +14,7 @@ use vigil_mavlink::common::MavSeverity;
 use vigil_mavlink::framing::{FramingCounters, Packet};
 use vigil_mavlink::mavlink::MessageData;
 pub use vigil_mavlink::routing::ComponentId;
-use vigil_mavlink::{MavMessage, StatusText};
+use vigil_mavlink::{Allowance, MavMessage, StatusText};
 use vigil_types::{Nanos, RANGE_SECTORS};
 
 /// What was refused since start, besides what the framing refused.
@@ -125,24 +125,6 @@ pub(crate) fn padded<const N: usize>(bytes: &[u8]) -> [u8; N] {
 const MOST_UNLOGGED: usize = 64;
 /// Refusals that are told in a second, at most.
 const REFUSALS_TOLD_PER_S: u32 = 4;
-
-/// How often something was done in the present period, and when that ends.
-#[derive(Clone, Copy, Default)]
-pub(crate) struct Allowance {
-    until_ns: Nanos,
-    count: u32,
-}
-
-impl Allowance {
-    /// Whether it may be done now: at most `most` times in a period, which begins with the first of them.
-    pub fn takes(&mut self, now_ns: Nanos, period_ns: Nanos, most: u32) -> bool {
-        if now_ns >= self.until_ns {
-            (self.until_ns, self.count) = (now_ns + period_ns, 0);
-        }
-        self.count = self.count.saturating_add(1);
-        self.count <= most
-    }
-}
 
 /// What a sensor of zones beside the depth camera measured: horizontal distances, left to right over its field of view.
 #[derive(Debug, Clone, Copy, PartialEq)]

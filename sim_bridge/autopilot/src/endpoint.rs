@@ -1,10 +1,11 @@
 //! The endpoint: datagrams and the vehicle's view in, datagrams and a command for the controllers out.
 
-use crate::core::{Allowance, ComponentId, Core, EndpointStatus, SigningSetup, ZoneRanges};
+use crate::core::{ComponentId, Core, EndpointStatus, SigningSetup, ZoneRanges};
 use crate::service::{Refusal, Service, Source, acknowledge};
 use crate::streams::Streams;
 use crate::vehicle::{ControlCommand, HoldLaw, Truth, VehicleView};
 use crate::{ConfigError, EndpointConfig, LinkId, Saved, services, used_parameters};
+use vigil_mavlink::Allowance;
 use vigil_mavlink::framing::{self, Command, Packet};
 use vigil_mavlink::routing::{LinkSet, MAX_LINKS, Routing};
 use vigil_mavlink::signing::carries_key;

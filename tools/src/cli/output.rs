@@ -301,7 +301,7 @@ pub fn start_tracing(verbosity: u8) {
     let default = ["warn", "info", "debug"][usize::from(verbosity.min(2))];
     let diagnostics = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
-        .with_ansi(colours(std::io::stderr().is_terminal()))
+        .with_ansi(vigil_firmware::program::colours(std::io::stderr().is_terminal()))
         .with_target(false)
         // Told on standard error, which is what could not be written.
         .log_internal_errors(false);
@@ -309,12 +309,6 @@ pub fn start_tracing(verbosity: u8) {
         .with(diagnostics)
         .with(vigil_firmware::program::diagnostics(default))
         .init();
-}
-
-/// Whether there are colours: on a terminal that has them, where `NO_COLOR` does not forbid them.
-fn colours(is_terminal: bool) -> bool {
-    let is_forbidden = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    is_terminal && !is_forbidden && std::env::var_os("TERM").is_none_or(|term| term != "dumb")
 }
 
 /// Paints text where there are colours; plain text anywhere else.
@@ -326,7 +320,7 @@ impl Paint {
     /// Colours for standard output.
     pub fn stdout() -> Self {
         Self {
-            on: colours(std::io::stdout().is_terminal()),
+            on: vigil_firmware::program::colours(std::io::stdout().is_terminal()),
         }
     }
 

@@ -1,5 +1,6 @@
 //! The command protocol: operators' requests to guidance. <https://mavlink.io/en/services/command.html>
 
+use crate::allowance::Allowance;
 use crate::core::Core;
 use crate::framing::{Command, Packet};
 use crate::operator::{LET_GO, PendingRequest, ReplyTo, decode, request_name, result, result_of, why};
@@ -22,8 +23,7 @@ pub(crate) struct CommandService {
     pub requests: Deque<PendingRequest, REQUESTS>,
     /// Texts about the requests that were refused since the last step.
     refused: Vec<StatusText, REFUSALS_PER_SECOND>,
-    refusals_since_ns: Nanos,
-    refusals_told: usize,
+    allowance: Allowance,
 }
 
 impl CommandService {
@@ -106,12 +106,8 @@ impl Service for CommandService {
 
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
         let now_ns = step.report.now_ns;
-        if now_ns.saturating_sub(self.refusals_since_ns) >= REFUSALS_NS {
-            (self.refusals_since_ns, self.refusals_told) = (now_ns, 0);
-        }
         for text in &core::mem::take(&mut self.refused) {
-            if self.refusals_told < REFUSALS_PER_SECOND {
-                self.refusals_told += 1;
+            if self.allowance.takes(now_ns, REFUSALS_NS, REFUSALS_PER_SECOND as u32) {
                 core.tell_text(out, text);
             }
         }

@@ -35,7 +35,7 @@ pub const EPSILON: f32 = 1e-5;
 /// Units of the low-dimensional branch, and of the two layers behind the split point.
 pub const LOW_UNITS: usize = 24;
 /// Units of the two layers behind the split point.
-pub const HEAD: [usize; 2] = [64, 32];
+const HEAD: [usize; 2] = [64, 32];
 
 /// The actor's dimensions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,9 +1,9 @@
 //! FOLLOW_TARGET: where the target of follow mode is. <https://mavlink.io/en/messages/common.html#FOLLOW_TARGET>
 
-use crate::core::Allowance;
 use crate::geo;
 use crate::service::prelude::*;
 use crate::services::actions::MAX_DISTANCE_M;
+use vigil_mavlink::Allowance;
 use vigil_types::NedVector;
 
 /// Bit of `est_capabilities`: the velocity is given.

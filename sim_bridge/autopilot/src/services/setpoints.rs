@@ -1,11 +1,11 @@
 //! Offboard setpoints as they come. <https://docs.px4.io/main/en/flight_modes/offboard.html>
 
-use crate::core::Allowance;
 use crate::flight::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
 use crate::service::prelude::*;
 use crate::services::BELOW_HOME_M;
 use crate::vehicle::ControlCommand;
 use crate::vehicle_parameters::ParamId;
+use vigil_mavlink::Allowance;
 
 /// Claimants and new reasons of refusals are told of this often at most: there may be any number of made-up ones.
 const TOLD_NS: Nanos = 1_000_000_000;
