@@ -11,7 +11,7 @@ use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
-use vigil_policy::actor::{ACTOR_HIDDEN, GOAL_INPUTS, LOW_DIM, PositionalInputs};
+use vigil_policy::actor::{ACTOR_HIDDEN, GOAL_INPUTS, LOW_DIM, LowDim};
 use vigil_policy::{ExplainedHead, FrozenPilot};
 
 /// Value of the entry `format`.
@@ -28,14 +28,14 @@ pub const NORMALISATION_IMPORTED: &str = "DeepSHAP of the yaw output at an impor
 
 /// A state of the background sample: the split point's values (48 of our actor), and what decides beside them (8 values, or 2 of an
 /// imported policy).
-pub type Background = (Vec<f32>, PositionalInputs);
+pub type Background = (Vec<f32>, LowDim);
 
-/// A detector with what it needs to explain and judge one actor, and what is known of its origin.
+/// A detector with what it needs to explain and score one actor, and what is known of its origin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrozenDetector {
     /// Whose explanations it judges.
     pub of: Of,
-    /// Digest of the pilot whose explanations it was trained on; it cannot judge another.
+    /// Digest of the pilot whose explanations it was trained on; it cannot score another.
     pub actor_sha256: String,
     /// DeepSHAP's background sample: states of unattacked training flights.
     pub backgrounds: Vec<Background>,
@@ -83,7 +83,7 @@ impl Of {
         }
     }
 
-    fn positional(self) -> usize {
+    fn low_dim(self) -> usize {
         match self {
             Self::Actor => LOW_DIM,
             Self::Imported => GOAL_INPUTS,
@@ -136,10 +136,10 @@ fn of_before(file: &str, refused: FileError) -> FileError {
 }
 
 /// Names and shapes of the tensors: any number of background states; 0 stands for any width.
-fn tensors(state: usize, positional: usize) -> Vec<(String, Vec<usize>)> {
+fn tensors(state: usize, low_dim: usize) -> Vec<(String, Vec<usize>)> {
     let own = [
         ("background.state", vec![0, state]),
-        ("background.position", vec![0, positional]),
+        ("background.position", vec![0, low_dim]),
         ("centre", vec![ROW]),
         ("scale", vec![ROW]),
     ];
@@ -184,17 +184,9 @@ impl FrozenDetector {
         let mut contents = Contents::new(self.of.kind(), entries.into_iter().chain(commit));
         let count = self.backgrounds.len();
         let states = self.backgrounds.iter().flat_map(|(state, _)| state).copied();
-        let positions = self
-            .backgrounds
-            .iter()
-            .flat_map(|(_, position)| position.iter())
-            .copied();
+        let low_dims = self.backgrounds.iter().flat_map(|(_, low_dim)| low_dim.iter()).copied();
         contents.push("background.state", &[count, self.width()], states.collect());
-        contents.push(
-            "background.position",
-            &[count, self.of.positional()],
-            positions.collect(),
-        );
+        contents.push("background.position", &[count, self.of.low_dim()], low_dims.collect());
         contents.push("centre", &[ROW], self.centre.to_vec());
         contents.push("scale", &[ROW], self.scale.to_vec());
         contents.push_all(&LstmAd::tensors(), &self.params);
@@ -249,23 +241,23 @@ impl FrozenDetector {
         let mut values = read.into_values();
         // The reader has checked every length but the number of states.
         let mut next = || values.next().unwrap_or_default();
-        let (states, positions) = (next(), next());
-        let positions = positions.chunks_exact(of.positional());
-        let positions: Vec<PositionalInputs> = positions.filter_map(PositionalInputs::from_values).collect();
-        let width = states.len() / positions.len().max(1);
+        let (states, low_dims) = (next(), next());
+        let low_dims = low_dims.chunks_exact(of.low_dim());
+        let low_dims: Vec<LowDim> = low_dims.filter_map(LowDim::from_values).collect();
+        let width = states.len() / low_dims.len().max(1);
         // An empty sample is refused by its own name, below.
-        let is_empty = states.is_empty() && positions.is_empty();
+        let is_empty = states.is_empty() && low_dims.is_empty();
         let is_known = of == Of::Imported && width > 0 || width == ACTOR_HIDDEN;
-        if !is_empty && (!is_known || states.len() != width * positions.len()) {
+        if !is_empty && (!is_known || states.len() != width * low_dims.len()) {
             let message = format!(
                 "has {} values of background states, but positions of {}",
                 states.len(),
-                positions.len()
+                low_dims.len()
             );
             return Err(KIND.content_error(file, message));
         }
         let states = states.chunks_exact(width.max(1)).map(<[f32]>::to_vec);
-        detector.backgrounds = states.zip(positions).collect();
+        detector.backgrounds = states.zip(low_dims).collect();
         detector.centre.copy_from_slice(&next());
         detector.scale.copy_from_slice(&next());
         detector.params = values.flatten().collect();

@@ -68,7 +68,7 @@ pub struct LstmAd {
 
 impl LstmAd {
     /// The network's graph: ten inputs of `[width]`, the window's rows, oldest first; the output is `[1]`. `cell` is the LSTM's curve, `output`
-    /// the last layer's: the sigmoid to judge, the identity to train through (its gradient does not vanish).
+    /// the last layer's: the sigmoid to score, the identity to train through (its gradient does not vanish).
     ///
     /// Parameters, in this order: LSTM, then each dense layer.
     ///

@@ -7,13 +7,13 @@ use alloc::string::String;
 use alloc::vec::Vec;
 use vigil_nnet::{Isa, ShapeError};
 use vigil_policy::ExplainedHead;
-use vigil_policy::actor::{LOW_DIM, PositionalInputs};
+use vigil_policy::actor::{LOW_DIM, LowDim};
 use vigil_types::{Judgement, Verdict};
 
 /// The actor's output that is explained: yaw, the one an attack aims at.
 const YAW: usize = 1;
 
-/// Why an actor cannot be watched. All of it is found before take-off.
+/// Why an actor cannot be monitored. All of it is found before take-off.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MonitorError {
     /// The detector was trained on another actor's explanations.
@@ -100,8 +100,8 @@ impl Monitor {
     /// Judges a decision by the values at the split point (our actor's 48) and what it was made from beside them (our actor's
     /// low-dimensional observation, the goal of an imported policy). Unknown until ten decisions in a row were explained, and whenever
     /// an explanation or the score is not finite. No allocation, no panic.
-    pub fn judge(&mut self, state: &[f32], position: impl Into<PositionalInputs>) -> Judgement {
-        let Ok(phi) = self.explain(state, &position.into()) else {
+    pub fn score(&mut self, state: &[f32], low_dim: impl Into<LowDim>) -> Judgement {
+        let Ok(phi) = self.explain(state, &low_dim.into()) else {
             // A window has no gaps.
             self.reset();
             return Judgement {
@@ -138,12 +138,8 @@ impl Monitor {
         }
     }
 
-    fn explain(
-        &mut self,
-        state: &[f32],
-        position: &PositionalInputs,
-    ) -> Result<([f32; ROW], [f32; LOW_DIM]), ShapError> {
-        self.shap.evaluate(&[state, position])?;
+    fn explain(&mut self, state: &[f32], low_dim: &LowDim) -> Result<([f32; ROW], [f32; LOW_DIM]), ShapError> {
+        self.shap.evaluate(&[state, low_dim])?;
         self.shap.attribute(YAW, &mut self.phi)?;
         let (of_state, of_inputs) = self.phi.split_at_checked(self.width).unwrap_or_default();
         let mut of_position = [0.0; LOW_DIM];

@@ -67,9 +67,9 @@ impl Bench {
     }
 }
 
-fn yaw_of(head: &Graph, params: &[f32], (state, position): &Background) -> f32 {
+fn yaw_of(head: &Graph, params: &[f32], (state, low_dim): &Background) -> f32 {
     let mut tape = vec![0.0; head.tape_len()];
-    head.forward(Isa::detect(), params, &[state, position], &mut tape)
+    head.forward(Isa::detect(), params, &[state, low_dim], &mut tape)
         .unwrap();
     head.output(&tape).unwrap()[1]
 }
@@ -82,7 +82,7 @@ fn the_contributions_add_up_to_what_the_actor_decided() {
     let mean = backgrounds.iter().map(|b| bench.yaw(b)).sum::<f32>() / backgrounds.len() as f32;
     for _ in 0..20 {
         let decision = bench.state();
-        let j = monitor.judge(&decision.0, decision.1);
+        let j = monitor.score(&decision.0, decision.1);
         assert!((j.base - mean).abs() < 1e-5);
         assert!((j.yaw() - bench.yaw(&decision)).abs() < 1e-5);
         assert!((j.image - j.phi.iter().sum::<f32>()).abs() < 1e-6);
@@ -100,7 +100,7 @@ fn each_contribution_is_of_what_its_name_says() {
     for changed in 0..LOW_DIM {
         let mut low = <[f32; LOW_DIM]>::try_from(&*usual.1).unwrap();
         low[changed] += 0.5;
-        let j = monitor.judge(&usual.0, low);
+        let j = monitor.score(&usual.0, low);
         let named = [j.image, j.distance, j.bearing, j.told];
         let expected = match changed {
             0 => 1,
@@ -122,8 +122,8 @@ fn the_verdict_is_the_network_s_on_the_last_ten_explanations_and_unknown_before(
     let mut lstm = LstmAd::new(Isa::detect(), &bench.detector.params).unwrap();
     let mut rows = Vec::new();
     for step in 1..=3 * WINDOW {
-        let (state, position) = bench.state();
-        let judgement = monitor.judge(&state, position);
+        let (state, low_dim) = bench.state();
+        let judgement = monitor.score(&state, low_dim);
         rows.push(normalise(&judgement.phi, &bench.detector.centre, &bench.detector.scale));
         let Some(window) = rows.last_chunk::<WINDOW>() else {
             assert_eq!(
@@ -143,8 +143,8 @@ fn the_verdict_is_the_network_s_on_the_last_ten_explanations_and_unknown_before(
             let mut last = Judgement::UNKNOWN;
             bench.random = ChaCha8Rng::seed_from_u64(99);
             for _ in 0..WINDOW {
-                let (state, position) = bench.state();
-                last = monitor.judge(&state, position);
+                let (state, low_dim) = bench.state();
+                last = monitor.score(&state, low_dim);
             }
             last
         };
@@ -162,20 +162,20 @@ fn an_explanation_that_is_not_finite_is_unknown_and_so_are_the_steps_until_the_w
     let mut monitor = bench.monitor();
     let good = bench.state();
     for _ in 0..WINDOW {
-        monitor.judge(&good.0, good.1);
+        monitor.score(&good.0, good.1);
     }
-    assert_ne!(monitor.judge(&good.0, good.1).verdict, Verdict::Unknown);
+    assert_ne!(monitor.score(&good.0, good.1).verdict, Verdict::Unknown);
     for bad in [f32::NAN, f32::INFINITY] {
         let mut state = good.0.clone();
         state[5] = bad;
-        let judgement = monitor.judge(&state, good.1);
+        let judgement = monitor.score(&state, good.1);
         assert_eq!((judgement.verdict, judgement.score), (Verdict::Unknown, None));
         assert!(judgement.image.is_nan());
     }
     for _ in 1..WINDOW {
-        assert_eq!(monitor.judge(&good.0, good.1).verdict, Verdict::Unknown);
+        assert_eq!(monitor.score(&good.0, good.1).verdict, Verdict::Unknown);
     }
-    assert_ne!(monitor.judge(&good.0, good.1).verdict, Verdict::Unknown);
+    assert_ne!(monitor.score(&good.0, good.1).verdict, Verdict::Unknown);
 }
 
 #[test]
@@ -228,17 +228,17 @@ fn an_imported_policy_is_explained_at_as_many_values_as_its_split_point_has() {
         let mut monitor = Monitor::new(Isa::detect(), head.clone(), ACTOR, &detector).unwrap();
         for step in 1..=WINDOW {
             let made = decision();
-            let j = monitor.judge(&made.0, made.1);
+            let j = monitor.score(&made.0, made.1);
             assert!((j.base - mean).abs() < 1e-5);
             assert!((j.yaw() - yaw(&made)).abs() < 1e-5, "{width} values");
-            // What is judged and logged are 48 numbers: those, or sums of neighbours, or those and zeros.
+            // What is scored and logged are 48 numbers: those, or sums of neighbours, or those and zeros.
             assert!((j.image - j.phi.iter().sum::<f32>()).abs() < 1e-5);
             assert_eq!(j.score.is_some(), step == WINDOW);
             if width < ACTOR_HIDDEN {
                 assert_eq!(j.phi[width..], [0.0; ACTOR_HIDDEN][width..]);
             }
         }
-        let short = monitor.judge(&vec![0.0; width - 1], [0.5, 0.2]);
+        let short = monitor.score(&vec![0.0; width - 1], [0.5, 0.2]);
         assert_eq!(short.verdict, Verdict::Unknown, "a state of another length is no state");
     }
 }

@@ -3,7 +3,7 @@
 #[path = "../tests/common/mod.rs"]
 mod common;
 
-use common::{TestVehicle, config, watched_config};
+use common::{TestVehicle, config, monitored_config};
 use divan::Bencher;
 use std::cell::RefCell;
 use vigil_firmware::FirmwareConfig;
@@ -100,10 +100,10 @@ fn guided_by_the_actor(bencher: Bencher) {
     bench(bencher, &config, true, Isa::detect());
 }
 
-/// The same watched: with explanation against 30 states, LSTM-AD, and the recovery pilot beside the actor. On each instruction set
+/// The same monitored: with explanation against 30 states, LSTM-AD, and the recovery pilot beside the actor. On each instruction set
 /// that this processor has.
 #[divan::bench(sample_size = 1, sample_count = 2000, args = Isa::available())]
-fn guided_by_the_watched_actor(bencher: Bencher, isa: Isa) {
+fn guided_by_the_monitored_actor(bencher: Bencher, isa: Isa) {
     let folder = tempfile::tempdir().unwrap();
-    bench(bencher, &watched_config(folder.path()), true, isa);
+    bench(bencher, &monitored_config(folder.path()), true, isa);
 }

@@ -5,7 +5,7 @@ use vigil_types::{Alarm, AlarmCause, AlarmResponse, GuidanceState, STEP_S, StepR
 /// Counts alarms, by whom they were raised, and what they brought about.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct AlarmTally {
-    is_watched: bool,
+    is_monitored: bool,
     flown_steps: u64,
     /// By [`AlarmCause`].
     raised: [u64; AlarmCause::ALL.len()],
@@ -16,10 +16,10 @@ pub struct AlarmTally {
 }
 
 impl AlarmTally {
-    /// No step yet; `is_watched` tells whether anything can raise an alarm.
-    pub fn new(is_watched: bool) -> Self {
+    /// No step yet; `is_monitored` says whether anything can raise an alarm.
+    pub fn new(is_monitored: bool) -> Self {
         Self {
-            is_watched,
+            is_monitored,
             ..Self::default()
         }
     }
@@ -47,8 +47,8 @@ impl std::fmt::Display for AlarmTally {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let seconds = |steps: u64| steps as f64 * f64::from(STEP_S);
         let flown_s = seconds(self.flown_steps);
-        if !self.is_watched {
-            return write!(f, "nothing watched the pilot in {flown_s:.1} s of flight");
+        if !self.is_monitored {
+            return write!(f, "nothing monitored the pilot in {flown_s:.1} s of flight");
         }
         let Some(first) = self.first_at_step else {
             return write!(f, "none in {flown_s:.1} s of flight");
@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_flight_s_alarms_are_told_with_who_raised_them_and_what_they_led_to() {
+    fn a_flight_s_alarms_are_shown_with_who_raised_them_and_what_came_of_them() {
         let mut tally = AlarmTally::new(true);
         let mut report = StepReport {
             state: GuidanceState::Guided,
@@ -110,6 +110,6 @@ mod tests {
             "2 (1 by the detector: an attack, 1 by the guard: a collision course), the first after 5.0 s of flight; of 9.0 s it \
              stopped for 1.0 s and the recovery pilot flew 2.0 s"
         );
-        assert!(AlarmTally::new(false).to_string().starts_with("nothing watched"));
+        assert!(AlarmTally::new(false).to_string().starts_with("nothing monitored"));
     }
 }

@@ -205,7 +205,7 @@ impl FirmwareConfig {
 
     /// What the log says about a flight with this configuration.
     pub fn flight_info(&self) -> FlightInfo {
-        // What is refused flies nothing, and whoever builds the flight stack tells of it.
+        // What is refused flies nothing, and whoever builds the flight stack reports it.
         let detector = self.frozen_detector().ok().flatten();
         FlightInfo {
             program: concat!("firmware ", env!("CARGO_PKG_VERSION")).to_owned(),
@@ -284,7 +284,7 @@ impl FirmwareConfig {
     }
 
     /// Whether anything watches the pilot.
-    pub fn is_watched(&self) -> bool {
+    pub fn is_monitored(&self) -> bool {
         self.has_detector() || self.has_guard()
     }
 
@@ -464,7 +464,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_accepted_is_told_with_line_and_field_and_what_is_allowed() {
+    fn what_is_not_accepted_is_reported_with_line_and_field_and_what_is_allowed() {
         for (text, line, expected) in [
             ("sensor_id = 1\nsensorid = 2", "line 2", "sensorid"),
             ("[limits]\nframe_age = 0.2", "line 2", "frame_age_s"),
@@ -515,7 +515,7 @@ mod tests {
     }
 
     #[test]
-    fn an_actor_that_may_not_be_as_fast_as_it_was_trained_is_told_of() {
+    fn an_actor_that_may_not_be_as_fast_as_it_was_trained_is_reported() {
         let mut config = FirmwareConfig::default();
         config.pilot.kind = PilotKind::Actor;
         let pilot = config.frozen_pilot().unwrap().unwrap();

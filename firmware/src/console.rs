@@ -1,4 +1,4 @@
-//! Tells a person what the loop does, from a thread of its own: writing to a terminal may wait, the loop may not.
+//! Prints for a person what the loop does, from a thread of its own: writing to a terminal may wait, the loop may not.
 
 use crate::frame_keeper::{FrameRefusals, Refusal};
 use std::time::Duration;
@@ -45,7 +45,7 @@ pub struct Console {
 }
 
 impl Console {
-    /// Starts the printer; times are told relative to `start_ns`.
+    /// Starts the printer; times are printed relative to `start_ns`.
     ///
     /// # Errors
     /// When the thread cannot be started.
@@ -77,21 +77,21 @@ impl Console {
         }
     }
 
-    /// Is told what others are told by STATUSTEXT; changes of state it announces itself. Never waits and allocates nothing.
+    /// Takes what others get by STATUSTEXT; changes of state it announces itself. Never waits and allocates nothing.
     pub fn text(&mut self, at_ns: Nanos, text: &StatusText) {
         if !text.text().starts_with(STATE_TEXT) {
             self.announce(at_ns, News::Text(*text));
         }
     }
 
-    /// Is told how many packets signing refused since start. Never waits and allocates nothing.
+    /// Takes how many packets signing refused since start. Never waits and allocates nothing.
     pub fn refused(&mut self, at_ns: Nanos, total: u64) {
         if self.refused.is_due(at_ns, total) {
             self.announce(at_ns, News::Refused(total));
         }
     }
 
-    /// Is told of a vehicle that calls and is not the one that is asked for. Never waits and allocates nothing.
+    /// Takes a vehicle that calls and is not the one that is asked for. Never waits and allocates nothing.
     pub fn other_vehicle(&mut self, at_ns: Nanos, system: Option<u8>) {
         if let Some(system) = system
             && self.other_system.is_none()
@@ -101,7 +101,7 @@ impl Console {
         }
     }
 
-    /// Is told which frames were refused since start. Never waits and allocates nothing.
+    /// Takes which frames were refused since start. Never waits and allocates nothing.
     pub fn frames_refused(&mut self, at_ns: Nanos, refusals: &FrameRefusals) {
         let total = refusals.total();
         if let Some(last) = refusals.last()
@@ -136,13 +136,13 @@ fn print(at_s: f64, news: News) {
             "{at_s:8.2} s  {total} depth frames refused since start; the last one: {last} (docs/sensor-interface.md)"
         ),
         News::Text(text) => {
-            let told = text.text();
+            let line = text.text();
             match text.severity() {
-                MavSeverity::MAV_SEVERITY_WARNING => tracing::warn!("{at_s:8.2} s  {told}"),
+                MavSeverity::MAV_SEVERITY_WARNING => tracing::warn!("{at_s:8.2} s  {line}"),
                 MavSeverity::MAV_SEVERITY_NOTICE | MavSeverity::MAV_SEVERITY_INFO | MavSeverity::MAV_SEVERITY_DEBUG => {
-                    tracing::info!("{at_s:8.2} s  {told}")
+                    tracing::info!("{at_s:8.2} s  {line}")
                 }
-                _ => tracing::error!("{at_s:8.2} s  {told}"),
+                _ => tracing::error!("{at_s:8.2} s  {line}"),
             }
         }
         News::Slips(total) => tracing::warn!("{at_s:8.2} s  {total} steps missed since start"),

@@ -8,9 +8,9 @@
     clippy::alloc_instead_of_core
 )]
 
-use crate::leg::{LedTo, Leg, along_path, turned_to_path};
 use crate::motion::Motion;
 use crate::pilots::Pilots;
+use crate::segment::{LocalGoal, Segment, along_path, turned_to_path};
 use vigil_guidance::Risk;
 use vigil_policy::actor::Actor;
 use vigil_policy::{FlightPilot, GeometricPilot, Pilot, PilotInput};
@@ -38,7 +38,7 @@ pub(crate) struct Decision {
 pub(crate) struct Deciding {
     pub pilots: Pilots,
     /// What an imported policy follows to a far goal.
-    leg: Leg,
+    segment: Segment,
     /// The vehicle was flown by the recovery pilot, or by an imported policy along its path, in the step before.
     along_path: bool,
     /// The recovery pilot flew since the alarm was raised; while the vehicle stops for its own course too.
@@ -54,7 +54,7 @@ impl Deciding {
     pub fn new(pilots: Pilots) -> Self {
         Self {
             pilots,
-            leg: Leg::default(),
+            segment: Segment::default(),
             along_path: false,
             recovery_flew: false,
             asked: false,
@@ -89,12 +89,12 @@ impl Deciding {
             pilot,
             monitor,
             recovery,
-            watched,
+            monitored,
         } = &mut self.pilots;
         let mut recovery = recovery.as_deref_mut().filter(|_| asks_recovery);
         if let Some(recovery) = recovery.as_deref_mut() {
             recovery.observe(&believed, self.along_path);
-            detour = detour.map(|_| along_path(recovery.lead(&believed)));
+            detour = detour.map(|_| along_path(recovery.path_ahead(&believed)));
         }
         let limited = |action: Action| action.within(limit_m_s);
         let decided = pilot.decide(&PilotInput {
@@ -106,10 +106,10 @@ impl Deciding {
             action: Some(action),
             ..Decision::default()
         };
-        if let (Some(monitor), Some(state), Some(position)) = (monitor, pilot.state(), pilot.position()) {
-            decision.judgement = Some(monitor.judge(state, position));
+        if let (Some(monitor), Some(state), Some(low_dim)) = (monitor, pilot.state(), pilot.low_dim()) {
+            decision.judgement = Some(monitor.score(state, low_dim));
         }
-        if let (true, Some(recovery)) = (*watched, recovery) {
+        if let (true, Some(recovery)) = (*monitored, recovery) {
             let own = limited(recovery.decide(&believed));
             decision.recovery = Some(own);
             decision.risk = Some(Risk {
@@ -123,7 +123,7 @@ impl Deciding {
 
     /// Nobody asks for a path to a near goal that nothing watches.
     fn asks_recovery(&self) -> bool {
-        self.pilots.watched || self.leg.is_far()
+        self.pilots.monitored || self.segment.is_far()
     }
 
     /// Where the pilot is to fly, and whether along a path. An imported policy knows near goals only; the actor and the geometric pilot fly
@@ -134,10 +134,10 @@ impl Deciding {
         }
         let Motion { kinematics, sample } = view.motion;
         let here = kinematics.position_ned_m;
-        self.leg.take_up(input.now_ns, here, view.goal_ned_m);
-        match self.leg.next(input.now_ns, here, view.goal.bearing_rad) {
-            LedTo::Point(position_ned_m) => (Goal { position_ned_m }.relative_to(&kinematics, &sample), None),
-            LedTo::Path => (view.goal, Some(view.goal)),
+        self.segment.take_up(input.now_ns, here, view.goal_ned_m);
+        match self.segment.next(input.now_ns, here, view.goal.bearing_rad) {
+            LocalGoal::Point(position_ned_m) => (Goal { position_ned_m }.relative_to(&kinematics, &sample), None),
+            LocalGoal::Path => (view.goal, Some(view.goal)),
         }
     }
 
@@ -146,7 +146,7 @@ impl Deciding {
         if core::mem::replace(&mut self.are_new, true) {
             return;
         }
-        self.leg.reset();
+        self.segment.reset();
         self.pilots.pilot.reset();
         if let Some(recovery) = &mut self.pilots.recovery {
             recovery.reset();
@@ -173,7 +173,7 @@ impl Deciding {
         });
         self.along_path = match alarm {
             Some(_) => self.recovery_flew,
-            None => self.asked && self.leg.is_by_path(),
+            None => self.asked && self.segment.is_by_path(),
         };
     }
 

@@ -60,7 +60,7 @@ pub(crate) struct Guarding {
     /// It needs more to stop than is looked ahead.
     too_fast: bool,
     air: Option<Air>,
-    /// Where the vehicle that is told to hold can come to rest, metres north and east.
+    /// Where the vehicle that is ordered to hold can come to rest, metres north and east.
     stop_place_m: Option<(f32, f32)>,
     detour: Detour,
     /// Consecutive steps in which the straight way to the mission's place was free.
@@ -89,7 +89,7 @@ pub(crate) struct Guarded {
     pub request: VehicleRequest,
     /// Why, for the report.
     pub reasons: Reasons,
-    /// The lookout looked: what it sees may be told as obstacles.
+    /// The lookout looked: what it sees may be sent as obstacles.
     pub looked: bool,
     /// What to tell people.
     pub notice: Option<GuardNotice>,
@@ -172,7 +172,7 @@ impl Guarding {
         self.reckoned.reaction_s += self.late_s(now_ns, frame, airborne);
         let jumped = motion.is_some_and(|motion| self.has_jumped(motion.kinematics));
         let climbs = motion.is_some_and(|motion| self.take_off.goes_on(telemetry, &motion.kinematics));
-        // From below flight height too, and a take-off that is an item of a mission is told as MISSION in the air.
+        // From below flight height too, and a take-off that is an item of a mission is reported as MISSION in the air.
         if jumped || !airborne || climbs {
             self.lookout.reset();
         }
@@ -264,7 +264,7 @@ impl Guarding {
         let moves = motion.is_some_and(|m| m.kinematics.velocity_ned_m_s.horizontal_norm() > STANDING_M_S);
         let cause = match state {
             JustStopState::Stopping(cause) => cause,
-            // The autopilot took the mode before it could be told the place.
+            // The autopilot took the mode before it could be sent the place.
             JustStopState::Stopped(cause) if moves && self.stop_place_m.is_some() => cause,
             _ => {
                 self.stop_place_m = None;
@@ -278,7 +278,7 @@ impl Guarding {
             };
             let velocity = motion.kinematics.velocity_ned_m_s;
             let gain = self.gain_along(velocity);
-            // Once it brakes, it is on its way to where it was told.
+            // Once it brakes, it is on its way to where it was sent.
             if self.stop_place_m.is_none() || gain.gain_m_s2 > -BRAKES_M_S2 {
                 self.stop_place_m = Some(self.stop_place_m(&motion.kinematics, gain, ahead_m));
             }
@@ -307,7 +307,7 @@ impl Guarding {
         self.air.map_or(Gain::default(), |air| air.gain_along(velocity))
     }
 
-    /// What becomes of a stop: where guidance is to fly, and what people are told.
+    /// What becomes of a stop: where guidance is to fly, and what people read.
     fn plan_detour(
         &mut self,
         input: &GuardingInput<'_>,
@@ -448,7 +448,7 @@ impl Guarding {
         (gain_m_s2 * towards > 0.0).then(|| (now.position_ned_m + (velocity + then) * (0.5 * TURN_S), then))
     }
 
-    /// Whether the vehicle is told to be where it cannot have come to since the last position.
+    /// Whether the vehicle is reported to be where it cannot have come to since the last position.
     fn has_jumped(&mut self, now: Kinematics) -> bool {
         self.last.replace(now).is_some_and(|last| has_jumped(&last, &now))
     }

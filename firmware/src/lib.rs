@@ -21,7 +21,6 @@ mod console;
 mod deciding;
 mod frame_keeper;
 mod guarding;
-mod leg;
 #[cfg(feature = "std")]
 pub mod live_loop;
 #[cfg(feature = "std")]
@@ -44,6 +43,7 @@ pub mod removed;
 pub mod replay;
 #[cfg(feature = "std")]
 pub mod saved;
+mod segment;
 #[cfg(feature = "std")]
 mod service;
 pub mod stack;

@@ -277,7 +277,7 @@ impl LiveLoop {
             wake_late: Durations::default(),
             last: StepReport::default(),
             used_frames: 0,
-            alarms: AlarmTally::new(config.is_watched()),
+            alarms: AlarmTally::new(config.is_monitored()),
             console: Console::start(now_ns).map_err(|e| LiveError::Thread("console thread", e))?,
             parameters,
             config,
@@ -307,7 +307,7 @@ impl LiveLoop {
             let taken_over = self.firmware.stack.taken_over();
             keeper.observe(self.firmware.stack.parameters(), taken_over);
         }
-        for text in self.firmware.stack.told() {
+        for text in self.firmware.stack.status_texts() {
             self.console.text(report.now_ns, text);
         }
         self.console.refused(report.now_ns, self.link.link.signing_refused());
@@ -402,7 +402,7 @@ pub fn fly(
 ) -> Result<FlightSummary, LiveError> {
     let mut flight = LiveLoop::open(config)?;
     let manager = ServiceManager::find();
-    let manager = manager.map_err(|e| LiveError::Thread("thread that tells the service manager", e))?;
+    let manager = manager.map_err(|e| LiveError::Thread("thread that reports to the service manager", e))?;
     let granted = flight.start();
     started(&flight.config, &granted);
     while !stop.load(Ordering::Relaxed) {

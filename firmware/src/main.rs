@@ -28,8 +28,12 @@ fn main() -> ExitCode {
     match vigil_firmware::program::run(cli.args) {
         Ok(code) => code,
         Err(error) => {
-            // Where nobody listens, nothing can be told.
-            let _ = writeln!(std::io::stderr(), "firmware: {}", vigil_firmware::program::told(&error));
+            // Where nobody listens, nothing can be said.
+            let _ = writeln!(
+                std::io::stderr(),
+                "firmware: {}",
+                vigil_firmware::program::in_one_line(&error)
+            );
             ExitCode::FAILURE
         }
     }

@@ -58,25 +58,25 @@ pub struct Pilots {
     /// The detector: judges each of the actor's decisions. Boxed at start: it is large, and many flights have none.
     pub monitor: Option<Box<Monitor>>,
     /// Plans in every step, so that it remembers what it saw before an alarm. Where something watches, it takes the actor's place while an
-    /// alarm is raised, and tells the guard what lies ahead; its path leads an imported policy to a far goal where the line to it leads
+    /// alarm is raised, and shows the guard what lies ahead; its path brings an imported policy to a far goal where the line to it leads
     /// nowhere.
     pub recovery: Option<Box<RecoveryPilot>>,
     /// Whether anything watches: without it the recovery pilot leads, but neither flies nor warns.
-    pub watched: bool,
+    pub monitored: bool,
 }
 
 impl Pilots {
     /// A pilot that nothing watches.
-    pub fn unwatched(pilot: FlightPilot) -> Self {
+    pub fn unmonitored(pilot: FlightPilot) -> Self {
         Self {
             pilot,
             monitor: None,
             recovery: None,
-            watched: false,
+            monitored: false,
         }
     }
 
-    /// A learned pilot, alone or watched by `monitor`, the guard or both; `field` adds the potential field to it.
+    /// A learned pilot, alone or monitored by `monitor`, the guard or both; `field` adds the potential field to it.
     ///
     /// # Errors
     /// Parameters of another length.
@@ -85,7 +85,7 @@ impl Pilots {
         frozen: &FrozenPilot,
         field: bool,
         monitor: Option<Box<Monitor>>,
-        watched: bool,
+        monitored: bool,
     ) -> Result<Self, FileError> {
         Ok(Self {
             pilot: match frozen {
@@ -94,7 +94,7 @@ impl Pilots {
             },
             monitor,
             recovery: Some(Box::default()),
-            watched,
+            monitored,
         })
     }
 
@@ -127,7 +127,7 @@ impl Pilots {
                 return Err(StackError::AblatedElse);
             }
             let pilot = GeometricPilot::new(config.stack().pilot);
-            return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
+            return Ok(Self::unmonitored(FlightPilot::Geometric(pilot)));
         };
         // The built-in detector is the built-in actor's.
         if matches!(frozen, FrozenPilot::Imported(_)) && config.has_detector() && config.detector.file.is_none() {
@@ -145,8 +145,8 @@ impl Pilots {
                 Some(Box::new(monitor))
             }
         };
-        let watched = config.is_watched();
-        let mut pilots = Self::learned(isa, &frozen, config.pilot.apf, monitor, watched)?;
+        let monitored = config.is_monitored();
+        let mut pilots = Self::learned(isa, &frozen, config.pilot.apf, monitor, monitored)?;
         if config.pilot.ablate != Ablation::Nothing {
             let FlightPilot::Actor(pilot) = pilots.pilot else {
                 return Err(StackError::AblatedElse);

@@ -201,9 +201,9 @@ pub fn diagnostics(default: &str) -> Targets {
     parsed.unwrap_or_else(|| default.parse().unwrap_or_default())
 }
 
-/// An error and its causes in one line, each thing told once: a message that holds its cause tells it already, and so does a
+/// An error and its causes in one line, each thing once: a message that holds its cause says it already, and so does a
 /// cause that begins with what names it.
-pub fn told(error: &anyhow::Error) -> String {
+pub fn in_one_line(error: &anyhow::Error) -> String {
     let mut text = String::new();
     for cause in error.chain().map(ToString::to_string) {
         if text.contains(&cause) {
@@ -221,7 +221,7 @@ pub fn told(error: &anyhow::Error) -> String {
     text
 }
 
-/// Runs the firmware until it is told to end (Ctrl-C, SIGTERM; in lockstep also by the simulator).
+/// Runs the firmware until it is asked to end (Ctrl-C, SIGTERM; in lockstep also by the simulator).
 ///
 /// # Errors
 /// Whatever keeps the flight from beginning, each telling what to do; in lockstep also a simulator that fell silent.
@@ -277,13 +277,13 @@ fn run_lockstep(config: &FirmwareConfig, timeout: Duration, stop: &AtomicBool) -
     Ok(vigil_types::files::print_line(&text)?)
 }
 
-/// Tells a person something at once.
+/// Prints something for a person at once.
 fn announce(text: &str) {
-    // Where nobody listens, nothing can be told; a flight does not end for it.
+    // Where nobody listens, nothing can be said; a flight does not end for it.
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
-/// What a person is told at start: a line for each of vehicle and links, frames, pilot, signing.
+/// What a person reads at start: a line for each of vehicle and links, frames, pilot, signing.
 struct Start<'a>(&'a FirmwareConfig);
 
 impl std::fmt::Display for Start<'_> {

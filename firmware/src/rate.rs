@@ -35,7 +35,7 @@ impl RateSchedule {
         self.next_deadline_ns
     }
 
-    /// The step that was due begins now: counts what was missed and tells the step's timing.
+    /// The step that was due begins now: counts what was missed and returns the step's timing.
     pub fn begin(&mut self, now_ns: Nanos) -> StepTiming {
         let late_ns = now_ns.saturating_sub(self.next_deadline_ns);
         let missed = late_ns / STEP_NS;

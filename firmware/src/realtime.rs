@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_granted_is_told_in_one_line_with_what_it_needs() {
+    fn what_is_not_granted_is_reported_in_one_line_with_what_it_needs() {
         let refused = Granted {
             fifo: Err("Operation not permitted (needs CAP_SYS_NICE or an rtprio limit of 50)".into()),
             locked: Ok(()),

@@ -79,7 +79,7 @@ pub fn parse<P: clap::Parser>() -> P {
         });
         match instead {
             Some(instead) => {
-                // Where nobody listens, nothing can be told.
+                // Where nobody listens, nothing can be said.
                 let _ = error.print();
                 let _ = std::io::Write::write_fmt(
                     &mut std::io::stderr(),

@@ -281,7 +281,7 @@ mod tests {
 
     #[test]
     fn a_file_with_wrong_types_names_or_values_or_a_damaged_one_is_refused_by_name_and_kept() {
-        for (text, told) in [
+        for (text, reason) in [
             ("[parameters]\nGD_SPEED_LIM = \"fast\"", "line 2"),
             ("[parameters]\nGD_AT_GOAL = true", "GD_AT_GOAL"),
             ("parameters = 5", "line 1"),
@@ -298,7 +298,7 @@ mod tests {
         ] {
             let error = start(text.as_bytes()).unwrap_err();
             assert!(error.contains("firmware0.toml: mend or delete it"), "{error}");
-            assert!(error.contains(told), "{text}: {error}");
+            assert!(error.contains(reason), "{text}: {error}");
         }
         assert!(
             start(b"[parameters]\nGD_SPEED_LIM = 0.\xFF")

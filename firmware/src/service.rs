@@ -1,4 +1,4 @@
-//! Tells the service manager (systemd) that the loop runs and advances, from a thread of its own.
+//! Reports to the service manager (systemd) that the loop runs and advances, from a thread of its own.
 //!
 //! Not from the console's: that waits where nobody reads the terminal or the journal, and a firmware that flies would be ended
 //! for it.
@@ -56,22 +56,22 @@ impl ServiceManager {
         self.progress.steps.fetch_add(1, Ordering::Release);
     }
 
-    /// The flight ends on request: what follows is not watched any more.
+    /// The flight ends on request: what follows is not monitored any more.
     pub(crate) fn end(self) {
         self.progress.ending.store(true, Ordering::Relaxed);
         self.thread.unpark();
     }
 }
 
-/// What the manager was told.
+/// What was reported to the manager.
 #[derive(Debug, Default)]
-struct Told {
-    watched: bool,
+struct Reported {
+    monitored: bool,
     steps: u64,
     state: Option<GuidanceState>,
 }
 
-impl Told {
+impl Reported {
     /// What a look at the loop has to tell: nothing where no step has ended since the look before.
     fn news(&mut self, steps: u64, state: Option<GuidanceState>) -> Vec<NotifyState<'static>> {
         let mut news = Vec::new();
@@ -82,7 +82,7 @@ impl Told {
             news.push(NotifyState::Ready);
         }
         self.steps = steps;
-        if self.watched {
+        if self.monitored {
             news.push(NotifyState::Watchdog);
         }
         if let Some(name) = state.filter(|_| state != self.state).map(GuidanceState::name) {
@@ -98,9 +98,9 @@ fn report(progress: &Progress, watchdog: Option<Duration>) {
     let pause = watchdog.map_or(PAUSE, |limit| {
         (limit / LOOKS).clamp(Duration::from_nanos(STEP_NS), PAUSE)
     });
-    let mut told = Told {
-        watched: watchdog.is_some(),
-        ..Told::default()
+    let mut reported = Reported {
+        monitored: watchdog.is_some(),
+        ..Reported::default()
     };
     let mut warned = false;
     loop {
@@ -109,13 +109,13 @@ fn report(progress: &Progress, watchdog: Option<Duration>) {
             vec![NotifyState::Stopping]
         } else {
             let steps = progress.steps.load(Ordering::Acquire);
-            told.news(steps, GuidanceState::from_code(progress.state.load(Ordering::Relaxed)))
+            reported.news(steps, GuidanceState::from_code(progress.state.load(Ordering::Relaxed)))
         };
         if !news.is_empty()
             && let Err(error) = sd_notify::notify(&news)
             && !std::mem::replace(&mut warned, true)
         {
-            tracing::warn!("the service manager cannot be told that the loop runs: {error}");
+            tracing::warn!("the service manager cannot be reached to report that the loop runs: {error}");
         }
         if ending {
             return;
@@ -130,12 +130,12 @@ mod tests {
 
     #[test]
     fn a_loop_that_does_not_advance_is_not_reported() {
-        let mut told = Told {
-            watched: true,
-            ..Told::default()
+        let mut reported = Reported {
+            monitored: true,
+            ..Reported::default()
         };
         let mut look = |steps, state| -> String {
-            let news = told.news(steps, Some(state));
+            let news = reported.news(steps, Some(state));
             news.iter().map(|n| format!("{n} ")).collect()
         };
         use GuidanceState::{Guided, Standby};
@@ -149,8 +149,8 @@ mod tests {
 
     #[test]
     fn a_manager_that_does_not_watch_hears_of_changes_only() {
-        let mut told = Told::default();
-        assert_eq!(told.news(1, Some(GuidanceState::Ready)).len(), 2);
-        assert!(told.news(2, Some(GuidanceState::Ready)).is_empty());
+        let mut reported = Reported::default();
+        assert_eq!(reported.news(1, Some(GuidanceState::Ready)).len(), 2);
+        assert!(reported.news(2, Some(GuidanceState::Ready)).is_empty());
     }
 }

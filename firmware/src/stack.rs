@@ -75,7 +75,7 @@ pub struct FlightStack {
     /// Guards somebody else's flight; `None` when that is not its duty.
     guarding: Option<Guarding>,
     deciding: Deciding,
-    /// Jumps of the odometry that people were told of.
+    /// Jumps of the odometry that were reported.
     forgotten: u32,
     tunables: Tunables,
     component_id: u8,
@@ -90,7 +90,7 @@ impl FlightStack {
     pub fn new(config: &StackConfig) -> Result<Box<Self>, ConfigError> {
         Self::with_pilots(
             config,
-            Pilots::unwatched(FlightPilot::Geometric(GeometricPilot::new(config.pilot))),
+            Pilots::unmonitored(FlightPilot::Geometric(GeometricPilot::new(config.pilot))),
         )
     }
 
@@ -102,7 +102,7 @@ impl FlightStack {
         let tunables = Tunables::of(
             config,
             pilots.monitor.as_ref().map(|monitor| monitor.threshold()),
-            pilots.watched,
+            pilots.monitored,
         );
         let mut guidance = Guidance::new(tunables.guidance(&config.guidance))?;
         if let Some(Goal { position_ned_m }) = config.goal {
@@ -256,7 +256,7 @@ impl FlightStack {
     }
 
     fn guidance_input<'a>(&self, timing: StepTiming, seen: &'a Observation, decided: &Decision) -> GuidanceInput<'a> {
-        // A watched pilot that was not asked has no verdict, and no verdict is not a clean one.
+        // A monitored pilot that was not asked has no verdict, and no verdict is not a clean one.
         let verdict = decided
             .judgement
             .map_or(Verdict::Unknown, |judgement| judgement.verdict);
@@ -455,9 +455,9 @@ impl FlightStack {
         self.deciding.actor().zip(self.frames.newest())
     }
 
-    /// The texts that the last step told people.
-    pub fn told(&self) -> &[StatusText] {
-        self.companion.told()
+    /// The texts of the last step for people.
+    pub fn status_texts(&self) -> &[StatusText] {
+        self.companion.status_texts()
     }
 
     /// What the link refused or dropped, since start.

@@ -52,7 +52,7 @@ impl Firmware {
         self.recorder = Some(recorder);
     }
 
-    /// One step. Never waits, unless the recorder was told to ([`vigil_log::WhenFull::Wait`]).
+    /// One step. Never waits, unless the recorder was asked to ([`vigil_log::WhenFull::Wait`]).
     pub fn step(
         &mut self,
         timing: StepTiming,

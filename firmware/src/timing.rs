@@ -2,7 +2,7 @@
 
 use hdrhistogram::Histogram;
 
-/// Longest time told apart, 10 s; anything longer counts as that.
+/// Longest time distinguished, 10 s; anything longer counts as that.
 const MAX_NS: u64 = 10_000_000_000;
 /// Resolution: three significant digits.
 const DIGITS: u8 = 3;

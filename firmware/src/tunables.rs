@@ -78,8 +78,8 @@ const TUNABLES: [Tunable; 8] = [
 ];
 
 impl Tunables {
-    /// `threshold` is the detector's, `is_watched` tells whether anything raises an alarm.
-    pub fn of(config: &StackConfig, threshold: Option<f32>, is_watched: bool) -> Self {
+    /// `threshold` is the detector's, `is_monitored` says whether anything raises an alarm.
+    pub fn of(config: &StackConfig, threshold: Option<f32>, is_monitored: bool) -> Self {
         Self {
             pilot: config.pilot,
             speed_limit_m_s: config.guidance.speed_limit_m_s,
@@ -87,7 +87,7 @@ impl Tunables {
             at_goal: config.guidance.at_goal,
             on_no_progress: config.guidance.on_no_progress,
             threshold,
-            alarm: is_watched.then_some(config.guidance.alarm.policy),
+            alarm: is_monitored.then_some(config.guidance.alarm.policy),
             duty: (config.duty != Duty::Fly).then_some(config.duty),
         }
     }

@@ -106,7 +106,7 @@ fn suite(mut rig: impl Rig) {
     let mut heard = vehicle.heard.iter();
     assert!(heard.all(|(from, _)| (from.system_id, from.component_id) == (1, 191)));
     let texts = only!(&vehicle.heard, STATUSTEXT);
-    assert!(texts.count() >= 1, "its states are told");
+    assert!(texts.count() >= 1, "its states are sent");
 }
 
 /// The vehicle's end of a link.
@@ -132,7 +132,7 @@ impl FarEnd for UdpSocket {
 struct StreamEnd<W> {
     wire: W,
     framer: StreamFramer,
-    /// Tells how many bytes wait at the link's end, where they take a moment to arrive.
+    /// How many bytes wait at the link's end, where they take a moment to arrive.
     waiting: Option<OwnedFd>,
 }
 
@@ -318,7 +318,7 @@ impl Drop for OtherProcess {
     fn drop(&mut self) {
         let finished = self.client.take().map(|client| client.finish(self.steps));
         let ended = self.firmware.take().map(JoinHandle::join);
-        // A panic of the suite itself tells more than these.
+        // A panic of the suite itself says more than these.
         if !std::thread::panicking() {
             finished.unwrap().unwrap();
             ended.unwrap().unwrap();

@@ -6,8 +6,8 @@ mod counting;
 
 use common::instance::Instance;
 use common::{
-    LOITER, MISSION, SYSTEM_ID, TestVehicle, arrived, config, free_port, set_parameter, undecided_detector,
-    watched_config,
+    LOITER, MISSION, SYSTEM_ID, TestVehicle, arrived, config, free_port, monitored_config, set_parameter,
+    undecided_detector,
 };
 use counting::allocations;
 use std::os::unix::fs::PermissionsExt;
@@ -79,13 +79,13 @@ fn an_imported_policy_with_field_and_guard_allocates_nothing() {
     let mut config = config();
     config.pilot.kind = PilotKind::Actor;
     config.pilot.actor_file = Some(file);
-    // It has learned nothing and flies in circles, which the guard would take for being led astray.
+    // It has learned nothing and flies in circles, which the guard would take for going astray.
     let patient = |stack: &mut StackConfig| stack.guidance.alarm.astray_limit_m = 0.0;
     let refused = Pilots::of(&config).err().unwrap().to_string();
     assert!(refused.contains("add --detector off"), "{refused}");
     config.detector.enabled = Some(false);
     whole_flight_of(&config, patient);
-    // Explained at its convolution, and judged.
+    // Explained at its convolution, and scored.
     let detector = folder.path().join("detector.safetensors");
     FrozenDetector {
         of: Of::Imported,
@@ -107,7 +107,7 @@ fn an_imported_policy_with_field_and_guard_allocates_nothing() {
 #[test]
 fn explanation_verdict_and_recovery_allocate_nothing() {
     let folder = tempfile::tempdir().unwrap();
-    let mut config = watched_config(folder.path());
+    let mut config = monitored_config(folder.path());
     whole_flight(&config);
     // The same with an alarm as soon as the window is full, and the recovery pilot at the controls.
     config.detector.threshold = Some(0.4);

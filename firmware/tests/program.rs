@@ -180,7 +180,7 @@ fn it_flies_holds_when_the_simulator_goes_flies_on_when_it_returns_and_ends_with
     flight.until_text("guidance: guided");
     flight.until("guided flight again", moving);
 
-    // It is told to hold while it is still sent zeros, and seen to: a stream that only ceases would make a PX4 return.
+    // It is ordered to hold while it is still sent zeros, and seen to: a stream that only ceases would make a PX4 return.
     let ended = flight.signal_and_fly_on(rustix::process::Signal::TERM);
     assert!(ended.status.success(), "{}", said(&ended));
     let last = flight.vehicle.setpoints.last().unwrap();
@@ -327,7 +327,7 @@ impl Drop for StoppedThread {
 }
 
 #[test]
-fn the_configuration_that_it_prints_is_one_it_takes_and_its_help_tells_ranges_and_defaults() {
+fn the_configuration_that_it_prints_is_one_it_takes_and_its_help_shows_ranges_and_defaults() {
     let printed = firmware(&["--print-config"]).output().unwrap();
     assert_eq!(printed.status.code(), Some(0));
     let text = String::from_utf8(printed.stdout).unwrap();
@@ -339,19 +339,19 @@ fn the_configuration_that_it_prints_is_one_it_takes_and_its_help_tells_ranges_an
 
     let help = firmware(&["--help"]).output().unwrap();
     let help = String::from_utf8(help.stdout).unwrap();
-    for told in [
+    for part in [
         "0.1 to 1000 m) [default: 2.5]",
         "[default: recover]",
         "with or without the detector",
         "(0.01 to 0.999)",
     ] {
         let flowing: String = help.split_whitespace().collect::<Vec<_>>().join(" ");
-        assert!(flowing.contains(told), "{told}: {help}");
+        assert!(flowing.contains(part), "{part}: {help}");
     }
 }
 
 #[test]
-fn what_is_wrong_is_told_in_one_place_with_what_to_do() {
+fn what_is_wrong_is_reported_in_one_place_with_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("wrong.toml");
     std::fs::write(&file, "[limits]\nframe_age_s = 0.25\nframe_age_ms = 250\n").unwrap();

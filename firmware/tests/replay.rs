@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Flight, TestVehicle, config, undecided_detector, watched_config};
+use common::{Flight, TestVehicle, config, monitored_config, undecided_detector};
 use std::path::{Path, PathBuf};
 use vigil_firmware::replay::{ReplayError, ReplayReport};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware, replay};
@@ -85,7 +85,7 @@ fn a_recorded_flight_runs_again_to_the_byte() {
 #[test]
 fn judgements_and_alarms_run_again_to_the_bit_and_only_with_the_detector_that_flew() {
     let folder = tempfile::tempdir().unwrap();
-    let mut config = watched_config(folder.path());
+    let mut config = monitored_config(folder.path());
     config.detector.threshold = Some(0.4);
     let path = record(folder.path(), &config);
     let report = replayed(&path);
@@ -96,13 +96,13 @@ fn judgements_and_alarms_run_again_to_the_bit_and_only_with_the_detector_that_fl
     assert_eq!(info.detector_sha256, Some(undecided_detector().sha256()));
     assert_eq!(info.actor_sha256, Some(undecided_detector().actor_sha256));
     let mut record = Box::<TickRecord>::default();
-    let (mut judged, mut recovering) = (0, 0);
+    let (mut scored, mut recovering) = (0, 0);
     while reader.read_next(&mut record).unwrap() {
         let (judgement, alarm) = (record.report.judgement, record.report.alarm);
-        judged += u64::from(judgement.is_some_and(|j| j.phi.iter().all(|phi| phi.is_finite())));
+        scored += u64::from(judgement.is_some_and(|j| j.phi.iter().all(|phi| phi.is_finite())));
         recovering += u64::from(alarm.is_some_and(|a| a.response == AlarmResponse::Recovery));
     }
-    assert!(judged > 200 && recovering > 50, "{judged} {recovering}");
+    assert!(scored > 200 && recovering > 50, "{scored} {recovering}");
 
     let bent = altered(folder.path(), &path, 200, |record| {
         let judgement = record.report.judgement.as_mut().unwrap();

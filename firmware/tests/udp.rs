@@ -99,7 +99,7 @@ fn who_is_no_vehicle_does_not_become_the_peer_whatever_he_sends() {
                 stranger.send(&vehicle(i)).unwrap();
             }
             assert!(heard(&mut link, 20 * SECOND).is_empty(), "another system");
-            assert_eq!(link.statistics().other_system, Some(1), "can be told of");
+            assert_eq!(link.statistics().other_system, Some(1), "can be reported");
         }
         // The vehicle's own may come behind another packet of its autopilot.
         let both = [
@@ -218,7 +218,7 @@ fn a_peer_that_closed_its_port_does_not_disturb_the_link() {
     heard(&mut link, SECOND);
     drop(first);
     for _ in 0..10 {
-        // The system tells of the closed port in one of the next calls.
+        // The system reports the closed port in one of the next calls.
         say(&mut link, b"setpoint");
         assert!(heard(&mut link, SECOND).is_empty());
     }

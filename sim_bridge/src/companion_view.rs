@@ -18,7 +18,7 @@ pub struct CompanionView {
     pub step_us: f32,
     /// Missed steps since its start.
     pub slips: u64,
-    /// The detector's last score; `None` while it told none.
+    /// The detector's last score; `None` while it sent none.
     pub score: Option<f32>,
 }
 

@@ -36,7 +36,7 @@ pub struct SimConfig {
     pub lidar: LidarConfig,
     /// What fails of the LiDAR, if anything.
     pub sensor_fault: Option<SensorFault>,
-    /// So many small sensors of 45° each beside the LiDAR, side by side, whose ranges the vehicle tells by MAVLink; 0: none.
+    /// So many small sensors of 45° each beside the LiDAR, side by side, whose ranges the vehicle sends by MAVLink; 0: none.
     pub second_sensor_heads: usize,
     /// The key with which the LiDAR's driver authenticates its frames, if it does.
     pub frame_key: Option<FrameKey>,

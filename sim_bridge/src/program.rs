@@ -81,7 +81,7 @@ pub struct SimArgs {
     #[arg(long, value_name = "MODE[@SECONDS|@random]")]
     pub sensor_fault: Option<SensorFault>,
 
-    /// So many small time-of-flight sensors of 45° each beside the LiDAR, side by side, told as OBSTACLE_DISTANCE (docs/second-sensor.md).
+    /// So many small time-of-flight sensors of 45° each beside the LiDAR, side by side, sent as OBSTACLE_DISTANCE (docs/second-sensor.md).
     #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=5))]
     pub second_sensor_heads: u8,
 
@@ -148,15 +148,15 @@ pub struct Status {
     pub mode: String,
     /// Motors armed.
     pub armed: bool,
-    /// Guidance state as the firmware's telemetry tells it; absent while nothing was heard.
+    /// Guidance state as in the firmware's telemetry; absent while nothing was heard.
     pub guidance: Option<String>,
-    /// Reasons as the firmware's telemetry tells them.
+    /// Reasons as in the firmware's telemetry.
     pub reasons: Vec<String>,
     /// The newest depth frame as the sensor took it, small: [`NEARNESS_ROWS`] rows of [`NEARNESS_COLS`] digits of how near the nearest
     /// return is: 9 is within a metre, 0 nothing within 9 m.
     #[serde(default)]
     pub nearness: String,
-    /// The detector's last score as the firmware's telemetry tells it; absent while it told none.
+    /// The detector's last score as in the firmware's telemetry; absent while it sent none.
     #[serde(default)]
     pub score: Option<f32>,
     /// Execution time of a recent firmware step, microseconds.
@@ -175,7 +175,7 @@ pub struct Status {
 }
 
 impl Status {
-    /// What is told of every vehicle in the same way: the firmware's telemetry, the frame, the ending.
+    /// What is said of every vehicle in the same way: the firmware's telemetry, the frame, the ending.
     pub(crate) fn of(companion: &CompanionView, nearness: &str, ending: Option<Ending>) -> Self {
         let state = companion.state_code.and_then(GuidanceState::from_code);
         let reasons = Reasons(companion.reason_bits);
@@ -290,13 +290,13 @@ fn simulator(args: &SimArgs, config: &SimConfig, epoch_ns: Nanos) -> Result<Simu
     })
 }
 
-/// Tells a person something at once.
+/// Prints something for a person at once.
 pub(crate) fn announce(text: &str) {
-    // Where nobody listens, nothing can be told; the vehicle does not end for it.
+    // Where nobody listens, nothing can be said; the vehicle does not end for it.
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
-/// What a person is told at start, a line for each thing.
+/// What a person reads at start, a line for each thing.
 fn start_lines(args: &SimArgs, config: &SimConfig) -> String {
     let place = match config.start {
         Start::Ground => "on the ground",
@@ -426,14 +426,14 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
         simulator.transmit(|link, datagram| links.send(LinkId(link), datagram));
         if elapsed_ms.is_multiple_of(u64::from(STEP_MS)) {
             // A reader that is not there is no fault of the simulator's: frames are published regardless.
-            let tells = args.status && (elapsed_ms / u64::from(STEP_MS)).is_multiple_of(STATUS_STEPS);
+            let is_due = args.status && (elapsed_ms / u64::from(STEP_MS)).is_multiple_of(STATUS_STEPS);
             publisher.publish_with(|frame| {
                 simulator.capture(frame);
-                if tells {
+                if is_due {
                     seen = nearness(frame);
                 }
             })?;
-            if tells && !print_status(&status(&simulator, &companion, &seen, elapsed_ms))? {
+            if is_due && !print_status(&status(&simulator, &companion, &seen, elapsed_ms))? {
                 break;
             }
         }

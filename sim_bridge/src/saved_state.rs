@@ -53,7 +53,7 @@ mod tests {
 
     #[test]
     fn a_state_with_wrong_types_names_or_values_is_refused_by_file_and_field() {
-        for (text, told) in [
+        for (text, reason) in [
             ("[parameters]\nMIS_TAKEOFF_ALT = \"high\"", "line 2"),
             ("[parameters]\nMIS_TAKEOFF_ALT = true", "vehicle3.toml"),
             ("[parameters]\nMIS_TAKEOFF", "line 2"),
@@ -73,7 +73,7 @@ mod tests {
             ),
         ] {
             let error = start(text).err().map(|e| format!("{e:#}")).unwrap_or_default();
-            assert!(error.contains(told), "{text}: {error}");
+            assert!(error.contains(reason), "{text}: {error}");
         }
     }
 

@@ -51,7 +51,7 @@ fn ports(link: LinkId, local: u16, peer: u16, instance: u32) -> (u16, u16) {
     (local + instance as u16, peer + own_peer as u16)
 }
 
-/// The ports of `instance` as a person is told of them.
+/// The ports of `instance` as a person reads them.
 pub(crate) fn ports_in_words(instance: u32) -> String {
     let of = |(id, local, peer)| {
         let who = match id {

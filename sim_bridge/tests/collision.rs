@@ -1,4 +1,4 @@
-//! When the vehicle's solid touches something, judged by distances that are computed without parry.
+//! When the vehicle's solid touches something, checked by distances that are computed without parry.
 
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;

@@ -35,11 +35,11 @@ fn every_course_has_a_corridor_that_keeps_its_margin() {
             .unwrap_or_else(|| panic!("{} has no way", course.name));
         assert_eq!(way.first(), Some(&[course.start.north_m, course.start.east_m]));
         assert_eq!(way.last(), Some(&[course.goal.north_m, course.goal.east_m]));
-        for leg in way.windows(2) {
+        for segment in way.windows(2) {
             let steps = 40;
             for k in 0..=steps {
                 let f = k as f32 / steps as f32;
-                let at = [0, 1].map(|i| leg[0][i] + f * (leg[1][i] - leg[0][i]));
+                let at = [0, 1].map(|i| segment[0][i] + f * (segment[1][i] - segment[0][i]));
                 assert!(course.bounds.contains_plan(at[0], at[1]));
                 let clearance_m = plan_clearance_m(course, at[0], at[1]);
                 assert!(
@@ -169,9 +169,9 @@ fn no_mover_keeps_any_point_of_the_way_for_good() {
             let solids: Vec<Solid> = (0..64)
                 .map(|k| mover.solid_at((mover.period_s() * 1e9 / 64.0) as u64 * k))
                 .collect();
-            for leg in way.windows(2) {
+            for segment in way.windows(2) {
                 for f in (0..=20).map(|k| k as f32 / 20.0) {
-                    let at = [0, 1].map(|i| leg[0][i] + f * (leg[1][i] - leg[0][i]));
+                    let at = [0, 1].map(|i| segment[0][i] + f * (segment[1][i] - segment[0][i]));
                     let is_clear = |s: &&Solid| s.plan_distance_m(at[0], at[1]) >= needed_m;
                     let clear = solids.iter().filter(is_clear).count();
                     blocked_at_times += usize::from(clear < 64);

@@ -1,4 +1,4 @@
-//! What the depth image shows, judged by marching through the course's distance field, which shares nothing with the caster.
+//! What the depth image shows, checked by marching through the course's distance field, which shares nothing with the caster.
 
 use vigil_sim::world::{
     Course, Family, LIDAR_FIRINGS, Lidar, LidarConfig, Shot, Solid, World, generate, pixel_of, ring_row,

@@ -35,9 +35,9 @@ fn fly(course: &Course, points: &[[f32; 3]], speed_m_s: f32, period_ms: u64) -> 
     let mut referee = Referee::new(course);
     let mut now_ms = 0;
     let mut at = NedVector::ZERO;
-    for leg in points.windows(2) {
-        let from = NedVector::new(leg[0][0], leg[0][1], leg[0][2]);
-        let way = NedVector::new(leg[1][0], leg[1][1], leg[1][2]) - from;
+    for segment in points.windows(2) {
+        let from = NedVector::new(segment[0][0], segment[0][1], segment[0][2]);
+        let way = NedVector::new(segment[1][0], segment[1][1], segment[1][2]) - from;
         let steps = (way.norm() / (speed_m_s * period_ms as f32 * 1e-3)).ceil().max(1.0);
         let velocity = way * (speed_m_s / way.norm().max(1e-6));
         for k in 0..=steps as usize {
@@ -159,8 +159,8 @@ fn the_same_flight_passes_before_the_mover_or_hits_it_as_its_phase_says() {
             // Truths are tested every 0.1 m of both ways together, so a touch that is less deep may be missed.
             let expected = (least_m < 0.0).then_some(Outcome::Collision);
             if least_m.abs() > 0.02 {
-                let told = referee.outcome();
-                assert_eq!(told, expected, "phase {k}/32, every {period_ms} ms: {least_m}");
+                let outcome = referee.outcome();
+                assert_eq!(outcome, expected, "phase {k}/32, every {period_ms} ms: {least_m}");
             }
         }
         *(if least_m < 0.0 { &mut hits } else { &mut passes }) += 1;

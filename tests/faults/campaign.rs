@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use vigil_sim::world::Outcome;
 use vigil_tests::side_by_side;
 
-/// Tells a person something at once; where nobody listens nothing can be told.
+/// Prints something for a person at once; where nobody listens nothing can be said.
 pub fn tell(text: &str) {
     let _ = writeln!(std::io::stderr(), "{}", text.trim_end());
 }
@@ -135,7 +135,7 @@ pub struct Table {
 }
 
 impl Table {
-    /// Adds rows, tells them and keeps them.
+    /// Adds rows, prints them and keeps them.
     pub fn add(&mut self, rows: Vec<Row>, folder: &Folder) -> Result<()> {
         for row in rows {
             let counts = row.counts(", ", |count, how| format!("{count} {how}"));
@@ -233,7 +233,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_row_counts_each_ending_once_and_tells_the_first_wrong() {
+    fn a_row_counts_each_ending_once_and_shows_the_first_wrong() {
         let trials = [
             Trial::right(Ending::Arrived),
             Trial::wrong(Ending::Held, "late"),
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn trials_side_by_side_are_each_flown_once_and_told_in_order() {
+    fn trials_side_by_side_are_each_flown_once_and_reported_in_order() {
         let flown = side_by_side(50, &[3, 4, 5], |number, instance| Some((number, instance)));
         assert!(flown.iter().map(|(number, _)| *number).eq(0..50));
         assert!(flown.iter().all(|(_, instance)| (3..6).contains(instance)));

@@ -47,7 +47,7 @@ const RADIUS_M: f32 = 0.30;
 const WARM_S: f64 = 1200.0;
 
 /// Reasons of the sensor that do not end while the vehicle hovers.
-const DOUBTS: [Reason; 2] = [Reason::FrozenSensor, Reason::InconsistentPicture];
+const SENSOR_FAULTS: [Reason; 2] = [Reason::FrozenSensor, Reason::InconsistentPicture];
 
 /// The operator: what he saw, and what he did.
 #[derive(Debug, Default, Serialize)]
@@ -89,7 +89,7 @@ impl Operator {
         self.alarms += u64::from(alarmed && !self.alarmed);
         self.alarmed = alarmed;
 
-        let doubted = DOUBTS.iter().any(|doubt| held.contains(*doubt));
+        let doubted = SENSOR_FAULTS.iter().any(|doubt| held.contains(*doubt));
         let doubt_since_s = *self.doubt_since_s.get_or_insert(now_s);
         if !doubted {
             self.doubt_since_s = None;

@@ -182,7 +182,7 @@ impl Flight {
     }
 }
 
-/// How the flight of a seed ends in lockstep with nothing done to it: the pilots' own collisions are told apart.
+/// How the flight of a seed ends in lockstep with nothing done to it: the pilots' own collisions are distinguished.
 fn collides_by_itself(seed: u64) -> bool {
     let mut pair = Pair::new(Family::Validation, seed);
     pair.fly((FLIGHT_LIMIT.as_nanos() as u64 / STEP_NS) as usize, |_, _| true);
@@ -196,6 +196,6 @@ pub fn collided_anyway<'a>(trials: impl Iterator<Item = (&'a Trial, u64)>) -> St
     let seeds: Vec<String> = collided
         .map(|(_, seed)| format!("{seed}{}", without_too(seed)))
         .collect();
-    let told = if seeds.is_empty() { "" } else { "collided: seed " };
-    told.to_owned() + &seeds.join(", ")
+    let begin = if seeds.is_empty() { "" } else { "collided: seed " };
+    begin.to_owned() + &seeds.join(", ")
 }

@@ -23,7 +23,7 @@ const BURST_NS: Nanos = 1_000_000;
 /// Setpoints come each step; one that comes half a step later than it ought to is late.
 const LATE_NS: Nanos = STEP_NS + STEP_NS / 2;
 /// The vehicle holds by itself after so long without a setpoint (`VGL_OF_LOSS_T`). More than this is wrong on any machine; one that
-/// does other work too may be late, and the quick part, which runs anywhere, only tells it.
+/// does other work too may be late, and the quick part, which runs anywhere, only reports it.
 const LOST_NS: Nanos = 400_000_000;
 /// Datagrams a second in the campaign.
 const RATE: u32 = 20_000;
@@ -175,7 +175,7 @@ impl Tap {
         })
     }
 
-    /// Passes on until told to end. What a socket refuses, a link may lose too.
+    /// Passes on until asked to end. What a socket refuses, a link may lose too.
     fn run(&self, done: &AtomicBool) {
         // Where it is permitted this thread comes before the flood's, as a vehicle's own computer does.
         let _ = vigil_firmware::realtime::request(40);

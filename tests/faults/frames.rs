@@ -10,7 +10,7 @@ use vigil_types::{
 };
 
 const HOSTILE_STEPS: u64 = 60;
-/// A vehicle that sees nothing usable must be told to hold within this many steps: half a second.
+/// A vehicle that sees nothing usable must be ordered to hold within this many steps: half a second.
 const MOST_STEPS: u64 = 10;
 /// A flight that has not ended after this has not arrived: two minutes.
 const FLIGHT_STEPS: u64 = 2400;

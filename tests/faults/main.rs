@@ -19,7 +19,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// Tries the faults that the stack must survive, and tells how each ended.
+/// Tries the faults that the stack must survive, and shows how each ended.
 #[derive(Parser)]
 #[command(
     name = "tests/faults/run",

@@ -24,12 +24,12 @@ fn an_attacked_campaign_is_the_same_on_any_number_of_threads_and_says_what_was_a
     let unattacked = campaign(folder.path(), "none.json", &[]);
     for (attacked, unattacked) in one.iter().zip(&unattacked) {
         assert_ne!(attacked["state_hash"], unattacked["state_hash"]);
-        let told = &attacked["attack"];
-        assert_eq!(told["attacked_steps"], 20, "{told}");
-        let first_step = told["first_step"].as_u64().expect("a step");
-        assert!((20..=200).contains(&first_step), "{told}");
-        assert!(told["effective_steps"].as_u64().expect("a number") <= 20, "{told}");
-        assert!(told["mean_yaw_change"].as_f64().expect("a number") > 0.0, "{told}");
+        let attack = &attacked["attack"];
+        assert_eq!(attack["attacked_steps"], 20, "{attack}");
+        let first_step = attack["first_step"].as_u64().expect("a step");
+        assert!((20..=200).contains(&first_step), "{attack}");
+        assert!(attack["effective_steps"].as_u64().expect("a number") <= 20, "{attack}");
+        assert!(attack["mean_yaw_change"].as_f64().expect("a number") > 0.0, "{attack}");
         assert!(unattacked.get("attack").is_none());
     }
     let moments: Vec<_> = one.iter().map(|flight| &flight["attack"]["first_step"]).collect();

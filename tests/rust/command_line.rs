@@ -119,7 +119,7 @@ fn a_flight_s_explanations_add_up_to_its_decisions_and_its_attack_is_noticed() {
     }
     assert_eq!(altered, 50);
     // Five of six raise the alarm.
-    assert!(found >= 30, "{found} of {altered} altered frames were judged attacked");
+    assert!(found >= 30, "{found} of {altered} altered frames were scored attacked");
 }
 
 #[test]
@@ -162,9 +162,9 @@ fn a_killed_flight_leaves_nothing_running_and_the_next_one_on_its_instance_flies
     assert_eq!(folders, 2, "each flight has a folder of its own");
 }
 
-/// A command of `vigil` in a shell that was told something before.
-fn shell(told: &str, command: &str) -> std::process::Output {
-    let line = format!("{told}; {} {command}", vigil_tests::vigil().display());
+/// A command of `vigil` in a shell that was given something before.
+fn shell(before_it: &str, command: &str) -> std::process::Output {
+    let line = format!("{before_it}; {} {command}", vigil_tests::vigil().display());
     let done = std::process::Command::new("bash").args(["-c", &line]).output();
     done.expect("a shell")
 }
@@ -261,7 +261,7 @@ fn an_interrupted_campaign_keeps_the_flights_that_had_ended_and_says_so() {
         "evaluate --flights 1000000 --pilot geometric --threads 1 --json {}",
         text(&file)
     ));
-    // A line every few seconds tells how far it is, terminal or not, once there is something to tell; here it is time.
+    // A line every few seconds shows how far it is, terminal or not, once there is something to tell; here it is time.
     std::thread::sleep(std::time::Duration::from_secs(2));
     campaign.signal(Signal::INT);
     assert_eq!(campaign.wait(), Some(130));
@@ -271,7 +271,7 @@ fn an_interrupted_campaign_keeps_the_flights_that_had_ended_and_says_so() {
 }
 
 #[test]
-fn files_of_another_kind_or_size_are_refused_at_once_and_told_once() {
+fn files_of_another_kind_or_size_are_refused_at_once_and_reported_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let huge = folder.path().join("huge");
     let sparse = std::fs::File::create(&huge).and_then(|file| file.set_len(10 << 30));
@@ -345,18 +345,21 @@ fn simulator_and_firmware_say_at_start_what_they_are_and_how_they_end() {
         "scheduling",
         "Ctrl-C",
     ];
-    let watched = [
+    let monitored = [
         "the actor (built in)",
         "the detector (built in) and the guard watch it",
         "recover",
     ];
-    says(&["firmware", "--instance", "93"], &[&start[..], &watched[..]].concat());
+    says(
+        &["firmware", "--instance", "93"],
+        &[&start[..], &monitored[..]].concat(),
+    );
     let geometric = ["the geometric pilot; nothing watches it"];
     says(&["firmware", "--instance", "93", "--pilot", "geometric"], &geometric);
 }
 
 #[test]
-fn a_bench_whose_load_ends_too_early_tells_what_it_measured_until_then() {
+fn a_bench_whose_load_ends_too_early_shows_what_it_measured_until_then() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("bench.json");
     let line = "bench realtime --minutes 5 --instance 95 --seed 5 --log";

@@ -39,10 +39,10 @@ fn attacked_flights_with_alarm_stop_and_recovery_are_the_same_bits_too() {
     });
     assert_eq!(hashes(&one), hashes(&two));
     for flight in one["flights"].as_array().expect("flights") {
-        let watched = |what: &str| flight["watch"][what].as_u64();
-        assert!(watched("judged_steps") > Some(100), "{flight}");
+        let monitored = |what: &str| flight["watch"][what].as_u64();
+        assert!(monitored("judged_steps") > Some(100), "{flight}");
         assert!(
-            watched("alarms") > Some(0) && watched("recovery_steps") > Some(0),
+            monitored("alarms") > Some(0) && monitored("recovery_steps") > Some(0),
             "{flight}"
         );
     }

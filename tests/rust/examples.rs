@@ -5,7 +5,7 @@ use vigil_tests::{said, vigil};
 
 #[test]
 fn every_example_runs_and_says_what_it_found() {
-    for (name, told) in [
+    for (name, part) in [
         ("explain_your_network", "which is the difference"),
         ("depth_frame", "course 7: nearest"),
         ("own_pilot", "course 7: success"),
@@ -19,6 +19,6 @@ fn every_example_runs_and_says_what_it_found() {
         );
         let output = Command::new(program).output().expect("it starts");
         let words = said(&output);
-        assert!(output.status.success() && words.contains(told), "{name}: {words}");
+        assert!(output.status.success() && words.contains(part), "{name}: {words}");
     }
 }

@@ -2,7 +2,7 @@
 
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::world::{Course, Outcome};
-use vigil_tests::{airborne, ended, fly_watched, refused, run, run_line};
+use vigil_tests::{airborne, ended, fly_monitored, refused, run, run_line};
 use vigil_types::{GuidanceState, PilotKind, Reason, StepReport};
 
 /// Columns in the way, and a screen that has to be passed at its side.
@@ -35,7 +35,7 @@ height_m = 3.0
 /// How a flight of the actor alone ended, and its reports.
 fn fly(course: &str, change: impl FnOnce(&mut FirmwareConfig)) -> (Option<Outcome>, Vec<StepReport>) {
     let course = Course::from_toml_str(course, "course of a test").expect("a course");
-    fly_watched(&airborne(course, 11), |config| {
+    fly_monitored(&airborne(course, 11), |config| {
         config.pilot.apf = false;
         change(config);
     })
@@ -48,7 +48,7 @@ fn the_actor_alone_arrives_at_a_goal_110_m_away_and_stays_within_the_course() {
     let told_m = (reports.iter().find_map(|r| r.goal_relative))
         .expect("a goal")
         .distance_m;
-    assert!(told_m > 109.0, "what is told is the goal itself: {told_m} m");
+    assert!(told_m > 109.0, "what is sent is the goal itself: {told_m} m");
 }
 
 /// A hall with no way out.

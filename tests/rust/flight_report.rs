@@ -54,7 +54,7 @@ fn an_attacked_and_recovered_flight_has_data_in_every_panel_and_its_log_replays_
     assert!(list(&flight, "frames").iter().any(is_shown));
     let events = list(&flight, "events").iter().filter_map(|e| e["text"].as_str());
     let events: Vec<&str> = events.collect();
-    let told = |words: &str| events.iter().any(|text| text.contains(words));
+    let is_shown = |words: &str| events.iter().any(|text| text.contains(words));
     for words in [
         &*format!("alarm: {cause}"),
         "frames are altered",
@@ -62,7 +62,7 @@ fn an_attacked_and_recovered_flight_has_data_in_every_panel_and_its_log_replays_
         "the flight ended: success",
         "closest to",
     ] {
-        assert!(told(words), "no event `{words}`");
+        assert!(is_shown(words), "no event `{words}`");
     }
     assert_eq!(flight["verdict"]["good"], true);
     let command = flight["command"].as_str().expect("a command");

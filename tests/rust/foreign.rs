@@ -115,7 +115,7 @@ fn fly(flavour: Flavour, instance: u16, script: impl FnMut(&mut Peer) + Send + '
 #[test]
 fn a_vehicle_that_already_runs_flies_our_course_whichever_autopilot_it_has() {
     let flights = [(Flavour::Px4, 71), (Flavour::ArduPilot, 72)].map(|(flavour, instance)| {
-        // An ArduPilot starts in a pilot's mode: somebody changes it once the flight is ready, and has waited long enough to be told to.
+        // An ArduPilot starts in a pilot's mode: somebody changes it once the flight is ready, and has waited long enough to be asked to.
         let mut steps = 0;
         let gives_it_away = move |peer: &mut Peer| {
             steps += 1;
@@ -129,8 +129,8 @@ fn a_vehicle_that_already_runs_flies_our_course_whichever_autopilot_it_has() {
         let (code, text) = flight.join().expect("it did not fail");
         assert_eq!(text.contains("in its pilot's mode"), waits, "{text}");
         assert_eq!(code, Some(0), "{text}");
-        let told = ["success after", "on straight", "landed, disarmed", "report    "];
-        has(&text, &told);
+        let lines = ["success after", "on straight", "landed, disarmed", "report    "];
+        has(&text, &lines);
     }
 }
 

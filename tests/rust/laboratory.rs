@@ -4,7 +4,7 @@ use std::process::Command;
 use vigil_tests::{ended, refused, root, run, run_line, succeed, text, vigil};
 
 #[test]
-fn the_laboratory_is_started_where_it_is_built_and_otherwise_told_how_to_build_it() {
+fn the_laboratory_is_started_where_it_is_built_and_otherwise_it_is_said_how_to_build_it() {
     let handed_on = run(&["detector", "evaluate", "--help"]);
     ended(&handed_on, 0, &["Usage: vigil detector evaluate"]);
     let help = run(&["help", "attack", "completion"]);

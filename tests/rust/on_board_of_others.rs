@@ -14,7 +14,7 @@ const SEED: u64 = 4203;
 /// The fault begins after so many steps of guided flight: 4 s.
 const ONSET: usize = 80;
 
-/// A vehicle in guided flight over a course, and what was told of it since something went wrong.
+/// A vehicle in guided flight over a course, and what was said of it since something went wrong.
 struct Flight {
     pair: Pair,
     /// Steps since the fault began.
@@ -60,7 +60,7 @@ impl Flight {
     }
 
     #[track_caller]
-    fn assert_told(&self, part: &str) {
+    fn assert_said(&self, part: &str) {
         let texts = &self.texts;
         assert!(texts.iter().any(|text| text.contains(part)), "not `{part}`: {texts:?}");
     }
@@ -79,14 +79,14 @@ fn frames_hold(what: &str, name: Reason, ends: bool, mut spoil: impl FnMut(&mut 
         pair.frame.seal();
         arrives
     });
-    let told = flight.names();
-    assert!(flight.reasons.contains(name), "{what}: {told:?}");
-    assert_eq!(report.state, GuidanceState::Hold, "{what}: {told:?}");
+    let names = flight.names();
+    assert!(flight.reasons.contains(name), "{what}: {names:?}");
+    assert_eq!(report.state, GuidanceState::Hold, "{what}: {names:?}");
     let speed_m_s = flight.pair.speed_m_s();
     assert!(speed_m_s < 0.2, "{what}: {speed_m_s} m/s");
     if ends {
         let report = flight.run(30, |_, _| true);
-        assert_eq!(report.state, GuidanceState::Guided, "{what}: {told:?}");
+        assert_eq!(report.state, GuidanceState::Guided, "{what}: {names:?}");
     }
 }
 
@@ -215,7 +215,7 @@ fn a_pose_that_jumps_is_implausible_and_is_flown_on_from_only_when_poses_fit_aga
 }
 
 #[test]
-fn a_vehicle_that_never_reports_its_position_is_not_flown_and_an_operator_is_told_why() {
+fn a_vehicle_that_never_reports_its_position_is_not_flown_and_an_operator_learns_why() {
     let mut flight = Flight::waiting();
     let engage = packet(STATION, 0, &Request::Engage.message(1));
     let report = flight.run(200, |pair, step| {
@@ -228,8 +228,8 @@ fn a_vehicle_that_never_reports_its_position_is_not_flown_and_an_operator_is_tol
     assert_eq!((report.state, report.setpoint), (GuidanceState::Standby, None));
     assert!(report.reasons.contains(Reason::StaleTelemetry), "{:?}", flight.names());
     assert_eq!(flight.guided, 0);
-    flight.assert_told("missing: LOCAL_POSITION_NED");
-    flight.assert_told("engage refused in standby (stale telemetry)");
+    flight.assert_said("missing: LOCAL_POSITION_NED");
+    flight.assert_said("engage refused in standby (stale telemetry)");
 }
 
 #[test]
@@ -247,7 +247,7 @@ fn two_companions_are_named_and_the_second_is_not_obeyed() {
         }
         true
     });
-    flight.assert_told("another guidance computer 1/191");
+    flight.assert_said("another guidance computer 1/191");
     assert_eq!(flight.guided, 100, "{:?}", flight.names());
 }
 

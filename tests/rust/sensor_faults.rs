@@ -36,7 +36,7 @@ fn holds(fault: &str, reasons: &[Reason], plausibility: bool) -> Pair {
     pair
 }
 
-/// The fault stops the vehicle and is named by one of these; without the judge it does neither.
+/// The fault stops the vehicle and is named by one of these; without the check it does neither.
 fn held(fault: &str, reasons: &[Reason]) {
     let speed_m_s = holds(fault, reasons, true).speed_m_s();
     assert!(speed_m_s < 0.2, "{fault}: still at {speed_m_s} m/s");
@@ -45,7 +45,7 @@ fn held(fault: &str, reasons: &[Reason]) {
     assert!(!is_named, "{fault}: named by nobody else");
     let goal_m = pair.simulator.goal_distance_m();
     let flies_on = pair.outcome().is_some() || state != GuidanceState::Hold;
-    assert!(flies_on, "{fault}: without the judge it flies on, {goal_m} m to go");
+    assert!(flies_on, "{fault}: without the check it flies on, {goal_m} m to go");
 }
 
 #[test]

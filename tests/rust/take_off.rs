@@ -6,7 +6,7 @@ use vigil_mavlink::common::MavCmd;
 use vigil_sim::SimConfig;
 use vigil_sim::world::{Course, Family, Outcome, generate};
 use vigil_tests::ground::{Request, STATION, command, packet};
-use vigil_tests::{Pair, airborne, fly_watched};
+use vigil_tests::{Pair, airborne, fly_monitored};
 use vigil_types::{AlarmResponse, EngagePolicy, GuidanceState, NedVector, PilotKind, Reason, StepReport};
 
 /// Nothing but ground; the vehicle stands with its nose to the goal.
@@ -20,7 +20,7 @@ bounds = { north_m = [-10.0, 30.0], east_m = [-20.0, 20.0], top_m = 6.0 }
 /// The reports of a flight from the ground to the goal.
 fn fly(change: impl FnOnce(&mut FirmwareConfig)) -> Vec<StepReport> {
     let course = Course::from_toml_str(FIELD, "empty field").expect("a course");
-    let (outcome, reports) = fly_watched(&SimConfig::new(course, 7), change);
+    let (outcome, reports) = fly_monitored(&SimConfig::new(course, 7), change);
     assert_eq!(outcome, Some(Outcome::Success));
     reports
 }
@@ -97,7 +97,7 @@ fn from_a_hover(seed: u64, height_m: f32, kind: PilotKind) -> f32 {
     simulation.course.flight_height_m = height_m;
     let above = simulation.course.goal_ned_m();
     let goal = NedVector::new(above.x, above.y, -2.0);
-    let (outcome, reports) = fly_watched(&simulation, |config| {
+    let (outcome, reports) = fly_monitored(&simulation, |config| {
         *config = FirmwareConfig::to_goal(goal);
         config.pilot.kind = kind;
     });

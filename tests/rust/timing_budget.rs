@@ -18,10 +18,10 @@ fn of_a_hundred_steps_of_the_default_stack_ninety_nine_take_less_than_their_peri
     let config = FirmwareConfig::to_goal(NedVector::new(20.0, 0.0, -1.5));
     assert!(
         config.pilot.kind == PilotKind::Actor && config.detector.enabled.is_none() && config.detector.guard.is_none(),
-        "unless told otherwise the actor flies, explained, judged and guarded"
+        "by default the actor flies, explained, scored and guarded"
     );
     let mut pair = Pair::new(Family::Validation, 21);
-    let (mut times, mut judged) = (Vec::new(), 0);
+    let (mut times, mut scored) = (Vec::new(), 0);
     while pair.simulator.ending().is_none() {
         pair.simulate();
         let begun = processor_time();
@@ -31,7 +31,7 @@ fn of_a_hundred_steps_of_the_default_stack_ninety_nine_take_less_than_their_peri
             times.push(took);
             let explained =
                 |j: &vigil_types::Judgement| j.verdict != Verdict::Unknown && j.phi.iter().any(|p| *p != 0.0);
-            judged += usize::from(report.judgement.as_ref().is_some_and(explained));
+            scored += usize::from(report.judgement.as_ref().is_some_and(explained));
         }
     }
     times.sort();
@@ -39,7 +39,7 @@ fn of_a_hundred_steps_of_the_default_stack_ninety_nine_take_less_than_their_peri
     let ([p50, p99, max], steps) = ([0.5, 0.99, 1.0].map(at), times.len());
     println!("{steps} guided steps: p50 {p50:?}, p99 {p99:?}, max {max:?}");
     assert!(steps > 100);
-    assert!(judged + 10 > steps, "{judged} of {steps} steps were judged");
+    assert!(scored + 10 > steps, "{scored} of {steps} steps were scored");
     // What holds on any machine that can fly at all. Missed steps and jitter depend on the machine's scheduler and are
     // measured, not asserted (docs/results.md).
     assert!(p99 < Duration::from_nanos(STEP_NS), "{p99:?}");

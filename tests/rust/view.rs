@@ -1,4 +1,4 @@
-//! A flight is opened in a viewer, or the person is told what is missing; what a replay gives is put into its log.
+//! A flight is opened in a viewer, or the person reads what is missing; what a replay gives is put into its log.
 
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
@@ -32,7 +32,7 @@ fn stand_in(folder: &Path) -> PathBuf {
 }
 
 #[test]
-fn a_viewer_that_is_absent_is_told_with_the_command_that_installs_it() {
+fn a_viewer_that_is_absent_is_reported_with_the_command_that_installs_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = short_log(folder.path());
     let json = folder.path().join("evaluate.json");
@@ -125,13 +125,13 @@ fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
     let is_saved = added(&saved) == added(&log);
     assert!(added(&log).len() > 10 && is_saved, "what was added is saved too");
     assert_eq!(about(&saved), before);
-    let mut told = Vec::new();
+    let mut outputs = Vec::new();
     for _ in 0..2 {
         let derived = succeed(&run(&["log", "derive", text(&log)]));
-        told.push((derived, std::fs::metadata(&log).expect("the log").len()));
+        outputs.push((derived, std::fs::metadata(&log).expect("the log").len()));
     }
-    assert_eq!(told[0], told[1], "derived anew, not twice");
-    let (said, size) = &told[0];
+    assert_eq!(outputs[0], outputs[1], "derived anew, not twice");
+    let (said, size) = &outputs[0];
     // The pixels of each explained frame take 8 kB: they stay while the map is derived anew.
     succeed(&run(&["log", "derive", "--only", "map", text(&log)]));
     let bytes = std::fs::metadata(&log).expect("the log").len();
@@ -179,12 +179,12 @@ fn program(folder: &Path, name: &str, script: &str) {
 fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_the_alarm() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = attacked_flight(folder.path());
-    let told = succeed(&run(&["log", "derive", "--only", "shap", text(&log)]));
-    let explained = before_word("explained", &told);
+    let text_of_it = succeed(&run(&["log", "derive", "--only", "shap", text(&log)]));
+    let explained = before_word("explained", &text_of_it);
     let steps = Reader::open(&log).expect("a log").count();
     // One a second, and each frame of the two seconds around the alarm.
     let around = steps / 20 + 36..steps / 20 + 46;
-    assert!(around.contains(&explained), "{told}, {steps} steps");
+    assert!(around.contains(&explained), "{text_of_it}, {steps} steps");
 
     let gif = folder.path().join("film.gif");
     let (from, to) = (text(&log), text(&gif));
@@ -225,7 +225,7 @@ fn an_mp4_is_as_many_pictures_handed_to_ffmpeg_and_one_that_fails_leaves_the_ear
     let bytes = ((pictures + 24) * 640 * 448 * 3).to_string();
     assert_eq!(came(), bytes);
 
-    // One that fails is told, and leaves no half of a film and the earlier one as it was.
+    // One that fails is reported, and leaves no half of a film and the earlier one as it was.
     ffmpeg("echo no such encoder >&2\nexit 1");
     refused(&run_with_path(&film, &path), &["no such encoder"]);
     assert_eq!(came(), bytes, "the earlier one");
@@ -239,7 +239,7 @@ fn an_mp4_is_as_many_pictures_handed_to_ffmpeg_and_one_that_fails_leaves_the_ear
 }
 
 #[test]
-fn what_cannot_be_filmed_is_told_with_what_can_be_seen_of_it() {
+fn what_cannot_be_filmed_is_reported_with_what_can_be_seen_of_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = short_log(folder.path());
     refused(&run(&["log", "film", text(&log)]), &["never took off", "log report"]);

@@ -4,7 +4,7 @@ pub mod ground;
 pub mod mission;
 mod pair;
 
-pub use pair::{Pair, airborne, fly_watched, texts, without};
+pub use pair::{Pair, airborne, fly_monitored, texts, without};
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};

@@ -70,7 +70,7 @@ impl Pair {
         assert!(self.from_firmware.push(0, packet), "no room");
     }
 
-    /// What the firmware told people in this step.
+    /// What the firmware said to people in this step.
     pub fn texts(&self) -> Vec<String> {
         texts(&self.from_firmware)
     }
@@ -117,7 +117,7 @@ impl Pair {
 }
 
 /// Flies a course to its end, with the default firmware but for `change`; how it ended, and every step's report.
-pub fn fly_watched(
+pub fn fly_monitored(
     simulation: &SimConfig,
     change: impl FnOnce(&mut FirmwareConfig),
 ) -> (Option<Outcome>, Vec<StepReport>) {

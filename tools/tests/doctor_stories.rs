@@ -377,7 +377,7 @@ fn a_px4_1_18_at_rest_passes_once_a_lost_stream_does_not_return_it() {
 }
 
 #[test]
-fn an_ardupilot_whose_failsafes_are_off_is_told_so_and_what_it_never_sends_too() {
+fn an_ardupilot_whose_failsafes_are_off_reads_it_and_what_it_never_sends_too() {
     let mut vehicle = Scripted::well(Flavour::ArduPilot);
     vehicle.has_position = false;
     vehicle.parameters = [
@@ -443,16 +443,16 @@ fn a_vehicle_of_another_autopilot_and_a_link_without_signatures_are_named() {
     assert_eq!(bad(&findings), ["HEARTBEAT", "signing"]);
 }
 
-/// A frame taken 1.5 m above level ground, by a sensor that is turned by so much beyond what the header tells.
+/// A frame taken 1.5 m above level ground, by a sensor that is turned by so much beyond what the header states.
 fn frame(roll_rad: f32, pitch_rad: f32) -> Box<DepthFrame> {
     let mut frame = Box::new(DepthFrame::EMPTY);
     let course = generate(Family::Validation, 3);
-    let told = Attitude::from_euler_rad(0.0, 0.0, 30_f32.to_radians());
+    let stated = Attitude::from_euler_rad(0.0, 0.0, 30_f32.to_radians());
     let shot = Shot {
         position_ned_m: NedVector::new(0.0, 0.0, -1.5),
         attitude: Attitude::from_euler_rad(roll_rad, pitch_rad, 30_f32.to_radians()),
         estimated_position_ned_m: NedVector::ZERO,
-        estimated_attitude: told,
+        estimated_attitude: stated,
         stamp_ns: 1,
         sequence: 0,
         sensor_id: 1,

@@ -28,7 +28,10 @@ struct Cursor(&'static [u8]);
 
 impl Cursor {
     fn bytes(&mut self, len: usize) -> &'static [u8] {
-        let (head, rest) = self.0.split_at_checked(len).expect("the recording ends in the middle of a step");
+        let (head, rest) = self
+            .0
+            .split_at_checked(len)
+            .expect("the recording ends in the middle of a step");
         self.0 = rest;
         head
     }
@@ -54,7 +57,10 @@ impl Cursor {
         for _ in 0..self.u32() {
             let [link] = self.array();
             let len = u16::from_le_bytes(self.array());
-            assert!(into.push(link, self.bytes(len.into())), "more datagrams than a step can have");
+            assert!(
+                into.push(link, self.bytes(len.into())),
+                "more datagrams than a step can have"
+            );
         }
     }
 
@@ -98,7 +104,11 @@ extern "C" fn main() -> ! {
     memory::give_heap();
     // SAFETY: the machine has this memory; nothing writes it.
     let mut recording = Cursor(unsafe { core::slice::from_raw_parts(RECORDING.0 as *const u8, RECORDING.1) });
-    assert!(recording.array() == MAGIC, "no recorded flight is loaded at {:#x}", RECORDING.0);
+    assert!(
+        recording.array() == MAGIC,
+        "no recorded flight is loaded at {:#x}",
+        RECORDING.0
+    );
     let mut setup = Setup {
         goal_ned_m: [recording.f32(), recording.f32(), recording.f32()],
         threshold: recording.f32(),
@@ -108,7 +118,10 @@ extern "C" fn main() -> ! {
     };
     setup.config = recording.u64();
     let config = setup.stack();
-    assert!(Digest::of(&config) == setup.config, "this image's configuration is not the flight's: {config:?}");
+    assert!(
+        Digest::of(&config) == setup.config,
+        "this image's configuration is not the flight's: {config:?}"
+    );
 
     let mut stack = FlightStack::with_pilots(&config, pilots(&setup)).expect("the configuration may fly");
     let mut received = Box::<Datagrams>::default();
@@ -153,11 +166,17 @@ extern "C" fn main() -> ! {
         }
         decisions += u32::from(output.report.action.is_some());
         if let Some((datagram, byte)) = difference(&recorded, &output.sent) {
-            println!("step {}: datagram {datagram} differs from the log's at byte {byte}", timing.step);
+            println!(
+                "step {}: datagram {datagram} differs from the log's at byte {byte}",
+                timing.step
+            );
             exit(1);
         }
         if Digest::of(&output.report) != report {
-            println!("step {}: the report differs from the log's: {:?}", timing.step, output.report);
+            println!(
+                "step {}: the report differs from the log's: {:?}",
+                timing.step, output.report
+            );
             exit(1);
         }
         sent_bytes += output.sent.iter().map(|(_, bytes)| bytes.len()).sum::<usize>();

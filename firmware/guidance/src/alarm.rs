@@ -15,7 +15,7 @@ const GUARD_STEPS: ParameterSpec = ParameterSpec::unlisted("guard_steps", (0.0, 
 const RECOVERY_GUARD_STEPS: ParameterSpec =
     ParameterSpec::unlisted("recovery_guard_steps", (0.0, 1200.0), "steps", 2.0);
 const WAY_SPEED: ParameterSpec = ParameterSpec::unlisted("way_speed", (0.0, 1.5), "m/s", 0.5);
-// An actor that looks for the way out of a dead end falls behind by more than 6 m in a fifth of hard flights; a vehicle that is led away
+// An actor that looks for the way out of a dead end falls behind by more than 6 m in a fifth of hard flights; a vehicle that is turned away
 // at 1.2 m/s is found after 12 s.
 const ASTRAY: ParameterSpec = ParameterSpec::unlisted("astray", (0.0, 100.0), "m", 20.0);
 const APART: ParameterSpec = ParameterSpec::unlisted("apart", (0.1, 3.0), "", 2.0);
@@ -213,14 +213,14 @@ impl Evidence {
         count(&mut self.clean_steps, looks_clean && !is_rough && !on_collision_course);
         match (is_raised, input.guided) {
             (true, _) => {}
-            // What is judged while the vehicle holds moves nothing.
+            // What is scored while the vehicle holds moves nothing.
             (false, false) => (self.attacks, self.rough, self.unknown_steps, self.course_steps) = (0, 0, 0, 0),
             (false, true) => self.note_flight(config, input),
         }
     }
 
     fn note_flight(&mut self, config: &AlarmConfig, input: &AlarmInput) {
-        // Of two vehicles, one along the way at a constant speed, the other flown by the actor: Page's cumulative sum (1954), which tells a
+        // Of two vehicles, one along the way at a constant speed, the other flown by the actor: Page's cumulative sum (1954), which shows a
         // lasting change soonest and forgets what went well before.
         if let Some(speed_m_s) = input.risk.map(|risk| risk.speed_along_way_m_s)
             && speed_m_s.is_finite()
@@ -311,7 +311,7 @@ impl AlarmLogic {
                     stopped: false,
                     recovery_stopped: false,
                 });
-                // Of an actor led astray, or that disagrees, every step before was clean.
+                // Of an actor that goes astray, or that disagrees, every step before was clean.
                 self.evidence.clean_steps = 0;
             }
             // Where nobody else flies on, a person decides whether the actor may.
@@ -469,7 +469,7 @@ mod tests {
         assert!(AlarmCause::RoughPicture.is_of_guard());
     }
 
-    /// Steps until the guard finds that the actor is led astray, when the vehicle flies along its way as these speeds say, over and over.
+    /// Steps until the guard finds that the actor goes astray, when the vehicle flies along its way as these speeds say, over and over.
     fn steps_until_astray(speeds_m_s: &[f32]) -> Option<usize> {
         let config = AlarmConfig {
             astray_limit_m: 3.0,
@@ -486,7 +486,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_led_away_is_found_in_seconds_one_led_in_circles_later_and_one_that_gets_on_never() {
+    fn a_vehicle_turned_away_is_found_in_seconds_one_turned_in_circles_later_and_one_that_gets_on_never() {
         assert!(
             steps_until_astray(&[-1.2]).is_some_and(|steps| (39..=40).contains(&steps)),
             "3 m at 1.5 m/s: two seconds"

@@ -15,7 +15,7 @@ pub enum Demand {
     Wait,
     /// The recovery pilot's action is sent instead of the actor's.
     Recover,
-    /// Nothing but to be told.
+    /// Nothing but to be reported.
     Warn,
 }
 
@@ -71,7 +71,7 @@ pub static CONDITIONS: [Condition; 34] = conditions! {
         "guided, hold: horizontally within {goal_radius} of the goal; with at-goal *land* demands landing after {goal_dwell}";
         "another goal; the end of the flight";
     NoGoal, Hold, true: "no goal was given"; "a goal";
-    Operator, Hold, false: "an operator disengaged, or told to land (then it demands landing)"; "an operator engages";
+    Operator, Hold, false: "an operator disengaged, or ordered to land (then it demands landing)"; "an operator engages";
     HandoverFailed, Wait, false:
         "the vehicle refused or did not answer, or the hand-over took longer than {handover_limit} and a second a metre of climb";
         "after {handover_pause}; an operator engages";
@@ -90,7 +90,7 @@ pub static CONDITIONS: [Condition; 34] = conditions! {
         "the policy is *recover*, and *attack*, *no verdict*, *collision course*, *led astray*, *disagreement* or *rough picture* has stopped the vehicle";
         "{alarm_clear_steps} clean steps in a row, after each further alarm of a flight twice as many; where the guard raised it, an operator's engage; the end of the flight";
     CollisionCourse, Hold, false:
-        "the recovery pilot saw the flying actor's action lead into something in {guard_steps} consecutive steps, or its own in {recovery_guard_steps}, and the policy is *stop* or *recover*";
+        "the recovery pilot saw the flying actor's action run into something in {guard_steps} consecutive steps, or its own in {recovery_guard_steps}, and the policy is *stop* or *recover*";
         "*recover*: as *attack*; *stop*: an operator engages; the end of the flight";
     BlindSensor, Hold, true:
         "the frames show no return where the ground must be seen, or zeros for ranges, over 15° or more of the view";

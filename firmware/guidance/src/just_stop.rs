@@ -1,10 +1,10 @@
 //! Just stop: guards a flight that somebody else flies. The vehicle follows its own mission or a pilot's sticks; when something
-//! lies on its course, or nobody can see whether something does, it is told to hold. No setpoint is ever sent.
+//! lies on its course, or nobody can see whether something does, it is ordered to hold. No setpoint is ever sent.
 
 pub use crate::stopping_way::{Gain, JustStopConfig};
 use vigil_types::{Heartbeat, Nanos, StopCause, VehicleMode};
 
-/// Slower than this no course can be told, and nothing is run into, metres per second.
+/// Slower than this no course can be known, and nothing is run into, metres per second.
 pub(crate) const STANDS_M_S: f32 = 0.25;
 /// A hold on a wandering estimate sways at up to this speed, metres per second: a mission that has been flown for no longer than
 /// this may not have begun to move.
@@ -19,7 +19,7 @@ const SLOWS_STEPS: usize = 8;
 const CONFIRMED: u8 = 2;
 /// Without a picture for longer than this, a vehicle that moves is stopped.
 const BLIND_NS: Nanos = 500_000_000;
-/// After so long in a hold that was told, a vehicle that goes on as before has taken the mode and not obeyed it.
+/// After so long in a hold that was ordered, a vehicle that goes on as before has taken the mode and not obeyed it.
 const OBEYS_NS: Nanos = 2_000_000_000;
 /// So long after a stop was begun, a vehicle may fly back to its place, which lies behind it.
 const RETURNS_NS: Nanos = 8_000_000_000;
@@ -60,11 +60,11 @@ pub enum JustStopState {
     /// The vehicle is on the ground, disarmed, taking off, or landing: nothing to guard.
     #[default]
     Idle,
-    /// It flies and never told where it is and how fast: it cannot be guarded, and it could not hold its position either.
+    /// It flies and never reported where it is and how fast: it cannot be guarded, and it could not hold its position either.
     Unguarded,
     /// It flies, and its course is free.
     Watching,
-    /// It is told to hold.
+    /// It is ordered to hold.
     Stopping(StopCause),
     /// It holds. Whoever flies it may go on; the guard then watches again.
     Stopped(StopCause),
@@ -105,9 +105,9 @@ pub struct JustStop {
 }
 
 impl JustStop {
-    /// One step; the state from now on. While it is [`JustStopState::Stopping`] the vehicle is to be told to hold.
+    /// One step; the state from now on. While it is [`JustStopState::Stopping`] the vehicle is to be ordered to hold.
     pub fn step(&mut self, config: &JustStopConfig, input: &JustStopInput) -> JustStopState {
-        // What goes up and down by itself, the grid of a level cannot judge.
+        // What goes up and down by itself, the grid of a level cannot show.
         let guarded = |h: &Heartbeat| {
             let by_itself = matches!(h.mode, VehicleMode::Takeoff | VehicleMode::Land);
             h.armed && input.airborne && !by_itself && !(input.climbing && h.mode != VehicleMode::Hold)
@@ -162,7 +162,7 @@ impl JustStop {
         self.state
     }
 
-    /// Whether the vehicle that was told to hold may still be on its way to a stand.
+    /// Whether the vehicle that was ordered to hold may still be on its way to a stand.
     fn may_obey_yet(&self, now_ns: Nanos) -> bool {
         !self.begun.stood && now_ns.saturating_sub(self.begun.at_ns) < OBEYS_NS
     }
@@ -353,18 +353,18 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_that_takes_the_mode_and_flies_on_is_told_again() {
+    fn a_vehicle_that_takes_the_mode_and_flies_on_is_ordered_again() {
         let mut flight = Flight::at(2.0);
         flight.step(Some(5.0));
         flight.step(Some(5.0));
         flight.mode = VehicleMode::Hold;
-        let mut told = 0;
+        let mut orders = 0;
         for _ in 0..100 {
             let before = flight.guard.state();
             let state = flight.step(Some(3.0));
-            told += u32::from(matches!(state, JustStopState::Stopping(_)) && state != before);
+            orders += u32::from(matches!(state, JustStopState::Stopping(_)) && state != before);
         }
-        assert!(told >= 1, "{told}");
+        assert!(orders >= 1, "{orders}");
         assert!(matches!(flight.guard.state(), JustStopState::Stopping(_)));
     }
 
@@ -437,7 +437,7 @@ mod tests {
         flight.step(Some(0.5));
         assert!(
             matches!(flight.step(Some(0.5)), JustStopState::Stopping(_)),
-            "then it is watched"
+            "then it is monitored"
         );
     }
 
@@ -457,7 +457,7 @@ mod tests {
     }
 
     #[test]
-    fn who_takes_the_vehicle_over_during_a_stop_has_it_and_is_watched_like_anybody() {
+    fn who_takes_the_vehicle_over_during_a_stop_has_it_and_is_monitored_like_anybody() {
         let mut flight = Flight::at(2.0);
         flight.step(Some(1.0));
         assert!(matches!(flight.step(Some(1.0)), JustStopState::Stopping(_)));
@@ -500,7 +500,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_that_never_told_its_position_is_unguarded_and_one_that_ceases_to_is_stopped() {
+    fn a_vehicle_that_never_reported_its_position_is_unguarded_and_one_that_ceases_to_is_stopped() {
         let mut flight = Flight::at(0.0);
         flight.speed_m_s = None;
         assert_eq!(flight.stopped_after_s(), None);

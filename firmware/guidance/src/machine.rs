@@ -58,7 +58,7 @@ pub struct Guidance {
     goal: Option<Goal>,
     /// The goal as it was given.
     given: Option<(Datum, NedVector)>,
-    /// Home as far as the goal and the fence are concerned; the local origin until the vehicle tells.
+    /// Home as far as the goal and the fence are concerned; the local origin until the vehicle reports it.
     home_ned_m: NedVector,
     home_known: bool,
     progress: Progress,
@@ -77,7 +77,7 @@ pub struct Guidance {
     hand_over_taken: bool,
     /// When the vehicle came back disarmed after silence.
     returned_disarmed_ns: Option<Nanos>,
-    /// An operator disengaged or told to land.
+    /// An operator disengaged or ordered to land.
     operator: bool,
     operator_land: bool,
     outside_fence: bool,
@@ -333,7 +333,7 @@ impl Guidance {
         input.telemetry.heartbeat.is_some_and(|h| !h.armed)
     }
 
-    /// Tells the vehicle's failsafe of lost setpoints from every other, as its fence or its battery, which weighs more than the flight:
+    /// Distinguishes the vehicle's failsafe of lost setpoints from every other, as its fence or its battery, which weighs more than the flight:
     /// it follows an interruption of the stream.
     fn note_failsafe(&mut self, input: &GuidanceInput<'_>, reasons: Reasons) {
         if reasons.contains(Reason::LinkLost) || reasons.contains(Reason::StaleTelemetry) {

@@ -100,8 +100,8 @@ impl JustStopConfig {
     }
 
     /// Metres within which something on the course stops a vehicle of this speed, metres per second, that gains speed with this
-    /// acceleration, metres per second squared. An autopilot takes its acceleration back as fast as its jerk allows: who is told to
-    /// hold while it gains speed goes on gaining it for a while; and until it is told, who has begun to gain speed gains more.
+    /// acceleration, metres per second squared. An autopilot takes its acceleration back as fast as its jerk allows: who is ordered to
+    /// hold while it gains speed goes on gaining it for a while; and until it is ordered, who has begun to gain speed gains more.
     pub fn reach_m(&self, speed_m_s: f32, gain: Gain) -> f32 {
         let steady_m = speed_m_s.max(0.0) * (self.reaction_s + HOLD_WAY_S);
         let windy_m_s2 = gain.wind_m_s2 - CALM_M_S2;
@@ -115,7 +115,7 @@ impl JustStopConfig {
         self.spare_m + gust_m + braking_m.max(steady_m)
     }
 
-    /// Metres to where an autopilot that is told to hold now can come to rest from this speed, metres per second, that it gains with
+    /// Metres to where an autopilot that is ordered to hold now can come to rest from this speed, metres per second, that it gains with
     /// this acceleration, metres per second squared.
     pub fn way_m(&self, speed_m_s: f32, gain: Gain) -> f32 {
         self.braking_way_m(speed_m_s, gain, TOLD_S)
@@ -191,7 +191,7 @@ mod tests {
         let ramp_m = 6.0 * 0.5 - 4.0 * 0.125 / 6.0;
         let by_hand_m = 2.4 + ramp_m + 7.5625 + 0.5;
         assert!((reach_m(6.0, 0.0) - by_hand_m).abs() < 0.15, "{}", reach_m(6.0, 0.0));
-        // The ways of real autopilots' holds from steady flight, and 0.4 s until they are told.
+        // The ways of real autopilots' holds from steady flight, and 0.4 s until they are ordered.
         for (speed_m_s, way_m) in [(1.8, 2.4), (2.6, 3.4), (3.3, 4.9), (5.0, 7.5)] {
             let needed_m = way_m + 0.4 * speed_m_s;
             let reach_m = reach_m(speed_m_s, 0.0);
@@ -200,14 +200,14 @@ mod tests {
                 "{speed_m_s}: {reach_m}"
             );
         }
-        // PX4 told at 1.9 m/s while it gains 2.7 m/s² needs 6.6 m; half as much again and a metre is early enough.
+        // PX4 ordered at 1.9 m/s while it gains 2.7 m/s² needs 6.6 m; half as much again and a metre is early enough.
         assert!(
             (6.6..1.5 * 6.6 + 1.0).contains(&reach_m(1.9, 2.7)),
             "{}",
             reach_m(1.9, 2.7)
         );
         assert!((reach_m(0.0, 0.0) - 0.5).abs() < 1e-6);
-        // From 3 m/s braking at MPC_ACC_HOR takes 2.6 m, and the hold of a PX4 4.3 m: the place that it is told lies between.
+        // From 3 m/s braking at MPC_ACC_HOR takes 2.6 m, and the hold of a PX4 4.3 m: the place that it is sent lies between.
         assert!((2.6..4.3).contains(&way_m(3.0, 0.0)), "{}", way_m(3.0, 0.0));
         assert!(way_m(1.9, 2.7) > way_m(2.8, 0.0) + 1.0);
         // Who gains 3 m/s² gains another 1.2 m/s during the reaction and 1.125 while it is taken back.
@@ -255,7 +255,7 @@ mod tests {
 
     /// Measured on PX4 in SIH as shipped: ordered to hold at 2.7 m/s in the middle of a start to 5 m/s, it needs 8.9 to 9.7 m from the frame on.
     #[test]
-    fn a_px4_in_the_middle_of_a_start_needs_more_than_its_own_acceleration_tells() {
+    fn a_px4_in_the_middle_of_a_start_needs_more_than_its_own_acceleration_shows() {
         let said = MissionMotion {
             braking_m_s2: Some(3.0),
             ..MissionMotion::default()

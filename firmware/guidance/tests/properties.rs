@@ -182,7 +182,7 @@ fn apply(s: &mut Story, event: &Event) -> usize {
     1
 }
 
-/// Every condition that must stop motion, judged anew from the inputs, without the state machine's code.
+/// Every condition that must stop motion, derived anew from the inputs, without the state machine's code.
 fn something_is_wrong(s: &Story) -> bool {
     let t = s.telemetry();
     let p = s.position_ned_m;

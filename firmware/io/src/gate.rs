@@ -226,7 +226,7 @@ impl SigningGate {
         self.keys_refused.is_due(now_ns, refused).then_some(text)
     }
 
-    /// Appends to `received` what may pass of a datagram by the policy of its link; refused packets are left out and counted. Tells whether
+    /// Appends to `received` what may pass of a datagram by the policy of its link; refused packets are left out and counted. Returns whether
     /// anything passed. `is_local`: the sender is on this machine. Several links share the gate, and not only the key, so that a
     /// packet taken from one link cannot be replayed on another.
     pub fn admit_by(

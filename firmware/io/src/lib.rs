@@ -1,6 +1,6 @@
 //! What the flight stack and the simulated vehicle share towards the machine: MAVLink over UDP, TCP and serial lines in MAVSDK's notation ([`links`],
 //! [`link_url`], [`link_spec`]), several at once ([`router`]), who may speak on a link ([`gate`]), secrets ([`key_file`]), files that outlive a restart ([`state`]), work beside the loop
-//! ([`background`]), what is told at most so often ([`throttle`]), a program's end ([`interrupt`]), and [`shared_memory`] with depth frames and lockstep exchanges.
+//! ([`background`]), what is said at most so often ([`throttle`]), a program's end ([`interrupt`]), and [`shared_memory`] with depth frames and lockstep exchanges.
 //!
 //! ```
 //! use vigil_io::link_url::LinkUrl;

@@ -13,12 +13,12 @@ const BURST_S: f64 = 0.25;
 /// A burst has room for the longest packet, also where a quarter of it is kept.
 const LEAST_BURST_BYTES: f64 = 400.0;
 
-/// How often a link that leaves this machine gets the guidance computer's values unless it is told: often enough to watch,
+/// How often a link that leaves this machine gets the guidance computer's values unless it is given: often enough to watch,
 /// a twelfth of a 57 600 baud radio.
 const VALUES_HZ: f32 = 1.0;
-/// The guidance computer tells them four times a second.
+/// The guidance computer sends them four times a second.
 const MAX_VALUES_HZ: f32 = 4.0;
-/// Share of a link's rate that values take at most unless it is told, and the bytes of all of them once.
+/// Share of a link's rate that values take at most unless it is given, and the bytes of all of them once.
 const VALUES_SHARE: f32 = 0.1;
 const VALUES_BYTES: f32 = 650.0;
 
@@ -32,7 +32,7 @@ pub struct LinkSpec {
     pub allow_unsigned: Option<AllowUnsigned>,
     /// Most bytes that are sent in a second; a serial line's own speed if absent.
     pub rate_bytes_s: Option<u32>,
-    /// How often the guidance computer's values are sent in a second, 0 to 4; 0 tells of changes of state only.
+    /// How often the guidance computer's values are sent in a second, 0 to 4; 0 sends changes of state only.
     pub values_hz: Option<f32>,
     /// The system of the vehicle on the link: nobody else may become its peer.
     pub system: Option<u8>,
@@ -62,8 +62,8 @@ impl LinkSpec {
         self.rate_bytes_s.map(f64::from).or(line)
     }
 
-    /// How often the guidance computer's values are sent in a second; `None` if as often as they are told. Fewer where the
-    /// link leaves this machine, or is slow: it may be a radio, or lead to one.
+    /// How often the guidance computer's values are sent in a second; `None` if as often as they come. Fewer where the
+    /// link leaves this machine, or is slow: it may be a radio, or end in one.
     pub fn values_per_s(&self) -> Option<f32> {
         if self.values_hz.is_some() {
             return self.values_hz;
@@ -163,7 +163,7 @@ impl Budget {
         self.bytes = (self.bytes + elapsed_s * self.bytes_per_s).min(self.burst_bytes);
     }
 
-    /// Takes `len` bytes if they are there and `kept`, a fraction of a burst, remains; tells whether it did.
+    /// Takes `len` bytes if they are there and `kept`, a fraction of a burst, remains; returns whether it did.
     pub fn spend(&mut self, now_ns: Nanos, len: usize, kept: f64) -> bool {
         self.refill(now_ns);
         let fits = self.bytes - len as f64 >= kept * self.burst_bytes;
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn a_budget_gives_no_more_than_its_rate_and_keeps_what_it_is_told_to() {
+    fn a_budget_gives_no_more_than_its_rate_and_keeps_what_it_is_asked_to() {
         let link: LinkSpec = "serial:///dev/ttyUSB0:20000".parse().unwrap();
         let mut budget = Budget::of(&link, f64::INFINITY).unwrap();
         let taken = (0..10_000).filter(|ms| budget.spend(ms * 1_000_000, 20, 0.0)).count() * 20;

@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_understood_is_told_with_what_would_be() {
+    fn what_is_not_understood_is_reported_with_what_would_be() {
         for (url, reason) in [
             ("14030", "no scheme"),
             ("udpin://0.0.0.0", "port"),

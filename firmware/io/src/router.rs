@@ -55,7 +55,7 @@ struct Port {
     wire: Box<dyn Wire>,
     spec: LinkSpec,
     budget: Option<Budget>,
-    /// How often values are told here.
+    /// How often values are sent here.
     values: ValueRate,
     /// Of the guidance computer's packets on this link.
     sequence: u8,
@@ -232,7 +232,7 @@ pub struct RoutedLinks {
     switch: Switch,
     gate: SigningGate,
     inboxes: Vec<Datagrams>,
-    /// What is to be told to everybody in this step.
+    /// What is to be sent to everybody in this step.
     text: Option<&'static str>,
 }
 
@@ -283,7 +283,7 @@ impl RoutedLinks {
         self.switch.counters
     }
 
-    /// Does what a SETUP_SIGNING asks that passed the gate, and tells what came of it.
+    /// Does what a SETUP_SIGNING asks that passed the gate, and returns what came of it.
     fn set_up(&mut self, key: [u8; 32], timestamp: Timestamp) -> &'static str {
         match self.gate.set_key(SigningKey(key), timestamp) {
             true => "signing key accepted",

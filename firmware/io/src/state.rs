@@ -83,7 +83,7 @@ impl<T: Section + Clone> StateFile<T> {
         }
     }
 
-    /// Writes what changed; whether it is on the disk now. A disk that refuses is told once and does not end the flight.
+    /// Writes what changed; whether it is on the disk now. A disk that refuses is reported once and does not end the flight.
     pub fn store(&mut self, saved: &T) -> bool {
         // NaN differs from itself, its text does not.
         let text = to_toml(saved);

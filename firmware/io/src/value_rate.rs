@@ -6,16 +6,16 @@ use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::{Nanos, STEP_NS};
 
-/// Names told apart; more than there are. What finds no room is sent each time.
+/// Names distinguished; more than there are. What finds no room is sent each time.
 const MAX_NAMES: usize = 32;
-/// State, reasons and verdict: told at once when they change.
-const TOLD_ON_CHANGE: [&[u8]; 3] = [b"gd_state", b"gd_reason", b"dt_state"];
+/// State, reasons and verdict: sent at once when they change.
+const SENT_ON_CHANGE: [&[u8]; 3] = [b"gd_state", b"gd_reason", b"dt_state"];
 /// But no more often than this: reasons may come and go with each step. The guidance computer repeats all values after
 /// that time, so that the last change is never lost.
 const CHANGE_NS: Nanos = 250_000_000;
 
 #[derive(Debug, Clone, Copy)]
-struct Told {
+struct Sent {
     name: [u8; 10],
     value: [u8; 4],
     at_ns: Nanos,
@@ -26,7 +26,7 @@ struct Told {
 pub(crate) struct ValueRate {
     /// `None`: everything passes. The longest time there is: changes only.
     interval_ns: Option<Nanos>,
-    told: heapless::Vec<Told, MAX_NAMES>,
+    sent: heapless::Vec<Sent, MAX_NAMES>,
     /// What the pilot sees always passes: an autopilot that uses it forgets it after half a second.
     pub spares_obstacles: bool,
 }
@@ -40,7 +40,7 @@ impl ValueRate {
         };
         Self {
             interval_ns: per_s.map(interval_ns),
-            told: heapless::Vec::new(),
+            sent: heapless::Vec::new(),
             spares_obstacles: false,
         }
     }
@@ -53,22 +53,22 @@ impl ValueRate {
         if self.spares_obstacles && packet.message_id() == OBSTACLE_DISTANCE_DATA::ID {
             return true;
         }
-        let new = Told {
+        let new = Sent {
             name,
             value,
             at_ns: now_ns,
         };
-        let Some(told) = self.told.iter_mut().find(|told| told.name == name) else {
-            let _ = self.told.push(new);
+        let Some(sent) = self.sent.iter_mut().find(|sent| sent.name == name) else {
+            let _ = self.sent.push(new);
             return true;
         };
         // The step nearest to the time.
-        let has_waited = |ns: Nanos| now_ns.saturating_sub(told.at_ns).saturating_add(STEP_NS / 2) >= ns;
+        let has_waited = |ns: Nanos| now_ns.saturating_sub(sent.at_ns).saturating_add(STEP_NS / 2) >= ns;
         let is_news =
-            told.value != value && TOLD_ON_CHANGE.iter().any(|n| name.starts_with(n)) && has_waited(CHANGE_NS);
+            sent.value != value && SENT_ON_CHANGE.iter().any(|n| name.starts_with(n)) && has_waited(CHANGE_NS);
         let passes = is_news || has_waited(interval_ns);
         if passes {
-            *told = new;
+            *sent = new;
         }
         passes
     }
@@ -76,7 +76,7 @@ impl ValueRate {
     /// The packet was not sent after all: the next of its name is.
     pub fn forget(&mut self, packet: &Packet<'_>) {
         let of_packet = value_of(packet).map(|(name, _)| name);
-        self.told.retain(|other| Some(other.name) != of_packet);
+        self.sent.retain(|other| Some(other.name) != of_packet);
     }
 }
 
@@ -118,7 +118,7 @@ mod tests {
         let mut rate = ValueRate::new(Some(1.0));
         let obstacles = MavMessage::OBSTACLE_DISTANCE(OBSTACLE_DISTANCE_DATA::DEFAULT);
         let (mut goal, mut step_us, mut seen, mut others) = (0, 0, 0, 0);
-        // Told every fifth step, for 10 s.
+        // Sent every fifth step, for 10 s.
         for step in (0..200).step_by(5) {
             goal += u32::from(passes(&mut rate, step, &named("goal_m", step as f32)));
             step_us += u32::from(passes(&mut rate, step, &named("step_us", step as f32)));
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_of_state_is_told_at_once_and_one_that_flutters_four_times_a_second() {
+    fn a_change_of_state_is_reported_at_once_and_one_that_flutters_four_times_a_second() {
         for per_s in [1.0, 0.0] {
             let mut rate = ValueRate::new(Some(per_s));
             assert!(passes(&mut rate, 0, &named("gd_state", 0.0)));
@@ -144,7 +144,7 @@ mod tests {
             assert!((15..=20).contains(&fluttering.count()));
             assert!(
                 passes(&mut rate, 115, &named("gd_state", 7.0)),
-                "the last change is told"
+                "the last change is sent"
             );
         }
         let mut rate = ValueRate::new(Some(0.0));

@@ -21,7 +21,7 @@ fn sealed(sequence: u64) -> Box<DepthFrame> {
     frame
 }
 
-/// Another process that does one thing per line it is told, says so, and can be killed.
+/// Another process that does one thing per line it is given, says so, and can be killed.
 struct Process {
     child: Child,
     stdin: ChildStdin,
@@ -66,7 +66,7 @@ impl Process {
 }
 
 /// In the other process: joins the instance and acts once per line; returns at once in the ordinary run of the tests.
-fn act_as_told<P>(join: impl FnOnce(&Domain) -> P, mut act: impl FnMut(&mut P, u64)) {
+fn act_on_lines<P>(join: impl FnOnce(&Domain) -> P, mut act: impl FnMut(&mut P, u64)) {
     let Ok(instance) = std::env::var(CHILD_INSTANCE) else {
         return;
     };
@@ -82,7 +82,7 @@ fn act_as_told<P>(join: impl FnOnce(&Domain) -> P, mut act: impl FnMut(&mut P, u
 
 #[test]
 fn child_publisher() {
-    act_as_told(
+    act_on_lines(
         |domain| FramePublisher::create(domain, DEPTH_TOPIC).unwrap(),
         |publisher, count| {
             publisher.publish(&sealed(count)).unwrap();
@@ -93,7 +93,7 @@ fn child_publisher() {
 #[test]
 fn child_subscriber() {
     let mut held = Vec::new();
-    act_as_told(
+    act_on_lines(
         |domain| FrameSubscriber::create(domain, DEPTH_TOPIC).unwrap(),
         |subscriber, _| held.extend(subscriber.newest().unwrap()),
     );

@@ -11,7 +11,7 @@ use vigil_types::{Datagrams, DepthFrame};
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A firmware that echoes: sends back what it received, then a datagram with the time and the frame's sequence. Ends
-/// when told, returns the number of steps it answered.
+/// when asked, returns the number of steps it answered.
 fn echo(instance: u32) -> u64 {
     let domain = Domain::open(instance, "test-firmware").unwrap();
     let mut server = LockstepServer::create(&domain).unwrap();

@@ -123,7 +123,7 @@ pub struct Judgement {
     /// 48 SHAP values of the actor's split point.
     #[prost(float, repeated, tag = "7")]
     pub phi: ::prost::alloc::vec::Vec<f32>,
-    /// Of the vehicle's own motion and the last action; of the movers too, where an actor was told of them (0.2 and before).
+    /// Of the vehicle's own motion and the last action; of the movers too, where an actor observed them (0.2 and before).
     #[prost(float, optional, tag = "8")]
     pub told: ::core::option::Option<f32>,
 }

@@ -108,7 +108,7 @@ impl<R: Read> Container<R> {
         })
     }
 
-    /// The next record that is `wanted`, judged by its kind and its undecoded bytes.
+    /// The next record that is `wanted`, as shown by its kind and its undecoded bytes.
     pub(crate) fn next(&mut self, wanted: impl Fn(u8, &[u8]) -> bool) -> Result<Next, McapError> {
         while let Some(event) = self.reader.next_event() {
             match event {

@@ -328,7 +328,7 @@ fn report_to_proto(report: &StepReport) -> proto::Report {
 fn report_from_proto(report: &proto::Report) -> Result<StepReport, RecordDefect> {
     let goal = &report.goal_position_ned_m;
     let goal = goal.map(|_| Part::from(goal, "report.goal_position_ned_m"));
-    // Logs of actors that were given the goal alone do not have what they were told.
+    // Logs of actors that were given the goal alone do not have what they observed of themselves.
     let judgement = report.judgement.clone().map(|judgement| proto::Judgement {
         told: judgement.told.or(Some(0.0)),
         ..judgement

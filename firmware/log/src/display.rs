@@ -59,7 +59,7 @@ fn map_rotation(q: Attitude) -> Quaternion {
     }
 }
 
-/// Where the vehicle believes to be, if it told so with finite numbers.
+/// Where the vehicle believes to be, if it reported so with finite numbers.
 pub(crate) fn vehicle_pose(record: &TickRecord) -> Option<Pose> {
     let telemetry = &record.report.telemetry;
     let (k, a) = (telemetry.kinematics.as_ref()?, telemetry.attitude.as_ref()?);
@@ -289,12 +289,12 @@ fn reason_names(reasons: Reasons) -> String {
 /// Turns changes between records into lines for a viewer's log panel.
 #[derive(Debug, Default)]
 pub(crate) struct Narrator {
-    last: Option<Told>,
+    last: Option<Shown>,
 }
 
 /// What the last line was about.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Told {
+struct Shown {
     state: GuidanceState,
     reasons: Reasons,
     armed: bool,
@@ -308,7 +308,7 @@ impl Narrator {
     pub(crate) fn lines(&mut self, record: &TickRecord, mut tell: impl FnMut(Level, String)) {
         let report = &record.report;
         let heartbeat = report.telemetry.heartbeat;
-        let now = Told {
+        let now = Shown {
             state: report.state,
             reasons: report.reasons,
             armed: heartbeat.is_some_and(|h| h.armed),
@@ -423,16 +423,16 @@ mod tests {
     }
 
     #[test]
-    fn changes_are_told_once_and_a_hold_for_cause_is_a_warning() {
+    fn changes_are_reported_once_and_a_hold_for_cause_is_a_warning() {
         let mut narrator = Narrator::default();
         let mut record = TickRecord::default();
-        let mut told = |record: &TickRecord| {
+        let mut lines = |record: &TickRecord| {
             let mut lines = Vec::new();
             narrator.lines(record, |level, line| lines.push((level, line)));
             lines
         };
-        assert_eq!(told(&record), [(Level::Info, "guidance: standby".to_owned())]);
-        assert_eq!(told(&record), []);
+        assert_eq!(lines(&record), [(Level::Info, "guidance: standby".to_owned())]);
+        assert_eq!(lines(&record), []);
         record.report.state = GuidanceState::Hold;
         record.report.reasons = Reasons::of(Reason::StaleFrame).with_if(true, Reason::Slip);
         record.report.telemetry.heartbeat = Some(Heartbeat {
@@ -443,7 +443,7 @@ mod tests {
         });
         record.dropped_before = 3;
         assert_eq!(
-            told(&record),
+            lines(&record),
             [
                 (
                     Level::Warning,
@@ -458,12 +458,12 @@ mod tests {
             cause: AlarmCause::Attack,
             response: AlarmResponse::Stop,
         });
-        assert_eq!(told(&record), [(Level::Error, "alarm: attack, stopping".to_owned())]);
+        assert_eq!(lines(&record), [(Level::Error, "alarm: attack, stopping".to_owned())]);
         record.report.alarm = None;
-        assert_eq!(told(&record), [(Level::Info, "alarm: clear".to_owned())]);
+        assert_eq!(lines(&record), [(Level::Info, "alarm: clear".to_owned())]);
         record.report.reasons = Reasons::of(Reason::GoalReached);
         assert_eq!(
-            told(&record),
+            lines(&record),
             [(Level::Info, "guidance: hold (goal reached)".to_owned())]
         );
     }

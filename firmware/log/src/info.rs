@@ -16,7 +16,7 @@ pub struct FlightInfo {
     pub seed: Option<u64>,
     /// Digest of the actor that flew, if one did.
     pub actor_sha256: Option<String>,
-    /// Digest of the detector that watched it, if one did.
+    /// Digest of the detector that monitored it, if one did.
     pub detector_sha256: Option<String>,
     /// Score above which its verdict was attack.
     pub detector_threshold: Option<f32>,

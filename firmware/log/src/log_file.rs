@@ -188,13 +188,13 @@ impl<W: Write + Seek> LogFile<W> {
             self.goal = goal;
         }
 
-        let mut told = Ok(());
+        let mut written = Ok(());
         self.narrator.lines(record, |level: Level, line| {
-            if told.is_ok() {
-                told = sheet.put(topic::LOG, place, &display::log_line(level, line, at_ns));
+            if written.is_ok() {
+                written = sheet.put(topic::LOG, place, &display::log_line(level, line, at_ns));
             }
         });
-        told?;
+        written?;
 
         let first = self.last_flush_ns.is_none();
         if due(&mut self.last_flush_ns, record.now_ns, FLUSH_NS) && !first {

@@ -289,7 +289,7 @@ impl Reader {
         self.end
     }
 
-    /// Reads the next record into `record`. `false` means that there is none: [`Reader::end`] then tells how the log
+    /// Reads the next record into `record`. `false` means that there is none: [`Reader::end`] then says how the log
     /// ends. A log that was not closed is read as far as it is complete.
     ///
     /// # Errors

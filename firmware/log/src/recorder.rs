@@ -165,7 +165,7 @@ struct Shared {
 #[derive(Debug)]
 pub struct Recorder {
     free: Consumer<Box<TickRecord>>,
-    /// `None` once finished; dropping it tells the thread to finish.
+    /// `None` once finished; dropping it lets the thread finish.
     full: Option<Producer<Box<TickRecord>>>,
     when_full: WhenFull,
     dropped: u64,

@@ -1,4 +1,4 @@
-//! What a log tells people besides the records: obstacles, lines of the log panel, and what the simulation added.
+//! What a log shows people besides the records: obstacles, lines of the log panel, and what the simulation added.
 
 use crate::container::{Container, Next};
 use crate::display;
@@ -58,7 +58,7 @@ pub struct CleanFrame {
     pub depth: Box<[f32; DEPTH_PIXELS]>,
 }
 
-/// What a log tells besides the records.
+/// What a log shows besides the records.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Story {
     /// Obstacles.
@@ -88,14 +88,14 @@ impl Story {
         loop {
             match container.next_of(&topics) {
                 Ok(Next::Record(Record::Channel(channel))) => {
-                    const TOLD: [&str; 5] = [
+                    const SHOWN: [&str; 5] = [
                         topic::SCENE,
                         topic::LOG,
                         topic::TRUTH,
                         topic::ATTACK,
                         topic::CLEAN_DEPTH,
                     ];
-                    if TOLD.contains(&channel.topic.as_str()) {
+                    if SHOWN.contains(&channel.topic.as_str()) {
                         topics.insert(channel.id, channel.topic);
                     }
                 }

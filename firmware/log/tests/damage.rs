@@ -104,8 +104,8 @@ fn a_log_that_was_not_closed_is_recovered_into_a_new_file_with_an_index() {
         (recovery.records, recovery.end),
         (records, LogEnd::Interrupted { records })
     );
-    let told = recovery.to_string();
-    assert!(told.contains("not closed") && !told.contains("damage"), "{told}");
+    let text = recovery.to_string();
+    assert!(text.contains("not closed") && !text.contains("damage"), "{text}");
     assert_eq!(read_all(&closed).unwrap().0, records);
     let index = mcap::Summary::read(&std::fs::read(&closed).unwrap()).unwrap().unwrap();
     let tick = index.channels.values().find(|c| c.topic == "/vigil/tick").unwrap();
@@ -283,10 +283,10 @@ fn broken(good: &[u8]) -> Vec<(String, Vec<u8>)> {
 }
 
 #[test]
-fn damage_is_told_by_record_place_and_remedy_and_never_as_a_librarys_bare_error() {
+fn damage_is_reported_by_record_place_and_remedy_and_never_as_a_librarys_bare_error() {
     let dir = tempfile::tempdir().unwrap();
     let good = small_log();
-    let (mut told, mut silent) = (0, Vec::new());
+    let (mut noticed, mut silent) = (0, Vec::new());
     for (name, bytes) in broken(&good) {
         let (path, copy) = (dir.path().join("bad.mcap"), dir.path().join("copy.mcap"));
         std::fs::write(&path, &bytes).unwrap();
@@ -309,7 +309,7 @@ fn damage_is_told_by_record_place_and_remedy_and_never_as_a_librarys_bare_error(
                 // What is read before the damage is what the copy begins with.
                 let before = Reader::open(&path).unwrap().filter(Result::is_ok).count() as u64;
                 assert!(before <= recovery.records, "{name}");
-                told += 1;
+                noticed += 1;
             }
             // A length that leads beyond the end reads as a log that was cut; one beside which the checksum holds costs nothing.
             Ok((records, end)) => {
@@ -324,8 +324,8 @@ fn damage_is_told_by_record_place_and_remedy_and_never_as_a_librarys_bare_error(
         }
     }
     assert!(
-        told >= 40 && silent.len() <= told / 3,
-        "{told} told, not damaged for a reader: {silent:?}"
+        noticed >= 40 && silent.len() <= noticed / 3,
+        "{noticed} noticed, not damaged for a reader: {silent:?}"
     );
 }
 
@@ -375,7 +375,7 @@ fn recovered(bytes: &[u8]) -> (Vec<u64>, vigil_log::Recovery) {
 }
 
 #[test]
-fn what_is_whole_around_damage_is_recovered_and_what_is_lost_is_told() {
+fn what_is_whole_around_damage_is_recovered_and_what_is_lost_is_reported() {
     let good = small_log();
     let chunks = pieces(&good, &[CHUNK]);
     assert!(chunks.len() >= 3, "several chunks: {chunks:?}");
@@ -396,15 +396,15 @@ fn what_is_whole_around_damage_is_recovered_and_what_is_lost_is_told() {
                 (!missing.is_empty() || !content) && missing.len() < all.len(),
                 "{begin} {at}: {steps:?}"
             );
-            let told = recovery.to_string();
+            let text = recovery.to_string();
             match recovery.end {
                 LogEnd::Closed { .. } => {
                     assert_eq!(recovery.lost, missing.len() as u64, "{begin} {at}");
-                    let lost = told.contains("lost to damage") && told.contains("records,");
-                    assert_eq!(lost, !missing.is_empty(), "{told}");
+                    let lost = text.contains("lost to damage") && text.contains("records,");
+                    assert_eq!(lost, !missing.is_empty(), "{text}");
                 }
                 // Behind the last chunk nothing says where the count of records begins.
-                end => assert!(!content && told.contains("not closed"), "{begin} {at}: {end:?}, {told}"),
+                end => assert!(!content && text.contains("not closed"), "{begin} {at}: {end:?}, {text}"),
             }
         }
     }

@@ -56,7 +56,7 @@ impl Flavour {
         }
     }
 
-    /// The mode that a heartbeat tells.
+    /// The mode of a heartbeat.
     pub const fn mode(self, base_mode: u8, custom_mode: u32) -> VehicleMode {
         if base_mode & CUSTOM_MODE_ENABLED == 0 {
             return VehicleMode::Other;
@@ -147,7 +147,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn modes_are_told_apart() {
+    fn modes_are_distinguished() {
         use VehicleMode::*;
         let px4 = |main: u32, sub: u32| main << 16 | sub << 24;
         for (flavour, custom_mode, mode) in [

@@ -83,7 +83,7 @@ impl LinkCounters {
     }
 }
 
-/// The guidance computer's end of the link: keeps what the vehicle told, hands operators' requests to guidance, writes
+/// The guidance computer's end of the link: keeps what the vehicle reported, hands operators' requests to guidance, writes
 /// each step's packets. No clock, no allocation; one datagram may hold several packets, a packet is never split.
 #[derive(Debug, Clone)]
 pub struct Companion {
@@ -153,7 +153,7 @@ impl Companion {
         }
     }
 
-    /// Metres north and east, in the local frame, of the place to which the vehicle's mission leads; `None` when it has not told.
+    /// Metres north and east, in the local frame, of the place to which the vehicle's mission goes; `None` when it has not reported it.
     pub fn mission_place_m(&self) -> Option<(f32, f32)> {
         self.core.vehicle.mission_place_m()
     }
@@ -168,9 +168,9 @@ impl Companion {
         self.core.vehicle.flavour()
     }
 
-    /// The texts that the last step told.
-    pub fn told(&self) -> &[StatusText] {
-        &self.core.told
+    /// The texts of the last step for people.
+    pub fn status_texts(&self) -> &[StatusText] {
+        &self.core.texts
     }
 
     /// The vehicle's system, once it is known.
@@ -248,7 +248,7 @@ impl Companion {
         self.services.speak(&mut self.core, &Step { report, request }, out);
     }
 
-    /// Tells what the pilot sees, four times a second, as [`ObstacleReports`] says: for each sector its bearing (radians,
+    /// Sends what the pilot sees, four times a second, as [`ObstacleReports`] says: for each sector its bearing (radians,
     /// positive to the right) and its distance (metres, infinite where nothing was seen). Call it in every step; `sectors`
     /// is `None` in a step in which the pilot did not look.
     pub fn emit_obstacles(
@@ -260,7 +260,7 @@ impl Companion {
         self.services.obstacles.tell(&mut self.core, now_ns, sectors, out);
     }
 
-    /// Tells people of a guarded flight.
+    /// Says to people what becomes of a guarded flight.
     pub fn tell_of_guard(&mut self, notice: GuardNotice, out: &mut Datagrams) {
         let text = match notice {
             GuardNotice::Unguarded => "not guarded: the vehicle does not tell its position",

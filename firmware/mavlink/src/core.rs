@@ -1,4 +1,4 @@
-//! What every service of the guidance computer shares: who it is, what is known of the vehicle, the answers owed, the texts told.
+//! What every service of the guidance computer shares: who it is, what is known of the vehicle, the answers owed, the texts for people.
 //! It imports no service.
 
 use crate::companion::{CompanionConfig, LinkCounters};
@@ -18,7 +18,7 @@ const REPLIES: usize = 128;
 /// Bytes of the longest answer's payload.
 const REPLY_LEN: usize = 32;
 /// Texts of a step that whoever runs the program can show.
-const TOLD: usize = 16;
+const TEXTS: usize = 16;
 /// Texts that are kept for a vehicle's link that nobody answers on yet.
 const KEPT: usize = 8;
 
@@ -70,14 +70,14 @@ pub(crate) struct Core {
     pub letting_go: bool,
     /// Mean time between the last positions or attitudes, whichever is longer.
     pub telemetry_interval_ns: Option<Nanos>,
-    /// A ground station was heard for the first time: it is told the state.
+    /// A ground station was heard for the first time: it gets the state.
     pub newcomer: bool,
     /// Packets came on the vehicle's link; on others, one bit each.
     pub vehicle_heard: bool,
     links_heard: u64,
     replies: Vec<Reply, REPLIES>,
     /// The texts of this step, or the last one.
-    pub told: Vec<StatusText, TOLD>,
+    pub texts: Vec<StatusText, TEXTS>,
     /// The newest texts from before the vehicle was heard.
     kept: Vec<StatusText, KEPT>,
     /// Of the last text of several chunks.
@@ -101,7 +101,7 @@ impl Core {
             vehicle_heard: false,
             links_heard: 0,
             replies: Vec::new(),
-            told: Vec::new(),
+            texts: Vec::new(),
             kept: Vec::new(),
             text_id: 0,
         }
@@ -173,8 +173,8 @@ impl Core {
 
     /// Begins a step: forgets the texts of the one before, and sends the answers owed.
     pub fn begin_step(&mut self, out: &mut Datagrams) {
-        self.told.clear();
-        // Once the vehicle is heard, its link has a peer: what was told before reaches it now.
+        self.texts.clear();
+        // Once the vehicle is heard, its link has a peer: what was said before reaches it now.
         if self.system_id.is_some() && !self.vehicle_heard && self.vehicle.telemetry.heartbeat.is_some() {
             self.vehicle_heard = true;
             for text in &core::mem::take(&mut self.kept) {
@@ -210,8 +210,8 @@ impl Core {
     /// The same for what is of no interest later.
     pub fn tell_now(&mut self, out: &mut Datagrams, text: &StatusText) {
         self.say_text(out, text);
-        // More than a step tells at its worst.
-        let _ = self.told.push(*text);
+        // More than a step says at its worst.
+        let _ = self.texts.push(*text);
     }
 
     /// Asks the vehicle's autopilot for a parameter.
@@ -234,9 +234,9 @@ impl Core {
         }
     }
 
-    /// The last text: nothing of the step before is told beside it.
+    /// The last text: nothing of the step before stands beside it.
     pub fn farewell(&mut self, out: &mut Datagrams) {
-        self.told.clear();
+        self.texts.clear();
         self.tell(out, NOTICE, format_args!("guidance: shut down"));
     }
 }

@@ -99,7 +99,7 @@ pub(crate) fn request_name(command: u16) -> Option<&'static str> {
 /// Why a command that asks nothing was refused, for a person.
 pub(crate) fn why(mav_result: u8) -> &'static str {
     match mav_result {
-        result::TEMPORARILY_REJECTED => "the vehicle has not told where its origin is",
+        result::TEMPORARILY_REJECTED => "the vehicle has not reported where its origin is",
         result::COMMAND_INT_ONLY => "send it as COMMAND_INT, a float does not hold a latitude",
         result::UNSUPPORTED_MAV_FRAME => "frames LOCAL_NED, GLOBAL and GLOBAL_RELATIVE_ALT are known",
         _ => "its parameters name nothing",

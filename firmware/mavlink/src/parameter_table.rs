@@ -1,7 +1,7 @@
 //! The guidance computer's own parameters: <https://mavlink.io/en/services/parameter.html>.
 //!
 //! A fixed table; who made it looks for changes after each step's packets ([`Parameters::take_changed`]). A value that is
-//! not accepted changes nothing, and the answer tells the value in force.
+//! not accepted changes nothing, and the answer holds the value in force.
 
 use crate::autopilot::Flavour;
 use crate::framing::Zeroed;
@@ -168,7 +168,7 @@ impl Parameters {
         &self.all
     }
 
-    /// The value of the type and within the limits of the parameter of that name, as a file tells it.
+    /// The value of the type and within the limits of the parameter of that name, as a file gives it.
     ///
     /// # Errors
     /// What is wrong: no such name, not a whole number, out of range.

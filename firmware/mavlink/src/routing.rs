@@ -6,7 +6,7 @@
 use heapless::Vec;
 use vigil_types::Nanos;
 
-/// Links that can be told apart.
+/// Links that can be distinguished.
 pub const MAX_LINKS: usize = 8;
 /// Components remembered of each link; more than a link ever has. Each link has room of its own, so that a flood of
 /// made-up senders on one does not make those on another forgotten.

@@ -28,7 +28,7 @@ const ARMED: u8 = 128;
 /// What is older than this says nothing of how the vehicle moves now.
 const FRESH_NS: Nanos = vigil_types::parameters::TELEMETRY_AGE.nanos();
 
-/// Where home is told to be in two ways that differ by more than this, metres, the vehicle fills only one of them.
+/// Where home is reported in two ways that differ by more than this, metres, the vehicle fills only one of them.
 const SAME_PLACE_M: f32 = 1.0;
 
 /// A vehicle that stands this near home, metres, stands at it.
@@ -38,7 +38,7 @@ const AT_HOME_M: f32 = 2.0;
 const HOME_HEIGHT_ERROR_M: (f32, f32) = (0.3, 5.0);
 
 /// What OBSTACLE_DISTANCE says, turned with the vehicle; `None` where it contradicts itself (a distance beyond its own limits, no width of a
-/// sector), tells nothing, or is turned otherwise. <https://mavlink.io/en/messages/common.html#OBSTACLE_DISTANCE>
+/// sector), says nothing, or is turned otherwise. <https://mavlink.io/en/messages/common.html#OBSTACLE_DISTANCE>
 fn sector_ranges(now_ns: Nanos, m: &OBSTACLE_DISTANCE_DATA) -> Option<SectorRanges> {
     const UNKNOWN: u16 = u16::MAX;
     let step_deg = if m.increment_f != 0.0 {
@@ -93,14 +93,14 @@ pub struct Vehicle {
     pub named: Option<Flavour>,
     /// MAV_AUTOPILOT of its heartbeat.
     pub mav_autopilot: u8,
-    /// Where the local origin is on the globe, as GPS_GLOBAL_ORIGIN tells it or else HOME_POSITION implies.
+    /// Where the local origin is on the globe, as GPS_GLOBAL_ORIGIN has it or else HOME_POSITION implies.
     pub origin: Option<Origin>,
     /// The origin came by GPS_GLOBAL_ORIGIN and was not inferred from home.
-    origin_told: bool,
+    origin_known: bool,
     home: Option<Home>,
     /// Home's height by the vehicle's own report while it stood there, metres down, where it contradicts the reported one.
     home_down_m: Option<f32>,
-    /// Latitude and longitude, degrees, of the place to which its mission leads, as it was told last in that mode.
+    /// Latitude and longitude, degrees, of the place to which its mission goes, as it was reported last in that mode.
     mission_place_deg: Option<(f64, f64)>,
     /// How it changes its speed in a mission, by its parameters.
     pub(crate) mission_motion: MissionMotion,
@@ -134,12 +134,12 @@ impl Vehicle {
         self.flavour
     }
 
-    /// Whether the vehicle told where its local origin is on the globe.
-    pub fn is_origin_told(&self) -> bool {
-        self.origin_told
+    /// Whether the vehicle reported where its local origin is on the globe.
+    pub fn is_origin_known(&self) -> bool {
+        self.origin_known
     }
 
-    /// Home in the local frame: as the vehicle tells it there, or on the globe where it fills only those fields.
+    /// Home in the local frame: as the vehicle reports it there, or on the globe where it fills only those fields.
     pub fn home_ned_m(&self) -> Option<NedVector> {
         let reported = self.reported_home_ned_m()?;
         let down_m = self.home_down_m.unwrap_or(reported.z);
@@ -148,7 +148,7 @@ impl Vehicle {
 
     fn reported_home_ned_m(&self) -> Option<NedVector> {
         let home = self.home?;
-        let on_globe = match (self.origin.filter(|_| self.origin_told), home.place) {
+        let on_globe = match (self.origin.filter(|_| self.origin_known), home.place) {
             (Some(origin), Some(place)) => {
                 let (north_m, east_m) = origin.north_east_m(place.latitude_deg, place.longitude_deg);
                 let down_m = (origin.altitude_m - place.altitude_m) as f32;
@@ -166,7 +166,7 @@ impl Vehicle {
         if is_filled { Some(home.ned_m) } else { on_globe }
     }
 
-    /// Metres north and east, in the local frame, of the place to which its mission leads; `None` when it has not told.
+    /// Metres north and east, in the local frame, of the place to which its mission goes; `None` when it has not reported it.
     pub fn mission_place_m(&self) -> Option<(f32, f32)> {
         let (latitude_deg, longitude_deg) = self.mission_place_deg?;
         Some(self.origin?.north_east_m(latitude_deg, longitude_deg))
@@ -305,10 +305,10 @@ impl Vehicle {
             }
             MavMessage::GPS_GLOBAL_ORIGIN(m) => {
                 if let Some(origin) = Origin::from_integers(m.latitude, m.longitude, m.altitude) {
-                    (self.origin, self.origin_told) = (Some(origin), true);
+                    (self.origin, self.origin_known) = (Some(origin), true);
                 }
             }
-            // In other modes the message tells what they fly to.
+            // In other modes the message has what they fly to.
             MavMessage::POSITION_TARGET_GLOBAL_INT(m)
                 if self.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Mission) =>
             {
@@ -324,7 +324,7 @@ impl Vehicle {
                     ned_m: NedVector::new(m.x, m.y, m.z),
                     place: Origin::from_integers(m.latitude, m.longitude, m.altitude),
                 });
-                // GPS_GLOBAL_ORIGIN is exact; without it, home tells where the origin must be.
+                // GPS_GLOBAL_ORIGIN is exact; without it, home shows where the origin must be.
                 self.origin = self
                     .origin
                     .or_else(|| Origin::from_integers(m.latitude, m.longitude, m.altitude)?.moved_back(m.x, m.y, -m.z));

@@ -117,14 +117,14 @@ fn a_vehicle_that_does_not_tell_whether_it_landed_is_judged_by_its_height() {
     }
 }
 
-/// A flight whose hand-over of an airborne vehicle or one on the ground fails; the text that tells why.
+/// A flight whose hand-over of an airborne vehicle or one on the ground fails; the text that says why.
 fn failed_with(flavour: Flavour, command: u16, answer: Option<MavResult>) -> (Flight, String) {
     let mut f = Flight::on_command(flavour, Peer::on_the_ground(flavour));
     f.peer.answer(command, answer, 9);
     f.engage();
     f.until(Engaging);
     f.until(Standby);
-    let text = told(&f, "hand-over:").into_iter().next().unwrap_or_default();
+    let text = said(&f, "hand-over:").into_iter().next().unwrap_or_default();
     (f, text)
 }
 
@@ -190,7 +190,7 @@ fn a_failsafe_hold_of_the_vehicle_is_regained_with_the_mode_alone() {
     f.hears = false;
     f.until(Hold);
     (f.peer.mode, f.peer.failsafe, f.hears) = (Mode::Loiter, true, true);
-    // Its mode is told once a second.
+    // Its mode is sent once a second.
     f.run(30);
     f.until(Guided);
     assert_eq!(f.peer.flight_commands(), [176]);
@@ -249,12 +249,12 @@ fn a_refused_landing_is_asked_for_again() {
     f.until(Land);
     f.until(Standby);
     assert!(!f.peer.armed);
-    assert_eq!(told(&f, "hand-over: landing refused: DENIED").len(), 3);
+    assert_eq!(said(&f, "hand-over: landing refused: DENIED").len(), 3);
     let lands: Vec<u64> = f.peer.got(21).iter().map(|c| c.at_ns).collect();
     assert!(lands.windows(2).all(|w| w[1] - w[0] >= 2 * SECOND), "{lands:?}");
 }
 
-fn told(f: &Flight, begin: &str) -> Vec<String> {
+fn said(f: &Flight, begin: &str) -> Vec<String> {
     f.texts.iter().filter(|text| text.starts_with(begin)).cloned().collect()
 }
 
@@ -267,10 +267,10 @@ fn flown(peer: Peer) -> Flight {
 }
 
 #[test]
-fn a_vehicle_that_would_fly_on_for_seconds_is_told_not_to_and_stops_when_the_firmware_dies() {
+fn a_vehicle_that_would_fly_on_for_seconds_is_ordered_not_to_and_stops_when_the_firmware_dies() {
     for (flavour, name, before) in [(ArduPilot, "GUID_TIMEOUT", "3"), (Px4, "COM_OF_LOSS_T", "1")] {
         let mut f = flown(Peer::on_the_ground(flavour));
-        assert_eq!(told(&f, name), [format!("{name} was {before} s, set to 0.5 s")]);
+        assert_eq!(said(&f, name), [format!("{name} was {before} s, set to 0.5 s")]);
         assert_eq!((f.peer.setpoint_timeout_s, f.peer.parameters_set.len()), (0.5, 1));
         assert_eq!(f.peer.parameters_read, 1);
         // Killed: nothing comes from now on.
@@ -294,13 +294,13 @@ fn a_short_setpoint_timeout_is_left_as_it_is() {
         setpoint_timeout_s: 0.4,
         ..Peer::in_the_air(Px4)
     });
-    assert_eq!(told(&f, "COM_OF_LOSS_T"), ["COM_OF_LOSS_T is 0.4 s"]);
+    assert_eq!(said(&f, "COM_OF_LOSS_T"), ["COM_OF_LOSS_T is 0.4 s"]);
     assert!(f.peer.parameters_set.is_empty());
 }
 
 #[test]
 fn a_vehicle_with_a_timeout_for_the_guidance_computer_alone_keeps_the_one_for_everybody() {
-    for (own_s, told_of_it) in [
+    for (own_s, text) in [
         (0.4, "VGL_OF_LOSS_T is 0.4 s"),
         (2.0, "VGL_OF_LOSS_T was 2 s, set to 0.5 s"),
     ] {
@@ -308,7 +308,7 @@ fn a_vehicle_with_a_timeout_for_the_guidance_computer_alone_keeps_the_one_for_ev
             own_timeout_s: Some(own_s),
             ..Peer::in_the_air(Px4)
         });
-        assert_eq!(told(&f, "VGL_OF_LOSS_T"), [told_of_it]);
+        assert_eq!(said(&f, "VGL_OF_LOSS_T"), [text]);
         assert_eq!(f.peer.own_timeout_s, Some(own_s.min(0.5)));
         assert_eq!(
             (f.peer.setpoint_timeout_s, f.peer.parameters_read),
@@ -319,27 +319,27 @@ fn a_vehicle_with_a_timeout_for_the_guidance_computer_alone_keeps_the_one_for_ev
 }
 
 #[test]
-fn a_vehicle_that_does_not_tell_or_not_set_its_timeout_is_flown_and_people_are_told() {
+fn a_vehicle_that_does_not_tell_or_not_set_its_timeout_is_flown_and_people_read_it() {
     for flavour in [ArduPilot, Px4] {
         let f = flown(Peer {
-            tells_parameters: false,
+            reports_parameters: false,
             ..Peer::in_the_air(flavour)
         });
         assert_eq!(f.peer.parameters_read, 4, "asked a few times, and not for ever");
-        f.assert_told("is not told by the vehicle");
+        f.assert_said("is not reported by the vehicle");
 
         let f = flown(Peer {
             sets_parameters: false,
             ..Peer::in_the_air(flavour)
         });
         assert_eq!(f.peer.parameters_set, [0.5; 4]);
-        f.assert_told("s, wanted 0.5 s");
+        f.assert_said("s, wanted 0.5 s");
         assert_eq!(f.last.unwrap().state, Guided);
     }
 }
 
 #[test]
-fn a_companion_told_to_leave_the_timeout_alone_neither_asks_nor_sets() {
+fn a_companion_ordered_to_leave_the_timeout_alone_neither_asks_nor_sets() {
     let mut f = Flight::new(ArduPilot, Peer::in_the_air(ArduPilot));
     f.companion = vigil_mavlink::Companion::new(vigil_mavlink::CompanionConfig {
         flavour: Some(ArduPilot),

@@ -229,7 +229,7 @@ fn time_questions_are_answered_to_the_asker() {
 }
 
 #[test]
-fn the_heartbeat_is_a_companions_at_1_hz_and_tells_health() {
+fn the_heartbeat_is_a_companions_at_1_hz_and_shows_health() {
     let mut b = Bench::new(Flavour::Px4);
     let (stale, goal) = (Reasons::of(Reason::StaleFrame), Reasons::of(Reason::GoalReached));
     let slow = Reasons::of(Reason::SlowTelemetry);
@@ -382,7 +382,7 @@ fn before_it_ends_it_sends_zeros_if_it_was_streaming() {
 }
 
 #[test]
-fn a_goal_too_far_away_is_denied_and_the_operator_is_told_why() {
+fn a_goal_too_far_away_is_denied_and_the_operator_learns_why() {
     let mut f = Flight::new(Flavour::Px4, Peer::on_the_ground(Flavour::Px4));
     f.until(Guided);
     let goal = reposition(MavFrame::MAV_FRAME_LOCAL_NED, 8_000_000, 1_000_000, -3.0);
@@ -391,10 +391,10 @@ fn a_goal_too_far_away_is_denied_and_the_operator_is_told_why() {
 }
 
 #[test]
-fn reasons_beyond_what_a_float_holds_are_told_beside_the_others_and_their_end_too() {
+fn reasons_beyond_what_a_float_holds_are_reported_beside_the_others_and_their_end_too() {
     let mut bench = Bench::new(Flavour::Px4);
     let stuck = Reasons::of(Reason::NoProgress).with_if(true, Reason::StaleFrame);
-    let told = |bench: &mut Bench, reasons: Reasons| {
+    let said = |bench: &mut Bench, reasons: Reasons| {
         bench.step(Hold, reasons, VehicleRequest::None);
         let values = named_values(&bench.sent).into_iter();
         values
@@ -403,12 +403,12 @@ fn reasons_beyond_what_a_float_holds_are_told_beside_the_others_and_their_end_to
     };
     let value = |name: &str, value: f32| (name.to_owned(), value);
     assert_eq!(
-        told(&mut bench, stuck),
+        said(&mut bench, stuck),
         [value("gd_reason", 1.0), value("gd_reason2", 1.0)]
     );
-    let after = told(&mut bench, Reasons::of(Reason::StaleFrame));
+    let after = said(&mut bench, Reasons::of(Reason::StaleFrame));
     assert_eq!(after, [value("gd_reason", 1.0), value("gd_reason2", 0.0)]);
     // And again with the others, for a link that swallowed it.
-    let again = (0..20).map(|_| told(&mut bench, Reasons::of(Reason::StaleFrame)));
+    let again = (0..20).map(|_| said(&mut bench, Reasons::of(Reason::StaleFrame)));
     assert_eq!(again.filter(|values| *values == after).count(), 4);
 }

@@ -36,7 +36,7 @@ fn computer(flavour: Flavour) -> Bench {
 impl Bench {
     /// The answers to a message, in a step of `state`.
     fn ask_in(&mut self, state: GuidanceState, message: &MavMessage) -> Vec<PARAM_VALUE_DATA> {
-        // A refusal is told four times a second at most.
+        // A refusal is said four times a second at most.
         for _ in 0..5 {
             self.step(state, Reasons::NONE, VehicleRequest::None);
         }
@@ -97,8 +97,8 @@ fn a_ground_station_lists_and_reads_by_name_and_by_index() {
     // To this component, and to all of the system.
     for target in [ME, (1, 0)] {
         let all = computer.ask(&list(target));
-        let told: Vec<_> = all.iter().map(|v| (name(v), v.param_index, v.param_count)).collect();
-        assert_eq!(told, [("PLT_CRUISE", 0, 2), ("GD_SIXTEEN_CHARS", 1, 2)]);
+        let listed: Vec<_> = all.iter().map(|v| (name(v), v.param_index, v.param_count)).collect();
+        assert_eq!(listed, [("PLT_CRUISE", 0, 2), ("GD_SIXTEEN_CHARS", 1, 2)]);
         assert_eq!((all[0].param_value, all[0].param_type), (1.5, REAL));
         assert_eq!(all[1].param_type, INTEGER);
     }
@@ -126,21 +126,21 @@ fn what_is_for_others_or_not_there_is_not_answered() {
 }
 
 #[test]
-fn who_asks_the_guidance_computer_for_what_it_has_not_is_told_so() {
+fn who_asks_the_guidance_computer_for_what_it_has_not_reads_it() {
     let mut computer = computer(Flavour::Px4);
     let errors = |computer: &mut Bench, message: &MavMessage| -> Vec<(String, i16)> {
         computer.ask(message);
-        let told = only!(messages(&computer.sent), PARAM_ERROR).map(|e| {
+        let errors = only!(messages(&computer.sent), PARAM_ERROR).map(|e| {
             assert_eq!(e.error, MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST);
             assert_eq!((e.target_system, e.target_component), (255, 190));
             (e.param_id.to_str().unwrap().to_owned(), e.param_index)
         });
-        told.collect()
+        errors.collect()
     };
-    let told = |name: &str, index| [(name.to_owned(), index)];
-    assert_eq!(errors(&mut computer, &read("NO_SUCH", -1)), told("NO_SUCH", -1));
-    assert_eq!(errors(&mut computer, &read("", 7)), told("", 7));
-    assert_eq!(errors(&mut computer, &set("NO_SUCH", 1.0, REAL)), told("NO_SUCH", -1));
+    let error = |name: &str, index| [(name.to_owned(), index)];
+    assert_eq!(errors(&mut computer, &read("NO_SUCH", -1)), error("NO_SUCH", -1));
+    assert_eq!(errors(&mut computer, &read("", 7)), error("", 7));
+    assert_eq!(errors(&mut computer, &set("NO_SUCH", 1.0, REAL)), error("NO_SUCH", -1));
     // Asked of all components, the vehicle may have it.
     let mut to_all = read("NO_SUCH", -1);
     if let MavMessage::PARAM_REQUEST_READ(m) = &mut to_all {
@@ -151,14 +151,14 @@ fn who_asks_the_guidance_computer_for_what_it_has_not_is_told_so() {
 }
 
 #[test]
-fn a_value_within_its_range_is_set_and_told() {
+fn a_value_within_its_range_is_set_and_reported() {
     let mut computer = computer(Flavour::Px4);
     let answers = computer.ask(&set("PLT_CRUISE", 0.75, REAL));
     assert_eq!(answers.len(), 1);
     assert_eq!(answers[0].param_value, 0.75);
     assert_eq!(computer.value(0), ParameterValue::Real(0.75));
     assert!(computer.companion.parameters().take_changed());
-    assert!(!computer.companion.parameters().take_changed(), "told once");
+    assert!(!computer.companion.parameters().take_changed(), "said once");
     // The same again is in order and changes nothing.
     assert_eq!(computer.ask(&set("PLT_CRUISE", 0.75, REAL)).len(), 1);
     assert!(!computer.companion.parameters().take_changed());
@@ -188,12 +188,12 @@ fn a_wrong_type_or_a_value_out_of_range_is_answered_with_the_value_in_force_and_
         assert!(said.iter().any(|text| text.contains(why)), "{message:?}: {said:?}");
     }
     assert_eq!(computer.companion.counters().parameters_refused, 8);
-    let told = (0..20).filter(|_| {
+    let said = (0..20).filter(|_| {
         computer.hear(GROUND_STATION, &set("PLT_CRUISE", 9.0, REAL));
         computer.step(GuidanceState::Ready, Reasons::NONE, VehicleRequest::None);
         texts(&computer.sent).iter().any(|text| text.contains("out of range"))
     });
-    assert!((4..=5).contains(&told.count()), "of twenty in a second");
+    assert!((4..=5).contains(&said.count()), "of twenty in a second");
     assert!(!computer.companion.parameters().take_changed());
 }
 
@@ -249,7 +249,7 @@ fn bin(data: &OBSTACLE_DISTANCE_DATA, bearing_deg: f32) -> usize {
 }
 
 #[test]
-fn obstacles_are_told_where_they_are() {
+fn obstacles_are_reported_where_they_are() {
     let left = (-59.5f32).to_radians();
     let seen = [
         (left, 4.2),
@@ -266,7 +266,7 @@ fn obstacles_are_told_where_they_are() {
     assert_eq!(
         data.distances[bin(&data, -0.5f32.to_degrees())],
         3001,
-        "beyond what is told"
+        "beyond what is sent"
     );
     assert_eq!(data.distances[bin(&data, 30.0)], u16::MAX, "not looked at");
     assert!((data.angle_offset + 59.1667).abs() < 1e-3 && (data.increment_f - 1.6667).abs() < 1e-3);
@@ -284,11 +284,11 @@ fn heard(component_id: u8, data: OBSTACLE_DISTANCE_DATA) -> Option<Vec<(f32, f32
 
 #[test]
 fn a_second_sensors_ranges_are_heard_and_what_contradicts_itself_is_not() {
-    // What is told of a scan is understood as it was meant.
-    let told = obstacles(&[(0.0, 2.5), (0.5, f32::INFINITY)]);
+    // What is sent of a scan is understood as it was meant.
+    let scan = obstacles(&[(0.0, 2.5), (0.5, f32::INFINITY)]);
     for component in [1, 196] {
-        let ranges = heard(component, told.clone()).expect("usable");
-        let bin_rad = told.increment_f.to_radians();
+        let ranges = heard(component, scan.clone()).expect("usable");
+        let bin_rad = scan.increment_f.to_radians();
         let [(ahead_rad, ahead_m), (right_rad, right_m)] = ranges[..] else {
             panic!("{ranges:?}");
         };
@@ -296,7 +296,7 @@ fn a_second_sensors_ranges_are_heard_and_what_contradicts_itself_is_not() {
         assert!((right_rad - 0.5).abs() <= bin_rad && right_m.is_infinite());
     }
     let contradicts = |change: fn(&mut OBSTACLE_DISTANCE_DATA)| {
-        let mut data = told.clone();
+        let mut data = scan.clone();
         change(&mut data);
         assert_eq!(heard(1, data), None);
     };
@@ -311,7 +311,7 @@ fn a_second_sensors_ranges_are_heard_and_what_contradicts_itself_is_not() {
 }
 
 #[test]
-fn what_cannot_be_is_not_told() {
+fn what_cannot_be_is_not_reported() {
     let data = obstacles(&[
         (f32::NAN, 1.0),
         (2.0, 1.0),
@@ -324,21 +324,21 @@ fn what_cannot_be_is_not_told() {
     assert_eq!(
         data.distances[bin(&data, 0.1f32.to_degrees())],
         10,
-        "nearer than the least told"
+        "nearer than the least sent"
     );
     assert_eq!(data.distances[bin(&data, 0.2f32.to_degrees())], 10);
     assert_eq!(data.distances[bin(&data, 0.01)], 3001, "no distance");
 }
 
 #[test]
-fn obstacles_are_told_four_times_a_second() {
+fn obstacles_are_reported_four_times_a_second() {
     let mut companion = in_the_air();
-    let mut told = 0;
+    let mut count = 0;
     for step in 1..=200 {
         let mut sent = Datagrams::default();
         companion.emit_obstacles(step * STEP_NS, Some([(0.0, 1.0)].into_iter()), &mut sent);
-        told += sent.len();
+        count += sent.len();
     }
     // Ten seconds, both ends included.
-    assert_eq!(told, 41);
+    assert_eq!(count, 41);
 }

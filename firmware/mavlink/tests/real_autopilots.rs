@@ -50,8 +50,8 @@ fn streams_that_a_ground_station_slows_to_2_hz_are_asked_for_again_and_the_fligh
         assert!(f.now_ns - held_ns < 2_000_000_000, "{} ns", f.now_ns - held_ns);
         let asked: Vec<f32> = f.peer.got(511).iter().map(|c| c.params[0]).collect();
         assert_eq!(asked, [32.0], "the first of the two brought both back");
-        f.assert_told("slow: LOCAL_POSITION_NED at ");
-        f.assert_told(" Hz, asked for 30 Hz");
+        f.assert_said("slow: LOCAL_POSITION_NED at ");
+        f.assert_said(" Hz, asked for 30 Hz");
         assert_eq!(f.companion.counters().slow_streams, 1);
         // A ground station that insists is answered each time.
         for n in 2..=6 {
@@ -65,7 +65,7 @@ fn streams_that_a_ground_station_slows_to_2_hz_are_asked_for_again_and_the_fligh
 }
 
 #[test]
-fn streams_that_stay_slow_are_asked_for_less_and_less_often_and_at_4_hz_the_small_margin_is_told() {
+fn streams_that_stay_slow_are_asked_for_less_and_less_often_and_at_4_hz_the_small_margin_is_reported() {
     let mut f = far_flight(ArduPilot);
     f.peer.commands.clear();
     (f.peer.slowed_to_steps, f.peer.keeps_slow) = (Some(5), true);
@@ -77,8 +77,8 @@ fn streams_that_stay_slow_are_asked_for_less_and_less_often_and_at_4_hz_the_smal
     }
     let slow = f.last.unwrap();
     assert_eq!((slow.state, slow.reasons), (Guided, Reasons::of(Reason::SlowTelemetry)));
-    f.assert_told("slow telemetry: ");
-    let interval = values.iter().rev().find(|(name, _)| name == "tlm_ms").expect("told").1;
+    f.assert_said("slow telemetry: ");
+    let interval = values.iter().rev().find(|(name, _)| name == "tlm_ms").expect("sent").1;
     assert_eq!(interval, 250.0);
     for _ in 0..seconds(116.0) {
         f.step();
@@ -130,7 +130,7 @@ fn a_goal_is_from_home_wherever_home_is() {
             // 12 m north of home, 3 m above it; 1e-7 degrees of the globe are 11 mm.
             let expected = NedVector::new(24.0, 3.0, -3.0);
             assert!((goal - expected).norm() < 0.03, "{story}: {goal:?}");
-            f.assert_told("home: 12.0 m north, 3.0 m east");
+            f.assert_said("home: 12.0 m north, 3.0 m east");
             f.until(Hold);
             assert!((f.peer.north_m - 23.0).abs() < 0.3, "{story}: {}", f.peer.north_m);
 
@@ -166,7 +166,7 @@ fn a_take_off_is_as_high_above_home_as_asked_wherever_home_is() {
 }
 
 #[test]
-fn a_vehicle_that_never_tells_its_home_is_flown_from_its_origin_and_that_is_told() {
+fn a_vehicle_that_never_reports_its_home_is_flown_from_its_origin_and_that_is_reported() {
     let mut f = Flight::on_command(ArduPilot, Peer::on_the_ground(ArduPilot));
     for command in [511, 512] {
         f.peer.answer(command, Some(MavResult::MAV_RESULT_DENIED), u32::MAX);
@@ -174,7 +174,7 @@ fn a_vehicle_that_never_tells_its_home_is_flown_from_its_origin_and_that_is_told
     f.peer.wanted_messages = vec![30, 32, 245];
     f.engage();
     f.until(Engaging);
-    f.assert_told("home is not told: goals are from the local origin");
+    f.assert_said("home is unknown: goals are from the local origin");
     assert_eq!(
         f.guidance.goal().unwrap().position_ned_m,
         NedVector::new(12.0, 0.0, -3.0)
@@ -192,9 +192,9 @@ fn the_autopilot_is_recognised_from_its_heartbeat() {
             ArduPilot => [176, 400, 22],
         };
         assert_eq!(f.peer.flight_commands(), own);
-        f.assert_told(&format!("vehicle 1: {}", flavour.name()));
+        f.assert_said(&format!("vehicle 1: {}", flavour.name()));
     }
-    // One that is not known is flown as a PX4, and that is told.
+    // One that is not known is flown as a PX4, and that is said.
     let mut b = Bench::new(Px4);
     b.companion = Companion::new(CompanionConfig::default());
     b.hear(VEHICLE, &heartbeat(MavAutopilot::MAV_AUTOPILOT_GENERIC));
@@ -219,31 +219,31 @@ fn a_wrong_vehicle_is_named_at_once_and_again_every_half_minute_and_never_comman
         let text = format!("vehicle is {is}, but set is {set}: it is not flown; use --vehicle auto");
         let mut f = Flight::new(configured, Peer::in_the_air(actual));
         f.step();
-        f.assert_told(&text);
+        f.assert_said(&text);
         f.run(seconds(61.0));
         assert_eq!(f.texts.iter().filter(|t| **t == text).count(), 3);
         let is_still = f.peer.setpoints.iter().all(|(_, setpoint)| *setpoint == [0.0; 4]);
         assert!(f.peer.commands.is_empty() && is_still, "{:?}", f.peer.commands);
         // A PX4 streams unprompted, so that guidance becomes ready; an ArduPilot is not even asked to.
         if actual == Px4 {
-            f.assert_told("hand-over: vehicle is PX4, not ArduPilot");
+            f.assert_said("hand-over: vehicle is PX4, not ArduPilot");
         }
     }
 }
 
 #[test]
 fn a_second_guidance_computer_behind_the_vehicle_is_named_at_once_and_again_every_half_minute() {
-    let told = "another guidance computer 1/191 is on the link: stop one";
+    let warning = "another guidance computer 1/191 is on the link: stop one";
     let mut f = Flight::on_command(Px4, Peer::on_the_ground(Px4));
     f.run(seconds(3.0));
-    assert!(!f.texts.iter().any(|text| text == told));
+    assert!(!f.texts.iter().any(|text| text == warning));
     // The autopilot passes on what it hears on its other links.
     for _ in 0..61 {
         let heartbeat = heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID);
         f.hear(ME, &heartbeat);
         f.run(seconds(1.0));
     }
-    assert_eq!(f.texts.iter().filter(|t| *t == told).count(), 3);
+    assert_eq!(f.texts.iter().filter(|t| *t == warning).count(), 3);
     assert!(f.peer.flight_commands().is_empty());
 }
 
@@ -251,7 +251,7 @@ fn a_second_guidance_computer_behind_the_vehicle_is_named_at_once_and_again_ever
 fn missing_inputs_are_named_one_by_one_with_their_age() {
     let mut b = Bench::new(Px4);
     let step = |b: &mut Bench, seconds: f64, missing: Reasons, change: &dyn Fn(&mut StepReport)| {
-        let mut told = Vec::new();
+        let mut lines = Vec::new();
         for _ in 0..(seconds / 0.05).round() as u32 {
             b.now_ns += STEP_NS;
             let mut report = StepReport {
@@ -261,9 +261,9 @@ fn missing_inputs_are_named_one_by_one_with_their_age() {
             };
             change(&mut report);
             b.emit(&report, VehicleRequest::None);
-            told.extend(texts(&b.sent).into_iter().filter(|t| t.starts_with("missing")));
+            lines.extend(texts(&b.sent).into_iter().filter(|t| t.starts_with("missing")));
         }
-        told
+        lines
     };
     let all = Reasons::of(Reason::StaleFrame)
         .with_if(true, Reason::StaleTelemetry)
@@ -289,9 +289,9 @@ fn missing_inputs_are_named_one_by_one_with_their_age() {
     b.hear(VEHICLE, &message!(ATTITUDE));
     assert!(step(&mut b, 0.1, Reasons::NONE, &|_| {}).is_empty());
     let some = Reasons::of(Reason::StaleFrame).with_if(true, Reason::StaleTelemetry);
-    let told = step(&mut b, 1.1, some, &|report| report.frame_age_ns = Some(5_000_000_000));
+    let said = step(&mut b, 1.1, some, &|report| report.frame_age_ns = Some(5_000_000_000));
     assert_eq!(
-        told,
+        said,
         [
             "missing: LOCAL_POSITION_NED, none came",
             "missing: depth frames, for 5.0 s"
@@ -311,7 +311,7 @@ fn a_hand_over_that_is_not_done_in_time_names_what_it_waited_for() {
             f.peer.target_height_m = Some(0.6);
         }
     }
-    f.assert_told("hand-over: not done in time, waiting for: climb to the take-off height");
+    f.assert_said("hand-over: not done in time, waiting for: climb to the take-off height");
 }
 
 #[test]
@@ -365,12 +365,12 @@ fn a_refused_request_is_answered_with_its_reason() {
         }
         f.step();
     }
-    let told = f.texts.iter().filter(|t| t.contains("refused")).count();
-    assert!((1..=8).contains(&told), "{told} in a second");
+    let said = f.texts.iter().filter(|t| t.contains("refused")).count();
+    assert!((1..=8).contains(&said), "{said} in a second");
 }
 
 #[test]
-fn what_was_told_before_the_vehicle_was_there_reaches_it() {
+fn what_was_reported_before_the_vehicle_was_there_reaches_it() {
     let mut b = Bench::new(Px4);
     b.step(Standby, Reasons::of(Reason::LinkLost), VehicleRequest::None);
     let first = texts(&b.sent);
@@ -380,11 +380,11 @@ fn what_was_told_before_the_vehicle_was_there_reaches_it() {
     }
     b.hear(VEHICLE, &heartbeat(MavAutopilot::MAV_AUTOPILOT_PX4));
     b.step(Standby, Reasons::NONE, VehicleRequest::None);
-    let told = texts(&b.sent);
-    assert_eq!(told.first(), first.first(), "{told:?}");
+    let said = texts(&b.sent);
+    assert_eq!(said.first(), first.first(), "{said:?}");
     b.step(Standby, Reasons::NONE, VehicleRequest::None);
     assert!(texts(&b.sent).is_empty(), "once");
-    // A ground station that comes later is told the state.
+    // A ground station that comes later gets the state.
     let ping = command_long(MavCmd::MAV_CMD_DO_SET_MODE, (9, 9), 0.0);
     for _ in 0..2 {
         b.companion.receive(b.now_ns, 2, &bytes_of(GROUND_STATION, &ping));
@@ -394,29 +394,29 @@ fn what_was_told_before_the_vehicle_was_there_reaches_it() {
 }
 
 /// The OBSTACLE_DISTANCE messages that a vehicle gets in so many steps: how many, and how many of them hold a distance.
-fn obstacles_told(obstacles: ObstacleReports, peer: Peer) -> (usize, usize) {
+fn obstacles_sent(obstacles: ObstacleReports, peer: Peer) -> (usize, usize) {
     let mut f = Flight::on_command(ArduPilot, peer);
     f.companion = Companion::new(CompanionConfig {
         obstacles,
         ..CompanionConfig::default()
     });
     f.run(seconds(2.0));
-    let (mut told, mut seen) = (0, 0);
+    let (mut said, mut seen) = (0, 0);
     for _ in 0..seconds(2.0) {
         f.step();
         let mut sent = Datagrams::default();
         let sectors = [(0.0, 0.14)].into_iter();
         f.companion.emit_obstacles(f.now_ns, Some(sectors), &mut sent);
         for m in only!(messages(&sent), OBSTACLE_DISTANCE) {
-            told += 1;
+            said += 1;
             seen += usize::from(m.distances.iter().any(|d| *d != u16::MAX));
         }
     }
-    (told, seen)
+    (said, seen)
 }
 
 #[test]
-fn what_the_sensor_sees_of_the_ground_is_not_told_as_obstacles() {
+fn what_the_sensor_sees_of_the_ground_is_not_reported_as_obstacles() {
     use ObstacleReports::{Flight as InFlight, KeepAlive, Off};
     for (obstacles, on_ground, in_air) in [
         (Off, (0, 0), (0, 0)),
@@ -424,7 +424,7 @@ fn what_the_sensor_sees_of_the_ground_is_not_told_as_obstacles() {
         (KeepAlive, (8, 0), (8, 8)),
     ] {
         let counts =
-            [Peer::on_the_ground(ArduPilot), Peer::in_the_air(ArduPilot)].map(|p| obstacles_told(obstacles, p));
+            [Peer::on_the_ground(ArduPilot), Peer::in_the_air(ArduPilot)].map(|p| obstacles_sent(obstacles, p));
         assert_eq!(counts, [on_ground, in_air], "{obstacles:?}");
     }
     assert_eq!(ObstacleReports::default(), InFlight);
@@ -443,7 +443,7 @@ fn a_pilots_loiter_is_not_taken_by_a_firmware_that_starts() {
         (Ready, Reasons::of(Reason::PilotInCommand))
     );
     assert!(f.peer.flight_commands().is_empty() && f.peer.mode == Mode::Loiter);
-    f.assert_told("a person has the vehicle: engage guidance, or if nobody took it over, change to GUIDED");
+    f.assert_said("a person has the vehicle: engage guidance, or if nobody took it over, change to GUIDED");
     // The pilot gives it by the mode.
     f.peer.mode = Mode::External;
     f.until(Guided);

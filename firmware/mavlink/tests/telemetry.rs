@@ -283,7 +283,7 @@ fn a_ground_station_learns_every_five_seconds_how_busy_the_guidance_computer_is(
 }
 
 #[test]
-fn a_vehicle_that_drifts_and_says_that_it_stands_is_told_to_go_against_it() {
+fn a_vehicle_that_drifts_and_says_that_it_stands_is_ordered_to_go_against_it() {
     let mut b = acquainted();
     // North by 0.3 m/s, its nose to the east.
     for step in 1..80_u16 {

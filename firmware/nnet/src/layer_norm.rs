@@ -1,4 +1,4 @@
-//! Layer normalisation: of imported policies, and of critics, whose values it keeps from growing where they were never told any
+//! Layer normalisation: of imported policies, and of critics, whose values it keeps from growing where they were never taught any
 //! (Ball et al. 2023).
 
 use crate::activation::rescale;

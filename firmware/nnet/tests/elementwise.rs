@@ -106,11 +106,11 @@ impl Evaluated {
             each.map(|((a, b), c)| f64::from(*a) * (f64::from(*b) - f64::from(*c)))
                 .sum()
         };
-        let told = of(&self.multipliers(x, x_ref, m), x, x_ref);
+        let given = of(&self.multipliers(x, x_ref, m), x, x_ref);
         let true_difference = of(m, &self.output(x), &self.output(x_ref));
         assert!(
-            (told - true_difference).abs() < 2e-5 * true_difference.abs().max(1.0),
-            "{told} {true_difference}"
+            (given - true_difference).abs() < 2e-5 * true_difference.abs().max(1.0),
+            "{given} {true_difference}"
         );
     }
 }

@@ -4,7 +4,7 @@ extern crate alloc;
 #[cfg(feature = "std")]
 extern crate std;
 
-use crate::actor::{ACTOR_OUTPUTS, Actor, ActorSpec, PositionalInputs};
+use crate::actor::{ACTOR_OUTPUTS, Actor, ActorSpec, LowDim};
 use crate::imported::Head;
 #[cfg(feature = "std")]
 use crate::imported::POLICY_FORMAT;
@@ -27,7 +27,7 @@ pub enum FrozenPilot {
     Imported(FrozenPolicy),
 }
 
-/// What decides behind a split point, with its parameters: inputs are the split point's values and the positional inputs, both explained.
+/// What decides behind a split point, with its parameters: inputs are the split point's values and the low-dimensional observation, both explained.
 #[derive(Debug, Clone)]
 pub struct ExplainedHead {
     /// The network, for multipliers or gradients as was asked for.
@@ -136,8 +136,7 @@ impl Decider {
         match self {
             Self::Actor(actor) => actor.decide(input),
             Self::Imported(policy) => {
-                let Action { forward_m_s, yaw } =
-                    policy.decide_on(&input.depth.depth, PositionalInputs::of_goal(input.goal));
+                let Action { forward_m_s, yaw } = policy.decide_on(&input.depth.depth, LowDim::of_goal(input.goal));
                 Ok([forward_m_s, yaw])
             }
         }
@@ -152,10 +151,10 @@ impl Decider {
     }
 
     /// What it decided from beside frames and memory, in the last decision.
-    pub fn position(&self) -> Option<PositionalInputs> {
+    pub fn low_dim(&self) -> Option<LowDim> {
         match self {
             Self::Actor(actor) => Some(actor.low_dim()),
-            Self::Imported(policy) => policy.position(),
+            Self::Imported(policy) => policy.low_dim(),
         }
     }
 

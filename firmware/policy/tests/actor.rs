@@ -200,7 +200,7 @@ fn the_recovery_pilot_leads_along_its_path_and_over_open_ground_to_the_goal() {
     };
     let mut planner = Box::<RecoveryPilot>::default();
     let mut newest = frame.clone();
-    let mut led = ahead.goal;
+    let mut local = ahead.goal;
     for sequence in 0..20 {
         newest.header.sequence = sequence;
         let seen = PilotInput {
@@ -208,15 +208,15 @@ fn the_recovery_pilot_leads_along_its_path_and_over_open_ground_to_the_goal() {
             ..ahead
         };
         planner.observe(&seen, true);
-        led = planner.lead(&seen);
+        local = planner.path_ahead(&seen);
     }
-    assert_eq!(led.distance_m, ahead.goal.distance_m);
-    assert!(led.bearing_rad > 0.3, "to the right, around the wall: {led:?}");
+    assert_eq!(local.distance_m, ahead.goal.distance_m);
+    assert!(local.bearing_rad > 0.3, "to the right, around the wall: {local:?}");
     // Another flight: what was seen is forgotten, and an open field leads straight to the goal.
     planner.reset();
     let open = DepthFrame::EMPTY;
     let input = PilotInput { depth: &open, ..ahead };
     planner.observe(&input, true);
-    let led = planner.lead(&input);
-    assert!((led.bearing_rad + 0.1).abs() < 1e-3, "{led:?}");
+    let local = planner.path_ahead(&input);
+    assert!((local.bearing_rad + 0.1).abs() < 1e-3, "{local:?}");
 }

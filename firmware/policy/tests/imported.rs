@@ -126,7 +126,7 @@ fn hostile_descriptions_are_refused_before_anything_is_made_of_them() {
     let refused = |text: &str| text.parse::<Network>().unwrap_err().to_string();
     let doublings: String = (0..30).map(|layer| format!("concat {layer} {layer}\n")).collect();
     let doubled = format!("input 32768\n{doublings}output 30\n");
-    for (text, told) in [
+    for (text, reason) in [
         ("", "lack an output"),
         ("input 4\n", "lack an output"),
         ("input 4\noutput 1\n", "number 1 is the output"),
@@ -150,7 +150,7 @@ fn hostile_descriptions_are_refused_before_anything_is_made_of_them() {
         ),
     ] {
         let error = refused(text);
-        assert!(error.contains(told), "{text:?}: {error}");
+        assert!(error.contains(reason), "{text:?}: {error}");
     }
     // What does not fit each other is found before take-off.
     let policy = |inputs: PolicyInputs| picking(inputs, [0, 1]);
@@ -206,10 +206,10 @@ fn what_lies_behind_a_split_point_decides_as_the_whole_policy_does() {
         let mut tape = vec![0.0; graph.tape_len()];
         for level in [0.1, 0.5, 0.3] {
             let decided = decide(&mut pilot, &frame(level));
-            let (state, position) = (pilot.state().unwrap(), pilot.position().unwrap());
+            let (state, low_dim) = (pilot.state().unwrap(), pilot.low_dim().unwrap());
             assert_eq!(state.len(), width);
             graph
-                .forward(Isa::detect(), &params, &[state, &position], &mut tape)
+                .forward(Isa::detect(), &params, &[state, &low_dim], &mut tape)
                 .unwrap();
             assert_eq!(graph.output(&tape).unwrap(), decided, "split at layer {split}");
         }
@@ -235,14 +235,14 @@ fn the_split_point_proposed_is_the_last_one_of_a_size_that_is_explained() {
 fn a_layer_that_cannot_be_the_split_point_is_refused_with_its_reason() {
     let policy = branched(None);
     let refused = |split| policy.network.head(&policy.params, split, 0).unwrap_err().to_string();
-    for (split, told) in [
+    for (split, reason) in [
         (0, "the frame itself"),
         (4, "2 values"),
         (8, "2 values"),
         (90, "there are 9 layers"),
     ] {
-        let told_of = refused(split);
-        assert!(told_of.contains(told), "layer {split}: {told_of}");
+        let error = refused(split);
+        assert!(error.contains(reason), "layer {split}: {error}");
     }
     // The frame goes around the first of these.
     let text = "input 96\ndense 0 96 8 relu\ndense 0 96 8 relu\nconcat 1 2\ndense 3 16 2 id\noutput 4\n";

@@ -21,7 +21,7 @@ use vigil_mavlink::common::{
 };
 use vigil_mavlink::framing::{self, FramingCounters};
 use vigil_mavlink::message;
-use vigil_policy::actor::PositionalInputs;
+use vigil_policy::actor::LowDim;
 use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, EngagePolicy, FrameKey, GuidanceState, Nanos,
@@ -160,7 +160,7 @@ pub fn undecided_detector() -> FrozenDetector {
             .map(|i| {
                 (
                     vec![0.03 * i as f32 - 0.4; 48],
-                    PositionalInputs::from([0.9, 0.1, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+                    LowDim::from([0.9, 0.1, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
                 )
             })
             .collect(),
@@ -176,7 +176,7 @@ pub fn undecided_detector() -> FrozenDetector {
 }
 
 /// The same flight, flown by the actor under [`undecided_detector`], whose verdict is clean.
-pub fn watched_config(folder: &Path) -> FirmwareConfig {
+pub fn monitored_config(folder: &Path) -> FirmwareConfig {
     let file = folder.join("undecided.safetensors");
     undecided_detector().save(&file).unwrap();
     FirmwareConfig {
@@ -209,7 +209,7 @@ pub struct TestVehicle {
     pub position_ned_m: NedVector,
     pub velocity_ned_m_s: NedVector,
     pub yaw_rad: f32,
-    /// What it reports is turned by so much, though its rates, told then, do not turn it.
+    /// What it reports is turned by so much, though its rates, reported then, do not turn it.
     pub heading_error_rad: f32,
     pub mode: (u8, u8),
     pub armed: bool,
@@ -314,9 +314,9 @@ impl TestVehicle {
         self.steps += 1;
     }
 
-    /// What it tells in this step: each packet in a datagram of its own.
+    /// What it sends in this step: each packet in a datagram of its own.
     pub fn telemetry(&mut self) -> Datagrams {
-        let mut told = Datagrams::default();
+        let mut sent = Datagrams::default();
         let time_boot_ms = (self.steps * STEP_NS / 1_000_000) as u32;
         let mut base_mode = MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED;
         base_mode.set(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED, self.armed);
@@ -353,10 +353,10 @@ impl TestVehicle {
             message!(EXTENDED_SYS_STATE, landed_state),
         ];
         for message in messages.into_iter().chain(std::mem::take(&mut self.acks)) {
-            assert!(told.push(0, &framing::encode((SYSTEM_ID, 1), self.sequence, &message)));
+            assert!(sent.push(0, &framing::encode((SYSTEM_ID, 1), self.sequence, &message)));
             self.sequence = self.sequence.wrapping_add(1);
         }
-        told
+        sent
     }
 
     fn attitude(&self) -> Attitude {

@@ -107,7 +107,7 @@ impl Rig {
             links,
             now_ns: 0,
         };
-        // The guidance computer's first heartbeat tells all where it is.
+        // The guidance computer's first heartbeat shows all where it is.
         rig.own(&[heartbeat(ME)]);
         for far in [&rig.vehicle, &rig.stations[0], &rig.stations[1]] {
             assert_eq!(far.heard(), [(ME, HEARTBEAT)]);
@@ -219,7 +219,7 @@ fn nobody_on_a_ground_link_is_taken_for_the_vehicle_and_nobody_at_all_for_the_gu
     rig.own(&[command(ME, VEHICLE, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM)]);
     assert!(rig.stations[0].heard().is_empty());
     assert_eq!(rig.vehicle.heard(), [(ME, COMMAND_LONG)]);
-    // Nor to one who was there before the vehicle told which system it is.
+    // Nor to one who was there before the vehicle said which system it is.
     rig.stations[0].say(&heartbeat((2, 1)));
     rig.step();
     rig.hush();

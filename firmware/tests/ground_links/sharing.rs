@@ -238,7 +238,7 @@ fn two_ground_stations_at_once_each_get_their_answers_and_both_see_what_the_othe
     let set_home = MavCmd::MAV_CMD_DO_SET_HOME;
     flight.rig.stations[1].say(&command(OTHER_STATION, ME, set_home));
     let first = flight.heard_by(0);
-    let told = |messages: &[MavMessage]| {
+    let has_value = |messages: &[MavMessage]| {
         messages
             .iter()
             .any(|m| matches!(m, MavMessage::PARAM_VALUE(m) if m.param_value == 0.75))
@@ -250,9 +250,9 @@ fn two_ground_stations_at_once_each_get_their_answers_and_both_see_what_the_othe
         });
         results.collect::<Vec<_>>()
     };
-    assert!(told(&first) && acks(&first).is_empty());
+    assert!(has_value(&first) && acks(&first).is_empty());
     let second = flight.heard_by(1);
-    assert!(told(&second), "the other station's value is told to both");
+    assert!(has_value(&second), "the other station's value is sent to both");
     let unsupported = (set_home, MavResult::MAV_RESULT_UNSUPPORTED, OTHER_STATION.0);
     assert_eq!(acks(&second), [unsupported]);
 

@@ -40,8 +40,8 @@ fn a_first_key_from_setup_signing_is_in_force_at_once_kept_for_the_next_start_an
         let mut rig = Rig::new(["", ""], config.gate().unwrap());
         rig.stations[0].say(&setup(ME, KEY));
         assert!(rig.step().is_empty());
-        let told = [("signing key refused: see --accept-first-key".to_owned(), false)];
-        assert_eq!(texts(&rig.stations[0]), told);
+        let refusal = [("signing key refused: see --accept-first-key".to_owned(), false)];
+        assert_eq!(texts(&rig.stations[0]), refusal);
         assert_eq!(rig.links.statistics().signing.unsigned_key, 1);
     }
     config.signing.accept_first_key = true;
@@ -120,7 +120,7 @@ fn only_a_packet_signed_with_the_present_key_sets_another_and_zeros_are_none() {
         rig.stations[0].say(&signed([1; 32], 0, &setup(ME, [1; 32])));
         rig.vehicle.say(&setup(ME, [1; 32]));
         rig.step();
-        assert_eq!(texts(&rig.stations[0]), [], "told once in a while");
+        assert_eq!(texts(&rig.stations[0]), [], "said once in a while");
         rig.stations[0].say(&signed([7; 32], 0, &setup(ME, [0; 32])));
         rig.step();
         let zeros = "signing key refused: all zeros";

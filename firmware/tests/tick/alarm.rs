@@ -3,9 +3,9 @@
 use super::*;
 
 #[test]
-fn an_attacked_actor_is_stopped_and_replaced_and_told_of_and_gets_its_place_back() {
+fn an_attacked_actor_is_stopped_and_replaced_and_reported_and_gets_its_place_back() {
     let folder = tempfile::tempdir().unwrap();
-    let mut flight = Flight::guided_by(&watched_config(folder.path()));
+    let mut flight = Flight::guided_by(&monitored_config(folder.path()));
     let alarms = |flight: &Flight| texts(&flight.vehicle, "alarm");
     flight.fastest_m_s(1);
     let judgement = flight.last.judgement.unwrap();
@@ -53,7 +53,7 @@ fn an_attacked_actor_is_stopped_and_replaced_and_told_of_and_gets_its_place_back
 #[test]
 fn an_operator_sets_policy_and_threshold_and_values_out_of_range_change_nothing() {
     let folder = tempfile::tempdir().unwrap();
-    let mut flight = Flight::guided_by(&watched_config(folder.path()));
+    let mut flight = Flight::guided_by(&monitored_config(folder.path()));
     let integer = |value: u32| f32::from_bits(value);
     assert_eq!(flight.set("DT_THRESH", 1.5, MavParamType::MAV_PARAM_TYPE_REAL32), 0.6);
     let policy = flight.set("DT_ALARM", integer(3), MavParamType::MAV_PARAM_TYPE_INT32);
@@ -63,7 +63,7 @@ fn an_operator_sets_policy_and_threshold_and_values_out_of_range_change_nothing(
     flight.set("DT_THRESH", 0.4, MavParamType::MAV_PARAM_TYPE_REAL32);
     flight.fastest_m_s(2);
     assert!(flight.last.alarm.is_some());
-    assert_eq!(flight.last.state, GuidanceState::Guided, "told, and not acted upon");
+    assert_eq!(flight.last.state, GuidanceState::Guided, "said, and not acted upon");
     flight.set("DT_ALARM", integer(1), MavParamType::MAV_PARAM_TYPE_INT32);
     assert_eq!(flight.last.state, GuidanceState::Hold);
 }
@@ -71,7 +71,7 @@ fn an_operator_sets_policy_and_threshold_and_values_out_of_range_change_nothing(
 #[test]
 fn a_gap_in_the_frames_leaves_the_verdict_unknown_until_ten_explanations_are_there_again() {
     let folder = tempfile::tempdir().unwrap();
-    let mut flight = Flight::guided_by(&watched_config(folder.path()));
+    let mut flight = Flight::guided_by(&monitored_config(folder.path()));
     for _ in 0..8 {
         let telemetry = flight.vehicle.telemetry();
         flight.step_with(None, &telemetry);
@@ -84,13 +84,13 @@ fn a_gap_in_the_frames_leaves_the_verdict_unknown_until_ten_explanations_are_the
 }
 
 #[test]
-fn odometry_that_jumps_makes_the_actor_forget_what_it_saw_and_people_are_told_once() {
+fn odometry_that_jumps_makes_the_actor_forget_what_it_saw_and_people_read_it_once() {
     let folder = tempfile::tempdir().unwrap();
     // With the check of frames, those of a pose that jumps are refused for half a second: the actor sees the jump after it.
     for (plausibility, jump_m) in [(false, 30.0), (true, 5.0)] {
         let config = FirmwareConfig {
             plausibility,
-            ..watched_config(folder.path())
+            ..monitored_config(folder.path())
         };
         let mut flight = Flight::guided_by(&config);
         let jumps = |flight: &Flight| texts(&flight.vehicle, "the position jumped").len();
@@ -106,7 +106,7 @@ fn odometry_that_jumps_makes_the_actor_forget_what_it_saw_and_people_are_told_on
 #[test]
 fn a_detector_that_cannot_judge_the_actor_is_refused_by_name_before_anything_flies() {
     let folder = tempfile::tempdir().unwrap();
-    let mut config = watched_config(folder.path());
+    let mut config = monitored_config(folder.path());
     let file = config.detector.file.clone().unwrap();
     let refused = |why: &str| {
         let error = LockstepFirmware::new(&config).err().unwrap().to_string();
@@ -136,7 +136,7 @@ fn a_detector_that_cannot_judge_the_actor_is_refused_by_name_before_anything_fli
 }
 
 /// What raises the alarm in so many steps in which a vehicle in full flight is carried north at so many m/s, whatever it is
-/// told, with a wall so many metres ahead.
+/// sent, with a wall so many metres ahead.
 fn alarm_while_carried(
     config: &FirmwareConfig,
     (north_m_s, wall_ahead_m, steps): (f32, f32, usize),
@@ -162,7 +162,7 @@ fn alarm_while_carried(
 #[test]
 fn the_guard_stops_an_actor_before_a_wall_or_off_its_way_with_and_without_the_detector_and_either_can_be_off() {
     let folder = tempfile::tempdir().unwrap();
-    let mut config = watched_config(folder.path());
+    let mut config = monitored_config(folder.path());
     // A wall that was not there a moment ago is no plausible picture.
     config.plausibility = false;
     // A gust carries it to a wall, where it would be after 29 steps; or away from its goal over open ground, for 22 seconds.

@@ -4,7 +4,7 @@ mod alarm;
 #[path = "../common/mod.rs"]
 mod common;
 
-use common::{Flight, LOITER, OFFBOARD, TestVehicle, config, set_parameter, undecided_detector, watched_config};
+use common::{Flight, LOITER, OFFBOARD, TestVehicle, config, monitored_config, set_parameter, undecided_detector};
 use vigil_firmware::config::GoalConfig;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::common::{MavParamType, OBSTACLE_DISTANCE_DATA};
@@ -31,8 +31,8 @@ impl Flight {
         let (frame, mut received) = (self.vehicle.frame(self.now_ns), self.vehicle.telemetry());
         received.push(0, &encode((255, 190), 0, &message));
         self.step_with(Some(&frame), &received);
-        let mut told = only!(self.vehicle.heard.iter().rev(), PARAM_VALUE);
-        let named = told.find(|value| value.param_id.to_str() == Ok(name));
+        let mut values = only!(self.vehicle.heard.iter().rev(), PARAM_VALUE);
+        let named = values.find(|value| value.param_id.to_str() == Ok(name));
         named.unwrap().param_value
     }
 
@@ -106,7 +106,7 @@ fn a_heading_that_turns_without_a_turn_leads_neither_the_eye_nor_the_course_astr
 }
 
 #[test]
-fn without_an_operator_nothing_moves_unless_it_was_told_to_engage_by_itself() {
+fn without_an_operator_nothing_moves_unless_it_was_ordered_to_engage_by_itself() {
     let config = FirmwareConfig {
         engage: EngagePolicy::Command,
         ..config()
@@ -253,8 +253,8 @@ fn goal_radius_and_action_set_in_flight_end_it_sooner_and_on_the_ground() {
     let mut flight = Flight::guided();
     assert_eq!(flight.set("GD_GOAL_RAD", 8.0, REAL), 8.0);
     let land = f32::from_bits(1);
-    let told = flight.set("GD_AT_GOAL", land, MavParamType::MAV_PARAM_TYPE_INT32);
-    assert_eq!(told.to_bits(), 1);
+    let set = flight.set("GD_AT_GOAL", land, MavParamType::MAV_PARAM_TYPE_INT32);
+    assert_eq!(set.to_bits(), 1);
     flight.until(GuidanceState::Hold, 60.0);
     assert!(flight.last.reasons.contains(Reason::GoalReached));
     let goal = vigil_types::NedVector::new(20.0, 5.0, -2.5);
@@ -280,7 +280,7 @@ fn a_goal_beyond_the_limit_is_refused_before_anything_flies_with_both_distances(
 }
 
 #[test]
-fn what_the_pilot_sees_is_told_four_times_a_second_and_only_while_it_looks() {
+fn what_the_pilot_sees_is_reported_four_times_a_second_and_only_while_it_looks() {
     // A wall that stays 6 m ahead of a vehicle that flies is what a frozen sensor shows.
     let mut flight = Flight::guided_by(&FirmwareConfig {
         plausibility: false,
@@ -296,8 +296,8 @@ fn what_the_pilot_sees_is_told_four_times_a_second_and_only_while_it_looks() {
         let telemetry = flight.vehicle.telemetry();
         flight.step_with(Some(&frame), &telemetry);
     }
-    let told = count(&flight) - before;
-    assert!((19..=21).contains(&told), "{told} in 5 s");
+    let sent = count(&flight) - before;
+    assert!((19..=21).contains(&sent), "{sent} in 5 s");
     let last = obstacles(&flight.vehicle).pop().unwrap();
     assert!(last.distances[36].abs_diff(600) < 60, "{:?}", last.distances);
 
@@ -308,7 +308,7 @@ fn what_the_pilot_sees_is_told_four_times_a_second_and_only_while_it_looks() {
     }
     assert!(
         count(&flight) - seen <= 2,
-        "a stale frame is not told as if it were new"
+        "a stale frame is not sent as if it were new"
     );
 }
 
@@ -318,13 +318,13 @@ fn obstacles(vehicle: &TestVehicle) -> Vec<&OBSTACLE_DISTANCE_DATA> {
 
 /// The values of a name that the vehicle heard, newest last.
 fn values(vehicle: &TestVehicle, name: &str) -> Vec<f32> {
-    let told = only!(&vehicle.heard, NAMED_VALUE_FLOAT).filter(|value| value.name.to_str() == Ok(name));
-    told.map(|value| value.value).collect()
+    let values = only!(&vehicle.heard, NAMED_VALUE_FLOAT).filter(|value| value.name.to_str() == Ok(name));
+    values.map(|value| value.value).collect()
 }
 
 /// The texts that begin so, with their severity.
 fn texts(vehicle: &TestVehicle, begin: &str) -> Vec<(u8, String)> {
-    let told =
-        only!(&vehicle.heard, STATUSTEXT).map(|told| (told.severity as u8, told.text.to_str().unwrap().to_owned()));
-    told.filter(|(_, text)| text.starts_with(begin)).collect()
+    let texts =
+        only!(&vehicle.heard, STATUSTEXT).map(|sent| (sent.severity as u8, sent.text.to_str().unwrap().to_owned()));
+    texts.filter(|(_, text)| text.starts_with(begin)).collect()
 }

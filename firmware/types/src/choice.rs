@@ -96,7 +96,7 @@ choices! {
     Duty {
         #[default]
         Fly = "fly": "guidance flies to goals when it is engaged",
-        JustStop = "just-stop": "somebody else flies; the vehicle is told to hold before it hits something (docs/just-stop.md)",
+        JustStop = "just-stop": "somebody else flies; the vehicle is ordered to hold before it hits something (docs/just-stop.md)",
         FlyAround = "fly-around": "the same, and a mission that was stopped is flown around what is there and handed back",
     }
 
@@ -116,13 +116,13 @@ choices! {
 
     /// What a raised alarm brings about.
     AlarmPolicy {
-        Ignore = "ignore": "it is told; the flight is not touched",
+        Ignore = "ignore": "it is reported; the flight is not touched",
         Stop = "stop": "the vehicle stops, and stays until the alarm has ended",
         #[default]
         Recover = "recover": "the vehicle stops, then the recovery pilot flies on until the alarm has ended",
     }
 
-    /// When OBSTACLE_DISTANCE is sent. Frames from the ground see the ground: told as obstacles they keep an autopilot that
+    /// When OBSTACLE_DISTANCE is sent. Frames from the ground see the ground: sent as obstacles they keep an autopilot that
     /// listens from arming.
     ObstacleReports {
         Off = "off": "never",

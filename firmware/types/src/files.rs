@@ -331,16 +331,16 @@ mod tests {
     #[test]
     fn what_is_too_large_endless_or_no_file_is_refused_at_once_and_named_for_what_it_is() {
         let folder = tempfile::tempdir().unwrap();
-        let told = |path: &Path| read(path, 1 << 20).unwrap_err().to_string();
+        let refusal = |path: &Path| read(path, 1 << 20).unwrap_err().to_string();
         let huge = folder.path().join("huge");
         File::create(&huge).unwrap().set_len(10 << 30).unwrap();
-        assert_eq!(told(&huge), "it holds 10 GiB, the limit is 1 MiB");
-        assert_eq!(told(Path::new("/dev/zero")), "it is a device, not a regular file");
-        assert_eq!(told(folder.path()), "it is a folder, not a regular file");
+        assert_eq!(refusal(&huge), "it holds 10 GiB, the limit is 1 MiB");
+        assert_eq!(refusal(Path::new("/dev/zero")), "it is a device, not a regular file");
+        assert_eq!(refusal(folder.path()), "it is a folder, not a regular file");
         let fifo = folder.path().join("fifo");
         let mode = rustix::fs::Mode::from_raw_mode(0o600);
         rustix::fs::mknodat(rustix::fs::CWD, &fifo, rustix::fs::FileType::Fifo, mode, 0).unwrap();
-        assert_eq!(told(&fifo), "it is a FIFO, not a regular file");
+        assert_eq!(refusal(&fifo), "it is a FIFO, not a regular file");
         let text = folder.path().join("text");
         std::fs::write(&text, b"one\ntwo \xFF\n").unwrap();
         let error = read_text(&text, 100).unwrap_err().to_string();

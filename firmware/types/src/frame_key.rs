@@ -1,5 +1,5 @@
 //! Authentication of depth frames: a keyed tag over header and pixels, so that a frame that somebody without the key made or
-//! altered is told from one of the sensor's driver.
+//! altered is known from one of the sensor's driver.
 
 use crate::DepthFrame;
 
@@ -11,7 +11,7 @@ const CONTEXT: &str = "Vigil depth frame authentication, version 1";
 
 /// The key with which one sensor's frames are authenticated in one session.
 ///
-/// Derived from a secret that sensor and firmware share, the sensor's number, and what tells this session from others: the
+/// Derived from a secret that sensor and firmware share, the sensor's number, and what distinguishes this session from others: the
 /// machine's boot (shared memory and the monotonic clock of the stamps begin anew with it). So a tag of one sensor does not fit
 /// another's frame, and a frame kept from before the last boot does not fit now. Within a session a frame is taken once, because
 /// stamps must rise, and only while it is fresh.

@@ -18,7 +18,7 @@ named! {
         Guided = 3 => "guided",
         /// Zero setpoints are sent while a named condition lasts, or at the goal.
         Hold = 4 => "hold",
-        /// The vehicle was told to land.
+        /// The vehicle was ordered to land.
         Land = 5 => "land",
     }
 }
@@ -67,7 +67,7 @@ named! {
         VehicleFailsafe = 14 => "vehicle failsafe",
         /// The flight took longer than its limit.
         TimeLimit = 15 => "time limit",
-        /// The detector judged the actor's explanations to be those of an attack; the vehicle is being stopped.
+        /// The detector took the actor's explanations for those of an attack; the vehicle is being stopped.
         Attack = 16 => "attack",
         /// The detector had no verdict on the flying actor for too long; the vehicle is being stopped.
         NoVerdict = 17 => "no verdict",

@@ -2,7 +2,7 @@
 
 use crate::named;
 
-/// Values at the actor's split point whose contributions are judged.
+/// Values at the actor's split point whose contributions are scored.
 pub const EXPLAINED_STATE: usize = 48;
 
 named! {
@@ -35,7 +35,7 @@ pub struct Judgement {
     pub bearing: f32,
     /// Contribution of the goal's distance. NaN without an explanation.
     pub distance: f32,
-    /// Contribution of the vehicle's own motion and of the last action (movers too, in logs of actors that were told of them). 0 for a
+    /// Contribution of the vehicle's own motion and of the last action (movers too, in logs of actors that observed them). 0 for a
     /// policy that is given the goal alone, NaN without an explanation.
     pub told: f32,
     /// Mean yaw output of the background sample.
@@ -99,7 +99,7 @@ named! {
     #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
     #[repr(u8)]
     pub enum AlarmResponse {
-        /// Nothing: the policy only tells.
+        /// Nothing: the policy only reports.
         Ignored = 0 => "ignored",
         /// Zero setpoints.
         Stop = 1 => "stopping",

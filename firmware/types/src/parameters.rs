@@ -328,7 +328,7 @@ const HEIGHT_M: (f64, f64) = (0.1, 1000.0);
 const LENGTH_M: (f64, f64) = (0.1, 100_000.0);
 const AGE_S: (f64, f64) = (0.05, 10.0);
 const LONG_TIME_S: (f64, f64) = (1.0, 86_400.0);
-/// What a vehicle is told to fly at the most.
+/// What a vehicle is asked to fly at the most.
 const SPEED_M_S: (f64, f64) = (0.1, FASTEST_M_S as f64);
 /// The geometric pilot's: its actions have the paper's limit.
 const CRUISE_M_S: (f64, f64) = (0.1, ACTION_LIMIT as f64);
@@ -374,7 +374,7 @@ table! {
     PLAUSIBILITY = switch(
         "plausibility",
         true,
-        "judge frames before the pilots see them, so that a sensor that is dead, frozen or wrong holds the flight (docs/sensor-faults.md)"
+        "check frames before the pilots see them, so that a sensor that is dead, frozen or wrong holds the flight (docs/sensor-faults.md)"
     );
     SECOND_SENSOR = switch(
         "second_sensor",
@@ -542,7 +542,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_refused_is_told_by_name_with_what_is_allowed() {
+    fn what_is_refused_is_reported_by_name_with_what_is_allowed() {
         extern crate std;
         use std::string::ToString;
         let refused = GOAL_RADIUS.check(1000.0).unwrap_err().to_string();

@@ -13,7 +13,7 @@ pub struct SectorRanges {
     pub at_ns: Nanos,
     /// Bearing of the first sector's middle, radians, clockwise from the nose.
     pub first_rad: f32,
-    /// From one sector's middle to the next, radians; negative where they are told counter-clockwise.
+    /// From one sector's middle to the next, radians; negative where they are given counter-clockwise.
     pub step_rad: f32,
     /// Horizontal distance in metres, infinite where nothing is within the sensor's reach; NaN where nothing is known.
     pub range_m: [f32; RANGE_SECTORS],

@@ -144,7 +144,7 @@ pub struct StepReport {
     pub state: GuidanceState,
     /// Conditions present in this step.
     pub reasons: Reasons,
-    /// What the vehicle last told.
+    /// What the vehicle last reported.
     pub telemetry: VehicleTelemetry,
     /// Goal in force.
     pub goal: Option<Goal>,
@@ -167,7 +167,7 @@ pub struct StepReport {
 }
 
 impl StepReport {
-    /// Whether the vehicle flies by the setpoints that it is sent, as far as its newest heartbeat tells.
+    /// Whether the vehicle flies by the setpoints that it is sent, as far as its newest heartbeat shows.
     pub fn has_vehicle(&self) -> bool {
         let obeys = |h: crate::Heartbeat| h.armed && h.mode == crate::VehicleMode::External;
         self.setpoint.is_some() && self.telemetry.heartbeat.is_some_and(obeys)

@@ -68,7 +68,7 @@ pub enum VehicleRequest {
     Hold {
         /// Why, of a flight that is somebody else's and is guarded; `None` where guidance lets go of the vehicle.
         cause: Option<StopCause>,
-        /// Where it can come to rest, metres north and east in the local frame, for an autopilot that is told a place; `None` leaves that
+        /// Where it can come to rest, metres north and east in the local frame, for an autopilot that takes a place; `None` leaves that
         /// to it.
         place_m: Option<(f32, f32)>,
     },
@@ -90,10 +90,10 @@ pub enum StopCause {
     Unseen,
 }
 
-/// What people are told of a guarded flight, once each time it begins.
+/// What people read of a guarded flight, once each time it begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GuardNotice {
-    /// The vehicle flies and never told where it is: it is not guarded.
+    /// The vehicle flies and never reported where it is: it is not guarded.
     Unguarded,
     /// It is so fast that it cannot be stopped before what is seen.
     TooFast,
@@ -114,9 +114,9 @@ pub struct VehicleStatus {
     pub handover: HandoverProgress,
     /// How often the autopilot was seen to start anew.
     pub restarts: u32,
-    /// How long ago the autopilot started, by its own clock; `None` when it has not told.
+    /// How long ago the autopilot started, by its own clock; `None` when it has not reported it.
     pub up_ns: Option<Nanos>,
-    /// Home in the local frame; `None` when the vehicle has not told, and then the local origin stands for it.
+    /// Home in the local frame; `None` when the vehicle has not reported it, and then the local origin stands for it.
     pub home_ned_m: Option<NedVector>,
     /// Mean time between the last positions or attitudes, whichever is longer; `None` before there were enough.
     pub telemetry_interval_ns: Option<Nanos>,
@@ -135,6 +135,6 @@ pub enum HandoverProgress {
     },
     /// Armed, in the air and in its external mode, by its own telemetry.
     Done,
-    /// Refused, or not answered; the link has told why.
+    /// Refused, or not answered; the link has said why.
     Failed,
 }

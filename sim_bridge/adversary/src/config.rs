@@ -1,4 +1,4 @@
-//! What an attack is told, and what it came to.
+//! What an attack is given, and what it came to.
 
 use serde::{Deserialize, Serialize};
 use vigil_detector::ShapError;
@@ -89,7 +89,7 @@ impl Towards {
     }
 }
 
-/// What an attack is told.
+/// What an attack is given.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AttackConfig {
     /// How.

@@ -4,7 +4,7 @@ use crate::config::AttackError;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
 use vigil_policy::ExplainedHead;
-use vigil_policy::actor::{ACTOR_HIDDEN, LOW_DIM, PositionalInputs};
+use vigil_policy::actor::{ACTOR_HIDDEN, LOW_DIM, LowDim};
 
 /// The actor's output that the detector explains.
 const YAW: usize = 1;
@@ -35,7 +35,7 @@ pub(crate) struct DetectorEvasion {
     rows: [[f32; ROW]; WINDOW],
     filled: usize,
     /// What the actor observes beside frames in the step under way.
-    low_dim: PositionalInputs,
+    low_dim: LowDim,
 }
 
 impl DetectorEvasion {
@@ -62,7 +62,7 @@ impl DetectorEvasion {
     }
 
     /// Makes room for the explanation of a step with this low-dimensional observation.
-    pub fn begin_step(&mut self, low_dim: PositionalInputs) {
+    pub fn begin_step(&mut self, low_dim: LowDim) {
         self.low_dim = low_dim;
         self.rows.rotate_left(1);
         self.filled = (self.filled + 1).min(WINDOW);
@@ -74,7 +74,7 @@ impl DetectorEvasion {
     }
 
     /// Takes the state that the actor will have in the step under way; returns how far the score's logit is above what the
-    /// attacker allows itself, 0 or less while the score is low enough (a window that is not full is not judged).
+    /// attacker allows itself, 0 or less while the score is low enough (a window that is not full is not scored).
     pub fn look(&mut self, state: &[f32]) -> Result<f32, AttackError> {
         let phi = self.explain(state)?;
         if let Some(newest) = self.rows.last_mut() {

@@ -4,7 +4,7 @@ use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::policy_attack::PolicyAttack;
 use crate::stream_attack::StreamAttack;
 use vigil_nnet::Isa;
-use vigil_policy::actor::{ACTOR_OUTPUTS, PositionalInputs};
+use vigil_policy::actor::{ACTOR_OUTPUTS, LowDim};
 use vigil_policy::{FrozenPilot, PilotInput};
 use vigil_types::DepthFrame;
 
@@ -63,7 +63,7 @@ impl FrameAttack {
             Self::Policy(attack) => {
                 delivered.clone_from(taken.depth);
                 attack.perturber.see_from(taken.depth.header.attitude, taken.height_m);
-                attack.attack_while(&mut delivered.depth, &PositionalInputs::of_goal(taken.goal), go_on)
+                attack.attack_while(&mut delivered.depth, &LowDim::of_goal(taken.goal), go_on)
             }
         }
     }

@@ -23,7 +23,7 @@ pub(crate) struct GuardEvasion {
     guard: AlarmConfig,
     behind_m: f32,
     catching_up: bool,
-    /// What the planner wanted in the last step, and whether the actor's action led into something.
+    /// What the planner wanted in the last step, and whether the actor's action ran into something.
     last: Option<(Action, bool)>,
 }
 

@@ -6,7 +6,7 @@ use crate::state_attack::check;
 use crate::surrogate::{Ends, Surrogate};
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::FrozenPolicy;
-use vigil_policy::actor::{ACTOR_LIMIT, ACTOR_OUTPUTS, GOAL_INPUTS, PositionalInputs};
+use vigil_policy::actor::{ACTOR_LIMIT, ACTOR_OUTPUTS, GOAL_INPUTS, LowDim};
 use vigil_policy::imported::{Channels, PolicyInputs};
 use vigil_types::DEPTH_PIXELS;
 
@@ -48,11 +48,11 @@ impl Evaluated {
     }
 
     /// Outputs for the policy's own frame.
-    fn outputs(&mut self, frame: &[f32], position: &PositionalInputs) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
-        let position: &[f32] = position;
+    fn outputs(&mut self, frame: &[f32], low_dim: &LowDim) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
+        let low_dim: &[f32] = low_dim;
         let given = match self.inputs.frame_input {
-            0 => [frame, position],
-            _ => [position, frame],
+            0 => [frame, low_dim],
+            _ => [low_dim, frame],
         };
         let given = &given[..self.graph.input_count().min(2)];
         self.graph.forward(self.isa, &self.params, given, &mut self.tape)?;
@@ -78,7 +78,7 @@ struct SurrogatePolicy {
     frame: Vec<f32>,
     newest: Vec<f32>,
     /// What is given beside the frame.
-    position: PositionalInputs,
+    low_dim: LowDim,
 }
 
 impl Surrogate for SurrogatePolicy {
@@ -87,7 +87,7 @@ impl Surrogate for SurrogatePolicy {
         self.frame.copy_from_slice(&self.before);
         let inputs = self.network.inputs;
         inputs.see(&self.places, newest, !self.started, &mut self.frame);
-        self.network.outputs(&self.frame, &self.position)
+        self.network.outputs(&self.frame, &self.low_dim)
     }
 
     fn state(&self) -> Result<&[f32], ShapeError> {
@@ -147,7 +147,7 @@ impl PolicyAttack {
                 started: false,
                 frame: vec![0.0; len],
                 newest: vec![0.0; DEPTH_PIXELS],
-                position: [0.0; GOAL_INPUTS].into(),
+                low_dim: [0.0; GOAL_INPUTS].into(),
             },
             delivered: vec![0.0; len],
             clean: vec![0.0; len],
@@ -174,12 +174,12 @@ impl PolicyAttack {
     pub fn attack_while(
         &mut self,
         frame: &mut [f32],
-        position: &PositionalInputs,
+        low_dim: &LowDim,
         mut go_on: impl FnMut() -> bool,
     ) -> Result<AttackOutcome, AttackError> {
         check(frame)?;
         self.surrogate.before.copy_from_slice(&self.delivered);
-        self.surrogate.position = *position;
+        self.surrogate.low_dim = *low_dim;
         let before = self.surrogate.look(frame)?;
         self.decided_on.copy_from_slice(&self.clean);
         let inputs = self.policy.inputs;
@@ -189,7 +189,7 @@ impl PolicyAttack {
             !self.surrogate.started,
             &mut self.decided_on,
         );
-        let clean = limited(self.policy.outputs(&self.decided_on, position)?);
+        let clean = limited(self.policy.outputs(&self.decided_on, low_dim)?);
         let towards = self.perturber.config().towards;
         let direction = *self.direction.get_or_insert_with(|| towards.sign(clean[1]));
         self.perturber
@@ -199,7 +199,7 @@ impl PolicyAttack {
         let clean_frame = core::mem::take(&mut self.decided_on);
         self.remember(frame, Some(&clean_frame));
         self.decided_on = clean_frame;
-        let attacked = limited(self.policy.outputs(&self.delivered, position)?);
+        let attacked = limited(self.policy.outputs(&self.delivered, low_dim)?);
         Ok(AttackOutcome { clean, attacked })
     }
 

@@ -1,7 +1,7 @@
 //! The actor as the adversary sees it: differentiable down to the pixels, its outputs before saturation.
 
 use vigil_nnet::{Activation, Aligned, Graph, GraphBuilder, Isa, NodeId, Purpose, ShapeError};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, Actor, ActorSpec, CONTEXT, LOW_DIM, PositionalInputs};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, Actor, ActorSpec, CONTEXT, LOW_DIM, LowDim};
 
 /// A weight for each output before saturation, and for each of the 48 values at the split point.
 pub(crate) type Ends = [f32; ACTOR_OUTPUTS + ACTOR_HIDDEN];
@@ -24,7 +24,7 @@ pub struct Beside {
     /// What it remembers ([`Actor::context`]).
     pub context: [f32; CONTEXT],
     /// The low-dimensional observation ([`Actor::low_dim`]).
-    pub low_dim: PositionalInputs,
+    pub low_dim: LowDim,
 }
 
 impl Beside {

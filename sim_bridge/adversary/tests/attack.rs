@@ -10,7 +10,7 @@ use vigil_adversary::{
 use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, WINDOW, normalise};
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
 use vigil_policy::actor::memory::SCAN_AGES;
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, Actor, ActorSpec, CONTEXT, LOW_DIM, PositionalInputs};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, Actor, ActorSpec, CONTEXT, LOW_DIM, LowDim};
 use vigil_policy::{ExplainedHead, FrozenActor, PilotInput};
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, GoalRelative, HeadingVector, NedVector, STEP_NS,
@@ -50,7 +50,7 @@ fn beside(seed: u64) -> Beside {
     let context = uniform(&mut rng, CONTEXT, 0.5);
     Beside {
         context: std::array::from_fn(|i| context[i] + 0.5),
-        low_dim: PositionalInputs::from_values(&uniform(&mut rng, LOW_DIM, 0.9)).unwrap(),
+        low_dim: LowDim::from_values(&uniform(&mut rng, LOW_DIM, 0.9)).unwrap(),
     }
 }
 
@@ -554,8 +554,8 @@ fn score_after(attack: &mut StreamAttack, attacked: bool, detector: &FrozenDetec
         shap.attribute(1, &mut phi).unwrap();
         rows.push(normalise(phi.first_chunk().unwrap(), &detector.centre, &detector.scale));
     }
-    let mut judge = LstmAd::new(isa, &detector.params).unwrap();
-    (judge.score(rows.last_chunk::<WINDOW>().unwrap()).unwrap(), bent)
+    let mut scorer = LstmAd::new(isa, &detector.params).unwrap();
+    (scorer.score(rows.last_chunk::<WINDOW>().unwrap()).unwrap(), bent)
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use vigil_adversary::{AttackConfig, AttackOutcome, FrameAttack, Method, Towards};
 use vigil_nnet::{Activation, Dense, Isa};
-use vigil_policy::actor::{ACTOR_LIMIT, PositionalInputs};
+use vigil_policy::actor::{ACTOR_LIMIT, LowDim};
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Layer, Network, PolicyInputs};
 use vigil_policy::{FrozenPilot, ImportedPilot, PilotInput};
 use vigil_types::{Attitude, DEPTH_COLS, DEPTH_PIXELS, DepthFrame, GoalRelative, HeadingVector};
@@ -67,8 +67,8 @@ const GOAL: GoalRelative = GoalRelative {
     bearing_rad: 0.1,
 };
 
-fn position() -> PositionalInputs {
-    PositionalInputs::of_goal(GOAL)
+fn low_dim() -> LowDim {
+    LowDim::of_goal(GOAL)
 }
 
 /// A frame's pixels as they were handed over.
@@ -108,7 +108,7 @@ fn pilot(frozen: &FrozenPilot) -> ImportedPilot {
 }
 
 fn yaw(pilot: &mut ImportedPilot, frame: &[f32]) -> f32 {
-    pilot.decide_on(frame, position()).yaw
+    pilot.decide_on(frame, low_dim()).yaw
 }
 
 #[test]
@@ -168,7 +168,7 @@ fn what_the_attack_says_of_a_decision_is_what_the_pilot_decides_on_what_was_deli
 }
 
 #[test]
-fn a_policy_at_its_limit_is_led_away_from_it_though_its_own_slope_is_zero() {
+fn a_policy_at_its_limit_is_moved_away_from_it_though_its_own_slope_is_zero() {
     let steep = PolicyInputs {
         output_scale: 1000.0,
         ..INPUTS

@@ -123,8 +123,8 @@ pub(crate) fn padded<const N: usize>(bytes: &[u8]) -> [u8; N] {
 
 /// Texts that wait for the flight log, at most.
 const MOST_UNLOGGED: usize = 64;
-/// Refusals that are told in a second, at most.
-const REFUSALS_TOLD_PER_S: u32 = 4;
+/// Refusals that are said in a second, at most.
+const REFUSALS_SAID_PER_S: u32 = 4;
 
 /// What a sensor of zones beside the depth camera measured: horizontal distances, left to right over its field of view.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -160,7 +160,7 @@ pub(crate) struct Core {
     pub setpoints: Setpoints,
     pub sticks: Sticks,
     pub lost_sensors: LostSensors,
-    /// What the simulator told of the truth: for the one message that clients know as such.
+    /// What the simulator said of the truth: for the one message that clients know as such.
     pub truth: Option<Truth>,
     /// What the second sensor measured last, if there is one.
     pub ranges: Option<ZoneRanges>,
@@ -179,7 +179,7 @@ pub(crate) struct Core {
     pub forwarded: u64,
     pub texts: u64,
     pub last_text: String,
-    pub refusals_told: Allowance,
+    pub refusals_said: Allowance,
     /// Texts since the last record of the flight log.
     pub unlogged: Vec<(MavSeverity, String)>,
     /// Messages to send at the end of this call, besides their streams: on one link or on all.
@@ -230,7 +230,7 @@ impl Core {
             forwarded: 0,
             texts: 0,
             last_text: String::new(),
-            refusals_told: Allowance::default(),
+            refusals_said: Allowance::default(),
             unlogged: Vec::new(),
             wanted: Vec::with_capacity(8),
         })
@@ -288,8 +288,8 @@ impl Core {
 
     /// A text of a refusal, few a second: a flood on one link must not become one on all.
     pub fn warn_refused(&mut self, text: &str) {
-        let told = &mut self.refusals_told;
-        if told.takes(self.now_ns, 1_000_000_000, REFUSALS_TOLD_PER_S) {
+        let said = &mut self.refusals_said;
+        if said.takes(self.now_ns, 1_000_000_000, REFUSALS_SAID_PER_S) {
             self.warn(text);
         }
     }

@@ -193,7 +193,7 @@ impl Endpoint {
         self.core.truth = Some(*truth);
     }
 
-    /// Tells what the second sensor measured.
+    /// Sends what the second sensor measured.
     pub fn observe_ranges(&mut self, ranges: ZoneRanges) {
         self.core.ranges = Some(ranges);
     }
@@ -221,7 +221,7 @@ impl Endpoint {
         self.core.signing_setup.take()
     }
 
-    /// The vehicle hit something: tells so, disarms, and refuses to arm and to take off until a reboot.
+    /// The vehicle hit something: says so, disarms, and refuses to arm and to take off until a reboot.
     pub fn break_down(&mut self) {
         self.core.break_down();
     }
@@ -239,7 +239,7 @@ impl Endpoint {
         std::mem::take(&mut self.core.rebooted)
     }
 
-    /// Tells everybody something that the owner of the links knows.
+    /// Sends everybody something that the owner of the links knows.
     pub fn warn(&mut self, text: &str) {
         self.core.warn(text);
     }

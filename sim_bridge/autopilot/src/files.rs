@@ -1,7 +1,7 @@
 //! The vehicle's files: a small tree in memory.
 //!
 //! Never the machine's disk. Any client of the link may read, write and remove what is here, unauthenticated as MAVLink
-//! mostly is; in memory, a path can lead nowhere else, a client can fill no disk, and every run begins with the same
+//! mostly is; in memory, a path can end nowhere else, a client can fill no disk, and every run begins with the same
 //! files. What clients store lasts as long as the endpoint.
 
 use std::collections::BTreeMap;

@@ -23,7 +23,7 @@ impl Refusal {
     pub const UNSUPPORTED: Self = Self(MavResult::MAV_RESULT_UNSUPPORTED, None);
     pub const FAILED: Self = Self(MavResult::MAV_RESULT_FAILED, None);
 
-    /// The same, told as a text.
+    /// The same, said as a text.
     pub fn saying(self, text: impl ToString) -> Self {
         Self(self.0, Some(text.to_string()))
     }

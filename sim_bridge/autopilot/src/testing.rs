@@ -400,7 +400,7 @@ impl Bench {
     }
 
     /// Fails unless a status text with these words was sent.
-    pub fn assert_told(&self, words: &str) {
+    pub fn assert_said(&self, words: &str) {
         let texts = self.texts();
         assert!(texts.iter().any(|text| text.contains(words)), "{words}: {texts:?}");
     }

@@ -36,9 +36,9 @@ impl ParameterValue {
 pub enum ParameterRole {
     /// The vehicle flies by it.
     Acts,
-    /// Taken and told again, because clients set it; nothing depends on it.
+    /// Taken and sent again, because clients set it; nothing depends on it.
     Kept,
-    /// Tells what the vehicle is, and cannot be set.
+    /// Says what the vehicle is, and cannot be set.
     Fixed,
 }
 
@@ -84,7 +84,7 @@ pub enum ParameterError {
     #[error("there is no parameter {0}")]
     Unknown(String),
     /// The parameter of this name cannot be set.
-    #[error("{0} cannot be set: it tells what the vehicle is")]
+    #[error("{0} cannot be set: it says what the vehicle is")]
     Fixed(&'static str),
     /// The value's type is not that of the parameter of this name.
     #[error("{0} is of another type")]
@@ -116,7 +116,7 @@ macro_rules! parameters {
         ),*];
 
         /// A row of several names stands for one parameter each.
-        const TOLD: &[ParameterInfo] = &[$(
+        const SHOWN: &[ParameterInfo] = &[$(
             ParameterInfo { name: $kept, default: ParameterValue::$kept_kind($kept_default), min: $kept_min, max: $kept_max, unit: $kept_unit, description: $why, role: ParameterRole::Kept }
         ,)* $(
             ParameterInfo { name: $fixed, default: ParameterValue::$fixed_kind($value), min: $value as f32, max: $value as f32, unit: "", description: $description, role: ParameterRole::Fixed }
@@ -264,9 +264,9 @@ acting {
     "BAT1_V_CHARGED", Real32(4.2), "Voltage of a full cell";
     "BAT1_V_DIV", Real32(1.0), "Readings are volts";
     "BAT1_V_EMPTY", Real32(3.3), "Voltage of an empty cell";
-    "BAT_CRIT_THR", Real32(0.05), "Charge that is told as critical";
+    "BAT_CRIT_THR", Real32(0.05), "Charge that is reported as critical";
     "BAT_EMERGEN_THR", Real32(0.05), "The same as BAT_CRIT_THR";
-    "BAT_LOW_THR", Real32(0.15), "Charge that is told as low";
+    "BAT_LOW_THR", Real32(0.15), "Charge that is reported as low";
     "CAL_ACC0_ID CAL_GYRO0_ID", Int32(1310988), "The simulated sensor, calibrated";
     "CAL_ACC0_PRIO CAL_GYRO0_PRIO CAL_MAG0_PRIO", Int32(50), "Priority: medium";
     "CAL_ACC1_ID CAL_GYRO1_ID CAL_MAG1_ID", Int32(0), "No second sensor";
@@ -277,7 +277,7 @@ acting {
     "CA_AIRFRAME", Int32(0), "Control allocation: multirotor";
     "CA_ROTOR_COUNT", Int32(4), "Motors";
     "CBRK_FLIGHTTERM", Int32(0), "Flight termination works";
-    "COM_LOW_BAT_ACT", Int32(0), "A low battery is told and nothing else: campaigns end before it matters";
+    "COM_LOW_BAT_ACT", Int32(0), "A low battery is reported and nothing else: campaigns end before it matters";
     "COM_RC_OVERRIDE", Int32(0),
         "Moved sticks take over by a mode command alone: what brakes before a wall must not end by a stick held forward";
     "CP_DIST", Real32(-1.0), "No collision prevention of its own: that is the guidance computer's";
@@ -320,10 +320,10 @@ acting {
 
 /// All parameters in alphabetical order of their names: the index on the wire.
 static TABLE: LazyLock<Vec<ParameterInfo>> = LazyLock::new(|| {
-    let told = TOLD
+    let shown = SHOWN
         .iter()
         .flat_map(|row| row.name.split(' ').map(|name| ParameterInfo { name, ..*row }));
-    let mut table: Vec<_> = ACTING.iter().copied().chain(told).collect();
+    let mut table: Vec<_> = ACTING.iter().copied().chain(shown).collect();
     table.sort_by_key(|info| info.name);
     table
 });

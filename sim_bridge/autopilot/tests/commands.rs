@@ -123,7 +123,7 @@ fn a_disarmed_vehicle_rests_where_it_stands_even_in_wind() {
 }
 
 #[test]
-fn an_armed_vehicle_stays_on_the_ground_until_it_is_told_to_climb() {
+fn an_armed_vehicle_stays_on_the_ground_until_it_is_ordered_to_climb() {
     let mut v = vehicle(Wind::CALM, 2);
     let stand = v.truth().position_ned_m;
     let sideways = velocity(1.0, 0.0, 0.0);
@@ -464,7 +464,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn whatever_it_is_told_the_state_stays_finite_and_above_the_ground(
+    fn whatever_it_is_sent_the_state_stays_finite_and_above_the_ground(
         commands in prop::collection::vec((any_command(), 1u64..800), 1..12),
         seed in any::<u64>(),
     ) {

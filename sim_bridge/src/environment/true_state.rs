@@ -10,7 +10,7 @@ use vigil_types::{GoalRelative, NedVector};
 pub const RAYS: usize = 48;
 /// Directions in which the length of the way is compared, the first ahead, then clockwise.
 const DIRECTIONS: usize = 8;
-/// Nearest movers that are told.
+/// Nearest movers that are observed.
 const MOVERS: usize = 2;
 const MOVER_VALUES: usize = 6;
 const OWN: usize = RAYS;
@@ -323,7 +323,7 @@ wall = [{ from_m = [-2.0, 3.0], to_m = [22.0, 3.0], thickness_m = 0.2, height_m 
     }
 
     #[test]
-    fn a_mover_is_told_with_its_velocity_and_when_it_turns() {
+    fn a_mover_is_reported_with_its_velocity_and_when_it_turns() {
         let course = TrueCourse::new(&course(
             "[[mover]]\nfrom_m = [3.0, -2.0]\nto_m = [3.0, 2.0]\nspeed_m_s = 0.5\nphase = 0.25\nheight_m = 2.0\nshape = { column = { radius_m = 0.3 } }\n",
         ));

@@ -42,7 +42,7 @@ named! {
         Tracking => "pose is tracked",
         /// Position or attitude is older than 0.3 s: no frames until both are fresh again.
         Stopped => "the vehicle's pose stopped",
-        /// The reported position jumped in flight. It cannot be told where the vehicle was in between, so there are no further
+        /// The reported position jumped in flight. Nobody knows where the vehicle was in between, so there are no further
         /// frames and no verdict: the flight is to be flown anew.
         Jumped => "the vehicle's position jumped in flight",
         /// A position, velocity or attitude is not finite, or a quaternion is not of unit length: no frames until one is good.
@@ -99,7 +99,7 @@ pub struct ForeignConfig {
     pub frame_key: Option<FrameKey>,
     /// The vehicle's MAVLink system; the first autopilot that is heard, if none.
     pub system: Option<u8>,
-    /// Render and judge HIL_STATE_QUATERNION, the truth of a simulated vehicle, instead of what the vehicle believes.
+    /// Render and referee HIL_STATE_QUATERNION, the truth of a simulated vehicle, instead of what the vehicle believes.
     pub truth: bool,
 }
 
@@ -116,7 +116,7 @@ pub struct ForeignFlight {
     other_system: Option<u8>,
     wants_truth: bool,
     truth: Option<(Kinematics, Attitude)>,
-    /// The last position that was good, by which a jump is told.
+    /// The last position that was good, by which a jump is found.
     last: Option<Kinematics>,
     restarts: u32,
     jumped: bool,
@@ -179,7 +179,7 @@ impl ForeignFlight {
         self.vehicle.receive(now_ns, packet);
         if self.vehicle.restarts != self.restarts {
             self.restarts = self.vehicle.restarts;
-            // It begins anew: where it was is nothing to go by. In flight it cannot be told where it is.
+            // It begins anew: where it was is nothing to go by. In flight nobody knows where it is.
             (self.last, self.truth) = (None, None);
             self.jumped |= self.lifted_off_ns.is_some() && self.ending.is_none();
         }
@@ -220,7 +220,7 @@ impl ForeignFlight {
             // After a gap nothing more is allowed than after the longest that is no gap.
             let allowed_m = JUMP_M + JUMP_M_S * since_s(last.at_ns, new.at_ns);
             let astray_m = (new.position_ned_m - carried_on(&last, new.at_ns)).norm();
-            // On the ground an estimator may still find its place. After the end nothing is judged.
+            // On the ground an estimator may still find its place. After the end nothing counts.
             let flies = self.lifted_off_ns.is_some() && self.ending.is_none();
             self.jumped |= flies && astray_m > allowed_m;
         }
@@ -229,7 +229,7 @@ impl ForeignFlight {
         }
     }
 
-    /// What is rendered and judged: position and attitude in the local frame.
+    /// What is rendered and refereed: position and attitude in the local frame.
     fn rendered(&self) -> Option<(Kinematics, Attitude)> {
         match self.wants_truth {
             true => self.truth,
@@ -371,11 +371,11 @@ impl ForeignFlight {
     }
 
     /// Whether home and the local origin are known, and the latter's place on the globe.
-    pub fn places_are_told(&self) -> bool {
-        self.vehicle.home_ned_m().is_some() && self.vehicle.is_origin_told()
+    pub fn places_are_reported(&self) -> bool {
+        self.vehicle.home_ned_m().is_some() && self.vehicle.is_origin_known()
     }
 
-    /// The vehicle's mode by name, as far as Vigil tells modes apart.
+    /// The vehicle's mode by name, as far as Vigil distinguishes modes.
     pub fn mode_name(&self) -> &'static str {
         let heartbeat = self.vehicle.telemetry.heartbeat;
         heartbeat.map_or(VehicleMode::Unknown, |h| h.mode).name()

@@ -17,7 +17,7 @@ use vigil_types::{Nanos, NedVector, STEP_NS};
 
 /// Time between two looks at the links.
 const SLICE_NS: Nanos = 2_000_000;
-/// What keeps frames from being rendered is told again this often.
+/// What keeps frames from being rendered is said again this often.
 const TELL_NS: Nanos = 10_000_000_000;
 /// A state of the pose that lasted shorter than this is not worth a word.
 const BRIEF_NS: Nanos = 1_000_000_000;
@@ -30,7 +30,7 @@ Examples:
   vigil sensor render --course my.toml --pose tcpout://127.0.0.1:5763
                                                                 ... around ArduPilot's
   vigil sensor render --seed 7 --pose udpin://127.0.0.1:14540 --truth
-                                                                the true pose, where the simulator tells it
+                                                                the true pose, where the simulator sends it
 `vigil fly --vehicle px4|ardupilot --link URL` starts it together with the firmware (docs/foreign-vehicles.md).
 
 Exit code: 0 ended on request; with --end-after 0 goal reached, 10 collision, 11 out of bounds, 12 time-out, 13 no flight; 1 error.")]
@@ -44,7 +44,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "URL[,OPTION]", required = true)]
     pub pose: Vec<LinkSpec>,
 
-    /// Render and judge the true pose (HIL_STATE_QUATERNION) instead of what the vehicle believes; for simulators that tell it.
+    /// Render and referee the true pose (HIL_STATE_QUATERNION) instead of what the vehicle believes; for simulators that send it.
     #[arg(long)]
     pub truth: bool,
 
@@ -99,7 +99,7 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
         flight: ForeignFlight::new(&course, &config, epoch_ns)?,
         links,
         companion: CompanionView::default(),
-        told: Told::default(),
+        poses: PosesSaid::default(),
         seen: String::new(),
         wants_truth: args.truth,
         epoch_ns,
@@ -114,10 +114,10 @@ pub fn run(args: &RenderArgs) -> Result<ExitCode> {
             let at_ns = now_ns / STEP_NS * STEP_NS;
             due_ns = at_ns + STEP_NS;
             let step = (at_ns - epoch_ns) / STEP_NS;
-            let tells = args.status && step.is_multiple_of(STATUS_STEPS);
-            sensor.publish(at_ns, &mut publisher, tells)?;
-            sensor.told.tell(at_ns, &sensor.flight);
-            if tells && !print_status(&sensor.status(at_ns))? {
+            let is_due = args.status && step.is_multiple_of(STATUS_STEPS);
+            sensor.publish(at_ns, &mut publisher, is_due)?;
+            sensor.poses.say(at_ns, &sensor.flight);
+            if is_due && !print_status(&sensor.status(at_ns))? {
                 break;
             }
         }
@@ -176,7 +176,7 @@ struct Sensor {
     flight: ForeignFlight,
     links: Vec<PoseLink>,
     companion: CompanionView,
-    told: Told,
+    poses: PosesSaid,
     seen: String,
     wants_truth: bool,
     epoch_ns: Nanos,
@@ -196,7 +196,7 @@ impl Sensor {
                 flight.receive(now_ns, datagram);
             });
         }
-        let wants_places = !flight.places_are_told();
+        let wants_places = !flight.places_are_reported();
         for link in links {
             link.ask(now_ns, self.wants_truth, wants_places);
         }
@@ -244,17 +244,17 @@ impl Sensor {
     }
 }
 
-/// What was told of the pose.
+/// What was said of the pose.
 #[derive(Default)]
-struct Told {
+struct PosesSaid {
     state: Option<(PoseState, Nanos)>,
-    told: Option<(PoseState, Nanos)>,
+    said: Option<(PoseState, Nanos)>,
     ended: bool,
 }
 
-impl Told {
-    /// Tells a person, on change and again while there are no frames.
-    fn tell(&mut self, now_ns: Nanos, flight: &ForeignFlight) {
+impl PosesSaid {
+    /// Says it to a person, on change and again while there are no frames.
+    fn say(&mut self, now_ns: Nanos, flight: &ForeignFlight) {
         let state = flight.pose_state(now_ns);
         let since_ns = match self.state {
             Some((known, since_ns)) if known == state => since_ns,
@@ -262,13 +262,13 @@ impl Told {
         };
         self.state = Some((state, since_ns));
         let is_brief = now_ns - since_ns < BRIEF_NS && state != PoseState::Tracking;
-        let is_due = match self.told {
-            Some((told, _)) if told != state => true,
+        let is_due = match self.said {
+            Some((said, _)) if said != state => true,
             Some((_, at_ns)) => state != PoseState::Tracking && now_ns - at_ns >= TELL_NS,
             None => true,
         };
         if is_due && !is_brief {
-            self.told = Some((state, now_ns));
+            self.said = Some((state, now_ns));
             let whose = flight.system().map_or(String::new(), |id| format!(" (system {id})"));
             let other = match (state, flight.other_system()) {
                 (PoseState::TwoVehicles, Some(other)) => format!("; the other is system {other}"),

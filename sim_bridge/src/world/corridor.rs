@@ -372,11 +372,12 @@ mod tests {
         assert!(c.straight_line_is_blocked());
         let way = c.corridor().expect("wide enough");
         let solids = c.solids();
-        for leg in way.windows(2) {
+        for segment in way.windows(2) {
             for k in 0..=1000_u16 {
-                let [north_m, east_m] = [0, 1].map(|i| leg[0][i] + f32::from(k) / 1000.0 * (leg[1][i] - leg[0][i]));
+                let [north_m, east_m] =
+                    [0, 1].map(|i| segment[0][i] + f32::from(k) / 1000.0 * (segment[1][i] - segment[0][i]));
                 let mut clearances_m = solids.iter().map(|s| s.plan_distance_m(north_m, east_m));
-                assert!(clearances_m.all(|m| m >= 0.9 - 1e-3), "{leg:?}");
+                assert!(clearances_m.all(|m| m >= 0.9 - 1e-3), "{segment:?}");
             }
         }
     }

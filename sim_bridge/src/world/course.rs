@@ -164,7 +164,7 @@ named! {
     pub enum Family {
         /// What policies are trained on.
         Training => "training",
-        /// Other layouts and densities, for judging.
+        /// Other layouts and densities, for validation.
         Validation => "validation",
         /// Doors, pockets, gaps near 2 m and moving obstacles: where pilots fail.
         Hard => "hard",

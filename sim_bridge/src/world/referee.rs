@@ -95,8 +95,8 @@ impl Referee {
         }
     }
 
-    /// How far the vehicle's estimate is from the truth from now on. A goal is a place in that estimate, so arriving is judged by it;
-    /// collisions and bounds are judged by the truth.
+    /// How far the vehicle's estimate is from the truth from now on. A goal is a place in that estimate, so arriving is decided by it;
+    /// collisions and bounds are decided by the truth.
     pub fn set_estimate_error(&mut self, estimate_error_ned_m: NedVector) {
         self.estimate_error_ned_m = estimate_error_ned_m;
     }

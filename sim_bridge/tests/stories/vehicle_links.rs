@@ -263,8 +263,8 @@ fn random_valid_packets_change_no_key_and_only_a_signed_one_does() {
             say(&bytes);
             hear(&mut links, SECOND + i * 1_000_000);
         }
-        let told = links.refused_key().unwrap();
-        assert!(told.starts_with("signing key refused"), "{told}");
+        let refusal = links.refused_key().unwrap();
+        assert!(refusal.starts_with("signing key refused"), "{refusal}");
         assert_eq!(links.refused_key(), None, "once");
         say(&setup([0; 32]));
         say(&signed(KEY, 0, &setup([0; 32])));

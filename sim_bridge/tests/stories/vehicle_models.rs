@@ -40,7 +40,7 @@ fn speed_m_s(simulator: &Simulator) -> f32 {
     simulator.truth().velocity_ned_m_s.x
 }
 
-/// Metres beyond the place where it was told to hold, gaining speed on its mission: the farthest, and where it comes to rest; and the
+/// Metres beyond the place where it was ordered to hold, gaining speed on its mission: the farthest, and where it comes to rest; and the
 /// fastest on the way.
 fn hold_at_1_9_m_s(model: VehicleModel) -> (f32, f32, f32) {
     let mut simulator = hovering(model);
@@ -61,9 +61,9 @@ fn hold_at_1_9_m_s(model: VehicleModel) -> (f32, f32, f32) {
 }
 
 #[test]
-fn px4_told_to_hold_while_it_gains_speed_passes_its_stop_point_and_flies_back_to_it() {
+fn px4_ordered_to_hold_while_it_gains_speed_passes_its_stop_point_and_flies_back_to_it() {
     let (farthest_m, rests_m, fastest_m_s) = hold_at_1_9_m_s(VehicleModel::Px4Sih);
-    println!("told at 1.9 m/s: fastest {fastest_m_s:.2} m/s, {farthest_m:.2} m, rests at {rests_m:.2} m");
+    println!("ordered at 1.9 m/s: fastest {fastest_m_s:.2} m/s, {farthest_m:.2} m, rests at {rests_m:.2} m");
     // The real one: 3.1 m/s, 6.6 m, and 3 m back.
     assert!((2.5..=3.5).contains(&fastest_m_s), "{fastest_m_s}");
     assert!((4.9..=7.5).contains(&farthest_m), "{farthest_m}");

@@ -45,7 +45,7 @@ struct Flown {
     stop: Option<Stop>,
 }
 
-/// How a mission was stopped, from where it was first told to hold.
+/// How a mission was stopped, from where it was first ordered to hold.
 #[derive(Debug, Clone, Copy)]
 struct Stop {
     at_ned_m: NedVector,
@@ -64,7 +64,7 @@ const START_AND_STOP_M: f32 = 3.4;
 const HOLD_WAY_S: f32 = 1.4;
 
 impl Stop {
-    /// The way that the vehicle needs: what it took, what its own hold takes where it was told a nearer place, or what it would have
+    /// The way that the vehicle needs: what it took, what its own hold takes where it was sent a nearer place, or what it would have
     /// taken had it begun to move.
     fn needed_m(&self) -> f32 {
         if self.speed_m_s < 0.3 {
@@ -135,7 +135,7 @@ fn fly_as(vehicle: VehicleParams, course: Course, seed: u64, duty: Duty, plan: &
             pair.simulator.receive(0, &(plan.command)(&simulation));
         }
         pair.simulate();
-        // The simulated autopilot speaks as PX4 does. An ArduCopter is told no place and brakes by its mode, by
+        // The simulated autopilot speaks as PX4 does. An ArduCopter is sent no place and brakes by its mode, by
         // no parameter: so is one without either.
         if vehicle.control.hold == HoldLaw::Brake {
             // Where its local origin is on the globe, and what it brakes with.

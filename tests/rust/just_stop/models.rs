@@ -21,7 +21,7 @@ struct Tally {
     collided: u32,
     stopped: u32,
     arrived: u32,
-    /// Told to hold no earlier than 1.5 times the way that it needs, and 1 m and its radius more.
+    /// Ordered to hold no earlier than 1.5 times the way that it needs, and 1 m and its radius more.
     in_time: u32,
     free: u32,
     false_stops: u32,
@@ -201,7 +201,7 @@ fn column_on_the_way(away_m: f32) -> Course {
     course
 }
 
-/// PX4 told to hold at 1.9 m/s and 2.7 m/s² goes on to 3.1 m/s, and flies 3 m back to the point that it projected
+/// PX4 ordered to hold at 1.9 m/s and 2.7 m/s² goes on to 3.1 m/s, and flies 3 m back to the point that it projected
 /// (`sim_bridge/src/vehicle_models.rs`).
 #[test]
 fn a_px4_that_is_stopped_while_it_gains_speed_comes_to_rest_where_it_can_and_does_not_fly_back() {

@@ -88,7 +88,7 @@ impl Guarded {
         }
     }
 
-    fn was_told(&self, part: &str) -> bool {
+    fn was_said(&self, part: &str) -> bool {
         self.texts.iter().any(|text| text.contains(part))
     }
 
@@ -109,7 +109,7 @@ fn a_mission_through_a_wall_is_stopped_on_either_autopilot_and_stopped_again_whe
         let mut f = Guarded::before_a_wall(flavour, 15.0);
         f.run_s(12.0);
         assert!(f.holds() && f.nearest_m > 0.3, "{flavour:?} {}", f.nearest_m);
-        assert!(f.was_told("stop: something "), "{:?}", f.texts);
+        assert!(f.was_said("stop: something "), "{:?}", f.texts);
         assert_eq!(f.mode_changes(), 1);
         let (at_m, texts) = (f.peer.north_m, f.texts.len());
         assert!((8.0..14.5).contains(&at_m), "{at_m}");
@@ -123,7 +123,7 @@ fn a_mission_through_a_wall_is_stopped_on_either_autopilot_and_stopped_again_whe
 
 /// A PX4's hold projects its place from the velocity alone, and flies back to it where speed was being gained.
 #[test]
-fn a_px4_is_told_the_mode_and_then_the_place_where_it_can_stop_and_one_that_refuses_the_place_holds_by_its_mode() {
+fn a_px4_is_sent_the_mode_and_then_the_place_where_it_can_stop_and_one_that_refuses_the_place_holds_by_its_mode() {
     for (flavour, refuses_places) in [(Flavour::Px4, false), (Flavour::Px4, true), (Flavour::ArduPilot, false)] {
         // A heartbeat comes once a second: here not between the place and its refusal.
         let wall_m = 41.0;
@@ -136,7 +136,7 @@ fn a_px4_is_told_the_mode_and_then_the_place_where_it_can_stop_and_one_that_refu
                 told_at_m = Some(f.peer.north_m);
             }
         }
-        let told_at_m = told_at_m.expect("it was told to hold");
+        let told_at_m = told_at_m.expect("it was ordered to hold");
         assert!(f.holds() && f.nearest_m > 0.3, "{flavour:?} {}", f.nearest_m);
         let asked = 1 + usize::from(refuses_places);
         assert_eq!(f.mode_changes(), asked, "the mode first, and again after a refusal");
@@ -150,7 +150,7 @@ fn a_px4_is_told_the_mode_and_then_the_place_where_it_can_stop_and_one_that_refu
         assert!((y - 85_455_940).abs() < 20 && place_m < wall_m - 0.3);
         assert_eq!((speed_m_s, flags), (1.0, 1.0), "slowly, and in hold");
         assert!(altitude_m.is_nan(), "at its height");
-        assert_eq!(f.was_told("refused"), refuses_places, "{:?}", f.texts);
+        assert_eq!(f.was_said("refused"), refuses_places, "{:?}", f.texts);
         assert!(f.peer.places.len() <= 2, "{}", f.peer.places.len());
     }
 }
@@ -159,13 +159,13 @@ fn a_px4_is_told_the_mode_and_then_the_place_where_it_can_stop_and_one_that_refu
 fn a_px4_that_is_set_to_brake_slowly_is_stopped_by_what_its_parameters_say_and_one_that_sends_none_is_named() {
     for answers in [true, false] {
         let mut f = Guarded::before_a_wall(Flavour::Px4, 30.0);
-        (f.peer.gain_m_s2, f.peer.tells_parameters) = (0.8, answers);
+        (f.peer.gain_m_s2, f.peer.reports_parameters) = (0.8, answers);
         f.run_s(25.0);
         assert!(f.holds() && f.peer.speed_north_m_s == 0.0);
         let shown = (answers, f.nearest_m, &f.texts);
         // Braking from 3 m/s takes it 5.6 m, where 4.9 are reckoned with.
         assert!(if answers { f.nearest_m > 1.5 } else { f.nearest_m < 1.0 }, "{shown:?}");
-        assert_eq!(f.was_told("MPC_ACC_HOR is not known"), !answers, "{shown:?}");
+        assert_eq!(f.was_said("MPC_ACC_HOR is not known"), !answers, "{shown:?}");
     }
 }
 
@@ -199,7 +199,7 @@ fn sticks_that_fly_where_the_sensor_does_not_look_are_stopped() {
             }
             f.step();
         }
-        assert!(f.holds() && f.was_told("does not look"), "{:?}", f.texts);
+        assert!(f.holds() && f.was_said("does not look"), "{:?}", f.texts);
     }
 }
 
@@ -211,7 +211,7 @@ fn a_sensor_that_falls_silent_stops_the_mission() {
         assert_eq!(f.peer.mode, Mode::Mission);
         f.sees = false;
         f.run_s(2.0);
-        assert!(f.holds() && f.was_told("nobody sees the course"), "{:?}", f.texts);
+        assert!(f.holds() && f.was_said("nobody sees the course"), "{:?}", f.texts);
     }
 }
 
@@ -221,7 +221,7 @@ fn a_vehicle_that_never_reports_its_position_is_said_to_be_unguarded_and_is_not_
         let mut f = Guarded::before_a_wall(flavour, 8.0);
         f.tells_position = false;
         f.run_s(3.0);
-        assert!(f.was_told("not guarded"), "{:?}", f.texts);
+        assert!(f.was_said("not guarded"), "{:?}", f.texts);
         assert_eq!((f.peer.mode, f.mode_changes()), (Mode::Mission, 0));
     }
 }
@@ -239,20 +239,20 @@ fn a_mission_faster_than_it_can_be_stopped_is_said_to_be_unguarded_once() {
 }
 
 #[test]
-fn a_position_that_jumps_is_told_and_the_flight_is_guarded_by_what_is_seen_from_there() {
+fn a_position_that_jumps_is_reported_and_the_flight_is_guarded_by_what_is_seen_from_there() {
     for flavour in BOTH {
         let mut f = Guarded::before_a_wall(flavour, 30.0);
         f.run_s(3.0);
         f.peer.north_m += 12.0;
         f.step();
-        assert!(f.was_told("the position jumped"), "{:?}", f.texts);
+        assert!(f.was_said("the position jumped"), "{:?}", f.texts);
         f.run_s(10.0);
         assert!(f.holds() && f.nearest_m > 0.3, "{flavour:?} {}", f.nearest_m);
     }
 }
 
 #[test]
-fn a_stop_that_is_refused_is_asked_for_again_and_told() {
+fn a_stop_that_is_refused_is_asked_for_again_and_reported() {
     for flavour in BOTH {
         let mut f = Guarded::before_a_wall(flavour, 20.0);
         f.peer.quirks.push(Quirk {
@@ -261,7 +261,7 @@ fn a_stop_that_is_refused_is_asked_for_again_and_told() {
             times: 1,
         });
         f.run_s(12.0);
-        assert!(f.holds() && f.was_told("refused"), "{:?}", f.texts);
+        assert!(f.holds() && f.was_said("refused"), "{:?}", f.texts);
     }
 }
 

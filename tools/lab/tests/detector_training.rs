@@ -47,18 +47,18 @@ impl<F: FnMut(&Shown<'_>)> Onlooker for Watch<F> {
     }
 }
 
-fn watched(scenario: &Scenario, watch: impl FnMut(&Shown<'_>)) -> Record {
+fn monitored(scenario: &Scenario, watch: impl FnMut(&Shown<'_>)) -> Record {
     fly(Isa::detect(), &actor(), scenario, &mut Watch(watch)).unwrap()
 }
 
 fn flown(scenario: &Scenario) -> Record {
-    watched(scenario, |_| {})
+    monitored(scenario, |_| {})
 }
 
 #[test]
 fn only_frames_that_count_as_attacked_differ_from_what_the_sensor_took() {
     let mut differences = Vec::new();
-    let record = watched(&attacked(Plan::Actor), |shown| {
+    let record = monitored(&attacked(Plan::Actor), |shown| {
         let pairs = shown.input.depth.depth.iter().zip(&shown.taken.depth);
         differences.push(pairs.filter(|(a, b)| a != b).count());
     });
@@ -79,7 +79,7 @@ fn the_pixels_of_the_built_in_actor_s_newest_frame_are_explained() {
         steps: 3,
         ..Scenario::unattacked(Family::Validation, 6501, Plan::Actor)
     };
-    watched(&scenario, |shown| {
+    monitored(&scenario, |shown| {
         let vigil_policy::Decider::Actor(actor) = shown.pilot else {
             panic!("an actor of ours flies")
         };

@@ -133,15 +133,15 @@ impl Comparison<'_> {
         let mut shap = vigil_detector::split_point_shap(self.isa, head, &points)?;
         let mut phi = vec![0.0; shap.phi_len()];
         let mut all = Vec::new();
-        for (hidden, position) in &inputs {
-            shap.evaluate(&[hidden, position])?;
+        for (hidden, low_dim) in &inputs {
+            shap.evaluate(&[hidden, low_dim])?;
             shap.attribute(YAW, &mut phi)?;
             all.extend_from_slice(&phi);
         }
         self.record.floats("shap_hidden", &[phi.len()], &all);
-        let (hidden, position) = inputs[0].clone();
+        let (hidden, low_dim) = inputs[0].clone();
         self.case("shap-hidden", move || {
-            shap.evaluate(black_box(&[&hidden, &position]))?;
+            shap.evaluate(black_box(&[&hidden, &low_dim]))?;
             Ok(shap.attribute(YAW, &mut phi)?)
         });
         Ok(())

@@ -11,7 +11,7 @@ use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, ROW_LIMIT, WINDOW};
 use vigil_lab::detector_training::{Examples, FitConfig, LstmConfig, fit};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
 use vigil_policy::FrozenPilot;
-use vigil_policy::actor::PositionalInputs;
+use vigil_policy::actor::LowDim;
 use vigil_tools::threads::thread_pool;
 use vigil_types::Verdict;
 
@@ -46,15 +46,15 @@ impl Detector {
         self.0.sha256()
     }
 
-    /// DeepSHAP's background sample: states, one after the other, and positional inputs.
+    /// DeepSHAP's background sample: states, one after the other, and low-dimensional observations.
     fn backgrounds<'py>(&self, py: Python<'py>) -> (usize, Floats<'py>, Floats<'py>) {
         let backgrounds = &self.0.backgrounds;
         let states = backgrounds.iter().flat_map(|(state, _)| state.to_vec());
-        let positions = backgrounds.iter().flat_map(|(_, inputs)| inputs.to_vec());
+        let low_dims = backgrounds.iter().flat_map(|(_, inputs)| inputs.to_vec());
         (
             backgrounds.len(),
             array(py, states.collect()),
-            array(py, positions.collect()),
+            array(py, low_dims.collect()),
         )
     }
 
@@ -69,14 +69,14 @@ impl Detector {
 
 /// Writes a detector of a policy's explanations at its split point; its digest.
 #[pyfunction]
-#[pyo3(signature = (path, lstm, pilot, states, positions, *, threshold, threshold_choice, training_config, seed))]
+#[pyo3(signature = (path, lstm, pilot, states, low_dims, *, threshold, threshold_choice, training_config, seed))]
 #[allow(clippy::too_many_arguments, reason = "a file's content")]
 pub fn write_detector(
     path: PathBuf,
     lstm: &Lstm,
     pilot: Learned<'_>,
     states: PyReadonlyArrayDyn<'_, f32>,
-    positions: PyReadonlyArrayDyn<'_, f32>,
+    low_dims: PyReadonlyArrayDyn<'_, f32>,
     threshold: f32,
     threshold_choice: String,
     training_config: String,
@@ -84,15 +84,14 @@ pub fn write_detector(
 ) -> PyResult<String> {
     let pilot = pilot.frozen();
     let head = pilot.head(Purpose::Multipliers).map_err(refused)?;
-    let (state, position) = (head.graph.input_len(0), head.graph.input_len(1));
+    let (state, low_dim) = (head.graph.input_len(0), head.graph.input_len(1));
     let count = states.len() / state;
     let states = values("background states", &states, count * state)?;
-    let positions = values("background positions", &positions, count * position)?;
-    let each = states.chunks_exact(state).zip(positions.chunks_exact(position));
-    let backgrounds = each.map(|(state, position)| {
-        let position = PositionalInputs::from_values(position)
-            .ok_or_else(|| refused("background positions: of another length"))?;
-        Ok((state.to_vec(), position))
+    let low_dims = values("background positions", &low_dims, count * low_dim)?;
+    let each = states.chunks_exact(state).zip(low_dims.chunks_exact(low_dim));
+    let backgrounds = each.map(|(state, low_dim)| {
+        let low_dim = LowDim::from_values(low_dim).ok_or_else(|| refused("background positions: of another length"))?;
+        Ok((state.to_vec(), low_dim))
     });
     let row = |what: &str, values: &[f32]| {
         <[f32; ROW]>::try_from(values).map_err(|_| {
@@ -113,7 +112,7 @@ pub fn write_detector(
         seed,
         git_commit: None,
     };
-    // What it could not judge in flight is not written.
+    // What it could not score in flight is not written.
     vigil_detector::Monitor::new(Isa::detect(), head, &frozen.actor_sha256, &frozen).map_err(refused)?;
     frozen.save(&path).map_err(refused)?;
     Ok(frozen.sha256())
@@ -176,7 +175,7 @@ impl Lstm {
 }
 
 /// Verdict, score, contributions of image, bearing, distance and own motion, base, contributions at the split point.
-type Judged<'py> = (Option<bool>, Option<f32>, f32, f32, f32, f32, f32, Floats<'py>);
+type Scored<'py> = (Option<bool>, Option<f32>, f32, f32, f32, f32, f32, Floats<'py>);
 
 /// Explains and judges a policy's decisions one after the other, as in flight.
 #[pyclass(module = "vigil._vigil")]
@@ -209,9 +208,9 @@ impl Monitor {
         py: Python<'py>,
         state: PyReadonlyArrayDyn<'py, f32>,
         given: Vec<f32>,
-    ) -> PyResult<Judged<'py>> {
+    ) -> PyResult<Scored<'py>> {
         let state = values("state", &state, self.width)?;
-        let j = self.monitor.judge(state, beside(&given, self.of_actor)?);
+        let j = self.monitor.score(state, beside(&given, self.of_actor)?);
         let verdict = match j.verdict {
             Verdict::Unknown => None,
             Verdict::Clean => Some(false),

@@ -30,7 +30,7 @@ struct Conditions {
     wind_m_s: f64,
     time_limit_s: Option<f32>,
     weights: RewardConfig,
-    /// The true state is told.
+    /// The true state is given.
     privileged: bool,
     /// Actions and what is observed are within ±1.
     normalized: bool,
@@ -363,8 +363,8 @@ impl Flights {
         let goals = goals.as_slice_mut().map_err(refused)?.chunks_exact_mut(2);
         let rewards = rewards.as_slice_mut().map_err(refused)?.iter_mut();
         let ends = ends.as_slice_mut().map_err(refused)?.iter_mut();
-        let told = frames.zip(goals).zip(rewards.zip(ends)).zip(seeds);
-        let rows = self.flights.iter_mut().zip(told).enumerate();
+        let answers = frames.zip(goals).zip(rewards.zip(ends)).zip(seeds);
+        let rows = self.flights.iter_mut().zip(answers).enumerate();
         let mut rows: Vec<Row<'_>> = rows
             .map(|(number, (flight, (((frames, goal), (reward, end)), seed)))| Row {
                 flight,

@@ -4,7 +4,7 @@ use numpy::{PyArray1, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use vigil_policy::PilotInput;
-use vigil_policy::actor::{GOAL_INPUTS, LOW_DIM, PositionalInputs};
+use vigil_policy::actor::{GOAL_INPUTS, LOW_DIM, LowDim};
 use vigil_types::{
     Attitude, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DepthFrame, GoalRelative, HeadingVector, Nanos, NedVector, STEP_NS,
 };
@@ -121,10 +121,10 @@ const MOST_TIME_S: f32 = 1e9;
 const HOVER_M: f32 = 2.5;
 
 /// What a decision was made from beside the split point: an actor's low-dimensional observation, or an imported policy's goal.
-pub fn beside(given: &[f32], of_actor: bool) -> PyResult<PositionalInputs> {
+pub fn beside(given: &[f32], of_actor: bool) -> PyResult<LowDim> {
     let expected = if of_actor { LOW_DIM } else { GOAL_INPUTS };
     let finite = given.iter().all(|value| value.is_finite());
-    let found = PositionalInputs::from_values(given).filter(|_| finite && given.len() == expected);
+    let found = LowDim::from_values(given).filter(|_| finite && given.len() == expected);
     found.ok_or_else(|| {
         refused(match of_actor {
             true => format!("low_dim: {LOW_DIM} finite values (Actor.low_dim), got {given:?}"),

@@ -10,7 +10,7 @@ use vigil_types::{
 
 /// What is nearer is the vehicle itself, metres.
 const NEAREST_M: f32 = 0.1;
-/// Beams are never told as farther apart than this.
+/// Beams are never stated to be farther apart than this.
 const WIDEST_RAD: f32 = 10.0 * core::f32::consts::PI / 180.0;
 /// Tangent of the view's border, 60° to either side, and a little more.
 const WIDEST_TAN: f32 = 1.74;

@@ -74,7 +74,7 @@ pub(super) struct Begun {
 }
 
 impl Begun {
-    /// Notes what became of a frame; a failure is told at the end.
+    /// Notes what became of a frame; a failure is reported at the end.
     pub fn note(&mut self, passed: &PassedStep, clean: &DepthFrame) {
         let altered = match passed {
             PassedStep::Unaltered => None,

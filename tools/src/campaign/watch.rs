@@ -6,7 +6,7 @@ use vigil_types::{AlarmCause, AlarmResponse, GuidanceState, STEP_S, StepReport, 
 /// What the detector did in a flight.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct WatchRecord {
-    /// Steps in which the actor's decision was judged, in flight.
+    /// Steps in which the actor's decision was scored, in flight.
     pub judged_steps: u64,
     /// Steps of these with the verdict attack, and with none.
     pub attack_verdicts: u64,
@@ -14,9 +14,9 @@ pub struct WatchRecord {
     pub unknown_verdicts: u64,
     /// How often the alarm was raised.
     pub alarms: u64,
-    /// How often of these by the guard: the actor was about to fly into something, was led astray, or disagreed with the planner.
+    /// How often of these by the guard: the actor was about to fly into something, went astray, or disagreed with the planner.
     pub guard_alarms: u64,
-    /// How often of these because it was led astray.
+    /// How often of these because it went astray.
     #[serde(default)]
     pub astray_alarms: u64,
     /// How often of these because it disagreed.

@@ -47,7 +47,7 @@ pub struct ServiceArgs {
     pub sensor_id: u32,
 }
 
-/// What all adapters are told.
+/// What all adapters are given.
 #[derive(Debug, Clone, clap::Args)]
 pub struct CommonArgs {
     /// Where the sensor sits and how it is turned: metres forward, right and down of the vehicle's middle, then roll, pitch and yaw in
@@ -81,7 +81,7 @@ pub struct CommonArgs {
 Examples:
   vigil sensor ouster --metadata os0.json --pose udpin://0.0.0.0:14545 --mount 0.1,0,-0.05,0,0,0
   vigil sensor ouster --metadata os0.json --still 1.5        on the bench; beside it: vigil sensor check
-The sensor sends LEGACY packets to this machine, 20 turns a second (lidar_mode 1024x20). What is refused is told on the terminal.
+The sensor sends LEGACY packets to this machine, 20 turns a second (lidar_mode 1024x20). What is refused is said on the terminal.
 
 Exit code: 0 ended on request, 1 it could not begin. docs/sensor-interface.md, \"Adapters\".")]
 pub struct OusterArgs {
@@ -233,7 +233,7 @@ fn may_follow(stamp_ns: Nanos, last_ns: Option<Nanos>, now_ns: Nanos) -> bool {
     is_timely(stamp_ns, now_ns) && last_ns.is_none_or(|last_ns| stamp_ns > last_ns)
 }
 
-/// Where images go, and what is told of those that are none.
+/// Where images go, and what is said of those that are none.
 struct Output {
     publisher: FramePublisher,
     key: Option<FrameKey>,
@@ -357,7 +357,7 @@ pub fn ouster(args: &OusterArgs) -> Result<ExitCode> {
     let mut adapter = OusterAdapter::new(device, args.common.mount)?;
     let socket = UdpSocket::bind(args.listen).with_context(|| format!("--listen {}", args.listen))?;
     socket.set_read_timeout(Some(LOOK))?;
-    // The system may give less; then packets are lost sooner, which is told.
+    // The system may give less; then packets are lost sooner, which is said.
     let _ = rustix::net::sockopt::set_socket_recv_buffer_size(&socket, RECEIVE_BUFFER);
     let mut out = Output::open(&args.common, &what, adapter.view)?;
     if adapter.device.rate_hz < 20.0 {
@@ -483,7 +483,7 @@ mod tests {
 
     /// With LOCAL_POSITION_NED the firmware compares what frames say of the pose.
     #[test]
-    fn poses_are_told_in_the_vehicles_local_frame_wherever_home_is() {
+    fn poses_are_reported_in_the_vehicles_local_frame_wherever_home_is() {
         let mut heard = Heard::default();
         const NOW_NS: Nanos = 1_000_000_000;
         for message in [

@@ -23,8 +23,8 @@ pub(super) const END_LIMIT: Duration = Duration::from_secs(5);
 /// # Errors
 /// The parent is gone already, or the system knows no such signal.
 pub fn end_with(parent: u32) -> Result<()> {
-    set_parent_process_death_signal(Some(Signal::TERM)).context("cannot ask to be told when the parent ends")?;
-    // A parent that went before the line above is told of by nobody: the process then has another one.
+    set_parent_process_death_signal(Some(Signal::TERM)).context("cannot ask to be ended with the parent")?;
+    // A parent that went before the line above is reported by nobody: the process then has another one.
     let now = getppid().map_or(0, |pid| pid.as_raw_nonzero().get());
     ensure!(
         u32::try_from(now) == Ok(parent),

@@ -1,4 +1,4 @@
-//! A flight that is watched to its end: what is shown meanwhile, and what is kept of it.
+//! A flight that is monitored to its end: what is shown meanwhile, and what is kept of it.
 
 use crate::cli::child_process::Process;
 use crate::cli::foreign::{PilotWatch, PoseWatch};

@@ -146,7 +146,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let mut processes = Processes::start(args, &course, seed, &folder)?;
     let mut viewer = args.view.then(|| args.viewer.follow(&folder)).transpose()?;
     let mut terminal = terminal(args, &course, seed);
-    let watched = watch(
+    let monitored = watch(
         &mut terminal,
         &processes.statuses,
         &mut processes.simulator,
@@ -154,7 +154,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         &interrupt,
     );
     let said = processes.end()?;
-    let Flight { last, path, truth } = watched?;
+    let Flight { last, path, truth } = monitored?;
     // The path ends with the flight, the truth with the watch.
     let ended_ns = truth.get(path.len()).map(|pose| pose.at_ns);
     let drawn = FlightPath {
@@ -166,7 +166,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let about = about(args, &course, seed, last.as_ref(), ended_ns);
     if let Err(error) = complete_log(&folder, &truth, &about, args.log_content) {
         // The flight is over and its log is as the firmware left it.
-        tell!("vigil: {}", vigil_firmware::program::told(&error));
+        tell!("vigil: {}", vigil_firmware::program::in_one_line(&error));
     }
     let film = args.record.as_deref().map(|to| lab::film(&folder, to, &course.name));
     if let Some(script) = &mut viewer {
@@ -176,9 +176,9 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     match film {
         None => {}
         Some(Ok(words)) if words.is_empty() => {}
-        Some(Ok(told)) => say!("film      {}", told.trim_end()),
+        Some(Ok(text)) => say!("film      {}", text.trim_end()),
         // The flight has its own end; the film can be made of its log again.
-        Some(Err(error)) => tell!("vigil: {}", vigil_firmware::program::told(&error)),
+        Some(Err(error)) => tell!("vigil: {}", vigil_firmware::program::in_one_line(&error)),
     }
     Ok(code)
 }

@@ -14,7 +14,7 @@ const POSE_PORT: u32 = 14130;
 /// A vehicle whose pose cannot be rendered for so long is given up.
 const NO_POSE_LIMIT: Duration = Duration::from_secs(30);
 
-/// How long a vehicle may be its pilot's before somebody is told what to do.
+/// How long a vehicle may be its pilot's before somebody reads what to do.
 const PILOT_PATIENCE: Duration = Duration::from_secs(3);
 
 /// The foreign vehicle.
@@ -32,7 +32,7 @@ pub struct ForeignArgs {
     #[arg(long, value_name = "URL[,OPTION]", requires = "link")]
     pub pose: Vec<LinkSpec>,
 
-    /// Render and judge that vehicle's true pose (HIL_STATE_QUATERNION); for simulators that tell it.
+    /// Render and referee that vehicle's true pose (HIL_STATE_QUATERNION); for simulators that send it.
     #[arg(long, requires = "link")]
     pub truth: bool,
 
@@ -121,7 +121,7 @@ impl PoseWatch {
 #[derive(Default)]
 pub struct PilotWatch {
     waits_since: Option<Instant>,
-    told: bool,
+    is_said: bool,
 }
 
 impl PilotWatch {
@@ -131,14 +131,14 @@ impl PilotWatch {
             .reasons
             .iter()
             .any(|reason| reason == Reason::PilotInCommand.name());
-        if self.told || !waits {
+        if self.is_said || !waits {
             self.waits_since = None;
             return None;
         }
         if self.waits_since.get_or_insert_with(Instant::now).elapsed() < PILOT_PATIENCE {
             return None;
         }
-        self.told = true;
+        self.is_said = true;
         let change = match status.mode.as_str() {
             "hold" => "",
             _ => "change it to GUIDED (ArduPilot) or Hold (PX4) when it may go, or ",

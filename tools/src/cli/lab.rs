@@ -19,7 +19,7 @@ const SOURCES_VARIABLE: &str = "VIGIL_SOURCES_OF_CALLER";
 pub enum Command {
     /// Train an actor by value: critics that see the true state, reward along the shortest free way.
     Learn(Words),
-    /// Judge an actor alone, the potential field off and on.
+    /// Evaluate an actor alone, the potential field off and on.
     Rollout(Words),
     /// Table I and figures 9 and 10 from the logs of training runs of yours.
     Report(Words),

@@ -26,11 +26,11 @@ const TWICE: Duration = Duration::from_millis(500);
 static OUTPUT_FAILURE: OnceLock<io::Error> = OnceLock::new();
 /// Standard output carries a report, so what is for people goes to standard error.
 static REPORT_ON_STDOUT: AtomicBool = AtomicBool::new(false);
-/// A command runs as a part of another one, which tells what came of it.
+/// A command runs as a part of another one, which says what came of it.
 static QUIET: AtomicBool = AtomicBool::new(false);
 
 /// Writes a line to standard output, as `println!` does, but survives a reader that has gone (`… | head`). Any other
-/// failure is told when the program ends ([`finish`]).
+/// failure is reported when the program ends ([`finish`]).
 #[macro_export]
 macro_rules! say {
     () => { $crate::cli::output::put_line(format_args!("")) };
@@ -79,14 +79,14 @@ pub fn quietly<T>(work: impl FnOnce() -> T) -> T {
 
 #[doc(hidden)]
 pub fn tell_line(text: Arguments<'_>) {
-    // Without a reader there is nothing to be told.
+    // Without a reader there is nothing to be said.
     let _ = io::stderr().write_fmt(format_args!("{text}\n"));
 }
 
 /// The program's exit code: that of the command, unless standard output took not all of it.
 pub fn finish(result: Result<ExitCode>) -> ExitCode {
     let code = result.unwrap_or_else(|error| {
-        tell!("vigil: {}", vigil_firmware::program::told(&error));
+        tell!("vigil: {}", vigil_firmware::program::in_one_line(&error));
         ExitCode::from(EXIT_ERROR)
     });
     let failure = io::stdout().flush().err();
@@ -303,7 +303,7 @@ pub fn start_tracing(verbosity: u8) {
         .with_writer(std::io::stderr)
         .with_ansi(vigil_firmware::program::colours(std::io::stderr().is_terminal()))
         .with_target(false)
-        // Told on standard error, which is what could not be written.
+        // Said on standard error, which is what could not be written.
         .log_internal_errors(false);
     tracing_subscriber::registry()
         .with(diagnostics)
@@ -383,7 +383,7 @@ mod tests {
     fn a_line_of_progress_is_due_every_few_seconds_with_a_new_percent_and_every_minute_without() {
         let mut pace = Pace::default();
         let mut due = |seconds, done| pace.is_due(Duration::from_secs(seconds), done, 1000);
-        let told = [
+        let colours = [
             (4, 50),
             (5, 50),
             (9, 90),
@@ -394,7 +394,7 @@ mod tests {
             (75, 110),
         ]
         .map(|(s, n)| due(s, n));
-        assert_eq!(told, [false, true, false, true, false, false, true, true]);
+        assert_eq!(colours, [false, true, false, true, false, false, true, true]);
     }
 
     #[test]

@@ -12,7 +12,7 @@ Example:
   vigil recover runs/fly-1760000000-7/flight-0001.mcap whole.mcap
 
 `vigil replay` reads an unclosed log as it is; some viewers do not. Of a damaged log everything is saved but the pieces that are
-damaged themselves, and what is lost is told in steps, records and seconds.")]
+damaged themselves, and what is lost is given in steps, records and seconds.")]
 pub struct RecoverArgs {
     /// The log that was not closed, or is damaged.
     from: PathBuf,

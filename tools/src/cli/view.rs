@@ -29,7 +29,7 @@ Examples:
   vigil view flight-0001.mcap --save 7.rrd     a recording to send to somebody: `rerun 7.rrd` opens it
   vigil view flight-0001.mcap --foxglove       how Foxglove opens it, with our layout
 
-Rerun comes from Python's packages; where it is missing, the command that installs it is told. docs/view.md shows what is seen where.
+Rerun comes from Python's packages; where it is missing, the command that installs it is shown. docs/view.md shows what is seen where.
 Exit code: 0 opened, 1 no viewer, a port that is taken, a log that cannot be read.")]
 pub struct ViewArgs {
     /// A flight log (MCAP), or a folder that holds one.
@@ -208,7 +208,7 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
         check_recording(to)?;
         check_not_over(&log, to)?;
     }
-    // Another version, or no log at all, is told here.
+    // Another version, or no log at all, is refused here.
     Reader::open(&log)?;
     if args.foxglove {
         let layout = log.with_file_name("foxglove-layout.json");

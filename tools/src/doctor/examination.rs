@@ -36,11 +36,11 @@ const PAUSE_NS: Nanos = 50_000_000;
 /// A parameter is asked for so often, this far apart.
 const ATTEMPTS: u8 = 3;
 const RETRY_NS: Nanos = 600_000_000;
-/// Arrivals that a rate is told by.
+/// Arrivals that a rate is taken from.
 const WINDOW_NS: Nanos = 2 * SECOND_NS;
 
 const GOOD_HZ: f64 = 10.0;
-/// A position that is farther from where velocity and time led than this has jumped, metres, and so much more for each second between.
+/// A position that is farther from where velocity and time would bring it than this has jumped, metres, and so much more for each second between.
 const JUMP_M: f32 = 1.0;
 const JUMP_M_S: f32 = 10.0;
 /// A heading has jumped that changed by more than this between two attitudes beside what its rate explains, radians.
@@ -176,10 +176,10 @@ pub struct Examination {
     round_trips_s: Vec<f64>,
     unix_time_us: Option<(u64, Nanos)>,
     estimator: Option<u16>,
-    /// Whether the pre-arm check passes, where SYS_STATUS tells of one.
+    /// Whether the pre-arm check passes, where SYS_STATUS has one.
     is_armable: Option<bool>,
     prearm_texts: BTreeSet<String>,
-    /// GLOBAL_POSITION_INT: metres above home, and heading in radians where it is told.
+    /// GLOBAL_POSITION_INT: metres above home, and heading in radians where it is known.
     global: Option<(f32, Option<f32>)>,
     /// Other guidance computers, by system and component: arrivals of heartbeats.
     companions: BTreeMap<(u8, u8), Arrivals>,

@@ -70,7 +70,7 @@ impl Report {
         self.add(name, Severity::Warning, Some(value), wanted, why);
     }
 
-    /// A warning of what was not told.
+    /// A warning of what was not sent.
     pub(super) fn absent(&mut self, name: &str, wanted: &str, why: &str) {
         self.add(name, Severity::Warning, None, wanted, why);
     }

@@ -17,9 +17,9 @@ const LEAST_SHARE: f32 = 0.6;
 /// How the seen ground leans, by the attitude in the frame's header. On level ground that is the error of the sensor's mounting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GroundTilt {
-    /// The picture looks this much too low (the sensor's nose is lower than told), radians.
+    /// The picture looks this much too low (the sensor's nose is lower than stated), radians.
     pub pitch_rad: f32,
-    /// The sensor is turned this much to the right about its forward axis beyond what is told, radians.
+    /// The sensor is turned this much to the right about its forward axis beyond what is stated, radians.
     pub roll_rad: f32,
     /// Height of the sensor above that ground, metres.
     pub height_m: f32,
@@ -68,7 +68,7 @@ pub fn ground_tilt(frame: &DepthFrame) -> Option<GroundTilt> {
         return None;
     }
     let [ahead, right, down_m] = plane;
-    // Ground that seems to fall away ahead is seen by a sensor whose nose is higher than told.
+    // Ground that seems to fall away ahead is seen by a sensor whose nose is higher than stated.
     Some(GroundTilt {
         pitch_rad: -ahead.atan(),
         roll_rad: -right.atan(),

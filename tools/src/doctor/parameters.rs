@@ -18,7 +18,7 @@ pub(crate) struct Row {
     pub grade: fn(f32) -> Severity,
 }
 
-/// What PX4 1.18 has in place of COM_RC_OVERRIDE; whoever tells it needs no COM_RCL_EXCEPT either.
+/// What PX4 1.18 has in place of COM_RC_OVERRIDE; whoever sends it needs no COM_RCL_EXCEPT either.
 pub(crate) const STICKS_BY_SPEED: &str = "MAN_OVERRIDE_SPD";
 
 /// The fastest mission that is stopped within the 11 m that are looked ahead, rounded down (docs/just-stop.md).
@@ -102,7 +102,7 @@ const ARDUPILOT: [Row; 5] = [
         by_speed: None,
         wanted: "at most 1 s",
         why: "the vehicle flies on by its last setpoint for so long when the guidance computer falls silent; Vigil sets 0.5 s when it takes \
-              the vehicle, unless told otherwise",
+              the vehicle, unless set otherwise",
         grade: grade_silence_s,
     },
     Row {

@@ -8,7 +8,7 @@ use vigil_adversary::{FrameAttack, Method};
 use vigil_guidance::ROUGH_BELOW;
 use vigil_nnet::Isa;
 use vigil_policy::actor::memory::SCAN_AGES;
-use vigil_policy::actor::{ACTOR_OUTPUTS, PositionalInputs};
+use vigil_policy::actor::{ACTOR_OUTPUTS, LowDim};
 use vigil_policy::imported::Channels;
 use vigil_policy::plausibility::smooth_share_of;
 use vigil_policy::{Decider, FlightField, FrozenPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
@@ -34,7 +34,7 @@ pub struct Step {
     /// Values at the split point: our actor's 48.
     pub state: Vec<f32>,
     /// What it decided from beside them: the low-dimensional observation, or an imported policy's goal.
-    pub position: PositionalInputs,
+    pub low_dim: LowDim,
     /// The actor's outputs, without field.
     pub output: [f32; ACTOR_OUTPUTS],
     /// Whether the frame was altered.
@@ -91,7 +91,7 @@ impl Shown<'_> {
     /// The actor's inputs in this step, as [`vigil_policy::actor::ActorSpec::graph`] takes them; `None` of an imported policy.
     pub fn inputs<'a>(&'a self, step: &'a Step) -> Option<[&'a [f32]; 3]> {
         match self.pilot {
-            Decider::Actor(actor) => Some([&self.input.depth.depth, actor.context(), &step.position]),
+            Decider::Actor(actor) => Some([&self.input.depth.depth, actor.context(), &step.low_dim]),
             Decider::Imported(_) => None,
         }
     }
@@ -206,9 +206,7 @@ pub fn fly(isa: Isa, frozen: &FrozenPilot, scenario: &Scenario, onlooker: &mut i
         let step = Step {
             state: actor.state().to_vec(),
             // There is one behind a decision.
-            position: actor
-                .position()
-                .unwrap_or_else(|| PositionalInputs::of_goal(input.goal)),
+            low_dim: actor.low_dim().unwrap_or_else(|| LowDim::of_goal(input.goal)),
             output,
             frame,
             yaw_change,

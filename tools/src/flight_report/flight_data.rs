@@ -206,8 +206,8 @@ fn columns(steps: &[&StepSeen], threshold: Option<f32>) -> BTreeMap<&'static str
         .into_iter()
         .map(|(name, value)| (name, steps.iter().map(|s| number(value(s))).collect()))
         .collect();
-    let judged = |s: &&StepSeen| s.report.judgement.and(threshold);
-    table.insert("detector_threshold", steps.iter().map(|s| number(judged(s))).collect());
+    let scored = |s: &&StepSeen| s.report.judgement.and(threshold);
+    table.insert("detector_threshold", steps.iter().map(|s| number(scored(s))).collect());
     // A step knows how long the one before it took.
     let took = |s: &StepSeen| timed(s).then_some(ms(s.report.timing.previous_execution_ns));
     let mut times: Vec<Option<f64>> = steps.iter().skip(1).map(|s| number(took(s))).collect();

@@ -46,7 +46,7 @@ pub struct LogSeen {
     pub config: Option<FirmwareConfig>,
     /// Added to the loop's time gives UNIX time.
     pub epoch_offset_ns: u64,
-    /// What the log tells besides its records.
+    /// What the log holds besides its records.
     pub story: Story,
     /// By how much each altered frame moved the yaw output, by the frame's number; `None` when nobody noted it.
     pub altered: Option<HashMap<u64, f32>>,

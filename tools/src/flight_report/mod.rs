@@ -15,7 +15,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use vigil_adversary::AttackArgs;
 
-/// Frames around the first alarm whose pixels are explained, unless told otherwise.
+/// Frames around the first alarm whose pixels are explained, unless asked otherwise.
 pub const EXPLAINED: usize = 12;
 
 /// What is known of a flight, for its log: the command that flies it again, our commit, the attack, and `more`.

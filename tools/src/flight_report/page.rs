@@ -36,7 +36,7 @@ const PANELS: [Panel; 9] = [
             ("detector_score", "score", 3, false),
             ("detector_threshold", "threshold", 3, true),
         ],
-        "No score: no detector watched an actor in this flight.",
+        "No score: no detector monitored an actor in this flight.",
     ),
     (
         "contributions",
@@ -49,7 +49,7 @@ const PANELS: [Panel; 9] = [
             ("contribution_distance", "distance", 3, false),
             ("contribution_told", "own motion", 3, false),
         ],
-        "No explanations: no detector watched an actor in this flight.",
+        "No explanations: no detector monitored an actor in this flight.",
     ),
     (
         "yaw",

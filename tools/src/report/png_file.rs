@@ -1,6 +1,6 @@
 //! Pictures as PNG files.
 
-/// A file's content, 8 bits a channel, compressed well; `set` tells colours and whatever else is to be told.
+/// A file's content, 8 bits a channel, compressed well; `set` states colours and whatever else is to be stated.
 ///
 /// # Panics
 /// Pixels of another size.

@@ -93,21 +93,21 @@ impl Guidance {
         self.progress = Progress::default();
     }
 
-    /// An autopilot may set home anew when it is armed, and the goal goes with it. In flight a goal does not wander off: then
-    /// only the first home that the vehicle ever told counts.
+    /// An autopilot may set home anew when it is armed, and the goal goes with it. In flight a goal does not move off: then
+    /// only the first home that the vehicle ever reported counts.
     pub(super) fn note_home(&mut self, input: &GuidanceInput<'_>, restarted: bool) {
         if restarted {
             // Another start, another origin.
             self.home_known = false;
         }
-        let told = input.vehicle.home_ned_m.filter(|home_ned_m| home_ned_m.is_finite());
+        let reported = input.vehicle.home_ned_m.filter(|home_ned_m| home_ned_m.is_finite());
         let may_move = !self.home_known || !self.in_flight();
-        let home_ned_m = match (told, restarted) {
+        let home_ned_m = match (reported, restarted) {
             (Some(home_ned_m), _) if may_move => home_ned_m,
             (None, true) => NedVector::ZERO,
             _ => return,
         };
-        self.home_known = told.is_some();
+        self.home_known = reported.is_some();
         if home_ned_m != self.home_ned_m {
             self.home_ned_m = home_ned_m;
             self.place_goal();

@@ -9,23 +9,23 @@ const RECOVERY: Action = Action {
 };
 
 /// A flight at 1 m/s under a detector.
-fn watched(policy: AlarmPolicy) -> Story {
-    watched_with(AlarmConfig {
+fn monitored(policy: AlarmPolicy) -> Story {
+    monitored_with(AlarmConfig {
         policy,
         ..AlarmConfig::default()
     })
 }
 
 /// The same, and the guard raises the alarm when the actor falls 6 m behind.
-fn watched_for_leading_astray() -> Story {
-    watched_with(AlarmConfig {
+fn monitored_for_leading_astray() -> Story {
+    monitored_with(AlarmConfig {
         policy: AlarmPolicy::Recover,
         astray_limit_m: 6.0,
         ..AlarmConfig::default()
     })
 }
 
-fn watched_with(alarm: AlarmConfig) -> Story {
+fn monitored_with(alarm: AlarmConfig) -> Story {
     let mut s = Story::guided(GuidanceConfig { alarm, ..auto() });
     s.recovery = Some(RECOVERY);
     s.verdict = Some(Verdict::Clean);
@@ -47,7 +47,7 @@ fn recovers(s: &mut Story) -> GuidanceOutput {
 
 #[test]
 fn an_attacked_vehicle_stops_then_the_recovery_pilot_flies_and_the_actor_gets_it_back_when_the_attack_is_over() {
-    let mut s = watched(AlarmPolicy::Recover);
+    let mut s = monitored(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Attack);
     let fourth = s.run(4);
     assert_eq!(
@@ -92,7 +92,7 @@ fn an_attacked_vehicle_stops_then_the_recovery_pilot_flies_and_the_actor_gets_it
 
 #[test]
 fn with_the_policy_stop_the_vehicle_stays_until_the_verdict_is_clean() {
-    let mut s = watched(AlarmPolicy::Stop);
+    let mut s = monitored(AlarmPolicy::Stop);
     s.verdict = Some(Verdict::Attack);
     s.run(5);
     s.velocity_ned_m_s.x = 0.0;
@@ -104,8 +104,8 @@ fn with_the_policy_stop_the_vehicle_stays_until_the_verdict_is_clean() {
 }
 
 #[test]
-fn with_the_policy_ignore_the_alarm_is_told_and_the_flight_is_not_touched() {
-    let mut s = watched(AlarmPolicy::Ignore);
+fn with_the_policy_ignore_the_alarm_is_reported_and_the_flight_is_not_touched() {
+    let mut s = monitored(AlarmPolicy::Ignore);
     s.verdict = Some(Verdict::Attack);
     let out = s.run(seconds(5.0));
     assert_eq!((out.state, out.reasons), (Guided, Reasons::NONE));
@@ -115,7 +115,7 @@ fn with_the_policy_ignore_the_alarm_is_told_and_the_flight_is_not_touched() {
 
 #[test]
 fn an_actor_without_a_verdict_is_not_trusted_for_longer_than_half_a_second() {
-    let mut s = watched(AlarmPolicy::Recover);
+    let mut s = monitored(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Unknown);
     assert_eq!(s.run(10).alarm, None);
     assert_holds(s.step(), Reason::NoVerdict);
@@ -128,13 +128,13 @@ fn an_actor_without_a_verdict_is_not_trusted_for_longer_than_half_a_second() {
 
 #[test]
 fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_clean() {
-    let mut s = watched(AlarmPolicy::Recover);
+    let mut s = monitored(AlarmPolicy::Recover);
     s.risk.collision_course = true;
     assert_eq!(s.run(3).alarm, None, "a few steps may be noise");
     assert_holds(s.step(), Reason::CollisionCourse);
     recovers(&mut s);
 
-    // The clean verdicts that led it here do not give it back: rough pictures are no clean steps.
+    // The clean verdicts that brought it here do not give it back: rough pictures are no clean steps.
     s.risk.collision_course = false;
     s.smooth_share = Some(0.3);
     let flying = s.run(seconds(60.0));
@@ -162,7 +162,7 @@ fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_cle
 
 #[test]
 fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator() {
-    let mut s = watched(AlarmPolicy::Stop);
+    let mut s = monitored(AlarmPolicy::Stop);
     s.risk.collision_course = true;
     s.run(4);
     s.risk.collision_course = false;
@@ -173,8 +173,8 @@ fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator()
 }
 
 #[test]
-fn an_actor_that_is_led_away_from_the_guard_s_way_is_stopped_although_every_verdict_is_clean() {
-    let mut s = watched_for_leading_astray();
+fn an_actor_that_goes_away_from_the_guard_s_way_is_stopped_although_every_verdict_is_clean() {
+    let mut s = monitored_for_leading_astray();
     s.risk.speed_along_way_m_s = 0.8;
     assert_eq!(s.run(seconds(30.0)).alarm, None, "it gets on");
     // Astray, away from the way.
@@ -192,8 +192,8 @@ fn an_actor_that_is_led_away_from_the_guard_s_way_is_stopped_although_every_verd
 }
 
 #[test]
-fn an_actor_that_waits_or_flies_round_something_or_is_held_is_not_taken_for_one_led_astray() {
-    let mut s = watched_for_leading_astray();
+fn an_actor_that_waits_or_flies_round_something_or_is_held_is_not_taken_for_one_that_goes_astray() {
+    let mut s = monitored_for_leading_astray();
     for speed_m_s in [0.0, 0.8, -0.3, 0.8, 0.0, 1.2] {
         s.risk.speed_along_way_m_s = speed_m_s;
         assert_eq!(s.run(seconds(3.0)).alarm, None, "{speed_m_s}");
@@ -206,7 +206,7 @@ fn an_actor_that_waits_or_flies_round_something_or_is_held_is_not_taken_for_one_
 
 #[test]
 fn an_actor_that_goes_on_turning_the_other_way_than_the_planner_is_stopped_although_it_gets_on() {
-    let mut s = watched(AlarmPolicy::Recover);
+    let mut s = monitored(AlarmPolicy::Recover);
     let recovery_yaw = s.recovery.unwrap().yaw;
     let turn_apart = |s: &mut Story, apart: f32| s.action.as_mut().unwrap().yaw = recovery_yaw + apart;
     for _ in 0..20 {
@@ -227,7 +227,7 @@ fn an_actor_that_goes_on_turning_the_other_way_than_the_planner_is_stopped_altho
 
 #[test]
 fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
-    let mut s = watched_for_leading_astray();
+    let mut s = monitored_for_leading_astray();
     let mut config = *s.guidance.config();
     config.alarm.astray_limit_m = 0.0;
     s.guidance.reconfigure(config).unwrap();
@@ -238,7 +238,7 @@ fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
 
 #[test]
 fn the_recovery_pilot_is_stopped_before_what_it_would_fly_into_and_begins_anew_from_there() {
-    let mut s = watched(AlarmPolicy::Recover);
+    let mut s = monitored(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Attack);
     s.run(5);
     recovers(&mut s);
@@ -267,7 +267,7 @@ fn without_the_guard_a_collision_course_raises_nothing() {
 
 #[test]
 fn a_recovery_pilot_without_an_action_leaves_the_vehicle_holding() {
-    let mut s = watched(AlarmPolicy::Recover);
+    let mut s = monitored(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Attack);
     s.recovery = None;
     s.velocity_ned_m_s.x = 0.0;
@@ -278,7 +278,7 @@ fn a_recovery_pilot_without_an_action_leaves_the_vehicle_holding() {
 
 #[test]
 fn an_operator_changes_the_policy_in_flight() {
-    let mut s = watched(AlarmPolicy::Stop);
+    let mut s = monitored(AlarmPolicy::Stop);
     s.verdict = Some(Verdict::Attack);
     s.velocity_ned_m_s.x = 0.0;
     assert_eq!(s.run(seconds(5.0)).state, Hold);
@@ -291,10 +291,10 @@ fn an_operator_changes_the_policy_in_flight() {
 
 #[test]
 fn an_alarm_lasts_no_longer_than_its_flight() {
-    let mut s = watched(AlarmPolicy::Recover);
+    let mut s = monitored(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Attack);
     assert!(s.run(seconds(1.0)).alarm.is_some());
     s.armed = false;
     assert_eq!(s.until(Standby), 1);
-    assert_eq!(s.step().alarm, None, "what is judged on the ground raises nothing");
+    assert_eq!(s.step().alarm, None, "what is scored on the ground raises nothing");
 }

@@ -400,10 +400,10 @@ fn auto_engages_only_from_where_it_is_allowed_to() {
         (s.armed, s.landed, s.mode, s.failsafe) = (armed, landed, mode, failsafe);
         (s.vehicle.up_ns, s.position_ned_m.z) = (Some(up_ns), height_m(landed));
         let out = s.run(seconds(20.0));
-        let told = out.reasons.contains(Reason::PilotInCommand);
+        let says_so = out.reasons.contains(Reason::PilotInCommand);
         let story = format!("armed {armed}, {landed:?}, {mode:?}, failsafe {failsafe}, up {up_ns}");
         assert_eq!(
-            (out.state, told),
+            (out.state, says_so),
             if takes { (Engaging, false) } else { (Ready, true) },
             "{story}"
         );

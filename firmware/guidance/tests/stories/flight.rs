@@ -90,7 +90,7 @@ fn goals_and_the_fence_are_counted_from_home_which_the_autopilot_sets_anew_when_
     assert_eq!(
         goal_m(&s),
         NedVector::new(33.0, 8.0, -4.0),
-        "in flight the goal does not wander off"
+        "in flight the goal does not move off"
     );
 
     assert_eq!(s.ask(goal(28.0, 0.0, None)), RequestOutcome::Accepted);
@@ -117,7 +117,7 @@ fn goals_and_the_fence_are_counted_from_home_which_the_autopilot_sets_anew_when_
 }
 
 #[test]
-fn a_home_that_is_told_only_in_flight_counts_once() {
+fn a_home_that_is_reported_only_in_flight_counts_once() {
     let mut s = Story::guided(auto());
     s.vehicle.home_ned_m = Some(NedVector::new(12.0, 3.0, 0.0));
     s.step();
@@ -126,7 +126,7 @@ fn a_home_that_is_told_only_in_flight_counts_once() {
 }
 
 #[test]
-fn telemetry_with_little_margin_is_told_and_flown_all_the_same() {
+fn telemetry_with_little_margin_is_reported_and_flown_all_the_same() {
     let mut s = Story::guided(auto());
     s.vehicle.telemetry_interval_ns = Some(150_000_000);
     assert_eq!(s.run(20).reasons, Reasons::NONE, "half of the age that is stale");

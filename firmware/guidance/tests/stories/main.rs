@@ -1,4 +1,4 @@
-//! Stories of flights, each told step by step.
+//! Stories of flights, each step by step.
 
 mod alarm;
 mod command;

@@ -49,7 +49,7 @@ impl Callers {
         has_room
     }
 
-    /// Hangs up on all of them and tells how many they were.
+    /// Hangs up on all of them and returns how many they were.
     pub fn dismiss(&mut self) -> u64 {
         let count = self.waiting.len() as u64;
         self.waiting.clear();

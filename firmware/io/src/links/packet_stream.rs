@@ -71,7 +71,7 @@ impl PacketStream {
         self.queued = 0;
     }
 
-    /// Reads what is there; each packet that passes the gate becomes a datagram. Tells whether one did that keeps the peer
+    /// Reads what is there; each packet that passes the gate becomes a datagram. Returns whether one did that keeps the peer
     /// from being taken for silent.
     pub fn receive(
         &mut self,
@@ -95,7 +95,7 @@ impl PacketStream {
     }
 
     /// Reads what somebody sends who is not the peer yet, with a framing of his own, until he shows that he may be: from
-    /// then on packets become datagrams as the peer's do. Tells whether he did.
+    /// then on packets become datagrams as the peer's do. Returns whether he did.
     pub fn receive_introduction(
         &mut self,
         wire: &mut impl Read,

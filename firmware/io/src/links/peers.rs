@@ -108,7 +108,7 @@ impl UdpPeers {
         }
     }
 
-    /// Hands over every datagram that has come and may be MAVLink, without waiting, and who sent it. `admit` tells whether
+    /// Hands over every datagram that has come and may be MAVLink, without waiting, and who sent it. `admit` says whether
     /// any of it was taken: only then the sender becomes a peer.
     fn read(&mut self, now_ns: Nanos, mut admit: impl FnMut(SocketAddr, &[u8]) -> bool) {
         self.now_ns = now_ns;
@@ -141,7 +141,7 @@ impl UdpPeers {
         }
     }
 
-    /// Notes who sent a datagram, and learns him if it was taken and there is room. Tells whether he is a peer that the
+    /// Notes who sent a datagram, and learns him if it was taken and there is room. Returns whether he is a peer that the
     /// kernel lets in whatever else comes.
     fn note(&mut self, from: SocketAddr, is_taken: bool) -> bool {
         if self.peer == Some(from) {
@@ -343,7 +343,7 @@ mod tests {
                 }
             }
         }
-        // Until the first look tells who is loud, after a second.
+        // Until the first look shows who is loud, after a second.
         assert!(of_station >= 180, "{of_station} of 200");
         assert!((200..20_000).contains(&of_strangers), "{of_strangers} of 200 000");
         station.send_to(&hello(1), here).unwrap();

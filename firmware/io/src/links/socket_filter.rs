@@ -41,7 +41,7 @@ pub(super) enum Newcomers {
     /// Nobody.
     None,
     /// Whose datagram begins like a packet of an autopilot. Where a system is given, of another one's few: so that somebody
-    /// can be told of it.
+    /// can hear of it.
     Autopilots(Option<u8>),
     /// Whose datagram begins like a packet.
     Mavlink,
@@ -175,7 +175,7 @@ impl FloodWatch {
         now_ns < self.until_ns
     }
 
-    /// Is told how many datagrams of newcomers one call read, and whether it had to leave others.
+    /// Takes how many datagrams of newcomers one call read, and whether it had to leave others.
     pub fn note(&mut self, now_ns: Nanos, read: usize, left_some: bool) {
         if now_ns >= self.window_end_ns {
             self.window_end_ns = now_ns + WINDOW_NS;

@@ -19,7 +19,7 @@ pub struct LinkAdmission<'a> {
 }
 
 impl LinkAdmission<'_> {
-    /// Appends to `received` what may pass, and tells whether anything did. `is_local`: the sender is on this machine.
+    /// Appends to `received` what may pass, and returns whether anything did. `is_local`: the sender is on this machine.
     pub fn admit(&mut self, is_local: bool, datagram: &[u8], received: &mut Datagrams) -> bool {
         let (policy, link) = (self.allow_unsigned, self.link);
         self.gate.admit_by(policy, is_local, link, datagram, received)

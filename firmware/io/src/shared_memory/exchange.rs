@@ -257,7 +257,7 @@ impl LockstepClient {
         }
     }
 
-    /// Tells the firmware that no more steps come and waits until it knows, whatever `cancelled` says.
+    /// Lets the firmware know that no more steps come and waits until it knows, whatever `cancelled` says.
     ///
     /// # Errors
     /// [`LockstepError::FirmwareSilent`] with the step given here.

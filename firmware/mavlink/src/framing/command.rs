@@ -145,7 +145,7 @@ pub struct CommandAck {
     pub command: u16,
     /// MAV_RESULT as a number.
     pub result: u8,
-    /// Per cent, or 255 when not told.
+    /// Per cent, or 255 when unknown.
     pub progress: u8,
     /// Result detail, command-specific.
     pub result_param2: i32,

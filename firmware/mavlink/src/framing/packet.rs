@@ -1,4 +1,4 @@
-//! The scanner that finds packets, and what a packet tells before it is parsed.
+//! The scanner that finds packets, and what a packet shows before it is parsed.
 
 use crate::framing::{Command, CommandAck, extra_crc};
 use mavlink::dialects::common::{HEARTBEAT_DATA, MavMessage};
@@ -142,7 +142,7 @@ impl<'a> Packet<'a> {
     }
 
     /// The (system, component) that the message is addressed to; 0 is everybody. `None` when the message has no target
-    /// fields or its target cannot be told (unknown message): by the routing rules that is a broadcast.
+    /// fields or its target cannot be known (unknown message): by the routing rules that is a broadcast.
     pub fn target(&self) -> Option<(u8, u8)> {
         if let Some(command) = self.command() {
             return Some((command.target_system, command.target_component));

@@ -30,7 +30,7 @@ impl CommandService {
     /// Acknowledges a request; one that is refused with the reasons of the last step, and with a text.
     pub fn answer(&mut self, core: &mut Core, pending: &PendingRequest, outcome: RequestOutcome) {
         let (state, reasons) = core.said.unwrap_or_default();
-        let told = match outcome {
+        let progress = match outcome {
             RequestOutcome::Accepted => Reasons::NONE,
             RequestOutcome::TooFar { distance_m, limit_m } => {
                 let command = pending.command;
@@ -57,7 +57,7 @@ impl CommandService {
                 reasons
             }
         };
-        core.acknowledge(pending.reply, pending.command, result_of(outcome), told);
+        core.acknowledge(pending.reply, pending.command, result_of(outcome), progress);
     }
 
     fn command(&mut self, core: &mut Core, command: &Command, reply: ReplyTo) {
@@ -85,7 +85,7 @@ impl CommandService {
         }
     }
 
-    /// To be told in the next step, as far as there is room.
+    /// To be said in the next step, as far as there is room.
     fn refuse(&mut self, command: u16, why: Arguments<'_>) {
         if let (false, Some(name)) = (self.refused.is_full(), request_name(command)) {
             let text = StatusText::new(WARNING, format_args!("{name} refused{why}"));

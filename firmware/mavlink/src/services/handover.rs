@@ -41,7 +41,7 @@ enum Action {
     Nothing,
     /// A command to send, and its confirmation.
     Send(Wanted, u8),
-    /// A command with this number failed, which people are told once.
+    /// A command with this number failed, which people read once.
     Failed(u16, Failure),
     /// The same for a vehicle that names another autopilot than the configured one.
     OtherAutopilot(Flavour),
@@ -142,7 +142,7 @@ impl HandoverService {
     }
 
     /// The mode first, which every PX4 takes. It holds a point that it projects from its velocity alone, and flies back to it if it was
-    /// gaining speed: so it is told the place where it can stop as soon as it has the mode.
+    /// gaining speed: so it is sent the place where it can stop as soon as it has the mode.
     fn px4_stop(&self, place_m: Option<(f32, f32)>, vehicle: &Vehicle) -> Wanted {
         let holds = vehicle.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
         let has_mode = holds
@@ -151,7 +151,7 @@ impl HandoverService {
         // An origin that was inferred from home may be metres aside.
         let origin = vehicle
             .origin
-            .filter(|_| vehicle.is_origin_told() && !self.refuses_place);
+            .filter(|_| vehicle.is_origin_known() && !self.refuses_place);
         let reposition = |speed_m_s| {
             let set = [(1, speed_m_s), (2, 1.0), (3, 0.0)];
             self.wanted(command_number::DO_REPOSITION, EFFECT_NS, &set)

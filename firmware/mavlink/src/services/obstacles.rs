@@ -8,7 +8,7 @@ use vigil_types::{Datagrams, HORIZONTAL_FOV_RAD, Nanos, ObstacleReports};
 
 /// Bins of the message; they share the sensor's field of view.
 const BINS: usize = 72;
-/// Nearest and farthest distance told, centimetres.
+/// Nearest and farthest distance sent, centimetres.
 const LEAST_CM: u16 = 10;
 const FARTHEST_CM: u16 = 3000;
 /// Nothing within [`FARTHEST_CM`].
@@ -24,7 +24,7 @@ pub(crate) struct ObstacleService {
 impl Service for ObstacleService {}
 
 impl ObstacleService {
-    /// Tells what the pilot sees: see [`crate::Companion::emit_obstacles`].
+    /// Sends what the pilot sees: see [`crate::Companion::emit_obstacles`].
     pub fn tell(
         &mut self,
         core: &mut Core,
@@ -33,12 +33,12 @@ impl ObstacleService {
         out: &mut Datagrams,
     ) {
         let seen = sectors.filter(|_| core.vehicle.telemetry.is_airborne());
-        let tells = match core.config.obstacles {
+        let sends = match core.config.obstacles {
             ObstacleReports::Off => false,
             ObstacleReports::Flight => seen.is_some(),
             ObstacleReports::KeepAlive => core.vehicle_heard,
         };
-        if tells && self.due.is_due(now_ns, VALUES_NS) {
+        if sends && self.due.is_due(now_ns, VALUES_NS) {
             let message = match seen {
                 Some(sectors) => message(now_ns, sectors),
                 // Of a sensor that looks nowhere: no distance is known.

@@ -28,7 +28,7 @@ impl ParameterService {
         }
     }
 
-    /// Answers on the link it came on. What there is not is told to who asked this very component: of a request to all
+    /// Answers on the link it came on. What there is not is reported to who asked this very component: of a request to all
     /// another one may have it.
     fn request(&mut self, core: &mut Core, from: ReplyTo, is_for_me: bool, request: &ParameterRequest) {
         let ParameterRequest::One { name, index, set } = request else {

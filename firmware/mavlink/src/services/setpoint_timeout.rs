@@ -6,7 +6,7 @@
 //! (<https://docs.px4.io/main/en/advanced_config/parameter_reference#COM_OF_LOSS_T>). Either holds for whoever sends setpoints
 //! after us too. So a vehicle that has a limit for the guidance computer alone, `VGL_OF_LOSS_T` as the simulated one, is
 //! asked for that first, and the other is then left alone. Nothing waits for this: a vehicle that does not answer is flown
-//! all the same, and people are told.
+//! all the same, and people read it.
 
 use crate::autopilot::Flavour;
 use crate::companion::CompanionConfig;
@@ -27,7 +27,7 @@ const RETRY_NS: Nanos = 500_000_000;
 /// A value counts as set when it is as near as this: what an autopilot may round.
 const SAME_S: f32 = 1e-3;
 
-/// What was found; told once for each hand-over.
+/// What was found; said once for each hand-over.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Finding {
     /// Short enough, seconds.
@@ -53,13 +53,13 @@ enum Next {
 
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 enum Stage {
-    /// No hand-over, or its finding was told.
+    /// No hand-over, or its finding was said.
     #[default]
     Idle,
     Reading,
     /// It was this long.
     Setting(f32),
-    /// To be told.
+    /// To be said.
     Found(Finding),
 }
 
@@ -208,7 +208,7 @@ impl Service for SetpointTimeoutService {
                 core.tell(out, WARNING, format_args!("{name} stays {s} s, wanted {wanted_s} s"));
             }
             Next::Tell(Finding::NotTold) => {
-                core.tell(out, WARNING, format_args!("{name} is not told by the vehicle"));
+                core.tell(out, WARNING, format_args!("{name} is not reported by the vehicle"));
             }
         }
     }

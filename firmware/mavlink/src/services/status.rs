@@ -7,7 +7,7 @@ use crate::service::{Service, Step};
 use crate::status_text::{CRITICAL, INFO, NOTICE, StatusText, WARNING};
 use vigil_types::{Alarm, AlarmResponse, Datagrams, GuidanceState, Nanos, Reason, Reasons, Verdict};
 
-/// How often values are told, four times a second.
+/// How often values are sent, four times a second.
 pub(super) const VALUES_NS: Nanos = 250_000_000;
 
 #[derive(Debug, Clone, Default)]
@@ -51,7 +51,7 @@ impl Service for StatusService {
             core.tell(
                 out,
                 WARNING,
-                format_args!("home is not told: goals are from the local origin"),
+                format_args!("home is unknown: goals are from the local origin"),
             );
         }
         core.newcomer = false;

@@ -29,7 +29,7 @@ struct Needed {
     slow_ns: Nanos,
     /// ArduPilot's MAV_DATA_STREAM that has it, for versions that do not know intervals of single messages; 0 is none.
     stream: u8,
-    /// Guidance cannot fly without it for longer than fractions of a second: that it is slow is told.
+    /// Guidance cannot fly without it for longer than fractions of a second: that it is slow is reported.
     flies: bool,
     /// Only an ArduPilot is asked: a PX4 sends it when there is something to tell.
     of_ardupilot: bool,
@@ -108,7 +108,7 @@ enum Ask {
 
 /// How one message comes.
 #[derive(Debug, Clone, Copy, Default)]
-struct Watched {
+struct Monitored {
     /// The last arrivals, newest first.
     arrivals_ns: [Option<Nanos>; ARRIVALS],
     /// Since when it is waited for.
@@ -119,7 +119,7 @@ struct Watched {
     good_since_ns: Option<Nanos>,
 }
 
-impl Watched {
+impl Monitored {
     fn mean_interval_ns(&self) -> Option<Nanos> {
         let [newest, .., oldest] = self.arrivals_ns;
         Some(newest?.saturating_sub(oldest?) / (ARRIVALS as Nanos - 1))
@@ -161,7 +161,7 @@ impl Watched {
 
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StreamService {
-    watched: [Watched; NEEDED.len()],
+    monitored: [Monitored; NEEDED.len()],
     /// Of each needed message: an ArduPilot sends it too slowly unless asked.
     ask: [bool; NEEDED.len()],
     asked_ns: Nanos,
@@ -169,7 +169,7 @@ pub(crate) struct StreamService {
     places_asked: u8,
     flavour: Flavour,
     guards: bool,
-    /// A message that comes too rarely, to be told: name, rate and wanted rate, hertz.
+    /// A message that comes too rarely, to be reported: name, rate and wanted rate, hertz.
     slow: Option<(&'static str, f32, f32)>,
 }
 
@@ -189,7 +189,7 @@ impl StreamService {
 
     /// Mean time between the last positions or attitudes, whichever is longer.
     fn flight_interval_ns(&self) -> Option<Nanos> {
-        let of = |place: usize| self.watched.get(place)?.mean_interval_ns();
+        let of = |place: usize| self.monitored.get(place)?.mean_interval_ns();
         Some(of(POSITION)?.max(of(ATTITUDE)?))
     }
 
@@ -208,26 +208,29 @@ impl StreamService {
         if !heard || vehicle.is_other_autopilot() || now_ns.saturating_sub(self.asked_ns) < PAUSE_NS {
             return None;
         }
-        for ((needed, watched), ask) in NEEDED.iter().zip(&mut self.watched).zip(&mut self.ask) {
+        for ((needed, monitored), ask) in NEEDED.iter().zip(&mut self.monitored).zip(&mut self.ask) {
             let is_place = needed.id == POSITION_TARGET_GLOBAL_INT_DATA::ID;
             if is_place && !self.guards || needed.of_ardupilot && self.flavour != Flavour::ArduPilot {
                 continue;
             }
-            watched.since_ns.get_or_insert(now_ns);
-            if !*ask && !watched.is_wanting(now_ns, needed) {
+            monitored.since_ns.get_or_insert(now_ns);
+            if !*ask && !monitored.is_wanting(now_ns, needed) {
                 continue;
             }
             let wanted_hz = 1e6 / needed.interval_us;
-            if let (false, true, true, Some(interval_ns)) =
-                (*ask, needed.flies, watched.is_slow(needed), watched.mean_interval_ns())
-            {
+            if let (false, true, true, Some(interval_ns)) = (
+                *ask,
+                needed.flies,
+                monitored.is_slow(needed),
+                monitored.mean_interval_ns(),
+            ) {
                 self.slow = Some((needed.name, 1e9 / interval_ns as f32, wanted_hz));
             }
             *ask = false;
             // Every third time in the old way, where there is one.
-            let old_way = watched.asked % 3 == 2 && needed.stream != 0 && self.flavour == Flavour::ArduPilot;
-            watched.asked = watched.asked.saturating_add(1);
-            watched.asked_ns = Some(now_ns);
+            let old_way = monitored.asked % 3 == 2 && needed.stream != 0 && self.flavour == Flavour::ArduPilot;
+            monitored.asked = monitored.asked.saturating_add(1);
+            monitored.asked_ns = Some(now_ns);
             self.asked_ns = now_ns;
             if old_way {
                 return Some(Ask::DataStream {
@@ -244,7 +247,7 @@ impl StreamService {
     }
 
     fn ask_for_place(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Option<Ask> {
-        let known = [vehicle.is_origin_told(), vehicle.home_ned_m().is_some()];
+        let known = [vehicle.is_origin_known(), vehicle.home_ned_m().is_some()];
         // Each twice after 3 s, then less and less often: a vehicle without GPS has neither.
         let pause_ns = MISSING_NS << (self.places_asked / 4).min(4);
         if known == [true; 2] || now_ns.saturating_sub(self.asked_ns) <= pause_ns {
@@ -269,9 +272,9 @@ impl Service for StreamService {
     }
 
     fn hear_vehicle(&mut self, core: &mut Core, now_ns: Nanos, packet: &Packet<'_>) {
-        for (needed, watched) in NEEDED.iter().zip(&mut self.watched) {
+        for (needed, monitored) in NEEDED.iter().zip(&mut self.monitored) {
             if [needed.id, needed.or].contains(&packet.message_id()) {
-                watched.note(now_ns, needed);
+                monitored.note(now_ns, needed);
             }
         }
         core.telemetry_interval_ns = self.flight_interval_ns();

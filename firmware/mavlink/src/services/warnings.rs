@@ -10,9 +10,9 @@ use mavlink::MessageData;
 use mavlink::dialects::common::HEARTBEAT_DATA;
 use vigil_types::{Datagrams, Nanos, NedVector};
 
-/// A vehicle of another autopilot than the configured one, and another guidance computer, are told of this often.
+/// A vehicle of another autopilot than the configured one, and another guidance computer, are reported this often.
 const WRONG_VEHICLE_NS: Nanos = 30_000_000_000;
-/// Home is told of when it is this much elsewhere than last told, metres.
+/// Home is reported when it is this much elsewhere than last reported, metres.
 const HOME_MOVED_M: f32 = 0.5;
 
 #[derive(Debug, Clone, Default)]
@@ -23,7 +23,7 @@ pub(crate) struct WarningService {
     home_said_m: NedVector,
     /// Somebody on the vehicle's link calls itself what we are.
     double_heard: bool,
-    double_told_ns: Option<Nanos>,
+    double_said_ns: Option<Nanos>,
 }
 
 impl Service for WarningService {
@@ -70,7 +70,7 @@ impl Service for WarningService {
                 ),
             );
         }
-        if core::mem::take(&mut self.double_heard) && is_due(&mut self.double_told_ns, now_ns) {
+        if core::mem::take(&mut self.double_heard) && is_due(&mut self.double_said_ns, now_ns) {
             let (system, component) = (core.system_id.unwrap_or_default(), core.config.component_id);
             let text = format_args!("another guidance computer {system}/{component} is on the link: stop one");
             core.tell(out, CRITICAL, text);
@@ -82,10 +82,10 @@ impl Service for WarningService {
 }
 
 /// Whether what is repeated after a while is due, which is noted.
-fn is_due(told_ns: &mut Option<Nanos>, now_ns: Nanos) -> bool {
-    let is_due = told_ns.is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= WRONG_VEHICLE_NS);
+fn is_due(said_ns: &mut Option<Nanos>, now_ns: Nanos) -> bool {
+    let is_due = said_ns.is_none_or(|said_ns| now_ns.saturating_sub(said_ns) >= WRONG_VEHICLE_NS);
     if is_due {
-        *told_ns = Some(now_ns);
+        *said_ns = Some(now_ns);
     }
     is_due
 }

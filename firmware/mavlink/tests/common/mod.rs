@@ -129,7 +129,7 @@ pub struct Flight {
     pub peer: Peer,
     pub sent: Datagrams,
     pub last: Option<GuidanceOutput>,
-    /// Everything told by STATUSTEXT.
+    /// Everything said by STATUSTEXT.
     pub texts: Vec<String>,
     /// Frames are delivered.
     pub sees: bool,
@@ -232,7 +232,7 @@ impl Flight {
 
     /// A text with these words came.
     #[track_caller]
-    pub fn assert_told(&self, words: &str) {
+    pub fn assert_said(&self, words: &str) {
         let texts = &self.texts;
         assert!(
             texts.iter().any(|text| text.contains(words)),

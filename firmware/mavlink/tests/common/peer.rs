@@ -71,8 +71,8 @@ pub struct Peer {
     pub setpoint_timeout_s: f32,
     /// VGL_OF_LOSS_T, seconds, of a vehicle that has it.
     pub own_timeout_s: Option<f32>,
-    /// It tells that parameter, and lets it be set.
-    pub tells_parameters: bool,
+    /// It reports that parameter, and lets it be set.
+    pub reports_parameters: bool,
     pub sets_parameters: bool,
     /// Parameters asked for, and set.
     pub parameters_read: u32,
@@ -121,7 +121,7 @@ impl Peer {
             cruise_m_s: 3.0,
             gain_m_s2: 2.5,
             setpoint_timeout_s,
-            tells_parameters: true,
+            reports_parameters: true,
             sets_parameters: true,
             tells_landed: true,
             boot_ns: 20 * SECOND,
@@ -353,8 +353,8 @@ impl Peer {
                     assert_eq!(p.param_index, -1, "{name}");
                     self.parameters_read += u32::from(TIMEOUTS.contains(&name));
                     // An autopilot that has no such parameter says nothing.
-                    let tells = self.tells_parameters || name == OWN_TIMEOUT;
-                    self.replies.extend(self.value(name).filter(|_| tells));
+                    let reports = self.reports_parameters || name == OWN_TIMEOUT;
+                    self.replies.extend(self.value(name).filter(|_| reports));
                 }
                 MavMessage::PARAM_SET(p) if p.target_system == self.system && p.target_component == 1 => {
                     let name = p.param_id.to_str().expect("a name is UTF-8");
@@ -373,7 +373,7 @@ impl Peer {
                     self.command(now_ns, &c)
                 }
                 MavMessage::COMMAND_INT(c) if c.target_system == self.system && c.target_component == 1 => {
-                    assert_eq!(c.frame as u8, 0, "above sea level, where that is told");
+                    assert_eq!(c.frame as u8, 0, "above sea level, where that is known");
                     self.places.push((c.x, c.y, [c.param1, c.param2, c.z]));
                     let mut result = MavResult::MAV_RESULT_DENIED;
                     if self.flavour == Flavour::Px4 && c.command as u16 == 192 && !self.refuses_places {

@@ -43,7 +43,7 @@ impl Axis {
             }
             let (from, taps) = (at, self.phase(at));
             let by_kernel = self.kernel.saturating_sub(taps.first).div_ceil(self.stride);
-            // All taps lead to an output until there are no more outputs; at the border each input sees others.
+            // All taps go to an output until there are no more outputs; at the border each input sees others.
             let last = (at + self.padding) / self.stride >= self.out;
             let count = if last || taps.count < by_kernel {
                 1

@@ -218,7 +218,7 @@ impl Conv2d {
     ) -> Result<(), ShapeError> {
         let (first_y, count_y) = rows.phases(y);
         let (first_x, count_x) = columns.phases(x);
-        // Steps that lead to outputs that exist; along the columns those that do not are zeros of the halo.
+        // Steps that go to outputs that exist; along the columns those that do not are zeros of the halo.
         let from = y.from.max((rows.top + 1).saturating_sub(self.out_rows()));
         let to = y.to.min(rows.top + 1);
         if from >= to || x.from == x.to || count_y * count_x == 0 {

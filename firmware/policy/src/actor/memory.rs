@@ -42,7 +42,7 @@ const SAME_SURFACE_M: f32 = 0.6;
 const CELL_M: f32 = 0.2;
 /// Surfaces nearer than this are remembered, metres: farther away the scan is too coarse.
 const REMEMBERED_M: f32 = 8.0;
-/// Surfaces nearer than this are told, metres.
+/// Surfaces nearer than this are observed, metres.
 const RING_M: f32 = 10.0;
 /// A surface that was not seen for so long is forgotten.
 const FORGOTTEN_NS: Nanos = 40 * NANOS_PER_S;
@@ -325,8 +325,8 @@ impl ActorMemory {
             }
             at += 1;
         }
-        let (_, told) = self.context.split_at_mut(OLDER_SCANS);
-        let (near, rest) = told.split_at_mut(RING);
+        let (_, observed) = self.context.split_at_mut(OLDER_SCANS);
+        let (near, rest) = observed.split_at_mut(RING);
         let slots = near.iter_mut().zip(rest.iter_mut());
         for ((near, fresh), (range_m, seen_ns)) in slots.zip(nearest_m.into_iter().zip(seen_ns)) {
             if range_m.is_finite() {
@@ -404,8 +404,8 @@ impl ActorMemory {
     /// Writes the older scans as they would be seen from here.
     fn tell_older(&mut self, heading: &Heading) {
         const WIDTH_RAD: f32 = PI / MOVED as f32;
-        for (told, age) in self.context.chunks_exact_mut(MOVED).zip(SCAN_AGES) {
-            told.fill(0.0);
+        for (observed, age) in self.context.chunks_exact_mut(MOVED).zip(SCAN_AGES) {
+            observed.fill(0.0);
             let Some(points) = self.history.get((self.newest + HISTORY - age) % HISTORY) else {
                 continue;
             };
@@ -430,9 +430,9 @@ impl ActorMemory {
                     _ => (bin, range_m),
                 };
                 for between in first..bin {
-                    raise(told, between, proximity(farther_m));
+                    raise(observed, between, proximity(farther_m));
                 }
-                raise(told, bin, proximity(range_m));
+                raise(observed, bin, proximity(range_m));
                 before = Some((forward, right, bin));
             }
         }
@@ -466,9 +466,9 @@ impl ActorMemory {
                 *visits += libm::expf(-away_m / TRAIL_M);
             }
         }
-        let (_, told) = self.context.split_at_mut(CONTEXT - TRAIL);
-        for (told, visits) in told.iter_mut().zip(visits) {
-            *told = visits / (1.0 + visits);
+        let (_, observed) = self.context.split_at_mut(CONTEXT - TRAIL);
+        for (observed, visits) in observed.iter_mut().zip(visits) {
+            *observed = visits / (1.0 + visits);
         }
     }
 }
@@ -483,11 +483,11 @@ fn seen_through(ranges_m: &[f32; SCAN], bearing_rad: f32, away_m: f32) -> bool {
 }
 
 /// Raises a bin to a proximity; nothing for a bin out of view.
-fn raise(told: &mut [f32], bin: i32, near: f32) {
-    if let Some(told) = usize::try_from(bin).ok().and_then(|bin| told.get_mut(bin))
-        && *told < near
+fn raise(observed: &mut [f32], bin: i32, near: f32) {
+    if let Some(observed) = usize::try_from(bin).ok().and_then(|bin| observed.get_mut(bin))
+        && *observed < near
     {
-        *told = near;
+        *observed = near;
     }
 }
 

@@ -8,8 +8,8 @@
 extern crate alloc;
 
 use crate::PilotInput;
+use crate::actor::low_dim::LowDim;
 use crate::actor::memory::{CONTEXT, OLDER_SCANS, Odometry, SCAN};
-use crate::actor::positional::PositionalInputs;
 use crate::actor::senses::{LOW_DIM, Senses};
 use alloc::vec;
 use alloc::vec::Vec;
@@ -446,8 +446,8 @@ impl Actor {
     }
 
     /// The low-dimensional observation of the last decision.
-    pub fn low_dim(&self) -> PositionalInputs {
-        PositionalInputs::from(self.low)
+    pub fn low_dim(&self) -> LowDim {
+        LowDim::from(self.low)
     }
 
     /// Takes note of the action that is flown after the last decision, if it is not the actor's own. One that is not finite is not flown:

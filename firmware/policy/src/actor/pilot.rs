@@ -1,6 +1,6 @@
 //! The learned pilot: a frozen actor, alone or with the potential field added (docs/paper.md, Algorithm 1).
 
-use crate::actor::{ACTOR_HIDDEN, Actor, PositionalInputs};
+use crate::actor::{ACTOR_HIDDEN, Actor, LowDim};
 use crate::field::FlightField;
 use crate::geometric::range_scan::RangeScan;
 use crate::{GeometricPilot, ImportedPilot, Pilot, PilotInput};
@@ -14,7 +14,7 @@ pub struct ActorPilot {
     surroundings: RangeScan,
     field: Option<FlightField>,
     /// The observation of the last decision; `None` before the first.
-    low_dim: Option<PositionalInputs>,
+    low_dim: Option<LowDim>,
 }
 
 impl ActorPilot {
@@ -36,7 +36,7 @@ impl ActorPilot {
     }
 
     /// The low-dimensional observation of the last decision; `None` before the first.
-    pub fn position(&self) -> Option<PositionalInputs> {
+    pub fn low_dim(&self) -> Option<LowDim> {
         self.low_dim
     }
 
@@ -120,12 +120,12 @@ impl FlightPilot {
         }
     }
 
-    /// The learned pilot's positional inputs of the last decision; `None` without one, and before its first.
-    pub fn position(&self) -> Option<PositionalInputs> {
+    /// The learned pilot's low-dimensional observation of the last decision; `None` without one, and before its first.
+    pub fn low_dim(&self) -> Option<LowDim> {
         match self {
             Self::Geometric(_) => None,
-            Self::Actor(pilot) => pilot.position(),
-            Self::Imported(pilot) => pilot.position(),
+            Self::Actor(pilot) => pilot.low_dim(),
+            Self::Imported(pilot) => pilot.low_dim(),
         }
     }
 

@@ -26,7 +26,7 @@ const SLOWEST_M_S: f32 = 0.1;
 pub struct Aside {
     /// Radians.
     rad: f32,
-    /// At the most, metres; with what is kept clear besides no more than the 1.5 m that the grid's clearance tells.
+    /// At the most, metres; with what is kept clear besides no more than the 1.5 m that the grid's clearance shows.
     most_m: f32,
 }
 

@@ -203,7 +203,7 @@ impl GeometricPilot {
         self.progress = None;
     }
 
-    /// Whether an action that is carried on for `carried_s` leads into something remembered, even if the vehicle is told to stop after it. To be
+    /// Whether an action that is carried on for `carried_s` runs into something remembered, even if the vehicle is ordered to stop after it. To be
     /// asked after [`Pilot::decide`], with the same input.
     pub(crate) fn foresees_collision(&self, input: &PilotInput<'_>, action: Action, carried_s: f32) -> bool {
         let motion = motion_of(input, position_ned_m(input), action.yaw);

@@ -50,9 +50,9 @@ impl RecoveryPilot {
         &self.pilot
     }
 
-    /// Where an actor is led: bearing of the planned path, distance of the goal; without a path the goal as it is. After [`Self::observe`], with
+    /// The local goal of an actor: bearing of the planned path, distance of the goal; without a path the goal as it is. After [`Self::observe`], with
     /// the same input.
-    pub fn lead(&self, input: &PilotInput<'_>) -> GoalRelative {
+    pub fn path_ahead(&self, input: &PilotInput<'_>) -> GoalRelative {
         let to_waypoint = self.waypoint.map(|waypoint| waypoint - position_ned_m(input));
         match to_waypoint.filter(|to| to.horizontal_norm() > LEAST_LEAD_M) {
             None => input.goal,
@@ -84,7 +84,7 @@ impl RecoveryPilot {
         self.waypoint = None;
     }
 
-    /// Whether the actor's action leads into something that many frames have shown, even if the vehicle is told to stop 0.7 s later. After
+    /// Whether the actor's action runs into something that many frames have shown, even if the vehicle is ordered to stop 0.7 s later. After
     /// [`Self::observe`], with the same input.
     pub fn foresees_collision(&self, input: &PilotInput<'_>, action: Action) -> bool {
         self.pilot.foresees_collision(input, action, FORESIGHT_S)

@@ -211,7 +211,7 @@ impl Track {
         )
     }
 
-    /// Leaves out the ends with which it would be seen now. `sees_past` tells that nothing can be at a place.
+    /// Leaves out the ends with which it would be seen now. `sees_past` says that nothing can be at a place.
     pub(super) fn refute(&mut self, sees_past: impl Fn((f32, f32)) -> bool) {
         let mut refuted = self.refuted;
         let beside_m = self.radius_m + BESIDE_M;

@@ -3,7 +3,7 @@
 extern crate alloc;
 
 use super::network::{Network, NetworkError};
-use crate::actor::PositionalInputs;
+use crate::actor::LowDim;
 use crate::field::FlightField;
 use crate::geometric::range_scan::RangeScan;
 use crate::{Pilot, PilotInput};
@@ -55,7 +55,7 @@ pub struct PolicyInputs {
     pub scale: f32,
     /// Place of the frame among the network's inputs, 0 or 1.
     pub frame_input: usize,
-    /// The other input gets distance and bearing of the goal ([`PositionalInputs`]).
+    /// The other input gets distance and bearing of the goal ([`LowDim`]).
     pub has_position: bool,
     /// The two outputs are multiplied by it: 1.5 for a policy with outputs in ±1.
     pub output_scale: f32,
@@ -76,7 +76,7 @@ pub struct ImportedPilot {
     started: bool,
     /// The split point, if it has one.
     split: Option<NodeId>,
-    position: Option<PositionalInputs>,
+    low_dim: Option<LowDim>,
     surroundings: RangeScan,
     field: Option<FlightField>,
 }
@@ -182,7 +182,7 @@ impl ImportedPilot {
             frame: vec![0.0; frame_len],
             places: inputs.places().collect(),
             split: split.and_then(|layer| nodes.get(layer).copied()),
-            position: None,
+            low_dim: None,
             started: false,
             surroundings: RangeScan::new(),
             field: field.then(FlightField::default),
@@ -196,30 +196,30 @@ impl ImportedPilot {
 
     /// The values at the split point, of the last decision; `None` without either.
     pub fn state(&self) -> Option<&[f32]> {
-        self.position?;
+        self.low_dim?;
         self.graph.value(&self.tape, self.split?).ok()
     }
 
-    /// The positional inputs of the last decision; `None` before the first.
-    pub fn position(&self) -> Option<PositionalInputs> {
-        self.position
+    /// The low-dimensional observation of the last decision; `None` before the first.
+    pub fn low_dim(&self) -> Option<LowDim> {
+        self.low_dim
     }
 
     /// Decides on our newest frame, ranges over 100 m; within ±1.5, without the field. Not finite if its network does not give a number.
-    pub fn decide_on(&mut self, depth: &[f32], position: PositionalInputs) -> Action {
+    pub fn decide_on(&mut self, depth: &[f32], low_dim: LowDim) -> Action {
         self.inputs.see(&self.places, depth, !self.started, &mut self.frame);
         self.started = true;
-        self.position = Some(position);
-        let own = self.evaluate(&position).unwrap_or(Action::new(f32::NAN, f32::NAN));
+        self.low_dim = Some(low_dim);
+        let own = self.evaluate(&low_dim).unwrap_or(Action::new(f32::NAN, f32::NAN));
         // What is not finite makes the caller hold, and stays what it is.
         if own.is_finite() { own.clipped() } else { own }
     }
 
-    fn evaluate(&mut self, position: &[f32]) -> Option<Action> {
+    fn evaluate(&mut self, low_dim: &[f32]) -> Option<Action> {
         let frame = self.frame.as_slice();
         let given: [&[f32]; 2] = match self.inputs.frame_input {
-            0 => [frame, position],
-            _ => [position, frame],
+            0 => [frame, low_dim],
+            _ => [low_dim, frame],
         };
         let given = given.get(..self.graph.input_count())?;
         self.graph.forward(self.isa, &self.params, given, &mut self.tape).ok()?;
@@ -231,7 +231,7 @@ impl ImportedPilot {
 
 impl Pilot for ImportedPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
-        let own = self.decide_on(&input.depth.depth, PositionalInputs::of_goal(input.goal));
+        let own = self.decide_on(&input.depth.depth, LowDim::of_goal(input.goal));
         let scan = self.surroundings.observe(input);
         match &mut self.field {
             Some(field) if own.is_finite() => field.add_to(own, 1.0, input, scan),
@@ -241,7 +241,7 @@ impl Pilot for ImportedPilot {
 
     fn reset(&mut self) {
         self.started = false;
-        self.position = None;
+        self.low_dim = None;
         self.field = self.field.as_ref().map(|_| FlightField::default());
     }
 }

@@ -13,7 +13,7 @@ use vigil_nnet::{Activation, Function};
 /// What an unsaturated network's curve is instead of the saturating one.
 pub const UNSATURATED: Activation = Activation::Identity;
 
-/// The layers behind a split point: inputs are the split point's values and the positional inputs `[2]` (read or not), the output is the
+/// The layers behind a split point: inputs are the split point's values and the low-dimensional observation `[2]` (read or not), the output is the
 /// policy's. Parameters are those of its layers, in their order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Head {

@@ -33,7 +33,7 @@ const DRIFTS: f32 = 1.5;
 const SAME_CELLS: u16 = 10;
 /// A cell should have changed if the motion asks for more than this, metres.
 const CHANGE_M: f32 = 0.03;
-/// Something nearer than this may move beside the vehicle and fill the view: whether it fits, stays, is there or is gone tells nothing, metres.
+/// Something nearer than this may move beside the vehicle and fill the view: whether it fits, stays, is there or is gone shows nothing, metres.
 const MAY_MOVE_M: f32 = 2.5;
 /// A picture fits an earlier one if so many samples say something, such a share of them agrees at such a mean cost, and standing
 /// still would cost so much more.
@@ -110,7 +110,7 @@ impl Kept {
 
 impl PlausibilityCheck {
     /// Compares the picture with the one before (`comparable`: that is a step older, and this one has no regions moved back) and with two that were
-    /// kept; raises what that tells, or keeps the picture.
+    /// kept; raises what that shows, or keeps the picture.
     pub(super) fn compare(&mut self, pose: &Pose, stamp_ns: Nanos, comparable: bool) {
         let same = self
             .pose_before
@@ -306,7 +306,7 @@ impl PlausibilityCheck {
         let cells = samples(self.step).chain(samples(self.step + 4));
         let back = self.way_back(anchor, pose, stamp_ns, cells.clone());
         let forth = Map::between(&anchor.pose, pose);
-        let (mut told, mut agreed, mut lost, mut same) = (0_u16, 0_u16, 0_u16, 0_u16);
+        let (mut compared, mut agreed, mut lost, mut same) = (0_u16, 0_u16, 0_u16, 0_u16);
         let (mut moved_costs, mut stayed_costs) = (0.0, 0.0);
         for (row, column) in cells {
             let cell = row * COLS + column;
@@ -314,7 +314,7 @@ impl PlausibilityCheck {
             same += u16::from(self.is_same_to_the_bit(cell));
             let (found, _) = look(&self.directions, (row, column), seen, &back, &anchor.picture);
             if let (Some(moved), Seen::Surface(range_m)) = (found.cost(), seen) {
-                told += 1;
+                compared += 1;
                 agreed += u16::from(found.agrees());
                 moved_costs += moved;
                 if let Seen::Surface(there_m) = anchor.picture.at(cell) {
@@ -325,10 +325,10 @@ impl PlausibilityCheck {
             let (found, _) = look(&self.directions, (row, column), there, &forth, &self.picture);
             lost += u16::from(found.is_seen_through());
         }
-        told >= FIT_SAMPLES
-            && f32::from(agreed) >= FIT_SHARE * f32::from(told)
-            && f32::from(lost) <= (1.0 - FIT_SHARE) * f32::from(told)
-            && moved_costs <= FIT_MEAN_COST * f32::from(told)
+        compared >= FIT_SAMPLES
+            && f32::from(agreed) >= FIT_SHARE * f32::from(compared)
+            && f32::from(lost) <= (1.0 - FIT_SHARE) * f32::from(compared)
+            && moved_costs <= FIT_MEAN_COST * f32::from(compared)
             && stayed_costs >= FIT_COST
             && same < SAME_CELLS
     }

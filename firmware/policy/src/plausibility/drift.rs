@@ -115,7 +115,7 @@ impl<const CAUSES: usize> Default for Squares<CAUSES> {
 
 impl<const CAUSES: usize> Squares<CAUSES> {
     /// Takes a sample: how it is found by the motion, and with each cause by a step to this side (1 or −1). Where one of them shows no
-    /// surface, or another one, it tells nothing.
+    /// surface, or another one, it shows nothing.
     pub(super) fn add(&mut self, found: Found, tested: [Found; CAUSES], side: f32) {
         let Found::Surface { error_m, range_m } = found else {
             return;
@@ -153,7 +153,7 @@ impl<const CAUSES: usize> Squares<CAUSES> {
         sums.chain([&mut self.left, &mut self.samples])
     }
 
-    /// `None` where some cause cannot be told. What is known before, as information on each cause being none, is added.
+    /// `None` where some cause cannot be known. What is known before, as information on each cause being none, is added.
     pub(super) fn solved(&self, known: [f32; CAUSES]) -> Option<Solved<CAUSES>> {
         let mut normal = self.normal;
         for (i, (row, known)) in normal.iter_mut().zip(known).enumerate() {
@@ -249,12 +249,12 @@ const FEWEST_READINGS: usize = 2;
 const DRIFT_IN_TURNS: f32 = 0.4;
 const ERROR_OF_WIDTH: f32 = 0.05;
 const READINGS_BEFORE: f32 = 2.0;
-/// A mean so many times its own standard deviation is told. Readings that follow each other share most of a drift, so this is three and
+/// A mean so many times its own standard deviation is reported. Readings that follow each other share most of a drift, so this is three and
 /// a half of such a mean's.
 const SURE: f32 = 6.0;
 /// What was read along the way counts for about twenty readings.
 const KEEP_ALONG: f32 = 0.95;
-/// Turns that are told, as multiples of the tested one, and the least share by which a view's width must differ.
+/// Turns that are reported, as multiples of the tested one, and the least share by which a view's width must differ.
 const LEAST_TURN: f32 = 0.7;
 const MOST_TURN: f32 = 2.5;
 const LEAST_WIDENING: f32 = 0.15;
@@ -298,8 +298,8 @@ impl Readings {
     }
 }
 
-/// Tells a sensor that is turned on its mount from an estimate that drifts: the turn shows aside of every way alike, the drift to all
-/// sides, along the way as well, and changes within seconds. And tells a view of another width, which no drift looks like.
+/// Distinguishes a sensor that is turned on its mount from an estimate that drifts: the turn shows aside of every way alike, the drift to all
+/// sides, along the way as well, and changes within seconds. And finds a view of another width, which no drift looks like.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct MountReadings {
     since_ns: Option<Nanos>,
@@ -360,7 +360,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn causes_are_told_apart_and_what_they_leave_is_told() {
+    fn causes_are_distinguished_and_what_they_leave_is_reported() {
         // Errors of two causes, 0.5 and -2 steps, and of neither: 0.3 by turns.
         let surface = |error_m| Found::Surface { error_m, range_m: 2.0 };
         let mut squares = Squares::<2>::default();

@@ -4,20 +4,20 @@ use super::drift::{Errors, MountReadings};
 use super::picture::{PART_COLS, PART_ROWS};
 use vigil_types::Reason;
 
-/// What is found counts for about ten frames, and for about forty where directions are told.
+/// What is found counts for about ten frames, and for about forty where directions are compared.
 const KEEP: f32 = 0.9;
 const KEEP_LONG: f32 = 0.975;
 /// Frames in a row that hardly changed by a bit, although the vehicle moved: the sensor is frozen.
 const SAME_FRAMES: u8 = 2;
 /// Cost of the motion over that of standing still, for the view (and as a share of the motion's) and for a part of it, that
-/// tells frozen; and how many parts.
+/// makes a frozen one; and how many parts.
 const FROZEN_VIEW: f32 = 120.0;
 const FROZEN_FIT: f32 = 0.8;
 const FROZEN_PART: f32 = 40.0;
 const FROZEN_PARTS: usize = 6;
 /// So many parts tell it even where the view as a whole moved: more than something shows that moves beside the vehicle.
 const FROZEN_PARTS_OF_A_MOVING_VIEW: usize = 28;
-/// Mean cost of the motion that tells a picture of another place, and samples that it needs.
+/// Mean cost of the motion that shows a picture of another place, and samples that it needs.
 const MISFIT: f32 = 2.0;
 const MISFIT_SAMPLES: f32 = 300.0;
 /// Regions that were moved are known to a few decimetres only: this is how many times as much their motion may cost.
@@ -74,7 +74,7 @@ pub(super) struct Evidence {
     /// Whether the sensor is turned on its mount, or of another width; this does not fade.
     pub mount: MountReadings,
     pub wrong_mount: bool,
-    /// What the motion cost where these are told.
+    /// What the motion cost where these are compared.
     pub far_cost: f32,
     /// Frames in a row that hardly changed by a bit.
     pub same_frames: u8,
@@ -120,7 +120,7 @@ impl Evidence {
             })
     }
 
-    /// What it tells of a picture, of one with regions moved back if `is_restored`.
+    /// What it says of a picture, of one with regions moved back if `is_restored`.
     pub(super) fn verdict(&self, is_restored: bool) -> Option<Raised> {
         // A picture that moves another way may cost less standing still too, but hardly fits.
         let is_frozen = |frozen: f32, cost: f32, least: f32| frozen > least && frozen > FROZEN_FIT * cost;

@@ -254,7 +254,7 @@ fn stands_or_takes_off(telemetry: &VehicleTelemetry) -> bool {
     telemetry.landed == Landed::OnGround || telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Takeoff)
 }
 
-/// Only who leads the vehicle by what is seen can be led astray: a mission over a slope is not held.
+/// Only who steers the vehicle by what is seen can go astray: a mission over a slope is not held.
 fn obeys_setpoints(telemetry: &VehicleTelemetry) -> bool {
     telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::External)
 }

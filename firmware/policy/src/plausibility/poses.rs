@@ -10,7 +10,7 @@ const POSE_COS_HALF: f32 = 0.991_445; // 15°
 const POSE_DRIFT_M: f32 = 0.4;
 const POSE_FRAMES: usize = 10;
 const BAD_POSES: u8 = 2;
-/// A position this far from where the velocity led since the last one has jumped; the second allows for each second between them.
+/// A position this far from where the velocity brought it since the last one has jumped; the second allows for each second between them.
 const JUMP_M: f32 = 1.0;
 const JUMP_M_S: f32 = 10.0;
 /// Telemetry is extrapolated to the frame's stamp by no more than this, seconds.
@@ -24,12 +24,12 @@ pub(super) struct PoseCheck {
     bad_poses: u8,
     good_poses: u8,
     pub(super) is_bad: bool,
-    /// What the vehicle told when the frame before was checked.
+    /// What the vehicle reported when the frame before was checked.
     kinematics_before: Option<Kinematics>,
 }
 
-/// Whether the vehicle is told to be where it cannot have come to since it told its position before: more than 1 m, and 10 m for each
-/// second between the two, from where its velocity led.
+/// Whether the vehicle reports to be where it cannot have come to since it reported its position before: more than 1 m, and 10 m for each
+/// second between the two, from where its velocity brought it.
 pub fn has_jumped(before: &Kinematics, now: &Kinematics) -> bool {
     let passed_s = now.at_ns.saturating_sub(before.at_ns) as f32 * 1e-9;
     let led_to_ned_m = before.position_ned_m + before.velocity_ned_m_s * passed_s;

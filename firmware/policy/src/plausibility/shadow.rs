@@ -1,7 +1,7 @@
 //! The shadow of what stands on the ground: behind a true obstacle the ground is not seen, whatever range the obstacle is shown at.
 //!
 //! What is shown farther away than it is lies, where a ray leads down, beneath the ground that the lowest rows of the same picture
-//! show: a surface there, seen through the ground, is none. Where those rows show no ground nothing can be told, which is no good word
+//! show: a surface there, seen through the ground, is none. Where those rows show no ground nothing can be known, which is no good word
 //! for the picture.
 
 use super::blindness::{STRIP, STRIPS};
@@ -14,7 +14,7 @@ const BIN_M: f32 = 0.1;
 const BINS: usize = 80;
 /// Cells of three neighbouring bins that make a ground.
 const LEAST_GROUND: u16 = 40;
-/// The ground may lie this much higher, or lower, than home, metres: else nothing is told. Of a wall that fills the view the lowest
+/// The ground may lie this much higher, or lower, than home, metres: else nothing is said. Of a wall that fills the view the lowest
 /// rays show as much depth.
 const HIGHER_M: f32 = 0.5;
 const LOWER_M: f32 = 3.0;

@@ -44,12 +44,12 @@ impl Reference {
         }
     }
 
-    fn head(&mut self, state: NodeId, position: NodeId) -> NodeId {
+    fn head(&mut self, state: NodeId, low_dim: NodeId) -> NodeId {
         let b = &mut self.builder;
-        let [(positional, p), (dense, d), (output, o)] = self.dense;
+        let [(first, p), (dense, d), (output, o)] = self.dense;
         let state = b.activation(state, Activation::TANH).unwrap();
-        let position = b.dense(position, positional, Activation::TANH, p).unwrap();
-        let joined = b.concat(&[state, position]).unwrap();
+        let low_dim = b.dense(low_dim, first, Activation::TANH, p).unwrap();
+        let joined = b.concat(&[state, low_dim]).unwrap();
         let hidden = b.dense(joined, dense, Activation::Elu, d).unwrap();
         b.dense(hidden, output, Activation::Tanh { scale: 1.5 }, o).unwrap()
     }
@@ -65,8 +65,8 @@ impl Reference {
     /// Inputs are the GRU's state and the positional values.
     pub fn head_graph(mut self, purpose: Purpose) -> Graph {
         let state = self.builder.input(48, true).unwrap();
-        let position = self.builder.input(2, true).unwrap();
-        let output = self.head(state, position);
+        let low_dim = self.builder.input(2, true).unwrap();
+        let output = self.head(state, low_dim);
         self.builder.finish(output, purpose).unwrap()
     }
 
@@ -75,9 +75,9 @@ impl Reference {
         let features: Vec<NodeId> = (0..5)
             .map(|_| self.builder.input(self.gru.0.inputs, true).unwrap())
             .collect();
-        let position = self.builder.input(2, true).unwrap();
+        let low_dim = self.builder.input(2, true).unwrap();
         let state = self.recur(&features);
-        let output = self.head(state, position);
+        let output = self.head(state, low_dim);
         self.builder.finish(output, purpose).unwrap()
     }
 
@@ -92,9 +92,9 @@ impl Reference {
                 x
             })
             .collect();
-        let position = self.builder.input(2, explained).unwrap();
+        let low_dim = self.builder.input(2, explained).unwrap();
         let state = self.recur(&features);
-        let output = self.head(state, position);
+        let output = self.head(state, low_dim);
         self.builder.finish(output, purpose).unwrap()
     }
 }

@@ -42,8 +42,8 @@ fn what_a_text_does_not_name_stays() {
 }
 
 #[test]
-fn what_is_refused_is_told_by_line_column_and_key_with_what_is_allowed() {
-    for (text, told) in [
+fn what_is_refused_is_reported_by_line_column_and_key_with_what_is_allowed() {
+    for (text, reason) in [
         (
             "\ncount = 10",
             "line 2, column 9: `count`: 10 is not allowed: 1 to 9 steps",
@@ -69,7 +69,7 @@ fn what_is_refused_is_told_by_line_column_and_key_with_what_is_allowed() {
         ("count = 1\ncount = 2", "line 2"),
     ] {
         let error = from_toml::<Whole>(text).unwrap_err();
-        assert!(error.contains(told), "{text}: {error}");
+        assert!(error.contains(reason), "{text}: {error}");
     }
 }
 

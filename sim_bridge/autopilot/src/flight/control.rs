@@ -88,7 +88,7 @@ impl Core {
         self.param(ParamId::LandSpeedMS).min(TOUCH_DOWN_M_S) + TOUCH_DOWN_SLOPE_PER_S * above_m
     }
 
-    /// Velocities and places that lead into the ground end on it: the world is level at home's height.
+    /// Velocities and places that run into the ground end on it: the world is level at home's height.
     fn touching_down_softly(&self, mut command: ControlCommand) -> ControlCommand {
         let limit_m_s = self.descent_limit_m_s();
         let down_to_ground_m_s = limit_m_s.min(self.param(ParamId::MaxDownMS));

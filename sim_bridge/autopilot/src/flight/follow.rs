@@ -89,7 +89,7 @@ impl Core {
         let height_m = self.param(ParamId::FollowHeightM);
         // FLW_TGT_ALT_M 2 counts the height from the target; the world is level, so that 0 and 1 are the same.
         let down_m = match self.param(ParamId::FollowAltitudeMode) as i32 {
-            // A target may be told to be anywhere: not into the ground.
+            // A target may be reported anywhere: not into the ground.
             2 => (now_at.z - height_m).min(-LEAST_HEIGHT_M),
             _ => -height_m,
         };

@@ -239,11 +239,11 @@ impl Core {
     }
 
     /// The current item is done; after the last one the vehicle holds where it is.
-    fn end_item(&mut self, tells: bool) {
+    fn end_item(&mut self, is_reached: bool) {
         self.plans.mission.not_before_ns = self.now_ns + ITEM_PAUSE_NS;
         let pauses = self.plans.mission.pauses_after_item();
-        let goes_on = self.plans.mission.advance(tells);
-        if tells {
+        let goes_on = self.plans.mission.advance(is_reached);
+        if is_reached {
             self.announce::<MISSION_ITEM_REACHED_DATA>();
         }
         self.announce::<MISSION_CURRENT_DATA>();

@@ -101,7 +101,7 @@ impl FlightMode {
         self.px4().2
     }
 
-    /// Its name as PX4 tells it.
+    /// Its name as PX4 has it.
     pub(crate) const fn px4_name(self) -> &'static str {
         self.px4().3
     }

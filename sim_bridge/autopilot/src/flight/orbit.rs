@@ -69,7 +69,7 @@ impl Core {
             self.enter(FlightMode::Hold, Maneuver::default());
             return ControlCommand::STOP;
         }
-        let lead = sense * orbit.speed_m_s / orbit.radius_m * VELOCITY_DELAY_S;
+        let ahead_rad = sense * orbit.speed_m_s / orbit.radius_m * VELOCITY_DELAY_S;
         let tangent = bearing + sense * core::f32::consts::FRAC_PI_2;
         let speed_m_s = orbit.speed_m_s * (1.0 - off_circle_m / CAPTURE_M).clamp(0.0, 1.0);
         let yaw = match orbit.facing {
@@ -80,7 +80,7 @@ impl Core {
         self.commander.maneuver = Maneuver::Orbit(orbit);
         let on_circle = |angle: f32, length: f32| (libm::cosf(angle) * length, libm::sinf(angle) * length);
         let (x, y) = on_circle(bearing, orbit.radius_m);
-        let (vx, vy) = on_circle(tangent + lead, speed_m_s);
+        let (vx, vy) = on_circle(tangent + ahead_rad, speed_m_s);
         ControlCommand::Position {
             position_ned_m: orbit.centre_ned_m + NedVector::new(x, y, 0.0),
             velocity_m_s: NedVector::new(vx, vy, 0.0),

@@ -19,8 +19,8 @@ struct SourceState {
     id: Source,
     last_ns: Nanos,
     command: ControlCommand,
-    /// A status text has told that its setpoints are ignored.
-    told: bool,
+    /// A status text has said that its setpoints are ignored.
+    is_warned: bool,
 }
 
 /// The newest setpoint of each source, and who owns OFFBOARD.
@@ -79,7 +79,7 @@ impl Setpoints {
                 id,
                 last_ns: now_ns,
                 command,
-                told: false,
+                is_warned: false,
             };
             if self.sources.len() < MAX_SOURCES {
                 self.sources.push(source);
@@ -96,8 +96,8 @@ impl Setpoints {
             return Taken::Own;
         }
         let source = self.sources.iter_mut().find(|s| s.id == id);
-        let told = source.is_none_or(|s| std::mem::replace(&mut s.told, true));
-        if told { Taken::Ignored } else { Taken::IgnoredFirst }
+        let is_warned = source.is_none_or(|s| std::mem::replace(&mut s.is_warned, true));
+        if is_warned { Taken::Ignored } else { Taken::IgnoredFirst }
     }
 
     /// Whose setpoints are fresh.
@@ -125,7 +125,7 @@ impl Setpoints {
     pub fn set_owner(&mut self, owner: Option<Source>) {
         self.owner = owner;
         for source in &mut self.sources {
-            source.told = false;
+            source.is_warned = false;
         }
     }
 }
@@ -135,7 +135,7 @@ impl Setpoints {
 pub(crate) enum Taken {
     /// The owner's, or nobody owns OFFBOARD.
     Own,
-    /// Ignored, and its sender has not been told yet.
+    /// Ignored, and its sender has not been warned yet.
     IgnoredFirst,
     /// Ignored.
     Ignored,

@@ -311,13 +311,13 @@ mod tests {
         for (frame, heading_rad, north, east) in
             [(LOCAL, 1.0, 1.0, 0.0), (BODY, core::f32::consts::FRAC_PI_2, 0.0, 1.0)]
         {
-            let told = read(frame, 0xC3F, heading_rad);
+            let taken = read(frame, 0xC3F, heading_rad);
             let Ok(ControlCommand::Acceleration {
                 acceleration_ned_m_s2: a,
                 yaw: YawCommand::Hold,
-            }) = told
+            }) = taken
             else {
-                panic!("{told:?}");
+                panic!("{taken:?}");
             };
             let is_turned = (a.x - north).abs() < 1e-6 && (a.y - east).abs() < 1e-6;
             assert!(is_turned && a.z == -0.5, "{a:?}");

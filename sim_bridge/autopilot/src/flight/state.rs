@@ -12,7 +12,7 @@ use vigil_types::{FrdVector, Nanos, NedVector};
 const CLIMB_BRAKING_M_S2: f32 = 0.4;
 /// Margin on that distance, for the jerk limit's delay.
 const CLIMB_MARGIN_M: f32 = 0.5;
-/// Whether the vehicle is on the ground, as EXTENDED_SYS_STATE tells it.
+/// Whether the vehicle is on the ground, as EXTENDED_SYS_STATE has it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LandedState {
     /// Weight on the ground.

@@ -41,7 +41,7 @@ pub(crate) struct Place {
     pub height_m: Option<f32>,
 }
 
-/// What an item's packet tells besides the item.
+/// What an item's packet holds besides the item.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Envelope {
     pub seq: u16,

@@ -318,7 +318,7 @@ impl Mission {
         })
     }
 
-    /// State as MISSION_CURRENT tells it; `is_flown` says whether the vehicle is in mission mode.
+    /// State as MISSION_CURRENT has it; `is_flown` says whether the vehicle is in mission mode.
     pub fn state(&self, is_flown: bool) -> MissionState {
         if self.is_empty() {
             MissionState::MISSION_STATE_NO_MISSION
@@ -365,10 +365,10 @@ impl Mission {
         true
     }
 
-    /// The current item is done: goes on to the next; `false` if it was the last. `tells` says whether it counts as
+    /// The current item is done: goes on to the next; `false` if it was the last. `is_reached` says whether it counts as
     /// reached.
-    pub fn advance(&mut self, tells: bool) -> bool {
-        if tells {
+    pub fn advance(&mut self, is_reached: bool) -> bool {
+        if is_reached {
             self.reached = Some(self.current());
         }
         self.stage = Stage::Fresh;

@@ -1,4 +1,4 @@
-//! What the motors are told, as pulse widths: ACTUATOR_OUTPUT_STATUS and SERVO_OUTPUT_RAW. 1000 µs is standstill, 2000 µs
+//! What the motors are sent, as pulse widths: ACTUATOR_OUTPUT_STATUS and SERVO_OUTPUT_RAW. 1000 µs is standstill, 2000 µs
 //! the top speed; disarmed motors get 900 µs, as PX4 has it. ACTUATOR_TEST shows in these outputs and moves nothing: the
 //! propellers are off.
 

@@ -1,6 +1,6 @@
-//! PREFLIGHT_CALIBRATION, told by PX4's `[cal]` texts, which MAVSDK and QGroundControl read.
+//! PREFLIGHT_CALIBRATION, reported by PX4's `[cal]` texts, which MAVSDK and QGroundControl read.
 //!
-//! The simulated sensors have no offset that lasts, so a calibration measures and tells; it changes nothing. Those that
+//! The simulated sensors have no offset that lasts, so a calibration measures and reports; it changes nothing. Those that
 //! need the vehicle turned by hand are refused.
 
 use crate::service::prelude::*;

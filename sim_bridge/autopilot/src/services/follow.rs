@@ -11,12 +11,12 @@ const HAS_VELOCITY: u8 = 1 << 1;
 /// Faster targets are mistakes.
 const ABSURD_VELOCITY_M_S: f32 = 100.0;
 
-/// The same refusal is told again after this time.
+/// The same refusal is said again after this time.
 const REPEATED_NS: Nanos = 5_000_000_000;
 
 #[derive(Default)]
 pub(crate) struct Follow {
-    told: Allowance,
+    said: Allowance,
 }
 
 impl Service for Follow {
@@ -41,7 +41,7 @@ impl Service for Follow {
         };
         // A vehicle that waits for its target would otherwise not tell why.
         core.refusals.setpoint_value += 1;
-        if self.told.takes(core.now_ns, REPEATED_NS, 1) {
+        if self.said.takes(core.now_ns, REPEATED_NS, 1) {
             core.warn(&format!("target of {}: {defect}", source.id));
         }
     }

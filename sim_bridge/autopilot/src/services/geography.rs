@@ -20,7 +20,7 @@ pub(super) const MESSAGES: &[Produced] = &[
     Produced::from(GPS_GLOBAL_ORIGIN_DATA::ID, [0.5, 0.5, 0.5], origin),
 ];
 
-/// The origin is where the simulated world has it; whoever wants another is told the one in force.
+/// The origin is where the simulated world has it; whoever wants another is sent the one in force.
 pub(super) fn set_origin(_wanted: SET_GPS_GLOBAL_ORIGIN_DATA, _source: Source, core: &mut Core) {
     core.announce::<GPS_GLOBAL_ORIGIN_DATA>();
 }

@@ -69,7 +69,7 @@ impl Service for LinkStatus {
     }
 }
 
-/// To everybody, who answers as `services::time` does. The time tells one from the next.
+/// To everybody, who answers as `services::time` does. The time distinguishes one from the next.
 fn ping(core: &Core) -> Option<MavMessage> {
     Some(message!(
         PING,

@@ -159,7 +159,7 @@ fn paths(core: &Core) -> Vec<String> {
     listed.iter().map(|e| format!("{DIRECTORY}/{}", e.name)).collect()
 }
 
-/// What LOG_ENTRY says of log number `index`; no logs are told by a count of 0.
+/// What LOG_ENTRY says of log number `index`; no logs are reported by a count of 0.
 fn entry(core: &Core, index: usize) -> MavMessage {
     let entries = core.files.list(DIRECTORY).unwrap_or_default();
     let log = entries.get(index);

@@ -110,14 +110,14 @@ fn hash_message(core: &Core) -> MavMessage {
     })
 }
 
-/// Counts a refusal and tells the sender.
+/// Counts a refusal and answers the sender.
 fn refuse(core: &mut Core, source: Source, param_id: CharArray<16>, param_index: i16, error: MavParamError) {
     core.refusals.parameter += 1;
     core.outbox
         .send_to(source, message!(PARAM_ERROR, param_index, param_id, error));
 }
 
-/// Sets and tells everybody the value in force. A refusal tells the sender the value that stays and why, for clients that
+/// Sets and sends everybody the value in force. A refusal sends the sender the value that stays and why, for clients that
 /// know PARAM_ERROR and, as a text, for people.
 fn set(m: &PARAM_SET_DATA, source: Source, core: &mut Core) {
     let name = m.param_id.to_str().unwrap_or("");

@@ -102,7 +102,7 @@ fn target(core: &Core) -> Option<MavMessage> {
     position_target(core).map(MavMessage::POSITION_TARGET_LOCAL_NED)
 }
 
-/// Where the vehicle flies to, as PX4 tells its current position setpoint: the place of the mission's leg, of a go-to, a hold, a return,
+/// Where the vehicle flies to, as PX4 sends its current position setpoint: the place of the mission's leg, of a go-to, a hold, a return,
 /// a take-off or a landing; nothing where it flies to no place.
 fn global_target(core: &Core) -> Option<MavMessage> {
     let here = core.view.estimate.position_ned_m;

@@ -7,17 +7,17 @@ use crate::vehicle::ControlCommand;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::Allowance;
 
-/// Claimants and new reasons of refusals are told of this often at most: there may be any number of made-up ones.
-const TOLD_NS: Nanos = 1_000_000_000;
-/// The same reason is told to the same sender again after this time.
+/// Claimants and new reasons of refusals are reported this often at most: there may be any number of made-up ones.
+const SAID_NS: Nanos = 1_000_000_000;
+/// The same reason is said to the same sender again after this time.
 const REPEATED_NS: Nanos = 5_000_000_000;
 /// Where both messages of positions have their frame.
 const FRAME_AT: usize = 52;
 
 #[derive(Default)]
 pub(crate) struct SetpointService {
-    told: Allowance,
-    /// The refusal that was told last, and when.
+    said: Allowance,
+    /// The refusal that was said last, and when.
     refusal: Option<(Nanos, Source, SetpointDefect)>,
     told_of_ground: Allowance,
 }
@@ -32,7 +32,7 @@ impl SetpointService {
         core.setpoints.refuse(core.now_ns, defect);
         let is_due = self.refusal.is_none_or(|(at_ns, to, of)| {
             let since_ns = core.now_ns.saturating_sub(at_ns);
-            since_ns >= REPEATED_NS || ((to, of) != (source, defect) && since_ns >= TOLD_NS)
+            since_ns >= REPEATED_NS || ((to, of) != (source, defect) && since_ns >= SAID_NS)
         });
         if is_due {
             self.refusal = Some((core.now_ns, source, defect));
@@ -89,7 +89,7 @@ impl Service for SetpointService {
             Taken::IgnoredFirst => {
                 core.refusals.setpoint_foreign += 1;
                 if let Some(owner) = core.setpoints.owner()
-                    && self.told.takes(core.now_ns, TOLD_NS, 1)
+                    && self.said.takes(core.now_ns, SAID_NS, 1)
                 {
                     let text = match owner.id == source.id {
                         true => format!("setpoints of a second {source} ignored"),

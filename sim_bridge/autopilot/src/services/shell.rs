@@ -110,7 +110,7 @@ impl Shell {
     }
 }
 
-/// Does what a line says and tells what came of it.
+/// Does what a line says and returns what came of it.
 fn execute(line: &str, client: Source, core: &mut Core) -> String {
     let words: Vec<&str> = line.split_whitespace().collect();
     match words.as_slice() {

@@ -36,16 +36,16 @@ fn a_station_learns_which_modes_there_are_and_sets_one_by_its_standard_number() 
     assert_eq!(b.status().mode, FlightMode::Land);
     assert_eq!(b.ask(SET_STANDARD_MODE, &[3.0; 7]), FAILED, "no cruise mode");
     let current = b.last::<CURRENT_MODE_DATA>(API).map(|m| m.custom_mode);
-    assert_eq!(current, Some(FlightMode::Land.custom_mode()), "told at once");
+    assert_eq!(current, Some(FlightMode::Land.custom_mode()), "sent at once");
     b.run_ms(4_000);
     assert!(b.count(GCS, AVAILABLE_MODES_MONITOR_DATA::ID) >= 1);
 }
 
 fn read_hash(b: &mut Bench) -> u32 {
     b.read_parameter("_HASH_CHECK", -1);
-    let told = b.last::<PARAM_VALUE_DATA>(API).expect("told");
-    assert_eq!(told.param_id.to_str(), Ok("_HASH_CHECK"));
-    told.param_value.to_bits()
+    let hash = b.last::<PARAM_VALUE_DATA>(API).expect("sent");
+    assert_eq!(hash.param_id.to_str(), Ok("_HASH_CHECK"));
+    hash.param_value.to_bits()
 }
 
 #[test]
@@ -91,7 +91,7 @@ fn set_up_pages_cannot_change_what_the_vehicle_is() {
         MavParamError::MAV_PARAM_ERROR_READ_ONLY
     );
     assert_eq!(b.one::<PARAM_VALUE_DATA>().param_value.to_bits(), 4001);
-    b.assert_told("SYS_AUTOSTART cannot be set");
+    b.assert_said("SYS_AUTOSTART cannot be set");
 }
 
 /// Which these are is in tests/python/ground_habits.py.
@@ -114,18 +114,18 @@ fn parameters_that_scripts_set_without_asking_are_kept_and_go_back_to_their_defa
 }
 
 #[test]
-fn links_are_pinged_and_their_traffic_is_told() {
+fn links_are_pinged_and_their_traffic_is_reported() {
     let mut b = Bench::new();
     for _ in 0..40 {
         b.send_heartbeat(API, SCRIPT);
         b.run_ms(300);
     }
     assert!((1..=2).contains(&b.count(API, PING_DATA::ID)));
-    let told = |b: &Bench, link| b.last::<LINK_NODE_STATUS_DATA>(link).expect("told");
-    let (api, gcs) = (told(&b, API), told(&b, GCS));
+    let status = |b: &Bench, link| b.last::<LINK_NODE_STATUS_DATA>(link).expect("sent");
+    let (api, gcs) = (status(&b, API), status(&b, GCS));
     assert!(api.messages_received >= 38 && gcs.messages_received == 0);
     assert!(api.messages_sent > gcs.messages_sent && api.tx_rate > gcs.tx_rate && api.rx_rate > 0);
-    // What is told is what was sent, but for what came in the second since.
+    // What is reported is what was sent, but for what came in the second since.
     let is_late = |s: &&Sent| s.link == API && b.now_ns - s.at_ns <= 1_000_000_000;
     let bytes: usize = b.sent.iter().filter(is_late).map(|s| s.raw.len()).sum();
     let share = f64::from(api.tx_rate) / bytes as f64;
@@ -133,7 +133,7 @@ fn links_are_pinged_and_their_traffic_is_told() {
 }
 
 #[test]
-fn the_truth_is_told_to_scripts_that_ask_and_never_to_the_guidance_computer() {
+fn the_truth_is_ordered_to_scripts_that_ask_and_never_to_the_guidance_computer() {
     const TRUTH: u32 = HIL_STATE_QUATERNION_DATA::ID;
     let mut b = Bench::airborne();
     for (link, from) in [(API, SCRIPT), (ONBOARD, COMPANION)] {
@@ -147,7 +147,7 @@ fn the_truth_is_told_to_scripts_that_ask_and_never_to_the_guidance_computer() {
     assert!((49..=51).contains(&b.count(API, TRUTH)));
     let altitude_mm = b.last::<HIL_STATE_QUATERNION_DATA>(API).map(|m| m.alt);
     let truth_m = 488.0 + b.height_m();
-    assert!((altitude_mm.expect("told") as f32 * 1e-3 - truth_m).abs() < 0.01);
+    assert!((altitude_mm.expect("sent") as f32 * 1e-3 - truth_m).abs() < 0.01);
 }
 
 #[test]
@@ -161,7 +161,7 @@ fn a_motor_test_shows_in_the_outputs_for_its_time() {
         b.sent.clear();
         b.run_ms(250);
         let status = b.last::<ACTUATOR_OUTPUT_STATUS_DATA>(API).map(|m| m.actuator);
-        let [a, b, c, d, ..] = status.expect("told");
+        let [a, b, c, d, ..] = status.expect("sent");
         [a, b, c, d]
     };
     assert_eq!(test(&mut b, 0.2, 1.0, 2.0), ACCEPTED);
@@ -186,7 +186,7 @@ fn a_parameter_without_a_meaning_is_refused_as_by_px4() {
     let mut b = Bench::airborne();
     let land = |third: f32| [f32::NAN, f32::NAN, third, f32::NAN, f32::NAN, f32::NAN, f32::NAN];
     assert_eq!(b.command_long(API, SCRIPT, 21, land(5.0)), DENIED);
-    b.assert_told("parameter 3 has no meaning");
+    b.assert_said("parameter 3 has no meaning");
     assert_eq!(b.status().mode, FlightMode::Hold);
     assert_eq!(b.ask(20, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0]), DENIED);
     assert_eq!(b.command_long(API, SCRIPT, 21, land(0.0)), ACCEPTED);

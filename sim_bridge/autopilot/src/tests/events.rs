@@ -17,7 +17,7 @@ fn request(b: &mut Bench, first_sequence: u16, last_sequence: u16) {
 }
 
 #[test]
-fn a_flight_is_told_in_order_and_without_gaps() {
+fn a_flight_is_reported_in_order_and_without_gaps() {
     let mut b = Bench::new();
     b.sent.clear();
     b.take_off();
@@ -42,7 +42,7 @@ fn a_lost_stream_is_a_critical_event() {
     b.sent.clear();
     b.stop_stream(SCRIPT);
     b.run_ms(1_100);
-    let failsafe = events(&b, API).into_iter().find(|e| e.id == 1 << 24 | 4).expect("told");
+    let failsafe = events(&b, API).into_iter().find(|e| e.id == 1 << 24 | 4).expect("sent");
     assert_eq!((failsafe.log_levels, failsafe.arguments[0]), (0x22, 1));
 }
 
@@ -75,16 +75,16 @@ fn lost_events_are_sent_again_and_too_old_ones_named() {
 }
 
 #[test]
-fn the_last_sequence_is_told_with_a_reset_at_the_start_only() {
+fn the_last_sequence_is_reported_with_a_reset_at_the_start_only() {
     let mut b = Bench::new();
     b.run_ms(3_000);
     let all = b.all::<CURRENT_EVENT_SEQUENCE_DATA>(API).into_iter();
-    let told: Vec<_> = all.map(|c| (c.sequence, c.flags.bits())).collect();
-    assert!(told.len() >= 3);
-    assert_eq!(told[0].1, 1);
-    assert!(told[1..].iter().all(|(_, flags)| *flags == 0));
-    let last = events(&b, API).last().expect("the checks were told").sequence;
-    assert_eq!(told.last().map(|t| t.0), Some(last));
+    let sequences: Vec<_> = all.map(|c| (c.sequence, c.flags.bits())).collect();
+    assert!(sequences.len() >= 3);
+    assert_eq!(sequences[0].1, 1);
+    assert!(sequences[1..].iter().all(|(_, flags)| *flags == 0));
+    let last = events(&b, API).last().expect("the checks were sent").sequence;
+    assert_eq!(sequences.last().map(|t| t.0), Some(last));
 }
 
 #[test]
@@ -100,8 +100,8 @@ fn checks_are_run_on_request_and_name_what_fails() {
     b.run_ms(50);
     b.sent.clear();
     assert_eq!(b.ask(401, &[]), ACCEPTED);
-    let told = events(&b, API);
+    let sent = events(&b, API);
     assert_eq!(ids(&b), [100, 101, 200]);
     // Chunk, error bits, warning bits, groups that can arm: none.
-    assert_eq!(told[0].arguments[..13], [0, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+    assert_eq!(sent[0].arguments[..13], [0, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
 }

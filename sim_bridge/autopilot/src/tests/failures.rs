@@ -23,7 +23,7 @@ fn health(b: &Bench) -> MavSysStatusSensor {
 fn failures_are_obeyed_only_where_they_are_enabled_and_modelled() {
     let mut b = Bench::airborne();
     assert_eq!(inject(&mut b, GPS, 1.0), DENIED);
-    b.assert_told("SYS_FAILURE_EN");
+    b.assert_said("SYS_FAILURE_EN");
     enable(&mut b);
     assert_eq!(inject(&mut b, GPS, 2.0), UNSUPPORTED, "stuck");
     assert_eq!(inject(&mut b, 101.0, 1.0), UNSUPPORTED, "a motor");
@@ -47,7 +47,7 @@ fn without_gps_the_vehicle_lands_and_is_not_armed_again() {
     b.run_ms(2_500);
     assert_eq!(b.status().mode, FlightMode::Land);
     assert_eq!(b.status().failsafe, Some(Failsafe::PositionLost));
-    b.assert_told("position lost: land");
+    b.assert_said("position lost: land");
     assert_eq!(b.set_mode(API, SCRIPT, 4, 3), REJECTED, "nowhere to hold");
     for (number, command) in [(192, "reposition"), (22, "take-off"), (34, "orbit")] {
         let answer = b.ask(number, &[-1.0, 0.0, 0.0, f32::NAN, f32::NAN, f32::NAN, f32::NAN]);
@@ -57,7 +57,7 @@ fn without_gps_the_vehicle_lands_and_is_not_armed_again() {
         b.status().landed == LandedState::OnGround && !b.status().armed
     });
     assert_eq!(b.arm(), REJECTED);
-    b.assert_told("GPS lost");
+    b.assert_said("GPS lost");
     assert_eq!(inject(&mut b, GPS, 0.0), ACCEPTED);
     assert_eq!(b.arm(), ACCEPTED);
 }
@@ -98,6 +98,6 @@ fn without_barometer_or_compass_it_flies_on_and_does_not_arm() {
         enable(&mut b);
         assert_eq!(inject(&mut b, unit, 1.0), ACCEPTED);
         assert_eq!(b.arm(), REJECTED);
-        b.assert_told(name);
+        b.assert_said(name);
     }
 }

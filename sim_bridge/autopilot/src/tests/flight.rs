@@ -55,7 +55,7 @@ fn only_the_kill_code_disarms_in_the_air() {
     assert_eq!(b.disarm(0.0), REJECTED);
     assert_eq!(b.disarm(21195.0), REJECTED);
     assert!(b.status().armed);
-    b.assert_told("not landed");
+    b.assert_said("not landed");
     assert_eq!(b.disarm(21196.0), ACCEPTED);
     b.run_ms(1);
     assert_eq!(b.command, ControlCommand::MotorsOff);
@@ -125,7 +125,7 @@ fn a_take_off_to_a_height_below_the_vehicle_does_not_climb() {
     assert_eq!(b.arm(), ACCEPTED);
     b.run_ms(8_000);
     assert!(b.height_m() < 0.3 && b.status().armed, "{}", b.height_m());
-    b.assert_told("already higher than take-off altitude");
+    b.assert_said("already higher than take-off altitude");
     b.run_until(5, "disarms: no take-off", |b| !b.status().armed);
     // In the air it climbs to one above it, stays where it is for one below, and climbs by MIS_TAKEOFF_ALT without any.
     let mut b = Bench::airborne();
@@ -145,7 +145,7 @@ fn land_and_return_can_be_chosen_on_the_ground_and_not_armed_in() {
         assert_eq!(b.set_mode(API, SCRIPT, 4, sub), ACCEPTED);
         assert_eq!(b.arm(), REJECTED);
         let text = format!("arming denied: not in {name}, change the mode");
-        b.assert_told(&text);
+        b.assert_said(&text);
     }
     assert_eq!(b.set_mode(API, SCRIPT, 4, 3), ACCEPTED);
     assert_eq!(b.arm(), ACCEPTED);
@@ -187,7 +187,7 @@ fn goto_is_refused_on_the_ground_far_away_and_in_a_foreign_frame() {
         assert_eq!(answer, DENIED, "{frame:?} {lat} {alt}");
     }
     b.run_ms(1_000);
-    // A place at no height is one of its frame too, and whoever means another frame is told.
+    // A place at no height is one of its frame too, and whoever means another frame reads it.
     for (frame, alt) in [
         (MavFrame::MAV_FRAME_LOCAL_NED, f32::NAN),
         (MavFrame::MAV_FRAME_MISSION, f32::NAN),
@@ -195,8 +195,8 @@ fn goto_is_refused_on_the_ground_far_away_and_in_a_foreign_frame() {
     ] {
         b.sent.clear();
         assert_eq!(b.reposition(frame, (47.3977, 8.5455), alt, 0.0), DENIED, "{frame:?}");
-        let told = format!("denied: frame {} is not flown, 0, 3, 5 and 6 are", frame as u8);
-        b.assert_told(&told);
+        let text = format!("denied: frame {} is not flown, 0, 3, 5 and 6 are", frame as u8);
+        b.assert_said(&text);
     }
 }
 
@@ -216,16 +216,16 @@ fn home_can_be_moved_and_return_flies_there() {
         let answer = b.ask(SET_HOME, &place(use_current, lat, alt));
         assert_eq!(answer, DENIED, "{use_current} {lat} {alt}");
     }
-    let told = |b: &Bench| b.last::<HOME_POSITION_DATA>(API).expect("told");
+    let home_of = |b: &Bench| b.last::<HOME_POSITION_DATA>(API).expect("sent");
     b.run_ms(2_500);
-    let before = told(&b);
+    let before = home_of(&b);
     assert_eq!((before.x, before.y, before.z), (0.0, 0.0, 0.0));
     assert_eq!(before.latitude, (origin.latitude_deg * 1e7).round() as i32);
 
     // A COMMAND_LONG holds a latitude to less than half a metre.
     assert_eq!(b.ask(SET_HOME, &place(0.0, lat, 488.0)), ACCEPTED);
     b.run_ms(100);
-    let home = told(&b);
+    let home = home_of(&b);
     let is_there = (home.x - 8.0).abs() < 0.5 && (home.y + 6.0).abs() < 0.5 && home.z == 0.0;
     assert!(is_there, "{home:?}");
     assert!((f64::from(home.latitude) - lat * 1e7).abs() < 50.0);
@@ -239,7 +239,7 @@ fn home_can_be_moved_and_return_flies_there() {
     let frame = MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT;
     b.command_at(MavCmd::MAV_CMD_DO_SET_HOME, [0.0; 4], frame, (lat, lon), 488.0);
     b.run_ms(100);
-    let home = told(&b);
+    let home = home_of(&b);
     assert!((home.x - 8.0).abs() < 0.02 && (home.y + 6.0).abs() < 0.02, "{home:?}");
 
     // The heights' reference and the local origin are what they were; here is home now.
@@ -247,7 +247,7 @@ fn home_can_be_moved_and_return_flies_there() {
     assert_eq!(last_origin, Some((origin.latitude_deg * 1e7).round() as i32));
     assert_eq!(b.ask(SET_HOME, &[1.0]), ACCEPTED);
     b.run_ms(100);
-    let home = told(&b);
+    let home = home_of(&b);
     assert!(b.is_at((home.x, home.y), 0.0, 0.3), "{home:?}");
 }
 
@@ -281,11 +281,11 @@ fn a_go_to_far_below_home_is_denied_with_what_its_height_means() {
     ] {
         let mut b = Bench::airborne();
         assert_eq!(b.reposition(frame, (lat, lon), height_m, f32::NAN), DENIED, "{frame:?}");
-        let told = format!("denied: {below_m} m below home");
-        b.assert_told(&told);
+        let text = format!("denied: {below_m} m below home");
+        b.assert_said(&text);
         b.sent.clear();
         assert_eq!(b.ask(186, &[height_m, f32::from(frame as u8)]), DENIED);
-        b.assert_told(&told);
+        b.assert_said(&text);
         b.run_ms(5_000);
         assert!((b.height_m() - 3.0).abs() < 0.3, "it stays where it is");
     }
@@ -338,7 +338,7 @@ fn what_leads_into_the_ground_ends_on_it_softly() {
     }
 }
 
-/// How QGroundControl pauses: it stops where it can, not where it was told.
+/// How QGroundControl pauses: it stops where it can, not where it was asked to.
 #[test]
 fn a_go_to_without_a_place_stops_the_vehicle_where_it_is() {
     let mut b = Bench::airborne();

@@ -60,10 +60,10 @@ fn a_target_that_is_nowhere_near_is_not_followed() {
     b.run_ms(100);
     // Who waits for it to follow hears why it does not, once in a while.
     let texts = b.texts().into_iter();
-    let told: Vec<String> = texts
+    let reasons: Vec<String> = texts
         .filter_map(|text| Some(text.strip_prefix("target of 245/190: ")?.to_owned()))
         .collect();
-    assert_eq!(told, ["too far from home", "vel is NaN or absurd"]);
+    assert_eq!(reasons, ["too far from home", "vel is NaN or absurd"]);
 }
 
 /// Between reports milliseconds apart a centimetre of their resolution looks like metres per second.

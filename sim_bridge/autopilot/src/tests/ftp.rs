@@ -330,7 +330,7 @@ fn a_stored_parameter_file_sets_all_of_it_or_nothing() {
         assert_eq!(store(&mut b, &mut c, &bad).error(), FAIL);
     }
     assert_eq!(both(&b), (Some(3.5), Some(3.0)));
-    b.assert_told("parameter file refused");
+    b.assert_said("parameter file refused");
     // A client may fetch some alone: here is how many. All of them are read by pymavlink in tests/python/ground_habits.py.
     assert_eq!(c.download(&mut b, 5, "@PARAM/param.pck?start=10&count=5")[2..4], [5, 0]);
     assert_eq!(c.ask(&mut b, OPEN, 6, 0, b"@PARAM/other").error(), NOT_FOUND);

@@ -40,11 +40,11 @@ fn leaving_a_polygon_holds_by_default() {
     assert!((8.0..8.4).contains(&x), "{x}");
     assert_eq!(b.status().failsafe, Some(Failsafe::GeofenceBreached));
     assert_eq!(b.status().mode, FlightMode::Hold);
-    b.assert_told("geofence breached: hold");
+    b.assert_said("geofence breached: hold");
     assert_eq!(b.heartbeat(API).system_status, MavState::MAV_STATE_CRITICAL);
     b.run_ms(5_000);
     assert!(b.position_m()[0] < 10.5, "{:?}", b.position_m());
-    let status = fence_status(&b).expect("told");
+    let status = fence_status(&b).expect("sent");
     assert_eq!((status.breach_status, status.breach_count), (1, 1));
     assert_eq!(status.breach_type, FenceBreach::FENCE_BREACH_BOUNDARY);
     // The pilot takes over and flies back in: the breach is over, and the next one counts again.
@@ -110,14 +110,14 @@ fn nobody_arms_outside() {
     let mut b = Bench::new();
     b.upload(FENCE, &square(5001, (50.0, 0.0), 20.0));
     assert_eq!(b.arm(), REJECTED);
-    b.assert_told("outside the geofence");
+    b.assert_said("outside the geofence");
     b.upload(FENCE, &[]);
     assert_eq!(b.arm(), ACCEPTED);
     assert_eq!(b.status().landed, LandedState::OnGround);
 }
 
 #[test]
-fn system_status_tells_whether_there_is_a_geofence_and_whether_it_holds() {
+fn system_status_shows_whether_there_is_a_geofence_and_whether_it_holds() {
     let mut b = Bench::new();
     let bits = |b: &mut Bench| {
         b.sent.clear();

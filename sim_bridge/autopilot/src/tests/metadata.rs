@@ -15,10 +15,10 @@ fn content(b: &mut Bench, uri: &str) -> (Value, u32) {
 fn part(b: &mut Bench, kind: u64) -> Value {
     b.sent.clear();
     assert_eq!(b.ask(512, &[397.0]), ACCEPTED);
-    let told = b
+    let found = b
         .first::<COMPONENT_METADATA_DATA>(API)
         .map(|m| (m.uri.to_str().expect("text").to_owned(), m.file_crc));
-    let (uri, crc) = told.expect("answered");
+    let (uri, crc) = found.expect("answered");
     let (general, general_crc) = content(b, &uri);
     assert_eq!(crc, general_crc);
     assert_eq!(general["version"], 1);

@@ -9,10 +9,10 @@ fn start(b: &mut Bench) -> u8 {
     b.set_mode(API, SCRIPT, 4, 4)
 }
 
-/// The items that were told as reached, each once, in order.
+/// The items that were sent as reached, each once, in order.
 fn reached(b: &Bench) -> Vec<u16> {
-    let told = b.all::<MISSION_ITEM_REACHED_DATA>(API).into_iter();
-    let mut reached: Vec<u16> = told.map(|r| r.seq).collect();
+    let messages = b.all::<MISSION_ITEM_REACHED_DATA>(API).into_iter();
+    let mut reached: Vec<u16> = messages.map(|r| r.seq).collect();
     reached.dedup();
     reached
 }
@@ -48,7 +48,7 @@ fn a_whole_mission_from_the_ground_to_the_ground() {
     assert_eq!(progress(&b), (1, MissionState::MISSION_STATE_ACTIVE));
     b.run_until(20, "first waypoint", |b| reached(b) == [0, 1]);
     assert!(b.is_at((12.0, 0.0), 4.0, 1.1), "{:?}", b.position_m());
-    assert!(b.yaw_rad().abs() < 0.1, "the nose led the way");
+    assert!(b.yaw_rad().abs() < 0.1, "the nose was ahead");
     b.run_until(20, "loiter", |b| b.is_at(place, 5.0, 0.3));
     b.run_ms(1_000);
     assert_eq!(reached(&b), [0, 1], "it stays for three seconds");
@@ -127,10 +127,10 @@ fn the_current_item_can_be_chosen() {
     b.upload(MISSION, &places.map(|(place, height_m)| waypoint(place, height_m)));
     b.sent.clear();
     b.tell(message!(MISSION_SET_CURRENT, seq = 1));
-    assert_eq!(current(&b).seq, 1, "told at once");
+    assert_eq!(current(&b).seq, 1, "sent at once");
     b.tell(message!(MISSION_SET_CURRENT, seq = 9));
     assert_eq!(current(&b).seq, 1);
-    b.assert_told("no mission item 9");
+    b.assert_said("no mission item 9");
     assert_eq!(start(&mut b), ACCEPTED);
     b.run_until(15, "second waypoint", |b| reached(b) == [1]);
     // In flight: back to the first.
@@ -142,11 +142,11 @@ fn the_current_item_can_be_chosen() {
 fn there_is_no_mission_to_start_without_items_or_outside_the_geofence() {
     let mut b = Bench::airborne();
     assert_eq!(start(&mut b), REJECTED);
-    b.assert_told("mission denied: no mission");
+    b.assert_said("mission denied: no mission");
     b.upload(MISSION, &[waypoint((5.0, 0.0), 3.0), waypoint((60.0, 0.0), 3.0)]);
     b.upload(FENCE, &[item(5003, [50.0, 0.0, 0.0, 0.0], (0.0, 0.1), 0.0)]);
     assert_eq!(start(&mut b), REJECTED);
-    b.assert_told("item 1 is outside");
+    b.assert_said("item 1 is outside");
     assert_eq!(b.status().mode, FlightMode::Hold);
 }
 
@@ -272,7 +272,7 @@ fn a_mission_that_leaves_the_fence_is_refused_at_its_upload_with_its_item() {
     for outside in [waypoint((0.0, 31.0), 3.0), item(21, [0.0; 4], (-40.0, 0.0), 0.0)] {
         let answer = b.upload(MISSION, &[inside, inside, outside]);
         assert_eq!(answer, MavMissionResult::MAV_MISSION_DENIED);
-        b.assert_told("item 2: outside the geofence");
+        b.assert_said("item 2: outside the geofence");
         assert!(b.download(MISSION).is_empty());
     }
     // What has no place, or no consequence, is no reason.
@@ -282,7 +282,7 @@ fn a_mission_that_leaves_the_fence_is_refused_at_its_upload_with_its_item() {
     // MAVSDK's example has a circle of radius 0 in its fence.
     let empty = [circle[0], item(5003, [0.0; 4], (0.0, 0.0), 0.0)];
     assert_eq!(b.upload(FENCE, &empty), TAKEN);
-    b.assert_told("geofence: a circle of radius 0 holds nothing");
+    b.assert_said("geofence: a circle of radius 0 holds nothing");
     assert_eq!(b.download(FENCE).len(), 2);
 }
 
@@ -319,16 +319,16 @@ fn mission_and_offboard_can_be_chosen_disarmed_and_arming_waits_for_what_they_fl
     }
 }
 
-/// PX4 tells where it flies to in every mode that flies to a place.
+/// PX4 reports where it flies to in every mode that flies to a place.
 #[test]
-fn where_it_flies_to_is_told_on_the_globe_in_hold_go_to_return_and_landing() {
+fn where_it_flies_to_is_reported_on_the_globe_in_hold_go_to_return_and_landing() {
     let mut b = Bench::airborne();
     b.set_parameter("RTL_RETURN_ALT", ParameterValue::Real32(5.0));
     let place = |b: &mut Bench| {
         b.sent.clear();
-        let told = b.ask(512, &[87.0]);
+        let answer = b.ask(512, &[87.0]);
         let target = b.first::<POSITION_TARGET_GLOBAL_INT_DATA>(API);
-        assert_eq!(told == ACCEPTED, target.is_some());
+        assert_eq!(answer == ACCEPTED, target.is_some());
         target.map(|m| {
             let (lat, lon) = (f64::from(m.lat_int) * 1e-7, f64::from(m.lon_int) * 1e-7);
             let (north, east) = crate::geo::to_local(&crate::HomePosition::default(), lat, lon);

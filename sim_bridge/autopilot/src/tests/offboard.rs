@@ -80,9 +80,9 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
         assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
         let is_low = mode != FlightMode::Land && b.height_m() < 2.5;
         assert!(!is_low, "{action}: {}", b.height_m());
-        let told = b.last::<CURRENT_MODE_DATA>(GCS).expect("told");
-        assert_eq!(told.custom_mode, mode.custom_mode());
-        assert_eq!(told.intended_custom_mode, FlightMode::Offboard.custom_mode());
+        let mode_now = b.last::<CURRENT_MODE_DATA>(GCS).expect("sent");
+        assert_eq!(mode_now.custom_mode, mode.custom_mode());
+        assert_eq!(mode_now.intended_custom_mode, FlightMode::Offboard.custom_mode());
     }
     for (action, is_terminated) in [(6, true), (7, false)] {
         let mut b = Bench::airborne();
@@ -95,7 +95,7 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
     }
 }
 
-/// Streams a setpoint that is not flown for 12 s at 20 Hz, asking for OFFBOARD in the middle of it: what is told.
+/// Streams a setpoint that is not flown for 12 s at 20 Hz, asking for OFFBOARD in the middle of it: what is said.
 fn refused(message: &MavMessage) -> Vec<String> {
     let mut b = Bench::airborne();
     for i in 0..240 {
@@ -131,7 +131,7 @@ fn setpoints_that_leave_an_axis_out_keep_offboard_and_hold() {
         assert!((b.position_m()[0] - at_m).abs() < 1.5, "{reason}");
         assert!(b.velocity_m_s().norm() < 0.1, "{reason}");
         let text = format!("setpoints of 245/190: {reason}");
-        b.assert_told(&text);
+        b.assert_said(&text);
     }
 }
 
@@ -162,8 +162,8 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
         (attitude(0x07, 0.0, 1.5), "thrust is NaN or absurd"),
     ] {
         let texts = refused(&message);
-        let told = format!("setpoints of 245/190: {reason}");
-        let count = texts.iter().filter(|text| **text == told).count();
+        let refusal = format!("setpoints of 245/190: {reason}");
+        let count = texts.iter().filter(|text| **text == refusal).count();
         assert_eq!(count, 3, "once in 5 s of 12: {texts:?}");
         let denial = format!("offboard denied: {reason}");
         assert_eq!(texts.iter().filter(|text| **text == denial).count(), 1, "{texts:?}");

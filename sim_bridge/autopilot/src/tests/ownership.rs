@@ -4,9 +4,9 @@ use crate::testing::*;
 use vigil_types::HeadingVector;
 
 fn owner_in_telemetry(b: &Bench) -> f32 {
-    let told = b.last::<NAMED_VALUE_FLOAT_DATA>(GCS).expect("told");
-    assert_eq!(told.name.to_str(), Ok("sp_owner"));
-    told.value
+    let owner = b.last::<NAMED_VALUE_FLOAT_DATA>(GCS).expect("sent");
+    assert_eq!(owner.name.to_str(), Ok("sp_owner"));
+    owner.value
 }
 
 /// The velocity that is commanded.
@@ -21,7 +21,7 @@ fn flown(b: &Bench) -> HeadingVector {
 fn offboard_needs_a_stream() {
     let mut b = Bench::airborne();
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), REJECTED);
-    b.assert_told("offboard denied: no setpoints");
+    b.assert_said("offboard denied: no setpoints");
     // One that stopped long ago is none.
     b.send_velocity(API, SCRIPT, [0.0; 3]);
     b.run_ms(1_100);
@@ -55,7 +55,7 @@ fn two_sources_never_mix() {
     b.run_ms(500);
     // Neither is the commander: nobody gets it, and a text names both.
     assert_eq!(b.set_mode(GCS, STATION, 6, 0), REJECTED);
-    b.assert_told("1/191, 245/190");
+    b.assert_said("1/191, 245/190");
     // The commander who streams gets it.
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
     for _ in 0..200 {
@@ -65,8 +65,8 @@ fn two_sources_never_mix() {
     let status = b.status();
     assert_eq!(status.setpoint_owner, Some(SCRIPT));
     assert!(status.refusals.setpoint_foreign >= 39, "{status:?}");
-    let is_told = |text: &&String| text.contains("setpoints of 1/191 ignored");
-    assert_eq!(b.texts().iter().filter(is_told).count(), 1, "told once");
+    let is_said = |text: &&String| text.contains("setpoints of 1/191 ignored");
+    assert_eq!(b.texts().iter().filter(is_said).count(), 1, "said once");
     // The companion cannot take over what the script owns; after Hold it can.
     assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), REJECTED);
     assert_eq!(b.status().setpoint_owner, Some(SCRIPT));
@@ -97,8 +97,8 @@ fn an_owners_identity_claimed_elsewhere_is_somebody_else() {
         let after = b.status().refusals;
         assert_eq!(after.setpoint_foreign - before.setpoint_foreign, 200);
         assert_eq!(after.command_denied - before.command_denied, 1);
-        let told = format!("setpoints of a second 1/191 on link {} ignored", link.0);
-        assert_eq!(b.texts().iter().filter(|t| **t == told).count(), 1, "{:?}", b.texts());
+        let text = format!("setpoints of a second 1/191 on link {} ignored", link.0);
+        assert_eq!(b.texts().iter().filter(|t| **t == text).count(), 1, "{:?}", b.texts());
         // A claimant does not keep a dead owner alive.
         b.stop_stream(COMPANION);
         for _ in 0..60 {
@@ -128,8 +128,8 @@ fn a_flood_of_made_up_claimants_neither_fills_the_links_with_texts_nor_keeps_the
         }
     }
     assert_eq!(b.status().setpoint_owner, Some(COMPANION));
-    let told = b.texts().iter().filter(|t| t.contains("ignored")).count();
-    assert!((1..=2).contains(&told), "{told} texts in 1.5 s");
+    let said = b.texts().iter().filter(|t| t.contains("ignored")).count();
+    assert!((1..=2).contains(&said), "{said} texts in 1.5 s");
 }
 
 #[test]
@@ -147,7 +147,7 @@ fn a_lost_stream_means_hold_within_half_a_second_until_it_comes_again() {
     let status = b.status();
     let lost = (FlightMode::Hold, Some(Failsafe::SetpointLost));
     assert_eq!((status.mode, status.failsafe), lost);
-    b.assert_told("setpoint lost: hold");
+    b.assert_said("setpoint lost: hold");
     let heartbeat = b.heartbeat(ONBOARD);
     assert_eq!(heartbeat.system_status, MavState::MAV_STATE_CRITICAL);
     assert_eq!(heartbeat.custom_mode, FlightMode::Hold.custom_mode());

@@ -190,7 +190,7 @@ fn an_uploader_that_vanishes_leaves_the_old_mission() {
     assert_eq!(b.mission_acks(API), []);
     b.run_ms(1_000);
     assert_eq!(b.mission_acks(API), [R::MAV_MISSION_OPERATION_CANCELLED]);
-    b.assert_told("timed out");
+    b.assert_said("timed out");
     let asked = b.requests(API).len();
     b.run_ms(5_000);
     assert_eq!(b.requests(API).len(), asked);
@@ -277,7 +277,7 @@ fn a_plan_that_makes_no_sense_is_refused_with_a_reason_and_the_old_one_stays() {
         (action(178, [1.0, -7.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
     ] {
         assert_eq!(b.upload(MISSION, &[good, bad]), result);
-        b.assert_told("mission refused");
+        b.assert_said("mission refused");
         b.run_ms(250);
     }
     assert_eq!(b.download(MISSION).len(), 1);

@@ -39,8 +39,8 @@ fn system_time_is_the_clock_it_was_given_once_a_second_on_every_link() {
     b.sent.clear();
     b.run_ms(10_000);
     for link in [ONBOARD, API, GCS] {
-        let told = b.all::<SYSTEM_TIME_DATA>(link).into_iter();
-        let times: Vec<_> = told.map(|time| (time.time_unix_usec, time.time_boot_ms)).collect();
+        let messages = b.all::<SYSTEM_TIME_DATA>(link).into_iter();
+        let times: Vec<_> = messages.map(|time| (time.time_unix_usec, time.time_boot_ms)).collect();
         assert_eq!(times.len(), 10, "{times:?}");
         for pair in times.windows(2) {
             assert_eq!(pair[1].0 - pair[0].0, 1_000_000, "both clocks run alike");
@@ -54,7 +54,7 @@ fn system_time_is_the_clock_it_was_given_once_a_second_on_every_link() {
 }
 
 #[test]
-fn intervals_are_set_told_and_reset_per_link() {
+fn intervals_are_set_reported_and_reset_per_link() {
     let mut b = Bench::new();
     let id = ATTITUDE_DATA::ID;
     let interval = |us: f32| [id as f32, us];
@@ -64,8 +64,8 @@ fn intervals_are_set_told_and_reset_per_link() {
     assert!((10..=11).contains(&b.count(API, id)), "one at once, then every 100 ms");
     assert_eq!(b.count(GCS, id), 20, "another link keeps its rate");
     assert_eq!(b.ask(510, &interval(0.0)), ACCEPTED);
-    let told = b.one::<MESSAGE_INTERVAL_DATA>();
-    assert_eq!((told.interval_us, told.message_id), (100_000, 30));
+    let answer = b.one::<MESSAGE_INTERVAL_DATA>();
+    assert_eq!((answer.interval_us, answer.message_id), (100_000, 30));
     assert_eq!(b.ask(511, &interval(-1.0)), ACCEPTED);
     b.sent.clear();
     b.run_ms(500);
@@ -144,7 +144,7 @@ fn commands_that_px4_does_not_know_are_unsupported_and_change_nothing() {
 }
 
 #[test]
-fn position_is_told_locally_and_globally_alike() {
+fn position_is_reported_locally_and_globally_alike() {
     let mut b = Bench::airborne();
     b.run_ms(1_000);
     let g = b.one::<GLOBAL_POSITION_INT_DATA>();
@@ -256,28 +256,28 @@ fn a_bad_parameter_set_changes_nothing_and_says_why() {
     }
     assert_eq!(b.status().refusals.parameter, 7);
     let errors = b.all::<PARAM_ERROR_DATA>(API).into_iter();
-    let told: Vec<_> = errors.map(|e| (e.target_system, e.error)).collect();
-    assert_eq!(told, bad.map(|(.., error)| (SCRIPT.system, error)));
+    let answers: Vec<_> = errors.map(|e| (e.target_system, e.error)).collect();
+    assert_eq!(answers, bad.map(|(.., error)| (SCRIPT.system, error)));
     for value in values(&b, API) {
         let unchanged = value.param_value == 2.5 || value.param_value.to_bits() == 5;
         assert!(unchanged, "{value:?}");
     }
-    b.assert_told("is not within 0.5 to 80");
+    b.assert_said("is not within 0.5 to 80");
     assert!(values(&b, GCS).is_empty());
     // Each of a flood is answered to its sender; the texts, which go to all, are few, and come again for the next mistake.
     b.run_ms(1_000);
-    for (sets, told) in [(100, 4), (1, 1)] {
+    for (sets, texts) in [(100, 4), (1, 1)] {
         b.sent.clear();
         for i in 0..sets {
             b.set_parameter(&format!("NO_SUCH_{i}"), ParameterValue::Int32(1));
             b.run_ms(10);
         }
-        assert_eq!((b.count(API, PARAM_ERROR_DATA::ID), b.texts().len()), (sets, told));
+        assert_eq!((b.count(API, PARAM_ERROR_DATA::ID), b.texts().len()), (sets, texts));
     }
 }
 
 #[test]
-fn a_calibration_is_told_as_px4_tells_it_and_one_that_needs_hands_is_refused() {
+fn a_calibration_is_reported_as_px4_does_and_one_that_needs_hands_is_refused() {
     let mut b = Bench::new();
     let ask =
         |b: &mut Bench, gyro: f32, mag: f32, accelerometer: f32| b.ask(241, &[gyro, mag, 0.0, 0.0, accelerometer]);
@@ -286,20 +286,20 @@ fn a_calibration_is_told_as_px4_tells_it_and_one_that_needs_hands_is_refused() {
         assert_eq!(ask(&mut b, gyro, 0.0, level), ACCEPTED);
         assert_eq!(ask(&mut b, gyro, 0.0, level), REJECTED, "one at a time");
         b.run_ms(1_500);
-        b.assert_told(&format!("[cal] calibration started: 2 {name}"));
-        b.assert_told("[cal] progress <50>");
-        b.assert_told(&format!("[cal] calibration done: {name}"));
+        b.assert_said(&format!("[cal] calibration started: 2 {name}"));
+        b.assert_said("[cal] progress <50>");
+        b.assert_said(&format!("[cal] calibration done: {name}"));
     }
     assert_eq!(ask(&mut b, 0.0, 1.0, 0.0), REJECTED);
     assert_eq!(ask(&mut b, 0.0, 0.0, 1.0), REJECTED);
     assert_eq!(ask(&mut b, 1.0, 0.0, 0.0), ACCEPTED);
     assert_eq!(ask(&mut b, 0.0, 0.0, 0.0), ACCEPTED, "cancels");
     b.run_ms(1_500);
-    b.assert_told("[cal] calibration cancelled");
+    b.assert_said("[cal] calibration cancelled");
     b.sent.clear();
     let (calibrate, frame) = (MavCmd::MAV_CMD_PREFLIGHT_CALIBRATION, MavFrame::MAV_FRAME_LOCAL_NED);
     assert_eq!(b.command_at(calibrate, [0.0; 4], frame, (2e-7, 0.0), 0.0), ACCEPTED);
-    b.assert_told("started: 2 level");
+    b.assert_said("started: 2 level");
     assert_eq!(b.arm(), ACCEPTED);
     assert_eq!(ask(&mut b, 1.0, 0.0, 0.0), REJECTED, "armed");
 }
@@ -309,8 +309,8 @@ fn vibration_is_felt_in_flight_and_not_on_the_ground() {
     let level = |b: &mut Bench| -> f32 {
         b.sent.clear();
         b.run_ms(4_000);
-        let told = b.all::<VIBRATION_DATA>(API).into_iter().map(|m| m.vibration_z);
-        told.collect::<Vec<_>>().pop().expect("streams unasked")
+        let values = b.all::<VIBRATION_DATA>(API).into_iter().map(|m| m.vibration_z);
+        values.collect::<Vec<_>>().pop().expect("streams unasked")
     };
     let (still, flying) = (level(&mut Bench::new()), level(&mut Bench::airborne()));
     assert!(still >= 0.0 && flying > 0.0 && flying < 5.0, "{still} {flying}");
@@ -334,7 +334,7 @@ fn a_signing_key_reaches_the_vehicle_and_nobody_else() {
         b.send(API, SCRIPT, &message);
         assert!(b.endpoint.take_signing_setup().is_none());
     }
-    b.assert_told("signing key refused: all zeros");
+    b.assert_said("signing key refused: all zeros");
     b.send(API, SCRIPT, &setup(1, 1, 5));
     let taken = b.endpoint.take_signing_setup().expect("taken");
     assert_eq!((taken.key, taken.initial_timestamp), ([5; 32], 77));
@@ -378,11 +378,11 @@ fn the_vehicle_s_system_is_a_parameter_that_is_nobody_s_to_set_or_to_keep() {
         b.system = system_id;
         b.set_parameter("MAV_SYS_ID", ParameterValue::Int32(9));
         b.read_parameter("MAV_SYS_ID", -1);
-        let told = b.sent.iter().rev().find_map(|sent| match &sent.message {
+        let requested = b.sent.iter().rev().find_map(|sent| match &sent.message {
             Some(MavMessage::PARAM_VALUE(m)) => Some(m.param_value.to_bits()),
             _ => None,
         });
-        assert_eq!(told, Some(system_id.into()));
+        assert_eq!(requested, Some(system_id.into()));
         assert!(b.endpoint.saved().parameters.is_empty());
     }
 }

@@ -35,10 +35,10 @@ fn parameters_are_shown_and_set_with_the_checks_of_the_protocol() {
     assert_eq!(run(&mut b, "param show MIS_TAKEOFF_ALT"), "MIS_TAKEOFF_ALT: 2.5\n");
     assert_eq!(run(&mut b, "param set MIS_TAKEOFF_ALT 4"), "MIS_TAKEOFF_ALT: 4.0\n");
     // Ground stations hear of it.
-    let told = b
+    let is_found = b
         .messages(GCS)
         .any(|m| matches!(m, MavMessage::PARAM_VALUE(v) if v.param_value == 4.0));
-    assert!(told);
+    assert!(is_found);
     assert!(run(&mut b, "param set MIS_TAKEOFF_ALT 4000").contains("is not within"));
     assert!(run(&mut b, "param set MIS_TAKEOFF_ALT NaN").contains("is not within"));
     assert!(run(&mut b, "param set MIS_TAKEOFF_ALT high").contains("not a number"));

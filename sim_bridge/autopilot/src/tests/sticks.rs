@@ -40,13 +40,13 @@ fn a_mode_can_be_chosen_on_the_ground_and_arming_waits_for_the_sticks() {
         assert_eq!(b.set_mode(GCS, STATION, main, 0), ACCEPTED);
         assert_eq!(b.status().mode, mode);
         assert_eq!(b.arm(), REJECTED);
-        b.assert_told("no manual control");
+        b.assert_said("no manual control");
         for (throttle, is_low) in [(650, false), (500, matches!(main, 2 | 3))] {
             hold(&mut b, &sticks(0, 0, throttle, 0), 200);
             let answer = if is_low { ACCEPTED } else { REJECTED };
             assert_eq!(b.arm(), answer, "{mode:?} at {throttle}");
         }
-        b.assert_told("arming denied: throttle is up");
+        b.assert_said("arming denied: throttle is up");
         hold(&mut b, &sticks(0, 0, 0, 0), 200);
         assert_eq!(b.arm(), ACCEPTED);
         hold(&mut b, &sticks(0, 0, 0, 0), 1_000);
@@ -181,12 +181,12 @@ fn sticks_fly_the_vehicle_until_they_are_let_go_of_or_lost() {
     assert_eq!(b.status().mode, FlightMode::Hold);
     assert!(b.status().failsafe.is_some() && b.texts().join("|").contains("manual control lost: hold"));
     assert_eq!(b.set_mode(GCS, STATION, 3, 0), REJECTED);
-    b.assert_told("position denied: no manual control");
+    b.assert_said("position denied: no manual control");
     b.run_ms(4_000);
     assert_eq!(b.status().mode, FlightMode::Hold);
     b.run_ms(1_000);
     assert_eq!(b.status().mode, FlightMode::Return);
-    b.assert_told("manual control lost: return");
+    b.assert_said("manual control lost: return");
     // Not where somebody has taken the vehicle meanwhile.
     hold(&mut b, &sticks(0, 0, 500, 0), 200);
     assert_eq!(b.set_mode(GCS, STATION, 3, 0), ACCEPTED);

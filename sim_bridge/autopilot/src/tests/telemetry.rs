@@ -9,7 +9,7 @@ fn request<M: MessageData<Message = MavMessage>>(b: &mut Bench) -> M {
 }
 
 #[test]
-fn motor_pulses_show_what_each_motor_is_told() {
+fn motor_pulses_show_what_each_motor_is_sent() {
     let mut b = Bench::new();
     let pulses = |b: &mut Bench| {
         let s = request::<SERVO_OUTPUT_RAW_DATA>(b);
@@ -66,23 +66,23 @@ fn a_hovering_vehicle_feels_one_gravity_upwards() {
 #[test]
 fn flight_information_has_the_times_of_the_flight() {
     let mut b = Bench::new();
-    let told = request::<FLIGHT_INFORMATION_DATA>;
-    let before = told(&mut b);
+    let information = request::<FLIGHT_INFORMATION_DATA>;
+    let before = information(&mut b);
     assert_eq!((before.flight_uuid, before.arming_time_utc), (0, 0));
     b.take_off();
-    let flying = told(&mut b);
+    let flying = information(&mut b);
     assert_eq!((flying.flight_uuid, flying.landing_time), (1, 0));
     assert!(flying.arming_time_utc >= u64::from(before.time_boot_ms) * 1000);
     assert!(flying.takeoff_time_utc > flying.arming_time_utc);
     assert_eq!(b.command_long(API, SCRIPT, 21, [f32::NAN; 7]), ACCEPTED);
     b.run_until(30, "landing", |b| !b.status().armed);
-    let landed = told(&mut b);
+    let landed = information(&mut b);
     assert_eq!(landed.takeoff_time_utc, flying.takeoff_time_utc);
     assert!(landed.landing_time > flying.time_boot_ms && landed.landing_time <= landed.time_boot_ms);
     b.run_ms(50);
     assert_eq!(b.arm(), ACCEPTED);
     b.run_ms(50);
-    let again = told(&mut b);
+    let again = information(&mut b);
     let times = (again.flight_uuid, again.takeoff_time_utc, again.landing_time);
     assert_eq!(times, (2, 0, 0));
 }

@@ -106,13 +106,13 @@ pub enum VelocityLaw {
     Direct,
 }
 
-/// What the autopilot does when it is told to hold.
+/// What the autopilot does when it is ordered to hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum HoldLaw {
     /// It stops, and holds where it stopped.
     #[default]
     Stop,
-    /// It goes to the point where it would stop, reckoned from its velocity alone: told while it gains speed it passes that
+    /// It goes to the point where it would stop, reckoned from its velocity alone: ordered while it gains speed it passes that
     /// point and flies back to it. PX4's HOLD.
     FlyBack,
     /// It loses its speed in proportion to it: ArduCopter's BRAKE.
@@ -206,7 +206,7 @@ settings! {
         pub estimate_attitude_time_s: f64 = within(20.0, (0.05, 100_000.0), "s"),
         /// What the estimated position wanders beside that, as one that hangs on GPS and barometer does: horizontal, vertical, metres.
         pub wander_m: [f64; 2] = within([0.0; 2], (0.0, 10.0), "m"),
-        /// Correlation time of the wander: horizontal, vertical, seconds.
+        /// Correlation time of the drift: horizontal, vertical, seconds.
         pub wander_time_s: [f64; 2] = within([20.0, 150.0], (5.0, 100_000.0), "s"),
         /// What the estimated velocity is off beside that, without the position's following it: horizontal, vertical, m/s.
         pub velocity_error_m_s: [f64; 2] = within([0.0; 2], (0.0, 10.0), "m/s"),

@@ -11,7 +11,7 @@ use crate::vehicle::rotors::Rotors;
 const BAROMETER_EVERY: u32 = 5;
 /// Updates of the errors per GPS reading.
 const GPS_EVERY: u32 = 25;
-/// Correlation time of the wander's velocity, seconds: what a hold has to follow, slower than the controllers.
+/// Correlation time of the drift's velocity, seconds: what a hold has to follow, slower than the controllers.
 const WANDER_VELOCITY_TIME_S: f64 = 2.0;
 
 /// The errors between truth and belief, and the readings of the slower sensors.
@@ -29,7 +29,7 @@ pub(crate) struct Errors {
     attitude: OrnsteinUhlenbeck,
     attitude_error: Rotation,
     position_m: Vec3,
-    wander: Option<Wander>,
+    drift: Option<Drift>,
     accelerometer: Vec3,
     gyroscope: Vec3,
     gps_position_m: Vec3,
@@ -53,7 +53,7 @@ impl Errors {
             attitude,
             attitude_error: small_rotation(&attitude.value),
             position_m: Vec3::zeros(),
-            wander: Wander::new(params, wander_noise, interval_s),
+            drift: Drift::new(params, wander_noise, interval_s),
             accelerometer: Vec3::zeros(),
             gyroscope: Vec3::zeros(),
             gps_position_m: Vec3::zeros(),
@@ -71,8 +71,8 @@ impl Errors {
         self.attitude.redraw(&mut self.noise);
         self.attitude_error = small_rotation(&self.attitude.value);
         self.position_m = self.noise.normal3() * deviation;
-        if let Some(wander) = &mut self.wander {
-            wander.settle();
+        if let Some(drift) = &mut self.drift {
+            drift.settle();
         }
         self.read_barometer(body);
         self.read_gps(body);
@@ -84,8 +84,8 @@ impl Errors {
         self.attitude.advance(&mut self.noise);
         self.attitude_error = small_rotation(&self.attitude.value);
         self.position_m = self.position_m * self.position_keep + self.velocity.value * self.interval_s;
-        if let Some(wander) = &mut self.wander {
-            wander.advance(self.interval_s, -body.position_ned_m.z > gear_height_m);
+        if let Some(drift) = &mut self.drift {
+            drift.advance(self.interval_s, -body.position_ned_m.z > gear_height_m);
         }
         self.accelerometer = self.noise.normal3() * self.params.accelerometer_m_s2;
         self.gyroscope = self.noise.normal3() * self.params.gyroscope_rad_s;
@@ -110,13 +110,13 @@ impl Errors {
     /// Estimated position.
     pub(crate) fn position_ned_m(&self, body: &Body) -> Vec3 {
         let estimated_m = body.position_ned_m + self.position_m;
-        self.wander.as_ref().map_or(estimated_m, |w| estimated_m + w.position_m)
+        self.drift.as_ref().map_or(estimated_m, |w| estimated_m + w.position_m)
     }
 
     /// Estimated velocity.
     pub(crate) fn velocity_ned_m_s(&self, body: &Body) -> Vec3 {
         let estimated_m_s = body.velocity_ned_m_s + self.velocity.value;
-        self.wander
+        self.drift
             .as_ref()
             .map_or(estimated_m_s, |w| estimated_m_s + w.rate_m_s() + w.astray_m_s())
     }
@@ -175,24 +175,24 @@ impl Errors {
         bytes.numbers(&[self.barometer_height_m]);
         bytes.word(self.noise.position());
         bytes.word(u64::from(self.updates));
-        if let Some(wander) = &self.wander {
-            let vectors = [wander.velocity.value, wander.position_m, wander.astray_m_s()];
+        if let Some(drift) = &self.drift {
+            let vectors = [drift.velocity.value, drift.position_m, drift.astray_m_s()];
             bytes.numbers(vectors.iter().flatten());
-            bytes.word(wander.noise.position());
+            bytes.word(drift.noise.position());
         }
         bytes.numbers(&self.heading_error_rad());
     }
 
     /// What the estimated heading is off beside the attitude's error, radians, where it wanders.
     pub(super) fn heading_error_rad(&self) -> Option<f64> {
-        Some(self.wander.as_ref()?.heading.as_ref()?.value.z)
+        Some(self.drift.as_ref()?.heading.as_ref()?.value.z)
     }
 }
 
 /// The slow error of a position that hangs on GPS and barometer: a velocity error of [`WANDER_VELOCITY_TIME_S`] summed up with a
 /// leak, so that the vehicle's own velocity estimate follows it too. What the velocity is off beside that, the position does not follow.
 #[derive(Debug, Clone)]
-struct Wander {
+struct Drift {
     noise: Noise,
     velocity: OrnsteinUhlenbeck,
     position_m: Vec3,
@@ -202,7 +202,7 @@ struct Wander {
     heading: Option<OrnsteinUhlenbeck>,
 }
 
-impl Wander {
+impl Drift {
     fn new(params: &SensorParams, mut noise: Noise, interval_s: f64) -> Option<Self> {
         let [horizontal_m, vertical_m] = params.wander_m;
         let [level_m_s, down_m_s] = params.velocity_error_m_s;

@@ -130,23 +130,23 @@ mod tests {
         let params: VehicleParams = settings::from_toml("[airframe]\nmass_kg = 1.5").unwrap();
         assert_eq!(params.airframe.mass_kg, 1.5);
         assert_eq!(params.motors, MotorParams::default());
-        for (text, told) in [
+        for (text, reason) in [
             ("[airframe]\nmas_kg = 1.5", "mas_kg"),
             ("[airframe]\nmass_kg = 99.0", "0.1 to 50 kg"),
             ("[control]\nhold = \"stay\"", "stop, fly_back, brake"),
         ] {
             let error = settings::from_toml::<VehicleParams>(text).unwrap_err();
-            assert!(error.contains("line 2") && error.contains(told), "{error}");
+            assert!(error.contains("line 2") && error.contains(reason), "{error}");
         }
     }
 
     #[test]
     fn a_refused_value_is_named_with_what_is_accepted() {
-        let refused = |change: fn(&mut VehicleParams), told: &str| {
+        let refused = |change: fn(&mut VehicleParams), reason: &str| {
             let mut params = VehicleParams::default();
             change(&mut params);
             let error = params.validate().unwrap_err().to_string();
-            assert!(error.contains(told), "{error}");
+            assert!(error.contains(reason), "{error}");
         };
         let weightless = |p: &mut VehicleParams| p.airframe.mass_kg = f64::NAN;
         refused(weightless, "`airframe.mass_kg` is NaN; it must be from 0.1 to 50 kg");

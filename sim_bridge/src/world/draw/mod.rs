@@ -199,11 +199,11 @@ fn cross(layer: &mut Layer, [x, y]: [f32; 2], reach: f32, colour: Rgb888) {
 
 /// A thick line through points, with round joints.
 fn band(layer: &mut Layer, points: &[[f32; 2]], colour: Rgb888, pixels: f32) {
-    for leg in points.windows(2) {
-        let (dx, dy) = (leg[1][0] - leg[0][0], leg[1][1] - leg[0][1]);
+    for segment in points.windows(2) {
+        let (dx, dy) = (segment[1][0] - segment[0][0], segment[1][1] - segment[0][1]);
         let half = 0.5 * pixels / libm::hypotf(dx, dy).max(1e-3);
         let beside = |p: [f32; 2]| [1.0, -1.0].map(|s: f32| [p[0] - s * half * dy, p[1] + s * half * dx]);
-        let ([a, b], [d, c]) = (beside(leg[0]), beside(leg[1]));
+        let ([a, b], [d, c]) = (beside(segment[0]), beside(segment[1]));
         polygon(layer, &[a, b, c, d], colour);
     }
     for p in points {
@@ -278,8 +278,8 @@ fn draw_corridor(canvas: &mut Canvas, view: &View, course: &Course) {
     let width = 2.0 * (VEHICLE.radius_m + course.corridor_margin_m()) * view.pixels_per_m;
     canvas.layer(0.22, |layer| band(layer, &points, CORRIDOR, width));
     canvas.layer(1.0, |layer| {
-        for leg in points.array_windows() {
-            dashed(layer, *leg, CORRIDOR, 2.0);
+        for segment in points.array_windows() {
+            dashed(layer, *segment, CORRIDOR, 2.0);
         }
     });
 }
@@ -522,7 +522,7 @@ mod tests {
         let image = Image::new(4, 4, BACKGROUND);
         let written = image.write_png(std::path::Path::new("no/such/folder/a.png"));
         let error = written.expect_err("no folder").to_string();
-        let told = "cannot write picture no/such/folder/a.png: ";
-        assert!(error.starts_with(told), "{error}");
+        let begin = "cannot write picture no/such/folder/a.png: ";
+        assert!(error.starts_with(begin), "{error}");
     }
 }

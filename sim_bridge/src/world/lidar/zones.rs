@@ -2,7 +2,7 @@
 //! by side.
 //!
 //! Each zone measures its nearest surface. Its driver knows the vehicle's attitude and keeps what is at the vehicle's own height, so that neither
-//! the ground nor a ceiling counts: one horizontal distance a column, as OBSTACLE_DISTANCE tells them.
+//! the ground nor a ceiling counts: one horizontal distance a column, as OBSTACLE_DISTANCE has them.
 
 use super::cast::cast_ray;
 use super::noise::{NoiseKeys, SPREAD};

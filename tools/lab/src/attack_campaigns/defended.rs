@@ -165,7 +165,7 @@ struct Line {
     alarms: u64,
     /// Alarms of these that the guard raised, not the verdict.
     guard_alarms: u64,
-    /// Of these because the actor was led astray.
+    /// Of these because the actor went astray.
     astray_alarms: u64,
     /// Of these because it disagreed with the planner.
     disagreement_alarms: u64,
@@ -210,7 +210,7 @@ struct Row {
     tally: Tally,
     attacked_steps: u64,
     effective_steps: u64,
-    /// Flights with an alarm, alarms, and alarms per hour of judged flight.
+    /// Flights with an alarm, alarms, and alarms per hour of monitored flight.
     alarmed_flights: usize,
     alarms: u64,
     guard_alarms: u64,
@@ -227,7 +227,7 @@ impl Row {
         let lines: Vec<&Line> = lines.filter(|line| line.arm == arm).collect();
         let outcomes: Vec<_> = lines.iter().map(|line| Outcome::from_name(line.outcome)).collect();
         let sum = |of: fn(&Line) -> u64| lines.iter().map(|line| of(line)).sum::<u64>();
-        let judged = sum(|l| l.judged_steps).max(1) as f64;
+        let monitored = sum(|l| l.judged_steps).max(1) as f64;
         let alarms = sum(|l| l.alarms);
         (!lines.is_empty()).then(|| Self {
             arm,
@@ -239,9 +239,9 @@ impl Row {
             guard_alarms: sum(|l| l.guard_alarms),
             astray_alarms: sum(|l| l.astray_alarms),
             disagreement_alarms: sum(|l| l.disagreement_alarms),
-            alarms_per_hour: alarms as f64 / (judged * f64::from(STEP_S) / 3600.0),
-            stopping_share: sum(|l| l.stop_steps) as f64 / judged,
-            recovering_share: sum(|l| l.recovery_steps) as f64 / judged,
+            alarms_per_hour: alarms as f64 / (monitored * f64::from(STEP_S) / 3600.0),
+            stopping_share: sum(|l| l.stop_steps) as f64 / monitored,
+            recovering_share: sum(|l| l.recovery_steps) as f64 / monitored,
             failed_seeds: lines.iter().filter(|l| !l.is_success()).map(|l| l.seed).collect(),
         })
     }

@@ -54,7 +54,7 @@ Examples:
 It flies course after course against the simulator, with log and everything else as in flight. FIFO priority and locked memory need
 rights (docs/real-time.md); without them it measures what a flight without them would have.
 Exit code: 0 no step was missed, 3 steps were missed, 1 it could not fly or its load ended, 130 interrupted (what was measured
-until then is told in each case).")]
+until then is shown in each case).")]
 struct RealtimeArgs {
     /// How long to fly, minutes.
     #[arg(long, value_name = "MINUTES", default_value_t = 1.0, value_parser = minutes)]
@@ -191,7 +191,7 @@ fn measure(args: &RealtimeArgs, interrupt: &Interrupt) -> Result<RealtimeReport>
     while !interrupt.came() && Instant::now() < bench.ends {
         match bench.fly(seed.wrapping_add(flight), load.as_mut()) {
             Ok(outcome) => *run.flights.entry(outcome).or_default() += 1,
-            // What was measured until then holds, and is told.
+            // What was measured until then holds, and is shown.
             Err(error) if bench.granted.is_some() && !bench.steps.is_empty() => {
                 run.ended_early = Some(format!("{error:#}"));
                 break;
@@ -248,7 +248,7 @@ impl RealtimeBench<'_> {
         })?;
         let statuses = read_statuses(&mut simulator)?;
         let stop = AtomicBool::new(false);
-        let (granted, watched) = std::thread::scope(|scope| {
+        let (granted, monitored) = std::thread::scope(|scope| {
             let looping = std::thread::Builder::new()
                 .name("loop".to_owned())
                 .stack_size(vigil_tools::threads::STACK_BYTES)
@@ -281,15 +281,15 @@ impl RealtimeBench<'_> {
                 }
                 Ok("cut short".to_owned())
             };
-            let watched = watch();
+            let monitored = watch();
             stop.store(true, Ordering::Relaxed);
             let granted = looping
                 .join()
                 .map_err(|_| anyhow::anyhow!("the loop's thread failed"))??;
-            Ok::<_, anyhow::Error>((granted, watched))
+            Ok::<_, anyhow::Error>((granted, monitored))
         })?;
         self.granted = Some(granted);
-        let outcome = watched?;
+        let outcome = monitored?;
         simulator.end()?;
         std::fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display()))?;
         Ok(outcome)
@@ -366,7 +366,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_load_that_ends_early_is_told_and_one_that_lasts_is_ended_with_all_its_children() {
+    fn a_load_that_ends_early_is_reported_and_one_that_lasts_is_ended_with_all_its_children() {
         let mut short = Load::start("true").unwrap();
         let _ = short.0.wait();
         assert!(short.check().unwrap_err().to_string().contains("the load ended"));
@@ -401,10 +401,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("other.json");
         std::fs::write(&file, "{\"steps\": 3}").unwrap();
-        let told = vigil_firmware::program::told(&read(&file).unwrap_err());
+        let refusal = vigil_firmware::program::in_one_line(&read(&file).unwrap_err());
         assert!(
-            told.contains("other.json is no report of `vigil bench realtime --json`"),
-            "{told}"
+            refusal.contains("other.json is no report of `vigil bench realtime --json`"),
+            "{refusal}"
         );
     }
 }

@@ -49,12 +49,12 @@ pub(crate) fn detector_of(actor_sha256: &str, file: Option<&Path>) -> Result<Fro
 Examples:
   vigil detector collect                     fly the data, attacked and not, into runs/detector
   vigil detector train                      train LSTM-AD on them: runs/detector/lstm_ad.safetensors
-  vigil detector evaluate                   judge validation courses, attacks not trained on, controls
+  vigil detector evaluate                   score validation courses, attacks not trained on, controls
   vigil detector ablate                     the same network on the actor's state, actions, gradients instead
   vigil detector images                     states with the SHAP images of all pixels, for the next
   vigil detector table                      CNN-AD, FCN-AD, PCA and LSTM-AD on the same states
   vigil detector figures --seed 7           how the decisions of a flight are explained, as pictures
-  vigil detector times                      how long deciding, explaining and judging take
+  vigil detector times                      how long deciding, explaining and scoring take
   vigil detector collect --actor my.safetensors -o runs/mine
   vigil detector collect --set learn --seed 3300 --flights 300 -o runs/a
                                             some of the flights, on another machine (docs/cluster.md)
@@ -90,7 +90,7 @@ enum DetectorCommand {
         #[arg(long, default_value_t = LstmConfig::default().fit.seed, value_parser = clap::value_parser!(u64).range(..1 << 63))]
         seed: u64,
     },
-    /// Judge flights on courses never trained on.
+    /// Score flights on courses never trained on.
     Evaluate {
         #[command(flatten)]
         size: EvaluationSize,
@@ -98,7 +98,7 @@ enum DetectorCommand {
         #[arg(long, value_name = "FILE")]
         detector: Option<PathBuf>,
     },
-    /// Train the same network on other rows than SHAP values and judge the same flights.
+    /// Train the same network on other rows than SHAP values and score the same flights.
     Ablate {
         #[command(flatten)]
         size: EvaluationSize,
@@ -135,14 +135,14 @@ enum DetectorCommand {
         /// States to learn from, half of them attacked; a tenth as many choose the epoch.
         #[arg(long, default_value_t = 4000, value_parser = clap::value_parser!(u64).range(40..))]
         states: u64,
-        /// States to judge, half of them attacked, on validation courses.
+        /// States to score, half of them attacked, on validation courses.
         #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u64).range(20..))]
         judged: u64,
         /// States of the background sample.
         #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=100))]
         backgrounds: u64,
     },
-    /// Train CNN-AD, FCN-AD and PCA on the images, and judge the same states by all four.
+    /// Train CNN-AD, FCN-AD and PCA on the images, and score the same states by all four.
     Table {
         /// Epochs of CNN-AD and FCN-AD.
         #[arg(long, default_value_t = 8, value_parser = epochs())]
@@ -336,8 +336,8 @@ impl Stage<'_> {
         };
         let scorer = WindowScorer::from_frozen(&frozen);
         let at = |threshold| {
-            let judged = (sets.as_slice(), records.as_slice());
-            crate::detector_training::evaluate(self.isa, &self.pilot, &scorer, threshold, judged)
+            let flights = (sets.as_slice(), records.as_slice());
+            crate::detector_training::evaluate(self.isa, &self.pilot, &scorer, threshold, flights)
         };
         let (report, mut in_flight) = (at(0.5)?, at(frozen.threshold)?);
         // The curves are those of any threshold: once is enough.

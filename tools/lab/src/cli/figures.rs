@@ -91,7 +91,7 @@ struct Explaining {
 impl Onlooker for Explaining {
     fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()> {
         let (number, altered) = (self.lines.len(), step.frame == Frame::Attacked);
-        let j = self.monitor.judge(&step.state, step.position);
+        let j = self.monitor.score(&step.state, step.low_dim);
         self.lines.push(ExplanationLine {
             time_s: seconds(number),
             altered: altered.into(),
@@ -306,7 +306,7 @@ pub(crate) struct ExplanationLine {
     pub bearing: f32,
     #[serde(serialize_with = "decimals::<7, _, _>")]
     pub distance: f32,
-    /// Of actors that are told of more than the goal.
+    /// Of actors that observe more than the goal.
     #[serde(serialize_with = "decimals::<7, _, _>")]
     pub told: f32,
     #[serde(serialize_with = "maybe_decimals::<7, _, _>")]

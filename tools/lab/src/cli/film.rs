@@ -49,9 +49,9 @@ pub struct FilmArgs {
     check: bool,
 }
 
-/// Pictures of a film whose pixels are explained, unless told otherwise.
+/// Pictures of a film whose pixels are explained, unless asked otherwise.
 const FILM_EXPLAINED: usize = 40;
-/// Seconds of flight in a second of film, unless told otherwise.
+/// Seconds of flight in a second of film, unless asked otherwise.
 const FILM_SPEED: f64 = 2.0;
 
 fn speed(text: &str) -> Result<f64, String> {

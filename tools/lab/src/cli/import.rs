@@ -69,7 +69,7 @@ pub struct ImportArgs {
     #[arg(long, value_name = "NAME")]
     action: Option<String>,
 
-    /// The node, or its output, whose values are explained and judged by a detector: 8 to 512, on every way from the frame to the action
+    /// The node, or its output, whose values are explained and scored by a detector: 8 to 512, on every way from the frame to the action
     /// [default: the last layer with weights that is so].
     #[arg(long, value_name = "NODE")]
     split: Option<String>,

@@ -140,8 +140,8 @@ fn completion(count: &FamilyCount) -> String {
 }
 
 fn line(row: &Row, all: u64) -> String {
-    let told = |c: &FamilyCount| format!(", {} {:.1} %", c.family, 100.0 * c.completion());
-    let evaluated: String = row.evaluated.iter().map(told).collect();
+    let share = |c: &FamilyCount| format!(", {} {:.1} %", c.family, 100.0 * c.completion());
+    let evaluated: String = row.evaluated.iter().map(share).collect();
     format!(
         "{:>6} of {all} updates, {:.0} s: {} of {} training flights at the goal, reward {:.1}, critic {:.3}, value {:.2}{evaluated}",
         row.updates, row.elapsed_s, row.successes, row.flights, row.reward, row.update.critic_loss, row.update.value

@@ -37,7 +37,7 @@ struct Cli {
 enum Command {
     /// Train an actor by value: critics that see the true state, reward along the shortest free way.
     Learn(learn::LearnArgs),
-    /// Judge an actor alone, the potential field off and on.
+    /// Evaluate an actor alone, the potential field off and on.
     Rollout(rollout::RolloutArgs),
     /// Table I and figures 9 and 10 from the logs of training runs of yours.
     Report(report::ReportArgs),

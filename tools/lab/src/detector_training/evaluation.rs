@@ -1,4 +1,4 @@
-//! Judging flights on courses that no detector was trained on, and what the verdicts were worth.
+//! Scoring flights on courses that no detector was trained on, and what the verdicts were worth.
 
 use crate::detector_training::features::Feature;
 use crate::detector_training::lstm::WindowScorer;
@@ -17,7 +17,7 @@ use vigil_policy::FrozenPilot;
 use vigil_sim::world::Family;
 use vigil_types::STEP_NS;
 
-/// Flights of one kind, judged together.
+/// Flights of one kind, scored together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Set {
     pub name: String,
@@ -164,15 +164,15 @@ pub struct SetReport {
     pub flights: usize,
     /// Flights that reached the goal; those cut off count for neither.
     pub at_goal: Proportion,
-    /// Attacked windows judged so.
+    /// Attacked windows scored so.
     pub detected: Proportion,
     /// Of those whose attack moved the yaw by 1 or more.
     pub detected_effective: Proportion,
     /// Of the others.
     pub detected_ineffective: Proportion,
-    /// Windows without any altered frame in the actor's state judged attacked.
+    /// Windows without any altered frame in the actor's state scored attacked.
     pub false_alarms: Proportion,
-    /// Windows altered by noise judged attacked.
+    /// Windows altered by noise scored attacked.
     pub alarms_on_noise: Proportion,
     /// Altered frames until the first alarm, in bursts that were noticed: median and 90th percentile. 1 is at once.
     pub delay_steps: Option<(f64, f64)>,
@@ -384,7 +384,7 @@ mod tests {
     fn record(frames: &str) -> Record {
         let step = |c| Step {
             state: vec![0.0; 48],
-            position: [0.0; 8].into(),
+            low_dim: [0.0; 8].into(),
             output: [0.0; 2],
             frame: match c {
                 'a' | 'w' => Frame::Attacked,

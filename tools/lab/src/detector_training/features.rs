@@ -82,7 +82,7 @@ impl Extractor {
     pub fn row(&mut self, step: &Step) -> Result<&[f32]> {
         match self.feature {
             Feature::Shap => {
-                self.shap.evaluate(&[&step.state, &step.position])?;
+                self.shap.evaluate(&[&step.state, &step.low_dim])?;
                 self.shap.attribute(YAW, &mut self.phi)?;
                 self.row = row_of(&self.phi[..step.state.len()]);
             }
@@ -91,7 +91,7 @@ impl Extractor {
             Feature::Gradient => {
                 let (isa, tape, work) = (self.isa, &mut self.tape, &mut self.work);
                 self.head
-                    .forward(isa, &self.params, &[&step.state, &step.position], tape)?;
+                    .forward(isa, &self.params, &[&step.state, &step.low_dim], tape)?;
                 self.head.backward(isa, &self.packed, tape, &[0.0, 1.0], None, work)?;
                 self.row = row_of(self.head.input_gradient(work, 0)?);
             }

@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::path::Path;
 use vigil_detector::WINDOW;
 use vigil_policy::FrozenPilot;
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, GOAL_INPUTS, LOW_DIM, PositionalInputs};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, GOAL_INPUTS, LOW_DIM, LowDim};
 
 /// Flights of one actor.
 #[derive(Debug, Clone, PartialEq)]
@@ -64,10 +64,10 @@ impl Counts {
 pub enum Class {
     /// Its frame was attacked, and the yaw output moved by [`WEAK_YAW`] or more.
     Attacked,
-    /// Its frame was attacked, but to little effect: nothing is learned from it. Judged apart.
+    /// Its frame was attacked, but to little effect: nothing is learned from it. Scored apart.
     Weak,
     /// Its frame was delivered as taken, but an older one, which the actor's state holds too, was attacked.
-    /// Nothing is learned from it. Judged apart.
+    /// Nothing is learned from it. Scored apart.
     Lingering,
     /// No attacked frame is in the actor's state.
     Unattacked,
@@ -105,7 +105,7 @@ const SIZE_LIMIT: u64 = 4 << 30;
 const FORMAT: &str = "vigil detector data 2";
 /// Beside what a frame is: it is a rough picture.
 const ROUGH: u8 = 4;
-/// Numbers kept of a step beside the split point's values and the positional inputs.
+/// Numbers kept of a step beside the split point's values and the low-dimensional observation.
 const BESIDE_STATE: usize = ACTOR_OUTPUTS + 1;
 
 /// Refuses a file of something else, or of an older version.
@@ -120,8 +120,8 @@ pub struct Recorded {
     pub actor_sha256: String,
     /// Values of its split point.
     pub state: usize,
-    /// Its positional inputs.
-    pub position: usize,
+    /// Its low-dimensional observation.
+    pub low_dim: usize,
     /// How many steps ago each frame was taken that a decision holds, oldest first.
     pub frame_ages: Vec<usize>,
 }
@@ -132,14 +132,14 @@ impl Recorded {
     /// # Errors
     /// A policy without a split point.
     pub fn by(pilot: &FrozenPilot) -> Result<Self> {
-        let (state, position) = match pilot {
+        let (state, low_dim) = match pilot {
             FrozenPilot::Actor(_) => (ACTOR_HIDDEN, LOW_DIM),
             FrozenPilot::Imported(policy) => (policy.head()?.width, GOAL_INPUTS),
         };
         Ok(Self {
             actor_sha256: pilot.sha256(),
             state,
-            position,
+            low_dim,
             frame_ages: held_frames(pilot),
         })
     }
@@ -168,16 +168,16 @@ impl Flights {
         output::write(path, bytes)
     }
 
-    /// A file's content: `steps` (float32: split point's values, positional inputs, outputs, change of yaw), `frames` (0 unaltered, 1
+    /// A file's content: `steps` (float32: split point's values, low-dimensional observation, outputs, change of yaw), `frames` (0 unaltered, 1
     /// attacked, 2 noisy; and 4 where the picture is rough), and what was flown as JSON in the metadata.
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         let steps = || self.records.iter().flat_map(|r| &r.steps);
         let count = steps().count();
-        let width = BESIDE_STATE + steps().next().map_or(0, |step| step.state.len() + step.position.len());
+        let width = BESIDE_STATE + steps().next().map_or(0, |step| step.state.len() + step.low_dim.len());
         let mut values = Vec::with_capacity(4 * width * count);
         let mut frames = Vec::with_capacity(count);
         for step in steps() {
-            let numbers = step.state.iter().chain(&step.position[..]).chain(&step.output);
+            let numbers = step.state.iter().chain(&step.low_dim[..]).chain(&step.output);
             for number in numbers.chain([&step.yaw_change]) {
                 values.extend(number.to_le_bytes());
             }
@@ -238,8 +238,8 @@ impl Flights {
         let (values, frames) = (tensor("steps")?, tensor("frames")?);
         let numbers = values.data().as_chunks::<4>().0.iter();
         let values: Vec<f32> = numbers.map(|b| f32::from_le_bytes(*b)).collect();
-        let (hidden, positional) = (recorded.state, recorded.position);
-        let width = BESIDE_STATE + hidden + positional;
+        let (hidden, low_dim) = (recorded.state, recorded.low_dim);
+        let width = BESIDE_STATE + hidden + low_dim;
         if entries.iter().map(|e| e.steps).sum::<usize>() * width != values.len()
             || frames.data().len() * width != values.len()
         {
@@ -247,12 +247,11 @@ impl Flights {
         }
         let mut steps = values.chunks_exact(width).zip(frames.data()).map(|(values, frame)| {
             let (state, rest) = values.split_at(hidden);
-            let (position, rest) = rest.split_at(positional);
+            let (low_dim, rest) = rest.split_at(low_dim);
             let (output, yaw_change) = rest.split_at(ACTOR_OUTPUTS);
             Step {
                 state: state.to_vec(),
-                position: PositionalInputs::from_values(position)
-                    .unwrap_or_else(|| unreachable!("as many as an actor has")),
+                low_dim: LowDim::from_values(low_dim).unwrap_or_else(|| unreachable!("as many as an actor has")),
                 output: core::array::from_fn(|k| output[k]),
                 frame: match frame & !ROUGH {
                     1 => Frame::Attacked,

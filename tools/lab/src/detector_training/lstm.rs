@@ -99,7 +99,7 @@ fn draw_backgrounds(records: &[Record], count: usize, seed: u64) -> Vec<Backgrou
     let mut steps: Vec<_> = quiet.flat_map(|r| &r.steps).collect();
     steps.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
     let chosen = steps.iter().take(count);
-    chosen.map(|s| (s.state.clone(), s.position)).collect()
+    chosen.map(|s| (s.state.clone(), s.low_dim)).collect()
 }
 
 /// Mean and standard deviation of each value over the unattacked windows' newest rows.

@@ -110,7 +110,7 @@ fn scenario(family: Family, seed: u64) -> Scenario {
 }
 
 /// Flies and explains until there are `count` states of each class, or `progress` breaks it off after a flight; goes on with what was
-/// `begun` by an earlier call with the same arguments. Also tells whether it is complete: what is not is to be begun with.
+/// `begun` by an earlier call with the same arguments. Also returns whether it is complete: what is not is to be begun with.
 ///
 /// # Errors
 /// Parameters of another architecture.

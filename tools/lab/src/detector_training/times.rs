@@ -1,4 +1,4 @@
-//! The paper's table IV: how long deciding, explaining and judging take, one thread, on the states of a flight.
+//! The paper's table IV: how long deciding, explaining and scoring take, one thread, on the states of a flight.
 
 use crate::detector_training::comparison::ImageNetwork;
 use crate::explained::{BACKGROUNDS, Onlooker, Plan, Record, Scenario, Shown, Step, YAW, explainer, fly};
@@ -69,7 +69,7 @@ impl Onlooker for Timing {
         timed(&mut times.action_s, || self.actor.decide(&shown.input))?;
         let mut phi = [0.0; ROW + LOW_DIM];
         timed(&mut times.explanation_s, || {
-            self.shap.evaluate(&[&step.state, &step.position])?;
+            self.shap.evaluate(&[&step.state, &step.low_dim])?;
             self.shap.attribute(YAW, &mut phi)
         })?;
         self.rows.rotate_left(1);

@@ -144,7 +144,7 @@ impl Video {
         let mut said = String::new();
         // A second time there is nothing more to read, and the same end.
         if let Some(mut stderr) = self.ffmpeg.stderr.take() {
-            // What is no text is not told.
+            // What is no text is not shown.
             let _ = stderr.read_to_string(&mut said);
         }
         match self.ffmpeg.wait() {

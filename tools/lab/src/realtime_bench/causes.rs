@@ -1,4 +1,4 @@
-//! Why a step began late or took long, as far as what was counted tells it.
+//! Why a step began late or took long, as far as what was counted shows it.
 
 use super::ObservedStep;
 use super::text::or;
@@ -13,7 +13,7 @@ const NOTABLE_NS: u64 = 1_000_000;
 pub struct Work {
     pub frame: bool,
     pub decided: bool,
-    pub judged: bool,
+    pub scored: bool,
     pub alarm: bool,
 }
 
@@ -23,7 +23,7 @@ impl Work {
         Self {
             frame: report.frame_sequence.is_some() && report.frame_sequence != previous_frame,
             decided: report.action.is_some(),
-            judged: report.judgement.as_ref().is_some_and(|j| j.verdict != Verdict::Unknown),
+            scored: report.judgement.as_ref().is_some_and(|j| j.verdict != Verdict::Unknown),
             alarm: report.alarm.is_some(),
         }
     }
@@ -34,7 +34,7 @@ impl fmt::Display for Work {
         let parts = [
             (self.frame, "new frame"),
             (self.decided, "decision"),
-            (self.judged, "explanation and verdict"),
+            (self.scored, "explanation and verdict"),
             (self.alarm, "alarm"),
         ];
         let words: Vec<_> = parts.iter().filter(|(is, _)| *is).map(|(_, word)| *word).collect();
@@ -68,7 +68,7 @@ named! {
 
 impl Cause {
     /// In words, with the step's figures.
-    pub fn told(self, step: &ObservedStep) -> String {
+    pub fn text(self, step: &ObservedStep) -> String {
         let c = &step.counted;
         let ms = |ns: u64| format!("{:.2} ms", ns as f64 * 1e-6);
         match self {
@@ -209,11 +209,11 @@ mod tests {
     }
 
     #[test]
-    fn what_a_step_had_to_do_is_told_by_its_parts() {
+    fn what_a_step_had_to_do_is_reported_by_its_parts() {
         let work = Work {
             frame: true,
             decided: true,
-            judged: true,
+            scored: true,
             alarm: false,
         };
         assert_eq!(work.to_string(), "new frame, decision, explanation and verdict");

@@ -64,7 +64,7 @@ impl ThreadCounters {
         })
     }
 
-    /// What was counted so far; a file that tells nothing counts nothing.
+    /// What was counted so far; a file that says nothing counts nothing.
     pub fn read(&mut self) -> Counters {
         let mut counters = Counters::default();
         let text = self.text.as_mut_slice();

@@ -15,7 +15,7 @@ pub struct Machine {
     /// A kernel with full preemption (PREEMPT_RT).
     pub preempt_rt: bool,
     pub virtual_machine: bool,
-    /// How the clock is governed, each way once; empty where it cannot be told.
+    /// How the clock is governed, each way once; empty where it is not known.
     pub governors: Vec<String>,
     /// Processors that the kernel keeps free of others' threads.
     pub isolated: String,
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_is_told_by_its_device_tree_and_its_governors_once_each() {
+    fn a_board_is_known_by_its_device_tree_and_its_governors_once_each() {
         let board = root(&[
             (
                 "proc/cpuinfo",
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn a_virtual_machine_is_told_by_its_flags_and_has_no_governor() {
+    fn a_virtual_machine_is_known_by_its_flags_and_has_no_governor() {
         let machine = root(&[(
             "proc/cpuinfo",
             "model name\t: AMD EPYC\nflags\t\t: fpu hypervisor sse\n",

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 /// Bins of a histogram in each power of ten.
 const BINS_PER_DECADE: i32 = 10;
-/// How many of the worst steps are told.
+/// How many of the worst steps are shown.
 const WORST: usize = 5;
 
 /// What is known of a run besides its steps.
@@ -74,7 +74,7 @@ impl Distribution {
     }
 
     /// Its quantiles and the longest, in words.
-    pub(super) fn told(&self) -> [String; 4] {
+    pub(super) fn cells(&self) -> [String; 4] {
         [self.p50_us, self.p99_us, self.p99_9_us, self.max_us].map(told_us)
     }
 
@@ -161,15 +161,15 @@ impl RealtimeReport {
         let worst = |key: Of<u64>, cause: Of<Option<Cause>>| -> Vec<WorstStep> {
             let mut sorted: Vec<&ObservedStep> = steps.iter().collect();
             sorted.sort_by_key(|step| (std::cmp::Reverse(key(step)), step.at_ns));
-            let told = |step: &&ObservedStep| WorstStep {
+            let shown = |step: &&ObservedStep| WorstStep {
                 at_s: (step.at_ns / 1_000_000) as f64 / 1000.0,
                 late_us: step.lateness_ns() as f64 * 1e-3,
                 took_us: step.took_ns as f64 * 1e-3,
                 missed: step.missed,
                 work: step.work.to_string(),
-                cause: cause(step).map_or_else(|| "no later or longer than usual".to_owned(), |cause| cause.told(step)),
+                cause: cause(step).map_or_else(|| "no later or longer than usual".to_owned(), |cause| cause.text(step)),
             };
-            sorted.iter().take(WORST).map(told).collect()
+            sorted.iter().take(WORST).map(shown).collect()
         };
         let long_cause = |step: &ObservedStep| causes::of_duration(step, usual_ns(step));
         let mut report = Self {
@@ -268,7 +268,7 @@ impl RealtimeReport {
     /// The distributions as histograms over a common axis, the counts by their logarithm.
     pub fn figure(&self) -> Figure {
         let panel = |title: &str, of: &Distribution| {
-            let [p50, p99, p99_9, max] = of.told();
+            let [p50, p99, p99_9, max] = of.cells();
             let quantiles = format!("{title}: p50 {p50}, p99 {p99}, p99.9 {p99_9}, max {max}");
             Panel::of(quantiles, "log10(1 + steps)", [Series::line(title, of.outline())])
         };
@@ -383,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_steps_are_told_with_their_causes_and_the_advice_fits_them() {
+    fn the_worst_steps_are_reported_with_their_causes_and_the_advice_fits_them() {
         let mut steps = punctual();
         // Others had the processor for 61 ms: one step was missed.
         (steps[300].late_ns, steps[300].missed) = (11_000_000, 1);
@@ -396,8 +396,8 @@ mod tests {
         assert_eq!(report.long_causes, BTreeMap::from([("computed".to_owned(), 1)]));
         assert_eq!((report.latest[0].late_us, report.latest[0].at_s), (61_000.0, 15.0));
         assert_eq!((report.longest[0].took_us, report.longest[0].at_s), (9_000.0, 35.0));
-        let told = report.to_string();
-        assert!(told.contains("60.90 ms for a processor that others had"), "{told}");
+        let text = report.to_string();
+        assert!(text.contains("60.90 ms for a processor that others had"), "{text}");
         assert_begin(&report.advice, &["isolation: 1 steps"]);
 
         let normal = RunFacts {
@@ -430,7 +430,7 @@ mod tests {
     fn steps_with_more_work_are_compared_with_their_like() {
         let mut steps = punctual();
         for step in steps.iter_mut().step_by(2) {
-            step.work.judged = true;
+            step.work.scored = true;
             (step.took_ns, step.counted.processor_ns) = (2_000_000, 2_000_000);
         }
         assert!(RealtimeReport::of(run(), &steps).long_causes.is_empty());

@@ -16,7 +16,7 @@ impl fmt::Display for RealtimeReport {
         let quantiles = ["p50", "p99", "p99.9", "max"].map(numbers);
         let mut table = TextTable::new([words("")].into_iter().chain(quantiles));
         for (name, of) in [("wake-up late", &self.lateness), ("step", &self.duration)] {
-            table.row([name.to_owned()].into_iter().chain(of.told()));
+            table.row([name.to_owned()].into_iter().chain(of.cells()));
         }
         writeln!(f, "{table}\n")?;
         let totals = &self.totals;
@@ -63,7 +63,7 @@ impl RealtimeReport {
             machine.kernel
         )?;
         let governors = machine.governors.join(", ");
-        let (governors, isolated) = (or(&governors, "not told"), or(&machine.isolated, "none"));
+        let (governors, isolated) = (or(&governors, "not known"), or(&machine.isolated, "none"));
         writeln!(f, "            governor {governors}; isolated processors: {isolated}")?;
         writeln!(f, "scheduling  {}", run.granted)?;
         let load = run.load.as_ref().map(|load| format!("`{load}`"));

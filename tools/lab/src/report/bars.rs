@@ -109,7 +109,7 @@ impl Bars {
         let (end, colour) = (self.at(bar.value, scale), COLOURS[bar.series % COLOURS.len()]);
         let corners = [(start.min(end), upper), (start.max(end), lower)];
         area.draw(&Rectangle::new(corners, colour.mix(0.75).filled()))?;
-        // So that a bar of nothing tells whose it is.
+        // So that a bar of nothing shows whose it is.
         if self.series.len() > 1 {
             let mark = [(start - dots(6), upper), (start - dots(2), lower)];
             area.draw(&Rectangle::new(mark, colour.filled()))?;

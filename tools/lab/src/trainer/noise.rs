@@ -53,12 +53,12 @@ mod tests {
     #[test]
     fn the_wander_keeps_its_deviation_and_its_memory() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let mut wander = OrnsteinUhlenbeck::start(&mut rng);
+        let mut noise = OrnsteinUhlenbeck::start(&mut rng);
         let (mut square, mut lagged, mut last) = (0.0, 0.0, 0.0);
         const N: usize = 200_000;
         for _ in 0..N {
-            wander.step(0.15, &mut rng);
-            let x = wander.at(2.0).yaw;
+            noise.step(0.15, &mut rng);
+            let x = noise.at(2.0).yaw;
             square += x * x;
             lagged += x * last;
             last = x;

@@ -54,7 +54,7 @@ pub(super) enum Value {
     Live(Live),
 }
 
-/// What tells the weights of a recurrent layer from others'.
+/// What distinguishes the weights of a recurrent layer from others'.
 #[derive(Debug, PartialEq)]
 pub(super) struct RecurrentWeights<'a> {
     pub(super) is_gru: bool,

@@ -25,7 +25,7 @@ impl DeviceClock {
     /// The time on CLOCK_MONOTONIC of `stamp_ns`, for a packet whose newest stamp is `newest_ns` and which arrived at `arrived_ns`.
     ///
     /// # Errors
-    /// [`Fault::ClockBack`], [`Fault::ClockBehind`]: no stamp can be told.
+    /// [`Fault::ClockBack`], [`Fault::ClockBehind`]: no stamp can be given.
     pub fn monotonic_ns(&mut self, stamp_ns: Nanos, newest_ns: Nanos, arrived_ns: Nanos) -> Result<Nanos, Fault> {
         let delay_ns = i128::from(arrived_ns) - i128::from(newest_ns);
         if let Some(last_ns) = self.last_device_ns.replace(newest_ns)

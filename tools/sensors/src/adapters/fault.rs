@@ -77,7 +77,7 @@ pub enum Fault {
     },
 }
 
-/// A fault is told at once, then at most this often.
+/// A fault is reported at once, then at most this often.
 const TELL_EVERY_NS: Nanos = 10_000_000_000;
 
 /// Faults by kind: when to tell a person, and the sums at the end.
@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_fault_is_told_at_once_then_every_ten_seconds_with_its_number() {
+    fn a_fault_is_reported_at_once_then_every_ten_seconds_with_its_number() {
         let (mut tally, late) = (Tally::default(), Fault::LatePacket);
         assert!(
             tally
@@ -142,7 +142,7 @@ mod tests {
         assert_eq!(tally.note(1_000_000_000, late), None);
         assert!(
             tally.note(2_000_000_000, Fault::NoPose).is_some(),
-            "another kind is told at once"
+            "another kind is reported at once"
         );
         let line = tally.note(11_000_000_000, late).expect("it is time");
         assert!(line.starts_with("2 times"), "{line}");

@@ -95,8 +95,8 @@ impl OusterDevice {
                 "as many angles in degrees as there are altitudes",
             )
         })?;
-        let told = find("pixels_per_column").and_then(Value::as_u64);
-        if told.is_some_and(|told| beams != usize::try_from(told).ok()) {
+        let stated = find("pixels_per_column").and_then(Value::as_u64);
+        if stated.is_some_and(|stated| beams != usize::try_from(stated).ok()) {
             return Err(wrong("pixels_per_column", "the number of beams"));
         }
         let per_packet = find("columns_per_packet").map_or(Some(16), Value::as_u64);

@@ -5,7 +5,7 @@ use vigil_types::{Attitude, Nanos, NedVector};
 
 /// Reports that are kept: a second at 50 Hz.
 const KEPT: usize = 64;
-/// A pose is told so long beyond the newest report, and between reports that are no farther apart than the firmware's limit of telemetry.
+/// A pose is given so long beyond the newest report, and between reports that are no farther apart than the firmware's limit of telemetry.
 const MOST_BEYOND_NS: Nanos = 100_000_000;
 const MOST_APART_NS: Nanos = 300_000_000;
 /// The motion beyond the newest report is taken over at least this: reports are stamped as they arrive, and come in bundles.
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_is_not_told() {
+    fn what_is_not_known_is_not_reported() {
         let mut track = flown();
         assert_eq!(track.at(600 * MS), None, "longer ago than is kept");
         assert_eq!(track.at(2100 * MS), None, "after the reports stopped");

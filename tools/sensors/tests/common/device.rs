@@ -122,7 +122,7 @@ impl Device {
         let origin = position + attitude.to_ned(offset + rays::in_vehicle(turn, from));
         let direction = attitude.to_ned(rays::in_vehicle(turn, frd(along)));
         let (range_m, _) = rays::cast(world, origin, direction)?;
-        // The range is told from where the axis is, not from where the beam leaves.
+        // The range is measured from where the axis is, not from where the beam leaves.
         (range_m < REACH_M).then(|| ((range_m + ORIGIN_M) * 1e3).round() as u32)
     }
 }

@@ -35,7 +35,7 @@ const STOPPED_NS: Nanos = 3 * SECOND_NS;
 const BY_HEIGHT: &str = "without it the height alone says whether the vehicle flies";
 const OLD_CHECKS: &str = "battery and pre-arm check are what they were";
 const OLD_TRUST: &str = "whether the position can be relied on is what it was";
-/// What tells of the vehicle's state.
+/// What reports the vehicle's state.
 const TOLD_OF: [(&str, u32, &str); 4] = [
     ("EXTENDED_SYS_STATE", EXTENDED_SYS_STATE_DATA::ID, BY_HEIGHT),
     ("SYS_STATUS", SYS_STATUS_DATA::ID, OLD_CHECKS),
@@ -83,31 +83,31 @@ impl Examination {
             Some(flavour) => flavour.name().to_owned(),
             None => format!("MAV_AUTOPILOT {}", self.vehicle.mav_autopilot),
         };
-        let told = format!("system {}, {name}", self.system.unwrap_or_default());
+        let who = format!("system {}, {name}", self.system.unwrap_or_default());
         let gaps = self.gaps(&[HEARTBEAT_DATA::ID], now_ns);
         match (self.config.flavour, self.vehicle.named) {
             _ if rate_hz.is_none() || gaps.count > 0 => report.failure(
                 "HEARTBEAT",
                 match rate_hz {
-                    Some(_) => format!("{told}, away for {} at the longest", s(gaps.longest_ns)),
-                    None => format!("{told}, and then silence"),
+                    Some(_) => format!("{who}, away for {} at the longest", s(gaps.longest_ns)),
+                    None => format!("{who}, and then silence"),
                 },
                 "once a second",
                 "without it guidance holds: link lost",
             ),
             (Some(wanted), Some(named)) if wanted != named => report.failure(
                 "HEARTBEAT",
-                told,
+                who,
                 wanted.name(),
                 "the vehicle is not flown: name what it is with --vehicle, or leave that out",
             ),
             (None, None) => report.warning(
                 "HEARTBEAT",
-                told,
+                who,
                 "PX4 (12) or ArduPilot (3)",
                 "an autopilot that is not known is flown as PX4",
             ),
-            _ => report.good("HEARTBEAT", told),
+            _ => report.good("HEARTBEAT", who),
         }
         true
     }
@@ -305,7 +305,7 @@ impl Examination {
                 "heading jumps",
                 format!("{count}, by {:.0}° at the most", most_rad.to_degrees()),
                 "none",
-                "the estimator changes its mind (compass, a reset): setpoints in the body's frame then lead elsewhere",
+                "the estimator changes its mind (compass, a reset): setpoints in the body's frame then go elsewhere",
             );
         }
     }
@@ -407,7 +407,7 @@ impl Examination {
                 report.good("heading", value);
             } else {
                 let why = match apart(std::f32::consts::FRAC_PI_2 - yaw_rad) <= HEADING_RAD {
-                    true => "attitude is told in east-north-up: yaw must be clockwise from north (NED)",
+                    true => "attitude is sent in east-north-up: yaw must be clockwise from north (NED)",
                     false => "setpoints are in the body's frame: the vehicle would fly another way than it looks",
                 };
                 report.failure("heading", value, "one heading", why);
@@ -451,8 +451,8 @@ impl Examination {
             }
             match value_of(row.name) {
                 Some(value) => {
-                    let told = format!("{value} {}", row.unit).trim_end().to_owned();
-                    report.grade(row.name, (row.grade)(value), Some(told), row.wanted, row.why);
+                    let found = format!("{value} {}", row.unit).trim_end().to_owned();
+                    report.grade(row.name, (row.grade)(value), Some(found), row.wanted, row.why);
                 }
                 None => report.absent(row.name,
                     row.wanted,
@@ -499,7 +499,7 @@ impl Examination {
                 roll.to_degrees()
             )),
             "at most 3° over level ground",
-            "the sensor is mounted at another angle than its driver tells (or the ground is not level): give its driver the mount \
+            "the sensor is mounted at another angle than its driver states (or the ground is not level): give its driver the mount \
              (--mount of `vigil sensor`; docs/sensor-interface.md, Projection); the pose in the frames' header stays the vehicle's own",
         );
     }

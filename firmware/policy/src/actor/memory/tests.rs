@@ -58,7 +58,7 @@ fn a_wall_that_was_seen_is_still_there_when_the_vehicle_looks_away() {
     let in_view = near[..8].iter().chain(&near[RING - 7..]);
     assert!(
         in_view.copied().all(|near| near == 0.0),
-        "what is in view is not told twice: {near:?}"
+        "what is in view is not observed twice: {near:?}"
     );
     flight.steps(20, 0.0, 0.0);
     let (near, fresh) = flight.ring();
@@ -93,19 +93,19 @@ fn what_a_ray_passes_through_is_forgotten_and_so_is_what_is_old() {
 }
 
 #[test]
-fn older_scans_are_told_as_they_would_be_seen_from_here() {
+fn older_scans_are_reported_as_they_would_be_seen_from_here() {
     let mut flight = Flight::beside_a_wall(2.0);
     flight.steps(60, 0.05, 0.6);
     let context = *flight.memory.context();
     for (older, age) in context.chunks_exact(MOVED).zip(SCAN_AGES) {
-        let (mut told, mut right) = (0, 0);
+        let (mut seen, mut right) = (0, 0);
         for (k, near) in older.iter().enumerate().filter(|(_, near)| **near > 0.0) {
             let bearing_rad = (k as f32 + 0.5) * (PI / MOVED as f32) - FRAC_PI_2;
             let truly_m = 2.0 / libm::sinf(0.6 + bearing_rad);
-            told += 1;
+            seen += 1;
             right += usize::from((range_m(*near) / truly_m - 1.0).abs() < 0.15);
         }
-        assert!(told > 25 && right * 10 > told * 9, "{age} steps ago: {right} of {told}");
+        assert!(seen > 25 && right * 10 > seen * 9, "{age} steps ago: {right} of {seen}");
     }
 }
 

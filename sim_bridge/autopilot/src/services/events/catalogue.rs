@@ -54,7 +54,7 @@ impl ArmingCheck {
     }
 }
 
-/// What can be told.
+/// What can be reported.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Event {
     Armed,

@@ -1,6 +1,6 @@
-//! Events: what happened, told reliably and in the order it happened. <https://mavlink.io/en/services/events.html>
+//! Events: what happened, sent reliably and in the order it happened. <https://mavlink.io/en/services/events.html>
 //!
-//! The service watches the commander instead of being told, so flight code knows nothing of it.
+//! The service watches the commander instead of being called, so flight code knows nothing of it.
 
 mod catalogue;
 
@@ -14,14 +14,14 @@ use catalogue::{ArmingCheck, Event};
 const RUN_PREARM_CHECKS: u16 = 401;
 /// How often the commander is looked at.
 const WATCH_NS: Nanos = 20_000_000;
-/// How often the last sequence number is told, so that the loss of the last event is noticed.
+/// How often the last sequence number is sent, so that the loss of the last event is noticed.
 const TELL_NS: Nanos = 1_000_000_000;
 /// Events kept for those who ask for them again.
 const KEPT: usize = 64;
 
 /// What events tell changes of.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Watched {
+struct Monitored {
     armed: bool,
     mode: FlightMode,
     failsafe: Option<Failsafe>,
@@ -30,7 +30,7 @@ struct Watched {
     check: Option<ArmingCheck>,
 }
 
-impl Watched {
+impl Monitored {
     fn of(core: &Core) -> Self {
         let c = &core.commander;
         Self {
@@ -46,12 +46,12 @@ impl Watched {
 
 #[derive(Default)]
 pub(crate) struct Events {
-    seen: Option<Watched>,
+    seen: Option<Monitored>,
     kept: VecDeque<EVENT_DATA>,
     /// Of the last event; the first has 1.
     sequence: u16,
-    /// Whether the sequence has not been told since the start.
-    told: bool,
+    /// Whether the sequence has not been sent since the start.
+    is_sent: bool,
     watch_ns: Nanos,
     tell_ns: Nanos,
 }
@@ -71,7 +71,7 @@ impl Service for Events {
         if core.commander.is_armed() {
             return Err(Refusal::REJECTED.saying("pre-arm checks denied: armed"));
         }
-        self.report_checks(Watched::of(core).check, core);
+        self.report_checks(Monitored::of(core).check, core);
         Ok(())
     }
 
@@ -92,7 +92,7 @@ impl Service for Events {
 
 impl Events {
     fn watch(&mut self, core: &mut Core) {
-        let now = Watched::of(core);
+        let now = Monitored::of(core);
         let Some(before) = self.seen.replace(now) else {
             // What was so from the start is no event, but a client that knows the metadata wants the checks once.
             self.report_checks(now.check, core);
@@ -156,7 +156,7 @@ impl Events {
         let mut flags = MavEventCurrentSequenceFlags::empty();
         flags.set(
             MavEventCurrentSequenceFlags::MAV_EVENT_CURRENT_SEQUENCE_FLAGS_RESET,
-            !std::mem::replace(&mut self.told, true),
+            !std::mem::replace(&mut self.is_sent, true),
         );
         let message = message!(CURRENT_EVENT_SEQUENCE, sequence = self.sequence, flags);
         core.outbox.send_all(&message);

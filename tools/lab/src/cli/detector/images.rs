@@ -18,7 +18,7 @@ const CHOOSE_SEED: u64 = 2500;
 const JUDGE_SEED: u64 = 7000;
 
 impl Stage<'_> {
-    pub(super) fn images(&self, states: usize, judged: usize, backgrounds: usize) -> Result<()> {
+    pub(super) fn images(&self, states: usize, scored: usize, backgrounds: usize) -> Result<()> {
         let interrupt = Interrupt::on_ctrl_c()?;
         let load = |path: &Path| -> Result<States> {
             let there = States::load(path, self.actor("images")?)?;
@@ -33,7 +33,7 @@ impl Stage<'_> {
         for (part, family, seed, count) in [
             ("learn", Family::Training, LEARN_SEED, states / 2),
             ("choose", Family::Training, CHOOSE_SEED, states / 20),
-            ("judge", Family::Validation, JUDGE_SEED, judged / 2),
+            ("judge", Family::Validation, JUDGE_SEED, scored / 2),
         ] {
             let name = format!("images-{part}.safetensors");
             let path = self.path(&name);
@@ -52,7 +52,7 @@ impl Stage<'_> {
             let (place, size) = ((family, seed), (count, backgrounds));
             let part = self.path(&format!("{name}.part"));
             let begun = part.exists().then(|| load(&part)).transpose()?;
-            // What is mixed could not be told apart later.
+            // What is mixed could not be taken apart later.
             ensure!(
                 begun.as_ref().is_none_or(|begun| begun.backgrounds.is_some()),
                 "{} is of an earlier version: remove it",
@@ -84,7 +84,7 @@ impl Stage<'_> {
         let (actor, frozen) = (self.actor("table")?, self.detector(detector)?);
         let load = |name| States::load(&self.path(name), actor).context("run `vigil detector images` first");
         let (learn, choose) = (load("images-learn.safetensors")?, load("images-choose.safetensors")?);
-        let judged = load("images-judge.safetensors")?;
+        let scored = load("images-judge.safetensors")?;
         let mut rows = Vec::new();
         for (network, paper) in [(ImageNetwork::Fcn, 0.56), (ImageNetwork::Cnn, 0.80)] {
             let config = image_fit(epochs, seed);
@@ -101,13 +101,13 @@ impl Stage<'_> {
             let name = network.name().to_lowercase().replace('-', "_");
             self.write(&format!("{name}.csv"), to_csv(&fitted.epochs))?;
             self.write(&format!("{name}.png"), curves_png(&fitted.epochs))?;
-            let scores = network.scores(self.isa, &fitted.params, &judged)?;
-            rows.push(row(network.name(), paper, 0.5, &judged, &scores));
+            let scores = network.scores(self.isa, &fitted.params, &scored)?;
+            rows.push(row(network.name(), paper, 0.5, &scored, &scores));
         }
-        let lstm = lstm_scores(self.isa, &self.pilot, &WindowScorer::from_frozen(&frozen), &judged)?;
-        rows.push(row("LSTM-AD", 0.91, frozen.threshold, &judged, &lstm));
-        let pca = pca_scores(&learn, &choose, &judged);
-        rows.push(row("PCA", 0.70, 1.0, &judged, &pca));
+        let lstm = lstm_scores(self.isa, &self.pilot, &WindowScorer::from_frozen(&frozen), &scored)?;
+        rows.push(row("LSTM-AD", 0.91, frozen.threshold, &scored, &lstm));
+        let pca = pca_scores(&learn, &choose, &scored);
+        rows.push(row("PCA", 0.70, 1.0, &scored, &pca));
         let mut table = TextTable::new([
             words("detector"),
             numbers("paper"),

@@ -1,4 +1,4 @@
-//! What was measured: units of data in a folder, each with the command it came from, in an index that also tells whether a file
+//! What was measured: units of data in a folder, each with the command it came from, in an index that also says whether a file
 //! is still what was measured. `docs/measured` is such a folder, and `vigil reproduce` makes one of the same kind.
 
 use crate::campaign::flights::sha256;

@@ -52,7 +52,7 @@ pub const ITEMS: [Item; 17] = [
         "table-4",
         table_4,
         &["detector-times"],
-        "Table IV: time of deciding, explaining and judging",
+        "Table IV: time of deciding, explaining and scoring",
     ),
     item(
         "figure-9",

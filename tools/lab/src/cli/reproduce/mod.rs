@@ -136,7 +136,7 @@ impl MadeBy {
                 folder.display()
             );
         }
-        // What cannot be written is told before the work.
+        // What cannot be written is refused before the work.
         output::write(&path, toml::to_string_pretty(self)?)
     }
 

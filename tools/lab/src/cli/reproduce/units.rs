@@ -56,15 +56,15 @@ impl Spec {
         let detector = setting.args.detector.as_deref();
         let detector = detector.unwrap_or(Path::new("detector/frozen/lstm_ad.safetensors"));
         let detector = detector.display().to_string();
-        let mut told = Vec::new();
+        let mut commands = Vec::new();
         for line in self.lines(setting.args.quick) {
             let mut words = format!("vigil {}", line.replace("DETECTOR", &detector));
             for (name, file) in extra(&line, setting) {
                 words += &format!(" {name} {}", file.display());
             }
-            told.push(words);
+            commands.push(words);
         }
-        told.join(" && ")
+        commands.join(" && ")
     }
 
     /// Runs the commands. False when Ctrl-C came before they were done.

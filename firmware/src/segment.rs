@@ -1,13 +1,13 @@
 //! Intermediate goals: what an imported policy flies to when the goal is farther away than any that it has learned.
 //!
 //! Seen from 200 m, a goal lies straight ahead however far off the line the vehicle is: a policy that knows nothing but its
-//! bearing is led past everything, and out of the course. So it follows the line on which the goal was taken up. Where that brings
-//! the vehicle no nearer, or past the goal, it is led by the path that the recovery pilot plans, until it has come nearer.
+//! bearing is brought past everything, and out of the course. So it follows the line on which the goal was taken up. Where that brings
+//! the vehicle no nearer, or past the goal, it follows the path that the recovery pilot plans, until it has come nearer.
 
 use vigil_policy::actor::FARTHEST_KNOWN_M;
 use vigil_types::{Action, GoalRelative, Nanos, NedVector};
 
-/// How far ahead along the line the intermediate goal lies, metres. Farther ahead, a vehicle that went around something is led back
+/// How far ahead along the line the intermediate goal lies, metres. Farther ahead, a vehicle that went around something is brought back
 /// to the line too late: at 15 m five of a hundred flights leave the course. Along a path it seems to lie as far away.
 const AHEAD_M: f32 = 8.0;
 /// A vehicle that has not come nearer to the goal by so much in this time follows the path ...
@@ -19,13 +19,13 @@ const ASIDE_RAD: f32 = 1.2;
 /// The path is left when it has brought the vehicle nearer by this, or has not in this time.
 const PATH_NEARER_M: f32 = 3.0;
 const PATH_NS: Nanos = 30_000_000_000;
-/// A path that leads this far aside is turned to on the spot, radians: no flight that a policy learned from begins with that.
+/// A path that goes this far aside is turned to on the spot, radians: no flight that a policy learned from begins with that.
 const TURN_RAD: f32 = 1.0;
 const TURN_YAW: f32 = 1.0;
 
-/// What leads the policy.
+/// What the policy flies to.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum LedTo {
+pub(crate) enum LocalGoal {
     /// A point: the goal or an intermediate one.
     Point(NedVector),
     /// The planned path.
@@ -36,21 +36,21 @@ pub(crate) enum LedTo {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Approach {
     nearest_m: f32,
-    /// When it came so near, or what leads it changed.
+    /// When it came so near, or what it flies to changed.
     since_ns: Nanos,
     by_path: bool,
 }
 
 /// The line from where the goal was taken up to the goal.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Leg {
+pub(crate) struct Segment {
     /// From, to.
     line: Option<(NedVector, NedVector)>,
     /// For a goal that was too far away to be known when it was taken up.
     far: Option<Approach>,
 }
 
-impl Leg {
+impl Segment {
     /// Forgets the line: the next goal is taken up where the vehicle then is.
     pub fn reset(&mut self) {
         *self = Self::default();
@@ -61,7 +61,7 @@ impl Leg {
         self.far.is_some()
     }
 
-    /// Whether the planned path leads.
+    /// Whether the policy follows the planned path.
     pub fn is_by_path(&self) -> bool {
         self.far.is_some_and(|approach| approach.by_path)
     }
@@ -81,19 +81,19 @@ impl Leg {
 
     /// Where to fly: to the goal if it is known, to the point of the line [`AHEAD_M`] farther than the vehicle has come, at the goal's
     /// height, or along the path. `bearing_rad` is the goal's.
-    pub fn next(&mut self, now_ns: Nanos, here: NedVector, bearing_rad: f32) -> LedTo {
+    pub fn next(&mut self, now_ns: Nanos, here: NedVector, bearing_rad: f32) -> LocalGoal {
         let Some((from, goal)) = self.line else {
-            return LedTo::Point(here);
+            return LocalGoal::Point(here);
         };
         let distance_m = (goal - here).horizontal_norm();
         if let Some(approach) = &mut self.far {
             approach.note(now_ns, distance_m, bearing_rad);
             if approach.by_path {
-                return LedTo::Path;
+                return LocalGoal::Path;
             }
         }
         if distance_m <= FARTHEST_KNOWN_M {
-            return LedTo::Point(goal);
+            return LocalGoal::Point(goal);
         }
         let way = goal - from;
         let length_m = way.horizontal_norm();
@@ -103,7 +103,7 @@ impl Leg {
         );
         let come = here - from;
         let ahead_m = (come.x * north + come.y * east).max(0.0) + AHEAD_M;
-        LedTo::Point(if ahead_m >= length_m {
+        LocalGoal::Point(if ahead_m >= length_m {
             goal
         } else {
             NedVector::new(from.x + north * ahead_m, from.y + east * ahead_m, goal.z)
@@ -169,33 +169,33 @@ mod tests {
         NedVector::new(north, east, -1.5)
     }
 
-    /// Where a vehicle that has just come there is led.
-    fn led(leg: &mut Leg, here: NedVector, goal: NedVector) -> NedVector {
-        leg.take_up(0, here, goal);
-        match leg.next(0, here, 0.0) {
-            LedTo::Point(point) => point,
-            LedTo::Path => panic!("by the path at {here:?}"),
+    /// The local goal of a vehicle that has just come there.
+    fn local_goal(segment: &mut Segment, here: NedVector, goal: NedVector) -> NedVector {
+        segment.take_up(0, here, goal);
+        match segment.next(0, here, 0.0) {
+            LocalGoal::Point(point) => point,
+            LocalGoal::Path => panic!("by the path at {here:?}"),
         }
     }
 
-    /// Where a vehicle is led that comes there from the origin at once.
+    /// The local goal of a vehicle that comes there from the origin at once.
     fn led_from_origin(here: NedVector, goal: NedVector) -> NedVector {
-        let mut leg = Leg::default();
-        leg.take_up(0, at(0.0, 0.0), goal);
-        led(&mut leg, here, goal)
+        let mut segment = Segment::default();
+        segment.take_up(0, at(0.0, 0.0), goal);
+        local_goal(&mut segment, here, goal)
     }
 
     #[test]
     fn a_goal_that_the_actor_knows_is_flown_to_as_it_is() {
-        let mut leg = Leg::default();
-        assert_eq!(led(&mut leg, at(0.0, 0.0), at(20.0, 5.0)), at(20.0, 5.0));
-        assert_eq!(led(&mut leg, at(10.0, -7.0), at(20.0, 5.0)), at(20.0, 5.0));
-        let later = leg.next(1_000 * SECOND_NS, at(10.0, -7.0), 3.0);
-        assert_eq!(later, LedTo::Point(at(20.0, 5.0)), "however long that takes");
+        let mut segment = Segment::default();
+        assert_eq!(local_goal(&mut segment, at(0.0, 0.0), at(20.0, 5.0)), at(20.0, 5.0));
+        assert_eq!(local_goal(&mut segment, at(10.0, -7.0), at(20.0, 5.0)), at(20.0, 5.0));
+        let later = segment.next(1_000 * SECOND_NS, at(10.0, -7.0), 3.0);
+        assert_eq!(later, LocalGoal::Point(at(20.0, 5.0)), "however long that takes");
     }
 
     #[test]
-    fn a_vehicle_off_the_line_is_led_back_to_it() {
+    fn a_vehicle_off_the_line_is_brought_back_to_it() {
         let goal = at(200.0, 0.0);
         assert_eq!(led_from_origin(at(0.0, 0.0), goal), at(AHEAD_M, 0.0));
         assert_eq!(
@@ -213,29 +213,29 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_that_comes_no_nearer_is_led_by_the_path_until_it_has() {
+    fn a_vehicle_that_comes_no_nearer_follows_the_path_until_it_has() {
         let goal = at(200.0, 0.0);
-        let mut leg = Leg::default();
-        leg.take_up(0, at(0.0, 0.0), goal);
+        let mut segment = Segment::default();
+        segment.take_up(0, at(0.0, 0.0), goal);
         let mut next = |seconds: u64, north: f32, bearing_rad: f32| {
-            let led_to = leg.next(seconds * SECOND_NS, at(north, 0.0), bearing_rad);
-            assert_eq!(led_to == LedTo::Path, leg.is_by_path());
-            led_to
+            let local_goal = segment.next(seconds * SECOND_NS, at(north, 0.0), bearing_rad);
+            assert_eq!(local_goal == LocalGoal::Path, segment.is_by_path());
+            local_goal
         };
-        assert_eq!(next(5, 0.0, 0.0), LedTo::Point(at(AHEAD_M, 0.0)));
-        assert_eq!(next(7, 0.3, 0.0), LedTo::Path, "it stands");
-        assert_eq!(next(12, -6.0, 0.0), LedTo::Path, "the way out leads back first");
-        assert_eq!(next(20, 2.0, 0.0), LedTo::Path);
-        assert_eq!(next(30, 3.1, 0.0), LedTo::Point(at(3.1 + AHEAD_M, 0.0)));
-        assert_eq!(next(34, 60.0, 0.0), LedTo::Point(at(60.0 + AHEAD_M, 0.0)));
-        assert_eq!(next(35, 57.0, 0.0), LedTo::Path, "it flies back");
+        assert_eq!(next(5, 0.0, 0.0), LocalGoal::Point(at(AHEAD_M, 0.0)));
+        assert_eq!(next(7, 0.3, 0.0), LocalGoal::Path, "it stands");
+        assert_eq!(next(12, -6.0, 0.0), LocalGoal::Path, "the way out goes back first");
+        assert_eq!(next(20, 2.0, 0.0), LocalGoal::Path);
+        assert_eq!(next(30, 3.1, 0.0), LocalGoal::Point(at(3.1 + AHEAD_M, 0.0)));
+        assert_eq!(next(34, 60.0, 0.0), LocalGoal::Point(at(60.0 + AHEAD_M, 0.0)));
+        assert_eq!(next(35, 57.0, 0.0), LocalGoal::Path, "it flies back");
         assert_eq!(
             next(70, 50.0, 0.0),
-            LedTo::Point(at(58.0, 0.0)),
+            LocalGoal::Point(at(58.0, 0.0)),
             "nor does the path help"
         );
-        assert_eq!(next(72, 195.0, 0.0), LedTo::Point(goal));
-        assert_eq!(next(73, 195.2, 1.4), LedTo::Path, "it passes the goal");
+        assert_eq!(next(72, 195.0, 0.0), LocalGoal::Point(goal));
+        assert_eq!(next(73, 195.2, 1.4), LocalGoal::Path, "it passes the goal");
     }
 
     #[test]
@@ -250,19 +250,22 @@ mod tests {
 
     #[test]
     fn another_goal_is_another_line_and_so_is_the_same_one_after_a_new_take_off() {
-        let mut leg = Leg::default();
-        led(&mut leg, at(0.0, 0.0), at(200.0, 0.0));
-        let turned = led(&mut leg, at(50.0, 10.0), at(50.0, 210.0));
+        let mut segment = Segment::default();
+        local_goal(&mut segment, at(0.0, 0.0), at(200.0, 0.0));
+        let turned = local_goal(&mut segment, at(50.0, 10.0), at(50.0, 210.0));
         assert_eq!(turned, at(50.0, 10.0 + AHEAD_M));
-        leg.reset();
-        assert_eq!(led(&mut leg, at(60.0, 30.0), at(60.0, 210.0)), at(60.0, 30.0 + AHEAD_M));
+        segment.reset();
+        assert_eq!(
+            local_goal(&mut segment, at(60.0, 30.0), at(60.0, 210.0)),
+            at(60.0, 30.0 + AHEAD_M)
+        );
     }
 
     #[test]
     fn a_goal_where_the_line_begins_is_no_line() {
-        let mut leg = Leg::default();
+        let mut segment = Segment::default();
         let goal = at(3.0, 3.0);
-        led(&mut leg, goal, goal);
-        assert_eq!(led(&mut leg, at(40.0, 3.0), goal), goal);
+        local_goal(&mut segment, goal, goal);
+        assert_eq!(local_goal(&mut segment, at(40.0, 3.0), goal), goal);
     }
 }

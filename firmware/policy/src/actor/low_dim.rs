@@ -17,12 +17,12 @@ pub const GOAL_INPUTS: usize = 2;
 /// A learned pilot's inputs beside frames and memory: 2 values of an imported policy ([`Self::of_goal`]), 8 of our actor
 /// ([`LOW_DIM`]).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PositionalInputs {
+pub struct LowDim {
     values: [f32; LOW_DIM],
     len: usize,
 }
 
-impl PositionalInputs {
+impl LowDim {
     /// Of an imported policy: distance and bearing of the goal.
     pub fn of_goal(goal: GoalRelative) -> Self {
         [
@@ -44,13 +44,13 @@ impl PositionalInputs {
     }
 }
 
-impl From<[f32; LOW_DIM]> for PositionalInputs {
+impl From<[f32; LOW_DIM]> for LowDim {
     fn from(values: [f32; LOW_DIM]) -> Self {
         Self { values, len: LOW_DIM }
     }
 }
 
-impl From<[f32; GOAL_INPUTS]> for PositionalInputs {
+impl From<[f32; GOAL_INPUTS]> for LowDim {
     fn from(goal: [f32; GOAL_INPUTS]) -> Self {
         let mut values = [0.0; LOW_DIM];
         if let Some(first) = values.first_chunk_mut() {
@@ -63,7 +63,7 @@ impl From<[f32; GOAL_INPUTS]> for PositionalInputs {
     }
 }
 
-impl core::ops::Deref for PositionalInputs {
+impl core::ops::Deref for LowDim {
     type Target = [f32];
 
     fn deref(&self) -> &[f32] {
