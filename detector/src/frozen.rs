@@ -99,26 +99,21 @@ impl Of {
     }
 }
 
-const KIND: Kind = Kind {
-    noun: "detector",
-    identity: [
-        ("format", FORMAT),
-        ("architecture", ARCHITECTURE),
-        ("normalisation", NORMALISATION),
-    ],
-    tensors: || tensors(ACTOR_HIDDEN, LOW_DIM),
-};
-
+const KIND: Kind = kind(NORMALISATION, || tensors(ACTOR_HIDDEN, LOW_DIM));
 /// Of an imported policy, whose split point has any width.
-const KIND_IMPORTED: Kind = Kind {
-    identity: [
-        ("format", FORMAT),
-        ("architecture", ARCHITECTURE),
-        ("normalisation", NORMALISATION_IMPORTED),
-    ],
-    tensors: || tensors(0, GOAL_INPUTS),
-    ..KIND
-};
+const KIND_IMPORTED: Kind = kind(NORMALISATION_IMPORTED, || tensors(0, GOAL_INPUTS));
+
+const fn kind(normalisation: &'static str, tensors: fn() -> Vec<(String, Vec<usize>)>) -> Kind {
+    Kind {
+        noun: "detector",
+        identity: [
+            ("format", FORMAT),
+            ("architecture", ARCHITECTURE),
+            ("normalisation", normalisation),
+        ],
+        tensors,
+    }
+}
 
 /// Says of a file of the format before which version flies it.
 fn of_before(file: &str, refused: FileError) -> FileError {

@@ -40,10 +40,8 @@ pub fn image(phi: &[f32]) -> Option<Vec<u8>> {
         }
     }
     let mut bytes = vec![0; IMAGE];
-    for (bytes, pair) in bytes
-        .chunks_exact_mut(IMAGE_CHANNELS)
-        .zip(sums.chunks_exact(IMAGE_CHANNELS))
-    {
+    let pairs = sums.chunks_exact(IMAGE_CHANNELS);
+    for (bytes, pair) in bytes.chunks_exact_mut(IMAGE_CHANNELS).zip(pairs) {
         for (byte, (x, largest)) in bytes.iter_mut().zip(pair.iter().zip(largest)) {
             *byte = (255.0 * x / largest).round() as u8;
         }

@@ -93,11 +93,8 @@ impl DeepShap {
         graph.pack(params, &mut packed)?;
         let mut tapes = vec![0.0; backgrounds.len() * graph.tape_len()];
         let mut expected = vec![0.0f64; graph.output_len()];
-        for (background, (inputs, tape)) in backgrounds
-            .iter()
-            .zip(tapes.chunks_exact_mut(graph.tape_len()))
-            .enumerate()
-        {
+        let each = backgrounds.iter().zip(tapes.chunks_exact_mut(graph.tape_len()));
+        for (background, (inputs, tape)) in each.enumerate() {
             graph.forward(isa, params, inputs.as_ref(), tape)?;
             let output = graph.output(tape)?;
             if output.iter().any(|y| !y.is_finite()) {

@@ -75,18 +75,13 @@ fn the_order_of_the_rows_matters() {
 }
 
 #[test]
-fn scoring_does_not_allocate() {
+fn scoring_does_not_allocate_and_a_row_that_is_not_a_number_gives_no_score() {
     let mut detector = LstmAd::new(Isa::detect(), &uniform(&mut rng(1), param_len(), 0.1)).unwrap();
     let rows = window(5);
     let before = allocations();
     let score = detector.score(&rows).unwrap();
     assert_eq!(allocations(), before);
     assert!((0.0..=1.0).contains(&score));
-}
-
-#[test]
-fn a_row_that_is_not_a_number_gives_no_score() {
-    let mut detector = LstmAd::new(Isa::detect(), &uniform(&mut rng(1), param_len(), 0.1)).unwrap();
     for at in [0, WINDOW - 1] {
         let mut rows = window(5);
         rows[at][7] = f32::NAN;

@@ -186,15 +186,11 @@ fn another_actor_s_detector_and_an_empty_background_are_refused() {
     };
     let other = refused(&bench.params, "4567", &bench.detector);
     assert!(matches!(other, MonitorError::OtherActor { .. }));
-    assert!(
-        other.to_string().contains("0123") && other.to_string().contains("4567"),
-        "{other}"
-    );
+    let words = other.to_string();
+    assert!(words.contains("0123") && words.contains("4567"), "{words}");
     bench.detector.params.pop();
-    assert!(matches!(
-        refused(&bench.params, ACTOR, &bench.detector),
-        MonitorError::Shape(_)
-    ));
+    let short = refused(&bench.params, ACTOR, &bench.detector);
+    assert!(matches!(short, MonitorError::Shape(_)));
     bench.detector.backgrounds.clear();
     let empty = refused(&bench.params, ACTOR, &bench.detector);
     assert!(empty.to_string().contains("background sample is empty"), "{empty}");

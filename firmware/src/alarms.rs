@@ -1,6 +1,7 @@
 //! What the alarms of a flight came to, for the summary at its end.
 
-use vigil_types::{Alarm, AlarmCause, AlarmResponse, GuidanceState, STEP_S, StepReport};
+use vigil_guidance::conditions::{Demand, demanding};
+use vigil_types::{AlarmCause, AlarmResponse, GuidanceState, Reason, STEP_S, StepReport};
 
 /// Counts alarms, by whom they were raised, and what they brought about.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -29,17 +30,31 @@ impl AlarmTally {
         let flown = matches!(report.state, GuidanceState::Guided | GuidanceState::Hold);
         let flown_before = self.flown_steps;
         self.flown_steps += u64::from(flown);
-        if let Some(Alarm { cause, response }) = report.alarm {
-            self.stop_steps += u64::from(response == AlarmResponse::Stop);
-            self.recovery_steps += u64::from(response == AlarmResponse::Recovery);
-            if !self.was_raised {
-                self.first_at_step = self.first_at_step.or(Some(flown_before));
-                if let Some(count) = self.raised.get_mut(cause as usize) {
-                    *count += 1;
-                }
+        let effect = Self::effect(report);
+        self.stop_steps += u64::from(effect == Some(AlarmResponse::Stop));
+        self.recovery_steps += u64::from(effect == Some(AlarmResponse::Recovery));
+        if let Some(alarm) = report.alarm.filter(|_| !self.was_raised) {
+            self.first_at_step = self.first_at_step.or(Some(flown_before));
+            if let Some(count) = self.raised.get_mut(alarm.cause as usize) {
+                *count += 1;
             }
         }
         self.was_raised = report.alarm.is_some();
+    }
+
+    /// What an alarm does to a step of the flight: the vehicle holds for it, or the recovery pilot flies.
+    pub fn effect(report: &StepReport) -> Option<AlarmResponse> {
+        match (report.state, report.alarm?.response) {
+            (GuidanceState::Guided, AlarmResponse::Recovery) => Some(AlarmResponse::Recovery),
+            (GuidanceState::Hold, AlarmResponse::Stop) if !report.reasons.contains(Reason::GoalReached) => {
+                Some(AlarmResponse::Stop)
+            }
+            // Stopped; the hold lasts until nothing has demanded it for a while.
+            (GuidanceState::Hold, AlarmResponse::Recovery) if !report.reasons.intersects(demanding(Demand::Hold)) => {
+                Some(AlarmResponse::Stop)
+            }
+            _ => None,
+        }
     }
 }
 
@@ -87,27 +102,35 @@ pub(crate) fn in_brackets(counts: impl IntoIterator<Item = (&'static str, u64)>,
 #[cfg(test)]
 mod tests {
     use super::*;
+    use vigil_types::{Alarm, Reasons};
 
     #[test]
     fn a_flight_s_alarms_are_shown_with_who_raised_them_and_what_came_of_them() {
+        use {AlarmCause::*, AlarmResponse::*, GuidanceState::*};
         let mut tally = AlarmTally::new(true);
         let mut report = StepReport {
             state: GuidanceState::Guided,
             ..StepReport::default()
         };
-        let mut fly = |steps: u32, alarm: Option<(AlarmCause, AlarmResponse)>, tally: &mut AlarmTally| {
-            report.alarm = alarm.map(|(cause, response)| Alarm { cause, response });
-            (0..steps).for_each(|_| tally.observe(&report));
-        };
-        fly(100, None, &mut tally);
+        (0..100).for_each(|_| tally.observe(&report));
         assert_eq!(tally.to_string(), "none in 5.0 s of flight");
-        fly(10, Some((AlarmCause::Attack, AlarmResponse::Stop)), &mut tally);
-        fly(40, Some((AlarmCause::Attack, AlarmResponse::Recovery)), &mut tally);
-        fly(20, None, &mut tally);
-        fly(10, Some((AlarmCause::CollisionCourse, AlarmResponse::Stop)), &mut tally);
+        let at_goal = Reasons::of(Reason::GoalReached);
+        for (steps, state, raised, reasons) in [
+            (2, Hold, Some((Attack, Stop)), Reasons::of(Reason::Attack)),
+            (8, Hold, Some((Attack, Recovery)), Reasons::of(Reason::Recovering)),
+            (40, Guided, Some((Attack, Recovery)), Reasons::of(Reason::Recovering)),
+            (20, Guided, None, Reasons::NONE),
+            (10, Hold, Some((CollisionCourse, Stop)), Reasons::NONE),
+            (20, Hold, Some((CollisionCourse, Recovery)), at_goal),
+            (50, Land, Some((CollisionCourse, Recovery)), at_goal),
+        ] {
+            report.alarm = raised.map(|(cause, response)| Alarm { cause, response });
+            (report.state, report.reasons) = (state, reasons);
+            (0..steps).for_each(|_| tally.observe(&report));
+        }
         assert_eq!(
             tally.to_string(),
-            "2 (1 by the detector: an attack, 1 by the guard: a collision course), the first after 5.0 s of flight; of 9.0 s it \
+            "2 (1 by the detector: an attack, 1 by the guard: a collision course), the first after 5.0 s of flight; of 10.0 s it \
              stopped for 1.0 s and the recovery pilot flew 2.0 s"
         );
         assert!(AlarmTally::new(false).to_string().starts_with("nothing monitored"));

@@ -469,6 +469,8 @@ mod tests {
             ("sensor_id = 1\nsensorid = 2", "line 2", "sensorid"),
             ("[limits]\nframe_age = 0.2", "line 2", "frame_age_s"),
             ("vehicle = \"px5\"", "line 1", "px4"),
+            ("duty = 3", "line 1", "one of fly, just-stop, fly-around is needed"),
+            ("[pilot]\napf = -1", "line 2", "true or false is needed"),
             (
                 "\n\n[limits]\nframe_age_s = 99",
                 "line 4, column 15",

@@ -1,12 +1,5 @@
 //! The pilots of a flight: asked once a step, and who of them flew the step before.
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::indexing_slicing,
-    clippy::std_instead_of_core,
-    clippy::alloc_instead_of_core
-)]
+#![deny(clippy::std_instead_of_core, clippy::alloc_instead_of_core)]
 
 use crate::motion::Motion;
 use crate::pilots::Pilots;

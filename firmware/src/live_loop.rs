@@ -260,8 +260,12 @@ impl LiveLoop {
             None => None,
         };
         // What is refused leaves no empty log.
-        if let Some(recorder) = start_recorder(&config, clock.now_ns())? {
-            firmware.record(recorder);
+        if let Some(recorder) = recorder_config(&config)? {
+            let epoch_offset_ns = epoch_offset_ns(clock.now_ns());
+            firmware.record(Recorder::start(RecorderConfig {
+                epoch_offset_ns,
+                ..recorder
+            })?);
         }
         let now_ns = clock.now_ns();
         let offset_ns = Nanos::from(config.rate.offset_ms) * 1_000_000;
@@ -361,18 +365,6 @@ impl LiveLoop {
             log: self.firmware.finish(),
         }
     }
-}
-
-/// Starts the recorder of a real-time flight, if the configuration wants a log.
-fn start_recorder(config: &FirmwareConfig, now_ns: Nanos) -> Result<Option<Recorder>, LiveError> {
-    let Some(recorder_config) = recorder_config(config)? else {
-        return Ok(None);
-    };
-    let recorder = Recorder::start(RecorderConfig {
-        epoch_offset_ns: epoch_offset_ns(now_ns),
-        ..recorder_config
-    })?;
-    Ok(Some(recorder))
 }
 
 /// What the configuration says about the log.

@@ -1,12 +1,5 @@
 //! What an operator may set while the firmware runs, as MAVLink parameters (`docs/firmware.md`, "Parameters").
-#![deny(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::indexing_slicing,
-    clippy::std_instead_of_core,
-    clippy::alloc_instead_of_core
-)]
+#![deny(clippy::std_instead_of_core, clippy::alloc_instead_of_core)]
 
 use crate::stack_config::StackConfig;
 use vigil_guidance::{AlarmConfig, GuidanceConfig};

@@ -222,12 +222,8 @@ fn a_vehicle_that_a_person_took_over_is_not_taken_by_a_firmware_that_is_killed_a
     }
     let commanded = only!(&flight.vehicle.heard, COMMAND_LONG).any(|c| (c.command as u16) < 500);
     assert!(!commanded && flight.vehicle.setpoints.is_empty() && flight.vehicle.mode == LOITER);
-    let ended = flight.signal_and_fly_on(rustix::process::Signal::TERM);
-    assert!(
-        said(&ended).contains("a person took the vehicle over"),
-        "{}",
-        said(&ended)
-    );
+    let ended = said(&flight.signal_and_fly_on(rustix::process::Signal::TERM));
+    assert!(ended.contains("a person took the vehicle over"), "{ended}");
 }
 
 /// What a service manager hears from now on for `patience`, one line after the other.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use vigil_firmware::replay::{ReplayError, ReplayReport};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware, replay};
 use vigil_log::{FlightInfo, LogEnd, LogPlace, Reader, Recorder, RecorderConfig, TickRecord};
-use vigil_types::{AlarmResponse, Datagrams, GuidanceState};
+use vigil_types::{AlarmResponse, Datagrams, GuidanceState, PilotKind};
 
 const STEPS: u64 = 240;
 
@@ -74,12 +74,17 @@ fn flip(datagrams: &mut Datagrams, datagram: usize, byte: usize) {
 
 #[test]
 fn a_recorded_flight_runs_again_to_the_byte() {
-    let folder = tempfile::tempdir().unwrap();
-    let report = replayed(&record(folder.path(), &config()));
-    assert!(report.is_equal(), "{report}");
-    assert_eq!(report.steps, STEPS);
-    assert!(report.sent_bytes > 10_000, "{report}");
-    assert_eq!(report.log_end, Some(LogEnd::Closed { dropped: 0 }));
+    let mut alone = config();
+    alone.pilot.kind = PilotKind::Actor;
+    (alone.detector.enabled, alone.detector.guard) = (Some(false), Some(false));
+    for config in [config(), alone] {
+        let folder = tempfile::tempdir().unwrap();
+        let report = replayed(&record(folder.path(), &config));
+        assert!(report.is_equal(), "{report}");
+        assert_eq!(report.steps, STEPS);
+        assert!(report.sent_bytes > 10_000, "{report}");
+        assert_eq!(report.log_end, Some(LogEnd::Closed { dropped: 0 }));
+    }
 }
 
 #[test]

@@ -199,6 +199,12 @@ fn long_goal(text: &str) -> Result<f32, String> {
     }
 }
 
+/// Parses a time from 0 on, seconds.
+pub(crate) fn seconds(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|s: &f64| s.is_finite() && *s >= 0.0);
+    seconds.ok_or_else(|| "give seconds, 0 or more".to_owned())
+}
+
 /// Parses the name of a family of courses; help and errors list all of them.
 pub fn family_parser() -> impl TypedValueParser<Value = Family> {
     PossibleValuesParser::new(Family::ALL.map(Family::name)).try_map(|name| name.parse::<Family>())
@@ -224,5 +230,16 @@ impl CourseChoice {
             }
             (None, None) => Ok(generate(self.family, seed)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_time_without_an_end_and_one_before_the_beginning_are_refused() {
+        for text in ["nan", "inf", "-1", "soon"] {
+            assert!(super::seconds(text).is_err(), "{text}");
+        }
+        assert_eq!(super::seconds("0"), Ok(0.0));
     }
 }

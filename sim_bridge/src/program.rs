@@ -125,7 +125,7 @@ pub struct SimArgs {
     pub status: bool,
 
     /// End this many seconds after the flight ended (the default is to go on until Ctrl-C).
-    #[arg(long, value_name = "SECONDS", conflicts_with = "lockstep")]
+    #[arg(long, value_name = "SECONDS", value_parser = crate::config::seconds, conflicts_with = "lockstep")]
     pub end_after: Option<f64>,
 }
 

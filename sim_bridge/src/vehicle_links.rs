@@ -45,17 +45,11 @@ pub enum LinksError {
     #[error(transparent)]
     Signing(#[from] SigningFileError),
     /// What only the guidance computer's links have.
-    #[error("{url}: the options system= and values= are for the firmware's links: leave them out")]
-    NotHere {
-        /// The link.
-        url: LinkUrl,
-    },
-    /// More than there is room for.
-    #[error("{count} links given with --link: at most {MAX_EXTRA_LINKS}")]
-    TooMany {
-        /// Links given.
-        count: usize,
-    },
+    #[error("{0}: the options system= and values= are for the firmware's links: leave them out")]
+    NotHere(LinkUrl),
+    /// More than there is room for: so many.
+    #[error("{0} links given with --link: at most {MAX_EXTRA_LINKS}")]
+    TooMany(usize),
 }
 
 struct VehicleLink {
@@ -82,14 +76,11 @@ impl VehicleLinks {
     /// [`LinksError`], each with what to do.
     pub fn open(config: &LinksConfig) -> Result<Self, LinksError> {
         if config.extra.len() > MAX_EXTRA_LINKS {
-            return Err(LinksError::TooMany {
-                count: config.extra.len(),
-            });
+            return Err(LinksError::TooMany(config.extra.len()));
         }
         let has_foreign_option = |link: &&LinkSpec| link.system.is_some() || link.values_hz.is_some();
         if let Some(link) = config.extra.iter().find(has_foreign_option) {
-            let url = link.url.clone();
-            return Err(LinksError::NotHere { url });
+            return Err(LinksError::NotHere(link.url.clone()));
         }
         let allow_unsigned = config.allow_unsigned;
         let gate = match &config.signing_key {

@@ -23,16 +23,10 @@ fn surface_frd_m() -> Vec<FrdVector> {
         let radius_m = VEHICLE.radius_m * ring as f32 / 10.0;
         for k in 0..64 {
             let angle = std::f32::consts::TAU * k as f32 / 64.0;
-            let heights: &[f32] = if ring == 10 {
-                &[-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 1.0]
-            } else {
-                &[-1.0, 1.0]
-            };
-            points.extend(
-                heights
-                    .iter()
-                    .map(|h| FrdVector::new(radius_m * angle.cos(), radius_m * angle.sin(), h * half_m)),
-            );
+            let (x, y) = (radius_m * angle.cos(), radius_m * angle.sin());
+            // Quarters of the half height: both faces, and the side between them.
+            let quarters = (-4..=4_i8).step_by(if ring == 10 { 1 } else { 8 });
+            points.extend(quarters.map(|quarter| FrdVector::new(x, y, 0.25 * f32::from(quarter) * half_m)));
         }
     }
     points

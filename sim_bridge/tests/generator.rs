@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 use vigil_sim::world::{
-    Course, Family, HARD_CORRIDOR_MARGIN_M, Overhang, Solid, VEHICLE, Wall, World, generate, generate_long,
+    Course, Family, HARD_CORRIDOR_MARGIN_M, Mover, Overhang, Solid, VEHICLE, Wall, World, generate, generate_long,
 };
 
 const SEEDS: u64 = 150;
@@ -27,6 +27,20 @@ fn plan_clearance_m(course: &Course, north_m: f32, east_m: f32) -> f32 {
         .fold(f32::INFINITY, f32::min)
 }
 
+/// Points along a way, so many steps a stretch.
+fn along(way: &[[f32; 2]], steps: u8) -> impl Iterator<Item = [f32; 2]> {
+    way.windows(2).flat_map(move |ends| {
+        let share = move |k: u8| f32::from(k) / f32::from(steps);
+        (0..=steps).map(move |k| [0, 1].map(|i| ends[0][i] + share(k) * (ends[1][i] - ends[0][i])))
+    })
+}
+
+/// Where a mover is in 64 steps of a period.
+fn places(mover: &Mover) -> impl Iterator<Item = Solid> {
+    let step_ns = (mover.period_s() * 1e9 / 64.0) as u64;
+    (0..64).map(move |k| mover.solid_at(step_ns * k))
+}
+
 #[test]
 fn every_course_has_a_corridor_that_keeps_its_margin() {
     for course in Family::ALL.into_iter().flat_map(courses) {
@@ -35,19 +49,11 @@ fn every_course_has_a_corridor_that_keeps_its_margin() {
             .unwrap_or_else(|| panic!("{} has no way", course.name));
         assert_eq!(way.first(), Some(&[course.start.north_m, course.start.east_m]));
         assert_eq!(way.last(), Some(&[course.goal.north_m, course.goal.east_m]));
-        for segment in way.windows(2) {
-            let steps = 40;
-            for k in 0..=steps {
-                let f = k as f32 / steps as f32;
-                let at = [0, 1].map(|i| segment[0][i] + f * (segment[1][i] - segment[0][i]));
-                assert!(course.bounds.contains_plan(at[0], at[1]));
-                let clearance_m = plan_clearance_m(course, at[0], at[1]);
-                assert!(
-                    clearance_m >= VEHICLE.radius_m + course.corridor_margin_m() - 0.01,
-                    "{}: {clearance_m} m at {at:?}",
-                    course.name
-                );
-            }
+        for at in along(&way, 40) {
+            assert!(course.bounds.contains_plan(at[0], at[1]));
+            let clearance_m = plan_clearance_m(course, at[0], at[1]);
+            let is_kept = clearance_m >= VEHICLE.radius_m + course.corridor_margin_m() - 0.01;
+            assert!(is_kept, "{}: {clearance_m} m at {at:?}", course.name);
         }
     }
 }
@@ -165,22 +171,16 @@ fn no_mover_keeps_any_point_of_the_way_for_good() {
         let way = course.corridor().expect("a way");
         let needed_m = VEHICLE.radius_m + HARD_CORRIDOR_MARGIN_M;
         for mover in &course.movers {
-            // A whole period in 64 steps.
-            let solids: Vec<Solid> = (0..64)
-                .map(|k| mover.solid_at((mover.period_s() * 1e9 / 64.0) as u64 * k))
-                .collect();
-            for segment in way.windows(2) {
-                for f in (0..=20).map(|k| k as f32 / 20.0) {
-                    let at = [0, 1].map(|i| segment[0][i] + f * (segment[1][i] - segment[0][i]));
-                    let is_clear = |s: &&Solid| s.plan_distance_m(at[0], at[1]) >= needed_m;
-                    let clear = solids.iter().filter(is_clear).count();
-                    blocked_at_times += usize::from(clear < 64);
-                    assert!(
-                        clear >= 16,
-                        "{}: {at:?} is free for {clear}/64 of the time",
-                        course.name
-                    );
-                }
+            let solids: Vec<Solid> = places(mover).collect();
+            for at in along(&way, 20) {
+                let is_clear = |s: &&Solid| s.plan_distance_m(at[0], at[1]) >= needed_m;
+                let clear = solids.iter().filter(is_clear).count();
+                blocked_at_times += usize::from(clear < 64);
+                assert!(
+                    clear >= 16,
+                    "{}: {at:?} is free for {clear}/64 of the time",
+                    course.name
+                );
             }
         }
     }
@@ -196,8 +196,7 @@ fn movers_run_into_nothing_and_keep_away_from_start_and_goal() {
         let solids = course.solids();
         for mover in &course.movers {
             assert!(mover.speed_m_s <= vigil_sim::world::MAX_MOVER_SPEED_M_S);
-            for k in 0..64 {
-                let solid = mover.solid_at((mover.period_s() * 1e9 / 64.0) as u64 * k);
+            for solid in places(mover) {
                 let gap_m = solids.iter().map(|s| s.plan_gap_m(&solid)).fold(9.0, f32::min);
                 assert!(gap_m > 0.2, "{}: {gap_m} m", course.name);
                 assert!(solid.plan_distance_m(0.0, 0.0) > 2.4);

@@ -46,16 +46,11 @@ fn shot(position_ned_m: NedVector, attitude: Attitude, sequence: u64) -> Shot {
 
 fn poses() -> [(NedVector, Attitude); 3] {
     [
-        (NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH),
-        (
-            NedVector::new(2.0, 0.5, -1.4),
-            Attitude::from_euler_rad(0.15, -0.2, 0.5),
-        ),
-        (
-            NedVector::new(1.0, -1.0, -1.7),
-            Attitude::from_euler_rad(-0.3, 0.1, -0.7),
-        ),
+        ([0.0, 0.0, -1.5], [0.0; 3]),
+        ([2.0, 0.5, -1.4], [0.15, -0.2, 0.5]),
+        ([1.0, -1.0, -1.7], [-0.3, 0.1, -0.7]),
     ]
+    .map(|([n, e, d], [roll, pitch, yaw])| (NedVector::new(n, e, d), Attitude::from_euler_rad(roll, pitch, yaw)))
 }
 
 /// Level above the start.

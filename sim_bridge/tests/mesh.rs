@@ -1,10 +1,14 @@
 //! Surfaces from files: read in every format, refused with a sentence, looked at, touched, flown around.
 
+#[path = "common/flown.rs"]
+mod flown;
+
 use base64::Engine;
+use flown::flown;
 use std::ffi::OsStr;
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
-use vigil_sim::world::{Course, CourseError, Mesh, Outcome, Referee, VEHICLE, World};
+use vigil_sim::world::{Course, CourseError, Mesh, Outcome, VEHICLE, World};
 use vigil_types::{Attitude, NedVector};
 
 /// A field with what a mesh's entry says.
@@ -92,8 +96,9 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
     let folder = folder();
     let write = |name: &str, content: &[u8]| std::fs::write(folder.path().join(name), content).expect("written");
     write("m.stl", &stl());
-    // No UTF-8, and a line of several points, which is no face.
-    let latin = [&b"# caf\xe9\no Geb\xe4ude\n"[..], obj(1.0).as_bytes(), b"l 1 2 3\n"].concat();
+    // No UTF-8, a material without a name, a face on two lines, comments behind, and a line of several points, which is no face.
+    let remarked = obj(1.0).replace("2 3 4", "2 \\\n 3 4 # x").replace("5 3", "5 3 # c\\") + "l 1 2 3\n";
+    let latin = [&b"# caf\xe9\no Geb\xe4ude\\\nusemtl\n"[..], remarked.as_bytes()].concat();
     write("latin.obj", &latin);
     write("y.obj", b"v 1 0 -5\nv 2 0 -5\nv 2 3 -5\nv 1 3 -5\nf 1 2 3 4\n");
     let (text, buffer) = gltf();
@@ -105,6 +110,10 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
     write("beside.gltf", gltf_at("its%20d%C3%a4ta%.bin").as_bytes());
     write("its däta%.bin", &buffer);
     write("m.GLB", &glb(&text, &buffer));
+    for name in ["m.gltf", "m.obj"] {
+        let content = std::fs::read(folder.path().join(name)).expect("readable");
+        write(&format!("marked {name}"), &[b"\xef\xbb\xbf", &content[..]].concat());
+    }
     for (n, [from, to]) in OTHER_WAYS.iter().enumerate() {
         write(&format!("{n}.glb"), &glb(&text.replace(from, to), &buffer));
     }
@@ -113,6 +122,8 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
         "file = \"m.gltf\"",
         "file = \"beside.gltf\"\nup = \"y\"",
         "file = \"m.GLB\"",
+        "file = \"marked m.gltf\"",
+        "file = \"marked m.obj\"",
         "file = \"m.obj\"",
         "file = \"mm.obj\"\nunit_m = 0.001",
         "file = \"latin.obj\"",
@@ -155,6 +166,8 @@ fn a_text_stl_is_read_whole_however_many_solids_it_has_and_however_they_are_spel
         format!("solid b\n{b}endsolid b\n\nsolid a\n{a}endsolid a"),
         format!("  solid\n{a}{b}endsolid\n"),
         format!("solid a\n{a}{b}endsolid a\n").to_uppercase(),
+        format!("\u{feff}solid a\n{a}{b}endsolid a\n"),
+        format!("solid a\n{a}{b}endsolid a\n").replace("normal 0 0 0", "normal -1.#IND nan 0"),
     ] {
         std::fs::write(folder.path().join("text.stl"), &text).expect("written");
         let course = course(folder.path(), "file = \"text.stl\"").unwrap_or_else(|e| panic!("{text}: {e}"));
@@ -314,31 +327,16 @@ fn a_gltf_that_cannot_be_used_is_refused_with_a_sentence() {
     refused("many.glb", "it has more than 1000000 triangles: simplify it");
 }
 
-/// How a flight along points ends.
-fn flown(course: &Course, way: &[[f32; 2]]) -> Outcome {
-    let (world, mut referee) = (World::new(course), Referee::new(course));
-    let mut at_ns = 0;
-    for ends in way.windows(2) {
-        for step in 0..=100_u8 {
-            let [north_m, east_m] = [0, 1].map(|k| ends[0][k] + f32::from(step) / 100.0 * (ends[1][k] - ends[0][k]));
-            let place = NedVector::new(north_m, east_m, -course.flight_height_m);
-            at_ns += 10_000_000;
-            if let Some(outcome) = referee.observe(&world, at_ns, place, Attitude::LEVEL_NORTH, NedVector::ZERO) {
-                return outcome;
-            }
-        }
-    }
-    panic!("not ended")
-}
-
 #[test]
 fn in_the_vaulted_hall_the_way_leads_through_the_door_and_the_wall_is_hit() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("courses/nave.toml");
     let course = Course::load(&file).expect("valid");
     let way = course.corridor().expect("through the door");
+    let way: Vec<_> = way.iter().map(|[n, e]| [*n, *e, course.flight_height_m]).collect();
     assert_eq!(flown(&course, &way), Outcome::Success);
     assert!(course.straight_line_is_blocked());
-    assert_eq!(flown(&course, &[[0.0, 0.0], [19.0, -2.0]]), Outcome::Collision);
+    let straight = [way[0], [19.0, -2.0, course.flight_height_m]];
+    assert_eq!(flown(&course, &straight), Outcome::Collision);
     // Without the wall across there is nothing in the way: whoever is inside of a closed mesh is in a hall.
     assert!(World::new(&course).clearance_m(NedVector::new(5.0, 0.0, -1.2)) > 2.5);
 }

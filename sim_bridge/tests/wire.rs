@@ -1,9 +1,12 @@
 //! Wires: seen where a cylinder would be, within what the pages say; touched; flown around; refused with a sentence.
 
+#[path = "common/flown.rs"]
+mod flown;
+
+use flown::flown;
 use glamx::Vec3;
 use vigil_sim::world::{
-    Course, CourseError, LIDAR_BEAMS, LIDAR_FIRINGS, Lidar, LidarConfig, Outcome, Referee, World, beam_direction_frd,
-    draw,
+    Course, CourseError, LIDAR_BEAMS, LIDAR_FIRINGS, Lidar, LidarConfig, Outcome, World, beam_direction_frd, draw,
 };
 use vigil_types::{Attitude, NedVector};
 
@@ -68,31 +71,15 @@ fn a_beam_meets_a_wire_where_it_meets_a_cylinder_and_misses_it_where_it_falls_be
     }
 }
 
-/// How a flight straight to the goal at a height ends.
-fn flown(course: &Course, height_m: f32) -> Outcome {
-    let (world, mut referee) = (World::new(course), Referee::new(course));
-    (1..=2000_u16)
-        .find_map(|k| {
-            let place = NedVector::new(12.0 * f32::from(k) / 2000.0, 0.0, -height_m);
-            referee.observe(
-                &world,
-                u64::from(k) * 10_000_000,
-                place,
-                Attitude::LEVEL_NORTH,
-                NedVector::ZERO,
-            )
-        })
-        .expect("an end")
-}
-
 #[test]
 fn who_flies_through_a_wire_collides_and_who_flies_over_it_does_not() {
     let across = course(&wire([6.0, -4.0, 1.0], [6.0, 4.0, 1.0], 0.005));
-    assert_eq!(flown(&across, 1.09), Outcome::Collision);
-    assert_eq!(flown(&across, 1.5), Outcome::Success);
+    let straight_at = |height_m: f32| [[0.0, 0.0, height_m], [12.0, 0.0, height_m]];
+    assert_eq!(flown(&across, &straight_at(1.09)), Outcome::Collision);
+    assert_eq!(flown(&across, &straight_at(1.5)), Outcome::Success);
     // A wire's end, wholly within the body.
     let end = course(&wire([6.0, 0.0, 1.55], [6.0, 0.0, 1.45], 0.005));
-    assert_eq!(flown(&end, 1.5), Outcome::Collision);
+    assert_eq!(flown(&end, &straight_at(1.5)), Outcome::Collision);
     assert!((World::new(&across).clearance_m(NedVector::new(5.0, 1.0, -1.0)) - 0.995).abs() < 1e-3);
 }
 
@@ -112,12 +99,8 @@ fn a_way_leads_around_the_wires_at_flight_height_alone_and_pictures_have_them() 
     let again = Course::from_toml_str(&blocking.to_toml_string().expect("writable"), "again");
     assert_eq!(again.expect("readable"), blocking);
     assert_eq!(blocking.shown_solids().len(), 1);
-    assert_eq!(
-        course(&wire([6.0, -6.0, 0.0], [6.0, 6.0, 3.0], 0.02))
-            .shown_solids()
-            .len(),
-        16
-    );
+    let rising = course(&wire([6.0, -6.0, 0.0], [6.0, 6.0, 3.0], 0.02));
+    assert_eq!(rising.shown_solids().len(), 16);
 }
 
 #[test]

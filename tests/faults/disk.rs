@@ -8,9 +8,7 @@ use std::process::{Command, Stdio};
 use vigil_sim::world::Outcome;
 
 /// A file system of a few megabytes in memory; unmounted at its end.
-struct SmallDisk {
-    folder: tempfile::TempDir,
-}
+struct SmallDisk(tempfile::TempDir);
 
 impl SmallDisk {
     /// `None` where mounting is not permitted.
@@ -21,11 +19,11 @@ impl SmallDisk {
             .arg(folder.path())
             .stderr(Stdio::null())
             .status();
-        mounted.is_ok_and(|status| status.success()).then_some(Self { folder })
+        mounted.is_ok_and(|status| status.success()).then_some(Self(folder))
     }
 
     fn path(&self) -> &Path {
-        self.folder.path()
+        self.0.path()
     }
 
     fn fill(&self) {
@@ -88,22 +86,18 @@ fn refusals() -> Row {
         "fly --instance 0 -o /dev/full/runs",
         "attack deflection --states 1 -o /dev/full",
     ];
-    let trials: Vec<Trial> = commands
-        .into_iter()
-        .map(
-            |command| match shell(command).map(|output| (output.status.code(), vigil_tests::said(&output))) {
-                Ok((Some(0), _)) => Trial::wrong(Ending::Named, format!("`vigil {command}` is a success")),
-                // A command that is none tries nothing.
-                Ok((Some(2), said)) => Trial::wrong(Ending::Named, format!("`vigil {command}`: {said}")),
-                Ok((Some(101) | None, said)) => Trial::wrong(Ending::Crashed, format!("`vigil {command}`: {said}")),
-                Ok((_, said)) if said.trim().is_empty() => {
-                    Trial::wrong(Ending::Named, format!("`vigil {command}` says nothing"))
-                }
-                Ok(_) => Trial::right(Ending::Named),
-                Err(error) => Trial::wrong(Ending::Crashed, error.to_string()),
-            },
-        )
-        .collect();
+    let trials = commands.map(|command| {
+        let wrong = |ending, what: &str| Trial::wrong(ending, format!("`vigil {command}`{what}"));
+        match shell(command).map(|output| (output.status.code(), vigil_tests::said(&output))) {
+            Ok((Some(0), _)) => wrong(Ending::Named, " is a success"),
+            // A command that is none tries nothing.
+            Ok((Some(2), said)) => wrong(Ending::Named, &format!(": {said}")),
+            Ok((Some(101) | None, said)) => wrong(Ending::Crashed, &format!(": {said}")),
+            Ok((_, said)) if said.trim().is_empty() => wrong(Ending::Named, " says nothing"),
+            Ok(_) => Trial::right(Ending::Named),
+            Err(error) => Trial::wrong(Ending::Crashed, error.to_string()),
+        }
+    });
     Row::of("nothing can be written", &trials, "exit code and words of each command")
 }
 

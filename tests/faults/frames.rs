@@ -166,11 +166,6 @@ fn kinds() -> Vec<Kind> {
     ]
 }
 
-/// A picture may stay in doubt until the motors are off (docs/sensor-faults.md, "How it ends").
-fn may_be_held(must: &Must) -> bool {
-    matches!(must, Must::Hold(names) if names.contains(&Reason::FrozenSensor))
-}
-
 /// A flight, and the seconds from the first such frame to the hold that came of it.
 fn fly(kind: &Kind, seed: u64) -> (Trial, Option<f64>, u64) {
     let mut draw = Draw::new(seed);
@@ -243,7 +238,9 @@ fn fly(kind: &Kind, seed: u64) -> (Trial, Option<f64>, u64) {
         GuidanceState::Hold => Ending::Held,
         _ => Ending::TimeOut,
     });
-    if ending == Ending::TimeOut || ending == Ending::Held && !may_be_held(&kind.must) {
+    // A picture may stay in doubt until the motors are off (docs/sensor-faults.md, "How it ends").
+    let may_be_held = matches!(kind.must, Must::Hold(names) if names.contains(&Reason::FrozenSensor));
+    if ending == Ending::TimeOut || ending == Ending::Held && !may_be_held {
         wrong.get_or_insert_with(|| format!("{}, seed {seed}: does not go on with good frames", kind.name));
     }
     let hold_s = held_after.map(|steps| steps as f64 * f64::from(STEP_S));
@@ -257,10 +254,8 @@ pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
         kinds = kinds.into_iter().step_by(QUICK_STRIDE).collect();
         trials = 1;
     } else {
-        tell(&format!(
-            "{} kinds of hostile frames, {trials} flights each",
-            kinds.len()
-        ));
+        let count = kinds.len();
+        tell(&format!("{count} kinds of hostile frames, {trials} flights each"));
     }
     let group = |must: &Must| match must {
         Must::Refuse => "hostile frames that are refused",

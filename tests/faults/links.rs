@@ -115,23 +115,21 @@ impl Attacker {
     /// Against the vehicle of this system.
     fn new(attack: Attack, system: u8) -> Self {
         let signing = |key| Signing::new(SigningKey(key), 7, SigningMemory::default());
-        let mut attacker = Self {
-            attack,
-            holder: signing(KEY),
-            stranger: signing(OTHER_KEY),
-            draw: Draw::new(7),
-            captured: Vec::new(),
-            number: 0,
-        };
-        // As it was captured: an hour ago.
         let land = message!(
             COMMAND_LONG,
             command = MavCmd::MAV_CMD_NAV_LAND,
             target_system = system,
             target_component = 0
         );
-        attacker.captured = sign(&mut signing(KEY), -3600, &packet((255, 190), 0, &land));
-        attacker
+        Self {
+            attack,
+            holder: signing(KEY),
+            stranger: signing(OTHER_KEY),
+            draw: Draw::new(7),
+            // An hour ago.
+            captured: sign(&mut signing(KEY), -3600, &packet((255, 190), 0, &land)),
+            number: 0,
+        }
     }
 
     fn next(&mut self) -> Vec<u8> {

@@ -400,7 +400,6 @@ def geofence_checks(v):
 
 
 def orbit(v):
-    v.take_off(5.0)
     x, y = v.place_of(0.0, 0.0)
     # As MAVSDK: COMMAND_INT, the altitude above sea level, in a frame that says otherwise.
     for frame in (RELATIVE_INT, GLOBAL_INT):
@@ -409,11 +408,9 @@ def orbit(v):
     v.pump(15.0)
     radius = math.hypot(*v.place[:2])
     expect(abs(v.place[2] - 10.0) < 0.5 and abs(radius - 10.0) < 1.0, f"{v.place}")
-    v.enter(HOLD)
 
 
 def change_speed(v):
-    v.take_off(5.0)
     v.do(dialect.MAV_CMD_DO_CHANGE_SPEED, 1, 1.5, -1)
     fastest = [0.0]
     x, y = v.place_of(20.0, 0.0)
@@ -428,7 +425,6 @@ def change_speed(v):
 
 
 def region_of_interest(v):
-    v.take_off(5.0)
     x, y = v.place_of(v.place[0], v.place[1] + 30.0)
     expect(v.int(dialect.MAV_CMD_DO_SET_ROI_LOCATION, RELATIVE_INT, (0, 0, 0, 0), x, y, 0.0) == ACCEPTED, "refused")
     v.until("the nose points east", lambda: abs(math.degrees(v.last["ATTITUDE"].yaw) - 90.0) < 8.0, 12.0)
@@ -436,7 +432,6 @@ def region_of_interest(v):
 
 
 def follow_me(v):
-    v.take_off(5.0)
     v.set("FLW_TGT_HT", 6.0)
     start = time.monotonic()
 
@@ -450,11 +445,9 @@ def follow_me(v):
     v.pump(20.0, report, 2.0)
     behind = 12.0 + 1.5 * (time.monotonic() - start) - v.place[0]
     expect(5.0 < behind < 11.0 and abs(v.place[2] - 6.0) < 1.0, f"{behind:.1f} m behind at {v.place}")
-    v.enter(HOLD)
 
 
 def straight_legs(v):
-    v.take_off(5.0)
     v.go_to(-30.0, 0.0, 5.0)
     items = [(2, 178, (1, 4.0, -1, 0), 0, 0, 0)]
     items += [(RELATIVE_INT, 16, (0, 0, 0, NAN), *v.place_of(north, 0.0), 5.0) for north in (-15.0, 0.0, 15.0, 30.0)]
@@ -468,21 +461,18 @@ def straight_legs(v):
 
     v.pump(30.0, watch=watch, until=lambda: v.place[0] > 29.0)
     expect(speeds and min(speeds) > 3.6, f"{min(speeds, default=0.0):.1f} m/s")
-    v.enter(HOLD)
 
 
 # Offboard.
 
 
 def slow_stream(v):
-    v.take_off(5.0)
     send = v.local(0xDC7, velocity=(0.3, 0, 0))
     v.offboard(send, 6.0, 2.5)
     expect(v.mode == OFFBOARD, "left by a stream of 2.5 Hz")
 
 
 def stalled_stream(v):
-    v.take_off(5.0)
     send = v.local(0xDC7, velocity=(-0.3, 0, 0))
     for _ in range(3):
         v.offboard(send, 1.0)
@@ -497,37 +487,29 @@ def reach(v, send, place, limit_s=15.0):
 
 
 def setpoint_all(v):
-    v.take_off(5.0)
     reach(v, v.local(0, position=(4, 2, -6), velocity=(0, 0, 0)), (4, 2, 6))
     reach(v, v.local(0x800, position=(0, 0, -5)), (0, 0, 5))
 
 
 def setpoint_acceleration(v):
-    v.take_off(5.0)
     v.offboard(v.local(0xC3F, acceleration=(1.0, 0, 0)), 2.5)
     expect(v.mode == OFFBOARD and v.last["LOCAL_POSITION_NED"].vx > 1.0, f"{v.last['LOCAL_POSITION_NED'].vx:.1f} m/s")
     v.offboard(v.local(0xC3F, acceleration=(-1.0, 0, 0)), 2.0)
-    v.enter(HOLD)
 
 
 def setpoint_velocity_with_height(v):
-    v.take_off(5.0)
     v.offboard(v.local(0xDE3, position=(0, 0, -7), velocity=(0, 1.0, 0)), 6.0)
     m = v.last["LOCAL_POSITION_NED"]
     expect(abs(v.place[2] - 7.0) < 0.5 and abs(m.vy - 1.0) < 0.3, f"{v.place}, {m.vy:.1f} m/s")
-    v.enter(HOLD)
 
 
 def setpoint_place_with_climb(v):
-    v.take_off(5.0)
     north, east, height = v.place
     v.offboard(v.local(0xDDC, position=(north, east, 0), velocity=(0, 0, -0.5)), 6.0)
     expect(2.0 < v.place[2] - height < 3.5 and math.dist(v.place[:2], (north, east)) < 0.5, f"{v.place}")
-    v.enter(HOLD)
 
 
 def setpoint_attitude_with_yaw_rate(v):
-    v.take_off(5.0)
     turned, before = [0.0], [None]
 
     def watch(m):
@@ -541,7 +523,6 @@ def setpoint_attitude_with_yaw_rate(v):
     v.pump(4.0, send, watch=watch)
     # The attitude's heading, north, but for the rate over the gain: the rate is a feed-forward.
     expect(abs(turned[0]) < 0.4, f"{turned[0]:.1f} rad in 4 s at 0.5 rad/s")
-    v.enter(HOLD)
 
 
 def attitude_landing(v):
@@ -560,7 +541,6 @@ def injection_needs_leave(v):
 
 
 def lost_barometer_and_magnetometer(v):
-    v.take_off(5.0)
     for unit in (dialect.FAILURE_UNIT_SENSOR_BARO, dialect.FAILURE_UNIT_SENSOR_MAG):
         v.do(dialect.MAV_CMD_INJECT_FAILURE, unit, dialect.FAILURE_TYPE_OFF, 0)
         v.pump(4.0)
@@ -569,7 +549,6 @@ def lost_barometer_and_magnetometer(v):
 
 
 def lost_gps(v):
-    v.take_off(5.0)
     v.do(dialect.MAV_CMD_INJECT_FAILURE, dialect.FAILURE_UNIT_SENSOR_GPS, dialect.FAILURE_TYPE_OFF, 0)
     v.until("landing", lambda: v.mode == LAND, 10.0)
     v.until("disarmed", lambda: not v.armed, 40.0)
@@ -635,6 +614,9 @@ def run(instance, parts):
         outcomes[part] = {}
         for name, item in PARTS[part].items():
             try:
+                if part != "connect":
+                    # In hold, wherever the one before left it.
+                    vehicle.take_off()
                 item(vehicle)
                 outcomes[part][name] = "works"
             except Failed as failed:

@@ -67,17 +67,8 @@ def simple_items():
 
     def fields(place, height, **more):
         lat, lon = globe(*place)
-        nothing = {
-            "speed_m_s": NAN,
-            "is_fly_through": False,
-            "gimbal_pitch_deg": NAN,
-            "gimbal_yaw_deg": NAN,
-            "loiter_time_s": NAN,
-            "camera_photo_interval_s": NAN,
-            "acceptance_radius_m": 0.5,
-            "yaw_deg": NAN,
-            "camera_photo_distance_m": NAN,
-        }
+        unset = "speed_m_s gimbal_pitch_deg gimbal_yaw_deg loiter_time_s camera_photo_interval_s camera_photo_distance_m yaw_deg"
+        nothing = dict.fromkeys(unset.split(), NAN) | {"is_fly_through": False, "acceptance_radius_m": 0.5}
         return {**nothing, "latitude_deg": lat, "longitude_deg": lon, "relative_altitude_m": height, **more}
 
     return [

@@ -78,6 +78,13 @@ def three_channels_last():
     return b.model(b.gemm(b.Flatten(x), 8 * 6 * 10, 2))
 
 
+def one_channel_last_by_tf2onnx():
+    """Keras: a single channel is not transposed but reshaped."""
+    b = Build(frame=["batch", 24, 32, 1])
+    x = b.Relu(b.conv(b.Reshape("frame", np.array([-1, 1, 24, 32])), 1, 6, 4, strides=[4, 4]))
+    return b.model(b.gemm(b.Flatten(x), 6 * 6 * 8, 2))
+
+
 def elu_with_padding():
     b = Build(frame=[1, 1, 33, 47])
     x = b.Elu(b.conv("frame", 1, 16, 5, strides=[2, 2], pads=[2] * 4))
@@ -460,6 +467,7 @@ MODELS = [
     groups_of_channels,
     batches_of_any_size,
     swapped_outputs,
+    one_channel_last_by_tf2onnx,
 ]
 
 
@@ -483,6 +491,7 @@ def refused():
         "some are infinite and others are not": one(
             lambda b: b.Max(b.gemm(flat(b), 64, 2), np.array([[-np.inf, 0.5]], np.float32))
         ),
+        "it has numbers of float16": one(lambda b: b.MatMul(flat(b), b.weights(64, 2).astype(np.float16))),
         "has 3 values; an action has 2": one(lambda b: b.MatMul(flat(b), b.weights(64, 3))),
         "a kernel of 3 × 2": one(lambda b: b.Flatten(b.Conv("frame", b.weights(1, 1, 3, 2)))),
         "a kernel of 3 × 2 is not": one(lambda b: b.MaxPool("frame", kernel_shape=[3, 2], strides=[2, 2])),
@@ -565,7 +574,7 @@ def main(folder):
                 goal = value.ravel()[np.prod(frame) :]
                 ours = [value.ravel()[: np.prod(frame)].reshape(frame).transpose(1, 2, 0).ravel().tolist(), goal.tolist()]
                 continue
-            last = shape[-1] == 3 or len(shape) == 2
+            last = shape[-1] in (1, 3) or len(shape) == 2
             ours.append((value if last else value.transpose(0, 2, 3, 1)).ravel().tolist())
         if "temperature" in {info.name for info in session.get_inputs()}:
             given["temperature"] = np.zeros((1, 1), np.float32)

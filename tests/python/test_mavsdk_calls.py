@@ -33,6 +33,7 @@ WITHOUT_DEVICE = {"camera": "no camera", "gimbal": "no gimbal", "winch": "no win
 # Errors inside MAVSDK, before anything is sent.
 MAVSDK_ERRORS = {"tune.play_tune", "param.select_component"}
 NOTES = {
+    "action.set_gps_global_origin": "the simulated world has its own",
     "action.shutdown": "end the simulator instead",
     "calibration.calibrate_accelerometer": "nobody turns a simulated vehicle by hand",
     "calibration.calibrate_magnetometer": "nobody turns a simulated vehicle by hand",

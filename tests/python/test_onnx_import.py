@@ -2,6 +2,7 @@
 
 import json
 import random
+import shlex
 import subprocess
 from pathlib import Path
 
@@ -53,7 +54,7 @@ def largest_difference(ours, theirs):
 
 
 def test_what_is_exported_gives_in_onnx_runtime_what_it_gives_here_and_comes_back(models, tmp_path):
-    exported = tmp_path / "exported"
+    exported = tmp_path / "what is exported"
     exported.mkdir()
     here = {}
     for model in sorted(models.glob("*.onnx")):
@@ -64,7 +65,7 @@ def test_what_is_exported_gives_in_onnx_runtime_what_it_gives_here_and_comes_bac
         assert done.returncode == 0, done.stderr
         # The very line that it prints brings it back.
         [line] = [line for line in done.stdout.splitlines() if "vigil import" in line]
-        words = line.split("vigil ")[1].replace("FILE", str(tmp_path / "back.safetensors")).split()
+        words = shlex.split(line.split("vigil ")[1].replace("FILE", str(tmp_path / "back.safetensors")))
         done = vigil(*words, "--compute", inputs)
         assert done.returncode == 0, f"{model.stem}: {done.stderr}"
         here[model.stem] = json.loads(done.stdout.splitlines()[-1])
@@ -100,11 +101,14 @@ def test_an_export_that_fails_leaves_what_was_there(models, tmp_path):
         done = vigil("export", "-o", kept, *more)
         assert done.returncode == 1 and said in done.stderr, done.stderr
         assert kept.read_text() == "an earlier one"
+    for command in [["import", broken], ["export", "--actor", broken]]:
+        done = vigil(*command, "-o", broken)
+        assert done.returncode == 1 and "is the policy itself" in done.stderr, done.stderr
 
 
 def test_what_cannot_be_imported_is_refused_with_the_reason_and_nothing_is_written(models, tmp_path):
     words = json.loads((models / "refused.json").read_text())
-    assert len(words) >= 37
+    assert len(words) >= 38
     kept = tmp_path / "kept.safetensors"
     kept.write_text("an earlier one")
     for name, said in words.items():

@@ -6,7 +6,8 @@ use serde::Serialize;
 use std::fmt::Write;
 use vigil_policy::plausibility::smooth_share_of;
 use vigil_types::{
-    DEPTH_COLS, DEPTH_ROWS, DepthFrame, FrameDefect, FrameKeys, HORIZONTAL_FOV_RAD, Nanos, STEP_NS, VERTICAL_FOV_RAD,
+    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrameDefect, FrameKeys, HORIZONTAL_FOV_RAD, Nanos, STEP_NS,
+    VERTICAL_FOV_RAD,
 };
 
 /// Frames that come more than this apart on average leave some steps without a new one.
@@ -14,10 +15,12 @@ const LONGEST_INTERVAL_S: f64 = 1.05 * STEP_NS as f64 * 1e-9;
 /// The age at which the loop holds by default, and the share of it that is a warning.
 const AGE_LIMIT_S: f64 = 0.25;
 const OLD_S: f64 = 0.1;
-/// A part of the view in which not one pixel of any frame returned is named. Parts are 16 × 16 pixels.
+/// The view is looked at in parts of 16 × 16 pixels.
 const PART: usize = 16;
 const PART_ROWS: usize = DEPTH_ROWS / PART;
 const PART_COLS: usize = DEPTH_COLS / PART;
+/// Of the parts from this row down, from 15° below the horizon, each strip must see one: the firmware looks for the ground there.
+const GROUND_ROW: usize = 6;
 /// The guard's default for what it takes for an altered picture (docs/detection.md, rough picture), and what leaves little room above it.
 const ROUGH_SHARE: f64 = vigil_guidance::ROUGH_BELOW as f64;
 const NEARLY_ROUGH_SHARE: f64 = ROUGH_SHARE + 0.1;
@@ -35,6 +38,12 @@ pub struct Finding {
     pub severity: Severity,
     /// What was found, and what to do where that is not good.
     pub text: String,
+}
+
+/// The first grade that holds, with its advice; without one all is good.
+fn grade<const N: usize>(grades: [(bool, Severity, &'static str); N]) -> (Severity, &'static str) {
+    let first = grades.into_iter().find(|(holds, ..)| *holds);
+    first.map_or((Good, ""), |(_, severity, advice)| (severity, advice))
 }
 
 /// What is known about the sensor from outside.
@@ -80,12 +89,13 @@ impl SensorCheck {
     pub fn observe(&mut self, frame: &DepthFrame, arrived_ns: Nanos) {
         let header = &frame.header;
         self.arrivals_s.push(arrived_ns as f64 * 1e-9);
-        let checked = frame
-            .check(self.expected.sensor_id)
-            .and_then(|()| match self.expected.keys.accept(frame) {
-                true => Ok(()),
-                false => Err(FrameDefect::BadTag),
-            });
+        let tagged = self
+            .expected
+            .keys
+            .accept(frame)
+            .then_some(())
+            .ok_or(FrameDefect::BadTag);
+        let checked = frame.check(self.expected.sensor_id).and(tagged);
         if let Err(defect) = checked {
             match self.refused.iter_mut().find(|(known, _)| *known == defect) {
                 Some((_, count)) => *count += 1,
@@ -167,28 +177,23 @@ impl SensorCheck {
 
     fn rate(&self, ended_s: f64, add: &mut impl FnMut(&'static str, Severity, String)) {
         let silent_s = self.arrivals_s.last().map_or(0.0, |last| ended_s - last);
-        if silent_s > AGE_LIMIT_S {
+        let intervals: Vec<f64> = self.arrivals_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let longest = quantile(&intervals, 1.0).unwrap_or_default();
+        if silent_s > AGE_LIMIT_S.max(2.0 * longest) {
             let text = format!(
                 "they came, and stopped {silent_s:.1} s ago: did the publisher end, does it still see its sensor?"
             );
             add("rate", Failure, text);
             return;
         }
-        let intervals: Vec<f64> = self.arrivals_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let Some(mean) = (!intervals.is_empty()).then(|| intervals.iter().sum::<f64>() / intervals.len() as f64) else {
             return;
         };
-        let longest = quantile(&intervals, 1.0).unwrap_or(f64::NAN);
-        let (severity, advice) = if longest > AGE_LIMIT_S {
-            (Failure, ": longer than the age limit of 0.25 s, so the vehicle holds")
-        } else if mean > LONGEST_INTERVAL_S {
-            (
-                Warning,
-                ": slower than the 20 Hz loop, so some steps have no new picture",
-            )
-        } else {
-            (Good, "")
-        };
+        let longest = longest.max(silent_s);
+        let held = ": longer than the age limit of 0.25 s, so the vehicle holds";
+        let slow = ": slower than the 20 Hz loop, so some steps have no new picture";
+        let is_slow = mean > LONGEST_INTERVAL_S;
+        let (severity, advice) = grade([(longest > AGE_LIMIT_S, Failure, held), (is_slow, Warning, slow)]);
         let (hz, longest_ms) = (1.0 / mean, longest * 1e3);
         let text = format!("{hz:.1} Hz, longest interval {longest_ms:.0} ms{advice}");
         add("rate", severity, text);
@@ -207,14 +212,9 @@ impl SensorCheck {
             let text = format!("stamps are {middle:.0} s old: they are of another clock than CLOCK_MONOTONIC");
             add("clock", Failure, text);
         } else {
-            let (severity, advice) = if most > AGE_LIMIT_S {
-                let advice = ": older than the age limit of 0.25 s, so the vehicle holds";
-                (Failure, advice)
-            } else if middle > OLD_S {
-                (Warning, ": the vehicle flies by what it saw that long ago")
-            } else {
-                (Good, "")
-            };
+            let held = ": older than the age limit of 0.25 s, so the vehicle holds";
+            let old = ": the vehicle flies by what it saw that long ago";
+            let (severity, advice) = grade([(most > AGE_LIMIT_S, Failure, held), (middle > OLD_S, Warning, old)]);
             let (middle_ms, most_ms) = (middle * 1e3, most * 1e3);
             let text = format!("{middle_ms:.1} ms old on arrival, at most {most_ms:.1} ms{advice}");
             add("latency", severity, text);
@@ -224,45 +224,31 @@ impl SensorCheck {
     fn order(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
         let stamps = "with a stamp that is not newer than the one before: refused in flight";
         let numbers = "times the number did not rise: a restarted publisher, or frames sent twice";
-        let (not_newer, restarted) = (self.not_newer, self.restarted);
-        let (severity, text) = match (not_newer, restarted) {
-            (0, 0) => {
-                let text = format!("stamps and numbers rise; {} numbers were left out", self.left_out);
-                (Good, text)
-            }
-            (0, _) => (Warning, format!("{restarted} {numbers}")),
-            (_, 0) => (Failure, format!("{not_newer} {stamps}")),
-            _ => {
-                let text = format!("{not_newer} {stamps}; {restarted} {numbers}");
-                (Failure, text)
-            }
+        let is_wrong = [self.not_newer > 0, self.restarted > 0];
+        let (severity, _) = grade([(is_wrong[0], Failure, stamps), (is_wrong[1], Warning, numbers)]);
+        let wrong = [(self.not_newer, stamps), (self.restarted, numbers)].into_iter();
+        let wrong = wrong.filter(|(count, _)| *count > 0);
+        let words: Vec<String> = wrong.map(|(count, what)| format!("{count} {what}")).collect();
+        let text = match severity {
+            Good => format!("stamps and numbers rise; {} numbers were left out", self.left_out),
+            _ => words.join("; "),
         };
         add("order", severity, text);
     }
 
     fn picture(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
         let share = self.returns.iter().sum::<f64>() / self.returns.len() as f64;
-        let (severity, advice) = if share == 0.0 {
-            (Failure, ": a blind sensor")
-        } else if share < 0.05 {
-            (Warning, ": hardly anything returns; is the range divided by 100 m?")
-        } else {
-            (Good, "")
-        };
+        let none = ": a blind sensor";
+        let few = ": hardly anything returns; is the range divided by 100 m?";
+        let (severity, advice) = grade([(share == 0.0, Failure, none), (share < 0.05, Warning, few)]);
         let text = format!("{:.1} % of the pixels{advice}", 100.0 * share);
         add("returns", severity, text);
         if let Some(least) = quantile(&self.smooth_shares, 0.02) {
             let middle = quantile(&self.smooth_shares, 0.5).unwrap_or(f64::NAN);
-            let (severity, advice) = if least < ROUGH_SHARE {
-                (
-                    Warning,
-                    ": the guard would take this sensor's pictures for altered ones: see to its noise, or fly without the guard",
-                )
-            } else if least < NEARLY_ROUGH_SHARE {
-                (Warning, ": hardly more than the guard asks for")
-            } else {
-                (Good, "")
-            };
+            let rough = ": the guard would take this sensor's pictures for altered ones: see to its noise, or fly without the guard";
+            let (is_rough, is_nearly) = (least < ROUGH_SHARE, least < NEARLY_ROUGH_SHARE);
+            let nearly = ": hardly more than the guard asks for";
+            let (severity, advice) = grade([(is_rough, Warning, rough), (is_nearly, Warning, nearly)]);
             let text = format!(
                 "{:.0} % of the parts in which something is seen show one surface (2 % of the pictures below {:.0} %){advice}",
                 100.0 * middle,
@@ -287,7 +273,6 @@ impl SensorCheck {
 
     /// The part of the field of view from which anything returned.
     fn view(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
-        let unseen = self.seen.as_flattened().iter().filter(|seen| !**seen).count();
         let bearings = |col: usize| (col as f32 / PART_COLS as f32 - 0.5) * HORIZONTAL_FOV_RAD.to_degrees();
         let elevations = |row: usize| (0.5 - row as f32 / PART_ROWS as f32) * VERTICAL_FOV_RAD.to_degrees();
         let columns: Vec<usize> = (0..PART_COLS).filter(|c| self.seen.iter().any(|row| row[*c])).collect();
@@ -305,12 +290,18 @@ impl SensorCheck {
             elevations(bottom + 1),
             elevations(*top)
         );
-        let whole = columns.len() == PART_COLS;
-        if !whole {
-            let parts = PART_ROWS * PART_COLS;
-            let _ = write!(text, "; {unseen} of {parts} parts never returned anything");
+        let ground = &self.seen[GROUND_ROW..];
+        let blind = (0..PART_COLS).filter(|c| !ground.iter().any(|row| row[*c])).count();
+        if blind > 0 {
+            let _ = write!(
+                text,
+                "; {blind} of {PART_COLS} strips never returned anything below {:.0}°: two such are a blind sensor in \
+                 flight, and the firmware holds",
+                elevations(GROUND_ROW)
+            );
         }
-        add("view", Severity::good_if(whole, Warning), text);
+        let severity = if blind == PART_COLS { Failure } else { Warning };
+        add("view", Severity::good_if(blind == 0, severity), text);
     }
 
     /// The wall that is expected in the middle.
@@ -318,11 +309,13 @@ impl SensorCheck {
         if let Some(wall_m) = self.expected.wall_m {
             let mut middle = self.middle_m.clone();
             middle.sort_by(f32::total_cmp);
-            let found_m = middle.get(middle.len() / 2).copied().unwrap_or(f32::NAN);
-            let (severity, advice) = match (found_m - wall_m).abs() <= WALL_TOLERANCE_M {
-                true => (Good, ""),
-                false => (Failure, ": ranges are along the ray, divided by 100 m"),
-            };
+            let found_m = middle.get(middle.len() / 2).copied().unwrap_or(DEPTH_FULL_SCALE_M);
+            if found_m >= DEPTH_FULL_SCALE_M {
+                let text = format!("no return in the middle of the image, {wall_m:.2} m expected");
+                return add("wall", Failure, text);
+            }
+            let is_off = (found_m - wall_m).abs() > WALL_TOLERANCE_M;
+            let (severity, advice) = grade([(is_off, Failure, ": ranges are along the ray, divided by 100 m")]);
             let text = format!("{found_m:.2} m in the middle of the image, {wall_m:.2} m expected{advice}");
             add("wall", severity, text);
         }
@@ -390,24 +383,27 @@ mod tests {
         assert!(findings[0].severity == Failure && findings[0].text.contains("instance"));
     }
 
-    /// Until it ended it was as good as ever.
+    /// Until it ended it was as good as ever. A slow publisher has not stopped.
     #[test]
     fn frames_that_came_and_stopped_are_a_failure_also_a_single_one() {
-        for frames in [1, 60] {
+        for (frames, apart_ns, words) in [
+            (1, STEP_NS, "stopped 5.0 s ago"),
+            (61, STEP_NS, "stopped 2.0 s ago"),
+            (10, SECOND / 2, "2.0 Hz, longest interval 500 ms: longer"),
+        ] {
             let mut check = SensorCheck::new(expected());
             for number in 0..frames {
-                check.observe(&frame(number), SECOND + number * STEP_NS);
+                check.observe(&frame(number), SECOND + number * apart_ns);
             }
             let findings = check.findings(5.0, 6 * SECOND);
-            let stopped = format!("stopped {:.1} s ago", 5.0 - 0.05 * (frames - 1) as f64);
-            let is_it = |f: &Finding| f.name == "rate" && f.severity == Failure && f.text.contains(&stopped);
+            let is_it = |f: &Finding| f.name == "rate" && f.severity == Failure && f.text.contains(words);
             assert!(findings.iter().any(is_it), "{findings:?}");
         }
     }
 
     #[test]
     fn each_mistake_of_a_driver_is_named_with_what_to_do() {
-        let cases: [(&str, &str, Alter); 13] = [
+        let cases: [(&str, &str, Alter); 15] = [
             ("frames", "checksum", |_, f, _| f.depth[5] = 0.5),
             ("frames", "128 x 128", |_, f, _| f.header.cols = 128),
             ("frames", "sensor 9", |_, f, _| f.header.sensor_id = 9),
@@ -423,6 +419,14 @@ mod tests {
             }),
             ("change", "to the bit", |_, f, _| f.depth[..7].fill(0.03)),
             ("wall", "2.60 m", |_, f, _| f.depth.iter_mut().for_each(|v| *v -= 0.004)),
+            ("wall", "no return in the middle", |_, f, _| f.depth.fill(1.0)),
+            (
+                "view",
+                "and 0° to 30° in height, of ±60° and ±30°; 16 of 16",
+                |_, f, _| {
+                    f.depth[DEPTH_COLS * DEPTH_ROWS / 2..].fill(1.0);
+                },
+            ),
             ("view", "-30°", |_, f, _| {
                 let rows = f.depth.chunks_exact_mut(DEPTH_COLS);
                 rows.for_each(|row| row[..64].fill(1.0));

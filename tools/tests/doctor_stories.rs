@@ -99,12 +99,11 @@ impl Scripted {
             false => 20_000 + (ms as f64 * self.speedup) as u32 + 3_000 * u32::from(is_after(self.clock_jumps_ms)),
         };
         let mut out = Vec::new();
-        let streams = |id: u32| self.streams(id);
         if ms.is_multiple_of(1000) {
             out.push(self.heartbeat());
         }
         if ms.is_multiple_of(self.stream_ms) {
-            if self.has_position && streams(32) && !self.no_position.contains(&ms) {
+            if self.has_position && self.streams(32) && !self.no_position.contains(&ms) {
                 let late_ms = 900 * u32::from(ms > 0 && ms == self.late_ms);
                 out.push(message!(
                     LOCAL_POSITION_NED,
@@ -115,7 +114,7 @@ impl Scripted {
                     }
                 ));
             }
-            if streams(30) && !self.no_attitude.contains(&ms) {
+            if self.streams(30) && !self.no_attitude.contains(&ms) {
                 out.push(message!(
                     ATTITUDE,
                     time_boot_ms = boot_ms,
@@ -124,33 +123,22 @@ impl Scripted {
             }
         }
         if ms.is_multiple_of(200) {
-            if streams(33) {
+            if self.streams(33) {
                 out.push(message!(GLOBAL_POSITION_INT, hdg = 3000));
             }
-            if streams(245) && !self.no_status.contains(&ms) {
-                out.push(message!(
-                    EXTENDED_SYS_STATE,
-                    landed_state = MavLandedState::MAV_LANDED_STATE_ON_GROUND
-                ));
+            if self.streams(245) && !self.no_status.contains(&ms) {
+                let landed_state = MavLandedState::MAV_LANDED_STATE_ON_GROUND;
+                out.push(message!(EXTENDED_SYS_STATE, landed_state));
             }
         }
         if ms.is_multiple_of(500) {
             out.extend(self.health(ms, boot_ms));
         }
-        if self.has_home && ms.is_multiple_of(1000) && streams(242) {
-            out.push(message!(
-                HOME_POSITION,
-                latitude = 473_977_420,
-                longitude = 85_455_940,
-                altitude = 488_000
-            ));
+        if self.has_home && ms.is_multiple_of(1000) && self.streams(242) {
+            let (latitude, longitude, altitude) = (473_977_420, 85_455_940, 488_000);
+            out.push(message!(HOME_POSITION, latitude, longitude, altitude));
             // Without it nobody knows that home is where the estimator began.
-            out.push(message!(
-                GPS_GLOBAL_ORIGIN,
-                latitude = 473_977_420,
-                longitude = 85_455_940,
-                altitude = 488_000
-            ));
+            out.push(message!(GPS_GLOBAL_ORIGIN, latitude, longitude, altitude));
         }
         out
     }
@@ -185,22 +173,15 @@ impl Scripted {
         // ESTIMATOR_STATUS has the flags that ArduPilot puts into a message of its own.
         if (self.streams(230) || self.times_asked_for(193) > 0) && !self.no_status.contains(&ms) {
             let flags = if is_ready { self.estimator } else { 1 | 128 };
-            out.push(message!(
-                ESTIMATOR_STATUS,
-                flags = EstimatorStatusFlags::from_bits_retain(flags)
-            ));
+            let flags = EstimatorStatusFlags::from_bits_retain(flags);
+            out.push(message!(ESTIMATOR_STATUS, flags));
         }
         if self.streams(2) {
-            out.push(MavMessage::SYSTEM_TIME(SYSTEM_TIME_DATA {
-                time_unix_usec: 1_700_000_000_000_000 + ms * 1000,
-                time_boot_ms: boot_ms,
-            }));
+            let unix_us = 1_700_000_000_000_000 + ms * 1000;
+            out.push(message!(SYSTEM_TIME, time_unix_usec = unix_us, time_boot_ms = boot_ms));
         }
-        out.extend(
-            self.texts
-                .iter()
-                .map(|text| message!(STATUSTEXT, text = (*text).into())),
-        );
+        let texts = self.texts.iter();
+        out.extend(texts.map(|text| message!(STATUSTEXT, text = (*text).into())));
         out
     }
 

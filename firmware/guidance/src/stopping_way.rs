@@ -201,11 +201,8 @@ mod tests {
             );
         }
         // PX4 ordered at 1.9 m/s while it gains 2.7 m/s² needs 6.6 m; half as much again and a metre is early enough.
-        assert!(
-            (6.6..1.5 * 6.6 + 1.0).contains(&reach_m(1.9, 2.7)),
-            "{}",
-            reach_m(1.9, 2.7)
-        );
+        let start_m = reach_m(1.9, 2.7);
+        assert!((6.6..1.5 * 6.6 + 1.0).contains(&start_m), "{start_m}");
         assert!((reach_m(0.0, 0.0) - 0.5).abs() < 1e-6);
         // From 3 m/s braking at MPC_ACC_HOR takes 2.6 m, and the hold of a PX4 4.3 m: the place that it is sent lies between.
         assert!((2.6..4.3).contains(&way_m(3.0, 0.0)), "{}", way_m(3.0, 0.0));
@@ -269,13 +266,10 @@ mod tests {
             };
             config.reach_m(2.7, gain)
         };
-        assert!(
-            (9.7..1.5 * 9.7 + 1.0).contains(&reach_m(px4, -0.1)),
-            "{}",
-            reach_m(px4, -0.1)
-        );
         let other = JustStopConfig::default();
-        assert!(reach_m(other, -0.1) < 9.2, "{}", reach_m(other, -0.1));
+        let [px4_m, other_m] = [px4, other].map(|config| reach_m(config, -0.1));
+        assert!((9.7..1.5 * 9.7 + 1.0).contains(&px4_m), "{px4_m}");
+        assert!(other_m < 9.2, "{other_m}");
         // One that ends has no plan far ahead, nor has one that begins.
         assert_eq!(reach_m(px4, -3.0), reach_m(other, -3.0));
         assert_eq!(px4.reach_m(1.2, gain(2.15)), other.reach_m(1.2, gain(2.15)));

@@ -298,8 +298,7 @@ impl Drop for SigningGate {
 
 /// Whether a datagram brings a signing key.
 fn holds_key(datagram: &[u8]) -> bool {
-    let mut counters = FramingCounters::default();
-    packets(datagram, &mut counters).any(|packet| carries_key(&packet))
+    packets(datagram, &mut FramingCounters::default()).any(|packet| carries_key(&packet))
 }
 
 fn wall_clock() -> Timestamp {

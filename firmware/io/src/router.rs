@@ -179,8 +179,7 @@ impl Switch {
 
     /// Puts a packet of the guidance computer's own to the links that it goes to: those of its target, else `link`.
     fn say(&mut self, link: u8, packet: &[u8]) {
-        let mut framing = FramingCounters::default();
-        let Some(parsed) = packets(packet, &mut framing).next() else {
+        let Some(parsed) = packets(packet, &mut FramingCounters::default()).next() else {
             return;
         };
         let own = id_of(&parsed);
@@ -384,13 +383,12 @@ fn give_of_vehicle(switch: &mut Switch, datagram: &[u8], received: &mut Datagram
 fn route_in_turn(switch: &mut Switch, inboxes: &[Datagrams], received: &mut Datagrams) {
     // In turn, a datagram of each link at a time: who sends much waits for himself only.
     let mut heads: [_; MAX_LINKS] = core::array::from_fn(|link| inboxes.get(link).map(|inbox| inbox.iter()));
-    let mut framing = FramingCounters::default();
     loop {
         let mut all_read = true;
         for (link, head) in (0..).zip(&mut heads) {
             if let Some((_, datagram)) = head.as_mut().and_then(Iterator::next) {
                 all_read = false;
-                for packet in packets(datagram, &mut framing) {
+                for packet in packets(datagram, &mut FramingCounters::default()) {
                     switch.route(&packet, link, received);
                 }
             }

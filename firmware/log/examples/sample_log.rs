@@ -11,7 +11,7 @@ use mavlink::{MAVLinkV2MessageRaw, MavHeader};
 use std::error::Error;
 use std::f32::consts::FRAC_PI_2;
 use std::path::PathBuf;
-use vigil_log::{FlightInfo, LogPlace, Recorder, RecorderConfig, Scene, SceneSolid, WhenFull};
+use vigil_log::{FlightInfo, LogPlace, Recorder, RecorderConfig, WhenFull};
 use vigil_types::{
     Action, Attitude, AttitudeSample, Datagrams, DepthFrame, FrdVector, Goal, GuidanceState, HeadingVector, Heartbeat,
     Kinematics, Landed, NedVector, Reason, Reasons, STEP_NS, StepReport, StepTiming, VehicleMode, VehicleTelemetry,
@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut recorder = Recorder::start(RecorderConfig {
         when_full: WhenFull::Wait,
         epoch_offset_ns: EPOCH_OFFSET_NS,
-        scene: Some(scene()),
+        scene: serde_json::from_str(SCENE)?,
         ..RecorderConfig::new(
             LogPlace::Directory(PathBuf::from(directory)),
             FlightInfo {
@@ -61,22 +61,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn scene() -> Scene {
-    Scene {
-        solids: vec![
-            SceneSolid::Cuboid {
-                centre_ned_m: [8.0, -2.0, -1.5],
-                half_extents_m: [0.1, 3.0, 1.5],
-                yaw_rad: 0.4,
-            },
-            SceneSolid::Cylinder {
-                centre_ned_m: [12.0, 3.0, -2.0],
-                radius_m: 0.4,
-                half_height_m: 2.0,
-            },
-        ],
-    }
-}
+const SCENE: &str = r#"{ "solids": [
+    { "cuboid": { "centre_ned_m": [8, -2, -1.5], "half_extents_m": [0.1, 3, 1.5], "yaw_rad": 0.4 } },
+    { "cylinder": { "centre_ned_m": [12, 3, -2], "radius_m": 0.4, "half_height_m": 2 } }
+] }"#;
 
 fn report(step: u64) -> StepReport {
     let now_ns = step * STEP_NS;

@@ -15,13 +15,8 @@ pub enum RecordDefect {
     #[error("field `{0}` is missing")]
     Missing(&'static str),
     /// A number is outside what its field can hold.
-    #[error("field `{field}` has the impossible value {value}")]
-    Impossible {
-        /// Name of the field.
-        field: &'static str,
-        /// What was found.
-        value: u32,
-    },
+    #[error("field `{0}` has the impossible value {1}")]
+    Impossible(&'static str, u32),
     /// More datagrams than a step can hold.
     #[error("field `{0}` holds more datagrams than a step can")]
     TooManyDatagrams(&'static str),
@@ -106,7 +101,7 @@ macro_rules! by_number {
 
             fn from(on_disk: &u32, field: &'static str) -> Result<Self, RecordDefect> {
                 let value = usize::try_from(*on_disk).ok().and_then(|i| Self::ALL.get(i).copied());
-                value.ok_or(RecordDefect::Impossible { field, value: *on_disk })
+                value.ok_or(RecordDefect::Impossible(field, *on_disk))
             }
         }
     )+};
@@ -124,7 +119,7 @@ impl Part<u32> for u16 {
 }
 
 fn small<T: TryFrom<u32>>(value: u32, field: &'static str) -> Result<T, RecordDefect> {
-    T::try_from(value).map_err(|_| RecordDefect::Impossible { field, value })
+    T::try_from(value).map_err(|_| RecordDefect::Impossible(field, value))
 }
 
 impl Part<Option<f32>> for f32 {
@@ -195,10 +190,10 @@ impl Part<Vec<u8>> for [u8; FRAME_TAG_BYTES] {
     fn from(on_disk: &Vec<u8>, _: &'static str) -> Result<Self, RecordDefect> {
         match on_disk.as_slice() {
             [] => Ok([0; FRAME_TAG_BYTES]),
-            tag => tag.try_into().map_err(|_| RecordDefect::Impossible {
-                field: "frame.tag, bytes",
-                value: tag.len() as u32,
-            }),
+            tag => {
+                let defect = RecordDefect::Impossible("frame.tag, bytes", tag.len() as u32);
+                tag.try_into().map_err(|_| defect)
+            }
         }
     }
 }
@@ -213,23 +208,26 @@ impl<const N: usize> Part<Vec<f32>> for [f32; N] {
     }
 }
 
-/// Structs whose messages have the same fields, with where these messages lie. Each is taken apart by name, so that a field added to
-/// the loop's data fails to compile here until the log records it.
+/// Structs whose messages have the same fields or others for them, with where these messages lie. Each is taken apart by name, so
+/// that a field added to the loop's data fails to compile here until the log records it.
 macro_rules! records {
-    ($($type:ident = $message:ident in $at:literal { $($field:ident),+ })+) => {$(
+    ($type:ident = $message:ident in $at:literal { $($field:ident as $on_disk:ident),+ }) => {
         impl Record for $type {
             type Message = proto::$message;
 
             fn message(self) -> proto::$message {
                 let Self { $($field),+ } = self;
-                proto::$message { $($field: $field.to()),+ }
+                proto::$message { $($on_disk: $field.to()),+ }
             }
 
             fn of(message: &proto::$message) -> Result<Self, RecordDefect> {
-                Ok(Self { $($field: Part::from(&message.$field, concat!($at, stringify!($field)))?),+ })
+                Ok(Self { $($field: Part::from(&message.$on_disk, concat!($at, stringify!($on_disk)))?),+ })
             }
         }
-    )+};
+    };
+    ($($type:ident = $message:ident in $at:literal { $($field:ident),+ })+) => {
+        $(records! { $type = $message in $at { $($field as $field),+ } })+
+    };
 }
 
 records! {
@@ -246,27 +244,9 @@ records! {
     Kinematics = Kinematics in "report.telemetry.kinematics." { at_ns, position_ned_m, velocity_ned_m_s }
     AttitudeSample = AttitudeSample in "report.telemetry.attitude." { at_ns, attitude, rates_frd_rad_s }
 }
-
-impl Record for VelocitySetpoint {
-    type Message = proto::Setpoint;
-
-    fn message(self) -> proto::Setpoint {
-        let Self {
-            velocity_m_s,
-            yaw_rate_rad_s,
-        } = self;
-        proto::Setpoint {
-            velocity_heading_m_s: velocity_m_s.to(),
-            yaw_rate_rad_s: yaw_rate_rad_s.to(),
-        }
-    }
-
-    fn of(setpoint: &proto::Setpoint) -> Result<Self, RecordDefect> {
-        let velocity = &setpoint.velocity_heading_m_s;
-        Ok(Self {
-            velocity_m_s: Part::from(velocity, "report.setpoint.velocity_heading_m_s")?,
-            yaw_rate_rad_s: Part::from(&setpoint.yaw_rate_rad_s, "report.setpoint.yaw_rate_rad_s")?,
-        })
+records! {
+    VelocitySetpoint = Setpoint in "report.setpoint." {
+        velocity_m_s as velocity_heading_m_s, yaw_rate_rad_s as yaw_rate_rad_s
     }
 }
 

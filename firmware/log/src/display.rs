@@ -10,8 +10,8 @@ use crate::proto::foxglove::{FrameTransform, Log, Pose, PoseInFrame, PosesInFram
 use crate::proto::google::protobuf::Timestamp;
 use std::f64::consts::FRAC_1_SQRT_2;
 use vigil_types::{
-    Alarm, Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, Goal, GuidanceState,
-    NedVector, Reasons, VehicleMode,
+    Alarm, Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, GuidanceState, NedVector,
+    Reasons, VehicleMode,
 };
 
 /// x east, y north, z up, origin at home.
@@ -90,10 +90,6 @@ pub(crate) fn pose_in_map(pose: Pose, at_ns: impl Into<Option<u64>>) -> PoseInFr
         frame_id: MAP_FRAME.to_owned(),
         pose: Some(pose),
     }
-}
-
-pub(crate) fn goal_in_map(goal: Goal, at_ns: u64) -> PoseInFrame {
-    pose_in_map(pose(goal.position_ned_m, Attitude::LEVEL_NORTH), at_ns)
 }
 
 /// Not turned in its frame.
@@ -372,34 +368,18 @@ mod tests {
     use super::*;
     use vigil_types::{AlarmCause, AlarmResponse, AttitudeSample, FrdVector, Heartbeat, Kinematics, Reason};
 
-    fn turn(q: Quaternion, v: [f64; 3]) -> [f64; 3] {
-        // v + 2w (u × v) + 2 u × (u × v)
-        let u = [q.x, q.y, q.z];
-        let cross = |a: [f64; 3], b: [f64; 3]| {
-            [
-                a[1] * b[2] - a[2] * b[1],
-                a[2] * b[0] - a[0] * b[2],
-                a[0] * b[1] - a[1] * b[0],
-            ]
-        };
-        let t = cross(u, v);
-        let tt = cross(u, t);
-        [0, 1, 2].map(|i| v[i] + 2.0 * q.w * t[i] + 2.0 * tt[i])
-    }
-
     #[test]
     fn the_body_axes_of_the_map_are_those_of_the_loop() {
         let attitude = Attitude::from_euler_rad(0.3, -0.2, 2.1);
-        let rotation = map_rotation(attitude);
-        for (frd, flu) in [
-            (FrdVector::new(1.0, 0.0, 0.0), [1.0, 0.0, 0.0]),
-            (FrdVector::new(0.0, 1.0, 0.0), [0.0, -1.0, 0.0]),
-            (FrdVector::new(0.0, 0.0, 1.0), [0.0, 0.0, -1.0]),
-        ] {
-            let expected = map_point(attitude.to_ned(frd));
-            let [x, y, z] = turn(rotation, flu);
+        let Quaternion { w, x, y, z } = map_rotation(attitude);
+        let [w, x, y, z] = [w, x, y, z].map(|value| value as f32);
+        let shown = Attitude { w, x, y, z };
+        for [x, y, z] in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
+            let expected = map_point(attitude.to_ned(FrdVector::new(x, y, z)));
+            // The same axis, forward, left and up; a rotation does not ask which frame's axes it turns.
+            let [x, y, z] = shown.to_ned(FrdVector::new(x, -y, -z)).to_array().map(f64::from);
             let error = (expected.x - x).abs() + (expected.y - y).abs() + (expected.z - z).abs();
-            assert!(error < 1e-6, "{frd:?}: {expected:?} against {x} {y} {z}");
+            assert!(error < 3e-6, "{expected:?} against {x} {y} {z}");
         }
     }
 
@@ -428,11 +408,11 @@ mod tests {
         let mut record = TickRecord::default();
         let mut lines = |record: &TickRecord| {
             let mut lines = Vec::new();
-            narrator.lines(record, |level, line| lines.push((level, line)));
+            narrator.lines(record, |level, line| lines.push(format!("{level:?}, {line}")));
             lines
         };
-        assert_eq!(lines(&record), [(Level::Info, "guidance: standby".to_owned())]);
-        assert_eq!(lines(&record), []);
+        assert_eq!(lines(&record), ["Info, guidance: standby"]);
+        assert!(lines(&record).is_empty());
         record.report.state = GuidanceState::Hold;
         record.report.reasons = Reasons::of(Reason::StaleFrame).with_if(true, Reason::Slip);
         record.report.telemetry.heartbeat = Some(Heartbeat {
@@ -445,27 +425,21 @@ mod tests {
         assert_eq!(
             lines(&record),
             [
-                (
-                    Level::Warning,
-                    "guidance: standby → hold (stale frame, slip)".to_owned()
-                ),
-                (Level::Info, "vehicle: armed".to_owned()),
-                (Level::Info, "vehicle: mode external".to_owned()),
-                (Level::Error, "log: 3 records were dropped before this one".to_owned()),
+                "Warning, guidance: standby → hold (stale frame, slip)",
+                "Info, vehicle: armed",
+                "Info, vehicle: mode external",
+                "Error, log: 3 records were dropped before this one",
             ]
         );
         record.report.alarm = Some(Alarm {
             cause: AlarmCause::Attack,
             response: AlarmResponse::Stop,
         });
-        assert_eq!(lines(&record), [(Level::Error, "alarm: attack, stopping".to_owned())]);
+        assert_eq!(lines(&record), ["Error, alarm: attack, stopping"]);
         record.report.alarm = None;
-        assert_eq!(lines(&record), [(Level::Info, "alarm: clear".to_owned())]);
+        assert_eq!(lines(&record), ["Info, alarm: clear"]);
         record.report.reasons = Reasons::of(Reason::GoalReached);
-        assert_eq!(
-            lines(&record),
-            [(Level::Info, "guidance: hold (goal reached)".to_owned())]
-        );
+        assert_eq!(lines(&record), ["Info, guidance: hold (goal reached)"]);
     }
 
     #[test]

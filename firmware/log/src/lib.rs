@@ -58,6 +58,6 @@ pub use recorder::{
 };
 pub use recover::{Gap, RecoverError, Recovery, recover};
 pub use scene::{Scene, SceneError, SceneSolid};
-pub use side::{SideError, SideLog, merge_derived, merge_into};
+pub use side::{SideError, SideLog, merge_derived, merge_into, merge_into_light};
 pub use story::{AttackMark, CleanFrame, Line, Story, Weight};
 pub use ulog::{ULog, ulog};

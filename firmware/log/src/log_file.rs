@@ -8,7 +8,7 @@ use mcap::{Compression, McapError, McapResult, WriteOptions};
 use prost::Message;
 use std::collections::{BTreeMap, HashMap};
 use std::io::{Seek, Write};
-use vigil_types::{Goal, LogContent, Nanos, STEP_NS};
+use vigil_types::{Attitude, Goal, LogContent, Nanos, STEP_NS};
 
 /// Version of what a replay reads: `META`, `topic::TICK` and `topic::DEPTH`. Raised when an older reader would
 /// misread a newer log; a field added to a message does not raise it.
@@ -91,7 +91,7 @@ pub(crate) fn write_options() -> WriteOptions {
 
 /// An open log. Everything up to the last flush can be read even if nothing more is ever written.
 pub(crate) struct LogFile<W: Write + Seek> {
-    sheet: Sheet<W>,
+    pub(crate) sheet: Sheet<W>,
     epoch_offset_ns: u64,
     scene: Option<Scene>,
     content: LogContent,
@@ -183,7 +183,8 @@ impl<W: Write + Seek> LogFile<W> {
             if let Some(goal) = goal
                 && (slow_due || self.goal != Some(goal))
             {
-                sheet.put(topic::GOAL, place, &display::goal_in_map(goal, at_ns))?;
+                let pose = display::pose(goal.position_ned_m, Attitude::LEVEL_NORTH);
+                sheet.put(topic::GOAL, place, &display::pose_in_map(pose, at_ns))?;
             }
             self.goal = goal;
         }
@@ -202,11 +203,6 @@ impl<W: Write + Seek> LogFile<W> {
             return Ok(true);
         }
         Ok(false)
-    }
-
-    /// Puts everything written so far into the file as a complete chunk.
-    pub(crate) fn flush(&mut self) -> McapResult<()> {
-        self.sheet.writer.flush()
     }
 
     /// Closes the log: notes how it ended and writes the index that lets viewers seek.

@@ -5,13 +5,13 @@ use crate::log_file::{LOG_FORMAT, META, META_END, topic};
 use crate::proto::foxglove::RawImage;
 use crate::{FlightInfo, RecordDefect, TickRecord, convert, display, proto, salvage};
 use mcap::McapError;
-use mcap::records::{MessageHeader, Record};
+use mcap::records::Record;
 use prost::Message;
 use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
-use vigil_types::Nanos;
 use vigil_types::files::{FileError, at};
+use vigil_types::{DEPTH_COLS, DEPTH_ROWS, Nanos};
 
 /// Why a log cannot be read, or cannot be read any further.
 #[derive(Debug, thiserror::Error)]
@@ -19,47 +19,30 @@ pub enum ReadError {
     /// The file cannot be opened or read.
     #[error("log file {0}")]
     Io(#[from] FileError),
-    /// Not an MCAP file.
-    #[error("{path} is no MCAP file{}; give the .mcap file of a flight", .looks_like.map(|kind| format!(" but {kind}")).unwrap_or_default())]
-    NotMcap {
-        /// The file.
-        path: PathBuf,
-        /// What it is by its first bytes, if that is known.
-        looks_like: Option<&'static str>,
-    },
-    /// An MCAP file of another program.
-    #[error("{path} is an MCAP file but no flight log of Vigil: it holds no metadata \"vigil\"")]
-    NotALog {
-        /// The file.
-        path: PathBuf,
-    },
-    /// The file ends before its first record.
-    #[error("{path} ends within its first bytes: the recording was stopped before anything was written")]
-    Empty {
-        /// The file.
-        path: PathBuf,
-    },
-    /// A log of another format version.
+    /// Not an MCAP file; what it is by its first bytes, if that is known.
     #[error(
-        "{path} has log format {found}, this program reads {LOG_FORMAT}; read it with the version of Vigil that wrote it{}",
-        .program.as_deref().map(|p| format!(" ({})", p.escape_debug())).unwrap_or_default()
+        "{} is no MCAP file{}; give the .mcap file of a flight",
+        .0.display(),
+        .1.map(|kind| format!(" but {kind}")).unwrap_or_default()
     )]
-    Version {
-        /// The file.
-        path: PathBuf,
-        /// Its format version.
-        found: u32,
-        /// What wrote it.
-        program: Option<String>,
-    },
-    /// The metadata at the start lacks an entry or has one that is no number.
-    #[error("{path}: metadata \"vigil\" has a missing or invalid entry `{key}`")]
-    Metadata {
-        /// The file.
-        path: PathBuf,
-        /// The entry.
-        key: &'static str,
-    },
+    NotMcap(PathBuf, Option<&'static str>),
+    /// An MCAP file of another program.
+    #[error("{0} is an MCAP file but no flight log of Vigil: it holds no metadata \"vigil\"")]
+    NotALog(PathBuf),
+    /// The file ends before its first record.
+    #[error("{0} ends within its first bytes: the recording was stopped before anything was written")]
+    Empty(PathBuf),
+    /// A log of another format version: which, and what wrote it.
+    #[error(
+        "{} has log format {}, this program reads {LOG_FORMAT}; read it with the version of Vigil that wrote it{}",
+        .0.display(),
+        .1,
+        .2.as_deref().map(|p| format!(" ({})", p.escape_debug())).unwrap_or_default()
+    )]
+    Version(PathBuf, u32, Option<String>),
+    /// The metadata at the start lacks this entry or has one that is no number.
+    #[error("{0}: metadata \"vigil\" has a missing or invalid entry `{1}`")]
+    Metadata(PathBuf, &'static str),
     /// The file is damaged; the records before are good.
     #[error(
         "{path} is damaged after record {records}{}: {what}; the records before it are good, and \
@@ -144,23 +127,14 @@ pub enum Damage {
     #[error("a message of /vigil/tick is no step: {0}")]
     Record(RecordDefect),
     /// A step speaks of a frame and the depth channel has none for it, or the reverse.
-    #[error("step {step} and the depth channel disagree on whether it had a frame")]
-    FrameMissing {
-        /// The step.
-        step: u64,
-    },
+    #[error("step {0} and the depth channel disagree on whether it had a frame")]
+    FrameMissing(u64),
     /// The depth image has another size or encoding than this program's frames.
-    #[error("the depth image of step {step} is no {rows} x {cols} image in 32FC1", rows = vigil_types::DEPTH_ROWS, cols = vigil_types::DEPTH_COLS)]
-    Image {
-        /// The step.
-        step: u64,
-    },
+    #[error("the depth image of step {0} is no {DEPTH_ROWS} x {DEPTH_COLS} image in 32FC1")]
+    Image(u64),
     /// The log's end counts other records than there are.
-    #[error("the log ends with a count of {counted} records")]
-    Count {
-        /// Records by the log's own count.
-        counted: u64,
-    },
+    #[error("the log ends with a count of {0} records")]
+    Count(u64),
 }
 
 /// How a log ends, known once all its records were read.
@@ -192,6 +166,39 @@ impl std::fmt::Display for LogEnd {
     }
 }
 
+/// Who flew, and the epoch offset, by the metadata at the start of the log `path`.
+pub(crate) fn flight_of(path: PathBuf, meta: &BTreeMap<String, String>) -> Result<(FlightInfo, u64), ReadError> {
+    match FlightInfo::format_version(meta) {
+        Some(LOG_FORMAT) => FlightInfo::from_metadata(meta).map_err(|key| ReadError::Metadata(path, key)),
+        Some(found) => Err(ReadError::Version(path, found, meta.get("program").cloned())),
+        None => Err(ReadError::Metadata(path, "format")),
+    }
+}
+
+/// Fills `record` from the step's message, which is handed back, and from number and content of the image before it.
+pub(crate) fn read_step(
+    tick: &[u8],
+    image: Option<(u32, &[u8])>,
+    record: &mut TickRecord,
+) -> Result<proto::Tick, Damage> {
+    let broken = |topic| move |source| Damage::Message { topic, source };
+    let decoded = image
+        .map(|(number, image)| Ok((number, RawImage::decode(image)?)))
+        .transpose();
+    let image = decoded.map_err(broken(topic::DEPTH))?;
+    let tick = proto::Tick::decode(tick).map_err(broken(topic::TICK))?;
+    let has_frame = convert::from_wire(&tick, record).map_err(Damage::Record)?;
+    let step = record.timing.step;
+    match (has_frame, image) {
+        (false, None) => Ok(tick),
+        (true, Some((number, image))) if number == step as u32 => {
+            let is_ours = display::read_depth_image(&image, &mut record.frame_slot(true).depth);
+            is_ours.then_some(tick).ok_or(Damage::Image(step))
+        }
+        _ => Err(Damage::FrameMissing(step)),
+    }
+}
+
 /// A log being read.
 pub struct Reader {
     path: PathBuf,
@@ -200,8 +207,8 @@ pub struct Reader {
     epoch_offset_ns: u64,
     /// Topics of the channels that a replay needs, by their number in this file.
     channels: BTreeMap<u16, String>,
-    /// The image that waits for its step.
-    image: Option<(MessageHeader, RawImage)>,
+    /// Number and content of the image that waits for its step.
+    image: Option<(u32, Vec<u8>)>,
     records: u64,
     /// Times of the first and the last record.
     span_ns: Option<(Nanos, Nanos)>,
@@ -238,40 +245,28 @@ impl Reader {
         let meta = match self.next_container_record() {
             Ok(Next::Record(Record::Metadata(meta))) if meta.name == META => meta.metadata,
             // Programs that write a log anew may put it behind the messages.
-            Ok(Next::Record(_)) => match self.start_elsewhere()? {
-                Some(meta) => meta,
-                None => return Err(ReadError::NotALog { path }),
-            },
-            Ok(Next::End) => return Err(ReadError::NotALog { path }),
-            Ok(Next::Cut) => return Err(ReadError::Empty { path }),
+            Ok(Next::Record(_)) => {
+                let description = salvage::describe(&path).map_err(at(&path))?;
+                // Reading begins anew.
+                self.container = Container::open(&path)?;
+                match description.start {
+                    Some(start) => start.metadata,
+                    None => return Err(ReadError::NotALog(path)),
+                }
+            }
+            Ok(Next::End) => return Err(ReadError::NotALog(path)),
+            Ok(Next::Cut) => return Err(ReadError::Empty(path)),
             Err(Damage::Container(McapError::BadMagic)) => {
                 let mut first = [0; 16];
                 let _ = vigil_types::files::open(&path).and_then(|mut file| io::Read::read(&mut file, &mut first));
                 let known = FOREIGN.iter().find(|(mark, _)| first.starts_with(mark));
-                let looks_like = known.map(|(_, kind)| *kind);
-                return Err(ReadError::NotMcap { path, looks_like });
+                return Err(ReadError::NotMcap(path, known.map(|(_, kind)| *kind)));
             }
             Err(Damage::Container(McapError::Io(error))) => return Err(at(&path)(error).into()),
             Err(what) => return Err(self.damaged(what)),
         };
-        match FlightInfo::format_version(&meta) {
-            Some(LOG_FORMAT) => (),
-            Some(found) => {
-                let program = meta.get("program").cloned();
-                return Err(ReadError::Version { path, found, program });
-            }
-            None => return Err(ReadError::Metadata { path, key: "format" }),
-        }
-        (self.info, self.epoch_offset_ns) =
-            FlightInfo::from_metadata(&meta).map_err(|key| ReadError::Metadata { path, key })?;
+        (self.info, self.epoch_offset_ns) = flight_of(path, &meta)?;
         Ok(())
-    }
-
-    /// The metadata of a log that does not begin with them; reading then begins anew.
-    fn start_elsewhere(&mut self) -> Result<Option<BTreeMap<String, String>>, ReadError> {
-        let description = salvage::describe(&self.path).map_err(at(&self.path))?;
-        self.container = Container::open(&self.path)?;
-        Ok(description.start.map(|start| start.metadata))
     }
 
     /// Who flew with which settings.
@@ -328,7 +323,7 @@ impl Reader {
                     self.end = Some(match self.counted {
                         // Of a log that is cut, only the index behind all records is missing then.
                         Some((counted, dropped)) if counted == self.records => LogEnd::Closed { dropped },
-                        Some((counted, _)) if matches!(end, Next::End) => return Err(Damage::Count { counted }),
+                        Some((counted, _)) if matches!(end, Next::End) => return Err(Damage::Count(counted)),
                         _ => LogEnd::Interrupted { records: self.records },
                     });
                     return Ok(false);
@@ -343,15 +338,14 @@ impl Reader {
                     self.counted = number("records").zip(number("dropped"));
                 }
                 Record::Message { header, data } => match self.channels.get(&header.channel_id).map(String::as_str) {
-                    Some(topic::DEPTH) => {
-                        let image = RawImage::decode(data.as_ref()).map_err(|source| Damage::Message {
-                            topic: topic::DEPTH,
-                            source,
-                        })?;
-                        self.image = Some((header, image));
-                    }
+                    Some(topic::DEPTH) => self.image = Some((header.sequence, data.into_owned())),
                     Some(_) => {
-                        self.take_tick(&data, record)?;
+                        let image = self.image.take();
+                        read_step(
+                            &data,
+                            image.as_ref().map(|(number, image)| (*number, image.as_slice())),
+                            record,
+                        )?;
                         self.records += 1;
                         let first_ns = self.span_ns.map_or(record.now_ns, |(first, _)| first);
                         self.span_ns = Some((first_ns, record.now_ns));
@@ -364,26 +358,6 @@ impl Reader {
         }
     }
 
-    fn take_tick(&mut self, data: &[u8], record: &mut TickRecord) -> Result<(), Damage> {
-        let tick = proto::Tick::decode(data).map_err(|source| Damage::Message {
-            topic: topic::TICK,
-            source,
-        })?;
-        let has_frame = convert::from_wire(&tick, record).map_err(Damage::Record)?;
-        let step = record.timing.step;
-        match (has_frame, self.image.take()) {
-            (false, None) => Ok(()),
-            (true, Some((header, image))) if header.sequence == step as u32 => {
-                if display::read_depth_image(&image, &mut record.frame_slot(true).depth) {
-                    Ok(())
-                } else {
-                    Err(Damage::Image { step })
-                }
-            }
-            _ => Err(Damage::FrameMissing { step }),
-        }
-    }
-
     /// The next channel, metadata or message of interest.
     fn next_container_record(&mut self) -> Result<Next, Damage> {
         self.container.next_of(&self.channels).map_err(Damage::Container)
@@ -392,12 +366,8 @@ impl Reader {
 
 impl std::fmt::Debug for Reader {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Reader")
-            .field("path", &self.path)
-            .field("info", &self.info)
-            .field("records", &self.records)
-            .field("end", &self.end)
-            .finish_non_exhaustive()
+        let mut reader = f.debug_struct("Reader");
+        reader.field("path", &self.path).finish_non_exhaustive()
     }
 }
 
@@ -406,10 +376,7 @@ impl Iterator for Reader {
 
     fn next(&mut self) -> Option<Self::Item> {
         let mut record = Box::default();
-        match self.read_next(&mut record) {
-            Ok(true) => Some(Ok(record)),
-            Ok(false) => None,
-            Err(error) => Some(Err(error)),
-        }
+        let read = self.read_next(&mut record);
+        read.map(|more| more.then_some(record)).transpose()
     }
 }

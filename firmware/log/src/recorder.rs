@@ -1,8 +1,7 @@
 //! The loop's side of the log: a handle that never waits, and the thread behind it that writes.
 
 use crate::log_file::LogFile;
-use crate::tlog::Tlog;
-use crate::{FlightInfo, Scene, TickRecord};
+use crate::{FlightInfo, Scene, TickRecord, tlog};
 use mcap::McapError;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::fs::File;
@@ -91,25 +90,18 @@ pub enum StartError {
     #[error("log directory {0}; give a directory that can be written")]
     Directory(FileError),
     /// A log of that name is already there; nothing was touched.
-    #[error("log file {path} already exists and is kept; give another name")]
-    Exists {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("log file {0} already exists and is kept; give another name")]
+    Exists(PathBuf),
     /// The file cannot be made.
     #[error("log file {0}; give a place that can be written")]
     Create(FileError),
     /// The file was made and its first bytes could not be written, for example on a full disk.
     #[error(
-        "log file {path} cannot be written: {}; free some space or give another place",
-        describe(.what)
+        "log file {} cannot be written: {}; free some space or give another place",
+        .0.display(),
+        describe(.1)
     )]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// What went wrong.
-        what: McapError,
-    },
+    Write(PathBuf, McapError),
     /// No slots were asked for.
     #[error("a recorder needs at least one slot")]
     NoSlots,
@@ -152,7 +144,6 @@ pub struct Summary {
 
 #[derive(Debug, Default)]
 struct Shared {
-    /// Set when recording ends.
     dropped: AtomicU64,
     written: AtomicU64,
     flushed: AtomicU64,
@@ -168,9 +159,10 @@ pub struct Recorder {
     /// `None` once finished; dropping it lets the thread finish.
     full: Option<Producer<Box<TickRecord>>>,
     when_full: WhenFull,
-    dropped: u64,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<Option<String>>>,
+    /// Holds the log's lock until it is finished, so that nobody replaces it meanwhile; `None` where there are no locks.
+    lock: Option<File>,
     path: PathBuf,
     tlog_path: PathBuf,
 }
@@ -185,8 +177,9 @@ impl Recorder {
             return Err(StartError::NoSlots);
         }
         let (file, path) = create_log(&config.place)?;
+        let lock = file.try_clone().ok().filter(|file| file.try_lock().is_ok());
         let tlog_path = path.with_extension("tlog");
-        let started = create_new(&tlog_path).and_then(|tlog| {
+        let mut started = create_new(&tlog_path).and_then(|tlog| {
             let started = Self::start_on(file, tlog, path.clone(), tlog_path.clone(), config);
             if started.is_err() {
                 // Made above and empty: no data is lost. A failure to remove leaves an empty file.
@@ -194,8 +187,11 @@ impl Recorder {
             }
             started
         });
-        if started.is_err() {
-            let _ = std::fs::remove_file(&path);
+        match &mut started {
+            Ok(recorder) => recorder.lock = lock,
+            Err(_) => {
+                let _ = std::fs::remove_file(&path);
+            }
         }
         started
     }
@@ -218,10 +214,7 @@ impl Recorder {
             config.scene,
             config.content,
         )
-        .map_err(|what| StartError::Write {
-            path: path.clone(),
-            what,
-        })?;
+        .map_err(|what| StartError::Write(path.clone(), what))?;
         let (mut free_in, free) = RingBuffer::new(config.slots);
         let (full, full_out) = RingBuffer::new(config.slots);
         while !free_in.is_full() {
@@ -232,7 +225,7 @@ impl Recorder {
         let scribe = Scribe {
             full: full_out,
             free: free_in,
-            tlog: Some(Tlog::new(BufWriter::new(tlog_sink))),
+            tlog: Some(BufWriter::new(tlog_sink)),
             file: Some(file),
             shared: Arc::clone(&shared),
             epoch_offset_ns: config.epoch_offset_ns,
@@ -252,9 +245,9 @@ impl Recorder {
             free,
             full: Some(full),
             when_full: config.when_full,
-            dropped: 0,
             shared,
             thread: Some(thread),
+            lock: None,
             path,
             tlog_path,
         })
@@ -266,12 +259,12 @@ impl Recorder {
     pub fn record(&mut self, fill: impl FnOnce(&mut TickRecord)) -> bool {
         let recorded = self.take_slot().is_some_and(|mut slot| {
             fill(&mut slot);
-            slot.dropped_before = self.dropped;
+            slot.dropped_before = self.shared.dropped.load(Ordering::Relaxed);
             // There are as many places as slots, so this ring is never full.
             self.full.as_mut().is_some_and(|full| full.push(slot).is_ok())
         });
         if !recorded {
-            self.dropped += 1;
+            self.shared.dropped.fetch_add(1, Ordering::Relaxed);
         }
         recorded
     }
@@ -292,7 +285,7 @@ impl Recorder {
         RecorderStatus {
             written: self.shared.written.load(Ordering::Relaxed),
             flushed: self.shared.flushed.load(Ordering::Relaxed),
-            dropped: self.dropped,
+            dropped: self.shared.dropped.load(Ordering::Relaxed),
             lost: self.shared.lost.load(Ordering::Relaxed),
             failed: self.shared.failed.load(Ordering::Relaxed),
         }
@@ -318,14 +311,14 @@ impl Recorder {
     }
 
     fn close(&mut self) -> Option<String> {
-        self.shared.dropped.store(self.dropped, Ordering::Relaxed);
-        // Dropping the producer publishes the store above to the thread.
+        // Dropping the producer publishes the count of what was dropped to the thread.
         self.full = None;
         let thread = self.thread.take()?;
         thread.thread().unpark();
-        thread
-            .join()
-            .unwrap_or_else(|_| Some("the recorder thread ended by itself".to_owned()))
+        let ended = thread.join();
+        // Not left to the closing: a process that is just being started holds the file a little longer.
+        let _ = self.lock.take().map(|lock| lock.unlock());
+        ended.unwrap_or_else(|_| Some("the recorder thread ended by itself".to_owned()))
     }
 }
 
@@ -338,7 +331,7 @@ impl Drop for Recorder {
 
 fn create_new(path: &Path) -> Result<File, StartError> {
     File::create_new(path).map_err(|source| match source.kind() {
-        io::ErrorKind::AlreadyExists => StartError::Exists { path: path.to_owned() },
+        io::ErrorKind::AlreadyExists => StartError::Exists(path.to_owned()),
         _ => StartError::Create(at(path)(source)),
     })
 }
@@ -350,22 +343,18 @@ fn create_log(place: &LogPlace) -> Result<(File, PathBuf), StartError> {
     };
     let error = |source| StartError::Directory(at(directory)(source));
     std::fs::create_dir_all(directory).map_err(error)?;
-    let mut last = 0;
+    let mut last = 0_u32;
     for entry in std::fs::read_dir(directory).map_err(error)? {
         let name = entry.map_err(error)?.file_name();
-        let number = name
-            .to_str()
-            .and_then(|n| n.strip_prefix("flight-"))
-            .and_then(|n| n.split('.').next())
-            .and_then(|n| n.parse::<u32>().ok());
-        last = last.max(number.unwrap_or(0));
+        let of_flight = name.to_str().and_then(|n| n.strip_prefix("flight-")?.split('.').next());
+        last = last.max(of_flight.and_then(|number| number.parse().ok()).unwrap_or(0));
     }
     // Another instance may take the same number at the same time; the one that comes second goes on to the next.
     loop {
         last = last.saturating_add(1);
         let path = directory.join(format!("flight-{last:04}.mcap"));
         match create_new(&path) {
-            Err(StartError::Exists { .. }) if last < u32::MAX => (),
+            Err(StartError::Exists(_)) if last < u32::MAX => (),
             result => return result.map(|file| (file, path)),
         }
     }
@@ -378,7 +367,7 @@ struct Scribe<W: Write + Seek, T: Write> {
     /// `None` after a failure.
     file: Option<LogFile<W>>,
     /// `None` after a failure.
-    tlog: Option<Tlog<T>>,
+    tlog: Option<BufWriter<T>>,
     shared: Arc<Shared>,
     epoch_offset_ns: u64,
     failure: Option<String>,
@@ -414,11 +403,10 @@ impl<W: Write + Seek, T: Write> Scribe<W, T> {
     }
 
     fn write(&mut self, record: &TickRecord) {
-        if let Some(tlog) = &mut self.tlog {
+        if let Some(to) = &mut self.tlog {
             let at_ns = record.now_ns.saturating_add(self.epoch_offset_ns);
-            let result = tlog
-                .write(at_ns, &record.received)
-                .and_then(|()| tlog.write(at_ns, &record.sent));
+            let result = tlog::write(to, at_ns, &record.received);
+            let result = result.and_then(|()| tlog::write(to, at_ns, &record.sent));
             self.check_tlog(result);
         }
         let Some(file) = &mut self.file else {
@@ -445,7 +433,7 @@ impl<W: Write + Seek, T: Write> Scribe<W, T> {
             return;
         }
         if let Some(file) = &mut self.file {
-            match file.flush() {
+            match file.sheet.writer.flush() {
                 Ok(()) => self.note_flush(),
                 Err(error) => self.fail(&error),
             }
@@ -456,7 +444,7 @@ impl<W: Write + Seek, T: Write> Scribe<W, T> {
         let written = self.shared.written.load(Ordering::Relaxed);
         self.shared.flushed.store(written, Ordering::Relaxed);
         self.flushed_at = Instant::now();
-        let result = self.tlog.as_mut().map_or(Ok(()), Tlog::flush);
+        let result = self.tlog.as_mut().map_or(Ok(()), Write::flush);
         self.check_tlog(result);
     }
 

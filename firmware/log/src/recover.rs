@@ -1,8 +1,8 @@
 //! Makes a closed log of one that was not closed or is damaged: everything that is whole, and what was lost in words.
 
 use crate::log_file::{self, META_END, META_STORY, topic};
-use crate::proto::foxglove::RawImage;
-use crate::{LogEnd, ReadError, Reader, TickRecord, convert, display, proto, salvage, tlog};
+use crate::reader::{flight_of, read_step};
+use crate::{LogEnd, ReadError, Reader, TickRecord, proto, salvage, tlog};
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record};
 use prost::Message;
@@ -18,34 +18,25 @@ pub enum RecoverError {
     /// The log itself cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// There is nothing in it to recover.
+    /// Nothing says which version wrote it.
+    #[error("{0} is damaged where it says which version of Vigil wrote it with which settings; nothing was written")]
+    Nameless(PathBuf),
+    /// There is nothing in it to recover, perhaps because of its chunks' compression.
     #[error(
-        "{path} holds no whole record{}; nothing was written",
-        .compression.as_deref().map(|name| format!(
+        "{} holds no whole record{}; nothing was written",
+        .0.display(),
+        .1.as_deref().map(|name| format!(
             ": its chunks are compressed with `{}`, and lz4, zstd and nothing are what can be read",
             name.escape_debug()
         )).unwrap_or_default()
     )]
-    Nothing {
-        /// The log.
-        path: PathBuf,
-        /// A compression of its chunks that is not known.
-        compression: Option<String>,
-    },
+    Nothing(PathBuf, Option<String>),
     /// The new file is already there; nothing was touched.
-    #[error("{path} already exists and is kept; give another name")]
-    Exists {
-        /// The new file.
-        path: PathBuf,
-    },
+    #[error("{0} already exists and is kept; give another name")]
+    Exists(PathBuf),
     /// The new file cannot be written.
-    #[error("{path} cannot be written: {}", crate::recorder::describe(.what))]
-    Write {
-        /// The new file.
-        path: PathBuf,
-        /// What went wrong.
-        what: McapError,
-    },
+    #[error("{} cannot be written: {}", .0.display(), crate::recorder::describe(.1))]
+    Write(PathBuf, McapError),
 }
 
 /// What is in the new log, and what is not.
@@ -130,23 +121,26 @@ impl std::fmt::Display for Recovery {
 /// # Errors
 /// [`RecoverError`] when `from` is no log or holds no whole record, or when `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
-    // Whose log it is, and of which version.
-    let epoch_offset_ns = Reader::open(from)?.epoch_offset_ns();
     let description = salvage::describe(from).map_err(at(from)).map_err(ReadError::Io)?;
-    let unwritable = |what: McapError| RecoverError::Write {
-        path: to.to_owned(),
-        what,
+    // Whose log it is, and of which version.
+    let Some(start) = &description.start else {
+        return Err(match Reader::open(from) {
+            Ok(_) | Err(ReadError::Damaged { .. }) => RecoverError::Nameless(from.to_owned()),
+            Err(error) => error.into(),
+        });
     };
+    let (_, epoch_offset_ns) = flight_of(from.to_owned(), &start.metadata)?;
+    let unwritable = |what: McapError| RecoverError::Write(to.to_owned(), what);
     let sink = File::create_new(to).map_err(|error| match error.kind() {
-        io::ErrorKind::AlreadyExists => RecoverError::Exists { path: to.to_owned() },
+        io::ErrorKind::AlreadyExists => RecoverError::Exists(to.to_owned()),
         _ => unwritable(error.into()),
     })?;
     let copied = copy(from, &description, sink).map_err(unwritable);
     let result = copied.and_then(|copy| match copy.records {
-        0 => Err(RecoverError::Nothing {
-            path: from.to_owned(),
-            compression: description.unknown_compression.clone(),
-        }),
+        0 => Err(RecoverError::Nothing(
+            from.to_owned(),
+            description.unknown_compression.clone(),
+        )),
         _ => Ok(copy.recovery(&description, from, epoch_offset_ns)),
     });
     if result.is_err() {
@@ -302,18 +296,11 @@ impl Copy {
 
     /// The step's message of a record that a reader accepts.
     fn whole(&mut self, group: &[(MessageHeader, Vec<u8>)]) -> Option<proto::Tick> {
-        let of = |channel: Option<u16>| group.iter().find(|(header, _)| Some(header.channel_id) == channel);
-        let tick = proto::Tick::decode(of(self.tick)?.1.as_slice()).ok()?;
-        let has_frame = convert::from_wire(&tick, &mut self.scratch).ok()?;
-        let image_is_whole = match of(self.depth) {
-            None => false,
-            Some((header, data)) => {
-                let image = RawImage::decode(data.as_slice()).ok()?;
-                header.sequence == self.scratch.timing.step as u32
-                    && display::read_depth_image(&image, &mut self.scratch.frame_slot(true).depth)
-            }
+        let of = |channel: Option<u16>| {
+            let (header, data) = group.iter().find(|(header, _)| Some(header.channel_id) == channel)?;
+            Some((header.sequence, data.as_slice()))
         };
-        (has_frame == image_is_whole).then_some(tick)
+        read_step(of(self.tick)?.1, of(self.depth), &mut self.scratch).ok()
     }
 
     fn recovery(self, description: &salvage::Description, from: &Path, epoch_offset_ns: u64) -> Recovery {

@@ -5,6 +5,7 @@
 //! piece is found by its form: of a chunk, behind opcode and length two times, size, checksum, and the name of the compression,
 //! the stored size, which must agree with the record's length; of a message, the records that follow it.
 
+use crate::FlightInfo;
 use crate::container::{Container, LENGTH_LIMIT, Next, linear_reader, parse};
 use crate::log_file::META;
 use mcap::McapError;
@@ -47,15 +48,16 @@ pub(crate) struct Description {
 
 /// Reads what describes the messages.
 pub(crate) fn describe(path: &Path) -> io::Result<Description> {
-    let mut description = Description::default();
+    let (mut start, mut schemas, mut channels) = (None, BTreeMap::new(), BTreeMap::new());
     let walked = walk(path, &mut |record| {
         match record {
-            Record::Metadata(metadata) if metadata.name == META => description.start = Some(metadata),
+            Record::Metadata(metadata) if metadata.name == META => start = Some(metadata),
+            // What the summary says again has no checksum.
             Record::Schema { header, data } => {
-                description.schemas.insert(header.id, (header, data.into_owned()));
+                schemas.entry(header.id).or_insert((header, data.into_owned()));
             }
             Record::Channel(channel) => {
-                description.channels.insert(channel.id, channel);
+                channels.entry(channel.id).or_insert(channel);
             }
             _ => {}
         }
@@ -65,11 +67,31 @@ pub(crate) fn describe(path: &Path) -> io::Result<Description> {
         McapError::Io(error) => error,
         other => io::Error::other(other),
     })?;
+    if start.is_none() {
+        start = find_start(path)?;
+    }
     Ok(Description {
-        start: description.start,
-        schemas: description.schemas,
-        channels: description.channels,
+        start,
+        schemas,
+        channels,
         ..walked
+    })
+}
+
+/// The metadata of a log that stand behind a damaged opcode or length: where they end they say themselves.
+fn find_start(path: &Path) -> io::Result<Option<Metadata>> {
+    let file = vigil_types::files::open(path)?;
+    let size = file.metadata()?.len();
+    let name = [&(META.len() as u32).to_le_bytes(), META.as_bytes()].concat();
+    find(&file, MAGIC, size, |at, window| {
+        if !window.starts_with(&name) {
+            return Ok(None);
+        }
+        let content = read(&file, at, LENGTH_LIMIT.min(size - at))?;
+        Ok(match parse(op::METADATA, &content) {
+            Ok(Record::Metadata(start)) if FlightInfo::format_version(&start.metadata).is_some() => Some(start),
+            _ => None,
+        })
     })
 }
 
@@ -82,23 +104,16 @@ pub(crate) fn walk(
     let size = file.metadata()?.len();
     let mut walked = Description::default();
     // Packed messages may lie in a damaged chunk as they are, or nearly: only a file without chunks has them by their form.
-    let mut kinds: Option<&[u8]> = None;
-    let mut find = |from: u64| {
-        let known = match kinds {
-            Some(known) => known,
-            None => match find_piece(&file, MAGIC, size, &[op::CHUNK])? {
-                Some(_) => *kinds.insert(&[op::CHUNK]),
-                None => *kinds.insert(&[op::MESSAGE]),
-            },
-        };
-        find_piece(&file, from, size, known)
+    let kind = match find_piece(&file, MAGIC, size, op::CHUNK)? {
+        Some(_) => op::CHUNK,
+        None => op::MESSAGE,
     };
     let mut at = MAGIC;
     while at < size {
         let Some((opcode, length)) = head(&file, at, size)? else {
             walked.damaged_at.get_or_insert(at);
             // A length that was damaged, or the end that was cut off.
-            match find(at + 1)? {
+            match find_piece(&file, at + 1, size, kind)? {
                 Some(next) => at = next,
                 None => {
                     walked.cut_bytes = size - at;
@@ -118,26 +133,28 @@ pub(crate) fn walk(
                     None
                 })
             }
+            // Some other piece whose opcode was damaged.
+            op::MESSAGE if kind == op::CHUNK => None,
             op::METADATA | op::ATTACHMENT | op::SCHEMA | op::CHANNEL | op::MESSAGE => {
                 let record = parse(opcode, &read(&file, content, length)?);
                 record.map(|record| vec![record]).ok()
             }
-            // Only the mark follows.
-            op::FOOTER => return Ok(walked),
+            // Only the mark follows, as far as there is one.
+            op::FOOTER if mcap::MAGIC.starts_with(&read(&file, end, MAGIC.min(size - end))?) => return Ok(walked),
             _ => Some(Vec::new()),
         };
         let is_whole = whole.is_some();
-        if !is_whole {
+        // A length without a checksum is believed where something follows it, and a damaged piece's too.
+        let trusted = is_whole && opcode == op::CHUNK || end == size || head(&file, end, size)?.is_some();
+        if !(is_whole && trusted) {
             walked.damaged_at.get_or_insert(at);
         }
         for record in whole.into_iter().flatten() {
             take(record)?;
         }
-        let trusted = is_whole || end == size || head(&file, end, size)?.is_some();
         at = match trusted {
             true => end,
-            // The piece is damaged, and so may be its length.
-            false => find(at + 1)?.unwrap_or(size),
+            false => find_piece(&file, at + 1, size, kind)?.unwrap_or(if is_whole { end } else { size }),
         };
     }
     Ok(walked)
@@ -209,20 +226,32 @@ fn chunk(bytes: &[u8]) -> Result<Option<Vec<Record<'static>>>, McapError> {
     }
 }
 
-/// The next place from `from` on at which a piece of these kinds, chunks or messages, begins, by its form.
-fn find_piece(file: &File, from: u64, size: u64, kinds: &[u8]) -> io::Result<Option<u64>> {
+/// The next place from `from` on at which a piece of this kind, chunk or message, begins, by its form.
+fn find_piece(file: &File, from: u64, size: u64, kind: u8) -> io::Result<Option<u64>> {
+    find(file, from, size, |at, window| {
+        // The upper half of a length is zero (LENGTH_LIMIT).
+        let possible = window.first() == Some(&kind) && window.get(5..) == Some(&[0; 4]);
+        Ok((possible && is_piece(file, at, size)?).then_some(at))
+    })
+}
+
+/// What `seek` finds first from `from` on, of each place and the bytes there, as many as opcode and length have.
+fn find<T>(
+    file: &File,
+    from: u64,
+    size: u64,
+    seek: impl Fn(u64, &[u8]) -> io::Result<Option<T>>,
+) -> io::Result<Option<T>> {
     const WINDOW: u64 = 1 << 20;
-    // Neighbouring windows overlap by opcode and length, of which the upper half is zero (LENGTH_LIMIT).
     let mut at = from;
     while at + HEAD < size {
         let bytes = read(file, at, WINDOW.min(size - at))?;
-        for (offset, window) in bytes.windows(HEAD as usize).enumerate() {
-            let possible =
-                window.first().is_some_and(|first| kinds.contains(first)) && window.get(5..) == Some(&[0; 4]);
-            if possible && is_piece(file, at + offset as u64, size)? {
-                return Ok(Some(at + offset as u64));
+        for (window, at) in bytes.windows(HEAD as usize).zip(at..) {
+            if let Some(found) = seek(at, window)? {
+                return Ok(Some(found));
             }
         }
+        // Neighbouring windows overlap by what is looked at.
         at += WINDOW - HEAD + 1;
     }
     Ok(None)

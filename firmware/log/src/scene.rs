@@ -71,19 +71,8 @@ pub enum SceneError {
         source: serde_json::Error,
     },
     /// A number that no solid can have.
-    #[error("scene file {path}: solid {index} has {field} = {value}; {expected}")]
-    Value {
-        /// The file.
-        path: PathBuf,
-        /// Which solid, counted from 0.
-        index: usize,
-        /// The field.
-        field: &'static str,
-        /// What it holds.
-        value: f32,
-        /// What it may hold.
-        expected: &'static str,
-    },
+    #[error("scene file {0}: {1}")]
+    Value(PathBuf, String),
 }
 
 impl Scene {
@@ -98,14 +87,9 @@ impl Scene {
             source,
         })?;
         for (index, solid) in scene.solids.iter().enumerate() {
-            if let Some((field, value, expected)) = solid.bad_value() {
-                return Err(SceneError::Value {
-                    path: path.to_owned(),
-                    index,
-                    field,
-                    value,
-                    expected,
-                });
+            if let Some(defect) = solid.defect() {
+                let text = format!("solid {index} has {defect}");
+                return Err(SceneError::Value(path.to_owned(), text));
             }
         }
         Ok(scene)
@@ -215,36 +199,37 @@ pub(crate) fn solids_of(update: &SceneUpdate) -> Vec<SceneSolid> {
 }
 
 impl SceneSolid {
-    /// The first number that is not finite or, for a size, not positive: field, value, what is allowed.
-    fn bad_value(&self) -> Option<(&'static str, f32, &'static str)> {
-        let (centre, turn, sizes): (_, _, &[(&'static str, f32)]) = match self {
+    /// The first number that is not finite or, for a size, not positive, and what is allowed.
+    fn defect(&self) -> Option<String> {
+        let (centre_ned_m, yaw_rad, sizes) = match *self {
             Self::Cuboid {
                 centre_ned_m,
-                half_extents_m: [x, y, z],
+                half_extents_m,
                 yaw_rad,
-            } => {
-                let field = "half_extents_m";
-                (centre_ned_m, *yaw_rad, &[(field, *x), (field, *y), (field, *z)])
-            }
+            } => (
+                centre_ned_m,
+                yaw_rad,
+                half_extents_m.map(|v| ("half_extents_m", v)).to_vec(),
+            ),
             Self::Cylinder {
                 centre_ned_m,
                 radius_m,
                 half_height_m,
-            } => (
-                centre_ned_m,
-                0.0,
-                &[("radius_m", *radius_m), ("half_height_m", *half_height_m)],
-            ),
+            } => {
+                let sizes = vec![("radius_m", radius_m), ("half_height_m", half_height_m)];
+                (centre_ned_m, 0.0, sizes)
+            }
         };
-        let anywhere = centre.iter().map(|v| ("centre_ned_m", *v)).chain([("yaw_rad", turn)]);
-        let endless = anywhere
-            .filter(|(_, v)| !v.is_finite())
-            .map(|(field, v)| (field, v, "give a finite number"));
-        let shapeless = sizes
-            .iter()
-            .filter(|(_, v)| !(v.is_finite() && *v > 0.0))
-            .map(|(field, v)| (*field, *v, "give a positive number"));
-        endless.chain(shapeless).next()
+        let mut anywhere = centre_ned_m
+            .map(|v| ("centre_ned_m", v))
+            .into_iter()
+            .chain([("yaw_rad", yaw_rad)]);
+        let endless = anywhere.find(|(_, v)| !v.is_finite());
+        let shapeless = || sizes.into_iter().find(|(_, v)| !(v.is_finite() && *v > 0.0));
+        let text = |expected| move |(field, value)| format!("{field} = {value}; give a {expected} number");
+        endless
+            .map(text("finite"))
+            .or_else(|| shapeless().map(text("positive")))
     }
 
     /// Points on the solid's faces (the bottom left out), NED metres: some viewers show point clouds and no solids.
@@ -327,20 +312,11 @@ mod tests {
     use super::*;
 
     fn scene() -> Scene {
-        Scene {
-            solids: vec![
-                SceneSolid::Cuboid {
-                    centre_ned_m: [8.0, -2.0, -1.5],
-                    half_extents_m: [2.0, 0.1, 1.5],
-                    yaw_rad: std::f32::consts::FRAC_PI_2,
-                },
-                SceneSolid::Cylinder {
-                    centre_ned_m: [5.0, 1.0, -2.0],
-                    radius_m: 0.4,
-                    half_height_m: 2.0,
-                },
-            ],
-        }
+        let text = r#"{ "solids": [
+            { "cuboid": { "centre_ned_m": [8, -2, -1.5], "half_extents_m": [2, 0.1, 1.5], "yaw_rad": 1.5707964 } },
+            { "cylinder": { "centre_ned_m": [5, 1, -2], "radius_m": 0.4, "half_height_m": 2 } }
+        ] }"#;
+        serde_json::from_str(text).unwrap()
     }
 
     #[test]

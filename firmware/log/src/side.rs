@@ -13,11 +13,14 @@ use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata, Record};
 use prost::Message;
 use std::collections::{BTreeMap, HashMap};
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 use vigil_types::files::{self, Access, FileError};
 use vigil_types::{Attitude, DepthFrame, Nanos, NedVector};
+
+/// Names of channels.
+type Topics = &'static [&'static str];
 
 /// Why a side log cannot be written, or not be put into the log.
 #[derive(Debug, thiserror::Error)]
@@ -171,7 +174,15 @@ impl SideFile {
 /// # Errors
 /// [`SideError`]: a log that cannot be read, a file that cannot be written; the log is then as it was.
 pub fn merge_into(log: &Path, sides: &[&Path], about: &BTreeMap<String, String>) -> Result<(), SideError> {
-    replace_merged(log, sides, about, &[])
+    replace_merged(log, sides, about, [&[], &[]])
+}
+
+/// As [`merge_into`], for a log without frames ([`vigil_types::LogContent::Light`]): those before they were altered stay out, too.
+///
+/// # Errors
+/// As [`merge_into`].
+pub fn merge_into_light(log: &Path, sides: &[&Path], about: &BTreeMap<String, String>) -> Result<(), SideError> {
+    replace_merged(log, sides, about, [&[], &[topic::CLEAN_DEPTH]])
 }
 
 /// Puts what was derived from the log among its messages ([`crate::DerivedLog`]): `map` and way, `shap`, or both, in the place of
@@ -180,22 +191,29 @@ pub fn merge_into(log: &Path, sides: &[&Path], about: &BTreeMap<String, String>)
 /// # Errors
 /// As [`merge_into`].
 pub fn merge_derived(log: &Path, derived: &Path, map: bool, shap: bool) -> Result<(), SideError> {
-    let replaced: &'static [&'static str] = match (map, shap) {
+    let replaced: Topics = match (map, shap) {
         (true, true) => &[topic::GRID, topic::WAY, topic::SHAP],
         (true, false) => &[topic::GRID, topic::WAY],
         (false, true) => &[topic::SHAP],
         (false, false) => &[],
     };
-    replace_merged(log, &[derived], &BTreeMap::new(), replaced)
+    replace_merged(log, &[derived], &BTreeMap::new(), [replaced, &[]])
 }
 
+/// `without`: topics of the log, and of the side logs, that are left out.
 fn replace_merged(
     log: &Path,
     sides: &[&Path],
     about: &BTreeMap<String, String>,
-    without: &'static [&'static str],
+    without: [Topics; 2],
 ) -> Result<(), SideError> {
     let epoch_offset_ns = Reader::open(log)?.epoch_offset_ns();
+    // Its recorder would go on with a file that has no name any more. Where there are no locks, nobody holds one.
+    let before = files::open(log).map_err(files::at(log))?;
+    if let Err(TryLockError::WouldBlock) = before.try_lock_shared() {
+        let busy = io::Error::other("it is still being written; wait for the flight's end");
+        return Err(files::at(log)(busy).into());
+    }
     let merged = files::replace_with(log, Access::Shared, |file| {
         merge(log, sides, about, without, epoch_offset_ns, file).map_err(io::Error::other)
     });
@@ -206,19 +224,18 @@ fn merge(
     log: &Path,
     sides: &[&Path],
     about: &BTreeMap<String, String>,
-    without: &'static [&'static str],
+    [without, sides_without]: [Topics; 2],
     epoch_offset_ns: u64,
     to: &mut File,
 ) -> Result<(), SideError> {
     let mut writer = log_file::write_options().create(BufWriter::new(to)).map_err(at(log))?;
     let mut main = Source {
-        without,
         keeps_story: about.is_empty(),
-        ..Source::open(log, None)?
+        ..Source::open(log, None, without)?
     };
     let mut sides = sides
         .iter()
-        .map(|path| Source::open(path, Some(epoch_offset_ns)))
+        .map(|path| Source::open(path, Some(epoch_offset_ns), sides_without))
         .collect::<Result<Vec<_>, _>>()?;
     // What stands before the first message goes first: a reader expects the metadata at the start.
     main.advance(&mut writer)?;
@@ -267,14 +284,14 @@ struct Source<'a> {
     next: Option<(MessageHeader, Vec<u8>)>,
     end: Option<Metadata>,
     /// Topics whose messages are left out.
-    without: &'static [&'static str],
+    without: Topics,
     /// Its metadata of the flight as a whole goes on.
     keeps_story: bool,
     over: bool,
 }
 
 impl<'a> Source<'a> {
-    fn open(path: &'a Path, lacks_ns: Option<u64>) -> Result<Self, SideError> {
+    fn open(path: &'a Path, lacks_ns: Option<u64>, without: Topics) -> Result<Self, SideError> {
         Ok(Self {
             path,
             container: Container::open(path)?,
@@ -283,7 +300,7 @@ impl<'a> Source<'a> {
             channels: HashMap::new(),
             next: None,
             end: None,
-            without: &[],
+            without,
             keeps_story: false,
             over: false,
         })
@@ -387,11 +404,14 @@ mod tests {
         })
         .unwrap();
         recorder.record(|_| {});
+        let early = merge_into(&log, &[], &BTreeMap::new()).unwrap_err().to_string();
+        assert!(early.contains("it is still being written"), "{early}");
         assert_eq!(recorder.finish().failure, None);
 
         let (at_ns, place) = (50_000_000, NedVector::new(1.0, 2.0, -3.0));
         let mut truth = SideLog::create(&side).unwrap();
         truth.truth(at_ns, place, Some(Attitude::LEVEL_NORTH)).unwrap();
+        truth.frame(at_ns, 1, Some((0.5, &DepthFrame::EMPTY))).unwrap();
         let film = mcap::Attachment {
             log_time: at_ns,
             create_time: at_ns,
@@ -402,7 +422,9 @@ mod tests {
         };
         truth.file.sheet.writer.attach(&film).unwrap();
         truth.finish().unwrap();
-        merge_into(&log, &[side.as_path()], &BTreeMap::new()).unwrap();
+        merge_into_light(&log, &[side.as_path()], &BTreeMap::new()).unwrap();
+        let of_frames = [topic::ATTACK, topic::CLEAN_DEPTH].map(|topic| messages(&log, topic).len());
+        assert_eq!(of_frames, [1, 0], "what was done to the frames, without the frames");
         let shown_ns = epoch_offset_ns + at_ns;
         let pose = display::pose(place, Attitude::LEVEL_NORTH);
         let in_map = display::pose_in_map(pose, shown_ns).encode_to_vec();

@@ -4,6 +4,7 @@ use crate::container::{Container, Next};
 use crate::display;
 use crate::log_file::{META_STORY, topic};
 use crate::proto;
+use crate::proto::foxglove::log::Level;
 use crate::proto::foxglove::{Log, PoseInFrame, RawImage, SceneUpdate};
 use crate::{ReadError, Reader, SceneSolid};
 use mcap::records::Record;
@@ -113,47 +114,41 @@ impl Story {
     }
 
     /// A message that does not decode is left out: the records are what counts, and they are checked elsewhere.
-    fn take(&mut self, topic: &str, at_ns: Nanos, sequence: u32, data: &[u8]) {
+    fn take(&mut self, topic: &str, at_ns: Nanos, sequence: u32, data: &[u8]) -> Option<()> {
         match topic {
-            topic::SCENE => {
-                if let Ok(update) = SceneUpdate::decode(data) {
-                    self.solids = crate::scene::solids_of(&update);
-                }
-            }
+            topic::SCENE => self.solids = crate::scene::solids_of(&SceneUpdate::decode(data).ok()?),
             topic::LOG => {
-                if let Ok(log) = Log::decode(data) {
-                    use crate::proto::foxglove::log::Level;
-                    self.lines.push(Line {
-                        at_ns,
-                        weight: match log.level {
-                            level if level >= Level::Error as i32 => Weight::Error,
-                            level if level >= Level::Warning as i32 => Weight::Warning,
-                            _ => Weight::Info,
-                        },
-                        text: log.message,
-                    });
-                }
+                let log = Log::decode(data).ok()?;
+                self.lines.push(Line {
+                    at_ns,
+                    weight: match log.level {
+                        level if level >= Level::Error as i32 => Weight::Error,
+                        level if level >= Level::Warning as i32 => Weight::Warning,
+                        _ => Weight::Info,
+                    },
+                    text: log.message,
+                });
             }
             topic::TRUTH => {
-                let position = PoseInFrame::decode(data).ok().and_then(|p| p.pose?.position);
-                self.truth.extend(position.map(|p| (at_ns, display::ned_point(p))));
+                let position = PoseInFrame::decode(data).ok()?.pose?.position?;
+                self.truth.push((at_ns, display::ned_point(position)));
             }
             topic::ATTACK => {
-                if let Ok(mark) = proto::Attack::decode(data) {
-                    self.attack.push(AttackMark {
-                        at_ns: mark.now_ns,
-                        frame_sequence: mark.frame_sequence,
-                        altered: mark.altered > 0.5,
-                        yaw_change: mark.yaw_change as f32,
-                    });
-                }
+                let mark = proto::Attack::decode(data).ok()?;
+                self.attack.push(AttackMark {
+                    at_ns: mark.now_ns,
+                    frame_sequence: mark.frame_sequence,
+                    altered: mark.altered > 0.5,
+                    yaw_change: mark.yaw_change as f32,
+                });
             }
             _ => {
                 let mut depth = Box::new([0.0; DEPTH_PIXELS]);
-                if RawImage::decode(data).is_ok_and(|image| display::read_depth_image(&image, &mut depth)) {
-                    self.clean.push(CleanFrame { at_ns, sequence, depth });
-                }
+                let image = RawImage::decode(data).ok()?;
+                display::read_depth_image(&image, &mut depth).then_some(())?;
+                self.clean.push(CleanFrame { at_ns, sequence, depth });
             }
         }
+        Some(())
     }
 }

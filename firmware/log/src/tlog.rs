@@ -35,28 +35,14 @@ fn packets(mut bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     })
 }
 
-pub(crate) struct Tlog<W: Write> {
-    sink: W,
-}
-
-impl<W: Write> Tlog<W> {
-    pub(crate) fn new(sink: W) -> Self {
-        Self { sink }
+/// Appends every packet of `datagrams` to a tlog; `at_ns` counts from the UNIX epoch.
+pub(crate) fn write(tlog: &mut impl Write, at_ns: u64, datagrams: &Datagrams) -> io::Result<()> {
+    let stamp = (at_ns / 1000).to_be_bytes();
+    for packet in datagrams.iter().flat_map(|(_, bytes)| packets(bytes)) {
+        tlog.write_all(&stamp)?;
+        tlog.write_all(packet)?;
     }
-
-    /// Appends every packet of `datagrams`; `at_ns` counts from the UNIX epoch.
-    pub(crate) fn write(&mut self, at_ns: u64, datagrams: &Datagrams) -> io::Result<()> {
-        let stamp = (at_ns / 1000).to_be_bytes();
-        for packet in datagrams.iter().flat_map(|(_, bytes)| packets(bytes)) {
-            self.sink.write_all(&stamp)?;
-            self.sink.write_all(packet)?;
-        }
-        Ok(())
-    }
-
-    pub(crate) fn flush(&mut self) -> io::Result<()> {
-        self.sink.flush()
-    }
+    Ok(())
 }
 
 /// The newest stamp of a tlog as nanoseconds since the UNIX epoch, as far as the file is whole; `None` where there is none.
@@ -115,8 +101,8 @@ mod tests {
     fn stamps_are_big_endian_microseconds() {
         let mut datagrams = Datagrams::default();
         assert!(datagrams.push(0, &v1(0)));
-        let mut tlog = Tlog::new(Vec::new());
-        tlog.write(0x0102_0304_0506 * 1000 + 999, &datagrams).unwrap();
-        assert_eq!(&tlog.sink[..9], &[0, 0, 1, 2, 3, 4, 5, 6, 0xFE]);
+        let mut tlog = Vec::new();
+        write(&mut tlog, 0x0102_0304_0506 * 1000 + 999, &datagrams).unwrap();
+        assert_eq!(&tlog[..9], &[0, 0, 1, 2, 3, 4, 5, 6, 0xFE]);
     }
 }

@@ -19,11 +19,7 @@ pub struct ULog {
 }
 
 /// A topic: its name, its fields as ULog writes them behind the time stamp, and what fills them; `None` where nothing is known.
-struct Topic {
-    name: &'static str,
-    fields: &'static str,
-    row: fn(&TickRecord) -> Option<Row>,
-}
+type Topic = (&'static str, &'static str, fn(&TickRecord) -> Option<Row>);
 
 /// The bytes of a message behind its time stamp.
 #[derive(Default)]
@@ -55,11 +51,11 @@ const TRUTH: &str = "vehicle_local_position_groundtruth";
 const TRUTH_FIELDS: &str = "float x;float y;float z;";
 
 const TOPICS: [Topic; 7] = [
-    Topic {
-        name: "vehicle_local_position",
-        fields: "float x;float y;float z;float vx;float vy;float vz;float heading;bool xy_valid;bool z_valid;bool v_xy_valid;\
-                 bool v_z_valid;",
-        row: |record| {
+    (
+        "vehicle_local_position",
+        "float x;float y;float z;float vx;float vy;float vz;float heading;bool xy_valid;bool z_valid;bool v_xy_valid;\
+         bool v_z_valid;",
+        |record| {
             let kinematics = record.report.telemetry.kinematics?;
             let heading = heading_rad(record);
             let (place, velocity) = (kinematics.position_ned_m, kinematics.velocity_ned_m_s);
@@ -70,24 +66,18 @@ const TOPICS: [Topic; 7] = [
             let (there, moving) = (u8::from(place.is_finite()), u8::from(velocity.is_finite()));
             Some(row.byte(there).byte(there).byte(moving).byte(moving))
         },
-    },
-    Topic {
-        name: "vehicle_attitude",
-        fields: "float[4] q;",
-        row: |record| {
-            let q = record.report.telemetry.attitude?.attitude;
-            Some(Row::default().floats([q.w, q.x, q.y, q.z]))
-        },
-    },
-    Topic {
-        name: "vehicle_angular_velocity",
-        fields: "float[3] xyz;",
-        row: |record| Some(Row::default().floats(record.report.telemetry.attitude?.rates_frd_rad_s.to_array())),
-    },
-    Topic {
-        name: "vehicle_local_position_setpoint",
-        fields: "float x;float y;float z;float vx;float vy;float vz;float yaw;float yawspeed;",
-        row: |record| {
+    ),
+    ("vehicle_attitude", "float[4] q;", |record| {
+        let q = record.report.telemetry.attitude?.attitude;
+        Some(Row::default().floats([q.w, q.x, q.y, q.z]))
+    }),
+    ("vehicle_angular_velocity", "float[3] xyz;", |record| {
+        Some(Row::default().floats(record.report.telemetry.attitude?.rates_frd_rad_s.to_array()))
+    }),
+    (
+        "vehicle_local_position_setpoint",
+        "float x;float y;float z;float vx;float vy;float vz;float yaw;float yawspeed;",
+        |record| {
             let setpoint = record.report.setpoint?;
             let heading = heading_rad(record);
             let (forward, right) = (setpoint.velocity_m_s.x, setpoint.velocity_m_s.y);
@@ -98,11 +88,11 @@ const TOPICS: [Topic; 7] = [
             let row = Row::default().floats([f32::NAN; 3]);
             Some(row.floats([north, east, setpoint.velocity_m_s.z, f32::NAN, setpoint.yaw_rate_rad_s]))
         },
-    },
-    Topic {
-        name: "vehicle_status",
-        fields: "uint8_t nav_state;uint8_t arming_state;uint8_t vehicle_type;bool failsafe;",
-        row: |record| {
+    ),
+    (
+        "vehicle_status",
+        "uint8_t nav_state;uint8_t arming_state;uint8_t vehicle_type;bool failsafe;",
+        |record| {
             let heartbeat = record.report.telemetry.heartbeat?;
             // PX4's NAVIGATION_STATE_… and ARMING_STATE_…
             let nav_state = match heartbeat.mode {
@@ -117,21 +107,17 @@ const TOPICS: [Topic; 7] = [
             let row = Row::default().byte(nav_state).byte(if heartbeat.armed { 2 } else { 1 });
             Some(row.byte(1).byte(u8::from(heartbeat.failsafe)))
         },
-    },
-    Topic {
-        name: "battery_status",
-        fields: "float remaining;bool connected;",
-        row: |record| {
-            let remaining = record.report.telemetry.battery_remaining?;
-            Some(Row::default().floats([remaining]).byte(1))
-        },
-    },
-    Topic {
-        name: "vigil_status",
-        fields: "float goal_distance_m;float goal_bearing_rad;float action_forward_m_s;float action_yaw;float actor_yaw;\
-                 float detector_score;float frame_age_s;float step_time_s;uint32_t step;uint32_t reasons;uint32_t further_reasons;\
-                 uint32_t frames_refused;uint8_t state;uint8_t alarm_response;bool alarm;bool attack;",
-        row: |record| {
+    ),
+    ("battery_status", "float remaining;bool connected;", |record| {
+        let remaining = record.report.telemetry.battery_remaining?;
+        Some(Row::default().floats([remaining]).byte(1))
+    }),
+    (
+        "vigil_status",
+        "float goal_distance_m;float goal_bearing_rad;float action_forward_m_s;float action_yaw;float actor_yaw;\
+         float detector_score;float frame_age_s;float step_time_s;uint32_t step;uint32_t reasons;uint32_t further_reasons;\
+         uint32_t frames_refused;uint8_t state;uint8_t alarm_response;bool alarm;bool attack;",
+        |record| {
             let report = &record.report;
             let number = |value: Option<f32>| value.unwrap_or(f32::NAN);
             let seconds = |ns: Option<Nanos>| ns.map_or(f32::NAN, |ns| ns as f32 * 1e-9);
@@ -159,7 +145,7 @@ const TOPICS: [Topic; 7] = [
             let row = row.byte(report.state as u8).byte(response);
             Some(row.byte(u8::from(report.alarm.is_some())).byte(u8::from(is_attack)))
         },
-    },
+    ),
 ];
 
 /// Messages of a file, each with its length and kind before it.
@@ -210,11 +196,11 @@ pub fn ulog(path: &Path) -> Result<ULog, ReadError> {
     for (key, value) in &story.about {
         out.about(&format!("vigil_{key}"), value);
     }
-    let formats = TOPICS.iter().map(|topic| (topic.name, topic.fields));
+    let formats = TOPICS.iter().map(|(name, fields, _)| (*name, *fields));
     for (name, fields) in formats.chain([(TRUTH, TRUTH_FIELDS)]) {
         out.put(b'F', &[format!("{name}:uint64_t timestamp;{fields}").as_bytes()]);
     }
-    for (id, name) in TOPICS.iter().map(|topic| topic.name).chain([TRUTH]).enumerate() {
+    for (id, name) in TOPICS.iter().map(|(name, ..)| *name).chain([TRUTH]).enumerate() {
         out.put(b'A', &[&[0], &(id as u16).to_le_bytes(), name.as_bytes()]);
     }
     let mut lines = story.lines.iter().peekable();
@@ -234,8 +220,8 @@ pub fn ulog(path: &Path) -> Result<ULog, ReadError> {
             };
             out.put(b'L', &[&[level], &micros(line.at_ns), line.text.as_bytes()]);
         }
-        for (id, topic) in TOPICS.iter().enumerate() {
-            if let Some(row) = (topic.row)(&record) {
+        for (id, (_, _, row)) in TOPICS.iter().enumerate() {
+            if let Some(row) = row(&record) {
                 out.put(b'D', &[&(id as u16).to_le_bytes(), &micros(record.now_ns), &row.0]);
             }
         }

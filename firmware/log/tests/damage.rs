@@ -6,9 +6,8 @@ mod common;
 use common::{Draw, bits, drawn, lockstep};
 use mcap::records::{Metadata, Record};
 use proptest::prelude::*;
-use std::collections::BTreeMap;
 use std::path::Path;
-use vigil_log::{LOG_FORMAT, LogEnd, LogPlace, ReadError, Reader, Recorder, RecoverError, recover};
+use vigil_log::{LOG_FORMAT, LogEnd, LogPlace, ReadError, Reader, Recorder, RecoverError, TickRecord, recover};
 
 const STEPS: u64 = 6;
 
@@ -18,24 +17,23 @@ fn small_log() -> Vec<u8> {
     let path = dir.path().join("good.mcap");
     let mut recorder = Recorder::start(lockstep(LogPlace::File(path.clone()))).unwrap();
     for step in 0..STEPS {
-        assert!(recorder.record(|slot| {
-            Draw(step).record(step, step * 400_000_000, slot);
-            // One frame is enough, and keeps the file small.
-            if step != 1 {
-                slot.set_frame(None);
-            }
-        }));
+        assert!(recorder.record(|slot| small(step, slot)));
     }
     assert_eq!(recorder.finish().failure, None);
     std::fs::read(path).unwrap()
 }
 
-fn expected(step: u64) -> Vec<u64> {
-    let mut record = drawn(step);
-    record.now_ns = step * 400_000_000;
+fn small(step: u64, record: &mut TickRecord) {
+    Draw(step).record(step, step * 400_000_000, record);
+    // One frame is enough, and keeps the file small.
     if step != 1 {
         record.set_frame(None);
     }
+}
+
+fn expected(step: u64) -> Vec<u64> {
+    let mut record = Box::default();
+    small(step, &mut record);
     bits(&record)
 }
 
@@ -329,8 +327,10 @@ fn damage_is_reported_by_record_place_and_remedy_and_never_as_a_librarys_bare_er
     );
 }
 
-/// Opcode of a chunk.
+/// Opcodes.
 const CHUNK: u8 = 6;
+const MESSAGE_INDEX: u8 = 7;
+const METADATA: u8 = 12;
 
 /// Where the records of these kinds begin in a log, and how long each is.
 fn pieces(log: &[u8], opcodes: &[u8]) -> Vec<(usize, usize)> {
@@ -382,6 +382,30 @@ fn what_is_whole_around_damage_is_recovered_and_what_is_lost_is_reported() {
     let all: Vec<u64> = (0..STEPS).collect();
     let (steps, whole) = recovered(&good);
     assert_eq!((steps, whole.gaps.len(), whole.lost), (all.clone(), 0, 0));
+    // One byte of what stands before the first chunk, of an index, of what the summary says again: no record is lost.
+    let ((metadata, _), (index, _)) = (pieces(&good, &[METADATA])[0], pieces(&good, &[MESSAGE_INDEX])[1]);
+    let topic = good.windows(11).rposition(|bytes| bytes == b"/vigil/tick").unwrap();
+    for at in [0, 1, 3]
+        .map(|byte| [8 + byte, metadata + byte, index + byte, topic + 1 + byte])
+        .concat()
+    {
+        for flip in [0x02, 0x03, 0x10, 0x40] {
+            let mut bad = good.clone();
+            bad[at] ^= flip;
+            assert_eq!(recovered(&bad).0, all, "{at}, {flip}");
+        }
+    }
+    // Where the metadata itself is, nothing says what it was: that is said, and no remedy that there is not.
+    let (dir, mut bad) = (tempfile::tempdir().unwrap(), good.clone());
+    bad[metadata + 9] ^= 1;
+    std::fs::write(dir.path().join("bad.mcap"), &bad).unwrap();
+    let error = recover(&dir.path().join("bad.mcap"), &dir.path().join("copy.mcap"))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("says which version of Vigil wrote it") && !error.contains("vigil recover"),
+        "{error}"
+    );
     // The first chunk holds what is recorded before the first step.
     for (begin, length) in chunks.into_iter().skip(1) {
         // A bit of the content, and a bit of the length, which takes away where the next piece begins.
@@ -432,16 +456,17 @@ proptest! {
     }
 }
 
-/// An MCAP file with one metadata record.
-fn with_metadata(path: &Path, name: &str, entries: &[(&str, &str)]) {
+/// An MCAP file with one metadata record, its entries as `key=value`.
+fn with_metadata(path: &Path, name: &str, entries: &str) {
     let mut writer = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
-    let metadata: BTreeMap<String, String> = entries.iter().map(|(k, v)| ((*k).into(), (*v).into())).collect();
-    writer
-        .write_metadata(&Metadata {
-            name: name.to_owned(),
-            metadata,
-        })
-        .unwrap();
+    let entries = entries
+        .split_terminator(',')
+        .map(|entry| entry.split_once('=').unwrap());
+    let metadata = Metadata {
+        name: name.to_owned(),
+        metadata: entries.map(|(key, value)| (key.to_owned(), value.to_owned())).collect(),
+    };
+    writer.write_metadata(&metadata).unwrap();
     writer.finish().unwrap();
 }
 
@@ -475,27 +500,21 @@ fn a_wrong_file_is_named_for_what_it_is() {
         );
     }
     assert!(matches!(error(dir.path()), ReadError::Io(_)));
-    with_metadata(&path, "somebody else's", &[]);
+    with_metadata(&path, "somebody else's", "");
     assert!(matches!(error(&path), ReadError::NotALog { .. }));
-    with_metadata(&path, "vigil", &[("program", "x")]);
-    assert!(matches!(error(&path), ReadError::Metadata { key: "format", .. }));
+    with_metadata(&path, "vigil", "program=x");
+    assert!(matches!(error(&path), ReadError::Metadata(_, "format")));
 
-    let next = (LOG_FORMAT + 1).to_string();
-    with_metadata(&path, "vigil", &[("format", &next), ("program", "firmware 9\x1b")]);
+    let next = LOG_FORMAT + 1;
+    with_metadata(&path, "vigil", &format!("format={next},program=firmware 9\x1b"));
     let version = error(&path);
-    assert!(matches!(version, ReadError::Version { found, .. } if found == LOG_FORMAT + 1));
+    assert!(matches!(version, ReadError::Version(_, found, _) if found == next));
     assert!(version.to_string().contains("(firmware 9\\u{1b})"), "{version}");
 
-    let format = LOG_FORMAT.to_string();
     with_metadata(
         &path,
         "vigil",
-        &[
-            ("format", &format),
-            ("program", "x"),
-            ("config", ""),
-            ("instance", "zero"),
-        ],
+        &format!("format={LOG_FORMAT},program=x,config=,instance=zero"),
     );
-    assert!(matches!(error(&path), ReadError::Metadata { key: "instance", .. }));
+    assert!(matches!(error(&path), ReadError::Metadata(_, "instance")));
 }

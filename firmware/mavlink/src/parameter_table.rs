@@ -40,10 +40,7 @@ impl ParameterValue {
 
     /// The value as an f32.
     pub fn as_f32(self) -> f32 {
-        match self {
-            Self::Real(v) => v,
-            Self::Integer(v) => v as f32,
-        }
+        self.as_f64() as f32
     }
 
     /// The choice that the value is the number of; `None` when it is none.
@@ -151,11 +148,6 @@ impl Parameters {
             all: parameters.into_iter().take(MAX_PARAMETERS).collect(),
             changed: false,
         }
-    }
-
-    /// Number of parameters.
-    pub fn count(&self) -> usize {
-        self.all.len()
     }
 
     /// The value of the parameter of that name.

@@ -227,11 +227,7 @@ fn a_vehicle_that_restarts_is_handed_over_anew_unless_it_comes_back_in_a_pilots_
         f.until(Standby);
         if flavour == ArduPilot {
             // It starts in STABILIZE.
-            let waiting = f.run(400);
-            assert_eq!(
-                (waiting.state, waiting.reasons),
-                (Ready, Reasons::of(Reason::PilotInCommand))
-            );
+            assert_eq!(f.ends(400), (Ready, Reasons::of(Reason::PilotInCommand)));
             assert!(f.peer.flight_commands().is_empty());
             f.peer.mode = Mode::External;
         }

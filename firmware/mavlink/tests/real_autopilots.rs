@@ -437,11 +437,7 @@ fn a_pilots_loiter_is_not_taken_by_a_firmware_that_starts() {
         ..Default::default()
     };
     let mut f = Flight::of(None, Peer::in_the_air(ArduPilot), auto);
-    let waiting = f.run(seconds(60.0));
-    assert_eq!(
-        (waiting.state, waiting.reasons),
-        (Ready, Reasons::of(Reason::PilotInCommand))
-    );
+    assert_eq!(f.ends(seconds(60.0)), (Ready, Reasons::of(Reason::PilotInCommand)));
     assert!(f.peer.flight_commands().is_empty() && f.peer.mode == Mode::Loiter);
     f.assert_said("a person has the vehicle: engage guidance, or if nobody took it over, change to GUIDED");
     // The pilot gives it by the mode.

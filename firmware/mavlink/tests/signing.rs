@@ -55,9 +55,7 @@ fn vectors() -> Vec<Vector> {
 
 /// The one packet in `bytes`.
 fn with_packet<T>(bytes: &[u8], take: impl FnOnce(&Packet<'_>) -> T) -> T {
-    let mut counters = FramingCounters::default();
-    let mut found = packets(bytes, &mut counters);
-    let packet = found.next().unwrap();
+    let packet = packets(bytes, &mut FramingCounters::default()).next().unwrap();
     assert_eq!(packet.raw().len(), bytes.len());
     take(&packet)
 }
@@ -138,8 +136,7 @@ fn of_a_thousand_packets_each_all_right_ones_are_accepted_and_no_others() {
     for byte in 10..right.len() {
         let mut altered = right.clone();
         altered[byte] ^= 0x40;
-        let mut counters = FramingCounters::default();
-        for packet in packets(&altered, &mut counters) {
+        for packet in packets(&altered, &mut FramingCounters::default()) {
             assert!(verifier.verify(at(1001), &packet, false).is_err(), "byte {byte}");
         }
     }
@@ -167,21 +164,17 @@ fn of_a_thousand_packets_each_all_right_ones_are_accepted_and_no_others() {
 #[test]
 fn each_stream_has_its_own_time_and_a_new_one_may_lag_a_minute() {
     let mut verifier = signing(0, 0);
-    let from = |sender, at: Timestamp| signed(&mut signing(0, 7), at, &unsigned(0, sender));
-    assert_eq!(verdict(&mut verifier, NOW, &from((255, 190), NOW)), Ok(()));
+    let mut heard = |now, sender, at: Timestamp| {
+        let packet = signed(&mut signing(0, 7), at, &unsigned(0, sender));
+        verdict(&mut verifier, now, &packet)
+    };
+    assert_eq!(heard(NOW, (255, 190), NOW), Ok(()));
     // Another component, half a minute behind: its own stream.
-    assert_eq!(verdict(&mut verifier, NOW, &from((255, 191), NOW - MINUTE / 2)), Ok(()));
-    assert_eq!(
-        verdict(&mut verifier, NOW, &from((255, 191), NOW - MINUTE / 2)),
-        Err(Replayed)
-    );
-    assert_eq!(
-        verdict(&mut verifier, NOW, &from((254, 190), NOW - MINUTE - 1)),
-        Err(Outdated)
-    );
+    assert_eq!(heard(NOW, (255, 191), NOW - MINUTE / 2), Ok(()));
+    assert_eq!(heard(NOW, (255, 191), NOW - MINUTE / 2), Err(Replayed));
+    assert_eq!(heard(NOW, (254, 190), NOW - MINUTE - 1), Err(Outdated));
     // A stream that is known may lag as far as it likes, as long as it goes forward.
-    let later = NOW + 10 * MINUTE;
-    assert_eq!(verdict(&mut verifier, later, &from((255, 191), NOW)), Ok(()));
+    assert_eq!(heard(NOW + 10 * MINUTE, (255, 191), NOW), Ok(()));
 }
 
 #[test]

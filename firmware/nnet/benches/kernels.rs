@@ -3,7 +3,7 @@
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
-use rand::{Rng, RngExt, SeedableRng};
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Activation, Aligned, Conv2d, Gru, Isa};
 
@@ -19,12 +19,10 @@ fn isas() -> Vec<Isa> {
     Isa::available().collect()
 }
 
-fn uniform(rng: &mut impl Rng, len: usize, limit: f32) -> Vec<f32> {
-    (0..len).map(|_| rng.random_range(-limit..limit)).collect()
-}
-
 fn values(len: usize, limit: f32) -> Aligned {
-    Aligned::from(&*uniform(&mut ChaCha8Rng::seed_from_u64(1), len, limit))
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let values: Vec<f32> = (0..len).map(|_| rng.random_range(-limit..limit)).collect();
+    Aligned::from(&*values)
 }
 
 /// One convolution of the encoder on one instruction set.

@@ -90,12 +90,8 @@ impl Dense {
     pub fn pack(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
         let (weights, _) = self.split(params)?;
         expect("packed dense parameters", packed, self.param_len())?;
-        transpose(
-            self.inputs,
-            self.outputs,
-            weights,
-            part_mut("packed dense weights", packed, 0, self.weight_len())?,
-        );
+        let packed = part_mut("packed dense weights", packed, 0, self.weight_len())?;
+        transpose(self.inputs, self.outputs, weights, packed);
         Ok(())
     }
 
@@ -109,10 +105,7 @@ impl Dense {
         let rows = dy.len() / self.outputs.max(1);
         expect("dense output gradient", dy, rows * self.outputs)?;
         expect("dense input gradient", dx, rows * self.inputs)?;
-        let transposed = Self {
-            inputs: self.outputs,
-            outputs: self.inputs,
-        };
+        let transposed = Self::new(self.outputs, self.inputs);
         transposed.multiply(rows).run(isa, dy, packed, Start::Zero, dx)
     }
 
@@ -127,13 +120,10 @@ impl Dense {
         expect("dense output gradient", dy, rows * self.outputs)?;
         let weights = Product {
             rows: self.inputs,
-            cols: self.outputs,
             n_k: rows,
             a_row: 1,
             a_k: self.inputs as isize,
-            b_k: self.outputs as isize,
-            out_row: self.outputs,
-            ..Product::single()
+            ..self.multiply(rows)
         };
         weights.run(isa, x, dy, Start::Output, d_params)?;
         column_sums(isa, rows, self.outputs, dy, d_params, self.weight_len())

@@ -220,12 +220,8 @@ pub(crate) fn pack_matrices(
     let mut at = 0;
     for inputs in rows {
         let len = inputs * cols;
-        transpose(
-            inputs,
-            cols,
-            part("recurrent weights", params, at, len)?,
-            part_mut("packed recurrent weights", packed, at, len)?,
-        );
+        let to = part_mut("packed recurrent weights", packed, at, len)?;
+        transpose(inputs, cols, part("recurrent weights", params, at, len)?, to);
         at += len;
     }
     Ok(())

@@ -36,11 +36,7 @@ impl Isa {
     /// The fastest kernels for this processor; without `std` those that every processor of the target has. Call it once at start and
     /// pass the value on.
     pub fn detect() -> Self {
-        let mut best = Self::PORTABLE;
-        for isa in Self::available() {
-            best = isa;
-        }
-        best
+        Self::available().last().unwrap_or(Self::PORTABLE)
     }
 
     /// All kernels that this processor can run, slowest first.

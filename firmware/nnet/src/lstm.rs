@@ -7,7 +7,7 @@ use crate::graph::{GraphBuilder, NodeId, Params, description};
 use crate::gru::{outer_product, row_times_matrix};
 use crate::isa::Isa;
 use crate::kernels::Start;
-use crate::shape::{ShapeError, expect, part, part_mut};
+use crate::shape::{ShapeError, expect, part};
 
 /// One step of an LSTM (PyTorch's `nn.LSTM` with its two biases added up, gates in the order i, f, g, o):
 ///
@@ -175,8 +175,7 @@ impl Lstm {
         let h = part("LSTM state", state, 0, self.hidden)?;
         outer_product(isa, h, d_gates, d_params, self.input())?;
         let bias = self.input() + self.recurrent();
-        let bias = part_mut("LSTM bias gradient", d_params, bias, 4 * self.hidden)?;
-        column_sums(isa, 1, 4 * self.hidden, d_gates, bias, 0)
+        column_sums(isa, 1, 4 * self.hidden, d_gates, d_params, bias)
     }
 }
 

@@ -46,10 +46,14 @@ pub(crate) fn sigmoid<const FUSED: bool>(x: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// With and without fused multiply-add.
-    fn both(plain: fn(f32) -> f32, fused: fn(f32) -> f32, x: f32, check: impl Fn(f64)) {
-        check(f64::from(plain(x)));
-        check(f64::from(fused(x)));
+    /// Without fused multiply-add and with it.
+    type Both = [fn(f32) -> f32; 2];
+    const EXP_M1: Both = [exp_m1_negative::<false>, exp_m1_negative::<true>];
+    const TANH: Both = [tanh::<false>, tanh::<true>];
+    const SIGMOID: Both = [sigmoid::<false>, sigmoid::<true>];
+
+    fn each(of: Both, x: f32, check: impl Fn(f64)) {
+        of.into_iter().for_each(|f| check(f64::from(f(x))));
     }
 
     #[test]
@@ -57,7 +61,7 @@ mod tests {
         for i in 1..200_000 {
             let x = -(i as f32) * 1e-7 * (1.0 + i as f32 * 0.02);
             let exact = libm::expm1(f64::from(x));
-            both(exp_m1_negative::<false>, exp_m1_negative::<true>, x, |y| {
+            each(EXP_M1, x, |y| {
                 let error = (y - exact).abs() / exact.abs();
                 assert!(error < 2.5e-7, "relative error {error:e} at {x}");
             });
@@ -68,27 +72,23 @@ mod tests {
     fn tanh_and_sigmoid_agree_with_libm_and_saturate() {
         for i in -3000..=3000 {
             let x = i as f32 * 0.01;
-            both(tanh::<false>, tanh::<true>, x, |y| {
+            each(TANH, x, |y| {
                 assert!((y - libm::tanh(f64::from(x))).abs() < 2e-7);
             });
             let exact = 1.0 / (1.0 + libm::exp(-f64::from(x)));
-            both(sigmoid::<false>, sigmoid::<true>, x, |y| {
-                assert!((y - exact).abs() < 2e-7)
-            });
+            each(SIGMOID, x, |y| assert!((y - exact).abs() < 2e-7));
         }
-        both(tanh::<false>, tanh::<true>, f32::INFINITY, |y| assert_eq!(y, 1.0));
-        both(tanh::<false>, tanh::<true>, f32::NEG_INFINITY, |y| assert_eq!(y, -1.0));
-        both(sigmoid::<false>, sigmoid::<true>, f32::INFINITY, |y| assert_eq!(y, 1.0));
-        both(sigmoid::<false>, sigmoid::<true>, f32::NEG_INFINITY, |y| {
-            assert!(y < 1e-30)
-        });
+        each(TANH, f32::INFINITY, |y| assert_eq!(y, 1.0));
+        each(TANH, f32::NEG_INFINITY, |y| assert_eq!(y, -1.0));
+        each(SIGMOID, f32::INFINITY, |y| assert_eq!(y, 1.0));
+        each(SIGMOID, f32::NEG_INFINITY, |y| assert!(y < 1e-30));
     }
 
     #[test]
     fn what_is_not_a_number_stays_so() {
         let check = |y: f64| assert!(y.is_nan());
-        both(exp_m1_negative::<false>, exp_m1_negative::<true>, f32::NAN, check);
-        both(tanh::<false>, tanh::<true>, f32::NAN, check);
-        both(sigmoid::<false>, sigmoid::<true>, f32::NAN, check);
+        each(EXP_M1, f32::NAN, check);
+        each(TANH, f32::NAN, check);
+        each(SIGMOID, f32::NAN, check);
     }
 }

@@ -6,13 +6,14 @@
 use alloc::borrow::ToOwned;
 use alloc::collections::BTreeMap;
 use alloc::format;
-use alloc::string::{String, ToString};
+use alloc::string::String;
 use alloc::vec::Vec;
+use core::fmt;
 use core::str::FromStr;
 use safetensors::{Dtype, SafeTensors};
 use sha2::{Digest, Sha256};
 #[cfg(feature = "std")]
-use {safetensors::tensor::TensorView, std::collections::HashMap, std::path::Path, vigil_types::files::Access};
+use {std::path::Path, vigil_types::files::Access};
 
 const DIGEST: &str = "sha256";
 /// The built-in networks have 0.3 to 1 MB, an imported policy up to 128 MiB.
@@ -46,41 +47,15 @@ pub struct Tensor {
 pub enum FileError {
     /// It cannot be read or written.
     #[cfg(feature = "std")]
-    #[error("cannot access {noun} {file}: {source}")]
-    Access {
-        /// What it should be.
-        noun: &'static str,
-        /// The file.
-        file: String,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    #[error("cannot access {0}: {1}")]
+    Access(String, #[source] std::io::Error),
     /// Truncated, or something else altogether.
-    #[error("{noun} {file} is truncated or not a safetensors file: {message}")]
-    Container {
-        /// What it should be.
-        noun: &'static str,
-        /// The file.
-        file: String,
-        /// What is wrong.
-        message: String,
-    },
-    /// A metadata entry is missing or not of its kind.
-    #[error("{noun} {file} lacks a valid metadata entry `{key}`; it was not written by this program")]
-    Missing {
-        /// What it should be.
-        noun: &'static str,
-        /// The file.
-        file: String,
-        /// The entry.
-        key: &'static str,
-    },
+    #[error("{0}")]
+    Container(String),
     /// Another version, architecture or normalisation.
-    #[error("{noun} {file} has {key} \"{found}\", this program takes \"{expected}\"")]
+    #[error("{file} has {key} \"{found}\", this program takes \"{expected}\"")]
     Other {
-        /// What it should be.
-        noun: &'static str,
-        /// The file.
+        /// The file, and what it should be.
         file: String,
         /// The entry.
         key: &'static str,
@@ -89,66 +64,27 @@ pub enum FileError {
         /// What it must be.
         expected: &'static str,
     },
-    /// A tensor is missing or has another shape.
-    #[error("{noun} {file}: tensor `{tensor}` is missing or not float32 of shape {shape}")]
-    Tensor {
-        /// What it should be.
-        noun: &'static str,
-        /// The file.
-        file: String,
-        /// The tensor.
-        tensor: String,
-        /// The shape it must have.
-        shape: String,
-    },
     /// The digest does not match.
-    #[error("{noun} {file} was altered: its content has SHA-256 {found}, its own entry says {expected}")]
-    Altered {
-        /// What it should be.
-        noun: &'static str,
-        /// The file.
-        file: String,
-        /// Digest of the content.
-        found: String,
-        /// The entry.
-        expected: String,
-    },
-    /// Unaltered, but nothing to fly with.
-    #[error("{noun} {file} {message}")]
-    Content {
-        /// What it should be.
-        noun: &'static str,
-        /// The file.
-        file: String,
-        /// What is wrong.
-        message: String,
-    },
+    #[error("{0}")]
+    Altered(String),
+    /// A metadata entry or a tensor is missing or not of its kind, or there is nothing to fly with.
+    #[error("{0}")]
+    Content(String),
 }
 
 impl Kind {
-    /// An error about what a file holds.
-    pub fn content_error(&self, file: &str, message: impl Into<String>) -> FileError {
-        FileError::Content {
-            noun: self.noun,
-            file: file.to_owned(),
-            message: message.into(),
-        }
+    fn name(&self, file: impl fmt::Display) -> String {
+        format!("{} {file}", self.noun)
     }
 
-    fn container_error(&self, file: &str, e: &safetensors::SafeTensorError) -> FileError {
-        FileError::Container {
-            noun: self.noun,
-            file: file.to_owned(),
-            message: e.to_string(),
-        }
+    /// An error about what a file holds.
+    pub fn content_error(&self, file: &str, message: impl fmt::Display) -> FileError {
+        FileError::Content(format!("{} {message}", self.name(file)))
     }
 
     fn missing(&self, file: &str, key: &'static str) -> FileError {
-        FileError::Missing {
-            noun: self.noun,
-            file: file.to_owned(),
-            key,
-        }
+        let message = format!("lacks a valid metadata entry `{key}`; it was not written by this program");
+        self.content_error(file, message)
     }
 
     /// Reads a file of at most 256 MiB.
@@ -171,11 +107,7 @@ impl Kind {
 
     #[cfg(feature = "std")]
     fn access_error(&self, path: &Path, source: std::io::Error) -> FileError {
-        FileError::Access {
-            noun: self.noun,
-            file: path.display().to_string(),
-            source,
-        }
+        FileError::Access(self.name(path.display()), source)
     }
 }
 
@@ -242,18 +174,23 @@ impl Contents {
     /// A tensor whose values do not fill its shape or are not finite.
     #[cfg(feature = "std")]
     pub fn to_bytes(&self, kind: &Kind) -> Result<Vec<u8>, FileError> {
-        const FILE: &str = "to be written";
-        self.check(kind, FILE)?;
-        let bytes_of = |tensor: &Tensor| tensor.values.iter().flat_map(|x| x.to_le_bytes()).collect();
-        let bytes: Vec<Vec<u8>> = self.tensors.iter().map(bytes_of).collect();
-        let mut views = Vec::new();
-        for (tensor, bytes) in self.tensors.iter().zip(&bytes) {
-            let view = TensorView::new(Dtype::F32, tensor.shape.clone(), bytes);
-            views.push((tensor.name.clone(), view.map_err(|e| kind.container_error(FILE, &e))?));
+        self.check(kind, "to be written")?;
+        let mut entries = self.entries.clone();
+        entries.insert(DIGEST.to_owned(), self.sha256());
+        // By hand: the library takes metadata in the order of a hash map, which is another in each process.
+        let pair = |(key, value): (&String, &String)| format!("{}:{}", quoted(key), quoted(value));
+        let entries: Vec<_> = entries.iter().map(pair).collect();
+        let mut header = format!(r#"{{"__metadata__":{{{}}}"#, entries.join(","));
+        let mut data = Vec::new();
+        for Tensor { name, shape, values } in &self.tensors {
+            let (name, from) = (quoted(name), data.len());
+            data.extend(values.iter().flat_map(|x| x.to_le_bytes()));
+            let to = data.len();
+            header += &format!(r#",{name}:{{"dtype":"F32","shape":{shape:?},"data_offsets":[{from},{to}]}}"#);
         }
-        let mut metadata: HashMap<String, String> = self.entries.clone().into_iter().collect();
-        metadata.insert(DIGEST.to_owned(), self.sha256());
-        safetensors::serialize(views, Some(metadata)).map_err(|e| kind.container_error(FILE, &e))
+        header.push('}');
+        header += &" ".repeat(header.len().next_multiple_of(8) - header.len());
+        Ok([&(header.len() as u64).to_le_bytes(), header.as_bytes(), &data].concat())
     }
 
     fn check(&self, kind: &Kind, file: &str) -> Result<(), FileError> {
@@ -269,6 +206,16 @@ impl Contents {
         }
         Ok(())
     }
+}
+
+/// A text in JSON.
+#[cfg(feature = "std")]
+fn quoted(text: &str) -> String {
+    let escaped = text.chars().map(|c| match c {
+        '"' | '\\' | ..' ' => format!("\\u{:04x}", u32::from(c)),
+        _ => String::from(c),
+    });
+    format!("\"{}\"", escaped.collect::<String>())
 }
 
 /// Digest, reading and writing of a type that is stored as a file of this kind: it has `contents`, `from_bytes` and, with the
@@ -317,7 +264,10 @@ impl<'a> Verified<'a> {
     /// # Errors
     /// [`FileError`]: anything but an unaltered file of the kind.
     pub fn from_bytes(kind: &'a Kind, file: &'a str, bytes: &[u8]) -> Result<Self, FileError> {
-        let container = |e: safetensors::SafeTensorError| kind.container_error(file, &e);
+        let name = kind.name(file);
+        let container = |e: safetensors::SafeTensorError| {
+            FileError::Container(format!("{name} is truncated or not a safetensors file: {e}"))
+        };
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(container)?;
         let content = SafeTensors::deserialize(bytes).map_err(container)?;
         let mut entries: BTreeMap<String, String> = header.metadata().clone().unwrap_or_default().into_iter().collect();
@@ -325,8 +275,7 @@ impl<'a> Verified<'a> {
             let found = entries.get(key).ok_or_else(|| kind.missing(file, key))?;
             if found != expected {
                 return Err(FileError::Other {
-                    noun: kind.noun,
-                    file: file.to_owned(),
+                    file: name,
                     key,
                     found: found.clone(),
                     expected,
@@ -335,22 +284,19 @@ impl<'a> Verified<'a> {
         }
         let expected = entries.remove(DIGEST).ok_or_else(|| kind.missing(file, DIGEST))?;
         let mut tensors = Vec::new();
-        for (name, shape) in (kind.tensors)() {
+        for (tensor, shape) in (kind.tensors)() {
             let fits = |got: &[usize]| {
                 got.len() == shape.len() && got.iter().zip(&shape).all(|(got, want)| *want == 0 || got == want)
             };
-            let view = content.tensor(&name).ok();
+            let view = content.tensor(&tensor).ok();
             let Some(view) = view.filter(|view| view.dtype() == Dtype::F32 && fits(view.shape())) else {
-                return Err(FileError::Tensor {
-                    noun: kind.noun,
-                    file: file.to_owned(),
-                    tensor: name,
-                    shape: format!("{shape:?}").replace("[0,", "[any,"),
-                });
+                let shape = format!("{shape:?}").replace("[0,", "[any,");
+                let message = format!("{name}: tensor `{tensor}` is missing or not float32 of shape {shape}");
+                return Err(FileError::Content(message));
             };
             let values = view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
             tensors.push(Tensor {
-                name,
+                name: tensor,
                 shape: view.shape().to_owned(),
                 values: values.collect(),
             });
@@ -358,12 +304,8 @@ impl<'a> Verified<'a> {
         let contents = Contents { entries, tensors };
         let found = contents.sha256();
         if found != expected {
-            return Err(FileError::Altered {
-                noun: kind.noun,
-                file: file.to_owned(),
-                found,
-                expected,
-            });
+            let message = format!("{name} was altered: its content has SHA-256 {found}, its own entry says {expected}");
+            return Err(FileError::Altered(message));
         }
         contents.check(kind, file)?;
         Ok(Self { kind, file, contents })
@@ -395,7 +337,7 @@ impl<'a> Verified<'a> {
     /// An entry's text.
     ///
     /// # Errors
-    /// [`FileError::Missing`].
+    /// [`FileError::Content`].
     pub fn text(&self, key: &'static str) -> Result<String, FileError> {
         self.optional(key).ok_or_else(|| self.kind.missing(self.file, key))
     }
@@ -403,7 +345,7 @@ impl<'a> Verified<'a> {
     /// An entry's number.
     ///
     /// # Errors
-    /// [`FileError::Missing`].
+    /// [`FileError::Content`].
     pub fn number<T: FromStr>(&self, key: &'static str) -> Result<T, FileError> {
         let number = self.text(key)?.parse();
         number.map_err(|_| self.kind.missing(self.file, key))

@@ -48,12 +48,9 @@ pub(crate) fn expect_len(what: &'static str, got: usize, expected: usize) -> Res
 /// # Errors
 /// [`ShapeError::Length`], with `what` it is.
 pub fn part<'a>(what: &'static str, slice: &'a [f32], offset: usize, len: usize) -> Result<&'a [f32], ShapeError> {
-    let got = slice.len();
-    slice.get(offset..offset + len).ok_or(ShapeError::Length {
-        what,
-        expected: offset + len,
-        got,
-    })
+    let (got, expected) = (slice.len(), offset + len);
+    let error = ShapeError::Length { what, expected, got };
+    slice.get(offset..expected).ok_or(error)
 }
 
 /// Like [`part`], writable.
@@ -66,10 +63,7 @@ pub fn part_mut<'a>(
     offset: usize,
     len: usize,
 ) -> Result<&'a mut [f32], ShapeError> {
-    let got = slice.len();
-    slice.get_mut(offset..offset + len).ok_or(ShapeError::Length {
-        what,
-        expected: offset + len,
-        got,
-    })
+    let (got, expected) = (slice.len(), offset + len);
+    let error = ShapeError::Length { what, expected, got };
+    slice.get_mut(offset..expected).ok_or(error)
 }

@@ -26,30 +26,9 @@ const SAME_SIDE_NS: Nanos = 30_000_000_000;
 /// A pause in deciding is somebody else's standstill.
 const PAUSE_NS: Nanos = 500_000_000;
 
-/// The field of one flight. No allocation.
+/// The field of one flight: notices a standstill and turns from what is ahead. No allocation.
 #[derive(Debug, Clone, Default)]
 pub struct FlightField {
-    escape: Escape,
-}
-
-impl FlightField {
-    /// The actor's own action and the field's, clipped, both in units of `unit_m_s` ahead. `scan` is what the input's frame shows.
-    pub fn add_to(&mut self, own: Action, unit_m_s: f32, input: &PilotInput<'_>, scan: &Scan) -> Action {
-        let obstacle = scan.nearest_within(FIELD_HALF_ANGLE_RAD);
-        let here = input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input);
-        let turn = Action::new(0.0, ESCAPE_YAW * self.escape.side(here, input.now_ns, obstacle));
-        let force = match obstacle.filter(|o| o.distance_m < apf::REPULSIVE_RANGE_M) {
-            // The goal does not pull through what stands before it: how to pass that is the actor's.
-            Some(obstacle) => apf::repulsion(obstacle, FIELD_RANGE_M),
-            None => apf::attraction(input.goal),
-        };
-        apf::add(apf::add(own.scaled(1.0 / unit_m_s), force), turn).scaled(unit_m_s)
-    }
-}
-
-/// Notices a standstill and turns from what is ahead.
-#[derive(Debug, Clone, Default)]
-struct Escape {
     /// Where the vehicle last got to, and when.
     progress: Option<(NedVector, Nanos)>,
     /// Until when it turns.
@@ -59,7 +38,20 @@ struct Escape {
     last_ns: Nanos,
 }
 
-impl Escape {
+impl FlightField {
+    /// The actor's own action and the field's, clipped, both in units of `unit_m_s` ahead. `scan` is what the input's frame shows.
+    pub fn add_to(&mut self, own: Action, unit_m_s: f32, input: &PilotInput<'_>, scan: &Scan) -> Action {
+        let obstacle = scan.nearest_within(FIELD_HALF_ANGLE_RAD);
+        let here = input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input);
+        let turn = Action::new(0.0, ESCAPE_YAW * self.side(here, input.now_ns, obstacle));
+        let force = match obstacle.filter(|o| o.distance_m < apf::REPULSIVE_RANGE_M) {
+            // The goal does not pull through what stands before it: how to pass that is the actor's.
+            Some(obstacle) => apf::repulsion(obstacle, FIELD_RANGE_M),
+            None => apf::attraction(input.goal),
+        };
+        apf::add(apf::add(own.scaled(1.0 / unit_m_s), force), turn).scaled(unit_m_s)
+    }
+
     /// The side to turn to now: 1 is right, −1 left, 0 none. `obstacle` is the nearest one ahead.
     fn side(&mut self, here: NedVector, now_ns: Nanos, obstacle: Option<NearestObstacle>) -> f32 {
         if now_ns.saturating_sub(self.last_ns) > PAUSE_NS {
@@ -96,8 +88,6 @@ impl Escape {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
     use std::vec::Vec;
 
@@ -108,18 +98,18 @@ mod tests {
     };
 
     /// Sides of `steps` steps from `from_s` on, at a north position that goes by `speed_m_s`.
-    fn sides(escape: &mut Escape, from_s: u64, steps: u64, speed_m_s: f32) -> Vec<f32> {
+    fn sides(field: &mut FlightField, from_s: u64, steps: u64, speed_m_s: f32) -> Vec<f32> {
         (0..steps)
             .map(|i| {
                 let here = NedVector::new(speed_m_s * i as f32 * 0.05, 0.0, -1.5);
-                escape.side(here, from_s * 1_000_000_000 + i * STEP_NS, Some(AHEAD_LEFT))
+                field.side(here, from_s * 1_000_000_000 + i * STEP_NS, Some(AHEAD_LEFT))
             })
             .collect()
     }
 
     #[test]
     fn a_standstill_of_four_seconds_is_turned_from_for_a_second_and_a_half() {
-        let sides = sides(&mut Escape::default(), 1, 160, 0.0);
+        let sides = sides(&mut FlightField::default(), 1, 160, 0.0);
         assert!(sides[..80].iter().all(|s| *s == 0.0));
         assert_eq!(sides.iter().filter(|s| **s == 1.0).count(), 30);
         assert!(sides[115..].iter().all(|s| *s == 0.0));
@@ -127,28 +117,29 @@ mod tests {
 
     #[test]
     fn whoever_still_stands_is_turned_on_to_the_same_side() {
-        let mut escape = Escape::default();
-        let mut turned = sides(&mut escape, 1, 160, 0.0);
+        let mut field = FlightField::default();
+        let mut turned = sides(&mut field, 1, 160, 0.0);
         // What is nearest lies on the other side now.
         let right = NearestObstacle {
             bearing_rad: 0.1,
             ..AHEAD_LEFT
         };
         let here = NedVector::new(0.0, 0.0, -1.5);
-        turned.extend((160..240).map(|i| escape.side(here, 1_000_000_000 + i * STEP_NS, Some(right))));
+        turned.extend((160..240).map(|i| field.side(here, 1_000_000_000 + i * STEP_NS, Some(right))));
         assert_eq!(turned.iter().filter(|s| **s == 1.0).count(), 60);
         assert!(turned.iter().all(|s| *s >= 0.0));
     }
 
     #[test]
     fn who_moves_is_left_alone() {
-        assert!(sides(&mut Escape::default(), 1, 400, 0.2).iter().all(|s| *s == 0.0));
+        let sides = sides(&mut FlightField::default(), 1, 400, 0.2);
+        assert!(sides.iter().all(|s| *s == 0.0));
     }
 
     #[test]
     fn a_hold_by_somebody_else_is_no_standstill() {
-        let mut escape = Escape::default();
-        sides(&mut escape, 1, 60, 0.0);
-        assert!(sides(&mut escape, 60, 60, 0.0).iter().all(|s| *s == 0.0));
+        let mut field = FlightField::default();
+        sides(&mut field, 1, 60, 0.0);
+        assert!(sides(&mut field, 60, 60, 0.0).iter().all(|s| *s == 0.0));
     }
 }

@@ -1,9 +1,5 @@
 //! A learned pilot's file, of our own architecture or imported, and what detectors and adversaries need of either.
 
-extern crate alloc;
-#[cfg(feature = "std")]
-extern crate std;
-
 use crate::actor::{ACTOR_OUTPUTS, Actor, ActorSpec, LowDim};
 use crate::imported::Head;
 #[cfg(feature = "std")]

@@ -5,22 +5,21 @@
 //!
 //! ```
 //! use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PilotInput};
-//! use vigil_types::{Attitude, DepthFrame, GoalRelative, HeadingVector};
+//! use vigil_types::{DepthFrame, GoalRelative};
 //!
 //! let mut pilot = GeometricPilot::new(GeometricConfig::default());
-//! let action = pilot.decide(&PilotInput {
-//!     now_ns: 0,
-//!     depth: &DepthFrame::EMPTY, // nothing in sight
-//!     goal: GoalRelative { distance_m: 20.0, bearing_rad: 0.0 },
-//!     attitude: Attitude::LEVEL_NORTH,
-//!     velocity_m_s: HeadingVector::ZERO,
-//!     height_m: 2.5,
-//! });
+//! let nothing_in_sight = DepthFrame::EMPTY;
+//! let goal = GoalRelative { distance_m: 20.0, bearing_rad: 0.0 };
+//! let action = pilot.decide(&PilotInput { height_m: 2.5, ..PilotInput::at_rest(&nothing_in_sight, goal) });
 //! assert!(action.forward_m_s > 0.5 && action.yaw.abs() < 0.01, "straight ahead: {action:?}");
 //! ```
 #![no_std]
 #![forbid(unsafe_code)]
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing))]
+
+extern crate alloc;
+#[cfg(any(feature = "std", test))]
+extern crate std;
 
 pub mod actor;
 pub mod apf;
@@ -65,6 +64,21 @@ pub struct PilotInput<'a> {
     pub velocity_m_s: HeadingVector,
     /// Height above home now, metres, positive up.
     pub height_m: f32,
+}
+
+impl<'a> PilotInput<'a> {
+    /// At rest where a frame was taken, at its time.
+    pub fn at_rest(depth: &'a DepthFrame, goal: GoalRelative) -> Self {
+        let header = &depth.header;
+        Self {
+            now_ns: header.stamp_ns,
+            depth,
+            goal,
+            attitude: header.attitude,
+            velocity_m_s: HeadingVector::ZERO,
+            height_m: -header.position_ned_m.z,
+        }
+    }
 }
 
 /// A pilot: one decision per step; no allocation, no panic, no clock.

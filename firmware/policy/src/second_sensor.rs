@@ -116,7 +116,7 @@ fn half_rad(ranges: &SectorRanges) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_types::{Attitude, DepthFrame, GoalRelative, HeadingVector, RANGE_SECTORS};
+    use vigil_types::{Attitude, DepthFrame, GoalRelative, RANGE_SECTORS};
 
     const REPORT_NS: Nanos = 66_000_000;
 
@@ -138,11 +138,8 @@ mod tests {
     fn hovering(now_ns: Nanos, depth: &DepthFrame) -> PilotInput<'_> {
         PilotInput {
             now_ns,
-            depth,
-            goal: GoalRelative::new(10.0, 0.0),
-            attitude: Attitude::LEVEL_NORTH,
-            velocity_m_s: HeadingVector::ZERO,
             height_m: 2.0,
+            ..PilotInput::at_rest(depth, GoalRelative::new(10.0, 0.0))
         }
     }
 

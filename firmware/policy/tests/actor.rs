@@ -5,7 +5,7 @@ use vigil_policy::actor::{ACTOR_LIMIT, Actor, ActorSpec};
 use vigil_policy::{
     ActorPilot, FlightPilot, FrozenActor, GeometricConfig, GeometricPilot, Pilot, PilotInput, RecoveryPilot, apf,
 };
-use vigil_types::{Attitude, DepthFrame, GoalRelative, HeadingVector};
+use vigil_types::{Attitude, DepthFrame, GoalRelative};
 
 fn frozen() -> FrozenActor {
     let len = ActorSpec::FULL.head_graph(Purpose::Gradients).unwrap().param_len();
@@ -21,11 +21,21 @@ fn frozen() -> FrozenActor {
     }
 }
 
+/// The content of this file is refused by its name for this reason.
+fn refused(file: &str, bytes: &[u8], why: &str) {
+    let error = FrozenActor::from_bytes(file, bytes).unwrap_err().to_string();
+    assert!(error.contains(file) && error.contains(why), "{error}");
+}
+
 #[test]
 fn an_actor_survives_its_file() {
-    let actor = frozen();
+    let actor = FrozenActor {
+        training_config: "seed = 3\nname = \"a\\b\t\u{1}\u{7f}ü\"\n".to_owned(),
+        ..frozen()
+    };
     let bytes = actor.to_bytes().unwrap();
     assert!(bytes.len() < 2_000_000);
+    assert!(actor.to_bytes().unwrap() == bytes, "the same network is the same file");
     assert_eq!(FrozenActor::from_bytes("a", &bytes).unwrap(), actor);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("actor.safetensors");
@@ -59,8 +69,7 @@ fn an_actor_trained_to_be_twice_as_fast_flies_twice_as_fast_with_its_field_and_f
         cruise_m_s: 5.0,
         ..frozen()
     };
-    let error = FrozenActor::from_bytes("a", &too_fast.to_bytes().unwrap()).unwrap_err();
-    assert!(error.to_string().contains("5 m/s; allowed: 0.5 to 3"), "{error}");
+    refused("a", &too_fast.to_bytes().unwrap(), "5 m/s; allowed: 0.5 to 3");
 }
 
 #[test]
@@ -68,23 +77,12 @@ fn an_actor_of_0_2_0_is_refused_with_the_version_that_flies_it() {
     let mut old = frozen().to_bytes().unwrap();
     let at = old.windows(13).position(|w| w == b"vigil actor 2").unwrap();
     old[at + 12] = b'1';
-    let error = FrozenActor::from_bytes("old.safetensors", &old)
-        .unwrap_err()
-        .to_string();
-    assert!(error.contains("old.safetensors") && error.contains("0.2.0"), "{error}");
+    refused("old.safetensors", &old, "0.2.0");
 }
 
 #[test]
 fn wrong_truncated_and_altered_files_are_refused_by_name() {
-    let refused = |bytes: &[u8], why: &str| {
-        let error = FrozenActor::from_bytes("some/actor.safetensors", bytes)
-            .unwrap_err()
-            .to_string();
-        assert!(
-            error.contains("some/actor.safetensors") && error.contains(why),
-            "{error}"
-        );
-    };
+    let refused = |bytes: &[u8], why: &str| refused("some/actor.safetensors", bytes, why);
     let good = frozen().to_bytes().unwrap();
     refused(&[], "truncated");
     refused(b"not an actor at all, but long enough to hold a header", "truncated");
@@ -123,12 +121,8 @@ fn wrong_truncated_and_altered_files_are_refused_by_name() {
 
 fn input(frame: &DepthFrame) -> PilotInput<'_> {
     PilotInput {
-        now_ns: 0,
-        depth: frame,
-        goal: GoalRelative::new(12.0, 0.4),
-        attitude: Attitude::LEVEL_NORTH,
-        velocity_m_s: HeadingVector::ZERO,
         height_m: 1.5,
+        ..PilotInput::at_rest(frame, GoalRelative::new(12.0, 0.4))
     }
 }
 

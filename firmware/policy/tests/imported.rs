@@ -3,7 +3,7 @@
 use vigil_nnet::{Activation, Conv2d, Dense, Isa, Purpose};
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Head, ImportedPilot, Layer, Network, PolicyInputs};
 use vigil_policy::{Pilot, PilotInput};
-use vigil_types::{Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, GoalRelative, HeadingVector};
+use vigil_types::{DEPTH_COLS, DEPTH_ROWS, DepthFrame, GoalRelative};
 
 /// A policy whose outputs are two chosen pixels of its frame.
 fn picking(inputs: PolicyInputs, pixels: [usize; 2]) -> FrozenPolicy {
@@ -51,12 +51,8 @@ fn frame(level: f32) -> Box<DepthFrame> {
 
 fn decide(pilot: &mut ImportedPilot, frame: &DepthFrame) -> [f32; 2] {
     let action = pilot.decide(&PilotInput {
-        now_ns: 0,
-        depth: frame,
-        goal: GoalRelative::new(10.0, 0.5),
-        attitude: Attitude::LEVEL_NORTH,
-        velocity_m_s: HeadingVector::ZERO,
         height_m: 2.5,
+        ..PilotInput::at_rest(frame, GoalRelative::new(10.0, 0.5))
     });
     [action.forward_m_s, action.yaw]
 }

@@ -246,9 +246,8 @@ impl TestVehicle {
 
     /// Takes what the firmware sent.
     pub fn hear(&mut self, datagram: &[u8]) {
-        let mut counters = FramingCounters::default();
         let mut found = 0;
-        for packet in framing::packets(datagram, &mut counters) {
+        for packet in framing::packets(datagram, &mut FramingCounters::default()) {
             found += 1;
             let message = packet.message().expect("the firmware sends what the dialect knows");
             let header = packet.header();

@@ -47,8 +47,7 @@ fn command(from: (u8, u8), (target_system, target_component): (u8, u8), command:
 type Seen = ((u8, u8), u32);
 
 fn seen_in(bytes: &[u8]) -> Vec<Seen> {
-    let mut counters = FramingCounters::default();
-    packets(bytes, &mut counters)
+    packets(bytes, &mut FramingCounters::default())
         .map(|p| ((p.system_id(), p.component_id()), p.message_id()))
         .collect()
 }

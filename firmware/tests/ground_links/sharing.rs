@@ -213,10 +213,9 @@ impl Flight {
     /// What a station hears in the next two steps of the guidance computer's messages.
     fn heard_by(&mut self, station: usize) -> Vec<MavMessage> {
         self.steps(2);
-        let mut counters = FramingCounters::default();
         let mut messages = Vec::new();
         for bytes in self.rig.stations[station].raw() {
-            for packet in packets(&bytes, &mut counters) {
+            for packet in packets(&bytes, &mut FramingCounters::default()) {
                 if (packet.system_id(), packet.component_id()) == ME {
                     messages.push(packet.message().unwrap());
                 }

@@ -15,10 +15,9 @@ fn with_state(folder: &Path) -> FirmwareConfig {
 
 /// The texts in what somebody heard, and whether each packet was signed.
 fn texts(far: &Far) -> Vec<(String, bool)> {
-    let mut counters = FramingCounters::default();
     let mut found = Vec::new();
     for bytes in far.raw() {
-        for packet in packets(&bytes, &mut counters) {
+        for packet in packets(&bytes, &mut FramingCounters::default()) {
             if let Ok(MavMessage::STATUSTEXT(m)) = packet.message() {
                 found.push((m.text.to_str().unwrap().to_owned(), packet.is_signed()));
             }

@@ -495,21 +495,19 @@ mod tests {
     #[test]
     fn a_range_accepts_its_limits_as_f32_and_as_f64_and_nothing_beyond() {
         for parameter in ALL {
-            let Some(range) = parameter.range() else { continue };
+            let (key, Some(range)) = (parameter.key, parameter.range()) else {
+                continue;
+            };
             for limit in [range.least, range.greatest] {
                 let given_as_f32 = f64::from(limit as f32);
                 assert!(
                     range.contains(limit) && (range.contains(given_as_f32) || given_as_f32 > 2f64.powi(24)),
-                    "{}",
-                    parameter.key
+                    "{key}"
                 );
             }
-            assert!(
-                !range.contains(f64::NAN) && !range.contains(f64::INFINITY),
-                "{}",
-                parameter.key
-            );
-            assert!(!range.contains(range.greatest + 1.0), "{}", parameter.key);
+            for beyond in [f64::NAN, f64::INFINITY, range.greatest + 1.0] {
+                assert!(!range.contains(beyond), "{key}: {beyond}");
+            }
         }
         assert!(NO_PROGRESS.check(0.0).is_ok() && NO_PROGRESS.check(0.5).is_err());
     }
@@ -520,19 +518,10 @@ mod tests {
             if let Preset::Number(value) = parameter.default {
                 assert_eq!(parameter.check(value), Ok(()));
             }
-            assert!(
-                ALL[..i].iter().all(|other| other.key != parameter.key),
-                "{}",
-                parameter.key
-            );
-            if let Some(mavlink) = parameter.mavlink {
-                assert!(mavlink.name.len() <= 16);
-                assert!(
-                    ALL[..i]
-                        .iter()
-                        .all(|other| other.mavlink.is_none_or(|m| m.name != mavlink.name))
-                );
-            }
+            let (key, name) = (parameter.key, parameter.mavlink.map(|mavlink| mavlink.name));
+            let is_new = |other: &ParameterSpec| other.key != key && of_mavlink_name(name.unwrap_or("")) != Some(other);
+            assert!(ALL[..i].iter().all(is_new), "{key}");
+            assert!(name.is_none_or(|name| name.len() <= 16), "{key}");
         }
     }
 

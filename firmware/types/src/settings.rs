@@ -3,7 +3,7 @@
 
 mod values;
 
-use crate::parameters::{ParameterSpec, Preset, Range};
+use crate::parameters::{Kind, ParameterSpec, Preset, Range};
 use std::borrow::ToOwned;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -206,8 +206,12 @@ pub fn at_most<T: FromRow>(most: usize, row: &'static ParameterSpec) -> With<T> 
 impl<T: FromRow> From<&'static ParameterSpec> for With<T> {
     fn from(row: &'static ParameterSpec) -> Self {
         let rule = Rule {
-            range: row.range(),
-            is_quiet: matches!(row.default, Preset::Absent(_)),
+            // The numbers of a switch and of a choice are MAVLink's.
+            range: match row.kind {
+                Kind::Real(range) | Kind::Whole(range) => Some(range),
+                _ => None,
+            },
+            is_quiet: T::OFF_WHERE_ABSENT && matches!(row.default, Preset::Absent(_)),
             ..Rule::default()
         };
         let value = T::default_of(row);
@@ -217,6 +221,9 @@ impl<T: FromRow> From<&'static ParameterSpec> for With<T> {
 
 /// A type that values of the table of parameters have.
 pub trait FromRow {
+    /// Without a default it is off.
+    const OFF_WHERE_ABSENT: bool = false;
+
     /// The row's default.
     fn default_of(row: &ParameterSpec) -> Self;
 }

@@ -4,7 +4,7 @@ use divan::Bencher;
 use vigil_adversary::{AttackConfig, Beside, StateAttack, StreamAttack};
 use vigil_nnet::Isa;
 use vigil_policy::{FrozenActor, PilotInput};
-use vigil_types::{Attitude, DepthFrame, GoalRelative, HeadingVector};
+use vigil_types::{DepthFrame, GoalRelative};
 
 fn main() {
     divan::main();
@@ -21,15 +21,8 @@ fn frame() -> Box<DepthFrame> {
 
 fn input(depth: &DepthFrame) -> PilotInput<'_> {
     PilotInput {
-        now_ns: 0,
-        depth,
-        goal: GoalRelative {
-            distance_m: 10.0,
-            bearing_rad: 0.1,
-        },
-        attitude: Attitude::LEVEL_NORTH,
-        velocity_m_s: HeadingVector::ZERO,
         height_m: 1.5,
+        ..PilotInput::at_rest(depth, GoalRelative::new(10.0, 0.1))
     }
 }
 

@@ -16,7 +16,7 @@ const LOWEST_M: f32 = 1.0;
 /// Flies the guard's planner over the frames that were delivered, as the guard does, and says how far the next one may bend the actor:
 /// never so far from the planner that they disagree, and back to the planner's own yaw once the last action was on a collision course,
 /// because two such steps raise the alarm, or the guard's *led astray* comes near.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct GuardEvasion {
     planner: Box<RecoveryPilot>,
     /// What the guard looks at, as guidance has it by default.
@@ -28,17 +28,6 @@ pub(crate) struct GuardEvasion {
 }
 
 impl GuardEvasion {
-    /// Against the guard as it is.
-    pub fn new() -> Self {
-        Self {
-            planner: Box::default(),
-            guard: AlarmConfig::default(),
-            behind_m: 0.0,
-            catching_up: false,
-            last: None,
-        }
-    }
-
     /// Least and greatest yaw output that the guard lets pass; `None` before it looks.
     pub fn yaw_bounds(&self) -> Option<(f32, f32)> {
         let (planned, on_collision_course) = self.last?;
@@ -80,7 +69,7 @@ mod tests {
 
     #[test]
     fn the_actor_is_bent_within_what_the_guard_tolerates_and_let_go_before_it_would_collide() {
-        let mut evasion = GuardEvasion::new();
+        let mut evasion = GuardEvasion::default();
         assert_eq!(evasion.yaw_bounds(), None, "the guard does not look yet");
         let mut bounds = |yaw: f32, on_collision_course: bool| {
             let planned = Action { forward_m_s: 0.8, yaw };
@@ -99,7 +88,7 @@ mod tests {
 
     #[test]
     fn it_catches_up_before_the_guard_finds_it_astray_and_strays_again() {
-        let mut evasion = GuardEvasion::new();
+        let mut evasion = GuardEvasion::default();
         let limit_m = evasion.guard.astray_limit_m;
         let mut farthest_m = 0.0_f32;
         for _ in 0..2000 {

@@ -21,12 +21,8 @@ pub fn goal_seen_from(header: &FrameHeader, goal_ned_m: NedVector) -> GoalRelati
 fn seen(frame: &DepthFrame, goal_ned_m: NedVector, velocity: NedVector) -> PilotInput<'_> {
     let header = &frame.header;
     PilotInput {
-        now_ns: header.stamp_ns,
-        depth: frame,
-        goal: goal_seen_from(header, goal_ned_m),
-        attitude: header.attitude,
         velocity_m_s: velocity.to_heading(header.attitude.yaw_rad()),
-        height_m: -header.position_ned_m.z,
+        ..PilotInput::at_rest(frame, goal_seen_from(header, goal_ned_m))
     }
 }
 
@@ -74,7 +70,7 @@ impl Interceptor {
         if matches!(self.attack, FrameAttack::Policy(_)) {
             return Err(AttackError::EvadingPolicy);
         }
-        self.guard = Some(GuardEvasion::new());
+        self.guard = Some(GuardEvasion::default());
         Ok(self)
     }
 

@@ -7,21 +7,15 @@
 //! use vigil_adversary::{AttackConfig, StreamAttack};
 //! use vigil_nnet::Isa;
 //! use vigil_policy::{FrozenActor, PilotInput};
-//! use vigil_types::{Attitude, DepthFrame, GoalRelative, HeadingVector};
+//! use vigil_types::{DepthFrame, GoalRelative};
 //!
 //! let actor = FrozenActor::built_in()?;
 //! let config = AttackConfig { iterations: 2, ..AttackConfig::PAPER };
 //! let mut adversary = StreamAttack::new(Isa::detect(), &actor, &config)?;
 //! let (mut frame, mut delivered) = (DepthFrame::EMPTY, DepthFrame::EMPTY);
 //! frame.depth.fill(0.2); // a wall at 20 m all around
-//! let taken = PilotInput {
-//!     now_ns: 0,
-//!     depth: &frame,
-//!     goal: GoalRelative { distance_m: 20.0, bearing_rad: 0.0 },
-//!     attitude: Attitude::LEVEL_NORTH,
-//!     velocity_m_s: HeadingVector::ZERO,
-//!     height_m: 1.5,
-//! };
+//! let goal = GoalRelative { distance_m: 20.0, bearing_rad: 0.0 };
+//! let taken = PilotInput { height_m: 1.5, ..PilotInput::at_rest(&frame, goal) };
 //! adversary.attack(&taken, &mut delivered)?;
 //! let most = delivered.depth.iter().map(|range| (range - 0.2).abs()).fold(0.0, f32::max);
 //! assert!(most > 0.0 && most <= 2.0 / 255.0 + 1e-6, "two iterations of 1/255: {most}");

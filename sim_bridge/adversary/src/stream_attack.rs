@@ -152,7 +152,7 @@ impl StreamAttack {
 mod tests {
     use super::*;
     use crate::config::Towards;
-    use vigil_types::{Attitude, GoalRelative, HeadingVector, STEP_NS};
+    use vigil_types::{GoalRelative, STEP_NS};
 
     #[test]
     fn an_attack_within_bounds_bends_the_yaw_to_the_bound_and_without_them_to_the_limit() {
@@ -170,14 +170,8 @@ mod tests {
             let last = (0..30).map(|step| {
                 let taken = PilotInput {
                     now_ns: step * STEP_NS,
-                    depth: &frame,
-                    goal: GoalRelative {
-                        distance_m: 20.0,
-                        bearing_rad: 0.0,
-                    },
-                    attitude: Attitude::LEVEL_NORTH,
-                    velocity_m_s: HeadingVector::ZERO,
                     height_m: 1.5,
+                    ..PilotInput::at_rest(&frame, GoalRelative::new(20.0, 0.0))
                 };
                 adversary.attack(&taken, &mut altered).unwrap()
             });

@@ -82,16 +82,10 @@ fn taken(depth: &[f32], step: u64, step_m: f32) -> DepthFrame {
 
 /// What a pilot is given with a frame.
 fn input(frame: &DepthFrame) -> PilotInput<'_> {
+    let goal = GoalRelative::new(12.0 - frame.header.position_ned_m.x, 0.3);
     PilotInput {
-        now_ns: frame.header.stamp_ns,
-        depth: frame,
-        goal: GoalRelative {
-            distance_m: 12.0 - frame.header.position_ned_m.x,
-            bearing_rad: 0.3,
-        },
-        attitude: frame.header.attitude,
         velocity_m_s: HeadingVector::new(1.0, 0.0, 0.0),
-        height_m: 1.5,
+        ..PilotInput::at_rest(frame, goal)
     }
 }
 
@@ -351,10 +345,7 @@ fn a_repainted_picture_shows_the_pillar_farther_away_and_nothing_beneath_the_gro
     assert!(moved > 1_000 && painted > 1_000, "{moved}, {painted}");
 }
 
-const GOAL: GoalRelative = GoalRelative {
-    distance_m: 12.0,
-    bearing_rad: 0.2,
-};
+const GOAL: GoalRelative = GoalRelative::new(12.0, 0.2);
 
 #[test]
 fn the_attack_bends_the_built_in_actor_far_and_noise_of_its_size_does_not() {
@@ -467,10 +458,7 @@ fn a_burst_keeps_its_direction_though_the_clean_decision_changes_sides() {
         .map(|step| {
             let given = taken(&scene(3.0, 5.0), step, 0.0);
             let moved = PilotInput {
-                goal: GoalRelative {
-                    distance_m: 12.0,
-                    bearing_rad: if step < 6 { -1.2 } else { 1.2 },
-                },
+                goal: GoalRelative::new(12.0, if step < 6 { -1.2 } else { 1.2 }),
                 velocity_m_s: HeadingVector::ZERO,
                 ..input(&given)
             };

@@ -117,12 +117,8 @@ fn the_adversary_knows_what_the_actor_remembers_and_how_it_moves() {
         let passed = interceptor.pass(step, &mut frame).unwrap();
         let forward_m_s = if step == 0 { 0.0 } else { 1.25 };
         let action = pilot.decide(&PilotInput {
-            now_ns: frame.header.stamp_ns,
-            depth: &frame,
-            goal: goal_seen_from(&frame.header, goal),
-            attitude: Attitude::LEVEL_NORTH,
             velocity_m_s: HeadingVector::new(forward_m_s, 0.0, 0.0),
-            height_m: 1.5,
+            ..PilotInput::at_rest(&frame, goal_seen_from(&frame.header, goal))
         });
         if let PassedStep::Attacked(outcome) = passed {
             attacked += 1;

@@ -5,7 +5,7 @@ use vigil_nnet::{Activation, Dense, Isa};
 use vigil_policy::actor::{ACTOR_LIMIT, LowDim};
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Layer, Network, PolicyInputs};
 use vigil_policy::{FrozenPilot, ImportedPilot, PilotInput};
-use vigil_types::{Attitude, DEPTH_COLS, DEPTH_PIXELS, DepthFrame, GoalRelative, HeadingVector};
+use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DepthFrame, GoalRelative};
 
 const INPUTS: PolicyInputs = PolicyInputs {
     rows: 4,
@@ -62,10 +62,7 @@ fn frame(level: f32) -> Vec<f32> {
         .collect()
 }
 
-const GOAL: GoalRelative = GoalRelative {
-    distance_m: 10.0,
-    bearing_rad: 0.1,
-};
+const GOAL: GoalRelative = GoalRelative::new(10.0, 0.1);
 
 fn low_dim() -> LowDim {
     LowDim::of_goal(GOAL)
@@ -80,12 +77,8 @@ fn taken_of(depth: &[f32]) -> Box<DepthFrame> {
 
 fn input(depth: &DepthFrame) -> PilotInput<'_> {
     PilotInput {
-        now_ns: 0,
-        depth,
-        goal: GOAL,
-        attitude: Attitude::LEVEL_NORTH,
-        velocity_m_s: HeadingVector::ZERO,
         height_m: 1.5,
+        ..PilotInput::at_rest(depth, GOAL)
     }
 }
 

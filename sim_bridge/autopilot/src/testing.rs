@@ -173,10 +173,8 @@ impl Bench {
 
     /// Sends a script's message to the vehicle.
     pub fn tell(&mut self, mut message: MavMessage) {
-        message
-            .target_system_id_mut()
-            .into_iter()
-            .for_each(|id| *id = self.system);
+        let system = message.target_system_id_mut();
+        system.into_iter().for_each(|id| *id = self.system);
         message.target_component_id_mut().into_iter().for_each(|id| *id = 1);
         self.send(API, SCRIPT, &message);
     }
@@ -200,17 +198,11 @@ impl Bench {
     fn answer(&mut self, link: LinkId, from: ComponentId, number: u16, packet: &[u8]) -> u8 {
         let before = self.sent.len();
         self.send_raw(link, packet);
-        let acks: Vec<_> = self.sent[before..]
-            .iter()
-            .filter(|s| s.link == link)
-            .filter_map(|s| s.ack)
-            .filter(|a| a.command == number)
-            .collect();
+        let came = self.sent[before..].iter().filter(|s| s.link == link);
+        let acks: Vec<_> = came.filter_map(|s| s.ack).filter(|a| a.command == number).collect();
         assert_eq!(acks.len(), 1, "command {number} has one answer");
-        assert_eq!(
-            (acks[0].target_system, acks[0].target_component),
-            (from.system, from.component)
-        );
+        let to = (acks[0].target_system, acks[0].target_component);
+        assert_eq!(to, (from.system, from.component));
         acks[0].result
     }
 
@@ -267,8 +259,8 @@ impl Bench {
     }
 
     /// Sends SET_MODE, the message, and returns the result.
-    pub fn set_mode_message(&mut self, main: u8, sub: u8) -> u8 {
-        let packet = raw(SCRIPT, SET_MODE_DATA::ID, &[0, 0, main, sub, 1, 1]);
+    pub fn set_mode_message(&mut self, base: u8, main: u8, sub: u8) -> u8 {
+        let packet = raw(SCRIPT, SET_MODE_DATA::ID, &[0, 0, main, sub, 1, base]);
         self.answer(API, SCRIPT, 176, &packet)
     }
 
@@ -392,11 +384,8 @@ impl Bench {
     }
 
     pub fn texts(&self) -> Vec<String> {
-        let texts = self.all::<STATUSTEXT_DATA>(API);
-        texts
-            .iter()
-            .filter_map(|t| t.text.to_str().ok().map(str::to_owned))
-            .collect()
+        let texts = self.all::<STATUSTEXT_DATA>(API).into_iter();
+        texts.filter_map(|t| Some(t.text.to_str().ok()?.to_owned())).collect()
     }
 
     /// Fails unless a status text with these words was sent.

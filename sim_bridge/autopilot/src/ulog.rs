@@ -71,11 +71,8 @@ pub(crate) fn begin(core: &Core) -> Vec<u8> {
 /// Appends a status text. Levels are those of syslog, as MAVLink's are, in ASCII.
 pub(crate) fn text(out: &mut Vec<u8>, core: &Core, severity: MavSeverity, text: &str) {
     let level = [b'0' + severity as u8];
-    message(
-        out,
-        b'L',
-        &[&level, &core.time_boot_us().to_le_bytes(), text.as_bytes()],
-    );
+    let time = core.time_boot_us().to_le_bytes();
+    message(out, b'L', &[&level, &time, text.as_bytes()]);
 }
 
 /// Appends the vehicle's state: one message of each topic.

@@ -55,10 +55,8 @@ fn nose_before_course_deg(truths: &[Truth]) -> f32 {
 /// Times of 10, 63 and 90 % and the overshoot as a share of the step, of samples at 50 Hz of a quantity that goes from 0 to `step`.
 fn answer(samples: &[f64], step: f64) -> ([f64; 3], f64) {
     let time_of = |share: f64| {
-        let i = samples
-            .iter()
-            .position(|v| v / step >= share)
-            .expect("the step is reached");
+        let reached = samples.iter().position(|v| v / step >= share);
+        let i = reached.expect("the step is reached");
         let before = if i == 0 { 0.0 } else { samples[i - 1] / step };
         let after = samples[i] / step;
         0.02 * (i as f64 + (share - before) / (after - before))
@@ -196,12 +194,8 @@ fn assert_steps(model: VehicleModel, steps: [(f32, [f32; 3], f32); 3]) {
             };
             assert_near(&format!("{} {step} m/s, seconds", model.name()), ours, real, band);
         }
-        assert_near(
-            &format!("{} {step} m/s settles", model.name()),
-            settled,
-            settles_at,
-            0.06,
-        );
+        let what = format!("{} {step} m/s settles", model.name());
+        assert_near(&what, settled, settles_at, 0.06);
     }
 }
 
@@ -300,13 +294,11 @@ fn a_noisy_estimate_wanders_as_gps_and_barometer_do_and_the_truth_is_another() {
             level += (x + y) / 2.0 / seeds as f32;
             down += z / seeds as f32;
         }
-        println!(
-            "{}: a hold of 20 s wanders {level:.2} m, in height {down:.2} m",
-            model.name()
-        );
+        let name = model.name();
+        println!("{name}: a hold of 20 s wanders {level:.2} m, in height {down:.2} m");
         // Measured: 0.5 by 0.7 by 0.3 m, and of PX4 main 0.36 m within 8 s in height.
         assert!((0.4..=0.8).contains(&level), "{level}");
-        let most_m = if model.name().starts_with("px4") { 1.0 } else { 0.5 };
+        let most_m = if name.starts_with("px4") { 1.0 } else { 0.5 };
         assert!((0.2..=most_m).contains(&down), "{down}");
     }
     // PX4's heading wanders: measured in 15 flights of SIH, 4.3° (rms), 1.8° within a second, 4.6° within eight. Ours does not.
@@ -340,9 +332,7 @@ fn a_noisy_estimate_wanders_as_gps_and_barometer_do_and_the_truth_is_another() {
     }
     level.sort_by(f32::total_cmp);
     down.sort_by(f32::total_cmp);
-    println!(
-        "off by {:.2} m (half of them), in height {:.2} m (95 %)",
-        level[100], down[190]
-    );
-    assert!((0.2..=0.5).contains(&level[100]) && (0.7..=1.3).contains(&down[190]));
+    let (half, most) = (level[100], down[190]);
+    println!("off by {half:.2} m (half of them), in height {most:.2} m (95 %)");
+    assert!((0.2..=0.5).contains(&half) && (0.7..=1.3).contains(&most));
 }

@@ -7,8 +7,7 @@ use crate::world::{Course, LidarConfig, LidarConfigError, Referee, Shot, World};
 use mavlink::dialects::common::{HIL_STATE_QUATERNION_DATA, MavMessage};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{self, FramingCounters, Packet};
-use vigil_types::named;
-use vigil_types::{Attitude, DepthFrame, FrameKey, Kinematics, Nanos, NedVector, VehicleMode, VehicleTelemetry};
+use vigil_types::{Attitude, DepthFrame, FrameKey, Kinematics, Nanos, NedVector, VehicleMode, VehicleTelemetry, named};
 
 /// A report older than this is no pose; the firmware's own limit of telemetry.
 const REPORT_AGE_NS: Nanos = vigil_types::parameters::TELEMETRY_AGE.nanos();
@@ -73,17 +72,6 @@ fn is_finite(reported: &Kinematics) -> bool {
 
 fn is_fresh(at_ns: Nanos, now_ns: Nanos) -> bool {
     now_ns.saturating_sub(at_ns) <= REPORT_AGE_NS
-}
-
-/// A pose on the course.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct CoursePose {
-    /// Metres from home.
-    pub position_ned_m: NedVector,
-    /// Body to NED.
-    pub attitude: Attitude,
-    /// Metres per second.
-    pub velocity_ned_m_s: NedVector,
 }
 
 /// How a foreign flight is set up.
@@ -241,13 +229,11 @@ impl ForeignFlight {
     }
 
     /// The pose that is rendered, on the course, at `now_ns`.
-    pub fn pose(&self, now_ns: Nanos) -> Option<CoursePose> {
+    pub fn pose(&self, now_ns: Nanos) -> Option<(Kinematics, Attitude)> {
         let (motion, attitude) = self.rendered()?;
-        Some(CoursePose {
-            position_ned_m: carried_on(&motion, now_ns) - self.home_ned_m,
-            attitude,
-            velocity_ned_m_s: motion.velocity_ned_m_s,
-        })
+        let position_ned_m = carried_on(&motion, now_ns) - self.home_ned_m;
+        let motion = Kinematics::new(now_ns, position_ned_m, motion.velocity_ned_m_s);
+        Some((motion, attitude))
     }
 
     /// Shows the referee what was just reported.
@@ -255,24 +241,23 @@ impl ForeignFlight {
         if self.pose_state(now_ns) != PoseState::Tracking || self.ending.is_some() {
             return;
         }
-        let Some(pose) = self.pose(now_ns) else { return };
-        if self.lifted_off_ns.is_none() && -pose.position_ned_m.z >= LIFT_OFF_M {
+        let Some((motion, attitude)) = self.pose(now_ns) else {
+            return;
+        };
+        let position_ned_m = motion.position_ned_m;
+        if self.lifted_off_ns.is_none() && -position_ned_m.z >= LIFT_OFF_M {
             self.lifted_off_ns = Some(now_ns);
         }
         let Some(lifted_off_ns) = self.lifted_off_ns else {
             return;
         };
-        if let Some(last) = self.last_judged_ned_m.replace(pose.position_ned_m) {
-            self.path_length_m += f64::from((pose.position_ned_m - last).norm());
+        if let Some(last) = self.last_judged_ned_m.replace(position_ned_m) {
+            self.path_length_m += f64::from((position_ned_m - last).norm());
         }
         self.world.set_time_ns(now_ns.saturating_sub(self.epoch_ns));
-        let outcome = self.referee.observe(
-            &self.world,
-            now_ns,
-            pose.position_ned_m,
-            pose.attitude,
-            pose.velocity_ned_m_s,
-        );
+        let outcome = self
+            .referee
+            .observe(&self.world, now_ns, position_ned_m, attitude, motion.velocity_ned_m_s);
         self.ending = outcome.map(|outcome| Ending {
             outcome,
             flight_time_s: (now_ns - lifted_off_ns) as f64 * 1e-9,
@@ -316,7 +301,7 @@ impl ForeignFlight {
     /// Renders and seals the depth frame of `now_ns`, from the reported position carried on by the reported velocity. `false`,
     /// and the frame is as it was, where the pose is not tracked.
     pub fn capture(&mut self, now_ns: Nanos, frame: &mut DepthFrame) -> bool {
-        let (PoseState::Tracking, Some(reported), Some(estimate), Some(pose)) = (
+        let (PoseState::Tracking, Some(reported), Some(estimate), Some((motion, attitude))) = (
             self.pose_state(now_ns),
             self.vehicle.telemetry.kinematics,
             self.vehicle.telemetry.attitude,
@@ -326,13 +311,13 @@ impl ForeignFlight {
         };
         let elapsed_ns = now_ns.saturating_sub(self.epoch_ns);
         self.world.set_time_ns(elapsed_ns);
-        let mut position_ned_m = pose.position_ned_m;
+        let mut position_ned_m = motion.position_ned_m;
         position_ned_m.z = position_ned_m.z.min(-LOWEST_SENSOR_M);
         let shot = Shot {
             estimated_position_ned_m: carried_on(&reported, now_ns),
             estimated_attitude: estimate.attitude,
             stamp_ns: now_ns,
-            ..Shot::at(position_ned_m, pose.attitude)
+            ..Shot::at(position_ned_m, attitude)
         };
         self.sensor.capture(&self.world, elapsed_ns, shot, frame);
         true
@@ -350,8 +335,8 @@ impl ForeignFlight {
 
     /// Horizontal distance to the goal; infinite while the pose is not known.
     pub fn goal_distance_m(&self, now_ns: Nanos) -> f32 {
-        self.pose(now_ns).map_or(f32::INFINITY, |pose| {
-            (self.goal_ned_m - pose.position_ned_m).horizontal_norm()
+        self.pose(now_ns).map_or(f32::INFINITY, |(motion, _)| {
+            (self.goal_ned_m - motion.position_ned_m).horizontal_norm()
         })
     }
 

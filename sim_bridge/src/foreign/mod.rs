@@ -5,5 +5,5 @@ mod flight;
 mod pose_link;
 pub mod render;
 
-pub use flight::{CoursePose, ForeignConfig, ForeignFlight, PoseState};
+pub use flight::{ForeignConfig, ForeignFlight, PoseState};
 pub use pose_link::PoseLink;

@@ -77,7 +77,7 @@ pub struct RenderArgs {
     pub status: bool,
 
     /// End this many seconds after the flight ended (the default is to go on until Ctrl-C).
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = crate::config::seconds)]
     pub end_after: Option<f64>,
 }
 
@@ -184,20 +184,14 @@ struct Sensor {
 
 impl Sensor {
     fn listen(&mut self, now_ns: Nanos) {
-        let Self {
-            flight,
-            links,
-            companion,
-            ..
-        } = self;
-        for link in links.iter_mut() {
+        for link in &mut self.links {
             link.receive(now_ns, |datagram| {
-                companion.observe(datagram);
-                flight.receive(now_ns, datagram);
+                self.companion.observe(datagram);
+                self.flight.receive(now_ns, datagram);
             });
         }
-        let wants_places = !flight.places_are_reported();
-        for link in links {
+        let wants_places = !self.flight.places_are_reported();
+        for link in &mut self.links {
             link.ask(now_ns, self.wants_truth, wants_places);
         }
     }
@@ -205,11 +199,10 @@ impl Sensor {
     fn publish(&mut self, now_ns: Nanos, publisher: &mut FramePublisher, looks: bool) -> Result<()> {
         // Not tracked: nothing is published. The firmware holds for its frame's age, and says so.
         if self.flight.pose_state(now_ns) == PoseState::Tracking {
-            let (flight, seen) = (&mut self.flight, &mut self.seen);
             publisher.publish_with(|frame| {
-                flight.capture(now_ns, frame);
+                self.flight.capture(now_ns, frame);
                 if looks {
-                    *seen = nearness(frame);
+                    self.seen = nearness(frame);
                 }
             })?;
         }
@@ -219,18 +212,17 @@ impl Sensor {
     fn status(&self, now_ns: Nanos) -> Status {
         let flight = &self.flight;
         // JSON has no numbers that are none.
-        let pose = flight
-            .pose(now_ns)
-            .filter(|p| p.position_ned_m.is_finite() && p.velocity_ned_m_s.is_finite() && p.attitude.is_valid());
+        let pose = (flight.pose(now_ns)).map(|(motion, turn)| (motion.position_ned_m, motion.velocity_ned_m_s, turn));
+        let finite =
+            pose.filter(|(place, velocity, turn)| place.is_finite() && velocity.is_finite() && turn.is_valid());
+        let (position_ned_m, velocity_ned_m_s, attitude) = finite.unwrap_or_default();
         let state = flight.pose_state(now_ns);
         Status {
             time_s: (now_ns - self.epoch_ns) as f64 * 1e-9,
             at_ns: now_ns,
-            position_ned_m: pose.map_or([0.0; 3], |p| p.position_ned_m.to_array()),
-            attitude: pose.map_or([1.0, 0.0, 0.0, 0.0], |p| {
-                [p.attitude.w, p.attitude.x, p.attitude.y, p.attitude.z]
-            }),
-            speed_m_s: pose.map_or(0.0, |p| p.velocity_ned_m_s.norm()),
+            position_ned_m: position_ned_m.to_array(),
+            attitude: [attitude.w, attitude.x, attitude.y, attitude.z],
+            speed_m_s: velocity_ned_m_s.norm(),
             // JSON has no infinity.
             goal_distance_m: Some(flight.goal_distance_m(now_ns))
                 .filter(|m| m.is_finite())

@@ -47,6 +47,21 @@ pub(super) fn angle(field: &str, value: f32) -> Result<(), FieldProblem> {
     within(field, value, -360.0..=360.0, "within ±360 degrees")
 }
 
+/// The ends of what lies along a line: two places; `other` says what the second must be.
+pub(super) fn ends<const N: usize>(table: &str, [from, to]: [[f32; N]; 2], other: &str) -> Result<(), FieldProblem> {
+    let mut apart_m2 = 0.0_f32;
+    for k in 0..N {
+        coordinate(&format!("{table}.from_m[{k}]"), from[k])?;
+        coordinate(&format!("{table}.to_m[{k}]"), to[k])?;
+        apart_m2 += (to[k] - from[k]).powi(2);
+    }
+    if apart_m2.sqrt() >= 0.01 {
+        return Ok(());
+    }
+    let same = format!("is the same point as from_m, must be {other}");
+    problem(format!("{table}.to_m"), same)
+}
+
 fn size(field: &str, value: f32) -> Result<(), FieldProblem> {
     let expected = format!("a size from 0.01 to {MAX_COORDINATE_M} m");
     within(field, value, 0.01..=MAX_COORDINATE_M, &expected)
@@ -59,6 +74,7 @@ macro_rules! check_fields {
         $($($check(&format!("{table}.{}", stringify!($field)), $of.$field)?;)+)+
     }};
 }
+pub(super) use check_fields;
 
 impl Course {
     /// Checks every value, and that start and goal are free and within bounds. Flyability is [`Course::corridor`]'s matter.
@@ -142,17 +158,9 @@ impl Course {
             check_fields!(b, table, coordinate: north_m east_m, size: length_m width_m height_m, angle: yaw_deg);
         }
         for (i, w) in self.walls.iter().enumerate() {
-            for k in 0..2 {
-                coordinate(&format!("wall[{i}].from_m[{k}]"), w.from_m[k])?;
-                coordinate(&format!("wall[{i}].to_m[{k}]"), w.to_m[k])?;
-            }
-            check_fields!(w, format!("wall[{i}]"), size: thickness_m height_m);
-            if libm::hypotf(w.to_m[0] - w.from_m[0], w.to_m[1] - w.from_m[1]) < 0.01 {
-                return problem(
-                    format!("wall[{i}].to_m"),
-                    "is the same point as from_m, must be another",
-                );
-            }
+            let table = format!("wall[{i}]");
+            ends(&table, [w.from_m, w.to_m], "another")?;
+            check_fields!(w, table, size: thickness_m height_m);
         }
         for (i, o) in self.overhangs.iter().enumerate() {
             let table = format!("overhang[{i}]");
@@ -226,16 +234,8 @@ impl Course {
 
 impl Mover {
     fn check(&self, i: usize) -> Result<(), FieldProblem> {
-        for k in 0..2 {
-            coordinate(&format!("mover[{i}].from_m[{k}]"), self.from_m[k])?;
-            coordinate(&format!("mover[{i}].to_m[{k}]"), self.to_m[k])?;
-        }
-        if self.length_m() < 0.01 {
-            return problem(
-                format!("mover[{i}].to_m"),
-                "is the same point as from_m, must be another; what stands still is a column or a box",
-            );
-        }
+        let expected = "another; what stands still is a column or a box";
+        ends(&format!("mover[{i}]"), [self.from_m, self.to_m], expected)?;
         let field = |name: &str| format!("mover[{i}].{name}");
         let pace = format!("from 0.01 to {MAX_MOVER_SPEED_M_S} m/s");
         within(&field("speed_m_s"), self.speed_m_s, 0.01..=MAX_MOVER_SPEED_M_S, &pace)?;

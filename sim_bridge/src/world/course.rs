@@ -5,10 +5,8 @@ use crate::world::mover::Mover;
 use crate::world::solid::{Solid, radians};
 use crate::world::wire::Wire;
 use serde::{Deserialize, Serialize};
-use vigil_types::NedVector;
-use vigil_types::named;
-use vigil_types::settings;
 use vigil_types::settings::{free, named_setting, required, section};
+use vigil_types::{NedVector, named, settings};
 
 settings! {
     /// A course. Everything is measured from the vehicle's home: north, east and height above ground in metres, angles in

@@ -1,10 +1,8 @@
 //! Obstacles that go to and fro along a line.
 
-use crate::world::solid::Solid;
-use crate::world::solid::radians;
-use vigil_types::Nanos;
-use vigil_types::settings;
+use crate::world::solid::{Solid, radians};
 use vigil_types::settings::{Field, Given, Refused, Rule, Setting, Value, free, refused, required};
+use vigil_types::{Nanos, settings};
 
 /// No mover may be faster: the pace of somebody who walks slowly.
 pub const MAX_MOVER_SPEED_M_S: f32 = 1.0;

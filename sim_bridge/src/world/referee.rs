@@ -5,8 +5,7 @@ use crate::world::course::{Checkpoint, Course};
 use crate::world::solid::radians;
 use crate::world::vehicle::VEHICLE;
 use serde::{Deserialize, Serialize};
-use vigil_types::named;
-use vigil_types::{Attitude, Nanos, NedVector};
+use vigil_types::{Attitude, Nanos, NedVector, named};
 
 /// Touching the ground faster than this, downwards, is a crash. A quadcopter's landing descends at 0.3 to 0.7 m/s.
 pub const GROUND_CRASH_SPEED_M_S: f32 = 1.5;

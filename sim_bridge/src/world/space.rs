@@ -6,7 +6,7 @@ use crate::world::mover::Mover;
 use crate::world::solid::{Solid, UPRIGHT};
 use crate::world::vehicle::VehicleSolid;
 use glamx::{Pose3, Quat, Vec3};
-use parry3d::bounding_volume::Aabb;
+use parry3d::bounding_volume::{Aabb, BoundingVolume};
 use parry3d::partitioning::{Bvh, BvhBuildStrategy};
 use parry3d::query::intersection_test;
 use parry3d::shape::{Cylinder, SharedShape};
@@ -42,11 +42,7 @@ impl World {
             .chain(tracks)
             .map(|solid| {
                 let (pose, shape) = solid.shape();
-                let aabb = shape.compute_aabb(&pose);
-                Aabb::new(
-                    aabb.mins - Vec3::splat(TREE_MARGIN_M),
-                    aabb.maxs + Vec3::splat(TREE_MARGIN_M),
-                )
+                shape.compute_aabb(&pose).loosened(TREE_MARGIN_M)
             })
             .collect();
         let placed = solids.iter().copied().chain(movers.iter().map(|m| m.solid_at(0)));
@@ -119,8 +115,7 @@ impl World {
         let pose = Pose3::from_parts(Vec3::new(p.x, p.y, p.z), turn);
         let shape = Cylinder::new(0.5 * vehicle.height_m, vehicle.radius_m);
         let around = Vec3::splat(vehicle.bounding_radius_m());
-        let centre = pose.translation;
-        let reach = Aabb::new(centre - around, centre + around);
+        let reach = Aabb::from_half_extents(pose.translation, around);
         let touches_solid = self.bvh.intersect_aabb(&reach).any(|leaf| {
             let (mut other_pose, ref other) = self.shapes[leaf as usize];
             if let Some(mover) = self.mover(leaf as usize) {

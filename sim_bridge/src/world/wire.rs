@@ -1,7 +1,7 @@
 //! Wires, cables and branches: thin, straight, in any direction. To be seen and touched each is a closed prism of six sides, within 7.2 % of its
 //! radius (3.6 mm of the thickest), in one surface with all others of its course.
 
-use crate::world::check::{FieldProblem, coordinate, problem, within};
+use crate::world::check::{FieldProblem, ends, within};
 use crate::world::course::Course;
 use crate::world::mesh::{Surface, standing};
 use crate::world::solid::Solid;
@@ -91,17 +91,7 @@ impl Wire {
     }
 
     pub(crate) fn check(&self, i: usize) -> Result<(), FieldProblem> {
-        for k in 0..3 {
-            coordinate(&format!("wire[{i}].from_m[{k}]"), self.from_m[k])?;
-            coordinate(&format!("wire[{i}].to_m[{k}]"), self.to_m[k])?;
-        }
-        let [from, to] = self.ends();
-        if from.distance(to) < 0.01 {
-            return problem(
-                format!("wire[{i}].to_m"),
-                "is the same point as from_m, must be another",
-            );
-        }
+        ends(&format!("wire[{i}]"), [self.from_m, self.to_m], "another")?;
         let expected = "from 0.005 to 0.05 m; what is thicker is a column or a box";
         within(&format!("wire[{i}].radius_m"), self.radius_m, 0.005..=0.05, expected)
     }

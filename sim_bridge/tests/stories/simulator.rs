@@ -10,6 +10,23 @@ use vigil_sim::world::{Column, Family, Outcome, generate};
 use vigil_sim::{STEP_MS, SimConfig, Simulator, Start};
 use vigil_types::{DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, Nanos};
 
+/// What the vehicle says within some milliseconds.
+fn advance(simulator: &mut Simulator, ms: u32) -> Vec<u8> {
+    let mut said = Vec::new();
+    for _ in 0..ms {
+        simulator.advance_1ms();
+        simulator.transmit(|_, datagram| said.extend_from_slice(datagram));
+    }
+    said
+}
+
+/// A vehicle in the air on a course.
+fn airborne(family: Family, seed: u64) -> SimConfig {
+    let mut config = SimConfig::new(generate(family, seed), seed);
+    config.start = Start::Airborne;
+    config
+}
+
 /// The digest of three seconds of hovering at a course's start.
 fn hover(config: &SimConfig, epoch_ns: Nanos) -> (u64, Box<DepthFrame>) {
     let mut simulator = Simulator::new(config, epoch_ns).expect("valid");
@@ -23,8 +40,7 @@ fn hover(config: &SimConfig, epoch_ns: Nanos) -> (u64, Box<DepthFrame>) {
 
 #[test]
 fn movers_move_with_simulated_time_whatever_the_clock_says() {
-    let mut config = SimConfig::new(generate(Family::Hard, 4), 4);
-    config.start = Start::Airborne;
+    let mut config = airborne(Family::Hard, 4);
     let (hash, frame) = hover(&config, 0);
     assert_eq!(hover(&config, 0).0, hash);
     let moved = |other: &DepthFrame| {
@@ -46,8 +62,7 @@ fn movers_move_with_simulated_time_whatever_the_clock_says() {
 #[test]
 #[allow(deprecated, reason = "the frame that PX4 flies and clients send")]
 fn a_simulator_that_stood_still_for_a_second_says_so_and_flies_on_as_if_nothing_had_been() {
-    let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
-    config.start = Start::Airborne;
+    let config = airborne(Family::Validation, 1);
     let setpoint = message!(
         SET_POSITION_TARGET_LOCAL_NED,
         type_mask = PositionTargetTypemask::from_bits_retain(0x5C7),
@@ -70,10 +85,7 @@ fn a_simulator_that_stood_still_for_a_second_says_so_and_flies_on_as_if_nothing_
             let since_ns = simulator.now_ns() - before_ns;
             assert_eq!(since_ns, 1_000_000_000, "frames have today's stamps");
         }
-        for _ in 0..STEP_MS {
-            simulator.advance_1ms();
-            simulator.transmit(|_, datagram| said.extend_from_slice(datagram));
-        }
+        said.extend(advance(&mut simulator, STEP_MS));
     }
     let status = simulator.status();
     assert_eq!((status.mode, status.failsafe), (FlightMode::Offboard, None));
@@ -84,7 +96,7 @@ fn a_simulator_that_stood_still_for_a_second_says_so_and_flies_on_as_if_nothing_
 /// A vehicle that hit something says so, refuses to arm and to take off with the reason, and flies again after a reboot.
 #[test]
 fn a_vehicle_that_hit_something_says_why_it_does_not_fly_until_a_reboot_mends_it() {
-    let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
+    let mut config = airborne(Family::Validation, 1);
     // Where the vehicle is.
     let (north_m, east_m) = (config.course.start_ned_m().x, config.course.start_ned_m().y);
     config.course.columns.push(Column {
@@ -93,13 +105,8 @@ fn a_vehicle_that_hit_something_says_why_it_does_not_fly_until_a_reboot_mends_it
         radius_m: 0.3,
         height_m: 4.0,
     });
-    config.start = Start::Airborne;
     let mut simulator = Simulator::new(&config, 0).unwrap();
-    let mut said = Vec::new();
-    for _ in 0..5_000 {
-        simulator.advance_1ms();
-        simulator.transmit(|_, datagram| said.extend_from_slice(datagram));
-    }
+    let said = advance(&mut simulator, 5_000);
     assert_eq!(simulator.ending().map(|e| e.outcome), Some(Outcome::Collision));
     let says = |said: &[u8], text: &str| said.windows(text.len()).any(|window| window == text.as_bytes());
     assert!(says(&said, "collision: motors off until a reboot"), "it is silent");
@@ -107,12 +114,7 @@ fn a_vehicle_that_hit_something_says_why_it_does_not_fly_until_a_reboot_mends_it
     let ask = |simulator: &mut Simulator, number: u16, first: f32, ms: u32| {
         let params = [first, 0.0, 0.0, 0.0, 0.0, 0.0, f32::NAN];
         simulator.receive(0, &command((245, 190), number, params));
-        let mut said = Vec::new();
-        for _ in 0..ms {
-            simulator.advance_1ms();
-            simulator.transmit(|_, datagram| said.extend_from_slice(datagram));
-        }
-        said
+        advance(simulator, ms)
     };
     let (arm, take_off, reboot) = (400, 22, 246);
     for (command, name) in [(arm, "arming"), (take_off, "takeoff")] {
@@ -135,8 +137,7 @@ fn a_vehicle_that_hit_something_says_why_it_does_not_fly_until_a_reboot_mends_it
 #[test]
 fn a_vehicle_that_is_killed_low_flies_again_and_one_that_falls_farther_is_broken() {
     for (height_m, breaks, ends_before) in [(0.45, false, false), (1.2, true, false), (1.2, true, true)] {
-        let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
-        config.start = Start::Airborne;
+        let mut config = airborne(Family::Validation, 1);
         // The end of the flight does not make it whole.
         config.course.time_limit_s = if ends_before { 0.1 } else { 90.0 };
         let mut simulator = Simulator::new(&config, 0).unwrap();
@@ -162,8 +163,7 @@ fn a_vehicle_that_is_killed_low_flies_again_and_one_that_falls_farther_is_broken
 
 #[test]
 fn our_own_vehicle_heard_by_mavlink_alone_sees_what_its_simulator_shows() {
-    let mut config = SimConfig::new(generate(Family::Validation, 7), 7);
-    config.start = Start::Airborne;
+    let config = airborne(Family::Validation, 7);
     let mut simulator = Simulator::new(&config, 0).expect("valid");
     let foreign_config = ForeignConfig {
         lidar: config.lidar,

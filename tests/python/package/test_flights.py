@@ -62,7 +62,8 @@ def test_a_log_is_read_as_columns(evaluated):
     assert read.frames.shape == (len(read.frame_steps), 128, 256) and read.frames.dtype == np.float32
     assert 0.0 <= read.frames.min() and read.frames.max() == 100.0
     assert read.info["seed"] == "7" and len(read.info["actor_sha256"]) == 64
-    assert "complete" in read.end
+    assert read.info["course"] and read.info["outcome"].startswith(flights[0]["outcome"])
+    assert "complete" in read.end and read == read and len({read, read}) == 1
     assert len(log.read(logs / "7.mcap").frames) == 0
     table = read.table()
     assert len(table) == steps and {"action_0", "score", "state"} <= set(table.columns)
@@ -92,14 +93,17 @@ def test_what_is_no_log_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"family": "nowhere"}, "no course family"),
+        ({"family": "nowhere"}, "no course family is called `nowhere`"),
         ({"flights": 0}, "flights: 1 or more"),
         ({"seeds": []}, "seeds: is empty"),
         ({"seeds": [-1]}, "seeds: 0 or more"),
         ({"first_seed": -1}, "first_seed: 0 or more"),
         ({"pilot": "me"}, "pilot: actor or geometric"),
         ({"attack": "magic"}, "attack: magic is none of"),
-        ({"wind": 50.0}, "wind: 0 to 20"),
+        ({"wind": 50.0}, "wind: 0 to 20 m/s, got 50.0"),
+        ({"noise": float("nan")}, "noise: a factor from 0 to 100, got nan"),
+        ({"threads": 0}, "threads: 1 or more"),
+        ({"iterations": -1}, "iterations: 1 or more"),
         ({"actor": "/no/actor"}, "/no/actor"),
         ({"detector": "/no/detector"}, "/no/detector"),
         ({"attack": "pgd", "burst": "sometimes"}, "sometimes|burst|number"),
@@ -127,6 +131,9 @@ def test_an_example_runs(example, evaluated, tmp_path, python):
         "complete_courses": "unattacked: 6 of 6",
     }
     assert said[example] in done.stdout, done.stdout
+    if arguments:
+        bare = subprocess.run([python, file], capture_output=True, text=True, timeout=60)
+        assert bare.returncode == 1 and bare.stderr.startswith("Reads a flight log")
 
 
 def test_the_annotations_hold(python):

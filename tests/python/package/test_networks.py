@@ -1,5 +1,11 @@
 """`vigil.policy`, `explain`, `attack`, `detect`: sums, bounds, gradients, the same numbers as in flight, errors."""
 
+import copy
+import os
+import pickle
+import signal
+import threading
+
 import numpy as np
 import pytest
 
@@ -126,6 +132,8 @@ def test_an_imported_policy_is_judged_at_its_split_point_and_attacked_frame_by_f
     policy = Policy(policies[name])
     with pytest.raises(ValueError, match="nothing was decided yet"):
         policy.state()
+    with pytest.raises(ValueError, match="detector: .* give detector=FILE, the policy's own, or detector=False, and guard=True"):
+        completion(flights=1, actor=policies[name])
     adversary = FrameAttack(policy, "bim-clipped", epsilon=8.0, iterations=5, towards="right")
     unattacked, states, actions, moved = Policy(policies[name]), [], [], []
     for i, (stack, goal) in enumerate(zip(frames, goals)):
@@ -224,53 +232,79 @@ def test_a_detector_is_trained_on_rows_of_any_width_and_kept(tmp_path):
     again = train(learn, choose, epochs=4, threads=1)
     np.testing.assert_array_equal(again.lstm.params, trained.lstm.params)
     trained.lstm.save(tmp_path / "own")
-    np.testing.assert_array_equal(Lstm.load(tmp_path / "own").scores(rows), scores)
+    for kind in (Lstm, Detector):
+        np.testing.assert_array_equal(kind.load(tmp_path / "own").scores(rows), scores)
     found, labels = windows([rows_of(1), (rows[:5], attacked[:5])])
     assert found.shape == (51, 10, 7) and labels.sum() == 30
 
 
-def test_what_does_not_fit_is_refused_in_words(flown, tmp_path):
-    frames, _, positions, states, _, held = flown
-    actor, frame, position, low_dim = Actor(), frames[0][-1], positions[0], held[0][1]
+def test_training_ends_at_ctrl_c():
+    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        train([rows_of(1)], [rows_of(2)], epochs=10**6)
+    timer.join()
+
+
+def test_a_copy_of_a_policy_is_made_anew_from_its_file(flown, policies):
+    frames, _, positions, _, actions, _ = flown
+    actor, policy = Actor(), Policy(policies["three_channels_last"])
+    first = policy.decide(frames[0][-1], positions[0])
+    for frame, position in zip(frames[:9, -1], positions):
+        actor.decide(frame, position)
+        policy.decide(frame, position)
+    assert pickle.loads(pickle.dumps(actor)).decide(frames[0][-1], positions[0]) == actions[0]
+    assert copy.deepcopy(policy).decide(frames[0][-1], positions[0]) == first
+
+
+def test_what_does_not_fit_is_refused_in_words(flown, policies, tmp_path):
+    frames, goals, positions, states, _, held = flown
+    actor, frame, position, (context, low_dim) = Actor(), frames[0][-1], positions[0], held[0]
+    policy, far = Policy(policies["goal_beside_the_frame"]), frame * 2.0 + 100.0
+    own = policy.own_frame(np.repeat(frame[None], policy.frame_shape[2], axis=0))
     bad = frame.copy()
     bad[3, 4] = np.nan
-    for given, error, said in [
-        (frame[:64], ValueError, r"frame: expected shape \(128, 256\), got \(64, 256\)"),
-        (bad, ValueError, "frame: holds a value that is not a finite number"),
-        (frame.astype(np.uint8), TypeError, "frame: expected floating-point numbers, got dtype uint8"),
-        (frame * 2.0 + 100.0, ValueError, "frame: ranges are 0 to 100 m"),
-        (-frame, ValueError, "frame: ranges are 0 to 100 m"),
+    files = [tmp_path / name for name in ("no.safetensors", "no.npz")]
+    for file in files:
+        file.write_bytes(b"nothing")
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    missing, rows, none = tmp_path / "missing.safetensors", rows_of(1), (np.empty((0, 48), np.float32), [])
+    for call, error, said in [
+        (lambda: actor.decide(frame[:64], position), ValueError, r"frame: expected shape \(128, 256\), got \(64, 256\)"),
+        (lambda: actor.decide(bad, position), ValueError, "frame: holds a value that is not a finite number: nan"),
+        (lambda: actor.decide(frame.astype(np.uint8), position), TypeError, "frame: expected floating-point .*got dtype uint8"),
+        (lambda: actor.decide(far, position), ValueError, "frame: ranges are 0 to 100 m, one is 300.0 m"),
+        (lambda: actor.decide(-frame, position), ValueError, "frame: ranges are 0 to 100 m, one is -"),
+        (lambda: Pixels(actor, ([far], [context], [low_dim])), ValueError, "frame: ranges are 0 to 100 m, one is 300.0 m"),
+        (lambda: policy.own_frame(np.stack([far] * policy.frame_shape[2])), ValueError, "frames: ranges are 0 to 100 m"),
+        (lambda: actor.decide(frame, [1.0]), ValueError, r"goal: expected shape \(2,\) or \(9,\)"),
+        (lambda: actor.decide(frame, [-1.0, 0.0]), ValueError, "a distance of 0 m or more, got -1.0 m"),
+        (lambda: actor.decide(frame, [*position[:8], 1e11]), ValueError, "a time of at most 1000000000 s"),
+        (lambda: Monitor(actor).judge(states[0][:47], low_dim), ValueError, r"state: expected shape \(48,\)"),
+        (lambda: SplitPoint(actor).explain(states[0], low_dim, output=2), ValueError, "output: 0"),
+        (lambda: SplitPoint(actor).explain(states[0], position), ValueError, r"low_dim: expected shape \(8,\)"),
+        (lambda: SplitPoint(actor, none), ValueError, "empty"),
+        (lambda: StateAttack(actor, "magic"), ValueError, "is none of fgsm"),
+        (lambda: StateAttack(actor, "swell"), ValueError, "method: swell needs a flight's frames"),
+        (lambda: StateAttack(actor, "pgd", epsilon=0.0), ValueError, "epsilon: above 0 and at most 255, got 0.0"),
+        (lambda: FrameAttack(actor, iterations=-1), ValueError, "iterations: 1 or more, below 2.32, got -1"),
+        (lambda: PolicyAttack(policy, seed=1.5), TypeError, "seed: expected a whole number, got 1.5"),
+        (lambda: StateAttack("a.safetensors"), TypeError, "actor: a vigil.policy.Actor, got str"),
+        (lambda: FrameAttack(None), TypeError, "actor: a vigil.policy.Actor or a vigil.policy.Policy, got NoneType"),
+        (lambda: PolicyAttack(actor), TypeError, "policy: a vigil.policy.Policy, got Actor"),
+        (lambda: PolicyPixels(actor, [(own, goals[0])]), TypeError, "policy: a vigil.policy.Policy, got Actor"),
+        (lambda: detect.freeze(missing, None, actor, none), TypeError, "lstm: a vigil.detect.Lstm, got NoneType"),
+        (lambda: policy_module.freeze(missing, actor.tensors(), updates=-1), ValueError, "updates: 0 or more"),
+        (lambda: Detector().scores(np.zeros((20, 47), np.float32)), ValueError, r"rows: expected shape \('any', 48\)"),
+        (lambda: train([(rows[0], np.zeros(60, bool))], [rows]), ValueError, "attacked and unattacked"),
+        (lambda: train([rows], [rows_of(2, width=8)]), ValueError, "wide to choose"),
+        (lambda: train([rows], [rows], threads=0), ValueError, "threads: 1 or more"),
+        (lambda: train([rows], [rows], rate=np.nan), ValueError, "rate: above 0 and below 1, got nan"),
+        *((lambda kind=kind: kind(files[0]), ValueError, "no.safetensors") for kind in (Actor, Policy, Detector)),
+        *((lambda kind=kind: kind(missing), ValueError, "missing.safetensors") for kind in (Actor, Policy, Detector)),
+        (lambda: Lstm.load(files[1]), ValueError, "no.npz: not a file that Lstm.save has written"),
+        (lambda: Lstm.load(tmp_path / "other.npz"), ValueError, "other.npz: not a file that Lstm.save has written"),
     ]:
         with pytest.raises(error, match=said):
-            actor.decide(given, position)
-    with pytest.raises(ValueError, match=r"goal: expected shape \(2,\) or \(9,\)"):
-        actor.decide(frame, [1.0])
-    with pytest.raises(ValueError, match="a distance of 0 m or more"):
-        actor.decide(frame, [-1.0, 0.0])
-    with pytest.raises(ValueError, match="a time of at most 1000000000 s"):
-        actor.decide(frame, [*position[:8], 1e11])
-    with pytest.raises(ValueError, match=r"state: expected shape \(48,\)"):
-        Monitor(actor).judge(states[0][:47], low_dim)
-    with pytest.raises(ValueError, match="output: 0"):
-        SplitPoint(actor).explain(states[0], low_dim, output=2)
-    with pytest.raises(ValueError, match=r"low_dim: expected shape \(8,\)"):
-        SplitPoint(actor).explain(states[0], position)
-    with pytest.raises(ValueError, match="empty"):
-        SplitPoint(actor, (np.empty((0, 48), np.float32), []))
-    with pytest.raises(ValueError, match="is none of fgsm"):
-        StateAttack(actor, "magic")
-    with pytest.raises(ValueError, match="epsilon must be above 0"):
-        StateAttack(actor, "pgd", epsilon=0.0)
-    with pytest.raises(ValueError, match=r"rows: expected shape \('any', 48\)"):
-        Detector().scores(np.zeros((20, 47), np.float32))
-    with pytest.raises(ValueError, match="attacked and unattacked"):
-        train([(rows_of(1)[0], np.zeros(60, bool))], [rows_of(2)])
-    with pytest.raises(ValueError, match="wide to choose"):
-        train([rows_of(1)], [rows_of(2, width=8)])
-    no_actor = tmp_path / "no.safetensors"
-    no_actor.write_bytes(b"nothing")
-    for kind in (Actor, Policy, Detector):
-        with pytest.raises(ValueError, match="no.safetensors"):
-            kind(no_actor)
-        with pytest.raises(ValueError, match="missing.safetensors"):
-            kind(tmp_path / "missing.safetensors")
+            call()
+    assert not missing.exists()

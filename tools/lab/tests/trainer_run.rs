@@ -4,7 +4,7 @@ use anyhow::Result;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use vigil_lab::trainer::config::LearnConfig;
-use vigil_lab::trainer::run::{LearnEnd, LearnOptions, Progress, learn};
+use vigil_lab::trainer::run::{LearnEnd, LearnOptions, Progress, Row, csv, learn};
 use vigil_policy::actor::ActorSpec;
 use vigil_sim::world::Family;
 
@@ -99,6 +99,9 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
         };
         assert_eq!(lines(&whole), lines(&parts), "{file}");
     }
+
+    let without_flights = csv(&[Row::default()]);
+    assert!(without_flights.ends_with("\n0,0,0.0,0,0,,0.00000,0.0000,0.0000,0.0000,0.00000\n"));
 
     // Stopped while the end is tested, it is tested when it goes on.
     let stopped = learn(&two, &options(&parts, true), &AtomicBool::new(true), &mut |_| {});

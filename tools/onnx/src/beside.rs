@@ -52,12 +52,6 @@ fn data_of(
         Some(len) => from.saturating_add(len),
         None => file.len(),
     };
-    let data = file.get(from..to);
-    let data = data.ok_or_else(|| {
-        format!(
-            "its data are at {from} to {to} of `{name}`, which has {} bytes",
-            file.len()
-        )
-    })?;
-    Ok(data.to_vec())
+    let (data, len) = (file.get(from..to).map(<[u8]>::to_vec), file.len());
+    data.ok_or_else(|| format!("its data are at {from} to {to} of `{name}`, which has {len} bytes"))
 }

@@ -21,6 +21,13 @@ pub struct Constant {
     pub data: Data,
 }
 
+/// What a type of numbers that no constant here has is called.
+fn type_name(number: i64) -> String {
+    let named = [(2, "uint8"), (3, "int8"), (10, "float16"), (16, "bfloat16")];
+    let found = named.iter().find(|(other, _)| *other == number);
+    found.map_or_else(|| format!("type {number}"), |(_, name)| (*name).to_owned())
+}
+
 /// The number of values of a shape, if it is allowed.
 pub fn len_of(shape: &[usize]) -> Result<usize, String> {
     let len = shape.iter().try_fold(1usize, |all, size| all.checked_mul(*size));
@@ -57,19 +64,17 @@ impl Constant {
             9 => Data::Whole(raw.iter().map(|b| i64::from(*b != 0)).collect()),
             other => {
                 return Err(format!(
-                    "it has numbers of type {other}; float32, float64, int32, int64 and bool are known"
+                    "it has numbers of {}; float32, float64, int32, int64 and bool are known",
+                    type_name(i64::from(other))
                 ));
             }
         };
         let constant = Self { shape, data };
-        if constant.len() != len {
-            return Err(format!(
-                "it has {} values for the shape {:?}",
-                constant.len(),
-                constant.shape
-            ));
+        let (count, shape) = (constant.len(), &constant.shape);
+        match count == len {
+            true => Ok(constant),
+            false => Err(format!("it has {count} values for the shape {shape:?}")),
         }
-        Ok(constant)
     }
 
     /// The constant, if its numbers are finite; what is but a bound may be infinite, which is none.
@@ -110,7 +115,7 @@ impl Constant {
             (Data::Whole(values), 9) => Data::Whole(values.iter().map(|x| i64::from(*x != 0)).collect()),
             (Data::Real(values), 6 | 7) => Data::Whole(values.iter().map(|x| *x as i64).collect()),
             (Data::Whole(values), 6 | 7) => Data::Whole(values.clone()),
-            _ => return Err(format!("a constant as numbers of type {to}")),
+            _ => return Err(format!("a constant as numbers of {}", type_name(to))),
         };
         let shape = self.shape.clone();
         Ok(Self { shape, data })

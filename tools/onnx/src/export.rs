@@ -163,24 +163,16 @@ fn of_actor(actor: &FrozenActor) -> Placed<'_> {
 }
 
 fn about_actor(actor: &FrozenActor) -> Vec<(&'static str, String)> {
+    let context = "older scans moved to here, remembered surfaces, own trail: docs/architecture.md";
+    let low_dim = "goal, own motion, last action: docs/architecture.md";
+    let unit_m_s = actor.cruise_m_s / ACTOR_LIMIT;
+    let action = format!("forward speed in units of {unit_m_s} m/s; yaw in units of 30 degrees/s, clockwise");
     vec![
         ("sha256", actor.sha256()),
         ("frame", "range / 100 m, 0 to 1".to_owned()),
-        (
-            "context",
-            "older scans moved to here, remembered surfaces, own trail: docs/architecture.md".to_owned(),
-        ),
-        (
-            "low_dim",
-            "goal, own motion, last action: docs/architecture.md".to_owned(),
-        ),
-        (
-            "action",
-            format!(
-                "forward speed in units of {} m/s; yaw in units of 30 degrees/s, clockwise",
-                actor.cruise_m_s / ACTOR_LIMIT
-            ),
-        ),
+        ("context", context.to_owned()),
+        ("low_dim", low_dim.to_owned()),
+        ("action", action),
     ]
 }
 

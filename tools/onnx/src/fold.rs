@@ -191,25 +191,18 @@ fn in_turn<'a>(
 /// Shapes or kinds of number that do not fit each other.
 pub fn fold(operator: &str, inputs: &[Rc<Constant>]) -> Result<Option<Constant>, String> {
     match (operator, inputs) {
-        ("Not", [x]) => Ok(Some(Constant {
-            shape: x.shape.clone(),
-            data: Data::Whole(x.whole()?.iter().map(|x| i64::from(*x == 0)).collect()),
-        })),
         (_, [x]) => {
-            let data = match &x.data {
-                Data::Real(values) => {
+            let data = match (&x.data, operator) {
+                (_, "Not") => Some(Data::Whole(x.whole()?.iter().map(|x| i64::from(*x == 0)).collect())),
+                (Data::Real(values), _) => {
                     let values: Option<Vec<f32>> = values.iter().map(|x| unary(operator, *x)).collect();
                     values.map(Data::Real)
                 }
-                Data::Whole(values) if operator == "Neg" => {
-                    Some(Data::Whole(values.iter().map(|x| x.wrapping_neg()).collect()))
-                }
-                Data::Whole(_) => None,
+                (Data::Whole(values), "Neg") => Some(Data::Whole(values.iter().map(|x| x.wrapping_neg()).collect())),
+                (Data::Whole(_), _) => None,
             };
-            Ok(data.map(|data| Constant {
-                shape: x.shape.clone(),
-                data,
-            }))
+            let shape = x.shape.clone();
+            Ok(data.map(|data| Constant { shape, data }))
         }
         ("Where", [condition, a, b]) => {
             let shape = broadcast_shape(&broadcast_shape(&condition.shape, &a.shape)?, &b.shape)?;
@@ -236,33 +229,30 @@ pub fn fold(operator: &str, inputs: &[Rc<Constant>]) -> Result<Option<Constant>,
 /// # Errors
 /// Whole numbers other than a product, as a shape's is.
 pub fn reduce(operator: &str, x: &Constant, along: &[bool], shape: Vec<usize>) -> Result<Constant, String> {
-    let places = reduced_places(&x.shape, along)?;
-    let count = x.len() / len_of(&shape)?.max(1);
-    if let (Data::Whole(values), "ReduceProd" | "ReduceSum") = (&x.data, operator) {
-        let start = i64::from(operator == "ReduceProd");
-        let mut all = vec![start; len_of(&shape)?];
-        for (value, place) in values.iter().zip(places) {
-            all[place] = match operator {
-                "ReduceProd" => all[place].wrapping_mul(*value),
-                _ => all[place].wrapping_add(*value),
-            };
+    let (places, len) = (reduced_places(&x.shape, along)?, len_of(&shape)?);
+    let real = |start: f32, with: fn(f32, f32) -> f32| x.real().map(|all| joined(all, &places, vec![start; len], with));
+    let data = match (&x.data, operator) {
+        (Data::Whole(all), "ReduceProd") => Data::Whole(joined(all, &places, vec![1; len], i64::wrapping_mul)),
+        (Data::Whole(all), "ReduceSum") => Data::Whole(joined(all, &places, vec![0; len], i64::wrapping_add)),
+        (_, "ReduceMax") => Data::Real(real(f32::NEG_INFINITY, f32::max)?),
+        (_, "ReduceMin") => Data::Real(real(f32::INFINITY, f32::min)?),
+        (_, "ReduceProd") => Data::Real(real(1.0, |a, b| a * b)?),
+        _ => {
+            let mut all = real(0.0, |a, b| a + b)?;
+            if operator == "ReduceMean" {
+                let count = (x.len() / len.max(1)) as f32;
+                all.iter_mut().for_each(|sum| *sum /= count);
+            }
+            Data::Real(all)
         }
-        let data = Data::Whole(all);
-        return Ok(Constant { shape, data });
-    }
-    let (start, with): (f32, fn(f32, f32) -> f32) = match operator {
-        "ReduceMax" => (f32::NEG_INFINITY, f32::max),
-        "ReduceMin" => (f32::INFINITY, f32::min),
-        "ReduceProd" => (1.0, |a, b| a * b),
-        _ => (0.0, |a, b| a + b),
     };
-    let mut all = vec![start; len_of(&shape)?];
-    for (value, place) in x.real()?.iter().zip(places) {
-        all[place] = with(all[place], *value);
-    }
-    if operator == "ReduceMean" {
-        all.iter_mut().for_each(|sum| *sum /= count as f32);
-    }
-    let data = Data::Real(all);
     Ok(Constant { shape, data })
+}
+
+/// What has the same place, one after the other.
+fn joined<T: Copy>(values: &[T], places: &[usize], mut all: Vec<T>, with: fn(T, T) -> T) -> Vec<T> {
+    for (value, place) in values.iter().zip(places) {
+        all[*place] = with(all[*place], *value);
+    }
+    all
 }

@@ -37,14 +37,9 @@ pub fn take(shape: &[usize], along: usize, taken: &[usize]) -> Result<Moved, Str
 
 /// The axes in another order.
 pub fn transpose(shape: &[usize], order: &[usize]) -> Result<Moved, String> {
-    let mut seen = vec![false; shape.len()];
-    for axis in order {
-        match seen.get_mut(*axis) {
-            Some(seen) if !*seen => *seen = true,
-            _ => return Err(format!("the order {order:?} of {} axes", shape.len())),
-        }
-    }
-    if order.len() != shape.len() {
+    let mut sorted = order.to_vec();
+    sorted.sort_unstable();
+    if !sorted.into_iter().eq(0..shape.len()) {
         return Err(format!("the order {order:?} of {} axes", shape.len()));
     }
     let mut strides = vec![1usize; shape.len()];

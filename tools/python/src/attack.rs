@@ -16,14 +16,15 @@ pub fn method_named(what: &str, name: &str) -> PyResult<Method> {
     Method::from_name(name).ok_or_else(|| refused(format!("{what}: {name} is none of {}", methods.join(", "))))
 }
 
-fn config(method: &str, epsilon_255: f32, iterations: u32, towards: &str, seed: u64) -> PyResult<AttackConfig> {
-    let all = [Towards::Left, Towards::Right, Towards::Away];
-    let towards = all.into_iter().find(|t| t.name() == towards);
+/// Method, ε in 1/255, iterations, where to, seed.
+type Given = (String, f32, u32, String, u64);
+
+fn config((method, epsilon_255, iterations, towards, seed): Given) -> PyResult<AttackConfig> {
     Ok(AttackConfig {
-        method: method_named("method", method)?,
+        method: method_named("method", &method)?,
         epsilon_255,
         iterations,
-        towards: towards.ok_or_else(|| refused("towards: left, right or away"))?,
+        towards: Towards::from_name(&towards).ok_or_else(|| refused("towards: left, right or away"))?,
         seed,
         ..AttackConfig::PAPER
     })
@@ -46,9 +47,8 @@ pub struct StateAttack {
 #[pymethods]
 impl StateAttack {
     #[new]
-    fn new(actor: &Actor, method: &str, epsilon_255: f32, iterations: u32, towards: &str, seed: u64) -> PyResult<Self> {
-        let config = config(method, epsilon_255, iterations, towards, seed)?;
-        let attack = vigil_adversary::StateAttack::new(Isa::detect(), &actor.frozen, &config);
+    fn new(actor: &Actor, given: Given) -> PyResult<Self> {
+        let attack = vigil_adversary::StateAttack::new(Isa::detect(), &actor.frozen, &config(given)?);
         Ok(Self {
             attack: attack.map_err(refused)?,
         })
@@ -65,7 +65,7 @@ impl StateAttack {
         let mut frame = frames("frame", &frame, 1)?;
         let mut held = Beside {
             context: [0.0; CONTEXT],
-            low_dim: beside(&low_dim, true)?,
+            low_dim: beside(&low_dim)?,
         };
         held.context.copy_from_slice(values("context", &context, CONTEXT)?);
         let attack = &mut self.attack;
@@ -86,17 +86,8 @@ pub struct FrameAttack {
 #[pymethods]
 impl FrameAttack {
     #[new]
-    fn new(
-        pilot: Learned<'_>,
-        method: &str,
-        epsilon_255: f32,
-        iterations: u32,
-        towards: &str,
-        seed: u64,
-    ) -> PyResult<Self> {
-        let config = config(method, epsilon_255, iterations, towards, seed)?;
-        let pilot = pilot.frozen();
-        let attack = vigil_adversary::FrameAttack::on(&pilot, Isa::detect(), &config);
+    fn new(pilot: Learned<'_>, given: Given) -> PyResult<Self> {
+        let attack = vigil_adversary::FrameAttack::on(&pilot.frozen(), Isa::detect(), &config(given)?);
         Ok(Self {
             attack: attack.map_err(refused)?,
             delivered: Box::new(DepthFrame::EMPTY),

@@ -1,16 +1,16 @@
 //! LSTM-AD for Python: the frozen one, the monitor of the tick, and training on any rows.
 
 use crate::actor::Learned;
-use crate::given::{Floats, array, beside, failed, refused, values};
+use crate::given::{Floats, array, beside, failed, interruptible, refused, values};
 use numpy::{PyReadonlyArray1, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, ROW_LIMIT, WINDOW};
 use vigil_lab::detector_training::{Examples, FitConfig, LstmConfig, fit};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
-use vigil_policy::FrozenPilot;
 use vigil_policy::actor::LowDim;
 use vigil_tools::threads::thread_pool;
 use vigil_types::Verdict;
@@ -69,19 +69,15 @@ impl Detector {
 
 /// Writes a detector of a policy's explanations at its split point; its digest.
 #[pyfunction]
-#[pyo3(signature = (path, lstm, pilot, states, low_dims, *, threshold, threshold_choice, training_config, seed))]
-#[allow(clippy::too_many_arguments, reason = "a file's content")]
 pub fn write_detector(
     path: PathBuf,
     lstm: &Lstm,
     pilot: Learned<'_>,
     states: PyReadonlyArrayDyn<'_, f32>,
     low_dims: PyReadonlyArrayDyn<'_, f32>,
-    threshold: f32,
-    threshold_choice: String,
-    training_config: String,
-    seed: u64,
+    about: (f32, String, String, u64),
 ) -> PyResult<String> {
+    let (threshold, threshold_choice, training_config, seed) = about;
     let pilot = pilot.frozen();
     let head = pilot.head(Purpose::Multipliers).map_err(refused)?;
     let (state, low_dim) = (head.graph.input_len(0), head.graph.input_len(1));
@@ -184,7 +180,6 @@ pub struct Monitor {
     /// Values of the state that it judges.
     #[pyo3(get)]
     width: usize,
-    of_actor: bool,
 }
 
 #[pymethods]
@@ -198,7 +193,6 @@ impl Monitor {
         Ok(Self {
             monitor: monitor.map_err(refused)?,
             width,
-            of_actor: matches!(pilot, FrozenPilot::Actor(_)),
         })
     }
 
@@ -210,7 +204,7 @@ impl Monitor {
         given: Vec<f32>,
     ) -> PyResult<Scored<'py>> {
         let state = values("state", &state, self.width)?;
-        let j = self.monitor.score(state, beside(&given, self.of_actor)?);
+        let j = self.monitor.score(state, beside(&given)?);
         let verdict = match j.verdict {
             Verdict::Unknown => None,
             Verdict::Clean => Some(false),
@@ -231,22 +225,26 @@ struct Windows<'a> {
     rows: &'a [f32],
     width: usize,
     attacked: &'a [bool],
+    stopped: &'a AtomicBool,
 }
 
+/// Their values, and whether the newest row of each is attacked.
+type Labelled<'py> = (PyReadonlyArrayDyn<'py, f32>, PyReadonlyArray1<'py, bool>);
+
 impl<'a> Windows<'a> {
-    fn of(
-        what: &str,
-        rows: &'a PyReadonlyArrayDyn<'_, f32>,
-        attacked: &'a PyReadonlyArray1<'_, bool>,
-        width: usize,
-    ) -> PyResult<Self> {
+    fn of(what: &str, (rows, attacked): &'a Labelled<'_>, (width, stopped): (usize, &'a AtomicBool)) -> PyResult<Self> {
         let rows = values(what, rows, attacked.len() * WINDOW * width)?;
         let attacked = attacked.as_slice().map_err(refused)?;
         if !(attacked.contains(&true) && attacked.contains(&false)) {
             let text = format!("the {what} have to hold attacked and unattacked ones");
             return Err(refused(text));
         }
-        Ok(Self { rows, width, attacked })
+        Ok(Self {
+            rows,
+            width,
+            attacked,
+            stopped,
+        })
     }
 }
 
@@ -256,6 +254,10 @@ impl Examples for Windows<'_> {
     }
 
     fn inputs<'a>(&'a self, i: usize, _: &'a mut Vec<f32>) -> Vec<&'a [f32]> {
+        // No inputs fit no network, so that training ends.
+        if self.stopped.load(Relaxed) {
+            return Vec::new();
+        }
         let window = &self.rows[i * WINDOW * self.width..(i + 1) * WINDOW * self.width];
         window.chunks_exact(self.width).collect()
     }
@@ -268,33 +270,21 @@ impl Examples for Windows<'_> {
 /// Training loss, choosing loss and choosing accuracy of an epoch.
 type EpochRow = (f64, f64, f64);
 
-/// Trains on normalised windows; returns parameters, the epoch chosen (from 1) and all epochs.
+/// Trains on normalised windows, `how`: epochs, batch, rate, seed; returns parameters, the epoch chosen (from 1) and all epochs.
 #[pyfunction]
-#[pyo3(signature = (learn, learn_attacked, choose, choose_attacked, *, width, epochs, batch, rate, seed, threads))]
-#[allow(
-    clippy::too_many_arguments,
-    clippy::type_complexity,
-    reason = "the Python side names them"
-)]
 pub fn train<'py>(
     py: Python<'py>,
-    learn: PyReadonlyArrayDyn<'py, f32>,
-    learn_attacked: PyReadonlyArray1<'py, bool>,
-    choose: PyReadonlyArrayDyn<'py, f32>,
-    choose_attacked: PyReadonlyArray1<'py, bool>,
+    learn: Labelled<'py>,
+    choose: Labelled<'py>,
     width: usize,
-    epochs: usize,
-    batch: usize,
-    rate: f32,
-    seed: u64,
+    how: (usize, usize, f32, u64),
     threads: usize,
 ) -> PyResult<(Floats<'py>, usize, Vec<EpochRow>)> {
-    if epochs == 0 || batch == 0 || !(rate > 0.0 && rate < 1.0) || width == 0 {
-        return Err(refused("epochs and batch have to be 1 or more, rate between 0 and 1"));
-    }
-    let learn = Windows::of("windows to learn from", &learn, &learn_attacked, width)?;
-    let choose = Windows::of("windows that choose", &choose, &choose_attacked, width)?;
-    let fitted = py.detach(|| {
+    let (epochs, batch, rate, seed) = how;
+    let stopped = AtomicBool::new(false);
+    let learn = Windows::of("windows to learn from", &learn, (width, &stopped))?;
+    let choose = Windows::of("windows that choose", &choose, (width, &stopped))?;
+    let fitted = interruptible(py, &stopped, || {
         let graph = LstmAd::graph(width, LstmAd::CELL, Activation::Identity).map_err(refused)?;
         let mut first = vec![0.0; graph.param_len()];
         graph
@@ -307,7 +297,7 @@ pub fn train<'py>(
             seed,
             ..LstmConfig::default().fit
         };
-        let pool = thread_pool(threads.max(1)).map_err(refused)?;
+        let pool = thread_pool(threads).map_err(refused)?;
         let fitted = pool.install(|| fit(&graph, Isa::detect(), first, &learn, &choose, &config, &mut |_, _| {}));
         fitted.map_err(refused)
     })?;

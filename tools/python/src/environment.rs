@@ -4,6 +4,7 @@ use crate::given::{POSITION, failed, refused};
 use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArrayDyn, PyReadwriteArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rayon::prelude::*;
+use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use vigil_lab::trainer::config::{Along, RewardConfig};
 use vigil_lab::trainer::reward::{DecisionResult, reward};
@@ -22,18 +23,50 @@ const PATH_STRIDE: usize = 4;
 const ACTION_LIMIT: f32 = 1.5;
 const GOAL_SCALE_M: f32 = 20.0;
 
-/// What all flights have in common.
-struct Conditions {
-    /// Flown instead of generated ones.
-    course: Option<Course>,
-    family: Family,
-    wind_m_s: f64,
-    time_limit_s: Option<f32>,
-    weights: RewardConfig,
+/// What an environment of `vigil.gym` is given.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Options {
+    family: String,
+    /// A file, flown instead of generated courses.
+    course: Option<PathBuf>,
+    wind: f64,
+    noise: f32,
+    time_limit: Option<f32>,
+    success: f32,
+    dead: f32,
+    decision: f32,
+    checkpoint: f32,
+    near: f32,
+    along_way: bool,
     /// The true state is given.
     privileged: bool,
     /// Actions and what is observed are within ±1.
     normalized: bool,
+    frames: usize,
+    every: usize,
+}
+
+/// What all flights have in common.
+struct Conditions {
+    course: Option<Course>,
+    family: Family,
+    weights: RewardConfig,
+    options: Options,
+}
+
+/// Range noise and dropouts, so many times as much.
+pub fn noisier(lidar: &mut LidarConfig, factor: f32) {
+    lidar.range_noise_sigma_m *= factor;
+    lidar.dropout_probability = (lidar.dropout_probability * factor).min(1.0);
+}
+
+/// A flight's wind of this mean.
+pub fn wind(mean_m_s: f64, seed: u64) -> Wind {
+    match mean_m_s > 0.0 {
+        true => vigil_tools::campaign::wind(mean_m_s, seed),
+        false => Wind::default(),
+    }
 }
 
 /// A flight that has begun.
@@ -53,14 +86,11 @@ impl Conditions {
             Some(course) => course.clone(),
             None => generate(self.family, seed),
         };
-        course.time_limit_s = self.time_limit_s.unwrap_or(course.time_limit_s);
-        let wind = match self.wind_m_s > 0.0 {
-            true => vigil_tools::campaign::wind(self.wind_m_s, seed),
-            false => Wind::default(),
-        };
+        course.time_limit_s = self.options.time_limit.unwrap_or(course.time_limit_s);
+        let wind = wind(self.options.wind, seed);
         let environment = Environment::unseen(&course, VehicleParams::default(), wind, seed);
         let flight = Flight::of(environment.map_err(|e| e.to_string())?);
-        let truth = (self.weights.along == Along::Path || self.privileged).then(|| TrueCourse::new(&course));
+        let truth = (self.weights.along == Along::Path || self.options.privileged).then(|| TrueCourse::new(&course));
         let mut begun = Begun {
             path_ned_m: vec![flight.truth().position_ned_m],
             course,
@@ -156,7 +186,8 @@ struct Row<'a> {
 impl Row<'_> {
     /// Begins a flight, flies a step of it, or leaves it as it is; writes all that is observed.
     fn advance(&mut self, conditions: &Conditions, lidar: &Mutex<Lidar>) -> Result<(), String> {
-        let scale = if conditions.normalized { 1.0 } else { DEPTH_FULL_SCALE_M };
+        let normalized = conditions.options.normalized;
+        let scale = if normalized { 1.0 } else { DEPTH_FULL_SCALE_M };
         // A sensor holds nothing of the last picture, so that one a panic has left can be used again.
         let mut lidar = lidar.lock().unwrap_or_else(PoisonError::into_inner);
         let (pixels, len) = (lidar.shape().iter().product(), self.frames.len());
@@ -172,8 +203,11 @@ impl Row<'_> {
                 (*self.reward, *self.end) = (0.0, -1);
             }
         } else if let (Some(begun), Some(action)) = (self.flight.as_mut(), self.action) {
-            let most = if conditions.normalized { 1.0 } else { f32::INFINITY };
-            let unit = if conditions.normalized { ACTION_LIMIT } else { 1.0 };
+            let (most, unit) = if normalized {
+                (1.0, ACTION_LIMIT)
+            } else {
+                (f32::INFINITY, 1.0)
+            };
             let [forward_m_s, yaw] = [0, 1].map(|k| action[k].clamp(-most, most) * unit);
             *self.reward = begun.step(conditions, Action { forward_m_s, yaw });
             *self.end = begun.outcome.map_or(-1, |outcome| outcome as i8);
@@ -195,7 +229,7 @@ impl Row<'_> {
         drop(lidar);
         let Some(begun) = self.flight else { return Ok(()) };
         let goal = begun.flight.goal_relative();
-        self.goal.copy_from_slice(&match conditions.normalized {
+        self.goal.copy_from_slice(&match normalized {
             true => {
                 [goal.distance_m / GOAL_SCALE_M, goal.bearing_rad / std::f32::consts::PI].map(|x| x.clamp(-1.0, 1.0))
             }
@@ -243,80 +277,37 @@ pub struct Flights {
 #[pymethods]
 impl Flights {
     #[new]
-    #[pyo3(signature = (count, *, family, course, wind, noise, time_limit, success, dead, decision, checkpoint, near, along_way, privileged, normalized, frames, every, threads))]
-    #[allow(clippy::too_many_arguments, reason = "the Python side names them")]
-    fn new(
-        count: usize,
-        family: &str,
-        course: Option<&str>,
-        wind: f64,
-        noise: f32,
-        time_limit: Option<f32>,
-        success: f32,
-        dead: f32,
-        decision: f32,
-        checkpoint: f32,
-        near: f32,
-        along_way: bool,
-        privileged: bool,
-        normalized: bool,
-        frames: usize,
-        every: usize,
-        threads: usize,
-    ) -> PyResult<Self> {
-        if !(0.0..=20.0).contains(&wind) {
-            return Err(refused(format!("wind: 0 to 20 m/s, got {wind}")));
-        }
-        if !(0.0..=100.0).contains(&noise) {
-            return Err(refused(format!("noise: a factor from 0 to 100, got {noise}")));
-        }
-        if time_limit.is_some_and(|limit| !(limit > 0.0 && limit <= 3600.0)) {
-            return Err(refused("time_limit: above 0 and at most 3600 s"));
-        }
-        if [success, dead, decision, checkpoint, near]
-            .iter()
-            .any(|w| !w.is_finite())
-        {
-            return Err(refused("reward: every weight has to be a finite number"));
-        }
+    fn new(count: usize, options: Options, threads: usize) -> PyResult<Self> {
         let mut lidar = LidarConfig::default();
-        lidar.range_noise_sigma_m *= noise;
-        lidar.dropout_probability = (lidar.dropout_probability * noise).min(1.0);
-        if !Lidar::EVERY.contains(&every) {
-            return Err(refused(format!("every: one of {:?}, got {every}", Lidar::EVERY)));
-        }
-        let threads = threads.min(count).max(1);
-        let sensor = || Ok(Mutex::new(Lidar::new(lidar, 0).map_err(refused)?.every(every)));
+        noisier(&mut lidar, options.noise);
+        let threads = threads.min(count);
+        let sensor = || Ok(Mutex::new(Lidar::new(lidar, 0).map_err(refused)?.every(options.every)));
         let lidars = (0..threads).map(|_| sensor()).collect::<PyResult<Vec<_>>>()?;
-        let [rows, columns] = Lidar::shape_of(every);
-        let pool = match threads {
-            0 | 1 => None,
-            threads => Some(thread_pool(threads).map_err(failed)?),
-        };
+        let [rows, columns] = Lidar::shape_of(options.every);
+        let shape = [count, options.frames, rows, columns];
+        let pool = (threads > 1)
+            .then(|| thread_pool(threads))
+            .transpose()
+            .map_err(failed)?;
+        let course = options.course.as_deref().map(Course::load);
         Ok(Self {
             conditions: Conditions {
-                course: course
-                    .map(|path| Course::load(path.as_ref()))
-                    .transpose()
-                    .map_err(refused)?,
-                family: family.parse().map_err(refused)?,
-                wind_m_s: wind,
-                time_limit_s: time_limit,
+                course: course.transpose().map_err(refused)?,
+                family: options.family.parse().map_err(refused)?,
                 weights: RewardConfig {
-                    along: if along_way { Along::Path } else { Along::Line },
-                    success,
-                    dead,
-                    decision,
-                    checkpoint,
-                    near,
+                    along: if options.along_way { Along::Path } else { Along::Line },
+                    success: options.success,
+                    dead: options.dead,
+                    decision: options.decision,
+                    checkpoint: options.checkpoint,
+                    near: options.near,
                 },
-                privileged,
-                normalized,
+                options,
             },
             flights: (0..count).map(|_| None).collect(),
             lidars,
             pool,
-            shape: [count, frames, rows, columns],
+            shape,
         })
     }
 
@@ -347,9 +338,6 @@ impl Flights {
                 self.shape,
                 frames.shape()
             )));
-        }
-        if actions.is_some_and(|actions| actions.len() != 2 * count || actions.iter().any(|x| !x.is_finite())) {
-            return Err(refused("actions: a finite forward speed and yaw for each flight"));
         }
         for (number, (flight, seed)) in self.flights.iter().zip(&seeds).enumerate() {
             if actions.is_some() && seed.is_none() && flight.as_ref().is_none_or(|flight| flight.outcome.is_some()) {

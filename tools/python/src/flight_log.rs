@@ -3,9 +3,9 @@
 use crate::given::{array, refused};
 use numpy::PyArray1;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{IntoPyDict, PyDict};
 use std::path::{Path, PathBuf};
-use vigil_log::{Reader, TickRecord};
+use vigil_log::{Reader, Story, TickRecord};
 use vigil_types::{DEPTH_FULL_SCALE_M, Verdict};
 
 /// Columns of numbers in the order in which they first came: name, values a step, values.
@@ -25,10 +25,8 @@ struct Content {
     step: Vec<u64>,
     now_ns: Vec<u64>,
     columns: Columns,
-    state: Vec<&'static str>,
-    reasons: Vec<String>,
-    alarm: Vec<Option<&'static str>>,
-    verdict: Vec<&'static str>,
+    /// State, reasons, cause of the alarm, verdict.
+    words: [Vec<Option<String>>; 4],
     frame_steps: Vec<u64>,
     frames: Vec<f32>,
     end: String,
@@ -43,11 +41,17 @@ fn read(path: &Path, with_frames: bool) -> Result<Content, vigil_log::ReadError>
         content.take(&record, with_frames);
     }
     content.end = reader.end().map(|end| end.to_string()).unwrap_or_default();
-    let info = reader.info();
+    let (info, mut about) = (reader.info(), Story::read(path)?.about);
     content.info = vec![
         ("program", Some(info.program.clone())),
         ("git_commit", info.git_commit.clone()),
-        ("seed", info.seed.map(|seed| seed.to_string())),
+        // Firmware that flew in a process of its own does not know it.
+        (
+            "seed",
+            info.seed.map(|seed| seed.to_string()).or_else(|| about.remove("seed")),
+        ),
+        ("course", about.remove("course")),
+        ("outcome", about.remove("outcome")),
         ("actor_sha256", info.actor_sha256.clone()),
         ("detector_sha256", info.detector_sha256.clone()),
         ("detector_threshold", info.detector_threshold.map(|t| t.to_string())),
@@ -73,12 +77,17 @@ impl Content {
         let report = &record.report;
         self.step.push(record.timing.step);
         self.now_ns.push(record.now_ns);
-        self.state.push(report.state.name());
         let reasons: Vec<&str> = report.reasons.iter().map(|reason| reason.name()).collect();
-        self.reasons.push(reasons.join(", "));
-        self.alarm.push(report.alarm.map(|alarm| alarm.cause.name()));
-        self.verdict
-            .push(report.judgement.map_or(Verdict::Unknown, |j| j.verdict).name());
+        let verdict = report.judgement.map_or(Verdict::Unknown, |j| j.verdict);
+        let words = [
+            Some(report.state.name().to_owned()),
+            Some(reasons.join(", ")),
+            report.alarm.map(|alarm| alarm.cause.name().to_owned()),
+            Some(verdict.name().to_owned()),
+        ];
+        for (column, word) in self.words.iter_mut().zip(words) {
+            column.push(word);
+        }
         let c = &mut self.columns;
         let (kinematics, judgement) = (report.telemetry.kinematics, report.judgement);
         put(c, "position_ned_m", kinematics.map(|k| k.position_ned_m.to_array()));
@@ -117,22 +126,13 @@ pub fn read_log<'py>(py: Python<'py>, path: PathBuf, frames: bool) -> PyResult<B
     let log = PyDict::new(py);
     log.set_item("step", PyArray1::from_vec(py, content.step))?;
     log.set_item("now_ns", PyArray1::from_vec(py, content.now_ns))?;
-    let numbers = PyDict::new(py);
-    for (name, width, values) in content.columns {
-        numbers.set_item(name, (width, array(py, values)))?;
-    }
-    log.set_item("numbers", numbers)?;
-    log.set_item("state", content.state)?;
-    log.set_item("reasons", content.reasons)?;
-    log.set_item("alarm", content.alarm)?;
-    log.set_item("verdict", content.verdict)?;
+    let numbers = content.columns.into_iter();
+    let numbers = numbers.map(|(name, width, values)| (name, (width, array(py, values))));
+    log.set_item("numbers", numbers.into_py_dict(py)?)?;
+    log.set_item("words", content.words)?;
     log.set_item("frame_steps", PyArray1::from_vec(py, content.frame_steps))?;
     log.set_item("frames", array(py, content.frames))?;
     log.set_item("end", content.end)?;
-    let info = PyDict::new(py);
-    for (name, value) in content.info {
-        info.set_item(name, value)?;
-    }
-    log.set_item("info", info)?;
+    log.set_item("info", content.info.into_py_dict(py)?)?;
     Ok(log)
 }

@@ -16,6 +16,6 @@ bottom, columns from left to right, 120° × 60°. A goal is ``(distance in metr
 ``(forward speed in m/s, yaw in units of 30 °/s, clockwise)``, each in ±1.5.
 """
 
-from vigil._vigil import VERSION
+from vigil._vigil import VERSION as VERSION
 
 __version__ = VERSION

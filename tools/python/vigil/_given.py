@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import operator
+import os
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,8 @@ CONTEXT, LOW_DIM = 328, 8
 """Values of an actor's memory and of its low-dimensional observation."""
 POSITION = 9
 """Values of a position as an environment gives it."""
+LATEST_S = 1e9
+"""Latest time of a decision: thirty years, whose nanoseconds leave room for those of a flight."""
 
 
 def floats(what: str, values: Any, shape: Sequence[int | None]) -> Floats:
@@ -33,16 +37,53 @@ def floats(what: str, values: Any, shape: Sequence[int | None]) -> Floats:
         expected = tuple("any" if s is None else s for s in shape)
         raise ValueError(f"{what}: expected shape {expected}, got {array.shape}")
     array = np.ascontiguousarray(array, dtype=np.float32)
-    if not np.isfinite(array).all():
-        raise ValueError(f"{what}: holds a value that is not a finite number")
+    finite = np.isfinite(array)
+    if not finite.all():
+        raise ValueError(f"{what}: holds a value that is not a finite number: {array[~finite][0]}")
     return array
 
 
-def seed(what: str, given: int) -> int:
-    """A course's seed."""
-    if not 0 <= given < 1 << 64:
-        raise ValueError(f"{what}: 0 or more, below 2^64, got {given}")
+def number(what: str, value: Any, expected: str, fits: Callable[[float], bool]) -> float:
+    """A number that ``fits`` what is ``expected``; what is not a number fits nothing."""
+    try:
+        given = float(value)
+    except (OverflowError, TypeError, ValueError):
+        given = np.nan
+    if not fits(given):
+        raise ValueError(f"{what}: {expected}, got {value!r}")
     return given
+
+
+def conditions(wind: Any, noise: Any) -> dict[str, float]:
+    """Wind and noise that courses are flown in."""
+    return {
+        "wind": number("wind", wind, "0 to 20 m/s", lambda x: 0.0 <= x <= 20.0),
+        "noise": number("noise", noise, "a factor from 0 to 100", lambda x: 0.0 <= x <= 100.0),
+    }
+
+
+def whole(what: str, value: Any, least: int = 0, bits: int = 64) -> int:
+    """A whole number from ``least``, of at most so many bits."""
+    try:
+        given = operator.index(value)
+    except TypeError:
+        raise TypeError(f"{what}: expected a whole number, got {value!r}") from None
+    if not least <= given < 1 << bits:
+        raise ValueError(f"{what}: {least} or more, below 2^{bits}, got {given}")
+    return given
+
+
+def threads(value: Any) -> int:
+    """How many threads; absent: as many as the machine has."""
+    return len(os.sched_getaffinity(0)) if value is None else whole("threads", value, 1, 16)
+
+
+def made(what: str, value: Any, *kinds: type) -> Any:
+    """``value``, which has to be an object of one of these classes."""
+    if not isinstance(value, kinds):
+        expected = " or ".join(f"a {kind.__module__}.{kind.__name__}" for kind in kinds)
+        raise TypeError(f"{what}: {expected}, got {type(value).__name__}")
+    return value
 
 
 def goal(value: Any) -> tuple[float, float]:
@@ -56,6 +97,10 @@ def position(value: Any) -> list[float]:
     given = floats("goal", value, (None,))
     if len(given) not in (2, POSITION):
         raise ValueError(f"goal: expected shape (2,) or ({POSITION},), got {given.shape}")
+    if given[0] < 0.0:
+        raise ValueError(f"goal: a distance of 0 m or more, got {given[0]} m")
+    if given[-1] > LATEST_S and len(given) == POSITION:
+        raise ValueError(f"goal: a time of at most {LATEST_S:.0f} s, got {given[-1]} s")
     return [float(x) for x in given]
 
 
@@ -68,7 +113,19 @@ def beside(value: Any, inputs: int = 2) -> Floats:
     return np.array([min(distance_m, 21.0) / 20.0, bearing_rad], np.float32)
 
 
+def backgrounds(given: tuple[Any, Any], inputs: int) -> tuple[Floats, Floats]:
+    """DeepSHAP's background sample: states ``[B, values]`` and what was beside them."""
+    states = floats("background states", given[0], (None, None))
+    others = np.array([beside(value, inputs) for value in given[1]], np.float32)
+    if len(states) != len(others):
+        raise ValueError(f"backgrounds: {len(states)} states, but {len(others)} of what was beside them")
+    return states, others
+
+
 def frames_of(what: str, value: Any, count: int | None) -> Floats:
     """Frames in metres, ``[count, 128, 256]``, or one ``[128, 256]`` where ``count`` is ``None``."""
-    shape = (ROWS, COLUMNS) if count is None else (count, ROWS, COLUMNS)
-    return floats(what, value, shape)
+    frames = floats(what, value, (ROWS, COLUMNS) if count is None else (count, ROWS, COLUMNS))
+    low, high = frames.min(), frames.max()
+    if low < 0.0 or high > FULL_SCALE_M:
+        raise ValueError(f"{what}: ranges are 0 to 100 m, one is {low if low < 0.0 else high} m")
+    return frames

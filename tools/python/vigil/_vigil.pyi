@@ -6,32 +6,14 @@ from numpy.typing import NDArray
 
 VERSION: str
 _Floats = NDArray[np.float32]
+_Windows = tuple[_Floats, NDArray[np.bool_]]
+_Attack = tuple[str, float, int, str, int]
 _Attacked = tuple[_Floats, tuple[float, float], tuple[float, float]]
 
 class Flights:
     TRUE_STATE: int
     POSITION: int
-    def __init__(
-        self,
-        count: int,
-        *,
-        family: str,
-        course: str | None,
-        wind: float,
-        noise: float,
-        time_limit: float | None,
-        success: float,
-        dead: float,
-        decision: float,
-        checkpoint: float,
-        near: float,
-        along_way: bool,
-        privileged: bool,
-        normalized: bool,
-        frames: int,
-        every: int,
-        threads: int,
-    ) -> None: ...
+    def __init__(self, count: int, given: dict[str, Any], threads: int) -> None: ...
     def advance(
         self,
         seeds: Sequence[int | None],
@@ -55,10 +37,8 @@ class Actor:
     def state(self) -> _Floats: ...
     def context(self) -> _Floats: ...
     def low_dim(self) -> _Floats: ...
-    @property
-    def sha256(self) -> str: ...
-    @property
-    def positional_inputs(self) -> int: ...
+    sha256: str
+    positional_inputs: int
     def tensors(self) -> list[tuple[str, list[int], _Floats]]: ...
     def write(self, path: str, params: _Floats, training_config: str, seed: int, updates: int) -> str: ...
 
@@ -69,26 +49,16 @@ class Policy:
     def reset(self) -> None: ...
     def forward(self, inputs: list[_Floats]) -> _Floats: ...
     def gradient(self, inputs: list[_Floats], weights: Sequence[float]) -> list[_Floats]: ...
-    @property
-    def frame_shape(self) -> tuple[int, int, int]: ...
-    @property
-    def stacked(self) -> bool: ...
-    @property
-    def contrast(self) -> bool: ...
-    @property
-    def scale(self) -> float: ...
-    @property
-    def output_scale(self) -> float: ...
-    @property
-    def frame_input(self) -> int: ...
-    @property
-    def has_position(self) -> bool: ...
-    @property
-    def source(self) -> str: ...
-    @property
-    def sha256(self) -> str: ...
-    @property
-    def positional_inputs(self) -> int: ...
+    frame_shape: tuple[int, int, int]
+    stacked: bool
+    contrast: bool
+    scale: float
+    output_scale: float
+    frame_input: int
+    has_position: bool
+    source: str
+    sha256: str
+    positional_inputs: int
 
 class Explainer:
     @staticmethod
@@ -99,29 +69,23 @@ class Explainer:
     def policy(policy: Policy, backgrounds: list[list[_Floats]]) -> Explainer: ...
     def explain(self, inputs: list[_Floats], output: int) -> tuple[_Floats, _Floats]: ...
     def expected(self) -> _Floats: ...
-    @property
-    def input_lengths(self) -> list[int]: ...
+    input_lengths: list[int]
 
 class StateAttack:
-    def __init__(self, actor: Actor, method: str, epsilon_255: float, iterations: int, towards: str, seed: int) -> None: ...
+    def __init__(self, actor: Actor, given: _Attack) -> None: ...
     def attack(self, frame: _Floats, context: _Floats, low_dim: list[float]) -> _Attacked: ...
 
 class FrameAttack:
-    def __init__(
-        self, pilot: Actor | Policy, method: str, epsilon_255: float, iterations: int, towards: str, seed: int
-    ) -> None: ...
+    def __init__(self, pilot: Actor | Policy, given: _Attack) -> None: ...
     def pass_on(self, frame: _Floats, position: list[float]) -> None: ...
     def attack(self, frame: _Floats, position: list[float]) -> _Attacked: ...
     def reset(self) -> None: ...
 
 class Detector:
     def __init__(self, path: str | None = None) -> None: ...
-    @property
-    def threshold(self) -> float: ...
-    @property
-    def actor_sha256(self) -> str: ...
-    @property
-    def sha256(self) -> str: ...
+    threshold: float
+    actor_sha256: str
+    sha256: str
     def backgrounds(self) -> tuple[int, _Floats, _Floats]: ...
     def network(self) -> tuple[_Floats, _Floats, _Floats]: ...
 
@@ -131,10 +95,9 @@ class Lstm:
 
 class Monitor:
     def __init__(self, pilot: Actor | Policy, detector: Detector) -> None: ...
-    @property
-    def width(self) -> int: ...
+    width: int
     def judge(
-        self, state: _Floats, beside: list[float]
+        self, state: _Floats, given: list[float]
     ) -> tuple[bool | None, float | None, float, float, float, float, float, _Floats]: ...
     def reset(self) -> None: ...
 
@@ -144,42 +107,12 @@ def write_detector(
     pilot: Actor | Policy,
     states: _Floats,
     positions: _Floats,
-    *,
-    threshold: float,
-    threshold_choice: str,
-    training_config: str,
-    seed: int,
+    about: tuple[float, str, str, int],
 ) -> str: ...
 def train(
-    learn: _Floats,
-    learn_attacked: NDArray[np.bool_],
-    choose: _Floats,
-    choose_attacked: NDArray[np.bool_],
-    *,
-    width: int,
-    epochs: int,
-    batch: int,
-    rate: float,
-    seed: int,
-    threads: int,
+    learn: _Windows, choose: _Windows, width: int, how: tuple[int, int, float, int], threads: int
 ) -> tuple[_Floats, int, list[tuple[float, float, float]]]: ...
 def read_log(path: str, frames: bool) -> dict[str, Any]: ...
 def fly(
-    *,
-    family: str,
-    seeds: list[int],
-    threads: int,
-    pilot: str,
-    actor: str | None,
-    apf: bool,
-    detector: bool | None,
-    detector_file: str | None,
-    guard: bool | None,
-    wind: float,
-    noise: float,
-    ground: bool,
-    attack: str | None,
-    epsilon: float,
-    iterations: int,
-    burst: str,
+    seeds: list[int], threads: int, options: dict[str, Any]
 ) -> list[tuple[int, str, float, float, float, int, int | None]]: ...

@@ -1,7 +1,8 @@
 """Attacks on what a policy sees (docs/adversary.md): pixels are altered along the policy's own gradient, so that it turns the wrong way.
 
 ε is in 1/255 of the image's range: 1 is 0.39 m. Methods on our frames, whoever sees them: ``fgsm``, ``bim-clipped``,
-``bim-accumulating`` (the paper's), ``pgd``, ``momentum``, ``l2``, ``patch``, ``noise``; on an imported policy's own frame the first four.
+``bim-accumulating`` (the paper's), ``pgd``, ``momentum``, ``l2``, ``patch``, ``spsa``, and without a gradient ``noise``, ``recede``,
+``repaint``, ``blind``; on frames as they pass ``swell`` and ``replay`` too; on an imported policy's own frame the first four.
 """
 
 from __future__ import annotations
@@ -41,6 +42,14 @@ class Attacked:
         return abs(self.yaw_change) >= EFFECTIVE_YAW
 
 
+def _checked(epsilon: float, iterations: int, towards: str, seed: int) -> tuple[float, int, str, int]:
+    """What attacks are given besides the method."""
+    if towards not in ("left", "right", "away"):
+        raise ValueError(f"towards: left, right or away, got {towards!r}")
+    epsilon = _given.number("epsilon", epsilon, "above 0 and at most 255", lambda x: 0.0 < x <= 255.0)
+    return epsilon, _given.whole("iterations", iterations, 1, 32), towards, _given.whole("seed", seed)
+
+
 class StateAttack:
     """Alters the newest frame of a state of our actor, given what it remembers of the older ones: the paper's attack.
 
@@ -63,7 +72,10 @@ class StateAttack:
         towards: str = "away",
         seed: int = 0,
     ) -> None:
-        self.native = _vigil.StateAttack(actor.native, method, epsilon, iterations, towards, seed)
+        if method in ("swell", "replay"):
+            raise ValueError(f"method: {method} needs a flight's frames one after the other, as FrameAttack is shown them")
+        _given.made("actor", actor, Actor)
+        self.native = _vigil.StateAttack(actor.native, (method, *_checked(epsilon, iterations, towards, seed)))
 
     def attack(self, frame: Any, context: Any, low_dim: Any) -> Attacked:
         """Alters a copy of a frame ``[128, 256]`` in metres; ``context`` and ``low_dim`` are what the actor held beside it
@@ -90,7 +102,8 @@ class FrameAttack:
         towards: str = "away",
         seed: int = 0,
     ) -> None:
-        self.native = _vigil.FrameAttack(actor.native, method, epsilon, iterations, towards, seed)
+        _given.made("actor", actor, Actor, Policy)
+        self.native = _vigil.FrameAttack(actor.native, (method, *_checked(epsilon, iterations, towards, seed)))
 
     def pass_on(self, frame: Any, goal: Any) -> None:
         """A frame ``[128, 256]`` that passes as it is."""
@@ -129,14 +142,11 @@ class PolicyAttack:
     ) -> None:
         if method not in self.METHODS:
             raise ValueError(f"method: {method} is none of {', '.join(self.METHODS)}")
-        if not 0.0 < epsilon <= 255.0:
-            raise ValueError(f"epsilon: above 0 and at most 255, got {epsilon}")
-        if iterations < 1:
-            raise ValueError(f"iterations: 1 or more, got {iterations}")
-        if towards not in ("left", "right", "away"):
-            raise ValueError(f"towards: left, right or away, got {towards!r}")
-        self.policy, self.method, self.towards = policy, method, towards
-        self.epsilon, self.iterations = epsilon, 1 if method == "fgsm" else iterations
+        self.policy: Policy = _given.made("policy", policy, Policy)
+        self.epsilon, self.iterations, self.towards, seed = _checked(epsilon, iterations, towards, seed)
+        self.method = method
+        if method == "fgsm":
+            self.iterations = 1
         self._random = np.random.default_rng(seed)
 
     def attack(self, own_frame: Any, goal: Any) -> Attacked:

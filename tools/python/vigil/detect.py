@@ -6,7 +6,6 @@ rows of any width: explanations of an imported policy, or anything else that ten
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -46,11 +45,16 @@ class Lstm:
         with open(path, "wb") as file:
             np.savez(file, params=self.params, centre=self.centre, scale=self.scale)
 
-    @classmethod
-    def load(cls, path: str | PathLike[str]) -> Lstm:
-        """Reads what :meth:`save` wrote."""
-        with np.load(path, allow_pickle=False) as file:
-            return cls(file["params"], file["centre"], file["scale"])
+    @staticmethod
+    def load(path: str | PathLike[str]) -> Lstm:
+        """Reads what :meth:`save` wrote; a ``ValueError`` names any other file."""
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return Lstm(file["params"], file["centre"], file["scale"])
+        except OSError:
+            raise
+        except Exception as e:
+            raise ValueError(f"{path}: not a file that Lstm.save has written") from e
 
 
 class Detector(Lstm):
@@ -124,7 +128,9 @@ class Monitor:
     """
 
     def __init__(self, actor: Actor | Policy, detector: Detector | None = None) -> None:
-        self._native = _vigil.Monitor(actor.native, (detector or Detector()).native)
+        _given.made("actor", actor, Actor, Policy)
+        detector = Detector() if detector is None else _given.made("detector", detector, Detector)
+        self._native = _vigil.Monitor(actor.native, detector.native)
         self._beside = actor.native.positional_inputs
 
     def judge(self, state: Any, beside: Any) -> Judgement:
@@ -166,21 +172,11 @@ def freeze(
     Raises:
         ValueError: what could not judge in flight; then nothing is written.
     """
-    states = _given.floats("background states", backgrounds[0], (None, None))
-    positions = np.array([_given.beside(given, actor.native.positional_inputs) for given in backgrounds[1]], np.float32)
-    if len(states) != len(positions):
-        raise ValueError(f"backgrounds: {len(states)} states, but {len(positions)} goals")
-    return _vigil.write_detector(
-        str(path),
-        lstm.native_lstm,
-        actor.native,
-        states,
-        positions,
-        threshold=threshold,
-        threshold_choice=threshold_choice,
-        training_config=training_config,
-        seed=seed,
-    )
+    _given.made("actor", actor, Actor, Policy)
+    _given.made("lstm", lstm, Lstm)
+    sample = _given.backgrounds(backgrounds, actor.native.positional_inputs)
+    about = threshold, threshold_choice, training_config, _given.whole("seed", seed)
+    return _vigil.write_detector(str(path), lstm.native_lstm, actor.native, *sample, about)
 
 
 @dataclass(frozen=True)
@@ -236,7 +232,8 @@ def train(
         choose: other flights, which choose the epoch.
 
     Raises:
-        ValueError: flights without attacked or without unattacked windows, rows of different width or not finite.
+        ValueError: flights without attacked or without unattacked windows, rows of different width or not finite, a number out of range.
+        KeyboardInterrupt: Ctrl-C.
     """
     (rows, attacked), (choosing, choosing_attacked) = windows(learn), windows(choose)
     width = rows.shape[2]
@@ -251,16 +248,8 @@ def train(
     def normalised(of: Floats) -> Floats:
         return np.ascontiguousarray(np.clip((of - centre) / scale, -10.0, 10.0), np.float32).ravel()
 
-    params, chosen, rows_of_epochs = _vigil.train(
-        normalised(rows),
-        attacked,
-        normalised(choosing),
-        choosing_attacked,
-        width=width,
-        epochs=epochs,
-        batch=batch,
-        rate=rate,
-        seed=seed,
-        threads=threads or len(os.sched_getaffinity(0)),
-    )
+    rate = _given.number("rate", rate, "above 0 and below 1", lambda x: 0.0 < x < 1.0)
+    how = _given.whole("epochs", epochs, 1, 32), _given.whole("batch", batch, 1, 32), rate, _given.whole("seed", seed)
+    learned_from, chosen_by = (normalised(rows), attacked), (normalised(choosing), choosing_attacked)
+    params, chosen, rows_of_epochs = _vigil.train(learned_from, chosen_by, width, how, _given.threads(threads))
     return Trained(Lstm(params, centre, scale), chosen, rows_of_epochs)

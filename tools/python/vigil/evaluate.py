@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
+
+import numpy as np
 
 from vigil import _given, _vigil
 
@@ -96,31 +97,29 @@ def completion(
 
     Raises:
         ValueError: an argument out of range, a file that is refused.
-        KeyboardInterrupt: Ctrl-C, between flights.
+        KeyboardInterrupt: Ctrl-C, after at most four flights of each thread.
     """
     named = "first_seed" if seeds is None else "seeds"
     if seeds is None:
-        if flights < 1:
-            raise ValueError(f"flights: 1 or more, got {flights}")
-        seeds = range(first_seed, first_seed + flights)
+        first = _given.whole(named, first_seed)
+        seeds = range(first, first + _given.whole("flights", flights, 1))
     elif len(seeds) == 0:
         raise ValueError("seeds: is empty")
-    rows = _vigil.fly(
-        family=family,
-        seeds=[_given.seed(named, seed) for seed in seeds],
-        threads=threads or len(os.sched_getaffinity(0)),
-        pilot=pilot,
-        actor=None if actor is None else str(actor),
-        apf=apf,
-        detector=detector if detector is None or isinstance(detector, bool) else True,
-        detector_file=None if detector is None or isinstance(detector, bool) else str(detector),
-        guard=guard,
-        wind=wind,
-        noise=noise,
-        ground=ground,
-        attack=attack,
-        epsilon=epsilon,
-        iterations=iterations,
-        burst=str(burst),
-    )
+    switched = detector is None or isinstance(detector, (bool, np.bool_))
+    options = {
+        "family": family,
+        "pilot": pilot,
+        "actor": None if actor is None else str(actor),
+        "apf": apf,
+        "detector": detector if switched else True,
+        "detector_file": None if switched else str(detector),
+        "guard": guard,
+        "ground": ground,
+        "attack": attack,
+        "epsilon": epsilon,
+        "iterations": _given.whole("iterations", iterations, 1, 32),
+        "burst": str(burst),
+        **_given.conditions(wind, noise),
+    }
+    rows = _vigil.fly([_given.whole(named, seed) for seed in seeds], _given.threads(threads), options)
     return Completion([Flight(*row) for row in rows])

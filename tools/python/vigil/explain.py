@@ -65,8 +65,8 @@ def _explanation(explainer: _vigil.Explainer, inputs: list[Floats], output: int,
 
 
 class SplitPoint:
-    """Explains a decision at the policy's split point, the values of its state: what the detector looks at in flight, of an imported policy
-    before its ``--output-scale``.
+    """Explains a decision at the policy's split point, the values of its state, in units of the action; what the detector looks at in flight,
+    ``Judgement.phi``, is this over an imported policy's ``--output-scale``.
 
     Args:
         actor: the actor, or an imported policy that has a split point.
@@ -76,14 +76,12 @@ class SplitPoint:
     """
 
     def __init__(self, actor: Actor | Policy, backgrounds: tuple[Any, Any] | Detector | None = None) -> None:
+        _given.made("actor", actor, Actor, Policy)
         self._scale = actor.native.output_scale if isinstance(actor, Policy) else 1.0
         if backgrounds is None or isinstance(backgrounds, Detector):
             states, positions = (backgrounds or Detector()).backgrounds()
         else:
-            states = _given.floats("background states", backgrounds[0], (None, None))
-            positions = np.array([_given.beside(given, actor.native.positional_inputs) for given in backgrounds[1]], np.float32)
-            if len(states) != len(positions):
-                raise ValueError(f"backgrounds: {len(states)} states, but {len(positions)} of what was beside them")
+            states, positions = _given.backgrounds(backgrounds, actor.native.positional_inputs)
         self.native = _vigil.Explainer.split_point(actor.native, [[s, p] for s, p in zip(states, positions)])
 
     def explain(self, state: Any, beside: Any, output: int = YAW) -> Explanation:
@@ -108,6 +106,7 @@ class Pixels:
     """
 
     def __init__(self, actor: Actor, backgrounds: tuple[Any, Any, Any]) -> None:
+        _given.made("actor", actor, Actor)
         frames, contexts, low_dims = backgrounds
         if not len(frames) == len(contexts) == len(low_dims):
             raise ValueError(f"backgrounds: {len(frames)} frames, {len(contexts)} contexts, {len(low_dims)} low-dimensional observations")
@@ -129,7 +128,7 @@ class PolicyPixels:
     """
 
     def __init__(self, policy: Policy, backgrounds: Iterable[tuple[Any, Any]]) -> None:
-        self.policy = policy
+        self.policy: Policy = _given.made("policy", policy, Policy)
         self.native = _vigil.Explainer.policy(policy.native, [policy.inputs(f, g) for f, g in backgrounds])
 
     def explain(self, own_frame: Any, goal: Any, output: int = YAW) -> Explanation:

@@ -8,7 +8,6 @@ at once on threads. ``gymnasium.make("Vigil-v0")`` works after ``import vigil.gy
 from __future__ import annotations
 
 import math
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -90,13 +89,13 @@ class _Flown:
     holds a view, so views stay true."""
 
     def __init__(self, count: int, options: Mapping[str, Any], threads: int, buffers: Mapping[str, Any] | None = None) -> None:
-        frames, every, actor = options["frames"], options["every"], options["actor"]
+        frames, every, actor = _given.whole("frames", options["frames"]), _given.whole("every", options["every"]), options["actor"]
         if frames not in (1, FRAMES):
             raise ValueError(f"frames: 1 (the newest only) or {FRAMES}, got {frames}")
         if every not in EVERY:
             raise ValueError(f"every: one of {', '.join(map(str, EVERY))}, got {every!r}")
-        if actor is not None and not isinstance(actor, Actor):
-            raise TypeError(f"actor: a vigil.policy.Actor, got {type(actor).__name__}")
+        if actor is not None:
+            _given.made("actor", actor, Actor)
         reward = dict(DEFAULT_REWARD)
         given = dict(options["reward"] or {})
         if unknown := set(given) - set(reward):
@@ -104,7 +103,14 @@ class _Flown:
         reward.update(given)
         if reward["progress"] not in ("way", "line"):
             raise ValueError(f"reward: progress is along the 'way' or the 'line', got {reward['progress']!r}")
-        seeds, course = options["seeds"], options["course"]
+        weights = {
+            name: _given.number(f"reward: {name}", weight, "a finite number", lambda x: abs(x) < 3e38)
+            for name, weight in reward.items()
+            if name != "progress"
+        }
+        seeds, course, limit = options["seeds"], options["course"], options["time_limit"]
+        if limit is not None:
+            limit = _given.number("time_limit", limit, "above 0 and at most 3600 s", lambda x: 1e-9 < x <= 3600.0)
         if seeds is not None and len(seeds) == 0:
             raise ValueError("seeds: is empty")
         self.copied, self.images, normalized = bool(options["copy"]), bool(options["images"]), bool(options["normalized"])
@@ -116,22 +122,19 @@ class _Flown:
         self.shape = (count, frames, *(self.observed["frames"].shape or ())[-2:])
         self.flights = Flights(
             count,
-            family=options["family"],
-            course=None if course is None else str(Path(course).resolve(strict=True)),
-            wind=float(options["wind"]),
-            noise=float(options["noise"]),
-            time_limit=options["time_limit"],
-            success=float(reward["success"]),
-            dead=float(reward["dead"]),
-            decision=float(reward["decision"]),
-            checkpoint=float(reward["checkpoint"]),
-            near=float(reward["near"]),
-            along_way=reward["progress"] == "way",
-            privileged=bool(options["privileged"]),
-            normalized=normalized,
-            frames=frames,
-            every=every,
-            threads=threads,
+            {
+                "family": options["family"],
+                "course": None if course is None else str(Path(course).resolve(strict=True)),
+                "time_limit": limit,
+                "along_way": reward["progress"] == "way",
+                "privileged": bool(options["privileged"]),
+                "normalized": normalized,
+                "frames": frames,
+                "every": every,
+                **_given.conditions(options["wind"], options["noise"]),
+                **weights,
+            },
+            threads,
         )
         self.rewards, self.ends = np.zeros(count, np.float32), np.full(count, -1, np.int8)
         self.flags = {name: np.zeros(count, bool) for name in ("terminated", "truncated")}
@@ -337,7 +340,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
         if options:
             if unknown := set(options) - {"course_seed"}:
                 raise ValueError(f"options: there is course_seed, not {', '.join(sorted(unknown))}")
-            wanted = _given.seed("options: course_seed", int(options["course_seed"]))
+            wanted = _given.whole("options: course_seed", options["course_seed"])
         super().reset(seed=seed)
         drawn = _drawn(self.np_random, self._flown.seeds)
         self.course_seed = drawn if wanted is None else wanted
@@ -368,7 +371,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
 def _drawn(random: np.random.Generator, seeds: Sequence[int] | None) -> int:
     if seeds is None:
         return int(random.integers(_SEEDS))
-    return _given.seed("seeds", int(seeds[int(random.integers(len(seeds)))]))
+    return _given.whole("seeds", seeds[int(random.integers(len(seeds)))])
 
 
 class VigilVectorEnv(VectorEnv[dict[str, NDArray[Any]], Floats, NDArray[Any]]):
@@ -416,11 +419,11 @@ class VigilVectorEnv(VectorEnv[dict[str, NDArray[Any]], Floats, NDArray[Any]]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
         options = dict(locals())
-        if not 1 <= num_envs <= _MOST_FLIGHTS:
+        if not 1 <= _given.whole("num_envs", num_envs) <= _MOST_FLIGHTS:
             raise ValueError(f"num_envs: 1 to {_MOST_FLIGHTS}, whose frames are 2 GB, got {num_envs}")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self._flown = _Flown(num_envs, options, _threads(threads), buffers)
+        self._flown = _Flown(num_envs, options, _given.threads(threads), buffers)
         self._ended = np.zeros(num_envs, bool)
         self._begun = False
         self.num_envs = num_envs
@@ -505,12 +508,6 @@ class VigilVectorEnv(VectorEnv[dict[str, NDArray[Any]], Floats, NDArray[Any]]):
         self._ended = np.zeros(self.num_envs, bool)
         begun = {"course_seed": np.array(self.course_seeds), "_course_seed": ended}
         return observation, {**info, **begun, "final_obs": final, "_final_obs": ended, "final_info": info, "_final_info": ended}
-
-
-def _threads(given: int | None) -> int:
-    if given is not None and given < 1:
-        raise ValueError(f"threads: 1 or more, got {given}")
-    return given or len(os.sched_getaffinity(0))
 
 
 for _id, _options in (

@@ -15,7 +15,7 @@ from vigil._given import COLUMNS, ROWS, Floats
 _WORDS = ("state", "reasons", "alarm", "verdict")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Log:
     """A flight, step by step. What was not known in a step is nan."""
 
@@ -34,7 +34,7 @@ class Log:
     frames: Floats
     """Depth frames in metres, ``[F, 128, 256]``, as the firmware got them; empty unless asked for."""
     info: dict[str, str | None]
-    """Program, seed, digests, configuration."""
+    """Program, seed, digests, configuration; of a simulated flight ``course`` and ``outcome``."""
     end: str
     """How the log ends."""
 
@@ -62,14 +62,15 @@ class Log:
 
 
 def read(path: str | PathLike[str], *, frames: bool = False) -> Log:
-    """Reads a flight log (``.mcap``), as far as it is whole.
+    """Reads a flight log (``.mcap``); one that was cut off as far as it is whole.
 
     Args:
         path: the log.
         frames: the depth frames too: 131 kB for each step.
 
     Raises:
-        ValueError: a file that is missing, no log, of another version, or damaged.
+        ValueError: a file that is missing, no log, of another version, or damaged: one damaged chunk refuses all of it, and ``vigil
+            recover`` saves the others.
     """
     found = _vigil.read_log(str(path), frames)
     steps = len(found["step"])
@@ -81,7 +82,7 @@ def read(path: str | PathLike[str], *, frames: bool = False) -> Log:
         step=found["step"],
         time_s=(now_ns - now_ns[0]) * 1e-9 if steps else np.empty(0),
         numbers=numbers,
-        words={name: found[name] for name in _WORDS},
+        words=dict(zip(_WORDS, found["words"])),
         frame_steps=found["frame_steps"],
         frames=found["frames"].reshape(-1, ROWS, COLUMNS),
         info=found["info"],

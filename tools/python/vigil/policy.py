@@ -22,7 +22,8 @@ class Action(NamedTuple):
 
 
 class Actor:
-    """A frozen actor: decides from the newest frame and from what it remembers of earlier ones.
+    """A frozen actor: decides from the newest frame and from what it remembers of earlier ones. A copy, or one that was pickled, is made
+    anew from the file and remembers nothing.
 
     Args:
         path: its file; absent: the one built in.
@@ -32,7 +33,12 @@ class Actor:
     """
 
     def __init__(self, path: str | PathLike[str] | None = None) -> None:
-        self.native = _vigil.Actor(None if path is None else str(path))
+        self.path = None if path is None else str(path)
+        """Its file; ``None``: the one built in."""
+        self.native = _vigil.Actor(self.path)
+
+    def __reduce__(self) -> tuple[type[Actor], tuple[str | None]]:
+        return type(self), (self.path,)
 
     def decide(self, frame: Any, goal: Any) -> Action:
         """Decides on the newest frame ``[128, 256]`` in metres, the goal and the vehicle's odometry. It remembers the frames, so every one of
@@ -105,11 +111,13 @@ def freeze(
     if unknown := [name for name in tensors if name not in shapes]:
         raise ValueError(f"tensors: {', '.join(unknown)} unknown; there are {', '.join(shapes)}")
     flat = [_given.floats(name, tensors[name], shape).ravel() for name, shape in shapes.items()]
-    return like.native.write(str(path), np.concatenate(flat), training_config, seed, updates)
+    numbers = _given.whole("seed", seed), _given.whole("updates", updates)
+    return like.native.write(str(path), np.concatenate(flat), training_config, *numbers)
 
 
 class Policy:
-    """An imported policy (``vigil import``): decides from frames of its own size, and remembers them if it has several channels.
+    """An imported policy (``vigil import``): decides from frames of its own size, and remembers them if it has several channels. A copy
+    remembers nothing.
 
     Args:
         path: its file.
@@ -119,7 +127,12 @@ class Policy:
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        self.native = _vigil.Policy(str(path))
+        self.path = str(path)
+        """Its file."""
+        self.native = _vigil.Policy(self.path)
+
+    def __reduce__(self) -> tuple[type[Policy], tuple[str]]:
+        return type(self), (self.path,)
 
     def decide(self, frame: Any, goal: Any) -> Action:
         """As :meth:`Actor.decide`, exactly as in flight; of a position it takes the goal alone."""

@@ -42,11 +42,8 @@ pub enum ProjectionError {
     #[error("the mount's position must be finite and its quaternion of unit length")]
     Mount,
     /// An angle between beams that cannot be one.
-    #[error("the angle between beams is {degrees}°, must be above 0° and at most 10°")]
-    Resolution {
-        /// The angle.
-        degrees: f32,
-    },
+    #[error("the angle between beams is {0}°, must be above 0° and at most 10°")]
+    Resolution(f32),
     /// A camera's focal length, principal point or size is impossible.
     #[error("camera: `{field}` is {value}, must be {expected}")]
     Camera {

@@ -40,9 +40,7 @@ impl Resolution {
     pub fn of_rad(across_rad: f32, down_rad: f32) -> Result<Self, ProjectionError> {
         for angle in [across_rad, down_rad] {
             if !(angle > 0.0 && angle <= WIDEST_RAD) {
-                return Err(ProjectionError::Resolution {
-                    degrees: angle.to_degrees(),
-                });
+                return Err(ProjectionError::Resolution(angle.to_degrees()));
             }
         }
         Ok(Self { across_rad, down_rad })
@@ -165,23 +163,27 @@ impl Projector {
     /// Adds a point in the vehicle's axes.
     #[inline]
     fn add(&mut self, point: FrdVector, counts: &mut Counts) {
-        if !point.is_finite() {
-            counts.impossible += 1;
-            return;
-        }
         let range_m = point.norm();
-        if range_m < NEAREST_M {
-            counts.too_near += 1;
-            return;
-        }
-        if range_m >= DEPTH_FULL_SCALE_M {
-            counts.no_return += 1;
-            return;
-        }
+        let count = if !point.is_finite() {
+            &mut counts.impossible
+        } else if range_m < NEAREST_M {
+            &mut counts.too_near
+        } else if range_m >= DEPTH_FULL_SCALE_M {
+            &mut counts.no_return
+        } else if self.place(point, range_m) {
+            &mut counts.used
+        } else {
+            &mut counts.out_of_view
+        };
+        *count += 1;
+    }
+
+    /// Puts a point into the pixel of its direction; `false` where none has it.
+    #[inline]
+    fn place(&mut self, point: FrdVector, range_m: f32) -> bool {
         // Most of what a scanner that turns sees needs no angle.
         if point.y.abs() > WIDEST_TAN * point.x {
-            counts.out_of_view += 1;
-            return;
+            return false;
         }
         let bearing = atan(point.y / point.x);
         let elevation = atan(-point.z / point.horizontal_norm());
@@ -189,14 +191,10 @@ impl Projector {
         let down = (0.5 * VERTICAL_FOV_RAD - elevation) / PIXEL_PITCH_RAD;
         let is_inside = across >= 0.0 && down >= 0.0 && across < DEPTH_COLS as f32 && down < DEPTH_ROWS as f32;
         let (row, col) = (down as usize, across as usize);
-        let pixel = is_inside
-            .then(|| self.samples.get_mut(row * DEPTH_COLS + col))
-            .flatten();
-        let Some(sample) = pixel else {
-            counts.out_of_view += 1;
-            return;
+        let pixel = self.samples.get_mut(row * DEPTH_COLS + col);
+        let Some(sample) = pixel.filter(|_| is_inside) else {
+            return false;
         };
-        counts.used += 1;
         let inverse = 1.0 / range_m;
         if inverse > sample.inverse {
             *sample = Sample {
@@ -205,6 +203,7 @@ impl Projector {
                 across: across - col as f32 - 0.5,
             };
         }
+        true
     }
 
     /// Writes the image, ranges over 100 m with 1 for no return, and begins the next one. Returns the number of pixels with a range.

@@ -78,7 +78,7 @@ struct Heading<S> {
     jobs: Jobs,
     #[serde(flatten)]
     origin: Origin<S>,
-    /// Of the working tree in which it ran, if there was one: for the reader, not compared.
+    /// Of our working tree, if it ran in or from one: for the reader, not compared.
     git_commit: Option<String>,
 }
 
@@ -133,7 +133,7 @@ where
     pub fn new(command: &str, settings: S, jobs: Jobs) -> Result<Self> {
         ensure!(
             jobs.first_seed.checked_add(jobs.flights).is_some(),
-            "--seed: there are no {} seeds from {} on",
+            "--seed: seeds end below 2^64 - 1, {} flights from {} on do not fit",
             jobs.flights,
             jobs.first_seed
         );
@@ -177,16 +177,14 @@ where
     /// The flights that there are and the name of each one's arm, by seed.
     pub fn flights(&self) -> impl Iterator<Item = (&str, &F)> {
         let arms = &self.jobs().arms;
-        self.flown
-            .iter()
-            .map(|((_, arm), flight)| (arms[*arm].as_str(), flight))
+        let flown = self.flown.iter();
+        flown.map(|((_, arm), flight)| (arms[*arm].as_str(), flight))
     }
 
     /// The flights of an arm, by seed.
     pub fn flights_of<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a F> {
-        self.flights()
-            .filter(move |(arm, _)| *arm == name)
-            .map(|(_, flight)| flight)
+        let flights = self.flights().filter(move |(arm, _)| *arm == name);
+        flights.map(|(_, flight)| flight)
     }
 
     /// A flight, if it was flown.
@@ -245,12 +243,9 @@ where
         fly: impl Fn(u64, usize, &Progress) -> Result<F> + Sync,
     ) -> Result<Interrupt> {
         let (missing, interrupt) = (self.missing(wanted).len() as u64, Interrupt::on_ctrl_c()?);
-        if missing < wanted.count() {
-            let there = wanted.count() - missing;
-            say!(
-                "resumed          {there} of {} flights are there already",
-                wanted.count()
-            );
+        let (all, there) = (wanted.count(), wanted.count() - missing);
+        if there > 0 {
+            say!("resumed          {there} of {all} flights are there already");
         }
         let bar = Progress::new(missing, "flights")?;
         let flown = self.fly_some(wanted, pool, &interrupt, |seed, arm| {

@@ -102,12 +102,8 @@ impl Begun {
         self.notes.finish()?;
         about.insert("course".to_owned(), config.course.name.clone());
         about.insert("seed".to_owned(), config.seed.to_string());
-        let text = format!(
-            "{} after {:.1} s and {:.1} m",
-            super::outcome_name(record.outcome),
-            record.flight_time_s,
-            record.path_length_m
-        );
+        let (how, seconds, metres) = (record.outcome, record.flight_time_s, record.path_length_m);
+        let text = format!("{} after {seconds:.1} s and {metres:.1} m", super::outcome_name(how));
         about.insert("outcome".to_owned(), text);
         let sides: [&Path; 2] = [&truth_file, &self.notes_file];
         let merged = merge_into(&log, &sides, &about);

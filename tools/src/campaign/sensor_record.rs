@@ -73,11 +73,8 @@ impl SensorRecord {
             }
         }
         let hours = steps as f64 * f64::from(STEP_S) / 3600.0;
-        let named: Vec<String> = reasons
-            .iter()
-            .filter(|(_, n)| *n > 0)
-            .map(|(name, n)| format!("{name} {n}"))
-            .collect();
+        let found = reasons.iter().filter(|(_, n)| *n > 0);
+        let named: Vec<String> = found.map(|(name, n)| format!("{name} {n}")).collect();
         format!(
             "{holds} holds in {held} of {count} flights, {:.2} per flight hour{}{}",
             holds as f64 / hours.max(f64::MIN_POSITIVE),

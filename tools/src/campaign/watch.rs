@@ -1,6 +1,7 @@
 //! What the detector did in a flight: for campaigns.
 
 use serde::{Deserialize, Serialize};
+use vigil_firmware::AlarmTally;
 use vigil_types::{AlarmCause, AlarmResponse, GuidanceState, STEP_S, StepReport, Verdict};
 
 /// What the detector did in a flight.
@@ -24,7 +25,7 @@ pub struct WatchRecord {
     pub disagreement_alarms: u64,
     /// Step of the first alarm.
     pub first_alarm_step: Option<u64>,
-    /// Steps in which the alarm demanded a stop.
+    /// Steps of the flight in which guidance held for an alarm.
     pub stop_steps: u64,
     /// Steps in which the recovery pilot's action counted.
     pub recovery_steps: u64,
@@ -41,10 +42,10 @@ impl WatchRecord {
             self.attack_verdicts += u64::from(judgement.verdict == Verdict::Attack);
             self.unknown_verdicts += u64::from(judgement.verdict == Verdict::Unknown);
         }
-        let response = report.alarm.map(|alarm| alarm.response);
-        self.stop_steps += u64::from(response == Some(AlarmResponse::Stop));
-        self.recovery_steps += u64::from(response == Some(AlarmResponse::Recovery));
-        if response.is_some() && !self.raised {
+        let effect = AlarmTally::effect(report);
+        self.stop_steps += u64::from(effect == Some(AlarmResponse::Stop));
+        self.recovery_steps += u64::from(effect == Some(AlarmResponse::Recovery));
+        if report.alarm.is_some() && !self.raised {
             self.alarms += 1;
             let raised_by = |of: fn(AlarmCause) -> bool| u64::from(report.alarm.is_some_and(|alarm| of(alarm.cause)));
             self.guard_alarms += raised_by(AlarmCause::is_of_guard);
@@ -52,7 +53,7 @@ impl WatchRecord {
             self.disagreement_alarms += raised_by(|cause| cause == AlarmCause::Disagreement);
             self.first_alarm_step = self.first_alarm_step.or(Some(step));
         }
-        self.raised = response.is_some();
+        self.raised = report.alarm.is_some();
     }
 
     /// A line on all flights of a campaign.
@@ -113,6 +114,10 @@ mod tests {
         ];
         for (step, alarm) in (0..).zip(story) {
             report.alarm = alarm;
+            report.state = match alarm.map(|alarm: Alarm| alarm.response) {
+                Some(AlarmResponse::Stop) => GuidanceState::Hold,
+                _ => GuidanceState::Guided,
+            };
             record.observe(step, &report);
         }
         assert_eq!((record.alarms, record.first_alarm_step), (2, Some(1)));

@@ -349,11 +349,8 @@ pub fn ouster(args: &OusterArgs) -> Result<ExitCode> {
     let text = vigil_types::files::read_text(path, METADATA_LIMIT)
         .with_context(|| format!("--metadata {}", path.display()))?;
     let device = OusterDevice::from_metadata(&text).with_context(|| format!("--metadata {}", path.display()))?;
-    let (columns, turns, on) = (device.columns, device.rate_hz, args.listen);
-    let what = format!(
-        "{} beams, {columns} columns, {turns} turns a second, on {on}",
-        device.beams()
-    );
+    let (beams, columns, turns, on) = (device.beams(), device.columns, device.rate_hz, args.listen);
+    let what = format!("{beams} beams, {columns} columns, {turns} turns a second, on {on}");
     let mut adapter = OusterAdapter::new(device, args.common.mount)?;
     let socket = UdpSocket::bind(args.listen).with_context(|| format!("--listen {}", args.listen))?;
     socket.set_read_timeout(Some(LOOK))?;

@@ -77,16 +77,20 @@ impl Process {
         self
     }
 
-    /// Looks whether the child still runs.
+    /// Looks whether the child still runs, in flight.
     ///
     /// # Errors
     /// It has ended, with the last of what it said.
     pub fn check(&mut self) -> Result<()> {
+        self.check_when("in flight")
+    }
+
+    pub(super) fn check_when(&mut self, when: &str) -> Result<()> {
         if let Some(status) = self.child.try_wait()? {
             let said = self.said();
             let lines: Vec<&str> = said.lines().collect();
             let tail = lines[lines.len().saturating_sub(6)..].join("\n  ");
-            bail!("the {} ended in flight ({status}); it said last:\n  {tail}", self.name);
+            bail!("the {} ended {when} ({status}); it said last:\n  {tail}", self.name);
         }
         Ok(())
     }
@@ -152,8 +156,15 @@ mod tests {
     #[test]
     fn a_child_is_in_a_group_of_its_own_which_a_terminal_does_not_interrupt() {
         let folder = tempfile::tempdir().expect("a folder");
-        let started = Process::start("child", folder.path(), |_| {}).expect("a child");
+        let mut started = Process::start("child", folder.path(), |_| {}).expect("a child");
         let pid = rustix::process::Pid::from_child(&started.child);
         assert_eq!(rustix::process::getpgid(Some(pid)), Ok(pid));
+        // It is this test's program, which knows none of our arguments.
+        started.child.wait().expect("its end");
+        let ended = started
+            .check_when("before the flight")
+            .expect_err("it ended")
+            .to_string();
+        assert!(ended.contains("child ended before the flight (exit status"), "{ended}");
     }
 }

@@ -292,9 +292,6 @@ fn prepare(args: &EvaluateArgs, faults: &[Option<SensorFault>]) -> Result<()> {
         "--resume goes on from the flights beside a report in a file: name one with -o"
     );
     output::prepare(&args.json)?;
-    if let Some(folder) = &args.draw_failures {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    }
     if let Some(folder) = &args.logs {
         ensure!(
             args.flights.saturating_mul(faults.len() as u64) <= MOST_LOGS,
@@ -311,6 +308,8 @@ fn prepare(args: &EvaluateArgs, faults: &[Option<SensorFault>]) -> Result<()> {
                 log.display()
             );
         }
+    }
+    for folder in args.draw_failures.iter().chain(&args.logs) {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
     Ok(())
@@ -364,10 +363,8 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         let logs = args.logs.as_deref().or(of_shown.map(|(_, folder)| folder.as_path()));
         let flight = fly(args, &models, attack.as_ref(), faults[arm], seed, logs)?;
         if !flight.record.is_success() {
-            bar.set_message(format!(
-                "last failure: seed {seed} ({})",
-                outcome_name(flight.record.outcome)
-            ));
+            let how = outcome_name(flight.record.outcome);
+            bar.set_message(format!("last failure: seed {seed} ({how})"));
         }
         Ok(flight)
     })?;

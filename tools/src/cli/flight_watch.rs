@@ -1,12 +1,12 @@
 //! A flight that is monitored to its end: what is shown meanwhile, and what is kept of it.
 
-use crate::cli::child_process::Process;
+use crate::cli::fly::Processes;
 use crate::cli::foreign::{PilotWatch, PoseWatch};
 use crate::cli::live::{Live, state_line};
 use crate::cli::output::{Interrupt, say, tell};
 use anyhow::{Result, bail, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 use vigil_sim::program::Status;
 use vigil_sim::world::Outcome;
@@ -95,13 +95,7 @@ impl Terminal {
 }
 
 /// Follows the flight until it is over.
-pub(super) fn watch(
-    terminal: &mut Terminal,
-    statuses: &Receiver<Status>,
-    simulator: &mut Process,
-    firmware: &mut Process,
-    interrupt: &Interrupt,
-) -> Result<Flight> {
+pub(super) fn watch(terminal: &mut Terminal, processes: &mut Processes, interrupt: &Interrupt) -> Result<Flight> {
     let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{msg}")?);
     let mut flight = Flight::default();
     let mut reached_at: Option<Instant> = None;
@@ -109,7 +103,8 @@ pub(super) fn watch(
     let (mut pose, mut pilot) = (PoseWatch::default(), PilotWatch::default());
     let is_quiet = matches!(terminal, Terminal::Quiet);
     while !interrupt.came() {
-        match statuses.recv_timeout(LOOK) {
+        let when = if has_flown { "in flight" } else { "before the flight" };
+        match processes.statuses.recv_timeout(LOOK) {
             Ok(status) => {
                 silent_looks = 0;
                 terminal.show(&bar, &flight.path, &status);
@@ -117,21 +112,21 @@ pub(super) fn watch(
             }
             Err(RecvTimeoutError::Timeout) => {
                 silent_looks += 1;
-                let (name, limit) = (simulator.name, LOOK * SILENT_LOOKS);
-                ensure!(
-                    silent_looks < SILENT_LOOKS,
-                    "the {name} said nothing for {} s",
-                    limit.as_secs()
-                );
+                let (name, limit_s) = (processes.simulator.name, (LOOK * SILENT_LOOKS).as_secs());
+                ensure!(silent_looks < SILENT_LOOKS, "the {name} said nothing for {limit_s} s");
             }
             Err(RecvTimeoutError::Disconnected) => {
                 // Its pipe closes a moment before its exit status can be read.
                 std::thread::sleep(Duration::from_millis(200));
-                simulator.check()?;
-                bail!("the {} closed its output", simulator.name);
+                processes.simulator.check_when(when)?;
+                bail!("the {} closed its output", processes.simulator.name);
             }
         }
-        firmware.check()?;
+        processes.firmware.check_when(when)?;
+        // One that ends in flight leaves the firmware holding, and is named at the end.
+        if let Some(adversary) = processes.adversary.as_mut().filter(|_| !has_flown) {
+            adversary.check_when(when)?;
+        }
         let Some(status) = &flight.last else { continue };
         if pose.observe(status)? {
             break;

@@ -11,7 +11,7 @@ use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
 use crate::cli::view::{self, ViewerArgs};
 use crate::flight_derived::{Wanted, derive};
 use crate::flight_report::{self, EXPLAINED};
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ use vigil_adversary::AttackArgs;
 use vigil_adversary::process::RAW_TOPIC;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::arguments::choice;
-use vigil_log::SideLog;
+use vigil_log::{SideLog, merge_into, merge_into_light};
 use vigil_sim::program::{Status, ending_code};
 use vigil_sim::world::{Course, FlightPath, Outcome};
 use vigil_sim::{CourseChoice, SensorFault, VehicleChoice};
@@ -54,7 +54,7 @@ Examples:
 
 While it flies, any MAVLink client can watch on port 14550, where all instances are heard, and command on 14540, plus the instance
 number for instances 1 to 9; those from 10 on speak to 14549 (docs/scripting.md).
-Exit code: 0 goal reached, 10 collision, 11 out of bounds, 12 time-out, 13 no flight, 1 error, 130 interrupted.")]
+Exit code: 0 goal reached, 10 collision, 11 out of bounds, 12 time-out, 13 no flight, 1 error or landed elsewhere, 130 interrupted.")]
 pub struct FlyArgs {
     /// Course to fly.
     #[command(flatten)]
@@ -146,13 +146,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let mut processes = Processes::start(args, &course, seed, &folder)?;
     let mut viewer = args.view.then(|| args.viewer.follow(&folder)).transpose()?;
     let mut terminal = terminal(args, &course, seed);
-    let monitored = watch(
-        &mut terminal,
-        &processes.statuses,
-        &mut processes.simulator,
-        &mut processes.firmware,
-        &interrupt,
-    );
+    let monitored = watch(&mut terminal, &mut processes, &interrupt);
     let said = processes.end()?;
     let Flight { last, path, truth } = monitored?;
     // The path ends with the flight, the truth with the watch.
@@ -201,11 +195,11 @@ fn terminal(args: &FlyArgs, course: &Course, seed: u64) -> Terminal {
 }
 
 /// The programs that fly together.
-struct Processes {
-    firmware: Process,
-    adversary: Option<Process>,
-    simulator: Process,
-    statuses: Receiver<Status>,
+pub(super) struct Processes {
+    pub(super) firmware: Process,
+    pub(super) adversary: Option<Process>,
+    pub(super) simulator: Process,
+    pub(super) statuses: Receiver<Status>,
 }
 
 /// What they reported when they ended.
@@ -323,18 +317,21 @@ fn complete_log(
     let adversary_file = folder.join(ADVERSARY_NOTES);
     let mut sides = vec![truth_file.as_path(), &adversary_file];
     sides.retain(|path| path.is_file());
-    let merged = vigil_log::merge_into(&log, &sides, about);
+    let is_light = content == LogContent::Light;
+    let merge = if is_light { merge_into_light } else { merge_into };
+    let merged = merge(&log, &sides, about);
     for side in sides {
         // Their content is in the log; one that stays behind does no harm.
         let _ = std::fs::remove_file(side);
     }
     merged?;
-    if content != LogContent::Light {
-        derive(&log, Wanted { map: true, shap: false })?;
-    }
+    let derived = match is_light {
+        true => Ok(()),
+        false => derive(&log, Wanted { map: true, shap: false }).map(drop),
+    };
     let report = flight_report::beside(&log);
     crate::cli::log::write_report(&log, &report, EXPLAINED)?;
-    Ok(())
+    derived.context("the log has no map and no planned way")
 }
 
 /// What is known of the flight as a whole, for its log.
@@ -385,8 +382,8 @@ fn adversary_in_words(said: &str) -> String {
         return format!("altered none of {frames} frames: the flight ended before its burst began");
     }
     let mut text = format!(
-        "altered {attacked} of {frames} frames, from step {} on; the actor's yaw decision moved by 1.0 (30 °/s) or more in {effective} of \
-         them ({:.0} %), by {:.2} on average",
+        "altered {attacked} of {frames} frames, from step {} at flight height on; the actor's yaw decision moved by 1.0 (30 °/s) \
+         or more in {effective} of them ({:.0} %), by {:.2} on average",
         number("first_step"),
         100.0 * effective as f64 / attacked as f64,
         record["mean_yaw_change"].as_f64().unwrap_or(0.0)

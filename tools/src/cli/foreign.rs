@@ -7,7 +7,7 @@ use vigil_firmware::arguments::choice;
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::link_spec::LinkSpec;
 use vigil_sim::program::Status;
-use vigil_types::{AutopilotChoice, Choice, Reason};
+use vigil_types::{AutopilotChoice, Choice, GuidanceState, Reason};
 
 /// Where the firmware passes on to the sensor what it hears of the vehicle, of instance 0.
 const POSE_PORT: u32 = 14130;
@@ -108,9 +108,9 @@ impl PoseWatch {
         }
         let since = *self.missing_since.get_or_insert_with(Instant::now);
         if since.elapsed() > NO_POSE_LIMIT {
+            let limit_s = NO_POSE_LIMIT.as_secs();
             bail!(
-                "{state}, for {} s: `vigil doctor --link URL` says what is missing (docs/foreign-vehicles.md)",
-                NO_POSE_LIMIT.as_secs()
+                "{state}, for {limit_s} s: `vigil doctor --link URL` says what is missing (docs/foreign-vehicles.md)"
             );
         }
         Ok(false)
@@ -121,17 +121,16 @@ impl PoseWatch {
 #[derive(Default)]
 pub struct PilotWatch {
     waits_since: Option<Instant>,
+    was_guided: bool,
     is_said: bool,
 }
 
 impl PilotWatch {
     /// Looks at a status; what to tell, if it is time to.
     pub fn observe(&mut self, status: &Status) -> Option<String> {
-        let waits = status
-            .reasons
-            .iter()
-            .any(|reason| reason == Reason::PilotInCommand.name());
-        if self.is_said || !waits {
+        self.was_guided |= status.guidance.as_deref() == Some(GuidanceState::Guided.name());
+        let mut reasons = status.reasons.iter();
+        if self.is_said || !reasons.any(|reason| reason == Reason::PilotInCommand.name()) {
             self.waits_since = None;
             return None;
         }
@@ -140,12 +139,34 @@ impl PilotWatch {
         }
         self.is_said = true;
         let change = match status.mode.as_str() {
+            // Who took it over in flight gives it back by an engage alone.
+            _ if self.was_guided => "",
             "hold" => "",
+            _ if status.armed => "change it to GUIDED (ArduPilot) when it may go, or ",
             _ => "change it to GUIDED (ArduPilot) or Hold (PX4) when it may go, or ",
         };
         Some(format!(
             "waiting    the vehicle is in its pilot's mode {}: {change}engage from a ground station (docs/guidance.md, \"Where auto engages\")",
             status.mode
         ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_vehicle_that_was_taken_over_is_not_sent_to_a_mode_that_gives_nothing_back() {
+        let advice = |was_guided, armed| {
+            let mut status = Status::default();
+            (status.armed, status.reasons) = (armed, vec![Reason::PilotInCommand.name().to_owned()]);
+            let mut watch = PilotWatch::default();
+            (watch.was_guided, watch.waits_since) = (was_guided, Some(Instant::now() - PILOT_PATIENCE));
+            let text = watch.observe(&status).expect("it waited");
+            ["GUIDED", "Hold", "engage from"].map(|word| text.contains(word))
+        };
+        let all = [(false, false), (false, true), (true, true)].map(|(guided, armed)| advice(guided, armed));
+        assert_eq!(all, [[true; 3], [true, false, true], [false, false, true]]);
     }
 }

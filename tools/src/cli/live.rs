@@ -71,10 +71,7 @@ impl Live {
 
     /// The dot at a position, if it is on the map.
     fn dot_of(&self, p: &NedVector) -> Option<(usize, usize)> {
-        let (x, y) = (
-            (p.x - self.corner_m.0) / self.dot_m,
-            (p.y - self.corner_m.1) / self.dot_m,
-        );
+        let [x, y] = [p.x - self.corner_m.0, p.y - self.corner_m.1].map(|m| m / self.dot_m);
         let inside = x >= 0.0 && y >= 0.0 && x < (2 * self.cols) as f32 && y < (4 * self.rows) as f32;
         inside.then_some((x as usize, y as usize))
     }
@@ -89,11 +86,8 @@ impl Live {
         let goal = place(&self.goal_ned_m);
         let [x, y, z] = status.position_ned_m;
         let vehicle = place(&NedVector::new(x, y, z));
-        let mut text = format!(
-            "{}   north →, east ↓, a character is {:.1} m\n",
-            self.title,
-            2.0 * self.dot_m
-        );
+        let (title, col_m) = (&self.title, 2.0 * self.dot_m);
+        let mut text = format!("{title}   north →, east ↓, a character is {col_m:.1} m\n");
         for row in 0..self.rows {
             for col in 0..self.cols {
                 let at = row * self.cols + col;
@@ -130,10 +124,8 @@ impl Live {
         match (score, self.threshold) {
             (Some(score), Some(threshold)) => {
                 let word = if score > threshold { "ATTACK" } else { "clean" };
-                format!(
-                    "{} {score:.3}, threshold {threshold:.3}: {word}",
-                    bar(score, Some(threshold))
-                )
+                let bar = bar(score, Some(threshold));
+                format!("{bar} {score:.3}, threshold {threshold:.3}: {word}")
             }
             (Some(score), None) => format!("{} {score:.3}", bar(score, None)),
             (None, Some(_)) => "none yet: no verdict is unknown, not clean".to_owned(),
@@ -183,12 +175,12 @@ mod tests {
     use vigil_sim::world::{Family, generate};
 
     fn status(score: Option<f32>, position_ned_m: [f32; 3]) -> Status {
-        let json = serde_json::json!({
-            "time_s": 3.0, "at_ns": 0, "position_ned_m": position_ned_m, "attitude": [1.0, 0.0, 0.0, 0.0], "speed_m_s": 0.8,
-            "goal_distance_m": 9.0, "mode": "external", "armed": true, "guidance": "guided", "reasons": [], "step_us": 900.0,
-            "slips": 0, "outcome": null, "flight_time_s": 0.0, "path_length_m": 0.0, "score": score, "nearness": "0479".repeat(NEARNESS_COLS * NEARNESS_ROWS / 4),
-        });
-        serde_json::from_value(json).expect("a status")
+        Status {
+            position_ned_m,
+            score,
+            nearness: "0479".repeat(NEARNESS_COLS * NEARNESS_ROWS / 4),
+            ..Status::default()
+        }
     }
 
     #[test]
@@ -199,19 +191,12 @@ mod tests {
         let before = live.picture(&[], &status(None, [0.0, 0.0, -1.5]));
         let after = live.picture(&path, &status(Some(0.95), [5.0, 0.0, -1.5]));
         for text in [&before, &after] {
-            assert!(
-                text.lines()
-                    .skip(1)
-                    .take(live.rows)
-                    .all(|line| line.chars().count() == live.cols && live.cols <= 58)
-            );
+            let mut rows = text.lines().skip(1).take(live.rows);
+            assert!(rows.all(|line| line.chars().count() == live.cols && live.cols <= 58));
             assert_eq!((text.matches('◆').count(), text.matches('×').count()), (1, 1), "{text}");
         }
-        assert_eq!(
-            after.matches('▒').count(),
-            NEARNESS_COLS * NEARNESS_ROWS / 4,
-            "the depth picture"
-        );
+        let of_depth = after.matches('▒').count();
+        assert_eq!(of_depth, NEARNESS_COLS * NEARNESS_ROWS / 4, "the depth picture");
         assert!(live.ground.iter().any(|dots| *dots != 0), "obstacles");
         assert_ne!(before.find('◆'), after.find('◆'));
         assert!(before.contains("no verdict is unknown") && after.contains("0.950, threshold 0.800: ATTACK"));

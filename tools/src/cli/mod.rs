@@ -111,7 +111,13 @@ pub fn main() -> ExitCode {
     if lab::is_asked_about(std::env::args_os().skip(1)) {
         return output::finish(lab::hand_on());
     }
-    let cli: Cli = vigil_firmware::removed::parse();
+    let mut cli: Cli = vigil_firmware::removed::parse();
+    if let Some(Any::Flight(command)) = &cli.command
+        && matches!(**command, Command::Firmware(_))
+    {
+        // As the `firmware` program: its states and notices are what it prints.
+        cli.every.verbose = cli.every.verbose.max(1);
+    }
     cli.every.run(|| run(cli.command))
 }
 

@@ -2,7 +2,7 @@
 
 use crate::report::TextTable;
 use anyhow::{Context, Result, ensure};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::ops::ControlFlow;
@@ -204,7 +204,6 @@ impl Interrupt {
 pub struct Progress {
     bar: ProgressBar,
     what: &'static str,
-    message: Mutex<String>,
     /// `None` on a terminal.
     pace: Option<Mutex<Pace>>,
 }
@@ -212,13 +211,19 @@ pub struct Progress {
 impl Progress {
     /// `length` of `what` are to be done.
     pub fn new(length: u64, what: &'static str) -> Result<Self> {
-        let style = format!("{{bar:30}} {{pos}}/{{len}} {what}, {{elapsed}} gone, {{eta}} left{{msg}}");
-        let bar = ProgressBar::new(length).with_style(ProgressStyle::with_template(&style)?);
+        let style = format!("{{bar:30}} {{pos}}/{{len}} {what}, {{elapsed}} gone{{left}}{{msg}}");
+        // Before the first is done the estimate is 0.
+        let left = |state: &ProgressState, to: &mut dyn std::fmt::Write| {
+            if state.pos() > 0 {
+                let _ = write!(to, ", {:#} left", HumanDuration(state.eta()));
+            }
+        };
+        let style = ProgressStyle::with_template(&style)?.with_key("left", left);
+        let bar = ProgressBar::new(length).with_style(style);
         Ok(Self {
             pace: bar.is_hidden().then(Mutex::default),
             bar,
             what,
-            message: Mutex::default(),
         })
     }
 
@@ -236,11 +241,7 @@ impl Progress {
 
     /// What stands behind the numbers.
     pub fn set_message(&self, message: impl std::fmt::Display) {
-        let message = format!(", {message}");
-        self.bar.set_message(message.clone());
-        if let Ok(mut kept) = self.message.lock() {
-            *kept = message;
-        }
+        self.bar.set_message(format!(", {message}"));
     }
 
     /// Takes the bar away.
@@ -256,13 +257,12 @@ impl Progress {
         if let Ok(mut pace) = pace.try_lock()
             && pace.is_due(elapsed, done, length)
         {
-            let message = self.message.lock().map(|message| message.clone()).unwrap_or_default();
-            let left = self.bar.eta().as_secs();
-            tell!(
-                "{done}/{length} {}, {} s gone, {left} s left{message}",
-                self.what,
-                elapsed.as_secs()
-            );
+            let left = match done {
+                0 => String::new(),
+                _ => format!(", {} s left", self.bar.eta().as_secs()),
+            };
+            let (what, gone_s, message) = (self.what, elapsed.as_secs(), self.bar.message());
+            tell!("{done}/{length} {what}, {gone_s} s gone{left}{message}");
         }
     }
 }
@@ -360,14 +360,24 @@ pub fn make_folder(parent: &Path, command: &str, seed: u64) -> Result<PathBuf> {
         .with_context(|| format!("cannot make a folder in {}", parent.display()))
 }
 
-/// The commit of the working tree, if there is one and git is there.
+/// The commit of our working tree around this program's file, or else around the current folder, if there is one and git is there.
 pub fn git_commit() -> Option<String> {
-    let output = std::process::Command::new("git")
-        .args(["describe", "--always", "--dirty", "--abbrev=40"])
-        .output()
-        .ok()?;
-    let text = String::from_utf8(output.stdout).ok()?;
-    (output.status.success() && !text.trim().is_empty()).then(|| text.trim().to_owned())
+    let program = std::env::current_exe().ok();
+    let mut folders = program.iter().filter_map(|file| file.parent()).chain([Path::new(".")]);
+    folders.find_map(commit_around)
+}
+
+fn commit_around(folder: &Path) -> Option<String> {
+    let git = |arguments: &[&str]| {
+        let mut command = std::process::Command::new("git");
+        let output = command.arg("-C").arg(folder).args(arguments).output().ok()?;
+        let text = String::from_utf8(output.stdout).ok()?;
+        (output.status.success() && !text.trim().is_empty()).then(|| text.trim().to_owned())
+    };
+    // Anybody's repository may be around them.
+    let manifest = PathBuf::from(git(&["rev-parse", "--show-toplevel"])?).join("Cargo.toml");
+    let manifest = vigil_types::files::read_text(&manifest, 1 << 20).ok()?;
+    git(&["describe", "--always", "--dirty", "--abbrev=40"]).filter(|_| manifest.contains("\"firmware/guidance\""))
 }
 
 /// Colour of a range over full scale in pictures of frames: near is bright, as in the contrast that the actor sees.
@@ -383,18 +393,26 @@ mod tests {
     fn a_line_of_progress_is_due_every_few_seconds_with_a_new_percent_and_every_minute_without() {
         let mut pace = Pace::default();
         let mut due = |seconds, done| pace.is_due(Duration::from_secs(seconds), done, 1000);
-        let colours = [
-            (4, 50),
-            (5, 50),
-            (9, 90),
-            (10, 90),
-            (20, 95),
-            (69, 96),
-            (70, 96),
-            (75, 110),
-        ]
-        .map(|(s, n)| due(s, n));
-        assert_eq!(colours, [false, true, false, true, false, false, true, true]);
+        let seconds = [4, 5, 9, 10, 20, 69, 70, 75];
+        let done = [50, 50, 90, 90, 95, 96, 96, 110];
+        let is_due: Vec<bool> = seconds.into_iter().zip(done).map(|(s, n)| due(s, n)).collect();
+        assert_eq!(is_due, [false, true, false, true, false, false, true, true]);
+    }
+
+    #[test]
+    fn a_program_in_another_repository_than_ours_is_of_no_commit() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let git = |line: &str| {
+            let mut command = std::process::Command::new("git");
+            let done = command.arg("-C").arg(folder.path()).args(line.split(' ')).status();
+            assert!(done.expect("git").success(), "{line}");
+        };
+        git("init -q");
+        git("-c user.name=a -c user.email=a commit -q --allow-empty -m a");
+        assert_eq!(commit_around(folder.path()), None);
+        let ours = folder.path().join("Cargo.toml");
+        std::fs::write(ours, "members = [\"firmware/guidance\"]").expect("written");
+        assert_eq!(commit_around(folder.path()).map(|commit| commit.len()), Some(40));
     }
 
     #[test]

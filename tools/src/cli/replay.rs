@@ -28,11 +28,8 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     let mut reader = Reader::open(&path)?;
     let report = vigil_firmware::replay(&mut reader).with_context(|| path.display().to_string())?;
     // Without a step, only a log that is read to its end is equal.
-    ensure!(
-        report.steps > 0 || !report.is_equal(),
-        "{} holds no step: there is nothing to compare",
-        path.display()
-    );
+    let (is_empty, name) = (report.steps == 0 && report.is_equal(), path.display());
+    ensure!(!is_empty, "{name} holds no step: there is nothing to compare");
     say!("{}", Paint::stdout().verdict(report.is_equal(), &report.to_string()));
     Ok(checked(report.is_equal()))
 }

@@ -11,7 +11,7 @@ use std::time::Duration;
 use vigil_io::clock::monotonic_ns;
 use vigil_io::key_file::frame_keys;
 use vigil_io::shared_memory::{Domain, FrameSubscriber};
-use vigil_types::DepthFrame;
+use vigil_types::{DEPTH_FULL_SCALE_M, DepthFrame};
 
 /// How often the service is looked at; arrival is known to this.
 const LOOK: Duration = Duration::from_micros(200);
@@ -55,7 +55,7 @@ struct CheckArgs {
     frame_key: Vec<PathBuf>,
 
     /// Range of a wall straight ahead, metres.
-    #[arg(long, value_name = "METRES")]
+    #[arg(long, value_name = "METRES", value_parser = wall_m)]
     wall: Option<f32>,
 
     /// How long to listen, seconds.
@@ -65,6 +65,14 @@ struct CheckArgs {
     /// Where the findings go as JSON; `-` is standard output.
     #[arg(short = 'o', long, value_name = "FILE")]
     json: Option<PathBuf>,
+}
+
+fn wall_m(text: &str) -> Result<f32, String> {
+    let metres = text
+        .parse()
+        .ok()
+        .filter(|m| (f32::MIN_POSITIVE..DEPTH_FULL_SCALE_M).contains(m));
+    metres.ok_or_else(|| format!("give metres, above 0 and below {DEPTH_FULL_SCALE_M}"))
 }
 
 /// Frames of a service, checked as they come.
@@ -160,4 +168,15 @@ fn check(args: &CheckArgs) -> Result<ExitCode> {
     let findings = frames.check.findings(args.seconds as f64, monotonic_ns());
     let line = |f: &Finding| (f.severity, format!("{:<8} {}", f.name, f.text));
     report(&findings, "FAILS", line, args.json.as_deref())
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_wall_that_no_frame_can_show_is_refused() {
+        for text in ["nan", "-2", "inf", "0", "100"] {
+            assert!(super::wall_m(text).is_err(), "{text}");
+        }
+        assert_eq!(super::wall_m("2.5"), Ok(2.5));
+    }
 }

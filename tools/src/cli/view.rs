@@ -69,10 +69,10 @@ impl ViewerArgs {
     /// # Errors
     /// It is not: the message says how to get it.
     pub fn check(&self) -> Result<()> {
+        let python = self.python.display();
         let how = format!(
-            "`{0} -m pip install rerun-sdk=={RERUN_VERSION} mcap==1.6.0 mcap-protobuf-support==0.6.0`, in a virtual environment for \
-             example, whose Python --python names",
-            self.python.display()
+            "`{python} -m pip install rerun-sdk=={RERUN_VERSION} mcap==1.6.0 mcap-protobuf-support==0.6.0`, in a virtual environment for \
+             example, whose Python --python names"
         );
         let asked = Command::new(&self.python)
             .args([
@@ -82,17 +82,12 @@ impl ViewerArgs {
             .stdin(Stdio::null())
             .output();
         let asked = match asked {
-            Err(error) if error.kind() == ErrorKind::NotFound => bail!(
-                "no viewer: there is no program {}; install Python 3.10 or newer, then {how}",
-                self.python.display()
-            ),
-            other => other.with_context(|| format!("cannot start {}", self.python.display()))?,
+            Err(error) if error.kind() == ErrorKind::NotFound => {
+                bail!("no viewer: there is no program {python}; install Python 3.10 or newer, then {how}")
+            }
+            other => other.with_context(|| format!("cannot start {python}"))?,
         };
-        ensure!(
-            asked.status.success(),
-            "no viewer: {} lacks its packages; {how}",
-            self.python.display()
-        );
+        ensure!(asked.status.success(), "no viewer: {python} lacks its packages; {how}");
         let version = String::from_utf8_lossy(&asked.stdout);
         let version = version.trim();
         if version != RERUN_VERSION {

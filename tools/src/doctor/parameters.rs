@@ -10,12 +10,21 @@ use vigil_mavlink::Flavour;
 pub(crate) struct Row {
     pub name: &'static str,
     pub unit: &'static str,
-    /// Whether it is of PX4 from 1.18 on, those that have [`STICKS_BY_SPEED`], or of those before; `None` is of all.
-    pub by_speed: Option<bool>,
     pub wanted: &'static str,
     /// Why, and what to do.
     pub why: &'static str,
     pub grade: fn(f32) -> Severity,
+}
+
+impl Row {
+    /// Whether it is of PX4 from 1.18 on, those that have [`STICKS_BY_SPEED`], or of those before; `None` is of all.
+    pub fn by_speed(&self) -> Option<bool> {
+        match self.name {
+            STICKS_BY_SPEED => Some(true),
+            "COM_RC_OVERRIDE" | "COM_RCL_EXCEPT" => Some(false),
+            _ => None,
+        }
+    }
 }
 
 /// What PX4 1.18 has in place of COM_RC_OVERRIDE; whoever sends it needs no COM_RCL_EXCEPT either.
@@ -43,7 +52,6 @@ const PX4: [Row; 6] = [
     Row {
         name: "COM_OF_LOSS_T",
         unit: "s",
-        by_speed: None,
         wanted: "at most 1 s",
         why: "the vehicle keeps to its last setpoint for so long when the guidance computer falls silent",
         grade: grade_silence_s,
@@ -51,7 +59,6 @@ const PX4: [Row; 6] = [
     Row {
         name: "COM_OBL_RC_ACT",
         unit: "",
-        by_speed: None,
         wanted: "5 (hold) or 4 (land)",
         why: "what follows a lost setpoint stream, as when the firmware is killed: 3, and 0 to 2 without sticks, return at RTL_RETURN_ALT through \
               whatever is there; below 0 nothing follows, 6 and 7 let the vehicle fall: param set COM_OBL_RC_ACT 5",
@@ -64,7 +71,6 @@ const PX4: [Row; 6] = [
     Row {
         name: STICKS_BY_SPEED,
         unit: "",
-        by_speed: Some(true),
         wanted: "above 0",
         why: "without it the pilot's sticks do not end OFFBOARD; only the mode switch does",
         grade: |v| if v > 0.0 { Good } else { Warning },
@@ -72,7 +78,6 @@ const PX4: [Row; 6] = [
     Row {
         name: "COM_RC_OVERRIDE",
         unit: "",
-        by_speed: Some(false),
         wanted: "bit 1 on (add 2)",
         why: "without it the pilot's sticks do not end OFFBOARD; only the mode switch does",
         grade: |v| if has_bit(v, 2) { Good } else { Warning },
@@ -80,7 +85,6 @@ const PX4: [Row; 6] = [
     Row {
         name: "COM_RCL_EXCEPT",
         unit: "",
-        by_speed: Some(false),
         wanted: "bit 2 on (add 4) where nobody has sticks",
         why: "without it, and without sticks, OFFBOARD ends in the failsafe of lost sticks as soon as it begins",
         grade: |v| if has_bit(v, 4) { Good } else { Warning },
@@ -88,7 +92,6 @@ const PX4: [Row; 6] = [
     Row {
         name: "MPC_XY_CRUISE",
         unit: "m/s",
-        by_speed: None,
         wanted: "at most 5.3 m/s (5.0 with fly-around) where missions are guarded",
         why: TOO_FAST,
         grade: |v| if v <= GUARDED_M_S { Good } else { Warning },
@@ -99,7 +102,6 @@ const ARDUPILOT: [Row; 5] = [
     Row {
         name: "GUID_TIMEOUT",
         unit: "s",
-        by_speed: None,
         wanted: "at most 1 s",
         why: "the vehicle flies on by its last setpoint for so long when the guidance computer falls silent; Vigil sets 0.5 s when it takes \
               the vehicle, unless set otherwise",
@@ -108,7 +110,6 @@ const ARDUPILOT: [Row; 5] = [
     Row {
         name: "WPNAV_SPEED",
         unit: "cm/s",
-        by_speed: None,
         wanted: "at most 530 cm/s (500 with fly-around) where missions are guarded",
         why: TOO_FAST,
         grade: |v| if v <= 100.0 * GUARDED_M_S { Good } else { Warning },
@@ -116,7 +117,6 @@ const ARDUPILOT: [Row; 5] = [
     Row {
         name: "FS_EKF_ACTION",
         unit: "",
-        by_speed: None,
         wanted: "1 (land), 2 (altitude hold) or 3",
         why: "at 0 nothing follows when the estimator fails, and setpoints are flown by a position that is wrong",
         grade: |v| if v > 0.0 { Good } else { Warning },
@@ -124,7 +124,6 @@ const ARDUPILOT: [Row; 5] = [
     Row {
         name: "ARMING_CHECK",
         unit: "",
-        by_speed: None,
         wanted: "1 (all)",
         why: "at 0 the vehicle arms whatever is wrong with it",
         grade: |v| if v == 0.0 { Warning } else { Good },
@@ -132,7 +131,6 @@ const ARDUPILOT: [Row; 5] = [
     Row {
         name: "RC_OVERRIDE_TIME",
         unit: "s",
-        by_speed: None,
         wanted: "0 to 3 s",
         why: "how long sticks sent by MAVLink count after the last of them: below 0 a program that died holds them for ever",
         grade: |v| match v {

@@ -207,10 +207,9 @@ pub(crate) struct Helmsman {
 
 impl Helmsman {
     pub fn take(&mut self, step: u64, altered: bool) -> Helm {
-        (self.altered, self.unaltered) = if altered {
-            (self.altered + 1, 0)
-        } else {
-            (0, self.unaltered + 1)
+        (self.altered, self.unaltered) = match altered {
+            true => (self.altered + 1, 0),
+            false => (0, self.unaltered + 1),
         };
         match self.plan {
             Plan::Actor | Plan::ActorWithField | Plan::Geometric => {}

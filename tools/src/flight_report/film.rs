@@ -50,10 +50,8 @@ pub struct Picture {
 
 /// The step of most interest: the first alarm, else the first altered frame.
 fn moment(log: &LogSeen) -> Option<usize> {
-    log.alarms()
-        .first()
-        .copied()
-        .or_else(|| log.steps.iter().position(|s| log.is_altered(s)))
+    let raised = log.alarms().first().copied();
+    raised.or_else(|| log.steps.iter().position(|s| log.is_altered(s)))
 }
 
 /// The steps to show, in order.
@@ -115,13 +113,9 @@ pub fn take(path: &Path, log: &LogSeen, explained_frames: usize) -> Result<Film>
     pixels.draw_into(&mut pictures);
     // The first to be shown says most: an altered frame beside what it was, soon after the alarm.
     let telling = |p: &Picture| p.clean.is_some() && p.shap.is_some() != pixels.explanations.is_empty();
-    let first = pictures
-        .iter()
-        .skip(middle)
-        .position(telling)
-        .map_or(middle, |i| middle + i);
+    let found = pictures.iter().skip(middle).position(telling);
     Ok(Film {
-        first: first.min(pictures.len().saturating_sub(1)),
+        first: (middle + found.unwrap_or(0)).min(pictures.len().saturating_sub(1)),
         pictures,
         none: String::new(),
         note: pixels.note,
@@ -222,10 +216,9 @@ fn shap_picture(sums: &[f32], full: f32) -> String {
     let mut pixels = Vec::with_capacity(3 * sums.len());
     for value in sums {
         let share = (value / full).clamp(-1.0, 1.0);
-        let end: [f32; 3] = if share < 0.0 {
-            [0.0, 90.0, 160.0]
-        } else {
-            [200.0, 80.0, 0.0]
+        let end: [f32; 3] = match share < 0.0 {
+            true => [0.0, 90.0, 160.0],
+            false => [200.0, 80.0, 0.0],
         };
         // 32 shades each, the weak ones lifted.
         let shade = (share.abs().sqrt() * 32.0).round() / 32.0;

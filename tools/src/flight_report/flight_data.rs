@@ -117,9 +117,9 @@ fn flight(path: &Path, log: &LogSeen, film: Film) -> Flight {
     let attack = attack.map(|_| kept.iter().map(|s| u8::from(log.is_altered(s))).collect());
     let mut notes = words::notes(log);
     if stride > 1 {
+        let all = log.steps.len();
         notes.push(format!(
-            "The plots show every {stride}th of {} steps; the log holds all.",
-            log.steps.len()
+            "The plots show every {stride}th of {all} steps; the log holds all."
         ));
     }
     notes.extend(film.note);
@@ -223,33 +223,31 @@ fn timed(step: &StepSeen) -> bool {
 
 fn explanations(steps: &[&StepSeen]) -> Option<Explanations> {
     let phi = |s: &&StepSeen| {
-        s.report
-            .judgement
-            .map(|j| j.phi)
-            .filter(|phi| phi.iter().all(|v| v.is_finite()))
+        let phi = s.report.judgement?.phi;
+        phi.iter().all(|v| v.is_finite()).then_some(phi)
     };
-    let sizes: Vec<f64> = steps
-        .iter()
-        .filter_map(phi)
-        .flat_map(|phi| phi.map(|v| f64::from(v.abs())))
-        .collect();
+    let values = steps.iter().filter_map(phi).flatten();
+    let sizes: Vec<f64> = values.map(|v| f64::from(v.abs())).collect();
     // A few steps' extremes must not pale all others.
     let full = crate::statistics::quantile(&sizes, 0.995).filter(|full| *full > 0.0)?;
     let byte = |v: f32| ((f64::from(v) / full).clamp(-1.0, 1.0) * 127.0).round() as i8 as u8;
     let none = [i8::MIN as u8; EXPLAINED_STATE];
-    let bytes: Vec<u8> = steps
-        .iter()
-        .flat_map(|s| phi(s).map_or(none, |phi| phi.map(byte)))
-        .collect();
+    let bytes = steps.iter().flat_map(|s| phi(s).map_or(none, |phi| phi.map(byte)));
     Some(Explanations {
         rows: EXPLAINED_STATE,
         full,
-        values: BASE64.encode(bytes),
+        values: BASE64.encode(bytes.collect::<Vec<u8>>()),
     })
 }
 
 fn map(log: &LogSeen) -> Map {
     let pair = |p: NedVector| [rounded(p.x.into(), 2), rounded(p.y.into(), 2)];
+    let outline = |solid| {
+        let corners = outline_of(solid).into_iter();
+        Outline {
+            outline: corners.map(|p| p.map(|v| rounded(v, 2))).collect(),
+        }
+    };
     // Before take-off and after landing the vehicle stands still: one point of many says that as well.
     let mut truth: Vec<[f64; 2]> = log.story.truth.iter().map(|(_, p)| pair(*p)).collect();
     truth.dedup();
@@ -258,12 +256,6 @@ fn map(log: &LogSeen) -> Map {
         solids: log.story.solids.iter().map(outline).collect(),
         goal: log.goal_ned_m().map(pair),
         truth: truth.into_iter().step_by(stride).collect(),
-    }
-}
-
-fn outline(solid: &SceneSolid) -> Outline {
-    Outline {
-        outline: outline_of(solid).iter().map(|p| p.map(|v| rounded(v, 2))).collect(),
     }
 }
 

@@ -109,15 +109,12 @@ impl LogSeen {
 
     /// Who has the vehicle, as a place in [`WHO`].
     pub fn who(&self, report: &StepReport) -> u8 {
-        let geometric = self
-            .config
-            .as_ref()
-            .is_some_and(|c| c.pilot.kind == PilotKind::Geometric);
+        let kind = self.config.as_ref().map(|c| c.pilot.kind);
         match report.state {
             GuidanceState::Standby | GuidanceState::Ready => 0,
             GuidanceState::Engaging => 1,
             GuidanceState::Guided if report.alarm.is_some_and(|a| a.response == AlarmResponse::Recovery) => 3,
-            GuidanceState::Guided if geometric => 6,
+            GuidanceState::Guided if kind == Some(PilotKind::Geometric) => 6,
             GuidanceState::Guided => 2,
             GuidanceState::Hold => 4,
             GuidanceState::Land => 5,

@@ -13,146 +13,81 @@ const UPLOT_CSS: &str = include_str!("../../assets/flight_report/uPlot.min.css")
 /// More steps than this are thinned evenly: an hour of flight stays a page that a telephone opens.
 pub const DATA_LIMIT: usize = 6000;
 
-/// A quantity in a plot: column, label, decimals, dashed.
-type Line = (&'static str, &'static str, u8, bool);
-/// Name, title, unit, range (none: as the data), lines, what is said when there is nothing to show.
-type Panel = (
-    &'static str,
-    &'static str,
-    &'static str,
-    Option<[f64; 2]>,
-    &'static [Line],
-    &'static str,
-);
+/// The plots. A line's column is one of [`Flight::columns`]; a range of null is that of the data; `none` is said where there is nothing.
+fn panels() -> Value {
+    let full = |column: &str, label: &str, decimals: u8| line(column, label, decimals, false);
+    let dashed = |column: &str, label: &str, decimals: u8| line(column, label, decimals, true);
+    json!([
+        {
+            "id": "score", "title": "Detector: score against threshold", "unit": "score", "range": [-0.02, 1.02],
+            "series": [full("detector_score", "score", 3), dashed("detector_threshold", "threshold", 3)],
+            "none": "No score: no detector monitored an actor in this flight."
+        },
+        {
+            "id": "contributions", "title": "What moved the actor's yaw (SHAP)", "unit": "action units", "range": null,
+            "series": [
+                full("contribution_image", "picture", 3),
+                full("contribution_bearing", "bearing", 3),
+                full("contribution_distance", "distance", 3),
+                full("contribution_told", "own motion", 3),
+            ],
+            "none": "No explanations: no detector monitored an actor in this flight."
+        },
+        {
+            "id": "yaw", "title": "Yaw: what the actor wanted and what was flown",
+            "unit": "action units of 30 °/s", "range": null,
+            "series": [full("action_yaw", "flown", 2), dashed("actor_yaw", "the actor's own", 2)],
+            "none": "No pilot decided anything in this flight."
+        },
+        {
+            "id": "speed", "title": "Speeds and setpoints", "unit": "m/s", "range": null,
+            "series": [
+                full("speed_m_s", "speed over ground", 2),
+                dashed("setpoint_forward_m_s", "setpoint forward", 2),
+                full("climb_m_s", "climb", 2),
+                dashed("action_forward_m_s", "pilot's forward", 2),
+            ],
+            "none": "No velocity was received and no setpoint sent."
+        },
+        {
+            "id": "yaw-rate", "title": "Yaw rate", "unit": "°/s", "range": null,
+            "series": [full("yaw_rate_deg_s", "measured", 1), dashed("setpoint_yaw_rate_deg_s", "setpoint", 1)],
+            "none": "No yaw rate was received and no setpoint sent."
+        },
+        {
+            "id": "obstacles", "title": "Distance to obstacles (up to 15 m)", "unit": "m", "range": [0.0, 15.0],
+            "series": [
+                full("clearance_m", "to the nearest obstacle of the course", 2),
+                dashed("nearest_return_m", "nearest in the frame (1 % of pixels)", 2),
+            ],
+            "none": "The log holds neither obstacles nor depth frames."
+        },
+        {
+            "id": "goal", "title": "Goal and height", "unit": "m", "range": null,
+            "series": [full("goal_distance_m", "distance to the goal", 1), full("height_m", "height", 2)],
+            "none": "No position was received."
+        },
+        {
+            "id": "step-time", "title": "Time of a step (50 ms are there for it)", "unit": "ms", "range": null,
+            "series": [full("step_time_ms", "execution", 3), dashed("wake_late_ms", "woken late", 3)],
+            "none": "No step took measurable time: a flight in lockstep has no clock of its own."
+        },
+        {
+            "id": "ages", "title": "Age of frame and telemetry", "unit": "ms", "range": null,
+            "series": [full("frame_age_ms", "frame", 1), dashed("telemetry_age_ms", "telemetry", 1)],
+            "none": "Neither frames nor telemetry were received."
+        },
+    ])
+}
 
-/// The plots. Each column is one of [`Flight::columns`].
-const PANELS: [Panel; 9] = [
-    (
-        "score",
-        "Detector: score against threshold",
-        "score",
-        Some([-0.02, 1.02]),
-        &[
-            ("detector_score", "score", 3, false),
-            ("detector_threshold", "threshold", 3, true),
-        ],
-        "No score: no detector monitored an actor in this flight.",
-    ),
-    (
-        "contributions",
-        "What moved the actor's yaw (SHAP)",
-        "action units",
-        None,
-        &[
-            ("contribution_image", "picture", 3, false),
-            ("contribution_bearing", "bearing", 3, false),
-            ("contribution_distance", "distance", 3, false),
-            ("contribution_told", "own motion", 3, false),
-        ],
-        "No explanations: no detector monitored an actor in this flight.",
-    ),
-    (
-        "yaw",
-        "Yaw: what the actor wanted and what was flown",
-        "action units of 30 °/s",
-        None,
-        &[
-            ("action_yaw", "flown", 2, false),
-            ("actor_yaw", "the actor's own", 2, true),
-        ],
-        "No pilot decided anything in this flight.",
-    ),
-    (
-        "speed",
-        "Speeds and setpoints",
-        "m/s",
-        None,
-        &[
-            ("speed_m_s", "speed over ground", 2, false),
-            ("setpoint_forward_m_s", "setpoint forward", 2, true),
-            ("climb_m_s", "climb", 2, false),
-            ("action_forward_m_s", "pilot's forward", 2, true),
-        ],
-        "No velocity was received and no setpoint sent.",
-    ),
-    (
-        "yaw-rate",
-        "Yaw rate",
-        "°/s",
-        None,
-        &[
-            ("yaw_rate_deg_s", "measured", 1, false),
-            ("setpoint_yaw_rate_deg_s", "setpoint", 1, true),
-        ],
-        "No yaw rate was received and no setpoint sent.",
-    ),
-    (
-        "obstacles",
-        "Distance to obstacles (up to 15 m)",
-        "m",
-        Some([0.0, 15.0]),
-        &[
-            ("clearance_m", "to the nearest obstacle of the course", 2, false),
-            ("nearest_return_m", "nearest in the frame (1 % of pixels)", 2, true),
-        ],
-        "The log holds neither obstacles nor depth frames.",
-    ),
-    (
-        "goal",
-        "Goal and height",
-        "m",
-        None,
-        &[
-            ("goal_distance_m", "distance to the goal", 1, false),
-            ("height_m", "height", 2, false),
-        ],
-        "No position was received.",
-    ),
-    (
-        "step-time",
-        "Time of a step (50 ms are there for it)",
-        "ms",
-        None,
-        &[
-            ("step_time_ms", "execution", 3, false),
-            ("wake_late_ms", "woken late", 3, true),
-        ],
-        "No step took measurable time: a flight in lockstep has no clock of its own.",
-    ),
-    (
-        "ages",
-        "Age of frame and telemetry",
-        "ms",
-        None,
-        &[
-            ("frame_age_ms", "frame", 1, false),
-            ("telemetry_age_ms", "telemetry", 1, true),
-        ],
-        "Neither frames nor telemetry were received.",
-    ),
-];
-
-fn panels() -> Vec<Value> {
-    let series = |lines: &[Line]| -> Vec<Value> {
-        lines
-            .iter()
-            .map(|(column, label, decimals, dashed)| {
-                json!({ "column": column, "label": label, "decimals": decimals, "dashed": dashed })
-            })
-            .collect()
-    };
-    PANELS
-        .iter()
-        .map(|(id, title, unit, range, lines, none)| {
-            json!({ "id": id, "title": title, "unit": unit, "range": range, "series": series(lines), "none": none })
-        })
-        .collect()
+fn line(column: &str, label: &str, decimals: u8, dashed: bool) -> Value {
+    json!({ "column": column, "label": label, "decimals": decimals, "dashed": dashed })
 }
 
 /// The page as one file.
 pub fn html(flight: &Flight) -> serde_json::Result<String> {
     let mut data = serde_json::to_value(flight)?;
-    data["panels"] = Value::from(panels());
+    data["panels"] = panels();
     // Within a script element nothing may look like its end.
     let data = serde_json::to_string(&data)?.replace('<', "\\u003c");
     let mut page = String::with_capacity(PAGE.len() + UPLOT_JS.len() + SCRIPT.len() + data.len() + 8192);

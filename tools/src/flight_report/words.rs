@@ -24,10 +24,8 @@ pub struct Event {
 pub fn title(path: &Path, log: &LogSeen) -> String {
     let about = &log.story.about;
     let log_name = || path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    format!(
-        "Flight report: {}",
-        about.get("course").cloned().unwrap_or_else(log_name)
-    )
+    let name = about.get("course").cloned().unwrap_or_else(log_name);
+    format!("Flight report: {name}")
 }
 
 pub fn verdict(log: &LogSeen) -> Verdict {
@@ -141,10 +139,8 @@ pub fn facts(path: &Path, log: &LogSeen) -> Vec<(String, String)> {
     put("Length", format!("{span_s:.1} s, {} steps", log.steps.len()));
     let info = &log.info;
     let commit = info.git_commit.as_ref().or_else(|| log.story.about.get("git_commit"));
-    put(
-        "Program",
-        commit.map_or(info.program.clone(), |c| format!("{} ({})", info.program, short(c))),
-    );
+    let of_commit = commit.map_or(String::new(), |c| format!(" ({})", short(c)));
+    put("Program", format!("{}{of_commit}", info.program));
     let noted = log.story.about.get("seed").cloned();
     if let Some(seed) = noted.or(info.seed.map(|s| s.to_string())) {
         put("Seed", seed);
@@ -173,10 +169,8 @@ pub fn facts(path: &Path, log: &LogSeen) -> Vec<(String, String)> {
     let frames = log.steps.iter().filter(|s| s.has_frame).count();
     let per_minute = bytes as f64 / span_s.max(1.0) * 60.0 / 1e6;
     let megabytes = bytes as f64 / 1e6;
-    put(
-        "Log",
-        format!("{megabytes:.1} MB ({per_minute:.0} MB a minute), {frames} frames"),
-    );
+    let text = format!("{megabytes:.1} MB ({per_minute:.0} MB a minute), {frames} frames");
+    put("Log", text);
     facts
 }
 
@@ -213,11 +207,8 @@ fn attack(log: &LogSeen) -> String {
     };
     let strength = altered.values().map(|v| f64::from(v.abs())).sum::<f64>() / altered.len().max(1) as f64;
     let name = log.story.about.get("attack").map_or("frames altered", String::as_str);
-    format!(
-        "{name}: {} of {} frames, the yaw output moved by {strength:.2} on average",
-        altered.len(),
-        log.story.attack.len()
-    )
+    let (altered, all) = (altered.len(), log.story.attack.len());
+    format!("{name}: {altered} of {all} frames, the yaw output moved by {strength:.2} on average")
 }
 
 fn alarms(log: &LogSeen) -> String {
@@ -226,12 +217,9 @@ fn alarms(log: &LogSeen) -> String {
         return "none".to_owned();
     };
     let cause = first.report.alarm.map_or("", |a| a.cause.name());
-    format!(
-        "{}; the first at {:.2} s ({cause}){}",
-        raised.len(),
-        log.seconds(first.now_ns),
-        delay(log).map_or(String::new(), |text| format!(", {text}"))
-    )
+    let (count, first_s) = (raised.len(), log.seconds(first.now_ns));
+    let delay = delay(log).map_or(String::new(), |text| format!(", {text}"));
+    format!("{count}; the first at {first_s:.2} s ({cause}){delay}")
 }
 
 /// From the first altered frame that was used to the first alarm after it.
@@ -240,10 +228,8 @@ fn delay(log: &LogSeen) -> Option<String> {
     let raised = log.alarms().into_iter().find(|i| *i >= from)?;
     let at_ns = |step: usize| log.steps.get(step).map(|s| s.now_ns);
     let seconds = at_ns(raised)?.saturating_sub(at_ns(from)?) as f64 * 1e-9;
-    Some(format!(
-        "{seconds:.2} s ({} steps) after the first altered frame",
-        raised - from
-    ))
+    let steps = raised - from;
+    Some(format!("{seconds:.2} s ({steps} steps) after the first altered frame"))
 }
 
 fn who_flew(log: &LogSeen) -> String {
@@ -277,12 +263,8 @@ fn path_flown(log: &LogSeen) -> String {
 }
 
 fn step_times(log: &LogSeen) -> String {
-    let took = log
-        .steps
-        .iter()
-        .map(|s| s.report.timing.previous_execution_ns)
-        .filter(|ns| *ns > 0);
-    let times: Vec<f64> = took.map(|ns| ns as f64 * 1e-6).collect();
+    let took = log.steps.iter().map(|s| s.report.timing.previous_execution_ns);
+    let times: Vec<f64> = took.filter(|ns| *ns > 0).map(|ns| ns as f64 * 1e-6).collect();
     let (Some(p50), Some(p99)) = (quantile(&times, 0.5), quantile(&times, 0.99)) else {
         return "not measured (lockstep)".to_owned();
     };
@@ -314,16 +296,11 @@ pub fn events(log: &LogSeen) -> Vec<Event> {
         if mark.altered == (i > 0 && marks[i - 1].altered) {
             continue;
         }
-        if mark.altered {
-            let text = format!("adversary: frames are altered from frame {} on", mark.frame_sequence);
-            put(mark.at_ns, "warning", text);
-        } else {
-            put(
-                mark.at_ns,
-                "info",
-                "adversary: frames are as they were again".to_owned(),
-            );
-        }
+        let (weight, what) = match mark.altered {
+            true => ("warning", format!("altered from frame {} on", mark.frame_sequence)),
+            false => ("info", "as they were again".to_owned()),
+        };
+        put(mark.at_ns, weight, format!("adversary: frames are {what}"));
     }
     if let Some((step, clearance)) = closest(log) {
         let text = format!("closest to an obstacle: {} m", rounded(clearance.into(), 2));

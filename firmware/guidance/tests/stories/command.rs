@@ -85,8 +85,7 @@ fn with_policy_command_even_a_failsafe_hold_waits_for_an_operator() {
     );
     s.until(Ready);
     assert_eq!(s.run(seconds(20.0)).state, Ready);
-    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
-    s.until(Engaging);
+    assert_eq!(s.engages(), Engaging);
 }
 
 #[test]
@@ -205,8 +204,7 @@ fn a_failed_hand_over_is_tried_again_by_policy_auto_after_a_pause_and_never_by_p
     for (config, tries) in [(auto(), true), (GuidanceConfig::default(), false)] {
         let mut s = Story::begin(config);
         s.until(Ready);
-        assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
-        s.until(Engaging);
+        assert_eq!(s.engages(), Engaging);
         s.vehicle.handover = HandoverProgress::Failed;
         let out = s.step();
         assert_eq!((out.state, out.request), (Standby, VehicleRequest::None));
@@ -224,8 +222,7 @@ fn a_failed_hand_over_is_tried_again_by_policy_auto_after_a_pause_and_never_by_p
 fn a_hand_over_that_never_ends_fails_after_a_minute_and_a_second_a_metre() {
     let mut s = Story::begin(GuidanceConfig::default());
     s.until(Ready);
-    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
-    s.until(Engaging);
+    assert_eq!(s.engages(), Engaging);
     s.vehicle.handover = HandoverProgress::InProgress { stream_setpoints: true };
     assert_eq!(s.run(seconds(63.0)).state, Engaging);
     assert_eq!(s.step().state, Standby);
@@ -318,9 +315,7 @@ fn a_vehicle_that_a_person_took_is_not_taken_again_after_the_autopilot_restarted
             assert_eq!(later.reasons, Reasons::of(Reason::PilotInCommand), "{how}");
             assert!(s.guidance.taken_over(), "{how}: to be kept over restarts");
         }
-        assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
-        assert!(!s.guidance.taken_over());
-        assert_eq!(s.step().state, Engaging, "{how}");
+        assert_eq!((s.engages(), s.guidance.taken_over()), (Engaging, false), "{how}");
         s.hand_over();
         s.until(Guided);
     }

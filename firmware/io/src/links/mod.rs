@@ -37,22 +37,17 @@ const PEER_SILENCE_NS: Nanos = 2_000_000_000;
 const RETRY_NS: Nanos = 1_000_000_000;
 
 /// Why a link could not be opened.
+#[allow(missing_docs, reason = "the texts say what the fields are")]
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
     /// The port or device is taken.
     #[error("{url}: in use by another process: stop it, or choose another address or --instance")]
-    InUse {
-        /// The link.
-        url: LinkUrl,
-    },
+    InUse { url: LinkUrl },
     /// Any other refusal by the system.
     #[error("{url}: {source}{hint}")]
     Io {
-        /// The link.
         url: LinkUrl,
-        /// What the system said.
         source: std::io::Error,
-        /// What may help.
         hint: &'static str,
     },
     /// The policy leaves nobody who could be heard.
@@ -61,24 +56,13 @@ pub enum LinkError {
          Give --signing-key, or --allow-unsigned always if everybody who reaches the link may command the vehicle \
          (docs/firmware.md, \"Signing\")"
     )]
-    NobodyHeard {
-        /// The link.
-        url: LinkUrl,
-        /// For whom that holds.
-        from_whom: &'static str,
-    },
+    NobodyHeard { url: LinkUrl, from_whom: &'static str },
     /// More links than there is room for.
     #[error("{count} links for ground stations: at most {MAX_GROUND_LINKS} besides the vehicle's")]
-    TooMany {
-        /// Links given.
-        count: usize,
-    },
+    TooMany { count: usize },
     /// `system=` on a link that is not the firmware's to its vehicle.
     #[error("{url}: the option system= is for the firmware's link to its vehicle only: leave it out")]
-    NotTheVehicles {
-        /// The link.
-        url: LinkUrl,
-    },
+    NotTheVehicles { url: LinkUrl },
     /// Signing cannot be switched on.
     #[error(transparent)]
     Signing(#[from] SigningFileError),

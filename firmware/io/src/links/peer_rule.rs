@@ -33,8 +33,7 @@ impl PeerRule {
 
     /// The same for any of the packets of a datagram.
     pub(super) fn introduces_any(self, datagram: &[u8], has_key: bool) -> bool {
-        let mut counters = FramingCounters::default();
-        packets(datagram, &mut counters).any(|packet| self.introduces(&packet, has_key))
+        packets(datagram, &mut FramingCounters::default()).any(|packet| self.introduces(&packet, has_key))
     }
 
     /// Who passed the gate with `datagram` is the peer: the first vehicle that calls is the only one from then on, as whoever
@@ -58,8 +57,7 @@ impl PeerRule {
 
     /// The same of the packets of a datagram.
     pub(super) fn other_system_in(self, datagram: &[u8]) -> Option<u8> {
-        let mut counters = FramingCounters::default();
-        packets(datagram, &mut counters).find_map(|packet| self.other_system(&packet))
+        packets(datagram, &mut FramingCounters::default()).find_map(|packet| self.other_system(&packet))
     }
 
     /// Whether a packet keeps its sender from being taken for silent: the vehicle is there as long as its autopilot is.
@@ -75,8 +73,7 @@ impl PeerRule {
 
     /// The same for any of the packets of a datagram.
     pub(super) fn is_heard_in(self, datagram: &[u8]) -> bool {
-        let mut counters = FramingCounters::default();
-        packets(datagram, &mut counters).any(|packet| self.is_heard_by(&packet))
+        packets(datagram, &mut FramingCounters::default()).any(|packet| self.is_heard_by(&packet))
     }
 
     /// Whether a connection is served before its other end said anything, as long as nobody else has: ground stations

@@ -7,57 +7,35 @@ use std::os::fd::OwnedFd;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 
 /// Why a [`Domain`] could not be opened.
+#[allow(missing_docs, reason = "the texts say what the fields are")]
 #[derive(Debug, thiserror::Error)]
 pub enum DomainError {
     /// The role is taken.
     #[error("another {role} already runs on instance {instance}: stop it, or use another --instance")]
-    RoleTaken {
-        /// The name of this process's part.
-        role: &'static str,
-        /// The instance.
-        instance: u32,
-    },
+    RoleTaken { role: &'static str, instance: u32 },
     /// The directory for the transport's files, or a file in it, could not be made.
     #[error("cannot make {path} for the transport's files: {source}")]
-    Directory {
-        /// The directory.
-        path: String,
-        /// What the system said.
-        source: std::io::Error,
-    },
+    Directory { path: String, source: std::io::Error },
     /// The directory is somebody else's, or others may write to it.
     #[error(
         "{path} must belong to user {uid} with mode 0700 but belongs to user {owner} with mode {mode:04o}: remove it or \
          fix its owner and mode, then start again"
     )]
     NotPrivate {
-        /// The directory.
         path: String,
-        /// This process's user.
         uid: u32,
-        /// The directory's owner.
         owner: u32,
-        /// The directory's permission bits.
         mode: u32,
     },
     /// The path does not suit the transport.
     #[error("{path} cannot hold the transport's files: {reason}")]
-    Path {
-        /// The directory.
-        path: String,
-        /// What is wrong with it.
-        reason: String,
-    },
+    Path { path: String, reason: String },
     /// iceoryx2 refused.
     #[error("cannot join instance {instance} as `{role}`: {reason}; the transport's files are in {path}")]
     Node {
-        /// The instance.
         instance: u32,
-        /// The name of this process's part.
         role: String,
-        /// iceoryx2's error.
         reason: String,
-        /// The directory.
         path: String,
     },
 }

@@ -19,6 +19,7 @@ const ANSWER_EVENT: &str = "lockstep-answer";
 const WAIT_SLICE: Duration = Duration::from_millis(50);
 
 /// Why a lockstep exchange failed.
+#[allow(missing_docs, reason = "the texts say what the fields are")]
 #[derive(Debug, thiserror::Error)]
 pub enum LockstepError {
     /// Nobody serves.
@@ -26,34 +27,18 @@ pub enum LockstepError {
         "no firmware came to lockstep on instance {instance} within {waited_s} s: start it with `--lockstep --instance \
          {instance}`"
     )]
-    NoFirmware {
-        /// The instance.
-        instance: u32,
-        /// How long was waited.
-        waited_s: f64,
-    },
+    NoFirmware { instance: u32, waited_s: f64 },
     /// The firmware stopped answering.
     #[error("firmware did not answer step {step} within {waited_s} s")]
-    FirmwareSilent {
-        /// The step that was asked.
-        step: u64,
-        /// How long was waited.
-        waited_s: f64,
-    },
+    FirmwareSilent { step: u64, waited_s: f64 },
     /// The simulator stopped asking.
     #[error("simulator did not send step {step} within {waited_s} s")]
-    SimulatorSilent {
-        /// The step that was expected.
-        step: u64,
-        /// How long was waited.
-        waited_s: f64,
-    },
+    SimulatorSilent { step: u64, waited_s: f64 },
     /// The role is taken.
     #[error("another {role} already runs lockstep on instance {instance}: stop it, or use another --instance")]
     RoleTaken {
         /// "firmware" or "simulator".
         role: &'static str,
-        /// The instance.
         instance: u32,
     },
     /// The service exists and carries something else.
@@ -61,12 +46,7 @@ pub enum LockstepError {
         "lockstep on instance {instance} carries another type of data ({reason}): the other process is of another \
          version of Vigil"
     )]
-    WrongType {
-        /// The instance.
-        instance: u32,
-        /// iceoryx2's error.
-        reason: String,
-    },
+    WrongType { instance: u32, reason: String },
     /// The simulator's `cancelled` said so.
     #[error("interrupted")]
     Cancelled,
@@ -75,17 +55,13 @@ pub enum LockstepError {
     Malformed {
         /// "firmware" or "simulator".
         who: &'static str,
-        /// The step.
         step: u64,
     },
     /// Any other refusal by the transport.
     #[error("lockstep on instance {instance}: cannot {action}: {reason}")]
     Transport {
-        /// The instance.
         instance: u32,
-        /// What was tried.
         action: &'static str,
-        /// iceoryx2's error.
         reason: String,
     },
 }

@@ -45,49 +45,33 @@ impl std::fmt::Debug for ShmFrame {
 }
 
 /// Why frames cannot be published or received.
+#[allow(missing_docs, reason = "the texts say what the fields are")]
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
     /// Somebody already publishes here.
     #[error(
         "another process already publishes `{topic}` frames on instance {instance}: stop it, or use another --instance"
     )]
-    AlreadyPublished {
-        /// The service.
-        topic: String,
-        /// The instance.
-        instance: u32,
-    },
+    AlreadyPublished { topic: String, instance: u32 },
     /// Too many readers.
     #[error("instance {instance} already has {MAX_SUBSCRIBERS} readers of `{topic}` frames: stop one of them")]
-    TooManyReaders {
-        /// The service.
-        topic: String,
-        /// The instance.
-        instance: u32,
-    },
+    TooManyReaders { topic: String, instance: u32 },
     /// The service exists and carries something else.
     #[error(
         "`{topic}` on instance {instance} carries another type of data ({reason}): its other processes are of another \
          version of Vigil; stop them, or use another --instance"
     )]
     WrongType {
-        /// The service.
         topic: String,
-        /// The instance.
         instance: u32,
-        /// iceoryx2's error.
         reason: String,
     },
     /// Any other refusal by the transport.
     #[error("`{topic}` frames on instance {instance}: cannot {action}: {reason}")]
     Transport {
-        /// The service.
         topic: String,
-        /// The instance.
         instance: u32,
-        /// What was tried.
         action: &'static str,
-        /// iceoryx2's error.
         reason: String,
     },
 }

@@ -5,7 +5,7 @@ use iceoryx2::prelude::ZeroCopySend;
 use vigil_types::{Datagrams, DepthFrame};
 
 /// [`Datagrams`] with a fixed layout.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 #[repr(C)]
 pub(crate) struct WireDatagrams {
     count: u32,
@@ -44,27 +44,20 @@ impl WireDatagrams {
     pub(crate) fn read_into(&self, datagrams: &mut Datagrams) -> bool {
         datagrams.clear();
         let count = self.count as usize;
-        if count > Datagrams::MAX_COUNT {
-            return false;
-        }
         let mut start = 0;
-        for (end, link) in self.ends.iter().zip(&self.links).take(count) {
-            let stop = *end as usize;
-            let Some(bytes) = self.bytes.get(start..stop) else {
-                return false;
-            };
-            if !datagrams.push(*link, bytes) {
-                return false;
-            }
-            start = stop;
-        }
-        true
+        count <= Datagrams::MAX_COUNT
+            && self.ends.iter().zip(&self.links).take(count).all(|(end, link)| {
+                let bytes = self.bytes.get(start..*end as usize);
+                start = *end as usize;
+                bytes.is_some_and(|bytes| datagrams.push(*link, bytes))
+            })
     }
 }
 
 pub(crate) const KIND_STEP: u32 = 0;
 pub(crate) const KIND_FINISH: u32 = 1;
 
+#[derive(Debug)]
 #[repr(C)]
 pub(crate) struct WireRequest {
     pub(crate) step: u64,
@@ -77,6 +70,7 @@ pub(crate) struct WireRequest {
     pub(crate) frame: DepthFrame,
 }
 
+#[derive(Debug)]
 #[repr(C)]
 pub(crate) struct WireResponse {
     pub(crate) step: u64,
@@ -97,18 +91,6 @@ unsafe impl ZeroCopySend for WireResponse {
 }
 
 const _: () = assert!(size_of::<ShmFrame>() == size_of::<DepthFrame>());
-
-impl std::fmt::Debug for WireRequest {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "WireRequest {{ step: {} }}", self.step)
-    }
-}
-
-impl std::fmt::Debug for WireResponse {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "WireResponse {{ step: {} }}", self.step)
-    }
-}
 
 #[cfg(test)]
 mod tests {

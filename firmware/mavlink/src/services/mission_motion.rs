@@ -77,25 +77,17 @@ impl Service for MissionMotionService {
         }
         let motion = core.vehicle.mission_motion;
         let known = [motion.gain_m_s2, motion.jerk_m_s3];
-        for (((name, _), known), attempts) in named(core.vehicle.flavour())
-            .into_iter()
-            .zip(known)
-            .zip(&mut self.attempts)
-        {
-            if known.is_some() || *attempts > ATTEMPTS {
-                continue;
-            }
-            (self.sent_ns, *attempts) = (now_ns, *attempts + 1);
-            if *attempts > ATTEMPTS {
-                core.tell(
-                    out,
-                    NOTICE,
-                    format_args!("{name} is not known: guarded by what is configured"),
-                );
-                return;
-            }
-            core.ask_for_parameter(out, system, name);
+        let each = named(core.vehicle.flavour()).into_iter().zip(known);
+        let mut unknown = each.zip(&mut self.attempts).filter(|((_, known), _)| known.is_none());
+        let Some((((name, _), _), attempts)) = unknown.find(|(_, attempts)| **attempts <= ATTEMPTS) else {
             return;
+        };
+        (self.sent_ns, *attempts) = (now_ns, *attempts + 1);
+        if *attempts > ATTEMPTS {
+            let text = format_args!("{name} is not known: guarded by what is configured");
+            core.tell(out, NOTICE, text);
+        } else {
+            core.ask_for_parameter(out, system, name);
         }
     }
 }

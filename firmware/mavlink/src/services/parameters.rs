@@ -32,7 +32,7 @@ impl ParameterService {
     /// another one may have it.
     fn request(&mut self, core: &mut Core, from: ReplyTo, is_for_me: bool, request: &ParameterRequest) {
         let ParameterRequest::One { name, index, set } = request else {
-            for place in 0..self.table.count() {
+            for place in 0..self.table.all().len() {
                 self.tell_value(core, from.link, place);
             }
             return;

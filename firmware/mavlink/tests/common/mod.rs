@@ -260,6 +260,12 @@ impl Flight {
         (0..steps).map(|_| self.step()).last().expect("at least one step")
     }
 
+    /// State and reasons after so many steps.
+    pub fn ends(&mut self, steps: usize) -> (GuidanceState, Reasons) {
+        let output = self.run(steps);
+        (output.state, output.reasons)
+    }
+
     /// An operator engages as soon as guidance is ready.
     pub fn engage(&mut self) {
         self.until(GuidanceState::Ready);

@@ -330,8 +330,7 @@ impl Peer {
     }
 
     pub fn receive(&mut self, now_ns: Nanos, datagram: &[u8]) {
-        let mut counters = FramingCounters::default();
-        for packet in packets(datagram, &mut counters) {
+        for packet in packets(datagram, &mut FramingCounters::default()) {
             assert_eq!(
                 (packet.system_id(), packet.component_id()),
                 (self.system, 191),

@@ -242,20 +242,13 @@ impl Conv2d {
             let (first, members) = self.group(n);
             let at = o * self.stride + first;
             let from = self.padding.saturating_sub(at).min(members);
-            (
-                from,
-                (self.cols + self.padding).saturating_sub(at).min(members).max(from),
-            )
+            let to = (self.cols + self.padding).saturating_sub(at).min(members);
+            (from, to.max(from))
         };
         for v in vertical.runs_of_inputs() {
             for down in 0..v.count {
-                part_mut(
-                    "conv2d input gradient",
-                    dx,
-                    (v.from + down * self.stride) * row_len,
-                    row_len,
-                )?
-                .fill(0.0);
+                let at = (v.from + down * self.stride) * row_len;
+                part_mut("conv2d input gradient", dx, at, row_len)?.fill(0.0);
                 for n in 0..groups {
                     let (from, to) = self.outputs_of_group(n);
                     if from == to {
@@ -294,12 +287,9 @@ impl Conv2d {
     /// Outputs all of whose columns of group `n` fall on the input, `from..to`.
     fn outputs_of_group(&self, n: usize) -> (usize, usize) {
         let (first, members) = self.group(n);
-        let from = self
-            .padding
-            .saturating_sub(first)
-            .div_ceil(self.stride)
-            .min(self.out_cols());
+        let out = self.out_cols();
+        let from = self.padding.saturating_sub(first).div_ceil(self.stride).min(out);
         let reach = (self.cols + self.padding + self.stride).saturating_sub(first + members) / self.stride;
-        (from, reach.clamp(from, self.out_cols()))
+        (from, reach.clamp(from, out))
     }
 }

@@ -50,18 +50,8 @@ impl Conv2d {
     /// The taps of one axis, those that all phases have and the others.
     fn taps(&self) -> [Taps; 2] {
         let (all, rest) = (self.kernel / self.stride, self.kernel % self.stride);
-        [
-            Taps {
-                from: 0,
-                to: all,
-                phases: self.stride,
-            },
-            Taps {
-                from: all,
-                to: all + rest.min(1),
-                phases: rest,
-            },
-        ]
+        let taps = |from, to, phases| Taps { from, to, phases };
+        [taps(0, all, self.stride), taps(all, all + rest.min(1), rest)]
     }
 
     /// Where the weights of two sets of taps begin in the packed parameters, in taps. They lie step by step, and within a

@@ -23,8 +23,10 @@ pub(crate) trait Operation {
     fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError>;
 
     /// Turns `d`, the gradient or the multipliers of the node's value, into those of its sources and, if the pass wants them,
-    /// adds those of its parameters.
-    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError>;
+    /// adds those of its parameters. A node without sources has nothing to hand on.
+    fn backward_node(&self, _: &mut Backward<'_>, _: &mut [f32], _: &mut Pass<'_>) -> Result<(), ShapeError> {
+        Ok(())
+    }
 
     /// Writes the parameters in the order that the backward pass reads. Both slices have the layer's length.
     fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {

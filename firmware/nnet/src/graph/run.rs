@@ -1,6 +1,5 @@
 //! Evaluating a network forwards and backwards.
 
-use super::structure::Input;
 use super::{AnyOperation, Graph, Node, Params, Purpose, description};
 use crate::Activation;
 use crate::isa::Isa;
@@ -87,11 +86,8 @@ impl Graph {
         expect_len("list of inputs", inputs.len(), self.inputs.len())?;
         let mut inputs = inputs.iter();
         for node in &self.nodes {
-            let given = if let AnyOperation::Input(Input { .. }) = node.operation {
-                inputs.next()
-            } else {
-                None
-            };
+            let is_input = matches!(node.operation, AnyOperation::Input(_));
+            let given = is_input.then(|| inputs.next()).flatten();
             if !node.live {
                 continue;
             }

@@ -62,13 +62,9 @@ impl GraphBuilder {
     /// # Errors
     /// A range outside the node.
     pub fn slice(&mut self, x: NodeId, from: usize, len: usize) -> Result<NodeId, ShapeError> {
-        let got = self.len_of(x)?;
-        if from + len > got {
-            return Err(ShapeError::Length {
-                what: "sliced node",
-                expected: from + len,
-                got,
-            });
+        let (what, expected, got) = ("sliced node", from + len, self.len_of(x)?);
+        if expected > got {
+            return Err(ShapeError::Length { what, expected, got });
         }
         self.add(Slice { from }, &[x], len, Params::default())
     }
@@ -80,19 +76,11 @@ impl Operation for Input {
         node.value.copy_from_slice(node.given);
         Ok(())
     }
-
-    fn backward_node(&self, _: &mut Backward<'_>, _: &mut [f32], _: &mut Pass<'_>) -> Result<(), ShapeError> {
-        Ok(())
-    }
 }
 
 impl Operation for Zeros {
     fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
         node.value.fill(0.0);
-        Ok(())
-    }
-
-    fn backward_node(&self, _: &mut Backward<'_>, _: &mut [f32], _: &mut Pass<'_>) -> Result<(), ShapeError> {
         Ok(())
     }
 }

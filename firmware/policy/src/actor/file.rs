@@ -4,10 +4,6 @@
 //! `seed`, `updates`, `cruise_m_s` (1.5 where it is missing), `git_commit`, `sha256`; tensors in the order of
 //! [`ActorParams`](crate::actor::ActorParams).
 
-extern crate alloc;
-#[cfg(feature = "std")]
-extern crate std;
-
 use crate::ExplainedHead;
 use crate::actor::{ACTOR_LIMIT, Actor, ActorSpec};
 use alloc::format;

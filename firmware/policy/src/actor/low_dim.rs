@@ -34,13 +34,10 @@ impl LowDim {
 
     /// Those of a record, as they were given to a pilot; `None` for a number of values that no pilot has.
     pub fn from_values(recorded: &[f32]) -> Option<Self> {
-        let mut values = [0.0; LOW_DIM];
-        let to = values.get_mut(..recorded.len())?;
-        to.copy_from_slice(recorded);
-        matches!(recorded.len(), GOAL_INPUTS | LOW_DIM).then_some(Self {
-            values,
-            len: recorded.len(),
-        })
+        if let Ok(own) = <[f32; LOW_DIM]>::try_from(recorded) {
+            return Some(own.into());
+        }
+        <[f32; GOAL_INPUTS]>::try_from(recorded).ok().map(Self::from)
     }
 }
 
@@ -51,11 +48,8 @@ impl From<[f32; LOW_DIM]> for LowDim {
 }
 
 impl From<[f32; GOAL_INPUTS]> for LowDim {
-    fn from(goal: [f32; GOAL_INPUTS]) -> Self {
-        let mut values = [0.0; LOW_DIM];
-        if let Some(first) = values.first_chunk_mut() {
-            *first = goal;
-        }
+    fn from([distance, bearing]: [f32; GOAL_INPUTS]) -> Self {
+        let values = [distance, bearing, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
         Self {
             values,
             len: GOAL_INPUTS,

@@ -4,8 +4,6 @@
 //! keeps what the actor saw as it saw it. It is the actor's own: who alters frames must not reach the recovery pilot's map through it
 //! (docs/architecture.md).
 
-extern crate alloc;
-
 use crate::geometric::position_ned_m;
 use crate::{PilotInput, smaller};
 use alloc::vec;

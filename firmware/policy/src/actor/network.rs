@@ -5,8 +5,6 @@
 //! the paper's split point. Second half: `tanh` of the 48 beside a branch of the low-dimensional observation ([`LOW_DIM`] → 24, tanh) →
 //! 64 → 32, ELU → `1.5 · tanh` of two outputs: x-velocity, yaw.
 
-extern crate alloc;
-
 use crate::PilotInput;
 use crate::actor::low_dim::LowDim;
 use crate::actor::memory::{CONTEXT, OLDER_SCANS, Odometry, SCAN};

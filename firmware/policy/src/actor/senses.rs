@@ -1,7 +1,5 @@
 //! What an actor observes from step to step: its memory, the goal, and its own motion.
 
-extern crate alloc;
-
 use crate::actor::memory::{ActorMemory, CONTEXT, Odometry, SCAN};
 use crate::{PilotInput, smaller};
 use alloc::boxed::Box;

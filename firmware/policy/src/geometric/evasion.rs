@@ -166,6 +166,14 @@ pub struct Plan {
     pub then_m_s: f32,
 }
 
+impl From<Action> for Plan {
+    /// The action, carried on.
+    fn from(action: Action) -> Self {
+        let then_m_s = action.forward_m_s;
+        Self { action, then_m_s }
+    }
+}
+
 /// What the vehicle would do if nothing moved.
 #[derive(Debug, Clone, Copy)]
 pub struct Wanted {
@@ -188,10 +196,7 @@ pub fn evade<'a>(
 ) -> Option<Plan> {
     let (cruise_m_s, waypoint) = (wanted.cruise_m_s, wanted.waypoint);
     let outcome = |plan: Plan| fly_on(motion, plan, movers.clone(), guesses, memory);
-    let wanted = Plan {
-        action: wanted.action,
-        then_m_s: wanted.action.forward_m_s,
-    };
+    let wanted = Plan::from(wanted.action);
     let first = outcome(wanted);
     if first.risk < LEAST_RISK {
         return None;
@@ -298,8 +303,6 @@ fn fly_on<'a>(
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
     use crate::geometric::movers::MoverTracker;
     use crate::geometric::movers::tests::{Scene, look_aside, track};
@@ -321,14 +324,6 @@ mod tests {
             waypoint: NedVector::new(4.0, 0.0, 0.0),
         };
         evade(&motion, &wanted, tracker.movers(), &guesses, &memory, last)
-    }
-
-    /// The wanted action as a plan.
-    fn on(action: Action) -> Plan {
-        Plan {
-            action,
-            then_m_s: action.forward_m_s,
-        }
     }
 
     /// Flies a plan on beside the scene's own motion from `from_s` on; the least distance between the vehicle's edge and the mover's.
@@ -358,7 +353,7 @@ mod tests {
             let scene = Scene::of((3.0, -1.5 * speed_m_s - 2.0 * speed_m_s), (0.0, speed_m_s));
             let plan = decide(&track(&scene, 30), WANTED, None).expect("another plan");
             assert!(
-                least_m(&scene, 1.5, on(WANTED)) < 0.1,
+                least_m(&scene, 1.5, WANTED.into()) < 0.1,
                 "the test's own: it would be met"
             );
             assert!(least_m(&scene, 1.5, plan) > 0.2, "{speed_m_s} m/s: {plan:?}");
@@ -377,7 +372,7 @@ mod tests {
                 "the test's own: it is out of sight"
             );
             assert!(
-                least_m(&scene, 3.5, on(WANTED)) < 0.1,
+                least_m(&scene, 3.5, WANTED.into()) < 0.1,
                 "the test's own: it would be met"
             );
             let plan = decide(&tracker, WANTED, None).expect("another plan");
@@ -396,8 +391,7 @@ mod tests {
             ..best
         };
         assert_eq!(decide(&tracker, WANTED, Some(as_good)), Some(as_good));
-        let into_it = on(WANTED);
-        assert_eq!(decide(&tracker, WANTED, Some(into_it)), Some(best));
+        assert_eq!(decide(&tracker, WANTED, Some(WANTED.into())), Some(best));
     }
 
     #[test]

@@ -177,8 +177,6 @@ fn stays_clear(
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
     use std::boxed::Box;
 

@@ -141,8 +141,6 @@ impl Lookout {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
     use std::boxed::Box;
 

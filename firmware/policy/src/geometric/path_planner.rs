@@ -363,8 +363,6 @@ fn octile(a: Cell, b: Cell) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
     use std::boxed::Box;
 

@@ -96,12 +96,9 @@ impl GeometricPilot {
         Self::of(false, config)
     }
 
-    /// The pilot that takes the actor's place, and believes what it sees only when several frames say it (docs/detection.md).
-    pub(crate) fn recovery(config: GeometricConfig) -> Self {
-        Self::of(true, config)
-    }
-
-    fn of(distrusts: bool, config: GeometricConfig) -> Self {
+    /// The same; one that distrusts takes the actor's place, and believes what it sees only when several frames say it
+    /// (docs/detection.md).
+    pub(crate) fn of(distrusts: bool, config: GeometricConfig) -> Self {
         Self {
             distrusts,
             config,
@@ -308,13 +305,8 @@ impl GeometricPilot {
         evasion::evade(&motion, &wanted, movers, &guesses, &self.grid, self.evading)
     }
 
-    /// Steers for what [`Self::plan`] gave for the same input.
-    pub(crate) fn steer(&self, input: &PilotInput<'_>, waypoint: Option<NedVector>) -> Action {
-        self.steer_and_plan(input, waypoint).0
-    }
-
-    /// The same, and the plan behind it where it gets out of the way of what moves.
-    fn steer_and_plan(&self, input: &PilotInput<'_>, waypoint: Option<NedVector>) -> (Action, Option<Plan>) {
+    /// Steers for what [`Self::plan`] gave for the same input; and the plan behind it where it gets out of the way of what moves.
+    pub(crate) fn steer(&self, input: &PilotInput<'_>, waypoint: Option<NedVector>) -> (Action, Option<Plan>) {
         let (yaw_rad, here) = (input.attitude.yaw_rad(), position_ned_m(input));
         let Some(waypoint) = waypoint else {
             let side = if input.goal.bearing_rad < 0.0 { -1.0 } else { 1.0 };
@@ -374,7 +366,7 @@ fn motion_of(input: &PilotInput<'_>, position_ned_m: NedVector, yaw: f32) -> Mot
 impl Pilot for GeometricPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
         let waypoint = self.plan(input);
-        let (action, plan) = self.steer_and_plan(input, waypoint);
+        let (action, plan) = self.steer(input, waypoint);
         self.evading = plan;
         action
     }

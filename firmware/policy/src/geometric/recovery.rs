@@ -24,11 +24,12 @@ pub struct RecoveryPilot {
 impl Default for RecoveryPilot {
     /// A pilot that remembers nothing.
     fn default() -> Self {
+        let config = GeometricConfig {
+            cruise_m_s: CRUISE_M_S,
+            ..GeometricConfig::default()
+        };
         Self {
-            pilot: GeometricPilot::recovery(GeometricConfig {
-                cruise_m_s: CRUISE_M_S,
-                ..GeometricConfig::default()
-            }),
+            pilot: GeometricPilot::of(true, config),
             waypoint: None,
         }
     }
@@ -65,7 +66,7 @@ impl RecoveryPilot {
 
     /// Decides. After [`Self::observe`], with the same input.
     pub fn decide(&self, input: &PilotInput<'_>) -> Action {
-        self.pilot.steer(input, self.waypoint)
+        self.pilot.steer(input, self.waypoint).0
     }
 
     /// How fast the vehicle flies along the planned way, metres per second: the part of its horizontal velocity that points to the waypoint;

@@ -1,7 +1,5 @@
 //! A network as a list of layers: what a file holds of it, and the graph that it becomes.
 
-extern crate alloc;
-
 use super::network_text::{name_of, name_of_function};
 use alloc::borrow::ToOwned;
 use alloc::format;

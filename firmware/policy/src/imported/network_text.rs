@@ -1,7 +1,5 @@
 //! A network as text, a layer a line: how an imported policy's file holds it.
 
-extern crate alloc;
-
 use super::network::{Layer, MOST_LAYERS, Network, NetworkError};
 use alloc::borrow::ToOwned;
 use alloc::format;

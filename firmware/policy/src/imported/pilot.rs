@@ -1,7 +1,5 @@
 //! The pilot that flies an imported policy: our depth frames in the policy's own format, and its decision in ours.
 
-extern crate alloc;
-
 use super::network::{Network, NetworkError};
 use crate::actor::LowDim;
 use crate::field::FlightField;

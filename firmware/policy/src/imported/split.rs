@@ -1,7 +1,5 @@
 //! Where an imported policy is taken apart to be explained: the layers behind its split point are a network of their own.
 
-extern crate alloc;
-
 use super::network::{Layer, Network, NetworkError, SPLIT_VALUES};
 use crate::actor::GOAL_INPUTS;
 use alloc::format;

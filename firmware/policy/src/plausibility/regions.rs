@@ -390,8 +390,6 @@ impl Regions {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
-
     use super::*;
     use crate::larger;
     use std::boxed::Box;

@@ -1,5 +1,3 @@
-extern crate std;
-
 mod odometry;
 mod parallax;
 mod poses;

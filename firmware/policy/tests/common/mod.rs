@@ -176,13 +176,10 @@ pub fn walk(scene: &Scene, steps: u64) -> Vec<DepthFrame> {
 }
 
 pub fn input(frame: &DepthFrame, attitude: Attitude) -> PilotInput<'_> {
+    let goal = relative((20.0, 0.0), frame.header.position_ned_m, attitude);
     PilotInput {
-        now_ns: frame.header.stamp_ns,
-        depth: frame,
-        goal: relative((20.0, 0.0), frame.header.position_ned_m, attitude),
         attitude,
-        velocity_m_s: HeadingVector::ZERO,
-        height_m: -frame.header.position_ned_m.z,
+        ..PilotInput::at_rest(frame, goal)
     }
 }
 

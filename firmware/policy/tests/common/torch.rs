@@ -54,12 +54,15 @@ impl Reference {
         b.dense(hidden, output, Activation::Tanh { scale: 1.5 }, o).unwrap()
     }
 
-    fn recur(&mut self, features: &[NodeId]) -> NodeId {
+    /// What comes behind five frames' features.
+    fn finish(mut self, features: Vec<NodeId>, explained: bool, purpose: Purpose) -> Graph {
+        let low_dim = self.builder.input(2, explained).unwrap();
         let mut state = self.builder.zeros(48).unwrap();
         for x in features {
-            state = self.builder.gru(*x, state, self.gru.0, self.gru.1).unwrap();
+            state = self.builder.gru(x, state, self.gru.0, self.gru.1).unwrap();
         }
-        state
+        let output = self.head(state, low_dim);
+        self.builder.finish(output, purpose).unwrap()
     }
 
     /// Inputs are the GRU's state and the positional values.
@@ -72,30 +75,22 @@ impl Reference {
 
     /// Inputs are five frames' features, oldest first, and the positional values.
     pub fn features_graph(mut self, purpose: Purpose) -> Graph {
-        let features: Vec<NodeId> = (0..5)
-            .map(|_| self.builder.input(self.gru.0.inputs, true).unwrap())
-            .collect();
-        let low_dim = self.builder.input(2, true).unwrap();
-        let state = self.recur(&features);
-        let output = self.head(state, low_dim);
-        self.builder.finish(output, purpose).unwrap()
+        let features = (0..5).map(|_| self.builder.input(self.gru.0.inputs, true).unwrap());
+        let features = features.collect();
+        self.finish(features, true, purpose)
     }
 
     /// Inputs are five frames, oldest first, and the positional values.
     pub fn graph(mut self, purpose: Purpose, explained: bool) -> Graph {
-        let features: Vec<NodeId> = (0..5)
-            .map(|_| {
-                let mut x = self.builder.input(128 * 256, explained).unwrap();
-                for (layer, params) in self.convolutions.clone() {
-                    x = self.builder.conv2d(x, layer, Activation::Elu, params).unwrap();
-                }
-                x
-            })
-            .collect();
-        let low_dim = self.builder.input(2, explained).unwrap();
-        let state = self.recur(&features);
-        let output = self.head(state, low_dim);
-        self.builder.finish(output, purpose).unwrap()
+        let features = (0..5).map(|_| {
+            let mut x = self.builder.input(128 * 256, explained).unwrap();
+            for (layer, params) in self.convolutions.clone() {
+                x = self.builder.conv2d(x, layer, Activation::Elu, params).unwrap();
+            }
+            x
+        });
+        let features = features.collect();
+        self.finish(features, explained, purpose)
     }
 }
 
@@ -119,12 +114,11 @@ impl Tensors {
     pub fn get(&self, name: &str) -> Vec<f32> {
         let file = SafeTensors::deserialize(&self.0).unwrap();
         let tensor = file.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}"));
-        let pairs = || tensor.data().chunks_exact(2).map(|b| [b[0], b[1]]);
+        let pairs = || tensor.data().as_chunks::<2>().0.iter().copied();
         match tensor.dtype() {
-            Dtype::F32 => {
-                let words = tensor.data().chunks_exact(4);
-                words.map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
-            }
+            Dtype::F32 => (tensor.data().as_chunks().0.iter().copied())
+                .map(f32::from_le_bytes)
+                .collect(),
             Dtype::U16 => pairs().map(|b| f32::from(u16::from_le_bytes(b)) / 65535.0).collect(),
             Dtype::I16 => pairs().map(|b| f32::from(i16::from_le_bytes(b)) * 1e-6).collect(),
             other => panic!("{name} is {other:?}"),
@@ -138,10 +132,8 @@ impl Tensors {
 
     /// A `Linear`'s weights and bias as `[inputs][outputs]`, bias.
     pub fn dense(&self, name: &str) -> Vec<f32> {
-        let weights = transposed(
-            &self.get(&format!("{name}_weight")),
-            self.shape(&format!("{name}_weight"))[0],
-        );
+        let weight = format!("{name}_weight");
+        let weights = transposed(&self.get(&weight), self.shape(&weight)[0]);
         [weights, self.get(&format!("{name}_bias"))].concat()
     }
 

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 settings! {
     struct Whole {
         on: bool = &crate::parameters::TAKEN_OVER,
+        guard: Option<bool> = &crate::parameters::GUARD,
         count: u8 = within(3, (1.0, 9.0), "steps"),
         gains: [f32; 2] = within([0.1, 0.5], (0.0, 1.0), ""),
         notes: BTreeMap<String, f64> = section(),
@@ -21,7 +22,10 @@ settings! {
 fn what_is_written_is_read_back_and_the_default_names_only_what_holds() {
     let mut whole = Whole::default();
     assert_eq!(to_toml(&whole), "count = 3\ngains = [0.1, 0.5]\n");
-    whole.on = true;
+    for on in [false, true] {
+        (whole.on, whole.guard) = (on, Some(on));
+        assert_eq!(from_toml(&to_toml(&whole)), Ok(whole.clone()));
+    }
     whole.notes.insert("a b".to_owned(), f64::NEG_INFINITY);
     whole.place = Some(Place::default());
     whole.stops = vec![Place { x_m: -0.0, y_m: 1e-300 }, Place { x_m: 7.0, y_m: 2.0 }];
@@ -57,7 +61,8 @@ fn what_is_refused_is_reported_by_line_column_and_key_with_what_is_allowed() {
             "`gains[1]`: a number is needed, this is of type boolean",
         ),
         ("gains = [99999999999999999999]", "99999999999999999999 is too large"),
-        ("on = 1", "true or false is needed"),
+        ("on = -1", "true or false is needed"),
+        ("guard = 3", "true or false is needed"),
         ("[place]\ny_m = 1", "line 1, column 1: `place`: `x_m` is missing"),
         (
             "[[stops]]\nx_m = 1\n[[stops]]\nx = 1",

@@ -157,18 +157,19 @@ pub fn parsed<T: std::str::FromStr<Err: ToString>>(given: &Given<'_>) -> Result<
 /// # Errors
 /// Another name, with those that there are.
 pub fn named<T: Copy>(given: &Given<'_>, known: &mut dyn Iterator<Item = (&'static str, T)>) -> Result<T, Refused> {
-    let name = text(given)?;
+    let name = text(given);
     let mut names = Vec::new();
     for (word, value) in known {
-        if word == name {
+        if name == Ok(word) {
             return Ok(value);
         }
         names.push(word);
     }
-    Err(refused(
-        given,
-        format!("there is no {name:?}, only {}", names.join(", ")),
-    ))
+    let names = names.join(", ");
+    Err(match name {
+        Ok(name) => refused(given, format!("there is no {name:?}, only {names}")),
+        Err(_) => other_type(given, &format!("one of {names}")),
+    })
 }
 
 impl<T> FromRow for Option<T> {
@@ -184,6 +185,8 @@ impl<T> FromRow for Vec<T> {
 }
 
 impl FromRow for bool {
+    const OFF_WHERE_ABSENT: bool = true;
+
     fn default_of(row: &ParameterSpec) -> Self {
         row.is_on()
     }

@@ -144,12 +144,10 @@ impl Core {
         let level = NedVector::new(velocity.x, velocity.y, 0.0);
         let (began_ns, from_m_s) = began.unwrap_or((self.now_ns, level));
         let since_ns = self.now_ns.saturating_sub(began_ns);
+        let kept = libm::expf(-(since_ns as f32 * 1e-9) / BRAKE_S);
         let (wanted, limit_ns) = match self.hold_law {
             HoldLaw::FlyBack => return self.fly_to_projected(velocity, height_m),
-            HoldLaw::Brake => (
-                from_m_s * libm::expf(-(since_ns as f32 * 1e-9) / BRAKE_S),
-                LONG_BRAKE_NS,
-            ),
+            HoldLaw::Brake => (from_m_s * kept, LONG_BRAKE_NS),
             HoldLaw::Stop => (NedVector::ZERO, BRAKE_NS),
         };
         let stopped = velocity.horizontal_norm() < 0.2 && velocity.z.abs() < 0.2;

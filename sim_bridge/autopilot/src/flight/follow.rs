@@ -44,16 +44,13 @@ impl Core {
         let moves = velocity_ned_m_s.horizontal_norm() > STANDING_M_S;
         let now_rad = libm::atan2f(velocity_ned_m_s.y, velocity_ned_m_s.x);
         // FLW_TGT_RS: 0 follows every turn at once, 1 none.
-        let share = match before {
-            Some(_) => 1.0 - self.param(ParamId::FollowResponsiveness),
-            None => 1.0,
-        };
+        let kept = before.map_or(0.0, |_| self.param(ParamId::FollowResponsiveness));
         self.commander.follow_target = Some(FollowTarget {
             reported: now,
             fused: last.filter(|_| !is_fused).map_or(now, |last| last.fused),
             velocity_ned_m_s,
             course_rad: if moves && is_fused {
-                wrap_pi(before_rad + share * wrap_pi(now_rad - before_rad))
+                wrap_pi(before_rad + (1.0 - kept) * wrap_pi(now_rad - before_rad))
             } else {
                 before_rad
             },
@@ -64,11 +61,8 @@ impl Core {
     pub(super) fn fly_follow(&mut self, waits_ned_m: Option<NedVector>) -> ControlCommand {
         let now_ns = self.now_ns;
         let here = self.view.estimate.position_ned_m;
-        let target = self
-            .commander
-            .follow_target
-            .filter(|t| now_ns.saturating_sub(t.reported.at_ns) <= LOST_AFTER_NS);
-        let Some(target) = target else {
+        let is_fresh = |t: &FollowTarget| now_ns.saturating_sub(t.reported.at_ns) <= LOST_AFTER_NS;
+        let Some(target) = self.commander.follow_target.filter(is_fresh) else {
             let position_ned_m = waits_ned_m.unwrap_or(here);
             self.commander.maneuver = Maneuver::Follow {
                 waits_ned_m: Some(position_ned_m),
@@ -93,11 +87,8 @@ impl Core {
             2 => (now_at.z - height_m).min(-LEAST_HEIGHT_M),
             _ => -height_m,
         };
-        let place = NedVector::new(
-            now_at.x + distance_m * libm::cosf(bearing_rad),
-            now_at.y + distance_m * libm::sinf(bearing_rad),
-            down_m,
-        );
+        let [north_m, east_m] = [libm::cosf(bearing_rad), libm::sinf(bearing_rad)].map(|part| distance_m * part);
+        let place = NedVector::new(now_at.x + north_m, now_at.y + east_m, down_m);
         let speed_m_s = velocity_m_s.horizontal_norm() + CATCH_UP_M_S.min(self.param(ParamId::FollowSpeedMS));
         ControlCommand::Position {
             position_ned_m: place,

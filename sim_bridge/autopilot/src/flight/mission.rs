@@ -92,12 +92,12 @@ impl Core {
                 self.announce::<MISSION_CURRENT_DATA>();
                 self.begin_return();
             }
-            MissionItem::Delay { wait_ns } => self.wait(wait_ns),
-            MissionItem::Speed { speed_m_s } => {
+            MissionItem::Delay(wait_ns) => self.wait(wait_ns),
+            MissionItem::Speed(speed_m_s) => {
                 self.plans.mission.speed_m_s = speed_m_s;
                 self.end_item(true);
             }
-            MissionItem::Interest { place_m } => {
+            MissionItem::Interest(place_m) => {
                 self.commander.region_of_interest_m = place_m;
                 self.end_item(true);
             }
@@ -217,11 +217,9 @@ impl Core {
         let radius_m = match leg.purpose {
             Purpose::Land if estimate.velocity_ned_m_s.horizontal_norm() > LANDING_SPEED_M_S => return false,
             Purpose::Land => LANDING_RADIUS_M,
-            _ => leg
-                .acceptance_m
-                .unwrap_or_else(|| self.param(ParamId::AcceptanceRadiusM))
-                .max(MIN_ACCEPTANCE_M),
+            _ => leg.acceptance_m.unwrap_or(self.param(ParamId::AcceptanceRadiusM)),
         };
+        let radius_m = radius_m.max(MIN_ACCEPTANCE_M);
         off.horizontal_norm() <= radius_m && off.z.abs() <= self.param(ParamId::HeightAcceptanceM)
     }
 
@@ -250,12 +248,8 @@ impl Core {
         if goes_on && !pauses {
             return;
         }
-        let text = if goes_on {
-            "mission paused by item"
-        } else {
-            "mission finished"
-        };
-        self.inform(text);
+        let what = if goes_on { "paused by item" } else { "finished" };
+        self.inform(&format!("mission {what}"));
         let maneuver = match self.commander.maneuver {
             station @ Maneuver::Station { .. } => station,
             _ => Maneuver::default(),

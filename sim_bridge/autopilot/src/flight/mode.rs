@@ -117,12 +117,6 @@ impl FlightMode {
         let is_wanted = |mode: &Self| mode.is_commanded() && (mode.px4().0, mode.px4().1) == (main, sub);
         Self::ALL.into_iter().find(is_wanted)
     }
-
-    /// The same of a `custom_mode`.
-    pub(crate) fn from_custom_mode(custom_mode: u32) -> Option<Self> {
-        let [_, _, main, sub] = custom_mode.to_le_bytes();
-        Self::from_px4(main, sub)
-    }
 }
 
 #[cfg(test)]
@@ -134,14 +128,12 @@ mod tests {
         assert_eq!(FlightMode::Offboard.custom_mode(), 0x0006_0000);
         assert_eq!(FlightMode::Hold.custom_mode(), 0x0304_0000);
         for mode in FlightMode::ALL.into_iter().filter(|mode| mode.is_commanded()) {
-            assert_eq!(FlightMode::from_custom_mode(mode.custom_mode()), Some(mode));
+            let (main, sub, ..) = mode.px4();
+            assert_eq!(FlightMode::from_px4(main, sub), Some(mode));
         }
         assert_eq!(FlightMode::from_px4(2, 0), Some(FlightMode::Altitude));
-        assert_eq!(
-            FlightMode::from_px4(3, 1),
-            Some(FlightMode::Position),
-            "an orbit needs a point"
-        );
+        // An orbit needs a point.
+        assert_eq!(FlightMode::from_px4(3, 1), Some(FlightMode::Position));
         assert_eq!(FlightMode::from_px4(4, 0), Some(FlightMode::Mission));
         for (main, sub) in [(3, 2), (4, 1), (4, 9)] {
             assert_eq!(FlightMode::from_px4(main, sub), None);

@@ -32,10 +32,8 @@ impl Core {
             return Err(Denial::OutsideFence);
         }
         self.clear_failsafe();
-        orbit.speed_m_s = orbit
-            .speed_m_s
-            .min(self.param(ParamId::MaxSpeedMS))
-            .min(libm::sqrtf(CENTRIPETAL_MAX_M_S2 * orbit.radius_m));
+        let most_m_s = libm::sqrtf(CENTRIPETAL_MAX_M_S2 * orbit.radius_m).min(self.param(ParamId::MaxSpeedMS));
+        orbit.speed_m_s = orbit.speed_m_s.min(most_m_s);
         self.enter(FlightMode::Orbit, Maneuver::Orbit(orbit));
         Ok(())
     }

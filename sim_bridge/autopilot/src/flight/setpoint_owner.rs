@@ -83,13 +83,9 @@ impl Setpoints {
             };
             if self.sources.len() < MAX_SOURCES {
                 self.sources.push(source);
-            } else if let Some(oldest) = self
-                .sources
-                .iter_mut()
-                .filter(|s| Some(s.id) != owner)
-                .min_by_key(|s| s.last_ns)
-            {
-                *oldest = source;
+            } else {
+                let others = self.sources.iter_mut().filter(|s| Some(s.id) != owner);
+                others.min_by_key(|s| s.last_ns).into_iter().for_each(|s| *s = source);
             }
         }
         if !is_foreign {
@@ -159,10 +155,8 @@ mod tests {
         setpoints.take(0, id(2), ControlCommand::Idle);
         setpoints.set_owner(Some(id(2)));
         for n in 3..=255 {
-            assert_eq!(
-                setpoints.take(u64::from(n), id(n), ControlCommand::MotorsOff),
-                Taken::IgnoredFirst
-            );
+            let taken = setpoints.take(u64::from(n), id(n), ControlCommand::MotorsOff);
+            assert_eq!(taken, Taken::IgnoredFirst);
         }
         assert_eq!(setpoints.current(300, 400), Some(ControlCommand::Idle));
         assert_eq!(setpoints.sources.len(), MAX_SOURCES);

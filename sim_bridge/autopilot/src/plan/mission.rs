@@ -71,23 +71,17 @@ pub(crate) enum MissionItem {
     Leg(Leg),
     /// Return mode.
     Return,
-    /// Wait where it is.
-    Delay {
-        wait_ns: Nanos,
-    },
-    /// Fly at this speed from here on; `None` is MPC_XY_CRUISE.
-    Speed {
-        speed_m_s: Option<f32>,
-    },
+    /// Wait where it is for so long.
+    Delay(Nanos),
+    /// Fly at this speed from here on, metres per second; `None` is MPC_XY_CRUISE.
+    Speed(Option<f32>),
     /// Go on with another item; `None` is without end.
     Jump {
         to: usize,
         times: Option<u16>,
     },
-    /// Point the nose there from here on; `None` is along the way again.
-    Interest {
-        place_m: Option<(f32, f32)>,
-    },
+    /// Point the nose there from here on, metres north and east; `None` is along the way again.
+    Interest(Option<(f32, f32)>),
     /// Home is from here on where the vehicle is.
     Home,
     /// Nothing that this vehicle does.
@@ -134,7 +128,8 @@ impl MissionItem {
         };
         let to = |purpose| leg(item.place(home)?, heading_rad(item, 4)?, None, purpose);
         let stay = |stay_ns| Purpose::Visit { stay_ns };
-        let look_at = |place_m| Ok(Self::Interest { place_m });
+        let look_at = |place_m| Ok(Self::Interest(place_m));
+        let misused = |reason| Err(PlanDefect::of_parameter(1, reason));
         check_frame(item)?;
         match item.command {
             NAV_WAYPOINT => {
@@ -163,13 +158,8 @@ impl MissionItem {
             NAV_RETURN_TO_LAUNCH => Ok(Self::Return),
             // A mission's command in a frame without places.
             DO_SET_HOME if item.param(1) == Some(1.0) => Ok(Self::Home),
-            DO_SET_HOME => Err(PlanDefect::of_parameter(
-                1,
-                "a mission sets home only where the vehicle is",
-            )),
-            NAV_DELAY | CONDITION_DELAY => Ok(Self::Delay {
-                wait_ns: seconds(item)?,
-            }),
+            DO_SET_HOME => misused("a mission sets home only where the vehicle is"),
+            NAV_DELAY | CONDITION_DELAY => Ok(Self::Delay(seconds(item)?)),
             DO_CHANGE_SPEED => Self::speed(item),
             DO_JUMP => Self::jump(item),
             DO_SET_ROI_LOCATION => look_at(Some(item.point(home)?)),
@@ -179,7 +169,7 @@ impl MissionItem {
                 None | Some(0.0) => look_at(None),
                 // A waypoint, without a frame only: the nose points there anyway.
                 Some(1.0 | 2.0) if item.frame == FRAME_MISSION => look_at(None),
-                Some(_) => Err(PlanDefect::of_parameter(1, "no such region of interest")),
+                Some(_) => misused("no such region of interest"),
             },
             command if PASSED_OVER.contains(&command) => Ok(Self::PassedOver),
             _ => Err(PlanDefect::unsupported("not a command that missions fly")),
@@ -192,10 +182,10 @@ impl MissionItem {
             return Ok(Self::PassedOver);
         }
         match item.param(2) {
-            Some(speed) if speed > 0.0 && speed <= 50.0 => Ok(Self::Speed { speed_m_s: Some(speed) }),
+            Some(speed) if speed > 0.0 && speed <= 50.0 => Ok(Self::Speed(Some(speed))),
             // −1: no change; −2: back to the default, as is whatever is left out.
             Some(-1.0) => Ok(Self::PassedOver),
-            None | Some(-2.0) => Ok(Self::Speed { speed_m_s: None }),
+            None | Some(-2.0) => Ok(Self::Speed(None)),
             Some(_) => Err(PlanDefect::of_parameter(2, "speed is not within 0 and 50 m/s")),
         }
     }
@@ -255,10 +245,8 @@ pub(crate) struct Mission {
 
 impl Mission {
     pub fn new(items: Vec<PlanItem>, home: &HomePosition) -> Result<Self, PlanDefect> {
-        let meanings = items
-            .iter()
-            .map(|item| MissionItem::read(item, home))
-            .collect::<Result<Vec<_>, _>>()?;
+        let read = items.iter().map(|item| MissionItem::read(item, home));
+        let meanings = read.collect::<Result<Vec<_>, _>>()?;
         let astray = |item: &MissionItem| matches!(item, MissionItem::Jump { to, .. } if *to >= meanings.len());
         if meanings.iter().any(astray) {
             return Err(PlanDefect::of_parameter(1, "no such item to jump to"));
@@ -303,7 +291,7 @@ impl Mission {
     pub fn next_place_m(&self) -> Option<(f32, f32)> {
         let after = self.items.get(self.current + 1..)?;
         use MissionItem::{Home, Interest, PassedOver, Speed};
-        let takes_time = |item: &&MissionItem| !matches!(item, PassedOver | Interest { .. } | Speed { .. } | Home);
+        let takes_time = |item: &&MissionItem| !matches!(item, PassedOver | Interest(_) | Speed(_) | Home);
         match after.iter().find(takes_time)? {
             MissionItem::Leg(leg) => leg.place.north_east_m,
             _ => None,
@@ -417,7 +405,7 @@ mod tests {
     fn a_speed_can_go_back_to_its_default() {
         let home = HomePosition::default();
         let read = |i: PlanItem| MissionItem::read(&i, &home).expect("valid");
-        let default = MissionItem::Speed { speed_m_s: None };
+        let default = MissionItem::Speed(None);
         assert_eq!(read(action(178, [1.0, -2.0, -1.0, 0.0])), default);
         assert_eq!(read(action(178, [1.0, -1.0, -1.0, 0.0])), MissionItem::PassedOver);
         assert_eq!(read(action(178, [3.0, 2.0, -1.0, 0.0])), MissionItem::PassedOver);

@@ -15,13 +15,10 @@ pub(crate) struct Rally {
 
 impl Rally {
     pub fn new(items: Vec<PlanItem>, home: &HomePosition) -> Result<Self, PlanDefect> {
-        let points_m = items
-            .iter()
-            .map(|item| Self::read(item, home))
-            .collect::<Result<_, _>>()?;
+        let points_m = items.iter().map(|item| Self::read(item, home));
         Ok(Self {
+            points_m: points_m.collect::<Result<_, _>>()?,
             wire: Wire::new(items),
-            points_m,
         })
     }
 
@@ -38,13 +35,14 @@ impl Rally {
     pub fn nearest_m(&self, (north_m, east_m): (f32, f32), home_m: (f32, f32), rally_first: bool) -> (f32, f32) {
         let distance = |(n, e): (f32, f32)| libm::hypotf(n - north_m, e - east_m);
         let first = if rally_first { self.points_m.first() } else { None };
-        self.points_m.iter().fold(*first.unwrap_or(&home_m), |best, point| {
+        let nearer = |best, point: &_| {
             if distance(*point) < distance(best) {
                 *point
             } else {
                 best
             }
-        })
+        };
+        self.points_m.iter().fold(*first.unwrap_or(&home_m), nearer)
     }
 }
 
@@ -63,10 +61,7 @@ mod tests {
         assert_eq!(rally.nearest_m((5.0, 5.0), home, false), home);
         assert_eq!(rally.nearest_m((5.0, 5.0), home, true), (30.0, 0.0));
         assert_eq!(Rally::default().nearest_m((5.0, 5.0), home, true), home);
-        assert_eq!(
-            rally.nearest_m((20.0, 1.0), (20.0, 4.0), false),
-            (20.0, 4.0),
-            "home was moved"
-        );
+        let moved = (20.0, 4.0);
+        assert_eq!(rally.nearest_m((20.0, 1.0), moved, false), moved);
     }
 }

@@ -6,6 +6,7 @@ use crate::flight::FlightMode;
 use crate::geo;
 use crate::service::prelude::*;
 use crate::vehicle::YawCommand;
+use vigil_mavlink::common::MavModeFlag as Flag;
 use vigil_mavlink::framing::CommandForm;
 use vigil_types::NedVector;
 
@@ -15,8 +16,6 @@ const NAV_TAKEOFF: u16 = 22;
 const DO_SET_MODE: u16 = 176;
 const DO_CHANGE_ALTITUDE: u16 = 186;
 const DO_REPOSITION: u16 = 192;
-/// MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
-const CUSTOM_MODE: u8 = 1;
 /// MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
 const MAY_CHANGE_MODE: f32 = 1.0;
 /// Farther than this is a mistake in the coordinates, not a place to fly to.
@@ -34,11 +33,10 @@ impl Service for SetMode {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
         // The crate's type of SET_MODE refuses base modes that clients do send: read it raw.
         if packet.message_id() == SET_MODE_DATA::ID {
-            let [a, b, c, d, target_system, base_mode] = padded(packet.payload());
-            if target_system == core.id.system && base_mode & CUSTOM_MODE != 0 {
-                let requested = FlightMode::from_custom_mode(u32::from_le_bytes([a, b, c, d]));
+            let [_, _, main, sub, target_system, base] = padded(packet.payload());
+            if target_system == core.id.system {
                 // PX4 hands it on as the command, which is what it acknowledges.
-                let answer = set_mode(requested, source, core);
+                let answer = set_mode(requested(base, main, sub), source, core);
                 acknowledge(answer, DO_SET_MODE, source, core);
             }
         }
@@ -60,9 +58,19 @@ pub(super) const COMMANDS: &[(u16, Handler)] = &[
 
 fn do_set_mode(command: &Command, source: Source, core: &mut Core) -> Answer {
     let [base, main, sub] = [1, 2, 3].map(|n| command.param(n).unwrap_or(0.0) as u8);
-    match base & CUSTOM_MODE {
-        0 => Err(Refusal::DENIED),
-        _ => set_mode(FlightMode::from_px4(main, sub), source, core),
+    set_mode(requested(base, main, sub), source, core)
+}
+
+/// The custom mode, or what PX4's commander flies of a base mode without one.
+fn requested(base: u8, main: u8, sub: u8) -> Option<FlightMode> {
+    let has = |flag: Flag| base & flag.bits() != 0;
+    match base {
+        _ if has(Flag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED) => FlightMode::from_px4(main, sub),
+        _ if has(Flag::MAV_MODE_FLAG_AUTO_ENABLED) => Some(FlightMode::Mission),
+        _ if !has(Flag::MAV_MODE_FLAG_MANUAL_INPUT_ENABLED) => None,
+        _ if has(Flag::MAV_MODE_FLAG_GUIDED_ENABLED) => Some(FlightMode::Position),
+        _ if has(Flag::MAV_MODE_FLAG_STABILIZE_ENABLED) => Some(FlightMode::Stabilized),
+        _ => Some(FlightMode::Manual),
     }
 }
 
@@ -105,7 +113,26 @@ fn take_off(command: &Command, _source: Source, core: &mut Core) -> Answer {
     Ok(core.take_off(height)?)
 }
 
-/// The place of parameters 5 to 7 in a global frame, NaN or the largest integer for "where the vehicle is".
+/// Latitude and longitude of parameters 5 and 6; `None` for "where the vehicle is": NaN, in an integer the largest, or the
+/// smallest, which is a NaN that was cast.
+pub(super) fn latitude_longitude_deg(command: &Command) -> Option<(f64, f64)> {
+    let is_here = |degrees: i32| matches!(degrees, i32::MIN | i32::MAX);
+    match command.form {
+        CommandForm::Int { x, y, .. } if is_here(x) || is_here(y) => None,
+        _ => command.latitude_longitude_deg(),
+    }
+}
+
+/// Metres north and east of the local origin.
+pub(super) fn to_local(core: &Core, (lat, lon): (f64, f64)) -> Result<(f32, f32), Refusal> {
+    let is_on_globe = lat.abs() <= 90.0 && lon.abs() <= 180.0;
+    let refusal = || Refusal::DENIED.saying("denied: no such latitude or longitude");
+    is_on_globe
+        .then(|| geo::to_local(&core.home, lat, lon))
+        .ok_or_else(refusal)
+}
+
+/// The place of parameters 5 to 7 in a global frame.
 pub(super) fn place(command: &Command, core: &Core) -> Result<NedVector, Refusal> {
     let height_m = command.param(7).map(|altitude_m| height_m(core, altitude_m));
     place_at(command, height_m, core)
@@ -116,15 +143,7 @@ pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &Core) ->
     check_frame(command.frame())?;
     height_m.map_or(Ok(()), check_height)?;
     let here = core.view.estimate.position_ned_m;
-    let horizontal = match command.form {
-        CommandForm::Int { x: i32::MAX, .. } | CommandForm::Int { y: i32::MAX, .. } => None,
-        _ => command.latitude_longitude_deg(),
-    };
-    let (x, y) = match horizontal {
-        None => (here.x, here.y),
-        Some((lat, lon)) if lat.abs() <= 90.0 && lon.abs() <= 180.0 => geo::to_local(&core.home, lat, lon),
-        Some(_) => return Err(Refusal::DENIED),
-    };
+    let (x, y) = latitude_longitude_deg(command).map_or(Ok((here.x, here.y)), |place| to_local(core, place))?;
     let z = height_m.map_or(here.z, |height_m| -height_m);
     let position = NedVector::new(x, y, z);
     // NaN fails the comparison.
@@ -139,10 +158,7 @@ fn reposition(command: &Command, _source: Source, core: &mut Core) -> Answer {
     if command.param(2) != Some(MAY_CHANGE_MODE) {
         return Err(Refusal::UNSUPPORTED.saying("denied: parameter 2 is not 1, change the mode"));
     }
-    let is_placed = match command.form {
-        CommandForm::Int { x, y, .. } => x != i32::MAX && y != i32::MAX,
-        CommandForm::Long { .. } => command.latitude_longitude_deg().is_some(),
-    };
+    let is_placed = latitude_longitude_deg(command).is_some();
     if !is_placed && command.param(7).is_none() && command.param(4).is_none() {
         return Ok(core.stop_here()?);
     }

@@ -17,16 +17,10 @@ const MOTORS: core::ops::RangeInclusive<f32> = 1.0..=4.0;
 /// PX4's longest test; one without a time lasts as long.
 const LONGEST_TEST_S: f32 = 3.0;
 
-/// A motor that is tried: pulse, and until when.
-#[derive(Debug, Clone, Copy)]
-struct Test {
-    pulse_us: f32,
-    until_ns: Nanos,
-}
-
 #[derive(Default)]
 pub(crate) struct Actuators {
-    tests: [Option<Test>; 4],
+    /// Motors that are tried: pulse, and until when.
+    tests: [Option<(f32, Nanos)>; 4],
 }
 
 impl Service for Actuators {
@@ -55,10 +49,9 @@ impl Service for Actuators {
         let lasts_ns = nanos(f64::from(lasts_s)).filter(|_| lasts_s <= LONGEST_TEST_S);
         *test = match (output, lasts_ns) {
             (None, _) => None,
-            (Some(output), Some(lasts_ns)) if (0.0..=1.0).contains(&output) => Some(Test {
-                pulse_us: 1000.0 + 1000.0 * output,
-                until_ns: core.now_ns + lasts_ns,
-            }),
+            (Some(output), Some(lasts_ns)) if (0.0..=1.0).contains(&output) => {
+                Some((1000.0 + 1000.0 * output, core.now_ns + lasts_ns))
+            }
             (Some(_), _) => return Err(Refusal::DENIED),
         };
         Ok(())
@@ -97,9 +90,9 @@ impl Actuators {
         if core.view.armed {
             return core.view.sensors.motors.map(|share| 1000.0 + 1000.0 * share);
         }
-        self.tests.map(|test| {
-            test.filter(|test| core.now_ns <= test.until_ns)
-                .map_or(DISARMED_US, |test| test.pulse_us)
+        self.tests.map(|test| match test {
+            Some((pulse_us, until_ns)) if core.now_ns <= until_ns => pulse_us,
+            _ => DISARMED_US,
         })
     }
 }

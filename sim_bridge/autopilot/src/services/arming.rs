@@ -36,7 +36,7 @@ fn reboot(command: &Command, _source: Source, core: &mut Core) -> Answer {
     match command.param(1) {
         Some(0.0) => Ok(()),
         Some(1.0) => reboot_now(core),
-        _ => Err(Refusal::DENIED),
+        _ => Err(Refusal::DENIED.saying("denied: it reboots only, end the simulator instead")),
     }
 }
 
@@ -47,6 +47,6 @@ pub(super) fn reboot_now(core: &mut Core) -> Answer {
         core.reboot();
         Ok(())
     } else {
-        Err(Refusal::DENIED)
+        Err(Refusal::REJECTED.saying("reboot denied: armed"))
     }
 }

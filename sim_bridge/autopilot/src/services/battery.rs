@@ -30,6 +30,8 @@ fn battery(core: &Core) -> Option<MavMessage> {
         battery_function = MavBatteryFunction::MAV_BATTERY_FUNCTION_ALL,
         mavtype = MavBatteryType::MAV_BATTERY_TYPE_LIPO,
         battery_remaining,
-        charge_state
+        charge_state,
+        // The crate's default of a bit mask is its first flag.
+        fault_bitmask = MavBatteryFault::empty()
     ))
 }

@@ -23,6 +23,7 @@ struct Running {
     looks: u16,
     sums: [f32; 3],
     told_half: bool,
+    is_cancelled: bool,
 }
 
 #[derive(Debug, Default)]
@@ -45,8 +46,10 @@ impl Service for Calibration {
         }
         let (name, look, limit): (_, fn(&VehicleView) -> _, _) = match params {
             p if p == [0.0; 7] => {
-                if self.running.take().is_some() {
-                    core.inform("[cal] calibration cancelled");
+                if let Some(running) = &mut self.running {
+                    // Said in the next step: MAVSDK takes no text before the acknowledgement that it waits for.
+                    running.is_cancelled = true;
+                    self.due_ns = core.now_ns;
                 }
                 return Ok(());
             }
@@ -74,6 +77,7 @@ impl Service for Calibration {
             looks: 0,
             sums: [0.0; 3],
             told_half: false,
+            is_cancelled: false,
         });
         Ok(())
     }
@@ -87,6 +91,10 @@ impl Service for Calibration {
         let Some(running) = &mut self.running else {
             return;
         };
+        if running.is_cancelled {
+            self.running = None;
+            return core.inform("[cal] calibration cancelled");
+        }
         for (sum, value) in running.sums.iter_mut().zip((running.look)(&core.view)) {
             *sum += value;
         }
@@ -102,15 +110,16 @@ impl Service for Calibration {
         let is_beyond = |sum: f32| (sum / count).abs() > limit;
         let moved = running.sums.into_iter().any(is_beyond);
         self.running = None;
-        if core.commander.is_armed() || moved {
-            core.text(
-                MavSeverity::MAV_SEVERITY_CRITICAL,
-                &format!("[cal] calibration failed: {name} moved"),
-            );
-        } else {
-            core.inform("[cal] progress <100>");
-            core.inform(&format!("[cal] calibration done: {name}"));
-        }
+        let failure = match core.commander.is_armed() {
+            true => "armed".to_owned(),
+            false if moved => format!("{name} moved"),
+            false => {
+                core.inform("[cal] progress <100>");
+                return core.inform(&format!("[cal] calibration done: {name}"));
+            }
+        };
+        let text = format!("[cal] calibration failed: {failure}");
+        core.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
     }
 }
 

@@ -3,15 +3,11 @@
 use crate::service::prelude::*;
 use vigil_mavlink::common::EstimatorStatusFlags as Flags;
 
-pub(super) const MESSAGES: &[Produced] = &[Produced::from(
-    ESTIMATOR_STATUS_DATA::ID,
-    [0.0, 1.0, 1.0],
-    estimator_status,
-)];
+pub(super) const MESSAGES: &[Produced] = &[Produced::from(ESTIMATOR_STATUS_DATA::ID, [0.0, 1.0, 1.0], status)];
 
 /// The flags of what is valid. The modelled estimator has errors but no innovations: test ratios and accuracies are not
 /// known (NaN).
-fn estimator_status(core: &Core) -> Option<MavMessage> {
+fn status(core: &Core) -> Option<MavMessage> {
     let e = &core.view.estimate;
     let mut flags = Flags::empty();
     flags.set(Flags::ESTIMATOR_ATTITUDE, e.attitude.is_valid());

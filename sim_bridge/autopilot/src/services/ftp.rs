@@ -342,10 +342,9 @@ impl Ftp {
     }
 
     fn find(&self, client: Source, number: u8) -> Result<usize, Nak> {
-        self.sessions
-            .iter()
-            .position(|s| s.client == client && s.number == number)
-            .ok_or(MavFtpErr::MAV_FTP_ERR_INVALIDSESSION.into())
+        let is_it = |s: &Session| s.client == client && s.number == number;
+        let index = self.sessions.iter().position(is_it);
+        index.ok_or(MavFtpErr::MAV_FTP_ERR_INVALIDSESSION.into())
     }
 
     fn session(&mut self, client: Source, number: u8, now_ns: Nanos) -> Result<&mut Session, Nak> {

@@ -5,7 +5,7 @@
 
 use crate::geo::{self, deg_e7};
 use crate::service::prelude::*;
-use crate::services::actions::{GLOBAL_FRAMES, MAX_DISTANCE_M};
+use crate::services::actions::{GLOBAL_FRAMES, MAX_DISTANCE_M, latitude_longitude_deg, to_local};
 use vigil_types::NedVector;
 
 /// MAV_CMD_DO_SET_HOME.
@@ -21,7 +21,17 @@ pub(super) const MESSAGES: &[Produced] = &[
 ];
 
 /// The origin is where the simulated world has it; whoever wants another is sent the one in force.
-pub(super) fn set_origin(_wanted: SET_GPS_GLOBAL_ORIGIN_DATA, _source: Source, core: &mut Core) {
+pub(super) fn set_origin(wanted: SET_GPS_GLOBAL_ORIGIN_DATA, _source: Source, core: &mut Core) {
+    let own = core.home;
+    let off = [
+        f64::from(wanted.latitude) - own.latitude_deg * 1e7,
+        f64::from(wanted.longitude) - own.longitude_deg * 1e7,
+        f64::from(wanted.altitude) - own.altitude_m * 1e3,
+    ];
+    // Clients cut off what they cannot send.
+    if off.iter().any(|off| off.abs() > 2.0) {
+        core.warn_refused("origin denied: the simulated world has its own");
+    }
     core.announce::<GPS_GLOBAL_ORIGIN_DATA>();
 }
 
@@ -29,18 +39,15 @@ pub(super) fn set_origin(_wanted: SET_GPS_GLOBAL_ORIGIN_DATA, _source: Source, c
 /// sea level whatever the frame, as PX4 reads it: MAVSDK sends it so in a frame that is relative to home.
 fn set_home(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let here = core.view.estimate.position_ned_m;
-    let home_m = match (command.param(1), command.latitude_longitude_deg()) {
+    let home_m = match (command.param(1), latitude_longitude_deg(command)) {
         (Some(1.0), _) => (here.x, here.y),
-        (Some(0.0) | None, Some((lat, lon))) if GLOBAL_FRAMES.contains(&command.frame()) => {
-            if lat.abs() > 90.0 || lon.abs() > 180.0 {
-                return Err(Refusal::DENIED);
-            }
+        (Some(0.0) | None, Some(place)) if GLOBAL_FRAMES.contains(&command.frame()) => {
             let altitude_m = command.param(7).map_or(core.home.altitude_m, f64::from);
             // An infinite altitude is at no height.
             if (altitude_m - core.home.altitude_m).abs() > SAME_HEIGHT_M {
                 return Err(Refusal::DENIED.saying("denied: home keeps its height"));
             }
-            geo::to_local(&core.home, lat, lon)
+            to_local(core, place)?
         }
         _ => return Err(Refusal::DENIED),
     };

@@ -2,7 +2,7 @@
 
 use crate::service::prelude::*;
 use crate::services::battery;
-use vigil_mavlink::common::MavSysStatusSensor as Sensor;
+use vigil_mavlink::common::{MavSysStatusSensor as Sensor, MavSysStatusSensorExtended as Extended};
 
 pub(super) const MESSAGES: &[Produced] = &[Produced::from(SYS_STATUS_DATA::ID, [1.0, 5.0, 1.0], sys_status)];
 
@@ -39,6 +39,10 @@ fn sys_status(core: &Core) -> Option<MavMessage> {
         voltage_battery: (s.battery_voltage_v * 1e3) as u16,
         current_battery: (s.battery_current_a * 100.0) as i16,
         battery_remaining: battery::percent(core),
+        // The crate's default of a bit mask is its first flag.
+        onboard_control_sensors_present_extended: Extended::empty(),
+        onboard_control_sensors_enabled_extended: Extended::empty(),
+        onboard_control_sensors_health_extended: Extended::empty(),
         errors_comm: (core.framing.bad_crc + core.framing.truncated).min(u64::from(u16::MAX)) as u16,
         ..Default::default()
     }))

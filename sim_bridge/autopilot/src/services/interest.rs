@@ -22,7 +22,7 @@ pub(super) const COMMANDS: &[(u16, Handler)] = &[
 fn look_at(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let place_m = match (command.number, command.param(1)) {
         (DO_SET_ROI_LOCATION, _) | (NAV_ROI | DO_SET_ROI, Some(ROI_LOCATION)) => {
-            command.latitude_longitude_deg().ok_or(Refusal::DENIED)?;
+            actions::latitude_longitude_deg(command).ok_or(Refusal::DENIED)?;
             let place = actions::place_at(command, None, core)?;
             Some((place.x, place.y))
         }

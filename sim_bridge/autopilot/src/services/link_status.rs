@@ -71,9 +71,6 @@ impl Service for LinkStatus {
 
 /// To everybody, who answers as `services::time` does. The time distinguishes one from the next.
 fn ping(core: &Core) -> Option<MavMessage> {
-    Some(message!(
-        PING,
-        time_usec = core.time_boot_us(),
-        seq = (core.time_boot_ms() as f32 * 1e-3 * PING_HZ) as u32
-    ))
+    let seq = (core.time_boot_ms() as f32 * 1e-3 * PING_HZ) as u32;
+    Some(message!(PING, time_usec = core.time_boot_us(), seq))
 }

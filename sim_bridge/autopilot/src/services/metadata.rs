@@ -23,13 +23,7 @@ impl Service for Metadata {
     }
 
     fn messages(&self) -> &'static [Produced] {
-        const {
-            &[Produced::from(
-                COMPONENT_METADATA_DATA::ID,
-                [0.0; 3],
-                component_metadata,
-            )]
-        }
+        const { &[Produced::from(COMPONENT_METADATA_DATA::ID, [0.0; 3], general)] }
     }
 }
 
@@ -37,7 +31,8 @@ fn uri(path: &str) -> String {
     format!("mftp:///{path}")
 }
 
-fn component_metadata(core: &Core) -> Option<MavMessage> {
+/// Where the general metadata is.
+fn general(core: &Core) -> Option<MavMessage> {
     Some(MavMessage::COMPONENT_METADATA(COMPONENT_METADATA_DATA {
         time_boot_ms: core.time_boot_ms(),
         file_crc: crc32(core.files.read(GENERAL).ok()?),

@@ -46,12 +46,12 @@ fn change_speed(command: &Command, _source: Source, core: &mut Core) -> Answer {
 
 /// Starts with the item of parameter 1 (−1: the current one), and arms, as PX4 does.
 fn start(command: &Command, source: Source, core: &mut Core) -> Answer {
+    core.mission_check().map_err(|denial| Refusal::DENIED.saying(denial))?;
     match command.param(1) {
         None | Some(-1.0) => {}
         Some(first) if first >= 0.0 && make_current(first as usize, core) => {}
-        Some(_) => return Err(Refusal::DENIED),
+        Some(first) => return Err(Refusal::DENIED.saying(format!("mission denied: there is no item {first}"))),
     }
-    core.mission_check().map_err(|denial| Refusal::DENIED.saying(denial))?;
     core.change_mode(FlightMode::Mission, source)?;
     Ok(core.arm(source)?)
 }

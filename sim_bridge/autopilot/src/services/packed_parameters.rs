@@ -31,17 +31,14 @@ pub(super) fn read(path: &str, core: &Core) -> Option<Vec<u8>> {
     }
     let option = |name: &str| {
         let mut options = options.split('&').filter_map(|option| option.split_once('='));
-        options
-            .find(|(key, _)| *key == name)
-            .and_then(|(_, value)| value.parse::<usize>().ok())
+        let (_, value) = options.find(|(key, _)| *key == name)?;
+        value.parse::<usize>().ok()
     };
     let with_defaults = option("withdefaults") == Some(1);
     let total = Parameters::count();
     let start = option("start").unwrap_or(0).min(total);
-    let count = option("count")
-        .filter(|count| *count > 0)
-        .unwrap_or(total)
-        .min(total - start);
+    let count = option("count").filter(|count| *count > 0).unwrap_or(total);
+    let count = count.min(total - start);
     let magic = if with_defaults { MAGIC_WITH_DEFAULTS } else { MAGIC };
     let mut file = Vec::with_capacity(16 * count);
     for word in [magic, count as u16, total as u16] {
@@ -50,14 +47,8 @@ pub(super) fn read(path: &str, core: &Core) -> Option<Vec<u8>> {
     let mut last = "";
     for (info, value) in core.parameters.all().skip(start).take(count) {
         // A name repeats the beginning of the one before; lengths are of four bits, the second less one.
-        let common = info
-            .name
-            .bytes()
-            .zip(last.bytes())
-            .take_while(|(a, b)| a == b)
-            .count()
-            .min(15)
-            .min(info.name.len() - 1);
+        let same = info.name.bytes().zip(last.bytes()).take_while(|(a, b)| a == b);
+        let common = same.count().min(15).min(info.name.len() - 1);
         let rest = info.name.as_bytes().get(common..).unwrap_or_default();
         let kind = match value {
             ParameterValue::Int32(_) => INT32,

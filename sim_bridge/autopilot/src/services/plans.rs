@@ -244,12 +244,8 @@ fn tell_count(mission_type: u8, source: Source, core: &mut Core) {
         return acknowledge(core, source, mission_type, MAV_MISSION_UNSUPPORTED);
     };
     let wire = core.plans.wire(kind);
-    let message = message!(
-        MISSION_COUNT,
-        count = wire.items.len() as u16,
-        mission_type = kind.wire(),
-        opaque_id = wire.id
-    );
+    let (count, mission_type, opaque_id) = (wire.items.len() as u16, kind.wire(), wire.id);
+    let message = message!(MISSION_COUNT, count, mission_type, opaque_id);
     core.outbox.send_to(source, message);
 }
 

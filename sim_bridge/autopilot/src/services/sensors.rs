@@ -29,11 +29,8 @@ fn pressure_hpa(altitude_m: f64) -> f32 {
 
 /// What the barometer reports, as metres above sea level; `None` where it is off.
 fn barometric_altitude_m(core: &Core) -> Option<f64> {
-    let reading_m = core
-        .lost_sensors
-        .barometer
-        .reading(core.view.sensors.barometer_height_m)?;
-    Some(core.home.altitude_m + f64::from(reading_m))
+    let (fault, measured_m) = (core.lost_sensors.barometer, core.view.sensors.barometer_height_m);
+    Some(core.home.altitude_m + f64::from(fault.reading(measured_m)?))
 }
 
 /// The earth's field about the vehicle in gauss.

@@ -1,8 +1,9 @@
 //! HEARTBEAT, EXTENDED_SYS_STATE, and who owns the setpoints.
 //! <https://mavlink.io/en/services/heartbeat.html>
 
-use crate::flight::LandedState;
+use crate::flight::{FlightMode, LandedState};
 use crate::service::prelude::*;
+use vigil_mavlink::common::MavModeFlag as Flag;
 
 /// PX4's `custom_mode` of a terminated flight.
 const TERMINATION: u32 = 10 << 16;
@@ -15,11 +16,14 @@ pub(super) const MESSAGES: &[Produced] = &[
 
 fn heartbeat(core: &Core) -> Option<MavMessage> {
     let c = &core.commander;
-    let mut base_mode = MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-        | MavModeFlag::MAV_MODE_FLAG_STABILIZE_ENABLED
-        | MavModeFlag::MAV_MODE_FLAG_GUIDED_ENABLED
-        | MavModeFlag::MAV_MODE_FLAG_AUTO_ENABLED;
-    base_mode.set(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED, c.is_armed());
+    // As PX4 has them: clients up to pymavlink 2.4.41 and MAVROS name the mode by these.
+    let by_whom = match c.mode().needs_sticks() {
+        true => Flag::MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
+        false => Flag::MAV_MODE_FLAG_GUIDED_ENABLED | Flag::MAV_MODE_FLAG_AUTO_ENABLED,
+    };
+    let mut base_mode = Flag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | by_whom;
+    base_mode.set(Flag::MAV_MODE_FLAG_STABILIZE_ENABLED, c.mode() != FlightMode::Acro);
+    base_mode.set(Flag::MAV_MODE_FLAG_SAFETY_ARMED, c.is_armed());
     let system_status = if c.is_terminated() {
         MavState::MAV_STATE_FLIGHT_TERMINATION
     } else if c.failsafe().is_some() {

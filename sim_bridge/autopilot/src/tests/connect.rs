@@ -55,10 +55,7 @@ fn the_hash_of_the_parameters_is_that_of_their_names_and_values_and_ends_a_list(
     let mut bytes = Vec::new();
     for info in parameter_table() {
         bytes.extend_from_slice(info.name.as_bytes());
-        bytes.extend_from_slice(&match info.default {
-            ParameterValue::Int32(v) => v.to_le_bytes(),
-            ParameterValue::Real32(v) => v.to_le_bytes(),
-        });
+        bytes.extend_from_slice(&info.default.to_le_bytes());
     }
     assert_eq!(before, vigil_mavlink::crc::crc32(&bytes));
     b.set_parameter("NAV_ACC_RAD", ParameterValue::Real32(3.0));
@@ -86,10 +83,8 @@ fn set_up_pages_cannot_change_what_the_vehicle_is() {
     b.set_parameter("SYS_AUTOSTART", ParameterValue::Int32(10_016));
     let answers: Vec<u32> = b.messages(API).map(Message::message_id).take(2).collect();
     assert_eq!(answers, [PARAM_ERROR_DATA::ID, PARAM_VALUE_DATA::ID]);
-    assert_eq!(
-        b.one::<PARAM_ERROR_DATA>().error,
-        MavParamError::MAV_PARAM_ERROR_READ_ONLY
-    );
+    let error = b.one::<PARAM_ERROR_DATA>().error;
+    assert_eq!(error, MavParamError::MAV_PARAM_ERROR_READ_ONLY);
     assert_eq!(b.one::<PARAM_VALUE_DATA>().param_value.to_bits(), 4001);
     b.assert_said("SYS_AUTOSTART cannot be set");
 }

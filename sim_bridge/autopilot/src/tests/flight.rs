@@ -64,6 +64,9 @@ fn only_the_kill_code_disarms_in_the_air() {
 #[test]
 fn termination_stops_the_motors_until_a_reboot() {
     let mut b = Bench::airborne();
+    assert_eq!((b.ask(246, &[1.0]), b.ask(246, &[2.0])), (REJECTED, DENIED));
+    b.assert_said("reboot denied: armed");
+    b.assert_said("it reboots only");
     assert_eq!(b.ask(185, &[1.0]), ACCEPTED);
     b.run_ms(1);
     assert_eq!(b.command, ControlCommand::MotorsOff);
@@ -159,13 +162,7 @@ fn a_return_from_near_home_climbs_no_higher_than_it_is_away_and_keeps_to_the_lar
         assert_eq!(b.go_to((north_m, 0.0), 491.0), ACCEPTED);
         b.run_ms(8_000);
         assert_eq!(b.set_mode(API, SCRIPT, 4, 5), ACCEPTED);
-        let set = message!(
-            PARAM_SET,
-            param_id = "MPC_XY_VEL_MAX".into(),
-            param_value = 1.0,
-            param_type = MavParamType::MAV_PARAM_TYPE_REAL32
-        );
-        b.tell(set);
+        b.set_parameter("MPC_XY_VEL_MAX", ParameterValue::Real32(1.0));
         let highest_m = b.most(60_000, Bench::height_m);
         assert!((highest_m - height_m).abs() < 0.4, "{north_m}: {highest_m}");
         let home_m = b.position_m()[0].abs();
@@ -242,7 +239,13 @@ fn home_can_be_moved_and_return_flies_there() {
     let home = home_of(&b);
     assert!((home.x - 8.0).abs() < 0.02 && (home.y + 6.0).abs() < 0.02, "{home:?}");
 
-    // The heights' reference and the local origin are what they were; here is home now.
+    // The heights' reference and the local origin are what they were, whoever sets another; here is home now.
+    for (latitude, texts) in [(473_977_420, 0), (470_000_000, 1)] {
+        b.sent.clear();
+        let (longitude, altitude) = (85_455_940, 488_000);
+        b.tell(message!(SET_GPS_GLOBAL_ORIGIN, latitude, longitude, altitude));
+        assert_eq!(b.texts().len(), texts, "{latitude}");
+    }
     let last_origin = b.last::<GPS_GLOBAL_ORIGIN_DATA>(API).map(|m| m.latitude);
     assert_eq!(last_origin, Some((origin.latitude_deg * 1e7).round() as i32));
     assert_eq!(b.ask(SET_HOME, &[1.0]), ACCEPTED);
@@ -354,5 +357,12 @@ fn a_go_to_without_a_place_stops_the_vehicle_where_it_is() {
     let went_m = b.position_m()[0] - told_at_m;
     assert!(went_m > 1.0 && back_m_s < 0.25, "it does not fly back: {back_m_s}");
     assert!(b.velocity_m_s().norm() < 0.2);
+    // MAVSDK casts a place of NaN to the smallest integers.
+    let (frame, cast) = (MavFrame::MAV_FRAME_GLOBAL, (f64::MIN, f64::MIN));
+    assert_eq!(b.reposition(frame, cast, nan, nan), ACCEPTED);
+    assert_eq!(b.reposition(frame, (95.0, 8.5), nan, nan), DENIED);
+    b.assert_said("no such latitude");
     assert_eq!(b.status().mode, FlightMode::Hold);
+    let (orbit, circle) = (MavCmd::MAV_CMD_DO_ORBIT, [5.0, 2.0, 0.0, 0.0]);
+    assert_eq!(b.command_at(orbit, circle, frame, cast, nan), ACCEPTED);
 }

@@ -12,9 +12,8 @@ fn square(command: u16, (north, east): (f32, f32), half_m: f32) -> Vec<crate::pl
 
 fn airborne(parameters: &[(&str, f64)]) -> Bench {
     let mut config = EndpointConfig::default();
-    config
-        .parameters
-        .extend(parameters.iter().map(|(name, value)| ((*name).to_owned(), *value)));
+    let parameters = parameters.iter().map(|(name, value)| ((*name).to_owned(), *value));
+    config.parameters.extend(parameters);
     let mut b = Bench::with(config);
     b.take_off();
     b.sent.clear();
@@ -96,10 +95,8 @@ fn distance_and_height_can_be_limited_without_a_plan() {
     fly_out(&mut b, [0.0, 0.0, -1.0]);
     // By the estimate, which is a few centimetres off.
     assert!((4.9..5.4).contains(&b.height_m()), "{}", b.height_m());
-    assert_eq!(
-        fence_status(&b).map(|s| s.breach_type),
-        Some(FenceBreach::FENCE_BREACH_MAXALT)
-    );
+    let breach = fence_status(&b).map(|s| s.breach_type);
+    assert_eq!(breach, Some(FenceBreach::FENCE_BREACH_MAXALT));
     let mut b = airborne(&[("GF_MAX_HOR_DIST", 6.0)]);
     fly_out(&mut b, [0.0, 1.5, 0.0]);
     assert!((6.0..6.4).contains(&b.position_m()[1]), "{:?}", b.position_m());

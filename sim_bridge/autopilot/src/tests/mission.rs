@@ -67,8 +67,11 @@ fn without_a_take_off_item_it_climbs_before_it_travels() {
     let mut b = Bench::new();
     // MAV_CMD_MISSION_START arms, too.
     let params = [0.0; 7];
-    assert_eq!(b.command_long(GCS, STATION, 300, params), DENIED, "no mission");
+    assert_eq!(b.command_long(GCS, STATION, 300, params), DENIED);
+    b.assert_said("mission denied: no mission");
     b.upload(MISSION, &[waypoint((10.0, 0.0), 5.0)]);
+    assert_eq!(b.ask(300, &[9.0]), DENIED);
+    b.assert_said("mission denied: there is no item 9");
     assert_eq!(b.command_long(GCS, STATION, 300, params), ACCEPTED);
     assert!(b.status().armed);
     b.run_until(15, "height", |b| b.height_m() > 4.5);

@@ -113,15 +113,13 @@ fn refused(message: &MavMessage) -> Vec<String> {
 /// As PX4 does, which takes them and cannot fly them.
 #[test]
 fn setpoints_that_leave_an_axis_out_keep_offboard_and_hold() {
+    let nan = local_setpoint(0x9C7, |m| m.vx = f32::NAN);
     for (message, reason) in [
         (local_setpoint(0xDF7, |m| m.vx = 1.0), "mask 0xdf7 lacks axes: held"),
         (local_setpoint(0xDFE, |m| m.x = 5.0), "mask 0xdfe lacks axes: held"),
         (local_setpoint(0xCBF, |m| m.afy = 1.0), "mask 0xcbf lacks axes: held"),
         // A NaN is an axis that is left out.
-        (
-            local_setpoint(0x9C7, |m| m.vx = f32::NAN),
-            "mask 0x9c7 lacks axes: held",
-        ),
+        (nan, "mask 0x9c7 lacks axes: held"),
     ] {
         let mut b = Bench::airborne();
         fly(&mut b, &local_setpoint(0x9C7, |m| m.vx = 1.0), 3_000);
@@ -142,6 +140,7 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
     use MavFrame::*;
     let in_frame = |frame| local_setpoint(0x5C7, |m| m.coordinate_frame = frame);
     let global = |frame| global_setpoint(frame, (0.0, 0.0), 0.0);
+    let place_in_body = local_setpoint(0x9F8, |m| m.coordinate_frame = MAV_FRAME_BODY_NED);
     let infinite = local_setpoint(0x9C7, |m| m.vy = f32::INFINITY);
     let actuators = message!(SET_ACTUATOR_CONTROL_TARGET, target_system = 1, target_component = 1);
     for (message, reason) in [
@@ -149,10 +148,7 @@ fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
         (in_frame(MAV_FRAME_BODY_OFFSET_NED), "frame 9 is not flown"),
         (in_frame(MAV_FRAME_GLOBAL_TERRAIN_ALT_INT), "frame 11 is not flown"),
         (in_frame(MAV_FRAME_BODY_FRD), "frame 12 is not flown"),
-        (
-            local_setpoint(0x9F8, |m| m.coordinate_frame = MAV_FRAME_BODY_NED),
-            "frame 8 has no positions",
-        ),
+        (place_in_body, "frame 8 has no positions"),
         (local_setpoint(0xBFF, |_| {}), "mask 0xbff is not flown"),
         (infinite, "vy is NaN or absurd"),
         (global(MAV_FRAME_LOCAL_NED), "frame 1 is not flown"),

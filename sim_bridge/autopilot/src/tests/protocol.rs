@@ -107,17 +107,34 @@ fn requests_are_answered_on_the_link_they_came_on() {
 #[test]
 fn set_mode_is_acknowledged_as_the_command_that_it_stands_for() {
     let mut b = Bench::airborne();
-    assert_eq!(b.set_mode_message(4, 4), REJECTED, "no mission");
-    for (main, sub) in [(4, 77), (4, 1), (3, 2), (8, 0)] {
-        assert_eq!(b.set_mode_message(main, sub), REJECTED, "{main} {sub}");
+    // There is no mission, which AUTO without a sub mode is too.
+    for (main, sub) in [(4, 4), (4, 0), (4, 77), (4, 1), (3, 2), (8, 0)] {
+        assert_eq!(b.set_mode_message(1, main, sub), REJECTED, "{main} {sub}");
     }
-    assert_eq!(
-        b.set_mode_message(4, 0),
-        REJECTED,
-        "AUTO is the mission, and there is none"
-    );
-    assert_eq!(b.set_mode_message(4, 6), ACCEPTED);
+    assert_eq!(b.set_mode_message(1, 4, 6), ACCEPTED);
     assert_eq!(b.status().mode, FlightMode::Land);
+}
+
+/// As PX4 reads and reports them: by HEARTBEAT's base mode older clients name the mode.
+#[test]
+fn a_base_mode_is_flown_as_by_px4_and_reported_by_the_sticks_that_it_needs() {
+    let mut b = Bench::new();
+    let modes = [
+        (4, FlightMode::Mission, 29),
+        (64, FlightMode::Manual, 81),
+        (64 + 16, FlightMode::Stabilized, 81),
+        (64 + 8, FlightMode::Position, 81),
+    ];
+    for (base, mode, reported) in modes {
+        assert_eq!(b.ask(176, &[f32::from(base)]), ACCEPTED);
+        assert_eq!((b.status().mode, b.heartbeat(API).base_mode.bits()), (mode, reported));
+        assert_eq!(b.set_mode(API, SCRIPT, 5, 0), ACCEPTED);
+        assert_eq!(b.heartbeat(API).base_mode.bits(), 65, "acro");
+        assert_eq!(b.set_mode_message(base, 0, 0), ACCEPTED);
+        assert_eq!(b.status().mode, mode);
+    }
+    assert_eq!(b.set_mode_message(0, 4, 6), REJECTED, "none");
+    b.assert_said("mode denied: not flown by this vehicle");
 }
 
 /// PX4 1.18: pauses and starts are mode changes, MISSION_SET_CURRENT chooses an item, ACTUATOR_TEST tries a motor, REQUEST_MESSAGE asks
@@ -294,6 +311,8 @@ fn a_calibration_is_reported_as_px4_does_and_one_that_needs_hands_is_refused() {
     assert_eq!(ask(&mut b, 0.0, 0.0, 1.0), REJECTED);
     assert_eq!(ask(&mut b, 1.0, 0.0, 0.0), ACCEPTED);
     assert_eq!(ask(&mut b, 0.0, 0.0, 0.0), ACCEPTED, "cancels");
+    let is_said = b.texts().iter().any(|text| text.contains("cancelled"));
+    assert!(!is_said, "who waits for the acknowledgement takes no text before it");
     b.run_ms(1_500);
     b.assert_said("[cal] calibration cancelled");
     b.sent.clear();
@@ -301,6 +320,8 @@ fn a_calibration_is_reported_as_px4_does_and_one_that_needs_hands_is_refused() {
     assert_eq!(b.command_at(calibrate, [0.0; 4], frame, (2e-7, 0.0), 0.0), ACCEPTED);
     b.assert_said("started: 2 level");
     assert_eq!(b.arm(), ACCEPTED);
+    b.run_ms(100);
+    b.assert_said("[cal] calibration failed: armed");
     assert_eq!(ask(&mut b, 1.0, 0.0, 0.0), REJECTED, "armed");
 }
 

@@ -215,11 +215,8 @@ fn every_command_of_the_dialect_as_a_mission_item_is_answered_with_extremes_in_e
 #[test]
 fn every_message_of_the_dialect_is_survived_with_extremes_in_every_field() {
     use vigil_mavlink::mavlink::Message;
-    let patterns: Vec<[u8; 4]> = EXTREMES
-        .iter()
-        .map(|extreme| extreme.to_le_bytes())
-        .chain(EXTREME_INTEGERS.iter().map(|integer| integer.to_le_bytes()))
-        .collect();
+    let integers = EXTREME_INTEGERS.map(i32::to_le_bytes);
+    let patterns = [&EXTREMES.map(f32::to_le_bytes)[..], &integers].concat();
     for id in (0..13_000).filter(|id| MavMessage::default_message_from_id(*id).is_some()) {
         let mut b = Bench::airborne();
         b.send_velocity(API, SCRIPT, [0.0; 3]);

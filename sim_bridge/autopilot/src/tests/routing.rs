@@ -3,11 +3,8 @@
 use crate::testing::*;
 
 fn forwarded(b: &Bench, link: LinkId) -> Vec<(ComponentId, MavMessage)> {
-    b.sent
-        .iter()
-        .filter(|s| s.link == link && (s.from.system, s.from.component) != (1, 1))
-        .filter_map(|s| Some((s.from, s.message.clone()?)))
-        .collect()
+    let others = b.sent.iter().filter(|s| s.link == link && s.from != VEHICLE);
+    others.filter_map(|s| Some((s.from, s.message.clone()?))).collect()
 }
 
 const ARM: MavCmd = MavCmd::MAV_CMD_COMPONENT_ARM_DISARM;

@@ -88,6 +88,15 @@ fn flight_information_has_the_times_of_the_flight() {
 }
 
 #[test]
+fn no_battery_fault_and_no_recovery_system_are_reported() {
+    let mut b = Bench::new();
+    assert!(request::<BATTERY_STATUS_DATA>(&mut b).fault_bitmask.is_empty());
+    let s = request::<SYS_STATUS_DATA>(&mut b);
+    let extended = s.onboard_control_sensors_present_extended | s.onboard_control_sensors_enabled_extended;
+    assert!((extended | s.onboard_control_sensors_health_extended).is_empty());
+}
+
+#[test]
 fn a_sensor_that_is_not_there_may_be_given_a_rate_and_never_sends() {
     let mut b = Bench::new();
     for id in [

@@ -151,9 +151,7 @@ mod tests {
         let direct = share(|p| p.control.velocity_law == VelocityLaw::Direct);
         let wandering = share(|p| p.sensors.wander_m[0] > 0.0);
         // Half of 500 each, within five standard deviations.
-        assert!(
-            direct.abs_diff(250) < 56 && wandering.abs_diff(250) < 56,
-            "{direct} {wandering}"
-        );
+        let is_half = |count: usize| count.abs_diff(250) < 56;
+        assert!(is_half(direct) && is_half(wandering), "{direct} {wandering}");
     }
 }

@@ -163,10 +163,8 @@ impl Vehicle {
     /// Drag in NED for this wind: linear along each body axis, quadratic along the airspeed.
     fn drag_ned_n(&self, wind_ned_m_s: &Vec3) -> Vec3 {
         let a = &self.params.airframe;
-        let airspeed = self
-            .body
-            .attitude
-            .inverse_transform_vector(&(self.body.velocity_ned_m_s - wind_ned_m_s));
+        let through_air = self.body.velocity_ned_m_s - wind_ned_m_s;
+        let airspeed = self.body.attitude.inverse_transform_vector(&through_air);
         let quadratic = a.drag_quadratic_n_s2_m2 * airspeed.norm();
         let drag = Vec3::from(a.drag_linear_n_s_m).map(|linear| -(linear + quadratic));
         self.body.attitude * drag.component_mul(&airspeed)

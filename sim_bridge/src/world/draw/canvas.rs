@@ -6,6 +6,7 @@ use core::ops::Range;
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
 use std::path::{Path, PathBuf};
+use vigil_types::files;
 
 /// Shapes are drawn this much larger in both directions and averaged.
 const OVERSAMPLING: usize = 3;
@@ -30,11 +31,8 @@ pub enum ImageError {
         source: png::EncodingError,
     },
     /// The file's name promises another format.
-    #[error("cannot write picture {}: pictures are PNG files; name it {}", path.display(), path.with_extension("png").display())]
-    Format {
-        /// The file.
-        path: PathBuf,
-    },
+    #[error("cannot write picture {}: pictures are PNG files; name it {}", .0.display(), .0.with_extension("png").display())]
+    Format(PathBuf),
 }
 
 /// Refuses a picture's file whose name promises another format than PNG, before the work is done.
@@ -43,7 +41,7 @@ pub enum ImageError {
 /// [`ImageError::Format`].
 pub fn check_png_name(path: &Path) -> Result<(), ImageError> {
     match path.extension() {
-        Some(extension) if !extension.eq_ignore_ascii_case("png") => Err(ImageError::Format { path: path.to_owned() }),
+        Some(extension) if !extension.eq_ignore_ascii_case("png") => Err(ImageError::Format(path.to_owned())),
         _ => Ok(()),
     }
 }
@@ -84,14 +82,7 @@ impl Image {
     /// [`ImageError`] names the file and what the system said.
     pub fn write_png(&self, path: &Path) -> Result<(), ImageError> {
         check_png_name(path)?;
-        let write = || {
-            let bytes = self.to_png()?;
-            Ok(vigil_types::files::replace(
-                path,
-                &bytes,
-                vigil_types::files::Access::Shared,
-            )?)
-        };
+        let write = || Ok(files::replace(path, &self.to_png()?, files::Access::Shared)?);
         write().map_err(|source| ImageError::Write {
             path: path.to_owned(),
             source,

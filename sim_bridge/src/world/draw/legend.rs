@@ -7,7 +7,7 @@ use super::{
 };
 use crate::world::course::Course;
 use crate::world::vehicle::VEHICLE;
-use embedded_graphics::mono_font::ascii::{FONT_8X13, FONT_10X20};
+use embedded_graphics::mono_font::iso_8859_1::{FONT_8X13, FONT_10X20};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::text::Alignment;
 

@@ -11,7 +11,7 @@ use crate::world::referee::Outcome;
 use crate::world::solid::Solid;
 use crate::world::vehicle::VEHICLE;
 use canvas::{Canvas, Layer, hex};
-use embedded_graphics::mono_font::ascii::{FONT_6X10, FONT_8X13};
+use embedded_graphics::mono_font::iso_8859_1::{FONT_6X10, FONT_8X13};
 use embedded_graphics::mono_font::{MonoFont, MonoTextStyle};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
@@ -498,6 +498,16 @@ mod tests {
         ] {
             assert!(svg.contains(part), "{part}");
         }
+    }
+
+    #[test]
+    fn letters_beyond_ascii_in_a_courses_name_are_drawn() {
+        let named = |name: &str| {
+            let mut course = with_columns(&[]);
+            course.name = name.to_owned();
+            draw(&course, &[])
+        };
+        assert_ne!(named("Gebäude"), named("Geb?ude"));
     }
 
     #[test]

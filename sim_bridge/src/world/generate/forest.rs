@@ -1,6 +1,6 @@
 //! The forest family: trees whose branches are thinner than the LiDAR's beams are apart, and trunks that lie about.
 
-use super::{Area, Builder, Obstacle, cm};
+use super::{Builder, Obstacle, cm};
 use crate::world::course::{BoxObstacle, Column};
 use crate::world::wire::Wire;
 use core::ops::Range;
@@ -17,7 +17,7 @@ pub(super) fn fill(b: &mut Builder) {
             tree(b, north_m, east_m)
         });
     }
-    let area = Area::new(3.0..19.0, -8.0..8.0);
+    let area = [3.0..19.0, -8.0..8.0];
     for _ in 0..b.rng.random_range(0..4) {
         let [north_m, east_m] = b.point(&area);
         let thickness_m = b.length(0.2..0.5);

@@ -19,7 +19,7 @@ const DOOR_OFFSET_M: Range<f32> = 3.0..7.0;
 const DOOR_EAST_M: f32 = 6.0;
 
 /// Where obstacles lie that no wall is.
-const AREA: Area = Area::new(3.0..18.0, -7.0..7.0);
+const AREA: Area = [3.0..18.0, -7.0..7.0];
 
 /// One of three layouts, each with doors, a pocket or columns in the straight way, and movers.
 pub(super) fn fill(b: &mut Builder) {

@@ -50,11 +50,8 @@ pub fn generate_long(family: Family, seed: u64, goal_north_m: f32) -> Option<Cou
     course.goal.north_m = goal_north_m;
     course.goal.east_m = cm(side * GOAL_OFFSET_M * share_aside);
     course.bounds.north_m[1] = goal_north_m + BEYOND_GOAL_M;
-    let [west_m, east_m] = &mut course.bounds.east_m;
-    (*west_m, *east_m) = (
-        *west_m + (side * GOAL_OFFSET_M).min(0.0),
-        *east_m + (side * GOAL_OFFSET_M).max(0.0),
-    );
+    course.bounds.east_m[0] += (side * GOAL_OFFSET_M).min(0.0);
+    course.bounds.east_m[1] += (side * GOAL_OFFSET_M).max(0.0);
     course.time_limit_s *= (goal_north_m / GOAL_DOWNRANGE_M).max(1.0);
     course.checkpoints.retain(|c| c.north_m < goal_north_m);
     finish(course)

@@ -66,7 +66,7 @@ fn training(b: &mut Builder) {
         }
     }
     let most_columns = b.pick(&[8, 16, 26]);
-    let area = Area::new(3.5..18.5, -8.0..8.0);
+    let area = [3.5..18.5, -8.0..8.0];
     for (kind, count) in [
         (Kind::Wall, 0..4),
         (Kind::Box, 0..6),
@@ -83,7 +83,7 @@ fn training(b: &mut Builder) {
 fn dense(b: &mut Builder) {
     b.gap_m = 1.8;
     lay_out(b);
-    let area = Area::new(3.0..18.5, -7.5..7.5);
+    let area = [3.0..18.5, -7.5..7.5];
     b.scatter(Kind::Wall, 2..5, &area);
     b.scatter(Kind::Box, 3..7, &area);
     b.scatter(Kind::Column, 20..40, &area);
@@ -98,7 +98,7 @@ fn lay_out(b: &mut Builder) {
         b.course.ceiling_height_m = Some(b.length(3.0..4.5));
     }
     // Every kind of obstacle occurs in every validation course, so these come before the layout fills the space.
-    let area = Area::new(4.0..17.5, -6.5..6.5);
+    let area = [4.0..17.5, -6.5..6.5];
     for kind in [Kind::Wall, Kind::Box, Kind::LowOverhang, Kind::Beam, Kind::Column] {
         b.scatter(kind, 1..2, &area);
     }
@@ -110,7 +110,7 @@ fn lay_out(b: &mut Builder) {
 fn thin_columns(b: &mut Builder) {
     b.block_line(Kind::Column, 0.25..0.5);
     b.block_line(Kind::Column, 0.6..0.8);
-    let area = Area::new(3.5..18.0, -6.5..6.5);
+    let area = [3.5..18.0, -6.5..6.5];
     b.scatter(Kind::Column, 18..28, &area);
 }
 
@@ -121,7 +121,7 @@ fn screens(b: &mut Builder) {
         let along = (k as f32 + 0.7) / (count as f32 + 0.4);
         b.block_line(Kind::Wall, along - 0.03..along + 0.03);
     }
-    let area = Area::new(3.5..18.0, -7.0..7.0);
+    let area = [3.5..18.0, -7.0..7.0];
     b.scatter(Kind::Wall, 2..5, &area);
     b.scatter(Kind::Column, 3..8, &area);
 }
@@ -130,7 +130,7 @@ fn screens(b: &mut Builder) {
 fn yard(b: &mut Builder) {
     b.block_line(Kind::Box, 0.3..0.5);
     b.block_line(Kind::LowOverhang, 0.6..0.8);
-    let area = Area::new(3.5..18.0, -7.0..7.0);
+    let area = [3.5..18.0, -7.0..7.0];
     b.scatter(Kind::Box, 5..9, &area);
     b.scatter(Kind::LowOverhang, 1..3, &area);
     b.scatter(Kind::LowBox, 1..3, &area);
@@ -212,17 +212,8 @@ fn wall(from_m: [f32; 2], to_m: [f32; 2], thickness_m: f32, height_m: f32) -> Ob
     })
 }
 
-/// Where obstacles' centres may lie.
-struct Area {
-    north_m: Range<f32>,
-    east_m: Range<f32>,
-}
-
-impl Area {
-    const fn new(north_m: Range<f32>, east_m: Range<f32>) -> Self {
-        Self { north_m, east_m }
-    }
-}
+/// Where obstacles' centres may lie, north and east.
+type Area = [Range<f32>; 2];
 
 struct Builder {
     rng: ChaCha8Rng,
@@ -317,7 +308,7 @@ impl Builder {
     }
 
     fn point(&mut self, area: &Area) -> [f32; 2] {
-        [self.length(area.north_m.clone()), self.length(area.east_m.clone())]
+        area.clone().map(|range| self.length(range))
     }
 
     /// A place near the straight line to the goal, north and east, at a drawn share of it, and a heading across it.

@@ -126,11 +126,7 @@ fn gap(tolerance_m: f32, here: f32, left: f32, right: f32, above: f32, below: f3
 fn project_ring(tolerance_m: f32, scale: f32, ring: usize, inverse: &Ranges, depth: &mut [f32; DEPTH_PIXELS]) {
     let rings = [ring.saturating_sub(1), ring, ring + 1, ring + 2].map(|ring| parts(inverse, ring));
     let rows = &mut depth[ring_row(ring) * DEPTH_COLS..][..2 * DEPTH_COLS];
-    let (measured, between) = rows.split_at_mut(DEPTH_COLS);
-    let (measured, between) = (
-        measured.as_chunks_mut::<TILE_FIRINGS>().0,
-        between.as_chunks_mut::<TILE_FIRINGS>().0,
-    );
+    let (measured, between) = rows.as_chunks_mut::<TILE_FIRINGS>().0.split_at_mut(PARTS);
     for (part, (measured, between)) in measured.iter_mut().zip(between).enumerate() {
         let [upper2, upper, lower, lower2] = rings.map(|ring| &ring[part]);
         if is_empty(upper) && is_empty(lower) {

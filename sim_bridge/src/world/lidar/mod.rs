@@ -24,8 +24,7 @@ use scene::Scene;
 use simd::Simd;
 use vigil_types::settings::{Outside, within};
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FRAME_TAG_BYTES, FrameHeader, FrdVector, Nanos,
-    NedVector, settings,
+    Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FrameHeader, FrdVector, Nanos, NedVector, settings,
 };
 
 settings! {
@@ -201,9 +200,7 @@ impl Lidar {
             cols: DEPTH_COLS as u16,
             position_ned_m: shot.estimated_position_ned_m,
             attitude: shot.estimated_attitude,
-            reserved: 0,
-            checksum: 0,
-            tag: [0; FRAME_TAG_BYTES],
+            ..FrameHeader::default()
         };
         frame.seal();
     }

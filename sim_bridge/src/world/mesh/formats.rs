@@ -13,6 +13,9 @@ pub(super) fn triangles(path: &Path, content: &[u8]) -> Result<(Vec<Triangle>, U
         .and_then(|e| e.to_str())
         .unwrap_or_default()
         .to_lowercase();
+    // Text may begin with a byte-order mark; what has a byte of 0 is no text.
+    let text = content.strip_prefix(b"\xef\xbb\xbf").filter(|text| !text.contains(&0));
+    let content = text.unwrap_or(content);
     let (found, up) = match ending.as_str() {
         "obj" => (of_obj(content), Up::Z),
         "stl" => (of_stl(content), Up::Z),
@@ -60,17 +63,30 @@ fn is_convex(corners: &[[f32; 3]]) -> bool {
     })
 }
 
+/// The corners and faces of a text as tobj reads them: without comments, and each on one line.
+fn faces(text: &str) -> String {
+    let (mut faces, mut goes_on) = (String::new(), false);
+    for line in text.lines() {
+        let line = line.split('#').next().unwrap_or_default().trim();
+        // Names and materials are not seen; a line of several points would be taken for a face.
+        if goes_on || matches!(line.split_whitespace().next(), Some("v" | "vt" | "vn" | "f")) {
+            let begun = line.strip_suffix('\\');
+            goes_on = begun.is_some();
+            faces += begun.unwrap_or(line);
+            faces.push(if goes_on { ' ' } else { '\n' });
+        }
+    }
+    faces
+}
+
 fn of_obj(content: &[u8]) -> Result<Vec<Triangle>, String> {
     let options = tobj::LoadOptions {
         ignore_points: true,
         ignore_lines: true,
         ..tobj::LoadOptions::default()
     };
-    // Names and comments are often not UTF-8. A line of several points would be taken for a face.
-    let text = String::from_utf8_lossy(content);
-    let lines = text.lines().filter(|line| line.split_whitespace().next() != Some("l"));
-    let text: String = lines.flat_map(|line| [line, "\n"]).collect();
-    // Materials are not seen.
+    // Names and comments are often not UTF-8.
+    let text = faces(&String::from_utf8_lossy(content));
     let (models, _) =
         tobj::load_obj_buf(&mut text.as_bytes(), &options, |_| Ok(Default::default())).map_err(|e| e.to_string())?;
     let mut all = Vec::new();
@@ -121,7 +137,11 @@ fn one_solid(content: &[u8]) -> Result<Option<String>, String> {
     let mut one = "solid all\n".to_owned();
     let begins_or_ends = |line: &&str| first_is(line, "solid") || first_is(line, "endsolid");
     for line in text.lines().filter(|line| !begins_or_ends(line)) {
-        one += &line.to_ascii_lowercase();
+        // The normal of a face without an area is often no number; none is used.
+        match first_is(line, "facet") {
+            true => one += "facet normal 0 0 0",
+            false => one += &line.to_ascii_lowercase(),
+        }
         one.push('\n');
     }
     Ok(Some(one + "endsolid all\n"))

@@ -7,7 +7,7 @@ mod surface;
 
 pub(crate) use surface::{Block, Boxes, Child, LANES, Surface, Within};
 
-use crate::world::check::{FieldProblem, angle, coordinate, problem, within};
+use crate::world::check::{FieldProblem, angle, check_fields, coordinate, problem, within};
 use crate::world::course::Bounds;
 use crate::world::solid::{UPRIGHT, radians};
 use crate::world::vehicle::VEHICLE;
@@ -17,9 +17,8 @@ use parry3d::shape::Cylinder;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use surface::Triangle;
-use vigil_types::NedVector;
-use vigil_types::settings;
 use vigil_types::settings::{free, named_setting, required};
+use vigil_types::{NedVector, settings};
 
 /// More triangles than this are not cast.
 pub const MAX_TRIANGLES: usize = 1_000_000;
@@ -74,6 +73,11 @@ pub struct MeshError {
     pub problem: String,
 }
 
+fn refused(path: &Path) -> impl FnOnce(String) -> MeshError {
+    let path = path.to_owned();
+    |problem| MeshError { path, problem }
+}
+
 impl Mesh {
     /// A surface of triangles that are no file's, NED metres from home, for a world in memory.
     ///
@@ -81,15 +85,13 @@ impl Mesh {
     /// As for a file.
     pub fn of_triangles(triangles: &[[NedVector; 3]]) -> Result<Self, MeshError> {
         let placed = triangles.iter().map(|t| t.map(|p| p.to_array())).collect();
-        let path = PathBuf::from("a mesh in memory");
-        match surface_of_mesh(placed) {
-            Ok(surface) => Ok(Self {
-                surface: Some(Arc::new(surface)),
-                file: path,
-                ..Self::default()
-            }),
-            Err(problem) => Err(MeshError { path, problem }),
-        }
+        let file = PathBuf::from("a mesh in memory");
+        let surface = Some(Arc::new(surface_of_mesh(placed).map_err(refused(&file))?));
+        Ok(Self {
+            surface,
+            file,
+            ..Self::default()
+        })
     }
 
     /// Reads the file, which is in `folder` where its name is not absolute.
@@ -98,11 +100,7 @@ impl Mesh {
     /// [`MeshError`] names the file and says what to do.
     pub fn read(&mut self, folder: &Path) -> Result<(), MeshError> {
         let path = folder.join(&self.file);
-        let surface = self.surface_of(&path).map_err(|problem| MeshError {
-            path: path.clone(),
-            problem,
-        })?;
-        self.surface = Some(Arc::new(surface));
+        self.surface = Some(Arc::new(self.surface_of(&path).map_err(refused(&path))?));
         self.file = std::path::absolute(&path).unwrap_or(path);
         Ok(())
     }
@@ -210,10 +208,8 @@ impl Mesh {
     pub(crate) fn check_values(&self, i: usize) -> Result<(), FieldProblem> {
         let expected = "the metres of the file's unit, from 1e-6 to 1000";
         within(&format!("mesh[{i}].unit_m"), self.unit_m, 1e-6..=1000.0, expected)?;
-        coordinate(&format!("mesh[{i}].north_m"), self.north_m)?;
-        coordinate(&format!("mesh[{i}].east_m"), self.east_m)?;
-        coordinate(&format!("mesh[{i}].height_m"), self.height_m)?;
-        angle(&format!("mesh[{i}].yaw_deg"), self.yaw_deg)
+        check_fields!(self, format!("mesh[{i}]"), coordinate: north_m east_m height_m, angle: yaw_deg);
+        Ok(())
     }
 }
 

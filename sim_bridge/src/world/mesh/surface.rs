@@ -35,7 +35,7 @@ impl core::fmt::Debug for Surface {
 }
 
 /// A node: boxes, and what is in them.
-#[derive(Clone, PartialEq)]
+#[derive(Clone, PartialEq, Default)]
 pub(crate) struct Boxes {
     /// By axis.
     pub(crate) centre_m: [[f32; LANES]; 3],
@@ -148,10 +148,8 @@ impl Surface {
         }
         let number = self.nodes.len();
         self.nodes.push(Boxes {
-            centre_m: [[0.0; LANES]; 3],
-            half_m: [[0.0; LANES]; 3],
-            child: [Child::default(); LANES],
             count: parts.len(),
+            ..Boxes::default()
         });
         for (lane, part) in parts.into_iter().enumerate() {
             let extent = box_of(part);

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
 use std::time::Instant;
-use vigil_adversary::{AttackConfig, AttackOutcome, Method, StateAttack};
+use vigil_adversary::{AttackConfig, AttackOutcome, EFFECTIVE_YAW, Method, StateAttack};
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
 use vigil_sim::world::Image;
@@ -99,9 +99,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
         .enumerate()
         .map(|(i, (method, epsilon_255, iterations))| {
             let changes = || attacked.iter().map(|row| f64::from(row[i].abs()));
-            let effective = changes()
-                .filter(|c| *c >= f64::from(vigil_adversary::EFFECTIVE_YAW))
-                .count();
+            let effective = changes().filter(|c| *c >= f64::from(EFFECTIVE_YAW)).count();
             Cell {
                 method,
                 epsilon_255,

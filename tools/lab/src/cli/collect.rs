@@ -3,7 +3,7 @@
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::cli::detector::Stage;
 use crate::cli::output::{self, Interrupt, Progress, say};
-use crate::detector_training::{BLOCK, Counts, Flights, LstmConfig, Record, Recorded, Scenario, fly};
+use crate::detector_training::{BLOCK, Counts, Flights, LstmConfig, Record, Recorded, Scenario, WEAK_YAW, fly};
 use anyhow::{Context, Result, ensure};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -19,6 +19,8 @@ const ARM: &str = "flights";
 /// First seeds of the flights to learn from, without an end, and below them of those that choose; on training courses.
 const LEARN_SEED: u64 = 3000;
 const CHOOSE_SEED: u64 = 1500;
+/// Flights without one attacked window after which none is expected any more.
+const FLIGHTS_IN_VAIN: usize = 240;
 
 /// Arguments of `vigil detector collect`.
 #[derive(Debug, Clone, clap::Args)]
@@ -74,32 +76,25 @@ impl Stage<'_> {
             (SetName::Choose, CHOOSE_SEED, args.windows / 5),
         ] {
             let path = self.lines(set).with_extension("safetensors");
-            let flights = match path.exists() {
-                true => {
-                    let kept = Flights::load(&path, &self.pilot)?;
-                    ensure!(
-                        Counts::of(&kept.records).reach(windows as usize),
-                        "{} holds fewer than {windows} windows of each class: remove it, or name another folder with -o",
-                        path.display()
-                    );
-                    kept
-                }
-                false => match self.gather(set, seed, windows, pool)? {
-                    Some(flights) => {
-                        flights.save(&path)?;
-                        // What it held is in the file just written.
-                        let _ = std::fs::remove_file(self.lines(set));
-                        flights
-                    }
-                    None => {
-                        let lines = self.lines(set);
-                        say!(
-                            "interrupted: what was flown is kept in {}; the same command goes on",
-                            lines.display()
-                        );
-                        return Ok(());
-                    }
-                },
+            let flights = if path.exists() {
+                let kept = Flights::load(&path, &self.pilot)?;
+                ensure!(
+                    Counts::of(&kept.records).reach(windows as usize),
+                    "{} holds fewer than {windows} windows of each class: remove it, or name another folder with -o",
+                    path.display()
+                );
+                kept
+            } else {
+                let lines = self.lines(set);
+                let Some(flights) = self.gather(set, seed, windows, pool)? else {
+                    let lines = lines.display();
+                    say!("interrupted: what was flown is kept in {lines}; the same command goes on");
+                    return Ok(());
+                };
+                flights.save(&path)?;
+                // What it held is in the file just written.
+                let _ = std::fs::remove_file(lines);
+                flights
             };
             let counts = Counts::of(&flights.records);
             let seed = flights.records.first().map_or(seed, |record| record.scenario.seed);
@@ -146,14 +141,15 @@ impl Stage<'_> {
                 return Ok(None);
             }
             for seed in (0..BLOCK).map(|i| jobs.first_seed.wrapping_add(i)) {
-                let record = unpacked(
-                    campaign.settings(),
-                    seed,
-                    campaign.flight(seed, 0).context("it was flown")?,
-                )?;
+                let packed = campaign.flight(seed, 0).context("it was flown")?;
+                let record = unpacked(campaign.settings(), seed, packed)?;
                 counts.add(&record);
                 records.push(record);
             }
+            ensure!(
+                counts.attacked > 0 || records.len() < FLIGHTS_IN_VAIN,
+                "no attack in {FLIGHTS_IN_VAIN} flights moved the yaw output by {WEAK_YAW}: a detector has nothing to learn from"
+            );
             jobs.first_seed += BLOCK;
             bar.set_message(format!("{} unattacked, {} flights", counts.unattacked, records.len()));
             bar.set_position(counts.attacked as u64);

@@ -15,7 +15,7 @@ use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, bail, ensure};
 use clap::builder::RangedU64ValueParser;
-use report::{curves_png, percent, roc_of_features, text};
+use report::{curves_png, percent, roc_figure, text};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -450,7 +450,8 @@ impl Stage<'_> {
             reports.push(report);
         }
         say!("{table}");
-        self.write_with_curves("ablate.json", &reports, (&roc_of_features(&reports), "ablate"))
+        let curves = roc_figure(reports.iter().map(|report| (report.feature.name(), report.roc.clone())));
+        self.write_with_curves("ablate.json", &reports, (&curves, "ablate"))
     }
 
     fn write_with_curves(&self, json: &str, report: &impl Serialize, (curves, name): (&Figure, &str)) -> Result<()> {

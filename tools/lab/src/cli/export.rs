@@ -1,6 +1,6 @@
 //! `vigil export`: an actor or an imported policy as a model of ONNX.
 
-use super::import::computed;
+use super::import::{check_not_over, computed};
 use crate::cli::output::{self, say};
 use anyhow::Result;
 use std::path::PathBuf;
@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use vigil_nnet::Purpose;
 use vigil_policy::FrozenPilot;
 use vigil_policy::actor::ActorSpec;
+use vigil_tools::flight_report::quoted;
 
 /// Arguments of `vigil export`.
 #[derive(Debug, Clone, clap::Args)]
@@ -37,6 +38,9 @@ pub struct ExportArgs {
 /// Writes the model.
 pub fn run(args: &ExportArgs) -> Result<ExitCode> {
     output::prepare(&args.output)?;
+    if let Some(actor) = &args.actor {
+        check_not_over(actor, &args.output)?;
+    }
     let pilot = FrozenPilot::load_or_built_in(args.actor.as_deref())?;
     let (model, split) = vigil_onnx::export(&pilot)?;
     let (graph, params) = match &pilot {
@@ -53,12 +57,12 @@ pub fn run(args: &ExportArgs) -> Result<ExitCode> {
         let other = split.filter(|_| policy.split != proposed);
         say!(
             "to import it     vigil import {} -o FILE --channels {} --depth {} --scale {} --output-scale {}{}",
-            args.output.display(),
+            quoted(&args.output.to_string_lossy()),
             inputs.order.name(),
             inputs.depth.name(),
             inputs.scale,
             inputs.output_scale,
-            other.map_or_else(String::new, |name| format!(" --split {name}"))
+            other.map_or_else(String::new, |name| format!(" --split {}", quoted(&name)))
         );
     }
     say!("written          {}", args.output.display());

@@ -59,9 +59,8 @@ pub(crate) struct PixelFrame {
 
 fn packed(pixels: &[u8]) -> String {
     let size = (DEPTH_COLS as u32, DEPTH_ROWS as u32);
-    BASE64.encode(png_bytes(size, pixels, |encoder| {
-        encoder.set_color(png::ColorType::Grayscale)
-    }))
+    let png = png_bytes(size, pixels, |encoder| encoder.set_color(png::ColorType::Grayscale));
+    BASE64.encode(png)
 }
 
 fn unpacked(text: &str) -> Result<Vec<u8>> {

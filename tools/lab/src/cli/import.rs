@@ -10,6 +10,8 @@ use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_onnx::{Adapter, Flat};
 use vigil_policy::FrozenPolicy;
 use vigil_policy::imported::{Channels, Depth};
+use vigil_tools::cli::replay;
+use vigil_tools::flight_report::quoted;
 use vigil_types::STEP_S;
 
 /// What the network files of this project may have as well.
@@ -92,6 +94,7 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         );
     }
     output::prepare(&args.output)?;
+    check_not_over(&args.model, &args.output)?;
     let name = args.model.display().to_string();
     let bytes = vigil_types::files::read(&args.model, SIZE_LIMIT).with_context(|| format!("cannot read {name}"))?;
     let adapter = Adapter {
@@ -122,6 +125,15 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         say!("{}", serde_json::to_string(&output)?);
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Whether what is made of a policy goes elsewhere than into the policy itself.
+///
+/// # Errors
+/// `to` is the policy, by whatever name.
+pub fn check_not_over(policy: &Path, to: &Path) -> Result<()> {
+    let itself = || format!("{} is the policy itself: give another name", to.display());
+    replay::check_not_over(policy, to).ok().with_context(itself)
 }
 
 /// Says what the policy is, what it costs, and where it was written.
@@ -155,7 +167,7 @@ fn describe(policy: &FrozenPolicy, graph: &Graph, longest: Duration, file: &Path
         Some(_) => say!(
             "split point      {} values; `vigil detector collect --actor {}` begins to train its detector",
             policy.head()?.width,
-            file.display()
+            quoted(&file.to_string_lossy())
         ),
         None => say!(
             "split point      none: no layer of 8 to 512 values stands between all of the frame and the action, so no detector can \

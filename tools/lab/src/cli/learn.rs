@@ -78,14 +78,11 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
         put!("{}", config.to_toml());
         return Ok(ExitCode::SUCCESS);
     }
-    let encoder = match &args.encoder_of {
-        Some(path) => {
-            let mut params = FrozenActor::load(path)?.params;
-            params.truncate(ActorSpec::FULL.encoder_len());
-            Some(params)
-        }
-        None => None,
-    };
+    let whole = args.encoder_of.as_deref().map(FrozenActor::load).transpose()?;
+    let encoder = whole.map(|mut actor| {
+        actor.params.truncate(ActorSpec::FULL.encoder_len());
+        actor.params
+    });
     let interrupt = Interrupt::on_ctrl_c()?;
     let options = LearnOptions {
         folder: args.output.clone(),
@@ -142,8 +139,9 @@ fn completion(count: &FamilyCount) -> String {
 fn line(row: &Row, all: u64) -> String {
     let share = |c: &FamilyCount| format!(", {} {:.1} %", c.family, 100.0 * c.completion());
     let evaluated: String = row.evaluated.iter().map(share).collect();
+    let reward = row.reward(1).unwrap_or_else(|| "-".to_owned());
     format!(
-        "{:>6} of {all} updates, {:.0} s: {} of {} training flights at the goal, reward {:.1}, critic {:.3}, value {:.2}{evaluated}",
-        row.updates, row.elapsed_s, row.successes, row.flights, row.reward, row.update.critic_loss, row.update.value
+        "{:>6} of {all} updates, {:.0} s: {} of {} training flights at the goal, reward {reward}, critic {:.3}, value {:.2}{evaluated}",
+        row.updates, row.elapsed_s, row.successes, row.flights, row.update.critic_loss, row.update.value
     )
 }

@@ -5,6 +5,7 @@ use crate::report::{Figure, Panel, Picture, Series, from_csv};
 use crate::trainer::evaluation::FamilyCount;
 use crate::trainer::run::LearnResult;
 use anyhow::{Context, Result, ensure};
+use std::collections::HashSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -108,6 +109,9 @@ fn folders(given: &[PathBuf]) -> Result<Vec<PathBuf>> {
         inner.sort();
         all.append(&mut inner);
     }
+    // A run that is named twice is one all the same.
+    let mut seen = HashSet::new();
+    all.retain(|folder| folder.canonicalize().map_or(true, |path| seen.insert(path)));
     Ok(all)
 }
 
@@ -288,6 +292,7 @@ mod tests {
         std::fs::write(folder.join("flights.csv"), flights).unwrap();
         let tests = [count("training", 40), count("validation", 39)].join(", ");
         std::fs::write(folder.join("result.json"), result(&tests)).unwrap();
+        assert_eq!(folders(&[folder.join("."), folder.into()]).unwrap().len(), 1);
         let run = read(folder).unwrap();
         assert_eq!(own(&run, |f| f.reward), [24.6]);
         let (name, runs) = ("DDPG-APF", vec![run]);

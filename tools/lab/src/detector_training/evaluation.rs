@@ -450,16 +450,11 @@ mod tests {
 
     #[test]
     fn a_report_counts_each_kind_of_window_apart() {
-        let set = |name: &str, role| Set {
-            name: name.to_owned(),
+        let sets = [Role::Unattacked, Role::Paper, Role::Control].map(|role| Set {
+            name: format!("{role:?}"),
             role,
             scenarios: Vec::new(),
-        };
-        let sets = [
-            set("quiet", Role::Unattacked),
-            set("paper", Role::Paper),
-            set("noise", Role::Control),
-        ];
+        });
         let records = [
             vec![record("....................")],
             vec![record("..........aaww......")],

@@ -47,13 +47,6 @@ impl Default for LstmConfig {
     }
 }
 
-impl LstmConfig {
-    /// As TOML.
-    pub fn to_toml(&self) -> String {
-        toml::to_string(self).unwrap_or_else(|e| unreachable!("plain numbers: {e}"))
-    }
-}
-
 /// Windows of normalised rows: of each the flight, the newest step, whether it was attacked.
 struct Windows<'a>(&'a Rows, Vec<(usize, usize, bool)>);
 
@@ -202,7 +195,7 @@ impl WindowScorer {
                 "raises no alarm in the unattacked windows of the flights that choose; 0.5 to {HIGHEST_THRESHOLD}"
             ),
             params: self.fitted.params.clone(),
-            training_config: config.to_toml(),
+            training_config: toml::to_string(config).unwrap_or_else(|e| unreachable!("plain numbers: {e}")),
             seed: config.fit.seed,
             git_commit,
         }

@@ -15,10 +15,10 @@ pub(crate) use comparison::{ImageNetwork, TableRow, image_fit, lstm_scores, pca_
 pub(crate) use evaluation::{EvaluationSize, Report, Role, Set, SetReport, evaluate, fly_all, sets};
 pub use features::Feature;
 pub use fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
-pub(crate) use flight_files::{BLOCK, Recorded};
+pub(crate) use flight_files::{BLOCK, Recorded, WEAK_YAW};
 pub use flight_files::{Counts, Flights};
 pub(crate) use lstm::train_steps;
 pub use lstm::{LstmConfig, WindowScorer, train};
-pub(crate) use metrics::{Proportion, Separation, auc, true_positives_at};
+pub(crate) use metrics::{Proportion, auc, true_positives_at};
 pub(crate) use pixels::{States, gather_states};
 pub(crate) use times::time;

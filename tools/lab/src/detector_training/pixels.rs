@@ -153,10 +153,8 @@ pub fn gather_states(
             *left < count
         });
     }
-    let flights = Flights {
-        actor_sha256: actor.sha256(),
-        records,
-    };
+    let actor_sha256 = actor.sha256();
+    let flights = Flights { actor_sha256, records };
     let backgrounds = Some(backgrounds as u32);
     let states = States {
         flights,

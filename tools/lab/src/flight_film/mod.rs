@@ -330,15 +330,16 @@ impl Scene {
         let place = |s: &StepSeen| s.position_ned_m().map(|p| self.at(p.x, p.y));
         // What was flown so far: wide below where frames were altered, in the colour of who flew above.
         let flown = &log.steps[first..=now];
-        for pair in flown.windows(2).filter(|pair| log.is_altered(&pair[1])) {
-            if let (Some(a), Some(b)) = (place(&pair[0]), place(&pair[1])) {
-                canvas.line(a, b, 9.0, Colour::ATTACK_PALE);
-            }
+        let ways = || {
+            flown
+                .windows(2)
+                .filter_map(|pair| Some((place(&pair[0])?, place(&pair[1])?, &pair[1])))
+        };
+        for (a, b, _) in ways().filter(|(.., step)| log.is_altered(step)) {
+            canvas.line(a, b, 9.0, Colour::ATTACK_PALE);
         }
-        for pair in flown.windows(2) {
-            if let (Some(a), Some(b)) = (place(&pair[0]), place(&pair[1])) {
-                canvas.line(a, b, 3.0, Self::colour(log.who(&pair[1].report)));
-            }
+        for (a, b, step) in ways() {
+            canvas.line(a, b, 3.0, Self::colour(log.who(&step.report)));
         }
         for alarm in self.alarms.iter().filter(|i| (first..=now).contains(*i)) {
             if let Some(centre) = log.steps.get(*alarm).and_then(place) {

@@ -33,36 +33,29 @@ impl Colour {
     pub const LEFT: u8 = 28;
 }
 
-/// Red, green, blue of each number: safe for the colour-blind.
+/// The colours up to the greys, red, green, blue: safe for the colour-blind.
+const FLAT: [u32; 16] = [
+    0xffffff, 0x1b1f24, 0x5b6570, 0xcdd3da, 0xb9c1ca, 0x0072b2, 0xe69f00, 0x8a5aa8, 0xd55e00, 0xf7d6be, 0x008262,
+    0xeceff2, 0x000000, 0xd4dae0, 0x949eaa, 0xf3f5f7,
+];
+
+/// Red, green, blue of each number.
 pub const PALETTE: [[u8; 3]; 32] = {
     let mut palette = [[0; 3]; 32];
-    palette[0] = [255, 255, 255];
-    palette[1] = [27, 31, 36];
-    palette[2] = [91, 101, 112];
-    palette[3] = [205, 211, 218];
-    palette[4] = [185, 193, 202];
-    palette[5] = [0, 114, 178];
-    palette[6] = [230, 159, 0];
-    palette[7] = [138, 90, 168];
-    palette[8] = [213, 94, 0];
-    palette[9] = [247, 214, 190];
-    palette[10] = [0, 130, 98];
-    palette[11] = [236, 239, 242];
-    palette[13] = [212, 218, 224];
-    palette[14] = [148, 158, 170];
-    palette[15] = [243, 245, 247];
-    let mut strength = 0;
-    while strength < 4 {
+    let mut number = 0;
+    while number < palette.len() {
         // From dark, on which they lie, to bright.
-        let share = strength + 1;
-        palette[24 + strength] = [(63 * share) as u8, (40 * share) as u8, 0];
-        palette[28 + strength] = [0, (35 * share) as u8, (62 * share) as u8];
-        strength += 1;
-    }
-    let mut grey = 0;
-    while grey < 8 {
-        palette[16 + grey] = [(grey * 36) as u8; 3];
-        grey += 1;
+        let share = number as u8 % 4 + 1;
+        palette[number] = match number {
+            0..16 => {
+                let [_, red, green, blue] = FLAT[number].to_be_bytes();
+                [red, green, blue]
+            }
+            16..24 => [36 * (number as u8 - 16); 3],
+            24..28 => [63 * share, 40 * share, 0],
+            _ => [0, 35 * share, 62 * share],
+        };
+        number += 1;
     }
     palette
 };

@@ -97,19 +97,11 @@ impl ActorNet {
         self.trunk
             .forward(isa, &params[..at.start], &self.first_half, &mut self.tape)?;
         let mut low = vec![0.0; self.rows * LOW_UNITS];
-        layer.forward(
-            isa,
-            &params[at.clone()],
-            Activation::TANH,
-            &self.low_dim,
-            None,
-            &mut low,
-        )?;
+        let own = &params[at.clone()];
+        layer.forward(isa, own, Activation::TANH, &self.low_dim, None, &mut low)?;
         let states = self.tape.out.chunks_exact(ACTOR_HIDDEN);
-        for (joined, (state, low)) in self.x[0]
-            .chunks_exact_mut(JOINED)
-            .zip(states.zip(low.chunks_exact(LOW_UNITS)))
-        {
+        let parts = states.zip(low.chunks_exact(LOW_UNITS));
+        for (joined, (state, low)) in self.x[0].chunks_exact_mut(JOINED).zip(parts) {
             joined[..ACTOR_HIDDEN].copy_from_slice(state);
             joined[ACTOR_HIDDEN..].copy_from_slice(low);
             Activation::TANH.apply_in_place(isa, &mut joined[..ACTOR_HIDDEN]);
@@ -146,24 +138,16 @@ impl ActorNet {
         }
         let mut d_low = Vec::with_capacity(rows * LOW_UNITS);
         let d_state = &mut self.d_state[..rows * ACTOR_HIDDEN];
-        for (d_joined, d_state) in self.d_x[0]
-            .chunks_exact(JOINED)
-            .zip(d_state.chunks_exact_mut(ACTOR_HIDDEN))
-        {
+        let d_states = d_state.chunks_exact_mut(ACTOR_HIDDEN);
+        for (d_joined, d_state) in self.d_x[0].chunks_exact(JOINED).zip(d_states) {
             d_state.copy_from_slice(&d_joined[..ACTOR_HIDDEN]);
             d_low.extend_from_slice(&d_joined[ACTOR_HIDDEN..]);
         }
         let (low, at) = &self.low;
         low.weight_gradient(isa, &self.low_dim, &d_low, &mut d_params[at.clone()])?;
-        self.trunk.backward(
-            isa,
-            &params[..at.start],
-            &self.first_half,
-            &mut self.tape,
-            d_state,
-            Some(&mut d_params[..at.start]),
-            None,
-        )
+        let (own, x, tape) = (&params[..at.start], &self.first_half, &mut self.tape);
+        let d_own = Some(&mut d_params[..at.start]);
+        self.trunk.backward(isa, own, x, tape, d_state, d_own, None)
     }
 }
 

@@ -88,51 +88,46 @@ fn samples(frozen: &FrozenActor, isa: Isa, what: &EvaluationSpec, seed: u64) -> 
     // In each step the places of the surfaces seen, north and east.
     let mut seen: Vec<Vec<(f32, f32)>> = Vec::new();
     let mut samples = Vec::new();
-    fly(
-        EvaluatedActor::Actor(frozen),
-        isa,
-        what,
-        seed,
-        |actor, input, position_ned_m| {
-            twin.decide(input)?;
-            let (sin, cos) = input.attitude.yaw_rad().sin_cos();
-            let places = actor.scan().iter().enumerate().map(|(column, near)| {
-                let (right, forward) = scan_bearing_rad(column).sin_cos();
-                let range_m = range_m(*near);
-                let (forward_m, right_m) = (range_m * forward, range_m * right);
-                (
-                    position_ned_m.x + cos * forward_m - sin * right_m,
-                    position_ned_m.y + sin * forward_m + cos * right_m,
-                )
+    let pilot = EvaluatedActor::Actor(frozen);
+    fly(pilot, isa, what, seed, |actor, input, position_ned_m| {
+        twin.decide(input)?;
+        let (sin, cos) = input.attitude.yaw_rad().sin_cos();
+        let places = actor.scan().iter().enumerate().map(|(column, near)| {
+            let (right, forward) = scan_bearing_rad(column).sin_cos();
+            let range_m = range_m(*near);
+            let (forward_m, right_m) = (range_m * forward, range_m * right);
+            (
+                position_ned_m.x + cos * forward_m - sin * right_m,
+                position_ned_m.y + sin * forward_m + cos * right_m,
+            )
+        });
+        seen.push(places.collect());
+        if seen.len().is_multiple_of(EVERY) {
+            let of = |lag_s: &usize| {
+                let at = seen.len().checked_sub(1 + lag_s * STEPS_PER_S)?;
+                let mut nearest = [0.0_f32; SECTORS];
+                let then = &seen[at.saturating_sub(WITHIN)..=at + WITHIN];
+                for (north_m, east_m) in then.iter().flatten() {
+                    let (north, east) = (north_m - position_ned_m.x, east_m - position_ned_m.y);
+                    let bearing_rad = (cos * east - sin * north).atan2(cos * north + sin * east);
+                    let sector = ((bearing_rad + PI) / FRAC_PI_3) as usize;
+                    // Of the six those ahead, the third and the fourth, are in view.
+                    let at = match sector {
+                        0 | 1 => sector,
+                        4 | 5 => sector - 2,
+                        _ => continue,
+                    };
+                    nearest[at] = nearest[at].max(proximity(north.hypot(east)));
+                }
+                Some(nearest)
+            };
+            samples.push(Sample {
+                sources: [actor.state().to_vec(), twin.state().to_vec(), actor.scan().to_vec()],
+                seen: LAGS_S.each_ref().map(of),
             });
-            seen.push(places.collect());
-            if seen.len().is_multiple_of(EVERY) {
-                let of = |lag_s: &usize| {
-                    let at = seen.len().checked_sub(1 + lag_s * STEPS_PER_S)?;
-                    let mut nearest = [0.0_f32; SECTORS];
-                    let then = &seen[at.saturating_sub(WITHIN)..=at + WITHIN];
-                    for (north_m, east_m) in then.iter().flatten() {
-                        let (north, east) = (north_m - position_ned_m.x, east_m - position_ned_m.y);
-                        let bearing_rad = (cos * east - sin * north).atan2(cos * north + sin * east);
-                        let sector = ((bearing_rad + PI) / FRAC_PI_3) as usize;
-                        // Of the six those ahead, the third and the fourth, are in view.
-                        let at = match sector {
-                            0 | 1 => sector,
-                            4 | 5 => sector - 2,
-                            _ => continue,
-                        };
-                        nearest[at] = nearest[at].max(proximity(north.hypot(east)));
-                    }
-                    Some(nearest)
-                };
-                samples.push(Sample {
-                    sources: [actor.state().to_vec(), twin.state().to_vec(), actor.scan().to_vec()],
-                    seen: LAGS_S.each_ref().map(of),
-                });
-            }
-            Ok(())
-        },
-    )?;
+        }
+        Ok(())
+    })?;
     Ok(samples)
 }
 
@@ -160,11 +155,8 @@ fn r_squared(fitted: &[(&[f32], [f32; SECTORS])], tried: &[(&[f32], [f32; SECTOR
         .context("the normal equations are singular")?
         .solve(&x.tr_mul(&y));
     let mean = y.row_mean();
-    let off = |values: DMatrix<f64>| values.norm_squared();
-    let all = off(DMatrix::from_fn(y_tried.nrows(), SECTORS, |i, j| {
-        y_tried[(i, j)] - mean[j]
-    }));
-    Ok(1.0 - off(y_tried - x_tried * weights) / all)
+    let off = DMatrix::from_fn(y_tried.nrows(), SECTORS, |i, j| y_tried[(i, j)] - mean[j]);
+    Ok(1.0 - (y_tried - x_tried * weights).norm_squared() / off.norm_squared())
 }
 
 #[cfg(test)]

@@ -190,11 +190,8 @@ impl Replay {
                 return Vec::new();
             };
             let (priority, total) = (self.tree.get(leaf), self.tree.total());
-            weights.push(
-                (held * priority / total)
-                    .max(f64::MIN_POSITIVE)
-                    .powf(-self.config.replay.beta),
-            );
+            let share = (held * priority / total).max(f64::MIN_POSITIVE);
+            weights.push(share.powf(-self.config.replay.beta));
             batch.push(self.step(leaf, self.config.learning.mirror && rng.random_bool(0.5)));
         }
         let largest = weights.iter().copied().fold(0.0, f64::max);

@@ -48,7 +48,7 @@ pub struct LearnOptions {
 }
 
 /// One row of the curve.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Updates so far.
     pub updates: u64,
@@ -66,6 +66,13 @@ pub struct Row {
     pub update: UpdateReport,
     /// Evaluation flights, if there were any at this row.
     pub evaluated: Vec<FamilyCount>,
+}
+
+impl Row {
+    /// The mean sum of rewards, if a flight ended, with as many digits.
+    pub fn reward(&self, digits: usize) -> Option<String> {
+        (self.flights > 0).then(|| format!("{:.digits$}", self.reward))
+    }
 }
 
 /// An actor that may be chosen.
@@ -260,12 +267,8 @@ impl<'a> Run<'a> {
             .collect::<Result<Vec<[f32; OBSERVATION]>>>()?;
         let mut pre = vec![0.0; 2 * self.workers.len()];
         if !warm_up {
-            self.deciding.forward(
-                self.isa,
-                &self.learner.actor.params,
-                observations.as_flattened(),
-                &mut pre,
-            )?;
+            let (params, rows) = (&self.learner.actor.params, observations.as_flattened());
+            self.deciding.forward(self.isa, params, rows, &mut pre)?;
         }
         let sigma = self.sigma();
         let ended = self
@@ -466,8 +469,8 @@ pub fn csv(rows: &[Row]) -> String {
         };
         let evaluated: String = families.iter().map(completion).collect();
         let (updates, decisions, elapsed_s) = (r.updates, r.decisions, r.elapsed_s);
-        let (flights, successes, reward) = (r.flights, r.successes, r.reward);
-        text += &format!("{updates},{decisions},{elapsed_s:.1},{flights},{successes},{reward:.4}");
+        let (flights, successes, reward) = (r.flights, r.successes, r.reward(4).unwrap_or_default());
+        text += &format!("{updates},{decisions},{elapsed_s:.1},{flights},{successes},{reward}");
         let (loss, value, saturated, critic, actor) =
             (u.critic_loss, u.value, u.saturated, u.critic_norm, u.actor_norm);
         text += &format!(",{loss:.5},{value:.4},{saturated:.4},{critic:.4},{actor:.5}{evaluated}\n");

@@ -74,10 +74,8 @@ impl Stored {
         let read = Self { path, bytes };
         let file = SafeTensors::deserialize(&read.bytes).map_err(|e| read.none(e))?;
         let (_, header) = SafeTensors::read_metadata(&read.bytes).map_err(|e| read.none(e))?;
-        let entries = header.metadata().as_ref();
-        let expected = entries
-            .and_then(|entries| entries.get(DIGEST).cloned())
-            .unwrap_or_default();
+        let expected = header.metadata().as_ref().and_then(|entries| entries.get(DIGEST));
+        let expected = expected.map_or("", String::as_str);
         let found = digest(&file.tensors());
         ensure!(
             found == expected,

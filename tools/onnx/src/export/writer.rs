@@ -404,11 +404,7 @@ impl<'a> Writer<'a> {
     }
 
     fn slice(&mut self, x: &str, from: usize, len: usize) -> String {
-        let (start, end, axis) = (
-            self.whole_numbers(&[from]),
-            self.whole_numbers(&[from + len]),
-            self.whole_numbers(&[1]),
-        );
+        let [start, end, axis] = [from, from + len, 1].map(|number| self.whole_numbers(&[number]));
         self.node("Slice", &[x, &start, &end, &axis], Vec::new())
     }
 

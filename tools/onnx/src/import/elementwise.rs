@@ -286,8 +286,8 @@ impl Importer<'_> {
             Some(both) => (x, both),
             // What stands in several places of the tensor has a factor for each.
             None => {
-                let layer = self.arranged(x)?;
                 len = x.places.len();
+                let layer = self.arranged_as(x, &identity(len))?;
                 own = Live::of(layer, x.shape.clone(), identity(len)).shared();
                 (&own, (factors.to_vec(), summands.to_vec()))
             }
@@ -313,10 +313,8 @@ impl Importer<'_> {
                     row.iter_mut().zip(&factor).for_each(|(value, factor)| *value *= factor);
                 }
                 let bias = params.len() - outputs;
-                params[bias..]
-                    .iter_mut()
-                    .zip(&summand)
-                    .for_each(|(value, s)| *value += s);
+                let biases = params[bias..].iter_mut().zip(&summand);
+                biases.for_each(|(value, summand)| *value += summand);
                 return Ok(result(x.layer));
             }
             let all = factor.first().copied().unwrap_or(0.0);

@@ -96,9 +96,8 @@ impl<'a> Importer<'a> {
             let is_bound = importer.bounds.contains(tensor.name.as_str());
             let constant = Constant::of(tensor).and_then(|constant| constant.checked(is_bound));
             let constant = constant.map_err(|e| format!("the tensor `{}`: {e}", tensor.name))?;
-            importer
-                .tensors
-                .insert(&tensor.name, Value::Constant(Rc::new(constant)));
+            let value = Value::Constant(Rc::new(constant));
+            importer.tensors.insert(&tensor.name, value);
         }
         let nodes = graph.node.iter().zip(&needed.nodes).filter(|(_, needed)| **needed);
         let read = nodes.flat_map(|(node, _)| node.input.iter().map(String::as_str));

@@ -37,7 +37,8 @@ impl<'a> Importer<'a> {
             let len = len_of(&shape)?;
             let places = match *shape.as_slice() {
                 [1, a, b, c] if found.is_none() => {
-                    let channels_last = is_channels_last(graph, needed, &info.name).unwrap_or(c < a);
+                    // A single channel may be reshaped instead of transposed; an image of width 1 is none.
+                    let channels_last = c == 1 && a > 1 || is_channels_last(graph, needed, &info.name).unwrap_or(c < a);
                     let (rows, cols, channels) = if channels_last { (a, b, c) } else { (b, c, a) };
                     found = Some(([rows, cols, channels], number));
                     match channels_last {

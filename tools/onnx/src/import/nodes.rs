@@ -135,16 +135,9 @@ impl<'a> Importer<'a> {
             }
             _ => {}
         }
-        let constant = fold::fold(operator, &given)?;
-        match &constant {
-            Some(Constant {
-                data: Data::Real(values),
-                ..
-            }) if !values.iter().all(|value| value.is_finite()) => {
-                Err("what it makes of constants is not finite".to_owned())
-            }
-            _ => Ok(constant),
-        }
+        let constant = fold::fold(operator, &given)?.map(|constant| constant.checked(false));
+        let finite = constant.transpose();
+        finite.map_err(|_| "what it makes of constants is not finite".to_owned())
     }
 
     /// Along which axes a reduction goes, and the shape that it leaves.

@@ -1,6 +1,6 @@
 //! Operators that only move values: which value of a layer stands where.
 
-use super::importer::{Importer, Live, Settings, Value, identity, positive, shape_of};
+use super::importer::{Importer, Live, Settings, Value, positive, shape_of};
 use crate::constant::{Constant, len_of};
 use crate::fold;
 use crate::movement::{Moved, axis, reshape, take, transpose};
@@ -29,11 +29,6 @@ impl<'a> Importer<'a> {
         Ok(Live::of(layer, live.shape.clone(), Rc::new(places)))
     }
 
-    /// The values in the tensor's order as a layer of their own.
-    pub(super) fn arranged(&mut self, x: &Live) -> Result<usize, String> {
-        self.arranged_as(x, &identity(x.places.len()))
-    }
-
     /// A layer of the values, each at the place that `order` has for it; `order` has each place once.
     pub(super) fn arranged_as(&mut self, x: &Live, order: &[u32]) -> Result<usize, String> {
         let x = self.narrowed(x)?;
@@ -43,8 +38,8 @@ impl<'a> Importer<'a> {
         }
         if own.saturating_mul(n) > MOST_REARRANGED {
             return Err(format!(
-                "{n} values that were put in another order before are met by others; as many as {} can be put back",
-                MOST_REARRANGED.isqrt()
+                "{n} of a layer's {own} values, put in another order before, are met by others: {own} × {n} is more than \
+                 {MOST_REARRANGED}"
             ));
         }
         let mut params = vec![0.0; (own + 1) * n];

@@ -97,9 +97,8 @@ impl Importer<'_> {
         let x = self.live(node, 0)?;
         match *x.shape.as_slice() {
             [1, channels, rows, cols] => Ok((x, [channels, rows, cols])),
-            _ => Err(format!(
-                "an input of shape {:?} instead of [1, channels, rows, columns]",
-                x.shape
+            ref shape => Err(format!(
+                "an input of shape {shape:?} instead of [1, channels, rows, columns]"
             )),
         }
     }
@@ -173,9 +172,9 @@ impl Importer<'_> {
         };
         let groups = positive(settings.whole("group", 1), "group")?;
         if depth.checked_mul(groups) != Some(channels) || !filters.is_multiple_of(groups) {
+            let shape = &w.shape;
             return Err(format!(
-                "weights of shape {:?} in {groups} groups for {channels} channels",
-                w.shape
+                "weights of shape {shape:?} in {groups} groups for {channels} channels"
             ));
         }
         if height != width || height == 0 {
@@ -218,11 +217,8 @@ impl Importer<'_> {
             _ => true,
         };
         let layer = MaxPool2d::tiles(rows, cols, channels, 1);
-        let layer = match whole
-            && settings
-                .list("pads")
-                .is_none_or(|pads| pads.iter().all(|pad| *pad == 0))
-        {
+        let pads = settings.list("pads").unwrap_or_default();
+        let layer = match whole && pads.iter().all(|pad| *pad == 0) {
             true => MaxPool2d {
                 window: [rows, cols],
                 ..layer
@@ -331,10 +327,9 @@ impl Importer<'_> {
         if width == n {
             let ordered: Vec<f32> = params.clone();
             for (half, values) in params.chunks_exact_mut(n).zip(ordered.chunks_exact(n)) {
-                places
-                    .iter()
-                    .zip(values)
-                    .for_each(|(place, value)| half[*place as usize] = *value);
+                for (place, value) in places.iter().zip(values) {
+                    half[*place as usize] = *value;
+                }
             }
         }
         let x = self.arranged_as(&x, &places)?;

@@ -31,27 +31,17 @@ impl DeviceClock {
         if let Some(last_ns) = self.last_device_ns.replace(newest_ns)
             && newest_ns < last_ns
         {
-            *self = Self {
-                last_device_ns: Some(newest_ns),
-                ..Self::default()
-            };
-            return Err(Fault::ClockBack {
-                back_s: (last_ns - newest_ns) as f64 * 1e-9,
-            });
+            self.begin_anew();
+            return Err(Fault::ClockBack((last_ns - newest_ns) as f64 * 1e-9));
         }
         let known_ns = self.least_ns.into_iter().flatten().min();
         let behind_ns = known_ns.map_or(0, |known_ns| delay_ns - known_ns);
         if behind_ns > MOST_BEHIND_NS {
             let since_ns = *self.behind_since_ns.get_or_insert(arrived_ns);
             if arrived_ns.saturating_sub(since_ns) >= SET_NS {
-                *self = Self {
-                    last_device_ns: Some(newest_ns),
-                    ..Self::default()
-                };
+                self.begin_anew();
             }
-            return Err(Fault::ClockBehind {
-                behind_s: behind_ns as f64 * 1e-9,
-            });
+            return Err(Fault::ClockBehind(behind_ns as f64 * 1e-9));
         }
         self.behind_since_ns = None;
         if arrived_ns.saturating_sub(self.window_from_ns) >= WINDOW_NS {
@@ -62,6 +52,14 @@ impl DeviceClock {
         self.least_ns[0] = Some(least_ns);
         let offset_ns = self.least_ns[1].map_or(least_ns, |before_ns| before_ns.min(least_ns));
         Ok(Nanos::try_from(i128::from(stamp_ns) + offset_ns).unwrap_or(0))
+    }
+
+    /// Forgets all but the newest stamp.
+    fn begin_anew(&mut self) {
+        *self = Self {
+            last_device_ns: self.last_device_ns,
+            ..Self::default()
+        };
     }
 }
 
@@ -119,7 +117,7 @@ mod tests {
         let mut clock = DeviceClock::default();
         let held = |n| if (100..110).contains(&n) { (110 - n) * STEP } else { 0 };
         let stamps = stamped(&mut clock, 0..200, |n| n * STEP, held);
-        assert!(matches!(stamps[100], Err(Fault::ClockBehind { behind_s }) if (behind_s - 0.5).abs() < 1e-6));
+        assert!(matches!(stamps[100], Err(Fault::ClockBehind(behind_s)) if (behind_s - 0.5).abs() < 1e-6));
         assert!(stamps[109..].iter().all(Result::is_ok) && stamps[..100].iter().all(Result::is_ok));
         assert_eq!(stamps[150], Ok(BOOT + 150 * STEP));
     }
@@ -129,7 +127,7 @@ mod tests {
         let mut clock = DeviceClock::default();
         let device_ns = |n: u64| 60_000_000_000 + n * STEP - if n >= 100 { 30_000_000_000 } else { 0 };
         let stamps = stamped(&mut clock, 0..200, device_ns, |_| 0);
-        assert!(matches!(stamps[100], Err(Fault::ClockBack { back_s }) if (back_s - 29.95).abs() < 1e-6));
+        assert!(matches!(stamps[100], Err(Fault::ClockBack(back_s)) if (back_s - 29.95).abs() < 1e-6));
         assert_eq!(stamps[101], Ok(BOOT + 101 * STEP));
     }
 

@@ -33,20 +33,14 @@ pub enum Fault {
         /// Columns in view.
         needed: usize,
     },
-    /// The device's clock went back.
-    #[error("the device's clock went back by {back_s:.3} s: no frame until its stamps fit again")]
-    ClockBack {
-        /// By how much.
-        back_s: f64,
-    },
-    /// Stamps fell behind this machine's clock: packets were held up, or the device's clock was set.
+    /// The device's clock went back by so many seconds.
+    #[error("the device's clock went back by {0:.3} s: no frame until its stamps fit again")]
+    ClockBack(f64),
+    /// Stamps fell so many seconds farther behind this machine's clock: packets were held up, or the device's clock was set.
     #[error(
-        "stamps are {behind_s:.3} s farther behind the arrival than before: packets held up, or the device's clock was set; no frame"
+        "stamps are {0:.3} s farther behind the arrival than before: packets held up, or the device's clock was set; no frame"
     )]
-    ClockBehind {
-        /// By how much more than before.
-        behind_s: f64,
-    },
+    ClockBehind(f64),
     /// The stream ended within an image.
     #[error("the stream ended {got} bytes into an image of {expected}: is --size that of the stream?")]
     ImageLength {

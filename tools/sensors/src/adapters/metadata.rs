@@ -12,14 +12,9 @@ pub enum MetadataError {
     /// It is no JSON.
     #[error("the metadata file is no JSON: {0}")]
     Json(String),
-    /// A value is missing or impossible.
-    #[error("the metadata file's `{field}` is missing or {expected} was expected: save it from the sensor again")]
-    Field {
-        /// The value's name.
-        field: &'static str,
-        /// What it should be.
-        expected: &'static str,
-    },
+    /// A value, by its name, is missing or not what it should be.
+    #[error("the metadata file's `{0}` is missing or {1} was expected: save it from the sensor again")]
+    Field(&'static str, &'static str),
     /// The packets are of another format.
     #[error("the sensor sends the packet format {0}; this adapter reads LEGACY: set udp_profile_lidar to LEGACY")]
     Profile(String),
@@ -66,7 +61,7 @@ impl OusterDevice {
             let inner = || GROUPS.iter().find_map(|group| root.get(group)?.get(field));
             root.get(field).or_else(inner)
         };
-        let wrong = |field, expected| MetadataError::Field { field, expected };
+        let wrong = MetadataError::Field;
         if let Some(profile) = find("udp_profile_lidar").and_then(Value::as_str)
             && profile != "LEGACY"
         {

@@ -146,20 +146,12 @@ impl OusterAdapter {
             .flatten()
             .unwrap_or(newest_ns);
         let stamp_ns = self.clock.monotonic_ns(middle_ns, newest_ns, arrived_ns)?;
-        let Self {
-            device,
-            mount,
-            projector,
-            needed,
-            ranges_mm,
-            ..
-        } = self;
-        for (column, ranges_mm) in needed.clone().zip(ranges_mm.chunks_exact(device.beams())) {
+        for (column, ranges_mm) in (self.needed.clone()).zip(self.ranges_mm.chunks_exact(self.device.beams())) {
             let returned = ranges_mm.iter().enumerate().filter(|(_, mm)| **mm > 0);
-            let points = returned.filter_map(|(beam, mm)| device.point_frd_m(column, beam, *mm));
-            projector.add_points(mount, points);
+            let points = returned.filter_map(|(beam, mm)| self.device.point_frd_m(column, beam, *mm));
+            self.projector.add_points(&self.mount, points);
         }
-        match projector.finish(depth) {
+        match self.projector.finish(depth) {
             0 => Err(Fault::EmptyImage),
             _ => Ok(Some(stamp_ns)),
         }

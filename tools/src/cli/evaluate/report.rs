@@ -59,10 +59,8 @@ pub(super) struct Took {
 
 /// What the flights of a campaign took in the simulation, seconds.
 pub(super) fn simulated_s(campaign: &Campaign<Settings, Flight>) -> f64 {
-    campaign
-        .flights()
-        .map(|(_, f)| f.record.steps as f64 * f64::from(STEP_S))
-        .sum()
+    let flights = campaign.flights();
+    flights.map(|(_, f)| f.record.steps as f64 * f64::from(STEP_S)).sum()
 }
 
 /// How flights ended, each way with its share.
@@ -104,11 +102,8 @@ fn print_rates(rates: &[Rate], paint: &Paint) {
 fn print_flights(flights: &[&Flight], is_attacked: bool) {
     let from_ground = flights.iter().filter(|f| f.from_ground).count();
     say!("from the ground  {from_ground} of {} flights", flights.len());
-    let times: Vec<f64> = flights
-        .iter()
-        .filter(|f| f.record.is_success())
-        .map(|f| f.record.flight_time_s)
-        .collect();
+    let arrived = flights.iter().filter(|f| f.record.is_success());
+    let times: Vec<f64> = arrived.map(|f| f.record.flight_time_s).collect();
     if let (Some(p50), Some(p95)) = (quantile(&times, 0.5), quantile(&times, 0.95)) {
         say!("time to goal     p50 {p50:.1} s, p95 {p95:.1} s");
     }
@@ -128,10 +123,8 @@ fn print_flights(flights: &[&Flight], is_attacked: bool) {
         let records = flights.iter().filter_map(|f| f.watch.as_ref());
         say!("detector         {}", WatchRecord::summary(records));
     }
-    say!(
-        "sensor           {}",
-        SensorRecord::summary(flights.iter().map(|f| &f.sensor))
-    );
+    let of_sensor = SensorRecord::summary(flights.iter().map(|f| &f.sensor));
+    say!("sensor           {of_sensor}");
 }
 
 /// The first seeds that failed, to be flown again.

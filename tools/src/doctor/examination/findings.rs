@@ -157,10 +157,8 @@ impl Examination {
             );
         }
         let ids = |of: &BTreeSet<(u8, u8)>| of.iter().map(id).collect::<Vec<_>>().join(", ");
-        let doubled = self
-            .companions
-            .values()
-            .any(|a| a.rate_hz(now_ns).is_some_and(|hz| hz > 1.6));
+        let mut rates = self.companions.values().filter_map(|a| a.rate_hz(now_ns));
+        let doubled = rates.any(|hz| hz > 1.6);
         let names: Vec<String> = self.companions.keys().map(id).collect();
         if doubled || names.len() > 1 {
             let each = if doubled { " (with the heartbeats of two)" } else { "" };
@@ -183,10 +181,7 @@ impl Examination {
         }
         if !self.sticks_of.is_empty() {
             report.warning("RC override",
-                format!(
-                    "MANUAL_CONTROL or RC_CHANNELS_OVERRIDE by {}",
-                    ids(&self.sticks_of)
-                ),
+                format!("MANUAL_CONTROL or RC_CHANNELS_OVERRIDE by {}", ids(&self.sticks_of)),
                 "none, or a pilot who means it",
                 "sticks by MAVLink may take the vehicle out of OFFBOARD or GUIDED: switch the ground station's joystick off",
             );
@@ -197,13 +192,11 @@ impl Examination {
         self.stream("LOCAL_POSITION_NED", &[LOCAL_POSITION_NED_DATA::ID], now_ns, report);
         let of_attitude = [ATTITUDE_DATA::ID, ATTITUDE_QUATERNION_DATA::ID];
         self.stream("ATTITUDE", &of_attitude, now_ns, report);
-        if self.unusable > 0 {
+        let times = self.unusable;
+        if times > 0 {
             report.failure(
                 "values",
-                format!(
-                    "{} times a position, velocity or attitude that is no number",
-                    self.unusable
-                ),
+                format!("{times} times a position, velocity or attitude that is no number"),
                 "finite numbers, and a quaternion of unit length",
                 "the estimator failed: guidance holds",
             );
@@ -234,33 +227,28 @@ impl Examination {
             Some(hz) if hz >= LEAST_HZ => Severity::Warning,
             _ => Severity::Failure,
         };
-        let (value, why) = match (hz, last_ns) {
-            (Some(hz), _) if gaps.count > 0 => {
-                let (sum, longest) = (s(gaps.sum_ns), s(gaps.longest_ns));
-                (
-                    Some(format!(
-                        "{hz:.1} Hz, but away {} times, {sum} in all, {longest} at the longest",
-                        gaps.count
-                    )),
-                    "guidance holds by what is older than 0.3 s: the link fails, the line is full, or the vehicle's estimator stops",
-                )
+        let (count, sum, longest) = (gaps.count, s(gaps.sum_ns), s(gaps.longest_ns));
+        let value = match hz {
+            Some(hz) if count > 0 => Some(format!(
+                "{hz:.1} Hz, but away {count} times, {sum} in all, {longest} at the longest"
+            )),
+            Some(hz) => Some(format!("{hz:.1} Hz")),
+            None => last_ns.map(|last_ns| format!("it came, and stopped {} ago", s(now_ns.saturating_sub(last_ns)))),
+        };
+        let why = match (hz, last_ns) {
+            (Some(_), _) if count > 0 => {
+                "guidance holds by what is older than 0.3 s: the link fails, the line is full, or the vehicle's estimator stops"
             }
-            (Some(hz), _) => (
-                Some(format!("{hz:.1} Hz")),
-                "guidance holds by what is older than 0.3 s: somebody slows the stream down, or the line is full",
-            ),
-            (None, Some(last_ns)) => (
-                Some(format!(
-                    "it came, and stopped {} ago",
-                    s(now_ns.saturating_sub(last_ns))
-                )),
-                "guidance holds: did the estimator lose its position (GPS), did somebody switch the stream off, did the link fail?",
-            ),
-            (None, None) => (
-                None,
+            (Some(_), _) => {
+                "guidance holds by what is older than 0.3 s: somebody slows the stream down, or the line is full"
+            }
+            (None, Some(_)) => {
+                "guidance holds: did the estimator lose its position (GPS), did somebody switch the stream off, did the link fail?"
+            }
+            (None, None) => {
                 "it never came, though it was asked for: does the estimator have a position (GPS, or another source), and may \
-                 this link ask (SET_MESSAGE_INTERVAL)?",
-            ),
+                 this link ask (SET_MESSAGE_INTERVAL)?"
+            }
         };
         report.grade(name, severity, value, "10 Hz or more, without a gap", why);
     }
@@ -316,13 +304,11 @@ impl Examination {
         {
             let ratio = f64::from(later_ms - boot_ms) * 1e6 / (later_ns - at_ns) as f64;
             let severity = Severity::good_if((ratio - 1.0).abs() <= CLOCK_RATIO, Severity::Failure);
+            let since = self.restarted_ns.map_or("", |_| " since its restart");
             report.grade(
                 "clock",
                 severity,
-                Some(match self.restarted_ns {
-                    None => format!("{ratio:.3} of real time"),
-                    Some(_) => format!("{ratio:.3} of real time since its restart"),
-                }),
+                Some(format!("{ratio:.3} of real time{since}")),
                 "1.00",
                 "the vehicle's time runs otherwise than ours: a simulation must run in real time (PX4: PX4_SIM_SPEED_FACTOR=1; ArduPilot: \
                  --speedup 1), and the machine must keep up with it",
@@ -397,11 +383,8 @@ impl Examination {
         }
         if let Some(heading_rad) = heading_rad {
             let yaw_rad = attitude.attitude.yaw_rad();
-            let value = format!(
-                "{:.0}° by ATTITUDE, {:.0}° by GLOBAL_POSITION_INT",
-                wrap_pi(yaw_rad).to_degrees(),
-                wrap_pi(heading_rad).to_degrees()
-            );
+            let [yaw_deg, heading_deg] = [yaw_rad, heading_rad].map(|rad| wrap_pi(rad).to_degrees());
+            let value = format!("{yaw_deg:.0}° by ATTITUDE, {heading_deg:.0}° by GLOBAL_POSITION_INT");
             let apart = |other: f32| wrap_pi(other - heading_rad).abs();
             if apart(yaw_rad) <= HEADING_RAD {
                 report.good("heading", value);
@@ -446,7 +429,7 @@ impl Examination {
         let value_of = |name: &str| self.parameters.get(name).and_then(|asked| asked.value);
         let by_speed = value_of(STICKS_BY_SPEED).is_some();
         for row in parameters::of(self.vehicle.flavour()) {
-            if row.by_speed.is_some_and(|wanted| wanted != by_speed) {
+            if row.by_speed().is_some_and(|wanted| wanted != by_speed) {
                 continue;
             }
             match value_of(row.name) {
@@ -490,14 +473,11 @@ impl Examination {
         };
         let (pitch, roll) = (median(|t| t.0), median(|t| t.1));
         let severity = Severity::good_if(pitch.abs().max(roll.abs()) <= TILT_RAD, Severity::Warning);
+        let (pitch, roll) = (pitch.to_degrees(), roll.to_degrees());
         report.grade(
             "mount",
             severity,
-            Some(format!(
-                "the ground leans by {:.1}° in pitch and {:.1}° in roll",
-                pitch.to_degrees(),
-                roll.to_degrees()
-            )),
+            Some(format!("the ground leans by {pitch:.1}° in pitch and {roll:.1}° in roll")),
             "at most 3° over level ground",
             "the sensor is mounted at another angle than its driver states (or the ground is not level): give its driver the mount \
              (--mount of `vigil sensor`; docs/sensor-interface.md, Projection); the pose in the frames' header stays the vehicle's own",

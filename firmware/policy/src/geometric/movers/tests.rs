@@ -1,5 +1,3 @@
-extern crate std;
-
 use super::*;
 use crate::geometric::track::Whereabouts;
 use std::vec::Vec;

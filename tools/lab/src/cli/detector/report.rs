@@ -1,7 +1,7 @@
 //! How an evaluation is written: shares with their intervals, curves and tables.
 
 use crate::cli::output::or_dash;
-use crate::detector_training::{Epoch, Proportion, Report, Role, Separation, SetReport, auc};
+use crate::detector_training::{Epoch, Proportion, Report, Role, SetReport, auc};
 use crate::report::{Figure, Panel, Picture, Scale, TextTable, numbers, words};
 use std::fmt::Write as _;
 
@@ -70,10 +70,6 @@ pub(crate) fn roc(report: &Report) -> Figure {
     roc_figure([("the paper's", report.roc.clone())].into_iter().chain(shown))
 }
 
-pub(super) fn roc_of_features(reports: &[Report]) -> Figure {
-    roc_figure(reports.iter().map(|r| (r.feature.name(), r.roc.clone())))
-}
-
 pub(super) fn roc_figure<'a>(curves: impl IntoIterator<Item = (&'a str, Vec<(f64, f64)>)>) -> Figure {
     let panel = Panel::new("Found over false alarms", "attacked windows found (share)", curves);
     let label = "false alarms (share of the unattacked windows, logarithmic)";
@@ -101,8 +97,15 @@ pub(super) fn text(report: &Report) -> String {
     let mut line = |text: String| {
         let _ = writeln!(out, "{text}");
     };
-    let separation = |name: &str, s: &Separation| {
-        format!(
+    let effective = "... effective attacks only (yaw moved by 1 or more)";
+    for (name, s) in [
+        (
+            "paper's attack, streaming, against unattacked flights",
+            &report.separation,
+        ),
+        (effective, &report.separation_effective),
+    ] {
+        line(format!(
             "{name}\n  accuracy at {}    {}\n  detected           {}\n  false alarms       {}\n  AUC                {}\n  \
              found at 1 % / 0.1 % false alarms   {} / {}",
             report.threshold,
@@ -112,16 +115,8 @@ pub(super) fn text(report: &Report) -> String {
             or_dash(s.auc, 5, ""),
             or_dash(100.0 * s.found_at_1_percent, 2, " %"),
             or_dash(100.0 * s.found_at_0_1_percent, 2, " %")
-        )
-    };
-    line(separation(
-        "paper's attack, streaming, against unattacked flights",
-        &report.separation,
-    ));
-    line(separation(
-        "... effective attacks only (yaw moved by 1 or more)",
-        &report.separation_effective,
-    ));
+        ));
+    }
     line(format!(
         "false stops          {} in {:.2} h of unattacked flight: {} an hour",
         report.false_stops,

@@ -36,11 +36,10 @@ pub(super) fn attacked_completion(sources: &Sources) -> Result<Made> {
                 known.bars.push(bar);
                 known.paper = known.paper.or(paper);
             }
-            None => rows.push(BarRow {
-                label,
-                bars: vec![bar],
-                paper,
-            }),
+            None => {
+                let bars = vec![bar];
+                rows.push(BarRow { label, bars, paper });
+            }
         }
     }
     let title = "Validation courses completed, undefended";
@@ -294,11 +293,8 @@ fn completions(sources: &Sources, first_column: &str, units: &[(&str, &str)], ti
         let paper = (unit == "family-validation").then_some(97.0);
         let cells = outcomes(&tally, &optional(paper, |value| format!("{value:.0} %")));
         table.row([name.to_owned()].into_iter().chain(cells));
-        rows.push(BarRow {
-            label: name.to_owned(),
-            bars: vec![completion_bar(0, &tally)],
-            paper,
-        });
+        let (label, bars) = (name.to_owned(), vec![completion_bar(0, &tally)]);
+        rows.push(BarRow { label, bars, paper });
     }
     let chart = completion_chart(title, &["whole stack"], rows);
     made(drawn(&chart), table, note)
@@ -365,11 +361,8 @@ pub(super) fn peers(sources: &Sources) -> Result<Made> {
                 note: format!("{:.1} × {peer}", p.ratio),
             });
         }
-        rows.push(BarRow {
-            label: label.to_owned(),
-            bars,
-            paper: None,
-        });
+        let (label, paper) = (label.to_owned(), None);
+        rows.push(BarRow { label, bars, paper });
     }
     let chart = Bars {
         title: "Other programs' time over ours".to_owned(),

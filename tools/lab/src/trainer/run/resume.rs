@@ -111,12 +111,8 @@ impl Run<'_> {
             tensors.extend(parts.map(|(end, values)| f32s(format!("{name}{end}"), values)));
         }
         for (i, lane) in self.replay.trajectories.iter().enumerate() {
-            tensors.push(tensor(
-                format!("states_{i}"),
-                Dtype::U16,
-                &lane.states,
-                u16::to_le_bytes,
-            ));
+            let name = format!("states_{i}");
+            tensors.push(tensor(name, Dtype::U16, &lane.states, u16::to_le_bytes));
         }
         let candidates = self.candidates.iter().enumerate();
         tensors.extend(candidates.map(|(i, candidate)| f32s(format!("candidate_{i}"), &candidate.params)));
