@@ -49,7 +49,7 @@ impl AlarmTally {
             (GuidanceState::Hold, AlarmResponse::Stop) if !report.reasons.contains(Reason::GoalReached) => {
                 Some(AlarmResponse::Stop)
             }
-            // Stopped; the hold lasts until nothing has demanded it for a while.
+            // Stopped; the hold lasts until nothing has demanded it for a while. The end of a hold for something else counts too.
             (GuidanceState::Hold, AlarmResponse::Recovery) if !report.reasons.intersects(demanding(Demand::Hold)) => {
                 Some(AlarmResponse::Stop)
             }

@@ -179,7 +179,7 @@ mod tests {
     }
 
     /// The local goal of a vehicle that comes there from the origin at once.
-    fn led_from_origin(here: NedVector, goal: NedVector) -> NedVector {
+    fn local_goal_from_origin(here: NedVector, goal: NedVector) -> NedVector {
         let mut segment = Segment::default();
         segment.take_up(0, at(0.0, 0.0), goal);
         local_goal(&mut segment, here, goal)
@@ -197,19 +197,19 @@ mod tests {
     #[test]
     fn a_vehicle_off_the_line_is_brought_back_to_it() {
         let goal = at(200.0, 0.0);
-        assert_eq!(led_from_origin(at(0.0, 0.0), goal), at(AHEAD_M, 0.0));
+        assert_eq!(local_goal_from_origin(at(0.0, 0.0), goal), at(AHEAD_M, 0.0));
         assert_eq!(
-            led_from_origin(at(50.0, 9.0), goal),
+            local_goal_from_origin(at(50.0, 9.0), goal),
             at(50.0 + AHEAD_M, 0.0),
             "not straight on"
         );
         assert_eq!(
-            led_from_origin(at(-1.0, 2.0), goal),
+            local_goal_from_origin(at(-1.0, 2.0), goal),
             at(AHEAD_M, 0.0),
             "blown back behind its beginning"
         );
-        assert_eq!(led_from_origin(at(184.0, 20.0), goal), at(184.0 + AHEAD_M, 0.0));
-        assert_eq!(led_from_origin(at(190.0, 3.0), goal), goal);
+        assert_eq!(local_goal_from_origin(at(184.0, 20.0), goal), at(184.0 + AHEAD_M, 0.0));
+        assert_eq!(local_goal_from_origin(at(190.0, 3.0), goal), goal);
     }
 
     #[test]

@@ -123,7 +123,7 @@ impl Simulator {
             .receive_from(self.vehicle_ns(), LinkId(link), peer, datagram);
     }
 
-    /// Sends everybody on the vehicle's links something of them.
+    /// Sends a text to everybody on the vehicle's links.
     pub fn warn(&mut self, text: &str) {
         self.endpoint.warn(text);
     }

@@ -103,7 +103,7 @@ def test_an_export_that_fails_leaves_what_was_there(models, tmp_path):
         assert kept.read_text() == "an earlier one"
     for command in [["import", broken], ["export", "--actor", broken]]:
         done = vigil(*command, "-o", broken)
-        assert done.returncode == 1 and "is the policy itself" in done.stderr, done.stderr
+        assert done.returncode == 1 and "is read for it" in done.stderr, done.stderr
 
 
 def test_what_cannot_be_imported_is_refused_with_the_reason_and_nothing_is_written(models, tmp_path):

@@ -136,6 +136,21 @@ fn the_committed_data_make_every_item_and_the_documentation_shows_what_they_make
     }
 
     the_documentation_shows_what_is_made(&out, |file| named.contains_key(file));
+    the_data_are_of_the_built_in_models(&manifest["made_by"]);
+}
+
+fn the_data_are_of_the_built_in_models(ours: &Value) {
+    for path in files_below(&root().join("docs/measured"), &[".json", ".csv"]) {
+        let content = fs::read_to_string(&path).expect("a text");
+        for model in ["actor_sha256", "detector_sha256"] {
+            let own = ours[model].as_str().expect("a digest");
+            for stated in content.split(&format!("\"{model}\":")).skip(1) {
+                let digest = stated.trim_start_matches([' ', '"']);
+                let is_own = digest.starts_with(own) || digest.starts_with("null");
+                assert!(is_own, "{}: another {model} than the built-in one's", path.display());
+            }
+        }
+    }
 }
 
 fn the_documentation_shows_what_is_made(out: &Path, is_made: impl Fn(&String) -> bool) {

@@ -295,8 +295,8 @@ impl SensorCheck {
         if blind > 0 {
             let _ = write!(
                 text,
-                "; {blind} of {PART_COLS} strips never returned anything below {:.0}°: two such are a blind sensor in \
-                 flight, and the firmware holds",
+                "; {blind} of {PART_COLS} strips never returned anything below {:.0}°: two such below 6 m are a blind \
+                 sensor, and the firmware holds",
                 elevations(GROUND_ROW)
             );
         }

@@ -31,7 +31,7 @@ const WANES_S: f32 = 1.0;
 const GAINED_FOR_S: [f32; 2] = [0.6, 1.0];
 const LEAST_GAIN_M_S2: f32 = 0.1;
 /// From a command until the autopilot acts on it, seconds.
-const TOLD_S: f32 = 0.1;
+const ORDERED_S: f32 = 0.1;
 
 /// How the vehicle stops. [`JustStopConfig::default`] is what docs/just-stop.md states.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -118,7 +118,7 @@ impl JustStopConfig {
     /// Metres to where an autopilot that is ordered to hold now can come to rest from this speed, metres per second, that it gains with
     /// this acceleration, metres per second squared.
     pub fn way_m(&self, speed_m_s: f32, gain: Gain) -> f32 {
-        self.braking_way_m(speed_m_s, gain, TOLD_S)
+        self.braking_way_m(speed_m_s, gain, ORDERED_S)
     }
 
     /// By how much the autopilot's plan is faster than the vehicle, metres per second.

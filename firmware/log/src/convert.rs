@@ -208,8 +208,8 @@ impl<const N: usize> Part<Vec<f32>> for [f32; N] {
     }
 }
 
-/// Structs whose messages have the same fields or others for them, with where these messages lie. Each is taken apart by name, so
-/// that a field added to the loop's data fails to compile here until the log records it.
+/// Structs with the messages that hold their fields, under the same names or others (`as`), and where these messages lie. Each is
+/// taken apart by name, so that a field added to the loop's data fails to compile here until the log records it.
 macro_rules! records {
     ($type:ident = $message:ident in $at:literal { $($field:ident as $on_disk:ident),+ }) => {
         impl Record for $type {

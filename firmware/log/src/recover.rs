@@ -121,10 +121,18 @@ impl std::fmt::Display for Recovery {
 /// # Errors
 /// [`RecoverError`] when `from` is no log or holds no whole record, or when `to` exists or cannot be written.
 pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
+    let opened = match Reader::open(from) {
+        Err(error @ (ReadError::Io(_) | ReadError::NotMcap(_, Some(_)))) => return Err(error.into()),
+        // One that lies in another file, as in an archive of several, is not that file.
+        Err(error @ ReadError::NotMcap(..)) if !salvage::begins_a_log(from).unwrap_or(false) => {
+            return Err(error.into());
+        }
+        opened => opened,
+    };
     let description = salvage::describe(from).map_err(at(from)).map_err(ReadError::Io)?;
     // Whose log it is, and of which version.
     let Some(start) = &description.start else {
-        return Err(match Reader::open(from) {
+        return Err(match opened {
             Ok(_) | Err(ReadError::Damaged { .. }) => RecoverError::Nameless(from.to_owned()),
             Err(error) => error.into(),
         });

@@ -11,7 +11,7 @@ use crate::log_file::META;
 use mcap::McapError;
 use mcap::records::{Channel, ChunkHeader, Metadata, Record, SchemaHeader, op};
 use mcap::sans_io::linear_reader::LinearReaderOptions;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
@@ -29,6 +29,12 @@ const LONGEST_NAME: usize = 32;
 const MESSAGE_HEAD: u64 = 2 + 4 + 8 + 8;
 /// So many records have to follow a message that is found by its form.
 const FOLLOWERS: usize = 3;
+/// The metadata of a log that its recorder wrote begin within so many bytes of its beginning.
+const START_WITHIN: u64 = 4 << 10;
+/// No log's metadata are longer.
+const LONGEST_START: u64 = 1 << 20;
+/// So many places are looked at that may be a log's metadata: one of its own, and those of logs attached to it.
+const START_PLACES: usize = 8;
 
 /// What has to be known of a file before its messages are copied.
 #[derive(Default)]
@@ -78,21 +84,38 @@ pub(crate) fn describe(path: &Path) -> io::Result<Description> {
     })
 }
 
+/// How a log's metadata begin, behind opcode and length.
+fn start_name() -> Vec<u8> {
+    [&(META.len() as u32).to_le_bytes(), META.as_bytes()].concat()
+}
+
+/// Whether a file without MCAP's mark at its beginning has a log's metadata near it all the same, and not behind the mark of a log
+/// within the file.
+pub(crate) fn begins_a_log(path: &Path) -> io::Result<bool> {
+    let file = vigil_types::files::open(path)?;
+    let bytes = read(&file, 0, START_WITHIN.min(file.metadata()?.len()))?;
+    let first = |part: &[u8]| bytes.windows(part.len()).position(|window| window == part);
+    Ok(first(&start_name()).is_some_and(|start| first(mcap::MAGIC).is_none_or(|mark| mark == 0 || mark > start)))
+}
+
 /// The metadata of a log that stand behind a damaged opcode or length: where they end they say themselves.
 fn find_start(path: &Path) -> io::Result<Option<Metadata>> {
     let file = vigil_types::files::open(path)?;
     let size = file.metadata()?.len();
-    let name = [&(META.len() as u32).to_le_bytes(), META.as_bytes()].concat();
-    find(&file, MAGIC, size, |at, window| {
+    let (name, mut places) = (start_name(), 0);
+    let found = find(&file, MAGIC, size, |at, window| {
         if !window.starts_with(&name) {
             return Ok(None);
         }
-        let content = read(&file, at, LENGTH_LIMIT.min(size - at))?;
-        Ok(match parse(op::METADATA, &content) {
+        places += 1;
+        let content = read(&file, at, LONGEST_START.min(size - at))?;
+        let start = match parse(op::METADATA, &content) {
             Ok(Record::Metadata(start)) if FlightInfo::format_version(&start.metadata).is_some() => Some(start),
             _ => None,
-        })
-    })
+        };
+        Ok((start.is_some() || places == START_PLACES).then_some(start))
+    })?;
+    Ok(found.flatten())
 }
 
 /// Hands every whole record to `take`, those of chunks included, in the order of the file; what is not whole is described.
@@ -108,6 +131,8 @@ pub(crate) fn walk(
         Some(_) => op::CHUNK,
         None => op::MESSAGE,
     };
+    // The channels that a message outside of chunks may have.
+    let mut channels = BTreeSet::new();
     let mut at = MAGIC;
     while at < size {
         let Some((opcode, length)) = head(&file, at, size)? else {
@@ -123,6 +148,7 @@ pub(crate) fn walk(
             continue;
         };
         let (content, end) = (at + HEAD, at + HEAD + length);
+        let is_followed = end == size || head(&file, end, size)?.is_some();
         let whole = match opcode {
             op::CHUNK => {
                 let bytes = read(&file, content, length)?;
@@ -133,8 +159,13 @@ pub(crate) fn walk(
                     None
                 })
             }
-            // Some other piece whose opcode was damaged.
-            op::MESSAGE if kind == op::CHUNK => None,
+            op::MESSAGE if kind == op::CHUNK && !is_followed => None,
+            op::MESSAGE if kind == op::CHUNK => loose(&read(&file, content, length)?, &channels),
+            // The summary repeats channels and has no messages.
+            op::DATA_END => {
+                channels.clear();
+                Some(Vec::new())
+            }
             op::METADATA | op::ATTACHMENT | op::SCHEMA | op::CHANNEL | op::MESSAGE => {
                 let record = parse(opcode, &read(&file, content, length)?);
                 record.map(|record| vec![record]).ok()
@@ -145,19 +176,39 @@ pub(crate) fn walk(
         };
         let is_whole = whole.is_some();
         // A length without a checksum is believed where something follows it, and a damaged piece's too.
-        let trusted = is_whole && opcode == op::CHUNK || end == size || head(&file, end, size)?.is_some();
-        if !(is_whole && trusted) {
+        let trusted = is_whole && opcode == op::CHUNK || is_followed;
+        // A chunk may be whole beside a length that is not its own.
+        if !is_whole || opcode == op::CHUNK && !is_piece(&file, at, size)? {
             walked.damaged_at.get_or_insert(at);
         }
         for record in whole.into_iter().flatten() {
+            if let Record::Channel(channel) = &record {
+                channels.insert(channel.id);
+            }
             take(record)?;
         }
         at = match trusted {
             true => end,
-            false => find_piece(&file, at + 1, size, kind)?.unwrap_or(if is_whole { end } else { size }),
+            false => {
+                let next = find_piece(&file, at + 1, size, kind)?.unwrap_or(if is_whole { end } else { size });
+                // Its own length where it hid a piece; else what follows it.
+                walked.damaged_at.get_or_insert(if next < end { at } else { end });
+                next
+            }
         };
     }
     Ok(walked)
+}
+
+/// The message with this content, outside of chunks in a file that has some, if it is no other piece whose opcode was damaged: its
+/// channel stands before it. A chunk's index has a channel too, then a length and, of each message, the time and the place.
+fn loose(content: &[u8], channels: &BTreeSet<u16>) -> Option<Vec<Record<'static>>> {
+    let record = parse(op::MESSAGE, content).ok()?;
+    let Record::Message { header, .. } = &record else {
+        return None;
+    };
+    let is_index = u64::from(header.sequence) + 2 + 4 == content.len() as u64 && header.publish_time < LENGTH_LIMIT;
+    (channels.contains(&header.channel_id) && !is_index).then(|| vec![record])
 }
 
 /// Opcode and length of the record at `at`, if there can be one that lies within the file.
@@ -240,7 +291,7 @@ fn find<T>(
     file: &File,
     from: u64,
     size: u64,
-    seek: impl Fn(u64, &[u8]) -> io::Result<Option<T>>,
+    mut seek: impl FnMut(u64, &[u8]) -> io::Result<Option<T>>,
 ) -> io::Result<Option<T>> {
     const WINDOW: u64 = 1 << 20;
     let mut at = from;

@@ -82,6 +82,25 @@ impl Story {
     /// # Errors
     /// [`ReadError`] of a file that is no log of this format, as [`Reader::open`] has it.
     pub fn read(path: &Path) -> Result<Self, ReadError> {
+        const SHOWN: [&str; 5] = [
+            topic::SCENE,
+            topic::LOG,
+            topic::TRUTH,
+            topic::ATTACK,
+            topic::CLEAN_DEPTH,
+        ];
+        Self::read_of(path, &SHOWN)
+    }
+
+    /// [`Story::about`](Self) alone.
+    ///
+    /// # Errors
+    /// As [`Story::read`].
+    pub fn about(path: &Path) -> Result<BTreeMap<String, String>, ReadError> {
+        Self::read_of(path, &[]).map(|story| story.about)
+    }
+
+    fn read_of(path: &Path, shown: &[&str]) -> Result<Self, ReadError> {
         let epoch_offset_ns = Reader::open(path)?.epoch_offset_ns();
         let mut container = Container::open(path)?;
         let mut story = Self::default();
@@ -89,14 +108,7 @@ impl Story {
         loop {
             match container.next_of(&topics) {
                 Ok(Next::Record(Record::Channel(channel))) => {
-                    const SHOWN: [&str; 5] = [
-                        topic::SCENE,
-                        topic::LOG,
-                        topic::TRUTH,
-                        topic::ATTACK,
-                        topic::CLEAN_DEPTH,
-                    ];
-                    if SHOWN.contains(&channel.topic.as_str()) {
+                    if shown.contains(&channel.topic.as_str()) {
                         topics.insert(channel.id, channel.topic);
                     }
                 }

@@ -252,8 +252,42 @@ fn a_compression_that_nobody_knows_is_named() {
     assert!(!copy.exists());
 }
 
-/// A log that is broken in one way of many, and how.
-fn broken(good: &[u8]) -> Vec<(String, Vec<u8>)> {
+/// The same log with some of its chunks, which are not packed, taken apart: their messages lie outside of any.
+fn taken_apart(log: &[u8], every: usize) -> Vec<u8> {
+    let (mut apart, mut from) = (Vec::new(), 0);
+    for (begin, _) in pieces(log, &[CHUNK]).into_iter().step_by(every) {
+        apart.extend(&log[from..begin]);
+        // Opcode and length; times, size and checksum, no name, the stored size.
+        from = begin + 9 + 28 + 4 + 8;
+    }
+    apart.extend(&log[from..]);
+    apart
+}
+
+#[test]
+fn messages_outside_of_chunks_are_recovered_from_a_file_that_has_chunks_as_well() {
+    let good = small_log();
+    let chunked = rewritten(&good, "", forms(1)[2].1.clone(), false);
+    // Among the chunks, and in a log without any to which somebody attached another log.
+    let mut attached = taken_apart(&chunked, 1);
+    let other = [&[0; 24][..], &(good.len() as u64).to_le_bytes(), &good, &[0; 4]].concat();
+    let other = [&[9][..], &(other.len() as u64).to_le_bytes(), &other].concat();
+    let (metadata, length) = pieces(&attached, &[METADATA])[0];
+    attached.splice(metadata + length..metadata + length, other);
+    for log in [taken_apart(&chunked, 2), taken_apart(&chunked, 3), attached] {
+        let (steps, recovery) = recovered(&log);
+        assert_eq!((steps, recovery.lost), ((0..STEPS).collect(), 0));
+        // A chunk's index whose opcode was damaged is no message.
+        for (index, _) in pieces(&log, &[MESSAGE_INDEX]) {
+            let mut bad = log.clone();
+            bad[index] = 5;
+            assert_eq!(recovered(&bad).0, (0..STEPS).collect::<Vec<_>>(), "{index}");
+        }
+    }
+}
+
+/// A log that is broken in one way of many, how, and where the broken piece begins.
+fn broken(good: &[u8]) -> Vec<(String, usize, Vec<u8>)> {
     let mut all = Vec::new();
     for (form, options) in forms(8_000).into_iter().take(3) {
         let log = rewritten(good, form, options, false);
@@ -273,7 +307,7 @@ fn broken(good: &[u8]) -> Vec<(String, Vec<u8>)> {
             ] {
                 let mut bad = log.clone();
                 bad[at] ^= flip;
-                all.push((format!("{form}: {what} of chunk {number}"), bad));
+                all.push((format!("{form}: {what} of chunk {number}"), *begin, bad));
             }
         }
     }
@@ -285,7 +319,7 @@ fn damage_is_reported_by_record_place_and_remedy_and_never_as_a_librarys_bare_er
     let dir = tempfile::tempdir().unwrap();
     let good = small_log();
     let (mut noticed, mut silent) = (0, Vec::new());
-    for (name, bytes) in broken(&good) {
+    for (name, begin, bytes) in broken(&good) {
         let (path, copy) = (dir.path().join("bad.mcap"), dir.path().join("copy.mcap"));
         std::fs::write(&path, &bytes).unwrap();
         let _ = std::fs::remove_file(&copy);
@@ -301,6 +335,8 @@ fn damage_is_reported_by_record_place_and_remedy_and_never_as_a_librarys_bare_er
                 ] {
                     assert!(error.contains(words), "{name}: {error}");
                 }
+                let place = format!(", at byte {begin}: ");
+                assert!(error.contains(&place), "{name}: {begin}, {error}");
                 for bare in ["LZ4 error", "I/O error", "Unknown frame descriptor", "ERROR_"] {
                     assert!(!error.contains(bare), "{name}: {error}");
                 }
@@ -382,11 +418,11 @@ fn what_is_whole_around_damage_is_recovered_and_what_is_lost_is_reported() {
     let all: Vec<u64> = (0..STEPS).collect();
     let (steps, whole) = recovered(&good);
     assert_eq!((steps, whole.gaps.len(), whole.lost), (all.clone(), 0, 0));
-    // One byte of what stands before the first chunk, of an index, of what the summary says again: no record is lost.
+    // One byte of the mark, of what stands before the first chunk, of an index, of what the summary says again: no record is lost.
     let ((metadata, _), (index, _)) = (pieces(&good, &[METADATA])[0], pieces(&good, &[MESSAGE_INDEX])[1]);
     let topic = good.windows(11).rposition(|bytes| bytes == b"/vigil/tick").unwrap();
     for at in [0, 1, 3]
-        .map(|byte| [8 + byte, metadata + byte, index + byte, topic + 1 + byte])
+        .map(|byte| [byte, 8 + byte, metadata + byte, index + byte, topic + 1 + byte])
         .concat()
     {
         for flip in [0x02, 0x03, 0x10, 0x40] {
@@ -431,6 +467,19 @@ fn what_is_whole_around_damage_is_recovered_and_what_is_lost_is_reported() {
                 end => assert!(!content && text.contains("not closed"), "{begin} {at}: {end:?}, {text}"),
             }
         }
+    }
+}
+
+#[test]
+fn a_log_within_another_file_is_not_that_file() {
+    let (dir, good) = (tempfile::tempdir().unwrap(), small_log());
+    let (path, copy) = (dir.path().join("two.mcap"), dir.path().join("copy.mcap"));
+    // In a zip file without packing, in a tar of two, and far behind something else.
+    for front in [&b"PK\x03\x04 and what follows"[..], &[0; 512], &[7; 100_000]] {
+        std::fs::write(&path, [front, &good, &good].concat()).unwrap();
+        let error = recover(&path, &copy).unwrap_err();
+        assert!(matches!(error, RecoverError::Read(ReadError::NotMcap(..))), "{error}");
+        assert!(!copy.exists());
     }
 }
 

@@ -193,7 +193,7 @@ impl Endpoint {
         self.core.truth = Some(*truth);
     }
 
-    /// Sends what the second sensor measured.
+    /// Takes what the second sensor measured.
     pub fn observe_ranges(&mut self, ranges: ZoneRanges) {
         self.core.ranges = Some(ranges);
     }

@@ -16,7 +16,7 @@ const REPORT_AGE_NS: Nanos = vigil_types::parameters::TELEMETRY_AGE.nanos();
 const JUMP_M: f32 = 1.0;
 const JUMP_M_S: f32 = 10.0;
 
-/// Height above home from which the vehicle flies, and the referee judges, metres.
+/// Height above home from which the vehicle flies, and the referee decides, metres.
 const LIFT_OFF_M: f32 = 0.5;
 
 /// The sensor is never lower above the ground than this, metres: a vehicle stands on its gear, but its position is 0 there, or

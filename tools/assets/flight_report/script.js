@@ -174,7 +174,7 @@
   const makeHeat = () => {
     const box = text($("plots"), "div", "", { class: "plot", "data-panel": "explanation" });
     text(box, "h3", "Explanation: SHAP of the hidden layer's 48 values for the yaw output");
-    if (!data.phi) { text(box, "p", "No explanations: no detector watched an actor in this flight.", { class: "none" }); return; }
+    if (!data.phi) { text(box, "p", "No explanations: no detector monitored an actor in this flight.", { class: "none" }); return; }
     const bytes = Uint8Array.from(atob(data.phi.values), (c) => c.charCodeAt(0));
     heat = { canvas: text(box, "canvas", "", { class: "heat" }), values: new Int8Array(bytes.buffer), rows: data.phi.rows };
     text(box, "p", `A row for each value, a column for each step. Orange turns right, blue left; full colour is ±${data.phi.full.toPrecision(2)} action units. Grey: none in that step.`, { class: "hint" });

@@ -41,11 +41,14 @@ fn read(path: &Path, with_frames: bool) -> Result<Content, vigil_log::ReadError>
         content.take(&record, with_frames);
     }
     content.end = reader.end().map(|end| end.to_string()).unwrap_or_default();
-    let (info, mut about) = (reader.info(), Story::read(path)?.about);
+    let (info, mut about) = (reader.info(), Story::about(path)?);
     content.info = vec![
         ("program", Some(info.program.clone())),
-        ("git_commit", info.git_commit.clone()),
-        // Firmware that flew in a process of its own does not know it.
+        // Firmware that flew in a process of its own does not know them.
+        (
+            "git_commit",
+            info.git_commit.clone().or_else(|| about.remove("git_commit")),
+        ),
         (
             "seed",
             info.seed.map(|seed| seed.to_string()).or_else(|| about.remove("seed")),

@@ -45,11 +45,14 @@ pub fn interruptible<T: Send>(
     let (done, finished) = channel();
     py.detach(move || {
         std::thread::scope(|scope| {
-            scope.spawn(move || done.send(work()));
+            let worker = scope.spawn(move || done.send(work()));
             loop {
                 match finished.recv_timeout(Duration::from_millis(100)) {
                     Ok(result) => return result,
-                    Err(RecvTimeoutError::Disconnected) => return Err(failed("it ended without a result")),
+                    Err(RecvTimeoutError::Disconnected) => match worker.join() {
+                        Err(panic) => std::panic::resume_unwind(panic),
+                        Ok(_) => return Err(failed("it ended without a result")),
+                    },
                     Err(RecvTimeoutError::Timeout) => {
                         let heard = Python::attach(|py| py.check_signals());
                         heard.inspect_err(|_| stopped.store(true, Relaxed))?;

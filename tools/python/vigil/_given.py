@@ -46,7 +46,7 @@ def floats(what: str, values: Any, shape: Sequence[int | None]) -> Floats:
 def number(what: str, value: Any, expected: str, fits: Callable[[float], bool]) -> float:
     """A number that ``fits`` what is ``expected``; what is not a number fits nothing."""
     try:
-        given = float(value)
+        given = np.nan if isinstance(value, (str, bytes)) else float(value)
     except (OverflowError, TypeError, ValueError):
         given = np.nan
     if not fits(given):

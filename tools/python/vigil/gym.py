@@ -294,7 +294,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
 
     Raises:
         ValueError: an argument out of range, an action of another shape or not finite, a step without a reset.
-        TypeError: an action that is no numbers.
+        TypeError: an action that is no numbers, a count or seed that is no whole number.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}

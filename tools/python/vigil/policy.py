@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from os import PathLike
 from typing import Any, NamedTuple
@@ -33,9 +34,9 @@ class Actor:
     """
 
     def __init__(self, path: str | PathLike[str] | None = None) -> None:
-        self.path = None if path is None else str(path)
+        self.path = None if path is None else os.path.abspath(path)
         """Its file; ``None``: the one built in."""
-        self.native = _vigil.Actor(self.path)
+        self.native = _vigil.Actor(None if path is None else str(path))
 
     def __reduce__(self) -> tuple[type[Actor], tuple[str | None]]:
         return type(self), (self.path,)
@@ -127,9 +128,9 @@ class Policy:
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        self.path = str(path)
+        self.path = os.path.abspath(path)
         """Its file."""
-        self.native = _vigil.Policy(self.path)
+        self.native = _vigil.Policy(str(path))
 
     def __reduce__(self) -> tuple[type[Policy], tuple[str]]:
         return type(self), (self.path,)

@@ -254,6 +254,9 @@ mod tests {
                     bounds = { north_m = [-4.0, 26.0], east_m = [-10.0, 10.0], top_m = 6.0 }\n";
         std::fs::write(&file, text).unwrap();
         let error = obstacles_of(&file).unwrap_err().to_string();
-        assert!(error.ends_with("is too short for the way at 1 m/s"), "{error}");
+        assert!(
+            error.ends_with("`time_limit_s` is too short for the way at 1 m/s"),
+            "{error}"
+        );
     }
 }

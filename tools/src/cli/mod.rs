@@ -112,11 +112,8 @@ pub fn main() -> ExitCode {
         return output::finish(lab::hand_on());
     }
     let mut cli: Cli = vigil_firmware::removed::parse();
-    if let Some(Any::Flight(command)) = &cli.command
-        && matches!(**command, Command::Firmware(_))
-    {
-        // As the `firmware` program: its states and notices are what it prints.
-        cli.every.verbose = cli.every.verbose.max(1);
+    if let Some(Any::Flight(command)) = &cli.command {
+        cli.every.suit(command);
     }
     cli.every.run(|| run(cli.command))
 }
@@ -130,6 +127,13 @@ fn run(command: Option<Any>) -> Result<ExitCode> {
 }
 
 impl EveryCommand {
+    /// States and notices are what the firmware prints, as the `firmware` program does.
+    pub fn suit(&mut self, command: &Command) {
+        if matches!(command, Command::Firmware(_)) {
+            self.verbose = self.verbose.max(1);
+        }
+    }
+
     /// Does what is asked of every command, then the command; its end is the process's.
     pub fn run(&self, command: impl FnOnce() -> Result<ExitCode>) -> ExitCode {
         output::start_tracing(self.verbose);

@@ -367,9 +367,18 @@ pub fn git_commit() -> Option<String> {
     folders.find_map(commit_around)
 }
 
+/// Git, whatever repository the environment names.
+fn git_of_its_folder() -> std::process::Command {
+    let mut command = std::process::Command::new("git");
+    for name in ["GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"] {
+        command.env_remove(name);
+    }
+    command
+}
+
 fn commit_around(folder: &Path) -> Option<String> {
     let git = |arguments: &[&str]| {
-        let mut command = std::process::Command::new("git");
+        let mut command = git_of_its_folder();
         let output = command.arg("-C").arg(folder).args(arguments).output().ok()?;
         let text = String::from_utf8(output.stdout).ok()?;
         (output.status.success() && !text.trim().is_empty()).then(|| text.trim().to_owned())
@@ -403,8 +412,11 @@ mod tests {
     fn a_program_in_another_repository_than_ours_is_of_no_commit() {
         let folder = tempfile::tempdir().expect("a folder");
         let git = |line: &str| {
-            let mut command = std::process::Command::new("git");
-            let done = command.arg("-C").arg(folder.path()).args(line.split(' ')).status();
+            let done = git_of_its_folder()
+                .arg("-C")
+                .arg(folder.path())
+                .args(line.split(' '))
+                .status();
             assert!(done.expect("git").success(), "{line}");
         };
         git("init -q");

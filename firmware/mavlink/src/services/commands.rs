@@ -30,7 +30,7 @@ impl CommandService {
     /// Acknowledges a request; one that is refused with the reasons of the last step, and with a text.
     pub fn answer(&mut self, core: &mut Core, pending: &PendingRequest, outcome: RequestOutcome) {
         let (state, reasons) = core.said.unwrap_or_default();
-        let progress = match outcome {
+        let why = match outcome {
             RequestOutcome::Accepted => Reasons::NONE,
             RequestOutcome::TooFar { distance_m, limit_m } => {
                 let command = pending.command;
@@ -57,7 +57,7 @@ impl CommandService {
                 reasons
             }
         };
-        core.acknowledge(pending.reply, pending.command, result_of(outcome), progress);
+        core.acknowledge(pending.reply, pending.command, result_of(outcome), why);
     }
 
     fn command(&mut self, core: &mut Core, command: &Command, reply: ReplyTo) {

@@ -37,7 +37,7 @@ enum Finding {
     /// It is too long, and the vehicle did not let it be set: the value and the longest wanted, seconds.
     Stays(f32, f32),
     /// The vehicle did not tell.
-    NotTold,
+    NotReported,
 }
 
 /// What to do in a step.
@@ -116,7 +116,7 @@ impl SetpointTimeoutService {
                 self.stage = Stage::Idle;
                 return Next::Tell(finding);
             }
-            Stage::Reading => Finding::NotTold,
+            Stage::Reading => Finding::NotReported,
             Stage::Setting(value_s) => Finding::Stays(value_s, longest_s),
         };
         if self.attempts > 0 && now_ns.saturating_sub(self.sent_ns) < RETRY_NS {
@@ -172,7 +172,7 @@ impl Service for SetpointTimeoutService {
             PARAM_ERROR_DATA::ID if payload.is_parameter(4, self.name()) => match self.stage {
                 Stage::Reading => {
                     if !self.takes_the_other() {
-                        self.stage = Stage::Found(Finding::NotTold);
+                        self.stage = Stage::Found(Finding::NotReported);
                     }
                 }
                 Stage::Setting(value_s) => self.stage = Stage::Found(Finding::Stays(value_s, longest_s)),
@@ -207,7 +207,7 @@ impl Service for SetpointTimeoutService {
             Next::Tell(Finding::Stays(s, wanted_s)) => {
                 core.tell(out, WARNING, format_args!("{name} stays {s} s, wanted {wanted_s} s"));
             }
-            Next::Tell(Finding::NotTold) => {
+            Next::Tell(Finding::NotReported) => {
                 core.tell(out, WARNING, format_args!("{name} is not reported by the vehicle"));
             }
         }

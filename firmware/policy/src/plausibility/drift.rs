@@ -234,16 +234,18 @@ impl Errors {
 /// nothing.
 const READING_NS: Nanos = 1_000_000_000;
 const READING_INFORMATION: f32 = 20.0;
-/// With so much aside it counts for a whole one of the turn: with less, readings that followed each other were seen to err alike.
+/// With so much aside it counts for a whole one of the turn, and with so much on the view's width of that: with less, readings that
+/// followed each other were seen to err alike.
 const WHOLE_READING_INFORMATION: f32 = 60.0;
+const WHOLE_WIDTH_INFORMATION: f32 = 4.0;
 const LONGEST_READING_NS: Nanos = 4_000_000_000;
 /// What a reading may leave unexplained, variances a sample: of a sensor that is turned, for it is so everywhere, and something that
 /// moves beside the vehicle is not; and of a view of another width, which these small steps do not explain to the end.
 const MOST_LEFT_BY_TURN: f32 = 0.12;
 const MOST_LEFT_BY_WIDTH: f32 = 0.3;
-/// Readings that are kept, and the fewest that tell something.
+/// Readings that are kept, and the fewest whole ones that say something.
 const READINGS: usize = 16;
-const FEWEST_READINGS: usize = 2;
+const FEWEST_READINGS: f32 = 2.0;
 /// Before anything is known of it, an estimate is taken for one whose drift looks like so much of the tested turn (0.045 m/s at 1.3 m/s, of a
 /// GPS's over a reading), and a view for one that errs by so much of its width, as if so many readings had said so.
 const DRIFT_IN_TURNS: f32 = 0.4;
@@ -288,12 +290,12 @@ impl Readings {
     /// many more with this sum of squares.
     fn tell(&self, range: core::ops::Range<f32>, others: f32, squares: f32) -> bool {
         let (all, _, squares_of_all) = self.sums(self.used);
-        (FEWEST_READINGS..=self.used).any(|last| {
+        (1..=self.used).any(|last| {
             let (count, sum, _) = self.sums(last);
             let mean = sum / count;
             let of_mean = mean * sum;
             let variance = (squares + squares_of_all - of_mean) / (others + all);
-            range.contains(&mean.abs()) && of_mean > SURE * SURE * variance
+            count >= FEWEST_READINGS && range.contains(&mean.abs()) && of_mean > SURE * SURE * variance
         })
     }
 }
@@ -334,7 +336,7 @@ impl MountReadings {
         }
         let Some(Solved {
             causes: [turn, along, _, widening],
-            information: [aside, ..],
+            information: [aside, _, _, of_width],
             ..
         }) = read
         else {
@@ -346,7 +348,8 @@ impl MountReadings {
             self.alongs = KEEP_ALONG * self.alongs + 1.0;
         }
         if left <= MOST_LEFT_BY_WIDTH {
-            self.widenings.add(WIDENING * widening, 1.0);
+            let weight = (of_width / WHOLE_WIDTH_INFORMATION).min(1.0);
+            self.widenings.add(WIDENING * widening, weight);
         }
         let before = |deviation: f32| READINGS_BEFORE * deviation * deviation;
         let drift = before(DRIFT_IN_TURNS) + self.along_squared;
@@ -397,5 +400,17 @@ mod tests {
             turns.tell(LEAST_TURN..MOST_TURN, READINGS_BEFORE + 7.0, 0.4)
         };
         assert!(last_two_count(1.0) && !last_two_count(0.36));
+        // Of a goal 100 m away: two that knew little are not as much as two whole ones, however well the others agree.
+        let mut turns = Readings::default();
+        for turn in [
+            -0.105, -0.036, -0.131, -0.126, -0.074, 0.018, 0.022, 0.123, 0.046, -0.108,
+        ] {
+            turns.add(turn, 1.0);
+        }
+        let mut convicts = |turn, weight| {
+            turns.add(turn, weight);
+            turns.tell(LEAST_TURN..MOST_TURN, READINGS_BEFORE + 12.0, 0.4)
+        };
+        assert!(!convicts(-0.774, 0.54) && !convicts(-0.897, 0.85) && convicts(-0.85, 0.85));
     }
 }

@@ -10,12 +10,12 @@ const KEEP_LONG: f32 = 0.975;
 /// Frames in a row that hardly changed by a bit, although the vehicle moved: the sensor is frozen.
 const SAME_FRAMES: u8 = 2;
 /// Cost of the motion over that of standing still, for the view (and as a share of the motion's) and for a part of it, that
-/// makes a frozen one; and how many parts.
+/// shows it frozen; and how many parts.
 const FROZEN_VIEW: f32 = 120.0;
 const FROZEN_FIT: f32 = 0.8;
 const FROZEN_PART: f32 = 40.0;
 const FROZEN_PARTS: usize = 6;
-/// So many parts tell it even where the view as a whole moved: more than something shows that moves beside the vehicle.
+/// So many parts show it even where the view as a whole moved: more than something shows that moves beside the vehicle.
 const FROZEN_PARTS_OF_A_MOVING_VIEW: usize = 28;
 /// Mean cost of the motion that shows a picture of another place, and samples that it needs.
 const MISFIT: f32 = 2.0;

@@ -47,6 +47,7 @@ pub(super) fn reboot_now(core: &mut Core) -> Answer {
         core.reboot();
         Ok(())
     } else {
-        Err(Refusal::REJECTED.saying("reboot denied: armed"))
+        // DENIED as PX4's.
+        Err(Refusal::DENIED.saying("reboot denied: armed"))
     }
 }

@@ -101,7 +101,7 @@ fn parse(file: &[u8]) -> Option<Vec<Stored>> {
     (stored.len() == count).then_some(stored)
 }
 
-/// Sets what a stored file says: all of it, or nothing where it is no such file or a value is refused. Returns what changed.
+/// Sets what a stored file says: all of it, or nothing where it is no such file or a value is refused. Sends everybody what changed.
 pub(super) fn store(file: &[u8], core: &mut Core) -> Result<(), ()> {
     let mut parameters = core.parameters.clone();
     let outcome = parse(file)

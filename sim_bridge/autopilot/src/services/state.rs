@@ -16,7 +16,7 @@ pub(super) const MESSAGES: &[Produced] = &[
 
 fn heartbeat(core: &Core) -> Option<MavMessage> {
     let c = &core.commander;
-    // As PX4 has them: clients up to pymavlink 2.4.41 and MAVROS name the mode by these.
+    // As PX4 has them, but for OFFBOARD, orbit and follow, which say AUTO: clients up to pymavlink 2.4.41 and MAVROS name the mode by these.
     let by_whom = match c.mode().needs_sticks() {
         true => Flag::MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
         false => Flag::MAV_MODE_FLAG_GUIDED_ENABLED | Flag::MAV_MODE_FLAG_AUTO_ENABLED,

@@ -55,7 +55,10 @@ fn the_hash_of_the_parameters_is_that_of_their_names_and_values_and_ends_a_list(
     let mut bytes = Vec::new();
     for info in parameter_table() {
         bytes.extend_from_slice(info.name.as_bytes());
-        bytes.extend_from_slice(&info.default.to_le_bytes());
+        bytes.extend_from_slice(&match info.default {
+            ParameterValue::Int32(v) => v.to_le_bytes(),
+            ParameterValue::Real32(v) => v.to_le_bytes(),
+        });
     }
     assert_eq!(before, vigil_mavlink::crc::crc32(&bytes));
     b.set_parameter("NAV_ACC_RAD", ParameterValue::Real32(3.0));
@@ -128,7 +131,7 @@ fn links_are_pinged_and_their_traffic_is_reported() {
 }
 
 #[test]
-fn the_truth_is_ordered_to_scripts_that_ask_and_never_to_the_guidance_computer() {
+fn the_truth_is_sent_to_scripts_that_ask_and_never_to_the_guidance_computer() {
     const TRUTH: u32 = HIL_STATE_QUATERNION_DATA::ID;
     let mut b = Bench::airborne();
     for (link, from) in [(API, SCRIPT), (ONBOARD, COMPANION)] {

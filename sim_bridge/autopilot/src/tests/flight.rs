@@ -64,7 +64,7 @@ fn only_the_kill_code_disarms_in_the_air() {
 #[test]
 fn termination_stops_the_motors_until_a_reboot() {
     let mut b = Bench::airborne();
-    assert_eq!((b.ask(246, &[1.0]), b.ask(246, &[2.0])), (REJECTED, DENIED));
+    assert_eq!((b.ask(246, &[1.0]), b.ask(246, &[2.0])), (DENIED, DENIED));
     b.assert_said("reboot denied: armed");
     b.assert_said("it reboots only");
     assert_eq!(b.ask(185, &[1.0]), ACCEPTED);
@@ -184,7 +184,7 @@ fn goto_is_refused_on_the_ground_far_away_and_in_a_foreign_frame() {
         assert_eq!(answer, DENIED, "{frame:?} {lat} {alt}");
     }
     b.run_ms(1_000);
-    // A place at no height is one of its frame too, and whoever means another frame reads it.
+    // A place at no height is one of its frame too, and whoever means another frame is answered so.
     for (frame, alt) in [
         (MavFrame::MAV_FRAME_LOCAL_NED, f32::NAN),
         (MavFrame::MAV_FRAME_MISSION, f32::NAN),

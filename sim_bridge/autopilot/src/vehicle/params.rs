@@ -206,7 +206,7 @@ settings! {
         pub estimate_attitude_time_s: f64 = within(20.0, (0.05, 100_000.0), "s"),
         /// What the estimated position wanders beside that, as one that hangs on GPS and barometer does: horizontal, vertical, metres.
         pub wander_m: [f64; 2] = within([0.0; 2], (0.0, 10.0), "m"),
-        /// Correlation time of the drift: horizontal, vertical, seconds.
+        /// Correlation time of the wander: horizontal, vertical, seconds.
         pub wander_time_s: [f64; 2] = within([20.0, 150.0], (5.0, 100_000.0), "s"),
         /// What the estimated velocity is off beside that, without the position's following it: horizontal, vertical, m/s.
         pub velocity_error_m_s: [f64; 2] = within([0.0; 2], (0.0, 10.0), "m/s"),

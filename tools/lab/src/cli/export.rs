@@ -38,8 +38,8 @@ pub struct ExportArgs {
 /// Writes the model.
 pub fn run(args: &ExportArgs) -> Result<ExitCode> {
     output::prepare(&args.output)?;
-    if let Some(actor) = &args.actor {
-        check_not_over(actor, &args.output)?;
+    for read in args.actor.iter().chain(&args.compute) {
+        check_not_over(read, &args.output)?;
     }
     let pilot = FrozenPilot::load_or_built_in(args.actor.as_deref())?;
     let (model, split) = vigil_onnx::export(&pilot)?;

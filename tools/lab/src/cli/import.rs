@@ -94,7 +94,9 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         );
     }
     output::prepare(&args.output)?;
-    check_not_over(&args.model, &args.output)?;
+    for read in [Some(&args.model), args.compute.as_ref()].into_iter().flatten() {
+        check_not_over(read, &args.output)?;
+    }
     let name = args.model.display().to_string();
     let bytes = vigil_types::files::read(&args.model, SIZE_LIMIT).with_context(|| format!("cannot read {name}"))?;
     let adapter = Adapter {
@@ -107,7 +109,11 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         split: args.split.clone(),
     };
     let folder = args.model.parent().unwrap_or(Path::new(""));
-    let beside = |name: &str| vigil_types::files::read(&folder.join(name), SIZE_LIMIT).map_err(|e| e.to_string());
+    let beside = |name: &str| {
+        let file = folder.join(name);
+        check_not_over(&file, &args.output).map_err(|e| e.to_string())?;
+        vigil_types::files::read(&file, SIZE_LIMIT).map_err(|e| e.to_string())
+    };
     let policy = vigil_onnx::import(&name, &bytes, &beside, &adapter)?;
     let graph = policy.network.graph(Purpose::Gradients)?;
     let compute = |file: &PathBuf| computed(&graph, &policy.params, file);
@@ -130,9 +136,9 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
 /// Whether what is made of a policy goes elsewhere than into the policy itself.
 ///
 /// # Errors
-/// `to` is the policy, by whatever name.
+/// `to` is the file that is read, by whatever name.
 pub fn check_not_over(policy: &Path, to: &Path) -> Result<()> {
-    let itself = || format!("{} is the policy itself: give another name", to.display());
+    let itself = || format!("{} is read for it: give another name", to.display());
     replay::check_not_over(policy, to).ok().with_context(itself)
 }
 

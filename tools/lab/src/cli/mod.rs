@@ -67,7 +67,10 @@ pub fn main() -> ExitCode {
     if let Err(error) = lab::check_caller() {
         return output::finish(Err(error));
     }
-    let cli: Cli = vigil_firmware::removed::parse();
+    let mut cli: Cli = vigil_firmware::removed::parse();
+    if let Command::Flight(command) = &cli.command {
+        cli.every.suit(command);
+    }
     cli.every.run(|| execute(cli.command))
 }
 

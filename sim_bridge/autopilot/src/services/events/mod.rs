@@ -50,7 +50,7 @@ pub(crate) struct Events {
     kept: VecDeque<EVENT_DATA>,
     /// Of the last event; the first has 1.
     sequence: u16,
-    /// Whether the sequence has not been sent since the start.
+    /// Whether the sequence has been sent since the start.
     is_sent: bool,
     watch_ns: Nanos,
     tell_ns: Nanos,
