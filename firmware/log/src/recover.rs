@@ -6,6 +6,7 @@ use crate::{LogEnd, ReadError, Reader, TickRecord, proto, salvage, tlog};
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record};
 use prost::Message;
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
@@ -162,6 +163,7 @@ fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Cop
     let keep = to.try_clone()?;
     let mut copy = Copy {
         writer: log_file::write_options().create(BufWriter::new(to))?,
+        known: BTreeSet::new(),
         depth: None,
         tick: None,
         group: Vec::new(),
@@ -181,20 +183,24 @@ fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Cop
         let channels = log_file::register(&mut copy.writer, &log_file::RECORDED)?;
         let number = |topic: &str| channels.get(topic).copied();
         (copy.depth, copy.tick) = (number(topic::DEPTH), number(topic::TICK));
+        copy.known.extend(channels.values());
     }
     for (header, data) in description.schemas.values() {
         copy.writer
             .add_schema_with_id(header.id, &header.name, &header.encoding, data)?;
     }
+    copy.known.extend(description.channels.keys());
     for channel in description.channels.values() {
         match channel.topic.as_str() {
             topic::DEPTH => copy.depth = Some(channel.id),
             topic::TICK => copy.tick = Some(channel.id),
             _ => {}
         }
+        // None where it is lost.
+        let schema = Some(channel.schema_id).filter(|id| description.schemas.contains_key(id));
         copy.writer.add_channel_with_id(
             channel.id,
-            channel.schema_id,
+            schema.unwrap_or(0),
             &channel.topic,
             &channel.message_encoding,
             &channel.metadata,
@@ -225,6 +231,8 @@ fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Cop
 /// What was copied so far.
 struct Copy {
     writer: mcap::Writer<BufWriter<File>>,
+    /// The channels of the copy: a message of another has a damaged number, or what says whose it was is lost.
+    known: BTreeSet<u16>,
     depth: Option<u16>,
     tick: Option<u16>,
     /// The messages of one record: they follow one another and have the same number and time.
@@ -241,6 +249,9 @@ struct Copy {
 
 impl Copy {
     fn take(&mut self, header: MessageHeader, data: Vec<u8>) -> Result<(), McapError> {
+        if !self.known.contains(&header.channel_id) {
+            return Ok(());
+        }
         let is_next = self
             .group
             .first()

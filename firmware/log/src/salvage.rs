@@ -55,14 +55,16 @@ pub(crate) struct Description {
 /// Reads what describes the messages.
 pub(crate) fn describe(path: &Path) -> io::Result<Description> {
     let (mut start, mut schemas, mut channels) = (None, BTreeMap::new(), BTreeMap::new());
+    let mut topics = BTreeSet::new();
     let walked = walk(path, &mut |record| {
         match record {
             Record::Metadata(metadata) if metadata.name == META => start = Some(metadata),
-            // What the summary says again has no checksum.
-            Record::Schema { header, data } => {
+            // What the summary says again has no checksum: a topic has one channel.
+            Record::Schema { header, data } if header.id != 0 => {
                 schemas.entry(header.id).or_insert((header, data.into_owned()));
             }
-            Record::Channel(channel) => {
+            Record::Channel(channel) if !topics.contains(&channel.topic) => {
+                topics.insert(channel.topic.clone());
                 channels.entry(channel.id).or_insert(channel);
             }
             _ => {}
@@ -104,6 +106,10 @@ fn find_start(path: &Path) -> io::Result<Option<Metadata>> {
     let size = file.metadata()?.len();
     let (name, mut places) = (start_name(), 0);
     let found = find(&file, MAGIC, size, |at, window| {
+        // A log within this one, or its end.
+        if window.starts_with(mcap::MAGIC) {
+            return Ok(Some(None));
+        }
         if !window.starts_with(&name) {
             return Ok(None);
         }
@@ -175,8 +181,8 @@ pub(crate) fn walk(
             _ => Some(Vec::new()),
         };
         let is_whole = whole.is_some();
-        // A length without a checksum is believed where something follows it, and a damaged piece's too.
-        let trusted = is_whole && opcode == op::CHUNK || is_followed;
+        // A length without a checksum is believed where something follows it, and a damaged piece's too. An attachment may hold a log.
+        let trusted = is_whole && [op::CHUNK, op::ATTACHMENT].contains(&opcode) || is_followed;
         // A chunk may be whole beside a length that is not its own.
         if !is_whole || opcode == op::CHUNK && !is_piece(&file, at, size)? {
             walked.damaged_at.get_or_insert(at);

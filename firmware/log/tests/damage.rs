@@ -422,7 +422,16 @@ fn what_is_whole_around_damage_is_recovered_and_what_is_lost_is_reported() {
     let ((metadata, _), (index, _)) = (pieces(&good, &[METADATA])[0], pieces(&good, &[MESSAGE_INDEX])[1]);
     let topic = good.windows(11).rposition(|bytes| bytes == b"/vigil/tick").unwrap();
     for at in [0, 1, 3]
-        .map(|byte| [byte, 8 + byte, metadata + byte, index + byte, topic + 1 + byte])
+        .map(|byte| {
+            [
+                byte,
+                8 + byte,
+                metadata + byte,
+                index + byte,
+                topic + 1 + byte,
+                topic - 8 + byte,
+            ]
+        })
         .concat()
     {
         for flip in [0x02, 0x03, 0x10, 0x40] {

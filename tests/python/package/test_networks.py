@@ -239,11 +239,14 @@ def test_a_detector_is_trained_on_rows_of_any_width_and_kept(tmp_path):
 
 
 def test_training_ends_at_ctrl_c():
+    # A shell in the background lets what it starts ignore SIGINT.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
     with pytest.raises(KeyboardInterrupt):
-        train([rows_of(1)], [rows_of(2)], epochs=10**6)
+        train([rows_of(1)], [rows_of(2)], epochs=10_000)
     timer.join()
+    signal.signal(signal.SIGINT, before)
 
 
 def test_a_copy_of_a_policy_is_made_anew_from_its_file(flown, policies):
