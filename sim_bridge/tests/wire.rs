@@ -74,7 +74,8 @@ fn a_beam_meets_a_wire_where_it_meets_a_cylinder_and_misses_it_where_it_falls_be
 #[test]
 fn who_flies_through_a_wire_collides_and_who_flies_over_it_does_not() {
     let across = course(&wire([6.0, -4.0, 1.0], [6.0, 4.0, 1.0], 0.005));
-    let straight_at = |height_m: f32| [[0.0, 0.0, height_m], [12.0, 0.0, height_m]];
+    // Every 6 mm: in 20 parts of 100 places each.
+    let straight_at = |height_m: f32| std::array::from_fn::<_, 21, _>(|part| [0.6 * part as f32, 0.0, height_m]);
     assert_eq!(flown(&across, &straight_at(1.09)), Outcome::Collision);
     assert_eq!(flown(&across, &straight_at(1.5)), Outcome::Success);
     // A wire's end, wholly within the body.

@@ -379,7 +379,7 @@ mod tests {
             // The same axis, forward, left and up; a rotation does not ask which frame's axes it turns.
             let [x, y, z] = shown.to_ned(FrdVector::new(x, -y, -z)).to_array().map(f64::from);
             let error = (expected.x - x).abs() + (expected.y - y).abs() + (expected.z - z).abs();
-            assert!(error < 3e-6, "{expected:?} against {x} {y} {z}");
+            assert!(error < 1e-6, "{expected:?} against {x} {y} {z}");
         }
     }
 

@@ -55,7 +55,6 @@ pub(crate) struct Description {
 /// Reads what describes the messages.
 pub(crate) fn describe(path: &Path) -> io::Result<Description> {
     let (mut start, mut schemas, mut channels) = (None, BTreeMap::new(), BTreeMap::new());
-    let mut topics = BTreeSet::new();
     let walked = walk(path, &mut |record| {
         match record {
             Record::Metadata(metadata) if metadata.name == META => start = Some(metadata),
@@ -63,8 +62,7 @@ pub(crate) fn describe(path: &Path) -> io::Result<Description> {
             Record::Schema { header, data } if header.id != 0 => {
                 schemas.entry(header.id).or_insert((header, data.into_owned()));
             }
-            Record::Channel(channel) if !topics.contains(&channel.topic) => {
-                topics.insert(channel.topic.clone());
+            Record::Channel(channel) if channels.values().all(|known: &Channel| known.topic != channel.topic) => {
                 channels.entry(channel.id).or_insert(channel);
             }
             _ => {}

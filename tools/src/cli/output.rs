@@ -367,9 +367,10 @@ pub fn git_commit() -> Option<String> {
     folders.find_map(commit_around)
 }
 
-/// Git, whatever repository the environment names.
-fn git_of_its_folder() -> std::process::Command {
+/// Git in a folder, whatever repository the environment names.
+fn git_in(folder: &Path) -> std::process::Command {
     let mut command = std::process::Command::new("git");
+    command.arg("-C").arg(folder);
     for name in ["GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"] {
         command.env_remove(name);
     }
@@ -378,15 +379,15 @@ fn git_of_its_folder() -> std::process::Command {
 
 fn commit_around(folder: &Path) -> Option<String> {
     let git = |arguments: &[&str]| {
-        let mut command = git_of_its_folder();
-        let output = command.arg("-C").arg(folder).args(arguments).output().ok()?;
+        let output = git_in(folder).args(arguments).output().ok()?;
         let text = String::from_utf8(output.stdout).ok()?;
         (output.status.success() && !text.trim().is_empty()).then(|| text.trim().to_owned())
     };
     // Anybody's repository may be around them.
     let manifest = PathBuf::from(git(&["rev-parse", "--show-toplevel"])?).join("Cargo.toml");
     let manifest = vigil_types::files::read_text(&manifest, 1 << 20).ok()?;
-    git(&["describe", "--always", "--dirty", "--abbrev=40"]).filter(|_| manifest.contains("\"firmware/guidance\""))
+    let is_ours = manifest.contains("\"firmware/guidance\"");
+    is_ours.then(|| git(&["describe", "--always", "--dirty", "--abbrev=40"]))?
 }
 
 /// Colour of a range over full scale in pictures of frames: near is bright, as in the contrast that the actor sees.
@@ -412,11 +413,7 @@ mod tests {
     fn a_program_in_another_repository_than_ours_is_of_no_commit() {
         let folder = tempfile::tempdir().expect("a folder");
         let git = |line: &str| {
-            let done = git_of_its_folder()
-                .arg("-C")
-                .arg(folder.path())
-                .args(line.split(' '))
-                .status();
+            let done = git_in(folder.path()).args(line.split(' ')).status();
             assert!(done.expect("git").success(), "{line}");
         };
         git("init -q");
