@@ -218,8 +218,14 @@ impl FrozenDetector {
     /// # Errors
     /// [`FileError`]: anything but an unaltered detector of this architecture.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
-        let (read, which) = Verified::of_any(&KIND, &[&KIND_IMPORTED], file, bytes).map_err(|e| of_before(file, e))?;
-        let of = if which == 0 { Of::Actor } else { Of::Imported };
+        let (read, of) = match Verified::from_bytes(&KIND, file, bytes) {
+            Err(refused @ FileError::Other { .. }) => match Verified::from_bytes(&KIND_IMPORTED, file, bytes) {
+                // Of neither: in the first one's words.
+                Err(FileError::Other { .. }) => return Err(of_before(file, refused)),
+                read => (read?, Of::Imported),
+            },
+            read => (read?, Of::Actor),
+        };
         let mut detector = Self {
             of,
             actor_sha256: read.text("actor_sha256")?,

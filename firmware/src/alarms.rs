@@ -1,7 +1,7 @@
 //! What the alarms of a flight came to, for the summary at its end.
 
 use vigil_guidance::conditions::{Demand, demanding};
-use vigil_types::{AlarmCause, AlarmResponse, GuidanceState, Reason, STEP_S, StepReport};
+use vigil_types::{AlarmCause, AlarmResponse, GuidanceState, Landed, Reason, STEP_S, StepReport};
 
 /// Counts alarms, by whom they were raised, and what they brought about.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -27,7 +27,9 @@ impl AlarmTally {
 
     /// Takes a step's report.
     pub fn observe(&mut self, report: &StepReport) {
-        let flown = matches!(report.state, GuidanceState::Guided | GuidanceState::Hold);
+        // It may hold before it took off.
+        let flown = matches!(report.state, GuidanceState::Guided | GuidanceState::Hold)
+            && report.telemetry.landed != Landed::OnGround;
         let flown_before = self.flown_steps;
         self.flown_steps += u64::from(flown);
         let effect = Self::effect(report);
@@ -109,9 +111,13 @@ mod tests {
         use {AlarmCause::*, AlarmResponse::*, GuidanceState::*};
         let mut tally = AlarmTally::new(true);
         let mut report = StepReport {
-            state: GuidanceState::Guided,
+            state: GuidanceState::Hold,
             ..StepReport::default()
         };
+        report.telemetry.landed = Landed::OnGround;
+        tally.observe(&report);
+        report.telemetry.landed = Landed::InAir;
+        report.state = GuidanceState::Guided;
         (0..100).for_each(|_| tally.observe(&report));
         assert_eq!(tally.to_string(), "none in 5.0 s of flight");
         let at_goal = Reasons::of(Reason::GoalReached);

@@ -1,16 +1,17 @@
 //! Configuration of the firmware: a TOML file, command-line flags over it, and what the flight stack makes of both.
+#![allow(missing_docs, reason = "the rows of the table say it")]
 
 use crate::link_spec::LinkSpec;
 use crate::link_url::LinkUrl;
-use crate::ports::gate::{AllowUnsigned, SigningFileError, SigningGate};
-use crate::ports::links::{LinkError, MAX_GROUND_LINKS};
-use crate::ports::router::RoutedLinks;
-use crate::stack_config::StackConfig;
+use crate::stack::StackConfig;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;
 use vigil_guidance::{AlarmConfig, Geofence, GuidanceConfig, JustStopConfig};
+use vigil_io::gate::{AllowUnsigned, SigningFileError, SigningGate};
 use vigil_io::key_file::{KeyFileError, frame_keys};
+use vigil_io::links::{LinkError, MAX_GROUND_LINKS};
+use vigil_io::router::RoutedLinks;
 use vigil_log::FlightInfo;
 use vigil_mavlink::{CompanionConfig, Flavour};
 use vigil_policy::GeometricConfig;
@@ -28,7 +29,6 @@ const COMPANION_PORT: u16 = 14030;
 settings! {
     /// Everything that can be set of the firmware: its fields are the rows of the table of [`parameters`], by their keys.
     /// `docs/firmware.md` is the reference.
-    #[allow(missing_docs, reason = "the rows say it")]
     pub struct FirmwareConfig {
         pub instance: u32 = &parameters::INSTANCE,
         pub link: Option<LinkSpec> = &parameters::LINK,
@@ -55,7 +55,6 @@ settings! {
     }
 
     /// Who may speak on the links: MAVLink 2 signing.
-    #[allow(missing_docs, reason = "the rows say it")]
     #[derive(Eq)]
     pub struct SigningConfig {
         pub key_file: Option<PathBuf> = &parameters::KEY_FILE,
@@ -64,7 +63,6 @@ settings! {
     }
 
     /// The goal in the local frame; without `height_m` at [`FirmwareConfig::height_m`].
-    #[allow(missing_docs, reason = "the rows say it")]
     #[derive(Copy)]
     pub struct GoalConfig {
         pub north_m: f32 = required_row(&parameters::GOAL_NORTH),
@@ -73,7 +71,6 @@ settings! {
     }
 
     /// When to hold or land.
-    #[allow(missing_docs, reason = "the rows say it")]
     #[derive(Copy)]
     pub struct Limits {
         pub frame_age_s: f64 = &parameters::FRAME_AGE,
@@ -92,7 +89,6 @@ settings! {
     }
 
     /// The permitted region: a cylinder around home.
-    #[allow(missing_docs, reason = "the rows say it")]
     #[derive(Copy)]
     pub struct GeofenceConfig {
         pub radius_m: f32 = required_row(&parameters::FENCE_RADIUS),
@@ -101,7 +97,6 @@ settings! {
     }
 
     /// How a vehicle that is guarded stops.
-    #[allow(missing_docs, reason = "the rows say it")]
     #[derive(Copy)]
     pub struct JustStopSection {
         pub reaction_s: f32 = &parameters::STOP_REACTION,
@@ -112,7 +107,6 @@ settings! {
     }
 
     /// Who decides.
-    #[allow(missing_docs, reason = "the rows say it")]
     pub struct PilotConfig {
         pub kind: PilotKind = &parameters::PILOT,
         pub apf: bool = &parameters::APF,
@@ -123,7 +117,6 @@ settings! {
     }
 
     /// What watches the actor; without an actor there is nothing to watch.
-    #[allow(missing_docs, reason = "the rows say it")]
     pub struct DetectorConfig {
         pub enabled: Option<bool> = &parameters::DETECTOR,
         pub file: Option<PathBuf> = &parameters::DETECTOR_FILE,
@@ -136,7 +129,6 @@ settings! {
     }
 
     /// The loop. The simulator publishes at the multiples of 50 ms, so `offset_ms` is what a frame ages before it is used.
-    #[allow(missing_docs, reason = "the rows say it")]
     #[derive(Copy, Eq)]
     pub struct RateConfig {
         pub priority: u8 = &parameters::PRIORITY,
@@ -144,7 +136,6 @@ settings! {
     }
 
     /// The flight log.
-    #[allow(missing_docs, reason = "the rows say it")]
     #[derive(Eq)]
     pub struct LogConfig {
         pub directory: Option<PathBuf> = &parameters::LOG,
@@ -153,7 +144,6 @@ settings! {
     }
 
     /// What outlives a restart.
-    #[allow(missing_docs, reason = "the rows say it")]
     #[derive(Eq)]
     pub struct StateConfig {
         pub directory: Option<PathBuf> = &parameters::STATE,
@@ -336,7 +326,6 @@ impl FirmwareConfig {
                 clear_steps: self.detector.clear_steps,
                 ..alarm
             },
-            ..GuidanceConfig::default()
         }
     }
 

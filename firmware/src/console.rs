@@ -1,11 +1,13 @@
 //! Prints for a person what the loop does, from a thread of its own: writing to a terminal may wait, the loop may not.
 
+use crate::alarms::in_brackets;
 use crate::frame_keeper::{FrameRefusals, Refusal};
 use std::time::Duration;
 use vigil_io::background::Background;
 use vigil_io::throttle::Throttle;
 use vigil_mavlink::StatusText;
 use vigil_mavlink::common::MavSeverity;
+use vigil_mavlink::signing::SigningCounters;
 use vigil_types::{GuidanceState, Nanos, Reasons, StepReport};
 
 /// Announcements that may wait to be printed; more are left out.
@@ -25,7 +27,7 @@ enum News {
         reasons: Reasons,
     },
     Slips(u64),
-    Refused(u64),
+    Refused(SigningCounters),
     OtherVehicle(u8),
     FramesRefused {
         total: u64,
@@ -84,10 +86,10 @@ impl Console {
         }
     }
 
-    /// Takes how many packets signing refused since start. Never waits and allocates nothing.
-    pub fn refused(&mut self, at_ns: Nanos, total: u64) {
-        if self.refused.is_due(at_ns, total) {
-            self.announce(at_ns, News::Refused(total));
+    /// Takes what signing refused since start. Never waits and allocates nothing.
+    pub fn refused(&mut self, at_ns: Nanos, signing: SigningCounters) {
+        if self.refused.is_due(at_ns, signing.refused()) {
+            self.announce(at_ns, News::Refused(signing));
         }
     }
 
@@ -125,9 +127,10 @@ fn print(at_s: f64, news: News) {
             let (from, to, reasons) = (from.name(), to.name(), reasons.join(", "));
             tracing::info!("{at_s:8.2} s  {from} → {to}{separator}{reasons}");
         }
-        News::Refused(total) => tracing::warn!(
-            "{at_s:8.2} s  {total} packets refused since start: unsigned or wrongly signed (docs/firmware.md, \"Signing\")"
-        ),
+        News::Refused(signing) => {
+            let (total, reasons) = (signing.refused(), in_brackets(signing.refusals(), ""));
+            tracing::warn!("{at_s:8.2} s  {total} packets refused since start{reasons}: docs/firmware.md, \"Signing\"");
+        }
         News::OtherVehicle(system) => tracing::warn!(
             "{at_s:8.2} s  a vehicle of system {system} calls, which is not this link's: give the link with \
              system={system} if it is yours (docs/firmware.md, \"Who is the vehicle\")"

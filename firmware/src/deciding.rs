@@ -107,7 +107,7 @@ impl Deciding {
             decision.recovery = Some(own);
             decision.risk = Some(Risk {
                 collision_course: recovery.foresees_collision(&believed, action),
-                speed_along_way_m_s: recovery.speed_along_way_m_s(&believed).unwrap_or(0.0),
+                speed_along_path_m_s: recovery.speed_along_path_m_s(&believed).unwrap_or(0.0),
                 recovery_course: recovery.foresees_own_collision(&believed, own),
             });
         }

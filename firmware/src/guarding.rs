@@ -1,4 +1,4 @@
-//! Guards somebody else's flight: what the lookout sees, what the guard makes of it, what the vehicle is asked
+//! Guards somebody else's flight: what the forward check sees, what the guard makes of it, what the vehicle is asked
 //! (docs/just-stop.md).
 #![deny(clippy::std_instead_of_core, clippy::alloc_instead_of_core)]
 
@@ -8,7 +8,7 @@ use crate::motion::Motion;
 use air::Air;
 use vigil_guidance::just_stop::{Course, Gain, JustStop, JustStopConfig, JustStopInput, JustStopState};
 use vigil_policy::plausibility::has_jumped;
-use vigil_policy::{Aside, Lookout, Scan, TakeOff};
+use vigil_policy::{Aside, ForwardCheck, Scan, TakeOff};
 use vigil_types::{
     Attitude, DepthFrame, FrdVector, GuardNotice, HORIZONTAL_FOV_RAD, Kinematics, MissionMotion, Nanos, NedVector,
     Reason, Reasons, STEP_S, StopCause, VERTICAL_FOV_RAD, VehicleMode, VehicleRequest, VehicleTelemetry, wrap_pi,
@@ -41,12 +41,12 @@ const FREE_STEPS: u16 = 20;
 /// And so far to both sides of it, besides what is kept clear of any course.
 const BESIDE_M: f32 = 0.4;
 
-/// Lookout and guard.
+/// Forward check and guard.
 pub(crate) struct Guarding {
     config: JustStopConfig,
     /// How the vehicle stops in this step: by what it says of itself too; who is going to fly around what stopped it needs room to turn.
     reckoned: JustStopConfig,
-    lookout: Lookout,
+    forward_check: ForwardCheck,
     guard: JustStop,
     last: Option<Kinematics>,
     take_off: TakeOff,
@@ -82,7 +82,7 @@ pub(crate) struct Guarded {
     pub request: VehicleRequest,
     /// Why, for the report.
     pub reasons: Reasons,
-    /// The lookout looked: what it sees may be sent as obstacles.
+    /// The forward check looked: what it sees may be sent as obstacles.
     pub looked: bool,
     /// What to tell people.
     pub notice: Option<GuardNotice>,
@@ -120,7 +120,7 @@ impl Guarding {
         Self {
             config,
             reckoned: config,
-            lookout: Lookout::new(),
+            forward_check: ForwardCheck::new(),
             guard: JustStop::default(),
             last: None,
             take_off: TakeOff::default(),
@@ -136,7 +136,7 @@ impl Guarding {
 
     /// Forgets everything, in place; whether guidance was flying around something.
     pub fn reset(&mut self) -> bool {
-        self.lookout.reset();
+        self.forward_check.reset();
         (self.guard, self.last, self.take_off) = (JustStop::default(), None, TakeOff::default());
         (self.too_fast, self.air, self.stop_place_m) = (false, None, None);
         (self.free_steps, self.frame_ns, self.oldest_s) = (0, None, 0.0);
@@ -145,7 +145,7 @@ impl Guarding {
 
     /// What was seen last.
     pub fn scan(&self) -> &Scan {
-        self.lookout.scan()
+        self.forward_check.scan()
     }
 
     /// Looks; the course, if it could be seen, whether the position jumped, and whether it takes off.
@@ -167,7 +167,7 @@ impl Guarding {
         let climbs = motion.is_some_and(|motion| self.take_off.goes_on(telemetry, &motion.kinematics));
         // From below flight height too, and a take-off that is an item of a mission is reported as MISSION in the air.
         if jumped || !airborne || climbs {
-            self.lookout.reset();
+            self.forward_check.reset();
         }
         match motion {
             Some(Motion { kinematics, sample }) if !jumped => {
@@ -179,7 +179,7 @@ impl Guarding {
         }
         let mut course = None;
         if let (Some(motion), Some(depth), true) = (motion, frame, airborne) {
-            self.lookout
+            self.forward_check
                 .observe(&motion.pilot_input(now_ns, depth, NedVector::ZERO));
             let flies_mission = telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Mission);
             let place_m = input.mission_place_m.filter(|_| flies_mission);
@@ -244,9 +244,9 @@ impl Guarding {
                 .reach_m(k.velocity_ned_m_s.horizontal_norm(), Gain::default())
         });
         let longest_m = if self.too_fast {
-            SLOW_AGAIN * Lookout::FARTHEST_M
+            SLOW_AGAIN * ForwardCheck::FARTHEST_M
         } else {
-            Lookout::FARTHEST_M
+            ForwardCheck::FARTHEST_M
         };
         let before = core::mem::replace(&mut self.too_fast, needs_m > longest_m);
         self.too_fast && !before
@@ -286,9 +286,9 @@ impl Guarding {
     fn stop_place_m(&self, kinematics: &Kinematics, gain: Gain, ahead_m: f32) -> (f32, f32) {
         let (here, velocity) = (kinematics.position_ned_m, kinematics.velocity_ned_m_s);
         let speed_m_s = velocity.horizontal_norm();
-        let way_m = self.reckoned.way_m(speed_m_s, gain).min(ahead_m.max(0.0));
+        let stopping_m = self.reckoned.stopping_m(speed_m_s, gain).min(ahead_m.max(0.0));
         let share = if speed_m_s > STANDING_M_S {
-            way_m / speed_m_s
+            stopping_m / speed_m_s
         } else {
             0.0
         };
@@ -361,14 +361,14 @@ impl Guarding {
         let (Detour::Flown { place_m }, Some(Motion { kinematics: k, sample })) = (self.detour, input.motion) else {
             return VehicleRequest::None;
         };
-        let way = NedVector::new(place_m.0 - k.position_ned_m.x, place_m.1 - k.position_ned_m.y, 0.0);
-        let off_nose_rad = wrap_pi(libm::atan2f(way.y, way.x) - sample.attitude.yaw_rad());
+        let to_place = NedVector::new(place_m.0 - k.position_ned_m.x, place_m.1 - k.position_ned_m.y, 0.0);
+        let off_nose_rad = wrap_pi(libm::atan2f(to_place.y, to_place.x) - sample.attitude.yaw_rad());
         // A mission follows its own line, on an estimate that wanders: it is given room to both sides.
-        let way_m = way.horizontal_norm();
-        let aside = NedVector::new(-way.y, way.x, 0.0) * (BESIDE_M / way_m.max(BESIDE_M));
+        let distance_m = to_place.horizontal_norm();
+        let aside = NedVector::new(-to_place.y, to_place.x, 0.0) * (BESIDE_M / distance_m.max(BESIDE_M));
         let is_clear = |from| {
-            self.lookout
-                .obstacle_ahead_m(from, way, way_m.min(FREE_M), Aside::TURNS)
+            self.forward_check
+                .obstacle_ahead_m(from, to_place, distance_m.min(FREE_M), Aside::TURNS)
                 .is_none()
         };
         let free = guided
@@ -395,13 +395,13 @@ impl Guarding {
         let (here, velocity) = (kinematics.position_ned_m, kinematics.velocity_ned_m_s);
         let speed_m_s = velocity.horizontal_norm();
         let aside = if drifts { Aside::drifts(speed_m_s) } else { Aside::TURNS };
-        let way = place_m.map(|(north_m, east_m)| NedVector::new(north_m - here.x, east_m - here.y, 0.0));
-        let on_the_way_m = |reach_m: f32| {
-            let way = way?;
-            let reach_m = reach_m.min(way.horizontal_norm());
-            self.lookout.obstacle_ahead_m(here, way, reach_m, aside)
+        let to_place = place_m.map(|(north_m, east_m)| NedVector::new(north_m - here.x, east_m - here.y, 0.0));
+        let towards_place_m = |reach_m: f32| {
+            let to_place = to_place?;
+            let reach_m = reach_m.min(to_place.horizontal_norm());
+            self.forward_check.obstacle_ahead_m(here, to_place, reach_m, aside)
         };
-        let start_obstacle_m = on_the_way_m(self.reckoned.start_reach_m());
+        let start_obstacle_m = towards_place_m(self.reckoned.start_reach_m());
         if speed_m_s <= 0.0 {
             return Course {
                 start_obstacle_m,
@@ -412,15 +412,20 @@ impl Guarding {
         let course_rad = libm::atan2f(velocity.y, velocity.x);
         let off_nose_rad = wrap_pi(course_rad - attitude.yaw_rad());
         // A start out of a hold that sways, or on an estimate that wanders, turns towards the place.
-        let turns = way.is_some_and(|way| wrap_pi(libm::atan2f(way.y, way.x) - course_rad).abs() < TURNS_RAD);
-        let along_m = |from, velocity| self.lookout.obstacle_ahead_m(from, velocity, reach_m, aside);
+        let turns = to_place
+            .is_some_and(|to_place| wrap_pi(libm::atan2f(to_place.y, to_place.x) - course_rad).abs() < TURNS_RAD);
+        let along_m = |from, velocity| self.forward_check.obstacle_ahead_m(from, velocity, reach_m, aside);
         let ahead_m = along_m(here, velocity).filter(|_| {
             // In a turn the course sweeps over what stands beside the way: it is no course that is flown.
-            let turned = way.and_then(|way| self.turned(kinematics, way));
+            let turned = to_place.and_then(|to_place| self.turned(kinematics, to_place));
             turned.is_none_or(|(there, velocity)| along_m(there, velocity).is_some())
         });
         // Behind a corner the mission gains speed anew.
-        let then_m = if turns { on_the_way_m(reach_m) } else { start_obstacle_m };
+        let then_m = if turns {
+            towards_place_m(reach_m)
+        } else {
+            start_obstacle_m
+        };
         Course {
             obstacle_m: ahead_m.into_iter().chain(then_m).reduce(f32::min),
             start_obstacle_m,
@@ -430,13 +435,13 @@ impl Guarding {
         }
     }
 
-    /// Place and velocity of a vehicle in [`TURN_S`] that is turning towards this way, by what its tilt gains it aside.
-    fn turned(&self, now: &Kinematics, way: NedVector) -> Option<(NedVector, NedVector)> {
+    /// Place and velocity of a vehicle in [`TURN_S`] that is turning towards this place, by what its tilt gains it aside.
+    fn turned(&self, now: &Kinematics, to_place: NedVector) -> Option<(NedVector, NedVector)> {
         let velocity = now.velocity_ned_m_s;
         let gain = self.air?.gain_ned_m_s2;
         let aside = NedVector::new(-velocity.y, velocity.x, 0.0) * (1.0 / velocity.horizontal_norm());
         let gain_m_s2 = gain.x * aside.x + gain.y * aside.y;
-        let towards = way.x * aside.x + way.y * aside.y;
+        let towards = to_place.x * aside.x + to_place.y * aside.y;
         let then = velocity + aside * (gain_m_s2 * TURN_S);
         (gain_m_s2 * towards > 0.0).then(|| (now.position_ned_m + (velocity + then) * (0.5 * TURN_S), then))
     }

@@ -1,7 +1,7 @@
 //! The 20 Hz rate loop, its wiring, and the firmware program.
 //!
-//! [`stack::FlightStack::tick`] is the whole of a step, pure and without allocation. [`step::Firmware`] runs it over
-//! [`ports`]: [`live_loop`] at a fixed rate, [`lockstep`] driven by a simulator, [`mod@replay`] driven by a log.
+//! [`stack::FlightStack::tick`] is the whole of a step, pure and without allocation. [`step::Firmware`] sends and
+//! records what comes of it: [`live_loop`] at a fixed rate, [`lockstep`] driven by a simulator, [`mod@replay`] driven by a log.
 #![cfg_attr(not(any(feature = "std", test)), no_std)]
 #![cfg_attr(
     not(test),
@@ -28,8 +28,6 @@ pub mod lockstep;
 mod motion;
 pub mod pilots;
 #[cfg(feature = "std")]
-pub mod ports;
-#[cfg(feature = "std")]
 pub mod program;
 #[cfg(feature = "std")]
 pub mod rate;
@@ -47,7 +45,6 @@ mod segment;
 #[cfg(feature = "std")]
 mod service;
 pub mod stack;
-mod stack_config;
 #[cfg(feature = "std")]
 pub mod step;
 #[cfg(feature = "std")]

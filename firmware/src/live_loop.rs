@@ -1,21 +1,22 @@
-//! A real-time flight: the fixed-rate loop over the live ports.
+//! A real-time flight: the fixed-rate loop over the monotonic clock, shared memory and MAVLink.
 
 use crate::alarms::{AlarmTally, in_brackets};
 use crate::config::FirmwareConfig;
 use crate::console::Console;
 use crate::frame_keeper::FrameRefusals;
-use crate::ports::links::{LinkError, LinkStatistics};
-use crate::ports::live::{MonotonicClock, SharedFrames};
-use crate::ports::router::{RoutedLinks, RoutingCounters};
-use crate::ports::{Clock, FrameSource, Link};
 use crate::rate::RateSchedule;
 use crate::realtime::{self, Granted};
-use crate::saved::{ParameterKeeper, SavedError};
+use crate::saved::{ParameterStore, SavedError};
 use crate::service::ServiceManager;
+use crate::stack::TickInput;
 use crate::step::Firmware;
 use crate::timing::{Durations, Spread};
 use std::sync::atomic::{AtomicBool, Ordering};
+use vigil_io::Link;
+use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::key_file::KeyFileError;
+use vigil_io::links::{LinkError, LinkStatistics};
+use vigil_io::router::{RoutedLinks, RoutingCounters};
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, DomainError, FrameError, FrameSubscriber};
 use vigil_log::{LogPlace, Recorder, RecorderConfig, Scene, SceneError, StartError, epoch_offset_ns};
 use vigil_mavlink::LinkCounters;
@@ -101,7 +102,7 @@ impl std::fmt::Display for FlightSummary {
             Some(true) => writeln!(f, "vehicle   holds by itself")?,
             Some(false) => writeln!(
                 f,
-                "vehicle   did not take its hold mode: its failsafe of lost setpoints follows (PX4: COM_OBL_RC_ACT)"
+                "vehicle   did not take its hold mode: its failsafe of lost setpoints follows (PX4: COM_OBL_RC_ACT, ArduPilot: GUID_TIMEOUT)"
             )?,
             None => {}
         }
@@ -190,43 +191,25 @@ fn write_signing(f: &mut std::fmt::Formatter<'_>, signing: &SigningCounters) -> 
     )
 }
 
-/// Adds datagrams of the program's own to what a link receives: requests of the person at the terminal reach the
-/// flight stack as any operator's do, and are in the log.
-struct OperatorLink<L> {
-    link: L,
-    pending: Box<Datagrams>,
-}
-
-impl<L: Link> Link for OperatorLink<L> {
-    fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
-        for (link, datagram) in self.pending.iter() {
-            received.push(link, datagram);
-        }
-        self.pending.clear();
-        self.link.receive(now_ns, received);
-    }
-
-    fn send(&mut self, sent: &Datagrams) {
-        self.link.send(sent);
-    }
-}
-
 /// The loop, ready to step. Not `Send`: it belongs to the thread that made it.
 pub struct LiveLoop {
-    clock: MonotonicClock,
     schedule: RateSchedule,
     offset_ns: Nanos,
-    priority: i32,
     firmware: Firmware,
-    frames: SharedFrames,
-    link: OperatorLink<RoutedLinks>,
+    frames: FrameSubscriber,
+    /// How often the transport failed to receive; each shows as a missing frame.
+    frame_failures: u64,
+    links: RoutedLinks,
+    /// What the links receive in the next step. A request of the person at the terminal is put there before: it reaches the flight
+    /// stack as any operator's does, and is in the log.
+    received: Box<Datagrams>,
     execution: Durations,
     wake_late: Durations,
     last: StepReport,
     used_frames: u64,
     alarms: AlarmTally,
     console: Console,
-    parameters: Option<ParameterKeeper>,
+    parameters: Option<ParameterStore>,
     /// What flies: parameters that were kept are part of it.
     config: FirmwareConfig,
     _domain: Domain,
@@ -242,41 +225,34 @@ impl LiveLoop {
         let domain = Domain::open_alone(config.instance, "firmware")?;
         // Parameters that were kept are part of the configuration that flies, and that the log holds.
         let mut config = config.clone();
-        let saved = match config.state.directory.clone() {
-            Some(folder) => Some(ParameterKeeper::load(&folder, &mut config)?),
-            None => None,
-        };
-        let mut clock = MonotonicClock;
-        let frames = SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC)?);
-        let link = OperatorLink {
-            link: config.open_links()?,
-            pending: Box::default(),
-        };
+        let folder = config.state.directory.clone();
+        let saved = folder.map(|folder| ParameterStore::load(&folder, &mut config));
+        let saved = saved.transpose()?;
+        let frames = FrameSubscriber::create(&domain, DEPTH_TOPIC)?;
+        let links = config.open_links()?;
         let frame_keys = config.frame_keys()?;
         let mut firmware = Firmware::of(&config)?;
         firmware.require_frame_keys(frame_keys);
-        let parameters = match saved {
-            Some(saved) => Some(saved.start(firmware.stack.parameters())?),
-            None => None,
-        };
+        let parameters = saved.map(|saved| saved.start(firmware.stack.parameters()));
+        let parameters = parameters.transpose()?;
         // What is refused leaves no empty log.
         if let Some(recorder) = recorder_config(&config)? {
-            let epoch_offset_ns = epoch_offset_ns(clock.now_ns());
+            let epoch_offset_ns = epoch_offset_ns(monotonic_ns());
             firmware.record(Recorder::start(RecorderConfig {
                 epoch_offset_ns,
                 ..recorder
             })?);
         }
-        let now_ns = clock.now_ns();
+        let now_ns = monotonic_ns();
         let offset_ns = Nanos::from(config.rate.offset_ms) * 1_000_000;
         Ok(Self {
-            clock,
             schedule: RateSchedule::new(now_ns, offset_ns),
             offset_ns,
-            priority: config.rate.priority.into(),
             firmware,
             frames,
-            link,
+            frame_failures: 0,
+            links,
+            received: Box::default(),
             execution: Durations::default(),
             wake_late: Durations::default(),
             last: StepReport::default(),
@@ -292,31 +268,42 @@ impl LiveLoop {
     /// Asks the system for real-time scheduling and locked memory, and starts the grid of deadlines now.
     pub fn start(&mut self) -> Granted {
         // The memory of a sensor that publishes already is mapped here, and not in a step.
-        let _ = self.frames.newest();
+        self.frame_failures += u64::from(self.frames.newest().is_err());
         // Last of all: everything is allocated, and the recorder's thread was started with its ordinary priority.
-        let granted = realtime::request(self.priority);
-        self.schedule = RateSchedule::new(self.clock.now_ns(), self.offset_ns);
+        let granted = realtime::request(self.config.rate.priority.into());
+        self.schedule = RateSchedule::new(monotonic_ns(), self.offset_ns);
         granted
     }
 
     /// Waits for the next deadline and runs one step. Allocates nothing in steady state.
     pub fn step(&mut self) -> &StepReport {
-        self.clock.sleep_until(self.schedule.next_deadline_ns());
-        let timing = self.schedule.begin(self.clock.now_ns());
-        let report = *self
-            .firmware
-            .step(timing, &mut self.clock, &mut self.frames, &mut self.link);
+        sleep_until(self.schedule.next_deadline_ns());
+        let timing = self.schedule.begin(monotonic_ns());
+        let now_ns = monotonic_ns();
+        self.links.receive(now_ns, &mut self.received);
+        let frame = self.frames.newest();
+        self.frame_failures += u64::from(frame.is_err());
+        let frame = frame.ok().flatten();
+        let input = TickInput {
+            now_ns,
+            timing,
+            frame: frame.as_deref(),
+            frame_known_altered: false,
+            received: &self.received,
+        };
+        let report = *self.firmware.step(&input, |sent| self.links.send(sent));
+        self.received.clear();
         self.console.observe(&report);
-        if let Some(keeper) = &mut self.parameters {
+        if let Some(store) = &mut self.parameters {
             let taken_over = self.firmware.stack.taken_over();
-            keeper.observe(self.firmware.stack.parameters(), taken_over);
+            store.observe(self.firmware.stack.parameters(), taken_over);
         }
         for text in self.firmware.stack.status_texts() {
             self.console.text(report.now_ns, text);
         }
-        self.console.refused(report.now_ns, self.link.link.signing_refused());
-        self.console
-            .other_vehicle(report.now_ns, self.link.link.statistics().other_system);
+        let line = self.links.statistics();
+        self.console.refused(report.now_ns, line.signing);
+        self.console.other_vehicle(report.now_ns, line.other_system);
         self.console
             .frames_refused(report.now_ns, &self.firmware.stack.frame_refusals());
         self.alarms.observe(&report);
@@ -325,7 +312,7 @@ impl LiveLoop {
         }
         self.last = report;
         self.wake_late.record(timing.wake_late_ns);
-        let execution_ns = self.schedule.end(self.clock.now_ns());
+        let execution_ns = self.schedule.end(monotonic_ns());
         self.execution.record(execution_ns);
         &self.last
     }
@@ -338,16 +325,16 @@ impl LiveLoop {
     /// Brakes, has the vehicle hold by itself while it is still sent zeros, closes the log.
     pub fn finish(mut self) -> FlightSummary {
         // What follows is the program's own end, and no person's take-over to be kept. Dropped last: it waits for its writer.
-        let _keeper = self.parameters.take();
+        let _store = self.parameters.take();
         let flew = self.last.has_vehicle();
-        self.firmware.stack.disengage_command(&mut self.link.pending);
+        self.firmware.stack.disengage_command(&mut self.received);
         for step in 0..LET_GO_STEPS {
             if step >= FAREWELL_STEPS && !self.last.has_vehicle() {
                 break;
             }
             self.step();
         }
-        self.firmware.shut_down(self.clock.now_ns(), &mut self.link);
+        self.firmware.shut_down(monotonic_ns(), &mut self.links);
         FlightSummary {
             steps: self.schedule.steps(),
             slips: self.schedule.slips(),
@@ -356,10 +343,10 @@ impl LiveLoop {
             frames: self.used_frames,
             frames_refused: self.firmware.stack.frame_refusals(),
             alarms: self.alarms,
-            frame_failures: self.frames.failures(),
+            frame_failures: self.frame_failures,
             link: self.firmware.stack.link_counters(),
-            line: self.link.link.statistics(),
-            routing: self.link.link.routing(),
+            line: self.links.statistics(),
+            routing: self.links.routing(),
             state: self.last.state,
             holds: flew.then(|| !self.last.has_vehicle()),
             log: self.firmware.finish(),

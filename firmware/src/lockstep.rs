@@ -1,7 +1,7 @@
 //! The firmware driven step by step by a simulator: in the same process by a call, in another through shared memory.
 
 use crate::config::FirmwareConfig;
-use crate::ports::handed::{HandedClock, HandedDatagrams, HandedFrame};
+use crate::stack::TickInput;
 use crate::step::{Firmware, StackError};
 use std::time::Duration;
 use vigil_io::shared_memory::{Domain, LockstepError, LockstepServer, Served};
@@ -40,15 +40,15 @@ impl LockstepFirmware {
         received: &Datagrams,
         sent: &mut Datagrams,
     ) -> &StepReport {
-        sent.clear();
-        let timing = StepTiming::of_step(self.steps);
+        let input = TickInput {
+            now_ns,
+            timing: StepTiming::of_step(self.steps),
+            frame,
+            frame_known_altered: false,
+            received,
+        };
         self.steps += 1;
-        self.firmware.step(
-            timing,
-            &mut HandedClock(now_ns),
-            &mut HandedFrame::new(frame),
-            &mut HandedDatagrams::new(received, sent),
-        )
+        self.firmware.step(&input, |output| sent.copy_from(output))
     }
 
     /// From now on takes only frames that were made with one of these keys, if there are any.

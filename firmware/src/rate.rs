@@ -10,10 +10,9 @@ use vigil_types::{Nanos, STEP_NS, StepTiming};
 #[derive(Debug, Clone)]
 pub struct RateSchedule {
     next_deadline_ns: Nanos,
-    step: u64,
-    slips: u64,
     began_ns: Nanos,
-    previous_execution_ns: u64,
+    /// Of the next step, but for its lateness.
+    timing: StepTiming,
 }
 
 impl RateSchedule {
@@ -23,10 +22,8 @@ impl RateSchedule {
         let passed = (now_ns + STEP_NS - offset_ns) / STEP_NS;
         Self {
             next_deadline_ns: passed * STEP_NS + offset_ns,
-            step: 0,
-            slips: 0,
             began_ns: now_ns,
-            previous_execution_ns: 0,
+            timing: StepTiming::default(),
         }
     }
 
@@ -39,38 +36,36 @@ impl RateSchedule {
     pub fn begin(&mut self, now_ns: Nanos) -> StepTiming {
         let late_ns = now_ns.saturating_sub(self.next_deadline_ns);
         let missed = late_ns / STEP_NS;
-        self.slips += missed;
+        self.timing.slips += missed;
         self.next_deadline_ns += (missed + 1) * STEP_NS;
         self.began_ns = now_ns;
         let timing = StepTiming {
-            step: self.step,
-            previous_execution_ns: self.previous_execution_ns,
             wake_late_ns: late_ns % STEP_NS,
-            slips: self.slips,
+            ..self.timing
         };
-        self.step += 1;
+        self.timing.step += 1;
         timing
     }
 
     /// The step has ended; returns how long it took.
     pub fn end(&mut self, now_ns: Nanos) -> u64 {
-        self.previous_execution_ns = now_ns.saturating_sub(self.began_ns);
-        self.previous_execution_ns
+        self.timing.previous_execution_ns = now_ns.saturating_sub(self.began_ns);
+        self.timing.previous_execution_ns
     }
 
     /// How long the last step took that has ended.
     pub fn previous_execution_ns(&self) -> u64 {
-        self.previous_execution_ns
+        self.timing.previous_execution_ns
     }
 
     /// Steps begun.
     pub fn steps(&self) -> u64 {
-        self.step
+        self.timing.step
     }
 
     /// Deadlines missed.
     pub fn slips(&self) -> u64 {
-        self.slips
+        self.timing.slips
     }
 }
 

@@ -1,12 +1,7 @@
 //! What an earlier version had and this one has not: commands, arguments and configuration keys, each with what replaces it.
 
-const CONSTANT: &str =
-    "the guard's thresholds are constants (docs/detection.md); `--guard off`, `guard = false`, leaves the guard out";
-
-const ONE_RECIPE: &str = "`vigil learn` has one recipe, from nothing: leave it out";
-
-/// Name as it was written, and what to do instead. Kept for one version.
-const REMOVED: [(&str, &str); 21] = [
+/// Names as they were written, and what to do instead. Kept for one version.
+const REMOVED: [(&str, &str); 9] = [
     (
         "train",
         "training by imitation is gone: `vigil learn` trains an actor from nothing",
@@ -20,40 +15,33 @@ const REMOVED: [(&str, &str); 21] = [
         "there is nothing in its place: `vigil attack table` attacks the same states",
     ),
     (
-        "learn",
+        "learn --learned",
         "the learned adversary is gone: `--attack recede` finds as much",
     ),
-    ("nothing", ONE_RECIPE),
-    ("expert", ONE_RECIPE),
-    ("--expert", ONE_RECIPE),
     (
-        "--learned",
-        "the learned adversary is gone: `--attack recede` finds as much",
+        "nothing expert --expert",
+        "`vigil learn` has one recipe, from nothing: leave it out",
     ),
     (
         "--knows",
         "the geometric pilot follows movers by its frames alone: leave it out",
     ),
-    ("--encoder", "the actor calculates in float32: leave it out"),
-    ("encoder", "the actor calculates in float32: leave it out"),
+    ("--encoder encoder", "the actor calculates in float32: leave it out"),
     (
         "--shard",
         "seeds are the shards: fly others on each machine (`--seed`, `--flights`), and `vigil merge` what they leave (docs/cluster.md)",
     ),
-    ("--astray", CONSTANT),
-    ("--disagreement", CONSTANT),
-    ("--smooth-share", CONSTANT),
-    ("--guard-final", CONSTANT),
-    ("astray_m", CONSTANT),
-    ("disagreement_s", CONSTANT),
-    ("smooth_share", CONSTANT),
-    ("guard_final", CONSTANT),
-    ("unknown_steps", CONSTANT),
+    (
+        "--astray --disagreement --smooth-share --guard-final astray_m disagreement_s smooth_share guard_final unknown_steps",
+        "the guard's thresholds are constants (docs/detection.md); `--guard off`, `guard = false`, leaves the guard out",
+    ),
 ];
 
 /// What replaces a command, an argument (with its dashes) or a key of a configuration, if this version has dropped it.
 pub fn replaced_by(name: &str) -> Option<&'static str> {
-    let row = REMOVED.iter().find(|(removed, _)| *removed == name);
+    let row = REMOVED
+        .iter()
+        .find(|(removed, _)| removed.split(' ').any(|one| one == name));
     row.map(|(_, instead)| *instead)
 }
 

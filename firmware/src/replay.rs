@@ -1,7 +1,7 @@
 //! Runs the tick over a log's recorded inputs and compares every output.
 
 use crate::config::FirmwareConfig;
-use crate::ports::handed::{HandedClock, HandedDatagrams, HandedFrame};
+use crate::stack::TickInput;
 use crate::step::Firmware;
 use vigil_log::{LogEnd, ReadError, Reader, TickRecord};
 use vigil_types::{Datagrams, LogContent, Nanos, Reason, StepReport};
@@ -179,17 +179,15 @@ pub fn replay(reader: &mut Reader) -> Result<ReplayReport, ReplayError> {
 
 /// Runs a recorded step: its time, frame and datagrams go in again. Overwrites `sent`.
 pub fn step_again<'a>(firmware: &'a mut Firmware, record: &TickRecord, sent: &mut Datagrams) -> &'a StepReport {
-    sent.clear();
-    firmware.step(
-        record.timing,
-        &mut HandedClock(record.now_ns),
+    let input = TickInput {
+        now_ns: record.now_ns,
+        timing: record.timing,
+        frame: record.frame(),
         // The key is not in the log: what the step found when it had it counts.
-        &mut HandedFrame::recorded(
-            record.frame(),
-            record.report.reasons.contains(Reason::UnauthenticatedFrame),
-        ),
-        &mut HandedDatagrams::new(&record.received, sent),
-    )
+        frame_known_altered: record.report.reasons.contains(Reason::UnauthenticatedFrame),
+        received: &record.received,
+    };
+    firmware.step(&input, |output| sent.copy_from(output))
 }
 
 fn departure(record: &TickRecord, sent: &Datagrams, report: &StepReport) -> Option<Departure> {

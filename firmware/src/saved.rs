@@ -53,12 +53,12 @@ pub struct LoadedParameters {
 }
 
 /// Has the file written when a parameter was set, by a thread of its own: the loop must not wait for a disk.
-pub struct ParameterKeeper {
+pub struct ParameterStore {
     writer: Background<Kept>,
     offered: Kept,
 }
 
-impl ParameterKeeper {
+impl ParameterStore {
     /// Reads the file of an instance and puts what it holds into `config`, over what the configuration file and the
     /// command line say.
     ///
@@ -68,6 +68,7 @@ impl ParameterKeeper {
         let file = StateFile::<Saved>::in_folder(folder, &format!("firmware{}", config.instance));
         let saved = file.load()?;
         let table = Tunables::full_table(&config.stack());
+        let mut names = Vec::new();
         for (name, value) in &saved.parameters {
             // Whoever wanted to be left alone could not be guarded again by the parameter, which only a firmware that guards has.
             if config.duty != Duty::Fly && parameters::DUTY.mavlink.is_some_and(|own| own.name == name) && *value == 0.0
@@ -79,6 +80,7 @@ impl ParameterKeeper {
                 .map_err(|e| e.to_string())
                 .and_then(|checked| put(config, name, checked))
                 .map_err(|e| file.refused_at(name, &format!("{name} = {value}: {e}")))?;
+            names.push(name.as_str());
         }
         config.state.taken_over |= saved.taken_over;
         if saved.taken_over {
@@ -87,8 +89,7 @@ impl ParameterKeeper {
                 file.path().display()
             );
         }
-        if !saved.parameters.is_empty() {
-            let names: Vec<_> = saved.parameters.keys().map(String::as_str).collect();
+        if !names.is_empty() {
             tracing::info!("from {}: {}", file.path().display(), names.join(", "));
         }
         Ok(LoadedParameters { file, saved })
@@ -113,7 +114,7 @@ impl LoadedParameters {
     ///
     /// # Errors
     /// When the thread cannot be started.
-    pub fn start(self, table: &Parameters) -> Result<ParameterKeeper, SavedError> {
+    pub fn start(self, table: &Parameters) -> Result<ParameterStore, SavedError> {
         let Self { mut file, mut saved } = self;
         let begun_with = table.clone();
         let offered = Kept {
@@ -136,7 +137,7 @@ impl LoadedParameters {
             },
         );
         let writer = writer.map_err(SavedError::Thread)?;
-        Ok(ParameterKeeper { writer, offered })
+        Ok(ParameterStore { writer, offered })
     }
 }
 
@@ -181,7 +182,7 @@ mod tests {
         let path = folder.path().join("firmware0.toml");
         std::fs::write(&path, text).unwrap();
         let mut config = FirmwareConfig::default();
-        let result = ParameterKeeper::load(folder.path(), &mut config);
+        let result = ParameterStore::load(folder.path(), &mut config);
         assert_eq!(std::fs::read(&path).unwrap(), text, "the bytes are kept");
         result.map(|_| config).map_err(|e| e.to_string())
     }
@@ -189,11 +190,11 @@ mod tests {
     /// A run in which an operator changes what flies: what the file then holds.
     fn run(folder: &Path, config: &mut FirmwareConfig, change: impl FnOnce(&mut FirmwareConfig)) -> String {
         let table = |config: &FirmwareConfig| Tunables::of(&config.stack(), None, false).parameters();
-        let loaded = ParameterKeeper::load(folder, config).unwrap();
-        let mut keeper = loaded.start(&table(config)).unwrap();
+        let loaded = ParameterStore::load(folder, config).unwrap();
+        let mut store = loaded.start(&table(config)).unwrap();
         change(config);
-        keeper.observe(&table(config), false);
-        drop(keeper);
+        store.observe(&table(config), false);
+        drop(store);
         std::fs::read_to_string(folder.join("firmware0.toml")).unwrap()
     }
 
@@ -240,11 +241,11 @@ mod tests {
         let path = folder.path().join("firmware0.toml");
         let run = |taken_over: bool| {
             let mut config = FirmwareConfig::default();
-            let loaded = ParameterKeeper::load(folder.path(), &mut config).unwrap();
+            let loaded = ParameterStore::load(folder.path(), &mut config).unwrap();
             let table = Tunables::of(&config.stack(), None, false).parameters();
-            let mut keeper = loaded.start(&table).unwrap();
-            keeper.observe(&table, taken_over);
-            drop(keeper);
+            let mut store = loaded.start(&table).unwrap();
+            store.observe(&table, taken_over);
+            drop(store);
             config.stack().guidance.taken_over
         };
         assert!(!run(false) && !path.exists(), "nothing to keep");
@@ -264,7 +265,7 @@ mod tests {
             duty: Duty::FlyAround,
             ..FirmwareConfig::default()
         };
-        ParameterKeeper::load(folder.path(), &mut config).unwrap();
+        ParameterStore::load(folder.path(), &mut config).unwrap();
         assert_eq!(config.duty, Duty::FlyAround);
     }
 

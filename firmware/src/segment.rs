@@ -95,12 +95,9 @@ impl Segment {
         if distance_m <= FARTHEST_KNOWN_M {
             return LocalGoal::Point(goal);
         }
-        let way = goal - from;
-        let length_m = way.horizontal_norm();
-        let (north, east) = (
-            way.x / length_m.max(f32::MIN_POSITIVE),
-            way.y / length_m.max(f32::MIN_POSITIVE),
-        );
+        let path = goal - from;
+        let length_m = path.horizontal_norm();
+        let [north, east] = [path.x, path.y].map(|along_m| along_m / length_m.max(f32::MIN_POSITIVE));
         let come = here - from;
         let ahead_m = (come.x * north + come.y * east).max(0.0) + AHEAD_M;
         LocalGoal::Point(if ahead_m >= length_m {
@@ -124,36 +121,30 @@ impl Approach {
                 farther || waited_ns > STALLED_NS || bearing_rad.abs() > ASIDE_RAD,
             )
         };
-        if distance_m < self.nearest_m - nearer_m {
-            *self = Self {
-                nearest_m: distance_m,
-                since_ns: now_ns,
-                by_path: false,
-            };
-        } else if changes {
+        let nearer = distance_m < self.nearest_m - nearer_m;
+        if nearer || changes {
             // What was not reached along the path is no measure for what follows.
-            let nearest_m = if self.by_path { distance_m } else { self.nearest_m };
-            *self = Self {
-                nearest_m,
-                since_ns: now_ns,
-                by_path: !self.by_path,
-            };
+            if nearer || self.by_path {
+                self.nearest_m = distance_m;
+            }
+            self.since_ns = now_ns;
+            self.by_path = !nearer && !self.by_path;
         }
     }
 }
 
 /// What a path shows the actor: its bearing, as near as a point of the line.
-pub(crate) fn along_path(way: GoalRelative) -> GoalRelative {
+pub(crate) fn along_path(path: GoalRelative) -> GoalRelative {
     GoalRelative {
-        distance_m: way.distance_m.min(AHEAD_M),
-        ..way
+        distance_m: path.distance_m.min(AHEAD_M),
+        ..path
     }
 }
 
 /// What the actor decided on its way along a path, or a turn on the spot to a path that leads aside.
-pub(crate) fn turned_to_path(way: GoalRelative, action: Action) -> Action {
-    if way.bearing_rad.abs() > TURN_RAD {
-        Action::new(0.0, TURN_YAW.copysign(way.bearing_rad))
+pub(crate) fn turned_to_path(path: GoalRelative, action: Action) -> Action {
+    if path.bearing_rad.abs() > TURN_RAD {
+        Action::new(0.0, TURN_YAW.copysign(path.bearing_rad))
     } else {
         action
     }
@@ -224,7 +215,7 @@ mod tests {
         };
         assert_eq!(next(5, 0.0, 0.0), LocalGoal::Point(at(AHEAD_M, 0.0)));
         assert_eq!(next(7, 0.3, 0.0), LocalGoal::Path, "it stands");
-        assert_eq!(next(12, -6.0, 0.0), LocalGoal::Path, "the way out goes back first");
+        assert_eq!(next(12, -6.0, 0.0), LocalGoal::Path, "the path out goes back first");
         assert_eq!(next(20, 2.0, 0.0), LocalGoal::Path);
         assert_eq!(next(30, 3.1, 0.0), LocalGoal::Point(at(3.1 + AHEAD_M, 0.0)));
         assert_eq!(next(34, 60.0, 0.0), LocalGoal::Point(at(60.0 + AHEAD_M, 0.0)));
@@ -241,11 +232,11 @@ mod tests {
     #[test]
     fn a_path_that_leads_aside_is_turned_to_on_the_spot() {
         let flown = Action::new(1.2, 0.1);
-        let way = |bearing_rad| GoalRelative::new(90.0, bearing_rad);
-        assert_eq!(turned_to_path(way(0.6), flown), flown);
-        let turn = turned_to_path(way(-2.0), flown);
+        let path = |bearing_rad| GoalRelative::new(90.0, bearing_rad);
+        assert_eq!(turned_to_path(path(0.6), flown), flown);
+        let turn = turned_to_path(path(-2.0), flown);
         assert_eq!((turn.forward_m_s, turn.yaw), (0.0, -1.0));
-        assert_eq!(along_path(way(0.6)).distance_m, AHEAD_M);
+        assert_eq!(along_path(path(0.6)).distance_m, AHEAD_M);
     }
 
     #[test]

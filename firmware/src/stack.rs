@@ -7,14 +7,15 @@ use crate::frame_keeper::{FrameKeeper, FrameRefusals, Refusal};
 use crate::guarding::{Guarded, Guarding, GuardingInput};
 use crate::motion::Motion;
 use crate::pilots::Pilots;
-pub use crate::stack_config::StackConfig;
 use crate::tunables::Tunables;
 use alloc::boxed::Box;
-use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceInput, GuidanceOutput};
+use vigil_guidance::{
+    ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput, JustStopConfig,
+};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
-use vigil_mavlink::{Companion, LET_GO, LinkCounters, MavHeader, Parameters, StatusText, framing};
+use vigil_mavlink::{Companion, CompanionConfig, LET_GO, LinkCounters, MavHeader, Parameters, StatusText, framing};
 use vigil_policy::actor::Actor;
-use vigil_policy::{FlightPilot, GeometricPilot, PilotInput, PlausibilityCheck, SecondSensor};
+use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, PilotInput, PlausibilityCheck, SecondSensor};
 use vigil_types::{
     Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal, GuardNotice, GuidanceState, Nanos, NedVector,
     OperatorRequest, Reason, Reasons, RequestOutcome, StepReport, StepTiming, VehicleRequest, VehicleTelemetry,
@@ -31,6 +32,29 @@ const GROUND_STATION: MavHeader = MavHeader {
 const SAME_HEIGHT_M: f32 = 0.5;
 /// A vehicle's system unless somebody changed it.
 const DEFAULT_SYSTEM: u8 = 1;
+
+/// What the flight stack is made from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StackConfig {
+    /// The sensor whose frames are accepted.
+    pub sensor_id: u32,
+    /// Guidance.
+    pub guidance: GuidanceConfig,
+    /// MAVLink towards the vehicle.
+    pub companion: CompanionConfig,
+    /// The geometric pilot.
+    pub pilot: GeometricConfig,
+    /// Where to fly, from home; `None` waits for an operator.
+    pub goal: Option<Goal>,
+    /// Whether frames are checked before the pilots see them (docs/sensor-faults.md).
+    pub plausibility: bool,
+    /// Whether a second sensor must see nothing nearer than the frames show (docs/second-sensor.md).
+    pub second_sensor: bool,
+    /// Whether somebody else's flight is guarded while guidance has not the vehicle (docs/just-stop.md).
+    pub duty: Duty,
+    /// How a guarded vehicle stops.
+    pub just_stop: JustStopConfig,
+}
 
 /// What one step gets.
 #[derive(Debug, Clone, Copy)]

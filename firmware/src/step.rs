@@ -1,21 +1,19 @@
-//! One step over the ports, the same live, in lockstep and in replay: receive, tick, send, record.
+//! One step, the same live, in lockstep and in replay: tick, send, record.
 
 use crate::config::FirmwareConfig;
 use crate::pilots::Pilots;
 pub use crate::pilots::StackError;
-use crate::ports::{Clock, FrameSource, Link};
-use crate::stack::{FlightStack, TickInput, TickOutput};
-use crate::stack_config::StackConfig;
+use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_guidance::ConfigError;
+use vigil_io::Link;
 use vigil_log::Recorder;
 use vigil_policy::GeometricPilot;
 use vigil_policy::actor::Actor;
-use vigil_types::{Datagrams, DepthFrame, FrameKeys, Nanos, StepReport, StepTiming};
+use vigil_types::{Datagrams, DepthFrame, FrameKeys, Nanos, StepReport};
 
 /// The flight stack with its buffers and its log. Allocates nothing after it was made.
 pub struct Firmware {
     pub(crate) stack: Box<FlightStack>,
-    received: Box<Datagrams>,
     output: Box<TickOutput>,
     recorder: Option<Recorder>,
 }
@@ -41,7 +39,6 @@ impl Firmware {
     fn flying(stack: Box<FlightStack>) -> Self {
         Self {
             stack,
-            received: Box::default(),
             output: Box::default(),
             recorder: None,
         }
@@ -52,36 +49,19 @@ impl Firmware {
         self.recorder = Some(recorder);
     }
 
-    /// One step. Never waits, unless the recorder was asked to ([`vigil_log::WhenFull::Wait`]).
-    pub fn step(
-        &mut self,
-        timing: StepTiming,
-        clock: &mut impl Clock,
-        frames: &mut impl FrameSource,
-        link: &mut impl Link,
-    ) -> &StepReport {
-        let now_ns = clock.now_ns();
-        self.received.clear();
-        link.receive(now_ns, &mut self.received);
-        let frame_known_altered = frames.known_altered();
-        let frame = frames.newest();
-        let input = TickInput {
-            now_ns,
-            timing,
-            frame,
-            frame_known_altered,
-            received: &self.received,
-        };
-        self.stack.tick(&input, &mut self.output);
-        link.send(&self.output.sent);
+    /// One step, whose datagrams are handed to `send` before the log gets it. Never waits, unless the recorder was asked to
+    /// ([`vigil_log::WhenFull::Wait`]).
+    pub fn step(&mut self, input: &TickInput<'_>, send: impl FnOnce(&Datagrams)) -> &StepReport {
+        self.stack.tick(input, &mut self.output);
+        let TickOutput { report, sent } = &*self.output;
+        send(sent);
         if let Some(recorder) = &mut self.recorder {
-            let output = &self.output;
             // A full recorder counts the record as dropped.
             recorder.record(|record| {
-                record.fill(now_ns, timing, frame, input.received, &output.sent, &output.report);
+                record.fill(input.now_ns, input.timing, input.frame, input.received, sent, report);
             });
         }
-        &self.output.report
+        report
     }
 
     /// From now on takes only frames that were made with one of these keys, if there are any.

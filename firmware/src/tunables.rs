@@ -1,7 +1,7 @@
 //! What an operator may set while the firmware runs, as MAVLink parameters (`docs/firmware.md`, "Parameters").
 #![deny(clippy::std_instead_of_core, clippy::alloc_instead_of_core)]
 
-use crate::stack_config::StackConfig;
+use crate::stack::StackConfig;
 use vigil_guidance::{AlarmConfig, GuidanceConfig};
 use vigil_mavlink::{Parameter, ParameterValue, Parameters};
 use vigil_policy::GeometricConfig;

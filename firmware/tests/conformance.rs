@@ -1,9 +1,9 @@
-//! One suite over every implementation of the ports: live, lockstep in one process, lockstep in two, replay.
+//! One suite over every way to drive a step: over links and shared memory as the live loop does, lockstep in one process, in two, replay.
 
 mod common;
 
 use common::instance::Instance;
-use common::{PATIENCE, PseudoTerminal, TestVehicle, VEHICLE, config, loopback, socket};
+use common::{PATIENCE, PseudoTerminal, TestVehicle, VEHICLE, config, loopback, socket, step_over};
 use rustix::io::ioctl_fionread;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
@@ -12,18 +12,18 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use vigil_firmware::link_url::LinkUrl;
-use vigil_firmware::ports::gate::SigningGate;
-use vigil_firmware::ports::links::{Gated, PeerRule};
-use vigil_firmware::ports::live::{MonotonicClock, SharedFrames};
-use vigil_firmware::ports::{Clock, Link};
 use vigil_firmware::step::Firmware;
 use vigil_firmware::{LockstepFirmware, lockstep, replay};
+use vigil_io::Link;
+use vigil_io::clock::monotonic_ns;
+use vigil_io::gate::SigningGate;
+use vigil_io::links::{Gated, PeerRule};
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber, LockstepClient};
 use vigil_log::TickRecord;
 use vigil_mavlink::framing::{FramingCounters, Packet, StreamFramer};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, STEP_NS, StepReport, StepTiming};
 
-/// The far end of the ports: the suite puts things there, lets the firmware step, and looks at what came out.
+/// The far end: the suite puts things there, lets the firmware step, and looks at what came out.
 trait Rig {
     /// Time as the firmware's clock will show it at the next step, at the latest.
     fn now_ns(&mut self) -> Nanos;
@@ -171,7 +171,7 @@ impl<W: Read + Write> FarEnd for StreamEnd<W> {
 /// Shared memory and a link on this machine.
 struct Live<L, F> {
     firmware: Firmware,
-    frames: SharedFrames,
+    frames: FrameSubscriber,
     link: L,
     publisher: FramePublisher,
     vehicle: F,
@@ -184,7 +184,7 @@ impl<L: Link, F: FarEnd> Live<L, F> {
         let (instance, domain) = Instance::joined(number);
         Self {
             firmware: Firmware::new(&config().stack()).unwrap(),
-            frames: SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap()),
+            frames: FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap(),
             publisher: FramePublisher::create(&domain, DEPTH_TOPIC).unwrap(),
             link,
             vehicle,
@@ -196,7 +196,7 @@ impl<L: Link, F: FarEnd> Live<L, F> {
 
 impl<L: Link, F: FarEnd> Rig for Live<L, F> {
     fn now_ns(&mut self) -> Nanos {
-        MonotonicClock.now_ns()
+        monotonic_ns()
     }
 
     fn put_frame(&mut self, frame: &DepthFrame) {
@@ -210,11 +210,9 @@ impl<L: Link, F: FarEnd> Rig for Live<L, F> {
     }
 
     fn step(&mut self) -> StepReport {
-        let timing = StepTiming::of_step(self.steps);
+        let (at, frame) = ((monotonic_ns(), self.steps), self.frames.newest().unwrap());
         self.steps += 1;
-        *self
-            .firmware
-            .step(timing, &mut MonotonicClock, &mut self.frames, &mut self.link)
+        step_over(&mut self.firmware, &mut self.link, at, frame.as_deref())
     }
 
     fn arrived(&mut self) -> Vec<Vec<u8>> {
@@ -369,7 +367,7 @@ fn a_tcp_client_conforms() {
     let url = LinkUrl::TcpOut(vehicle.local_addr().unwrap());
     let mut link = Gated::open(&url, VEHICLE, SigningGate::open()).unwrap();
     // The first step's receiving calls.
-    link.receive(MonotonicClock.now_ns(), &mut Datagrams::default());
+    link.receive(monotonic_ns(), &mut Datagrams::default());
     let (socket, _) = vehicle.accept().unwrap();
     suite(Live::new(3, link, tcp_end(socket)));
 }

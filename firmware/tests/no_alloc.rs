@@ -16,9 +16,8 @@ use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{LogConfig, RateConfig, SigningConfig, StateConfig};
 use vigil_firmware::live_loop::LiveLoop;
 use vigil_firmware::pilots::Pilots;
-use vigil_firmware::ports::Clock;
-use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::stack::{FlightStack, StackConfig, TickInput, TickOutput};
+use vigil_io::clock::monotonic_ns;
 use vigil_io::shared_memory::{DEPTH_TOPIC, FramePublisher};
 use vigil_mavlink::common::MavParamType;
 use vigil_mavlink::framing::encode;
@@ -242,7 +241,7 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
     let mut vehicle = TestVehicle::hovering(2.5);
     let mut engaged = false;
     for step in 0..60 {
-        publisher.publish(&vehicle.frame(MonotonicClock.now_ns())).unwrap();
+        publisher.publish(&vehicle.frame(monotonic_ns())).unwrap();
         for (_, datagram) in vehicle.telemetry().iter() {
             socket.send(datagram).unwrap();
         }

@@ -9,9 +9,8 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
-use vigil_firmware::ports::Clock;
-use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::{FirmwareConfig, replay};
+use vigil_io::clock::monotonic_ns;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameError, FramePublisher, remove_leftovers};
 use vigil_log::{LogEnd, Reader};
 
@@ -86,7 +85,7 @@ impl Flight {
 
     /// A twentieth of a second of flight.
     fn step(&mut self) {
-        let now_ns = MonotonicClock.now_ns();
+        let now_ns = monotonic_ns();
         if let Some(publisher) = &mut self.publisher {
             publisher.publish(&self.vehicle.frame(now_ns)).unwrap();
         }
@@ -222,8 +221,20 @@ fn a_vehicle_that_a_person_took_over_is_not_taken_by_a_firmware_that_is_killed_a
     }
     let commanded = only!(&flight.vehicle.heard, COMMAND_LONG).any(|c| (c.command as u16) < 500);
     assert!(!commanded && flight.vehicle.setpoints.is_empty() && flight.vehicle.mode == LOITER);
-    let ended = said(&flight.signal_and_fly_on(rustix::process::Signal::TERM));
-    assert!(ended.contains("a person took the vehicle over"), "{ended}");
+    // A limit of its files' size ends its log, not the program.
+    let none = rustix::process::Rlimit {
+        current: Some(0),
+        ..rustix::process::getrlimit(rustix::process::Resource::Fsize)
+    };
+    let pid = rustix::process::Pid::from_child(flight.child.as_ref().unwrap());
+    rustix::process::prlimit(Some(pid), rustix::process::Resource::Fsize, none).unwrap();
+    let ended = flight.signal_and_fly_on(rustix::process::Signal::TERM);
+    let words = said(&ended);
+    assert!(
+        ended.status.success() && words.contains("cannot be written any more"),
+        "{words}"
+    );
+    assert!(words.contains("a person took the vehicle over"), "{words}");
 }
 
 /// What a service manager hears from now on for `patience`, one line after the other.
@@ -379,6 +390,7 @@ fn what_is_wrong_is_reported_in_one_place_with_what_to_do() {
     let number = instance.to_string();
     for (arguments, expected) in [
         (["--link", &url].as_slice(), "in use by another process"),
+        (&["--link", "udpout://no..host:1"], "the host is not known"),
         (
             &["--log", file.to_str().unwrap()],
             "give a directory that can be written",

@@ -5,17 +5,16 @@
 
 mod common;
 
-use common::{Random, TestVehicle, arrived, config, socket};
+use common::{Random, TestVehicle, arrived, config, socket, step_over};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
-use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
-use vigil_firmware::ports::handed::{HandedClock, HandedFrame};
-use vigil_firmware::ports::router::RoutedLinks;
 use vigil_firmware::step::Firmware;
+use vigil_io::gate::{AllowUnsigned, SigningGate};
+use vigil_io::router::RoutedLinks;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{FramingCounters, StreamFramer, encode};
 use vigil_mavlink::message;
-use vigil_types::{GuidanceState, Nanos, Reason, STEP_NS, StepTiming};
+use vigil_types::{GuidanceState, Nanos, Reason, STEP_NS};
 
 /// 20 000 datagrams a second.
 const PER_STEP: usize = 1000;
@@ -203,9 +202,7 @@ impl<N: Network> Flight<N> {
             self.network.shout(i % STRANGERS, bytes);
         }
         let frame = self.vehicle.frame(now_ns);
-        let timing = StepTiming::of_step(self.step);
-        let (clock, frames) = (&mut HandedClock(now_ns), &mut HandedFrame::new(Some(&frame)));
-        let report = *self.firmware.step(timing, clock, frames, &mut self.links);
+        let report = step_over(&mut self.firmware, &mut self.links, (now_ns, self.step), Some(&frame));
         for packet in self.network.heard() {
             self.vehicle.hear(&packet);
         }

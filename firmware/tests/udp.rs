@@ -5,9 +5,9 @@ mod common;
 use common::{SECOND, VEHICLE, heard, loopback};
 use std::net::{SocketAddr, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
-use vigil_firmware::ports::Link;
-use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
-use vigil_firmware::ports::links::{Gated, PeerRule};
+use vigil_io::Link;
+use vigil_io::gate::{AllowUnsigned, SigningGate};
+use vigil_io::links::{Gated, PeerRule};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavMessage, MavType};
 use vigil_mavlink::framing::encode as packet;
 use vigil_mavlink::message;
@@ -55,6 +55,9 @@ fn the_first_vehicle_is_the_peer_and_a_stranger_is_neither_heard_nor_answered() 
     say(&mut link, b"to nobody");
     assert_eq!(link.statistics().unsent, 1);
     let (vehicle_end, stranger) = (caller(&link), caller(&link));
+    // What it sends before its first heartbeat is not a stranger's.
+    let early = packet((1, 1), 0, &MavMessage::COMMAND_LONG(COMMAND_LONG_DATA::DEFAULT));
+    vehicle_end.send(&early).unwrap();
     vehicle_end.send(&vehicle(1)).unwrap();
     stranger.send(&vehicle(66)).unwrap();
     assert_eq!(heard(&mut link, SECOND), [vehicle(1)]);

@@ -143,27 +143,26 @@ fn mesh_parry(bencher: Bencher, mesh: &str) {
 
 #[divan::bench]
 fn measure(bencher: Bencher) {
-    let world = World::new(&course(1));
-    let mut lidar = lidar(Method::Fast);
-    let s = shot(1);
-    lidar.cast(&world, s.position_ned_m, s.attitude);
+    let mut lidar = captured().0;
     bench(bencher, |count| lidar.measure(count));
+}
+
+/// A sensor that took a frame.
+fn captured() -> (Lidar, Box<DepthFrame>) {
+    let (mut lidar, mut frame) = (lidar(Method::Fast), Box::new(DepthFrame::EMPTY));
+    lidar.capture(&World::new(&course(1)), &shot(1), &mut frame);
+    (lidar, frame)
 }
 
 #[divan::bench]
 fn project(bencher: Bencher) {
-    let world = World::new(&course(1));
-    let mut lidar = lidar(Method::Fast);
-    let mut frame = Box::new(DepthFrame::EMPTY);
-    lidar.capture(&world, &shot(1), &mut frame);
+    let (mut lidar, mut frame) = captured();
     bencher.bench_local(|| lidar.project(&mut frame));
 }
 
 #[divan::bench]
 fn seal(bencher: Bencher) {
-    let world = World::new(&course(1));
-    let mut frame = Box::new(DepthFrame::EMPTY);
-    lidar(Method::Fast).capture(&world, &shot(1), &mut frame);
+    let mut frame = captured().1;
     bencher.bench_local(|| frame.seal());
 }
 
@@ -217,7 +216,7 @@ fn begin(bencher: Bencher) {
         let environment = Environment::unseen(&course, VehicleParams::default(), Wind::default(), seed);
         (
             environment.expect("valid").goal_distance_m(),
-            TrueCourse::new(&course).way_m(course.start_ned_m()),
+            TrueCourse::new(&course).path_m(course.start_ned_m()),
         )
     });
 }

@@ -423,7 +423,7 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
             simulator.advance_1ms();
         }
         elapsed_ms += SLICE_MS;
-        simulator.transmit(|link, datagram| links.send(LinkId(link), datagram));
+        simulator.transmit(|link, is_telemetry, datagram| links.send(link, is_telemetry, datagram));
         if elapsed_ms.is_multiple_of(u64::from(STEP_MS)) {
             // A reader that is not there is no fault of the simulator's: frames are published regardless.
             let is_due = args.status && (elapsed_ms / u64::from(STEP_MS)).is_multiple_of(STATUS_STEPS);

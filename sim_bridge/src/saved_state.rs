@@ -43,12 +43,10 @@ mod tests {
         let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
         config.saved = file.load().unwrap();
         let again = Simulator::new(&config, 0).unwrap().saved();
-        assert_eq!(
-            vigil_types::settings::to_toml(&again),
-            vigil_types::settings::to_toml(&saved)
-        );
+        let toml = vigil_types::settings::to_toml::<Saved>;
+        assert_eq!(toml(&again), toml(&saved));
         assert_eq!(again.parameters["MIS_TAKEOFF_ALT"], 3.1);
-        assert!(vigil_types::settings::to_toml(&again).contains("command = 5100"));
+        assert!(toml(&again).contains("command = 5100"));
     }
 
     #[test]

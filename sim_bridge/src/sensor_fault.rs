@@ -317,10 +317,8 @@ mod tests {
             assert_eq!(frame.header.checksum, frame.compute_checksum(), "{}", mode.name());
         }
         let fault: SensorFault = "frozen@2.5".parse().unwrap();
-        assert_eq!(
-            (fault.onset, fault.to_string()),
-            (Onset::At(2.5), "frozen@2.5".to_owned())
-        );
+        assert_eq!(fault.onset, Onset::At(2.5));
+        assert_eq!(fault.to_string(), "frozen@2.5");
         assert!("melted".parse::<SensorFault>().unwrap_err().contains("frozen"));
         assert!("frozen@soon".parse::<SensorFault>().unwrap_err().contains("seconds"));
     }
@@ -342,10 +340,8 @@ mod tests {
         assert!(dead.depth[..DEPTH_PIXELS / 2].iter().all(|d| *d == 1.0));
         assert_eq!(dead.depth[DEPTH_PIXELS / 2..], frame(0).depth[DEPTH_PIXELS / 2..]);
         let left = spoiled("frozen-left@0.1", 9);
-        assert_eq!(
-            (left.depth[3], left.depth[200]),
-            (frame(2).depth[3], frame(8).depth[200])
-        );
+        assert_eq!(left.depth[3], frame(2).depth[3]);
+        assert_eq!(left.depth[200], frame(8).depth[200]);
         assert_eq!(spoiled("mirrored", 1).depth[0], frame(0).depth[DEPTH_COLS - 1]);
         let shifted = spoiled("shifted", 1);
         let there = [128 - SHIFT_COLUMNS, 128 + SHIFT_COLUMNS].map(|c| frame(0).depth[c]);

@@ -138,9 +138,9 @@ impl Simulator {
         self.endpoint.take_signing_setup()
     }
 
-    /// Takes the datagrams that the vehicle wants to send.
-    pub fn transmit(&mut self, mut send: impl FnMut(u8, &[u8])) {
-        self.endpoint.transmit(|link, datagram| send(link.0, datagram));
+    /// Takes the datagrams that the vehicle wants to send: the link, whether it is telemetry, the datagram.
+    pub fn transmit(&mut self, send: impl FnMut(LinkId, bool, &[u8])) {
+        self.endpoint.transmit_marked(send);
     }
 
     /// Advances physics, autopilot and referee by one millisecond.

@@ -14,6 +14,9 @@ use vigil_types::{Datagrams, Nanos};
 /// Links by URL, besides the three that every vehicle has.
 pub const MAX_EXTRA_LINKS: usize = 4;
 
+/// What all but telemetry may overdraw of a link's burst; telemetry waits until that is made up for.
+const ANSWERS_OVERDRAW: f64 = 0.5;
+
 /// Of instance 0.
 const ONBOARD: ([u8; 4], u16) = ([127, 0, 0, 1], 14280);
 
@@ -159,14 +162,15 @@ impl VehicleLinks {
     }
 
     /// Sends a packet to every peer of a link, signed if there is a key. What the link's rate does not allow and what the
-    /// system does not take is lost, as on any radio link.
-    pub fn send(&mut self, link: LinkId, packet: &[u8]) {
+    /// system does not take is lost, telemetry first, as on any radio link.
+    pub fn send(&mut self, link: LinkId, is_telemetry: bool, packet: &[u8]) {
         let Some(link) = self.links.iter_mut().find(|l| l.id == link) else {
             return;
         };
         let signature_len = if self.gate.has_key() { SIGNATURE_LEN } else { 0 };
+        let kept = if is_telemetry { 0.0 } else { -ANSWERS_OVERDRAW };
         if let Some(budget) = &mut link.budget
-            && !budget.spend(self.now_ns, packet.len() + signature_len, 0.0)
+            && !budget.spend(self.now_ns, packet.len() + signature_len, kept)
         {
             link.over_budget += 1;
             return;

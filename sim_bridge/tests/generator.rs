@@ -27,9 +27,9 @@ fn plan_clearance_m(course: &Course, north_m: f32, east_m: f32) -> f32 {
         .fold(f32::INFINITY, f32::min)
 }
 
-/// Points along a way, so many steps a stretch.
-fn along(way: &[[f32; 2]], steps: u8) -> impl Iterator<Item = [f32; 2]> {
-    way.windows(2).flat_map(move |ends| {
+/// Points along a path, so many steps a stretch.
+fn along(path: &[[f32; 2]], steps: u8) -> impl Iterator<Item = [f32; 2]> {
+    path.windows(2).flat_map(move |ends| {
         let share = move |k: u8| f32::from(k) / f32::from(steps);
         (0..=steps).map(move |k| [0, 1].map(|i| ends[0][i] + share(k) * (ends[1][i] - ends[0][i])))
     })
@@ -44,12 +44,12 @@ fn places(mover: &Mover) -> impl Iterator<Item = Solid> {
 #[test]
 fn every_course_has_a_corridor_that_keeps_its_margin() {
     for course in Family::ALL.into_iter().flat_map(courses) {
-        let way = course
+        let path = course
             .corridor()
-            .unwrap_or_else(|| panic!("{} has no way", course.name));
-        assert_eq!(way.first(), Some(&[course.start.north_m, course.start.east_m]));
-        assert_eq!(way.last(), Some(&[course.goal.north_m, course.goal.east_m]));
-        for at in along(&way, 40) {
+            .unwrap_or_else(|| panic!("{} has no path", course.name));
+        assert_eq!(path.first(), Some(&[course.start.north_m, course.start.east_m]));
+        assert_eq!(path.last(), Some(&[course.goal.north_m, course.goal.east_m]));
+        for at in along(&path, 40) {
             assert!(course.bounds.contains_plan(at[0], at[1]));
             let clearance_m = plan_clearance_m(course, at[0], at[1]);
             let is_kept = clearance_m >= VEHICLE.radius_m + course.corridor_margin_m() - 0.01;
@@ -73,10 +73,8 @@ fn the_same_seed_gives_the_same_course_and_others_differ() {
         assert_eq!(generate(family, 5), generate(family, 5));
         assert_ne!(generate(family, 5).solids(), generate(family, 6).solids());
     }
-    assert_ne!(
-        generate(Family::Training, 5).solids(),
-        generate(Family::Validation, 5).solids()
-    );
+    let of = |family| generate(family, 5).solids();
+    assert_ne!(of(Family::Training), of(Family::Validation));
 }
 
 #[test]
@@ -138,7 +136,7 @@ fn a_hard_course_leads_through_narrow_doors_that_lie_aside_of_each_other() {
             let above = |o: &&Overhang| o.bottom_m >= 1.9 && o.solid().plan_distance_m(middle[0], middle[1]) < 0.0;
             lintels += course.overhangs.iter().filter(above).count();
         }
-        // No way around: with the doors walled up there is none.
+        // No path around: with the doors walled up there is none.
         let mut closed = course.clone();
         closed.walls.extend(doors.iter().map(|(middle, _)| Wall {
             from_m: [middle[0], middle[1] - 1.2],
@@ -146,7 +144,7 @@ fn a_hard_course_leads_through_narrow_doors_that_lie_aside_of_each_other() {
             thickness_m: 0.3,
             height_m: 3.0,
         }));
-        assert!(closed.corridor().is_none(), "{name} has a way around its doors");
+        assert!(closed.corridor().is_none(), "{name} has a path around its doors");
         assert!(course.straight_line_is_blocked());
     }
     assert!(two_or_more > 60 && lintels > 60, "{two_or_more} {lintels}");
@@ -158,7 +156,7 @@ fn a_hard_course_can_be_flown_whenever_one_leaves() {
         for depart_s in [0.0, 4.7, 21.3, 60.0] {
             let arrival_s = course
                 .earliest_arrival_s(depart_s)
-                .unwrap_or_else(|| panic!("{}: no way from {depart_s} s on", course.name));
+                .unwrap_or_else(|| panic!("{}: no path from {depart_s} s on", course.name));
             assert!(arrival_s > depart_s + 14.0, "{}: {arrival_s} s", course.name);
         }
     }
@@ -168,11 +166,11 @@ fn a_hard_course_can_be_flown_whenever_one_leaves() {
 fn no_mover_keeps_any_point_of_the_way_for_good() {
     let mut blocked_at_times = 0;
     for course in courses(Family::Hard) {
-        let way = course.corridor().expect("a way");
+        let path = course.corridor().expect("a path");
         let needed_m = VEHICLE.radius_m + HARD_CORRIDOR_MARGIN_M;
         for mover in &course.movers {
             let solids: Vec<Solid> = places(mover).collect();
-            for at in along(&way, 20) {
+            for at in along(&path, 20) {
                 let is_clear = |s: &&Solid| s.plan_distance_m(at[0], at[1]) >= needed_m;
                 let clear = solids.iter().filter(is_clear).count();
                 blocked_at_times += usize::from(clear < 64);
@@ -265,8 +263,8 @@ fn figures_of_the_families() {
         for course in courses(family) {
             blocked += usize::from(course.straight_line_is_blocked());
             obstacles += course.solids().len() + course.movers.len();
-            let way = course.corridor().expect("a way");
-            let length: f32 = way
+            let path = course.corridor().expect("a path");
+            let length: f32 = path
                 .windows(2)
                 .map(|l| (l[1][0] - l[0][0]).hypot(l[1][1] - l[0][1]))
                 .sum();
@@ -274,7 +272,7 @@ fn figures_of_the_families() {
         }
         let n = SEEDS as f64;
         println!(
-            "{family}: {:.0} % of straight lines blocked, {:.1} obstacles, way {:.3} x the straight line",
+            "{family}: {:.0} % of straight lines blocked, {:.1} obstacles, path {:.3} x the straight line",
             100.0 * blocked as f64 / n,
             obstacles as f64 / n,
             detour / n

@@ -73,19 +73,25 @@ def test_an_interrupted_campaign_goes_on_with_its_parts_on_a_ray_of_its_own(tmp_
     assert main([*line, "--address", "nonsense"]) == 1
     assert main(line) == 0
     assert out.read_bytes() == one_machine(tmp_path, words)
-    # One part of three was lost.
+    # One part of three was lost on a full disk.
     kept, lost = parts / "40-2.jsonl", parts / "42-2.jsonl"
     before, content = os.stat(kept).st_mtime_ns, lost.read_bytes()
-    lost.unlink()
+    lost.write_bytes(b"")
     out.unlink()
     assert main(line) == 0
     assert out.read_bytes() == one_machine(tmp_path, words)
     assert os.stat(kept).st_mtime_ns == before and lost.read_bytes() == content
 
-    # Parts of another campaign are neither taken nor overwritten.
-    lost.unlink()
+    # Parts of another campaign are neither taken nor overwritten, be they all of it.
     with pytest.raises(CampaignError, match="of another campaign or program"):
         fly([*words[:-1], "0"], out, VIGIL, at_a_time=2)
+    # Nor is a part of another's beside one that is flown here.
+    lost.unlink()
+    own = kept.read_bytes()
+    kept.write_bytes(own.replace(b'"arithmetic":"', b'"arithmetic":"x', 1))
+    with pytest.raises(CampaignError, match="of another campaign or program"):
+        fly(words, out, VIGIL, at_a_time=2)
+    assert not lost.exists()
     assert out.read_bytes() == one_machine(tmp_path, words)
 
 
@@ -106,6 +112,7 @@ def test_files_are_sent_along_and_what_fails_is_said(tmp_path, monkeypatch):
         for words, program, why in [
             (["--flights", "2", "--wind", "99"], {}, "--wind must be between 0 and 20"),
             (["--flights", "2", "--actor", "no-such-file"], {}, "cannot read no-such-file"),
+            (["--flights", "0"], {}, "--flights one above 0"),
             (["--logs", "x"], {}, "--logs is not for a cluster"),
             (["--threads=3"], {}, "--threads is not for a cluster"),
             (["--flights", "2"], {"vigil": TOP / "no-vigil"}, "no-vigil is no program"),

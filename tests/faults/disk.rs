@@ -54,17 +54,11 @@ fn no_state(site: &Site<'_>) -> Row {
         return Row::of(NAME, &[], "left out: needs the right to mount");
     };
     disk.fill();
-    let output = Command::new(vigil_tests::vigil())
-        .args(["firmware", "--instance", &site.instances[0].to_string(), "--state"])
-        .arg(disk.path())
-        .stdin(Stdio::null())
-        .output();
-    let trial = match output {
-        Ok(output) if output.status.code() == Some(1) && vigil_tests::said(&output).contains("No space left") => {
-            Trial::right(Ending::Named)
-        }
-        Ok(output) => Trial::wrong(Ending::Crashed, vigil_tests::said(&output)),
-        Err(error) => Trial::wrong(Ending::Crashed, error.to_string()),
+    let (instance, state) = (site.instances[0], disk.path().display());
+    let output = vigil_tests::run_line(&format!("firmware --instance {instance} --state {state}"));
+    let trial = match (output.status.code(), vigil_tests::said(&output)) {
+        (Some(1), said) if said.contains("No space left") => Trial::right(Ending::Named),
+        (_, said) => Trial::wrong(Ending::Crashed, said),
     };
     Row::of(NAME, &[trial], "refused by name")
 }

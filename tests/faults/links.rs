@@ -7,7 +7,7 @@ use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, UNIX_EPOCH};
 use vigil_autopilot::{EndpointConfig, LinkId};
 use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::common::*;
@@ -167,9 +167,7 @@ impl Attacker {
 }
 
 fn sign(signing: &mut Signing, ahead_s: i64, bytes: &[u8]) -> Vec<u8> {
-    let unix_ns = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |since| since.as_nanos() as u64);
+    let unix_ns = UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64);
     let at = timestamp_of_unix_ns(unix_ns).saturating_add_signed(ahead_s * UNITS_PER_SECOND as i64);
     let mut out = [0; MAX_PACKET_LEN + SIGNATURE_LEN];
     signing

@@ -4,7 +4,7 @@
 use rustix::process::Signal;
 use serde_json::Value;
 use std::path::Path;
-use vigil_tests::{Running, evaluate, run_in, run_line, said, succeed, text};
+use vigil_tests::{Running, evaluate, program, run_line, said, succeed, text};
 
 /// Seeds and flights of a small campaign of the actor.
 fn campaign(folder: &Path, name: &str, arguments: &[&str]) -> Vec<Value> {
@@ -79,7 +79,8 @@ fn an_attack_that_cannot_be_is_refused_by_name_and_leaves_nothing() {
         ),
         ("adversary --goal 20,5", "--attack METHOD"),
     ] {
-        let output = run_in(folder.path(), &arguments.split(' ').collect::<Vec<_>>());
+        let output = program().args(arguments.split(' ')).current_dir(folder.path()).output();
+        let output = output.expect("vigil starts");
         assert!(!output.status.success());
         assert!(said(&output).contains(wanted), "{arguments:?}: {}", said(&output));
     }

@@ -85,10 +85,24 @@ fn seeds_flown_on_three_machines_make_the_files_that_one_machine_writes_byte_for
     makes_none(&[&a, &other, &c], "program_sha256 was");
     let other = altered("longer.jsonl", "\"steps\":", "\"steps\":1");
     makes_none(&[&a, &b, &other, &c], "contradicts an earlier flight of seed 5");
+    let other = altered("seeds.jsonl", "{\"seed\":6,\"arm", "{\"seed\":5,\"arm");
+    makes_none(&[&a, &other, &c], "line 3 is of another seed than its flight");
+    let other = altered("none.jsonl", "\"flights\":2", "\"flights\":0");
+    makes_none(&[&a, &b, &c, &other], "none.jsonl is of no flight");
     let other = altered("cut.jsonl", "\"steps\":", "\"ste");
     makes_none(&[&a, &other, &c], "line 2 is damaged");
     makes_none(&[&a, &file("one.json"), &c], "one.json");
     assert!(bytes(&whole) == before, "what was there is kept");
+
+    // Another program wrote the lines anew: a mark in front, entries by name, and no `.0`.
+    let anew = |line: &str| {
+        let value: serde_json::Value = serde_json::from_str(line).expect("JSON");
+        value.to_string().replace(".0,", ",").replace(".0}", "}") + "\n"
+    };
+    let anew: String = lines.lines().map(anew).collect();
+    fs::write(file("anew.jsonl"), format!("\u{feff}{anew}")).expect("written");
+    succeed(&merge(&[&file("anew.jsonl"), &a, &c], &whole));
+    same(&file("one.json"), &whole, &["json", "jsonl"]);
 }
 
 #[test]
@@ -116,9 +130,11 @@ fn a_killed_campaign_goes_on_with_every_flight_that_had_ended() {
     let still = fly("3", "5", &killed, &["--resume", "--still"]);
     refused(&still, &["still was false, and is true"]);
     assert!(bytes(&killed.with_extension("jsonl")) == before);
-    // Without the word it is flown anew.
+    // Without the word it is flown anew, in place of a campaign's lines and of no others.
     assert!(!flown("3", "4", &killed, &[]).contains("already"));
     same(&one, &killed, &["json", "jsonl"]);
+    fs::write(killed.with_extension("jsonl"), "{\"mine\":1}\n").expect("written");
+    refused(&fly("3", "4", &killed, &[]), &["is no campaign's"]);
 }
 
 #[test]
@@ -129,6 +145,8 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
     flown("3", "2", &file("fault.json"), &fault);
     flown("3", "1", &file("fault-1.json"), &fault);
     flown("4", "1", &file("fault-2.json"), &fault);
+    let whole_sensor = fly("3", "2", &file("fault-1.json"), &[&["--resume"], &fault[2..]].concat());
+    refused(&whole_sensor, &["sensor_fault was \"zeros@1\", and is absent"]);
     let [own, other] = ["fault-1.jsonl", "fault-2.jsonl"].map(file);
     succeed(&merge(&[&own, &other], &file("faults.json")));
     same(&file("fault.json"), &file("faults.json"), &["json", "jsonl"]);
@@ -139,6 +157,14 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
     let report = json(&file("faults.json"));
     assert_eq!(report["second_sensor_heads"], 1);
 
+    flown("3", "1", &file("fgsm.json"), &["--attack=fgsm"]);
+    let evading = fly(
+        "3",
+        "1",
+        &file("fgsm.json"),
+        &["--attack=fgsm", "--evade-guard", "--resume"],
+    );
+    refused(&evading, &["attack.evades_guard was absent, and is true"]);
     let attack = |folder: &Path, words: &[&str], more: &[&str]| {
         run(&[&["attack"], words, &["--iterations=1", "-o", text(folder)], more].concat())
     };

@@ -3,8 +3,9 @@
 //! A mission that leads through a wall, and the same for a guarded vehicle: `just_stop/`; for a rendered sensor: `foreign.rs`.
 
 use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{HEARTBEAT_DATA, MavAutopilot, MavType};
+use vigil_mavlink::common::{MavAutopilot, MavType};
 use vigil_mavlink::framing::{self, FramingCounters};
+use vigil_mavlink::message;
 use vigil_sim::world::Family;
 use vigil_tests::Pair;
 use vigil_tests::ground::{Request, STATION, packet, set_auto_mode};
@@ -14,51 +15,39 @@ const SEED: u64 = 4203;
 /// The fault begins after so many steps of guided flight: 4 s.
 const ONSET: usize = 80;
 
-/// A vehicle in guided flight over a course, and what was said of it since something went wrong.
-struct Flight {
-    pair: Pair,
-    /// Steps since the fault began.
-    step: u64,
+/// On its way for 4 s.
+fn guided() -> Pair {
+    let mut pair = Pair::new(Family::Validation, SEED);
+    pair.fly_guided(ONSET);
+    pair
+}
+
+/// What came of some steps.
+struct Flown {
+    last: StepReport,
     reasons: Reasons,
     texts: Vec<String>,
     guided: usize,
 }
 
-impl Flight {
-    /// On its way for 4 s.
-    fn guided() -> Self {
-        let mut flight = Self::waiting();
-        flight.pair.fly_guided(ONSET);
-        flight
+/// Steps in which `spoil` has its hand between vehicle, sensor and firmware; it says whether the frame arrives.
+fn run(pair: &mut Pair, steps: usize, mut spoil: impl FnMut(&mut Pair, u64) -> bool) -> Flown {
+    let mut texts = Vec::new();
+    let reports = pair.fly(steps, |pair, step| {
+        texts.extend(pair.texts());
+        spoil(pair, step as u64)
+    });
+    texts.extend(pair.texts());
+    assert_eq!((reports.len(), pair.outcome()), (steps, None), "it ended");
+    Flown {
+        last: reports[steps - 1],
+        reasons: reports.iter().fold(Reasons::NONE, |all, r| all.union(r.reasons)),
+        texts,
+        guided: reports.iter().filter(|r| r.state == GuidanceState::Guided).count(),
     }
+}
 
-    /// Hovering, before guidance has taken it.
-    fn waiting() -> Self {
-        Self {
-            pair: Pair::new(Family::Validation, SEED),
-            step: 0,
-            reasons: Reasons::NONE,
-            texts: Vec::new(),
-            guided: 0,
-        }
-    }
-
-    /// Steps in which `spoil` has its hand between vehicle, sensor and firmware; it says whether the frame arrives.
-    fn run(&mut self, steps: u64, mut spoil: impl FnMut(&mut Pair, u64) -> bool) -> StepReport {
-        let mut last = None;
-        for _ in 0..steps {
-            self.pair.simulate();
-            let arrives = spoil(&mut self.pair, self.step);
-            let report = last.insert(self.pair.decide(arrives));
-            self.step += 1;
-            self.reasons = self.reasons.union(report.reasons);
-            self.guided += usize::from(report.state == GuidanceState::Guided);
-            self.texts.extend(self.pair.texts());
-            assert_eq!(self.pair.outcome(), None, "it ended after {} steps", self.step);
-        }
-        last.expect("a step")
-    }
-
+impl Flown {
     #[track_caller]
     fn assert_said(&self, part: &str) {
         let texts = &self.texts;
@@ -72,21 +61,21 @@ impl Flight {
 
 /// Frames as `spoil` leaves them hold the vehicle by this name, and it stands. With good frames it flies on, where `ends`.
 fn frames_hold(what: &str, name: Reason, ends: bool, mut spoil: impl FnMut(&mut DepthFrame, u64, u64) -> bool) {
-    let mut flight = Flight::guided();
-    let report = flight.run(160, |pair, step| {
+    let mut pair = guided();
+    let held = run(&mut pair, 160, |pair, step| {
         let now_ns = pair.simulator.now_ns();
         let arrives = spoil(&mut pair.frame, step, now_ns);
         pair.frame.seal();
         arrives
     });
-    let names = flight.names();
-    assert!(flight.reasons.contains(name), "{what}: {names:?}");
-    assert_eq!(report.state, GuidanceState::Hold, "{what}: {names:?}");
-    let speed_m_s = flight.pair.speed_m_s();
+    let names = held.names();
+    assert!(held.reasons.contains(name), "{what}: {names:?}");
+    assert_eq!(held.last.state, GuidanceState::Hold, "{what}: {names:?}");
+    let speed_m_s = pair.speed_m_s();
     assert!(speed_m_s < 0.2, "{what}: {speed_m_s} m/s");
     if ends {
-        let report = flight.run(30, |_, _| true);
-        assert_eq!(report.state, GuidanceState::Guided, "{what}: {names:?}");
+        let goes_on = run(&mut pair, 30, |_, _| true);
+        assert_eq!(goes_on.last.state, GuidanceState::Guided, "{what}: {names:?}");
     }
 }
 
@@ -138,8 +127,7 @@ fn frames_of_another_field_of_view_are_a_blind_sensor_or_an_inconsistent_picture
 #[test]
 fn frames_of_another_rate_are_flown_with_until_they_are_stale() {
     frames_hold("2.5 Hz", Reason::StaleFrame, true, |_, step, _| step % 8 == 0);
-    let mut flight = Flight::guided();
-    flight.run(100, |_, step| step % 4 == 0);
+    let flight = run(&mut guided(), 100, |_, step| step % 4 == 0);
     assert_eq!((flight.guided, flight.names()), (100, vec![]), "5 Hz");
 }
 
@@ -188,7 +176,7 @@ fn with_position(said: &Datagrams, alter: impl Fn(f32) -> Option<f32>) -> Box<Da
 
 #[test]
 fn a_pose_that_jumps_is_implausible_and_is_flown_on_from_only_when_poses_fit_again() {
-    let mut flight = Flight::guided();
+    let mut pair = guided();
     // Telemetry and the frames' poses agree: a vehicle whose estimator was set anew.
     let mut set_anew = |pair: &mut Pair, _| {
         pair.to_firmware = with_position(&pair.to_firmware, |north_m| Some(north_m + 3.0));
@@ -196,37 +184,38 @@ fn a_pose_that_jumps_is_implausible_and_is_flown_on_from_only_when_poses_fit_aga
         pair.frame.seal();
         true
     };
-    let report = flight.run(8, &mut set_anew);
-    let held_by = |flight: &Flight, report: StepReport| (report.state, flight.names(), flight.guided);
+    let held_by = |flown: &Flown| (flown.last.state, flown.names(), flown.guided);
     let by_pose = (GuidanceState::Hold, vec![Reason::ImplausiblePose.name()], 0);
-    assert_eq!(held_by(&flight, report), by_pose);
-    let report = flight.run(40, &mut set_anew);
-    assert_eq!(report.state, GuidanceState::Guided, "{:?}", flight.names());
+    assert_eq!(held_by(&run(&mut pair, 8, &mut set_anew)), by_pose);
+    let goes_on = run(&mut pair, 40, &mut set_anew);
+    assert_eq!(goes_on.last.state, GuidanceState::Guided, "{:?}", goes_on.names());
 
     // A sensor with an estimator of its own does not follow: nothing fits as long as they differ.
-    let mut flight = Flight::guided();
-    let report = flight.run(100, |pair, _| {
+    let mut pair = guided();
+    let held = run(&mut pair, 100, |pair, _| {
         pair.to_firmware = with_position(&pair.to_firmware, |north_m| Some(north_m + 3.0));
         true
     });
-    assert_eq!(held_by(&flight, report), by_pose);
-    let speed_m_s = flight.pair.speed_m_s();
+    assert_eq!(held_by(&held), by_pose);
+    let speed_m_s = pair.speed_m_s();
     assert!(speed_m_s < 0.2, "{speed_m_s} m/s");
 }
 
 #[test]
 fn a_vehicle_that_never_reports_its_position_is_not_flown_and_an_operator_learns_why() {
-    let mut flight = Flight::waiting();
+    // Hovering, before guidance has taken it.
+    let mut pair = Pair::new(Family::Validation, SEED);
     let engage = packet(STATION, 0, &Request::Engage.message(1));
-    let report = flight.run(200, |pair, step| {
+    let flight = run(&mut pair, 200, |pair, step| {
         pair.to_firmware = with_position(&pair.to_firmware, |_| None);
         if step == 100 {
             assert!(pair.to_firmware.push(0, &engage));
         }
         true
     });
-    assert_eq!((report.state, report.setpoint), (GuidanceState::Standby, None));
-    assert!(report.reasons.contains(Reason::StaleTelemetry), "{:?}", flight.names());
+    let last = flight.last;
+    assert_eq!((last.state, last.setpoint), (GuidanceState::Standby, None));
+    assert!(last.reasons.contains(Reason::StaleTelemetry), "{:?}", flight.names());
     assert_eq!(flight.guided, 0);
     flight.assert_said("missing: LOCAL_POSITION_NED");
     flight.assert_said("engage refused in standby (stale telemetry)");
@@ -234,13 +223,9 @@ fn a_vehicle_that_never_reports_its_position_is_not_flown_and_an_operator_learns
 
 #[test]
 fn two_companions_are_named_and_the_second_is_not_obeyed() {
-    let mut flight = Flight::guided();
-    let heartbeat = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        mavtype: MavType::MAV_TYPE_ONBOARD_CONTROLLER,
-        autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
-        ..HEARTBEAT_DATA::DEFAULT
-    });
-    flight.run(100, |pair, step| {
+    let mavtype = MavType::MAV_TYPE_ONBOARD_CONTROLLER;
+    let heartbeat = message!(HEARTBEAT, mavtype, autopilot = MavAutopilot::MAV_AUTOPILOT_INVALID);
+    let flight = run(&mut guided(), 100, |pair, step| {
         if step % 20 == 0 {
             let second = packet((1, 191), step as u8, &heartbeat);
             assert!(pair.to_firmware.push(0, &second));
@@ -253,24 +238,21 @@ fn two_companions_are_named_and_the_second_is_not_obeyed() {
 
 #[test]
 fn a_ground_station_that_takes_over_has_the_vehicle_until_an_operator_engages() {
-    let mut flight = Flight::guided();
+    let mut pair = guided();
     // As QGroundControl's "Hold".
-    flight.pair.to_vehicle(&packet(STATION, 0, &set_auto_mode(3.0)));
-    let report = flight.run(100, |_, _| true);
-    assert!(flight.reasons.contains(Reason::ModeLost), "{:?}", flight.names());
-    assert!(report.reasons.contains(Reason::PilotInCommand), "{:?}", flight.names());
-    assert_eq!(report.setpoint, None, "nobody else's setpoints");
-    let guided = flight.guided;
-    flight.run(200, |_, _| true);
-    assert_eq!(flight.guided, guided, "it is not taken back");
+    pair.to_vehicle(&packet(STATION, 0, &set_auto_mode(3.0)));
+    let left = run(&mut pair, 100, |_, _| true);
+    assert!(left.reasons.contains(Reason::ModeLost), "{:?}", left.names());
+    assert!(left.last.reasons.contains(Reason::PilotInCommand), "{:?}", left.names());
+    assert_eq!(left.last.setpoint, None, "nobody else's setpoints");
+    assert_eq!(run(&mut pair, 200, |_, _| true).guided, 0, "it is not taken back");
 
     let engage = packet(STATION, 1, &Request::Engage.message(1));
-    let from = flight.step;
-    let report = flight.run(60, |pair, step| {
-        if step == from {
+    let engaged = run(&mut pair, 60, |pair, step| {
+        if step == 0 {
             assert!(pair.to_firmware.push(0, &engage), "no room");
         }
         true
     });
-    assert_eq!(report.state, GuidanceState::Guided, "{:?}", flight.texts);
+    assert_eq!(engaged.last.state, GuidanceState::Guided, "{:?}", engaged.texts);
 }

@@ -224,6 +224,7 @@ fn what_cannot_be_done_is_said_before_anything_is_flown() {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("out");
     refused(&reproduce(&out, &["--only", "table-5"]), &["there is no table-5"]);
+    refused(&reproduce(&out, &["--only", ","]), &["--only names nothing"]);
     let readme = root().join("README.md");
     for model in ["--actor", "--detector"] {
         refused(&reproduce(&out, &["--quick", model, text(&readme)]), &["README.md"]);

@@ -7,7 +7,7 @@ use vigil_sim::SimConfig;
 use vigil_sim::world::{Course, Family, Outcome, generate};
 use vigil_tests::ground::{Request, STATION, command, packet};
 use vigil_tests::{Pair, airborne, fly_monitored};
-use vigil_types::{AlarmResponse, EngagePolicy, GuidanceState, NedVector, PilotKind, Reason, StepReport};
+use vigil_types::{AlarmResponse, EngagePolicy, GuidanceState, NedVector, PilotKind, Reasons, StepReport};
 
 /// Nothing but ground; the vehicle stands with its nose to the goal.
 const FIELD: &str = r#"
@@ -131,48 +131,38 @@ fn a_goal_far_below_or_above_is_flown_to_at_its_own_height() {
     from_a_hover(4, 0.7, PilotKind::Actor);
 }
 
-/// A script arms and takes off to `height_m` itself, and engages guidance once it hovers; how long guidance flew and held in the 25 s
-/// thereafter, steps, and for what.
-fn handed_over(seed: u64, height_m: f32) -> (usize, usize, Vec<Reason>) {
-    let simulation = SimConfig::new(generate(Family::Validation, seed), seed);
-    let config = FirmwareConfig {
-        engage: EngagePolicy::Command,
-        ..FirmwareConfig::to_goal(simulation.course.goal_ned_m())
-    };
-    let mut pair = Pair::of(&simulation, &config);
-    let above_sea_m = simulation.endpoint.home.altitude_m as f32 + height_m;
-    let asked = |number, what, parameters| packet(STATION, number, &command(what, parameters));
-    let arm = asked(0, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, [1.0, 0.0, 0.0, 0.0]);
-    let take_off = asked(1, MavCmd::MAV_CMD_NAV_TAKEOFF, [0.0, 0.0, 0.0, above_sea_m]);
-    let engage = packet(STATION, 2, &Request::Engage.message(1));
-    let (mut guided, mut held, mut reasons) = (0, 0, Vec::new());
-    for step in 0..800 {
-        match step {
-            60 => pair.simulator.receive(0, &arm),
-            64 => pair.simulator.receive(0, &take_off),
-            _ => {}
-        }
-        pair.simulate();
-        if step == 300 {
-            assert!(pair.to_firmware.push(0, &engage));
-        }
-        let report = pair.decide(true);
-        if step >= 300 && pair.simulator.ending().is_none() {
-            guided += usize::from(report.state == GuidanceState::Guided);
-            if report.state == GuidanceState::Hold && !report.reasons.contains(Reason::GoalReached) {
-                held += 1;
-                let new: Vec<Reason> = report.reasons.iter().filter(|r| !reasons.contains(r)).collect();
-                reasons.extend(new);
-            }
-        }
-    }
-    (guided, held, reasons)
-}
-
+/// A script arms and takes off to 2 m itself, and engages guidance once it hovers.
 #[test]
 fn a_script_takes_off_by_itself_and_hands_over() {
     for seed in [7, 8] {
-        let (guided, held, reasons) = handed_over(seed, 2.0);
-        assert!(guided > 200, "{seed}: guided {guided}, held {held} {reasons:?}");
+        let simulation = SimConfig::new(generate(Family::Validation, seed), seed);
+        let config = FirmwareConfig {
+            engage: EngagePolicy::Command,
+            ..FirmwareConfig::to_goal(simulation.course.goal_ned_m())
+        };
+        let above_sea_m = simulation.endpoint.home.altitude_m as f32 + 2.0;
+        let asked = |number, what, parameters| packet(STATION, number, &command(what, parameters));
+        let arm = asked(0, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, [1.0, 0.0, 0.0, 0.0]);
+        let take_off = asked(1, MavCmd::MAV_CMD_NAV_TAKEOFF, [0.0, 0.0, 0.0, above_sea_m]);
+        let engage = packet(STATION, 2, &Request::Engage.message(1));
+        let reports = Pair::of(&simulation, &config).fly(800, |pair, step| {
+            match step {
+                59 => pair.simulator.receive(0, &arm),
+                63 => pair.simulator.receive(0, &take_off),
+                300 => assert!(pair.to_firmware.push(0, &engage)),
+                _ => {}
+            }
+            true
+        });
+        // How long guidance flew in the 25 s thereafter, steps, and for what it held.
+        let handed_over = &reports[300..];
+        let guided = handed_over.iter().filter(|r| r.state == GuidanceState::Guided).count();
+        let holds = handed_over.iter().filter(|r| r.state == GuidanceState::Hold);
+        let reasons = holds.fold(Reasons::NONE, |all, r| all.union(r.reasons));
+        assert!(
+            guided > 200,
+            "{seed}: guided {guided}, held for {:?}",
+            reasons.iter().collect::<Vec<_>>()
+        );
     }
 }

@@ -4,20 +4,16 @@ use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use vigil_firmware::FirmwareConfig;
-use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, TickRecord};
-use vigil_tests::{attacked_flight, ended, has, json, only_log, refused, run, run_line, succeed, text};
-use vigil_types::{Datagrams, NedVector, StepReport, StepTiming};
+use vigil_log::{FlightInfo, Reader};
+use vigil_tests::{attacked_flight, ended, has, json, only_log, recorder, refused, run, run_line, succeed, text};
+use vigil_types::NedVector;
 
 /// A log of a vehicle that stood for three steps without a frame.
 fn short_log(folder: &Path) -> PathBuf {
     let log = folder.join("short.mcap");
-    let mut recorder = Recorder::start(RecorderConfig::lossless(&log, FlightInfo::default())).expect("a log");
-    let nothing = Datagrams::default();
+    let mut recorder = recorder(&log, FlightInfo::default());
     for step in 0..3 {
-        let timing = StepTiming::of_step(step);
-        let report = StepReport::default();
-        recorder
-            .record(|slot: &mut TickRecord| slot.fill(50_000_000 * step, timing, None, &nothing, &nothing, &report));
+        recorder.record(|slot| (slot.now_ns, slot.timing.step) = (50_000_000 * step, step));
     }
     recorder.finish();
     log
@@ -29,6 +25,11 @@ fn stand_in(folder: &Path) -> PathBuf {
     let script = format!("#!/bin/sh\nif [ \"$1\" = -c ]; then echo 0.41.0; exit; fi\n{keeps}");
     program(folder, "python", &script);
     folder.join("python")
+}
+
+/// What [`stand_in`] was asked.
+fn asked(folder: &Path) -> String {
+    std::fs::read_to_string(folder.join("python.asked")).expect("what was asked")
 }
 
 #[test]
@@ -73,7 +74,7 @@ fn a_log_is_handed_to_the_viewer_and_nothing_is_shown_on_a_port_that_is_taken() 
     }
     drop(taken);
     succeed(&on_port(&["view", text(&log)]));
-    let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
+    let asked = asked(folder.path());
     assert_eq!(asked.trim(), format!("- {} --port {port}", text(&log)));
     let script = std::fs::read_to_string(folder.path().join("python.script")).expect("the script");
     assert!(script.contains("def layout"));
@@ -149,8 +150,8 @@ fn nothing_is_derived_from_a_log_with_a_time_that_no_loop_reaches_and_it_stays_a
     let folder = tempfile::tempdir().expect("a folder");
     let log = folder.path().join("late.mcap");
     let info = FirmwareConfig::to_goal(NedVector::new(20.0, 0.0, -1.5)).flight_info();
-    let mut recorder = Recorder::start(RecorderConfig::lossless(&log, info)).expect("a log");
-    recorder.record(|slot: &mut TickRecord| slot.now_ns = u64::MAX);
+    let mut recorder = recorder(&log, info);
+    recorder.record(|slot| slot.now_ns = u64::MAX);
     recorder.finish();
     let before = std::fs::read(&log).expect("the log");
     let derived = run(&["log", "derive", "--only", "map", text(&log)]);
@@ -281,7 +282,7 @@ fn a_course_is_handed_to_the_viewer_with_its_obstacles_way_and_what_is_seen_at_i
         text(&saved),
         text(&python)
     )));
-    let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
+    let asked = asked(folder.path());
     has(&asked, &["- --course ", text(&saved)]);
     let course = json(&folder.path().join("python.json"));
     let count = |key: &str| course[key].as_array().map_or(0, Vec::len);
@@ -303,7 +304,7 @@ fn some_flights_of_a_campaign_are_handed_to_one_viewer_and_their_logs_are_kept()
         text(&python),
         text(&json)
     )));
-    let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
+    let asked = asked(folder.path());
     let mut words = asked.split_whitespace().skip(1);
     let logs = PathBuf::from(words.next().expect("a folder"));
     assert_eq!(words.collect::<Vec<_>>()[..2], ["--flights", "3,4"]);

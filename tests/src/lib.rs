@@ -47,7 +47,9 @@ pub fn processes_of(instance: &str) -> usize {
 
 /// Runs `vigil` to its end.
 pub fn run(arguments: &[&str]) -> Output {
-    run_in(Path::new("."), arguments)
+    let mut program = program();
+    program.args(arguments).stdin(Stdio::null());
+    program.output().expect("vigil starts")
 }
 
 /// The same with the arguments in a line, between spaces.
@@ -60,16 +62,6 @@ pub fn program() -> Command {
     let mut program = Command::new(vigil());
     program.env_remove("RUST_MIN_STACK");
     program
-}
-
-/// The same, in a folder.
-pub fn run_in(folder: &Path, arguments: &[&str]) -> Output {
-    program()
-        .args(arguments)
-        .current_dir(folder)
-        .stdin(Stdio::null())
-        .output()
-        .expect("vigil starts")
 }
 
 /// Both outputs of a finished program as text.

@@ -2,8 +2,8 @@
 
 use crate::ground::{STATION, packet, set_auto_mode};
 use vigil_autopilot::Saved;
-use vigil_mavlink::common::{COMMAND_INT_DATA, MavCmd, MavFrame};
-use vigil_mavlink::{MavMessage, globe};
+use vigil_mavlink::common::{MavCmd, MavFrame};
+use vigil_mavlink::{globe, message};
 use vigil_sim::SimConfig;
 
 /// The vehicle's plan at so many metres per second: by way of these places, metres north and east, to the goal; with the nose towards the
@@ -36,18 +36,18 @@ pub fn go_to(config: &SimConfig) -> Vec<u8> {
     let goal = config.course.goal_ned_m();
     let home = config.endpoint.home;
     let (latitude, longitude) = globe::to_global((home.latitude_deg, home.longitude_deg), goal.x, goal.y);
-    let message = MavMessage::COMMAND_INT(COMMAND_INT_DATA {
-        command: MavCmd::MAV_CMD_DO_REPOSITION,
-        frame: MavFrame::MAV_FRAME_GLOBAL,
-        param1: -1.0,
-        param2: 1.0,
-        param4: f32::NAN,
-        x: (latitude * 1e7).round() as i32,
-        y: (longitude * 1e7).round() as i32,
-        z: home.altitude_m as f32 - goal.z,
-        target_system: 1,
-        target_component: 1,
-        ..COMMAND_INT_DATA::DEFAULT
-    });
+    let message = message!(
+        COMMAND_INT,
+        command = MavCmd::MAV_CMD_DO_REPOSITION,
+        frame = MavFrame::MAV_FRAME_GLOBAL,
+        param1 = -1.0,
+        param2 = 1.0,
+        param4 = f32::NAN,
+        x = (latitude * 1e7).round() as i32,
+        y = (longitude * 1e7).round() as i32,
+        z = home.altitude_m as f32 - goal.z,
+        target_system = 1,
+        target_component = 1
+    );
     packet(STATION, 0, &message)
 }

@@ -77,64 +77,43 @@ class Case:
     rounds: int
 
 
-@dataclass
-class Ours:
-    """Our program, waiting for requests, and what it wrote."""
+class Program:
+    """A program in a process of its own, waiting for requests."""
 
-    process: subprocess.Popen
-    tensors: dict[str, np.ndarray]
-    notes: dict[str, str]
-
-    @classmethod
-    def start(cls, program: Path, folder: Path, actor: Path | None) -> "Ours":
-        """Starts it and reads its file."""
-        arguments = [str(program), str(folder)] + (["--actor", str(actor)] if actor else [])
-        process = subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        if process.stdout.readline().strip() != "ready":
-            raise SystemExit(f"{program} did not start; see above")
-        with safe_open(folder / "ours.safetensors", framework="numpy") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}
-            notes = dict(file.metadata())
-        return cls(process, tensors, notes)
-
-    def time_ns(self, case: str, runs: int) -> float:
-        """Processor time of one run."""
-        self.process.stdin.write(f"{case} {runs}\n")
-        self.process.stdin.flush()
-        answer = self.process.stdout.readline()
-        if not answer:
-            raise SystemExit(f"our program ended in case {case}; see above")
-        return float(answer)
-
-
-@dataclass
-class Tract:
-    """tract in a process of its own, waiting for requests."""
-
-    process: subprocess.Popen
-    first: np.ndarray
-
-    @classmethod
-    def start(cls, program: Path, folder: Path, model: onnx.ModelProto, inputs: list[np.ndarray]) -> "Tract":
-        """Starts it with a model and its inputs; `first` are the values of the first output."""
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "tract.onnx").write_bytes(model.SerializeToString())
-        (folder / "tract.bin").write_bytes(b"".join(x.astype("<f4").tobytes() for x in inputs))
-        arguments = [str(program), str(folder / "tract.onnx"), str(folder / "tract.bin")]
-        process = subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        state, *values = process.stdout.readline().split() or [""]
+    def __init__(self, *arguments: object) -> None:
+        """Starts it; `first` is what it says beside that it is ready."""
+        words = [str(argument) for argument in arguments]
+        self.process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        state, *self.first = self.process.stdout.readline().split() or [""]
         if state != "ready":
-            raise SystemExit(f"{program} did not start; see above")
-        return cls(process, np.array(values, dtype=np.float32))
+            raise SystemExit(f"{words[0]} did not start; see above")
 
-    def time_ns(self, runs: int) -> float:
+    def ask(self, request: str, ended: str) -> float:
         """Processor time of one run."""
-        self.process.stdin.write(f"{runs}\n")
+        self.process.stdin.write(f"{request}\n")
         self.process.stdin.flush()
         answer = self.process.stdout.readline()
         if not answer:
-            raise SystemExit("tract ended; see above")
+            raise SystemExit(f"{ended}; see above")
         return float(answer)
+
+
+class Ours(Program):
+    """Our program, and what it wrote."""
+
+    def __init__(self, program: Path, folder: Path, actor: Path | None) -> None:
+        super().__init__(program, folder, *(["--actor", actor] if actor else []))
+        with safe_open(folder / "ours.safetensors", framework="numpy") as file:
+            self.tensors = {name: file.get_tensor(name) for name in file.keys()}
+            self.notes = dict(file.metadata())
+
+
+def start_tract(program: Path, folder: Path, model: onnx.ModelProto, inputs: list[np.ndarray]) -> Program:
+    """tract with a model and its inputs; `first` are the values of the first output."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "tract.onnx").write_bytes(model.SerializeToString())
+    (folder / "tract.bin").write_bytes(b"".join(x.astype("<f4").tobytes() for x in inputs))
+    return Program(program, folder / "tract.onnx", folder / "tract.bin")
 
 
 @dataclass
@@ -186,9 +165,10 @@ def actor_case(c: Context) -> Case:
         "PyTorch": Peer(by_torch, 20),
     }
     if c.tract is not None:
-        tract = Tract.start(c.tract, frozen.REPOSITORY / "target/peers", model, list(feed.values()))
-        agreement.append(within("tract", tract.first, t["state_action"][0], 1e-5))
-        peers["tract"] = Peer(runs=20, goal=5.8, time_ns=tract.time_ns)
+        tract = start_tract(c.tract, frozen.REPOSITORY / "target/peers", model, list(feed.values()))
+        first = np.array(tract.first, dtype=np.float32)
+        agreement.append(within("tract", first, t["state_action"][0], 1e-5))
+        peers["tract"] = Peer(runs=20, goal=5.8, time_ns=lambda runs: tract.ask(str(runs), "tract ended"))
     return Case("One new frame through the actor", "actor", 50, peers, ", ".join(agreement), 30)
 
 
@@ -339,7 +319,8 @@ def measure(case: Case, ours: Ours, rounds: int | None) -> dict:
 
     times: dict[str, list[float]] = {name: [] for name in ["ours", *case.peers]}
     for i in tqdm(range((rounds or case.rounds) + 1), desc=case.title, leave=False):
-        row = {"ours": ours.time_ns(case.ours, case.runs)} | {name: once(peer) for name, peer in case.peers.items()}
+        mine = ours.ask(f"{case.ours} {case.runs}", f"our program ended in case {case.ours}")
+        row = {"ours": mine} | {name: once(peer) for name, peer in case.peers.items()}
         # The first round warms caches and allocators.
         if i > 0:
             for name, ns in row.items():
@@ -447,7 +428,7 @@ def main() -> None:
     torch.set_num_threads(1)
     # captum says with every call that it sets hooks.
     warnings.filterwarnings("ignore", message="Setting forward, backward hooks")
-    ours = Ours.start(arguments.ours, frozen.REPOSITORY / "target/peers", arguments.actor)
+    ours = Ours(arguments.ours, frozen.REPOSITORY / "target/peers", arguments.actor)
     context = Context(ours, frozen.load(arguments.actor or frozen.ACTOR), arguments.tract)
     if context.actor.sha256 != ours.notes["actor_sha256"]:
         raise SystemExit("our program holds another actor than the repository; build it again (tools/peers/run.sh does)")

@@ -13,19 +13,18 @@ from export_onnx import Builder
 Weights = dict[str, np.ndarray]
 
 
-def put(module: nn.Module, weight: str, bias: str, weights: Weights, name: str) -> None:
+def put(module: nn.Module, weights: Weights, name: str, parts: tuple[str, str] = ("weight", "bias")) -> nn.Module:
     """Sets a layer's two tensors."""
     with torch.no_grad():
-        getattr(module, weight).copy_(torch.from_numpy(weights[f"{name}.weight"]))
-        getattr(module, bias).copy_(torch.from_numpy(weights[f"{name}.bias"]))
+        for own, part in zip((module.weight, module.bias), parts):
+            own.copy_(torch.from_numpy(weights[f"{name}.{part}"]))
+    return module
 
 
 def linear(weights: Weights, name: str) -> nn.Linear:
     """A dense layer."""
     outputs, inputs = weights[f"{name}.weight"].shape
-    layer = nn.Linear(inputs, outputs)
-    put(layer, "weight", "bias", weights, name)
-    return layer
+    return put(nn.Linear(inputs, outputs), weights, name)
 
 
 class NearContrast(nn.Module):
@@ -43,8 +42,7 @@ class Encoder(nn.Sequential):
         for i in range(1, CONVOLUTIONS + 1):
             filters, channels, kernel, _ = weights[f"convolution_{i}.weight"].shape
             layer = nn.Conv2d(channels, filters, kernel, stride=2, padding=kernel // 2)
-            put(layer, "weight", "bias", weights, f"convolution_{i}")
-            layers += [layer, nn.ELU()]
+            layers += [put(layer, weights, f"convolution_{i}"), nn.ELU()]
         super().__init__(*layers, nn.Flatten(), linear(weights, "scan"), nn.Sigmoid())
 
 class Head(nn.Module):
@@ -68,12 +66,8 @@ class Head(nn.Module):
 
 def layer_norm(weights: Weights, name: str) -> nn.LayerNorm:
     """The norm behind a layer of the trunk."""
-    scale = torch.from_numpy(weights[f"{name}.norm_scale"])
-    layer = nn.LayerNorm(len(scale), eps=EPSILON)
-    with torch.no_grad():
-        layer.weight.copy_(scale)
-        layer.bias.copy_(torch.from_numpy(weights[f"{name}.norm_shift"]))
-    return layer
+    layer = nn.LayerNorm(len(weights[f"{name}.norm_scale"]), eps=EPSILON)
+    return put(layer, weights, name, ("norm_scale", "norm_shift"))
 
 
 class Actor(nn.Module):

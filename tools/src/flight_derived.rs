@@ -103,7 +103,7 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
             to.map(now_ns, step, &map)?;
             let kinematics = record.report.telemetry.kinematics;
             let down_m = kinematics.map_or(0.0, |kinematics| kinematics.position_ned_m.z);
-            to.way(now_ns, step, pilot.way_ned_m(), down_m)?;
+            to.way(now_ns, step, pilot.path_ned_m(), down_m)?;
         }
         if let (Some(explainer), Some((actor, frame))) = (&mut explainer, firmware.actor()) {
             let near = alarms_ns.iter().any(|at_ns| at_ns.abs_diff(now_ns) <= AROUND_ALARM_NS);

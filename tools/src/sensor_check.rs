@@ -4,7 +4,7 @@
 use crate::statistics::quantile;
 use serde::Serialize;
 use std::fmt::Write;
-use vigil_policy::plausibility::smooth_share_of;
+use vigil_policy::plausibility::{lacks_ranges, smooth_share_of};
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrameDefect, FrameKeys, HORIZONTAL_FOV_RAD, Nanos, STEP_NS,
     VERTICAL_FOV_RAD,
@@ -71,6 +71,8 @@ pub struct SensorCheck {
     returns: Vec<f64>,
     smooth_shares: Vec<f64>,
     zeros: u64,
+    /// Pictures in a row, and the most of them, of so many zeros, or such ranges, that two make the firmware hold.
+    lacking: (u8, u8),
     unchanged: u64,
     last_pixels_hash: Option<u64>,
     seen: [[bool; PART_COLS]; PART_ROWS],
@@ -133,6 +135,12 @@ impl SensorCheck {
         }
         self.returns
             .push(f64::from(returned) / f64::from((DEPTH_ROWS * DEPTH_COLS) as u32));
+        self.lacking.0 = if lacks_ranges(frame) {
+            self.lacking.0.saturating_add(1)
+        } else {
+            0
+        };
+        self.lacking.1 = self.lacking.1.max(self.lacking.0);
         self.smooth_shares.extend(smooth_share_of(frame).map(f64::from));
         if self.expected.wall_m.is_some() {
             let (row, col) = (DEPTH_ROWS / 2, DEPTH_COLS / 2);
@@ -243,7 +251,9 @@ impl SensorCheck {
         let (severity, advice) = grade([(share == 0.0, Failure, none), (share < 0.05, Warning, few)]);
         let text = format!("{:.1} % of the pixels{advice}", 100.0 * share);
         add("returns", severity, text);
-        if let Some(least) = quantile(&self.smooth_shares, 0.02) {
+        let lacks = self.lacking.1 > 1;
+        // Many zeros are rough, too, and no noise.
+        if let Some(least) = quantile(&self.smooth_shares, 0.02).filter(|_| self.zeros == 0 || !lacks) {
             let middle = quantile(&self.smooth_shares, 0.5).unwrap_or(f64::NAN);
             let rough = ": the guard would take this sensor's pictures for altered ones: see to its noise, or fly without the guard";
             let (is_rough, is_nearly) = (least < ROUGH_SHARE, least < NEARLY_ROUGH_SHARE);
@@ -256,9 +266,12 @@ impl SensorCheck {
             );
             add("surfaces", severity, text);
         }
-        if self.zeros > 0 {
-            let text = format!("{} pixels are 0.0, a surface at the lens: no return is 1.0", self.zeros);
-            add("zeros", Warning, text);
+        if self.zeros > 0 || lacks {
+            let held = "; of pictures with so many, or with ranges of anywhere, the firmware holds (blind sensor)";
+            let (severity, advice) = grade([(lacks, Failure, held), (true, Warning, "")]);
+            let zeros = self.zeros;
+            let text = format!("{zeros} pixels are 0.0, a surface at the lens: no return is 1.0{advice}");
+            add("zeros", severity, text);
         }
         if self.unchanged > 0 {
             let (unchanged, all) = (self.unchanged, self.returns.len());
@@ -403,7 +416,7 @@ mod tests {
 
     #[test]
     fn each_mistake_of_a_driver_is_named_with_what_to_do() {
-        let cases: [(&str, &str, Alter); 15] = [
+        let cases: [(&str, &str, Alter); 16] = [
             ("frames", "checksum", |_, f, _| f.depth[5] = 0.5),
             ("frames", "128 x 128", |_, f, _| f.header.cols = 128),
             ("frames", "sensor 9", |_, f, _| f.header.sensor_id = 9),
@@ -416,6 +429,9 @@ mod tests {
             ("surfaces", "without the guard", |n, f, _| {
                 let rough = f.depth.iter_mut().skip(n as usize % 2).step_by(2);
                 rough.for_each(|v| *v += 0.01);
+            }),
+            ("zeros", "(blind sensor)", |_, f, _| {
+                f.depth.iter_mut().step_by(2).for_each(|v| *v = 0.0);
             }),
             ("change", "to the bit", |_, f, _| f.depth[..7].fill(0.03)),
             ("wall", "2.60 m", |_, f, _| f.depth.iter_mut().for_each(|v| *v -= 0.004)),
@@ -434,6 +450,11 @@ mod tests {
         ];
         for (name, words, alter) in cases {
             let found = found(words != "checksum", alter);
+            let is_surfaces = |(n, _): &(&str, String)| *n == "surfaces";
+            assert!(
+                name != "zeros" || !found.iter().any(is_surfaces),
+                "zeros are no noise: {found:?}"
+            );
             assert!(
                 found.iter().any(|(n, text)| *n == name && text.contains(words)),
                 "{name}, {words}: {found:?}"

@@ -18,7 +18,6 @@ struct Scripted {
     flavour: Flavour,
     /// Milliseconds between two positions and attitudes.
     stream_ms: u64,
-    has_position: bool,
     has_home: bool,
     estimator: u16,
     prearm: bool,
@@ -67,7 +66,6 @@ impl Scripted {
         Self {
             flavour,
             stream_ms: 40,
-            has_position: true,
             has_home: true,
             estimator: 1 | 2 | 4 | 8 | 16 | 32,
             prearm: true,
@@ -103,7 +101,7 @@ impl Scripted {
             out.push(self.heartbeat());
         }
         if ms.is_multiple_of(self.stream_ms) {
-            if self.has_position && self.streams(32) && !self.no_position.contains(&ms) {
+            if self.streams(32) && !self.no_position.contains(&ms) {
                 let late_ms = 900 * u32::from(ms > 0 && ms == self.late_ms);
                 out.push(message!(
                     LOCAL_POSITION_NED,
@@ -360,7 +358,7 @@ fn a_px4_1_18_at_rest_passes_once_a_lost_stream_does_not_return_it() {
 #[test]
 fn an_ardupilot_whose_failsafes_are_off_reads_it_and_what_it_never_sends_too() {
     let mut vehicle = Scripted::well(Flavour::ArduPilot);
-    vehicle.has_position = false;
+    vehicle.no_position = 0..9_000;
     vehicle.parameters = [
         ("GUID_TIMEOUT", 3.0),
         ("FS_EKF_ACTION", 0.0),
@@ -429,14 +427,11 @@ fn frame(roll_rad: f32, pitch_rad: f32) -> Box<DepthFrame> {
     let mut frame = Box::new(DepthFrame::EMPTY);
     let course = generate(Family::Validation, 3);
     let stated = Attitude::from_euler_rad(0.0, 0.0, 30_f32.to_radians());
+    let turned = Attitude::from_euler_rad(roll_rad, pitch_rad, 30_f32.to_radians());
     let shot = Shot {
-        position_ned_m: NedVector::new(0.0, 0.0, -1.5),
-        attitude: Attitude::from_euler_rad(roll_rad, pitch_rad, 30_f32.to_radians()),
         estimated_position_ned_m: NedVector::ZERO,
         estimated_attitude: stated,
-        stamp_ns: 1,
-        sequence: 0,
-        sensor_id: 1,
+        ..Shot::at(NedVector::new(0.0, 0.0, -1.5), turned)
     };
     let mut lidar = Lidar::new(LidarConfig::default(), 3).expect("valid");
     lidar.capture(&World::new(&course), &shot, &mut frame);

@@ -2,10 +2,11 @@
 //!
 //! A single verdict neither raises nor ends an alarm: five attacked steps (0.25 s) hardly turn the vehicle, and false
 //! verdicts seldom last as long. *Unknown* ends none, and too many of them in a row raise one. So does, whatever the
-//! verdict, an action that leads into something, and an actor that does not bring the vehicle on along the way that the
+//! verdict, an action that leads into something, and an actor that does not bring the vehicle on along the path that the
 //! guard plans. What ends an alarm are clean steps in a row: the verdict is clean, the picture is not rough, and the actor's action
 //! leads into nothing.
 
+use crate::conditions::{STOP_LIMIT_NS, STOPPED_M_S, UNKNOWN_LIMIT};
 use crate::input::Risk;
 use vigil_types::parameters::{self, OutOfRange, Range};
 use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, ParameterSpec, STEP_S, Verdict};
@@ -14,8 +15,8 @@ use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, Paramete
 const GUARD_STEPS: ParameterSpec = ParameterSpec::unlisted("guard_steps", (0.0, 1200.0), "steps", 4.0);
 const RECOVERY_GUARD_STEPS: ParameterSpec =
     ParameterSpec::unlisted("recovery_guard_steps", (0.0, 1200.0), "steps", 2.0);
-const WAY_SPEED: ParameterSpec = ParameterSpec::unlisted("way_speed", (0.0, 1.5), "m/s", 0.5);
-// An actor that looks for the way out of a dead end falls behind by more than 6 m in a fifth of hard flights; a vehicle that is turned away
+const PATH_SPEED: ParameterSpec = ParameterSpec::unlisted("way_speed", (0.0, 1.5), "m/s", 0.5);
+// An actor that looks for the path out of a dead end falls behind by more than 6 m in a fifth of hard flights; a vehicle that is turned away
 // at 1.2 m/s is found after 12 s.
 const ASTRAY: ParameterSpec = ParameterSpec::unlisted("astray", (0.0, 100.0), "m", 20.0);
 const APART: ParameterSpec = ParameterSpec::unlisted("apart", (0.1, 3.0), "", 2.0);
@@ -23,10 +24,6 @@ const APART: ParameterSpec = ParameterSpec::unlisted("apart", (0.1, 3.0), "", 2.
 const DISAGREEMENT: ParameterSpec = ParameterSpec::unlisted("disagreement", (0.0, 60.0), "s", 3.5);
 // Unaltered, no frame of three families fell below 0.70 with up to three times the sensor's noise (docs/robustness.md).
 const SMOOTH_SHARE: ParameterSpec = ParameterSpec::unlisted("smooth_share", (0.0, 0.95), "", ROUGH_BELOW as f64);
-// The detector's window is ten steps long.
-const UNKNOWN_STEPS: ParameterSpec = ParameterSpec::unlisted("unknown_steps", (1.0, 1200.0), "steps", 10.0);
-const STOPPED: ParameterSpec = ParameterSpec::unlisted("stopped", (0.05, 1.0), "m/s", 0.2);
-const STOP_LIMIT: ParameterSpec = ParameterSpec::unlisted("stop_limit", (0.05, 60.0), "s", 3.0);
 
 /// A picture is rough when fewer of its cells than this share show one surface.
 pub const ROUGH_BELOW: f32 = 0.6;
@@ -40,17 +37,15 @@ pub struct AlarmConfig {
     pub raise_count: u8,
     /// Verdicts that are looked back on; 1 to 32.
     pub raise_window: u8,
-    /// Consecutive steps without a verdict that the actor may fly.
-    pub unknown_limit: u16,
     /// Consecutive steps in which the actor is on a collision course that raise the alarm; 0 raises none.
     pub guard_steps: u16,
     /// Consecutive steps in which the recovery pilot is on one that stop it; 0 stops it never. Fewer than the actor's, for it is looked at less far ahead.
     pub recovery_guard_steps: u16,
-    /// How far the actor may fall behind a vehicle that flies along the guard's way at [`AlarmConfig::way_speed_m_s`], metres; 0 is as far as
+    /// How far the actor may fall behind a vehicle that flies along the guard's path at [`AlarmConfig::path_speed_m_s`], metres; 0 is as far as
     /// it likes. What it gains on that vehicle does not count.
     pub astray_limit_m: f32,
-    /// The least that an actor gets on along the guard's way in the long run, metres per second.
-    pub way_speed_m_s: f32,
+    /// The least that an actor gets on along the guard's path in the long run, metres per second.
+    pub path_speed_m_s: f32,
     /// So much longer may actor and recovery pilot want to turn apart than they do not, seconds; 0 is as long as they like.
     pub disagreement_limit_s: f32,
     /// They turn apart when their yaw outputs differ by more than this.
@@ -59,10 +54,6 @@ pub struct AlarmConfig {
     pub smooth_share: f32,
     /// Consecutive clean steps that end the first alarm of a flight; each further one asks for twice as many.
     pub clear_steps: u16,
-    /// The vehicle counts as stopped below this speed, metres per second.
-    pub stopped_m_s: f32,
-    /// Longest stop before the recovery pilot flies on: gusts may keep the vehicle from ever standing still.
-    pub stop_limit_ns: Nanos,
 }
 
 impl Default for AlarmConfig {
@@ -71,17 +62,14 @@ impl Default for AlarmConfig {
             policy: AlarmPolicy::default(),
             raise_count: parameters::RAISE_COUNT.number() as u8,
             raise_window: parameters::RAISE_WINDOW.number() as u8,
-            unknown_limit: UNKNOWN_STEPS.number() as u16,
             guard_steps: GUARD_STEPS.number() as u16,
             recovery_guard_steps: RECOVERY_GUARD_STEPS.number() as u16,
             astray_limit_m: ASTRAY.number_f32(),
-            way_speed_m_s: WAY_SPEED.number_f32(),
+            path_speed_m_s: PATH_SPEED.number_f32(),
             disagreement_limit_s: DISAGREEMENT.number_f32(),
             apart_yaw: APART.number_f32(),
             smooth_share: SMOOTH_SHARE.number_f32(),
             clear_steps: parameters::CLEAR_STEPS.number() as u16,
-            stopped_m_s: STOPPED.number_f32(),
-            stop_limit_ns: STOP_LIMIT.nanos(),
         }
     }
 }
@@ -111,17 +99,14 @@ impl AlarmConfig {
         for (parameter, value) in [
             (&parameters::RAISE_WINDOW, f64::from(self.raise_window)),
             (&parameters::RAISE_COUNT, self.raise_count.into()),
-            (&UNKNOWN_STEPS, self.unknown_limit.into()),
             (&GUARD_STEPS, self.guard_steps.into()),
             (&RECOVERY_GUARD_STEPS, self.recovery_guard_steps.into()),
             (&ASTRAY, self.astray_limit_m.into()),
-            (&WAY_SPEED, self.way_speed_m_s.into()),
+            (&PATH_SPEED, self.path_speed_m_s.into()),
             (&DISAGREEMENT, self.disagreement_limit_s.into()),
             (&APART, self.apart_yaw.into()),
             (&SMOOTH_SHARE, self.smooth_share.into()),
             (&parameters::CLEAR_STEPS, self.clear_steps.into()),
-            (&STOPPED, self.stopped_m_s.into()),
-            (&STOP_LIMIT, self.stop_limit_ns as f64 / 1e9),
         ] {
             parameter.check(value)?;
         }
@@ -183,7 +168,7 @@ struct Evidence {
     clean_steps: u16,
     /// Consecutive steps in which the actor's action was on a collision course.
     course_steps: u16,
-    /// How far the actor has fallen behind a vehicle that flies along the guard's way, metres.
+    /// How far the actor has fallen behind a vehicle that flies along the guard's path, metres.
     behind_m: f32,
     /// Steps in which they turned apart, less those in which they did not, since that was last 0.
     apart_steps: u16,
@@ -220,12 +205,12 @@ impl Evidence {
     }
 
     fn note_flight(&mut self, config: &AlarmConfig, input: &AlarmInput) {
-        // Of two vehicles, one along the way at a constant speed, the other flown by the actor: Page's cumulative sum (1954), which shows a
+        // Of two vehicles, one along the path at a constant speed, the other flown by the actor: Page's cumulative sum (1954), which shows a
         // lasting change soonest and forgets what went well before.
-        if let Some(speed_m_s) = input.risk.map(|risk| risk.speed_along_way_m_s)
+        if let Some(speed_m_s) = input.risk.map(|risk| risk.speed_along_path_m_s)
             && speed_m_s.is_finite()
         {
-            self.behind_m = (self.behind_m + (config.way_speed_m_s - speed_m_s) * STEP_S).max(0.0);
+            self.behind_m = (self.behind_m + (config.path_speed_m_s - speed_m_s) * STEP_S).max(0.0);
         }
         if let Some(apart) = input.yaw_apart {
             self.apart_steps = if apart > config.apart_yaw {
@@ -243,7 +228,7 @@ type Trigger = (AlarmCause, fn(&Evidence, &AlarmConfig) -> bool);
 /// What raises the alarm, in order of precedence.
 const TRIGGERS: [Trigger; 6] = [
     (AlarmCause::Attack, |e, c| c.are_enough(e.attacks)),
-    (AlarmCause::NoVerdict, |e, c| e.unknown_steps > c.unknown_limit),
+    (AlarmCause::NoVerdict, |e, _| e.unknown_steps > UNKNOWN_LIMIT),
     (AlarmCause::CollisionCourse, |e, c| {
         c.guard_steps > 0 && e.course_steps >= c.guard_steps
     }),
@@ -335,8 +320,8 @@ impl AlarmLogic {
             (raised.since_ns, raised.stopped, raised.recovery_stopped) = (input.now_ns, false, true);
         }
         let begins = raised.since_ns == input.now_ns;
-        let still = input.speed_m_s.is_some_and(|speed_m_s| speed_m_s < config.stopped_m_s);
-        let long = input.now_ns.saturating_sub(raised.since_ns) >= config.stop_limit_ns;
+        let still = input.speed_m_s.is_some_and(|speed_m_s| speed_m_s < STOPPED_M_S);
+        let long = input.now_ns.saturating_sub(raised.since_ns) >= STOP_LIMIT_NS;
         raised.stopped |= !begins && (still || long);
         raised.recovery_stopped &= !raised.stopped;
         Some(Alarm {
@@ -363,7 +348,7 @@ mod tests {
     const QUIET: Risk = Risk {
         collision_course: false,
         recovery_course: false,
-        speed_along_way_m_s: 1.2,
+        speed_along_path_m_s: 1.2,
     };
     const FLYING: AlarmInput = AlarmInput {
         now_ns: 0,
@@ -473,13 +458,13 @@ mod tests {
     fn steps_until_astray(speeds_m_s: &[f32]) -> Option<usize> {
         let config = AlarmConfig {
             astray_limit_m: 3.0,
-            way_speed_m_s: 0.3,
+            path_speed_m_s: 0.3,
             ..AlarmConfig::default()
         };
         steps_until(AlarmCause::LedAstray, &config, |i, input| {
-            let speed_along_way_m_s = speeds_m_s[i % speeds_m_s.len()];
+            let speed_along_path_m_s = speeds_m_s[i % speeds_m_s.len()];
             input.risk = Some(Risk {
-                speed_along_way_m_s,
+                speed_along_path_m_s,
                 ..QUIET
             });
         })
@@ -514,20 +499,5 @@ mod tests {
         assert_eq!(steps_until_disagreement(&[3.0, 0.0]), None);
         assert_eq!(steps_until_disagreement(&[1.9]), None, "a swerve");
         assert_eq!(steps_until_disagreement(&[f32::NAN]), None);
-    }
-
-    #[test]
-    fn an_operator_who_trusts_the_actor_does_not_end_what_the_verdict_raised() {
-        let config = AlarmConfig::default();
-        let mut logic = AlarmLogic::default();
-        let input = AlarmInput {
-            verdict: Some(Attack),
-            ..FLYING
-        };
-        for _ in 0..5 {
-            logic.step(&config, &input);
-        }
-        logic.trust_again();
-        assert!(logic.step(&config, &input).is_some());
     }
 }

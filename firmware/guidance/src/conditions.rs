@@ -1,6 +1,8 @@
 //! The named conditions: what each one means, demands, and how it clears.
 
-use vigil_types::{Reason, Reasons};
+use vigil_types::{Nanos, Reason, Reasons};
+
+const SECOND_NS: Nanos = 1_000_000_000;
 
 /// What a condition demands while it is present. In order of precedence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -111,7 +113,7 @@ pub static CONDITIONS: [Condition; 34] = conditions! {
         "position or attitude arrive more than {slow_telemetry} apart on average, half of the age that is *stale telemetry*";
         "both arrive faster";
     PilotInCommand, Wait, false:
-        "standby, ready: a person took the vehicle over, or the policy is *auto* and the vehicle is where *auto* does not take it ([below](#where-auto-engages))";
+        "standby, ready: a person took the vehicle over, or *auto* would fly one that is where *auto* does not take it ([below](#where-auto-engages))";
         "an operator engages; where nobody took it over also a state of the vehicle in which *auto* takes it";
     UnauthenticatedFrame, Hold, true:
         "frame keys are configured, and a frame in this step was not made with one of them";
@@ -135,6 +137,24 @@ pub static CONDITIONS: [Condition; 34] = conditions! {
         "40 frames in a row that show the ground and nothing beneath it; after the second time in a flight, the end of the flight";
 };
 
+/// Window in which missed steps are counted.
+pub const SLIP_WINDOW_NS: Nanos = SECOND_NS;
+/// Hover at the goal before landing.
+pub const GOAL_DWELL_NS: Nanos = 2 * SECOND_NS;
+/// Hover after no progress before landing for it.
+pub const NO_PROGRESS_DWELL_NS: Nanos = 10 * SECOND_NS;
+/// How much nearer to the goal than ever before counts as nearer, metres.
+pub const NO_PROGRESS_GAIN_M: f32 = 1.0;
+/// Longest hand-over, take-off included.
+pub const HANDOVER_LIMIT_NS: Nanos = 60 * SECOND_NS;
+/// How long a failed hand-over blocks the next.
+pub const HANDOVER_PAUSE_NS: Nanos = 5 * SECOND_NS;
+/// Consecutive steps without a verdict that the actor may fly: the detector's window is ten steps long.
+pub const UNKNOWN_LIMIT: u16 = 10;
+/// The vehicle counts as stopped below this speed, metres per second.
+pub const STOPPED_M_S: f32 = 0.2;
+/// Longest stop before the recovery pilot flies on: gusts may keep the vehicle from ever standing still.
+pub const STOP_LIMIT_NS: Nanos = 3 * SECOND_NS;
 /// Metres inside the fence at which [`Reason::Geofence`] clears.
 pub const FENCE_CLEAR_MARGIN_M: f32 = 0.5;
 

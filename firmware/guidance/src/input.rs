@@ -26,8 +26,8 @@ pub struct Risk {
     pub collision_course: bool,
     /// The recovery pilot's own action leads into something that stopping avoids.
     pub recovery_course: bool,
-    /// How fast the vehicle flies along the way that the recovery pilot plans, metres per second; 0 where it has none.
-    pub speed_along_way_m_s: f32,
+    /// How fast the vehicle flies along the path that the recovery pilot plans, metres per second; 0 where it has none.
+    pub speed_along_path_m_s: f32,
 }
 
 /// Everything guidance looks at in one step.

@@ -1,7 +1,7 @@
 //! Just stop: guards a flight that somebody else flies. The vehicle follows its own mission or a pilot's sticks; when something
 //! lies on its course, or nobody can see whether something does, it is ordered to hold. No setpoint is ever sent.
 
-pub use crate::stopping_way::{Gain, JustStopConfig};
+pub use crate::stopping_distance::{Gain, JustStopConfig};
 use vigil_types::{Heartbeat, Nanos, StopCause, VehicleMode};
 
 /// Slower than this no course can be known, and nothing is run into, metres per second.

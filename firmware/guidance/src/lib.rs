@@ -38,7 +38,7 @@ mod input;
 pub mod just_stop;
 mod machine;
 mod setpoint;
-mod stopping_way;
+mod stopping_distance;
 pub mod table;
 
 pub use alarm::{AlarmConfig, ROUGH_BELOW};

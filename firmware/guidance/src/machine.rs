@@ -4,7 +4,7 @@ mod present;
 mod requests;
 
 use crate::alarm::{AlarmInput, AlarmLogic, count};
-use crate::conditions::{Demand, blocking_ready, demanding};
+use crate::conditions::{Demand, HANDOVER_LIMIT_NS, HANDOVER_PAUSE_NS, blocking_ready, demanding};
 use crate::config::{ConfigError, GuidanceConfig};
 use crate::input::{GuidanceInput, GuidanceOutput};
 use crate::setpoint::{changes_height, guided_setpoint};
@@ -19,6 +19,8 @@ use vigil_types::{
 const RESTART_SHOWS_NS: Nanos = 2_000_000_000;
 /// A vehicle in the air whose autopilot started less than this ago did not take off: it is a simulation that begins there.
 const BORN_AIRBORNE_NS: Nanos = 30_000_000_000;
+/// *Auto* gives a vehicle on the ground this long from *ready* on to report its home: a PX4 does every other second.
+const HOME_COMES_NS: Nanos = 2_500_000_000;
 /// Longest time between two steps that counts as flown, against clocks that jump.
 const LONGEST_STEP_NS: Nanos = 1_000_000_000;
 /// Missed steps that are remembered; [`GuidanceConfig::slip_limit`] is at most this.
@@ -26,6 +28,10 @@ const SLIPS_REMEMBERED: usize = 8;
 /// A failsafe hold within this time after the stream of setpoints was interrupted is for that: the longest limit that a PX4 may have, and the
 /// second between two heartbeats.
 const INTERRUPTION_NS: Nanos = 6_000_000_000;
+/// Consecutive steps without a blocking condition before standby ends and before hold ends; of zero setpoints after the vehicle left its
+/// external mode, before guidance falls silent.
+const CLEAR_STEPS: u16 = 10;
+const RELEASE_STEPS: u16 = 10;
 
 /// What a goal is relative to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -285,13 +291,13 @@ impl Guidance {
         if self.state == GuidanceState::Engaging {
             // A climb takes its time.
             let climb_m = self.goal.map_or(0.0, |goal| self.home_ned_m.z - goal.position_ned_m.z);
-            let limit_ns = self.config.handover_limit_ns + (climb_m.max(0.0) * 1e9) as Nanos;
+            let limit_ns = HANDOVER_LIMIT_NS + (climb_m.max(0.0) * 1e9) as Nanos;
             let too_long = input.now_ns.saturating_sub(self.since_ns) > limit_ns;
             if input.vehicle.handover == HandoverProgress::Failed || too_long {
                 self.handover_failed_ns = Some(input.now_ns);
             }
         } else if let Some(failed_ns) = self.handover_failed_ns
-            && input.now_ns.saturating_sub(failed_ns) >= self.config.handover_pause_ns
+            && input.now_ns.saturating_sub(failed_ns) >= HANDOVER_PAUSE_NS
         {
             self.handover_failed_ns = None;
         }
@@ -384,12 +390,14 @@ impl Guidance {
             Guard::HandedOver => done && !unclear,
             Guard::HandedOverUnclear => done && unclear,
             Guard::HoldDemanded => unclear,
-            Guard::FailsafeHoldRegainable => failsafe_hold && self.regain_steps >= self.config.clear_steps,
-            Guard::VehicleTaken => !failsafe_hold && self.released_steps >= self.config.release_steps,
-            Guard::ClearLongEnough | Guard::InputsGood => self.clear_steps >= self.config.clear_steps,
+            Guard::FailsafeHoldRegainable => failsafe_hold && self.regain_steps >= CLEAR_STEPS,
+            Guard::VehicleTaken => !failsafe_hold && self.released_steps >= RELEASE_STEPS,
+            Guard::ClearLongEnough | Guard::InputsGood => self.clear_steps >= CLEAR_STEPS,
             Guard::InputsMissing => reasons.intersects(blocking_ready()),
             Guard::EngageWanted => {
-                let permitted = self.asked || !reasons.contains(Reason::PilotInCommand);
+                let ready_ns = input.now_ns.saturating_sub(self.since_ns);
+                let has_home = self.home_known || input.telemetry.is_airborne() || ready_ns >= HOME_COMES_NS;
+                let permitted = self.asked || has_home && !reasons.contains(Reason::PilotInCommand);
                 self.intent && permitted && !reasons.contains(Reason::HandoverFailed)
             }
         }

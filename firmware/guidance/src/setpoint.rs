@@ -6,6 +6,9 @@ use vigil_types::{Action, Goal, HeadingVector, NedVector, VelocitySetpoint};
 /// Off the goal's height by no more than this the vehicle flies ahead as it is asked to, and not at all beyond the second, metres.
 const LEVEL_M: f32 = 0.5;
 const OFF_LEVEL_M: f32 = 1.0;
+/// Vertical speed per metre of height error, 1/s, and the greatest one, metres per second.
+const HEIGHT_GAIN_PER_S: f32 = 0.8;
+const VERTICAL_LIMIT_M_S: f32 = 0.5;
 
 /// Whether a vehicle that is so far above or below the goal's height changes it first, where it is: what stands in its way there is not
 /// at the height that its pilot looks at.
@@ -24,8 +27,7 @@ pub fn guided_setpoint(
 ) -> VelocitySetpoint {
     let action = action.within(config.speed_limit_m_s);
     let below_m = goal.position_ned_m.z - position_ned_m.z;
-    let limit_m_s = config.vertical_limit_m_s;
-    let down_m_s = (config.height_gain_per_s * below_m).clamp(-limit_m_s, limit_m_s);
+    let down_m_s = (HEIGHT_GAIN_PER_S * below_m).clamp(-VERTICAL_LIMIT_M_S, VERTICAL_LIMIT_M_S);
     let level = ((OFF_LEVEL_M - below_m.abs()) / (OFF_LEVEL_M - LEVEL_M)).clamp(0.0, 1.0);
     let setpoint = VelocitySetpoint {
         velocity_m_s: HeadingVector::new(level * action.forward_m_s, 0.0, down_m_s),
@@ -51,11 +53,8 @@ mod tests {
         let at = |down_m| guided_setpoint(&config, Action::HOVER, goal, NedVector::new(0.0, 0.0, down_m));
         assert_eq!(at(-2.5), VelocitySetpoint::HOLD);
         let climbs_m_s = -at(-2.4).velocity_m_s.z;
-        assert!(
-            (climbs_m_s - 0.1 * config.height_gain_per_s).abs() < 1e-6,
-            "{climbs_m_s}"
-        );
-        assert_eq!(at(0.0).velocity_m_s.z, -config.vertical_limit_m_s);
+        assert!((climbs_m_s - 0.1 * HEIGHT_GAIN_PER_S).abs() < 1e-6, "{climbs_m_s}");
+        assert_eq!(at(0.0).velocity_m_s.z, -VERTICAL_LIMIT_M_S);
         assert_eq!(at(f32::NAN), VelocitySetpoint::HOLD);
     }
 

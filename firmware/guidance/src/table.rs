@@ -39,7 +39,8 @@ named! {
         InputsGood => "inputs good",
         /// Something that guidance needs is missing.
         InputsMissing => "inputs missing",
-        /// An operator wants to fly, or the policy does and no person has the vehicle; no failed hand-over has to be waited for.
+        /// An operator wants to fly, or the policy does, no person has the vehicle and home had its time to come; no failed hand-over has to be
+        /// waited for.
         EngageWanted => "engage wanted",
     }
 }

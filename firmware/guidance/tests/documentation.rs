@@ -5,7 +5,7 @@ mod page;
 
 use std::fmt::Write;
 use vigil_guidance::GuidanceConfig;
-use vigil_guidance::conditions::{CONDITIONS, Demand};
+use vigil_guidance::conditions::*;
 use vigil_guidance::table::TRANSITIONS;
 use vigil_types::GuidanceState;
 
@@ -18,21 +18,21 @@ fn thresholds(text: &str) -> String {
         ("{slow_telemetry}", seconds(c.telemetry_age_limit_ns / 2)),
         ("{heartbeat_age_limit}", seconds(c.heartbeat_age_limit_ns)),
         ("{slip_limit}", c.slip_limit.to_string()),
-        ("{slip_window}", seconds(c.slip_window_ns)),
+        ("{slip_window}", seconds(SLIP_WINDOW_NS)),
         ("{goal_radius}", format!("{} m", c.goal_radius_m)),
-        ("{goal_dwell}", seconds(c.goal_dwell_ns)),
+        ("{goal_dwell}", seconds(GOAL_DWELL_NS)),
         (
             "{no_progress_limit}",
             c.no_progress_limit_ns.map_or("no time".to_owned(), seconds),
         ),
-        ("{no_progress_gain}", format!("{} m", c.no_progress_gain_m)),
-        ("{no_progress_dwell}", seconds(c.no_progress_dwell_ns)),
-        ("{handover_limit}", seconds(c.handover_limit_ns)),
-        ("{handover_pause}", seconds(c.handover_pause_ns)),
+        ("{no_progress_gain}", format!("{} m", NO_PROGRESS_GAIN_M)),
+        ("{no_progress_dwell}", seconds(NO_PROGRESS_DWELL_NS)),
+        ("{handover_limit}", seconds(HANDOVER_LIMIT_NS)),
+        ("{handover_pause}", seconds(HANDOVER_PAUSE_NS)),
         ("{raise_count}", c.alarm.raise_count.to_string()),
         ("{raise_window}", c.alarm.raise_window.to_string()),
-        ("{stopped}", format!("{} m/s", c.alarm.stopped_m_s)),
-        ("{stop_limit}", seconds(c.alarm.stop_limit_ns)),
+        ("{stopped}", format!("{} m/s", STOPPED_M_S)),
+        ("{stop_limit}", seconds(STOP_LIMIT_NS)),
         ("{alarm_clear_steps}", c.alarm.clear_steps.to_string()),
         ("{guard_steps}", c.alarm.guard_steps.to_string()),
         ("{recovery_guard_steps}", c.alarm.recovery_guard_steps.to_string()),
@@ -40,8 +40,8 @@ fn thresholds(text: &str) -> String {
         ("{astray}", format!("{} m", c.alarm.astray_limit_m)),
         ("{smooth_share}", c.alarm.smooth_share.to_string()),
         ("{disagreement}", format!("{} s", c.alarm.disagreement_limit_s)),
-        ("{way_speed}", format!("{} m/s", c.alarm.way_speed_m_s)),
-        ("{unknown_limit}", c.alarm.unknown_limit.to_string()),
+        ("{way_speed}", format!("{} m/s", c.alarm.path_speed_m_s)),
+        ("{unknown_limit}", UNKNOWN_LIMIT.to_string()),
         ("{battery_limit}", format!("{} %", (c.battery_limit * 100.0).round())),
     ]
     .iter()

@@ -3,7 +3,9 @@
 mod common;
 
 use common::{QUIET, Story};
+use proptest::option;
 use proptest::prelude::*;
+use proptest::sample::select;
 use proptest::test_runner::RngSeed;
 use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FrameStatus, Geofence, GuidanceConfig};
 use vigil_types::{
@@ -17,106 +19,106 @@ const RECOVERY: Action = Action {
     yaw: 0.1,
 };
 
-#[derive(Debug, Clone)]
-enum Event {
-    Mode(VehicleMode),
-    Armed(bool),
-    Failsafe(bool),
-    Position([f32; 3]),
-    Battery(Option<f32>),
-    Frame(Option<u64>, bool),
-    SensorFaults(Reasons),
-    TelemetryAge(u64),
-    HeartbeatAge(Option<u64>),
-    Action(Option<Action>),
-    Recovery(Option<Action>),
-    Verdict(Option<Verdict>),
-    CollisionCourse(bool),
-    RecoveryCourse(bool),
-    SpeedAlongWay(f32),
-    Velocity([f32; 3]),
-    Handover(HandoverProgress),
-    Slips(u64),
-    Restart,
-    Request(OperatorRequest),
-    Good,
-    Steps(usize),
-}
-
 fn number() -> impl Strategy<Value = f32> {
     prop_oneof![6 => -30.0f32..30.0, 1 => any::<f32>(), 1 => Just(f32::NAN), 1 => Just(f32::INFINITY)]
 }
 
-fn event() -> impl Strategy<Value = Event> {
-    let mode = prop_oneof![
-        3 => Just(VehicleMode::External),
-        1 => Just(VehicleMode::Hold),
-        1 => Just(VehicleMode::Land),
-        1 => Just(VehicleMode::Unknown),
-        1 => Just(VehicleMode::Other),
-    ];
-    let handover = prop_oneof![
-        Just(HandoverProgress::Idle),
-        Just(HandoverProgress::InProgress {
-            stream_setpoints: false
-        }),
-        Just(HandoverProgress::InProgress { stream_setpoints: true }),
-        Just(HandoverProgress::Failed),
-        Just(HandoverProgress::Done),
-    ];
-    let action = || [number(), number()].prop_map(|[forward_m_s, yaw]| Action { forward_m_s, yaw });
-    let request = prop_oneof![
-        Just(OperatorRequest::Engage),
-        Just(OperatorRequest::Disengage),
-        Just(OperatorRequest::Land),
-        (number(), number(), proptest::option::of(number())).prop_map(|(north_m, east_m, height_m)| {
-            OperatorRequest::Goal {
-                north_m,
-                east_m,
-                height_m,
+fn mode() -> impl Strategy<Value = VehicleMode> {
+    use VehicleMode::{External, Hold, Land, Other, Unknown};
+    select(&[External, External, External, Hold, Land, Unknown, Other][..])
+}
+
+fn handover() -> impl Strategy<Value = HandoverProgress> {
+    use HandoverProgress::{Done, Failed, Idle, InProgress};
+    let in_progress = [false, true].map(|stream_setpoints| InProgress { stream_setpoints });
+    select([&in_progress[..], &[Idle, Failed, Done]].concat())
+}
+
+fn action() -> impl Strategy<Value = Option<Action>> {
+    option::of([number(), number()].prop_map(|[forward_m_s, yaw]| Action { forward_m_s, yaw }))
+}
+
+fn verdict() -> impl Strategy<Value = Option<Verdict>> {
+    use Verdict::{Attack, Clean, Unknown};
+    select(&[Some(Attack), Some(Attack), Some(Unknown), Some(Clean), None][..])
+}
+
+fn sensor_faults() -> impl Strategy<Value = Reasons> {
+    let (blind, frozen) = (Reasons::of(Reason::BlindSensor), Reasons::of(Reason::FrozenSensor));
+    select(vec![Reasons::NONE, blind, frozen])
+}
+
+fn request() -> impl Strategy<Value = OperatorRequest> {
+    use OperatorRequest::{Disengage, Engage, Goal, Land};
+    let goal = |(north_m, east_m, height_m)| Goal {
+        north_m,
+        east_m,
+        height_m,
+    };
+    let goals = (number(), number(), option::of(number())).prop_map(goal);
+    prop_oneof![3 => select(&[Engage, Disengage, Land][..]), 1 => goals]
+}
+
+/// What may happen to a story: how often, what it holds and where that is from, and what it changes.
+macro_rules! events {
+    ($($weight:literal $name:ident($held:ty): $from:expr, |$s:ident, $value:pat_param| $change:expr;)+) => {
+        #[derive(Debug, Clone)]
+        enum Event {
+            $($name($held),)+
+            Steps(usize),
+        }
+
+        fn event() -> impl Strategy<Value = Event> {
+            prop_oneof![$($weight => $from.prop_map(Event::$name),)+ 6 => (1usize..45).prop_map(Event::Steps)]
+        }
+
+        /// Steps that follow.
+        fn apply(story: &mut Story, event: &Event) -> usize {
+            match *event {
+                $(Event::$name($value) => {
+                    let $s = story;
+                    $change;
+                    1
+                })+
+                Event::Steps(steps) => steps,
             }
-        }),
-    ];
-    prop_oneof![
-        2 => mode.prop_map(Event::Mode),
-        1 => any::<bool>().prop_map(Event::Armed),
-        1 => any::<bool>().prop_map(Event::Failsafe),
-        2 => [number(), number(), number()].prop_map(Event::Position),
-        1 => proptest::option::of(0.0f32..1.0).prop_map(Event::Battery),
-        2 => (proptest::option::of(0u64..500_000_000), any::<bool>()).prop_map(|(age, refused)| Event::Frame(age, refused)),
-        2 => prop_oneof![Just(Reasons::NONE), Just(Reasons::of(Reason::BlindSensor)), Just(Reasons::of(Reason::FrozenSensor))].prop_map(Event::SensorFaults),
-        1 => (0u64..600_000_000).prop_map(Event::TelemetryAge),
-        1 => proptest::option::of(0u64..3_000_000_000).prop_map(Event::HeartbeatAge),
-        3 => proptest::option::of(action()).prop_map(Event::Action),
-        2 => proptest::option::of(action()).prop_map(Event::Recovery),
-        4 => prop_oneof![2 => Just(Some(Verdict::Attack)), 1 => Just(Some(Verdict::Unknown)), 1 => Just(Some(Verdict::Clean)), 1 => Just(None)].prop_map(Event::Verdict),
-        2 => any::<bool>().prop_map(Event::CollisionCourse),
-        1 => any::<bool>().prop_map(Event::RecoveryCourse),
-        1 => number().prop_map(Event::SpeedAlongWay),
-        1 => [number(), number(), number()].prop_map(Event::Velocity),
-        2 => handover.prop_map(Event::Handover),
-        1 => (0u64..9).prop_map(Event::Slips),
-        1 => Just(Event::Restart),
-        3 => request.prop_map(Event::Request),
-        8 => Just(Event::Good),
-        6 => (1usize..45).prop_map(Event::Steps),
-    ]
+        }
+    };
+}
+
+events! {
+    2 Mode(VehicleMode): mode(), |s, mode| s.mode = mode;
+    1 Armed(bool): any::<bool>(), |s, armed| s.armed = armed;
+    1 Failsafe(bool): any::<bool>(), |s, failsafe| s.failsafe = failsafe;
+    2 Position([f32; 3]): [number(), number(), number()], |s, [x, y, z]| s.position_ned_m = NedVector::new(x, y, z);
+    1 Battery(Option<f32>): option::of(0.0f32..1.0), |s, battery| s.battery = battery;
+    2 Frame((Option<u64>, bool)): (option::of(0u64..500_000_000), any::<bool>()),
+        |s, frame| (s.frame.age_ns, s.frame.refused) = frame;
+    2 SensorFaults(Reasons): sensor_faults(), |s, sensor_faults| s.frame.sensor_faults = sensor_faults;
+    1 TelemetryAge(u64): (0u64..600_000_000), |s, age_ns| s.telemetry_age_ns = age_ns;
+    1 HeartbeatAge(Option<u64>): option::of(0u64..3_000_000_000), |s, age_ns| s.heartbeat_age_ns = age_ns;
+    3 Action(Option<Action>): action(), |s, action| s.action = action;
+    2 Recovery(Option<Action>): action(), |s, action| s.recovery = action;
+    4 Verdict(Option<Verdict>): verdict(), |s, verdict| s.verdict = verdict;
+    2 CollisionCourse(bool): any::<bool>(), |s, course| s.risk.collision_course = course;
+    1 RecoveryCourse(bool): any::<bool>(), |s, course| s.risk.recovery_course = course;
+    1 SpeedAlongPath(f32): number(), |s, speed| s.risk.speed_along_path_m_s = speed;
+    1 Velocity([f32; 3]): [number(), number(), number()], |s, [x, y, z]| s.velocity_ned_m_s = NedVector::new(x, y, z);
+    2 Handover(HandoverProgress): handover(), |s, handover| s.vehicle.handover = handover;
+    1 Slips(u64): (0u64..9), |s, slips| s.timing.slips += slips;
+    1 Restart(()): Just(()), |s, ()| s.vehicle.restarts += 1;
+    3 Request(OperatorRequest): request(), |s, request| _ = s.ask(request);
+    8 Good(()): Just(()), |s, ()| good(s);
 }
 
 fn config() -> impl Strategy<Value = GuidanceConfig> {
-    let policy = prop_oneof![
-        Just(AlarmPolicy::Ignore),
-        Just(AlarmPolicy::Stop),
-        Just(AlarmPolicy::Recover)
-    ];
-    (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), policy).prop_map(
-        |(auto, land, fence, limit, policy)| GuidanceConfig {
-            engage: if auto {
-                EngagePolicy::Auto
-            } else {
-                EngagePolicy::Command
-            },
-            at_goal: if land { AtGoal::Land } else { AtGoal::Hold },
+    let engage = select(&[EngagePolicy::Command, EngagePolicy::Auto][..]);
+    let at_goal = select(&[AtGoal::Hold, AtGoal::Land][..]);
+    let policy = select(&[AlarmPolicy::Ignore, AlarmPolicy::Stop, AlarmPolicy::Recover][..]);
+    (engage, at_goal, any::<bool>(), any::<bool>(), policy).prop_map(|(engage, at_goal, fence, limit, policy)| {
+        GuidanceConfig {
+            engage,
+            at_goal,
             geofence: fence.then_some(Geofence {
                 radius_m: 50.0,
                 min_height_m: 0.5,
@@ -128,8 +130,8 @@ fn config() -> impl Strategy<Value = GuidanceConfig> {
                 ..AlarmConfig::default()
             },
             ..Default::default()
-        },
-    )
+        }
+    })
 }
 
 /// Makes every input good again, in the air.
@@ -146,40 +148,6 @@ fn good(s: &mut Story) {
     s.verdict = Some(Verdict::Clean);
     s.risk = QUIET;
     s.velocity_ned_m_s = NedVector::ZERO;
-}
-
-fn apply(s: &mut Story, event: &Event) -> usize {
-    match *event {
-        Event::Mode(mode) => s.mode = mode,
-        Event::Armed(armed) => s.armed = armed,
-        Event::Failsafe(failsafe) => s.failsafe = failsafe,
-        Event::Position([x, y, z]) => s.position_ned_m = NedVector::new(x, y, z),
-        Event::Battery(battery) => s.battery = battery,
-        Event::Frame(age_ns, refused) => {
-            s.frame = FrameStatus {
-                age_ns,
-                refused,
-                ..s.frame
-            }
-        }
-        Event::SensorFaults(sensor_faults) => s.frame.sensor_faults = sensor_faults,
-        Event::TelemetryAge(age_ns) => s.telemetry_age_ns = age_ns,
-        Event::HeartbeatAge(age_ns) => s.heartbeat_age_ns = age_ns,
-        Event::Action(action) => s.action = action,
-        Event::Recovery(action) => s.recovery = action,
-        Event::Verdict(verdict) => s.verdict = verdict,
-        Event::CollisionCourse(course) => s.risk.collision_course = course,
-        Event::RecoveryCourse(course) => s.risk.recovery_course = course,
-        Event::SpeedAlongWay(speed) => s.risk.speed_along_way_m_s = speed,
-        Event::Velocity([x, y, z]) => s.velocity_ned_m_s = NedVector::new(x, y, z),
-        Event::Handover(handover) => s.vehicle.handover = handover,
-        Event::Slips(slips) => s.timing.slips += slips,
-        Event::Restart => s.vehicle.restarts += 1,
-        Event::Request(request) => _ = s.ask(request),
-        Event::Good => good(s),
-        Event::Steps(steps) => return steps,
-    }
-    1
 }
 
 /// Every condition that must stop motion, derived anew from the inputs, without the state machine's code.

@@ -10,11 +10,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// A handler that cannot be installed: there is one already.
 pub fn on_interrupt(handler: impl FnMut() + Send + 'static) -> io::Result<()> {
     // SAFETY: to ignore a signal runs no code of this process.
-    let ignore_hangup = || unsafe { libc::signal(libc::SIGHUP, libc::SIG_IGN) };
-    let before = ignore_hangup();
+    let ignore = |signal| unsafe { libc::signal(signal, libc::SIG_IGN) };
+    // A file that may grow no further (LimitFSIZE=) is then an error of its writing, as a full disk is.
+    ignore(libc::SIGXFSZ);
+    let before = ignore(libc::SIGHUP);
     ctrlc::set_handler(handler).map_err(|e| io::Error::other(format!("cannot install the Ctrl-C handler: {e}")))?;
     if before == libc::SIG_IGN {
-        ignore_hangup();
+        ignore(libc::SIGHUP);
     }
     Ok(())
 }

@@ -104,16 +104,14 @@ impl FromStr for LinkSpec {
                     link.allow_unsigned = Some(AllowUnsigned::from_name(policy).ok_or_else(bad)?);
                 }
                 Some(("rate", rate)) => {
-                    let rate = rate.parse().ok().filter(|r| *r >= 1000).ok_or_else(bad)?;
-                    link.rate_bytes_s = Some(rate);
+                    link.rate_bytes_s = Some(rate.parse().ok().filter(|r| *r >= 1000).ok_or_else(bad)?);
                 }
                 Some(("values", per_s)) => {
                     let per_s = per_s.parse().ok().filter(|v| (0.0..=MAX_VALUES_HZ).contains(v));
                     link.values_hz = Some(per_s.ok_or_else(bad)?);
                 }
                 Some(("system", id)) => {
-                    let id = id.parse().ok().filter(|id| *id > 0).ok_or_else(bad)?;
-                    link.system = Some(id);
+                    link.system = Some(id.parse().ok().filter(|id| *id > 0).ok_or_else(bad)?);
                 }
                 _ => return Err(bad()),
             }
@@ -163,7 +161,7 @@ impl Budget {
         self.bytes = (self.bytes + elapsed_s * self.bytes_per_s).min(self.burst_bytes);
     }
 
-    /// Takes `len` bytes if they are there and `kept`, a fraction of a burst, remains; returns whether it did.
+    /// Takes `len` bytes if they are there and `kept`, a fraction of a burst, remains (negative: may be overdrawn by it); returns whether it did.
     pub fn spend(&mut self, now_ns: Nanos, len: usize, kept: f64) -> bool {
         self.refill(now_ns);
         let fits = self.bytes - len as f64 >= kept * self.burst_bytes;

@@ -1,6 +1,6 @@
 //! Where the vehicle's MAVLink is: connection URLs in MAVSDK's notation.
 
-use std::net::{SocketAddr, ToSocketAddrs};
+use std::net::{Ipv4Addr, SocketAddr, ToSocketAddrs};
 use std::str::FromStr;
 
 /// A parsed link URL.
@@ -21,6 +21,8 @@ pub enum LinkUrl {
         /// Bits per second.
         baud: u32,
     },
+    /// One of a host that is not known yet: it is looked up at the next start, and not at all in flight.
+    Unknown(String),
 }
 
 /// A URL that is not understood.
@@ -39,7 +41,7 @@ impl LinkUrl {
     pub fn is_on_this_machine(&self) -> bool {
         match self {
             Self::UdpIn(a) | Self::UdpOut(a) | Self::TcpIn(a) | Self::TcpOut(a) => a.ip().to_canonical().is_loopback(),
-            Self::Serial { .. } => false,
+            Self::Serial { .. } | Self::Unknown(_) => false,
         }
     }
 }
@@ -55,11 +57,12 @@ impl FromStr for LinkUrl {
         let Some((scheme, address)) = url.split_once("://") else {
             return Err(error("no scheme"));
         };
+        let unknown = || Self::Unknown(url.to_owned());
         let parsed = match scheme {
             "udpin" => listen(address).map(Self::UdpIn),
             "tcpin" => listen(address).map(Self::TcpIn),
-            "udpout" => call(address).map(Self::UdpOut),
-            "tcpout" => call(address).map(Self::TcpOut),
+            "udpout" => call(address).map(|peer| peer.map_or_else(unknown, Self::UdpOut)),
+            "tcpout" => call(address).map(|peer| peer.map_or_else(unknown, Self::TcpOut)),
             "serial" => serial(address),
             _ => Err("this scheme is not supported"),
         };
@@ -75,6 +78,14 @@ fn host_and_port(address: &str) -> Result<(&str, u16), &'static str> {
     }
 }
 
+fn of_one(address: SocketAddr) -> Result<SocketAddr, &'static str> {
+    let ip = address.ip().to_canonical();
+    match ip.is_multicast() || ip == Ipv4Addr::BROADCAST {
+        true => Err("one address is needed: broadcast and multicast are not supported"),
+        false => Ok(address),
+    }
+}
+
 fn listen(address: &str) -> Result<SocketAddr, &'static str> {
     let (host, port) = host_and_port(address)?;
     // MAVSDK's `udpin://:14540` means all addresses.
@@ -82,16 +93,21 @@ fn listen(address: &str) -> Result<SocketAddr, &'static str> {
     format!("{host}:{port}")
         .parse()
         .map_err(|_| "the address to listen on must be an IP address")
+        .and_then(of_one)
 }
 
-fn call(address: &str) -> Result<SocketAddr, &'static str> {
+/// `None` for a host that is not known.
+fn call(address: &str) -> Result<Option<SocketAddr>, &'static str> {
     let (host, port) = host_and_port(address)?;
-    (host.trim_matches(['[', ']']), port)
-        .to_socket_addrs()
-        .ok()
-        // As MAVSDK: `localhost` is 127.0.0.1, whatever stands first.
-        .and_then(|found| found.min_by_key(SocketAddr::is_ipv6))
-        .ok_or("the host is not known")
+    if host.is_empty() {
+        return Err("the host is not known");
+    }
+    let found = (host.trim_matches(['[', ']']), port).to_socket_addrs().ok();
+    // As MAVSDK: `localhost` is 127.0.0.1, whatever stands first.
+    match found.and_then(|found| found.min_by_key(SocketAddr::is_ipv6)) {
+        Some(nobody) if nobody.ip().is_unspecified() => Err("the host must be one that can be called"),
+        peer => peer.map(of_one).transpose(),
+    }
 }
 
 fn serial(address: &str) -> Result<LinkUrl, &'static str> {
@@ -116,6 +132,7 @@ impl std::fmt::Display for LinkUrl {
             Self::TcpIn(address) => write!(f, "tcpin://{address}"),
             Self::TcpOut(address) => write!(f, "tcpout://{address}"),
             Self::Serial { device, baud } => write!(f, "serial://{device}:{baud}"),
+            Self::Unknown(url) => write!(f, "{url}"),
         }
     }
 }
@@ -150,6 +167,7 @@ mod tests {
             "tcpin://127.0.0.1:5760",
             "tcpout://127.0.0.1:5760",
             "serial:///dev/serial/by-id/usb-a:b-if00:921600",
+            "udpout://no..host:14550",
         ] {
             let parsed: LinkUrl = url.parse().unwrap();
             assert_eq!(parsed.to_string(), url);
@@ -165,6 +183,9 @@ mod tests {
             ("tcpin://0.0.0.0:99999", "1 to 65535"),
             ("udpin://vehicle:14030", "IP address"),
             ("udpout://:14030", "not known"),
+            ("udpout://255.255.255.255:14030", "one address"),
+            ("udpin://239.255.1.1:14030", "one address"),
+            ("tcpout://0.0.0.0:14030", "can be called"),
             ("serial:///dev/ttyUSB0", "baud rate"),
             ("serial:///dev/ttyUSB0:fast", "300 to"),
             ("serial://ttyUSB0:57600", "full path"),

@@ -304,11 +304,6 @@ impl RoutedLinks {
         let len = serialize(header, &message, &mut packet).unwrap_or(0);
         self.switch.say(VEHICLE, packet.get(..len).unwrap_or_default());
     }
-
-    /// Packets that signing refused on all links, since start.
-    pub fn signing_refused(&self) -> u64 {
-        self.gate.counters().refused()
-    }
 }
 
 impl Link for RoutedLinks {

@@ -1,4 +1,5 @@
-//! What a program of another version has put there, of the same name and another type, is refused by name.
+//! What others have put there: of another version, of the same name and another type, it is refused by name; what a process
+//! left that ended while it joined is removed.
 
 mod common;
 
@@ -24,6 +25,19 @@ fn frames_of_another_type_are_refused_by_name() {
     let _service = topic.publish_subscribe::<u64>().create().unwrap();
     let refused = FrameSubscriber::create(&domain, DEPTH_TOPIC).err().unwrap();
     assert!(matches!(&refused, FrameError::WrongType { .. }), "{refused}");
+}
+
+#[test]
+fn a_process_that_ended_while_it_joined_keeps_nobody_out() {
+    let (instance, domain) = Instance::joined(3);
+    drop(domain);
+    let prefix = format!("vigil{}_{}_", rustix::process::getuid().as_raw(), instance.0);
+    let mut files = std::fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap());
+    let first = files.find(|file| file.file_name().to_string_lossy().starts_with(&prefix));
+    // As it is before it is filled in.
+    let not_yet = std::os::unix::fs::PermissionsExt::from_mode(0o200);
+    std::fs::set_permissions(first.unwrap().path(), not_yet).unwrap();
+    assert!(Domain::open(instance.0, "test").is_ok());
 }
 
 #[test]

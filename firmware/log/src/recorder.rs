@@ -164,7 +164,6 @@ pub struct Recorder {
     /// Holds the log's lock until it is finished, so that nobody replaces it meanwhile; `None` where there are no locks.
     lock: Option<File>,
     path: PathBuf,
-    tlog_path: PathBuf,
 }
 
 impl Recorder {
@@ -180,7 +179,7 @@ impl Recorder {
         let lock = file.try_clone().ok().filter(|file| file.try_lock().is_ok());
         let tlog_path = path.with_extension("tlog");
         let mut started = create_new(&tlog_path).and_then(|tlog| {
-            let started = Self::start_on(file, tlog, path.clone(), tlog_path.clone(), config);
+            let started = Self::start_on(file, tlog, path.clone(), config);
             if started.is_err() {
                 // Made above and empty: no data is lost. A failure to remove leaves an empty file.
                 let _ = std::fs::remove_file(&tlog_path);
@@ -196,13 +195,7 @@ impl Recorder {
         started
     }
 
-    fn start_on<W, T>(
-        log_sink: W,
-        tlog_sink: T,
-        path: PathBuf,
-        tlog_path: PathBuf,
-        config: RecorderConfig,
-    ) -> Result<Self, StartError>
+    fn start_on<W, T>(log_sink: W, tlog_sink: T, path: PathBuf, config: RecorderConfig) -> Result<Self, StartError>
     where
         W: Write + Seek + Send + 'static,
         T: Write + Send + 'static,
@@ -249,7 +242,6 @@ impl Recorder {
             thread: Some(thread),
             lock: None,
             path,
-            tlog_path,
         })
     }
 
@@ -302,7 +294,7 @@ impl Recorder {
         let status = self.status();
         Summary {
             path: self.path.clone(),
-            tlog_path: self.tlog_path.clone(),
+            tlog_path: self.path.with_extension("tlog"),
             bytes: std::fs::metadata(&self.path).map_or(0, |m| m.len()),
             records: status.written,
             dropped: status.dropped + status.lost,
@@ -466,7 +458,7 @@ impl<W: Write + Seek, T: Write> Scribe<W, T> {
         self.shared.lost.fetch_add(written - flushed, Ordering::Relaxed);
         self.shared.written.store(flushed, Ordering::Relaxed);
         self.report(format!(
-            "log file {} cannot be written any more: {}; its first {flushed} records can be read; the flight goes on \
+            "log file {} cannot be written any more: {}; at least its first {flushed} records can be read; the flight goes on \
              without a log",
             self.path.display(),
             describe(error)

@@ -67,33 +67,18 @@ impl Flavour {
         }
     }
 
-    /// DO_SET_MODE's parameters 1 to 3 for the mode that obeys setpoints.
-    pub const fn external_mode(self) -> [f32; 3] {
-        match self {
-            // MAV_MODE_FLAG armed | custom, PX4's OFFBOARD.
-            Self::Px4 => [129.0, 6.0, 0.0],
-            // Copter's GUIDED.
-            Self::ArduPilot => [1.0, 4.0, 0.0],
-        }
-    }
-
-    /// DO_SET_MODE's parameters 1 to 3 for the mode in which the vehicle brakes and holds its position by itself.
-    pub const fn hold_mode(self) -> [f32; 3] {
-        match self {
-            // PX4's AUTO, LOITER.
-            Self::Px4 => [129.0, 4.0, 3.0],
-            // Copter's BRAKE.
-            Self::ArduPilot => [1.0, 17.0, 0.0],
-        }
-    }
-
-    /// DO_SET_MODE's parameters 1 to 3 for the mode that flies the mission.
-    pub const fn mission_mode(self) -> [f32; 3] {
-        match self {
-            // PX4's AUTO, MISSION.
-            Self::Px4 => [129.0, 4.0, 4.0],
-            // Copter's AUTO.
-            Self::ArduPilot => [1.0, 3.0, 0.0],
+    /// DO_SET_MODE's parameters 1 to 3 for the mode that obeys setpoints, that which flies the mission, or else that in which the vehicle
+    /// brakes and holds its position by itself.
+    pub const fn mode_params(self, mode: VehicleMode) -> [f32; 3] {
+        match (self, mode) {
+            // MAV_MODE_FLAG armed | custom, and PX4's OFFBOARD, or its AUTO's MISSION or LOITER.
+            (Self::Px4, VehicleMode::External) => [129.0, 6.0, 0.0],
+            (Self::Px4, VehicleMode::Mission) => [129.0, 4.0, 4.0],
+            (Self::Px4, _) => [129.0, 4.0, 3.0],
+            // Copter's GUIDED, AUTO or BRAKE.
+            (Self::ArduPilot, VehicleMode::External) => [1.0, 4.0, 0.0],
+            (Self::ArduPilot, VehicleMode::Mission) => [1.0, 3.0, 0.0],
+            (Self::ArduPilot, _) => [1.0, 17.0, 0.0],
         }
     }
 

@@ -131,9 +131,9 @@ impl Companion {
         self.core.vehicle.heading_lacks_rad()
     }
 
-    /// The last usable report of a sensor beside the depth camera.
-    pub fn sector_ranges(&self) -> Option<&SectorRanges> {
-        self.core.vehicle.sector_ranges.as_ref()
+    /// The last usable report of each component with a sensor beside the depth camera.
+    pub fn sector_ranges(&self) -> &[Option<SectorRanges>] {
+        &self.core.vehicle.sector_ranges
     }
 
     /// How far the vehicle is with the hand-over.
@@ -235,6 +235,9 @@ impl Companion {
     /// Writes this step's packets: `report` is what was decided, `request` what guidance asks of the vehicle.
     pub fn emit(&mut self, report: &StepReport, request: VehicleRequest, out: &mut Datagrams) {
         self.core.vehicle.in_flight = !matches!(report.state, GuidanceState::Standby | GuidanceState::Ready);
+        let limit = parameters::SPEED_LIMIT.mavlink.map(|mavlink| mavlink.name);
+        let limit = limit.and_then(|name| self.parameters().value_of(name));
+        self.core.vehicle.speed_limit_m_s = limit.map(|limit| limit.as_f32());
         // Let go of it is let go of.
         self.core.letting_go &= self.core.vehicle.in_flight;
         let request = match request {

@@ -2,7 +2,7 @@
 //! It imports no service.
 
 use crate::companion::{CompanionConfig, LinkCounters};
-use crate::framing::{CommandAck, Packet};
+use crate::framing::{Command, CommandAck, Packet};
 use crate::operator::{ReplyTo, result};
 use crate::sender::Sender;
 use crate::status_text::{NOTICE, StatusText};
@@ -54,7 +54,7 @@ struct Reply {
 }
 
 /// What the services share.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Core {
     pub config: CompanionConfig,
     pub sender: Sender,
@@ -92,18 +92,7 @@ impl Core {
             sender: Sender::new(config.system_id.unwrap_or(1), config.component_id),
             vehicle: Vehicle::new(config.flavour),
             system_id: config.system_id,
-            counters: LinkCounters::default(),
-            said: None,
-            streaming: false,
-            letting_go: false,
-            telemetry_interval_ns: None,
-            newcomer: false,
-            vehicle_heard: false,
-            links_heard: 0,
-            replies: Vec::new(),
-            texts: Vec::new(),
-            kept: Vec::new(),
-            text_id: 0,
+            ..Self::default()
         }
     }
 
@@ -189,6 +178,11 @@ impl Core {
     /// Says a message to everybody.
     pub fn say(&mut self, out: &mut Datagrams, message: &MavMessage) {
         self.sender.message(out, self.config.link, message);
+    }
+
+    /// Says a command.
+    pub fn command(&mut self, out: &mut Datagrams, command: &Command) {
+        self.sender.command(out, self.config.link, command);
     }
 
     /// Says a text to everybody, and to whoever runs the program; also to a vehicle's link on which nobody answers yet, later.

@@ -25,7 +25,7 @@ const COUNTS_M_S: f32 = 0.4;
 /// (docs/foreign-vehicles.md).
 const FOLLOWS_M_S: f32 = 0.12;
 const DRIFTS_M_S: f32 = 0.15;
-/// No more than this is asked for on top, metres per second.
+/// No more than this is asked for on top, metres per second, nor than two thirds of the greatest speed that the pilot may want.
 const GREATEST_M_S: f32 = 1.0;
 /// Setpoints farther apart, seconds, are the first of a flight.
 const GAP_S: f32 = 0.3;
@@ -46,8 +46,9 @@ impl Following {
         (self.last_ns, self.more_m_s) = (None, NedVector::ZERO);
     }
 
-    /// A setpoint, and how the vehicle moves; what to ask for on top. NED, metres per second; heights are left to the vehicle.
-    pub fn take(&mut self, now_ns: Nanos, wanted_m_s: NedVector, moves_m_s: NedVector) -> NedVector {
+    /// A setpoint, the greatest speed of any, and how the vehicle moves; what to ask for on top. NED, metres per second; heights are left
+    /// to the vehicle.
+    pub fn take(&mut self, now_ns: Nanos, wanted_m_s: NedVector, limit_m_s: f32, moves_m_s: NedVector) -> NedVector {
         let moves_m_s = NedVector::new(moves_m_s.x, moves_m_s.y, 0.0);
         let since_s = self
             .last_ns
@@ -64,7 +65,7 @@ impl Following {
             *lag_m_s = *lag_m_s + within(step_m_s, step_limit_m_s);
             (input_m_s, step_limit_m_s) = (*lag_m_s, f32::MAX);
         }
-        let lacks_m_s = within(input_m_s - moves_m_s, GREATEST_M_S);
+        let lacks_m_s = within(input_m_s - moves_m_s, GREATEST_M_S.min(limit_m_s * 2.0 / 3.0));
         let counts_m_s = within(lacks_m_s, COUNTS_M_S);
         self.mean_m_s = self.mean_m_s + (counts_m_s - self.mean_m_s) * (since_s / (MEAN_S + since_s));
         let larger_m_s = self.mean_m_s.norm() - self.size_m_s;
@@ -101,7 +102,7 @@ mod tests {
             } else {
                 NedVector::new(0.0, 1.3, 0.0)
             };
-            let more = following.take(step * 50_000_000, wanted, moves);
+            let more = following.take(step * 50_000_000, wanted, 1.5, moves);
             most_m_s = most_m_s.max(more.norm());
             let error = if is_made_up {
                 wanted + more - moves
@@ -132,12 +133,10 @@ mod tests {
     #[test]
     fn nothing_is_asked_for_on_top_after_a_pause_or_of_a_velocity_beyond_all_measure() {
         let mut following = Following::default();
+        let [wanted_m_s, slow_m_s] = [1.5, 0.5].map(|north_m_s| NedVector::new(north_m_s, 0.0, 0.0));
         let mut take = |step: u64, moves_m_s: f32| {
-            following.take(
-                step * 50_000_000,
-                NedVector::new(1.5, 0.0, 0.0),
-                NedVector::new(moves_m_s, 0.0, 0.0),
-            )
+            let moves_m_s = NedVector::new(moves_m_s, 0.0, 0.0);
+            following.take(step * 50_000_000, wanted_m_s, 1.5, moves_m_s)
         };
         let asked = (0..200).map(|step| take(step, 0.0)).last();
         assert_eq!(asked.map(|more| more.norm() > 0.9), Some(true), "it is held fast");
@@ -145,5 +144,9 @@ mod tests {
         for (step, moves_m_s) in [(301, f32::MAX), (302, f32::MIN), (303, 0.0)] {
             assert!(take(step, moves_m_s).norm() <= GREATEST_M_S);
         }
+        let most_m_s = (304..504)
+            .map(|step| following.take(step * 50_000_000, slow_m_s, 0.5, NedVector::ZERO).norm())
+            .fold(0.0, f32::max);
+        assert!((0.3..0.34).contains(&most_m_s), "{most_m_s} beyond a limit of 0.5 m/s");
     }
 }

@@ -14,14 +14,6 @@ const TOGETHER_NS: Nanos = 100_000_000;
 /// Inputs that can be missing.
 const INPUTS: usize = 4;
 
-/// An input that is missing.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Missing {
-    name: &'static str,
-    /// How old the last one is; `None` when there never was one.
-    age_ns: Option<Nanos>,
-}
-
 /// Watches what guidance misses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct MissingInputs {
@@ -31,8 +23,8 @@ pub(crate) struct MissingInputs {
 }
 
 impl MissingInputs {
-    /// The inputs to name in this step.
-    pub fn due(&mut self, report: &StepReport) -> [Option<Missing>; INPUTS] {
+    /// The texts that name inputs in this step: "missing: LOCAL_POSITION_NED, for 3.2 s", "missing: depth frames, none came".
+    pub fn due(&mut self, report: &StepReport) -> [Option<StatusText>; INPUTS] {
         let of_inputs = Reasons::of(Reason::StaleFrame)
             .union(Reasons::of(Reason::StaleTelemetry))
             .union(Reasons::of(Reason::LinkLost));
@@ -56,7 +48,7 @@ impl MissingInputs {
     }
 }
 
-fn missing(report: &StepReport) -> [Option<Missing>; INPUTS] {
+fn missing(report: &StepReport) -> [Option<StatusText>; INPUTS] {
     let StepReport {
         now_ns,
         reasons,
@@ -71,8 +63,13 @@ fn missing(report: &StepReport) -> [Option<Missing>; INPUTS] {
     let as_old = |one: Option<Nanos>, other: Option<Nanos>| {
         one.is_none_or(|one| other.is_some_and(|other| one.saturating_add(TOGETHER_NS) >= other))
     };
-    let named =
-        |reason, also: bool, name, age_ns| (reasons.contains(reason) && also).then_some(Missing { name, age_ns });
+    let named = |reason, also: bool, name: &str, age_ns: Option<Nanos>| {
+        let text = match age_ns.map(|age_ns| age_ns as f32 * 1e-9) {
+            Some(age_s) => StatusText::new(WARNING, format_args!("missing: {name}, for {age_s:.1} s")),
+            None => StatusText::new(WARNING, format_args!("missing: {name}, none came")),
+        };
+        (reasons.contains(reason) && also).then_some(text)
+    };
     [
         named(Reason::LinkLost, true, "HEARTBEAT of a vehicle", heartbeat),
         named(
@@ -84,13 +81,4 @@ fn missing(report: &StepReport) -> [Option<Missing>; INPUTS] {
         named(Reason::StaleTelemetry, as_old(attitude, position), "ATTITUDE", attitude),
         named(Reason::StaleFrame, true, "depth frames", report.frame_age_ns),
     ]
-}
-
-/// "missing: LOCAL_POSITION_NED, for 3.2 s", "missing: depth frames, none came".
-pub(crate) fn text(missing: &Missing) -> StatusText {
-    let name = missing.name;
-    match missing.age_ns.map(|age_ns| age_ns as f32 * 1e-9) {
-        Some(age_s) => StatusText::new(WARNING, format_args!("missing: {name}, for {age_s:.1} s")),
-        None => StatusText::new(WARNING, format_args!("missing: {name}, none came")),
-    }
 }

@@ -41,6 +41,8 @@ pub(crate) mod result {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PendingRequest {
     pub(crate) request: OperatorRequest,
+    /// It has [`LET_GO`].
+    pub(crate) lets_go: bool,
     pub(crate) command: u16,
     pub(crate) reply: ReplyTo,
 }
@@ -49,6 +51,13 @@ impl PendingRequest {
     /// What is asked.
     pub fn request(&self) -> OperatorRequest {
         self.request
+    }
+
+    pub(crate) fn name(&self) -> Option<&'static str> {
+        match self.request {
+            OperatorRequest::Disengage => Some("disengage"),
+            _ => request_name(self.command),
+        }
     }
 }
 

@@ -4,7 +4,7 @@
 //! refused after it. A signed packet ends in 13 bytes: link id, 48-bit timestamp, and the first 48 bits of the SHA-256 of
 //! key, packet, link id and timestamp.
 
-use crate::framing::{Packet, extra_crc, seal};
+use crate::framing::{Packet, extra_crc, filled, seal};
 use heapless::Vec;
 use mavlink::dialects::common::SETUP_SIGNING_DATA;
 use mavlink::{MAV_STX_V2, MessageData};
@@ -314,11 +314,7 @@ fn signature_of(key: &SigningKey, packet: &[u8], stamp: [u8; 7]) -> [u8; 6] {
     hash.update(key.0);
     hash.update(packet);
     hash.update(stamp);
-    let mut signature = [0; 6];
-    for (to, from) in signature.iter_mut().zip(hash.finalize()) {
-        *to = from;
-    }
-    signature
+    filled(hash.finalize())
 }
 
 /// Compares in a time that does not tell how much of the signature fits.

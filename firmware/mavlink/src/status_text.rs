@@ -1,12 +1,14 @@
 //! Texts for people: STATUSTEXT in as many chunks as they need.
 //! <https://mavlink.io/en/messages/common.html#STATUSTEXT>
 
+use crate::framing::filled;
+use crate::message;
 use core::fmt::{Arguments, Write};
 pub(crate) use mavlink::dialects::common::MavSeverity::{
     MAV_SEVERITY_CRITICAL as CRITICAL, MAV_SEVERITY_ERROR as ERROR, MAV_SEVERITY_INFO as INFO,
     MAV_SEVERITY_NOTICE as NOTICE, MAV_SEVERITY_WARNING as WARNING,
 };
-use mavlink::dialects::common::{MavMessage, MavSeverity, STATUSTEXT_DATA};
+use mavlink::dialects::common::{MavMessage, MavSeverity};
 
 /// Bytes of a chunk.
 const CHUNK: usize = 50;
@@ -55,17 +57,10 @@ impl StatusText {
         let is_one = self.len <= CHUNK;
         let count = if is_one { 1 } else { self.len / CHUNK + 1 };
         (0..count).map(move |number| {
-            let mut text = [0; CHUNK];
-            for (slot, byte) in text.iter_mut().zip(self.bytes().iter().skip(number * CHUNK)) {
-                *slot = *byte;
-            }
-            MavMessage::STATUSTEXT(STATUSTEXT_DATA {
-                severity: self.severity,
-                text: text.into(),
-                id: if is_one { 0 } else { id },
-                // At most LONGEST / CHUNK.
-                chunk_seq: number as u8,
-            })
+            let text: [u8; CHUNK] = filled(self.bytes().iter().skip(number * CHUNK).copied());
+            let (severity, id) = (self.severity, if is_one { 0 } else { id });
+            // At most LONGEST / CHUNK.
+            message!(STATUSTEXT, severity, text = text.into(), id, chunk_seq = number as u8)
         })
     }
 }

@@ -1,6 +1,7 @@
 //! One command to the autopilot at a time: repeated until it is answered, given up after four attempts.
 //! <https://mavlink.io/en/services/command.html>
 
+use crate::autopilot::Flavour;
 use crate::framing::CommandAck;
 use crate::operator::result;
 use vigil_types::Nanos;
@@ -23,22 +24,17 @@ pub(crate) struct Wanted {
     pub effect_ns: Nanos,
 }
 
-/// Why a command failed.
+/// Why a command failed: the last answer to it, a MAV_RESULT, if one came.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Failure {
-    /// MAV_RESULT.
-    Refused(u8),
-    NotAnswered,
-    /// Accepted, but it never showed in the telemetry.
-    NoEffect,
-}
+pub(crate) struct Failure(Option<u8>);
 
 impl core::fmt::Display for Failure {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        match self {
-            Self::Refused(mav_result) => write!(f, "refused: {}", result::name(*mav_result)),
-            Self::NotAnswered => f.write_str("not answered"),
-            Self::NoEffect => f.write_str("accepted, but without effect"),
+        match self.0 {
+            None => f.write_str("not answered"),
+            // It never showed in the telemetry.
+            Some(result::ACCEPTED | result::IN_PROGRESS) => f.write_str("accepted, but without effect"),
+            Some(refused) => write!(f, "refused: {}", result::name(refused)),
         }
     }
 }
@@ -48,100 +44,61 @@ impl core::fmt::Display for Failure {
 pub(crate) enum Next {
     Wait,
     /// Send it; the number is COMMAND_LONG's confirmation.
-    Send(u8),
-    Failed(Failure),
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Answer {
-    None,
-    Accepted,
-    InProgress,
-    /// Refused for now.
-    Later,
-    Refused(u8),
+    Send(Wanted, u8),
+    /// A command with this number failed, which people read once.
+    Failed(u16, Failure),
+    /// The same for a vehicle that names another autopilot than the configured one.
+    OtherAutopilot(Flavour),
 }
 
 /// Follows one command number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Tracker {
-    current: Option<Current>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Current {
-    number: u16,
+    /// The command that is followed.
+    pub number: Option<u16>,
     sent: u8,
     /// When it was sent, or last answered.
     at_ns: Nanos,
-    answer: Answer,
+    /// MAV_RESULT, since it was sent last.
+    answer: Option<u8>,
 }
 
 impl Tracker {
     /// What to do about the wanted command in this step. Another command than before begins anew.
     pub fn next(&mut self, now_ns: Nanos, wanted: &Wanted) -> Next {
-        let current = match self.current {
-            Some(current) if current.number == wanted.number => current,
-            _ => Current {
-                number: wanted.number,
-                sent: 0,
-                at_ns: now_ns,
-                answer: Answer::None,
-            },
+        if self.number != Some(wanted.number) {
+            *self = Self {
+                number: Some(wanted.number),
+                ..Self::default()
+            };
+        }
+        let failed = Next::Failed(wanted.number, Failure(self.answer));
+        let patience_ns = match self.answer {
+            None | Some(result::TEMPORARILY_REJECTED) => RETRY_NS,
+            Some(result::ACCEPTED) => wanted.effect_ns,
+            Some(result::IN_PROGRESS) => PROGRESS_NS,
+            Some(_) => return failed,
         };
-        let waited_ns = now_ns.saturating_sub(current.at_ns);
-        let patience_ns = match current.answer {
-            Answer::None | Answer::Later => RETRY_NS,
-            Answer::Accepted => wanted.effect_ns,
-            Answer::InProgress => PROGRESS_NS,
-            Answer::Refused(mav_result) => return Next::Failed(Failure::Refused(mav_result)),
-        };
-        let first = current.sent == 0;
-        if !first && waited_ns < patience_ns {
+        if self.sent > 0 && now_ns.saturating_sub(self.at_ns) < patience_ns {
             return Next::Wait;
         }
-        if current.sent >= ATTEMPTS {
-            return Next::Failed(match current.answer {
-                Answer::Accepted | Answer::InProgress => Failure::NoEffect,
-                Answer::Later => Failure::Refused(result::TEMPORARILY_REJECTED),
-                Answer::None | Answer::Refused(_) => Failure::NotAnswered,
-            });
+        if self.sent >= ATTEMPTS {
+            return failed;
         }
-        self.current = Some(Current {
-            sent: current.sent + 1,
-            at_ns: now_ns,
-            answer: Answer::None,
-            ..current
-        });
-        Next::Send(current.sent)
+        let confirmation = self.sent;
+        (self.sent, self.at_ns, self.answer) = (confirmation + 1, now_ns, None);
+        Next::Send(*wanted, confirmation)
     }
 
     /// Takes an acknowledgement; one of another command is ignored.
     pub fn acknowledge(&mut self, now_ns: Nanos, ack: &CommandAck) {
-        let Some(current) = self.current.as_mut().filter(|c| c.number == ack.command) else {
-            return;
-        };
-        current.at_ns = now_ns;
-        current.answer = match ack.result {
-            result::ACCEPTED => Answer::Accepted,
-            result::IN_PROGRESS => Answer::InProgress,
-            result::TEMPORARILY_REJECTED => Answer::Later,
-            refused => Answer::Refused(refused),
-        };
+        if self.number == Some(ack.command) {
+            (self.at_ns, self.answer) = (now_ns, Some(ack.result));
+        }
     }
 
     /// Whether the command with this number was accepted and nothing else asked since.
     pub fn is_accepted(&self, number: u16) -> bool {
-        self.current
-            .is_some_and(|c| c.number == number && c.answer == Answer::Accepted)
-    }
-
-    /// The command that is followed.
-    pub fn number(&self) -> Option<u16> {
-        self.current.map(|c| c.number)
-    }
-
-    pub fn reset(&mut self) {
-        self.current = None;
+        (self.number, self.answer) == (Some(number), Some(result::ACCEPTED))
     }
 }

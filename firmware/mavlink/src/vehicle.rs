@@ -14,10 +14,10 @@ use mavlink::dialects::common::{
 };
 use vigil_types::{
     Attitude, AttitudeSample, FrdVector, HeadingVector, Heartbeat, Kinematics, Landed, MissionMotion, Nanos, NedVector,
-    RANGE_SECTORS, SectorRanges, VehicleMode, VehicleTelemetry,
+    RANGE_SECTORS, RANGE_SOURCES, SectorRanges, VehicleMode, VehicleTelemetry,
 };
 
-/// A time since boot this much earlier than the last one is a restart; a smaller step back is a packet out of order.
+/// A time since boot this much earlier than the last is a restart, once another follows it; a smaller step back is a packet out of order.
 pub const RESTART_MS: u32 = 1_000;
 
 /// MAV_STATE numbers that mean a failsafe: CRITICAL, EMERGENCY, FLIGHT_TERMINATION.
@@ -39,7 +39,7 @@ const HOME_HEIGHT_ERROR_M: (f32, f32) = (0.3, 5.0);
 
 /// What OBSTACLE_DISTANCE says, turned with the vehicle; `None` where it contradicts itself (a distance beyond its own limits, no width of a
 /// sector), says nothing, or is turned otherwise. <https://mavlink.io/en/messages/common.html#OBSTACLE_DISTANCE>
-fn sector_ranges(now_ns: Nanos, m: &OBSTACLE_DISTANCE_DATA) -> Option<SectorRanges> {
+fn sector_ranges(now_ns: Nanos, component: u8, m: &OBSTACLE_DISTANCE_DATA) -> Option<SectorRanges> {
     const UNKNOWN: u16 = u16::MAX;
     let step_deg = if m.increment_f != 0.0 {
         m.increment_f
@@ -65,11 +65,20 @@ fn sector_ranges(now_ns: Nanos, m: &OBSTACLE_DISTANCE_DATA) -> Option<SectorRang
     }
     let says_something = range_m.iter().any(|range_m| !range_m.is_nan());
     says_something.then(|| SectorRanges {
+        component,
         at_ns: now_ns,
         first_rad: m.angle_offset.to_radians(),
         step_rad: step_deg.to_radians(),
         range_m,
     })
+}
+
+/// Times since boot of one kind of message, milliseconds.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct BootTimes {
+    last_ms: Option<u32>,
+    /// Of the packet before, if it came from long before the last: it is late, or the first after a restart.
+    back_ms: Option<u32>,
 }
 
 /// HOME_POSITION: the place in the local frame, and on the globe.
@@ -104,19 +113,21 @@ pub struct Vehicle {
     mission_place_deg: Option<(f64, f64)>,
     /// How it changes its speed in a mission, by its parameters.
     pub(crate) mission_motion: MissionMotion,
-    /// The last usable OBSTACLE_DISTANCE: of a sensor beside the depth camera.
-    pub sector_ranges: Option<SectorRanges>,
+    /// The last usable OBSTACLE_DISTANCE of each component: of sensors beside the depth camera.
+    pub sector_ranges: [Option<SectorRanges>; RANGE_SOURCES],
     /// How often the autopilot was seen to start anew.
     pub restarts: u32,
     /// Packets dropped because a newer one came before.
     pub late: u64,
-    position_ms: Option<u32>,
-    attitude_ms: Option<u32>,
+    position_times: BootTimes,
+    attitude_times: BootTimes,
     velocity_error: VelocityError,
     /// What is left of it, by the pictures.
     pub(crate) seen_error_m_s: NedVector,
     heading_error: HeadingError,
     following: Following,
+    /// The greatest speed that the pilot may want, metres per second, where it is a parameter.
+    pub(crate) speed_limit_m_s: Option<f32>,
 }
 
 impl Vehicle {
@@ -205,8 +216,9 @@ impl Vehicle {
         let yaw_rad = sample.attitude.yaw_rad();
         let more_m_s = if obeys {
             let wanted_ned_m_s = wanted_m_s.to_ned(yaw_rad + lacks_rad);
-            self.following
-                .take(now_ns, wanted_ned_m_s, kinematics.velocity_ned_m_s - seen_error_m_s)
+            let moves_m_s = kinematics.velocity_ned_m_s - seen_error_m_s;
+            let limit_m_s = self.speed_limit_m_s.unwrap_or(f32::MAX);
+            self.following.take(now_ns, wanted_ned_m_s, limit_m_s, moves_m_s)
         } else {
             self.following.pause();
             NedVector::ZERO
@@ -220,13 +232,25 @@ impl Vehicle {
 
     /// How long ago the autopilot started, by its own clock.
     pub fn up_ns(&self) -> Option<Nanos> {
-        let ms = self.position_ms.max(self.attitude_ms)?;
+        let ms = self.position_times.last_ms.max(self.attitude_times.last_ms)?;
         Some(Nanos::from(ms) * 1_000_000)
     }
 
     /// Whether the vehicle's autopilot is known to be another than the one in force.
     pub fn is_other_autopilot(&self) -> bool {
         self.named.is_some_and(|named| named != self.flavour)
+    }
+
+    /// One that contradicts itself says nothing: the component's last usable one grows old. A component too many is heard once another is silent.
+    fn take_ranges(&mut self, now_ns: Nanos, component: u8, m: &OBSTACLE_DISTANCE_DATA) {
+        let place = |ranges: &SectorRanges| (if ranges.component == component { 0 } else { 2 }, ranges.at_ns);
+        let is_silent = |ranges: &SectorRanges| now_ns.saturating_sub(ranges.at_ns) > FRESH_NS;
+        let slots = self.sector_ranges.iter_mut();
+        let free = slots.filter(|slot| slot.is_none_or(|r| r.component == component || is_silent(&r)));
+        let slot = free.min_by_key(|slot| slot.as_ref().map_or((1, 0), place));
+        if let (Some(slot), Some(ranges)) = (slot, sector_ranges(now_ns, component, m)) {
+            *slot = Some(ranges);
+        }
     }
 
     /// Takes a packet of the vehicle. Returns `false` when the message is one of interest and could not be read.
@@ -243,6 +267,7 @@ impl Vehicle {
             | HOME_POSITION_DATA::ID
             | OBSTACLE_DISTANCE_DATA::ID
             | POSITION_TARGET_GLOBAL_INT_DATA::ID => match packet.message() {
+                Ok(MavMessage::OBSTACLE_DISTANCE(m)) => self.take_ranges(now_ns, packet.component_id(), &m),
                 Ok(message) => self.message(now_ns, &message),
                 Err(_) => return false,
             },
@@ -276,7 +301,7 @@ impl Vehicle {
 
     fn message(&mut self, now_ns: Nanos, message: &MavMessage) {
         match message {
-            MavMessage::LOCAL_POSITION_NED(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.position_ms) => {
+            MavMessage::LOCAL_POSITION_NED(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.position_times) => {
                 let position_ned_m = NedVector::new(m.x, m.y, m.z);
                 let velocity_ned_m_s = NedVector::new(m.vx, m.vy, m.vz);
                 let lacks_m_s = self
@@ -288,12 +313,12 @@ impl Vehicle {
                     velocity_ned_m_s: velocity_ned_m_s + lacks_m_s,
                 });
             }
-            MavMessage::ATTITUDE(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.attitude_ms) => {
+            MavMessage::ATTITUDE(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.attitude_times) => {
                 let attitude = Attitude::from_euler_rad(m.roll, m.pitch, m.yaw);
                 let rates_frd_rad_s = FrdVector::new(m.rollspeed, m.pitchspeed, m.yawspeed);
                 self.attitude(now_ns, m.time_boot_ms, attitude, rates_frd_rad_s);
             }
-            MavMessage::ATTITUDE_QUATERNION(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.attitude_ms) => {
+            MavMessage::ATTITUDE_QUATERNION(m) if self.is_in_order(m.time_boot_ms, |v| &mut v.attitude_times) => {
                 let (w, x, y, z) = (m.q1, m.q2, m.q3, m.q4);
                 let rates_frd_rad_s = FrdVector::new(m.rollspeed, m.pitchspeed, m.yawspeed);
                 self.attitude(now_ns, m.time_boot_ms, Attitude { w, x, y, z }, rates_frd_rad_s);
@@ -316,8 +341,6 @@ impl Vehicle {
                     .filter(|place| place.latitude_deg != 0.0 || place.longitude_deg != 0.0)
                     .map(|place| (place.latitude_deg, place.longitude_deg));
             }
-            // One that contradicts itself says nothing: the last usable one grows old.
-            MavMessage::OBSTACLE_DISTANCE(m) => self.sector_ranges = sector_ranges(now_ns, m).or(self.sector_ranges),
             MavMessage::HOME_POSITION(m) => {
                 let before = self.home_ned_m();
                 self.home = Some(Home {
@@ -363,17 +386,24 @@ impl Vehicle {
         ((at - reported).horizontal_norm() < within_m && error_m > least_m && error_m < most_m).then_some(at.z)
     }
 
-    /// Whether a time since boot does not lie before the last of its kind; a long step back is a restart.
-    fn is_in_order(&mut self, boot_ms: u32, last: impl Fn(&mut Self) -> &mut Option<u32>) -> bool {
+    /// Whether a time since boot does not lie before the last of its kind; two that follow each other long before it are a restart.
+    fn is_in_order(&mut self, boot_ms: u32, times: impl Fn(&mut Self) -> &mut BootTimes) -> bool {
+        let BootTimes { last_ms, back_ms } = *times(self);
         // Wraps after 49 days.
-        let later_ms = last(self).map_or(0, |last_ms| boot_ms.wrapping_sub(last_ms) as i32);
-        if later_ms <= -(RESTART_MS as i32) {
+        let later_ms = last_ms.map_or(0, |last_ms| boot_ms.wrapping_sub(last_ms) as i32);
+        let is_long_before = later_ms <= -(RESTART_MS as i32);
+        let follows = |back_ms: u32| (1..2 * RESTART_MS).contains(&boot_ms.wrapping_sub(back_ms));
+        if is_long_before && back_ms.is_some_and(follows) {
             self.restart();
         } else if later_ms < 0 {
             self.late += 1;
+            times(self).back_ms = is_long_before.then_some(boot_ms).or(back_ms);
             return false;
         }
-        *last(self) = Some(boot_ms);
+        *times(self) = BootTimes {
+            last_ms: Some(boot_ms),
+            back_ms: None,
+        };
         true
     }
 

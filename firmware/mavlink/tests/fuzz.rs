@@ -3,11 +3,11 @@
 mod common;
 
 use common::peer::Peer;
-use common::{Bench, Flight, GROUND_STATION, VEHICLE, bytes_of, command_long, header, messages, reposition};
+use common::{Bench, Flight, GROUND_STATION, VEHICLE, bytes_of, command_long, messages, raw_command, reposition};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{Command, CommandForm, FramingCounters, MAX_PACKET_LEN, encode_payload, packets};
+use vigil_mavlink::framing::{CommandForm, FramingCounters, encode_payload, packets};
 use vigil_mavlink::mavlink::Message;
 use vigil_mavlink::{Flavour, MavHeader, MavMessage, message};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Standby};
@@ -125,19 +125,10 @@ const EXTREMES: [f32; 12] = [
 ];
 const EXTREME_INTEGERS: [i32; 6] = [i32::MIN, i32::MAX, -1, 1, 900_000_001, -1_800_000_001];
 
-/// A command to the guidance computer.
-fn asked(number: u16, params: [f32; 7], form: CommandForm) -> Vec<u8> {
-    let mut command = Command::to_autopilot(1, number, params, 0);
-    (command.target_component, command.form) = (191, form);
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = command.serialize(header(GROUND_STATION), &mut out).expect("fits");
-    out[..len].to_vec()
-}
-
 /// The commands of the dialect.
 fn commands() -> impl Iterator<Item = u16> {
     let is_known = |number: &u16| {
-        let packet = asked(*number, [0.0; 7], CommandForm::Long { confirmation: 0 });
+        let packet = raw_command(*number, [0.0; 7], CommandForm::Long { confirmation: 0 });
         packets(&packet, &mut FramingCounters::default()).any(|packet| packet.message().is_ok())
     };
     (0..u16::MAX).filter(is_known)
@@ -177,7 +168,7 @@ fn every_command_of_the_dialect_is_answered_once_with_extremes_in_every_paramete
                 let x = EXTREME_INTEGERS[place % EXTREME_INTEGERS.len()];
                 let y = EXTREME_INTEGERS[(i + place) % EXTREME_INTEGERS.len()];
                 for form in [CommandForm::Long { confirmation: 0 }, CommandForm::Int { frame, x, y }] {
-                    let answers = f.survives(&asked(number, params, form), &(number, params, form));
+                    let answers = f.survives(&raw_command(number, params, form), &(number, params, form));
                     assert_eq!(answers, 1, "{number} {params:?} {form:?}");
                 }
             }

@@ -6,7 +6,8 @@ use common::Flight;
 use common::peer::{HOME_ALTITUDE_M, Mode, Peer, longest_gap_ns};
 use vigil_guidance::{AtGoal, EngagePolicy, GuidanceConfig};
 use vigil_mavlink::Flavour::{self, ArduPilot, Px4};
-use vigil_mavlink::common::MavResult;
+use vigil_mavlink::common::{MavLandedState, MavResult};
+use vigil_mavlink::message;
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
 use vigil_types::{Reason, Reasons, STEP_NS};
 
@@ -79,6 +80,8 @@ fn an_ardupilot_on_the_ground_is_flown_lands_at_the_goal_and_gets_zeros_before_s
         "at least a second of zeros at the end"
     );
     assert_eq!(f.run(1200).state, Ready, "it does not take off again");
+    f.assert_said("the flight is over: engage guidance for another");
+    assert_eq!(said(&f, "a person has the vehicle").len(), 1, "before its flight");
 }
 
 #[test]
@@ -158,6 +161,25 @@ fn a_command_accepted_without_effect_is_not_believed() {
 }
 
 #[test]
+fn a_px4_that_accepts_the_take_off_and_stays_on_the_ground_is_not_put_into_offboard() {
+    let high = Peer {
+        height_m: 6.0,
+        tells_landed: false,
+        ..Peer::on_the_ground(Px4)
+    };
+    let mut f = Flight::on_command(Px4, high);
+    f.peer.answer(22, Some(MavResult::MAV_RESULT_ACCEPTED), 9);
+    f.engage();
+    let landed_state = MavLandedState::MAV_LANDED_STATE_ON_GROUND;
+    f.hear((1, 1), &message!(EXTENDED_SYS_STATE, landed_state));
+    f.run(40);
+    f.peer.mode = Mode::Takeoff;
+    f.until(Standby);
+    assert_eq!((f.peer.flight_commands(), f.peer.got(22).len()), (vec![400, 22], 4));
+    f.assert_said("hand-over: take-off accepted, but without effect");
+}
+
+#[test]
 fn lost_and_delayed_answers_do_not_stop_the_hand_over() {
     for answer in [None, Some(MavResult::MAV_RESULT_TEMPORARILY_REJECTED)] {
         for flavour in [Px4, ArduPilot] {
@@ -232,6 +254,7 @@ fn a_vehicle_that_restarts_is_handed_over_anew_unless_it_comes_back_in_a_pilots_
             f.peer.mode = Mode::External;
         }
         f.until(Guided);
+        f.assert_said("the vehicle's autopilot restarted");
         assert!(f.peer.flight_commands().contains(&22), "{}", flavour.name());
     }
 }

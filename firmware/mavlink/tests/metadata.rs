@@ -3,13 +3,13 @@
 
 mod common;
 
-use common::{GROUND_STATION, ME, bytes_of, command_long, messages, report};
+use common::{Bench, GROUND_STATION, ME, command_long};
 use std::{env, fs, path::Path};
 use vigil_mavlink::common::MavCmd;
 use vigil_mavlink::crc::crc32;
-use vigil_mavlink::{Companion, CompanionConfig, MavMessage, message};
+use vigil_mavlink::{Flavour, MavMessage, message};
 use vigil_types::parameters::{ALL, Kind, Preset};
-use vigil_types::{Datagrams, GuidanceState, ParameterSpec, VehicleRequest};
+use vigil_types::{GuidanceState, ParameterSpec, Reasons, VehicleRequest};
 
 const TERMINATE: u8 = 1;
 const OPEN: u8 = 4;
@@ -21,18 +21,10 @@ const OTHER: (u8, u8) = (254, 190);
 /// What an answer says: sequence number, session, offset, whether it ends a burst, and the data or a NAK's error.
 type Answer = (u16, u8, u32, bool, Result<Vec<u8>, u8>);
 
-struct Computer(Companion);
-
-impl Computer {
-    fn emit(&mut self) -> Datagrams {
-        let (mut sent, step) = (Datagrams::default(), report(0, GuidanceState::Ready));
-        self.0.emit(&step, VehicleRequest::None, &mut sent);
-        sent
-    }
-
-    fn step(&mut self) -> Vec<((u8, u8), Answer)> {
-        let sent = self.emit();
-        let answers = only!(messages(&sent), FILE_TRANSFER_PROTOCOL).map(|m| {
+impl Bench {
+    fn answers(&mut self) -> Vec<((u8, u8), Answer)> {
+        let sent = self.step(GuidanceState::Ready, Reasons::NONE, VehicleRequest::None);
+        let answers = only!(sent, FILE_TRANSFER_PROTOCOL).map(|m| {
             let (p, client) = (m.payload, (m.target_system, m.target_component));
             let data = p[12..12 + usize::from(p[4])].to_vec();
             let outcome = if p[3] == 128 { Ok(data) } else { Err(data[0]) };
@@ -44,20 +36,20 @@ impl Computer {
     }
 
     /// Takes a request: its session, opcode, size, offset and data.
-    fn hear(&mut self, client: (u8, u8), (session, opcode, size, offset): (u8, u8, u8, u32), data: &[u8]) {
+    fn request(&mut self, client: (u8, u8), (session, opcode, size, offset): (u8, u8, u8, u32), data: &[u8]) {
         let mut payload = [0; 251];
         payload[..5].copy_from_slice(&[7, 0, session, opcode, size]);
         payload[8..12].copy_from_slice(&offset.to_le_bytes());
         payload[12..12 + data.len()].copy_from_slice(data);
         let (target_system, target_component) = ME;
         let message = message!(FILE_TRANSFER_PROTOCOL, target_system, target_component, payload);
-        self.0.receive(0, 1, &bytes_of(client, &message));
+        self.hear(client, &message);
     }
 
     /// The answer's data or error.
     fn ask(&mut self, client: (u8, u8), head: (u8, u8, u8, u32), data: &[u8]) -> Result<Vec<u8>, u8> {
-        self.hear(client, head, data);
-        let (to, (sequence, session, offset, _, outcome)) = self.step().remove(0);
+        self.request(client, head, data);
+        let (to, (sequence, session, offset, _, outcome)) = self.answers().remove(0);
         assert_eq!((to, sequence, session, offset), (client, 8, head.0, head.3));
         outcome
     }
@@ -76,10 +68,6 @@ impl Computer {
     }
 }
 
-fn computer() -> Computer {
-    Computer(Companion::new(CompanionConfig::default()))
-}
-
 fn file(name: &str) -> Vec<u8> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/services/metadata");
     fs::read(folder.join(name)).unwrap()
@@ -87,17 +75,17 @@ fn file(name: &str) -> Vec<u8> {
 
 #[test]
 fn a_client_asks_where_the_metadata_are_and_reads_them_in_pieces() {
-    let mut computer = computer();
+    let mut computer = Bench::new(Flavour::Px4);
     let mut request = command_long(MavCmd::MAV_CMD_REQUEST_MESSAGE, ME, 397.0);
-    computer.0.receive(0, 1, &bytes_of(GROUND_STATION, &request));
+    computer.hear(GROUND_STATION, &request);
     if let MavMessage::COMMAND_LONG(m) = &mut request {
         m.param1 = 148.0;
     }
-    computer.0.receive(0, 1, &bytes_of(GROUND_STATION, &request));
-    let sent = computer.emit();
-    let acks: Vec<_> = only!(messages(&sent), COMMAND_ACK).map(|m| m.result as u8).collect();
+    computer.hear(GROUND_STATION, &request);
+    let sent = computer.step(GuidanceState::Ready, Reasons::NONE, VehicleRequest::None);
+    let acks: Vec<_> = only!(sent.clone(), COMMAND_ACK).map(|m| m.result as u8).collect();
     assert_eq!(acks, [0, 3], "ACCEPTED, and UNSUPPORTED for another message");
-    let metadata = only!(messages(&sent), COMPONENT_METADATA).next().unwrap();
+    let metadata = only!(sent, COMPONENT_METADATA).next().unwrap();
     assert_eq!(metadata.uri.to_str(), Ok("mftp:///general.json"));
     assert_eq!(metadata.file_crc, crc32(&file("general.json")));
 
@@ -117,11 +105,11 @@ fn a_client_asks_where_the_metadata_are_and_reads_them_in_pieces() {
 
 #[test]
 fn a_burst_brings_the_file_a_few_packets_a_step_and_its_repetition_the_same() {
-    let mut computer = computer();
+    let mut computer = Bench::new(Flavour::Px4);
     computer.open(GROUND_STATION, 0, "parameters.json").unwrap();
-    let burst = |computer: &mut Computer, size, offset| -> Vec<Answer> {
-        computer.hear(GROUND_STATION, (0, BURST, size, offset), &[]);
-        let steps: Vec<_> = (0..40).map(|_| computer.step()).collect();
+    let burst = |computer: &mut Bench, size, offset| -> Vec<Answer> {
+        computer.request(GROUND_STATION, (0, BURST, size, offset), &[]);
+        let steps: Vec<_> = (0..40).map(|_| computer.answers()).collect();
         assert!(steps.iter().all(|answers| answers.len() <= 2));
         steps.into_iter().flatten().map(|(_, answer)| answer).collect()
     };
@@ -141,8 +129,8 @@ fn a_burst_brings_the_file_a_few_packets_a_step_and_its_repetition_the_same() {
 
 #[test]
 fn what_there_is_not_and_what_makes_no_sense_is_refused_and_nothing_panics() {
-    let mut computer = computer();
-    let refused = |computer: &mut Computer, head, data: &[u8]| computer.ask(GROUND_STATION, head, data).unwrap_err();
+    let mut computer = Bench::new(Flavour::Px4);
+    let refused = |computer: &mut Bench, head, data: &[u8]| computer.ask(GROUND_STATION, head, data).unwrap_err();
     for path in ["", "/", "general.jso", "general.jsonx", "../general.json", "etc/passwd"] {
         assert_eq!(computer.open(GROUND_STATION, 0, path), Err(10), "{path}");
     }
@@ -170,8 +158,8 @@ fn what_there_is_not_and_what_makes_no_sense_is_refused_and_nothing_panics() {
         .collect();
     assert_eq!(open, [2, 3, 4, 5, 6, 7, 8, 9]);
     for (opcode, size) in (0..=255).zip([0, 1, 239, 240, 255].into_iter().cycle()) {
-        computer.hear(GROUND_STATION, (9, opcode, size, 1 << 31), &[0xFF; 239]);
-        computer.step();
+        computer.request(GROUND_STATION, (9, opcode, size, 1 << 31), &[0xFF; 239]);
+        computer.answers();
     }
 }
 

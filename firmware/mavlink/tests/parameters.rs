@@ -277,8 +277,8 @@ fn heard(component_id: u8, data: OBSTACLE_DISTANCE_DATA) -> Option<Vec<(f32, f32
     let mut companion = in_the_air();
     let message = MavMessage::OBSTACLE_DISTANCE(data);
     companion.receive(7_000, 0, &bytes_of((1, component_id), &message));
-    let ranges = companion.sector_ranges()?;
-    assert_eq!(ranges.at_ns, 7_000);
+    let ranges = companion.sector_ranges().iter().flatten().next()?;
+    assert_eq!((ranges.component, ranges.at_ns), (component_id, 7_000));
     Some(ranges.known().collect())
 }
 

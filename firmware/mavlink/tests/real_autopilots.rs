@@ -338,6 +338,10 @@ fn a_refused_request_is_answered_with_its_reason() {
     );
     let land = command_long(MavCmd::MAV_CMD_NAV_LAND, ME, 0.0);
     let goal = |frame, z| reposition(frame, 0, 0, z);
+    let far = reposition(MavFrame::MAV_FRAME_LOCAL_NED, 8_000_000, 1_000_000, -3.0);
+    let denied = vec![(MavResult::MAV_RESULT_DENIED as u8, 0)];
+    let too_far = (denied, "goal refused: 807 m from home, at most 500 m".to_owned());
+    assert_eq!(say(&mut f, &far), too_far);
     let long = command_long(MavCmd::MAV_CMD_DO_REPOSITION, ME, 0.0);
     for (message, refused) in [
         (&land, "landing refused in standby: guidance does not have the vehicle"),

@@ -166,6 +166,11 @@ fn packets_out_of_order_are_dropped_and_counted() {
     );
     b.hear(vehicle(1), &position(5010, 3.0));
     assert_eq!(north_m(&b), Some(3.0));
+    // However old, twice, and with what else is old after what is new.
+    for (time_boot_ms, x) in [(3000, 4.0), (3000, 4.0), (5020, 5.0), (3050, 6.0)] {
+        b.hear(vehicle(1), &position(time_boot_ms, x));
+    }
+    assert_eq!((north_m(&b), b.companion.counters().late), (Some(5.0), 4));
     assert_eq!(b.companion.vehicle_status().restarts, 0);
 }
 
@@ -175,6 +180,7 @@ fn a_clock_that_starts_anew_is_a_restart_and_what_was_known_is_forgotten() {
     b.hear(vehicle(1), &attitude(60_000, 0.0));
     b.hear(vehicle(1), &position(60_000, 1.0));
     b.hear(vehicle(1), &position(100, 2.0));
+    b.hear(vehicle(1), &position(133, 2.0));
     assert_eq!((b.companion.vehicle_status().restarts, north_m(&b)), (1, Some(2.0)));
     assert!(b.companion.telemetry().attitude.is_none());
     b.hear(vehicle(1), &attitude(110, 0.0));
@@ -221,10 +227,10 @@ fn a_px4_that_streams_is_not_asked_except_for_its_origin_and_home() {
         b.hear(vehicle(1), &attitude(n * 50, 0.0));
         b.hear(vehicle(1), &message!(EXTENDED_SYS_STATE));
         b.hear(vehicle(1), &message!(SYS_STATUS));
-        if n == 100 {
+        if n == 50 {
             b.hear(vehicle(1), &message!(GPS_GLOBAL_ORIGIN));
         }
-        if n == 110 {
+        if n == 55 {
             b.hear(vehicle(1), &message!(HOME_POSITION));
         }
     });

@@ -1,12 +1,8 @@
 //! Fully connected layer.
 
 use crate::activation::Activation;
-use crate::graph::layer::weighted_backward;
-#[cfg(feature = "train")]
-use crate::graph::operation::draw_for;
-use crate::graph::operation::{Operation, kept_before};
-use crate::graph::run::{Backward, Forward, Pass, unless_empty};
-use crate::graph::{GraphBuilder, NodeId, Params, Purpose};
+use crate::graph::layer::weighted_operation;
+use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
 use crate::shape::{ShapeError, expect, part, part_mut};
@@ -188,36 +184,6 @@ impl GraphBuilder {
     }
 }
 
-impl Operation for (Dense, Activation) {
-    fn aux_len(&self, len: usize, purpose: Purpose) -> usize {
-        kept_before(self.1, len, purpose)
-    }
-
-    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
-        let (layer, activation) = self;
-        let (x, pre) = (node.source(0)?, unless_empty(node.aux));
-        layer.forward(node.isa, node.params, *activation, x, pre, node.value)
-    }
-
-    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
-        let (layer, activation) = self;
-        let (isa, packed) = (node.isa, node.packed);
-        weighted_backward(
-            node,
-            *activation,
-            d,
-            pass,
-            |x, d, d_params| layer.weight_gradient(isa, x, d, d_params),
-            |d, dx, _| layer.input_gradient(isa, packed, d, dx),
-        )
-    }
-
-    fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
-        self.0.pack(params, packed)
-    }
-
-    #[cfg(feature = "train")]
-    fn initialize_node(&self, params: &mut [f32], draw: &mut dyn FnMut(f32) -> f32) {
-        draw_for(self.0.inputs, params, draw);
-    }
-}
+weighted_operation!(Dense, |layer| layer.inputs, |_| 0, |layer, isa, packed, d, dx, _| {
+    layer.input_gradient(isa, packed, d, dx)
+});

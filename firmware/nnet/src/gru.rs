@@ -35,7 +35,7 @@ impl Gru {
     }
 
     /// Length of `d_gates`: gradients at the six gate sums, `[r z n]` on the input's side, then on the state's side.
-    pub fn gate_gradient_len(&self) -> usize {
+    fn gate_gradient_len(&self) -> usize {
         6 * self.hidden
     }
 
@@ -93,11 +93,8 @@ impl Gru {
     /// follow the midpoint rule (`a·b` gives `a` the mean of both `b`s and `b` the mean of both `a`s), curves the rescale rule, so that
     /// `Σ dx·(x − x_ref) + Σ dh·(h − h_ref) = Σ d_out·(h_out − h_out_ref)` exactly, but for rounding. Writes `d_gates`
     /// (for [`Self::weight_gradient`]), `dx` and `dh`.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
     #[expect(clippy::too_many_arguments, reason = "caller-owned buffers, each with its own role")]
-    pub fn backward(
+    fn backward(
         &self,
         isa: Isa,
         packed: &[f32],
@@ -109,15 +106,6 @@ impl Gru {
         dh: &mut [f32],
     ) -> Result<(), ShapeError> {
         let width = self.hidden;
-        expect("packed GRU parameters", packed, self.param_len())?;
-        expect("GRU state", h, width)?;
-        expect("GRU reference state", h_ref, width)?;
-        expect("GRU output gradient", d_out, width)?;
-        expect("GRU gate gradient", d_gates, self.gate_gradient_len())?;
-        expect("GRU input gradient", dx, self.inputs)?;
-        expect("GRU state gradient", dh, width)?;
-        expect("GRU gates", gates, self.gates_len())?;
-        expect("GRU reference gates", gates_ref, self.gates_len())?;
         // One hidden unit's values of the seven rows that a step remembers; `rec_n` is `U_n h + c_n`.
         let unit = |gates: &[f32], i: usize| -> [f32; 7] {
             core::array::from_fn(|row| gates.get(row * width + i).copied().unwrap_or(f32::NAN))
@@ -149,10 +137,7 @@ impl Gru {
     }
 
     /// Adds to `d_params` the gradient of one step with respect to the parameters.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn weight_gradient(
+    fn weight_gradient(
         &self,
         isa: Isa,
         x: &[f32],
@@ -160,10 +145,6 @@ impl Gru {
         d_gates: &[f32],
         d_params: &mut [f32],
     ) -> Result<(), ShapeError> {
-        expect("GRU parameter gradient", d_params, self.param_len())?;
-        expect("GRU input", x, self.inputs)?;
-        expect("GRU state", h, self.hidden)?;
-        expect("GRU gate gradient", d_gates, self.gate_gradient_len())?;
         let width = 3 * self.hidden;
         let input_side = part("GRU gate gradient", d_gates, 0, width)?;
         let state_side = part("GRU gate gradient", d_gates, width, width)?;
@@ -243,4 +224,4 @@ impl GraphBuilder {
     }
 }
 
-recurrent_operation!(Gru, "GRU", 3);
+recurrent_operation!(Gru, 3);

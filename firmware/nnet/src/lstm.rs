@@ -7,7 +7,7 @@ use crate::graph::{GraphBuilder, NodeId, Params, description};
 use crate::gru::{outer_product, row_times_matrix};
 use crate::isa::Isa;
 use crate::kernels::Start;
-use crate::shape::{ShapeError, expect, part};
+use crate::shape::{ShapeError, part};
 
 /// One step of an LSTM (PyTorch's `nn.LSTM` with its two biases added up, gates in the order i, f, g, o):
 ///
@@ -39,20 +39,17 @@ impl Lstm {
     }
 
     /// Length of `gates`: four sums, four gates, `a(c')`.
-    pub fn gates_len(&self) -> usize {
+    fn gates_len(&self) -> usize {
         9 * self.hidden
     }
 
     /// Length of `d_gates`: gradients at the four sums.
-    pub fn gate_gradient_len(&self) -> usize {
+    fn gate_gradient_len(&self) -> usize {
         4 * self.hidden
     }
 
     /// One step from `x` `[inputs]` and `state` `[2][hidden]` (`h`, then `c`) to `state_out` `[2][hidden]`, which must be another slice.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn step(
+    fn step(
         &self,
         isa: Isa,
         params: &[f32],
@@ -62,11 +59,6 @@ impl Lstm {
         state_out: &mut [f32],
     ) -> Result<(), ShapeError> {
         let width = self.hidden;
-        expect("LSTM parameters", params, self.param_len())?;
-        expect("LSTM input", x, self.inputs)?;
-        expect("LSTM state", state, self.state_len())?;
-        expect("LSTM gates", gates, self.gates_len())?;
-        expect("LSTM next state", state_out, self.state_len())?;
         let bias = part("LSTM bias", params, self.input() + self.recurrent(), 4 * width)?;
         let (sums, rest) = gates.split_at_mut_checked(4 * width).unwrap_or_default();
         let (h, c) = state.split_at_checked(width).unwrap_or_default();
@@ -95,11 +87,8 @@ impl Lstm {
     /// [`crate::Gru::backward`]: midpoint rule for products, rescale rule for curves.
     ///
     /// A step is `(state, gates, state_out)`; `d_out` is with respect to `state_out`.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
     #[expect(clippy::too_many_arguments, reason = "caller-owned buffers, each with its own role")]
-    pub fn backward(
+    fn backward(
         &self,
         isa: Isa,
         packed: &[f32],
@@ -111,16 +100,6 @@ impl Lstm {
         d_state: &mut [f32],
     ) -> Result<(), ShapeError> {
         let width = self.hidden;
-        expect("packed LSTM parameters", packed, self.param_len())?;
-        for (state, gates, out) in [step, reference] {
-            expect("LSTM state", state, self.state_len())?;
-            expect("LSTM gates", gates, self.gates_len())?;
-            expect("LSTM next state", out, self.state_len())?;
-        }
-        expect("LSTM output gradient", d_out, self.state_len())?;
-        expect("LSTM gate gradient", d_gates, self.gate_gradient_len())?;
-        expect("LSTM input gradient", dx, self.inputs)?;
-        expect("LSTM state gradient", d_state, self.state_len())?;
         let mid = |a: f32, b: f32| 0.5 * (a + b);
         let at = |slice: &[f32], row: usize, unit: usize| slice.get(row * width + unit).copied().unwrap_or(f32::NAN);
         let (dh, dc) = d_state.split_at_mut_checked(width).unwrap_or_default();
@@ -156,10 +135,7 @@ impl Lstm {
     }
 
     /// Adds to `d_params` the gradient of one step with respect to the parameters.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn weight_gradient(
+    fn weight_gradient(
         &self,
         isa: Isa,
         x: &[f32],
@@ -167,10 +143,6 @@ impl Lstm {
         d_gates: &[f32],
         d_params: &mut [f32],
     ) -> Result<(), ShapeError> {
-        expect("LSTM parameter gradient", d_params, self.param_len())?;
-        expect("LSTM input", x, self.inputs)?;
-        expect("LSTM state", state, self.state_len())?;
-        expect("LSTM gate gradient", d_gates, self.gate_gradient_len())?;
         outer_product(isa, x, d_gates, d_params, 0)?;
         let h = part("LSTM state", state, 0, self.hidden)?;
         outer_product(isa, h, d_gates, d_params, self.input())?;
@@ -195,4 +167,4 @@ impl GraphBuilder {
     }
 }
 
-recurrent_operation!(Lstm, "LSTM", 4);
+recurrent_operation!(Lstm, 4);

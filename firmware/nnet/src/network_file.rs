@@ -49,9 +49,6 @@ pub enum FileError {
     #[cfg(feature = "std")]
     #[error("cannot access {0}: {1}")]
     Access(String, #[source] std::io::Error),
-    /// Truncated, or something else altogether.
-    #[error("{0}")]
-    Container(String),
     /// Another version, architecture or normalisation.
     #[error("{file} has {key} \"{found}\", this program takes \"{expected}\"")]
     Other {
@@ -64,10 +61,7 @@ pub enum FileError {
         /// What it must be.
         expected: &'static str,
     },
-    /// The digest does not match.
-    #[error("{0}")]
-    Altered(String),
-    /// A metadata entry or a tensor is missing or not of its kind, or there is nothing to fly with.
+    /// Truncated, altered, or without a valid entry or tensor of its kind.
     #[error("{0}")]
     Content(String),
 }
@@ -266,7 +260,7 @@ impl<'a> Verified<'a> {
     pub fn from_bytes(kind: &'a Kind, file: &'a str, bytes: &[u8]) -> Result<Self, FileError> {
         let name = kind.name(file);
         let container = |e: safetensors::SafeTensorError| {
-            FileError::Container(format!("{name} is truncated or not a safetensors file: {e}"))
+            FileError::Content(format!("{name} is truncated or not a safetensors file: {e}"))
         };
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(container)?;
         let content = SafeTensors::deserialize(bytes).map_err(container)?;
@@ -305,33 +299,10 @@ impl<'a> Verified<'a> {
         let found = contents.sha256();
         if found != expected {
             let message = format!("{name} was altered: its content has SHA-256 {found}, its own entry says {expected}");
-            return Err(FileError::Altered(message));
+            return Err(FileError::Content(message));
         }
         contents.check(kind, file)?;
         Ok(Self { kind, file, contents })
-    }
-
-    /// Reads content that is of the first kind or of one of the others, and says of which, 0 for the first.
-    ///
-    /// # Errors
-    /// As [`Self::from_bytes`]; where it is of none, in the first one's words.
-    pub fn of_any(
-        first: &'a Kind,
-        others: &[&'a Kind],
-        file: &'a str,
-        bytes: &[u8],
-    ) -> Result<(Self, usize), FileError> {
-        let refused = match Self::from_bytes(first, file, bytes) {
-            Err(refused @ FileError::Other { .. }) => refused,
-            read => return Ok((read?, 0)),
-        };
-        for (number, kind) in others.iter().enumerate() {
-            match Self::from_bytes(kind, file, bytes) {
-                Err(FileError::Other { .. }) => {}
-                read => return Ok((read?, number + 1)),
-            }
-        }
-        Err(refused)
     }
 
     /// An entry's text.

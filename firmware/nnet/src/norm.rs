@@ -3,9 +3,8 @@
 use crate::graph::operation::Operation;
 use crate::graph::run::{Backward, Forward, Pass};
 use crate::graph::{GraphBuilder, NodeId, Params, description};
-use crate::isa::Isa;
 use crate::kernels::{self, Task};
-use crate::shape::{ShapeError, expect, part, part_mut};
+use crate::shape::{ShapeError, part};
 
 /// Normalises each channel (the fastest-running index).
 ///
@@ -29,60 +28,13 @@ impl BatchNorm {
     }
 
     fn split<'a>(&self, params: &'a [f32]) -> Result<Parts<'a>, ShapeError> {
-        expect("batch norm parameters", params, self.param_len())?;
         let row = |i: usize| part("batch norm parameters", params, i * self.channels, self.channels);
         Ok([row(0)?, row(1)?, row(2)?, row(3)?])
     }
 
-    fn rows(&self, x: &[f32]) -> Result<usize, ShapeError> {
-        let rows = x.len() / self.channels.max(1);
-        expect("batch norm input", x, rows * self.channels)?;
-        Ok(rows)
-    }
-
-    /// `y = γ (x − mean) / √(variance + ε) + β` with the running statistics; `x` and `y` are `[rows][channels]`.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn forward(&self, isa: Isa, params: &[f32], x: &[f32], y: &mut [f32]) -> Result<(), ShapeError> {
-        let p = self.split(params)?;
-        self.rows(x)?;
-        expect("batch norm output", y, x.len())?;
-        let epsilon = self.epsilon;
-        kernels::run(isa, Affine { p, epsilon, x, y });
-        Ok(())
-    }
-
-    /// `dx = dy γ / √(variance + ε)`: the gradient, and the multipliers, of [`Self::forward`].
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn input_gradient(&self, isa: Isa, params: &[f32], dy: &[f32], dx: &mut [f32]) -> Result<(), ShapeError> {
-        let p = self.split(params)?;
-        self.rows(dy)?;
-        expect("batch norm input gradient", dx, dy.len())?;
-        let epsilon = self.epsilon;
-        kernels::run(isa, Slopes { p, epsilon, dy, dx });
-        Ok(())
-    }
-
-    /// Adds to `d_params` the gradient of [`Self::forward`] with respect to γ and β; running statistics are not learned.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn weight_gradient(
-        &self,
-        params: &[f32],
-        x: &[f32],
-        dy: &[f32],
-        d_params: &mut [f32],
-    ) -> Result<(), ShapeError> {
-        let [_, _, mean, variance] = self.split(params)?;
-        self.rows(x)?;
-        expect("batch norm output gradient", dy, x.len())?;
-        expect("batch norm parameter gradient", d_params, self.param_len())?;
-        let (d_scale, rest) = d_params.split_at_mut_checked(self.channels).unwrap_or_default();
-        let d_shift = part_mut("batch norm parameter gradient", rest, 0, self.channels)?;
+    /// Adds to `d_params` the gradient with respect to γ and β; running statistics are not learned.
+    fn add_weight_gradient(&self, [_, _, mean, variance]: Parts<'_>, x: &[f32], dy: &[f32], d_params: &mut [f32]) {
+        let (d_scale, d_shift) = d_params.split_at_mut_checked(self.channels).unwrap_or_default();
         let width = self.channels.max(1);
         for (x, dy) in x.chunks_exact(width).zip(dy.chunks_exact(width)) {
             let statistics = mean.iter().zip(variance);
@@ -92,11 +44,10 @@ impl BatchNorm {
                 *d_shift += dy;
             }
         }
-        Ok(())
     }
 }
 
-/// [`BatchNorm::forward`].
+/// `y = γ (x − mean) / √(variance + ε) + β` with the running statistics; `x` and `y` are `[rows][channels]`.
 struct Affine<'a> {
     p: Parts<'a>,
     epsilon: f32,
@@ -118,7 +69,7 @@ impl Task for Affine<'_> {
     }
 }
 
-/// [`BatchNorm::input_gradient`].
+/// `dx = dy γ / √(variance + ε)`: the gradient of [`Affine`], and its multipliers.
 struct Slopes<'a> {
     p: Parts<'a>,
     epsilon: f32,
@@ -157,15 +108,21 @@ impl GraphBuilder {
 
 impl Operation for BatchNorm {
     fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
-        self.forward(node.isa, node.params, node.source(0)?, node.value)
+        let (p, epsilon) = (self.split(node.params)?, self.epsilon);
+        let (x, y) = (node.source(0)?, &mut *node.value);
+        kernels::run(node.isa, Affine { p, epsilon, x, y });
+        Ok(())
     }
 
-    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
-        let (isa, packed) = (node.isa, node.packed);
+    fn backward_node(&self, node: &mut Backward<'_>, dy: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
+        let (isa, p, epsilon) = (node.isa, self.split(node.packed)?, self.epsilon);
         if let Some(d_params) = node.d_params(pass)? {
-            self.weight_gradient(packed, node.source(0, node.tape)?, d, d_params)?;
+            self.add_weight_gradient(p, node.source(0, node.tape)?, dy, d_params);
         }
-        node.write_source(0, |dx, _| self.input_gradient(isa, packed, d, dx))
+        node.write_source(0, |dx, _| {
+            kernels::run(isa, Slopes { p, epsilon, dy, dx });
+            Ok(())
+        })
     }
 
     /// The identity.

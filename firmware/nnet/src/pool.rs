@@ -2,10 +2,9 @@
 
 use crate::graph::operation::Operation;
 use crate::graph::run::{Backward, Forward, Pass};
-use crate::graph::{GraphBuilder, NodeId, Params};
-use crate::isa::Isa;
+use crate::graph::{GraphBuilder, NodeId, Params, description};
 use crate::kernels::{self, Task};
-use crate::shape::{ShapeError, expect};
+use crate::shape::ShapeError;
 use core::ops::Range;
 
 /// The largest value of each window of one image `[row][column][channel]`; windows may overlap, and what pads the image never is
@@ -50,10 +49,8 @@ impl MaxPool2d {
             size > 0 && window <= padded && self.padding < window
         };
         if self.channels == 0 || self.stride == 0 || !fits(self.rows, height) || !fits(self.cols, width) {
-            return Err(ShapeError::Description {
-                what: "max pool",
-                why: "a size is zero, the window is larger than the image, or the padding is as large as the window",
-            });
+            let why = "a size is zero, the window is larger than the image, or the padding is as large as the window";
+            return description("max pool", why);
         }
         Ok(())
     }
@@ -82,12 +79,6 @@ impl MaxPool2d {
         self.out_rows() * self.out_cols() * self.channels
     }
 
-    fn check(&self, x: &[f32], y: &[f32]) -> Result<(), ShapeError> {
-        self.validate()?;
-        expect("max pool input", x, self.input_len())?;
-        expect("max pool output", y, self.output_len())
-    }
-
     /// Rows and columns of the image that the window of output pixel `o` looks at.
     fn window_of(&self, o: usize) -> [Range<usize>; 2] {
         let (row, col) = (o / self.out_cols(), o % self.out_cols());
@@ -101,24 +92,10 @@ impl MaxPool2d {
         ]
     }
 
-    /// Output pixels.
-    fn pixels(&self) -> usize {
-        self.out_rows() * self.out_cols()
-    }
-
-    /// `y` `[out_rows][out_cols][channels]`: the maximum of each window of `x` `[rows][cols][channels]`.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn forward(&self, isa: Isa, x: &[f32], y: &mut [f32]) -> Result<(), ShapeError> {
-        self.check(x, y)?;
-        kernels::run(isa, Pooled { layer: *self, x, y });
-        Ok(())
-    }
-
-    /// Where in `x` the maximum of window `o` lies for one channel: the first of equals.
-    fn winner(&self, x: &[f32], o: usize, channel: usize, best: f32) -> usize {
-        let [rows, cols] = self.window_of(o);
+    /// Where in `x` the maximum of a window, output value number `at`, lies: the first of equals.
+    fn winner(&self, x: &[f32], at: usize, best: f32) -> usize {
+        let (window, channel) = (at / self.channels.max(1), at % self.channels.max(1));
+        let [rows, cols] = self.window_of(window);
         let at = |row: usize, col: usize| (row * self.cols + col) * self.channels + channel;
         let first = at(rows.start, cols.start);
         let all = rows.flat_map(|row| cols.clone().map(move |col| (row, col)));
@@ -128,71 +105,37 @@ impl MaxPool2d {
     }
 
     /// `dx`: each output's gradient at the input that was the maximum.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn input_gradient(&self, x: &[f32], y: &[f32], dy: &[f32], dx: &mut [f32]) -> Result<(), ShapeError> {
-        self.check(x, y)?;
-        expect("max pool output gradient", dy, self.output_len())?;
-        expect("max pool input gradient", dx, self.input_len())?;
-        dx.fill(0.0);
-        for o in 0..self.pixels() {
-            for channel in 0..self.channels {
-                let at = o * self.channels + channel;
-                if let (Some(best), Some(d)) = (y.get(at), dy.get(at))
-                    && let Some(slot) = dx.get_mut(self.winner(x, o, channel, *best))
-                {
-                    *slot += d;
-                }
+    fn input_gradient(&self, (x, y): (&[f32], &[f32]), dy: &[f32], dx: &mut [f32]) {
+        for (at, (best, d)) in y.iter().zip(dy).enumerate() {
+            if let Some(slot) = dx.get_mut(self.winner(x, at, *best)) {
+                *slot += d;
             }
         }
-        Ok(())
     }
 
     /// Multipliers: the change of a window's maximum is given to the pixel that is the maximum where the maximum is
     /// larger (in `x` or in `x_ref`), divided by that pixel's change. This is the rule of the `shap` package's
     /// PyTorch explainer, and additive.
-    ///
-    /// # Errors
-    /// Slices that do not fit.
-    pub fn multipliers(
-        &self,
-        (x, y): (&[f32], &[f32]),
-        (x_ref, y_ref): (&[f32], &[f32]),
-        m_out: &[f32],
-        m_in: &mut [f32],
-    ) -> Result<(), ShapeError> {
-        self.check(x, y)?;
-        self.check(x_ref, y_ref)?;
-        expect("max pool output multipliers", m_out, self.output_len())?;
-        expect("max pool input multipliers", m_in, self.input_len())?;
-        m_in.fill(0.0);
-        for o in 0..self.pixels() {
-            for channel in 0..self.channels {
-                let at = o * self.channels + channel;
-                let (Some(y), Some(y_ref), Some(m)) = (y.get(at), y_ref.get(at), m_out.get(at)) else {
-                    continue;
-                };
-                let winner = if y >= y_ref {
-                    self.winner(x, o, channel, *y)
+    fn multipliers(&self, (x, y): (&[f32], &[f32]), (x_ref, y_ref): (&[f32], &[f32]), m_out: &[f32], m_in: &mut [f32]) {
+        for (at, ((y, y_ref), m)) in y.iter().zip(y_ref).zip(m_out).enumerate() {
+            let winner = if y >= y_ref {
+                self.winner(x, at, *y)
+            } else {
+                self.winner(x_ref, at, *y_ref)
+            };
+            if let (Some(x), Some(x_ref), Some(slot)) = (x.get(winner), x_ref.get(winner), m_in.get_mut(winner)) {
+                let dx = x - x_ref;
+                *slot += if dx.abs() < crate::activation::RESCALE_THRESHOLD {
+                    0.0
                 } else {
-                    self.winner(x_ref, o, channel, *y_ref)
+                    m * (y - y_ref) / dx
                 };
-                if let (Some(x), Some(x_ref), Some(slot)) = (x.get(winner), x_ref.get(winner), m_in.get_mut(winner)) {
-                    let dx = x - x_ref;
-                    *slot += if dx.abs() < crate::activation::RESCALE_THRESHOLD {
-                        0.0
-                    } else {
-                        m * (y - y_ref) / dx
-                    };
-                }
             }
         }
-        Ok(())
     }
 }
 
-/// All windows of an image whose lengths were checked.
+/// `y` `[out_rows][out_cols][channels]`: the maximum of each window of `x` `[rows][cols][channels]`.
 struct Pooled<'a> {
     layer: MaxPool2d,
     x: &'a [f32],
@@ -254,16 +197,22 @@ impl GraphBuilder {
 
 impl Operation for MaxPool2d {
     fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
-        self.forward(node.isa, node.source(0)?, node.value)
+        let (x, y) = (node.source(0)?, &mut *node.value);
+        kernels::run(node.isa, Pooled { layer: *self, x, y });
+        Ok(())
     }
 
     fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
         let on = |tape| Ok::<_, ShapeError>((node.source(0, tape)?, node.kept(tape)?.value));
-        let (x, y) = on(node.tape)?;
+        let now = on(node.tape)?;
         let reference = pass.reference().map(on).transpose()?;
-        node.write_source(0, |dx, _| match reference {
-            None => self.input_gradient(x, y, d, dx),
-            Some(reference) => self.multipliers((x, y), reference, d, dx),
+        node.write_source(0, |dx, _| {
+            dx.fill(0.0);
+            match reference {
+                None => self.input_gradient(now, d, dx),
+                Some(reference) => self.multipliers(now, reference, d, dx),
+            }
+            Ok(())
         })
     }
 }

@@ -39,7 +39,7 @@ pub use apf::NearestObstacle;
 pub use field::FlightField;
 #[cfg(feature = "actor-file")]
 pub use frozen::{Decider, ExplainedHead, FrozenPilot};
-pub use geometric::{Aside, GeometricConfig, GeometricPilot, Lookout, RangeScan, RecoveryPilot, Scan};
+pub use geometric::{Aside, ForwardCheck, GeometricConfig, GeometricPilot, RangeScan, RecoveryPilot, Scan};
 #[cfg(feature = "actor-file")]
 pub use imported::FrozenPolicy;
 pub use imported::ImportedPilot;

@@ -21,6 +21,12 @@ fn frozen() -> FrozenActor {
     }
 }
 
+/// The same with something else where that stands first.
+fn replaced(bytes: &[u8], old: &[u8], new: &[u8]) -> Vec<u8> {
+    let at = bytes.windows(old.len()).position(|w| w == old).unwrap();
+    [&bytes[..at], new, &bytes[at + old.len()..]].concat()
+}
+
 /// The content of this file is refused by its name for this reason.
 fn refused(file: &str, bytes: &[u8], why: &str) {
     let error = FrozenActor::from_bytes(file, bytes).unwrap_err().to_string();
@@ -74,9 +80,7 @@ fn an_actor_trained_to_be_twice_as_fast_flies_twice_as_fast_with_its_field_and_f
 
 #[test]
 fn an_actor_of_0_2_0_is_refused_with_the_version_that_flies_it() {
-    let mut old = frozen().to_bytes().unwrap();
-    let at = old.windows(13).position(|w| w == b"vigil actor 2").unwrap();
-    old[at + 12] = b'1';
+    let old = replaced(&frozen().to_bytes().unwrap(), b"vigil actor 2", b"vigil actor 1");
     refused("old.safetensors", &old, "0.2.0");
 }
 
@@ -93,24 +97,13 @@ fn wrong_truncated_and_altered_files_are_refused_by_name() {
     altered[last] ^= 1;
     refused(&altered, "altered");
     // One character of the metadata, length kept.
-    let find = |what: &[u8]| good.windows(what.len()).position(|w| w == what).unwrap();
-    let at = find(b"seed = 3") + 7;
-    let mut altered = good.clone();
-    altered[at] = b'4';
-    refused(&altered, "altered");
-    let at = find(b"conv 5x5/2 16") + 5;
-    let mut altered = good.clone();
-    altered[at] = b'7';
-    refused(&altered, "this program takes");
+    refused(&replaced(&good, b"seed = 3", b"seed = 4"), "altered");
+    refused(&replaced(&good, b"conv 5x5/2", b"conv 7x5/2"), "this program takes");
     let mut broken = frozen();
     broken.params[7] = f32::NAN;
     assert!(broken.to_bytes().unwrap_err().to_string().contains("not finite"));
     // Another program may have written it all the same, with a digest that is right.
     let bytes_of = |params: &[f32]| -> Vec<u8> { params.iter().flat_map(|p| p.to_le_bytes()).collect() };
-    let replaced = |bytes: &[u8], old: &[u8], new: &[u8]| {
-        let at = bytes.windows(old.len()).position(|w| w == old).unwrap();
-        [&bytes[..at], new, &bytes[at + old.len()..]].concat()
-    };
     let sealed = replaced(&good, &bytes_of(&frozen().params[..9]), &bytes_of(&broken.params[..9]));
     let sealed = replaced(&sealed, frozen().sha256().as_bytes(), broken.sha256().as_bytes());
     refused(&sealed, "not finite");
@@ -175,41 +168,29 @@ fn a_flight_s_pilot_is_the_one_it_was_made_of() {
     assert_eq!(flown.decide(&input(&frame)), alone.decide(&input(&frame)));
 }
 
-/// A wall across the way, 4 m ahead, open on the right only.
-fn wall_open_on_the_right() -> DepthFrame {
+#[test]
+fn the_recovery_pilot_leads_along_its_path_and_over_open_ground_to_the_goal() {
+    // A wall across the way, 4 m ahead, open on the right only.
     let mut frame = DepthFrame::EMPTY;
     frame.header.attitude = Attitude::LEVEL_NORTH;
     for (i, depth) in frame.depth.iter_mut().enumerate() {
         *depth = if i % 256 < 190 { 0.04 } else { 1.0 };
     }
-    frame
-}
-
-#[test]
-fn the_recovery_pilot_leads_along_its_path_and_over_open_ground_to_the_goal() {
-    let frame = wall_open_on_the_right();
-    let ahead = PilotInput {
-        goal: GoalRelative::new(9.0, -0.1),
-        ..input(&frame)
-    };
+    let goal = GoalRelative::new(9.0, -0.1);
     let mut planner = Box::<RecoveryPilot>::default();
-    let mut newest = frame.clone();
-    let mut local = ahead.goal;
+    let mut local = goal;
     for sequence in 0..20 {
-        newest.header.sequence = sequence;
-        let seen = PilotInput {
-            depth: &newest,
-            ..ahead
-        };
+        frame.header.sequence = sequence;
+        let seen = PilotInput { goal, ..input(&frame) };
         planner.observe(&seen, true);
         local = planner.path_ahead(&seen);
     }
-    assert_eq!(local.distance_m, ahead.goal.distance_m);
+    assert_eq!(local.distance_m, goal.distance_m);
     assert!(local.bearing_rad > 0.3, "to the right, around the wall: {local:?}");
     // Another flight: what was seen is forgotten, and an open field leads straight to the goal.
     planner.reset();
     let open = DepthFrame::EMPTY;
-    let input = PilotInput { depth: &open, ..ahead };
+    let input = PilotInput { goal, ..input(&open) };
     planner.observe(&input, true);
     let local = planner.path_ahead(&input);
     assert!((local.bearing_rad + 0.1).abs() < 1e-3, "{local:?}");

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Flight, Scene, block, column, fly};
+use common::{Flight, Scene, beam, block, column, fly};
 use vigil_policy::{GeometricConfig, GeometricPilot};
 
 fn flight(scene: &Scene, start_yaw_rad: f32, goal: (f32, f32), limit_s: f32) -> Flight {
@@ -69,16 +69,8 @@ fn columns_walls_dead_ends_gaps_and_forests_are_passed() {
 #[test]
 fn what_lies_below_or_above_is_no_obstacle() {
     let mut scene = Scene::new([
-        common::Solid::Block {
-            north: [5.0, 7.0],
-            east: [-10.0, 10.0],
-            up: [0.0, 1.0],
-        },
-        common::Solid::Block {
-            north: [9.0, 11.0],
-            east: [-10.0, 10.0],
-            up: [2.0, 4.0],
-        },
+        beam([5.0, 7.0], [-10.0, 10.0], [0.0, 1.0]),
+        beam([9.0, 11.0], [-10.0, 10.0], [2.0, 4.0]),
     ]);
     scene.ceiling_up = Some(2.3);
     let f = flight(&scene, 0.0, (20.0, 0.0), 30.0);

@@ -8,17 +8,12 @@ use vigil_types::{DEPTH_COLS, DEPTH_ROWS, DepthFrame, GoalRelative};
 /// A policy whose outputs are two chosen pixels of its frame.
 fn picking(inputs: PolicyInputs, pixels: [usize; 2]) -> FrozenPolicy {
     let len = inputs.rows * inputs.cols * inputs.channels;
-    let mut layers = vec![Layer::Input { len }];
     let mut params = vec![0.0; 2 * len + 2];
     for (output, pixel) in pixels.into_iter().enumerate() {
         params[2 * pixel + output] = 1.0;
     }
-    let dense = Dense::new(len, 2);
-    layers.push(Layer::Dense {
-        x: 0,
-        layer: dense,
-        curve: Activation::Identity,
-    });
+    let (x, layer, curve) = (0, Dense::new(len, 2), Activation::Identity);
+    let layers = vec![Layer::Input { len }, Layer::Dense { x, layer, curve }];
     FrozenPolicy {
         network: Network { layers, output: 1 },
         params,
@@ -149,27 +144,24 @@ fn hostile_descriptions_are_refused_before_anything_is_made_of_them() {
         assert!(error.contains(reason), "{text:?}: {error}");
     }
     // What does not fit each other is found before take-off.
-    let policy = |inputs: PolicyInputs| picking(inputs, [0, 1]);
-    let mut short = policy(INPUTS);
-    short.params.pop();
-    let mut wide = policy(INPUTS);
-    wide.inputs.cols = 9;
-    let mut lost = policy(INPUTS);
-    lost.inputs.has_position = true;
-    let mut empty = policy(INPUTS);
-    empty.inputs.channels = 0;
-    for policy in [short, wide, lost, empty] {
+    let spoils: [fn(&mut FrozenPolicy); 5] = [
+        |policy| {
+            policy.params.pop();
+        },
+        |policy| policy.inputs.cols = 9,
+        |policy| policy.inputs.has_position = true,
+        |policy| policy.inputs.channels = 0,
+        |policy| {
+            let (x, layer, curve) = (0, Conv2d::new([4, 8, 3], 1, 3, 0, 1), Activation::Relu);
+            policy.network.layers[1] = Layer::Conv2d { x, layer, curve };
+        },
+    ];
+    for spoil in spoils {
+        let mut policy = picking(INPUTS, [0, 1]);
+        spoil(&mut policy);
         let error = FrozenPolicy::from_bytes("the file", &policy.to_bytes().unwrap()).unwrap_err();
         assert!(error.to_string().contains("the file cannot be flown"), "{error}");
     }
-    let mut kernel = policy(INPUTS);
-    let layer = Conv2d::new([4, 8, 3], 1, 3, 0, 1);
-    kernel.network.layers[1] = Layer::Conv2d {
-        x: 0,
-        layer,
-        curve: Activation::Relu,
-    };
-    assert!(FrozenPolicy::from_bytes("the file", &kernel.to_bytes().unwrap()).is_err());
 }
 
 /// A policy with two ways through it: frame → 12 values → 9 values, and the goal beside them.
@@ -179,15 +171,13 @@ fn branched(split: Option<usize>) -> FrozenPolicy {
     let network: Network = text.parse().unwrap();
     let len = network.graph(Purpose::Gradients).unwrap().param_len();
     let params = (0..len).map(|i| ((i * 37 % 101) as f32 - 50.0) / 90.0).collect();
+    let mut policy = picking(INPUTS, [0, 1]);
+    policy.inputs.has_position = true;
     FrozenPolicy {
         network,
         params,
-        inputs: PolicyInputs {
-            has_position: true,
-            ..INPUTS
-        },
         split,
-        source: "a test".to_owned(),
+        ..policy
     }
 }
 

@@ -48,11 +48,8 @@ fn the_whole_actor_gives_what_pytorch_gives() {
             wide(graph.output(&tape).unwrap())
         };
         let mut difference = evaluate(&t.get("x_img"), &t.get("x_pos"));
-        for (images, pos) in t
-            .get("bg_img")
-            .chunks_exact(5 * FRAME)
-            .zip(t.get("bg_pos").chunks_exact(2))
-        {
+        let (images, positions) = (t.get("bg_img"), t.get("bg_pos"));
+        for (images, pos) in images.chunks_exact(5 * FRAME).zip(positions.chunks_exact(2)) {
             let f = evaluate(images, pos);
             difference.iter_mut().zip(f).for_each(|(d, f)| *d -= f / 3.0);
         }

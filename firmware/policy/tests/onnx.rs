@@ -46,28 +46,20 @@ fn act(isa: Isa, graph: &Graph, params: &[f32], seed: usize) -> Vec<f32> {
 fn onnx_runtime_decides_as_our_actor_does() {
     let record: Record = serde_json::from_str(RECORD).unwrap();
     let actor = FrozenActor::built_in().unwrap();
-    assert_eq!(
-        record.actor_sha256,
-        actor.sha256(),
-        "exported from another actor; {EXPORT}"
-    );
+    let sha256 = actor.sha256();
+    assert_eq!(record.actor_sha256, sha256, "exported from another actor; {EXPORT}");
     let graph = ActorSpec::FULL.graph(Purpose::Gradients).unwrap();
     assert!(record.actions.len() >= 5);
     for isa in Isa::available() {
+        let name = isa.name();
         for (seed, theirs) in record.actions.iter().enumerate() {
             let ours = act(isa, &graph, &actor.params, seed);
             for (a, b) in ours.iter().zip(theirs) {
-                assert!(
-                    (a - b).abs() < 1e-5,
-                    "{}, pattern {seed}: {ours:?} against {theirs:?}",
-                    isa.name()
-                );
+                let off = (a - b).abs();
+                assert!(off < 1e-5, "{name}, pattern {seed}: {ours:?} against {theirs:?}");
             }
         }
-        assert_ne!(
-            act(isa, &graph, &actor.params, 0),
-            act(isa, &graph, &actor.params, 1),
-            "patterns do matter"
-        );
+        let [first, second] = [0, 1].map(|seed| act(isa, &graph, &actor.params, seed));
+        assert_ne!(first, second, "patterns do matter");
     }
 }

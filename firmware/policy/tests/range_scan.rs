@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Scene, Solid, block, column, frame_of, input};
+use common::{Scene, beam, block, column, frame_of, input};
 use vigil_policy::geometric::range_scan::{BAND_HALF_HEIGHT_M, SECTORS};
 use vigil_policy::{RangeScan, Scan};
 use vigil_types::{Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, HeadingVector, NedVector};
@@ -29,14 +29,9 @@ fn a_column_is_seen_at_its_distance_and_bearing() {
     let scene = Scene::new([column(5.0, 2.0, 0.25)]);
     let scan = scan_of(&scene, Attitude::LEVEL_NORTH);
     let nearest = scan.nearest_within(1.0).expect("a column");
-    assert!(
-        (nearest.distance_m - (29.0_f32.sqrt() - 0.25)).abs() < 0.02,
-        "{nearest:?}"
-    );
-    assert!(
-        (nearest.bearing_rad - (2.0_f32 / 5.0).atan()).abs() < 0.02,
-        "{nearest:?}"
-    );
+    let off_m = nearest.distance_m - (29.0_f32.sqrt() - 0.25);
+    let off_rad = nearest.bearing_rad - (2.0_f32 / 5.0).atan();
+    assert!(off_m.abs() < 0.02 && off_rad.abs() < 0.02, "{nearest:?}");
     // Its width: 2·asin(0.25/5.385) = 5.3° of 120°, in 128 sectors 5.7.
     let seen = scan.points().count();
     assert!((5..=7).contains(&seen), "{seen} sectors");
@@ -80,24 +75,16 @@ fn a_tilted_vehicle_sees_the_walls_where_they_are() {
 
 #[test]
 fn the_band_decides_what_the_vehicle_must_avoid() {
-    let beam = |low: f32, high: f32| {
-        Scene::new([Solid::Block {
-            north: [3.0, 3.5],
-            east: [-5.0, 5.0],
-            up: [low, high],
-        }])
-    };
-    let sees = |scene: &Scene| {
-        scan_of(scene, Attitude::from_euler_rad(0.05, -0.1, 0.0))
-            .points()
-            .count()
-            > 0
+    let tilted = Attitude::from_euler_rad(0.05, -0.1, 0.0);
+    let sees = |low: f32, high: f32| {
+        let scene = Scene::new([beam([3.0, 3.5], [-5.0, 5.0], [low, high])]);
+        scan_of(&scene, tilted).points().count() > 0
     };
     let band = BAND_HALF_HEIGHT_M;
-    assert!(!sees(&beam(0.0, 1.5 - band - 0.05)), "a box below the band");
-    assert!(sees(&beam(0.0, 1.5 - band + 0.15)), "a box that reaches into it");
-    assert!(!sees(&beam(1.5 + band + 0.05, 4.0)), "a beam above the band");
-    assert!(sees(&beam(1.5 + band - 0.15, 4.0)), "a beam that reaches into it");
+    assert!(!sees(0.0, 1.5 - band - 0.05), "a box below the band");
+    assert!(sees(0.0, 1.5 - band + 0.15), "a box that reaches into it");
+    assert!(!sees(1.5 + band + 0.05, 4.0), "a beam above the band");
+    assert!(sees(1.5 + band - 0.15, 4.0), "a beam that reaches into it");
 }
 
 #[test]
@@ -109,13 +96,8 @@ fn isolated_pixels_are_not_a_surface_but_three_together_are() {
         frame.depth[middle - DEPTH_COLS + col + 1] = 0.02;
     }
     let mut surroundings = RangeScan::new();
-    assert_eq!(
-        surroundings
-            .observe(&input(&frame, Attitude::LEVEL_NORTH))
-            .points()
-            .count(),
-        0
-    );
+    let scan = surroundings.observe(&input(&frame, Attitude::LEVEL_NORTH));
+    assert_eq!(scan.points().count(), 0);
     frame.depth[middle + DEPTH_COLS + 10] = 0.021;
     let scan = surroundings.observe(&input(&frame, Attitude::LEVEL_NORTH));
     assert_eq!(scan.points().count(), 1);

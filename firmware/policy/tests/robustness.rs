@@ -21,18 +21,11 @@ fn within_limits(a: Action) -> bool {
 #[test]
 fn after_a_reset_nothing_of_the_first_flight_is_left() {
     let mut used = pilot();
-    fly(
-        &Scene::new([block([4.0, 5.0], [-9.0, 2.0])]),
-        used.as_mut(),
-        0.0,
-        (14.0, 2.0),
-        6.0,
-    );
+    let first = Scene::new([block([4.0, 5.0], [-9.0, 2.0])]);
+    fly(&first, used.as_mut(), 0.0, (14.0, 2.0), 6.0);
     used.reset();
-    let (again, fresh) = (
-        fly(&scene(), used.as_mut(), 0.3, (14.0, 2.0), 20.0),
-        fly(&scene(), pilot().as_mut(), 0.3, (14.0, 2.0), 20.0),
-    );
+    let again = fly(&scene(), used.as_mut(), 0.3, (14.0, 2.0), 20.0);
+    let fresh = fly(&scene(), pilot().as_mut(), 0.3, (14.0, 2.0), 20.0);
     assert!(again.actions == fresh.actions);
 }
 
@@ -108,11 +101,8 @@ fn an_enclosed_vehicle_turns_and_looks_and_touches_nothing() {
         block([-2.0, 2.0], [2.0, 2.2]),
     ];
     let flight = fly(&Scene::new(cage), pilot().as_mut(), 0.0, (14.0, 2.0), 25.0);
-    assert!(
-        !flight.reached && flight.least_clearance_m > 0.35,
-        "{}",
-        flight.least_clearance_m
-    );
+    let least_m = flight.least_clearance_m;
+    assert!(!flight.reached && least_m > 0.35, "{least_m}");
     assert!(flight.actions.iter().all(|a| within_limits(*a)));
     assert!(flight.actions.iter().filter(|a| a.yaw.abs() > 1.49).count() > 100);
 }

@@ -11,9 +11,11 @@ use std::path::Path;
 use std::time::Duration;
 use vigil_detector::{FrozenDetector, LstmAd, Of};
 use vigil_firmware::config::{DetectorConfig, GoalConfig, PilotConfig};
-use vigil_firmware::ports::Link;
-use vigil_firmware::ports::links::PeerRule;
+use vigil_firmware::stack::TickInput;
+use vigil_firmware::step::Firmware;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_io::Link;
+use vigil_io::links::PeerRule;
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{
     ATTITUDE_QUATERNION_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavLandedState, MavMessage,
@@ -25,7 +27,7 @@ use vigil_policy::actor::LowDim;
 use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, EngagePolicy, FrameKey, GuidanceState, Nanos,
-    NedVector, PilotKind, STEP_NS, STEP_S, StepReport, column_bearing_rad, row_elevation_rad,
+    NedVector, PilotKind, STEP_NS, STEP_S, StepReport, StepTiming, column_bearing_rad, row_elevation_rad,
 };
 
 /// A generator whose stream never changes (xorshift64*).
@@ -99,6 +101,25 @@ pub fn heard(link: &mut impl Link, now_ns: Nanos) -> Vec<Vec<u8>> {
     let mut received = Datagrams::default();
     link.receive(now_ns, &mut received);
     received.iter().map(|(_, datagram)| datagram.to_vec()).collect()
+}
+
+/// A step of the flight stack over a link.
+pub fn step_over(
+    firmware: &mut Firmware,
+    link: &mut impl Link,
+    (now_ns, step): (Nanos, u64),
+    frame: Option<&DepthFrame>,
+) -> StepReport {
+    let mut received = Datagrams::default();
+    link.receive(now_ns, &mut received);
+    let input = TickInput {
+        now_ns,
+        timing: StepTiming::of_step(step),
+        frame,
+        frame_known_altered: false,
+        received: &received,
+    };
+    *firmware.step(&input, |sent| link.send(sent))
 }
 
 /// A serial line: `device` is what the firmware opens, `master` the end of the cable.

@@ -5,25 +5,24 @@ mod common;
 mod sharing;
 mod signing;
 
-use common::{PseudoTerminal, Random, TestVehicle, arrived, config, set_parameter, socket};
+use common::{PseudoTerminal, Random, TestVehicle, arrived, config, set_parameter, socket, step_over};
 use std::io::{Read, Write};
 use std::net::UdpSocket;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{SigningConfig, StateConfig};
-use vigil_firmware::ports::Link;
-use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
-use vigil_firmware::ports::handed::{HandedClock, HandedFrame};
-use vigil_firmware::ports::router::RoutedLinks;
 use vigil_firmware::step::Firmware;
+use vigil_io::Link;
+use vigil_io::gate::{AllowUnsigned, SigningGate};
+use vigil_io::router::RoutedLinks;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, encode, encode_payload, packets};
 use vigil_mavlink::message;
 use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
-use vigil_types::{Datagrams, EngagePolicy, Nanos, STEP_NS, StepTiming};
+use vigil_types::{Datagrams, EngagePolicy, Nanos, STEP_NS};
 
 const VEHICLE: (u8, u8) = (1, 1);
 const ME: (u8, u8) = (1, 191);

@@ -195,13 +195,8 @@ impl Flight {
             for (_, datagram) in self.vehicle.telemetry().iter() {
                 self.rig.vehicle.say(datagram);
             }
-            let timing = StepTiming::of_step(self.step);
-            self.firmware.step(
-                timing,
-                &mut HandedClock(now_ns),
-                &mut HandedFrame::new(Some(&frame)),
-                &mut self.rig.links,
-            );
+            let links = &mut self.rig.links;
+            step_over(&mut self.firmware, links, (now_ns, self.step), Some(&frame));
             for bytes in self.rig.vehicle.raw() {
                 self.vehicle.hear(&bytes);
             }

@@ -96,9 +96,7 @@ fn odometry_that_jumps_makes_the_actor_forget_what_it_saw_and_people_read_it_onc
         let jumps = |flight: &Flight| texts(&flight.vehicle, "the position jumped").len();
         assert_eq!(jumps(&flight), 0);
         flight.vehicle.position_ned_m.y += jump_m;
-        for _ in 0..20 {
-            flight.step();
-        }
+        flight.fastest_m_s(1);
         assert_eq!(jumps(&flight), 1, "{jump_m} m");
     }
 }
@@ -142,9 +140,7 @@ fn alarm_while_carried(
     (north_m_s, wall_ahead_m, steps): (f32, f32, usize),
 ) -> Option<AlarmCause> {
     let mut flight = Flight::guided_by(config);
-    for _ in 0..60 {
-        flight.step();
-    }
+    flight.fastest_m_s(3);
     assert!(flight.velocity()[0] > 1.2, "{:?}", flight.velocity());
     let carried_m_s = NedVector::new(north_m_s, 0.0, 0.0);
     let wall_north_m = flight.vehicle.position_ned_m.x + wall_ahead_m;

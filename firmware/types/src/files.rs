@@ -222,14 +222,24 @@ fn in_words(bytes: u64) -> String {
     }
 }
 
-/// Writes a line to standard output at once. A reader that has gone (`… | head`) is no fault.
+/// Whether standard output was refused because nobody reads it any more (`… | head`, a terminal that hung up): no fault.
+pub fn reader_has_gone(error: &io::Error) -> bool {
+    let is_file =
+        || rustix::fs::fstat(io::stdout()).is_ok_and(|s| rustix::fs::FileType::from_raw_mode(s.st_mode).is_file());
+    let hung_up = error.raw_os_error() == Some(rustix::io::Errno::IO.raw_os_error());
+    error.kind() == ErrorKind::BrokenPipe || hung_up && !is_file()
+}
+
+/// Writes a line to standard output at once. A reader that has gone is no fault.
 ///
 /// # Errors
 /// What the system said, a full disk for example.
 pub fn print_line(text: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    match writeln!(out, "{text}").and_then(|()| out.flush()) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+    let written = writeln!(out, "{text}").and_then(|()| out.flush());
+    drop(out);
+    match written {
+        Err(error) if !reader_has_gone(&error) => {
             let message = format!("cannot write standard output: {error}");
             Err(io::Error::new(error.kind(), message))
         }

@@ -165,10 +165,8 @@ mod tests {
 
     #[test]
     fn while_a_key_is_exchanged_the_old_and_the_new_are_accepted() {
-        let keys = FrameKeys {
-            current: Some(FrameKey::new(&[2; 32], 7, b"boot")),
-            other: Some(FrameKey::new(&[1; 32], 7, b"boot")),
-        };
+        let (current, other) = (key(2, 7, b"boot").current, key(1, 7, b"boot").current);
+        let keys = FrameKeys { current, other };
         assert!(keys.accept(&authentic()));
         let mut frame = authentic();
         frame.authenticate(&FrameKey::new(&[2; 32], 7, b"boot"));

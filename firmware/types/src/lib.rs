@@ -55,7 +55,7 @@ pub use frame_key::{FRAME_TAG_BYTES, FrameKey, FrameKeys};
 pub use guidance::{GuidanceState, Reason, Reasons};
 pub use judgement::{Alarm, AlarmCause, AlarmResponse, EXPLAINED_STATE, Judgement, Verdict};
 pub use parameters::ParameterSpec;
-pub use ranges::{RANGE_SECTORS, SectorRanges};
+pub use ranges::{RANGE_SECTORS, RANGE_SOURCES, SectorRanges};
 pub use step_report::{Datagrams, StepReport, StepTiming};
 pub use telemetry::{AttitudeSample, Heartbeat, Kinematics, Landed, MissionMotion, VehicleMode, VehicleTelemetry};
 pub use vector::{Attitude, Frame, Frd, FrdVector, Heading, HeadingVector, Ned, NedVector, Vector, wrap_pi};

@@ -5,10 +5,14 @@ use crate::Nanos;
 /// Sectors that one report may have: as many as OBSTACLE_DISTANCE has
 /// (<https://mavlink.io/en/messages/common.html#OBSTACLE_DISTANCE>).
 pub const RANGE_SECTORS: usize = 72;
+/// Components of a vehicle whose reports are looked at side by side.
+pub const RANGE_SOURCES: usize = 4;
 
 /// What a second sensor sees at the vehicle's own height: the nearest surface in each of a row of sectors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SectorRanges {
+    /// The component of the vehicle that it came from.
+    pub component: u8,
     /// When it arrived.
     pub at_ns: Nanos,
     /// Bearing of the first sector's middle, radians, clockwise from the nose.

@@ -171,29 +171,23 @@ pub fn section<T: Default>() -> With<T> {
 
 /// What the table must name.
 pub fn required<T: Default>() -> With<T> {
-    let rule = Rule {
-        is_required: true,
-        ..Rule::default()
-    };
-    With { rule, ..section() }
+    let mut with = section();
+    with.rule.is_required = true;
+    with
 }
 
 /// A default; each number lies from `least` to `greatest`.
 pub fn within<T>(value: T, (least, greatest): (f64, f64), unit: &'static str) -> With<T> {
-    let rule = Rule {
-        range: Some(Range::of(least, greatest, unit)),
-        ..Rule::default()
-    };
-    With { value, rule }
+    let mut with = free(value);
+    with.rule.range = Some(Range::of(least, greatest, unit));
+    with
 }
 
 /// What the table must name, of a row of the table of parameters.
 pub fn required_row<T: Default>(row: &'static ParameterSpec) -> With<T> {
-    let rule = Rule {
-        range: row.range(),
-        ..required::<T>().rule
-    };
-    With { rule, ..section() }
+    let mut with = required();
+    with.rule.range = row.range();
+    with
 }
 
 /// A list of a row of the table of parameters, of at most so many.

@@ -146,13 +146,11 @@ impl Attack {
     /// ε or iterations out of range, a detector that does not fit.
     pub fn interceptor(&self, seed: u64, goal_ned_m: NedVector) -> Result<Interceptor, AttackError> {
         let config = AttackConfig { seed, ..self.config };
-        let mut attack = FrameAttack::on(&self.pilot, Isa::detect(), &config)?;
-        if let Some(detector) = &self.evade {
-            attack = match attack {
-                FrameAttack::Actor(attack) => attack.evading(detector)?.into(),
-                FrameAttack::Policy(_) => return Err(AttackError::EvadingPolicy),
-            };
-        }
+        let attack = match (FrameAttack::on(&self.pilot, Isa::detect(), &config)?, &self.evade) {
+            (FrameAttack::Actor(attack), Some(detector)) => attack.evading(detector)?.into(),
+            (FrameAttack::Policy(_), Some(_)) => return Err(AttackError::EvadingPolicy),
+            (attack, None) => attack,
+        };
         let interceptor = Interceptor::new(attack, BurstPlan::new(self.burst, seed), goal_ned_m);
         match self.evades_guard {
             true => interceptor.evading_guard(),

@@ -1,8 +1,9 @@
 //! The attacker who knows the detector: what its score will be, and which way to bend the actor's state to lower it.
 
 use crate::config::AttackError;
+use crate::surrogate::Evaluated;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
-use vigil_nnet::{Activation, Graph, Isa, Purpose};
+use vigil_nnet::{Activation, Isa, Purpose};
 use vigil_policy::ExplainedHead;
 use vigil_policy::actor::{ACTOR_HIDDEN, LOW_DIM, LowDim};
 
@@ -19,14 +20,9 @@ const MARGIN: f32 = 1.0;
 /// the 48 values of the state, which the pixels' gradient then takes up. Nothing is approximated but those differences.
 #[derive(Debug, Clone)]
 pub(crate) struct DetectorEvasion {
-    isa: Isa,
     shap: DeepShap,
     /// LSTM-AD without its sigmoid: the score's logit.
-    graph: Graph,
-    params: Vec<f32>,
-    packed: Vec<f32>,
-    tape: Vec<f32>,
-    work: Vec<f32>,
+    network: Evaluated,
     centre: [f32; ROW],
     scale: [f32; ROW],
     /// Logit above which the attacker takes care.
@@ -41,17 +37,11 @@ pub(crate) struct DetectorEvasion {
 impl DetectorEvasion {
     pub fn new(isa: Isa, actor: &[f32], detector: &FrozenDetector) -> Result<Self, AttackError> {
         let graph = LstmAd::graph(ROW, LstmAd::CELL, Activation::Identity)?;
-        let mut packed = vec![0.0; graph.param_len()];
-        graph.pack(&detector.params, &mut packed)?;
+        let network = Evaluated::new(isa, graph, &detector.params)?;
         let threshold = detector.threshold;
         Ok(Self {
-            isa,
             shap: detector.explainer(isa, ExplainedHead::of_actor(actor, Purpose::Multipliers)?)?,
-            params: detector.params.clone(),
-            packed,
-            tape: vec![0.0; graph.tape_len()],
-            work: vec![0.0; graph.work_len()],
-            graph,
+            network,
             centre: detector.centre,
             scale: detector.scale,
             limit: (threshold / (1.0 - threshold)).ln() - MARGIN,
@@ -84,16 +74,14 @@ impl DetectorEvasion {
             return Ok(0.0);
         }
         let inputs = self.rows.each_ref().map(|row| row.as_slice());
-        self.graph.forward(self.isa, &self.params, &inputs, &mut self.tape)?;
-        Ok(self.graph.output(&self.tape)?[0] - self.limit)
+        let [logit] = self.network.outputs(&inputs)?;
+        Ok(logit - self.limit)
     }
 
     /// Gradient of the logit with respect to the state last looked at.
     pub fn gradient(&mut self, state: &[f32]) -> Result<[f32; ACTOR_HIDDEN], AttackError> {
-        self.graph
-            .backward(self.isa, &self.packed, &self.tape, &[1.0], None, &mut self.work)?;
         let mut d_phi = [0.0; ROW];
-        d_phi.copy_from_slice(self.graph.input_gradient(&self.work, WINDOW - 1)?);
+        d_phi.copy_from_slice(self.network.gradient(&[1.0], WINDOW - 1)?);
         for ((d, scale), x) in d_phi.iter_mut().zip(&self.scale).zip(&self.rows[WINDOW - 1]) {
             // A clipped value does not move.
             *d = if x.abs() < ROW_LIMIT { *d / scale } else { 0.0 };

@@ -4,7 +4,7 @@ use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::policy_attack::PolicyAttack;
 use crate::stream_attack::StreamAttack;
 use vigil_nnet::Isa;
-use vigil_policy::actor::{ACTOR_OUTPUTS, LowDim};
+use vigil_policy::actor::ACTOR_OUTPUTS;
 use vigil_policy::{FrozenPilot, PilotInput};
 use vigil_types::DepthFrame;
 
@@ -43,7 +43,10 @@ impl FrameAttack {
     pub fn pass(&mut self, taken: &PilotInput<'_>) -> Result<Option<[f32; ACTOR_OUTPUTS]>, AttackError> {
         match self {
             Self::Actor(attack) => attack.pass(taken).map(Some),
-            Self::Policy(attack) => attack.pass(&taken.depth.depth).map(|()| None),
+            Self::Policy(attack) => {
+                attack.pass(taken);
+                Ok(None)
+            }
         }
     }
 
@@ -60,11 +63,7 @@ impl FrameAttack {
     ) -> Result<AttackOutcome, AttackError> {
         match self {
             Self::Actor(attack) => attack.attack_while(taken, delivered, go_on),
-            Self::Policy(attack) => {
-                delivered.clone_from(taken.depth);
-                attack.perturber.see_from(taken.depth.header.attitude, taken.height_m);
-                attack.attack_while(&mut delivered.depth, &LowDim::of_goal(taken.goal), go_on)
-            }
+            Self::Policy(attack) => attack.attack_while(taken, delivered, go_on),
         }
     }
 

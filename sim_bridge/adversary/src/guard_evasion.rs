@@ -52,11 +52,11 @@ impl GuardEvasion {
             self.planner.decide(input),
             self.planner.foresees_collision(input, action),
         ));
-        self.fall_behind(self.planner.speed_along_way_m_s(input).unwrap_or(0.0));
+        self.fall_behind(self.planner.speed_along_path_m_s(input).unwrap_or(0.0));
     }
 
-    fn fall_behind(&mut self, along_way_m_s: f32) {
-        self.behind_m = (self.behind_m + (self.guard.way_speed_m_s - along_way_m_s) * STEP_S).max(0.0);
+    fn fall_behind(&mut self, along_path_m_s: f32) {
+        self.behind_m = (self.behind_m + (self.guard.path_speed_m_s - along_path_m_s) * STEP_S).max(0.0);
         let (most, least) = BEHIND;
         let turns_at = if self.catching_up { least } else { most };
         self.catching_up = self.behind_m > turns_at * self.guard.astray_limit_m;

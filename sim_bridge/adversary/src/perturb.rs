@@ -45,7 +45,7 @@ pub(crate) fn before_saturation(yaw: f32) -> f32 {
 /// Alters pixels. One for each attacker; keeps its buffers.
 #[derive(Debug, Clone)]
 pub(crate) struct Perturber {
-    config: AttackConfig,
+    pub config: AttackConfig,
     /// Frames attacked since the last reset: each draws from a stream of its own.
     calls: u64,
     clean: Vec<f32>,
@@ -77,10 +77,6 @@ impl Perturber {
         self.seen_from = (attitude, height_m);
     }
 
-    pub fn config(&self) -> &AttackConfig {
-        &self.config
-    }
-
     pub fn configure(&mut self, config: AttackConfig) -> Result<(), AttackError> {
         config.check()?;
         self.kept = kept_for(&config);
@@ -90,8 +86,7 @@ impl Perturber {
     }
 
     /// Draws from the beginning again.
-    pub fn reset(&mut self, seed: u64) {
-        self.config.seed = seed;
+    pub fn reset(&mut self) {
         self.calls = 0;
     }
 

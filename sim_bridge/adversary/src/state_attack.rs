@@ -41,7 +41,8 @@ impl StateAttack {
     /// Draws from the beginning again, from another seed: with one seed for each state the results do not depend on which
     /// thread attacks which state.
     pub fn reseed(&mut self, seed: u64) {
-        self.perturber.reset(seed);
+        self.perturber.config.seed = seed;
+        self.perturber.reset();
     }
 
     /// Outputs `[forward velocity, yaw]` in ±1.5 for a state as it is.
@@ -86,7 +87,7 @@ impl StateAttack {
     ) -> Result<AttackOutcome, AttackError> {
         let before = self.look(frame, beside)?;
         let (isa, clean) = (self.isa, saturate(self.isa, before));
-        let target = limit(self.perturber.config().towards.sign(clean[1]));
+        let target = limit(self.perturber.config.towards.sign(clean[1]));
         let outcome = |outputs| AttackOutcome {
             clean,
             attacked: saturate(isa, outputs),
@@ -113,6 +114,6 @@ impl StateAttack {
 }
 
 /// Refuses frames of another length than [`DEPTH_PIXELS`].
-pub(crate) fn check(frame: &[f32]) -> Result<(), AttackError> {
+fn check(frame: &[f32]) -> Result<(), AttackError> {
     Ok(vigil_nnet::shape::expect("frame", frame, DEPTH_PIXELS)?)
 }

@@ -105,7 +105,7 @@ impl StreamAttack {
         self.surrogate.beside = Beside::of(&self.foreseen);
         let before = self.surrogate.look(&delivered.depth)?;
         self.perturber.see_from(taken.depth.header.attitude, taken.height_m);
-        let towards = self.perturber.config().towards;
+        let towards = self.perturber.config.towards;
         let direction = *self.direction.get_or_insert_with(|| towards.sign(clean[1]));
         let target = match self.yaw_bounds {
             None => limit(direction),
@@ -136,8 +136,7 @@ impl StreamAttack {
 
     /// Forgets the frames and draws from the beginning again: another flight.
     pub fn reset(&mut self) {
-        let seed = self.perturber.config().seed;
-        self.perturber.reset(seed);
+        self.perturber.reset();
         self.delivered.reset();
         self.clean.reset();
         self.direction = None;

@@ -18,6 +18,49 @@ pub(crate) trait Surrogate {
     fn gradient(&mut self, d: &Ends, gradient: &mut [f32]) -> Result<(), ShapeError>;
 }
 
+/// A network with its values, forwards and back.
+#[derive(Debug, Clone)]
+pub(crate) struct Evaluated {
+    isa: Isa,
+    pub graph: Graph,
+    params: Aligned,
+    packed: Aligned,
+    tape: Aligned,
+    work: Aligned,
+}
+
+impl Evaluated {
+    pub fn new(isa: Isa, graph: Graph, params: &[f32]) -> Result<Self, ShapeError> {
+        let mut packed = Aligned::zeros(graph.param_len());
+        graph.pack(params, &mut packed)?;
+        Ok(Self {
+            isa,
+            params: Aligned::from(params),
+            packed,
+            tape: Aligned::zeros(graph.tape_len()),
+            work: Aligned::zeros(graph.work_len()),
+            graph,
+        })
+    }
+
+    /// The first outputs.
+    pub fn outputs<const N: usize>(&mut self, inputs: &[&[f32]]) -> Result<[f32; N], ShapeError> {
+        self.graph.forward(self.isa, &self.params, inputs, &mut self.tape)?;
+        let mut first = [0.0; N];
+        for (to, y) in first.iter_mut().zip(self.graph.output(&self.tape)?) {
+            *to = *y;
+        }
+        Ok(first)
+    }
+
+    /// Gradient of `d · outputs`, as last computed, at an input.
+    pub fn gradient(&mut self, d: &[f32], input: usize) -> Result<&[f32], ShapeError> {
+        self.graph
+            .backward(self.isa, &self.packed, &self.tape, d, None, &mut self.work)?;
+        self.graph.input_gradient(&self.work, input)
+    }
+}
+
 /// What an actor decides from beside its newest frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Beside {
@@ -41,12 +84,7 @@ impl Beside {
 /// through the scan alone.
 #[derive(Debug, Clone)]
 pub(crate) struct SurrogateActor {
-    isa: Isa,
-    params: Aligned,
-    packed: Aligned,
-    graph: Graph,
-    tape: Aligned,
-    work: Aligned,
+    network: Evaluated,
     /// The split point.
     state: NodeId,
     /// What stands beside the frames that are looked at from now on.
@@ -66,16 +104,8 @@ impl SurrogateActor {
         let outputs = spec.decide(&mut b, &params, state, low, Activation::Identity)?;
         // The state beside the outputs, so that a gradient can begin at either.
         let ends = b.concat(&[outputs, state])?;
-        let graph = b.finish(ends, Purpose::Gradients)?;
-        let mut packed = Aligned::zeros(graph.param_len());
-        graph.pack(given, &mut packed)?;
         Ok(Self {
-            isa,
-            params: Aligned::from(given),
-            packed,
-            tape: Aligned::zeros(graph.tape_len()),
-            work: Aligned::zeros(graph.work_len()),
-            graph,
+            network: Evaluated::new(isa, b.finish(ends, Purpose::Gradients)?, given)?,
             state,
             beside: Beside {
                 context: [0.0; CONTEXT],
@@ -88,21 +118,15 @@ impl SurrogateActor {
 impl Surrogate for SurrogateActor {
     fn look(&mut self, frame: &[f32]) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
         let Beside { context, low_dim } = &self.beside;
-        self.graph
-            .forward(self.isa, &self.params, &[frame, context, low_dim], &mut self.tape)?;
-        let mut outputs = [0.0; ACTOR_OUTPUTS];
-        outputs.copy_from_slice(&self.graph.output(&self.tape)?[..ACTOR_OUTPUTS]);
-        Ok(outputs)
+        self.network.outputs(&[frame, context, low_dim])
     }
 
     fn state(&self) -> Result<&[f32], ShapeError> {
-        self.graph.value(&self.tape, self.state)
+        self.network.graph.value(&self.network.tape, self.state)
     }
 
     fn gradient(&mut self, d: &Ends, gradient: &mut [f32]) -> Result<(), ShapeError> {
-        self.graph
-            .backward(self.isa, &self.packed, &self.tape, d, None, &mut self.work)?;
-        gradient.copy_from_slice(self.graph.input_gradient(&self.work, 0)?);
+        gradient.copy_from_slice(self.network.gradient(d, 0)?);
         Ok(())
     }
 }

@@ -64,10 +64,6 @@ fn frame(level: f32) -> Vec<f32> {
 
 const GOAL: GoalRelative = GoalRelative::new(10.0, 0.1);
 
-fn low_dim() -> LowDim {
-    LowDim::of_goal(GOAL)
-}
-
 /// A frame's pixels as they were handed over.
 fn taken_of(depth: &[f32]) -> Box<DepthFrame> {
     let mut frame = Box::new(DepthFrame::EMPTY);
@@ -101,7 +97,7 @@ fn pilot(frozen: &FrozenPilot) -> ImportedPilot {
 }
 
 fn yaw(pilot: &mut ImportedPilot, frame: &[f32]) -> f32 {
-    pilot.decide_on(frame, low_dim()).yaw
+    pilot.decide_on(frame, LowDim::of_goal(GOAL)).yaw
 }
 
 #[test]

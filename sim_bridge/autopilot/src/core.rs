@@ -315,28 +315,4 @@ impl Core {
             self.wanted.push((None, M::ID));
         }
     }
-
-    /// Asks for a message to be sent once on one link.
-    pub fn request(&mut self, link: LinkId, message_id: u32) {
-        self.wanted.push((Some(link), message_id));
-    }
-
-    /// A snapshot for display and tests.
-    pub fn status(&self) -> EndpointStatus {
-        EndpointStatus {
-            mode: self.commander.mode(),
-            armed: self.commander.is_armed(),
-            landed: self.commander.landed(),
-            failsafe: self.commander.failsafe(),
-            terminated: self.commander.is_terminated(),
-            setpoint_owner: self.setpoints.owner().map(|owner| owner.id),
-            setpoint_age_ns: self.setpoints.owner_age_ns(self.now_ns),
-            framing: self.framing,
-            refusals: self.refusals,
-            forwarded: self.forwarded,
-            dropped: self.outbox.dropped,
-            texts: self.texts,
-            last_text: self.last_text.clone(),
-        }
-    }
 }

@@ -4,7 +4,7 @@ use crate::core::{ComponentId, Core, EndpointStatus, SigningSetup, ZoneRanges};
 use crate::service::{Refusal, Service, Source, acknowledge};
 use crate::streams::Streams;
 use crate::vehicle::{ControlCommand, HoldLaw, Truth, VehicleView};
-use crate::{ConfigError, EndpointConfig, LinkId, Saved, services, used_parameters};
+use crate::{ConfigError, EndpointConfig, LinkId, services, used_parameters};
 use vigil_mavlink::Allowance;
 use vigil_mavlink::framing::{self, Command, Packet};
 use vigil_mavlink::routing::{LinkSet, MAX_LINKS, Routing};
@@ -16,7 +16,7 @@ use vigil_types::{Nanos, STEP_NS};
 /// Call [`Endpoint::receive`] for every datagram that came, [`Endpoint::step`] once per millisecond of simulated time, and
 /// [`Endpoint::transmit`] whenever datagrams can go out (at least once per 50 ms step).
 pub struct Endpoint {
-    core: Core,
+    pub(crate) core: Core,
     services: Vec<Box<dyn Service + Send>>,
     streams: Streams,
     routing: Routing,
@@ -199,21 +199,13 @@ impl Endpoint {
     }
 
     /// Hands out the datagrams that wait, in order.
-    pub fn transmit(&mut self, send: impl FnMut(LinkId, &[u8])) {
+    pub fn transmit(&mut self, mut send: impl FnMut(LinkId, &[u8])) {
+        self.transmit_marked(|link, _, datagram| send(link, datagram));
+    }
+
+    /// The same with whether each is of a stream other than the heartbeat: on a slow link it gives way to all others.
+    pub fn transmit_marked(&mut self, send: impl FnMut(LinkId, bool, &[u8])) {
         self.core.outbox.drain(send);
-    }
-
-    /// What is to outlive a restart.
-    pub fn saved(&self) -> Saved {
-        self.core.saved()
-    }
-
-    /// Takes over what was saved, before the first step.
-    ///
-    /// # Errors
-    /// A parameter or plan that this vehicle does not have or take, by name.
-    pub fn restore(&mut self, saved: &Saved) -> Result<(), ConfigError> {
-        self.core.restore(saved)
     }
 
     /// The signing key that SETUP_SIGNING brought since the last call, for the owner of the links.
@@ -246,7 +238,22 @@ impl Endpoint {
 
     /// What is going on.
     pub fn status(&self) -> EndpointStatus {
-        self.core.status()
+        let core = &self.core;
+        EndpointStatus {
+            mode: core.commander.mode,
+            armed: core.commander.armed,
+            landed: core.commander.landed,
+            failsafe: core.commander.failsafe,
+            terminated: core.commander.terminated,
+            setpoint_owner: core.setpoints.owner().map(|owner| owner.id),
+            setpoint_age_ns: core.setpoints.owner_age_ns(core.now_ns),
+            framing: core.framing,
+            refusals: core.refusals,
+            forwarded: core.forwarded,
+            dropped: core.outbox.dropped,
+            texts: core.texts,
+            last_text: core.last_text.clone(),
+        }
     }
 
     /// Arms and puts the vehicle into Hold in the air at `height_m` above home: for campaigns that begin in flight. The

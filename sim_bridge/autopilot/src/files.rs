@@ -72,9 +72,6 @@ pub(crate) struct Listed<'a> {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct FileSystem {
     entries: BTreeMap<String, Entry>,
-    /// Sum of the sizes of what clients stored.
-    client_bytes: usize,
-    client_entries: usize,
 }
 
 /// A path without empty and `.` parts, `..` resolved within the tree.
@@ -135,6 +132,11 @@ impl FileSystem {
         }
     }
 
+    /// What clients stored.
+    fn clients(&self) -> impl Iterator<Item = &Entry> {
+        self.entries.values().filter(|entry| !entry.own)
+    }
+
     fn entry(&self, path: &str) -> Result<&Entry, FileError> {
         self.entries.get(path).ok_or(FileError::NotFound)
     }
@@ -184,10 +186,9 @@ impl FileSystem {
 
     fn insert_new(&mut self, path: String, content: Option<Vec<u8>>, now_s: u64) -> Result<(), FileError> {
         self.check_place(&path)?;
-        if self.client_entries >= MAX_CLIENT_ENTRIES {
+        if self.clients().count() >= MAX_CLIENT_ENTRIES {
             return Err(FileError::NoSpace);
         }
-        self.client_entries += 1;
         self.entries.insert(path, Entry::new(content, now_s, false));
         Ok(())
     }
@@ -218,15 +219,14 @@ impl FileSystem {
 
     /// Changes a client's file's length; new bytes are zero.
     fn resize(&mut self, path: &str, len: usize, now_s: u64) -> Result<(), FileError> {
-        let client_bytes = self.client_bytes;
+        let stored: usize = self.clients().flat_map(|entry| &entry.content).map(Vec::len).sum();
         let (content, modified_s) = self.client_file(path)?;
-        let others = client_bytes - content.len();
+        let others = stored - content.len();
         if len > content.len() && (len > MAX_FILE || others + len > CLIENT_CAPACITY) {
             return Err(FileError::NoSpace);
         }
         content.resize(len, 0);
         *modified_s = now_s;
-        self.client_bytes = others + len;
         Ok(())
     }
 
@@ -258,10 +258,8 @@ impl FileSystem {
     /// Removes a file.
     pub fn remove_file(&mut self, path: &str) -> Result<(), FileError> {
         let path = normalised(path)?;
-        let size = self.client_file(&path)?.0.len();
-        self.client_bytes -= size;
+        self.client_file(&path)?;
         self.entries.remove(&path);
-        self.client_entries -= 1;
         Ok(())
     }
 
@@ -280,7 +278,6 @@ impl FileSystem {
             return Err(FileError::NotEmpty);
         }
         self.entries.remove(&path);
-        self.client_entries -= 1;
         Ok(())
     }
 

@@ -20,9 +20,11 @@ pub(crate) struct Traffic {
 #[derive(Debug)]
 pub(crate) struct Outbox {
     system_id: u8,
+    /// Whether what is queued now is telemetry: on a slow link it gives way to everything else.
+    pub is_telemetry: bool,
     bytes: Vec<u8>,
-    /// (link, end offset) of each packet.
-    marks: Vec<(u8, u32)>,
+    /// (link, whether it is telemetry, end offset) of each packet.
+    marks: Vec<(u8, bool, u32)>,
     /// Sequence per link, as PX4 counts.
     sequences: Vec<u8>,
     /// What was queued on each link.
@@ -35,6 +37,7 @@ impl Outbox {
     pub fn new(system_id: u8, links: usize) -> Self {
         Self {
             system_id,
+            is_telemetry: false,
             bytes: Vec::with_capacity(16 * 1024),
             marks: Vec::with_capacity(256),
             sequences: vec![0; links],
@@ -115,16 +118,16 @@ impl Outbox {
             sent.bytes += packet.len() as u64;
         }
         self.bytes.extend_from_slice(packet);
-        self.marks.push((link, self.bytes.len() as u32));
+        self.marks.push((link, self.is_telemetry, self.bytes.len() as u32));
     }
 
-    /// Hands out what waits, in order, and forgets it.
-    pub fn drain(&mut self, mut send: impl FnMut(LinkId, &[u8])) {
+    /// Hands out what waits, in order and whether it is telemetry, and forgets it.
+    pub fn drain(&mut self, mut send: impl FnMut(LinkId, bool, &[u8])) {
         let mut start = 0;
-        for (link, end) in self.marks.drain(..) {
+        for (link, is_telemetry, end) in self.marks.drain(..) {
             let end = end as usize;
             if let Some(packet) = self.bytes.get(start..end) {
-                send(LinkId(link), packet);
+                send(LinkId(link), is_telemetry, packet);
             }
             start = end;
         }

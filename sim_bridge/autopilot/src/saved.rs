@@ -1,9 +1,8 @@
 //! What outlives a restart of the vehicle: its parameters and plans.
 
-use crate::ConfigError;
-use crate::core::Core;
 use crate::plan::{PlanItem, PlanKind};
 use crate::vehicle_parameters::{ParameterInfo, ParameterRole, ParameterValue};
+use crate::{ConfigError, Endpoint};
 use std::collections::BTreeMap;
 use vigil_types::settings;
 use vigil_types::settings::section;
@@ -19,13 +18,14 @@ settings! {
     }
 }
 
-impl Core {
+impl Endpoint {
+    /// What is to outlive a restart.
     pub fn saved(&self) -> Saved {
         let differs = |(info, value): &(&ParameterInfo, ParameterValue)| {
             info.default != *value && info.role != ParameterRole::Fixed
         };
-        let differing = self.parameters.all().filter(differs);
-        let items = |kind| self.plans.wire(kind).items.clone();
+        let differing = self.core.parameters.all().filter(differs);
+        let items = |kind| self.core.plans.wire(kind).items.clone();
         Saved {
             parameters: differing
                 .map(|(info, value)| (info.name.to_owned(), exact(value)))
@@ -36,9 +36,13 @@ impl Core {
         }
     }
 
+    /// Takes over what was saved, before the first step.
+    ///
+    /// # Errors
+    /// A parameter or plan that this vehicle does not have or take, by name.
     pub fn restore(&mut self, saved: &Saved) -> Result<(), ConfigError> {
         for (name, value) in &saved.parameters {
-            self.parameters.set_by_name(name, *value)?;
+            self.core.parameters.set_by_name(name, *value)?;
         }
         for (kind, items) in [
             (PlanKind::Mission, &saved.mission),
@@ -52,8 +56,9 @@ impl Core {
             if items.len() > usize::from(kind.capacity()) {
                 return Err(refused("too many items"));
             }
-            self.plans
-                .replace(kind, items.clone(), &self.home)
+            let core = &mut self.core;
+            core.plans
+                .replace(kind, items.clone(), &core.home)
                 .map_err(|defect| refused(defect.reason))?;
         }
         Ok(())

@@ -4,7 +4,9 @@
 use crate::core::{Core, nanos};
 use crate::service::{Answer, Produced, Refusal, Services, Source};
 use crate::{LinkId, LinkRole};
+use vigil_mavlink::common::HEARTBEAT_DATA;
 use vigil_mavlink::framing::Command;
+use vigil_mavlink::mavlink::MessageData;
 use vigil_mavlink::{MavMessage, message};
 use vigil_types::Nanos;
 
@@ -107,7 +109,7 @@ impl Streams {
                 // Known, but nothing to tell: a setpoint's echo outside OFFBOARD, a sensor that the vehicle does not have.
                 let has_content = origin.build(source.link, core, services).is_some();
                 has_content
-                    .then(|| core.request(source.link, origin.produced.id))
+                    .then(|| core.wanted.push((Some(source.link), origin.produced.id)))
                     .ok_or(Refusal::DENIED)
             }
             (GET_MESSAGE_INTERVAL | REQUEST_MESSAGE, ..) => Err(Refusal::DENIED),
@@ -167,6 +169,7 @@ impl Streams {
         let now_ns = core.now_ns;
         self.due_ns = Nanos::MAX;
         for stream in &mut self.streams {
+            core.outbox.is_telemetry = stream.origin.produced.id != HEARTBEAT_DATA::ID;
             let mut built = None;
             for (link, schedule) in stream.per_link.iter_mut().enumerate() {
                 let Some(interval_ns) = schedule.interval_ns else {
@@ -190,5 +193,6 @@ impl Streams {
                 self.due_ns = self.due_ns.min(schedule.next_ns);
             }
         }
+        core.outbox.is_telemetry = false;
     }
 }

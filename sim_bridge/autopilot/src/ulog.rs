@@ -80,16 +80,13 @@ pub(crate) fn record(out: &mut Vec<u8>, core: &Core) {
     let (c, e, s) = (&core.commander, &core.view.estimate, &core.view.sensors);
     let (p, v, a) = (e.position_ned_m, e.velocity_ned_m_s, e.attitude);
     let floats = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
-    let state = [
-        c.mode().nav_state(),
-        1 + u8::from(c.is_armed()),
-        u8::from(c.failsafe().is_some()),
-    ];
+    let (_, _, nav_state, _) = c.mode.px4();
+    let state = [nav_state, 1 + u8::from(c.armed), u8::from(c.failsafe.is_some())];
     let contents = [
         floats(&[p.x, p.y, p.z, v.x, v.y, v.z, a.yaw_rad()]),
         floats(&[a.w, a.x, a.y, a.z]),
         state.to_vec(),
-        vec![u8::from(c.landed() == LandedState::OnGround)],
+        vec![u8::from(c.landed == LandedState::OnGround)],
         floats(&[s.battery_voltage_v, s.battery_current_a, s.battery_remaining]),
         floats(&s.motors),
     ];

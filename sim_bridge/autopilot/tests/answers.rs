@@ -42,8 +42,8 @@ fn fly(vehicle: &mut Vehicle, seconds: f64, command: ControlCommand) -> Vec<Trut
 fn furthest_m(vehicle: &mut Vehicle, seconds: f64, command: ControlCommand) -> f32 {
     let from = vehicle.truth().position_ned_m;
     let truths = fly(vehicle, seconds, command);
-    let ways_m = truths.iter().map(|t| (t.position_ned_m - from).horizontal_norm());
-    ways_m.fold(0.0, f32::max)
+    let travels_m = truths.iter().map(|t| (t.position_ned_m - from).horizontal_norm());
+    travels_m.fold(0.0, f32::max)
 }
 
 /// The mean angle of the nose before the velocity.

@@ -18,10 +18,10 @@
 //! # Ok::<(), vigil_sim::vehicle::ParamsError>(())
 //! ```
 
-mod shortest_way;
+mod shortest_path;
 pub mod true_state;
 
-pub use shortest_way::ShortestWay;
+pub use shortest_path::ShortestPath;
 
 use crate::vehicle::{ControlCommand, Estimate, ParamsError, Truth, Vehicle, VehicleParams, Wind, YawCommand};
 use crate::world::{Course, Lidar, LidarConfig, Outcome, Referee, Shot, World};

@@ -1,14 +1,14 @@
 //! The true state: what an expert and a critic know of a flight while training, and no pilot in flight.
 
-use super::shortest_way::{HALF_BAND_M, ShortestWay, in_the_way};
+use super::shortest_path::{HALF_BAND_M, ShortestPath};
 use crate::vehicle::Truth;
-use crate::world::{Course, Mover, Solid, VEHICLE};
+use crate::world::{Course, Mover, Rectangle, Solid, VEHICLE};
 use core::f32::consts::{PI, TAU};
 use vigil_types::{GoalRelative, NedVector};
 
 /// Ranges all around, the first ahead, then clockwise.
 pub const RAYS: usize = 48;
-/// Directions in which the length of the way is compared, the first ahead, then clockwise.
+/// Directions in which the length of the path is compared, the first ahead, then clockwise.
 const DIRECTIONS: usize = 8;
 /// Nearest movers that are observed.
 const MOVERS: usize = 2;
@@ -19,7 +19,7 @@ const WAY: usize = OWN + OWN_VALUES;
 /// Where the nearest mover's values begin.
 pub const MOVER: usize = WAY + DIRECTIONS;
 /// Values of a true state: [`RAYS`] contrasts 1 / (1 + range / 3 m); velocity forward and right / 1.5 m/s, yaw rate / 45 °/s, goal's
-/// distance / 20 m, sine and cosine of its bearing, length of the way / 20 m; what a metre in each of 8 directions adds to that
+/// distance / 20 m, sine and cosine of its bearing, length of the path / 20 m; what a metre in each of 8 directions adds to that
 /// length; of the two nearest movers contrast, direction times contrast (forward, right), velocity (forward, right; m/s), seconds
 /// until it turns / 5.
 pub const TRUE_STATE: usize = MOVER + MOVERS * MOVER_VALUES;
@@ -34,23 +34,15 @@ const MOVER_STEP_NS: u64 = 10_000_000;
 
 /// A course as the true state sees it.
 pub struct TrueCourse {
-    way: ShortestWay,
+    path: ShortestPath,
     plan: TruePlan,
 }
 
 /// A solid in the plan view.
 #[derive(Clone, Copy)]
 enum Outline {
-    Circle {
-        at: [f32; 2],
-        radius_m: f32,
-    },
-    /// Half of its size along and across the direction (cosine, sine).
-    Rectangle {
-        at: [f32; 2],
-        half_m: [f32; 2],
-        along: [f32; 2],
-    },
+    Circle { at: [f32; 2], radius_m: f32 },
+    Rectangle(Rectangle),
 }
 
 impl Outline {
@@ -61,38 +53,22 @@ impl Outline {
                 at,
                 radius_m: radius_m + by_m,
             }],
-            Self::Rectangle { at, half_m, along } => {
-                let [length, width] = half_m;
-                let mut parts: Vec<Self> = [[length + by_m, width], [length, width + by_m]]
-                    .map(|half_m| Self::Rectangle { at, half_m, along })
-                    .into();
-                for (l, w) in [(length, width), (length, -width), (-length, width), (-length, -width)] {
-                    let [cos, sin] = along;
-                    parts.push(Self::Circle {
-                        at: [at[0] + cos * l - sin * w, at[1] + sin * l + cos * w],
-                        radius_m: by_m,
-                    });
-                }
-                parts
+            Self::Rectangle(inner) => {
+                let [length, width] = inner.half_m;
+                let sides = [[length + by_m, width], [length, width + by_m]]
+                    .map(|half_m| Self::Rectangle(Rectangle { half_m, ..inner }));
+                let round = inner.corners().map(|at| Self::Circle { at, radius_m: by_m });
+                sides.into_iter().chain(round).collect()
             }
         }
     }
 
     fn of(solid: &Solid) -> Self {
-        let centre = solid.centre_ned_m();
-        let at = [centre.x, centre.y];
-        match *solid {
-            Solid::Cylinder { radius_m, .. } => Self::Circle { at, radius_m },
-            Solid::Cuboid {
-                half_extents_m: [length, width, _],
-                yaw_rad,
-                ..
-            } => Self::Rectangle {
-                at,
-                half_m: [length, width],
-                along: [libm::cosf(yaw_rad), libm::sinf(yaw_rad)],
-            },
-        }
+        let circle = || Self::Circle {
+            at: [solid.centre_ned_m().x, solid.centre_ned_m().y],
+            radius_m: solid.plan_half_extents_m().0,
+        };
+        solid.plan_rectangle().map_or_else(circle, Self::Rectangle)
     }
 
     /// Distance from a point along a direction of length 1; infinite where it does not meet the outline.
@@ -112,9 +88,9 @@ impl Outline {
                     (ahead - half).max(0.0)
                 }
             }
-            Self::Rectangle { at, half_m, along } => {
+            Self::Rectangle(Rectangle { centre, half_m, along }) => {
                 let turn = |v: [f32; 2]| [v[0] * along[0] + v[1] * along[1], v[1] * along[0] - v[0] * along[1]];
-                let (p, d) = (turn([from[0] - at[0], from[1] - at[1]]), turn(direction));
+                let (p, d) = (turn([from[0] - centre[0], from[1] - centre[1]]), turn(direction));
                 let (mut near, mut far) = (f32::NEG_INFINITY, f32::INFINITY);
                 for k in 0..2 {
                     // A division by zero gives the infinities that the comparison needs, beside the outline as well as in it.
@@ -148,15 +124,14 @@ pub struct TruePlan {
 impl TruePlan {
     /// Of a course.
     pub fn new(course: &Course) -> Self {
+        let band_m = course.band_m(HALF_BAND_M);
         let solids = course.plan_solids(HALF_BAND_M);
-        let tracks = course.movers.iter().filter(|m| in_the_way(course, &m.track()));
+        let movers = course.movers.iter().filter(|m| m.track().reaches_into(band_m));
         Self {
-            outlines: solids
-                .iter()
-                .filter(|s| in_the_way(course, s))
+            outlines: (solids.iter().filter(|s| s.reaches_into(band_m)))
                 .map(Outline::of)
                 .collect(),
-            movers: tracks.copied().collect(),
+            movers: movers.copied().collect(),
         }
     }
 
@@ -187,14 +162,14 @@ impl TrueCourse {
     /// Searches the course's ways once.
     pub fn new(course: &Course) -> Self {
         Self {
-            way: ShortestWay::new(course),
+            path: ShortestPath::new(course),
             plan: TruePlan::new(course),
         }
     }
 
-    /// Length of the shortest free way from a place, metres.
-    pub fn way_m(&self, position_ned_m: NedVector) -> f32 {
-        self.way.length_m(position_ned_m.x, position_ned_m.y)
+    /// Length of the shortest free path from a place, metres.
+    pub fn path_m(&self, position_ned_m: NedVector) -> f32 {
+        self.path.length_m(position_ned_m.x, position_ned_m.y)
     }
 
     /// The true state of a vehicle; `goal` as it is, not as it is estimated.
@@ -209,7 +184,7 @@ impl TrueCourse {
             *slot = contrast(nearest_m(self.plan.outlines.iter().chain(&moving), here, direction));
         }
         let velocity = truth.velocity_ned_m_s.to_heading(yaw_rad);
-        let way_m = self.way.length_m(here[0], here[1]);
+        let path_m = self.path.length_m(here[0], here[1]);
         state[OWN..WAY].copy_from_slice(&[
             velocity.x / SPEED_M_S,
             velocity.y / SPEED_M_S,
@@ -217,12 +192,12 @@ impl TrueCourse {
             goal.distance_m / DISTANCE_M,
             libm::sinf(goal.bearing_rad),
             libm::cosf(goal.bearing_rad),
-            way_m / DISTANCE_M,
+            path_m / DISTANCE_M,
         ]);
         for (k, slot) in state[WAY..MOVER].iter_mut().enumerate() {
             let [north, east] = unit(yaw_rad + k as f32 * (TAU / DIRECTIONS as f32));
-            let there_m = self.way.length_m(here[0] + north, here[1] + east);
-            *slot = (there_m - way_m).clamp(-2.0, 2.0);
+            let there_m = self.path.length_m(here[0] + north, here[1] + east);
+            *slot = (there_m - path_m).clamp(-2.0, 2.0);
         }
         let mut near: Vec<(f32, usize)> = movers
             .iter()
@@ -318,7 +293,7 @@ wall = [{ from_m = [-2.0, 3.0], to_m = [22.0, 3.0], thickness_m = 0.2, height_m 
         let right = course.state(&hovering(PI / 2.0), GOAL);
         assert!((right[0] - contrast(2.9)).abs() < 1e-4);
         assert!((right[3 * RAYS / 4] - contrast(4.5)).abs() < 1e-4);
-        // The way: ahead it becomes shorter, behind longer.
+        // The path: ahead it becomes shorter, behind longer.
         assert!(ahead[WAY] < -0.5 && ahead[WAY + 4] > 0.5, "{:?}", &ahead[WAY..MOVER]);
     }
 

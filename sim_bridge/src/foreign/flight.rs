@@ -44,6 +44,8 @@ named! {
         /// The reported position jumped in flight. Nobody knows where the vehicle was in between, so there are no further
         /// frames and no verdict: the flight is to be flown anew.
         Jumped => "the vehicle's position jumped in flight",
+        /// The vehicle started anew in flight, with the same end.
+        Restarted => "the vehicle restarted in flight",
         /// A position, velocity or attitude is not finite, or a quaternion is not of unit length: no frames until one is good.
         NotFinite => "the vehicle's pose is not finite",
     }
@@ -52,7 +54,7 @@ named! {
 impl PoseState {
     /// Whether it gets better by itself only if somebody does something about it: a flight need not be waited for.
     pub const fn is_final(self) -> bool {
-        matches!(self, Self::Jumped)
+        matches!(self, Self::Jumped | Self::Restarted)
     }
 }
 
@@ -107,7 +109,8 @@ pub struct ForeignFlight {
     /// The last position that was good, by which a jump is found.
     last: Option<Kinematics>,
     restarts: u32,
-    jumped: bool,
+    /// [`PoseState::Jumped`] or [`PoseState::Restarted`], whichever came first.
+    lost: Option<PoseState>,
     epoch_ns: Nanos,
     goal_ned_m: NedVector,
     home_ned_m: NedVector,
@@ -136,7 +139,7 @@ impl ForeignFlight {
             truth: None,
             last: None,
             restarts: 0,
-            jumped: false,
+            lost: None,
             epoch_ns,
             goal_ned_m: course.goal_ned_m(),
             home_ned_m: NedVector::ZERO,
@@ -158,7 +161,7 @@ impl ForeignFlight {
 
     fn packet(&mut self, now_ns: Nanos, packet: &Packet<'_>) {
         if !packet.is_of_autopilot(&mut self.system) {
-            if packet.is_autopilots_heartbeat() {
+            if !self.system_is_named && packet.is_autopilots_heartbeat() {
                 self.other_system = Some(packet.system_id());
             }
             return;
@@ -169,7 +172,7 @@ impl ForeignFlight {
             self.restarts = self.vehicle.restarts;
             // It begins anew: where it was is nothing to go by. In flight nobody knows where it is.
             (self.last, self.truth) = (None, None);
-            self.jumped |= self.lifted_off_ns.is_some() && self.ending.is_none();
+            self.lose(PoseState::Restarted);
         }
         if self.wants_truth
             && let Ok(MavMessage::HIL_STATE_QUATERNION(m)) = packet.message()
@@ -208,12 +211,19 @@ impl ForeignFlight {
             // After a gap nothing more is allowed than after the longest that is no gap.
             let allowed_m = JUMP_M + JUMP_M_S * since_s(last.at_ns, new.at_ns);
             let astray_m = (new.position_ned_m - carried_on(&last, new.at_ns)).norm();
-            // On the ground an estimator may still find its place. After the end nothing counts.
-            let flies = self.lifted_off_ns.is_some() && self.ending.is_none();
-            self.jumped |= flies && astray_m > allowed_m;
+            if astray_m > allowed_m {
+                self.lose(PoseState::Jumped);
+            }
         }
         if self.lifted_off_ns.is_none() {
             self.home_ned_m = self.vehicle.home_ned_m().unwrap_or(NedVector::ZERO);
+        }
+    }
+
+    /// On the ground an estimator may still find its place. After the end nothing counts.
+    fn lose(&mut self, how: PoseState) {
+        if self.lifted_off_ns.is_some() && self.ending.is_none() {
+            self.lost.get_or_insert(how);
         }
     }
 
@@ -266,20 +276,21 @@ impl ForeignFlight {
 
     /// What is known of the pose at `now_ns`.
     pub fn pose_state(&self, now_ns: Nanos) -> PoseState {
+        if let Some(lost) = self.lost {
+            return lost;
+        }
         let telemetry = &self.vehicle.telemetry;
         let (Some(position), Some(attitude)) = (telemetry.kinematics, telemetry.attitude) else {
             return match self.system.and(telemetry.heartbeat) {
-                _ if self.jumped => PoseState::Jumped,
                 None => PoseState::Silent,
-                Some(_) if self.has_two_vehicles() => PoseState::TwoVehicles,
+                Some(_) if self.other_system.is_some() => PoseState::TwoVehicles,
                 Some(_) if telemetry.kinematics.is_none() => PoseState::NoPosition,
                 Some(_) => PoseState::NoAttitude,
             };
         };
         let is_old = !is_fresh(position.at_ns, now_ns) || !is_fresh(attitude.at_ns, now_ns);
         match self.rendered() {
-            _ if self.jumped => PoseState::Jumped,
-            _ if self.has_two_vehicles() => PoseState::TwoVehicles,
+            _ if self.other_system.is_some() => PoseState::TwoVehicles,
             None => PoseState::NoTruth,
             Some((rendered, _)) if is_old || !is_fresh(rendered.at_ns, now_ns) => PoseState::Stopped,
             Some((rendered, turn))
@@ -292,10 +303,6 @@ impl ForeignFlight {
             }
             Some(_) => PoseState::Tracking,
         }
-    }
-
-    fn has_two_vehicles(&self) -> bool {
-        !self.system_is_named && self.other_system.is_some()
     }
 
     /// Renders and seals the depth frame of `now_ns`, from the reported position carried on by the reported velocity. `false`,
@@ -350,7 +357,7 @@ impl ForeignFlight {
         self.system
     }
 
-    /// A vehicle that is heard and is not the one that is rendered.
+    /// A vehicle that is heard beside the one that is rendered, where none was named.
     pub fn other_system(&self) -> Option<u8> {
         self.other_system
     }

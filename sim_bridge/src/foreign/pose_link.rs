@@ -86,11 +86,6 @@ impl PoseLink {
         })
     }
 
-    /// The link as it was asked for.
-    pub fn spec(&self) -> &LinkSpec {
-        &self.spec
-    }
-
     /// Hands over what arrived. Never waits.
     pub fn receive(&mut self, now_ns: Nanos, mut on_datagram: impl FnMut(&[u8])) {
         self.gate.begin(now_ns);

@@ -105,10 +105,8 @@ impl Course {
                 coordinate(&format!("bounds.{name}[{i}]"), value)?;
             }
             if range[0] >= range[1] {
-                return problem(
-                    format!("bounds.{name}"),
-                    format!("is {range:?}, must be [lowest, highest]"),
-                );
+                let order = format!("is {range:?}, must be [lowest, highest]");
+                return problem(format!("bounds.{name}"), order);
             }
         }
         let ceiling = self.ceiling_height_m.map(|ceiling_m| ("ceiling_height_m", ceiling_m));
@@ -132,19 +130,14 @@ impl Course {
             ("mover", self.movers.len()),
         ];
         let count: usize = lists.iter().map(|(_, n)| n).sum();
-        if count > MAX_OBSTACLES {
-            let (most, _) = lists.iter().max_by_key(|(_, n)| n).unwrap_or(&lists[0]);
-            return problem(
-                *most,
-                format!("there are {count} obstacles, at most {MAX_OBSTACLES} are allowed"),
-            );
-        }
-        let wires = self.wires.len();
-        if wires > MAX_WIRES {
-            return problem(
-                "wire",
-                format!("there are {wires} wires, at most {MAX_WIRES} are allowed"),
-            );
+        let longest = lists.iter().max_by_key(|(_, n)| n).map_or("", |(name, _)| name);
+        for (field, count, what, limit) in [
+            (longest, count, "obstacles", MAX_OBSTACLES),
+            ("wire", self.wires.len(), "wires", MAX_WIRES),
+        ] {
+            if count > limit {
+                return problem(field, format!("there are {count} {what}, at most {limit} are allowed"));
+            }
         }
         Ok(())
     }
@@ -206,10 +199,8 @@ impl Course {
                 for (name, north_m, east_m) in places {
                     let gap_m = solid.plan_distance_m(north_m, east_m) - VEHICLE.radius_m;
                     if gap_m <= 0.0 {
-                        return problem(
-                            format!("{kind}[{i}]"),
-                            format!("covers the {name} at [{north_m}, {east_m}]; move one of them"),
-                        );
+                        let covers = format!("covers the {name} at [{north_m}, {east_m}]; move one of them");
+                        return problem(format!("{kind}[{i}]"), covers);
                     }
                 }
             }
@@ -218,13 +209,11 @@ impl Course {
             for (name, north_m, east_m) in places {
                 if mesh.covers(north_m, east_m, top_m) {
                     let reach_m = VEHICLE.radius_m;
-                    return problem(
-                        format!("mesh[{i}]"),
-                        format!(
-                            "is nearer to the {name} at [{north_m}, {east_m}] than the vehicle's radius of {reach_m} m, \
-                             below {top_m} m; move one of them"
-                        ),
+                    let near = format!(
+                        "is nearer to the {name} at [{north_m}, {east_m}] than the vehicle's radius of {reach_m} m, \
+                         below {top_m} m; move one of them"
                     );
+                    return problem(format!("mesh[{i}]"), near);
                 }
             }
         }

@@ -1,4 +1,4 @@
-//! Is there a way? A search on a grid at flight height.
+//! Is there a path? A search on a grid at flight height.
 
 use crate::world::course::{Course, Family};
 use crate::world::solid::Solid;
@@ -153,7 +153,7 @@ impl Grid {
         })
     }
 
-    /// Whether a [`search`](Self::search) finds a way: its diagonals only shorten ways of single steps, so those decide. What was looked at
+    /// Whether a [`search`](Self::search) finds a path: its diagonals only shorten paths of single steps, so those decide. What was looked at
     /// is no longer free.
     fn joins(&mut self, start: (usize, usize), goal: (usize, usize)) -> bool {
         let mut open = vec![start];
@@ -165,7 +165,7 @@ impl Grid {
             if cell == goal {
                 return true;
             }
-            // Free cells keep away from the grid's edge. The last is tried first: the way to the goal.
+            // Free cells keep away from the grid's edge. The last is tried first: the path to the goal.
             let (i, j) = cell;
             let rows = if goal.0 > i { [i - 1, i + 1] } else { [i + 1, i - 1] };
             let columns = if goal.1 > j { [j - 1, j + 1] } else { [j + 1, j - 1] };
@@ -221,8 +221,7 @@ impl Grid {
 
 /// Whether a solid reaches into the band of heights that a vehicle at flight height needs.
 pub(crate) fn in_the_way(course: &Course, solid: &Solid) -> bool {
-    let reach_m = course.corridor_reach_m();
-    solid.bottom_m() < course.flight_height_m + reach_m && solid.top_m() > course.flight_height_m - reach_m
+    solid.reaches_into(course.band_m(course.corridor_reach_m()))
 }
 
 /// Whether a straight line keeps `enough_m` from every solid in the way in the plan view, looked at every 5 cm.
@@ -239,7 +238,7 @@ fn line_keeps(course: &Course, solids: &[Solid], from: [f32; 2], to: [f32; 2], e
             if spare_m < 0.0 {
                 return false;
             }
-            // No distance falls by more than the way: what is spare here needs no look on so much of it; 1 mm for rounding.
+            // No distance falls by more than the path: what is spare here needs no look on so much of it; 1 mm for rounding.
             pace += 1 + ((spare_m - 1e-3).max(0.0) / PACE_M) as usize;
         }
         true
@@ -261,7 +260,7 @@ impl Course {
         0.5 * VEHICLE.height_m + self.corridor_margin_m()
     }
 
-    /// A way from start to goal at flight height as `[north, east]` points, along which the vehicle's solid keeps
+    /// A path from start to goal at flight height as `[north, east]` points, along which the vehicle's solid keeps
     /// [`Course::corridor_margin_m`] from every obstacle that stands still (and from the ceiling); `None` if the search finds
     /// none. Movers are the matter of [`Course::earliest_arrival_s`].
     pub fn corridor(&self) -> Option<Vec<[f32; 2]>> {
@@ -322,13 +321,9 @@ impl Course {
 
     /// Whether the vehicle, flying straight from start to goal at flight height, would touch an obstacle.
     pub fn straight_line_is_blocked(&self) -> bool {
-        let height_m = self.flight_height_m;
         let half_m = 0.5 * VEHICLE.height_m;
-        let hit: Vec<Solid> = self
-            .plan_solids(half_m)
-            .into_iter()
-            .filter(|s| s.bottom_m() < height_m + half_m && s.top_m() > height_m - half_m)
-            .collect();
+        let mut hit = self.plan_solids(half_m);
+        hit.retain(|s| s.reaches_into(self.band_m(half_m)));
         let from = [self.start.north_m, self.start.east_m];
         let to = [self.goal.north_m, self.goal.east_m];
         !line_keeps(self, &hit, from, to, VEHICLE.radius_m)
@@ -351,8 +346,8 @@ mod tests {
     #[test]
     fn an_open_field_is_flown_straight() {
         let c = course("");
-        let way = c.corridor().expect("open");
-        assert_eq!(way, vec![[0.0, 0.0], [20.0, 5.0]]);
+        let path = c.corridor().expect("open");
+        assert_eq!(path, vec![[0.0, 0.0], [20.0, 5.0]]);
         assert!(!c.straight_line_is_blocked());
     }
 
@@ -370,9 +365,9 @@ mod tests {
         assert!(gap(1.7).corridor().is_none());
         let c = gap(2.5);
         assert!(c.straight_line_is_blocked());
-        let way = c.corridor().expect("wide enough");
+        let path = c.corridor().expect("wide enough");
         let solids = c.solids();
-        for segment in way.windows(2) {
+        for segment in path.windows(2) {
             for k in 0..=1000_u16 {
                 let [north_m, east_m] =
                     [0, 1].map(|i| segment[0][i] + f32::from(k) / 1000.0 * (segment[1][i] - segment[0][i]));

@@ -41,6 +41,7 @@ pub use lidar::{
 pub use mesh::{MAX_TRIANGLES, Mesh, MeshError, Up};
 pub use mover::{BoxOutline, ColumnOutline, MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee};
+pub(crate) use solid::Rectangle;
 pub use solid::Solid;
 pub use space::World;
 pub use vehicle::{VEHICLE, VehicleSolid};

@@ -61,12 +61,8 @@ impl Solid {
         let [north, east] = [0, 1].map(|k| to_m[k] - from_m[k]);
         let middle_m = (0.5 * (from_m[0] + to_m[0]), 0.5 * (from_m[1] + to_m[1]));
         let length_m = libm::hypotf(north, east) + 2.0 * longer_m;
-        Self::cuboid(
-            middle_m,
-            [length_m, width_m],
-            [0.0, height_m],
-            libm::atan2f(east, north),
-        )
+        let yaw_rad = libm::atan2f(east, north);
+        Self::cuboid(middle_m, [length_m, width_m], [0.0, height_m], yaw_rad)
     }
 
     /// Centre, NED metres.
@@ -91,6 +87,11 @@ impl Solid {
     /// Height of the highest face above ground.
     pub fn top_m(&self) -> f32 {
         -self.centre_ned_m().z + self.half_height_m()
+    }
+
+    /// Whether any of it lies between two heights above ground.
+    pub(crate) fn reaches_into(&self, [low_m, high_m]: [f32; 2]) -> bool {
+        self.bottom_m() < high_m && self.top_m() > low_m
     }
 
     /// Distance in the plan view from a point to the solid's outline; negative inside.
@@ -152,13 +153,11 @@ impl Solid {
                 centre_ned_m,
                 half_extents_m: [length, width, _],
                 yaw_rad,
-            } => {
-                let (s, c) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
-                Some(Rectangle {
-                    centre: [centre_ned_m.x, centre_ned_m.y],
-                    half_axes: [[length * c, length * s], [-width * s, width * c]],
-                })
-            }
+            } => Some(Rectangle {
+                centre: [centre_ned_m.x, centre_ned_m.y],
+                half_m: [length, width],
+                along: [libm::cosf(yaw_rad), libm::sinf(yaw_rad)],
+            }),
             Self::Cylinder { .. } => None,
         }
     }
@@ -205,16 +204,25 @@ impl Solid {
 }
 
 /// A turned rectangle, north and east in metres.
+#[derive(Clone, Copy)]
 pub(crate) struct Rectangle {
-    centre: [f32; 2],
-    /// From the centre to the middle of two neighbouring sides.
-    half_axes: [[f32; 2]; 2],
+    pub(crate) centre: [f32; 2],
+    /// Half of its size along its direction and across it.
+    pub(crate) half_m: [f32; 2],
+    /// Cosine and sine of the direction.
+    pub(crate) along: [f32; 2],
 }
 
 impl Rectangle {
+    /// From the centre to the middle of two neighbouring sides.
+    fn half_axes(&self) -> [[f32; 2]; 2] {
+        let ([length, width], [c, s]) = (self.half_m, self.along);
+        [[length * c, length * s], [-width * s, width * c]]
+    }
+
     /// The corners, going round.
     pub(crate) fn corners(&self) -> [[f32; 2]; 4] {
-        let [u, v] = self.half_axes;
+        let [u, v] = self.half_axes();
         [(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)]
             .map(|(i, j)| [0, 1].map(|k| self.centre[k] + i * u[k] + j * v[k]))
     }
@@ -223,9 +231,10 @@ impl Rectangle {
     fn overlaps(&self, other: &Self) -> bool {
         let dot = |a: [f32; 2], b: [f32; 2]| a[0] * b[0] + a[1] * b[1];
         let between = [0, 1].map(|k| other.centre[k] - self.centre[k]);
-        self.half_axes.iter().chain(&other.half_axes).all(|axis| {
-            let reach = |r: &Self| dot(r.half_axes[0], *axis).abs() + dot(r.half_axes[1], *axis).abs();
-            dot(between, *axis).abs() <= reach(self) + reach(other)
+        let (ours, theirs) = (self.half_axes(), other.half_axes());
+        ours.iter().chain(&theirs).all(|axis| {
+            let reach = |[u, v]: [[f32; 2]; 2]| dot(u, *axis).abs() + dot(v, *axis).abs();
+            dot(between, *axis).abs() <= reach(ours) + reach(theirs)
         })
     }
 }

@@ -31,10 +31,7 @@ fn key_file(folder: &tempfile::TempDir) -> PathBuf {
 }
 
 fn now() -> Timestamp {
-    let unix = std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .unwrap();
-    timestamp_of_unix_ns(unix.as_nanos() as u64)
+    timestamp_of_unix_ns(std::time::UNIX_EPOCH.elapsed().unwrap().as_nanos() as u64)
 }
 
 fn signed(key: [u8; 32], ahead: u64, packet: &[u8]) -> Vec<u8> {
@@ -110,7 +107,7 @@ fn with_a_key_each_of_several_links_has_its_policy_and_a_replay_is_refused_on_al
     assert_eq!((c.replayed, c.from_the_future), (2, 1));
 
     // Who was admitted hears the vehicle, and everything is signed.
-    links.send(on_strict, &packet(9));
+    links.send(on_strict, false, &packet(9));
     let mut heard = [0; 512];
     let (len, _) = station.recv_from(&mut heard).unwrap();
     assert_eq!((len, heard[2] & 1), (packet(9).len() + 13, 1));
@@ -124,7 +121,7 @@ fn with_a_key_each_of_several_links_has_its_policy_and_a_replay_is_refused_on_al
     let mut client = TcpStream::connect((Ipv4Addr::LOCALHOST, tcp)).unwrap();
     client.write_all(&packet(5)).unwrap();
     assert_eq!(passing(&mut links, 4 * SECOND), [(LinkId(4), packet(5))]);
-    links.send(LinkId(4), &packet(6));
+    links.send(LinkId(4), false, &packet(6));
     client.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
     assert!(client.read(&mut heard).unwrap() > packet(6).len());
 }
@@ -151,7 +148,7 @@ fn a_serial_line_that_disappears_and_returns_is_heard_again_and_the_other_links_
     std::fs::remove_file(&device).unwrap();
     say_by_udp(&packet(2));
     assert_eq!(passing(&mut links, 2 * SECOND), [(LinkId::API, packet(2))]);
-    links.send(LinkId(3), &packet(0));
+    links.send(LinkId(3), false, &packet(0));
 
     line = plug();
     // It is looked for once a second, and what was written before it was opened is not its.
@@ -324,16 +321,21 @@ fn a_tcp_link_on_all_addresses_without_a_key_hears_callers_of_this_machine() {
 }
 
 #[test]
-fn a_link_sends_no_faster_than_its_rate() {
+fn a_link_sends_no_faster_than_its_rate_and_answers_find_room_between_telemetry() {
     let port = free_port();
     let slow = format!("udpout://127.0.0.1:{port},rate=2000");
     let mut links = VehicleLinks::open(&config(93, &[slow])).unwrap();
     let sent = packet(0);
     for millisecond in 0..10_000 {
         links.receive(millisecond * 1_000_000, |_, _, _| {});
-        links.send(LinkId(3), &sent);
+        links.send(LinkId(3), true, &sent);
+        if millisecond % 100 == 0 {
+            let lost = links.over_budget();
+            links.send(LinkId(3), false, &sent);
+            assert_eq!(links.over_budget(), lost, "an answer");
+        }
     }
-    let passed = (10_000 - links.over_budget()) * sent.len() as u64;
+    let passed = (10_100 - links.over_budget()) * sent.len() as u64;
     assert!((19_000..21_500).contains(&passed), "{passed} bytes in 10 s");
 }
 

@@ -1,7 +1,6 @@
 """What the tests of the Python package share. `tests/python/run.sh` installs the package into target/venv-package."""
 
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -47,8 +46,3 @@ def policies(tmp_path_factory):
         found[name] = folder / f"{name}.safetensors"
         subprocess.run([VIGIL, "import", folder / f"{name}.onnx", "-o", found[name]], check=True, timeout=120)
     return found
-
-
-@pytest.fixture(scope="session")
-def python():
-    return Path(sys.executable)

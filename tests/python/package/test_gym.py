@@ -1,5 +1,7 @@
 """`vigil.gym`: Gymnasium's own check, the same bits for the same seed, frames that stay true, errors."""
 
+import os
+import signal
 import threading
 import time
 import warnings
@@ -37,30 +39,30 @@ def same(a, b):
 
 
 @pytest.mark.parametrize("frames", [1, 5])
-@pytest.mark.parametrize("privileged", [False, True])
-def test_gymnasium_finds_nothing_wrong(frames, privileged):
-    env = gymnasium.make("Vigil-v0", frames=frames, privileged=privileged, render_mode="rgb_array", disable_env_checker=True)
+@pytest.mark.parametrize(
+    ("name", "privileged"), [("Vigil-v0", False), ("Vigil-v0", True), ("VigilNormalized-v0", False), ("VigilImages-v0", False)]
+)
+def test_gymnasium_finds_nothing_wrong(frames, name, privileged):
+    env = gymnasium.make(name, frames=frames, privileged=privileged, render_mode="rgb_array", disable_env_checker=True)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # Gymnasium recommends actions of ±1; ours are the paper's, and gymnasium.wrappers.RescaleAction makes the others.
-        warnings.filterwarnings("ignore", ".*symmetric and normalized space.*")
-        # The goal's distance and the true state have no end.
-        warnings.filterwarnings("ignore", ".*Box observation space (maximum|minimum) value is .*infinity.*")
+        if name == "Vigil-v0":
+            # Gymnasium recommends actions of ±1; ours are the paper's, and gymnasium.wrappers.RescaleAction makes the others.
+            warnings.filterwarnings("ignore", ".*symmetric and normalized space.*")
+            # The goal's distance and the true state have no end.
+            warnings.filterwarnings("ignore", ".*Box observation space (maximum|minimum) value is .*infinity.*")
         check_env(env.unwrapped)
 
 
-def test_the_registered_id_with_spaces_of_one_gives_gymnasium_nothing_to_warn_of():
+def test_the_registered_id_with_spaces_of_one_flies_the_same_flight_in_other_units():
     env = gymnasium.make("VigilNormalized-v0", frames=1, disable_env_checker=True)
     for space in (env.action_space, *env.observation_space.spaces.values()):
         assert space.is_bounded() and space.low.min() >= -1.0 and space.high.max() == 1.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env.unwrapped)
-    # It is the same flight, in other units.
     plain, unit = VigilEnv("validation", frames=1), VigilEnv("validation", frames=1, normalized=True)
     (seen, _), (scaled, _) = (e.reset(options={"course_seed": 7}) for e in (plain, unit))
-    # Eighths: what is scaled to the whole action and back is the same number.
-    for action in np.round(8.0 * ACTIONS / 1.5).astype(np.float32) / np.float32(8.0):
+    np.testing.assert_allclose(unit.potential_field() * 1.5, plain.potential_field(), atol=1e-6)
+    # Eighths: what is scaled to the whole action and back is the same number. Every second one is beyond it, where both clip it.
+    for action in np.round(16.0 * ACTIONS / 1.5).astype(np.float32) / np.float32(8.0):
         # Metres are the normalised range times 100, once rounded: back again it is the same number but for that.
         np.testing.assert_array_equal(scaled["frames"] * np.float32(100.0), seen["frames"])
         distance_m, bearing = seen["goal"]
@@ -70,16 +72,13 @@ def test_the_registered_id_with_spaces_of_one_gives_gymnasium_nothing_to_warn_of
         scaled, again, *_ = unit.step(action)
         assert reward == again
     vector = gymnasium.make_vec("VigilNormalized-v0", num_envs=2, vectorization_mode="vector_entry_point", frames=1)
-    observation, _ = vector.reset(seed=1)
+    observation, _ = vector.reset(seed=np.int64(1))
     assert vector.observation_space.contains(observation) and vector.single_action_space.high.max() == 1.0
+    assert vector.np_random_seed == 1
 
 
-def test_images_are_the_contrast_of_the_frames_and_give_gymnasium_nothing_to_warn_of():
+def test_images_are_the_contrast_of_the_frames():
     for frames in (1, 5):
-        env = gymnasium.make("VigilImages-v0", frames=frames, disable_env_checker=True)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            check_env(env.unwrapped)
         metres, units = VigilEnv("validation", frames=frames), VigilEnv("validation", frames=frames, images=True)
         (seen, _), (pictured, _) = (e.reset(options={"course_seed": 7}) for e in (metres, units))
         for action in ACTIONS[:10]:
@@ -128,6 +127,7 @@ def test_a_flight_that_ended_begins_anew_in_the_same_step_where_that_is_wanted()
     info = seen[end][3]
     assert info["_final_obs"].all() and info["final_info"]["outcome"].tolist() == ["time-out"] * 2
     assert info["_course_seed"].all() and info["course_seed"].tolist() == env.course_seeds
+    assert info["final_info"]["course_seed"].tolist() == seen[end - 1][3]["course_seed"].tolist() != env.course_seeds
     for number in range(2):
         for name in ("frames", "goal"):
             np.testing.assert_array_equal(info["final_obs"][number][name], later[end][0][name][number])
@@ -303,7 +303,7 @@ def test_the_reward_is_the_sum_of_its_terms():
             break
         assert reward == pytest.approx(progress - 0.5, abs=1e-4)
     assert info["outcome"] in ("collision", "out of bounds")
-    assert not info["is_success"]
+    assert not info["is_success"] and info["course_seed"] == 7
     assert reward == pytest.approx(progress - 0.5 - 7.0, abs=1e-4)
     with pytest.raises(ValueError, match="has ended: reset"):
         env.step([1.0, 0.0])
@@ -323,8 +323,8 @@ def test_a_time_limit_truncates_and_a_vector_begins_anew_in_the_next_step():
     assert list(info["outcome"]) == ["time-out"] * 2
     seeds = list(vector.course_seeds)
     _, rewards, _, truncated, info = vector.step(np.ones((2, 2), np.float32))
-    assert (rewards == 0.0).all() and not truncated.any() and not info
-    assert vector.course_seeds != seeds
+    assert (rewards == 0.0).all() and not truncated.any() and info.keys() == {"course_seed"}
+    assert info["course_seed"].tolist() == vector.course_seeds != seeds
     _, _, _, truncated, _ = vector.step(np.zeros((2, 2), np.float32))
     assert not truncated.any()
 
@@ -392,6 +392,7 @@ def test_a_step_releases_the_interpreter():
 def test_what_does_not_fit_is_refused_in_words():
     begun, images = VigilEnv(frames=1), {"frames": 1, "images": True}
     begun.reset(seed=0)
+    several, seeds = VigilVectorEnv(2, frames=1), [(1.5, "1.5"), ([1, "a"], "'a'"), ({1, 2}, "{1, 2}")]
     options = [
         ({"family": "nowhere"}, "no course family is called `nowhere`; there are: training"),
         ({"frames": 3}, "frames: 1"),
@@ -405,6 +406,9 @@ def test_what_does_not_fit_is_refused_in_words():
         ({"reward": {"progress": "up"}}, "'way' or the 'line'"),
         ({"reward": {"dead": float("inf")}}, "reward: dead: a finite number, got inf"),
         ({"seeds": []}, "seeds: is empty"),
+        ({"seeds": {1, 2}}, "seeds: a collections.abc.Sequence or a numpy.ndarray, got set"),
+        ({"family": None}, "family: a str, got NoneType"),
+        ({"reward": [1]}, "reward: a collections.abc.Mapping, got list"),
         ({"render_mode": "human"}, "render_mode"),
         ({"normalized": True, "privileged": True}, "have no bounds"),
     ]
@@ -424,7 +428,9 @@ def test_what_does_not_fit_is_refused_in_words():
         (lambda: begun.step([np.inf, 0.0]), ValueError, "finite"),
         (lambda: begun.step(["a", "b"]), TypeError, "expected numbers"),
         (lambda: begun.step(None), TypeError, "expected numbers"),
-        *((lambda given=given: VigilEnv(**given), ValueError, said) for given, said in options),
+        *((lambda given=given: VigilEnv(**given), (TypeError, ValueError), said) for given, said in options),
+        *((lambda seed=seed: several.reset(seed=seed), TypeError, f"seed: .*got {said}") for seed, said in seeds),
+        (lambda: begun.reset(seed=-1), ValueError, "seed: 0 or more"),
         *((lambda given=given: VigilVectorEnv(2, frames=1, buffers=given), ValueError, said) for given, said in buffers),
         (lambda: VigilVectorEnv(2, buffers={"frames": frames}, **images), ValueError, "no ranges with images=True"),
         (lambda: VigilEnv(every=2.0), TypeError, "every: expected a whole number, got 2.0"),
@@ -466,3 +472,19 @@ def test_environments_in_other_processes_have_an_actor_each():
     observation, _ = envs.reset(seed=1)
     assert observation["position"].shape == (2, 9)
     envs.close()
+
+
+def test_a_forked_process_is_refused_the_threads_that_stayed_behind_and_does_not_hang():
+    env = VigilVectorEnv(2, frames=1, threads=2)
+    env.reset(seed=1)
+    child = os.fork()
+    if child == 0:
+        signal.alarm(30)
+        try:
+            env.step(np.zeros((2, 2)))
+        except ValueError as refused:
+            os._exit(0 if "after the fork, or with threads=1" in str(refused) else 1)
+        finally:
+            os._exit(2)
+    assert os.waitpid(child, 0)[1] == 0
+    env.step(np.zeros((2, 2)))

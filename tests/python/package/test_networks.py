@@ -57,22 +57,23 @@ def test_the_monitor_says_what_explainer_and_detector_say(flown):
     assert monitor.judge(states[0], held[0][1]).attacked is None
 
 
+def passed(adversary, frames, goals, reach):
+    """A flight's frames as they come, attacked from the twentieth on, what the attack came to, and the goals."""
+    for i, (frame, goal) in enumerate(zip(frames[:, -1], goals)):
+        found = adversary.attack(frame, goal) if i >= 20 else adversary.pass_on(frame, goal)
+        assert not found or np.abs(found.frames - frame).max() <= reach + 1e-3
+        yield found.frames if found else frame, found, goal
+
+
 def test_an_attack_in_flight_is_noticed(flown):
     frames, _, positions, *_ = flown
     actor = Actor()
     monitor, adversary = Monitor(actor), FrameAttack(actor)
     changes, verdicts = [], []
-    for i, (stack, position) in enumerate(zip(frames, positions)):
-        frame = stack[-1]
-        if i < 20:
-            adversary.pass_on(frame, position)
-        else:
-            found = adversary.attack(frame, position)
-            changes.append(abs(found.yaw_change))
-            assert np.abs(found.frames - frame).max() <= 20 * 100.0 / 255.0 + 1e-3
-            frame = found.frames
+    for frame, found, position in passed(adversary, frames, positions, reach=20 * 100.0 / 255.0):
         decided = actor.decide(frame, position)
-        if i >= 20:
+        if found:
+            changes.append(abs(found.yaw_change))
             assert decided.yaw == pytest.approx(found.attacked.yaw, abs=1e-4)
         verdicts.append(monitor.judge(actor.state(), actor.low_dim()).attacked)
     assert max(changes) > 0.5
@@ -136,19 +137,12 @@ def test_an_imported_policy_is_judged_at_its_split_point_and_attacked_frame_by_f
         completion(flights=1, actor=policies[name])
     adversary = FrameAttack(policy, "bim-clipped", epsilon=8.0, iterations=5, towards="right")
     unattacked, states, actions, moved = Policy(policies[name]), [], [], []
-    for i, (stack, goal) in enumerate(zip(frames, goals)):
-        frame = stack[-1]
-        clean = unattacked.decide(frame, goal)
-        if i < 20:
-            adversary.pass_on(frame, goal)
-        else:
-            found = adversary.attack(frame, goal)
-            assert np.abs(found.frames - frame).max() <= 8.0 * 100.0 / 255.0 + 1e-3
+    for stack, (frame, found, goal) in zip(frames, passed(adversary, frames, goals, reach=8.0 * 100.0 / 255.0)):
+        clean = unattacked.decide(stack[-1], goal)
+        actions.append(policy.decide(frame, goal))
+        if found:
             assert found.clean.yaw == pytest.approx(clean.yaw, abs=1e-5)
             moved.append(found.yaw_change)
-            frame = found.frames
-        actions.append(policy.decide(frame, goal))
-        if i >= 20:
             assert actions[-1].yaw == pytest.approx(found.attacked.yaw, abs=1e-5)
         states.append(policy.state())
     assert max(moved) > 0.0 and min(moved) >= -1e-5
@@ -285,6 +279,7 @@ def test_what_does_not_fit_is_refused_in_words(flown, policies, tmp_path):
         (lambda: actor.decide(frame, [*position[:8], 1e11]), ValueError, "a time of at most 1000000000 s"),
         (lambda: Monitor(actor).judge(states[0][:47], low_dim), ValueError, r"state: expected shape \(48,\)"),
         (lambda: SplitPoint(actor).explain(states[0], low_dim, output=2), ValueError, "output: 0"),
+        (lambda: SplitPoint(actor).explain(states[0], low_dim, 1.0), TypeError, "output: expected a whole number, got 1.0"),
         (lambda: SplitPoint(actor).explain(states[0], position), ValueError, r"low_dim: expected shape \(8,\)"),
         (lambda: SplitPoint(actor, none), ValueError, "empty"),
         (lambda: StateAttack(actor, "magic"), ValueError, "is none of fgsm"),

@@ -53,7 +53,7 @@ struct Stop {
     /// Metres to the nearest column there.
     obstacle_m: f32,
     /// How far it went on, and where it was at the end, metres.
-    way_m: f32,
+    stopping_m: f32,
     rests_m: f32,
 }
 
@@ -61,7 +61,7 @@ struct Stop {
 const START_AND_STOP_M: f32 = 3.4;
 
 /// PX4's own hold takes 1.31 to 1.48 s times the speed (docs/vehicle.md), metres per metre per second.
-const HOLD_WAY_S: f32 = 1.4;
+const HOLD_TRAVEL_S: f32 = 1.4;
 
 impl Stop {
     /// The way that the vehicle needs: what it took, what its own hold takes where it was sent a nearer place, or what it would have
@@ -70,13 +70,13 @@ impl Stop {
         if self.speed_m_s < 0.3 {
             START_AND_STOP_M
         } else {
-            self.way_m.max(HOLD_WAY_S * self.speed_m_s)
+            self.stopping_m.max(HOLD_TRAVEL_S * self.speed_m_s)
         }
     }
 
     fn follow(&mut self, here: NedVector) {
         self.rests_m = (here - self.at_ned_m).horizontal_norm();
-        self.way_m = self.way_m.max(self.rests_m);
+        self.stopping_m = self.stopping_m.max(self.rests_m);
     }
 }
 
@@ -156,7 +156,7 @@ fn fly_as(vehicle: VehicleParams, course: Course, seed: u64, duty: Duty, plan: &
                     .iter()
                     .map(|c| away_m(truth.position_ned_m, c))
                     .fold(f32::INFINITY, f32::min),
-                way_m: 0.0,
+                stopping_m: 0.0,
                 rests_m: 0.0,
             });
         }

@@ -213,7 +213,7 @@ fn a_px4_that_is_stopped_while_it_gains_speed_comes_to_rest_where_it_can_and_doe
             let stop = flown.stop.expect("it was stopped");
             assert_eq!(flown.end, End::Stopped, "{flown:?}");
             assert!(stop.speed_m_s < 3.0, "it gains speed: {stop:?}");
-            assert!(stop.way_m - stop.rests_m < 1.2, "{stop:?}");
+            assert!(stop.stopping_m - stop.rests_m < 1.2, "{stop:?}");
         }
     }
 }
@@ -229,7 +229,7 @@ fn an_arducopter_brakes_in_a_second_and_a_half_times_its_speed_and_that_is_recko
         let stop = flown.stop.expect("it was stopped");
         assert_eq!(flown.end, End::Stopped, "{flown:?}");
         // What the firmware needs to tell it is in this way.
-        let way_s = stop.way_m / stop.speed_m_s;
+        let way_s = stop.stopping_m / stop.speed_m_s;
         assert!((1.2..2.0).contains(&way_s), "{way_s} s: {stop:?}");
         assert!(flown.nearest_m > 0.3, "{flown:?}");
     }

@@ -74,9 +74,12 @@
   // Plots.
   const plots = [];
   let syncing = false;
-  const drawBands = (u) => {
-    const { ctx, bbox } = u;
-    ctx.save();
+  const apart = (draw) => (u) => {
+    u.ctx.save();
+    draw(u, u.ctx, u.bbox);
+    u.ctx.restore();
+  };
+  const drawBands = apart((u, ctx, bbox) => {
     ctx.beginPath();
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
     ctx.clip();
@@ -87,15 +90,12 @@
         ctx.fillRect(x, bbox.top, Math.max(1, u.valToPos(to, "x", true) - x), bbox.height);
       }
     }
-    ctx.restore();
-  };
-  const drawAlarms = (u) => {
-    const { ctx, bbox } = u;
-    ctx.save();
+  });
+  const drawAlarms = apart((u, ctx, bbox) => {
     ctx.strokeStyle = css("--bad");
     ctx.setLineDash([5, 4]);
     ctx.lineWidth = Math.max(1, devicePixelRatio);
-    for (const { t } of data.alarms) {
+    for (const [t] of data.alarms) {
       const x = u.valToPos(t, "x", true);
       if (x < bbox.left || x > bbox.left + bbox.width) continue;
       ctx.beginPath();
@@ -103,8 +103,7 @@
       ctx.lineTo(x, bbox.top + bbox.height);
       ctx.stroke();
     }
-    ctx.restore();
-  };
+  });
   const makePlot = (panel) => {
     const box = text($("plots"), "div", "", { class: "plot", "data-panel": panel.id });
     text(box, "h3", panel.title);
@@ -195,13 +194,16 @@
     if (!known.length && !map.solids.length) { $("map-none").textContent = "No position was ever received and the log holds no obstacles."; root.remove(); return; }
     const points = known.map((i) => [east[i], -north[i]]).concat(map.truth.map(([n, e]) => [e, -n]));
     if (map.goal) points.push([map.goal[1], -map.goal[0]]);
-    for (const s of map.solids) points.push(...s.outline.map(([n, e]) => [e, -n]));
+    for (const s of map.solids) points.push(...s.map(([n, e]) => [e, -n]));
     let [x0, x1] = [Math.min(...points.map((p) => p[0])) - 1.5, Math.max(...points.map((p) => p[0])) + 1.5];
     let [y0, y1] = [Math.min(...points.map((p) => p[1])) - 1.5, Math.max(...points.map((p) => p[1])) + 1.5];
+    // A long course is wide enough that its letters fit.
+    const long = Math.max(x1 - x0, y1 - y0), lacks = Math.max(0, 0.6 * long - (x1 - x0)) / 2;
+    [x0, x1] = [x0 - lacks, x1 + lacks];
     root.setAttribute("viewBox", `${x0} ${y0} ${x1 - x0} ${y1 - y0}`);
     root.style.maxHeight = "640px";
-    const step = (x1 - x0) > 60 ? 20 : (x1 - x0) > 25 ? 10 : 5;
-    const size = Math.max(x1 - x0, y1 - y0) / 45;
+    const step = [5, 10, 20, 50, 100].find((s) => long / s <= 9) || 200;
+    const size = long / 45;
     for (let x = Math.ceil(x0 / step) * step; x <= x1; x += step) {
       svg(root, "line", { x1: x, x2: x, y1: y0, y2: y1, stroke: css("--line"), "stroke-width": size / 14 });
       svg(root, "text", { x: x + size / 5, y: y1 - size / 4, "font-size": size, fill: css("--soft") }).textContent = `${x} m E`;
@@ -210,7 +212,7 @@
       svg(root, "line", { x1: x0, x2: x1, y1: y, y2: y, stroke: css("--line"), "stroke-width": size / 14 });
       if (y < y1 - 2 * size) svg(root, "text", { x: x0 + size / 5, y: y - size / 5, "font-size": size, fill: css("--soft") }).textContent = `${-y} m N`;
     }
-    for (const s of map.solids) svg(root, "polygon", { points: s.outline.map(([n, e]) => `${e},${-n}`).join(" "), fill: css("--solid"), stroke: css("--soft"), "stroke-width": size / 16 });
+    for (const s of map.solids) svg(root, "polygon", { points: s.map(([n, e]) => `${e},${-n}`).join(" "), fill: css("--solid"), stroke: css("--soft"), "stroke-width": size / 16 });
     if (map.goal) {
       svg(root, "circle", { cx: map.goal[1], cy: -map.goal[0], r: 1, fill: "none", stroke: css("--goal"), "stroke-width": size / 5 });
       svg(root, "circle", { cx: map.goal[1], cy: -map.goal[0], r: size / 4, fill: css("--goal") });
@@ -230,7 +232,7 @@
     if (map.truth.length) svg(root, "polyline", { points: map.truth.map(([n, e]) => `${e},${-n}`).join(" "), fill: "none", stroke: css("--truth"), "stroke-width": size / 9, "stroke-dasharray": `${size / 2.5} ${size / 2.5}` });
     const flew = new Set();
     for (const run of runs((i) => data.who[i])) { flew.add(run.value); line(run.indices, colour(run.value), size / 3.2); }
-    for (const { t, cause } of data.alarms) {
+    for (const [t, cause] of data.alarms) {
       const i = indexAt(t);
       if (north[i] === null) continue;
       const [x, y, r] = [east[i], -north[i], size * 0.55];
@@ -309,7 +311,8 @@
       if (now >= frames.length - 1) show(0, true);
       playing = setInterval(() => { if (now >= frames.length - 1) $("play").onclick(); else show(now + 1, true); }, 120);
     };
-    show(Math.max(0, data.first_frame), true);
+    // Where the plots are laid out, they have a place for it.
+    requestAnimationFrame(() => show(Math.max(0, data.first_frame), true));
   };
 
   // Events.

@@ -13,6 +13,7 @@ import argparse
 import json
 import math
 import os
+import shlex
 import signal
 import struct
 import sys
@@ -197,10 +198,8 @@ class Show:
             show(decoded)
 
     def tf(self, tf):
-        at = {"base_link": "map/base_link", "depth_sensor": "map/base_link/depth_sensor", "base_link_true": "map/truth"}.get(tf.child_frame_id)
-        if at == "map/base_link/depth_sensor":
-            # Columns of a frame are angles, not a pinhole's: the frame is drawn as rays, and as a picture of its own.
-            at = None
+        # Columns of a frame are angles, not a pinhole's: the frame is drawn as rays, and as a picture of its own.
+        at = {"base_link": "map/base_link", "base_link_true": "map/truth"}.get(tf.child_frame_id)
         if at:
             self.draw(at, rr.Transform3D(translation=point(tf.translation), quaternion=turn(tf.rotation)))
 
@@ -227,9 +226,7 @@ class Show:
     def depth_range(self, image):
         metres = np.frombuffer(image.data, "<u2").reshape(image.height, image.width) / np.float32(1000)
         self.draw("map/base_link/depth_sensor/range", rr.DepthImage(metres, meter=1.0, colormap="viridis", depth_range=[0, 12]))
-        rows, cols = np.nonzero((metres > 0) & (metres < 20))
-        keep = slice(None, None, 4)
-        rows, cols = rows[keep], cols[keep]
+        rows, cols = (at[::4] for at in np.nonzero((metres > 0) & (metres < 20)))
         bearing = ((cols + 0.5) / image.width - 0.5) * WIDTH_RAD
         elevation = (0.5 - (rows + 0.5) / image.height) * HEIGHT_RAD
         r = metres[rows, cols]
@@ -440,7 +437,7 @@ def main():
     if "/status" in show.seen and not show.flew:
         print(f"the vehicle never took off in {path}: obstacles and events are shown, `vigil log report` says why", file=sys.stderr)
     if not {"/map/grid", "/shap"} <= show.seen and not args.follow:
-        print(f"map, planned way and SHAP: `vigil log derive {path}` puts them into the log", file=sys.stderr)
+        print(f"map, planned way and SHAP: `vigil log derive {shlex.quote(str(path))}` puts them into the log", file=sys.stderr)
 
 
 def open_viewer(args, recording, place):

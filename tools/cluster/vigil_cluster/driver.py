@@ -34,9 +34,13 @@ class CampaignError(Exception):
     """A campaign that cannot be flown; the message is for people."""
 
 
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
 def _on_node(content: bytes, executable: bool = False) -> str:
     """The path of a file of this content on this node."""
-    path = Path(tempfile.gettempdir()) / f"vigil-cluster-{os.getuid()}" / hashlib.sha256(content).hexdigest()
+    path = Path(tempfile.gettempdir()) / f"vigil-cluster-{os.getuid()}" / _digest(content)
     path.parent.mkdir(mode=0o700, exist_ok=True)
     if path.parent.lstat().st_uid != os.getuid():
         raise CampaignError(f"{path.parent} on {platform.node()} belongs to another user")
@@ -98,8 +102,8 @@ def _taken(words: list, name: str, usual):
     return usual
 
 
-def _sent(words: list) -> list:
-    """The words, each file that they name replaced by its content in Ray's store."""
+def _sent(words: list, put) -> list:
+    """The words, each file that they name replaced by what `put` makes of its content."""
     sent, before = [], ""
     for word in words:
         flag, equals, value = word.partition("=")
@@ -109,10 +113,17 @@ def _sent(words: list) -> list:
             sent.append(word)
             continue
         try:
-            sent += [flag] * bool(equals) + [ray.put(Path(path).read_bytes())]
+            sent += [flag] * bool(equals) + [put(Path(path).read_bytes())]
         except OSError as error:
             raise CampaignError(f"cannot read {path}: {error.strerror}") from error
     return sent
+
+
+def _write(file: Path, content: bytes) -> None:
+    """Writes a file whole, or not at all."""
+    beside = file.with_suffix(".new")
+    beside.write_bytes(content)
+    os.replace(beside, file)
 
 
 def fly(words, output, vigil, address=None, at_a_time=20, retries=5, installed=False) -> None:
@@ -133,24 +144,34 @@ def fly(words, output, vigil, address=None, at_a_time=20, retries=5, installed=F
             raise CampaignError(f"{word} is not for a cluster: {REFUSED[word]}")
     first, count = next((USUAL[word] for word in words[:2] if word in USUAL), (None, None))
     first, count = _taken(words, "--seed", first), _taken(words, "--flights", count)
+    if first < 0 or count < 1:
+        raise CampaignError("--seed is a number from 0 on, --flights one above 0")
+    program = (vigil if words[:1] == ["evaluate"] else laboratory).read_bytes()
+    made_by = json.dumps({"program": _digest(program), "words": _sent(words, _digest)}).encode()
     parts = output.with_name(f"{output.stem}.parts")
     parts.mkdir(parents=True, exist_ok=True)
+    other = CampaignError(f"{parts} holds flights of another campaign or program; name another file, or remove it")
     seeds = {seed: min(at_a_time, first + count - seed) for seed in range(first, first + count, at_a_time)}
     files = {seed: parts / f"{seed}-{flights}.jsonl" for seed, flights in seeds.items()}
-    there = [file for file in files.values() if file.exists()]
-    origin = _origin(there[0].read_bytes()) if there else None
+    # A disk that was full leaves an empty file.
+    there = {seed: file for seed, file in files.items() if file.exists() and file.stat().st_size}
+    note = parts / "made-by.json"
+    if any(parts.glob("*.jsonl")) and not (note.exists() and note.read_bytes() == made_by):
+        raise other
+    _write(note, made_by)
+    origin = _origin(next(iter(there.values())).read_bytes()) if there else None
     print(f"{len(there)} of {len(files)} parts are there already", file=sys.stderr, flush=True)
     started = not ray.is_initialized()
     if started:
         ray.init(address=address, log_to_driver=False, logging_level="warning")
     try:
-        program = str(vigil.resolve()) if installed else ray.put((vigil if words[:1] == ["evaluate"] else laboratory).read_bytes())
+        program = str(vigil.resolve()) if installed else ray.put(program)
         # Nodes need Ray, not this package.
         ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
         # A node that is lost is Ray's to notice; a flight that was killed is ours.
         task = ray.remote(_fly_some).options(num_cpus=1, max_retries=retries, retry_exceptions=[ConnectionAbortedError])
-        sent = _sent(words)
-        missing, running = [seed for seed, file in files.items() if not file.exists()], {}
+        sent = _sent(words, ray.put)
+        missing, running = [seed for seed in files if seed not in there], {}
         while missing or running:
             while missing and len(running) < MOST_SUBMITTED:
                 seed = missing.pop(0)
@@ -165,10 +186,8 @@ def fly(words, output, vigil, address=None, at_a_time=20, retries=5, installed=F
                 raise CampaignError(f"the flights from {seed} were lost {retries + 1} times: {error}") from error
             origin = origin or _origin(lines)
             if _origin(lines) != origin:
-                raise CampaignError(f"{parts} holds flights of another campaign or program; name another file, or remove it")
-            beside = files[seed].with_suffix(".new")
-            beside.write_bytes(lines)
-            os.replace(beside, files[seed])
+                raise other
+            _write(files[seed], lines)
             print(f"{len(files) - len(missing) - len(running)}/{len(files)} parts", file=sys.stderr, flush=True)
     finally:
         if started:

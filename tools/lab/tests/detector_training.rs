@@ -138,7 +138,7 @@ fn flights_come_back_from_their_file_and_only_for_their_actor() {
     let other = FrozenPilot::Actor(other);
     let foreign = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../firmware/policy/actor/actor.safetensors");
     for (path, pilot, words) in [
-        (&path, &other, ["collect the data anew", &other.sha256()]),
+        (&path, &other, ["name another folder with -o", &other.sha256()]),
         (&foreign, &actor(), ["holds no data of", "`vigil detector collect`"]),
     ] {
         let refused = Flights::load(path, pilot).unwrap_err().to_string();

@@ -83,6 +83,8 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
         // In the middle, while flights last.
         if let Progress::Row(row, _) = progress {
             stop.store(row.updates == 500, Ordering::Relaxed);
+            let second = unstopped(&small(), &parts, true).unwrap_err().to_string();
+            assert!(second.contains("another `vigil learn` trains in"), "{second}");
         }
     });
     assert!(matches!(end.unwrap(), LearnEnd::Interrupted(Some(path)) if path.exists()));
@@ -103,16 +105,19 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
     let without_flights = csv(&[Row::default()]);
     assert!(without_flights.ends_with("\n0,0,0.0,0,0,,0.00000,0.0000,0.0000,0.0000,0.00000\n"));
 
-    // Stopped while the end is tested, it is tested when it goes on.
+    // Stopped while the end is tested, it is tested when it goes on; until then it is not complete.
+    assert!(parts.join("result.json").exists() && parts.join("actor.safetensors").exists());
     let stopped = learn(&two, &options(&parts, true), &AtomicBool::new(true), &mut |_| {});
     assert!(matches!(stopped.unwrap(), LearnEnd::Interrupted(Some(_))));
+    assert!(!parts.join("result.json").exists());
 
     // It goes on for longer, over other courses, and every flight is in the table.
-    let longer = LearnConfig {
+    let mut longer = LearnConfig {
         decisions: 1_280,
         families: vec![Family::Hard],
         ..small()
     };
+    longer.evaluation.families = vec![Family::Training];
     let end = unstopped(&longer, &parts, true);
     let LearnEnd::Complete(_, result) = end.unwrap() else {
         panic!("it was not interrupted")
@@ -123,8 +128,12 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
 
     // Another configuration cannot go on with it, and no run begins where one is.
     let other = LearnConfig { seed: 2, ..small() };
+    let nowhere = folder.path().join("mistyped");
+    assert!(unstopped(&longer, &nowhere, true).is_err() && !nowhere.exists());
     let refused = |config: &LearnConfig, resume| unstopped(config, &parts, resume).unwrap_err().to_string();
     assert!(refused(&other, true).contains("another configuration"));
+    let fewer = refused(&small(), true);
+    assert!(fewer.contains("is 1180") && fewer.contains("has made 1280"), "{fewer}");
     assert!(refused(&small(), false).contains("holds a run already"));
     let mut another = options(&parts, true);
     another.encoder = Some(Vec::new());

@@ -126,17 +126,16 @@ impl Constant {
     /// # Errors
     /// Constants of whole numbers beside real ones.
     pub fn picked(constants: &[&Self], places: &[(usize, usize)]) -> Result<Data, String> {
-        if constants.iter().all(|constant| constant.whole().is_ok()) {
-            let of = |(i, place): &(usize, usize)| constants.get(*i)?.whole().ok()?.get(*place).copied();
-            let values: Option<Vec<i64>> = places.iter().map(of).collect();
-            return values.map(Data::Whole).ok_or_else(|| "a value is missing".to_owned());
+        fn pick<T: Copy>(all: &[&[T]], places: &[(usize, usize)]) -> Result<Vec<T>, String> {
+            let of = |(i, place): &(usize, usize)| all.get(*i)?.get(*place).copied();
+            let values: Option<Vec<T>> = places.iter().map(of).collect();
+            values.ok_or_else(|| "a value is missing".to_owned())
         }
-        for constant in constants {
-            constant.real()?;
+        if let Ok(whole) = constants.iter().map(|c| c.whole()).collect::<Result<Vec<_>, _>>() {
+            return pick(&whole, places).map(Data::Whole);
         }
-        let of = |(i, place): &(usize, usize)| constants.get(*i)?.real().ok()?.get(*place).copied();
-        let values: Option<Vec<f32>> = places.iter().map(of).collect();
-        values.map(Data::Real).ok_or_else(|| "a value is missing".to_owned())
+        let real = constants.iter().map(|c| c.real()).collect::<Result<Vec<_>, _>>()?;
+        pick(&real, places).map(Data::Real)
     }
 
     /// How many values it has.

@@ -7,7 +7,6 @@ mod writer;
 
 use crate::proto::{Entry, Graph, Model, Node, OperatorSet};
 use prost::Message;
-use std::collections::HashSet;
 use vigil_nnet::{Activation, Dense, GraphBuilder, Params};
 use vigil_policy::actor::{ACTOR_LIMIT, ActorSpec, CONTEXT, LOW_DIM};
 use vigil_policy::imported::{Layer, NetworkError};
@@ -43,7 +42,6 @@ pub fn export(pilot: &FrozenPilot) -> Result<(Vec<u8>, Option<String>), NetworkE
             name: "vigil".to_owned(),
             ..Default::default()
         },
-        known: HashSet::new(),
     };
     let mut values: Vec<(String, usize)> = Vec::new();
     let mut inputs = placed.inputs.iter();
@@ -60,6 +58,10 @@ pub fn export(pilot: &FrozenPilot) -> Result<(Vec<u8>, Option<String>), NetworkE
         ..Node::default()
     });
     writer.graph.output.push(value_info("action", &[1, len]));
+    let entry = |(key, value): (&str, String)| Entry {
+        key: key.to_owned(),
+        value,
+    };
     let model = Model {
         ir_version: IR_VERSION,
         producer_name: "vigil".to_owned(),
@@ -69,13 +71,7 @@ pub fn export(pilot: &FrozenPilot) -> Result<(Vec<u8>, Option<String>), NetworkE
             domain: String::new(),
             version: OPERATOR_SET,
         }],
-        metadata_props: about
-            .into_iter()
-            .map(|(key, value)| Entry {
-                key: key.to_owned(),
-                value,
-            })
-            .collect(),
+        metadata_props: about.into_iter().map(entry).collect(),
     };
     let split = match pilot {
         FrozenPilot::Imported(policy) => policy.split.and_then(|layer| values.get(layer)),

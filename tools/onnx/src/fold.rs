@@ -48,13 +48,11 @@ pub fn spread_places(own: &[usize], shape: &[usize]) -> Result<Vec<usize>, Strin
     Ok((0..len).map(place_of).collect())
 }
 
-/// The axes that a reduction goes along, and the shape that is left of `shape`.
-pub fn reduced(
-    shape: &[usize],
-    axes: Option<&[i64]>,
-    keep: bool,
-    noop: bool,
-) -> Result<(Vec<bool>, Vec<usize>), String> {
+/// The axes that a reduction goes along, and the shape that it leaves.
+pub type Reduction = (Vec<bool>, Vec<usize>);
+
+/// Of values of `shape`.
+pub fn reduced(shape: &[usize], axes: Option<&[i64]>, keep: bool, noop: bool) -> Result<Reduction, String> {
     let mut along = vec![matches!(axes, None | Some([])) && !noop; shape.len()];
     for given in axes.unwrap_or_default() {
         along[axis(*given, shape.len())?] = true;

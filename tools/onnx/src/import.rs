@@ -20,19 +20,12 @@ use importer::Importer;
 use needed::Needed;
 use prost::Message;
 use vigil_nnet::Isa;
-use vigil_nnet::network_file::FileError;
 use vigil_policy::FrozenPolicy;
 
-/// Why a model is not imported.
+/// Why a model is not imported: what cannot be read, is not known or does not fit, and where.
 #[derive(Debug, thiserror::Error)]
-pub enum ImportError {
-    /// What cannot be read, is not known or does not fit, and where.
-    #[error("{0}")]
-    Model(String),
-    /// The policy would not fly.
-    #[error(transparent)]
-    Policy(#[from] FileError),
-}
+#[error("{0}")]
+pub struct ImportError(String);
 
 /// Makes a policy of a model. `file` names it in errors; `beside` reads a file of weights that the model names, from its own folder.
 ///
@@ -44,9 +37,9 @@ pub fn import(
     beside: &dyn Fn(&str) -> Result<Vec<u8>, String>,
     adapter: &Adapter,
 ) -> Result<FrozenPolicy, ImportError> {
-    let mut model = Model::decode(bytes)
-        .map_err(|source| ImportError::Model(format!("{file} is truncated or not ONNX: {source}")))?;
-    let of_model = |message: String| ImportError::Model(format!("{file}: {message}"));
+    let mut model =
+        Model::decode(bytes).map_err(|source| ImportError(format!("{file} is truncated or not ONNX: {source}")))?;
+    let of_model = |message: String| ImportError(format!("{file}: {message}"));
     let graph = model
         .graph
         .as_mut()
@@ -62,18 +55,15 @@ pub fn import(
         importer.node(node).map_err(|message| {
             let output = node.output.first().filter(|_| node.name.is_empty());
             let (name, operator) = (output.unwrap_or(&node.name), &node.op_type);
-            ImportError::Model(format!("{file}, node {number} `{name}` ({operator}): {message}"))
+            ImportError(format!("{file}, node {number} `{name}` ({operator}): {message}"))
         })?;
     }
     importer.output(action).map_err(of_model)?;
     let params = importer.params.concat();
+    let frame = inputs.frame_input;
     let split = match adapter.split.as_deref() {
-        None => importer.network.proposed_split(&params, inputs.frame_input),
-        Some(name) => Some(
-            importer
-                .split_point(graph, name, &params, inputs.frame_input)
-                .map_err(of_model)?,
-        ),
+        None => importer.network.proposed_split(&params, frame),
+        Some(name) => Some(importer.split_point(graph, name, &params, frame).map_err(of_model)?),
     };
     let policy = FrozenPolicy {
         network: importer.network,
@@ -83,7 +73,8 @@ pub fn import(
         source: format!("{} {}", model.producer_name, graph.name).trim().to_owned(),
     };
     policy.network.check().map_err(|e| of_model(e.to_string()))?;
-    policy.pilot(Isa::PORTABLE, false)?;
+    let flies = policy.pilot(Isa::PORTABLE, false);
+    flies.map_err(|e| ImportError(e.to_string()))?;
     Ok(policy)
 }
 

@@ -133,7 +133,8 @@ fn kept<T>(work: impl FnOnce() -> Result<T>) -> Option<T> {
     match outcome {
         Ok(value) => Some(value),
         Err(error) => {
-            let text = format!("{error:#}").replace('\0', " ");
+            // Each error's text says its cause.
+            let text = error.to_string().replace('\0', " ");
             ERROR.with_borrow_mut(|kept| *kept = CString::new(text).unwrap_or_default());
             None
         }

@@ -7,9 +7,11 @@ Needs the packages `iceoryx2` 0.10 and `xxhash`; `numpy` for images; `blake3` wh
 """
 
 import ctypes
+import errno
 import operator
 import os
 import pathlib
+import re
 import struct
 import time
 
@@ -31,6 +33,8 @@ LAST_INSTANCE = 99
 STEP_NS = 50_000_000
 #: What was captured longer ago is used by nobody: such a stamp is of another clock.
 OLDEST_NS = 1_000_000_000
+#: What a publisher's files need of shared memory, with a margin; without it the system kills the process.
+NEEDED_BYTES = 1 << 20
 #: Bytes of the header that checksum and tag cover.
 COVERED = 56
 KEY_CONTEXT = "Vigil depth frame authentication, version 1"
@@ -80,10 +84,8 @@ def frame_key(path: os.PathLike | str, sensor_id: int) -> bytes:
     if about.st_mode & 0o077 or about.st_uid not in (0, os.getuid()):
         raise ValueError(f"{path} is open to others: chown it to yourself and chmod 600 it")
     content = pathlib.Path(path).read_bytes()
-    try:
-        secret = content if len(content) == 32 else bytes.fromhex(content.decode().strip())
-    except ValueError:
-        secret = b""
+    digits = re.fullmatch(rb"\s*([0-9a-fA-F]{64})\s*", content)
+    secret = bytes.fromhex(digits[1].decode()) if digits else content
     if len(secret) != 32 or not any(secret):
         raise ValueError(f"{path} is not a key: it needs 32 bytes or 64 hexadecimal digits, not all zero")
     boot = pathlib.Path("/proc/sys/kernel/random/boot_id").read_bytes().strip()
@@ -147,6 +149,9 @@ class DepthPublisher:
         folder.mkdir(mode=0o700, exist_ok=True)
         if folder.stat().st_mode & 0o077:
             raise PermissionError(f"{folder} must be closed to others: chmod 700 {folder}")
+        about = os.statvfs(folder)
+        if (free := about.f_bavail * about.f_frsize) < NEEDED_BYTES:
+            raise OSError(errno.ENOSPC, f"{folder} has {free >> 10} KiB free, {NEEDED_BYTES >> 10} KiB are needed")
         iox2.set_log_level_from_env_or(iox2.LogLevel.Fatal)
         config = iox2.config.default()
         config.global_cfg.root_path = iox2.Path.new(f"{folder}/{instance}")
@@ -163,7 +168,12 @@ class DepthPublisher:
             .max_subscribers(8)
             .open_or_create()
         )
-        self._publisher = service.publisher_builder().create()
+        try:
+            self._publisher = service.publisher_builder().create()
+        except iox2.PublisherCreateError as error:
+            if "ExceedsMaxSupportedPublishers" not in str(error):
+                raise
+            raise RuntimeError(f"another process already publishes `depth` frames on instance {instance}: stop it") from None
         self._sensor_id = sensor_id
         self._key = None if key_file is None else frame_key(key_file, sensor_id)
         self._sequence = 0

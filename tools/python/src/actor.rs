@@ -5,7 +5,7 @@ use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use vigil_nnet::{Graph, Isa, Purpose};
-use vigil_policy::actor::{ACTOR_OUTPUTS, GOAL_INPUTS, LOW_DIM};
+use vigil_policy::actor::ACTOR_OUTPUTS;
 use vigil_policy::imported::{Channels, Depth};
 use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy, ImportedPilot, Pilot, PilotInput};
 use vigil_types::Nanos;
@@ -70,12 +70,6 @@ impl Actor {
     #[getter]
     fn sha256(&self) -> String {
         self.frozen.sha256()
-    }
-
-    /// Values of the low-dimensional observation.
-    #[getter]
-    fn positional_inputs(&self) -> usize {
-        LOW_DIM
     }
 
     /// Names, shapes and values of its tensors, in their order.
@@ -251,12 +245,6 @@ impl Policy {
     #[getter]
     fn sha256(&self) -> String {
         self.frozen.sha256()
-    }
-
-    /// Distance and bearing of the goal.
-    #[getter]
-    fn positional_inputs(&self) -> usize {
-        GOAL_INPUTS
     }
 }
 

@@ -87,11 +87,12 @@ pub fn fly(py: Python<'_>, seeds: Vec<u64>, threads: usize, options: Options) ->
         ));
     }
     let method = options.attack.as_ref().map(|name| method_named("attack", name));
+    let burst = options.burst.parse();
     let attack = AttackArgs {
         attack: method.transpose()?,
         epsilon: options.epsilon,
         iterations: options.iterations,
-        burst: options.burst.parse().map_err(refused)?,
+        burst: burst.map_err(|e| refused(format!("burst: {e}, got {}", options.burst)))?,
         ..AttackArgs::default()
     };
     let family: Family = options.family.parse().map_err(refused)?;

@@ -1,8 +1,9 @@
 //! Flights stepped side by side for `vigil.gym`.
 
-use crate::given::{POSITION, failed, refused};
+use crate::given::{POSITION, array, failed, refused};
 use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArrayDyn, PyReadwriteArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
@@ -15,12 +16,11 @@ use vigil_sim::vehicle::{VehicleParams, Wind};
 use vigil_sim::world::{Course, Family, FlightPath, Lidar, LidarConfig, Outcome, generate};
 use vigil_tools::explained::Flight;
 use vigil_tools::threads::thread_pool;
-use vigil_types::{Action, DEPTH_FULL_SCALE_M, NedVector};
+use vigil_types::{ACTION_LIMIT, Action, DEPTH_FULL_SCALE_M, NedVector};
 
 /// Steps between two points of a drawn path.
 const PATH_STRIDE: usize = 4;
-/// The action that is 1 in a normalised one, and the goal's distance that is 1 in a normalised observation, as the networks take it.
-const ACTION_LIMIT: f32 = 1.5;
+/// The goal's distance that is 1 in a normalised observation, as the networks take it.
 const GOAL_SCALE_M: f32 = 20.0;
 
 /// What an environment of `vigil.gym` is given.
@@ -109,7 +109,7 @@ impl Begun {
     /// What is left of the way, metres.
     fn left_m(&self, along: Along) -> f32 {
         match &self.truth {
-            Some(course) if along == Along::Path => course.way_m(self.flight.truth().position_ned_m),
+            Some(course) if along == Along::Path => course.path_m(self.flight.truth().position_ned_m),
             _ => self.flight.goal_distance_m(),
         }
     }
@@ -165,8 +165,6 @@ impl Begun {
 }
 
 type Given<'py> = PyReadwriteArrayDyn<'py, f32>;
-/// Seconds, metres to the goal, checkpoints passed and all, position NED, velocity NED, heading.
-type Info = (f64, f32, usize, usize, [f32; 3], [f32; 3], f32);
 
 /// What a call has of one flight: what is asked of it, and its part of the caller's arrays.
 struct Row<'a> {
@@ -203,13 +201,9 @@ impl Row<'_> {
                 (*self.reward, *self.end) = (0.0, -1);
             }
         } else if let (Some(begun), Some(action)) = (self.flight.as_mut(), self.action) {
-            let (most, unit) = if normalized {
-                (1.0, ACTION_LIMIT)
-            } else {
-                (f32::INFINITY, 1.0)
-            };
-            let [forward_m_s, yaw] = [0, 1].map(|k| action[k].clamp(-most, most) * unit);
-            *self.reward = begun.step(conditions, Action { forward_m_s, yaw });
+            let unit = if normalized { ACTION_LIMIT } else { 1.0 };
+            let action = Action::new(action[0] * unit, action[1] * unit).clipped();
+            *self.reward = begun.step(conditions, action);
             *self.end = begun.outcome.map_or(-1, |outcome| outcome as i8);
             match self.older {
                 Some(older) => self.frames[..len - pixels].copy_from_slice(&older[pixels..]),
@@ -271,6 +265,8 @@ pub struct Flights {
     flights: Vec<Option<Box<Begun>>>,
     lidars: Vec<Mutex<Lidar>>,
     pool: Option<rayon::ThreadPool>,
+    /// The process that has the threads: not the one that forked off.
+    process: u32,
     shape: [usize; 4],
 }
 
@@ -307,6 +303,7 @@ impl Flights {
             flights: (0..count).map(|_| None).collect(),
             lidars,
             pool,
+            process: std::process::id(),
             shape,
         })
     }
@@ -329,6 +326,12 @@ impl Flights {
         mut rewards: Given<'_>,
         mut ends: PyReadwriteArrayDyn<'_, i8>,
     ) -> PyResult<()> {
+        if self.pool.is_some() && self.process != std::process::id() {
+            return Err(refused(
+                "these flights' threads stayed in the process that made them: make the environment after the fork, or with \
+                 threads=1",
+            ));
+        }
         let count = self.flights.len();
         let deep = self.shape[1..].iter().product();
         let (older, actions) = (whole(&older)?, whole(&actions)?);
@@ -385,19 +388,19 @@ impl Flights {
     }
 
     /// What is known of a flight.
-    fn info(&self, number: usize) -> PyResult<Info> {
+    fn info<'py>(&self, py: Python<'py>, number: usize) -> PyResult<Bound<'py, PyDict>> {
         let begun = self.begun(number)?;
         let truth = begun.flight.truth();
         let (passed, all) = begun.flight.checkpoints();
-        Ok((
-            begun.flight.time_s(),
-            begun.flight.goal_distance_m(),
-            passed,
-            all,
-            truth.position_ned_m.to_array(),
-            truth.velocity_ned_m_s.to_array(),
-            truth.attitude.yaw_rad(),
-        ))
+        let (info, floats) = (PyDict::new(py), |ned: NedVector| array(py, ned.to_array().to_vec()));
+        info.set_item("time_s", begun.flight.time_s())?;
+        info.set_item("goal_distance_m", begun.flight.goal_distance_m())?;
+        info.set_item("checkpoints", passed)?;
+        info.set_item("checkpoints_of", all)?;
+        info.set_item("position_ned_m", floats(truth.position_ned_m))?;
+        info.set_item("velocity_ned_m_s", floats(truth.velocity_ned_m_s))?;
+        info.set_item("heading_rad", truth.attitude.yaw_rad())?;
+        Ok(info)
     }
 
     /// The action of the paper's potential field here and now.

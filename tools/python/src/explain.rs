@@ -1,6 +1,6 @@
 //! DeepSHAP for Python.
 
-use crate::actor::{Actor, Learned, Policy, own_inputs};
+use crate::actor::{Learned, own_inputs};
 use crate::given::{Floats, array, refused};
 use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
@@ -32,18 +32,15 @@ impl Explainer {
         explainer(py, head.graph, &head.params, &backgrounds)
     }
 
-    /// The whole actor: inputs are the frame over 100 m, what is remembered and the low-dimensional observation.
+    /// All of it: inputs are an imported policy's own, or the frame over 100 m, what is remembered and the low-dimensional observation.
     #[staticmethod]
-    fn pixels(py: Python<'_>, actor: &Actor, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
-        let graph = ActorSpec::FULL.graph(Purpose::Multipliers).map_err(refused)?;
-        explainer(py, graph, &actor.frozen.params, &backgrounds)
-    }
-
-    /// An imported policy: its own inputs.
-    #[staticmethod]
-    fn policy(py: Python<'_>, policy: &Policy, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
-        let graph = policy.frozen.network.graph(Purpose::Multipliers).map_err(refused)?;
-        explainer(py, graph, &policy.frozen.params, &backgrounds)
+    fn whole(py: Python<'_>, pilot: Learned<'_>, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
+        let of = Purpose::Multipliers;
+        let (graph, params) = match &pilot {
+            Learned::Actor(actor) => (ActorSpec::FULL.graph(of).map_err(refused)?, &actor.frozen.params),
+            Learned::Policy(policy) => (policy.frozen.network.graph(of).map_err(refused)?, &policy.frozen.params),
+        };
+        explainer(py, graph, params, &backgrounds)
     }
 
     /// The network's outputs for a state, and what each value of its inputs contributed to one of them.

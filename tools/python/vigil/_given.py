@@ -73,6 +73,19 @@ def whole(what: str, value: Any, least: int = 0, bits: int = 64) -> int:
     return given
 
 
+def seeds(value: Any) -> Any:
+    """Course seeds to draw from, each of which is checked when it is drawn; absent: any."""
+    if value is not None and len(made("seeds", value, Sequence, np.ndarray)) == 0:
+        raise ValueError("seeds: is empty")
+    return value
+
+
+def strength(epsilon: Any, iterations: Any) -> tuple[float, int]:
+    """ε and iterations of an attack."""
+    given = number("epsilon", epsilon, "above 0 and at most 255", lambda x: 0.0 < x <= 255.0)
+    return given, whole("iterations", iterations, 1, 32)
+
+
 def threads(value: Any) -> int:
     """How many threads; absent: as many as the machine has."""
     return len(os.sched_getaffinity(0)) if value is None else whole("threads", value, 1, 16)
@@ -81,15 +94,9 @@ def threads(value: Any) -> int:
 def made(what: str, value: Any, *kinds: type) -> Any:
     """``value``, which has to be an object of one of these classes."""
     if not isinstance(value, kinds):
-        expected = " or ".join(f"a {kind.__module__}.{kind.__name__}" for kind in kinds)
+        expected = " or ".join(f"a {kind.__module__}.{kind.__name__}".replace(" builtins.", " ") for kind in kinds)
         raise TypeError(f"{what}: {expected}, got {type(value).__name__}")
     return value
-
-
-def goal(value: Any) -> tuple[float, float]:
-    """Distance in metres and bearing in radians."""
-    distance_m, bearing_rad = floats("goal", value, (2,))
-    return float(distance_m), float(bearing_rad)
 
 
 def position(value: Any) -> list[float]:
@@ -109,7 +116,7 @@ def beside(value: Any, inputs: int = 2) -> Floats:
     distance over 20 m, at most 1.05, and bearing over 1 rad."""
     if inputs == LOW_DIM:
         return floats("low_dim", value, (LOW_DIM,))
-    distance_m, bearing_rad = goal(value)
+    distance_m, bearing_rad = map(float, floats("goal", value, (2,)))
     return np.array([min(distance_m, 21.0) / 20.0, bearing_rad], np.float32)
 
 

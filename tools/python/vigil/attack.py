@@ -46,8 +46,7 @@ def _checked(epsilon: float, iterations: int, towards: str, seed: int) -> tuple[
     """What attacks are given besides the method."""
     if towards not in ("left", "right", "away"):
         raise ValueError(f"towards: left, right or away, got {towards!r}")
-    epsilon = _given.number("epsilon", epsilon, "above 0 and at most 255", lambda x: 0.0 < x <= 255.0)
-    return epsilon, _given.whole("iterations", iterations, 1, 32), towards, _given.whole("seed", seed)
+    return *_given.strength(epsilon, iterations), towards, _given.whole("seed", seed)
 
 
 class StateAttack:

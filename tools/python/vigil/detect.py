@@ -131,7 +131,7 @@ class Monitor:
         _given.made("actor", actor, Actor, Policy)
         detector = Detector() if detector is None else _given.made("detector", detector, Detector)
         self._native = _vigil.Monitor(actor.native, detector.native)
-        self._beside = actor.native.positional_inputs
+        self._beside = actor.positional_inputs
 
     def judge(self, state: Any, beside: Any) -> Judgement:
         """Judges the decision made from a state ``[values]`` (:meth:`Actor.state`, :meth:`Policy.state`) and what was beside it:
@@ -174,7 +174,7 @@ def freeze(
     """
     _given.made("actor", actor, Actor, Policy)
     _given.made("lstm", lstm, Lstm)
-    sample = _given.backgrounds(backgrounds, actor.native.positional_inputs)
+    sample = _given.backgrounds(backgrounds, actor.positional_inputs)
     about = threshold, threshold_choice, training_config, _given.whole("seed", seed)
     return _vigil.write_detector(str(path), lstm.native_lstm, actor.native, *sample, about)
 

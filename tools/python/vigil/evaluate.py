@@ -97,29 +97,27 @@ def completion(
 
     Raises:
         ValueError: an argument out of range, a file that is refused.
+        TypeError: an argument of another kind.
         KeyboardInterrupt: Ctrl-C, after at most four flights of each thread.
     """
     named = "first_seed" if seeds is None else "seeds"
+    seeds = _given.seeds(seeds)
     if seeds is None:
         first = _given.whole(named, first_seed)
         seeds = range(first, first + _given.whole("flights", flights, 1))
-    elif len(seeds) == 0:
-        raise ValueError("seeds: is empty")
     switched = detector is None or isinstance(detector, (bool, np.bool_))
+    epsilon, iterations = _given.strength(epsilon, iterations)
     options = {
-        "family": family,
-        "pilot": pilot,
+        **locals(),
         "actor": None if actor is None else str(actor),
-        "apf": apf,
         "detector": detector if switched else True,
         "detector_file": None if switched else str(detector),
-        "guard": guard,
-        "ground": ground,
-        "attack": attack,
-        "epsilon": epsilon,
-        "iterations": _given.whole("iterations", iterations, 1, 32),
         "burst": str(burst),
         **_given.conditions(wind, noise),
     }
+    switch, absent = (bool, np.bool_), type(None)
+    kinds = {"family": (str,), "pilot": (str,), "apf": switch, "guard": (*switch, absent), "ground": switch, "attack": (str, absent)}
+    for name, expected in kinds.items():
+        _given.made(name, options[name], *expected)
     rows = _vigil.fly([_given.whole(named, seed) for seed in seeds], _given.threads(threads), options)
     return Completion([Flight(*row) for row in rows])

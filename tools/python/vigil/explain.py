@@ -48,7 +48,7 @@ def _of_low_dim(phi: Floats) -> tuple[float, float, float]:
 
 
 def _explanation(explainer: _vigil.Explainer, inputs: list[Floats], output: int, frame_at: int, scale: float) -> Explanation:
-    if output not in (FORWARD, YAW):
+    if _given.whole("output", output) not in (FORWARD, YAW):
         raise ValueError(f"output: 0 (forward speed) or 1 (yaw), got {output}")
     outputs, phi = explainer.explain(inputs, output)
     phi *= np.float32(scale)
@@ -81,7 +81,7 @@ class SplitPoint:
         if backgrounds is None or isinstance(backgrounds, Detector):
             states, positions = (backgrounds or Detector()).backgrounds()
         else:
-            states, positions = _given.backgrounds(backgrounds, actor.native.positional_inputs)
+            states, positions = _given.backgrounds(backgrounds, actor.positional_inputs)
         self.native = _vigil.Explainer.split_point(actor.native, [[s, p] for s, p in zip(states, positions)])
 
     def explain(self, state: Any, beside: Any, output: int = YAW) -> Explanation:
@@ -110,7 +110,7 @@ class Pixels:
         frames, contexts, low_dims = backgrounds
         if not len(frames) == len(contexts) == len(low_dims):
             raise ValueError(f"backgrounds: {len(frames)} frames, {len(contexts)} contexts, {len(low_dims)} low-dimensional observations")
-        self.native = _vigil.Explainer.pixels(actor.native, [_pixel_inputs(*given) for given in zip(frames, contexts, low_dims)])
+        self.native = _vigil.Explainer.whole(actor.native, [_pixel_inputs(*given) for given in zip(frames, contexts, low_dims)])
 
     def explain(self, frame: Any, context: Any, low_dim: Any, output: int = YAW) -> Explanation:
         """Explains the decision on a frame ``[128, 256]`` in metres, beside which the actor held ``context`` and ``low_dim``
@@ -129,7 +129,7 @@ class PolicyPixels:
 
     def __init__(self, policy: Policy, backgrounds: Iterable[tuple[Any, Any]]) -> None:
         self.policy: Policy = _given.made("policy", policy, Policy)
-        self.native = _vigil.Explainer.policy(policy.native, [policy.inputs(f, g) for f, g in backgrounds])
+        self.native = _vigil.Explainer.whole(policy.native, [policy.inputs(f, g) for f, g in backgrounds])
 
     def explain(self, own_frame: Any, goal: Any, output: int = YAW) -> Explanation:
         """Explains the decision on its own frame. ``phi`` is ``[rows, columns, channels]``; outputs before they are limited."""

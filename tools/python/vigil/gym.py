@@ -97,7 +97,7 @@ class _Flown:
         if actor is not None:
             _given.made("actor", actor, Actor)
         reward = dict(DEFAULT_REWARD)
-        given = dict(options["reward"] or {})
+        given = _given.made("reward", options["reward"] or {}, Mapping)
         if unknown := set(given) - set(reward):
             raise ValueError(f"reward: no term is called {', '.join(sorted(unknown))}; there are {', '.join(reward)}")
         reward.update(given)
@@ -108,22 +108,20 @@ class _Flown:
             for name, weight in reward.items()
             if name != "progress"
         }
-        seeds, course, limit = options["seeds"], options["course"], options["time_limit"]
+        seeds, course, limit = _given.seeds(options["seeds"]), options["course"], options["time_limit"]
         if limit is not None:
             limit = _given.number("time_limit", limit, "above 0 and at most 3600 s", lambda x: 1e-9 < x <= 3600.0)
-        if seeds is not None and len(seeds) == 0:
-            raise ValueError("seeds: is empty")
         self.copied, self.images, normalized = bool(options["copy"]), bool(options["images"]), bool(options["normalized"])
         if self.images and buffers and "frames" in buffers:
             raise ValueError("buffers: frames are no ranges with images=True; leave out one of the two")
         self.observed, self.acted = spaces_of(frames, bool(options["privileged"]), actor, normalized, every, self.images)
         self.seeds, self.count, self.newest = seeds, count, frames == 1
-        self.full_scale = 1.0 if normalized else FULL_SCALE_M
+        self.full_scale, self.action_unit = (1.0, ACTION_LIMIT) if normalized else (FULL_SCALE_M, 1.0)
         self.shape = (count, frames, *(self.observed["frames"].shape or ())[-2:])
         self.flights = Flights(
             count,
             {
-                "family": options["family"],
+                "family": _given.made("family", options["family"], str),
                 "course": None if course is None else str(Path(course).resolve(strict=True)),
                 "time_limit": limit,
                 "along_way": reward["progress"] == "way",
@@ -202,18 +200,6 @@ class _Flown:
             frames.flags.writeable = self.copied
         return {"frames": frames, **parts}
 
-    def info(self, number: int) -> dict[str, Any]:
-        time_s, goal_distance_m, passed, of, position, velocity, heading = self.flights.info(number)
-        return {
-            "time_s": time_s,
-            "goal_distance_m": goal_distance_m,
-            "checkpoints": passed,
-            "checkpoints_of": of,
-            "position_ned_m": np.array(position, np.float32),
-            "velocity_ned_m_s": np.array(velocity, np.float32),
-            "heading_rad": heading,
-        }
-
 
 def as_images(frames: Floats, full_scale: float = FULL_SCALE_M) -> NDArray[np.uint8]:
     """Ranges, of which ``full_scale`` is 100 m, as ``uint8``, near is bright: 255 / (1 + range / 3 m), in 255ths what ``vigil import --depth
@@ -259,7 +245,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
     **Reward**, the sum of these terms; ``reward={…}`` changes some of them:
 
     ==========  =======  ==========================================================================================
-    progress    "way"    metres nearer to the goal along the shortest free way, or along the straight "line"
+    progress    "way"    metres nearer to the goal along the shortest free path, or along the straight "line"
     success     5        at the goal
     dead        −6       for a collision or leaving the bounds
     decision    −0.02    for each step
@@ -294,7 +280,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
 
     Raises:
         ValueError: an argument out of range, an action of another shape or not finite, a step without a reset.
-        TypeError: an action that is no numbers, a count or seed that is no whole number.
+        TypeError: an action that is no numbers, a count or seed that is no whole number, an argument of another kind.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
@@ -337,6 +323,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Begins a flight, hovering at the course's start. ``options``: ``course_seed``."""
         wanted: int | None = None
+        seed = None if seed is None else _given.whole("seed", seed, bits=128)
         if options:
             if unknown := set(options) - {"course_seed"}:
                 raise ValueError(f"options: there is course_seed, not {', '.join(sorted(unknown))}")
@@ -346,7 +333,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
         self.course_seed = drawn if wanted is None else wanted
         observation = self._advance(self.course_seed)
         self._begun = True
-        return observation, {**self._flown.info(0), "course_seed": self.course_seed}
+        return observation, {**self._flown.flights.info(0), "course_seed": self.course_seed}
 
     def step(self, action: Any) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Flies 50 ms."""
@@ -354,7 +341,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
         if not self._begun:
             raise ValueError("the flight has not begun: reset first")
         observation = self._advance(None, actions)
-        info, outcome = self._flown.info(0), int(self._flown.ends[0])
+        info, outcome = {**self._flown.flights.info(0), "course_seed": self.course_seed}, int(self._flown.ends[0])
         if outcome >= 0:
             info.update(outcome=OUTCOMES[outcome], is_success=outcome == 0)
         return observation, float(self._flown.rewards[0]), outcome in (0, 1, 2), outcome == 3, info
@@ -365,7 +352,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
 
     def potential_field(self, half_angle_rad: float = math.radians(60.0), range_m: float = 3.0) -> Floats:
         """The action ``[2]`` of the paper's potential field here and now, of the nearest surface within the angle and range."""
-        return np.array(self._flown.flights.field(0, half_angle_rad, range_m), np.float32)
+        return np.array(self._flown.flights.field(0, half_angle_rad, range_m), np.float32) / np.float32(self._flown.action_unit)
 
 
 def _drawn(random: np.random.Generator, seeds: Sequence[int] | None) -> int:
@@ -456,12 +443,16 @@ class VigilVectorEnv(VectorEnv[dict[str, NDArray[Any]], Floats, NDArray[Any]]):
                 )
         if not self._begun and not mask.all():
             raise ValueError("reset_mask: the flights have not begun: reset all of them first")
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
-        if seeds is not None:
-            if len(seeds) != self.num_envs:
-                raise ValueError(f"seed: one for each of {self.num_envs} flights, got {len(seeds)}")
-            own = {i: seeding.np_random(given)[0] for i, given in enumerate(seeds) if given is not None and mask[i]}
+        if seed is not None:
+            several: Any = seed
+            if np.ndim(several) == 0:
+                several = range(first := _given.whole("seed", seed, bits=128), first + self.num_envs)
+            if len(several) != self.num_envs:
+                raise ValueError(f"seed: one for each of {self.num_envs} flights, got {len(several)}")
+            seeds = {i: _given.whole("seed", one, bits=128) for i, one in enumerate(several) if one is not None}
+            own = {i: seeding.np_random(given)[0] for i, given in seeds.items() if mask[i]}
             self._random = [own.get(i, random) for i, random in enumerate(self._random)]
+            super().reset(seed=next(iter(seeds.values()), None))
         observation = self._flown.advance(self._drawn_for(mask))
         self._begun, self._ended = True, self._ended & ~mask
         return observation, {"course_seed": np.array(self.course_seeds)}
@@ -476,7 +467,7 @@ class VigilVectorEnv(VectorEnv[dict[str, NDArray[Any]], Floats, NDArray[Any]]):
     def step(
         self, actions: Any
     ) -> tuple[dict[str, NDArray[Any]], NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Flies 50 ms. ``info``: ``outcome`` and ``is_success`` of those that ended (``_outcome`` says which)."""
+        """Flies 50 ms. ``info``: ``course_seed``; ``outcome`` and ``is_success`` of those that ended (``_outcome`` says which)."""
         given = _actions(actions, self.num_envs)
         if not self._begun:
             raise ValueError("the flights have not begun: reset first")
@@ -488,10 +479,10 @@ class VigilVectorEnv(VectorEnv[dict[str, NDArray[Any]], Floats, NDArray[Any]]):
         self._ended = flown.ends >= 0
         rewards: NDArray[Any] = flown.rewards if "rewards" in flown.buffers else flown.rewards.astype(np.float64)
         terminated, truncated = (flags if name in flown.buffers else flags.copy() for name, flags in flown.flags.items())
-        info: dict[str, Any] = {}
+        info: dict[str, Any] = {"course_seed": np.array(self.course_seeds)}
         if self._ended.any():
             names = np.array([OUTCOMES[o] if o >= 0 else None for o in flown.ends], dtype=object)
-            info = {"outcome": names, "_outcome": self._ended.copy(), "is_success": flown.ends == 0}
+            info |= {"outcome": names, "_outcome": self._ended.copy(), "is_success": flown.ends == 0}
             info["_is_success"] = info["_outcome"]
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
                 observation, info = self._begun_in_the_same_step(observation, info)
@@ -506,7 +497,7 @@ class VigilVectorEnv(VectorEnv[dict[str, NDArray[Any]], Floats, NDArray[Any]]):
             final[number] = {name: value[number].copy() for name, value in last.items()}
         observation = self._flown.advance(self._drawn_for(ended), anew=False)
         self._ended = np.zeros(self.num_envs, bool)
-        begun = {"course_seed": np.array(self.course_seeds), "_course_seed": ended}
+        begun = {"course_seed": np.array(self.course_seeds), "_course_seed": np.ones(self.num_envs, bool)}
         return observation, {**info, **begun, "final_obs": final, "_final_obs": ended, "final_info": info, "_final_info": ended}
 
 

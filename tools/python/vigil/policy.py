@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vigil import _given, _vigil
-from vigil._given import COLUMNS, FULL_SCALE_M, ROWS, Floats
+from vigil._given import COLUMNS, FULL_SCALE_M, LOW_DIM, ROWS, Floats
 
 
 class Action(NamedTuple):
@@ -22,7 +22,36 @@ class Action(NamedTuple):
     """Yaw in units of 30 °/s, clockwise, ±1.5."""
 
 
-class Actor:
+class _Frozen:
+    """What is common to those that decide on frames, which they remember. A copy is made anew from the file."""
+
+    native: _vigil.Actor | _vigil.Policy
+    path: str | None
+    positional_inputs: int
+    """Values of what it is given beside the split point: its low-dimensional observation, or an imported policy's goal."""
+
+    def __reduce__(self) -> tuple[type[_Frozen], tuple[str | None]]:
+        return type(self), (self.path,)
+
+    def state(self) -> Floats:
+        """The values at the split point of the last decision, 48 of an actor: what is explained in flight.
+
+        Raises:
+            ValueError: an imported policy that has decided nothing, or has no split point.
+        """
+        return self.native.state()
+
+    def reset(self) -> None:
+        """Forgets the frames: a new flight."""
+        self.native.reset()
+
+    @property
+    def sha256(self) -> str:
+        """Its digest, which a detector's file names."""
+        return self.native.sha256
+
+
+class Actor(_Frozen):
     """A frozen actor: decides from the newest frame and from what it remembers of earlier ones. A copy, or one that was pickled, is made
     anew from the file and remembers nothing.
 
@@ -33,13 +62,13 @@ class Actor:
         ValueError: a file that is no unaltered actor of this architecture.
     """
 
+    positional_inputs = LOW_DIM
+    native: _vigil.Actor
+
     def __init__(self, path: str | PathLike[str] | None = None) -> None:
         self.path = None if path is None else os.path.abspath(path)
         """Its file; ``None``: the one built in."""
         self.native = _vigil.Actor(None if path is None else str(path))
-
-    def __reduce__(self) -> tuple[type[Actor], tuple[str | None]]:
-        return type(self), (self.path,)
 
     def decide(self, frame: Any, goal: Any) -> Action:
         """Decides on the newest frame ``[128, 256]`` in metres, the goal and the vehicle's odometry. It remembers the frames, so every one of
@@ -53,10 +82,6 @@ class Actor:
         """
         return Action(*self.native.decide(_given.frames_of("frame", frame, None), _given.position(goal)))
 
-    def state(self) -> Floats:
-        """The 48 values at the split point of the last decision: what is explained in flight."""
-        return self.native.state()
-
     def context(self) -> Floats:
         """What it remembered in the last decision, ``[328]``: older scans, surfaces out of view, its trail (docs/architecture.md)."""
         return self.native.context()
@@ -65,23 +90,9 @@ class Actor:
         """The low-dimensional observation of the last decision, ``[8]``: goal, own motion, last action (docs/architecture.md)."""
         return self.native.low_dim()
 
-    def reset(self) -> None:
-        """Forgets the frames: a new flight."""
-        self.native.reset()
-
     def tensors(self) -> dict[str, Floats]:
         """Its parameters by the names that its file has (docs/architecture.md), in their order; copies."""
         return {name: values.reshape(shape) for name, shape, values in self.native.tensors()}
-
-    @property
-    def sha256(self) -> str:
-        """Its digest, which a detector's file names."""
-        return self.native.sha256
-
-    @property
-    def positional_inputs(self) -> int:
-        """Values of its low-dimensional observation."""
-        return self.native.positional_inputs
 
 
 def freeze(
@@ -116,7 +127,7 @@ def freeze(
     return like.native.write(str(path), np.concatenate(flat), training_config, *numbers)
 
 
-class Policy:
+class Policy(_Frozen):
     """An imported policy (``vigil import``): decides from frames of its own size, and remembers them if it has several channels. A copy
     remembers nothing.
 
@@ -127,30 +138,19 @@ class Policy:
         ValueError: a file that is no unaltered policy.
     """
 
+    positional_inputs = 2
+    native: _vigil.Policy
+    path: str
+
     def __init__(self, path: str | PathLike[str]) -> None:
         self.path = os.path.abspath(path)
         """Its file."""
         self.native = _vigil.Policy(str(path))
 
-    def __reduce__(self) -> tuple[type[Policy], tuple[str]]:
-        return type(self), (self.path,)
-
     def decide(self, frame: Any, goal: Any) -> Action:
         """As :meth:`Actor.decide`, exactly as in flight; of a position it takes the goal alone."""
         distance_m, bearing_rad, *_ = _given.position(goal)
         return Action(*self.native.decide(_given.frames_of("frame", frame, None), distance_m, bearing_rad))
-
-    def state(self) -> Floats:
-        """The values at the split point of the last decision: what is explained in flight.
-
-        Raises:
-            ValueError: nothing was decided, or the policy has no split point.
-        """
-        return self.native.state()
-
-    def reset(self) -> None:
-        """Forgets the frames."""
-        self.native.reset()
 
     @property
     def frame_shape(self) -> tuple[int, int, int]:
@@ -161,11 +161,6 @@ class Policy:
     def scale(self) -> float:
         """Its pixels are 0 to this."""
         return self.native.scale
-
-    @property
-    def sha256(self) -> str:
-        """Its digest."""
-        return self.native.sha256
 
     @property
     def source(self) -> str:

@@ -9,7 +9,7 @@ use vigil_types::DEPTH_COLS;
 /// Neighbours whose ranges differ by no more than this see one surface, metres.
 const TOLERANCE_M: f32 = 0.2;
 /// A slope is taken over at least this way, pixels.
-const LEAST_WAY: f32 = 0.5;
+const LEAST_TRAVEL: f32 = 0.5;
 /// How many samples back it is looked for.
 const MOST_BACK: usize = 2;
 
@@ -107,7 +107,7 @@ impl Line {
         let continues = |(at, from): Mark, (to_at, to): Mark, outer: &dyn Fn(usize) -> Option<Mark>| {
             let outer = (1..=MOST_BACK)
                 .filter_map(outer)
-                .find(|m| (at - m.0).abs() >= LEAST_WAY);
+                .find(|m| (at - m.0).abs() >= LEAST_TRAVEL);
             outer.is_some_and(|(outer_at, outer)| {
                 let slope = (from.inverse - outer.inverse) / (at - outer_at);
                 let is_near = (at - outer_at).abs() <= self.span;

@@ -33,14 +33,12 @@ fn scene(seed: u64) -> Scene {
     let start = course.start_ned_m();
     let position = NedVector::new(start.x, start.y, -course.flight_height_m);
     let attitude = Attitude::from_euler_rad(0.06, -0.08, 0.2);
-    let shot = Shot {
-        sensor_id: 1,
-        ..Shot::at(position, attitude)
-    };
     let mut lidar = Box::new(DepthFrame::EMPTY);
-    Lidar::new(LidarConfig::ideal(), seed)
-        .expect("a sensor")
-        .capture(&world, &shot, &mut lidar);
+    Lidar::new(LidarConfig::ideal(), seed).expect("a sensor").capture(
+        &world,
+        &Shot::at(position, attitude),
+        &mut lidar,
+    );
     Scene {
         world,
         position,
@@ -50,8 +48,15 @@ fn scene(seed: u64) -> Scene {
 }
 
 impl Scene {
-    fn point(&self, mount: (FrdVector, Attitude), direction: FrdVector) -> FrdVector {
-        rays::measure(&self.world, (self.position, self.attitude), mount, direction, REACH_M).unwrap_or(FrdVector::ZERO)
+    /// The point that a sensor measures along `direction` of its own axes; they are turned into the vehicle's by `turn` and sit at
+    /// `offset`.
+    fn point(&self, (offset, turn): (FrdVector, Attitude), direction: FrdVector) -> FrdVector {
+        let in_world = self.attitude.to_ned(rays::in_vehicle(turn, direction));
+        let from = self.position + self.attitude.to_ned(offset);
+        let met = rays::cast(&self.world, from, in_world).filter(|(range_m, _)| *range_m < REACH_M);
+        met.map_or(FrdVector::ZERO, |(range_m, _)| {
+            direction * (range_m as f32 / direction.norm())
+        })
     }
 
     /// Whether all beams around a pixel's centre, two pixels to every side, meet the same solid.
@@ -207,15 +212,14 @@ fn two_cameras_side_by_side_see_the_whole_width_as_one() {
     let mut depth = [1.0; DEPTH_PIXELS];
     projector.finish(&mut depth);
     let view = View::of(&depth).unwrap();
-    assert!(
-        view.across_deg[0] < -59.9 && view.across_deg[1] > 59.9 && view.is_whole(),
-        "{view}"
-    );
+    let [left, right] = view.across_deg;
+    assert!(left < -59.9 && right > 59.9 && view.is_whole(), "{view}");
     projector.add_depth_m(&Mount::STRAIGHT, &camera, &wall).unwrap();
     projector.finish(&mut depth);
     let one = View::of(&depth).unwrap();
+    let ([left, _], [_, top]) = (one.across_deg, one.up_deg);
     assert!(
-        !one.is_whole() && (one.across_deg[0] + 38.6).abs() < 0.5 && (one.up_deg[1] - 30.0).abs() < 0.5,
+        !one.is_whole() && (left + 38.6).abs() < 0.5 && (top - 30.0).abs() < 0.5,
         "{one}"
     );
 }

@@ -1,17 +1,18 @@
 //! A depth camera's raw bytes become the part of the image that it sees.
 
-use vigil_sensors::adapters::{DepthStream, Fault};
+use vigil_sensors::adapters::{DepthStream, Fault, SetupError};
 use vigil_sensors::{Mount, Pinhole};
-use vigil_types::{DEPTH_COLS, DEPTH_PIXELS};
+use vigil_types::{Attitude, DEPTH_COLS, DEPTH_PIXELS, FrdVector};
 
-fn stream() -> DepthStream {
+/// Of a camera that is mounted so, in units of so many metres.
+fn stream_of(mount: Mount, metres_per_unit: f32) -> Result<DepthStream, SetupError> {
     let camera = Pinhole::new([320, 180], [165.0; 2], [159.5, 89.5]).unwrap();
-    DepthStream::new(camera, Mount::STRAIGHT, 0.001).unwrap()
+    DepthStream::new(camera, mount, metres_per_unit)
 }
 
 #[test]
 fn millimetres_of_a_wall_are_its_ranges_along_the_rays() {
-    let mut stream = stream();
+    let mut stream = stream_of(Mount::STRAIGHT, 0.001).unwrap();
     let bytes: Vec<u8> = std::iter::repeat_n(2500u16.to_le_bytes(), 320 * 180)
         .flatten()
         .collect();
@@ -31,7 +32,7 @@ fn millimetres_of_a_wall_are_its_ranges_along_the_rays() {
 
 #[test]
 fn half_an_image_and_an_image_of_nothing_are_named() {
-    let mut stream = stream();
+    let mut stream = stream_of(Mount::STRAIGHT, 0.001).unwrap();
     let expected = stream.image_bytes();
     assert_eq!(expected, 2 * 320 * 180);
     let mut depth = Box::new([0.0; DEPTH_PIXELS]);
@@ -42,6 +43,7 @@ fn half_an_image_and_an_image_of_nothing_are_named() {
         );
     }
     assert_eq!(stream.image(&vec![0; expected], &mut depth), Err(Fault::EmptyImage));
-    let camera = Pinhole::new([320, 180], [165.0; 2], [159.5, 89.5]).unwrap();
-    assert!(DepthStream::new(camera, Mount::STRAIGHT, 1.0).is_err());
+    assert!(stream_of(Mount::STRAIGHT, 1.0).is_err());
+    let behind = Mount::new(FrdVector::ZERO, Attitude::from_euler_rad(0.0, 0.0, 3.0)).unwrap();
+    assert_eq!(stream_of(behind, 0.001).err(), Some(SetupError::LooksElsewhere));
 }

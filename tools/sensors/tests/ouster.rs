@@ -10,7 +10,7 @@ use device::{COLUMNS, Device, PER_PACKET};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sensors::Mount;
 use vigil_sensors::adapters::{Fault, MetadataError, OusterAdapter, OusterDevice, SetupError};
-use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
+use vigil_sim::world::{Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_types::{Attitude, DEPTH_COLS, DEPTH_PIXELS, Datagrams, DepthFrame, FrdVector, Nanos, NedVector};
 
@@ -32,7 +32,6 @@ fn adapter(device: &Device, in_groups: bool) -> OusterAdapter {
 struct Bench {
     device: Device,
     adapter: OusterAdapter,
-    course: Course,
     world: World,
     pose: (NedVector, Attitude),
     depth: Box<[f32; DEPTH_PIXELS]>,
@@ -51,7 +50,6 @@ impl Bench {
                 NedVector::new(start.x, start.y, -course.flight_height_m),
                 Attitude::from_euler_rad(0.04, -0.06, 0.1),
             ),
-            course,
             depth: Box::new([1.0; DEPTH_PIXELS]),
         }
     }
@@ -78,6 +76,16 @@ impl Bench {
         let packets = self.turn(number);
         self.feed(number, &packets)
     }
+
+    /// Hands over a turn that lacks something and the next one, which is whole; columns that were then missing, and those needed.
+    fn lost(&mut self, number: u16, holed: &[Vec<u8>]) -> (usize, usize) {
+        assert_eq!(self.feed(number, holed), [], "it may still come");
+        let after = self.turned(number + 1);
+        let [Err(Fault::LostColumns { missing, needed }), Ok(_)] = after[..] else {
+            panic!("{after:?}")
+        };
+        (missing, needed)
+    }
 }
 
 #[test]
@@ -95,13 +103,10 @@ fn recorded_packets_of_a_course_become_the_lidar_models_image_with_the_stamp_of_
             let is_near = (0..1_500_000).contains(&error_ns);
             assert!(is_near, "a stamp is {error_ns} ns beside the middle of the turn");
         }
-        let shot = Shot {
-            sensor_id: 1,
-            ..Shot::at(bench.pose.0, bench.pose.1)
-        };
+        let shot = Shot::at(bench.pose.0, bench.pose.1);
         let mut lidar = Box::new(DepthFrame::EMPTY);
         let mut model = Lidar::new(LidarConfig::ideal(), 1).unwrap();
-        model.capture(&World::new(&bench.course), &shot, &mut lidar);
+        model.capture(&bench.world, &shot, &mut lidar);
         // Where the model sees one surface, away from the image's border.
         let mut errors_m = Vec::new();
         for pixel in (4 * DEPTH_COLS..120 * DEPTH_COLS).filter(|p| (4..252).contains(&(p % DEPTH_COLS))) {
@@ -125,18 +130,13 @@ fn recorded_packets_of_a_course_become_the_lidar_models_image_with_the_stamp_of_
 #[test]
 fn a_turn_with_a_lost_packet_is_no_frame_and_the_next_one_is() {
     let mut bench = Bench::new(64, 7);
-    let turns: Vec<_> = (0..4).map(|n| bench.turn(n)).collect();
-    assert!(matches!(bench.feed(0, &turns[0])[..], [Ok(_)]));
-    let mut holed = turns[1].clone();
+    assert!(matches!(bench.turned(0)[..], [Ok(_)]));
+    let mut holed = bench.turn(1);
     holed.remove(COLUMNS / PER_PACKET / 2);
-    assert_eq!(bench.feed(1, &holed), [], "it may still come");
-    let after = bench.feed(2, &turns[2]);
-    assert!(
-        matches!(after[..], [Err(Fault::LostColumns { missing: 16, needed }), Ok(_)] if (340..420).contains(&needed)),
-        "{after:?}"
-    );
+    let (missing, needed) = bench.lost(1, &holed);
+    assert!(missing == 16 && (340..420).contains(&needed), "{missing} of {needed}");
     // Behind the vehicle nothing is needed.
-    let mut holed = turns[3].clone();
+    let mut holed = bench.turn(3);
     holed.remove(2);
     assert!(matches!(bench.feed(3, &holed)[..], [Ok(_)]));
 }
@@ -148,15 +148,10 @@ fn a_turn_without_columns_in_which_only_near_things_are_in_view_is_no_frame() {
     let mount = (FrdVector::new(0.3, 0.0, 0.0), Attitude::LEVEL_NORTH);
     bench.device = Device::new(64, mount);
     bench.adapter = adapter(&bench.device, false);
-    let (mut holed, next) = (bench.turn(0), bench.turn(1));
+    let mut holed = bench.turn(0);
     // 73° to 79° to the left.
     holed.remove(18);
-    assert_eq!(bench.feed(0, &holed), []);
-    let after = bench.feed(1, &next);
-    let [Err(Fault::LostColumns { missing, .. }), Ok(_)] = after[..] else {
-        panic!("{after:?}")
-    };
-    assert_eq!(missing, PER_PACKET);
+    assert_eq!(bench.lost(0, &holed).0, PER_PACKET);
 }
 
 #[test]
@@ -172,14 +167,10 @@ fn packets_out_of_order_within_a_turn_are_as_good_and_late_ones_are_named() {
 #[test]
 fn a_column_that_the_device_calls_bad_counts_as_lost() {
     let mut bench = Bench::new(64, 7);
-    let (mut turn, next) = (bench.turn(0), bench.turn(1));
+    let mut turn = bench.turn(0);
     let len = turn[32].len();
     turn[32][len - 1] = 0;
-    assert_eq!(bench.feed(0, &turn), []);
-    assert!(matches!(
-        bench.feed(1, &next)[..],
-        [Err(Fault::LostColumns { missing: 1, .. }), Ok(_)]
-    ));
+    assert_eq!(bench.lost(0, &turn).0, 1);
 }
 
 #[test]

@@ -11,13 +11,15 @@ use serde_json::Value;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
-use std::io::{Read, Write};
+use std::io::{BufRead, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use vigil_nnet::Isa;
 
 /// Ten million flights have some 8 GB.
 const SIZE_LIMIT: u64 = 16 << 30;
+/// A heading is shorter.
+const HEADING_LIMIT: u64 = 1 << 20;
 /// Value of a heading's entry `format`.
 const FORMAT: &str = "vigil campaign 1";
 /// Hexadecimal digits that a line names its heading by.
@@ -121,6 +123,15 @@ pub struct Campaign<S, F> {
     file: Option<(PathBuf, Mutex<File>)>,
 }
 
+/// Refuses more flights than there are seeds from `first_seed` on.
+pub fn check_seeds(first_seed: u64, flights: u64) -> Result<()> {
+    ensure!(
+        first_seed.checked_add(flights).is_some(),
+        "--seed: seeds end below 2^64 - 1, {flights} flights from {first_seed} on do not fit"
+    );
+    Ok(())
+}
+
 impl<S, F> Campaign<S, F>
 where
     S: Serialize + DeserializeOwned + Sync,
@@ -131,12 +142,7 @@ where
     /// # Errors
     /// The program's file cannot be read; seeds beyond the last.
     pub fn new(command: &str, settings: S, jobs: Jobs) -> Result<Self> {
-        ensure!(
-            jobs.first_seed.checked_add(jobs.flights).is_some(),
-            "--seed: seeds end below 2^64 - 1, {} flights from {} on do not fit",
-            jobs.flights,
-            jobs.first_seed
-        );
+        check_seeds(jobs.first_seed, jobs.flights)?;
         let is_portable = Isa::detect() == Isa::PORTABLE;
         Self::of_heading(Heading {
             format: FORMAT.to_owned(),
@@ -340,13 +346,17 @@ where
         let (text, name) = (read(path)?, path.display());
         // A process that was killed leaves half a line at the end.
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
-        let is_heading = |line: &str| line.starts_with("{\"format\"");
-        ensure!(is_heading(whole), "{name} has no heading: it is no campaign's");
+        let begins = whole.lines().next().is_some_and(is_heading);
+        ensure!(begins, "{name} has no heading: it is no campaign's");
         for line in whole.lines().filter(|line| is_heading(line)) {
             let other: Heading<Value> = heading_of(path, line)?;
             if let Some(difference) = self.difference(&other.origin)? {
                 bail!("{name} is of another campaign: {difference}");
             }
+            ensure!(
+                other.jobs.count() > 0,
+                "{name} is of no flight: its heading asks for none"
+            );
             self.heading.jobs.extend(&other.jobs);
         }
         let lines = (1..).zip(whole.lines());
@@ -357,9 +367,15 @@ where
             let arm =
                 arm.filter(|_| line.of == self.of && (self.jobs().first_seed..self.jobs().end()).contains(&line.seed));
             let arm = arm.with_context(|| format!("{name}, line {number} is of another campaign than the headings"))?;
+            let flight = serde_json::to_value(&line.flight)?;
+            let own = flight.get("seed").map_or(Some(line.seed), Value::as_u64);
+            ensure!(
+                own == Some(line.seed),
+                "{name}, line {number} is of another seed than its flight"
+            );
             if let Some(other) = self.flown.get(&(line.seed, arm)) {
                 ensure!(
-                    serde_json::to_value(other)? == serde_json::to_value(&line.flight)?,
+                    serde_json::to_value(other)? == flight,
                     "{name}, line {number} contradicts an earlier flight of seed {}",
                     line.seed
                 );
@@ -388,23 +404,16 @@ where
     fn missing_in_words(&self) -> String {
         const MOST: usize = 12;
         let jobs = self.jobs();
-        // Files may name seeds that lie far apart.
-        let mut runs: Vec<(u64, u64)> = Vec::new();
-        let mut next = jobs.first_seed;
-        let mut add_until = |seed: u64, behind: u64| {
-            if seed > next {
-                runs.push((next, seed - next));
-            }
-            next = behind;
-        };
         let seeds: Vec<u64> = self.flown.keys().map(|(seed, _)| *seed).collect();
-        for whole in seeds
-            .chunk_by(|a, b| a == b)
-            .filter(|arms| arms.len() == jobs.arms.len())
-        {
-            add_until(whole[0], whole[0] + 1);
-        }
-        add_until(jobs.end(), jobs.end());
+        let arms = seeds.chunk_by(|a, b| a == b);
+        let whole = arms.filter(|arms| arms.len() == jobs.arms.len()).map(|arms| arms[0]);
+        // Files may name seeds that lie far apart.
+        let mut next = jobs.first_seed;
+        let before = whole.chain([jobs.end()]).map(|seed| {
+            let from = std::mem::replace(&mut next, seed.saturating_add(1));
+            (from, seed.saturating_sub(from))
+        });
+        let runs: Vec<(u64, u64)> = before.filter(|(_, count)| *count > 0).collect();
         if runs.is_empty() {
             return String::new();
         }
@@ -438,8 +447,21 @@ fn heading_of<S: DeserializeOwned>(path: &Path, line: &str) -> Result<Heading<S>
     Ok(heading)
 }
 
+/// Whether a line is a heading; others' writers sort its entries.
+fn is_heading(line: &str) -> bool {
+    let has = |line: Value| line.get("format").is_some() && line.get("flight").is_none();
+    // Most lines are flights, of which this is soon known.
+    line.contains("\"format\"") && serde_json::from_str(line).is_ok_and(has)
+}
+
 fn read(path: &Path) -> Result<String> {
-    vigil_types::files::read_text(path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))
+    let text = vigil_types::files::read_text(path, SIZE_LIMIT);
+    let mut text = text.with_context(|| format!("cannot read {}", path.display()))?;
+    // Some editors put a mark in front.
+    if text.starts_with('\u{feff}') {
+        text.remove(0);
+    }
+    Ok(text)
 }
 
 fn cannot_write(path: &Path) -> String {
@@ -448,14 +470,16 @@ fn cannot_write(path: &Path) -> String {
 
 /// Refuses a file that holds something else than a campaign's flights.
 fn check_replaceable(path: &Path) -> Result<()> {
-    const BEGINNING: &[u8] = b"{\"format\":\"vigil campaign ";
-    let (mut beginning, name) = (Vec::new(), path.display());
+    let (mut line, name) = (Vec::new(), path.display());
     if path.is_file() {
-        let result = File::open(path).and_then(|file| file.take(BEGINNING.len() as u64).read_to_end(&mut beginning));
+        let file = File::open(path).map(|file| std::io::BufReader::new(file.take(HEADING_LIMIT)));
+        let result = file.and_then(|mut file| file.read_until(b'\n', &mut line));
         result.with_context(|| format!("cannot read {name}"))?;
     }
+    let heading = String::from_utf8_lossy(&line);
+    let heading = heading.trim_start_matches('\u{feff}');
     ensure!(
-        beginning.is_empty() || beginning == BEGINNING,
+        line.is_empty() || is_heading(heading) && heading.contains("\"vigil campaign "),
         "{name} is there and is no campaign's: name another place with -o"
     );
     Ok(())
@@ -473,16 +497,22 @@ pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The first place where two origins differ, with both values.
-fn difference(a: &Value, b: &Value, place: &str) -> Option<String> {
-    if a == b {
-        return None;
-    }
-    if let (Value::Object(a), Value::Object(b)) = (a, b) {
-        let names = a.keys().chain(b.keys().filter(|name| !a.contains_key(*name)));
-        let of = |map: &serde_json::Map<String, Value>, name| map.get(name).cloned().unwrap_or(Value::Null);
-        let mut differences = names.map(|name| difference(&of(a, name), &of(b, name), &format!("{place}.{name}")));
-        return differences.find_map(|difference| difference);
+/// The first place where two origins differ, with both values. A writer that drops `.0` changes no number.
+pub fn difference(a: &Value, b: &Value, place: &str) -> Option<String> {
+    match (a, b) {
+        (Value::Number(a), Value::Number(b)) if a.is_f64() != b.is_f64() && a.as_f64() == b.as_f64() => return None,
+        (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
+            let mut pairs = a.iter().zip(b);
+            return pairs.find_map(|(a, b)| difference(a, b, place));
+        }
+        (Value::Object(a), Value::Object(b)) => {
+            let names = a.keys().chain(b.keys().filter(|name| !a.contains_key(*name)));
+            let of = |map: &serde_json::Map<String, Value>, name| map.get(name).cloned().unwrap_or(Value::Null);
+            let mut differences = names.map(|name| difference(&of(a, name), &of(b, name), &format!("{place}.{name}")));
+            return differences.find_map(|difference| difference);
+        }
+        _ if a == b => return None,
+        _ => {}
     }
     let value = |value: &Value| match value {
         Value::Null => "absent".to_owned(),
@@ -490,29 +520,4 @@ fn difference(a: &Value, b: &Value, place: &str) -> Option<String> {
     };
     let place = place.trim_start_matches('.');
     Some(format!("{place} was {}, and is {}", value(b), value(a)))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lines_that_are_no_campaigns_are_not_replaced() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let file = folder.path().join("data.jsonl");
-        let kept = || {
-            let jobs = Jobs {
-                first_seed: 1,
-                flights: 1,
-                arms: vec!["one".to_owned()],
-            };
-            let campaign = Campaign::<(), u8>::new("evaluate", (), jobs).expect("a campaign");
-            campaign.keep_in(&file, Existing::Replace).map(drop)
-        };
-        kept().expect("a new file");
-        kept().expect("in place of the campaign's");
-        std::fs::write(&file, "{\"mine\":1}\n").expect("written");
-        let refused = kept().expect_err("another's").to_string();
-        assert!(refused.contains("is no campaign's"), "{refused}");
-    }
 }

@@ -52,11 +52,9 @@ impl Recording {
             scene: Some(crate::cli::scene::of(&config.course)),
             ..RecorderConfig::new(LogPlace::File(self.log.clone()), info)
         })?;
-        let notes_file = self.log.with_extension("part");
         Ok(Begun {
             recorder: Some(recorder),
-            notes: SideLog::create(&notes_file)?,
-            notes_file,
+            notes: SideLog::create(&self.log.with_extension("part"))?,
             failure: None,
             recording: self,
         })
@@ -68,7 +66,6 @@ pub(super) struct Begun {
     /// For the firmware.
     pub recorder: Option<Recorder>,
     notes: SideLog,
-    notes_file: PathBuf,
     failure: Option<SideError>,
     recording: Recording,
 }
@@ -92,7 +89,7 @@ impl Begun {
         if let Some(failure) = self.failure {
             return Err(failure.into());
         }
-        let truth_file = self.notes_file.with_extension("truth.part");
+        let [notes_file, truth_file] = ["part", "truth.part"].map(|ending| log.with_extension(ending));
         let mut truth = SideLog::create(&truth_file)?;
         // A point is where a step ended; the path's last one is that of the ending.
         for (point, step) in record.path_ned_m.iter().zip((0..).step_by(PATH_STRIDE as usize)) {
@@ -105,7 +102,7 @@ impl Begun {
         let (how, seconds, metres) = (record.outcome, record.flight_time_s, record.path_length_m);
         let text = format!("{} after {seconds:.1} s and {metres:.1} m", super::outcome_name(how));
         about.insert("outcome".to_owned(), text);
-        let sides: [&Path; 2] = [&truth_file, &self.notes_file];
+        let sides: [&Path; 2] = [&truth_file, &notes_file];
         let merged = merge_into(&log, &sides, &about);
         for side in sides {
             // What they hold is in the log.

@@ -1,8 +1,8 @@
 //! What was found wrong with the sensor in a flight, and campaigns over the sensor's faults.
 
+use super::Flight;
 use crate::report::{TextTable, numbers, words};
 use serde::{Deserialize, Serialize};
-use vigil_sim::lockstep_flight::FlightRecord;
 use vigil_sim::world::Outcome;
 use vigil_sim::{SensorFault, SensorFaultMode};
 use vigil_types::{GuidanceState, Reason, STEP_S, StepReport};
@@ -61,20 +61,15 @@ impl SensorRecord {
 
     /// A line on all flights of a campaign.
     pub fn summary<'a>(flights: impl Iterator<Item = &'a Self>) -> String {
-        let (mut steps, mut holds, mut held, mut count) = (0, 0, 0, 0);
-        let mut reasons: Vec<(&str, u64)> = SENSOR_REASONS.iter().map(|r| (r.name(), 0)).collect();
-        for flight in flights {
-            count += 1;
-            steps += flight.flown_steps;
-            holds += flight.holds;
-            held += u64::from(flight.holds > 0);
-            for (name, n) in &mut reasons {
-                *n += u64::from(flight.reasons.iter().any(|reason| reason == name));
-            }
-        }
-        let hours = steps as f64 * f64::from(STEP_S) / 3600.0;
-        let found = reasons.iter().filter(|(_, n)| *n > 0);
-        let named: Vec<String> = found.map(|(name, n)| format!("{name} {n}")).collect();
+        let flights: Vec<&Self> = flights.collect();
+        let sum = |of: fn(&Self) -> u64| flights.iter().map(|flight| of(flight)).sum::<u64>();
+        let (holds, held, count) = (sum(|f| f.holds), sum(|f| u64::from(f.holds > 0)), flights.len());
+        let hours = sum(|f| f.flown_steps) as f64 * f64::from(STEP_S) / 3600.0;
+        let found = SENSOR_REASONS.into_iter().map(Reason::name).filter_map(|name| {
+            let n = flights.iter().filter(|f| f.reasons.iter().any(|r| r == name)).count();
+            (n > 0).then(|| format!("{name} {n}"))
+        });
+        let named: Vec<String> = found.collect();
         format!(
             "{holds} holds in {held} of {count} flights, {:.2} per flight hour{}{}",
             holds as f64 / hours.max(f64::MIN_POSITIVE),
@@ -121,6 +116,15 @@ impl FaultChoice {
     }
 }
 
+impl std::fmt::Display for FaultChoice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::One(fault) => fault.fmt(f),
+            Self::All(fault) => write!(f, "all{}", fault.to_string().trim_start_matches(fault.mode.name())),
+        }
+    }
+}
+
 /// How the flights with a fault ended.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct FaultTally {
@@ -140,19 +144,19 @@ pub struct FaultTally {
 
 impl FaultTally {
     /// Counts the flights with the fault of this name.
-    pub fn of<'a>(fault: &str, flights: impl Iterator<Item = (&'a FlightRecord, &'a SensorRecord)>) -> Self {
+    pub fn of(fault: &str, flights: &[&Flight]) -> Self {
         let mut tally = Self {
             fault: fault.to_owned(),
             ..Self::default()
         };
-        for (record, sensor) in flights {
+        for flight in flights.iter().filter(|f| f.sensor_fault.as_deref() == Some(fault)) {
             tally.flights += 1;
-            match record.outcome {
+            match flight.record.outcome {
                 Some(Outcome::Success) => tally.arrived += 1,
                 Some(Outcome::Collision | Outcome::OutOfBounds) => tally.collisions += 1,
                 // A vehicle that never took off was held on the ground.
                 None => tally.held += 1,
-                Some(Outcome::TimeOut) if sensor.held_at_end => tally.held += 1,
+                Some(Outcome::TimeOut) if flight.sensor.held_at_end => tally.held += 1,
                 Some(Outcome::TimeOut) => tally.time_outs += 1,
             }
         }

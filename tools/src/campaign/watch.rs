@@ -58,29 +58,21 @@ impl WatchRecord {
 
     /// A line on all flights of a campaign.
     pub fn summary<'a>(flights: impl Iterator<Item = &'a Self>) -> String {
-        let (mut sum, mut count, mut alarmed) = (Self::default(), 0, 0);
-        for flight in flights {
-            count += 1;
-            alarmed += u64::from(flight.alarms > 0);
-            sum.judged_steps += flight.judged_steps;
-            sum.alarms += flight.alarms;
-            sum.guard_alarms += flight.guard_alarms;
-            sum.astray_alarms += flight.astray_alarms;
-            sum.disagreement_alarms += flight.disagreement_alarms;
-            sum.stop_steps += flight.stop_steps;
-            sum.recovery_steps += flight.recovery_steps;
-        }
-        let share = |steps: u64| 100.0 * steps as f64 / sum.judged_steps.max(1) as f64;
-        let hours = sum.judged_steps as f64 * f64::from(STEP_S) / 3600.0;
+        let flights: Vec<&Self> = flights.collect();
+        let sum = |of: fn(&Self) -> u64| flights.iter().map(|flight| of(flight)).sum::<u64>();
+        let (alarms, judged_steps) = (sum(|f| f.alarms), sum(|f| f.judged_steps));
+        let share = |steps: u64| 100.0 * steps as f64 / judged_steps.max(1) as f64;
+        let hours = judged_steps as f64 * f64::from(STEP_S) / 3600.0;
         format!(
-            "{} alarms ({} by the guard: {} led astray, {} disagreements) in {alarmed} of {count} flights, {:.1} per flight hour; stopping {:.1} %, recovering {:.1} % of the time",
-            sum.alarms,
-            sum.guard_alarms,
-            sum.astray_alarms,
-            sum.disagreement_alarms,
-            sum.alarms as f64 / hours.max(f64::MIN_POSITIVE),
-            share(sum.stop_steps),
-            share(sum.recovery_steps),
+            "{alarms} alarms ({} by the guard: {} led astray, {} disagreements) in {} of {} flights, {:.1} per flight hour; stopping {:.1} %, recovering {:.1} % of the time",
+            sum(|f| f.guard_alarms),
+            sum(|f| f.astray_alarms),
+            sum(|f| f.disagreement_alarms),
+            sum(|f| u64::from(f.alarms > 0)),
+            flights.len(),
+            alarms as f64 / hours.max(f64::MIN_POSITIVE),
+            share(sum(|f| f.stop_steps)),
+            share(sum(|f| f.recovery_steps)),
         )
     }
 }

@@ -443,17 +443,14 @@ fn read_images(input: &mut dyn Read, bytes: usize, rate_hz: Option<u32>, sender:
             }
         }
         let is_rest = image.len() < bytes;
-        let is_wanted = match rate_hz {
-            Some(hz) => {
-                sleep_until(due_ns);
-                due_ns += 1_000_000_000 / u64::from(hz);
-                sender.send(Ok((monotonic_ns(), image))).is_ok()
-            }
-            None if is_rest => sender.send(Ok((monotonic_ns(), image))).is_ok(),
-            None => !matches!(
-                sender.try_send(Ok((monotonic_ns(), image))),
-                Err(TrySendError::Disconnected(_))
-            ),
+        if let Some(hz) = rate_hz {
+            sleep_until(due_ns);
+            due_ns += 1_000_000_000 / u64::from(hz);
+        }
+        let arrival = Ok((monotonic_ns(), image));
+        let is_wanted = match rate_hz.is_some() || is_rest {
+            true => sender.send(arrival).is_ok(),
+            false => !matches!(sender.try_send(arrival), Err(TrySendError::Disconnected(_))),
         };
         if !is_wanted {
             return;

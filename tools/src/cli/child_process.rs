@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -105,18 +105,32 @@ impl Process {
             let pid = rustix::process::Pid::from_child(&self.child);
             rustix::process::kill_process(pid, Signal::TERM)?;
             let asked = Instant::now();
-            while self.child.try_wait()?.is_none() {
-                if asked.elapsed() > END_LIMIT {
-                    let (name, limit_s) = (self.name, END_LIMIT.as_secs());
-                    tell!("vigil: the {name} did not end within {limit_s} s and is killed");
-                    self.child.kill()?;
-                }
-                std::thread::sleep(Duration::from_millis(20));
+            if wait_for(&mut self.child, || asked.elapsed() > END_LIMIT)?.is_none() {
+                let (name, limit_s) = (self.name, END_LIMIT.as_secs());
+                tell!("vigil: the {name} did not end within {limit_s} s and is killed");
             }
         }
         // The reader does not panic, and ends with the pipe.
         let report = self.report.take().and_then(|reader| reader.join().ok());
         Ok(report.unwrap_or_default())
+    }
+}
+
+/// Waits until a child has ended; `None` where that was given up, and the child killed.
+pub(super) fn wait_for(
+    child: &mut Child,
+    mut is_given_up: impl FnMut() -> bool,
+) -> std::io::Result<Option<ExitStatus>> {
+    loop {
+        if let Some(status) = child.try_wait()? {
+            return Ok(Some(status));
+        }
+        if is_given_up() {
+            child.kill()?;
+            child.wait()?;
+            return Ok(None);
+        }
+        std::thread::sleep(Duration::from_millis(20));
     }
 }
 

@@ -20,7 +20,7 @@ Examples:
   vigil courses view --course my.toml --save my.rrd  the same as a recording: `rerun my.rrd` opens it
   vigil courses view --seed 7 -o view.png            what the LiDAR sees at its start, as a picture
   vigil courses write --family training --seed 3     the course as TOML, to edit and fly with --course
-  vigil courses check my.toml                        is it well formed, and is there a way to the goal?")]
+  vigil courses check my.toml                        is it well formed, and is there a path to the goal?")]
 pub struct CoursesArgs {
     #[command(subcommand)]
     command: CoursesCommand,
@@ -57,7 +57,7 @@ enum CoursesCommand {
         #[arg(short, long)]
         output: Option<PathBuf>,
     },
-    /// Check course files: form, values, and a way from start to goal.
+    /// Check course files: form, values, and a path from start to goal.
     Check {
         /// Course files.
         #[arg(required = true)]
@@ -196,10 +196,10 @@ fn obstacles_of(file: &Path) -> Result<String> {
     let (name, corridor) = (file.display(), course.corridor());
     ensure!(
         corridor.is_some(),
-        "{name}: no way from start to goal with the vehicle's clearance"
+        "{name}: no path from start to goal with the vehicle's clearance"
     );
     let why = match course.movers.is_empty() {
-        true => "`time_limit_s` is too short for the way at 1 m/s",
+        true => "`time_limit_s` is too short for the path at 1 m/s",
         false => "the movers leave no time to get to the goal",
     };
     ensure!(course.earliest_arrival_s(0.0).is_some(), "{name}: {why}");
@@ -255,7 +255,7 @@ mod tests {
         std::fs::write(&file, text).unwrap();
         let error = obstacles_of(&file).unwrap_err().to_string();
         assert!(
-            error.ends_with("`time_limit_s` is too short for the way at 1 m/s"),
+            error.ends_with("`time_limit_s` is too short for the path at 1 m/s"),
             "{error}"
         );
     }

@@ -1,9 +1,10 @@
 //! `vigil doctor`: what a vehicle and its depth sensor lack before a flight.
 
+use crate::cli::adapter::ServiceArgs;
 use crate::cli::output::{self, Interrupt, Paint, say, tell};
 use crate::cli::sensor::{self, CheckedFrames};
 use crate::doctor::{Examination, ExaminationConfig, Finding, Severity};
-use crate::sensor_check::{Expected, SensorCheck};
+use crate::sensor_check::SensorCheck;
 use anyhow::Result;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -11,12 +12,10 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use vigil_firmware::arguments::choice;
 use vigil_io::clock::monotonic_ns;
 use vigil_io::gate::{AllowUnsigned, SigningGate};
-use vigil_io::key_file::frame_keys;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::links::{LinkAdmission, PeerRule, open_wire, somebody_is_heard};
-use vigil_io::shared_memory::DEPTH_TOPIC;
 use vigil_mavlink::Flavour;
-use vigil_sim::LIDAR_SENSOR_ID;
+use vigil_mavlink::signing::SigningCounters;
 use vigil_types::{AutopilotChoice, Datagrams, Nanos};
 
 /// Time between two looks at link and frames.
@@ -53,13 +52,8 @@ pub struct DoctorArgs {
     #[arg(long, value_name = "WHO", value_enum, default_value_t)]
     allow_unsigned: AllowUnsigned,
 
-    /// Number of the set of processes, for the frame service.
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
-    instance: u32,
-
-    /// The frame service.
-    #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC)]
-    frames: String,
+    #[command(flatten)]
+    service: ServiceArgs,
 
     /// File with the secret of the frames' key; may be given twice.
     #[arg(long, value_name = "FILE")]
@@ -78,19 +72,6 @@ pub struct DoctorArgs {
     json: Option<PathBuf>,
 }
 
-/// What the sensor sends; `None` where nobody asks.
-fn frames(args: &DoctorArgs) -> Result<Option<CheckedFrames>> {
-    if args.no_sensor {
-        return Ok(None);
-    }
-    let expected = Expected {
-        sensor_id: LIDAR_SENSOR_ID,
-        keys: frame_keys(&args.frame_key, LIDAR_SENSOR_ID)?,
-        wall_m: None,
-    };
-    CheckedFrames::open("doctor", args.instance, &args.frames, expected).map(Some)
-}
-
 /// Looks and reports.
 ///
 /// # Errors
@@ -107,7 +88,8 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
     somebody_is_heard(&args.link.url, gate.has_key(), policy)?;
     let system = args.link.system;
     let mut wire = open_wire(&args.link.url, PeerRule::Vehicle { system })?;
-    let mut frames = frames(args)?;
+    let frames = || CheckedFrames::open("doctor", &args.service, &args.frame_key, None);
+    let mut frames = (!args.no_sensor).then(frames).transpose()?;
     let interrupt = Interrupt::on_ctrl_c()?;
     let started_ns = monotonic_ns();
     let unix_us = SystemTime::now()
@@ -147,7 +129,7 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
         wire.send(&mut gate, &questions);
         if let Some(frames) = &mut frames
             && frames.look()?
-            && frames.frame.check(LIDAR_SENSOR_ID).is_ok()
+            && frames.frame.check(args.service.sensor_id).is_ok()
         {
             examination.observe_frame(&frames.frame);
         }
@@ -155,7 +137,7 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
         now_ns = monotonic_ns();
     }
     let mut findings = examination.findings(now_ns);
-    findings.extend(of_link(wire.statistics().0.other_system, gate.counters().refused()));
+    findings.extend(of_link(wire.statistics().0.other_system, &gate.counters()));
     if let Some(frames) = &frames {
         findings.extend(of_sensor(&frames.check, started_ns, now_ns));
     }
@@ -164,7 +146,7 @@ pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
 }
 
 /// What the examination does not see: packets that wire and gate kept from it.
-fn of_link(other_system: Option<u8>, refused: u64) -> impl Iterator<Item = Finding> {
+fn of_link(other_system: Option<u8>, signing: &SigningCounters) -> impl Iterator<Item = Finding> {
     let warning = |name, value, wanted, why| Finding::new(name, Severity::Warning, Some(value), wanted, why);
     let other = other_system.map(|other| {
         let why = "its packets are not read: is system=ID of the link right?";
@@ -175,9 +157,23 @@ fn of_link(other_system: Option<u8>, refused: u64) -> impl Iterator<Item = Findi
             why,
         )
     });
-    let refused = (refused > 0).then(|| {
-        let value = format!("{refused} packets refused: unsigned or wrongly signed");
-        let why = "give --signing-key, or --allow-unsigned always if only the vehicle reaches the link (docs/firmware.md, Signing)";
+    let (refusals, refused) = (signing.refusals().into_iter(), signing.refused());
+    let most = refusals.clone().max_by_key(|(_, count)| *count);
+    let refused = most.filter(|_| refused > 0).map(|(reason, _)| {
+        let counts = refusals.filter(|(_, count)| *count > 0);
+        let counts: Vec<_> = counts.map(|(reason, count)| format!("{count} {reason}")).collect();
+        let value = format!("packets refused: {}", counts.join(", "));
+        let why = match reason {
+            "from the future" | "outdated" => {
+                "this machine's clock and the vehicle's differ by more than a minute: set it"
+            }
+            "wrong signature" => "the vehicle signs with another key than --signing-key",
+            "replayed" => "the vehicle's clock went back, or somebody repeats its packets: set its clock",
+            _ => {
+                "give --signing-key, or --allow-unsigned always if only the vehicle reaches the link \
+                 (docs/firmware.md, Signing)"
+            }
+        };
         warning("refused packets", value, "packets that the link accepts", why)
     });
     other.into_iter().chain(refused)
@@ -199,4 +195,28 @@ fn report(args: &DoctorArgs, findings: &[Finding]) -> Result<ExitCode> {
     let sum = format!("{missing} missing, {warned} warnings, {} good", count(Severity::Good));
     say!("{}", Paint::stdout().verdict(missing == 0, &sum));
     Ok(code)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wrong_clock_is_named_and_no_reason_to_switch_signing_off() {
+        let of = |from_the_future, unsigned| {
+            let signing = SigningCounters {
+                from_the_future,
+                unsigned,
+                ..SigningCounters::default()
+            };
+            of_link(None, &signing).next().map(|finding| finding.line())
+        };
+        let line = of(20, 3).unwrap();
+        assert!(
+            line.contains("3 unsigned, 20 from the future") && line.contains("clock"),
+            "{line}"
+        );
+        assert!(!line.contains("--allow-unsigned") && of(0, 3).unwrap().contains("--allow-unsigned"));
+        assert_eq!(of(0, 0), None);
+    }
 }

@@ -4,7 +4,7 @@ mod goal_distance;
 mod report;
 mod shown;
 
-use crate::campaign::flights::{Campaign, Existing, Jobs, sha256};
+use crate::campaign::flights::{Campaign, Existing, Jobs, difference, sha256};
 use crate::campaign::{self, FaultChoice, Flight, Recording, outcome_name};
 use crate::cli::output::{self, tell};
 use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
@@ -14,7 +14,7 @@ use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, ensure};
 use goal_distance::GoalDistance;
 use report::{NO_FAULT, Took, report};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 use shown::Shown;
 use std::path::{Path, PathBuf};
@@ -23,8 +23,7 @@ use std::time::Instant;
 use vigil_adversary::{Attack, AttackArgs, AttackConfig, Burst};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_sim::lockstep_flight::FlightRecord;
-use vigil_sim::world::{Course, Family, FlightPath, generate, generate_long};
+use vigil_sim::world::{Family, FlightPath, generate, generate_long};
 use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Simulator, Start, VehicleChoice, family_parser};
 use vigil_types::{FrameKey, NedVector};
 
@@ -184,6 +183,8 @@ struct Settings {
     ground_every: u64,
     second_sensor_heads: u8,
     authenticated_frames: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    sensor_fault: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     simulation_sha256: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -197,6 +198,7 @@ struct Settings {
     #[serde(skip_serializing_if = "Option::is_none")]
     evaded_detector_sha256: Option<String>,
     /// The configuration of the firmware without its files.
+    #[serde(deserialize_with = "as_written")]
     firmware: Value,
 }
 
@@ -218,7 +220,7 @@ impl Settings {
             ground_every,
             pilot,
             attack: _,
-            sensor_fault: _,
+            sensor_fault,
             second_sensor,
             authenticate_frames,
             json: _,
@@ -249,6 +251,7 @@ impl Settings {
             ground_every: *ground_every,
             second_sensor_heads: second_sensor.heads,
             authenticated_frames: *authenticate_frames,
+            sensor_fault: sensor_fault.map(|fault| fault.to_string()),
             simulation_sha256: simulation.transpose()?.map(|text| sha256(&text)),
             actor_sha256: actor.map(|actor| actor.sha256()),
             detector_sha256: detector.as_ref().map(FrozenDetector::sha256),
@@ -263,6 +266,20 @@ impl Settings {
             firmware: toml::from_str(&firmware.to_toml())?,
         })
     }
+}
+
+/// The firmware's configuration as this program writes it: another writer drops `.0`, and lines name their heading by its text.
+fn as_written<'de, D: Deserializer<'de>>(from: D) -> Result<Value, D::Error> {
+    let found = Value::deserialize(from)?;
+    let again = |mut known: Value| {
+        // The height is each flight's own; none, as it stands here, is refused.
+        let height = std::mem::replace(known.get_mut("height_m")?, 1.0.into());
+        let config = FirmwareConfig::from_toml(&toml::to_string(&known).ok()?).ok()?;
+        let mut again: Value = toml::from_str(&config.to_toml()).ok()?;
+        *again.get_mut("height_m")? = height;
+        Some(again).filter(|again| difference(again, &found, "").is_none())
+    };
+    Ok(again(found.clone()).unwrap_or(found))
 }
 
 /// Longest flight with a fault of the sensor, seconds: one that is held stays where it is.
@@ -478,7 +495,12 @@ fn fly(
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !flight.record.is_success()) {
         let outcome = outcome_name(flight.record.outcome).replace(' ', "-");
         let file = format!("{}-{outcome}.png", log_name(args, fault, seed));
-        draw(&config.course, &flight.record, &folder.join(file))?;
+        let flown = FlightPath {
+            label: outcome_name(flight.record.outcome).to_owned(),
+            points_ned_m: flight.record.path_ned_m.clone(),
+            outcome: flight.record.outcome,
+        };
+        vigil_sim::world::draw(&config.course, &[flown]).write_png(&folder.join(file))?;
     }
     Ok(flight)
 }
@@ -513,37 +535,4 @@ fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, see
     let command = flight_report::command_again(words, "evaluate", &dropped, &added);
     let about = flight_report::about(command, &args.attack, []);
     Ok(Recording { log, about })
-}
-
-fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Result<()> {
-    let flight = FlightPath {
-        label: outcome_name(record.outcome).to_owned(),
-        points_ned_m: record.path_ned_m.clone(),
-        outcome: record.outcome,
-    };
-    Ok(vigil_sim::world::draw(course, &[flight]).write_png(path)?)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use clap::Parser;
-
-    #[derive(Parser)]
-    struct Line {
-        #[command(flatten)]
-        args: EvaluateArgs,
-    }
-
-    #[test]
-    fn an_attack_that_evades_the_guard_is_of_another_campaign() {
-        let attack = |more: &[&str]| {
-            let args = Line::parse_from([&["evaluate", "--attack=fgsm"][..], more].concat()).args;
-            let attack = args.attack.attack(args.pilot.actor_file()).expect("an attack");
-            let settings = Settings::of(&args, attack.as_ref()).expect("settings");
-            serde_json::to_value(settings.attack).expect("JSON")
-        };
-        assert_eq!(attack(&["--evade-guard"])["evades_guard"], true);
-        assert!(attack(&[]).get("evades_guard").is_none(), "flights of earlier versions");
-    }
 }

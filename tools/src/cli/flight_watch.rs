@@ -73,12 +73,6 @@ impl Flight {
 }
 
 impl Terminal {
-    /// Lines under a title, the first at once.
-    pub(super) fn lines(title: String) -> Self {
-        let printed_s = f64::NEG_INFINITY;
-        Self::Lines { title, printed_s }
-    }
-
     fn show(&mut self, bar: &ProgressBar, path: &[NedVector], status: &Status) {
         match self {
             Self::Live(live) => {
@@ -94,10 +88,14 @@ impl Terminal {
     }
 }
 
-/// Follows the flight until it is over.
-pub(super) fn watch(terminal: &mut Terminal, processes: &mut Processes, interrupt: &Interrupt) -> Result<Flight> {
+/// Follows the flight until it is over, which may be an error; what was seen until then is kept.
+pub(super) fn watch(
+    terminal: &mut Terminal,
+    processes: &mut Processes,
+    interrupt: &Interrupt,
+    flight: &mut Flight,
+) -> Result<()> {
     let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{msg}")?);
-    let mut flight = Flight::default();
     let mut reached_at: Option<Instant> = None;
     let (mut has_flown, mut disarmed_at, mut silent_looks) = (false, None::<Instant>, 0);
     let (mut pose, mut pilot) = (PoseWatch::default(), PilotWatch::default());
@@ -157,5 +155,5 @@ pub(super) fn watch(terminal: &mut Terminal, processes: &mut Processes, interrup
         }
     }
     bar.finish_and_clear();
-    Ok(flight)
+    Ok(())
 }

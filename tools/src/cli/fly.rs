@@ -1,6 +1,6 @@
 //! `vigil fly`: one flight in real time, simulator and firmware as processes of their own.
 
-use crate::cli::child_process::{END_LIMIT, Process, read_statuses};
+use crate::cli::child_process::{END_LIMIT, Process, read_statuses, wait_for};
 use crate::cli::flight_watch::{Flight, Terminal, TruePose, watch};
 use crate::cli::foreign::ForeignArgs;
 use crate::cli::lab;
@@ -8,6 +8,7 @@ use crate::cli::live::Live;
 use crate::cli::log::film_name;
 use crate::cli::output::{self, EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
 use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
+use crate::cli::replay::find_log;
 use crate::cli::view::{self, ViewerArgs};
 use crate::flight_derived::{Wanted, derive};
 use crate::flight_report::{self, EXPLAINED};
@@ -17,7 +18,7 @@ use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode};
 use std::sync::mpsc::Receiver;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use vigil_adversary::AttackArgs;
 use vigil_adversary::process::RAW_TOPIC;
 use vigil_firmware::FirmwareConfig;
@@ -146,9 +147,15 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let mut processes = Processes::start(args, &course, seed, &folder)?;
     let mut viewer = args.view.then(|| args.viewer.follow(&folder)).transpose()?;
     let mut terminal = terminal(args, &course, seed);
-    let monitored = watch(&mut terminal, &mut processes, &interrupt);
+    let mut flight = Flight::default();
+    let monitored = watch(&mut terminal, &mut processes, &interrupt, &mut flight);
     let said = processes.end()?;
-    let Flight { last, path, truth } = monitored?;
+    let Flight { last, path, truth } = flight;
+    let monitored = match monitored {
+        // Nothing was there yet that could be finished.
+        Err(error) if last.is_none() || find_log(&folder).is_err() => return Err(error),
+        monitored => monitored,
+    };
     // The path ends with the flight, the truth with the watch.
     let ended_ns = truth.get(path.len()).map(|pose| pose.at_ns);
     let drawn = FlightPath {
@@ -156,25 +163,33 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         points_ned_m: path,
         outcome: last.as_ref().and_then(|s| s.outcome),
     };
-    vigil_sim::world::draw(&course, &[drawn]).write_png(&folder.join("flight.png"))?;
+    // The flight is over and has its own end, whatever of this fails.
+    let picture = vigil_sim::world::draw(&course, &[drawn]).write_png(&folder.join("flight.png"));
+    said_if_failed(picture.map_err(Into::into));
     let about = about(args, &course, seed, last.as_ref(), ended_ns);
-    if let Err(error) = complete_log(&folder, &truth, &about, args.log_content) {
-        // The flight is over and its log is as the firmware left it.
-        tell!("vigil: {}", vigil_firmware::program::in_one_line(&error));
-    }
+    said_if_failed(complete_log(&folder, &truth, &about, args.log_content));
     let film = args.record.as_deref().map(|to| lab::film(&folder, to, &course.name));
     if let Some(script) = &mut viewer {
-        end_viewer(script, &folder)?;
+        said_if_failed(end_viewer(script, &folder));
     }
-    let code = summarise(&course, &last, &folder, &said, interrupt.came())?;
+    // What ended it is reported last.
+    let ended = match monitored {
+        Ok(()) => summarise(&course, &last, &folder, &said, interrupt.came()),
+        Err(error) => Err(error.context(format!("{} holds what was flown", folder.display()))),
+    };
     match film {
+        Some(Ok(text)) if !text.is_empty() => say!("film      {}", text.trim_end()),
+        Some(film) => said_if_failed(film.map(drop)),
         None => {}
-        Some(Ok(words)) if words.is_empty() => {}
-        Some(Ok(text)) => say!("film      {}", text.trim_end()),
-        // The flight has its own end; the film can be made of its log again.
-        Some(Err(error)) => tell!("vigil: {}", vigil_firmware::program::in_one_line(&error)),
     }
-    Ok(code)
+    ended
+}
+
+/// Reports an error that is not the flight's.
+fn said_if_failed(result: Result<()>) {
+    if let Err(error) = result {
+        tell!("vigil: {}", vigil_firmware::program::in_one_line(&error));
+    }
 }
 
 /// What is shown of the flight while it flies.
@@ -190,7 +205,9 @@ fn terminal(args: &FlyArgs, course: &Course, seed: u64) -> Terminal {
         let columns = size.map_or(80, |size| usize::from(size.ws_col).max(20));
         Terminal::Live(Box::new(Live::new(title, course, threshold(args, course), columns)))
     } else {
-        Terminal::lines(title)
+        // The first line comes at once.
+        let printed_s = f64::NEG_INFINITY;
+        Terminal::Lines { title, printed_s }
     }
 }
 
@@ -200,12 +217,6 @@ pub(super) struct Processes {
     pub(super) adversary: Option<Process>,
     pub(super) simulator: Process,
     pub(super) statuses: Receiver<Status>,
-}
-
-/// What they reported when they ended.
-struct Said {
-    firmware: String,
-    adversary: Option<String>,
 }
 
 impl Processes {
@@ -291,12 +302,13 @@ impl Processes {
         })
     }
 
-    /// The firmware ends first, so that its last setpoints still find a vehicle and its log is closed properly.
-    fn end(&mut self) -> Result<Said> {
+    /// The firmware ends first, so that its last setpoints still find a vehicle and its log is closed properly. What it and the
+    /// adversary reported.
+    fn end(&mut self) -> Result<(String, Option<String>)> {
         let firmware = self.firmware.end()?;
         self.simulator.end()?;
         let adversary = self.adversary.as_mut().map(Process::end).transpose()?;
-        Ok(Said { firmware, adversary })
+        Ok((firmware, adversary))
     }
 }
 
@@ -307,7 +319,7 @@ fn complete_log(
     about: &BTreeMap<String, String>,
     content: LogContent,
 ) -> Result<()> {
-    let log = crate::cli::replay::find_log(folder)?;
+    let log = find_log(folder)?;
     let truth_file = folder.join(SIMULATOR_NOTES);
     let mut notes = SideLog::create(&truth_file)?;
     for pose in truth {
@@ -320,17 +332,18 @@ fn complete_log(
     let is_light = content == LogContent::Light;
     let merge = if is_light { merge_into_light } else { merge_into };
     let merged = merge(&log, &sides, about);
-    for side in sides {
-        // Their content is in the log; one that stays behind does no harm.
+    // Their content is in the log; one that stays behind does no harm.
+    for side in sides.into_iter().filter(|_| merged.is_ok()) {
         let _ = std::fs::remove_file(side);
     }
-    merged?;
     let derived = match is_light {
         true => Ok(()),
         false => derive(&log, Wanted { map: true, shap: false }).map(drop),
     };
     let report = flight_report::beside(&log);
-    crate::cli::log::write_report(&log, &report, EXPLAINED)?;
+    let reported = crate::cli::log::write_report(&log, &report, EXPLAINED);
+    merged.context("the true path, the attack and the outcome are not in the log")?;
+    reported?;
     derived.context("the log has no map and no planned way")
 }
 
@@ -405,21 +418,10 @@ fn threshold(args: &FlyArgs, course: &Course) -> Option<f32> {
 /// The script ends with the log; the viewer that it opened stays.
 fn end_viewer(script: &mut Child, folder: &Path) -> Result<()> {
     let asked = Instant::now();
-    let status = loop {
-        match script.try_wait()? {
-            Some(status) => break Some(status),
-            None if asked.elapsed() > END_LIMIT => break None,
-            None => std::thread::sleep(Duration::from_millis(50)),
-        }
-    };
-    match status {
+    match wait_for(script, || asked.elapsed() > END_LIMIT)? {
         Some(status) if status.success() => {}
         Some(_) => view::tell_ended_early(folder),
-        None => {
-            tell!("vigil: the viewer is far behind and is left there; `vigil view` opens the whole flight");
-            script.kill()?;
-            script.wait()?;
-        }
+        None => tell!("vigil: the viewer is far behind and is left there; `vigil view` opens the whole flight"),
     }
     Ok(())
 }
@@ -428,7 +430,7 @@ fn summarise(
     course: &Course,
     flight: &Option<Status>,
     folder: &Path,
-    said: &Said,
+    (of_firmware, of_adversary): &(String, Option<String>),
     interrupted: bool,
 ) -> Result<ExitCode> {
     let Some(status) = flight else {
@@ -452,13 +454,13 @@ fn summarise(
             false => say!("vehicle   landed, disarmed"),
         }
     }
-    for line in said.firmware.lines().filter(|l| !l.trim().is_empty()) {
+    for line in of_firmware.lines().filter(|l| !l.trim().is_empty()) {
         say!("{line}");
     }
-    if let Some(said) = &said.adversary {
+    if let Some(said) = of_adversary {
         say!("adversary {}", adversary_in_words(said));
     }
-    let report = crate::cli::replay::find_log(folder).map(|log| flight_report::beside(&log));
+    let report = find_log(folder).map(|log| flight_report::beside(&log));
     if let Some(report) = report.ok().filter(|path| path.is_file()) {
         say!("report    {}", report.display());
     }

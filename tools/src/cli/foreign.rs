@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use vigil_firmware::arguments::choice;
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::link_spec::LinkSpec;
+use vigil_sim::foreign::PoseState;
 use vigil_sim::program::Status;
 use vigil_types::{AutopilotChoice, Choice, GuidanceState, Reason};
 
@@ -94,7 +95,7 @@ pub struct PoseWatch {
 }
 
 impl PoseWatch {
-    /// Looks at a status; `true` when the pose jumped, which ends the flight without a verdict.
+    /// Looks at a status; `true` when the pose is lost for good, which ends the flight without a verdict.
     ///
     /// # Errors
     /// No pose for half a minute, with what is missing and what to do.
@@ -103,7 +104,7 @@ impl PoseWatch {
             self.missing_since = None;
             return Ok(false);
         };
-        if state == vigil_sim::foreign::PoseState::Jumped.name() {
+        if PoseState::from_name(state).is_some_and(PoseState::is_final) {
             return Ok(true);
         }
         let since = *self.missing_since.get_or_insert_with(Instant::now);

@@ -17,7 +17,7 @@ const SOURCES_VARIABLE: &str = "VIGIL_SOURCES_OF_CALLER";
 /// The laboratory's commands.
 #[derive(clap::Subcommand)]
 pub enum Command {
-    /// Train an actor by value: critics that see the true state, reward along the shortest free way.
+    /// Train an actor by value: critics that see the true state, reward along the shortest free path.
     Learn(Words),
     /// Evaluate an actor alone, the potential field off and on.
     Rollout(Words),

@@ -4,12 +4,12 @@ use crate::report::TextTable;
 use anyhow::{Context, Result, ensure};
 use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
 use std::fmt::Arguments;
-use std::io::{self, ErrorKind, IsTerminal, Write};
+use std::io::{self, IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tracing_subscriber::prelude::*;
 
@@ -91,8 +91,7 @@ pub fn finish(result: Result<ExitCode>) -> ExitCode {
     });
     let failure = io::stdout().flush().err();
     match OUTPUT_FAILURE.get().or(failure.as_ref()) {
-        // The reader has seen enough.
-        Some(error) if error.kind() != ErrorKind::BrokenPipe => {
+        Some(error) if !vigil_types::files::reader_has_gone(error) => {
             tell!("vigil: cannot write standard output: {error}");
             ExitCode::from(EXIT_ERROR)
         }
@@ -140,7 +139,9 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
     if is_stdout(path) {
         let mut out = io::stdout().lock();
         return match out.write_all(content).and_then(|()| out.flush()) {
-            Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("cannot write standard output"),
+            Err(error) if !vigil_types::files::reader_has_gone(&error) => {
+                Err(error).context("cannot write standard output")
+            }
             _ => Ok(()),
         };
     }
@@ -149,28 +150,25 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
 }
 
 /// Set by Ctrl-C, SIGTERM or SIGHUP; another one, at least half a second later, ends the program at once.
-#[derive(Clone)]
-pub struct Interrupt(Arc<AtomicBool>);
+pub struct Interrupt(&'static AtomicBool);
 
 impl Interrupt {
     /// Takes the signals from now on. Whoever asks for it after the first gets the same: a command may run others.
     pub fn on_ctrl_c() -> Result<Self> {
-        static TAKEN: Mutex<Option<Interrupt>> = Mutex::new(None);
-        let mut taken = TAKEN.lock().map_err(|_| anyhow::anyhow!("another thread failed"))?;
-        if let Some(interrupt) = &*taken {
-            return Ok(interrupt.clone());
-        }
-        let interrupt = Self(Arc::default());
-        let flag = interrupt.clone();
+        static CAME: AtomicBool = AtomicBool::new(false);
+        static IS_TAKEN: Mutex<bool> = Mutex::new(false);
+        let mut is_taken = IS_TAKEN.lock().map_err(|_| anyhow::anyhow!("another thread failed"))?;
         let mut first = None;
-        vigil_io::interrupt::on_interrupt(move || {
-            flag.0.store(true, Ordering::Relaxed);
-            if first.get_or_insert_with(Instant::now).elapsed() > TWICE {
-                std::process::exit(EXIT_INTERRUPTED.into());
-            }
-        })?;
-        *taken = Some(interrupt.clone());
-        Ok(interrupt)
+        if !*is_taken {
+            vigil_io::interrupt::on_interrupt(move || {
+                CAME.store(true, Ordering::Relaxed);
+                if first.get_or_insert_with(Instant::now).elapsed() > TWICE {
+                    std::process::exit(EXIT_INTERRUPTED.into());
+                }
+            })?;
+        }
+        *is_taken = true;
+        Ok(Self(&CAME))
     }
 
     /// Whether it came.
@@ -188,7 +186,7 @@ impl Interrupt {
 
     /// For those that look for themselves.
     pub fn flag(&self) -> &AtomicBool {
-        &self.0
+        self.0
     }
 
     /// The exit code of a command that went as far as this let it.

@@ -85,11 +85,16 @@ pub(super) struct CheckedFrames {
 }
 
 impl CheckedFrames {
-    /// Listens under a name of its own.
-    pub(super) fn open(name: &str, instance: u32, topic: &str, expected: Expected) -> Result<Self> {
-        let domain = Domain::open(instance, name)?;
+    /// Listens under a name of its own to a service whose frames are made with these files' keys.
+    pub(super) fn open(name: &str, service: &ServiceArgs, keys: &[PathBuf], wall_m: Option<f32>) -> Result<Self> {
+        let expected = Expected {
+            sensor_id: service.sensor_id,
+            keys: frame_keys(keys, service.sensor_id)?,
+            wall_m,
+        };
+        let domain = Domain::open(service.instance, name)?;
         Ok(Self {
-            subscriber: FrameSubscriber::create(&domain, topic)?,
+            subscriber: FrameSubscriber::create(&domain, &service.frames)?,
             check: SensorCheck::new(expected),
             frame: Box::new(DepthFrame::EMPTY),
             _domain: domain,
@@ -129,7 +134,7 @@ pub(super) fn report<F: Serialize>(
         is_good &= holds;
     }
     if let Some(path) = json {
-        output::write(path, serde_json::to_vec_pretty(findings)?)?;
+        output::write(path, serde_json::to_string_pretty(findings)? + "\n")?;
     }
     Ok(output::checked(is_good))
 }
@@ -151,13 +156,8 @@ fn check(args: &CheckArgs) -> Result<ExitCode> {
     if let Some(path) = &args.json {
         output::prepare(path)?;
     }
-    let (instance, topic, sensor_id) = (args.service.instance, &args.service.frames, args.service.sensor_id);
-    let expected = Expected {
-        sensor_id,
-        keys: frame_keys(&args.frame_key, sensor_id)?,
-        wall_m: args.wall,
-    };
-    let mut frames = CheckedFrames::open("sensor-check", instance, topic, expected)?;
+    let (instance, topic) = (args.service.instance, &args.service.frames);
+    let mut frames = CheckedFrames::open("sensor-check", &args.service, &args.frame_key, args.wall)?;
     tell!("listening to `{topic}` on instance {instance} for {} s", args.seconds);
     let end_ns = monotonic_ns() + args.seconds * 1_000_000_000;
     while monotonic_ns() < end_ns {

@@ -152,7 +152,8 @@ impl ViewerArgs {
     /// Whether the viewer can show something, or write it into the file that is named.
     fn ready(&self, save: Option<&Path>) -> Result<()> {
         let Some(to) = save else { return self.check_with_port() };
-        check_recording(to)?;
+        // The viewer's own program writes it, and takes `-` for a name.
+        ensure!(!output::is_stdout(to), "a recording is a file: give --save a name");
         self.check()?;
         output::prepare(to)
     }
@@ -200,7 +201,6 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
     }
     let log = find_log(&args.log)?;
     if let Some(to) = &args.save {
-        check_recording(to)?;
         check_not_over(&log, to)?;
     }
     // Another version, or no log at all, is refused here.
@@ -214,10 +214,4 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
     }
     args.viewer.ready(args.save.as_deref())?;
     args.viewer.show(vec![log.as_os_str()], args.save.as_deref())
-}
-
-/// The viewer's own program writes it, and takes `-` for a name.
-fn check_recording(to: &Path) -> Result<()> {
-    ensure!(!output::is_stdout(to), "a recording is a file: give --save a name");
-    Ok(())
 }

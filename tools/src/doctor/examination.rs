@@ -319,10 +319,7 @@ impl Examination {
     /// A vehicle that starts anew while it is looked at has another zero; one whose clock jumps has not. Whether the packet is in order.
     fn note_clock(&mut self, boot_ms: u32, now_ns: Nanos) -> bool {
         let now = (boot_ms, now_ns);
-        let Some((first, last)) = self.boot else {
-            self.boot = Some((now, now));
-            return true;
-        };
+        let (first, last) = *self.boot.get_or_insert((now, now));
         if boot_ms < last.0 && last.0 - boot_ms < RESTART_MS {
             return false;
         }

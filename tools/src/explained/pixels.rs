@@ -1,6 +1,6 @@
 //! DeepSHAP of the newest frame's pixels, against states of unattacked flights.
 
-use super::recorded_flight::{Onlooker, Shown, Step, fly};
+use super::recorded_flight::{Shown, Step, fly};
 use super::scenario::{Plan, Scenario};
 use anyhow::Result;
 use rand::SeedableRng;
@@ -23,33 +23,19 @@ const BACKGROUND_FLIGHTS: u64 = 6;
 /// Steps between states of one flight.
 const STRIDE: usize = 14;
 
-/// Collects states for the background sample.
-#[derive(Default)]
-struct Backgrounds {
-    steps: usize,
-    inputs: Vec<Vec<Vec<f32>>>,
-}
-
-impl Onlooker for Backgrounds {
-    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()> {
-        self.steps += 1;
-        if self.steps.is_multiple_of(STRIDE)
-            && let Some(inputs) = shown.inputs(step)
-        {
-            self.inputs.push(inputs.map(<[f32]>::to_vec).into());
-        }
-        Ok(())
-    }
-}
-
 /// The explainer of the newest frame's pixels and of what the actor holds beside them, with backgrounds of unattacked training flights.
 pub fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<DeepShap> {
-    let (pilot, mut inputs) = (FrozenPilot::from(actor), Vec::new());
+    let (pilot, mut inputs) = (FrozenPilot::from(actor), Vec::<Vec<Vec<f32>>>::new());
     for seed in BACKGROUND_SEED..BACKGROUND_SEED + BACKGROUND_FLIGHTS {
-        let mut onlooker = Backgrounds::default();
+        let mut steps = 0_usize;
+        let mut collect = |step: &Step, shown: &Shown<'_>| {
+            steps += 1;
+            let seen = shown.inputs(step).filter(|_| steps.is_multiple_of(STRIDE));
+            inputs.extend(seen.map(|seen| seen.map(<[f32]>::to_vec).into()));
+            Ok(())
+        };
         let scenario = Scenario::unattacked(Family::Training, seed, Plan::Actor);
-        fly(isa, &pilot, &scenario, &mut onlooker)?;
-        inputs.append(&mut onlooker.inputs);
+        fly(isa, &pilot, &scenario, &mut collect)?;
     }
     inputs.shuffle(&mut ChaCha8Rng::seed_from_u64(BACKGROUND_SEED));
     inputs.truncate(count);

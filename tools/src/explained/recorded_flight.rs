@@ -106,6 +106,12 @@ pub trait Onlooker {
     fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()>;
 }
 
+impl<F: FnMut(&Step, &Shown<'_>) -> Result<()>> Onlooker for F {
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()> {
+        self(step, shown)
+    }
+}
+
 impl Onlooker for () {
     fn step(&mut self, _: &Step, _: &Shown<'_>) -> Result<()> {
         Ok(())

@@ -23,11 +23,14 @@ const STRONG: f64 = 0.99;
 /// Side of the squares over which pixels' SHAP values are summed.
 const SQUARE: usize = 4;
 
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct Film {
-    pub pictures: Vec<Picture>,
-    pub first: usize,
-    pub none: String,
+    pub frames: Vec<Picture>,
+    /// The frame to show first.
+    pub first_frame: usize,
+    /// Why there is no film.
+    pub film_none: String,
+    #[serde(skip)]
     pub note: Option<String>,
 }
 
@@ -70,7 +73,7 @@ pub fn take(path: &Path, log: &LogSeen, explained_frames: usize) -> Result<Film>
     let steps = chosen(log, moment);
     if steps.is_empty() {
         return Ok(Film {
-            none: "The log holds no depth frames.".to_owned(),
+            film_none: "The log holds no depth frames.".to_owned(),
             ..Film::default()
         });
     }
@@ -115,9 +118,9 @@ pub fn take(path: &Path, log: &LogSeen, explained_frames: usize) -> Result<Film>
     let telling = |p: &Picture| p.clean.is_some() && p.shap.is_some() != pixels.explanations.is_empty();
     let found = pictures.iter().skip(middle).position(telling);
     Ok(Film {
-        first: (middle + found.unwrap_or(0)).min(pictures.len().saturating_sub(1)),
-        pictures,
-        none: String::new(),
+        first_frame: (middle + found.unwrap_or(0)).min(pictures.len().saturating_sub(1)),
+        frames: pictures,
+        film_none: String::new(),
         note: pixels.note,
     })
 }

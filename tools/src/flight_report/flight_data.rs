@@ -1,6 +1,6 @@
 //! What a report shows of a flight, taken from its log.
 
-use crate::flight_report::film::{self, Film, Picture};
+use crate::flight_report::film::{self, Film};
 use crate::flight_report::log_seen::{LogSeen, StepSeen, WHO, rounded};
 use crate::flight_report::page::DATA_LIMIT;
 use crate::flight_report::words::{self, Event, Verdict};
@@ -43,26 +43,17 @@ pub struct Flight {
     pub who: Vec<u8>,
     /// Whether each step's frame was altered, where that is known.
     pub attack: Option<Vec<u8>>,
-    /// When alarms were raised.
-    pub alarms: Vec<AlarmRaised>,
+    /// When alarms were raised, and their causes.
+    pub alarms: Vec<(f64, &'static str)>,
     /// The explanations of all steps, if there are any.
     pub phi: Option<Explanations>,
     /// Seen from above.
     pub map: Map,
     /// The film.
-    pub frames: Vec<Picture>,
-    /// The frame to show first.
-    pub first_frame: usize,
-    /// Why there is no film.
-    pub film_none: String,
+    #[serde(flatten)]
+    pub film: Film,
     /// What happened.
     pub events: Vec<Event>,
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct AlarmRaised {
-    pub t: f64,
-    pub cause: &'static str,
 }
 
 /// The 48 explained values of each step as bytes.
@@ -79,15 +70,11 @@ pub struct Explanations {
 /// The course and the true path from above; positions are north, east in metres.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Map {
-    pub solids: Vec<Outline>,
+    /// Corners of each.
+    pub solids: Vec<Vec<[f64; 2]>>,
     pub goal: Option<[f64; 2]>,
     /// True positions, where the simulator noted them.
     pub truth: Vec<[f64; 2]>,
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Outline {
-    pub outline: Vec<[f64; 2]>,
 }
 
 /// Reads a log and makes of it what a report shows. A log that was cut off or is damaged shows what is whole, and says so. The pixels
@@ -118,15 +105,12 @@ fn flight(path: &Path, log: &LogSeen, film: Film) -> Flight {
     let mut notes = words::notes(log);
     if stride > 1 {
         let all = log.steps.len();
-        notes.push(format!(
-            "The plots show every {stride}th of {all} steps; the log holds all."
-        ));
+        notes.push(format!("The plots show one step of {stride} of the log's {all}."));
     }
-    notes.extend(film.note);
+    notes.extend(film.note.clone());
     let raised = |i: usize| {
         let step = log.steps.get(i)?;
-        let (t, cause) = (log.seconds(step.now_ns), step.report.alarm?.cause.name());
-        Some(AlarmRaised { t, cause })
+        Some((log.seconds(step.now_ns), step.report.alarm?.cause.name()))
     };
     Flight {
         title: words::title(path, log),
@@ -146,15 +130,13 @@ fn flight(path: &Path, log: &LogSeen, film: Film) -> Flight {
         ),
         who_names: WHO,
         t: kept.iter().map(|s| log.seconds(s.now_ns)).collect(),
-        columns: columns(&kept, log.threshold()),
+        columns: columns(&kept, log.threshold(), log.steps.iter().skip(1).step_by(stride)),
         who: kept.iter().map(|s| log.who(&s.report)).collect(),
         attack,
         alarms: log.alarms().into_iter().filter_map(raised).collect(),
         phi: explanations(&kept),
         map: map(log),
-        film_none: film.none,
-        first_frame: film.first,
-        frames: film.pictures,
+        film,
         events: words::events(log),
     }
 }
@@ -163,7 +145,12 @@ fn ms(ns: Nanos) -> f32 {
     (ns as f64 * 1e-6) as f32
 }
 
-fn columns(steps: &[&StepSeen], threshold: Option<f32>) -> BTreeMap<&'static str, Vec<Option<f64>>> {
+/// Of these steps, and of those that come next.
+fn columns<'a>(
+    steps: &[&StepSeen],
+    threshold: Option<f32>,
+    next: impl Iterator<Item = &'a StepSeen>,
+) -> BTreeMap<&'static str, Vec<Option<f64>>> {
     type Value = fn(&StepSeen) -> Option<f32>;
     let columns: [(&str, Value); 23] = [
         ("detector_score", |s| s.report.judgement?.score),
@@ -210,8 +197,8 @@ fn columns(steps: &[&StepSeen], threshold: Option<f32>) -> BTreeMap<&'static str
     table.insert("detector_threshold", steps.iter().map(|s| number(scored(s))).collect());
     // A step knows how long the one before it took.
     let took = |s: &StepSeen| timed(s).then_some(ms(s.report.timing.previous_execution_ns));
-    let mut times: Vec<Option<f64>> = steps.iter().skip(1).map(|s| number(took(s))).collect();
-    times.push(None);
+    let mut times: Vec<Option<f64>> = next.map(|s| number(took(s))).collect();
+    times.resize(steps.len(), None);
     table.insert("step_time_ms", times);
     table
 }
@@ -242,12 +229,8 @@ fn explanations(steps: &[&StepSeen]) -> Option<Explanations> {
 
 fn map(log: &LogSeen) -> Map {
     let pair = |p: NedVector| [rounded(p.x.into(), 2), rounded(p.y.into(), 2)];
-    let outline = |solid| {
-        let corners = outline_of(solid).into_iter();
-        Outline {
-            outline: corners.map(|p| p.map(|v| rounded(v, 2))).collect(),
-        }
-    };
+    let corner = |p: [f64; 2]| p.map(|v| rounded(v, 2));
+    let outline = |solid| outline_of(solid).into_iter().map(corner).collect();
     // Before take-off and after landing the vehicle stands still: one point of many says that as well.
     let mut truth: Vec<[f64; 2]> = log.story.truth.iter().map(|(_, p)| pair(*p)).collect();
     truth.dedup();

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 use vigil_firmware::FirmwareConfig;
-use vigil_log::{FlightInfo, LogEnd, ReadError, Reader, SceneSolid, Story, TickRecord};
+use vigil_log::{FlightInfo, LogEnd, ReadError, Reader, Story, TickRecord};
 use vigil_sim::world::Solid;
 use vigil_types::{
     AlarmResponse, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, GuidanceState, Kinematics, Landed, Nanos, NedVector, PilotKind,
@@ -66,7 +66,7 @@ impl LogSeen {
     pub fn read(path: &Path) -> Result<Self, ReadError> {
         let mut reader = Reader::open(path)?;
         let story = Story::read(path)?;
-        let solids: Vec<Solid> = story.solids.iter().map(solid).collect();
+        let solids: Vec<Solid> = story.solids.iter().map(crate::cli::scene::solid).collect();
         let mut steps = Vec::new();
         let mut record = Box::<TickRecord>::default();
         let damage = loop {
@@ -210,29 +210,4 @@ fn nearest_return_m(depth: &[f32; DEPTH_PIXELS]) -> f32 {
 pub fn rounded(value: f64, decimals: i32) -> f64 {
     let scale = 10_f64.powi(decimals);
     (value * scale).round() / scale
-}
-
-/// The same solid with the world's geometry.
-pub fn solid(scene: &SceneSolid) -> Solid {
-    let vector = |[x, y, z]: [f32; 3]| NedVector::new(x, y, z);
-    match *scene {
-        SceneSolid::Cuboid {
-            centre_ned_m,
-            half_extents_m,
-            yaw_rad,
-        } => Solid::Cuboid {
-            centre_ned_m: vector(centre_ned_m),
-            half_extents_m,
-            yaw_rad,
-        },
-        SceneSolid::Cylinder {
-            centre_ned_m,
-            radius_m,
-            half_height_m,
-        } => Solid::Cylinder {
-            centre_ned_m: vector(centre_ned_m),
-            radius_m,
-            half_height_m,
-        },
-    }
 }

@@ -5,7 +5,7 @@ use crate::statistics::quantile;
 use serde::Serialize;
 use std::path::Path;
 use vigil_log::{LogEnd, Weight};
-use vigil_types::{Choice, GuidanceState, PilotKind, Reason, Reasons, STEP_S};
+use vigil_types::{Choice, GuidanceState, Landed, PilotKind, Reason, Reasons, STEP_S};
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Verdict {
@@ -178,13 +178,11 @@ fn short(digest: &str) -> &str {
     digest.get(..12).unwrap_or(digest)
 }
 
-fn in_flight(step: &StepSeen) -> bool {
-    matches!(step.report.state, GuidanceState::Guided | GuidanceState::Hold)
-}
-
 /// The step in flight that was closest to an obstacle, and its distance.
 fn closest(log: &LogSeen) -> Option<(&StepSeen, f32)> {
-    let flown = log.steps.iter().filter(|s| in_flight(s));
+    let took_off = log.took_off();
+    let flies = |s: &&StepSeen| matches!(s.report.state, GuidanceState::Guided | GuidanceState::Hold);
+    let flown = log.steps.iter().filter(|s| took_off && flies(s));
     let clear = flown.filter_map(|s| Some((s, s.clearance_m?)));
     clear.min_by(|a, b| a.1.total_cmp(&b.1))
 }
@@ -205,7 +203,7 @@ fn attack(log: &LogSeen) -> String {
             false => "not known: nobody noted in this log whether frames were altered".to_owned(),
         };
     };
-    let strength = altered.values().map(|v| f64::from(v.abs())).sum::<f64>() / altered.len().max(1) as f64;
+    let strength = altered.values().fold(0.0, |sum, v| sum + f64::from(v.abs())) / altered.len().max(1) as f64;
     let name = log.story.about.get("attack").map_or("frames altered", String::as_str);
     let (altered, all) = (altered.len(), log.story.attack.len());
     format!("{name}: {altered} of {all} frames, the yaw output moved by {strength:.2} on average")
@@ -248,15 +246,22 @@ fn who_flew(log: &LogSeen) -> String {
         .collect();
     match listed.is_empty() {
         true => "nobody: guidance never engaged".to_owned(),
+        false if !log.took_off() => "nobody: the vehicle never took off".to_owned(),
         false => listed.join(", "),
     }
 }
 
 fn path_flown(log: &LogSeen) -> String {
     let kinematics = log.steps.iter().filter_map(StepSeen::moves);
-    let positions: Vec<_> = log.steps.iter().filter_map(StepSeen::position_ned_m).collect();
+    // On the ground only the estimate moves.
+    let flown = log
+        .steps
+        .iter()
+        .filter(|s| s.report.telemetry.landed != Landed::OnGround);
+    let positions: Vec<_> = flown.filter_map(StepSeen::position_ned_m).collect();
     let steps = positions.windows(2).map(|w| f64::from((w[1] - w[0]).norm()));
-    let length: f64 = steps.sum();
+    // An empty sum is -0.0.
+    let length = steps.fold(0.0, |sum, step| sum + step);
     let fastest = kinematics.map(|k| k.velocity_ned_m_s.horizontal_norm());
     let fastest = fastest.filter(|v| v.is_finite()).fold(0.0, f32::max);
     format!("{length:.1} m, at most {fastest:.1} m/s")

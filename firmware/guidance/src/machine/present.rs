@@ -1,7 +1,9 @@
 //! Which conditions are present in a step: fence, goal, progress, telemetry and alarm.
 
 use super::{Guidance, LONGEST_STEP_NS};
-use crate::conditions::FENCE_CLEAR_MARGIN_M;
+use crate::conditions::{
+    FENCE_CLEAR_MARGIN_M, GOAL_DWELL_NS, NO_PROGRESS_DWELL_NS, NO_PROGRESS_GAIN_M, SLIP_WINDOW_NS,
+};
 use crate::input::GuidanceInput;
 use crate::setpoint::changes_height;
 use vigil_types::{
@@ -39,19 +41,13 @@ impl Guidance {
             self.note_progress(now_ns, kinematics.position_ned_m);
         }
         let since = |at_ns: Option<Nanos>| at_ns.map(|at_ns| now_ns.saturating_sub(at_ns));
-        let mode_lost = match self.state {
-            GuidanceState::Guided | GuidanceState::Hold => !self.obeys(input),
-            _ => false,
-        };
+        let mode_lost = matches!(self.state, GuidanceState::Guided | GuidanceState::Hold) && !self.obeys(input);
         // Nobody lands a vehicle that a person may just have taken.
-        self.progress.dwelt = !mode_lost && since(self.progress.stopped_ns) >= Some(self.config.no_progress_dwell_ns);
-        self.dwelt = !mode_lost && since(self.reached_ns) >= Some(self.config.goal_dwell_ns);
-        let pilot_in_command = match self.state {
-            GuidanceState::Standby | GuidanceState::Ready => {
-                self.taken_over || self.config.engage == EngagePolicy::Auto && !self.auto_may_take(input)
-            }
-            _ => false,
-        };
+        self.progress.dwelt = !mode_lost && since(self.progress.stopped_ns) >= Some(NO_PROGRESS_DWELL_NS);
+        self.dwelt = !mode_lost && since(self.reached_ns) >= Some(GOAL_DWELL_NS);
+        let auto_wants = self.config.engage == EngagePolicy::Auto && self.intent && !self.asked;
+        let pilot_in_command = matches!(self.state, GuidanceState::Standby | GuidanceState::Ready)
+            && (self.taken_over || auto_wants && !self.auto_may_take(input));
         let slow_telemetry = input
             .vehicle
             .telemetry_interval_ns
@@ -60,7 +56,7 @@ impl Guidance {
             .slip_times_ns
             .iter()
             .flatten()
-            .filter(|at_ns| now_ns.saturating_sub(**at_ns) <= self.config.slip_window_ns)
+            .filter(|at_ns| now_ns.saturating_sub(**at_ns) <= SLIP_WINDOW_NS)
             .count();
         let too_long = (self.config.time_limit_ns).is_some_and(|limit| since(self.flight_started_ns) > Some(limit));
         let low_battery = telemetry
@@ -121,7 +117,7 @@ impl Guidance {
         progress.flown_ns += step_ns.min(LONGEST_STEP_NS);
         if progress
             .nearest_m
-            .is_none_or(|nearest_m| distance_m <= nearest_m - self.config.no_progress_gain_m)
+            .is_none_or(|nearest_m| distance_m <= nearest_m - NO_PROGRESS_GAIN_M)
         {
             (progress.nearest_m, progress.flown_ns) = (Some(distance_m), 0);
         }

@@ -21,10 +21,14 @@ impl Guidance {
                 height_m,
             } => self.request_goal(Datum::Origin, north_m, east_m, height_m),
             OperatorRequest::Engage => self.request_engage(),
-            OperatorRequest::Disengage => {
-                self.operator_ends();
-                RequestOutcome::Accepted
-            }
+            OperatorRequest::Disengage => match self.state {
+                // It lands on.
+                GuidanceState::Land if !self.intent => RequestOutcome::TemporarilyRejected,
+                _ => {
+                    self.operator_ends();
+                    RequestOutcome::Accepted
+                }
+            },
             OperatorRequest::Land => match self.state {
                 // Before guidance has the vehicle, landing it is not guidance's to do.
                 GuidanceState::Standby | GuidanceState::Ready => RequestOutcome::TemporarilyRejected,

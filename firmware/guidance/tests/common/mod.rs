@@ -12,7 +12,7 @@ use vigil_types::{
 pub const QUIET: Risk = Risk {
     collision_course: false,
     recovery_course: false,
-    speed_along_way_m_s: 1.0,
+    speed_along_path_m_s: 1.0,
 };
 
 /// Inputs as they are in a good flight; change a field to spoil one.
@@ -162,6 +162,13 @@ impl Story {
     pub fn engages(&mut self) -> GuidanceState {
         assert_eq!(self.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
         self.step().state
+    }
+
+    /// An operator sets something else.
+    pub fn reconfigure(&mut self, change: impl FnOnce(&mut GuidanceConfig)) {
+        let mut config = *self.guidance.config();
+        change(&mut config);
+        self.guidance.reconfigure(config).expect("the configuration is valid");
     }
 
     pub fn ask(&mut self, request: OperatorRequest) -> RequestOutcome {

@@ -72,6 +72,8 @@ fn an_attacked_vehicle_stops_then_the_recovery_pilot_flies_and_the_actor_gets_it
     assert_eq!(recovering.reasons, Reasons::of(Reason::Recovering));
     assert_eq!(recovering.action, Some(RECOVERY));
 
+    // An operator who trusts the actor does not end what the verdict raised.
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
     s.velocity_ned_m_s.x = 0.6;
     assert_eq!(
         s.run(seconds(30.0)).setpoint.unwrap().velocity_m_s.x,
@@ -175,10 +177,10 @@ fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator()
 #[test]
 fn an_actor_that_goes_away_from_the_guard_s_way_is_stopped_although_every_verdict_is_clean() {
     let mut s = monitored_for_leading_astray();
-    s.risk.speed_along_way_m_s = 0.8;
+    s.risk.speed_along_path_m_s = 0.8;
     assert_eq!(s.run(seconds(30.0)).alarm, None, "it gets on");
     // Astray, away from the way.
-    s.risk.speed_along_way_m_s = -1.0;
+    s.risk.speed_along_path_m_s = -1.0;
     s.velocity_ned_m_s.x = 1.0;
     let flown = s.until(Hold);
     assert!((80..90).contains(&flown), "6 m at 1.5 m/s, found after {flown} steps");
@@ -186,7 +188,7 @@ fn an_actor_that_goes_away_from_the_guard_s_way_is_stopped_although_every_verdic
     assert_holds(stop, Reason::LedAstray);
     assert_eq!(stop.alarm.unwrap().cause, AlarmCause::LedAstray);
     recovers(&mut s);
-    s.risk.speed_along_way_m_s = 0.6;
+    s.risk.speed_along_path_m_s = 0.6;
     assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
     assert_eq!(s.step().alarm, None, "the operator trusts it again");
 }
@@ -195,11 +197,11 @@ fn an_actor_that_goes_away_from_the_guard_s_way_is_stopped_although_every_verdic
 fn an_actor_that_waits_or_flies_round_something_or_is_held_is_not_taken_for_one_that_goes_astray() {
     let mut s = monitored_for_leading_astray();
     for speed_m_s in [0.0, 0.8, -0.3, 0.8, 0.0, 1.2] {
-        s.risk.speed_along_way_m_s = speed_m_s;
+        s.risk.speed_along_path_m_s = speed_m_s;
         assert_eq!(s.run(seconds(3.0)).alarm, None, "{speed_m_s}");
     }
     // A hold is not the actor's doing.
-    s.risk.speed_along_way_m_s = 0.0;
+    s.risk.speed_along_path_m_s = 0.0;
     s.frame.age_ns = Some(1_000_000_000);
     assert_eq!(s.run(seconds(30.0)).alarm, None);
 }
@@ -226,13 +228,10 @@ fn an_actor_that_goes_on_turning_the_other_way_than_the_planner_is_stopped_altho
 }
 
 #[test]
-fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
+fn without_the_guard_a_collision_course_raises_nothing_and_an_actor_may_go_as_far_astray_as_it_likes() {
     let mut s = monitored_for_leading_astray();
-    let mut config = *s.guidance.config();
-    config.alarm.astray_limit_m = 0.0;
-    s.guidance.reconfigure(config).unwrap();
-    s.verdict = Some(Verdict::Clean);
-    s.risk.speed_along_way_m_s = -1.0;
+    s.reconfigure(|config| config.alarm = config.alarm.without_guard());
+    (s.risk.collision_course, s.risk.speed_along_path_m_s) = (true, -1.0);
     assert_eq!(s.run(seconds(60.0)).alarm, None);
 }
 
@@ -256,16 +255,6 @@ fn the_recovery_pilot_is_stopped_before_what_it_would_fly_into_and_begins_anew_f
 }
 
 #[test]
-fn without_the_guard_a_collision_course_raises_nothing() {
-    let mut config = GuidanceConfig::default();
-    config.alarm.guard_steps = 0;
-    let mut s = Story::guided(config);
-    s.verdict = Some(Verdict::Clean);
-    s.risk.collision_course = true;
-    assert_eq!(s.run(seconds(5.0)).alarm, None);
-}
-
-#[test]
 fn a_recovery_pilot_without_an_action_leaves_the_vehicle_holding() {
     let mut s = monitored(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Attack);
@@ -282,9 +271,7 @@ fn an_operator_changes_the_policy_in_flight() {
     s.verdict = Some(Verdict::Attack);
     s.velocity_ned_m_s.x = 0.0;
     assert_eq!(s.run(seconds(5.0)).state, Hold);
-    let mut config = *s.guidance.config();
-    config.alarm.policy = AlarmPolicy::Recover;
-    s.guidance.reconfigure(config).unwrap();
+    s.reconfigure(|config| config.alarm.policy = AlarmPolicy::Recover);
     s.until(Guided);
     assert_eq!(sent_m_s(s.last.unwrap()), 0.6);
 }

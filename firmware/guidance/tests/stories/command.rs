@@ -164,6 +164,11 @@ fn an_operator_lands_it_goes_around_and_lands_again() {
     let mut s = Story::guided(GuidanceConfig::default());
     assert_eq!(s.ask(OperatorRequest::Land), RequestOutcome::Accepted);
     assert_eq!(s.ends(1), (Land, Reasons::of(Reason::Operator)));
+    assert_eq!(s.ask(OperatorRequest::Disengage), RequestOutcome::TemporarilyRejected);
+    // Who asks to go around may think better of it.
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    assert_eq!(s.ask(OperatorRequest::Disengage), RequestOutcome::Accepted);
+    assert_eq!(s.ends(1).0, Land);
     s.mode = VehicleMode::Land;
     s.run(5);
     s.vehicle.handover = HandoverProgress::Idle;
@@ -333,6 +338,8 @@ fn a_flight_that_ended_on_the_ground_is_not_repeated_because_the_autopilot_resta
     s.run(20);
     s.armed = false;
     s.until(Standby);
+    // An ArduPilot stays in its landing mode.
+    assert_eq!(s.ends(seconds(60.0)), (Ready, Reasons::NONE));
     reboot(&mut s);
     assert_eq!(s.ends(seconds(60.0)), (Ready, Reasons::NONE));
     assert!(!s.guidance.taken_over(), "nobody took it");
@@ -404,7 +411,19 @@ fn auto_engages_only_from_where_it_is_allowed_to() {
         );
         if !takes {
             assert_eq!(s.engages(), Engaging, "an operator may: {story}");
+            assert!(!s.last.unwrap().reasons.contains(Reason::PilotInCommand), "{story}");
         }
+    }
+}
+
+#[test]
+fn auto_gives_a_vehicle_on_the_ground_time_to_report_its_home() {
+    for (comes, steps) in [(true, seconds(1.0)), (false, seconds(2.5))] {
+        let mut s = Story::begin(auto());
+        s.until(Ready);
+        assert_eq!(s.run(seconds(1.0) - 1).state, Ready);
+        s.vehicle.home_ned_m = comes.then_some(NedVector::new(0.0, 0.0, 22.5));
+        assert_eq!(seconds(1.0) - 1 + s.until(Engaging), steps, "{comes}");
     }
 }
 

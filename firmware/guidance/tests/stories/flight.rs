@@ -310,11 +310,7 @@ fn actions_beyond_the_limits_are_clipped() {
     assert!((v.yaw_rate_rad_s.to_degrees() - 45.0).abs() < 1e-4);
     // An operator may set another limit while it flies.
     for speed_limit_m_s in [0.7, 3.0] {
-        let config = GuidanceConfig {
-            speed_limit_m_s,
-            ..*s.guidance.config()
-        };
-        s.guidance.reconfigure(config).unwrap();
+        s.reconfigure(|config| config.speed_limit_m_s = speed_limit_m_s);
         assert_eq!(sent_m_s(s.step()), -speed_limit_m_s);
     }
     // Far above its goal it descends where it is.
@@ -439,11 +435,7 @@ fn a_goal_farther_than_the_limit_is_refused_with_its_distance_and_the_one_before
     assert_eq!(s.ask(goal(-300.0, 400.5, None)), too_far);
     assert_eq!(s.guidance.goal(), before);
     assert_eq!(s.ask(goal(-300.0, 400.0, None)), RequestOutcome::Accepted);
-    let farther = GuidanceConfig {
-        goal_limit_m: 1000.0,
-        ..auto()
-    };
-    s.guidance.reconfigure(farther).unwrap();
+    s.reconfigure(|config| config.goal_limit_m = 1000.0);
     assert_eq!(s.ask(goal(-300.0, 400.5, None)), RequestOutcome::Accepted);
 }
 

@@ -23,7 +23,9 @@ pub enum SigningFileError {
     #[error(transparent)]
     Key(#[from] KeyFileError),
     /// The state cannot be read or written.
-    #[error("signing state {0}; without it packets could be replayed after a restart")]
+    #[error(
+        "signing state {0}; without it packets could be replayed after a restart: the key's folder must be writable by this user"
+    )]
     State(#[from] FileError),
     /// The state is not what was written.
     #[error(
@@ -188,11 +190,11 @@ mod tests {
     fn the_last_state_offered_is_read_by_the_next_run_and_a_killed_run_leaves_one_ahead() {
         let folder = tempfile::tempdir().unwrap();
         let key = folder.path().join("vigil.key");
-        let (mut keeper, first) = SigningStateWriter::start(&key, "3", 50).unwrap();
+        let (mut writer, first) = SigningStateWriter::start(&key, "3", 50).unwrap();
         assert_eq!(first, SigningMemory::default());
-        keeper.offer(memory().ahead(7));
-        keeper.offer(memory());
-        drop(keeper);
+        writer.offer(memory().ahead(7));
+        writer.offer(memory());
+        drop(writer);
         let (_killed, second) = SigningStateWriter::start(&key, "3", 50).unwrap();
         assert_eq!(second, memory());
         // While that one runs, the file is ahead of what it knows.
@@ -206,10 +208,10 @@ mod tests {
     fn a_key_that_was_replaced_is_in_its_file_for_the_next_run_and_closed_to_others() {
         let folder = tempfile::tempdir().unwrap();
         let path = key_file(folder.path(), &[1; 32], 0o600);
-        let (mut keeper, _) = SigningStateWriter::start(&path, "3", 50).unwrap();
+        let (mut writer, _) = SigningStateWriter::start(&path, "3", 50).unwrap();
         let key = SigningKey([0xA5; 32]);
-        keeper.replace_key(key, memory());
-        drop(keeper);
+        writer.replace_key(key, memory());
+        drop(writer);
         assert_eq!(read_key(&path).unwrap(), key);
         assert_eq!(SigningStateWriter::start(&path, "3", 50).unwrap().1, memory());
     }

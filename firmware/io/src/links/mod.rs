@@ -22,7 +22,7 @@ pub use wire::{Gated, LinkAdmission, Wire, open_wire};
 use crate::gate::{AllowUnsigned, SigningFileError};
 use crate::link_url::LinkUrl;
 use std::io::ErrorKind;
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use vigil_mavlink::framing::FramingCounters;
 use vigil_mavlink::signing::SigningCounters;
 use vigil_types::Nanos;
@@ -137,10 +137,10 @@ fn udp_ends(url: &LinkUrl) -> Option<(SocketAddr, Option<SocketAddr>)> {
 
 /// Whether a peer on this machine can speak on the link.
 fn may_be_local(url: &LinkUrl) -> bool {
-    let local = |ip: IpAddr| ip.to_canonical().is_loopback();
     match url {
-        LinkUrl::UdpIn(a) | LinkUrl::TcpIn(a) => local(a.ip()) || a.ip().is_unspecified(),
-        LinkUrl::UdpOut(a) | LinkUrl::TcpOut(a) => local(a.ip()),
-        LinkUrl::Serial { .. } => false,
+        LinkUrl::UdpIn(a) | LinkUrl::TcpIn(a) if a.ip().is_unspecified() => true,
+        // What is wrong with it is reported when it is opened.
+        LinkUrl::Unknown(_) => true,
+        _ => url.is_on_this_machine(),
     }
 }

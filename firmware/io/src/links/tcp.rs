@@ -35,6 +35,20 @@ struct Connection {
     heard_ns: Nanos,
 }
 
+impl Connection {
+    /// Of a peer who has shown that it may be.
+    fn of(socket: TcpStream, is_local: bool, now_ns: Nanos) -> Self {
+        Self {
+            socket,
+            is_local,
+            is_up: true,
+            is_introduced: true,
+            since_ns: now_ns,
+            heard_ns: now_ns,
+        }
+    }
+}
+
 /// One TCP connection at a time.
 pub struct TcpWire {
     role: Role,
@@ -99,12 +113,8 @@ impl TcpWire {
                         self.stream.reset();
                         self.connections += 1;
                         self.connection = Some(Connection {
-                            socket,
-                            is_local: is_local(from),
-                            is_up: true,
                             is_introduced: false,
-                            since_ns: now_ns,
-                            heard_ns: now_ns,
+                            ..Connection::of(socket, is_local(from), now_ns)
                         });
                     } else if !self.callers.take(socket, is_local(from), now_ns) {
                         self.foreign += 1;
@@ -136,14 +146,7 @@ impl TcpWire {
             self.rule.keep_to(introduction.unwrap_or_default(), has_key);
             self.stream.continue_with(caller.framer);
             self.connections += 1;
-            self.connection = Some(Connection {
-                socket: caller.socket,
-                is_local: caller.is_local,
-                is_up: true,
-                is_introduced: true,
-                since_ns: now_ns,
-                heard_ns: now_ns,
-            });
+            self.connection = Some(Connection::of(caller.socket, caller.is_local, now_ns));
             self.foreign += self.callers.dismiss();
         }
     }
@@ -185,12 +188,8 @@ fn call(peer: SocketAddr, now_ns: Nanos) -> Option<Connection> {
     // Without it packets only go later.
     let _ = socket.set_nodelay(true);
     Some(Connection {
-        socket,
-        is_local: is_local(peer),
         is_up: false,
-        is_introduced: true,
-        since_ns: now_ns,
-        heard_ns: now_ns,
+        ..Connection::of(socket, is_local(peer), now_ns)
     })
 }
 

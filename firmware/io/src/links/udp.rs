@@ -25,6 +25,8 @@ pub struct UdpWire {
     filter: SocketFilter,
     flood: FloodWatch,
     foreign: u64,
+    /// Who called last without showing who it is, and how much of it is counted as foreign: a vehicle's own until its heartbeat.
+    early: Option<(SocketAddr, u64)>,
     other_system: Option<u8>,
     unsent: u64,
     buffer: Box<[u8; MAX_DATAGRAM_BYTES]>,
@@ -47,6 +49,7 @@ impl UdpWire {
             filter: SocketFilter::new(),
             flood: FloodWatch::default(),
             foreign: 0,
+            early: None,
             other_system: None,
             unsent: 0,
             buffer: Box::new([0; MAX_DATAGRAM_BYTES]),
@@ -71,7 +74,7 @@ impl UdpWire {
         self.filter.set(&self.socket, self.peer.into_iter(), newcomers, flooded);
     }
 
-    /// Takes a datagram of somebody else than the peer: whether its sender is the peer from now on.
+    /// Takes a datagram of somebody else than the peer, who is the peer from now on if he shows that he may be.
     fn introduce(
         &mut self,
         len: usize,
@@ -79,7 +82,7 @@ impl UdpWire {
         now_ns: Nanos,
         admission: &mut LinkAdmission<'_>,
         received: &mut Datagrams,
-    ) -> bool {
+    ) {
         let datagram = self.buffer.get(..len).unwrap_or_default();
         let has_key = admission.gate.has_key();
         let introduced = self.rule.introduces_any(datagram, has_key)
@@ -88,14 +91,19 @@ impl UdpWire {
             && received.last().is_some_and(|passed| self.rule.introduces_any(passed, has_key));
         if !introduced {
             self.other_system = self.rule.other_system_in(datagram).or(self.other_system);
+            let before = self.early.filter(|(address, _)| *address == from);
+            self.early = Some((from, before.map_or(0, |(_, count)| count) + 1));
+            self.foreign += 1;
         } else {
+            if let Some((_, its_own)) = self.early.take().filter(|(address, _)| *address == from) {
+                self.foreign -= its_own;
+            }
             self.peer = Some(from);
             self.peer_heard_ns = now_ns;
             self.rule.keep_to(received.last().unwrap_or_default(), has_key);
             self.filter.peers_changed();
             self.set_filter(now_ns);
         }
-        introduced
     }
 }
 
@@ -120,9 +128,7 @@ impl Wire for UdpWire {
                 }
                 Ok((len, from)) if self.is_vacant(now_ns) => {
                     introductions += 1;
-                    if !self.introduce(len, from, now_ns, admission, received) {
-                        self.foreign += 1;
-                    }
+                    self.introduce(len, from, now_ns, admission, received);
                 }
                 Ok(_) => self.foreign += 1,
                 Err(e) if e.kind() == ErrorKind::WouldBlock => break,

@@ -83,6 +83,7 @@ fn open_of_one_peer(url: &LinkUrl, rule: PeerRule) -> Result<Box<dyn Wire>, Link
         LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) => Box::new(UdpWire::open(url, rule)?),
         LinkUrl::TcpIn(_) | LinkUrl::TcpOut(_) => Box::new(TcpWire::open(url, rule)?),
         LinkUrl::Serial { .. } => Box::new(SerialWire::open(url)?),
+        LinkUrl::Unknown(_) => return Err(LinkError::of(url, std::io::Error::other("the host is not known"))),
     })
 }
 

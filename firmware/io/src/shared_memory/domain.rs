@@ -27,11 +27,14 @@ pub enum DomainError {
         owner: u32,
         mode: u32,
     },
+    /// Too little memory is left: whoever touches more than there is ends without a word (SIGBUS).
+    #[error("no room in {SHARED_MEMORY}: {free_kib} KiB are free, {needed_kib} are needed: free some")]
+    NoRoom { free_kib: u64, needed_kib: u64 },
     /// The path does not suit the transport.
     #[error("{path} cannot hold the transport's files: {reason}")]
     Path { path: String, reason: String },
     /// iceoryx2 refused.
-    #[error("cannot join instance {instance} as `{role}`: {reason}; the transport's files are in {path}")]
+    #[error("cannot join instance {instance} as `{role}`: {reason}; the transport's files are {path}")]
     Node {
         instance: u32,
         role: String,
@@ -71,15 +74,24 @@ impl Domain {
             instance,
             role: role.to_owned(),
             reason,
-            path: shown.clone(),
+            path: format!("{shown}/{instance} and {SHARED_MEMORY}/{}*", config.global.prefix),
         };
+        has_room(LEAST_ROOM)?;
         let name = NodeName::new(role).map_err(|e| node_error(format!("{e:?}")))?;
-        let node = NodeBuilder::new()
-            .name(&name)
-            .config(&config)
-            // Signals belong to the program.
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create::<ipc::Service>()
+        let create = || {
+            NodeBuilder::new()
+                .name(&name)
+                .config(&config)
+                // Signals belong to the program.
+                .signal_handling_mode(SignalHandlingMode::Disabled)
+                .create::<ipc::Service>()
+        };
+        let node = create()
+            // What a process left that ended while it joined keeps everybody out.
+            .or_else(|refused| match remove_leftovers(instance) {
+                Ok(true) => create(),
+                _ => Err(refused),
+            })
             .map_err(|e| node_error(e.to_string()))?;
         Ok(Self {
             node,
@@ -119,19 +131,18 @@ impl Domain {
 }
 
 /// Removes the files of an instance in which no process runs any more, for one-off instances such as those of tests.
-/// Returns whether nothing is left; `false` means that a process still runs there and nothing was touched.
+/// Returns whether nothing is left; `false` means that a process still runs there, or may, and nothing was touched.
 ///
 /// # Errors
 /// [`DomainError`] when the directory cannot be used.
 pub fn remove_leftovers(instance: u32) -> Result<bool, DomainError> {
     let (config, shown) = instance_config(instance)?;
     let mut alive = false;
-    // A listing that fails lists nothing: then there is nothing alive either.
-    let _ = Node::<ipc::Service>::list(&config, |state| {
+    let listed = Node::<ipc::Service>::list(&config, |state| {
         alive |= matches!(state, NodeState::Alive(_) | NodeState::Inaccessible(_));
         CallbackProgression::Continue
     });
-    if alive {
+    if alive || listed.is_err() {
         return Ok(false);
     }
     let _ = std::fs::remove_dir_all(format!("{shown}/{instance}"));
@@ -146,6 +157,22 @@ pub fn remove_leftovers(instance: u32) -> Result<bool, DomainError> {
 
 /// Where Linux keeps POSIX shared memory.
 const SHARED_MEMORY: &str = "/dev/shm";
+/// What must be free there: joining and reading take a few KiB.
+const LEAST_ROOM: u64 = 1 << 20;
+/// The same for who publishes frames: 3.5 MiB.
+pub(super) const PUBLISHERS_ROOM: u64 = 4 << 20;
+
+pub(super) fn has_room(needed: u64) -> Result<(), DomainError> {
+    // Where nothing limits it, it has no blocks.
+    let room = rustix::fs::statvfs(SHARED_MEMORY).ok().filter(|room| room.f_blocks > 0);
+    match room.map(|room| room.f_bavail.saturating_mul(room.f_frsize)) {
+        Some(free) if free < needed => Err(DomainError::NoRoom {
+            free_kib: free >> 10,
+            needed_kib: needed >> 10,
+        }),
+        _ => Ok(()),
+    }
+}
 
 /// iceoryx2's configuration that keeps an instance apart, and the directory it lies in.
 fn instance_config(instance: u32) -> Result<(Config, String), DomainError> {

@@ -1,6 +1,7 @@
 //! The depth frame service: one publisher, any number of readers, newest frame wins.
 
 use super::Domain;
+use super::domain::{PUBLISHERS_ROOM, has_room};
 use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
 use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
 use iceoryx2::prelude::*;
@@ -141,6 +142,7 @@ impl FramePublisher {
     /// [`FrameError::AlreadyPublished`] while another process publishes; a killed one does not count.
     pub fn create(domain: &Domain, topic: &str) -> Result<Self, FrameError> {
         let (service, place) = open_service(domain, topic)?;
+        has_room(PUBLISHERS_ROOM).map_err(|full| place.error("publish", full))?;
         let publisher = service.publisher_builder().create().map_err(|e| match e {
             PublisherCreateError::ExceedsMaxSupportedPublishers => FrameError::AlreadyPublished {
                 topic: topic.to_owned(),

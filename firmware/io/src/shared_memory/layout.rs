@@ -96,16 +96,20 @@ const _: () = assert!(size_of::<ShmFrame>() == size_of::<DepthFrame>());
 mod tests {
     use super::*;
 
+    /// What crosses, and what it is read into.
+    fn crossed(sent: &Datagrams) -> (Box<WireDatagrams>, Datagrams) {
+        let (mut wire, mut received) = (Box::new(WireDatagrams::EMPTY), Datagrams::default());
+        wire.fill(sent);
+        assert!(wire.read_into(&mut received));
+        assert_eq!(received, *sent);
+        (wire, received)
+    }
+
     #[test]
     fn datagrams_cross_unchanged_and_lies_are_refused() {
         let mut sent = Datagrams::default();
         assert!(sent.push(0, b"heartbeat") && sent.push(2, b"") && sent.push(1, &[7; 2000]));
-        let mut wire = Box::new(WireDatagrams::EMPTY);
-        wire.fill(&sent);
-        let mut received = Datagrams::default();
-        assert!(wire.read_into(&mut received));
-        assert_eq!(received, sent);
-
+        let (mut wire, mut received) = crossed(&sent);
         wire.ends[1] = Datagrams::CAPACITY as u32 + 1;
         assert!(!wire.read_into(&mut received));
         wire.ends[1] = 3;
@@ -120,10 +124,6 @@ mod tests {
         for i in 0..Datagrams::MAX_COUNT {
             assert!(sent.push(i as u8, &[i as u8; Datagrams::CAPACITY / Datagrams::MAX_COUNT]));
         }
-        let mut wire = Box::new(WireDatagrams::EMPTY);
-        wire.fill(&sent);
-        let mut received = Datagrams::default();
-        assert!(wire.read_into(&mut received));
-        assert_eq!(received, sent);
+        crossed(&sent);
     }
 }

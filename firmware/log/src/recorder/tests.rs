@@ -12,8 +12,7 @@ fn config(when_full: WhenFull, slots: usize) -> RecorderConfig {
 }
 
 fn start<W: Write + Seek + Send + 'static>(sink: W, config: RecorderConfig) -> Result<Recorder, StartError> {
-    let path = PathBuf::from("flight.mcap");
-    Recorder::start_on(sink, Vec::new(), path, PathBuf::from("flight.tlog"), config)
+    Recorder::start_on(sink, Vec::new(), PathBuf::from("flight.mcap"), config)
 }
 
 /// A disk that others can look at: full after `limit` bytes, and blocked while its gate is held.

@@ -1,7 +1,7 @@
 //! Commands and acknowledgements read from raw payloads: the crate's parser refuses a command number that it does not
 //! know, but such a command must be answered UNSUPPORTED. <https://mavlink.io/en/services/command.html>
 
-use crate::framing::{SerializeError, Zeroed, serialize_payload};
+use crate::framing::{SerializeError, Zeroed, filled, serialize_payload};
 use mavlink::dialects::common::{COMMAND_ACK_DATA, COMMAND_INT_DATA, COMMAND_LONG_DATA};
 use mavlink::{MavHeader, MessageData};
 
@@ -81,30 +81,16 @@ impl Command {
     /// # Errors
     /// [`SerializeError`].
     pub fn serialize(&self, header: MavHeader, out: &mut [u8]) -> Result<usize, SerializeError> {
-        let mut payload = [0; 35];
-        let mut put = |offset: usize, bytes: &[u8]| {
-            if let Some(slot) = payload.get_mut(offset..offset + bytes.len()) {
-                slot.copy_from_slice(bytes);
-            }
+        let [p1, p2, p3, p4, p5, p6, p7] = self.params.map(f32::to_le_bytes);
+        let (message_id, x, y, last) = match self.form {
+            CommandForm::Long { confirmation } => (COMMAND_LONG_DATA::ID, p5, p6, confirmation),
+            CommandForm::Int { frame, x, y } => (COMMAND_INT_DATA::ID, x.to_le_bytes(), y.to_le_bytes(), frame),
         };
-        for (i, p) in self.params.iter().enumerate() {
-            put(4 * i, &p.to_le_bytes());
-        }
-        put(28, &self.number.to_le_bytes());
-        put(30, &[self.target_system, self.target_component]);
-        let (message_id, len) = match self.form {
-            CommandForm::Long { confirmation } => {
-                put(32, &[confirmation]);
-                (COMMAND_LONG_DATA::ID, 33)
-            }
-            CommandForm::Int { frame, x, y } => {
-                put(16, &x.to_le_bytes());
-                put(20, &y.to_le_bytes());
-                put(32, &[frame]);
-                (COMMAND_INT_DATA::ID, 35)
-            }
-        };
-        serialize_payload(header, message_id, payload.get(..len).unwrap_or_default(), out)
+        let numbers = [p1, p2, p3, p4, x, y, p7].into_iter().flatten();
+        let addressed = [self.target_system, self.target_component, last];
+        // What a COMMAND_INT has behind them is zero, and cut.
+        let payload: [u8; 33] = filled(numbers.chain(self.number.to_le_bytes()).chain(addressed));
+        serialize_payload(header, message_id, &payload, out)
     }
 
     /// Parameter `number` (1 to 7), or `None` where there is no such parameter, it is NaN, or it is the integer of a

@@ -12,23 +12,28 @@ mod stream;
 mod tests;
 
 pub use command::{Command, CommandAck, CommandForm};
-pub use packet::{FramingCounters, Packet, Packets, packets};
+pub use packet::{FramingCounters, Packet, packets};
 pub use serialize::{MAX_PACKET_LEN, SerializeError, renumber, serialize, serialize_payload};
 #[cfg(feature = "std")]
 pub use serialize::{encode, encode_payload};
 pub(crate) use serialize::{extra_crc, seal};
 pub use stream::StreamFramer;
 
+/// The first of these bytes, as many as there is room for, and zeros behind them.
+pub(crate) fn filled<const N: usize>(bytes: impl IntoIterator<Item = u8>) -> [u8; N] {
+    let mut out = [0; N];
+    for (slot, byte) in out.iter_mut().zip(bytes) {
+        *slot = byte;
+    }
+    out
+}
+
 /// Little-endian reads at an offset of a payload whose trailing zeros were cut (MAVLink 2): what is cut reads as zero.
 pub(crate) struct Zeroed<'a>(pub &'a [u8]);
 
 impl Zeroed<'_> {
     pub fn bytes<const N: usize>(&self, offset: usize) -> [u8; N] {
-        let mut out = [0; N];
-        for (o, b) in out.iter_mut().zip(self.0.iter().skip(offset)) {
-            *o = *b;
-        }
-        out
+        filled(self.0.iter().skip(offset).copied())
     }
 
     /// Whether a parameter's name, 16 bytes or up to a zero, is this one.

@@ -184,14 +184,6 @@ fn serialized_payload(message: &MavMessage) -> [u8; 255] {
     payload
 }
 
-/// What the scanner found at its place.
-pub(super) enum Found<'a> {
-    Packet(Packet<'a>),
-    /// A packet may begin at the scanner's place, but its end is not here yet.
-    Incomplete,
-    End,
-}
-
 /// Walks over bytes. Bytes of a packet that was refused are searched again for a start marker, because the marker found
 /// may have been garbage; what is found in them is not counted as another refusal.
 #[derive(Debug, Clone, Copy, Default)]
@@ -209,8 +201,9 @@ enum Candidate<'a> {
 }
 
 impl Scanner {
-    /// Finds the next packet. With `whole`, nothing follows after `data`: a packet without its end is truncated.
-    pub fn next<'a>(&mut self, data: &'a [u8], whole: bool, counters: &mut FramingCounters) -> Found<'a> {
+    /// Finds the next packet. With `whole`, nothing follows after `data`: a packet without its end is truncated. Else the scanner stays
+    /// where one may begin whose end is not here yet.
+    pub fn next<'a>(&mut self, data: &'a [u8], whole: bool, counters: &mut FramingCounters) -> Option<Packet<'a>> {
         while let Some(rest) = data.get(self.at..) {
             let Some(marker) = rest.iter().position(|b| *b == MAV_STX || *b == MAV_STX_V2) else {
                 break;
@@ -229,9 +222,9 @@ impl Scanner {
                     self.at += p.raw.len();
                     counters.packets += 1;
                     counters.unknown_message += u64::from(!p.known);
-                    return Found::Packet(p);
+                    return Some(p);
                 }
-                Candidate::Short if !whole => return Found::Incomplete,
+                Candidate::Short if !whole => return None,
                 Candidate::Short => (&mut counters.truncated, rest.len()),
                 Candidate::BadCrc { len } => (&mut counters.bad_crc, len),
                 Candidate::Incompatible { len } => (&mut counters.incompatible, len),
@@ -241,7 +234,7 @@ impl Scanner {
         }
         counters.garbage_bytes += data.len().saturating_sub(self.at) as u64;
         self.at = data.len();
-        Found::End
+        None
     }
 
     fn refuse(&mut self, len: usize, counters: &mut FramingCounters) {
@@ -267,11 +260,7 @@ fn candidate(bytes: &[u8]) -> Candidate<'_> {
         [MAV_STX_V2, _, flags, ..] => (
             MavlinkVersion::V2,
             V2_HEADER_LEN,
-            if flags & INCOMPATIBILITY_SIGNED != 0 {
-                SIGNATURE_LEN
-            } else {
-                0
-            },
+            SIGNATURE_LEN * usize::from(flags & INCOMPATIBILITY_SIGNED),
             flags & !INCOMPATIBILITY_SIGNED == 0,
         ),
         [MAV_STX, ..] => (MavlinkVersion::V1, V1_HEADER_LEN, 0, true),
@@ -316,31 +305,9 @@ fn candidate(bytes: &[u8]) -> Candidate<'_> {
     })
 }
 
-/// The packets of one datagram, in order.
-#[derive(Debug)]
-pub struct Packets<'a, 'c> {
-    datagram: &'a [u8],
-    scanner: Scanner,
-    counters: &'c mut FramingCounters,
-}
-
-impl<'a> Iterator for Packets<'a, '_> {
-    type Item = Packet<'a>;
-
-    fn next(&mut self) -> Option<Packet<'a>> {
-        match self.scanner.next(self.datagram, true, self.counters) {
-            Found::Packet(packet) => Some(packet),
-            Found::Incomplete | Found::End => None,
-        }
-    }
-}
-
-/// Finds the packets of one datagram: MAVLink 2 and 1, garbage skipped, everything refused counted.
+/// Finds the packets of one datagram, in order: MAVLink 2 and 1, garbage skipped, everything refused counted.
 /// A packet may not continue in the next datagram; for a byte stream use [`StreamFramer`](crate::framing::StreamFramer).
-pub fn packets<'a, 'c>(datagram: &'a [u8], counters: &'c mut FramingCounters) -> Packets<'a, 'c> {
-    Packets {
-        datagram,
-        scanner: Scanner::default(),
-        counters,
-    }
+pub fn packets<'a>(datagram: &'a [u8], counters: &mut FramingCounters) -> impl Iterator<Item = Packet<'a>> {
+    let mut scanner = Scanner::default();
+    core::iter::from_fn(move || scanner.next(datagram, true, counters))
 }

@@ -42,8 +42,11 @@ pub fn serialize(header: MavHeader, message: &MavMessage, out: &mut [u8]) -> Res
 /// The unsigned MAVLink 2 packet of `message` from `(system, component)`, in memory of its own; the loop uses [`serialize`].
 #[cfg(feature = "std")]
 pub fn encode(from: (u8, u8), sequence: u8, message: &MavMessage) -> std::vec::Vec<u8> {
+    let mut payload = [0; 255];
+    let len = message.ser(MavlinkVersion::V2, &mut payload);
+    let payload = payload.get(..len).unwrap_or_default();
     // Whatever the dialect has fits.
-    packet(from, sequence, |header, out| serialize(header, message, out)).unwrap_or_default()
+    encode_payload(from, sequence, message.message_id(), payload).unwrap_or_default()
 }
 
 /// The same of a raw payload, for what [`serialize_payload`] is for.
@@ -52,21 +55,10 @@ pub fn encode(from: (u8, u8), sequence: u8, message: &MavMessage) -> std::vec::V
 /// [`SerializeError`].
 #[cfg(feature = "std")]
 pub fn encode_payload(
-    from: (u8, u8),
+    (system, component_id): (u8, u8),
     sequence: u8,
     id: u32,
     payload: &[u8],
-) -> Result<std::vec::Vec<u8>, SerializeError> {
-    packet(from, sequence, |header, out| {
-        serialize_payload(header, id, payload, out)
-    })
-}
-
-#[cfg(feature = "std")]
-fn packet(
-    (system, component_id): (u8, u8),
-    sequence: u8,
-    write: impl FnOnce(MavHeader, &mut [u8]) -> Result<usize, SerializeError>,
 ) -> Result<std::vec::Vec<u8>, SerializeError> {
     let header = MavHeader {
         system_id: system.into(),
@@ -74,7 +66,7 @@ fn packet(
         sequence,
     };
     let mut out = [0; MAX_PACKET_LEN];
-    let len = write(header, &mut out)?;
+    let len = serialize_payload(header, id, payload, &mut out)?;
     Ok(out.get(..len).unwrap_or_default().to_vec())
 }
 
@@ -126,24 +118,14 @@ pub fn serialize_payload(
     let available = out.len();
     let too_small = SerializeError::BufferTooSmall { needed, available };
     let [id0, id1, id2, _] = message_id.to_le_bytes();
-    let (sequence, component_id) = (header.sequence, header.component_id);
-    let head = [
-        MAV_STX_V2,
-        payload_len,
-        0,
-        0,
-        sequence,
-        system_id,
-        component_id,
-        id0,
-        id1,
-        id2,
-    ];
+    let bytes = [MAV_STX_V2, payload_len, 0, 0, header.sequence, system_id]
+        .into_iter()
+        .chain([header.component_id, id0, id1, id2])
+        .chain(payload.iter().copied());
     let packet = out.get_mut(..needed).ok_or(too_small)?;
-    let (head_slot, rest) = packet.split_at_mut(10);
-    head_slot.copy_from_slice(&head);
-    let (payload_slot, _) = rest.split_at_mut(payload.len());
-    payload_slot.copy_from_slice(payload);
+    for (slot, byte) in packet.iter_mut().zip(bytes) {
+        *slot = byte;
+    }
     seal(packet, extra_crc);
     Ok(needed)
 }

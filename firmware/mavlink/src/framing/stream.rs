@@ -1,6 +1,6 @@
 //! Framing of a byte stream (TCP, serial), where packets are split across reads.
 
-use crate::framing::packet::{Found, FramingCounters, Packet, Scanner};
+use crate::framing::packet::{FramingCounters, Packet, Scanner};
 
 /// Bytes held: at least two of the largest packets, so that there is always room behind an incomplete one.
 const CAPACITY: usize = 1024;
@@ -37,7 +37,7 @@ impl StreamFramer {
             }
             rest = later;
             let data = self.buffer.get(..self.filled).unwrap_or_default();
-            while let Found::Packet(packet) = self.scanner.next(data, false, counters) {
+            while let Some(packet) = self.scanner.next(data, false, counters) {
                 on_packet(&packet);
             }
             let done = self.scanner.at.min(self.filled);

@@ -256,9 +256,8 @@ fn the_target_of_a_message_that_does_not_parse_is_found_by_its_layout() {
     payload[28..30].copy_from_slice(&7u16.to_le_bytes());
     payload[30..32].copy_from_slice(&54_321u16.to_le_bytes());
     (payload[32], payload[33]) = (1, 190);
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize_payload(HEADER, 73, &payload, &mut out).unwrap();
-    let (found, _) = scan(&out[..len]);
+    let packet = encode_payload((1, 191), 0, 73, &payload).unwrap();
+    let (found, _) = scan(&packet);
     assert!(found[0].message().is_err());
     assert_eq!(found[0].target(), Some((1, 190)));
     let bytes = bytes_of(&heartbeat());

@@ -30,28 +30,35 @@ impl CommandService {
     /// Acknowledges a request; one that is refused with the reasons of the last step, and with a text.
     pub fn answer(&mut self, core: &mut Core, pending: &PendingRequest, outcome: RequestOutcome) {
         let (state, reasons) = core.said.unwrap_or_default();
+        let name = pending.name();
         let why = match outcome {
-            RequestOutcome::Accepted => Reasons::NONE,
+            RequestOutcome::Accepted => {
+                match pending.request {
+                    OperatorRequest::Disengage => core.letting_go = pending.lets_go,
+                    OperatorRequest::Engage => core.letting_go = false,
+                    _ => {}
+                }
+                Reasons::NONE
+            }
             RequestOutcome::TooFar { distance_m, limit_m } => {
-                let command = pending.command;
-                self.refuse(command, format_args!(": {distance_m} m from home, at most {limit_m} m"));
+                self.refuse(name, format_args!(": {distance_m} m from home, at most {limit_m} m"));
                 Reasons::NONE
             }
             RequestOutcome::TemporarilyRejected | RequestOutcome::Denied => {
-                let (command, state) = (pending.command, state.name());
+                let state = state.name();
                 match pending.request {
                     OperatorRequest::Goal { .. } | OperatorRequest::FixedGoal { .. } => self.refuse(
-                        command,
+                        name,
                         format_args!(": outside the fence, too far, or at or below the ground"),
                     ),
                     OperatorRequest::Land => {
-                        self.refuse(command, format_args!(" in {state}: guidance does not have the vehicle"))
+                        self.refuse(name, format_args!(" in {state}: guidance does not have the vehicle"))
                     }
-                    OperatorRequest::Engage | OperatorRequest::Disengage if reasons.is_empty() => {
-                        self.refuse(command, format_args!(" in {state}: not clear for long enough"));
+                    OperatorRequest::Engage if reasons.is_empty() => {
+                        self.refuse(name, format_args!(" in {state}: not clear for long enough"));
                     }
                     OperatorRequest::Engage | OperatorRequest::Disengage => {
-                        self.refuse(command, format_args!(" in {state}{}", InBrackets(reasons)));
+                        self.refuse(name, format_args!(" in {state}{}", InBrackets(reasons)));
                     }
                 }
                 reasons
@@ -63,31 +70,27 @@ impl CommandService {
     fn command(&mut self, core: &mut Core, command: &Command, reply: ReplyTo) {
         match decode(command, &core.vehicle) {
             Ok(request) => {
-                match request {
-                    OperatorRequest::Disengage => core.letting_go = command.param(2) == Some(LET_GO),
-                    OperatorRequest::Engage => core.letting_go = false,
-                    _ => {}
-                }
                 let pending = PendingRequest {
                     request,
+                    lets_go: command.param(2) == Some(LET_GO),
                     command: command.number,
                     reply,
                 };
                 if self.requests.push_back(pending).is_err() {
-                    self.refuse(command.number, format_args!(": too many requests"));
+                    self.refuse(pending.name(), format_args!(": too many requests"));
                     core.acknowledge(reply, command.number, result::TEMPORARILY_REJECTED, Reasons::NONE);
                 }
             }
             Err(mav_result) => {
-                self.refuse(command.number, format_args!(": {}", why(mav_result)));
+                self.refuse(request_name(command.number), format_args!(": {}", why(mav_result)));
                 core.acknowledge(reply, command.number, mav_result, Reasons::NONE);
             }
         }
     }
 
     /// To be said in the next step, as far as there is room.
-    fn refuse(&mut self, command: u16, why: Arguments<'_>) {
-        if let (false, Some(name)) = (self.refused.is_full(), request_name(command)) {
+    fn refuse(&mut self, name: Option<&str>, why: Arguments<'_>) {
+        if let (false, Some(name)) = (self.refused.is_full(), name) {
             let text = StatusText::new(WARNING, format_args!("{name} refused{why}"));
             let _ = self.refused.push(text);
         }

@@ -8,7 +8,7 @@ use crate::core::Core;
 use crate::framing::{Command, CommandForm, Packet};
 use crate::service::{Service, Step};
 use crate::status_text::{CRITICAL, ERROR};
-use crate::tracker::{Failure, Next, Tracker, Wanted};
+use crate::tracker::{Next, Tracker, Wanted};
 use crate::vehicle::Vehicle;
 use core::fmt::Arguments;
 use vigil_types::{
@@ -35,18 +35,6 @@ const GLOBAL: u8 = 0;
 /// A heartbeat this much later than the beginning of a climb shows the mode that the take-off put the vehicle into.
 const MODE_SHOWS_NS: Nanos = 1_000_000_000;
 
-/// What the hand-over wants in this step.
-#[derive(Debug, Clone, Copy)]
-enum Action {
-    Nothing,
-    /// A command to send, and its confirmation.
-    Send(Wanted, u8),
-    /// A command with this number failed, which people read once.
-    Failed(u16, Failure),
-    /// The same for a vehicle that names another autopilot than the configured one.
-    OtherAutopilot(Flavour),
-}
-
 #[derive(Debug, Clone, Copy)]
 enum Stage {
     Ask(Wanted),
@@ -60,7 +48,7 @@ enum Asked {
     Fly,
     Land,
     /// This mode of a guarded flight.
-    Mode([f32; 3]),
+    Mode(VehicleMode),
 }
 
 /// Follows one request of guidance.
@@ -86,7 +74,7 @@ impl HandoverService {
         if !matches!(self.progress, HandoverProgress::InProgress { .. }) {
             return None;
         }
-        Some(match (self.climbing_since_ns, self.tracker.number()) {
+        Some(match (self.climbing_since_ns, self.tracker.number) {
             (Some(_), _) => "climb to the take-off height",
             (None, Some(number)) => command_number::name(number),
             (None, None) => "stream of setpoints",
@@ -94,7 +82,7 @@ impl HandoverService {
     }
 
     /// One step. `streaming`: a setpoint is sent in it.
-    fn step(&mut self, now_ns: Nanos, request: VehicleRequest, streaming: bool, vehicle: &Vehicle) -> Action {
+    fn step(&mut self, now_ns: Nanos, request: VehicleRequest, streaming: bool, vehicle: &Vehicle) -> Next {
         self.flavour = vehicle.flavour();
         self.streaming_since_ns = if streaming {
             self.streaming_since_ns.or(Some(now_ns))
@@ -104,7 +92,7 @@ impl HandoverService {
         match request {
             VehicleRequest::None => {
                 self.end();
-                Action::Nothing
+                Next::Wait
             }
             VehicleRequest::FlyExternal { takeoff_height_m } => {
                 self.ask(Asked::Fly);
@@ -116,18 +104,18 @@ impl HandoverService {
                 self.insist(now_ns, &wanted, LAND_PAUSE_NS, vehicle)
             }
             VehicleRequest::Hold { place_m, .. } => {
-                self.ask(Asked::Mode(self.flavour.hold_mode()));
+                self.ask(Asked::Mode(VehicleMode::Hold));
                 let wanted = match self.flavour {
                     Flavour::Px4 => self.px4_stop(place_m, vehicle),
-                    Flavour::ArduPilot => self.set_mode(self.flavour.hold_mode()),
+                    Flavour::ArduPilot => self.set_mode(VehicleMode::Hold),
                 };
-                let action = self.insist(now_ns, &wanted, HOLD_PAUSE_NS, vehicle);
-                self.refuses_place |= wanted.place.is_some() && matches!(action, Action::Failed(..));
-                action
+                let next = self.insist(now_ns, &wanted, HOLD_PAUSE_NS, vehicle);
+                self.refuses_place |= wanted.place.is_some() && matches!(next, Next::Failed(..));
+                next
             }
             VehicleRequest::Resume => {
-                self.ask(Asked::Mode(self.flavour.mission_mode()));
-                let wanted = self.set_mode(self.flavour.mission_mode());
+                self.ask(Asked::Mode(VehicleMode::Mission));
+                let wanted = self.set_mode(VehicleMode::Mission);
                 self.insist(now_ns, &wanted, HOLD_PAUSE_NS, vehicle)
             }
         }
@@ -147,7 +135,7 @@ impl HandoverService {
         let holds = vehicle.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
         let has_mode = holds
             || self.tracker.is_accepted(command_number::DO_SET_MODE)
-            || self.tracker.number() == Some(command_number::DO_REPOSITION);
+            || self.tracker.number == Some(command_number::DO_REPOSITION);
         // An origin that was inferred from home may be metres aside.
         let origin = vehicle
             .origin
@@ -167,11 +155,12 @@ impl HandoverService {
             // In hold it may be on its way to a place; the mode that it has already changes nothing. A go-to without a place is how
             // ground stations pause one.
             _ if holds => reposition(-1.0),
-            _ => self.set_mode(self.flavour.hold_mode()),
+            _ => self.set_mode(VehicleMode::Hold),
         }
     }
 
-    fn set_mode(&self, [base, main, sub]: [f32; 3]) -> Wanted {
+    fn set_mode(&self, mode: VehicleMode) -> Wanted {
+        let [base, main, sub] = self.flavour.mode_params(mode);
         let set = [(1, base), (2, main), (3, sub)];
         self.wanted(command_number::DO_SET_MODE, EFFECT_NS, &set)
     }
@@ -184,13 +173,13 @@ impl HandoverService {
         };
     }
 
-    fn fly(&mut self, now_ns: Nanos, takeoff_height_m: f32, vehicle: &Vehicle) -> Action {
+    fn fly(&mut self, now_ns: Nanos, takeoff_height_m: f32, vehicle: &Vehicle) -> Next {
         if self.progress == HandoverProgress::Failed {
-            return Action::Nothing;
+            return Next::Wait;
         }
         if let (true, Some(named)) = (vehicle.is_other_autopilot(), vehicle.named) {
             self.progress = HandoverProgress::Failed;
-            return Action::OtherAutopilot(named);
+            return Next::OtherAutopilot(named);
         }
         let stage = match self.flavour {
             Flavour::Px4 => self.px4_stage(now_ns, takeoff_height_m, vehicle),
@@ -204,21 +193,13 @@ impl HandoverService {
             },
         };
         let Stage::Ask(wanted) = stage else {
-            return Action::Nothing;
+            return Next::Wait;
         };
-        let action = self.follow(now_ns, &wanted);
-        if matches!(action, Action::Failed(..)) {
+        let next = self.tracker.next(now_ns, &wanted);
+        if matches!(next, Next::Failed(..)) {
             self.progress = HandoverProgress::Failed;
         }
-        action
-    }
-
-    fn follow(&mut self, now_ns: Nanos, wanted: &Wanted) -> Action {
-        match self.tracker.next(now_ns, wanted) {
-            Next::Wait => Action::Nothing,
-            Next::Send(confirmation) => Action::Send(*wanted, confirmation),
-            Next::Failed(failure) => Action::Failed(wanted.number, failure),
-        }
+        next
     }
 
     /// Arm, take off, stream, OFFBOARD.
@@ -234,7 +215,8 @@ impl HandoverService {
             return Stage::Ask(self.arm());
         }
         self.note_climb(now_ns, takeoff_height_m, vehicle, &heartbeat);
-        if !airborne && heartbeat.mode != VehicleMode::Takeoff {
+        // On the ground a height that counts as reached, from another origin, is no climb.
+        if !airborne && (heartbeat.mode != VehicleMode::Takeoff || self.climbing_since_ns.is_none()) {
             return Stage::Ask(self.take_off(takeoff_height_m, vehicle));
         }
         if let Some(since_ns) = self.climbing_since_ns {
@@ -245,7 +227,9 @@ impl HandoverService {
             }
         }
         match self.streaming_since_ns {
-            Some(since_ns) if now_ns.saturating_sub(since_ns) >= PRE_STREAM_NS => Stage::Ask(self.external_mode()),
+            Some(since_ns) if now_ns.saturating_sub(since_ns) >= PRE_STREAM_NS => {
+                Stage::Ask(self.set_mode(VehicleMode::External))
+            }
             _ => Stage::Wait,
         }
     }
@@ -256,7 +240,7 @@ impl HandoverService {
             return Stage::Wait;
         };
         if heartbeat.mode != VehicleMode::External {
-            return Stage::Ask(self.external_mode());
+            return Stage::Ask(self.set_mode(VehicleMode::External));
         }
         if !heartbeat.armed {
             return Stage::Ask(self.arm());
@@ -296,10 +280,6 @@ impl HandoverService {
         self.wanted(command_number::COMPONENT_ARM_DISARM, EFFECT_NS, &[(1, 1.0), (2, 0.0)])
     }
 
-    fn external_mode(&self) -> Wanted {
-        self.set_mode(self.flavour.external_mode())
-    }
-
     fn take_off(&self, takeoff_height_m: f32, vehicle: &Vehicle) -> Wanted {
         let altitude_m = match self.flavour {
             // Above sea level; unknown, the vehicle takes its own height.
@@ -313,22 +293,22 @@ impl HandoverService {
     }
 
     /// Asks until it is done: what failed is asked again after a pause.
-    fn insist(&mut self, now_ns: Nanos, wanted: &Wanted, pause_ns: Nanos, vehicle: &Vehicle) -> Action {
+    fn insist(&mut self, now_ns: Nanos, wanted: &Wanted, pause_ns: Nanos, vehicle: &Vehicle) -> Next {
         if vehicle.is_other_autopilot() {
-            return Action::Nothing;
+            return Next::Wait;
         }
         if let Some(failed_ns) = self.failed_ns {
             if now_ns.saturating_sub(failed_ns) < pause_ns {
-                return Action::Nothing;
+                return Next::Wait;
             }
             self.failed_ns = None;
-            self.tracker.reset();
+            self.tracker = Tracker::default();
         }
-        let action = self.follow(now_ns, wanted);
-        if matches!(action, Action::Failed(..)) {
+        let next = self.tracker.next(now_ns, wanted);
+        if matches!(next, Next::Failed(..)) {
             self.failed_ns = Some(now_ns);
         }
-        action
+        next
     }
 }
 
@@ -363,22 +343,22 @@ impl Service for HandoverService {
                 StopCause::Unseen => tell(format_args!("stop: it moves where the sensor does not look")),
             }
         }
-        let action = self.step(step.report.now_ns, step.request, core.streaming, &core.vehicle);
+        let next = self.step(step.report.now_ns, step.request, core.streaming, &core.vehicle);
         let Some(system) = core.system_id else { return };
-        match action {
-            Action::Nothing => {}
-            Action::Send(wanted, confirmation) => {
+        match next {
+            Next::Wait => {}
+            Next::Send(wanted, confirmation) => {
                 let mut command = Command::to_autopilot(system, wanted.number, wanted.params, confirmation);
                 if let Some((x, y)) = wanted.place {
                     command.form = CommandForm::Int { frame: GLOBAL, x, y };
                 }
-                core.sender.command(out, core.config.link, &command);
+                core.command(out, &command);
             }
-            Action::Failed(number, failure) => {
+            Next::Failed(number, failure) => {
                 let text = format_args!("hand-over: {} {failure}", command_number::name(number));
                 core.tell(out, ERROR, text);
             }
-            Action::OtherAutopilot(named) => {
+            Next::OtherAutopilot(named) => {
                 let (named, configured) = (named.name(), self.flavour.name());
                 let text = format_args!("hand-over: vehicle is {named}, not {configured}");
                 core.tell(out, ERROR, text);

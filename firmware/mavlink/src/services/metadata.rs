@@ -7,13 +7,14 @@
 use crate::autopilot::command_number::REQUEST_MESSAGE;
 use crate::core::Core;
 use crate::crc::crc32;
-use crate::framing::{Packet, Zeroed};
+use crate::framing::{Packet, Zeroed, filled};
+use crate::message;
 use crate::operator::{ReplyTo, result};
 use crate::report::time_boot_ms;
 use crate::service::{Service, Step};
 use heapless::Vec;
 use mavlink::MessageData;
-use mavlink::dialects::common::{COMPONENT_METADATA_DATA, FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr, MavMessage};
+use mavlink::dialects::common::{COMPONENT_METADATA_DATA, FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr};
 use vigil_types::{Datagrams, Nanos, Reasons};
 
 /// Without a component's number: the component that names the file has it.
@@ -214,12 +215,8 @@ impl Service for MetadataService {
                 return false;
             }
             core.acknowledge(from, command.number, result::ACCEPTED, Reasons::NONE);
-            let metadata = COMPONENT_METADATA_DATA {
-                time_boot_ms: time_boot_ms(now_ns),
-                file_crc: GENERAL.crc32,
-                uri: GENERAL_URI.into(),
-            };
-            core.reply(from.link, &MavMessage::COMPONENT_METADATA(metadata));
+            let (time_boot_ms, file_crc, uri) = (time_boot_ms(now_ns), GENERAL.crc32, GENERAL_URI.into());
+            core.reply(from.link, &message!(COMPONENT_METADATA, time_boot_ms, file_crc, uri));
             return true;
         }
         if packet.message_id() != FILE_TRANSFER_PROTOCOL_DATA::ID {
@@ -256,10 +253,7 @@ fn send(core: &mut Core, out: &mut Datagrams, to: &Request, answer: &Answer, end
         .chain([to.session, opcode, data.len() as u8, to.opcode, ends_burst.into(), 0])
         .chain(to.offset.to_le_bytes())
         .chain(data.iter().copied());
-    let mut payload = [0; HEADER + MAX_DATA];
-    for (slot, byte) in payload.iter_mut().zip(fields) {
-        *slot = byte;
-    }
+    let payload: [u8; HEADER + MAX_DATA] = filled(fields);
     let (link, id) = (to.from.link, FILE_TRANSFER_PROTOCOL_DATA::ID);
     core.sender.payload(out, link, id, &payload);
 }

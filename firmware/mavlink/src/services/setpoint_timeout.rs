@@ -13,9 +13,12 @@ use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::{Packet, Zeroed};
 use crate::service::{Service, Step};
-use crate::status_text::{INFO, NOTICE, WARNING};
+use crate::status_text::{INFO, NOTICE, StatusText, WARNING};
+use core::fmt::Arguments;
 use mavlink::MessageData;
-use mavlink::dialects::common::{MavMessage, MavParamType, PARAM_ERROR_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA};
+use mavlink::dialects::common::{
+    MavMessage, MavParamType, MavSeverity, PARAM_ERROR_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
+};
 use vigil_types::{Datagrams, Nanos, VehicleRequest};
 
 /// Questions before a vehicle counts as not answering, and attempts to set the value.
@@ -27,40 +30,14 @@ const RETRY_NS: Nanos = 500_000_000;
 /// A value counts as set when it is as near as this: what an autopilot may round.
 const SAME_S: f32 = 1e-3;
 
-/// What was found; said once for each hand-over.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Finding {
-    /// Short enough, seconds.
-    Good(f32),
-    /// It was too long, and was set: before and after, seconds.
-    Set(f32, f32),
-    /// It is too long, and the vehicle did not let it be set: the value and the longest wanted, seconds.
-    Stays(f32, f32),
-    /// The vehicle did not tell.
-    NotReported,
-}
-
-/// What to do in a step.
-#[derive(Debug, Clone, Copy)]
-enum Next {
-    Nothing,
-    /// Ask for the value.
-    Read,
-    /// Set it, seconds.
-    Set(f32),
-    Tell(Finding),
-}
-
+/// What is asked of the vehicle.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 enum Stage {
-    /// No hand-over, or its finding was said.
     #[default]
-    Idle,
+    Nothing,
     Reading,
     /// It was this long.
     Setting(f32),
-    /// To be said.
-    Found(Finding),
 }
 
 /// Follows the one parameter.
@@ -76,6 +53,8 @@ pub(crate) struct SetpointTimeoutService {
     sent_ns: Nanos,
     /// The vehicle was being taken in the step before.
     taking: bool,
+    /// What was found, to be said; once for each hand-over.
+    found: Option<StatusText>,
 }
 
 impl SetpointTimeoutService {
@@ -98,43 +77,44 @@ impl SetpointTimeoutService {
         has_other
     }
 
-    /// One step. `taking`: guidance asks for the vehicle. What then began goes on to its end, in flight too.
-    fn step(&mut self, now_ns: Nanos, taking: bool, flavour: Flavour) -> Next {
+    fn end(&mut self, severity: MavSeverity, found: Arguments<'_>) {
+        (self.stage, self.found) = (Stage::Nothing, Some(StatusText::new(severity, found)));
+    }
+
+    /// The vehicle does not answer, or does not let it be set.
+    fn give_up(&mut self, longest_s: f32) {
+        let name = self.name();
+        match self.stage {
+            Stage::Setting(s) => self.end(WARNING, format_args!("{name} stays {s} s, wanted {longest_s} s")),
+            _ => self.end(WARNING, format_args!("{name} is not reported by the vehicle")),
+        }
+    }
+
+    /// What to ask in this step. `taking`: guidance asks for the vehicle. What then began goes on to its end, in flight too.
+    fn step(&mut self, now_ns: Nanos, taking: bool, flavour: Flavour) -> Stage {
         self.flavour = flavour;
         let Some(longest_s) = self.longest_s else {
-            return Next::Nothing;
+            return Stage::Nothing;
         };
         if taking && !core::mem::replace(&mut self.taking, taking) {
-            self.stage = Stage::Reading;
-            self.attempts = 0;
-            self.own = true;
+            (self.stage, self.found) = (Stage::Reading, None);
+            (self.attempts, self.own) = (0, true);
         }
         self.taking = taking;
-        let gives_up = match self.stage {
-            Stage::Idle => return Next::Nothing,
-            Stage::Found(finding) => {
-                self.stage = Stage::Idle;
-                return Next::Tell(finding);
-            }
-            Stage::Reading => Finding::NotReported,
-            Stage::Setting(value_s) => Finding::Stays(value_s, longest_s),
-        };
-        if self.attempts > 0 && now_ns.saturating_sub(self.sent_ns) < RETRY_NS {
-            return Next::Nothing;
+        let waits = self.attempts > 0 && now_ns.saturating_sub(self.sent_ns) < RETRY_NS;
+        if self.stage == Stage::Nothing || waits {
+            return Stage::Nothing;
         }
         let own = self.flavour == Flavour::Px4 && self.own;
         if own && self.stage == Stage::Reading && self.attempts >= OWN_ATTEMPTS {
             self.takes_the_other();
         } else if self.attempts >= ATTEMPTS {
-            self.stage = Stage::Idle;
-            return Next::Tell(gives_up);
+            self.give_up(longest_s);
+            return Stage::Nothing;
         }
         self.attempts += 1;
         self.sent_ns = now_ns;
-        match self.stage {
-            Stage::Setting(_) => Next::Set(longest_s),
-            Stage::Idle | Stage::Reading | Stage::Found(_) => Next::Read,
-        }
+        self.stage
     }
 }
 
@@ -157,27 +137,23 @@ impl Service for SetpointTimeoutService {
                 if !(value_s.is_finite() && value_s >= 0.0) {
                     return;
                 }
-                let short = value_s <= longest_s + SAME_S;
+                let (short, name) = (value_s <= longest_s + SAME_S, self.name());
                 match self.stage {
-                    Stage::Reading if short => self.stage = Stage::Found(Finding::Good(value_s)),
-                    Stage::Reading => {
-                        self.stage = Stage::Setting(value_s);
-                        self.attempts = 0;
-                    }
+                    Stage::Reading if short => self.end(INFO, format_args!("{name} is {value_s} s")),
+                    Stage::Reading => (self.stage, self.attempts) = (Stage::Setting(value_s), 0),
                     // Anything else than a short value is the answer of a vehicle that did not set it; it is asked again.
-                    Stage::Setting(before_s) if short => self.stage = Stage::Found(Finding::Set(before_s, value_s)),
-                    Stage::Setting(_) | Stage::Idle | Stage::Found(_) => {}
+                    Stage::Setting(before_s) if short => {
+                        self.end(NOTICE, format_args!("{name} was {before_s} s, set to {value_s} s"));
+                    }
+                    Stage::Setting(_) | Stage::Nothing => {}
                 }
             }
-            PARAM_ERROR_DATA::ID if payload.is_parameter(4, self.name()) => match self.stage {
-                Stage::Reading => {
-                    if !self.takes_the_other() {
-                        self.stage = Stage::Found(Finding::NotReported);
-                    }
+            PARAM_ERROR_DATA::ID if payload.is_parameter(4, self.name()) => {
+                let sets = matches!(self.stage, Stage::Setting(_));
+                if sets || self.stage == Stage::Reading && !self.takes_the_other() {
+                    self.give_up(longest_s);
                 }
-                Stage::Setting(value_s) => self.stage = Stage::Found(Finding::Stays(value_s, longest_s)),
-                Stage::Idle | Stage::Found(_) => {}
-            },
+            }
             _ => {}
         }
     }
@@ -185,31 +161,22 @@ impl Service for SetpointTimeoutService {
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
         let Some(system) = core.system_id else { return };
         let taking = matches!(step.request, VehicleRequest::FlyExternal { .. }) && !core.vehicle.is_other_autopilot();
-        let next = self.step(step.report.now_ns, taking, core.vehicle.flavour());
-        let name = self.name();
-        match next {
-            Next::Nothing => {}
-            Next::Read => core.ask_for_parameter(out, system, name),
-            Next::Set(param_value) => {
+        match self.step(step.report.now_ns, taking, core.vehicle.flavour()) {
+            Stage::Nothing => {}
+            Stage::Reading => core.ask_for_parameter(out, system, self.name()),
+            Stage::Setting(_) => {
                 let set = PARAM_SET_DATA {
-                    param_value,
+                    param_value: self.longest_s.unwrap_or_default(),
                     target_system: system,
                     target_component: 1,
-                    param_id: name.into(),
+                    param_id: self.name().into(),
                     param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
                 };
                 core.say(out, &MavMessage::PARAM_SET(set));
             }
-            Next::Tell(Finding::Good(s)) => core.tell(out, INFO, format_args!("{name} is {s} s")),
-            Next::Tell(Finding::Set(before_s, s)) => {
-                core.tell(out, NOTICE, format_args!("{name} was {before_s} s, set to {s} s"));
-            }
-            Next::Tell(Finding::Stays(s, wanted_s)) => {
-                core.tell(out, WARNING, format_args!("{name} stays {s} s, wanted {wanted_s} s"));
-            }
-            Next::Tell(Finding::NotReported) => {
-                core.tell(out, WARNING, format_args!("{name} is not reported by the vehicle"));
-            }
+        }
+        if let Some(found) = self.found.take() {
+            core.tell_text(out, &found);
         }
     }
 }

@@ -47,12 +47,14 @@ impl Service for StatusService {
                 core.say_text(out, &text);
             }
         }
+        let has_landed = state_before == Some(GuidanceState::Land) && report.reasons.contains(Reason::Disarmed);
+        if is_new && has_landed {
+            let text = format_args!("the flight is over: engage guidance for another");
+            core.tell(out, NOTICE, text);
+        }
         if is_new && report.state == GuidanceState::Engaging && core.vehicle.home_ned_m().is_none() {
-            core.tell(
-                out,
-                WARNING,
-                format_args!("home is unknown: goals are from the local origin"),
-            );
+            let text = format_args!("home is unknown: goals are from the local origin");
+            core.tell(out, WARNING, text);
         }
         core.newcomer = false;
         let begins = |reason| report.reasons.contains(reason) && !reasons_before.contains(reason);

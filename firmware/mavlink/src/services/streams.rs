@@ -97,18 +97,11 @@ const GOOD_NS: Nanos = 5_000_000_000;
 /// Arrivals that are remembered; the mean interval is that between them.
 const ARRIVALS: usize = 5;
 
-/// What to send to the autopilot.
-#[derive(Debug, Clone, Copy)]
-enum Ask {
-    /// A command's number and parameters.
-    Command(u16, [f32; 7]),
-    /// REQUEST_DATA_STREAM.
-    DataStream { stream: u8, rate_hz: u16 },
-}
-
 /// How one message comes.
 #[derive(Debug, Clone, Copy, Default)]
 struct Monitored {
+    /// An ArduPilot sends it too slowly unless asked.
+    ask: bool,
     /// The last arrivals, newest first.
     arrivals_ns: [Option<Nanos>; ARRIVALS],
     /// Since when it is waited for.
@@ -162,8 +155,6 @@ impl Monitored {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StreamService {
     monitored: [Monitored; NEEDED.len()],
-    /// Of each needed message: an ArduPilot sends it too slowly unless asked.
-    ask: [bool; NEEDED.len()],
     asked_ns: Nanos,
     restarts: u32,
     places_asked: u8,
@@ -175,16 +166,16 @@ pub(crate) struct StreamService {
 
 impl StreamService {
     fn of(flavour: Flavour, guards: bool) -> Self {
-        let mut ask = [flavour == Flavour::ArduPilot; NEEDED.len()];
-        if let Some(ask) = ask.get_mut(MISSION_PLACE) {
-            *ask = guards;
-        }
-        Self {
-            ask,
+        let mut new = Self {
             guards,
             flavour,
             ..Self::default()
+        };
+        let asks = flavour == Flavour::ArduPilot;
+        for (place, monitored) in new.monitored.iter_mut().enumerate() {
+            monitored.ask = if place == MISSION_PLACE { guards } else { asks };
         }
+        new
     }
 
     /// Mean time between the last positions or attitudes, whichever is longer.
@@ -193,8 +184,9 @@ impl StreamService {
         Some(of(POSITION)?.max(of(ATTITUDE)?))
     }
 
-    /// What to send in this step.
-    fn step(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Option<Ask> {
+    /// Asks for at most one message in a step.
+    fn ask(&mut self, core: &mut Core, now_ns: Nanos, system: u8, out: &mut Datagrams) {
+        let vehicle = &core.vehicle;
         let heard = vehicle
             .telemetry
             .heartbeat
@@ -206,50 +198,55 @@ impl StreamService {
             };
         }
         if !heard || vehicle.is_other_autopilot() || now_ns.saturating_sub(self.asked_ns) < PAUSE_NS {
-            return None;
+            return;
         }
-        for ((needed, monitored), ask) in NEEDED.iter().zip(&mut self.monitored).zip(&mut self.ask) {
+        for (needed, monitored) in NEEDED.iter().zip(&mut self.monitored) {
             let is_place = needed.id == POSITION_TARGET_GLOBAL_INT_DATA::ID;
             if is_place && !self.guards || needed.of_ardupilot && self.flavour != Flavour::ArduPilot {
                 continue;
             }
             monitored.since_ns.get_or_insert(now_ns);
-            if !*ask && !monitored.is_wanting(now_ns, needed) {
+            if !monitored.ask && !monitored.is_wanting(now_ns, needed) {
                 continue;
             }
             let wanted_hz = 1e6 / needed.interval_us;
-            if let (false, true, true, Some(interval_ns)) = (
-                *ask,
-                needed.flies,
-                monitored.is_slow(needed),
-                monitored.mean_interval_ns(),
-            ) {
+            let is_said = !monitored.ask && needed.flies && monitored.is_slow(needed);
+            if let Some(interval_ns) = monitored.mean_interval_ns().filter(|_| is_said) {
                 self.slow = Some((needed.name, 1e9 / interval_ns as f32, wanted_hz));
             }
-            *ask = false;
+            monitored.ask = false;
             // Every third time in the old way, where there is one.
             let old_way = monitored.asked % 3 == 2 && needed.stream != 0 && self.flavour == Flavour::ArduPilot;
             monitored.asked = monitored.asked.saturating_add(1);
             monitored.asked_ns = Some(now_ns);
             self.asked_ns = now_ns;
             if old_way {
-                return Some(Ask::DataStream {
-                    stream: needed.stream,
-                    // 50 at most.
-                    rate_hz: libm::roundf(wanted_hz) as u16,
-                });
+                // 50 at most.
+                let [low, high] = (libm::roundf(wanted_hz) as u16).to_le_bytes();
+                let (link, payload) = (core.config.link, [low, high, system, 1, needed.stream, 1]);
+                core.sender.payload(out, link, REQUEST_DATA_STREAM, &payload);
+            } else {
+                let used = [(1, needed.id as f32), (2, needed.interval_us), (7, 0.0)];
+                let params = self.flavour.params(&used);
+                let command = Command::to_autopilot(system, command_number::SET_MESSAGE_INTERVAL, params, 0);
+                core.command(out, &command);
             }
-            let used = [(1, needed.id as f32), (2, needed.interval_us), (7, 0.0)];
-            let params = self.flavour.params(&used);
-            return Some(Ask::Command(command_number::SET_MESSAGE_INTERVAL, params));
+            return;
         }
-        self.ask_for_place(now_ns, vehicle)
+        if let Some(id) = self.place_to_ask_for(now_ns, vehicle) {
+            let params = self.flavour.params(&[(1, id as f32), (7, 0.0)]);
+            let command = Command::to_autopilot(system, command_number::REQUEST_MESSAGE, params, 0);
+            core.command(out, &command);
+        }
     }
 
-    fn ask_for_place(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Option<Ask> {
+    fn place_to_ask_for(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Option<u32> {
         let known = [vehicle.is_origin_known(), vehicle.home_ned_m().is_some()];
-        // Each twice after 3 s, then less and less often: a vehicle without GPS has neither.
-        let pause_ns = MISSING_NS << (self.places_asked / 4).min(4);
+        // Each at once, again after 3 s, then less and less often: a vehicle without GPS has neither.
+        let pause_ns = match self.places_asked {
+            0 | 1 => PAUSE_NS,
+            asked => MISSING_NS << (asked / 4).min(4),
+        };
         if known == [true; 2] || now_ns.saturating_sub(self.asked_ns) <= pause_ns {
             return None;
         }
@@ -261,8 +258,7 @@ impl StreamService {
         let (id, _) = by_turns.take(2).find(|(_, known)| !known)?;
         self.places_asked = self.places_asked.checked_add(1).unwrap_or(64);
         self.asked_ns = now_ns;
-        let params = self.flavour.params(&[(1, *id as f32), (7, 0.0)]);
-        Some(Ask::Command(command_number::REQUEST_MESSAGE, params))
+        Some(*id)
     }
 }
 
@@ -282,19 +278,7 @@ impl Service for StreamService {
 
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
         let Some(system) = core.system_id else { return };
-        match self.step(step.report.now_ns, &core.vehicle) {
-            Some(Ask::Command(number, params)) => {
-                let command = Command::to_autopilot(system, number, params, 0);
-                core.sender.command(out, core.config.link, &command);
-            }
-            Some(Ask::DataStream { stream, rate_hz }) => {
-                let [low, high] = rate_hz.to_le_bytes();
-                let payload = [low, high, system, 1, stream, 1];
-                core.sender
-                    .payload(out, core.config.link, REQUEST_DATA_STREAM, &payload);
-            }
-            None => {}
-        }
+        self.ask(core, step.report.now_ns, system, out);
         core.telemetry_interval_ns = self.flight_interval_ns();
         if let Some((name, rate_hz, wanted_hz)) = self.slow.take() {
             core.counters.slow_streams += 1;

@@ -1,11 +1,12 @@
 //! What a person should know of vehicle and inputs, as STATUSTEXTs.
 
+use crate::allowance::Allowance;
 use crate::core::Core;
 use crate::framing::Packet;
-use crate::inputs::{self, MissingInputs};
+use crate::inputs::MissingInputs;
 use crate::operator::ReplyTo;
 use crate::service::{Service, Step};
-use crate::status_text::{CRITICAL, ERROR, INFO};
+use crate::status_text::{CRITICAL, ERROR, INFO, WARNING};
 use mavlink::MessageData;
 use mavlink::dialects::common::HEARTBEAT_DATA;
 use vigil_types::{Datagrams, Nanos, NedVector};
@@ -19,11 +20,13 @@ const HOME_MOVED_M: f32 = 0.5;
 pub(crate) struct WarningService {
     missing: MissingInputs,
     vehicle_named: bool,
-    wrong_vehicle_ns: Option<Nanos>,
+    restarts: u32,
+    restarts_said: Allowance,
+    wrong_vehicle_said: Allowance,
     home_said_m: NedVector,
     /// Somebody on the vehicle's link calls itself what we are.
     double_heard: bool,
-    double_said_ns: Option<Nanos>,
+    doubles_said: Allowance,
 }
 
 impl Service for WarningService {
@@ -50,8 +53,14 @@ impl Service for WarningService {
                 }
             }
         }
+        let restarts = core.vehicle.restarts;
+        if core::mem::replace(&mut self.restarts, restarts) != restarts
+            && self.restarts_said.takes(now_ns, WRONG_VEHICLE_NS, 1)
+        {
+            core.tell(out, WARNING, format_args!("the vehicle's autopilot restarted"));
+        }
         if let (true, Some(named)) = (core.vehicle.is_other_autopilot(), core.vehicle.named)
-            && is_due(&mut self.wrong_vehicle_ns, now_ns)
+            && self.wrong_vehicle_said.takes(now_ns, WRONG_VEHICLE_NS, 1)
         {
             let (named, configured) = (named.name(), core.vehicle.flavour().name());
             let text = format_args!("vehicle is {named}, but set is {configured}: it is not flown; use --vehicle auto");
@@ -70,22 +79,13 @@ impl Service for WarningService {
                 ),
             );
         }
-        if core::mem::take(&mut self.double_heard) && is_due(&mut self.double_said_ns, now_ns) {
+        if core::mem::take(&mut self.double_heard) && self.doubles_said.takes(now_ns, WRONG_VEHICLE_NS, 1) {
             let (system, component) = (core.system_id.unwrap_or_default(), core.config.component_id);
             let text = format_args!("another guidance computer {system}/{component} is on the link: stop one");
             core.tell(out, CRITICAL, text);
         }
-        for missing in self.missing.due(report).iter().flatten() {
-            core.tell_now(out, &inputs::text(missing));
+        for text in self.missing.due(report).iter().flatten() {
+            core.tell_now(out, text);
         }
     }
-}
-
-/// Whether what is repeated after a while is due, which is noted.
-fn is_due(said_ns: &mut Option<Nanos>, now_ns: Nanos) -> bool {
-    let is_due = said_ns.is_none_or(|said_ns| now_ns.saturating_sub(said_ns) >= WRONG_VEHICLE_NS);
-    if is_due {
-        *said_ns = Some(now_ns);
-    }
-    is_due
 }

@@ -6,7 +6,7 @@ pub mod peer;
 use peer::Peer;
 use vigil_guidance::{EngagePolicy, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput};
 use vigil_mavlink::common::{MavAutopilot, MavCmd, MavFrame, MavType};
-use vigil_mavlink::framing::{FramingCounters, encode, packets};
+use vigil_mavlink::framing::{Command, CommandForm, FramingCounters, MAX_PACKET_LEN, encode, packets};
 use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavHeader, MavMessage, message};
 use vigil_types::{
     Action, Datagrams, GuidanceState, Nanos, OperatorRequest, Reasons, RequestOutcome, STEP_NS, StepReport, StepTiming,
@@ -29,6 +29,15 @@ pub fn header(from: (u8, u8)) -> MavHeader {
         component_id: from.1,
         sequence: 0,
     }
+}
+
+/// A command to the guidance computer, known or not.
+pub fn raw_command(number: u16, params: [f32; 7], form: CommandForm) -> Vec<u8> {
+    let mut command = Command::to_autopilot(1, number, params, 0);
+    (command.target_component, command.form) = (191, form);
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = command.serialize(header(GROUND_STATION), &mut out).expect("fits");
+    out[..len].to_vec()
 }
 
 /// All messages of all datagrams with their senders, parsed by the crate.

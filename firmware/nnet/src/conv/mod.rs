@@ -6,12 +6,8 @@ mod reorder;
 
 use crate::activation::Activation;
 use crate::dense::column_sums;
-use crate::graph::layer::weighted_backward;
-#[cfg(feature = "train")]
-use crate::graph::operation::draw_for;
-use crate::graph::operation::{Operation, kept_before};
-use crate::graph::run::{Backward, Forward, Pass, unless_empty};
-use crate::graph::{GraphBuilder, NodeId, Params, Purpose};
+use crate::graph::layer::weighted_operation;
+use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
 use crate::shape::{ShapeError, expect, part, part_mut};
@@ -338,43 +334,9 @@ impl GraphBuilder {
     }
 }
 
-impl Operation for (Conv2d, Activation) {
-    fn aux_len(&self, len: usize, purpose: Purpose) -> usize {
-        kept_before(self.1, len, purpose)
-    }
-
-    fn scratch_len(&self) -> usize {
-        self.0.input_gradient_scratch_len()
-    }
-
-    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
-        let (layer, activation) = self;
-        let (x, pre) = (node.source(0)?, unless_empty(node.aux));
-        layer.forward(node.isa, node.params, *activation, x, pre, node.value)
-    }
-
-    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
-        let (layer, activation) = self;
-        let (isa, packed, scratch_len) = (node.isa, node.packed, self.scratch_len());
-        weighted_backward(
-            node,
-            *activation,
-            d,
-            pass,
-            |x, d, d_params| layer.weight_gradient(isa, x, d, d_params),
-            |d, dx, scratch| {
-                let scratch = part_mut("work buffer", scratch, 0, scratch_len)?;
-                layer.input_gradient(isa, packed, d, dx, scratch)
-            },
-        )
-    }
-
-    fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
-        self.0.pack(params, packed)
-    }
-
-    #[cfg(feature = "train")]
-    fn initialize_node(&self, params: &mut [f32], draw: &mut dyn FnMut(f32) -> f32) {
-        draw_for(self.0.kernel * self.0.kernel * self.0.channels, params, draw);
-    }
-}
+weighted_operation!(
+    Conv2d,
+    |layer| layer.kernel * layer.kernel * layer.channels,
+    Conv2d::input_gradient_scratch_len,
+    Conv2d::input_gradient
+);

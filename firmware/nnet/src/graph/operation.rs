@@ -83,15 +83,6 @@ operations! {
     LayerNorm(LayerNorm),
 }
 
-/// Values kept before a curve, which its multipliers need.
-pub(crate) fn kept_before(activation: Activation, len: usize, purpose: Purpose) -> usize {
-    if purpose == Purpose::Multipliers && activation != Activation::Identity {
-        len
-    } else {
-        0
-    }
-}
-
 /// Draws within ±1/√(inputs of a unit).
 #[cfg(feature = "train")]
 pub(crate) fn draw_for(fan_in: usize, params: &mut [f32], draw: &mut dyn FnMut(f32) -> f32) {

@@ -339,10 +339,7 @@ impl ActorMemory {
 
     /// Remembers what the newest scan shows near by.
     fn mark(&mut self, ranges_m: &[f32; SCAN], heading: &Heading, now_ns: Nanos) {
-        for column in 0..SCAN {
-            let (Some(range_m), Some((cos, sin))) = (ranges_m.get(column), self.columns.get(column)) else {
-                continue;
-            };
+        for (range_m, (cos, sin)) in ranges_m.iter().zip(self.columns) {
             if *range_m >= REMEMBERED_M {
                 continue;
             }

@@ -127,19 +127,15 @@ impl ActorSpec {
 
     /// Reserves the parameters, in the order of the fields of [`ActorParams`].
     pub fn reserve(&self, builder: &mut GraphBuilder) -> ActorParams {
+        let mut of = |len: usize| builder.params(len);
         ActorParams {
-            convolutions: self.convolutions().map(|layer| builder.params(layer.param_len())),
-            scan: builder.params(self.scan().param_len()),
-            trunk: self.trunk().map(|layer| {
-                (
-                    builder.params(layer.param_len()),
-                    builder.params(Self::norm(layer).param_len()),
-                )
-            }),
-            state: builder.params(self.state().param_len()),
-            low: builder.params(self.low().param_len()),
-            head: self.head().map(|layer| builder.params(layer.param_len())),
-            output: builder.params(self.output().param_len()),
+            convolutions: self.convolutions().map(|layer| of(layer.param_len())),
+            scan: of(self.scan().param_len()),
+            trunk: (self.trunk()).map(|layer| (of(layer.param_len()), of(Self::norm(layer).param_len()))),
+            state: of(self.state().param_len()),
+            low: of(self.low().param_len()),
+            head: self.head().map(|layer| of(layer.param_len())),
+            output: of(self.output().param_len()),
         }
     }
 
@@ -237,10 +233,7 @@ impl ActorSpec {
     }
 
     /// The first half behind the encoder: inputs are the scan and the memory's values, output the 48 values.
-    ///
-    /// # Errors
-    /// None for a valid description.
-    pub fn trunk_graph(&self, purpose: Purpose) -> Result<Graph, ShapeError> {
+    fn trunk_graph(&self, purpose: Purpose) -> Result<Graph, ShapeError> {
         let mut b = GraphBuilder::new();
         let params = self.reserve(&mut b);
         let scan = b.input(SCAN, true)?;

@@ -37,8 +37,13 @@ impl Senses {
     ) -> [f32; LOW_DIM] {
         self.memory.observe(scan, odometry);
         let yaw_rad = input.attitude.yaw_rad();
-        let rate_rad_s = yaw_rate_rad_s(self.yaw_before, input.now_ns, yaw_rad);
-        self.yaw_before = Some((input.now_ns, yaw_rad));
+        let before = self.yaw_before.replace((input.now_ns, yaw_rad));
+        // 0 without a time between them.
+        let rate_rad_s = before.map_or(0.0, |(before_ns, before_rad)| {
+            let waited_s = input.now_ns.saturating_sub(before_ns) as f32 * 1e-9;
+            let turned_rad = wrap_pi(yaw_rad - before_rad);
+            if waited_s > 1e-3 { turned_rad / waited_s } else { 0.0 }
+        });
         low_dim(input.goal, input.velocity_m_s, rate_rad_s, last)
     }
 
@@ -68,18 +73,6 @@ impl Senses {
         self.memory.copy_from(&other.memory);
         self.yaw_before = other.yaw_before;
     }
-}
-
-/// The yaw rate between two attitudes, radians per second; 0 without a time between them.
-fn yaw_rate_rad_s(before: Option<(Nanos, f32)>, now_ns: Nanos, yaw_rad: f32) -> f32 {
-    before.map_or(0.0, |(before_ns, before_rad)| {
-        let waited_s = now_ns.saturating_sub(before_ns) as f32 * 1e-9;
-        if waited_s > 1e-3 {
-            wrap_pi(yaw_rad - before_rad) / waited_s
-        } else {
-            0.0
-        }
-    })
 }
 
 /// A goal farther away looks as if it were this far: the courses of training have their goals 20.6 m away, metres.

@@ -20,24 +20,24 @@ const FIRST_STEPS: usize = 10;
 const VEHICLE_M: f32 = 0.30;
 /// Nearer than this beside a mover counts as met, metres.
 const MET_M: f32 = 0.10;
-/// Nearer than this is better avoided, metres; and what a metre of it costs, in metres of way.
+/// Nearer than this is better avoided, metres; and what a metre of it costs, in metres of path.
 const SPARE_M: f32 = 0.40;
 const SPARE_COST: f32 = 6.0;
-/// What meeting a mover costs at once and at the horizon, and meeting something that stands, in metres of way. The governor stops before
+/// What meeting a mover costs at once and at the horizon, and meeting something that stands, in metres of path. The governor stops before
 /// what stands, but only where the vehicle flies forward.
 const MEET_COST: f32 = 100.0;
 const LATE_MEET_COST: f32 = 20.0;
 const STANDING_COST: f32 = 40.0;
 /// Squared clearance of what stands that is kept, cells: 0.50 m.
 const KEEP_SQUARED_CELLS: u8 = 4;
-/// What it costs to end on a lane to which a mover may return, in metres of way: nothing at this distance from its edge.
+/// What it costs to end on a lane to which a mover may return, in metres of path: nothing at this distance from its edge.
 const LANE_COST: f32 = 5.0;
 const LANE_M: f32 = 0.25;
-/// What a radian off the waypoint at the end costs, in metres of way.
+/// What a radian off the waypoint at the end costs, in metres of path.
 const HEADING_COST: f32 = 0.3;
 /// An action that risks no more than this is as good as wanted.
 const LEAST_RISK: f32 = 0.1;
-/// What the plan of the step before costs less, in metres of way: of two that are about as good it does not go to and fro.
+/// What the plan of the step before costs less, in metres of path: of two that are about as good it does not go to and fro.
 const KEPT_PLAN: f32 = 0.3;
 
 /// Speeds that are tried, as parts of the cruise speed (backward only over what was just flown), and yaw outputs, as parts of the greatest.
@@ -139,10 +139,10 @@ impl Guesses {
     }
 }
 
-/// What a way of flying on leads to.
+/// What a manner of flying on leads to.
 #[derive(Debug, Clone, Copy)]
 struct Outcome {
-    /// What it may meet, in metres of way.
+    /// What it may meet, in metres of path.
     risk: f32,
     /// Step at which it comes too near to what stands, if it does.
     standing_at: Option<usize>,

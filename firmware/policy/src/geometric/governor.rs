@@ -219,12 +219,9 @@ mod tests {
                 x += v * 0.01;
             }
         }
-        assert!(
-            5.0 - x > SQUEEZE_CLEAR_M && 5.0 - x < KEEP_CLEAR_M,
-            "stopped {} m before the wall",
-            5.0 - x
-        );
-        assert!(last < 0.16);
+        let left_m = 5.0 - x;
+        let stops = (SQUEEZE_CLEAR_M..KEEP_CLEAR_M).contains(&left_m);
+        assert!(stops && last < 0.16, "stopped {left_m} m before the wall");
     }
 
     #[test]
@@ -249,12 +246,7 @@ mod tests {
 
     #[test]
     fn a_collision_course_is_one_that_braking_does_not_end() {
-        let mut memory = Box::<OccupancyGrid>::default();
-        memory.follow(NedVector::ZERO);
-        for i in -4..=4 {
-            memory.occupy(1.6, i as f32 * 0.25);
-        }
-        memory.measure_clearance();
+        let memory = OccupancyGrid::of((-4..=4).map(|i| (1.6, i as f32 * 0.25)));
         let carried = |carried_s: f32, north_m: f32, velocity_m_s: f32, yaw_rad: f32, wanted_m_s: f32| {
             let motion = Motion {
                 position_ned_m: NedVector::new(north_m, 0.0, 0.0),
@@ -281,12 +273,7 @@ mod tests {
 
     #[test]
     fn remembered_obstacles_count_without_being_seen() {
-        let mut memory = Box::<OccupancyGrid>::default();
-        memory.follow(NedVector::ZERO);
-        for east in [-0.3, -0.1, 0.1, 0.3] {
-            memory.occupy(0.8, east);
-        }
-        memory.measure_clearance();
+        let memory = OccupancyGrid::of([-0.3, -0.1, 0.1, 0.3].map(|east| (0.8, east)));
         let motion = Motion {
             velocity_m_s: HeadingVector::new(0.5, 0.0, 0.0),
             ..Motion::default()

@@ -2,8 +2,8 @@
 //! the speed; and the recovery pilot, which is built from the same parts.
 
 mod evasion;
+mod forward_check;
 mod governor;
-mod lookout;
 pub mod movers;
 mod occupancy_grid;
 mod path_planner;
@@ -12,7 +12,7 @@ pub mod range_scan;
 mod recovery;
 pub mod track;
 
-pub use lookout::{Aside, Lookout};
+pub use forward_check::{Aside, ForwardCheck};
 pub use occupancy_grid::{CELL_M, HIT, OccupancyGrid, SCORE_LIMIT, SIDE};
 pub(crate) use pilot::position_ned_m;
 pub use pilot::{GeometricConfig, GeometricPilot};

@@ -97,11 +97,6 @@ pub struct MoverTracker {
 }
 
 impl MoverTracker {
-    /// Forgets everything.
-    pub fn clear(&mut self) {
-        *self = Self::default();
-    }
-
     /// What moves, as of the last frame.
     pub fn movers(&self) -> impl Iterator<Item = &Track> + Clone {
         self.tracks.iter().flatten().filter(|track| track.moves)

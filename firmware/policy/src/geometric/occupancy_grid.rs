@@ -280,6 +280,18 @@ impl OccupancyGrid {
         }
     }
 
+    /// One around home with obstacles at these places, north and east.
+    #[cfg(test)]
+    pub(crate) fn of(places: impl IntoIterator<Item = (f32, f32)>) -> alloc::boxed::Box<Self> {
+        let mut grid = alloc::boxed::Box::<Self>::default();
+        grid.follow(NedVector::ZERO);
+        for (north_m, east_m) in places {
+            grid.occupy(north_m, east_m);
+        }
+        grid.measure_clearance();
+        grid
+    }
+
     /// Enters an obstacle at a NED position.
     #[cfg(test)]
     pub(crate) fn occupy(&mut self, north_m: f32, east_m: f32) {

@@ -1,4 +1,4 @@
-//! The way to the goal around remembered obstacles: an A* search over the memory's grid, a slice per step.
+//! The path to the goal around remembered obstacles: an A* search over the memory's grid, a slice per step.
 //!
 //! The search runs from the goal to the vehicle, so that each settled cell knows its next cell towards the goal. A goal
 //! outside the grid enters through the grid's border, each border cell at its straight distance to the goal. Costs are
@@ -11,15 +11,15 @@ use vigil_types::NedVector;
 /// Cost of one cell straight ahead; a diagonal costs 14. One unit is [`CELL_M`] / 10.
 const STRAIGHT: u32 = 10;
 const DIAGONAL: u32 = 14;
-/// Extra cost of each cell off the way found before: a new way must be some 10 % shorter to replace it.
-const OFF_WAY: u32 = 1;
+/// Extra cost of each cell off the path found before: a new path must be some 10 % shorter to replace it.
+const OFF_PATH: u32 = 1;
 /// The vehicle's middle does not go nearer to an obstacle than this by choice: its radius of 0.30 m and 0.15 m.
 pub const LETHAL_CLEARANCE_M: f32 = 0.45;
 /// Clearance from which on more is no better.
 const WANTED_CLEARANCE_M: f32 = 1.25;
 /// What the narrowest passage costs more than an open one, per metre.
 const NARROW_FACTOR: f32 = 5.0;
-/// Cost factor within [`LETHAL_CLEARANCE_M`], where only the ends of the way may lie.
+/// Cost factor within [`LETHAL_CLEARANCE_M`], where only the ends of the path may lie.
 const LETHAL_FACTOR: u16 = 20 << FACTOR_SHIFT;
 /// Around vehicle and goal, cells within [`LETHAL_CLEARANCE_M`] of an obstacle may be passed: cells, squared.
 const END_RADIUS_SQUARED: i32 = 9;
@@ -31,12 +31,12 @@ const FACTORS: usize = 64;
 const BUCKETS: usize = 8192;
 const NO_CELL: u16 = u16::MAX;
 const UNREACHED: u16 = u16::MAX;
-/// Direction code of a cell where the way ends.
+/// Direction code of a cell where the path ends.
 const END: u8 = 8;
 /// Flag beside the direction: the cell's cost is final.
 const SETTLED: u8 = 0x80;
-/// Longest way kept, in cells.
-pub const WAY_POINTS: usize = 320;
+/// Longest path kept, in cells.
+pub const PATH_POINTS: usize = 320;
 
 /// Eight neighbours: (north, east, cost).
 const NEIGHBOURS: [(i32, i32, u32); 8] = [
@@ -53,17 +53,15 @@ const NEIGHBOURS: [(i32, i32, u32); 8] = [
 /// Where a search stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Search {
-    /// None is under way.
-    Idle,
     /// Slices remain.
     Working,
-    /// Just ended: the way was replaced.
+    /// Just ended: the path was replaced.
     Found,
-    /// Just ended: no way leads to the goal.
-    NoWay,
+    /// Just ended: no path leads to the goal.
+    NoPath,
 }
 
-/// The search and the last way found.
+/// The search and the last path found.
 #[derive(Debug, Clone)]
 pub struct PathPlanner {
     /// Cost from the goal to each cell.
@@ -78,22 +76,23 @@ pub struct PathPlanner {
     lowest: usize,
     /// Estimated total cost of bucket 0.
     base: u32,
-    working: bool,
+    /// Whether a search is under way. Ended where the grid was moved beneath it; the last path stays.
+    pub(super) working: bool,
     vehicle: Cell,
     goal: Cell,
     /// Cost factor by squared clearance, in quarters; 0 where nothing passes.
     factor: [u16; FACTORS],
-    /// Squared clearance below which only the ends of a way may lie.
+    /// Squared clearance below which only the ends of a path may lie.
     lethal_squared: u8,
-    on_way: [bool; CELLS],
-    points: [(f32, f32); WAY_POINTS],
+    on_path: [bool; CELLS],
+    points: [(f32, f32); PATH_POINTS],
     len: usize,
 }
 
 impl PathPlanner {
-    /// No way yet.
+    /// No path yet.
     pub fn new() -> Self {
-        let mut way = Self {
+        let mut path = Self {
             cost: [UNREACHED; CELLS],
             towards: [END; CELLS],
             next: [NO_CELL; CELLS],
@@ -106,40 +105,30 @@ impl PathPlanner {
             goal: Cell { north: 0, east: 0 },
             factor: [0; FACTORS],
             lethal_squared: 0,
-            on_way: [false; CELLS],
-            points: [(0.0, 0.0); WAY_POINTS],
+            on_path: [false; CELLS],
+            points: [(0.0, 0.0); PATH_POINTS],
             len: 0,
         };
-        for (squared, factor) in way.factor.iter_mut().enumerate() {
+        for (squared, factor) in path.factor.iter_mut().enumerate() {
             let clearance_m = libm::sqrtf(squared as f32) * CELL_M;
             if clearance_m < LETHAL_CLEARANCE_M {
-                way.lethal_squared = squared as u8 + 1;
+                path.lethal_squared = squared as u8 + 1;
                 *factor = if squared == 0 { 0 } else { LETHAL_FACTOR };
             } else {
                 let lack = ((WANTED_CLEARANCE_M - clearance_m) / (WANTED_CLEARANCE_M - LETHAL_CLEARANCE_M)).max(0.0);
                 *factor = ((1.0 + NARROW_FACTOR * lack * lack) * (1 << FACTOR_SHIFT) as f32) as u16;
             }
         }
-        way
+        path
     }
 
-    /// Forgets the way and the search.
+    /// Forgets the path and the search.
     pub fn clear(&mut self) {
         self.working = false;
         self.len = 0;
     }
 
-    /// Whether a search is under way.
-    pub fn is_searching(&self) -> bool {
-        self.working
-    }
-
-    /// Stops the search under way, because the grid was moved beneath it; the last way stays.
-    pub fn abandon_search(&mut self) {
-        self.working = false;
-    }
-
-    /// The last way found, from the vehicle to the goal (or to the grid's border), as NED (north, east) metres.
+    /// The last path found, from the vehicle to the goal (or to the grid's border), as NED (north, east) metres.
     pub fn points(&self) -> &[(f32, f32)] {
         self.points.get(..self.len).unwrap_or(&[])
     }
@@ -153,7 +142,7 @@ impl PathPlanner {
         self.working = true;
         self.vehicle = memory.cell_of(position_ned_m.x, position_ned_m.y);
         self.goal = memory.cell_of(goal_ned_m.x, goal_ned_m.y);
-        self.mark_way(memory);
+        self.mark_path(memory);
         if interior(self.goal) {
             // The goal may lie within an obstacle's cell: any free cell around it will do.
             let goal = self.goal;
@@ -166,25 +155,22 @@ impl PathPlanner {
         }
     }
 
-    /// Settles up to `budget` cells.
+    /// Settles up to `budget` cells of the search that is under way.
     pub fn advance(&mut self, memory: &OccupancyGrid, budget: usize) -> Search {
-        if !self.working {
-            return Search::Idle;
-        }
         for _ in 0..budget {
             let Some(index) = self.take_lowest() else {
                 self.working = false;
-                return Search::NoWay;
+                return Search::NoPath;
             };
             let cell = Cell::of_index(index);
             if cell == self.vehicle {
                 self.working = false;
-                self.keep_way(memory);
+                self.keep_path(memory);
                 return Search::Found;
             }
             let cost = u32::from(self.cost.get(index).copied().unwrap_or(UNREACHED));
             for (towards, &(north, east, length)) in (0_u8..).zip(&NEIGHBOURS) {
-                // From the neighbour, the way leads back here: the opposite direction.
+                // From the neighbour, the path leads back here: the opposite direction.
                 let towards = (towards + 4) % 8;
                 let neighbour = cell.moved(north, east);
                 let Some(index) = neighbour.index() else { continue };
@@ -195,16 +181,16 @@ impl PathPlanner {
                 if factor == 0 {
                     continue;
                 }
-                let is_on_way = self.on_way.get(index) == Some(&true);
-                let off_way = if is_on_way { 0 } else { OFF_WAY };
-                let through = cost + ((length * factor) >> FACTOR_SHIFT) + off_way;
+                let is_on_path = self.on_path.get(index) == Some(&true);
+                let off_path = if is_on_path { 0 } else { OFF_PATH };
+                let through = cost + ((length * factor) >> FACTOR_SHIFT) + off_path;
                 self.open(index, neighbour, through, towards);
             }
         }
         Search::Working
     }
 
-    /// Opens the cells where a way may end, each at its straight distance from the goal.
+    /// Opens the cells where a path may end, each at its straight distance from the goal.
     fn open_ends(&mut self, memory: &OccupancyGrid, cells: impl Iterator<Item = Cell> + Clone) {
         // Costs count from the nearest end, so that a goal kilometres away costs no more bits.
         let (goal, vehicle) = (self.goal, self.vehicle);
@@ -301,8 +287,8 @@ impl PathPlanner {
         }
     }
 
-    /// Walks from the vehicle to the end of the way and keeps the cells' middles.
-    fn keep_way(&mut self, memory: &OccupancyGrid) {
+    /// Walks from the vehicle to the end of the path and keeps the cells' middles.
+    fn keep_path(&mut self, memory: &OccupancyGrid) {
         self.len = 0;
         let mut cell = self.vehicle;
         for point in &mut self.points {
@@ -318,14 +304,14 @@ impl PathPlanner {
         }
     }
 
-    /// Marks the cells of the last way and their neighbours, for the search to prefer.
-    fn mark_way(&mut self, memory: &OccupancyGrid) {
-        self.on_way.fill(false);
+    /// Marks the cells of the last path and their neighbours, for the search to prefer.
+    fn mark_path(&mut self, memory: &OccupancyGrid) {
+        self.on_path.fill(false);
         for &(north_m, east_m) in self.points.iter().take(self.len) {
             let cell = memory.cell_of(north_m, east_m);
             for (north, east) in NEIGHBOURS.iter().map(|n| (n.0, n.1)).chain([(0, 0)]) {
                 if let Some(index) = cell.moved(north, east).index() {
-                    put(&mut self.on_way, index, true);
+                    put(&mut self.on_path, index, true);
                 }
             }
         }
@@ -352,7 +338,7 @@ fn put<T>(items: &mut [T], index: usize, value: T) {
     }
 }
 
-/// Length of the shortest way over free cells.
+/// Length of the shortest path over free cells.
 fn octile(a: Cell, b: Cell) -> u32 {
     let (dn, de) = (a.north.abs_diff(b.north), a.east.abs_diff(b.east));
     let (long, short) = (dn.max(de), dn.min(de));
@@ -370,35 +356,24 @@ mod tests {
         NedVector::new(north, east, -1.5)
     }
 
-    /// A memory around home with these north-east points occupied.
-    fn memory_of(points: impl IntoIterator<Item = (f32, f32)>) -> Box<OccupancyGrid> {
-        let mut memory = Box::<OccupancyGrid>::default();
-        memory.follow(at(0.0, 0.0));
-        for (north, east) in points {
-            memory.occupy(north, east);
-        }
-        memory.measure_clearance();
-        memory
-    }
-
     fn wall(north: f32, east: core::ops::Range<f32>) -> impl Iterator<Item = (f32, f32)> {
         let count = ((east.end - east.start) / CELL_M) as usize;
         (0..count).map(move |i| (north, east.start + CELL_M * i as f32))
     }
 
-    fn search(way: &mut PathPlanner, memory: &OccupancyGrid, goal: (f32, f32)) -> Search {
-        way.start(memory, at(0.0, 0.0), at(goal.0, goal.1));
-        way.advance(memory, usize::MAX)
+    fn search(path: &mut PathPlanner, memory: &OccupancyGrid, goal: (f32, f32)) -> Search {
+        path.start(memory, at(0.0, 0.0), at(goal.0, goal.1));
+        path.advance(memory, usize::MAX)
     }
 
     fn found(memory: &OccupancyGrid, goal: (f32, f32)) -> Box<PathPlanner> {
-        let mut way = Box::new(PathPlanner::new());
-        assert_eq!(search(&mut way, memory, goal), Search::Found);
-        way
+        let mut path = Box::new(PathPlanner::new());
+        assert_eq!(search(&mut path, memory, goal), Search::Found);
+        path
     }
 
-    fn length_m(way: &PathPlanner) -> f32 {
-        way.points()
+    fn length_m(path: &PathPlanner) -> f32 {
+        path.points()
             .windows(2)
             .map(|p| (p[0].0 - p[1].0).hypot(p[0].1 - p[1].1))
             .sum()
@@ -406,32 +381,33 @@ mod tests {
 
     #[test]
     fn without_obstacles_the_way_is_straight_and_ends_at_the_goal() {
-        let way = found(&memory_of([]), (8.0, 0.1));
-        assert!((length_m(&way) - 8.0).abs() < 0.8, "{}", length_m(&way));
-        let end = way.points().last().expect("a way");
+        let path = found(&OccupancyGrid::of([]), (8.0, 0.1));
+        assert!((length_m(&path) - 8.0).abs() < 0.8, "{}", length_m(&path));
+        let end = path.points().last().expect("a path");
         assert!((end.0 - 8.0).abs() < 0.8 && end.1.abs() < 0.8, "{end:?}");
     }
 
     #[test]
     fn a_goal_beyond_the_grid_is_approached_through_its_border_however_far() {
-        let memory = memory_of(wall(4.0, -6.0..2.0));
-        let mut way = Box::new(PathPlanner::new());
+        let memory = OccupancyGrid::of(wall(4.0, -6.0..2.0));
+        let mut path = Box::new(PathPlanner::new());
         for goal in [(20.0, 0.0), (400.0, 0.0), (90_000.0, 0.0)] {
-            assert_eq!(search(&mut way, &memory, goal), Search::Found);
-            let end = way.points().last().expect("a way");
+            assert_eq!(search(&mut path, &memory, goal), Search::Found);
+            let end = path.points().last().expect("a path");
             assert!(end.0 > 11.0 && end.1.abs() < 6.0, "{goal:?}: {end:?}");
-            assert!(way.points().iter().any(|p| p.0 > 3.5 && p.1 > 2.2), "around the right");
+            assert!(path.points().iter().any(|p| p.0 > 3.5 && p.1 > 2.2), "around the right");
         }
     }
 
     #[test]
     fn no_cell_of_the_way_is_too_near_to_an_obstacle() {
-        let memory = memory_of(wall(4.0, -6.0..-1.0).chain(wall(4.0, 1.0..6.0)).chain([(7.0, 0.0)]));
-        let way = found(&memory, (9.0, 0.0));
-        for &(north, east) in way.points() {
+        let memory = OccupancyGrid::of(wall(4.0, -6.0..-1.0).chain(wall(4.0, 1.0..6.0)).chain([(7.0, 0.0)]));
+        let path = found(&memory, (9.0, 0.0));
+        for &(north, east) in path.points() {
             assert!(f32::from(memory.clearance_squared_at(north, east)).sqrt() * CELL_M >= LETHAL_CLEARANCE_M);
         }
-        assert!(length_m(&way) < 11.0, "through the gap, not around: {}", length_m(&way));
+        let length_m = length_m(&path);
+        assert!(length_m < 11.0, "through the gap, not around: {length_m}");
     }
 
     #[test]
@@ -440,14 +416,14 @@ mod tests {
             let a = 0.01 * f32::from(i);
             (3.0 * libm::cosf(a), 3.0 * libm::sinf(a))
         });
-        let memory = memory_of(ring);
-        let mut way = Box::new(PathPlanner::new());
-        assert_eq!(search(&mut way, &memory, (9.0, 0.0)), Search::NoWay);
+        let memory = OccupancyGrid::of(ring);
+        let mut path = Box::new(PathPlanner::new());
+        assert_eq!(search(&mut path, &memory, (9.0, 0.0)), Search::NoPath);
     }
 
     #[test]
     fn slices_find_the_same_way_as_one_go() {
-        let memory = memory_of(wall(4.0, -6.0..2.0).chain(wall(7.0, -1.0..8.0)));
+        let memory = OccupancyGrid::of(wall(4.0, -6.0..2.0).chain(wall(7.0, -1.0..8.0)));
         let whole = found(&memory, (20.0, -3.0));
         let mut sliced = Box::new(PathPlanner::new());
         sliced.start(&memory, at(0.0, 0.0), at(20.0, -3.0));
@@ -461,40 +437,40 @@ mod tests {
 
     #[test]
     fn of_two_equal_ways_the_one_taken_before_is_kept() {
-        // The wall reaches farther left at first, so the way goes right.
-        let mut way = found(&memory_of(wall(4.0, -4.0..2.5)), (9.0, 0.0));
-        let right = |way: &PathPlanner| way.points().iter().any(|p| p.1 > 2.0);
-        assert!(right(&way));
+        // The wall reaches farther left at first, so the path goes right.
+        let mut path = found(&OccupancyGrid::of(wall(4.0, -4.0..2.5)), (9.0, 0.0));
+        let right = |path: &PathPlanner| path.points().iter().any(|p| p.1 > 2.0);
+        assert!(right(&path));
         // Seen wholly, left would be a little shorter: not enough to turn around.
-        let seen = memory_of(wall(4.0, -2.75..3.25));
-        assert_eq!(search(&mut way, &seen, (9.0, 0.0)), Search::Found);
-        assert!(right(&way));
+        let seen = OccupancyGrid::of(wall(4.0, -2.75..3.25));
+        assert_eq!(search(&mut path, &seen, (9.0, 0.0)), Search::Found);
+        assert!(right(&path));
         assert!(!right(&found(&seen, (9.0, 0.0))));
     }
 
     #[test]
     fn the_way_is_as_short_as_a_plain_dijkstra_search_says() {
-        let memory = memory_of(
+        let memory = OccupancyGrid::of(
             wall(3.0, -3.0..6.0)
                 .chain(wall(6.0, -8.0..1.0))
                 .chain([(1.5, -3.0), (8.0, 3.0)]),
         );
-        let way = found(&memory, (9.0, 4.0));
-        let found = way.cost[way.vehicle.index().expect("inside")];
+        let path = found(&memory, (9.0, 4.0));
+        let found = path.cost[path.vehicle.index().expect("inside")];
 
         // Bellman-Ford over the same costs, from the same ends, until nothing changes.
         let mut cost = std::vec![u32::MAX; CELLS];
         for north in -2..=2 {
             for east in -2..=2 {
-                let cell = way.goal.moved(north, east);
-                cost[cell.index().expect("inside")] = octile(cell, way.goal);
+                let cell = path.goal.moved(north, east);
+                cost[cell.index().expect("inside")] = octile(cell, path.goal);
             }
         }
         loop {
             let mut changed = false;
             for index in 0..CELLS {
                 let cell = Cell::of_index(index);
-                let factor = way.factor_of(&memory, index, cell);
+                let factor = path.factor_of(&memory, index, cell);
                 if factor == 0 {
                     continue;
                 }
@@ -502,7 +478,7 @@ mod tests {
                     let from = cell.moved(north, east).index();
                     let before = from.map_or(u32::MAX, |i| cost[i]);
                     if before != u32::MAX {
-                        let through = before + ((length * factor) >> FACTOR_SHIFT) + OFF_WAY;
+                        let through = before + ((length * factor) >> FACTOR_SHIFT) + OFF_PATH;
                         changed |= through < cost[index];
                         cost[index] = cost[index].min(through);
                     }
@@ -512,6 +488,6 @@ mod tests {
                 break;
             }
         }
-        assert_eq!(u32::from(found), cost[way.vehicle.index().expect("inside")]);
+        assert_eq!(u32::from(found), cost[path.vehicle.index().expect("inside")]);
     }
 }

@@ -1,7 +1,7 @@
 //! The geometric pilot: goal seeking plus the paper's potential field, on what the depth frames show.
 //!
 //! `docs/pilot.md` explains the design. In short, one step: read the [`RangeScan`], enter it into the grid of what was seen, search
-//! the way to the goal, take the farthest point of the way that can be flown to in a straight line as the waypoint, add
+//! the path to the goal, take the farthest point of the path that can be flown to in a straight line as the waypoint, add
 //! seeking and field, and let the governor limit the speed.
 
 use crate::geometric::evasion::{self, Guesses, Plan, Wanted};
@@ -39,7 +39,7 @@ const YAW_GAIN: f32 = 3.0;
 /// Full speed up to this angle between nose and waypoint, none from [`TURN_IN_PLACE_RAD`] on.
 const ALIGNED_RAD: f32 = 5.0 * PI / 180.0;
 const TURN_IN_PLACE_RAD: f32 = 45.0 * PI / 180.0;
-/// Farthest waypoint along the way, metres.
+/// Farthest waypoint along the path, metres.
 const LOOKAHEAD_M: f32 = 4.0;
 /// Nearest waypoint: taken even where the straight line to it is tight.
 const SHORT_LOOKAHEAD_M: f32 = 0.9;
@@ -57,7 +57,7 @@ const MOVERS_WITHIN_M: f32 = 6.0;
 const SEARCH_BUDGET: usize = 1500;
 /// A position that jumps by more makes the memory worthless, metres.
 const JUMP_M: f32 = 2.0;
-/// Yaw output while looking around for a way.
+/// Yaw output while looking around for a path.
 const LOOK_AROUND_YAW: f32 = ACTION_LIMIT;
 /// Not having moved by this in this time is being stuck; a full turn to look around takes 8 s.
 const STUCK_M: f32 = 0.5;
@@ -65,10 +65,10 @@ const STUCK_NS: Nanos = 10_000_000_000;
 
 /// Clearance of a straight line to a waypoint: 0.75 m, in cells, squared.
 const SIGHT_SQUARED_CELLS: u8 = 9;
-/// A straight line towards the goal that is clear this far is taken whatever the way, metres: as far as surfaces are remembered.
+/// A straight line towards the goal that is clear this far is taken whatever the path, metres: as far as surfaces are remembered.
 const GOAL_SIGHT_M: f32 = MARK_RANGE_M;
 /// The repulsive field takes points within 45° of the nose that the vehicle would pass nearer than this, metres: its radius and
-/// 0.20 m. Points beside the way would push it out of every gap.
+/// 0.20 m. Points beside the path would push it out of every gap.
 const REPULSIVE_HALF_WIDTH_M: f32 = 0.50;
 
 /// The pilot. A large value (about 120 kB) without pointers; no allocation.
@@ -118,8 +118,8 @@ impl GeometricPilot {
         &self.grid
     }
 
-    /// The last way found, NED metres (north, east), from where the vehicle was when the search began; empty without one.
-    pub fn way_ned_m(&self) -> &[(f32, f32)] {
+    /// The last path found, NED metres (north, east), from where the vehicle was when the search began; empty without one.
+    pub fn path_ned_m(&self) -> &[(f32, f32)] {
         self.planner.points()
     }
 
@@ -128,20 +128,20 @@ impl GeometricPilot {
         &self.surroundings
     }
 
-    /// The farthest point of the way that can be flown to in a straight line; `None` without a way.
+    /// The farthest point of the path that can be flown to in a straight line; `None` without a path.
     fn waypoint(&self, here: NedVector, goal: NedVector) -> Option<NedVector> {
         let at = |&(north, east): &(f32, f32)| NedVector::new(north, east, here.z);
         let from_here = |p: NedVector| (p - here).horizontal_norm();
         let points = self.planner.points();
         let end = at(points.last()?);
-        // The way is made of eighths of a turn: on open ground it is up to 8 % longer than the straight line, and as much as
+        // The path is made of eighths of a turn: on open ground it is up to 8 % longer than the straight line, and as much as
         // 31° off it.
         let goal_m = from_here(goal);
         let towards_goal = |distance_m: f32| here + (goal - here) * (distance_m / goal_m.max(distance_m));
         if self.in_sight(here, towards_goal(GOAL_SIGHT_M)) {
             return Some(towards_goal(LOOKAHEAD_M));
         }
-        // The way began where the vehicle was when the search began: drop what lies behind.
+        // The path began where the vehicle was when the search began: drop what lies behind.
         let (nearest, _) = points
             .iter()
             .enumerate()
@@ -240,7 +240,7 @@ impl GeometricPilot {
             (self.surroundings.observe(input), HIT)
         };
         if self.grid.follow(here) {
-            self.planner.abandon_search();
+            self.planner.working = false;
         }
         if self.last_sequence != Some(header.sequence) {
             self.last_sequence = Some(header.sequence);
@@ -259,11 +259,11 @@ impl GeometricPilot {
 
         let (sin, cos) = (libm::sinf(input.goal.bearing_rad), libm::cosf(input.goal.bearing_rad));
         let goal = here + (HeadingVector::new(cos, sin, 0.0) * input.goal.distance_m).to_ned(yaw_rad);
-        if !self.planner.is_searching() {
+        if !self.planner.working {
             self.grid.measure_clearance();
             self.planner.start(&self.grid, here, goal);
         }
-        if self.planner.advance(&self.grid, SEARCH_BUDGET) == Search::NoWay {
+        if self.planner.advance(&self.grid, SEARCH_BUDGET) == Search::NoPath {
             self.planner.clear();
         }
 
@@ -374,7 +374,7 @@ impl Pilot for GeometricPilot {
     fn reset(&mut self) {
         self.grid.clear();
         self.planner.clear();
-        self.movers.clear();
+        self.movers = MoverTracker::default();
         self.evading = None;
         self.last_position_ned_m = None;
         self.last_sequence = None;

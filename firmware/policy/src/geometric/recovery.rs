@@ -46,7 +46,7 @@ impl RecoveryPilot {
         self.waypoint = self.pilot.plan(input);
     }
 
-    /// The pilot below it, with its grid and its way.
+    /// The pilot below it, with its grid and its path.
     pub fn mapping(&self) -> &GeometricPilot {
         &self.pilot
     }
@@ -69,9 +69,9 @@ impl RecoveryPilot {
         self.pilot.steer(input, self.waypoint).0
     }
 
-    /// How fast the vehicle flies along the planned way, metres per second: the part of its horizontal velocity that points to the waypoint;
-    /// `None` without a way, or at its end. After [`Self::observe`], with the same input.
-    pub fn speed_along_way_m_s(&self, input: &PilotInput<'_>) -> Option<f32> {
+    /// How fast the vehicle flies along the planned path, metres per second: the part of its horizontal velocity that points to the waypoint;
+    /// `None` without a path, or at its end. After [`Self::observe`], with the same input.
+    pub fn speed_along_path_m_s(&self, input: &PilotInput<'_>) -> Option<f32> {
         let to_waypoint = self.waypoint? - position_ned_m(input);
         let distance_m = to_waypoint.horizontal_norm();
         let velocity_m_s = input.velocity_m_s.to_ned(input.attitude.yaw_rad());

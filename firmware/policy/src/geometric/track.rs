@@ -11,7 +11,7 @@ const VELOCITY_VARIANCE: f32 = 0.36;
 const ACCELERATION_DENSITY: f32 = 0.05;
 /// A mover has been seen in so many frames, gone so far and is so fast.
 pub(super) const MOVER_FRAMES: u16 = 8;
-const MOVER_WAY_M: f32 = 0.25;
+const MOVER_TRAVEL_M: f32 = 0.25;
 pub(super) const MOVER_SPEED_M_S: f32 = 0.18;
 /// A mover that is slower than this for so many frames stands: at the end of its lane it turns back.
 const STANDS_M_S: f32 = 0.08;
@@ -37,7 +37,7 @@ const BESIDE_M: f32 = 0.1;
 pub const LEAST_SPEED_M_S: f32 = 0.05;
 
 /// A thing that is followed.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Track {
     /// Middle, metres north and east.
     pub north_m: f32,
@@ -89,25 +89,17 @@ pub struct Whereabouts {
 
 impl Track {
     pub(super) fn new(thing: &Thing) -> Self {
+        let at = (thing.north_m, thing.east_m);
         Self {
             north_m: thing.north_m,
             east_m: thing.east_m,
-            north_m_s: 0.0,
-            east_m_s: 0.0,
             radius_m: thing.radius_m,
-            moves: false,
             variance: [MIDDLE_VARIANCE_M2, 0.0, VELOCITY_VARIANCE],
-            stood_m: (thing.north_m, thing.east_m),
-            lane_m: [(thing.north_m, thing.east_m); 2],
-            seen_m: (thing.north_m, thing.east_m),
+            stood_m: at,
+            lane_m: [at; 2],
+            seen_m: at,
             frames: 1,
-            slow_frames: 0,
-            moving_frames: 0,
-            unseen_s: 0.0,
-            lost: false,
-            turned: [false; 2],
-            heads_to_second: None,
-            refuted: 0,
+            ..Self::default()
         }
     }
 
@@ -306,7 +298,7 @@ impl Track {
             self.lane_m = [self.stood_m; 2];
         }
         let way_m = libm::hypotf(self.north_m - self.stood_m.0, self.east_m - self.stood_m.1);
-        self.moves |= self.frames >= MOVER_FRAMES && way_m > MOVER_WAY_M && speed_m_s > MOVER_SPEED_M_S;
+        self.moves |= self.frames >= MOVER_FRAMES && way_m > MOVER_TRAVEL_M && speed_m_s > MOVER_SPEED_M_S;
     }
 }
 

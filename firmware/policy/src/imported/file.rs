@@ -40,26 +40,16 @@ pub const FORMAT: &str = "vigil policy 1";
 
 impl FrozenPolicy {
     fn contents(&self) -> Contents {
-        let PolicyInputs {
-            rows,
-            cols,
-            channels,
-            order,
-            depth,
-            scale,
-            frame_input,
-            has_position,
-            output_scale,
-        } = self.inputs;
+        let inputs = &self.inputs;
         let entries = [
             ("layers", self.network.to_string()),
-            ("frame", format!("{rows} {cols} {channels}")),
-            ("channels", order.name().to_string()),
-            ("depth", depth.name().to_string()),
-            ("scale", scale.to_string()),
-            ("frame_input", frame_input.to_string()),
-            ("has_position", has_position.to_string()),
-            ("output_scale", output_scale.to_string()),
+            ("frame", format!("{} {} {}", inputs.rows, inputs.cols, inputs.channels)),
+            ("channels", inputs.order.name().to_string()),
+            ("depth", inputs.depth.name().to_string()),
+            ("scale", inputs.scale.to_string()),
+            ("frame_input", inputs.frame_input.to_string()),
+            ("has_position", inputs.has_position.to_string()),
+            ("output_scale", inputs.output_scale.to_string()),
             ("source", self.source.clone()),
         ];
         let split = self.split.map(|layer| ("split", layer.to_string()));

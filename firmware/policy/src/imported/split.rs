@@ -6,6 +6,7 @@ use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec;
 use alloc::vec::Vec;
+use core::mem::replace;
 use vigil_nnet::{Activation, Function};
 
 /// What an unsaturated network's curve is instead of the saturating one.
@@ -28,8 +29,7 @@ impl Layer {
     pub fn params_of(&self, number: usize) -> Option<usize> {
         match self {
             Self::Gru { params_of, .. } | Self::Lstm { params_of, .. } => Some(*params_of),
-            Self::Conv2d { .. } | Self::Dense { .. } | Self::BatchNorm { .. } | Self::LayerNorm { .. } => Some(number),
-            _ => None,
+            _ => (self.param_len() > 0).then_some(number),
         }
     }
 
@@ -73,10 +73,7 @@ impl Layer {
 impl Network {
     /// Layers that the output is computed from, those before `stop` left out.
     fn behind(&self, stop: Option<usize>) -> Vec<bool> {
-        let mut needed = vec![false; self.layers.len()];
-        if let Some(output) = needed.get_mut(self.output) {
-            *output = true;
-        }
+        let mut needed: Vec<bool> = (0..self.layers.len()).map(|number| number == self.output).collect();
         for (number, layer) in self.layers.iter().enumerate().rev() {
             if needed.get(number) == Some(&true) && Some(number) != stop {
                 for source in layer.sources() {
@@ -147,16 +144,13 @@ impl Network {
             return refused("the action depends on the frame by another way as well".to_string());
         }
         // Offsets of the parameters of those layers that have their own.
-        let mut offsets = vec![0; self.layers.len()];
-        let mut offset = 0;
-        for (number, layer) in self.layers.iter().enumerate() {
-            if let Some(at) = offsets.get_mut(number) {
-                *at = offset;
-            }
-            if layer.params_of(number) == Some(number) {
-                offset += layer.param_len();
-            }
-        }
+        let layers = self.layers.iter().enumerate();
+        let offsets = layers.scan(0, |next, (number, layer)| {
+            let is_own = layer.params_of(number) == Some(number);
+            let len = if is_own { layer.param_len() } else { 0 };
+            Some(replace(next, *next + len))
+        });
+        let offsets: Vec<usize> = offsets.collect();
         let mut network = Self {
             layers: vec![Layer::Input { len: width }, Layer::Input { len: GOAL_INPUTS }],
             output: 0,

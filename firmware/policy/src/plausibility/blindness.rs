@@ -22,6 +22,11 @@ const LEAST_GROUND: u16 = 8;
 pub(super) const BLIND_FRAMES: u8 = 2;
 pub(super) const SEEING_FRAMES: u8 = 3;
 
+/// Whether zeros or ranges of anywhere are too many for a sensor that sees.
+pub(super) fn lacks_ranges(CellCounts { zeros, holes, wild, .. }: CellCounts) -> bool {
+    zeros >= BLIND_ZEROS || holes >= BLIND_HOLES || wild >= BLIND_WILD
+}
+
 /// Frames in a row in which nothing, or something, was seen, and what they make of the sensor.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Blindness {
@@ -65,9 +70,7 @@ impl Blindness {
         let dead = strips
             .filter(|(expected, missing)| **expected >= LEAST_GROUND && **missing * 2 > **expected)
             .count();
-        let CellCounts { zeros, holes, wild, .. } = counts;
-        let no_ranges = zeros >= BLIND_ZEROS || holes >= BLIND_HOLES || wild >= BLIND_WILD;
-        let blind = no_ranges || (low && !returns) || dead >= BLIND_STRIPS;
+        let blind = lacks_ranges(counts) || (low && !returns) || dead >= BLIND_STRIPS;
         count(&mut self.blind_frames, blind);
         count(&mut self.seeing_frames, !blind);
         self.is_blind = if self.is_blind {

@@ -82,21 +82,14 @@ pub(super) struct Evidence {
 
 impl Evidence {
     pub(super) fn fade(&mut self) {
-        self.frozen *= KEEP;
-        self.cost *= KEEP;
-        for value in self.samples.iter_mut().chain(&mut self.costs) {
-            *value *= KEEP;
-        }
         let parts = self.frozen_parts.iter_mut().chain(&mut self.cost_parts);
         let parts = parts.chain(&mut self.found_parts).chain(&mut self.lost_parts);
-        for value in parts.flatten() {
-            *value *= KEEP;
-        }
-        for value in self.found_rows.iter_mut().chain(&mut self.lost_rows) {
-            *value *= KEEP_LONG;
-        }
-        self.mirrored *= KEEP_LONG;
-        self.far_cost *= KEEP_LONG;
+        let columns = self.samples.iter_mut().chain(&mut self.costs);
+        let all = parts.flatten().chain(columns).chain([&mut self.frozen, &mut self.cost]);
+        all.for_each(|value| *value *= KEEP);
+        let rows = self.found_rows.iter_mut().chain(&mut self.lost_rows);
+        let all = rows.chain([&mut self.mirrored, &mut self.far_cost]);
+        all.for_each(|value| *value *= KEEP_LONG);
         self.drift.fade(KEEP_LONG);
     }
 

@@ -84,6 +84,11 @@ pub fn smooth_share_of(frame: &DepthFrame) -> Option<f32> {
     picture.take(frame, &mut Sides::default()).smooth_share()
 }
 
+/// Whether two such frames are a blind sensor's whatever else they show: of zeros in many places, or of ranges of anywhere.
+pub fn lacks_ranges(frame: &DepthFrame) -> bool {
+    blindness::lacks_ranges(Picture::default().take(frame, &mut Sides::default()))
+}
+
 impl PlausibilityCheck {
     /// Of the cells of the last frame checked in which something is seen, the share that shows one surface (4 × 4 pixels whose ranges differ
     /// by no more than 0.16 m and a fifth of the range); 0 where ranges go to and fro all over a part of 16 × 16 pixels, as a patch's do; `None`

@@ -2,6 +2,7 @@
 
 use super::count;
 use super::motion::{Pose, alike};
+use core::mem::replace;
 use vigil_types::{Attitude, AttitudeSample, FrdVector, Kinematics, Nanos, NedVector};
 
 /// How far the header's position and attitude may be from the telemetry's, and by how much the difference may change in 10 frames.
@@ -53,19 +54,12 @@ impl PoseCheck {
         let attitude = turned_by(attitude.attitude, attitude.rates_frd_rad_s * lead_s(attitude.at_ns));
         let error = pose.position_ned_m - position_ned_m;
         let slot = self.poses % POSE_FRAMES;
-        let drift_m = match self.errors.get_mut(slot) {
-            Some(earlier) => {
-                let drift_m = (error - core::mem::replace(earlier, error)).norm();
-                if self.poses < POSE_FRAMES { 0.0 } else { drift_m }
-            }
-            None => 0.0,
-        };
+        let earlier = self.errors.get_mut(slot).map(|earlier| replace(earlier, error));
+        let earlier = earlier.filter(|_| self.poses >= POSE_FRAMES);
+        let drift_m = earlier.map_or(0.0, |earlier| (error - earlier).norm());
         // Counts on from 10 to 19 and back to 10, so that it never wraps.
-        self.poses = if self.poses + 1 == 2 * POSE_FRAMES {
-            POSE_FRAMES
-        } else {
-            self.poses + 1
-        };
+        let is_last = self.poses + 1 == 2 * POSE_FRAMES;
+        self.poses = if is_last { POSE_FRAMES } else { self.poses + 1 };
         // Written so that NaN is bad.
         let good = error.norm() <= POSE_M && drift_m <= POSE_DRIFT_M && alike(pose.attitude, attitude) >= POSE_COS_HALF;
         count(&mut self.bad_poses, !good);

@@ -5,6 +5,7 @@
 //! for the picture.
 
 use super::blindness::{STRIP, STRIPS};
+use super::count;
 use super::picture::{COLS, Directions, Picture, ROWS, Seen};
 use vigil_types::{Attitude, FrdVector, NedVector};
 
@@ -63,10 +64,7 @@ impl Shadow {
         self.sight = sight(picture, directions, attitude, height_m);
         let seen_through = self.sight == GroundSight::SeenThrough;
         self.seen_through = (self.seen_through << 1 | u32::from(seen_through)) & ((1 << LAST_PICTURES) - 1);
-        self.agreeing = match self.sight {
-            GroundSight::Agrees => self.agreeing.saturating_add(1),
-            GroundSight::CannotTell | GroundSight::SeenThrough => 0,
-        };
+        count(&mut self.agreeing, self.sight == GroundSight::Agrees);
         if self.is_raised {
             self.is_raised = self.raises >= LAST_RAISE || self.agreeing < CLEAR_PICTURES;
         } else if self.seen_through.count_ones() >= RAISE_PICTURES {

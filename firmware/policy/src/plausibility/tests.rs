@@ -307,11 +307,7 @@ fn what_moves_beside_the_vehicle_and_goes_away_is_no_fault() {
         let mut step = 0_usize;
         let faults = flight.fly(200, |frame| {
             step += 1;
-            let moving = if step < 90 {
-                step
-            } else {
-                step.saturating_sub(stays).max(90)
-            };
+            let moving = step.min(step.saturating_sub(stays).max(90));
             let middle = 2 * moving as i32 - 60;
             for (pixel, depth) in frame.depth.iter_mut().enumerate() {
                 let column = (pixel % DEPTH_COLS) as i32 - middle;
@@ -321,11 +317,8 @@ fn what_moves_beside_the_vehicle_and_goes_away_is_no_fault() {
                 }
             }
         });
-        assert!(
-            faults.iter().all(|faults| faults.is_empty()),
-            "stays {stays}: {:?}",
-            faults.iter().position(|d| !d.is_empty())
-        );
+        let first = faults.iter().position(|faults| !faults.is_empty());
+        assert_eq!(first, None, "stays {stays}");
     }
 }
 
@@ -351,13 +344,8 @@ fn a_picture_that_thaws_is_known_again_from_an_earlier_one_even_while_the_vehicl
     // It stops within a metre.
     flight.fly(10, &mut stay);
     flight.speed_m_s = 0.0;
-    assert!(
-        flight
-            .fly(100, &mut stay)
-            .iter()
-            .all(|d| d.contains(Reason::FrozenSensor)),
-        "held while it is frozen"
-    );
+    let held = flight.fly(100, &mut stay);
+    assert!(held.iter().all(|d| d.contains(Reason::FrozenSensor)), "while it is");
     let faults = flight.fly(40, good);
     assert!(faults[39].is_empty(), "{:?}", faults[39]);
     // The second time it stays until the motors are off.
@@ -401,12 +389,8 @@ fn a_climb_straight_up_whose_roll_is_estimated_wrong_is_no_mirrored_sensor() {
         let steps = (seconds / STEP_S) as usize;
         for _ in 0..steps {
             flight.misread_roll_rad += misread_rad / steps as f32;
-            assert_eq!(
-                flight.first_fault(1, good),
-                None,
-                "{climb_m_s} m/s, at {:?}",
-                flight.position
-            );
+            let (fault, at) = (flight.first_fault(1, good), flight.position);
+            assert_eq!(fault, None, "{climb_m_s} m/s, at {at:?}");
         }
     }
 }
@@ -438,11 +422,8 @@ fn faults_of_a_flight(mount: (f32, f32), agrees: bool, error_ned_m: impl Fn(f32)
 fn an_estimate_that_drifts_convicts_nobody_and_a_sensor_that_sits_wrong_is_found_beside_it() {
     // Of a GPS's it is 0.06 m/s.
     for error_m_s in [0.03, 0.06, 0.12] {
-        assert_eq!(
-            faults_of_a_drifting_flight(0.0, 1.0, error_m_s),
-            Reasons::NONE,
-            "{error_m_s} m/s"
-        );
+        let faults = faults_of_a_drifting_flight(0.0, 1.0, error_m_s);
+        assert_eq!(faults, Reasons::NONE, "{error_m_s} m/s");
     }
     let turned_rad = 5.0_f32.to_radians();
     for (mount_rad, width, error_m_s) in [
@@ -451,10 +432,11 @@ fn an_estimate_that_drifts_convicts_nobody_and_a_sensor_that_sits_wrong_is_found
         (0.0, 0.75, 0.06),
         (0.0, 1.25, 0.06),
     ] {
-        assert_eq!(
-            faults_of_a_drifting_flight(mount_rad, width, error_m_s),
-            Reasons::of(Reason::InconsistentPicture),
-            "{error_m_s} m/s, turned by {mount_rad}, {width} as wide"
+        let faults = faults_of_a_drifting_flight(mount_rad, width, error_m_s);
+        let is_found = faults == Reasons::of(Reason::InconsistentPicture);
+        assert!(
+            is_found,
+            "{error_m_s} m/s, turned by {mount_rad}, {width} as wide: {faults:?}"
         );
     }
 }
@@ -530,12 +512,8 @@ fn on_the_ground_what_is_near_is_no_fault_and_nothing_is_held_against_the_next_f
     while flight.position.z > -2.0 {
         flight.position.z -= 0.04;
         flight.look();
-        let faults = flight.check();
-        assert!(
-            flight.position.z > -0.3 || faults.is_empty(),
-            "{faults:?} at {}",
-            flight.position.z
-        );
+        let (faults, z) = (flight.check(), flight.position.z);
+        assert!(z > -0.3 || faults.is_empty(), "{faults:?} at {z}");
     }
 }
 

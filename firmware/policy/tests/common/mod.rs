@@ -31,11 +31,11 @@ pub struct Scene {
 }
 
 pub fn block(north: [f32; 2], east: [f32; 2]) -> Solid {
-    Solid::Block {
-        north,
-        east,
-        up: [0.0, 4.0],
-    }
+    beam(north, east, [0.0, 4.0])
+}
+
+pub fn beam(north: [f32; 2], east: [f32; 2], up: [f32; 2]) -> Solid {
+    Solid::Block { north, east, up }
 }
 
 pub fn column(north: f32, east: f32, radius: f32) -> Solid {

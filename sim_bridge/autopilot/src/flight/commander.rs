@@ -29,7 +29,7 @@ const ARMING_TILT_RAD: f32 = core::f32::consts::FRAC_PI_4;
 
 /// What a failsafe does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Response {
+pub(super) enum Response {
     Enter(FlightMode),
     Terminate,
     Disarm,
@@ -323,7 +323,7 @@ impl Core {
         self.clear_failsafe();
         let speed_limit_m_s = match speed_m_s {
             Some(speed_m_s) => speed_m_s.clamp(0.5, self.param(ParamId::MaxSpeedMS)),
-            None => self.way_speed_m_s(self.commander.speed_m_s),
+            None => self.cruise_speed_m_s(self.commander.speed_m_s),
         };
         let station = Maneuver::station(position_ned_m, yaw, speed_limit_m_s);
         self.enter(FlightMode::Hold, station);
@@ -380,7 +380,7 @@ impl Core {
     }
 
     /// Horizontal speed of a way: what was asked for, else MPC_XY_CRUISE.
-    pub(super) fn way_speed_m_s(&self, asked_m_s: Option<f32>) -> f32 {
+    pub(super) fn cruise_speed_m_s(&self, asked_m_s: Option<f32>) -> f32 {
         let speed_m_s = asked_m_s.unwrap_or(self.param(ParamId::CruiseSpeedMS));
         speed_m_s.min(self.param(ParamId::MaxSpeedMS))
     }
@@ -451,7 +451,7 @@ impl Core {
         self.respond(response, Failsafe::ManualControlLost);
     }
 
-    fn respond(&mut self, response: Response, failsafe: Failsafe) {
+    pub(super) fn respond(&mut self, response: Response, failsafe: Failsafe) {
         let name = match response {
             Response::Enter(mode) => mode.name(),
             Response::Terminate => "terminate",
@@ -470,17 +470,12 @@ impl Core {
     }
 
     /// Changes to Return, Land, Hold or a mode that is flown by sticks, by itself; CRITICAL until the next mode command.
-    pub(super) fn fail_over(&mut self, action: FlightMode, failsafe: Failsafe) {
+    fn fail_over(&mut self, action: FlightMode, failsafe: Failsafe) {
         let intended = self.commander.intended_mode;
         self.begin(action);
         self.commander.intended_mode = intended;
         self.commander.failsafe = Some(failsafe);
         self.announce::<HEARTBEAT_DATA>();
-    }
-
-    /// Whether INJECT_FAILURE is obeyed.
-    pub fn injects_failures(&self) -> bool {
-        self.param(ParamId::FailureEnabled) == 1.0
     }
 
     /// Whether the position is still known: for a while after the last fix the estimator goes by its inertial sensors.

@@ -41,7 +41,7 @@ impl Core {
     /// One step of flight: ground contact, failsafes, maneuver.
     pub fn fly(&mut self) -> ControlCommand {
         self.watch_ground();
-        if !self.commander.is_armed() || self.commander.is_terminated() {
+        if !self.commander.armed || self.commander.terminated {
             self.commander.flown = None;
             return ControlCommand::MotorsOff;
         }
@@ -54,7 +54,7 @@ impl Core {
         let on_ground = self.commander.is_on_ground();
         self.watch_position();
         self.watch_lost_sticks();
-        if self.commander.mode() == FlightMode::Mission {
+        if self.commander.mode == FlightMode::Mission {
             self.step_mission();
         }
         match self.commander.maneuver {
@@ -161,7 +161,7 @@ impl Core {
                 yaw: YawCommand::Hold,
             };
         }
-        let speed_limit_m_s = self.way_speed_m_s(self.commander.speed_m_s);
+        let speed_limit_m_s = self.cruise_speed_m_s(self.commander.speed_m_s);
         self.hold_at(self.view.estimate.position_ned_m, height_m, speed_limit_m_s)
     }
 
@@ -182,13 +182,13 @@ impl Core {
     }
 
     fn fly_station(&mut self, position_ned_m: NedVector, yaw: YawCommand, speed_limit_m_s: f32) -> ControlCommand {
-        if self.commander.mode() == FlightMode::Return {
+        if self.commander.mode == FlightMode::Return {
             let off = self.view.estimate.position_ned_m - position_ned_m;
             if off.horizontal_norm() < 0.5 && self.view.estimate.velocity_ned_m_s.horizontal_norm() < 0.5 {
                 self.commander.maneuver = Maneuver::Descend;
             }
         }
-        let velocity_m_s = match self.commander.mode() {
+        let velocity_m_s = match self.commander.mode {
             FlightMode::Mission => self.passing_velocity_m_s(position_ned_m),
             _ => NedVector::ZERO,
         };
@@ -204,7 +204,7 @@ impl Core {
     fn towards_interest(&self) -> Option<YawCommand> {
         let (north, east) = self.commander.region_of_interest_m?;
         let here = self.view.estimate.position_ned_m;
-        let is_followed = matches!(self.commander.mode(), FlightMode::Hold | FlightMode::Mission);
+        let is_followed = matches!(self.commander.mode, FlightMode::Hold | FlightMode::Mission);
         (is_followed && libm::hypotf(north - here.x, east - here.y) > INTEREST_RADIUS_M)
             .then(|| YawCommand::Angle(libm::atan2f(east - here.y, north - here.x)))
     }
@@ -216,11 +216,11 @@ impl Core {
                 yaw: YawCommand::Hold,
             };
         }
-        let speed_limit_m_s = self.way_speed_m_s(None);
+        let speed_limit_m_s = self.cruise_speed_m_s(None);
         let station = |place| Maneuver::station(place, YawCommand::Hold, speed_limit_m_s);
         let target = climb.target_ned_m;
         if climb.is_done(&self.view.estimate) {
-            match self.commander.mode() {
+            match self.commander.mode {
                 FlightMode::Return => {
                     let (north, east) = self.commander.return_to_m;
                     self.commander.maneuver = station(NedVector::new(north, east, target.z));
@@ -241,7 +241,7 @@ impl Core {
     /// The place that is flown to or held in the air, metres from the local origin; `None` where there is none.
     pub fn place_flown_to(&self) -> Option<NedVector> {
         let here = self.view.estimate.position_ned_m;
-        let is_flown = self.commander.is_armed() && !self.commander.is_on_ground();
+        let is_flown = self.commander.armed && !self.commander.is_on_ground();
         match self.commander.maneuver {
             _ if !is_flown => None,
             Maneuver::Station { position_ned_m, .. } => Some(position_ned_m),
@@ -268,7 +268,7 @@ impl Core {
     fn fly_offboard(&mut self, on_ground: bool) -> ControlCommand {
         let Some(command) = self.setpoints.current(self.now_ns, self.owner_max_age_ns()) else {
             self.lose_setpoints();
-            return if on_ground || self.commander.is_terminated() || !self.commander.is_armed() {
+            return if on_ground || self.commander.terminated || !self.commander.armed {
                 ControlCommand::Idle
             } else {
                 ControlCommand::STOP
@@ -285,7 +285,7 @@ impl Core {
 
     /// The thrust asked for, where the thrust itself is commanded.
     pub(super) fn wanted_thrust(&self) -> Option<f32> {
-        match self.commander.mode() {
+        match self.commander.mode {
             FlightMode::Stabilized | FlightMode::Manual | FlightMode::Acro => self.current_sticks().map(manual::thrust),
             _ => match self.setpoints.current(self.now_ns, self.owner_max_age_ns())? {
                 ControlCommand::Attitude { thrust, .. } | ControlCommand::Rates { thrust, .. } => Some(thrust),

@@ -1,6 +1,7 @@
 //! What the geofence does in flight. <https://docs.px4.io/main/en/flying/geofence.html>
 
 use crate::core::Core;
+use crate::flight::commander::Response;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::Failsafe;
 use crate::plan::Breach;
@@ -67,27 +68,24 @@ impl Core {
         if breach.is_some() && before.is_none() {
             self.fence_watch.count = self.fence_watch.count.saturating_add(1);
             self.fence_watch.last_ms = self.time_boot_ms();
-            if self.commander.is_armed() && !self.commander.is_on_ground() {
+            if self.commander.armed && !self.commander.is_on_ground() {
                 self.act_on_breach(action);
             }
         }
     }
 
     fn act_on_breach(&mut self, action: i32) {
-        let (name, mode) = match action {
-            NOTHING | WARN => ("warning", None),
-            RETURN => ("return", Some(FlightMode::Return)),
-            LAND => ("land", Some(FlightMode::Land)),
-            TERMINATE => ("terminate", None),
-            _ => ("hold", Some(FlightMode::Hold)),
+        let critical = MavSeverity::MAV_SEVERITY_CRITICAL;
+        let mode = match action {
+            NOTHING | WARN => return self.text(critical, "geofence breached: warning"),
+            TERMINATE => {
+                self.text(critical, "geofence breached: terminate");
+                return self.terminate();
+            }
+            RETURN => FlightMode::Return,
+            LAND => FlightMode::Land,
+            _ => FlightMode::Hold,
         };
-        let text = format!("geofence breached: {name}");
-        self.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
-        if action == TERMINATE {
-            self.terminate();
-        }
-        if let Some(mode) = mode {
-            self.fail_over(mode, Failsafe::GeofenceBreached);
-        }
+        self.respond(Response::Enter(mode), Failsafe::GeofenceBreached);
     }
 }

@@ -1,7 +1,7 @@
 //! Following a target: FOLLOW_TARGET. <https://docs.px4.io/main/en/flight_modes_mc/follow_me.html>
 
 use crate::core::Core;
-use crate::flight::state::{FollowTarget, Maneuver, Report};
+use crate::flight::state::{FollowTarget, Maneuver};
 use crate::vehicle::{ControlCommand, YawCommand};
 use crate::vehicle_parameters::ParamId;
 use vigil_types::{Nanos, NedVector, wrap_pi};
@@ -23,16 +23,13 @@ impl Core {
     /// given.
     pub fn see_target(&mut self, position_ned_m: NedVector, velocity_ned_m_s: Option<NedVector>) {
         let now_ns = self.now_ns;
-        let fresh = |t: &FollowTarget| now_ns.saturating_sub(t.fused.at_ns) < LOST_AFTER_NS;
+        let fresh = |t: &FollowTarget| now_ns.saturating_sub(t.fused.0) < LOST_AFTER_NS;
         let last = self.commander.follow_target.filter(fresh);
-        let now = Report {
-            at_ns: now_ns,
-            position_ned_m,
-        };
-        let since_ns = last.map_or(0, |last| now_ns - last.fused.at_ns);
+        let now = (now_ns, position_ned_m);
+        let since_ns = last.map_or(0, |last| now_ns - last.fused.0);
         let is_fused = last.is_none() || since_ns >= FUSED_AFTER_NS;
         let measured = match last {
-            Some(last) if is_fused => (position_ned_m - last.fused.position_ned_m) * (1e9 / since_ns as f32),
+            Some(last) if is_fused => (position_ned_m - last.fused.1) * (1e9 / since_ns as f32),
             Some(last) => last.velocity_ned_m_s,
             None => NedVector::ZERO,
         };
@@ -61,7 +58,7 @@ impl Core {
     pub(super) fn fly_follow(&mut self, waits_ned_m: Option<NedVector>) -> ControlCommand {
         let now_ns = self.now_ns;
         let here = self.view.estimate.position_ned_m;
-        let is_fresh = |t: &FollowTarget| now_ns.saturating_sub(t.reported.at_ns) <= LOST_AFTER_NS;
+        let is_fresh = |t: &FollowTarget| now_ns.saturating_sub(t.reported.0) <= LOST_AFTER_NS;
         let Some(target) = self.commander.follow_target.filter(is_fresh) else {
             let position_ned_m = waits_ned_m.unwrap_or(here);
             self.commander.maneuver = Maneuver::Follow {
@@ -70,14 +67,15 @@ impl Core {
             return ControlCommand::Position {
                 position_ned_m,
                 velocity_m_s: NedVector::ZERO,
-                speed_limit_m_s: self.way_speed_m_s(self.commander.speed_m_s),
+                speed_limit_m_s: self.cruise_speed_m_s(self.commander.speed_m_s),
                 yaw: YawCommand::Hold,
             };
         };
         self.commander.maneuver = Maneuver::Follow { waits_ned_m: None };
-        let age_s = now_ns.saturating_sub(target.reported.at_ns) as f32 * 1e-9;
+        let (at_ns, reported_ned_m) = target.reported;
+        let age_s = now_ns.saturating_sub(at_ns) as f32 * 1e-9;
         let velocity_m_s = NedVector::new(target.velocity_ned_m_s.x, target.velocity_ned_m_s.y, 0.0);
-        let now_at = target.reported.position_ned_m + velocity_m_s * age_s;
+        let now_at = reported_ned_m + velocity_m_s * age_s;
         let bearing_rad = target.course_rad + self.param(ParamId::FollowAngleDeg).to_radians();
         let distance_m = self.param(ParamId::FollowDistanceM);
         let height_m = self.param(ParamId::FollowHeightM);

@@ -51,16 +51,16 @@ impl Core {
     /// end in NAV_RCL_ACT.
     pub(super) fn fly_by_sticks(&mut self, held_down_m: Option<f32>, on_ground: bool) -> ControlCommand {
         // After lost setpoints sticks that nobody has are centred, as in PX4.
-        let nobodys = (self.commander.failsafe() == Some(Failsafe::SetpointLost)).then(Deflections::default);
+        let nobodys = (self.commander.failsafe == Some(Failsafe::SetpointLost)).then(Deflections::default);
         let Some(sticks) = self.current_sticks().or(nobodys) else {
             self.lose_sticks();
-            return if on_ground || self.commander.is_terminated() || !self.commander.is_armed() {
+            return if on_ground || self.commander.terminated || !self.commander.armed {
                 ControlCommand::Idle
             } else {
                 self.velocity_by(Deflections::default())
             };
         };
-        let mode = self.commander.mode();
+        let mode = self.commander.mode;
         if on_ground {
             let lifts = match mode {
                 FlightMode::Position | FlightMode::Altitude => beyond_dead_zone(sticks.up) >= 0.1,
@@ -83,7 +83,7 @@ impl Core {
     fn velocity_by(&self, sticks: Deflections) -> ControlCommand {
         let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
         let norm = libm::hypotf(forward, right).max(1.0);
-        let speed_m_s = self.way_speed_m_s(None) / norm;
+        let speed_m_s = self.cruise_speed_m_s(None) / norm;
         ControlCommand::VelocityHeading {
             velocity_m_s: HeadingVector::new(forward * speed_m_s, right * speed_m_s, -self.climb_m_s(sticks)),
             yaw: YawCommand::Rate(clockwise * MAX_YAW_RATE_RAD_S),

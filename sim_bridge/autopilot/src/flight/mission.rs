@@ -57,7 +57,7 @@ impl Core {
     /// The mission was replaced, or its current item changed by command: begins it if missions are being flown.
     pub fn mission_changed(&mut self) {
         self.announce::<MISSION_CURRENT_DATA>();
-        if self.commander.mode() != FlightMode::Mission {
+        if self.commander.mode != FlightMode::Mission {
             return;
         }
         if let Err(denial) = self.begin_mission() {
@@ -152,7 +152,7 @@ impl Core {
             None if libm::hypotf(d_north, d_east) > TURN_DISTANCE_M => YawCommand::Angle(libm::atan2f(d_east, d_north)),
             None => YawCommand::Hold,
         };
-        let speed_m_s = self.way_speed_m_s(self.plans.mission.speed_m_s);
+        let speed_m_s = self.cruise_speed_m_s(self.plans.mission.speed_m_s);
         self.commander.maneuver = Maneuver::station(NedVector::new(north, east, z_m), yaw, speed_m_s);
         self.plans.mission.passing_m_s = self.passing_at((here.x, here.y), (north, east), leg);
         self.plans.mission.stage = Stage::Travelling;
@@ -175,7 +175,7 @@ impl Core {
         }
         let along = (in_north * out_north + in_east * out_east) / (in_m * out_m);
         // On a short way on, no faster than can be braked there.
-        let speed_m_s = self.way_speed_m_s(self.plans.mission.speed_m_s) * along.max(0.0);
+        let speed_m_s = self.cruise_speed_m_s(self.plans.mission.speed_m_s) * along.max(0.0);
         let speed_m_s = speed_m_s.min(libm::sqrtf(2.0 * PASSING_BRAKING_M_S2 * out_m));
         (in_north / in_m * speed_m_s, in_east / in_m * speed_m_s)
     }
@@ -197,12 +197,12 @@ impl Core {
     pub fn change_speed(&mut self, speed_m_s: Option<f32>) {
         let max_m_s = self.param(ParamId::MaxSpeedMS);
         let wanted = speed_m_s.map(|speed_m_s| speed_m_s.clamp(0.5, max_m_s));
-        if self.commander.mode() == FlightMode::Mission {
+        if self.commander.mode == FlightMode::Mission {
             self.plans.mission.speed_m_s = wanted;
         } else {
             self.commander.speed_m_s = wanted;
         }
-        let now_m_s = self.way_speed_m_s(wanted);
+        let now_m_s = self.cruise_speed_m_s(wanted);
         if let Maneuver::Station { speed_limit_m_s, .. } = &mut self.commander.maneuver {
             *speed_limit_m_s = now_m_s;
         }

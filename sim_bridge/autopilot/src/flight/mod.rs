@@ -16,6 +16,5 @@ pub use mode::FlightMode;
 pub use state::{Failsafe, LandedState};
 
 pub(crate) use control::{attitude_target, position_target};
-pub(crate) use setpoint_owner::Taken;
 pub(crate) use setpoints::{SetpointDefect, attitude_setpoint, global_setpoint, position_setpoint};
 pub(crate) use state::{Deflections, Denial, Facing, Orbit, SensorFault};

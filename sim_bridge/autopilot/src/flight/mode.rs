@@ -72,7 +72,7 @@ impl FlightMode {
     }
 
     /// Main and sub mode, `vehicle_status.nav_state` and name, all as PX4 has them.
-    const fn px4(self) -> (u8, u8, u8, &'static str) {
+    pub(crate) const fn px4(self) -> (u8, u8, u8, &'static str) {
         match self {
             Self::Takeoff => (MAIN_AUTO, 2, 17, "Takeoff"),
             Self::Hold => (MAIN_AUTO, 3, 4, "Hold"),
@@ -94,16 +94,6 @@ impl FlightMode {
     pub fn custom_mode(self) -> u32 {
         let (main, sub, ..) = self.px4();
         u32::from(main) << 16 | u32::from(sub) << 24
-    }
-
-    /// PX4's `vehicle_status.nav_state`.
-    pub(crate) const fn nav_state(self) -> u8 {
-        self.px4().2
-    }
-
-    /// Its name as PX4 has it.
-    pub(crate) const fn px4_name(self) -> &'static str {
-        self.px4().3
     }
 
     /// What a main and sub mode ask for, if it is flown.

@@ -82,7 +82,7 @@ impl Core {
         ControlCommand::Position {
             position_ned_m: orbit.centre_ned_m + NedVector::new(x, y, 0.0),
             velocity_m_s: NedVector::new(vx, vy, 0.0),
-            speed_limit_m_s: orbit.speed_m_s.max(self.way_speed_m_s(None)),
+            speed_limit_m_s: orbit.speed_m_s.max(self.cruise_speed_m_s(None)),
             yaw,
         }
     }

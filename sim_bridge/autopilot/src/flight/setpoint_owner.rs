@@ -67,10 +67,10 @@ impl Setpoints {
             .map(|(_, defect)| defect)
     }
 
-    /// Takes a source's newest setpoint.
-    pub fn take(&mut self, now_ns: Nanos, id: Source, command: ControlCommand) -> Taken {
+    /// Takes a source's newest setpoint. One that is ignored, because somebody else owns OFFBOARD, gives whether its sender has been
+    /// warned already.
+    pub fn take(&mut self, now_ns: Nanos, id: Source, command: ControlCommand) -> Option<bool> {
         let owner = self.owner;
-        let is_foreign = owner.is_some_and(|owner| owner != id);
         if let Some(source) = self.sources.iter_mut().find(|s| s.id == id) {
             source.last_ns = now_ns;
             source.command = command;
@@ -88,12 +88,9 @@ impl Setpoints {
                 others.min_by_key(|s| s.last_ns).into_iter().for_each(|s| *s = source);
             }
         }
-        if !is_foreign {
-            return Taken::Own;
-        }
+        owner.filter(|owner| *owner != id)?;
         let source = self.sources.iter_mut().find(|s| s.id == id);
-        let is_warned = source.is_none_or(|s| std::mem::replace(&mut s.is_warned, true));
-        if is_warned { Taken::Ignored } else { Taken::IgnoredFirst }
+        Some(source.is_none_or(|s| std::mem::replace(&mut s.is_warned, true)))
     }
 
     /// Whose setpoints are fresh.
@@ -126,17 +123,6 @@ impl Setpoints {
     }
 }
 
-/// What became of a setpoint.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Taken {
-    /// The owner's, or nobody owns OFFBOARD.
-    Own,
-    /// Ignored, and its sender has not been warned yet.
-    IgnoredFirst,
-    /// Ignored.
-    Ignored,
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -156,7 +142,7 @@ mod tests {
         setpoints.set_owner(Some(id(2)));
         for n in 3..=255 {
             let taken = setpoints.take(u64::from(n), id(n), ControlCommand::MotorsOff);
-            assert_eq!(taken, Taken::IgnoredFirst);
+            assert_eq!(taken, Some(false));
         }
         assert_eq!(setpoints.current(300, 400), Some(ControlCommand::Idle));
         assert_eq!(setpoints.sources.len(), MAX_SOURCES);

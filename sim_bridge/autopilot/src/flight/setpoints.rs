@@ -26,19 +26,12 @@ pub(crate) enum SetpointDefect {
     PositionInBodyFrame,
     #[error("mask {0:#05x} is not flown")]
     Mask(u16),
-    /// An axis without the others.
+    /// An axis without the others: PX4 takes such a setpoint, stays in OFFBOARD, and does not fly it.
     #[error("mask {0:#05x} lacks axes: held")]
     Incomplete(u16),
     /// A field that the mask uses.
     #[error("{0} is NaN or absurd")]
     Value(&'static str),
-}
-
-impl SetpointDefect {
-    /// Whether PX4 takes such a setpoint, stays in OFFBOARD, and does not fly it.
-    pub fn is_held(self) -> bool {
-        matches!(self, Self::Incomplete(_))
-    }
 }
 
 /// Which axes of a setpoint are used.

@@ -90,24 +90,24 @@ fn list(sources: &[Source]) -> String {
 /// Flight state.
 #[derive(Debug, Default)]
 pub(crate) struct Commander {
-    pub(super) armed: bool,
-    pub(super) terminated: bool,
+    pub armed: bool,
+    pub terminated: bool,
     /// Hit something: nothing flies until a reboot.
-    pub(super) broken: bool,
-    pub(super) mode: FlightMode,
-    /// The mode before a failsafe changed it.
-    pub(super) intended_mode: FlightMode,
+    pub broken: bool,
+    pub mode: FlightMode,
+    /// The mode that was asked for; during a failsafe another one is flown.
+    pub intended_mode: FlightMode,
     pub(super) maneuver: Maneuver,
     /// The last command that its maneuver gave.
     pub(super) flown: Option<ControlCommand>,
-    pub(super) failsafe: Option<Failsafe>,
+    pub failsafe: Option<Failsafe>,
     /// Somebody had the sticks in the last step.
     pub(super) had_sticks: bool,
     /// When the action of NAV_RCL_ACT follows the hold of lost sticks.
     pub(super) acts_ns: Option<Nanos>,
     /// Whose setpoints were lost.
     pub(super) lost_owner: Option<Source>,
-    pub(super) landed: LandedState,
+    pub landed: LandedState,
     /// Contact with the ground (or its absence) and since when.
     pub(super) contact: bool,
     pub(super) contact_since_ns: Nanos,
@@ -128,35 +128,6 @@ pub(crate) struct Commander {
 }
 
 impl Commander {
-    pub fn mode(&self) -> FlightMode {
-        self.mode
-    }
-
-    /// The mode that was asked for; during a failsafe another one is flown.
-    pub fn intended_mode(&self) -> FlightMode {
-        self.intended_mode
-    }
-
-    pub fn is_armed(&self) -> bool {
-        self.armed
-    }
-
-    pub fn is_broken(&self) -> bool {
-        self.broken
-    }
-
-    pub fn is_terminated(&self) -> bool {
-        self.terminated
-    }
-
-    pub fn failsafe(&self) -> Option<Failsafe> {
-        self.failsafe
-    }
-
-    pub fn landed(&self) -> LandedState {
-        self.landed
-    }
-
     pub fn is_on_ground(&self) -> bool {
         self.landed == LandedState::OnGround
     }
@@ -262,31 +233,9 @@ pub(crate) struct Orbit {
     pub bearing_rad: Option<f32>,
 }
 
-/// What INJECT_FAILURE did to a sensor.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) enum SensorFault<T> {
-    #[default]
-    None,
-    /// No readings any more.
-    Off,
-    /// The same reading again and again: the estimator notices and does without.
-    Stuck(T),
-}
-
-impl<T: Copy + PartialEq> SensorFault<T> {
-    pub fn is_lost(self) -> bool {
-        self != Self::None
-    }
-
-    /// What the sensor reports where it measures `measured`.
-    pub fn reading(self, measured: T) -> Option<T> {
-        match self {
-            Self::None => Some(measured),
-            Self::Off => None,
-            Self::Stuck(reading) => Some(reading),
-        }
-    }
-}
+/// What a sensor reports after INJECT_FAILURE instead of what it measures: nothing any more (`Some(None)`), or the same reading again and
+/// again, which the estimator notices and does without.
+pub(crate) type SensorFault<T> = Option<Option<T>>;
 
 /// Sensors that INJECT_FAILURE has taken away.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -304,25 +253,18 @@ impl LostSensors {
     pub fn name(&self) -> Option<&'static str> {
         match self.gps_since_ns {
             Some(_) => Some("GPS"),
-            None if self.barometer.is_lost() => Some("barometer"),
-            None => self.magnetometer.is_lost().then_some("compass"),
+            None if self.barometer.is_some() => Some("barometer"),
+            None => self.magnetometer.is_some().then_some("compass"),
         }
     }
 }
 
-/// Where a target was, and when that came.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Report {
-    pub at_ns: Nanos,
-    pub position_ned_m: NedVector,
-}
-
-/// What FOLLOW_TARGET reported.
+/// What FOLLOW_TARGET reported: when it came, and where the target was.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct FollowTarget {
-    pub reported: Report,
+    pub reported: (Nanos, NedVector),
     /// The report that velocity and course were worked out with last.
-    pub fused: Report,
+    pub fused: (Nanos, NedVector),
     pub velocity_ned_m_s: NedVector,
     /// Where it goes, clockwise from north: kept while it stands.
     pub course_rad: f32,
@@ -350,24 +292,33 @@ pub(crate) struct Deflections {
 /// The newest sticks, and whose they are. Two stations' sticks never mix: who streams keeps the vehicle until silent.
 #[derive(Debug, Default)]
 pub(crate) struct Sticks {
-    newest: Option<(Source, Nanos, Deflections)>,
+    owners: Option<(Source, Nanos, Deflections)>,
+    /// Another station's, which has the vehicle as soon as the owner is silent.
+    waiting: Option<(Source, Nanos, Deflections)>,
 }
 
 impl Sticks {
     /// Takes what a station sends; `false` if another one has the vehicle.
     pub fn take(&mut self, now_ns: Nanos, max_age_ns: Nanos, from: Source, deflections: Deflections) -> bool {
-        let is_streamed = self.current(now_ns, max_age_ns).is_some();
-        let is_others = is_streamed && self.newest.is_some_and(|(owner, ..)| owner != from);
-        if !is_others {
-            self.newest = Some((from, now_ns, deflections));
-        }
+        self.owners = self.fresh(now_ns, max_age_ns);
+        let is_others = self.owners.is_some_and(|(owner, ..)| owner != from);
+        let place = if is_others { &mut self.waiting } else { &mut self.owners };
+        *place = Some((from, now_ns, deflections));
         !is_others
+    }
+
+    /// A station that waited gives up; an owner's sticks grow old.
+    pub fn release(&mut self, from: Source) {
+        self.waiting.take_if(|(waiting, ..)| *waiting == from);
+    }
+
+    fn fresh(&self, now_ns: Nanos, max_age_ns: Nanos) -> Option<(Source, Nanos, Deflections)> {
+        let mut all = [self.owners, self.waiting].into_iter().flatten();
+        all.find(|(_, at_ns, _)| now_ns.saturating_sub(*at_ns) <= max_age_ns)
     }
 
     /// The sticks, unless they are older than that.
     pub fn current(&self, now_ns: Nanos, max_age_ns: Nanos) -> Option<Deflections> {
-        self.newest
-            .filter(|(_, at_ns, _)| now_ns.saturating_sub(*at_ns) <= max_age_ns)
-            .map(|(_, _, deflections)| deflections)
+        self.fresh(now_ns, max_age_ns).map(|(_, _, deflections)| deflections)
     }
 }

@@ -23,39 +23,30 @@ pub(crate) enum Breach {
 }
 
 #[derive(Debug, Clone, PartialEq)]
-enum Shape {
-    /// Metres north and east of home, at least three.
-    Polygon(Vec<(f32, f32)>),
-    Circle {
-        centre_m: (f32, f32),
-        radius_m: f32,
-    },
-}
-
-#[derive(Debug, Clone, PartialEq)]
 struct Area {
     is_inclusion: bool,
-    shape: Shape,
+    /// Metres north and east of home: at least three, or a circle's centre.
+    vertices_m: Vec<(f32, f32)>,
+    /// Of a circle.
+    radius_m: Option<f32>,
 }
 
-impl Shape {
+impl Area {
     fn contains(&self, (north, east): (f32, f32)) -> bool {
-        match self {
-            Self::Circle { centre_m, radius_m } => libm::hypotf(north - centre_m.0, east - centre_m.1) <= *radius_m,
-            // Even-odd: a ray to the east crosses the border an odd number of times.
-            Self::Polygon(vertices) => {
-                let mut inside = false;
-                let mut previous = vertices.last().copied().unwrap_or_default();
-                for &vertex in vertices {
-                    let ((n0, e0), (n1, e1)) = (previous, vertex);
-                    if (n0 > north) != (n1 > north) && east < e0 + (e1 - e0) * (north - n0) / (n1 - n0) {
-                        inside = !inside;
-                    }
-                    previous = vertex;
-                }
-                inside
-            }
+        let mut previous = self.vertices_m.last().copied().unwrap_or_default();
+        if let Some(radius_m) = self.radius_m {
+            return libm::hypotf(north - previous.0, east - previous.1) <= radius_m;
         }
+        // Even-odd: a ray to the east crosses the border an odd number of times.
+        let mut inside = false;
+        for &vertex in &self.vertices_m {
+            let ((n0, e0), (n1, e1)) = (previous, vertex);
+            if (n0 > north) != (n1 > north) && east < e0 + (e1 - e0) * (north - n0) / (n1 - n0) {
+                inside = !inside;
+            }
+            previous = vertex;
+        }
+        inside
     }
 }
 
@@ -124,23 +115,22 @@ impl Fence {
             let size = first.param(1).unwrap_or(0.0);
             let (is_polygon, is_inclusion) = form(first).unwrap_or_default();
             let used = if is_polygon { size as usize } else { 1 };
-            if is_polygon {
+            if !is_empty(first) {
                 let is_same = |item: &&PlanItem| item.command == first.command && item.params[0] == size;
                 let same = rest.iter().take(used).take_while(is_same);
-                let vertices = same.map(|item| item.point(home)).collect::<Result<Vec<_>, _>>()?;
-                if vertices.len() < used {
+                let vertices_m = same.map(|item| item.point(home)).collect::<Result<Vec<_>, _>>()?;
+                if vertices_m.len() < used {
                     return Err(PlanDefect::of_parameter(1, "polygon with too few vertices"));
                 }
-                if width_m(&vertices) < MIN_WIDTH_M {
+                if is_polygon && width_m(&vertices_m) < MIN_WIDTH_M {
                     let result = MavMissionResult::MAV_MISSION_INVALID;
                     return Err(PlanDefect::new(result, "polygon without an area"));
                 }
-                let shape = Shape::Polygon(vertices);
-                areas.push(Area { is_inclusion, shape });
-            } else if !is_empty(first) {
-                let (centre_m, radius_m) = (first.point(home)?, size);
-                let shape = Shape::Circle { centre_m, radius_m };
-                areas.push(Area { is_inclusion, shape });
+                areas.push(Area {
+                    is_inclusion,
+                    vertices_m,
+                    radius_m: (!is_polygon).then_some(size),
+                });
             }
             rest = rest.get(used..).unwrap_or_default();
         }
@@ -159,8 +149,8 @@ impl Fence {
     /// outside all areas to stay out of. Several areas to stay in are a union, as in PX4.
     pub fn allows(&self, place_m: (f32, f32)) -> bool {
         let mut inclusions = self.areas.iter().filter(|a| a.is_inclusion).peekable();
-        let included = inclusions.peek().is_none() || inclusions.any(|a| a.shape.contains(place_m));
-        let excluded = self.areas.iter().any(|a| !a.is_inclusion && a.shape.contains(place_m));
+        let included = inclusions.peek().is_none() || inclusions.any(|a| a.contains(place_m));
+        let excluded = self.areas.iter().any(|a| !a.is_inclusion && a.contains(place_m));
         included && !excluded
     }
 }

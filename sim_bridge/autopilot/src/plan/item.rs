@@ -4,7 +4,7 @@
 use crate::core::padded;
 use crate::plan::PlanDefect;
 use crate::services::{BELOW_HOME_M, GLOBAL_FRAMES, MAX_DISTANCE_M, MAX_HEIGHT_M};
-use crate::{HomePosition, geo, used_parameters};
+use crate::{HomePosition, geo};
 use vigil_mavlink::common::{MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA, MavMissionResult};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::settings;
@@ -141,13 +141,6 @@ impl PlanItem {
     /// Parameter 1 to 4; `None` if it is NaN.
     pub fn param(&self, number: usize) -> Option<f32> {
         self.params.get(number.checked_sub(1)?).copied().filter(|p| !p.is_nan())
-    }
-
-    /// Whether parameters that the command does not use are left out.
-    pub fn check_parameters(&self) -> Result<(), PlanDefect> {
-        let misused = used_parameters::misused_in_item(self.command, self.params, self.x, self.y, self.z);
-        let defect = |number| PlanDefect::of_parameter(number, "a parameter that has no meaning");
-        misused.map_or(Ok(()), |number| Err(defect(number)))
     }
 
     /// Parameters 5 and 6 as metres north and east of home; `None` where both are zero or not given.

@@ -9,21 +9,21 @@ use vigil_types::Nanos;
 const NAV_WAYPOINT: u16 = 16;
 const NAV_LOITER_UNLIM: u16 = 17;
 const NAV_LOITER_TIME: u16 = 19;
-const NAV_RETURN_TO_LAUNCH: u16 = 20;
-const NAV_LAND: u16 = 21;
-const NAV_TAKEOFF: u16 = 22;
+pub(crate) const NAV_RETURN_TO_LAUNCH: u16 = 20;
+pub(crate) const NAV_LAND: u16 = 21;
+pub(crate) const NAV_TAKEOFF: u16 = 22;
 const NAV_LOITER_TO_ALT: u16 = 31;
-const NAV_ROI: u16 = 80;
+pub(crate) const NAV_ROI: u16 = 80;
 const NAV_DELAY: u16 = 93;
 const CONDITION_DELAY: u16 = 112;
 const DO_JUMP: u16 = 177;
-const DO_CHANGE_SPEED: u16 = 178;
-const DO_SET_HOME: u16 = 179;
-const DO_SET_ROI_LOCATION: u16 = 195;
-const DO_SET_ROI_NONE: u16 = 197;
-const DO_SET_ROI: u16 = 201;
+pub(crate) const DO_CHANGE_SPEED: u16 = 178;
+pub(crate) const DO_SET_HOME: u16 = 179;
+pub(crate) const DO_SET_ROI_LOCATION: u16 = 195;
+pub(crate) const DO_SET_ROI_NONE: u16 = 197;
+pub(crate) const DO_SET_ROI: u16 = 201;
 /// MAV_ROI_LOCATION.
-const ROI_LOCATION: f32 = 3.0;
+pub(crate) const ROI_LOCATION: f32 = 3.0;
 /// Taken for the sake of plans that carry them, and passed over, because the vehicle has nothing that they command. A region
 /// of interest at the next item is where the nose is anyway, and the motors are the landing's and the pilot's to stop.
 const PASSED_OVER: [u16; 26] = [
@@ -38,6 +38,7 @@ const PASSED_OVER: [u16; 26] = [
 const IN_GLOBAL_FRAMES: [u16; 11] = [16, 17, 19, 21, 22, 31, 80, 195, 201, 400, 4501];
 const IN_EITHER: [u16; 3] = [80, 201, 400];
 const FRAME_MISSION: u8 = 2;
+const UNKNOWN: PlanDefect = PlanDefect::unsupported("not a command that missions fly");
 /// A longer wait is a mistake.
 const MAX_WAIT_S: f32 = 86_400.0;
 
@@ -104,12 +105,13 @@ fn heading_rad(item: &PlanItem, number: usize) -> Result<Option<f32>, PlanDefect
     }
 }
 
-fn check_frame(item: &PlanItem) -> Result<(), PlanDefect> {
+fn check_frame(item: &PlanItem, is_known: bool) -> Result<(), PlanDefect> {
     use MavMissionResult as R;
     let is_placed = IN_GLOBAL_FRAMES.contains(&item.command);
     match item.frame {
         0 | 3 | 5 | 6 if is_placed => Ok(()),
         FRAME_MISSION if !is_placed || IN_EITHER.contains(&item.command) => Ok(()),
+        0 | 3 | 5 | 6 | FRAME_MISSION if !is_known => Err(UNKNOWN),
         0 | 3 | 5 | 6 | FRAME_MISSION => Err(PlanDefect::unsupported("not a command that missions fly in this frame")),
         _ => Err(PlanDefect::new(R::MAV_MISSION_UNSUPPORTED_FRAME, "frame is not global")),
     }
@@ -118,6 +120,13 @@ fn check_frame(item: &PlanItem) -> Result<(), PlanDefect> {
 impl MissionItem {
     /// Reads an item.
     pub fn read(item: &PlanItem, home: &HomePosition) -> Result<Self, PlanDefect> {
+        let meaning = Self::meaning(item, home);
+        check_frame(item, meaning != Err(UNKNOWN))?;
+        meaning
+    }
+
+    /// What it means in the frames of its command.
+    fn meaning(item: &PlanItem, home: &HomePosition) -> Result<Self, PlanDefect> {
         let leg = |place, yaw_rad, acceptance_m, purpose| {
             Ok(Self::Leg(Leg {
                 place,
@@ -130,7 +139,6 @@ impl MissionItem {
         let stay = |stay_ns| Purpose::Visit { stay_ns };
         let look_at = |place_m| Ok(Self::Interest(place_m));
         let misused = |reason| Err(PlanDefect::of_parameter(1, reason));
-        check_frame(item)?;
         match item.command {
             NAV_WAYPOINT => {
                 let radius_m = item.param(2).unwrap_or(0.0);
@@ -172,7 +180,7 @@ impl MissionItem {
                 Some(_) => misused("no such region of interest"),
             },
             command if PASSED_OVER.contains(&command) => Ok(Self::PassedOver),
-            _ => Err(PlanDefect::unsupported("not a command that missions fly")),
+            _ => Err(UNKNOWN),
         }
     }
 
@@ -230,7 +238,8 @@ pub(crate) struct Mission {
     /// How often each item has jumped.
     jumped: Vec<u16>,
     current: usize,
-    reached: Option<u16>,
+    /// The item that was reached last.
+    pub reached: Option<u16>,
     is_started: bool,
     is_complete: bool,
     /// How far the current item is done.
@@ -270,11 +279,6 @@ impl Mission {
     /// Index of the current item.
     pub fn current(&self) -> u16 {
         self.current as u16
-    }
-
-    /// The item that was reached last.
-    pub fn reached(&self) -> Option<u16> {
-        self.reached
     }
 
     /// The current item.
@@ -398,7 +402,7 @@ mod tests {
         assert_eq!(visited, [0, 1, 0, 1, 0, 1, 2, 3, 0, 1, 0, 1, 0, 1, 2, 3]);
         assert_eq!(mission.state(false), MissionState::MISSION_STATE_COMPLETE);
         mission.start();
-        assert_eq!((mission.current(), mission.reached()), (0, None));
+        assert_eq!((mission.current(), mission.reached), (0, None));
     }
 
     #[test]

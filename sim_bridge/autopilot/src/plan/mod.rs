@@ -3,7 +3,7 @@
 
 mod fence;
 mod item;
-mod mission;
+pub(crate) mod mission;
 mod rally;
 
 pub(crate) use fence::{Breach, Fence};
@@ -12,6 +12,7 @@ pub(crate) use mission::{Leg, Mission, MissionItem, Purpose, Stage};
 pub(crate) use rally::Rally;
 
 use crate::HomePosition;
+use crate::used_parameters::misused_in_item;
 use vigil_mavlink::common::{MavMissionResult, MavMissionType};
 
 vigil_types::named! {
@@ -117,7 +118,9 @@ impl Plans {
             PlanKind::Fence => Fence::check(item, home),
             PlanKind::Rally => Rally::read(item, home).map(|_| ()),
         }?;
-        item.check_parameters()
+        let misused = misused_in_item(item.command, item.params, item.x, item.y, item.z);
+        let defect = |number| Err(PlanDefect::of_parameter(number, "a parameter that has no meaning"));
+        misused.map_or(Ok(()), defect)
     }
 
     /// Puts a plan in the place of the one of its kind, which stays as it is if the new one is refused.

@@ -4,15 +4,13 @@
 use crate::core::padded;
 use crate::flight::FlightMode;
 use crate::geo;
+use crate::plan::mission::{NAV_LAND, NAV_RETURN_TO_LAUNCH, NAV_TAKEOFF};
 use crate::service::prelude::*;
 use crate::vehicle::YawCommand;
 use vigil_mavlink::common::MavModeFlag as Flag;
 use vigil_mavlink::framing::CommandForm;
 use vigil_types::NedVector;
 
-const NAV_RETURN_TO_LAUNCH: u16 = 20;
-const NAV_LAND: u16 = 21;
-const NAV_TAKEOFF: u16 = 22;
 const DO_SET_MODE: u16 = 176;
 const DO_CHANGE_ALTITUDE: u16 = 186;
 const DO_REPOSITION: u16 = 192;

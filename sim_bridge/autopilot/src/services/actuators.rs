@@ -33,7 +33,7 @@ impl Service for Actuators {
         if command.number != ACTUATOR_TEST {
             return Ok(());
         }
-        if core.commander.is_armed() {
+        if core.commander.armed {
             return Err(Refusal::DENIED.saying("actuator test denied: armed"));
         }
         let function = match command.form {

@@ -24,7 +24,7 @@ fn arm_or_disarm(command: &Command, source: Source, core: &mut Core) -> Answer {
 }
 
 fn terminate(command: &Command, _source: Source, core: &mut Core) -> Answer {
-    if command.param(1).is_none_or(|p| p <= 0.5) || !core.commander.is_armed() {
+    if command.param(1).is_none_or(|p| p <= 0.5) || !core.commander.armed {
         return Err(Refusal::DENIED);
     }
     core.terminate();
@@ -43,7 +43,7 @@ fn reboot(command: &Command, _source: Source, core: &mut Core) -> Answer {
 /// Restarts the autopilot unless its motors may be needed.
 pub(super) fn reboot_now(core: &mut Core) -> Answer {
     let c = &core.commander;
-    if !c.is_armed() || (c.is_terminated() && c.is_on_ground()) {
+    if !c.armed || (c.terminated && c.is_on_ground()) {
         core.reboot();
         Ok(())
     } else {

@@ -61,7 +61,7 @@ impl Service for Calibration {
             }
             _ => return Err(Refusal::UNSUPPORTED),
         };
-        if core.commander.is_armed() {
+        if core.commander.armed {
             return Err(Refusal::REJECTED.saying("calibration denied: armed"));
         }
         if self.running.is_some() {
@@ -103,14 +103,14 @@ impl Service for Calibration {
         if elapsed_ns >= LASTS_NS / 2 && !std::mem::replace(&mut running.told_half, true) {
             core.inform("[cal] progress <50>");
         }
-        if elapsed_ns < LASTS_NS && !core.commander.is_armed() {
+        if elapsed_ns < LASTS_NS && !core.commander.armed {
             return;
         }
         let (name, limit, count) = (running.name, running.limit, f32::from(running.looks));
         let is_beyond = |sum: f32| (sum / count).abs() > limit;
         let moved = running.sums.into_iter().any(is_beyond);
         self.running = None;
-        let failure = match core.commander.is_armed() {
+        let failure = match core.commander.armed {
             true => "armed".to_owned(),
             false if moved => format!("{name} moved"),
             false => {

@@ -5,6 +5,7 @@
 use crate::flight::SensorFault;
 use crate::service::prelude::*;
 use crate::services::sensors::field_gauss;
+use crate::vehicle_parameters::ParamId;
 
 const INJECT_FAILURE: u16 = 420;
 /// FAILURE_UNIT_SENSOR_*.
@@ -19,7 +20,7 @@ const STUCK: f32 = 2.0;
 pub(super) const COMMANDS: &[(u16, Handler)] = &[(INJECT_FAILURE, inject)];
 
 fn inject(command: &Command, _source: Source, core: &mut Core) -> Answer {
-    if !core.injects_failures() {
+    if core.param(ParamId::FailureEnabled) != 1.0 {
         return Err(Refusal::DENIED.saying("failure injection denied: set SYS_FAILURE_EN to 1"));
     }
     let Some(kind @ (OK | OFF | STUCK)) = command.param(2) else {
@@ -58,8 +59,8 @@ fn inject(command: &Command, _source: Source, core: &mut Core) -> Answer {
 
 fn fault<T>(kind: f32, reading: T) -> SensorFault<T> {
     match kind {
-        OFF => SensorFault::Off,
-        STUCK => SensorFault::Stuck(reading),
-        _ => SensorFault::None,
+        OFF => Some(None),
+        STUCK => Some(Some(reading)),
+        _ => None,
     }
 }

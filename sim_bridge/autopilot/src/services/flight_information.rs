@@ -32,7 +32,7 @@ impl Service for FlightInformation {
 
     fn step(&mut self, core: &mut Core) {
         self.watch_ns = core.now_ns + WATCH_NS;
-        let (armed, in_air) = (core.commander.is_armed(), !core.commander.is_on_ground());
+        let (armed, in_air) = (core.commander.armed, !core.commander.is_on_ground());
         let (now_us, now_ms) = (core.time_boot_us(), core.time_boot_ms());
         let times = &mut self.times;
         if armed && !self.armed {

@@ -119,12 +119,8 @@ struct Session {
     burst: Option<Burst>,
 }
 
-/// The last answer to a client that must not be worked out twice.
-struct Answer {
-    request: [u8; 251],
-    payload: [u8; 251],
-    at_ns: Nanos,
-}
+/// The last answer to a client that must not be worked out twice: request, answer, and when.
+type Answer = ([u8; 251], [u8; 251], Nanos);
 
 #[derive(Default)]
 pub(crate) struct Ftp {
@@ -139,11 +135,11 @@ impl Service for Ftp {
             return;
         };
         let now_ns = core.now_ns;
-        if let Some((_, answer)) = self.answers.iter().find(|(client, _)| *client == source)
-            && answer.request == message.payload
-            && now_ns.saturating_sub(answer.at_ns) < ANSWER_KEPT_NS
+        if let Some((_, (asked, payload, at_ns))) = self.answers.iter().find(|(client, _)| *client == source)
+            && *asked == message.payload
+            && now_ns.saturating_sub(*at_ns) < ANSWER_KEPT_NS
         {
-            return send(core, source, answer.payload);
+            return send(core, source, *payload);
         }
         let request = Request::read(&message.payload);
         let outcome = self.handle(&request, source, core);
@@ -159,11 +155,7 @@ impl Service for Ftp {
         let header = (sequence, request.session, request.opcode, offset);
         let payload = encode(header, outcome, false);
         if acts_once(request.opcode) {
-            let answer = Answer {
-                request: message.payload,
-                payload,
-                at_ns: now_ns,
-            };
+            let answer = (message.payload, payload, now_ns);
             keep(&mut self.answers, MAX_ANSWERS, source, answer);
         }
         send(core, source, payload);

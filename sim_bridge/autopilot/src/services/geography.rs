@@ -4,12 +4,11 @@
 //! GF_MAX_HOR_DIST is counted from. Home keeps its height: the world is level, and heights are above it.
 
 use crate::geo::{self, deg_e7};
+use crate::plan::mission::DO_SET_HOME;
 use crate::service::prelude::*;
 use crate::services::actions::{GLOBAL_FRAMES, MAX_DISTANCE_M, latitude_longitude_deg, to_local};
 use vigil_types::NedVector;
 
-/// MAV_CMD_DO_SET_HOME.
-const DO_SET_HOME: u16 = 179;
 /// How far the height of a place may be from home's that is still meant to be the same.
 const SAME_HEIGHT_M: f64 = 1.0;
 
@@ -62,16 +61,16 @@ fn set_home(command: &Command, _source: Source, core: &mut Core) -> Answer {
 fn home(core: &Core) -> Option<MavMessage> {
     let (x, y) = core.home_m;
     let (latitude_deg, longitude_deg, altitude_m) = geo::to_global(&core.home, NedVector::new(x, y, 0.0));
-    Some(MavMessage::HOME_POSITION(HOME_POSITION_DATA {
-        latitude: deg_e7(latitude_deg),
-        longitude: deg_e7(longitude_deg),
-        altitude: (altitude_m * 1e3) as i32,
+    Some(message!(
+        HOME_POSITION,
+        latitude = deg_e7(latitude_deg),
+        longitude = deg_e7(longitude_deg),
+        altitude = (altitude_m * 1e3) as i32,
         x,
         y,
-        q: [1.0, 0.0, 0.0, 0.0],
-        time_usec: core.time_boot_us(),
-        ..Default::default()
-    }))
+        q = [1.0, 0.0, 0.0, 0.0],
+        time_usec = core.time_boot_us()
+    ))
 }
 
 fn origin(core: &Core) -> Option<MavMessage> {

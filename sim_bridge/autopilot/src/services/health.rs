@@ -22,10 +22,10 @@ fn sys_status(core: &Core) -> Option<MavMessage> {
     health.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.fence_watch.breach.is_none());
     let lost = core.lost_sensors;
     health.set(Sensor::MAV_SYS_STATUS_SENSOR_GPS, lost.gps_since_ns.is_none());
-    let has_barometer = !lost.barometer.is_lost();
+    let has_barometer = lost.barometer.is_none();
     health.set(Sensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE, has_barometer);
-    health.set(Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG, !lost.magnetometer.is_lost());
-    health.set(Sensor::MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS, !core.commander.is_broken());
+    health.set(Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG, lost.magnetometer.is_none());
+    health.set(Sensor::MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS, !core.commander.broken);
     let e = &core.view.estimate;
     let has_pose = e.attitude.is_valid() && e.position_ned_m.is_finite() && core.knows_position();
     health.set(Sensor::MAV_SYS_STATUS_AHRS, has_pose);

@@ -1,16 +1,12 @@
 //! Regions of interest: what the nose points at in hold and on missions. There is no gimbal.
 //! <https://mavlink.io/en/messages/common.html#MAV_CMD_DO_SET_ROI_LOCATION>
 
+use crate::plan::mission::{DO_SET_ROI, DO_SET_ROI_LOCATION, DO_SET_ROI_NONE, NAV_ROI, ROI_LOCATION};
 use crate::service::prelude::*;
 use crate::services::actions;
 
-const NAV_ROI: u16 = 80;
-const DO_SET_ROI_LOCATION: u16 = 195;
-const DO_SET_ROI_NONE: u16 = 197;
-const DO_SET_ROI: u16 = 201;
 /// MAV_ROI.
 const ROI_NONE: f32 = 0.0;
-const ROI_LOCATION: f32 = 3.0;
 
 pub(super) const COMMANDS: &[(u16, Handler)] = &[
     (NAV_ROI, look_at),

@@ -248,7 +248,7 @@ impl Logs {
 
     fn record(&mut self, core: &mut Core) {
         let texts = std::mem::take(&mut core.unlogged);
-        let is_armed = core.commander.is_armed();
+        let is_armed = core.commander.armed;
         // What is said as it ends is part of it.
         let path = match self.recording.take() {
             Some(path) => path,

@@ -37,6 +37,7 @@ pub(super) fn channels(m: RC_CHANNELS_OVERRIDE_DATA, source: Source, core: &mut 
     let raw = [m.chan1_raw, m.chan2_raw, m.chan3_raw, m.chan4_raw];
     let is_left_alone = |pulse: &u16| matches!(*pulse, 0 | u16::MAX);
     if raw.iter().all(is_left_alone) {
+        core.sticks.release(source);
         return;
     }
     if !raw

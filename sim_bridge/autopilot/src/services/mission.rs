@@ -2,9 +2,9 @@
 
 use crate::flight::FlightMode;
 use crate::plan::PlanKind;
+use crate::plan::mission::DO_CHANGE_SPEED;
 use crate::service::prelude::*;
 
-const DO_CHANGE_SPEED: u16 = 178;
 const MISSION_START: u16 = 300;
 
 pub(super) const COMMANDS: &[(u16, Handler)] = &[(DO_CHANGE_SPEED, change_speed), (MISSION_START, start)];
@@ -59,7 +59,7 @@ fn start(command: &Command, source: Source, core: &mut Core) -> Answer {
 fn current(core: &Core) -> Option<MavMessage> {
     const IN_MISSION_MODE: u8 = 1;
     const SUSPENDED: u8 = 2;
-    let is_flown = core.commander.mode() == FlightMode::Mission;
+    let is_flown = core.commander.mode == FlightMode::Mission;
     let mission = &core.plans.mission;
     let count = mission.len() as u16;
     Some(MavMessage::MISSION_CURRENT(MISSION_CURRENT_DATA {
@@ -75,6 +75,6 @@ fn current(core: &Core) -> Option<MavMessage> {
 
 /// Sent when an item is reached, and again from time to time, because a packet may be lost.
 fn reached(core: &Core) -> Option<MavMessage> {
-    let seq = core.plans.mission.reached()?;
+    let seq = core.plans.mission.reached?;
     Some(MavMessage::MISSION_ITEM_REACHED(MISSION_ITEM_REACHED_DATA { seq }))
 }

@@ -44,19 +44,14 @@ use crate::service::prelude::*;
 
 pub(crate) use actions::{BELOW_HOME_M, GLOBAL_FRAMES, MAX_DISTANCE_M, MAX_HEIGHT_M};
 
-/// Messages that are built of what all services share, and nothing else.
-struct Telemetry(&'static [Produced]);
+/// Commands that are served, and messages that are built, by what all services share, and nothing else.
+struct Tables(&'static [(u16, Handler)], &'static [Produced]);
 
-impl Service for Telemetry {
+impl Service for Tables {
     fn messages(&self) -> &'static [Produced] {
-        self.0
+        self.1
     }
-}
 
-/// Commands that are served by what all services share, and nothing else.
-struct Commands(&'static [(u16, Handler)]);
-
-impl Service for Commands {
     fn serves(&self, command: u16) -> bool {
         self.0.iter().any(|(number, _)| *number == command)
     }
@@ -84,38 +79,35 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::<setpoints::SetpointService>::default(),
         Box::new(Receiver(manual::joystick)),
         Box::new(Receiver(manual::channels)),
-        Box::new(Telemetry(state::MESSAGES)),
-        Box::new(Telemetry(attitude::MESSAGES)),
-        Box::new(Telemetry(position::MESSAGES)),
-        Box::new(Telemetry(sensors::MESSAGES)),
-        Box::new(Telemetry(ranges::MESSAGES)),
+        Box::new(Tables(&[], state::MESSAGES)),
+        Box::new(Tables(&[], attitude::MESSAGES)),
+        Box::new(Tables(&[], position::MESSAGES)),
+        Box::new(Tables(&[], sensors::MESSAGES)),
+        Box::new(Tables(&[], ranges::MESSAGES)),
         Box::<actuators::Actuators>::default(),
-        Box::new(Telemetry(estimator::MESSAGES)),
+        Box::new(Tables(&[], estimator::MESSAGES)),
         Box::<vibration::Vibration>::default(),
         Box::<flight_information::FlightInformation>::default(),
-        Box::new(Telemetry(absent::MESSAGES)),
+        Box::new(Tables(&[], absent::MESSAGES)),
         Box::new(ground_truth::GroundTruth),
-        Box::new(Commands(failures::COMMANDS)),
-        Box::new(Telemetry(battery::MESSAGES)),
-        Box::new(Telemetry(health::MESSAGES)),
+        Box::new(Tables(failures::COMMANDS, &[])),
+        Box::new(Tables(&[], battery::MESSAGES)),
+        Box::new(Tables(&[], health::MESSAGES)),
         Box::new(Receiver(geography::set_origin)),
-        Box::new(Commands(geography::COMMANDS)),
-        Box::new(Telemetry(geography::MESSAGES)),
-        Box::new(Commands(arming::COMMANDS)),
+        Box::new(Tables(geography::COMMANDS, geography::MESSAGES)),
+        Box::new(Tables(arming::COMMANDS, &[])),
         Box::new(actions::SetMode),
-        Box::new(Commands(actions::COMMANDS)),
+        Box::new(Tables(actions::COMMANDS, &[])),
         Box::<calibration::Calibration>::default(),
         Box::<plans::PlanTransfer>::default(),
         Box::new(Receiver(mission::set_current)),
-        Box::new(Commands(mission::COMMANDS)),
-        Box::new(Telemetry(mission::MESSAGES)),
+        Box::new(Tables(mission::COMMANDS, mission::MESSAGES)),
         Box::<geofence::Geofence>::default(),
-        Box::new(Telemetry(orbit::MESSAGES)),
-        Box::new(Commands(orbit::COMMANDS)),
+        Box::new(Tables(orbit::COMMANDS, orbit::MESSAGES)),
         Box::new(follow::Follow::default()),
-        Box::new(Commands(interest::COMMANDS)),
+        Box::new(Tables(interest::COMMANDS, &[])),
         Box::<parameters::ParameterService>::default(),
-        Box::new(Commands(storage::COMMANDS)),
+        Box::new(Tables(storage::COMMANDS, &[])),
         Box::<ftp::Ftp>::default(),
         Box::new(metadata::Metadata),
         Box::<logs::Logs>::default(),
@@ -123,11 +115,10 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::<shell::Shell>::default(),
         Box::new(Receiver(time::ping)),
         Box::new(Receiver(time::synchronise)),
-        Box::new(Telemetry(time::MESSAGES)),
+        Box::new(Tables(&[], time::MESSAGES)),
         Box::<link_status::LinkStatus>::default(),
-        Box::new(Commands(modes::COMMANDS)),
-        Box::new(Telemetry(modes::MESSAGES)),
-        Box::new(Telemetry(version::MESSAGES)),
+        Box::new(Tables(modes::COMMANDS, modes::MESSAGES)),
+        Box::new(Tables(&[], version::MESSAGES)),
         Box::new(Receiver(signing::set_up)),
     ]
 }

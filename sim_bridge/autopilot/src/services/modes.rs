@@ -65,6 +65,7 @@ fn standard(mode: FlightMode) -> MavStandardMode {
 
 fn available(index: usize) -> Option<MavMessage> {
     let mode = *FlightMode::ALL.get(index.checked_sub(1)?)?;
+    let (.., px4_name) = mode.px4();
     let is_advanced = matches!(mode, FlightMode::Acro | FlightMode::Manual | FlightMode::Offboard);
     let is_automatic = !mode.needs_sticks() && mode != FlightMode::Offboard;
     let mut properties = Property::empty();
@@ -77,15 +78,15 @@ fn available(index: usize) -> Option<MavMessage> {
         number_modes: FlightMode::ALL.len() as u8,
         mode_index: index as u8,
         standard_mode: standard(mode),
-        mode_name: mode.px4_name().into(),
+        mode_name: px4_name.into(),
     }))
 }
 
 fn current(core: &Core) -> Option<MavMessage> {
-    let mode = core.commander.mode();
+    let mode = core.commander.mode;
     Some(MavMessage::CURRENT_MODE(CURRENT_MODE_DATA {
         custom_mode: mode.custom_mode(),
-        intended_custom_mode: core.commander.intended_mode().custom_mode(),
+        intended_custom_mode: core.commander.intended_mode.custom_mode(),
         standard_mode: standard(mode),
     }))
 }

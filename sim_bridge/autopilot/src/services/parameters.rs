@@ -13,17 +13,10 @@ const LIST_PAUSE_NS: Nanos = 5_000_000;
 
 const HASH_CHECK: &str = "_HASH_CHECK";
 
-/// A list that is being sent.
-#[derive(Debug, Clone, Copy)]
-struct Listing {
-    link: LinkId,
-    next: usize,
-}
-
 #[derive(Debug, Default)]
 pub(crate) struct ParameterService {
-    /// At most one per link: a new request starts the link's list anew.
-    listings: Vec<Listing>,
+    /// Lists that are being sent, with the next index. At most one per link: a new request starts the link's list anew.
+    listings: Vec<(LinkId, usize)>,
     due_ns: Nanos,
 }
 
@@ -31,9 +24,8 @@ impl Service for ParameterService {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
         if core.read::<PARAM_REQUEST_LIST_DATA>(packet).is_some() {
             core.outbox.send(source.link, &hash_message(core));
-            self.listings.retain(|l| l.link != source.link);
-            let link = source.link;
-            self.listings.push(Listing { link, next: 0 });
+            self.listings.retain(|(link, _)| *link != source.link);
+            self.listings.push((source.link, 0));
             self.due_ns = core.now_ns;
         } else if let Some(m) = core.read::<PARAM_REQUEST_READ_DATA>(packet) {
             let by_name = m.param_id.to_str().ok().filter(|_| m.param_index < 0);
@@ -54,7 +46,7 @@ impl Service for ParameterService {
                 return set(&m, source, core);
             }
             if m.param_value.to_bits() == hash(core) {
-                self.listings.retain(|l| l.link != source.link);
+                self.listings.retain(|(link, _)| *link != source.link);
             }
             core.outbox.send(source.link, &hash_message(core));
         }
@@ -66,13 +58,13 @@ impl Service for ParameterService {
 
     fn step(&mut self, core: &mut Core) {
         self.due_ns = core.now_ns + LIST_PAUSE_NS;
-        for listing in &mut self.listings {
-            if let Some(message) = value_message(core, listing.next) {
-                core.outbox.send(listing.link, &message);
+        for (link, next) in &mut self.listings {
+            if let Some(message) = value_message(core, *next) {
+                core.outbox.send(*link, &message);
             }
-            listing.next += 1;
+            *next += 1;
         }
-        self.listings.retain(|l| l.next < Parameters::count());
+        self.listings.retain(|(_, next)| *next < Parameters::count());
     }
 }
 

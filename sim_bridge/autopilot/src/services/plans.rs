@@ -229,6 +229,12 @@ impl PlanTransfer {
             None if mission_type == ALL_KINDS => PlanKind::ALL.to_vec(),
             None => return acknowledge(core, source, mission_type, MAV_MISSION_UNSUPPORTED),
         };
+        let is_anothers = |upload: &Upload| kinds.contains(&upload.kind) && upload.source != source;
+        if self.upload.as_ref().is_some_and(is_anothers) {
+            acknowledge(core, source, mission_type, MAV_MISSION_DENIED);
+            return core.warn_refused("plan not cleared: another upload is under way");
+        }
+        self.upload.take_if(|upload| kinds.contains(&upload.kind));
         for kind in kinds {
             // An empty plan is always valid.
             if let Err(defect) = replace(core, kind, Vec::new()) {

@@ -107,7 +107,7 @@ fn target(core: &Core) -> Option<MavMessage> {
 fn global_target(core: &Core) -> Option<MavMessage> {
     let here = core.view.estimate.position_ned_m;
     let place = match core.plans.mission.item() {
-        Some(MissionItem::Leg(leg)) if core.commander.mode() == FlightMode::Mission => {
+        Some(MissionItem::Leg(leg)) if core.commander.mode == FlightMode::Mission => {
             let (north_m, east_m) = leg.place.north_east_m?;
             NedVector::new(north_m, east_m, leg.place.height_m.map_or(here.z, |height_m| -height_m))
         }

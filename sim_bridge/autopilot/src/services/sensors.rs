@@ -1,6 +1,5 @@
 //! Sensor readings: IMU, pressure, GPS.
 
-use crate::flight::SensorFault;
 use crate::geo;
 use crate::service::prelude::*;
 use crate::services::position::bearing_deg;
@@ -30,7 +29,7 @@ fn pressure_hpa(altitude_m: f64) -> f32 {
 /// What the barometer reports, as metres above sea level; `None` where it is off.
 fn barometric_altitude_m(core: &Core) -> Option<f64> {
     let (fault, measured_m) = (core.lost_sensors.barometer, core.view.sensors.barometer_height_m);
-    Some(core.home.altitude_m + f64::from(fault.reading(measured_m)?))
+    Some(core.home.altitude_m + f64::from(fault.unwrap_or(Some(measured_m))?))
 }
 
 /// The earth's field about the vehicle in gauss.
@@ -41,8 +40,8 @@ pub(super) fn field_gauss(core: &Core) -> FrdVector {
 
 /// What the compass reports: zeros where it is off.
 fn compass_gauss(core: &Core) -> FrdVector {
-    let reading = core.lost_sensors.magnetometer.reading(field_gauss(core));
-    reading.unwrap_or(FrdVector::new(0.0, 0.0, 0.0))
+    let fault = core.lost_sensors.magnetometer;
+    fault.unwrap_or_else(|| Some(field_gauss(core))).unwrap_or_default()
 }
 
 fn imu(core: &Core) -> Option<MavMessage> {
@@ -54,7 +53,7 @@ fn imu(core: &Core) -> Option<MavMessage> {
     if barometric_m.is_none() {
         updated &= !Updated::from_bits_truncate(0xA00);
     }
-    if core.lost_sensors.magnetometer == SensorFault::Off {
+    if core.lost_sensors.magnetometer == Some(None) {
         updated &= !Updated::from_bits_truncate(0x1C0);
     }
     let mut m = HIGHRES_IMU_DATA {
@@ -117,15 +116,15 @@ fn pressure(core: &Core) -> Option<MavMessage> {
 
 fn gps(core: &Core) -> Option<MavMessage> {
     if core.lost_sensors.gps_since_ns.is_some() {
-        return Some(MavMessage::GPS_RAW_INT(GPS_RAW_INT_DATA {
-            time_usec: core.time_boot_us(),
-            eph: u16::MAX,
-            epv: u16::MAX,
-            vel: u16::MAX,
-            cog: u16::MAX,
-            fix_type: GpsFixType::GPS_FIX_TYPE_NO_GPS,
-            ..Default::default()
-        }));
+        return Some(message!(
+            GPS_RAW_INT,
+            time_usec = core.time_boot_us(),
+            eph = u16::MAX,
+            epv = u16::MAX,
+            vel = u16::MAX,
+            cog = u16::MAX,
+            fix_type = GpsFixType::GPS_FIX_TYPE_NO_GPS
+        ));
     }
     let s = &core.view.sensors;
     let (lat, lon, alt_m) = geo::to_global(&core.home, s.gps_position_ned_m);

@@ -1,6 +1,6 @@
 //! Offboard setpoints as they come. <https://docs.px4.io/main/en/flight_modes/offboard.html>
 
-use crate::flight::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
+use crate::flight::{SetpointDefect, attitude_setpoint, global_setpoint, position_setpoint};
 use crate::service::prelude::*;
 use crate::services::BELOW_HOME_M;
 use crate::vehicle::ControlCommand;
@@ -76,28 +76,26 @@ impl Service for SetpointService {
             Ok(command) => command,
             Err(defect) => {
                 self.refuse(defect, source, core);
-                if !defect.is_held() {
+                if !matches!(defect, SetpointDefect::Incomplete(_)) {
                     return;
                 }
                 ControlCommand::STOP
             }
         };
         self.warn_of_ground(&command, source, core);
-        match core.setpoints.take(core.now_ns, source, command) {
-            Taken::Own => core.regain_offboard(source),
-            Taken::Ignored => core.refusals.setpoint_foreign += 1,
-            Taken::IgnoredFirst => {
-                core.refusals.setpoint_foreign += 1;
-                if let Some(owner) = core.setpoints.owner()
-                    && self.said.takes(core.now_ns, SAID_NS, 1)
-                {
-                    let text = match owner.id == source.id {
-                        true => format!("setpoints of a second {source} ignored"),
-                        false => format!("setpoints of {} ignored: owner {}", source.id, owner.id),
-                    };
-                    core.warn(&text);
-                }
-            }
+        let Some(is_warned) = core.setpoints.take(core.now_ns, source, command) else {
+            return core.regain_offboard(source);
+        };
+        core.refusals.setpoint_foreign += 1;
+        if !is_warned
+            && let Some(owner) = core.setpoints.owner()
+            && self.said.takes(core.now_ns, SAID_NS, 1)
+        {
+            let text = match owner.id == source.id {
+                true => format!("setpoints of a second {source} ignored"),
+                false => format!("setpoints of {} ignored: owner {}", source.id, owner.id),
+            };
+            core.warn(&text);
         }
     }
 }

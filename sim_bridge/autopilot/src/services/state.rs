@@ -17,27 +17,27 @@ pub(super) const MESSAGES: &[Produced] = &[
 fn heartbeat(core: &Core) -> Option<MavMessage> {
     let c = &core.commander;
     // As PX4 has them, but for OFFBOARD, orbit and follow, which say AUTO: clients up to pymavlink 2.4.41 and MAVROS name the mode by these.
-    let by_whom = match c.mode().needs_sticks() {
+    let by_whom = match c.mode.needs_sticks() {
         true => Flag::MAV_MODE_FLAG_MANUAL_INPUT_ENABLED,
         false => Flag::MAV_MODE_FLAG_GUIDED_ENABLED | Flag::MAV_MODE_FLAG_AUTO_ENABLED,
     };
     let mut base_mode = Flag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | by_whom;
-    base_mode.set(Flag::MAV_MODE_FLAG_STABILIZE_ENABLED, c.mode() != FlightMode::Acro);
-    base_mode.set(Flag::MAV_MODE_FLAG_SAFETY_ARMED, c.is_armed());
-    let system_status = if c.is_terminated() {
+    base_mode.set(Flag::MAV_MODE_FLAG_STABILIZE_ENABLED, c.mode != FlightMode::Acro);
+    base_mode.set(Flag::MAV_MODE_FLAG_SAFETY_ARMED, c.armed);
+    let system_status = if c.terminated {
         MavState::MAV_STATE_FLIGHT_TERMINATION
-    } else if c.failsafe().is_some() {
+    } else if c.failsafe.is_some() {
         MavState::MAV_STATE_CRITICAL
-    } else if c.is_armed() {
+    } else if c.armed {
         MavState::MAV_STATE_ACTIVE
     } else {
         MavState::MAV_STATE_STANDBY
     };
     Some(MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-        custom_mode: if c.is_terminated() {
+        custom_mode: if c.terminated {
             TERMINATION
         } else {
-            c.mode().custom_mode()
+            c.mode.custom_mode()
         },
         mavtype: MavType::MAV_TYPE_QUADROTOR,
         autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
@@ -48,7 +48,7 @@ fn heartbeat(core: &Core) -> Option<MavMessage> {
 }
 
 fn extended_sys_state(core: &Core) -> Option<MavMessage> {
-    let landed_state = match core.commander.landed() {
+    let landed_state = match core.commander.landed {
         LandedState::OnGround => MavLandedState::MAV_LANDED_STATE_ON_GROUND,
         LandedState::TakingOff => MavLandedState::MAV_LANDED_STATE_TAKEOFF,
         LandedState::InAir => MavLandedState::MAV_LANDED_STATE_IN_AIR,

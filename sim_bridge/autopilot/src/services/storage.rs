@@ -14,7 +14,7 @@ const RESET_ALL: f32 = 4.0;
 pub(super) const COMMANDS: &[(u16, Handler)] = &[(PREFLIGHT_STORAGE, store)];
 
 fn store(command: &Command, _source: Source, core: &mut Core) -> Answer {
-    if core.commander.is_armed() {
+    if core.commander.armed {
         return Err(Refusal::REJECTED.saying("parameter storage denied: armed"));
     }
     match command.param(1) {

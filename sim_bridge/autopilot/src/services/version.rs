@@ -35,23 +35,19 @@ fn autopilot_version(core: &Core) -> Option<MavMessage> {
     let uid = u64::from(core.id.system);
     let mut uid2 = [0; 18];
     uid2[0] = core.id.system;
-    Some(MavMessage::AUTOPILOT_VERSION(AUTOPILOT_VERSION_DATA {
+    Some(message!(
+        AUTOPILOT_VERSION,
         capabilities,
         uid,
-        flight_sw_version: DIALECT_OF_PX4,
-        middleware_sw_version: own_version(),
-        os_sw_version: own_version(),
-        flight_custom_version: *b"vigil\0\0\0",
-        uid2,
-        ..Default::default()
-    }))
+        flight_sw_version = DIALECT_OF_PX4,
+        middleware_sw_version = own_version(),
+        os_sw_version = own_version(),
+        flight_custom_version = *b"vigil\0\0\0",
+        uid2
+    ))
 }
 
 fn protocol_version(_core: &Core) -> Option<MavMessage> {
-    Some(MavMessage::PROTOCOL_VERSION(PROTOCOL_VERSION_DATA {
-        version: 200,
-        min_version: 100,
-        max_version: 200,
-        ..Default::default()
-    }))
+    let (version, min_version, max_version) = (200, 100, 200);
+    Some(message!(PROTOCOL_VERSION, version, min_version, max_version))
 }

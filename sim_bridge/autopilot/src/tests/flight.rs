@@ -50,13 +50,16 @@ fn the_vehicle_disarms_itself_when_nobody_takes_off() {
 }
 
 #[test]
-fn only_the_kill_code_disarms_in_the_air() {
+fn only_the_kill_code_disarms_in_the_air_and_a_killed_vehicle_has_no_owner() {
     let mut b = Bench::airborne();
+    b.fly(ONBOARD, COMPANION, [0.0; 3], 200);
     assert_eq!(b.disarm(0.0), REJECTED);
     assert_eq!(b.disarm(21195.0), REJECTED);
     assert!(b.status().armed);
     b.assert_said("not landed");
     assert_eq!(b.disarm(21196.0), ACCEPTED);
+    let status = b.status();
+    assert_eq!((status.setpoint_owner, status.mode), (None, FlightMode::Hold));
     b.run_ms(1);
     assert_eq!(b.command, ControlCommand::MotorsOff);
 }
@@ -147,8 +150,7 @@ fn land_and_return_can_be_chosen_on_the_ground_and_not_armed_in() {
     for (sub, name) in [(6, "land"), (5, "return"), (8, "follow")] {
         assert_eq!(b.set_mode(API, SCRIPT, 4, sub), ACCEPTED);
         assert_eq!(b.arm(), REJECTED);
-        let text = format!("arming denied: not in {name}, change the mode");
-        b.assert_said(&text);
+        b.assert_said(&format!("arming denied: not in {name}, change the mode"));
     }
     assert_eq!(b.set_mode(API, SCRIPT, 4, 3), ACCEPTED);
     assert_eq!(b.arm(), ACCEPTED);

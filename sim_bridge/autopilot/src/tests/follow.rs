@@ -17,26 +17,36 @@ pub(super) fn report(b: &mut Bench, place: (f32, f32), velocity: Option<[f32; 3]
     b.send(API, SCRIPT, &message);
 }
 
-#[test]
-fn it_keeps_its_place_behind_who_walks_and_waits_where_the_reports_end() {
+/// In the air, behind a target by 5 m once there is one.
+fn following() -> Bench {
     let mut b = Bench::airborne();
     b.set_parameter("FLW_TGT_DST", ParameterValue::Real32(5.0));
-    b.set_parameter("FLW_TGT_HT", ParameterValue::Real32(4.0));
     assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
+    b
+}
+
+/// Walks east at 1.5 m/s, reported so often, later perhaps with a velocity; it is then where it should be.
+fn walk(b: &mut Bench, reports: u32, every_ms: u64, has_velocity: impl Fn(u32) -> bool) {
+    let mut east = 10.0;
+    for i in 0..reports {
+        report(b, (6.0, east), has_velocity(i).then_some([0.0, 1.5, 0.0]));
+        b.run_ms(every_ms);
+        east += 1.5e-3 * every_ms as f32;
+    }
+    let [x, y, _] = b.position_m();
+    let is_behind = (x - 6.0).abs() < 0.6 && (y - (east - 5.0)).abs() < 1.0;
+    assert!(is_behind, "{x} {y} of {east}");
+}
+
+#[test]
+fn it_keeps_its_place_behind_who_walks_and_waits_where_the_reports_end() {
+    let mut b = following();
+    b.set_parameter("FLW_TGT_HT", ParameterValue::Real32(4.0));
     b.run_ms(2_000);
     assert_eq!(b.status().mode, FlightMode::Follow);
     assert!(b.position_m()[0].abs() < 0.2, "waits for the first report");
-    // Walks east at 1.5 m/s, with and without a velocity in its reports.
-    let mut east = 10.0;
-    for second in 0..25 {
-        report(&mut b, (6.0, east), (second > 12).then_some([0.0, 1.5, 0.0]));
-        b.run_ms(1_000);
-        east += 1.5;
-    }
-    let [x, y, z] = b.position_m();
-    let is_behind = (x - 6.0).abs() < 0.6 && (y - (east - 5.0)).abs() < 1.0;
-    assert!(is_behind, "{x} {y} of {east}");
-    assert!((z + 4.0).abs() < 0.3, "{z}");
+    walk(&mut b, 25, 1_000, |second| second > 12);
+    assert!((b.height_m() - 4.0).abs() < 0.3, "{}", b.height_m());
     let nose = b.yaw_rad();
     assert!((nose - core::f32::consts::FRAC_PI_2).abs() < 0.2, "looks at it: {nose}");
     b.run_ms(12_000);
@@ -70,9 +80,7 @@ fn a_target_that_is_nowhere_near_is_not_followed() {
 #[test]
 fn reports_that_come_thick_and_fast_of_a_target_that_stands_do_not_make_it_run() {
     for every_ms in [5, 20, 50] {
-        let mut b = Bench::airborne();
-        b.set_parameter("FLW_TGT_DST", ParameterValue::Real32(5.0));
-        assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
+        let mut b = following();
         let mut farthest_m = 0.0_f32;
         for i in 0..20_000 / every_ms {
             // A receiver's noise of some centimetres; two reports in one datagram now and then.
@@ -90,16 +98,5 @@ fn reports_that_come_thick_and_fast_of_a_target_that_stands_do_not_make_it_run()
         assert!(((x - 10.0).hypot(y) - 5.0).abs() < 0.6, "every {every_ms} ms: {x} {y}");
     }
     // Who walks is followed as well as by slow reports.
-    let mut b = Bench::airborne();
-    b.set_parameter("FLW_TGT_DST", ParameterValue::Real32(5.0));
-    assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
-    let mut east = 10.0;
-    for _ in 0..1_000 {
-        report(&mut b, (6.0, east), None);
-        b.run_ms(20);
-        east += 0.03;
-    }
-    let [x, y, _] = b.position_m();
-    let is_behind = (x - 6.0).abs() < 0.6 && (y - (east - 5.0)).abs() < 1.0;
-    assert!(is_behind, "{x} {y} of {east}");
+    walk(&mut following(), 1_000, 20, |_| false);
 }

@@ -1,5 +1,6 @@
 //! Missions in flight.
 
+use crate::plan::PlanItem;
 use crate::testing::*;
 use crate::tests::plans::{FENCE, MISSION, action, item, waypoint};
 
@@ -7,6 +8,14 @@ const TAKEN: MavMissionResult = MavMissionResult::MAV_MISSION_ACCEPTED;
 
 fn start(b: &mut Bench) -> u8 {
     b.set_mode(API, SCRIPT, 4, 4)
+}
+
+/// In the air, on a mission of these items.
+fn flying(plan: &[PlanItem]) -> Bench {
+    let mut b = Bench::airborne();
+    b.upload(MISSION, plan);
+    assert_eq!(start(&mut b), ACCEPTED);
+    b
 }
 
 /// The items that were sent as reached, each once, in order.
@@ -87,17 +96,14 @@ fn without_a_take_off_item_it_climbs_before_it_travels() {
 
 #[test]
 fn delay_speed_and_jump_do_what_they_say() {
-    let mut b = Bench::airborne();
-    let plan = [
+    let mut b = flying(&[
         action(178, [1.0, 1.5, -1.0, 0.0]),
         waypoint((20.0, 0.0), 3.0),
         action(93, [4.0, -1.0, -1.0, -1.0]),
         action(177, [1.0, 1.0, 0.0, 0.0]),
         // A camera command: there is no camera.
         action(2000, [0.0, 1.0, 1.0, 0.0]),
-    ];
-    b.upload(MISSION, &plan);
-    assert_eq!(start(&mut b), ACCEPTED);
+    ]);
     b.run_ms(6_000);
     let speed = b.velocity_m_s().horizontal_norm();
     assert!((speed - 1.5).abs() < 0.2, "{speed}");
@@ -112,10 +118,8 @@ fn delay_speed_and_jump_do_what_they_say() {
 
 #[test]
 fn a_loop_of_items_that_take_no_time_does_not_flood_the_links() {
-    let mut b = Bench::airborne();
     let endless = [action(178, [1.0, 3.0, -1.0, 0.0]), action(177, [0.0, -1.0, 0.0, 0.0])];
-    b.upload(MISSION, &endless);
-    assert_eq!(start(&mut b), ACCEPTED);
+    let mut b = flying(&endless);
     b.sent.clear();
     b.run_ms(2_000);
     assert!(b.count(API, MISSION_CURRENT_DATA::ID) <= 45);
@@ -146,6 +150,7 @@ fn there_is_no_mission_to_start_without_items_or_outside_the_geofence() {
     let mut b = Bench::airborne();
     assert_eq!(start(&mut b), REJECTED);
     b.assert_said("mission denied: no mission");
+    assert_eq!(b.status().mode, FlightMode::Hold);
     b.upload(MISSION, &[waypoint((5.0, 0.0), 3.0), waypoint((60.0, 0.0), 3.0)]);
     b.upload(FENCE, &[item(5003, [50.0, 0.0, 0.0, 0.0], (0.0, 0.1), 0.0)]);
     assert_eq!(start(&mut b), REJECTED);
@@ -155,9 +160,7 @@ fn there_is_no_mission_to_start_without_items_or_outside_the_geofence() {
 
 #[test]
 fn a_mission_that_is_cleared_or_replaced_in_flight_is_not_flown_on() {
-    let mut b = Bench::airborne();
-    b.upload(MISSION, &[waypoint((60.0, 0.0), 3.0)]);
-    assert_eq!(start(&mut b), ACCEPTED);
+    let mut b = flying(&[waypoint((60.0, 0.0), 3.0)]);
     b.run_ms(3_000);
     b.upload(MISSION, &[waypoint((0.0, 15.0), 4.0)]);
     assert_eq!(b.status().mode, FlightMode::Mission);
@@ -170,11 +173,9 @@ fn a_mission_that_is_cleared_or_replaced_in_flight_is_not_flown_on() {
 
 #[test]
 fn an_item_that_does_not_continue_pauses_the_mission() {
-    let mut b = Bench::airborne();
     let mut stop = waypoint((6.0, 0.0), 3.0);
     stop.autocontinue = 0;
-    b.upload(MISSION, &[stop, waypoint((12.0, 0.0), 3.0)]);
-    assert_eq!(start(&mut b), ACCEPTED);
+    let mut b = flying(&[stop, waypoint((12.0, 0.0), 3.0)]);
     b.run_until(15, "paused", |b| b.status().mode == FlightMode::Hold);
     b.run_ms(1_100);
     assert_eq!(reached(&b), [0]);
@@ -185,9 +186,7 @@ fn an_item_that_does_not_continue_pauses_the_mission() {
 
 #[test]
 fn speed_can_be_changed_on_the_way() {
-    let mut b = Bench::airborne();
-    b.upload(MISSION, &[waypoint((80.0, 0.0), 3.0)]);
-    assert_eq!(start(&mut b), ACCEPTED);
+    let mut b = flying(&[waypoint((80.0, 0.0), 3.0)]);
     b.run_ms(100);
     let change = |b: &mut Bench, kind: f32, speed: f32| b.ask(178, &[kind, speed, -1.0]);
     assert_eq!(change(&mut b, 1.0, 2.0), ACCEPTED);
@@ -202,21 +201,15 @@ fn speed_can_be_changed_on_the_way() {
 
 #[test]
 fn an_acceptance_radius_below_what_can_be_flown_does_not_hang_the_mission() {
-    let mut b = Bench::airborne();
-    let precise = item(16, [0.0, 0.001, 0.0, f32::NAN], (5.0, 0.0), 3.0);
-    b.upload(MISSION, &[precise]);
-    assert_eq!(start(&mut b), ACCEPTED);
+    let mut b = flying(&[item(16, [0.0, 0.001, 0.0, f32::NAN], (5.0, 0.0), 3.0)]);
     b.run_until(20, "finished", |b| b.status().mode == FlightMode::Hold);
     assert!(b.is_at((5.0, 0.0), 3.0, 0.6), "{:?}", b.position_m());
 }
 
 #[test]
 fn the_nose_points_at_a_region_of_interest() {
-    let mut b = Bench::airborne();
     let (there, nowhere) = (item(195, [0.0; 4], (10.0, 10.0), 0.0), action(197, [0.0; 4]));
-    let plan = [there, waypoint((10.0, 0.0), 3.0), nowhere, waypoint((20.0, 0.0), 3.0)];
-    b.upload(MISSION, &plan);
-    assert_eq!(start(&mut b), ACCEPTED);
+    let mut b = flying(&[there, waypoint((10.0, 0.0), 3.0), nowhere, waypoint((20.0, 0.0), 3.0)]);
     b.run_until(30, "half way", |b| b.position_m()[0] > 7.0);
     let nose = b.yaw_rad();
     let [x, y, _] = b.position_m();
@@ -313,13 +306,6 @@ fn mission_and_offboard_can_be_chosen_disarmed_and_arming_waits_for_what_they_fl
     assert_eq!(b.arm(), ACCEPTED);
     assert_eq!(b.status().setpoint_owner, Some(SCRIPT));
     b.run_until(5, "flies them", |b| b.height_m() > 1.0);
-    // In the air a mode without what it needs is refused, and nothing changes.
-    let mut b = Bench::airborne();
-    for main in [4, 6] {
-        let sub = if main == 4 { 4 } else { 0 };
-        assert_eq!(b.set_mode(API, SCRIPT, main, sub), REJECTED);
-        assert_eq!(b.status().mode, FlightMode::Hold);
-    }
 }
 
 /// PX4 reports where it flies to in every mode that flies to a place.

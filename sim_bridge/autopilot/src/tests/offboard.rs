@@ -128,8 +128,7 @@ fn setpoints_that_leave_an_axis_out_keep_offboard_and_hold() {
         assert_eq!(b.status().mode, FlightMode::Offboard, "{reason}");
         assert!((b.position_m()[0] - at_m).abs() < 1.5, "{reason}");
         assert!(b.velocity_m_s().norm() < 0.1, "{reason}");
-        let text = format!("setpoints of 245/190: {reason}");
-        b.assert_said(&text);
+        b.assert_said(&format!("setpoints of 245/190: {reason}"));
     }
 }
 

@@ -240,6 +240,8 @@ fn two_uploaders_do_not_mix_and_an_uploader_can_give_up() {
     // A stranger cannot end it, its sender can.
     let cancel = [1, 1, R::MAV_MISSION_OPERATION_CANCELLED as u8, MISSION];
     b.send_raw(GCS, &raw(STATION, MISSION_ACK_DATA::ID, &cancel));
+    b.send_raw(GCS, &raw(STATION, MISSION_CLEAR_ALL_DATA::ID, &[1, 1, MISSION]));
+    assert_eq!(b.mission_acks(GCS), [R::MAV_MISSION_DENIED; 2]);
     assert_eq!(b.requests(API), [0, 1]);
     b.run_ms(300);
     assert_eq!(b.requests(API), [0, 1, 1]);
@@ -247,6 +249,13 @@ fn two_uploaders_do_not_mix_and_an_uploader_can_give_up() {
     b.run_ms(1_000);
     assert_eq!(b.requests(API), [0, 1, 1]);
     assert_eq!(b.download(MISSION).len(), 0);
+    // So does clearing, of all kinds or of this one.
+    for (cleared, goes_on) in [(255, false), (MISSION, false), (FENCE, true)] {
+        b.count_message(API, SCRIPT, MISSION, 1);
+        assert_eq!(b.clear_plan(cleared), R::MAV_MISSION_ACCEPTED);
+        b.run_ms(300);
+        assert_eq!(!b.requests(API).is_empty(), goes_on, "{cleared}");
+    }
 }
 
 #[test]
@@ -278,6 +287,7 @@ fn a_plan_that_makes_no_sense_is_refused_with_a_reason_and_the_old_one_stays() {
     ] {
         assert_eq!(b.upload(MISSION, &[good, bad]), result);
         b.assert_said("mission refused");
+        assert!(!b.texts().concat().contains("in this frame"), "{bad:?}");
         b.run_ms(250);
     }
     assert_eq!(b.download(MISSION).len(), 1);

@@ -54,7 +54,7 @@ fn system_time_is_the_clock_it_was_given_once_a_second_on_every_link() {
 }
 
 #[test]
-fn intervals_are_set_reported_and_reset_per_link() {
+fn intervals_are_set_and_reported_per_link() {
     let mut b = Bench::new();
     let id = ATTITUDE_DATA::ID;
     let interval = |us: f32| [id as f32, us];
@@ -66,13 +66,6 @@ fn intervals_are_set_reported_and_reset_per_link() {
     assert_eq!(b.ask(510, &interval(0.0)), ACCEPTED);
     let answer = b.one::<MESSAGE_INTERVAL_DATA>();
     assert_eq!((answer.interval_us, answer.message_id), (100_000, 30));
-    assert_eq!(b.ask(511, &interval(-1.0)), ACCEPTED);
-    b.sent.clear();
-    b.run_ms(500);
-    assert_eq!(b.count(API, id), 0);
-    assert_eq!(b.ask(511, &interval(0.0)), ACCEPTED);
-    b.run_ms(1_000);
-    assert!(b.count(API, id) >= 49);
 }
 
 #[test]
@@ -379,7 +372,8 @@ fn an_interval_that_is_no_time_is_denied_and_the_streams_go_on() {
         assert_eq!(b.count(API, 30), 50, "as before");
     }
     // A year is a time, however useless; so are a subnormal and a negative number, which switch to the fastest and off.
-    for (interval_us, per_s) in [(3.2e13, 0), (f32::MIN_POSITIVE, 500), (f32::MIN, 0), (0.0, 50)] {
+    let and_off = [(f32::MIN, 0), (0.0, 50), (-1.0, 0), (0.0, 50)];
+    for (interval_us, per_s) in [(3.2e13, 0), (f32::MIN_POSITIVE, 500)].into_iter().chain(and_off) {
         assert_eq!(set(&mut b, interval_us), ACCEPTED, "{interval_us}");
         b.run_ms(2);
         b.sent.clear();

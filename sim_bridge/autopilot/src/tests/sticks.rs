@@ -174,6 +174,10 @@ fn sticks_fly_the_vehicle_until_they_are_let_go_of_or_lost() {
         b.run_ms(50);
     }
     assert!(b.position_m()[0] > there && (b.height_m() - 3.0).abs() < 0.4);
+    // They take over where the first fall silent, and keep the vehicle until they do.
+    b.hold(API, SCRIPT, &sticks(0, 0, 1000, 0), 1_500);
+    assert_eq!((b.status().mode, b.status().failsafe), (FlightMode::Position, None));
+    assert!(b.velocity_m_s().z < -0.2, "{:?}", b.velocity_m_s());
     hold(&mut b, &sticks(0, 0, 1000, 0), 3_000);
     assert!(b.height_m() > 3.5, "climbs with the throttle up");
     assert_eq!(b.status().mode, FlightMode::Position);

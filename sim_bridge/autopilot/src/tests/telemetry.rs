@@ -88,6 +88,25 @@ fn flight_information_has_the_times_of_the_flight() {
 }
 
 #[test]
+fn what_streams_is_marked_as_telemetry_but_heartbeats_and_answers_are_not() {
+    let mut b = Bench::new();
+    let (version, heartbeat) = (AUTOPILOT_VERSION_DATA::ID, HEARTBEAT_DATA::ID);
+    let ask = command(SCRIPT, 512, [version as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], LONG);
+    b.endpoint.receive(b.now_ns, API, &ask);
+    b.endpoint.step(b.now_ns + 1_000_000_000, &b.view());
+    let mut sent = [Vec::new(), Vec::new()];
+    b.endpoint.transmit_marked(|_, is_telemetry, datagram| {
+        let id = u32::from_le_bytes([datagram[7], datagram[8], datagram[9], 0]);
+        sent[usize::from(is_telemetry)].push(id);
+    });
+    let [others, telemetry] = sent;
+    for answer in [COMMAND_ACK_DATA::ID, version, heartbeat] {
+        assert!(others.contains(&answer) && !telemetry.contains(&answer), "{answer}");
+    }
+    assert!(telemetry.contains(&ATTITUDE_DATA::ID), "{telemetry:?}");
+}
+
+#[test]
 fn no_battery_fault_and_no_recovery_system_are_reported() {
     let mut b = Bench::new();
     assert!(request::<BATTERY_STATUS_DATA>(&mut b).fault_bitmask.is_empty());

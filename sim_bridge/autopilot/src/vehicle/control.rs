@@ -1,8 +1,8 @@
 //! The autopilot's cascade: position → velocity → attitude → rate, on the estimate.
 
-use crate::vehicle::body::Inertia;
+use crate::vehicle::body::{Body, Inertia};
 use crate::vehicle::interface::{ControlCommand, YawCommand};
-use crate::vehicle::math::{Rotation, StateBytes, Vec3, from_attitude, heading, tilt_and_heading, vec3, wrap};
+use crate::vehicle::math::{Rotation, StateBytes, Vec3, from_attitude, heading, tilt_and_heading, vec3, wrap, yaw_of};
 use crate::vehicle::params::{ControlParams, GRAVITY_M_S2, VelocityLaw};
 use crate::vehicle::rotors::Wrench;
 use crate::vehicle::shaping::{Limits, Shaped, advance_horizontal, square_root_law};
@@ -23,15 +23,6 @@ const ACCELERATION_FILTER_S: f64 = 0.05;
 const RATE_MAX_RAD_S: f64 = 4.0 * core::f64::consts::PI;
 /// Largest angular acceleration that the rate integral may hold, rad/s².
 const RATE_INTEGRAL_MAX_RAD_S2: f64 = 5.0;
-
-/// What the estimator believes, in the controllers' own types.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Belief {
-    pub(crate) position_ned_m: Vec3,
-    pub(crate) velocity_ned_m_s: Vec3,
-    pub(crate) attitude: Rotation,
-    pub(crate) yaw_rad: f64,
-}
 
 /// Which part of the cascade runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -123,7 +114,7 @@ impl Controller {
 
     /// Starts over as one that has hovered here for long, against this acceleration by wind. Gives the attitude and
     /// the thrust of that hover.
-    pub(crate) fn settle(&mut self, belief: &Belief, wind_acceleration: &Vec3) -> (Rotation, f64) {
+    pub(crate) fn settle(&mut self, belief: &Body, wind_acceleration: &Vec3) -> (Rotation, f64) {
         self.stage = Stage::Path;
         self.rate_integral_rad_s2 = Vec3::zeros();
         self.velocity_integral_m_s2 = -wind_acceleration;
@@ -133,12 +124,15 @@ impl Controller {
         let thrust_n = force.norm();
         self.rates_wanted_rad_s = Vec3::zeros();
         self.thrust_wanted_n = thrust_n;
-        (tilt_and_heading(&(force / thrust_n), belief.yaw_rad), thrust_n)
+        (
+            tilt_and_heading(&(force / thrust_n), yaw_of(&belief.attitude)),
+            thrust_n,
+        )
     }
 
     /// The slow part, once per control interval: from the command to wanted rates and thrust. A command with a number
     /// that is not finite is a hold.
-    pub(crate) fn plan(&mut self, command: &ControlCommand, belief: &Belief, on_ground: bool, dt_s: f64) {
+    pub(crate) fn plan(&mut self, command: &ControlCommand, belief: &Body, on_ground: bool, dt_s: f64) {
         match *command {
             ControlCommand::MotorsOff => self.stop(Stage::Off),
             ControlCommand::Idle => self.stop(Stage::Idle),
@@ -179,10 +173,10 @@ impl Controller {
     }
 
     /// The velocity that a command wants now, and the yaw.
-    fn path_velocity(&self, command: &ControlCommand, belief: &Belief) -> (Vec3, YawCommand) {
+    fn path_velocity(&self, command: &ControlCommand, belief: &Body) -> (Vec3, YawCommand) {
         match *command {
             ControlCommand::VelocityHeading { velocity_m_s, yaw } if velocity_m_s.is_finite() => {
-                (heading(belief.yaw_rad) * vec3(velocity_m_s), yaw)
+                (heading(yaw_of(&belief.attitude)) * vec3(velocity_m_s), yaw)
             }
             ControlCommand::VelocityNed { velocity_m_s, yaw } if velocity_m_s.is_finite() => (vec3(velocity_m_s), yaw),
             ControlCommand::Position {
@@ -256,7 +250,7 @@ impl Controller {
 
     /// The path begins where the vehicle is and as fast as it moves, but no faster than it may fly: from a fall or a
     /// throw the velocity controller brakes with all thrust, not within the shaping limits.
-    fn reset_reference(&mut self, belief: &Belief) {
+    fn reset_reference(&mut self, belief: &Body) {
         let mut velocity_ned_m_s = belief.velocity_ned_m_s;
         self.limit_velocity(&mut velocity_ned_m_s);
         self.taken_up_m_s = velocity_ned_m_s;
@@ -264,7 +258,7 @@ impl Controller {
             position_ned_m: belief.position_ned_m,
             velocity_ned_m_s,
             acceleration_ned_m_s2: Vec3::zeros(),
-            yaw_rad: belief.yaw_rad,
+            yaw_rad: yaw_of(&belief.attitude),
             yaw_rate: Shaped::default(),
         };
     }
@@ -276,7 +270,7 @@ impl Controller {
             .clamp(-self.params.climb_max_m_s, self.params.descent_max_m_s);
     }
 
-    fn enter(&mut self, stage: Stage, belief: &Belief) {
+    fn enter(&mut self, stage: Stage, belief: &Body) {
         if self.stage != stage {
             self.stage = stage;
             self.reset_reference(belief);
@@ -289,12 +283,12 @@ impl Controller {
     }
 
     /// From a wanted acceleration to attitude and thrust, without a path. The heading is held from where this began.
-    fn accelerate(&mut self, acceleration: &Vec3, yaw: YawCommand, belief: &Belief) {
+    fn accelerate(&mut self, acceleration: &Vec3, yaw: YawCommand, belief: &Body) {
         self.enter(Stage::Acceleration, belief);
         let (yaw_rad, yaw_rate) = match yaw {
             YawCommand::Angle(yaw_rad) if yaw_rad.is_finite() => (wrap(f64::from(yaw_rad)), 0.0),
             YawCommand::Rate(yaw_rate_rad_s) if yaw_rate_rad_s.is_finite() => {
-                (belief.yaw_rad, self.limit_yaw_rate(yaw_rate_rad_s))
+                (yaw_of(&belief.attitude), self.limit_yaw_rate(yaw_rate_rad_s))
             }
             _ => (self.reference.yaw_rad, 0.0),
         };
@@ -325,7 +319,7 @@ impl Controller {
         &mut self,
         velocity_ned_m_s: &Vec3,
         yaw: YawCommand,
-        (belief, on_ground): (&Belief, bool),
+        (belief, on_ground): (&Body, bool),
         law: VelocityLaw,
         dt_s: f64,
     ) {
@@ -351,10 +345,10 @@ impl Controller {
             }
             _ => 0.0,
         };
-        let most = p.yaw_rate_max_rad_s;
+        let (most, yaw_rad) = (p.yaw_rate_max_rad_s, yaw_of(&belief.attitude));
         r.yaw_rate.advance(yaw_rate_wanted.clamp(-most, most), &self.yaw, dt_s);
-        let turned = wrap(r.yaw_rad + r.yaw_rate.value * dt_s - belief.yaw_rad).clamp(-YAW_LEASH_RAD, YAW_LEASH_RAD);
-        r.yaw_rad = wrap(belief.yaw_rad + turned);
+        let turned = wrap(r.yaw_rad + r.yaw_rate.value * dt_s - yaw_rad).clamp(-YAW_LEASH_RAD, YAW_LEASH_RAD);
+        r.yaw_rad = wrap(yaw_rad + turned);
         let r = *r;
 
         let acceleration = ahead + weighed(&velocity_error, p.velocity_gain_per_s) + self.velocity_integral_m_s2;
@@ -373,7 +367,7 @@ impl Controller {
     }
 
     /// The reference an interval on; its acceleration, and the error of the velocity that follows it.
-    fn shaped(&mut self, target: &Vec3, belief: &Belief, dt_s: f64) -> (Vec3, Vec3) {
+    fn shaped(&mut self, target: &Vec3, belief: &Body, dt_s: f64) -> (Vec3, Vec3) {
         self.taken_up_m_s = belief.velocity_ned_m_s;
         let r = &mut self.reference;
         advance_horizontal(
@@ -401,7 +395,7 @@ impl Controller {
 
     /// The reference is where the vehicle is and moves as it does, for the path that may follow; the error of the velocity,
     /// weighed as the gain for braking is.
-    fn direct(&mut self, target: &Vec3, belief: &Belief, dt_s: f64) -> (Vec3, Vec3) {
+    fn direct(&mut self, target: &Vec3, belief: &Body, dt_s: f64) -> (Vec3, Vec3) {
         let p = &self.params;
         let velocity = belief.velocity_ned_m_s;
         let r = &mut self.reference;
@@ -434,7 +428,7 @@ impl Controller {
     }
 
     /// Rates that turn the body to the wanted attitude, while its heading turns at `yaw_rate`.
-    fn rates_towards(&self, wanted: &Rotation, belief: &Belief, yaw_rate_rad_s: f64) -> Vec3 {
+    fn rates_towards(&self, wanted: &Rotation, belief: &Body, yaw_rate_rad_s: f64) -> Vec3 {
         let error = belief.attitude.inverse() * wanted;
         let side = if error.w < 0.0 { -2.0 } else { 2.0 };
         let feed_forward = belief

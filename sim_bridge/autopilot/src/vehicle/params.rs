@@ -1,7 +1,7 @@
 //! What the vehicle is made of: every number of the model, with its default and its source.
 
-use vigil_types::settings;
 use vigil_types::settings::{free, named_setting, section, within};
+use vigil_types::{named, settings};
 
 /// Standard gravity, metres per second squared.
 pub const GRAVITY_M_S2: f64 = 9.80665;
@@ -95,28 +95,32 @@ settings! {
     }
 }
 
-/// How a wanted velocity becomes an acceleration.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum VelocityLaw {
-    /// Along a reference of limited acceleration and jerk, whose place is followed too: ArduCopter's.
-    #[default]
-    Shaped,
-    /// By the velocity's error itself, without a reference, so that drag is overcome by the integral alone and a wanted
-    /// velocity of zero holds no place: PX4's `PositionControl`. Places are gone to along a shaped path here too.
-    Direct,
+named! {
+    /// How a wanted velocity becomes an acceleration.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub enum VelocityLaw {
+        /// Along a reference of limited acceleration and jerk, whose place is followed too: ArduCopter's.
+        #[default]
+        Shaped => "shaped",
+        /// By the velocity's error itself, without a reference, so that drag is overcome by the integral alone and a wanted
+        /// velocity of zero holds no place: PX4's `PositionControl`. Places are gone to along a shaped path here too.
+        Direct => "direct",
+    }
 }
 
-/// What the autopilot does when it is ordered to hold.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum HoldLaw {
-    /// It stops, and holds where it stopped.
-    #[default]
-    Stop,
-    /// It goes to the point where it would stop, reckoned from its velocity alone: ordered while it gains speed it passes that
-    /// point and flies back to it. PX4's HOLD.
-    FlyBack,
-    /// It loses its speed in proportion to it: ArduCopter's BRAKE.
-    Brake,
+named! {
+    /// What the autopilot does when it is ordered to hold.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub enum HoldLaw {
+        /// It stops, and holds where it stopped.
+        #[default]
+        Stop => "stop",
+        /// It goes to the point where it would stop, reckoned from its velocity alone: ordered while it gains speed it passes that
+        /// point and flies back to it. PX4's HOLD.
+        FlyBack => "fly_back",
+        /// It loses its speed in proportion to it: ArduCopter's BRAKE.
+        Brake => "brake",
+    }
 }
 
 settings! {
@@ -271,15 +275,5 @@ impl Wind {
     }
 }
 
-named_setting!(
-    VelocityLaw,
-    [("shaped", VelocityLaw::Shaped), ("direct", VelocityLaw::Direct)]
-);
-named_setting!(
-    HoldLaw,
-    [
-        ("stop", HoldLaw::Stop),
-        ("fly_back", HoldLaw::FlyBack),
-        ("brake", HoldLaw::Brake)
-    ]
-);
+named_setting!(VelocityLaw, VelocityLaw::ALL.map(|law| (law.name(), law)));
+named_setting!(HoldLaw, HoldLaw::ALL.map(|law| (law.name(), law)));

@@ -1,10 +1,10 @@
 //! The vehicle: one millisecond at a time.
 
 use crate::vehicle::body::{Body, Inertia};
-use crate::vehicle::control::{Belief, Controller, Stage};
+use crate::vehicle::control::{Controller, Stage};
 use crate::vehicle::ground::Ground;
 use crate::vehicle::interface::{ControlCommand, Estimate, Truth, VehicleView};
-use crate::vehicle::math::{StateBytes, Vec3, attitude, frd, heading, ned, vec3, yaw_of};
+use crate::vehicle::math::{StateBytes, Vec3, attitude, frd, heading, ned, vec3};
 use crate::vehicle::noise::{Noise, OrnsteinUhlenbeck};
 use crate::vehicle::params::{GRAVITY_M_S2, VehicleParams, Wind};
 use crate::vehicle::rotors::Rotors;
@@ -110,7 +110,9 @@ impl Vehicle {
         if airborne {
             let wind_acceleration = self.drag_ned_n(&self.mean_wind_ned_m_s) / self.params.airframe.mass_kg;
             self.errors.settle(&self.body);
-            let (attitude, thrust_n) = self.controller.settle(&self.belief(), &wind_acceleration);
+            let (attitude, thrust_n) = self
+                .controller
+                .settle(&self.errors.belief(&self.body), &wind_acceleration);
             self.body.attitude = attitude;
             self.rotors.settle(thrust_n);
         } else {
@@ -128,7 +130,8 @@ impl Vehicle {
             self.errors.advance(&self.body, self.params.airframe.gear_height_m);
             self.gusts.advance(&mut self.gust_noise);
             self.battery.advance(self.rotors.power_w(), SLOW_S);
-            self.controller.plan(command, &self.belief(), self.on_ground, SLOW_S);
+            let belief = self.errors.belief(&self.body);
+            self.controller.plan(command, &belief, self.on_ground, SLOW_S);
         }
         if !self.armed {
             self.controller.stop(Stage::Off);
@@ -184,16 +187,6 @@ impl Vehicle {
         }
     }
 
-    fn belief(&self) -> Belief {
-        let attitude = self.errors.attitude(&self.body);
-        Belief {
-            position_ned_m: self.errors.position_ned_m(&self.body),
-            velocity_ned_m_s: self.errors.velocity_ned_m_s(&self.body),
-            attitude,
-            yaw_rad: yaw_of(&attitude),
-        }
-    }
-
     /// Simulated time, nanoseconds.
     pub fn now_ns(&self) -> u64 {
         self.steps * STEP_NS
@@ -203,16 +196,17 @@ impl Vehicle {
     pub fn view(&self) -> VehicleView {
         let specific = self.acceleration_ned_m_s2 - Vec3::new(0.0, 0.0, GRAVITY_M_S2);
         let specific_frd = self.body.attitude.inverse_transform_vector(&specific);
+        let belief = self.errors.belief(&self.body);
         VehicleView {
             estimate: Estimate {
                 at_ns: self.now_ns(),
-                position_ned_m: ned(&self.errors.position_ned_m(&self.body)),
-                velocity_ned_m_s: ned(&self.errors.velocity_ned_m_s(&self.body)),
+                position_ned_m: ned(&belief.position_ned_m),
+                velocity_ned_m_s: ned(&belief.velocity_ned_m_s),
                 acceleration_ned_m_s2: ned(&self
                     .errors
                     .acceleration_ned_m_s2(&self.body, &self.acceleration_ned_m_s2)),
-                attitude: attitude(&self.errors.attitude(&self.body)),
-                rates_frd_rad_s: frd(&self.errors.rates_frd_rad_s(&self.body)),
+                attitude: attitude(&belief.attitude),
+                rates_frd_rad_s: frd(&belief.rates_frd_rad_s),
             },
             sensors: self
                 .errors

@@ -107,25 +107,22 @@ impl Errors {
         self.gps_velocity_m_s = body.velocity_ned_m_s + self.noise.normal3() * self.params.gps_velocity_m_s;
     }
 
-    /// Estimated position.
-    pub(crate) fn position_ned_m(&self, body: &Body) -> Vec3 {
-        let estimated_m = body.position_ned_m + self.position_m;
-        self.drift.as_ref().map_or(estimated_m, |w| estimated_m + w.position_m)
-    }
-
-    /// Estimated velocity.
-    pub(crate) fn velocity_ned_m_s(&self, body: &Body) -> Vec3 {
-        let estimated_m_s = body.velocity_ned_m_s + self.velocity.value;
-        self.drift
-            .as_ref()
-            .map_or(estimated_m_s, |w| estimated_m_s + w.rate_m_s() + w.astray_m_s())
-    }
-
-    /// Estimated attitude.
-    pub(crate) fn attitude(&self, body: &Body) -> Rotation {
-        let estimated = body.attitude * self.attitude_error;
-        self.heading_error_rad()
-            .map_or(estimated, |error_rad| heading(error_rad) * estimated)
+    /// What the estimator believes of the body.
+    pub(crate) fn belief(&self, body: &Body) -> Body {
+        let mut belief = Body {
+            position_ned_m: body.position_ned_m + self.position_m,
+            velocity_ned_m_s: body.velocity_ned_m_s + self.velocity.value,
+            attitude: body.attitude * self.attitude_error,
+            rates_frd_rad_s: self.rates_frd_rad_s(body),
+        };
+        if let Some(drift) = &self.drift {
+            belief.position_ned_m += drift.position_m;
+            belief.velocity_ned_m_s = belief.velocity_ned_m_s + drift.rate_m_s() + drift.astray_m_s();
+        }
+        if let Some(error_rad) = self.heading_error_rad() {
+            belief.attitude = heading(error_rad) * belief.attitude;
+        }
+        belief
     }
 
     /// Measured rates: the estimator trusts the gyroscope.

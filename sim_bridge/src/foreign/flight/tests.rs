@@ -231,8 +231,11 @@ fn a_vehicle_that_starts_anew_in_flight_has_no_verdict() {
     let mut vehicle = Scripted::new(None);
     vehicle.step = 100;
     assert_eq!(vehicle.report(5.0, 0.0), (true, PoseState::Tracking));
-    vehicle.hear(&message!(LOCAL_POSITION_NED, time_boot_ms = 10));
-    assert_eq!(vehicle.look(), (false, PoseState::Jumped));
+    for time_boot_ms in [10, 20] {
+        vehicle.hear(&message!(LOCAL_POSITION_NED, time_boot_ms));
+    }
+    assert_eq!(vehicle.look(), (false, PoseState::Restarted));
+    assert!(PoseState::Restarted.is_final());
 }
 
 #[test]

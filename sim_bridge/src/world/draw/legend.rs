@@ -16,7 +16,7 @@ const LEGEND_PATHS: usize = 12;
 
 pub(super) fn draw_legend(canvas: &mut Canvas, view: &View, course: &Course, paths: &[FlightPath]) {
     text(canvas, &course.name, [LEFT, 20.0], &FONT_10X20, INK, Alignment::Left);
-    let x = view.legend_x();
+    let x = view.at(0.0, view.east_m[1])[0] + 24.0;
     let mut y = TOP + 8.0;
     let ceiling = course.ceiling_height_m.map_or("none".to_owned(), |c| format!("{c} m"));
     for words in [

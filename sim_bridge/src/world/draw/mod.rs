@@ -2,7 +2,6 @@
 
 mod canvas;
 mod legend;
-mod movers;
 
 pub use canvas::{Image, ImageError, check_png_name};
 
@@ -77,7 +76,7 @@ fn on_canvas(course: &Course, paths: &[FlightPath]) -> Canvas {
     draw_grid(&mut canvas, &view, course);
     draw_corridor(&mut canvas, &view, course);
     draw_obstacles(&mut canvas, &view, course);
-    movers::draw_movers(&mut canvas, &view, course);
+    draw_movers(&mut canvas, &view, course);
     draw_places(&mut canvas, &view, course);
     canvas.layer(0.9, |layer| {
         for (i, path) in paths.iter().enumerate() {
@@ -120,10 +119,6 @@ impl View {
             LEFT + (east_m - self.east_m[0]) * self.pixels_per_m,
             TOP + (self.north_m[1] - north_m) * self.pixels_per_m,
         ]
-    }
-
-    fn legend_x(&self) -> f32 {
-        self.at(0.0, self.east_m[1])[0] + 24.0
     }
 }
 
@@ -298,26 +293,21 @@ fn corners(view: &View, solid: &Solid) -> Option<[[f32; 2]; 4]> {
 }
 
 fn draw_solid(layer: &mut Layer, view: &View, solid: &Solid, colour: Rgb888, outline: Rgb888) {
-    match solid {
-        Solid::Cylinder {
-            centre_ned_m, radius_m, ..
-        } => {
+    match corners(view, solid) {
+        Some(c) => {
+            polygon(layer, &c, colour);
+            for i in 0..4 {
+                line(layer, [c[i], c[(i + 1) % 4]], outline, 1.2);
+            }
+        }
+        None => {
             let style = PrimitiveStyleBuilder::new()
                 .fill_color(colour)
                 .stroke_color(outline)
                 .stroke_width(layer.length(1.2))
                 .build();
-            let centre = view.at(centre_ned_m.x, centre_ned_m.y);
-            disc(layer, centre, radius_m * view.pixels_per_m, style);
-        }
-        Solid::Cuboid { .. } => {
-            let Some(c) = corners(view, solid) else {
-                return;
-            };
-            polygon(layer, &c, colour);
-            for i in 0..4 {
-                line(layer, [c[i], c[(i + 1) % 4]], outline, 1.2);
-            }
+            let (centre, (radius_m, _)) = (solid.centre_ned_m(), solid.plan_half_extents_m());
+            disc(layer, view.at(centre.x, centre.y), radius_m * view.pixels_per_m, style);
         }
     }
 }
@@ -356,6 +346,24 @@ fn draw_obstacles(canvas: &mut Canvas, view: &View, course: &Course) {
                 }
             });
         }
+    }
+}
+
+/// Obstacles that move: where they are at time zero, and their ways as double arrows.
+fn draw_movers(canvas: &mut Canvas, view: &View, course: &Course) {
+    for mover in &course.movers {
+        let [from, to] = [mover.from_m, mover.to_m].map(|[north_m, east_m]| view.at(north_m, east_m));
+        let middle = [0, 1].map(|k| 0.5 * (from[k] + to[k]));
+        canvas.layer(1.0, |layer| {
+            draw_solid(layer, view, &mover.solid_at(0), MOVER, INK);
+        });
+        canvas.layer(0.8, |layer| {
+            arrow(layer, middle, from, MOVER);
+            arrow(layer, middle, to, MOVER);
+        });
+        let words = format!("{:.2}", mover.speed_m_s);
+        let above = [middle[0], middle[1] - 10.0];
+        text(canvas, &words, above, &FONT_6X10, INK, Alignment::Center);
     }
 }
 
@@ -470,10 +478,25 @@ mod tests {
         let (low, tall) = (pixel(&image, view.at(10.3, -6.3)), pixel(&image, view.at(10.3, 6.3)));
         assert_eq!(tall, [TALL.r(), TALL.g(), TALL.b()]);
         assert!(low[0] > tall[0] + 60, "{low:?} {tall:?}");
-        assert_eq!(
-            pixel(&image, view.at(10.3, -8.3)),
-            [BACKGROUND.r(), BACKGROUND.g(), BACKGROUND.b()]
+        let beside = pixel(&image, view.at(10.3, -8.3));
+        assert_eq!(beside, [BACKGROUND.r(), BACKGROUND.g(), BACKGROUND.b()]);
+    }
+
+    #[test]
+    fn a_mover_is_drawn_with_its_way() {
+        let course = |mover: &str| crate::testing::field(0.0, 8.0, mover);
+        let with = course(
+            "[[mover]]\nfrom_m = [10.0, -5.0]\nto_m = [10.0, 5.0]\nspeed_m_s = 0.5\nheight_m = 2.0\n\
+             shape = { column = { radius_m = 0.4 } }",
         );
+        let colour = [MOVER.r(), MOVER.g(), MOVER.b()];
+        let pixels = |course: &Course| {
+            let image = draw(course, &[]);
+            image.rgb().chunks_exact(3).filter(|p| **p == colour).count()
+        };
+        assert_eq!(pixels(&course("")), 0);
+        // A disc of 0.8 m at 32 pixels a metre has 515 pixels; the arrow, a little transparent, adds none of the same colour.
+        assert!((300..900).contains(&pixels(&with)), "{}", pixels(&with));
     }
 
     #[test]

@@ -402,11 +402,10 @@ impl Builder {
     /// Whether two obstacles are nearer to each other than allowed. What is flown over or under needs no room beside it, and a
     /// mover makes room itself.
     fn crowds(&self, (a, a_solid): &(Obstacle, Solid), (b, b_solid): &(Obstacle, Solid)) -> bool {
-        let in_the_way = |s: &Solid| s.bottom_m() < IN_THE_WAY_M[1] && s.top_m() > IN_THE_WAY_M[0];
         let moves = |o: &Obstacle| matches!(o, Obstacle::Mover(_));
         let gap_m = if moves(a) || moves(b) {
             MOVER_GAP_M
-        } else if in_the_way(a_solid) && in_the_way(b_solid) {
+        } else if a_solid.reaches_into(IN_THE_WAY_M) && b_solid.reaches_into(IN_THE_WAY_M) {
             self.gap_m
         } else {
             0.1

@@ -182,11 +182,6 @@ impl Lidar {
         }
     }
 
-    /// The sensor's properties.
-    pub fn config(&self) -> &LidarConfig {
-        &self.config
-    }
-
     /// Takes a frame: ranges, noise, image, header, checksum.
     pub fn capture(&mut self, world: &World, shot: &Shot, frame: &mut DepthFrame) {
         self.cast(world, shot.position_ned_m, shot.attitude);
@@ -217,11 +212,8 @@ impl Lidar {
         if self.every == 1 {
             return self.image(scale, pixels.try_into().expect("a frame's pixels"));
         }
-        assert_eq!(
-            pixels.len(),
-            self.beams.rings * self.beams.firings,
-            "a thinned frame's pixels"
-        );
+        let beams = self.beams.rings * self.beams.firings;
+        assert_eq!(pixels.len(), beams, "a thinned frame's pixels");
         for (pixel, inverse) in pixels.iter_mut().zip(self.inverse.iter()) {
             *pixel = scale * image::normalised(*inverse);
         }

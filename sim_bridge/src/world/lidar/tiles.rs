@@ -15,11 +15,7 @@ const STRIPS: usize = LIDAR_FIRINGS / TILE_FIRINGS;
 const PLANES: usize = (LIDAR_RINGS + 1).next_multiple_of(TILE_FIRINGS);
 
 /// Planes through the sensor one behind the other, by their normals, which point at the next one.
-struct Planes {
-    x: [f32; PLANES],
-    y: [f32; PLANES],
-    z: [f32; PLANES],
-}
+struct Planes([[f32; PLANES]; 3]);
 
 impl Planes {
     /// Bit `k`: the leaf reaches in between the planes `k` and `k + 1`, of `spaces` at most.
@@ -38,8 +34,9 @@ impl Planes {
         extents_m: impl Fn([f32; 3]) -> (f32, f32),
         [behind_m, before_m]: &mut [[f32; PLANES]; 2],
     ) -> u64 {
+        let [x, y, z] = &self.0;
         for k in 0..(spaces + 1).next_multiple_of(8) {
-            let (centre_m, half_m) = extents_m([self.x[k], self.y[k], self.z[k]]);
+            let (centre_m, half_m) = extents_m([x[k], y[k], z[k]]);
             (behind_m[k], before_m[k]) = (half_m + centre_m, half_m - centre_m);
         }
         // The sign's bit: 1 where it does not.
@@ -96,8 +93,7 @@ impl Tiles {
     pub(crate) fn sort(&mut self, scene: &Scene) {
         let [forward, right] = &self.edges;
         let axis = |[x, y, _]: [f32; 3]| core::array::from_fn(|k| x * forward[k] + y * right[k]);
-        let [x, y, z] = scene.rotation.0.map(axis);
-        let edges = Planes { x, y, z };
+        let edges = Planes(scene.rotation.0.map(axis));
         for list in &mut self.in_strip {
             list.clear();
         }
@@ -119,8 +115,7 @@ impl Tiles {
             let ahead = row[0] * x + row[1] * y;
             core::array::from_fn(|k| self.slopes[k] * ahead + row[2])
         };
-        let [x, y, z] = scene.rotation.0.map(axis);
-        let planes = Planes { x, y, z };
+        let planes = Planes(scene.rotation.0.map(axis));
         for i in &self.in_strip[strip] {
             let leaf = &scene.leaves[*i as usize];
             let rings = planes.seen_between(self.rings, leaf, &mut self.reach_m);

@@ -201,7 +201,7 @@ impl Looks {
 
     #[inline(always)]
     fn boxes(&self, axes: &Axes, sensor: [f32; 3], boxes: &Boxes) -> Between {
-        let mut between = Between::new();
+        let mut between = Between::NOTHING;
         let sizes = axes.map(|axis| axis.map(f32::abs));
         for lane in 0..LANES {
             let (centre, half) = (minus(point(&boxes.centre_m, lane), sensor), point(&boxes.half_m, lane));
@@ -222,7 +222,7 @@ impl Looks {
 
     #[inline(always)]
     fn block(&self, axes: &Axes, sensor: [f32; 3], block: &Block) -> Between {
-        let mut between = Between::new();
+        let mut between = Between::NOTHING;
         for lane in 0..LANES {
             let along = |corner: usize| {
                 let corner = minus(point(&block.corners[corner], lane), sensor);
@@ -285,14 +285,11 @@ impl Looks {
 }
 
 impl Between {
-    #[inline(always)]
-    fn new() -> Self {
-        Self {
-            rings: [[0; LANES]; 2],
-            firings: [[0; LANES]; 2],
-            nearest_m: [0.0; LANES],
-        }
-    }
+    const NOTHING: Self = Self {
+        rings: [[0; LANES]; 2],
+        firings: [[0; LANES]; 2],
+        nearest_m: [0.0; LANES],
+    };
 
     /// Bit by bit, which of the first `count` may be met by a beam.
     #[inline(always)]

@@ -88,12 +88,8 @@ impl ZoneSensor {
                     libm::cosf(depression_rad) * libm::sinf(bearing_rad),
                     libm::sinf(depression_rad),
                 ));
-                let range_m = cast_ray(
-                    world,
-                    position_ned_m,
-                    &self.scene,
-                    (direction.x, direction.y, direction.z),
-                );
+                let along = (direction.x, direction.y, direction.z);
+                let range_m = cast_ray(world, position_ned_m, &self.scene, along);
                 let counts = (direction.z * range_m).abs() <= BAND_HALF_HEIGHT_M && range_m <= ZONE_MAX_RANGE_M;
                 if counts && nearest.is_none_or(|(other_m, _)| range_m < other_m) {
                     nearest = Some((range_m, direction));

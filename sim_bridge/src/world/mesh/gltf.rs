@@ -187,12 +187,8 @@ impl<'a> Elements<'a> {
                 "accessor {number} has {sparse}{has} of type {kind}, which is not read there"
             ));
         };
-        let view = of(
-            &file.buffer_views,
-            accessor.buffer_view.unwrap_or(usize::MAX),
-            "buffer view",
-        );
-        let view = view.map_err(|_| format!("the data of accessor {number} are missing"))?;
+        let view = accessor.buffer_view.and_then(|view| file.buffer_views.get(view));
+        let view = view.ok_or_else(|| format!("the data of accessor {number} are missing"))?;
         let stride = view.byte_stride.unwrap_or(*size);
         let within = || {
             let bytes = buffers.get(view.buffer)?.get(view.byte_offset..)?;

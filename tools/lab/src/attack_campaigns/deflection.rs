@@ -1,6 +1,7 @@
 //! The paper's table II: how far the yaw can be bent in front of a wall.
 
 use super::{Common, Strength, write_json};
+use crate::campaign::flights::check_seeds;
 use crate::report::{TextTable, numbers, words};
 use anyhow::{Result, ensure};
 use rayon::prelude::*;
@@ -78,6 +79,7 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
         "--goal-distance must be above 0 and at most 1000 m, got {}",
         args.goal_distance
     );
+    check_seeds(args.seed, args.states)?;
     let victim = args.common.victim()?;
     let folder = args.common.folder()?;
     let of = |method: Method| GAPS.map(|(gap, _)| BEARINGS_DEG.map(|b| (method, gap, b))).concat();

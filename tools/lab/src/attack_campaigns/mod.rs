@@ -10,7 +10,7 @@ mod strength;
 pub use completion::Report as CompletionReport;
 pub use defended::Arm;
 pub use deflection::{GAPS as PAPER_DEFLECTION, Report as DeflectionReport};
-pub use strength::CellLine as StrengthLine;
+pub use strength::Cell as StrengthCell;
 
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, bail};
@@ -156,17 +156,20 @@ pub fn run(args: &AttackCommands) -> Result<ExitCode> {
     }
 }
 
-/// Makes one table of the flights of one of these commands, if it is one.
+/// Makes one table of the flights of one of these commands.
 ///
 /// # Errors
-/// Flights that contradict each other or are not all; a file that cannot be written.
-pub fn merge(command: &str, files: &[PathBuf], json: &Path) -> Option<Result<ExitCode>> {
-    let merged = match command {
-        defended::COMMAND => defended::merge(files, json),
-        command if completion::COMMANDS.contains(&command) => completion::merge(files, json),
-        _ => return None,
-    };
-    Some(merged.map(|()| ExitCode::SUCCESS))
+/// Another command; flights that contradict each other or are not all; a file that cannot be written.
+pub fn merge(command: &str, files: &[PathBuf], json: &Path) -> Result<ExitCode> {
+    match command {
+        defended::COMMAND => defended::merge(files, json)?,
+        command if completion::COMMANDS.contains(&command) => completion::merge(files, json)?,
+        _ => {
+            let first = files.first().map_or(json, PathBuf::as_path).display();
+            bail!("{first} is of `vigil {command}`, which this program does not know");
+        }
+    }
+    Ok(ExitCode::SUCCESS)
 }
 
 fn write_json(path: &Path, report: &impl Serialize) -> Result<()> {

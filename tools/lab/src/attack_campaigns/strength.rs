@@ -3,7 +3,8 @@
 use super::pictures::change_colour;
 use super::states::{STATES_PER_FLIGHT, State, met_in_flight};
 use super::{Common, write_json};
-use crate::report::{TextTable, numbers, to_csv, words};
+use crate::campaign::flights::check_seeds;
+use crate::report::{TextTable, numbers, words};
 use crate::statistics::wilson_95;
 use anyhow::Result;
 use rayon::prelude::*;
@@ -37,16 +38,31 @@ pub struct TableArgs {
     common: Common,
 }
 
-#[derive(Serialize)]
-struct Cell {
-    method: Method,
-    epsilon_255: f32,
-    iterations: u32,
-    states: usize,
-    effective: usize,
-    share: f64,
-    wilson_95: (f64, f64),
-    mean_yaw_change: f64,
+/// As JSON, and a line of `figure-11.csv`.
+#[derive(Serialize, Deserialize)]
+pub struct Cell {
+    pub method: Method,
+    pub epsilon_255: f32,
+    pub iterations: u32,
+    pub states: usize,
+    pub effective: usize,
+    pub share: f64,
+    pub wilson_95: (f64, f64),
+    pub mean_yaw_change: f64,
+}
+
+/// The lines' heading; an interval has two columns.
+const HEADING: &[u8] = b"method,epsilon_255,iterations,states,effective,share,low_95,high_95,mean_yaw_change\n";
+
+impl Cell {
+    /// Reads the lines.
+    ///
+    /// # Errors
+    /// A line that does not fit.
+    pub fn of_csv(text: &str) -> Result<Vec<Self>, csv::Error> {
+        let lines = csv::Reader::from_reader(text.as_bytes()).into_records();
+        lines.map(|line| line?.deserialize(None)).collect()
+    }
 }
 
 #[derive(Serialize)]
@@ -66,6 +82,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
     let victim = args.common.victim()?;
     let folder = args.common.folder()?;
     let flights = args.states.div_ceil(STATES_PER_FLIGHT as u64);
+    check_seeds(args.seed, flights)?;
     let interrupt = Interrupt::on_ctrl_c()?;
     let bar = Progress::new(args.states, "states")?;
     let begun = Instant::now();
@@ -113,8 +130,11 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
         })
         .collect();
     print(&cells, attacked.len(), args.seed, wall_s);
-    let csv = folder.join("figure-11.csv");
-    output::write(&csv, to_csv(cells.iter().map(CellLine::from)))?;
+    let mut lines = csv::WriterBuilder::new()
+        .has_headers(false)
+        .from_writer(HEADING.to_vec());
+    cells.iter().try_for_each(|cell| lines.serialize(cell))?;
+    output::write(&folder.join("figure-11.csv"), lines.into_inner()?)?;
     if let Some(state) = met_in_flight(&victim, args.seed)?.first() {
         picture(&victim, state)?.write_png(&folder.join("frames.png"))?;
     }
@@ -190,36 +210,6 @@ fn print(cells: &[Cell], states: usize, seed: u64, wall_s: f64) {
         table.row(name.into_iter().chain(shares));
     }
     say!("{table}");
-}
-
-/// A line of `figure-11.csv`.
-#[derive(Serialize, Deserialize)]
-pub struct CellLine {
-    pub method: String,
-    pub epsilon_255: f32,
-    pub iterations: u32,
-    pub states: usize,
-    pub effective: usize,
-    pub share: f64,
-    pub low_95: f64,
-    pub high_95: f64,
-    pub mean_yaw_change: f64,
-}
-
-impl From<&Cell> for CellLine {
-    fn from(c: &Cell) -> Self {
-        Self {
-            method: c.method.name().to_owned(),
-            epsilon_255: c.epsilon_255,
-            iterations: c.iterations,
-            states: c.states,
-            effective: c.effective,
-            share: c.share,
-            low_95: c.wilson_95.0,
-            high_95: c.wilson_95.1,
-            mean_yaw_change: c.mean_yaw_change,
-        }
-    }
 }
 
 /// Clean above altered, and the difference below: near is bright, red is nearer and blue farther.

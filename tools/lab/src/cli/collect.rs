@@ -63,12 +63,12 @@ impl Stage<'_> {
         if let (Some(set), Some(first_seed), Some(flights)) = (args.set, args.seed, args.flights) {
             let (mut campaign, jobs) = self.campaign(set, first_seed, flights)?;
             let interrupt = campaign.fly(&jobs, pool, |seed, _, _| self.fly(seed))?;
-            let hint = if interrupt.came() {
-                "; the same command goes on"
-            } else {
-                ""
-            };
-            say!("flights          {}{hint}", self.lines(set).display());
+            let hint = interrupt.came().then_some("; the same command goes on");
+            say!(
+                "flights          {}{}",
+                self.lines(set).display(),
+                hint.unwrap_or_default()
+            );
             return Ok(());
         }
         for (set, seed, windows) in [

@@ -246,7 +246,12 @@ impl Stage<'_> {
     }
 
     fn training_flights(&self) -> Result<[Flights; 2]> {
-        let load = |name| Flights::load(&self.path(name), &self.pilot).context("run `vigil detector collect` first");
+        let load = |name| {
+            let path = self.path(name);
+            let file = path.display();
+            ensure!(path.exists(), "no {file}: run `vigil detector collect` first");
+            Flights::load(&path, &self.pilot)
+        };
         Ok([load("learn.safetensors")?, load("choose.safetensors")?])
     }
 
@@ -386,20 +391,20 @@ impl Stage<'_> {
             ("SHAP values of all pixels of the frame", &times.pixels_s, 13.33),
             ("CNN-AD", &times.cnn_s, 0.162),
             ("FCN-AD", &times.fcn_s, 0.056),
-        ];
-        let mut table = TextTable::new([words(""), numbers("median"), numbers("99 %"), numbers("paper")]);
-        for (name, seconds, paper_s) in rows {
-            let at = |share| or_dash(1e3 * quantile(seconds, share).unwrap_or(f64::NAN), 3, " ms");
-            table.row([name.to_owned(), at(0.5), at(0.99), format!("{:.0} ms", 1e3 * paper_s)]);
-        }
-        say!("{table}");
-        let rows = rows.map(|(name, seconds, paper_s)| TimeRow {
+        ]
+        .map(|(name, seconds, paper_s)| TimeRow {
             part: name.to_owned(),
             measured: seconds.len(),
             median_s: quantile(seconds, 0.5),
             p99_s: quantile(seconds, 0.99),
             paper_s,
         });
+        let mut table = TextTable::new([words(""), numbers("median"), numbers("99 %"), numbers("paper")]);
+        for row in &rows {
+            let [median, p99] = [row.median_s, row.p99_s].map(|s| or_dash(1e3 * s.unwrap_or(f64::NAN), 3, " ms"));
+            table.row([row.part.clone(), median, p99, format!("{:.0} ms", 1e3 * row.paper_s)]);
+        }
+        say!("{table}");
         let report = TimesReport {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             actor_sha256: self.pilot.sha256(),

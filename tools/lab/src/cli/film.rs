@@ -33,7 +33,7 @@ pub struct FilmArgs {
     output: Option<PathBuf>,
 
     /// Seconds of flight in a second of film, 0.5 to 20; a long flight is shown faster, so that the film stays small.
-    #[arg(long, value_name = "FACTOR", default_value_t = FILM_SPEED, value_parser = speed)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 2.0, value_parser = speed)]
     speed: f64,
 
     /// What stands in the banner [default: the course].
@@ -41,18 +41,13 @@ pub struct FilmArgs {
     title: Option<String>,
 
     /// Pictures whose pixels are explained by DeepSHAP, evenly over the film, at most 200; 0 leaves it out.
-    #[arg(long, value_name = "PICTURES", default_value_t = FILM_EXPLAINED, value_parser = RangedU64ValueParser::<usize>::new().range(..=200))]
+    #[arg(long, value_name = "PICTURES", default_value_t = 40, value_parser = RangedU64ValueParser::<usize>::new().range(..=200))]
     shap: usize,
 
     /// Only look whether a film of this name can be made.
     #[arg(long, hide = true, requires = "output")]
     check: bool,
 }
-
-/// Pictures of a film whose pixels are explained, unless asked otherwise.
-const FILM_EXPLAINED: usize = 40;
-/// Seconds of flight in a second of film, unless asked otherwise.
-const FILM_SPEED: f64 = 2.0;
 
 fn speed(text: &str) -> Result<f64, String> {
     match text.parse() {
@@ -79,11 +74,27 @@ pub fn run(args: &FilmArgs) -> Result<ExitCode> {
         title: args.title.clone().or(course).unwrap_or_default(),
         explained: args.shap,
     };
-    let (written, missing) = write_film(&log, &to, &options)?;
+    check_film(&to)?;
+    let none = || format!("no film of {}", log.display());
+    let ((pictures, incomplete), bytes) = if is_video(&to) {
+        let mut video = Video::begin(&to).with_context(none)?;
+        let filmed = film(&log, &options, &mut video).with_context(none)?;
+        video.finish().with_context(none)?;
+        let Ok(file) = std::fs::metadata(&to) else {
+            bail!("ffmpeg left no film {}", to.display());
+        };
+        (filmed, file.len())
+    } else {
+        let mut bytes = Vec::new();
+        let filmed = film(&log, &options, &mut Gif::begin(&mut bytes).with_context(none)?).with_context(none)?;
+        output::write(&to, &bytes)?;
+        (filmed, bytes.len() as u64)
+    };
+    let missing = incomplete.map(|why| format!("it is not all of the flight: {why}"));
     if is_stdout(&to) {
         missing.iter().for_each(|missing| output::tell!("{missing}"));
     } else {
-        say!("{written}");
+        say!("{} ({pictures} pictures, {:.1} MB)", to.display(), bytes as f64 / 1e6);
         missing.iter().for_each(|missing| say!("{missing}"));
     }
     Ok(ExitCode::SUCCESS)
@@ -95,29 +106,4 @@ fn check_film(to: &Path) -> Result<()> {
         Video::check()?;
     }
     Ok(())
-}
-
-/// Films `log` into `to`; in words what came of it, and what is missing of it.
-fn write_film(log: &Path, to: &Path, options: &FilmOptions) -> Result<(String, Option<String>)> {
-    check_film(to)?;
-    let none = || format!("no film of {}", log.display());
-    let ((pictures, incomplete), bytes) = if is_video(to) {
-        let mut video = Video::begin(to).with_context(none)?;
-        let filmed = film(log, options, &mut video).with_context(none)?;
-        video.finish().with_context(none)?;
-        let Ok(file) = std::fs::metadata(to) else {
-            bail!("ffmpeg left no film {}", to.display());
-        };
-        (filmed, file.len())
-    } else {
-        let mut bytes = Vec::new();
-        let filmed = film(log, options, &mut Gif::begin(&mut bytes).with_context(none)?).with_context(none)?;
-        output::write(to, &bytes)?;
-        (filmed, bytes.len() as u64)
-    };
-    let written = format!("{} ({pictures} pictures, {:.1} MB)", to.display(), bytes as f64 / 1e6);
-    Ok((
-        written,
-        incomplete.map(|why| format!("it is not all of the flight: {why}")),
-    ))
 }

@@ -1,6 +1,6 @@
 //! `vigil learn`: an actor by value, from nothing.
 
-use crate::cli::output::{EXIT_INTERRUPTED, Interrupt, Paint, git_commit, put, say};
+use crate::cli::output::{EXIT_INTERRUPTED, Interrupt, Paint, put, say};
 use crate::trainer::config::LearnConfig;
 use crate::trainer::evaluation::FamilyCount;
 use crate::trainer::run::{LearnEnd, LearnOptions, Progress, Row, learn};
@@ -106,13 +106,11 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
             say!("checkpoint       {}", checkpoint.display());
             Ok(ExitCode::from(EXIT_INTERRUPTED))
         }
-        LearnEnd::Complete(mut actor, result) => {
+        LearnEnd::Complete(actor, result) => {
             for count in &result.test {
                 say!("{}", completion(count));
             }
             let path = args.output.join("actor.safetensors");
-            actor.git_commit = git_commit();
-            actor.save(&path)?;
             let written = format!("written    {} after {} updates", path.display(), actor.updates);
             say!("{}", Paint::stdout().verdict(true, &written));
             Ok(ExitCode::SUCCESS)

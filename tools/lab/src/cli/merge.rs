@@ -3,7 +3,7 @@
 use crate::attack_campaigns;
 use crate::campaign::flights;
 use crate::cli::{collect, evaluate, output};
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Context, Result, ensure};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -48,12 +48,7 @@ pub fn run(args: &MergeArgs) -> Result<ExitCode> {
     match command.as_str() {
         evaluate::COMMAND => evaluate::merge(&files, &args.json),
         collect::COMMAND => collect::merge(&files, &args.json),
-        other => attack_campaigns::merge(other, &files, &args.json).unwrap_or_else(|| {
-            let first = first.display();
-            Err(anyhow!(
-                "{first} is of `vigil {other}`, which this program does not know"
-            ))
-        }),
+        other => attack_campaigns::merge(other, &files, &args.json),
     }
 }
 

@@ -35,7 +35,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Train an actor by value: critics that see the true state, reward along the shortest free way.
+    /// Train an actor by value: critics that see the true state, reward along the shortest free path.
     Learn(learn::LearnArgs),
     /// Evaluate an actor alone, the potential field off and on.
     Rollout(rollout::RolloutArgs),

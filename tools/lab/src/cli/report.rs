@@ -294,7 +294,10 @@ mod tests {
         std::fs::write(folder.join("result.json"), result(&tests)).unwrap();
         assert_eq!(folders(&[folder.join("."), folder.into()]).unwrap().len(), 1);
         let run = read(folder).unwrap();
-        assert_eq!(own(&run, |f| f.reward), [24.6]);
+        assert_eq!(
+            (own(&run, |f| f.reward), own(&run, SUCCESSES.of)),
+            (vec![24.6], vec![1.0])
+        );
         let (name, runs) = ("DDPG-APF", vec![run]);
         let table = table(&[Arm { name, runs }]);
         let line = "| DDPG-APF | 3 | 120 (480) | 9 | 60 | 2 | 97.50 % of 40 |";
@@ -305,6 +308,8 @@ mod tests {
             error.contains("result.json") && error.contains("--test-flights"),
             "{error}"
         );
+        // A row of another table is no flight.
+        assert!(from_csv::<Flight>(&(flights.to_owned() + "50,12000,42.2\n")).is_err());
     }
 
     #[test]
@@ -318,14 +323,5 @@ mod tests {
     fn a_rolling_mean_begins_when_it_has_enough() {
         assert_eq!(rolling(&[1.0, 3.0, 5.0], 2), [(2.0, 2.0), (3.0, 4.0)]);
         assert!(rolling(&[1.0], 2).is_empty());
-    }
-
-    #[test]
-    fn a_row_of_another_table_is_no_flight() {
-        let heading = "flight,updates,warm_up,field,outcome,decisions,reward\n";
-        let lines = from_csv::<Flight>(&format!("{heading}3,950,0,1,success,88,24.6171\n")).unwrap();
-        assert_eq!((SUCCESSES.of)(&lines[0]), 1.0);
-        assert!(lines[0].warm_up == 0 && (lines[0].reward - 24.6171).abs() < 1e-9);
-        assert!(from_csv::<Flight>(&format!("{heading}50,12000,42.2\n")).is_err());
     }
 }

@@ -1,6 +1,7 @@
 //! `vigil rollout`: how an actor flies alone, without MAVLink and guidance around it.
 
 use crate::campaign::Tally;
+use crate::campaign::flights::check_seeds;
 use crate::cli::output::{or_dash, say};
 use crate::report::{TextTable, numbers, words};
 use crate::threads::thread_pool_of;
@@ -40,7 +41,7 @@ pub struct RolloutArgs {
     #[arg(long, value_parser = choice::<Ablation>(), default_value = "nothing")]
     ablate: Ablation,
 
-    /// The odometry that the actor remembers by seems longer by this share of the way ...
+    /// The odometry that the actor remembers by seems longer by this share of the path ...
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, allow_negative_numbers = true)]
     drift_scale: f32,
 
@@ -85,6 +86,7 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         args.drift_scale.abs() <= 0.5 && args.drift_yaw.abs() <= 10.0,
         "--drift-scale must be within 0.5, --drift-yaw within 10 degrees per second"
     );
+    check_seeds(args.seed, args.flights)?;
     let frozen;
     let evaluated = match args.actor.as_str() {
         "zero" => EvaluatedActor::Zero,
@@ -158,9 +160,9 @@ fn probed(readouts: &[Readout]) -> TextTable {
     ];
     let mut table = TextTable::new([words("R² of what was seen")].into_iter().chain(columns.map(numbers)));
     for readout in readouts {
-        let shares = [readout.state, readout.wiped, readout.scan, readout.shuffled];
         let cells = [format!("{} s ago", readout.lag_s), readout.samples.to_string()];
-        table.row(cells.into_iter().chain(shares.map(|share| or_dash(share, 2, ""))));
+        let shares = readout.shares.map(|share| or_dash(share, 2, ""));
+        table.row(cells.into_iter().chain(shares));
     }
     table
 }

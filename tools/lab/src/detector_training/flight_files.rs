@@ -111,7 +111,7 @@ const BESIDE_STATE: usize = ACTOR_OUTPUTS + 1;
 /// Refuses a file of something else, or of an older version.
 pub(super) fn not_collected(path: &Path, message: &str) -> Error {
     let path = path.display();
-    anyhow!("{path} holds no data of `vigil detector collect`: {message}; collect them anew")
+    anyhow!("{path} holds no data of `vigil detector collect`: {message}; remove it and collect anew")
 }
 
 /// What a pilot's flights have in common: whose they are, and how wide their steps.
@@ -231,7 +231,8 @@ impl Flights {
         let (path, found, expected) = (path.display(), &about.actor_sha256, &recorded.actor_sha256);
         ensure!(
             found == expected,
-            "{path} was collected with the actor {found}, this is the actor {expected}; collect the data anew"
+            "{path} was collected with the actor {found}, this is the actor {expected}; remove it, or name another folder \
+             with -o, and collect anew"
         );
         let entries = about.flights;
         let tensor = |name| content.tensor(name).map_err(|e| data(&e.to_string()));

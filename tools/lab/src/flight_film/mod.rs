@@ -28,8 +28,9 @@ const MAP_TOP: usize = BANNER + VIEW_HEIGHT + 2;
 const RIGHT: usize = VIEW_WIDTH + 14;
 /// Left, top, width and height of the detector's score.
 const SCORE: [usize; 4] = [RIGHT, BANNER + 2 + 2 * (DEPTH_ROWS + 4 + LINE) + LINE, 256, 26];
-/// A line of text.
+/// A line of text, and the width of a letter.
 const LINE: usize = 16;
+const LETTER: usize = 7;
 /// A picture of the film is shown so long, hundredths of a second.
 const PICTURE_CS: u16 = 10;
 /// The last one is shown so long.
@@ -62,10 +63,8 @@ pub type Filmed = (usize, Option<String>);
 /// A log that cannot be read, a flight that never took off, what takes no more pictures.
 pub fn film(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<Filmed> {
     let log = LogSeen::read(path)?;
-    let steps = shown(&log);
-    let ends = steps.first().copied().zip(steps.last().copied());
-    let (first, last) =
-        ends.context("the vehicle never took off in this log: there is nothing to film; `vigil log report` says why")?;
+    let (first, last) = shown(&log)
+        .context("the vehicle never took off in this log: there is nothing to film; `vigil log report` says why")?;
     let stride = (options.speed * STEPS_A_SECOND * f64::from(PICTURE_CS) / 100.0)
         .round()
         .max(1.0) as usize;
@@ -93,8 +92,12 @@ pub fn film(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Resul
             half_size(&frame.depth, depth.get_or_insert_default());
         }
         let mut canvas = background.clone();
-        scene.view(&mut canvas, &mut stage, &log, (first, number));
-        scene.draw(&mut canvas, &log, (first, number), &options.title);
+        let so_far = (first, number);
+        scene.view(&mut canvas, &mut stage, &log, so_far);
+        scene.draw_path(&mut canvas, &log, so_far);
+        draw_banner(&mut canvas, &log, number, &options.title);
+        scene.draw_score(&mut canvas, &log, so_far);
+        scene.draw_state(&mut canvas, &log, number);
         let altered = log.is_altered(&log.steps[number]);
         eyes(&mut canvas, depth.as_deref(), &explaining, altered);
         let delay = if number == last { LAST_CS } else { PICTURE_CS };
@@ -107,9 +110,8 @@ pub fn film(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Resul
 
 /// Explains what the actor was shown, now and then.
 struct Explaining {
-    with: Option<ExplainedReplay>,
-    /// Why nothing is explained.
-    none: &'static str,
+    /// Or why nothing is explained.
+    with: Result<ExplainedReplay, &'static str>,
     /// Every so many pictures.
     every: usize,
     pictures: usize,
@@ -119,16 +121,12 @@ struct Explaining {
 
 impl Explaining {
     fn of(log: &Reader, most: usize, pictures: usize) -> Self {
-        let (with, none) = match most {
-            0 => (None, "not explained"),
-            _ => match ExplainedReplay::of(log) {
-                Ok(with) => (Some(with), ""),
-                Err(_) => (None, "no actor of this program flew"),
-            },
+        let with = match most {
+            0 => Err("not explained"),
+            _ => ExplainedReplay::of(log).map_err(|_| "no actor of this program flew"),
         };
         Self {
             with,
-            none,
             every: pictures.div_ceil(most.max(1)).max(1),
             pictures: 0,
             shares: None,
@@ -136,7 +134,7 @@ impl Explaining {
     }
 
     fn see(&mut self, record: &TickRecord, due: bool) {
-        let Some(replay) = &mut self.with else { return };
+        let Ok(replay) = &mut self.with else { return };
         replay.step(record);
         if !due {
             return;
@@ -179,7 +177,10 @@ fn eyes(canvas: &mut Canvas, depth: Option<&[u8]>, explaining: &Explaining, alte
                 _ => Colour::GREY + grey / 2,
             }
         }),
-        None => canvas.text(left + 4, below + 56, explaining.none, Colour::SOFT),
+        None => {
+            let why = explaining.with.as_ref().err().copied();
+            canvas.text(left + 4, below + 56, why.unwrap_or_default(), Colour::SOFT);
+        }
     }
     if altered {
         canvas.frame(left - 2, top - 2, DEPTH_COLS + 4, DEPTH_ROWS + 4, Colour::ATTACK);
@@ -187,18 +188,15 @@ fn eyes(canvas: &mut Canvas, depth: Option<&[u8]>, explaining: &Explaining, alte
 }
 
 /// From a moment before guidance flies to its end.
-fn shown(log: &LogSeen) -> Vec<usize> {
+fn shown(log: &LogSeen) -> Option<(usize, usize)> {
     let flies = |s: &StepSeen| matches!(s.report.state, GuidanceState::Guided | GuidanceState::Hold);
-    let from = log.steps.iter().position(flies);
-    let to = log.steps.iter().rposition(flies);
+    let from = log.steps.iter().position(flies).filter(|_| log.took_off())?;
+    let to = log.steps.iter().rposition(flies)?;
     // What comes after the flight's end, where that is known, is a wreck on the ground.
     let ended = log
         .ended_ns()
         .and_then(|ns| log.steps.iter().position(|s| s.now_ns >= ns));
-    match (from, to) {
-        (Some(from), Some(to)) => (from.saturating_sub(6)..=ended.unwrap_or(to).max(from)).collect(),
-        _ => Vec::new(),
-    }
+    Some((from.saturating_sub(6), ended.unwrap_or(to).max(from)))
 }
 
 /// The nearest of each four pixels in eight greys: the noise of single pixels would only swell the film.
@@ -313,17 +311,6 @@ impl Scene {
         }
     }
 
-    fn draw(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize), title: &str) {
-        self.draw_path(canvas, log, (first, now));
-        self.draw_banner(canvas, log, (first, now), title);
-        self.draw_score(canvas, log, (first, now));
-        if let Some(judgement) = log.steps[now].report.judgement {
-            let [left, top, _, height] = SCORE;
-            causes(canvas, (left, top + height + 3), &judgement);
-        }
-        self.draw_state(canvas, log, now);
-    }
-
     /// The way flown so far, alarms, and the vehicle.
     fn draw_path(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize)) {
         let step = &log.steps[now];
@@ -354,21 +341,7 @@ impl Scene {
         }
     }
 
-    /// The title, the time, and whether the frames are altered.
-    fn draw_banner(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize), title: &str) {
-        let step = &log.steps[now];
-        let (on, below, state) = match log.is_altered(step) {
-            true => (Colour::PAPER, Colour::ATTACK, "ATTACK: frames altered"),
-            false => (Colour::INK, Colour::BANNER, ""),
-        };
-        canvas.rectangle(0, 0, WIDTH, BANNER - 2, below);
-        let time = log.seconds(step.now_ns) - log.seconds(log.steps[first].now_ns);
-        canvas.text(8, 7, title, on);
-        canvas.text(RIGHT, 7, state, on);
-        canvas.text(WIDTH - 58, 7, &format!("{time:5.1} s"), on);
-    }
-
-    /// The score over the last 10 s.
+    /// The score over the last 10 s, and below it what moved the yaw.
     fn draw_score(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize)) {
         let [left, top, width, height] = SCORE;
         canvas.frame(left - 1, top - 1, width + 2, height + 2, Colour::LINE);
@@ -397,6 +370,9 @@ impl Scene {
         if log.info.detector_sha256.is_none() {
             canvas.text(left + 90, top + 6, "no detector", Colour::SOFT);
         }
+        if let Some(judgement) = log.steps[now].report.judgement {
+            causes(canvas, (left, top + height + 3), &judgement);
+        }
     }
 
     /// Who flies, in words, and how it ended.
@@ -416,6 +392,28 @@ impl Scene {
             let colour = if good { Colour::GOAL } else { Colour::ATTACK };
             canvas.text(left, y + LINE, outcome, colour);
         }
+    }
+}
+
+/// The title, the log's time, and whether the frames are altered.
+fn draw_banner(canvas: &mut Canvas, log: &LogSeen, now: usize, title: &str) {
+    let step = &log.steps[now];
+    let (on, below, end, state) = match log.is_altered(step) {
+        true => (Colour::PAPER, Colour::ATTACK, RIGHT, "ATTACK: frames altered"),
+        false => (Colour::INK, Colour::BANNER, WIDTH - 66, ""),
+    };
+    canvas.rectangle(0, 0, WIDTH, BANNER - 2, below);
+    canvas.text(8, 7, &cut(title, end - 8), on);
+    canvas.text(RIGHT, 7, state, on);
+    canvas.text(WIDTH - 58, 7, &format!("{:5.1} s", log.seconds(step.now_ns)), on);
+}
+
+/// As much of a text as fits into so many pixels.
+fn cut(text: &str, width: usize) -> String {
+    let letters = width / LETTER;
+    match text.chars().count() > letters {
+        true => text.chars().take(letters - 3).chain("...".chars()).collect(),
+        false => text.to_owned(),
     }
 }
 
@@ -464,9 +462,11 @@ mod tests {
         for who in 0..WHO.len() as u8 {
             for cause in AlarmCause::ALL {
                 let words = state_words(who, Some(Alarm { cause, response }));
-                // Letters are 7 pixels wide.
-                assert!(RIGHT + 22 + 7 * words.len() <= WIDTH, "{words}");
+                assert!(RIGHT + 22 + LETTER * words.len() <= WIDTH, "{words}");
             }
         }
+        let fits = ["Wall", "Hall of columns"].map(|title| cut(title, 15 * LETTER));
+        assert_eq!(fits, ["Wall", "Hall of columns"]);
+        assert_eq!(cut("Hall of columns", 14 * LETTER), "Hall of col...");
     }
 }

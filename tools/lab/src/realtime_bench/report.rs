@@ -199,10 +199,12 @@ impl RealtimeReport {
         let (run, machine) = (&self.run, &self.run.machine);
         let mut advice = Vec::new();
         let queued = self.caused(Cause::Queued);
+        let program = std::env::current_exe().unwrap_or_else(|_| "FILE".into());
         if run.fifo.is_none() {
             advice.push(format!(
                 "priority: the loop ran with normal scheduling, and {queued} steps waited more than 1 ms for a processor; give the program CAP_SYS_NICE \
-                 (`sudo setcap cap_sys_nice,cap_ipc_lock+ep FILE`) or its user an rtprio limit, and leave rate.priority at 50"
+                 (`sudo setcap cap_sys_nice,cap_ipc_lock+ep {}`) or its user an rtprio limit, and leave rate.priority at 50",
+                program.display()
             ));
         } else if queued > 0 {
             advice.push(format!(

@@ -18,7 +18,7 @@ pub struct Bar {
     pub series: usize,
     pub value: f64,
     /// Its 95 % interval.
-    pub interval: Option<(f64, f64)>,
+    pub interval: (f64, f64),
     /// What stands behind it.
     pub note: String,
 }
@@ -114,16 +114,12 @@ impl Bars {
             let mark = [(start - dots(6), upper), (start - dots(2), lower)];
             area.draw(&Rectangle::new(mark, colour.filled()))?;
         }
-        let mut rightmost = end;
-        if let Some((low, high)) = bar.interval {
-            let (low, high) = (self.at(low, scale), self.at(high, scale));
-            rightmost = rightmost.max(high);
-            let ends = [low, high].map(|x| [(x, centre - dots(3)), (x, centre + dots(3))]);
-            for line in [[(low, centre), (high, centre)], ends[0], ends[1]] {
-                area.draw(&PathElement::new(line.to_vec(), INK.stroke_width(scale)))?;
-            }
+        let (low, high) = (self.at(bar.interval.0, scale), self.at(bar.interval.1, scale));
+        let ends = [low, high].map(|x| [(x, centre - dots(3)), (x, centre + dots(3))]);
+        for line in [[(low, centre), (high, centre)], ends[0], ends[1]] {
+            area.draw(&PathElement::new(line.to_vec(), INK.stroke_width(scale)))?;
         }
-        let place = (rightmost + dots(6), centre + dots(1));
+        let place = (end.max(high) + dots(6), centre + dots(1));
         area.draw_text(&bar.note, &text(scale, 10, HPos::Left, VPos::Center), place)
     }
 }
@@ -187,7 +183,7 @@ mod tests {
         let bar = |series, value| Bar {
             series,
             value,
-            interval: Some((value - 5.0, value + 5.0)),
+            interval: (value - 5.0, value + 5.0),
             note: format!("{value} %"),
         };
         let mut chart = Bars {

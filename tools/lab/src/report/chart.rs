@@ -310,7 +310,8 @@ mod tests {
     use super::super::picture::assert_shows;
     use super::*;
 
-    fn figure() -> Figure {
+    #[test]
+    fn a_chart_names_its_axes_lines_and_levels() {
         let wave = |phase: f64| {
             (0..200)
                 .map(|i| (f64::from(i) * 0.1, (f64::from(i) * 0.1 + phase).sin()))
@@ -321,13 +322,8 @@ mod tests {
         panel.series[0].points[100].1 = f64::NAN;
         let mut figure = Figure::over("time (s)", 20.0, vec![panel]);
         figure.span = Some(("attacked".to_owned(), 5.0, 7.5));
-        figure
-    }
-
-    #[test]
-    fn a_chart_names_its_axes_lines_and_levels() {
         let texts = "Two waves|score|time (s)|sine|cosine|threshold 0.8|attacked|>\n10\n<|>\n0.5\n<";
-        assert_shows(&figure().svg(), texts);
+        assert_shows(&figure.svg(), texts);
     }
 
     #[test]

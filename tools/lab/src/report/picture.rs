@@ -77,10 +77,7 @@ pub trait Picture {
         let (width, height) = self.size();
         let (width, height) = (width * PNG_SCALE, height * PNG_SCALE);
         let mut rgb = vec![255; (3 * width * height) as usize];
-        {
-            let area = BitMapBackend::with_buffer(&mut rgb, (width, height)).into_drawing_area();
-            drawn(self, &area, PNG_SCALE);
-        }
+        drawn(self, BitMapBackend::with_buffer(&mut rgb, (width, height)), PNG_SCALE);
         for raster in self.rasters() {
             let [left, top, across, down] = raster.place.map(|dots| (dots * PNG_SCALE) as usize);
             for y in 0..down {
@@ -109,10 +106,7 @@ pub trait Picture {
     fn svg(&self) -> String {
         register_font();
         let mut text = String::new();
-        {
-            let area = SVGBackend::with_string(&mut text, self.size()).into_drawing_area();
-            drawn(self, &area, 1);
-        }
+        drawn(self, SVGBackend::with_string(&mut text, self.size()), 1);
         let mut images = String::new();
         for raster in self.rasters() {
             let [x, y, width, height] = raster.place;
@@ -128,10 +122,11 @@ pub trait Picture {
     }
 }
 
-fn drawn<P: Picture + ?Sized, DB: DrawingBackend>(picture: &P, area: &Area<DB>, scale: u32) {
+fn drawn<P: Picture + ?Sized, DB: DrawingBackend>(picture: &P, surface: DB, scale: u32) {
+    let area = surface.into_drawing_area();
     let all = || {
         area.fill(&BACKGROUND)?;
-        picture.draw(area, scale)?;
+        picture.draw(&area, scale)?;
         area.present()
     };
     // Memory takes every drawing.

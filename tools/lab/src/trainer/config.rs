@@ -32,9 +32,9 @@ settings! {
         pub steps_per_decision: usize = within(4, (1.0, 40.0), ""),
         /// A training flight is cut off after this time, seconds. The value of its last state still counts.
         pub time_limit_s: f32 = within(60.0, (1.0, 3600.0), ""),
-        /// Share of the training flights whose odometry drifts, by up to `drift_scale` of the way and `drift_yaw_deg_s`.
+        /// Share of the training flights whose odometry drifts, by up to `drift_scale` of the path and `drift_yaw_deg_s`.
         pub drift_share: f64 = within(0.25, (0.0, 1.0), ""),
-        /// Most by which a way seems longer or shorter, as a share.
+        /// Most by which a path seems longer or shorter, as a share.
         pub drift_scale: f32 = within(0.02, (0.0, 0.5), ""),
         /// Most turning that does not happen, degrees per second.
         pub drift_yaw_deg_s: f32 = within(0.5, (0.0, 10.0), ""),
@@ -86,16 +86,16 @@ settings! {
         /// Progress along what.
         pub along: Along = free(Along::Path),
         /// At the goal.
-        pub success: f32 = free(5.0),
+        pub success: f32 = within(5.0, (-1e6, 1e6), ""),
         /// For collision and out of bounds (the paper: −2).
-        pub dead: f32 = free(-6.0),
+        pub dead: f32 = within(-6.0, (-1e6, 1e6), ""),
         /// For each decision (the paper: 0).
-        pub decision: f32 = free(-0.02),
+        pub decision: f32 = within(-0.02, (-1e6, 1e6), ""),
         /// At checkpoint C of N: this times (1 + C/N) (the paper: 2).
-        pub checkpoint: f32 = free(0.0),
+        pub checkpoint: f32 = within(0.0, (-1e6, 1e6), ""),
         /// For each decision that ends less than 1 m from an obstacle, times the square of the share of that metre that is missing
         /// (the paper: not there).
-        pub near: f32 = free(-0.3),
+        pub near: f32 = within(-0.3, (-1e6, 1e6), ""),
     }
 
     /// The updates of actor and critics.
@@ -119,7 +119,7 @@ settings! {
         /// Longest gradient.
         pub gradient_norm: f32 = within(5.0, (1e-6, 1e9), ""),
         /// Weight of the square of what exceeds 1 before the actor's last tanh.
-        pub saturation_penalty: f32 = free(0.05),
+        pub saturation_penalty: f32 = within(0.05, (0.0, 1e6), ""),
         /// Standard deviation of the noise on the target's action, cut off at twice that.
         pub smoothing: f32 = within(0.15, (0.0, 10.0), ""),
         /// Units of the critics' two layers.
@@ -135,7 +135,7 @@ settings! {
         /// Exponent of the priority; 0 samples evenly.
         pub alpha: f64 = within(0.0, (0.0, 1.0), ""),
         /// Exponent of the importance weights.
-        pub beta: f64 = free(0.4),
+        pub beta: f64 = within(0.4, (0.0, 1.0), ""),
     }
 
     /// Flights that evaluate the actor, always over the same courses.
@@ -145,7 +145,7 @@ settings! {
         /// Families that are flown at each; the mean of their completions chooses.
         pub families: Vec<Family> = free(vec![Family::Validation, Family::Hard]),
         /// Flights of each.
-        pub flights: u64 = free(60),
+        pub flights: u64 = within(60, (1.0, f64::INFINITY), ""),
         /// Flights of each that choose between the best at the end.
         pub final_flights: u64 = free(200),
         /// Seed of the first course.
@@ -231,6 +231,9 @@ mod tests {
             ("families = []", "`families`"),
             ("warm_up = 10", "`warm_up`"),
             ("[learning]\nsmoothing = -0.1", "`learning.smoothing`"),
+            ("[learning]\nsaturation_penalty = inf", "`learning.saturation_penalty`"),
+            ("[reward]\nnear = nan", "`reward.near`"),
+            ("[evaluation]\nflights = 0", "`evaluation.flights`"),
             ("[learning]\ncritic_units = [0, 256]", "`learning.critic_units`"),
             ("[replay]\ndecisions = 100_000_000_000_000", "`replay.decisions`"),
         ] {

@@ -51,9 +51,10 @@ struct Photographer {
 }
 
 impl Photographer {
-    fn new(seed: u64, stream: u64, first_seed: u64) -> Self {
+    fn new(seed: u64, number: u64) -> Self {
+        let first_seed = FIRST_SEED.wrapping_add(seed << 22).wrapping_add(number << 18);
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(STREAM + stream);
+        rng.set_stream(STREAM + 1 + number);
         let course = generate(Family::Training, first_seed);
         Self {
             next_seed: first_seed,
@@ -122,17 +123,6 @@ struct Shard {
 }
 
 impl Shard {
-    fn new(graph: &Graph, seed: u64, number: u64) -> Self {
-        let first_seed = FIRST_SEED.wrapping_add(seed << 22).wrapping_add(number << 18);
-        Self {
-            photographer: Photographer::new(seed, 1 + number, first_seed),
-            tape: Aligned::zeros(graph.tape_len()),
-            work: Aligned::zeros(graph.work_len()),
-            d_encoder: Aligned::zeros(graph.param_len()),
-            loss: 0.0,
-        }
-    }
-
     /// Loss and gradient of fresh frames; `count` is the number of values in the whole batch.
     fn add_up(
         &mut self,
@@ -214,7 +204,14 @@ pub fn teach_encoder(
     params.resize(graph.param_len(), 0.0);
     let mut adam = Adam::new(len);
     let mut packed = vec![0.0; params.len()];
-    let mut shards: Vec<Shard> = (0..SHARDS as u64).map(|i| Shard::new(&graph, seed, i)).collect();
+    let shard = |number: u64| Shard {
+        photographer: Photographer::new(seed, number),
+        tape: Aligned::zeros(graph.tape_len()),
+        work: Aligned::zeros(graph.work_len()),
+        d_encoder: Aligned::zeros(graph.param_len()),
+        loss: 0.0,
+    };
+    let mut shards: Vec<Shard> = (0..SHARDS as u64).map(shard).collect();
     let mut mean_loss = 0.0;
     for update in 0..config.updates {
         if stop.load(Ordering::Relaxed) {

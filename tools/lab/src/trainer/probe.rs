@@ -29,15 +29,9 @@ pub struct Readout {
     pub lag_s: usize,
     /// Moments of the flights that it was tried on.
     pub samples: usize,
-    /// From the 48 values.
-    pub state: f64,
-    /// The controls: from those of the same actor beside it, its memory wiped; from the newest scan; from the 48 values, what another
-    /// flight saw.
-    pub wiped: f64,
-    /// From the newest scan.
-    pub scan: f64,
-    /// What another flight saw.
-    pub shuffled: f64,
+    /// From the 48 values, and the controls: from those of the same actor beside it, its memory wiped; from the newest scan; from the 48
+    /// values, what another flight saw.
+    pub shares: [f64; 4],
 }
 
 /// A moment of a flight: what is read from, and for each lag the proximities that are asked for, where the flight is old enough.
@@ -73,10 +67,7 @@ pub fn probe(frozen: &FrozenActor, isa: Isa, what: &EvaluationSpec) -> Result<Ve
         Ok(Readout {
             lag_s,
             samples: tried.filter(|sample| sample.seen[lag].is_some()).count(),
-            state: r2(0, 0)?,
-            wiped: r2(1, 0)?,
-            scan: r2(2, 0)?,
-            shuffled: r2(0, 1)?,
+            shares: [r2(0, 0)?, r2(1, 0)?, r2(2, 0)?, r2(0, 1)?],
         })
     };
     LAGS_S.iter().enumerate().map(readout).collect()

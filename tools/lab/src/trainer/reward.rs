@@ -12,7 +12,7 @@ pub const NEAR_M: f32 = 1.0;
 /// What a decision brought about.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DecisionResult {
-    /// Metres nearer to the goal, along the straight line or the shortest free way.
+    /// Metres nearer to the goal, along the straight line or the shortest free path.
     pub progress_m: f32,
     /// Checkpoints passed before it.
     pub checkpoints_before: usize,

@@ -2,6 +2,7 @@
 
 mod resume;
 
+use crate::cli::output::git_commit;
 use crate::trainer::actor_net::ActorNet;
 use crate::trainer::config::LearnConfig;
 use crate::trainer::encoder::teach_encoder;
@@ -9,13 +10,14 @@ use crate::trainer::evaluation::{EvaluatedActor, EvaluationSpec, FamilyCount, ev
 use crate::trainer::learner::{Learner, UpdateReport};
 use crate::trainer::observation::{Drift, Encoder, OBSERVATION};
 use crate::trainer::replay::Replay;
-use crate::trainer::store::{Stored, not_written, replace};
+use crate::trainer::store::{Stored, replace};
 use crate::trainer::worker::{EnvWorker, FlightReport};
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::fs::{File, TryLockError};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -168,6 +170,8 @@ struct Run<'a> {
     begun: Instant,
     earlier_s: f64,
     checkpoint: PathBuf,
+    /// The folder, locked: two runs in it would overwrite each other's files.
+    _lock: File,
 }
 
 impl<'a> Run<'a> {
@@ -179,7 +183,14 @@ impl<'a> Run<'a> {
         report: Report<'_>,
     ) -> Result<Option<Self>> {
         let folder = &options.folder;
-        std::fs::create_dir_all(folder).map_err(|e| not_written(folder, &e))?;
+        // A folder that holds a run is there already: a mistyped one is not made.
+        if !options.resume {
+            std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        }
+        let lock = File::open(folder).with_context(|| format!("cannot open {}", folder.display()))?;
+        if let Err(TryLockError::WouldBlock) = lock.try_lock() {
+            bail!("another `vigil learn` trains in {}", folder.display());
+        }
         let checkpoint = folder.join("checkpoint.safetensors");
         ensure!(
             options.resume || !checkpoint.exists(),
@@ -225,10 +236,13 @@ impl<'a> Run<'a> {
             begun,
             earlier_s: 0.0,
             checkpoint,
+            _lock: lock,
         };
         if let Some(saved) = &saved {
             run.restore(saved)?;
         }
+        // It says that the run is complete: at the end it is written again.
+        let _ = std::fs::remove_file(folder.join("result.json"));
         replace(&folder.join("config.toml"), config.to_toml().as_bytes())?;
         Ok(Some(run))
     }
@@ -321,23 +335,7 @@ impl<'a> Run<'a> {
         };
         (self.so_far.sum, self.so_far.summed) = (UpdateReport::default(), 0);
         if evaluates {
-            let e = &self.config.evaluation;
-            let params = self.learner.actor.target.clone();
-            for family in &e.families {
-                row.evaluated
-                    .push(self.evaluate(&params, *family, e.first_seed, e.flights, Ablation::Nothing)?);
-            }
-            let completion =
-                row.evaluated.iter().map(FamilyCount::completion).sum::<f64>() / row.evaluated.len().max(1) as f64;
-            self.candidates.push(Candidate {
-                updates,
-                completion,
-                params,
-            });
-            // Of equals the later.
-            self.candidates
-                .sort_by(|a, b| b.completion.total_cmp(&a.completion).then(b.updates.cmp(&a.updates)));
-            self.candidates.truncate(CANDIDATES);
+            row.evaluated = self.add_candidate(updates, self.learner.actor.target.clone())?;
         }
         self.so_far.rows.push(row);
         if evaluates {
@@ -349,6 +347,24 @@ impl<'a> Run<'a> {
             report(Progress::Row(row, self.config.updates_due(self.config.decisions)));
         }
         Ok(())
+    }
+
+    /// Evaluates an actor, and keeps it if it is one of the best.
+    fn add_candidate(&mut self, updates: u64, params: Vec<f32>) -> Result<Vec<FamilyCount>> {
+        let e = &self.config.evaluation;
+        let fly = |family: &Family| self.evaluate(&params, *family, e.first_seed, e.flights, Ablation::Nothing);
+        let counts = e.families.iter().map(fly).collect::<Result<Vec<_>>>()?;
+        let completion = counts.iter().map(FamilyCount::completion).sum::<f64>() / counts.len().max(1) as f64;
+        self.candidates.push(Candidate {
+            updates,
+            completion,
+            params,
+        });
+        // Of equals the later.
+        self.candidates
+            .sort_by(|a, b| b.completion.total_cmp(&a.completion).then(b.updates.cmp(&a.updates)));
+        self.candidates.truncate(CANDIDATES);
+        Ok(counts)
     }
 
     fn write_tables(&self) -> Result<()> {
@@ -441,9 +457,11 @@ impl<'a> Run<'a> {
             elapsed_s: self.elapsed_s(),
             test,
         };
+        let (folder, mut actor) = (&self.options.folder, self.frozen(&chosen.params, chosen.updates));
+        actor.git_commit = git_commit();
+        actor.save(&folder.join("actor.safetensors"))?;
         let text = serde_json::to_vec_pretty(&result).unwrap_or_default();
-        replace(&self.options.folder.join("result.json"), &text)?;
-        let actor = self.frozen(&chosen.params, chosen.updates);
+        replace(&folder.join("result.json"), &text)?;
         Ok(LearnEnd::Complete(Box::new(actor), Box::new(result)))
     }
 }

@@ -48,13 +48,10 @@ pub fn save<S: Serialize>(path: &Path, state: &S, mut all: Vec<Tensor>) -> Resul
 }
 
 pub fn replace(path: &Path, content: &[u8]) -> Result<()> {
-    vigil_types::files::replace(path, content, vigil_types::files::Access::Shared).map_err(|e| not_written(path, &e))
-}
-
-/// What is said of a file or folder that cannot be written.
-pub fn not_written(path: &Path, why: &std::io::Error) -> Error {
-    let path = path.display();
-    anyhow!("cannot write {path}: {why}; an earlier {path} is kept as it was")
+    vigil_types::files::replace(path, content, vigil_types::files::Access::Shared).map_err(|why| {
+        let path = path.display();
+        anyhow!("cannot write {path}: {why}; an earlier {path} is kept as it was")
+    })
 }
 
 pub struct Stored {

@@ -30,7 +30,6 @@ const FIELD_HALF_ANGLE_RAD: f32 = PI / 4.0;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Episode {
     seed: u64,
-    family: Family,
     drift: Drift,
     /// The vehicle is one drawn by the course's seed.
     #[serde(default)]
@@ -81,7 +80,7 @@ struct Current {
 impl Current {
     /// Hovers at the start of its course, the first frame taken.
     fn begin(config: &LearnConfig, encoder: Arc<Encoder>, episode: Episode) -> Result<Self> {
-        let mut course = generate(episode.family, episode.seed);
+        let mut course = generate(episode.report.family, episode.seed);
         course.time_limit_s = config.time_limit_s;
         let drawn = episode.drawn_vehicle.then(|| VehicleParams::drawn(episode.seed));
         let vehicle = drawn.unwrap_or_default();
@@ -102,7 +101,7 @@ impl Current {
 
     fn measure_m(&self, along: Along) -> f32 {
         match along {
-            Along::Path => self.course.way_m(self.flight.truth().position_ned_m),
+            Along::Path => self.course.path_m(self.flight.truth().position_ned_m),
             Along::Line => self.flight.goal_distance_m(),
         }
     }
@@ -207,7 +206,6 @@ impl EnvWorker {
             let drifts = rng.random_bool(config.drift_share).then_some(drift);
             let episode = Episode {
                 seed,
-                family,
                 drift: drifts.unwrap_or_default(),
                 // No number is drawn at 0, so that runs of before are trained again bit for bit.
                 drawn_vehicle: config.drawn_vehicle_share > 0.0 && rng.random_bool(config.drawn_vehicle_share),

@@ -3,12 +3,14 @@
 use crate::proto::{
     Attribute, Dim, Graph, Node, Shape, Tensor, TensorType, Type, ValueInfo, attribute_type, data_type,
 };
-use std::collections::HashSet;
 use vigil_nnet::{Activation, BatchNorm, Conv2d, Function, Gru, LayerNorm, Lstm, Params};
 use vigil_policy::imported::{Layer, NetworkError};
 
 /// An input: its name and its shape in ONNX.
 pub(super) type Input = (&'static str, Vec<usize>);
+
+/// Name and number of a layer's values.
+type Written = Result<(String, usize), NetworkError>;
 
 pub(super) fn value_of(values: &[(String, usize)], layer: usize) -> Result<(&str, usize), NetworkError> {
     match values.get(layer) {
@@ -70,11 +72,6 @@ fn window(kernel: &[usize; 2], stride: usize, padding: usize) -> Vec<Attribute> 
     ]
 }
 
-/// Name of a layer's parameters in the graph.
-fn params_name(what: &str, params: Params) -> String {
-    format!("{what}_{}", params.at)
-}
-
 /// Name of a row of zeros.
 fn zeros(len: usize) -> String {
     format!("zeros_{len}")
@@ -90,13 +87,11 @@ fn turned(matrix: &[f32], cols: usize) -> Vec<f32> {
 pub(super) struct Writer<'a> {
     pub(super) params: &'a [f32],
     pub(super) graph: Graph,
-    /// Constants that are there.
-    pub(super) known: HashSet<String>,
 }
 
 impl<'a> Writer<'a> {
     fn constant(&mut self, name: &str, tensor: impl FnOnce() -> Tensor) -> String {
-        if self.known.insert(name.to_owned()) {
+        if self.graph.initializer.iter().all(|there| there.name != name) {
             self.graph.initializer.push(Tensor {
                 name: name.to_owned(),
                 ..tensor()
@@ -113,6 +108,11 @@ impl<'a> Writer<'a> {
             raw_data: values().iter().flat_map(|value| value.to_le_bytes()).collect(),
             ..Tensor::default()
         })
+    }
+
+    /// Parameters of a layer.
+    fn weights(&mut self, what: &str, of: Params, dims: &[usize], values: impl FnOnce() -> Vec<f32>) -> String {
+        self.floats(&format!("{what}_{}", of.at), dims, values)
     }
 
     fn whole_numbers(&mut self, values: &[usize]) -> String {
@@ -236,7 +236,7 @@ impl<'a> Writer<'a> {
         params: Params,
         values: &[(String, usize)],
         inputs: &mut impl Iterator<Item = &'i Input>,
-    ) -> Result<(String, usize), NetworkError> {
+    ) -> Written {
         let of = |x: &usize| value_of(values, *x);
         let several = |parts: &[usize]| parts.iter().map(of).collect::<Result<(Vec<&str>, Vec<usize>), _>>();
         Ok(match layer {
@@ -290,10 +290,8 @@ impl<'a> Writer<'a> {
             }
             Layer::Dense { x, layer: d, curve } => {
                 let (weights, biases) = self.of(params)?.split_at(d.weight_len());
-                let w = self.floats(&params_name("weights", params), &[d.inputs, d.outputs], || {
-                    weights.to_vec()
-                });
-                let b = self.floats(&params_name("biases", params), &[d.outputs], || biases.to_vec());
+                let w = self.weights("weights", params, &[d.inputs, d.outputs], || weights.to_vec());
+                let b = self.weights("biases", params, &[d.outputs], || biases.to_vec());
                 let y = self.node("Gemm", &[of(x)?.0, &w, &b], Vec::new());
                 (self.curve(y, *curve), d.outputs)
             }
@@ -311,7 +309,7 @@ impl<'a> Writer<'a> {
         let x = self.image(x, [layer.rows, layer.cols, layer.channels]);
         let (taps, channels, filters) = (layer.kernel * layer.kernel, layer.channels, layer.filters);
         let dims = [filters, channels, layer.kernel, layer.kernel];
-        let weights = self.floats(&params_name("kernels", params), &dims, || {
+        let weights = self.weights("kernels", params, &dims, || {
             // Ours: [tap][channel][filter].
             let at = |i: usize| {
                 let (filter, rest) = (i / (channels * taps), i % (channels * taps));
@@ -319,40 +317,29 @@ impl<'a> Writer<'a> {
             };
             (0..taps * channels * filters).map(|i| own[at(i)]).collect()
         });
-        let bias = self.floats(&params_name("biases", params), &[filters], || {
-            own[taps * channels * filters..].to_vec()
-        });
+        let biases = &own[taps * channels * filters..];
+        let bias = self.weights("biases", params, &[filters], || biases.to_vec());
         let attributes = window(&[layer.kernel; 2], layer.stride, layer.padding);
         Ok(self.node("Conv", &[&x, &weights, &bias], attributes))
     }
 
-    fn batch_norm(
-        &mut self,
-        (x, len): (&str, usize),
-        layer: &BatchNorm,
-        params: Params,
-    ) -> Result<(String, usize), NetworkError> {
+    fn batch_norm(&mut self, (x, len): (&str, usize), layer: &BatchNorm, params: Params) -> Written {
         let channels = layer.channels;
         let mut inputs = vec![self.image(x, [1, len / channels.max(1), channels])];
         let rows = self.of(params)?.chunks_exact(channels);
         for (row, what) in rows.zip(["scale", "shift", "mean", "variance"]) {
-            inputs.push(self.floats(&params_name(what, params), &[channels], || row.to_vec()));
+            inputs.push(self.weights(what, params, &[channels], || row.to_vec()));
         }
         let inputs: Vec<&str> = inputs.iter().map(String::as_str).collect();
         let y = self.node("BatchNormalization", &inputs, vec![float("epsilon", layer.epsilon)]);
         Ok((self.row(&y, len), len))
     }
 
-    fn layer_norm(
-        &mut self,
-        (x, len): (&str, usize),
-        layer: &LayerNorm,
-        params: Params,
-    ) -> Result<(String, usize), NetworkError> {
+    fn layer_norm(&mut self, (x, len): (&str, usize), layer: &LayerNorm, params: Params) -> Written {
         let width = layer.width;
         let (scale, shift) = self.of(params)?.split_at(width);
-        let scale = self.floats(&params_name("scale", params), &[width], || scale.to_vec());
-        let shift = self.floats(&params_name("shift", params), &[width], || shift.to_vec());
+        let scale = self.weights("scale", params, &[width], || scale.to_vec());
+        let shift = self.weights("shift", params, &[width], || shift.to_vec());
         let epsilon = vec![float("epsilon", layer.epsilon)];
         if len == width {
             return Ok((self.node("LayerNormalization", &[x, &scale, &shift], epsilon), len));
@@ -422,18 +409,12 @@ impl<'a> Writer<'a> {
         let (state, bias) = rest.split_at(hidden * rows);
         let in_order = |rows_of: Vec<f32>| -> Vec<f32> {
             let gate = rows_of.len() / order.len();
-            order
-                .iter()
-                .flat_map(|at| rows_of[at * gate..][..gate].to_vec())
-                .collect()
+            let gates = order.iter().flat_map(|at| &rows_of[at * gate..][..gate]);
+            gates.copied().collect()
         };
-        let w = self.floats(&params_name("input", params), &[1, rows, inputs], || {
-            in_order(turned(input, rows))
-        });
-        let r = self.floats(&params_name("state", params), &[1, rows, hidden], || {
-            in_order(turned(state, rows))
-        });
-        let b = self.floats(&params_name("biases", params), &[1, 2 * rows], || {
+        let w = self.weights("input", params, &[1, rows, inputs], || in_order(turned(input, rows)));
+        let r = self.weights("state", params, &[1, rows, hidden], || in_order(turned(state, rows)));
+        let b = self.weights("biases", params, &[1, 2 * rows], || {
             let mut both: Vec<f32> = bias.chunks_exact(rows).flat_map(|row| in_order(row.to_vec())).collect();
             both.resize(2 * rows, 0.0);
             both

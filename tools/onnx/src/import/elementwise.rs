@@ -1,6 +1,6 @@
 //! Curves, arithmetic and functions of each value.
 
-use super::importer::{Importer, Live, Settings, Value, identity};
+use super::importer::{Importer, Live, Value, identity};
 use crate::constant::{Constant, Data};
 use crate::fold;
 use crate::proto::Node;
@@ -107,7 +107,7 @@ impl Importer<'_> {
         Ok(Live::of(layer, x.shape, x.places))
     }
 
-    pub(super) fn clip(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
+    pub(super) fn clip(&mut self, node: &Node) -> Result<Live, String> {
         let mut bounds = [f32::NEG_INFINITY, f32::INFINITY];
         for (i, (bound, name)) in bounds.iter_mut().zip(["min", "max"]).enumerate() {
             if let Some(constant) = self.optional(node, i + 1)? {
@@ -115,7 +115,7 @@ impl Importer<'_> {
                     [one] => *bound = *one,
                     all => return Err(format!("{name} has {} values; one is allowed", all.len())),
                 }
-            } else if let Some(attribute) = settings.get(name) {
+            } else if let Some(attribute) = node.get(name) {
                 *bound = attribute.f;
             }
         }
@@ -142,10 +142,6 @@ impl Importer<'_> {
 
     /// The larger or the smaller of two.
     fn extreme(&mut self, a: &Value, b: &Value, larger: bool) -> Result<Live, String> {
-        let bound = |constant: &Constant| match constant.real() {
-            Ok([first, rest @ ..]) if rest.iter().all(|other| other == first) => Some(*first),
-            _ => None,
-        };
         let (x, other) = match (a, b) {
             (Value::Live(x), other) | (other, Value::Live(x)) => (x, other),
             _ => return Err("constants that are not combined".to_owned()),
@@ -155,17 +151,17 @@ impl Importer<'_> {
             Value::Live(other) => Value::Live(other.clone().shared()),
             constant => constant.clone(),
         };
-        if let Value::Constant(constant) = other
-            && let Some(bound) = bound(constant)
-        {
-            let (least, most) = match larger {
-                true => (bound, f32::INFINITY),
-                false => (f32::NEG_INFINITY, bound),
-            };
-            let x = spread_live(x, &fold::broadcast_shape(&x.shape, &constant.shape)?)?;
-            return self.through(&x, Function::Clip { least, most });
-        }
         if let Value::Constant(constant) = other {
+            if let Ok([bound, rest @ ..]) = constant.real()
+                && rest.iter().all(|other| other == bound)
+            {
+                let (least, most) = match larger {
+                    true => (*bound, f32::INFINITY),
+                    false => (f32::NEG_INFINITY, *bound),
+                };
+                let x = spread_live(x, &fold::broadcast_shape(&x.shape, &constant.shape)?)?;
+                return self.through(&x, Function::Clip { least, most });
+            }
             let constant = Constant::clone(constant).checked(false);
             constant.map_err(|_| "bounds of which some are infinite and others are not".to_owned())?;
         }
@@ -206,17 +202,17 @@ impl Importer<'_> {
     }
 
     /// Curves that are made of others.
-    pub(super) fn composed(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
+    pub(super) fn composed(&mut self, node: &Node) -> Result<Live, String> {
         // It is read more than once.
         let x = self.live(node, 0)?.shared();
         let gate = match node.op_type.as_str() {
             "Selu" => {
-                let alpha = settings.real("alpha", 1.673_263_2);
+                let alpha = node.real("alpha", 1.673_263_2);
                 let y = self.through(&x, Function::Elu { alpha })?;
-                return self.moved_by(&y, settings.real("gamma", 1.050_701), 0.0);
+                return self.moved_by(&y, node.real("gamma", 1.050_701), 0.0);
             }
             "Celu" => {
-                let alpha = settings.real("alpha", 1.0);
+                let alpha = node.real("alpha", 1.0);
                 let y = self.moved_by(&x, 1.0 / alpha, 0.0)?;
                 let y = self.through(&y, Function::Elu { alpha: 1.0 })?;
                 // Above 0 it is x again.
@@ -236,7 +232,7 @@ impl Importer<'_> {
                 let is_gate = node.op_type == "HardSwish";
                 let (alpha, beta) = match is_gate {
                     true => (1.0 / 6.0, 0.5),
-                    false => (settings.real("alpha", 0.2), settings.real("beta", 0.5)),
+                    false => (node.real("alpha", 0.2), node.real("beta", 0.5)),
                 };
                 let y = self.moved_by(&x, alpha, beta)?;
                 let y = self.through(&y, Function::Clip { least: 0.0, most: 1.0 })?;
@@ -255,7 +251,7 @@ impl Importer<'_> {
                 self.curved(&y, Activation::TANH)?
             }
             "Gelu" => {
-                let y = match settings.word("approximate").as_deref() {
+                let y = match node.word("approximate").as_deref() {
                     Some("tanh") => {
                         let cube = self.through(&x, Function::Power { exponent: 3.0 })?;
                         let cube = self.moved_by(&cube, 0.044_715, 0.0)?;
@@ -271,7 +267,7 @@ impl Importer<'_> {
                 self.moved_by(&y, 0.5, 0.5)?
             }
             _ => {
-                let y = self.moved_by(&x, settings.real("alpha", 1.0), 0.0)?;
+                let y = self.moved_by(&x, node.real("alpha", 1.0), 0.0)?;
                 self.curved(&y, Activation::Sigmoid)?
             }
         };

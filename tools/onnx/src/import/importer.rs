@@ -129,14 +129,8 @@ impl<'a> Importer<'a> {
         Ok(())
     }
 
-    /// The layer of a node or of its output, by name.
-    pub(super) fn split_point(
-        &self,
-        graph: &Graph,
-        name: &str,
-        params: &[f32],
-        frame_input: usize,
-    ) -> Result<usize, String> {
+    /// The layer of a node or of its output, by name; `frame` is the number of the frame's input.
+    pub(super) fn split_point(&self, graph: &Graph, name: &str, params: &[f32], frame: usize) -> Result<usize, String> {
         let outputs = graph
             .node
             .iter()
@@ -152,14 +146,13 @@ impl<'a> Importer<'a> {
                 format!("`{name}` is nothing that the action is computed from")
             }
             Some(None) => format!("`{name}` is no layer of its own here: only values are moved there"),
-            Some(Some(layer)) => match self.network.head(params, layer, frame_input) {
+            Some(Some(layer)) => match self.network.head(params, layer, frame) {
                 Ok(_) => return Ok(layer),
                 Err(e) => format!("`{name}`: {e}"),
             },
         };
-        let possible = outputs.filter(|(_, output)| {
-            whole(output).is_some_and(|layer| self.network.head(params, layer, frame_input).is_ok())
-        });
+        let possible = outputs
+            .filter(|(_, output)| whole(output).is_some_and(|layer| self.network.head(params, layer, frame).is_ok()));
         let possible: Vec<&str> = possible.map(|(_, output)| output.as_str()).collect();
         Err(match possible.is_empty() {
             true => format!("{refused}; no value of it can be the split point"),
@@ -215,15 +208,13 @@ impl<'a> Importer<'a> {
     }
 }
 
-/// A node's settings.
-pub(super) struct Settings<'a>(pub(super) &'a [Attribute]);
-
-impl<'a> Settings<'a> {
-    pub(super) fn get(&self, name: &str) -> Option<&'a Attribute> {
-        self.0.iter().find(|attribute| attribute.name == name)
+/// Its settings.
+impl Node {
+    pub(super) fn get(&self, name: &str) -> Option<&Attribute> {
+        self.attribute.iter().find(|attribute| attribute.name == name)
     }
 
-    pub(super) fn list(&self, name: &str) -> Option<&'a [i64]> {
+    pub(super) fn list(&self, name: &str) -> Option<&[i64]> {
         self.get(name).map(|attribute| attribute.ints.as_slice())
     }
 

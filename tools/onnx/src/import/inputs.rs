@@ -1,6 +1,6 @@
 //! The inputs of a policy: which is the frame, how it lies, and where the goal is.
 
-use super::importer::{Importer, Live, Settings, Value, identity, image_places};
+use super::importer::{Importer, Live, Value, identity, image_places};
 use super::needed::Needed;
 use crate::adapter::{Adapter, Flat, FlatGoal};
 use crate::constant::len_of;
@@ -142,7 +142,7 @@ pub(super) fn is_channels_last(graph: &Graph, needed: &Needed<'_>, frame: &str) 
             continue;
         }
         match node.op_type.as_str() {
-            "Transpose" => return Some(Settings(&node.attribute).list("perm") == Some(&[0, 3, 1, 2])),
+            "Transpose" => return Some(node.list("perm") == Some(&[0, 3, 1, 2])),
             "Conv" | "MaxPool" | "AveragePool" => return Some(false),
             // What they give is no frame.
             "Gemm" | "MatMul" | "GlobalAveragePool" | "GlobalMaxPool" | "Concat" | "Shape" => {}

@@ -1,9 +1,9 @@
 //! The operator of each node: a constant, or the layers that compute it.
 
-use super::importer::{Importer, Live, Settings, Value, shape_of};
+use super::importer::{Importer, Live, Value, shape_of};
 use super::places::expanded;
 use crate::constant::{Constant, Data, len_of};
-use crate::fold;
+use crate::fold::{self, Reduction};
 use crate::proto::Node;
 use std::collections::HashSet;
 use std::rc::Rc;
@@ -17,7 +17,6 @@ const KNOWN: &str = "Abs, Add, AveragePool, BatchNormalization, Cast, Celu, Clip
 
 impl<'a> Importer<'a> {
     pub(super) fn node(&mut self, node: &'a Node) -> Result<(), String> {
-        let settings = Settings(&node.attribute);
         let unknown = || format!("this operator is not supported; there are {KNOWN}");
         if !(node.domain.is_empty() || node.domain == "ai.onnx") {
             return Err(unknown());
@@ -27,33 +26,33 @@ impl<'a> Importer<'a> {
             let (_, softplus) = self.input(node, 2)?;
             return self.set(node, 0, softplus);
         }
-        if let Some(constant) = self.folded(node, &settings)? {
+        if let Some(constant) = self.folded(node)? {
             return self.set(node, 0, Value::Constant(Rc::new(constant)));
         }
         let result = match node.op_type.as_str() {
-            "GRU" | "LSTM" => return self.recurrent(node, &settings),
-            "Split" => return self.split(node, &settings),
-            "Concat" => self.concat(node, &settings)?,
+            "GRU" | "LSTM" => return self.recurrent(node),
+            "Split" => return self.split(node),
+            "Concat" => self.concat(node)?,
             "Max" | "Min" | "Sum" => self.of_several(node)?,
             "Constant" => {
                 let is_bound = is_in(&self.bounds);
-                Value::Constant(Rc::new(stated(&settings)?.checked(is_bound)?))
+                Value::Constant(Rc::new(stated(node)?.checked(is_bound)?))
             }
             "Shape" => {
                 let (_, value) = self.input(node, 0)?;
-                let sizes = stated_sizes(shape_of(&value), &settings);
+                let sizes = stated_sizes(shape_of(&value), node);
                 Value::Constant(Rc::new(Constant::row(Data::Whole(sizes))))
             }
             "Identity" | "Dropout" | "Cast" | "Reshape" | "Flatten" | "Squeeze" | "Unsqueeze" | "Transpose"
-            | "Slice" | "Gather" | "Expand" => self.movement(node, &settings)?,
-            _ => Value::Live(self.layer(node, &settings)?.ok_or_else(unknown)?),
+            | "Slice" | "Gather" | "Expand" => self.movement(node)?,
+            _ => Value::Live(self.layer(node)?.ok_or_else(unknown)?),
         };
         self.set(node, 0, result)
     }
 
     /// The layers of a node that computes; `None` for an operator that is not known.
-    fn layer(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Option<Live>, String> {
-        let alpha = |usual: f32| settings.real("alpha", usual);
+    fn layer(&mut self, node: &Node) -> Result<Option<Live>, String> {
+        let alpha = |usual: f32| node.real("alpha", usual);
         let result = match node.op_type.as_str() {
             "Relu" => self.curve(node, Activation::Relu),
             "Tanh" => self.curve(node, Activation::TANH),
@@ -72,21 +71,20 @@ impl<'a> Importer<'a> {
                 let x = self.live(node, 0)?;
                 self.moved_by(&x, -1.0, 0.0)
             }
-            "Clip" => self.clip(node, settings),
+            "Clip" => self.clip(node),
             "Pow" => self.power(node),
             "Selu" | "Celu" | "PRelu" | "Softsign" | "HardSigmoid" | "HardSwish" | "Mish" | "Gelu" | "Swish" => {
-                self.composed(node, settings)
+                self.composed(node)
             }
-            "LayerNormalization" => self.layer_norm(node, settings),
-            "ReduceMean" | "ReduceSum" => self.reduce(node, settings),
-            "Gemm" => self.gemm(node, settings),
+            "LayerNormalization" => self.layer_norm(node),
+            "ReduceMean" | "ReduceSum" | "GlobalAveragePool" => self.reduce(node),
+            "Gemm" => self.gemm(node),
             "MatMul" => self.mat_mul(node),
-            "Conv" => self.conv(node, settings),
-            "MaxPool" | "GlobalMaxPool" => self.max_pool(node, settings),
-            "ReduceMax" => self.reduce_max(node, settings),
-            "AveragePool" => self.average_pool(node, settings),
-            "GlobalAveragePool" => self.global_average(node),
-            "BatchNormalization" => self.batch_norm(node, settings),
+            "Conv" => self.conv(node),
+            "MaxPool" | "GlobalMaxPool" => self.max_pool(node),
+            "ReduceMax" => self.reduce_max(node),
+            "AveragePool" => self.average_pool(node),
+            "BatchNormalization" => self.batch_norm(node),
             "Add" | "Sub" | "Mul" | "Div" => self.affine(node),
             _ => return Ok(None),
         };
@@ -94,7 +92,7 @@ impl<'a> Importer<'a> {
     }
 
     /// The constant that a node is whose inputs are all constants, if it is one that is known.
-    fn folded(&self, node: &Node, settings: &Settings<'_>) -> Result<Option<Constant>, String> {
+    fn folded(&self, node: &Node) -> Result<Option<Constant>, String> {
         let mut operator = node.op_type.as_str();
         let mut given = Vec::new();
         for (i, _) in node.input.iter().enumerate().filter(|(_, name)| !name.is_empty()) {
@@ -110,11 +108,11 @@ impl<'a> Importer<'a> {
             "Clip" if node.input.get(1).is_none_or(String::is_empty) && given.len() == 2 => operator = "Min",
             "Reshape" | "Flatten" | "Squeeze" | "Unsqueeze" | "Transpose" | "Slice" | "Gather" | "Identity"
             | "Dropout" | "Concat" | "Split" | "Shape" => return Ok(None),
-            "Cast" => return first.cast(settings.whole("to", 1)).map(Some),
+            "Cast" => return first.cast(node.whole("to", 1)).map(Some),
             "ConstantOfShape" => {
                 let shape: Option<Vec<usize>> = first.whole()?.iter().map(|size| usize::try_from(*size).ok()).collect();
                 let shape = shape.ok_or("a shape with a negative size")?;
-                let value = match settings.get("value").and_then(|attribute| attribute.t.as_ref()) {
+                let value = match node.get("value").and_then(|attribute| attribute.t.as_ref()) {
                     Some(tensor) => Constant::of(tensor)?.checked(false)?,
                     None => Constant::one(Data::Real(vec![0.0])),
                 };
@@ -130,7 +128,7 @@ impl<'a> Importer<'a> {
                 return Ok(Some(first.moved(shape, &places)));
             }
             "ReduceMean" | "ReduceSum" | "ReduceProd" | "ReduceMax" | "ReduceMin" => {
-                let (along, shape) = self.reduction(node, settings, &first.shape)?;
+                let (along, shape) = self.reduction(node, &first.shape)?;
                 return fold::reduce(operator, first, &along, shape).map(Some);
             }
             _ => {}
@@ -140,16 +138,10 @@ impl<'a> Importer<'a> {
         finite.map_err(|_| "what it makes of constants is not finite".to_owned())
     }
 
-    /// Along which axes a reduction goes, and the shape that it leaves.
-    pub(super) fn reduction(
-        &self,
-        node: &Node,
-        settings: &Settings<'_>,
-        shape: &[usize],
-    ) -> Result<(Vec<bool>, Vec<usize>), String> {
-        let axes = self.list(node, settings, "axes", 1)?;
+    pub(super) fn reduction(&self, node: &Node, shape: &[usize]) -> Result<Reduction, String> {
+        let axes = self.list(node, "axes", 1)?;
         let [keep, noop] =
-            [("keepdims", 1), ("noop_with_empty_axes", 0)].map(|(name, usual)| settings.whole(name, usual) != 0);
+            [("keepdims", 1), ("noop_with_empty_axes", 0)].map(|(name, usual)| node.whole(name, usual) != 0);
         fold::reduced(shape, axes.as_deref(), keep, noop)
     }
 
@@ -163,17 +155,17 @@ impl<'a> Importer<'a> {
 }
 
 /// What a node `Shape` gives: the sizes of the axes from `start` to before `end`.
-fn stated_sizes(shape: &[usize], settings: &Settings<'_>) -> Vec<i64> {
+fn stated_sizes(shape: &[usize], node: &Node) -> Vec<i64> {
     let rank = shape.len() as i64;
     let place = |value: i64| if value < 0 { value.saturating_add(rank) } else { value }.clamp(0, rank) as usize;
-    let (start, end) = (place(settings.whole("start", 0)), place(settings.whole("end", rank)));
+    let (start, end) = (place(node.whole("start", 0)), place(node.whole("end", rank)));
     let sizes = shape.get(start..end).unwrap_or_default();
     sizes.iter().map(|size| *size as i64).collect()
 }
 
 /// What a node `Constant` states.
-fn stated(settings: &Settings<'_>) -> Result<Constant, String> {
-    let given = |name: &str| settings.get(name);
+fn stated(node: &Node) -> Result<Constant, String> {
+    let given = |name: &str| node.get(name);
     if let Some(tensor) = given("value").and_then(|attribute| attribute.t.as_ref()) {
         Constant::of(tensor)
     } else if let Some(list) = given("value_ints") {

@@ -1,6 +1,6 @@
 //! Operators that only move values: which value of a layer stands where.
 
-use super::importer::{Importer, Live, Settings, Value, positive, shape_of};
+use super::importer::{Importer, Live, Value, positive, shape_of};
 use crate::constant::{Constant, len_of};
 use crate::fold;
 use crate::movement::{Moved, axis, reshape, take, transpose};
@@ -73,14 +73,9 @@ impl<'a> Importer<'a> {
         }
     }
 
-    pub(super) fn list(
-        &self,
-        node: &Node,
-        settings: &Settings<'_>,
-        name: &str,
-        i: usize,
-    ) -> Result<Option<Vec<i64>>, String> {
-        match settings.list(name) {
+    /// A list of a node, which is a setting or its input `i`.
+    pub(super) fn list(&self, node: &Node, name: &str, i: usize) -> Result<Option<Vec<i64>>, String> {
+        match node.list(name) {
             Some(list) => Ok(Some(list.to_vec())),
             None => match self.optional(node, i)? {
                 Some(constant) => Ok(Some(constant.whole()?.to_vec())),
@@ -89,7 +84,7 @@ impl<'a> Importer<'a> {
         }
     }
 
-    pub(super) fn movement(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+    pub(super) fn movement(&mut self, node: &Node) -> Result<Value, String> {
         let (_, value) = self.input(node, 0)?;
         let shape = shape_of(&value).to_vec();
         let len = len_of(&shape)?;
@@ -98,23 +93,23 @@ impl<'a> Importer<'a> {
             |axes: &[i64], rank: usize| -> Result<Vec<usize>, String> { axes.iter().map(|a| axis(*a, rank)).collect() };
         let in_place = |shape: Vec<usize>| (shape, (0..len).collect::<Vec<usize>>());
         let moved = match node.op_type.as_str() {
-            "Cast" if matches!(value, Value::Live(_)) && !matches!(settings.whole("to", 1), 1 | 11) => {
+            "Cast" if matches!(value, Value::Live(_)) && !matches!(node.whole("to", 1), 1 | 11) => {
                 return Err("values as whole numbers are not supported".to_owned());
             }
             "Identity" | "Dropout" | "Cast" => in_place(shape),
             "Reshape" => {
-                let wanted = self.list(node, settings, "shape", 1)?.ok_or("it has no shape")?;
+                let wanted = self.list(node, "shape", 1)?.ok_or("it has no shape")?;
                 in_place(reshape(&shape, &wanted)?)
             }
             "Flatten" => {
-                let at = match settings.whole("axis", 1) {
+                let at = match node.whole("axis", 1) {
                     end if end == rank as i64 => rank,
                     other => axis(other, rank)?,
                 };
                 in_place(vec![len_of(&shape[..at])?, len_of(&shape[at..])?])
             }
             "Squeeze" => {
-                let dropped = match self.list(node, settings, "axes", 1)? {
+                let dropped = match self.list(node, "axes", 1)? {
                     Some(axes) => axes_of(&axes, rank)?,
                     None => (0..rank).filter(|i| shape[*i] == 1).collect(),
                 };
@@ -124,7 +119,7 @@ impl<'a> Importer<'a> {
                 in_place((0..rank).filter(|i| !dropped.contains(i)).map(|i| shape[i]).collect())
             }
             "Unsqueeze" => {
-                let axes = self.list(node, settings, "axes", 1)?.ok_or("it has no axes")?;
+                let axes = self.list(node, "axes", 1)?.ok_or("it has no axes")?;
                 if axes.len() > 8 {
                     return Err(format!("{} axes", axes.len()));
                 }
@@ -137,7 +132,7 @@ impl<'a> Importer<'a> {
                 in_place(sizes.collect::<Result<_, _>>()?)
             }
             "Transpose" => {
-                let order: Vec<usize> = match settings.list("perm") {
+                let order: Vec<usize> = match node.list("perm") {
                     Some(order) => axes_of(order, rank)?,
                     None => (0..rank).rev().collect(),
                 };
@@ -145,7 +140,7 @@ impl<'a> Importer<'a> {
             }
             "Expand" => expanded(&shape, self.constant(node, 1)?.as_ref())?,
             "Gather" => {
-                let along = axis(settings.whole("axis", 0), rank)?;
+                let along = axis(node.whole("axis", 0), rank)?;
                 let indices = self.constant(node, 1)?;
                 let taken: Vec<usize> = indices
                     .whole()?
@@ -160,17 +155,17 @@ impl<'a> Importer<'a> {
                 }
                 (result, places)
             }
-            _ => self.slice(node, settings, &shape)?,
+            _ => self.slice(node, &shape)?,
         };
         self.moved(node, &value, moved)
     }
 
-    fn slice(&self, node: &Node, settings: &Settings<'_>, shape: &[usize]) -> Result<Moved, String> {
-        let starts = self.list(node, settings, "starts", 1)?.ok_or("it has no starts")?;
-        let ends = self.list(node, settings, "ends", 2)?.ok_or("it has no ends")?;
-        let axes = self.list(node, settings, "axes", 3)?;
+    fn slice(&self, node: &Node, shape: &[usize]) -> Result<Moved, String> {
+        let starts = self.list(node, "starts", 1)?.ok_or("it has no starts")?;
+        let ends = self.list(node, "ends", 2)?.ok_or("it has no ends")?;
+        let axes = self.list(node, "axes", 3)?;
         let axes = axes.unwrap_or_else(|| (0..starts.len() as i64).collect());
-        let steps = self.list(node, settings, "steps", 4)?;
+        let steps = self.list(node, "steps", 4)?;
         let steps = steps.unwrap_or_else(|| vec![1; starts.len()]);
         if [ends.len(), axes.len(), steps.len()] != [starts.len(); 3] {
             return Err("starts, ends, axes and steps are not of one length".to_owned());
@@ -197,12 +192,12 @@ impl<'a> Importer<'a> {
         Ok(moved)
     }
 
-    pub(super) fn split(&mut self, node: &'a Node, settings: &Settings<'_>) -> Result<(), String> {
+    pub(super) fn split(&mut self, node: &'a Node) -> Result<(), String> {
         let (_, value) = self.input(node, 0)?;
         let shape = shape_of(&value).to_vec();
-        let along = axis(settings.whole("axis", 0), shape.len())?;
+        let along = axis(node.whole("axis", 0), shape.len())?;
         let count = node.output.len().max(1);
-        let lens: Vec<usize> = match self.list(node, settings, "split", 1)? {
+        let lens: Vec<usize> = match self.list(node, "split", 1)? {
             Some(lens) => lens
                 .iter()
                 .map(|len| positive(*len, "a part"))
@@ -227,13 +222,13 @@ impl<'a> Importer<'a> {
         Ok(())
     }
 
-    pub(super) fn concat(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+    pub(super) fn concat(&mut self, node: &Node) -> Result<Value, String> {
         let values: Vec<Value> = (0..node.input.len())
             .map(|i| self.input(node, i).map(|(_, value)| value))
             .collect::<Result<_, _>>()?;
         let shapes: Vec<&[usize]> = values.iter().map(shape_of).collect();
         let first = *shapes.first().ok_or("it has no inputs")?;
-        let along = axis(settings.whole("axis", 0), first.len())?;
+        let along = axis(node.whole("axis", 0), first.len())?;
         let others = |shape: &[usize]| -> Vec<usize> {
             let kept = shape.iter().enumerate().filter(|(i, _)| *i != along);
             kept.map(|(_, size)| *size).collect()

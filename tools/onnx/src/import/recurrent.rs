@@ -1,6 +1,6 @@
 //! GRU and LSTM.
 
-use super::importer::{Importer, Live, RecurrentWeights, Settings, Value};
+use super::importer::{Importer, Live, RecurrentWeights, Value};
 use crate::constant::{Constant, len_of};
 use crate::proto::Node;
 use std::rc::Rc;
@@ -73,9 +73,9 @@ impl<'a> Importer<'a> {
         }
     }
 
-    pub(super) fn recurrent(&mut self, node: &'a Node, settings: &Settings<'_>) -> Result<(), String> {
+    pub(super) fn recurrent(&mut self, node: &'a Node) -> Result<(), String> {
         let is_gru = node.op_type == "GRU";
-        refuse_unknown_recurrence(node, settings, is_gru)?;
+        refuse_unknown_recurrence(node, is_gru)?;
         let x = self.live(node, 0)?;
         let (w, r) = (self.constant(node, 1)?, self.constant(node, 2)?);
         let ([steps, 1, inputs], [1, _, wide], [1, _, hidden]) =
@@ -176,21 +176,21 @@ impl<'a> Importer<'a> {
 }
 
 /// Refuses what no layer here computes.
-fn refuse_unknown_recurrence(node: &Node, settings: &Settings<'_>, is_gru: bool) -> Result<(), String> {
-    if let Some(direction) = settings.word("direction").filter(|word| word != "forward") {
+fn refuse_unknown_recurrence(node: &Node, is_gru: bool) -> Result<(), String> {
+    if let Some(direction) = node.word("direction").filter(|word| word != "forward") {
         return Err(format!("direction = {direction} is not supported"));
     }
-    settings.only("layout", 0)?;
-    settings.only("input_forget", 0)?;
+    node.only("layout", 0)?;
+    node.only("input_forget", 0)?;
     let usual: &[&[u8]] = match is_gru {
         true => &[b"Sigmoid", b"Tanh"],
         false => &[b"Sigmoid", b"Tanh", b"Tanh"],
     };
-    let activations = settings.get("activations");
-    if activations.is_some_and(|given| given.strings != usual) || settings.get("clip").is_some() {
+    let activations = node.get("activations");
+    if activations.is_some_and(|given| given.strings != usual) || node.get("clip").is_some() {
         return Err("other activations, or clipped ones, are not supported".to_owned());
     }
-    if is_gru && settings.whole("linear_before_reset", 0) != 1 {
+    if is_gru && node.whole("linear_before_reset", 0) != 1 {
         return Err("linear_before_reset = 0 is not supported; PyTorch exports 1".to_owned());
     }
     match node.input.get(7).is_some_and(|name| !name.is_empty()) {

@@ -1,7 +1,7 @@
 //! Layers with weights: dense ones, convolutions, pooling, normalisation, means and sums.
 
 use super::elementwise::spread;
-use super::importer::{Importer, Live, Settings, broadcast, identity, image_places, positive};
+use super::importer::{Importer, Live, broadcast, identity, image_places, positive};
 use crate::constant::{Constant, len_of};
 use crate::fold;
 use crate::movement::axis;
@@ -52,14 +52,14 @@ impl Importer<'_> {
         Ok(Live::of(layer, vec![1, outputs], identity(outputs)))
     }
 
-    pub(super) fn gemm(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
-        settings.only("transA", 0)?;
+    pub(super) fn gemm(&mut self, node: &Node) -> Result<Live, String> {
+        node.only("transA", 0)?;
         let (x, w) = (self.live(node, 0)?, self.constant(node, 1)?);
-        let (alpha, beta) = (settings.real("alpha", 1.0), settings.real("beta", 1.0));
+        let (alpha, beta) = (node.real("alpha", 1.0), node.real("beta", 1.0));
         let [rows, cols] = *w.shape.as_slice() else {
             return Err(format!("weights of shape {:?}", w.shape));
         };
-        let turned = settings.whole("transB", 0) != 0;
+        let turned = node.whole("transB", 0) != 0;
         let (inputs, outputs) = if turned { (cols, rows) } else { (rows, cols) };
         let values = w.real()?;
         let weights: Vec<f32> = match turned {
@@ -115,8 +115,8 @@ impl Importer<'_> {
     }
 
     /// Refuses padding that is not written out.
-    fn refuse_auto_pad(settings: &Settings<'_>) -> Result<(), String> {
-        let pad = settings.word("auto_pad");
+    fn refuse_auto_pad(node: &Node) -> Result<(), String> {
+        let pad = node.word("auto_pad");
         match pad.filter(|pad| pad != "NOTSET" && pad != "VALID") {
             Some(pad) => Err(format!(
                 "auto_pad = {pad} is not supported: export it with explicit padding"
@@ -126,10 +126,10 @@ impl Importer<'_> {
     }
 
     /// Stride, padding and dilation, which have to be the same both ways.
-    fn window(settings: &Settings<'_>) -> Result<[usize; 3], String> {
-        Self::refuse_auto_pad(settings)?;
-        settings.only("ceil_mode", 0)?;
-        let same = |what: &str, default: i64| match settings.list(what) {
+    fn window(node: &Node) -> Result<[usize; 3], String> {
+        Self::refuse_auto_pad(node)?;
+        node.only("ceil_mode", 0)?;
+        let same = |what: &str, default: i64| match node.list(what) {
             None | Some([]) => Ok(default),
             Some([first, rest @ ..]) if rest.iter().all(|other| other == first) => Ok(*first),
             Some(other) => Err(format!(
@@ -142,12 +142,12 @@ impl Importer<'_> {
     }
 
     /// A square kernel with its stride and padding, for pooling.
-    fn square(settings: &Settings<'_>) -> Result<[usize; 3], String> {
-        let (height, width) = Self::kernel_shape(settings)?;
+    fn square(node: &Node) -> Result<[usize; 3], String> {
+        let (height, width) = Self::kernel_shape(node)?;
         if height != width || height == 0 {
             return Err(not_square(height, width));
         }
-        match Self::window(settings)? {
+        match Self::window(node)? {
             [stride, padding, 1] if padding < height => Ok([height, stride, padding]),
             [_, _, 1] => Err(WIDE_PADDING.to_owned()),
             _ => Err("dilations of pooling are not supported".to_owned()),
@@ -164,13 +164,13 @@ impl Importer<'_> {
         Ok(Live::of(layer, vec![1, filters, rows, cols], places))
     }
 
-    pub(super) fn conv(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
+    pub(super) fn conv(&mut self, node: &Node) -> Result<Live, String> {
         let (x, [channels, rows, cols]) = self.image(node)?;
         let w = self.constant(node, 1)?;
         let [filters, depth, height, width] = *w.shape.as_slice() else {
             return Err(format!("weights of shape {:?}: two dimensions only", w.shape));
         };
-        let groups = positive(settings.whole("group", 1), "group")?;
+        let groups = positive(node.whole("group", 1), "group")?;
         if depth.checked_mul(groups) != Some(channels) || !filters.is_multiple_of(groups) {
             let shape = &w.shape;
             return Err(format!(
@@ -180,7 +180,7 @@ impl Importer<'_> {
         if height != width || height == 0 {
             return Err(not_square(height, width));
         }
-        let [stride, padding, dilation] = Self::window(settings)?;
+        let [stride, padding, dilation] = Self::window(node)?;
         // A dilated kernel is a larger one with zeros between.
         let kernel = (height - 1).saturating_mul(dilation).saturating_add(1);
         if padding >= kernel {
@@ -202,37 +202,28 @@ impl Importer<'_> {
         self.convolve(x, layer, params)
     }
 
-    fn kernel_shape(settings: &Settings<'_>) -> Result<(usize, usize), String> {
-        match settings.list("kernel_shape") {
+    fn kernel_shape(node: &Node) -> Result<(usize, usize), String> {
+        match node.list("kernel_shape") {
             Some([height, width]) => Ok((positive(*height, "kernel")?, positive(*width, "kernel")?)),
             other => Err(format!("kernel_shape = {other:?}")),
         }
     }
 
-    pub(super) fn max_pool(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
-        Self::refuse_auto_pad(settings)?;
+    pub(super) fn max_pool(&mut self, node: &Node) -> Result<Live, String> {
+        Self::refuse_auto_pad(node)?;
         let (x, [channels, rows, cols]) = self.image(node)?;
         let whole = match node.op_type.as_str() {
-            "MaxPool" => Self::kernel_shape(settings)? == (rows, cols),
+            "MaxPool" => Self::kernel_shape(node)? == (rows, cols),
             _ => true,
         };
-        let layer = MaxPool2d::tiles(rows, cols, channels, 1);
-        let pads = settings.list("pads").unwrap_or_default();
-        let layer = match whole && pads.iter().all(|pad| *pad == 0) {
-            true => MaxPool2d {
-                window: [rows, cols],
-                ..layer
-            },
-            false => {
-                let [window, stride, padding] = Self::square(settings)?;
-                MaxPool2d {
-                    window: [window; 2],
-                    stride,
-                    padding,
-                    ..layer
-                }
-            }
-        };
+        let pads = node.list("pads").unwrap_or_default();
+        let mut layer = MaxPool2d::tiles(rows, cols, channels, 1);
+        if whole && pads.iter().all(|pad| *pad == 0) {
+            layer.window = [rows, cols];
+        } else {
+            let [window, stride, padding] = Self::square(node)?;
+            (layer.window, layer.stride, layer.padding) = ([window; 2], stride, padding);
+        }
         layer.validate().map_err(|e| e.to_string())?;
         let (rows, cols) = (layer.out_rows(), layer.out_cols());
         let layer = self.push(Layer::MaxPool2d { x, layer }, Vec::new(), rows * cols * channels)?;
@@ -241,10 +232,10 @@ impl Importer<'_> {
     }
 
     /// A convolution whose weights are all the same, each channel for itself.
-    pub(super) fn average_pool(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
+    pub(super) fn average_pool(&mut self, node: &Node) -> Result<Live, String> {
         let (x, [channels, rows, cols]) = self.image(node)?;
-        let [kernel, stride, padding] = Self::square(settings)?;
-        if padding != 0 && settings.whole("count_include_pad", 0) == 0 {
+        let [kernel, stride, padding] = Self::square(node)?;
+        if padding != 0 && node.whole("count_include_pad", 0) == 0 {
             return Err("padding that does not count is not supported: count_include_pad = 1, or none".to_owned());
         }
         let layer = Conv2d::new([rows, cols, channels], channels, kernel, stride, padding);
@@ -257,25 +248,13 @@ impl Importer<'_> {
         self.convolve(x, layer, params)
     }
 
-    pub(super) fn global_average(&mut self, node: &Node) -> Result<Live, String> {
-        let (x, [channels, rows, cols]) = self.image_values(node)?;
-        let pixels = rows * cols;
-        let mut weights = vec![0.0; len_of(&[channels, pixels, channels])?];
-        for i in 0..channels * pixels {
-            weights[i * channels + i / pixels] = 1.0 / pixels as f32;
-        }
-        let mut live = self.dense(&x, &weights, channels, None)?;
-        live.shape = vec![1, channels, 1, 1];
-        Ok(live)
-    }
-
-    pub(super) fn batch_norm(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
-        settings.only("training_mode", 0)?;
+    pub(super) fn batch_norm(&mut self, node: &Node) -> Result<Live, String> {
+        node.only("training_mode", 0)?;
         let x = self.live(node, 0)?;
         let Some(channels) = x.shape.get(1).copied() else {
             return Err(format!("an input of shape {:?}", x.shape));
         };
-        let epsilon = settings.real("epsilon", 1e-5);
+        let epsilon = node.real("epsilon", 1e-5);
         let rows: Vec<Rc<Constant>> = (1..5).map(|i| self.constant(node, i)).collect::<Result<_, _>>()?;
         let row = |i: usize| rows[i].real();
         if rows.iter().any(|row| row.len() != channels) {
@@ -303,16 +282,16 @@ impl Importer<'_> {
         self.scaled(&x, &factors, &summands)
     }
 
-    pub(super) fn layer_norm(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
+    pub(super) fn layer_norm(&mut self, node: &Node) -> Result<Live, String> {
         let x = self.live(node, 0)?;
-        let from = axis(settings.whole("axis", -1), x.shape.len())?;
+        let from = axis(node.whole("axis", -1), x.shape.len())?;
         let width = len_of(&x.shape[from..])?;
         let scale = spread(self.constant(node, 1)?.as_ref(), &x.shape[from..])?;
         let shift = match self.optional(node, 2)? {
             Some(shift) => spread(shift.as_ref(), &x.shape[from..])?,
             None => vec![0.0; width],
         };
-        let epsilon = settings.real("epsilon", 1e-5);
+        let epsilon = node.real("epsilon", 1e-5);
         if !(epsilon > 0.0 && epsilon.is_finite()) {
             return Err(format!("epsilon = {epsilon} is not supported: above 0"));
         }
@@ -339,14 +318,20 @@ impl Importer<'_> {
     }
 
     /// Means and sums along axes: a layer whose weights are all the same.
-    pub(super) fn reduce(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
+    pub(super) fn reduce(&mut self, node: &Node) -> Result<Live, String> {
         let x = self.live(node, 0)?;
-        let (along, shape) = self.reduction(node, settings, &x.shape)?;
+        let (along, shape) = match node.op_type.as_str() {
+            "GlobalAveragePool" => {
+                let (_, [channels, ..]) = self.image_values(node)?;
+                (vec![false, false, true, true], vec![1, channels, 1, 1])
+            }
+            _ => self.reduction(node, &x.shape)?,
+        };
         let places = fold::reduced_places(&x.shape, &along)?;
         let (n, outputs) = (x.places.len(), len_of(&shape)?);
         let weight = match node.op_type.as_str() {
-            "ReduceMean" => outputs as f32 / n as f32,
-            _ => 1.0,
+            "ReduceSum" => 1.0,
+            _ => outputs as f32 / n as f32,
         };
         let mut weights = vec![0.0; len_of(&[n, outputs])?];
         for (i, place) in places.into_iter().enumerate() {
@@ -358,13 +343,13 @@ impl Importer<'_> {
     }
 
     /// The largest value of each channel of an image.
-    pub(super) fn reduce_max(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Live, String> {
+    pub(super) fn reduce_max(&mut self, node: &Node) -> Result<Live, String> {
         let x = self.live(node, 0)?;
-        let (along, shape) = self.reduction(node, settings, &x.shape)?;
+        let (along, shape) = self.reduction(node, &x.shape)?;
         if along != [false, false, true, true] {
             return Err("the largest of other than an image's rows and columns is not supported".to_owned());
         }
-        let live = self.max_pool(node, settings)?;
+        let live = self.max_pool(node)?;
         Ok(Live { shape, ..live })
     }
 }

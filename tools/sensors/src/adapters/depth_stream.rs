@@ -1,7 +1,7 @@
 //! A depth camera's raw stream: images of 16-bit units one behind the other, nothing between (V4L2's `Z16 `, RealSense's Z16).
 
-use super::Fault;
-use crate::{Mount, Pinhole, ProjectionError, Projector, View, check_unit};
+use super::{Fault, SetupError};
+use crate::{Mount, Pinhole, Projector, View, check_unit};
 use vigil_types::DEPTH_PIXELS;
 
 /// Images of a raw stream become depth images.
@@ -19,8 +19,8 @@ impl DepthStream {
     /// For a rectified camera that is mounted so; `metres_per_unit` is 0.001 for most.
     ///
     /// # Errors
-    /// A unit or a resolution that cannot be.
-    pub fn new(camera: Pinhole, mount: Mount, metres_per_unit: f32) -> Result<Self, ProjectionError> {
+    /// A unit or a resolution that cannot be, a mount that turns the camera away.
+    pub fn new(camera: Pinhole, mount: Mount, metres_per_unit: f32) -> Result<Self, SetupError> {
         check_unit(metres_per_unit)?;
         let mut projector = Projector::new(camera.resolution()?);
         let [width, height] = camera.size_px();
@@ -28,7 +28,7 @@ impl DepthStream {
         let mut depth = Box::new([1.0; DEPTH_PIXELS]);
         projector.finish(&mut depth);
         Ok(Self {
-            view: View::of(&depth),
+            view: Some(View::of(&depth).ok_or(SetupError::LooksElsewhere)?),
             units: vec![0; width * height],
             camera,
             mount,

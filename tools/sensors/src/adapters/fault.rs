@@ -50,7 +50,7 @@ pub enum Fault {
         expected: usize,
     },
     /// An image in which nothing returned at all.
-    #[error("an image without a single range: a covered lens, or a stream that is not depth")]
+    #[error("an image without a single range: a covered lens, a stream that is not depth, or z16's --unit is wrong")]
     EmptyImage,
     /// Nothing came for a while.
     #[error("nothing for {since_s:.1} s: is the device on, and does it send to this address?")]
@@ -128,11 +128,8 @@ mod tests {
     #[test]
     fn a_fault_is_reported_at_once_then_every_ten_seconds_with_its_number() {
         let (mut tally, late) = (Tally::default(), Fault::LatePacket);
-        assert!(
-            tally
-                .note(0, late)
-                .is_some_and(|line| line.starts_with("a packet that came late"))
-        );
+        let line = tally.note(0, late).expect("at once");
+        assert!(line.starts_with("a packet that came late"), "{line}");
         assert_eq!(tally.note(1_000_000_000, late), None);
         assert!(
             tally.note(2_000_000_000, Fault::NoPose).is_some(),
@@ -141,9 +138,7 @@ mod tests {
         let line = tally.note(11_000_000_000, late).expect("it is time");
         assert!(line.starts_with("2 times"), "{line}");
         let summary = tally.summary();
-        assert!(
-            summary.starts_with("3 times: ") && summary.lines().count() == 2,
-            "{summary}"
-        );
+        let lines = summary.lines().count();
+        assert!(summary.starts_with("3 times: ") && lines == 2, "{summary}");
     }
 }

@@ -27,7 +27,7 @@ pub enum SetupError {
     #[error(transparent)]
     Projection(#[from] ProjectionError),
     /// Nothing of the sensor's view is in the image.
-    #[error("mounted so, not one beam looks where the vehicle flies: see --mount")]
+    #[error("mounted so, not one beam or pixel looks where the vehicle flies: see --mount")]
     LooksElsewhere,
     /// A turn begins in the middle of the view.
     #[error(
@@ -128,8 +128,8 @@ impl OusterAdapter {
         }
         let (number, first_column, newest_ns) = self.check(bytes).ok_or(Fault::PacketContent)?;
         let lost = self.begin(number, first_column)?;
-        for block in bytes.chunks_exact(self.column_bytes()) {
-            self.store(block);
+        for block in bytes.chunks_exact(self.column_bytes()).filter_map(Block::of) {
+            self.store(&block);
         }
         if let Some(fault) = lost {
             return Err(fault);
@@ -159,25 +159,22 @@ impl OusterAdapter {
 
     /// Turn, first column and newest stamp of a packet whose columns follow each other; `None` where they cannot be this device's.
     fn check(&self, bytes: &[u8]) -> Option<(u16, usize, Nanos)> {
-        let mut blocks = bytes.chunks_exact(self.column_bytes()).map(Block);
+        let mut blocks = bytes.chunks_exact(self.column_bytes()).filter_map(Block::of);
         let first = blocks.next()?;
-        let (mut column, mut newest_ns) = (first.column(), first.stamp_ns());
-        let is_sound = |block: &Block<'_>| block.column() < self.device.columns && block.encoder() < ENCODER_STEPS;
+        let (mut column, mut newest_ns) = (first.column, first.stamp_ns);
+        let is_sound = |block: &Block<'_>| block.column < self.device.columns && block.encoder < ENCODER_STEPS;
         if !is_sound(&first) {
             return None;
         }
         for block in blocks {
             column += 1;
-            if block.turn() != first.turn()
-                || block.column() != column
-                || !is_sound(&block)
-                || block.stamp_ns() < newest_ns
-            {
+            let follows = block.turn == first.turn && block.column == column && block.stamp_ns >= newest_ns;
+            if !follows || !is_sound(&block) {
                 return None;
             }
-            newest_ns = block.stamp_ns();
+            newest_ns = block.stamp_ns;
         }
-        Some((first.turn(), first.column(), newest_ns))
+        Some((first.turn, first.column, newest_ns))
     }
 
     /// Goes on to another turn if a packet is of one; what the turn before lacked.
@@ -208,65 +205,44 @@ impl OusterAdapter {
         })
     }
 
-    fn store(&mut self, block: &[u8]) {
-        let block = Block(block);
-        let place = block.column().checked_sub(self.needed.start);
+    fn store(&mut self, block: &Block<'_>) {
+        let place = block.column.checked_sub(self.needed.start).filter(|_| block.is_good);
         let Some((place, stamp)) = place.and_then(|i| Some((i, self.stamps_ns.get_mut(i)?))) else {
             return;
         };
-        if block.status() != GOOD {
-            return;
-        }
-        *stamp = Some(block.stamp_ns());
+        *stamp = Some(block.stamp_ns);
         let beams = self.device.beams();
         let slots = self.ranges_mm.iter_mut().skip(place * beams).take(beams);
-        for (slot, beam) in slots.zip(block.beams()) {
-            *slot = beam;
+        for (slot, [a, b, c, d, ..]) in slots.zip(block.beams.as_chunks::<BEAM_BYTES>().0) {
+            *slot = u32::from_le_bytes([*a, *b, *c, *d]) & RANGE_BITS;
         }
     }
 }
 
 /// A column of a packet.
-struct Block<'a>(&'a [u8]);
+struct Block<'a> {
+    stamp_ns: Nanos,
+    column: usize,
+    turn: u16,
+    encoder: u32,
+    beams: &'a [u8],
+    is_good: bool,
+}
 
 impl<'a> Block<'a> {
-    fn bytes<const N: usize>(&self, at: usize) -> [u8; N] {
-        self.0
-            .get(at..)
-            .and_then(|rest| rest.first_chunk())
-            .copied()
-            .unwrap_or([0; N])
-    }
-
-    fn stamp_ns(&self) -> Nanos {
-        u64::from_le_bytes(self.bytes(0))
-    }
-
-    fn column(&self) -> usize {
-        u16::from_le_bytes(self.bytes(8)).into()
-    }
-
-    fn turn(&self) -> u16 {
-        u16::from_le_bytes(self.bytes(10))
-    }
-
-    fn encoder(&self) -> u32 {
-        u32::from_le_bytes(self.bytes(12))
-    }
-
-    fn status(&self) -> u32 {
-        u32::from_le_bytes(self.bytes(self.0.len().saturating_sub(COLUMN_STATUS)))
-    }
-
-    /// Ranges in millimetres.
-    fn beams(&self) -> impl Iterator<Item = u32> + use<'a> {
-        let beams = self
-            .0
-            .get(COLUMN_HEADER..self.0.len().saturating_sub(COLUMN_STATUS))
-            .unwrap_or(&[]);
-        beams.chunks_exact(BEAM_BYTES).map(|beam| {
-            let range = beam.first_chunk().copied().map_or(0, u32::from_le_bytes);
-            range & RANGE_BITS
+    fn of(bytes: &'a [u8]) -> Option<Self> {
+        let (before, status) = bytes.split_last_chunk::<COLUMN_STATUS>()?;
+        Some(Self {
+            stamp_ns: u64::from_le_bytes(at(bytes, 0)?),
+            column: u16::from_le_bytes(at(bytes, 8)?).into(),
+            turn: u16::from_le_bytes(at(bytes, 10)?),
+            encoder: u32::from_le_bytes(at(bytes, 12)?),
+            beams: before.get(COLUMN_HEADER..)?,
+            is_good: u32::from_le_bytes(*status) == GOOD,
         })
     }
+}
+
+fn at<const N: usize>(bytes: &[u8], from: usize) -> Option<[u8; N]> {
+    bytes.get(from..)?.first_chunk().copied()
 }

@@ -87,19 +87,3 @@ pub fn in_vehicle(turn: Attitude, direction: FrdVector) -> FrdVector {
     let [x, y, z] = turn.to_ned(direction).to_array();
     FrdVector::new(x, y, z)
 }
-
-/// The point that a sensor measures along `direction` of its own axes, if something is within `reach_m`. The sensor's axes are
-/// turned into the vehicle's by `turn` and sit at `offset`.
-#[allow(dead_code, reason = "not every user of this file has a mounted sensor")]
-pub fn measure(
-    world: &World,
-    (position, attitude): (NedVector, Attitude),
-    (offset, turn): (FrdVector, Attitude),
-    direction: FrdVector,
-    reach_m: f64,
-) -> Option<FrdVector> {
-    let in_world = attitude.to_ned(in_vehicle(turn, direction));
-    let from = position + attitude.to_ned(offset);
-    let (range_m, _) = cast(world, from, in_world)?;
-    (range_m < reach_m).then(|| direction * (range_m as f32 / direction.norm()))
-}

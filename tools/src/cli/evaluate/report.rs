@@ -144,12 +144,7 @@ pub(super) fn report(campaign: &Campaign<Settings, Flight>, json: &Path, took: O
     // All with one fault before the next.
     let flights: Vec<&Flight> = jobs.arms.iter().flat_map(|arm| campaign.flights_of(arm)).collect();
     let faults = jobs.arms.iter().filter(|arm| *arm != NO_FAULT);
-    let tallies: Vec<FaultTally> = faults
-        .map(|fault| {
-            let of_it = flights.iter().filter(|f| f.sensor_fault.as_ref() == Some(fault));
-            FaultTally::of(fault, of_it.map(|f| (&f.record, &f.sensor)))
-        })
-        .collect();
+    let tallies: Vec<FaultTally> = faults.map(|fault| FaultTally::of(fault, &flights)).collect();
     let interrupted = campaign.is_interrupted();
     let rates = rates_of(&flights);
     let simulated_s = simulated_s(campaign);

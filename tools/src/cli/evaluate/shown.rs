@@ -1,13 +1,13 @@
 //! The first flights of a campaign in the viewer while they fly.
 
 use super::{EvaluateArgs, log_name};
+use crate::cli::child_process::wait_for;
 use crate::cli::output::{self, Interrupt, say, tell};
 use crate::cli::view::tell_ended_early;
 use anyhow::Result;
 use rustix::process::{Pid, Signal, kill_process};
 use std::path::{Path, PathBuf};
 use std::process::Child;
-use std::time::Duration;
 use vigil_sim::SensorFault;
 
 /// Flights in the viewer while they fly.
@@ -46,22 +46,15 @@ impl Shown {
             kill_process(Pid::from_child(&self.script), Signal::TERM)?;
         }
         let mut said = false;
-        let status = loop {
-            match self.script.try_wait()? {
-                Some(status) => break status,
-                None if interrupt.came() => {
-                    self.script.kill()?;
-                    break self.script.wait()?;
-                }
-                None => std::thread::sleep(Duration::from_millis(100)),
-            }
-            if !said {
+        let status = wait_for(&mut self.script, || {
+            if !said && !interrupt.came() {
                 tell!("vigil: the viewer reads the rest of the logs; Ctrl-C leaves it there");
                 said = true;
             }
-        };
+            interrupt.came()
+        })?;
         say!("logs             {}", self.folder.display());
-        if !status.success() && !interrupt.came() {
+        if status.is_some_and(|status| !status.success()) && !interrupt.came() {
             tell_ended_early(&self.folder);
         }
         Ok(())

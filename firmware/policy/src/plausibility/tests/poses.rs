@@ -27,11 +27,8 @@ fn a_position_that_jumps_in_flight_is_implausible_until_ten_poses_fit_and_on_the
         // Telemetry and header agree on it, and so does every picture from there on.
         flight.position.x -= jump_m;
         let faults = flight.fly(30, good);
-        let implausible = faults
-            .iter()
-            .take_while(|d| d.contains(Reason::ImplausiblePose))
-            .count();
-        assert_eq!(implausible, 10, "{jump_m} m: {faults:?}");
+        let is_it = |d: &&Reasons| d.contains(Reason::ImplausiblePose);
+        assert_eq!(faults.iter().take_while(is_it).count(), 10, "{jump_m} m: {faults:?}");
         assert!(faults[10..].iter().all(|d| d.is_empty()), "{jump_m} m: {faults:?}");
     }
     let mut flight = Flight::new();

@@ -77,47 +77,31 @@ impl Event {
     }
 
     /// Its number below the component's, name, message, and arguments by type and name.
-    fn row(self) -> (u32, &'static str, &'static str, &'static [(&'static str, &'static str)]) {
+    fn row(self) -> (u32, &'static str, &'static str, &'static str) {
         match self {
-            Self::Armed => (1, "armed", "Armed", &[]),
-            Self::Disarmed => (2, "disarmed", "Disarmed", &[]),
-            Self::ModeChanged(_) => (3, "mode_changed", "Mode: {1}", &[("flight_mode_t", "mode")]),
-            Self::FailsafeEntered(_) => (4, "failsafe_entered", "Failsafe: {1}", &[("failsafe_t", "failsafe")]),
-            Self::FailsafeEnded => (5, "failsafe_ended", "Failsafe ended", &[]),
-            Self::Terminated => (6, "terminated", "Flight terminated", &[]),
-            Self::TookOff => (7, "took_off", "Took off", &[]),
-            Self::Landed => (8, "landed", "Landed", &[]),
-            Self::ArmingCheckSummary(_) => (
-                CHECK_SUMMARY,
-                "arming_check_summary",
-                "Arming checks",
-                &[
-                    ("uint8_t", "chunk_idx"),
-                    ("health_component_t", "error"),
-                    ("health_component_t", "warning"),
-                    ("navigation_mode_group_t", "can_arm"),
-                    ("navigation_mode_group_t", "can_run"),
-                ],
-            ),
+            Self::Armed => (1, "armed", "Armed", ""),
+            Self::Disarmed => (2, "disarmed", "Disarmed", ""),
+            Self::ModeChanged(_) => (3, "mode_changed", "Mode: {1}", "flight_mode_t mode"),
+            Self::FailsafeEntered(_) => (4, "failsafe_entered", "Failsafe: {1}", "failsafe_t failsafe"),
+            Self::FailsafeEnded => (5, "failsafe_ended", "Failsafe ended", ""),
+            Self::Terminated => (6, "terminated", "Flight terminated", ""),
+            Self::TookOff => (7, "took_off", "Took off", ""),
+            Self::Landed => (8, "landed", "Landed", ""),
+            Self::ArmingCheckSummary(_) => {
+                let arguments = "uint8_t chunk_idx, health_component_t error, health_component_t warning, \
+                                 navigation_mode_group_t can_arm, navigation_mode_group_t can_run";
+                (CHECK_SUMMARY, "arming_check_summary", "Arming checks", arguments)
+            }
             Self::CheckFailed(check) => {
                 let (_, message) = check.component_and_message();
-                let arguments = &[
-                    ("navigation_mode_group_t", "modes"),
-                    ("uint8_t", "health_component_index"),
-                ];
+                let arguments = "navigation_mode_group_t modes, uint8_t health_component_index";
                 (CHECK_SUMMARY + 1 + check as u32, check.name(), message, arguments)
             }
-            Self::HealthSummary => (
-                HEALTH_SUMMARY,
-                "health_summary",
-                "Health",
-                &[
-                    ("uint8_t", "chunk_idx"),
-                    ("health_component_t", "is_present"),
-                    ("health_component_t", "error"),
-                    ("health_component_t", "warning"),
-                ],
-            ),
+            Self::HealthSummary => {
+                let arguments = "uint8_t chunk_idx, health_component_t is_present, health_component_t error, \
+                                 health_component_t warning";
+                (HEALTH_SUMMARY, "health_summary", "Health", arguments)
+            }
         }
     }
 
@@ -126,10 +110,10 @@ impl Event {
         let (number, name, message, arguments) = self.row();
         let mut definition = json!({ "name": name, "message": message });
         if !arguments.is_empty() {
-            let arguments = arguments
-                .iter()
-                .map(|(kind, name)| json!({ "type": kind, "name": name }));
-            definition["arguments"] = arguments.collect();
+            let arguments = arguments.split(", ").filter_map(|argument| argument.split_once(' '));
+            definition["arguments"] = arguments
+                .map(|(kind, name)| json!({ "type": kind, "name": name }))
+                .collect();
         }
         if matches!(number, CHECK_SUMMARY | HEALTH_SUMMARY) {
             definition["type"] = "summary".into();

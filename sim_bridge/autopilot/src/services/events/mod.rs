@@ -34,10 +34,10 @@ impl Monitored {
     fn of(core: &Core) -> Self {
         let c = &core.commander;
         Self {
-            armed: c.is_armed(),
-            mode: c.mode(),
-            failsafe: c.failsafe(),
-            terminated: c.is_terminated(),
+            armed: c.armed,
+            mode: c.mode,
+            failsafe: c.failsafe,
+            terminated: c.terminated,
             on_ground: c.is_on_ground(),
             check: core.arming_check().err().map(|denial| ArmingCheck::from(&denial)),
         }
@@ -68,7 +68,7 @@ impl Service for Events {
     }
 
     fn command(&mut self, _command: &Command, _source: Source, core: &mut Core) -> Answer {
-        if core.commander.is_armed() {
+        if core.commander.armed {
             return Err(Refusal::REJECTED.saying("pre-arm checks denied: armed"));
         }
         self.report_checks(Monitored::of(core).check, core);

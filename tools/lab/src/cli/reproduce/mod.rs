@@ -262,7 +262,12 @@ fn list() -> String {
 }
 
 fn chosen(only: &[String]) -> Result<Vec<&'static Item>> {
-    for name in only {
+    let named: Vec<&String> = only.iter().filter(|name| !name.is_empty()).collect();
+    ensure!(
+        only.is_empty() || !named.is_empty(),
+        "--only names nothing; `vigil reproduce --list` names the tables and figures"
+    );
+    for name in named {
         ensure!(
             ITEMS.iter().any(|item| item.id == name),
             "there is no {name}; `vigil reproduce --list` names the tables and figures"

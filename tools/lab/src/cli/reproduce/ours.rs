@@ -57,7 +57,7 @@ fn completion_bar(series: usize, tally: &Tally) -> Bar {
     Bar {
         series,
         value: 100.0 * tally.completion,
-        interval: Some((100.0 * low, 100.0 * high)),
+        interval: (100.0 * low, 100.0 * high),
         note: format!("{} of {}", tally.completed, tally.flights),
     }
 }
@@ -357,7 +357,7 @@ pub(super) fn peers(sources: &Sources) -> Result<Made> {
             bars.push(Bar {
                 series: 0,
                 value: p.ratio,
-                interval: Some((p.ratio_low, p.ratio_high)),
+                interval: (p.ratio_low, p.ratio_high),
                 note: format!("{:.1} × {peer}", p.ratio),
             });
         }

@@ -66,13 +66,9 @@ pub fn html(made_by: &MadeBy, all: &[Shown]) -> String {
     let _ = write!(out, "<p class=\"soft\">vigil {}", escaped(&made_by.version));
     // What is committed was measured at other commits, which each section names.
     if made_by.mode != "committed" {
-        let _ = write!(
-            out,
-            " · commit {} · actor {} · detector {}",
-            escaped(&made_by.commit),
-            short(&made_by.actor_sha256),
-            short(&made_by.detector_sha256)
-        );
+        let [actor, detector] = [&made_by.actor_sha256, &made_by.detector_sha256].map(|digest| short(digest));
+        let commit = escaped(&made_by.commit);
+        let _ = write!(out, " · commit {commit} · actor {actor} · detector {detector}");
     }
     out += "</p>\n";
     out += "<nav aria-label=\"Tables and figures\"><ul>\n";
@@ -95,8 +91,9 @@ fn short(digest: &str) -> &str {
 fn section(out: &mut String, shown: &Shown, is_quick: bool) {
     let Shown { item, made, sources } = shown;
     let any_fresh = sources.iter().any(|source| source.flown_anew);
-    let _ = writeln!(out, "<section id=\"{0}\" aria-labelledby=\"h-{0}\">", item.id);
-    let _ = write!(out, "<h2 id=\"h-{}\">{}", item.id, escaped(item.title));
+    let (id, title, caption) = (item.id, escaped(item.title), escaped(&made.caption));
+    let _ = writeln!(out, "<section id=\"{id}\" aria-labelledby=\"h-{id}\">");
+    let _ = write!(out, "<h2 id=\"h-{id}\">{title}");
     if is_quick && any_fresh {
         *out += " <span class=\"badge\">quick: few flights</span>";
     }
@@ -104,13 +101,10 @@ fn section(out: &mut String, shown: &Shown, is_quick: bool) {
     if let Some((svg, _)) = &made.figure {
         let _ = writeln!(
             out,
-            "<figure><div class=\"scroll\" role=\"img\" aria-label=\"{}\" tabindex=\"0\">\n{}</div><figcaption>{}</figcaption></figure>",
-            escaped(item.title),
-            svg,
-            escaped(&made.caption)
+            "<figure><div class=\"scroll\" role=\"img\" aria-label=\"{title}\" tabindex=\"0\">\n{svg}</div><figcaption>{caption}</figcaption></figure>"
         );
     } else {
-        let _ = writeln!(out, "<p class=\"caption\">{}</p>", escaped(&made.caption));
+        let _ = writeln!(out, "<p class=\"caption\">{caption}</p>");
     }
     let rows = made.table.rows.len();
     let folded = shown.made.figure.is_some() && rows > LONG;
@@ -125,24 +119,21 @@ fn section(out: &mut String, shown: &Shown, is_quick: bool) {
     if made.figure.is_some() {
         let _ = write!(
             out,
-            "<a href=\"figures/{0}.svg\">SVG</a> <a href=\"figures/{0}.png\">PNG, 300 dpi</a> ",
-            item.id
+            "<a href=\"figures/{id}.svg\">SVG</a> <a href=\"figures/{id}.png\">PNG, 300 dpi</a> "
         );
     }
-    let _ = writeln!(out, "<a href=\"tables/{}.csv\">CSV</a></p>", item.id);
+    let _ = writeln!(out, "<a href=\"tables/{id}.csv\">CSV</a></p>");
     *out += "<details class=\"sources\"><summary>Where the numbers come from</summary>\n<ul>\n";
     for source in sources {
-        let _ = write!(out, "<li><code>{}</code><br>", escaped(source.command));
+        let [command, seeds, commit, version] =
+            [source.command, source.seeds, source.commit, source.version].map(escaped);
         let whence = match source.flown_anew {
             true => "measured for this page",
             false => "committed data",
         };
         let _ = write!(
             out,
-            "{whence}; seeds: {}; commit {}, version {}",
-            escaped(source.seeds),
-            escaped(source.commit),
-            escaped(source.version)
+            "<li><code>{command}</code><br>{whence}; seeds: {seeds}; commit {commit}, version {version}"
         );
         if !source.note.is_empty() {
             let _ = write!(out, "; {}", escaped(source.note));

@@ -199,8 +199,8 @@ pub(super) fn figure_10(sources: &Sources) -> Result<Made> {
 }
 
 pub(super) fn figure_11(sources: &Sources) -> Result<Made> {
-    let lines: Vec<attack::StrengthLine> =
-        from_csv(&sources.of("attack-table").text("attack-table", ".csv")?).context("figure-11.csv is not ours")?;
+    let text = sources.of("attack-table").text("attack-table", ".csv")?;
+    let lines = attack::StrengthCell::of_csv(&text).context("figure-11.csv is not ours")?;
     let mut iterations: Vec<u32> = lines.iter().map(|line| line.iterations).collect();
     iterations.sort_unstable();
     iterations.dedup();
@@ -210,14 +210,14 @@ pub(super) fn figure_11(sources: &Sources) -> Result<Made> {
     let of = |method: Method, count: u32| {
         let own = lines
             .iter()
-            .filter(move |line| line.method == method.name() && line.iterations == count);
+            .filter(move |line| line.method == method && line.iterations == count);
         own.map(|line| (f64::from(line.epsilon_255), line))
     };
     let shares = |title: &str, method: Method| {
         let series = iterations.iter().map(|count| {
             let is_last = Some(count) == iterations.last();
             let unit = if is_last { " iterations" } else { "" };
-            let shares = of(method, *count).map(|(size, line)| (size, line.share, line.low_95, line.high_95));
+            let shares = of(method, *count).map(|(size, line)| (size, line.share, line.wilson_95.0, line.wilson_95.1));
             Series::banded(format!("{count}{unit}"), shares)
         });
         Panel {
@@ -263,19 +263,19 @@ pub(super) fn figure_11(sources: &Sources) -> Result<Made> {
     )
 }
 
-fn strength_table(lines: &[attack::StrengthLine], to_deg_s: f64) -> Grid {
+fn strength_table(lines: &[attack::StrengthCell], to_deg_s: f64) -> Grid {
     let mut table = Grid::new(
         "attack | ε · 255 | iterations | states deceived | 95 % interval | mean change of yaw | the paper's limit",
     );
     for line in lines {
         table.row([
-            line.method.clone(),
+            line.method.name().to_owned(),
             line.epsilon_255.to_string(),
             line.iterations.to_string(),
             format!("{} of {} ({})", line.effective, line.states, percent(line.share)),
-            between((line.low_95, line.high_95)),
+            between(line.wilson_95),
             format!("{:.1} °/s", to_deg_s * line.mean_yaw_change),
-            match line.method == Method::Noise.name() {
+            match line.method == Method::Noise {
                 true => NONE,
                 false => "61 to 68 %",
             }

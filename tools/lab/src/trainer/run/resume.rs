@@ -5,7 +5,7 @@ use crate::trainer::config::LearnConfig;
 use crate::trainer::replay::Transition;
 use crate::trainer::store::{Stored, Tensor, save, tensor};
 use crate::trainer::worker::{EnvWorker, WorkerState};
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use rayon::prelude::*;
 use safetensors::Dtype;
 use serde::{Deserialize, Serialize};
@@ -38,17 +38,26 @@ impl Run<'_> {
             "checkpoint {checkpoint} is of a run with another configuration: only `threads`, `families`, `decisions`, `drawn_vehicle_share` \
              and `evaluation` may change; resume with the same one, or train in another folder"
         );
-        let same = state.format == FORMAT
-            && settings::from_toml(&state.config).is_ok_and(|mut saved: LearnConfig| {
-                let now = self.config.clone();
-                // What new flights are made of, and how long it goes on, may change; what is stored or learned may not.
-                (saved.threads, saved.families, saved.decisions) = (now.threads, now.families, now.decisions);
-                (saved.drawn_vehicle_share, saved.evaluation) = (now.drawn_vehicle_share, now.evaluation);
-                saved == *self.config
-            });
+        let Ok(mut earlier) = settings::from_toml::<LearnConfig>(&state.config) else {
+            bail!(other)
+        };
+        let now = self.config.clone();
+        let e = &mut earlier.evaluation;
+        (e.every_updates, e.final_flights) = (now.evaluation.every_updates, now.evaluation.final_flights);
+        let is_measured_alike = *e == now.evaluation;
+        // What new flights are made of, and how long it goes on, may change; what is stored or learned may not.
+        (earlier.threads, earlier.families, earlier.decisions) = (now.threads, now.families, now.decisions);
+        (earlier.drawn_vehicle_share, earlier.evaluation) = (now.drawn_vehicle_share, now.evaluation);
+        let same = state.format == FORMAT && earlier == *self.config;
         let counts = [state.transitions.len(), state.workers.len(), self.config.environments];
         let is_whole = counts.iter().all(|n| *n == counts[0]) && state.adam_steps.len() == 3;
         ensure!(same && is_whole, other);
+        let (all, made) = (now.decisions, state.so_far.decisions);
+        // The last round of the environments may go beyond.
+        ensure!(
+            made < all.saturating_add(now.environments as u64),
+            "`decisions` is {all}, but checkpoint {checkpoint} has made {made}"
+        );
         for (i, (lane, transitions)) in self.replay.trajectories.iter_mut().zip(state.transitions).enumerate() {
             lane.states = saved.numbers(&format!("states_{i}"), Dtype::U16, u16::from_le_bytes)?;
             lane.transitions = transitions;
@@ -69,11 +78,17 @@ impl Run<'_> {
         }
         self.learner.updates = state.updates;
         for (i, (updates, completion)) in state.candidates.into_iter().enumerate() {
-            self.candidates.push(Candidate {
-                updates,
-                completion,
-                params: saved.f32(&format!("candidate_{i}"), Some(self.learner.actor.params.len()))?,
-            });
+            let params = saved.f32(&format!("candidate_{i}"), Some(self.learner.actor.params.len()))?;
+            if is_measured_alike {
+                self.candidates.push(Candidate {
+                    updates,
+                    completion,
+                    params,
+                });
+            } else {
+                // By other flights it would be compared with those to come.
+                self.add_candidate(updates, params)?;
+            }
         }
         let (high, low) = state.random_at;
         self.rng.set_word_pos(u128::from(high) << 64 | u128::from(low));

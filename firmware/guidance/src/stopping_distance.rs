@@ -1,4 +1,4 @@
-//! The way that a vehicle needs to stop, reckoned from its speed and from what it gains.
+//! The distance that a vehicle needs to stop, reckoned from its speed and from what it gains.
 
 use crate::just_stop::STANDS_M_S;
 use vigil_types::{MissionMotion, Nanos, parameters};
@@ -18,9 +18,9 @@ const LEAST_BRAKING_M_S2: f32 = 0.3;
 const LEAST_JERK_M_S3: f32 = 0.5;
 /// A vehicle that shows a faster change of its acceleration than is configured is believed up to so many times that.
 const MOST_JERK: f32 = 1.5;
-/// The way of a hold from steady flight is this time times the speed: measured 1.3 to 1.5 s on PX4 (HOLD from 1.8 to 3.3 m/s) and about
+/// The distance of a hold from steady flight is this time times the speed: measured 1.3 to 1.5 s on PX4 (HOLD from 1.8 to 3.3 m/s) and about
 /// 1.5 s on ArduCopter (BRAKE).
-const HOLD_WAY_S: f32 = 1.5;
+const HOLD_TRAVEL_S: f32 = 1.5;
 /// A gust or a lull moves a vehicle that stops by this time squared times what the wind takes away, beyond what is measured in a calm.
 const GUST_S2: f32 = 1.0;
 const CALM_M_S2: f32 = 0.3;
@@ -103,7 +103,7 @@ impl JustStopConfig {
     /// acceleration, metres per second squared. An autopilot takes its acceleration back as fast as its jerk allows: who is ordered to
     /// hold while it gains speed goes on gaining it for a while; and until it is ordered, who has begun to gain speed gains more.
     pub fn reach_m(&self, speed_m_s: f32, gain: Gain) -> f32 {
-        let steady_m = speed_m_s.max(0.0) * (self.reaction_s + HOLD_WAY_S);
+        let steady_m = speed_m_s.max(0.0) * (self.reaction_s + HOLD_TRAVEL_S);
         let windy_m_s2 = gain.wind_m_s2 - CALM_M_S2;
         let gust_m = if windy_m_s2 > 0.0 {
             GUST_S2 * windy_m_s2.min(GREATEST_GAIN_M_S2)
@@ -111,14 +111,14 @@ impl JustStopConfig {
             0.0
         };
         let ahead_m_s = self.plan_ahead_m_s(speed_m_s, gain);
-        let braking_m = self.braking_way_m(speed_m_s.max(0.0) + ahead_m_s, gain, self.reaction_s);
+        let braking_m = self.braking_distance_m(speed_m_s.max(0.0) + ahead_m_s, gain, self.reaction_s);
         self.spare_m + gust_m + braking_m.max(steady_m)
     }
 
     /// Metres to where an autopilot that is ordered to hold now can come to rest from this speed, metres per second, that it gains with
     /// this acceleration, metres per second squared.
-    pub fn way_m(&self, speed_m_s: f32, gain: Gain) -> f32 {
-        self.braking_way_m(speed_m_s, gain, ORDERED_S)
+    pub fn stopping_m(&self, speed_m_s: f32, gain: Gain) -> f32 {
+        self.braking_distance_m(speed_m_s, gain, ORDERED_S)
     }
 
     /// By how much the autopilot's plan is faster than the vehicle, metres per second.
@@ -130,7 +130,7 @@ impl JustStopConfig {
     }
 
     /// Metres of a stop that is begun after so many seconds.
-    fn braking_way_m(&self, speed_m_s: f32, gain: Gain, reaction_s: f32) -> f32 {
+    fn braking_distance_m(&self, speed_m_s: f32, gain: Gain, reaction_s: f32) -> f32 {
         let mut speed_m_s = speed_m_s.max(0.0);
         // It may cease braking in the moment in which it is looked at.
         let mut gain_m_s2 = if gain.gain_m_s2.is_finite() {
@@ -141,7 +141,7 @@ impl JustStopConfig {
         let grown_m_s2 = gain_m_s2.max(self.mission_gain_m_s2);
         let growth_m_s3 = gain.growth_m_s3.min(self.jerk_m_s3).max(0.0);
         let jerk_m_s3 = gain.shown_m_s3.max(self.jerk_m_s3).min(MOST_JERK * self.jerk_m_s3);
-        let mut way_m = 0.0;
+        let mut stopping_m = 0.0;
         let reaction_steps = (reaction_s / RECKON_S + 0.5) as usize;
         for step in 0..RECKON_STEPS {
             if step < reaction_steps {
@@ -151,12 +151,12 @@ impl JustStopConfig {
             }
             let before_m_s = speed_m_s;
             speed_m_s = (speed_m_s + gain_m_s2 * RECKON_S).max(0.0);
-            way_m += 0.5 * (before_m_s + speed_m_s) * RECKON_S;
+            stopping_m += 0.5 * (before_m_s + speed_m_s) * RECKON_S;
             if speed_m_s <= 0.0 {
                 break;
             }
         }
-        way_m
+        stopping_m
     }
 
     /// Metres that a mission takes which is begun and stopped again as soon as its vehicle is seen to move: what lies nearer on its
@@ -186,14 +186,14 @@ mod tests {
     fn the_reach_is_that_of_a_stop_with_delay_jerk_and_braking() {
         let config = JustStopConfig::default();
         let reach_m = |speed_m_s, gain_m_s2| config.reach_m(speed_m_s, gain(gain_m_s2));
-        let way_m = |speed_m_s, gain_m_s2| config.way_m(speed_m_s, gain(gain_m_s2));
+        let stopping_m = |speed_m_s, gain_m_s2| config.stopping_m(speed_m_s, gain(gain_m_s2));
         // 2.4 m in 0.4 s; half a second to 2 m/s² costs 0.5 m/s; 5.5² / 4 = 7.56 m from there; half a metre spare.
         let ramp_m = 6.0 * 0.5 - 4.0 * 0.125 / 6.0;
         let by_hand_m = 2.4 + ramp_m + 7.5625 + 0.5;
         assert!((reach_m(6.0, 0.0) - by_hand_m).abs() < 0.15, "{}", reach_m(6.0, 0.0));
-        // The ways of real autopilots' holds from steady flight, and 0.4 s until they are ordered.
-        for (speed_m_s, way_m) in [(1.8, 2.4), (2.6, 3.4), (3.3, 4.9), (5.0, 7.5)] {
-            let needed_m = way_m + 0.4 * speed_m_s;
+        // The distances of real autopilots' holds from steady flight, and 0.4 s until they are ordered.
+        for (speed_m_s, stopping_m) in [(1.8, 2.4), (2.6, 3.4), (3.3, 4.9), (5.0, 7.5)] {
+            let needed_m = stopping_m + 0.4 * speed_m_s;
             let reach_m = reach_m(speed_m_s, 0.0);
             assert!(
                 reach_m >= needed_m && reach_m <= 1.3 * needed_m + 1.0,
@@ -205,8 +205,8 @@ mod tests {
         assert!((6.6..1.5 * 6.6 + 1.0).contains(&start_m), "{start_m}");
         assert!((reach_m(0.0, 0.0) - 0.5).abs() < 1e-6);
         // From 3 m/s braking at MPC_ACC_HOR takes 2.6 m, and the hold of a PX4 4.3 m: the place that it is sent lies between.
-        assert!((2.6..4.3).contains(&way_m(3.0, 0.0)), "{}", way_m(3.0, 0.0));
-        assert!(way_m(1.9, 2.7) > way_m(2.8, 0.0) + 1.0);
+        assert!((2.6..4.3).contains(&stopping_m(3.0, 0.0)), "{}", stopping_m(3.0, 0.0));
+        assert!(stopping_m(1.9, 2.7) > stopping_m(2.8, 0.0) + 1.0);
         // Who gains 3 m/s² gains another 1.2 m/s during the reaction and 1.125 while it is taken back.
         assert!(reach_m(2.0, 3.0) > reach_m(4.3, 0.0));
         assert!(reach_m(6.0, -2.0) < reach_m(6.0, 0.0) - 0.5);

@@ -46,13 +46,13 @@ impl Aside {
 
 /// The grid and what fills it. Fixed size, no allocation.
 #[derive(Debug, Clone, Default)]
-pub struct Lookout {
+pub struct ForwardCheck {
     surroundings: RangeScan,
     grid: OccupancyGrid,
     last_stamp_ns: Option<Nanos>,
 }
 
-impl Lookout {
+impl ForwardCheck {
     /// Farther than this, metres, nothing is entered into the grid, and nothing is looked for.
     pub const FARTHEST_M: f32 = 11.0;
 
@@ -144,21 +144,19 @@ mod tests {
     use super::*;
     use std::boxed::Box;
 
-    fn seen(places: &[(f32, f32)]) -> Box<Lookout> {
-        let mut lookout = Box::new(Lookout::new());
-        lookout.grid.follow(NedVector::ZERO);
-        for (north_m, east_m) in places {
-            lookout.grid.occupy(*north_m, *east_m);
-        }
-        lookout.grid.measure_clearance();
-        lookout
+    fn seen(places: &[(f32, f32)]) -> Box<ForwardCheck> {
+        let grid = *OccupancyGrid::of(places.iter().copied());
+        Box::new(ForwardCheck {
+            grid,
+            ..ForwardCheck::new()
+        })
     }
 
     #[test]
     fn what_lies_on_the_course_counts_and_what_lies_beside_it_does_not_wherever_the_nose_points() {
-        let lookout = seen(&[(5.1, 0.1), (0.1, -6.1)]);
+        let forward_check = seen(&[(5.1, 0.1), (0.1, -6.1)]);
         let ahead = |north: f32, east: f32, reach_m: f32| {
-            lookout.obstacle_ahead_m(NedVector::ZERO, NedVector::new(north, east, 0.0), reach_m, Aside::TURNS)
+            forward_check.obstacle_ahead_m(NedVector::ZERO, NedVector::new(north, east, 0.0), reach_m, Aside::TURNS)
         };
         let found_m = ahead(2.0, 0.0, 9.0).expect("something");
         assert!((4.2..4.9).contains(&found_m), "{found_m}");
@@ -177,13 +175,11 @@ mod tests {
             seen(&[(8.1, east_m)]).obstacle_ahead_m(NedVector::ZERO, course, reach_m, aside)
         };
         for aside in [Aside::TURNS, Aside::drifts(2.0)] {
-            let (before_m, beside_m) = (
-                ahead(0.1, 9.0, aside).expect("before"),
-                ahead(0.8, 9.0, aside).expect("beside"),
-            );
-            assert!((7.4..7.8).contains(&before_m), "{before_m}");
-            // Where it is touched if the course leads to it.
-            assert!((7.4..7.8).contains(&beside_m), "{beside_m}");
+            // Before it, and where it is touched if the course leads to it.
+            for east_m in [0.1, 0.8] {
+                let found_m = ahead(east_m, 9.0, aside).expect("something");
+                assert!((7.4..7.8).contains(&found_m), "{east_m}: {found_m}");
+            }
             assert_eq!(ahead(0.1, 7.2, aside), None, "within the reach it is not touched");
             assert_eq!(ahead(1.9, 9.0, aside), None);
         }
@@ -193,17 +189,16 @@ mod tests {
 
     #[test]
     fn a_vehicle_that_is_too_near_already_may_go_away_but_not_nearer() {
-        let lookout = seen(&[(0.3, 0.1)]);
-        let ahead =
-            |north: f32| lookout.obstacle_ahead_m(NedVector::ZERO, NedVector::new(north, 0.0, 0.0), 3.0, Aside::TURNS);
+        let forward_check = seen(&[(0.3, 0.1)]);
+        let ahead = |north: f32| {
+            forward_check.obstacle_ahead_m(NedVector::ZERO, NedVector::new(north, 0.0, 0.0), 3.0, Aside::TURNS)
+        };
         assert_eq!(ahead(-1.0), None);
         assert!(ahead(1.0).is_some());
         // What it leaves hides nothing of what lies behind.
-        let lookout = seen(&[(0.1, 0.1), (5.1, 0.1)]);
-        let found_m = lookout.obstacle_ahead_m(NedVector::ZERO, NedVector::new(1.0, 0.0, 0.0), 8.0, Aside::TURNS);
-        assert!(
-            found_m.is_some_and(|found_m| (4.2..4.9).contains(&found_m)),
-            "{found_m:?}"
-        );
+        let forward_check = seen(&[(0.1, 0.1), (5.1, 0.1)]);
+        let found_m = forward_check.obstacle_ahead_m(NedVector::ZERO, NedVector::new(1.0, 0.0, 0.0), 8.0, Aside::TURNS);
+        let is_it = found_m.is_some_and(|found_m| (4.2..4.9).contains(&found_m));
+        assert!(is_it, "{found_m:?}");
     }
 }

@@ -1,35 +1,29 @@
-//! The length of the shortest free way to the goal from everywhere on a course: what the training reward goes by, and what a
-//! critic may know. Progress along the straight line punishes the only way out of a dead end; progress along this way does not.
+//! The length of the shortest free path to the goal from everywhere on a course: what the training reward goes by, and what a
+//! critic may know. Progress along the straight line punishes the only path out of a dead end; progress along this one does not.
 
-use crate::world::{Course, Lattice, Solid, VEHICLE};
+use crate::world::{Course, Lattice, VEHICLE};
 
 /// Grid spacing, metres.
 const CELL_M: f32 = 0.2;
 /// Half of the band of heights that the vehicle needs around its flight height, metres.
 pub(super) const HALF_BAND_M: f32 = 0.3;
-/// A way keeps this from every solid beside the vehicle's radius, metres.
+/// A path keeps this from every solid beside the vehicle's radius, metres.
 const MARGIN_M: f32 = 0.05;
-/// Below this clearance a metre of the way counts as more, up to [`NARROW_FACTOR`] times more where it is narrowest.
+/// Below this clearance a metre of the path counts as more, up to [`NARROW_FACTOR`] times more where it is narrowest.
 const WIDE_M: f32 = 0.9;
 const NARROW_FACTOR: f32 = 1.5;
-/// What a metre counts where the vehicle does not fit: the way out of there, so that the length is known everywhere.
+/// What a metre counts where the vehicle does not fit: the path out of there, so that the length is known everywhere.
 const COVERED_FACTOR: f32 = 3.0;
 
-/// Whether a solid reaches into the band of heights in which a course is flown.
-pub fn in_the_way(course: &Course, solid: &Solid) -> bool {
-    let height_m = course.flight_height_m;
-    solid.bottom_m() < height_m + HALF_BAND_M && solid.top_m() > height_m - HALF_BAND_M
-}
-
-/// The length of the shortest free way past what stands still, metres, on a grid over the course's bounds.
+/// The length of the shortest free path past what stands still, metres, on a grid over the course's bounds.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ShortestWay {
+pub struct ShortestPath {
     lattice: Lattice,
     /// By north, then east.
     length_m: Vec<f32>,
 }
 
-impl ShortestWay {
+impl ShortestPath {
     /// Searches the course once, from the goal outwards (Dijkstra 1959). Movers are not obstacles here.
     pub fn new(course: &Course) -> Self {
         let b = &course.bounds;
@@ -45,7 +39,12 @@ impl ShortestWay {
             along_m.min(east_m - b.east_m[0]).min(b.east_m[1] - east_m)
         };
         let mut clearances_m = lattice.values(to_bounds_m);
-        for solid in course.plan_solids(HALF_BAND_M).iter().filter(|s| in_the_way(course, s)) {
+        let band_m = course.band_m(HALF_BAND_M);
+        for solid in course
+            .plan_solids(HALF_BAND_M)
+            .iter()
+            .filter(|s| s.reaches_into(band_m))
+        {
             // Beyond `WIDE_M`, and a cell more for rounding, a solid changes nothing.
             lattice.near(solid, WIDE_M + CELL_M, |cell, distance_m| {
                 let clearance_m = &mut clearances_m[lattice.number(cell)];
@@ -68,7 +67,7 @@ impl ShortestWay {
         }
         let goal = framed(lattice.nearest([course.goal.north_m, course.goal.east_m]));
         lengths_m[goal] = 0.0;
-        // Where the vehicle fits first; then, from there, the rest, so that no way leads through a wall.
+        // Where the vehicle fits first; then, from there, the rest, so that no path leads through a wall.
         spread(&mut lengths_m, &factors, &into, width, vec![goal]);
         let mut beside = vec![false; into.len()];
         for (n, length_m) in lengths_m.iter().enumerate() {
@@ -92,7 +91,7 @@ impl ShortestWay {
         }
     }
 
-    /// The length of the way from a place, metres; narrow passages count as longer. Interpolated between the grid's points.
+    /// The length of the path from a place, metres; narrow passages count as longer. Interpolated between the grid's points.
     pub fn length_m(&self, north_m: f32, east_m: f32) -> f32 {
         let axis = |axis: usize, at_m: f32| {
             let last = self.lattice.cells[axis] - 1;
@@ -177,11 +176,11 @@ mod tests {
 
     #[test]
     fn in_an_open_field_the_way_is_the_straight_line() {
-        let way = ShortestWay::new(&course(""));
-        assert!((way.length_m(0.0, 0.0) - 20.0).abs() < 0.05);
-        assert!(way.length_m(20.0, 0.0) < 0.05);
+        let path = ShortestPath::new(&course(""));
+        assert!((path.length_m(0.0, 0.0) - 20.0).abs() < 0.05);
+        assert!(path.length_m(20.0, 0.0) < 0.05);
         // On a grid of eight directions at most 8 % longer.
-        let aslant = way.length_m(10.0, 5.0) / 125.0_f32.sqrt();
+        let aslant = path.length_m(10.0, 5.0) / 125.0_f32.sqrt();
         assert!((1.0..1.09).contains(&aslant), "{aslant}");
     }
 
@@ -192,12 +191,12 @@ mod tests {
     { from_m = [8.0, -3.0], to_m = [12.0, -3.0], thickness_m = 0.2, height_m = 3.0 },
     { from_m = [8.0, 3.0], to_m = [12.0, 3.0], thickness_m = 0.2, height_m = 3.0 },
 ]"#;
-        let way = ShortestWay::new(&course(pocket));
-        assert!(way.length_m(11.0, 0.0) > way.length_m(9.0, 0.0) + 0.5);
-        assert!(way.length_m(9.0, 0.0) > way.length_m(7.0, 0.0) + 0.5);
+        let path = ShortestPath::new(&course(pocket));
+        assert!(path.length_m(11.0, 0.0) > path.length_m(9.0, 0.0) + 0.5);
+        assert!(path.length_m(9.0, 0.0) > path.length_m(7.0, 0.0) + 0.5);
         // Inside the wall the length is known too, and no shorter than beside it.
-        assert!(way.length_m(12.0, 0.0) > way.length_m(13.0, 0.0));
-        assert!(way.length_m(12.0, 0.0).is_finite());
+        assert!(path.length_m(12.0, 0.0) > path.length_m(13.0, 0.0));
+        assert!(path.length_m(12.0, 0.0).is_finite());
     }
 
     #[test]
@@ -208,7 +207,7 @@ mod tests {
                  bottom_m = {bottom_m:?}, top_m = 4.0 }}]"
             ))
         };
-        assert!((ShortestWay::new(&beam(2.0)).length_m(0.0, 0.0) - 20.0).abs() < 0.05);
-        assert!(ShortestWay::new(&beam(1.2)).length_m(0.0, 0.0) > 21.0);
+        assert!((ShortestPath::new(&beam(2.0)).length_m(0.0, 0.0) - 20.0).abs() < 0.05);
+        assert!(ShortestPath::new(&beam(1.2)).length_m(0.0, 0.0) > 21.0);
     }
 }
