@@ -170,7 +170,7 @@ impl Deciding {
         };
     }
 
-    /// The pilot that keeps a map and plans a way: the recovery pilot, else the geometric one; `None` where neither has been asked.
+    /// The pilot that keeps a map and plans a path: the recovery pilot, else the geometric one; `None` where neither has been asked.
     pub fn mapping(&self) -> Option<&GeometricPilot> {
         match (&self.pilots.recovery, &self.pilots.pilot) {
             (Some(recovery), _) if self.asks_recovery() && !self.are_new => Some(recovery.mapping()),

@@ -461,7 +461,7 @@ impl FlightStack {
         self.guidance.taken_over()
     }
 
-    /// The pilot that keeps a map and plans a way: the recovery pilot, else the geometric one; `None` where neither has been asked. For
+    /// The pilot that keeps a map and plans a path: the recovery pilot, else the geometric one; `None` where neither has been asked. For
     /// looking at a flight afterwards ([`crate::replay()`]).
     pub fn mapping(&self) -> Option<&GeometricPilot> {
         self.deciding.mapping()

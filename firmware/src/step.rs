@@ -75,7 +75,7 @@ impl Firmware {
         link.send(&self.output.sent);
     }
 
-    /// The pilot that keeps a map and plans a way ([`FlightStack::mapping`]).
+    /// The pilot that keeps a map and plans a path ([`FlightStack::mapping`]).
     pub fn mapping(&self) -> Option<&GeometricPilot> {
         self.stack.mapping()
     }

@@ -1,4 +1,4 @@
-//! What a flight log does not hold and a replay of it gives: the pilot's map and planned way, and the pixels' SHAP values.
+//! What a flight log does not hold and a replay of it gives: the pilot's map and planned path, and the pixels' SHAP values.
 
 use crate::explained::{PixelExplainer, YAW};
 use crate::flight_report::LogSeen;
@@ -27,7 +27,7 @@ const LATEST_NS: Nanos = Nanos::MAX / 2;
 /// What to derive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Wanted {
-    /// The map and the planned way, twice a second.
+    /// The map and the planned path, twice a second.
     pub map: bool,
     /// SHAP values of the pixels, once a second for the first two minutes, and of each frame within a second of the first alarms.
     pub shap: bool,

@@ -267,10 +267,10 @@ impl SensorCheck {
             add("surfaces", severity, text);
         }
         if self.zeros > 0 || lacks {
-            let held = "; of pictures with so many, or with ranges of anywhere, the firmware holds (blind sensor)";
+            let held = ": the firmware holds for pictures with so many, or with ranges of anywhere (blind sensor)";
             let (severity, advice) = grade([(lacks, Failure, held), (true, Warning, "")]);
             let zeros = self.zeros;
-            let text = format!("{zeros} pixels are 0.0, a surface at the lens: no return is 1.0{advice}");
+            let text = format!("{zeros} pixels are 0.0, a surface at the lens (no return is 1.0){advice}");
             add("zeros", severity, text);
         }
         if self.unchanged > 0 {

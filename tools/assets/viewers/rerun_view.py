@@ -1,6 +1,6 @@
 """Shows a Vigil flight log in the Rerun viewer, in a ready layout.
 
-Rerun reads MCAP itself, but draws neither scenes, planned ways nor grids of it, and has no layout for it. This script reads the log by
+Rerun reads MCAP itself, but draws neither scenes, planned paths nor grids of it, and has no layout for it. This script reads the log by
 the schemas that it carries and hands the viewer what it draws: `vigil view LOG` runs it.
 
 Usage: rerun_view.py LOG [--follow] [--port PORT] [--save FILE.rrd] [--layout FILE.rbl]
@@ -437,7 +437,7 @@ def main():
     if "/status" in show.seen and not show.flew:
         print(f"the vehicle never took off in {path}: obstacles and events are shown, `vigil log report` says why", file=sys.stderr)
     if not {"/map/grid", "/shap"} <= show.seen and not args.follow:
-        print(f"map, planned way and SHAP: `vigil log derive {shlex.quote(str(path))}` puts them into the log", file=sys.stderr)
+        print(f"map, planned path and SHAP: `vigil log derive {shlex.quote(str(path))}` puts them into the log", file=sys.stderr)
 
 
 def open_viewer(args, recording, place):

@@ -33,8 +33,8 @@ LAST_INSTANCE = 99
 STEP_NS = 50_000_000
 #: What was captured longer ago is used by nobody: such a stamp is of another clock.
 OLDEST_NS = 1_000_000_000
-#: What a publisher's files need of shared memory, with a margin; without it the system kills the process.
-NEEDED_BYTES = 1 << 20
+#: What a publisher needs of shared memory (3.5 MiB), with a margin; without it the system kills the process.
+NEEDED_BYTES = 4 << 20
 #: Bytes of the header that checksum and tag cover.
 COVERED = 56
 KEY_CONTEXT = "Vigil depth frame authentication, version 1"

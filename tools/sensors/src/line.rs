@@ -8,7 +8,7 @@ use vigil_types::DEPTH_COLS;
 
 /// Neighbours whose ranges differ by no more than this see one surface, metres.
 const TOLERANCE_M: f32 = 0.2;
-/// A slope is taken over at least this way, pixels.
+/// A slope is taken over at least this distance, pixels.
 const LEAST_TRAVEL: f32 = 0.5;
 /// How many samples back it is looked for.
 const MOST_BACK: usize = 2;

@@ -344,7 +344,7 @@ fn complete_log(
     let reported = crate::cli::log::write_report(&log, &report, EXPLAINED);
     merged.context("the true path, the attack and the outcome are not in the log")?;
     reported?;
-    derived.context("the log has no map and no planned way")
+    derived.context("the log has no map and no planned path")
 }
 
 /// What is known of the flight as a whole, for its log.

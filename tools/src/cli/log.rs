@@ -23,7 +23,7 @@ enum LogCommand {
     /// An animated picture (GIF) or a video (mp4) of the flight: from behind, from above, what the sensor saw and what in it moved the
     /// actor, score, who flies.
     Film(crate::cli::lab::Words),
-    /// Replay the flight and put into its log what follows from it: the pilot's map, its planned way, SHAP of the pixels.
+    /// Replay the flight and put into its log what follows from it: the pilot's map, its planned path, SHAP of the pixels.
     Derive(DeriveArgs),
     /// The flight as ULog (.ulg), which PX4's Flight Review, pyulog and PlotJuggler open.
     Ulg(UlgArgs),
@@ -88,7 +88,7 @@ pub struct DeriveArgs {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Derivable {
-    /// The map and the planned way.
+    /// The map and the planned path.
     Map,
     /// SHAP of the pixels.
     Shap,

@@ -199,12 +199,10 @@ impl RealtimeReport {
         let (run, machine) = (&self.run, &self.run.machine);
         let mut advice = Vec::new();
         let queued = self.caused(Cause::Queued);
-        let program = std::env::current_exe().unwrap_or_else(|_| "FILE".into());
         if run.fifo.is_none() {
             advice.push(format!(
-                "priority: the loop ran with normal scheduling, and {queued} steps waited more than 1 ms for a processor; give the program CAP_SYS_NICE \
-                 (`sudo setcap cap_sys_nice,cap_ipc_lock+ep {}`) or its user an rtprio limit, and leave rate.priority at 50",
-                program.display()
+                "priority: the loop ran with normal scheduling, and {queued} steps waited more than 1 ms for a processor; give vigil-lab CAP_SYS_NICE \
+                 (`sudo setcap cap_sys_nice,cap_ipc_lock+ep …/vigil-lab`) or its user an rtprio limit, and leave rate.priority at 50"
             ));
         } else if queued > 0 {
             advice.push(format!(
