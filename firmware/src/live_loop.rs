@@ -194,7 +194,6 @@ fn write_signing(f: &mut std::fmt::Formatter<'_>, signing: &SigningCounters) -> 
 /// The loop, ready to step. Not `Send`: it belongs to the thread that made it.
 pub struct LiveLoop {
     schedule: RateSchedule,
-    offset_ns: Nanos,
     firmware: Firmware,
     frames: FrameSubscriber,
     /// How often the transport failed to receive; each shows as a missing frame.
@@ -213,6 +212,11 @@ pub struct LiveLoop {
     /// What flies: parameters that were kept are part of it.
     config: FirmwareConfig,
     _domain: Domain,
+}
+
+/// The grid of deadlines from now on.
+fn schedule(config: &FirmwareConfig, now_ns: Nanos) -> RateSchedule {
+    RateSchedule::new(now_ns, Nanos::from(config.rate.offset_ms) * 1_000_000)
 }
 
 impl LiveLoop {
@@ -244,10 +248,8 @@ impl LiveLoop {
             })?);
         }
         let now_ns = monotonic_ns();
-        let offset_ns = Nanos::from(config.rate.offset_ms) * 1_000_000;
         Ok(Self {
-            schedule: RateSchedule::new(now_ns, offset_ns),
-            offset_ns,
+            schedule: schedule(&config, now_ns),
             firmware,
             frames,
             frame_failures: 0,
@@ -271,15 +273,15 @@ impl LiveLoop {
         self.frame_failures += u64::from(self.frames.newest().is_err());
         // Last of all: everything is allocated, and the recorder's thread was started with its ordinary priority.
         let granted = realtime::request(self.config.rate.priority.into());
-        self.schedule = RateSchedule::new(monotonic_ns(), self.offset_ns);
+        self.schedule = schedule(&self.config, monotonic_ns());
         granted
     }
 
     /// Waits for the next deadline and runs one step. Allocates nothing in steady state.
     pub fn step(&mut self) -> &StepReport {
         sleep_until(self.schedule.next_deadline_ns());
-        let timing = self.schedule.begin(monotonic_ns());
         let now_ns = monotonic_ns();
+        let timing = self.schedule.begin(now_ns);
         self.links.receive(now_ns, &mut self.received);
         let frame = self.frames.newest();
         self.frame_failures += u64::from(frame.is_err());
@@ -334,7 +336,7 @@ impl LiveLoop {
             }
             self.step();
         }
-        self.firmware.shut_down(monotonic_ns(), &mut self.links);
+        self.firmware.shut_down(monotonic_ns(), |sent| self.links.send(sent));
         FlightSummary {
             steps: self.schedule.steps(),
             slips: self.schedule.slips(),

@@ -5,7 +5,6 @@ use crate::pilots::Pilots;
 pub use crate::pilots::StackError;
 use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_guidance::ConfigError;
-use vigil_io::Link;
 use vigil_log::Recorder;
 use vigil_policy::GeometricPilot;
 use vigil_policy::actor::Actor;
@@ -69,10 +68,10 @@ impl Firmware {
         self.stack.require_frame_keys(keys);
     }
 
-    /// Sends the last packets before the firmware ends. They belong to no step and are not in the log.
-    pub fn shut_down(&mut self, now_ns: Nanos, link: &mut impl Link) {
+    /// Hands the last packets before the firmware ends to `send`. They belong to no step and are not in the log.
+    pub fn shut_down(&mut self, now_ns: Nanos, send: impl FnOnce(&Datagrams)) {
         self.stack.shut_down(now_ns, &mut self.output.sent);
-        link.send(&self.output.sent);
+        send(&self.output.sent);
     }
 
     /// The pilot that keeps a map and plans a path ([`FlightStack::mapping`]).

@@ -118,7 +118,7 @@ fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
     let flights = std::fs::read(json.with_extension("jsonl")).expect("flights");
     refused(&run_line(&line), &["3001.mcap is there and is kept"]);
     assert!(std::fs::read(json.with_extension("jsonl")).expect("flights") == flights);
-    let about = |log: &Path| vigil_log::Story::read(log).expect("a log").about;
+    let about = |log: &Path| vigil_log::Story::about(log).expect("a log");
     let (before, records) = (about(&log), Reader::open(&log).expect("a log").count());
     let saved = folder.path().join("saved.mcap");
     succeed(&run(&["recover", text(&log), text(&saved)]));

@@ -60,7 +60,7 @@ impl AllowUnsigned {
     }
 }
 
-named_setting!(AllowUnsigned, AllowUnsigned::ALL.map(|policy| (policy.name(), policy)));
+named_setting!(AllowUnsigned);
 
 impl FromRow for AllowUnsigned {
     fn default_of(_: &ParameterSpec) -> Self {

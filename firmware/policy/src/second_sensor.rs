@@ -81,15 +81,11 @@ impl SecondSensor {
             return Reasons::of(Reason::SecondSensorSilent).with_if(self.disagrees, Reason::SensorsDisagree);
         }
         if let Some(input) = input.filter(|input| airborne && input.height_m > LOW_M) {
-            let is_new =
-                |head: &Head, ranges: &SectorRanges| head.last_ns != Some(ranges.at_ns) && is_recent(ranges.at_ns);
-            let reports = self
-                .heads
-                .iter_mut()
-                .zip(newest.iter().map(|ranges| ranges.as_ref().filter(usable)));
-            let reports =
-                reports.filter_map(|(head, ranges)| ranges.filter(|ranges| is_new(head, ranges)).map(|r| (head, r)));
-            let mut reports = reports.peekable();
+            let heads = self.heads.iter_mut().zip(newest);
+            let reports = heads.filter_map(|(head, ranges)| Some((head, ranges.as_ref().filter(usable)?)));
+            let mut reports = reports
+                .filter(|(head, ranges)| head.last_ns != Some(ranges.at_ns) && is_recent(ranges.at_ns))
+                .peekable();
             if reports.peek().is_some() {
                 let scan = self.scan.observe(input);
                 reports.for_each(|(head, ranges)| head.note(ranges, hides(scan, ranges)));
@@ -118,7 +114,8 @@ impl SecondSensor {
 fn hides(scan: &Scan, ranges: &SectorRanges) -> bool {
     let half_rad = half_rad(ranges);
     let least_cos = libm::cosf(half_rad);
-    in_view(ranges).any(|(bearing_rad, range_m)| {
+    let mut seen = in_view(ranges).filter(|(_, range_m)| range_m.is_finite());
+    seen.any(|(bearing_rad, range_m)| {
         let (sin, cos) = (libm::sinf(bearing_rad), libm::cosf(bearing_rad));
         let directions = scan.direction_forward.iter().zip(&scan.direction_right);
         let nearest_m = directions

@@ -236,9 +236,7 @@ pub fn reader_has_gone(error: &io::Error) -> bool {
 /// What the system said, a full disk for example.
 pub fn print_line(text: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    let written = writeln!(out, "{text}").and_then(|()| out.flush());
-    drop(out);
-    match written {
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
         Err(error) if !reader_has_gone(&error) => {
             let message = format!("cannot write standard output: {error}");
             Err(io::Error::new(error.kind(), message))

@@ -243,9 +243,12 @@ macro_rules! value_setting {
     };
 }
 
-/// Implements [`Setting`] for a type with a few named values, given as an array of names with values.
+/// Implements [`Setting`] for a type with a few named values: one of [`named!`](crate::named), or given as an array of names with values.
 #[macro_export]
 macro_rules! named_setting {
+    ($type:ty) => {
+        $crate::named_setting!($type, <$type>::ALL.map(|value| (value.name(), value)));
+    };
     ($type:ty, $names:expr) => {
         $crate::value_setting!(
             $type,

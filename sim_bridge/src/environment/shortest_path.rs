@@ -39,12 +39,7 @@ impl ShortestPath {
             along_m.min(east_m - b.east_m[0]).min(b.east_m[1] - east_m)
         };
         let mut clearances_m = lattice.values(to_bounds_m);
-        let band_m = course.band_m(HALF_BAND_M);
-        for solid in course
-            .plan_solids(HALF_BAND_M)
-            .iter()
-            .filter(|s| s.reaches_into(band_m))
-        {
+        for solid in &course.solids_in_band(HALF_BAND_M) {
             // Beyond `WIDE_M`, and a cell more for rounding, a solid changes nothing.
             lattice.near(solid, WIDE_M + CELL_M, |cell, distance_m| {
                 let clearance_m = &mut clearances_m[lattice.number(cell)];

@@ -125,12 +125,9 @@ impl TruePlan {
     /// Of a course.
     pub fn new(course: &Course) -> Self {
         let band_m = course.band_m(HALF_BAND_M);
-        let solids = course.plan_solids(HALF_BAND_M);
         let movers = course.movers.iter().filter(|m| m.track().reaches_into(band_m));
         Self {
-            outlines: (solids.iter().filter(|s| s.reaches_into(band_m)))
-                .map(Outline::of)
-                .collect(),
+            outlines: course.solids_in_band(HALF_BAND_M).iter().map(Outline::of).collect(),
             movers: movers.copied().collect(),
         }
     }

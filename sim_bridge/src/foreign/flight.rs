@@ -330,7 +330,7 @@ impl ForeignFlight {
         true
     }
 
-    /// How the flight ended, once it has. A flight whose position jumped before has no ending.
+    /// How the flight ended, once it has. A flight whose position jumped, or whose vehicle restarted, before has no ending.
     pub fn ending(&self) -> Option<Ending> {
         self.ending
     }

@@ -322,8 +322,7 @@ impl Course {
     /// Whether the vehicle, flying straight from start to goal at flight height, would touch an obstacle.
     pub fn straight_line_is_blocked(&self) -> bool {
         let half_m = 0.5 * VEHICLE.height_m;
-        let mut hit = self.plan_solids(half_m);
-        hit.retain(|s| s.reaches_into(self.band_m(half_m)));
+        let hit = self.solids_in_band(half_m);
         let from = [self.start.north_m, self.start.east_m];
         let to = [self.goal.north_m, self.goal.east_m];
         !line_keeps(self, &hit, from, to, VEHICLE.radius_m)

@@ -173,7 +173,7 @@ named! {
     }
 }
 
-named_setting!(Family, Family::ALL.map(|family| (family.name(), family)));
+named_setting!(Family);
 
 /// A family name that does not exist.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

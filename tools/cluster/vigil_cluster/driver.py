@@ -102,21 +102,21 @@ def _taken(words: list, name: str, usual):
     return usual
 
 
-def _sent(words: list, put) -> list:
-    """The words, each file that they name replaced by what `put` makes of its content."""
-    sent, before = [], ""
+def _read(words: list) -> list:
+    """The words, each file that they name replaced by its content."""
+    read, before = [], ""
     for word in words:
         flag, equals, value = word.partition("=")
         path = value if flag in FILES and equals else word if before in FILES else None
         before = word
         if path in (None, "on", "off"):  # `--detector off` names no file
-            sent.append(word)
+            read.append(word)
             continue
         try:
-            sent += [flag] * bool(equals) + [put(Path(path).read_bytes())]
+            read += [flag] * bool(equals) + [Path(path).read_bytes()]
         except OSError as error:
             raise CampaignError(f"cannot read {path}: {error.strerror}") from error
-    return sent
+    return read
 
 
 def _write(file: Path, content: bytes) -> None:
@@ -147,7 +147,9 @@ def fly(words, output, vigil, address=None, at_a_time=20, retries=5, installed=F
     if first < 0 or count < 1:
         raise CampaignError("--seed is a number from 0 on, --flights one above 0")
     program = (vigil if words[:1] == ["evaluate"] else laboratory).read_bytes()
-    made_by = json.dumps({"program": _digest(program), "words": _sent(words, _digest)}).encode()
+    contents = _read(words)
+    digests = [word if isinstance(word, str) else _digest(word) for word in contents]
+    made_by = json.dumps({"program": _digest(program), "words": digests}).encode()
     parts = output.with_name(f"{output.stem}.parts")
     parts.mkdir(parents=True, exist_ok=True)
     other = CampaignError(f"{parts} holds flights of another campaign or program; name another file, or remove it")
@@ -170,7 +172,7 @@ def fly(words, output, vigil, address=None, at_a_time=20, retries=5, installed=F
         ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
         # A node that is lost is Ray's to notice; a flight that was killed is ours.
         task = ray.remote(_fly_some).options(num_cpus=1, max_retries=retries, retry_exceptions=[ConnectionAbortedError])
-        sent = _sent(words, ray.put)
+        sent = [word if isinstance(word, str) else ray.put(word) for word in contents]
         missing, running = [seed for seed in files if seed not in there], {}
         while missing or running:
             while missing and len(running) < MOST_SUBMITTED:

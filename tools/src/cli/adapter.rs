@@ -399,7 +399,7 @@ pub fn z16(args: &DepthStreamArgs) -> Result<ExitCode> {
     };
     let [width, height] = args.size;
     let what = format!("{width} x {height} pixels of {} m, from {shown}", args.unit);
-    let mut out = Output::open(&args.common, &what, stream.view)?;
+    let mut out = Output::open(&args.common, &what, Some(stream.view))?;
     let (sender, images) = sync_channel(1);
     let (bytes, rate) = (stream.image_bytes(), args.rate);
     if let Some(rate_hz) = rate {

@@ -97,7 +97,7 @@ pub fn read(path: &Path, explained_frames: usize) -> Result<Flight> {
     Ok(flight(path, &log, film))
 }
 
-fn flight(path: &Path, log: &LogSeen, film: Film) -> Flight {
+fn flight(path: &Path, log: &LogSeen, mut film: Film) -> Flight {
     let stride = log.steps.len().div_ceil(DATA_LIMIT);
     let kept: Vec<&StepSeen> = log.steps.iter().step_by(stride).collect();
     let attack = log.altered.as_ref();
@@ -107,7 +107,7 @@ fn flight(path: &Path, log: &LogSeen, film: Film) -> Flight {
         let all = log.steps.len();
         notes.push(format!("The plots show one step of {stride} of the log's {all}."));
     }
-    notes.extend(film.note.clone());
+    notes.extend(film.note.take());
     let raised = |i: usize| {
         let step = log.steps.get(i)?;
         Some((log.seconds(step.now_ns), step.report.alarm?.cause.name()))

@@ -178,7 +178,8 @@ impl<'a> Packet<'a> {
     }
 }
 
-fn serialized_payload(message: &MavMessage) -> [u8; 255] {
+/// The payload of a message, zeros behind it.
+pub(super) fn serialized_payload(message: &MavMessage) -> [u8; 255] {
     let mut payload = [0; 255];
     message.ser(MavlinkVersion::V2, &mut payload);
     payload

@@ -1,7 +1,8 @@
 //! From message to bytes, MAVLink 2.
 
+use crate::framing::packet::serialized_payload;
 use mavlink::dialects::common::MavMessage;
-use mavlink::{MAV_STX_V2, MavHeader, MavlinkVersion, Message, calculate_crc};
+use mavlink::{MAV_STX_V2, MavHeader, Message, calculate_crc};
 
 /// Length of the largest unsigned MAVLink 2 packet: a buffer of this size holds any message.
 pub const MAX_PACKET_LEN: usize = 10 + 255 + 2;
@@ -33,20 +34,14 @@ pub enum SerializeError {
 /// # Errors
 /// [`SerializeError`]; `out` may hold part of the packet then.
 pub fn serialize(header: MavHeader, message: &MavMessage, out: &mut [u8]) -> Result<usize, SerializeError> {
-    let mut payload = [0; 255];
-    let len = message.ser(MavlinkVersion::V2, &mut payload);
-    let payload = payload.get(..len).unwrap_or_default();
-    serialize_payload(header, message.message_id(), payload, out)
+    serialize_payload(header, message.message_id(), &serialized_payload(message), out)
 }
 
 /// The unsigned MAVLink 2 packet of `message` from `(system, component)`, in memory of its own; the loop uses [`serialize`].
 #[cfg(feature = "std")]
 pub fn encode(from: (u8, u8), sequence: u8, message: &MavMessage) -> std::vec::Vec<u8> {
-    let mut payload = [0; 255];
-    let len = message.ser(MavlinkVersion::V2, &mut payload);
-    let payload = payload.get(..len).unwrap_or_default();
     // Whatever the dialect has fits.
-    encode_payload(from, sequence, message.message_id(), payload).unwrap_or_default()
+    encode_payload(from, sequence, message.message_id(), &serialized_payload(message)).unwrap_or_default()
 }
 
 /// The same of a raw payload, for what [`serialize_payload`] is for.

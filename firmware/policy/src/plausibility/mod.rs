@@ -80,13 +80,17 @@ pub struct PlausibilityCheck {
 
 /// What [`PlausibilityCheck::smooth_share`] would be of this frame: for those who look at a sensor before it flies. A frame of any header.
 pub fn smooth_share_of(frame: &DepthFrame) -> Option<f32> {
-    let mut picture = Picture::default();
-    picture.take(frame, &mut Sides::default()).smooth_share()
+    counts_of(frame).smooth_share()
 }
 
 /// Whether two such frames are a blind sensor's whatever else they show: of zeros in many places, or of ranges of anywhere.
 pub fn lacks_ranges(frame: &DepthFrame) -> bool {
-    blindness::lacks_ranges(Picture::default().take(frame, &mut Sides::default()))
+    blindness::lacks_ranges(counts_of(frame))
+}
+
+/// What is counted in a frame of any header.
+fn counts_of(frame: &DepthFrame) -> CellCounts {
+    Picture::default().take(frame, &mut Sides::default())
 }
 
 impl PlausibilityCheck {

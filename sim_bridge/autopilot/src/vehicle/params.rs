@@ -275,5 +275,5 @@ impl Wind {
     }
 }
 
-named_setting!(VelocityLaw, VelocityLaw::ALL.map(|law| (law.name(), law)));
-named_setting!(HoldLaw, HoldLaw::ALL.map(|law| (law.name(), law)));
+named_setting!(VelocityLaw);
+named_setting!(HoldLaw);

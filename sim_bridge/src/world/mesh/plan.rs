@@ -119,4 +119,11 @@ impl Course {
         solids.extend(self.wires.iter().filter_map(|wire| wire.between(low_m, high_m)));
         solids
     }
+
+    /// What of [`plan_solids`](Self::plan_solids) reaches into these heights.
+    pub(crate) fn solids_in_band(&self, half_band_m: f32) -> Vec<Solid> {
+        let (mut solids, band_m) = (self.plan_solids(half_band_m), self.band_m(half_band_m));
+        solids.retain(|solid| solid.reaches_into(band_m));
+        solids
+    }
 }

@@ -68,7 +68,7 @@ pub fn run(args: &FilmArgs) -> Result<ExitCode> {
     let log = find_log(args.log.as_deref().context("no log")?)?;
     let to = args.output.clone().unwrap_or_else(|| log.with_extension("gif"));
     output::prepare(&to)?;
-    let course = Story::read(&log)?.about.get("course").cloned();
+    let course = Story::about(&log)?.remove("course");
     let options = FilmOptions {
         speed: args.speed,
         title: args.title.clone().or(course).unwrap_or_default(),

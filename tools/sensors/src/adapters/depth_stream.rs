@@ -12,7 +12,7 @@ pub struct DepthStream {
     projector: Projector,
     units: Vec<u16>,
     /// The part of our image that the camera sees.
-    pub view: Option<View>,
+    pub view: View,
 }
 
 impl DepthStream {
@@ -28,7 +28,7 @@ impl DepthStream {
         let mut depth = Box::new([1.0; DEPTH_PIXELS]);
         projector.finish(&mut depth);
         Ok(Self {
-            view: Some(View::of(&depth).ok_or(SetupError::LooksElsewhere)?),
+            view: View::of(&depth).ok_or(SetupError::LooksElsewhere)?,
             units: vec![0; width * height],
             camera,
             mount,

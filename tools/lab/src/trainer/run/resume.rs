@@ -41,21 +41,22 @@ impl Run<'_> {
         let Ok(mut earlier) = settings::from_toml::<LearnConfig>(&state.config) else {
             bail!(other)
         };
-        let now = self.config.clone();
-        let e = &mut earlier.evaluation;
-        (e.every_updates, e.final_flights) = (now.evaluation.every_updates, now.evaluation.final_flights);
-        let is_measured_alike = *e == now.evaluation;
+        let config = self.config;
+        let (e, now) = (&mut earlier.evaluation, &config.evaluation);
+        (e.every_updates, e.final_flights) = (now.every_updates, now.final_flights);
+        let is_measured_alike = *e == *now;
         // What new flights are made of, and how long it goes on, may change; what is stored or learned may not.
-        (earlier.threads, earlier.families, earlier.decisions) = (now.threads, now.families, now.decisions);
-        (earlier.drawn_vehicle_share, earlier.evaluation) = (now.drawn_vehicle_share, now.evaluation);
-        let same = state.format == FORMAT && earlier == *self.config;
-        let counts = [state.transitions.len(), state.workers.len(), self.config.environments];
+        (earlier.threads, earlier.families, earlier.decisions) =
+            (config.threads, config.families.clone(), config.decisions);
+        (earlier.drawn_vehicle_share, earlier.evaluation) = (config.drawn_vehicle_share, now.clone());
+        let same = state.format == FORMAT && earlier == *config;
+        let counts = [state.transitions.len(), state.workers.len(), config.environments];
         let is_whole = counts.iter().all(|n| *n == counts[0]) && state.adam_steps.len() == 3;
         ensure!(same && is_whole, other);
-        let (all, made) = (now.decisions, state.so_far.decisions);
+        let (all, made) = (config.decisions, state.so_far.decisions);
         // The last round of the environments may go beyond.
         ensure!(
-            made < all.saturating_add(now.environments as u64),
+            made < all.saturating_add(config.environments as u64),
             "`decisions` is {all}, but checkpoint {checkpoint} has made {made}"
         );
         for (i, (lane, transitions)) in self.replay.trajectories.iter_mut().zip(state.transitions).enumerate() {
@@ -66,7 +67,6 @@ impl Run<'_> {
         let priorities = saved.numbers("priorities", Dtype::F64, f64::from_le_bytes)?;
         let fits = self.replay.restore(&priorities, largest, &state.lanes);
         ensure!(fits, other);
-        let config = self.config;
         let states = self.workers.par_iter_mut().zip(&state.workers);
         states.try_for_each(|(worker, state)| worker.restore(config, state))?;
         for ((name, network), steps) in self.learner.networks().into_iter().zip(state.adam_steps) {
