@@ -126,8 +126,17 @@ fn frozen() -> FrozenDetector {
 fn a_detector_comes_back_from_its_file_unaltered() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("detector.safetensors");
-    frozen().save(&path).unwrap();
-    assert_eq!(FrozenDetector::load(&path).unwrap(), frozen());
+    // Of an imported policy's split point with another width too.
+    let states = (0..4).map(|i| (vec![0.1 * i as f32; 300], [0.5, 0.1].into()));
+    let imported = FrozenDetector {
+        of: Of::Imported,
+        backgrounds: states.collect(),
+        ..frozen()
+    };
+    for detector in [imported, frozen()] {
+        detector.save(&path).unwrap();
+        assert_eq!(FrozenDetector::load(&path).unwrap(), detector);
+    }
     assert!(std::fs::metadata(&path).unwrap().len() <= 1 << 20, "at most 1 MB");
     assert_eq!(
         std::fs::read_dir(folder.path()).unwrap().count(),

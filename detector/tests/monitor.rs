@@ -236,24 +236,13 @@ fn an_imported_policy_is_explained_at_as_many_values_as_its_split_point_has() {
         }
         let short = monitor.score(&vec![0.0; width - 1], [0.5, 0.2]);
         assert_eq!(short.verdict, Verdict::Unknown, "a state of another length is no state");
+        // The detector's states are not those of another policy's split point.
+        let head = imported(&mut bench.random, width - 1);
+        let refused = Monitor::new(Isa::detect(), head, ACTOR, &detector).unwrap_err();
+        let words = refused.to_string();
+        assert!(
+            words.contains(&format!("{}", width - 1)) && words.contains(&format!("{width}")),
+            "{words}"
+        );
     }
-}
-
-#[test]
-fn a_detector_comes_back_from_its_file_with_its_split_points_width() {
-    let mut bench = Bench::new();
-    let detector = FrozenDetector {
-        of: Of::Imported,
-        backgrounds: (0..4).map(|i| (vec![0.1 * i as f32; 300], [0.5, 0.1].into())).collect(),
-        ..bench.detector.clone()
-    };
-    let bytes = detector.to_bytes().unwrap();
-    let again = FrozenDetector::from_bytes("the file", &bytes).unwrap();
-    assert_eq!(again, detector);
-    // Its states are not those of another policy's split point.
-    let head = imported(&mut bench.random, 299);
-    let refused = Monitor::new(Isa::detect(), head, ACTOR, &again)
-        .unwrap_err()
-        .to_string();
-    assert!(refused.contains("299") && refused.contains("300"), "{refused}");
 }

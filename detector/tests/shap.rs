@@ -6,7 +6,7 @@ mod torch;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use torch::{Reference, Tensors, actor_params, features, transposed};
+use torch::{Given, Tensors, actor_params, features, reference, transposed};
 use vigil_detector::{DeepShap, ShapError};
 use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Isa, Purpose};
 use vigil_policy::actor::{ActorSpec, CONTEXT, LOW_DIM, SCAN};
@@ -60,7 +60,7 @@ fn the_second_half_is_explained_as_by_shap_and_in_float64() {
     let t = Tensors::load("second_half");
     let (bg_h, bg_pos, x_h, x_pos) = (t.get("bg_h"), t.get("bg_pos"), t.get("x_h"), t.get("x_pos"));
     for isa in Isa::available() {
-        let graph = Reference::new().head_graph(Purpose::Multipliers);
+        let graph = reference(Given::State, Purpose::Multipliers);
         let mut shap = DeepShap::new(isa, graph, &actor_params(), &pairs(&bg_h, 48, &bg_pos, 2)).unwrap();
         for (i, inputs) in pairs(&x_h, 48, &x_pos, 2).iter().enumerate() {
             for (output, (phi, change)) in explained(&mut shap, inputs).iter().enumerate() {
@@ -138,7 +138,7 @@ fn for_a_linear_network_deepshap_is_the_exact_shapley_value() {
 #[test]
 fn through_the_gru_each_frames_share_is_as_in_float64() {
     let t = Tensors::load("frames7");
-    let graph = Reference::new().features_graph(Purpose::Multipliers);
+    let graph = reference(Given::Features, Purpose::Multipliers);
     let load = |what: &str| -> Vec<Vec<f32>> { t.get(what).chunks_exact(1024).map(features).collect() };
     let (bg_feat, x_feat) = (load("bg_feat"), load("x_feat"));
     let (bg_pos, x_pos) = (t.get("bg_pos"), t.get("x_pos"));
@@ -172,7 +172,7 @@ fn the_whole_actor_is_explained_at_its_pixels_as_in_float64() {
     };
     let rows = bg_img.chunks_exact(5 * FRAME).zip(bg_pos.chunks_exact(2));
     let backgrounds: Vec<Vec<&[f32]>> = rows.map(|(images, position)| state(images, position)).collect();
-    let graph = Reference::new().graph(Purpose::Multipliers, true);
+    let graph = reference(Given::Frames(true), Purpose::Multipliers);
     let mut shap = DeepShap::new(Isa::detect(), graph, &actor_params(), &backgrounds).unwrap();
     let sampled = t.get("np64_img_every_5th");
     for (output, (phi, change)) in explained(&mut shap, &state(&x_img, &x_pos)).iter().enumerate() {
@@ -268,13 +268,13 @@ fn what_cannot_be_explained_is_refused_by_name() {
     let params = actor_params();
     let (h, pos) = ([0.1f32; 48], [0.2f32; 2]);
     let background = || vec![vec![&h[..], &pos[..]]];
-    let head = || Reference::new().head_graph(Purpose::Multipliers);
+    let head = || reference(Given::State, Purpose::Multipliers);
     let none: [Vec<&[f32]>; 0] = [];
     let new = |graph, backgrounds: &[Vec<&[f32]>]| DeepShap::new(Isa::detect(), graph, &params, backgrounds);
     assert_eq!(new(head(), &none).unwrap_err(), ShapError::NoBackground);
-    let gradients = Reference::new().head_graph(Purpose::Gradients);
+    let gradients = reference(Given::State, Purpose::Gradients);
     assert_eq!(new(gradients, &background()).unwrap_err(), ShapError::Purpose);
-    let encoder = Reference::new().graph(Purpose::Multipliers, false);
+    let encoder = reference(Given::Frames(false), Purpose::Multipliers);
     assert_eq!(new(encoder, &background()).unwrap_err(), ShapError::NothingExplained);
     let broken = [f32::NAN; 48];
     let with_nan = vec![vec![&h[..], &pos[..]], vec![&broken[..], &pos[..]]];

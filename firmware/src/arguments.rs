@@ -2,6 +2,7 @@
 
 use crate::config::FirmwareConfig;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::str::FromStr;
@@ -84,70 +85,71 @@ fn parse_raise(text: &str) -> Result<(u8, u8), String> {
     }
 }
 
-/// Who decides, and what watches: the arguments that every command has that flies.
-#[derive(Debug, Clone, Default, clap::Args)]
-pub struct PilotArgs {
+/// `NAME: TYPE => SET, TEXT;` for each argument: where the configuration has its value, and how it is handed on.
+macro_rules! pilot_args {
+    ($($(#[$meta:meta])* $field:ident: $type:ty => $set:expr, $text:expr;)+) => {
+        /// Who decides, and what watches: the arguments that every command has that flies.
+        #[derive(Debug, Clone, Default, clap::Args)]
+        pub struct PilotArgs {
+            $($(#[$meta])* $field: Option<$type>,)+
+        }
+
+        impl PilotArgs {
+            /// Sets what was given.
+            pub fn apply(&self, config: &mut FirmwareConfig) {
+                $(if let Some(value) = &self.$field {
+                    let set: fn(&mut FirmwareConfig, &$type) = $set;
+                    set(config, value);
+                })+
+            }
+
+            /// Hands on to a `firmware` process what was given.
+            pub fn hand_on(&self, command: &mut Command) {
+                $(if let Some(value) = &self.$field {
+                    let text: fn(&$type) -> OsString = $text;
+                    command.arg(format!("--{}", stringify!($field).replace('_', "-"))).arg(text(value));
+                })+
+            }
+        }
+    };
+}
+
+pilot_args! {
     #[arg(long, value_parser = choice::<PilotKind>(), help = help(&parameters::PILOT))]
-    pilot: Option<PilotKind>,
-
+    pilot: PilotKind => |config, &kind| config.pilot.kind = kind, |kind| kind.name().into();
     #[arg(long, value_name = "FILE", help = help(&parameters::ACTOR_FILE))]
-    actor: Option<PathBuf>,
-
+    actor: PathBuf => |config, path| config.pilot.actor_file = Some(path.clone()), |path| path.into();
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::APF))]
-    apf: Option<bool>,
-
+    apf: bool => |config, &on| config.pilot.apf = on, switch;
     #[arg(long, value_parser = choice::<Ablation>(), help = help(&parameters::ABLATE))]
-    ablate: Option<Ablation>,
-
+    ablate: Ablation => |config, &what| config.pilot.ablate = what, |what| what.name().into();
     #[arg(long, value_name = "M/S", value_parser = number::<f32>(&parameters::SPEED_LIMIT), help = help(&parameters::SPEED_LIMIT))]
-    speed_limit: Option<f32>,
-
+    speed_limit: f32 => |config, &limit| config.limits.speed_m_s = limit, |limit| limit.to_string().into();
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::DETECTOR))]
-    detector: Option<bool>,
-
+    detector: bool => |config, &on| config.detector.enabled = Some(on), switch;
     #[arg(long, value_name = "FILE", help = help(&parameters::DETECTOR_FILE))]
-    detector_file: Option<PathBuf>,
-
+    detector_file: PathBuf => |config, path| config.detector.file = Some(path.clone()), |path| path.into();
     #[arg(long, value_name = "SCORE", value_parser = number::<f32>(&parameters::THRESHOLD), help = help(&parameters::THRESHOLD))]
-    threshold: Option<f32>,
-
+    threshold: f32 => |config, &score| config.detector.threshold = Some(score), |score| score.to_string().into();
     /// Raise the alarm when COUNT of the last WINDOW verdicts are attack [default: as in docs/guidance.md].
     #[arg(long, value_name = "COUNT/WINDOW", value_parser = parse_raise)]
-    raise: Option<(u8, u8)>,
-
+    raise: (u8, u8) => |config, &of| (config.detector.raise_count, config.detector.raise_window) = of,
+        |(count, window)| format!("{count}/{window}").into();
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::GUARD))]
-    guard: Option<bool>,
-
+    guard: bool => |config, &on| config.detector.guard = Some(on), switch;
     #[arg(long, value_parser = choice::<AlarmPolicy>(), help = help(&parameters::ALARM))]
-    alarm: Option<AlarmPolicy>,
-
+    alarm: AlarmPolicy => |config, &policy| config.detector.alarm = policy, |policy| policy.name().into();
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::PLAUSIBILITY))]
-    plausibility: Option<bool>,
-
+    plausibility: bool => |config, &on| config.plausibility = on, switch;
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::SECOND_SENSOR))]
-    second_sensor: Option<bool>,
+    second_sensor: bool => |config, &on| config.second_sensor = on, switch;
+}
+
+fn switch(on: &bool) -> OsString {
+    if *on { "on" } else { "off" }.into()
 }
 
 impl PilotArgs {
-    /// Sets what was given.
-    pub fn apply(&self, config: &mut FirmwareConfig) {
-        config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
-        config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file.take());
-        config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
-        config.pilot.ablate = self.ablate.unwrap_or(config.pilot.ablate);
-        config.limits.speed_m_s = self.speed_limit.unwrap_or(config.limits.speed_m_s);
-        config.detector.enabled = self.detector.or(config.detector.enabled);
-        config.detector.file = self.detector_file.clone().or(config.detector.file.take());
-        config.detector.threshold = self.threshold.or(config.detector.threshold);
-        if let Some((count, window)) = self.raise {
-            (config.detector.raise_count, config.detector.raise_window) = (count, window);
-        }
-        config.detector.guard = self.guard.or(config.detector.guard);
-        config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
-        config.plausibility = self.plausibility.unwrap_or(config.plausibility);
-        config.second_sensor = self.second_sensor.unwrap_or(config.second_sensor);
-    }
-
     /// The actor's file, if one was given.
     pub fn actor_file(&self) -> Option<&Path> {
         self.actor.as_deref()
@@ -158,32 +160,6 @@ impl PilotArgs {
         Self {
             second_sensor: self.second_sensor.or(Some(true)),
             ..self.clone()
-        }
-    }
-
-    /// Hands on to a `firmware` process what was given.
-    pub fn hand_on(&self, command: &mut Command) {
-        let mut hand = |name: &str, value: Option<String>| {
-            if let Some(value) = value {
-                command.args([name, &value]);
-            }
-        };
-        let switch = |on: bool| if on { "on" } else { "off" }.to_owned();
-        hand("--pilot", self.pilot.map(|kind| kind.name().to_owned()));
-        hand("--apf", self.apf.map(switch));
-        hand("--ablate", self.ablate.map(|what| what.name().to_owned()));
-        hand("--speed-limit", self.speed_limit.map(|limit| limit.to_string()));
-        hand("--detector", self.detector.map(switch));
-        hand("--threshold", self.threshold.map(|score| score.to_string()));
-        hand("--raise", self.raise.map(|(count, window)| format!("{count}/{window}")));
-        hand("--guard", self.guard.map(switch));
-        hand("--alarm", self.alarm.map(|policy| policy.name().to_owned()));
-        hand("--plausibility", self.plausibility.map(switch));
-        hand("--second-sensor", self.second_sensor.map(switch));
-        for (name, file) in [("--actor", &self.actor), ("--detector-file", &self.detector_file)] {
-            if let Some(file) = file {
-                command.arg(name).arg(file);
-            }
         }
     }
 }

@@ -10,12 +10,10 @@ use vigil_detector::FrozenDetector;
 use vigil_guidance::{AlarmConfig, Geofence, GuidanceConfig, JustStopConfig};
 use vigil_io::gate::{AllowUnsigned, SigningFileError, SigningGate};
 use vigil_io::key_file::{KeyFileError, frame_keys};
-use vigil_io::links::{LinkError, MAX_GROUND_LINKS};
-use vigil_io::router::RoutedLinks;
+use vigil_io::links::MAX_GROUND_LINKS;
 use vigil_log::FlightInfo;
 use vigil_mavlink::{CompanionConfig, Flavour};
 use vigil_policy::GeometricConfig;
-use vigil_types::files::at;
 use vigil_types::parameters::{self, MAX_INSTANCE};
 use vigil_types::settings::{SettingsError, Value, at_most, free, required_row, section};
 use vigil_types::{
@@ -174,7 +172,7 @@ impl FirmwareConfig {
         settings::load(path).map_err(|error| match error {
             SettingsError::Content { path, message } => SettingsError::Content {
                 path,
-                message: crate::removed::explain(message),
+                message: crate::removed::explain_configuration(message),
             },
             read => read,
         })
@@ -185,7 +183,7 @@ impl FirmwareConfig {
     /// # Errors
     /// Line, key and what is allowed.
     pub fn from_toml(text: &str) -> Result<Self, String> {
-        settings::from_toml(text).map_err(crate::removed::explain)
+        settings::from_toml(text)
     }
 
     /// Writes TOML that [`Self::from_toml`] reads back unchanged.
@@ -219,14 +217,6 @@ impl FirmwareConfig {
         })
     }
 
-    /// Opens all links, the key read.
-    ///
-    /// # Errors
-    /// [`LinkError`]: a link that cannot be opened or on which nobody would be heard, or a key that is refused.
-    pub fn open_links(&self) -> Result<RoutedLinks, LinkError> {
-        RoutedLinks::open(&self.vehicle_link(), &self.links, self.gate()?)
-    }
-
     /// The gate of all links, its key read.
     ///
     /// # Errors
@@ -238,15 +228,34 @@ impl FirmwareConfig {
             accept_first_key,
         } = &self.signing;
         let name = self.instance.to_string();
-        if let Some(folder) = &self.state.directory {
-            make_folder(folder).map_err(at(folder))?;
-        }
         let gate = match (key_file, self.kept_key()) {
             (Some(path), _) => SigningGate::with_key_file(path, &name, *allow_unsigned),
             (None, Some(path)) => SigningGate::with_kept_key(&path, &name, *allow_unsigned),
             (None, None) => Ok(SigningGate::new(None, *allow_unsigned)),
         };
         Ok(gate?.accepting_first_key(*accept_first_key))
+    }
+
+    /// Makes the folder of the state, if there is to be one and it is not there, closed to others: a key will lie in it. Whoever
+    /// else could write there could take the key away, and nobody would notice.
+    ///
+    /// # Errors
+    /// A folder that cannot be made, or that others may write.
+    pub fn make_state_folder(&self) -> anyhow::Result<()> {
+        let Some(folder) = &self.state.directory else {
+            return Ok(());
+        };
+        let path = folder.display();
+        let made = std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder);
+        let found = made.and_then(|()| folder.metadata());
+        let found = found.map_err(|e| anyhow::anyhow!("state folder {path}: {e}"))?;
+        let user = rustix::process::geteuid();
+        let is_ours = user.is_root() || found.uid() == user.as_raw();
+        anyhow::ensure!(
+            is_ours && found.mode() & 0o022 == 0,
+            "state folder {path}: others may write there: `chmod 700 {path}`, as the firmware's user"
+        );
+        Ok(())
     }
 
     /// Where a key is kept that SETUP_SIGNING brought, if anything is kept.
@@ -369,20 +378,6 @@ impl FirmwareConfig {
     }
 }
 
-/// Makes the folder of the state if it is not there, closed to others: a key will lie in it. Whoever else could write there
-/// could take the key away, and nobody would notice.
-fn make_folder(folder: &Path) -> std::io::Result<()> {
-    std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
-    let (found, user) = (folder.metadata()?, rustix::process::geteuid());
-    let is_ours = user.is_root() || found.uid() == user.as_raw();
-    match is_ours && found.mode() & 0o022 == 0 {
-        true => Ok(()),
-        false => Err(std::io::Error::other(
-            "others may write there: `chmod 700` it, as a folder of the firmware's user",
-        )),
-    }
-}
-
 fn nanos(s: f64) -> u64 {
     (s * 1e9).round() as u64
 }
@@ -395,43 +390,21 @@ mod tests {
     #[test]
     fn an_empty_file_is_the_default_and_every_configuration_survives_its_own_toml() {
         assert_eq!(FirmwareConfig::from_toml(""), Ok(FirmwareConfig::default()));
-        let config = FirmwareConfig {
-            instance: 7,
-            link: Some("udpin://0.0.0.0:14540".parse().unwrap()),
-            links: vec![
-                "tcpin://0.0.0.0:5760,unsigned=always,rate=20000".parse().unwrap(),
-                "serial:///dev/ttyUSB0:57600".parse().unwrap(),
-            ],
-            signing: SigningConfig {
-                key_file: Some("keys/vigil.key".into()),
-                allow_unsigned: AllowUnsigned::Never,
-                accept_first_key: true,
-            },
-            vehicle: AutopilotChoice::ArduPilot,
-            engage: EngagePolicy::Auto,
-            goal: Some(GoalConfig {
-                north_m: 19.97,
-                east_m: -5.013,
-                height_m: Some(2.3),
-            }),
-            limits: Limits {
-                frame_age_s: 0.1 + 0.2,
-                battery: 0.1,
-                flight_time_s: Some(300.0),
-                geofence: Some(GeofenceConfig {
-                    radius_m: 0.3,
-                    min_height_m: -1.7,
-                    max_height_m: 12.0,
-                }),
-                ..Limits::default()
-            },
-            log: LogConfig {
-                directory: Some("runs/with \"quotes\"".into()),
-                content: LogContent::Light,
-                scene: None,
-            },
-            ..FirmwareConfig::default()
-        };
+        let text = r#"
+            instance = 7
+            link = "udpin://0.0.0.0:14540"
+            links = ["tcpin://0.0.0.0:5760,unsigned=always,rate=20000", "serial:///dev/ttyUSB0:57600"]
+            signing = { key_file = "keys/vigil.key", allow_unsigned = "never", accept_first_key = true }
+            vehicle = "ardupilot"
+            engage = "auto"
+            goal = { north_m = 19.97, east_m = -5.013, height_m = 2.3 }
+            limits.frame_age_s = 0.30000000000000004
+            limits.battery = 0.1
+            limits.flight_time_s = 300.0
+            limits.geofence = { radius_m = 0.3, min_height_m = -1.7, max_height_m = 12.0 }
+            log = { directory = 'runs/with "quotes"', content = "light" }
+        "#;
+        let config = FirmwareConfig::from_toml(text).unwrap();
         assert_eq!(FirmwareConfig::from_toml(&config.to_toml()), Ok(config));
     }
 

@@ -5,8 +5,7 @@ use crate::motion::Motion;
 use crate::pilots::Pilots;
 use crate::segment::{LocalGoal, Segment, along_path, turned_to_path};
 use vigil_guidance::Risk;
-use vigil_policy::actor::Actor;
-use vigil_policy::{FlightPilot, GeometricPilot, Pilot, PilotInput};
+use vigil_policy::{FlightPilot, Pilot, PilotInput};
 use vigil_types::{Action, Alarm, AlarmResponse, DepthFrame, Goal, GoalRelative, Judgement, NedVector};
 
 /// What the pilots may see of the vehicle and the goal.
@@ -169,9 +168,13 @@ impl Deciding {
             None => self.asked && self.segment.is_by_path(),
         };
     }
+}
 
+/// For looking at a flight afterwards.
+#[cfg(feature = "std")]
+impl Deciding {
     /// The pilot that keeps a map and plans a path: the recovery pilot, else the geometric one; `None` where neither has been asked.
-    pub fn mapping(&self) -> Option<&GeometricPilot> {
+    pub fn mapping(&self) -> Option<&vigil_policy::GeometricPilot> {
         match (&self.pilots.recovery, &self.pilots.pilot) {
             (Some(recovery), _) if self.asks_recovery() && !self.are_new => Some(recovery.mapping()),
             (None, FlightPilot::Geometric(pilot)) => Some(pilot),
@@ -180,7 +183,7 @@ impl Deciding {
     }
 
     /// The actor, if it decided in the last step.
-    pub fn actor(&self) -> Option<&Actor> {
+    pub fn actor(&self) -> Option<&vigil_policy::actor::Actor> {
         match &self.pilots.pilot {
             FlightPilot::Actor(pilot) if self.asked => Some(pilot.actor()),
             _ => None,

@@ -6,19 +6,19 @@ use crate::console::Console;
 use crate::frame_keeper::FrameRefusals;
 use crate::rate::RateSchedule;
 use crate::realtime::{self, Granted};
-use crate::saved::{ParameterStore, SavedError};
+use crate::saved::ParameterStore;
 use crate::service::ServiceManager;
 use crate::stack::TickInput;
 use crate::step::Firmware;
 use crate::timing::{Durations, Spread};
+use anyhow::{Result, anyhow};
 use std::sync::atomic::{AtomicBool, Ordering};
 use vigil_io::Link;
 use vigil_io::clock::{monotonic_ns, sleep_until};
-use vigil_io::key_file::KeyFileError;
-use vigil_io::links::{LinkError, LinkStatistics};
+use vigil_io::links::LinkStatistics;
 use vigil_io::router::{RoutedLinks, RoutingCounters};
-use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, DomainError, FrameError, FrameSubscriber};
-use vigil_log::{LogPlace, Recorder, RecorderConfig, Scene, SceneError, StartError, epoch_offset_ns};
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameSubscriber};
+use vigil_log::{LogPlace, Recorder, RecorderConfig, Scene, SceneError, epoch_offset_ns};
 use vigil_mavlink::LinkCounters;
 use vigil_mavlink::framing::FramingCounters;
 use vigil_mavlink::signing::SigningCounters;
@@ -28,38 +28,6 @@ use vigil_types::{Datagrams, GuidanceState, Nanos, StepReport};
 const FAREWELL_STEPS: u64 = 5;
 /// The most of them while the vehicle, which flies by our setpoints, has not yet been seen to hold by itself.
 const LET_GO_STEPS: u64 = 60;
-
-/// Why a flight could not begin.
-#[derive(Debug, thiserror::Error)]
-pub enum LiveError {
-    /// Shared memory cannot be used.
-    #[error(transparent)]
-    Domain(#[from] DomainError),
-    /// Frames cannot be received.
-    #[error(transparent)]
-    Frames(#[from] FrameError),
-    /// A key of the sensor's frames is refused.
-    #[error(transparent)]
-    FrameKey(#[from] KeyFileError),
-    /// A link cannot be opened.
-    #[error(transparent)]
-    Link(#[from] LinkError),
-    /// The log cannot be written.
-    #[error(transparent)]
-    Log(#[from] StartError),
-    /// The scene file is not usable.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// The guidance configuration must not fly, or the actor is refused.
-    #[error(transparent)]
-    Stack(#[from] crate::step::StackError),
-    /// Parameters that were kept are refused.
-    #[error(transparent)]
-    Saved(#[from] SavedError),
-    /// No thread for what it names.
-    #[error("cannot start the {0}: {1}")]
-    Thread(&'static str, std::io::Error),
-}
 
 /// What came of a flight.
 #[derive(Debug, Clone, PartialEq)]
@@ -219,26 +187,33 @@ fn schedule(config: &FirmwareConfig, now_ns: Nanos) -> RateSchedule {
     RateSchedule::new(now_ns, Nanos::from(config.rate.offset_ms) * 1_000_000)
 }
 
+fn no_thread(what: &str) -> impl Fn(std::io::Error) -> anyhow::Error {
+    move |e| anyhow!("cannot start the {what}: {e}")
+}
+
 impl LiveLoop {
     /// Opens everything a flight needs; [`LiveLoop::start`] comes next.
     ///
     /// # Errors
-    /// [`LiveError`], each telling what to do.
-    pub fn open(config: &FirmwareConfig) -> Result<Self, LiveError> {
+    /// Whatever keeps the flight from beginning, each telling what to do.
+    pub fn open(config: &FirmwareConfig) -> Result<Self> {
         // Before anything else that another firmware of this instance would change too.
         let domain = Domain::open_alone(config.instance, "firmware")?;
         // Parameters that were kept are part of the configuration that flies, and that the log holds.
         let mut config = config.clone();
+        config.make_state_folder()?;
         let folder = config.state.directory.clone();
         let saved = folder.map(|folder| ParameterStore::load(&folder, &mut config));
         let saved = saved.transpose()?;
         let frames = FrameSubscriber::create(&domain, DEPTH_TOPIC)?;
-        let links = config.open_links()?;
+        let links = RoutedLinks::open(&config.vehicle_link(), &config.links, config.gate()?)?;
         let frame_keys = config.frame_keys()?;
         let mut firmware = Firmware::of(&config)?;
         firmware.require_frame_keys(frame_keys);
         let parameters = saved.map(|saved| saved.start(firmware.stack.parameters()));
-        let parameters = parameters.transpose()?;
+        let parameters = parameters
+            .transpose()
+            .map_err(no_thread("thread that stores parameters"))?;
         // What is refused leaves no empty log.
         if let Some(recorder) = recorder_config(&config)? {
             let epoch_offset_ns = epoch_offset_ns(monotonic_ns());
@@ -260,7 +235,7 @@ impl LiveLoop {
             last: StepReport::default(),
             used_frames: 0,
             alarms: AlarmTally::new(config.is_monitored()),
-            console: Console::start(now_ns).map_err(|e| LiveError::Thread("console thread", e))?,
+            console: Console::start(now_ns).map_err(no_thread("console thread"))?,
             parameters,
             config,
             _domain: domain,
@@ -321,7 +296,7 @@ impl LiveLoop {
 
     /// How long the last step took, from wake-up to its end.
     pub fn last_execution_ns(&self) -> u64 {
-        self.schedule.previous_execution_ns()
+        self.schedule.timing().previous_execution_ns
     }
 
     /// Brakes, has the vehicle hold by itself while it is still sent zeros, closes the log.
@@ -338,8 +313,8 @@ impl LiveLoop {
         }
         self.firmware.shut_down(monotonic_ns(), |sent| self.links.send(sent));
         FlightSummary {
-            steps: self.schedule.steps(),
-            slips: self.schedule.slips(),
+            steps: self.schedule.timing().step,
+            slips: self.schedule.timing().slips,
             execution: self.execution.spread(),
             wake_late: self.wake_late.spread(),
             frames: self.used_frames,
@@ -375,15 +350,15 @@ pub fn recorder_config(config: &FirmwareConfig) -> Result<Option<RecorderConfig>
 /// loop begins.
 ///
 /// # Errors
-/// [`LiveError`]; once the loop runs nothing ends it but `stop`.
+/// As of [`LiveLoop::open`]; once the loop runs nothing ends it but `stop`.
 pub fn fly(
     config: &FirmwareConfig,
     stop: &AtomicBool,
     started: impl FnOnce(&FirmwareConfig, &Granted),
-) -> Result<FlightSummary, LiveError> {
+) -> Result<FlightSummary> {
     let mut flight = LiveLoop::open(config)?;
     let manager = ServiceManager::find();
-    let manager = manager.map_err(|e| LiveError::Thread("thread that reports to the service manager", e))?;
+    let manager = manager.map_err(no_thread("thread that reports to the service manager"))?;
     let granted = flight.start();
     started(&flight.config, &granted);
     while !stop.load(Ordering::Relaxed) {

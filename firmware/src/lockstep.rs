@@ -2,7 +2,7 @@
 
 use crate::config::FirmwareConfig;
 use crate::stack::TickInput;
-use crate::step::{Firmware, StackError};
+use crate::step::Firmware;
 use std::time::Duration;
 use vigil_io::shared_memory::{Domain, LockstepError, LockstepServer, Served};
 use vigil_log::Recorder;
@@ -19,7 +19,7 @@ impl LockstepFirmware {
     ///
     /// # Errors
     /// A configuration that must not fly, an actor that is refused.
-    pub fn new(config: &FirmwareConfig) -> Result<Self, StackError> {
+    pub fn new(config: &FirmwareConfig) -> anyhow::Result<Self> {
         Ok(Self {
             firmware: Firmware::of(config)?,
             steps: 0,
@@ -71,7 +71,7 @@ impl LockstepFirmware {
 /// report to `observe`.
 ///
 /// # Errors
-/// [`LockstepError::SimulatorSilent`] when no step comes within `timeout`, and others.
+/// [`LockstepError`], also when no step comes within `timeout`.
 pub fn serve(
     firmware: &mut LockstepFirmware,
     domain: &Domain,

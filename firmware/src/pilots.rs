@@ -8,48 +8,12 @@ use vigil_policy::{ActorPilot, FlightPilot, FrozenPilot, RecoveryPilot};
 #[cfg(feature = "std")]
 use {
     crate::config::FirmwareConfig,
-    std::path::Path,
-    vigil_detector::{FrozenDetector, MonitorError},
-    vigil_guidance::ConfigError,
+    anyhow::{Result, anyhow, ensure},
+    vigil_detector::FrozenDetector,
     vigil_nnet::Purpose,
     vigil_policy::{FrozenActor, GeometricPilot},
     vigil_types::{Ablation, PilotKind},
 };
-
-/// Why a flight stack cannot be made of a configuration.
-#[cfg(feature = "std")]
-#[derive(Debug, thiserror::Error)]
-pub enum StackError {
-    /// The guidance configuration must not fly.
-    #[error(transparent)]
-    Guidance(#[from] ConfigError),
-    /// The actor's or the detector's file is refused.
-    #[error(transparent)]
-    Frozen(#[from] FileError),
-    /// A detector or a guard was asked for, and there is nothing for it to watch.
-    #[error(
-        "the {0} is on, but it watches the actor only and the geometric pilot flies: leave it out, or fly the actor"
-    )]
-    NothingToWatch(&'static str),
-    /// Something is to be taken from a pilot that does not have it.
-    #[error("--ablate takes something from an actor, and another pilot is to fly")]
-    AblatedElse,
-    /// A detector judges the pilot that it was trained for.
-    #[error(
-        "an imported policy is to fly, and the detector that comes with this program judges the built-in actor: give the policy's \
-         own (--detector-file FILE, made by `vigil detector collect` and `train` with --actor), or add --detector off, and --guard on to \
-         have the recovery pilot warn and take over before a collision"
-    )]
-    NoDetectorOfPolicy,
-    /// The detector is not this actor's, or cannot explain it.
-    #[error("detector {file}: {source}")]
-    Monitor {
-        /// The detector.
-        file: String,
-        /// What is wrong.
-        source: MonitorError,
-    },
-}
 
 /// Who flies, and what watches it. What watches sees what the actor decided from, and acts on the flight through guidance only.
 pub struct Pilots {
@@ -104,7 +68,7 @@ impl Pilots {
     /// An actor or a detector that is truncated, altered or of another architecture, a detector for another actor: by name. A
     /// detector or a guard that was asked for where no actor flies.
     #[cfg(feature = "std")]
-    pub fn of(config: &FirmwareConfig) -> Result<Self, StackError> {
+    pub fn of(config: &FirmwareConfig) -> Result<Self> {
         Self::of_with(config, Isa::detect())
     }
 
@@ -113,56 +77,54 @@ impl Pilots {
     /// # Errors
     /// As [`Self::of`].
     #[cfg(feature = "std")]
-    pub fn of_with(config: &FirmwareConfig, isa: Isa) -> Result<Self, StackError> {
+    pub fn of_with(config: &FirmwareConfig, isa: Isa) -> Result<Self> {
         for (asked_for, is_there, what) in [
             (config.detector.enabled, config.has_detector(), "detector"),
             (config.detector.guard, config.has_guard(), "guard"),
         ] {
-            if asked_for == Some(true) && !is_there {
-                return Err(StackError::NothingToWatch(what));
-            }
+            ensure!(
+                asked_for != Some(true) || is_there,
+                "the {what} is on, but it watches the actor only and the geometric pilot flies: leave it out, or fly \
+                 the actor"
+            );
         }
-        let Some(frozen) = config.frozen_pilot()? else {
-            if config.pilot.ablate != Ablation::Nothing {
-                return Err(StackError::AblatedElse);
-            }
+        let (frozen, ablate) = (config.frozen_pilot()?, config.pilot.ablate);
+        // The built-in detector is the built-in actor's.
+        let is_imported = matches!(frozen, Some(FrozenPilot::Imported(_)));
+        ensure!(
+            !is_imported || !config.has_detector() || config.detector.file.is_some(),
+            "an imported policy is to fly, and the detector that comes with this program judges the built-in actor: \
+             give the policy's own (--detector-file FILE, made by `vigil detector collect` and `train` with --actor), \
+             or add --detector off, and --guard on to have the recovery pilot warn and take over before a collision"
+        );
+        ensure!(
+            ablate == Ablation::Nothing || matches!(frozen, Some(FrozenPilot::Actor(_))),
+            "--ablate takes something from an actor, and another pilot is to fly"
+        );
+        let Some(frozen) = frozen else {
             let pilot = GeometricPilot::new(config.stack().pilot);
             return Ok(Self::unmonitored(FlightPilot::Geometric(pilot)));
         };
-        // The built-in detector is the built-in actor's.
-        if matches!(frozen, FrozenPilot::Imported(_)) && config.has_detector() && config.detector.file.is_none() {
-            return Err(StackError::NoDetectorOfPolicy);
-        }
         let monitor = match config.frozen_detector()? {
             None => None,
             Some(detector) => {
                 let monitor = Monitor::new(isa, frozen.head(Purpose::Multipliers)?, &frozen.sha256(), &detector);
-                let mut monitor = monitor.map_err(|source| StackError::Monitor {
-                    file: named(config.detector.file.as_deref()),
-                    source,
+                let mut monitor = monitor.map_err(|source| match &config.detector.file {
+                    Some(path) => anyhow!("detector {}: {source}", path.display()),
+                    None => anyhow!("detector built into this program: {source}"),
                 })?;
                 monitor.set_threshold(config.detector.threshold.unwrap_or(detector.threshold));
                 Some(Box::new(monitor))
             }
         };
-        let monitored = config.is_monitored();
-        let mut pilots = Self::learned(isa, &frozen, config.pilot.apf, monitor, monitored)?;
-        if config.pilot.ablate != Ablation::Nothing {
-            let FlightPilot::Actor(pilot) = pilots.pilot else {
-                return Err(StackError::AblatedElse);
-            };
-            pilots.pilot = FlightPilot::Actor(pilot.without(config.pilot.ablate));
+        let mut pilots = Self::learned(isa, &frozen, config.pilot.apf, monitor, config.is_monitored())?;
+        if ablate != Ablation::Nothing
+            && let FlightPilot::Actor(pilot) = pilots.pilot
+        {
+            pilots.pilot = FlightPilot::Actor(pilot.without(ablate));
         }
         Ok(pilots)
     }
-}
-
-#[cfg(feature = "std")]
-fn named(file: Option<&Path>) -> String {
-    file.map_or_else(
-        || "built into this program".to_owned(),
-        |path| path.display().to_string(),
-    )
 }
 
 #[cfg(feature = "std")]

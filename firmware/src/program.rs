@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tracing_subscriber::filter::Targets;
+use tracing_subscriber::filter::{LevelFilter, Targets};
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain};
 use vigil_log::{Recorder, RecorderConfig, WhenFull};
@@ -197,6 +197,10 @@ pub fn colours(is_terminal: bool) -> bool {
 /// Which diagnostics are shown: `RUST_LOG` (a level, or `target=level` with commas between), or else `default`, a level.
 pub fn diagnostics(default: &str) -> Targets {
     let wanted = std::env::var("RUST_LOG").ok().filter(|wanted| !wanted.is_empty());
+    // A word that is no level would be the name of a target, and hide everything else.
+    let is_filter = |part: &str| part.contains('=') || part.parse::<LevelFilter>().is_ok();
+    let wanted = wanted.map(|wanted| wanted.replace(' ', ""));
+    let wanted = wanted.filter(|wanted| wanted.split(',').all(is_filter));
     let parsed = wanted.and_then(|wanted| wanted.parse().ok());
     parsed.unwrap_or_else(|| default.parse().unwrap_or_default())
 }

@@ -53,19 +53,9 @@ impl RateSchedule {
         self.timing.previous_execution_ns
     }
 
-    /// How long the last step took that has ended.
-    pub fn previous_execution_ns(&self) -> u64 {
-        self.timing.previous_execution_ns
-    }
-
-    /// Steps begun.
-    pub fn steps(&self) -> u64 {
-        self.timing.step
-    }
-
-    /// Deadlines missed.
-    pub fn slips(&self) -> u64 {
-        self.timing.slips
+    /// Steps begun, deadlines missed, and how long the last step took that has ended.
+    pub fn timing(&self) -> StepTiming {
+        self.timing
     }
 }
 
@@ -103,7 +93,7 @@ mod tests {
             );
             schedule.end(due + 30 + 1_000 + step);
         }
-        assert_eq!((schedule.steps(), schedule.slips()), (10, 0));
+        assert_eq!((schedule.timing().step, schedule.timing().slips), (10, 0));
     }
 
     #[test]

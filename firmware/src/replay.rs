@@ -3,7 +3,8 @@
 use crate::config::FirmwareConfig;
 use crate::stack::TickInput;
 use crate::step::Firmware;
-use vigil_log::{LogEnd, ReadError, Reader, TickRecord};
+use anyhow::{Result, anyhow, bail, ensure};
+use vigil_log::{LogEnd, Reader, TickRecord};
 use vigil_types::{Datagrams, LogContent, Nanos, Reason, StepReport};
 
 /// What a replay found.
@@ -35,14 +36,7 @@ pub struct Difference {
     pub step: u64,
     /// Time of the step.
     pub now_ns: Nanos,
-    /// What differs.
-    pub what: Departure,
-}
-
-/// What differs between a recorded and a replayed step.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Departure {
-    /// A field of the report, a byte of a datagram, its link and length, or the number of datagrams.
+    /// What differs: a field of the report, a byte of a datagram, its link and length, or the number of datagrams.
     pub place: String,
     /// In the log.
     pub recorded: String,
@@ -52,12 +46,13 @@ pub struct Departure {
 
 impl std::fmt::Display for Difference {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Departure {
+        let Self {
+            step,
+            now_ns,
             place,
             recorded,
             replayed,
-        } = &self.what;
-        let (step, now_ns) = (self.step, self.now_ns);
+        } = self;
         write!(
             f,
             "step {step} (t = {now_ns} ns): {place} is {recorded} in the log, {replayed} in the replay"
@@ -81,77 +76,47 @@ impl std::fmt::Display for ReplayReport {
     }
 }
 
-/// Why a log cannot be replayed.
-#[derive(Debug, thiserror::Error)]
-pub enum ReplayError {
-    /// The log cannot be read.
-    #[error(transparent)]
-    Read(#[from] ReadError),
-    /// The configuration in the log is not understood: another version of the firmware flew.
-    #[error("the configuration in the log of `{program}` is not understood by this version: {message}")]
-    Config {
-        /// Who flew.
-        program: String,
-        /// The parser's report.
-        message: String,
-    },
-    /// The log was recorded without frames.
-    #[error(
-        "the flight was recorded without its frames (log.content = \"light\"): it can be looked at, with `vigil log report` and \
-         `vigil view`, but not be replayed"
-    )]
-    Light,
-    /// The file that the configuration names, or the one built in, is not the one that flew.
-    #[error("{what} with SHA-256 {recorded} flew, this program has {found}; give back the file that flew")]
-    Model {
-        /// The actor or the detector.
-        what: &'static str,
-        /// Digest in the log.
-        recorded: String,
-        /// Digest of what there is now.
-        found: String,
-    },
-    /// The configuration in the log must not fly, or its actor is refused.
-    #[error(transparent)]
-    Stack(#[from] crate::step::StackError),
-}
-
 /// A stack as it was before the log's first record: with the configuration in the log, and the models that flew.
 ///
 /// # Errors
-/// [`ReplayError`] when the configuration is not understood or a model is not the one that flew.
-pub fn firmware_of(reader: &Reader) -> Result<Firmware, ReplayError> {
-    let config = FirmwareConfig::from_toml(&reader.info().config_toml).map_err(|message| ReplayError::Config {
-        program: reader.info().program.clone(),
-        message,
+/// A configuration that is not understood (another version of the firmware flew) or must not fly, a log without its frames, or a model that
+/// is not the one that flew.
+pub fn firmware_of(reader: &Reader) -> Result<Firmware> {
+    let info = reader.info();
+    let program = &info.program;
+    let config = FirmwareConfig::from_toml(&info.config_toml).map_err(|message| {
+        anyhow!("the configuration in the log of `{program}` is not understood by this version: {message}")
     })?;
-    if config.log.content == LogContent::Light {
-        return Err(ReplayError::Light);
-    }
+    ensure!(
+        config.log.content != LogContent::Light,
+        "the flight was recorded without its frames (log.content = \"light\"): it can be looked at, with `vigil log report` \
+         and `vigil view`, but not be replayed"
+    );
     let now = config.flight_info();
-    for (what, recorded, found) in [
-        ("an actor", &reader.info().actor_sha256, now.actor_sha256),
-        ("a detector", &reader.info().detector_sha256, now.detector_sha256),
+    let (actor, detector) = (&config.pilot.actor_file, &config.detector.file);
+    for (what, file, recorded, found) in [
+        ("an actor", actor, &info.actor_sha256, now.actor_sha256),
+        ("a detector", detector, &info.detector_sha256, now.detector_sha256),
     ] {
         // A log of before the digests names none. A file that is gone or refused has none either: the stack below says why.
         if let (Some(recorded), Some(found)) = (recorded, found)
             && *recorded != found
         {
-            return Err(ReplayError::Model {
-                what,
-                recorded: recorded.clone(),
-                found,
-            });
+            let remedy = match file {
+                Some(_) => "give back the file that flew".to_owned(),
+                None => format!("`{program}` flew its built-in one: replay the log with that version"),
+            };
+            bail!("{what} with SHA-256 {recorded} flew, this program has {found}; {remedy}");
         }
     }
-    Ok(Firmware::of(&config)?)
+    Firmware::of(&config)
 }
 
 /// Replays a log from its first record with the configuration in the log, up to the first difference.
 ///
 /// # Errors
-/// [`ReplayError`] when the log cannot be read or its configuration is not understood. A difference is no error.
-pub fn replay(reader: &mut Reader) -> Result<ReplayReport, ReplayError> {
+/// A log that cannot be read, and as of [`firmware_of`]. A difference is no error.
+pub fn replay(reader: &mut Reader) -> Result<ReplayReport> {
     let mut firmware = firmware_of(reader)?;
     let mut record = Box::<TickRecord>::default();
     let mut sent = Box::<Datagrams>::default();
@@ -162,12 +127,8 @@ pub fn replay(reader: &mut Reader) -> Result<ReplayReport, ReplayError> {
             return Ok(result);
         }
         let report = step_again(&mut firmware, &record, &mut sent);
-        if let Some(what) = departure(&record, &sent, report) {
-            result.difference = Some(Difference {
-                step: record.timing.step,
-                now_ns: record.now_ns,
-                what,
-            });
+        result.difference = difference(&record, &sent, report);
+        if result.difference.is_some() {
             return Ok(result);
         }
         result.steps += 1;
@@ -190,8 +151,10 @@ pub fn step_again<'a>(firmware: &'a mut Firmware, record: &TickRecord, sent: &mu
     firmware.step(&input, |output| sent.copy_from(output))
 }
 
-fn departure(record: &TickRecord, sent: &Datagrams, report: &StepReport) -> Option<Departure> {
-    let differs = |place: String, [recorded, replayed]: [String; 2]| Departure {
+fn difference(record: &TickRecord, sent: &Datagrams, report: &StepReport) -> Option<Difference> {
+    let differs = |place: String, [recorded, replayed]: [String; 2]| Difference {
+        step: record.timing.step,
+        now_ns: record.now_ns,
         place,
         recorded,
         replayed,
@@ -211,11 +174,12 @@ fn departure(record: &TickRecord, sent: &Datagrams, report: &StepReport) -> Opti
         let counts = [record.sent.len(), sent.len()].map(|count| count.to_string());
         return Some(differs("the number of datagrams".to_owned(), counts));
     }
-    report_departure(&record.report, report)
+    let (field, values) = differing_field(&record.report, report)?;
+    Some(differs(format!("report: `{field}`"), values))
 }
 
 /// Compares by the printed form, which is exact for numbers and takes NaN for equal to itself.
-fn report_departure(recorded: &StepReport, replayed: &StepReport) -> Option<Departure> {
+fn differing_field(recorded: &StepReport, replayed: &StepReport) -> Option<(&'static str, [String; 2])> {
     // Taken apart by name, so that a new field does not compile until it is compared.
     macro_rules! printed {
         ($report:ident: $($field:ident),*) => {{
@@ -230,13 +194,7 @@ fn report_departure(recorded: &StepReport, replayed: &StepReport) -> Option<Depa
     if recorded == replayed {
         return None;
     }
-    fields(recorded)
-        .into_iter()
-        .zip(fields(replayed))
-        .find(|((_, a), (_, b))| a != b)
-        .map(|((field, recorded), (_, replayed))| Departure {
-            place: format!("report: `{field}`"),
-            recorded,
-            replayed,
-        })
+    let mut pairs = fields(recorded).into_iter().zip(fields(replayed));
+    let ((field, recorded), (_, replayed)) = pairs.find(|((_, a), (_, b))| a != b)?;
+    Some((field, [recorded, replayed]))
 }

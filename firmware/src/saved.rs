@@ -18,17 +18,6 @@ const CAPACITY: usize = 8;
 /// How often the writer looks.
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// Why parameters cannot be kept.
-#[derive(Debug, thiserror::Error)]
-pub enum SavedError {
-    /// The file is refused.
-    #[error(transparent)]
-    File(#[from] StateError),
-    /// No thread for the writer.
-    #[error("cannot start the thread that stores parameters: {0}")]
-    Thread(std::io::Error),
-}
-
 settings! {
     /// The file's content.
     struct Saved {
@@ -64,7 +53,7 @@ impl ParameterStore {
     ///
     /// # Errors
     /// A file that is damaged, or that holds a wrong type, an unknown name or a value out of range; it is left as it is.
-    pub fn load(folder: &Path, config: &mut FirmwareConfig) -> Result<LoadedParameters, SavedError> {
+    pub fn load(folder: &Path, config: &mut FirmwareConfig) -> Result<LoadedParameters, StateError> {
         let file = StateFile::<Saved>::in_folder(folder, &format!("firmware{}", config.instance));
         let saved = file.load()?;
         let table = Tunables::full_table(&config.stack());
@@ -114,7 +103,7 @@ impl LoadedParameters {
     ///
     /// # Errors
     /// When the thread cannot be started.
-    pub fn start(self, table: &Parameters) -> Result<ParameterStore, SavedError> {
+    pub fn start(self, table: &Parameters) -> std::io::Result<ParameterStore> {
         let Self { mut file, mut saved } = self;
         let begun_with = table.clone();
         let offered = Kept {
@@ -136,7 +125,7 @@ impl LoadedParameters {
                 unstored = unstored && !file.store(&saved);
             },
         );
-        let writer = writer.map_err(SavedError::Thread)?;
+        let writer = writer?;
         Ok(ParameterStore { writer, offered })
     }
 }
@@ -193,9 +182,9 @@ mod tests {
         let loaded = ParameterStore::load(folder, config).unwrap();
         let mut store = loaded.start(&table(config)).unwrap();
         change(config);
-        store.observe(&table(config), false);
+        store.observe(&table(config), config.state.taken_over);
         drop(store);
-        std::fs::read_to_string(folder.join("firmware0.toml")).unwrap()
+        std::fs::read_to_string(folder.join("firmware0.toml")).unwrap_or_default()
     }
 
     #[test]
@@ -239,21 +228,20 @@ mod tests {
     fn a_take_over_is_in_force_after_a_restart_until_an_operator_engaged() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("firmware0.toml");
-        let run = |taken_over: bool| {
-            let mut config = FirmwareConfig::default();
-            let loaded = ParameterStore::load(folder.path(), &mut config).unwrap();
-            let table = Tunables::of(&config.stack(), None, false).parameters();
-            let mut store = loaded.start(&table).unwrap();
-            store.observe(&table, taken_over);
-            drop(store);
-            config.stack().guidance.taken_over
+        let run_until = |taken_over: bool| {
+            let mut begun_with = false;
+            run(folder.path(), &mut FirmwareConfig::default(), |config| {
+                begun_with = config.stack().guidance.taken_over;
+                config.state.taken_over = taken_over;
+            });
+            begun_with
         };
-        assert!(!run(false) && !path.exists(), "nothing to keep");
-        assert!(!run(true));
+        assert!(!run_until(false) && !path.exists(), "nothing to keep");
+        assert!(!run_until(true));
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "taken_over = true\n");
-        assert!(run(true), "the next start knows");
-        assert!(run(false), "engaged by an operator in this one");
-        assert!(!run(false));
+        assert!(run_until(true), "the next start knows");
+        assert!(run_until(false), "engaged by an operator in this one");
+        assert!(!run_until(false));
         assert!(start(b"taken_over = 1").unwrap_err().contains("firmware0.toml"));
     }
 

@@ -14,7 +14,6 @@ use vigil_guidance::{
 };
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, CompanionConfig, LET_GO, LinkCounters, MavHeader, Parameters, StatusText, framing};
-use vigil_policy::actor::Actor;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, PilotInput, PlausibilityCheck, SecondSensor};
 use vigil_types::{
     Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal, GuardNotice, GuidanceState, Nanos, NedVector,
@@ -82,7 +81,7 @@ pub struct TickOutput {
 
 /// The flight stack. A large value without pointers: box it once at start.
 pub struct FlightStack {
-    frames: FrameKeeper,
+    pub(crate) frames: FrameKeeper,
     /// Checks each new frame; `None` when that is switched off.
     plausibility: Option<PlausibilityCheck>,
     /// Compares the frames with the second sensor; `None` where there is none.
@@ -91,7 +90,7 @@ pub struct FlightStack {
     guidance: Guidance,
     /// Guards somebody else's flight; `None` when that is not its duty.
     guarding: Option<Guarding>,
-    deciding: Deciding,
+    pub(crate) deciding: Deciding,
     /// Jumps of the odometry that were reported.
     forgotten: u32,
     tunables: Tunables,
@@ -459,17 +458,6 @@ impl FlightStack {
     /// Whether a person took the vehicle over and no operator engaged since.
     pub fn taken_over(&self) -> bool {
         self.guidance.taken_over()
-    }
-
-    /// The pilot that keeps a map and plans a path: the recovery pilot, else the geometric one; `None` where neither has been asked. For
-    /// looking at a flight afterwards ([`crate::replay()`]).
-    pub fn mapping(&self) -> Option<&GeometricPilot> {
-        self.deciding.mapping()
-    }
-
-    /// The actor and the frame that it decided on in the last step; `None` if none did. For looking at a flight afterwards.
-    pub fn actor(&self) -> Option<(&Actor, &DepthFrame)> {
-        self.deciding.actor().zip(self.frames.newest())
     }
 
     /// The texts of the last step for people.

@@ -2,7 +2,6 @@
 
 use crate::config::FirmwareConfig;
 use crate::pilots::Pilots;
-pub use crate::pilots::StackError;
 use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_guidance::ConfigError;
 use vigil_log::Recorder;
@@ -29,8 +28,8 @@ impl Firmware {
     /// A stack with the pilots of a configuration.
     ///
     /// # Errors
-    /// [`StackError`]: a guidance configuration that must not fly, an actor or a detector that is refused.
-    pub fn of(config: &FirmwareConfig) -> Result<Self, StackError> {
+    /// A guidance configuration that must not fly, an actor or a detector that is refused.
+    pub fn of(config: &FirmwareConfig) -> anyhow::Result<Self> {
         let stack = FlightStack::with_pilots(&config.stack(), Pilots::of(config)?)?;
         Ok(Self::flying(stack))
     }
@@ -74,14 +73,15 @@ impl Firmware {
         send(&self.output.sent);
     }
 
-    /// The pilot that keeps a map and plans a path ([`FlightStack::mapping`]).
+    /// The pilot that keeps a map and plans a path: the recovery pilot, else the geometric one; `None` where neither has been asked. For
+    /// looking at a flight afterwards ([`crate::replay()`]).
     pub fn mapping(&self) -> Option<&GeometricPilot> {
-        self.stack.mapping()
+        self.stack.deciding.mapping()
     }
 
-    /// The actor and the frame that it decided on ([`FlightStack::actor`]).
+    /// The actor and the frame that it decided on in the last step; `None` if none did. For looking at a flight afterwards.
     pub fn actor(&self) -> Option<(&Actor, &DepthFrame)> {
-        self.stack.actor()
+        self.stack.deciding.actor().zip(self.stack.frames.newest())
     }
 
     /// Closes the log, if there is one, and says what became of it.

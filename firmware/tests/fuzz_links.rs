@@ -35,29 +35,16 @@ struct Rig<L: Link, F: FnMut(&[u8]) -> std::io::Result<usize>> {
     far: F,
     received: Box<Datagrams>,
     now_ns: Nanos,
-    /// Bytes that the gate let pass, and commands found in them.
-    passed: u64,
+    /// Commands that the gate let pass.
     commands: u64,
 }
 
 impl<L: Link, F: FnMut(&[u8]) -> std::io::Result<usize>> Rig<L, F> {
-    fn new(link: L, far: F) -> Self {
-        Self {
-            link,
-            far,
-            received: Box::default(),
-            now_ns: 0,
-            passed: 0,
-            commands: 0,
-        }
-    }
-
     fn step(&mut self) {
         self.now_ns += 1_000_000;
         self.received.clear();
         self.link.receive(self.now_ns, &mut self.received);
         for (_, datagram) in self.received.iter() {
-            self.passed += datagram.len() as u64;
             for packet in packets(datagram, &mut FramingCounters::default()) {
                 self.commands += u64::from(packet.command().is_some());
             }
@@ -100,7 +87,13 @@ fn resident_bytes() -> u64 {
 
 /// Fuzzes a link whose gate has the key or is open.
 fn fuzz(link: impl Link, far: impl FnMut(&[u8]) -> std::io::Result<usize>, has_key: bool) {
-    let mut rig = Rig::new(link, far);
+    let mut rig = Rig {
+        link,
+        far,
+        received: Box::default(),
+        now_ns: 0,
+        commands: 0,
+    };
     let mut random = Random(0x9E37_79B9_7F4A_7C15);
     let mut signing = Signing::new(KEY, 1, SigningMemory::default());
     let mut out = [0; MAX_PACKET_LEN + SIGNATURE_LEN];

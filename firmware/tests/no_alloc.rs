@@ -13,7 +13,6 @@ use counting::allocations;
 use std::os::unix::fs::PermissionsExt;
 use vigil_detector::{FrozenDetector, Of};
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::{LogConfig, RateConfig, SigningConfig, StateConfig};
 use vigil_firmware::live_loop::LiveLoop;
 use vigil_firmware::pilots::Pilots;
 use vigil_firmware::stack::{FlightStack, StackConfig, TickInput, TickOutput};
@@ -210,30 +209,16 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
     std::fs::write(&key, [7; 32]).unwrap();
     std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o600)).unwrap();
     let port = free_port();
-    let config = FirmwareConfig {
-        instance: instance.0,
-        link: Some(format!("udpin://127.0.0.1:{port}").parse().unwrap()),
-        // Signs what it sends and keeps its state; this machine's packets need no signature.
-        signing: SigningConfig {
-            key_file: Some(key),
-            ..SigningConfig::default()
-        },
-        log: LogConfig {
-            directory: Some(folder.path().to_owned()),
-            ..LogConfig::default()
-        },
-        // A ground station's link, and parameters that are kept.
-        links: vec![format!("udpin://127.0.0.1:{}", free_port()).parse().unwrap()],
-        state: StateConfig {
-            directory: Some(folder.path().join("state")),
-            ..StateConfig::default()
-        },
-        rate: RateConfig {
-            priority: 0,
-            ..RateConfig::default()
-        },
-        ..config()
-    };
+    let mut config = config();
+    config.instance = instance.0;
+    config.link = Some(format!("udpin://127.0.0.1:{port}").parse().unwrap());
+    // Signs what it sends and keeps its state; this machine's packets need no signature.
+    config.signing.key_file = Some(key);
+    config.log.directory = Some(folder.path().to_owned());
+    // A ground station's link, and parameters that are kept.
+    config.links = vec![format!("udpin://127.0.0.1:{}", free_port()).parse().unwrap()];
+    config.state.directory = Some(folder.path().join("state"));
+    config.rate.priority = 0;
     let mut flight = LiveLoop::open(&config).unwrap();
     flight.start();
     let socket = common::socket();

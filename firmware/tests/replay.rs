@@ -4,7 +4,7 @@ mod common;
 
 use common::{Flight, TestVehicle, config, monitored_config, undecided_detector};
 use std::path::{Path, PathBuf};
-use vigil_firmware::replay::{ReplayError, ReplayReport};
+use vigil_firmware::replay::ReplayReport;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware, replay};
 use vigil_log::{FlightInfo, LogEnd, LogPlace, Reader, Recorder, RecorderConfig, TickRecord};
 use vigil_types::{AlarmResponse, Datagrams, GuidanceState, PilotKind};
@@ -114,16 +114,13 @@ fn judgements_and_alarms_run_again_to_the_bit_and_only_with_the_detector_that_fl
         judgement.phi[7] = f32::from_bits(judgement.phi[7].to_bits() ^ 1);
     });
     let difference = replayed(&bent).difference.unwrap();
-    assert_eq!(difference.what.place, "report: `judgement`", "{difference}");
+    assert_eq!(difference.place, "report: `judgement`", "{difference}");
 
     let mut other = undecided_detector();
     other.seed = 1;
     other.save(&config.detector.file.unwrap()).unwrap();
     let error = replay(&mut Reader::open(&path).unwrap()).unwrap_err();
-    assert!(
-        matches!(error, ReplayError::Model { what: "a detector", .. }),
-        "{error}"
-    );
+    assert!(error.to_string().starts_with("a detector with SHA-256"), "{error}");
 }
 
 #[test]
@@ -137,9 +134,9 @@ fn one_byte_of_difference_is_found_and_named() {
     assert!(!report.is_equal());
     let difference = report.difference.clone().unwrap();
     assert_eq!((difference.step, report.steps), (150, 150));
-    assert_eq!(difference.what.place, "datagram 0, byte 20");
+    assert_eq!(difference.place, "datagram 0, byte 20");
     let byte = |text: &str| u8::from_str_radix(&text[2..], 16).unwrap();
-    assert_eq!(byte(&difference.what.recorded) ^ byte(&difference.what.replayed), 1);
+    assert_eq!(byte(&difference.recorded) ^ byte(&difference.replayed), 1);
     assert!(report.to_string().contains("step 150"), "{report}");
 
     let differs = |step, alter: fn(&mut TickRecord)| {
@@ -167,8 +164,8 @@ fn one_byte_of_difference_is_found_and_named() {
 
     // A datagram that is not there.
     let difference = differs(190, |record| record.sent.clear());
-    assert_eq!(difference.what.place, "the number of datagrams");
-    assert_eq!(difference.what.recorded, "0", "{difference}");
+    assert_eq!(difference.place, "the number of datagrams");
+    assert_eq!(difference.recorded, "0", "{difference}");
 }
 
 #[test]
@@ -199,17 +196,25 @@ fn where_records_were_dropped_the_replay_ends_and_says_so() {
 }
 
 #[test]
-fn a_log_of_a_configuration_that_is_not_understood_is_refused_by_name() {
+fn a_log_of_another_version_is_refused_by_the_name_of_who_flew_without_advice_that_a_log_cannot_follow() {
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("other.mcap");
-    let info = FlightInfo {
-        program: "firmware 99.0".into(),
-        config_toml: "warp_factor = 9".into(),
-        ..FlightInfo::default()
+    let refused = |config_toml: &str| {
+        let info = FlightInfo {
+            program: "firmware 0.2.0".into(),
+            actor_sha256: Some("5a".repeat(32)),
+            config_toml: config_toml.into(),
+            ..FlightInfo::default()
+        };
+        let path = folder.path().join(format!("{}.mcap", config_toml.len()));
+        recorder(&path, info).finish();
+        replay(&mut Reader::open(&path).unwrap()).unwrap_err().to_string()
     };
-    recorder(&path, info).finish();
-    let error = replay(&mut Reader::open(&path).unwrap()).unwrap_err();
-    assert!(matches!(error, ReplayError::Config { .. }));
-    let text = error.to_string();
-    assert!(text.contains("firmware 99.0") && text.contains("warp_factor"), "{text}");
+    let text = refused("[pilot]\nencoder = \"int8\"");
+    assert!(text.contains("firmware 0.2.0") && text.contains("encoder"), "{text}");
+    assert!(!text.contains("leave it out"), "{text}");
+    let text = refused("");
+    assert!(
+        text.ends_with("`firmware 0.2.0` flew its built-in one: replay the log with that version"),
+        "{text}"
+    );
 }

@@ -2,16 +2,14 @@
 
 mod common;
 
-use common::{SECOND, VEHICLE, heard, loopback};
+use common::{SECOND, VEHICLE, heard, loopback, say};
 use std::net::{SocketAddr, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
-use vigil_io::Link;
 use vigil_io::gate::{AllowUnsigned, SigningGate};
 use vigil_io::links::{Gated, PeerRule};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavMessage, MavType};
 use vigil_mavlink::framing::encode as packet;
 use vigil_mavlink::message;
-use vigil_types::Datagrams;
 
 fn listening() -> Gated {
     Gated::open(&LinkUrl::UdpIn(loopback()), VEHICLE, SigningGate::open()).unwrap()
@@ -38,12 +36,6 @@ fn caller(link: &Gated) -> UdpSocket {
     socket
 }
 
-fn say(link: &mut Gated, datagram: &[u8]) {
-    let mut sent = Datagrams::default();
-    assert!(sent.push(0, datagram));
-    link.send(&sent);
-}
-
 fn answer(socket: &UdpSocket) -> Option<Vec<u8>> {
     let mut buffer = [0; 64];
     socket.recv(&mut buffer).ok().map(|len| buffer[..len].to_vec())
@@ -52,7 +44,7 @@ fn answer(socket: &UdpSocket) -> Option<Vec<u8>> {
 #[test]
 fn the_first_vehicle_is_the_peer_and_a_stranger_is_neither_heard_nor_answered() {
     let mut link = listening();
-    say(&mut link, b"to nobody");
+    say(&mut link, &[b"to nobody"]);
     assert_eq!(link.statistics().unsent, 1);
     let (vehicle_end, stranger) = (caller(&link), caller(&link));
     // What it sends before its first heartbeat is not a stranger's.
@@ -68,7 +60,7 @@ fn the_first_vehicle_is_the_peer_and_a_stranger_is_neither_heard_nor_answered() 
     vehicle_end.send(&of_gimbal).unwrap();
     assert_eq!(heard(&mut link, SECOND), [of_gimbal]);
     assert_eq!(link.statistics().foreign, 1);
-    say(&mut link, b"setpoint");
+    say(&mut link, &[b"setpoint"]);
     assert_eq!(answer(&vehicle_end).as_deref(), Some(&b"setpoint"[..]));
     assert_eq!(answer(&stranger), None);
 }
@@ -92,7 +84,7 @@ fn who_is_no_vehicle_does_not_become_the_peer_whatever_he_sends() {
         for (second, datagram) in (1..).zip(&no_vehicles) {
             stranger.send(datagram).unwrap();
             assert!(heard(&mut link, second * SECOND).is_empty(), "{datagram:?}");
-            say(&mut link, b"setpoint");
+            say(&mut link, &[b"setpoint"]);
             assert_eq!(answer(&stranger), None, "{datagram:?}");
         }
         assert_eq!(link.statistics().other_system, None);
@@ -111,7 +103,7 @@ fn who_is_no_vehicle_does_not_become_the_peer_whatever_he_sends() {
         ];
         vehicle_end.send(&both.concat()).unwrap();
         assert_eq!(heard(&mut link, 20 * SECOND), [both.concat()]);
-        say(&mut link, b"setpoint");
+        say(&mut link, &[b"setpoint"]);
         assert!(answer(&vehicle_end).is_some());
     }
     // Where all must sign, who cannot is no vehicle.
@@ -120,7 +112,7 @@ fn who_is_no_vehicle_does_not_become_the_peer_whatever_he_sends() {
     let stranger = caller(&link);
     stranger.send(&vehicle(0)).unwrap();
     assert!(heard(&mut link, SECOND).is_empty());
-    say(&mut link, b"setpoint");
+    say(&mut link, &[b"setpoint"]);
     assert_eq!(answer(&stranger), None);
 }
 
@@ -139,7 +131,7 @@ fn a_vehicle_that_comes_back_from_another_port_is_taken_after_a_silence() {
     other_vehicle.send(&autopilot((2, 1), 0)).unwrap();
     after.send(&vehicle(3)).unwrap();
     assert_eq!(heard(&mut link, 4 * SECOND), [vehicle(3)]);
-    say(&mut link, b"setpoint");
+    say(&mut link, &[b"setpoint"]);
     assert!(answer(&after).is_some() && answer(&before).is_none());
 }
 
@@ -163,7 +155,7 @@ fn a_vehicle_that_was_silent_goes_on_with_any_packet_and_a_peer_that_talks_garba
     }
     other.send(&vehicle(7)).unwrap();
     assert_eq!(heard(&mut link, 14 * SECOND).last(), Some(&vehicle(7)));
-    say(&mut link, b"setpoint");
+    say(&mut link, &[b"setpoint"]);
     assert!(answer(&other).is_some());
 }
 
@@ -172,7 +164,7 @@ fn a_calling_link_hears_only_whom_it_calls() {
     let vehicle = UdpSocket::bind(loopback()).unwrap();
     let url = LinkUrl::UdpOut(vehicle.local_addr().unwrap());
     let mut link = Gated::open(&url, VEHICLE, SigningGate::open()).unwrap();
-    say(&mut link, b"hello");
+    say(&mut link, &[b"hello"]);
     let mut buffer = [0; 64];
     let (len, from) = vehicle.recv_from(&mut buffer).unwrap();
     assert_eq!(&buffer[..len], b"hello");
@@ -222,7 +214,7 @@ fn a_peer_that_closed_its_port_does_not_disturb_the_link() {
     drop(first);
     for _ in 0..10 {
         // The system reports the closed port in one of the next calls.
-        say(&mut link, b"setpoint");
+        say(&mut link, &[b"setpoint"]);
         assert!(heard(&mut link, SECOND).is_empty());
     }
     heard(&mut link, 10 * SECOND);

@@ -1,4 +1,4 @@
-//! What a frame costs, stage by stage, the two ways of casting side by side, and a step of the environment. One thread.
+//! What a frame costs, stage by stage, and a step of the environment. One thread.
 
 use divan::Bencher;
 use parry3d::math::Vector;
@@ -7,8 +7,7 @@ use parry3d::shape::TriMesh;
 use vigil_sim::environment::{Environment, true_state::TrueCourse};
 use vigil_sim::vehicle::{VehicleParams, Wind};
 use vigil_sim::world::{
-    Course, Family, LIDAR_BEAMS, LIDAR_FIRINGS, Lidar, LidarConfig, Mesh, Method, Shot, World, beam_direction_frd,
-    generate,
+    Course, Family, LIDAR_BEAMS, LIDAR_FIRINGS, Lidar, LidarConfig, Mesh, Shot, World, beam_direction_frd, generate,
 };
 use vigil_types::{Attitude, DepthFrame, HeadingVector, NedVector, VelocitySetpoint};
 
@@ -35,10 +34,8 @@ fn shot(count: u64) -> Shot {
     }
 }
 
-fn lidar(method: Method) -> Lidar {
-    Lidar::new(LidarConfig::default(), 1)
-        .expect("valid")
-        .with_method(method)
+fn lidar() -> Lidar {
+    Lidar::new(LidarConfig::default(), 1).expect("valid")
 }
 
 /// What is to be timed is given the number of its run.
@@ -50,8 +47,8 @@ fn bench<T>(bencher: Bencher, mut run: impl FnMut(u64) -> T) {
     });
 }
 
-fn bench_cast(bencher: Bencher, world: &World, method: Method) {
-    let mut lidar = lidar(method);
+fn bench_cast(bencher: Bencher, world: &World) {
+    let mut lidar = lidar();
     bench(bencher, |count| {
         let s = shot(count);
         divan::black_box(lidar.cast(world, s.position_ned_m, s.attitude)[0])
@@ -60,12 +57,7 @@ fn bench_cast(bencher: Bencher, world: &World, method: Method) {
 
 #[divan::bench(args = SEEDS)]
 fn cast_fast(bencher: Bencher, seed: u64) {
-    bench_cast(bencher, &World::new(&course(seed)), Method::Fast);
-}
-
-#[divan::bench(args = SEEDS)]
-fn cast_reference(bencher: Bencher, seed: u64) {
-    bench_cast(bencher, &World::new(&course(seed)), Method::Reference);
+    bench_cast(bencher, &World::new(&course(seed)));
 }
 
 /// What the meshes are: a hall with vaulted walls and pillars, as fine everywhere as a scan; and pieces as large as a hand, all over the place.
@@ -117,7 +109,7 @@ fn mesh_fast(bencher: Bencher, mesh: &str) {
     course.clear_obstacles();
     let mesh = Mesh::of_triangles(&triangles(mesh)).expect("a mesh");
     course.meshes.push(mesh);
-    bench_cast(bencher, &World::new(&course), Method::Fast);
+    bench_cast(bencher, &World::new(&course));
 }
 
 /// The library's own casting against the same triangles, along the same beams. Our builds do not optimise it: for a fair figure
@@ -149,7 +141,7 @@ fn measure(bencher: Bencher) {
 
 /// A sensor that took a frame.
 fn captured() -> (Lidar, Box<DepthFrame>) {
-    let (mut lidar, mut frame) = (lidar(Method::Fast), Box::new(DepthFrame::EMPTY));
+    let (mut lidar, mut frame) = (lidar(), Box::new(DepthFrame::EMPTY));
     lidar.capture(&World::new(&course(1)), &shot(1), &mut frame);
     (lidar, frame)
 }
@@ -179,7 +171,7 @@ fn capture_forest(bencher: Bencher, seed: u64) {
 
 fn bench_capture(bencher: Bencher, course: &Course) {
     let world = World::new(course);
-    let mut lidar = lidar(Method::Fast);
+    let mut lidar = lidar();
     let mut frame = Box::new(DepthFrame::EMPTY);
     bench(bencher, |count| lidar.capture(&world, &shot(count), &mut frame));
 }

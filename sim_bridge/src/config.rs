@@ -98,6 +98,18 @@ settings! {
     }
 }
 
+impl Models {
+    /// Reads a file, whose vehicle must be one that can be flown.
+    fn load(path: &Path) -> Result<Self, SettingsError> {
+        let models: Self = settings::load(path)?;
+        let refused = |error: ParamsError| SettingsError::Content {
+            path: path.to_owned(),
+            message: error.to_string(),
+        };
+        models.vehicle.validate().map_err(refused).map(|()| models)
+    }
+}
+
 /// Why a simulation or course file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
@@ -140,7 +152,7 @@ impl VehicleChoice {
     /// # Errors
     /// [`ConfigError::File`], [`ConfigError::TwoVehicles`].
     pub fn models(&self, file: Option<&Path>) -> Result<Models, ConfigError> {
-        let mut models = file.map(settings::load::<Models>).transpose()?.unwrap_or_default();
+        let mut models = file.map(Models::load).transpose()?.unwrap_or_default();
         if self.vehicle_model != VehicleModel::Ours {
             if let Some(file) = file.filter(|_| models.vehicle != VehicleParams::default()) {
                 return Err(ConfigError::TwoVehicles(self.vehicle_model.name(), file.to_owned()));
@@ -235,6 +247,15 @@ impl CourseChoice {
 
 #[cfg(test)]
 mod tests {
+    #[test]
+    fn a_vehicle_that_cannot_fly_is_refused_with_its_file() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(&file, "[vehicle.battery]\nempty_v = 500.0").unwrap();
+        let error = super::VehicleChoice::default().models(Some(file.path())).unwrap_err();
+        let start = format!("{}: vehicle parameter `battery.full_v` is 16.8", file.path().display());
+        assert!(error.to_string().starts_with(&start), "{error}");
+    }
+
     #[test]
     fn a_time_without_an_end_and_one_before_the_beginning_are_refused() {
         for text in ["nan", "inf", "-1", "soon"] {

@@ -67,7 +67,7 @@ mod tests {
             ("[parameters]\nNOT_THERE = 1.0", "NOT_THERE"),
             (
                 "[[rally]]\ncommand = 16\nframe = 3\nautocontinue = 1\nparams = [0.0, 0.0, 0.0, 0.0]\nx = 1\ny = 1\nz = 3.0",
-                "rally points",
+                "rally points: item 0 (command 16, frame 3): not a rally point",
             ),
         ] {
             let error = start(text).err().map(|e| format!("{e:#}")).unwrap_or_default();

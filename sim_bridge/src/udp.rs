@@ -1,5 +1,6 @@
 //! The vehicle's three UDP links, on the ports of PX4's software in the loop. docs/mavlink.md has the table of ports.
 
+use crate::vehicle_links::LinksError;
 use std::io::ErrorKind;
 use std::net::{Ipv4Addr, SocketAddr};
 use vigil_autopilot::LinkId;
@@ -15,30 +16,6 @@ const PORTS: [(LinkId, u16, u16); 3] = [
     (LinkId::API, 14580, 14540),
     (LinkId::GCS, 18570, 14550),
 ];
-
-/// Why the links cannot be opened.
-#[derive(Debug, thiserror::Error)]
-pub enum UdpError {
-    /// Somebody else has the port.
-    #[error(
-        "UDP port {port} is in use: another simulator with --instance {instance}? Stop it, or choose another number with \
-         --instance"
-    )]
-    InUse {
-        /// The port.
-        port: u16,
-        /// The instance it belongs to.
-        instance: u32,
-    },
-    /// The socket cannot be opened.
-    #[error("cannot open UDP port {port}: {source}")]
-    Open {
-        /// The port.
-        port: u16,
-        /// What the system said.
-        source: std::io::Error,
-    },
-}
 
 /// Local and peer port of a link of an instance.
 fn ports(link: LinkId, local: u16, peer: u16, instance: u32) -> (u16, u16) {
@@ -69,13 +46,13 @@ pub(crate) fn ports_in_words(instance: u32) -> String {
 ///
 /// # Errors
 /// A port is in use, or the system refuses the socket.
-pub(crate) fn onboard_api_gcs(instance: u32) -> Result<Vec<(LinkId, UdpPeers)>, UdpError> {
+pub(crate) fn onboard_api_gcs(instance: u32) -> Result<Vec<(LinkId, UdpPeers)>, LinksError> {
     let loopback = |port: u16| SocketAddr::from((Ipv4Addr::LOCALHOST, port));
     let open = |(id, local, peer)| {
         let (port, peer_port) = ports(id, local, peer, instance);
         let link = UdpPeers::open(loopback(port), Some(loopback(peer_port))).map_err(|source| match source.kind() {
-            ErrorKind::AddrInUse => UdpError::InUse { port, instance },
-            _ => UdpError::Open { port, source },
+            ErrorKind::AddrInUse => LinksError::PortInUse { port, instance },
+            _ => LinksError::Port { port, source },
         })?;
         Ok((id, link))
     };

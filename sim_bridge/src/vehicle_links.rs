@@ -1,7 +1,7 @@
 //! The vehicle's links: the three UDP links of PX4's software in the loop, any number of others by URL, and one gate that
 //! all share.
 
-use crate::udp::{UdpError, onboard_api_gcs};
+use crate::udp::onboard_api_gcs;
 use std::path::PathBuf;
 use vigil_autopilot::{LinkId, SigningSetup};
 use vigil_io::gate::{AllowUnsigned, SigningFileError, SigningGate};
@@ -38,9 +38,25 @@ pub struct LinksConfig {
 /// Why the links cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum LinksError {
-    /// One of the three.
-    #[error(transparent)]
-    Udp(#[from] UdpError),
+    /// Somebody else has the port of one of the three.
+    #[error(
+        "UDP port {port} is in use: another simulator with --instance {instance}? Stop it, or choose another number with \
+         --instance"
+    )]
+    PortInUse {
+        /// The port.
+        port: u16,
+        /// The instance it belongs to.
+        instance: u32,
+    },
+    /// The socket of one of the three cannot be opened.
+    #[error("cannot open UDP port {port}: {source}")]
+    Port {
+        /// The port.
+        port: u16,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// One by URL.
     #[error(transparent)]
     Link(#[from] LinkError),

@@ -59,11 +59,14 @@ fn every_course_has_a_corridor_that_keeps_its_margin() {
 }
 
 #[test]
-fn every_course_is_valid_and_survives_its_file() {
+fn every_course_is_valid_with_a_free_start_and_goal_and_survives_its_file() {
     for course in Family::ALL.into_iter().flat_map(courses) {
         course.check().unwrap_or_else(|e| panic!("{}: {e}", course.name));
         let text = course.to_toml_string().expect("writable");
         assert_eq!(&Course::from_toml_str(&text, "again").expect("readable"), course);
+        let world = World::new(course);
+        assert!(world.clearance_m(course.start_ned_m()) > 1.0);
+        assert!(world.clearance_m(course.goal_ned_m()) > VEHICLE.radius_m);
     }
 }
 
@@ -203,15 +206,6 @@ fn movers_run_into_nothing_and_keep_away_from_start_and_goal() {
         }
     }
     assert!(count as u64 >= SEEDS, "{count}");
-}
-
-#[test]
-fn the_start_is_free_and_the_vehicle_can_stand_there() {
-    for course in Family::ALL.into_iter().flat_map(courses) {
-        let world = World::new(course);
-        assert!(world.clearance_m(course.start_ned_m()) > 1.0);
-        assert!(world.clearance_m(course.goal_ned_m()) > VEHICLE.radius_m);
-    }
 }
 
 #[test]

@@ -367,7 +367,7 @@ fn the_vehicle_touches_a_surface_where_parry_says() {
         assert!((world.clearance_m(place) - distance_m).abs() < 1e-4, "{place:?}");
         let pose = Pose3::from_parts(p, upright);
         let expected = parry3d::query::intersection_test(&pose, &body, &Pose3::IDENTITY, &theirs).expect("supported");
-        let ours = world.collides_at(0, &VEHICLE, place, Attitude::LEVEL_NORTH);
+        let ours = world.collides_at(0, place, Attitude::LEVEL_NORTH);
         assert_eq!(ours, expected.intersecting, "{place:?} {distance_m}");
         touched += u32::from(ours);
     }

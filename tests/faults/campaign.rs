@@ -217,7 +217,7 @@ pub fn joined<const N: usize>(texts: [String; N]) -> String {
 
 /// Runs lockstep flights `0..count` of the site's seeds, as many at a time as there are cores and instances, until Ctrl-C: the
 /// trial gets its number and its seed.
-pub fn in_lockstep<T: Send>(site: &Site<'_>, count: usize, trial: impl Fn(usize, u64) -> T + Sync) -> Vec<T> {
+pub fn in_lockstep<T: Send + Sync>(site: &Site<'_>, count: usize, trial: impl Fn(usize, u64) -> T + Sync) -> Vec<T> {
     // One flight at a time for each instance: it takes a core.
     let threads = std::thread::available_parallelism()
         .map_or(1, usize::from)

@@ -117,20 +117,16 @@ fn flights(site: &Site<'_>) -> Result<Row> {
         });
         let fallen = flight.fallen();
         let arrived = flight.outcome() == Some(Outcome::Success);
+        let names = |line: &String| line.starts_with("log") && line.contains("space");
         trials.push(match (flown, flight.end_firmware()) {
             _ if !fallen.is_empty() => Trial::wrong(Ending::Crashed, format!("{} ended", fallen.join(", "))),
             (Err(error), _) | (_, Err(error)) => Trial::wrong(Ending::TimeOut, format!("{error:#}")),
-            (Ok(_), Ok(said)) => {
-                let names = |line: &String| line.starts_with("log") && line.contains("space");
-                match (arrived, said.iter().any(names)) {
-                    (true, true) => Trial::right(Ending::Arrived),
-                    (true, false) => {
-                        let said = said.join(" | ");
-                        Trial::wrong(Ending::Arrived, format!("the full disk is not named: {said}"))
-                    }
-                    (false, _) => Trial::wrong(Ending::TimeOut, "it does not arrive"),
-                }
+            _ if !arrived => Trial::wrong(Ending::TimeOut, "it does not arrive"),
+            (Ok(_), Ok(said)) if !said.iter().any(names) => {
+                let said = said.join(" | ");
+                Trial::wrong(Ending::Arrived, format!("the full disk is not named: {said}"))
             }
+            _ => Trial::right(Ending::Arrived),
         });
     }
     Ok(Row::of(

@@ -176,7 +176,7 @@ impl Memory {
     }
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 pub struct Record {
     mode: &'static str,
     asked_for_s: f64,
@@ -192,9 +192,26 @@ pub struct Record {
     firmware_said: Vec<String>,
     memory: Vec<Memory>,
     interrupted: bool,
+    #[serde(skip)]
+    touching: bool,
 }
 
 impl Record {
+    fn new(mode: &'static str, asked_for_s: f64, processes: &[&'static str]) -> Self {
+        Self {
+            mode,
+            asked_for_s,
+            memory: processes.iter().map(|of| Memory::new(of, asked_for_s)).collect(),
+            ..Self::default()
+        }
+    }
+
+    /// The vehicle is so far from the nearest obstacle.
+    fn is_away(&mut self, clearance_m: f32) {
+        let touches = clearance_m < RADIUS_M;
+        self.collisions += u64::from(touches && !self.touching);
+        self.touching = touches;
+    }
     fn text(&self) -> String {
         let mut text = format!(
             "{:.2} h of flight ({}) in {:.2} h: {} steps, {} goals reached, {} given up, {} landings for a doubted sensor, \
@@ -235,7 +252,8 @@ impl Record {
         text
     }
 
-    fn finish(&self, folder: &Folder) -> Result<bool> {
+    fn finish(&mut self, begun: Instant, folder: &Folder) -> Result<bool> {
+        self.wall_s = begun.elapsed().as_secs_f64();
         folder.write("endurance.json", &serde_json::to_string_pretty(self)?)?;
         tell(&self.text());
         Ok(self.collisions == 0 && self.memory.iter().all(Memory::is_flat) && !self.interrupted)
@@ -252,57 +270,44 @@ pub fn lockstep(duration_s: f64, seed: u64, folder: &Folder, stop: &AtomicBool) 
     let mut config = SimConfig::new(course()?, seed);
     config.start = Start::Ground;
     config.vehicle.battery.capacity_ah = CAPACITY_AH;
-    let mut operator = Operator::default();
-    let first = operator.goal();
+    let mut record = Record::new("lockstep", duration_s, &["all of it"]);
+    let first = record.operator.goal();
     let firmware_config = FirmwareConfig::to_goal(NedVector::new(first[0], first[1], -HEIGHT_M));
     let mut pair = Pair::of(&config, &firmware_config);
-    let mut memory = Memory::new("all of it", duration_s);
-    let (mut collisions, mut touching, mut sequence) = (0, false, 0_u8);
+    let mut sequence = 0_u8;
     let (steps, per_hour) = (steps_of(duration_s), steps_of(3600.0));
-    let mut request = None;
+    let mut request: Option<Request> = None;
     let mut step = 0;
     while step < steps && !stop.load(Ordering::Relaxed) {
         pair.simulate();
-        if let Some(request) = Option::<Request>::take(&mut request) {
+        if let Some(request) = request {
             sequence = sequence.wrapping_add(1);
             pair.to_firmware
                 .push(0, &packet(STATION, sequence, &request.message(1)));
         }
         let report = pair.decide(true);
         let now_s = step as f64 * f64::from(STEP_S);
-        request = operator.look(now_s, report.state, report.reasons);
-        let touches = pair.simulator.obstacle_distance_m() < RADIUS_M;
-        collisions += u64::from(touches && !touching);
-        touching = touches;
+        request = record.operator.look(now_s, report.state, report.reasons);
+        record.is_away(pair.simulator.obstacle_distance_m());
         step += 1;
         if step.is_multiple_of(per_hour / 60) {
-            memory.sample(now_s, std::process::id())?;
+            record.memory[0].sample(now_s, std::process::id())?;
         }
         if step.is_multiple_of(per_hour) {
             tell(&format!(
                 "{:>3} h flown in {:.0} s: {} goals, hash {:016x}, {} KiB",
                 step / per_hour,
                 begun.elapsed().as_secs_f64(),
-                operator.goals,
+                record.operator.goals,
                 pair.simulator.state_hash(),
-                memory.end_kib
+                record.memory[0].end_kib
             ));
         }
     }
-    let record = Record {
-        mode: "lockstep",
-        asked_for_s: duration_s,
-        flown_s: step as f64 * f64::from(STEP_S),
-        wall_s: begun.elapsed().as_secs_f64(),
-        steps: step,
-        operator,
-        collisions,
-        state_hash: Some(format!("{:016x}", pair.simulator.state_hash())),
-        firmware_said: Vec::new(),
-        memory: vec![memory],
-        interrupted: step < steps,
-    };
-    record.finish(folder)
+    (record.steps, record.flown_s) = (step, step as f64 * f64::from(STEP_S));
+    record.state_hash = Some(format!("{:016x}", pair.simulator.state_hash()));
+    record.interrupted = step < steps;
+    record.finish(begun, folder)
 }
 
 fn start([north_m, east_m]: [f32; 2], seed: u64, instance: u32, folder: &Folder) -> Result<(Running, Running)> {
@@ -311,12 +316,12 @@ fn start([north_m, east_m]: [f32; 2], seed: u64, instance: u32, folder: &Folder)
         "simulation.toml",
         &format!("[vehicle.battery]\ncapacity_ah = {CAPACITY_AH:?}\n"),
     )?;
-    let simulator = Running::start_line(&format!(
+    let simulator = Running::start(&format!(
         "sim --status --instance {instance} --seed {seed} --course {} --config {}",
         course_file.display(),
         models_file.display()
     ));
-    let firmware = Running::start_line(&format!(
+    let firmware = Running::start(&format!(
         "firmware --instance {instance} --engage auto --goal={north_m},{east_m} --height {HEIGHT_M}"
     ));
     Ok((simulator, firmware))
@@ -325,15 +330,14 @@ fn start([north_m, east_m]: [f32; 2], seed: u64, instance: u32, folder: &Folder)
 /// The programs in real time, with the privileges that they get. `true`: no step missed, nothing touched, memory flat.
 pub fn real_time(duration_s: f64, seed: u64, instance: u32, folder: &Folder, stop: &AtomicBool) -> Result<bool> {
     let begun = Instant::now();
-    let mut operator = Operator::default();
-    let (simulator, mut firmware) = start(operator.goal(), seed, instance, folder)?;
+    let mut record = Record::new("real time", duration_s, &["firmware", "simulator"]);
+    let (simulator, mut firmware) = start(record.operator.goal(), seed, instance, folder)?;
     // The ground stations' port of the simulator's vehicle.
     let station = UdpSocket::bind(("127.0.0.1", 0))?;
     station.connect(("127.0.0.1", u16::try_from(18570 + instance)?))?;
     let system = u8::try_from(instance + 1)?;
     let world = World::new(&course()?);
-    let mut memory = ["firmware", "simulator"].map(|of| Memory::new(of, duration_s));
-    let (mut collisions, mut touching, mut sequence) = (0, false, 0_u8);
+    let mut sequence = 0_u8;
     let (mut since_s, mut flown_s, mut sampled_s, mut told_s) = (None::<f64>, 0.0, f64::NEG_INFINITY, 0.0);
     let mut missed = 0;
     while flown_s < duration_s && !stop.load(Ordering::Relaxed) {
@@ -347,11 +351,9 @@ pub fn real_time(duration_s: f64, seed: u64, instance: u32, folder: &Folder, sto
         } = simulator.wait_for_status("the simulator's next status", |_| true);
         ensure!(firmware.is_running(), "the firmware ended in flight");
         missed = slips;
-        let named = |name: &String| Reason::ALL.into_iter().find(|reason| reason.name() == name);
-        let all = reasons.iter().filter_map(named);
-        let reasons = all.fold(Reasons::NONE, |all, r| all.with_if(true, r));
-        let state = guidance.and_then(|name| GuidanceState::ALL.into_iter().find(|state| state.name() == name));
-        let Some(state) = state else {
+        let named = reasons.iter().filter_map(|name| Reason::from_name(name));
+        let reasons = named.fold(Reasons::NONE, |all, r| all.with_if(true, r));
+        let Some(state) = guidance.and_then(|name| GuidanceState::from_name(&name)) else {
             if begun.elapsed() > Duration::from_secs(60) {
                 bail!("the firmware does not speak");
             }
@@ -361,45 +363,30 @@ pub fn real_time(duration_s: f64, seed: u64, instance: u32, folder: &Folder, sto
             since_s.get_or_insert(time_s);
         }
         flown_s = since_s.map_or(0.0, |since_s| time_s - since_s);
-        if let Some(request) = operator.look(time_s, state, reasons) {
+        if let Some(request) = record.operator.look(time_s, state, reasons) {
             sequence = sequence.wrapping_add(1);
             station.send(&packet(STATION, sequence, &request.message(system)))?;
         }
-        let touches = world.clearance_m(NedVector::new(x, y, z)) < RADIUS_M;
-        collisions += u64::from(touches && !touching);
-        touching = touches;
+        record.is_away(world.clearance_m(NedVector::new(x, y, z)));
         if time_s - sampled_s >= 20.0 {
             sampled_s = time_s;
-            let [of_firmware, of_simulator] = &mut memory;
-            of_firmware.sample(flown_s, firmware.id())?;
-            of_simulator.sample(flown_s, simulator.id())?;
+            for (memory, process) in record.memory.iter_mut().zip([firmware.id(), simulator.id()]) {
+                memory.sample(flown_s, process)?;
+            }
         }
         if flown_s - told_s >= 300.0 {
             told_s = flown_s;
-            let (goals, kib) = (operator.goals, memory[0].end_kib);
+            let (goals, kib) = (record.operator.goals, record.memory[0].end_kib);
             tell(&format!(
                 "{flown_s:>5.0} s flown: {goals} goals, {missed} steps missed, firmware {kib} KiB"
             ));
         }
     }
-    let interrupted = flown_s < duration_s;
     firmware.signal(rustix::process::Signal::TERM);
-    let firmware_said = firmware.rest();
+    record.firmware_said = firmware.rest();
     ensure!(firmware.wait() == Some(0), "the firmware did not end well");
-    let record = Record {
-        mode: "real time",
-        asked_for_s: duration_s,
-        flown_s,
-        wall_s: begun.elapsed().as_secs_f64(),
-        steps: steps_of(flown_s),
-        operator,
-        collisions,
-        state_hash: None,
-        firmware_said,
-        memory: memory.into(),
-        interrupted,
-    };
-    Ok(record.finish(folder)? && missed == 0)
+    (record.steps, record.flown_s, record.interrupted) = (steps_of(flown_s), flown_s, flown_s < duration_s);
+    Ok(record.finish(begun, folder)? && missed == 0)
 }
 
 #[cfg(test)]

@@ -77,9 +77,8 @@ impl Programs {
     fn start(&self, who: &str, line: &str) -> Running {
         let log = self.folder.join(format!("{who}.log"));
         let log = File::options().create(true).append(true).open(log);
-        let instance = self.instance.to_string();
-        let arguments: Vec<&str> = line.split_whitespace().chain(["--instance", &instance]).collect();
-        Running::start_saying(&arguments, log.map_or_else(|_| Stdio::null(), Stdio::from))
+        let line = format!("{line} --instance {}", self.instance);
+        Running::start_saying(&line, log.map_or_else(|_| Stdio::null(), Stdio::from))
     }
 }
 

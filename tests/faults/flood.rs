@@ -196,28 +196,41 @@ impl Tap {
         let _ = self.vehicle.send(datagram);
     }
 
+    /// Takes what the link says by `receive` and gives it what the vehicle says by `send`, until it is over.
+    fn pass(&self, over: impl Fn() -> bool + Sync, mut receive: impl FnMut(&mut [u8]) + Send, send: impl Fn(&[u8])) {
+        std::thread::scope(|scope| {
+            let is_over = &over;
+            scope.spawn(move || {
+                let _ = vigil_firmware::realtime::request(40);
+                let mut buffer = [0; 4096];
+                while !is_over() {
+                    receive(&mut buffer);
+                }
+            });
+            let mut buffer = [0; 2048];
+            while !over() {
+                if let Ok(len) = self.vehicle.recv(&mut buffer) {
+                    send(&buffer[..len]);
+                }
+            }
+        });
+    }
+
     fn run_udp(&self, done: &AtomicBool) {
         let Ok(socket) = UdpSocket::bind("127.0.0.1:0") else {
             return;
         };
         let _ = (socket.connect(self.link), socket.set_read_timeout(Some(LISTEN)));
-        std::thread::scope(|scope| {
-            scope.spawn(|| {
-                let _ = vigil_firmware::realtime::request(40);
-                let mut buffer = [0; 2048];
-                while !done.load(Ordering::Relaxed) {
-                    if let Ok(len) = socket.recv(&mut buffer) {
-                        self.note(&buffer[..len]);
-                    }
-                }
-            });
-            let mut buffer = [0; 2048];
-            while !done.load(Ordering::Relaxed) {
-                if let Ok(len) = self.vehicle.recv(&mut buffer) {
-                    let _ = socket.send(&buffer[..len]);
-                }
+        let receive = |buffer: &mut [u8]| {
+            if let Ok(len) = socket.recv(buffer) {
+                self.note(&buffer[..len]);
             }
-        });
+        };
+        self.pass(
+            || done.load(Ordering::Relaxed),
+            receive,
+            |bytes| drop(socket.send(bytes)),
+        );
     }
 
     fn run_tcp(&self, done: &AtomicBool) {
@@ -228,31 +241,19 @@ impl Tap {
             };
             let _ = (socket.set_nodelay(true), socket.set_read_timeout(Some(LISTEN)));
             let hung_up = AtomicBool::new(false);
-            std::thread::scope(|scope| {
-                scope.spawn(|| {
-                    let _ = vigil_firmware::realtime::request(40);
-                    let (mut framer, mut counters) = (StreamFramer::default(), FramingCounters::default());
-                    let mut buffer = [0; 4096];
-                    while !done.load(Ordering::Relaxed) {
-                        match (&socket).read(&mut buffer) {
-                            Ok(0) => break,
-                            Ok(len) => framer.feed(&buffer[..len], &mut counters, |packet| self.note(packet.raw())),
-                            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
-                            Err(_) => break,
-                        }
-                    }
+            let (mut framer, mut counters) = (StreamFramer::default(), FramingCounters::default());
+            let receive = |buffer: &mut [u8]| match (&socket).read(buffer) {
+                Ok(len @ 1..) => framer.feed(&buffer[..len], &mut counters, |packet| self.note(packet.raw())),
+                Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+                _ => hung_up.store(true, Ordering::Relaxed),
+            };
+            let send = |bytes: &[u8]| {
+                if (&socket).write_all(bytes).is_err() {
                     hung_up.store(true, Ordering::Relaxed);
-                });
-                let over = || done.load(Ordering::Relaxed) || hung_up.load(Ordering::Relaxed);
-                let mut buffer = [0; 2048];
-                while !over() {
-                    if let Ok(len) = self.vehicle.recv(&mut buffer)
-                        && (&socket).write_all(&buffer[..len]).is_err()
-                    {
-                        hung_up.store(true, Ordering::Relaxed);
-                    }
                 }
-            });
+            };
+            let over = || done.load(Ordering::Relaxed) || hung_up.load(Ordering::Relaxed);
+            self.pass(over, receive, send);
         }
     }
 }

@@ -4,16 +4,16 @@ use crate::campaign::{Draw, Ending, Folder, Row, Trial, in_lockstep, joined, spr
 use crate::flight::{Site, collided_anyway};
 use anyhow::Result;
 use vigil_sim::world::Family;
-use vigil_tests::Pair;
+use vigil_tests::{Pair, reasons};
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_PIXELS, DepthFrame, GuidanceState, NedVector, Reason, Reasons, STEP_NS, STEP_S,
+    Attitude, DEPTH_COLS, DEPTH_PIXELS, DepthFrame, GuidanceState, NedVector, Reason, STEP_NS, STEP_S, StepReport,
 };
 
-const HOSTILE_STEPS: u64 = 60;
+const HOSTILE_STEPS: usize = 60;
 /// A vehicle that sees nothing usable must be ordered to hold within this many steps: half a second.
-const MOST_STEPS: u64 = 10;
+const MOST_STEPS: usize = 10;
 /// A flight that has not ended after this has not arrived: two minutes.
-const FLIGHT_STEPS: u64 = 2400;
+const FLIGHT_STEPS: usize = 2400;
 const TRIALS: usize = 4;
 /// Of the quick part, each so many-th kind.
 const QUICK_STRIDE: usize = 6;
@@ -158,59 +158,41 @@ const KINDS: &[Kind] = {
 /// A flight, and the seconds from the first such frame to the hold that came of it.
 fn fly((name, must, delivery, change): Kind, seed: u64) -> (Trial, Option<f64>, u64) {
     let mut draw = Draw::new(seed);
-    let onset = draw.below(160) as u64 + 10;
+    let onset = draw.below(160) + 10;
     let mut pair = Pair::new(Family::Validation, seed);
+    let before_it = pair.fly_guided(onset, FLIGHT_STEPS);
     let (mut good, mut before, mut first) = (pair.frame.clone(), pair.frame.clone(), pair.frame.clone());
-    let (mut guided, mut hostile) = (0, 0);
-    let mut held_after = None;
-    let mut reasons = Reasons::NONE;
-    let mut wrong = None;
-    let mut last = GuidanceState::Standby;
-    for _ in 0..FLIGHT_STEPS {
-        pair.simulate();
-        let now_ns = pair.simulator.now_ns();
+    let hostile = pair.fly(HOSTILE_STEPS.min(FLIGHT_STEPS - before_it), |pair, step| {
         good.clone_from(&pair.frame);
-        let is_hostile = guided >= onset && hostile < HOSTILE_STEPS;
-        let mut arrives = true;
-        if is_hostile {
-            if hostile == 0 {
-                first.clone_from(&pair.frame);
-            }
-            hostile += 1;
-            let mut seen = Seen {
-                before: &before,
-                first: &first,
-                now_ns,
-                draw: &mut draw,
-            };
-            arrives = delivery != Delivery::Lost;
-            change(&mut pair.frame, &mut seen);
-            if delivery == Delivery::Sealed {
-                pair.frame.seal();
-            }
+        if step == 0 {
+            first.clone_from(&pair.frame);
         }
-        let report = pair.decide(arrives);
+        let mut seen = Seen {
+            before: &before,
+            first: &first,
+            now_ns: pair.simulator.now_ns(),
+            draw: &mut draw,
+        };
+        change(&mut pair.frame, &mut seen);
+        if delivery == Delivery::Sealed {
+            pair.frame.seal();
+        }
         core::mem::swap(&mut before, &mut good);
-        guided += u64::from(report.state == GuidanceState::Guided);
-        last = report.state;
-        if is_hostile {
-            let holds = report.state == GuidanceState::Hold && !report.reasons.contains(Reason::GoalReached);
-            if holds {
-                held_after.get_or_insert(hostile - 1);
-                reasons = reasons.union(report.reasons);
-                let forward_m_s = report.setpoint.map_or(0.0, |setpoint| setpoint.velocity_m_s.x);
-                if forward_m_s != 0.0 {
-                    wrong = Some(format!("{name}: {forward_m_s} m/s asked for while it holds"));
-                }
-            }
-        }
-        if pair.simulator.ending().is_some() {
-            break;
-        }
-    }
+        delivery != Delivery::Lost
+    });
+    let after = pair.fly(FLIGHT_STEPS - before_it - hostile.len(), |_, _| true);
+    let holds = |r: &StepReport| r.state == GuidanceState::Hold && !r.reasons.contains(Reason::GoalReached);
+    let held_after = hostile.iter().position(holds);
+    let held: Vec<StepReport> = hostile.iter().copied().filter(holds).collect();
+    let reasons = reasons(&held);
+    let asked_m_s = held
+        .iter()
+        .map(|r| r.setpoint.map_or(0.0, |setpoint| setpoint.velocity_m_s.x));
+    let forward_m_s = asked_m_s.rev().find(|forward_m_s| *forward_m_s != 0.0);
+    let mut wrong = forward_m_s.map(|forward_m_s| format!("{name}: {forward_m_s} m/s asked for while it holds"));
     let right = match (must, held_after) {
         // Guidance never engaged.
-        _ if hostile == 0 => false,
+        _ if hostile.is_empty() => false,
         (Must::Refuse, Some(0)) => reasons.contains(Reason::BadFrame),
         (Must::Hold(names), Some(steps)) => steps <= MOST_STEPS && names.iter().any(|name| reasons.contains(*name)),
         (Must::Pass, None) => true,
@@ -223,8 +205,8 @@ fn fly((name, must, delivery, change): Kind, seed: u64) -> (Trial, Option<f64>, 
             format!("{name}, seed {seed}: held {when} ({})", named.join(", "))
         });
     }
-    let ending = Ending::of(pair.outcome()).unwrap_or(match last {
-        GuidanceState::Hold => Ending::Held,
+    let ending = Ending::of(pair.outcome()).unwrap_or(match after.last().or(hostile.last()) {
+        Some(last) if last.state == GuidanceState::Hold => Ending::Held,
         _ => Ending::TimeOut,
     });
     // A picture may stay in doubt until the motors are off (docs/sensor-faults.md, "How it ends").

@@ -9,16 +9,15 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, UNIX_EPOCH};
 use vigil_autopilot::{EndpointConfig, LinkId};
-use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::MAX_PACKET_LEN;
 use vigil_mavlink::message;
 use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
-use vigil_sim::world::{Family, Outcome, generate};
+use vigil_sim::world::{Family, Outcome};
 use vigil_tests::ground::{heartbeat, packet};
-use vigil_tests::{Pair, airborne, side_by_side};
+use vigil_tests::{Pair, side_by_side};
 use vigil_types::NedVector;
 
 /// A flight that has not ended after this has not arrived: two minutes.
@@ -48,9 +47,9 @@ fn setpoint(number: usize) -> MavMessage {
 
 /// How a flight in lockstep ended, where, and the foreign setpoints refused.
 fn spoofed(seed: u64, by: &[(u8, LinkId, u64)]) -> (Option<Outcome>, NedVector, u64) {
-    let mut config = airborne(generate(Family::Validation, seed), seed);
-    config.endpoint = EndpointConfig::default();
-    let mut pair = Pair::of(&config, &FirmwareConfig::to_goal(config.course.goal_ned_m()));
+    let mut pair = Pair::with(Family::Validation, seed, |simulation, _| {
+        simulation.endpoint = EndpointConfig::default();
+    });
     pair.fly(FLIGHT_STEPS, |pair, step| {
         // From the second second on: whoever is first would be somebody's guidance computer.
         for (component, link, end) in by.iter().filter(|_| step > 40) {

@@ -15,17 +15,13 @@ use std::time::Duration;
 use vigil_io::background::Background;
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_sim::world::{Course, World};
-use vigil_tests::{PATIENCE, Running, has, refused, root, run, run_line, said, succeed, text, vigil};
+use vigil_tests::{PATIENCE, Running, has, refused, root, run, run_line, said, straight_course, succeed, text, vigil};
 use vigil_types::{Attitude, FrdVector, NedVector, STEP_NS};
 
 /// A wall across the way, 4 m ahead of the start.
 fn walled(folder: &Path) -> Course {
-    let text = "name = \"wall\"\ngoal = { north_m = 20.0, east_m = 0.0 }\n\
-                bounds = { north_m = [-10.0, 30.0], east_m = [-20.0, 20.0], top_m = 12.0 }\n\
-                [[wall]]\nfrom_m = [4.25, -15.0]\nto_m = [4.25, 15.0]\nthickness_m = 0.5\nheight_m = 10.0\n";
-    let path = folder.join("wall.toml");
-    std::fs::write(&path, text).expect("written");
-    Course::load(&path).expect("a course")
+    let wall = "[[wall]]\nfrom_m = [4.25, -15.0]\nto_m = [4.25, 15.0]\nthickness_m = 0.5\nheight_m = 10.0\n";
+    Course::load(&straight_course(folder, 20.0, wall)).expect("a course")
 }
 
 /// A `vigil` command whose output and diagnostics are read line by line; killed when dropped.
@@ -37,9 +33,8 @@ struct Adapter {
 
 impl Adapter {
     fn start(arguments: &str) -> Self {
-        let arguments: Vec<&str> = arguments.split_whitespace().collect();
         Self {
-            running: Running::start_saying(&arguments, Stdio::piped()),
+            running: Running::start_saying(arguments, Stdio::piped()),
             heard: RefCell::default(),
         }
     }

@@ -91,17 +91,16 @@ fn an_attack_that_cannot_be_is_refused_by_name_and_leaves_nothing() {
 fn a_live_adversary_alters_what_the_firmware_believes_and_its_death_makes_the_vehicle_hold() {
     let adversary = || {
         let how = "--attack bim-accumulating --iterations 2 --burst continuous";
-        Running::start_line(&format!("adversary --instance 87 --goal 18,4 {how}"))
+        Running::start(&format!("adversary --instance 87 --goal 18,4 {how}"))
     };
     let simulator =
-        Running::start_line("sim --status --airborne --frames depth-raw --instance 87 --seed 11 --family training");
+        Running::start("sim --status --airborne --frames depth-raw --instance 87 --seed 11 --family training");
     let first = adversary();
-    let mut firmware =
-        Running::start_line("firmware --engage auto --goal 18,4 --height 1.5 --pilot actor --instance 87");
+    let mut firmware = Running::start("firmware --engage auto --goal 18,4 --height 1.5 --pilot actor --instance 87");
     simulator.wait_for_status("guided flight on delivered frames", |s| {
         s.guidance.as_deref() == Some("guided")
     });
-    first.kill();
+    drop(first);
     simulator.wait_for_status("a hold without frames", |s| {
         s.guidance.as_deref() == Some("hold") && s.reasons.iter().any(|r| r.contains("frame"))
     });

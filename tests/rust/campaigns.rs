@@ -91,6 +91,8 @@ fn seeds_flown_on_three_machines_make_the_files_that_one_machine_writes_byte_for
     makes_none(&[&a, &b, &c, &other], "none.jsonl is of no flight");
     let other = altered("cut.jsonl", "\"steps\":", "\"ste");
     makes_none(&[&a, &other, &c], "line 2 is damaged");
+    let other = altered("counts.jsonl", "\"flown_steps\":", "\"flown_steps\":99999");
+    makes_none(&[&a, &other, &c], "line 2 is damaged");
     makes_none(&[&a, &file("one.json"), &c], "one.json");
     assert!(bytes(&whole) == before, "what was there is kept");
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Stdio;
 use vigil_log::FlightInfo;
 use vigil_tests::{
-    Running, ended, has, json, only_log, processes_of, recorder, refused, run, run_line, said, succeed, text,
+    Running, ended, has, json, only_log, processes_of, refused, run, run_line, said, succeed, text, write_log,
 };
 
 /// The command for a flight in real time on an instance, whose log goes to a folder.
@@ -30,7 +30,7 @@ fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
 #[test]
 fn an_interrupted_flight_ends_all_processes_and_leaves_a_closed_log() {
     let runs = tempfile::tempdir().expect("a folder");
-    let mut flight = Running::start_line(&flight(88, runs.path()));
+    let mut flight = Running::start(&flight(88, runs.path()));
     std::thread::sleep(std::time::Duration::from_secs(4));
     flight.signal(Signal::INT);
     assert_eq!(flight.wait(), Some(130));
@@ -71,7 +71,7 @@ fn a_malformed_configuration_is_refused_with_file_line_and_field() {
 
 #[test]
 fn a_second_simulator_on_the_same_instance_is_refused_and_says_what_to_do() {
-    let first = Running::start(&["sim", "--status", "--instance", "89"]);
+    let first = Running::start("sim --status --instance 89");
     first.wait_for_status("a running simulator", |_| true);
     refused(&run(&["sim", "--instance", "89"]), &["--instance"]);
     first.wait_for_status("the first one goes on", |s| s.time_s > 0.5);
@@ -160,10 +160,10 @@ fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
 #[test]
 fn a_killed_flight_leaves_nothing_running_and_the_next_one_on_its_instance_flies() {
     let runs = tempfile::tempdir().expect("a folder");
-    let fly = || Running::start_line(&format!("{} --attack noise", flight(91, runs.path())));
+    let fly = || Running::start(&format!("{} --attack noise", flight(91, runs.path())));
     let first = fly();
     wait_until("fly, simulator, adversary and firmware run", || processes_of("91") == 4);
-    first.kill();
+    drop(first);
     wait_until("all of them have ended", || processes_of("91") == 0);
     let mut second = fly();
     wait_until("four processes again", || processes_of("91") == 4);
@@ -209,6 +209,7 @@ fn a_reader_that_has_gone_is_no_fault_and_a_full_one_is() {
     assert_eq!((closed.status.code(), said(&closed)), (Some(0), String::new()));
     let full = shell("set -o pipefail", "courses write --seed 7 > /dev/full");
     refused(&full, &["cannot write standard output"]);
+    refused(&shell(":", "--version > /dev/full"), &["cannot write standard output"]);
 }
 
 #[test]
@@ -238,7 +239,7 @@ fn a_report_on_standard_output_is_json_alone() {
 fn what_is_made_of_a_log_does_not_take_its_place_and_without_a_step_nothing_is_made() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = folder.path().join("empty.mcap");
-    assert_eq!(recorder(&log, FlightInfo::default()).finish().failure, None);
+    write_log(&log, FlightInfo::default(), 0, |_| {});
     let (name, before) = (text(&log), std::fs::read(&log).expect("a log"));
     for (arguments, words) in [
         (&["log", "report", name, "-o", name][..], "is the log itself"),
@@ -269,7 +270,7 @@ fn what_a_log_holds_can_be_chosen_where_the_configuration_names_its_folder() {
 fn an_interrupted_campaign_keeps_the_flights_that_had_ended_and_says_so() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("part.json");
-    let mut campaign = Running::start_line(&format!(
+    let mut campaign = Running::start(&format!(
         "evaluate --flights 1000000 --pilot geometric --threads 1 --json {}",
         text(&file)
     ));
@@ -319,8 +320,7 @@ fn a_state_that_is_refused_is_named_with_file_and_line() {
 #[test]
 fn simulator_and_firmware_say_at_start_what_they_are_and_how_they_end() {
     let says = |line: &str, words: &str| {
-        let arguments: Vec<&str> = line.split(' ').collect();
-        let mut process = Running::start_saying(&arguments, Stdio::piped());
+        let mut process = Running::start_saying(line, Stdio::piped());
         let mut heard = String::new();
         process.wait_for("how it ends", |line| {
             heard += line;
@@ -389,6 +389,7 @@ fn what_an_earlier_version_had_is_refused_with_what_replaces_it() {
     for (arguments, code, part) in [
         (&["train"][..], 2, "`vigil learn`"),
         (&["learn", "nothing"], 2, "leave it out"),
+        (&["learn", "--from", "x"], 2, "--encoder-of"),
         (&["attack", "certify"], 2, "`vigil attack table`"),
         (&["evaluate", "--encoder", "int8"], 2, "float32"),
         (&["evaluate", "--astray", "3"], 2, "constants"),

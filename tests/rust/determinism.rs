@@ -71,7 +71,7 @@ fn two_processes_in_lockstep_fly_the_same_flight_as_one_and_its_log_replays_but_
     let course = String::from_utf8(course.stdout).expect("TOML");
     let course = vigil_sim::world::Course::from_toml_str(&course, "written course").expect("a course");
     let goal = course.goal_ned_m();
-    let mut firmware = Running::start_line(&format!(
+    let mut firmware = Running::start(&format!(
         "firmware --lockstep --instance 81 --engage auto --goal={},{} --height {} --log {}",
         goal.x,
         goal.y,

@@ -3,7 +3,7 @@
 use serde_json::Value;
 use std::path::Path;
 use vigil_log::{FlightInfo, Story};
-use vigil_tests::{attacked_flight, copy_log, has, recorder, refused, run, succeed, text};
+use vigil_tests::{attacked_flight, copy_log, has, refused, run, succeed, text, write_log};
 use vigil_types::{GuidanceState, Kinematics, Landed, NedVector, Reason, Reasons};
 
 fn data(report: &Path) -> Value {
@@ -141,21 +141,16 @@ fn a_log_of_another_version_is_refused_by_name(log: &Path) {
 fn a_flight_that_never_took_off_says_why_and_a_log_without_a_step_that_there_is_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("grounded.mcap");
-    let mut grounded = recorder(&path, FlightInfo::default());
-    for step in 0..40 {
-        assert!(grounded.record(|slot| {
-            slot.now_ns = step * 50_000_000;
-            slot.timing.step = step;
-            slot.report.now_ns = slot.now_ns;
-            slot.report.reasons = Reasons::of(Reason::LinkLost).with_if(step < 20, Reason::NoGoal);
-            // Guidance holds, and the estimate of a vehicle that stands is never still.
-            slot.report.state = GuidanceState::Hold;
-            slot.report.telemetry.landed = Landed::OnGround;
-            let position_ned_m = NedVector::new((step % 2) as f32, 0.0, 0.0);
-            slot.report.telemetry.kinematics = Some(Kinematics::new(0, position_ned_m, NedVector::default()));
-        }));
-    }
-    assert_eq!(grounded.finish().failure, None);
+    write_log(&path, FlightInfo::default(), 40, |slot| {
+        let step = slot.timing.step;
+        slot.report.now_ns = slot.now_ns;
+        slot.report.reasons = Reasons::of(Reason::LinkLost).with_if(step < 20, Reason::NoGoal);
+        // Guidance holds, and the estimate of a vehicle that stands is never still.
+        slot.report.state = GuidanceState::Hold;
+        slot.report.telemetry.landed = Landed::OnGround;
+        let position_ned_m = NedVector::new((step % 2) as f32, 0.0, 0.0);
+        slot.report.telemetry.kinematics = Some(Kinematics::new(0, position_ned_m, NedVector::default()));
+    });
     let flight = report(&path);
     assert_eq!(flight["verdict"]["text"], "The vehicle never took off.");
     has(&notes(&flight), &["link lost for 2.0 s, no goal for 1.0 s"]);
@@ -163,15 +158,11 @@ fn a_flight_that_never_took_off_says_why_and_a_log_without_a_step_that_there_is_
     has(&facts, &["nobody: the vehicle never took off", "\"0.0 m, at most"]);
 
     let empty = folder.path().join("empty.mcap");
-    assert_eq!(recorder(&empty, FlightInfo::default()).finish().failure, None);
+    write_log(&empty, FlightInfo::default(), 0, |_| {});
     refused(&run(&["log", "report", text(&empty)]), &["holds no step"]);
     // One that is damaged before its first whole step is not one without steps: the others can be saved.
     let damaged = folder.path().join("damaged.mcap");
-    let mut short = recorder(&damaged, FlightInfo::default());
-    for step in 0..10 {
-        assert!(short.record(|slot| (slot.now_ns, slot.timing.step) = (step * 50_000_000, step)));
-    }
-    assert_eq!(short.finish().failure, None);
+    write_log(&damaged, FlightInfo::default(), 10, |_| {});
     let mut bytes = std::fs::read(&damaged).expect("a log");
     let chunk = bytes.windows(7).position(|w| w == b"\x03\0\0\0lz4").expect("a chunk");
     bytes[chunk + 40] ^= 0x10;

@@ -1,14 +1,5 @@
 //! Vehicles that are not ours, of either autopilot, on our courses: scripted ones over UDP, in real time.
 
-#[path = "../../firmware/mavlink/tests/common/peer.rs"]
-#[allow(
-    dead_code,
-    missing_docs,
-    reason = "the scripted vehicles of the MAVLink crate's tests, of which some is used here"
-)]
-mod peer;
-
-use peer::{Mode, Peer};
 use std::net::UdpSocket;
 use std::path::Path;
 use std::sync::Arc;
@@ -18,25 +9,12 @@ use std::time::{Duration, Instant};
 use vigil_mavlink::Flavour;
 use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sim::foreign::PoseState;
-use vigil_tests::{Running, has, refused, run_line, said, text};
+use vigil_tests::peer::{Mode, Peer};
+use vigil_tests::{Running, has, refused, run_line, said, straight_course, text};
 use vigil_types::{Nanos, STEP_NS};
 
 /// Step of the scripted ArduPilot in which somebody changes it to GUIDED.
 const GIVEN_AWAY_STEP: u32 = 400;
-
-/// Ground, and the goal straight ahead; with a column in the way if wanted.
-fn course(folder: &Path, goal_m: f32, column_m: Option<f32>) -> String {
-    let column = column_m.map_or(String::new(), |north_m| {
-        format!("[[column]]\nnorth_m = {north_m}\neast_m = 0.0\nradius_m = 0.5\nheight_m = 5.0\n")
-    });
-    let text = format!(
-        "name = \"straight\"\ngoal = {{ north_m = {goal_m}, east_m = 0.0 }}\n\
-         bounds = {{ north_m = [-10.0, 30.0], east_m = [-10.0, 10.0], top_m = 8.0 }}\n{column}"
-    );
-    let path = folder.join("straight.toml");
-    std::fs::write(&path, text).expect("written");
-    vigil_tests::text(&path).to_owned()
-}
 
 /// A scripted vehicle that runs in real time and speaks to a port of this machine.
 struct Vehicle {
@@ -97,7 +75,8 @@ fn fly(flavour: Flavour, instance: u16, script: impl FnMut(&mut Peer) + Send + '
     let port = 15_100 + instance;
     let vehicle = Vehicle::start(Peer::on_the_ground(flavour), port, &[], script);
     let name = flavour.name().to_lowercase();
-    let course = course(folder.path(), 6.0, None);
+    let course = straight_course(folder.path(), 6.0, "");
+    let course = text(&course);
     let output = run_line(&format!(
         "fly --vehicle {name} --link udpin://127.0.0.1:{port} --course {course} --seed 1 --pilot geometric \
          --instance {instance} --log {}",
@@ -148,9 +127,9 @@ fn a_position_that_jumps_in_flight_ends_it_without_a_verdict() {
 }
 
 /// `vigil sensor render` on an instance.
-fn sensor(instance: u16, course: &str, further: &str) -> Running {
-    let port = 15_100 + instance;
-    Running::start_line(&format!(
+fn sensor(instance: u16, course: &Path, further: &str) -> Running {
+    let (port, course) = (15_100 + instance, text(course));
+    Running::start(&format!(
         "sensor render --pose udpin://127.0.0.1:{port} --instance {instance} --course {course} --seed 1 {further}"
     ))
 }
@@ -159,7 +138,7 @@ fn sensor(instance: u16, course: &str, further: &str) -> Running {
 fn a_vehicle_that_never_reports_its_position_is_named_and_gets_no_frames() {
     const LOCAL_POSITION_NED: u32 = 32;
     let folder = tempfile::tempdir().expect("a folder");
-    let course = course(folder.path(), 6.0, None);
+    let course = straight_course(folder.path(), 6.0, "");
     let sensor = sensor(74, &course, "--status");
     let silent = sensor.wait_for_status("a first status", |_| true);
     assert_eq!(silent.pose.as_deref(), Some(PoseState::Silent.name()));
@@ -175,11 +154,12 @@ fn a_vehicle_that_never_reports_its_position_is_named_and_gets_no_frames() {
 #[test]
 fn a_vehicle_that_flies_itself_into_a_column_is_judged_and_a_second_sensor_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
-    let course = course(folder.path(), 15.0, Some(5.0));
+    let column = "[[column]]\nnorth_m = 5.0\neast_m = 0.0\nradius_m = 0.5\nheight_m = 5.0\n";
+    let course = straight_course(folder.path(), 15.0, column);
     let mut flight = sensor(75, &course, "--status --end-after 0");
     flight.wait_for_status("a first status", |_| true);
-    let line = format!("sensor render --pose udpin://127.0.0.1:15199 --instance 75 --course {course}");
-    refused(&run_line(&line), &["already"]);
+    let line = "sensor render --pose udpin://127.0.0.1:15199 --instance 75 --course";
+    refused(&run_line(&format!("{line} {}", text(&course))), &["already"]);
 
     let vehicle = Vehicle::start(Peer::in_the_air(Flavour::Px4), 15_175, &[], |peer| {
         peer.mode = Mode::Loiter;

@@ -11,11 +11,11 @@ use vigil_firmware::FirmwareConfig;
 use vigil_log::{Reader, Recorder, RecorderConfig};
 use vigil_sim::world::{Course, Family, generate, generate_long};
 use vigil_sim::{SimConfig, Start};
-use vigil_tests::{Pair, airborne, mission};
-use vigil_types::{AlarmResponse, Duty, EngagePolicy, GuidanceState, PilotKind, Reasons};
+use vigil_tests::{Pair, airborne, mission, reasons};
+use vigil_types::{AlarmResponse, Duty, EngagePolicy, GuidanceState, PilotKind, StepReport};
 
 /// The longest that a flight is followed: 25 s.
-const MOST_STEPS: u64 = 500;
+const MOST_STEPS: usize = 500;
 const SEEDS: [u64; 3] = [4203, 4204, 4205];
 
 /// What is flown, three times.
@@ -137,21 +137,21 @@ fn fly(arm: &Arm, seed: u64, log: Option<&Path>) -> String {
     }
     let attack = arm.attack.attack(None).expect("an attack");
     let mut adversary = attack.map(|a| a.interceptor(seed, goal_ned_m).expect("an adversary"));
-    let (mut reasons, mut guided, mut recovered, mut steps) = (Reasons::NONE, 0, 0, 0);
-    while steps < MOST_STEPS && pair.simulator.ending().is_none() {
-        if steps == 40 && config.duty != Duty::Fly {
+    let reports = pair.fly(MOST_STEPS, |pair, step| {
+        if step == 39 && config.duty != Duty::Fly {
             pair.simulator.receive(0, &mission::start());
         }
-        pair.simulate();
         if let Some(adversary) = &mut adversary {
-            adversary.pass(steps, &mut pair.frame).expect("a frame of its size");
+            adversary
+                .pass(step as u64, &mut pair.frame)
+                .expect("a frame of its size");
         }
-        let report = pair.decide(true);
-        reasons = reasons.union(report.reasons);
-        guided += u32::from(report.state == GuidanceState::Guided);
-        recovered += u32::from(report.alarm.is_some_and(|a| a.response == AlarmResponse::Recovery));
-        steps += 1;
-    }
+        true
+    });
+    let count = |is: fn(&&StepReport) -> bool| reports.iter().filter(is).count();
+    let guided = count(|r| r.state == GuidanceState::Guided);
+    let recovered = count(|r| r.alarm.is_some_and(|a| a.response == AlarmResponse::Recovery));
+    let (steps, reasons) = (reports.len(), reasons(&reports));
     let end = pair.outcome().map_or("flying".to_owned(), |end| end.to_string());
     pair.firmware.finish();
     let names: Vec<&str> = reasons.iter().map(|reason| reason.name()).collect();

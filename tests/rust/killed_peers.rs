@@ -5,24 +5,23 @@ use rustix::process::Signal;
 use std::net::UdpSocket;
 use std::path::Path;
 use std::time::Duration;
-use vigil_firmware::FirmwareConfig;
 use vigil_sim::vehicle::VehicleModel;
-use vigil_sim::world::{Family, generate};
+use vigil_sim::world::Family;
 use vigil_tests::ground::{Request, STATION, packet, set_auto_mode};
-use vigil_tests::{Pair, Running, airborne, only_log, read_log, text};
+use vigil_tests::{Pair, Running, only_log, read_log, text};
 use vigil_types::{EngagePolicy, GuidanceState, Nanos, Reason, StepReport};
 
 const HALF_A_SECOND_NS: Nanos = 500_000_000;
 
 fn simulator(instance: &str) -> Running {
-    Running::start_line(&format!(
+    Running::start(&format!(
         "sim --status --airborne --instance {instance} --seed 11 --family training"
     ))
 }
 
 fn firmware(instance: &str, log: Option<&Path>) -> Running {
     let log = log.map_or_else(String::new, |folder| format!("--log {}", text(folder)));
-    Running::start_line(&format!(
+    Running::start(&format!(
         "firmware --instance {instance} --engage auto --goal 18,4 --height 1.5 {log}"
     ))
 }
@@ -39,7 +38,7 @@ fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight(
     let first = simulator("85");
     let mut firmware = firmware("85", Some(folder.path()));
     wait_for_guided_flight(&first);
-    first.kill();
+    drop(first);
 
     // The vehicle's end of the link is free now: whoever listens there sees what the firmware says without a vehicle.
     let socket = UdpSocket::bind(("127.0.0.1", 14280 + 85)).expect("the port of a killed simulator is free");
@@ -67,27 +66,19 @@ fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight(
     assert_eq!(firmware.wait(), Some(0));
 
     // In the log: from the last frame of the first simulator to the first step that was not guided any more.
-    let (mut last_frame_ns, mut left_ns, mut reasons) = (0, None, Default::default());
-    let mut guided = false;
+    let mut steps = Vec::new();
     read_log(&only_log(folder.path()), |record| {
-        let is_guided = record.report.state == GuidanceState::Guided;
-        if guided && !is_guided && left_ns.is_none() {
-            left_ns = Some(record.now_ns);
-            reasons = record.report.reasons;
-            assert_eq!(
-                record.report.setpoint.map_or(0.0, |s| s.velocity_m_s.x),
-                0.0,
-                "no forward motion is asked for"
-            );
-        }
-        if left_ns.is_none() {
-            guided |= is_guided;
-            if let Some(frame) = record.frame() {
-                last_frame_ns = frame.header.stamp_ns;
-            }
-        }
+        let frame_ns = record.frame().map(|frame| frame.header.stamp_ns);
+        steps.push((frame_ns, record.now_ns, record.report));
     });
-    let delay_ns = left_ns.expect("the firmware left guided flight") - last_frame_ns;
+    let is_guided = |report: &StepReport| report.state == GuidanceState::Guided;
+    let until = |is: bool, from| (from..steps.len()).find(|i| is_guided(&steps[*i].2) == is);
+    let left = until(true, 0).and_then(|guided| until(false, guided));
+    let (before, since) = steps.split_at(left.expect("the firmware left guided flight"));
+    let ((_, left_ns, report), last_frame_ns) = (since[0], before.iter().filter_map(|s| s.0).next_back());
+    let forward_m_s = report.setpoint.map_or(0.0, |s| s.velocity_m_s.x);
+    assert_eq!(forward_m_s, 0.0, "no forward motion is asked for");
+    let (reasons, delay_ns) = (report.reasons, left_ns - last_frame_ns.expect("a frame"));
     println!(
         "{} ms from the last frame to {:?}",
         delay_ns / 1_000_000,
@@ -100,28 +91,6 @@ fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight(
     );
 }
 
-#[test]
-fn a_flight_leaves_the_patience_with_scripts_as_it_was_and_a_silent_firmware_is_noticed_within_half_a_second() {
-    let mut pair = Pair::new(Family::Training, 11);
-    pair.fly_guided(100);
-    let changed = pair.simulator.saved().parameters;
-    assert!(
-        changed.is_empty(),
-        "COM_OF_LOSS_T holds for whoever comes next: {changed:?}"
-    );
-    // The same in lockstep, where the delay is exact.
-    pair.silence();
-    let silent_since_ns = pair.simulator.now_ns();
-    while pair.simulator.status().mode.name() == "offboard" {
-        pair.simulate();
-        assert!(
-            pair.simulator.now_ns() - silent_since_ns <= HALF_A_SECOND_NS,
-            "the vehicle still waits"
-        );
-    }
-    assert!(pair.simulator.status().failsafe.is_some(), "and says why");
-}
-
 /// Guidance computer, vehicle and a ground station, in lockstep.
 struct Card {
     pair: Pair,
@@ -130,16 +99,10 @@ struct Card {
 
 impl Card {
     fn on(model: VehicleModel) -> Self {
-        let mut simulation = airborne(generate(Family::Training, 11), 11);
-        simulation.vehicle = model.params();
-        let config = FirmwareConfig {
-            engage: EngagePolicy::Command,
-            ..FirmwareConfig::to_goal(simulation.course.goal_ned_m())
-        };
-        Self {
-            pair: Pair::of(&simulation, &config),
-            sequence: 0,
-        }
+        let pair = Pair::with(Family::Training, 11, |simulation, firmware| {
+            (simulation.vehicle, firmware.engage) = (model.params(), EngagePolicy::Command);
+        });
+        Self { pair, sequence: 0 }
     }
 
     /// Steps until it is so, at most 20 s; what an operator asks is asked once a second until then.
@@ -166,7 +129,7 @@ impl Card {
 
 /// PX4's test card for modes that another computer flies: engage, leave, engage again, let go, engage again, kill.
 #[test]
-fn the_test_card_of_an_external_mode_passes_on_every_vehicle_model() {
+fn the_test_card_of_an_external_mode_passes_on_every_model_and_a_silent_firmware_is_noticed_within_half_a_second() {
     for model in VehicleModel::ALL {
         let mut card = Card::on(model);
         card.until("engaged", Some(Request::Engage), Card::flies);
@@ -190,7 +153,19 @@ fn the_test_card_of_an_external_mode_passes_on_every_vehicle_model() {
             let speed_m_s = |k: vigil_types::Kinematics| k.velocity_ned_m_s.horizontal_norm();
             report.telemetry.kinematics.is_some_and(|k| speed_m_s(k) > 0.5)
         });
+        let changed = card.pair.simulator.saved().parameters;
+        assert!(
+            changed.is_empty(),
+            "COM_OF_LOSS_T holds for whoever comes next: {changed:?}"
+        );
         card.pair.silence();
+        let silent_since_ns = card.pair.simulator.now_ns();
+        while card.pair.simulator.status().mode.name() == "offboard" {
+            card.pair.simulate();
+            let silent_ns = card.pair.simulator.now_ns() - silent_since_ns;
+            assert!(silent_ns <= HALF_A_SECOND_NS, "{} still waits", model.name());
+        }
+        assert!(card.pair.simulator.status().failsafe.is_some(), "and says why");
         for _ in 0..200 {
             card.pair.simulate();
         }

@@ -252,7 +252,7 @@ fn an_interrupted_run_keeps_what_is_whole_and_goes_on() {
     let out = folder.path().join("out");
     let data = root().join("docs/measured");
     let (to, from) = (text(&out), text(&data));
-    let mut running = Running::start_line(&format!("reproduce --quick --only figure-14,roc -o {to} --data {from}"));
+    let mut running = Running::start(&format!("reproduce --quick --only figure-14,roc -o {to} --data {from}"));
     // The flight is explained first; the detector's evaluation takes minutes.
     running.wait_for("the second unit", |line| line.starts_with("[2/2]").then_some(()));
     running.signal(Signal::INT);

@@ -3,47 +3,17 @@
 use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::common::OBSTACLE_DISTANCE_DATA;
 use vigil_mavlink::mavlink::MessageData;
-use vigil_sim::world::{Family, Outcome, generate};
-use vigil_tests::{Pair, airborne, without};
-use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DepthFrame, GuidanceState, Reason, Reasons, row_elevation_rad};
+use vigil_sim::world::{Family, Outcome};
+use vigil_tests::{Pair, reasons, without};
+use vigil_types::{
+    DEPTH_COLS, DEPTH_FULL_SCALE_M, DepthFrame, GuidanceState, Reason, Reasons, StepReport, row_elevation_rad,
+};
 
 const SEED: u64 = 4203;
 /// Steps of a story: 25 s, enough to arrive.
 const STEPS: usize = 500;
 
-#[derive(Clone, Copy)]
-struct Story {
-    /// Sensors that the vehicle has.
-    heads: usize,
-    /// The firmware asks for them.
-    asked_for: bool,
-    /// Every obstacle is shown 7.8 m farther away than it is.
-    hides: bool,
-    /// Nobody checks the frames: as if the ground behind the obstacles were repainted too.
-    unchecked: bool,
-    /// Nothing of the second sensor arrives from this step on.
-    silent_from: usize,
-}
-
-const SEEING: Story = Story {
-    heads: 1,
-    asked_for: true,
-    hides: false,
-    unchecked: false,
-    silent_from: usize::MAX,
-};
-
-struct End {
-    /// Everything that was wrong, whoever flew.
-    reasons: Reasons,
-    /// It was guided at some time.
-    flew: bool,
-    state: GuidanceState,
-    speed_m_s: f32,
-    outcome: Option<Outcome>,
-}
-
-/// As a process between driver and firmware could: everything but the ground is shown farther away.
+/// As a process between driver and firmware could: everything but the ground is shown 7.8 m farther away than it is.
 fn hide(frame: &mut DepthFrame) {
     for (row, line) in frame.depth.chunks_exact_mut(DEPTH_COLS).enumerate() {
         if row_elevation_rad(row as f32) > -0.35 {
@@ -55,84 +25,72 @@ fn hide(frame: &mut DepthFrame) {
     frame.seal();
 }
 
-fn fly(story: Story) -> End {
-    let mut config = airborne(generate(Family::Validation, SEED), SEED);
-    config.second_sensor_heads = story.heads;
-    let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
-    firmware.second_sensor = story.asked_for;
-    firmware.plausibility = !story.unchecked;
-    let mut pair = Pair::of(&config, &firmware);
+/// The flight at its end, everything that was wrong, whoever flew, and every step. The vehicle has so many heads of a second sensor;
+/// `spoil` has its hand between vehicle and firmware.
+fn fly(
+    heads: usize,
+    change: impl FnOnce(&mut FirmwareConfig),
+    spoil: impl Fn(&mut Pair, usize),
+) -> (Pair, Reasons, Vec<StepReport>) {
+    let mut pair = Pair::with(Family::Validation, SEED, |simulation, firmware| {
+        (simulation.second_sensor_heads, firmware.second_sensor) = (heads, true);
+        change(firmware);
+    });
     let reports = pair.fly(STEPS, |pair, step| {
-        if story.hides {
-            hide(&mut pair.frame);
-        }
-        if step >= story.silent_from {
-            pair.to_firmware = without(&pair.to_firmware, &[OBSTACLE_DISTANCE_DATA::ID]);
-        }
+        spoil(pair, step);
         true
     });
-    End {
-        reasons: reports.iter().fold(Reasons::NONE, |all, r| all.union(r.reasons)),
-        flew: reports.iter().any(|r| r.state == GuidanceState::Guided),
-        state: reports[reports.len() - 1].state,
-        speed_m_s: pair.speed_m_s(),
-        outcome: pair.outcome(),
-    }
+    (pair, reasons(&reports), reports)
+}
+
+fn flew(reports: &[StepReport]) -> bool {
+    reports.iter().any(|r| r.state == GuidanceState::Guided)
 }
 
 #[test]
 fn true_frames_are_believed_by_one_sensor_and_by_three() {
     for heads in [1, 3] {
-        let end = fly(Story { heads, ..SEEING });
-        assert_eq!(end.outcome, Some(Outcome::Success), "{heads}");
-        assert!(!end.reasons.contains(Reason::SensorsDisagree), "{heads}");
+        let (pair, reasons, _) = fly(heads, |_| {}, |_, _| {});
+        assert_eq!(pair.outcome(), Some(Outcome::Success), "{heads}");
+        assert!(!reasons.contains(Reason::SensorsDisagree), "{heads}");
     }
 }
 
 #[test]
 fn who_hides_obstacles_leads_the_vehicle_into_one_unless_a_second_sensor_sees_it() {
-    let hidden = Story {
-        hides: true,
-        unchecked: true,
-        ..SEEING
-    };
-    let alone = Story {
-        asked_for: false,
-        ..hidden
-    };
-    assert_eq!(
-        fly(alone).outcome,
-        Some(Outcome::Collision),
-        "nothing else finds this lie"
-    );
-    let end = fly(Story {
-        unchecked: false,
-        ..alone
-    });
-    assert_eq!(end.outcome, None, "the obstacles lie beneath the ground");
-    assert!(end.reasons.contains(Reason::BeneathGround) && end.speed_m_s < 0.2);
+    let hides = |pair: &mut Pair, _| hide(&mut pair.frame);
+    // Nobody checks the frames: as if the ground behind the obstacles were repainted too.
+    let unchecked = |firmware: &mut FirmwareConfig| firmware.plausibility = false;
+    let (pair, ..) = fly(1, |f| (f.second_sensor, f.plausibility) = (false, false), hides);
+    assert_eq!(pair.outcome(), Some(Outcome::Collision), "nothing else finds this lie");
+    let (pair, reasons, _) = fly(1, |f| f.second_sensor = false, hides);
+    assert_eq!(pair.outcome(), None, "the obstacles lie beneath the ground");
+    assert!(reasons.contains(Reason::BeneathGround) && pair.speed_m_s() < 0.2);
     for heads in [1, 3] {
-        let end = fly(Story { heads, ..hidden });
-        assert_eq!(end.outcome, None, "{heads}: it neither collides nor arrives");
-        assert!(end.reasons.contains(Reason::SensorsDisagree), "{heads}");
-        assert!(end.speed_m_s < 0.2, "{heads}: still at {} m/s", end.speed_m_s);
+        let (pair, reasons, _) = fly(heads, unchecked, hides);
+        assert_eq!(pair.outcome(), None, "{heads}: it neither collides nor arrives");
+        assert!(reasons.contains(Reason::SensorsDisagree), "{heads}");
+        assert!(pair.speed_m_s() < 0.2, "{heads}: still at {} m/s", pair.speed_m_s());
     }
 }
 
 #[test]
 fn a_sensor_that_was_asked_for_and_is_not_there_keeps_the_vehicle_from_flying_by_name() {
-    let end = fly(Story { heads: 0, ..SEEING });
-    assert!(end.reasons.contains(Reason::SecondSensorSilent) && !end.flew);
-    assert_eq!(end.state, GuidanceState::Standby);
+    let (_, reasons, reports) = fly(0, |_| {}, |_, _| {});
+    assert!(reasons.contains(Reason::SecondSensorSilent) && !flew(&reports));
+    assert_eq!(reports[reports.len() - 1].state, GuidanceState::Standby);
 }
 
 #[test]
 fn a_sensor_that_falls_silent_in_flight_holds_the_vehicle_by_name() {
-    let end = fly(Story {
-        silent_from: 100,
-        ..SEEING
-    });
-    assert!(end.flew && end.reasons.contains(Reason::SecondSensorSilent));
-    assert_eq!((end.state, end.outcome), (GuidanceState::Hold, None));
-    assert!(end.speed_m_s < 0.2, "still at {} m/s", end.speed_m_s);
+    let silence = |pair: &mut Pair, step| {
+        if step >= 100 {
+            pair.to_firmware = without(&pair.to_firmware, &[OBSTACLE_DISTANCE_DATA::ID]);
+        }
+    };
+    let (pair, reasons, reports) = fly(1, |_| {}, silence);
+    assert!(flew(&reports) && reasons.contains(Reason::SecondSensorSilent));
+    let state = reports[reports.len() - 1].state;
+    assert_eq!((state, pair.outcome()), (GuidanceState::Hold, None));
+    assert!(pair.speed_m_s() < 0.2, "still at {} m/s", pair.speed_m_s());
 }

@@ -3,11 +3,11 @@
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::common::MavCmd;
-use vigil_sim::SimConfig;
 use vigil_sim::world::{Course, Family, Outcome, generate};
+use vigil_sim::{SimConfig, Start};
 use vigil_tests::ground::{Request, STATION, command, packet};
-use vigil_tests::{Pair, airborne, fly_monitored};
-use vigil_types::{AlarmResponse, EngagePolicy, GuidanceState, NedVector, PilotKind, Reasons, StepReport};
+use vigil_tests::{Pair, airborne, fly_monitored, reasons};
+use vigil_types::{AlarmResponse, EngagePolicy, GuidanceState, NedVector, PilotKind, StepReport};
 
 /// Nothing but ground; the vehicle stands with its nose to the goal.
 const FIELD: &str = r#"
@@ -135,17 +135,16 @@ fn a_goal_far_below_or_above_is_flown_to_at_its_own_height() {
 #[test]
 fn a_script_takes_off_by_itself_and_hands_over() {
     for seed in [7, 8] {
-        let simulation = SimConfig::new(generate(Family::Validation, seed), seed);
-        let config = FirmwareConfig {
-            engage: EngagePolicy::Command,
-            ..FirmwareConfig::to_goal(simulation.course.goal_ned_m())
-        };
-        let above_sea_m = simulation.endpoint.home.altitude_m as f32 + 2.0;
+        let mut above_sea_m = 2.0;
+        let mut pair = Pair::with(Family::Validation, seed, |simulation, firmware| {
+            (simulation.start, firmware.engage) = (Start::Ground, EngagePolicy::Command);
+            above_sea_m += simulation.endpoint.home.altitude_m as f32;
+        });
         let asked = |number, what, parameters| packet(STATION, number, &command(what, parameters));
         let arm = asked(0, MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, [1.0, 0.0, 0.0, 0.0]);
         let take_off = asked(1, MavCmd::MAV_CMD_NAV_TAKEOFF, [0.0, 0.0, 0.0, above_sea_m]);
         let engage = packet(STATION, 2, &Request::Engage.message(1));
-        let reports = Pair::of(&simulation, &config).fly(800, |pair, step| {
+        let reports = pair.fly(800, |pair, step| {
             match step {
                 59 => pair.simulator.receive(0, &arm),
                 63 => pair.simulator.receive(0, &take_off),
@@ -157,12 +156,9 @@ fn a_script_takes_off_by_itself_and_hands_over() {
         // How long guidance flew in the 25 s thereafter, steps, and for what it held.
         let handed_over = &reports[300..];
         let guided = handed_over.iter().filter(|r| r.state == GuidanceState::Guided).count();
-        let holds = handed_over.iter().filter(|r| r.state == GuidanceState::Hold);
-        let reasons = holds.fold(Reasons::NONE, |all, r| all.union(r.reasons));
-        assert!(
-            guided > 200,
-            "{seed}: guided {guided}, held for {:?}",
-            reasons.iter().collect::<Vec<_>>()
-        );
+        let mut holds = handed_over.to_vec();
+        holds.retain(|r| r.state == GuidanceState::Hold);
+        let held_for: Vec<_> = reasons(&holds).iter().collect();
+        assert!(guided > 200, "{seed}: guided {guided}, held for {held_for:?}");
     }
 }

@@ -5,17 +5,13 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use vigil_firmware::FirmwareConfig;
 use vigil_log::{FlightInfo, Reader};
-use vigil_tests::{attacked_flight, ended, has, json, only_log, recorder, refused, run, run_line, succeed, text};
+use vigil_tests::{attacked_flight, ended, has, json, only_log, refused, run, run_line, succeed, text, write_log};
 use vigil_types::NedVector;
 
 /// A log of a vehicle that stood for three steps without a frame.
 fn short_log(folder: &Path) -> PathBuf {
     let log = folder.join("short.mcap");
-    let mut recorder = recorder(&log, FlightInfo::default());
-    for step in 0..3 {
-        recorder.record(|slot| (slot.now_ns, slot.timing.step) = (50_000_000 * step, step));
-    }
-    recorder.finish();
+    write_log(&log, FlightInfo::default(), 3, |_| {});
     log
 }
 
@@ -150,9 +146,7 @@ fn nothing_is_derived_from_a_log_with_a_time_that_no_loop_reaches_and_it_stays_a
     let folder = tempfile::tempdir().expect("a folder");
     let log = folder.path().join("late.mcap");
     let info = FirmwareConfig::to_goal(NedVector::new(20.0, 0.0, -1.5)).flight_info();
-    let mut recorder = recorder(&log, info);
-    recorder.record(|slot| slot.now_ns = u64::MAX);
-    recorder.finish();
+    write_log(&log, info, 1, |slot| slot.now_ns = u64::MAX);
     let before = std::fs::read(&log).expect("the log");
     let derived = run(&["log", "derive", "--only", "map", text(&log)]);
     let time = "step 0 has the time 18446744073709551615 ns";

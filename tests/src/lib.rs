@@ -3,17 +3,23 @@
 pub mod ground;
 pub mod mission;
 mod pair;
+#[path = "../../firmware/mavlink/tests/common/peer.rs"]
+#[allow(missing_docs, reason = "the scripted vehicles of the MAVLink crate's tests")]
+pub mod peer;
 
-pub use pair::{Pair, airborne, fly_monitored, texts, without};
+pub use mission::straight_course;
+pub use pair::{Pair, airborne, fly_monitored, reasons, texts, without};
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 use vigil_log::{FlightInfo, Reader, Recorder, RecorderConfig, TickRecord};
 use vigil_sim::program::Status;
+use vigil_types::STEP_NS;
 
 /// Longest wait for anything that happens within seconds on an idle machine.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -155,8 +161,20 @@ pub fn only_log(folder: &Path) -> PathBuf {
 }
 
 /// A recorder of a new log that waits for room rather than drop a step.
-pub fn recorder(log: &Path, info: FlightInfo) -> Recorder {
+fn recorder(log: &Path, info: FlightInfo) -> Recorder {
     Recorder::start(RecorderConfig::lossless(log, info)).expect("a new log")
+}
+
+/// A log of so many steps, each as `fill` makes it.
+pub fn write_log(log: &Path, info: FlightInfo, steps: u64, mut fill: impl FnMut(&mut TickRecord)) {
+    let mut recorder = recorder(log, info);
+    for step in 0..steps {
+        assert!(recorder.record(|slot| {
+            (slot.now_ns, slot.timing.step) = (step * STEP_NS, step);
+            fill(slot);
+        }));
+    }
+    assert_eq!(recorder.finish().failure, None);
 }
 
 /// Shows every record of a log.
@@ -189,49 +207,41 @@ pub fn attacked_flight(folder: &Path) -> PathBuf {
 }
 
 /// Runs trials `0..count` on as many threads as there are instances; each thread has an instance of its own. In order of the trials.
-pub fn side_by_side<T: Send>(
+pub fn side_by_side<T: Send + Sync>(
     count: usize,
     instances: &[u32],
     trial: impl Fn(usize, u32) -> Option<T> + Sync,
 ) -> Vec<T> {
     let next = AtomicUsize::new(0);
-    let on = |instance: u32| {
-        let numbers = std::iter::repeat_with(|| next.fetch_add(1, Ordering::Relaxed)).take_while(|n| *n < count);
-        let done = numbers.map_while(|number| Some((number, trial(number, instance)?)));
-        done.collect::<Vec<_>>()
+    let done: Vec<OnceLock<T>> = (0..count).map(|_| OnceLock::new()).collect();
+    let another = |instance| {
+        let number = next.fetch_add(1, Ordering::Relaxed);
+        done.get(number)?.set(trial(number, instance)?).ok()
     };
-    let mut done: Vec<(usize, T)> = std::thread::scope(|scope| {
-        let threads: Vec<_> = instances.iter().map(|instance| scope.spawn(|| on(*instance))).collect();
-        let done = threads
-            .into_iter()
-            .map(|thread| thread.join().expect("no trial panics"));
-        done.flatten().collect()
+    std::thread::scope(|scope| {
+        for instance in instances {
+            scope.spawn(|| while another(*instance).is_some() {});
+        }
     });
-    done.sort_by_key(|(number, _)| *number);
-    done.into_iter().map(|(_, result)| result).collect()
+    done.into_iter().filter_map(OnceLock::into_inner).collect()
 }
 
-/// A running `vigil` command; killed when dropped.
+/// A running `vigil` command; killed when dropped, by SIGKILL: it gets no chance to say good-bye.
 pub struct Running {
     child: Child,
     lines: Receiver<String>,
 }
 
 impl Running {
-    /// Starts `vigil` with `arguments`; its standard output is read line by line.
-    pub fn start(arguments: &[&str]) -> Self {
+    /// Starts `vigil` with arguments between spaces; its standard output is read line by line.
+    pub fn start(arguments: &str) -> Self {
         Self::start_saying(arguments, Stdio::inherit())
     }
 
-    /// The same with the arguments in a line, between spaces.
-    pub fn start_line(arguments: &str) -> Self {
-        Self::start(&arguments.split_whitespace().collect::<Vec<_>>())
-    }
-
     /// The same with its diagnostics elsewhere; piped ones are read among the lines of its output.
-    pub fn start_saying(arguments: &[&str], diagnostics: Stdio) -> Self {
+    pub fn start_saying(arguments: &str, diagnostics: Stdio) -> Self {
         let mut child = program()
-            .args(arguments)
+            .args(arguments.split_whitespace())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(diagnostics)
@@ -301,12 +311,6 @@ impl Running {
     /// Whether it has not ended.
     pub fn is_running(&mut self) -> bool {
         matches!(self.child.try_wait(), Ok(None))
-    }
-
-    /// SIGKILL: the program gets no chance to say good-bye.
-    pub fn kill(mut self) {
-        self.child.kill().expect("it can be killed");
-        self.child.wait().expect("it can be waited for");
     }
 
     /// Sends a signal.

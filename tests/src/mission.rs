@@ -1,6 +1,7 @@
 //! A mission of the vehicle's own, for flights that Vigil only guards.
 
 use crate::ground::{STATION, packet, set_auto_mode};
+use std::path::{Path, PathBuf};
 use vigil_autopilot::Saved;
 use vigil_mavlink::common::{MavCmd, MavFrame};
 use vigil_mavlink::{globe, message};
@@ -24,6 +25,17 @@ pub fn plan(config: &SimConfig, speed_m_s: f32, via_m: &[(f32, f32)], nose_deg: 
         );
     }
     vigil_types::settings::from_toml(&text).expect("a plan")
+}
+
+/// A course's file: open ground, the goal so far straight ahead, and what stands there.
+pub fn straight_course(folder: &Path, goal_m: f32, solids: &str) -> PathBuf {
+    let path = folder.join("straight.toml");
+    let text = format!(
+        "name = \"straight\"\ngoal = {{ north_m = {goal_m}, east_m = 0.0 }}\n\
+         bounds = {{ north_m = [-10.0, 30.0], east_m = [-20.0, 20.0], top_m = 12.0 }}\n{solids}"
+    );
+    std::fs::write(&path, text).expect("written");
+    path
 }
 
 /// A command of a ground station: fly the mission.

@@ -5,10 +5,7 @@ use vigil_mavlink::MavMessage;
 use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sim::world::{Course, Family, Outcome, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_types::{Datagrams, DepthFrame, GuidanceState, STEP_S, StepReport};
-
-/// A longer hand-over than this, in steps, is a failure.
-const MOST_STEPS_TO_GUIDED: usize = 1200;
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, Reasons, STEP_S, StepReport};
 
 /// A vehicle that hovers at the start of a course.
 pub fn airborne(course: Course, seed: u64) -> SimConfig {
@@ -33,8 +30,15 @@ pub struct Pair {
 impl Pair {
     /// Both on the course of a seed, the vehicle hovering at its start.
     pub fn new(family: Family, seed: u64) -> Self {
-        let config = airborne(generate(family, seed), seed);
-        Self::of(&config, &FirmwareConfig::to_goal(config.course.goal_ned_m()))
+        Self::with(family, seed, |_, _| {})
+    }
+
+    /// The same, but for `change`.
+    pub fn with(family: Family, seed: u64, change: impl FnOnce(&mut SimConfig, &mut FirmwareConfig)) -> Self {
+        let mut simulation = airborne(generate(family, seed), seed);
+        let mut firmware = FirmwareConfig::to_goal(simulation.course.goal_ned_m());
+        change(&mut simulation, &mut firmware);
+        Self::of(&simulation, &firmware)
     }
 
     /// Both as they are configured.
@@ -102,17 +106,15 @@ impl Pair {
         self.simulator.truth().velocity_ned_m_s.norm()
     }
 
-    /// Flies until guidance has flown for `steps`.
-    pub fn fly_guided(&mut self, steps: usize) {
-        let mut guided = 0;
-        for _ in 0..MOST_STEPS_TO_GUIDED {
+    /// Flies until guidance has flown for `steps`, but for no more than so many in all; how many it took.
+    pub fn fly_guided(&mut self, steps: usize, most_steps: usize) -> usize {
+        let (mut guided, mut flown) = (0, 0);
+        while guided < steps && flown < most_steps && self.simulator.ending().is_none() {
             self.simulate();
             guided += usize::from(self.decide(true).state == GuidanceState::Guided);
-            if guided == steps {
-                return;
-            }
+            flown += 1;
         }
-        panic!("guided flight did not last {steps} steps");
+        flown
     }
 }
 
@@ -128,6 +130,13 @@ pub fn fly_monitored(
     let most_steps = ((simulation.course.time_limit_s + 60.0) / STEP_S) as usize;
     let reports = pair.fly(most_steps, |_, _| true);
     (pair.outcome(), reports)
+}
+
+/// Everything that was wrong in some steps.
+pub fn reasons(reports: &[StepReport]) -> Reasons {
+    reports
+        .iter()
+        .fold(Reasons::NONE, |all, report| all.union(report.reasons))
 }
 
 /// The datagrams that hold no message of these numbers.

@@ -2,7 +2,7 @@
 
 use crate::explained::{PixelExplainer, YAW};
 use crate::flight_report::LogSeen;
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use std::path::Path;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::replay::{firmware_of, step_again};
@@ -21,8 +21,6 @@ const SHAP_LIMIT: usize = 120;
 /// Each frame is explained that is no further from an alarm, of the first ones of a flight.
 const AROUND_ALARM_NS: Nanos = 1_000_000_000;
 const ALARMS: usize = 3;
-/// A record of a later time is none of a flight: a step that is replayed adds to its time.
-const LATEST_NS: Nanos = Nanos::MAX / 2;
 
 /// What to derive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -80,11 +78,6 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
             break;
         }
         let (now_ns, step) = (record.now_ns, record.timing.step as u32);
-        ensure!(
-            now_ns <= LATEST_NS,
-            "step {} has the time {now_ns} ns, later than any loop runs",
-            record.timing.step
-        );
         step_again(&mut firmware, &record, &mut sent);
         if wanted.map
             && now_ns >= next_map_ns
@@ -136,7 +129,7 @@ fn explainer(reader: &Reader) -> Result<Option<PixelExplainer>> {
 
 /// Replays a log beside whoever reads it and explains its frames: what the actor remembered is not in the log.
 pub struct ExplainedReplay {
-    /// `None` behind a gap in the log, or a time that is none.
+    /// `None` behind a gap in the log.
     firmware: Option<Firmware>,
     explainer: PixelExplainer,
     sent: Box<Datagrams>,
@@ -157,7 +150,7 @@ impl ExplainedReplay {
 
     /// Takes the next step, which has to be every one.
     pub fn step(&mut self, record: &TickRecord) {
-        if record.dropped_before > 0 || record.now_ns > LATEST_NS {
+        if record.dropped_before > 0 {
             self.firmware = None;
         }
         if let Some(firmware) = &mut self.firmware {

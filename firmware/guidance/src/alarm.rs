@@ -8,7 +8,7 @@
 
 use crate::conditions::{STOP_LIMIT_NS, STOPPED_M_S, UNKNOWN_LIMIT};
 use crate::input::Risk;
-use vigil_types::parameters::{self, OutOfRange, Range};
+use vigil_types::parameters::{self, OutOfRange};
 use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, ParameterSpec, STEP_S, Verdict};
 
 // What only programs set, stated as the table states the rest.
@@ -110,19 +110,8 @@ impl AlarmConfig {
         ] {
             parameter.check(value)?;
         }
-        if self.raise_count > self.raise_window {
-            return Err(OutOfRange {
-                key: parameters::RAISE_COUNT.key,
-                value: self.raise_count.into(),
-                range: Range {
-                    unit: "verdicts, at most raise_window",
-                    least: 1.0,
-                    greatest: self.raise_window.into(),
-                    or_zero: false,
-                },
-            });
-        }
-        Ok(())
+        let (key, range) = (parameters::RAISE_COUNT.key, (1.0, self.raise_window.into()));
+        ParameterSpec::unlisted(key, range, "verdicts, at most raise_window", 1.0).check(self.raise_count.into())
     }
 }
 

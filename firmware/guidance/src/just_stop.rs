@@ -289,6 +289,11 @@ mod tests {
             )
         }
 
+        /// So many steps; the state after the last.
+        fn steps(&mut self, count: u32, obstacle_m: Option<f32>) -> JustStopState {
+            (0..count).fold(self.guard.state(), |_, _| self.step(obstacle_m))
+        }
+
         /// Seconds until it is stopped; `None` within 5 s.
         fn stopped_after_s(&mut self) -> Option<(f32, StopCause)> {
             (1..=100).find_map(|step| Some((step as f32 * 0.05, self.step(None).cause()?)))
@@ -345,9 +350,7 @@ mod tests {
         }
         // A person's hold before a wall: it brakes, and nobody need say so.
         let mut held = Flight::at(3.0);
-        for _ in 0..20 {
-            held.step(None);
-        }
+        held.steps(20, None);
         held.mode = VehicleMode::Hold;
         brake(2.9, &mut held, |state| state == JustStopState::Watching);
     }
@@ -355,8 +358,7 @@ mod tests {
     #[test]
     fn a_vehicle_that_takes_the_mode_and_flies_on_is_ordered_again() {
         let mut flight = Flight::at(2.0);
-        flight.step(Some(5.0));
-        flight.step(Some(5.0));
+        flight.steps(2, Some(5.0));
         flight.mode = VehicleMode::Hold;
         let mut orders = 0;
         for _ in 0..100 {
@@ -374,8 +376,7 @@ mod tests {
         flight.start_obstacle_m = Some(3.5);
         for _ in 0..2 {
             flight.mode = VehicleMode::Mission;
-            flight.step(None);
-            assert!(matches!(flight.step(None), JustStopState::Stopping(_)));
+            assert!(matches!(flight.steps(2, None), JustStopState::Stopping(_)));
             flight.mode = VehicleMode::Hold;
             assert!(matches!(flight.step(None), JustStopState::Stopped(_)));
         }
@@ -391,12 +392,9 @@ mod tests {
         let begins = |held_steps| {
             let mut flight = Flight::at(0.4);
             flight.mode = VehicleMode::Mission;
-            for _ in 0..held_steps {
-                flight.step(None);
-            }
+            flight.steps(held_steps, None);
             flight.start_obstacle_m = Some(3.5);
-            flight.step(None);
-            flight.step(None)
+            flight.steps(2, None)
         };
         assert!(matches!(begins(0), JustStopState::Stopping(_)));
         assert_eq!(begins(20), JustStopState::Watching);
@@ -411,19 +409,13 @@ mod tests {
     #[test]
     fn a_vehicle_that_flies_back_to_its_place_is_not_stopped_for_what_it_cannot_see_there() {
         let mut flight = Flight::at(2.0);
-        flight.step(Some(1.0));
-        flight.step(Some(1.0));
+        flight.steps(2, Some(1.0));
         flight.mode = VehicleMode::Hold;
         flight.unseen = true;
-        let seconds = |flight: &mut Flight, seconds: u32| (0..20 * seconds).map(|_| flight.step(None)).last();
         let obstacle = StopCause::Obstacle { ahead_m: 1.0 };
-        assert_eq!(seconds(&mut flight, 7), Some(JustStopState::Stopped(obstacle)));
-        let then = seconds(&mut flight, 2);
-        assert_eq!(
-            then,
-            Some(JustStopState::Stopping(StopCause::Unseen)),
-            "it is on another way"
-        );
+        assert_eq!(flight.steps(7 * 20, None), JustStopState::Stopped(obstacle));
+        let then = flight.steps(2 * 20, None);
+        assert_eq!(then, JustStopState::Stopping(StopCause::Unseen), "it is on another way");
     }
 
     #[test]
@@ -444,23 +436,20 @@ mod tests {
     #[test]
     fn whoever_flies_may_go_on_and_is_stopped_again_if_the_way_is_still_blocked() {
         let mut flight = Flight::at(2.0);
-        flight.step(Some(1.0));
-        flight.step(Some(1.0));
+        flight.steps(2, Some(1.0));
         flight.mode = VehicleMode::Hold;
         assert!(matches!(flight.step(Some(1.0)), JustStopState::Stopped(_)));
         (flight.mode, flight.speed_m_s) = (VehicleMode::Other, Some(0.1));
         assert_eq!(flight.step(Some(1.0)), JustStopState::Watching, "it does not move yet");
         flight.speed_m_s = Some(1.0);
         assert_eq!(flight.step(None), JustStopState::Watching, "away from it");
-        flight.step(Some(0.9));
-        assert!(matches!(flight.step(Some(0.9)), JustStopState::Stopping(_)));
+        assert!(matches!(flight.steps(2, Some(0.9)), JustStopState::Stopping(_)));
     }
 
     #[test]
     fn who_takes_the_vehicle_over_during_a_stop_has_it_and_is_monitored_like_anybody() {
         let mut flight = Flight::at(2.0);
-        flight.step(Some(1.0));
-        assert!(matches!(flight.step(Some(1.0)), JustStopState::Stopping(_)));
+        assert!(matches!(flight.steps(2, Some(1.0)), JustStopState::Stopping(_)));
         flight.mode = VehicleMode::Return;
         assert_eq!(flight.step(Some(1.0)), JustStopState::Watching);
         assert_eq!(flight.step(None), JustStopState::Watching, "home lies the other way");
@@ -494,8 +483,7 @@ mod tests {
             let mut flight = Flight::at(2.0);
             (flight.mode, flight.failsafe, flight.unseen) = (mode, failsafe, true);
             assert_eq!(flight.stopped_after_s(), None);
-            flight.step(Some(1.0));
-            assert!(matches!(flight.step(Some(1.0)), JustStopState::Stopping(_)));
+            assert!(matches!(flight.steps(2, Some(1.0)), JustStopState::Stopping(_)));
         }
     }
 

@@ -202,10 +202,7 @@ impl Guidance {
     }
 
     fn in_flight(&self) -> bool {
-        matches!(
-            self.state,
-            GuidanceState::Guided | GuidanceState::Hold | GuidanceState::Land
-        )
+        self.flying_to_goal() || self.state == GuidanceState::Land
     }
 
     fn flying_to_goal(&self) -> bool {
@@ -462,7 +459,12 @@ impl Guidance {
                 HandoverProgress::Done | HandoverProgress::InProgress { stream_setpoints: true }
             )
             .then_some(VelocitySetpoint::HOLD),
-            GuidanceState::Guided => Some(self.guided_setpoint(input, action)),
+            GuidanceState::Guided => Some(match (action, self.goal, input.telemetry.kinematics) {
+                (Some(action), Some(goal), Some(now)) => {
+                    guided_setpoint(&self.config, action, goal, now.position_ned_m)
+                }
+                _ => VelocitySetpoint::HOLD,
+            }),
             GuidanceState::Hold => Some(VelocitySetpoint::HOLD),
             // Zeros until the vehicle lands by itself: an autopilot may keep the last velocity for seconds.
             GuidanceState::Land => input
@@ -471,13 +473,6 @@ impl Guidance {
                 .is_none_or(|h| h.mode == VehicleMode::External)
                 .then_some(VelocitySetpoint::HOLD),
         }
-    }
-
-    fn guided_setpoint(&self, input: &GuidanceInput<'_>, action: Option<Action>) -> VelocitySetpoint {
-        let (Some(action), Some(goal), Some(kinematics)) = (action, self.goal, input.telemetry.kinematics) else {
-            return VelocitySetpoint::HOLD;
-        };
-        guided_setpoint(&self.config, action, goal, kinematics.position_ned_m)
     }
 
     fn vehicle_request(&mut self, input: &GuidanceInput<'_>) -> VehicleRequest {

@@ -7,7 +7,7 @@ use proptest::option;
 use proptest::prelude::*;
 use proptest::sample::select;
 use proptest::test_runner::RngSeed;
-use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FrameStatus, Geofence, GuidanceConfig};
+use vigil_guidance::{AlarmPolicy, AtGoal, EngagePolicy, FrameStatus, Geofence, GuidanceConfig};
 use vigil_types::{
     Action, AlarmResponse, GuidanceState, HandoverProgress, NedVector, OperatorRequest, Reason, Reasons, STEP_NS,
     VehicleMode, VelocitySetpoint, Verdict,
@@ -116,7 +116,7 @@ fn config() -> impl Strategy<Value = GuidanceConfig> {
     let at_goal = select(&[AtGoal::Hold, AtGoal::Land][..]);
     let policy = select(&[AlarmPolicy::Ignore, AlarmPolicy::Stop, AlarmPolicy::Recover][..]);
     (engage, at_goal, any::<bool>(), any::<bool>(), policy).prop_map(|(engage, at_goal, fence, limit, policy)| {
-        GuidanceConfig {
+        let mut config = GuidanceConfig {
             engage,
             at_goal,
             geofence: fence.then_some(Geofence {
@@ -125,12 +125,10 @@ fn config() -> impl Strategy<Value = GuidanceConfig> {
                 max_height_m: 20.0,
             }),
             time_limit_ns: limit.then_some(5_000_000_000),
-            alarm: AlarmConfig {
-                policy,
-                ..AlarmConfig::default()
-            },
             ..Default::default()
-        }
+        };
+        config.alarm.policy = policy;
+        config
     })
 }
 

@@ -72,7 +72,7 @@ impl FromRow for AllowUnsigned {
 pub struct SigningGate {
     signing: Option<Signing>,
     writer: Option<SigningStateWriter>,
-    /// What replay protection knew when there was a key last.
+    /// What replay protection knew at the start.
     past: SigningMemory,
     /// While there is no key, SETUP_SIGNING may bring one.
     accepts_first_key: bool,
@@ -80,7 +80,6 @@ pub struct SigningGate {
     clock: fn() -> Timestamp,
     now: Timestamp,
     stored_ns: Nanos,
-    /// Verdicts without a key.
     counters: SigningCounters,
     keys_refused: Throttle,
     framing: FramingCounters,
@@ -120,11 +119,7 @@ impl SigningGate {
     /// # Errors
     /// [`SigningFileError`]: a key that is not one, that others can read, or a state that cannot be kept.
     pub fn with_key_file(key_file: &Path, name: &str, allow_unsigned: AllowUnsigned) -> Result<Self, SigningFileError> {
-        let key = read_key(key_file)?;
-        let (writer, memory) = SigningStateWriter::start(key_file, name, STORE_AHEAD)?;
-        let mut gate = Self::new(Some(Signing::new(key, 0, memory)), allow_unsigned);
-        gate.writer = Some(writer);
-        Ok(gate)
+        Self::with_state(Some(read_key(key_file)?), key_file, name, allow_unsigned)
     }
 
     /// A gate whose key, if there is one, came by SETUP_SIGNING and was kept in `key_file`: without that file it begins
@@ -138,11 +133,19 @@ impl SigningGate {
             Err(_) if matches!(key_file.try_exists(), Ok(false)) => None,
             Err(other) => return Err(other.into()),
         };
-        let (writer, memory) = SigningStateWriter::start(key_file, name, STORE_AHEAD)?;
-        let signing = key.map(|key| Signing::new(key, 0, memory.clone()));
+        Self::with_state(key, key_file, name, allow_unsigned)
+    }
+
+    fn with_state(
+        key: Option<SigningKey>,
+        key_file: &Path,
+        name: &str,
+        allow_unsigned: AllowUnsigned,
+    ) -> Result<Self, SigningFileError> {
+        let (writer, past) = SigningStateWriter::start(key_file, name, (wall_clock(), STORE_AHEAD))?;
+        let signing = key.map(|key| Signing::new(key, 0, past.clone()));
         let mut gate = Self::new(signing, allow_unsigned);
-        gate.writer = Some(writer);
-        gate.past = memory;
+        (gate.writer, gate.past) = (Some(writer), past);
         Ok(gate)
     }
 
@@ -169,16 +172,16 @@ impl SigningGate {
         self.allow_unsigned
     }
 
-    /// What was accepted and refused. Empty where everything passes.
+    /// What was accepted and refused.
     pub fn counters(&self) -> SigningCounters {
-        self.signing.as_ref().map_or(self.counters, |s| *s.counters())
+        self.counters
     }
 
     /// Statistics of a wire with what the gate found in its datagrams, unless it finds the packets itself, and signing's.
     pub(crate) fn statistics(&self, (wire, is_stream): (LinkStatistics, bool)) -> LinkStatistics {
         LinkStatistics {
             framing: if is_stream { wire.framing } else { self.framing },
-            signing: self.counters(),
+            signing: self.counters,
             ..wire
         }
     }
@@ -190,7 +193,8 @@ impl SigningGate {
             && now_ns.saturating_sub(self.stored_ns) >= STORE_NS
         {
             self.stored_ns = now_ns;
-            writer.offer(signing.memory().clone().ahead(STORE_AHEAD));
+            let memory = signing.memory().clone();
+            writer.offer(memory.ahead(&self.past, self.now, STORE_AHEAD));
         }
     }
 
@@ -207,18 +211,15 @@ impl SigningGate {
         self.now = (self.clock)();
         memory.newest = memory.newest.max(newest.min(self.now + MAX_AHEAD));
         if let Some(writer) = &mut self.writer {
-            writer.replace_key(key, memory.clone().ahead(STORE_AHEAD));
+            writer.replace_key(key, memory.clone().ahead(&self.past, self.now, STORE_AHEAD));
         }
-        self.signing = Some(match &self.signing {
-            Some(signing) => signing.rekeyed(key, memory),
-            None => Signing::new(key, 0, memory).with_counters(self.counters),
-        });
+        self.signing = Some(Signing::new(key, 0, memory));
         true
     }
 
     /// What to tell everybody of keys that were refused since the last call, at most every ten seconds.
     pub fn refused_key(&mut self, now_ns: Nanos) -> Option<&'static str> {
-        let refused = self.counters().unsigned_key;
+        let refused = self.counters.unsigned_key;
         let text = match self.has_key() {
             true => "signing key refused: not signed with present one",
             false => "signing key refused: see --accept-first-key",
@@ -246,20 +247,15 @@ impl SigningGate {
         for packet in packets(datagram, &mut self.framing) {
             let verdict = match &mut self.signing {
                 Some(signing) => signing.verify(self.now, &packet, allow_unsigned),
-                None => {
-                    let verdict = match packet.is_signed() {
-                        _ if carries_key(&packet) && !(allow_unsigned && self.accepts_first_key) => {
-                            Err(Refusal::UnsignedKey)
-                        }
-                        _ if allow_unsigned => Ok(()),
-                        // Without a key no signature can be right.
-                        true => Err(Refusal::WrongSignature),
-                        false => Err(Refusal::Unsigned),
-                    };
-                    self.counters.count(packet.is_signed(), verdict);
-                    verdict
+                None if carries_key(&packet) && !(allow_unsigned && self.accepts_first_key) => {
+                    Err(Refusal::UnsignedKey)
                 }
+                None if allow_unsigned => Ok(()),
+                // Without a key no signature can be right.
+                None if packet.is_signed() => Err(Refusal::WrongSignature),
+                None => Err(Refusal::Unsigned),
             };
+            self.counters.count(packet.is_signed(), verdict);
             // The packets of a datagram are together no longer than it.
             if verdict.is_ok()
                 && let Some(slot) = self.admitted.get_mut(len..len + packet.raw().len())
@@ -353,6 +349,10 @@ mod tests {
         assert!(admitted(&mut default, false, &signed(0)).is_empty());
         let counters = default.counters();
         assert_eq!((counters.unsigned, counters.wrong_signature), (1, 1));
+        let mut with_key = gate(Some(signing()), AllowUnsigned::default());
+        admitted(&mut with_key, true, &heartbeat(0));
+        let counters = with_key.counters();
+        assert_eq!((counters.unsigned_allowed, counters.refused()), (1, 0));
     }
 
     #[test]

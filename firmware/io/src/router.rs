@@ -10,7 +10,7 @@
 //!   the flight stack and its log could see it.
 
 use crate::Link;
-use crate::gate::SigningGate;
+use crate::gate::{AllowUnsigned, SigningGate};
 use crate::link_spec::{Budget, LinkSpec};
 use crate::links::{
     LinkAdmission, LinkError, LinkStatistics, MAX_GROUND_LINKS, PeerRule, Wire, open_wire, somebody_is_heard,
@@ -53,7 +53,7 @@ pub struct RoutingCounters {
 
 struct Port {
     wire: Box<dyn Wire>,
-    spec: LinkSpec,
+    allow_unsigned: AllowUnsigned,
     budget: Option<Budget>,
     /// How often values are sent here.
     values: ValueRate,
@@ -69,8 +69,8 @@ struct Port {
 
 impl Port {
     fn open(spec: &LinkSpec, is_vehicle: bool, gate: &SigningGate) -> Result<Self, LinkError> {
-        let policy = spec.allow_unsigned.unwrap_or(gate.allow_unsigned());
-        somebody_is_heard(&spec.url, gate.has_key(), policy)?;
+        let allow_unsigned = spec.allow_unsigned.unwrap_or(gate.allow_unsigned());
+        somebody_is_heard(&spec.url, gate.has_key(), allow_unsigned)?;
         let rule = match is_vehicle {
             true => PeerRule::Vehicle { system: spec.system },
             false => PeerRule::Anyone,
@@ -79,12 +79,9 @@ impl Port {
         values.spares_obstacles = is_vehicle && spec.values_hz.is_none();
         Ok(Self {
             wire: open_wire(&spec.url, rule)?,
+            allow_unsigned,
             budget: Budget::of(spec, BURST_BYTES),
             values,
-            spec: LinkSpec {
-                allow_unsigned: Some(policy),
-                ..spec.clone()
-            },
             sequence: 0,
             own: Datagrams::default(),
             onward: Datagrams::default(),
@@ -282,14 +279,6 @@ impl RoutedLinks {
         self.switch.counters
     }
 
-    /// Does what a SETUP_SIGNING asks that passed the gate, and returns what came of it.
-    fn set_up(&mut self, key: [u8; 32], timestamp: Timestamp) -> &'static str {
-        match self.gate.set_key(SigningKey(key), timestamp) {
-            true => "signing key accepted",
-            false => "signing key refused: all zeros",
-        }
-    }
-
     fn say_text(&mut self, text: &str) {
         let severity = MavSeverity::MAV_SEVERITY_NOTICE;
         let message = message!(STATUSTEXT, severity, text = text.into());
@@ -318,7 +307,7 @@ impl Link for RoutedLinks {
             port.given = 0;
             inbox.clear();
             let mut admission = LinkAdmission {
-                allow_unsigned: port.spec.allow_unsigned.unwrap_or_default(),
+                allow_unsigned: port.allow_unsigned,
                 gate,
                 link,
             };
@@ -330,7 +319,10 @@ impl Link for RoutedLinks {
         route_in_turn(switch, inboxes, received);
         self.text = self.gate.refused_key(now_ns).or(self.text);
         if let Some((key, timestamp)) = self.switch.setup.take() {
-            self.text = Some(self.set_up(key, timestamp));
+            self.text = Some(match self.gate.set_key(SigningKey(key), timestamp) {
+                true => "signing key accepted",
+                false => "signing key refused: all zeros",
+            });
         }
     }
 

@@ -14,14 +14,9 @@ pub enum StateError {
     /// The file cannot be read.
     #[error("cannot read {0}")]
     Read(#[from] FileError),
-    /// The file's content is not accepted; it is left as it is.
-    #[error("{path}: mend or delete it: {message}")]
-    Content {
-        /// The file.
-        path: PathBuf,
-        /// The parser's report: line and field.
-        message: String,
-    },
+    /// The file's content is not accepted, by the parser's report of line and field; it is left as it is.
+    #[error("{0}: mend or delete it: {1}")]
+    Content(PathBuf, String),
 }
 
 /// `NAME.toml` in a folder, written when something changed.
@@ -64,10 +59,7 @@ impl<T: Section + Clone> StateFile<T> {
 
     /// The error that names the file.
     pub fn refused(&self, message: &str) -> StateError {
-        StateError::Content {
-            path: self.path.clone(),
-            message: message.to_owned(),
-        }
+        StateError::Content(self.path.clone(), message.to_owned())
     }
 
     /// The error that names the file and the line on which `key` is set; without the line where there is none.

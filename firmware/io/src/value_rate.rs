@@ -1,7 +1,7 @@
 //! How often a link gets the guidance computer's values: each named value, and what the pilot sees. Four times a second
 //! they are too many for a radio.
 
-use vigil_mavlink::common::{NAMED_VALUE_FLOAT_DATA, OBSTACLE_DISTANCE_DATA};
+use vigil_mavlink::common::{MavMessage, NAMED_VALUE_FLOAT_DATA, OBSTACLE_DISTANCE_DATA};
 use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::{Nanos, STEP_NS};
@@ -17,7 +17,7 @@ const CHANGE_NS: Nanos = 250_000_000;
 #[derive(Debug, Clone, Copy)]
 struct Sent {
     name: [u8; 10],
-    value: [u8; 4],
+    value: u32,
     at_ns: Nanos,
 }
 
@@ -81,26 +81,21 @@ impl ValueRate {
 }
 
 /// A value's name and bits. What the pilot sees is one value, of no name.
-fn value_of(packet: &Packet<'_>) -> Option<([u8; 10], [u8; 4])> {
-    if packet.message_id() == OBSTACLE_DISTANCE_DATA::ID {
-        return Some(([0; 10], [0; 4]));
+fn value_of(packet: &Packet<'_>) -> Option<([u8; 10], u32)> {
+    match packet.message_id() {
+        OBSTACLE_DISTANCE_DATA::ID => Some(([0; 10], 0)),
+        NAMED_VALUE_FLOAT_DATA::ID => match packet.message() {
+            Ok(MavMessage::NAMED_VALUE_FLOAT(m)) => Some((*m.name, m.value.to_bits())),
+            _ => None,
+        },
+        _ => None,
     }
-    if packet.message_id() != NAMED_VALUE_FLOAT_DATA::ID {
-        return None;
-    }
-    // Time, value and name; zeros at the end are not sent.
-    let mut payload = [0; 18];
-    for (to, from) in payload.iter_mut().zip(packet.payload()) {
-        *to = *from;
-    }
-    let [_, _, _, _, v0, v1, v2, v3, name @ ..] = payload;
-    Some((name, [v0, v1, v2, v3]))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
+    use vigil_mavlink::common::HEARTBEAT_DATA;
     use vigil_mavlink::framing::{FramingCounters, encode, packets};
     use vigil_mavlink::message;
 

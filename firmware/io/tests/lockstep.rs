@@ -70,10 +70,9 @@ fn each_step_is_answered_with_its_own_data_until_the_simulator_says_that_it_is_o
 #[test]
 fn a_time_out_names_who_is_missing() {
     let (instance, domain) = Instance::joined(1);
-    let nobody = LockstepClient::connect(&domain, Duration::from_millis(60), || false)
-        .err()
-        .unwrap();
-    assert!(matches!(nobody, LockstepError::NoFirmware { .. }), "{nobody}");
+    let nobody = LockstepClient::connect(&domain, Duration::from_millis(60), || false);
+    let nobody = nobody.err().unwrap().to_string();
+    assert!(nobody.starts_with("no firmware came"), "{nobody}");
 
     // A firmware that answers one step and then falls silent without going.
     let (quit, until_quit) = std::sync::mpsc::channel::<()>();
@@ -116,17 +115,11 @@ fn a_time_out_names_who_is_missing() {
 fn each_role_exists_once() {
     let (instance, domain) = Instance::joined(2);
     let _server = LockstepServer::create(&domain).unwrap();
-    let second = LockstepServer::create(&domain).err().unwrap();
-    assert!(
-        matches!(second, LockstepError::RoleTaken { role: "firmware", .. }),
-        "{second}"
-    );
+    let second = LockstepServer::create(&domain).err().unwrap().to_string();
+    assert!(second.starts_with("another firmware already runs lockstep"), "{second}");
     let _client = LockstepClient::connect(&domain, PATIENCE, || false).unwrap();
     let second = LockstepClient::connect(&domain, PATIENCE, || false).err().unwrap();
-    assert!(
-        matches!(second, LockstepError::RoleTaken { role: "simulator", .. }),
-        "{second}"
-    );
+    assert!(second.to_string().starts_with("another simulator already"), "{second}");
     // In real time too, until the first has ended.
     let flying = Domain::open_alone(instance.0, "firmware").unwrap();
     let second = Domain::open_alone(instance.0, "firmware").unwrap_err().to_string();

@@ -5,7 +5,7 @@ mod common;
 
 use common::Instance;
 use iceoryx2::prelude::*;
-use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameError, FrameSubscriber, LockstepError, LockstepServer};
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameSubscriber, LockstepServer};
 
 /// That program, in the domain's place.
 fn other_version(domain: &Domain) -> Node<ipc::Service> {
@@ -23,8 +23,8 @@ fn frames_of_another_type_are_refused_by_name() {
     let node = other_version(&domain);
     let topic = node.service_builder(&DEPTH_TOPIC.try_into().unwrap());
     let _service = topic.publish_subscribe::<u64>().create().unwrap();
-    let refused = FrameSubscriber::create(&domain, DEPTH_TOPIC).err().unwrap();
-    assert!(matches!(&refused, FrameError::WrongType { .. }), "{refused}");
+    let refused = FrameSubscriber::create(&domain, DEPTH_TOPIC).err().unwrap().to_string();
+    assert!(refused.contains("carries another type of data"), "{refused}");
 }
 
 #[test]
@@ -46,6 +46,6 @@ fn a_lockstep_of_another_type_is_refused_by_name() {
     let node = other_version(&domain);
     let exchange = node.service_builder(&"lockstep".try_into().unwrap());
     let _service = exchange.request_response::<u64, u64>().create().unwrap();
-    let refused = LockstepServer::create(&domain).err().unwrap();
-    assert!(matches!(&refused, LockstepError::WrongType { .. }), "{refused}");
+    let refused = LockstepServer::create(&domain).err().unwrap().to_string();
+    assert!(refused.contains("carries another type of data"), "{refused}");
 }

@@ -30,7 +30,7 @@ pub(crate) fn to_wire(record: &TickRecord) -> Tick {
         frame: record.frame().map(|f| f.header.message()),
         received: datagrams_to_proto(&record.received),
         sent: datagrams_to_proto(&record.sent),
-        report: Some(report_to_proto(&record.report)),
+        report: record.report.to(),
         dropped_before: record.dropped_before,
     }
 }
@@ -41,7 +41,7 @@ pub(crate) fn from_wire(tick: &Tick, record: &mut TickRecord) -> Result<bool, Re
     record.now_ns = tick.now_ns;
     record.timing = Part::from(&tick.timing, "timing")?;
     record.dropped_before = tick.dropped_before;
-    record.report = report_from_proto(need(tick.report.as_ref(), "report")?)?;
+    record.report = Part::from(&tick.report, "report")?;
     datagrams_from_proto(&tick.received, &mut record.received, "received")?;
     datagrams_from_proto(&tick.sent, &mut record.sent, "sent")?;
     let header = tick.frame.as_ref().map(FrameHeader::of).transpose()?;
@@ -128,17 +128,30 @@ impl Part<Option<f32>> for f32 {
     }
 
     fn from(on_disk: &Option<f32>, field: &'static str) -> Result<Self, RecordDefect> {
-        need(*on_disk, field)
+        // Logs of actors that were given the goal alone do not have what they observed of themselves.
+        let absent = (field == "report.judgement.told").then_some(0.0);
+        need(on_disk.or(absent), field)
     }
 }
 
-impl Part<Option<proto::Timing>> for StepTiming {
-    fn to(self) -> Option<proto::Timing> {
+impl<T: Record> Part<Option<T::Message>> for T {
+    fn to(self) -> Option<T::Message> {
         Some(self.message())
     }
 
-    fn from(on_disk: &Option<proto::Timing>, field: &'static str) -> Result<Self, RecordDefect> {
+    fn from(on_disk: &Option<T::Message>, field: &'static str) -> Result<Self, RecordDefect> {
         Self::of(need(on_disk.as_ref(), field)?)
+    }
+}
+
+impl Part<Option<proto::Xyz>> for Option<Goal> {
+    fn to(self) -> Option<proto::Xyz> {
+        self.and_then(|goal| goal.position_ned_m.to())
+    }
+
+    fn from(on_disk: &Option<proto::Xyz>, field: &'static str) -> Result<Self, RecordDefect> {
+        let position = on_disk.map(|_| Part::from(on_disk, field)).transpose()?;
+        Ok(position.map(|position_ned_m| Goal { position_ned_m }))
     }
 }
 
@@ -211,17 +224,23 @@ impl<const N: usize> Part<Vec<f32>> for [f32; N] {
 /// Structs with the messages that hold their fields, under the same names or others (`as`), and where these messages lie. Each is
 /// taken apart by name, so that a field added to the loop's data fails to compile here until the log records it.
 macro_rules! records {
-    ($type:ident = $message:ident in $at:literal { $($field:ident as $on_disk:ident),+ }) => {
+    ($type:ident = $message:ident in $at:literal {
+        $($field:ident as $on_disk:ident),+ $(; $bits:ident as [$first:ident, $second:ident])?
+    }) => {
         impl Record for $type {
             type Message = proto::$message;
 
             fn message(self) -> proto::$message {
-                let Self { $($field),+ } = self;
-                proto::$message { $($on_disk: $field.to()),+ }
+                let Self { $($field,)+ $($bits)? } = self;
+                $(let [$first, $second] = $bits.words();)?
+                proto::$message { $($on_disk: $field.to(),)+ $($first, $second)? }
             }
 
             fn of(message: &proto::$message) -> Result<Self, RecordDefect> {
-                Ok(Self { $($field: Part::from(&message.$on_disk, concat!($at, stringify!($on_disk)))?),+ })
+                Ok(Self {
+                    $($field: Part::from(&message.$on_disk, concat!($at, stringify!($on_disk)))?,)+
+                    $($bits: Reasons::from_words([message.$first, message.$second]))?
+                })
             }
         }
     };
@@ -245,6 +264,15 @@ records! {
     AttitudeSample = AttitudeSample in "report.telemetry.attitude." { at_ns, attitude, rates_frd_rad_s }
 }
 records! {
+    StepReport = Report in "report." {
+        now_ns as now_ns, timing as timing, state as state, telemetry as telemetry,
+        goal as goal_position_ned_m, goal_relative as goal_relative, action as action, setpoint as setpoint,
+        frame_sequence as frame_sequence, frame_age_ns as frame_age_ns, frames_refused as frames_refused,
+        judgement as judgement, alarm as alarm;
+        reasons as [reasons, further_reasons]
+    }
+}
+records! {
     VelocitySetpoint = Setpoint in "report.setpoint." {
         velocity_m_s as velocity_heading_m_s, yaw_rate_rad_s as yaw_rate_rad_s
     }
@@ -266,67 +294,4 @@ fn datagrams_from_proto(from: &[proto::Datagram], to: &mut Datagrams, field: &'s
         }
     }
     Ok(())
-}
-
-fn report_to_proto(report: &StepReport) -> proto::Report {
-    let StepReport {
-        now_ns,
-        timing,
-        state,
-        reasons,
-        telemetry,
-        goal,
-        goal_relative,
-        action,
-        judgement,
-        alarm,
-        setpoint,
-        frame_sequence,
-        frame_age_ns,
-        frames_refused,
-    } = *report;
-    let [first_reasons, further_reasons] = reasons.words();
-    proto::Report {
-        now_ns,
-        timing: timing.to(),
-        state: state.to(),
-        reasons: first_reasons,
-        further_reasons,
-        telemetry: Some(telemetry.message()),
-        goal_position_ned_m: goal.and_then(|Goal { position_ned_m }| position_ned_m.to()),
-        goal_relative: goal_relative.to(),
-        action: action.to(),
-        setpoint: setpoint.to(),
-        frame_sequence,
-        frame_age_ns,
-        frames_refused,
-        judgement: judgement.to(),
-        alarm: alarm.to(),
-    }
-}
-
-fn report_from_proto(report: &proto::Report) -> Result<StepReport, RecordDefect> {
-    let goal = &report.goal_position_ned_m;
-    let goal = goal.map(|_| Part::from(goal, "report.goal_position_ned_m"));
-    // Logs of actors that were given the goal alone do not have what they observed of themselves.
-    let judgement = report.judgement.clone().map(|judgement| proto::Judgement {
-        told: judgement.told.or(Some(0.0)),
-        ..judgement
-    });
-    Ok(StepReport {
-        now_ns: report.now_ns,
-        timing: Part::from(&report.timing, "report.timing")?,
-        state: Part::from(&report.state, "report.state")?,
-        reasons: Reasons::from_words([report.reasons, report.further_reasons]),
-        telemetry: VehicleTelemetry::of(need(report.telemetry.as_ref(), "report.telemetry")?)?,
-        goal: goal.transpose()?.map(|position_ned_m| Goal { position_ned_m }),
-        goal_relative: Part::from(&report.goal_relative, "report.goal_relative")?,
-        action: Part::from(&report.action, "report.action")?,
-        setpoint: Part::from(&report.setpoint, "report.setpoint")?,
-        frame_sequence: report.frame_sequence,
-        frame_age_ns: report.frame_age_ns,
-        frames_refused: report.frames_refused,
-        judgement: Part::from(&judgement, "report.judgement")?,
-        alarm: Part::from(&report.alarm, "report.alarm")?,
-    })
 }

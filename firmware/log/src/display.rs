@@ -10,8 +10,8 @@ use crate::proto::foxglove::{FrameTransform, Log, Pose, PoseInFrame, PosesInFram
 use crate::proto::google::protobuf::Timestamp;
 use std::f64::consts::FRAC_1_SQRT_2;
 use vigil_types::{
-    Alarm, Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, GuidanceState, NedVector,
-    Reasons, VehicleMode,
+    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, GuidanceState, NedVector, Reasons,
+    StepReport, VehicleMode,
 };
 
 /// x east, y north, z up, origin at home.
@@ -285,34 +285,18 @@ fn reason_names(reasons: Reasons) -> String {
 /// Turns changes between records into lines for a viewer's log panel.
 #[derive(Debug, Default)]
 pub(crate) struct Narrator {
-    last: Option<Shown>,
-}
-
-/// What the last line was about.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Shown {
-    state: GuidanceState,
-    reasons: Reasons,
-    armed: bool,
-    mode: VehicleMode,
-    dropped: u64,
-    alarm: Option<Alarm>,
+    /// The last report, and how many records had been dropped.
+    last: Option<(StepReport, u64)>,
 }
 
 impl Narrator {
     /// Hands every line that this record calls for to `tell`, with its level.
     pub(crate) fn lines(&mut self, record: &TickRecord, mut tell: impl FnMut(Level, String)) {
-        let report = &record.report;
-        let heartbeat = report.telemetry.heartbeat;
-        let now = Shown {
-            state: report.state,
-            reasons: report.reasons,
-            armed: heartbeat.is_some_and(|h| h.armed),
-            mode: heartbeat.map_or(VehicleMode::Unknown, |h| h.mode),
-            dropped: record.dropped_before,
-            alarm: report.alarm,
-        };
-        let before = self.last.replace(now);
+        let now = record.report;
+        let last = self.last.replace((now, record.dropped_before));
+        let (before, dropped_then) = last.unzip();
+        let armed = |report: &StepReport| report.telemetry.heartbeat.is_some_and(|h| h.armed);
+        let mode = |report: &StepReport| report.telemetry.heartbeat.map_or(VehicleMode::Unknown, |h| h.mode);
         if before.is_none_or(|b| (b.state, b.reasons) != (now.state, now.reasons)) {
             let level = match now.state {
                 GuidanceState::Hold if !now.reasons.contains(vigil_types::Reason::GoalReached) => Level::Warning,
@@ -336,14 +320,14 @@ impl Narrator {
             (Some(_), None) => tell(Level::Info, "alarm: clear".to_owned()),
             _ => {}
         }
-        if before.is_some_and(|b| b.armed != now.armed) {
-            let word = if now.armed { "armed" } else { "disarmed" };
+        if before.is_some_and(|b| armed(&b) != armed(&now)) {
+            let word = if armed(&now) { "armed" } else { "disarmed" };
             tell(Level::Info, format!("vehicle: {word}"));
         }
-        if before.is_some_and(|b| b.mode != now.mode) {
-            tell(Level::Info, format!("vehicle: mode {}", now.mode.name()));
+        if before.is_some_and(|b| mode(&b) != mode(&now)) {
+            tell(Level::Info, format!("vehicle: mode {}", mode(&now).name()));
         }
-        let lost = now.dropped.saturating_sub(before.map_or(0, |b| b.dropped));
+        let lost = record.dropped_before.saturating_sub(dropped_then.unwrap_or(0));
         if lost > 0 {
             tell(
                 Level::Error,
@@ -366,7 +350,7 @@ pub(crate) fn log_line(level: Level, message: String, at_ns: u64) -> Log {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_types::{AlarmCause, AlarmResponse, AttitudeSample, FrdVector, Heartbeat, Kinematics, Reason};
+    use vigil_types::{Alarm, AlarmCause, AlarmResponse, AttitudeSample, FrdVector, Heartbeat, Kinematics, Reason};
 
     #[test]
     fn the_body_axes_of_the_map_are_those_of_the_loop() {

@@ -126,6 +126,9 @@ pub enum Damage {
     /// A tick's message decodes but is no step.
     #[error("a message of /vigil/tick is no step: {0}")]
     Record(RecordDefect),
+    /// A step's time is one to which a replay cannot add.
+    #[error("step {0} has the time {1} ns, later than any loop runs")]
+    Late(u64, Nanos),
     /// A step speaks of a frame and the depth channel has none for it, or the reverse.
     #[error("step {0} and the depth channel disagree on whether it had a frame")]
     FrameMissing(u64),
@@ -136,6 +139,9 @@ pub enum Damage {
     #[error("the log ends with a count of {0} records")]
     Count(u64),
 }
+
+/// A record of a later time is none of a flight: a step that is replayed adds to its time.
+const LATEST_NS: Nanos = Nanos::MAX / 2;
 
 /// How a log ends, known once all its records were read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -189,6 +195,9 @@ pub(crate) fn read_step(
     let tick = proto::Tick::decode(tick).map_err(broken(topic::TICK))?;
     let has_frame = convert::from_wire(&tick, record).map_err(Damage::Record)?;
     let step = record.timing.step;
+    if record.now_ns > LATEST_NS {
+        return Err(Damage::Late(step, record.now_ns));
+    }
     match (has_frame, image) {
         (false, None) => Ok(tick),
         (true, Some((number, image))) if number == step as u32 => {

@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use vigil_types::LogContent;
@@ -110,28 +110,11 @@ pub enum StartError {
     Thread(io::Error),
 }
 
-/// How recording goes, at any time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct RecorderStatus {
-    /// Records that were handed to the file.
-    pub written: u64,
-    /// Records that are in the file for certain: what a killed process leaves.
-    pub flushed: u64,
-    /// Records dropped because no slot was free.
-    pub dropped: u64,
-    /// Records lost because the file could not be written any more.
-    pub lost: u64,
-    /// The file could not be written any more; the flight goes on without a log.
-    pub failed: bool,
-}
-
 /// How recording ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Summary {
     /// The log.
     pub path: PathBuf,
-    /// The tlog beside it.
-    pub tlog_path: PathBuf,
     /// Size of the log.
     pub bytes: u64,
     /// Records in the log.
@@ -148,7 +131,6 @@ struct Shared {
     written: AtomicU64,
     flushed: AtomicU64,
     lost: AtomicU64,
-    failed: AtomicBool,
 }
 
 /// The loop's handle. Start it before the loop's thread raises its priority: the recorder thread inherits the
@@ -272,15 +254,14 @@ impl Recorder {
         }
     }
 
-    /// How recording goes.
-    pub fn status(&self) -> RecorderStatus {
-        RecorderStatus {
-            written: self.shared.written.load(Ordering::Relaxed),
-            flushed: self.shared.flushed.load(Ordering::Relaxed),
-            dropped: self.shared.dropped.load(Ordering::Relaxed),
-            lost: self.shared.lost.load(Ordering::Relaxed),
-            failed: self.shared.failed.load(Ordering::Relaxed),
-        }
+    /// Records that are in the file for certain: what a killed process leaves.
+    pub fn flushed(&self) -> u64 {
+        self.shared.flushed.load(Ordering::Relaxed)
+    }
+
+    /// Records dropped because no slot was free.
+    pub fn dropped(&self) -> u64 {
+        self.shared.dropped.load(Ordering::Relaxed)
     }
 
     /// The log's path.
@@ -291,13 +272,11 @@ impl Recorder {
     /// Writes what is still queued, closes the files and says what came of it. Waits for the disk.
     pub fn finish(mut self) -> Summary {
         let failure = self.close();
-        let status = self.status();
         Summary {
             path: self.path.clone(),
-            tlog_path: self.path.with_extension("tlog"),
             bytes: std::fs::metadata(&self.path).map_or(0, |m| m.len()),
-            records: status.written,
-            dropped: status.dropped + status.lost,
+            records: self.shared.written.load(Ordering::Relaxed),
+            dropped: self.dropped() + self.shared.lost.load(Ordering::Relaxed),
             failure,
         }
     }
@@ -466,7 +445,6 @@ impl<W: Write + Seek, T: Write> Scribe<W, T> {
     }
 
     fn report(&mut self, message: String) {
-        self.shared.failed.store(true, Ordering::Relaxed);
         tracing::error!("{message}");
         self.failure = Some(match self.failure.take() {
             Some(before) => format!("{before}; {message}"),

@@ -161,11 +161,13 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
 
 fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Copy, McapError> {
     let keep = to.try_clone()?;
+    let of = |topic: &str| description.channels.values().find(|channel| channel.topic == topic);
+    let number = |topic| of(topic).map(|channel| channel.id);
     let mut copy = Copy {
         writer: log_file::write_options().create(BufWriter::new(to))?,
-        known: BTreeSet::new(),
-        depth: None,
-        tick: None,
+        known: description.channels.keys().copied().collect(),
+        depth: number(topic::DEPTH),
+        tick: number(topic::TICK),
         group: Vec::new(),
         scratch: Box::default(),
         records: 0,
@@ -189,13 +191,7 @@ fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Cop
         copy.writer
             .add_schema_with_id(header.id, &header.name, &header.encoding, data)?;
     }
-    copy.known.extend(description.channels.keys());
     for channel in description.channels.values() {
-        match channel.topic.as_str() {
-            topic::DEPTH => copy.depth = Some(channel.id),
-            topic::TICK => copy.tick = Some(channel.id),
-            _ => {}
-        }
         // None where it is lost.
         let schema = Some(channel.schema_id).filter(|id| description.schemas.contains_key(id));
         copy.writer.add_channel_with_id(
@@ -266,11 +262,11 @@ impl Copy {
     /// Writes the record that was being put together, if it is whole.
     fn end_group(&mut self) -> Result<(), McapError> {
         let group = std::mem::take(&mut self.group);
+        let of_record = [self.tick, self.depth];
         let Some(mut tick) = self.whole(&group) else {
             // Of no record is what the simulation or a replay added.
-            let of_record =
-                |(header, _): &(MessageHeader, Vec<u8>)| [self.tick, self.depth].contains(&Some(header.channel_id));
-            if !group.iter().any(of_record) {
+            let mut channels = group.iter().map(|(header, _)| Some(header.channel_id));
+            if !channels.any(|channel| of_record.contains(&channel)) {
                 for (header, data) in group {
                     self.writer.write_to_known_channel(&header, &data)?;
                 }
@@ -302,8 +298,14 @@ impl Copy {
         }
         self.last = Some((step, now_ns, dropped));
         self.records += 1;
+        // Who joins files that overlap writes a step twice.
+        let mut written = BTreeSet::new();
         for (header, data) in group {
-            if Some(header.channel_id) == self.tick && self.lost > 0 {
+            let channel = Some(header.channel_id);
+            if of_record.contains(&channel) && !written.insert(channel) {
+                continue;
+            }
+            if channel == self.tick && self.lost > 0 {
                 tick.dropped_before = tick.dropped_before.saturating_add(self.lost);
                 self.writer.write_to_known_channel(&header, &tick.encode_to_vec())?;
             } else {

@@ -9,7 +9,7 @@ use crate::FlightInfo;
 use crate::container::{Container, LENGTH_LIMIT, Next, linear_reader, parse};
 use crate::log_file::META;
 use mcap::McapError;
-use mcap::records::{Channel, ChunkHeader, Metadata, Record, SchemaHeader, op};
+use mcap::records::{Channel, Metadata, Record, SchemaHeader, op};
 use mcap::sans_io::linear_reader::LinearReaderOptions;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -237,23 +237,16 @@ fn read(file: &File, at: u64, length: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// What stands before a chunk's records, and how many bytes that is.
-fn chunk_head(bytes: &[u8]) -> Option<(ChunkHeader, usize)> {
+/// Whether what stands before a chunk's records, at the beginning of `bytes`, is that of a chunk of this length; `None` where it is cut.
+fn is_chunk(bytes: &[u8], length: u64) -> Option<bool> {
     let number = |at: usize| Some(u64::from_le_bytes(*bytes.get(at..)?.first_chunk()?));
     let name_len = u32::from_le_bytes(*bytes.get(NAME_AT..)?.first_chunk()?) as usize;
-    let name = bytes.get(NAME_AT + 4..)?.get(..name_len.min(LONGEST_NAME + 1))?;
+    let name = bytes.get(NAME_AT + 4..)?.get(..name_len)?;
+    // One more letter in the name is damage; another name altogether is no chunk's.
+    let is_named = name_len <= LONGEST_NAME && name.iter().all(u8::is_ascii_graphic);
     let end = NAME_AT + 4 + name_len;
-    let header = ChunkHeader {
-        message_start_time: number(0)?,
-        message_end_time: number(8)?,
-        uncompressed_size: number(16).filter(|size| *size <= LENGTH_LIMIT)?,
-        uncompressed_crc: u32::from_le_bytes(*bytes.get(24..)?.first_chunk()?),
-        compression: String::from_utf8(name.to_vec())
-            .ok()
-            .filter(|_| name_len <= LONGEST_NAME)?,
-        compressed_size: number(end)?,
-    };
-    Some((header, end + 8))
+    let is_whole = number(end)?.checked_add(end as u64 + 8) == Some(length);
+    Some(is_named && is_whole && number(16)? <= LENGTH_LIMIT)
 }
 
 /// The records of a chunk, of which `bytes` is the content; none if anything in it is damaged.
@@ -317,12 +310,7 @@ fn is_piece(file: &File, at: u64, size: u64) -> io::Result<bool> {
     match head(file, at, size)? {
         Some((op::CHUNK, length)) => {
             let most = (NAME_AT + 4 + LONGEST_NAME + 8) as u64;
-            let found = chunk_head(&read(file, at + HEAD, length.min(most))?);
-            Ok(found.is_some_and(|(header, begin)| {
-                // One more letter in the name is damage; another name altogether is no chunk's.
-                let named = header.compression.chars().all(|c| c.is_ascii_graphic());
-                named && header.compressed_size.checked_add(begin as u64) == Some(length)
-            }))
+            Ok(is_chunk(&read(file, at + HEAD, length.min(most))?, length) == Some(true))
         }
         Some((op::MESSAGE, length)) if length >= MESSAGE_HEAD => {
             let mut next = at + HEAD + length;

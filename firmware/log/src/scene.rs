@@ -220,16 +220,14 @@ impl SceneSolid {
                 (centre_ned_m, 0.0, sizes)
             }
         };
-        let mut anywhere = centre_ned_m
-            .map(|v| ("centre_ned_m", v))
+        let centre = centre_ned_m.map(|v| ("centre_ned_m", v));
+        let anywhere = centre.into_iter().chain([("yaw_rad", yaw_rad)]);
+        let endless = anywhere.map(|(field, v)| (field, v, v.is_finite(), "finite"));
+        let shapeless = sizes
             .into_iter()
-            .chain([("yaw_rad", yaw_rad)]);
-        let endless = anywhere.find(|(_, v)| !v.is_finite());
-        let shapeless = || sizes.into_iter().find(|(_, v)| !(v.is_finite() && *v > 0.0));
-        let text = |expected| move |(field, value)| format!("{field} = {value}; give a {expected} number");
-        endless
-            .map(text("finite"))
-            .or_else(|| shapeless().map(text("positive")))
+            .map(|(field, v)| (field, v, v.is_finite() && v > 0.0, "positive"));
+        let (field, value, _, expected) = endless.chain(shapeless).find(|(_, _, fits, _)| !fits)?;
+        Some(format!("{field} = {value}; give a {expected} number"))
     }
 
     /// Points on the solid's faces (the bottom left out), NED metres: some viewers show point clouds and no solids.

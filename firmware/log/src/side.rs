@@ -287,7 +287,6 @@ struct Source<'a> {
     without: Topics,
     /// Its metadata of the flight as a whole goes on.
     keeps_story: bool,
-    over: bool,
 }
 
 impl<'a> Source<'a> {
@@ -302,7 +301,6 @@ impl<'a> Source<'a> {
             end: None,
             without,
             keeps_story: false,
-            over: false,
         })
     }
 
@@ -319,14 +317,7 @@ impl<'a> Source<'a> {
         if let Some((header, data)) = self.next.take() {
             writer.write_to_known_channel(&header, &data)?;
         }
-        while !self.over {
-            let record = match self.container.next(|_, _| true)? {
-                Next::Record(record) => record,
-                Next::End | Next::Cut => {
-                    self.over = true;
-                    break;
-                }
-            };
+        while let Next::Record(record) = self.container.next(|_, _| true)? {
             match record {
                 Record::Schema { header, data } => {
                     let id = writer.add_schema(&header.name, &header.encoding, &data)?;
@@ -362,7 +353,7 @@ impl<'a> Source<'a> {
                     }
                 }
                 // The end of the messages: what follows repeats them as an index.
-                Record::DataEnd(_) => self.over = true,
+                Record::DataEnd(_) => break,
                 _ => {}
             }
         }

@@ -13,11 +13,15 @@ const STEPS: u64 = 6;
 
 /// A small closed log. Steps lie 0.4 s apart, so that it has several chunks.
 fn small_log() -> Vec<u8> {
+    log_of(small)
+}
+
+fn log_of(fill: impl Fn(u64, &mut TickRecord)) -> Vec<u8> {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("good.mcap");
     let mut recorder = Recorder::start(lockstep(LogPlace::File(path.clone()))).unwrap();
     for step in 0..STEPS {
-        assert!(recorder.record(|slot| small(step, slot)));
+        assert!(recorder.record(|slot| fill(step, slot)));
     }
     assert_eq!(recorder.finish().failure, None);
     std::fs::read(path).unwrap()
@@ -292,7 +296,7 @@ fn broken(good: &[u8]) -> Vec<(String, usize, Vec<u8>)> {
     for (form, options) in forms(8_000).into_iter().take(3) {
         let log = rewritten(good, form, options, false);
         let chunks = pieces(&log, &[CHUNK]);
-        for (number, (begin, length)) in chunks.iter().enumerate().skip(1).take(2) {
+        for (number, (begin, length)) in chunks.iter().enumerate().skip(1) {
             let name_len = usize::from(log[begin + 9 + 28]);
             for (what, at, flip) in [
                 ("a bit in the middle of the content", begin + length / 2, 0x10),
@@ -305,6 +309,10 @@ fn broken(good: &[u8]) -> Vec<(String, usize, Vec<u8>)> {
                 ("the length", begin + 1, 0x40),
                 ("the opcode", *begin, 0x42),
             ] {
+                // A reader passes over a piece of a kind that it does not know: without the frame's chunks only the count is wrong.
+                if what == "the opcode" && number > 2 {
+                    continue;
+                }
                 let mut bad = log.clone();
                 bad[at] ^= flip;
                 all.push((format!("{form}: {what} of chunk {number}"), *begin, bad));
@@ -320,10 +328,23 @@ fn damage_is_reported_by_record_place_and_remedy_and_never_as_a_librarys_bare_er
     let good = small_log();
     let (mut noticed, mut silent) = (0, Vec::new());
     for (name, begin, bytes) in broken(&good) {
-        let (path, copy) = (dir.path().join("bad.mcap"), dir.path().join("copy.mcap"));
+        let path = dir.path().join("bad.mcap");
         std::fs::write(&path, &bytes).unwrap();
-        let _ = std::fs::remove_file(&copy);
-        let recovery = recover(&path, &copy).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let (steps, recovery) = recovered(&bytes);
+        let (lost, text) = (STEPS - steps.len() as u64, recovery.to_string());
+        assert!(
+            !name.contains("content") || (1..STEPS).contains(&lost),
+            "{name}: {steps:?}"
+        );
+        match recovery.end {
+            LogEnd::Closed { .. } => {
+                assert_eq!(recovery.lost, lost, "{name}");
+                let said = text.contains("lost to damage") && text.contains("records,");
+                assert_eq!(said, lost > 0, "{name}: {text}");
+            }
+            // Behind the last chunk nothing says where the count of records begins.
+            end => assert!(text.contains("not closed"), "{name}: {end:?}, {text}"),
+        }
         match read_all(&path) {
             Err(error) => {
                 let error = error.to_string();
@@ -364,6 +385,7 @@ fn damage_is_reported_by_record_place_and_remedy_and_never_as_a_librarys_bare_er
 }
 
 /// Opcodes.
+const MESSAGE: u8 = 5;
 const CHUNK: u8 = 6;
 const MESSAGE_INDEX: u8 = 7;
 const METADATA: u8 = 12;
@@ -451,32 +473,29 @@ fn what_is_whole_around_damage_is_recovered_and_what_is_lost_is_reported() {
         error.contains("says which version of Vigil wrote it") && !error.contains("vigil recover"),
         "{error}"
     );
-    // The first chunk holds what is recorded before the first step.
-    for (begin, length) in chunks.into_iter().skip(1) {
-        // A bit of the content, and a bit of the length, which takes away where the next piece begins.
-        for at in [begin + length / 2, begin + 1] {
-            let mut bad = good.clone();
-            bad[at] ^= 0x10;
-            let (steps, recovery) = recovered(&bad);
-            let missing: Vec<u64> = all.iter().copied().filter(|step| !steps.contains(step)).collect();
-            let content = at != begin + 1;
-            // Beside a wrong length the checksum may still hold: then nothing is lost.
-            assert!(
-                (!missing.is_empty() || !content) && missing.len() < all.len(),
-                "{begin} {at}: {steps:?}"
-            );
-            let text = recovery.to_string();
-            match recovery.end {
-                LogEnd::Closed { .. } => {
-                    assert_eq!(recovery.lost, missing.len() as u64, "{begin} {at}");
-                    let lost = text.contains("lost to damage") && text.contains("records,");
-                    assert_eq!(lost, !missing.is_empty(), "{text}");
-                }
-                // Behind the last chunk nothing says where the count of records begins.
-                end => assert!(!content && text.contains("not closed"), "{begin} {at}: {end:?}, {text}"),
-            }
-        }
+}
+
+#[test]
+fn a_step_that_is_there_twice_is_recovered_once_and_one_later_than_any_loop_runs_is_left_out() {
+    let mut twice = rewritten(&small_log(), "", forms(1)[3].1.clone(), false);
+    for (begin, length) in pieces(&twice, &[MESSAGE]).into_iter().rev() {
+        let again = twice[begin..begin + length].to_vec();
+        twice.splice(begin + length..begin + length, again);
     }
+    let (steps, recovery) = recovered(&twice);
+    assert_eq!((steps, recovery.lost), ((0..STEPS).collect(), 0));
+
+    let late = log_of(|step, record| {
+        small(step, record);
+        record.now_ns = if step == 3 { u64::MAX } else { record.now_ns };
+    });
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("late.mcap");
+    std::fs::write(&path, &late).unwrap();
+    let error = read_all(&path).unwrap_err().to_string();
+    let said = "step 3 has the time 18446744073709551615 ns, later than any loop runs";
+    assert!(error.contains("after record 3") && error.contains(said), "{error}");
+    assert_eq!(recovered(&late).0, [0, 1, 2, 4, 5]);
 }
 
 #[test]

@@ -18,7 +18,7 @@ fn the_process_that_is_killed() {
     let mut recorder = Recorder::start(lockstep(LogPlace::File(PathBuf::from(path)))).unwrap();
     for step in 0..3000 {
         assert!(recorder.record(|slot| Draw(step).record(step, step * 50_000_000, slot)));
-        println!("\n{FLUSHED}{}", recorder.status().flushed);
+        println!("\n{FLUSHED}{}", recorder.flushed());
     }
     panic!("it was not killed in time");
 }

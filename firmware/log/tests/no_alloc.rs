@@ -37,7 +37,7 @@ fn recording_a_step_allocates_nothing_whether_taken_or_dropped() {
     }
     assert_eq!(allocations() - before, 0);
     assert!(
-        taken >= 8 && recorder.status().dropped == 400 - taken && taken < 400,
+        taken >= 8 && recorder.dropped() == 400 - taken && taken < 400,
         "{taken} taken"
     );
     assert_eq!(recorder.finish().records, taken);

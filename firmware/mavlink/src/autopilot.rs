@@ -1,6 +1,6 @@
 //! What differs between autopilots: mode numbers and the form of the hand-over's commands.
 
-use vigil_types::VehicleMode;
+use vigil_types::{VehicleMode, named};
 
 /// MAV_CMD numbers that the guidance computer sends.
 pub(crate) mod command_number {
@@ -28,25 +28,19 @@ pub(crate) mod command_number {
 /// MAV_MODE_FLAG_CUSTOM_MODE_ENABLED: `custom_mode` means something.
 const CUSTOM_MODE_ENABLED: u8 = 1;
 
-/// Which autopilot flies the vehicle.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Flavour {
-    /// PX4, or a vehicle that speaks like it.
-    #[default]
-    Px4,
-    /// ArduPilot's Copter.
-    ArduPilot,
+named! {
+    /// Which autopilot flies the vehicle.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+    pub enum Flavour {
+        /// PX4, or a vehicle that speaks like it.
+        #[default]
+        Px4 => "PX4",
+        /// ArduPilot's Copter.
+        ArduPilot => "ArduPilot",
+    }
 }
 
 impl Flavour {
-    /// Name for a person.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Px4 => "PX4",
-            Self::ArduPilot => "ArduPilot",
-        }
-    }
-
     /// The flavour that a heartbeat's MAV_AUTOPILOT names; `None` for generic and others.
     pub const fn of_autopilot(mav_autopilot: u8) -> Option<Self> {
         match mav_autopilot {

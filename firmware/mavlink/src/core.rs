@@ -45,13 +45,8 @@ impl Periodic {
     }
 }
 
-/// An answer that is sent in the next step, on the link that the question came on.
-#[derive(Debug, Clone, PartialEq)]
-struct Reply {
-    link: u8,
-    message_id: u32,
-    payload: Vec<u8, REPLY_LEN>,
-}
+/// An answer that is sent in the next step: on the link that the question came on, this message with this payload.
+type Reply = (u8, u32, Vec<u8, REPLY_LEN>);
 
 /// What the services share.
 #[derive(Debug, Clone, Default)]
@@ -150,12 +145,7 @@ impl Core {
         let mut payload = Vec::new();
         // No answer of a service is longer.
         let _ = payload.extend_from_slice(bytes);
-        let reply = Reply {
-            link,
-            message_id,
-            payload,
-        };
-        if self.replies.push(reply).is_err() {
+        if self.replies.push((link, message_id, payload)).is_err() {
             self.counters.replies_dropped += 1;
         }
     }
@@ -170,8 +160,8 @@ impl Core {
                 self.say_text(out, text);
             }
         }
-        for reply in &core::mem::take(&mut self.replies) {
-            self.sender.payload(out, reply.link, reply.message_id, &reply.payload);
+        for (link, message_id, payload) in &core::mem::take(&mut self.replies) {
+            self.sender.payload(out, *link, *message_id, payload);
         }
     }
 

@@ -71,16 +71,10 @@ fn bit(link: u8) -> u8 {
     1_u8.checked_shl(link.into()).unwrap_or(0)
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Seen {
-    component: ComponentId,
-    last_ns: Nanos,
-}
-
-/// The table of who was seen where. Fixed memory.
+/// The table of who was seen where, and when last. Fixed memory.
 #[derive(Debug, Clone, Default)]
 pub struct Routing {
-    seen: [Vec<Seen, SEEN_PER_LINK>; MAX_LINKS],
+    seen: [Vec<(ComponentId, Nanos), SEEN_PER_LINK>; MAX_LINKS],
 }
 
 impl Routing {
@@ -89,14 +83,11 @@ impl Routing {
         let Some(seen) = self.seen.get_mut(usize::from(link)) else {
             return;
         };
-        let new = Seen {
-            component,
-            last_ns: now_ns,
-        };
-        if let Some(known) = seen.iter_mut().find(|s| s.component == component) {
+        let new = (component, now_ns);
+        if let Some(known) = seen.iter_mut().find(|(known, _)| *known == component) {
             *known = new;
         } else if seen.push(new).is_err()
-            && let Some(oldest) = seen.iter_mut().min_by_key(|s| s.last_ns)
+            && let Some(oldest) = seen.iter_mut().min_by_key(|(_, last_ns)| *last_ns)
         {
             *oldest = new;
         }
@@ -105,7 +96,7 @@ impl Routing {
     /// Forgets a component on all links but one.
     pub fn keep_only_on(&mut self, link: u8, component: ComponentId) {
         for (_, seen) in (0..).zip(&mut self.seen).filter(|(number, _)| *number != link) {
-            seen.retain(|s| s.component != component);
+            seen.retain(|(known, _)| *known != component);
         }
     }
 
@@ -116,8 +107,9 @@ impl Routing {
             None | Some((0, _)) => return all,
             Some(target) => target,
         };
-        let is_target =
-            |s: &Seen| s.component.system == system && (component == 0 || s.component.component == component);
+        let is_target = |(known, _): &(ComponentId, Nanos)| {
+            known.system == system && (component == 0 || known.component == component)
+        };
         let seen = self.seen.iter().zip(0..).filter(|(seen, _)| seen.iter().any(is_target));
         LinkSet(seen.fold(0, |bits, (_, link)| bits | bit(link)) & all.0)
     }

@@ -62,12 +62,6 @@ pub struct StreamTime {
     pub timestamp: Timestamp,
 }
 
-impl StreamTime {
-    fn is_same_stream(&self, other: &Self) -> bool {
-        (self.link_id, self.system_id, self.component_id) == (other.link_id, other.system_id, other.component_id)
-    }
-}
-
 /// What replay protection needs to know after a restart.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SigningMemory {
@@ -80,12 +74,19 @@ pub struct SigningMemory {
 
 impl SigningMemory {
     /// The same with every time later by `units`: what is stored while packets still come, so that those accepted after
-    /// the storing are refused too.
-    pub fn ahead(mut self, units: u64) -> Self {
+    /// the storing are refused too. A time that is as it was when the run `began` may be ahead already, of a run that was
+    /// killed: it is no further ahead of `now`, however often that happens.
+    pub fn ahead(mut self, began: &Self, now: Timestamp, units: u64) -> Self {
         let later = |t: Timestamp| (t + units).min(LAST_TIMESTAMP);
-        self.newest = later(self.newest);
+        let capped = |t: Timestamp| t.max(later(t.min(now)));
+        self.newest = capped(self.newest);
         for stream in &mut self.streams {
-            stream.timestamp = later(stream.timestamp);
+            let has_moved = !began.streams.contains(stream);
+            stream.timestamp = if has_moved {
+                later(stream.timestamp)
+            } else {
+                capped(stream.timestamp)
+            };
         }
         self
     }
@@ -104,7 +105,7 @@ pub enum Refusal {
     Outdated,
     /// It is more than a minute ahead.
     FromTheFuture,
-    /// It begins a stream, and [`MAX_STREAMS`] are known.
+    /// It begins a stream, and [`MAX_STREAMS`] were heard in the last minute.
     TooManyStreams,
     /// It brings a key (SETUP_SIGNING) and is not signed with the present one.
     UnsignedKey,
@@ -186,33 +187,12 @@ pub struct Signing {
     key: SigningKey,
     link_id: u8,
     memory: SigningMemory,
-    counters: SigningCounters,
 }
 
 impl Signing {
     /// Signs as `link_id`, and goes on where `memory` ends.
     pub fn new(key: SigningKey, link_id: u8, memory: SigningMemory) -> Self {
-        Self {
-            key,
-            link_id,
-            memory,
-            counters: SigningCounters::default(),
-        }
-    }
-
-    /// The same with another key, and the memory that begins with it; what was counted stays.
-    pub fn rekeyed(&self, key: SigningKey, memory: SigningMemory) -> Self {
-        Self {
-            key,
-            memory,
-            ..self.clone()
-        }
-    }
-
-    /// The same, which goes on counting from what was counted without a key.
-    #[must_use]
-    pub fn with_counters(self, counters: SigningCounters) -> Self {
-        Self { counters, ..self }
+        Self { key, link_id, memory }
     }
 
     /// What to keep over a restart.
@@ -220,25 +200,18 @@ impl Signing {
         &self.memory
     }
 
-    /// What was accepted and refused.
-    pub fn counters(&self) -> &SigningCounters {
-        &self.counters
-    }
-
-    /// Whether the packet is to be obeyed at `now`; the verdict is counted, the stream's time is noted.
+    /// Whether the packet is to be obeyed at `now`; the stream's time is noted.
     /// With `allow_unsigned` a packet without a signature is accepted, unless it brings another key; a wrong one never is.
     ///
     /// # Errors
     /// [`Refusal`].
     pub fn verify(&mut self, now: Timestamp, packet: &Packet<'_>, allow_unsigned: bool) -> Result<(), Refusal> {
-        let verdict = match packet.is_signed() {
+        match packet.is_signed() {
             true => self.check(now, packet),
             false if carries_key(packet) => Err(Refusal::UnsignedKey),
             false if allow_unsigned => Ok(()),
             false => Err(Refusal::Unsigned),
-        };
-        self.counters.count(packet.is_signed(), verdict);
-        verdict
+        }
     }
 
     fn check(&mut self, now: Timestamp, packet: &Packet<'_>) -> Result<(), Refusal> {
@@ -257,7 +230,8 @@ impl Signing {
             component_id: packet.component_id(),
             timestamp,
         };
-        let known = self.memory.streams.iter_mut().find(|s| s.is_same_stream(&stream));
+        let sender = |s: &StreamTime| (s.link_id, s.system_id, s.component_id);
+        let known = self.memory.streams.iter_mut().find(|s| sender(s) == sender(&stream));
         if known.as_ref().is_some_and(|known| timestamp <= known.timestamp) {
             return Err(Refusal::Replayed);
         }
@@ -267,8 +241,23 @@ impl Signing {
         match known {
             Some(known) => known.timestamp = timestamp,
             None if timestamp + TOLERANCE < local => return Err(Refusal::Outdated),
-            None => self.memory.streams.push(stream).map_err(|_| Refusal::TooManyStreams)?,
+            None => self.remember(stream, local)?,
         }
+        Ok(())
+    }
+
+    /// Where there is no room, the oldest stream gives way if whatever it sent is outdated, known or not.
+    fn remember(&mut self, stream: StreamTime, local: Timestamp) -> Result<(), Refusal> {
+        let SigningMemory { newest, streams } = &mut self.memory;
+        let Err(stream) = streams.push(stream) else {
+            return Ok(());
+        };
+        let oldest = streams.iter_mut().min_by_key(|s| s.timestamp);
+        let outdated = oldest.filter(|s| s.timestamp + TOLERANCE < local);
+        let place = outdated.ok_or(Refusal::TooManyStreams)?;
+        // A clock that is set back makes it no younger.
+        *newest = (*newest).max(place.timestamp + TOLERANCE + 1);
+        *place = stream;
         Ok(())
     }
 

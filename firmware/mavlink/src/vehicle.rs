@@ -81,13 +81,6 @@ struct BootTimes {
     back_ms: Option<u32>,
 }
 
-/// HOME_POSITION: the place in the local frame, and on the globe.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Home {
-    ned_m: NedVector,
-    place: Option<Origin>,
-}
-
 /// The vehicle as its messages describe it: the packets of one autopilot in, what they say out.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Vehicle {
@@ -106,7 +99,8 @@ pub struct Vehicle {
     pub origin: Option<Origin>,
     /// The origin came by GPS_GLOBAL_ORIGIN and was not inferred from home.
     origin_known: bool,
-    home: Option<Home>,
+    /// HOME_POSITION: the place in the local frame, and on the globe.
+    home: Option<(NedVector, Option<Origin>)>,
     /// Home's height by the vehicle's own report while it stood there, metres down, where it contradicts the reported one.
     home_down_m: Option<f32>,
     /// Latitude and longitude, degrees, of the place to which its mission goes, as it was reported last in that mode.
@@ -158,8 +152,8 @@ impl Vehicle {
     }
 
     fn reported_home_ned_m(&self) -> Option<NedVector> {
-        let home = self.home?;
-        let on_globe = match (self.origin.filter(|_| self.origin_known), home.place) {
+        let (ned_m, place) = self.home?;
+        let on_globe = match (self.origin.filter(|_| self.origin_known), place) {
             (Some(origin), Some(place)) => {
                 let (north_m, east_m) = origin.north_east_m(place.latitude_deg, place.longitude_deg);
                 let down_m = (origin.altitude_m - place.altitude_m) as f32;
@@ -167,14 +161,14 @@ impl Vehicle {
             }
             _ => None,
         };
-        let is_filled = home.ned_m.is_finite()
+        let is_filled = ned_m.is_finite()
             && match on_globe {
-                _ if home.ned_m != NedVector::ZERO => true,
+                _ if ned_m != NedVector::ZERO => true,
                 Some(place) => place.norm() < SAME_PLACE_M,
                 // Zeros beside a place on the globe say nothing until the origin is known.
-                None => home.place.is_none(),
+                None => place.is_none(),
             };
-        if is_filled { Some(home.ned_m) } else { on_globe }
+        if is_filled { Some(ned_m) } else { on_globe }
     }
 
     /// Metres north and east, in the local frame, of the place to which its mission goes; `None` when it has not reported it.
@@ -343,14 +337,10 @@ impl Vehicle {
             }
             MavMessage::HOME_POSITION(m) => {
                 let before = self.home_ned_m();
-                self.home = Some(Home {
-                    ned_m: NedVector::new(m.x, m.y, m.z),
-                    place: Origin::from_integers(m.latitude, m.longitude, m.altitude),
-                });
+                let place = Origin::from_integers(m.latitude, m.longitude, m.altitude);
+                self.home = Some((NedVector::new(m.x, m.y, m.z), place));
                 // GPS_GLOBAL_ORIGIN is exact; without it, home shows where the origin must be.
-                self.origin = self
-                    .origin
-                    .or_else(|| Origin::from_integers(m.latitude, m.longitude, m.altitude)?.moved_back(m.x, m.y, -m.z));
+                self.origin = self.origin.or_else(|| place?.moved_back(m.x, m.y, -m.z));
                 self.home_down_m = self.home_down_m(before);
             }
             _ => {}

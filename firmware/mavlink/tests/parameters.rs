@@ -42,15 +42,11 @@ impl Bench {
         }
         self.hear(GROUND_STATION, message);
         let sent = self.step(state, Reasons::NONE, VehicleRequest::None);
-        sent.into_iter()
-            .filter_map(|(from, message)| match message {
-                MavMessage::PARAM_VALUE(value) => {
-                    assert_eq!((from.system_id, from.component_id), (1, 191));
-                    Some(value)
-                }
-                _ => None,
-            })
-            .collect()
+        assert!(
+            sent.iter()
+                .all(|(from, _)| (from.system_id, from.component_id) == (1, 191))
+        );
+        only!(sent, PARAM_VALUE).collect()
     }
 
     fn ask(&mut self, message: &MavMessage) -> Vec<PARAM_VALUE_DATA> {
@@ -237,10 +233,7 @@ fn in_the_air() -> Companion {
 fn obstacles(sectors: &[(f32, f32)]) -> OBSTACLE_DISTANCE_DATA {
     let mut sent = Datagrams::default();
     in_the_air().emit_obstacles(5_000_000, Some(sectors.iter().copied()), &mut sent);
-    match messages(&sent).pop() {
-        Some((_, MavMessage::OBSTACLE_DISTANCE(data))) => data,
-        other => panic!("{other:?}"),
-    }
+    only!(messages(&sent), OBSTACLE_DISTANCE).next().unwrap()
 }
 
 /// The bin in which a client looks for a bearing.

@@ -4,9 +4,9 @@ use crate::graph::operation::Operation;
 use crate::graph::run::{Backward, Forward, Pass};
 use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
-use crate::kernels::{self, Task};
 use crate::math::{exp_m1_negative, sigmoid, tanh};
 use crate::shape::{ShapeError, expect};
+use crate::vectorised;
 
 /// Below this difference of inputs the rescale rule uses the derivative at the explained input, as the `shap` package
 /// does.
@@ -41,7 +41,9 @@ impl Activation {
     /// Hyperbolic tangent.
     pub const TANH: Self = Self::Tanh { scale: 1.0 };
     /// `1 / (1 + range / 3 m)` of a range normalised by 100 m (a reduced prototype trained on raw range completed 83 %, on this 99.5 %).
-    pub const NEAR_CONTRAST: Self = Self::NearContrast { gain: 100.0 / 3.0 };
+    pub const NEAR_CONTRAST: Self = Self::NearContrast { gain: Self::NEAR_GAIN };
+    /// Of [`Self::NEAR_CONTRAST`].
+    pub const NEAR_GAIN: f32 = 100.0 / 3.0;
 
     /// The derivative, from the output.
     #[inline(always)]
@@ -70,9 +72,7 @@ impl Activation {
 
     /// `y = f(y)`.
     pub fn apply_in_place(self, isa: Isa, y: &mut [f32]) {
-        if self != Self::Identity {
-            kernels::run(isa, Apply { act: self, y });
-        }
+        apply(isa, self, y);
     }
 
     /// `d = d · f'`, with the derivative taken from the output `y`.
@@ -81,9 +81,7 @@ impl Activation {
     /// Slices of different lengths.
     pub fn gradient(self, isa: Isa, y: &[f32], d: &mut [f32]) -> Result<(), ShapeError> {
         expect("activation gradient", d, y.len())?;
-        if self != Self::Identity {
-            kernels::run(isa, ByCurve(self, Gradient { y, d }));
-        }
+        gradient(isa, self, y, d);
         Ok(())
     }
 
@@ -102,10 +100,7 @@ impl Activation {
         for slice in [x, x_ref, y_ref, m] {
             expect("activation multipliers", slice, y.len())?;
         }
-        if self != Self::Identity {
-            let task = Multipliers { x, y, x_ref, y_ref, m };
-            kernels::run(isa, ByCurve(self, task));
-        }
+        multipliers(isa, self, x, y, x_ref, y_ref, m);
         Ok(())
     }
 }
@@ -125,16 +120,9 @@ fn map(y: &mut [f32], f: impl Fn(f32) -> f32) {
     }
 }
 
-struct Apply<'a> {
-    act: Activation,
-    y: &'a mut [f32],
-}
-
-impl Task for Apply<'_> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let y = self.y;
-        match self.act {
+vectorised! {
+    fn apply<'a>(act: Activation, y: &'a mut [f32]) {
+        match act {
             Activation::Identity => {}
             // Written so that NaN stays NaN. A sum of which one part is 0, as below: a choice between the two becomes a masked store,
             // which costs AVX2 more than the rest.
@@ -150,60 +138,44 @@ impl Task for Apply<'_> {
     }
 }
 
-/// Calls a loop with the activation's derivative as a function of its output, one curve at a time, so that the choice is
-/// made outside the loop.
-struct ByCurve<U>(Activation, U);
-
-impl<U: SlopeUser> Task for ByCurve<U> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let Self(act, with) = self;
-        match act {
-            Activation::Identity => with.call(|y| Activation::Identity.slope(y)),
-            Activation::Relu => with.call(|y| Activation::Relu.slope(y)),
-            Activation::Elu => with.call(|y| Activation::Elu.slope(y)),
-            Activation::Tanh { scale } => with.call(move |y| Activation::Tanh { scale }.slope(y)),
-            Activation::Sigmoid => with.call(|y| Activation::Sigmoid.slope(y)),
-            Activation::NearContrast { gain } => with.call(move |y| Activation::NearContrast { gain }.slope(y)),
+/// Runs a loop with the activation's derivative as a function of its output, written out for each curve, so that the choice is made
+/// outside the loop.
+macro_rules! by_curve {
+    ($act:expr, $slope:ident => $body:stmt) => {
+        by_curve!($act, $slope => $body; Relu, Elu, Tanh { scale }, Sigmoid, NearContrast { gain })
+    };
+    ($act:expr, $slope:ident => $body:stmt; $($name:ident $({ $value:ident })?),*) => {
+        match $act {
+            Activation::Identity => {}
+            $(Activation::$name $({ $value })? => {
+                let $slope = move |y| Activation::$name $({ $value })?.slope(y);
+                $body
+            })*
         }
-    }
+    };
 }
 
-/// A loop that is compiled once for each curve.
-trait SlopeUser {
-    fn call(self, slope: impl Fn(f32) -> f32);
-}
-
-struct Gradient<'a> {
-    y: &'a [f32],
-    d: &'a mut [f32],
-}
-
-impl SlopeUser for Gradient<'_> {
-    #[inline(always)]
-    fn call(self, slope: impl Fn(f32) -> f32) {
-        for (d, y) in self.d.iter_mut().zip(self.y) {
+vectorised! {
+    fn gradient<'a>(act: Activation, y: &'a [f32], d: &'a mut [f32]) {
+        by_curve!(act, slope => for (d, y) in d.iter_mut().zip(y) {
             *d *= slope(*y);
-        }
+        });
     }
 }
 
-struct Multipliers<'a> {
-    x: &'a [f32],
-    y: &'a [f32],
-    x_ref: &'a [f32],
-    y_ref: &'a [f32],
-    m: &'a mut [f32],
-}
-
-impl SlopeUser for Multipliers<'_> {
-    #[inline(always)]
-    fn call(self, slope: impl Fn(f32) -> f32) {
-        let now = self.x.iter().zip(self.y);
-        let reference = self.x_ref.iter().zip(self.y_ref);
-        for ((m, (x, y)), (x_ref, y_ref)) in self.m.iter_mut().zip(now).zip(reference) {
+vectorised! {
+    fn multipliers<'a>(
+        act: Activation,
+        x: &'a [f32],
+        y: &'a [f32],
+        x_ref: &'a [f32],
+        y_ref: &'a [f32],
+        m: &'a mut [f32],
+    ) {
+        let (now, reference) = (x.iter().zip(y), x_ref.iter().zip(y_ref));
+        by_curve!(act, slope => for ((m, (x, y)), (x_ref, y_ref)) in m.iter_mut().zip(now).zip(reference) {
             *m *= rescale(*x, *y, *x_ref, *y_ref, slope(*y));
-        }
+        });
     }
 }
 

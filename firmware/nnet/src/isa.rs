@@ -1,7 +1,5 @@
 //! Which instruction set the kernels use.
 
-use crate::kernels::{self, Task};
-
 /// An instruction set that this processor is known to have.
 ///
 /// The field is private, so that a value other than [`Isa::PORTABLE`] can only come from [`Isa::detect`] or
@@ -59,12 +57,6 @@ impl Isa {
         )))]
         let vectors: [Option<Self>; 0] = [];
         core::iter::once(Self::PORTABLE).chain(vectors.into_iter().flatten())
-    }
-
-    /// Does a task compiled for this instruction set.
-    #[inline]
-    pub fn run(self, task: impl Task) {
-        kernels::run(self, task);
     }
 
     /// Name for logs and benchmarks.

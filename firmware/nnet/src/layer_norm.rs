@@ -3,11 +3,11 @@
 
 use crate::activation::rescale;
 use crate::graph::operation::Operation;
-use crate::graph::run::{Backward as BackwardNode, Forward as ForwardNode, Pass};
+use crate::graph::run::{Backward, Forward, Pass};
 use crate::graph::{GraphBuilder, NodeId, Params, description};
 use crate::isa::Isa;
-use crate::kernels::{self, Task};
 use crate::shape::{ShapeError, expect};
+use crate::vectorised;
 
 /// Normalises each row to mean 0 and variance 1, then scales and shifts each column (Ba et al. 2016).
 ///
@@ -51,18 +51,7 @@ impl LayerNorm {
         expect("layer norm normal", normal, x.len())?;
         expect("layer norm deviations", inverse, rows)?;
         expect("layer norm output", y, x.len())?;
-        let layer = *self;
-        kernels::run(
-            isa,
-            Forward {
-                layer,
-                params,
-                x,
-                normal,
-                inverse,
-                y,
-            },
-        );
+        forward(isa, *self, params, x, normal, inverse, y);
         Ok(())
     }
 
@@ -86,18 +75,7 @@ impl LayerNorm {
         if let Some(d_params) = &d_params {
             expect("layer norm parameter gradient", d_params, self.param_len())?;
         }
-        let layer = *self;
-        kernels::run(
-            isa,
-            Backward {
-                layer,
-                params,
-                normal,
-                inverse,
-                d,
-                d_params,
-            },
-        );
+        backward(isa, *self, params, normal, inverse, d, d_params);
         Ok(())
     }
 }
@@ -150,13 +128,13 @@ impl Operation for LayerNorm {
         len + len / self.width.max(1)
     }
 
-    fn forward_node(&self, node: &mut ForwardNode<'_>) -> Result<(), ShapeError> {
+    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
         let x = node.source(0)?;
         let (normal, inverse) = node.aux.split_at_mut_checked(x.len()).unwrap_or_default();
         self.forward(node.isa, node.params, x, normal, inverse, node.value)
     }
 
-    fn backward_node(&self, node: &mut BackwardNode<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
+    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
         let split = |aux| <[f32]>::split_at_checked(aux, d.len()).unwrap_or_default();
         let now: Normal<'_> = split(node.kept(node.tape)?.aux);
         match pass.reference() {
@@ -174,23 +152,20 @@ impl Operation for LayerNorm {
     }
 }
 
-struct Forward<'a> {
-    layer: LayerNorm,
-    params: &'a [f32],
-    x: &'a [f32],
-    normal: &'a mut [f32],
-    inverse: &'a mut [f32],
-    y: &'a mut [f32],
-}
-
-impl Task for Forward<'_> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let LayerNorm { width, epsilon } = self.layer;
-        let (scale, shift) = self.params.split_at_checked(width).unwrap_or_default();
+vectorised! {
+    fn forward<'a>(
+        layer: LayerNorm,
+        params: &'a [f32],
+        x: &'a [f32],
+        normal: &'a mut [f32],
+        inverse: &'a mut [f32],
+        y: &'a mut [f32],
+    ) {
+        let LayerNorm { width, epsilon } = layer;
+        let (scale, shift) = params.split_at_checked(width).unwrap_or_default();
         let width = width.max(1);
-        let slots = self.normal.chunks_exact_mut(width).zip(self.y.chunks_exact_mut(width));
-        for ((x, (normal, y)), inverse) in self.x.chunks_exact(width).zip(slots).zip(self.inverse) {
+        let slots = normal.chunks_exact_mut(width).zip(y.chunks_exact_mut(width));
+        for ((x, (normal, y)), inverse) in x.chunks_exact(width).zip(slots).zip(inverse) {
             let mean = sum(x, |x| x) / width as f32;
             let variance = sum(x, |x| (x - mean) * (x - mean)) / width as f32;
             *inverse = 1.0 / libm::sqrtf(variance + epsilon);
@@ -203,22 +178,19 @@ impl Task for Forward<'_> {
     }
 }
 
-struct Backward<'a> {
-    layer: LayerNorm,
-    params: &'a [f32],
-    normal: &'a [f32],
-    inverse: &'a [f32],
-    d: &'a mut [f32],
-    d_params: Option<&'a mut [f32]>,
-}
-
-impl Task for Backward<'_> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let (width, mut d_params) = (self.layer.width.max(1), self.d_params);
-        let (scale, _) = self.params.split_at_checked(self.layer.width).unwrap_or_default();
-        let rows = self.d.chunks_exact_mut(width).zip(self.normal.chunks_exact(width));
-        for ((d, normal), inverse) in rows.zip(self.inverse) {
+vectorised! {
+    fn backward<'a>(
+        layer: LayerNorm,
+        params: &'a [f32],
+        normal: &'a [f32],
+        inverse: &'a [f32],
+        d: &'a mut [f32],
+        d_params: Option<&'a mut [f32]>,
+    ) {
+        let (width, mut d_params) = (layer.width.max(1), d_params);
+        let (scale, _) = params.split_at_checked(layer.width).unwrap_or_default();
+        let rows = d.chunks_exact_mut(width).zip(normal.chunks_exact(width));
+        for ((d, normal), inverse) in rows.zip(inverse) {
             if let Some((d_scale, d_shift)) = d_params.as_deref_mut().and_then(|p| p.split_at_mut_checked(width)) {
                 for ((d_scale, d_shift), (d, normal)) in d_scale.iter_mut().zip(d_shift).zip(d.iter().zip(normal)) {
                     *d_scale += d * normal;

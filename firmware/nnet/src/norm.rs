@@ -3,8 +3,8 @@
 use crate::graph::operation::Operation;
 use crate::graph::run::{Backward, Forward, Pass};
 use crate::graph::{GraphBuilder, NodeId, Params, description};
-use crate::kernels::{self, Task};
 use crate::shape::{ShapeError, part};
+use crate::vectorised;
 
 /// Normalises each channel (the fastest-running index).
 ///
@@ -47,20 +47,12 @@ impl BatchNorm {
     }
 }
 
-/// `y = γ (x − mean) / √(variance + ε) + β` with the running statistics; `x` and `y` are `[rows][channels]`.
-struct Affine<'a> {
-    p: Parts<'a>,
-    epsilon: f32,
-    x: &'a [f32],
-    y: &'a mut [f32],
-}
-
-impl Task for Affine<'_> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let ([scale, shift, mean, variance], epsilon) = (self.p, self.epsilon);
+vectorised! {
+    /// `y = γ (x − mean) / √(variance + ε) + β` with the running statistics; `x` and `y` are `[rows][channels]`.
+    fn affine<'a>(p: Parts<'a>, epsilon: f32, x: &'a [f32], y: &'a mut [f32]) {
+        let [scale, shift, mean, variance] = p;
         let width = scale.len().max(1);
-        for (x, y) in self.x.chunks_exact(width).zip(self.y.chunks_exact_mut(width)) {
+        for (x, y) in x.chunks_exact(width).zip(y.chunks_exact_mut(width)) {
             let curve = scale.iter().zip(shift).zip(mean.iter().zip(variance));
             for ((x, y), ((scale, shift), (mean, variance))) in x.iter().zip(y).zip(curve) {
                 *y = scale * (x - mean) / libm::sqrtf(variance + epsilon) + shift;
@@ -69,20 +61,12 @@ impl Task for Affine<'_> {
     }
 }
 
-/// `dx = dy γ / √(variance + ε)`: the gradient of [`Affine`], and its multipliers.
-struct Slopes<'a> {
-    p: Parts<'a>,
-    epsilon: f32,
-    dy: &'a [f32],
-    dx: &'a mut [f32],
-}
-
-impl Task for Slopes<'_> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let ([scale, _, _, variance], epsilon) = (self.p, self.epsilon);
+vectorised! {
+    /// `dx = dy γ / √(variance + ε)`: the gradient of [`affine`], and its multipliers.
+    fn slopes<'a>(p: Parts<'a>, epsilon: f32, dy: &'a [f32], dx: &'a mut [f32]) {
+        let [scale, _, _, variance] = p;
         let width = scale.len().max(1);
-        for (dy, dx) in self.dy.chunks_exact(width).zip(self.dx.chunks_exact_mut(width)) {
+        for (dy, dx) in dy.chunks_exact(width).zip(dx.chunks_exact_mut(width)) {
             for ((dy, dx), (scale, variance)) in dy.iter().zip(dx).zip(scale.iter().zip(variance)) {
                 *dx = dy * scale / libm::sqrtf(variance + epsilon);
             }
@@ -108,9 +92,8 @@ impl GraphBuilder {
 
 impl Operation for BatchNorm {
     fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
-        let (p, epsilon) = (self.split(node.params)?, self.epsilon);
-        let (x, y) = (node.source(0)?, &mut *node.value);
-        kernels::run(node.isa, Affine { p, epsilon, x, y });
+        let x = node.source(0)?;
+        affine(node.isa, self.split(node.params)?, self.epsilon, x, node.value);
         Ok(())
     }
 
@@ -120,7 +103,7 @@ impl Operation for BatchNorm {
             self.add_weight_gradient(p, node.source(0, node.tape)?, dy, d_params);
         }
         node.write_source(0, |dx, _| {
-            kernels::run(isa, Slopes { p, epsilon, dy, dx });
+            slopes(isa, p, epsilon, dy, dx);
             Ok(())
         })
     }

@@ -3,8 +3,8 @@
 use crate::graph::operation::Operation;
 use crate::graph::run::{Backward, Forward, Pass};
 use crate::graph::{GraphBuilder, NodeId, Params, description};
-use crate::kernels::{self, Task};
 use crate::shape::ShapeError;
+use crate::vectorised;
 use core::ops::Range;
 
 /// The largest value of each window of one image `[row][column][channel]`; windows may overlap, and what pads the image never is
@@ -135,39 +135,32 @@ impl MaxPool2d {
     }
 }
 
-/// `y` `[out_rows][out_cols][channels]`: the maximum of each window of `x` `[rows][cols][channels]`.
-struct Pooled<'a> {
-    layer: MaxPool2d,
-    x: &'a [f32],
-    y: &'a mut [f32],
-}
-
-impl Task for Pooled<'_> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
+vectorised! {
+    /// `y` `[out_rows][out_cols][channels]`: the maximum of each window of `x` `[rows][cols][channels]`.
+    fn pool<'a>(layer: MaxPool2d, x: &'a [f32], y: &'a mut [f32]) {
         // So many channels at a time as fill a register, whose number is known to the compiler.
-        match self.layer.channels {
-            channels if channels % 8 == 0 => self.by::<8>(),
-            channels if channels % 4 == 0 => self.by::<4>(),
-            channels if channels % 3 == 0 => self.by::<3>(),
-            channels if channels % 2 == 0 => self.by::<2>(),
-            _ => self.by::<1>(),
+        match layer.channels {
+            channels if channels % 8 == 0 => layer.pool_by::<8>(x, y),
+            channels if channels % 4 == 0 => layer.pool_by::<4>(x, y),
+            channels if channels % 3 == 0 => layer.pool_by::<3>(x, y),
+            channels if channels % 2 == 0 => layer.pool_by::<2>(x, y),
+            _ => layer.pool_by::<1>(x, y),
         }
     }
 }
 
-impl Pooled<'_> {
+impl MaxPool2d {
     #[inline(always)]
-    fn by<const C: usize>(self) {
-        let MaxPool2d { cols, channels, .. } = self.layer;
-        for (o, best) in self.y.chunks_exact_mut(channels).enumerate() {
-            let [lines, columns] = self.layer.window_of(o);
+    fn pool_by<const C: usize>(self, x: &[f32], y: &mut [f32]) {
+        let Self { cols, channels, .. } = self;
+        for (o, best) in y.chunks_exact_mut(channels).enumerate() {
+            let [lines, columns] = self.window_of(o);
             let side = columns.len() * channels;
             for (c, best) in best.as_chunks_mut::<C>().0.iter_mut().enumerate() {
                 let mut largest = [f32::NEG_INFINITY; C];
                 for line in lines.clone() {
                     let at = (line * cols + columns.start) * channels;
-                    for pixel in self.x.get(at..at + side).unwrap_or_default().chunks_exact(channels) {
+                    for pixel in x.get(at..at + side).unwrap_or_default().chunks_exact(channels) {
                         let Some(pixel) = pixel.as_chunks::<C>().0.get(c) else {
                             continue;
                         };
@@ -197,8 +190,7 @@ impl GraphBuilder {
 
 impl Operation for MaxPool2d {
     fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
-        let (x, y) = (node.source(0)?, &mut *node.value);
-        kernels::run(node.isa, Pooled { layer: *self, x, y });
+        pool(node.isa, *self, node.source(0)?, node.value);
         Ok(())
     }
 

@@ -13,20 +13,6 @@ type Build<'a> = dyn Fn(&mut GraphBuilder, &[NodeId], Params) -> Result<NodeId, 
 /// Of parameters and inputs.
 type Oracle<'a> = dyn Fn(&[f64], &[&[f64]]) -> Vec<f64> + 'a;
 
-/// A layer under test: lengths of its inputs and parameters, and how to build it.
-struct Case<'a> {
-    name: &'a str,
-    inputs: &'a [usize],
-    params: usize,
-    /// How many of them, from the first, are learned (a running statistic is not).
-    learned: usize,
-    build: &'a Build<'a>,
-    /// Its definition in float64.
-    oracle: &'a Oracle<'a>,
-    /// Makes parameters valid (a variance is positive).
-    tame: &'a dyn Fn(&mut [f32]),
-}
-
 /// Relative to the largest value of the compared slice.
 const TOLERANCE: f64 = 5e-6;
 
@@ -37,93 +23,70 @@ fn close(what: &str, got: &[f32], want: &[f64]) {
 }
 
 /// A layer of which all parameters are learned, and any number is valid.
-fn check<'a>(name: &'a str, inputs: &'a [usize], params: usize, build: &'a Build<'a>, oracle: &'a Oracle<'a>) {
-    let case = Case {
-        name,
-        inputs,
-        params,
-        learned: params,
-        build,
-        oracle,
-        tame: &|_| {},
-    };
-    case.check();
+fn check(name: &str, inputs: &[usize], params: usize, build: &Build<'_>, oracle: &Oracle<'_>) {
+    check_learned(name, inputs, [params; 2], build, oracle, &|_| {});
 }
 
-impl Case<'_> {
-    fn check(&self) {
-        let mut b = GraphBuilder::new();
-        let params = b.params(self.params);
-        let nodes: Vec<NodeId> = self.inputs.iter().map(|len| b.input(*len, true).unwrap()).collect();
-        let output = (self.build)(&mut b, &nodes, params).unwrap();
-        let graph = b.finish(output, Purpose::Multipliers).unwrap();
-        let mut rng = rng(7);
-        let mut params = uniform(&mut rng, self.params, 0.3);
-        (self.tame)(&mut params);
-        let inputs: Vec<Vec<f32>> = self.inputs.iter().map(|n| uniform(&mut rng, *n, 1.0)).collect();
-        let references: Vec<Vec<f32>> = self.inputs.iter().map(|n| uniform(&mut rng, *n, 1.0)).collect();
-        let weights = uniform(&mut rng, graph.output_len(), 1.0);
-        let (params_wide, weights_wide) = (wide(&params), wide(&weights));
-        let inputs_wide: Vec<Vec<f64>> = inputs.iter().map(|x| wide(x)).collect();
-        let wide_slices = || inputs_wide.iter().map(Vec::as_slice).collect::<Vec<_>>();
-        let value = (self.oracle)(&params_wide, &wide_slices());
-        let gradient_of = |i: usize| {
-            let of_input = |x: &[f64]| {
-                let mut all = wide_slices();
-                all[i] = x;
-                (self.oracle)(&params_wide, &all)
-            };
-            finite_differences(of_input, &weights_wide, &inputs_wide[i])
+/// A layer by the lengths of its inputs, the number of its parameters and how many of them, from the first, are learned (a running
+/// statistic is not), how to build it, and its definition in float64; `tame` makes parameters valid (a variance is positive).
+fn check_learned(
+    name: &str,
+    lens: &[usize],
+    [param_len, learned_len]: [usize; 2],
+    build: &Build<'_>,
+    oracle: &Oracle<'_>,
+    tame: &dyn Fn(&mut [f32]),
+) {
+    let mut b = GraphBuilder::new();
+    let params = b.params(param_len);
+    let nodes: Vec<NodeId> = lens.iter().map(|len| b.input(*len, true).unwrap()).collect();
+    let output = build(&mut b, &nodes, params).unwrap();
+    let graph = b.finish(output, Purpose::Multipliers).unwrap();
+    let mut rng = rng(7);
+    let mut params = uniform(&mut rng, param_len, 0.3);
+    tame(&mut params);
+    let inputs: Vec<Vec<f32>> = lens.iter().map(|n| uniform(&mut rng, *n, 1.0)).collect();
+    let references: Vec<Vec<f32>> = lens.iter().map(|n| uniform(&mut rng, *n, 1.0)).collect();
+    let weights = uniform(&mut rng, graph.output_len(), 1.0);
+    let (params_wide, weights_wide) = (wide(&params), wide(&weights));
+    let inputs_wide: Vec<Vec<f64>> = inputs.iter().map(|x| wide(x)).collect();
+    let wide_slices = || inputs_wide.iter().map(Vec::as_slice).collect::<Vec<_>>();
+    let value = oracle(&params_wide, &wide_slices());
+    let gradient_of = |i: usize| {
+        let of_input = |x: &[f64]| {
+            let mut all = wide_slices();
+            all[i] = x;
+            oracle(&params_wide, &all)
         };
-        let d_params_want = finite_differences(|p| (self.oracle)(p, &wide_slices()), &weights_wide, &params_wide);
-        for isa in Isa::available() {
-            let name = format!("{} on {}", self.name, isa.name());
-            let mut work = vec![f32::NAN; graph.work_len()];
-            let mut packed = vec![f32::NAN; graph.param_len()];
-            graph.pack(&params, &mut packed).unwrap();
-            let run = |inputs: &[Vec<f32>]| {
-                let views: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
-                tape_of(&graph, isa, &params, &views)
-            };
-            let (tape, reference) = (run(&inputs), run(&references));
-            close(&format!("{name}: value"), graph.output(&tape).unwrap(), &value);
+        finite_differences(of_input, &weights_wide, &inputs_wide[i])
+    };
+    let d_params_want = finite_differences(|p| oracle(p, &wide_slices()), &weights_wide, &params_wide);
+    for isa in Isa::available() {
+        let on = format!("{name} on {}", isa.name());
+        let layer = Evaluated::new(graph.clone(), isa, &params);
+        let (tape, reference) = (layer.tape(&inputs), layer.tape(&references));
+        close(&format!("{on}: value"), &layer.output(&tape), &value);
 
-            // Gradients are added to what is there.
-            let mut d_params = vec![1.0; self.params];
-            graph
-                .backward(isa, &packed, &tape, &weights, Some(&mut d_params), &mut work)
-                .unwrap();
-            d_params.iter_mut().for_each(|d| *d -= 1.0);
-            let (learned, fixed) = d_params.split_at(self.learned);
-            let want = &d_params_want[..self.learned];
-            close(&format!("{name}: weight gradient"), learned, want);
-            let is_untouched = fixed.iter().all(|d| *d == 0.0);
-            assert!(is_untouched, "{name}: a running statistic got a gradient");
-            for i in 0..inputs.len() {
-                let got = graph.input_gradient(&work, i).unwrap();
-                close(&format!("{name}: gradient of input {i}"), got, &gradient_of(i));
-            }
+        let (gradients, d_params) = layer.gradients(&tape, &weights);
+        let (learned, fixed) = d_params.split_at(learned_len);
+        let want = &d_params_want[..learned_len];
+        close(&format!("{on}: weight gradient"), learned, want);
+        let is_untouched = fixed.iter().all(|d| *d == 0.0);
+        assert!(is_untouched, "{on}: a running statistic got a gradient");
+        for (i, got) in gradients.iter().enumerate() {
+            close(&format!("{on}: gradient of input {i}"), got, &gradient_of(i));
+        }
 
-            graph
-                .multipliers(isa, &packed, &tape, &reference, &weights, &mut work)
-                .unwrap();
-            let m: Vec<f32> = (0..inputs.len())
-                .flat_map(|i| graph.input_gradient(&work, i).unwrap().to_vec())
-                .collect();
-            let [y, y_ref] = [&tape, &reference].map(|tape| wide(graph.output(tape).unwrap()));
-            let ends = [&inputs.concat()[..], &references.concat()];
-            adds_up(&name, &m, ends, &weights, [&y, &y_ref]);
+        let m = layer.multipliers(&tape, &reference, &weights);
+        let [y, y_ref] = [&tape, &reference].map(|tape| wide(&layer.output(tape)));
+        let ends = [&inputs.concat()[..], &references.concat()];
+        adds_up(&on, &m.concat(), ends, &weights, [&y, &y_ref]);
 
-            // Against itself every ratio is a derivative: the multipliers are the gradient.
-            let d = wide(graph.input_gradient(&work, 0).unwrap());
-            assert!(largest(&d) > 0.0, "{name}: all multipliers are zero");
-            graph
-                .multipliers(isa, &packed, &tape, &tape, &weights, &mut work)
-                .unwrap();
-            if self.name != "max pool" {
-                let got = graph.input_gradient(&work, 0).unwrap();
-                close(&format!("{name}: multipliers against itself"), got, &gradient_of(0));
-            }
+        // Against itself every ratio is a derivative: the multipliers are the gradient.
+        assert!(largest(&wide(&m[0])) > 0.0, "{on}: all multipliers are zero");
+        let m = layer.multipliers(&tape, &tape, &weights);
+        if name != "max pool" {
+            close(&format!("{on}: multipliers against itself"), &m[0], &gradient_of(0));
         }
     }
 }
@@ -236,16 +199,14 @@ fn pooling_and_normalisation_match_their_definition() {
         channels: 3,
         epsilon: 1e-3,
     };
-    Case {
-        name: "batch norm",
-        inputs: &[12],
-        params: layer.param_len(),
-        learned: 2 * layer.channels,
-        build: &|b, x, p| b.batch_norm(x[0], layer, p),
-        oracle: &|p, x| batch_norm(layer, p, x[0]),
-        tame: &|p| p[9..].iter_mut().for_each(|variance| *variance = variance.abs() + 0.1),
-    }
-    .check();
+    check_learned(
+        "batch norm",
+        &[12],
+        [layer.param_len(), 2 * layer.channels],
+        &|b, x, p| b.batch_norm(x[0], layer, p),
+        &|p, x| batch_norm(layer, p, x[0]),
+        &|p| p[9..].iter_mut().for_each(|variance| *variance = variance.abs() + 0.1),
+    );
 }
 
 #[test]
@@ -258,17 +219,7 @@ fn layer_normalisation_matches_its_definition() {
             &[2 * width],
             layer.param_len(),
             &|b, x, p| b.layer_norm(x[0], layer, p),
-            &|p, x| {
-                let of_row = |x: &[f64]| -> Vec<f64> {
-                    let mean = x.iter().sum::<f64>() / width as f64;
-                    let variance = x.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / width as f64;
-                    let root = (variance + 1e-5).sqrt();
-                    let row = x.iter().zip(p.iter().zip(&p[width..]));
-                    row.map(|(x, (scale, shift))| scale * (x - mean) / root + shift)
-                        .collect()
-                };
-                x[0].chunks_exact(width).flat_map(of_row).collect()
-            },
+            &|p, x| layer_norm(layer, p, x[0]),
         );
     }
 }

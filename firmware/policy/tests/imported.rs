@@ -248,7 +248,15 @@ fn a_layer_that_cannot_be_the_split_point_is_refused_with_its_reason() {
 #[test]
 fn a_slope_that_vanishes_at_the_limit_is_there_without_the_last_curve() {
     let policy = branched(None);
-    let shown = policy.network.unsaturated().to_string();
+    let shown = policy.network.unsaturated(&policy.params).to_string();
     assert!(shown.contains("dense 7 11 2 identity"), "{shown}");
     assert!(shown.contains("curve 1 tanh*0.9"), "only the last one: {shown}");
+    // The curve of a hidden layer is no limit of an output; that of outputs of which two are picked is one.
+    let text = "input 4\ndense 0 4 16 tanh*1\ndense 1 16 2 identity\noutput 2\n";
+    let network: Network = text.parse().unwrap();
+    assert_eq!(network.unsaturated(&[0.5; 114]).to_string(), text);
+    let mut picking = vec![0.0; 114];
+    (picking[80], picking[83]) = (1.0, 1.0);
+    let shown = network.unsaturated(&picking).to_string();
+    assert!(shown.contains("dense 0 4 16 identity"), "{shown}");
 }

@@ -7,9 +7,9 @@ mod scene;
 #[path = "common/torch.rs"]
 mod torch;
 
-use plain::{distance, rng, uniform, wide};
+use plain::{Evaluated, distance, rng, uniform, wide};
 use scene::{Scene, block, column, walk};
-use torch::{Reference, Tensors, actor_params};
+use torch::{Given, Tensors, actor_params, reference};
 use vigil_nnet::{ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
 use vigil_policy::PilotInput;
 use vigil_policy::actor::{Actor, ActorSpec, CONTEXT, LOW_DIM};
@@ -20,7 +20,7 @@ const FRAME: usize = 128 * 256;
 #[test]
 fn the_second_half_gives_what_pytorch_gives() {
     let (t, params) = (Tensors::load("second_half"), actor_params());
-    let graph = Reference::new().head_graph(Purpose::Gradients);
+    let graph = reference(Given::State, Purpose::Gradients);
     let mut tape = vec![0.0; graph.tape_len()];
     for isa in Isa::available() {
         for (h, pos, want) in [("x_h", "x_pos", "f_x"), ("bg_h", "bg_pos", "f_bg")] {
@@ -38,14 +38,12 @@ fn the_second_half_gives_what_pytorch_gives() {
 #[test]
 fn the_whole_actor_gives_what_pytorch_gives() {
     let (t, params) = (Tensors::load("pixel"), actor_params());
-    let graph = Reference::new().graph(Purpose::Gradients, false);
-    let mut tape = vec![0.0; graph.tape_len()];
+    let graph = reference(Given::Frames(false), Purpose::Gradients);
     for isa in Isa::available() {
-        let mut evaluate = |images: &[f32], pos: &[f32]| {
-            let mut inputs: Vec<&[f32]> = images.chunks_exact(FRAME).collect();
-            inputs.push(pos);
-            graph.forward(isa, &params, &inputs, &mut tape).unwrap();
-            wide(graph.output(&tape).unwrap())
+        let actor = Evaluated::new(graph.clone(), isa, &params);
+        let evaluate = |images: &[f32], pos: &[f32]| {
+            let inputs: Vec<Vec<f32>> = images.chunks_exact(FRAME).chain([pos]).map(<[f32]>::to_vec).collect();
+            wide(&actor.output(&actor.tape(&inputs)))
         };
         let mut difference = evaluate(&t.get("x_img"), &t.get("x_pos"));
         let (images, positions) = (t.get("bg_img"), t.get("bg_pos"));
@@ -90,17 +88,14 @@ fn frames() -> Vec<DepthFrame> {
 #[test]
 fn the_actor_in_flight_decides_as_the_graph_of_the_whole() {
     let (params, graph) = (params(), ActorSpec::FULL.graph(Purpose::Gradients).unwrap());
-    let mut tape = vec![0.0; graph.tape_len()];
     for isa in Isa::available() {
-        let mut actor = actor(isa);
+        let (mut actor, whole) = (actor(isa), Evaluated::new(graph.clone(), isa, &params));
         let mut twin = actor.clone();
         for (step, frame) in frames().iter().enumerate() {
             let action = actor.decide(&input(frame)).unwrap();
-            let low = actor.low_dim();
-            graph
-                .forward(isa, &params, &[&frame.depth, actor.context(), &low], &mut tape)
-                .unwrap();
-            assert_eq!(action, graph.output(&tape).unwrap(), "step {step} on {}", isa.name());
+            let given = [&frame.depth[..], actor.context(), &actor.low_dim()].map(<[f32]>::to_vec);
+            let output = whole.output(&whole.tape(&given));
+            assert_eq!(action[..], output, "step {step} on {}", isa.name());
             assert_eq!(twin.decide(&input(frame)).unwrap(), action);
         }
         assert!(actor.context().iter().any(|x| *x > 0.0), "it remembers");
@@ -129,32 +124,19 @@ fn a_pixel_that_is_not_a_number_is_not_hidden_and_is_not_remembered() {
 fn instruction_sets_agree() {
     let params = params();
     let graph = ActorSpec::FULL.graph(Purpose::Multipliers).unwrap();
-    let mut packed = vec![0.0; graph.param_len()];
-    graph.pack(&params, &mut packed).unwrap();
     let input = |seed: u64| -> [Vec<f32>; 3] {
         let mut rng = rng(seed);
         [FRAME, CONTEXT, LOW_DIM].map(|len| uniform(&mut rng, len, 0.5).iter().map(|x| x + 0.5).collect())
     };
     let results: Vec<(Isa, [Vec<f32>; 4])> = Isa::available()
         .map(|isa| {
-            let evaluate = |inputs: &[Vec<f32>; 3]| {
-                let mut tape = vec![0.0; graph.tape_len()];
-                let views: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
-                graph.forward(isa, &params, &views, &mut tape).unwrap();
-                tape
-            };
-            let (tape, reference) = (evaluate(&input(1)), evaluate(&input(2)));
-            let (mut work, mut d_params) = (vec![0.0; graph.work_len()], vec![0.0; graph.param_len()]);
-            let weights = [1.0, -0.5];
-            graph
-                .backward(isa, &packed, &tape, &weights, Some(&mut d_params), &mut work)
-                .unwrap();
-            let gradient = graph.input_gradient(&work, 0).unwrap().to_vec();
-            graph
-                .multipliers(isa, &packed, &tape, &reference, &weights, &mut work)
-                .unwrap();
-            let multipliers = graph.input_gradient(&work, 0).unwrap().to_vec();
-            (isa, [tape, d_params, gradient, multipliers])
+            let actor = Evaluated::new(graph.clone(), isa, &params);
+            let [tape, reference] = [1, 2].map(|seed| actor.tape(&input(seed)));
+            let (mut gradients, d_params) = actor.gradients(&tape, &[1.0, -0.5]);
+            let mut multipliers = actor.multipliers(&tape, &reference, &[1.0, -0.5]);
+            // Between the nodes' values nothing is written.
+            let tape = tape.into_iter().filter(|x| !x.is_nan()).collect();
+            (isa, [tape, d_params, gradients.remove(0), multipliers.remove(0)])
         })
         .collect();
     let (_, portable) = &results[0];

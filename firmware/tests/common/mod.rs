@@ -10,7 +10,6 @@ use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::time::Duration;
 use vigil_detector::{FrozenDetector, LstmAd, Of};
-use vigil_firmware::config::{DetectorConfig, GoalConfig, PilotConfig};
 use vigil_firmware::stack::TickInput;
 use vigil_firmware::step::Firmware;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
@@ -18,16 +17,16 @@ use vigil_io::Link;
 use vigil_io::links::PeerRule;
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{
-    ATTITUDE_QUATERNION_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavLandedState, MavMessage,
-    MavModeFlag, MavParamType, MavResult, MavState, MavType, SET_POSITION_TARGET_LOCAL_NED_DATA,
+    COMMAND_LONG_DATA, MavAutopilot, MavCmd, MavLandedState, MavMessage, MavModeFlag, MavParamType, MavResult,
+    MavState, MavType, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_mavlink::framing::{self, FramingCounters};
 use vigil_mavlink::message;
 use vigil_policy::actor::LowDim;
 use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, EngagePolicy, FrameKey, GuidanceState, Nanos,
-    NedVector, PilotKind, STEP_NS, STEP_S, StepReport, StepTiming, column_bearing_rad, row_elevation_rad,
+    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, FrameKey, GuidanceState, Nanos, NedVector,
+    PilotKind, STEP_NS, STEP_S, StepReport, StepTiming, column_bearing_rad, row_elevation_rad,
 };
 
 /// A generator whose stream never changes (xorshift64*).
@@ -103,6 +102,14 @@ pub fn heard(link: &mut impl Link, now_ns: Nanos) -> Vec<Vec<u8>> {
     received.iter().map(|(_, datagram)| datagram.to_vec()).collect()
 }
 
+/// Sends these datagrams over a link.
+pub fn say<D: AsRef<[u8]>>(link: &mut impl Link, datagrams: &[D]) {
+    let mut sent = Datagrams::default();
+    let mut bytes = datagrams.iter().map(AsRef::as_ref);
+    assert!(bytes.all(|datagram| sent.push(0, datagram)));
+    link.send(&sent);
+}
+
 /// A step of the flight stack over a link.
 pub fn step_over(
     firmware: &mut Firmware,
@@ -152,20 +159,10 @@ impl PseudoTerminal {
 
 /// A configuration that engages by itself and flies to a goal 20 m ahead and 5 m to the right.
 pub fn config() -> FirmwareConfig {
-    FirmwareConfig {
-        engage: EngagePolicy::Auto,
-        goal: Some(GoalConfig {
-            north_m: 20.0,
-            east_m: 5.0,
-            height_m: Some(2.5),
-        }),
-        // These frames are made by hand; the actor knows those of the LiDAR.
-        pilot: PilotConfig {
-            kind: PilotKind::Geometric,
-            ..PilotConfig::default()
-        },
-        ..FirmwareConfig::default()
-    }
+    let mut config = FirmwareConfig::to_goal(NedVector::new(20.0, 5.0, -2.5));
+    // These frames are made by hand; the actor knows those of the LiDAR.
+    config.pilot.kind = PilotKind::Geometric;
+    config
 }
 
 /// A detector of the actor built in whose score is always 0.5: what the verdict is, a test chooses by the threshold.
@@ -200,18 +197,10 @@ pub fn undecided_detector() -> FrozenDetector {
 pub fn monitored_config(folder: &Path) -> FirmwareConfig {
     let file = folder.join("undecided.safetensors");
     undecided_detector().save(&file).unwrap();
-    FirmwareConfig {
-        pilot: PilotConfig {
-            kind: PilotKind::Actor,
-            ..PilotConfig::default()
-        },
-        detector: DetectorConfig {
-            enabled: Some(true),
-            file: Some(file),
-            ..DetectorConfig::default()
-        },
-        ..config()
-    }
+    let mut config = config();
+    config.pilot.kind = PilotKind::Actor;
+    (config.detector.enabled, config.detector.file) = (Some(true), Some(file));
+    config
 }
 
 pub const SENSOR_ID: u32 = 1;
@@ -340,36 +329,37 @@ impl TestVehicle {
         let time_boot_ms = (self.steps * STEP_NS / 1_000_000) as u32;
         let mut base_mode = MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED;
         base_mode.set(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED, self.armed);
-        let heartbeat = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
-            custom_mode: u32::from(self.mode.0) << 16 | u32::from(self.mode.1) << 24,
-            mavtype: MavType::MAV_TYPE_QUADROTOR,
-            autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
-            base_mode,
-            system_status: MavState::MAV_STATE_ACTIVE,
-            mavlink_version: 3,
-        });
+        let custom_mode = u32::from(self.mode.0) << 16 | u32::from(self.mode.1) << 24;
+        let (mavtype, autopilot) = (MavType::MAV_TYPE_QUADROTOR, MavAutopilot::MAV_AUTOPILOT_PX4);
+        let system_status = MavState::MAV_STATE_ACTIVE;
         let [x, y, z] = self.position_ned_m.to_array();
         let [vx, vy, vz] = self.velocity_ned_m_s.to_array();
-        let q = self.attitude();
+        let Attitude {
+            w: q1,
+            x: q2,
+            y: q3,
+            z: q4,
+        } = self.attitude();
+        // A gyroscope is never quite still; without an error the field is not filled.
+        let rollspeed = 1e-4 * self.heading_error_rad;
         let fills_rates = f32::from(self.heading_error_rad != 0.0);
+        let yawspeed = self.setpoints.last().map_or(0.0, |s| s.yaw_rate * fills_rates);
         let landed_state = match self.is_in_air() {
             true => MavLandedState::MAV_LANDED_STATE_IN_AIR,
             false => MavLandedState::MAV_LANDED_STATE_ON_GROUND,
         };
         let messages = [
-            heartbeat,
+            message!(
+                HEARTBEAT,
+                custom_mode,
+                mavtype,
+                autopilot,
+                base_mode,
+                system_status,
+                mavlink_version = 3
+            ),
             message!(LOCAL_POSITION_NED, time_boot_ms, x, y, z, vx, vy, vz),
-            MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
-                time_boot_ms,
-                q1: q.w,
-                q2: q.x,
-                q3: q.y,
-                q4: q.z,
-                // A gyroscope is never quite still; without an error the field is not filled.
-                rollspeed: 1e-4 * self.heading_error_rad,
-                yawspeed: self.setpoints.last().map_or(0.0, |s| s.yaw_rate * fills_rates),
-                ..ATTITUDE_QUATERNION_DATA::DEFAULT
-            }),
+            message!(ATTITUDE_QUATERNION, time_boot_ms, q1, q2, q3, q4, rollspeed, yawspeed),
             message!(EXTENDED_SYS_STATE, landed_state),
         ];
         for message in messages.into_iter().chain(std::mem::take(&mut self.acks)) {

@@ -11,7 +11,6 @@ use std::net::UdpSocket;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::{SigningConfig, StateConfig};
 use vigil_firmware::step::Firmware;
 use vigil_io::Link;
 use vigil_io::gate::{AllowUnsigned, SigningGate};

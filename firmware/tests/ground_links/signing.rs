@@ -2,15 +2,12 @@
 
 use super::*;
 
-/// A configuration that keeps its state there and hears signed packets only on the first ground link.
+/// A configuration that keeps its state there.
 fn with_state(folder: &Path) -> FirmwareConfig {
-    FirmwareConfig {
-        state: StateConfig {
-            directory: Some(folder.join("state")),
-            ..StateConfig::default()
-        },
-        ..FirmwareConfig::default()
-    }
+    let mut config = FirmwareConfig::default();
+    config.state.directory = Some(folder.join("state"));
+    config.make_state_folder().unwrap();
+    config
 }
 
 /// The texts in what somebody heard, and whether each packet was signed.
@@ -79,8 +76,10 @@ fn a_first_key_from_setup_signing_is_in_force_at_once_kept_for_the_next_start_an
     assert_eq!([&*key_file, state].map(mode), [0o600, 0o700]);
     // Whoever could write there could take the key away.
     std::fs::set_permissions(state, std::fs::Permissions::from_mode(0o770)).unwrap();
-    let refused = config.gate().err().unwrap().to_string();
-    assert!(refused.contains("chmod 700"), "{refused}");
+    let refused = config.make_state_folder().unwrap_err().to_string();
+    let at = state.display();
+    let expected = format!("state folder {at}: others may write there: `chmod 700 {at}`, as the firmware's user");
+    assert_eq!(refused, expected);
     std::fs::set_permissions(state, std::fs::Permissions::from_mode(0o700)).unwrap();
     let mut rig = Rig::new(["", ""], config.gate().unwrap());
     for (bytes, passes) in [(&captured, false), (&signed(KEY, 10, &land), true)] {
@@ -94,14 +93,8 @@ fn with_key(folder: &Path, key: [u8; 32]) -> (FirmwareConfig, PathBuf) {
     let path = folder.join("vigil.key");
     std::fs::write(&path, key).unwrap();
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
-    let signing = SigningConfig {
-        key_file: Some(path.clone()),
-        ..SigningConfig::default()
-    };
-    let config = FirmwareConfig {
-        signing,
-        ..FirmwareConfig::default()
-    };
+    let mut config = FirmwareConfig::default();
+    config.signing.key_file = Some(path.clone());
     (config, path)
 }
 

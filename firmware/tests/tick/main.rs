@@ -211,23 +211,6 @@ fn noise_on_the_link_is_no_telemetry_and_no_crash() {
     }
 }
 
-#[test]
-fn the_same_inputs_give_the_same_bytes() {
-    let fly = || {
-        let mut flight = Flight::new(TestVehicle::on_ground(), &config());
-        let mut bytes = Vec::new();
-        for _ in 0..600 {
-            flight.step();
-            for (link, datagram) in flight.sent.iter() {
-                bytes.push(link);
-                bytes.extend_from_slice(datagram);
-            }
-        }
-        (bytes, flight.last)
-    };
-    assert_eq!(fly(), fly());
-}
-
 const REAL: MavParamType = MavParamType::MAV_PARAM_TYPE_REAL32;
 
 #[test]

@@ -15,7 +15,7 @@ const LOWEST_M: f32 = 1.0;
 
 /// Flies the guard's planner over the frames that were delivered, as the guard does, and says how far the next one may bend the actor:
 /// never so far from the planner that they disagree, and back to the planner's own yaw once the last action was on a collision course,
-/// because two such steps raise the alarm, or the guard's *led astray* comes near.
+/// because two such steps raise the alarm, or the guard's `LedAstray` comes near.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct GuardEvasion {
     planner: Box<RecoveryPilot>,

@@ -101,7 +101,7 @@ impl PolicyAttack {
             perturber: Perturber::new(*config)?,
             policy: evaluated(&policy.network)?,
             surrogate: SurrogatePolicy {
-                network: evaluated(&policy.network.unsaturated())?,
+                network: evaluated(&policy.network.unsaturated(&policy.params))?,
                 inputs,
                 places: inputs.places().collect(),
                 delivered: vec![0.0; len],

@@ -3,11 +3,11 @@
 #[path = "../../../firmware/nnet/tests/common/mod.rs"]
 mod oracle;
 
-use oracle::{activation, conv2d, dense, rng, uniform, wide};
+use oracle::{Evaluated, activation, conv2d, dense, layer_norm, rng, uniform, wide};
 use vigil_adversary::{
     AttackConfig, AttackError, Beside, Method, REPLAYED_FRAMES, SWELL_FRAMES, StateAttack, StreamAttack, Towards,
 };
-use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, WINDOW, normalise};
+use vigil_detector::{FrozenDetector, LstmAd, ROW, WINDOW, normalise};
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
 use vigil_policy::actor::memory::SCAN_AGES;
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, Actor, ActorSpec, CONTEXT, LOW_DIM, LowDim};
@@ -119,14 +119,8 @@ fn yaw_before_saturation(params: &[f64], frame: &[f64], beside: &Beside) -> f64 
     x.extend(wide(&beside.context));
     for (layer, (weights, norm)) in SPEC.trunk().into_iter().zip(layout.trunk) {
         x = dense(layer, Activation::Identity, at(weights), &x);
-        let count = x.len() as f64;
-        let mean = x.iter().sum::<f64>() / count;
-        let variance = x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / count;
-        let (scale, shift) = at(norm).split_at(x.len());
-        for ((x, scale), shift) in x.iter_mut().zip(scale).zip(shift) {
-            *x = scale * (*x - mean) / (variance + 1e-5).sqrt() + shift;
-        }
-        x = activation(Activation::Elu, &x);
+        let norm_of = ActorSpec::norm(layer);
+        x = activation(Activation::Elu, &layer_norm(norm_of, at(norm), &x));
     }
     let of = |inputs, outputs| Dense { inputs, outputs };
     let state = dense(of(128, ACTOR_HIDDEN), Activation::Identity, at(layout.state), &x);
@@ -167,13 +161,9 @@ fn the_gradient_is_the_float64_slope_of_the_yaw_before_its_saturation() {
 #[test]
 fn what_is_reported_is_what_the_actor_does_and_the_yaw_goes_where_it_was_aimed() {
     let (actor, clean, beside) = (random_actor(3), frame(4), beside(5));
-    let graph = SPEC.graph(Purpose::Gradients).unwrap();
-    let decide = |frame: &[f32]| -> Vec<f32> {
-        let inputs: [&[f32]; 3] = [frame, &beside.context, &beside.low_dim];
-        let mut tape = vec![0.0; graph.tape_len()];
-        graph.forward(Isa::detect(), &actor.params, &inputs, &mut tape).unwrap();
-        graph.output(&tape).unwrap().to_vec()
-    };
+    let whole = Evaluated::new(SPEC.graph(Purpose::Gradients).unwrap(), Isa::detect(), &actor.params);
+    let inputs = |frame: &[f32]| [frame, &beside.context, &beside.low_dim].map(<[f32]>::to_vec);
+    let decide = |frame: &[f32]| whole.output(&whole.tape(&inputs(frame)));
     for method in Method::ALL {
         for (towards, sign) in [(Towards::Left, -1.0), (Towards::Right, 1.0)] {
             let settings = AttackConfig {
@@ -498,23 +488,15 @@ fn bad_configurations_and_frames_are_refused_by_name() {
 /// A detector of random weights.
 fn random_detector() -> FrozenDetector {
     let mut rng = rng(11);
-    let params = LstmAd::tensors()
-        .iter()
-        .map(|(_, shape)| shape.iter().product::<usize>())
-        .sum();
+    let built_in = FrozenDetector::built_in().unwrap();
     let background = |rng: &mut _| (uniform(rng, ACTOR_HIDDEN, 0.5), beside(7).low_dim);
     FrozenDetector {
-        of: Of::Actor,
-        actor_sha256: String::new(),
         backgrounds: (0..5).map(|_| background(&mut rng)).collect(),
         centre: [0.0; ROW],
         scale: [0.02; ROW],
         threshold: 0.5,
-        threshold_choice: String::new(),
-        params: uniform(&mut rng, params, 0.2),
-        training_config: String::new(),
-        seed: 0,
-        git_commit: None,
+        params: uniform(&mut rng, built_in.params.len(), 0.2),
+        ..built_in
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::vehicle_parameters::ParameterError;
 use std::collections::BTreeMap;
+use vigil_mavlink::routing::ComponentId;
 
 /// A link of the vehicle: index into [`EndpointConfig::links`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -14,6 +15,22 @@ impl LinkId {
     pub const API: Self = Self(1);
     /// The ground stations' link among the default links.
     pub const GCS: Self = Self(2);
+}
+
+/// Who sent a packet: on which link, from which of the link's ends, and who it says it is. Anybody may claim any identity;
+/// the end it comes from is the system's word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Source {
+    pub link: LinkId,
+    /// Another number for another end of the same link.
+    pub peer: u64,
+    pub id: ComponentId,
+}
+
+impl core::fmt::Display for Source {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "{} on link {}", self.id, self.link.0)
+    }
 }
 
 /// What a link is for; decides which telemetry streams on it unasked.
@@ -131,7 +148,7 @@ pub enum ConfigError {
         /// Which plan.
         kind: &'static str,
         /// Why it is refused.
-        reason: &'static str,
+        reason: String,
     },
     /// A parameter's name or value.
     #[error("parameters: {0}")]

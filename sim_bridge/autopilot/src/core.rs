@@ -7,7 +7,7 @@ use crate::flight::setpoint_owner::Setpoints;
 use crate::flight::state::{Commander, Failsafe, FenceWatch, LandedState, LostSensors, Sticks};
 use crate::outbox::{Outbox, Traffic};
 use crate::plan::Plans;
-use crate::vehicle::{HoldLaw, Sensors, Truth, VehicleView};
+use crate::vehicle::{HoldLaw, Truth, VehicleView};
 use crate::vehicle_parameters::{ParamId, ParameterValue, Parameters};
 use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
 use vigil_mavlink::common::MavSeverity;
@@ -17,50 +17,44 @@ pub use vigil_mavlink::routing::ComponentId;
 use vigil_mavlink::{Allowance, MavMessage, StatusText};
 use vigil_types::{Nanos, RANGE_SECTORS};
 
-/// What was refused since start, besides what the framing refused.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Refusals {
-    /// Packets that claim to come from this vehicle's autopilot.
-    pub own_identity: u64,
-    /// Messages addressed to the vehicle that hold a value which the protocol does not have.
-    pub not_parsed: u64,
-    /// Setpoints with a frame or type mask that the vehicle does not fly.
-    pub setpoint_form: u64,
-    /// Setpoints with a value that is not finite or absurd.
-    pub setpoint_value: u64,
-    /// Setpoints of others while the owner holds OFFBOARD, those included that claim its identity elsewhere.
-    pub setpoint_foreign: u64,
-    /// Commands answered UNSUPPORTED.
-    pub command_unsupported: u64,
-    /// Commands answered DENIED or TEMPORARILY_REJECTED.
-    pub command_denied: u64,
-    /// Parameter sets and reads refused.
-    pub parameter: u64,
-    /// File transfer requests answered NAK, the end of a file or listing included.
-    pub file: u64,
-    /// Plans refused, and messages of the mission protocol that fit no transfer.
-    pub plan: u64,
-    /// Packets for other links beyond what is passed on of one link.
-    pub crowded_out: u64,
+macro_rules! refusals {
+    ($($(#[$what:meta])* $field:ident = $name:literal,)*) => {
+        /// What was refused since start, besides what the framing refused.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+        pub struct Refusals { $($(#[$what])* pub $field: u64,)* }
+
+        impl Refusals {
+            /// What was refused, with its name.
+            pub fn named(&self) -> [(&'static str, u64); 11] {
+                [$(($name, self.$field)),*]
+            }
+        }
+    };
 }
 
-impl Refusals {
-    /// What was refused, with its name.
-    pub fn named(&self) -> [(&'static str, u64); 11] {
-        [
-            ("packets in the vehicle's name", self.own_identity),
-            ("not understood", self.not_parsed),
-            ("setpoints of a kind that is not flown", self.setpoint_form),
-            ("setpoints with absurd values", self.setpoint_value),
-            ("setpoints of others than their owner", self.setpoint_foreign),
-            ("unknown commands", self.command_unsupported),
-            ("commands denied", self.command_denied),
-            ("parameters", self.parameter),
-            ("file requests", self.file),
-            ("plans", self.plan),
-            ("packets beyond what is passed on", self.crowded_out),
-        ]
-    }
+refusals! {
+    /// Packets that claim to come from this vehicle's autopilot.
+    own_identity = "packets in the vehicle's name",
+    /// Messages addressed to the vehicle that hold a value which the protocol does not have.
+    not_parsed = "not understood",
+    /// Setpoints with a frame or type mask that the vehicle does not fly.
+    setpoint_form = "setpoints of a kind that is not flown",
+    /// Setpoints with a value that is not finite or absurd.
+    setpoint_value = "setpoints with absurd values",
+    /// Setpoints of others while the owner holds OFFBOARD, those included that claim its identity elsewhere.
+    setpoint_foreign = "setpoints of others than their owner",
+    /// Commands answered UNSUPPORTED.
+    command_unsupported = "unknown commands",
+    /// Commands answered DENIED or TEMPORARILY_REJECTED.
+    command_denied = "commands denied",
+    /// Parameter sets and reads refused.
+    parameter = "parameters",
+    /// File transfer requests answered NAK, the end of a file or listing included.
+    file = "file requests",
+    /// Plans refused, and messages of the mission protocol that fit no transfer.
+    plan = "plans",
+    /// Packets for other links beyond what is passed on of one link.
+    crowded_out = "packets beyond what is passed on",
 }
 
 /// What the simulator may show and a test may check.
@@ -140,6 +134,7 @@ pub struct ZoneRanges {
 }
 
 /// Shared state.
+#[derive(Default)]
 pub(crate) struct Core {
     pub now_ns: Nanos,
     /// Time of the first step, the origin of `time_boot_ms`.
@@ -147,7 +142,6 @@ pub(crate) struct Core {
     pub view: VehicleView,
     /// What the vehicle's hold is.
     pub hold_law: HoldLaw,
-    pub id: ComponentId,
     /// Where the local origin is, which is home until it is moved.
     pub home: HomePosition,
     /// Where home is: metres north and east of the local origin, at its height.
@@ -190,50 +184,28 @@ impl Core {
     pub fn new(config: &EndpointConfig) -> Result<Self, ConfigError> {
         config.check()?;
         let mut parameters = Parameters::new(&config.parameters)?;
-        parameters.tell("MAV_SYS_ID", ParameterValue::Int32(config.system_id.into()));
+        parameters.tell("MAV_SYS_ID", ParameterValue::Integer(config.system_id.into()));
+        let mut view = VehicleView::default();
+        (view.sensors.battery_remaining, view.on_ground) = (1.0, true);
         Ok(Self {
-            now_ns: 0,
-            boot_ns: None,
-            view: VehicleView {
-                sensors: Sensors {
-                    battery_remaining: 1.0,
-                    ..Sensors::default()
-                },
-                on_ground: true,
-                ..VehicleView::default()
-            },
-            hold_law: HoldLaw::default(),
-            id: ComponentId {
-                system: config.system_id,
-                component: 1,
-            },
+            view,
             home: config.home,
-            home_m: (0.0, 0.0),
             unix_time_at_zero_us: config.unix_time_at_zero_us,
             parameters,
-            commander: Commander::default(),
-            rebooted: false,
-            setpoints: Setpoints::default(),
-            sticks: Sticks::default(),
-            lost_sensors: LostSensors::default(),
-            truth: None,
-            ranges: None,
-            signing_setup: None,
-            plans: Plans::default(),
-            fence_watch: FenceWatch::default(),
             outbox: Outbox::new(config.system_id, config.links.len()),
-            files: FileSystem::default(),
-            framing: FramingCounters::default(),
             received: vec![Traffic::default(); config.links.len()],
             roles: config.links.clone(),
-            refusals: Refusals::default(),
-            forwarded: 0,
-            texts: 0,
-            last_text: String::new(),
-            refusals_said: Allowance::default(),
-            unlogged: Vec::new(),
             wanted: Vec::with_capacity(8),
+            ..Self::default()
         })
+    }
+
+    /// Who the vehicle is.
+    pub fn id(&self) -> ComponentId {
+        ComponentId {
+            system: self.outbox.system_id,
+            component: 1,
+        }
     }
 
     /// A parameter's value.

@@ -101,7 +101,8 @@ impl Endpoint {
             system: packet.system_id(),
             component: packet.component_id(),
         };
-        if id == self.core.id {
+        let own = self.core.id();
+        if id == own {
             self.core.refusals.own_identity += 1;
             return;
         }
@@ -111,9 +112,7 @@ impl Endpoint {
         }
         let target = packet.target();
         // A signing key is nobody else's business.
-        let onward = self
-            .routing
-            .onward(self.core.id, target, link.0, self.core.outbox.links());
+        let onward = self.routing.onward(own, target, link.0, self.core.outbox.links());
         let onward = if carries_key(packet) { LinkSet::NONE } else { onward };
         if !onward.is_empty() && !self.may_pass_on(link) {
             self.core.refusals.crowded_out += 1;
@@ -125,7 +124,7 @@ impl Endpoint {
         }
         let for_us = target.is_none_or(|(system, component)| {
             (system == 0 && !needs_address(packet.message_id()))
-                || (system == self.core.id.system && (component == 0 || component == self.core.id.component))
+                || (system == own.system && (component == 0 || component == own.component))
         });
         if !for_us || !packet.is_known() {
             return;

@@ -39,12 +39,12 @@ pub(crate) enum FileError {
     BadPath,
 }
 
-#[derive(Debug, Clone)]
-struct Entry {
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Entry {
     /// A file's bytes; `None` for a directory.
     content: Option<Vec<u8>>,
     /// Unix time.
-    modified_s: u64,
+    pub modified_s: u64,
     /// The vehicle's own: clients may only read it.
     own: bool,
 }
@@ -57,15 +57,11 @@ impl Entry {
             own,
         }
     }
-}
 
-/// An entry of a listing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Listed<'a> {
-    pub name: &'a str,
     /// `None` for a directory.
-    pub size: Option<usize>,
-    pub modified_s: u64,
+    pub fn size(&self) -> Option<usize> {
+        self.content.as_ref().map(Vec::len)
+    }
 }
 
 /// The tree. Keys are paths without a leading slash; the root, which is not an entry, is the empty path.
@@ -148,7 +144,7 @@ impl FileSystem {
     }
 
     /// What a directory holds, sorted by name.
-    pub fn list(&self, path: &str) -> Result<Vec<Listed<'_>>, FileError> {
+    pub fn list(&self, path: &str) -> Result<Vec<(&str, &Entry)>, FileError> {
         let path = normalised(path)?;
         if !path.is_empty() && self.entry(&path)?.content.is_some() {
             return Err(FileError::NotADirectory);
@@ -158,12 +154,7 @@ impl FileSystem {
             .entries
             .range::<str, _>((Bound::Included(prefix.as_str()), Bound::Unbounded));
         let below = behind.map_while(|(key, entry)| Some((key.strip_prefix(prefix.as_str())?, entry)));
-        let listed = |(name, entry): (_, &Entry)| Listed {
-            name,
-            size: entry.content.as_ref().map(Vec::len),
-            modified_s: entry.modified_s,
-        };
-        Ok(below.filter(|(name, _)| !name.contains('/')).map(listed).collect())
+        Ok(below.filter(|(name, _)| !name.contains('/')).collect())
     }
 
     /// Whether a client may put something at `path`.
@@ -318,7 +309,7 @@ mod tests {
 
     fn names(files: &FileSystem, path: &str) -> Vec<String> {
         let listed = files.list(path).expect("a directory").into_iter();
-        let name = |l: Listed<'_>| format!("{}{}", l.name, if l.size.is_none() { "/" } else { "" });
+        let name = |(name, entry): (&str, &Entry)| format!("{name}{}", if entry.size().is_none() { "/" } else { "" });
         listed.map(name).collect()
     }
 

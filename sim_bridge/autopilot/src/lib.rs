@@ -21,7 +21,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! A protocol service is a file in `services` that implements `service::Service` and its line in `services`: `services`
+//! A protocol service is what implements `service::Service` in `services`, and its line in their table: `services`
 //! know the core, the core knows none of them.
 #![forbid(unsafe_code)]
 // Clients still send what the protocol calls superseded (PING, SET_MODE, MAV_FRAME_BODY_NED), and expect answers.
@@ -38,7 +38,6 @@ mod plan;
 mod saved;
 mod service;
 mod services;
-mod source;
 mod streams;
 mod ulog;
 mod used_parameters;

@@ -1,7 +1,7 @@
 //! What waits to be sent: packets with their link, one packet per datagram.
 
 use crate::LinkId;
-use crate::source::Source;
+use crate::config::Source;
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize, serialize_payload};
 use vigil_mavlink::mavlink::{MavHeader, Message};
 use vigil_mavlink::{MavMessage, framing::CommandAck};
@@ -17,9 +17,9 @@ pub(crate) struct Traffic {
 }
 
 /// The queue. It keeps its memory, so that a steady flow allocates nothing.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Outbox {
-    system_id: u8,
+    pub system_id: u8,
     /// Whether what is queued now is telemetry: on a slow link it gives way to everything else.
     pub is_telemetry: bool,
     bytes: Vec<u8>,
@@ -37,12 +37,11 @@ impl Outbox {
     pub fn new(system_id: u8, links: usize) -> Self {
         Self {
             system_id,
-            is_telemetry: false,
             bytes: Vec::with_capacity(16 * 1024),
             marks: Vec::with_capacity(256),
             sequences: vec![0; links],
             sent: vec![Traffic::default(); links],
-            dropped: 0,
+            ..Self::default()
         }
     }
 

@@ -1,6 +1,6 @@
 //! What outlives a restart of the vehicle: its parameters and plans.
 
-use crate::plan::{PlanItem, PlanKind};
+use crate::plan::{PlanItem, PlanKind, Plans};
 use crate::vehicle_parameters::{ParameterInfo, ParameterRole, ParameterValue};
 use crate::{ConfigError, Endpoint};
 use std::collections::BTreeMap;
@@ -49,14 +49,19 @@ impl Endpoint {
             (PlanKind::Fence, &saved.geofence),
             (PlanKind::Rally, &saved.rally),
         ] {
-            let refused = |reason| ConfigError::Plan {
+            let refused = |reason: &str| ConfigError::Plan {
                 kind: kind.name(),
-                reason,
+                reason: reason.to_owned(),
             };
             if items.len() > usize::from(kind.capacity()) {
                 return Err(refused("too many items"));
             }
             let core = &mut self.core;
+            for (i, item) in items.iter().enumerate() {
+                let PlanItem { command, frame, .. } = item;
+                let at = |reason| format!("item {i} (command {command}, frame {frame}): {reason}");
+                Plans::read(kind, item, &core.home).map_err(|defect| refused(&at(defect.reason)))?;
+            }
             core.plans
                 .replace(kind, items.clone(), &core.home)
                 .map_err(|defect| refused(defect.reason))?;
@@ -68,7 +73,7 @@ impl Endpoint {
 /// The value as people write it: 0.4, not the double next to the float.
 pub(crate) fn exact(value: ParameterValue) -> f64 {
     match value {
-        ParameterValue::Int32(v) => f64::from(v),
-        ParameterValue::Real32(v) => v.to_string().parse().unwrap_or(f64::from(v)),
+        ParameterValue::Integer(v) => f64::from(v),
+        ParameterValue::Real(v) => v.to_string().parse().unwrap_or(f64::from(v)),
     }
 }

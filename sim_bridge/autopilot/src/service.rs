@@ -1,9 +1,9 @@
 //! What a protocol service is.
 
 use crate::LinkId;
+pub(crate) use crate::config::Source;
 use crate::core::Core;
 use crate::flight::Denial;
-pub(crate) use crate::source::Source;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::MavResult;
 use vigil_mavlink::framing::{Command, CommandAck, Packet};

@@ -23,18 +23,14 @@ struct Schedule {
     next_ns: Nanos,
 }
 
-/// A message and the index of the service that produces it.
-struct Origin {
-    produced: Produced,
-    service: usize,
-}
-
 struct Stream {
-    origin: Origin,
+    produced: Produced,
+    /// Index of the service that produces it.
+    service: usize,
     per_link: Vec<Schedule>,
 }
 
-impl Origin {
+impl Stream {
     fn build(&self, link: LinkId, core: &Core, services: &Services) -> Option<MavMessage> {
         match self.produced.build {
             Some(build) => build(core),
@@ -60,25 +56,24 @@ impl Streams {
         let mut streams: Vec<Stream> = Vec::new();
         for (service, producer) in services.iter().enumerate() {
             for produced in producer.messages() {
-                let origin = Origin {
-                    produced: *produced,
-                    service,
-                };
                 let schedule = |role: &LinkRole| Schedule {
                     interval_ns: default_interval_ns(produced, *role),
                     next_ns: 0,
                 };
-                let per_link = roles.iter().map(schedule).collect();
-                streams.push(Stream { origin, per_link });
+                streams.push(Stream {
+                    produced: *produced,
+                    service,
+                    per_link: roles.iter().map(schedule).collect(),
+                });
             }
         }
-        streams.sort_by_key(|s| s.origin.produced.id);
-        debug_assert!(streams.is_sorted_by(|a, b| a.origin.produced.id < b.origin.produced.id));
+        streams.sort_by_key(|s| s.produced.id);
+        debug_assert!(streams.is_sorted_by(|a, b| a.produced.id < b.produced.id));
         Self { streams, due_ns: 0 }
     }
 
     fn index_of(&self, id: u32) -> Option<usize> {
-        self.streams.binary_search_by_key(&id, |s| s.origin.produced.id).ok()
+        self.streams.binary_search_by_key(&id, |s| s.produced.id).ok()
     }
 
     /// Answers 510, 511 and 512 for the link that the command came on; UNSUPPORTED is any other. A message that the vehicle does
@@ -102,14 +97,14 @@ impl Streams {
             }
             (SET_MESSAGE_INTERVAL, ..) => Err(Refusal::FAILED),
             (REQUEST_MESSAGE, _, Some(index)) => {
-                let origin = &self.streams[index].origin;
-                if let Some(answer) = origin.produced.request {
+                let stream = &self.streams[index];
+                if let Some(answer) = stream.produced.request {
                     return answer(command, source, core);
                 }
                 // Known, but nothing to tell: a setpoint's echo outside OFFBOARD, a sensor that the vehicle does not have.
-                let has_content = origin.build(source.link, core, services).is_some();
+                let has_content = stream.build(source.link, core, services).is_some();
                 has_content
-                    .then(|| core.wanted.push((Some(source.link), origin.produced.id)))
+                    .then(|| core.wanted.push((Some(source.link), stream.produced.id)))
                     .ok_or(Refusal::DENIED)
             }
             (GET_MESSAGE_INTERVAL | REQUEST_MESSAGE, ..) => Err(Refusal::DENIED),
@@ -134,7 +129,7 @@ impl Streams {
         schedule.interval_ns = if interval_us < 0.0 && interval_us.is_finite() {
             None
         } else if interval_us == 0.0 {
-            default_interval_ns(&stream.origin.produced, *core.roles.get(link)?)
+            default_interval_ns(&stream.produced, *core.roles.get(link)?)
         } else {
             Some(nanos(f64::from(interval_us) * 1e-6)?.max(MIN_INTERVAL_NS))
         };
@@ -155,7 +150,7 @@ impl Streams {
                 None => 0..core.outbox.links() as u8,
             };
             for link in links.map(LinkId) {
-                if let Some(message) = stream.origin.build(link, core, services) {
+                if let Some(message) = stream.build(link, core, services) {
                     core.outbox.send(link, &message);
                 }
             }
@@ -169,28 +164,27 @@ impl Streams {
         let now_ns = core.now_ns;
         self.due_ns = Nanos::MAX;
         for stream in &mut self.streams {
-            core.outbox.is_telemetry = stream.origin.produced.id != HEARTBEAT_DATA::ID;
+            core.outbox.is_telemetry = stream.produced.id != HEARTBEAT_DATA::ID;
             let mut built = None;
-            for (link, schedule) in stream.per_link.iter_mut().enumerate() {
-                let Some(interval_ns) = schedule.interval_ns else {
+            for link in 0..stream.per_link.len() {
+                let Schedule { interval_ns, next_ns } = stream.per_link[link];
+                let Some(interval_ns) = interval_ns else {
                     continue;
                 };
-                if schedule.next_ns <= now_ns {
-                    let link = LinkId(link as u8);
-                    if stream.origin.produced.build.is_none() {
+                if next_ns <= now_ns {
+                    let id = LinkId(link as u8);
+                    if stream.produced.build.is_none() {
                         built = None;
                     }
-                    let message = built.get_or_insert_with(|| stream.origin.build(link, core, services));
-                    if let Some(message) = message {
-                        core.outbox.send(link, message);
+                    if let Some(message) = built.get_or_insert_with(|| stream.build(id, core, services)) {
+                        core.outbox.send(id, message);
                     }
                     // On the grid of the interval; after a pause the missed ones are not made up for.
-                    schedule.next_ns += interval_ns;
-                    if schedule.next_ns <= now_ns {
-                        schedule.next_ns = now_ns + interval_ns;
-                    }
+                    let next_ns = next_ns + interval_ns;
+                    let is_late = next_ns <= now_ns;
+                    stream.per_link[link].next_ns = if is_late { now_ns + interval_ns } else { next_ns };
                 }
-                self.due_ns = self.due_ns.min(schedule.next_ns);
+                self.due_ns = self.due_ns.min(stream.per_link[link].next_ns);
             }
         }
         core.outbox.is_telemetry = false;

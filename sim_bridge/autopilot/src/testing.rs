@@ -58,8 +58,11 @@ pub struct Bench {
 }
 
 impl Bench {
+    /// A vehicle on the ground; what it sent at its start is forgotten.
     pub fn new() -> Self {
-        Self::with(EndpointConfig::default())
+        let mut bench = Self::with(EndpointConfig::default());
+        bench.sent.clear();
+        bench
     }
 
     pub fn with(config: EndpointConfig) -> Self {
@@ -266,10 +269,7 @@ impl Bench {
 
     /// Sets a parameter by PARAM_SET; whole numbers bytewise.
     pub fn set_parameter(&mut self, name: &str, value: ParameterValue) {
-        let (param_value, param_type) = match value {
-            ParameterValue::Int32(v) => (f32::from_bits(v as u32), MavParamType::MAV_PARAM_TYPE_INT32),
-            ParameterValue::Real32(v) => (v, MavParamType::MAV_PARAM_TYPE_REAL32),
-        };
+        let (param_value, param_type) = crate::vehicle_parameters::on_wire(value);
         self.set_parameter_as(name, param_value, param_type);
     }
 
@@ -375,8 +375,25 @@ impl Bench {
         self.first(API).unwrap_or_else(|| panic!("{} was not sent", M::NAME))
     }
 
-    pub fn last<M: MessageData<Message = MavMessage>>(&self, link: LinkId) -> Option<M> {
-        self.all(link).pop()
+    /// The last within this time from now.
+    pub fn fresh<M: MessageData<Message = MavMessage>>(&mut self, ms: u64) -> M {
+        self.sent.clear();
+        self.run_ms(ms);
+        self.last(API)
+    }
+
+    /// Asks for a message and returns it.
+    pub fn request<M: MessageData<Message = MavMessage>>(&mut self) -> M {
+        self.sent.clear();
+        assert_eq!(self.ask(512, &[M::ID as f32]), ACCEPTED);
+        self.one()
+    }
+
+    /// The last on a link, which must be there.
+    pub fn last<M: MessageData<Message = MavMessage>>(&self, link: LinkId) -> M {
+        self.all(link)
+            .pop()
+            .unwrap_or_else(|| panic!("{} was not sent", M::NAME))
     }
 
     pub fn count(&self, link: LinkId, message_id: u32) -> usize {
@@ -396,7 +413,7 @@ impl Bench {
 
     /// The last heartbeat on a link.
     pub fn heartbeat(&self, link: LinkId) -> HEARTBEAT_DATA {
-        self.last::<HEARTBEAT_DATA>(link).expect("a heartbeat was sent")
+        self.last(link)
     }
 }
 

@@ -3,7 +3,7 @@
 
 use crate::core::Core;
 use crate::flight::LandedState;
-use crate::vehicle_parameters::ParameterValue;
+use crate::vehicle_parameters::{ParameterValue, on_wire};
 use vigil_mavlink::common::MavSeverity;
 
 /// Bytes before the first message: magic, version, start.
@@ -57,10 +57,15 @@ pub(crate) fn begin(core: &Core) -> Vec<u8> {
     }
     for (info, value) in core.parameters.all() {
         let kind = match value {
-            ParameterValue::Int32(_) => "int32_t",
-            ParameterValue::Real32(_) => "float",
+            ParameterValue::Integer(_) => "int32_t",
+            ParameterValue::Real(_) => "float",
         };
-        named(&mut out, b'P', &format!("{kind} {}", info.name), &value.to_le_bytes());
+        named(
+            &mut out,
+            b'P',
+            &format!("{kind} {}", info.name),
+            &on_wire(value).0.to_le_bytes(),
+        );
     }
     for (number, (name, _)) in TOPICS.iter().enumerate() {
         message(&mut out, b'A', &[&[0], &(number as u16).to_le_bytes(), name.as_bytes()]);
@@ -80,7 +85,7 @@ pub(crate) fn record(out: &mut Vec<u8>, core: &Core) {
     let (c, e, s) = (&core.commander, &core.view.estimate, &core.view.sensors);
     let (p, v, a) = (e.position_ned_m, e.velocity_ned_m_s, e.attitude);
     let floats = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
-    let (_, _, nav_state, _) = c.mode.px4();
+    let (_, _, nav_state, ..) = c.mode.px4();
     let state = [nav_state, 1 + u8::from(c.armed), u8::from(c.failsafe.is_some())];
     let contents = [
         floats(&[p.x, p.y, p.z, v.x, v.y, v.z, a.yaw_rad()]),

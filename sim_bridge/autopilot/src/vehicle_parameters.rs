@@ -3,31 +3,14 @@
 use std::collections::BTreeMap;
 use std::mem::discriminant;
 use std::sync::LazyLock;
+pub use vigil_mavlink::ParameterValue;
+use vigil_mavlink::common::MavParamType;
 
-/// A parameter's value with its type.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum ParameterValue {
-    /// MAV_PARAM_TYPE_INT32.
-    Int32(i32),
-    /// MAV_PARAM_TYPE_REAL32.
-    Real32(f32),
-}
-
-impl ParameterValue {
-    /// The value as a float.
-    pub const fn as_f32(self) -> f32 {
-        match self {
-            Self::Int32(v) => v as f32,
-            Self::Real32(v) => v,
-        }
-    }
-
-    /// Its bytes in files and digests.
-    pub(crate) const fn to_le_bytes(self) -> [u8; 4] {
-        match self {
-            Self::Int32(v) => v.to_le_bytes(),
-            Self::Real32(v) => v.to_le_bytes(),
-        }
+/// A value on the wire, whole numbers bytewise, and its type; its bytes are also those in files and digests.
+pub(crate) const fn on_wire(value: ParameterValue) -> (f32, MavParamType) {
+    match value {
+        ParameterValue::Integer(v) => (f32::from_bits(v as u32), MavParamType::MAV_PARAM_TYPE_INT32),
+        ParameterValue::Real(v) => (v, MavParamType::MAV_PARAM_TYPE_REAL32),
     }
 }
 
@@ -65,7 +48,7 @@ impl ParameterInfo {
     /// The numbers that stand for something, with what they stand for: those that the description lists (`: 0 nothing, 1 warning`), of
     /// whole numbers. Empty where a number is a quantity.
     pub fn choices(&self) -> Vec<(i32, &'static str)> {
-        let (ParameterValue::Int32(_), Some((_, list))) = (self.default, self.description.split_once(": ")) else {
+        let (ParameterValue::Integer(_), Some((_, list))) = (self.default, self.description.split_once(": ")) else {
             return Vec::new();
         };
         let choice = |part: &'static str| {
@@ -128,194 +111,194 @@ macro_rules! parameters {
 // (`crate::vehicle::ControlParams`): the description then says where its own limit lies.
 parameters! {
 acting {
-    DisarmLandS = "COM_DISARM_LAND", Real32(2.0), -1.0, 20.0, "s",
+    DisarmLandS = "COM_DISARM_LAND", Real(2.0), -1.0, 20.0, "s",
         "Time on the ground after a landing until the vehicle disarms itself; 0 or less: never";
-    DisarmPreflightS = "COM_DISARM_PRFLT", Real32(10.0), -1.0, 60.0, "s",
+    DisarmPreflightS = "COM_DISARM_PRFLT", Real(10.0), -1.0, 60.0, "s",
         "Time armed on the ground without a take-off until the vehicle disarms itself; 0 or less: never";
-    FailsafeDelayS = "COM_FAIL_ACT_T", Real32(5.0), 0.0, 25.0, "s",
+    FailsafeDelayS = "COM_FAIL_ACT_T", Real(5.0), 0.0, 25.0, "s",
         "Time in hold until NAV_RCL_ACT follows";
-    OffboardLossAction = "COM_OBL_RC_ACT", Int32(5), 0.0, 7.0, "",
+    OffboardLossAction = "COM_OBL_RC_ACT", Integer(5), 0.0, 7.0, "",
         "What follows a lost setpoint stream: 0 position, 1 altitude, 2 stabilized (sticks centred if absent), 3 return, 4 land, 5 hold, 6 terminate, 7 disarm";
-    OffboardLossS = "COM_OF_LOSS_T", Real32(1.0), 0.1, 60.0, "s",
+    OffboardLossS = "COM_OF_LOSS_T", Real(1.0), 0.1, 60.0, "s",
         "Age of the owner's last setpoint at which OFFBOARD is left";
-    SticksLossExceptions = "COM_RCL_EXCEPT", Int32(0), 0.0, 31.0, "",
+    SticksLossExceptions = "COM_RCL_EXCEPT", Integer(0), 0.0, 31.0, "",
         "Modes that go on when sticks are lost, by bits: bit 0 mission, bit 1 hold and take-off, bit 2 offboard";
-    SticksLossS = "COM_RC_LOSS_T", Real32(0.5), 0.1, 35.0, "s",
+    SticksLossS = "COM_RC_LOSS_T", Real(0.5), 0.1, 35.0, "s",
         "Age of the last sticks at which they are lost";
-    FollowAltitudeMode = "FLW_TGT_ALT_M", Int32(0), 0.0, 2.0, "",
+    FollowAltitudeMode = "FLW_TGT_ALT_M", Integer(0), 0.0, 2.0, "",
         "What follow mode counts its height from: 0 home, 1 the ground (the same here), 2 the target";
-    FollowDistanceM = "FLW_TGT_DST", Real32(8.0), 1.0, 100.0, "m",
+    FollowDistanceM = "FLW_TGT_DST", Real(8.0), 1.0, 100.0, "m",
         "Horizontal distance that follow mode keeps from the target";
-    FollowAngleDeg = "FLW_TGT_FA", Real32(180.0), -180.0, 180.0, "deg",
+    FollowAngleDeg = "FLW_TGT_FA", Real(180.0), -180.0, 180.0, "deg",
         "Where follow mode keeps itself, clockwise from the target's course: 0 before it, 180 behind it";
-    FollowHeightM = "FLW_TGT_HT", Real32(8.0), 1.0, 100.0, "m",
+    FollowHeightM = "FLW_TGT_HT", Real(8.0), 1.0, 100.0, "m",
         "Height of follow mode";
-    FollowSpeedMS = "FLW_TGT_MAX_VEL", Real32(5.0), 0.0, 20.0, "m/s",
+    FollowSpeedMS = "FLW_TGT_MAX_VEL", Real(5.0), 0.0, 20.0, "m/s",
         "Speed by which follow mode may exceed the target's to get to its place; 3 at most";
-    FollowResponsiveness = "FLW_TGT_RS", Real32(0.1), 0.0, 1.0, "",
+    FollowResponsiveness = "FLW_TGT_RS", Real(0.1), 0.0, 1.0, "",
         "How much of the target's former course is kept at each report: 0 none, 1 all";
-    FenceAction = "GF_ACTION", Int32(2), 0.0, 5.0, "",
+    FenceAction = "GF_ACTION", Integer(2), 0.0, 5.0, "",
         "What follows when the vehicle leaves its geofence: 0 nothing, 1 warning, 2 hold, 3 return, 4 terminate, 5 land";
-    FenceRadiusM = "GF_MAX_HOR_DIST", Real32(0.0), 0.0, 10000.0, "m",
+    FenceRadiusM = "GF_MAX_HOR_DIST", Real(0.0), 0.0, 10000.0, "m",
         "Largest horizontal distance from home, part of the geofence; 0: none";
-    FenceHeightM = "GF_MAX_VER_DIST", Real32(0.0), 0.0, 10000.0, "m",
+    FenceHeightM = "GF_MAX_VER_DIST", Real(0.0), 0.0, 10000.0, "m",
         "Largest height above home, part of the geofence; 0: none";
-    TakeoffAltitudeM = "MIS_TAKEOFF_ALT", Real32(2.5), 0.5, 80.0, "m",
+    TakeoffAltitudeM = "MIS_TAKEOFF_ALT", Real(2.5), 0.5, 80.0, "m",
         "Height that a take-off climbs by when the command gives none";
-    LandSlowHeightM = "MPC_LAND_ALT2", Real32(5.0), 1.0, 50.0, "m",
+    LandSlowHeightM = "MPC_LAND_ALT2", Real(5.0), 1.0, 50.0, "m",
         "Height above home below which a landing descends with MPC_LAND_SPEED";
-    LandSpeedMS = "MPC_LAND_SPEED", Real32(0.7), 0.3, 1.5, "m/s",
+    LandSpeedMS = "MPC_LAND_SPEED", Real(0.7), 0.3, 1.5, "m/s",
         "Rate of descent of the last metres of a landing";
-    TakeoffSpeedMS = "MPC_TKO_SPEED", Real32(1.5), 0.3, 5.0, "m/s",
+    TakeoffSpeedMS = "MPC_TKO_SPEED", Real(1.5), 0.3, 5.0, "m/s",
         "Rate of climb of a take-off; the airframe's own limit is 2.5";
-    CruiseSpeedMS = "MPC_XY_CRUISE", Real32(5.0), 0.5, 20.0, "m/s",
+    CruiseSpeedMS = "MPC_XY_CRUISE", Real(5.0), 0.5, 20.0, "m/s",
         "Horizontal speed of go-to, missions and return; MPC_XY_VEL_MAX at most";
-    MaxSpeedMS = "MPC_XY_VEL_MAX", Real32(10.0), 0.5, 20.0, "m/s",
+    MaxSpeedMS = "MPC_XY_VEL_MAX", Real(10.0), 0.5, 20.0, "m/s",
         "Limit of horizontal speed; the airframe's own is 10";
-    MaxDownMS = "MPC_Z_VEL_MAX_DN", Real32(1.5), 0.3, 4.0, "m/s",
+    MaxDownMS = "MPC_Z_VEL_MAX_DN", Real(1.5), 0.3, 4.0, "m/s",
         "Limit of the rate of descent of setpoints and sticks; the airframe's own is 1.5";
-    MaxUpMS = "MPC_Z_VEL_MAX_UP", Real32(2.5), 0.3, 8.0, "m/s",
+    MaxUpMS = "MPC_Z_VEL_MAX_UP", Real(2.5), 0.3, 8.0, "m/s",
         "Limit of the rate of climb of setpoints and sticks; the airframe's own is 2.5";
-    AutoDownMS = "MPC_Z_V_AUTO_DN", Real32(1.5), 0.3, 4.0, "m/s",
+    AutoDownMS = "MPC_Z_V_AUTO_DN", Real(1.5), 0.3, 4.0, "m/s",
         "Rate of descent of a landing above MPC_LAND_ALT2; the airframe's own limit is 1.5";
-    AutoUpMS = "MPC_Z_V_AUTO_UP", Real32(2.5), 0.3, 8.0, "m/s",
+    AutoUpMS = "MPC_Z_V_AUTO_UP", Real(2.5), 0.3, 8.0, "m/s",
         "Rate of climb of a return; the airframe's own limit is 2.5";
-    AcceptanceRadiusM = "NAV_ACC_RAD", Real32(2.0), 0.05, 200.0, "m",
+    AcceptanceRadiusM = "NAV_ACC_RAD", Real(2.0), 0.05, 200.0, "m",
         "Distance at which a mission item that gives none is reached";
-    HeightAcceptanceM = "NAV_MC_ALT_RAD", Real32(0.8), 0.05, 200.0, "m",
+    HeightAcceptanceM = "NAV_MC_ALT_RAD", Real(0.8), 0.05, 200.0, "m",
         "Height error within which a mission item is reached";
-    SticksLossAction = "NAV_RCL_ACT", Int32(2), 0.0, 6.0, "",
+    SticksLossAction = "NAV_RCL_ACT", Integer(2), 0.0, 6.0, "",
         "What follows, after COM_FAIL_ACT_T in hold, lost sticks in a mode that is flown by them: 0 hold, 1 hold, 2 return, 3 land, 4 hold, 5 terminate, 6 disarm";
-    ReturnMinDistanceM = "RTL_MIN_DIST", Real32(10.0), 0.5, 100.0, "m",
+    ReturnMinDistanceM = "RTL_MIN_DIST", Real(10.0), 0.5, 100.0, "m",
         "Distance from where a return leads within which it climbs no higher than it is away, twice NAV_ACC_RAD at the least";
-    ReturnAltitudeM = "RTL_RETURN_ALT", Real32(30.0), 0.0, 150.0, "m",
+    ReturnAltitudeM = "RTL_RETURN_ALT", Real(30.0), 0.0, 150.0, "m",
         "Height above home that a return climbs to before it flies home";
-    ReturnType = "RTL_TYPE", Int32(0), 0.0, 1.0, "",
+    ReturnType = "RTL_TYPE", Integer(0), 0.0, 1.0, "",
         "Where a return flies to: 0 the nearest of home and rally points, 1 the nearest rally point (home if there is none)";
-    FailureEnabled = "SYS_FAILURE_EN", Int32(0), 0.0, 1.0, "",
+    FailureEnabled = "SYS_FAILURE_EN", Integer(0), 0.0, 1.0, "",
         "Whether INJECT_FAILURE is obeyed: 0 no, 1 yes";
-    GuidanceLossS = "VGL_OF_LOSS_T", Real32(0.4), 0.1, 60.0, "s",
+    GuidanceLossS = "VGL_OF_LOSS_T", Real(0.4), 0.1, 60.0, "s",
         "The same as COM_OF_LOSS_T where the owner is the guidance computer, component 191 of the vehicle's system; the shorter counts";
 } kept { // Clients set them without asking; nothing depends on them.
-    "CBRK_IO_SAFETY", Int32(22027), 0.0, 22027.0, "", "No safety switch";
-    "CBRK_SUPPLY_CHK", Int32(0), 0.0, 894281.0, "", "No power check";
-    "CBRK_USB_CHK", Int32(197848), 0.0, 197848.0, "", "No USB check";
-    "COM_ARM_WO_GPS", Int32(0), 0.0, 2.0, "", "Arming needs the GPS receiver whatever it says";
-    "COM_ARM_MAG_STR", Int32(2), 0.0, 2.0, "", "An undisturbed field";
-    "COM_DL_LOSS_T", Int32(10), 5.0, 300.0, "s", "See NAV_DLL_ACT";
-    "COM_FLTMODE1 COM_FLTMODE2 COM_FLTMODE3 COM_FLTMODE4 COM_FLTMODE5 COM_FLTMODE6", Int32(-1), -1.0, 15.0, "",
+    "CBRK_IO_SAFETY", Integer(22027), 0.0, 22027.0, "", "No safety switch";
+    "CBRK_SUPPLY_CHK", Integer(0), 0.0, 894281.0, "", "No power check";
+    "CBRK_USB_CHK", Integer(197848), 0.0, 197848.0, "", "No USB check";
+    "COM_ARM_WO_GPS", Integer(0), 0.0, 2.0, "", "Arming needs the GPS receiver whatever it says";
+    "COM_ARM_MAG_STR", Integer(2), 0.0, 2.0, "", "An undisturbed field";
+    "COM_DL_LOSS_T", Integer(10), 5.0, 300.0, "s", "See NAV_DLL_ACT";
+    "COM_FLTMODE1 COM_FLTMODE2 COM_FLTMODE3 COM_FLTMODE4 COM_FLTMODE5 COM_FLTMODE6", Integer(-1), -1.0, 15.0, "",
         "There is no such switch";
-    "COM_MODE_ARM_CHK", Int32(1), 0.0, 1.0, "", "No effect";
-    "COM_OBC_LOSS_T", Real32(5.0), 0.0, 60.0, "s", "No effect";
-    "COM_POSCTL_NAVL", Int32(0), 0.0, 1.0, "", "No effect";
-    "COM_POS_FS_EPH", Real32(5.0), -1.0, 400.0, "m", "No effect";
-    "COM_RC_IN_MODE", Int32(1), 0.0, 8.0, "", "Sticks are taken from MAVLink whatever it says";
-    "COM_TAKEOFF_ACT", Int32(0), 0.0, 1.0, "", "A take-off ends in hold";
-    "EKF2_BARO_CTRL", Int32(1), 0.0, 1.0, "", "The estimator is modelled by its error: see EKF2_HGT_REF";
-    "EKF2_EVP_NOISE", Real32(0.1), 0.01, 10.0, "m", "See EKF2_EV_CTRL";
-    "EKF2_EV_CTRL", Int32(0), 0.0, 15.0, "",
+    "COM_MODE_ARM_CHK", Integer(1), 0.0, 1.0, "", "No effect";
+    "COM_OBC_LOSS_T", Real(5.0), 0.0, 60.0, "s", "No effect";
+    "COM_POSCTL_NAVL", Integer(0), 0.0, 1.0, "", "No effect";
+    "COM_POS_FS_EPH", Real(5.0), -1.0, 400.0, "m", "No effect";
+    "COM_RC_IN_MODE", Integer(1), 0.0, 8.0, "", "Sticks are taken from MAVLink whatever it says";
+    "COM_TAKEOFF_ACT", Integer(0), 0.0, 1.0, "", "A take-off ends in hold";
+    "EKF2_BARO_CTRL", Integer(1), 0.0, 1.0, "", "The estimator is modelled by its error: see EKF2_HGT_REF";
+    "EKF2_EVP_NOISE", Real(0.1), 0.01, 10.0, "m", "See EKF2_EV_CTRL";
+    "EKF2_EV_CTRL", Integer(0), 0.0, 15.0, "",
         "Positions and poses from outside are heard and not used: the estimator is modelled by its error";
-    "EKF2_EV_DELAY", Real32(0.0), 0.0, 300.0, "ms", "See EKF2_EV_CTRL";
-    "EKF2_GPS_CTRL", Int32(7), 0.0, 15.0, "",
+    "EKF2_EV_DELAY", Real(0.0), 0.0, 300.0, "ms", "See EKF2_EV_CTRL";
+    "EKF2_GPS_CTRL", Integer(7), 0.0, 15.0, "",
         "The estimator is modelled by its error; INJECT_FAILURE takes the receiver away";
-    "EKF2_HGT_REF", Int32(1), 0.0, 3.0, "", "The estimator is modelled by its error: no sensor is its reference";
-    "GF_PREDICT", Int32(0), 0.0, 1.0, "", "A breach is one when it has happened";
-    "LNDMC_TRIG_TIME", Real32(1.0), 0.1, 10.0, "s", "No effect";
-    "MC_YAWRATE_MAX", Real32(200.0), 0.0, 1800.0, "deg/s", "No effect";
-    "MIS_DIST_1WP", Real32(10_000.0), -1.0, 100_000.0, "m", "A mission's first place may be as far as any other";
-    "MIS_TKO_LAND_REQ", Int32(0), 0.0, 6.0, "", "Missions need neither a take-off nor a landing";
-    "MPC_ACC_DOWN_MAX MPC_ACC_HOR", Real32(3.0), 2.0, 15.0, "m/s^2", "No effect";
-    "MPC_ACC_HOR_MAX", Real32(5.0), 2.0, 15.0, "m/s^2", "No effect";
-    "MPC_JERK_AUTO", Real32(4.0), 1.0, 80.0, "m/s^3", "No effect";
-    "MPC_JERK_MAX", Real32(8.0), 0.5, 500.0, "m/s^3", "No effect";
-    "MPC_TILTMAX_AIR", Real32(45.0), 20.0, 89.0, "deg", "No effect";
-    "MPC_XY_P", Real32(0.95), 0.0, 2.0, "", "No effect";
-    "SDLOG_MODE", Int32(0), -1.0, 4.0, "", "Flights are logged from arming to disarming";
-    "COM_ARM_SDCARD COM_HOME_EN MAV_FWDEXTSP MPC_USE_HTE NAV_FORCE_VT NAV_TRAFF_AVOID", Int32(1), 0.0, 4.0, "", "No effect";
-    "COM_CPU_MAX COM_WIND_MAX", Real32(-1.0), -1.0, 100.0, "", "No effect";
-    "COM_KILL_DISARM", Real32(5.0), 0.0, 30.0, "s", "No effect";
-    "CP_DELAY", Real32(0.4), 0.0, 1.0, "s", "No effect";
-    "MC_AIRMODE", Int32(0), 0.0, 2.0, "", "No effect";
-    "MC_PITCHRATE_MAX MC_ROLLRATE_MAX", Real32(220.0), 0.0, 1800.0, "deg/s", "No effect";
-    "MC_PITCHRATE_P MC_ROLLRATE_P", Real32(0.15), 0.01, 0.6, "", "No effect";
-    "MC_PITCH_P MC_ROLL_P", Real32(4.0), 0.0, 12.0, "", "No effect";
-    "MC_YAW_P", Real32(2.8), 0.0, 5.0, "", "No effect";
-    "MIS_YAW_ERR", Real32(12.0), 0.0, 90.0, "deg", "No effect";
-    "MIS_YAW_TMT", Real32(-1.0), -1.0, 20.0, "s", "No effect";
-    "MPC_ACC_UP_MAX", Real32(4.0), 2.0, 15.0, "m/s^2", "No effect";
-    "MPC_LAND_ALT1", Real32(10.0), 0.0, 122.0, "m", "No effect";
-    "MPC_LAND_CRWL", Real32(0.3), 0.1, 5.0, "m/s", "No effect";
-    "MPC_MAN_Y_MAX", Real32(150.0), 0.0, 400.0, "deg/s", "No effect";
-    "MPC_THR_MAX", Real32(1.0), 0.0, 1.0, "", "No effect";
-    "MPC_THR_MIN", Real32(0.12), 0.05, 0.5, "", "No effect";
-    "MPC_TILTMAX_LND", Real32(12.0), 5.0, 89.0, "deg", "No effect";
-    "MPC_TKO_RAMP_T", Real32(3.0), 0.0, 5.0, "s", "No effect";
-    "MPC_VEL_MANUAL", Real32(10.0), 3.0, 20.0, "m/s", "No effect";
-    "MPC_XY_VEL_P_ACC", Real32(1.8), 1.2, 5.0, "", "No effect";
-    "MPC_YAWRAUTO_MAX", Real32(60.0), 5.0, 360.0, "deg/s", "No effect";
-    "MPC_Z_P", Real32(1.0), 0.1, 1.5, "", "No effect";
-    "NAV_LOITER_RAD RTL_LOITER_RAD", Real32(80.0), -10000.0, 10000.0, "m", "No effect";
-    "NAV_MIN_LTR_ALT", Real32(-1.0), -1.0, 10000.0, "m", "No effect";
+    "EKF2_HGT_REF", Integer(1), 0.0, 3.0, "", "The estimator is modelled by its error: no sensor is its reference";
+    "GF_PREDICT", Integer(0), 0.0, 1.0, "", "A breach is one when it has happened";
+    "LNDMC_TRIG_TIME", Real(1.0), 0.1, 10.0, "s", "No effect";
+    "MC_YAWRATE_MAX", Real(200.0), 0.0, 1800.0, "deg/s", "No effect";
+    "MIS_DIST_1WP", Real(10_000.0), -1.0, 100_000.0, "m", "A mission's first place may be as far as any other";
+    "MIS_TKO_LAND_REQ", Integer(0), 0.0, 6.0, "", "Missions need neither a take-off nor a landing";
+    "MPC_ACC_DOWN_MAX MPC_ACC_HOR", Real(3.0), 2.0, 15.0, "m/s^2", "No effect";
+    "MPC_ACC_HOR_MAX", Real(5.0), 2.0, 15.0, "m/s^2", "No effect";
+    "MPC_JERK_AUTO", Real(4.0), 1.0, 80.0, "m/s^3", "No effect";
+    "MPC_JERK_MAX", Real(8.0), 0.5, 500.0, "m/s^3", "No effect";
+    "MPC_TILTMAX_AIR", Real(45.0), 20.0, 89.0, "deg", "No effect";
+    "MPC_XY_P", Real(0.95), 0.0, 2.0, "", "No effect";
+    "SDLOG_MODE", Integer(0), -1.0, 4.0, "", "Flights are logged from arming to disarming";
+    "COM_ARM_SDCARD COM_HOME_EN MAV_FWDEXTSP MPC_USE_HTE NAV_FORCE_VT NAV_TRAFF_AVOID", Integer(1), 0.0, 4.0, "", "No effect";
+    "COM_CPU_MAX COM_WIND_MAX", Real(-1.0), -1.0, 100.0, "", "No effect";
+    "COM_KILL_DISARM", Real(5.0), 0.0, 30.0, "s", "No effect";
+    "CP_DELAY", Real(0.4), 0.0, 1.0, "s", "No effect";
+    "MC_AIRMODE", Integer(0), 0.0, 2.0, "", "No effect";
+    "MC_PITCHRATE_MAX MC_ROLLRATE_MAX", Real(220.0), 0.0, 1800.0, "deg/s", "No effect";
+    "MC_PITCHRATE_P MC_ROLLRATE_P", Real(0.15), 0.01, 0.6, "", "No effect";
+    "MC_PITCH_P MC_ROLL_P", Real(4.0), 0.0, 12.0, "", "No effect";
+    "MC_YAW_P", Real(2.8), 0.0, 5.0, "", "No effect";
+    "MIS_YAW_ERR", Real(12.0), 0.0, 90.0, "deg", "No effect";
+    "MIS_YAW_TMT", Real(-1.0), -1.0, 20.0, "s", "No effect";
+    "MPC_ACC_UP_MAX", Real(4.0), 2.0, 15.0, "m/s^2", "No effect";
+    "MPC_LAND_ALT1", Real(10.0), 0.0, 122.0, "m", "No effect";
+    "MPC_LAND_CRWL", Real(0.3), 0.1, 5.0, "m/s", "No effect";
+    "MPC_MAN_Y_MAX", Real(150.0), 0.0, 400.0, "deg/s", "No effect";
+    "MPC_THR_MAX", Real(1.0), 0.0, 1.0, "", "No effect";
+    "MPC_THR_MIN", Real(0.12), 0.05, 0.5, "", "No effect";
+    "MPC_TILTMAX_LND", Real(12.0), 5.0, 89.0, "deg", "No effect";
+    "MPC_TKO_RAMP_T", Real(3.0), 0.0, 5.0, "s", "No effect";
+    "MPC_VEL_MANUAL", Real(10.0), 3.0, 20.0, "m/s", "No effect";
+    "MPC_XY_VEL_P_ACC", Real(1.8), 1.2, 5.0, "", "No effect";
+    "MPC_YAWRAUTO_MAX", Real(60.0), 5.0, 360.0, "deg/s", "No effect";
+    "MPC_Z_P", Real(1.0), 0.1, 1.5, "", "No effect";
+    "NAV_LOITER_RAD RTL_LOITER_RAD", Real(80.0), -10000.0, 10000.0, "m", "No effect";
+    "NAV_MIN_LTR_ALT", Real(-1.0), -1.0, 10000.0, "m", "No effect";
 } fixed { // A ground station's set-up pages read what the vehicle is made of.
-    "BAT1_A_PER_V", Real32(1.0), "Readings are amperes";
-    "BAT1_CAPACITY", Real32(5000.0), "Capacity in mAh of the default model";
-    "BAT1_N_CELLS", Int32(4), "Cells in series";
-    "BAT1_SOURCE", Int32(0), "Measured by the power module";
-    "BAT1_V_CHARGED", Real32(4.2), "Voltage of a full cell";
-    "BAT1_V_DIV", Real32(1.0), "Readings are volts";
-    "BAT1_V_EMPTY", Real32(3.3), "Voltage of an empty cell";
-    "BAT_CRIT_THR", Real32(0.05), "Charge that is reported as critical";
-    "BAT_EMERGEN_THR", Real32(0.05), "The same as BAT_CRIT_THR";
-    "BAT_LOW_THR", Real32(0.15), "Charge that is reported as low";
-    "CAL_ACC0_ID CAL_GYRO0_ID", Int32(1310988), "The simulated sensor, calibrated";
-    "CAL_ACC0_PRIO CAL_GYRO0_PRIO CAL_MAG0_PRIO", Int32(50), "Priority: medium";
-    "CAL_ACC1_ID CAL_GYRO1_ID CAL_MAG1_ID", Int32(0), "No second sensor";
-    "CAL_ACC2_ID CAL_GYRO2_ID CAL_MAG2_ID", Int32(0), "No third sensor";
-    "CAL_BARO0_ID", Int32(6620172), "The simulated sensor";
-    "CAL_MAG0_ID", Int32(197388), "The simulated sensor, calibrated";
-    "CAL_MAG0_ROT", Int32(-1), "Mounted as the autopilot is";
-    "CA_AIRFRAME", Int32(0), "Control allocation: multirotor";
-    "CA_ROTOR_COUNT", Int32(4), "Motors";
-    "CBRK_FLIGHTTERM", Int32(0), "Flight termination works";
-    "COM_LOW_BAT_ACT", Int32(0), "A low battery is reported and nothing else: campaigns end before it matters";
-    "COM_RC_OVERRIDE", Int32(0),
+    "BAT1_A_PER_V", Real(1.0), "Readings are amperes";
+    "BAT1_CAPACITY", Real(5000.0), "Capacity in mAh of the default model";
+    "BAT1_N_CELLS", Integer(4), "Cells in series";
+    "BAT1_SOURCE", Integer(0), "Measured by the power module";
+    "BAT1_V_CHARGED", Real(4.2), "Voltage of a full cell";
+    "BAT1_V_DIV", Real(1.0), "Readings are volts";
+    "BAT1_V_EMPTY", Real(3.3), "Voltage of an empty cell";
+    "BAT_CRIT_THR", Real(0.05), "Charge that is reported as critical";
+    "BAT_EMERGEN_THR", Real(0.05), "The same as BAT_CRIT_THR";
+    "BAT_LOW_THR", Real(0.15), "Charge that is reported as low";
+    "CAL_ACC0_ID CAL_GYRO0_ID", Integer(1310988), "The simulated sensor, calibrated";
+    "CAL_ACC0_PRIO CAL_GYRO0_PRIO CAL_MAG0_PRIO", Integer(50), "Priority: medium";
+    "CAL_ACC1_ID CAL_GYRO1_ID CAL_MAG1_ID", Integer(0), "No second sensor";
+    "CAL_ACC2_ID CAL_GYRO2_ID CAL_MAG2_ID", Integer(0), "No third sensor";
+    "CAL_BARO0_ID", Integer(6620172), "The simulated sensor";
+    "CAL_MAG0_ID", Integer(197388), "The simulated sensor, calibrated";
+    "CAL_MAG0_ROT", Integer(-1), "Mounted as the autopilot is";
+    "CA_AIRFRAME", Integer(0), "Control allocation: multirotor";
+    "CA_ROTOR_COUNT", Integer(4), "Motors";
+    "CBRK_FLIGHTTERM", Integer(0), "Flight termination works";
+    "COM_LOW_BAT_ACT", Integer(0), "A low battery is reported and nothing else: campaigns end before it matters";
+    "COM_RC_OVERRIDE", Integer(0),
         "Moved sticks take over by a mode command alone: what brakes before a wall must not end by a stick held forward";
-    "CP_DIST", Real32(-1.0), "No collision prevention of its own: that is the guidance computer's";
-    "EKF2_MAG_TYPE", Int32(0), "The compass is used";
-    "GF_SOURCE", Int32(0), "The geofence is compared with the estimated place";
-    "MAV_COMP_ID", Int32(1), "Component id of the autopilot";
-    "MAV_SYS_ID", Int32(1), "System id: that of the instance";
-    "MAV_TYPE", Int32(2), "MAV_TYPE_QUADROTOR";
-    "MC_ACRO_P_MAX MC_ACRO_R_MAX MC_ACRO_Y_MAX", Real32(100.0), "Rate at full deflection, degrees per second";
-    "MNT_MODE_IN", Int32(-1), "There is no gimbal";
-    "MPC_MAN_TILT_MAX", Real32(35.0), "Tilt at full deflection, degrees";
-    "MPC_POS_MODE", Int32(4), "Position mode shapes accelerations";
-    "MPC_THR_HOVER", Real32(0.5), "Thrust that hovers";
-    "MPC_YAW_MODE", Int32(0), "The nose points along the way";
-    "NAV_DLL_ACT", Int32(0), "A lost link has no consequence: nobody needs to be connected";
-    "PWM_MAIN_FUNC1", Int32(101), "Output 1 drives motor 1";
-    "PWM_MAIN_FUNC2", Int32(102), "Output 2 drives motor 2";
-    "PWM_MAIN_FUNC3", Int32(103), "Output 3 drives motor 3";
-    "PWM_MAIN_FUNC4", Int32(104), "Output 4 drives motor 4";
+    "CP_DIST", Real(-1.0), "No collision prevention of its own: that is the guidance computer's";
+    "EKF2_MAG_TYPE", Integer(0), "The compass is used";
+    "GF_SOURCE", Integer(0), "The geofence is compared with the estimated place";
+    "MAV_COMP_ID", Integer(1), "Component id of the autopilot";
+    "MAV_SYS_ID", Integer(1), "System id: that of the instance";
+    "MAV_TYPE", Integer(2), "MAV_TYPE_QUADROTOR";
+    "MC_ACRO_P_MAX MC_ACRO_R_MAX MC_ACRO_Y_MAX", Real(100.0), "Rate at full deflection, degrees per second";
+    "MNT_MODE_IN", Integer(-1), "There is no gimbal";
+    "MPC_MAN_TILT_MAX", Real(35.0), "Tilt at full deflection, degrees";
+    "MPC_POS_MODE", Integer(4), "Position mode shapes accelerations";
+    "MPC_THR_HOVER", Real(0.5), "Thrust that hovers";
+    "MPC_YAW_MODE", Integer(0), "The nose points along the way";
+    "NAV_DLL_ACT", Integer(0), "A lost link has no consequence: nobody needs to be connected";
+    "PWM_MAIN_FUNC1", Integer(101), "Output 1 drives motor 1";
+    "PWM_MAIN_FUNC2", Integer(102), "Output 2 drives motor 2";
+    "PWM_MAIN_FUNC3", Integer(103), "Output 3 drives motor 3";
+    "PWM_MAIN_FUNC4", Integer(104), "Output 4 drives motor 4";
     "RC_CHAN_CNT RC_MAP_ARM_SW RC_MAP_AUX1 RC_MAP_AUX2 RC_MAP_FLAPS RC_MAP_FLTMODE RC_MAP_GEAR_SW \
      RC_MAP_KILL_SW RC_MAP_LOITER_SW RC_MAP_OFFB_SW RC_MAP_PARAM1 RC_MAP_PITCH RC_MAP_RETURN_SW RC_MAP_ROLL \
-     RC_MAP_THROTTLE RC_MAP_TRANS_SW RC_MAP_YAW", Int32(0),
+     RC_MAP_THROTTLE RC_MAP_TRANS_SW RC_MAP_YAW", Integer(0),
         "There is no receiver";
-    "RTL_CONE_ANG", Int32(45), "See RTL_MIN_DIST";
-    "RTL_DESCEND_ALT", Real32(10.0), "See RTL_LAND_DELAY";
-    "RTL_LAND_DELAY", Real32(0.0), "A return lands at once";
-    "SENS_BOARD_ROT", Int32(0), "Mounted straight";
-    "SENS_BOARD_X_OFF SENS_BOARD_Y_OFF SENS_BOARD_Z_OFF", Real32(0.0), "No offset of the mounting";
-    "SENS_DPRES_OFF", Real32(0.0), "No airspeed sensor";
-    "SYS_AUTOCONFIG", Int32(0), "No reset to the airframe's defaults is due";
-    "SYS_AUTOSTART", Int32(4001), "Airframe: a generic quadcopter";
-    "SYS_HAS_BARO", Int32(1), "There is a barometer";
-    "SYS_HAS_GPS", Int32(1), "There is a GPS receiver";
-    "SYS_HAS_MAG", Int32(1), "There is a compass";
-    "SYS_HAS_NUM_ASPD", Int32(0), "Airspeed sensors";
-    "SYS_HITL", Int32(0), "Not in the loop with another simulator";
-    "TRIG_MODE", Int32(0), "There is no camera";
-    "UAVCAN_ENABLE", Int32(0), "There is no CAN bus";
+    "RTL_CONE_ANG", Integer(45), "See RTL_MIN_DIST";
+    "RTL_DESCEND_ALT", Real(10.0), "See RTL_LAND_DELAY";
+    "RTL_LAND_DELAY", Real(0.0), "A return lands at once";
+    "SENS_BOARD_ROT", Integer(0), "Mounted straight";
+    "SENS_BOARD_X_OFF SENS_BOARD_Y_OFF SENS_BOARD_Z_OFF", Real(0.0), "No offset of the mounting";
+    "SENS_DPRES_OFF", Real(0.0), "No airspeed sensor";
+    "SYS_AUTOCONFIG", Integer(0), "No reset to the airframe's defaults is due";
+    "SYS_AUTOSTART", Integer(4001), "Airframe: a generic quadcopter";
+    "SYS_HAS_BARO", Integer(1), "There is a barometer";
+    "SYS_HAS_GPS", Integer(1), "There is a GPS receiver";
+    "SYS_HAS_MAG", Integer(1), "There is a compass";
+    "SYS_HAS_NUM_ASPD", Integer(0), "Airspeed sensors";
+    "SYS_HITL", Integer(0), "Not in the loop with another simulator";
+    "TRIG_MODE", Integer(0), "There is no camera";
+    "UAVCAN_ENABLE", Integer(0), "There is no CAN bus";
 } }
 
 /// All parameters in alphabetical order of their names: the index on the wire.
@@ -340,7 +323,7 @@ pub fn parameter_table() -> &'static [ParameterInfo] {
 }
 
 /// The values in force.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Parameters {
     values: Vec<ParameterValue>,
     /// Where the acting ones are among them.
@@ -365,8 +348,8 @@ impl Parameters {
         let index = Self::index_of(name).ok_or_else(|| ParameterError::Unknown(name.to_owned()))?;
         let typed = match TABLE[index].default {
             // A fraction is of another type.
-            ParameterValue::Int32(_) if value.fract() == 0.0 => ParameterValue::Int32(value as i32),
-            _ => ParameterValue::Real32(value as f32),
+            ParameterValue::Integer(_) if value.fract() == 0.0 => ParameterValue::Integer(value as i32),
+            _ => ParameterValue::Real(value as f32),
         };
         self.set(index, typed)
     }

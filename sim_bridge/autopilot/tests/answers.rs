@@ -2,7 +2,7 @@
 //! the command), and the bands it must lie in: our vehicle's against ArduCopter 4.6.3 with stock parameters, the models of other people's
 //! vehicles against PX4 1.18 and ArduCopter 4.6 (docs/vehicle.md).
 
-use vigil_autopilot::vehicle::{ControlCommand, Truth, Vehicle, VehicleModel, VehicleParams, Wind, YawCommand};
+use vigil_autopilot::vehicle::{ControlCommand, Goal, Truth, Vehicle, VehicleModel, VehicleParams, Wind, YawCommand};
 use vigil_types::{HeadingVector, NedVector, wrap_pi};
 
 /// A vehicle that has hovered for a while at 10 m.
@@ -270,12 +270,7 @@ fn with_strong_drag_the_nose_leads_the_course() {
 fn wander_m(params: VehicleParams, seed: u64) -> [f32; 3] {
     let mut vehicle = hovering(params, seed);
     let place = vehicle.view().estimate.position_ned_m;
-    let hold = ControlCommand::Position {
-        position_ned_m: place,
-        velocity_m_s: NedVector::ZERO,
-        speed_limit_m_s: 5.0,
-        yaw: YawCommand::Hold,
-    };
+    let hold = ControlCommand::Position(Goal::new(place, YawCommand::Hold, 5.0));
     fly(&mut vehicle, 10.0, hold);
     let truths = fly(&mut vehicle, 20.0, hold);
     [0, 1, 2].map(|axis| {

@@ -1,7 +1,9 @@
 //! What each command makes the vehicle do, from the ground to the air and back.
 
 use proptest::prelude::*;
-use vigil_autopilot::vehicle::{ControlCommand, SensorParams, Truth, Vehicle, VehicleParams, Wind, YawCommand};
+use vigil_autopilot::vehicle::{
+    ControlCommand, Goal, Held, SensorParams, Truth, Vehicle, VehicleParams, Wind, YawCommand,
+};
 use vigil_types::{Attitude, FrdVector, HeadingVector, NedVector, wrap_pi};
 
 const BREEZE: Wind = Wind {
@@ -81,30 +83,30 @@ fn acceleration(acceleration_ned_m_s2: NedVector, yaw: YawCommand) -> ControlCom
     }
 }
 
-fn at_height(velocity_m_s: NedVector, down_m: f32, yaw: YawCommand) -> ControlCommand {
-    ControlCommand::VelocityAtHeight {
+fn down(down: f32) -> NedVector {
+    NedVector::new(0.0, 0.0, down)
+}
+
+fn towards(held: Held, velocity_m_s: NedVector, goal: Goal) -> ControlCommand {
+    ControlCommand::Position(Goal {
+        held,
         velocity_m_s,
-        down_m,
-        yaw,
-    }
+        ..goal
+    })
 }
 
-fn climb(position_ned_m: NedVector, down_m_s: f32, speed_limit_m_s: f32, yaw: YawCommand) -> ControlCommand {
-    ControlCommand::ClimbAtPlace {
-        position_ned_m,
-        down_m_s,
-        speed_limit_m_s,
-        yaw,
-    }
+fn at_height(velocity_m_s: NedVector, down_m: f32, yaw: YawCommand) -> ControlCommand {
+    let goal = Goal::new(down(down_m), yaw, f32::INFINITY);
+    towards(Held::Height, velocity_m_s, goal)
 }
 
-fn go_to(position_ned_m: NedVector, speed_limit_m_s: f32, yaw: YawCommand) -> ControlCommand {
-    ControlCommand::Position {
-        position_ned_m,
-        velocity_m_s: NedVector::ZERO,
-        speed_limit_m_s,
-        yaw,
-    }
+fn climb(place: NedVector, down_m_s: f32, speed_limit_m_s: f32, yaw: YawCommand) -> ControlCommand {
+    let goal = Goal::new(place, yaw, speed_limit_m_s);
+    towards(Held::Level, down(down_m_s), goal)
+}
+
+fn go_to(place: NedVector, speed_limit_m_s: f32, yaw: YawCommand) -> ControlCommand {
+    ControlCommand::Position(Goal::new(place, yaw, speed_limit_m_s))
 }
 
 #[test]
@@ -440,14 +442,11 @@ fn any_command() -> impl Strategy<Value = ControlCommand> {
         Just(ControlCommand::MotorsOff),
         Just(ControlCommand::Idle),
         (three(), yaw.clone()).prop_map(|(v, yaw)| velocity_ahead(v.x, v.y, v.z, yaw)),
-        (three(), three(), number(), yaw.clone()).prop_map(|(position_ned_m, velocity_m_s, speed_limit_m_s, yaw)| {
-            ControlCommand::Position {
-                position_ned_m,
-                velocity_m_s,
-                speed_limit_m_s,
-                yaw,
-            }
-        }),
+        (three(), three(), number(), yaw.clone()).prop_map(|(place, velocity, limit, yaw)| towards(
+            Held::All,
+            velocity,
+            Goal::new(place, yaw, limit)
+        )),
         (three(), number(), number()).prop_map(|(angles, yaw_rate_rad_s, thrust)| {
             let wanted = Attitude::from_euler_rad(angles.x, angles.y, angles.z);
             attitude(wanted, yaw_rate_rad_s, thrust)

@@ -7,7 +7,7 @@ use crate::world::{Course, LidarConfig, LidarConfigError, Referee, Shot, World};
 use mavlink::dialects::common::{HIL_STATE_QUATERNION_DATA, MavMessage};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{self, FramingCounters, Packet};
-use vigil_types::{Attitude, DepthFrame, FrameKey, Kinematics, Nanos, NedVector, VehicleMode, VehicleTelemetry, named};
+use vigil_types::{Attitude, DepthFrame, FrameKey, Kinematics, Nanos, NedVector, named};
 
 /// A report older than this is no pose; the firmware's own limit of telemetry.
 const REPORT_AGE_NS: Nanos = vigil_types::parameters::TELEMETRY_AGE.nanos();
@@ -100,10 +100,12 @@ pub struct ForeignFlight {
     referee: Referee,
     sensor: DepthSensor,
     counters: FramingCounters,
-    vehicle: Vehicle,
-    system: Option<u8>,
+    pub(super) vehicle: Vehicle,
+    /// The vehicle's system, once it is known.
+    pub(super) system: Option<u8>,
     system_is_named: bool,
-    other_system: Option<u8>,
+    /// A vehicle that is heard beside it, where none was named.
+    pub(super) other_system: Option<u8>,
     wants_truth: bool,
     truth: Option<(Kinematics, Attitude)>,
     /// The last position that was good, by which a jump is found.
@@ -345,32 +347,6 @@ impl ForeignFlight {
         self.pose(now_ns).map_or(f32::INFINITY, |(motion, _)| {
             (self.goal_ned_m - motion.position_ned_m).horizontal_norm()
         })
-    }
-
-    /// What the vehicle reports.
-    pub fn telemetry(&self) -> &VehicleTelemetry {
-        &self.vehicle.telemetry
-    }
-
-    /// The vehicle's system, once it is known.
-    pub fn system(&self) -> Option<u8> {
-        self.system
-    }
-
-    /// A vehicle that is heard beside the one that is rendered, where none was named.
-    pub fn other_system(&self) -> Option<u8> {
-        self.other_system
-    }
-
-    /// Whether home and the local origin are known, and the latter's place on the globe.
-    pub fn places_are_reported(&self) -> bool {
-        self.vehicle.home_ned_m().is_some() && self.vehicle.is_origin_known()
-    }
-
-    /// The vehicle's mode by name, as far as Vigil distinguishes modes.
-    pub fn mode_name(&self) -> &'static str {
-        let heartbeat = self.vehicle.telemetry.heartbeat;
-        heartbeat.map_or(VehicleMode::Unknown, |h| h.mode).name()
     }
 }
 

@@ -13,7 +13,7 @@ use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
-use vigil_types::{Nanos, NedVector, STEP_NS};
+use vigil_types::{Nanos, NedVector, STEP_NS, VehicleMode};
 
 /// Time between two looks at the links.
 const SLICE_NS: Nanos = 2_000_000;
@@ -190,7 +190,8 @@ impl Sensor {
                 self.flight.receive(now_ns, datagram);
             });
         }
-        let wants_places = !self.flight.places_are_reported();
+        let vehicle = &self.flight.vehicle;
+        let wants_places = vehicle.home_ned_m().is_none() || !vehicle.is_origin_known();
         for link in &mut self.links {
             link.ask(now_ns, self.wants_truth, wants_places);
         }
@@ -211,6 +212,7 @@ impl Sensor {
 
     fn status(&self, now_ns: Nanos) -> Status {
         let flight = &self.flight;
+        let heartbeat = flight.vehicle.telemetry.heartbeat;
         // JSON has no numbers that are none.
         let pose = (flight.pose(now_ns)).map(|(motion, turn)| (motion.position_ned_m, motion.velocity_ned_m_s, turn));
         let finite =
@@ -227,8 +229,8 @@ impl Sensor {
             goal_distance_m: Some(flight.goal_distance_m(now_ns))
                 .filter(|m| m.is_finite())
                 .unwrap_or(0.0),
-            mode: flight.mode_name().to_owned(),
-            armed: flight.telemetry().heartbeat.is_some_and(|h| h.armed),
+            mode: heartbeat.map_or(VehicleMode::Unknown, |h| h.mode).name().to_owned(),
+            armed: heartbeat.is_some_and(|h| h.armed),
             path_length_m: flight.path_length_m(),
             pose: (state != PoseState::Tracking).then(|| state.name().to_owned()),
             ..Status::of(&self.companion, &self.seen, flight.ending())
@@ -261,8 +263,8 @@ impl PosesSaid {
         };
         if is_due && !is_brief {
             self.said = Some((state, now_ns));
-            let whose = flight.system().map_or(String::new(), |id| format!(" (system {id})"));
-            let other = match (state, flight.other_system()) {
+            let whose = flight.system.map_or(String::new(), |id| format!(" (system {id})"));
+            let other = match (state, flight.other_system) {
                 (PoseState::TwoVehicles, Some(other)) => format!("; the other is system {other}"),
                 _ => String::new(),
             };

@@ -1,7 +1,7 @@
 //! What makes a course usable, beyond its syntax.
 
 use crate::world::course::Course;
-use crate::world::mover::{ColumnOutline, MAX_MOVER_SPEED_M_S, Mover, MoverShape};
+use crate::world::mover::{ColumnOutline, MAX_MOVER_SPEED_M_S, Mover};
 use crate::world::solid::Solid;
 use crate::world::vehicle::VEHICLE;
 use core::ops::RangeInclusive;
@@ -231,12 +231,13 @@ impl Mover {
         let share = "a share of the way to and fro, from 0 to 1";
         within(&field("phase"), self.phase, 0.0..=1.0, share)?;
         size(&field("height_m"), self.height_m)?;
-        match self.shape {
-            MoverShape::Column(ColumnOutline { radius_m }) => size(&field("shape.column.radius_m"), radius_m),
-            MoverShape::Box(outline) => {
+        match (self.shape.column, self.shape.cuboid) {
+            (Some(ColumnOutline { radius_m }), None) => size(&field("shape.column.radius_m"), radius_m),
+            (None, Some(outline)) => {
                 check_fields!(outline, field("shape.box"), size: length_m width_m, angle: yaw_deg);
                 Ok(())
             }
+            _ => problem(field("shape"), "one of `column` and `box` is needed"),
         }
     }
 }

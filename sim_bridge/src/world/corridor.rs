@@ -46,12 +46,7 @@ impl Lattice {
 
     /// A value for each, in the order of their numbers.
     pub(crate) fn values<T>(&self, of: impl Fn((usize, usize)) -> T) -> Vec<T> {
-        let [north, east] = self.cells;
-        let mut values = Vec::with_capacity(north * east);
-        for i in 0..north {
-            values.extend((0..east).map(|j| of((i, j))));
-        }
-        values
+        self.all().map(of).collect()
     }
 
     pub(crate) fn nearest(&self, point: [f32; 2]) -> (usize, usize) {
@@ -98,8 +93,7 @@ pub(crate) struct Grid {
 }
 
 impl Grid {
-    /// Marks as free what keeps the vehicle's radius and the margin from every solid that reaches into the band of heights the
-    /// vehicle needs, and from the bounds.
+    /// Marks as free what keeps the vehicle's radius and the margin from every solid and from the bounds.
     pub(crate) fn new(course: &Course, solids: &[Solid]) -> Self {
         let b = &course.bounds;
         let area_m2 = (b.north_m[1] - b.north_m[0]) * (b.east_m[1] - b.east_m[0]);
@@ -120,7 +114,7 @@ impl Grid {
         let inside = |k: usize, count: usize| k >= edge && k + edge < count;
         let [north, east] = lattice.cells;
         let mut free = lattice.values(|(i, j)| inside(i, north) && inside(j, east));
-        for solid in solids.iter().filter(|s| in_the_way(course, s)) {
+        for solid in solids {
             lattice.near(solid, clearance_m, |cell, _| free[lattice.number(cell)] = false);
         }
         Self {
@@ -219,17 +213,12 @@ impl Grid {
     }
 }
 
-/// Whether a solid reaches into the band of heights that a vehicle at flight height needs.
-pub(crate) fn in_the_way(course: &Course, solid: &Solid) -> bool {
-    solid.reaches_into(course.band_m(course.corridor_reach_m()))
-}
-
-/// Whether a straight line keeps `enough_m` from every solid in the way in the plan view, looked at every 5 cm.
-fn line_keeps(course: &Course, solids: &[Solid], from: [f32; 2], to: [f32; 2], enough_m: f32) -> bool {
+/// Whether a straight line keeps `enough_m` from every solid in the plan view, looked at every 5 cm.
+fn line_keeps(solids: &[Solid], from: [f32; 2], to: [f32; 2], enough_m: f32) -> bool {
     const PACE_M: f32 = 0.05;
     let length_m = libm::hypotf(to[0] - from[0], to[1] - from[1]);
     let paces = (length_m / PACE_M).ceil().max(1.0) as usize;
-    solids.iter().filter(|s| in_the_way(course, s)).all(|solid| {
+    solids.iter().all(|solid| {
         let distance_m = solid.plan_distances_m();
         let mut pace = 0;
         while pace <= paces {
@@ -255,6 +244,11 @@ impl Course {
         }
     }
 
+    /// What reaches into the heights at which a corridor is free.
+    pub(crate) fn solids_in_the_way(&self) -> Vec<Solid> {
+        self.solids_in_band(self.corridor_reach_m())
+    }
+
     /// How far above and below the flight height a corridor is free.
     pub(crate) fn corridor_reach_m(&self) -> f32 {
         0.5 * VEHICLE.height_m + self.corridor_margin_m()
@@ -264,7 +258,7 @@ impl Course {
     /// [`Course::corridor_margin_m`] from every obstacle that stands still (and from the ceiling); `None` if the search finds
     /// none. Movers are the matter of [`Course::earliest_arrival_s`].
     pub fn corridor(&self) -> Option<Vec<[f32; 2]>> {
-        let solids = self.corridor_solids();
+        let solids = self.solids_in_the_way();
         let (grid, [start, goal]) = self.corridor_grid(&solids)?;
         let cells = grid.search(grid.lattice.nearest(start), grid.lattice.nearest(goal))?;
         let mut points = vec![start];
@@ -275,7 +269,7 @@ impl Course {
 
     /// Whether there is a [`corridor`](Self::corridor).
     pub(crate) fn has_corridor(&self) -> bool {
-        self.corridor_grid(&self.corridor_solids())
+        self.corridor_grid(&self.solids_in_the_way())
             .is_some_and(|(mut grid, ends)| {
                 let [start, goal] = ends.map(|end| grid.lattice.nearest(end));
                 grid.joins(start, goal)
@@ -306,7 +300,7 @@ impl Course {
             let mut step = 1;
             while step > 0 {
                 let next = (reach + step).min(points.len() - 1);
-                if next > reach && line_keeps(self, solids, points[at], points[next], enough_m) {
+                if next > reach && line_keeps(solids, points[at], points[next], enough_m) {
                     reach = next;
                     step *= 2;
                 } else {
@@ -325,7 +319,7 @@ impl Course {
         let hit = self.solids_in_band(half_m);
         let from = [self.start.north_m, self.start.east_m];
         let to = [self.goal.north_m, self.goal.east_m];
-        !line_keeps(self, &hit, from, to, VEHICLE.radius_m)
+        !line_keeps(&hit, from, to, VEHICLE.radius_m)
     }
 }
 

@@ -175,15 +175,12 @@ named! {
 
 named_setting!(Family);
 
-/// A family name that does not exist.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no course family is called `{0}`; there are: {names}", names = Family::ALL.map(Family::name).join(", "))]
-pub struct UnknownFamily(pub String);
-
 impl core::str::FromStr for Family {
-    type Err = UnknownFamily;
-    fn from_str(name: &str) -> Result<Self, UnknownFamily> {
-        Self::from_name(name).ok_or_else(|| UnknownFamily(name.to_owned()))
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let names = || Self::ALL.map(Self::name).join(", ");
+        Self::from_name(name).ok_or_else(|| format!("no course family is called `{name}`; there are: {}", names()))
     }
 }
 

@@ -27,14 +27,12 @@ mod wire;
 pub use check::{FieldProblem, MAX_COORDINATE_M, MAX_OBSTACLES, MAX_WIRES};
 pub(crate) use corridor::Lattice;
 pub use corridor::{CORRIDOR_MARGIN_M, HARD_CORRIDOR_MARGIN_M};
-pub use course::{
-    Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, UnknownFamily, Wall,
-};
+pub use course::{Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, Wall};
 pub use course_file::CourseError;
 pub use draw::{FlightPath, Image, ImageError, check_png_name, draw, draw_svg};
 pub use generate::{LONG_GOAL_M, generate, generate_long};
 pub use lidar::{
-    LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Method, Ranges, Shot, ZONE_COLUMNS,
+    LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Ranges, Shot, ZONE_COLUMNS,
     ZONE_FOV_RAD, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor, beam_direction_frd, pixel_of,
     ring_row, split_mix,
 };

@@ -1,7 +1,7 @@
 //! Obstacles that go to and fro along a line.
 
 use crate::world::solid::{Solid, radians};
-use vigil_types::settings::{Field, Given, Refused, Rule, Setting, Value, free, refused, required};
+use vigil_types::settings::{free, required};
 use vigil_types::{Nanos, settings};
 
 /// No mover may be faster: the pace of somebody who walks slowly.
@@ -25,10 +25,13 @@ settings! {
         pub shape: MoverShape = required(),
     }
 
-    /// An outline as a file has it: exactly one of these.
-    struct Outline {
-        column: Option<ColumnOutline> = free(None),
-        cuboid: Option<BoxOutline> = free(None) => "box",
+    /// The outline of a [`Mover`]: exactly one of these.
+    #[derive(Copy)]
+    pub struct MoverShape {
+        /// An upright cylinder.
+        pub column: Option<ColumnOutline> = free(None),
+        /// A box.
+        pub cuboid: Option<BoxOutline> = free(None) => "box",
     }
 
     /// The outline of an upright cylinder.
@@ -47,50 +50,6 @@ settings! {
         pub width_m: f32 = required(),
         /// Heading of the length axis.
         pub yaw_deg: f32 = free(0.0),
-    }
-}
-
-/// The outline of a [`Mover`].
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum MoverShape {
-    /// An upright cylinder.
-    Column(ColumnOutline),
-    /// A box.
-    Box(BoxOutline),
-}
-
-impl Default for MoverShape {
-    fn default() -> Self {
-        Self::Column(ColumnOutline::default())
-    }
-}
-
-impl Setting for MoverShape {
-    fn from_given(given: &Given<'_>) -> Result<Self, Refused> {
-        let outline = Outline::from_given(given)?;
-        match (outline.column, outline.cuboid) {
-            (Some(column), None) => Ok(Self::Column(column)),
-            (None, Some(cuboid)) => Ok(Self::Box(cuboid)),
-            _ => Err(refused(given, "one of `column` and `box` is needed")),
-        }
-    }
-
-    fn read(&mut self, given: &Given<'_>) -> Result<(), Refused> {
-        *self = Self::from_given(given)?;
-        Ok(())
-    }
-
-    fn write(&self) -> Option<Value> {
-        None
-    }
-
-    fn tables(&mut self) -> Vec<Vec<Field<'_>>> {
-        let (name, setting): (_, &mut dyn Setting) = match self {
-            Self::Column(column) => ("column", column),
-            Self::Box(cuboid) => ("box", cuboid),
-        };
-        let rule = Rule::default();
-        vec![vec![Field { name, setting, rule }]]
     }
 }
 
@@ -114,17 +73,20 @@ impl Mover {
     /// Its geometry at `at_ns` of simulated time.
     pub fn solid_at(&self, at_ns: Nanos) -> Solid {
         let [north_m, east_m] = self.centre_at_m(at_ns);
-        match self.shape {
-            MoverShape::Column(ColumnOutline { radius_m }) => {
-                Solid::cylinder((north_m, east_m), radius_m, self.height_m)
-            }
-            MoverShape::Box(outline) => Solid::cuboid(
+        match self.shape.cuboid {
+            None => Solid::cylinder((north_m, east_m), self.radius_m(), self.height_m),
+            Some(outline) => Solid::cuboid(
                 (north_m, east_m),
                 [outline.length_m, outline.width_m],
                 [0.0, self.height_m],
                 radians(outline.yaw_deg),
             ),
         }
+    }
+
+    /// Of a column.
+    fn radius_m(&self) -> f32 {
+        self.shape.column.map_or(0.0, |column| column.radius_m)
     }
 
     /// In double precision, so that an hour of nanoseconds keeps its last digit.
@@ -141,9 +103,9 @@ impl Mover {
     /// A box that holds the mover at all times.
     pub fn track(&self) -> Solid {
         // Half of the outline's size along the way and across it.
-        let (along_m, across_m) = match self.shape {
-            MoverShape::Column(ColumnOutline { radius_m }) => (radius_m, radius_m),
-            MoverShape::Box(outline) => {
+        let (along_m, across_m) = match self.shape.cuboid {
+            None => (self.radius_m(), self.radius_m()),
+            Some(outline) => {
                 let heading_rad = libm::atan2f(self.to_m[1] - self.from_m[1], self.to_m[0] - self.from_m[0]);
                 let turn = radians(outline.yaw_deg) - heading_rad;
                 let (s, c) = (libm::sinf(turn).abs(), libm::cosf(turn).abs());
@@ -168,7 +130,10 @@ mod tests {
             speed_m_s: 0.5,
             phase: 0.0,
             height_m: 2.0,
-            shape: MoverShape::Column(ColumnOutline { radius_m: 0.3 }),
+            shape: MoverShape {
+                column: Some(ColumnOutline { radius_m: 0.3 }),
+                cuboid: None,
+            },
         }
     }
 
@@ -191,11 +156,14 @@ mod tests {
         let boxy = Mover {
             to_m: [8.0, 1.0],
             phase: 0.3,
-            shape: MoverShape::Box(BoxOutline {
-                length_m: 1.4,
-                width_m: 0.5,
-                yaw_deg: 35.0,
-            }),
+            shape: MoverShape {
+                column: None,
+                cuboid: Some(BoxOutline {
+                    length_m: 1.4,
+                    width_m: 0.5,
+                    yaw_deg: 35.0,
+                }),
+            },
             ..column()
         };
         for m in [column(), boxy] {

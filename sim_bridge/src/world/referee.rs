@@ -42,7 +42,7 @@ impl core::fmt::Display for Outcome {
 }
 
 /// Watches the true motion and says when the flight is over. The first end counts; what is hit later breaks the vehicle all the same.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Referee {
     goal_ned_m: NedVector,
     goal_radius_m: f32,
@@ -73,7 +73,6 @@ impl Referee {
         Self {
             goal_ned_m: course.goal_ned_m(),
             goal_radius_m: course.goal_radius_m,
-            estimate_error_ned_m: NedVector::ZERO,
             motors_run: true,
             // Checked to be at most an hour, so the product fits.
             time_limit_ns: (f64::from(course.time_limit_s) * 1e9) as Nanos,
@@ -81,16 +80,8 @@ impl Referee {
             checkpoints: (course.checkpoints.iter())
                 .map(|c| (*c, [libm::cosf, libm::sinf].map(|f| f(radians(c.heading_deg)))))
                 .collect(),
-            passed: 0,
-            started_ns: None,
-            last_ned_m: None,
-            last_world_ns: None,
-            free_centre_ned_m: NedVector::ZERO,
-            free_since_ns: 0,
             free_radius_m: -1.0,
-            outcome: None,
-            ended_ns: 0,
-            collided: false,
+            ..Self::default()
         }
     }
 
@@ -187,11 +178,11 @@ impl Referee {
 
     /// Whether the vehicle touches anything on the way between two positions, while the movers go theirs.
     fn touches(&mut self, world: &World, from: NedVector, to: NedVector, attitude: Attitude) -> bool {
-        let now_ns = world.time_ns();
+        let now_ns = world.now_ns;
         let since_ns = self.last_world_ns.replace(now_ns).unwrap_or(now_ns);
         let between_ns = now_ns.saturating_sub(since_ns);
         let way = to - from;
-        let both_m = way.norm() + world.fastest_mover_m_s() * seconds(between_ns);
+        let both_m = way.norm() + world.fastest_mover_m_s * seconds(between_ns);
         let steps = match both_m <= SWEEP_STEP_M {
             true => 1,
             false => ((both_m / SWEEP_STEP_M).ceil() as usize).clamp(1, MAX_SWEEP_STEPS),
@@ -213,7 +204,7 @@ impl Referee {
 
     fn touches_at(&mut self, world: &World, at_ns: Nanos, position_ned_m: NedVector, attitude: Attitude) -> bool {
         let nearer_m = (position_ned_m - self.free_centre_ned_m).norm()
-            + world.fastest_mover_m_s() * seconds(at_ns.abs_diff(self.free_since_ns));
+            + world.fastest_mover_m_s * seconds(at_ns.abs_diff(self.free_since_ns));
         if nearer_m < self.free_radius_m {
             return false;
         }
@@ -221,7 +212,7 @@ impl Referee {
         self.free_since_ns = at_ns;
         // 1 mm for rounding.
         self.free_radius_m = world.clearance_at_m(at_ns, position_ned_m) - VEHICLE.bounding_radius_m() - 1e-3;
-        self.free_radius_m <= 0.0 && world.collides_at(at_ns, &VEHICLE, position_ned_m, attitude)
+        self.free_radius_m <= 0.0 && world.collides_at(at_ns, position_ned_m, attitude)
     }
 
     fn count_checkpoints(&mut self, position_ned_m: NedVector) {

@@ -4,7 +4,7 @@ use crate::world::course::Course;
 use crate::world::mesh::Surface;
 use crate::world::mover::Mover;
 use crate::world::solid::{Solid, UPRIGHT};
-use crate::world::vehicle::VehicleSolid;
+use crate::world::vehicle::VEHICLE;
 use glamx::{Pose3, Quat, Vec3};
 use parry3d::bounding_volume::{Aabb, BoundingVolume};
 use parry3d::partitioning::{Bvh, BvhBuildStrategy};
@@ -18,11 +18,13 @@ pub struct World {
     /// What stands still.
     solids: Vec<Solid>,
     movers: Vec<Mover>,
-    now_ns: Nanos,
-    fastest_mover_m_s: f32,
+    /// The time that was last set; 0 at first.
+    pub(crate) now_ns: Nanos,
+    /// No obstacle moves faster; 0 where all stand still.
+    pub(crate) fastest_mover_m_s: f32,
     shapes: Vec<(Pose3, SharedShape)>,
-    bvh: Bvh,
-    surfaces: Vec<Arc<Surface>>,
+    pub(crate) bvh: Bvh,
+    pub(crate) surfaces: Vec<Arc<Surface>>,
     ceiling_height_m: Option<f32>,
 }
 
@@ -63,16 +65,6 @@ impl World {
         self.now_ns = now_ns;
     }
 
-    /// The time that was last set; 0 at first.
-    pub fn time_ns(&self) -> Nanos {
-        self.now_ns
-    }
-
-    /// No obstacle moves faster; 0 where all stand still.
-    pub fn fastest_mover_m_s(&self) -> f32 {
-        self.fastest_mover_m_s
-    }
-
     /// The obstacles, movers last, where they are now.
     pub fn solids(&self) -> impl Iterator<Item = Solid> {
         self.solids_at(self.now_ns)
@@ -88,33 +80,19 @@ impl World {
         self.ceiling_height_m
     }
 
-    pub(crate) fn bvh(&self) -> &Bvh {
-        &self.bvh
-    }
-
-    pub(crate) fn surfaces(&self) -> &[Arc<Surface>] {
-        &self.surfaces
-    }
-
     /// Whether the vehicle's solid at this pose touches an obstacle or the ceiling, with the movers where they are at `at_ns`. The ground
     /// is not asked: whether touching it is a landing or a crash depends on the motion ([`Referee`](crate::world::Referee)). Exact
     /// within a centimetre.
-    pub fn collides_at(
-        &self,
-        at_ns: Nanos,
-        vehicle: &VehicleSolid,
-        position_ned_m: NedVector,
-        attitude: Attitude,
-    ) -> bool {
+    pub fn collides_at(&self, at_ns: Nanos, position_ned_m: NedVector, attitude: Attitude) -> bool {
         let p = position_ned_m;
-        let reach_m = vehicle.vertical_reach_m(attitude);
+        let reach_m = VEHICLE.vertical_reach_m(attitude);
         if self.ceiling_height_m.is_some_and(|ceiling| -p.z + reach_m >= ceiling) {
             return true;
         }
         let turn = Quat::from_xyzw(attitude.x, attitude.y, attitude.z, attitude.w).normalize() * UPRIGHT;
         let pose = Pose3::from_parts(Vec3::new(p.x, p.y, p.z), turn);
-        let shape = Cylinder::new(0.5 * vehicle.height_m, vehicle.radius_m);
-        let around = Vec3::splat(vehicle.bounding_radius_m());
+        let shape = Cylinder::new(0.5 * VEHICLE.height_m, VEHICLE.radius_m);
+        let around = Vec3::splat(VEHICLE.bounding_radius_m());
         let reach = Aabb::from_half_extents(pose.translation, around);
         let touches_solid = self.bvh.intersect_aabb(&reach).any(|leaf| {
             let (mut other_pose, ref other) = self.shapes[leaf as usize];

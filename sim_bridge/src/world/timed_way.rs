@@ -1,6 +1,6 @@
 //! Is there a way past the movers? A search over place and time.
 
-use crate::world::corridor::{Grid, in_the_way};
+use crate::world::corridor::Grid;
 use crate::world::course::Course;
 use vigil_types::Nanos;
 
@@ -67,7 +67,7 @@ impl Course {
     /// waits, knows every mover's way, and keeps [`Course::corridor_margin_m`] from everything, movers included; `None` if that
     /// takes longer than the time limit. So a course for which this is `Some` can be flown, whatever its movers do.
     pub fn earliest_arrival_s(&self, depart_s: f32) -> Option<f32> {
-        let grid = Grid::new(self, &self.corridor_solids());
+        let grid = Grid::new(self, &self.solids_in_the_way());
         let (start, goal) = (
             grid.lattice.nearest([self.start.north_m, self.start.east_m]),
             grid.lattice.nearest([self.goal.north_m, self.goal.east_m]),
@@ -78,7 +78,10 @@ impl Course {
         cells.for_each(|cell| free.insert(cell));
         let (mut reached, mut wide, mut next) = (Cells::none(&grid), Cells::none(&grid), Cells::none(&grid));
         reached.insert(start);
-        let movers: Vec<_> = self.movers.iter().filter(|m| in_the_way(self, &m.track())).collect();
+        let band_m = self.band_m(self.corridor_reach_m());
+        let movers: Vec<_> = (self.movers.iter())
+            .filter(|m| m.track().reaches_into(band_m))
+            .collect();
         let mut passed_s = 0.0;
         for step in 0u32.. {
             passed_s = step as f32 * step_s;

@@ -1,6 +1,6 @@
 //! The simulator in lockstep: the same bits for the same seed.
 
-use crate::packets::command;
+use crate::command;
 use vigil_autopilot::FlightMode;
 use vigil_mavlink::common::{MavFrame, PositionTargetTypemask};
 use vigil_mavlink::framing::encode;

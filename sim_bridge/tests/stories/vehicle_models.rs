@@ -1,7 +1,7 @@
 //! Other people's vehicles hold as their autopilots do: the way that a mission goes on after HOLD, by the simulated vehicle's MAVLink.
 //! The figures are those measured on PX4 1.18.
 
-use crate::packets::command;
+use crate::command;
 use vigil_autopilot::Saved;
 use vigil_mavlink::globe;
 use vigil_sim::vehicle::{VehicleModel, Wind};

@@ -112,6 +112,8 @@ def test_what_is_no_log_is_refused(tmp_path):
         ({"iterations": -1}, "iterations: 1 or more"),
         ({"actor": "/no/actor"}, "/no/actor"),
         ({"detector": "/no/detector"}, "/no/detector"),
+        ({"actor": 3}, "actor: expected a path, got int"),
+        ({"detector": 3}, "detector: expected a path, got int"),
         ({"attack": "pgd", "burst": 2.5}, "burst: .*, got 2.5"),
     ],
 )

@@ -309,6 +309,17 @@ def test_the_reward_is_the_sum_of_its_terms():
         env.step([1.0, 0.0])
 
 
+@pytest.mark.filterwarnings("error")
+def test_an_action_is_clipped_however_far_beyond_it_is():
+    far, near = VigilEnv(frames=1), VigilEnv(frames=1)
+    for env in (far, near):
+        env.reset(options={"course_seed": 7})
+    for sign in (1.0, -1.0):
+        (seen, *more), (expected, *others) = far.step([1e300, sign * 1e39]), near.step([1.5, sign * 1.5])
+        np.testing.assert_array_equal(seen["frames"], expected["frames"])
+        assert more[:3] == others[:3]
+
+
 def test_a_time_limit_truncates_and_a_vector_begins_anew_in_the_next_step():
     env = VigilEnv(frames=1, time_limit=0.48)
     env.reset(seed=1)

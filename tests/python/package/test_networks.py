@@ -5,12 +5,13 @@ import os
 import pickle
 import signal
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 import vigil.policy as policy_module
-from vigil import detect
+from vigil import detect, log
 from vigil.attack import FrameAttack, PolicyAttack, StateAttack
 from vigil.detect import Detector, Lstm, Monitor, train, windows
 from vigil.evaluate import completion
@@ -93,6 +94,25 @@ def test_a_state_is_attacked_within_its_bounds(flown, method):
     assert (found.yaw_change < 0.0) == (found.clean.yaw >= 0.0), "away"
 
 
+def test_threads_share_what_remembers_nothing(flown):
+    frames, _, _, states, _, held = flown
+    contexts, low_dims = (np.stack(given) for given in zip(*held[:2]))
+    explain, pixels = SplitPoint(Actor()), Pixels(Actor(), (frames[:2, -1], contexts, low_dims))
+    attack = StateAttack(Actor(), "bim-clipped", iterations=3)
+
+    def at(step):
+        frame, (context, low_dim) = frames[step, -1], held[step]
+        yield explain.explain(states[step], low_dim).phi
+        yield pixels.explain(frame, context, low_dim).phi
+        yield attack.attack(frame, context, low_dim).frames
+
+    with ThreadPoolExecutor(4) as threads:
+        shared = list(threads.map(lambda step: list(at(step)), range(12)))
+    for step, found in enumerate(shared):
+        for one, alone in zip(found, at(step), strict=True):
+            np.testing.assert_array_equal(one, alone)
+
+
 @pytest.mark.parametrize("name", ["goal_beside_the_frame", "three_channels_last", "gru"])
 def test_an_imported_policy_decides_as_in_flight_and_is_explained_and_attacked(flown, policies, name):
     frames, goals, *_ = flown
@@ -125,6 +145,11 @@ def test_an_imported_policy_decides_as_in_flight_and_is_explained_and_attacked(f
         reach = policy.scale * 4.0 / 255.0 * (5 if method == "bim-accumulating" else 1)
         assert 0.0 < np.abs(attacked.frames - own).max() <= reach * 1.001
         assert attacked.yaw_change > 0.0 or attacked.clean.yaw == 1.5, method
+    # From wherever it starts, a step is no larger than epsilon.
+    reach = policy.scale * 4.0 / 255.0
+    start = np.clip(own + np.random.default_rng(3).uniform(-reach, reach, own.shape), 0.0, policy.scale)
+    once = PolicyAttack(policy, "pgd", epsilon=4.0, iterations=1, seed=3).attack(own, goal)
+    assert np.abs(once.frames - start).max() <= reach * 1.001
 
 
 @pytest.mark.parametrize("name", ["goal_beside_the_frame", "three_channels_last"])
@@ -160,7 +185,7 @@ def test_an_imported_policy_is_judged_at_its_split_point_and_attacked_frame_by_f
     lstm = Lstm(params, np.zeros(48, np.float32), np.full(48, 0.1, np.float32))
     file = tmp_path / "detector.safetensors"
     digest = detect.freeze(file, lstm, policy, usual, threshold=0.4, training_config="by = 'hand'")
-    detector = Detector(file)
+    detector = pickle.loads(pickle.dumps(Detector(file)))
     assert (detector.sha256, detector.actor_sha256) == (digest, policy.sha256)
     assert detector.threshold == pytest.approx(0.4)
     monitor = Monitor(policy, detector)
@@ -208,6 +233,14 @@ def test_an_actor_written_from_python_decides_as_the_program_does(flown, tmp_pat
     assert not (tmp_path / "no").exists()
 
 
+def test_a_file_is_named_in_any_way_that_python_has(tmp_path):
+    digest = policy_module.freeze(os.fsencode(tmp_path / "actor"), Actor().tensors())
+    (entry,) = os.scandir(tmp_path)
+    assert policy_module.freeze(entry, Actor(entry).tensors()) == digest == Actor(os.fsencode(entry)).sha256
+    assert len(completion(seeds=[7], actor=entry, detector=False, threads=1).flights) == 1
+    assert os.listdir(tmp_path) == ["actor"]
+
+
 def rows_of(seed, width=7, steps=60):
     """Noise whose mean moves while it is attacked."""
     random = np.random.default_rng(seed)
@@ -226,8 +259,9 @@ def test_a_detector_is_trained_on_rows_of_any_width_and_kept(tmp_path):
     again = train(learn, choose, epochs=4, threads=1)
     np.testing.assert_array_equal(again.lstm.params, trained.lstm.params)
     trained.lstm.save(tmp_path / "own")
-    for kind in (Lstm, Detector):
-        np.testing.assert_array_equal(kind.load(tmp_path / "own").scores(rows), scores)
+    copies = pickle.loads(pickle.dumps(trained)).lstm, copy.deepcopy(trained).lstm
+    for same in (Lstm.load(tmp_path / "own"), Detector.load(tmp_path / "own"), *copies):
+        np.testing.assert_array_equal(same.scores(rows), scores)
     found, labels = windows([rows_of(1), (rows[:5], attacked[:5])])
     assert found.shape == (51, 10, 7) and labels.sum() == 30
 
@@ -254,6 +288,7 @@ def test_a_copy_of_a_policy_is_made_anew_from_its_file(flown, policies):
     assert copy.deepcopy(policy).decide(frames[0][-1], positions[0]) == first
 
 
+@pytest.mark.filterwarnings("error")
 def test_what_does_not_fit_is_refused_in_words(flown, policies, tmp_path):
     frames, goals, positions, states, _, held = flown
     actor, frame, position, (context, low_dim) = Actor(), frames[0][-1], positions[0], held[0]
@@ -269,6 +304,7 @@ def test_what_does_not_fit_is_refused_in_words(flown, policies, tmp_path):
     for call, error, said in [
         (lambda: actor.decide(frame[:64], position), ValueError, r"frame: expected shape \(128, 256\), got \(64, 256\)"),
         (lambda: actor.decide(bad, position), ValueError, "frame: holds a value that is not a finite number: nan"),
+        (lambda: actor.decide(np.full((128, 256), 1e39), position), ValueError, r"frame: holds a value that is beyond float32: 1e\+39"),
         (lambda: actor.decide(frame.astype(np.uint8), position), TypeError, "frame: expected floating-point .*got dtype uint8"),
         (lambda: actor.decide(far, position), ValueError, "frame: ranges are 0 to 100 m, one is 300.0 m"),
         (lambda: actor.decide(-frame, position), ValueError, "frame: ranges are 0 to 100 m, one is -"),
@@ -300,6 +336,7 @@ def test_what_does_not_fit_is_refused_in_words(flown, policies, tmp_path):
         (lambda: train([rows], [rows], rate=np.nan), ValueError, "rate: above 0 and below 1, got nan"),
         *((lambda kind=kind: kind(files[0]), ValueError, "no.safetensors") for kind in (Actor, Policy, Detector)),
         *((lambda kind=kind: kind(missing), ValueError, "missing.safetensors") for kind in (Actor, Policy, Detector)),
+        *((lambda kind=kind: kind(3), TypeError, "path: expected a path, got int") for kind in (Actor, Policy, Detector, log.read)),
         (lambda: Lstm.load(files[1]), ValueError, "no.npz: not a file that Lstm.save has written"),
         (lambda: Lstm.load(tmp_path / "other.npz"), ValueError, "other.npz: not a file that Lstm.save has written"),
     ]:

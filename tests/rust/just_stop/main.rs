@@ -1,16 +1,8 @@
 //! Just stop: the vehicle flies its own mission straight to the goal, through whatever stands there; Vigil only guards it.
 
 mod models;
-#[path = "../../../firmware/mavlink/tests/common/peer.rs"]
-#[allow(
-    dead_code,
-    missing_docs,
-    reason = "the scripted vehicles of the MAVLink crate's tests, of which some is used here"
-)]
-mod peer;
 mod scripted;
 
-use peer::{Mode, Peer, Quirk};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::Flavour;
 use vigil_mavlink::common::MavResult;
@@ -18,6 +10,7 @@ use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sim::vehicle::{HoldLaw, VehicleModel, VehicleParams, Wind};
 use vigil_sim::world::{BoxObstacle, Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
 use vigil_sim::{LIDAR_SENSOR_ID, SimConfig};
+use vigil_tests::peer::{Mode, Peer, Quirk};
 use vigil_tests::{Pair, airborne, mission, side_by_side, without};
 use vigil_types::{
     Attitude, Datagrams, DepthFrame, Duty, EngagePolicy, Nanos, NedVector, PilotKind, Reason, STEP_NS, VehicleMode,

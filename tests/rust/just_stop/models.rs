@@ -28,14 +28,6 @@ struct Tally {
     nearest_m: f32,
 }
 
-impl Tally {
-    /// Every mission towards something was stopped before it.
-    fn assert_stopped(&self, what: &str) {
-        println!("{what} {self:?}");
-        assert_eq!((self.collided, self.stopped), (0, self.blocked), "{what}");
-    }
-}
-
 /// How missions differ from the straight way with the nose ahead and no wind.
 #[derive(Debug, Clone, Copy, Default)]
 struct Manner {
@@ -141,11 +133,19 @@ fn missions_of(vehicle: VehicleParams, duty: Duty, manner: Manner, first_seed: u
     tally
 }
 
+/// Every mission towards something is stopped before it, and no other.
+fn only_blocked_ones_are_stopped(what: &str, vehicle: VehicleParams, manner: Manner, first_seed: u64, count: u64) {
+    let tally = missions_of(vehicle, Duty::JustStop, manner, first_seed, count);
+    println!("{what} {tally:?}");
+    let ends = (tally.collided, tally.stopped, tally.false_stops);
+    assert_eq!(ends, (0, tally.blocked, 0), "{what}");
+}
+
 #[test]
 fn a_mission_towards_something_is_stopped_before_it_on_every_vehicle_model_with_a_noisy_estimate_too() {
     for model in VehicleModel::ALL {
         for vehicle in [model.params(), model.params().with_noisy_estimate()] {
-            missions_of(vehicle, Duty::JustStop, Manner::default(), 1, 4).assert_stopped(model.name());
+            only_blocked_ones_are_stopped(model.name(), vehicle, Manner::default(), 1, 4);
         }
     }
 }
@@ -159,9 +159,7 @@ fn a_mission_is_stopped_before_what_stands_behind_its_corner_and_not_for_what_st
         ..Manner::default()
     };
     for model in VehicleModel::ALL {
-        let tally = missions_of(model.params(), Duty::JustStop, turns, 1, 12);
-        tally.assert_stopped(model.name());
-        assert_eq!(tally.false_stops, 0, "{}", model.name());
+        only_blocked_ones_are_stopped(model.name(), model.params(), turns, 1, 12);
     }
 }
 
@@ -173,9 +171,8 @@ fn a_mission_is_stopped_before_ground_that_rises_to_it_and_flown_over_ground_tha
             rises_deg: Some(slope_deg),
             ..Manner::default()
         };
-        let tally = missions_of(VehicleModel::Px4Sih.params(), Duty::JustStop, rises, 1, 8);
-        tally.assert_stopped(&format!("{slope_deg} degrees"));
-        assert_eq!(tally.false_stops, 0);
+        let (what, vehicle) = (format!("{slope_deg} degrees"), VehicleModel::Px4Sih.params());
+        only_blocked_ones_are_stopped(&what, vehicle, rises, 1, 8);
     }
 }
 
@@ -186,9 +183,7 @@ fn a_mission_is_stopped_in_time_where_frames_come_late() {
         frame_every: 12,
         ..Manner::default()
     };
-    let tally = missions_of(VehicleModel::Px4Sih.params(), Duty::JustStop, late, 240_010, 8);
-    tally.assert_stopped("late frames");
-    assert_eq!(tally.false_stops, 0);
+    only_blocked_ones_are_stopped("late frames", VehicleModel::Px4Sih.params(), late, 240_010, 8);
 }
 
 /// The course of one column on the straight way from start to goal, so many metres away.

@@ -1,11 +1,10 @@
 //! Flying, keeping and learning: small, with the built-in actor.
 
-use anyhow::Result;
 use std::path::Path;
 use vigil_adversary::{AttackConfig, Method};
 use vigil_lab::detector_training::{
-    Adversary, Counts, Examples, Feature, FitConfig, Flights, Frame, LstmConfig, Onlooker, PixelExplainer, Plan,
-    Record, Scenario, Shown, Step, WindowScorer, YAW, fit, fly, train,
+    Adversary, Counts, Examples, Feature, FitConfig, Flights, Frame, LstmConfig, PixelExplainer, Plan, Record,
+    Scenario, Shown, WindowScorer, YAW, fit, fly, train,
 };
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
 use vigil_policy::{FrozenActor, FrozenPilot};
@@ -37,18 +36,12 @@ fn attacked(plan: Plan) -> Scenario {
     }
 }
 
-/// Looks on while flying.
-struct Watch<F>(F);
-
-impl<F: FnMut(&Shown<'_>)> Onlooker for Watch<F> {
-    fn step(&mut self, _: &Step, shown: &Shown<'_>) -> Result<()> {
-        self.0(shown);
+fn monitored(scenario: &Scenario, mut watch: impl FnMut(&Shown<'_>)) -> Record {
+    let flown = fly(Isa::detect(), &actor(), scenario, &mut |_, shown| {
+        watch(shown);
         Ok(())
-    }
-}
-
-fn monitored(scenario: &Scenario, watch: impl FnMut(&Shown<'_>)) -> Record {
-    fly(Isa::detect(), &actor(), scenario, &mut Watch(watch)).unwrap()
+    });
+    flown.unwrap()
 }
 
 fn flown(scenario: &Scenario) -> Record {

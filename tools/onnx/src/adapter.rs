@@ -53,34 +53,23 @@ impl Adapter {
     }
 }
 
-/// Where the goal is in a policy's one row of values.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum FlatGoal {
-    /// It has none.
-    None,
-    /// Before the frame.
-    First,
-    /// After it.
-    Last,
-}
-
 /// A frame that a policy takes as a row of values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Flat {
     /// Channels, rows and columns, or rows, columns and channels where the last number is less than the first; the last runs fastest.
     pub frame: [usize; 3],
-    /// The goal in the same row.
-    pub goal: FlatGoal,
+    /// Whether the goal stands before the frame in the same row, or behind it; absent: it has none.
+    pub goal_first: Option<bool>,
 }
 
 impl std::str::FromStr for Flat {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (frame, goal) = match (text.strip_prefix("goal+"), text.strip_suffix("+goal")) {
-            (Some(frame), _) => (frame, FlatGoal::First),
-            (_, Some(frame)) => (frame, FlatGoal::Last),
-            _ => (text, FlatGoal::None),
+        let (frame, goal_first) = match (text.strip_prefix("goal+"), text.strip_suffix("+goal")) {
+            (Some(frame), _) => (frame, Some(true)),
+            (_, Some(frame)) => (frame, Some(false)),
+            _ => (text, None),
         };
         let sizes: Option<Vec<usize>> = frame
             .split('x')
@@ -89,7 +78,7 @@ impl std::str::FromStr for Flat {
         match sizes.as_deref() {
             Some([a, b, c]) => Ok(Self {
                 frame: [*a, *b, *c],
-                goal,
+                goal_first,
             }),
             _ => Err("three sizes are wanted, as 1x24x32, 1x24x32+goal or goal+1x24x32".to_owned()),
         }

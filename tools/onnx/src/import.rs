@@ -101,18 +101,28 @@ mod tests {
     use crate::constant::{Constant, Data};
     use crate::proto::{Attribute, Node};
     use std::rc::Rc;
+    use vigil_policy::imported::Layer;
 
     #[test]
-    fn shapes_of_other_ranks_or_beyond_all_numbers_are_refused() {
-        for (operator, name, i, shapes) in [
-            ("Concat", "axis", 1, vec![vec![1, 16], vec![1]]),
-            ("Conv", "group", 1 << 20, vec![vec![1, 1, 4, 4], vec![0, 1 << 50, 1, 1]]),
+    fn shapes_of_other_ranks_or_beyond_all_numbers_and_divisions_by_zero_are_refused() {
+        for (operator, name, i, shapes, said) in [
+            ("Concat", "axis", 1, vec![vec![1, 16], vec![1]], "shape"),
+            (
+                "Conv",
+                "group",
+                1 << 20,
+                vec![vec![1, 1, 4, 4], vec![0, 1 << 50, 1, 1]],
+                "shape",
+            ),
             (
                 "LSTM",
                 "hidden_size",
                 1,
                 vec![vec![1, 1, 16], vec![1, 0, 16], vec![1, 0, 1 << 62]],
+                "shape",
             ),
+            // Its alpha is 0.
+            ("Celu", "alpha", 0, vec![vec![1, 16]], "not finite (a division by zero"),
         ] {
             let name = name.to_owned();
             let node = Node {
@@ -127,6 +137,7 @@ mod tests {
                 ..Node::default()
             };
             let mut importer = Importer::default();
+            importer.push(Layer::Input { len: 16 }, Vec::new(), 16).unwrap();
             for (name, shape) in node.input.iter().zip(shapes) {
                 let data = Data::Real(vec![0.0; shape.iter().product()]);
                 let value = match importer.tensors.is_empty() {
@@ -136,7 +147,7 @@ mod tests {
                 importer.tensors.insert(name, value);
             }
             let refused = importer.node(&node).unwrap_err();
-            assert!(refused.contains("shape"), "{operator}: {refused}");
+            assert!(refused.contains(said), "{operator}: {refused}");
         }
     }
 }

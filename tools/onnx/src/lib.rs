@@ -20,6 +20,6 @@ mod import;
 mod movement;
 mod proto;
 
-pub use adapter::{Adapter, Flat, FlatGoal};
+pub use adapter::{Adapter, Flat};
 pub use export::export;
 pub use import::{ImportError, import};

@@ -3,95 +3,105 @@
 
 use prost::Message;
 
-/// A file.
-#[derive(Clone, PartialEq, Message)]
-pub struct Model {
-    #[prost(int64, tag = "1")]
-    pub ir_version: i64,
-    #[prost(string, tag = "2")]
-    pub producer_name: String,
-    #[prost(string, tag = "3")]
-    pub producer_version: String,
-    #[prost(message, optional, tag = "7")]
-    pub graph: Option<Graph>,
-    #[prost(message, repeated, tag = "8")]
-    pub opset_import: Vec<OperatorSet>,
-    #[prost(message, repeated, tag = "14")]
-    pub metadata_props: Vec<Entry>,
+/// Messages with their fields, each with its place in the file.
+macro_rules! messages {
+    ($($(#[$doc:meta])* $name:ident { $($(#[$about:meta])* $field:ident: $type:ty = ($($place:tt)+),)+ })+) => {$(
+        $(#[$doc])*
+        #[derive(Clone, PartialEq, Message)]
+        pub struct $name {
+            $($(#[$about])* #[prost($($place)+)] pub $field: $type,)+
+        }
+    )+};
 }
 
-/// Something to know about a file.
-#[derive(Clone, PartialEq, Message)]
-pub struct Entry {
-    #[prost(string, tag = "1")]
-    pub key: String,
-    #[prost(string, tag = "2")]
-    pub value: String,
-}
-
-/// A version of a set of operators.
-#[derive(Clone, PartialEq, Message)]
-pub struct OperatorSet {
-    #[prost(string, tag = "1")]
-    pub domain: String,
-    #[prost(int64, tag = "2")]
-    pub version: i64,
-}
-
-/// Nodes in the order of computation, and constants.
-#[derive(Clone, PartialEq, Message)]
-pub struct Graph {
-    #[prost(message, repeated, tag = "1")]
-    pub node: Vec<Node>,
-    #[prost(string, tag = "2")]
-    pub name: String,
-    #[prost(message, repeated, tag = "5")]
-    pub initializer: Vec<Tensor>,
-    #[prost(message, repeated, tag = "11")]
-    pub input: Vec<ValueInfo>,
-    #[prost(message, repeated, tag = "12")]
-    pub output: Vec<ValueInfo>,
-}
-
-/// An operator.
-#[derive(Clone, PartialEq, Message)]
-pub struct Node {
-    #[prost(string, repeated, tag = "1")]
-    pub input: Vec<String>,
-    #[prost(string, repeated, tag = "2")]
-    pub output: Vec<String>,
-    #[prost(string, tag = "3")]
-    pub name: String,
-    #[prost(string, tag = "4")]
-    pub op_type: String,
-    #[prost(message, repeated, tag = "5")]
-    pub attribute: Vec<Attribute>,
-    #[prost(string, tag = "7")]
-    pub domain: String,
-}
-
-/// A node's setting.
-#[derive(Clone, PartialEq, Message)]
-pub struct Attribute {
-    #[prost(string, tag = "1")]
-    pub name: String,
-    #[prost(float, tag = "2")]
-    pub f: f32,
-    #[prost(int64, tag = "3")]
-    pub i: i64,
-    #[prost(bytes = "vec", tag = "4")]
-    pub s: Vec<u8>,
-    #[prost(message, optional, tag = "5")]
-    pub t: Option<Tensor>,
-    #[prost(float, repeated, tag = "7")]
-    pub floats: Vec<f32>,
-    #[prost(int64, repeated, tag = "8")]
-    pub ints: Vec<i64>,
-    #[prost(bytes = "vec", repeated, tag = "9")]
-    pub strings: Vec<Vec<u8>>,
-    /// Which of the others counts: one of [`attribute_type`].
-    #[prost(int32, tag = "20")]
-    pub r#type: i32,
+messages! {
+    /// A file.
+    Model {
+        ir_version: i64 = (int64, tag = "1"),
+        producer_name: String = (string, tag = "2"),
+        producer_version: String = (string, tag = "3"),
+        graph: Option<Graph> = (message, optional, tag = "7"),
+        opset_import: Vec<OperatorSet> = (message, repeated, tag = "8"),
+        metadata_props: Vec<Entry> = (message, repeated, tag = "14"),
+    }
+    /// Something to know about a file.
+    Entry {
+        key: String = (string, tag = "1"),
+        value: String = (string, tag = "2"),
+    }
+    /// A version of a set of operators.
+    OperatorSet {
+        domain: String = (string, tag = "1"),
+        version: i64 = (int64, tag = "2"),
+    }
+    /// Nodes in the order of computation, and constants.
+    Graph {
+        node: Vec<Node> = (message, repeated, tag = "1"),
+        name: String = (string, tag = "2"),
+        initializer: Vec<Tensor> = (message, repeated, tag = "5"),
+        input: Vec<ValueInfo> = (message, repeated, tag = "11"),
+        output: Vec<ValueInfo> = (message, repeated, tag = "12"),
+    }
+    /// An operator.
+    Node {
+        input: Vec<String> = (string, repeated, tag = "1"),
+        output: Vec<String> = (string, repeated, tag = "2"),
+        name: String = (string, tag = "3"),
+        op_type: String = (string, tag = "4"),
+        attribute: Vec<Attribute> = (message, repeated, tag = "5"),
+        domain: String = (string, tag = "7"),
+    }
+    /// A node's setting.
+    Attribute {
+        name: String = (string, tag = "1"),
+        f: f32 = (float, tag = "2"),
+        i: i64 = (int64, tag = "3"),
+        s: Vec<u8> = (bytes = "vec", tag = "4"),
+        t: Option<Tensor> = (message, optional, tag = "5"),
+        floats: Vec<f32> = (float, repeated, tag = "7"),
+        ints: Vec<i64> = (int64, repeated, tag = "8"),
+        strings: Vec<Vec<u8>> = (bytes = "vec", repeated, tag = "9"),
+        /// Which of the others counts: one of [`attribute_type`].
+        r#type: i32 = (int32, tag = "20"),
+    }
+    /// A constant.
+    Tensor {
+        dims: Vec<i64> = (int64, repeated, tag = "1"),
+        data_type: i32 = (int32, tag = "2"),
+        float_data: Vec<f32> = (float, repeated, tag = "4"),
+        int32_data: Vec<i32> = (int32, repeated, tag = "5"),
+        int64_data: Vec<i64> = (int64, repeated, tag = "7"),
+        name: String = (string, tag = "8"),
+        raw_data: Vec<u8> = (bytes = "vec", tag = "9"),
+        double_data: Vec<f64> = (double, repeated, tag = "10"),
+        /// Where in which file the data is, if it is in another.
+        external_data: Vec<Entry> = (message, repeated, tag = "13"),
+        /// 1: the data is in another file.
+        data_location: i32 = (int32, tag = "14"),
+    }
+    /// An input or output.
+    ValueInfo {
+        name: String = (string, tag = "1"),
+        r#type: Option<Type> = (message, optional, tag = "2"),
+    }
+    /// Its type, if it is a tensor.
+    Type {
+        tensor_type: Option<TensorType> = (message, optional, tag = "1"),
+    }
+    /// Of a tensor.
+    TensorType {
+        elem_type: i32 = (int32, tag = "1"),
+        shape: Option<Shape> = (message, optional, tag = "2"),
+    }
+    /// Its sizes.
+    Shape {
+        dim: Vec<Dim> = (message, repeated, tag = "1"),
+    }
+    /// A size: a number, or the name of one that is not known.
+    Dim {
+        dim_value: i64 = (int64, tag = "1"),
+        dim_param: String = (string, tag = "2"),
+    }
 }
 
 /// Numbers of `AttributeProto.AttributeType`.
@@ -106,72 +116,4 @@ pub mod attribute_type {
 pub mod data_type {
     pub const FLOAT: i32 = 1;
     pub const INT64: i32 = 7;
-}
-
-/// A constant.
-#[derive(Clone, PartialEq, Message)]
-pub struct Tensor {
-    #[prost(int64, repeated, tag = "1")]
-    pub dims: Vec<i64>,
-    #[prost(int32, tag = "2")]
-    pub data_type: i32,
-    #[prost(float, repeated, tag = "4")]
-    pub float_data: Vec<f32>,
-    #[prost(int32, repeated, tag = "5")]
-    pub int32_data: Vec<i32>,
-    #[prost(int64, repeated, tag = "7")]
-    pub int64_data: Vec<i64>,
-    #[prost(string, tag = "8")]
-    pub name: String,
-    #[prost(bytes = "vec", tag = "9")]
-    pub raw_data: Vec<u8>,
-    #[prost(double, repeated, tag = "10")]
-    pub double_data: Vec<f64>,
-    /// Where in which file the data is, if it is in another.
-    #[prost(message, repeated, tag = "13")]
-    pub external_data: Vec<Entry>,
-    /// 1: the data is in another file.
-    #[prost(int32, tag = "14")]
-    pub data_location: i32,
-}
-
-/// An input or output.
-#[derive(Clone, PartialEq, Message)]
-pub struct ValueInfo {
-    #[prost(string, tag = "1")]
-    pub name: String,
-    #[prost(message, optional, tag = "2")]
-    pub r#type: Option<Type>,
-}
-
-/// Its type, if it is a tensor.
-#[derive(Clone, PartialEq, Message)]
-pub struct Type {
-    #[prost(message, optional, tag = "1")]
-    pub tensor_type: Option<TensorType>,
-}
-
-/// Of a tensor.
-#[derive(Clone, PartialEq, Message)]
-pub struct TensorType {
-    #[prost(int32, tag = "1")]
-    pub elem_type: i32,
-    #[prost(message, optional, tag = "2")]
-    pub shape: Option<Shape>,
-}
-
-/// Its sizes.
-#[derive(Clone, PartialEq, Message)]
-pub struct Shape {
-    #[prost(message, repeated, tag = "1")]
-    pub dim: Vec<Dim>,
-}
-
-/// A size: a number, or the name of one that is not known.
-#[derive(Clone, PartialEq, Message)]
-pub struct Dim {
-    #[prost(int64, tag = "1")]
-    pub dim_value: i64,
-    #[prost(string, tag = "2")]
-    pub dim_param: String,
 }

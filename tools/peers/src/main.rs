@@ -3,11 +3,10 @@
 mod cases;
 mod record;
 mod states;
+mod timing;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::Parser;
-use rustix::time::{ClockId, clock_gettime};
-use std::io::{BufRead, Write};
 use std::path::PathBuf;
 use vigil_tools::threads::thread_pool;
 
@@ -29,12 +28,6 @@ struct Arguments {
     actor: Option<PathBuf>,
 }
 
-/// Processor time of this process, all threads, nanoseconds.
-fn processor_ns() -> u64 {
-    let now = clock_gettime(ClockId::ProcessCPUTime);
-    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
-}
-
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     std::fs::create_dir_all(&arguments.folder)
@@ -44,26 +37,10 @@ fn main() -> Result<()> {
 
 fn serve(arguments: &Arguments) -> Result<()> {
     let mut cases = cases::prepare(arguments.actor.as_deref(), &arguments.folder.join("ours.safetensors"))?;
-    let mut out = std::io::stdout();
-    writeln!(out, "ready")?;
-    out.flush()?;
-    for line in std::io::stdin().lock().lines() {
-        let line = line?;
-        let Some((name, runs)) = line.split_once(' ') else {
-            bail!("expected `CASE RUNS`, got `{line}`");
-        };
-        let runs: u32 = runs
-            .parse()
-            .with_context(|| format!("`{runs}` is not a number of runs"))?;
-        let case = cases
-            .get_mut(name)
-            .with_context(|| format!("there is no case `{name}`"))?;
-        let before = processor_ns();
-        for _ in 0..runs {
-            case()?;
-        }
-        writeln!(out, "{}", (processor_ns() - before) as f64 / f64::from(runs.max(1)))?;
-        out.flush()?;
-    }
-    Ok(())
+    timing::answer("ready", |line| {
+        let parts = line.split_once(' ');
+        let (name, runs) = parts.with_context(|| format!("expected `CASE RUNS`, got `{line}`"))?;
+        let case = cases.get_mut(name);
+        timing::mean_ns(runs, case.with_context(|| format!("there is no case `{name}`"))?)
+    })
 }

@@ -62,11 +62,9 @@ pub fn watch(actor: &mut Actor, seed: u64) -> Result<Vec<State>> {
         let sample = AttitudeSample::new(at_ns, attitude, FrdVector::new(0.0, 0.0, 0.0));
         let action = actor.decide(&PilotInput {
             now_ns: at_ns,
-            depth: &frame,
-            goal: goal.relative_to(&kinematics, &sample),
             attitude,
-            velocity_m_s: HeadingVector::ZERO,
             height_m: -position_ned_m.z,
+            ..PilotInput::at_rest(&frame, goal.relative_to(&kinematics, &sample))
         })?;
         if step > 0 && step % EVERY_STEPS == 0 {
             states.push(State {

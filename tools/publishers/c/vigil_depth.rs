@@ -39,13 +39,11 @@ impl Publisher {
         if instance > LAST_INSTANCE {
             bail!("instance {instance}: must be from 0 to {LAST_INSTANCE}");
         }
-        let key = match key_file {
-            Some(path) => {
-                let path = path.to_str().context("the key file's name is not UTF-8")?;
-                Some(frame_key(Path::new(path), sensor_id)?)
-            }
-            None => None,
+        let key = |path: &CStr| {
+            let path = path.to_str().context("the key file's name is not UTF-8")?;
+            anyhow::Ok(frame_key(Path::new(path), sensor_id)?)
         };
+        let key = key_file.map(key).transpose()?;
         let domain = Domain::open(instance, "driver")?;
         Ok(Self {
             publisher: FramePublisher::create(&domain, DEPTH_TOPIC)?,

@@ -4,6 +4,7 @@ use crate::actor::{Actor, Learned};
 use crate::given::{Floats, array, at_moment, beside, frames, refused, values};
 use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
+use std::sync::{Mutex, PoisonError};
 use vigil_adversary::{AttackConfig, AttackOutcome, Beside, Method, Towards};
 use vigil_nnet::Isa;
 use vigil_policy::PilotInput;
@@ -38,25 +39,22 @@ fn attacked(py: Python<'_>, mut frames: Vec<f32>, outcome: AttackOutcome) -> Att
     (array(py, frames), outcome.clean, outcome.attacked)
 }
 
-/// Alters a frame, given what the actor holds beside it.
-#[pyclass(module = "vigil._vigil")]
-pub struct StateAttack {
-    attack: vigil_adversary::StateAttack,
-}
+/// Alters a frame, given what the actor holds beside it. Calls of several threads queue, without the interpreter's lock, which the call that
+/// attacks wants back.
+#[pyclass(frozen, module = "vigil._vigil")]
+pub struct StateAttack(Mutex<vigil_adversary::StateAttack>);
 
 #[pymethods]
 impl StateAttack {
     #[new]
     fn new(actor: &Actor, given: Given) -> PyResult<Self> {
         let attack = vigil_adversary::StateAttack::new(Isa::detect(), &actor.frozen, &config(given)?);
-        Ok(Self {
-            attack: attack.map_err(refused)?,
-        })
+        Ok(Self(Mutex::new(attack.map_err(refused)?)))
     }
 
     /// The frame altered, metres.
     fn attack<'py>(
-        &mut self,
+        &self,
         py: Python<'py>,
         frame: PyReadonlyArrayDyn<'py, f32>,
         context: PyReadonlyArrayDyn<'py, f32>,
@@ -68,9 +66,11 @@ impl StateAttack {
             low_dim: beside(&low_dim)?,
         };
         held.context.copy_from_slice(values("context", &context, CONTEXT)?);
-        let attack = &mut self.attack;
-        let outcome = py.detach(|| attack.attack(&mut frame, &held)).map_err(refused)?;
-        Ok(attacked(py, frame, outcome))
+        let outcome = py.detach(|| {
+            let mut attack = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            attack.attack(&mut frame, &held)
+        });
+        Ok(attacked(py, frame, outcome.map_err(refused)?))
     }
 }
 
@@ -78,7 +78,6 @@ impl StateAttack {
 #[pyclass(module = "vigil._vigil")]
 pub struct FrameAttack {
     attack: vigil_adversary::FrameAttack,
-    delivered: Box<DepthFrame>,
     /// Time of the next frame of which none is given.
     next_ns: Nanos,
 }
@@ -90,7 +89,6 @@ impl FrameAttack {
         let attack = vigil_adversary::FrameAttack::on(&pilot.frozen(), Isa::detect(), &config(given)?);
         Ok(Self {
             attack: attack.map_err(refused)?,
-            delivered: Box::new(DepthFrame::EMPTY),
             next_ns: 0,
         })
     }
@@ -108,12 +106,13 @@ impl FrameAttack {
         frame: PyReadonlyArrayDyn<'py, f32>,
         position: Vec<f32>,
     ) -> PyResult<Attacked<'py>> {
-        let (attack, delivered) = (&mut self.attack, &mut *self.delivered);
-        let outcome = at_moment(&frame, &position, &mut self.next_ns, |input| {
-            py.detach(|| attack.attack_while(input, delivered, || true))
+        let mut delivered = Box::new(DepthFrame::EMPTY);
+        let attack = |input: &PilotInput<'_>| {
+            py.detach(|| self.attack.attack_while(input, &mut delivered, || true))
                 .map_err(refused)
-        })?;
-        Ok(attacked(py, self.delivered.depth.to_vec(), outcome))
+        };
+        let outcome = at_moment(&frame, &position, &mut self.next_ns, attack)?;
+        Ok(attacked(py, delivered.depth.to_vec(), outcome))
     }
 
     /// Forgets the frames: a new flight.

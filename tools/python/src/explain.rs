@@ -4,13 +4,18 @@ use crate::actor::{Learned, own_inputs};
 use crate::given::{Floats, array, refused};
 use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
+use std::sync::{Mutex, PoisonError};
 use vigil_detector::DeepShap;
 use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::actor::ActorSpec;
 
-/// DeepSHAP of one network against one background sample, over the network's own inputs.
-#[pyclass(module = "vigil._vigil")]
-pub struct Explainer(DeepShap);
+/// DeepSHAP of one network against one background sample, over the network's own inputs. Calls of several threads queue.
+#[pyclass(frozen, module = "vigil._vigil")]
+pub struct Explainer {
+    graph: Graph,
+    /// Waited for without the interpreter's lock only, which the call that has it wants back.
+    shap: Mutex<DeepShap>,
+}
 
 type Inputs<'py> = Vec<PyReadonlyArrayDyn<'py, f32>>;
 
@@ -20,7 +25,11 @@ fn explainer(py: Python<'_>, graph: Graph, params: &[f32], backgrounds: &[Inputs
         .map(|inputs| own_inputs(&graph, inputs))
         .collect::<PyResult<_>>()?;
     let shap = py.detach(|| DeepShap::new(Isa::detect(), graph, params, &views));
-    Ok(Explainer(shap.map_err(refused)?))
+    let shap = shap.map_err(refused)?;
+    Ok(Explainer {
+        graph: shap.graph().clone(),
+        shap: Mutex::new(shap),
+    })
 }
 
 #[pymethods]
@@ -43,32 +52,23 @@ impl Explainer {
         explainer(py, graph, params, &backgrounds)
     }
 
-    /// The network's outputs for a state, and what each value of its inputs contributed to one of them.
-    fn explain<'py>(
-        &mut self,
-        py: Python<'py>,
-        inputs: Inputs<'py>,
-        output: usize,
-    ) -> PyResult<(Floats<'py>, Floats<'py>)> {
-        let slices = own_inputs(self.0.graph(), &inputs)?;
-        let mut phi = vec![0.0; self.0.phi_len()];
-        let shap = &mut self.0;
-        let outputs = py.detach(|| {
+    /// One of the network's outputs for a state, its mean over the background sample, and what each value of the inputs contributed to it.
+    fn explain<'py>(&self, py: Python<'py>, inputs: Inputs<'py>, output: usize) -> PyResult<(f32, f32, Floats<'py>)> {
+        let slices = own_inputs(&self.graph, &inputs)?;
+        let explained = py.detach(|| {
+            let mut shap = self.shap.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut phi = vec![0.0; shap.phi_len()];
             let outputs = shap.evaluate(&slices)?.to_vec();
-            shap.attribute(output, &mut phi).map(|()| outputs)
+            let explained = shap.attribute(output, &mut phi);
+            explained.map(|()| (outputs[output], shap.expected()[output], phi))
         });
-        Ok((array(py, outputs.map_err(refused)?), array(py, phi)))
-    }
-
-    /// Mean outputs of the background sample.
-    fn expected<'py>(&self, py: Python<'py>) -> Floats<'py> {
-        array(py, self.0.expected().to_vec())
+        let (made, base, phi) = explained.map_err(refused)?;
+        Ok((made, base, array(py, phi)))
     }
 
     /// Lengths of the network's inputs.
     #[getter]
     fn input_lengths(&self) -> Vec<usize> {
-        let graph = self.0.graph();
-        (0..graph.input_count()).map(|i| graph.input_len(i)).collect()
+        (0..self.graph.input_count()).map(|i| self.graph.input_len(i)).collect()
     }
 }

@@ -36,7 +36,14 @@ struct Content {
 fn read(path: &Path, with_frames: bool) -> Result<Content, vigil_log::ReadError> {
     let mut reader = Reader::open(path)?;
     let mut record = Box::new(TickRecord::default());
-    let mut content = Content::without_steps(&record);
+    // A log without steps has the columns of one with them.
+    let mut content = Content::default();
+    content.take(&record, false);
+    content.columns.iter_mut().for_each(|column| column.2.clear());
+    content = Content {
+        columns: content.columns,
+        ..Content::default()
+    };
     while reader.read_next(&mut record)? {
         content.take(&record, with_frames);
     }
@@ -64,18 +71,6 @@ fn read(path: &Path, with_frames: bool) -> Result<Content, vigil_log::ReadError>
 }
 
 impl Content {
-    /// With every column that a step has.
-    fn without_steps(step: &TickRecord) -> Self {
-        let mut one = Self::default();
-        one.take(step, false);
-        let mut columns = one.columns;
-        columns.iter_mut().for_each(|column| column.2.clear());
-        Self {
-            columns,
-            ..Self::default()
-        }
-    }
-
     fn take(&mut self, record: &TickRecord, with_frames: bool) {
         let report = &record.report;
         self.step.push(record.timing.step);

@@ -36,11 +36,13 @@ def floats(what: str, values: Any, shape: Sequence[int | None]) -> Floats:
     if not fits:
         expected = tuple("any" if s is None else s for s in shape)
         raise ValueError(f"{what}: expected shape {expected}, got {array.shape}")
-    array = np.ascontiguousarray(array, dtype=np.float32)
-    finite = np.isfinite(array)
+    with np.errstate(over="ignore"):
+        narrow = np.ascontiguousarray(array, dtype=np.float32)
+    finite = np.isfinite(narrow)
     if not finite.all():
-        raise ValueError(f"{what}: holds a value that is not a finite number: {array[~finite][0]}")
-    return array
+        wrong = array[~finite][0]
+        raise ValueError(f"{what}: holds a value that is {'beyond float32' if np.isfinite(wrong) else 'not a finite number'}: {wrong}")
+    return narrow
 
 
 def number(what: str, value: Any, expected: str, fits: Callable[[float], bool]) -> float:
@@ -71,6 +73,14 @@ def whole(what: str, value: Any, least: int = 0, bits: int = 64) -> int:
     if not least <= given < 1 << bits:
         raise ValueError(f"{what}: {least} or more, below 2^{bits}, got {given}")
     return given
+
+
+def path(what: str, value: Any) -> str:
+    """The name of a file, in whichever way Python gives one."""
+    try:
+        return os.fsdecode(value)
+    except TypeError:
+        raise TypeError(f"{what}: expected a path, got {type(value).__name__}") from None
 
 
 def seeds(value: Any) -> Any:

@@ -158,7 +158,7 @@ class PolicyAttack:
         step = epsilon
         frame = clean_frame
         if self.method in ("bim-clipped", "pgd"):
-            step = np.float32(2.5) * epsilon / np.float32(self.iterations)
+            step = min(np.float32(2.5) * epsilon / np.float32(self.iterations), epsilon)
         if self.method == "pgd":
             start = self._random.uniform(-epsilon, epsilon, frame.shape).astype(np.float32)
             frame = np.clip(frame + start, low, high)

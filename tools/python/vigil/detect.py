@@ -6,6 +6,7 @@ rows of any width: explanations of an imported policy, or anything else that ten
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -35,6 +36,9 @@ class Lstm:
         self.scale = _given.floats("scale", scale, (len(self.centre),))
         self.params = _given.floats("parameters", params, (None,))
         self.native_lstm = _vigil.Lstm(self.params, self.centre, self.scale)
+
+    def __reduce__(self) -> tuple[type[Lstm], tuple[Any, ...]]:
+        return type(self), (self.params, self.centre, self.scale)
 
     def scores(self, rows: Any) -> Floats:
         """Scores ``[steps]``, 0 (unattacked) to 1 (attacked), of a flight's rows ``[steps, width]``; nan for the first nine."""
@@ -68,8 +72,14 @@ class Detector(Lstm):
     """
 
     def __init__(self, path: str | PathLike[str] | None = None) -> None:
-        self.native = _vigil.Detector(None if path is None else str(path))
+        given = None if path is None else _given.path("path", path)
+        self.path = None if given is None else os.path.abspath(given)
+        """Its file, of which a copy is made anew; ``None``: the one built in."""
+        self.native = _vigil.Detector(given)
         super().__init__(*self.native.network())
+
+    def __reduce__(self) -> tuple[type[Lstm], tuple[Any, ...]]:
+        return type(self), (self.path,)
 
     @property
     def threshold(self) -> float:
@@ -176,7 +186,7 @@ def freeze(
     _given.made("lstm", lstm, Lstm)
     sample = _given.backgrounds(backgrounds, actor.positional_inputs)
     about = threshold, threshold_choice, training_config, _given.whole("seed", seed)
-    return _vigil.write_detector(str(path), lstm.native_lstm, actor.native, *sample, about)
+    return _vigil.write_detector(_given.path("path", path), lstm.native_lstm, actor.native, *sample, about)
 
 
 @dataclass(frozen=True)

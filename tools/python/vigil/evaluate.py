@@ -109,9 +109,9 @@ def completion(
     epsilon, iterations = _given.strength(epsilon, iterations)
     options = {
         **locals(),
-        "actor": None if actor is None else str(actor),
+        "actor": None if actor is None else _given.path("actor", actor),
         "detector": detector if switched else True,
-        "detector_file": None if switched else str(detector),
+        "detector_file": None if switched else _given.path("detector", detector),
         "burst": str(burst),
         **_given.conditions(wind, noise),
     }

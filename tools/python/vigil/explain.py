@@ -50,7 +50,7 @@ def _of_low_dim(phi: Floats) -> tuple[float, float, float]:
 def _explanation(explainer: _vigil.Explainer, inputs: list[Floats], output: int, frame_at: int, scale: float) -> Explanation:
     if _given.whole("output", output) not in (FORWARD, YAW):
         raise ValueError(f"output: 0 (forward speed) or 1 (yaw), got {output}")
-    outputs, phi = explainer.explain(inputs, output)
+    made, base, phi = explainer.explain(inputs, output)
     phi *= np.float32(scale)
     distance = bearing = told = memory = 0.0
     frame = phi
@@ -60,8 +60,7 @@ def _explanation(explainer: _vigil.Explainer, inputs: list[Floats], output: int,
         # What is low-dimensional is the last of the others; between it and the frame lies an actor's memory.
         distance, bearing, told = _of_low_dim(shares.pop())
         memory = float(sum(share.sum() for share in shares))
-    base, made = float(explainer.expected()[output]) * scale, float(outputs[output]) * scale
-    return Explanation(frame, distance, bearing, told, memory, base, made)
+    return Explanation(frame, distance, bearing, told, memory, base * scale, made * scale)
 
 
 class SplitPoint:

@@ -122,7 +122,7 @@ class _Flown:
             count,
             {
                 "family": _given.made("family", options["family"], str),
-                "course": None if course is None else str(Path(course).resolve(strict=True)),
+                "course": None if course is None else str(Path(_given.path("course", course)).resolve(strict=True)),
                 "time_limit": limit,
                 "along_way": reward["progress"] == "way",
                 "privileged": bool(options["privileged"]),
@@ -218,10 +218,9 @@ def _actions(given: Any, count: int | None) -> Floats:
         raise TypeError(f"action: expected numbers, got dtype {array.dtype}")
     if array.shape != shape:
         raise ValueError(f"action: expected shape {shape} (forward speed, yaw), got {array.shape}")
-    array = np.ascontiguousarray(array, np.float32).reshape(-1, 2)
     if not np.isfinite(array).all():
         raise ValueError("action: forward speed and yaw have to be finite numbers")
-    return array
+    return np.ascontiguousarray(array.clip(-ACTION_LIMIT, ACTION_LIMIT), np.float32).reshape(-1, 2)
 
 
 class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
@@ -321,7 +320,7 @@ class VigilEnv(gymnasium.Env[dict[str, NDArray[Any]], Floats]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Begins a flight, hovering at the course's start. ``options``: ``course_seed``."""
+        """Begins a flight, hovering at the course's start, within a degree of its heading. ``options``: ``course_seed``."""
         wanted: int | None = None
         seed = None if seed is None else _given.whole("seed", seed, bits=128)
         if options:

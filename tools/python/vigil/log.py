@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vigil import _vigil
+from vigil import _given, _vigil
 from vigil._given import COLUMNS, ROWS, Floats
 
 _WORDS = ("state", "reasons", "alarm", "verdict")
@@ -72,7 +72,7 @@ def read(path: str | PathLike[str], *, frames: bool = False) -> Log:
         ValueError: a file that is missing, no log, of another version, or damaged: one damaged chunk refuses all of it, and ``vigil
             recover`` saves the others.
     """
-    found = _vigil.read_log(str(path), frames)
+    found = _vigil.read_log(_given.path("path", path), frames)
     steps = len(found["step"])
     numbers = {
         name: values if width == 1 else values.reshape(steps, width) for name, (width, values) in found["numbers"].items()

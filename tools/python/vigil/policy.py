@@ -66,9 +66,10 @@ class Actor(_Frozen):
     native: _vigil.Actor
 
     def __init__(self, path: str | PathLike[str] | None = None) -> None:
-        self.path = None if path is None else os.path.abspath(path)
+        given = None if path is None else _given.path("path", path)
+        self.path = None if given is None else os.path.abspath(given)
         """Its file; ``None``: the one built in."""
-        self.native = _vigil.Actor(None if path is None else str(path))
+        self.native = _vigil.Actor(given)
 
     def decide(self, frame: Any, goal: Any) -> Action:
         """Decides on the newest frame ``[128, 256]`` in metres, the goal and the vehicle's odometry. It remembers the frames, so every one of
@@ -124,7 +125,7 @@ def freeze(
         raise ValueError(f"tensors: {', '.join(unknown)} unknown; there are {', '.join(shapes)}")
     flat = [_given.floats(name, tensors[name], shape).ravel() for name, shape in shapes.items()]
     numbers = _given.whole("seed", seed), _given.whole("updates", updates)
-    return like.native.write(str(path), np.concatenate(flat), training_config, *numbers)
+    return like.native.write(_given.path("path", path), np.concatenate(flat), training_config, *numbers)
 
 
 class Policy(_Frozen):
@@ -143,9 +144,10 @@ class Policy(_Frozen):
     path: str
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        self.path = os.path.abspath(path)
+        given = _given.path("path", path)
+        self.path = os.path.abspath(given)
         """Its file."""
-        self.native = _vigil.Policy(str(path))
+        self.native = _vigil.Policy(given)
 
     def decide(self, frame: Any, goal: Any) -> Action:
         """As :meth:`Actor.decide`, exactly as in flight; of a position it takes the goal alone."""

@@ -15,6 +15,7 @@ use std::io::{BufRead, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use vigil_nnet::Isa;
+use vigil_types::STEP_S;
 
 /// Ten million flights have some 8 GB.
 const SIZE_LIMIT: u64 = 16 << 30;
@@ -237,18 +238,20 @@ where
         Ok(self)
     }
 
-    /// Flies what `wanted` has and the file has not, each by its seed and its arm's place among those that the campaign was made with;
-    /// leaves the file in the order of the seeds.
+    /// Flies what it was made for and the file has not, each by its seed and its arm's place; leaves the file in the order of the seeds.
     ///
     /// # Errors
     /// Whatever a flight fails with, or the file; the flights that had ended are kept.
     pub fn fly(
         &mut self,
-        wanted: &Jobs,
         pool: &ThreadPool,
         fly: impl Fn(u64, usize, &Progress) -> Result<F> + Sync,
     ) -> Result<Interrupt> {
-        let (missing, interrupt) = (self.missing(wanted).len() as u64, Interrupt::on_ctrl_c()?);
+        let wanted = &self.asked_for.clone();
+        let interrupt = Interrupt::on_ctrl_c()?.saying(
+            "interrupted: flights that have begun are flown to their end; another interrupt ends the program without them",
+        );
+        let missing = self.missing(wanted).len() as u64;
         let (all, there) = (wanted.count(), wanted.count() - missing);
         if there > 0 {
             say!("resumed          {there} of {all} flights are there already");
@@ -368,6 +371,10 @@ where
                 arm.filter(|_| line.of == self.of && (self.jobs().first_seed..self.jobs().end()).contains(&line.seed));
             let arm = arm.with_context(|| format!("{name}, line {number} is of another campaign than the headings"))?;
             let flight = serde_json::to_value(&line.flight)?;
+            ensure!(
+                is_possible(&flight),
+                "{name}, line {number} is damaged: its time, or a count of it, is none of a flight of so many steps"
+            );
             let own = flight.get("seed").map_or(Some(line.seed), Value::as_u64);
             ensure!(
                 own == Some(line.seed),
@@ -426,6 +433,23 @@ where
             if runs.len() > MOST { ", …" } else { "" }
         )
     }
+}
+
+/// Whether a flight may have come to this: it lasts as long as its steps, and nothing happens more often than there are steps.
+fn is_possible(flight: &Value) -> bool {
+    let Some(steps) = flight.get("steps").and_then(Value::as_u64) else {
+        return true;
+    };
+    let parts = ["watch", "sensor", "attack"].map(|part| flight.get(part).and_then(Value::as_object));
+    let counts = parts.into_iter().flatten().flat_map(serde_json::Map::values);
+    let mut counts = counts
+        .chain(flight.get("altered_frames_used"))
+        .filter_map(Value::as_u64);
+    let time_s = flight.get("flight_time_s").and_then(Value::as_f64);
+    let most_s = (steps as f64 + 1.0) * f64::from(STEP_S);
+    steps <= u64::from(u32::MAX)
+        && counts.all(|count| count <= steps)
+        && time_s.is_some_and(|time_s| (0.0..=most_s).contains(&time_s))
 }
 
 /// The command whose flights a file has.
@@ -520,4 +544,27 @@ pub fn difference(a: &Value, b: &Value, place: &str) -> Option<String> {
     };
     let place = place.trim_start_matches('.');
     Some(format!("{place} was {}, and is {}", value(b), value(a)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flight_counts_no_more_than_its_steps_and_lasts_as_long() {
+        let flight = |steps: u64, time_s: f64, alarms: u64| {
+            let watch = serde_json::json!({"alarms": alarms, "first_alarm_step": null});
+            is_possible(&serde_json::json!({"steps": steps, "flight_time_s": time_s, "watch": watch}))
+        };
+        assert!(flight(338, 16.87, 338) && flight(1200, 0.0, 0));
+        for (steps, time_s, alarms) in [
+            (1 << 63, 16.87, 0),
+            (338, -5.0, 0),
+            (338, 1e308, 0),
+            (338, f64::NAN, 0),
+            (338, 16.87, u64::MAX),
+        ] {
+            assert!(!flight(steps, time_s, alarms), "{steps} {time_s} {alarms}");
+        }
+    }
 }

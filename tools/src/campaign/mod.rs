@@ -9,7 +9,6 @@ pub use recording::Recording;
 pub use sensor_record::{FaultChoice, FaultTally, SensorRecord};
 pub use watch::WatchRecord;
 
-use crate::report::{Column, numbers, words};
 use crate::statistics::wilson_95;
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
@@ -86,16 +85,8 @@ impl Tally {
         }
     }
 
-    /// The columns of [`Self::cells`].
-    pub fn columns() -> [Column; 5] {
-        [
-            numbers("completion"),
-            words("95 % interval"),
-            numbers("collision"),
-            numbers("bounds"),
-            numbers("time-out"),
-        ]
-    }
+    /// The headings of [`Self::cells`].
+    pub const COLUMNS: &str = "> completion | 95 % interval | > collision | > bounds | > time-out";
 
     /// Share, interval and how the others ended.
     pub fn cells(&self) -> [String; 5] {

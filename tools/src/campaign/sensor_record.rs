@@ -1,7 +1,7 @@
 //! What was found wrong with the sensor in a flight, and campaigns over the sensor's faults.
 
 use super::Flight;
-use crate::report::{TextTable, numbers, words};
+use crate::report::TextTable;
 use serde::{Deserialize, Serialize};
 use vigil_sim::world::Outcome;
 use vigil_sim::{SensorFault, SensorFaultMode};
@@ -165,8 +165,7 @@ impl FaultTally {
 
     /// The table of all faults.
     pub fn table(tallies: &[Self]) -> TextTable {
-        let counts = ["flights", "collision", "safe hold", "arrived", "time-out"].map(numbers);
-        let mut table = TextTable::new([words("sensor fault")].into_iter().chain(counts));
+        let mut table = TextTable::new("sensor fault | > flights | > collision | > safe hold | > arrived | > time-out");
         for t in tallies {
             let counts = [t.flights, t.collisions, t.held, t.arrived, t.time_outs].map(|n| n.to_string());
             table.row([t.fault.clone()].into_iter().chain(counts));

@@ -8,7 +8,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use vigil_sim::program::Status;
@@ -17,6 +17,8 @@ use vigil_sim::program::Status;
 const SIZE_LIMIT: u64 = 1 << 20;
 /// A child that was asked to end gets this long before it is killed.
 pub(super) const END_LIMIT: Duration = Duration::from_secs(5);
+/// A status is waited for so long before other things are looked at.
+pub(super) const LOOK: Duration = Duration::from_millis(200);
 
 /// Has the system send SIGTERM to this process when its parent is gone, `kill -9` included. Called first of all.
 ///
@@ -77,14 +79,10 @@ impl Process {
         self
     }
 
-    /// Looks whether the child still runs, in flight.
+    /// Looks whether the child still runs.
     ///
     /// # Errors
     /// It has ended, with the last of what it said.
-    pub fn check(&mut self) -> Result<()> {
-        self.check_when("in flight")
-    }
-
     pub(super) fn check_when(&mut self, when: &str) -> Result<()> {
         if let Some(status) = self.child.try_wait()? {
             let said = self.said();
@@ -140,6 +138,23 @@ impl Drop for Process {
             // Nothing can be done about a child that cannot be killed.
             let _ = self.child.kill();
             let _ = self.child.wait();
+        }
+    }
+}
+
+/// The next status of the simulator, if one comes before it is time to look elsewhere.
+///
+/// # Errors
+/// The simulator has ended, with the last of what it said.
+pub fn next_status(simulator: &mut Process, statuses: &Receiver<Status>, when: &str) -> Result<Option<Status>> {
+    match statuses.recv_timeout(LOOK) {
+        Ok(status) => Ok(Some(status)),
+        Err(RecvTimeoutError::Timeout) => Ok(None),
+        Err(RecvTimeoutError::Disconnected) => {
+            // Its pipe closes a moment before its exit status can be read.
+            std::thread::sleep(LOOK);
+            simulator.check_when(when)?;
+            bail!("the {} closed its output", simulator.name);
         }
     }
 }

@@ -6,8 +6,8 @@ mod shown;
 
 use crate::campaign::flights::{Campaign, Existing, Jobs, difference, sha256};
 use crate::campaign::{self, FaultChoice, Flight, Recording, outcome_name};
+use crate::cli::fly::SecondSensorArgs;
 use crate::cli::output::{self, tell};
-use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
 use crate::cli::view::ViewerArgs;
 use crate::flight_report;
 use crate::threads::thread_pool_of;
@@ -22,6 +22,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::{Attack, AttackArgs, AttackConfig, Burst};
 use vigil_detector::FrozenDetector;
+use vigil_firmware::arguments::PilotArgs;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::world::{Family, FlightPath, generate, generate_long};
 use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Simulator, Start, VehicleChoice, family_parser};
@@ -65,7 +66,7 @@ The same seeds give the same flights, bit for bit, and the same JSON, byte for b
 other machines fly other seeds, and `vigil merge` makes one report of all (docs/cluster.md).
 
 Each flight is a line beside the JSON, NAME.jsonl, as soon as it has ended. Ctrl-C ends the campaign with the flights that had
-ended: the report then says how many were asked for, and that it was interrupted.
+begun: the report then says how many were asked for, and that it was interrupted.
 Exit code: 0 all flights were flown (however they ended), 1 error, 130 interrupted.")]
 pub struct EvaluateArgs {
     /// Number of flights; flight i uses seed SEED + i.
@@ -352,8 +353,11 @@ fn lines_beside(args: &EvaluateArgs) -> Result<PathBuf> {
 /// A bad configuration, or a folder that cannot be written.
 pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     check_ranges(args)?;
-    let models = args.vehicle.models(args.config.as_deref())?;
-    let attack = args.attack.attack(args.pilot.actor_file())?;
+    let flying = Flying {
+        args,
+        models: args.vehicle.models(args.config.as_deref())?,
+        attack: args.attack.attack(args.pilot.actor_file())?,
+    };
     let faults = faults(args.sensor_fault);
     prepare(args, &faults)?;
     let jobs = Jobs {
@@ -361,10 +365,10 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         flights: args.flights,
         arms: faults.iter().map(|fault| arm_name(*fault)).collect(),
     };
-    let settings = Settings::of(args, attack.as_ref())?;
+    let settings = Settings::of(args, flying.attack.as_ref())?;
     let pool = thread_pool_of(args.threads)?;
-    pool.install(|| check_first(args, &models, attack.as_ref(), faults[0]))?;
-    let mut campaign = Campaign::new(COMMAND, settings, jobs.clone())?
+    pool.install(|| flying.check_first(faults[0]))?;
+    let mut campaign = Campaign::new(COMMAND, settings, jobs)?
         .keep_in(&lines_beside(args)?, Existing::replaced_unless(args.resume))?;
     if campaign.flights().next().is_some() && (args.logs.is_some() || args.draw_failures.is_some()) {
         tell!(
@@ -374,11 +378,11 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     let mut shown = args.view.map(|count| Shown::begin(args, count, &faults)).transpose()?;
     let live = shown.as_ref().map(|shown| (shown.count, shown.folder.clone()));
     let (begun, before_s) = (Instant::now(), report::simulated_s(&campaign));
-    let interrupt = campaign.fly(&jobs, &pool, |seed, arm, bar| {
+    let interrupt = campaign.fly(&pool, |seed, arm, bar| {
         let number = (seed - args.seed) * faults.len() as u64 + arm as u64;
         let of_shown = live.as_ref().filter(|(count, _)| number < *count);
         let logs = args.logs.as_deref().or(of_shown.map(|(_, folder)| folder.as_path()));
-        let flight = fly(args, &models, attack.as_ref(), faults[arm], seed, logs)?;
+        let flight = flying.fly(faults[arm], seed, logs)?;
         if !flight.record.is_success() {
             let how = outcome_name(flight.record.outcome);
             bar.set_message(format!("last failure: seed {seed} ({how})"));
@@ -422,87 +426,80 @@ fn faults(choice: Option<FaultChoice>) -> Vec<Option<SensorFault>> {
     }
 }
 
-/// Makes what the first flight is flown with: what refuses it does so before earlier flights are replaced.
-fn check_first(
-    args: &EvaluateArgs,
-    models: &Models,
-    attack: Option<&Attack>,
-    fault: Option<SensorFault>,
-) -> Result<()> {
-    let (config, firmware) = configured(args, models, fault, args.seed)?;
-    Simulator::new(&config, 0)?;
-    LockstepFirmware::new(&firmware)?;
-    if let Some(attack) = attack {
-        attack.interceptor(config.seed, config.course.goal_ned_m())?;
-    }
-    Ok(())
+/// What all flights have in common.
+struct Flying<'a> {
+    args: &'a EvaluateArgs,
+    models: Models,
+    attack: Option<Attack>,
 }
 
-/// What a flight is flown with.
-fn configured(
-    args: &EvaluateArgs,
-    models: &Models,
-    fault: Option<SensorFault>,
-    seed: u64,
-) -> Result<(SimConfig, FirmwareConfig)> {
-    let mut course = match args.goal_distance {
-        None => generate(args.family, seed),
-        Some(distance) => generate_long(args.family, seed, distance.of(seed)).with_context(|| {
-            format!(
-                "--goal-distance: courses of the family {} cannot be made longer",
-                args.family
-            )
-        })?,
-    };
-    if args.still {
-        course.movers.clear();
+impl Flying<'_> {
+    /// Makes what the first flight is flown with: what refuses it does so before earlier flights are replaced.
+    fn check_first(&self, fault: Option<SensorFault>) -> Result<()> {
+        let (config, firmware) = self.configured(fault, self.args.seed)?;
+        Simulator::new(&config, 0)?;
+        LockstepFirmware::new(&firmware)?;
+        if let Some(attack) = &self.attack {
+            attack.interceptor(config.seed, config.course.goal_ned_m())?;
+        }
+        Ok(())
     }
-    let mut models = models.clone();
-    models.lidar.range_noise_sigma_m *= args.noise;
-    models.lidar.dropout_probability = (models.lidar.dropout_probability * args.noise).min(1.0);
-    if args.wind > 0.0 {
-        models.wind = campaign::wind(args.wind, seed);
-    }
-    let mut config = SimConfig::with_models(course, seed, models);
-    let from_ground = args.ground_every > 0 && seed.is_multiple_of(args.ground_every);
-    config.start = if from_ground { Start::Ground } else { Start::Airborne };
-    if let Some(fault) = fault {
-        config.sensor_fault = Some(fault);
-        config.course.time_limit_s = config.course.time_limit_s.min(FAULT_TIME_LIMIT_S);
-    }
-    if args.authenticate_frames {
-        // Both sides of the flight run in this process: any secret does.
-        config.frame_key = Some(FrameKey::new(&[0x5A; 32], LIDAR_SENSOR_ID, b"campaign"));
-    }
-    let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
-    config.second_sensor_heads = args.second_sensor.heads.into();
-    firmware.second_sensor = args.second_sensor.heads > 0;
-    args.pilot.apply(&mut firmware);
-    Ok((config, firmware))
-}
 
-fn fly(
-    args: &EvaluateArgs,
-    models: &Models,
-    attack: Option<&Attack>,
-    fault: Option<SensorFault>,
-    seed: u64,
-    logs: Option<&Path>,
-) -> Result<Flight> {
-    let (config, firmware) = configured(args, models, fault, seed)?;
-    let recording = logs.map(|folder| recording(args, folder, fault, seed)).transpose()?;
-    let flight = campaign::fly_recorded(&config, &firmware, attack, recording)?;
-    if let Some(folder) = args.draw_failures.as_ref().filter(|_| !flight.record.is_success()) {
-        let outcome = outcome_name(flight.record.outcome).replace(' ', "-");
-        let file = format!("{}-{outcome}.png", log_name(args, fault, seed));
-        let flown = FlightPath {
-            label: outcome_name(flight.record.outcome).to_owned(),
-            points_ned_m: flight.record.path_ned_m.clone(),
-            outcome: flight.record.outcome,
+    /// What a flight is flown with.
+    fn configured(&self, fault: Option<SensorFault>, seed: u64) -> Result<(SimConfig, FirmwareConfig)> {
+        let args = self.args;
+        let mut course = match args.goal_distance {
+            None => generate(args.family, seed),
+            Some(distance) => generate_long(args.family, seed, distance.of(seed)).with_context(|| {
+                format!(
+                    "--goal-distance: courses of the family {} cannot be made longer",
+                    args.family
+                )
+            })?,
         };
-        vigil_sim::world::draw(&config.course, &[flown]).write_png(&folder.join(file))?;
+        if args.still {
+            course.movers.clear();
+        }
+        let mut models = self.models.clone();
+        models.lidar.range_noise_sigma_m *= args.noise;
+        models.lidar.dropout_probability = (models.lidar.dropout_probability * args.noise).min(1.0);
+        if args.wind > 0.0 {
+            models.wind = campaign::wind(args.wind, seed);
+        }
+        let mut config = SimConfig::with_models(course, seed, models);
+        let from_ground = args.ground_every > 0 && seed.is_multiple_of(args.ground_every);
+        config.start = if from_ground { Start::Ground } else { Start::Airborne };
+        if let Some(fault) = fault {
+            config.sensor_fault = Some(fault);
+            config.course.time_limit_s = config.course.time_limit_s.min(FAULT_TIME_LIMIT_S);
+        }
+        if args.authenticate_frames {
+            // Both sides of the flight run in this process: any secret does.
+            config.frame_key = Some(FrameKey::new(&[0x5A; 32], LIDAR_SENSOR_ID, b"campaign"));
+        }
+        let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
+        config.second_sensor_heads = args.second_sensor.heads.into();
+        firmware.second_sensor = args.second_sensor.heads > 0;
+        args.pilot.apply(&mut firmware);
+        Ok((config, firmware))
     }
-    Ok(flight)
+
+    fn fly(&self, fault: Option<SensorFault>, seed: u64, logs: Option<&Path>) -> Result<Flight> {
+        let (args, (config, firmware)) = (self.args, self.configured(fault, seed)?);
+        let recording = logs.map(|folder| recording(args, folder, fault, seed)).transpose()?;
+        let flight = campaign::fly_recorded(&config, &firmware, self.attack.as_ref(), recording)?;
+        if let Some(folder) = args.draw_failures.as_ref().filter(|_| !flight.record.is_success()) {
+            let outcome = outcome_name(flight.record.outcome).replace(' ', "-");
+            let file = format!("{}-{outcome}.png", log_name(args, fault, seed));
+            let flown = FlightPath {
+                label: outcome_name(flight.record.outcome).to_owned(),
+                points_ned_m: flight.record.path_ned_m.clone(),
+                outcome: flight.record.outcome,
+            };
+            vigil_sim::world::draw(&config.course, &[flown]).write_png(&folder.join(file))?;
+        }
+        Ok(flight)
+    }
 }
 
 /// The name of a flight's log, without its ending.

@@ -1,12 +1,12 @@
 //! A flight that is monitored to its end: what is shown meanwhile, and what is kept of it.
 
+use crate::cli::child_process::{LOOK, next_status};
 use crate::cli::fly::Processes;
 use crate::cli::foreign::{PilotWatch, PoseWatch};
 use crate::cli::live::{Live, state_line};
 use crate::cli::output::{Interrupt, say, tell};
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
-use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 use vigil_sim::program::Status;
 use vigil_sim::world::Outcome;
@@ -20,7 +20,6 @@ const DISARMED_LIMIT: Duration = Duration::from_secs(5);
 const FLIES_M: f32 = 1.0;
 /// A simulator that says nothing for so many looks in a row is given up: looks, since time goes on while this process is stopped.
 const SILENT_LOOKS: u32 = 25;
-const LOOK: Duration = Duration::from_millis(200);
 
 pub(super) struct TruePose {
     pub(super) at_ns: Nanos,
@@ -102,22 +101,16 @@ pub(super) fn watch(
     let is_quiet = matches!(terminal, Terminal::Quiet);
     while !interrupt.came() {
         let when = if has_flown { "in flight" } else { "before the flight" };
-        match processes.statuses.recv_timeout(LOOK) {
-            Ok(status) => {
+        match next_status(&mut processes.simulator, &processes.statuses, when)? {
+            Some(status) => {
                 silent_looks = 0;
                 terminal.show(&bar, &flight.path, &status);
                 flight.keep(status);
             }
-            Err(RecvTimeoutError::Timeout) => {
+            None => {
                 silent_looks += 1;
                 let (name, limit_s) = (processes.simulator.name, (LOOK * SILENT_LOOKS).as_secs());
                 ensure!(silent_looks < SILENT_LOOKS, "the {name} said nothing for {limit_s} s");
-            }
-            Err(RecvTimeoutError::Disconnected) => {
-                // Its pipe closes a moment before its exit status can be read.
-                std::thread::sleep(Duration::from_millis(200));
-                processes.simulator.check_when(when)?;
-                bail!("the {} closed its output", processes.simulator.name);
             }
         }
         processes.firmware.check_when(when)?;

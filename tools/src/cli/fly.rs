@@ -7,7 +7,6 @@ use crate::cli::lab;
 use crate::cli::live::Live;
 use crate::cli::log::film_name;
 use crate::cli::output::{self, EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
-use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
 use crate::cli::replay::find_log;
 use crate::cli::view::{self, ViewerArgs};
 use crate::flight_derived::{Wanted, derive};
@@ -22,7 +21,7 @@ use std::time::Instant;
 use vigil_adversary::AttackArgs;
 use vigil_adversary::process::RAW_TOPIC;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::arguments::choice;
+use vigil_firmware::arguments::{PilotArgs, choice};
 use vigil_log::{SideLog, merge_into, merge_into_light};
 use vigil_sim::program::{Status, ending_code};
 use vigil_sim::world::{Course, FlightPath, Outcome};
@@ -116,6 +115,15 @@ pub struct FlyArgs {
     /// Folder in which the flight gets a folder of its own for log, course and pictures.
     #[arg(short = 'o', long, value_name = "DIR", default_value = "runs")]
     log: PathBuf,
+}
+
+/// The second sensor.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub struct SecondSensorArgs {
+    /// So many small sensors of 45° each beside the LiDAR, side by side, which must see nothing nearer than the frames show
+    /// (docs/second-sensor.md).
+    #[arg(long = "second-sensor-heads", value_name = "COUNT", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=5))]
+    pub heads: u8,
 }
 
 /// Flies and reports.

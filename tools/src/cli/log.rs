@@ -174,10 +174,10 @@ fn from_and_to(log: &Path, to: Option<&Path>, beside: fn(&Path) -> PathBuf) -> R
 /// # Errors
 /// A log that cannot be read, a report that cannot be written.
 pub fn write_report(log: &Path, to: &Path, explained_frames: usize) -> Result<(usize, Option<String>)> {
-    let flight = flight_report::read(log, explained_frames).context("no report")?;
-    let page = flight_report::html(&flight)?;
+    let (flight, incomplete) = flight_report::read(log, explained_frames).context("no report")?;
+    let page = flight_report::html(flight)?;
     output::write(to, &page)?;
-    Ok((page.len(), flight.incomplete))
+    Ok((page.len(), incomplete))
 }
 
 fn say_what_is_missing(incomplete: Option<String>) {

@@ -12,7 +12,6 @@ pub mod lab;
 mod live;
 pub mod log;
 pub mod output;
-pub mod pilot;
 mod recover;
 pub mod replay;
 pub(crate) mod scene;

@@ -149,6 +149,9 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
+/// What is said when an interrupt comes to something that takes a while to end.
+static ON_INTERRUPT: OnceLock<&str> = OnceLock::new();
+
 /// Set by Ctrl-C, SIGTERM or SIGHUP; another one, at least half a second later, ends the program at once.
 pub struct Interrupt(&'static AtomicBool);
 
@@ -162,6 +165,9 @@ impl Interrupt {
         if !*is_taken {
             vigil_io::interrupt::on_interrupt(move || {
                 CAME.store(true, Ordering::Relaxed);
+                if let (None, Some(text)) = (first, ON_INTERRUPT.get()) {
+                    tell!("{text}");
+                }
                 if first.get_or_insert_with(Instant::now).elapsed() > TWICE {
                     std::process::exit(EXIT_INTERRUPTED.into());
                 }
@@ -169,6 +175,12 @@ impl Interrupt {
         }
         *is_taken = true;
         Ok(Self(&CAME))
+    }
+
+    /// Has it say this on standard error when it comes.
+    pub fn saying(self, text: &'static str) -> Self {
+        ON_INTERRUPT.get_or_init(|| text);
+        self
     }
 
     /// Whether it came.

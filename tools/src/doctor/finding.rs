@@ -63,29 +63,25 @@ pub(super) struct Report(pub(super) Vec<Finding>);
 
 impl Report {
     pub(super) fn failure(&mut self, name: &str, value: String, wanted: &str, why: &str) {
-        self.add(name, Severity::Failure, Some(value), wanted, why);
+        self.grade(name, Severity::Failure, Some(value), wanted, why);
     }
 
     pub(super) fn warning(&mut self, name: &str, value: String, wanted: &str, why: &str) {
-        self.add(name, Severity::Warning, Some(value), wanted, why);
+        self.grade(name, Severity::Warning, Some(value), wanted, why);
     }
 
     /// A warning of what was not sent.
     pub(super) fn absent(&mut self, name: &str, wanted: &str, why: &str) {
-        self.add(name, Severity::Warning, None, wanted, why);
-    }
-
-    fn add(&mut self, name: &str, severity: Severity, value: Option<String>, wanted: &str, why: &str) {
-        self.0.push(Finding::new(name, severity, value, wanted, why));
+        self.grade(name, Severity::Warning, None, wanted, why);
     }
 
     pub(super) fn good(&mut self, name: &str, value: String) {
-        self.add(name, Severity::Good, Some(value), "", "");
+        self.grade(name, Severity::Good, Some(value), "", "");
     }
 
     /// A value with its grade; of a good one it is not said why.
     pub(super) fn grade(&mut self, name: &str, severity: Severity, value: Option<String>, wanted: &str, why: &str) {
         let why = if severity == Severity::Good { "" } else { why };
-        self.add(name, severity, value, wanted, why);
+        self.0.push(Finding::new(name, severity, value, wanted, why));
     }
 }

@@ -1,6 +1,6 @@
 //! DeepSHAP of the newest frame's pixels, against states of unattacked flights.
 
-use super::recorded_flight::{Shown, Step, fly};
+use super::recorded_flight::fly;
 use super::scenario::{Plan, Scenario};
 use anyhow::Result;
 use rand::SeedableRng;
@@ -28,14 +28,13 @@ pub fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<DeepShap
     let (pilot, mut inputs) = (FrozenPilot::from(actor), Vec::<Vec<Vec<f32>>>::new());
     for seed in BACKGROUND_SEED..BACKGROUND_SEED + BACKGROUND_FLIGHTS {
         let mut steps = 0_usize;
-        let mut collect = |step: &Step, shown: &Shown<'_>| {
+        let scenario = Scenario::unattacked(Family::Training, seed, Plan::Actor);
+        fly(isa, &pilot, &scenario, &mut |step, shown| {
             steps += 1;
             let seen = shown.inputs(step).filter(|_| steps.is_multiple_of(STRIDE));
             inputs.extend(seen.map(|seen| seen.map(<[f32]>::to_vec).into()));
             Ok(())
-        };
-        let scenario = Scenario::unattacked(Family::Training, seed, Plan::Actor);
-        fly(isa, &pilot, &scenario, &mut collect)?;
+        })?;
     }
     inputs.shuffle(&mut ChaCha8Rng::seed_from_u64(BACKGROUND_SEED));
     inputs.truncate(count);

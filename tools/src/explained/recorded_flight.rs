@@ -97,26 +97,8 @@ impl Shown<'_> {
     }
 }
 
-/// What looks on while flying.
-pub trait Onlooker {
-    /// Called once a step, in order.
-    ///
-    /// # Errors
-    /// Ends the flight.
-    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()>;
-}
-
-impl<F: FnMut(&Step, &Shown<'_>) -> Result<()>> Onlooker for F {
-    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()> {
-        self(step, shown)
-    }
-}
-
-impl Onlooker for () {
-    fn step(&mut self, _: &Step, _: &Shown<'_>) -> Result<()> {
-        Ok(())
-    }
-}
+/// What looks on while flying: called once a step, in order; its error ends the flight.
+pub type Onlooker<'a> = &'a mut dyn FnMut(&Step, &Shown<'_>) -> Result<()>;
 
 /// How many steps ago each frame was taken that a decision holds, oldest first: our actor's newest and older scans, an imported policy's
 /// channels. What our actor remembers of surfaces out of view is made of many frames and not counted.
@@ -167,7 +149,7 @@ fn alter(
 ///
 /// # Errors
 /// Parameters of another architecture, wind or attack out of range.
-pub fn fly(isa: Isa, frozen: &FrozenPilot, scenario: &Scenario, onlooker: &mut impl Onlooker) -> Result<Record> {
+pub fn fly(isa: Isa, frozen: &FrozenPilot, scenario: &Scenario, onlooker: Onlooker<'_>) -> Result<Record> {
     let mut flight = flight_of(scenario)?;
     let mut actor = frozen.decider(isa)?;
     let adversary = scenario.adversary.as_ref();
@@ -223,7 +205,7 @@ pub fn fly(isa: Isa, frozen: &FrozenPilot, scenario: &Scenario, onlooker: &mut i
             taken: flight.frame(),
             pilot: &actor,
         };
-        onlooker.step(&step, &shown)?;
+        onlooker(&step, &shown)?;
         // As in flight, it knows of what was added to its action, not of what others did.
         if let (Helm::Actor { field: true }, Decider::Actor(actor)) = (helm, &mut actor) {
             actor.note_action(action);

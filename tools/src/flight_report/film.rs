@@ -6,7 +6,7 @@ use crate::report::png_bytes;
 use anyhow::Result;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use serde::Serialize;
+use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::path::Path;
 use vigil_log::{Reader, TickRecord};
@@ -23,32 +23,16 @@ const STRONG: f64 = 0.99;
 /// Side of the squares over which pixels' SHAP values are summed.
 const SQUARE: usize = 4;
 
-#[derive(Debug, Clone, Default, Serialize)]
+#[derive(Default)]
 pub struct Film {
-    pub frames: Vec<Picture>,
+    /// Its pictures are `data:` addresses.
+    pub frames: Vec<Value>,
     /// The frame to show first.
     pub first_frame: usize,
     /// Why there is no film.
-    pub film_none: String,
-    #[serde(skip)]
+    pub film_none: &'static str,
+    /// Why pixels are not explained.
     pub note: Option<String>,
-}
-
-/// A frame of the film; pictures are `data:` addresses.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Picture {
-    /// Seconds since the first step.
-    pub t: f64,
-    /// Who had the vehicle, as in [`WHO`].
-    pub who: u8,
-    /// Whether the frame was altered, where that is known.
-    pub altered: bool,
-    /// What is to be said of the step.
-    pub text: String,
-    pub depth: String,
-    /// The frame before it was altered, if that was kept.
-    pub clean: Option<String>,
-    pub shap: Option<String>,
 }
 
 /// The step of most interest: the first alarm, else the first altered frame.
@@ -73,7 +57,7 @@ pub fn take(path: &Path, log: &LogSeen, explained_frames: usize) -> Result<Film>
     let steps = chosen(log, moment);
     if steps.is_empty() {
         return Ok(Film {
-            film_none: "The log holds no depth frames.".to_owned(),
+            film_none: "The log holds no depth frames.",
             ..Film::default()
         });
     }
@@ -103,24 +87,25 @@ pub fn take(path: &Path, log: &LogSeen, explained_frames: usize) -> Result<Film>
         let before = clean.get(&(frame.header.sequence as u32));
         pixels.explain(number, pictures.len());
         let change = log.yaw_change(step);
-        pictures.push(Picture {
-            t: log.seconds(step.now_ns),
-            who: log.who(&step.report),
-            altered: change.is_some(),
-            text: caption(log, step, change),
-            depth: depth_picture(&frame.depth, near),
-            clean: before.map(|depth| depth_picture(depth, near)),
-            shap: None,
-        });
+        pictures.push(json!({
+            "t": log.seconds(step.now_ns),
+            "who": log.who(&step.report),
+            "altered": change.is_some(),
+            "text": caption(log, step, change),
+            "depth": depth_picture(&frame.depth, near),
+            // Before it was altered, if that was kept.
+            "clean": before.map(|depth| depth_picture(depth, near)),
+            "shap": null,
+        }));
     }
     pixels.draw_into(&mut pictures);
     // The first to be shown says most: an altered frame beside what it was, soon after the alarm.
-    let telling = |p: &Picture| p.clean.is_some() && p.shap.is_some() != pixels.explanations.is_empty();
+    let telling = |p: &Value| p["clean"].is_string() && p["shap"].is_string() != pixels.explanations.is_empty();
     let found = pictures.iter().skip(middle).position(telling);
     Ok(Film {
         first_frame: (middle + found.unwrap_or(0)).min(pictures.len().saturating_sub(1)),
         frames: pictures,
-        film_none: String::new(),
+        film_none: "",
         note: pixels.note,
     })
 }
@@ -168,13 +153,13 @@ impl Pixels {
     }
 
     /// All on one scale.
-    fn draw_into(&self, pictures: &mut [Picture]) {
+    fn draw_into(&self, pictures: &mut [Value]) {
         let values = self.explanations.iter().flat_map(|(_, phi)| phi);
         let sizes: Vec<f64> = values.map(|v| f64::from(v.abs())).collect();
         let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9) as f32;
         for (place, phi) in &self.explanations {
             if let Some(picture) = pictures.get_mut(*place) {
-                picture.shap = Some(shap_picture(phi, full));
+                picture["shap"] = shap_picture(phi, full).into();
             }
         }
     }

@@ -3,86 +3,24 @@
 use crate::flight_report::film::{self, Film};
 use crate::flight_report::log_seen::{LogSeen, StepSeen, WHO, rounded};
 use crate::flight_report::page::DATA_LIMIT;
-use crate::flight_report::words::{self, Event, Verdict};
+use crate::flight_report::words;
 use anyhow::{Result, bail};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use serde::Serialize;
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
 use vigil_log::{LogEnd, SceneSolid};
 use vigil_types::{EXPLAINED_STATE, Nanos, NedVector};
 
-/// A flight as its report shows it. Times are seconds since the first step.
-#[derive(Debug, Clone, Serialize)]
-pub struct Flight {
-    /// What flew where.
-    pub title: String,
-    /// How it went, in a sentence.
-    pub verdict: Verdict,
-    /// What the reader must know of the log: damage, gaps, what is missing.
-    pub notes: Vec<String>,
-    /// Why it is not all of the flight.
-    #[serde(skip)]
-    pub incomplete: Option<String>,
-    /// Names and values.
-    pub facts: Vec<(String, String)>,
-    /// The command that flies it again, if it is known.
-    pub command: Option<String>,
-    /// The configuration in the log.
-    pub config: String,
-    /// Who made the report.
-    pub footer: String,
-    /// Names of [`Self::who`]'s numbers.
-    pub who_names: [&'static str; WHO.len()],
-    /// Time of each step.
-    pub t: Vec<f64>,
-    /// Quantities, a value for each step; nothing where there is none.
-    pub columns: BTreeMap<&'static str, Vec<Option<f64>>>,
-    /// Who had the vehicle in each step.
-    pub who: Vec<u8>,
-    /// Whether each step's frame was altered, where that is known.
-    pub attack: Option<Vec<u8>>,
-    /// When alarms were raised, and their causes.
-    pub alarms: Vec<(f64, &'static str)>,
-    /// The explanations of all steps, if there are any.
-    pub phi: Option<Explanations>,
-    /// Seen from above.
-    pub map: Map,
-    /// The film.
-    #[serde(flatten)]
-    pub film: Film,
-    /// What happened.
-    pub events: Vec<Event>,
-}
-
-/// The 48 explained values of each step as bytes.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Explanations {
-    /// Values of a step.
-    pub rows: usize,
-    /// What 127 stands for, action units.
-    pub full: f64,
-    /// Signed bytes, step by step, in base64; −128 where there is none.
-    pub values: String,
-}
-
-/// The course and the true path from above; positions are north, east in metres.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Map {
-    /// Corners of each.
-    pub solids: Vec<Vec<[f64; 2]>>,
-    pub goal: Option<[f64; 2]>,
-    /// True positions, where the simulator noted them.
-    pub truth: Vec<[f64; 2]>,
-}
-
 /// Reads a log and makes of it what a report shows. A log that was cut off or is damaged shows what is whole, and says so. The pixels
 /// of so many frames around the first alarm are explained; each costs about as much as a step has time.
 ///
+/// Also returns why it is not all of the flight, where it is not.
+///
 /// # Errors
 /// A file that is no log of this version, or holds no whole step.
-pub fn read(path: &Path, explained_frames: usize) -> Result<Flight> {
+pub fn read(path: &Path, explained_frames: usize) -> Result<(Value, Option<String>)> {
     let log = LogSeen::read(path)?;
     if log.steps.is_empty() {
         match log.damage {
@@ -94,58 +32,66 @@ pub fn read(path: &Path, explained_frames: usize) -> Result<Flight> {
         }
     }
     let film = film::take(path, &log, explained_frames)?;
-    Ok(flight(path, &log, film))
+    let incomplete = log.damage.clone().or_else(|| match log.end {
+        Some(end @ LogEnd::Interrupted { .. }) => Some(end.to_string()),
+        _ => None,
+    });
+    Ok((flight(path, &log, film), incomplete))
 }
 
-fn flight(path: &Path, log: &LogSeen, mut film: Film) -> Flight {
+/// What the page's script shows. Times are seconds since the first step.
+fn flight(path: &Path, log: &LogSeen, film: Film) -> Value {
     let stride = log.steps.len().div_ceil(DATA_LIMIT);
     let kept: Vec<&StepSeen> = log.steps.iter().step_by(stride).collect();
     let attack = log.altered.as_ref();
-    let attack = attack.map(|_| kept.iter().map(|s| u8::from(log.is_altered(s))).collect());
+    let attack = attack.map(|_| kept.iter().map(|s| u8::from(log.is_altered(s))).collect::<Vec<_>>());
     let mut notes = words::notes(log);
     if stride > 1 {
         let all = log.steps.len();
         notes.push(format!("The plots show one step of {stride} of the log's {all}."));
     }
-    notes.extend(film.note.take());
+    notes.extend(film.note);
     let raised = |i: usize| {
         let step = log.steps.get(i)?;
         Some((log.seconds(step.now_ns), step.report.alarm?.cause.name()))
     };
-    Flight {
-        title: words::title(path, log),
-        verdict: words::verdict(log),
-        notes,
-        incomplete: log.damage.clone().or_else(|| match log.end {
-            Some(end @ LogEnd::Interrupted { .. }) => Some(end.to_string()),
-            _ => None,
-        }),
-        facts: words::facts(path, log),
-        command: log.story.about.get("command").cloned(),
-        config: log.info.config_toml.clone(),
-        footer: format!(
-            "Made by vigil {} from {}. Times are seconds since the log's first step.",
-            env!("CARGO_PKG_VERSION"),
-            path.file_name().unwrap_or_default().to_string_lossy()
+    let (verdict, is_good) = words::verdict(log);
+    let file = path.file_name().unwrap_or_default().to_string_lossy();
+    json!({
+        "title": words::title(path, log),
+        "verdict": { "text": verdict, "good": is_good },
+        // What the reader must know of the log: damage, gaps, what is missing.
+        "notes": notes,
+        "facts": words::facts(path, log),
+        // That flies it again, if it is known.
+        "command": log.story.about.get("command"),
+        "config": log.info.config_toml,
+        "footer": format!(
+            "Made by vigil {} from {file}. Times are seconds since the log's first step.",
+            env!("CARGO_PKG_VERSION")
         ),
-        who_names: WHO,
-        t: kept.iter().map(|s| log.seconds(s.now_ns)).collect(),
-        columns: columns(&kept, log.threshold(), log.steps.iter().skip(1).step_by(stride)),
-        who: kept.iter().map(|s| log.who(&s.report)).collect(),
-        attack,
-        alarms: log.alarms().into_iter().filter_map(raised).collect(),
-        phi: explanations(&kept),
-        map: map(log),
-        film,
-        events: words::events(log),
-    }
+        // Of the numbers in `who`: who had the vehicle in each step.
+        "who_names": WHO,
+        "t": kept.iter().map(|s| log.seconds(s.now_ns)).collect::<Vec<_>>(),
+        "columns": columns(&kept, log.threshold(), log.steps.iter().skip(1).step_by(stride)),
+        "who": kept.iter().map(|s| log.who(&s.report)).collect::<Vec<_>>(),
+        // Whether each step's frame was altered, where that is known.
+        "attack": attack,
+        "alarms": log.alarms().into_iter().filter_map(raised).collect::<Vec<_>>(),
+        "phi": explanations(&kept),
+        "map": map(log),
+        "frames": film.frames,
+        "first_frame": film.first_frame,
+        "film_none": film.film_none,
+        "events": words::events(log),
+    })
 }
 
 fn ms(ns: Nanos) -> f32 {
     (ns as f64 * 1e-6) as f32
 }
 
-/// Of these steps, and of those that come next.
+/// Quantities by their names, a value for each of these steps, nothing where there is none; of the steps that come next the time.
 fn columns<'a>(
     steps: &[&StepSeen],
     threshold: Option<f32>,
@@ -208,7 +154,9 @@ fn timed(step: &StepSeen) -> bool {
     step.report.timing.previous_execution_ns > 0
 }
 
-fn explanations(steps: &[&StepSeen]) -> Option<Explanations> {
+/// The explained values of each step as signed bytes, step by step, in base64, −128 where there is none; `full` is what 127 stands for,
+/// action units.
+fn explanations(steps: &[&StepSeen]) -> Option<Value> {
     let phi = |s: &&StepSeen| {
         let phi = s.report.judgement?.phi;
         phi.iter().all(|v| v.is_finite()).then_some(phi)
@@ -220,26 +168,24 @@ fn explanations(steps: &[&StepSeen]) -> Option<Explanations> {
     let byte = |v: f32| ((f64::from(v) / full).clamp(-1.0, 1.0) * 127.0).round() as i8 as u8;
     let none = [i8::MIN as u8; EXPLAINED_STATE];
     let bytes = steps.iter().flat_map(|s| phi(s).map_or(none, |phi| phi.map(byte)));
-    Some(Explanations {
-        rows: EXPLAINED_STATE,
-        full,
-        values: BASE64.encode(bytes.collect::<Vec<u8>>()),
-    })
+    let values = BASE64.encode(bytes.collect::<Vec<u8>>());
+    Some(json!({ "rows": EXPLAINED_STATE, "full": full, "values": values }))
 }
 
-fn map(log: &LogSeen) -> Map {
+/// The course and the true path, where the simulator noted it, from above: north, east in metres.
+fn map(log: &LogSeen) -> Value {
     let pair = |p: NedVector| [rounded(p.x.into(), 2), rounded(p.y.into(), 2)];
     let corner = |p: [f64; 2]| p.map(|v| rounded(v, 2));
-    let outline = |solid| outline_of(solid).into_iter().map(corner).collect();
+    let outline = |solid| outline_of(solid).into_iter().map(corner).collect::<Vec<_>>();
     // Before take-off and after landing the vehicle stands still: one point of many says that as well.
     let mut truth: Vec<[f64; 2]> = log.story.truth.iter().map(|(_, p)| pair(*p)).collect();
     truth.dedup();
     let stride = truth.len().div_ceil(DATA_LIMIT).max(1);
-    Map {
-        solids: log.story.solids.iter().map(outline).collect(),
-        goal: log.goal_ned_m().map(pair),
-        truth: truth.into_iter().step_by(stride).collect(),
-    }
+    json!({
+        "solids": log.story.solids.iter().map(outline).collect::<Vec<_>>(),
+        "goal": log.goal_ned_m().map(pair),
+        "truth": truth.into_iter().step_by(stride).collect::<Vec<_>>(),
+    })
 }
 
 /// Corners of a solid seen from above: north, east in metres.

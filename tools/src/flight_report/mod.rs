@@ -6,7 +6,7 @@ mod log_seen;
 mod page;
 mod words;
 
-pub use flight_data::{Flight, outline_of, read};
+pub use flight_data::{outline_of, read};
 pub use log_seen::{LogSeen, StepSeen, WHO};
 pub use page::{DATA_LIMIT, html};
 

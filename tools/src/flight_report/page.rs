@@ -1,6 +1,5 @@
 //! Puts the data of a flight into the page: style, script and plotting library are in it.
 
-use crate::flight_report::Flight;
 use serde_json::{Value, json};
 
 const PAGE: &str = include_str!("../../assets/flight_report/page.html");
@@ -13,7 +12,7 @@ const UPLOT_CSS: &str = include_str!("../../assets/flight_report/uPlot.min.css")
 /// More steps than this are thinned evenly: an hour of flight stays a page that a telephone opens.
 pub const DATA_LIMIT: usize = 6000;
 
-/// The plots. A line's column is one of [`Flight::columns`]; a range of null is that of the data; `none` is said where there is nothing.
+/// The plots. A line's column is one of the flight's; a range of null is that of the data; `none` is said where there is nothing.
 fn panels() -> Value {
     let full = |column: &str, label: &str, decimals: u8| line(column, label, decimals, false);
     let dashed = |column: &str, label: &str, decimals: u8| line(column, label, decimals, true);
@@ -84,9 +83,8 @@ fn line(column: &str, label: &str, decimals: u8, dashed: bool) -> Value {
     json!({ "column": column, "label": label, "decimals": decimals, "dashed": dashed })
 }
 
-/// The page as one file.
-pub fn html(flight: &Flight) -> serde_json::Result<String> {
-    let mut data = serde_json::to_value(flight)?;
+/// The page of a flight as one file.
+pub fn html(mut data: Value) -> serde_json::Result<String> {
     data["panels"] = panels();
     // Within a script element nothing may look like its end.
     let data = serde_json::to_string(&data)?.replace('<', "\\u003c");

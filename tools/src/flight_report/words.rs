@@ -2,24 +2,10 @@
 
 use crate::flight_report::log_seen::{LogSeen, StepSeen, WHO, rounded};
 use crate::statistics::quantile;
-use serde::Serialize;
+use serde_json::{Value, json};
 use std::path::Path;
 use vigil_log::{LogEnd, Weight};
 use vigil_types::{Choice, GuidanceState, Landed, PilotKind, Reason, Reasons, STEP_S};
-
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Verdict {
-    pub text: String,
-    pub good: bool,
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Event {
-    pub t: f64,
-    /// `info`, `warning` or `error`.
-    pub weight: &'static str,
-    pub text: String,
-}
 
 pub fn title(path: &Path, log: &LogSeen) -> String {
     let about = &log.story.about;
@@ -28,9 +14,10 @@ pub fn title(path: &Path, log: &LogSeen) -> String {
     format!("Flight report: {name}")
 }
 
-pub fn verdict(log: &LogSeen) -> Verdict {
+/// How it went, in a sentence, and whether that is good.
+pub fn verdict(log: &LogSeen) -> (String, bool) {
     let about = &log.story.about;
-    let (text, good) = if let Some(outcome) = about.get("outcome") {
+    if let Some(outcome) = about.get("outcome") {
         let mut text = outcome.clone();
         // The outcome's own words are lower case.
         if let Some(first) = text.get_mut(..1) {
@@ -52,8 +39,7 @@ pub fn verdict(log: &LogSeen) -> Verdict {
         let (state, why) = (state.name(), why(reasons));
         let text = format!("Guidance did not hold at the goal; the log ends in {state}{why}{left}.");
         (text, false)
-    };
-    Verdict { text, good }
+    }
 }
 
 fn why(reasons: Reasons) -> String {
@@ -278,15 +264,10 @@ fn step_times(log: &LogSeen) -> String {
     format!("p50 {p50:.2} ms, p99 {p99:.2} ms, max {max:.2} ms of 50; {slips} missed")
 }
 
-pub fn events(log: &LogSeen) -> Vec<Event> {
-    let mut events = Vec::new();
-    let mut put = |at_ns: u64, weight, text: String| {
-        events.push(Event {
-            t: log.seconds(at_ns),
-            weight,
-            text,
-        });
-    };
+/// What happened, as time, weight (`info`, `warning` or `error`) and text.
+pub fn events(log: &LogSeen) -> Vec<Value> {
+    let mut events: Vec<(f64, &str, String)> = Vec::new();
+    let mut put = |at_ns: u64, weight, text| events.push((log.seconds(at_ns), weight, text));
     for line in &log.story.lines {
         let weight = match line.weight {
             Weight::Info => "info",
@@ -312,12 +293,13 @@ pub fn events(log: &LogSeen) -> Vec<Event> {
         put(step.now_ns, "info", text);
     }
     if let (Some(outcome), Some(last)) = (log.story.about.get("outcome"), log.steps.last()) {
-        let weight = if verdict(log).good { "info" } else { "error" };
+        let weight = if verdict(log).1 { "info" } else { "error" };
         let ended_ns = log.ended_ns().unwrap_or(last.now_ns);
         put(ended_ns, weight, format!("the flight ended: {outcome}"));
     }
-    events.sort_by(|a, b| a.t.total_cmp(&b.t));
-    events
+    events.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let shown = |(t, weight, text)| json!({ "t": t, "weight": weight, "text": text });
+    events.into_iter().map(shown).collect()
 }
 
 #[cfg(test)]

@@ -6,4 +6,4 @@ mod text_table;
 
 pub use csv_file::{decimals, from_csv, maybe_decimals, to_csv};
 pub use png_file::png_bytes;
-pub use text_table::{Column, TextTable, numbers, words};
+pub use text_table::TextTable;

@@ -9,23 +9,14 @@ const GAP: u16 = 2;
 /// A table without lines, below a heading.
 pub struct TextTable(Table);
 
-/// A column of words.
-pub fn words(heading: impl Into<String>) -> Column {
-    Column(heading.into(), CellAlignment::Left)
-}
-
-/// A column of numbers.
-pub fn numbers(heading: impl Into<String>) -> Column {
-    Column(heading.into(), CellAlignment::Right)
-}
-
-/// A column's heading, and to which side its cells keep.
-pub struct Column(String, CellAlignment);
-
 impl TextTable {
-    /// An empty table.
-    pub fn new(columns: impl IntoIterator<Item = Column>) -> Self {
-        let (headings, sides): (Vec<String>, Vec<CellAlignment>) = columns.into_iter().map(|c| (c.0, c.1)).unzip();
+    /// An empty table. A bar stands between two headings; below one that begins with `>` all keeps to the right, as numbers do.
+    pub fn new(headings: &str) -> Self {
+        let column = |heading: &str| match heading.strip_prefix('>') {
+            Some(numbers) => (numbers.trim_start().to_owned(), CellAlignment::Right),
+            None => (heading.to_owned(), CellAlignment::Left),
+        };
+        let (headings, sides): (Vec<String>, Vec<CellAlignment>) = headings.split(" | ").map(column).unzip();
         let mut table = Table::new();
         table
             .load_style(presets::NOTHING)
@@ -61,7 +52,7 @@ mod tests {
 
     #[test]
     fn columns_are_as_wide_as_what_stands_in_them() {
-        let mut table = TextTable::new([words("outcome"), numbers("flights"), words("95 % interval")]);
+        let mut table = TextTable::new("outcome | > flights | 95 % interval");
         table.row(["success".to_owned(), "1000".to_owned(), "98.7 to 99.7 %".to_owned()]);
         table.row(["out of bounds".to_owned(), "1".to_owned(), "—".to_owned()]);
         assert_eq!(

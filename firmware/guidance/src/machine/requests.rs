@@ -21,30 +21,20 @@ impl Guidance {
                 height_m,
             } => self.request_goal(Datum::Origin, north_m, east_m, height_m),
             OperatorRequest::Engage => self.request_engage(),
-            OperatorRequest::Disengage => match self.state {
-                // It lands on.
-                GuidanceState::Land if !self.intent => RequestOutcome::TemporarilyRejected,
-                _ => {
-                    self.operator_ends();
-                    RequestOutcome::Accepted
-                }
-            },
-            OperatorRequest::Land => match self.state {
-                // Before guidance has the vehicle, landing it is not guidance's to do.
-                GuidanceState::Standby | GuidanceState::Ready => RequestOutcome::TemporarilyRejected,
-                _ => {
-                    self.operator_ends();
-                    self.operator_land = true;
-                    RequestOutcome::Accepted
-                }
-            },
+            // It lands on.
+            OperatorRequest::Disengage if self.state == GuidanceState::Land && !self.intent => {
+                RequestOutcome::TemporarilyRejected
+            }
+            // Before guidance has the vehicle, landing it is not guidance's to do.
+            OperatorRequest::Land if matches!(self.state, GuidanceState::Standby | GuidanceState::Ready) => {
+                RequestOutcome::TemporarilyRejected
+            }
+            OperatorRequest::Disengage | OperatorRequest::Land => {
+                (self.intent, self.operator, self.taken_over) = (false, true, true);
+                self.operator_land |= request == OperatorRequest::Land;
+                RequestOutcome::Accepted
+            }
         }
-    }
-
-    fn operator_ends(&mut self) {
-        self.intent = false;
-        self.operator = true;
-        self.taken_over = true;
     }
 
     fn request_goal(&mut self, datum: Datum, north_m: f32, east_m: f32, height_m: Option<f32>) -> RequestOutcome {

@@ -10,27 +10,19 @@ const RECOVERY: Action = Action {
 
 /// A flight at 1 m/s under a detector.
 fn monitored(policy: AlarmPolicy) -> Story {
-    monitored_with(AlarmConfig {
-        policy,
-        ..AlarmConfig::default()
-    })
-}
-
-/// The same, and the guard raises the alarm when the actor falls 6 m behind.
-fn monitored_for_leading_astray() -> Story {
-    monitored_with(AlarmConfig {
-        policy: AlarmPolicy::Recover,
-        astray_limit_m: 6.0,
-        ..AlarmConfig::default()
-    })
-}
-
-fn monitored_with(alarm: AlarmConfig) -> Story {
-    let mut s = Story::guided(GuidanceConfig { alarm, ..auto() });
+    let mut s = Story::guided(auto());
+    s.reconfigure(|config| config.alarm.policy = policy);
     s.recovery = Some(RECOVERY);
     s.verdict = Some(Verdict::Clean);
     s.velocity_ned_m_s.x = 1.0;
     assert_eq!(sent_m_s(s.run(seconds(1.0))), 1.0, "the actor flies");
+    s
+}
+
+/// The same, and the guard raises the alarm when the actor falls 6 m behind.
+fn monitored_for_leading_astray() -> Story {
+    let mut s = monitored(AlarmPolicy::Recover);
+    s.reconfigure(|config| config.alarm.astray_limit_m = 6.0);
     s
 }
 

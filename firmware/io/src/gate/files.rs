@@ -27,16 +27,11 @@ pub enum SigningFileError {
         "signing state {0}; without it packets could be replayed after a restart: the key's folder must be writable by this user"
     )]
     State(#[from] FileError),
-    /// The state is not what was written.
+    /// The state is not what was written in this line, from 1.
     #[error(
-        "signing state {path}, line {line}, is damaged: delete the file, and make sure that no packets signed before are replayed"
+        "signing state {0}, line {1}, is damaged: delete the file, and make sure that no packets signed before are replayed"
     )]
-    Damaged {
-        /// The state file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: usize,
-    },
+    Damaged(PathBuf, usize),
 }
 
 /// Reads the key of signing, see [`read_secret`].
@@ -58,14 +53,18 @@ enum Job {
 pub(super) struct SigningStateWriter(Background<Job>);
 
 impl SigningStateWriter {
-    /// Reads what the last run left and makes sure that it can be written again, `ahead` of what was read: whatever
-    /// happens before the first state is offered is covered.
-    pub fn start(key_file: &Path, name: &str, ahead: u64) -> Result<(Self, SigningMemory), SigningFileError> {
+    /// Reads what the last run left and makes sure that it can be written again, `ahead` of what was read and of `now`:
+    /// whatever happens before the first state is offered is covered.
+    pub fn start(
+        key_file: &Path,
+        name: &str,
+        (now, ahead): (Timestamp, u64),
+    ) -> Result<(Self, SigningMemory), SigningFileError> {
         let mut path = key_file.as_os_str().to_owned();
         path.push(format!(".{name}.state"));
         let path = PathBuf::from(path);
         let memory = read_state(&path)?;
-        write_state(&path, &memory.clone().ahead(ahead)).map_err(at(&path))?;
+        write_state(&path, &memory.clone().ahead(&memory, now, ahead)).map_err(at(&path))?;
         let (key_file, target) = (key_file.to_owned(), path.clone());
         let mut failing = false;
         let writer = Background::start("signing", CAPACITY, PAUSE, move |jobs| {
@@ -133,10 +132,7 @@ fn read_state(path: &Path) -> Result<SigningMemory, SigningFileError> {
         Err(error) => return Err(at(path)(error).into()),
     };
     let mut memory = SigningMemory::default();
-    let damaged = |line: usize| SigningFileError::Damaged {
-        path: path.to_owned(),
-        line,
-    };
+    let damaged = |line: usize| SigningFileError::Damaged(path.to_owned(), line);
     let mut lines = text.lines();
     memory.newest = lines.next().and_then(timestamp_of).ok_or_else(|| damaged(1))?;
     for (i, line) in lines.enumerate() {
@@ -168,38 +164,35 @@ mod tests {
     use std::os::unix::fs::PermissionsExt;
 
     fn memory() -> SigningMemory {
-        let mut memory = SigningMemory {
-            newest: 123_456,
-            ..SigningMemory::default()
+        let stream = |component_id: u8| StreamTime {
+            link_id: 3,
+            system_id: 255,
+            component_id,
+            timestamp: 100_000 + u64::from(component_id),
         };
-        for component_id in [1, 190] {
-            memory
-                .streams
-                .push(StreamTime {
-                    link_id: 3,
-                    system_id: 255,
-                    component_id,
-                    timestamp: 100_000 + u64::from(component_id),
-                })
-                .unwrap();
+        SigningMemory {
+            newest: 123_456,
+            streams: [1, 190].into_iter().map(stream).collect(),
         }
-        memory
     }
 
     #[test]
     fn the_last_state_offered_is_read_by_the_next_run_and_a_killed_run_leaves_one_ahead() {
         let folder = tempfile::tempdir().unwrap();
         let key = folder.path().join("vigil.key");
-        let (mut writer, first) = SigningStateWriter::start(&key, "3", 50).unwrap();
+        let start = |now| SigningStateWriter::start(&key, "3", (now, 50)).unwrap();
+        let (mut writer, first) = start(200_000);
         assert_eq!(first, SigningMemory::default());
-        writer.offer(memory().ahead(7));
+        let later = |units| memory().ahead(&first, 200_000, units);
+        writer.offer(later(7));
         writer.offer(memory());
         drop(writer);
-        let (_killed, second) = SigningStateWriter::start(&key, "3", 50).unwrap();
+        let (_killed, second) = start(200_000);
         assert_eq!(second, memory());
-        // While that one runs, the file is ahead of what it knows.
-        let (_, third) = SigningStateWriter::start(&key, "3", 0).unwrap();
-        assert_eq!(third, memory().ahead(50));
+        // While that one runs, the file is ahead of what it knows; and no further ahead of the clock, however often it is killed.
+        for _ in 0..3 {
+            assert_eq!(start(100_000).1, later(50));
+        }
         let state = folder.path().join("vigil.key.3.state");
         assert_eq!(std::fs::metadata(state).unwrap().permissions().mode() & 0o777, 0o600);
     }
@@ -208,12 +201,12 @@ mod tests {
     fn a_key_that_was_replaced_is_in_its_file_for_the_next_run_and_closed_to_others() {
         let folder = tempfile::tempdir().unwrap();
         let path = key_file(folder.path(), &[1; 32], 0o600);
-        let (mut writer, _) = SigningStateWriter::start(&path, "3", 50).unwrap();
+        let (mut writer, _) = SigningStateWriter::start(&path, "3", (0, 50)).unwrap();
         let key = SigningKey([0xA5; 32]);
         writer.replace_key(key, memory());
         drop(writer);
         assert_eq!(read_key(&path).unwrap(), key);
-        assert_eq!(SigningStateWriter::start(&path, "3", 50).unwrap().1, memory());
+        assert_eq!(SigningStateWriter::start(&path, "3", (0, 50)).unwrap().1, memory());
     }
 
     #[test]
@@ -227,10 +220,10 @@ mod tests {
             ("5\n1 2 3 4\n1 2 3 4 5\n", "line 3"),
         ] {
             std::fs::write(folder.path().join("vigil.key.0.state"), text).unwrap();
-            let error = SigningStateWriter::start(&key, "0", 0).err().unwrap().to_string();
+            let error = SigningStateWriter::start(&key, "0", (0, 0)).err().unwrap().to_string();
             assert!(error.contains(line) && error.contains("delete"), "{error}");
         }
-        let error = SigningStateWriter::start(&folder.path().join("no/such.key"), "0", 0)
+        let error = SigningStateWriter::start(&folder.path().join("no/such.key"), "0", (0, 0))
             .err()
             .unwrap()
             .to_string();

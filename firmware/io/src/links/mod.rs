@@ -2,7 +2,6 @@
 //!
 //! None of them waits, allocates after its opening, or ends: a peer that is gone is waited for.
 
-mod callers;
 mod packet_stream;
 mod peer_rule;
 mod peers;

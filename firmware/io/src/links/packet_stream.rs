@@ -24,49 +24,28 @@ pub(super) struct Broken;
 
 /// The state of a byte stream, whatever carries it.
 pub(super) struct PacketStream {
-    framer: StreamFramer,
-    counters: FramingCounters,
     chunk: Box<[u8; CHUNK]>,
     outbox: Box<[u8; OUTBOX]>,
     /// What waits to be written is `outbox[written..queued]`.
     written: usize,
     queued: usize,
-    unsent: u64,
-    other_system: Option<u8>,
+    /// Of the link.
+    pub statistics: LinkStatistics,
 }
 
 impl PacketStream {
     pub fn new() -> Self {
         Self {
-            framer: StreamFramer::default(),
-            counters: FramingCounters::default(),
             chunk: Box::new([0; CHUNK]),
             outbox: Box::new([0; OUTBOX]),
             written: 0,
             queued: 0,
-            unsent: 0,
-            other_system: None,
-        }
-    }
-
-    /// What was found in the bytes read, and how many packets were not sent.
-    pub fn statistics(&self) -> LinkStatistics {
-        LinkStatistics {
-            unsent: self.unsent,
-            other_system: self.other_system,
-            framing: self.counters,
-            ..LinkStatistics::default()
+            statistics: LinkStatistics::default(),
         }
     }
 
     /// Another stream begins: halves of packets are worth nothing to it.
     pub fn reset(&mut self) {
-        self.continue_with(StreamFramer::default());
-    }
-
-    /// Another stream goes on where `framer` is in it.
-    pub fn continue_with(&mut self, framer: StreamFramer) {
-        self.framer = framer;
         self.written = 0;
         self.queued = 0;
     }
@@ -76,6 +55,7 @@ impl PacketStream {
     pub fn receive(
         &mut self,
         wire: &mut impl Read,
+        framer: &mut StreamFramer,
         (rule, admission, is_local): (PeerRule, &mut LinkAdmission<'_>, bool),
         received: &mut Datagrams,
     ) -> Result<bool, Broken> {
@@ -88,8 +68,8 @@ impl PacketStream {
             let Some(bytes) = read(wire, chunk, received)? else {
                 break;
             };
-            let framer = &mut self.framer;
-            framer.feed(bytes, &mut self.counters, |packet| on_packet(packet, received));
+            let counters = &mut self.statistics.framing;
+            framer.feed(bytes, counters, |packet| on_packet(packet, received));
         }
         Ok(heard)
     }
@@ -99,13 +79,11 @@ impl PacketStream {
     pub fn receive_introduction(
         &mut self,
         wire: &mut impl Read,
-        framer: &mut StreamFramer,
-        garbage: &mut FramingCounters,
+        (framer, garbage): (&mut StreamFramer, &mut FramingCounters),
         (rule, admission, is_local): (PeerRule, &mut LinkAdmission<'_>, bool),
         received: &mut Datagrams,
     ) -> Result<bool, Broken> {
         let mut introduced = false;
-        let mut other_system = None;
         let has_key = admission.gate.has_key();
         for _ in 0..MAX_READS_OF_A_CALLER {
             let Some(bytes) = read(wire, self.chunk.as_mut_slice(), received)? else {
@@ -115,14 +93,14 @@ impl PacketStream {
                 if introduced || rule.introduces(packet, has_key) {
                     introduced |= admission.admit(is_local, packet.raw(), received);
                 } else {
-                    other_system = rule.other_system(packet).or(other_system);
+                    let other_system = &mut self.statistics.other_system;
+                    *other_system = rule.other_system(packet).or(*other_system);
                 }
             });
             if introduced {
                 break;
             }
         }
-        self.other_system = other_system.or(self.other_system);
         Ok(introduced)
     }
 
@@ -136,7 +114,7 @@ impl PacketStream {
                     slot.copy_from_slice(packet);
                     self.queued += packet.len();
                 }
-                None => self.unsent += 1,
+                None => self.statistics.unsent += 1,
             }
         }
         self.flush(wire)
@@ -144,7 +122,7 @@ impl PacketStream {
 
     /// Nobody is there to send to.
     pub fn discard(&mut self, sent: &Datagrams) {
-        self.unsent += sent.len() as u64;
+        self.statistics.unsent += sent.len() as u64;
     }
 
     fn flush(&mut self, wire: &mut impl Write) -> Result<(), Broken> {
@@ -230,14 +208,19 @@ mod tests {
     }
 
     /// Takes what is there; says whether the peer was heard.
-    fn receive(stream: &mut PacketStream, line: &mut Line, gate: &mut SigningGate, received: &mut Datagrams) -> bool {
+    fn receive(
+        (stream, framer): &mut (PacketStream, StreamFramer),
+        line: &mut Line,
+        gate: &mut SigningGate,
+        received: &mut Datagrams,
+    ) -> bool {
         let mut admission = LinkAdmission {
             allow_unsigned: gate.allow_unsigned(),
             gate,
             link: 0,
         };
         let from = (PeerRule::Anyone, &mut admission, true);
-        stream.receive(line, from, received).unwrap()
+        stream.receive(line, framer, from, received).unwrap()
     }
 
     fn line() -> Line {
@@ -271,13 +254,13 @@ mod tests {
         let mut found = 0;
         framer.feed(&line.written, &mut counters, |_| found += 1);
         assert_eq!((counters.garbage_bytes, counters.bad_crc), (0, 0));
-        assert!(stream.statistics().unsent > 300 && found > 300);
-        assert_eq!(found + stream.statistics().unsent, 1800);
+        assert!(stream.statistics.unsent > 300 && found > 300);
+        assert_eq!(found + stream.statistics.unsent, 1800);
     }
 
     #[test]
     fn packets_that_arrive_byte_by_byte_among_garbage_are_given_whole_once_and_in_order() {
-        let mut stream = PacketStream::new();
+        let mut stream = (PacketStream::new(), StreamFramer::default());
         let (mut gate, mut line) = (SigningGate::open(), line());
         let expected: Vec<_> = (0..40).map(packet).collect();
         line.to_read = expected
@@ -291,12 +274,12 @@ mod tests {
             received.clear();
         }
         assert_eq!(got, expected);
-        assert_eq!(stream.statistics().framing.garbage_bytes, 40 * 5);
+        assert_eq!(stream.0.statistics.framing.garbage_bytes, 40 * 5);
     }
 
     #[test]
     fn a_flood_of_the_smallest_packets_fits_step_by_step_and_none_is_lost() {
-        let mut stream = PacketStream::new();
+        let mut stream = (PacketStream::new(), StreamFramer::default());
         let (mut gate, mut line) = (SigningGate::open(), line());
         // An empty packet of MAVLink 1, of a message that the dialect does not know: 8 bytes.
         let smallest = [0xFE, 0, 0, 1, 1, 200, 0, 0];

@@ -5,7 +5,7 @@
 //! kernel lets in what known peers send, and little of anything else.
 
 use super::peer_rule::PeerRule;
-use super::socket_filter::{FloodWatch, Newcomers, SocketFilter};
+use super::socket_filter::{FloodWatch, SocketFilter};
 use super::{LinkAdmission, LinkStatistics, Wire, is_local};
 use crate::gate::{MAX_DATAGRAM_BYTES, SigningGate};
 use std::io::ErrorKind;
@@ -54,7 +54,7 @@ pub struct UdpPeers {
     filter: SocketFilter,
     flood: FloodWatch,
     next_look_ns: Nanos,
-    not_learned: u64,
+    statistics: LinkStatistics,
     buffer: Box<[u8; MAX_DATAGRAM_BYTES]>,
     now_ns: Nanos,
 }
@@ -74,7 +74,7 @@ impl UdpPeers {
             filter: SocketFilter::new(),
             flood: FloodWatch::default(),
             next_look_ns: 0,
-            not_learned: 0,
+            statistics: LinkStatistics::default(),
             buffer: Box::new([0; MAX_DATAGRAM_BYTES]),
             now_ns: 0,
         };
@@ -86,7 +86,7 @@ impl UdpPeers {
         let quiet = self.learned.iter().filter(|l| !l.is_loud).map(|l| l.address);
         let peers = self.peer.into_iter().chain(quiet);
         let flooded = self.flood.is_flooded(self.now_ns);
-        self.filter.set(&self.socket, peers, Newcomers::Mavlink, flooded);
+        self.filter.set(&self.socket, peers, Some(PeerRule::Anyone), flooded);
     }
 
     /// Once a second: who is loud, who is silent.
@@ -175,7 +175,7 @@ impl UdpPeers {
         {
             *silent = new;
         } else {
-            self.not_learned += 1;
+            self.statistics.foreign += 1;
             return false;
         }
         self.filter.peers_changed();
@@ -214,11 +214,7 @@ impl Wire for UdpPeers {
     }
 
     fn statistics(&self) -> (LinkStatistics, bool) {
-        let statistics = LinkStatistics {
-            foreign: self.not_learned,
-            ..LinkStatistics::default()
-        };
-        (statistics, false)
+        (self.statistics, false)
     }
 
     fn local_address(&self) -> std::io::Result<SocketAddr> {
@@ -315,7 +311,7 @@ mod tests {
             heard(&mut link, second * 1_000_000_000);
         }
         assert_eq!(answered(&mut link), (1..9).collect::<Vec<_>>());
-        assert!(link.statistics().0.foreign > 12);
+        assert!(link.statistics.foreign > 12);
     }
 
     #[test]

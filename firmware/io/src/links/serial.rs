@@ -10,6 +10,7 @@ use rustix::termios::{ControlModes, OptionalActions, QueueSelector};
 use std::ffi::CString;
 use std::fs::File;
 use std::io::ErrorKind;
+use vigil_mavlink::framing::StreamFramer;
 use vigil_types::{Datagrams, Nanos};
 
 /// One serial line: 8 data bits, no parity, one stop bit, no flow control.
@@ -18,8 +19,8 @@ pub struct SerialWire {
     baud: u32,
     port: Option<File>,
     next_attempt_ns: Nanos,
+    framer: StreamFramer,
     stream: PacketStream,
-    connections: u64,
 }
 
 impl SerialWire {
@@ -30,13 +31,15 @@ impl SerialWire {
         };
         let device = CString::new(device.as_str()).map_err(|e| error(e.into()))?;
         let port = open_port(&device, *baud).map_err(|e| error(e.into()))?;
+        let mut stream = PacketStream::new();
+        stream.statistics.connections = 1;
         Ok(Self {
             device,
             baud: *baud,
             port: Some(port),
             next_attempt_ns: 0,
-            stream: PacketStream::new(),
-            connections: 1,
+            framer: StreamFramer::default(),
+            stream,
         })
     }
 
@@ -47,8 +50,9 @@ impl SerialWire {
         }
         self.next_attempt_ns = now_ns + RETRY_NS;
         if let Ok(port) = open_port(&self.device, self.baud) {
+            self.framer = StreamFramer::default();
             self.stream.reset();
-            self.connections += 1;
+            self.stream.statistics.connections += 1;
             self.port = Some(port);
         }
     }
@@ -83,11 +87,8 @@ impl Wire for SerialWire {
         self.reopen(now_ns);
         let Some(port) = &mut self.port else { return };
         // Whoever holds the other end of a cable is not known: never this machine.
-        if self
-            .stream
-            .receive(port, (PeerRule::Anyone, admission, false), received)
-            .is_err()
-        {
+        let with = (PeerRule::Anyone, admission, false);
+        if self.stream.receive(port, &mut self.framer, with, received).is_err() {
             self.close();
         }
     }
@@ -103,10 +104,6 @@ impl Wire for SerialWire {
     }
 
     fn statistics(&self) -> (LinkStatistics, bool) {
-        let statistics = LinkStatistics {
-            connections: self.connections,
-            ..self.stream.statistics()
-        };
-        (statistics, true)
+        (self.stream.statistics, true)
     }
 }

@@ -2,7 +2,7 @@
 //! queue nor uses up a step's reads. It only sheds load. Who is heard is decided where datagrams are read.
 //! <https://docs.kernel.org/networking/filter.html>
 
-use super::peer_rule::AUTOPILOT;
+use super::peer_rule::{AUTOPILOT, PeerRule};
 use socket2::{SockFilter, SockRef};
 use std::net::{IpAddr, SocketAddr, UdpSocket};
 use vigil_types::{Nanos, STEP_NS};
@@ -35,22 +35,10 @@ const MAGIC_V2: u32 = 0xFD;
 /// Bytes of the shortest packet.
 const SHORTEST: u32 = 8;
 
-/// From whom besides the known peers datagrams are let in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Newcomers {
-    /// Nobody.
-    None,
-    /// Whose datagram begins like a packet of an autopilot. Where a system is given, of another one's few: so that somebody
-    /// can hear of it.
-    Autopilots(Option<u8>),
-    /// Whose datagram begins like a packet.
-    Mavlink,
-}
-
 /// Builds programs without allocating, and attaches them when they changed.
 pub(super) struct SocketFilter {
     program: Vec<SockFilter>,
-    in_force: Option<(Newcomers, bool)>,
+    in_force: Option<(Option<PeerRule>, bool)>,
 }
 
 impl SocketFilter {
@@ -66,12 +54,13 @@ impl SocketFilter {
         self.in_force = None;
     }
 
-    /// Lets in everything from `peers` and what `newcomers` says; of newcomers only some while the link is `flooded`.
+    /// Lets in everything from `peers` and, of `newcomers`, what begins like a packet of whom they may be; only some while the
+    /// link is `flooded`. Where a system is given, of another vehicle's few: so that somebody can hear of it.
     pub fn set(
         &mut self,
         socket: &UdpSocket,
         peers: impl Iterator<Item = SocketAddr>,
-        newcomers: Newcomers,
+        newcomers: Option<PeerRule>,
         flooded: bool,
     ) {
         if self.in_force == Some((newcomers, flooded)) {
@@ -112,13 +101,13 @@ impl SocketFilter {
         self.push(RETURN, 0, 0, ALL);
     }
 
-    fn let_in_newcomers(&mut self, newcomers: Newcomers, flooded: bool) {
-        if newcomers == Newcomers::None {
+    fn let_in_newcomers(&mut self, newcomers: Option<PeerRule>, flooded: bool) {
+        let Some(newcomers) = newcomers else {
             self.push(RETURN, 0, 0, NOTHING);
             return;
-        }
+        };
         // The vehicle that is asked for is let in whatever else comes.
-        if flooded && !matches!(newcomers, Newcomers::Autopilots(Some(_))) {
+        if flooded && !matches!(newcomers, PeerRule::Vehicle { system: Some(_) }) {
             self.push(LOAD_WORD, 0, 0, RANDOM);
             self.push(JUMP_IF_ANY_BIT, 0, 1, THINNED_TO_ONE_IN - 1);
             self.push(RETURN, 0, 0, NOTHING);
@@ -127,7 +116,7 @@ impl SocketFilter {
         self.push(LOAD_BYTE, 0, 0, PAYLOAD + SHORTEST - 1);
         self.push(LOAD_BYTE, 0, 0, PAYLOAD);
         match newcomers {
-            Newcomers::Autopilots(system) => {
+            PeerRule::Vehicle { system } => {
                 // Of MAVLink 1 and 2: where system and component stand.
                 for (magic, at) in [(MAGIC_V1, 3), (MAGIC_V2, 5)] {
                     // Behind the block the marker is compared with the other; what was loaded in between is none.
@@ -145,7 +134,7 @@ impl SocketFilter {
                     self.push(RETURN, 0, 0, NOTHING);
                 }
             }
-            Newcomers::Mavlink | Newcomers::None => {
+            PeerRule::Anyone => {
                 self.push(JUMP_IF_EQUAL, 1, 0, MAGIC_V1);
                 self.push(JUMP_IF_EQUAL, 0, 1, MAGIC_V2);
                 self.push(RETURN, 0, 0, ALL);

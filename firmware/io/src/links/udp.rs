@@ -1,6 +1,6 @@
 //! MAVLink over one UDP socket.
 
-use super::socket_filter::{FLOOD, FloodWatch, Newcomers, SocketFilter};
+use super::socket_filter::{FLOOD, FloodWatch, SocketFilter};
 use super::{LinkAdmission, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, Wire, is_local, udp_ends};
 use crate::gate::{MAX_DATAGRAM_BYTES, SigningGate};
 use crate::link_url::LinkUrl;
@@ -24,11 +24,9 @@ pub struct UdpWire {
     calling: bool,
     filter: SocketFilter,
     flood: FloodWatch,
-    foreign: u64,
+    statistics: LinkStatistics,
     /// Who called last without showing who it is, and how much of it is counted as foreign: a vehicle's own until its heartbeat.
     early: Option<(SocketAddr, u64)>,
-    other_system: Option<u8>,
-    unsent: u64,
     buffer: Box<[u8; MAX_DATAGRAM_BYTES]>,
 }
 
@@ -48,10 +46,8 @@ impl UdpWire {
             calling: peer.is_some(),
             filter: SocketFilter::new(),
             flood: FloodWatch::default(),
-            foreign: 0,
+            statistics: LinkStatistics::default(),
             early: None,
-            other_system: None,
-            unsent: 0,
             buffer: Box::new([0; MAX_DATAGRAM_BYTES]),
         };
         wire.set_filter(0);
@@ -65,11 +61,7 @@ impl UdpWire {
     }
 
     fn set_filter(&mut self, now_ns: Nanos) {
-        let newcomers = match self.rule {
-            _ if !self.is_vacant(now_ns) => Newcomers::None,
-            PeerRule::Vehicle { system } => Newcomers::Autopilots(system),
-            PeerRule::Anyone => Newcomers::Mavlink,
-        };
+        let newcomers = self.is_vacant(now_ns).then_some(self.rule);
         let flooded = self.flood.is_flooded(now_ns);
         self.filter.set(&self.socket, self.peer.into_iter(), newcomers, flooded);
     }
@@ -90,13 +82,14 @@ impl UdpWire {
             // What passed the gate, and not what came with it.
             && received.last().is_some_and(|passed| self.rule.introduces_any(passed, has_key));
         if !introduced {
-            self.other_system = self.rule.other_system_in(datagram).or(self.other_system);
+            let other_system = &mut self.statistics.other_system;
+            *other_system = self.rule.other_system_in(datagram).or(*other_system);
             let before = self.early.filter(|(address, _)| *address == from);
             self.early = Some((from, before.map_or(0, |(_, count)| count) + 1));
-            self.foreign += 1;
+            self.statistics.foreign += 1;
         } else {
             if let Some((_, its_own)) = self.early.take().filter(|(address, _)| *address == from) {
-                self.foreign -= its_own;
+                self.statistics.foreign -= its_own;
             }
             self.peer = Some(from);
             self.peer_heard_ns = now_ns;
@@ -130,7 +123,7 @@ impl Wire for UdpWire {
                     introductions += 1;
                     self.introduce(len, from, now_ns, admission, received);
                 }
-                Ok(_) => self.foreign += 1,
+                Ok(_) => self.statistics.foreign += 1,
                 Err(e) if e.kind() == ErrorKind::WouldBlock => break,
                 // An earlier datagram met a closed port (ICMP); what arrived is still to be read.
                 Err(_) => {}
@@ -143,19 +136,13 @@ impl Wire for UdpWire {
         for (_, datagram) in sent.iter() {
             let gone = self.peer.map(|peer| self.socket.send_to(gate.seal(datagram), peer));
             if !matches!(gone, Some(Ok(_))) {
-                self.unsent += 1;
+                self.statistics.unsent += 1;
             }
         }
     }
 
     fn statistics(&self) -> (LinkStatistics, bool) {
-        let statistics = LinkStatistics {
-            foreign: self.foreign,
-            other_system: self.other_system,
-            unsent: self.unsent,
-            ..LinkStatistics::default()
-        };
-        (statistics, false)
+        (self.statistics, false)
     }
 
     fn local_address(&self) -> std::io::Result<SocketAddr> {

@@ -6,41 +6,14 @@ use rustix::io::Errno;
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 
-/// Why a [`Domain`] could not be opened.
-#[allow(missing_docs, reason = "the texts say what the fields are")]
+/// Why a [`Domain`] could not be opened, with what to do.
 #[derive(Debug, thiserror::Error)]
-pub enum DomainError {
-    /// The role is taken.
-    #[error("another {role} already runs on instance {instance}: stop it, or use another --instance")]
-    RoleTaken { role: &'static str, instance: u32 },
-    /// The directory for the transport's files, or a file in it, could not be made.
-    #[error("cannot make {path} for the transport's files: {source}")]
-    Directory { path: String, source: std::io::Error },
-    /// The directory is somebody else's, or others may write to it.
-    #[error(
-        "{path} must belong to user {uid} with mode 0700 but belongs to user {owner} with mode {mode:04o}: remove it or \
-         fix its owner and mode, then start again"
-    )]
-    NotPrivate {
-        path: String,
-        uid: u32,
-        owner: u32,
-        mode: u32,
-    },
-    /// Too little memory is left: whoever touches more than there is ends without a word (SIGBUS).
-    #[error("no room in {SHARED_MEMORY}: {free_kib} KiB are free, {needed_kib} are needed: free some")]
-    NoRoom { free_kib: u64, needed_kib: u64 },
-    /// The path does not suit the transport.
-    #[error("{path} cannot hold the transport's files: {reason}")]
-    Path { path: String, reason: String },
-    /// iceoryx2 refused.
-    #[error("cannot join instance {instance} as `{role}`: {reason}; the transport's files are {path}")]
-    Node {
-        instance: u32,
-        role: String,
-        reason: String,
-        path: String,
-    },
+#[error("{0}")]
+pub struct DomainError(String);
+
+/// The directory for the transport's files, or a file in it, could not be made.
+fn not_made(path: &str, error: std::io::Error) -> DomainError {
+    DomainError(format!("cannot make {path} for the transport's files: {error}"))
 }
 
 /// A process's membership in one instance. Instances share nothing: other directory, other shared-memory names.
@@ -48,17 +21,12 @@ pub enum DomainError {
 /// Files lie in `vigil-<uid>/<instance>` of the system's shared-memory directory, which has mode 0700, and beside it
 /// with mode 0600: only processes of the same user meet. At opening, what killed processes of this instance left is
 /// removed.
+#[derive(Debug)]
 pub struct Domain {
     node: Node<ipc::Service>,
     instance: u32,
     /// Locked while the role is this process's alone.
     _role: Option<OwnedFd>,
-}
-
-impl std::fmt::Debug for Domain {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Domain").field("instance", &self.instance).finish()
-    }
 }
 
 impl Domain {
@@ -70,11 +38,11 @@ impl Domain {
         // iceoryx2 reports every refusal on the console as well; the errors here say it once. IOX2_LOG_LEVEL overrides.
         set_log_level_from_env_or(LogLevel::Fatal);
         let (config, shown) = instance_config(instance)?;
-        let node_error = |reason: String| DomainError::Node {
-            instance,
-            role: role.to_owned(),
-            reason,
-            path: format!("{shown}/{instance} and {SHARED_MEMORY}/{}*", config.global.prefix),
+        let node_error = |reason: String| {
+            let files = format!("{shown}/{instance} and {SHARED_MEMORY}/{}*", config.global.prefix);
+            DomainError(format!(
+                "cannot join instance {instance} as `{role}`: {reason}; the transport's files are {files}"
+            ))
         };
         has_room(LEAST_ROOM)?;
         let name = NodeName::new(role).map_err(|e| node_error(format!("{e:?}")))?;
@@ -103,7 +71,7 @@ impl Domain {
     /// The same for a role that one process at a time has, until this is dropped or the process ends, however it does.
     ///
     /// # Errors
-    /// [`DomainError::RoleTaken`] while another has it, and those of [`Domain::open`].
+    /// [`DomainError`], also while another has it.
     pub fn open_alone(instance: u32, role: &'static str) -> Result<Self, DomainError> {
         let domain = Self::open(instance, role)?;
         let path = format!("{}/{role}.lock", domain.node.config().global.root_path());
@@ -115,8 +83,10 @@ impl Domain {
                 _role: Some(file),
                 ..domain
             }),
-            Err(Errno::WOULDBLOCK) => Err(DomainError::RoleTaken { role, instance }),
-            Err(e) => Err(DomainError::Directory { path, source: e.into() }),
+            Err(Errno::WOULDBLOCK) => Err(DomainError(format!(
+                "another {role} already runs on instance {instance}: stop it, or use another --instance"
+            ))),
+            Err(e) => Err(not_made(&path, e.into())),
         }
     }
 
@@ -166,10 +136,12 @@ pub(super) fn has_room(needed: u64) -> Result<(), DomainError> {
     // Where nothing limits it, it has no blocks.
     let room = rustix::fs::statvfs(SHARED_MEMORY).ok().filter(|room| room.f_blocks > 0);
     match room.map(|room| room.f_bavail.saturating_mul(room.f_frsize)) {
-        Some(free) if free < needed => Err(DomainError::NoRoom {
-            free_kib: free >> 10,
-            needed_kib: needed >> 10,
-        }),
+        // Whoever touches more than there is ends without a word (SIGBUS).
+        Some(free) if free < needed => Err(DomainError(format!(
+            "no room in {SHARED_MEMORY}: {} KiB are free, {} are needed: free some",
+            free >> 10,
+            needed >> 10
+        ))),
         _ => Ok(()),
     }
 }
@@ -179,10 +151,8 @@ fn instance_config(instance: u32) -> Result<(Config, String), DomainError> {
     let uid = rustix::process::getuid().as_raw();
     let directory = format!("{SHARED_MEMORY}/vigil-{uid}");
     make_private(std::path::Path::new(&directory), uid)?;
-    let path_error = |e: SemanticStringError| DomainError::Path {
-        path: directory.clone(),
-        reason: format!("{e:?}"),
-    };
+    let path_error =
+        |e: SemanticStringError| DomainError(format!("{directory} cannot hold the transport's files: {e:?}"));
     let mut config = Config::default();
     let root = Path::new(format!("{directory}/{instance}").as_bytes()).map_err(path_error)?;
     config.global.set_root_path(&root);
@@ -193,10 +163,7 @@ fn instance_config(instance: u32) -> Result<(Config, String), DomainError> {
 /// Makes the user's own directory if it is missing, and refuses one that anybody else could tamper with.
 fn make_private(directory: &std::path::Path, uid: u32) -> Result<(), DomainError> {
     let shown = directory.display().to_string();
-    let io_error = |source| DomainError::Directory {
-        path: shown.clone(),
-        source,
-    };
+    let io_error = |error| not_made(&shown, error);
     match std::fs::DirBuilder::new().mode(0o700).create(directory) {
         Ok(()) => {}
         Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {}
@@ -205,13 +172,12 @@ fn make_private(directory: &std::path::Path, uid: u32) -> Result<(), DomainError
     // Not following a link: it could be swapped for another directory later.
     let metadata = std::fs::symlink_metadata(directory).map_err(io_error)?;
     let mode = metadata.mode() & 0o7777;
-    if !metadata.is_dir() || metadata.uid() != uid || mode & 0o077 != 0 {
-        return Err(DomainError::NotPrivate {
-            path: shown,
-            uid,
-            owner: metadata.uid(),
-            mode,
-        });
+    let owner = metadata.uid();
+    if !metadata.is_dir() || owner != uid || mode & 0o077 != 0 {
+        return Err(DomainError(format!(
+            "{shown} must belong to user {uid} with mode 0700 but belongs to user {owner} with mode {mode:04o}: remove \
+             it or fix its owner and mode, then start again"
+        )));
     }
     Ok(())
 }
@@ -231,17 +197,21 @@ mod tests {
         let mode = std::fs::metadata(&directory).unwrap().mode() & 0o777;
         assert_eq!(mode, 0o700);
 
-        let foreign = make_private(&directory, uid + 1).unwrap_err();
-        assert!(matches!(foreign, DomainError::NotPrivate { .. }), "{foreign}");
-
+        let refused = |directory, uid, why| {
+            let text = make_private(directory, uid).unwrap_err().to_string();
+            assert!(
+                text.contains("with mode 0700 but belongs") && text.contains(why),
+                "{text}"
+            );
+        };
+        refused(&directory, uid + 1, "mode 0700: remove");
         std::fs::set_permissions(&directory, std::fs::Permissions::from_mode(0o770)).unwrap();
-        let open = make_private(&directory, uid).unwrap_err().to_string();
-        assert!(open.contains("mode 0770") && open.contains("0700"), "{open}");
+        refused(&directory, uid, "mode 0770: remove");
 
         let link = parent.path().join("link");
         let target = parent.path().join("target");
         make_private(&target, uid).unwrap();
         symlink(&target, &link).unwrap();
-        assert!(matches!(make_private(&link, uid), Err(DomainError::NotPrivate { .. })));
+        refused(&link, uid, "mode 0777: remove");
     }
 }

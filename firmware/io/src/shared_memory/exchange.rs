@@ -1,7 +1,7 @@
 //! Lockstep between two processes: the simulator asks (client), the firmware answers (server), one step at a time.
 
 use super::Domain;
-use super::layout::{KIND_FINISH, KIND_STEP, WireDatagrams, WireRequest, WireResponse};
+use super::layout::{WireDatagrams, WireRequest, WireResponse};
 use iceoryx2::port::client::Client;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -9,6 +9,7 @@ use iceoryx2::port::server::Server;
 use iceoryx2::prelude::*;
 use iceoryx2::service::builder::request_response::{RequestResponseOpenError, RequestResponseOpenOrCreateError};
 use iceoryx2::service::port_factory::{client::ClientCreateError, request_response, server::ServerCreateError};
+use std::fmt::Display;
 use std::time::{Duration, Instant};
 use vigil_types::{Datagrams, DepthFrame, Nanos};
 
@@ -19,51 +20,14 @@ const ANSWER_EVENT: &str = "lockstep-answer";
 const WAIT_SLICE: Duration = Duration::from_millis(50);
 
 /// Why a lockstep exchange failed.
-#[allow(missing_docs, reason = "the texts say what the fields are")]
 #[derive(Debug, thiserror::Error)]
 pub enum LockstepError {
-    /// Nobody serves.
-    #[error(
-        "no firmware came to lockstep on instance {instance} within {waited_s} s: start it with `--lockstep --instance \
-         {instance}`"
-    )]
-    NoFirmware { instance: u32, waited_s: f64 },
-    /// The firmware stopped answering.
-    #[error("firmware did not answer step {step} within {waited_s} s")]
-    FirmwareSilent { step: u64, waited_s: f64 },
-    /// The simulator stopped asking.
-    #[error("simulator did not send step {step} within {waited_s} s")]
-    SimulatorSilent { step: u64, waited_s: f64 },
-    /// The role is taken.
-    #[error("another {role} already runs lockstep on instance {instance}: stop it, or use another --instance")]
-    RoleTaken {
-        /// "firmware" or "simulator".
-        role: &'static str,
-        instance: u32,
-    },
-    /// The service exists and carries something else.
-    #[error(
-        "lockstep on instance {instance} carries another type of data ({reason}): the other process is of another \
-         version of Vigil"
-    )]
-    WrongType { instance: u32, reason: String },
     /// The simulator's `cancelled` said so.
     #[error("interrupted")]
     Cancelled,
-    /// The other side wrote something impossible.
-    #[error("{who} sent a malformed message at step {step}: is it of the same version of Vigil?")]
-    Malformed {
-        /// "firmware" or "simulator".
-        who: &'static str,
-        step: u64,
-    },
-    /// Any other refusal by the transport.
-    #[error("lockstep on instance {instance}: cannot {action}: {reason}")]
-    Transport {
-        instance: u32,
-        action: &'static str,
-        reason: String,
-    },
+    /// The other side is not there, is silent or of another version, the role is taken, or the transport refuses.
+    #[error("{0}")]
+    Failed(String),
 }
 
 type Factory = request_response::PortFactory<ipc::Service, WireRequest, (), WireResponse, ()>;
@@ -73,12 +37,20 @@ struct Bell {
     notifier: Notifier<ipc::Service>,
 }
 
-fn transport_error(instance: u32, action: &'static str, reason: impl ToString) -> LockstepError {
-    LockstepError::Transport {
-        instance,
-        action,
-        reason: reason.to_string(),
-    }
+fn transport_error(instance: u32, action: &str, reason: impl Display) -> LockstepError {
+    LockstepError::Failed(format!("lockstep on instance {instance}: cannot {action}: {reason}"))
+}
+
+fn role_taken(instance: u32, role: &str) -> LockstepError {
+    LockstepError::Failed(format!(
+        "another {role} already runs lockstep on instance {instance}: stop it, or use another --instance"
+    ))
+}
+
+fn malformed(who: &str, step: u64) -> LockstepError {
+    LockstepError::Failed(format!(
+        "{who} sent a malformed message at step {step}: is it of the same version of Vigil?"
+    ))
 }
 
 fn service_name(instance: u32, name: &str) -> Result<ServiceName, LockstepError> {
@@ -101,10 +73,10 @@ fn open(domain: &Domain) -> Result<Factory, LockstepError> {
                 reason @ (RequestResponseOpenError::IncompatibleRequestOrResponseType
                 | RequestResponseOpenError::IncompatibleMessagingPattern
                 | RequestResponseOpenError::VersionMismatch),
-            ) => LockstepError::WrongType {
-                instance,
-                reason: reason.to_string(),
-            },
+            ) => LockstepError::Failed(format!(
+                "lockstep on instance {instance} carries another type of data ({reason}): the other process is of \
+                 another version of Vigil"
+            )),
             other => transport_error(instance, "open the service", other),
         })
 }
@@ -160,7 +132,7 @@ impl LockstepClient {
     /// later exchange. `cancelled` ends any of these waits; it is asked a few times a second.
     ///
     /// # Errors
-    /// [`LockstepError::NoFirmware`] and others.
+    /// [`LockstepError`], also when no firmware came.
     pub fn connect(
         domain: &Domain,
         timeout: Duration,
@@ -170,10 +142,7 @@ impl LockstepClient {
         let factory = open(domain)?;
         let bell = Bell::open(domain, ANSWER_EVENT, REQUEST_EVENT)?;
         let client = factory.client_builder().create().map_err(|e| match e {
-            ClientCreateError::ExceedsMaxSupportedClients => LockstepError::RoleTaken {
-                role: "simulator",
-                instance,
-            },
+            ClientCreateError::ExceedsMaxSupportedClients => role_taken(instance, "simulator"),
             other => transport_error(instance, "create the client", other),
         })?;
         let this = Self {
@@ -187,10 +156,11 @@ impl LockstepClient {
         let deadline = Instant::now() + timeout;
         while this.factory.dynamic_config().number_of_servers() == 0 {
             if Instant::now() >= deadline {
-                return Err(LockstepError::NoFirmware {
-                    instance,
-                    waited_s: timeout.as_secs_f64(),
-                });
+                let waited_s = timeout.as_secs_f64();
+                return Err(LockstepError::Failed(format!(
+                    "no firmware came to lockstep on instance {instance} within {waited_s} s: start it with \
+                     `--lockstep --instance {instance}`"
+                )));
             }
             this.go_on()?;
             this.bell.wait(deadline);
@@ -209,7 +179,7 @@ impl LockstepClient {
     /// with its answer.
     ///
     /// # Errors
-    /// [`LockstepError::FirmwareSilent`] names the step; [`LockstepError::Malformed`].
+    /// [`LockstepError`], naming the step at which the firmware was silent, or its answer malformed.
     pub fn exchange(
         &mut self,
         step: u64,
@@ -229,21 +199,21 @@ impl LockstepClient {
         };
         match self.ask(step, fill, |answer| answer.step == step && answer.sent.read_into(sent))? {
             true => Ok(()),
-            false => Err(LockstepError::Malformed { who: "firmware", step }),
+            false => Err(malformed("firmware", step)),
         }
     }
 
     /// Lets the firmware know that no more steps come and waits until it knows, whatever `cancelled` says.
     ///
     /// # Errors
-    /// [`LockstepError::FirmwareSilent`] with the step given here.
+    /// [`LockstepError`], naming the step given here.
     pub fn finish(mut self, step: u64) -> Result<(), LockstepError> {
         // Who interrupts a flight does not wait for a firmware that hangs.
         if (self.cancelled)() {
             self.timeout = self.timeout.min(Duration::from_secs(1));
         }
         self.cancelled = Box::new(|| false);
-        self.ask(step, |request| request.kind = KIND_FINISH, |_| ())
+        self.ask(step, |request| request.finishes = 1, |_| ())
     }
 
     /// Sends what `fill` makes of an empty request and waits for the answer: what `read` makes of it.
@@ -253,30 +223,30 @@ impl LockstepClient {
         fill: impl FnOnce(&mut WireRequest),
         read: impl FnOnce(&WireResponse) -> T,
     ) -> Result<T, LockstepError> {
-        let error = |action, reason: String| transport_error(self.instance, action, reason);
+        let instance = self.instance;
         let request = self.client.loan_uninit();
-        let request = request.map_err(|e| error("loan memory", e.to_string()))?;
+        let request = request.map_err(|e| transport_error(instance, "loan memory", e))?;
         let mut request = request.write_payload(WireRequest {
             step,
             now_ns: 0,
-            kind: KIND_STEP,
+            finishes: 0,
             has_frame: 0,
             received: WireDatagrams::EMPTY,
             frame: DepthFrame::EMPTY,
         });
         fill(request.payload_mut());
-        let pending = request.send().map_err(|e| error("send", e.to_string()))?;
+        let pending = request.send().map_err(|e| transport_error(instance, "send", e))?;
         self.bell.ring();
         let deadline = Instant::now() + self.timeout;
         loop {
-            if let Some(answer) = pending.receive().map_err(|e| error("receive", e.to_string()))? {
+            let answer = pending.receive();
+            if let Some(answer) = answer.map_err(|e| transport_error(instance, "receive", e))? {
                 return Ok(read(&answer));
             }
             if Instant::now() >= deadline {
-                return Err(LockstepError::FirmwareSilent {
-                    step,
-                    waited_s: self.timeout.as_secs_f64(),
-                });
+                let waited_s = self.timeout.as_secs_f64();
+                let text = format!("firmware did not answer step {step} within {waited_s} s");
+                return Err(LockstepError::Failed(text));
             }
             self.go_on()?;
             self.bell.wait(deadline);
@@ -321,16 +291,13 @@ impl LockstepServer {
     /// Becomes the firmware of this instance.
     ///
     /// # Errors
-    /// [`LockstepError::RoleTaken`] while another firmware serves.
+    /// [`LockstepError`], also while another firmware serves.
     pub fn create(domain: &Domain) -> Result<Self, LockstepError> {
         let instance = domain.instance();
         let factory = open(domain)?;
         let bell = Bell::open(domain, REQUEST_EVENT, ANSWER_EVENT)?;
         let server = factory.server_builder().create().map_err(|e| match e {
-            ServerCreateError::ExceedsMaxSupportedServers => LockstepError::RoleTaken {
-                role: "firmware",
-                instance,
-            },
+            ServerCreateError::ExceedsMaxSupportedServers => role_taken(instance, "firmware"),
             other => transport_error(instance, "create the server", other),
         })?;
         // A simulator may be waiting for exactly this.
@@ -348,7 +315,7 @@ impl LockstepServer {
     /// a second.
     ///
     /// # Errors
-    /// [`LockstepError::SimulatorSilent`] names the step; [`LockstepError::Malformed`].
+    /// [`LockstepError`], naming the step at which the simulator was silent, or its request malformed.
     pub fn serve<'a>(
         &mut self,
         timeout: Duration,
@@ -368,10 +335,9 @@ impl LockstepServer {
                 return Ok(Served::Cancelled);
             }
             if Instant::now() >= deadline {
-                return Err(LockstepError::SimulatorSilent {
-                    step: self.next_step,
-                    waited_s: timeout.as_secs_f64(),
-                });
+                let (step, waited_s) = (self.next_step, timeout.as_secs_f64());
+                let text = format!("simulator did not send step {step} within {waited_s} s");
+                return Err(LockstepError::Failed(text));
             }
             self.bell.wait(deadline);
         };
@@ -383,11 +349,11 @@ impl LockstepServer {
             step,
             sent: WireDatagrams::EMPTY,
         });
-        let served = if request.kind == KIND_FINISH {
+        let served = if request.finishes == 1 {
             Served::Finished
         } else {
             if !request.received.read_into(&mut self.received) {
-                return Err(LockstepError::Malformed { who: "simulator", step });
+                return Err(malformed("simulator", step));
             }
             let sent = tick(StepRequest {
                 step,

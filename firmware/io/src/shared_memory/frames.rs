@@ -8,6 +8,7 @@ use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::port_factory::publish_subscribe;
+use std::fmt::Display;
 use std::ops::Deref;
 use vigil_types::{DepthFrame, Nanos, STEP_NS};
 
@@ -54,27 +55,9 @@ pub enum FrameError {
         "another process already publishes `{topic}` frames on instance {instance}: stop it, or use another --instance"
     )]
     AlreadyPublished { topic: String, instance: u32 },
-    /// Too many readers.
-    #[error("instance {instance} already has {MAX_SUBSCRIBERS} readers of `{topic}` frames: stop one of them")]
-    TooManyReaders { topic: String, instance: u32 },
-    /// The service exists and carries something else.
-    #[error(
-        "`{topic}` on instance {instance} carries another type of data ({reason}): its other processes are of another \
-         version of Vigil; stop them, or use another --instance"
-    )]
-    WrongType {
-        topic: String,
-        instance: u32,
-        reason: String,
-    },
-    /// Any other refusal by the transport.
-    #[error("`{topic}` frames on instance {instance}: cannot {action}: {reason}")]
-    Transport {
-        topic: String,
-        instance: u32,
-        action: &'static str,
-        reason: String,
-    },
+    /// Too many read, the other processes are of another version, or the transport refuses.
+    #[error("{0}")]
+    Failed(String),
 }
 
 type Service = publish_subscribe::PortFactory<ipc::Service, ShmFrame, ()>;
@@ -86,13 +69,11 @@ struct Place {
 }
 
 impl Place {
-    fn error(&self, action: &'static str, reason: impl ToString) -> FrameError {
-        FrameError::Transport {
-            topic: self.topic.clone(),
-            instance: self.instance,
-            action,
-            reason: reason.to_string(),
-        }
+    fn error(&self, action: &str, reason: impl Display) -> FrameError {
+        let Self { topic, instance } = self;
+        FrameError::Failed(format!(
+            "`{topic}` frames on instance {instance}: cannot {action}: {reason}"
+        ))
     }
 }
 
@@ -119,11 +100,11 @@ fn open_service(domain: &Domain, topic: &str) -> Result<(Service, Place), FrameE
                 reason @ (PublishSubscribeOpenError::IncompatibleTypes
                 | PublishSubscribeOpenError::IncompatibleMessagingPattern
                 | PublishSubscribeOpenError::VersionMismatch),
-            ) => FrameError::WrongType {
-                topic: topic.to_owned(),
-                instance: domain.instance(),
-                reason: reason.to_string(),
-            },
+            ) => FrameError::Failed(format!(
+                "`{topic}` on instance {} carries another type of data ({reason}): its other processes are of another \
+                 version of Vigil; stop them, or use another --instance",
+                place.instance
+            )),
             other => place.error("open the service", other),
         })?;
     Ok((service, place))
@@ -157,7 +138,7 @@ impl FramePublisher {
     /// [`DepthFrame::seal`] it. Returns the number of readers it went to. Never waits for a reader.
     ///
     /// # Errors
-    /// [`FrameError::Transport`].
+    /// [`FrameError`].
     pub fn publish_with(&mut self, fill: impl FnOnce(&mut DepthFrame)) -> Result<usize, FrameError> {
         let sample = self
             .publisher
@@ -171,7 +152,7 @@ impl FramePublisher {
     /// Publishes a copy of a sealed frame. Returns the number of readers it went to.
     ///
     /// # Errors
-    /// [`FrameError::Transport`].
+    /// [`FrameError`].
     pub fn publish(&mut self, frame: &DepthFrame) -> Result<usize, FrameError> {
         self.publish_with(|slot| slot.clone_from(frame))
     }
@@ -202,10 +183,10 @@ impl FrameSubscriber {
     pub fn create(domain: &Domain, topic: &str) -> Result<Self, FrameError> {
         let (service, place) = open_service(domain, topic)?;
         let subscriber = service.subscriber_builder().create().map_err(|e| match e {
-            SubscriberCreateError::ExceedsMaxSupportedSubscribers => FrameError::TooManyReaders {
-                topic: topic.to_owned(),
-                instance: domain.instance(),
-            },
+            SubscriberCreateError::ExceedsMaxSupportedSubscribers => FrameError::Failed(format!(
+                "instance {} already has {MAX_SUBSCRIBERS} readers of `{topic}` frames: stop one of them",
+                place.instance
+            )),
             other => place.error("create the reader", other),
         })?;
         Ok(Self { subscriber, place })
@@ -215,7 +196,7 @@ impl FrameSubscriber {
     /// (when a publisher appears, its memory is mapped).
     ///
     /// # Errors
-    /// [`FrameError::Transport`]; the next call may succeed.
+    /// [`FrameError`]; the next call may succeed.
     pub fn newest(&mut self) -> Result<Option<BorrowedFrame>, FrameError> {
         let mut newest = None;
         for _ in 0..MAX_PENDING {

@@ -54,16 +54,13 @@ impl WireDatagrams {
     }
 }
 
-pub(crate) const KIND_STEP: u32 = 0;
-pub(crate) const KIND_FINISH: u32 = 1;
-
 #[derive(Debug)]
 #[repr(C)]
 pub(crate) struct WireRequest {
     pub(crate) step: u64,
     pub(crate) now_ns: u64,
-    /// [`KIND_STEP`] or [`KIND_FINISH`].
-    pub(crate) kind: u32,
+    /// 1 when no more steps come; what else is here means nothing then.
+    pub(crate) finishes: u32,
     /// 1 when `frame` is new in this step.
     pub(crate) has_frame: u32,
     pub(crate) received: WireDatagrams,

@@ -121,12 +121,12 @@ fn a_stalled_disk_drops_records_and_the_log_says_how_many() {
     }
     // Four slots, and one that was written before the disk was needed.
     assert!((4..=5).contains(&taken), "{taken}");
-    assert_eq!(recorder.status().dropped, 50 - taken);
+    assert_eq!(recorder.dropped(), 50 - taken);
     drop(stalled);
     while !step(&mut recorder, 50, 2_000_000_000) {
         std::thread::yield_now();
     }
-    let dropped = recorder.status().dropped;
+    let dropped = recorder.dropped();
     let summary = recorder.finish();
     assert_eq!(
         (summary.records, summary.dropped, summary.failure),
@@ -152,7 +152,7 @@ fn a_loop_that_falls_silent_has_its_last_records_on_disk() {
     let disk = Disk::new(usize::MAX);
     let mut recorder = start(disk.clone(), config(WhenFull::Drop, 4)).unwrap();
     assert!(step(&mut recorder, 0, 0) && step(&mut recorder, 1, 0));
-    while recorder.status().flushed < 2 {
+    while recorder.flushed() < 2 {
         std::thread::sleep(Duration::from_millis(5));
     }
     assert_eq!(disk.read_back().0.len(), 2);

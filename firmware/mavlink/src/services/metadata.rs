@@ -50,18 +50,13 @@ struct File {
     crc32: u32,
 }
 
-impl File {
-    const fn new(name: &'static [u8], content: &'static [u8]) -> Self {
-        Self {
-            name,
-            content,
-            crc32: crc32(content),
-        }
-    }
+const fn file(name: &'static [u8], content: &'static [u8]) -> File {
+    let crc32 = crc32(content);
+    File { name, content, crc32 }
 }
 
-const GENERAL: File = File::new(b"general.json", include_bytes!("metadata/general.json"));
-const PARAMETERS: File = File::new(b"parameters.json", include_bytes!("metadata/parameters.json"));
+const GENERAL: File = file(b"general.json", include_bytes!("metadata/general.json"));
+const PARAMETERS: File = file(b"parameters.json", include_bytes!("metadata/parameters.json"));
 static FILES: [File; 2] = [GENERAL, PARAMETERS];
 
 /// A request; of a burst, the one that its next packet answers.

@@ -1,10 +1,10 @@
 //! The input gradient of a convolution of few input channels: vectors run along image columns.
 
 use super::Conv2d;
-use super::reorder::{Interleave, Transpose};
+use super::reorder::{interleave, transpose};
 use crate::aligned::LINE;
 use crate::isa::Isa;
-use crate::kernels::{self, Product, Start};
+use crate::kernels::{Product, Start};
 use crate::shape::{ShapeError, expect, part, part_mut};
 
 /// Along one axis, taps `step · stride + phase` for steps `from..to`, each of which has the phases `0..phases`. With stride
@@ -154,15 +154,8 @@ impl Conv2d {
                     oldest = next - kept;
                 }
                 let plane = part_mut("conv2d scratch", planes, (next - oldest) * image_row, image_row)?;
-                kernels::run(
-                    isa,
-                    Transpose {
-                        width: self.filters,
-                        from: dy_row,
-                        to: plane.get_mut(self.halo()..).unwrap_or_default(),
-                        to_row: plane_row,
-                    },
-                );
+                let to = plane.get_mut(self.halo()..).unwrap_or_default();
+                transpose(isa, self.filters, dy_row, to, plane_row);
                 next += 1;
             }
             let phases_len = self.phases_len();
@@ -179,14 +172,7 @@ impl Conv2d {
                 phase += columns.len();
             }
             for (phases, dx_row) in phase_rows.chunks_exact(phases_len).zip(&mut dx_rows) {
-                kernels::run(
-                    isa,
-                    Interleave {
-                        from: phases,
-                        lists: self.column_phases() * self.channels,
-                        to: dx_row,
-                    },
-                );
+                interleave(isa, phases, self.column_phases() * self.channels, dx_row);
             }
             iy += rows.len();
         }

@@ -1,14 +1,6 @@
 //! Moving values between pixel-major and column-major order.
 
-use crate::kernels::Task;
-
-/// Turns `from` (rows of `width` values) into columns: value `c` of row `r` goes to `to[c · to_row + r]`.
-pub(super) struct Transpose<'a> {
-    pub width: usize,
-    pub from: &'a [f32],
-    pub to: &'a mut [f32],
-    pub to_row: usize,
-}
+use crate::vectorised;
 
 /// Four values from `at` on.
 #[inline(always)]
@@ -47,14 +39,13 @@ fn sixteen(from: &[[f32; 16]], to: &mut [f32], to_row: usize) {
     }
 }
 
-impl Task for Transpose<'_> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let (width, to_row) = (self.width, self.to_row);
-        if let (16, (rows, [])) = (width, self.from.as_chunks::<16>()) {
-            return sixteen(rows, self.to, to_row);
+vectorised! {
+    /// Turns `from` (rows of `width` values) into columns: value `c` of row `r` goes to `to[c · to_row + r]`.
+    pub(super) fn transpose<'a>(width: usize, from: &'a [f32], to: &'a mut [f32], to_row: usize) {
+        if let (16, (rows, [])) = (width, from.as_chunks::<16>()) {
+            return sixteen(rows, to, to_row);
         }
-        for (block, rows) in self.from.chunks(4 * width).enumerate() {
+        for (block, rows) in from.chunks(4 * width).enumerate() {
             let first = block * 4;
             let square = if rows.len() == 4 * width { width / 4 * 4 } else { 0 };
             // Four by four, as in `sixteen`.
@@ -66,7 +57,7 @@ impl Task for Transpose<'_> {
                 let lines = [[a0, b0, c0, d0], [a1, b1, c1, d1], [a2, b2, c2, d2], [a3, b3, c3, d3]];
                 for (c, line) in lines.iter().enumerate() {
                     let at = (column + c) * to_row + first;
-                    if let Some(slot) = self.to.get_mut(at..at + 4) {
+                    if let Some(slot) = to.get_mut(at..at + 4) {
                         slot.copy_from_slice(line);
                     }
                 }
@@ -74,7 +65,7 @@ impl Task for Transpose<'_> {
             for column in square..width {
                 for (r, line) in rows.chunks_exact(width).enumerate() {
                     let value = line.get(column).copied();
-                    if let (Some(slot), Some(value)) = (self.to.get_mut(column * to_row + first + r), value) {
+                    if let (Some(slot), Some(value)) = (to.get_mut(column * to_row + first + r), value) {
                         *slot = value;
                     }
                 }
@@ -83,21 +74,14 @@ impl Task for Transpose<'_> {
     }
 }
 
-/// Deals several lists of equal length out in turn: `to[i · lists + l] = from[l][i]`, as far as `to` reaches.
-pub(super) struct Interleave<'a> {
-    pub from: &'a [f32],
-    pub lists: usize,
-    pub to: &'a mut [f32],
-}
-
-impl Task for Interleave<'_> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let len = self.from.len() / self.lists.max(1);
-        if self.lists == 2
-            && let Some((even, odd)) = self.from.split_at_checked(len)
+vectorised! {
+    /// Deals several lists of equal length out in turn: `to[i · lists + l] = from[l][i]`, as far as `to` reaches.
+    pub(super) fn interleave<'a>(from: &'a [f32], lists: usize, to: &'a mut [f32]) {
+        let len = from.len() / lists.max(1);
+        if lists == 2
+            && let Some((even, odd)) = from.split_at_checked(len)
         {
-            let (pairs, last) = self.to.as_chunks_mut::<2>();
+            let (pairs, last) = to.as_chunks_mut::<2>();
             for (pair, (even, odd)) in pairs.iter_mut().zip(even.iter().zip(odd)) {
                 *pair = [*even, *odd];
             }
@@ -106,8 +90,8 @@ impl Task for Interleave<'_> {
             }
             return;
         }
-        for (l, list) in self.from.chunks_exact(len.max(1)).enumerate() {
-            for (to, from) in self.to.iter_mut().skip(l).step_by(self.lists).zip(list) {
+        for (l, list) in from.chunks_exact(len.max(1)).enumerate() {
+            for (to, from) in to.iter_mut().skip(l).step_by(lists).zip(list) {
                 *to = *from;
             }
         }

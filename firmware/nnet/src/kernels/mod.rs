@@ -24,6 +24,29 @@ pub trait Task {
     fn run<const FUSED: bool>(self);
 }
 
+/// Makes a function whose body is compiled once for each instruction set, as a [`Task`]'s; which one to run is its first argument.
+#[macro_export]
+macro_rules! vectorised {
+    ($(#[$doc:meta])* $vis:vis fn $name:ident<$life:lifetime>($($arg:ident: $type:ty),* $(,)?) $body:block) => {
+        $(#[$doc])*
+        $vis fn $name<$life>(isa: $crate::Isa, $($arg: $type),*) {
+            struct Arguments<$life> {
+                $($arg: $type),*
+            }
+
+            impl<$life> $crate::Task for Arguments<$life> {
+                #[inline(always)]
+                fn run<const FUSED: bool>(self) {
+                    let Self { $($arg),* } = self;
+                    $body
+                }
+            }
+
+            isa.run(Arguments { $($arg),* });
+        }
+    };
+}
+
 /// `a · b + c`, rounded once if `FUSED`.
 #[inline(always)]
 pub(crate) fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
@@ -42,19 +65,22 @@ pub(crate) fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
     a * b + c
 }
 
-/// Runs a task compiled for the instruction set.
-pub(crate) fn run<T: Task>(isa: Isa, task: T) {
-    match isa.0 {
-        Level::Portable => task.run::<false>(),
-        // SAFETY: an `Isa` of this level exists only where the processor has these features: its field is private and
-        // is set only after detection.
-        #[cfg(target_arch = "x86_64")]
-        Level::Avx2Fma => unsafe { run_avx2(task) },
-        // SAFETY: as above.
-        #[cfg(target_arch = "x86_64")]
-        Level::Avx512 => unsafe { run_avx512(task) },
-        #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
-        Level::Neon => task.run::<true>(),
+impl Isa {
+    /// Does a task compiled for this instruction set.
+    #[inline]
+    pub fn run<T: Task>(self, task: T) {
+        match self.0 {
+            Level::Portable => task.run::<false>(),
+            // SAFETY: an `Isa` of this level exists only where the processor has these features: its field is private and
+            // is set only after detection.
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx2Fma => unsafe { run_avx2(task) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx512 => unsafe { run_avx512(task) },
+            #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+            Level::Neon => task.run::<true>(),
+        }
     }
 }
 

@@ -3,7 +3,9 @@
 
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, Gru, Isa, Lstm, MaxPool2d, Purpose};
+use vigil_nnet::{
+    Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, Gru, Isa, LayerNorm, Lstm, MaxPool2d, Purpose,
+};
 
 pub fn rng(seed: u64) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(seed)
@@ -48,11 +50,64 @@ pub fn small_network(purpose: Purpose, explained: bool) -> Graph {
     b.finish(x, purpose).unwrap()
 }
 
-/// The tape of an evaluation.
-pub fn tape_of(graph: &Graph, isa: Isa, params: &[f32], inputs: &[&[f32]]) -> Vec<f32> {
-    let mut tape = vec![f32::NAN; graph.tape_len()];
-    graph.forward(isa, params, inputs, &mut tape).unwrap();
-    tape
+/// A network with its parameters, on an instruction set.
+pub struct Evaluated<'a> {
+    pub graph: Graph,
+    isa: Isa,
+    params: &'a [f32],
+    packed: Vec<f32>,
+}
+
+impl<'a> Evaluated<'a> {
+    pub fn new(graph: Graph, isa: Isa, params: &'a [f32]) -> Self {
+        let mut packed = vec![f32::NAN; graph.param_len()];
+        graph.pack(params, &mut packed).unwrap();
+        Self {
+            graph,
+            isa,
+            params,
+            packed,
+        }
+    }
+
+    /// The tape of an evaluation.
+    pub fn tape(&self, inputs: &[Vec<f32>]) -> Vec<f32> {
+        let mut tape = vec![f32::NAN; self.graph.tape_len()];
+        let inputs: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
+        self.graph.forward(self.isa, self.params, &inputs, &mut tape).unwrap();
+        tape
+    }
+
+    pub fn output(&self, tape: &[f32]) -> Vec<f32> {
+        self.graph.output(tape).unwrap().to_vec()
+    }
+
+    /// Gradients of `Σ d · output` at each input, and at the parameters.
+    pub fn gradients(&self, tape: &[f32], d: &[f32]) -> (Vec<Vec<f32>>, Vec<f32>) {
+        let mut work = vec![f32::NAN; self.graph.work_len()];
+        // The parameters' are added to what is there.
+        let mut d_params = vec![1.0; self.params.len()];
+        let slot = Some(&mut *d_params);
+        (self.graph)
+            .backward(self.isa, &self.packed, tape, d, slot, &mut work)
+            .unwrap();
+        d_params.iter_mut().for_each(|d| *d -= 1.0);
+        (self.of_inputs(&work), d_params)
+    }
+
+    /// Multipliers of each input.
+    pub fn multipliers(&self, tape: &[f32], reference: &[f32], m: &[f32]) -> Vec<Vec<f32>> {
+        let mut work = vec![f32::NAN; self.graph.work_len()];
+        (self.graph)
+            .multipliers(self.isa, &self.packed, tape, reference, m, &mut work)
+            .unwrap();
+        self.of_inputs(&work)
+    }
+
+    fn of_inputs(&self, work: &[f32]) -> Vec<Vec<f32>> {
+        let of = |i| self.graph.input_gradient(work, i).unwrap().to_vec();
+        (0..self.graph.input_count()).map(of).collect()
+    }
 }
 
 pub fn wide(x: &[f32]) -> Vec<f64> {
@@ -161,6 +216,18 @@ pub fn batch_norm(b: BatchNorm, p: &[f64], x: &[f64]) -> Vec<f64> {
     let n = b.channels;
     let at = |i: usize, x: f64| p[i] * (x - p[2 * n + i]) / (p[3 * n + i] + f64::from(b.epsilon)).sqrt() + p[n + i];
     x.iter().enumerate().map(|(i, x)| at(i % n, *x)).collect()
+}
+
+pub fn layer_norm(l: LayerNorm, p: &[f64], x: &[f64]) -> Vec<f64> {
+    let of_row = |x: &[f64]| -> Vec<f64> {
+        let mean = x.iter().sum::<f64>() / l.width as f64;
+        let variance = x.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / l.width as f64;
+        let root = (variance + f64::from(l.epsilon)).sqrt();
+        let row = x.iter().zip(p.iter().zip(&p[l.width..]));
+        row.map(|(x, (scale, shift))| scale * (x - mean) / root + shift)
+            .collect()
+    };
+    x.chunks_exact(l.width).flat_map(of_row).collect()
 }
 
 /// `x M + b` with `M` row-major.

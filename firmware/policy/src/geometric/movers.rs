@@ -57,22 +57,18 @@ struct Outline {
 
 impl Outline {
     /// The thing, if both sides are seen: a circle of radius r at distance d spans the angle 2 asin(r / d), and its nearest point is at d − r.
-    fn thing(&self, place: impl Fn(f32, f32) -> (f32, f32)) -> Option<Thing> {
+    fn thing(&self, at: impl Fn(f32, f32, f32) -> Thing) -> Option<Thing> {
         if !(self.free_left && self.free_right) {
             return None;
         }
         let half = libm::sinf(0.5 * (self.right_rad - self.left_rad + SECTOR_RAD)).min(0.7);
         let radius_m = (self.nearest_m * half / (1.0 - half)).clamp(LEAST_RADIUS_M, 0.5 * WIDEST_M);
-        let (north_m, east_m) = place(self.nearest_m + radius_m, 0.5 * (self.left_rad + self.right_rad));
-        Some(Thing {
-            north_m,
-            east_m,
-            radius_m,
-        })
+        let bearing_rad = 0.5 * (self.left_rad + self.right_rad);
+        Some(at(self.nearest_m + radius_m, bearing_rad, radius_m))
     }
 
     /// A thing of known radius by the side of it that is seen.
-    fn part_of(&self, radius_m: f32, place: impl Fn(f32, f32) -> (f32, f32)) -> Option<Thing> {
+    fn part_of(&self, radius_m: f32, at: impl Fn(f32, f32, f32) -> Thing) -> Option<Thing> {
         let range_m = self.nearest_m + radius_m;
         let half_rad = libm::asinf((radius_m / range_m).min(1.0));
         let bearing_rad = match (self.free_left, self.free_right) {
@@ -80,12 +76,7 @@ impl Outline {
             (false, true) => self.right_rad + 0.5 * SECTOR_RAD - half_rad,
             _ => return None,
         };
-        let (north_m, east_m) = place(range_m, bearing_rad);
-        Some(Thing {
-            north_m,
-            east_m,
-            radius_m,
-        })
+        Some(at(range_m, bearing_rad, radius_m))
     }
 }
 
@@ -117,17 +108,18 @@ impl MoverTracker {
             }
             track.unseen_s += seconds;
         }
-        let place = |range_m: f32, bearing_rad: f32| {
+        let at = |range_m: f32, bearing_rad: f32, radius_m: f32| {
             let angle = yaw_rad + bearing_rad;
-            (
-                here.x + range_m * libm::cosf(angle),
-                here.y + range_m * libm::sinf(angle),
-            )
+            Thing {
+                north_m: here.x + range_m * libm::cosf(angle),
+                east_m: here.y + range_m * libm::sinf(angle),
+                radius_m,
+            }
         };
         let mut corrected = [false; MAX_TRACKS];
-        for_each_outline(scan, |outline| match outline.thing(place) {
+        for_each_outline(scan, |outline| match outline.thing(at) {
             Some(thing) => self.enter(&thing, &mut corrected),
-            None => self.enter_part(outline, place, &mut corrected),
+            None => self.enter_part(outline, at, &mut corrected),
         });
         let (sin, cos) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
         for (slot, corrected) in self.tracks.iter_mut().zip(corrected) {
@@ -188,7 +180,7 @@ impl MoverTracker {
     fn enter_part(
         &mut self,
         outline: &Outline,
-        place: impl Fn(f32, f32) -> (f32, f32) + Copy,
+        at: impl Fn(f32, f32, f32) -> Thing + Copy,
         corrected: &mut [bool; MAX_TRACKS],
     ) {
         for (track, corrected) in self.tracks.iter_mut().zip(corrected) {
@@ -196,7 +188,7 @@ impl MoverTracker {
                 && track.moves
                 && track.is_located()
                 && !*corrected
-                && let Some(thing) = outline.part_of(track.radius_m, place)
+                && let Some(thing) = outline.part_of(track.radius_m, at)
                 && libm::hypotf(track.north_m - thing.north_m, track.east_m - thing.east_m) < GATE_M
             {
                 track.correct(&thing);

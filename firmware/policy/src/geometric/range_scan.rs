@@ -5,7 +5,7 @@
 
 use crate::apf::NearestObstacle;
 use crate::{PilotInput, larger, smaller};
-use vigil_nnet::{Isa, Task};
+use vigil_nnet::{Isa, vectorised};
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrdVector, HeadingVector, NedVector, column_bearing_rad,
     row_elevation_rad,
@@ -204,7 +204,8 @@ impl RangeScan {
 
     /// For each sector the third smallest squared horizontal range (normalised) of its points within the band.
     fn nearest_by_sector(&self, frame: &DepthFrame, axes: &Axes) -> [f32; SECTORS] {
-        let nearest = self.look(frame, axes, [[NOTHING; 3]; DEPTH_COLS]);
+        let mut nearest = [[NOTHING; 3]; DEPTH_COLS];
+        find_nearest(Isa::detect(), self, frame, axes, &mut nearest);
         let mut squared = [NOTHING; SECTORS];
         for (squared, [a, b]) in squared.iter_mut().zip(nearest.as_chunks::<2>().0) {
             *squared = third_smallest(*a, *b);
@@ -215,7 +216,8 @@ impl RangeScan {
     /// For each sector the squared [`DISTRUST_QUANTILE`] (normalised) of the ranges of all pixels that look level to within
     /// [`DISTRUST_HALF_ANGLE_RAD`], its neighbouring sectors' included.
     fn quantile_by_sector(&self, frame: &DepthFrame, axes: &Axes) -> [f32; SECTORS] {
-        let sectors = self.look(frame, axes, [[0_u16; DISTRUST_BINS]; SECTORS]);
+        let mut sectors = [[0_u16; DISTRUST_BINS]; SECTORS];
+        count_by_range(Isa::detect(), self, frame, axes, &mut sectors);
         let mut squared = [NOTHING; SECTORS];
         for (sector, squared) in squared.iter_mut().enumerate() {
             let mut bins = [0_u16; DISTRUST_BINS];
@@ -250,35 +252,16 @@ impl RangeScan {
         }
         squared
     }
-
-    /// Fills `seen` from a frame, compiled for this processor's vectors.
-    fn look<T>(&self, frame: &DepthFrame, axes: &Axes, mut seen: T) -> T
-    where
-        for<'a> Look<'a, T>: Task,
-    {
-        Isa::detect().run(Look {
-            tables: self,
-            frame,
-            axes,
-            seen: &mut seen,
-        });
-        seen
-    }
 }
 
-/// What is read from a frame's pixels.
-struct Look<'a, T> {
-    tables: &'a RangeScan,
-    frame: &'a DepthFrame,
-    axes: &'a Axes,
-    seen: &'a mut T,
-}
-
-/// For each sector, how many of its pixels look level, by range.
-impl Task for Look<'_, [[u16; DISTRUST_BINS]; SECTORS]> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let (tables, frame, axes, sectors) = (self.tables, self.frame, self.axes, self.seen);
+vectorised! {
+    /// For each sector, how many of its pixels look level, by range.
+    fn count_by_range<'a>(
+        tables: &'a RangeScan,
+        frame: &'a DepthFrame,
+        axes: &'a Axes,
+        sectors: &'a mut [[u16; DISTRUST_BINS]; SECTORS],
+    ) {
         let band = libm::sinf(DISTRUST_HALF_ANGLE_RAD);
         let lean = libm::hypotf(axes.forward.z, axes.right.z);
         for (pixels, &(cos_row, sin_row)) in frame.depth.as_chunks::<DEPTH_COLS>().0.iter().zip(&tables.rows) {
@@ -307,12 +290,15 @@ impl Task for Look<'_, [[u16; DISTRUST_BINS]; SECTORS]> {
     }
 }
 
-/// For each column the three smallest squared horizontal ranges (normalised) of points within the band, ascending.
-/// Three, because one alone could be a stray return.
-impl Task for Look<'_, [[f32; 3]; DEPTH_COLS]> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let (tables, frame, axes, nearest) = (self.tables, self.frame, self.axes, self.seen);
+vectorised! {
+    /// For each column the three smallest squared horizontal ranges (normalised) of points within the band, ascending.
+    /// Three, because one alone could be a stray return.
+    fn find_nearest<'a>(
+        tables: &'a RangeScan,
+        frame: &'a DepthFrame,
+        axes: &'a Axes,
+        nearest: &'a mut [[f32; 3]; DEPTH_COLS],
+    ) {
         let band = BAND_HALF_HEIGHT_M / DEPTH_FULL_SCALE_M;
         let farthest = USEFUL_RANGE_M / DEPTH_FULL_SCALE_M;
         let directions =

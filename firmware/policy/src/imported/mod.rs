@@ -11,4 +11,4 @@ mod split;
 pub use file::{FORMAT as POLICY_FORMAT, FrozenPolicy};
 pub use network::{Layer, MOST_MULTIPLY_ADDS, MOST_VALUES, Network, NetworkError, SPLIT_VALUES, refuse_more};
 pub use pilot::{Channels, Depth, ImportedPilot, PolicyInputs};
-pub use split::{Head, UNSATURATED};
+pub use split::Head;

@@ -170,6 +170,11 @@ fn product(sizes: &[usize]) -> u64 {
     sizes.iter().fold(1, |all, size| all.saturating_mul(*size as u64))
 }
 
+/// Places of a window along a side of an image.
+fn places(size: usize, window: usize, stride: usize, padding: usize) -> u64 {
+    (size as u64 + 2 * padding as u64).saturating_sub(window as u64) / stride.max(1) as u64 + 1
+}
+
 impl Layer {
     /// Its line in a network's text: the kind, the layers that it uses, its sizes, and the word behind them.
     pub(super) fn line(&self) -> Line {
@@ -224,7 +229,7 @@ impl Layer {
     }
 
     /// Parameters, values and multiply-adds at most, without overflow.
-    fn cost(&self) -> (u64, u64, u64) {
+    pub(super) fn cost(&self) -> (u64, u64, u64) {
         match self {
             Self::Input { len } | Self::Zeros { len } | Self::Slice { len, .. } => (0, *len as u64, 0),
             Self::Concat { .. } | Self::Curve { .. } | Self::Function { .. } => (0, 0, 0),
@@ -232,9 +237,7 @@ impl Layer {
             Self::LayerNorm { layer, .. } => (2 * layer.width as u64, layer.width as u64, 0),
             Self::Conv2d { layer: l, .. } => {
                 let weights = product(&[l.kernel, l.kernel, l.channels, l.filters]);
-                let out = |size: usize| {
-                    (size as u64 + 2 * l.padding as u64).saturating_sub(l.kernel as u64) / l.stride.max(1) as u64 + 1
-                };
+                let out = |size: usize| places(size, l.kernel, l.stride, l.padding);
                 let pixels = out(l.rows).saturating_mul(out(l.cols));
                 let values = pixels.saturating_mul(l.filters as u64);
                 let values = values.max(product(&[l.rows, l.cols, l.channels]));
@@ -253,9 +256,7 @@ impl Layer {
                 )
             }
             Self::MaxPool2d { layer: l, .. } => {
-                let out = |size: usize, window: usize| {
-                    (size as u64 + 2 * l.padding as u64).saturating_sub(window as u64) / l.stride.max(1) as u64 + 1
-                };
+                let out = |size: usize, window: usize| places(size, window, l.stride, l.padding);
                 let [height, width] = l.window;
                 let pixels = out(l.rows, height).saturating_mul(out(l.cols, width));
                 let values = pixels.saturating_mul(l.channels as u64);

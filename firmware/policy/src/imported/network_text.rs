@@ -92,7 +92,7 @@ impl fmt::Display for Network {
 }
 
 /// The layer of a line: its kind, its numbers, and the word behind them.
-fn layer_of(kind: &str, numbers: &[usize], word: Option<&str>) -> Option<Layer> {
+pub(super) fn layer_of(kind: &str, numbers: &[usize], word: Option<&str>) -> Option<Layer> {
     let curve = || word.and_then(curve_of);
     let epsilon = || word.and_then(|word| word.parse().ok());
     Some(match (kind, numbers) {

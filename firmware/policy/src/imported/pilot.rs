@@ -91,23 +91,23 @@ impl PolicyInputs {
 
     /// A pixel's value for a range over 100 m.
     pub fn value(&self, range: f32) -> f32 {
-        self.scale
-            * match (self.depth, Activation::NEAR_CONTRAST) {
-                (Depth::Contrast, Activation::NearContrast { gain }) => 1.0 / (1.0 + gain * range),
-                _ => range,
-            }
+        self.scale * self.unscaled(range)
     }
 
     /// Change of [`Self::value`] over that of the range.
     pub fn slope(&self, range: f32) -> f32 {
         self.scale
-            * match (self.depth, Activation::NEAR_CONTRAST) {
-                (Depth::Contrast, Activation::NearContrast { gain }) => {
-                    let value = 1.0 / (1.0 + gain * range);
-                    -gain * value * value
-                }
-                _ => 1.0,
+            * match self.depth {
+                Depth::Range => 1.0,
+                Depth::Contrast => -Activation::NEAR_GAIN * self.unscaled(range) * self.unscaled(range),
             }
+    }
+
+    fn unscaled(&self, range: f32) -> f32 {
+        match self.depth {
+            Depth::Range => range,
+            Depth::Contrast => 1.0 / (1.0 + Activation::NEAR_GAIN * range),
+        }
     }
 
     /// Takes our newest frame into the policy's, `[row][column][channel]`; `first` if no frame came before it.

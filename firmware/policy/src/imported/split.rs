@@ -1,16 +1,14 @@
 //! Where an imported policy is taken apart to be explained: the layers behind its split point are a network of their own.
 
 use super::network::{Layer, Network, NetworkError, SPLIT_VALUES};
+use super::network_text::layer_of;
 use crate::actor::GOAL_INPUTS;
 use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec;
 use alloc::vec::Vec;
 use core::mem::replace;
-use vigil_nnet::{Activation, Function};
-
-/// What an unsaturated network's curve is instead of the saturating one.
-pub const UNSATURATED: Activation = Activation::Identity;
+use vigil_nnet::{Activation, Dense, Function};
 
 /// The layers behind a split point: inputs are the split point's values and the low-dimensional observation `[2]` (read or not), the output is the
 /// policy's. Parameters are those of its layers, in their order.
@@ -36,37 +34,18 @@ impl Layer {
     /// Number of its parameters.
     pub fn param_len(&self) -> usize {
         match self {
-            Self::Gru { layer, .. } => layer.param_len(),
+            // Of the two biases of others it has the sum.
             Self::Lstm { layer, .. } => layer.param_len(),
-            Self::Conv2d { layer, .. } => layer.param_len(),
-            Self::Dense { layer, .. } => layer.param_len(),
-            Self::BatchNorm { layer, .. } => layer.param_len(),
-            Self::LayerNorm { layer, .. } => layer.param_len(),
-            _ => 0,
+            _ => self.cost().0 as usize,
         }
     }
 
     /// The same layer with other numbers for those that it reads.
-    fn renumbered(&self, new: impl Fn(usize) -> usize, new_params_of: usize) -> Self {
-        let mut layer = self.clone();
-        match &mut layer {
-            Self::Input { .. } | Self::Zeros { .. } => {}
-            Self::Slice { x, .. }
-            | Self::Curve { x, .. }
-            | Self::Conv2d { x, .. }
-            | Self::Dense { x, .. }
-            | Self::MaxPool2d { x, .. }
-            | Self::BatchNorm { x, .. }
-            | Self::Function { x, .. }
-            | Self::LayerNorm { x, .. } => *x = new(*x),
-            Self::Product { x, y } => (*x, *y) = (new(*x), new(*y)),
-            Self::Concat { parts } | Self::Sum { parts } => parts.iter_mut().for_each(|part| *part = new(*part)),
-            Self::Gru { x, h, params_of, .. } => (*x, *h, *params_of) = (new(*x), new(*h), new_params_of),
-            Self::Lstm {
-                x, state, params_of, ..
-            } => (*x, *state, *params_of) = (new(*x), new(*state), new_params_of),
-        }
-        layer
+    fn renumbered(&self, new: impl Fn(usize) -> usize, new_params_of: usize) -> Option<Self> {
+        let line = self.line();
+        let sources = line.sources.into_iter().map(new).chain(line.sizes);
+        let numbers: Vec<usize> = sources.chain(line.params_of.map(|_| new_params_of)).collect();
+        layer_of(line.kind, &numbers, Some(&line.word))
     }
 }
 
@@ -107,6 +86,17 @@ impl Network {
         lens
     }
 
+    /// Where each layer's parameters begin, of those that have their own.
+    fn offsets(&self) -> Vec<usize> {
+        let layers = self.layers.iter().enumerate();
+        let offsets = layers.scan(0, |next, (number, layer)| {
+            let is_own = layer.params_of(number) == Some(number);
+            let len = if is_own { layer.param_len() } else { 0 };
+            Some(replace(next, *next + len))
+        });
+        offsets.collect()
+    }
+
     /// Number of the layer that is the network's input `i`.
     fn input_layer(&self, i: usize) -> Option<usize> {
         let inputs = self.layers.iter().enumerate();
@@ -143,14 +133,7 @@ impl Network {
         if frame.is_none_or(is_needed) {
             return refused("the action depends on the frame by another way as well".to_string());
         }
-        // Offsets of the parameters of those layers that have their own.
-        let layers = self.layers.iter().enumerate();
-        let offsets = layers.scan(0, |next, (number, layer)| {
-            let is_own = layer.params_of(number) == Some(number);
-            let len = if is_own { layer.param_len() } else { 0 };
-            Some(replace(next, *next + len))
-        });
-        let offsets: Vec<usize> = offsets.collect();
+        let offsets = self.offsets();
         let mut network = Self {
             layers: vec![Layer::Input { len: width }, Layer::Input { len: GOAL_INPUTS }],
             output: 0,
@@ -183,7 +166,10 @@ impl Network {
                 }
             }
             let new = |source: usize| numbers.get(source).copied().unwrap_or(usize::MAX);
-            network.layers.push(layer.renumbered(new, new_params_of));
+            let Some(layer) = layer.renumbered(new, new_params_of) else {
+                return refused(format!("layer {number} has no text"));
+            };
+            network.layers.push(layer);
         }
         network.output = numbers.get(self.output).copied().unwrap_or(0);
         network.check()?;
@@ -217,10 +203,18 @@ impl Network {
         !readers.all(|layer| matches!(layer, Layer::Curve { .. } | Layer::Function { .. }))
     }
 
-    /// The same network before its outputs saturate: clips at its end and the last sigmoid or tanh, if only what is linear follows them,
-    /// are left out. Its gradient does not vanish where the policy is at its limits.
+    /// The same network before its outputs saturate: clips at its end and the last sigmoid or tanh, if only what scales or picks its values
+    /// follows them, are left out. Its gradient does not vanish where the policy is at its limits.
     #[must_use]
-    pub fn unsaturated(&self) -> Self {
+    pub fn unsaturated(&self, params: &[f32]) -> Self {
+        let offsets = self.offsets();
+        // What lies before a layer that mixes values is hidden, no limit of an output.
+        let mixes = |number: usize, layer: &Dense| {
+            let from = offsets.get(number).copied().unwrap_or_default();
+            let weights = params.get(from..).unwrap_or_default().iter();
+            let column = |output| (weights.clone().skip(output).step_by(layer.outputs.max(1))).take(layer.inputs);
+            (0..layer.outputs).any(|output| column(output).filter(|weight| **weight != 0.0).count() > 1)
+        };
         let mut network = self.clone();
         let mut number = self.output;
         loop {
@@ -230,13 +224,18 @@ impl Network {
                     function: Function::Clip { .. },
                 } = *layer
             {
-                let curve = UNSATURATED;
+                let curve = Activation::Identity;
                 *layer = Layer::Curve { x, curve };
             }
             let source = match network.layers.get_mut(number) {
+                Some(Layer::Dense {
+                    layer,
+                    curve: Activation::Identity,
+                    ..
+                }) if mixes(number, layer) => return network,
                 Some(Layer::Dense { x, curve, .. } | Layer::Curve { x, curve }) => match curve {
                     Activation::Tanh { .. } | Activation::Sigmoid => {
-                        *curve = UNSATURATED;
+                        *curve = Activation::Identity;
                         return network;
                     }
                     Activation::Identity => *x,

@@ -1,7 +1,7 @@
 //! Whether the sensor sees anything: zeros, ranges of anywhere, no return at all, or strips of the view without the ground.
 
+use super::LOW_M;
 use super::picture::{COLS, CellCounts, Directions, Picture, ROWS};
-use super::{LOW_M, count};
 use vigil_types::{Attitude, NedVector};
 
 /// The ground must be seen where its range is below this, metres; and it is at the height of home.
@@ -27,57 +27,38 @@ pub(super) fn lacks_ranges(CellCounts { zeros, holes, wild, .. }: CellCounts) ->
     zeros >= BLIND_ZEROS || holes >= BLIND_HOLES || wild >= BLIND_WILD
 }
 
-/// Frames in a row in which nothing, or something, was seen, and what they make of the sensor.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Blindness {
-    blind_frames: u8,
-    seeing_frames: u8,
-    is_blind: bool,
-}
-
-impl Blindness {
-    /// Whether it is blind after this picture, taken at this attitude and, where it is known, height.
-    pub(super) fn note(
-        &mut self,
-        picture: &Picture,
-        counts: CellCounts,
-        directions: &Directions,
-        attitude: Attitude,
-        height_m: Option<f32>,
-    ) -> bool {
-        let down = attitude.to_frd(NedVector::new(0.0, 0.0, 1.0));
-        let low = height_m.is_none_or(|height_m| height_m < HIGH_M);
-        let ground_m = height_m.filter(|height_m| (LOW_M..HIGH_M).contains(height_m));
-        let mut returns = false;
-        let (mut expected, mut missing) = ([0_u16; STRIPS], [0_u16; STRIPS]);
-        for (row, cells) in picture.rows().iter().enumerate() {
-            let strips = cells
-                .as_chunks::<STRIP>()
-                .0
-                .iter()
-                .zip(expected.iter_mut().zip(&mut missing));
-            for (strip, (cells, (expected, missing))) in strips.enumerate() {
-                returns |= cells.iter().any(|inverse| *inverse != 0.0);
-                let Some(ground_m) = ground_m else { continue };
-                let falls = directions.falls(down, row, strip * STRIP + STRIP / 2);
-                if falls * GROUND_M > ground_m {
-                    *expected += STRIP as u16;
-                    *missing += cells.iter().filter(|inverse| **inverse == 0.0).count() as u16;
-                }
+/// Whether a picture, taken at this attitude and, where it is known, height, is a blind sensor's.
+pub(super) fn sees_nothing(
+    picture: &Picture,
+    counts: CellCounts,
+    directions: &Directions,
+    attitude: Attitude,
+    height_m: Option<f32>,
+) -> bool {
+    let down = attitude.to_frd(NedVector::new(0.0, 0.0, 1.0));
+    let low = height_m.is_none_or(|height_m| height_m < HIGH_M);
+    let ground_m = height_m.filter(|height_m| (LOW_M..HIGH_M).contains(height_m));
+    let mut returns = false;
+    let (mut expected, mut missing) = ([0_u16; STRIPS], [0_u16; STRIPS]);
+    for (row, cells) in picture.rows().iter().enumerate() {
+        let strips = cells
+            .as_chunks::<STRIP>()
+            .0
+            .iter()
+            .zip(expected.iter_mut().zip(&mut missing));
+        for (strip, (cells, (expected, missing))) in strips.enumerate() {
+            returns |= cells.iter().any(|inverse| *inverse != 0.0);
+            let Some(ground_m) = ground_m else { continue };
+            let falls = directions.falls(down, row, strip * STRIP + STRIP / 2);
+            if falls * GROUND_M > ground_m {
+                *expected += STRIP as u16;
+                *missing += cells.iter().filter(|inverse| **inverse == 0.0).count() as u16;
             }
         }
-        let strips = expected.iter().zip(&missing);
-        let dead = strips
-            .filter(|(expected, missing)| **expected >= LEAST_GROUND && **missing * 2 > **expected)
-            .count();
-        let blind = lacks_ranges(counts) || (low && !returns) || dead >= BLIND_STRIPS;
-        count(&mut self.blind_frames, blind);
-        count(&mut self.seeing_frames, !blind);
-        self.is_blind = if self.is_blind {
-            self.seeing_frames < SEEING_FRAMES
-        } else {
-            self.blind_frames >= BLIND_FRAMES
-        };
-        self.is_blind
     }
+    let strips = expected.iter().zip(&missing);
+    let dead = strips
+        .filter(|(expected, missing)| **expected >= LEAST_GROUND && **missing * 2 > **expected)
+        .count();
+    lacks_ranges(counts) || (low && !returns) || dead >= BLIND_STRIPS
 }

@@ -20,7 +20,7 @@ mod silence;
 
 pub use self::poses::has_jumped;
 
-use self::blindness::Blindness;
+use self::blindness::{BLIND_FRAMES, SEEING_FRAMES};
 use self::comparison::Kept;
 use self::evidence::{Evidence, Raised};
 use self::motion::{Pose, turn_rad};
@@ -59,7 +59,7 @@ pub struct PlausibilityCheck {
     estimate_disagrees: bool,
     /// It did not, some time in this flight.
     estimate_errs: bool,
-    blindness: Blindness,
+    blindness: Fault,
     silent: SilentSide,
     shadow: Shadow,
     parallax: Parallax,
@@ -154,9 +154,9 @@ impl PlausibilityCheck {
             position_ned_m: frame.header.position_ned_m,
             attitude: frame.header.attitude,
         };
-        let sees_nothing = self
-            .blindness
-            .note(&self.picture, self.counts, &self.directions, pose.attitude, height_m);
+        let sees_nothing =
+            blindness::sees_nothing(&self.picture, self.counts, &self.directions, pose.attitude, height_m);
+        let is_blind = self.blindness.note(sees_nothing, BLIND_FRAMES, SEEING_FRAMES);
         let stamp_ns = frame.header.stamp_ns;
         let before = self.taken_before.replace((stamp_ns, pose.attitude));
         let one_step = before.is_some_and(|(before_ns, attitude)| {
@@ -166,7 +166,7 @@ impl PlausibilityCheck {
             self.forget_pictures();
         }
         self.silent.note(&self.picture, one_step.then_some(&self.before));
-        let blind = sees_nothing || self.silent.is_dead;
+        let blind = is_blind || self.silent.fault.is_raised;
         let in_flight = armed && height_m.is_some_and(|height_m| height_m > LOW_M);
         if let Some(known) = known {
             self.poses.note(&pose, stamp_ns, known, in_flight);
@@ -175,7 +175,7 @@ impl PlausibilityCheck {
         let takes_off = known.is_some_and(|(kinematics, _)| self.take_off.goes_on(telemetry, &kinematics))
             && !obeys_setpoints(telemetry)
             || stands_or_takes_off(telemetry);
-        let guided = in_flight && obeys_setpoints(telemetry) && !blind && !self.poses.is_bad;
+        let guided = in_flight && obeys_setpoints(telemetry) && !blind && !self.poses.fault.is_raised;
         self.note_ranges(frame, &pose, height_m.filter(|_| guided));
         if !armed {
             // The flight is over.
@@ -184,7 +184,7 @@ impl PlausibilityCheck {
             self.estimate_errs = false;
             (self.shadow, self.parallax) = (Shadow::default(), Parallax::default());
             self.regions.forget();
-        } else if !in_flight || takes_off || blind || self.poses.is_bad {
+        } else if !in_flight || takes_off || blind || self.poses.fault.is_raised {
             self.forget_pictures();
         } else if self.raised.is_some() {
             self.look_for_a_fit(&pose, stamp_ns);
@@ -196,7 +196,7 @@ impl PlausibilityCheck {
         self.pose_before = in_flight.then_some(pose);
         self.faults = Reasons::NONE
             .with_if(blind, Reason::BlindSensor)
-            .with_if(self.poses.is_bad, Reason::ImplausiblePose)
+            .with_if(self.poses.fault.is_raised, Reason::ImplausiblePose)
             .with_if(self.parallax.is_raised, Reason::InconsistentPicture)
             .union(self.raised.map_or(Reasons::NONE, |raised| Reasons::of(raised.reason)));
         self.sensor_faults(telemetry)
@@ -271,6 +271,27 @@ fn obeys_setpoints(telemetry: &VehicleTelemetry) -> bool {
 /// Counts steps in a row.
 fn count(steps: &mut u8, holds: bool) {
     *steps = if holds { steps.saturating_add(1) } else { 0 };
+}
+
+/// What so many bad steps in a row raise, and so many good ones end.
+#[derive(Debug, Clone, Default, PartialEq)]
+struct Fault {
+    bad: u8,
+    good: u8,
+    is_raised: bool,
+}
+
+impl Fault {
+    fn note(&mut self, is_bad: bool, raise_steps: u8, end_steps: u8) -> bool {
+        count(&mut self.bad, is_bad);
+        count(&mut self.good, !is_bad);
+        self.is_raised = if self.is_raised {
+            self.good < end_steps
+        } else {
+            self.bad >= raise_steps
+        };
+        self.is_raised
+    }
 }
 
 #[cfg(test)]

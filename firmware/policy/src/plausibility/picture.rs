@@ -1,7 +1,7 @@
 //! A depth frame reduced to cells of 4 × 4 pixels: what two frames are compared by.
 
 use crate::{larger, smaller};
-use vigil_nnet::{Isa, Task};
+use vigil_nnet::Isa;
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrdVector, HORIZONTAL_FOV_RAD, PIXEL_PITCH_RAD,
     VERTICAL_FOV_RAD, column_bearing_rad, row_elevation_rad,
@@ -207,12 +207,7 @@ impl Picture {
     /// Takes a frame, and the sides of its cells; counts what is counts.
     pub(super) fn take(&mut self, frame: &DepthFrame, sides: &mut Sides) -> CellCounts {
         let mut counts = CellCounts::default();
-        Isa::detect().run(Reduction {
-            picture: self,
-            frame,
-            sides,
-            counts: &mut counts,
-        });
+        reduce(Isa::detect(), self, frame, sides, &mut counts);
         counts
     }
 
@@ -343,25 +338,17 @@ impl Picture {
     }
 }
 
-/// [`Picture::take`], compiled for each instruction set.
-struct Reduction<'a> {
-    picture: &'a mut Picture,
-    frame: &'a DepthFrame,
-    sides: &'a mut Sides,
-    counts: &'a mut CellCounts,
-}
-
-impl Task for Reduction<'_> {
-    #[inline(always)]
-    fn run<const FUSED: bool>(self) {
-        let bands = self.frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
+vigil_nnet::vectorised! {
+    /// [`Picture::take`], compiled for each instruction set.
+    fn reduce<'a>(picture: &'a mut Picture, frame: &'a DepthFrame, sides: &'a mut Sides, counts: &'a mut CellCounts) {
+        let bands = frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
         for (part, bands) in bands.as_chunks::<PART>().0.iter().enumerate() {
             let mut ragged = [0; COLS];
             for (row, band) in (part * PART..).zip(bands) {
-                self.picture.take_row(row, band, self.sides, self.counts, &mut ragged);
+                picture.take_row(row, band, sides, counts, &mut ragged);
             }
             let parts = ragged.as_chunks::<PART>().0.iter();
-            self.counts.torn += parts.filter(|cells| cells.iter().sum::<u8>() >= TORN_CELLS).count();
+            counts.torn += parts.filter(|cells| cells.iter().sum::<u8>() >= TORN_CELLS).count();
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The frame header's pose against the telemetry's at the same time.
 
-use super::count;
+use super::Fault;
 use super::motion::{Pose, alike};
 use core::mem::replace;
 use vigil_types::{Attitude, AttitudeSample, FrdVector, Kinematics, Nanos, NedVector};
@@ -22,9 +22,7 @@ const MOST_EXTRAPOLATION_S: f32 = 0.3;
 pub(super) struct PoseCheck {
     errors: [NedVector; POSE_FRAMES],
     poses: usize,
-    bad_poses: u8,
-    good_poses: u8,
-    pub(super) is_bad: bool,
+    pub(super) fault: Fault,
     /// What the vehicle reported when the frame before was checked.
     kinematics_before: Option<Kinematics>,
 }
@@ -62,17 +60,11 @@ impl PoseCheck {
         self.poses = if is_last { POSE_FRAMES } else { self.poses + 1 };
         // Written so that NaN is bad.
         let good = error.norm() <= POSE_M && drift_m <= POSE_DRIFT_M && alike(pose.attitude, attitude) >= POSE_COS_HALF;
-        count(&mut self.bad_poses, !good);
-        count(&mut self.good_poses, good);
-        self.is_bad = if self.is_bad {
-            usize::from(self.good_poses) < POSE_FRAMES
-        } else {
-            self.bad_poses >= BAD_POSES
-        };
+        self.fault.note(!good, BAD_POSES, POSE_FRAMES as u8);
         let before = self.kinematics_before.replace(kinematics);
         if in_flight && before.is_some_and(|before| has_jumped(&before, &kinematics)) {
             // Whatever was seen lies elsewhere now, and nobody knows which of the two positions is right.
-            (self.is_bad, self.good_poses) = (true, 0);
+            (self.fault.is_raised, self.fault.good) = (true, 0);
         }
     }
 }

@@ -35,22 +35,11 @@ const LAST_PICTURES: u32 = 10;
 const CLEAR_PICTURES: u8 = 40;
 const LAST_RAISE: u8 = 2;
 
-/// What the ground says of a picture.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) enum GroundSight {
-    /// No ground is seen, or none near the height of home: nothing is known.
-    #[default]
-    CannotTell,
-    /// Nothing is shown beneath the ground.
-    Agrees,
-    /// Surfaces are shown beneath the ground.
-    SeenThrough,
-}
-
 /// Whether pictures show what the ground would hide.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Shadow {
-    pub(super) sight: GroundSight,
+    /// Whether the last one shows surfaces beneath the ground; `None` where no ground is seen, or none near the height of home.
+    pub(super) is_beneath: Option<bool>,
     /// The last pictures, the newest lowest: set where the ground was seen through.
     seen_through: u32,
     agreeing: u8,
@@ -61,10 +50,10 @@ pub(super) struct Shadow {
 impl Shadow {
     /// Takes a picture of a vehicle in flight.
     pub(super) fn note(&mut self, picture: &Picture, directions: &Directions, attitude: Attitude, height_m: f32) {
-        self.sight = sight(picture, directions, attitude, height_m);
-        let seen_through = self.sight == GroundSight::SeenThrough;
-        self.seen_through = (self.seen_through << 1 | u32::from(seen_through)) & ((1 << LAST_PICTURES) - 1);
-        count(&mut self.agreeing, self.sight == GroundSight::Agrees);
+        self.is_beneath = is_beneath(picture, directions, attitude, height_m);
+        let seen_through = u32::from(self.is_beneath == Some(true));
+        self.seen_through = (self.seen_through << 1 | seen_through) & ((1 << LAST_PICTURES) - 1);
+        count(&mut self.agreeing, self.is_beneath == Some(false));
         if self.is_raised {
             self.is_raised = self.raises >= LAST_RAISE || self.agreeing < CLEAR_PICTURES;
         } else if self.seen_through.count_ones() >= RAISE_PICTURES {
@@ -75,16 +64,14 @@ impl Shadow {
 
     /// A picture of which nothing can be said; what was raised stays.
     pub(super) fn skip(&mut self) {
-        (self.sight, self.seen_through, self.agreeing) = (GroundSight::CannotTell, 0, 0);
+        (self.is_beneath, self.seen_through, self.agreeing) = (None, 0, 0);
     }
 }
 
-/// What the ground says of a picture taken so high above home.
-fn sight(picture: &Picture, directions: &Directions, attitude: Attitude, height_m: f32) -> GroundSight {
+/// [`Shadow::is_beneath`] of a picture taken so high above home.
+fn is_beneath(picture: &Picture, directions: &Directions, attitude: Attitude, height_m: f32) -> Option<bool> {
     let down = attitude.to_frd(NedVector::new(0.0, 0.0, 1.0));
-    let Some(ground_m) = ground_m(picture, directions, down, height_m) else {
-        return GroundSight::CannotTell;
-    };
+    let ground_m = ground_m(picture, directions, down, height_m)?;
     let mut beneath = [0_u16; STRIPS];
     for (falls, range_m, column) in falling(picture, directions, down, LEAST_FALL) {
         let is_beneath = falls * range_m > ground_m + BENEATH_M + BENEATH_PART * range_m;
@@ -96,11 +83,7 @@ fn sight(picture: &Picture, directions: &Directions, attitude: Attitude, height_
         }
     }
     let strips = beneath.iter().filter(|cells| **cells >= BENEATH_CELLS).count();
-    if strips >= BENEATH_STRIPS {
-        GroundSight::SeenThrough
-    } else {
-        GroundSight::Agrees
-    }
+    Some(strips >= BENEATH_STRIPS)
 }
 
 /// Depth of the ground below the sensor as the steepest rays show it, but no less than it is by the height above home: what they show

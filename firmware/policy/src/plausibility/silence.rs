@@ -5,8 +5,8 @@
 //! them: where they lay deep inside the view or, above and below, where the rest of the same surface is still there. Nor does what
 //! stands there give way to what is behind it within a step: somebody wiped it from the picture.
 
+use super::Fault;
 use super::blindness::{BLIND_FRAMES, SEEING_FRAMES};
-use super::count;
 use super::picture::{COLS, Picture, ROWS};
 
 /// What is farther away may go out of range, metres.
@@ -70,54 +70,53 @@ enum Side {
 const SIDES: [Side; 4] = [Side::Top, Side::Bottom, Side::Left, Side::Right];
 
 impl Side {
+    /// Whether its lines are rows of the view.
+    fn has_rows(self) -> bool {
+        matches!(self, Self::Top | Self::Bottom)
+    }
+
+    /// Number of its lines, and of the cells of each.
+    fn size(self) -> (usize, usize) {
+        if self.has_rows() { (ROWS, COLS) } else { (COLS, ROWS) }
+    }
+
+    /// A cell of the line so many from this side's edge inwards.
+    fn cell(self, line: usize, along: usize) -> usize {
+        match self {
+            Self::Top => line * COLS + along,
+            Self::Bottom => (ROWS - 1 - line) * COLS + along,
+            Self::Left => along * COLS + line,
+            Self::Right => along * COLS + COLS - 1 - line,
+        }
+    }
+
+    /// Whether nothing is seen in a line.
+    fn is_empty(self, line: usize, picture: &Picture) -> bool {
+        (0..self.size().1).all(|along| picture.inverse(self.cell(line, along)) == 0.0)
+    }
+
     /// Lines of cells, from this side's edge inwards, in which nothing is seen; all of them where nothing is seen at all.
     fn empty_lines(self, picture: &Picture) -> usize {
-        let rows = picture.rows();
-        let row = |row: &[f32; COLS]| row.iter().all(|inverse| *inverse == 0.0);
-        let column = |column: usize| {
-            rows.iter()
-                .all(|row| row.get(column).is_none_or(|inverse| *inverse == 0.0))
-        };
-        match self {
-            Self::Top => rows.iter().take_while(|cells| row(cells)).count(),
-            Self::Bottom => rows.iter().rev().take_while(|cells| row(cells)).count(),
-            Self::Left => (0..COLS).take_while(|c| column(*c)).count(),
-            Self::Right => (0..COLS).rev().take_while(|c| column(*c)).count(),
-        }
+        (0..self.size().0)
+            .take_while(|line| self.is_empty(*line, picture))
+            .count()
     }
 
-    /// The cells of so many lines from this side's edge inwards: row and column.
-    fn cells(self, lines: usize) -> impl Iterator<Item = (usize, usize)> {
-        let (rows, columns) = match self {
-            Self::Top => (0..lines.min(ROWS), 0..COLS),
-            Self::Bottom => (ROWS.saturating_sub(lines)..ROWS, 0..COLS),
-            Self::Left => (0..ROWS, 0..lines.min(COLS)),
-            Self::Right => (0..ROWS, COLS.saturating_sub(lines)..COLS),
-        };
-        rows.flat_map(move |row| columns.clone().map(move |column| (row, column)))
-    }
-
-    /// Near surfaces of the picture before in lines that are empty now, and that cannot have left by themselves.
+    /// Near surfaces of the picture before in so many lines that are empty now, and that cannot have left by themselves.
     fn gone(self, lines: usize, before: &Picture, now: &Picture) -> usize {
-        let near = |(row, column): (usize, usize)| before.inverse(row * COLS + column) > 1.0 / NEAR_M;
-        let cells = self.cells(lines.saturating_sub(BORDER)).filter(|cell| near(*cell));
-        let rest_row = match self {
-            Self::Top => Some(lines + REST),
-            Self::Bottom => ROWS.checked_sub(lines + REST + 1),
-            Self::Left | Self::Right => None,
-        };
-        let rest_is_there = |column: usize| {
-            let cell = rest_row.unwrap_or(ROWS) * COLS + column;
-            let (a, b) = (before.inverse(cell), now.inverse(cell));
-            a > 1.0 / NEAR_M && (b - a).abs() <= SAME_PART * a
-        };
-        match self {
-            Self::Top | Self::Bottom => cells.filter(|(_, column)| rest_is_there(*column)).count(),
-            Self::Left | Self::Right => {
-                let inside = EDGE_COLUMNS..COLS - EDGE_COLUMNS;
-                cells.filter(|(_, column)| inside.contains(column)).count()
+        let (all, length) = self.size();
+        let may_count = |along: usize, line: usize| {
+            if !self.has_rows() {
+                return (EDGE_COLUMNS..COLS - EDGE_COLUMNS).contains(&line);
             }
-        }
+            let rest = self.cell((lines + REST).min(all - 1), along);
+            let (a, b) = (before.inverse(rest), now.inverse(rest));
+            lines + REST < all && a > 1.0 / NEAR_M && (b - a).abs() <= SAME_PART * a
+        };
+        let cells = (0..lines.saturating_sub(BORDER)).flat_map(|line| (0..length).map(move |along| (line, along)));
+        cells
+            .filter(|(line, along)| before.inverse(self.cell(*line, *along)) > 1.0 / NEAR_M && may_count(*along, *line))
+            .count()
     }
 }
 
@@ -127,9 +126,7 @@ pub(super) struct SilentSide {
     /// The side that fell silent, and how many of its lines.
     part: Option<(Side, usize)>,
     /// From the second silent frame until something is seen there in three frames in a row.
-    pub(super) is_dead: bool,
-    silent_frames: u8,
-    seeing_frames: u8,
+    pub(super) fault: Fault,
 }
 
 impl SilentSide {
@@ -142,13 +139,8 @@ impl SilentSide {
             });
         }
         let Some((side, lines)) = self.part else { return };
-        let mut cells = side.cells(lines.saturating_sub(BORDER));
-        let silent = cells.all(|(row, column)| now.inverse(row * COLS + column) == 0.0);
-        count(&mut self.silent_frames, silent);
-        count(&mut self.seeing_frames, !silent);
-        self.is_dead |= self.silent_frames >= BLIND_FRAMES;
-        let enough = if self.is_dead { SEEING_FRAMES } else { 1 };
-        if self.seeing_frames >= enough {
+        let silent = (0..lines.saturating_sub(BORDER)).all(|line| side.is_empty(line, now));
+        if !self.fault.note(silent, BLIND_FRAMES, SEEING_FRAMES) && !silent {
             *self = Self::default();
         }
     }

@@ -6,92 +6,61 @@ use safetensors::{Dtype, SafeTensors};
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
-use vigil_nnet::{Activation, Conv2d, Dense, Graph, GraphBuilder, Gru, NodeId, Params, Purpose};
+use vigil_nnet::{Activation, Conv2d, Dense, Graph, GraphBuilder, Gru, Purpose};
+
+/// What the reference network is given beside the two positional values.
+#[derive(Clone, Copy)]
+pub enum Given {
+    /// The GRU's state.
+    State,
+    /// Five frames' features, oldest first.
+    Features,
+    /// Five frames, oldest first, explained or not.
+    Frames(bool),
+}
 
 /// The network of the reference vectors, the paper's as we read it: five frames of 128 × 256, each through convolutions of 5×5 (16) and four
 /// of 3×3 (32), stride 2, ELU; GRU of 48; `tanh` of its state beside two positional values (6, tanh); 32, ELU; 1.5 · tanh of two outputs.
-pub struct Reference {
-    builder: GraphBuilder,
-    convolutions: Vec<(Conv2d, Params)>,
-    gru: (Gru, Params),
-    dense: [(Dense, Params); 3],
-}
-
-impl Reference {
-    pub fn new() -> Self {
-        let mut b = GraphBuilder::new();
-        let (mut rows, mut cols, mut channels) = (128_usize, 256_usize, 1);
-        let mut convolutions = Vec::new();
-        for (kernel, filters) in [(5, 16), (3, 32), (3, 32), (3, 32), (3, 32)] {
-            let layer = Conv2d::new([rows, cols, channels], filters, kernel, 2, kernel / 2);
-            convolutions.push((layer, b.params(layer.param_len())));
-            (rows, cols, channels) = (rows.div_ceil(2), cols.div_ceil(2), filters);
+pub fn reference(given: Given, purpose: Purpose) -> Graph {
+    let mut b = GraphBuilder::new();
+    let mut image = [128, 256, 1];
+    let convolutions = [(5, 16), (3, 32), (3, 32), (3, 32), (3, 32)].map(|(kernel, filters)| {
+        let layer = Conv2d::new(image, filters, kernel, 2, kernel / 2);
+        image = [layer.out_rows(), layer.out_cols(), filters];
+        (layer, b.params(layer.param_len()))
+    });
+    let (inputs, hidden) = (image.iter().product(), 48);
+    let gru = Gru { inputs, hidden };
+    let of_gru = b.params(gru.param_len());
+    let dense = [(2, 6), (54, 32), (32, 2)].map(|(inputs, outputs)| {
+        let layer = Dense { inputs, outputs };
+        (layer, b.params(layer.param_len()))
+    });
+    let frame = |b: &mut GraphBuilder| match given {
+        Given::State => None,
+        Given::Features => b.input(inputs, true).ok(),
+        Given::Frames(explained) => {
+            let x = b.input(128 * 256, explained).unwrap();
+            let conv2d = |x, (layer, params)| b.conv2d(x, layer, Activation::Elu, params).unwrap();
+            Some(convolutions.into_iter().fold(x, conv2d))
         }
-        let gru = Gru {
-            inputs: rows * cols * channels,
-            hidden: 48,
-        };
-        let gru = (gru, b.params(gru.param_len()));
-        let dense = [(2, 6), (54, 32), (32, 2)].map(|(inputs, outputs)| {
-            let layer = Dense { inputs, outputs };
-            (layer, b.params(layer.param_len()))
-        });
-        Self {
-            builder: b,
-            convolutions,
-            gru,
-            dense,
-        }
+    };
+    let features: Vec<_> = (0..5).filter_map(|_| frame(&mut b)).collect();
+    let mut state = match given {
+        Given::State => b.input(hidden, true).unwrap(),
+        _ => b.zeros(hidden).unwrap(),
+    };
+    let low_dim = b.input(2, !matches!(given, Given::Frames(false))).unwrap();
+    for x in features {
+        state = b.gru(x, state, gru, of_gru).unwrap();
     }
-
-    fn head(&mut self, state: NodeId, low_dim: NodeId) -> NodeId {
-        let b = &mut self.builder;
-        let [(first, p), (dense, d), (output, o)] = self.dense;
-        let state = b.activation(state, Activation::TANH).unwrap();
-        let low_dim = b.dense(low_dim, first, Activation::TANH, p).unwrap();
-        let joined = b.concat(&[state, low_dim]).unwrap();
-        let hidden = b.dense(joined, dense, Activation::Elu, d).unwrap();
-        b.dense(hidden, output, Activation::Tanh { scale: 1.5 }, o).unwrap()
-    }
-
-    /// What comes behind five frames' features.
-    fn finish(mut self, features: Vec<NodeId>, explained: bool, purpose: Purpose) -> Graph {
-        let low_dim = self.builder.input(2, explained).unwrap();
-        let mut state = self.builder.zeros(48).unwrap();
-        for x in features {
-            state = self.builder.gru(x, state, self.gru.0, self.gru.1).unwrap();
-        }
-        let output = self.head(state, low_dim);
-        self.builder.finish(output, purpose).unwrap()
-    }
-
-    /// Inputs are the GRU's state and the positional values.
-    pub fn head_graph(mut self, purpose: Purpose) -> Graph {
-        let state = self.builder.input(48, true).unwrap();
-        let low_dim = self.builder.input(2, true).unwrap();
-        let output = self.head(state, low_dim);
-        self.builder.finish(output, purpose).unwrap()
-    }
-
-    /// Inputs are five frames' features, oldest first, and the positional values.
-    pub fn features_graph(mut self, purpose: Purpose) -> Graph {
-        let features = (0..5).map(|_| self.builder.input(self.gru.0.inputs, true).unwrap());
-        let features = features.collect();
-        self.finish(features, true, purpose)
-    }
-
-    /// Inputs are five frames, oldest first, and the positional values.
-    pub fn graph(mut self, purpose: Purpose, explained: bool) -> Graph {
-        let features = (0..5).map(|_| {
-            let mut x = self.builder.input(128 * 256, explained).unwrap();
-            for (layer, params) in self.convolutions.clone() {
-                x = self.builder.conv2d(x, layer, Activation::Elu, params).unwrap();
-            }
-            x
-        });
-        let features = features.collect();
-        self.finish(features, explained, purpose)
-    }
+    let [(first, p), (second, d), (output, o)] = dense;
+    let state = b.activation(state, Activation::TANH).unwrap();
+    let low_dim = b.dense(low_dim, first, Activation::TANH, p).unwrap();
+    let joined = b.concat(&[state, low_dim]).unwrap();
+    let joined = b.dense(joined, second, Activation::Elu, d).unwrap();
+    let acted = b.dense(joined, output, Activation::Tanh { scale: 1.5 }, o).unwrap();
+    b.finish(acted, purpose).unwrap()
 }
 
 /// One file of reference tensors.

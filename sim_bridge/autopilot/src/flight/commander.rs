@@ -1,11 +1,11 @@
 //! Arming, mode changes, failsafes and the landed state: the decisions that PX4's commander takes.
 
+use crate::config::Source;
 use crate::core::Core;
 use crate::flight::mode::FlightMode;
 use crate::flight::setpoint_owner::Setpoints;
 use crate::flight::state::{Commander, Denial, Failsafe, LandedState, LostSensors, Maneuver, Sticks};
-use crate::source::Source;
-use crate::vehicle::YawCommand;
+use crate::vehicle::{ControlCommand, Goal, YawCommand};
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::{
     CURRENT_MODE_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA, HOME_POSITION_DATA, MavSeverity, NAMED_VALUE_FLOAT_DATA,
@@ -79,7 +79,7 @@ impl Core {
     /// Whether the owner of OFFBOARD streams, or where there is none somebody does.
     fn has_setpoints(&self) -> bool {
         match self.setpoints.owner() {
-            Some(_) => self.setpoints.current(self.now_ns, self.owner_max_age_ns()).is_some(),
+            Some(_) => self.owners_setpoint().is_some(),
             None => self.setpoints.is_streamed(self.now_ns, self.setpoint_max_age_ns()),
         }
     }
@@ -325,8 +325,8 @@ impl Core {
             Some(speed_m_s) => speed_m_s.clamp(0.5, self.param(ParamId::MaxSpeedMS)),
             None => self.cruise_speed_m_s(self.commander.speed_m_s),
         };
-        let station = Maneuver::station(position_ned_m, yaw, speed_limit_m_s);
-        self.enter(FlightMode::Hold, station);
+        let goal = Goal::new(position_ned_m, yaw, speed_limit_m_s);
+        self.enter(FlightMode::Hold, Maneuver::Station(goal));
         Ok(())
     }
 
@@ -368,15 +368,20 @@ impl Core {
 
     /// The same for the owner: shorter where that is the guidance computer, whose every setpoint is a decision on a
     /// fresh frame.
-    pub(super) fn owner_max_age_ns(&self) -> Nanos {
+    fn owner_max_age_ns(&self) -> Nanos {
         let max_age_ns = self.setpoint_max_age_ns();
-        let guidance = (self.id.system, GUIDANCE_COMPONENT);
+        let guidance = (self.id().system, GUIDANCE_COMPONENT);
         match self.setpoints.owner() {
             Some(owner) if (owner.id.system, owner.id.component) == guidance => {
                 max_age_ns.min(self.param_ns(ParamId::GuidanceLossS))
             }
             _ => max_age_ns,
         }
+    }
+
+    /// The owner's setpoint, if it is fresh.
+    pub fn owners_setpoint(&self) -> Option<ControlCommand> {
+        self.setpoints.current(self.now_ns, self.owner_max_age_ns())
     }
 
     /// Horizontal speed of a way: what was asked for, else MPC_XY_CRUISE.

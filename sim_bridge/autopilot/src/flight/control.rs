@@ -4,8 +4,9 @@ use crate::core::Core;
 use crate::flight::manual;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::{Climb, Maneuver};
-use crate::vehicle::{ControlCommand, HoldLaw, YawCommand};
+use crate::vehicle::{ControlCommand, Goal, Held, HoldLaw, YawCommand};
 use crate::vehicle_parameters::ParamId;
+use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
     ATTITUDE_TARGET_DATA, AttitudeTargetTypemask, MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask,
 };
@@ -66,11 +67,7 @@ impl Core {
             Maneuver::Sticks { held_down_m } => self.fly_by_sticks(held_down_m, on_ground),
             _ if on_ground => ControlCommand::Idle,
             Maneuver::Brake { began, height_m } => self.fly_brake(began, height_m),
-            Maneuver::Station {
-                position_ned_m,
-                yaw,
-                speed_limit_m_s,
-            } => self.fly_station(position_ned_m, yaw, speed_limit_m_s),
+            Maneuver::Station(goal) => self.fly_station(goal),
             Maneuver::Descend => ControlCommand::Descend {
                 rate_m_s: self.descent_rate_m_s(),
             },
@@ -96,36 +93,23 @@ impl Core {
         match &mut command {
             ControlCommand::VelocityHeading { velocity_m_s: v, .. } => v.z = v.z.min(limit_m_s),
             ControlCommand::VelocityNed { velocity_m_s: v, .. } => v.z = v.z.min(limit_m_s),
-            ControlCommand::ClimbAtPlace { down_m_s: down, .. } | ControlCommand::Descend { rate_m_s: down } => {
-                *down = down.min(limit_m_s);
+            ControlCommand::Descend { rate_m_s: down } => *down = down.min(limit_m_s),
+            ControlCommand::Position(goal) if goal.held == Held::Level => {
+                goal.velocity_m_s.z = goal.velocity_m_s.z.min(limit_m_s);
             }
-            ControlCommand::VelocityAtHeight {
-                velocity_m_s: v,
-                down_m,
-                yaw,
-            } if *down_m >= 0.0 => {
-                return ControlCommand::VelocityNed {
-                    velocity_m_s: NedVector::new(v.x, v.y, down_to_ground_m_s),
-                    yaw: *yaw,
-                };
-            }
-            ControlCommand::Position {
-                position_ned_m,
-                speed_limit_m_s,
-                yaw,
-                ..
-            } if position_ned_m.z >= 0.0 => {
-                let off_m = (*position_ned_m - estimate.position_ned_m).horizontal_norm();
+            ControlCommand::Position(goal) if goal.position_ned_m.z >= 0.0 => {
+                let off_m = (goal.position_ned_m - estimate.position_ned_m).horizontal_norm();
                 let drift_m_s = estimate.velocity_ned_m_s.horizontal_norm();
-                if off_m < TOUCH_DOWN_RADIUS_M && drift_m_s < TOUCH_DOWN_DRIFT_M_S {
-                    return ControlCommand::ClimbAtPlace {
-                        position_ned_m: *position_ned_m,
-                        down_m_s: down_to_ground_m_s,
-                        speed_limit_m_s: *speed_limit_m_s,
-                        yaw: *yaw,
-                    };
+                let (v, yaw) = (goal.velocity_m_s, goal.yaw);
+                if goal.held == Held::Height {
+                    let velocity_m_s = NedVector::new(v.x, v.y, down_to_ground_m_s);
+                    return ControlCommand::VelocityNed { velocity_m_s, yaw };
+                } else if off_m < TOUCH_DOWN_RADIUS_M && drift_m_s < TOUCH_DOWN_DRIFT_M_S {
+                    let down = NedVector::new(0.0, 0.0, down_to_ground_m_s);
+                    (goal.held, goal.velocity_m_s) = (Held::Level, down);
+                } else {
+                    goal.position_ned_m.z = -TOUCH_DOWN_HEIGHT_M;
                 }
-                position_ned_m.z = -TOUCH_DOWN_HEIGHT_M;
             }
             ControlCommand::Acceleration {
                 acceleration_ned_m_s2: a,
@@ -168,8 +152,9 @@ impl Core {
     /// Begins to hold a position, at `height_m` if given.
     fn hold_at(&mut self, mut place: NedVector, height_m: Option<f32>, speed_limit_m_s: f32) -> ControlCommand {
         place.z = height_m.map_or(place.z, |height_m| -height_m);
-        self.commander.maneuver = Maneuver::station(place, YawCommand::Hold, speed_limit_m_s);
-        self.fly_station(place, YawCommand::Hold, speed_limit_m_s)
+        let goal = Goal::new(place, YawCommand::Hold, speed_limit_m_s);
+        self.commander.maneuver = Maneuver::Station(goal);
+        self.fly_station(goal)
     }
 
     /// Holds the point at which the vehicle would stop if it did not gain speed.
@@ -181,23 +166,18 @@ impl Core {
         self.hold_at(projected, height_m, self.param(ParamId::MaxSpeedMS))
     }
 
-    fn fly_station(&mut self, position_ned_m: NedVector, yaw: YawCommand, speed_limit_m_s: f32) -> ControlCommand {
+    fn fly_station(&mut self, mut goal: Goal) -> ControlCommand {
         if self.commander.mode == FlightMode::Return {
-            let off = self.view.estimate.position_ned_m - position_ned_m;
+            let off = self.view.estimate.position_ned_m - goal.position_ned_m;
             if off.horizontal_norm() < 0.5 && self.view.estimate.velocity_ned_m_s.horizontal_norm() < 0.5 {
                 self.commander.maneuver = Maneuver::Descend;
             }
         }
-        let velocity_m_s = match self.commander.mode {
-            FlightMode::Mission => self.passing_velocity_m_s(position_ned_m),
-            _ => NedVector::ZERO,
-        };
-        ControlCommand::Position {
-            position_ned_m,
-            velocity_m_s,
-            speed_limit_m_s,
-            yaw: self.towards_interest().unwrap_or(yaw),
+        if self.commander.mode == FlightMode::Mission {
+            goal.velocity_m_s = self.passing_velocity_m_s(goal.position_ned_m);
         }
+        goal.yaw = self.towards_interest().unwrap_or(goal.yaw);
+        ControlCommand::Position(goal)
     }
 
     /// The heading towards the region of interest, in hold and on missions, unless it is right below.
@@ -217,25 +197,20 @@ impl Core {
             };
         }
         let speed_limit_m_s = self.cruise_speed_m_s(None);
-        let station = |place| Maneuver::station(place, YawCommand::Hold, speed_limit_m_s);
+        let goal = |place| Goal::new(place, YawCommand::Hold, speed_limit_m_s);
         let target = climb.target_ned_m;
         if climb.is_done(&self.view.estimate) {
             match self.commander.mode {
                 FlightMode::Return => {
                     let (north, east) = self.commander.return_to_m;
-                    self.commander.maneuver = station(NedVector::new(north, east, target.z));
+                    self.commander.maneuver = Maneuver::Station(goal(NedVector::new(north, east, target.z)));
                 }
                 // The mission goes on in its next step.
                 FlightMode::Mission => {}
-                _ => self.enter(FlightMode::Hold, station(target)),
+                _ => self.enter(FlightMode::Hold, Maneuver::Station(goal(target))),
             }
         }
-        ControlCommand::Position {
-            position_ned_m: target,
-            velocity_m_s: NedVector::ZERO,
-            speed_limit_m_s,
-            yaw: YawCommand::Hold,
-        }
+        ControlCommand::Position(goal(target))
     }
 
     /// The place that is flown to or held in the air, metres from the local origin; `None` where there is none.
@@ -244,11 +219,11 @@ impl Core {
         let is_flown = self.commander.armed && !self.commander.is_on_ground();
         match self.commander.maneuver {
             _ if !is_flown => None,
-            Maneuver::Station { position_ned_m, .. } => Some(position_ned_m),
+            Maneuver::Station(goal) => Some(goal.position_ned_m),
             Maneuver::Climb(climb) => Some(climb.target_ned_m),
             Maneuver::Descend => Some(NedVector::new(here.x, here.y, 0.0)),
-            Maneuver::Offboard => match self.setpoints.current(self.now_ns, self.owner_max_age_ns())? {
-                ControlCommand::Position { position_ned_m, .. } => Some(position_ned_m),
+            Maneuver::Offboard => match self.owners_setpoint()? {
+                ControlCommand::Position(goal) if goal.held == Held::All => Some(goal.position_ned_m),
                 _ => None,
             },
             _ => None,
@@ -266,7 +241,7 @@ impl Core {
     }
 
     fn fly_offboard(&mut self, on_ground: bool) -> ControlCommand {
-        let Some(command) = self.setpoints.current(self.now_ns, self.owner_max_age_ns()) else {
+        let Some(command) = self.owners_setpoint() else {
             self.lose_setpoints();
             return if on_ground || self.commander.terminated || !self.commander.armed {
                 ControlCommand::Idle
@@ -287,7 +262,7 @@ impl Core {
     pub(super) fn wanted_thrust(&self) -> Option<f32> {
         match self.commander.mode {
             FlightMode::Stabilized | FlightMode::Manual | FlightMode::Acro => self.current_sticks().map(manual::thrust),
-            _ => match self.setpoints.current(self.now_ns, self.owner_max_age_ns())? {
+            _ => match self.owners_setpoint()? {
                 ControlCommand::Attitude { thrust, .. } | ControlCommand::Rates { thrust, .. } => Some(thrust),
                 _ => None,
             },
@@ -299,11 +274,8 @@ impl Core {
         match command {
             ControlCommand::VelocityHeading { velocity_m_s, .. } => velocity_m_s.z < -0.1,
             ControlCommand::VelocityNed { velocity_m_s, .. } => velocity_m_s.z < -0.1,
-            ControlCommand::Position { position_ned_m, .. } => {
-                position_ned_m.z < self.view.estimate.position_ned_m.z - 0.3
-            }
-            ControlCommand::VelocityAtHeight { down_m, .. } => *down_m < self.view.estimate.position_ned_m.z - 0.3,
-            ControlCommand::ClimbAtPlace { down_m_s, .. } => *down_m_s < -0.1,
+            ControlCommand::Position(goal) if goal.held == Held::Level => goal.velocity_m_s.z < -0.1,
+            ControlCommand::Position(goal) => goal.position_ned_m.z < self.view.estimate.position_ned_m.z - 0.3,
             ControlCommand::Acceleration {
                 acceleration_ned_m_s2, ..
             } => acceleration_ned_m_s2.z < -0.1,
@@ -325,8 +297,13 @@ impl Core {
         match &mut command {
             ControlCommand::VelocityHeading { velocity_m_s: v, .. } => *v = within(*v, max_m_s, v.z.clamp(-up, down)),
             ControlCommand::VelocityNed { velocity_m_s: v, .. } => *v = within(*v, max_m_s, v.z.clamp(-up, down)),
-            ControlCommand::VelocityAtHeight { velocity_m_s: v, .. } => *v = within(*v, max_m_s, 0.0),
-            ControlCommand::ClimbAtPlace { down_m_s, .. } => *down_m_s = down_m_s.clamp(-up, down),
+            ControlCommand::Position(Goal {
+                velocity_m_s: v, held, ..
+            }) => match held {
+                Held::All => {}
+                Held::Level => v.z = v.z.clamp(-up, down),
+                Held::Height => *v = within(*v, max_m_s, 0.0),
+            },
             _ => {}
         }
         command
@@ -334,7 +311,7 @@ impl Core {
 }
 
 /// What OFFBOARD or a maneuver flies to, as POSITION_TARGET_LOCAL_NED reports it; `None` where there is no such target.
-pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_DATA> {
+pub(crate) fn position_target(core: &Core) -> Option<MavMessage> {
     const VELOCITY_ONLY: u16 = 0xDC7;
     const POSITION_ONLY: u16 = 0xDF8;
     const VELOCITY_AND_HEIGHT: u16 = 0xDE3;
@@ -342,35 +319,28 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
     const ACCELERATION_ONLY: u16 = 0xC3F;
     let mut acceleration = NedVector::ZERO;
     let command = match core.commander.maneuver {
-        Maneuver::Offboard => core.setpoints.current(core.now_ns, core.owner_max_age_ns())?,
+        Maneuver::Offboard => core.owners_setpoint()?,
         _ => core.commander.flown.unwrap_or(ControlCommand::STOP),
     };
     let yaw_rad = core.view.estimate.attitude.yaw_rad();
     let still = NedVector::ZERO;
-    let down = |m_s| NedVector::new(0.0, 0.0, m_s);
     let (position, velocity, mask, yaw) = match command {
         ControlCommand::VelocityHeading { velocity_m_s, yaw } => {
             (still, velocity_m_s.to_ned(yaw_rad), VELOCITY_ONLY, yaw)
         }
         ControlCommand::VelocityNed { velocity_m_s, yaw } => (still, velocity_m_s, VELOCITY_ONLY, yaw),
-        ControlCommand::Position {
-            position_ned_m,
-            velocity_m_s,
-            yaw,
-            ..
-        } => (position_ned_m, velocity_m_s, POSITION_ONLY, yaw),
-        ControlCommand::VelocityAtHeight {
-            velocity_m_s,
-            down_m,
-            yaw,
-        } => (down(down_m), velocity_m_s, VELOCITY_AND_HEIGHT, yaw),
-        ControlCommand::ClimbAtPlace {
-            position_ned_m,
-            down_m_s,
-            yaw,
-            ..
-        } => (position_ned_m, down(down_m_s), PLACE_AND_CLIMB, yaw),
-        ControlCommand::Descend { rate_m_s } => (still, down(rate_m_s), VELOCITY_ONLY, YawCommand::Hold),
+        ControlCommand::Position(goal) => {
+            let mask = match goal.held {
+                Held::All => POSITION_ONLY,
+                Held::Level => PLACE_AND_CLIMB,
+                Held::Height => VELOCITY_AND_HEIGHT,
+            };
+            (goal.position_ned_m, goal.velocity_m_s, mask, goal.yaw)
+        }
+        ControlCommand::Descend { rate_m_s } => {
+            let descent = NedVector::new(0.0, 0.0, rate_m_s);
+            (still, descent, VELOCITY_ONLY, YawCommand::Hold)
+        }
         ControlCommand::Acceleration {
             acceleration_ned_m_s2,
             yaw,
@@ -386,7 +356,7 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
         YawCommand::Angle(yaw_rad) => (yaw_rad, 0.0, mask & !0x400),
         YawCommand::Rate(yaw_rate_rad_s) => (0.0, yaw_rate_rad_s, mask & !0x800),
     };
-    Some(POSITION_TARGET_LOCAL_NED_DATA {
+    Some(MavMessage::POSITION_TARGET_LOCAL_NED(POSITION_TARGET_LOCAL_NED_DATA {
         time_boot_ms: core.time_boot_ms(),
         x: position.x,
         y: position.y,
@@ -401,18 +371,17 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
         yaw_rate,
         type_mask: PositionTargetTypemask::from_bits_truncate(mask),
         coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
-    })
+    }))
 }
 
 /// The attitude or body rates that OFFBOARD flies to, as ATTITUDE_TARGET reports them. Where positions or velocities are flown,
 /// the vehicle's own controllers ask for what it does, but for their lag.
-pub(crate) fn attitude_target(core: &Core) -> ATTITUDE_TARGET_DATA {
+pub(crate) fn attitude_target(core: &Core) -> Option<MavMessage> {
     const RATES_IGNORED: u8 = 0x07;
     const TILT_RATES_IGNORED: u8 = 0x03;
     const ATTITUDE_IGNORED: u8 = 0x80;
-    let command = core.setpoints.current(core.now_ns, core.owner_max_age_ns());
     let (estimate, throttle) = (&core.view.estimate, core.view.sensors.throttle);
-    let (attitude, rates, thrust, mask) = match command {
+    let (attitude, rates, thrust, mask) = match core.owners_setpoint() {
         Some(ControlCommand::Attitude {
             attitude,
             yaw_rate_rad_s,
@@ -428,7 +397,7 @@ pub(crate) fn attitude_target(core: &Core) -> ATTITUDE_TARGET_DATA {
         }) => (Attitude::LEVEL_NORTH, rates_frd_rad_s, thrust, ATTITUDE_IGNORED),
         _ => (estimate.attitude, estimate.rates_frd_rad_s, throttle, 0),
     };
-    ATTITUDE_TARGET_DATA {
+    Some(MavMessage::ATTITUDE_TARGET(ATTITUDE_TARGET_DATA {
         time_boot_ms: core.time_boot_ms(),
         q: [attitude.w, attitude.x, attitude.y, attitude.z],
         body_roll_rate: rates.x,
@@ -436,5 +405,5 @@ pub(crate) fn attitude_target(core: &Core) -> ATTITUDE_TARGET_DATA {
         body_yaw_rate: rates.z,
         thrust,
         type_mask: AttitudeTargetTypemask::from_bits_truncate(mask),
-    }
+    }))
 }

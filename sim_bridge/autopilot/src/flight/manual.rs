@@ -1,10 +1,10 @@
 //! Flying by sticks: MANUAL_CONTROL and RC_CHANNELS_OVERRIDE. <https://docs.px4.io/main/en/flight_modes_mc/>
 
+use crate::config::Source;
 use crate::core::Core;
 use crate::flight::control::HOVER_THRUST;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::{Deflections, Failsafe, Maneuver};
-use crate::source::Source;
 use crate::vehicle::{ControlCommand, YawCommand};
 use crate::vehicle_parameters::ParamId;
 use vigil_types::{Attitude, FrdVector, HeadingVector};

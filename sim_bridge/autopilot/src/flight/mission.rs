@@ -4,7 +4,7 @@ use crate::core::Core;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::{Denial, Maneuver};
 use crate::plan::{Leg, MissionItem, Purpose, Stage};
-use crate::vehicle::YawCommand;
+use crate::vehicle::{Goal, YawCommand};
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::{HOME_POSITION_DATA, MISSION_CURRENT_DATA, MISSION_ITEM_REACHED_DATA};
 use vigil_types::{Nanos, NedVector};
@@ -153,7 +153,8 @@ impl Core {
             None => YawCommand::Hold,
         };
         let speed_m_s = self.cruise_speed_m_s(self.plans.mission.speed_m_s);
-        self.commander.maneuver = Maneuver::station(NedVector::new(north, east, z_m), yaw, speed_m_s);
+        let goal = Goal::new(NedVector::new(north, east, z_m), yaw, speed_m_s);
+        self.commander.maneuver = Maneuver::Station(goal);
         self.plans.mission.passing_m_s = self.passing_at((here.x, here.y), (north, east), leg);
         self.plans.mission.stage = Stage::Travelling;
     }
@@ -203,17 +204,17 @@ impl Core {
             self.commander.speed_m_s = wanted;
         }
         let now_m_s = self.cruise_speed_m_s(wanted);
-        if let Maneuver::Station { speed_limit_m_s, .. } = &mut self.commander.maneuver {
-            *speed_limit_m_s = now_m_s;
+        if let Maneuver::Station(goal) = &mut self.commander.maneuver {
+            goal.speed_limit_m_s = now_m_s;
         }
     }
 
     fn has_arrived(&self, leg: &Leg) -> bool {
-        let Maneuver::Station { position_ned_m, .. } = self.commander.maneuver else {
+        let Maneuver::Station(goal) = self.commander.maneuver else {
             return true;
         };
         let estimate = &self.view.estimate;
-        let off = position_ned_m - estimate.position_ned_m;
+        let off = goal.position_ned_m - estimate.position_ned_m;
         let radius_m = match leg.purpose {
             Purpose::Land if estimate.velocity_ned_m_s.horizontal_norm() > LANDING_SPEED_M_S => return false,
             Purpose::Land => LANDING_RADIUS_M,
@@ -251,7 +252,7 @@ impl Core {
         let what = if goes_on { "paused by item" } else { "finished" };
         self.inform(&format!("mission {what}"));
         let maneuver = match self.commander.maneuver {
-            station @ Maneuver::Station { .. } => station,
+            station @ Maneuver::Station(_) => station,
             _ => Maneuver::default(),
         };
         self.enter(FlightMode::Hold, maneuver);

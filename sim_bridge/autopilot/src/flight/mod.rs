@@ -1,13 +1,12 @@
 //! What the vehicle does: arming, modes, failsafes, and the command for its controllers.
 
+mod around;
 mod commander;
 mod control;
 mod fence;
-mod follow;
 mod manual;
 mod mission;
 pub(crate) mod mode;
-mod orbit;
 pub(crate) mod setpoint_owner;
 mod setpoints;
 pub(crate) mod state;

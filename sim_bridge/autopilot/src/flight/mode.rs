@@ -1,5 +1,6 @@
 //! Flight modes and their PX4 numbers: `custom_mode = main << 16 | sub << 24`.
 
+use vigil_mavlink::common::MavStandardMode as Standard;
 use vigil_types::named;
 
 const MAIN_MANUAL: u8 = 1;
@@ -71,23 +72,41 @@ impl FlightMode {
         matches!(self, Self::Land) || (self.needs_sticks() && !matches!(self, Self::Position))
     }
 
-    /// Main and sub mode, `vehicle_status.nav_state` and name, all as PX4 has them.
-    pub(crate) const fn px4(self) -> (u8, u8, u8, &'static str) {
+    /// Main and sub mode, `vehicle_status.nav_state`, name and the standard mode that it is, all as PX4 has them.
+    pub(crate) const fn px4(self) -> (u8, u8, u8, &'static str, Standard) {
+        const NONE: Standard = Standard::MAV_STANDARD_MODE_NON_STANDARD;
         match self {
-            Self::Takeoff => (MAIN_AUTO, 2, 17, "Takeoff"),
-            Self::Hold => (MAIN_AUTO, 3, 4, "Hold"),
-            Self::Mission => (MAIN_AUTO, 4, 3, "Mission"),
-            Self::Return => (MAIN_AUTO, 5, 5, "Return"),
-            Self::Land => (MAIN_AUTO, 6, 18, "Land"),
-            Self::Offboard => (MAIN_OFFBOARD, 0, 14, "Offboard"),
-            Self::Follow => (MAIN_AUTO, 8, 19, "Follow Target"),
-            Self::Position => (MAIN_POSITION, 0, 2, "Position"),
-            Self::Altitude => (MAIN_ALTITUDE, 0, 1, "Altitude"),
-            Self::Stabilized => (MAIN_STABILIZED, 0, 15, "Stabilized"),
-            Self::Manual => (MAIN_MANUAL, 0, 0, "Manual"),
-            Self::Acro => (MAIN_ACRO, 0, 10, "Acro"),
-            Self::Orbit => (MAIN_POSITION, 1, 21, "Orbit"),
+            Self::Takeoff => (MAIN_AUTO, 2, 17, "Takeoff", Standard::MAV_STANDARD_MODE_TAKEOFF),
+            Self::Hold => (MAIN_AUTO, 3, 4, "Hold", NONE),
+            Self::Mission => (MAIN_AUTO, 4, 3, "Mission", Standard::MAV_STANDARD_MODE_MISSION),
+            Self::Return => (MAIN_AUTO, 5, 5, "Return", Standard::MAV_STANDARD_MODE_SAFE_RECOVERY),
+            Self::Land => (MAIN_AUTO, 6, 18, "Land", Standard::MAV_STANDARD_MODE_LAND),
+            Self::Offboard => (MAIN_OFFBOARD, 0, 14, "Offboard", NONE),
+            Self::Follow => (MAIN_AUTO, 8, 19, "Follow Target", NONE),
+            Self::Position => (
+                MAIN_POSITION,
+                0,
+                2,
+                "Position",
+                Standard::MAV_STANDARD_MODE_POSITION_HOLD,
+            ),
+            Self::Altitude => (
+                MAIN_ALTITUDE,
+                0,
+                1,
+                "Altitude",
+                Standard::MAV_STANDARD_MODE_ALTITUDE_HOLD,
+            ),
+            Self::Stabilized => (MAIN_STABILIZED, 0, 15, "Stabilized", NONE),
+            Self::Manual => (MAIN_MANUAL, 0, 0, "Manual", NONE),
+            Self::Acro => (MAIN_ACRO, 0, 10, "Acro", NONE),
+            Self::Orbit => (MAIN_POSITION, 1, 21, "Orbit", Standard::MAV_STANDARD_MODE_ORBIT),
         }
+    }
+
+    /// The standard mode that it is, if any.
+    pub(crate) const fn standard(self) -> Standard {
+        self.px4().4
     }
 
     /// HEARTBEAT's `custom_mode`.

@@ -5,8 +5,8 @@
 //! command if its own setpoints are fresh, else the only source whose setpoints are fresh. Everybody else's setpoints are
 //! counted and ignored until OFFBOARD is left.
 
+use crate::config::Source;
 use crate::flight::setpoints::SetpointDefect;
-use crate::source::Source;
 use crate::vehicle::ControlCommand;
 use vigil_types::Nanos;
 

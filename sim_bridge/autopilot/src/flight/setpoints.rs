@@ -1,6 +1,6 @@
 //! What a setpoint asks for: which masks and frames are flown, and which values are absurd.
 
-use crate::vehicle::{ControlCommand, YawCommand};
+use crate::vehicle::{ControlCommand, Goal, Held, YawCommand};
 use crate::{HomePosition, geo};
 use vigil_mavlink::common::{
     AttitudeTargetTypemask as AttitudeMask, MavFrame, PositionTargetTypemask as PositionMask, SET_ATTITUDE_TARGET_DATA,
@@ -108,24 +108,21 @@ pub(crate) fn position_setpoint(
         YawCommand::Hold
     };
     let velocity_ned = NedVector::new(m.vx, m.vy, m.vz);
+    let goal = |held, (x, y, z), velocity_m_s, speed_limit_m_s| {
+        Ok(ControlCommand::Position(Goal {
+            held,
+            velocity_m_s,
+            ..Goal::new(NedVector::new(x, y, z), yaw, speed_limit_m_s)
+        }))
+    };
     match (position, velocity) {
-        (ALL, _) if is_local => Ok(ControlCommand::Position {
-            position_ned_m: NedVector::new(m.x, m.y, m.z),
-            velocity_m_s: if velocity == ALL { velocity_ned } else { NedVector::ZERO },
-            speed_limit_m_s,
-            yaw,
-        }),
-        (VERTICAL, HORIZONTAL | ALL) if is_local => Ok(ControlCommand::VelocityAtHeight {
-            velocity_m_s: velocity_ned,
-            down_m: m.z,
-            yaw,
-        }),
-        (HORIZONTAL, VERTICAL) if is_local => Ok(ControlCommand::ClimbAtPlace {
-            position_ned_m: NedVector::new(m.x, m.y, 0.0),
-            down_m_s: m.vz,
-            speed_limit_m_s,
-            yaw,
-        }),
+        (ALL, ALL) if is_local => goal(Held::All, (m.x, m.y, m.z), velocity_ned, speed_limit_m_s),
+        (ALL, _) if is_local => goal(Held::All, (m.x, m.y, m.z), NedVector::ZERO, speed_limit_m_s),
+        (VERTICAL, HORIZONTAL | ALL) if is_local => goal(Held::Height, (0.0, 0.0, m.z), velocity_ned, f32::INFINITY),
+        (HORIZONTAL, VERTICAL) if is_local => {
+            let climb = NedVector::new(0.0, 0.0, m.vz);
+            goal(Held::Level, (m.x, m.y, 0.0), climb, speed_limit_m_s)
+        }
         (NONE, ALL) if is_local => Ok(ControlCommand::VelocityNed {
             velocity_m_s: velocity_ned,
             yaw,
@@ -260,33 +257,28 @@ mod tests {
         use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_LOCAL_NED as LOCAL};
         let rate = YawCommand::Rate(0.2);
         let (angle, held) = (YawCommand::Angle(0.7), YawCommand::Hold);
-        let (velocity_m_s, speed_limit_m_s) = (NedVector::new(0.5, -0.5, 0.1), 5.0);
+        let velocity_m_s = NedVector::new(0.5, -0.5, 0.1);
         let ahead = ControlCommand::VelocityHeading {
             velocity_m_s: HeadingVector::new(0.5, -0.5, 0.1),
             yaw: rate,
         };
         let north = |yaw| ControlCommand::VelocityNed { velocity_m_s, yaw };
-        let position = |velocity_m_s| ControlCommand::Position {
-            position_ned_m: NedVector::new(1.0, 2.0, -3.0),
-            velocity_m_s,
-            speed_limit_m_s,
-            yaw: angle,
+        let goal = |held, position_ned_m, velocity_m_s, yaw, speed_limit_m_s| {
+            ControlCommand::Position(Goal {
+                held,
+                velocity_m_s,
+                ..Goal::new(position_ned_m, yaw, speed_limit_m_s)
+            })
         };
-        let at_height = ControlCommand::VelocityAtHeight {
-            velocity_m_s,
-            down_m: -3.0,
-            yaw: held,
-        };
-        let climb = ControlCommand::ClimbAtPlace {
-            position_ned_m: NedVector::new(1.0, 2.0, 0.0),
-            down_m_s: 0.1,
-            speed_limit_m_s,
-            yaw: held,
-        };
+        let position = |velocity| goal(Held::All, NedVector::new(1.0, 2.0, -3.0), velocity, angle, 5.0);
+        let height = NedVector::new(0.0, 0.0, -3.0);
+        let at_height = goal(Held::Height, height, velocity_m_s, held, f32::INFINITY);
+        let rising = NedVector::new(0.0, 0.0, 0.1);
+        let climb = goal(Held::Level, NedVector::new(1.0, 2.0, 0.0), rising, held, 5.0);
         let read = |frame, mask, heading_rad| {
             let mut m = ned(frame, mask);
             (m.afx, m.afy, m.afz) = (1.0, 0.0, -0.5);
-            position_setpoint(&m, speed_limit_m_s, heading_rad)
+            position_setpoint(&m, 5.0, heading_rad)
         };
         for (frame, mask, wanted) in [
             (BODY, 0x5C7, ahead),
@@ -379,7 +371,7 @@ mod tests {
             (MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT, 7.0),
         ] {
             match read(frame, lat, alt, 0x9F8) {
-                Ok(ControlCommand::Position { position_ned_m: p, .. }) => assert!((p - wanted).norm() < 0.05, "{p:?}"),
+                Ok(ControlCommand::Position(goal)) => assert!((goal.position_ned_m - wanted).norm() < 0.05, "{goal:?}"),
                 other => panic!("{other:?}"),
             }
         }

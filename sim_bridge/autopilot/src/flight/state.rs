@@ -1,11 +1,11 @@
 //! What flight remembers: modes, maneuvers, sticks, the watch over the geofence. How they change is in the other files, which
 //! know the core; these types do not.
 
+use crate::config::Source;
 use crate::flight::mode::FlightMode;
 use crate::flight::setpoints::SetpointDefect;
 use crate::plan::Breach;
-use crate::source::Source;
-use crate::vehicle::{ControlCommand, Estimate, YawCommand};
+use crate::vehicle::{ControlCommand, Estimate, Goal};
 use vigil_types::{FrdVector, Nanos, NedVector};
 
 /// Deceleration that the end of a climb is planned with; below what the vehicle's position control brakes with.
@@ -154,11 +154,7 @@ pub(crate) enum Maneuver {
     /// Climbs straight up.
     Climb(Climb),
     /// Goes to a position and holds it.
-    Station {
-        position_ned_m: NedVector,
-        yaw: YawCommand,
-        speed_limit_m_s: f32,
-    },
+    Station(Goal),
     /// Descends straight down until on the ground.
     Descend,
     /// Obeys the owner's setpoints.
@@ -181,14 +177,6 @@ impl Default for Maneuver {
 }
 
 impl Maneuver {
-    pub fn station(position_ned_m: NedVector, yaw: YawCommand, speed_limit_m_s: f32) -> Self {
-        Self::Station {
-            position_ned_m,
-            yaw,
-            speed_limit_m_s,
-        }
-    }
-
     pub fn climb(from_ned_m: NedVector, target_z_m: f32, rate_m_s: f32) -> Self {
         Self::Climb(Climb {
             target_ned_m: NedVector::new(from_ned_m.x, from_ned_m.y, target_z_m),

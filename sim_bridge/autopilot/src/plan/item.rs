@@ -45,9 +45,15 @@ pub(crate) struct Place {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Envelope {
     pub seq: u16,
-    /// 2 and 3 are another vehicle flavour's commands in the shape of an item.
     pub current: u8,
     pub mission_type: u8,
+}
+
+impl Envelope {
+    /// Whether it is ArduPilot's "go there now", or its "go to this altitude now".
+    pub fn is_go_to(self) -> bool {
+        matches!(self.current, 2 | 3)
+    }
 }
 
 fn is_global(frame: u8) -> bool {

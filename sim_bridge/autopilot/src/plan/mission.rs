@@ -281,6 +281,11 @@ impl Mission {
         self.current as u16
     }
 
+    /// Index of the item with which it begins or goes on.
+    pub fn goes_on_with(&self) -> u16 {
+        if self.is_complete { 0 } else { self.current() }
+    }
+
     /// The current item.
     pub fn item(&self) -> Option<MissionItem> {
         self.items.get(self.current).copied()

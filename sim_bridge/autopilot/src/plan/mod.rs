@@ -111,13 +111,18 @@ pub(crate) struct Plans {
 }
 
 impl Plans {
-    /// Whether an item may be part of a plan of this kind.
-    pub fn check(kind: PlanKind, item: &PlanItem, home: &HomePosition) -> Result<(), PlanDefect> {
+    /// Whether a plan of this kind can be made with an item.
+    pub fn read(kind: PlanKind, item: &PlanItem, home: &HomePosition) -> Result<(), PlanDefect> {
         match kind {
             PlanKind::Mission => MissionItem::read(item, home).map(|_| ()),
             PlanKind::Fence => Fence::check(item, home),
             PlanKind::Rally => Rally::read(item, home).map(|_| ()),
-        }?;
+        }
+    }
+
+    /// Whether an item may be part of a plan of this kind.
+    pub fn check(kind: PlanKind, item: &PlanItem, home: &HomePosition) -> Result<(), PlanDefect> {
+        Self::read(kind, item, home)?;
         let misused = misused_in_item(item.command, item.params, item.x, item.y, item.z);
         let defect = |number| Err(PlanDefect::of_parameter(number, "a parameter that has no meaning"));
         misused.map_or(Ok(()), defect)

@@ -5,7 +5,7 @@
 
 use crate::files::{FileError, FileSystem};
 use crate::service::prelude::*;
-use crate::services::packed_parameters;
+use crate::services::parameters::{MAX_STORED, is_packed, read_packed, store_packed};
 use vigil_mavlink::common::MavFtpOpcode as Opcode;
 use vigil_mavlink::crc::crc32;
 
@@ -232,7 +232,7 @@ impl Ftp {
             let index = self.find(client, request.session)?;
             let session = self.sessions.remove(index);
             if let Some(stored) = session.made.filter(|_| session.writes) {
-                packed_parameters::store(&stored, core).map_err(|()| MavFtpErr::MAV_FTP_ERR_FAIL)?;
+                store_packed(&stored, core).map_err(|()| MavFtpErr::MAV_FTP_ERR_FAIL)?;
             }
             done(())
         } else if is(MAV_FTP_OPCODE_RESETSESSION) {
@@ -242,7 +242,7 @@ impl Ftp {
             list(&core.files, request, is(MAV_FTP_OPCODE_LISTDIRECTORYWITHTIME))?
         } else if is(MAV_FTP_OPCODE_OPENFILERO) {
             let path = request.path()?;
-            let made = packed_parameters::read(path, core);
+            let made = read_packed(path, core);
             let size = match &made {
                 Some(made) => made.len(),
                 None => core.files.read(path)?.len(),
@@ -272,7 +272,7 @@ impl Ftp {
             core.files.rename(from, to).map(done)?
         } else if is(MAV_FTP_OPCODE_CALCFILECRC) {
             let path = request.path()?;
-            match packed_parameters::read(path, core) {
+            match read_packed(path, core) {
                 Some(made) => number(crc32(&made)),
                 None => number(crc32(core.files.read(path)?)),
             }
@@ -303,7 +303,7 @@ impl Ftp {
         let exists = request.opcode == Opcode::MAV_FTP_OPCODE_OPENFILEWO as u8;
         let now_s = core.unix_time_s();
         let path = request.path()?;
-        if packed_parameters::is_it(path) {
+        if is_packed(path) {
             // It takes effect as a whole when the session ends.
             self.open(request, client, true, core.now_ns)?.made = Some(Vec::new());
             return Ok(number(0));
@@ -322,7 +322,7 @@ impl Ftp {
         }
         if let Some(made) = &mut session.made {
             let end = request.offset.saturating_add(request.data.len());
-            if end > packed_parameters::MAX_STORED {
+            if end > MAX_STORED {
                 return Err(FileError::NoSpace.into());
             }
             made.resize(made.len().max(end), 0);
@@ -425,12 +425,12 @@ impl Session {
 /// a directory also has a size (0).
 fn list(files: &FileSystem, request: &Request<'_>, with_times: bool) -> Result<Reply, Nak> {
     let mut data = Vec::with_capacity(MAX_DATA);
-    for entry in files.list(request.path()?)?.into_iter().skip(request.offset) {
-        let (kind, size) = entry.size.map_or(('D', 0), |size| ('F', size));
-        let line = match (with_times, entry.size) {
-            (true, _) => format!("{kind}{}\t{size}\t{}\0", entry.name, entry.modified_s),
-            (false, Some(_)) => format!("{kind}{}\t{size}\0", entry.name),
-            (false, None) => format!("{kind}{}\0", entry.name),
+    for (name, entry) in files.list(request.path()?)?.into_iter().skip(request.offset) {
+        let (kind, size) = entry.size().map_or(('D', 0), |size| ('F', size));
+        let line = match (with_times, entry.size()) {
+            (true, _) => format!("{kind}{name}\t{size}\t{}\0", entry.modified_s),
+            (false, Some(_)) => format!("{kind}{name}\t{size}\0"),
+            (false, None) => format!("{kind}{name}\0"),
         };
         if data.len() + line.len() > MAX_DATA {
             break;

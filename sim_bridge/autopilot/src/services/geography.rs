@@ -1,16 +1,15 @@
-//! HOME_POSITION and GPS_GLOBAL_ORIGIN. <https://mavlink.io/en/services/home.html>
+//! HOME_POSITION, GPS_GLOBAL_ORIGIN and FENCE_STATUS, and the watch over the geofence.
+//! <https://mavlink.io/en/services/home.html>, <https://mavlink.io/en/messages/common.html#FENCE_STATUS>
 //!
-//! Both are the local origin until DO_SET_HOME moves home, which changes where a return flies to and what
+//! Home and origin are both the local origin until DO_SET_HOME moves home, which changes where a return flies to and what
 //! GF_MAX_HOR_DIST is counted from. Home keeps its height: the world is level, and heights are above it.
 
 use crate::geo::{self, deg_e7};
+use crate::plan::Breach;
 use crate::plan::mission::DO_SET_HOME;
 use crate::service::prelude::*;
 use crate::services::actions::{GLOBAL_FRAMES, MAX_DISTANCE_M, latitude_longitude_deg, to_local};
 use vigil_types::NedVector;
-
-/// How far the height of a place may be from home's that is still meant to be the same.
-const SAME_HEIGHT_M: f64 = 1.0;
 
 pub(super) const COMMANDS: &[(u16, Handler)] = &[(DO_SET_HOME, set_home)];
 
@@ -18,6 +17,9 @@ pub(super) const MESSAGES: &[Produced] = &[
     Produced::from(HOME_POSITION_DATA::ID, [0.5, 0.5, 0.5], home),
     Produced::from(GPS_GLOBAL_ORIGIN_DATA::ID, [0.5, 0.5, 0.5], origin),
 ];
+
+/// How far the height of a place may be from home's that is still meant to be the same.
+const SAME_HEIGHT_M: f64 = 1.0;
 
 /// The origin is where the simulated world has it; whoever wants another is sent the one in force.
 pub(super) fn set_origin(wanted: SET_GPS_GLOBAL_ORIGIN_DATA, _source: Source, core: &mut Core) {
@@ -80,4 +82,45 @@ fn origin(core: &Core) -> Option<MavMessage> {
         altitude: (core.home.altitude_m * 1e3) as i32,
         time_usec: core.time_boot_us(),
     }))
+}
+
+/// How often the vehicle's place is compared with the geofence.
+const PERIOD_NS: Nanos = 50_000_000;
+
+#[derive(Debug, Default)]
+pub(crate) struct Geofence {
+    due_ns: Nanos,
+}
+
+impl Service for Geofence {
+    fn messages(&self) -> &'static [Produced] {
+        const { &[Produced::from(FENCE_STATUS_DATA::ID, [0.0, 1.0, 1.0], fence_status)] }
+    }
+
+    fn due_ns(&self) -> Nanos {
+        self.due_ns
+    }
+
+    fn step(&mut self, core: &mut Core) {
+        self.due_ns = core.now_ns + PERIOD_NS;
+        core.watch_fence();
+    }
+}
+
+/// Nothing while there is no geofence.
+fn fence_status(core: &Core) -> Option<MavMessage> {
+    let watch = &core.fence_watch;
+    core.has_fence().then(|| {
+        MavMessage::FENCE_STATUS(FENCE_STATUS_DATA {
+            breach_time: watch.last_ms,
+            breach_count: watch.count,
+            breach_status: u8::from(watch.breach.is_some()),
+            breach_type: match watch.breach {
+                None => FenceBreach::FENCE_BREACH_NONE,
+                Some(Breach::Height) => FenceBreach::FENCE_BREACH_MAXALT,
+                Some(Breach::Boundary) => FenceBreach::FENCE_BREACH_BOUNDARY,
+            },
+            breach_mitigation: FenceMitigate::FENCE_MITIGATE_NONE,
+        })
+    })
 }

@@ -156,16 +156,16 @@ impl Service for Logs {
 /// The logs from the oldest: the position is a log's number on the link.
 fn paths(core: &Core) -> Vec<String> {
     let listed = core.files.list(DIRECTORY).unwrap_or_default();
-    listed.iter().map(|e| format!("{DIRECTORY}/{}", e.name)).collect()
+    listed.iter().map(|(name, _)| format!("{DIRECTORY}/{name}")).collect()
 }
 
 /// What LOG_ENTRY says of log number `index`; no logs are reported by a count of 0.
 fn entry(core: &Core, index: usize) -> MavMessage {
     let entries = core.files.list(DIRECTORY).unwrap_or_default();
-    let log = entries.get(index);
+    let log = entries.get(index).map(|(_, log)| log);
     MavMessage::LOG_ENTRY(LOG_ENTRY_DATA {
         time_utc: log.map_or(0, |l| l.modified_s as u32),
-        size: log.and_then(|l| l.size).unwrap_or(0) as u32,
+        size: log.and_then(|l| l.size()).unwrap_or(0) as u32,
         id: index as u16,
         num_logs: entries.len() as u16,
         last_log_num: entries.len().saturating_sub(1) as u16,

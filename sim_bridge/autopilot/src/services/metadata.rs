@@ -43,8 +43,8 @@ fn general(core: &Core) -> Option<MavMessage> {
 /// A parameter as the schema of parameter metadata has it. Numbers are written as short as they read back.
 fn described(info: &ParameterInfo) -> Value {
     let (kind, number): (_, fn(f32) -> Value) = match info.default {
-        ParameterValue::Int32(_) => ("Int32", |value| json!(value as i32)),
-        ParameterValue::Real32(_) => ("Float", |value| json!(exact(ParameterValue::Real32(value)))),
+        ParameterValue::Integer(_) => ("Int32", |value| json!(value as i32)),
+        ParameterValue::Real(_) => ("Float", |value| json!(exact(ParameterValue::Real(value)))),
     };
     let choice = |(value, description)| json!({ "value": value, "description": description });
     let values: Vec<Value> = info.choices().into_iter().map(choice).collect();

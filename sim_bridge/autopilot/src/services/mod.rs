@@ -1,44 +1,23 @@
-//! The protocol services, one file each. A new one is its file and its line in the table below, besides its `mod`.
+//! The protocol services, those of one matter in one file. A new one is its line in the table below, besides its `mod`.
 
-mod absent;
 mod actions;
 mod actuators;
-mod arming;
-mod attitude;
-mod battery;
 mod calibration;
-mod estimator;
 mod events;
-mod failures;
-mod flight_information;
-mod follow;
 mod ftp;
-mod geofence;
 mod geography;
-mod ground_truth;
 mod health;
-mod interest;
-mod link_status;
+mod identity;
+mod link;
 mod logs;
-mod manual;
 mod metadata;
-mod mission;
-mod modes;
-mod orbit;
-mod packed_parameters;
 mod parameters;
 mod plans;
 mod position;
-mod ranges;
 mod sensors;
 mod setpoints;
 mod shell;
-mod signing;
 mod state;
-mod storage;
-mod time;
-mod version;
-mod vibration;
 
 use crate::service::prelude::*;
 
@@ -77,48 +56,36 @@ impl<M: MessageData<Message = MavMessage>> Service for Receiver<M> {
 pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
     vec![
         Box::<setpoints::SetpointService>::default(),
-        Box::new(Receiver(manual::joystick)),
-        Box::new(Receiver(manual::channels)),
-        Box::new(Tables(&[], state::MESSAGES)),
-        Box::new(Tables(&[], attitude::MESSAGES)),
+        Box::new(Receiver(setpoints::joystick)),
+        Box::new(Receiver(setpoints::channels)),
+        Box::new(Tables(state::COMMANDS, state::MESSAGES)),
         Box::new(Tables(&[], position::MESSAGES)),
-        Box::new(Tables(&[], sensors::MESSAGES)),
-        Box::new(Tables(&[], ranges::MESSAGES)),
+        Box::new(Tables(sensors::COMMANDS, sensors::MESSAGES)),
         Box::<actuators::Actuators>::default(),
-        Box::new(Tables(&[], estimator::MESSAGES)),
-        Box::<vibration::Vibration>::default(),
-        Box::<flight_information::FlightInformation>::default(),
-        Box::new(Tables(&[], absent::MESSAGES)),
-        Box::new(ground_truth::GroundTruth),
-        Box::new(Tables(failures::COMMANDS, &[])),
-        Box::new(Tables(&[], battery::MESSAGES)),
+        Box::<sensors::Vibration>::default(),
+        Box::new(position::GroundTruth),
         Box::new(Tables(&[], health::MESSAGES)),
         Box::new(Receiver(geography::set_origin)),
         Box::new(Tables(geography::COMMANDS, geography::MESSAGES)),
-        Box::new(Tables(arming::COMMANDS, &[])),
         Box::new(actions::SetMode),
-        Box::new(Tables(actions::COMMANDS, &[])),
+        Box::new(Tables(actions::COMMANDS, actions::MESSAGES)),
         Box::<calibration::Calibration>::default(),
         Box::<plans::PlanTransfer>::default(),
-        Box::new(Receiver(mission::set_current)),
-        Box::new(Tables(mission::COMMANDS, mission::MESSAGES)),
-        Box::<geofence::Geofence>::default(),
-        Box::new(Tables(orbit::COMMANDS, orbit::MESSAGES)),
-        Box::new(follow::Follow::default()),
-        Box::new(Tables(interest::COMMANDS, &[])),
+        Box::new(Receiver(plans::set_current)),
+        Box::new(Tables(plans::COMMANDS, plans::MESSAGES)),
+        Box::<geography::Geofence>::default(),
+        Box::<setpoints::Follow>::default(),
         Box::<parameters::ParameterService>::default(),
-        Box::new(Tables(storage::COMMANDS, &[])),
+        Box::new(Tables(parameters::COMMANDS, &[])),
         Box::<ftp::Ftp>::default(),
         Box::new(metadata::Metadata),
         Box::<logs::Logs>::default(),
         Box::<events::Events>::default(),
         Box::<shell::Shell>::default(),
-        Box::new(Receiver(time::ping)),
-        Box::new(Receiver(time::synchronise)),
-        Box::new(Tables(&[], time::MESSAGES)),
-        Box::<link_status::LinkStatus>::default(),
-        Box::new(Tables(modes::COMMANDS, modes::MESSAGES)),
-        Box::new(Tables(&[], version::MESSAGES)),
-        Box::new(Receiver(signing::set_up)),
+        Box::new(Receiver(link::answer_ping)),
+        Box::new(Receiver(link::synchronise)),
+        Box::<link::LinkStatus>::default(),
+        Box::new(Tables(&[], identity::MESSAGES)),
+        Box::new(Receiver(identity::set_up)),
     ]
 }

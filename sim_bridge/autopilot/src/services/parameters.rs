@@ -1,12 +1,17 @@
-//! The parameter protocol, integers bytewise as in PX4. <https://mavlink.io/en/services/parameter.html>
+//! The parameter protocol, integers bytewise as in PX4, <https://mavlink.io/en/services/parameter.html>; PREFLIGHT_STORAGE: keeping
+//! parameters, and their defaults again, <https://mavlink.io/en/messages/common.html#MAV_CMD_PREFLIGHT_STORAGE>; and all of them as one
+//! file, `@PARAM/param.pck`: what ground stations fetch instead of a list, and store to set many at once,
+//! <https://mavlink.io/en/services/ftp.html#param-pck>, format: libraries/AP_Filesystem/README.md of ArduPilot.
 //!
 //! `_HASH_CHECK` is no parameter but a digest of all of them, by which a ground station knows that what it has kept is
 //! current: it comes before a list, and set to its own value it ends one.
 
 use crate::service::prelude::*;
-use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters};
+use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters, on_wire};
 use vigil_mavlink::crc::crc32_on;
 use vigil_mavlink::mavlink::types::CharArray;
+
+pub(super) const COMMANDS: &[(u16, Handler)] = &[(PREFLIGHT_STORAGE, store)];
 
 /// Pause between the values of a list: a burst would overrun a client's socket buffer.
 const LIST_PAUSE_NS: Nanos = 5_000_000;
@@ -71,10 +76,7 @@ impl Service for ParameterService {
 /// PARAM_VALUE of the parameter at `index`.
 pub(super) fn value_message(core: &Core, index: usize) -> Option<MavMessage> {
     let (info, value) = core.parameters.at(index)?;
-    let (param_value, param_type) = match value {
-        ParameterValue::Int32(v) => (f32::from_bits(v as u32), MavParamType::MAV_PARAM_TYPE_INT32),
-        ParameterValue::Real32(v) => (v, MavParamType::MAV_PARAM_TYPE_REAL32),
-    };
+    let (param_value, param_type) = on_wire(value);
     Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
         param_value,
         param_count: Parameters::count() as u16,
@@ -87,7 +89,7 @@ pub(super) fn value_message(core: &Core, index: usize) -> Option<MavMessage> {
 /// PX4's digest: a CRC over the names and values in the order of the index.
 fn hash(core: &Core) -> u32 {
     core.parameters.all().fold(0, |crc, (info, value)| {
-        crc32_on(crc32_on(crc, info.name.as_bytes()), &value.to_le_bytes())
+        crc32_on(crc32_on(crc, info.name.as_bytes()), &on_wire(value).0.to_le_bytes())
     })
 }
 
@@ -118,9 +120,9 @@ fn set(m: &PARAM_SET_DATA, source: Source, core: &mut Core) {
         (None, _) => Err(ParameterError::Unknown(name.to_owned())),
         (Some(index), MavParamType::MAV_PARAM_TYPE_INT32) => core
             .parameters
-            .set(index, ParameterValue::Int32(m.param_value.to_bits() as i32)),
+            .set(index, ParameterValue::Integer(m.param_value.to_bits() as i32)),
         (Some(index), MavParamType::MAV_PARAM_TYPE_REAL32) => {
-            core.parameters.set(index, ParameterValue::Real32(m.param_value))
+            core.parameters.set(index, ParameterValue::Real(m.param_value))
         }
         (Some(index), _) => Err(ParameterError::WrongType(crate::parameter_table()[index].name)),
     };
@@ -143,4 +145,156 @@ fn set(m: &PARAM_SET_DATA, source: Source, core: &mut Core) {
         core.outbox.send(source.link, &message);
     }
     core.warn_refused(&error.to_string());
+}
+
+const PREFLIGHT_STORAGE: u16 = 245;
+/// MAV_PREFLIGHT_STORAGE_ACTION_*.
+const READ: f32 = 0.0;
+const WRITE: f32 = 1.0;
+const RESET: f32 = 2.0;
+const RESET_CALIBRATION: f32 = 3.0;
+const RESET_ALL: f32 = 4.0;
+
+fn store(command: &Command, _source: Source, core: &mut Core) -> Answer {
+    if core.commander.armed {
+        return Err(Refusal::REJECTED.saying("parameter storage denied: armed"));
+    }
+    match command.param(1) {
+        // Whatever is set is kept at once, where the simulator keeps anything (`--state`); calibrations change nothing.
+        Some(READ | WRITE | RESET_CALIBRATION) => Ok(()),
+        Some(RESET | RESET_ALL) => {
+            core.parameters.reset();
+            core.inform("parameters reset to their defaults");
+            Ok(())
+        }
+        _ => Err(Refusal::DENIED),
+    }
+}
+
+/// Longest file that is taken: all parameters with their defaults are far below it.
+pub(super) const MAX_STORED: usize = 65_536;
+/// Its path, behind which options may follow: `?start=N&count=N&withdefaults=1`.
+const PATH: &str = "@PARAM/param.pck";
+/// The first word of the file, without and with defaults.
+const MAGIC: u16 = 0x671B;
+const MAGIC_WITH_DEFAULTS: u16 = 0x671C;
+/// AP_PARAM_INT32 and AP_PARAM_FLOAT.
+const INT32: u8 = 3;
+const FLOAT: u8 = 4;
+/// Flag of an entry: its default follows, because it differs.
+const HAS_DEFAULT: u8 = 1;
+
+/// Whether a path is the file's.
+pub(super) fn is_packed(path: &str) -> bool {
+    path.strip_prefix('/').unwrap_or(path) == PATH
+}
+
+/// The file that a path names; `None` if it names another.
+pub(super) fn read_packed(path: &str, core: &Core) -> Option<Vec<u8>> {
+    let (path, options) = path.split_once('?').unwrap_or((path, ""));
+    if !is_packed(path) {
+        return None;
+    }
+    let option = |name: &str| {
+        let mut options = options.split('&').filter_map(|option| option.split_once('='));
+        let (_, value) = options.find(|(key, _)| *key == name)?;
+        value.parse::<usize>().ok()
+    };
+    let with_defaults = option("withdefaults") == Some(1);
+    let total = Parameters::count();
+    let start = option("start").unwrap_or(0).min(total);
+    let count = option("count").filter(|count| *count > 0).unwrap_or(total);
+    let count = count.min(total - start);
+    let magic = if with_defaults { MAGIC_WITH_DEFAULTS } else { MAGIC };
+    let mut file = Vec::with_capacity(16 * count);
+    for word in [magic, count as u16, total as u16] {
+        file.extend_from_slice(&word.to_le_bytes());
+    }
+    let mut last = "";
+    for (info, value) in core.parameters.all().skip(start).take(count) {
+        // A name repeats the beginning of the one before; lengths are of four bits, the second less one.
+        let same = info.name.bytes().zip(last.bytes()).take_while(|(a, b)| a == b);
+        let common = same.count().min(15).min(info.name.len() - 1);
+        let rest = info.name.as_bytes().get(common..).unwrap_or_default();
+        let kind = match value {
+            ParameterValue::Integer(_) => INT32,
+            ParameterValue::Real(_) => FLOAT,
+        };
+        let tells_default = with_defaults && value != info.default;
+        let flags = if tells_default { HAS_DEFAULT } else { 0 };
+        file.push(kind | flags << 4);
+        file.push(common as u8 | ((rest.len() - 1) as u8) << 4);
+        file.extend_from_slice(rest);
+        file.extend_from_slice(&on_wire(value).0.to_le_bytes());
+        if tells_default {
+            file.extend_from_slice(&on_wire(info.default).0.to_le_bytes());
+        }
+        last = info.name;
+    }
+    Some(file)
+}
+
+/// A parameter of a stored file: name, type, bits of the value.
+type Stored = (String, u8, [u8; 4]);
+
+/// The parameters of a stored file; `None` if it is not one. Its third word is its own length or anything: clients differ.
+fn parse(file: &[u8]) -> Option<Vec<Stored>> {
+    let word = |at: usize| Some(u16::from_le_bytes([*file.get(at)?, *file.get(at + 1)?]));
+    if !matches!(word(0)?, MAGIC | MAGIC_WITH_DEFAULTS) {
+        return None;
+    }
+    let count = usize::from(word(2)?);
+    let mut rest = file.get(6..)?;
+    let mut stored: Vec<Stored> = Vec::new();
+    while let [first, after_first @ ..] = rest {
+        // Zeros between entries fill up packets.
+        if *first == 0 {
+            rest = after_first;
+            continue;
+        }
+        let (lengths, behind) = after_first.split_first()?;
+        let (common, own) = (usize::from(lengths & 15), usize::from(lengths >> 4) + 1);
+        let (name_end, behind) = behind.split_at_checked(own)?;
+        let (value, behind) = behind.split_first_chunk::<4>()?;
+        let before = stored.last().map_or("", |(name, ..)| name.as_str());
+        let name = before.get(..common)?.to_owned() + core::str::from_utf8(name_end).ok()?;
+        stored.push((name, first & 15, *value));
+        rest = match first >> 4 & HAS_DEFAULT {
+            0 => behind,
+            _ => behind.get(4..)?,
+        };
+    }
+    (stored.len() == count).then_some(stored)
+}
+
+/// Sets what a stored file says: all of it, or nothing where it is no such file or a value is refused. Sends everybody what changed.
+pub(super) fn store_packed(file: &[u8], core: &mut Core) -> Result<(), ()> {
+    let mut parameters = core.parameters.clone();
+    let outcome = parse(file)
+        .ok_or_else(|| "it is not one".to_owned())
+        .and_then(|stored| {
+            for (name, kind, value) in &stored {
+                let index = Parameters::index_of(name).ok_or(format!("there is no parameter {name}"))?;
+                let value = match *kind {
+                    INT32 => ParameterValue::Integer(i32::from_le_bytes(*value)),
+                    FLOAT => ParameterValue::Real(f32::from_le_bytes(*value)),
+                    _ => return Err(format!("{name} is of another type")),
+                };
+                parameters.set(index, value).map_err(|error| error.to_string())?;
+            }
+            Ok(())
+        });
+    if let Err(why) = outcome {
+        core.warn_refused(&format!("parameter file refused: {why}"));
+        return Err(());
+    }
+    let before = std::mem::replace(&mut core.parameters, parameters);
+    for index in 0..Parameters::count() {
+        if core.parameters.at(index) != before.at(index)
+            && let Some(message) = value_message(core, index)
+        {
+            core.outbox.send_all(&message);
+        }
+    }
+    Ok(())
 }

@@ -1,13 +1,23 @@
-//! Up- and download of plans: mission, geofence, rally points. <https://mavlink.io/en/services/mission.html>
+//! Up- and download of plans: mission, geofence, rally points; and starting, pausing and following a mission.
+//! <https://mavlink.io/en/services/mission.html>
 //!
 //! An upload replaces the plan of its kind when its last item has come and the whole makes sense; until then, and when it
 //! fails, the old plan stays in force. There is one upload at a time. A download has no state: any item can be asked for at
 //! any time by anybody.
 
 use crate::core::padded;
+use crate::flight::FlightMode;
+use crate::plan::mission::DO_CHANGE_SPEED;
 use crate::plan::{Envelope, MissionItem, PlanDefect, PlanItem, PlanKind, Plans};
 use crate::service::prelude::*;
 use MavMissionResult::*;
+
+pub(super) const COMMANDS: &[(u16, Handler)] = &[(DO_CHANGE_SPEED, change_speed), (MISSION_START, start)];
+
+pub(super) const MESSAGES: &[Produced] = &[
+    Produced::from(MISSION_CURRENT_DATA::ID, [0.0, 1.0, 1.0], current),
+    Produced::from(MISSION_ITEM_REACHED_DATA::ID, [0.0, 1.0, 1.0], reached),
+];
 
 /// An item that does not come is asked for again after this time, as in PX4.
 const RETRY_NS: Nanos = 250_000_000;
@@ -22,6 +32,8 @@ struct Upload {
     kind: PlanKind,
     count: u16,
     items: Vec<PlanItem>,
+    /// The item with which the mission is to go on.
+    current: Option<u16>,
     heard_ns: Nanos,
     retry_ns: Nanos,
     retries: u32,
@@ -51,10 +63,21 @@ fn refuse(core: &mut Core, source: Source, kind: PlanKind, result: MavMissionRes
     core.warn_refused(&format!("{} refused: {reason}", kind.name()));
 }
 
-fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>) -> Result<(), PlanDefect> {
+/// A mission goes on with the item `current`; without one, as in PX4, with its item of the number that the one before was at, on the
+/// ground with its first.
+fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>, current: Option<u16>) -> Result<(), PlanDefect> {
+    let before = match core.commander.is_on_ground() {
+        true => 0,
+        false => core.plans.mission.goes_on_with(),
+    };
     core.plans.replace(kind, items, &core.home)?;
     match kind {
-        PlanKind::Mission => core.mission_changed(),
+        PlanKind::Mission => {
+            let mission = &mut core.plans.mission;
+            let last = mission.len().saturating_sub(1);
+            mission.set_current(last.min(current.unwrap_or(before).into()));
+            core.mission_changed();
+        }
         PlanKind::Fence if core.plans.fence.has_empty_circle() => {
             core.warn("geofence: a circle of radius 0 holds nothing");
         }
@@ -155,6 +178,7 @@ impl PlanTransfer {
             kind,
             count,
             items: Vec::with_capacity(usize::from(count)),
+            current: None,
             heard_ns: core.now_ns,
             retry_ns: 0,
             retries: 0,
@@ -169,20 +193,10 @@ impl PlanTransfer {
 
     fn take(&mut self, item: PlanItem, envelope: Envelope, source: Source, core: &mut Core) {
         let is_this = |upload: &Upload| {
-            upload.source == source
-                && upload.kind.wire() as u8 == envelope.mission_type
-                // 2 and 3 are ArduPilot's "go there now".
-                && envelope.current < 2
+            upload.source == source && upload.kind.wire() as u8 == envelope.mission_type && !envelope.is_go_to()
         };
         let Some(mut upload) = self.upload.take_if(|upload| is_this(upload)) else {
-            let again =
-                PlanKind::from_number(envelope.mission_type).map(|kind| (source, kind, envelope.seq.saturating_add(1)));
-            if again.is_some() && again == self.finished {
-                acknowledge(core, source, envelope.mission_type, MAV_MISSION_ACCEPTED);
-            } else {
-                core.refusals.plan += 1;
-            }
-            return;
+            return self.answer_astray(envelope, source, core);
         };
         // A repetition of what came already waits for the retry; a gap is filled at once.
         let wanted = upload.items.len() as u16;
@@ -200,6 +214,9 @@ impl PlanTransfer {
             return refuse(core, source, upload.kind, defect.result, &reason);
         }
         upload.items.push(item);
+        if envelope.current == 1 {
+            upload.current = Some(wanted);
+        }
         upload.heard_ns = core.now_ns;
         upload.retries = 0;
         if upload.items.len() < usize::from(upload.count) {
@@ -210,11 +227,30 @@ impl PlanTransfer {
         }
     }
 
+    /// Answers an item that is not of the upload under way.
+    fn answer_astray(&self, envelope: Envelope, source: Source, core: &mut Core) {
+        let mission_type = envelope.mission_type;
+        let is_of = |by: &Source, kind: &PlanKind| *by == source && kind.wire() as u8 == mission_type;
+        let reason = match self.finished.filter(|(by, kind, _)| is_of(by, kind)) {
+            _ if envelope.is_go_to() => "go-to by MISSION_ITEM is not flown, use DO_REPOSITION",
+            Some((.., count)) if envelope.seq.saturating_add(1) == count => {
+                return acknowledge(core, source, mission_type, MAV_MISSION_ACCEPTED);
+            }
+            None if self.upload.as_ref().is_none_or(|upload| upload.source != source) => {
+                "no upload of yours is under way"
+            }
+            // Late, or of another kind of plan.
+            _ => return core.refusals.plan += 1,
+        };
+        acknowledge(core, source, mission_type, MAV_MISSION_ERROR);
+        core.warn_refused(&format!("mission item refused: {reason}"));
+    }
+
     fn finish(&mut self, upload: Upload, core: &mut Core) {
         let Upload {
             source, kind, count, ..
         } = upload;
-        match replace(core, kind, upload.items) {
+        match replace(core, kind, upload.items, upload.current) {
             Ok(()) => {
                 self.finished = Some((source, kind, count));
                 acknowledge(core, source, kind.wire() as u8, MAV_MISSION_ACCEPTED);
@@ -237,7 +273,7 @@ impl PlanTransfer {
         self.upload.take_if(|upload| kinds.contains(&upload.kind));
         for kind in kinds {
             // An empty plan is always valid.
-            if let Err(defect) = replace(core, kind, Vec::new()) {
+            if let Err(defect) = replace(core, kind, Vec::new(), None) {
                 return refuse(core, source, kind, defect.result, defect.reason);
             }
         }
@@ -262,7 +298,7 @@ fn tell_item(seq: u16, mission_type: u8, as_int: bool, source: Source, core: &mu
     let Some(item) = core.plans.wire(kind).items.get(usize::from(seq)) else {
         return acknowledge(core, source, mission_type, MAV_MISSION_INVALID_SEQUENCE);
     };
-    let is_current = kind == PlanKind::Mission && core.plans.mission.current() == seq;
+    let is_current = kind == PlanKind::Mission && core.plans.mission.goes_on_with() == seq;
     let envelope = Envelope {
         seq,
         current: u8::from(is_current),
@@ -271,4 +307,71 @@ fn tell_item(seq: u16, mission_type: u8, as_int: bool, source: Source, core: &mu
     let payload = item.payload(envelope, (source.id.system, source.id.component), as_int);
     let id = [MISSION_ITEM_DATA::ID, MISSION_ITEM_INT_DATA::ID][usize::from(as_int)];
     core.outbox.send_payload(source.link, id, &payload);
+}
+
+const MISSION_START: u16 = 300;
+
+pub(super) fn set_current(m: MISSION_SET_CURRENT_DATA, _source: Source, core: &mut Core) {
+    if !make_current(usize::from(m.seq), core) {
+        core.refusals.plan += 1;
+        core.warn_refused(&format!("there is no mission item {}", m.seq));
+    }
+}
+
+fn make_current(index: usize, core: &mut Core) -> bool {
+    let is_set = core.plans.mission.set_current(index);
+    if is_set {
+        core.mission_changed();
+    }
+    is_set
+}
+
+fn change_speed(command: &Command, _source: Source, core: &mut Core) -> Answer {
+    // Airspeed and ground speed are one without wind; rates of climb are parameters.
+    let (Some(0.0 | 1.0), Some(speed_m_s)) = (command.param(1), command.param(2)) else {
+        return Err(Refusal::DENIED);
+    };
+    // −1 changes nothing, −2 goes back to the default.
+    match speed_m_s {
+        -1.0 => {}
+        -2.0 => core.change_speed(None),
+        _ if speed_m_s > 0.0 => core.change_speed(Some(speed_m_s)),
+        _ => return Err(Refusal::DENIED),
+    }
+    Ok(())
+}
+
+/// Starts with the item of parameter 1 (−1: the current one), and arms, as PX4 does.
+fn start(command: &Command, source: Source, core: &mut Core) -> Answer {
+    core.mission_check().map_err(|denial| Refusal::DENIED.saying(denial))?;
+    match command.param(1) {
+        None | Some(-1.0) => {}
+        Some(first) if first >= 0.0 && make_current(first as usize, core) => {}
+        Some(first) => return Err(Refusal::DENIED.saying(format!("mission denied: there is no item {first}"))),
+    }
+    core.change_mode(FlightMode::Mission, source)?;
+    Ok(core.arm(source)?)
+}
+
+fn current(core: &Core) -> Option<MavMessage> {
+    const IN_MISSION_MODE: u8 = 1;
+    const SUSPENDED: u8 = 2;
+    let is_flown = core.commander.mode == FlightMode::Mission;
+    let mission = &core.plans.mission;
+    let count = mission.len() as u16;
+    Some(MavMessage::MISSION_CURRENT(MISSION_CURRENT_DATA {
+        seq: mission.current(),
+        total: if count == 0 { u16::MAX } else { count },
+        mission_state: mission.state(is_flown),
+        mission_mode: if is_flown { IN_MISSION_MODE } else { SUSPENDED },
+        mission_id: core.plans.wire(PlanKind::Mission).id,
+        fence_id: core.plans.wire(PlanKind::Fence).id,
+        rally_points_id: core.plans.wire(PlanKind::Rally).id,
+    }))
+}
+
+/// Sent when an item is reached, and again from time to time, because a packet may be lost.
+fn reached(core: &Core) -> Option<MavMessage> {
+    let seq = core.plans.mission.reached?;
+    Some(MavMessage::MISSION_ITEM_REACHED(MISSION_ITEM_REACHED_DATA { seq }))
 }

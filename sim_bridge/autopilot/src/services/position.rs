@@ -1,9 +1,11 @@
-//! Where the vehicle is and how fast: local, global, height, heads-up display, odometry; and what is flown.
+//! Where the vehicle is, how it lies and how fast it moves: local, global, height, heads-up display, attitude, odometry; what
+//! is flown; and where it truly is.
 
-use crate::flight::{FlightMode, position_target};
-use crate::geo;
+use crate::flight::{FlightMode, attitude_target, position_target};
 use crate::plan::MissionItem;
 use crate::service::prelude::*;
+use crate::services::sensors::STANDARD_GRAVITY_M_S2;
+use crate::{LinkRole, geo};
 use vigil_types::NedVector;
 
 pub(super) const MESSAGES: &[Produced] = &[
@@ -12,8 +14,11 @@ pub(super) const MESSAGES: &[Produced] = &[
     Produced::from(VFR_HUD_DATA::ID, [0.0, 5.0, 5.0], heads_up_display),
     Produced::from(ALTITUDE_DATA::ID, [0.0, 5.0, 2.0], altitude),
     Produced::from(ODOMETRY_DATA::ID, [0.0, 10.0, 0.0], odometry),
-    Produced::from(POSITION_TARGET_LOCAL_NED_DATA::ID, [0.0, 5.0, 2.0], target),
+    Produced::from(POSITION_TARGET_LOCAL_NED_DATA::ID, [0.0, 5.0, 2.0], position_target),
     Produced::from(POSITION_TARGET_GLOBAL_INT_DATA::ID, [0.0; 3], global_target),
+    Produced::from(ATTITUDE_DATA::ID, [50.0, 50.0, 20.0], attitude),
+    Produced::from(ATTITUDE_QUATERNION_DATA::ID, [50.0, 20.0, 10.0], attitude_quaternion),
+    Produced::from(ATTITUDE_TARGET_DATA::ID, [0.0, 5.0, 2.0], attitude_target),
 ];
 
 /// A direction in degrees, 0 to 360.
@@ -97,11 +102,6 @@ fn odometry(core: &Core) -> Option<MavMessage> {
     Some(MavMessage::ODOMETRY(m))
 }
 
-/// The setpoint in force, the vehicle's own where it flies by itself.
-fn target(core: &Core) -> Option<MavMessage> {
-    position_target(core).map(MavMessage::POSITION_TARGET_LOCAL_NED)
-}
-
 /// Where the vehicle flies to, as PX4 sends its current position setpoint: the place of the mission's leg, of a go-to, a hold, a return,
 /// a take-off or a landing; nothing where it flies to no place.
 fn global_target(core: &Core) -> Option<MavMessage> {
@@ -124,6 +124,56 @@ fn global_target(core: &Core) -> Option<MavMessage> {
         type_mask = PositionTargetTypemask::from_bits_truncate(0xDF8),
         coordinate_frame = MavFrame::MAV_FRAME_GLOBAL
     ))
+}
+
+fn attitude(core: &Core) -> Option<MavMessage> {
+    let (mut m, a) = (ATTITUDE_DATA::default(), core.view.estimate.attitude);
+    [m.roll, m.pitch, m.yaw] = [a.roll_rad(), a.pitch_rad(), a.yaw_rad()];
+    [m.rollspeed, m.pitchspeed, m.yawspeed] = core.view.estimate.rates_frd_rad_s.to_array();
+    m.time_boot_ms = core.time_boot_ms();
+    Some(MavMessage::ATTITUDE(m))
+}
+
+fn attitude_quaternion(core: &Core) -> Option<MavMessage> {
+    let (mut m, a) = (ATTITUDE_QUATERNION_DATA::default(), core.view.estimate.attitude);
+    [m.q1, m.q2, m.q3, m.q4] = [a.w, a.x, a.y, a.z];
+    [m.rollspeed, m.pitchspeed, m.yawspeed] = core.view.estimate.rates_frd_rad_s.to_array();
+    m.time_boot_ms = core.time_boot_ms();
+    Some(MavMessage::ATTITUDE_QUATERNION(m))
+}
+
+/// HIL_STATE_QUATERNION: where the simulated vehicle truly is, as clients of PX4's simulation know it. On request only, and
+/// never on an onboard link: whoever guides the vehicle must not know.
+pub(crate) struct GroundTruth;
+
+impl Service for GroundTruth {
+    fn messages(&self) -> &'static [Produced] {
+        const { &[Produced::stateful(HIL_STATE_QUATERNION_DATA::ID, [0.0; 3])] }
+    }
+
+    fn produce(&self, _message_id: u32, link: LinkId, core: &Core) -> Option<MavMessage> {
+        if core.roles.get(usize::from(link.0)) == Some(&LinkRole::Onboard) {
+            return None;
+        }
+        let truth = core.truth?;
+        let (lat, lon, altitude_m) = geo::to_global(&core.home, truth.position_ned_m);
+        let mut m = HIL_STATE_QUATERNION_DATA {
+            time_usec: core.time_boot_us(),
+            attitude_quaternion: [truth.attitude.w, truth.attitude.x, truth.attitude.y, truth.attitude.z],
+            lat: geo::deg_e7(lat),
+            lon: geo::deg_e7(lon),
+            alt: (altitude_m * 1e3) as i32,
+            // There is no wind that the telemetry knows of.
+            ind_airspeed: (truth.velocity_ned_m_s.norm() * 100.0) as u16,
+            ..Default::default()
+        };
+        m.true_airspeed = m.ind_airspeed;
+        [m.rollspeed, m.pitchspeed, m.yawspeed] = truth.rates_frd_rad_s.to_array();
+        [m.vx, m.vy, m.vz] = truth.velocity_ned_m_s.to_array().map(|m_s| (m_s * 100.0) as i16);
+        let accelerations = core.view.sensors.accelerometer_frd_m_s2.to_array();
+        [m.xacc, m.yacc, m.zacc] = accelerations.map(|m_s2| (m_s2 / STANDARD_GRAVITY_M_S2 * 1e3) as i16);
+        Some(MavMessage::HIL_STATE_QUATERNION(m))
+    }
 }
 
 #[cfg(test)]

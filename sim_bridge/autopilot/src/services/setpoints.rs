@@ -1,11 +1,15 @@
-//! Offboard setpoints as they come. <https://docs.px4.io/main/en/flight_modes/offboard.html>
+//! What is flown as it comes: offboard setpoints, a target that is followed, and sticks: MANUAL_CONTROL of a joystick,
+//! RC_CHANNELS_OVERRIDE of a script that plays the transmitter. <https://docs.px4.io/main/en/flight_modes/offboard.html>,
+//! <https://mavlink.io/en/messages/common.html#FOLLOW_TARGET>, <https://mavlink.io/en/messages/common.html#MANUAL_CONTROL>
 
-use crate::flight::{SetpointDefect, attitude_setpoint, global_setpoint, position_setpoint};
+use crate::flight::{Deflections, SetpointDefect, attitude_setpoint, global_setpoint, position_setpoint};
+use crate::geo;
 use crate::service::prelude::*;
-use crate::services::BELOW_HOME_M;
+use crate::services::{BELOW_HOME_M, MAX_DISTANCE_M};
 use crate::vehicle::ControlCommand;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::Allowance;
+use vigil_types::NedVector;
 
 /// Claimants and new reasons of refusals are reported this often at most: there may be any number of made-up ones.
 const SAID_NS: Nanos = 1_000_000_000;
@@ -42,11 +46,10 @@ impl SetpointService {
 
     /// A place below home is flown as PX4 flies it, to the ground; it was hardly meant so.
     fn warn_of_ground(&mut self, command: &ControlCommand, source: Source, core: &mut Core) {
-        let down_m = match command {
-            ControlCommand::Position { position_ned_m, .. } => position_ned_m.z,
-            ControlCommand::VelocityAtHeight { down_m, .. } => *down_m,
-            _ => return,
+        let ControlCommand::Position(goal) = command else {
+            return;
         };
+        let down_m = goal.position_ned_m.z;
         if down_m > BELOW_HOME_M && self.told_of_ground.takes(core.now_ns, REPEATED_NS, 1) {
             core.warn(&format!("setpoints of {}: {down_m:.0} m below home", source.id));
         }
@@ -96,6 +99,100 @@ impl Service for SetpointService {
                 false => format!("setpoints of {} ignored: owner {}", source.id, owner.id),
             };
             core.warn(&text);
+        }
+    }
+}
+
+/// Pulse of a channel at rest, and its travel to either side.
+const CENTRE_US: f32 = 1500.0;
+const TRAVEL_US: f32 = 500.0;
+/// What a receiver can send.
+const PULSES_US: core::ops::RangeInclusive<u16> = 800..=2200;
+
+/// z is the throttle: 0 down, 500 neutral, 1000 up. The largest number is an axis that there is not: centred, unless all are.
+pub(super) fn joystick(m: MANUAL_CONTROL_DATA, source: Source, core: &mut Core) {
+    let or = |axis: i16, centre: i16| if axis == i16::MAX { centre } else { axis };
+    let (axes, throttle) = ([m.x, m.y, m.r].map(|axis| or(axis, 0)), or(m.z, 500));
+    let is_sound = axes.iter().all(|a| (-1000..=1000).contains(a)) && (0..=1000).contains(&throttle);
+    if !is_sound || [m.x, m.y, m.z, m.r] == [i16::MAX; 4] {
+        core.refusals.setpoint_value += 1;
+        return;
+    }
+    let [forward, right, clockwise] = axes.map(|a| f32::from(a) * 1e-3);
+    let up = (f32::from(throttle) - 500.0) / 500.0;
+    let sticks = Deflections {
+        forward,
+        right,
+        up,
+        clockwise,
+    };
+    core.take_sticks(source, sticks);
+}
+
+/// Channels 1 to 4 as transmitters have them: roll, pitch (a higher pulse is the stick pulled back), throttle, yaw. 0 and the
+/// largest number leave a channel alone, which is then centred; all four so are nobody's sticks: also where they are given
+/// back to a receiver that there is not, the sticks are let go of.
+pub(super) fn channels(m: RC_CHANNELS_OVERRIDE_DATA, source: Source, core: &mut Core) {
+    let raw = [m.chan1_raw, m.chan2_raw, m.chan3_raw, m.chan4_raw];
+    let is_left_alone = |pulse: &u16| matches!(*pulse, 0 | u16::MAX);
+    if raw.iter().all(is_left_alone) {
+        core.sticks.release(source);
+        return;
+    }
+    if !raw
+        .iter()
+        .all(|pulse| is_left_alone(pulse) || PULSES_US.contains(pulse))
+    {
+        core.refusals.setpoint_value += 1;
+        return;
+    }
+    let [right, back, up, clockwise] = raw.map(|pulse| match is_left_alone(&pulse) {
+        true => 0.0,
+        false => ((f32::from(pulse) - CENTRE_US) / TRAVEL_US).clamp(-1.0, 1.0),
+    });
+    let sticks = Deflections {
+        forward: -back,
+        right,
+        up,
+        clockwise,
+    };
+    core.take_sticks(source, sticks);
+}
+
+/// Bit of `est_capabilities`: the velocity is given.
+const HAS_VELOCITY: u8 = 1 << 1;
+/// Faster targets are mistakes.
+const ABSURD_VELOCITY_M_S: f32 = 100.0;
+
+#[derive(Default)]
+pub(crate) struct Follow {
+    said: Allowance,
+}
+
+impl Service for Follow {
+    fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
+        let Some(m) = core.read::<FOLLOW_TARGET_DATA>(packet) else {
+            return;
+        };
+        let (lat, lon) = (f64::from(m.lat) * 1e-7, f64::from(m.lon) * 1e-7);
+        let (x, y) = geo::to_local(&core.home, lat, lon);
+        let down_m = (core.home.altitude_m - f64::from(m.alt)) as f32;
+        let position = NedVector::new(x, y, down_m);
+        let [vx, vy, vz] = m.vel;
+        let velocity = (m.est_capabilities & HAS_VELOCITY != 0).then(|| NedVector::new(vx, vy, vz));
+        let is_place = lat.abs() <= 90.0 && lon.abs() <= 180.0 && m.alt.is_finite();
+        let is_near = position.horizontal_norm() <= MAX_DISTANCE_M && down_m.abs() <= MAX_DISTANCE_M;
+        let is_slow = velocity.is_none_or(|v| v.norm() <= ABSURD_VELOCITY_M_S);
+        let defect = match (is_place, is_near, is_slow) {
+            (true, true, true) => return core.see_target(position, velocity),
+            (false, ..) => "lat, lon or alt is no place",
+            (_, false, _) => "too far from home",
+            _ => "vel is NaN or absurd",
+        };
+        // A vehicle that waits for its target would otherwise not tell why.
+        core.refusals.setpoint_value += 1;
+        if self.said.takes(core.now_ns, REPEATED_NS, 1) {
+            core.warn(&format!("target of {}: {defect}", source.id));
         }
     }
 }

@@ -7,7 +7,7 @@ use crate::core::padded;
 use crate::flight::{Denial, FlightMode};
 use crate::plan::PlanKind;
 use crate::service::prelude::*;
-use crate::services::arming;
+use crate::services::actions;
 use crate::services::parameters::value_message;
 use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters};
 use std::fmt::Write;
@@ -136,7 +136,7 @@ fn execute(line: &str, client: Source, core: &mut Core) -> String {
         ["mission", ..] => mission_status(core),
         ["ls"] => list("", core),
         ["ls", path] => list(path, core),
-        ["reboot"] => match arming::reboot_now(core) {
+        ["reboot"] => match actions::reboot_now(core) {
             Ok(()) => "rebooted\n".to_owned(),
             Err(_) => "refused: not disarmed\n".to_owned(),
         },
@@ -184,8 +184,8 @@ fn show(pattern: &str, core: &Core) -> String {
     for (info, value) in core.parameters.all().filter(|(info, _)| fits(info.name, pattern)) {
         // Writing into a string cannot fail.
         let _ = match value {
-            ParameterValue::Int32(value) => writeln!(text, "{}: {value}", info.name),
-            ParameterValue::Real32(value) => writeln!(text, "{}: {value:?}", info.name),
+            ParameterValue::Integer(value) => writeln!(text, "{}: {value}", info.name),
+            ParameterValue::Real(value) => writeln!(text, "{}: {value:?}", info.name),
         };
     }
     if text.is_empty() {
@@ -208,8 +208,8 @@ fn try_set(name: &str, value: &str, core: &mut Core) -> Result<(), String> {
     let unknown = || ParameterError::Unknown(name.to_owned()).to_string();
     let index = Parameters::index_of(name).ok_or_else(unknown)?;
     let parsed = match core.parameters.at(index) {
-        Some((_, ParameterValue::Int32(_))) => value.parse().ok().map(ParameterValue::Int32),
-        _ => value.parse().ok().map(ParameterValue::Real32),
+        Some((_, ParameterValue::Integer(_))) => value.parse().ok().map(ParameterValue::Integer),
+        _ => value.parse().ok().map(ParameterValue::Real),
     };
     let parsed = parsed.ok_or_else(|| format!("{value}: not a number of the parameter's type"))?;
     core.parameters.set(index, parsed).map_err(|error| error.to_string())?;
@@ -222,11 +222,11 @@ fn try_set(name: &str, value: &str, core: &mut Core) -> Result<(), String> {
 fn list(path: &str, core: &Core) -> String {
     match core.files.list(path) {
         Err(error) => format!("{path}: {error}\n"),
-        Ok(entries) => entries.iter().fold(String::new(), |mut text, entry| {
+        Ok(entries) => entries.iter().fold(String::new(), |mut text, (name, entry)| {
             // Writing into a string cannot fail.
-            let _ = match entry.size {
-                Some(size) => writeln!(text, "{size:>8} {}", entry.name),
-                None => writeln!(text, "{:>8} {}/", "", entry.name),
+            let _ = match entry.size() {
+                Some(size) => writeln!(text, "{size:>8} {name}"),
+                None => writeln!(text, "{:>8} {name}/", ""),
             };
             text
         }),

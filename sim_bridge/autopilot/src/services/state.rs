@@ -1,18 +1,30 @@
-//! HEARTBEAT, EXTENDED_SYS_STATE, and who owns the setpoints.
-//! <https://mavlink.io/en/services/heartbeat.html>
+//! HEARTBEAT, EXTENDED_SYS_STATE, who owns the setpoints, and the standard modes protocol: which modes there are, which one is
+//! flown. <https://mavlink.io/en/services/heartbeat.html>, <https://mavlink.io/en/services/standard_modes.html>
 
 use crate::flight::{FlightMode, LandedState};
 use crate::service::prelude::*;
-use vigil_mavlink::common::MavModeFlag as Flag;
+use crate::services::actions::set_mode;
+use vigil_mavlink::common::{MavModeFlag as Flag, MavModeProperty as Property};
 
-/// PX4's `custom_mode` of a terminated flight.
-const TERMINATION: u32 = 10 << 16;
+pub(super) const COMMANDS: &[(u16, Handler)] = &[(DO_SET_STANDARD_MODE, set_standard_mode)];
 
 pub(super) const MESSAGES: &[Produced] = &[
     Produced::from(HEARTBEAT_DATA::ID, [1.0, 1.0, 1.0], heartbeat),
     Produced::from(EXTENDED_SYS_STATE_DATA::ID, [5.0, 5.0, 1.0], extended_sys_state),
     Produced::from(NAMED_VALUE_FLOAT_DATA::ID, [1.0, 1.0, 1.0], setpoint_owner),
+    Produced {
+        request: Some(tell_available),
+        ..Produced::from(AVAILABLE_MODES_DATA::ID, [0.0; 3], |_| available(1))
+    },
+    Produced::from(CURRENT_MODE_DATA::ID, [0.0, 0.5, 0.5], current),
+    // The modes are always the same.
+    Produced::from(AVAILABLE_MODES_MONITOR_DATA::ID, [0.0, 0.3, 0.3], |_| {
+        Some(message!(AVAILABLE_MODES_MONITOR))
+    }),
 ];
+
+/// PX4's `custom_mode` of a terminated flight.
+const TERMINATION: u32 = 10 << 16;
 
 fn heartbeat(core: &Core) -> Option<MavMessage> {
     let c = &core.commander;
@@ -69,5 +81,63 @@ fn setpoint_owner(core: &Core) -> Option<MavMessage> {
         time_boot_ms: core.time_boot_ms(),
         value,
         name: "sp_owner".into(),
+    }))
+}
+
+const DO_SET_STANDARD_MODE: u16 = 262;
+
+fn set_standard_mode(command: &Command, source: Source, core: &mut Core) -> Answer {
+    let wanted = command.param(1).unwrap_or(0.0);
+    let is_wanted = |mode: &FlightMode| {
+        let standard = mode.standard();
+        standard != MavStandardMode::MAV_STANDARD_MODE_NON_STANDARD && f32::from(standard as u8) == wanted
+    };
+    let mut commanded = FlightMode::ALL.into_iter().filter(|mode| mode.is_commanded());
+    match commanded.find(is_wanted) {
+        None => Err(Refusal::FAILED),
+        mode => set_mode(mode, source, core),
+    }
+}
+
+/// Parameter 2 is the index from 1, or 0 for all of them.
+fn tell_available(request: &Command, source: Source, core: &mut Core) -> Answer {
+    let wanted = request.param(2).unwrap_or(0.0);
+    let indices = (1..=FlightMode::ALL.len()).filter(|index| wanted == 0.0 || wanted == *index as f32);
+    let messages: Vec<_> = indices.filter_map(available).collect();
+    messages
+        .iter()
+        .for_each(|message| core.outbox.send(source.link, message));
+    if messages.is_empty() {
+        Err(Refusal::DENIED)
+    } else {
+        Ok(())
+    }
+}
+
+fn available(index: usize) -> Option<MavMessage> {
+    let mode = *FlightMode::ALL.get(index.checked_sub(1)?)?;
+    let (.., px4_name, standard_mode) = mode.px4();
+    let is_advanced = matches!(mode, FlightMode::Acro | FlightMode::Manual | FlightMode::Offboard);
+    let is_automatic = !mode.needs_sticks() && mode != FlightMode::Offboard;
+    let mut properties = Property::empty();
+    properties.set(Property::MAV_MODE_PROPERTY_NOT_USER_SELECTABLE, !mode.is_commanded());
+    properties.set(Property::MAV_MODE_PROPERTY_ADVANCED, is_advanced);
+    properties.set(Property::MAV_MODE_PROPERTY_AUTO_MODE, is_automatic);
+    Some(MavMessage::AVAILABLE_MODES(AVAILABLE_MODES_DATA {
+        custom_mode: mode.custom_mode(),
+        properties,
+        number_modes: FlightMode::ALL.len() as u8,
+        mode_index: index as u8,
+        standard_mode,
+        mode_name: px4_name.into(),
+    }))
+}
+
+fn current(core: &Core) -> Option<MavMessage> {
+    let mode = core.commander.mode;
+    Some(MavMessage::CURRENT_MODE(CURRENT_MODE_DATA {
+        custom_mode: mode.custom_mode(),
+        intended_custom_mode: core.commander.intended_mode.custom_mode(),
+        standard_mode: mode.standard(),
     }))
 }

@@ -11,12 +11,11 @@ pub(super) fn inject(b: &mut Bench, unit: f32, kind: f32) -> u8 {
 }
 
 fn enable(b: &mut Bench) {
-    b.set_parameter("SYS_FAILURE_EN", ParameterValue::Int32(1));
+    b.set_parameter("SYS_FAILURE_EN", ParameterValue::Integer(1));
 }
 
 fn health(b: &Bench) -> MavSysStatusSensor {
-    let status = b.last::<SYS_STATUS_DATA>(API).map(|m| m.onboard_control_sensors_health);
-    status.expect("SYS_STATUS")
+    b.last::<SYS_STATUS_DATA>(API).onboard_control_sensors_health
 }
 
 #[test]
@@ -38,10 +37,9 @@ fn without_gps_the_vehicle_lands_and_is_not_armed_again() {
     enable(&mut b);
     assert_eq!(inject(&mut b, GPS, 1.0), ACCEPTED);
     b.run_ms(3_000);
-    let fix = b
-        .last::<GPS_RAW_INT_DATA>(API)
-        .map(|m| (m.fix_type, m.satellites_visible));
-    assert_eq!(fix, Some((GpsFixType::GPS_FIX_TYPE_NO_GPS, 0)));
+    let fix = b.last::<GPS_RAW_INT_DATA>(API);
+    let has = (fix.fix_type, fix.satellites_visible);
+    assert_eq!(has, (GpsFixType::GPS_FIX_TYPE_NO_GPS, 0));
     assert!(!health(&b).contains(MavSysStatusSensor::MAV_SYS_STATUS_SENSOR_GPS));
     assert_eq!(b.status().mode, FlightMode::Hold, "the position is still known");
     b.run_ms(2_500);

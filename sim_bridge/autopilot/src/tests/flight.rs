@@ -5,7 +5,7 @@ use crate::testing::*;
 
 #[test]
 fn a_script_arms_takes_off_hovers_lands_and_finds_it_disarmed() {
-    let mut b = Bench::new();
+    let mut b = Bench::with(EndpointConfig::default());
     assert_eq!(b.command, ControlCommand::MotorsOff);
     assert_eq!(b.heartbeat(API).system_status, MavState::MAV_STATE_STANDBY);
     b.take_off();
@@ -164,7 +164,7 @@ fn a_return_from_near_home_climbs_no_higher_than_it_is_away_and_keeps_to_the_lar
         assert_eq!(b.go_to((north_m, 0.0), 491.0), ACCEPTED);
         b.run_ms(8_000);
         assert_eq!(b.set_mode(API, SCRIPT, 4, 5), ACCEPTED);
-        b.set_parameter("MPC_XY_VEL_MAX", ParameterValue::Real32(1.0));
+        b.set_parameter("MPC_XY_VEL_MAX", ParameterValue::Real(1.0));
         let highest_m = b.most(60_000, Bench::height_m);
         assert!((highest_m - height_m).abs() < 0.4, "{north_m}: {highest_m}");
         let home_m = b.position_m()[0].abs();
@@ -215,7 +215,7 @@ fn home_can_be_moved_and_return_flies_there() {
         let answer = b.ask(SET_HOME, &place(use_current, lat, alt));
         assert_eq!(answer, DENIED, "{use_current} {lat} {alt}");
     }
-    let home_of = |b: &Bench| b.last::<HOME_POSITION_DATA>(API).expect("sent");
+    let home_of = |b: &Bench| b.last::<HOME_POSITION_DATA>(API);
     b.run_ms(2_500);
     let before = home_of(&b);
     assert_eq!((before.x, before.y, before.z), (0.0, 0.0, 0.0));
@@ -248,8 +248,8 @@ fn home_can_be_moved_and_return_flies_there() {
         b.tell(message!(SET_GPS_GLOBAL_ORIGIN, latitude, longitude, altitude));
         assert_eq!(b.texts().len(), texts, "{latitude}");
     }
-    let last_origin = b.last::<GPS_GLOBAL_ORIGIN_DATA>(API).map(|m| m.latitude);
-    assert_eq!(last_origin, Some((origin.latitude_deg * 1e7).round() as i32));
+    let last_origin = b.last::<GPS_GLOBAL_ORIGIN_DATA>(API).latitude;
+    assert_eq!(last_origin, (origin.latitude_deg * 1e7).round() as i32);
     assert_eq!(b.ask(SET_HOME, &[1.0]), ACCEPTED);
     b.run_ms(100);
     let home = home_of(&b);
@@ -319,9 +319,9 @@ fn what_leads_into_the_ground_ends_on_it_softly() {
         (global, true),
     ] {
         let mut b = Bench::airborne();
-        b.set_parameter("MPC_Z_VEL_MAX_DN", ParameterValue::Real32(4.0));
-        b.set_parameter("MPC_LAND_SPEED", ParameterValue::Real32(1.5));
-        b.set_parameter("COM_DISARM_LAND", ParameterValue::Real32(0.5));
+        b.set_parameter("MPC_Z_VEL_MAX_DN", ParameterValue::Real(4.0));
+        b.set_parameter("MPC_LAND_SPEED", ParameterValue::Real(1.5));
+        b.set_parameter("COM_DISARM_LAND", ParameterValue::Real(0.5));
         let mut fastest_m_s = 0.0_f32;
         for i in 0..600 {
             b.send(API, SCRIPT, &message);

@@ -20,7 +20,7 @@ pub(super) fn report(b: &mut Bench, place: (f32, f32), velocity: Option<[f32; 3]
 /// In the air, behind a target by 5 m once there is one.
 fn following() -> Bench {
     let mut b = Bench::airborne();
-    b.set_parameter("FLW_TGT_DST", ParameterValue::Real32(5.0));
+    b.set_parameter("FLW_TGT_DST", ParameterValue::Real(5.0));
     assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
     b
 }
@@ -41,7 +41,7 @@ fn walk(b: &mut Bench, reports: u32, every_ms: u64, has_velocity: impl Fn(u32) -
 #[test]
 fn it_keeps_its_place_behind_who_walks_and_waits_where_the_reports_end() {
     let mut b = following();
-    b.set_parameter("FLW_TGT_HT", ParameterValue::Real32(4.0));
+    b.set_parameter("FLW_TGT_HT", ParameterValue::Real(4.0));
     b.run_ms(2_000);
     assert_eq!(b.status().mode, FlightMode::Follow);
     assert!(b.position_m()[0].abs() < 0.2, "waits for the first report");

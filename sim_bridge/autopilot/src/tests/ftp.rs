@@ -336,7 +336,7 @@ fn a_stored_parameter_file_sets_all_of_it_or_nothing() {
     assert_eq!(c.ask(&mut b, OPEN, 6, 0, b"@PARAM/other").error(), NOT_FOUND);
     // What was fetched may be stored again.
     let file = c.download(&mut b, 3, "@PARAM/param.pck?withdefaults=1");
-    b.set_parameter("NAV_ACC_RAD", ParameterValue::Real32(1.0));
+    b.set_parameter("NAV_ACC_RAD", ParameterValue::Real(1.0));
     assert!(store(&mut b, &mut c, &file).is_ack);
     assert_eq!(value(&b, "NAV_ACC_RAD"), Some(3.5));
 }

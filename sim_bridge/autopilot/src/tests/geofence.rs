@@ -27,7 +27,7 @@ fn fly_out(b: &mut Bench, velocity: [f32; 3]) {
 }
 
 fn fence_status(b: &Bench) -> Option<FENCE_STATUS_DATA> {
-    b.last::<FENCE_STATUS_DATA>(API)
+    b.all(API).pop()
 }
 
 #[test]
@@ -117,10 +117,7 @@ fn nobody_arms_outside() {
 fn system_status_shows_whether_there_is_a_geofence_and_whether_it_holds() {
     let mut b = Bench::new();
     let bits = |b: &mut Bench| {
-        b.sent.clear();
-        b.run_ms(1_100);
-        let status = b.last::<SYS_STATUS_DATA>(API);
-        let status = status.expect("SYS_STATUS streams");
+        let status = b.fresh::<SYS_STATUS_DATA>(1_100);
         let has = |flags: MavSysStatusSensor| flags.contains(MavSysStatusSensor::MAV_SYS_STATUS_GEOFENCE);
         (
             has(status.onboard_control_sensors_present),

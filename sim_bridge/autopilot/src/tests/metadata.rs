@@ -13,14 +13,9 @@ fn content(b: &mut Bench, uri: &str) -> (Value, u32) {
 
 /// What the general metadata says of the one of this type.
 fn part(b: &mut Bench, kind: u64) -> Value {
-    b.sent.clear();
-    assert_eq!(b.ask(512, &[397.0]), ACCEPTED);
-    let found = b
-        .first::<COMPONENT_METADATA_DATA>(API)
-        .map(|m| (m.uri.to_str().expect("text").to_owned(), m.file_crc));
-    let (uri, crc) = found.expect("answered");
-    let (general, general_crc) = content(b, &uri);
-    assert_eq!(crc, general_crc);
+    let found = b.request::<COMPONENT_METADATA_DATA>();
+    let (general, general_crc) = content(b, found.uri.to_str().expect("text"));
+    assert_eq!(found.file_crc, general_crc);
     assert_eq!(general["version"], 1);
     let types = general["metadataTypes"].as_array().expect("a list");
     let part = types.iter().find(|t| t["type"] == kind).expect("has the type");
@@ -40,8 +35,8 @@ fn the_metadata_describes_every_parameter() {
         assert_eq!(described["shortDesc"], info.description);
         assert_eq!(described["units"], info.unit);
         let kind = match info.default {
-            ParameterValue::Int32(_) => "Int32",
-            ParameterValue::Real32(_) => "Float",
+            ParameterValue::Integer(_) => "Int32",
+            ParameterValue::Real(_) => "Float",
         };
         assert_eq!(described["type"], kind);
         for (key, value) in [("default", info.default.as_f32()), ("min", info.min), ("max", info.max)] {
@@ -108,7 +103,7 @@ fn the_numbers_of_a_choice_say_what_they_stand_for() {
         .iter()
         .filter(|i| i.role == crate::ParameterRole::Acts && !i.description.contains("by bits"));
     for info in acting {
-        if let ParameterValue::Int32(_) = info.default {
+        if let ParameterValue::Integer(_) = info.default {
             let listed = values(info.name).len() as f32;
             assert_eq!(listed, info.max - info.min + 1.0, "{}", info.name);
         }

@@ -31,8 +31,7 @@ fn progress(b: &Bench) -> (u16, MissionState) {
 }
 
 fn current(b: &Bench) -> MISSION_CURRENT_DATA {
-    let found = b.last::<MISSION_CURRENT_DATA>(API);
-    found.expect("MISSION_CURRENT was sent")
+    b.last(API)
 }
 
 #[test]
@@ -171,6 +170,31 @@ fn a_mission_that_is_cleared_or_replaced_in_flight_is_not_flown_on() {
     assert_eq!(b.status().mode, FlightMode::Hold);
 }
 
+/// As in PX4. On the ground, and after its end, a mission that marks no item begins with its first.
+#[test]
+fn a_mission_that_is_edited_in_flight_goes_on_where_it_is_or_with_the_item_that_is_marked() {
+    let plan = [4.0, 8.0, 12.0, 30.0].map(|north| waypoint((north, 0.0), 3.0));
+    let at = |b: &mut Bench| (b.fresh::<MISSION_CURRENT_DATA>(1_100).seq, b.status().mode);
+    let marked = |b: &mut Bench| b.download(MISSION).iter().position(|item| item.current == 1);
+    let mut b = flying(&plan);
+    b.run_until(15, "second waypoint", |b| reached(b) == [0, 1]);
+    assert_eq!(b.upload(MISSION, &plan[..3]), TAKEN);
+    assert_eq!(at(&mut b), (2, FlightMode::Mission));
+    assert_eq!(b.upload_marked(&plan, 3), TAKEN);
+    assert_eq!((at(&mut b), marked(&mut b)), ((3, FlightMode::Mission), Some(3)));
+    assert_eq!(b.upload(MISSION, &plan[..2]), TAKEN);
+    assert_eq!(at(&mut b).0, 1, "as many as there are");
+    b.run_until(30, "finished", |b| b.status().mode == FlightMode::Hold);
+    assert_eq!((at(&mut b).0, marked(&mut b)), (1, Some(0)));
+    assert_eq!(b.upload(MISSION, &plan), TAKEN);
+    assert_eq!(at(&mut b).0, 0);
+    let mut b = Bench::new();
+    assert_eq!(b.upload_marked(&plan, 2), TAKEN);
+    assert_eq!(at(&mut b).0, 2);
+    assert_eq!(b.upload(MISSION, &plan), TAKEN);
+    assert_eq!(at(&mut b).0, 0);
+}
+
 #[test]
 fn an_item_that_does_not_continue_pauses_the_mission() {
     let mut stop = waypoint((6.0, 0.0), 3.0);
@@ -239,7 +263,7 @@ fn commands_to_what_the_vehicle_has_not_are_taken_and_passed_over() {
     plan.push(action(179, [1.0, 0.0, 0.0, 0.0]));
     plan.push(action(20, [0.0; 4]));
     let mut b = Bench::new();
-    b.set_parameter("RTL_RETURN_ALT", ParameterValue::Real32(4.0));
+    b.set_parameter("RTL_RETURN_ALT", ParameterValue::Real(4.0));
     assert_eq!(b.upload(MISSION, &plan), TAKEN);
     assert_eq!(start(&mut b), ACCEPTED);
     assert_eq!(b.arm(), ACCEPTED);
@@ -273,7 +297,7 @@ fn a_mission_that_leaves_the_fence_is_refused_at_its_upload_with_its_item() {
     }
     // What has no place, or no consequence, is no reason.
     assert_eq!(b.upload(MISSION, &[inside, action(20, [0.0; 4])]), TAKEN);
-    b.set_parameter("GF_ACTION", ParameterValue::Int32(1));
+    b.set_parameter("GF_ACTION", ParameterValue::Integer(1));
     assert_eq!(b.upload(MISSION, &[waypoint((0.0, 31.0), 3.0)]), TAKEN);
     // MAVSDK's example has a circle of radius 0 in its fence.
     let empty = [circle[0], item(5003, [0.0; 4], (0.0, 0.0), 0.0)];
@@ -312,7 +336,7 @@ fn mission_and_offboard_can_be_chosen_disarmed_and_arming_waits_for_what_they_fl
 #[test]
 fn where_it_flies_to_is_reported_on_the_globe_in_hold_go_to_return_and_landing() {
     let mut b = Bench::airborne();
-    b.set_parameter("RTL_RETURN_ALT", ParameterValue::Real32(5.0));
+    b.set_parameter("RTL_RETURN_ALT", ParameterValue::Real(5.0));
     let place = |b: &mut Bench| {
         b.sent.clear();
         let answer = b.ask(512, &[87.0]);

@@ -54,7 +54,7 @@ fn a_changed_speed_holds_for_the_next_way_too() {
 
 #[test]
 fn a_lost_stream_ends_as_com_obl_rc_act_says() {
-    use crate::ParameterValue::Int32;
+    use crate::ParameterValue::Integer;
     let sticks = message!(MANUAL_CONTROL, target = 1, z = 500);
     for (action, has_sticks, mode) in [
         (0, false, FlightMode::Position),
@@ -68,7 +68,7 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
         (5, true, FlightMode::Hold),
     ] {
         let mut b = Bench::airborne();
-        b.set_parameter("COM_OBL_RC_ACT", Int32(action));
+        b.set_parameter("COM_OBL_RC_ACT", Integer(action));
         fly(&mut b, &local_setpoint(0x9C7, |m| m.vx = 0.5), 1_000);
         for _ in 0..24 {
             if has_sticks {
@@ -80,13 +80,13 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
         assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
         let is_low = mode != FlightMode::Land && b.height_m() < 2.5;
         assert!(!is_low, "{action}: {}", b.height_m());
-        let mode_now = b.last::<CURRENT_MODE_DATA>(GCS).expect("sent");
+        let mode_now = b.last::<CURRENT_MODE_DATA>(GCS);
         assert_eq!(mode_now.custom_mode, mode.custom_mode());
         assert_eq!(mode_now.intended_custom_mode, FlightMode::Offboard.custom_mode());
     }
     for (action, is_terminated) in [(6, true), (7, false)] {
         let mut b = Bench::airborne();
-        b.set_parameter("COM_OBL_RC_ACT", Int32(action));
+        b.set_parameter("COM_OBL_RC_ACT", Integer(action));
         fly(&mut b, &local_setpoint(0x9C7, |m| m.vx = 0.5), 1_000);
         b.run_ms(1_100);
         let status = b.status();

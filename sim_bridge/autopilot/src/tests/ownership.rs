@@ -4,7 +4,7 @@ use crate::testing::*;
 use vigil_types::HeadingVector;
 
 fn owner_in_telemetry(b: &Bench) -> f32 {
-    let owner = b.last::<NAMED_VALUE_FLOAT_DATA>(GCS).expect("sent");
+    let owner = b.last::<NAMED_VALUE_FLOAT_DATA>(GCS);
     assert_eq!(owner.name.to_str(), Ok("sp_owner"));
     owner.value
 }

@@ -38,6 +38,14 @@ pub fn action(command: u16, params: [f32; 4]) -> PlanItem {
     }
 }
 
+fn at(mission_type: u8, seq: u16) -> Envelope {
+    Envelope {
+        seq,
+        current: 0,
+        mission_type,
+    }
+}
+
 impl Bench {
     fn count_message(&mut self, link: LinkId, from: ComponentId, kind: u8, count: u16) {
         let [low, high] = count.to_le_bytes();
@@ -45,12 +53,7 @@ impl Bench {
         self.send_raw(link, &raw(from, MISSION_COUNT_DATA::ID, &payload));
     }
 
-    fn item_message(&mut self, link: LinkId, from: ComponentId, kind: u8, seq: u16, item: &PlanItem, as_int: bool) {
-        let envelope = Envelope {
-            seq,
-            current: 0,
-            mission_type: kind,
-        };
+    fn item_message(&mut self, link: LinkId, from: ComponentId, envelope: Envelope, item: &PlanItem, as_int: bool) {
         let id = [MISSION_ITEM_DATA::ID, MISSION_ITEM_INT_DATA::ID][usize::from(as_int)];
         self.send_raw(link, &raw(from, id, &item.payload(envelope, (1, 1), as_int)));
     }
@@ -73,10 +76,15 @@ impl Bench {
 
     /// Uploads a plan in one go and returns the answer.
     pub fn upload(&mut self, kind: u8, items: &[PlanItem]) -> MavMissionResult {
-        self.upload_as(kind, items, true)
+        self.upload_as(kind, items, true, None)
     }
 
-    fn upload_as(&mut self, kind: u8, items: &[PlanItem], as_int: bool) -> MavMissionResult {
+    /// Uploads a mission whose item `current` is marked.
+    pub fn upload_marked(&mut self, items: &[PlanItem], current: u16) -> MavMissionResult {
+        self.upload_as(MISSION, items, true, Some(current))
+    }
+
+    fn upload_as(&mut self, kind: u8, items: &[PlanItem], as_int: bool, current: Option<u16>) -> MavMissionResult {
         self.sent.clear();
         self.count_message(API, SCRIPT, kind, items.len() as u16);
         for (seq, item) in items.iter().enumerate() {
@@ -84,7 +92,12 @@ impl Bench {
                 break;
             }
             assert_eq!(self.requests(API).last(), Some(&(seq as u16)));
-            self.item_message(API, SCRIPT, kind, seq as u16, item, as_int);
+            let current = (Some(seq as u16) == current).into();
+            let envelope = Envelope {
+                current,
+                ..at(kind, seq as u16)
+            };
+            self.item_message(API, SCRIPT, envelope, item, as_int);
         }
         let acks = self.mission_acks(API);
         assert_eq!(acks.len(), 1, "one answer: {acks:?}");
@@ -155,7 +168,7 @@ fn every_kind_of_plan_comes_back_as_it_went_up() {
 fn a_client_that_knows_only_the_float_form_is_served() {
     let mut b = Bench::new();
     let items = [waypoint((10.0, 2.0), 5.0), waypoint((20.0, 2.0), 5.0)];
-    assert_eq!(b.upload_as(MISSION, &items, false), R::MAV_MISSION_ACCEPTED);
+    assert_eq!(b.upload_as(MISSION, &items, false, None), R::MAV_MISSION_ACCEPTED);
     let back = b.download(MISSION);
     assert!((back[1].x - items[1].x).abs() < 40, "a float holds half a metre");
     b.sent.clear();
@@ -182,7 +195,7 @@ fn an_uploader_that_vanishes_leaves_the_old_mission() {
     assert_eq!(b.upload(MISSION, &old), R::MAV_MISSION_ACCEPTED);
     b.sent.clear();
     b.count_message(API, SCRIPT, MISSION, 3);
-    b.item_message(API, SCRIPT, MISSION, 0, &waypoint((50.0, 50.0), 9.0), true);
+    b.item_message(API, SCRIPT, at(MISSION, 0), &waypoint((50.0, 50.0), 9.0), true);
     b.run_ms(4_500);
     // Asked again and again, in both forms, but not for ever.
     let forms = [MISSION_REQUEST_INT_DATA::ID, MISSION_REQUEST_DATA::ID].map(|id| b.count(API, id));
@@ -196,7 +209,7 @@ fn an_uploader_that_vanishes_leaves_the_old_mission() {
     assert_eq!(b.requests(API).len(), asked);
     assert_eq!(b.download(MISSION)[0].x, old[0].x);
     // What comes too late changes nothing; another upload works.
-    b.item_message(API, SCRIPT, MISSION, 1, &waypoint((50.0, 50.0), 9.0), true);
+    b.item_message(API, SCRIPT, at(MISSION, 1), &waypoint((50.0, 50.0), 9.0), true);
     assert_eq!(b.status().refusals.plan, 2);
     assert_eq!(b.download(MISSION).len(), 1);
     assert_eq!(b.upload(MISSION, &[old[0], old[0]]), R::MAV_MISSION_ACCEPTED);
@@ -206,42 +219,65 @@ fn an_uploader_that_vanishes_leaves_the_old_mission() {
 fn a_lossy_link_repeats_and_reorders_and_the_plan_is_whole() {
     let mut b = Bench::new();
     let items = [1.0, 2.0, 3.0].map(|north| waypoint((north, 0.0), 5.0));
-    b.sent.clear();
     // The count comes twice, an item twice, one too early, one only on the second request.
     b.count_message(API, SCRIPT, MISSION, 3);
     b.count_message(API, SCRIPT, MISSION, 3);
-    b.item_message(API, SCRIPT, MISSION, 1, &items[1], true);
-    b.item_message(API, SCRIPT, MISSION, 0, &items[0], true);
-    b.item_message(API, SCRIPT, MISSION, 0, &items[0], true);
+    b.item_message(API, SCRIPT, at(MISSION, 1), &items[1], true);
+    b.item_message(API, SCRIPT, at(MISSION, 0), &items[0], true);
+    b.item_message(API, SCRIPT, at(MISSION, 0), &items[0], true);
     b.run_ms(300);
-    b.item_message(API, SCRIPT, MISSION, 1, &items[1], true);
-    b.item_message(API, SCRIPT, MISSION, 2, &items[2], true);
+    b.item_message(API, SCRIPT, at(MISSION, 1), &items[1], true);
+    b.item_message(API, SCRIPT, at(MISSION, 2), &items[2], true);
     assert_eq!(b.requests(API), [0, 0, 0, 1, 1, 2]);
     assert_eq!(b.mission_acks(API), [R::MAV_MISSION_ACCEPTED]);
     // The acknowledgement was lost: the client repeats its last item.
-    b.item_message(API, SCRIPT, MISSION, 2, &items[2], true);
+    b.item_message(API, SCRIPT, at(MISSION, 2), &items[2], true);
     assert_eq!(b.mission_acks(API), [R::MAV_MISSION_ACCEPTED; 2]);
     let back = b.download(MISSION);
     assert!(back.iter().zip(&items).all(|(back, item)| back.x == item.x) && back.len() == 3);
 }
 
+/// As in PX4: DroneKit's go-to (2) and its altitude (3) would wait for an answer, as would an uploader whose count was lost.
+#[test]
+fn an_item_outside_an_upload_is_refused_and_a_late_one_is_not_answered() {
+    let mut b = Bench::new();
+    let there = waypoint((9.0, 9.0), 9.0);
+    for (current, text) in [
+        (0, "no upload of yours is under way"),
+        (2, "go-to by MISSION_ITEM is not flown, use DO_REPOSITION"),
+        (3, "go-to by MISSION_ITEM is not flown, use DO_REPOSITION"),
+    ] {
+        let envelope = Envelope {
+            current,
+            ..at(MISSION, 0)
+        };
+        b.sent.clear();
+        b.item_message(API, SCRIPT, envelope, &there, false);
+        assert_eq!(b.mission_acks(API), [R::MAV_MISSION_ERROR]);
+        assert_eq!(b.texts().concat(), format!("mission item refused: {text}"));
+    }
+    assert_eq!(b.upload(MISSION, &[there; 3]), R::MAV_MISSION_ACCEPTED);
+    b.item_message(API, SCRIPT, at(MISSION, 1), &there, true);
+    assert_eq!(b.mission_acks(API), [R::MAV_MISSION_ACCEPTED]);
+}
+
 #[test]
 fn two_uploaders_do_not_mix_and_an_uploader_can_give_up() {
     let mut b = Bench::new();
-    b.sent.clear();
     b.count_message(API, SCRIPT, MISSION, 2);
     b.count_message(GCS, STATION, MISSION, 1);
     assert_eq!(b.mission_acks(GCS), [R::MAV_MISSION_DENIED]);
-    b.item_message(GCS, STATION, MISSION, 0, &waypoint((9.0, 9.0), 9.0), true);
+    b.item_message(GCS, STATION, at(MISSION, 0), &waypoint((9.0, 9.0), 9.0), true);
     // An item of another kind of plan is none of this upload.
-    b.item_message(API, SCRIPT, RALLY, 0, &item(5100, [0.0; 4], (1.0, 1.0), 0.0), true);
+    b.item_message(API, SCRIPT, at(RALLY, 0), &item(5100, [0.0; 4], (1.0, 1.0), 0.0), true);
     assert_eq!(b.status().refusals.plan, 3);
-    b.item_message(API, SCRIPT, MISSION, 0, &waypoint((1.0, 0.0), 5.0), true);
+    b.item_message(API, SCRIPT, at(MISSION, 0), &waypoint((1.0, 0.0), 5.0), true);
     // A stranger cannot end it, its sender can.
     let cancel = [1, 1, R::MAV_MISSION_OPERATION_CANCELLED as u8, MISSION];
     b.send_raw(GCS, &raw(STATION, MISSION_ACK_DATA::ID, &cancel));
     b.send_raw(GCS, &raw(STATION, MISSION_CLEAR_ALL_DATA::ID, &[1, 1, MISSION]));
-    assert_eq!(b.mission_acks(GCS), [R::MAV_MISSION_DENIED; 2]);
+    let (denied, error) = (R::MAV_MISSION_DENIED, R::MAV_MISSION_ERROR);
+    assert_eq!(b.mission_acks(GCS), [denied, error, denied]);
     assert_eq!(b.requests(API), [0, 1]);
     b.run_ms(300);
     assert_eq!(b.requests(API), [0, 1, 1]);
@@ -310,12 +346,7 @@ fn a_plan_that_makes_no_sense_is_refused_with_a_reason_and_the_old_one_stays() {
 #[test]
 fn ids_tell_which_plan_is_on_board() {
     let mut b = Bench::new();
-    let current = |b: &mut Bench| {
-        b.sent.clear();
-        b.run_ms(1_100);
-        let found = b.last::<MISSION_CURRENT_DATA>(API);
-        found.expect("MISSION_CURRENT streams")
-    };
+    let current = |b: &mut Bench| b.fresh::<MISSION_CURRENT_DATA>(1_100);
     let none = current(&mut b);
     assert_eq!((none.mission_id, none.total), (0, u16::MAX));
     assert_eq!(none.mission_state, MissionState::MISSION_STATE_NO_MISSION);

@@ -23,7 +23,7 @@ fn start_mission(b: &mut Bench) {
 }
 
 fn current_item(b: &Bench) -> Option<u16> {
-    b.last::<MISSION_CURRENT_DATA>(API).map(|m| m.seq)
+    b.all::<MISSION_CURRENT_DATA>(API).pop().map(|m| m.seq)
 }
 
 fn wait_until_disarmed(b: &mut Bench, limit_s: u64) {
@@ -40,8 +40,7 @@ fn stream(b: &mut Bench, message: &MavMessage, ms: u64) {
 }
 
 fn gps_altitude_m(b: &Bench) -> f32 {
-    let altitude_mm = b.last::<GPS_RAW_INT_DATA>(API).map(|m| m.alt_ellipsoid);
-    altitude_mm.expect("GPS_RAW_INT") as f32 * 1e-3
+    b.last::<GPS_RAW_INT_DATA>(API).alt_ellipsoid as f32 * 1e-3
 }
 
 #[test]
@@ -106,7 +105,7 @@ fn a_mission_goes_on_without_compass_or_barometer_and_with_readings_that_are_stu
         let mut b = Bench::new();
         upload_square(&mut b);
         assert_eq!(b.arm(), ACCEPTED);
-        b.set_parameter("SYS_FAILURE_EN", ParameterValue::Int32(1));
+        b.set_parameter("SYS_FAILURE_EN", ParameterValue::Integer(1));
         start_mission(&mut b);
         b.run_until(60, "the first item", |b| current_item(b) == Some(1));
         assert_eq!(inject(&mut b, unit, kind), ACCEPTED);
@@ -120,7 +119,7 @@ fn a_mission_goes_on_without_compass_or_barometer_and_with_readings_that_are_stu
 #[test]
 fn a_take_off_keeps_its_height_for_a_minute() {
     let mut b = Bench::new();
-    b.set_parameter("MIS_TAKEOFF_ALT", ParameterValue::Real32(10.0));
+    b.set_parameter("MIS_TAKEOFF_ALT", ParameterValue::Real(10.0));
     b.take_off();
     b.run_until(30, "the height", |b| {
         (b.view().estimate.position_ned_m.z + 10.0).abs() < 0.35
@@ -161,11 +160,11 @@ fn a_target_is_followed_from_every_side_though_its_reports_are_noisy() {
     const NOISE: [f32; 12] = [0.3, -1.1, 0.6, 1.4, -0.2, -0.7, 0.1, 0.9, -1.6, 0.4, -0.5, 0.8];
     for has_velocity in [false, true] {
         let mut b = Bench::new();
-        b.set_parameter("MIS_TAKEOFF_ALT", ParameterValue::Real32(10.0));
-        b.set_parameter("FLW_TGT_HT", ParameterValue::Real32(10.0));
-        b.set_parameter("FLW_TGT_DST", ParameterValue::Real32(8.0));
-        b.set_parameter("FLW_TGT_MAX_VEL", ParameterValue::Real32(15.0));
-        b.set_parameter("FLW_TGT_FA", ParameterValue::Real32(0.0));
+        b.set_parameter("MIS_TAKEOFF_ALT", ParameterValue::Real(10.0));
+        b.set_parameter("FLW_TGT_HT", ParameterValue::Real(10.0));
+        b.set_parameter("FLW_TGT_DST", ParameterValue::Real(8.0));
+        b.set_parameter("FLW_TGT_MAX_VEL", ParameterValue::Real(15.0));
+        b.set_parameter("FLW_TGT_FA", ParameterValue::Real(0.0));
         b.take_off();
         assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
         b.run_ms(1_000);
@@ -181,7 +180,7 @@ fn a_target_is_followed_from_every_side_though_its_reports_are_noisy() {
             };
             if let Some(turned) = turned {
                 angle_deg = turned;
-                b.set_parameter("FLW_TGT_FA", ParameterValue::Real32(angle_deg));
+                b.set_parameter("FLW_TGT_FA", ParameterValue::Real(angle_deg));
             }
             if matches!(second, 15..20 | 30..35 | 45..55 | 65..75) {
                 let [x, y, z] = b.position_m();

@@ -78,8 +78,8 @@ fn altitude_mode_tilts_by_the_stick_and_holds_its_height() {
 fn a_throttle_that_is_pulled_back_lands_softly_whatever_the_parameters_say() {
     for main in [2, 3] {
         let mut b = Bench::airborne();
-        b.set_parameter("MPC_Z_VEL_MAX_DN", ParameterValue::Real32(4.0));
-        b.set_parameter("MPC_LAND_SPEED", ParameterValue::Real32(1.5));
+        b.set_parameter("MPC_Z_VEL_MAX_DN", ParameterValue::Real(4.0));
+        b.set_parameter("MPC_LAND_SPEED", ParameterValue::Real(1.5));
         hold(&mut b, &sticks(0, 0, 1000, 0), 100);
         assert_eq!(b.set_mode(GCS, STATION, main, 0), ACCEPTED);
         hold(&mut b, &sticks(0, 0, 1000, 0), 4_000);
@@ -125,7 +125,7 @@ fn sticks_that_are_lost_end_modes_that_fly_without_them_too() {
         for excepted in [false, true] {
             let mut b = Bench::airborne();
             let except = if excepted { exception } else { other };
-            b.set_parameter("COM_RCL_EXCEPT", ParameterValue::Int32(except));
+            b.set_parameter("COM_RCL_EXCEPT", ParameterValue::Integer(except));
             b.hold(API, SCRIPT, &velocity, 200);
             assert_eq!(b.set_mode(API, SCRIPT, main, sub), ACCEPTED);
             b.hold(API, SCRIPT, &velocity, 1_000);

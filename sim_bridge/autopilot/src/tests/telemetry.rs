@@ -2,17 +2,11 @@
 
 use crate::testing::*;
 
-fn request<M: MessageData<Message = MavMessage>>(b: &mut Bench) -> M {
-    b.sent.clear();
-    assert_eq!(b.ask(512, &[M::ID as f32]), ACCEPTED);
-    b.one()
-}
-
 #[test]
 fn motor_pulses_show_what_each_motor_is_sent() {
     let mut b = Bench::new();
     let pulses = |b: &mut Bench| {
-        let s = request::<SERVO_OUTPUT_RAW_DATA>(b);
+        let s = b.request::<SERVO_OUTPUT_RAW_DATA>();
         [s.servo1_raw, s.servo2_raw, s.servo3_raw, s.servo4_raw]
     };
     assert_eq!(pulses(&mut b), [900; 4]);
@@ -20,7 +14,7 @@ fn motor_pulses_show_what_each_motor_is_sent() {
     b.run_ms(2_000);
     let hover = pulses(&mut b);
     assert!(hover.iter().all(|p| (1400..1900).contains(p)), "{hover:?}");
-    let a = request::<ACTUATOR_OUTPUT_STATUS_DATA>(&mut b);
+    let a = b.request::<ACTUATOR_OUTPUT_STATUS_DATA>();
     assert_eq!(a.active, 0b1111);
     for (output, pulse) in a.actuator.iter().zip(hover) {
         assert!((output - f32::from(pulse)).abs() <= 60.0, "{a:?} {hover:?}");
@@ -40,11 +34,11 @@ fn motor_pulses_show_what_each_motor_is_sent() {
 #[test]
 fn what_is_flown_to_is_sent_on_the_ground_and_in_hold() {
     let mut b = Bench::new();
-    let target = request::<POSITION_TARGET_LOCAL_NED_DATA>(&mut b);
+    let target = b.request::<POSITION_TARGET_LOCAL_NED_DATA>();
     assert_eq!((target.type_mask.bits(), target.vz), (0xDC7, 0.0));
     b.take_off();
     b.run_ms(2_000);
-    let target = request::<ATTITUDE_TARGET_DATA>(&mut b);
+    let target = b.request::<ATTITUDE_TARGET_DATA>();
     assert!(target.type_mask.is_empty() && target.thrust > 0.3, "{target:?}");
     assert!((target.q[0] - b.view().estimate.attitude.w).abs() < 0.01, "{target:?}");
 }
@@ -53,20 +47,20 @@ fn what_is_flown_to_is_sent_on_the_ground_and_in_hold() {
 fn a_hovering_vehicle_feels_one_gravity_upwards() {
     let mut b = Bench::airborne();
     b.run_ms(2_000);
-    let s = request::<SCALED_IMU_DATA>(&mut b);
+    let s = b.request::<SCALED_IMU_DATA>();
     assert!((-1200..-800).contains(&s.zacc), "{s:?}");
     let is_level = s.xacc.abs() < 200 && s.yacc.abs() < 200;
     assert!(is_level && s.temperature == 2000, "{s:?}");
-    let r = request::<RAW_IMU_DATA>(&mut b);
+    let r = b.request::<RAW_IMU_DATA>();
     assert_eq!((r.xmag, r.ymag, r.zmag), (s.xmag, s.ymag, s.zmag));
-    let e = request::<ESTIMATOR_STATUS_DATA>(&mut b);
+    let e = b.request::<ESTIMATOR_STATUS_DATA>();
     assert!(e.flags.contains(EstimatorStatusFlags::ESTIMATOR_POS_HORIZ_ABS));
 }
 
 #[test]
 fn flight_information_has_the_times_of_the_flight() {
     let mut b = Bench::new();
-    let information = request::<FLIGHT_INFORMATION_DATA>;
+    let information = Bench::request::<FLIGHT_INFORMATION_DATA>;
     let before = information(&mut b);
     assert_eq!((before.flight_uuid, before.arming_time_utc), (0, 0));
     b.take_off();
@@ -109,8 +103,8 @@ fn what_streams_is_marked_as_telemetry_but_heartbeats_and_answers_are_not() {
 #[test]
 fn no_battery_fault_and_no_recovery_system_are_reported() {
     let mut b = Bench::new();
-    assert!(request::<BATTERY_STATUS_DATA>(&mut b).fault_bitmask.is_empty());
-    let s = request::<SYS_STATUS_DATA>(&mut b);
+    assert!(b.request::<BATTERY_STATUS_DATA>().fault_bitmask.is_empty());
+    let s = b.request::<SYS_STATUS_DATA>();
     let extended = s.onboard_control_sensors_present_extended | s.onboard_control_sensors_enabled_extended;
     assert!((extended | s.onboard_control_sensors_health_extended).is_empty());
 }

@@ -54,7 +54,7 @@ impl Body {
 }
 
 /// Principal moments of inertia and their inverses.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Inertia {
     pub(crate) moments_kg_m2: Vec3,
     inverse: Vec3,

@@ -1,7 +1,7 @@
 //! The autopilot's cascade: position → velocity → attitude → rate, on the estimate.
 
 use crate::vehicle::body::{Body, Inertia};
-use crate::vehicle::interface::{ControlCommand, YawCommand};
+use crate::vehicle::interface::{ControlCommand, Held, YawCommand};
 use crate::vehicle::math::{Rotation, StateBytes, Vec3, from_attitude, heading, tilt_and_heading, vec3, wrap, yaw_of};
 use crate::vehicle::params::{ControlParams, GRAVITY_M_S2, VelocityLaw};
 use crate::vehicle::rotors::Wrench;
@@ -25,9 +25,10 @@ const RATE_MAX_RAD_S: f64 = 4.0 * core::f64::consts::PI;
 const RATE_INTEGRAL_MAX_RAD_S2: f64 = 5.0;
 
 /// Which part of the cascade runs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Stage {
     /// Motors stopped.
+    #[default]
     Off,
     /// Motors idle.
     Idle,
@@ -52,7 +53,7 @@ struct Reference {
 }
 
 /// All controllers and their memory.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Controller {
     params: ControlParams,
     inertia: Inertia,
@@ -96,14 +97,7 @@ impl Controller {
                 jerk: params.yaw_jerk_rad_s3,
                 gain_per_s: params.shaping_yaw_per_s,
             },
-            stage: Stage::Off,
-            reference: Reference::default(),
-            taken_up_m_s: Vec3::zeros(),
-            velocity_integral_m_s2: Vec3::zeros(),
-            rates_wanted_rad_s: Vec3::zeros(),
-            thrust_wanted_n: 0.0,
-            rate_integral_rad_s2: Vec3::zeros(),
-            saturated: false,
+            ..Self::default()
         }
     }
 
@@ -179,35 +173,16 @@ impl Controller {
                 (heading(yaw_of(&belief.attitude)) * vec3(velocity_m_s), yaw)
             }
             ControlCommand::VelocityNed { velocity_m_s, yaw } if velocity_m_s.is_finite() => (vec3(velocity_m_s), yaw),
-            ControlCommand::Position {
-                position_ned_m,
-                velocity_m_s,
-                speed_limit_m_s,
-                yaw,
-            } if position_ned_m.is_finite() && velocity_m_s.is_finite() => (
-                self.velocity_towards(&vec3(position_ned_m), &vec3(velocity_m_s), f64::from(speed_limit_m_s)),
-                yaw,
-            ),
-            ControlCommand::VelocityAtHeight {
-                velocity_m_s,
-                down_m,
-                yaw,
-            } if velocity_m_s.is_finite() && down_m.is_finite() => {
+            ControlCommand::Position(goal) if goal.position_ned_m.is_finite() && goal.velocity_m_s.is_finite() => {
+                let (mut place, mut velocity) = (vec3(goal.position_ned_m), vec3(goal.velocity_m_s));
                 let here = self.reference.position_ned_m;
-                let goal = Vec3::new(here.x, here.y, f64::from(down_m));
-                let level = Vec3::new(f64::from(velocity_m_s.x), f64::from(velocity_m_s.y), 0.0);
-                (self.velocity_towards(&goal, &level, f64::INFINITY), yaw)
-            }
-            ControlCommand::ClimbAtPlace {
-                position_ned_m,
-                down_m_s,
-                speed_limit_m_s,
-                yaw,
-            } if position_ned_m.is_finite() && down_m_s.is_finite() => {
-                let mut goal = vec3(position_ned_m);
-                goal.z = self.reference.position_ned_m.z;
-                let climb = Vec3::new(0.0, 0.0, f64::from(down_m_s));
-                (self.velocity_towards(&goal, &climb, f64::from(speed_limit_m_s)), yaw)
+                match goal.held {
+                    Held::All => {}
+                    Held::Level => place.z = here.z,
+                    Held::Height => (place.x, place.y, velocity.z) = (here.x, here.y, 0.0),
+                }
+                let limit_m_s = f64::from(goal.speed_limit_m_s);
+                (self.velocity_towards(&place, &velocity, limit_m_s), goal.yaw)
             }
             ControlCommand::Descend { rate_m_s } if rate_m_s.is_finite() => {
                 (Vec3::new(0.0, 0.0, f64::from(rate_m_s.max(0.0))), YawCommand::Hold)

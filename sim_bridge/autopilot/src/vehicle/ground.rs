@@ -19,9 +19,7 @@ struct Point {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Ground {
     points: [Point; 8],
-    stiffness: f64,
-    damping: f64,
-    friction: f64,
+    params: GroundParams,
     /// No point is further from the centre of mass than this, metres.
     reach_m: f64,
     touching: bool,
@@ -48,9 +46,7 @@ impl Ground {
                 offset_frd_m,
                 anchor_m: None,
             }),
-            stiffness: params.stiffness_n_m,
-            damping: params.damping_n_s_m,
-            friction: params.friction,
+            params: *params,
             reach_m: offsets.iter().fold(0.0, |m: f64, o| m.max(o.norm())),
             touching: false,
         }
@@ -58,7 +54,7 @@ impl Ground {
 
     /// Height of the centre of mass above the ground when the vehicle stands on its feet with this weight.
     pub(crate) fn standing_height_m(&self, airframe: &AirframeParams, weight_n: f64) -> f64 {
-        airframe.gear_height_m - 0.25 * weight_n / self.stiffness
+        airframe.gear_height_m - 0.25 * weight_n / self.params.stiffness_n_m
     }
 
     /// Lets go of all anchors.
@@ -79,6 +75,7 @@ impl Ground {
         }
         let (mut force_ned_n, mut torque_frd_n_m) = (Vec3::zeros(), Vec3::zeros());
         self.touching = false;
+        let (stiffness, damping) = (self.params.stiffness_n_m, self.params.damping_n_s_m);
         for point in &mut self.points {
             let arm = body.attitude * point.offset_frd_m;
             let place = body.position_ned_m + arm;
@@ -88,16 +85,16 @@ impl Ground {
             }
             let velocity = body.velocity_ned_m_s + body.attitude * body.rates_frd_rad_s.cross(&point.offset_frd_m);
             // The ground pushes, it never pulls.
-            let normal = (self.stiffness * place.z + self.damping * velocity.z).max(0.0);
+            let normal = (stiffness * place.z + damping * velocity.z).max(0.0);
             let (north, east) = point.anchor_m.unwrap_or((place.x, place.y));
-            let mut fx = self.stiffness * (north - place.x) - self.damping * velocity.x;
-            let mut fy = self.stiffness * (east - place.y) - self.damping * velocity.y;
-            let (limit, wanted) = (self.friction * normal, (fx * fx + fy * fy).sqrt());
+            let mut fx = stiffness * (north - place.x) - damping * velocity.x;
+            let mut fy = stiffness * (east - place.y) - damping * velocity.y;
+            let (limit, wanted) = (self.params.friction * normal, (fx * fx + fy * fy).sqrt());
             point.anchor_m = if wanted > limit {
                 fx *= limit / wanted;
                 fy *= limit / wanted;
                 // Slides: the spring keeps no more stretch than friction can hold.
-                Some((place.x + fx / self.stiffness, place.y + fy / self.stiffness))
+                Some((place.x + fx / stiffness, place.y + fy / stiffness))
             } else {
                 Some((north, east))
             };

@@ -11,8 +11,6 @@ pub struct Estimate {
     pub position_ned_m: NedVector,
     /// Metres per second.
     pub velocity_ned_m_s: NedVector,
-    /// Acceleration without gravity, metres per second squared.
-    pub acceleration_ned_m_s2: NedVector,
     /// Body to NED.
     pub attitude: Attitude,
     /// Body rates.
@@ -84,6 +82,45 @@ pub enum YawCommand {
     Rate(f32),
 }
 
+/// Which axes of a place are held; on the others a velocity is flown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Held {
+    /// The place, with a velocity to feed forward.
+    All,
+    /// The horizontal place, while the vehicle climbs or descends.
+    Level,
+    /// The height alone; the velocity's vertical part is not used.
+    Height,
+}
+
+/// A place to go to and hold.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Goal {
+    /// Metres from home.
+    pub position_ned_m: NedVector,
+    /// Metres per second.
+    pub velocity_m_s: NedVector,
+    /// What of the place counts.
+    pub held: Held,
+    /// Horizontal speed limit, metres per second.
+    pub speed_limit_m_s: f32,
+    /// Yaw.
+    pub yaw: YawCommand,
+}
+
+impl Goal {
+    /// All of a place, to stop there.
+    pub const fn new(position_ned_m: NedVector, yaw: YawCommand, speed_limit_m_s: f32) -> Self {
+        Self {
+            position_ned_m,
+            velocity_m_s: NedVector::ZERO,
+            held: Held::All,
+            speed_limit_m_s,
+            yaw,
+        }
+    }
+}
+
 /// What the vehicle's controllers are asked to do in this millisecond. `Copy`, no allocation; the endpoint computes
 /// one each step from its flight mode, and the vehicle shapes it with its own limits.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -106,37 +143,8 @@ pub enum ControlCommand {
         /// Yaw.
         yaw: YawCommand,
     },
-    /// Go to and hold a position, with a velocity to feed forward (zero if none), at most at the given speed.
-    Position {
-        /// Metres from home.
-        position_ned_m: NedVector,
-        /// Feed-forward.
-        velocity_m_s: NedVector,
-        /// Horizontal speed limit, metres per second.
-        speed_limit_m_s: f32,
-        /// Yaw.
-        yaw: YawCommand,
-    },
-    /// Fly with this horizontal velocity at a height.
-    VelocityAtHeight {
-        /// Metres per second; the vertical part is not used.
-        velocity_m_s: NedVector,
-        /// Metres from home, positive down.
-        down_m: f32,
-        /// Yaw.
-        yaw: YawCommand,
-    },
-    /// Go to and hold a horizontal place while climbing or descending at a rate.
-    ClimbAtPlace {
-        /// Metres from home; the vertical part is not used.
-        position_ned_m: NedVector,
-        /// Metres per second, positive down.
-        down_m_s: f32,
-        /// Horizontal speed limit, metres per second.
-        speed_limit_m_s: f32,
-        /// Yaw.
-        yaw: YawCommand,
-    },
+    /// Go to and hold a place or a part of it.
+    Position(Goal),
     /// Acceleration beside gravity's, within the limits of tilt and thrust: no velocity or place is held.
     Acceleration {
         /// Metres per second squared.

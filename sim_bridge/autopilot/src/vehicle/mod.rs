@@ -34,7 +34,7 @@ mod sensors;
 mod shaping;
 mod validate;
 
-pub use interface::{ControlCommand, Estimate, Sensors, Truth, VehicleView, YawCommand};
+pub use interface::{ControlCommand, Estimate, Goal, Held, Sensors, Truth, VehicleView, YawCommand};
 pub use model::VehicleModel;
 pub use noise::normal_of;
 pub use params::{

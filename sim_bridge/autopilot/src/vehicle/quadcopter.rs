@@ -202,9 +202,6 @@ impl Vehicle {
                 at_ns: self.now_ns(),
                 position_ned_m: ned(&belief.position_ned_m),
                 velocity_ned_m_s: ned(&belief.velocity_ned_m_s),
-                acceleration_ned_m_s2: ned(&self
-                    .errors
-                    .acceleration_ned_m_s2(&self.body, &self.acceleration_ned_m_s2)),
                 attitude: attitude(&belief.attitude),
                 rates_frd_rad_s: frd(&belief.rates_frd_rad_s),
             },

@@ -17,12 +17,9 @@ pub(crate) struct Rotors {
     pub(crate) speeds_rad_s: [f64; 4],
     /// Speeds that the controllers ask for, rad/s.
     pub(crate) commands_rad_s: [f64; 4],
-    coefficient: f64,
-    torque_per_thrust_m: f64,
+    motors: MotorParams,
     arm_forward_m: f64,
     arm_right_m: f64,
-    idle_speed_rad_s: f64,
-    max_speed_rad_s: f64,
     rise: f64,
     fall: f64,
 }
@@ -41,12 +38,9 @@ impl Rotors {
         Self {
             speeds_rad_s: [0.0; 4],
             commands_rad_s: [0.0; 4],
-            coefficient: motors.thrust_coefficient_n_s2,
-            torque_per_thrust_m: motors.torque_per_thrust_m,
+            motors: *motors,
             arm_forward_m: airframe.arm_forward_m,
             arm_right_m: airframe.arm_right_m,
-            idle_speed_rad_s: motors.idle_speed_rad_s,
-            max_speed_rad_s: motors.max_speed_rad_s,
             rise: 1.0 - libm::exp(-step_s / motors.rise_s),
             fall: 1.0 - libm::exp(-step_s / motors.fall_s),
         }
@@ -59,19 +53,19 @@ impl Rotors {
 
     /// Asks all motors to idle.
     pub(crate) fn idle(&mut self) {
-        self.commands_rad_s = [self.idle_speed_rad_s; 4];
+        self.commands_rad_s = [self.motors.idle_speed_rad_s; 4];
     }
 
     /// Sets commands and speeds to what gives this thrust, at once.
     pub(crate) fn settle(&mut self, thrust_n: f64) {
-        let speed = self.speed_for(0.25 * thrust_n, self.max_speed_rad_s);
+        let speed = self.speed_for(0.25 * thrust_n, self.motors.max_speed_rad_s);
         self.commands_rad_s = [speed; 4];
         self.speeds_rad_s = self.commands_rad_s;
     }
 
     fn speed_for(&self, thrust_n: f64, top_speed_rad_s: f64) -> f64 {
-        let speed_rad_s = (thrust_n / self.coefficient).max(0.0).sqrt();
-        speed_rad_s.clamp(self.idle_speed_rad_s, top_speed_rad_s)
+        let speed_rad_s = (thrust_n / self.motors.thrust_coefficient_n_s2).max(0.0).sqrt();
+        speed_rad_s.clamp(self.motors.idle_speed_rad_s, top_speed_rad_s)
     }
 
     /// Asks for a wrench. `speed_scale` is the share of the top speed that the battery gives.
@@ -79,12 +73,12 @@ impl Rotors {
     /// What the motors cannot give is dropped in this order: yaw torque first, then collective thrust, roll and pitch
     /// torque last (the order of PX4's and ArduPilot's mixers with attitude priority). Returns whether anything was dropped.
     pub(crate) fn ask(&mut self, wanted: &Wrench, speed_scale: f64) -> bool {
-        let low = self.coefficient * self.idle_speed_rad_s * self.idle_speed_rad_s;
-        let top_speed = (self.max_speed_rad_s * speed_scale).max(self.idle_speed_rad_s);
-        let room = self.coefficient * top_speed * top_speed - low;
+        let low = self.motors.thrust_coefficient_n_s2 * self.motors.idle_speed_rad_s * self.motors.idle_speed_rad_s;
+        let top_speed = (self.motors.max_speed_rad_s * speed_scale).max(self.motors.idle_speed_rad_s);
+        let room = self.motors.thrust_coefficient_n_s2 * top_speed * top_speed - low;
         let roll = -0.25 * wanted.torque_frd_n_m.x / self.arm_right_m;
         let pitch = 0.25 * wanted.torque_frd_n_m.y / self.arm_forward_m;
-        let yaw = 0.25 * wanted.torque_frd_n_m.z / self.torque_per_thrust_m;
+        let yaw = 0.25 * wanted.torque_frd_n_m.z / self.motors.torque_per_thrust_m;
 
         // Each pair of opposite motors gets plus and minus the same, so the largest of roll ± pitch spans the range.
         let tilt_half_span = roll.abs() + pitch.abs();
@@ -123,7 +117,7 @@ impl Rotors {
     pub(crate) fn wrench(&self) -> Wrench {
         let (mut thrust_n, mut roll, mut pitch, mut yaw) = (0.0, 0.0, 0.0, 0.0);
         for (speed, ((right, forward), turn)) in self.speeds_rad_s.iter().zip(RIGHT.iter().zip(FORWARD).zip(YAW)) {
-            let thrust = self.coefficient * speed * speed;
+            let thrust = self.motors.thrust_coefficient_n_s2 * speed * speed;
             thrust_n += thrust;
             roll -= right * thrust;
             pitch += forward * thrust;
@@ -134,7 +128,7 @@ impl Rotors {
             torque_frd_n_m: Vec3::new(
                 roll * self.arm_right_m,
                 pitch * self.arm_forward_m,
-                yaw * self.torque_per_thrust_m,
+                yaw * self.motors.torque_per_thrust_m,
             ),
         }
     }
@@ -142,18 +136,18 @@ impl Rotors {
     /// Mechanical power, watts: torque times speed.
     pub(crate) fn power_w(&self) -> f64 {
         let cubes: f64 = self.speeds_rad_s.iter().map(|w| w * w * w).sum();
-        self.torque_per_thrust_m * self.coefficient * cubes
+        self.motors.torque_per_thrust_m * self.motors.thrust_coefficient_n_s2 * cubes
     }
 
     /// Mean command as a share of the top speed's thrust, 0 to 1.
     pub(crate) fn throttle(&self) -> f64 {
         let squares: f64 = self.commands_rad_s.iter().map(|w| w * w).sum();
-        0.25 * squares / (self.max_speed_rad_s * self.max_speed_rad_s)
+        0.25 * squares / (self.motors.max_speed_rad_s * self.motors.max_speed_rad_s)
     }
 
     /// Commanded speeds as shares of the top speed, 0 to 1.
     pub(crate) fn command_shares(&self) -> [f64; 4] {
-        self.commands_rad_s.map(|speed| speed / self.max_speed_rad_s)
+        self.commands_rad_s.map(|speed| speed / self.motors.max_speed_rad_s)
     }
 }
 

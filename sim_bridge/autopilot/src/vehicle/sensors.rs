@@ -130,11 +130,6 @@ impl Errors {
         body.rates_frd_rad_s + self.gyroscope
     }
 
-    /// Estimated acceleration without gravity, given the true one.
-    pub(crate) fn acceleration_ned_m_s2(&self, body: &Body, acceleration: &Vec3) -> Vec3 {
-        acceleration + body.attitude * self.accelerometer
-    }
-
     /// All readings, given the true specific force.
     pub(crate) fn readings(
         &self,

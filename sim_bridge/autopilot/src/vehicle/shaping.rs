@@ -17,7 +17,7 @@ pub(crate) fn square_root_law(error: f64, gain_per_s: f64, limit: f64) -> f64 {
 }
 
 /// Limits of one shaped quantity.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Limits {
     /// Of the first derivative.
     pub(crate) accel: f64,

@@ -1,5 +1,5 @@
 use super::*;
-use crate::world::{Column, Family, Outcome, generate};
+use crate::world::Outcome;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::encode;
@@ -23,15 +23,10 @@ impl Scripted {
     }
 
     fn with(column_at_m: Option<f32>, config: ForeignConfig) -> Self {
-        let mut course = generate(Family::Validation, 1);
-        course.clear_obstacles();
-        course.columns.extend(column_at_m.map(|north_m| Column {
-            north_m,
-            east_m: 0.0,
-            radius_m: 0.5,
-            height_m: 5.0,
-        }));
-        (course.goal.north_m, course.goal.east_m) = (15.0, 0.0);
+        let column =
+            |north_m| format!("column = [{{ north_m = {north_m:?}, east_m = 0.0, radius_m = 0.5, height_m = 5.0 }}]");
+        let mut course = crate::testing::field(0.0, 10.0, &column_at_m.map(column).unwrap_or_default());
+        course.goal.north_m = 15.0;
         course.flight_height_m = 2.5;
         Self {
             flight: ForeignFlight::new(&course, &config, 0).expect("valid"),

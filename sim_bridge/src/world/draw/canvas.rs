@@ -191,6 +191,12 @@ const NOTHING: Range<usize> = Range {
     end: 0,
 };
 
+/// The column and row of a pixel, where it is on a raster of this size.
+fn within(at: Point, width: usize, height: usize) -> Option<[usize; 2]> {
+    let (x, y) = (usize::try_from(at.x).ok()?, usize::try_from(at.y).ok()?);
+    (x < width && y < height).then_some([x, y])
+}
+
 /// Text and everything that needs no smoothing is drawn right onto the picture.
 impl DrawTarget for Image {
     type Color = Rgb888;
@@ -198,10 +204,7 @@ impl DrawTarget for Image {
 
     fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
         for Pixel(at, colour) in pixels {
-            if let (Ok(x), Ok(y)) = (usize::try_from(at.x), usize::try_from(at.y))
-                && x < self.width
-                && y < self.height
-            {
+            if let Some([x, y]) = within(at, self.width, self.height) {
                 self.rgb[3 * (y * self.width + x)..][..3].copy_from_slice(&[colour.r(), colour.g(), colour.b()]);
             }
         }
@@ -255,10 +258,7 @@ impl DrawTarget for Layer {
 
     fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
         for Pixel(at, colour) in pixels {
-            if let (Ok(x), Ok(y)) = (usize::try_from(at.x), usize::try_from(at.y))
-                && x < self.width
-                && y < self.height
-            {
+            if let Some([x, y]) = within(at, self.width, self.height) {
                 self.pixels[y * self.width + x] = Some(colour);
                 for (part, at) in self.touched.iter_mut().zip([x, y]) {
                     *part = part.start.min(at)..part.end.max(at + 1);

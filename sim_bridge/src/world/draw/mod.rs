@@ -457,17 +457,10 @@ mod tests {
 
     /// A course with nothing but columns 10.3 m north, so far east and so high.
     fn with_columns(columns: &[(f32, f32)]) -> Course {
-        let mut course = generate(Family::Training, 0);
-        course.clear_obstacles();
-        course
-            .columns
-            .extend(columns.iter().map(|(east_m, height_m)| crate::world::Column {
-                north_m: 10.3,
-                east_m: *east_m,
-                radius_m: 0.5,
-                height_m: *height_m,
-            }));
-        course
+        let column = |(east_m, height_m): &(f32, f32)| {
+            format!("[[column]]\nnorth_m = 10.3\neast_m = {east_m:?}\nradius_m = 0.5\nheight_m = {height_m:?}\n")
+        };
+        crate::testing::field(5.0, 12.0, &columns.iter().map(column).collect::<String>())
     }
 
     #[test]

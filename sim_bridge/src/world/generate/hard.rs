@@ -197,17 +197,17 @@ fn patrols(b: &mut Builder, count: Range<usize>) {
 }
 
 fn place_mover(b: &mut Builder, from_m: [f32; 2], to_m: [f32; 2]) -> bool {
-    let shape = if b.chance(0.6) {
-        MoverShape::Column(ColumnOutline {
-            radius_m: b.length(0.2..0.4),
-        })
+    let mut shape = MoverShape::default();
+    if b.chance(0.6) {
+        let radius_m = b.length(0.2..0.4);
+        shape.column = Some(ColumnOutline { radius_m });
     } else {
-        MoverShape::Box(BoxOutline {
+        shape.cuboid = Some(BoxOutline {
             length_m: b.length(0.4..0.9),
             width_m: b.length(0.3..0.6),
             yaw_deg: cm(b.rng.random_range(0.0..180.0)),
-        })
-    };
+        });
+    }
     let mover = Mover {
         from_m,
         to_m,

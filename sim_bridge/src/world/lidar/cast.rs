@@ -1,9 +1,9 @@
-//! The ranges of all beams of one sweep, computed in two ways that agree bit for bit.
+//! The ranges of all beams of one sweep, and of one ray by parry's tree, with the same bits.
 
 use super::beams::{BeamTable, LIDAR_BEAMS, LIDAR_RINGS};
 use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, MISS, Ray, inverse, lesser, plan2};
 use super::scene::Scene;
-use super::simd::{Simd, vectorised};
+use super::simd::vectorised;
 use super::tiles::{TILE_FIRINGS, Tiles};
 use super::triangles::{Looks, ray_range_m};
 use crate::world::World;
@@ -13,27 +13,6 @@ use vigil_types::NedVector;
 /// Range along every beam in metres, infinite where it meets nothing; beam `ring × LIDAR_FIRINGS + firing`.
 pub type Ranges = [f32; LIDAR_BEAMS];
 
-/// The simple way: every beam walks parry's tree.
-pub(crate) fn cast_by_tree(
-    world: &World,
-    sensor_ned_m: NedVector,
-    scene: &Scene,
-    beams: &BeamTable,
-    ranges: &mut Ranges,
-) {
-    for ring in 0..beams.rings {
-        for firing in 0..beams.firings {
-            let direction = scene.rotation.beam(
-                beams.sin_elevation[ring],
-                beams.cos_elevation[ring],
-                beams.sin_bearing[firing],
-                beams.cos_bearing[firing],
-            );
-            ranges[ring * beams.firings + firing] = cast_ray(world, sensor_ned_m, scene, direction);
-        }
-    }
-}
-
 /// The range along one direction (NED, of length 1) in metres, infinite where there is nothing. `scene` is of this place and world.
 pub(crate) fn cast_ray(world: &World, sensor_ned_m: NedVector, scene: &Scene, direction: (f32, f32, f32)) -> f32 {
     let origin = Vec3::new(sensor_ned_m.x, sensor_ned_m.y, sensor_ned_m.z);
@@ -41,7 +20,7 @@ pub(crate) fn cast_ray(world: &World, sensor_ned_m: NedVector, scene: &Scene, di
     let nearest_plane = scene.planes_range_m(ray.inverse_z);
     let tree_ray = parry3d::query::Ray::new(origin, Vec3::new(direction.0, direction.1, direction.2));
     let hit = world
-        .bvh()
+        .bvh
         .cast_ray(&tree_ray, nearest_plane.min(f32::MAX), |leaf, nearest| {
             let t = scene.leaves[leaf as usize].range_m(&ray);
             (t < nearest).then_some(t)
@@ -74,10 +53,6 @@ impl TileCaster {
             strip: Box::new([Rays::default(); LIDAR_RINGS]),
             looks: Looks::new(every),
         }
-    }
-
-    pub(crate) fn cast(&mut self, simd: Simd, scene: &Scene, beams: &BeamTable, ranges: &mut Ranges) {
-        cast_strips(simd, self, scene, beams, ranges);
     }
 }
 
@@ -128,11 +103,11 @@ fn shorten(strip: &mut [Rays; LIDAR_RINGS], rings: u64, nearest_m: f32, of_solid
 
 vectorised! {
     /// Casts all beams.
-    fn cast_strips(caster: &mut TileCaster, scene: &Scene, beams: &BeamTable, ranges: &mut Ranges) = cast_strips_body;
+    pub(crate) fn cast(caster: &mut TileCaster, scene: &Scene, beams: &BeamTable, ranges: &mut Ranges) = cast_body;
 }
 
 #[inline(always)]
-fn cast_strips_body(caster: &mut TileCaster, scene: &Scene, beams: &BeamTable, ranges: &mut Ranges) {
+fn cast_body(caster: &mut TileCaster, scene: &Scene, beams: &BeamTable, ranges: &mut Ranges) {
     let TileCaster {
         tiles,
         cuboids,

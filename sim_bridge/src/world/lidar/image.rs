@@ -6,6 +6,8 @@
 
 use super::beams::{LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, ring_row};
 use super::cast::Ranges;
+// The nearer of two is the larger reciprocal.
+use super::leaf::greater as nearer;
 use super::simd::vectorised;
 use super::tiles::TILE_FIRINGS;
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS};
@@ -15,12 +17,6 @@ type Part = [f32; TILE_FIRINGS];
 const PARTS: usize = LIDAR_FIRINGS / TILE_FIRINGS;
 
 const _: () = assert!(LIDAR_FIRINGS == DEPTH_COLS && 2 * LIDAR_RINGS == DEPTH_ROWS && LIDAR_BEAMS * 2 == DEPTH_PIXELS);
-
-/// The nearer of two: the larger reciprocal.
-#[inline(always)]
-fn nearer(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
-}
 
 /// Whether two ranges, given as reciprocals, differ by at most `tolerance_m`.
 #[inline(always)]

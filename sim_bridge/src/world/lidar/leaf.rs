@@ -34,7 +34,7 @@ pub(crate) fn inverse(x: f32) -> f32 {
 }
 
 /// A rotation matrix, body to NED, row by row.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 pub(crate) struct Rotation(pub(crate) [[f32; 3]; 3]);
 
 impl Rotation {

@@ -18,7 +18,7 @@ pub use zones::{ZONE_COLUMNS, ZONE_FOV_RAD, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, 
 
 use crate::world::World;
 use beams::BeamTable;
-use cast::{TileCaster, cast_by_tree};
+use cast::TileCaster;
 use noise::NoiseKeys;
 use scene::Scene;
 use simd::Simd;
@@ -58,24 +58,6 @@ impl LidarConfig {
             ..Self::default()
         }
     }
-
-    /// Checks every value.
-    ///
-    /// # Errors
-    /// The first field that is out of its range.
-    pub fn check(&self) -> Result<(), LidarConfigError> {
-        Ok(settings::check(self)?)
-    }
-}
-
-/// How ranges are computed. Both give the same bits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-pub enum Method {
-    /// Each beam walks the bounding volume tree of parry3d.
-    Reference,
-    /// Tiles of beams against the few solids that can be seen in them, vectorised.
-    #[default]
-    Fast,
 }
 
 /// Where and when a frame is taken.
@@ -116,7 +98,6 @@ impl Shot {
 pub struct Lidar {
     config: LidarConfig,
     seed: u64,
-    method: Method,
     simd: Simd,
     beams: BeamTable,
     scene: Scene,
@@ -136,27 +117,20 @@ impl Lidar {
     /// # Errors
     /// [`LidarConfigError`] names the field that is out of range.
     pub fn new(config: LidarConfig, seed: u64) -> Result<Self, LidarConfigError> {
-        config.check()?;
+        settings::check(&config)?;
         let buffer = || Box::new([0.0; LIDAR_BEAMS]);
         Ok(Self {
             config,
             seed,
-            method: Method::default(),
             simd: Simd::best(),
             every: 1,
             beams: BeamTable::new(1),
-            scene: Scene::new(),
+            scene: Scene::default(),
             caster: TileCaster::new(1),
             ranges: buffer(),
             inverse: buffer(),
             filled: buffer(),
         })
-    }
-
-    /// The same sensor with another way to compute ranges.
-    pub fn with_method(mut self, method: Method) -> Self {
-        self.method = method;
-        self
     }
 
     /// The same sensor with one ring and one firing of `every` only, for pictures that are cheap ([`look`](Self::look)).
@@ -222,12 +196,8 @@ impl Lidar {
     /// First stage of a capture: the true range along every beam, infinite where there is nothing.
     pub fn cast(&mut self, world: &World, position_ned_m: NedVector, attitude: Attitude) -> &Ranges {
         self.scene.place(world, position_ned_m, attitude);
-        match self.method {
-            Method::Reference => {
-                cast_by_tree(world, position_ned_m, &self.scene, &self.beams, &mut self.ranges);
-            }
-            Method::Fast => self.caster.cast(self.simd, &self.scene, &self.beams, &mut self.ranges),
-        }
+        let (caster, beams) = (&mut self.caster, &self.beams);
+        cast::cast(self.simd, caster, &self.scene, beams, &mut self.ranges);
         &self.ranges
     }
 

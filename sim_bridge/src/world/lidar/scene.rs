@@ -7,6 +7,7 @@ use std::sync::Arc;
 use vigil_types::{Attitude, NedVector};
 
 /// What the sensor sees, relative to it.
+#[derive(Default)]
 pub(crate) struct Scene {
     pub(crate) rotation: Rotation,
     /// Ground and ceiling, metres below the sensor; a missing ceiling is infinitely high.
@@ -19,17 +20,6 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
-    pub(crate) fn new() -> Self {
-        Self {
-            rotation: Rotation::of(Attitude::LEVEL_NORTH),
-            planes_z_m: [f32::INFINITY, f32::NEG_INFINITY],
-            leaves: Vec::new(),
-            nearest_first: Vec::new(),
-            surfaces: Vec::new(),
-            sensor_ned_m: [0.0; 3],
-        }
-    }
-
     /// Places the sensor in a world.
     pub(crate) fn place(&mut self, world: &World, sensor_ned_m: NedVector, attitude: Attitude) {
         self.rotation = Rotation::of(attitude);
@@ -46,7 +36,7 @@ impl Scene {
         self.nearest_first
             .sort_unstable_by(|a, b| nearest_m(a).total_cmp(&nearest_m(b)));
         self.surfaces.clear();
-        self.surfaces.extend_from_slice(world.surfaces());
+        self.surfaces.extend_from_slice(&world.surfaces);
         self.sensor_ned_m = sensor_ned_m.to_array();
     }
 

@@ -12,7 +12,7 @@ use super::cast::Rays;
 use super::leaf::{MISS, greater, inverse, lesser};
 use super::scene::Scene;
 use super::tiles::TILE_FIRINGS;
-use crate::world::mesh::{Block, Boxes, Child, LANES, Surface, Within};
+use crate::world::mesh::{Block, Boxes, Child, LANES, ROOT, Surface, Within};
 use vigil_types::{PIXEL_PITCH_RAD, column_bearing_rad, row_elevation_rad};
 
 #[inline(always)]
@@ -259,7 +259,7 @@ impl Looks {
         for surface in &scene.surfaces {
             waiting.push(Waiting {
                 nearest_m: 0.0,
-                child: surface.root(),
+                child: ROOT,
                 rings: [0, self.rings as u8],
             });
             while let Some(next) = waiting.pop() {

@@ -47,7 +47,7 @@ impl ZoneSensor {
             // Not the LiDAR's noise again.
             seed: seed ^ 0x5A4F_4E45,
             sequence: 0,
-            scene: Scene::new(),
+            scene: Scene::default(),
         }
     }
 
@@ -116,42 +116,32 @@ impl ZoneSensor {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::world::course::Family;
-    use crate::world::generate;
 
     #[test]
     fn a_wall_ahead_is_measured_where_it_is_and_the_ground_is_not() {
-        let mut course = generate(Family::Validation, 7);
-        course.clear_obstacles();
+        let world = |column: &str| World::new(&crate::testing::field(5.0, 10.0, column));
         let place = NedVector::new(0.0, 0.0, -1.5);
         let (mut one, mut three) = (ZoneSensor::new(3, 1), ZoneSensor::new(3, 3));
         let mut room = [0.0; ZONE_MOST_HEADS * ZONE_COLUMNS];
-        let nothing = three.measure(&World::new(&course), place, Attitude::LEVEL_NORTH, &mut room);
+        let nothing = three.measure(&world(""), place, Attitude::LEVEL_NORTH, &mut room);
         assert_eq!(nothing.len(), 24);
         assert!(nothing.iter().all(|m| m.is_infinite()), "{nothing:?}");
-        course.columns.push(crate::world::Column {
-            north_m: 3.0,
-            east_m: 0.0,
-            radius_m: 0.5,
-            height_m: 4.0,
-        });
-        let world = World::new(&course);
+        let with_column = world("column = [{ north_m = 3.0, east_m = 0.0, radius_m = 0.5, height_m = 4.0 }]");
         for _ in 0..20 {
-            let seen = one.measure(&world, place, Attitude::LEVEL_NORTH, &mut room);
+            let seen = one.measure(&with_column, place, Attitude::LEVEL_NORTH, &mut room);
             let ahead = seen[3].min(seen[4]);
             assert!((2.3..2.7).contains(&ahead), "{seen:?}");
             assert!(seen[0].is_infinite() && seen[7].is_infinite(), "{seen:?}");
             // It stands 45° to the right of a vehicle that is turned to the left by as much.
             let turned = Attitude::from_euler_rad(0.0, 0.0, -ZONE_FOV_RAD);
-            let seen = one.measure(&world, place, turned, &mut room);
+            let seen = one.measure(&with_column, place, turned, &mut room);
             assert!(seen.iter().all(|m| m.is_infinite()), "{seen:?}");
-            let seen = three.measure(&world, place, turned, &mut room);
+            let seen = three.measure(&with_column, place, turned, &mut room);
             assert!((2.3..2.7).contains(&seen[19].min(seen[20])), "{seen:?}");
         }
         // Nose down the ground comes into view, and is none of what is in the way.
-        course.clear_obstacles();
         let nose_down = Attitude::from_euler_rad(0.0, -0.4, 0.0);
-        let seen = one.measure(&World::new(&course), place, nose_down, &mut room);
+        let seen = one.measure(&world(""), place, nose_down, &mut room);
         assert!(seen.iter().all(|m| m.is_infinite()), "{seen:?}");
     }
 }

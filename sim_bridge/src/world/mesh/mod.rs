@@ -5,7 +5,7 @@ mod gltf;
 mod plan;
 mod surface;
 
-pub(crate) use surface::{Block, Boxes, Child, LANES, Surface, Within};
+pub(crate) use surface::{Block, Boxes, Child, LANES, ROOT, Surface, Within};
 
 use crate::world::check::{FieldProblem, angle, check_fields, coordinate, problem, within};
 use crate::world::course::Bounds;
@@ -122,7 +122,7 @@ impl Mesh {
     /// what has no thickness. None before the file was read.
     pub fn triangles_and_open_edges(&self) -> Option<(usize, usize)> {
         let surface = self.surface.as_ref()?;
-        Some((surface.triangles().count(), surface.open_edges()))
+        Some((surface.triangles().count(), surface.open_edges))
     }
 
     pub(crate) fn surface(&self) -> Option<&Arc<Surface>> {

@@ -25,7 +25,7 @@ pub(crate) type Triangle = [[f32; 3]; 3];
 pub(crate) struct Surface {
     nodes: Vec<Boxes>,
     blocks: Vec<Block>,
-    open_edges: usize,
+    pub(crate) open_edges: usize,
 }
 
 impl core::fmt::Debug for Surface {
@@ -54,6 +54,8 @@ pub(crate) struct Block {
 /// The number of a node or of a leaf.
 #[derive(Clone, Copy, PartialEq, Default)]
 pub(crate) struct Child(u32);
+
+pub(crate) const ROOT: Child = Child(0);
 
 /// What a [`Child`] is.
 pub(crate) enum Within<'a> {
@@ -179,10 +181,6 @@ impl Surface {
         self.blocks.len() - 1
     }
 
-    pub(crate) fn root(&self) -> Child {
-        Child(0)
-    }
-
     #[inline(always)]
     pub(crate) fn within(&self, child: Child) -> Within<'_> {
         let number = (child.0 >> 1) as usize;
@@ -194,10 +192,6 @@ impl Surface {
 
     pub(crate) fn triangles(&self) -> impl Iterator<Item = Triangle> {
         self.blocks.iter().flat_map(Block::triangles)
-    }
-
-    pub(crate) fn open_edges(&self) -> usize {
-        self.open_edges
     }
 
     /// Lowest and highest coordinates.
@@ -216,7 +210,7 @@ impl Surface {
         key: impl Fn(&Boxes) -> [f32; LANES],
         mut leaf: impl FnMut(&Block, f32) -> f32,
     ) -> f32 {
-        let mut waiting = [(f32::NEG_INFINITY, self.root()); WAITING];
+        let mut waiting = [(f32::NEG_INFINITY, ROOT); WAITING];
         let mut count = 1;
         while count > 0 {
             count -= 1;

@@ -3,10 +3,10 @@
 use super::{Common, Seeds, Strength, write_json};
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::campaign::{self, Flight, Tally};
-use crate::report::{TextTable, words};
+use crate::report::TextTable;
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::{Attack, AttackConfig, Burst, Method, Towards};
@@ -110,7 +110,7 @@ pub struct Report {
 
 /// Everything that decides what a flight of a seed is.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-struct Settings {
+pub struct Settings {
     actor_sha256: String,
     /// Whether the potential field is on, and the attack; an arm and a row each.
     arms: Vec<(bool, Option<Setting>)>,
@@ -118,9 +118,11 @@ struct Settings {
 
 impl Row {
     fn table(rows: &[Self]) -> TextTable {
-        let names = ["field", "attack", "burst", "towards"].map(words).into_iter();
-        let columns = names.chain(Tally::columns());
-        let mut table = TextTable::new(columns.chain([words("yaw moved ≥ 1.0")]));
+        let columns = format!(
+            "field | attack | burst | towards | {} | yaw moved ≥ 1.0",
+            Tally::COLUMNS
+        );
+        let mut table = TextTable::new(&columns);
         for row in rows {
             let (attack, burst, towards) = row.attack.map_or(("none", "—".to_owned(), "—"), |s| {
                 (s.config.method.name(), s.burst.to_string(), s.config.towards.name())
@@ -173,11 +175,11 @@ fn fly_all(
         arms,
     };
     let existing = Existing::replaced_unless(seeds.resume);
-    let mut campaign = Campaign::new(command, settings.clone(), jobs.clone())?.keep_in(&lines, existing)?;
-    let seed = jobs.first_seed;
+    let mut campaign = Campaign::new(command, settings.clone(), jobs)?.keep_in(&lines, existing)?;
+    let seed = seeds.seed;
     say!("{flights} validation courses from seed {seed}, the same for every row");
     let begun = Instant::now();
-    let interrupt = campaign.fly(&jobs, &common.pool()?, |seed, arm, _| {
+    let interrupt = campaign.fly(&common.pool()?, |seed, arm, _| {
         let (apf, setting) = settings.arms[arm];
         let attack = setting.map(|s| Attack {
             pilot: victim.clone(),
@@ -204,7 +206,7 @@ fn arm_name((apf, attack): (bool, Option<Setting>)) -> String {
 }
 
 /// Prints and writes the table.
-fn report(campaign: &Campaign<Settings, Flight>, path: &Path) -> Result<()> {
+pub fn report(campaign: &Campaign<Settings, Flight>, path: &Path) -> Result<()> {
     let settings = campaign.settings();
     let rows = settings.arms.iter().filter_map(|arm| {
         let name = arm_name(*arm);
@@ -225,11 +227,6 @@ fn report(campaign: &Campaign<Settings, Flight>, path: &Path) -> Result<()> {
 
 /// What lines call these commands.
 pub const COMMANDS: [&str; 2] = ["attack completion", "attack search"];
-
-/// Makes one table of the flights in several files.
-pub fn merge(files: &[PathBuf], json: &Path) -> Result<()> {
-    report(&Campaign::load(files, json)?, json)
-}
 
 /// Field on and off, times no attack, 5 and 50 steps.
 pub fn run_completion(args: &CompletionArgs) -> Result<ExitCode> {

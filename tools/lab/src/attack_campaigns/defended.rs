@@ -5,9 +5,9 @@
 
 use super::{Common, Seeds, Strength, write_json};
 use crate::campaign::flights::{Campaign, Existing, Jobs};
-use crate::campaign::{self, Flight, Tally};
+use crate::campaign::{self, Flight, Tally, WatchRecord};
 use crate::cli::detector::detector_of;
-use crate::report::{TextTable, decimals, numbers, to_csv, words};
+use crate::report::{TextTable, to_csv};
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -94,11 +94,10 @@ pub struct DefendedArgs {
 
 named! {
     /// Who flies against what.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize, clap::ValueEnum)]
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
     #[serde(rename_all = "kebab-case")]
     pub enum Arm {
         /// Not attacked, no detector.
-        #[default]
         None => "none",
         /// Not attacked, detector and recovery on: what do they cost?
         NoneWatched => "none-watched",
@@ -127,7 +126,7 @@ impl Arm {
 
 /// What every flight of a campaign has in common.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-struct Settings {
+pub struct Settings {
     version: String,
     actor_sha256: String,
     detector_sha256: String,
@@ -147,60 +146,37 @@ struct Settings {
     evades_guard: bool,
 }
 
-/// A flight: a line of `defended.csv`.
-#[derive(Debug, Clone, Default, Serialize)]
-struct Line {
-    arm: Arm,
-    seed: u64,
-    /// Its name, and `none` for a vehicle that never took off.
-    outcome: &'static str,
-    #[serde(serialize_with = "decimals::<2, _, _>")]
-    flight_time_s: f64,
-    /// Of the vehicle's middle.
-    #[serde(serialize_with = "decimals::<2, _, _>")]
-    closest_obstacle_m: f32,
-    attacked_steps: u64,
-    effective_steps: u64,
-    judged_steps: u64,
-    alarms: u64,
-    /// Alarms of these that the guard raised, not the verdict.
-    guard_alarms: u64,
-    /// Of these because the actor went astray.
-    astray_alarms: u64,
-    /// Of these because it disagreed with the planner.
-    disagreement_alarms: u64,
-    first_alarm_step: Option<u64>,
-    stop_steps: u64,
-    recovery_steps: u64,
+/// A line of `defended.csv`: its columns and what stands in them.
+fn line(arm: Arm, flight: &Flight) -> [(&'static str, String); 15] {
+    let attack = flight.attack.unwrap_or_default();
+    let watch = flight.watch.clone().unwrap_or_default();
+    let first_alarm_step = watch.first_alarm_step.map(|step| step.to_string());
+    [
+        ("arm", arm.name().to_owned()),
+        ("seed", flight.seed.to_string()),
+        // Of a vehicle that never took off there is none.
+        (
+            "outcome",
+            flight.record.outcome.map_or("none", Outcome::name).to_owned(),
+        ),
+        ("flight_time_s", format!("{:.2}", flight.record.flight_time_s)),
+        // Of the vehicle's middle.
+        ("closest_obstacle_m", format!("{:.2}", flight.record.closest_obstacle_m)),
+        ("attacked_steps", attack.attacked_steps.to_string()),
+        ("effective_steps", attack.effective_steps.to_string()),
+        ("judged_steps", watch.judged_steps.to_string()),
+        ("alarms", watch.alarms.to_string()),
+        ("guard_alarms", watch.guard_alarms.to_string()),
+        ("astray_alarms", watch.astray_alarms.to_string()),
+        ("disagreement_alarms", watch.disagreement_alarms.to_string()),
+        ("first_alarm_step", first_alarm_step.unwrap_or_default()),
+        ("stop_steps", watch.stop_steps.to_string()),
+        ("recovery_steps", watch.recovery_steps.to_string()),
+    ]
 }
 
-impl Line {
-    fn of(arm: Arm, flight: &Flight) -> Self {
-        let attack = flight.attack.unwrap_or_default();
-        let watch = flight.watch.clone().unwrap_or_default();
-        Self {
-            arm,
-            seed: flight.seed,
-            outcome: flight.record.outcome.map_or("none", Outcome::name),
-            flight_time_s: flight.record.flight_time_s,
-            closest_obstacle_m: flight.record.closest_obstacle_m,
-            attacked_steps: attack.attacked_steps,
-            effective_steps: attack.effective_steps,
-            judged_steps: watch.judged_steps,
-            alarms: watch.alarms,
-            guard_alarms: watch.guard_alarms,
-            astray_alarms: watch.astray_alarms,
-            disagreement_alarms: watch.disagreement_alarms,
-            first_alarm_step: watch.first_alarm_step,
-            stop_steps: watch.stop_steps,
-            recovery_steps: watch.recovery_steps,
-        }
-    }
-
-    fn is_success(&self) -> bool {
-        self.outcome == Outcome::Success.name()
-    }
-}
+/// The flights of a campaign by seed and arm.
+type Flown<'a> = BTreeMap<(u64, Arm), &'a Flight>;
 
 /// What an arm came to.
 #[derive(Serialize)]
@@ -223,32 +199,36 @@ struct Row {
 }
 
 impl Row {
-    fn of<'a>(arm: Arm, lines: impl Iterator<Item = &'a Line>) -> Option<Self> {
-        let lines: Vec<&Line> = lines.filter(|line| line.arm == arm).collect();
-        let outcomes: Vec<_> = lines.iter().map(|line| Outcome::from_name(line.outcome)).collect();
-        let sum = |of: fn(&Line) -> u64| lines.iter().map(|line| of(line)).sum::<u64>();
-        let monitored = sum(|l| l.judged_steps).max(1) as f64;
-        let alarms = sum(|l| l.alarms);
-        (!lines.is_empty()).then(|| Self {
+    fn of(arm: Arm, flown: &Flown<'_>) -> Option<Self> {
+        let of_arm = flown.iter().filter(|((_, flew), _)| *flew == arm);
+        let flights: Vec<&Flight> = of_arm.map(|(_, flight)| *flight).collect();
+        let outcomes: Vec<_> = flights.iter().map(|flight| flight.record.outcome).collect();
+        let attacks = || flights.iter().filter_map(|flight| flight.attack);
+        let watches = || flights.iter().filter_map(|flight| flight.watch.as_ref());
+        let sum = |of: fn(&WatchRecord) -> u64| watches().map(of).sum::<u64>();
+        let monitored = sum(|w| w.judged_steps).max(1) as f64;
+        let alarms = sum(|w| w.alarms);
+        let failed = flights.iter().filter(|flight| !flight.record.is_success());
+        (!flights.is_empty()).then(|| Self {
             arm,
             tally: Tally::of(&outcomes),
-            attacked_steps: sum(|l| l.attacked_steps),
-            effective_steps: sum(|l| l.effective_steps),
-            alarmed_flights: lines.iter().filter(|l| l.alarms > 0).count(),
+            attacked_steps: attacks().map(|attack| attack.attacked_steps).sum(),
+            effective_steps: attacks().map(|attack| attack.effective_steps).sum(),
+            alarmed_flights: watches().filter(|w| w.alarms > 0).count(),
             alarms,
-            guard_alarms: sum(|l| l.guard_alarms),
-            astray_alarms: sum(|l| l.astray_alarms),
-            disagreement_alarms: sum(|l| l.disagreement_alarms),
+            guard_alarms: sum(|w| w.guard_alarms),
+            astray_alarms: sum(|w| w.astray_alarms),
+            disagreement_alarms: sum(|w| w.disagreement_alarms),
             alarms_per_hour: alarms as f64 / (monitored * f64::from(STEP_S) / 3600.0),
-            stopping_share: sum(|l| l.stop_steps) as f64 / monitored,
-            recovering_share: sum(|l| l.recovery_steps) as f64 / monitored,
-            failed_seeds: lines.iter().filter(|l| !l.is_success()).map(|l| l.seed).collect(),
+            stopping_share: sum(|w| w.stop_steps) as f64 / monitored,
+            recovering_share: sum(|w| w.recovery_steps) as f64 / monitored,
+            failed_seeds: failed.map(|flight| flight.seed).collect(),
         })
     }
 
     fn table(rows: &[Self]) -> TextTable {
-        let names = [words("arm"), numbers("flights")].into_iter().chain(Tally::columns());
-        let mut table = TextTable::new(names.chain([words("yaw moved ≥ 1.0"), words("alarms")]));
+        let columns = format!("arm | > flights | {} | yaw moved ≥ 1.0 | alarms", Tally::COLUMNS);
+        let mut table = TextTable::new(&columns);
         for row in rows {
             let name = [row.arm.name().to_owned(), row.tally.flights.to_string()];
             let effective = campaign::effective_share(row.attacked_steps, row.effective_steps);
@@ -286,13 +266,14 @@ struct Pair {
     lost: usize,
 }
 
-fn pair(lines: &BTreeMap<(u64, Arm), Line>, without: Arm, with: Arm) -> Option<Pair> {
+fn pair(flown: &Flown<'_>, without: Arm, with: Arm) -> Option<Pair> {
     let (mut flights, mut won, mut lost) = (0, 0, 0);
-    for line in lines.values().filter(|line| line.arm == with) {
-        if let Some(other) = lines.get(&(line.seed, without)) {
+    for ((seed, _), flight) in flown.iter().filter(|((_, arm), _)| *arm == with) {
+        if let Some(other) = flown.get(&(*seed, without)) {
             flights += 1;
-            won += usize::from(line.is_success() && !other.is_success());
-            lost += usize::from(!line.is_success() && other.is_success());
+            let (other, own) = (other.record.is_success(), flight.record.is_success());
+            won += usize::from(own && !other);
+            lost += usize::from(!own && other);
         }
     }
     (flights > 0).then_some(Pair {
@@ -369,10 +350,8 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         true => Existing::Resume,
         false => Existing::Refuse,
     };
-    let mut campaign = Campaign::new(COMMAND, settings, jobs.clone())?.keep_in(&lines, existing)?;
-    let interrupt = campaign.fly(&jobs, &args.common.pool()?, |seed, arm, _| {
-        fly(args, arms[arm], &attack, seed)
-    })?;
+    let mut campaign = Campaign::new(COMMAND, settings, jobs)?.keep_in(&lines, existing)?;
+    let interrupt = campaign.fly(&args.common.pool()?, |seed, arm, _| fly(args, arms[arm], &attack, seed))?;
     report(&campaign, &lines.with_extension("json"))?;
     Ok(interrupt.exit_code())
 }
@@ -380,19 +359,14 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
 /// What lines call this command.
 pub const COMMAND: &str = "attack defended";
 
-/// Makes one table of the flights in several files.
-pub fn merge(files: &[PathBuf], json: &Path) -> Result<()> {
-    report(&Campaign::load(files, json)?, json)
-}
-
 /// Prints and writes the tables.
-fn report(campaign: &Campaign<Settings, Flight>, json: &Path) -> Result<()> {
+pub fn report(campaign: &Campaign<Settings, Flight>, json: &Path) -> Result<()> {
     let (settings, first_seed) = (campaign.settings(), campaign.jobs().first_seed);
-    let lines = campaign.flights().map(|(arm, flight)| {
+    let flown = campaign.flights().map(|(arm, flight)| {
         let arm = Arm::from_name(arm).with_context(|| format!("there is no arm {arm}"))?;
-        Ok(((flight.seed, arm), Line::of(arm, flight)))
+        Ok(((flight.seed, arm), flight))
     });
-    let lines: BTreeMap<(u64, Arm), Line> = lines.collect::<Result<_>>()?;
+    let flown: Flown<'_> = flown.collect::<Result<_>>()?;
     say!(
         "{}, ε = {}/255, {} iterations, {}, burst {}, field {}; validation courses from seed {}, the same in every arm",
         settings.attack.method.name(),
@@ -403,7 +377,7 @@ fn report(campaign: &Campaign<Settings, Flight>, json: &Path) -> Result<()> {
         if settings.apf { "on" } else { "off" },
         first_seed
     );
-    let row = |arm| Row::of(arm, lines.values());
+    let row = |arm| Row::of(arm, &flown);
     let rows: Vec<Row> = Arm::ALL.into_iter().filter_map(row).collect();
     say!("{}", Row::table(&rows));
     let pairs: Vec<Pair> = [
@@ -412,7 +386,7 @@ fn report(campaign: &Campaign<Settings, Flight>, json: &Path) -> Result<()> {
         (Arm::Undefended, Arm::Recover),
     ]
     .into_iter()
-    .filter_map(|(without, with)| pair(&lines, without, with))
+    .filter_map(|(without, with)| pair(&flown, without, with))
     .inspect(|p| {
         let ([with, without], Pair { flights, won, lost, .. }) = ([p.with, p.without].map(Arm::name), p);
         say!("{with} against {without}: of {flights} courses {won} completed only with, {lost} only without");
@@ -421,7 +395,13 @@ fn report(campaign: &Campaign<Settings, Flight>, json: &Path) -> Result<()> {
     campaign.is_interrupted();
     if output::is_file(json) {
         let table = json.with_extension("csv");
-        let text = format!("# {}\n{}", serde_json::to_string(settings)?, to_csv(lines.values()));
+        let lines: Vec<_> = flown.iter().map(|((_, arm), flight)| line(*arm, flight)).collect();
+        let heading = lines
+            .first()
+            .map(|line| line.each_ref().map(|(name, _)| (*name).to_owned()));
+        let cells = lines.into_iter().map(|line| line.map(|(_, cell)| cell));
+        let rows = to_csv(heading.into_iter().chain(cells));
+        let text = format!("# {}\n{rows}", serde_json::to_string(settings)?);
         output::write(&table, text)?;
         say!("flights   {}", table.display());
     }
@@ -449,37 +429,38 @@ fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flig
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::SensorRecord;
 
-    fn line(arm: Arm, seed: u64, outcome: Outcome) -> Line {
-        Line {
-            arm,
-            seed,
-            outcome: outcome.name(),
-            judged_steps: 418,
-            alarms: 1,
-            ..Line::default()
-        }
+    fn flight(seed: u64, outcome: Outcome) -> Flight {
+        let mut watch = WatchRecord::default();
+        (watch.judged_steps, watch.alarms) = (418, 1);
+        let record = serde_json::json!({
+            "seed": seed, "from_ground": false, "outcome": outcome, "flight_time_s": 1.0, "path_length_m": 1.0,
+            "closest_goal_m": 1.0, "closest_obstacle_m": 1.0, "steps": 418, "state_hash": "0", "watch": watch,
+            "sensor": SensorRecord::default(),
+        });
+        serde_json::from_value(record).unwrap()
     }
 
     #[test]
     fn arms_are_compared_on_the_courses_that_both_flew() {
-        let flown = [
-            line(Arm::Undefended, 1, Outcome::Collision),
-            line(Arm::Recover, 1, Outcome::Success),
-            line(Arm::Undefended, 2, Outcome::Success),
-            line(Arm::Recover, 2, Outcome::TimeOut),
-            line(Arm::Undefended, 3, Outcome::TimeOut),
-            line(Arm::Recover, 3, Outcome::Success),
-            line(Arm::Recover, 4, Outcome::Success),
+        let flights = [
+            (Arm::Undefended, flight(1, Outcome::Collision)),
+            (Arm::Recover, flight(1, Outcome::Success)),
+            (Arm::Undefended, flight(2, Outcome::Success)),
+            (Arm::Recover, flight(2, Outcome::TimeOut)),
+            (Arm::Undefended, flight(3, Outcome::TimeOut)),
+            (Arm::Recover, flight(3, Outcome::Success)),
+            (Arm::Recover, flight(4, Outcome::Success)),
         ];
-        let lines: BTreeMap<_, _> = flown.iter().map(|l| ((l.seed, l.arm), l.clone())).collect();
-        let pair = pair(&lines, Arm::Undefended, Arm::Recover).unwrap();
+        let flown: Flown<'_> = flights.iter().map(|(arm, f)| ((f.seed, *arm), f)).collect();
+        let pair = pair(&flown, Arm::Undefended, Arm::Recover).unwrap();
         assert_eq!((pair.flights, pair.won, pair.lost), (3, 2, 1));
-        let row = Row::of(Arm::Recover, lines.values()).unwrap();
+        let row = Row::of(Arm::Recover, &flown).unwrap();
         assert_eq!((row.tally.flights, row.tally.completed, row.tally.time_outs), (4, 3, 1));
         assert_eq!(row.failed_seeds, [2]);
         // Four alarms in 4 · 418 steps of 0.05 s.
         assert!((row.alarms_per_hour - 4.0 / (4.0 * 418.0 * 0.05 / 3600.0)).abs() < 1e-3);
-        assert!(Row::of(Arm::Stop, lines.values()).is_none());
+        assert!(Row::of(Arm::Stop, &flown).is_none());
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Common, Strength, write_json};
 use crate::campaign::flights::check_seeds;
-use crate::report::{TextTable, numbers, words};
+use crate::report::TextTable;
 use anyhow::{Result, ensure};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -105,9 +105,8 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
             args.strength.epsilon,
             args.strength.iterations
         );
-        let bearings = BEARINGS_DEG.map(|b| numbers(format!("{b}°")));
-        let columns = [words("gap to wall")].into_iter().chain(bearings);
-        let mut table = TextTable::new(columns.chain([numbers("mean"), numbers("the paper")]));
+        let bearings = BEARINGS_DEG.map(|b| format!("> {b}°")).join(" | ");
+        let mut table = TextTable::new(&format!("gap to wall | {bearings} | > mean | > the paper"));
         for (row, (gap_m, paper)) in block.chunks(BEARINGS_DEG.len()).zip(GAPS) {
             let mean = row.iter().map(|c| c.deflection_deg_s).sum::<f32>() / row.len() as f32;
             let cells = row.iter().map(|c| format!("{:.0}", c.deflection_deg_s));

@@ -12,6 +12,7 @@ pub use defended::Arm;
 pub use deflection::{GAPS as PAPER_DEFLECTION, Report as DeflectionReport};
 pub use strength::Cell as StrengthCell;
 
+use crate::campaign::flights::Campaign;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
@@ -162,8 +163,8 @@ pub fn run(args: &AttackCommands) -> Result<ExitCode> {
 /// Another command; flights that contradict each other or are not all; a file that cannot be written.
 pub fn merge(command: &str, files: &[PathBuf], json: &Path) -> Result<ExitCode> {
     match command {
-        defended::COMMAND => defended::merge(files, json)?,
-        command if completion::COMMANDS.contains(&command) => completion::merge(files, json)?,
+        defended::COMMAND => defended::report(&Campaign::load(files, json)?, json)?,
+        command if completion::COMMANDS.contains(&command) => completion::report(&Campaign::load(files, json)?, json)?,
         _ => {
             let first = files.first().map_or(json, PathBuf::as_path).display();
             bail!("{first} is of `vigil {command}`, which this program does not know");

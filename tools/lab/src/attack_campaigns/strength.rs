@@ -4,7 +4,7 @@ use super::pictures::change_colour;
 use super::states::{STATES_PER_FLIGHT, State, met_in_flight};
 use super::{Common, write_json};
 use crate::campaign::flights::check_seeds;
-use crate::report::{TextTable, numbers, words};
+use crate::report::TextTable;
 use crate::statistics::wilson_95;
 use anyhow::Result;
 use rayon::prelude::*;
@@ -199,8 +199,8 @@ fn print(cells: &[Cell], states: usize, seed: u64, wall_s: f64) {
     say!(
         "share of {states} states whose yaw moves by 1.0 (30 °/s) or more, validation courses from seed {seed}, {wall_s:.0} s"
     );
-    let iterations = ITERATIONS.map(|n| words(format!("{n} iterations")));
-    let mut table = TextTable::new([words("method"), numbers("ε · 255")].into_iter().chain(iterations));
+    let iterations = ITERATIONS.map(|n| format!("{n} iterations")).join(" | ");
+    let mut table = TextTable::new(&format!("method | > ε · 255 | {iterations}"));
     for row in cells.chunks(ITERATIONS.len()) {
         let shares = row.iter().map(|c| {
             let (low, high) = c.wilson_95;

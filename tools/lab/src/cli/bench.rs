@@ -1,8 +1,7 @@
 //! `vigil bench`: what this machine makes of the loop.
 
-use crate::cli::child_process::{Process, read_statuses};
+use crate::cli::child_process::{Process, next_status, read_statuses};
 use crate::cli::output::{self, EXIT_DIFFERS, Interrupt, say};
-use crate::cli::pilot::PilotArgs;
 use crate::flight_report::command_again;
 use crate::realtime_bench::{Machine, ObservedStep, ProcessorTime, RealtimeReport, RunFacts, ThreadCounters, Work};
 use crate::report::Picture as _;
@@ -11,10 +10,9 @@ use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::arguments::{help, number};
+use vigil_firmware::arguments::{PilotArgs, help, number};
 use vigil_firmware::live_loop::LiveLoop;
 use vigil_firmware::realtime::Granted;
 use vigil_io::clock::monotonic_ns;
@@ -259,24 +257,17 @@ impl RealtimeBench<'_> {
                     if let Some(load) = &mut load {
                         load.check()?;
                     }
-                    match statuses.recv_timeout(Duration::from_millis(200)) {
-                        Ok(status) => {
-                            heard = Instant::now();
-                            if let Some(outcome) = status.outcome {
-                                return Ok(outcome.to_string());
-                            }
-                        }
-                        Err(RecvTimeoutError::Disconnected) => {
-                            // Its pipe closes a moment before its exit status can be read.
-                            std::thread::sleep(Duration::from_millis(200));
-                            simulator.check()?;
-                            anyhow::bail!("the simulator closed its output");
-                        }
-                        Err(RecvTimeoutError::Timeout) => ensure!(
+                    let Some(status) = next_status(&mut simulator, &statuses, "in flight")? else {
+                        let limit_s = SILENCE_LIMIT.as_secs();
+                        ensure!(
                             heard.elapsed() < SILENCE_LIMIT,
-                            "the simulator said nothing for {} s",
-                            SILENCE_LIMIT.as_secs()
-                        ),
+                            "the simulator said nothing for {limit_s} s"
+                        );
+                        continue;
+                    };
+                    heard = Instant::now();
+                    if let Some(outcome) = status.outcome {
+                        return Ok(outcome.to_string());
                     }
                 }
                 Ok("cut short".to_owned())

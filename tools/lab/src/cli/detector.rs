@@ -10,7 +10,7 @@ use crate::cli::output::{self, Interrupt, Progress, git_commit, or_dash, put, sa
 use crate::detector_training::{
     EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Scenario, Set, WindowScorer, fly_all, sets,
 };
-use crate::report::{Figure, Picture, TextTable, numbers, to_csv, words};
+use crate::report::{Figure, Picture, TextTable, to_csv};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, bail, ensure};
@@ -377,20 +377,20 @@ impl Stage<'_> {
         say!(
             "validation course {seed}, {} steps, {} of them with all pixels; one thread, {}",
             record.steps.len(),
-            times.pixels_s.len(),
+            times[3].len(),
             self.isa.name()
         );
-        let step_s: Vec<f64> = (0..times.action_s.len())
-            .map(|i| times.action_s[i] + times.explanation_s[i] + times.verdict_s[i])
-            .collect();
+        let [action_s, explanation_s, verdict_s, pixels_s, cnn_s, fcn_s] = &times;
+        let in_all = |i: usize| action_s[i] + explanation_s[i] + verdict_s[i];
+        let step_s: Vec<f64> = (0..action_s.len()).map(in_all).collect();
         let rows = [
-            ("action", &times.action_s, 0.056),
-            ("SHAP values at the split point", &times.explanation_s, 0.019),
-            ("LSTM-AD", &times.verdict_s, 0.001),
+            ("action", action_s, 0.056),
+            ("SHAP values at the split point", explanation_s, 0.019),
+            ("LSTM-AD", verdict_s, 0.001),
             ("a step of the three", &step_s, 0.076),
-            ("SHAP values of all pixels of the frame", &times.pixels_s, 13.33),
-            ("CNN-AD", &times.cnn_s, 0.162),
-            ("FCN-AD", &times.fcn_s, 0.056),
+            ("SHAP values of all pixels of the frame", pixels_s, 13.33),
+            ("CNN-AD", cnn_s, 0.162),
+            ("FCN-AD", fcn_s, 0.056),
         ]
         .map(|(name, seconds, paper_s)| TimeRow {
             part: name.to_owned(),
@@ -399,7 +399,7 @@ impl Stage<'_> {
             p99_s: quantile(seconds, 0.99),
             paper_s,
         });
-        let mut table = TextTable::new([words(""), numbers("median"), numbers("99 %"), numbers("paper")]);
+        let mut table = TextTable::new(" | > median | > 99 % | > paper");
         for row in &rows {
             let [median, p99] = [row.median_s, row.p99_s].map(|s| or_dash(1e3 * s.unwrap_or(f64::NAN), 3, " ms"));
             table.row([row.part.clone(), median, p99, format!("{:.0} ms", 1e3 * row.paper_s)]);
@@ -424,15 +424,9 @@ impl Stage<'_> {
         };
         let config = LstmConfig::default();
         let mut reports = Vec::new();
-        let mut table = TextTable::new([
-            words("rows of"),
-            numbers("accuracy"),
-            numbers("AUC"),
-            numbers("found at 1 %"),
-            numbers("at 0.1 %"),
-            numbers("false alarms"),
-            numbers("untrained attacks found"),
-        ]);
+        let mut table = TextTable::new(
+            "rows of | > accuracy | > AUC | > found at 1 % | > at 0.1 % | > false alarms | > untrained attacks found",
+        );
         for feature in Feature::ALL {
             if Interrupt::on_ctrl_c()?.came() {
                 say!("interrupted: nothing of the comparison is kept");

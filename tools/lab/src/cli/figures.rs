@@ -2,7 +2,7 @@
 //! `vigil reproduce` draws the same.
 
 use crate::cli::output::{self, range_grey, say};
-use crate::detector_training::{Adversary, Frame, Onlooker, PixelExplainer, Plan, Scenario, Shown, Step, YAW, fly};
+use crate::detector_training::{Adversary, Frame, PixelExplainer, Plan, Record, Scenario, YAW, fly};
 use crate::report::{ColourScale, Figure, Panel, Picture, Plate, decimals, maybe_decimals, png_bytes, to_csv};
 use anyhow::{Context, Result, ensure};
 use base64::Engine as _;
@@ -78,20 +78,24 @@ fn unpacked(text: &str) -> Result<Vec<u8>> {
 /// SHAP values of its pixels for the yaw output: positive turns right.
 type Explained = (usize, bool, Vec<f32>, Vec<f32>);
 
-/// Explains and judges each step of a flight, and of those chosen every pixel.
-struct Explaining {
-    monitor: Monitor,
-    pixels: PixelExplainer,
-    chosen: Vec<usize>,
-    lines: Vec<ExplanationLine>,
-    frames: Vec<Explained>,
-}
-
-impl Onlooker for Explaining {
-    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()> {
-        let (number, altered) = (self.lines.len(), step.frame == Frame::Attacked);
-        let j = self.monitor.score(&step.state, step.low_dim);
-        self.lines.push(ExplanationLine {
+/// Flies a scenario, explains and scores each step, and of some spread evenly over the flight every pixel.
+fn explained(
+    isa: Isa,
+    (actor, detector): (&FrozenActor, &FrozenDetector),
+    scenario: &Scenario,
+    pictures: usize,
+) -> Result<(Record, Vec<ExplanationLine>, Vec<Explained>)> {
+    // Explaining changes nothing, so the same flight is flown first to know how long it takes.
+    let pilot = FrozenPilot::from(actor);
+    let steps = fly(isa, &pilot, scenario, &mut |_, _| Ok(()))?.steps.len();
+    let chosen: Vec<usize> = (0..pictures).map(|i| (2 * i + 1) * steps / (2 * pictures)).collect();
+    let mut monitor = Monitor::new(isa, actor.head(Purpose::Multipliers)?, &actor.sha256(), detector)?;
+    let mut pixels = PixelExplainer::new(isa, actor)?;
+    let (mut lines, mut frames) = (Vec::new(), Vec::new());
+    let record = fly(isa, &pilot, scenario, &mut |step, shown| {
+        let (number, altered) = (lines.len(), step.frame == Frame::Attacked);
+        let j = monitor.score(&step.state, step.low_dim);
+        lines.push(ExplanationLine {
             time_s: seconds(number),
             altered: altered.into(),
             yaw: step.output[YAW],
@@ -103,15 +107,15 @@ impl Onlooker for Explaining {
             score: j.score,
             verdict: j.verdict.name().to_owned(),
         });
-        if self.chosen.contains(&number)
+        if chosen.contains(&number)
             && let Some(inputs) = shown.inputs(step)
         {
-            let phi = self.pixels.of_inputs(&inputs, YAW)?.to_vec();
-            let depth = shown.input.depth.depth.to_vec();
-            self.frames.push((number, altered, depth, phi));
+            let phi = pixels.of_inputs(&inputs, YAW)?.to_vec();
+            frames.push((number, altered, shown.input.depth.depth.to_vec(), phi));
         }
         Ok(())
-    }
+    })?;
+    Ok((record, lines, frames))
 }
 
 impl Pixels {
@@ -145,25 +149,15 @@ pub fn draw(
         }),
         ..Scenario::unattacked(Family::Validation, seed, Plan::Actor)
     };
-    // Explaining changes nothing, so the same flight is flown first to know how long it takes.
-    let pilot = FrozenPilot::from(actor);
-    let steps = fly(isa, &pilot, &scenario, &mut ())?.steps.len();
-    let mut seen = Explaining {
-        monitor: Monitor::new(isa, actor.head(Purpose::Multipliers)?, &actor.sha256(), detector)?,
-        pixels: PixelExplainer::new(isa, actor)?,
-        // Spread evenly over the flight.
-        chosen: (0..pictures).map(|i| (2 * i + 1) * steps / (2 * pictures)).collect(),
-        lines: Vec::new(),
-        frames: Vec::new(),
-    };
-    let record = fly(isa, &pilot, &scenario, &mut seen)?;
+    let (record, lines, frames) = explained(isa, (actor, detector), &scenario, pictures)?;
+    let steps = record.steps.len();
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let write = |name: &str, content: &[u8]| {
         let path = folder.join(name);
         say!("{}", path.display());
         output::write(&path, content)
     };
-    let (full_strength, frames) = Pixels::of(&seen.frames);
+    let (full_strength, frames) = Pixels::of(&frames);
     let pixels = Pixels {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         actor_sha256: actor.sha256(),
@@ -179,11 +173,11 @@ pub fn draw(
         frames,
     };
     write("pixels.json", &serde_json::to_vec_pretty(&pixels)?)?;
-    write("explanations.csv", to_csv(&seen.lines).as_bytes())?;
+    write("explanations.csv", to_csv(&lines).as_bytes())?;
     let drawn = [
         figure_12(&pixels)?.save(folder, "figure-12")?,
-        figure_13(&pixels, &seen.lines).save(folder, "figure-13")?,
-        figure_14(&pixels, &seen.lines).save(folder, "figure-14")?,
+        figure_13(&pixels, &lines).save(folder, "figure-13")?,
+        figure_14(&pixels, &lines).save(folder, "figure-14")?,
     ];
     for path in drawn.as_flattened() {
         say!("{}", path.display());

@@ -1,7 +1,7 @@
 //! `vigil log film`: a flight as an animated picture or a video.
 
 use crate::cli::output::{self, is_stdout, say};
-use crate::flight_film::{FilmOptions, Gif, Video, film};
+use crate::flight_film::{Gif, Video, film};
 use anyhow::{Context, Result, bail};
 use clap::builder::RangedU64ValueParser;
 use std::path::{Path, PathBuf};
@@ -69,16 +69,13 @@ pub fn run(args: &FilmArgs) -> Result<ExitCode> {
     let to = args.output.clone().unwrap_or_else(|| log.with_extension("gif"));
     output::prepare(&to)?;
     let course = Story::about(&log)?.remove("course");
-    let options = FilmOptions {
-        speed: args.speed,
-        title: args.title.clone().or(course).unwrap_or_default(),
-        explained: args.shap,
-    };
+    let title = args.title.clone().or(course).unwrap_or_default();
+    let shown = (args.speed, &*title);
     check_film(&to)?;
     let none = || format!("no film of {}", log.display());
     let ((pictures, incomplete), bytes) = if is_video(&to) {
         let mut video = Video::begin(&to).with_context(none)?;
-        let filmed = film(&log, &options, &mut video).with_context(none)?;
+        let filmed = film(&log, shown, args.shap, &mut |canvas, cs| video.picture(canvas, cs)).with_context(none)?;
         video.finish().with_context(none)?;
         let Ok(file) = std::fs::metadata(&to) else {
             bail!("ffmpeg left no film {}", to.display());
@@ -86,7 +83,9 @@ pub fn run(args: &FilmArgs) -> Result<ExitCode> {
         (filmed, file.len())
     } else {
         let mut bytes = Vec::new();
-        let filmed = film(&log, &options, &mut Gif::begin(&mut bytes).with_context(none)?).with_context(none)?;
+        let mut gif = Gif::begin(&mut bytes).with_context(none)?;
+        let filmed = film(&log, shown, args.shap, &mut |canvas, cs| gif.picture(canvas, cs)).with_context(none)?;
+        drop(gif);
         output::write(&to, &bytes)?;
         (filmed, bytes.len() as u64)
     };

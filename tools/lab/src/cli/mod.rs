@@ -13,7 +13,7 @@ mod report;
 mod reproduce;
 mod rollout;
 
-pub(crate) use vigil_tools::cli::{child_process, evaluate, output, pilot};
+pub(crate) use vigil_tools::cli::{child_process, evaluate, output};
 
 use crate::attack_campaigns as attack;
 use anyhow::{Context, Result};

@@ -5,6 +5,7 @@ use crate::report::{Figure, Panel, Picture, Series, from_csv};
 use crate::trainer::evaluation::FamilyCount;
 use crate::trainer::run::LearnResult;
 use anyhow::{Context, Result, ensure};
+use serde_json::Value;
 use std::collections::HashSet;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -121,8 +122,11 @@ fn read(folder: &Path) -> Result<Run> {
         vigil_types::files::read_text(&path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))
     };
     let bad = |name: &str| format!("{} is not what `vigil learn` writes", folder.join(name).display());
-    let json = text("result.json")?;
-    let result = serde_json::from_str::<LearnResult>(&json).with_context(|| bad("result.json"))?;
+    let json: Value = serde_json::from_str(&text("result.json")?).with_context(|| bad("result.json"))?;
+    let result = serde_json::from_value::<LearnResult>(json).with_context(|| {
+        let path = folder.join("result.json");
+        format!("{} is of an earlier version; leave this folder out", path.display())
+    })?;
     let tests = |count: &&FamilyCount| count.family == Family::Validation && count.ablation.is_none();
     let test = result.test.iter().find(tests).cloned();
     let test = test.context("its actor was not tested on validation courses: `vigil learn --test-flights`");
@@ -308,6 +312,9 @@ mod tests {
             error.contains("result.json") && error.contains("--test-flights"),
             "{error}"
         );
+        std::fs::write(folder.join("result.json"), result("").replace("[]", "{}")).unwrap();
+        let error = format!("{:#}", read(folder).err().unwrap());
+        assert!(error.contains("earlier version; leave this folder out"), "{error}");
         // A row of another table is no flight.
         assert!(from_csv::<Flight>(&(flights.to_owned() + "50,12000,42.2\n")).is_err());
     }

@@ -3,7 +3,7 @@
 use crate::campaign::Tally;
 use crate::campaign::flights::check_seeds;
 use crate::cli::output::{or_dash, say};
-use crate::report::{TextTable, numbers, words};
+use crate::report::TextTable;
 use crate::threads::thread_pool_of;
 use crate::trainer::evaluation::{EvaluatedActor, EvaluationSpec, evaluate, mean_time_s, tally};
 use crate::trainer::observation::Drift;
@@ -107,8 +107,7 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         args.actor
     );
     let pool = thread_pool_of(args.threads)?;
-    let columns = [words("field")].into_iter().chain(Tally::columns());
-    let mut table = TextTable::new(columns.chain([numbers("mean time")]));
+    let mut table = TextTable::new(&format!("field | {} | > mean time", Tally::COLUMNS));
     // The geometric pilot has the field in it.
     let fields: &[bool] = match evaluated {
         EvaluatedActor::Geometric => &[false],
@@ -151,14 +150,9 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
 
 /// Shares of variance, with their controls.
 fn probed(readouts: &[Readout]) -> TextTable {
-    let columns = [
-        "moments",
-        "48 values",
-        "memory wiped",
-        "newest scan",
-        "another flight's past",
-    ];
-    let mut table = TextTable::new([words("R² of what was seen")].into_iter().chain(columns.map(numbers)));
+    let mut table = TextTable::new(
+        "R² of what was seen | > moments | > 48 values | > memory wiped | > newest scan | > another flight's past",
+    );
     for readout in readouts {
         let cells = [format!("{} s ago", readout.lag_s), readout.samples.to_string()];
         let shares = readout.shares.map(|share| or_dash(share, 2, ""));

@@ -3,7 +3,7 @@
 use crate::cli::output;
 use crate::detector_training::evaluation::plan_of;
 use crate::detector_training::flight_files::{Flights, not_collected};
-use crate::explained::{Adversary, Frame, MAX_STEPS, Onlooker, Scenario, Shown, Step, YAW, explainer, fly};
+use crate::explained::{Adversary, Frame, MAX_STEPS, Record, Scenario, YAW, explainer, fly};
 use anyhow::{Context, Result};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -47,52 +47,6 @@ pub struct States {
     pub backgrounds: Option<u32>,
 }
 
-/// Explains states as they are met.
-struct Explaining<'a> {
-    shap: &'a mut DeepShap,
-    phi: Vec<f32>,
-    /// The flight's frames, altered or not.
-    frames: Vec<Frame>,
-    flight: usize,
-    /// Steps since the last state of each class, and how many there are.
-    since: [usize; 2],
-    taken: [usize; 2],
-    states: &'a mut Vec<State>,
-}
-
-impl Onlooker for Explaining<'_> {
-    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<()> {
-        let number = self.frames.len();
-        self.frames.push(step.frame);
-        self.since = self.since.map(|s| s + 1);
-        let attacked = step.frame == Frame::Attacked;
-        let mut held = self.frames.iter().rev().take(HELD_STEPS);
-        let class = usize::from(attacked);
-        if number + 1 < WINDOW
-            || !(attacked || held.all(|frame| *frame == Frame::Unaltered))
-            || self.since[class] < STRIDE
-            || self.taken[class] >= PER_FLIGHT
-        {
-            return Ok(());
-        }
-        let Some(inputs) = shown.inputs(step) else {
-            return Ok(());
-        };
-        self.shap.evaluate(&inputs)?;
-        self.shap.attribute_on_threads(YAW, SHAP_THREADS, &mut self.phi)?;
-        let image = image(&self.phi[..DEPTH_PIXELS]).unwrap_or_else(|| unreachable!("a frame's finite pixels"));
-        self.since[class] = 0;
-        self.taken[class] += 1;
-        self.states.push(State {
-            flight: self.flight,
-            step: number,
-            attacked,
-            image,
-        });
-        Ok(())
-    }
-}
-
 /// A flight under the paper's attack, streaming, in bursts of 10 to 60 steps; the actor flies, or a recovery.
 fn scenario(family: Family, seed: u64) -> Scenario {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -107,6 +61,49 @@ fn scenario(family: Family, seed: u64) -> Scenario {
         altered: (STRIDE * PER_FLIGHT) as u64,
         ..Scenario::unattacked(family, seed, plan_of(seed))
     }
+}
+
+/// Flies a scenario and explains states of it as they are met.
+fn fly_explained(
+    isa: Isa,
+    pilot: &FrozenPilot,
+    scenario: &Scenario,
+    shap: &mut DeepShap,
+    (flight, states): (usize, &mut Vec<State>),
+) -> Result<Record> {
+    // Its frames, altered or not; steps since the last state of each class, and how many there are.
+    let (mut frames, mut since, mut taken) = (Vec::new(), [STRIDE; 2], [0; 2]);
+    let mut phi = vec![0.0; shap.phi_len()];
+    fly(isa, pilot, scenario, &mut |step, shown| {
+        let number = frames.len();
+        frames.push(step.frame);
+        since = since.map(|s| s + 1);
+        let attacked = step.frame == Frame::Attacked;
+        let mut held = frames.iter().rev().take(HELD_STEPS);
+        let class = usize::from(attacked);
+        if number + 1 < WINDOW
+            || !(attacked || held.all(|frame| *frame == Frame::Unaltered))
+            || since[class] < STRIDE
+            || taken[class] >= PER_FLIGHT
+        {
+            return Ok(());
+        }
+        let Some(inputs) = shown.inputs(step) else {
+            return Ok(());
+        };
+        shap.evaluate(&inputs)?;
+        shap.attribute_on_threads(YAW, SHAP_THREADS, &mut phi)?;
+        let image = image(&phi[..DEPTH_PIXELS]).unwrap_or_else(|| unreachable!("a frame's finite pixels"));
+        (since[class], taken[class]) = (0, taken[class] + 1);
+        let step = number;
+        states.push(State {
+            flight,
+            step,
+            attacked,
+            image,
+        });
+        Ok(())
+    })
 }
 
 /// Flies and explains until there are `count` states of each class, or `progress` breaks it off after a flight; goes on with what was
@@ -131,16 +128,8 @@ pub fn gather_states(
     let mut seed = first_seed.wrapping_add(records.len() as u64);
     let mut flow = ControlFlow::Continue(());
     while fewer(&states) < count && flow.is_continue() {
-        let mut onlooker = Explaining {
-            phi: vec![0.0; shap.phi_len()],
-            shap: &mut shap,
-            frames: Vec::new(),
-            flight: records.len(),
-            since: [STRIDE; 2],
-            taken: [0; 2],
-            states: &mut states,
-        };
-        records.push(fly(isa, &pilot, &scenario(family, seed), &mut onlooker)?);
+        let to = (records.len(), &mut states);
+        records.push(fly_explained(isa, &pilot, &scenario(family, seed), &mut shap, to)?);
         seed += 1;
         flow = progress(fewer(&states).min(count));
     }

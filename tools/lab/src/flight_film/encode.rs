@@ -18,12 +18,6 @@ fn not_made(why: impl std::fmt::Display) -> Error {
     anyhow!("ffmpeg did not make the film: {why}")
 }
 
-/// Takes one picture after the other.
-pub trait Pictures {
-    /// A picture that is shown for so many hundredths of a second.
-    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<()>;
-}
-
 /// An animated GIF: only what changed is written.
 pub struct Gif<W: Write> {
     encoder: Encoder<W>,
@@ -38,10 +32,9 @@ impl<W: Write> Gif<W> {
         encoder.set_repeat(Repeat::Infinite).context(NOT_WRITTEN)?;
         Ok(Self { encoder, shown: None })
     }
-}
 
-impl<W: Write> Pictures for Gif<W> {
-    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<()> {
+    /// Takes a picture that is shown for so many hundredths of a second.
+    pub fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<()> {
         let frame = difference(self.shown.as_ref(), canvas, delay_cs);
         self.encoder.write_frame(&frame).context(NOT_WRITTEN)?;
         self.shown = Some(canvas.clone());
@@ -130,6 +123,21 @@ impl Video {
         })
     }
 
+    /// Takes a picture that is shown for so many hundredths of a second.
+    pub fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<()> {
+        for (rgb, colour) in self.bytes.chunks_exact_mut(3).zip(&canvas.pixels) {
+            rgb.copy_from_slice(&PALETTE[usize::from(*colour) % PALETTE.len()]);
+        }
+        for _ in 0..(delay_cs / PICTURE_CS).max(1) {
+            if let Some(Err(_)) = self.pictures.as_mut().map(|pipe| pipe.write_all(&self.bytes)) {
+                // It ended early, and says why.
+                let why = self.end().unwrap_or_else(|| "it ended early".to_owned());
+                return Err(not_made(why));
+            }
+        }
+        Ok(())
+    }
+
     /// Waits for the file.
     pub fn finish(mut self) -> Result<()> {
         match self.end() {
@@ -155,22 +163,6 @@ impl Video {
             }),
             Err(error) => Some(error.to_string()),
         }
-    }
-}
-
-impl Pictures for Video {
-    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<()> {
-        for (rgb, colour) in self.bytes.chunks_exact_mut(3).zip(&canvas.pixels) {
-            rgb.copy_from_slice(&PALETTE[usize::from(*colour) % PALETTE.len()]);
-        }
-        for _ in 0..(delay_cs / PICTURE_CS).max(1) {
-            if let Some(Err(_)) = self.pictures.as_mut().map(|pipe| pipe.write_all(&self.bytes)) {
-                // It ended early, and says why.
-                let why = self.end().unwrap_or_else(|| "it ended early".to_owned());
-                return Err(not_made(why));
-            }
-        }
-        Ok(())
     }
 }
 

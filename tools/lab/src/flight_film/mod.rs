@@ -8,7 +8,6 @@ mod third_person;
 use crate::flight_derived::ExplainedReplay;
 use crate::flight_report::{LogSeen, StepSeen, WHO};
 use anyhow::{Context, Result};
-use encode::Pictures;
 pub use encode::{Gif, Video};
 use picture::{Canvas, Colour, span};
 use std::path::Path;
@@ -44,28 +43,22 @@ const TRAIL_STEPS: usize = 160;
 /// Pixels weaker than this share of the strongest are not marked.
 const WEAK: f32 = 0.12;
 
-#[derive(Debug, Clone, PartialEq)]
-pub struct FilmOptions {
-    /// Seconds of flight in a second of film.
-    pub speed: f64,
-    /// What stands in the banner besides who flies.
-    pub title: String,
-    /// At most so many pictures get their pixels explained, evenly over the film; the others show the last explanation.
-    pub explained: usize,
-}
+/// Takes a picture that is shown for so many hundredths of a second.
+pub type Take<'a> = &'a mut dyn FnMut(&Canvas, u16) -> Result<()>;
 
 /// The number of a film's pictures, and why they are not all of the flight where they are not.
 pub type Filmed = (usize, Option<String>);
 
-/// Films the log at `path`.
+/// Films the log at `path`: `speed` seconds of flight in a second, a banner with the title and who flies; at most so many pictures get their
+/// pixels `explained`, evenly over the film, the others show the last explanation.
 ///
 /// # Errors
 /// A log that cannot be read, a flight that never took off, what takes no more pictures.
-pub fn film(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<Filmed> {
+pub fn film(path: &Path, (speed, title): (f64, &str), explained: usize, take: Take<'_>) -> Result<Filmed> {
     let log = LogSeen::read(path)?;
     let (first, last) = shown(&log)
         .context("the vehicle never took off in this log: there is nothing to film; `vigil log report` says why")?;
-    let stride = (options.speed * STEPS_A_SECOND * f64::from(PICTURE_CS) / 100.0)
+    let stride = (speed * STEPS_A_SECOND * f64::from(PICTURE_CS) / 100.0)
         .round()
         .max(1.0) as usize;
     let stride = stride.max((last - first).div_ceil(MOST_PICTURES - 1));
@@ -74,7 +67,7 @@ pub fn film(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Resul
     let background = scene.background(&log);
     let mut stage = Stage::new(&log.story.solids, log.goal_ned_m());
     let mut reader = Reader::open(path)?;
-    let mut explaining = Explaining::of(&reader, options.explained, (last - first).div_ceil(stride));
+    let mut explaining = Explaining::of(&reader, explained, (last - first).div_ceil(stride));
     let mut record = Box::<TickRecord>::default();
     let mut depth = None;
     let mut pictures = 0;
@@ -95,13 +88,13 @@ pub fn film(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Resul
         let so_far = (first, number);
         scene.view(&mut canvas, &mut stage, &log, so_far);
         scene.draw_path(&mut canvas, &log, so_far);
-        draw_banner(&mut canvas, &log, number, &options.title);
+        draw_banner(&mut canvas, &log, number, title);
         scene.draw_score(&mut canvas, &log, so_far);
         scene.draw_state(&mut canvas, &log, number);
         let altered = log.is_altered(&log.steps[number]);
         eyes(&mut canvas, depth.as_deref(), &explaining, altered);
         let delay = if number == last { LAST_CS } else { PICTURE_CS };
-        to.picture(&canvas, delay)?;
+        take(&canvas, delay)?;
         pictures += 1;
     }
     let interrupted = log.end.filter(|end| matches!(end, LogEnd::Interrupted { .. }));

@@ -3,6 +3,7 @@
 use super::causes::{self, Cause, Work};
 use super::{Machine, ObservedStep};
 use crate::report::{Figure, Panel, Scale, Series};
+use crate::statistics::quantile;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -47,17 +48,12 @@ pub struct Distribution {
 
 impl Distribution {
     fn of(times_ns: impl Iterator<Item = u64>) -> Self {
-        let mut sorted: Vec<u64> = times_ns.collect();
-        sorted.sort_unstable();
-        let us = |ns: u64| ns as f64 * 1e-3;
-        // The smallest that so large a share is not longer than.
-        let at = |share: f64| {
-            let rank = (share * sorted.len() as f64).ceil() as usize;
-            sorted.get(rank.saturating_sub(1)).map_or(0.0, |ns| us(*ns))
-        };
+        let mut sorted_us: Vec<f64> = times_ns.map(|ns| ns as f64 * 1e-3).collect();
+        sorted_us.sort_by(f64::total_cmp);
+        let at = |share| quantile(&sorted_us, share).unwrap_or(0.0);
         let mut bins: Vec<(f64, u64)> = Vec::new();
-        for ns in &sorted {
-            let power = (us(*ns).max(1.0).log10() * f64::from(BINS_PER_DECADE)).ceil();
+        for us in &sorted_us {
+            let power = (us.max(1.0).log10() * f64::from(BINS_PER_DECADE)).ceil();
             let end_us = 10f64.powf(power / f64::from(BINS_PER_DECADE));
             match bins.last_mut() {
                 Some((end, count)) if *end >= end_us => *count += 1,

@@ -1,7 +1,7 @@
 //! A run's report as text.
 
 use super::report::{RealtimeReport, told_us};
-use crate::report::{TextTable, numbers, words};
+use crate::report::TextTable;
 use std::fmt;
 
 /// A text, or what stands for an empty one.
@@ -13,8 +13,7 @@ impl fmt::Display for RealtimeReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.fmt_run(f)?;
         writeln!(f)?;
-        let quantiles = ["p50", "p99", "p99.9", "max"].map(numbers);
-        let mut table = TextTable::new([words("")].into_iter().chain(quantiles));
+        let mut table = TextTable::new(" | > p50 | > p99 | > p99.9 | > max");
         for (name, of) in [("wake-up late", &self.lateness), ("step", &self.duration)] {
             table.row([name.to_owned()].into_iter().chain(of.cells()));
         }

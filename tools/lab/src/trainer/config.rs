@@ -1,6 +1,7 @@
 //! What a run is made of: a TOML file whose every key is optional and whose unknown keys are refused.
 
 use std::path::Path;
+use vigil_firmware::removed;
 use vigil_policy::actor::SLOWEST_M_S;
 use vigil_sim::world::Family;
 use vigil_types::parameters::Range;
@@ -173,13 +174,16 @@ impl LearnConfig {
     /// # Errors
     /// [`SettingsError`].
     pub fn load(path: &Path) -> Result<Self, SettingsError> {
-        let config: Self = settings::load(path)?;
-        let path = path.to_owned();
-        let refused = |outside: Outside| SettingsError::Content {
-            path,
-            message: outside.to_string(),
+        let refused = |message: String| {
+            let path = path.to_owned();
+            SettingsError::Content { path, message }
         };
-        config.check().map_err(refused).map(|()| config)
+        let config: Self = settings::load(path).map_err(|error| match error {
+            SettingsError::Content { message, .. } => refused(removed::explain(message)),
+            read => read,
+        })?;
+        config.check().map_err(|outside| refused(outside.to_string()))?;
+        Ok(config)
     }
 
     /// TOML that [`Self::load`] reads back unchanged.
@@ -239,6 +243,16 @@ mod tests {
         ] {
             let config: Result<LearnConfig, _> = settings::from_toml(text);
             let error = config.map_or_else(|e| e, |c| c.check().unwrap_err().to_string());
+            assert!(error.contains(expected), "{text}\n{error}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let earlier = folder.path().join("earlier.toml");
+        for (text, expected) in [
+            ("[learning]\ntwin = true", "`twin` is of an earlier version"),
+            ("[reward]\nalong = \"way\"", "it is called `path`"),
+        ] {
+            std::fs::write(&earlier, text).unwrap();
+            let error = LearnConfig::load(&earlier).unwrap_err().to_string();
             assert!(error.contains(expected), "{text}\n{error}");
         }
     }

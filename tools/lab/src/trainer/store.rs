@@ -3,11 +3,13 @@
 
 use anyhow::{Context, Error, Result, anyhow, ensure};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
-use serde::{Serialize, de::DeserializeOwned};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use sha2::{Digest, Sha256};
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
+/// What a checkpoint's state says of itself.
+pub const FORMAT: &str = "vigil learn checkpoint 2";
 const DIGEST: &str = "sha256";
 /// More than the largest replay memory of a run takes: what it writes it can go on with.
 const SIZE_LIMIT: u64 = 128 << 30;
@@ -54,16 +56,21 @@ pub fn replace(path: &Path, content: &[u8]) -> Result<()> {
     })
 }
 
+#[derive(Deserialize)]
+struct Formatted {
+    format: String,
+}
+
 pub struct Stored {
     path: PathBuf,
     bytes: Vec<u8>,
 }
 
 impl Stored {
-    /// Reads a file and verifies its seal.
+    /// Reads a file and verifies its seal and its format.
     ///
     /// # Errors
-    /// It cannot be read, is truncated or was altered.
+    /// It cannot be read, is truncated, was altered or is of another version.
     pub fn read(path: &Path) -> Result<Self> {
         let path = path.to_owned();
         let bytes = vigil_types::files::read(&path, SIZE_LIMIT);
@@ -78,6 +85,13 @@ impl Stored {
             found == expected,
             "checkpoint {} was altered: its content has SHA-256 {found}, its own entry says {expected}; it cannot be gone on with, \
              train anew in another folder",
+            read.path.display()
+        );
+        // Before all else: another version's holds other things.
+        let Formatted { format } = read.state()?;
+        ensure!(
+            format == FORMAT,
+            "checkpoint {} has format \"{format}\", of another version; this program takes \"{FORMAT}\": train anew in another folder",
             read.path.display()
         );
         Ok(read)
@@ -119,5 +133,20 @@ impl Stored {
             );
         }
         Ok(values)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_checkpoint_of_another_version_is_refused_by_its_format_whatever_else_it_holds() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("checkpoint.safetensors");
+        let state = serde_json::json!({"format": "vigil value checkpoint 3", "lanes": 7});
+        save(&path, &state, Vec::new()).unwrap();
+        let error = Stored::read(&path).err().unwrap().to_string();
+        assert!(error.contains("has format \"vigil value checkpoint 3\""), "{error}");
     }
 }

@@ -1,6 +1,6 @@
 //! Curves, arithmetic and functions of each value.
 
-use super::importer::{Importer, Live, Value, identity};
+use super::importer::{Importer, Live, Value, identity, refuse_endless};
 use crate::constant::{Constant, Data};
 use crate::fold;
 use crate::proto::Node;
@@ -311,7 +311,7 @@ impl Importer<'_> {
                 let bias = params.len() - outputs;
                 let biases = params[bias..].iter_mut().zip(&summand);
                 biases.for_each(|(value, summand)| *value += summand);
-                return Ok(result(x.layer));
+                return refuse_endless(params).map(|()| result(x.layer));
             }
             let all = factor.first().copied().unwrap_or(0.0);
             if let Layer::Dense { curve, .. } | Layer::Conv2d { curve, .. } | Layer::Curve { curve, .. } = before

@@ -7,6 +7,10 @@ use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 use vigil_policy::imported::{Layer, MOST_VALUES, Network, refuse_more};
 
+/// What a node has done that made, of finite numbers, one that is not.
+pub(super) const NOT_FINITE: &str =
+    "it makes a constant that is not finite (a division by zero, a negative variance, numbers that are too large?)";
+
 /// Values of a layer.
 #[derive(Debug, Clone)]
 pub(super) struct Live {
@@ -167,6 +171,7 @@ impl<'a> Importer<'a> {
             *total = total.saturating_add(more as u64);
             refuse_more(what, *total, MOST_VALUES).map_err(|e| e.to_string())?;
         }
+        refuse_endless(&params)?;
         self.network.layers.push(layer);
         self.params.push(params);
         self.lens.push(len);
@@ -238,6 +243,12 @@ impl Node {
             false => Err(format!("{name} = {} is not supported", self.whole(name, allowed))),
         }
     }
+}
+
+/// Whether parameters are numbers.
+pub(super) fn refuse_endless(params: &[f32]) -> Result<(), String> {
+    let all = params.iter().all(|value| value.is_finite());
+    all.then_some(()).ok_or_else(|| NOT_FINITE.to_owned())
 }
 
 /// Where the values of an image `[channel][row][column]` are in one of `[row][column][channel]`.

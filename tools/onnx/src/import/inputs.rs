@@ -2,7 +2,7 @@
 
 use super::importer::{Importer, Live, Value, identity, image_places};
 use super::needed::Needed;
-use crate::adapter::{Adapter, Flat, FlatGoal};
+use crate::adapter::{Adapter, Flat};
 use crate::constant::len_of;
 use crate::proto::{Graph, ValueInfo};
 use std::collections::HashSet;
@@ -81,7 +81,7 @@ impl<'a> Importer<'a> {
         let [a, b, c] = flat.frame;
         let (rows, cols, channels) = if c < a { (a, b, c) } else { (b, c, a) };
         let len = len_of(&flat.frame)?;
-        let has_position = flat.goal != FlatGoal::None;
+        let has_position = flat.goal_first.is_some();
         let wanted = len + if has_position { 2 } else { 0 };
         if shape != [1, wanted] {
             return Err(format!(
@@ -101,8 +101,8 @@ impl<'a> Importer<'a> {
             let parts = vec![layer, goal];
             layer = self.push(Layer::Concat { parts }, Vec::new(), wanted)?;
             let of_goal = [len as u32, len as u32 + 1];
-            match flat.goal {
-                FlatGoal::First => places.splice(0..0, of_goal).for_each(drop),
+            match flat.goal_first {
+                Some(true) => places.splice(0..0, of_goal).for_each(drop),
                 _ => places.extend(of_goal),
             }
         }

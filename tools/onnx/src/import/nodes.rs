@@ -1,6 +1,6 @@
 //! The operator of each node: a constant, or the layers that compute it.
 
-use super::importer::{Importer, Live, Value, shape_of};
+use super::importer::{Importer, Live, NOT_FINITE, Value, shape_of};
 use super::places::expanded;
 use crate::constant::{Constant, Data, len_of};
 use crate::fold::{self, Reduction};
@@ -93,7 +93,7 @@ impl<'a> Importer<'a> {
 
     /// The constant that a node is whose inputs are all constants, if it is one that is known.
     fn folded(&self, node: &Node) -> Result<Option<Constant>, String> {
-        let mut operator = node.op_type.as_str();
+        let operator = node.op_type.as_str();
         let mut given = Vec::new();
         for (i, _) in node.input.iter().enumerate().filter(|(_, name)| !name.is_empty()) {
             match self.input(node, i)?.1 {
@@ -104,8 +104,8 @@ impl<'a> Importer<'a> {
         let Some(first) = given.first() else {
             return Ok(None);
         };
-        match operator {
-            "Clip" if node.input.get(1).is_none_or(String::is_empty) && given.len() == 2 => operator = "Min",
+        let made = match operator {
+            "Clip" if node.input.get(1).is_none_or(String::is_empty) && given.len() == 2 => fold::fold("Min", &given)?,
             "Reshape" | "Flatten" | "Squeeze" | "Unsqueeze" | "Transpose" | "Slice" | "Gather" | "Identity"
             | "Dropout" | "Concat" | "Split" | "Shape" => return Ok(None),
             "Cast" => return first.cast(node.whole("to", 1)).map(Some),
@@ -129,13 +129,12 @@ impl<'a> Importer<'a> {
             }
             "ReduceMean" | "ReduceSum" | "ReduceProd" | "ReduceMax" | "ReduceMin" => {
                 let (along, shape) = self.reduction(node, &first.shape)?;
-                return fold::reduce(operator, first, &along, shape).map(Some);
+                Some(fold::reduce(operator, first, &along, shape)?)
             }
-            _ => {}
-        }
-        let constant = fold::fold(operator, &given)?.map(|constant| constant.checked(false));
-        let finite = constant.transpose();
-        finite.map_err(|_| "what it makes of constants is not finite".to_owned())
+            _ => fold::fold(operator, &given)?,
+        };
+        let finite = made.map(|constant| constant.checked(false)).transpose();
+        finite.map_err(|_| NOT_FINITE.to_owned())
     }
 
     pub(super) fn reduction(&self, node: &Node, shape: &[usize]) -> Result<Reduction, String> {

@@ -4,16 +4,11 @@
 //! values, then answers each line `RUNS` on standard input with the processor time of one run in nanoseconds, the mean
 //! over RUNS. tools/peers/compare.py starts it.
 
-use anyhow::{Context, Result, ensure};
-use rustix::time::{ClockId, clock_gettime};
-use std::io::{BufRead, Write};
-use tract_onnx::prelude::*;
+#[path = "../../src/timing.rs"]
+mod timing;
 
-/// Processor time of this process, nanoseconds.
-fn processor_ns() -> u64 {
-    let now = clock_gettime(ClockId::ProcessCPUTime);
-    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
-}
+use anyhow::{Context, Result, ensure};
+use tract_onnx::prelude::*;
 
 fn main() -> Result<()> {
     let mut arguments = std::env::args_os().skip(1);
@@ -43,25 +38,14 @@ fn main() -> Result<()> {
     );
     let mut state = model.into_runnable()?.spawn()?;
     let first = state.run(feed.clone())?;
-    let mut out = std::io::stdout();
-    write!(out, "ready")?;
+    let mut ready = "ready".to_owned();
     for value in first[0].to_plain_array_view::<f32>()? {
-        write!(out, " {value}")?;
+        ready += &format!(" {value}");
     }
-    writeln!(out)?;
-    out.flush()?;
-    for line in std::io::stdin().lock().lines() {
-        let line = line?;
-        let runs: u32 = line
-            .trim()
-            .parse()
-            .with_context(|| format!("`{line}` is not a number of runs"))?;
-        let before = processor_ns();
-        for _ in 0..runs {
+    timing::answer(&ready, |runs| {
+        timing::mean_ns(runs, || {
             std::hint::black_box(state.run(feed.clone())?);
-        }
-        writeln!(out, "{}", (processor_ns() - before) as f64 / f64::from(runs.max(1)))?;
-        out.flush()?;
-    }
-    Ok(())
+            Ok(())
+        })
+    })
 }

@@ -4,6 +4,7 @@
 //! wrote them, and in groups as from firmware 3 on.
 
 use serde_json::Value;
+use std::ops::RangeInclusive;
 use vigil_types::FrdVector;
 
 /// What a metadata file lacks.
@@ -73,32 +74,34 @@ impl OusterDevice {
         let (columns, rate) = mode.ok_or_else(|| wrong("lidar_mode", "a mode as 1024x20"))?;
         let columns = columns.parse().ok().filter(|n| [512, 1024, 2048, 4096].contains(n));
         let rate_hz = rate.parse().ok().filter(|hz| [5.0, 10.0, 20.0].contains(hz));
-        let list = |field, count: Option<usize>, most: f64| {
-            let values: Option<Vec<f32>> = find(field).and_then(Value::as_array).and_then(|list| {
-                let number = |v: &Value| v.as_f64().filter(|v| v.abs() <= most).map(|v| v as f32);
-                list.iter().map(number).collect()
-            });
-            values.filter(|list| count.is_none_or(|n| list.len() == n))
+        let list = |field, expected, count: RangeInclusive<usize>, most: f64| {
+            let number = |v: &Value| v.as_f64().filter(|v| v.abs() <= most).map(|v| v as f32);
+            let list = find(field).and_then(Value::as_array);
+            let values: Option<Vec<f32>> = list.and_then(|list| list.iter().map(number).collect());
+            let values = values.filter(|list| count.contains(&list.len()));
+            values.ok_or_else(|| wrong(field, expected))
         };
-        let altitudes_deg = list("beam_altitude_angles", None, 90.0)
-            .filter(|list| (16..=128).contains(&list.len()))
-            .ok_or_else(|| wrong("beam_altitude_angles", "a list of 16 to 128 angles in degrees"))?;
-        let beams = Some(altitudes_deg.len());
-        let azimuths_deg = list("beam_azimuth_angles", beams, 90.0).ok_or_else(|| {
-            wrong(
-                "beam_azimuth_angles",
-                "as many angles in degrees as there are altitudes",
-            )
-        })?;
+        let each = "a list of 16 to 128 angles in degrees";
+        let altitudes_deg = list("beam_altitude_angles", each, 16..=128, 90.0)?;
+        let beams = altitudes_deg.len();
+        let each = "as many angles in degrees as there are altitudes";
+        let azimuths_deg = list("beam_azimuth_angles", each, beams..=beams, 90.0)?;
         let stated = find("pixels_per_column").and_then(Value::as_u64);
-        if stated.is_some_and(|stated| beams != usize::try_from(stated).ok()) {
+        if stated.is_some_and(|stated| stated != beams as u64) {
             return Err(wrong("pixels_per_column", "the number of beams"));
         }
         let per_packet = find("columns_per_packet").map_or(Some(16), Value::as_u64);
         let origin_mm = find("lidar_origin_to_beam_origin_mm").and_then(Value::as_f64);
-        let matrix = list("lidar_to_sensor_transform", Some(16), 1e4)
-            .ok_or_else(|| wrong("lidar_to_sensor_transform", "16 numbers, row by row"))?;
+        let matrix = list("lidar_to_sensor_transform", "16 numbers, row by row", 16..=16, 1e4)?;
         let columns: usize = columns.ok_or_else(|| wrong("lidar_mode", "512, 1024, 2048 or 4096 columns"))?;
+        let beam = |(altitude, azimuth): (&f32, &f32)| {
+            let ((se, ce), (sa, ca)) = (altitude.to_radians().sin_cos(), (-azimuth).to_radians().sin_cos());
+            [se, ce, sa, ca]
+        };
+        let angle = |column: usize| {
+            let angle = std::f64::consts::TAU * (1.0 - column as f64 / columns as f64);
+            [angle.sin() as f32, angle.cos() as f32]
+        };
         Ok(Self {
             columns,
             columns_per_packet: per_packet
@@ -106,21 +109,9 @@ impl OusterDevice {
                 .filter(|n| (1..=64).contains(n) && columns.is_multiple_of(*n))
                 .ok_or_else(|| wrong("columns_per_packet", "a part of the columns"))?,
             rate_hz: rate_hz.ok_or_else(|| wrong("lidar_mode", "5, 10 or 20 turns a second"))?,
-            beams: altitudes_deg
-                .iter()
-                .zip(&azimuths_deg)
-                .map(|(altitude, azimuth)| {
-                    let ((se, ce), (sa, ca)) = (altitude.to_radians().sin_cos(), (-azimuth).to_radians().sin_cos());
-                    [se, ce, sa, ca]
-                })
-                .collect(),
+            beams: altitudes_deg.iter().zip(&azimuths_deg).map(beam).collect(),
             altitudes_deg,
-            angles: (0..columns)
-                .map(|column| {
-                    let angle = std::f64::consts::TAU * (1.0 - column as f64 / columns as f64);
-                    [angle.sin() as f32, angle.cos() as f32]
-                })
-                .collect(),
+            angles: (0..columns).map(angle).collect(),
             origin_m: origin_mm
                 .filter(|mm| (-100.0..=100.0).contains(mm))
                 .ok_or_else(|| wrong("lidar_origin_to_beam_origin_mm", "millimetres"))? as f32

@@ -31,14 +31,8 @@ pub fn cast(world: &World, from: NedVector, direction: NedVector) -> Option<(f64
 fn range_of(solid: &Solid, o: [f64; 3], d: [f64; 3]) -> Option<f64> {
     let c = solid.centre_ned_m().to_array().map(f64::from);
     let o = [o[0] - c[0], o[1] - c[1], o[2] - c[2]];
+    // Of a ray along the faces both are infinite: of one sign where it is not between them.
     let slab = |o: f64, d: f64, half: f64| {
-        if d == 0.0 {
-            return if o.abs() <= half {
-                (f64::NEG_INFINITY, f64::INFINITY)
-            } else {
-                (f64::INFINITY, f64::NEG_INFINITY)
-            };
-        }
         let (a, b) = ((-half - o) / d, (half - o) / d);
         (a.min(b), a.max(b))
     };

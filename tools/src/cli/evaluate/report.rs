@@ -4,7 +4,7 @@ use super::Settings;
 use crate::campaign::flights::Campaign;
 use crate::campaign::{FaultTally, Flight, SensorRecord, WatchRecord, outcome_name};
 use crate::cli::output::{self, Paint, say};
-use crate::report::{TextTable, numbers, words};
+use crate::report::TextTable;
 use crate::statistics::{quantile, wilson_95};
 use anyhow::Result;
 use serde::Serialize;
@@ -78,12 +78,7 @@ fn rates_of(flights: &[&Flight]) -> Vec<Rate> {
 }
 
 fn print_rates(rates: &[Rate], paint: &Paint) {
-    let mut table = TextTable::new([
-        words("outcome"),
-        numbers("flights"),
-        numbers("share"),
-        words("95 % interval"),
-    ]);
+    let mut table = TextTable::new("outcome | > flights | > share | 95 % interval");
     let shown = || rates.iter().filter(|r| r.flights > 0 || r.outcome == "success");
     for r in shown() {
         let (low, high) = r.wilson_95;

@@ -1,7 +1,6 @@
 //! Who shows everything but the ground farther away, and who only looks as if.
 
 use super::*;
-use crate::plausibility::shadow::GroundSight;
 
 /// Shows everything above 20° below the horizon farther away, metres.
 fn recede(by_m: f32) -> impl FnMut(&mut DepthFrame) {
@@ -30,7 +29,7 @@ fn who_shows_everything_but_the_ground_farther_away_is_found_within_half_a_secon
     for by_m in [4.0, 7.8, 12.0] {
         let mut flight = Flight::new();
         assert_eq!(steps_until_beneath(&mut flight, 40, recede(by_m)), Some(7), "{by_m} m");
-        assert_eq!(flight.plausibility.shadow.sight, GroundSight::SeenThrough);
+        assert_eq!(flight.plausibility.shadow.is_beneath, Some(true));
     }
     // Growing by 8 m in five seconds: found before it has come to 4 m.
     let mut by_m = 0.0;
@@ -48,7 +47,7 @@ fn a_picture_beneath_the_ground_holds_until_forty_agree_and_the_second_time_unti
     let faults = flight.fly(60, good);
     let is_it = |d: &&Reasons| d.contains(Reason::BeneathGround);
     assert_eq!(faults.iter().take_while(is_it).count(), 39, "{faults:?}");
-    assert_eq!(flight.plausibility.shadow.sight, GroundSight::Agrees);
+    assert_eq!(flight.plausibility.shadow.is_beneath, Some(false));
     flight.fly(12, recede(7.8));
     let faults = flight.fly(80, good);
     assert!(faults.iter().all(|faults| faults.contains(Reason::BeneathGround)));
@@ -60,7 +59,7 @@ fn a_picture_beneath_the_ground_holds_until_forty_agree_and_the_second_time_unti
 fn where_no_ground_is_seen_nothing_is_known_and_what_was_raised_stays() {
     let mut flight = Flight::new();
     flight.fly(10, walled_in);
-    assert_eq!(flight.plausibility.shadow.sight, GroundSight::CannotTell);
+    assert_eq!(flight.plausibility.shadow.is_beneath, None);
     let mut flight = Flight::new();
     flight.fly(12, recede(7.8));
     let faults = flight.fly(80, walled_in);

@@ -1,113 +1,83 @@
 //! The events there are: their numbers, their arguments, and their definitions for clients.
 //! Format: <https://github.com/mavlink/libevents>.
 
-use crate::core::padded;
 use crate::flight::{Denial, Failsafe, FlightMode};
 use serde_json::{Map, Value, json};
+use vigil_mavlink::common::MavSeverity::{
+    self, MAV_SEVERITY_CRITICAL as CRITICAL, MAV_SEVERITY_EMERGENCY as EMERGENCY, MAV_SEVERITY_ERROR as ERROR,
+    MAV_SEVERITY_INFO as INFO,
+};
 
 /// Upper byte of an event's number: the autopilot's name space.
 const COMPONENT: u32 = 1 << 24;
 /// All modes share the same checks.
-const MODE_GROUP: u32 = 1;
-/// Bit 0 of the health components: none of them.
-const HEALTH_NONE: u32 = 0;
+pub(super) const MODE_GROUP: u32 = 1;
 const BATTERY_BIT: u32 = 1 << 4;
-const PRESENT: u32 = 0b1_1110;
-/// Numbers of the events that sum others up; the failed checks follow the first.
-const CHECK_SUMMARY: u32 = 100;
-const HEALTH_SUMMARY: u32 = 200;
+/// Bits of the health components that there are.
+pub(super) const PRESENT: u32 = 0b1_1110;
 
-vigil_types::named! {
-    /// Why the vehicle cannot be armed.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-    pub(super) enum ArmingCheck {
-        Terminated => "check_terminated",
-        Tilted => "check_tilted",
-        OutsideFence => "check_outside_fence",
-        Other => "check_other",
-        SensorLost => "check_sensor_lost",
-    }
-}
-
-impl From<&Denial> for ArmingCheck {
-    fn from(denial: &Denial) -> Self {
-        match denial {
-            Denial::Terminated(_) => Self::Terminated,
-            Denial::Tilted => Self::Tilted,
-            Denial::OutsideFence => Self::OutsideFence,
-            Denial::SensorLost(_) => Self::SensorLost,
-            _ => Self::Other,
-        }
-    }
-}
-
-impl ArmingCheck {
-    /// Index of the health component it concerns, and its text.
-    fn component_and_message(self) -> (u8, &'static str) {
-        match self {
-            Self::Terminated => (1, "Flight was terminated: reboot first"),
-            Self::Tilted => (2, "Vehicle is tilted"),
-            Self::OutsideFence => (3, "Vehicle is outside its geofence"),
-            Self::SensorLost => (1, "A sensor is lost"),
-            Self::Other => (1, "Vehicle is not ready"),
-        }
-    }
-}
-
-/// What can be reported.
+/// What can be reported: its number below the component's, name, message, arguments by type and name, and severity.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Event {
-    Armed,
-    Disarmed,
-    ModeChanged(FlightMode),
-    FailsafeEntered(Failsafe),
-    FailsafeEnded,
-    Terminated,
-    TookOff,
-    Landed,
-    /// With the check that fails.
-    ArmingCheckSummary(Option<ArmingCheck>),
-    CheckFailed(ArmingCheck),
-    HealthSummary,
+pub(super) struct Event(u32, &'static str, &'static str, &'static str, pub(super) MavSeverity);
+
+pub(super) const ARMED: Event = Event(1, "armed", "Armed", "", INFO);
+pub(super) const DISARMED: Event = Event(2, "disarmed", "Disarmed", "", INFO);
+pub(super) const MODE_CHANGED: Event = Event(3, "mode_changed", "Mode: {1}", "flight_mode_t mode", INFO);
+pub(super) const FAILSAFE_ENTERED: Event =
+    Event(4, "failsafe_entered", "Failsafe: {1}", "failsafe_t failsafe", CRITICAL);
+pub(super) const FAILSAFE_ENDED: Event = Event(5, "failsafe_ended", "Failsafe ended", "", INFO);
+pub(super) const TERMINATED: Event = Event(6, "terminated", "Flight terminated", "", EMERGENCY);
+pub(super) const TOOK_OFF: Event = Event(7, "took_off", "Took off", "", INFO);
+pub(super) const LANDED: Event = Event(8, "landed", "Landed", "", INFO);
+
+/// They sum others up.
+pub(super) const CHECK_SUMMARY: Event = {
+    let arguments = "uint8_t chunk_idx, health_component_t error, health_component_t warning, \
+                     navigation_mode_group_t can_arm, navigation_mode_group_t can_run";
+    Event(100, "arming_check_summary", "Arming checks", arguments, INFO)
+};
+pub(super) const HEALTH_SUMMARY: Event = {
+    let arguments = "uint8_t chunk_idx, health_component_t is_present, health_component_t error, \
+                     health_component_t warning";
+    Event(200, "health_summary", "Health", arguments, INFO)
+};
+
+/// Why the vehicle cannot be armed, with the index of the health component that it concerns.
+pub(super) type ArmingCheck = (u8, Event);
+
+const fn check(component: u8, number: u32, name: &'static str, message: &'static str) -> ArmingCheck {
+    let arguments = "navigation_mode_group_t modes, uint8_t health_component_index";
+    (component, Event(number, name, message, arguments, ERROR))
+}
+
+const CHECKS: [ArmingCheck; 5] = [
+    check(1, 101, "check_terminated", "Flight was terminated: reboot first"),
+    check(2, 102, "check_tilted", "Vehicle is tilted"),
+    check(3, 103, "check_outside_fence", "Vehicle is outside its geofence"),
+    check(1, 104, "check_other", "Vehicle is not ready"),
+    check(1, 105, "check_sensor_lost", "A sensor is lost"),
+];
+
+/// The check that fails.
+pub(super) fn check_of(denial: &Denial) -> ArmingCheck {
+    let [terminated, tilted, outside_fence, other, sensor_lost] = CHECKS;
+    match denial {
+        Denial::Terminated(_) => terminated,
+        Denial::Tilted => tilted,
+        Denial::OutsideFence => outside_fence,
+        Denial::SensorLost(_) => sensor_lost,
+        _ => other,
+    }
 }
 
 impl Event {
     pub(super) fn id(self) -> u32 {
-        COMPONENT | self.row().0
-    }
-
-    /// Its number below the component's, name, message, and arguments by type and name.
-    fn row(self) -> (u32, &'static str, &'static str, &'static str) {
-        match self {
-            Self::Armed => (1, "armed", "Armed", ""),
-            Self::Disarmed => (2, "disarmed", "Disarmed", ""),
-            Self::ModeChanged(_) => (3, "mode_changed", "Mode: {1}", "flight_mode_t mode"),
-            Self::FailsafeEntered(_) => (4, "failsafe_entered", "Failsafe: {1}", "failsafe_t failsafe"),
-            Self::FailsafeEnded => (5, "failsafe_ended", "Failsafe ended", ""),
-            Self::Terminated => (6, "terminated", "Flight terminated", ""),
-            Self::TookOff => (7, "took_off", "Took off", ""),
-            Self::Landed => (8, "landed", "Landed", ""),
-            Self::ArmingCheckSummary(_) => {
-                let arguments = "uint8_t chunk_idx, health_component_t error, health_component_t warning, \
-                                 navigation_mode_group_t can_arm, navigation_mode_group_t can_run";
-                (CHECK_SUMMARY, "arming_check_summary", "Arming checks", arguments)
-            }
-            Self::CheckFailed(check) => {
-                let (_, message) = check.component_and_message();
-                let arguments = "navigation_mode_group_t modes, uint8_t health_component_index";
-                (CHECK_SUMMARY + 1 + check as u32, check.name(), message, arguments)
-            }
-            Self::HealthSummary => {
-                let arguments = "uint8_t chunk_idx, health_component_t is_present, health_component_t error, \
-                                 health_component_t warning";
-                (HEALTH_SUMMARY, "health_summary", "Health", arguments)
-            }
-        }
+        COMPONENT | self.0
     }
 
     /// Its number and definition.
     fn definition(self) -> (String, Value) {
-        let (number, name, message, arguments) = self.row();
+        let Self(number, name, message, arguments, _) = self;
         let mut definition = json!({ "name": name, "message": message });
         if !arguments.is_empty() {
             let arguments = arguments.split(", ").filter_map(|argument| argument.split_once(' '));
@@ -115,36 +85,10 @@ impl Event {
                 .map(|(kind, name)| json!({ "type": kind, "name": name }))
                 .collect();
         }
-        if matches!(number, CHECK_SUMMARY | HEALTH_SUMMARY) {
+        if matches!(self, CHECK_SUMMARY | HEALTH_SUMMARY) {
             definition["type"] = "summary".into();
         }
         (number.to_string(), definition)
-    }
-
-    pub(super) fn arguments(self) -> [u8; 40] {
-        let mut bytes = Vec::with_capacity(40);
-        let mut number = |value: u32| bytes.extend_from_slice(&value.to_le_bytes());
-        match self {
-            Self::ModeChanged(mode) => number(mode.custom_mode()),
-            Self::FailsafeEntered(failsafe) => bytes.push(failsafe as u8 + 1),
-            Self::ArmingCheckSummary(check) => {
-                let failing = check.map_or(HEALTH_NONE, |check| 1 << check.component_and_message().0);
-                let groups_that_can = if check.is_none() { MODE_GROUP } else { 0 };
-                bytes.push(0);
-                let words = [failing, 0, groups_that_can, groups_that_can];
-                bytes.extend(words.map(u32::to_le_bytes).concat());
-            }
-            Self::CheckFailed(check) => {
-                number(MODE_GROUP);
-                bytes.push(check.component_and_message().0);
-            }
-            Self::HealthSummary => {
-                bytes.push(0);
-                bytes.extend([PRESENT, 0, 0].map(u32::to_le_bytes).concat());
-            }
-            _ => {}
-        }
-        padded(&bytes)
     }
 }
 
@@ -193,16 +137,16 @@ fn enums() -> Value {
 /// The definitions as clients fetch them.
 pub(crate) fn definitions() -> Value {
     let happened = [
-        Event::Armed,
-        Event::Disarmed,
-        Event::ModeChanged(FlightMode::Hold),
-        Event::FailsafeEntered(Failsafe::SetpointLost),
-        Event::FailsafeEnded,
-        Event::Terminated,
-        Event::TookOff,
-        Event::Landed,
+        ARMED,
+        DISARMED,
+        MODE_CHANGED,
+        FAILSAFE_ENTERED,
+        FAILSAFE_ENDED,
+        TERMINATED,
+        TOOK_OFF,
+        LANDED,
     ];
-    let checks = ArmingCheck::ALL.map(Event::CheckFailed).into_iter();
+    let checks = CHECKS.map(|(_, event)| event).into_iter();
     json!({
         "version": 1,
         "components": { "1": {
@@ -210,8 +154,8 @@ pub(crate) fn definitions() -> Value {
             "enums": enums(),
             "event_groups": {
                 "default": group(happened),
-                "arming_check": group(checks.chain([Event::ArmingCheckSummary(None)])),
-                "health": group([Event::HealthSummary]),
+                "arming_check": group(checks.chain([CHECK_SUMMARY])),
+                "health": group([HEALTH_SUMMARY]),
             },
             "supported_protocols": ["health_and_arming_check"],
             "navigation_mode_groups": {

@@ -1,15 +1,17 @@
-//! Events: what happened, sent reliably and in the order it happened. <https://mavlink.io/en/services/events.html>
+//! Events: what happened, sent reliably and in the order it happened. <https://mavlink.io/en/services/events.html> And
+//! FLIGHT_INFORMATION: when the vehicle was armed and took off, and the number of the flight.
 //!
 //! The service watches the commander instead of being called, so flight code knows nothing of it.
 
 mod catalogue;
 
+use crate::core::padded;
 use crate::flight::{Failsafe, FlightMode};
 use crate::service::prelude::*;
 use std::collections::VecDeque;
 
 pub(crate) use catalogue::definitions;
-use catalogue::{ArmingCheck, Event};
+use catalogue::*;
 
 const RUN_PREARM_CHECKS: u16 = 401;
 /// How often the commander is looked at.
@@ -39,7 +41,7 @@ impl Monitored {
             failsafe: c.failsafe,
             terminated: c.terminated,
             on_ground: c.is_on_ground(),
-            check: core.arming_check().err().map(|denial| ArmingCheck::from(&denial)),
+            check: core.arming_check().err().as_ref().map(check_of),
         }
     }
 }
@@ -47,6 +49,8 @@ impl Monitored {
 #[derive(Default)]
 pub(crate) struct Events {
     seen: Option<Monitored>,
+    /// Of the present or last flight: times since boot, 0 where it has not happened, and how often it was armed. Its fields are misnamed.
+    times: FLIGHT_INFORMATION_DATA,
     kept: VecDeque<EVENT_DATA>,
     /// Of the last event; the first has 1.
     sequence: u16,
@@ -75,6 +79,17 @@ impl Service for Events {
         Ok(())
     }
 
+    fn messages(&self) -> &'static [Produced] {
+        const { &[Produced::stateful(FLIGHT_INFORMATION_DATA::ID, [0.0; 3])] }
+    }
+
+    fn produce(&self, _message_id: u32, _link: LinkId, core: &Core) -> Option<MavMessage> {
+        Some(MavMessage::FLIGHT_INFORMATION(FLIGHT_INFORMATION_DATA {
+            time_boot_ms: core.time_boot_ms(),
+            ..self.times.clone()
+        }))
+    }
+
     fn due_ns(&self) -> Nanos {
         self.watch_ns.min(self.tell_ns)
     }
@@ -93,53 +108,78 @@ impl Service for Events {
 impl Events {
     fn watch(&mut self, core: &mut Core) {
         let now = Monitored::of(core);
-        let Some(before) = self.seen.replace(now) else {
+        let before = self.seen.replace(now);
+        self.note_times(
+            before.is_some_and(|b| b.armed),
+            before.is_some_and(|b| !b.on_ground),
+            now,
+            core,
+        );
+        let Some(before) = before else {
             // What was so from the start is no event, but a client that knows the metadata wants the checks once.
             self.report_checks(now.check, core);
             return;
         };
         if now.terminated && !before.terminated {
-            self.send(Event::Terminated, core);
+            self.send(TERMINATED, &[], core);
         }
         if now.armed != before.armed {
-            self.send(if now.armed { Event::Armed } else { Event::Disarmed }, core);
+            self.send(if now.armed { ARMED } else { DISARMED }, &[], core);
         }
         if now.mode != before.mode {
-            self.send(Event::ModeChanged(now.mode), core);
+            self.send(MODE_CHANGED, &now.mode.custom_mode().to_le_bytes(), core);
         }
         if now.failsafe != before.failsafe {
             match now.failsafe {
-                Some(failsafe) => self.send(Event::FailsafeEntered(failsafe), core),
-                None => self.send(Event::FailsafeEnded, core),
+                Some(failsafe) => self.send(FAILSAFE_ENTERED, &[failsafe as u8 + 1], core),
+                None => self.send(FAILSAFE_ENDED, &[], core),
             }
         }
         if now.on_ground != before.on_ground {
-            self.send(if now.on_ground { Event::Landed } else { Event::TookOff }, core);
+            self.send(if now.on_ground { LANDED } else { TOOK_OFF }, &[], core);
         }
         if now.check != before.check && !now.armed {
             self.report_checks(now.check, core);
         }
     }
 
-    /// The health and arming check protocol: a summary, each problem, a summary of health.
-    fn report_checks(&mut self, check: Option<ArmingCheck>, core: &mut Core) {
-        self.send(Event::ArmingCheckSummary(check), core);
-        if let Some(check) = check {
-            self.send(Event::CheckFailed(check), core);
+    fn note_times(&mut self, was_armed: bool, was_in_air: bool, now: Monitored, core: &Core) {
+        let times = &mut self.times;
+        if now.armed && !was_armed {
+            *times = FLIGHT_INFORMATION_DATA {
+                arming_time_utc: core.time_boot_us(),
+                flight_uuid: times.flight_uuid + 1,
+                ..FLIGHT_INFORMATION_DATA::default()
+            };
         }
-        self.send(Event::HealthSummary, core);
+        match (was_in_air, now.on_ground) {
+            (false, false) => (times.takeoff_time_utc, times.landing_time) = (core.time_boot_us(), 0),
+            (true, true) => times.landing_time = core.time_boot_ms(),
+            _ => {}
+        }
     }
 
-    fn send(&mut self, event: Event, core: &mut Core) {
+    /// The health and arming check protocol: a summary, each problem, a summary of health.
+    fn report_checks(&mut self, check: Option<ArmingCheck>, core: &mut Core) {
+        let (failing, can) = check.map_or((0, MODE_GROUP), |(component, _)| (1 << component, 0));
+        self.send(CHECK_SUMMARY, &chunk([failing, 0, can, can]), core);
+        if let Some((component, event)) = check {
+            let arguments = [&MODE_GROUP.to_le_bytes()[..], &[component]].concat();
+            self.send(event, &arguments, core);
+        }
+        self.send(HEALTH_SUMMARY, &chunk([PRESENT, 0, 0]), core);
+    }
+
+    fn send(&mut self, event: Event, arguments: &[u8], core: &mut Core) {
         self.sequence = self.sequence.wrapping_add(1);
-        let severity = event.severity() as u8;
+        let severity = event.4 as u8;
         let data = EVENT_DATA {
             id: event.id(),
             event_time_boot_ms: core.time_boot_ms(),
             sequence: self.sequence,
             // The level for logs above the level for people.
             log_levels: severity << 4 | severity,
-            arguments: event.arguments(),
+            arguments: padded(arguments),
             ..EVENT_DATA::default()
         };
         if self.kept.len() >= KEPT {
@@ -181,13 +221,8 @@ impl Events {
     }
 }
 
-impl Event {
-    fn severity(self) -> MavSeverity {
-        match self {
-            Self::Terminated => MavSeverity::MAV_SEVERITY_EMERGENCY,
-            Self::FailsafeEntered(_) => MavSeverity::MAV_SEVERITY_CRITICAL,
-            Self::CheckFailed(_) => MavSeverity::MAV_SEVERITY_ERROR,
-            _ => MavSeverity::MAV_SEVERITY_INFO,
-        }
-    }
+/// The first and only chunk of a summary.
+fn chunk<const N: usize>(words: [u32; N]) -> Vec<u8> {
+    let words = words.into_iter().flat_map(u32::to_le_bytes);
+    [0].into_iter().chain(words).collect()
 }

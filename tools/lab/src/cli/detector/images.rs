@@ -6,7 +6,7 @@ use crate::cli::output::{Interrupt, Progress, git_commit, or_dash, say};
 use crate::detector_training::{
     ImageNetwork, States, WindowScorer, gather_states, image_fit, lstm_scores, pca_scores, row,
 };
-use crate::report::{TextTable, numbers, to_csv, words};
+use crate::report::{TextTable, to_csv};
 use anyhow::{Context, Result, ensure};
 use std::path::Path;
 use vigil_sim::world::Family;
@@ -108,14 +108,7 @@ impl Stage<'_> {
         rows.push(row("LSTM-AD", 0.91, frozen.threshold, &scored, &lstm));
         let pca = pca_scores(&learn, &choose, &scored);
         rows.push(row("PCA", 0.70, 1.0, &scored, &pca));
-        let mut table = TextTable::new([
-            words("detector"),
-            numbers("paper"),
-            words("accuracy"),
-            numbers("detected %"),
-            numbers("false alarms %"),
-            numbers("AUC"),
-        ]);
+        let mut table = TextTable::new("detector | > paper | accuracy | > detected % | > false alarms % | > AUC");
         for of in &rows {
             let s = &of.separation;
             table.row([

@@ -2,7 +2,7 @@
 
 use crate::cli::output::or_dash;
 use crate::detector_training::{Epoch, Proportion, Report, Role, SetReport, auc};
-use crate::report::{Figure, Panel, Picture, Scale, TextTable, numbers, words};
+use crate::report::{Figure, Panel, Picture, Scale, TextTable};
 use std::fmt::Write as _;
 
 pub(super) fn percent(p: &Proportion) -> String {
@@ -26,8 +26,7 @@ pub(super) fn share(p: &Proportion) -> String {
 
 /// A share alone, or a dash.
 pub(super) fn short(p: &Proportion) -> String {
-    p.share
-        .map_or_else(|| "-".to_owned(), |share| format!("{:.2}", 100.0 * share))
+    or_dash(100.0 * p.share.unwrap_or(f64::NAN), 2, "")
 }
 
 pub(super) fn curves_png(epochs: &[Epoch]) -> Vec<u8> {
@@ -79,18 +78,8 @@ pub(super) fn roc_figure<'a>(curves: impl IntoIterator<Item = (&'a str, Vec<(f64
 }
 
 /// Columns of the table of sets.
-const SHARES: [&str; 10] = [
-    "flights",
-    "at goal %",
-    "detected %",
-    "effective",
-    "ineffective",
-    "false alarms %",
-    "on noise",
-    "delay 50 / 90 %",
-    "bursts noticed %",
-    "rough pictures %",
-];
+const OF_SETS: &str = "set | > flights | > at goal % | > detected % | > effective | > ineffective | > false alarms % | > on noise \
+                       | > delay 50 / 90 % | > bursts noticed % | > rough pictures %";
 
 pub(super) fn text(report: &Report) -> String {
     let mut out = String::new();
@@ -123,7 +112,7 @@ pub(super) fn text(report: &Report) -> String {
         report.unattacked_hours,
         or_dash(report.false_stops as f64 / report.unattacked_hours, 2, "")
     ));
-    let mut table = TextTable::new(["attacked rows of ten", "detected %", "accuracy %", "windows"].map(numbers));
+    let mut table = TextTable::new("> attacked rows of ten | > detected % | > accuracy % | > windows");
     for row in &report.rows {
         table.row([
             row.attacked_rows.to_string(),
@@ -138,7 +127,7 @@ pub(super) fn text(report: &Report) -> String {
         "\nstill alarmed 1, 2, … 20 steps after an attack, %: {}",
         after.join(" ")
     ));
-    let mut table = TextTable::new([words("set")].into_iter().chain(SHARES.map(numbers)));
+    let mut table = TextTable::new(OF_SETS);
     for set in &report.sets {
         let delay = set
             .delay_steps

@@ -28,6 +28,21 @@ impl Grid {
         debug_assert_eq!(row.len(), self.columns.len());
         self.rows.push(row);
     }
+
+    /// An item without a figure.
+    pub(super) fn alone(self, caption: impl Into<String>) -> Result<Made> {
+        Ok(Made {
+            figure: None,
+            table: self,
+            caption: caption.into(),
+        })
+    }
+
+    /// An item with one.
+    pub(super) fn beside(self, picture: &impl Picture, caption: impl Into<String>) -> Result<Made> {
+        let figure = Some((picture.svg(), picture.png()));
+        self.alone(caption).map(|made| Made { figure, ..made })
+    }
 }
 
 /// An item made of data.
@@ -36,19 +51,6 @@ pub struct Made {
     /// Ours beside the paper's.
     pub table: Grid,
     pub caption: String,
-}
-
-/// A table without a figure, or the figure and the table of a picture.
-pub(super) fn made(figure: Option<Drawn>, table: Grid, caption: impl Into<String>) -> Result<Made> {
-    Ok(Made {
-        figure,
-        table,
-        caption: caption.into(),
-    })
-}
-
-pub(super) fn drawn(picture: &impl Picture) -> Option<Drawn> {
-    Some((picture.svg(), picture.png()))
 }
 
 /// No number of the paper's.

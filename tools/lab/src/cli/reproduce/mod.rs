@@ -11,7 +11,7 @@ mod units;
 use crate::campaign::flights::{program_sha256, sha256};
 use crate::cli::detector::detector_of;
 use crate::cli::output::{self, EXIT_INTERRUPTED, put, say};
-use crate::report::{TextTable, words};
+use crate::report::TextTable;
 use anyhow::{Context, Result, ensure};
 use data::{Data, Sources};
 use items::{ITEMS, Item};
@@ -226,7 +226,7 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
             let folder = args.output.join("data");
             std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
             let mut fresh = Data::fresh(&folder)?;
-            let names: Vec<&str> = items.iter().flat_map(|item| item.units.iter().copied()).collect();
+            let names: Vec<&str> = items.iter().flat_map(|item| item.units()).collect();
             for folder in &args.from {
                 made_by.expect_in(folder, "")?;
                 units::take(&names, &setting, &Data::fresh(&folder.join("data"))?, &mut fresh)?;
@@ -238,8 +238,8 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
     let sources = Sources { fresh, committed };
     // After an interruption only what was measured now, so that nothing old stands for it.
     let ready = |item: &&Item| {
-        let there = |unit: &&str| COMMITTED_ONLY.contains(unit) || sources.of(unit).is_fresh;
-        args.committed || item.units.iter().all(there)
+        let there = |unit| COMMITTED_ONLY.contains(&unit) || sources.of(unit).is_fresh;
+        args.committed || item.units().all(there)
     };
     let made = items.iter().copied().filter(ready).map(|item| show(item, &sources));
     let made: Vec<Shown> = made.collect::<Result<_>>()?;
@@ -254,9 +254,13 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
 }
 
 fn list() -> String {
-    let mut table = TextTable::new([words("item"), words("what"), words("made of")]);
+    let mut table = TextTable::new("item | what | made of");
     for item in &ITEMS {
-        table.row([item.id.to_owned(), item.title.to_owned(), item.units.join(", ")]);
+        table.row([
+            item.id.to_owned(),
+            item.title.to_owned(),
+            item.units().collect::<Vec<_>>().join(", "),
+        ]);
     }
     table.to_string()
 }
@@ -278,7 +282,7 @@ fn chosen(only: &[String]) -> Result<Vec<&'static Item>> {
 }
 
 fn show<'a>(item: &'a Item, sources: &'a Sources) -> Result<Shown<'a>> {
-    let of = |unit: &&'a str| {
+    let of = |unit: &'static str| {
         let data = sources.of(unit);
         let known = data.unit(unit)?;
         Some(Source {
@@ -294,7 +298,7 @@ fn show<'a>(item: &'a Item, sources: &'a Sources) -> Result<Shown<'a>> {
     Ok(Shown {
         item,
         made: (item.make)(sources).with_context(|| format!("{} cannot be made", item.id))?,
-        sources: item.units.iter().filter_map(of).collect(),
+        sources: item.units().filter_map(of).collect(),
     })
 }
 

@@ -1,13 +1,12 @@
 //! Tables and figures of our own.
 
 use super::data::Sources;
-use super::made::{Grid, Made, NONE, drawn, made, optional, outcomes, percent, share_of};
+use super::made::{Grid, Made, NONE, optional, outcomes, percent, share_of};
 use crate::attack_campaigns::{self as attack, Arm};
 use crate::campaign::Tally;
 use crate::cli::detector::roc;
 use crate::detector_training::{Proportion, Report, Role, auc, true_positives_at};
 use crate::report::{Bar, BarRow, Bars, Figure, Panel, Series, from_csv};
-use crate::statistics::quantile;
 use anyhow::{Context, Result};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -17,7 +16,7 @@ pub(super) fn attacked_completion(sources: &Sources) -> Result<Made> {
     let report: attack::CompletionReport = sources.of("attack-completion").json("attack-completion")?;
     let mut table =
         Grid::new("attack | field | completed | 95 % interval | the paper | collisions | out of bounds | time-outs");
-    let mut rows: Vec<BarRow> = Vec::new();
+    let mut rows = Vec::new();
     for row in &report.rows {
         let steps = row.attack.map(|setting| setting.burst.to_string());
         let attacked = |steps: &String| format!("{steps} steps attacked");
@@ -30,26 +29,32 @@ pub(super) fn attacked_completion(sources: &Sources) -> Result<Made> {
         let field = if row.apf { "on" } else { "off" };
         let cells = outcomes(&row.tally, &optional(paper, |value| format!("{value:.0} %")));
         table.row([label.clone(), field.to_owned()].into_iter().chain(cells));
-        let bar = completion_bar(usize::from(!row.apf), &row.tally);
-        match rows.iter_mut().find(|r| r.label == label) {
-            Some(known) => {
-                known.bars.push(bar);
-                known.paper = known.paper.or(paper);
-            }
-            None => {
-                let bars = vec![bar];
-                rows.push(BarRow { label, bars, paper });
-            }
-        }
+        add_bar(
+            &mut rows,
+            &label,
+            completion_bar(usize::from(!row.apf), &row.tally),
+            paper,
+        );
     }
     let title = "Validation courses completed, undefended";
     let chart = completion_chart(title, &["field on", "field off"], rows);
-    made(
-        drawn(&chart),
-        table,
+    table.beside(
+        &chart,
         "The paper compares 97 % (field on, not attacked) with 35 % (field off, five of its steps attacked, about 2.5 s: our 50 \
                   steps). Here all six cells are flown over the same courses. Wilson's intervals.",
     )
+}
+
+/// Adds a bar to the row of this name, a new one below the others if there is none.
+fn add_bar(rows: &mut Vec<BarRow>, label: &str, bar: Bar, paper: Option<f64>) {
+    if !rows.iter().any(|row| row.label == label) {
+        let (label, bars) = (label.to_owned(), Vec::new());
+        rows.push(BarRow { label, bars, paper });
+    }
+    if let Some(row) = rows.iter_mut().find(|row| row.label == label) {
+        row.bars.push(bar);
+        row.paper = row.paper.or(paper);
+    }
 }
 
 fn completion_bar(series: usize, tally: &Tally) -> Bar {
@@ -101,9 +106,8 @@ pub(super) fn detection(sources: &Sources) -> Result<Made> {
         ]);
     }
     let [accuracy, interval] = share_of(&report.separation.accuracy);
-    made(
-        drawn(&roc(&report)),
-        table,
+    table.beside(
+        &roc(&report),
         format!(
             "Windows of ten explanations, judged one by one, against those of unattacked flights: accuracy under the paper's attack at \
              0.5 is {accuracy}, 95 % interval {interval} (the paper: 91 %). The names are method, ε · 255 x iterations; of each method \
@@ -147,9 +151,8 @@ pub(super) fn alarm_delay(sources: &Sources) -> Result<Made> {
             NONE.to_owned(),
         ]);
     }
-    made(
-        drawn(&figure),
-        table,
+    table.beside(
+        &figure,
         format!(
             "At the threshold that flies ({:.3}), the paper's attack. A delay of 1 step is at once: the first attacked frame itself. The \
              alarm in flight needs several verdicts of the last few (docs/guidance.md). Bands: Wilson's intervals.",
@@ -167,11 +170,18 @@ struct Flight {
     alarms: u64,
 }
 
+/// The value in the middle, or the mean of the two there.
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let last = values.len().checked_sub(1)?;
+    Some((values[last / 2] + values[last.div_ceil(2)]) / 2.0)
+}
+
 pub(super) fn defences(sources: &Sources) -> Result<Made> {
     let mut table = Grid::new(
         "attacker | defence | completed | 95 % interval | the paper | collisions | out of bounds | time-outs | flights with an alarm | median time to the goal",
     );
-    let mut rows: BTreeMap<usize, BarRow> = BTreeMap::new();
+    let mut rows = Vec::new();
     const DEFENCES: [&str; 4] = [
         "undefended",
         "alarm stops",
@@ -210,26 +220,17 @@ pub(super) fn defences(sources: &Sources) -> Result<Made> {
             let times: Vec<f64> = arrived.map(|f| f.flight_time_s).collect();
             let alarmed = own.iter().filter(|f| f.alarms > 0).count();
             let cells = [attacker, DEFENCES[defence]].map(str::to_owned).into_iter();
-            table.row(cells.chain(outcomes(&tally, paper)).chain([
-                alarmed.to_string(),
-                optional(quantile(&times, 0.5), |s| format!("{s:.1} s")),
-            ]));
-            let row = rows.entry(place).or_insert_with(|| BarRow {
-                label: attacker.to_owned(),
-                bars: Vec::new(),
-                paper: None,
-            });
-            row.bars.push(completion_bar(defence, &tally));
+            table.row(
+                cells
+                    .chain(outcomes(&tally, paper))
+                    .chain([alarmed.to_string(), optional(median(times), |s| format!("{s:.1} s"))]),
+            );
+            add_bar(&mut rows, attacker, completion_bar(defence, &tally), None);
         }
     }
-    let chart = completion_chart(
-        "Validation courses completed, by attacker and defence",
-        &DEFENCES,
-        rows.into_values().collect(),
-    );
-    made(
-        drawn(&chart),
-        table,
+    let chart = completion_chart("Validation courses completed, by attacker and defence", &DEFENCES, rows);
+    table.beside(
+        &chart,
         "Accumulating BIM, ε = 1/255, 20 iterations on each frame as it passes, actor without the field; every defence over the \
                   same courses of an attacker. Wilson's intervals. An attacker who knows the detector lowers its score as well.",
     )
@@ -293,11 +294,10 @@ fn completions(sources: &Sources, first_column: &str, units: &[(&str, &str)], ti
         let paper = (unit == "family-validation").then_some(97.0);
         let cells = outcomes(&tally, &optional(paper, |value| format!("{value:.0} %")));
         table.row([name.to_owned()].into_iter().chain(cells));
-        let (label, bars) = (name.to_owned(), vec![completion_bar(0, &tally)]);
-        rows.push(BarRow { label, bars, paper });
+        add_bar(&mut rows, name, completion_bar(0, &tally), paper);
     }
     let chart = completion_chart(title, &["whole stack"], rows);
-    made(drawn(&chart), table, note)
+    table.beside(&chart, note)
 }
 
 #[derive(Deserialize)]
@@ -373,13 +373,24 @@ pub(super) fn peers(sources: &Sources) -> Result<Made> {
         series: vec!["other program".to_owned()],
         rows,
     };
-    made(
-        drawn(&chart),
-        table,
+    table.beside(
+        &chart,
         format!(
             "{}, {} instructions, one core and one thread a side, in turns; medians of the rounds, and the lowest and highest in place \
              of an interval. Both sides compute the same (docs/peers.md).",
             report.processor, report.isa
         ),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::median;
+
+    #[test]
+    fn a_median_lies_between_the_two_in_the_middle() {
+        assert_eq!(median(vec![4.0, 1.0, 2.0, 9.0]), Some(3.0));
+        assert_eq!(median(vec![9.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median(Vec::new()), None);
+    }
 }

@@ -1,7 +1,7 @@
 //! The paper's tables and figures.
 
 use super::data::Sources;
-use super::made::{Grid, Made, NONE, between, drawn, made, optional, outcomes, percent, share_of};
+use super::made::{Grid, Made, NONE, between, optional, outcomes, percent, share_of};
 use crate::attack_campaigns as attack;
 use crate::cli::detector::TimesReport;
 use crate::cli::figures::{ExplanationLine, Pixels, figure_12, figure_13, figure_14};
@@ -10,6 +10,7 @@ use crate::detector_training::TableRow;
 use crate::report::{Figure, Panel, Scale, Series, from_csv};
 use anyhow::{Context, Result};
 use serde::Deserialize;
+use std::collections::BTreeSet;
 use vigil_adversary::Method;
 use vigil_types::YAW_RATE_PER_UNIT_RAD_S;
 
@@ -20,7 +21,11 @@ fn arms(sources: &Sources) -> Result<Vec<training::Arm>> {
 pub(super) fn table_1(sources: &Sources) -> Result<Made> {
     let mut table =
         Grid::new("training | completed without the field | 95 % interval | the paper | decisions | the paper's steps");
-    for arm in arms(sources)? {
+    let arms = arms(sources)?;
+    let runs = || arms.iter().flat_map(|arm| &arm.runs);
+    let courses: BTreeSet<String> = runs().map(|run| run.test.flights.to_string()).collect();
+    let courses: Vec<String> = courses.into_iter().collect();
+    for arm in &arms {
         let (paper, steps) = match arm.name {
             "DDPG" => ("80 %", "27 456"),
             _ => ("97 %", "24 012"),
@@ -53,13 +58,13 @@ pub(super) fn table_1(sources: &Sources) -> Result<Made> {
         let name = format!("the actor that is built in, field {field}");
         table.row([name].into_iter().chain(cells).chain([NONE, NONE].map(str::to_owned)));
     }
-    made(
-        None,
-        table,
-        "Ten training runs from nothing, each tested on 200 validation courses that nothing was chosen by, flown without the \
-                  field; intervals of single runs are Wilson's, of means Student's over the seeds. A decision is 0.2 s of flight, a \
-                  step of the paper's about 0.5 s. The actor that is built in was tested on the courses of the attacks.",
-    )
+    table.alone(format!(
+        "{} training runs from nothing, each tested on {} validation courses that nothing was chosen by, flown without the \
+         field; intervals of single runs are Wilson's, of means Student's over the seeds. A decision is 0.2 s of flight, a \
+         step of the paper's about 0.5 s. The actor that is built in was tested on the courses of the attacks.",
+        runs().count(),
+        courses.join(" or ")
+    ))
 }
 
 pub(super) fn table_2(sources: &Sources) -> Result<Made> {
@@ -91,16 +96,12 @@ pub(super) fn table_2(sources: &Sources) -> Result<Made> {
         });
         table.rows.push(row);
     }
-    made(
-        None,
-        table,
-        format!(
-            "Mean absolute change of the yaw decision, °/s, hovering before a wall {} m wide, goal {} m away; ε = {}/255, {} \
-             iterations, {} states a cell. The interval is Student's over the bearings, taken as independent. The paper's attack \
-             is the accumulating one.",
-            report.wall_width_m, report.goal_distance_m, report.epsilon_255, report.iterations, report.states_per_cell
-        ),
-    )
+    table.alone(format!(
+        "Mean absolute change of the yaw decision, °/s, hovering before a wall {} m wide, goal {} m away; ε = {}/255, {} \
+         iterations, {} states a cell. The interval is Student's over the bearings, taken as independent. The paper's attack \
+         is the accumulating one.",
+        report.wall_width_m, report.goal_distance_m, report.epsilon_255, report.iterations, report.states_per_cell
+    ))
 }
 
 #[derive(Deserialize)]
@@ -126,15 +127,11 @@ pub(super) fn table_3(sources: &Sources) -> Result<Made> {
             format!("{:.4}", s.auc),
         ]);
     }
-    made(
-        None,
-        table,
-        format!(
-            "Right verdicts on unaltered and attacked states met on validation courses, half of each. The image detectors learned from \
-             {} states; LSTM-AD is the one that flies, at the threshold that it flies with. Wilson's intervals.",
-            report.learned_from
-        ),
-    )
+    table.alone(format!(
+        "Right verdicts on unaltered and attacked states met on validation courses, half of each. The image detectors learned from \
+         {} states; LSTM-AD is the one that flies, at the threshold that it flies with. Wilson's intervals.",
+        report.learned_from
+    ))
 }
 
 pub(super) fn table_4(sources: &Sources) -> Result<Made> {
@@ -150,15 +147,11 @@ pub(super) fn table_4(sources: &Sources) -> Result<Made> {
             row.measured.to_string(),
         ]);
     }
-    made(
-        None,
-        table,
-        format!(
-            "One thread, {} instructions, on the states of one flight over validation course {}. Times move with the machine and its \
-             other work; the step has 50 ms.",
-            report.isa, report.seed
-        ),
-    )
+    table.alone(format!(
+        "One thread, {} instructions, on the states of one flight over validation course {}. Times move with the machine and its \
+         other work; the step has 50 ms.",
+        report.isa, report.seed
+    ))
 }
 
 /// A rolling mean of the training flights over the seeds, and where it ended.
@@ -175,7 +168,7 @@ fn training_curve(sources: &Sources, curve: &training::Curve, heading: &str, cap
             "a figure without numbers".to_owned(),
         ]);
     }
-    made(drawn(&curve.figure(&arms)), table, caption)
+    table.beside(&curve.figure(&arms), caption)
 }
 
 pub(super) fn figure_9(sources: &Sources) -> Result<Made> {
@@ -255,9 +248,8 @@ pub(super) fn figure_11(sources: &Sources) -> Result<Made> {
         panels,
     );
     figure.x_scale = Scale::Logarithmic(sizes);
-    made(
-        drawn(&figure),
-        strength_table(&lines, to_deg_s),
+    strength_table(&lines, to_deg_s).beside(
+        &figure,
         "A state counts as deceived when its yaw output moves by 1.0 (30 °/s) or more. One iteration is FGSM. Bands: Wilson's \
                   95 % intervals. The paper reads ε as that of one iteration and its figure levels off at 61 to 68 %.",
     )
@@ -305,9 +297,8 @@ pub(super) fn pixels_of_a_flight(sources: &Sources) -> Result<Made> {
             ]));
         }
     }
-    made(
-        drawn(&figure_12(&pixels)?),
-        table,
+    table.beside(
+        &figure_12(&pixels)?,
         format!(
             "{} moments of an unattacked flight: the newest frame, near is bright, and what each of its pixels adds to the yaw output \
              (30 °/s each unit), one scale for all. Of one flight there are no intervals.",
@@ -339,9 +330,8 @@ pub(super) fn contributions(sources: &Sources) -> Result<Made> {
             "a picture".to_owned(),
         ]));
     }
-    made(
-        drawn(&figure_13(&pixels, &lines)),
-        table,
+    table.beside(
+        &figure_13(&pixels, &lines),
         "Means over the steps. Above, what image (48 values together), bearing, distance and what the actor is told beside them add to the yaw output; below, the \
                   detector's score of the last ten explanations and the threshold that it flies with. The actor flies alone, nobody \
                   acts on the verdict. Of one flight there are no intervals.",
@@ -358,9 +348,8 @@ pub(super) fn sum_and_action(sources: &Sources) -> Result<Made> {
         format!("{greatest:.1e} (units of 30 °/s)"),
         "a picture: a constant apart".to_owned(),
     ]);
-    made(
-        drawn(&figure_14(&pixels, &lines)),
-        table,
+    table.beside(
+        &figure_14(&pixels, &lines),
         "The constant is the mean of the yaw output over the background sample; DeepSHAP's values add up to the rest, attacked \
                   or not. What is left below is rounding.",
     )

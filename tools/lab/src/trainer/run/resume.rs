@@ -3,7 +3,7 @@
 use super::{Candidate, Run, SoFar};
 use crate::trainer::config::LearnConfig;
 use crate::trainer::replay::Transition;
-use crate::trainer::store::{Stored, Tensor, save, tensor};
+use crate::trainer::store::{FORMAT, Stored, Tensor, save, tensor};
 use crate::trainer::worker::{EnvWorker, WorkerState};
 use anyhow::{Result, bail, ensure};
 use rayon::prelude::*;
@@ -11,8 +11,6 @@ use safetensors::Dtype;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 use vigil_types::settings;
-
-const FORMAT: &str = "vigil learn checkpoint 2";
 
 #[derive(Serialize, Deserialize)]
 struct RunState {
@@ -49,10 +47,9 @@ impl Run<'_> {
         (earlier.threads, earlier.families, earlier.decisions) =
             (config.threads, config.families.clone(), config.decisions);
         (earlier.drawn_vehicle_share, earlier.evaluation) = (config.drawn_vehicle_share, now.clone());
-        let same = state.format == FORMAT && earlier == *config;
         let counts = [state.transitions.len(), state.workers.len(), config.environments];
         let is_whole = counts.iter().all(|n| *n == counts[0]) && state.adam_steps.len() == 3;
-        ensure!(same && is_whole, other);
+        ensure!(earlier == *config && is_whole, other);
         let (all, made) = (config.decisions, state.so_far.decisions);
         // The last round of the environments may go beyond.
         ensure!(

@@ -1,7 +1,30 @@
-//! PING and LINK_NODE_STATUS: what a link carries. <https://mavlink.io/en/services/ping.html>
+//! PING, TIMESYNC, SYSTEM_TIME and LINK_NODE_STATUS: whose clock says what, and what a link carries.
+//! <https://mavlink.io/en/services/ping.html>, <https://mavlink.io/en/services/timesync.html>
 
 use crate::outbox::Traffic;
 use crate::service::prelude::*;
+
+/// 0/0 asks everybody; anything else is somebody's answer.
+pub(super) fn answer_ping(ping: PING_DATA, source: Source, core: &mut Core) {
+    if (ping.target_system, ping.target_component) == (0, 0) {
+        core.outbox.send_to(source, MavMessage::PING(ping));
+    }
+}
+
+/// tc1 is 0 in a request.
+pub(super) fn synchronise(TIMESYNC_DATA { tc1, ts1, .. }: TIMESYNC_DATA, source: Source, core: &mut Core) {
+    if tc1 == 0 {
+        let tc1 = core.since_boot_ns() as i64;
+        core.outbox.send_to(source, message!(TIMESYNC, tc1, ts1));
+    }
+}
+
+fn system_time(core: &Core) -> Option<MavMessage> {
+    Some(MavMessage::SYSTEM_TIME(SYSTEM_TIME_DATA {
+        time_unix_usec: core.unix_time_at_zero_us + core.now_ns / 1000,
+        time_boot_ms: core.time_boot_ms(),
+    }))
+}
 
 /// Over which rates are measured.
 const WINDOW_NS: Nanos = 1_000_000_000;
@@ -31,6 +54,7 @@ impl Service for LinkStatus {
     fn messages(&self) -> &'static [Produced] {
         const {
             &[
+                Produced::from(SYSTEM_TIME_DATA::ID, [1.0, 1.0, 1.0], system_time),
                 Produced::from(PING_DATA::ID, [0.0, PING_HZ, PING_HZ], ping),
                 Produced::stateful(LINK_NODE_STATUS_DATA::ID, [0.0, 1.0, 1.0]),
             ]
@@ -69,7 +93,7 @@ impl Service for LinkStatus {
     }
 }
 
-/// To everybody, who answers as `services::time` does. The time distinguishes one from the next.
+/// To everybody, who answers as [`answer_ping`] does. The time distinguishes one from the next.
 fn ping(core: &Core) -> Option<MavMessage> {
     let seq = (core.time_boot_ms() as f32 * 1e-3 * PING_HZ) as u32;
     Some(message!(PING, time_usec = core.time_boot_us(), seq))

@@ -1,15 +1,17 @@
-//! AUTOPILOT_VERSION and PROTOCOL_VERSION: who this is and what it can do.
+//! AUTOPILOT_VERSION and PROTOCOL_VERSION: who this is and what it can do; and SETUP_SIGNING: a new key for MAVLink signing. The
+//! links put it into force; it is never passed on. <https://mavlink.io/en/messages/common.html#SETUP_SIGNING>
 
+use crate::core::SigningSetup;
 use crate::service::prelude::*;
 use vigil_mavlink::common::MavProtocolCapability as Capability;
-
-/// The PX4 whose answers are given: 1.18.0, a release (255).
-const DIALECT_OF_PX4: u32 = 1 << 24 | 18 << 16 | 255;
 
 pub(super) const MESSAGES: &[Produced] = &[
     Produced::from(AUTOPILOT_VERSION_DATA::ID, [0.0; 3], autopilot_version),
     Produced::from(PROTOCOL_VERSION_DATA::ID, [0.0; 3], protocol_version),
 ];
+
+/// The PX4 whose answers are given: 1.18.0, a release (255).
+const DIALECT_OF_PX4: u32 = 1 << 24 | 18 << 16 | 255;
 
 /// Vigil's own version as MAVLink packs one: major, minor, patch, type.
 fn own_version() -> u32 {
@@ -32,9 +34,9 @@ fn autopilot_version(core: &Core) -> Option<MavMessage> {
         | Capability::MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
         | Capability::MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
         | Capability::MAV_PROTOCOL_CAPABILITY_MAVLINK2;
-    let uid = u64::from(core.id.system);
+    let uid = u64::from(core.id().system);
     let mut uid2 = [0; 18];
-    uid2[0] = core.id.system;
+    uid2[0] = core.id().system;
     Some(message!(
         AUTOPILOT_VERSION,
         capabilities,
@@ -50,4 +52,19 @@ fn autopilot_version(core: &Core) -> Option<MavMessage> {
 fn protocol_version(_core: &Core) -> Option<MavMessage> {
     let (version, min_version, max_version) = (200, 100, 200);
     Some(message!(PROTOCOL_VERSION, version, min_version, max_version))
+}
+
+pub(super) fn set_up(m: SETUP_SIGNING_DATA, _source: Source, core: &mut Core) {
+    // To everybody or to another system: a key is given to one component.
+    if (m.target_system, m.target_component) != (core.id().system, core.id().component) {
+        return;
+    }
+    if m.secret_key == [0; 32] {
+        return core.warn_refused("signing key refused: all zeros");
+    }
+    core.signing_setup = Some(SigningSetup {
+        key: m.secret_key,
+        initial_timestamp: m.initial_timestamp,
+    });
+    core.inform("signing key accepted");
 }
