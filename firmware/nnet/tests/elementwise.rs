@@ -100,7 +100,7 @@ fn each_function_has_its_definitions_value_gradient_and_quotient() {
             let whole = |x: &[f64]| -> Vec<f64> { x.iter().map(|x| definition(*x)).collect() };
             let want = finite_differences(whole, &wide(&m), &wide(&x));
             assert!(
-                distance(&layer.gradients(&tape, &m).0[0], &want) < 1e-5 * largest(&want).max(1.0),
+                distance(&layer.gradients(&tape, &m, 0.0).0[0], &want) < 1e-5 * largest(&want).max(1.0),
                 "{function:?}"
             );
             let quotients = quotients(definition, &m, &x, &x_ref);
@@ -139,7 +139,7 @@ fn sums_and_products_share_what_they_have_in_common() {
     };
     assert!(distance(&built.output(&tape), &definition(&wide(&x))) < 1e-5);
     let want = finite_differences(definition, &wide(&m), &wide(&x));
-    assert!(distance(&built.gradients(&tape, &m).0[0], &want) < 1e-5 * largest(&want).max(1.0));
+    assert!(distance(&built.gradients(&tape, &m, 0.0).0[0], &want) < 1e-5 * largest(&want).max(1.0));
     let [y, y_ref] = [&tape, &reference].map(|tape| wide(&built.output(tape)));
     let multipliers = built.multipliers(&tape, &reference, &m).concat();
     adds_up("network", &multipliers, [&x, &x_ref], &m, [&y, &y_ref]);

@@ -56,7 +56,7 @@ fn gradients_of_shared_nodes_and_weights_add_up() {
     let graph = Evaluated::new(graph, Isa::detect(), &params);
     let [tape, reference] =
         [&x, &x_ref].map(|x| graph.tape(&x.chunks_exact(4).map(<[f32]>::to_vec).collect::<Vec<_>>()));
-    let (gradients, d_params) = graph.gradients(&tape, &weights);
+    let (gradients, d_params) = graph.gradients(&tape, &weights, 0.0);
     let want = finite_differences(|p| oracle(p, &wide(&x)), &wide(&weights), &wide(&params));
     assert!(distance(&d_params, &want) < 1e-5 * largest(&want).max(1.0));
     let want = finite_differences(|x| oracle(&wide(&params), x), &wide(&weights), &wide(&x));
@@ -99,7 +99,7 @@ fn an_input_that_is_not_explained_costs_no_gradient_but_weights_still_learn() {
         let params = uniform(&mut rng, graph.param_len(), 0.2);
         let inputs: Vec<Vec<f32>> = (0..3).map(|i| uniform(&mut rng, graph.input_len(i), 0.9)).collect();
         let network = Evaluated::new(graph, Isa::detect(), &params);
-        let (mut gradients, d_params) = network.gradients(&network.tape(&inputs), &[1.0, 1.0]);
+        let (mut gradients, d_params) = network.gradients(&network.tape(&inputs), &[1.0, 1.0], 0.0);
         (d_params, gradients.remove(0))
     };
     let ((with, reached), (without, left)) = (gradient(true), gradient(false));

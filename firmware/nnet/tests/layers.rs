@@ -67,7 +67,7 @@ fn check_learned(
         let (tape, reference) = (layer.tape(&inputs), layer.tape(&references));
         close(&format!("{on}: value"), &layer.output(&tape), &value);
 
-        let (gradients, d_params) = layer.gradients(&tape, &weights);
+        let (gradients, d_params) = layer.gradients(&tape, &weights, 1.0);
         let (learned, fixed) = d_params.split_at(learned_len);
         let want = &d_params_want[..learned_len];
         close(&format!("{on}: weight gradient"), learned, want);

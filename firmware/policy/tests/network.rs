@@ -132,7 +132,7 @@ fn instruction_sets_agree() {
         .map(|isa| {
             let actor = Evaluated::new(graph.clone(), isa, &params);
             let [tape, reference] = [1, 2].map(|seed| actor.tape(&input(seed)));
-            let (mut gradients, d_params) = actor.gradients(&tape, &[1.0, -0.5]);
+            let (mut gradients, d_params) = actor.gradients(&tape, &[1.0, -0.5], 0.0);
             let mut multipliers = actor.multipliers(&tape, &reference, &[1.0, -0.5]);
             // Between the nodes' values nothing is written.
             let tape = tape.into_iter().filter(|x| !x.is_nan()).collect();

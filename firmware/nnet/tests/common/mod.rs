@@ -82,16 +82,15 @@ impl<'a> Evaluated<'a> {
         self.graph.output(tape).unwrap().to_vec()
     }
 
-    /// Gradients of `Σ d · output` at each input, and at the parameters.
-    pub fn gradients(&self, tape: &[f32], d: &[f32]) -> (Vec<Vec<f32>>, Vec<f32>) {
+    /// Gradients of `Σ d · output` at each input, and at the parameters, where they are added to `there`.
+    pub fn gradients(&self, tape: &[f32], d: &[f32], there: f32) -> (Vec<Vec<f32>>, Vec<f32>) {
         let mut work = vec![f32::NAN; self.graph.work_len()];
-        // The parameters' are added to what is there.
-        let mut d_params = vec![1.0; self.params.len()];
+        let mut d_params = vec![there; self.params.len()];
         let slot = Some(&mut *d_params);
         (self.graph)
             .backward(self.isa, &self.packed, tape, d, slot, &mut work)
             .unwrap();
-        d_params.iter_mut().for_each(|d| *d -= 1.0);
+        d_params.iter_mut().for_each(|d| *d -= there);
         (self.of_inputs(&work), d_params)
     }
 

@@ -42,8 +42,8 @@ struct Upload {
 #[derive(Debug, Default)]
 pub(crate) struct PlanTransfer {
     upload: Option<Upload>,
-    /// Of the last upload that ended well, with the number of its items: its acknowledgement may have been lost.
-    finished: Option<(Source, PlanKind, u16)>,
+    /// Of the last upload that ended with an answer, which may have been lost, the number of its items (0 unless it was taken) and when.
+    finished: Option<(Source, PlanKind, u16, Nanos)>,
 }
 
 fn acknowledge(core: &mut Core, source: Source, mission_type: u8, result: MavMissionResult) {
@@ -66,16 +66,20 @@ fn refuse(core: &mut Core, source: Source, kind: PlanKind, result: MavMissionRes
 /// A mission goes on with the item `current`; without one, as in PX4, with its item of the number that the one before was at, on the
 /// ground with its first.
 fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>, current: Option<u16>) -> Result<(), PlanDefect> {
-    let before = match core.commander.is_on_ground() {
-        true => 0,
-        false => core.plans.mission.goes_on_with(),
+    let (before, speed_m_s) = match core.commander.is_on_ground() {
+        true => (0, None),
+        false => (core.plans.mission.goes_on_with(), core.plans.mission.speed_m_s),
     };
     core.plans.replace(kind, items, &core.home)?;
     match kind {
         PlanKind::Mission => {
             let mission = &mut core.plans.mission;
             let last = mission.len().saturating_sub(1);
-            mission.set_current(last.min(current.unwrap_or(before).into()));
+            let index = last.min(current.unwrap_or(before).into());
+            if mission.set_current(index) && index > 0 {
+                // The item that set it is not flown again.
+                mission.speed_m_s = speed_m_s;
+            }
             core.mission_changed();
         }
         PlanKind::Fence if core.plans.fence.has_empty_circle() => {
@@ -115,7 +119,9 @@ impl Service for PlanTransfer {
             // The client gives up, or confirms a download.
             MISSION_ACK_DATA::ID => {
                 let gives_up = f[2] != MAV_MISSION_ACCEPTED as u8;
-                self.upload.take_if(|upload| gives_up && upload.source == source);
+                if let Some(upload) = self.upload.take_if(|upload| gives_up && upload.source == source) {
+                    self.finished = Some((source, upload.kind, 0, core.now_ns));
+                }
             }
             MISSION_REQUEST_PARTIAL_LIST_DATA::ID | MISSION_WRITE_PARTIAL_LIST_DATA::ID => {
                 acknowledge(core, source, f[6], MAV_MISSION_UNSUPPORTED);
@@ -210,6 +216,7 @@ impl PlanTransfer {
         let checked =
             Plans::check(upload.kind, &item, &core.home).and_then(|()| inside_fence(&item, upload.kind, core));
         if let Err(defect) = checked {
+            self.finished = Some((source, upload.kind, 0, core.now_ns));
             let reason = format!("item {wanted}: {}", defect.reason);
             return refuse(core, source, upload.kind, defect.result, &reason);
         }
@@ -230,10 +237,13 @@ impl PlanTransfer {
     /// Answers an item that is not of the upload under way.
     fn answer_astray(&self, envelope: Envelope, source: Source, core: &mut Core) {
         let mission_type = envelope.mission_type;
-        let is_of = |by: &Source, kind: &PlanKind| *by == source && kind.wire() as u8 == mission_type;
-        let reason = match self.finished.filter(|(by, kind, _)| is_of(by, kind)) {
+        let is_recent = |ended_ns| core.now_ns.saturating_sub(ended_ns) < 2 * TIMEOUT_NS;
+        let finished = self.finished.filter(|(by, kind, _, ended_ns)| {
+            *by == source && kind.wire() as u8 == mission_type && is_recent(*ended_ns)
+        });
+        let reason = match finished {
             _ if envelope.is_go_to() => "go-to by MISSION_ITEM is not flown, use DO_REPOSITION",
-            Some((.., count)) if envelope.seq.saturating_add(1) == count => {
+            Some((_, _, count, _)) if envelope.seq.saturating_add(1) == count => {
                 return acknowledge(core, source, mission_type, MAV_MISSION_ACCEPTED);
             }
             None if self.upload.as_ref().is_none_or(|upload| upload.source != source) => {
@@ -250,11 +260,10 @@ impl PlanTransfer {
         let Upload {
             source, kind, count, ..
         } = upload;
-        match replace(core, kind, upload.items, upload.current) {
-            Ok(()) => {
-                self.finished = Some((source, kind, count));
-                acknowledge(core, source, kind.wire() as u8, MAV_MISSION_ACCEPTED);
-            }
+        let replaced = replace(core, kind, upload.items, upload.current);
+        self.finished = Some((source, kind, if replaced.is_ok() { count } else { 0 }, core.now_ns));
+        match replaced {
+            Ok(()) => acknowledge(core, source, kind.wire() as u8, MAV_MISSION_ACCEPTED),
             Err(defect) => refuse(core, source, kind, defect.result, defect.reason),
         }
     }
@@ -270,7 +279,9 @@ impl PlanTransfer {
             acknowledge(core, source, mission_type, MAV_MISSION_DENIED);
             return core.warn_refused("plan not cleared: another upload is under way");
         }
-        self.upload.take_if(|upload| kinds.contains(&upload.kind));
+        if let Some(upload) = self.upload.take_if(|upload| kinds.contains(&upload.kind)) {
+            self.finished = Some((source, upload.kind, 0, core.now_ns));
+        }
         for kind in kinds {
             // An empty plan is always valid.
             if let Err(defect) = replace(core, kind, Vec::new(), None) {

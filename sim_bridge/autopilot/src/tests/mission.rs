@@ -178,10 +178,14 @@ fn a_mission_that_is_edited_in_flight_goes_on_where_it_is_or_with_the_item_that_
     let marked = |b: &mut Bench| b.download(MISSION).iter().position(|item| item.current == 1);
     let mut b = flying(&plan);
     b.run_until(15, "second waypoint", |b| reached(b) == [0, 1]);
+    assert_eq!(b.ask(178, &[1.0, 1.5, -1.0]), ACCEPTED);
     assert_eq!(b.upload(MISSION, &plan[..3]), TAKEN);
     assert_eq!(at(&mut b), (2, FlightMode::Mission));
     assert_eq!(b.upload_marked(&plan, 3), TAKEN);
     assert_eq!((at(&mut b), marked(&mut b)), ((3, FlightMode::Mission), Some(3)));
+    b.run_ms(3_000);
+    let speed_m_s = b.velocity_m_s().horizontal_norm();
+    assert!((speed_m_s - 1.5).abs() < 0.2, "{speed_m_s}: as fast as before");
     assert_eq!(b.upload(MISSION, &plan[..2]), TAKEN);
     assert_eq!(at(&mut b).0, 1, "as many as there are");
     b.run_until(30, "finished", |b| b.status().mode == FlightMode::Hold);

@@ -259,6 +259,18 @@ fn an_item_outside_an_upload_is_refused_and_a_late_one_is_not_answered() {
     assert_eq!(b.upload(MISSION, &[there; 3]), R::MAV_MISSION_ACCEPTED);
     b.item_message(API, SCRIPT, at(MISSION, 1), &there, true);
     assert_eq!(b.mission_acks(API), [R::MAV_MISSION_ACCEPTED]);
+    // Nor is one of an upload that was refused; a minute later nothing is late any more.
+    b.sent.clear();
+    b.count_message(API, SCRIPT, MISSION, 2);
+    for _ in 0..2 {
+        b.item_message(API, SCRIPT, at(MISSION, 0), &item(113, [0.0; 4], (0.0, 0.0), 0.0), true);
+    }
+    assert_eq!(b.mission_acks(API).len(), 1);
+    assert_eq!(b.upload(MISSION, &[there; 3]), R::MAV_MISSION_ACCEPTED);
+    b.run_ms(60_000);
+    b.sent.clear();
+    b.item_message(API, SCRIPT, at(MISSION, 2), &there, true);
+    assert_eq!(b.mission_acks(API), [R::MAV_MISSION_ERROR]);
 }
 
 #[test]
