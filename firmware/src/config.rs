@@ -252,7 +252,11 @@ impl FirmwareConfig {
         let user = rustix::process::geteuid();
         let is_ours = user.is_root() || found.uid() == user.as_raw();
         anyhow::ensure!(
-            is_ours && found.mode() & 0o022 == 0,
+            is_ours,
+            "state folder {path}: it belongs to another user: `chown` it to the firmware's user"
+        );
+        anyhow::ensure!(
+            found.mode() & 0o022 == 0,
             "state folder {path}: others may write there: `chmod 700 {path}`, as the firmware's user"
         );
         Ok(())

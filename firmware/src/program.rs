@@ -196,10 +196,10 @@ pub fn colours(is_terminal: bool) -> bool {
 
 /// Which diagnostics are shown: `RUST_LOG` (a level, or `target=level` with commas between), or else `default`, a level.
 pub fn diagnostics(default: &str) -> Targets {
-    let wanted = std::env::var("RUST_LOG").ok().filter(|wanted| !wanted.is_empty());
+    let wanted = std::env::var("RUST_LOG").ok().map(|wanted| wanted.replace(' ', ""));
     // A word that is no level would be the name of a target, and hide everything else.
-    let is_filter = |part: &str| part.contains('=') || part.parse::<LevelFilter>().is_ok();
-    let wanted = wanted.map(|wanted| wanted.replace(' ', ""));
+    let is_level = |part: &str| !part.is_empty() && part.parse::<LevelFilter>().is_ok();
+    let is_filter = |part: &str| part.contains('=') || is_level(part);
     let wanted = wanted.filter(|wanted| wanted.split(',').all(is_filter));
     let parsed = wanted.and_then(|wanted| wanted.parse().ok());
     parsed.unwrap_or_else(|| default.parse().unwrap_or_default())

@@ -113,7 +113,7 @@ pub fn parse<P: clap::Parser>() -> P {
         }
         let mut code = error.exit_code();
         if let Err(lost) = printed
-            && lost.kind() != std::io::ErrorKind::BrokenPipe
+            && !vigil_types::files::reader_has_gone(&lost)
         {
             let _ = writeln!(std::io::stderr(), "cannot write standard output: {lost}");
             code = code.max(1);

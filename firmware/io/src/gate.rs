@@ -74,6 +74,8 @@ pub struct SigningGate {
     writer: Option<SigningStateWriter>,
     /// What replay protection knew at the start.
     past: SigningMemory,
+    /// What the writer has got last.
+    stored: SigningMemory,
     /// While there is no key, SETUP_SIGNING may bring one.
     accepts_first_key: bool,
     allow_unsigned: AllowUnsigned,
@@ -100,6 +102,7 @@ impl SigningGate {
             signing,
             writer: None,
             past: SigningMemory::default(),
+            stored: SigningMemory::default(),
             accepts_first_key: false,
             allow_unsigned,
             clock: wall_clock,
@@ -142,10 +145,10 @@ impl SigningGate {
         name: &str,
         allow_unsigned: AllowUnsigned,
     ) -> Result<Self, SigningFileError> {
-        let (writer, past) = SigningStateWriter::start(key_file, name, (wall_clock(), STORE_AHEAD))?;
+        let (writer, past, stored) = SigningStateWriter::start(key_file, name, (wall_clock(), STORE_AHEAD))?;
         let signing = key.map(|key| Signing::new(key, 0, past.clone()));
         let mut gate = Self::new(signing, allow_unsigned);
-        (gate.writer, gate.past) = (Some(writer), past);
+        (gate.writer, gate.past, gate.stored) = (Some(writer), past, stored);
         Ok(gate)
     }
 
@@ -186,15 +189,17 @@ impl SigningGate {
         }
     }
 
-    /// Before anything is received in a step: looks at the clock, and has the state stored once a second.
+    /// Before anything is received in a step: looks at the clock, and has the state stored once a second, and as soon as packets were
+    /// accepted that it does not cover.
     pub fn begin(&mut self, now_ns: Nanos) {
         self.now = if self.has_key() { (self.clock)() } else { 0 };
         if let (Some(signing), Some(writer)) = (&self.signing, &mut self.writer)
-            && now_ns.saturating_sub(self.stored_ns) >= STORE_NS
+            && (now_ns.saturating_sub(self.stored_ns) >= STORE_NS || signing.has_overtaken(&self.stored))
         {
             self.stored_ns = now_ns;
             let memory = signing.memory().clone();
-            writer.offer(memory.ahead(&self.past, self.now, STORE_AHEAD));
+            self.stored = memory.ahead(&self.past, self.now, STORE_AHEAD);
+            writer.offer(self.stored.clone());
         }
     }
 
@@ -211,7 +216,8 @@ impl SigningGate {
         self.now = (self.clock)();
         memory.newest = memory.newest.max(newest.min(self.now + MAX_AHEAD));
         if let Some(writer) = &mut self.writer {
-            writer.replace_key(key, memory.clone().ahead(&self.past, self.now, STORE_AHEAD));
+            self.stored = memory.clone().ahead(&self.past, self.now, STORE_AHEAD);
+            writer.replace_key(key, self.stored.clone());
         }
         self.signing = Some(Signing::new(key, 0, memory));
         true
@@ -324,6 +330,27 @@ mod tests {
         let mut gate = SigningGate::new(signing, allow_unsigned).with_clock(|| NOW);
         gate.begin(0);
         gate
+    }
+
+    #[test]
+    fn a_stream_that_nothing_stored_covers_is_stored_at_once() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let key = folder.path().join("vigil.key");
+        std::fs::write(&key, [7; 32]).unwrap();
+        std::fs::set_permissions(&key, PermissionsExt::from_mode(0o600)).unwrap();
+        let gate = SigningGate::with_key_file(&key, "3", AllowUnsigned::Never).unwrap();
+        let mut killed = gate.with_clock(|| NOW);
+        killed.begin(0);
+        assert_eq!(admitted(&mut killed, true, &signed(0)).len(), 1);
+        killed.begin(1);
+        std::mem::forget(killed);
+        let begun = std::time::Instant::now();
+        let stored = || std::fs::read_to_string(folder.path().join("vigil.key.3.state")).unwrap();
+        while !stored().contains(&(NOW + STORE_AHEAD).to_string()) {
+            assert!(begun.elapsed().as_secs() < 20, "{}", stored());
+            std::thread::yield_now();
+        }
     }
 
     fn signed(sequence: u8) -> Vec<u8> {

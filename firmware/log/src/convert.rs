@@ -128,9 +128,7 @@ impl Part<Option<f32>> for f32 {
     }
 
     fn from(on_disk: &Option<f32>, field: &'static str) -> Result<Self, RecordDefect> {
-        // Logs of actors that were given the goal alone do not have what they observed of themselves.
-        let absent = (field == "report.judgement.told").then_some(0.0);
-        need(on_disk.or(absent), field)
+        need(*on_disk, field)
     }
 }
 
@@ -221,11 +219,11 @@ impl<const N: usize> Part<Vec<f32>> for [f32; N] {
     }
 }
 
-/// Structs with the messages that hold their fields, under the same names or others (`as`), and where these messages lie. Each is
-/// taken apart by name, so that a field added to the loop's data fails to compile here until the log records it.
+/// Structs with the messages that hold their fields, under the same names or others (`as`), what an absent one is (`or`), and where these
+/// messages lie. Each is taken apart by name, so that a field added to the loop's data fails to compile here until the log records it.
 macro_rules! records {
     ($type:ident = $message:ident in $at:literal {
-        $($field:ident as $on_disk:ident),+ $(; $bits:ident as [$first:ident, $second:ident])?
+        $($field:ident as $on_disk:ident $(or $absent:literal)?),+ $(; $bits:ident as [$first:ident, $second:ident])?
     }) => {
         impl Record for $type {
             type Message = proto::$message;
@@ -238,14 +236,14 @@ macro_rules! records {
 
             fn of(message: &proto::$message) -> Result<Self, RecordDefect> {
                 Ok(Self {
-                    $($field: Part::from(&message.$on_disk, concat!($at, stringify!($on_disk)))?,)+
+                    $($field: Part::from(&message.$on_disk$(.or(Some($absent)))?, concat!($at, stringify!($on_disk)))?,)+
                     $($bits: Reasons::from_words([message.$first, message.$second]))?
                 })
             }
         }
     };
-    ($($type:ident = $message:ident in $at:literal { $($field:ident),+ })+) => {
-        $(records! { $type = $message in $at { $($field as $field),+ } })+
+    ($($type:ident = $message:ident in $at:literal { $($field:ident $(or $absent:literal)?),+ })+) => {
+        $(records! { $type = $message in $at { $($field as $field $(or $absent)?),+ } })+
     };
 }
 
@@ -257,7 +255,8 @@ records! {
     GoalRelative = GoalRelative in "report.goal_relative." { distance_m, bearing_rad }
     Action = Action in "report.action." { forward_m_s, yaw }
     Alarm = Alarm in "report.alarm." { cause, response }
-    Judgement = Judgement in "report.judgement." { verdict, score, image, bearing, distance, told, base, phi }
+    // Logs of actors that were given the goal alone do not have what they observed of themselves.
+    Judgement = Judgement in "report.judgement." { verdict, score, image, bearing, distance, told or 0.0, base, phi }
     VehicleTelemetry = Telemetry in "report.telemetry." { heartbeat, kinematics, attitude, landed, battery_remaining }
     Heartbeat = Heartbeat in "report.telemetry.heartbeat." { at_ns, armed, mode, failsafe }
     Kinematics = Kinematics in "report.telemetry.kinematics." { at_ns, position_ned_m, velocity_ned_m_s }

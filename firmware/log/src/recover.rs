@@ -261,7 +261,7 @@ impl Copy {
 
     /// Writes the record that was being put together, if it is whole.
     fn end_group(&mut self) -> Result<(), McapError> {
-        let group = std::mem::take(&mut self.group);
+        let mut group = std::mem::take(&mut self.group);
         let of_record = [self.tick, self.depth];
         let Some(mut tick) = self.whole(&group) else {
             // Of no record is what the simulation or a replay added.
@@ -274,6 +274,13 @@ impl Copy {
             return Ok(());
         };
         let (step, now_ns, dropped) = (self.scratch.timing.step, self.scratch.now_ns, tick.dropped_before);
+        // Who joins files that overlap writes a step twice.
+        if self
+            .last
+            .is_some_and(|(last, then_ns, _)| step <= last && now_ns <= then_ns)
+        {
+            return Ok(());
+        }
         let (expected, dropped_then) = self
             .last
             .map_or((0, 0), |(last, _, dropped)| (last.saturating_add(1), dropped));
@@ -298,7 +305,8 @@ impl Copy {
         }
         self.last = Some((step, now_ns, dropped));
         self.records += 1;
-        // Who joins files that overlap writes a step twice.
+        // Side by side too, and in any order: a reader expects an image before its step.
+        group.sort_by_key(|(header, _)| Some(header.channel_id) == self.tick);
         let mut written = BTreeSet::new();
         for (header, data) in group {
             let channel = Some(header.channel_id);

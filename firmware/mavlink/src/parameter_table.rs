@@ -50,6 +50,14 @@ impl ParameterValue {
             Self::Real(_) => None,
         }
     }
+
+    /// As PX4 and its clients put it on the wire, whole numbers bytewise, and its type.
+    pub const fn on_wire(self) -> (f32, MavParamType) {
+        match self {
+            Self::Real(v) => (v, MavParamType::MAV_PARAM_TYPE_REAL32),
+            Self::Integer(v) => (f32::from_bits(v as u32), MavParamType::MAV_PARAM_TYPE_INT32),
+        }
+    }
 }
 
 /// One parameter.
@@ -241,11 +249,8 @@ impl Parameters {
     pub(crate) fn value(&self, index: usize, flavour: Flavour) -> Option<MavMessage> {
         let parameter = self.all.get(index)?;
         let (param_value, param_type) = match (parameter.value, flavour) {
-            (ParameterValue::Real(v), _) => (v, MavParamType::MAV_PARAM_TYPE_REAL32),
-            (ParameterValue::Integer(v), Flavour::Px4) => {
-                (f32::from_bits(v as u32), MavParamType::MAV_PARAM_TYPE_INT32)
-            }
             (ParameterValue::Integer(v), Flavour::ArduPilot) => (v as f32, MavParamType::MAV_PARAM_TYPE_INT32),
+            (value, Flavour::Px4 | Flavour::ArduPilot) => value.on_wire(),
         };
         Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
             param_value,

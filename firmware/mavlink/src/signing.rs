@@ -62,6 +62,10 @@ pub struct StreamTime {
     pub timestamp: Timestamp,
 }
 
+fn sender(stream: &StreamTime) -> (u8, u8, u8) {
+    (stream.link_id, stream.system_id, stream.component_id)
+}
+
 /// What replay protection needs to know after a restart.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SigningMemory {
@@ -79,7 +83,8 @@ impl SigningMemory {
     pub fn ahead(mut self, began: &Self, now: Timestamp, units: u64) -> Self {
         let later = |t: Timestamp| (t + units).min(LAST_TIMESTAMP);
         let capped = |t: Timestamp| t.max(later(t.min(now)));
-        self.newest = capped(self.newest);
+        // Ahead of the clock each packet that is sent moves it by one: by no more than this between two storings.
+        self.newest = capped(self.newest).max((self.newest + units / 100).min(LAST_TIMESTAMP));
         for stream in &mut self.streams {
             let has_moved = !began.streams.contains(stream);
             stream.timestamp = if has_moved {
@@ -105,7 +110,7 @@ pub enum Refusal {
     Outdated,
     /// It is more than a minute ahead.
     FromTheFuture,
-    /// It begins a stream, and [`MAX_STREAMS`] were heard in the last minute.
+    /// It begins a stream, and [`MAX_STREAMS`] are known whose newest packet is less than a minute old.
     TooManyStreams,
     /// It brings a key (SETUP_SIGNING) and is not signed with the present one.
     UnsignedKey,
@@ -230,7 +235,6 @@ impl Signing {
             component_id: packet.component_id(),
             timestamp,
         };
-        let sender = |s: &StreamTime| (s.link_id, s.system_id, s.component_id);
         let known = self.memory.streams.iter_mut().find(|s| sender(s) == sender(&stream));
         if known.as_ref().is_some_and(|known| timestamp <= known.timestamp) {
             return Err(Refusal::Replayed);
@@ -259,6 +263,13 @@ impl Signing {
         *newest = (*newest).max(place.timestamp + TOLERANCE + 1);
         *place = stream;
         Ok(())
+    }
+
+    /// Whether a stream went on beyond what is stored.
+    pub fn has_overtaken(&self, stored: &SigningMemory) -> bool {
+        let covers = |s: &StreamTime, by: &StreamTime| sender(by) == sender(s) && by.timestamp >= s.timestamp;
+        let is_covered = |s| stored.streams.iter().any(|by| covers(s, by));
+        !self.memory.streams.iter().all(is_covered)
     }
 
     /// The clock, or what was sent, whichever is later. So a machine whose clock was set back goes on where it was.

@@ -5,7 +5,7 @@ mod common;
 mod sharing;
 mod signing;
 
-use common::{PseudoTerminal, Random, TestVehicle, arrived, config, set_parameter, socket, step_over};
+use common::{PseudoTerminal, Random, TestVehicle, arrived, config, say, set_parameter, socket, step_over};
 use std::io::{Read, Write};
 use std::net::UdpSocket;
 use std::os::unix::fs::{PermissionsExt, symlink};
@@ -126,9 +126,7 @@ impl Rig {
         self.now_ns += STEP_NS;
         let mut received = Datagrams::default();
         self.links.receive(self.now_ns, &mut received);
-        let mut sent = Datagrams::default();
-        said.iter().for_each(|packet| assert!(sent.push(0, packet)));
-        self.links.send(&sent);
+        say(&mut self.links, said);
         let seen = |(link, bytes)| seen_in(bytes).into_iter().map(move |seen| (link, seen));
         received.iter().flat_map(seen).collect()
     }

@@ -269,7 +269,7 @@ impl Bench {
 
     /// Sets a parameter by PARAM_SET; whole numbers bytewise.
     pub fn set_parameter(&mut self, name: &str, value: ParameterValue) {
-        let (param_value, param_type) = crate::vehicle_parameters::on_wire(value);
+        let (param_value, param_type) = value.on_wire();
         self.set_parameter_as(name, param_value, param_type);
     }
 

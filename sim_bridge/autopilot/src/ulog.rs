@@ -3,7 +3,7 @@
 
 use crate::core::Core;
 use crate::flight::LandedState;
-use crate::vehicle_parameters::{ParameterValue, on_wire};
+use crate::vehicle_parameters::ParameterValue;
 use vigil_mavlink::common::MavSeverity;
 
 /// Bytes before the first message: magic, version, start.
@@ -64,7 +64,7 @@ pub(crate) fn begin(core: &Core) -> Vec<u8> {
             &mut out,
             b'P',
             &format!("{kind} {}", info.name),
-            &on_wire(value).0.to_le_bytes(),
+            &value.on_wire().0.to_le_bytes(),
         );
     }
     for (number, (name, _)) in TOPICS.iter().enumerate() {

@@ -4,15 +4,6 @@ use std::collections::BTreeMap;
 use std::mem::discriminant;
 use std::sync::LazyLock;
 pub use vigil_mavlink::ParameterValue;
-use vigil_mavlink::common::MavParamType;
-
-/// A value on the wire, whole numbers bytewise, and its type; its bytes are also those in files and digests.
-pub(crate) const fn on_wire(value: ParameterValue) -> (f32, MavParamType) {
-    match value {
-        ParameterValue::Integer(v) => (f32::from_bits(v as u32), MavParamType::MAV_PARAM_TYPE_INT32),
-        ParameterValue::Real(v) => (v, MavParamType::MAV_PARAM_TYPE_REAL32),
-    }
-}
 
 /// What a parameter is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -124,11 +124,9 @@ pub struct TruePlan {
 impl TruePlan {
     /// Of a course.
     pub fn new(course: &Course) -> Self {
-        let band_m = course.band_m(HALF_BAND_M);
-        let movers = course.movers.iter().filter(|m| m.track().reaches_into(band_m));
         Self {
             outlines: course.solids_in_band(HALF_BAND_M).iter().map(Outline::of).collect(),
-            movers: movers.copied().collect(),
+            movers: course.movers_in_band(HALF_BAND_M).copied().collect(),
         }
     }
 

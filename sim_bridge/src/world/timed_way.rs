@@ -78,10 +78,7 @@ impl Course {
         cells.for_each(|cell| free.insert(cell));
         let (mut reached, mut wide, mut next) = (Cells::none(&grid), Cells::none(&grid), Cells::none(&grid));
         reached.insert(start);
-        let band_m = self.band_m(self.corridor_reach_m());
-        let movers: Vec<_> = (self.movers.iter())
-            .filter(|m| m.track().reaches_into(band_m))
-            .collect();
+        let movers: Vec<_> = self.movers_in_band(self.corridor_reach_m()).collect();
         let mut passed_s = 0.0;
         for step in 0u32.. {
             passed_s = step as f32 * step_s;

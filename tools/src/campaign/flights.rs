@@ -248,10 +248,7 @@ where
         fly: impl Fn(u64, usize, &Progress) -> Result<F> + Sync,
     ) -> Result<Interrupt> {
         let wanted = &self.asked_for.clone();
-        let interrupt = Interrupt::on_ctrl_c()?.saying(
-            "interrupted: flights that have begun are flown to their end; another interrupt ends the program without them",
-        );
-        let missing = self.missing(wanted).len() as u64;
+        let (missing, interrupt) = (self.missing(wanted).len() as u64, Interrupt::on_ctrl_c()?);
         let (all, there) = (wanted.count(), wanted.count() - missing);
         if there > 0 {
             say!("resumed          {there} of {all} flights are there already");
@@ -287,7 +284,7 @@ where
         fly: impl Fn(u64, usize) -> Result<F> + Sync,
     ) -> Result<()> {
         let missing = self.missing(wanted);
-        let flown: Result<Vec<_>> = pool.install(|| {
+        let fly_all = || {
             let missing = missing.into_iter().take_while(|_| !interrupt.came()).par_bridge();
             let flown = missing.map(|(seed, arm)| {
                 let flight = fly(seed, arm)?;
@@ -298,8 +295,12 @@ where
                 }
                 Ok(((seed, arm), flight))
             });
-            flown.collect()
-        });
+            flown.collect::<Result<Vec<_>>>()
+        };
+        let flown = interrupt.saying(
+            "interrupted: flights that have begun are flown to their end; another interrupt ends the program without them",
+            || pool.install(fly_all),
+        );
         self.flown.extend(flown?);
         Ok(())
     }

@@ -149,8 +149,8 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// What is said when an interrupt comes to something that takes a while to end.
-static ON_INTERRUPT: OnceLock<&str> = OnceLock::new();
+/// What is said when an interrupt comes to work that takes a while to end.
+static ON_INTERRUPT: Mutex<Option<&str>> = Mutex::new(None);
 
 /// Set by Ctrl-C, SIGTERM or SIGHUP; another one, at least half a second later, ends the program at once.
 pub struct Interrupt(&'static AtomicBool);
@@ -165,7 +165,9 @@ impl Interrupt {
         if !*is_taken {
             vigil_io::interrupt::on_interrupt(move || {
                 CAME.store(true, Ordering::Relaxed);
-                if let (None, Some(text)) = (first, ON_INTERRUPT.get()) {
+                // The handler has a thread of its own.
+                let text = ON_INTERRUPT.lock().ok().and_then(|text| *text);
+                if let (None, Some(text)) = (first, text) {
                     tell!("{text}");
                 }
                 if first.get_or_insert_with(Instant::now).elapsed() > TWICE {
@@ -177,10 +179,13 @@ impl Interrupt {
         Ok(Self(&CAME))
     }
 
-    /// Has it say this on standard error when it comes.
-    pub fn saying(self, text: &'static str) -> Self {
-        ON_INTERRUPT.get_or_init(|| text);
-        self
+    /// Has it say this on standard error if it comes during the work.
+    pub fn saying<T>(&self, text: &'static str, work: impl FnOnce() -> T) -> T {
+        let say = |text| ON_INTERRUPT.lock().map(|mut said| *said = text).unwrap_or_default();
+        say(Some(text));
+        let done = work();
+        say(None);
+        done
     }
 
     /// Whether it came.

@@ -53,18 +53,19 @@ enum Job {
 pub(super) struct SigningStateWriter(Background<Job>);
 
 impl SigningStateWriter {
-    /// Reads what the last run left and makes sure that it can be written again, `ahead` of what was read and of `now`:
-    /// whatever happens before the first state is offered is covered.
+    /// Reads what the last run left and makes sure that it can be written again, `ahead` of what was read, but no further than that ahead of
+    /// `now`. Returns what was read, and what is stored now.
     pub fn start(
         key_file: &Path,
         name: &str,
         (now, ahead): (Timestamp, u64),
-    ) -> Result<(Self, SigningMemory), SigningFileError> {
+    ) -> Result<(Self, SigningMemory, SigningMemory), SigningFileError> {
         let mut path = key_file.as_os_str().to_owned();
         path.push(format!(".{name}.state"));
         let path = PathBuf::from(path);
         let memory = read_state(&path)?;
-        write_state(&path, &memory.clone().ahead(&memory, now, ahead)).map_err(at(&path))?;
+        let stored = memory.clone().ahead(&memory, now, ahead);
+        write_state(&path, &stored).map_err(at(&path))?;
         let (key_file, target) = (key_file.to_owned(), path.clone());
         let mut failing = false;
         let writer = Background::start("signing", CAPACITY, PAUSE, move |jobs| {
@@ -91,7 +92,7 @@ impl SigningStateWriter {
             }
             failing = result.is_err();
         });
-        Ok((Self(writer.map_err(at(&path))?), memory))
+        Ok((Self(writer.map_err(at(&path))?), memory, stored))
     }
 
     /// Has a state written. Never waits; when too many wait, the ones offered later do.
@@ -181,14 +182,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let key = folder.path().join("vigil.key");
         let start = |now| SigningStateWriter::start(&key, "3", (now, 50)).unwrap();
-        let (mut writer, first) = start(200_000);
+        let (mut writer, first, _) = start(200_000);
         assert_eq!(first, SigningMemory::default());
         let later = |units| memory().ahead(&first, 200_000, units);
         writer.offer(later(7));
         writer.offer(memory());
         drop(writer);
-        let (_killed, second) = start(200_000);
-        assert_eq!(second, memory());
+        let (_killed, second, stored) = start(200_000);
+        assert_eq!((second, stored), (memory(), later(50)));
         // While that one runs, the file is ahead of what it knows; and no further ahead of the clock, however often it is killed.
         for _ in 0..3 {
             assert_eq!(start(100_000).1, later(50));
@@ -201,7 +202,7 @@ mod tests {
     fn a_key_that_was_replaced_is_in_its_file_for_the_next_run_and_closed_to_others() {
         let folder = tempfile::tempdir().unwrap();
         let path = key_file(folder.path(), &[1; 32], 0o600);
-        let (mut writer, _) = SigningStateWriter::start(&path, "3", (0, 50)).unwrap();
+        let (mut writer, ..) = SigningStateWriter::start(&path, "3", (0, 50)).unwrap();
         let key = SigningKey([0xA5; 32]);
         writer.replace_key(key, memory());
         drop(writer);

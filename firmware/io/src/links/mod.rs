@@ -18,7 +18,7 @@ use tcp::TcpWire;
 use udp::UdpWire;
 pub use wire::{Gated, LinkAdmission, Wire, open_wire};
 
-use crate::gate::{AllowUnsigned, SigningFileError};
+use crate::gate::AllowUnsigned;
 use crate::link_url::LinkUrl;
 use std::io::ErrorKind;
 use std::net::SocketAddr;
@@ -62,9 +62,6 @@ pub enum LinkError {
     /// `system=` on a link that is not the firmware's to its vehicle.
     #[error("{url}: the option system= is for the firmware's link to its vehicle only: leave it out")]
     NotTheVehicles { url: LinkUrl },
-    /// Signing cannot be switched on.
-    #[error(transparent)]
-    Signing(#[from] SigningFileError),
 }
 
 impl LinkError {

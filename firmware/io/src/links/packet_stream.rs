@@ -44,10 +44,11 @@ impl PacketStream {
         }
     }
 
-    /// Another stream begins: halves of packets are worth nothing to it.
-    pub fn reset(&mut self) {
+    /// Another stream begins, and is counted: halves of packets are worth nothing to it.
+    pub fn begin(&mut self) {
         self.written = 0;
         self.queued = 0;
+        self.statistics.connections += 1;
     }
 
     /// Reads what is there; each packet that passes the gate becomes a datagram. Returns whether one did that keeps the peer

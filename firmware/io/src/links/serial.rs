@@ -32,7 +32,7 @@ impl SerialWire {
         let device = CString::new(device.as_str()).map_err(|e| error(e.into()))?;
         let port = open_port(&device, *baud).map_err(|e| error(e.into()))?;
         let mut stream = PacketStream::new();
-        stream.statistics.connections = 1;
+        stream.begin();
         Ok(Self {
             device,
             baud: *baud,
@@ -51,8 +51,7 @@ impl SerialWire {
         self.next_attempt_ns = now_ns + RETRY_NS;
         if let Ok(port) = open_port(&self.device, self.baud) {
             self.framer = StreamFramer::default();
-            self.stream.reset();
-            self.stream.statistics.connections += 1;
+            self.stream.begin();
             self.port = Some(port);
         }
     }

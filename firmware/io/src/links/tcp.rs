@@ -138,8 +138,7 @@ impl TcpWire {
     }
 
     fn begin(&mut self, connection: Connection) {
-        self.stream.reset();
-        self.stream.statistics.connections += 1;
+        self.stream.begin();
         self.connection = Some(connection);
     }
 
@@ -221,8 +220,7 @@ impl TcpWire {
             if !failed && connection.socket.peer_addr().is_ok() {
                 connection.is_up = true;
                 connection.heard_ns = now_ns;
-                self.stream.reset();
-                self.stream.statistics.connections += 1;
+                self.stream.begin();
             } else if failed || now_ns.saturating_sub(connection.heard_ns) > CONNECT_NS {
                 self.connection = None;
             }

@@ -72,7 +72,7 @@ impl Domain {
     ///
     /// # Errors
     /// [`DomainError`], also while another has it.
-    pub fn open_alone(instance: u32, role: &'static str) -> Result<Self, DomainError> {
+    pub fn open_alone(instance: u32, role: &str) -> Result<Self, DomainError> {
         let domain = Self::open(instance, role)?;
         let path = format!("{}/{role}.lock", domain.node.config().global.root_path());
         let flags = OFlags::CREATE | OFlags::RDWR | OFlags::NOFOLLOW | OFlags::CLOEXEC;

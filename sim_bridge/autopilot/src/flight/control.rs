@@ -97,14 +97,15 @@ impl Core {
             ControlCommand::Position(goal) if goal.held == Held::Level => {
                 goal.velocity_m_s.z = goal.velocity_m_s.z.min(limit_m_s);
             }
+            ControlCommand::Position(goal) if goal.position_ned_m.z >= 0.0 && goal.held == Held::Height => {
+                let (v, yaw) = (goal.velocity_m_s, goal.yaw);
+                let velocity_m_s = NedVector::new(v.x, v.y, down_to_ground_m_s);
+                return ControlCommand::VelocityNed { velocity_m_s, yaw };
+            }
             ControlCommand::Position(goal) if goal.position_ned_m.z >= 0.0 => {
                 let off_m = (goal.position_ned_m - estimate.position_ned_m).horizontal_norm();
                 let drift_m_s = estimate.velocity_ned_m_s.horizontal_norm();
-                let (v, yaw) = (goal.velocity_m_s, goal.yaw);
-                if goal.held == Held::Height {
-                    let velocity_m_s = NedVector::new(v.x, v.y, down_to_ground_m_s);
-                    return ControlCommand::VelocityNed { velocity_m_s, yaw };
-                } else if off_m < TOUCH_DOWN_RADIUS_M && drift_m_s < TOUCH_DOWN_DRIFT_M_S {
+                if off_m < TOUCH_DOWN_RADIUS_M && drift_m_s < TOUCH_DOWN_DRIFT_M_S {
                     let down = NedVector::new(0.0, 0.0, down_to_ground_m_s);
                     (goal.held, goal.velocity_m_s) = (Held::Level, down);
                 } else {

@@ -7,7 +7,7 @@
 //! current: it comes before a list, and set to its own value it ends one.
 
 use crate::service::prelude::*;
-use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters, on_wire};
+use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters};
 use vigil_mavlink::crc::crc32_on;
 use vigil_mavlink::mavlink::types::CharArray;
 
@@ -76,7 +76,7 @@ impl Service for ParameterService {
 /// PARAM_VALUE of the parameter at `index`.
 pub(super) fn value_message(core: &Core, index: usize) -> Option<MavMessage> {
     let (info, value) = core.parameters.at(index)?;
-    let (param_value, param_type) = on_wire(value);
+    let (param_value, param_type) = value.on_wire();
     Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
         param_value,
         param_count: Parameters::count() as u16,
@@ -89,7 +89,7 @@ pub(super) fn value_message(core: &Core, index: usize) -> Option<MavMessage> {
 /// PX4's digest: a CRC over the names and values in the order of the index.
 fn hash(core: &Core) -> u32 {
     core.parameters.all().fold(0, |crc, (info, value)| {
-        crc32_on(crc32_on(crc, info.name.as_bytes()), &on_wire(value).0.to_le_bytes())
+        crc32_on(crc32_on(crc, info.name.as_bytes()), &value.on_wire().0.to_le_bytes())
     })
 }
 
@@ -225,9 +225,9 @@ pub(super) fn read_packed(path: &str, core: &Core) -> Option<Vec<u8>> {
         file.push(kind | flags << 4);
         file.push(common as u8 | ((rest.len() - 1) as u8) << 4);
         file.extend_from_slice(rest);
-        file.extend_from_slice(&on_wire(value).0.to_le_bytes());
+        file.extend_from_slice(&value.on_wire().0.to_le_bytes());
         if tells_default {
-            file.extend_from_slice(&on_wire(info.default).0.to_le_bytes());
+            file.extend_from_slice(&info.default.on_wire().0.to_le_bytes());
         }
         last = info.name;
     }

@@ -2,6 +2,7 @@
 
 use super::Surface;
 use crate::world::course::Course;
+use crate::world::mover::Mover;
 use crate::world::solid::Solid;
 use crate::world::wire::Wire;
 
@@ -125,5 +126,11 @@ impl Course {
         let (mut solids, band_m) = (self.plan_solids(half_band_m), self.band_m(half_band_m));
         solids.retain(|solid| solid.reaches_into(band_m));
         solids
+    }
+
+    /// The movers whose ways reach into these heights.
+    pub(crate) fn movers_in_band(&self, half_band_m: f32) -> impl Iterator<Item = &Mover> {
+        let band_m = self.band_m(half_band_m);
+        self.movers.iter().filter(move |m| m.track().reaches_into(band_m))
     }
 }

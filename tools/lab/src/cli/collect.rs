@@ -61,7 +61,7 @@ impl Stage<'_> {
     /// Flights of another actor in the folder, a file that cannot be written.
     pub fn collect(&self, args: &CollectArgs, pool: &ThreadPool) -> Result<()> {
         if let (Some(set), Some(first_seed), Some(flights)) = (args.set, args.seed, args.flights) {
-            let (mut campaign, _) = self.campaign(set, first_seed, flights)?;
+            let mut campaign = self.campaign(set, first_seed, flights)?;
             let interrupt = campaign.fly(pool, |seed, _, _| self.fly(seed))?;
             let hint = interrupt.came().then_some("; the same command goes on");
             say!(
@@ -115,25 +115,20 @@ impl Stage<'_> {
         self.folder.join(format!("{}.jsonl", set.name()))
     }
 
-    fn campaign(&self, set: SetName, first_seed: u64, flights: u64) -> Result<(Campaign<Recorded, Packed>, Jobs)> {
+    fn campaign(&self, set: SetName, first_seed: u64, flights: u64) -> Result<Campaign<Recorded, Packed>> {
         let folder = self.folder;
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-        let jobs = Jobs {
-            first_seed,
-            flights,
-            arms: vec![ARM.to_owned()],
-        };
-        let campaign = Campaign::new(COMMAND, Recorded::by(&self.pilot)?, jobs.clone())?;
-        Ok((campaign.keep_in(&self.lines(set), Existing::Resume)?, jobs))
+        let campaign = Campaign::new(COMMAND, Recorded::by(&self.pilot)?, jobs(first_seed, flights))?;
+        campaign.keep_in(&self.lines(set), Existing::Resume)
     }
 
     /// A dozen after the other until there are as many windows of each class; none when Ctrl-C came first.
     fn gather(&self, set: SetName, first_seed: u64, windows: u64, pool: &ThreadPool) -> Result<Option<Flights>> {
         // Each flight has a window or more.
-        let (mut campaign, mut jobs) = self.campaign(set, first_seed, windows)?;
+        let mut campaign = self.campaign(set, first_seed, windows)?;
+        let mut jobs = jobs(first_seed, BLOCK);
         let (bar, interrupt) = (Progress::new(windows, "attacked windows")?, Interrupt::on_ctrl_c()?);
         let (mut counts, mut records) = (Counts::default(), Vec::new());
-        jobs.flights = BLOCK;
         while !counts.reach(windows as usize) {
             campaign.fly_some(&jobs, pool, &interrupt, |seed, _| self.fly(seed))?;
             if interrupt.came() {
@@ -167,6 +162,15 @@ impl Stage<'_> {
             records: vec![fly(self.isa, &self.pilot, &scenario, &mut |_, _| Ok(()))?],
         };
         Ok(BASE64.encode(flown.to_bytes()?))
+    }
+}
+
+fn jobs(first_seed: u64, flights: u64) -> Jobs {
+    let arms = vec![ARM.to_owned()];
+    Jobs {
+        first_seed,
+        flights,
+        arms,
     }
 }
 

@@ -374,13 +374,13 @@ impl Stage<'_> {
     fn times(&self, seed: u64, pictures: usize, detector: Option<&Path>) -> Result<()> {
         let (actor, detector) = (self.actor("times")?, self.detector(detector)?);
         let (record, times) = crate::detector_training::time(self.isa, actor, &detector, seed, pictures)?;
+        let [action_s, explanation_s, verdict_s, pixels_s, cnn_s, fcn_s] = &times;
         say!(
             "validation course {seed}, {} steps, {} of them with all pixels; one thread, {}",
             record.steps.len(),
-            times[3].len(),
+            pixels_s.len(),
             self.isa.name()
         );
-        let [action_s, explanation_s, verdict_s, pixels_s, cnn_s, fcn_s] = &times;
         let in_all = |i: usize| action_s[i] + explanation_s[i] + verdict_s[i];
         let step_s: Vec<f64> = (0..action_s.len()).map(in_all).collect();
         let rows = [

@@ -125,7 +125,10 @@ fn read(folder: &Path) -> Result<Run> {
     let json: Value = serde_json::from_str(&text("result.json")?).with_context(|| bad("result.json"))?;
     let result = serde_json::from_value::<LearnResult>(json).with_context(|| {
         let path = folder.join("result.json");
-        format!("{} is of an earlier version; leave this folder out", path.display())
+        format!(
+            "{} is another program's, or of an earlier version; leave this folder out",
+            path.display()
+        )
     })?;
     let tests = |count: &&FamilyCount| count.family == Family::Validation && count.ablation.is_none();
     let test = result.test.iter().find(tests).cloned();

@@ -317,6 +317,7 @@ impl Importer<'_> {
             if let Layer::Dense { curve, .. } | Layer::Conv2d { curve, .. } | Layer::Curve { curve, .. } = before
                 && let Activation::Tanh { scale } = curve
                 && uniform(&factor, 1)
+                && (*scale * all).is_normal()
                 && all > 0.0
                 && summand.iter().all(|s| *s == 0.0)
             {
