@@ -52,14 +52,11 @@ fn second_half_both_outputs(bencher: Bencher) {
 fn pixels_of_the_newest_frame(bencher: Bencher, threads: usize) {
     let (mut shap, x) = explainer(ActorSpec::FULL.graph(Purpose::Multipliers).unwrap());
     let (x, mut phi) = (views(&x), vec![0.0; shap.phi_len()]);
-    bencher.bench_local(|| explain(&mut shap, black_box(&x), threads, &mut phi));
-}
-
-fn explain(shap: &mut DeepShap, x: &[&[f32]], threads: usize, phi: &mut [f32]) {
-    shap.evaluate(x).unwrap();
-    if threads == 1 {
-        shap.attribute(1, phi).unwrap();
-    } else {
-        shap.attribute_on_threads(1, threads, phi).unwrap();
-    }
+    bencher.bench_local(|| {
+        shap.evaluate(black_box(&x)).unwrap();
+        match threads {
+            1 => shap.attribute(1, &mut phi).unwrap(),
+            _ => shap.attribute_on_threads(1, threads, &mut phi).unwrap(),
+        }
+    });
 }

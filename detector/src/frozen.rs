@@ -76,17 +76,11 @@ pub enum Of {
 }
 
 impl Of {
-    fn kind(self) -> &'static Kind {
+    /// Its kind of file, and how many values decide beside a split point.
+    fn parts(self) -> (&'static Kind, usize) {
         match self {
-            Self::Actor => &KIND,
-            Self::Imported => &KIND_IMPORTED,
-        }
-    }
-
-    fn low_dim(self) -> usize {
-        match self {
-            Self::Actor => LOW_DIM,
-            Self::Imported => GOAL_INPUTS,
+            Self::Actor => (&KIND, LOW_DIM),
+            Self::Imported => (&KIND_IMPORTED, GOAL_INPUTS),
         }
     }
 
@@ -168,6 +162,7 @@ impl FrozenDetector {
     }
 
     fn contents(&self) -> Contents {
+        let (kind, low_dim) = self.of.parts();
         let commit = self.git_commit.iter().map(|commit| ("git_commit", commit.clone()));
         let entries = [
             ("actor_sha256", self.actor_sha256.clone()),
@@ -176,12 +171,12 @@ impl FrozenDetector {
             ("training_config", self.training_config.clone()),
             ("seed", self.seed.to_string()),
         ];
-        let mut contents = Contents::new(self.of.kind(), entries.into_iter().chain(commit));
+        let mut contents = Contents::new(kind, entries.into_iter().chain(commit));
         let count = self.backgrounds.len();
         let states = self.backgrounds.iter().flat_map(|(state, _)| state).copied();
         let low_dims = self.backgrounds.iter().flat_map(|(_, low_dim)| low_dim.iter()).copied();
         contents.push("background.state", &[count, self.width()], states.collect());
-        contents.push("background.position", &[count, self.of.low_dim()], low_dims.collect());
+        contents.push("background.position", &[count, low_dim], low_dims.collect());
         contents.push("centre", &[ROW], self.centre.to_vec());
         contents.push("scale", &[ROW], self.scale.to_vec());
         contents.push_all(&LstmAd::tensors(), &self.params);
@@ -201,16 +196,6 @@ impl FrozenDetector {
             return refused("has a `threshold` that is not between 0 and 1");
         }
         Ok(())
-    }
-
-    /// The file's content.
-    ///
-    /// # Errors
-    /// [`FileError`]: what a reader would refuse, parameters of another length.
-    #[cfg(feature = "std")]
-    pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
-        self.check("to be written")?;
-        self.contents().to_bytes(self.of.kind())
     }
 
     /// Reads and verifies a file's content. `file` names it in errors.
@@ -243,7 +228,7 @@ impl FrozenDetector {
         // The reader has checked every length but the number of states.
         let mut next = || values.next().unwrap_or_default();
         let (states, low_dims) = (next(), next());
-        let low_dims = low_dims.chunks_exact(of.low_dim());
+        let low_dims = low_dims.chunks_exact(of.parts().1);
         let low_dims: Vec<LowDim> = low_dims.filter_map(LowDim::from_values).collect();
         let width = states.len() / low_dims.len().max(1);
         // An empty sample is refused by its own name, below.
@@ -267,4 +252,4 @@ impl FrozenDetector {
     }
 }
 
-vigil_nnet::stored_network!(FrozenDetector, KIND);
+vigil_nnet::stored_network!(FrozenDetector, KIND, check);

@@ -15,18 +15,14 @@ const YAW: usize = 1;
 
 /// Why an actor cannot be monitored. All of it is found before take-off.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the texts say what the fields are")]
 pub enum MonitorError {
     /// The detector was trained on another actor's explanations.
     #[error(
         "the detector judges the actor with SHA-256 {expected}, the actor that is to fly has {found}; give the detector \
          that was trained for it, or fly with the detector off"
     )]
-    OtherActor {
-        /// The actor that the detector was trained for.
-        expected: String,
-        /// The actor that is to fly.
-        found: String,
-    },
+    OtherActor { expected: String, found: String },
     /// The actor cannot be explained against the detector's background sample.
     #[error("the actor cannot be explained: {0}")]
     Shap(#[from] ShapError),

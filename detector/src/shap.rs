@@ -5,6 +5,7 @@ use vigil_nnet::{Graph, Isa, Purpose, ShapeError, shape::expect};
 
 /// Why there is no explanation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the texts say what the fields are")]
 pub enum ShapError {
     /// No background was given.
     #[error("the background sample is empty; DeepSHAP needs at least one state to compare with")]
@@ -17,21 +18,13 @@ pub enum ShapError {
     NothingExplained,
     /// There is no output of that number.
     #[error("output {output} was asked for, the network has {outputs}")]
-    Output {
-        /// Number asked for.
-        output: usize,
-        /// Number of outputs.
-        outputs: usize,
-    },
+    Output { output: usize, outputs: usize },
     /// [`DeepShap::evaluate`] was not called, or failed.
     #[error("there is no evaluated state to explain")]
     NotEvaluated,
     /// A background's output is NaN or infinite.
     #[error("the network's output for background {background} is not finite")]
-    BackgroundNotFinite {
-        /// Number of the background.
-        background: usize,
-    },
+    BackgroundNotFinite { background: usize },
     /// The explanation holds NaN or infinity: so did the input, or the network overflowed.
     #[error("the explanation is not finite")]
     NotFinite,

@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_detector::{Background, FrozenDetector, LstmAd, Monitor, MonitorError, Of, WINDOW, normalise};
-use vigil_nnet::{Graph, Isa, Purpose};
+use vigil_nnet::{Isa, Purpose};
 use vigil_policy::ExplainedHead;
 use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec, LOW_DIM};
 use vigil_policy::imported::Network;
@@ -13,22 +13,17 @@ const ACTOR: &str = "0123";
 
 struct Bench {
     random: ChaCha8Rng,
-    head: Graph,
-    params: Vec<f32>,
+    /// An actor's second half.
+    head: ExplainedHead,
     detector: FrozenDetector,
-}
-
-/// An actor's second half.
-fn explained(params: &[f32]) -> ExplainedHead {
-    ExplainedHead::of_actor(params, Purpose::Multipliers).unwrap()
 }
 
 impl Bench {
     fn new() -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(7);
-        let head = ActorSpec::FULL.head_graph(Purpose::Gradients).unwrap();
+        let graph = ActorSpec::FULL.head_graph(Purpose::Multipliers).unwrap();
         let mut draw = |n: usize| -> Vec<f32> { (0..n).map(|_| random.random_range(-0.3..0.3)).collect() };
-        let params = draw(head.param_len());
+        let params = draw(graph.param_len());
         let built_in = FrozenDetector::built_in().unwrap();
         let detector = FrozenDetector {
             actor_sha256: ACTOR.to_owned(),
@@ -41,8 +36,7 @@ impl Bench {
         };
         let mut bench = Self {
             random,
-            head,
-            params,
+            head: ExplainedHead { graph, params },
             detector,
         };
         bench.detector.backgrounds = (0..30).map(|_| bench.state()).collect();
@@ -58,20 +52,21 @@ impl Bench {
     }
 
     fn monitor(&self) -> Monitor {
-        Monitor::new(Isa::detect(), explained(&self.params), ACTOR, &self.detector).unwrap()
+        Monitor::new(Isa::detect(), self.head.clone(), ACTOR, &self.detector).unwrap()
     }
 
     /// The actor's own yaw output.
     fn yaw(&self, decision: &Background) -> f32 {
-        yaw_of(&self.head, &self.params, decision)
+        yaw_of(&self.head, decision)
     }
 }
 
-fn yaw_of(head: &Graph, params: &[f32], (state, low_dim): &Background) -> f32 {
-    let mut tape = vec![0.0; head.tape_len()];
-    head.forward(Isa::detect(), params, &[state, low_dim], &mut tape)
+fn yaw_of(ExplainedHead { graph, params }: &ExplainedHead, (state, low_dim): &Background) -> f32 {
+    let mut tape = vec![0.0; graph.tape_len()];
+    graph
+        .forward(Isa::detect(), params, &[state, low_dim], &mut tape)
         .unwrap();
-    head.output(&tape).unwrap()[1]
+    graph.output(&tape).unwrap()[1]
 }
 
 #[test]
@@ -181,18 +176,19 @@ fn an_explanation_that_is_not_finite_is_unknown_and_so_are_the_steps_until_the_w
 #[test]
 fn another_actor_s_detector_and_an_empty_background_are_refused() {
     let mut bench = Bench::new();
-    let refused = |params: &[f32], sha256: &str, detector: &FrozenDetector| {
-        Monitor::new(Isa::detect(), explained(params), sha256, detector).unwrap_err()
+    let head = bench.head.clone();
+    let refused = |sha256: &str, detector: &FrozenDetector| {
+        Monitor::new(Isa::detect(), head.clone(), sha256, detector).unwrap_err()
     };
-    let other = refused(&bench.params, "4567", &bench.detector);
+    let other = refused("4567", &bench.detector);
     assert!(matches!(other, MonitorError::OtherActor { .. }));
     let words = other.to_string();
     assert!(words.contains("0123") && words.contains("4567"), "{words}");
     bench.detector.params.pop();
-    let short = refused(&bench.params, ACTOR, &bench.detector);
+    let short = refused(ACTOR, &bench.detector);
     assert!(matches!(short, MonitorError::Shape(_)));
     bench.detector.backgrounds.clear();
-    let empty = refused(&bench.params, ACTOR, &bench.detector);
+    let empty = refused(ACTOR, &bench.detector);
     assert!(empty.to_string().contains("background sample is empty"), "{empty}");
 }
 
@@ -219,7 +215,7 @@ fn an_imported_policy_is_explained_at_as_many_values_as_its_split_point_has() {
             backgrounds,
             ..bench.detector.clone()
         };
-        let yaw = |made: &Background| yaw_of(&head.graph, &head.params, made);
+        let yaw = |made: &Background| yaw_of(&head, made);
         let mean = detector.backgrounds.iter().map(yaw).sum::<f32>() / 20.0;
         let mut monitor = Monitor::new(Isa::detect(), head.clone(), ACTOR, &detector).unwrap();
         for step in 1..=WINDOW {

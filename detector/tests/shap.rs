@@ -1,7 +1,6 @@
-//! DeepSHAP against the reference vectors: `shap`'s own values, an independent float64 implementation, exact Shapley
-//! values where they must agree, and additivity everywhere.
+//! Networks of our layers against PyTorch's, and DeepSHAP against the reference vectors: `shap`'s own values, an
+//! independent float64 implementation, exact Shapley values where they must agree, and additivity everywhere.
 
-#[path = "../../firmware/policy/tests/common/torch.rs"]
 mod torch;
 
 use rand::{RngExt, SeedableRng};
@@ -62,7 +61,13 @@ fn the_second_half_is_explained_as_by_shap_and_in_float64() {
     for isa in Isa::available() {
         let graph = reference(Given::State, Purpose::Multipliers);
         let mut shap = DeepShap::new(isa, graph, &actor_params(), &pairs(&bg_h, 48, &bg_pos, 2)).unwrap();
+        let of_backgrounds = t.get("f_bg");
+        let mean =
+            |output| of_backgrounds.iter().skip(output).step_by(2).sum::<f32>() / (of_backgrounds.len() / 2) as f32;
+        close("PyTorch's backgrounds", shap.expected(), &[mean(0), mean(1)]);
         for (i, inputs) in pairs(&x_h, 48, &x_pos, 2).iter().enumerate() {
+            let pytorch = &t.get("f_x")[2 * i..2 * i + 2];
+            close("PyTorch's outputs", shap.evaluate(inputs).unwrap(), pytorch);
             for (output, (phi, change)) in explained(&mut shap, inputs).iter().enumerate() {
                 for who in ["shap", "np64"] {
                     let h = column(&t.get(&format!("{who}_h")), i, 48, output);

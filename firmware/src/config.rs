@@ -492,10 +492,4 @@ mod tests {
         let note = config.slowed(&pilot).unwrap();
         assert!(note.contains("for 1.5 m/s and flies 0.8"), "{note}");
     }
-
-    #[test]
-    fn a_file_that_is_not_there_is_named() {
-        let error = FirmwareConfig::load(Path::new("no/such/file.toml")).unwrap_err();
-        assert!(error.to_string().contains("no/such/file.toml"), "{error}");
-    }
 }

@@ -4,6 +4,7 @@ use crate::alarms::in_brackets;
 use crate::frame_keeper::{FrameRefusals, Refusal};
 use std::time::Duration;
 use vigil_io::background::Background;
+use vigil_io::links::LinkStatistics;
 use vigil_io::throttle::Throttle;
 use vigil_mavlink::StatusText;
 use vigil_mavlink::common::MavSeverity;
@@ -65,8 +66,15 @@ impl Console {
         })
     }
 
-    /// Looks at a step. Never waits and allocates nothing.
-    pub fn observe(&mut self, report: &StepReport) {
+    /// Looks at what a step left: its report, what others get by STATUSTEXT (changes of state are announced here), and what the links and
+    /// the frames came to since start. Never waits and allocates nothing.
+    pub fn observe(
+        &mut self,
+        report: &StepReport,
+        texts: &[StatusText],
+        line: &LinkStatistics,
+        frames: &FrameRefusals,
+    ) {
         let at_ns = report.now_ns;
         if report.state != self.state {
             let (from, to, reasons) = (self.state, report.state, report.reasons);
@@ -77,36 +85,19 @@ impl Console {
             self.slips = report.timing.slips;
             self.announce(at_ns, News::Slips(self.slips));
         }
-    }
-
-    /// Takes what others get by STATUSTEXT; changes of state it announces itself. Never waits and allocates nothing.
-    pub fn text(&mut self, at_ns: Nanos, text: &StatusText) {
-        if !text.text().starts_with(STATE_TEXT) {
+        for text in texts.iter().filter(|text| !text.text().starts_with(STATE_TEXT)) {
             self.announce(at_ns, News::Text(*text));
         }
-    }
-
-    /// Takes what signing refused since start. Never waits and allocates nothing.
-    pub fn refused(&mut self, at_ns: Nanos, signing: SigningCounters) {
-        if self.refused.is_due(at_ns, signing.refused()) {
-            self.announce(at_ns, News::Refused(signing));
+        if self.refused.is_due(at_ns, line.signing.refused()) {
+            self.announce(at_ns, News::Refused(line.signing));
         }
-    }
-
-    /// Takes a vehicle that calls and is not the one that is asked for. Never waits and allocates nothing.
-    pub fn other_vehicle(&mut self, at_ns: Nanos, system: Option<u8>) {
-        if let Some(system) = system
-            && self.other_system.is_none()
-        {
+        // A vehicle that calls and is not the one that is asked for: once.
+        if let (Some(system), None) = (line.other_system, self.other_system) {
             self.other_system = Some(system);
             self.announce(at_ns, News::OtherVehicle(system));
         }
-    }
-
-    /// Takes which frames were refused since start. Never waits and allocates nothing.
-    pub fn frames_refused(&mut self, at_ns: Nanos, refusals: &FrameRefusals) {
-        let total = refusals.total();
-        if let Some(last) = refusals.last()
+        let total = frames.total();
+        if let Some(last) = frames.last()
             && self.frames_refused.is_due(at_ns, total)
         {
             self.announce(at_ns, News::FramesRefused { total, last });

@@ -5,7 +5,7 @@ use crate::motion::Motion;
 use crate::pilots::Pilots;
 use crate::segment::{LocalGoal, Segment, along_path, turned_to_path};
 use vigil_guidance::Risk;
-use vigil_policy::{FlightPilot, Pilot, PilotInput};
+use vigil_policy::{Decider, Pilot, PilotInput};
 use vigil_types::{Action, Alarm, AlarmResponse, DepthFrame, Goal, GoalRelative, Judgement, NedVector};
 
 /// What the pilots may see of the vehicle and the goal.
@@ -98,8 +98,10 @@ impl Deciding {
             action: Some(action),
             ..Decision::default()
         };
-        if let (Some(monitor), Some(state), Some(low_dim)) = (monitor, pilot.state(), pilot.low_dim()) {
-            decision.judgement = Some(monitor.score(state, low_dim));
+        if let (Some(monitor), Some(decider)) = (monitor, pilot.decider())
+            && let Some(low_dim) = decider.low_dim()
+        {
+            decision.judgement = Some(monitor.score(decider.state(), low_dim));
         }
         if let (true, Some(recovery)) = (*monitored, recovery) {
             let own = limited(recovery.decide(&believed));
@@ -121,7 +123,7 @@ impl Deciding {
     /// Where the pilot is to fly, and whether along a path. An imported policy knows near goals only; the actor and the geometric pilot fly
     /// to the goal as it is.
     fn target(&mut self, view: &View, input: &PilotInput<'_>) -> (GoalRelative, Option<GoalRelative>) {
-        if !matches!(self.pilots.pilot, FlightPilot::Imported(_)) {
+        if !matches!(self.pilots.pilot.decider(), Some(Decider::Imported(_))) {
             return (view.goal, None);
         }
         let Motion { kinematics, sample } = view.motion;
@@ -177,16 +179,13 @@ impl Deciding {
     pub fn mapping(&self) -> Option<&vigil_policy::GeometricPilot> {
         match (&self.pilots.recovery, &self.pilots.pilot) {
             (Some(recovery), _) if self.asks_recovery() && !self.are_new => Some(recovery.mapping()),
-            (None, FlightPilot::Geometric(pilot)) => Some(pilot),
+            (None, vigil_policy::FlightPilot::Geometric(pilot)) => Some(pilot),
             _ => None,
         }
     }
 
     /// The actor, if it decided in the last step.
     pub fn actor(&self) -> Option<&vigil_policy::actor::Actor> {
-        match &self.pilots.pilot {
-            FlightPilot::Actor(pilot) if self.asked => Some(pilot.actor()),
-            _ => None,
-        }
+        self.pilots.pilot.actor().filter(|_| self.asked)
     }
 }

@@ -120,7 +120,7 @@ impl Guarding {
         Self {
             config,
             reckoned: config,
-            forward_check: ForwardCheck::new(),
+            forward_check: ForwardCheck::default(),
             guard: JustStop::default(),
             last: None,
             take_off: TakeOff::default(),

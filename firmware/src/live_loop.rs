@@ -87,7 +87,7 @@ impl std::fmt::Display for FlightSummary {
         if line.foreign + line.unsent > 0 {
             write!(
                 f,
-                "\nlink      {} of strangers not read, {} packets could not be sent",
+                "\nlink      {} of strangers not read, {} packets not sent for want of a peer or of room",
                 line.foreign, line.unsent
             )?;
         }
@@ -209,8 +209,8 @@ impl LiveLoop {
         let links = RoutedLinks::open(&config.vehicle_link(), &config.links, config.gate()?)?;
         let frame_keys = config.frame_keys()?;
         let mut firmware = Firmware::of(&config)?;
-        firmware.require_frame_keys(frame_keys);
-        let parameters = saved.map(|saved| saved.start(firmware.stack.parameters()));
+        firmware.stack.require_frame_keys(frame_keys);
+        let parameters = saved.map(|saved| saved.start(firmware.stack.companion.parameters()));
         let parameters = parameters
             .transpose()
             .map_err(no_thread("thread that stores parameters"))?;
@@ -270,19 +270,13 @@ impl LiveLoop {
         };
         let report = *self.firmware.step(&input, |sent| self.links.send(sent));
         self.received.clear();
-        self.console.observe(&report);
-        if let Some(store) = &mut self.parameters {
-            let taken_over = self.firmware.stack.taken_over();
-            store.observe(self.firmware.stack.parameters(), taken_over);
-        }
-        for text in self.firmware.stack.status_texts() {
-            self.console.text(report.now_ns, text);
-        }
-        let line = self.links.statistics();
-        self.console.refused(report.now_ns, line.signing);
-        self.console.other_vehicle(report.now_ns, line.other_system);
+        let stack = &mut self.firmware.stack;
+        let (texts, refusals) = (stack.companion.status_texts(), stack.frames.refusals());
         self.console
-            .frames_refused(report.now_ns, &self.firmware.stack.frame_refusals());
+            .observe(&report, texts, &self.links.statistics(), &refusals);
+        if let Some(store) = &mut self.parameters {
+            store.observe(stack.companion.parameters(), stack.guidance.taken_over());
+        }
         self.alarms.observe(&report);
         if report.frame_sequence.is_some() && report.frame_sequence != self.last.frame_sequence {
             self.used_frames += 1;
@@ -318,10 +312,10 @@ impl LiveLoop {
             execution: self.execution.spread(),
             wake_late: self.wake_late.spread(),
             frames: self.used_frames,
-            frames_refused: self.firmware.stack.frame_refusals(),
+            frames_refused: self.firmware.stack.frames.refusals(),
             alarms: self.alarms,
             frame_failures: self.frame_failures,
-            link: self.firmware.stack.link_counters(),
+            link: self.firmware.stack.companion.counters(),
             line: self.links.statistics(),
             routing: self.links.routing(),
             state: self.last.state,

@@ -48,12 +48,12 @@ impl LockstepFirmware {
             received,
         };
         self.steps += 1;
-        self.firmware.step(&input, |output| sent.copy_from(output))
+        self.firmware.step(&input, |output| _ = sent.copy_from(output))
     }
 
     /// From now on takes only frames that were made with one of these keys, if there are any.
     pub fn require_frame_keys(&mut self, keys: FrameKeys) {
-        self.firmware.require_frame_keys(keys);
+        self.firmware.stack.require_frame_keys(keys);
     }
 
     /// Steps taken.

@@ -4,7 +4,7 @@ use alloc::boxed::Box;
 use vigil_detector::Monitor;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::FileError;
-use vigil_policy::{ActorPilot, FlightPilot, FrozenPilot, RecoveryPilot};
+use vigil_policy::{FlightPilot, FrozenPilot, LearnedPilot, RecoveryPilot};
 #[cfg(feature = "std")]
 use {
     crate::config::FirmwareConfig,
@@ -52,10 +52,7 @@ impl Pilots {
         monitored: bool,
     ) -> Result<Self, FileError> {
         Ok(Self {
-            pilot: match frozen {
-                FrozenPilot::Actor(actor) => FlightPilot::Actor(ActorPilot::new(actor.actor(isa)?, field)),
-                FrozenPilot::Imported(policy) => FlightPilot::Imported(policy.pilot(isa, field)?),
-            },
+            pilot: FlightPilot::Learned(LearnedPilot::new(frozen.decider(isa)?, field)),
             monitor,
             recovery: Some(Box::default()),
             monitored,
@@ -119,9 +116,9 @@ impl Pilots {
         };
         let mut pilots = Self::learned(isa, &frozen, config.pilot.apf, monitor, config.is_monitored())?;
         if ablate != Ablation::Nothing
-            && let FlightPilot::Actor(pilot) = pilots.pilot
+            && let FlightPilot::Learned(pilot) = pilots.pilot
         {
-            pilots.pilot = FlightPilot::Actor(pilot.without(ablate));
+            pilots.pilot = FlightPilot::Learned(pilot.without(ablate));
         }
         Ok(pilots)
     }

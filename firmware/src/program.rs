@@ -241,7 +241,13 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
     } else {
         let summary = live_loop::fly(&config, &stop, |config, granted| {
             announce(&format!("{}\nscheduling {granted}", Start(config)));
-            announce("end        Ctrl-C or SIGTERM: it brakes, has the vehicle hold by itself and closes the log");
+            let of_others = match config.duty {
+                Duty::Fly => "",
+                Duty::JustStop | Duty::FlyAround => " (a flight that it only guards goes on unguarded)",
+            };
+            announce(&format!(
+                "end        Ctrl-C or SIGTERM: it brakes, has the vehicle hold by itself{of_others} and closes the log"
+            ));
         })?;
         vigil_types::files::print_line(&summary.to_string())?;
     }

@@ -30,12 +30,6 @@ const ARGUMENTS: &Removed = &[
         "the learned adversary is gone: `--attack recede` finds as much",
     ),
     (
-        "nothing expert actor --expert",
-        "`vigil learn` has one recipe, from nothing: leave it out",
-    ),
-    ("--from", FROM_NOTHING),
-    ("--led-by", NO_PLANNER),
-    (
         "--knows",
         "the geometric pilot follows movers by its frames alone: leave it out",
     ),
@@ -45,6 +39,16 @@ const ARGUMENTS: &Removed = &[
         "seeds are the shards: fly others on each machine (`--seed`, `--flights`), and `vigil merge` what they leave (docs/cluster.md)",
     ),
     ("--astray --disagreement --smooth-share --guard-final", CONSTANTS),
+];
+
+/// Of `vigil learn` alone.
+const LEARNING: &Removed = &[
+    (
+        "nothing expert actor --expert",
+        "`vigil learn` has one recipe, from nothing: leave it out",
+    ),
+    ("--from", FROM_NOTHING),
+    ("--led-by", NO_PLANNER),
 ];
 
 /// Keys of the firmware's configuration.
@@ -101,8 +105,12 @@ fn explained(report: String, removed: &Removed) -> String {
 pub fn parse<P: clap::Parser>() -> P {
     P::try_parse().unwrap_or_else(|error| {
         use clap::error::{ContextKind, ContextValue};
+        let learns = std::env::args_os().any(|word| word == "learn");
         let unknown = [ContextKind::InvalidSubcommand, ContextKind::InvalidArg].map(|kind| error.get(kind));
         let instead = unknown.into_iter().flatten().find_map(|word| match word {
+            ContextValue::String(word) if learns => {
+                replaced_by(LEARNING, word).or_else(|| replaced_by(ARGUMENTS, word))
+            }
             ContextValue::String(word) => replaced_by(ARGUMENTS, word),
             _ => None,
         });
@@ -147,7 +155,7 @@ mod tests {
                 );
             }
         }
-        let named = ["actor", "--from", "--led-by"].map(|word| replaced_by(ARGUMENTS, word));
+        let named = ["actor", "--from", "--led-by"].map(|word| replaced_by(LEARNING, word));
         assert!(named.iter().all(Option::is_some), "{named:?}");
     }
 }

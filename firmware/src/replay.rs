@@ -148,7 +148,7 @@ pub fn step_again<'a>(firmware: &'a mut Firmware, record: &TickRecord, sent: &mu
         frame_known_altered: record.report.reasons.contains(Reason::UnauthenticatedFrame),
         received: &record.received,
     };
-    firmware.step(&input, |output| sent.copy_from(output))
+    firmware.step(&input, |output| _ = sent.copy_from(output))
 }
 
 fn difference(record: &TickRecord, sent: &Datagrams, report: &StepReport) -> Option<Difference> {

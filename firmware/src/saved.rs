@@ -28,12 +28,8 @@ settings! {
     }
 }
 
-/// What is to be kept, as a step leaves it.
-#[derive(Debug, Clone, PartialEq)]
-struct Kept {
-    table: Parameters,
-    taken_over: bool,
-}
+/// What is to be kept, as a step leaves it: the parameters, and whether a person took the vehicle over.
+type Kept = (Parameters, bool);
 
 /// What an earlier run left, put into the configuration.
 pub struct LoadedParameters {
@@ -86,11 +82,8 @@ impl ParameterStore {
 
     /// Looks at what a step left. Never waits and allocates nothing.
     pub fn observe(&mut self, table: &Parameters, taken_over: bool) {
-        if *table != self.offered.table || taken_over != self.offered.taken_over {
-            let kept = Kept {
-                table: table.clone(),
-                taken_over,
-            };
+        if (table, taken_over) != (&self.offered.0, self.offered.1) {
+            let kept = (table.clone(), taken_over);
             if self.writer.offer(kept.clone()) {
                 self.offered = kept;
             }
@@ -106,20 +99,16 @@ impl LoadedParameters {
     pub fn start(self, table: &Parameters) -> std::io::Result<ParameterStore> {
         let Self { mut file, mut saved } = self;
         let begun_with = table.clone();
-        let offered = Kept {
-            table: table.clone(),
-            taken_over: saved.taken_over,
-        };
+        let offered = (table.clone(), saved.taken_over);
         let mut unstored = false;
         let writer = Background::start(
             "parameters",
             CAPACITY,
             PAUSE,
             move |offered: &mut dyn Iterator<Item = Kept>| {
-                for kept in offered {
-                    note(&mut saved, &begun_with, &kept.table);
-                    saved.taken_over = kept.taken_over;
-                    unstored = true;
+                for (table, taken_over) in offered {
+                    note(&mut saved, &begun_with, &table);
+                    (saved.taken_over, unstored) = (taken_over, true);
                 }
                 // A disk that refused is tried again in the next round.
                 unstored = unstored && !file.store(&saved);

@@ -3,7 +3,7 @@
 #![deny(clippy::std_instead_of_core, clippy::alloc_instead_of_core)]
 
 use crate::deciding::{Deciding, Decision, View};
-use crate::frame_keeper::{FrameKeeper, FrameRefusals, Refusal};
+use crate::frame_keeper::{FrameKeeper, Refusal};
 use crate::guarding::{Guarded, Guarding, GuardingInput};
 use crate::motion::Motion;
 use crate::pilots::Pilots;
@@ -13,7 +13,7 @@ use vigil_guidance::{
     ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput, JustStopConfig,
 };
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
-use vigil_mavlink::{Companion, CompanionConfig, LET_GO, LinkCounters, MavHeader, Parameters, StatusText, framing};
+use vigil_mavlink::{Companion, CompanionConfig, LET_GO, MavHeader, framing};
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, PilotInput, PlausibilityCheck, SecondSensor};
 use vigil_types::{
     Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal, GuardNotice, GuidanceState, Nanos, NedVector,
@@ -86,8 +86,8 @@ pub struct FlightStack {
     plausibility: Option<PlausibilityCheck>,
     /// Compares the frames with the second sensor; `None` where there is none.
     second_sensor: Option<SecondSensor>,
-    companion: Companion,
-    guidance: Guidance,
+    pub(crate) companion: Companion,
+    pub(crate) guidance: Guidance,
     /// Guards somebody else's flight; `None` when that is not its duty.
     guarding: Option<Guarding>,
     pub(crate) deciding: Deciding,
@@ -138,7 +138,7 @@ impl FlightStack {
         Ok(Box::new(Self {
             frames: FrameKeeper::new(config.sensor_id),
             plausibility: config.plausibility.then(PlausibilityCheck::default),
-            second_sensor: config.second_sensor.then(SecondSensor::new),
+            second_sensor: config.second_sensor.then(SecondSensor::default),
             companion: Companion::new(config.companion).with_parameters(tunables.parameters()),
             tunables,
             guidance,
@@ -329,7 +329,7 @@ impl FlightStack {
             self.companion.tell_of_guard(notice, sent);
         }
         let pilot = &self.deciding.pilots.pilot;
-        let forgotten = pilot.forgotten();
+        let forgotten = pilot.actor().map_or(0, |actor| actor.forgotten());
         if self.forgotten != forgotten {
             self.forgotten = forgotten;
             self.companion.tell_of_guard(GuardNotice::Jumped, sent);
@@ -440,34 +440,9 @@ impl FlightStack {
         }
     }
 
-    /// The parameters and their values in force.
-    pub fn parameters(&mut self) -> &Parameters {
-        self.companion.parameters()
-    }
-
     /// From now on takes only frames that were made with one of these keys, if there are any.
     pub fn require_frame_keys(&mut self, keys: FrameKeys) {
         self.frames.require(keys);
-    }
-
-    /// Frames refused since start, by reason.
-    pub fn frame_refusals(&self) -> FrameRefusals {
-        self.frames.refusals()
-    }
-
-    /// Whether a person took the vehicle over and no operator engaged since.
-    pub fn taken_over(&self) -> bool {
-        self.guidance.taken_over()
-    }
-
-    /// The texts of the last step for people.
-    pub fn status_texts(&self) -> &[StatusText] {
-        self.companion.status_texts()
-    }
-
-    /// What the link refused or dropped, since start.
-    pub fn link_counters(&self) -> LinkCounters {
-        self.companion.counters()
     }
 
     /// Appends the command of a person at the terminal who disengages guidance and has the vehicle hold by itself. It is meant for

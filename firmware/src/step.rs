@@ -7,7 +7,7 @@ use vigil_guidance::ConfigError;
 use vigil_log::Recorder;
 use vigil_policy::GeometricPilot;
 use vigil_policy::actor::Actor;
-use vigil_types::{Datagrams, DepthFrame, FrameKeys, Nanos, StepReport};
+use vigil_types::{Datagrams, DepthFrame, Nanos, StepReport};
 
 /// The flight stack with its buffers and its log. Allocates nothing after it was made.
 pub struct Firmware {
@@ -60,11 +60,6 @@ impl Firmware {
             });
         }
         report
-    }
-
-    /// From now on takes only frames that were made with one of these keys, if there are any.
-    pub fn require_frame_keys(&mut self, keys: FrameKeys) {
-        self.stack.require_frame_keys(keys);
     }
 
     /// Hands the last packets before the firmware ends to `send`. They belong to no step and are not in the log.

@@ -5,14 +5,14 @@
 
 mod common;
 
-use common::{Random, TestVehicle, arrived, config, socket, step_over};
-use std::io::{ErrorKind, Read, Write};
+use common::{Random, TestVehicle, config, socket, step_over};
+use std::io::{ErrorKind, Read, Result, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use vigil_firmware::step::Firmware;
 use vigil_io::gate::{AllowUnsigned, SigningGate};
 use vigil_io::router::RoutedLinks;
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{FramingCounters, StreamFramer, encode};
+use vigil_mavlink::framing::{FramingCounters, Packet, StreamFramer, encode};
 use vigil_mavlink::message;
 use vigil_types::{GuidanceState, Nanos, Reason, STEP_NS};
 
@@ -52,119 +52,58 @@ fn contents() -> [(&'static str, Vec<Vec<u8>>); 4] {
     ]
 }
 
-/// The strangers' ends and the vehicle's.
-trait Network {
-    /// Sends as a stranger; what the system does not take is lost.
-    fn shout(&mut self, stranger: usize, bytes: &[u8]);
-    /// The vehicle comes.
-    fn appear(&mut self) {}
-    /// Sends as the vehicle.
-    fn tell(&mut self, bytes: &[u8]);
-    /// The packets that the vehicle got.
-    fn heard(&mut self) -> Vec<Vec<u8>>;
+/// An end that speaks to the link.
+trait End: Sized {
+    const SCHEME: &str;
+    fn open(link: SocketAddr) -> Self;
+    fn put(&mut self, bytes: &[u8]) -> Result<usize>;
+    fn take(&mut self, buffer: &mut [u8]) -> Result<usize>;
 }
 
-struct Udp {
-    link: SocketAddr,
-    strangers: Vec<UdpSocket>,
-    vehicle: UdpSocket,
-}
+/// Not connected: who is not listened to does not learn it.
+impl End for (UdpSocket, SocketAddr) {
+    const SCHEME: &str = "udpin";
 
-impl Udp {
-    fn new(link: SocketAddr) -> Self {
-        Self {
-            link,
-            strangers: (0..STRANGERS).map(|_| socket()).collect(),
-            vehicle: socket(),
-        }
+    fn open(link: SocketAddr) -> Self {
+        (socket(), link)
+    }
+
+    fn put(&mut self, bytes: &[u8]) -> Result<usize> {
+        self.0.send_to(bytes, self.1)
+    }
+
+    fn take(&mut self, buffer: &mut [u8]) -> Result<usize> {
+        self.0.recv(buffer)
     }
 }
 
-impl Network for Udp {
-    fn shout(&mut self, stranger: usize, bytes: &[u8]) {
-        let _ = self.strangers[stranger].send_to(bytes, self.link);
-    }
+impl End for TcpStream {
+    const SCHEME: &str = "tcpin";
 
-    fn tell(&mut self, bytes: &[u8]) {
-        self.vehicle.send_to(bytes, self.link).unwrap();
-    }
-
-    fn heard(&mut self) -> Vec<Vec<u8>> {
-        arrived(&self.vehicle)
-    }
-}
-
-struct Tcp {
-    link: SocketAddr,
-    strangers: Vec<Option<TcpStream>>,
-    /// Two who call and say nothing.
-    silent: Vec<TcpStream>,
-    vehicle: Option<TcpStream>,
-    framer: StreamFramer,
-}
-
-impl Tcp {
-    fn new(link: SocketAddr) -> Self {
-        Self {
-            link,
-            strangers: (0..STRANGERS).map(|_| None).collect(),
-            silent: (0..2).map(|_| TcpStream::connect(link).unwrap()).collect(),
-            vehicle: None,
-            framer: StreamFramer::default(),
-        }
-    }
-
-    fn call(&self) -> TcpStream {
-        let socket = TcpStream::connect(self.link).unwrap();
+    fn open(link: SocketAddr) -> Self {
+        let socket = TcpStream::connect(link).unwrap();
         socket.set_nonblocking(true).unwrap();
         socket.set_nodelay(true).unwrap();
         socket
     }
-}
 
-impl Network for Tcp {
-    /// Who was hung up on calls again.
-    fn shout(&mut self, stranger: usize, bytes: &[u8]) {
-        if let Some(socket) = &mut self.strangers[stranger] {
-            match socket.write(bytes) {
-                Err(e) if e.kind() != ErrorKind::WouldBlock => self.strangers[stranger] = None,
-                _ => {}
-            }
-        } else {
-            self.strangers[stranger] = Some(self.call());
-        }
+    fn put(&mut self, bytes: &[u8]) -> Result<usize> {
+        self.write(bytes)
     }
 
-    fn appear(&mut self) {
-        assert_eq!(self.silent.len(), 2);
-        self.vehicle = Some(self.call());
-    }
-
-    /// A vehicle calls again when it is hung up on.
-    fn tell(&mut self, bytes: &[u8]) {
-        let socket = self.vehicle.as_mut().unwrap();
-        if socket.write_all(bytes).is_err() {
-            self.appear();
-        }
-    }
-
-    fn heard(&mut self) -> Vec<Vec<u8>> {
-        let Some(socket) = &mut self.vehicle else {
-            return Vec::new();
-        };
-        let mut buffer = [0; 4096];
-        let mut got = Vec::new();
-        let mut counters = FramingCounters::default();
-        while let Ok(len @ 1..) = socket.read(&mut buffer) {
-            self.framer
-                .feed(&buffer[..len], &mut counters, |p| got.push(p.raw().to_vec()));
-        }
-        got
+    fn take(&mut self, buffer: &mut [u8]) -> Result<usize> {
+        self.read(buffer)
     }
 }
 
-struct Flight<N: Network> {
-    network: N,
+struct Flight<E: End> {
+    address: SocketAddr,
+    strangers: [Option<E>; STRANGERS],
+    /// Two who call and say nothing.
+    _silent: [E; 2],
+    end: Option<E>,
+    framer: StreamFramer,
+    counters: FramingCounters,
     links: RoutedLinks,
     firmware: Firmware,
     vehicle: TestVehicle,
@@ -172,19 +111,38 @@ struct Flight<N: Network> {
     step: u64,
 }
 
-impl<N: Network> Flight<N> {
-    fn new(scheme: &str, network: impl FnOnce(SocketAddr) -> N, content: Vec<Vec<u8>>) -> Self {
+impl<E: End> Flight<E> {
+    fn new(content: Vec<Vec<u8>>) -> Self {
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let vehicle = format!("{scheme}://127.0.0.1:{port},system=1").parse().unwrap();
+        let vehicle = format!("{}://127.0.0.1:{port},system=1", E::SCHEME).parse().unwrap();
         let gate = SigningGate::new(None, AllowUnsigned::Loopback);
         let links = RoutedLinks::open(&vehicle, &[], gate).unwrap();
+        let address = ([127, 0, 0, 1], port).into();
         Self {
+            address,
+            strangers: [(); STRANGERS].map(|()| None),
+            _silent: [(); 2].map(|()| E::open(address)),
+            end: None,
+            framer: StreamFramer::default(),
+            counters: FramingCounters::default(),
             links,
-            network: network(([127, 0, 0, 1], port).into()),
             firmware: Firmware::of(&config()).unwrap(),
             vehicle: TestVehicle::hovering(2.5),
             content,
             step: 0,
+        }
+    }
+
+    /// Sends as a stranger: who was hung up on calls again; what the system does not take is lost.
+    fn shout(&mut self, number: usize) {
+        let stranger = &mut self.strangers[number % STRANGERS];
+        let Some(end) = stranger else {
+            *stranger = Some(E::open(self.address));
+            return;
+        };
+        match end.put(&self.content[number % self.content.len()]) {
+            Err(e) if e.kind() != ErrorKind::WouldBlock => *stranger = None,
+            _ => {}
         }
     }
 
@@ -195,16 +153,22 @@ impl<N: Network> Flight<N> {
         for i in 0..PER_STEP {
             if i == PER_STEP / 2 && vehicle_is_there {
                 for (_, datagram) in self.vehicle.telemetry().iter() {
-                    self.network.tell(datagram);
+                    let end = self.end.get_or_insert_with(|| E::open(self.address));
+                    // A vehicle calls again when it is hung up on.
+                    if end.put(datagram).ok() != Some(datagram.len()) {
+                        self.end = None;
+                        self.framer = StreamFramer::default();
+                    }
                 }
             }
-            let bytes = &self.content[i % self.content.len()];
-            self.network.shout(i % STRANGERS, bytes);
+            self.shout(i);
         }
         let frame = self.vehicle.frame(now_ns);
         let report = step_over(&mut self.firmware, &mut self.links, (now_ns, self.step), Some(&frame));
-        for packet in self.network.heard() {
-            self.vehicle.hear(&packet);
+        let mut buffer = [0; 4096];
+        while let Some(Ok(len @ 1..)) = self.end.as_mut().map(|end| end.take(&mut buffer)) {
+            let hear = |packet: &Packet<'_>| self.vehicle.hear(packet.raw());
+            self.framer.feed(&buffer[..len], &mut self.counters, hear);
         }
         self.vehicle.advance();
         let lost = [Reason::LinkLost, Reason::StaleTelemetry];
@@ -212,39 +176,37 @@ impl<N: Network> Flight<N> {
     }
 }
 
-fn survives<N: Network>(what: &str, mut flight: Flight<N>) {
-    // Two seconds of strangers alone.
-    (0..40).for_each(|_| {
-        flight.step(false);
-    });
-    assert!(flight.vehicle.heard.is_empty(), "{what}: nobody is answered");
-    flight.network.appear();
-    let waited = (0..100).find(|_| flight.step(true).0 == GuidanceState::Guided);
-    assert!(waited.is_some(), "{what}: the vehicle does not get in");
-    // Ten seconds of flight.
-    let before = flight.vehicle.setpoints.len();
-    for step in 0..200 {
-        let setpoints = flight.vehicle.setpoints.len();
-        let (_, is_lost) = flight.step(true);
-        assert!(!is_lost, "{what}: the link is lost in step {step}");
-        assert_eq!(flight.vehicle.setpoints.len(), setpoints + 1, "{what}: step {step}");
+fn survives<E: End>() {
+    for (what, content) in contents() {
+        let mut flight = Flight::<E>::new(content);
+        // Two seconds of strangers alone.
+        (0..40).for_each(|_| {
+            flight.step(false);
+        });
+        let mut ends = flight.strangers.iter_mut().flatten();
+        let is_answered = ends.any(|end| matches!(end.take(&mut [0; 64]), Ok(1..)));
+        assert!(!is_answered, "{what}: nobody is answered");
+        let waited = (0..100).find(|_| flight.step(true).0 == GuidanceState::Guided);
+        assert!(waited.is_some(), "{what}: the vehicle does not get in");
+        // Ten seconds of flight.
+        let before = flight.vehicle.setpoints.len();
+        for step in 0..200 {
+            let (_, is_lost) = flight.step(true);
+            assert!(!is_lost, "{what}: the link is lost in step {step}");
+            assert_eq!(flight.vehicle.setpoints.len(), before + step + 1, "{what}: step {step}");
+        }
+        assert_eq!((flight.counters.garbage_bytes, flight.counters.bad_crc), (0, 0));
+        let last = flight.vehicle.setpoints.last().unwrap();
+        assert!(last.vx > 0.3, "{what}: it flies");
     }
-    assert_eq!(flight.vehicle.setpoints.len() - before, 200);
-    assert_eq!(flight.vehicle.bad_packets, 0);
-    let last = flight.vehicle.setpoints.last().unwrap();
-    assert!(last.vx > 0.3, "{what}: it flies");
 }
 
 #[test]
 fn a_flood_of_datagrams_delays_no_setpoint_and_takes_nobodys_place() {
-    for (what, content) in contents() {
-        survives(what, Flight::new("udpin", Udp::new, content));
-    }
+    survives::<(UdpSocket, SocketAddr)>();
 }
 
 #[test]
 fn a_flood_over_tcp_delays_no_setpoint_and_takes_nobodys_place() {
-    for (what, content) in contents() {
-        survives(what, Flight::new("tcpin", Tcp::new, content));
-    }
+    survives::<TcpStream>();
 }

@@ -6,10 +6,12 @@ use vigil_mavlink::framing::{self, FramingCounters};
 /// What "gd_reason" holds of the reasons; the others are in "gd_reason2".
 const LOW_BITS: u64 = (1 << 24) - 1;
 
+/// Its component.
+const GUIDANCE: u8 = 191;
+
 /// The last values heard from the guidance computer.
 #[derive(Debug, Clone, Default)]
 pub struct CompanionView {
-    counters: FramingCounters,
     /// Guidance state's number, see [`vigil_types::GuidanceState`].
     pub state_code: Option<u8>,
     /// Bits of [`vigil_types::Reasons`].
@@ -25,7 +27,9 @@ pub struct CompanionView {
 impl CompanionView {
     /// Looks at a datagram that came from the guidance computer.
     pub fn observe(&mut self, datagram: &[u8]) {
-        for packet in framing::packets(datagram, &mut self.counters) {
+        // A PX4 sends back what it hears of it, as its own and with names cut short.
+        let mut counters = FramingCounters::default();
+        for packet in framing::packets(datagram, &mut counters).filter(|packet| packet.component_id() == GUIDANCE) {
             if let Ok(MavMessage::NAMED_VALUE_FLOAT(m)) = packet.message() {
                 match m.name.to_str().unwrap_or_default() {
                     "gd_state" => self.state_code = Some(m.value as u8),
@@ -38,5 +42,21 @@ impl CompanionView {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_vehicle_sends_back_of_it_is_not_its_own() {
+        let mut view = CompanionView::default();
+        for (component, value) in [(191, 4.0), (1, 8.0)] {
+            let name = "gd_reason".into();
+            let own = vigil_mavlink::message!(NAMED_VALUE_FLOAT, name, value);
+            view.observe(&framing::encode((1, component), 0, &own));
+        }
+        assert_eq!(view.reason_bits, 4);
     }
 }

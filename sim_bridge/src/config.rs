@@ -2,7 +2,8 @@
 
 use crate::SensorFault;
 use crate::vehicle::{ParamsError, VehicleModel, VehicleParams, Wind};
-use crate::world::{Course, CourseError, Family, LONG_GOAL_M, LidarConfig, generate, generate_long};
+use crate::world::{Course, Family, LONG_GOAL_M, LidarConfig, generate, generate_long};
+use anyhow::{Context, Result, bail};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use std::path::{Path, PathBuf};
 use vigil_autopilot::{EndpointConfig, Saved};
@@ -44,20 +45,6 @@ pub struct SimConfig {
     pub vehicle: VehicleParams,
     /// Wind and gusts.
     pub wind: Wind,
-}
-
-/// Why a flight cannot be simulated.
-#[derive(Debug, thiserror::Error)]
-pub enum SimError {
-    /// A vehicle or wind parameter.
-    #[error(transparent)]
-    Vehicle(#[from] ParamsError),
-    /// A LiDAR parameter.
-    #[error(transparent)]
-    Lidar(#[from] crate::world::LidarConfigError),
-    /// A MAVLink setting.
-    #[error(transparent)]
-    Endpoint(#[from] vigil_autopilot::ConfigError),
 }
 
 impl SimConfig {
@@ -110,23 +97,6 @@ impl Models {
     }
 }
 
-/// Why a simulation or course file cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// The simulation file.
-    #[error(transparent)]
-    File(#[from] SettingsError),
-    /// The family has halls with one way in.
-    #[error("--goal-distance: courses of the family {0} cannot be made longer; take another family")]
-    NotLonger(Family),
-    /// The simulation file has a vehicle of its own.
-    #[error("--vehicle-model {0} and {1}, which has a [vehicle] of its own: leave one of them out")]
-    TwoVehicles(&'static str, PathBuf),
-    /// The course file is not valid.
-    #[error(transparent)]
-    Course(#[from] CourseError),
-}
-
 /// Which vehicle flies: shared by all commands that simulate one.
 #[derive(Debug, Clone, Copy, Default, PartialEq, clap::Args)]
 pub struct VehicleChoice {
@@ -150,12 +120,13 @@ impl VehicleChoice {
     /// The models of a simulation file, or the defaults, with this vehicle.
     ///
     /// # Errors
-    /// [`ConfigError::File`], [`ConfigError::TwoVehicles`].
-    pub fn models(&self, file: Option<&Path>) -> Result<Models, ConfigError> {
+    /// What is wrong with the file; a file that has another vehicle.
+    pub fn models(&self, file: Option<&Path>) -> Result<Models> {
         let mut models = file.map(Models::load).transpose()?.unwrap_or_default();
         if self.vehicle_model != VehicleModel::Ours {
             if let Some(file) = file.filter(|_| models.vehicle != VehicleParams::default()) {
-                return Err(ConfigError::TwoVehicles(self.vehicle_model.name(), file.to_owned()));
+                let (model, file) = (self.vehicle_model.name(), file.display());
+                bail!("--vehicle-model {model} and {file}, which has a [vehicle] of its own: leave one of them out");
             }
             models.vehicle = self.vehicle_model.params();
         }
@@ -233,12 +204,17 @@ impl CourseChoice {
     /// Reads or generates the course for `seed`.
     ///
     /// # Errors
-    /// [`ConfigError`] names the file, line and field.
-    pub fn load(&self, seed: u64) -> Result<Course, ConfigError> {
+    /// What is wrong, by file, line and field.
+    pub fn load(&self, seed: u64) -> Result<Course> {
         match (&self.course, self.goal_distance) {
             (Some(path), _) => Ok(Course::load(path)?),
             (None, Some(distance_m)) => {
-                generate_long(self.family, seed, distance_m).ok_or(ConfigError::NotLonger(self.family))
+                let family = self.family;
+                generate_long(family, seed, distance_m).with_context(|| {
+                    format!(
+                        "--goal-distance: courses of the family {family} cannot be made longer; take another family"
+                    )
+                })
             }
             (None, None) => Ok(generate(self.family, seed)),
         }

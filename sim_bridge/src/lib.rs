@@ -39,7 +39,7 @@ pub mod vehicle_links;
 pub mod world;
 
 pub use companion_view::CompanionView;
-pub use config::{ConfigError, CourseChoice, Models, SimConfig, Start, VehicleChoice, family_parser};
+pub use config::{CourseChoice, Models, SimConfig, Start, VehicleChoice, family_parser};
 pub use depth_sensor::LIDAR_SENSOR_ID;
 pub use sensor_fault::{Onset, SensorFault, SensorFaultMode};
 pub use simulator::{Ending, STEP_MS, Simulator};

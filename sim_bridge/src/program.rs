@@ -1,6 +1,5 @@
 //! The simulator as a process: real time with sockets and shared memory, or lockstep with a firmware process.
 
-use crate::config::SimError;
 use crate::lockstep_flight::{FirmwarePort, fly_lockstep_through};
 use crate::saved_state::state_file;
 use crate::udp::ports_in_words;
@@ -20,9 +19,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use vigil_autopilot::{ConfigError, EndpointConfig, LinkId, LinkRole};
 use vigil_io::clock::{monotonic_ns, sleep_until};
-use vigil_io::gate::AllowUnsigned;
 use vigil_io::key_file::frame_key;
-use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, FrameKey, GuidanceState, Nanos, Reasons, STEP_NS,
@@ -93,23 +90,9 @@ pub struct SimArgs {
     #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC, conflicts_with = "lockstep")]
     pub frames: String,
 
-    /// A further link for ground stations: a URL as of `vigil firmware --link`, then options separated by commas:
-    /// unsigned=loopback|never|always and rate=BYTES_PER_SECOND. May be repeated.
-    #[arg(long, value_name = "URL[,OPTION]", conflicts_with = "lockstep")]
-    pub link: Vec<LinkSpec>,
-
-    /// File with the key of MAVLink signing: 64 hexadecimal digits or 32 bytes, mode 0600. Without it nothing is signed.
-    #[arg(long, value_name = "FILE", conflicts_with = "lockstep")]
-    pub signing_key: Option<PathBuf>,
-
-    /// While there is no signing key, take one by SETUP_SIGNING from whoever may speak without a signature. Without this,
-    /// and once there is a key, only a packet signed with it brings another.
-    #[arg(long, conflicts_with = "lockstep")]
-    pub accept_first_key: bool,
-
-    /// From whom packets without a signature are accepted: from this machine, nobody, everybody.
-    #[arg(long, value_name = "WHO", value_enum, default_value_t, conflicts_with = "lockstep")]
-    pub allow_unsigned: AllowUnsigned,
+    /// Links to others.
+    #[command(flatten)]
+    pub links: LinksConfig,
 
     /// File with the secret of the depth frames' key, as the sensor's driver has it: 64 hexadecimal digits or 32 bytes, mode 0600. Without it
     /// frames carry no tag.
@@ -209,18 +192,6 @@ pub fn run(args: SimArgs) -> Result<ExitCode> {
     }
 }
 
-impl SimArgs {
-    fn links(&self) -> LinksConfig {
-        LinksConfig {
-            instance: self.instance,
-            signing_key: self.signing_key.clone(),
-            accept_first_key: self.accept_first_key,
-            allow_unsigned: self.allow_unsigned,
-            extra: self.link.clone(),
-        }
-    }
-}
-
 fn configure(args: &SimArgs) -> Result<SimConfig> {
     let seed = args.course.seed_or_random();
     let models = args.vehicle.models(args.config.as_deref())?;
@@ -234,12 +205,14 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
     }
     if !args.lockstep {
         // In lockstep nobody else is on the link, and the flight must not depend on the instance.
-        let extra = args.link.iter().map(|_| LinkRole::Gcs);
+        let extra = args.links.link.iter().map(|_| LinkRole::Gcs);
+        let started_ns = monotonic_ns();
         config.endpoint = EndpointConfig {
             system_id: (args.instance + 1) as u8,
             links: LinkRole::ALL.into_iter().chain(extra).collect(),
             // The machine's time, on the clock that the endpoint's steps have.
-            unix_time_at_zero_us: unix_time_us().saturating_sub(monotonic_ns() / 1000),
+            unix_time_at_zero_us: unix_time_us().saturating_sub(started_ns / 1000),
+            started_ns,
             ..EndpointConfig::default()
         };
     }
@@ -275,8 +248,8 @@ impl FirmwarePort for OtherProcess {
 
 /// The simulator; a state that it refuses is named with file and line.
 fn simulator(args: &SimArgs, config: &SimConfig, epoch_ns: Nanos) -> Result<Simulator> {
-    Simulator::new(config, epoch_ns).map_err(|error| match (&error, &args.state) {
-        (SimError::Endpoint(ConfigError::Plan { .. } | ConfigError::Parameter(_)), Some(folder)) => {
+    Simulator::new(config, epoch_ns).map_err(|error| match (error.downcast_ref(), &args.state) {
+        (Some(ConfigError::Plan { .. } | ConfigError::Parameter(_)), Some(folder)) => {
             let message = error.to_string();
             let names = config.saved.parameters.keys();
             let key = names
@@ -286,7 +259,7 @@ fn simulator(args: &SimArgs, config: &SimConfig, epoch_ns: Nanos) -> Result<Simu
                 .refused_at(key.map_or("", String::as_str), &message)
                 .into()
         }
-        _ => error.into(),
+        _ => error,
     })
 }
 
@@ -302,13 +275,14 @@ fn start_lines(args: &SimArgs, config: &SimConfig) -> String {
         Start::Ground => "on the ground",
         Start::Airborne => "hovering",
     };
-    let extra: String = args.link.iter().map(|link| format!(", and {link}")).collect();
-    let signing = match &args.signing_key {
+    let links = &args.links;
+    let extra: String = links.link.iter().map(|link| format!(", and {link}")).collect();
+    let signing = match &links.signing_key {
         Some(file) => format!("signed with {}", file.display()),
-        None if args.accept_first_key => "not signed until SETUP_SIGNING brings a key".to_owned(),
+        None if links.accept_first_key => "not signed until SETUP_SIGNING brings a key".to_owned(),
         None => "not signed".to_owned(),
     };
-    let unsigned = args.allow_unsigned.in_words();
+    let unsigned = links.allow_unsigned.in_words();
     format!(
         "simulator  instance {}: {}, seed {}, vehicle {place}\n\
          links      MAVLink on UDP 127.0.0.1: {}{extra}\n\
@@ -383,15 +357,15 @@ fn receive(links: &mut VehicleLinks, simulator: &mut Simulator, companion: &mut 
         simulator.receive_from(link.0, peer, datagram);
     });
     if let Some(text) = links.refused_key() {
-        simulator.warn(text);
+        simulator.endpoint.warn(text);
     }
-    if let Some(setup) = simulator.take_signing_setup() {
+    if let Some(setup) = simulator.endpoint.take_signing_setup() {
         links.set_key(&setup);
     }
 }
 
 fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &AtomicBool) -> Result<ExitCode> {
-    let mut links = VehicleLinks::open(&args.links())?;
+    let mut links = VehicleLinks::open(args.instance, &args.links)?;
     let mut publisher = FramePublisher::create(domain, &args.frames)?;
     // Frames are taken at multiples of the step on the shared clock, which is where the firmware expects them.
     let mut epoch_ns = monotonic_ns().next_multiple_of(STEP_NS);
@@ -423,7 +397,9 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
             simulator.advance_1ms();
         }
         elapsed_ms += SLICE_MS;
-        simulator.transmit(|link, is_telemetry, datagram| links.send(link, is_telemetry, datagram));
+        simulator
+            .endpoint
+            .transmit(|link, is_telemetry, datagram| links.send(link, is_telemetry, datagram));
         if elapsed_ms.is_multiple_of(u64::from(STEP_MS)) {
             // A reader that is not there is no fault of the simulator's: frames are published regardless.
             let is_due = args.status && (elapsed_ms / u64::from(STEP_MS)).is_multiple_of(STATUS_STEPS);
@@ -440,7 +416,7 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
         if elapsed_ms.is_multiple_of(SAVE_MS)
             && let Some(state) = &mut state
         {
-            state.store(&simulator.saved());
+            state.store(&simulator.endpoint.saved());
         }
         let Some(ending) = simulator.ending() else {
             // A vehicle that was mended begins another flight.
@@ -457,7 +433,7 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
         }
     }
     if let Some(state) = &mut state {
-        state.store(&simulator.saved());
+        state.store(&simulator.endpoint.saved());
     }
     if args.status {
         print_status(&status(&simulator, &companion, &seen, elapsed_ms))?;

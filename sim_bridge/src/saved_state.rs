@@ -25,7 +25,7 @@ mod tests {
     fn start(text: &str) -> anyhow::Result<Saved> {
         let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
         config.saved = load(text)?;
-        Ok(Simulator::new(&config, 0)?.saved())
+        Ok(Simulator::new(&config, 0)?.endpoint.saved())
     }
 
     #[test]
@@ -42,7 +42,7 @@ mod tests {
         file.store(&saved);
         let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
         config.saved = file.load().unwrap();
-        let again = Simulator::new(&config, 0).unwrap().saved();
+        let again = Simulator::new(&config, 0).unwrap().endpoint.saved();
         let toml = vigil_types::settings::to_toml::<Saved>;
         assert_eq!(toml(&again), toml(&saved));
         assert_eq!(again.parameters["MIS_TAKEOFF_ALT"], 3.1);
@@ -73,17 +73,5 @@ mod tests {
             let error = start(text).err().map(|e| format!("{e:#}")).unwrap_or_default();
             assert!(error.contains(reason), "{text}: {error}");
         }
-    }
-
-    #[test]
-    fn a_disk_that_refuses_is_tried_again() {
-        let folder = tempfile::tempdir().unwrap();
-        let blocked = folder.path().join("file");
-        std::fs::write(&blocked, "in the way").unwrap();
-        let mut file = state_file(&blocked, 0);
-        file.store(&Saved::default());
-        std::fs::remove_file(&blocked).unwrap();
-        file.store(&Saved::default());
-        assert!(blocked.join("vehicle0.toml").exists());
     }
 }

@@ -1,14 +1,12 @@
 //! World, vehicle, LiDAR, MAVLink endpoint and referee on one simulated clock.
 
-use crate::config::{SimConfig, SimError, Start};
+use crate::config::{SimConfig, Start};
 use crate::depth_sensor::DepthSensor;
 use crate::vehicle::{ControlCommand, Truth, Vehicle};
-use crate::world::{
-    Outcome, Referee, Shot, World, ZONE_COLUMNS, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor,
-};
+use crate::world::{Outcome, Referee, Shot, World, ZoneSensor};
 use twox_hash::XxHash3_64;
-use vigil_autopilot::{Endpoint, EndpointStatus, LinkId, Saved, SigningSetup, ZoneRanges};
-use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, RANGE_SECTORS, STEP_NS};
+use vigil_autopilot::{Endpoint, EndpointStatus, LinkId};
+use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_NS};
 
 const MILLISECOND_NS: Nanos = 1_000_000;
 
@@ -35,10 +33,10 @@ pub struct Simulator {
     start: (NedVector, f32),
     vehicle: Vehicle,
     sensor: DepthSensor,
-    /// Present when there is a second sensor, and when it measures next.
+    /// Present when there is a second sensor.
     zones: Option<ZoneSensor>,
-    zones_due_ns: Nanos,
-    endpoint: Endpoint,
+    /// The vehicle's MAVLink side.
+    pub endpoint: Endpoint,
     goal_ned_m: NedVector,
     epoch_ns: Nanos,
     elapsed_ms: u64,
@@ -59,7 +57,7 @@ impl Simulator {
     ///
     /// # Errors
     /// A model parameter that cannot be simulated; the message names it.
-    pub fn new(config: &SimConfig, epoch_ns: Nanos) -> Result<Self, SimError> {
+    pub fn new(config: &SimConfig, epoch_ns: Nanos) -> anyhow::Result<Self> {
         let course = &config.course;
         let mut vehicle = Vehicle::new(config.vehicle, config.wind, config.seed)?;
         let mut endpoint = Endpoint::new(config.endpoint.clone())?;
@@ -80,7 +78,6 @@ impl Simulator {
             vehicle,
             sensor: DepthSensor::new(config.lidar, config.seed, config.sensor_fault, config.frame_key.clone())?,
             zones: (config.second_sensor_heads > 0).then(|| ZoneSensor::new(config.seed, config.second_sensor_heads)),
-            zones_due_ns: 0,
             endpoint,
             goal_ned_m: course.goal_ned_m(),
             epoch_ns,
@@ -123,26 +120,6 @@ impl Simulator {
             .receive_from(self.vehicle_ns(), LinkId(link), peer, datagram);
     }
 
-    /// Sends a text to everybody on the vehicle's links.
-    pub fn warn(&mut self, text: &str) {
-        self.endpoint.warn(text);
-    }
-
-    /// The vehicle's parameters and plans, for a later run.
-    pub fn saved(&self) -> Saved {
-        self.endpoint.saved()
-    }
-
-    /// The signing key that SETUP_SIGNING brought since the last call: for the owner of the links.
-    pub fn take_signing_setup(&mut self) -> Option<SigningSetup> {
-        self.endpoint.take_signing_setup()
-    }
-
-    /// Takes the datagrams that the vehicle wants to send: the link, whether it is telemetry, the datagram.
-    pub fn transmit(&mut self, send: impl FnMut(LinkId, bool, &[u8])) {
-        self.endpoint.transmit_marked(send);
-    }
-
     /// Advances physics, autopilot and referee by one millisecond.
     pub fn advance_1ms(&mut self) {
         self.elapsed_ms += 1;
@@ -158,21 +135,12 @@ impl Simulator {
         self.vehicle
             .step(if crashed { &ControlCommand::MotorsOff } else { &command });
         let truth = self.vehicle.truth();
-        self.world.set_time_ns(self.elapsed_ms * MILLISECOND_NS);
+        let elapsed_ns = self.elapsed_ms * MILLISECOND_NS;
+        self.world.set_time_ns(elapsed_ns);
         if let Some(zones) = &mut self.zones
-            && self.elapsed_ms * MILLISECOND_NS >= self.zones_due_ns
+            && let Some(ranges) = zones.measure(elapsed_ns, &self.world, truth.position_ned_m, truth.attitude)
         {
-            self.zones_due_ns += ZONE_INTERVAL_NS;
-            let mut room = [f32::INFINITY; ZONE_MOST_HEADS * ZONE_COLUMNS];
-            let measured_m = zones.measure(&self.world, truth.position_ned_m, truth.attitude, &mut room);
-            let mut range_m = [f32::INFINITY; RANGE_SECTORS];
-            range_m[..measured_m.len()].copy_from_slice(measured_m);
-            self.endpoint.observe_ranges(ZoneRanges {
-                range_m,
-                columns: measured_m.len(),
-                fov_rad: zones.fov_rad(),
-                farthest_m: ZONE_MAX_RANGE_M,
-            });
+            self.endpoint.observe_ranges(ranges);
         }
 
         if self.lifted_off_ms.is_none() && !self.vehicle.view().on_ground {
@@ -187,12 +155,12 @@ impl Simulator {
             }
             if self.estimate_wanders {
                 let estimated_ned_m = self.vehicle.view().estimate.position_ned_m;
-                self.referee.set_estimate_error(estimated_ned_m - truth.position_ned_m);
+                self.referee.estimate_error_ned_m = estimated_ned_m - truth.position_ned_m;
             }
-            self.referee.set_motors(self.vehicle.view().armed);
+            self.referee.motors_run = self.vehicle.view().armed;
             let outcome = self.referee.observe(
                 &self.world,
-                self.elapsed_ms * MILLISECOND_NS,
+                elapsed_ns,
                 truth.position_ned_m,
                 truth.attitude,
                 truth.velocity_ned_m_s,
@@ -246,7 +214,7 @@ impl Simulator {
         for _ in 0..STEP_MS {
             self.advance_1ms();
         }
-        self.endpoint.transmit(|link, datagram| {
+        self.endpoint.transmit(|link, _, datagram| {
             if link == LinkId::ONBOARD {
                 to_firmware.push(link.0, datagram);
             }

@@ -1,6 +1,6 @@
 //! The vehicle's three UDP links, on the ports of PX4's software in the loop. docs/mavlink.md has the table of ports.
 
-use crate::vehicle_links::LinksError;
+use anyhow::anyhow;
 use std::io::ErrorKind;
 use std::net::{Ipv4Addr, SocketAddr};
 use vigil_autopilot::LinkId;
@@ -46,13 +46,16 @@ pub(crate) fn ports_in_words(instance: u32) -> String {
 ///
 /// # Errors
 /// A port is in use, or the system refuses the socket.
-pub(crate) fn onboard_api_gcs(instance: u32) -> Result<Vec<(LinkId, UdpPeers)>, LinksError> {
+pub(crate) fn onboard_api_gcs(instance: u32) -> anyhow::Result<Vec<(LinkId, UdpPeers)>> {
     let loopback = |port: u16| SocketAddr::from((Ipv4Addr::LOCALHOST, port));
     let open = |(id, local, peer)| {
         let (port, peer_port) = ports(id, local, peer, instance);
         let link = UdpPeers::open(loopback(port), Some(loopback(peer_port))).map_err(|source| match source.kind() {
-            ErrorKind::AddrInUse => LinksError::PortInUse { port, instance },
-            _ => LinksError::Port { port, source },
+            ErrorKind::AddrInUse => anyhow!(
+                "UDP port {port} is in use: another simulator with --instance {instance}? Stop it, or choose another number \
+                 with --instance"
+            ),
+            _ => anyhow!("cannot open UDP port {port}: {source}"),
         })?;
         Ok((id, link))
     };

@@ -2,12 +2,13 @@
 //! all share.
 
 use crate::udp::onboard_api_gcs;
+use anyhow::{bail, ensure};
 use std::path::PathBuf;
 use vigil_autopilot::{LinkId, SigningSetup};
-use vigil_io::gate::{AllowUnsigned, SigningFileError, SigningGate};
+use vigil_io::gate::{AllowUnsigned, SigningGate};
 use vigil_io::link_spec::{Budget, LinkSpec};
 use vigil_io::link_url::LinkUrl;
-use vigil_io::links::{LinkAdmission, LinkError, PeerRule, Wire, open_wire, somebody_is_heard};
+use vigil_io::links::{LinkAdmission, PeerRule, Wire, open_wire, somebody_is_heard};
 use vigil_mavlink::signing::{SIGNATURE_LEN, SigningCounters, SigningKey};
 use vigil_types::{Datagrams, Nanos};
 
@@ -21,54 +22,25 @@ const ANSWERS_OVERDRAW: f64 = 0.5;
 const ONBOARD: ([u8; 4], u16) = ([127, 0, 0, 1], 14280);
 
 /// How the links are opened.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, clap::Args)]
 pub struct LinksConfig {
-    /// Number of the vehicle, 0 to 99.
-    pub instance: u32,
-    /// File of the signing key; without it nothing is signed.
-    pub signing_key: Option<PathBuf>,
-    /// While there is no key, SETUP_SIGNING of whoever may speak without a signature brings one.
-    pub accept_first_key: bool,
-    /// From whom packets without a signature are accepted.
-    pub allow_unsigned: AllowUnsigned,
-    /// Links besides the three, at most [`MAX_EXTRA_LINKS`].
-    pub extra: Vec<LinkSpec>,
-}
+    /// A further link for ground stations: a URL as of `vigil firmware --link`, then options separated by commas:
+    /// unsigned=loopback|never|always and rate=BYTES_PER_SECOND. May be repeated.
+    #[arg(long, value_name = "URL[,OPTION]", conflicts_with = "lockstep")]
+    pub link: Vec<LinkSpec>,
 
-/// Why the links cannot be opened.
-#[derive(Debug, thiserror::Error)]
-pub enum LinksError {
-    /// Somebody else has the port of one of the three.
-    #[error(
-        "UDP port {port} is in use: another simulator with --instance {instance}? Stop it, or choose another number with \
-         --instance"
-    )]
-    PortInUse {
-        /// The port.
-        port: u16,
-        /// The instance it belongs to.
-        instance: u32,
-    },
-    /// The socket of one of the three cannot be opened.
-    #[error("cannot open UDP port {port}: {source}")]
-    Port {
-        /// The port.
-        port: u16,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// One by URL.
-    #[error(transparent)]
-    Link(#[from] LinkError),
-    /// The key or its state.
-    #[error(transparent)]
-    Signing(#[from] SigningFileError),
-    /// What only the guidance computer's links have.
-    #[error("{0}: the options system= and values= are for the firmware's links: leave them out")]
-    NotHere(LinkUrl),
-    /// More than there is room for: so many.
-    #[error("{0} links given with --link: at most {MAX_EXTRA_LINKS}")]
-    TooMany(usize),
+    /// File with the key of MAVLink signing: 64 hexadecimal digits or 32 bytes, mode 0600. Without it nothing is signed.
+    #[arg(long, value_name = "FILE", conflicts_with = "lockstep")]
+    pub signing_key: Option<PathBuf>,
+
+    /// While there is no signing key, take one by SETUP_SIGNING from whoever may speak without a signature. Without this,
+    /// and once there is a key, only a packet signed with it brings another.
+    #[arg(long, conflicts_with = "lockstep")]
+    pub accept_first_key: bool,
+
+    /// From whom packets without a signature are accepted: from this machine, nobody, everybody.
+    #[arg(long, value_name = "WHO", value_enum, default_value_t, conflicts_with = "lockstep")]
+    pub allow_unsigned: AllowUnsigned,
 }
 
 struct VehicleLink {
@@ -89,27 +61,30 @@ pub struct VehicleLinks {
 }
 
 impl VehicleLinks {
-    /// Opens the links.
+    /// Opens the links of a vehicle of this number, 0 to 99.
     ///
     /// # Errors
-    /// [`LinksError`], each with what to do.
-    pub fn open(config: &LinksConfig) -> Result<Self, LinksError> {
-        if config.extra.len() > MAX_EXTRA_LINKS {
-            return Err(LinksError::TooMany(config.extra.len()));
-        }
+    /// What cannot be opened, and what to do.
+    pub fn open(instance: u32, config: &LinksConfig) -> anyhow::Result<Self> {
+        let count = config.link.len();
+        ensure!(
+            count <= MAX_EXTRA_LINKS,
+            "{count} links given with --link: at most {MAX_EXTRA_LINKS}"
+        );
         let has_foreign_option = |link: &&LinkSpec| link.system.is_some() || link.values_hz.is_some();
-        if let Some(link) = config.extra.iter().find(has_foreign_option) {
-            return Err(LinksError::NotHere(link.url.clone()));
+        if let Some(link) = config.link.iter().find(has_foreign_option) {
+            let url = &link.url;
+            bail!("{url}: the options system= and values= are for the firmware's links: leave them out");
         }
         let allow_unsigned = config.allow_unsigned;
         let gate = match &config.signing_key {
             // Not the name that a guidance computer with the same key has.
-            Some(path) => SigningGate::with_key_file(path, &format!("vehicle{}", config.instance), allow_unsigned)?,
+            Some(path) => SigningGate::with_key_file(path, &format!("vehicle{instance}"), allow_unsigned)?,
             None => SigningGate::new(None, allow_unsigned),
         }
         .accepting_first_key(config.accept_first_key);
         let is_deaf = |link: &LinkSpec| link.allow_unsigned.is_none_or(|policy| policy == AllowUnsigned::Never);
-        if config.extra.iter().all(is_deaf) {
+        if config.link.iter().all(is_deaf) {
             let first = LinkUrl::UdpIn(ONBOARD.into());
             somebody_is_heard(&first, gate.has_key(), allow_unsigned)?;
         }
@@ -120,11 +95,11 @@ impl VehicleLinks {
             budget,
             over_budget: 0,
         };
-        let udp = onboard_api_gcs(config.instance)?.into_iter();
+        let udp = onboard_api_gcs(instance)?.into_iter();
         let mut links: Vec<_> = udp
             .map(|(id, udp)| link(id, Box::new(udp), allow_unsigned, None))
             .collect();
-        for extra in &config.extra {
+        for extra in &config.link {
             let policy = extra.allow_unsigned.unwrap_or(allow_unsigned);
             somebody_is_heard(&extra.url, gate.has_key(), policy)?;
             let (id, wire) = (LinkId(links.len() as u8), open_wire(&extra.url, PeerRule::Anyone)?);

@@ -40,23 +40,6 @@ proptest! {
         ..ProptestConfig::default()
     })]
 
-    /// The solid lies between a ball of 0.10 m and one of 0.32 m around its centre, whatever its attitude.
-    #[test]
-    fn a_collision_lies_between_the_inner_and_the_outer_ball(
-        seed in 0u64..20, at in position(), roll in -3.1f32..3.1, pitch in -1.5f32..1.5, yaw in -3.1f32..3.1,
-    ) {
-        let (_, world) = world(seed);
-        let clearance_m = world.clearance_m(at);
-        let touches = world.collides_at(0, at, Attitude::from_euler_rad(roll, pitch, yaw));
-        let inner_m = VEHICLE.radius_m.min(0.5 * VEHICLE.height_m);
-        if clearance_m < inner_m - 1e-3 {
-            prop_assert!(touches, "{clearance_m}");
-        }
-        if clearance_m > VEHICLE.bounding_radius_m() + 1e-3 {
-            prop_assert!(!touches, "{clearance_m}");
-        }
-    }
-
     /// Level, the solid and every obstacle are upright prisms: they touch when they overlap in plan and in height.
     #[test]
     fn a_level_vehicle_touches_what_it_overlaps_in_plan_and_height(seed in 0u64..20, at in position(), yaw in -3.1f32..3.1) {
@@ -80,7 +63,7 @@ proptest! {
     #[test]
     fn a_tilted_vehicle_touches_what_its_surface_reaches_into(
         seed in 0u64..20, which in 0usize..100, away in -3.1f32..3.1, height in 0.5f32..3.0, clearance in 0.05f32..0.35,
-        roll in -0.8f32..0.8, pitch in -0.8f32..0.8,
+        roll in -3.1f32..3.1, pitch in -1.5f32..1.5,
     ) {
         let (course, world) = world(seed);
         let solids = course.solids();

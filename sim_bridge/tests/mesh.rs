@@ -100,6 +100,12 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
     let remarked = obj(1.0).replace("2 3 4", "2 \\\n 3 4 # x").replace("5 3", "5 3 # c\\") + "l 1 2 3\n";
     let latin = [&b"# caf\xe9\no Geb\xe4ude\\\nusemtl\n"[..], remarked.as_bytes()].concat();
     write("latin.obj", &latin);
+    // Textures and normals that nobody uses.
+    let textured = obj(1.0).replace("1 2 3 4", "1/7 2/1/9 3//2 -1/");
+    write(
+        "textured.obj",
+        format!("vt 0.5\nvt -1.#IND 0\nvn 0 1\n{textured}").as_bytes(),
+    );
     write("y.obj", b"v 1 0 -5\nv 2 0 -5\nv 2 3 -5\nv 1 3 -5\nf 1 2 3 4\n");
     let (text, buffer) = gltf();
     let data = base64::engine::general_purpose::STANDARD.encode(&buffer);
@@ -127,6 +133,7 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
         "file = \"m.obj\"",
         "file = \"mm.obj\"\nunit_m = 0.001",
         "file = \"latin.obj\"",
+        "file = \"textured.obj\"",
         "file = \"m.stl\"",
         "file = \"y.obj\"\nup = \"y\"",
         // Turned to the right, what was 5 m north is 5 m east, and moved back.
@@ -150,7 +157,12 @@ fn the_same_surface_stands_at_the_same_place_from_every_format() {
     let named = folder.path().join(OsStr::from_bytes(b"caf\xe9"));
     std::fs::create_dir(&named).expect("made");
     std::fs::write(named.join("m.obj"), obj(1.0)).expect("written");
-    course(&named, "file = \"m.obj\"").expect("a course");
+    let unwritable = course(&named, "file = \"m.obj\"").expect("a course").to_toml_string();
+    let error = unwritable.expect_err("no text").to_string();
+    assert!(
+        error.ends_with("in a folder whose name is not Unicode: move it"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -253,6 +265,7 @@ const REFUSED_GLTF: &str = r#"
         "children":[1] => "children":[1,2] => node 2 is not in the file
         "mesh":0 => "mesh":0,"children":[0] => node 0 is its own descendant, or has two parents
         "mesh":0 => "mesh":1 => mesh 1 is not in the file
+        "mesh":0 => "mesh":0,"extensions":{"EXT_mesh_gpu_instancing":{}} => node 1 is instanced by EXT_mesh_gpu_instancing: export it
         "POSITION":0 => "NORMAL":0 => a mesh has no positions
         "indices":1 => "indices":7 => accessor 7 is not in the file
         "indices":1 => "indices":0 => accessor 0 has VEC3 of type 5126, which is not read there
@@ -296,7 +309,7 @@ fn a_gltf_that_cannot_be_used_is_refused_with_a_sentence() {
         refused("wrong.glb", case[2]);
         count += 1;
     }
-    assert_eq!(count, 25);
+    assert_eq!(count, 26);
     let whole = glb(&text, &buffer);
     for (content, expected) in [
         (&whole[..11], "it is no GLB of version 2"),

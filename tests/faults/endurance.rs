@@ -212,33 +212,23 @@ impl Record {
         self.collisions += u64::from(touches && !self.touching);
         self.touching = touches;
     }
+
     fn text(&self) -> String {
+        let Operator { goals, holds, .. } = &self.operator;
+        let (given_up, landings, alarms) = (self.operator.given_up, self.operator.landings, self.operator.alarms);
+        let [flown_h, wall_h] = [self.flown_s, self.wall_s].map(|s| s / 3600.0);
+        let (mode, steps, collisions) = (self.mode, self.steps, self.collisions);
         let mut text = format!(
-            "{:.2} h of flight ({}) in {:.2} h: {} steps, {} goals reached, {} given up, {} landings for a doubted sensor, \
-             {} alarms, {} collisions\n",
-            self.flown_s / 3600.0,
-            self.mode,
-            self.wall_s / 3600.0,
-            self.steps,
-            self.operator.goals,
-            self.operator.given_up,
-            self.operator.landings,
-            self.operator.alarms,
-            self.collisions
+            "{flown_h:.2} h of flight ({mode}) in {wall_h:.2} h: {steps} steps, {goals} goals reached, {given_up} given up, \
+             {landings} landings for a doubted sensor, {alarms} alarms, {collisions} collisions\n"
         );
-        for (reason, count) in &self.operator.holds {
+        for (reason, count) in holds {
             let _ = writeln!(text, "held      {reason} {count}");
         }
         for memory in &self.memory {
-            let _ = writeln!(
-                text,
-                "memory    {}: {} KiB warmed up, {} KiB at the end, most {} KiB{}",
-                memory.of,
-                memory.start_kib,
-                memory.end_kib,
-                memory.most_kib,
-                if memory.is_flat() { "" } else { ": it grew" }
-            );
+            let (of, start, end, most) = (memory.of, memory.start_kib, memory.end_kib, memory.most_kib);
+            let grew = if memory.is_flat() { "" } else { ": it grew" };
+            text += &format!("memory    {of}: {start} KiB warmed up, {end} KiB at the end, most {most} KiB{grew}\n");
         }
         for line in &self.firmware_said {
             let _ = writeln!(text, "{line}");

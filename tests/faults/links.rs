@@ -4,7 +4,6 @@ use crate::campaign::{Draw, Ending, Folder, Row, Trial, in_lockstep};
 use crate::flight::{Extras, Flight, Site};
 use anyhow::{Context, Result};
 use std::net::UdpSocket;
-use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, UNIX_EPOCH};
@@ -19,6 +18,7 @@ use vigil_sim::world::{Family, Outcome};
 use vigil_tests::ground::{heartbeat, packet};
 use vigil_tests::{Pair, side_by_side};
 use vigil_types::NedVector;
+use vigil_types::files::{Access, replace};
 
 /// A flight that has not ended after this has not arrived: two minutes.
 const FLIGHT_STEPS: usize = 2400;
@@ -100,71 +100,6 @@ vigil_types::named! {
     }
 }
 
-/// The attack's packets, one after the other.
-struct Attacker {
-    attack: Attack,
-    holder: Signing,
-    stranger: Signing,
-    draw: Draw,
-    captured: Vec<u8>,
-    number: u64,
-}
-
-impl Attacker {
-    /// Against the vehicle of this system.
-    fn new(attack: Attack, system: u8) -> Self {
-        let signing = |key| Signing::new(SigningKey(key), 7, SigningMemory::default());
-        let land = message!(
-            COMMAND_LONG,
-            command = MavCmd::MAV_CMD_NAV_LAND,
-            target_system = system,
-            target_component = 0
-        );
-        Self {
-            attack,
-            holder: signing(KEY),
-            stranger: signing(OTHER_KEY),
-            draw: Draw::new(7),
-            // An hour ago.
-            captured: sign(&mut signing(KEY), -3600, &packet((255, 190), 0, &land)),
-            number: 0,
-        }
-    }
-
-    fn next(&mut self) -> Vec<u8> {
-        self.number += 1;
-        let setup = |key| message!(SETUP_SIGNING, target_system = 0, target_component = 0, secret_key = key);
-        let say = |message: &MavMessage| packet((255, 190), self.number as u8, message);
-        match self.attack {
-            Attack::UnsignedSetup => say(&setup(OTHER_KEY)),
-            Attack::SetupOfAnotherKey => sign(&mut self.stranger, 0, &say(&setup(OTHER_KEY))),
-            Attack::Replay => self.captured.clone(),
-            Attack::ZeroKeyOfAHolder => sign(&mut self.holder, 0, &say(&setup([0; 32]))),
-            // Twenty of them a second apart.
-            Attack::RatchetOfAHolder => {
-                let ahead = (self.number / ATTACK_RATE).min(20) as i64;
-                let heartbeat = say(&heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID));
-                sign(&mut self.holder, 55 * ahead, &heartbeat)
-            }
-            Attack::RandomPackets => {
-                let mut key = [0; 32];
-                key.iter_mut().for_each(|byte| *byte = self.draw.bits() as u8);
-                let sender = (self.draw.below(255) as u8 + 1, self.draw.below(255) as u8 + 1);
-                let message = match self.number.is_multiple_of(10) {
-                    true => setup(key),
-                    false => message!(
-                        COMMAND_LONG,
-                        command = MavCmd::MAV_CMD_NAV_LAND,
-                        target_system = self.draw.below(3) as u8,
-                        target_component = self.draw.below(256) as u8
-                    ),
-                };
-                packet(sender, self.number as u8, &message)
-            }
-        }
-    }
-}
-
 fn sign(signing: &mut Signing, ahead_s: i64, bytes: &[u8]) -> Vec<u8> {
     let unix_ns = UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as u64);
     let at = timestamp_of_unix_ns(unix_ns).saturating_add_signed(ahead_s * UNITS_PER_SECOND as i64);
@@ -177,8 +112,7 @@ fn sign(signing: &mut Signing, ahead_s: i64, bytes: &[u8]) -> Vec<u8> {
 /// A key file of its own for each end.
 fn key_file(folder: &Path, name: &str) -> Result<PathBuf> {
     let path = folder.join(name);
-    std::fs::write(&path, KEY)?;
-    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600))?;
+    replace(&path, &KEY, Access::Private)?;
     Ok(path)
 }
 
@@ -192,16 +126,56 @@ pub fn signing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     rows.into_iter().collect()
 }
 
-/// Sends to each of the ports of the vehicle of this system until it is over.
+/// Sends the attack's packets, one after the other, to each of the ports of the vehicle of this system until it is over.
 fn keep_sending(attack: Attack, system: u8, ends: [u16; 5], over: &AtomicBool, sent: &AtomicU64) {
     let Ok(socket) = UdpSocket::bind("127.0.0.1:0") else {
         return;
     };
-    let mut attacker = Attacker::new(attack, system);
+    let [mut holder, mut stranger] =
+        [KEY, OTHER_KEY].map(|key| Signing::new(SigningKey(key), 7, SigningMemory::default()));
+    let land = |target_system, target_component| {
+        message!(
+            COMMAND_LONG,
+            command = MavCmd::MAV_CMD_NAV_LAND,
+            target_system,
+            target_component
+        )
+    };
+    let setup = |key| message!(SETUP_SIGNING, target_system = 0, target_component = 0, secret_key = key);
+    let mut draw = Draw::new(7);
+    // An hour ago.
+    let mut captor = Signing::new(SigningKey(KEY), 7, SigningMemory::default());
+    let captured = sign(&mut captor, -3600, &packet((255, 190), 0, &land(system, 0)));
+    let mut next = |number: u64| {
+        let say = |message: &MavMessage| packet((255, 190), number as u8, message);
+        match attack {
+            Attack::UnsignedSetup => say(&setup(OTHER_KEY)),
+            Attack::SetupOfAnotherKey => sign(&mut stranger, 0, &say(&setup(OTHER_KEY))),
+            Attack::Replay => captured.clone(),
+            Attack::ZeroKeyOfAHolder => sign(&mut holder, 0, &say(&setup([0; 32]))),
+            // Twenty of them a second apart.
+            Attack::RatchetOfAHolder => {
+                let ahead = (number / ATTACK_RATE).min(20) as i64;
+                let heartbeat = say(&heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID));
+                sign(&mut holder, 55 * ahead, &heartbeat)
+            }
+            Attack::RandomPackets => {
+                let key = [(); 32].map(|()| draw.bits() as u8);
+                let sender = (draw.below(255) as u8 + 1, draw.below(255) as u8 + 1);
+                let message = match number.is_multiple_of(10) {
+                    true => setup(key),
+                    false => land(draw.below(3) as u8, draw.below(256) as u8),
+                };
+                packet(sender, number as u8, &message)
+            }
+        }
+    };
+    let mut number = 0;
     while !over.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_micros(1_000_000 / ATTACK_RATE));
         for end in ends {
-            let went = socket.send_to(&attacker.next(), ("127.0.0.1", end)).is_ok();
+            number += 1;
+            let went = socket.send_to(&next(number), ("127.0.0.1", end)).is_ok();
             sent.fetch_add(u64::from(went), Ordering::Relaxed);
         }
     }

@@ -4,6 +4,7 @@ Usage: onnx_models.py FOLDER. For each model NAME.onnx, NAME.inputs.json (frames
 NAME.outputs.json; and models that must be refused, in FOLDER/refused.
 """
 
+import inspect
 import json
 import sys
 from pathlib import Path
@@ -61,15 +62,6 @@ class Build:
         return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
 
 
-def dense_after_convolutions():
-    b = Build(frame=[1, 1, 64, 96])
-    x = b.Relu(b.conv("frame", 1, 8, 3, strides=[2, 2], pads=[1] * 4))
-    x = b.Relu(b.conv(x, 8, 12, 3, strides=[2, 2]))
-    x = b.Flatten(x)
-    x = b.Relu(b.gemm(x, 12 * 15 * 23, 32))
-    return b.model(b.Tanh(b.gemm(x, 32, 2)))
-
-
 def three_channels_last():
     b = Build(frame=[1, 64, 96, 3])
     x = b.Transpose("frame", perm=[0, 3, 1, 2])
@@ -83,20 +75,6 @@ def one_channel_last_by_tf2onnx():
     b = Build(frame=["batch", 24, 32, 1])
     x = b.Relu(b.conv(b.Reshape("frame", np.array([-1, 1, 24, 32])), 1, 6, 4, strides=[4, 4]))
     return b.model(b.gemm(b.Flatten(x), 6 * 6 * 8, 2))
-
-
-def elu_with_padding():
-    b = Build(frame=[1, 1, 33, 47])
-    x = b.Elu(b.conv("frame", 1, 16, 5, strides=[2, 2], pads=[2] * 4))
-    x = b.Elu(b.conv(x, 16, 5, 1))
-    return b.model(b.gemm(b.Flatten(x), 5 * 17 * 24, 2))
-
-
-def max_pooling():
-    b = Build(frame=[1, 2, 30, 41])
-    x = b.Relu(b.conv("frame", 2, 6, 3))
-    x = b.MaxPool(x, kernel_shape=[2, 2], strides=[2, 2])
-    return b.model(b.gemm(b.Flatten(x), 6 * 14 * 19, 2))
 
 
 def average_pooling():
@@ -142,6 +120,12 @@ def goal_beside_the_frame():
     x = b.Concat(b.Flatten(x), g, axis=1)
     x = b.Relu(b.gemm(x, 4 * 6 * 8 + 6, 16))
     return b.model(b.gemm(b.Concat(x, "goal", axis=-1), 18, 2))
+
+
+def at_its_limit():
+    b = Build(goal=[1, 2], frame=[1, 1, 24, 32])
+    x = b.Mul(b.gemm(b.Flatten("frame"), 768, 2), b.Log(b.Abs("goal")))
+    return b.model(b.Clip(b.Tanh(b.Mul(x, np.float32(1e4))), np.float32(-0.5), np.float32(0.5)))
 
 
 def recurrent(operator, gates):
@@ -204,14 +188,9 @@ def batches_of_any_size():
     x = b.Reshape(x, b.Concat(size, np.array([-1]), axis=0))
     # As PyTorch's default exporter asks for the batch, and for the last size.
     x = b.Reshape(x, b.Concat(b.Shape(x, start=0, end=1), b.Shape(x, start=-1), axis=0))
-    x = b.Identity(b.Cast(x, to=TensorProto.FLOAT))
-    return b.model(b.gemm(x, 3 * 12 * 16, 2))
-
-
-def swapped_outputs():
-    b = Build(frame=[1, 1, 6, 8])
-    x = b.gemm(b.Flatten(b.Relu(b.Unsqueeze(b.Squeeze("frame"), np.array([0, 1])))), 48, 4)
-    return b.model(b.Gather(x, np.array([3, 1]), axis=1))
+    x = b.Identity(b.Cast(b.Unsqueeze(b.Squeeze(x), np.array([0])), to=TensorProto.FLOAT))
+    # The outputs are two of four, the other way round.
+    return b.model(b.Gather(b.gemm(x, 3 * 12 * 16, 4), np.array([3, 1]), axis=1))
 
 
 def sb3_log_probability_beside_the_action():
@@ -404,21 +383,14 @@ def layer_norm_of_images():
     return b.model(b.gemm(b.Relu(b.Flatten(b.MaxPool(x, kernel_shape=[4, 4], strides=[4, 4]))), 8 * 5 * 7, 2))
 
 
-def softplus_in_two_pieces():
-    """As PyTorch's newer exporter writes softplus; a shape that is computed backwards beside it."""
-    b = Build(frame=[1, 1, 8, 12])
-    backwards = b.Slice(np.array([96, 1]), np.array([-1]), np.array([-(2**62)]), np.array([0]), np.array([-1]))
-    x = b.gemm(b.Reshape("frame", backwards), 96, 16)
-    x = b.Where(b.Greater(x, np.float32(20)), x, b.Softplus(x))
-    return b.model(b.gemm(x, 16, 2))
-
-
-def bounds_without_an_end():
-    """A space of actions that is open to one side or both: infinite bounds are none."""
+def softplus_in_two_pieces_and_bounds_without_an_end():
+    """As PyTorch's newer exporter writes softplus; a shape that is computed backwards; a space of actions that is open to one side or both."""
     b = Build(frame=[1, 1, 8, 12])
     infinity, row = np.float32(np.inf), np.full((1, 2), np.inf, np.float32)
-    x = b.Clip(b.gemm(b.Flatten("frame"), 96, 16), -infinity, infinity)
-    x = b.gemm(b.Clip(x, -infinity, np.float32(0.4)), 16, 2)
+    backwards = b.Slice(np.array([96, 1]), np.array([-1]), np.array([-(2**62)]), np.array([0]), np.array([-1]))
+    x = b.gemm(b.Reshape("frame", backwards), 96, 16)
+    x = b.Clip(b.Where(b.Greater(x, np.float32(20)), x, b.Softplus(x)), -infinity, infinity)
+    x = b.gemm(b.Clip(x, -infinity, np.float32(0.9)), 16, 2)
     return b.model(b.Min(b.Max(x, -row), row))
 
 
@@ -435,40 +407,7 @@ FLAT = {"rsl_rl_row_of_values": ("3x8x12+goal", (3, 8, 12))}
 # Weights in a file beside the model.
 BESIDE = ["rsl_rl_actor_critic", "impala_of_rl_games"]
 
-MODELS = [
-    impala_of_rl_games,
-    largest_of_each_channel,
-    channels_last_behind_their_normalisation,
-    layer_norm_of_images,
-    softplus_in_two_pieces,
-    bounds_without_an_end,
-    rsl_rl_row_of_values,
-    sb3_log_probability_beside_the_action,
-    constants_that_are_combined,
-    sb3_with_vec_normalize,
-    rl_games_a2c_network,
-    rsl_rl_actor_critic,
-    clean_rl_sac_actor,
-    curves_of_many_kinds,
-    residual_sums,
-    layer_normalisation,
-    dense_after_convolutions,
-    three_channels_last,
-    elu_with_padding,
-    max_pooling,
-    average_pooling,
-    batch_norm_before_and_after_curves,
-    products_and_sums,
-    goal_beside_the_frame,
-    gru,
-    lstm,
-    gru_over_columns_of_features,
-    split_slice_and_concat,
-    groups_of_channels,
-    batches_of_any_size,
-    swapped_outputs,
-    one_channel_last_by_tf2onnx,
-]
+MODELS = [make for make in list(vars().values()) if inspect.isfunction(make) and not inspect.signature(make).parameters]
 
 
 def refused():
@@ -480,11 +419,17 @@ def refused():
 
     flat = lambda b: b.Flatten("frame")  # noqa: E731
     columns = lambda b, gates: (b.Reshape("frame", np.array([8, 1, 8])), b.weights(1, gates, 8), b.weights(1, gates, 1))  # noqa: E731
+    def empty(b, *shape):
+        b.constants.append(TensorProto(name=f"c{len(b.constants)}", dims=shape, data_type=TensorProto.FLOAT))
+        return b.constants[-1].name
+
     nan = np.full((64, 2), np.nan, np.float32)
     two_pieces = lambda b, x, from_: b.Where(b.Greater(x, np.float32(from_)), x, b.Softplus(x))  # noqa: E731
     cases = {
         "node 2 `node_2` (Softmax)": one(lambda b: b.Softmax(b.MatMul(flat(b), b.weights(64, 2)))),
-        "(Frobnicate): this operator is not supported": one(lambda b: b.Frobnicate("frame", domain="my.own")),
+        "(Frobnicate): this operator is not supported": one(lambda b: b.Frobnicate("frame")),
+        "(Gelu): operators of `com.microsoft` are not supported": one(lambda b: b.Gelu(flat(b), domain="com.microsoft")),
+        "in training mode": one(lambda b: b.BatchNormalization("frame", *np.ones((4, 1), np.float32), outputs=3)[0]),
         "dynamic size `rows` at axis 2": one(flat, (1, 1, "rows", 8)),
         "that is not finite": one(lambda b: b.MatMul(flat(b), nan)),
         "holds a number that is not": one(lambda b: b.Clip(b.gemm(flat(b), 64, 2), nan[0, 0], np.float32(1))),
@@ -514,6 +459,12 @@ def refused():
         "other activations": one(
             lambda b: b.GRU(*columns(b, 3), hidden_size=1, linear_before_reset=1, activations=["Sigmoid", "Relu"])
         ),
+        "(LSTM): shapes [8, 1, 8], [1, 0, 8]": one(
+            lambda b: b.LSTM(columns(b, 4)[0], empty(b, 1, 0, 8), empty(b, 1, 0, 2**62), hidden_size=1)
+        ),
+        "in 1048576 groups": one(lambda b: b.Conv("frame", empty(b, 0, 2**50, 1, 1), kernel_shape=[1, 1], group=2**20)),
+        "the shapes [1, 64] and [1] along axis 1": one(lambda b: b.Concat(flat(b), np.zeros(1, np.float32), axis=1)),
+        "not finite (a division by zero": one(lambda b: b.Celu(b.gemm(flat(b), 64, 2), alpha=0.0)),
         "auto_pad = SAME_UPPER": one(lambda b: b.MaxPool("frame", kernel_shape=[8, 8], auto_pad="SAME_UPPER")),
         "(GlobalAveragePool): it has 33554464 parameters": one(
             lambda b: b.Add(b.GlobalAveragePool("frame"), b.GlobalAveragePool("frame")), (1, 16, 256, 256)
@@ -531,7 +482,7 @@ def refused():
             lambda b: b.gemm(b.Flatten(b.GlobalAveragePool(b.conv("frame", 1, 8, 65))), 8, 2), (1, 1, 128, 256)
         ),
         "nothing computes its input `lost`": one(lambda b: b.Add(flat(b), "lost")),
-        "the values of its image were put in another order": one(
+        "its image was cut, joined or reordered before": one(
             lambda b: b.conv(b.Transpose("frame", perm=[0, 1, 3, 2]), 1, 2, 3)
         ),
     }
@@ -557,6 +508,8 @@ def refused():
 def main(folder):
     (folder / "refused").mkdir(parents=True)
     for make in MODELS:
+        # What one draws changes nothing of the others.
+        RNG.bit_generator.state = np.random.PCG64(30).state
         model = make()
         onnx.checker.check_model(model)
         name = folder / make.__name__
@@ -564,20 +517,17 @@ def main(folder):
         onnx.save(model, f"{name}.onnx", **(beside if name.name in BESIDE else {}))
         session = onnxruntime.InferenceSession(f"{name}.onnx", providers=["CPUExecutionProvider"])
         given, ours = {}, []
-        # Only the action's ancestors count: `temperature` is none.
-        for info in (i for i in session.get_inputs() if i.name != "temperature"):
+        for info in session.get_inputs():
             shape = [size if isinstance(size, int) else 1 for size in info.shape]
-            value = RNG.uniform(-0.5, 1.0, shape).astype(np.float32)
-            given[info.name] = value
+            value = given[info.name] = RNG.uniform(-0.5, 1.0, shape).astype(np.float32)
             if name.name in FLAT:
                 _, frame = FLAT[name.name]
-                goal = value.ravel()[np.prod(frame) :]
-                ours = [value.ravel()[: np.prod(frame)].reshape(frame).transpose(1, 2, 0).ravel().tolist(), goal.tolist()]
-                continue
-            last = shape[-1] in (1, 3) or len(shape) == 2
-            ours.append((value if last else value.transpose(0, 2, 3, 1)).ravel().tolist())
-        if "temperature" in {info.name for info in session.get_inputs()}:
-            given["temperature"] = np.zeros((1, 1), np.float32)
+                picture, goal = np.split(value.ravel(), [np.prod(frame)])
+                ours = [picture.reshape(frame).transpose(1, 2, 0).ravel().tolist(), goal.tolist()]
+            # Only the action's ancestors count: `temperature` is none.
+            elif info.name != "temperature":
+                last = shape[-1] in (1, 3) or len(shape) == 2
+                ours.append((value if last else value.transpose(0, 2, 3, 1)).ravel().tolist())
         # The first output is the action; where there are others, its name has to be told.
         action = session.get_outputs()[0].name
         options = ["--action", action] if len(session.get_outputs()) > 1 else []
@@ -590,7 +540,7 @@ def main(folder):
     for i, (said, model) in enumerate(refused().items()):
         (folder / "refused" / f"{i}.onnx").write_bytes(model.SerializeToString())
         words[f"{i}.onnx"] = said
-    whole = (folder / "dense_after_convolutions.onnx").read_bytes()
+    whole = (folder / "goal_beside_the_frame.onnx").read_bytes()
     for name, content in {"cut.onnx": whole[: len(whole) // 2], "text.onnx": b"this is no model", "empty.onnx": b""}.items():
         (folder / "refused" / name).write_bytes(content)
         words[name] = "it holds no graph" if not content else "truncated or not ONNX"

@@ -7,7 +7,6 @@ mod device;
 mod rays;
 
 use device::{COLUMN_NS, Device, PER_PACKET};
-use std::cell::RefCell;
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -15,7 +14,8 @@ use std::time::Duration;
 use vigil_io::background::Background;
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_sim::world::{Course, World};
-use vigil_tests::{PATIENCE, Running, has, refused, root, run, run_line, said, straight_course, succeed, text, vigil};
+use vigil_tests::{Running, has, refused, root, run, run_line, said, straight_course, succeed, text, vigil};
+use vigil_types::files::{Access, replace};
 use vigil_types::{Attitude, FrdVector, NedVector, STEP_NS};
 
 /// A wall across the way, 4 m ahead of the start.
@@ -24,35 +24,9 @@ fn walled(folder: &Path) -> Course {
     Course::load(&straight_course(folder, 20.0, wall)).expect("a course")
 }
 
-/// A `vigil` command whose output and diagnostics are read line by line; killed when dropped.
-struct Adapter {
-    running: Running,
-    /// What was said before it was waited for.
-    heard: RefCell<Vec<String>>,
-}
-
-impl Adapter {
-    fn start(arguments: &str) -> Self {
-        Self {
-            running: Running::start_saying(arguments, Stdio::piped()),
-            heard: RefCell::default(),
-        }
-    }
-
-    /// Output and diagnostics come on two pipes, in any order.
-    fn wait_for(&self, words: &str) -> String {
-        let mut heard = self.heard.borrow_mut();
-        if let Some(at) = heard.iter().position(|line| line.contains(words)) {
-            return heard.remove(at);
-        }
-        while let Some(line) = self.running.line(PATIENCE) {
-            if line.contains(words) {
-                return line;
-            }
-            heard.push(line);
-        }
-        panic!("never said `{words}`: {heard:#?}");
-    }
+/// An adapter whose output and diagnostics are read line by line.
+fn adapter(arguments: &str) -> Running {
+    Running::start_saying(arguments, Stdio::piped())
 }
 
 /// What `vigil sensor check` finds, as JSON, and its exit code.
@@ -124,11 +98,11 @@ fn ouster(metadata: &Path, port: u16, instance: u32) -> String {
 fn a_scanners_packets_over_udp_are_frames_that_the_check_accepts() {
     let folder = tempfile::tempdir().expect("a folder");
     let (metadata, turn) = recorded(folder.path());
-    let adapter = Adapter::start(&ouster(&metadata, 17_502, 61));
-    let view = adapter.wait_for("view ");
+    let adapter = adapter(&ouster(&metadata, 17_502, 61));
+    let view = adapter.wait_for_words("view ");
     // 64 beams lie 0.94° apart: the outermost row of pixels may have none.
     has(&view, &["-60° to 60° across and -30° to ", "98 %"]);
-    adapter.wait_for("nothing for");
+    adapter.wait_for_words("nothing for");
     let sender = send(turn.clone(), 17502, |_, _, _| true);
     let findings = good(61, &["--wall", "4"]);
     has(&findings, &["are taken", "-60° to 60° across", "4.00 m in the middle"]);
@@ -141,7 +115,7 @@ fn a_scanners_packets_over_udp_are_frames_that_the_check_accepts() {
         (packet, number % 4) != (30, 1)
     });
     for words in ["packets were lost, no frame", "a packet of 900 bytes, 12608 expected"] {
-        adapter.wait_for(words);
+        adapter.wait_for_words(words);
     }
     drop(sender);
 }
@@ -150,8 +124,8 @@ fn a_scanners_packets_over_udp_are_frames_that_the_check_accepts() {
 fn a_second_adapter_and_metadata_that_cannot_be_used_are_refused_with_what_to_do() {
     let folder = tempfile::tempdir().expect("a folder");
     let (metadata, _) = recorded(folder.path());
-    let first = Adapter::start(&ouster(&metadata, 17_503, 62));
-    first.wait_for("frames ");
+    let first = adapter(&ouster(&metadata, 17_503, 62));
+    first.wait_for_words("frames ");
     refused(&run_line(&ouster(&metadata, 17_504, 62)), &["already publishes"]);
     let text = std::fs::read_to_string(&metadata).expect("it is there");
     std::fs::write(&metadata, text.replace("LEGACY", "RNG19_RFL8_SIG16_NIR16")).expect("written");
@@ -186,15 +160,15 @@ fn a_cameras_recorded_stream_is_published_and_its_broken_end_is_named() {
     recording.truncate(200 * bytes - 100);
     let path = folder.path().join("wall.z16");
     std::fs::write(&path, recording).expect("written");
-    let adapter = Adapter::start(&format!(
+    let adapter = adapter(&format!(
         "sensor z16 {} --size 160,90 --focal 84,84 --centre 79.5,44.5 --rate 30 --still 1.5 --instance 63",
         text(&path)
     ));
-    adapter.wait_for("warning: where the device does not look");
+    adapter.wait_for_words("warning: where the device does not look");
     let (_, findings) = check(63, &["--wall", "4"]);
     has(&findings, &["4.00 m in the middle", "never returned anything"]);
-    adapter.wait_for("the stream ended 28700 bytes into an image of 28800");
-    adapter.wait_for("199 published");
+    adapter.wait_for_words("the stream ended 28700 bytes into an image of 28800");
+    adapter.wait_for_words("199 published");
 }
 
 /// Compiles the C driver against the library; `None` where there is no C compiler.
@@ -222,8 +196,7 @@ fn c_driver(folder: &Path) -> Option<PathBuf> {
 /// A driver's frames with a key and without, as the check sees them.
 fn accepted(program: &Path, instance: u32, folder: &Path) {
     let key = folder.join("depth.key");
-    std::fs::write(&key, [7; 32]).expect("written");
-    std::fs::set_permissions(&key, std::os::unix::fs::PermissionsExt::from_mode(0o600)).expect("set");
+    replace(&key, &[7; 32], Access::Private).expect("written");
     let key = text(&key);
     for with_key in [false, true] {
         let mut driver = Command::new(program);

@@ -2,6 +2,7 @@
 
 use std::net::UdpSocket;
 use std::path::Path;
+use std::process::Stdio;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -127,28 +128,33 @@ fn a_position_that_jumps_in_flight_ends_it_without_a_verdict() {
 }
 
 /// `vigil sensor render` on an instance.
-fn sensor(instance: u16, course: &Path, further: &str) -> Running {
+fn sensor(instance: u16, course: &Path, further: &str, diagnostics: Stdio) -> Running {
     let (port, course) = (15_100 + instance, text(course));
-    Running::start(&format!(
-        "sensor render --pose udpin://127.0.0.1:{port} --instance {instance} --course {course} --seed 1 {further}"
-    ))
+    let line =
+        format!("sensor render --pose udpin://127.0.0.1:{port} --instance {instance} --course {course} --seed 1 ");
+    Running::start_saying(&(line + further), diagnostics)
 }
 
 #[test]
-fn a_vehicle_that_never_reports_its_position_is_named_and_gets_no_frames() {
+fn a_vehicle_that_never_reports_its_position_is_named_and_gets_no_frames_and_another_sender_is_named() {
+    const HEARTBEAT: u32 = 0;
     const LOCAL_POSITION_NED: u32 = 32;
     let folder = tempfile::tempdir().expect("a folder");
     let course = straight_course(folder.path(), 6.0, "");
-    let sensor = sensor(74, &course, "--status");
+    let sensor = sensor(74, &course, "--status", Stdio::piped());
     let silent = sensor.wait_for_status("a first status", |_| true);
     assert_eq!(silent.pose.as_deref(), Some(PoseState::Silent.name()));
-    let silent = Peer::on_the_ground(Flavour::Px4);
-    let vehicle = Vehicle::start(silent, 15_174, &[LOCAL_POSITION_NED], |_| {});
+    let start = |silenced| Vehicle::start(Peer::on_the_ground(Flavour::Px4), 15_174, silenced, |_| {});
+    let other = start(&[HEARTBEAT]);
+    sensor.wait_for_status("half a second later", |s| s.time_s > silent.time_s + 0.5);
+    let vehicle = start(&[LOCAL_POSITION_NED]);
+    sensor.wait_for_words("pose       others beside system 1 send to udpin://127.0.0.1:15174, unheard: name one");
     sensor.wait_for_status("the missing position", |s| {
         s.pose.as_deref() == Some(PoseState::NoPosition.name())
     });
     // `vigil doctor` is for what is then to be done; it listens on a link of its own.
     vehicle.end();
+    other.end();
 }
 
 #[test]
@@ -156,7 +162,7 @@ fn a_vehicle_that_flies_itself_into_a_column_is_judged_and_a_second_sensor_is_re
     let folder = tempfile::tempdir().expect("a folder");
     let column = "[[column]]\nnorth_m = 5.0\neast_m = 0.0\nradius_m = 0.5\nheight_m = 5.0\n";
     let course = straight_course(folder.path(), 15.0, column);
-    let mut flight = sensor(75, &course, "--status --end-after 0");
+    let mut flight = sensor(75, &course, "--status --end-after 0", Stdio::inherit());
     flight.wait_for_status("a first status", |_| true);
     let line = "sensor render --pose udpin://127.0.0.1:15199 --instance 75 --course";
     refused(&run_line(&format!("{line} {}", text(&course))), &["already"]);

@@ -153,7 +153,7 @@ fn the_test_card_of_an_external_mode_passes_on_every_model_and_a_silent_firmware
             let speed_m_s = |k: vigil_types::Kinematics| k.velocity_ned_m_s.horizontal_norm();
             report.telemetry.kinematics.is_some_and(|k| speed_m_s(k) > 0.5)
         });
-        let changed = card.pair.simulator.saved().parameters;
+        let changed = card.pair.simulator.endpoint.saved().parameters;
         assert!(
             changed.is_empty(),
             "COM_OF_LOSS_T holds for whoever comes next: {changed:?}"

@@ -3,10 +3,8 @@
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use vigil_firmware::FirmwareConfig;
 use vigil_log::{FlightInfo, Reader};
 use vigil_tests::{attacked_flight, ended, has, json, only_log, refused, run, run_line, succeed, text, write_log};
-use vigil_types::NedVector;
 
 /// A log of a vehicle that stood for three steps without a frame.
 fn short_log(folder: &Path) -> PathBuf {
@@ -17,7 +15,7 @@ fn short_log(folder: &Path) -> PathBuf {
 
 /// A Python that says it has the viewer, and keeps the script, what it is asked to show, and the course that is shown.
 fn stand_in(folder: &Path) -> PathBuf {
-    let keeps = "cat > \"$0.script\"\n[ \"$2\" = --course ] && cp \"$3\" \"$0.json\"\necho \"$@\" > \"$0.asked\"\n";
+    let keeps = "cat > \"$0.script\"\n[ \"$2\" = --course ] && cp \"$3\" \"$0.json\"\necho \"$@\" > \"$0.asked\"\n[ ! -e \"$0.fails\" ]\n";
     let script = format!("#!/bin/sh\nif [ \"$1\" = -c ]; then echo 0.41.0; exit; fi\n{keeps}");
     program(folder, "python", &script);
     folder.join("python")
@@ -141,19 +139,6 @@ fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
     assert_eq!(Reader::open(&log).expect("a log").count(), records);
 }
 
-#[test]
-fn nothing_is_derived_from_a_log_with_a_time_that_no_loop_reaches_and_it_stays_as_it_is() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let log = folder.path().join("late.mcap");
-    let info = FirmwareConfig::to_goal(NedVector::new(20.0, 0.0, -1.5)).flight_info();
-    write_log(&log, info, 1, |slot| slot.now_ns = u64::MAX);
-    let before = std::fs::read(&log).expect("the log");
-    let derived = run(&["log", "derive", "--only", "map", text(&log)]);
-    let time = "step 0 has the time 18446744073709551615 ns";
-    refused(&derived, &["nothing was derived from", time]);
-    assert!(std::fs::read(&log).expect("the log") == before);
-}
-
 /// Runs `vigil` with a folder of programs before those on the path, or with no other program at all.
 fn run_with_path(arguments: &[&str], path: &str) -> std::process::Output {
     vigil_tests::program()
@@ -249,21 +234,21 @@ fn what_cannot_be_filmed_is_reported_with_what_can_be_seen_of_it() {
 fn a_flight_leaves_a_film_and_a_light_log_that_is_looked_at_and_not_replayed() {
     let folder = tempfile::tempdir().expect("a folder");
     let (runs, gif) = (folder.path().join("runs"), folder.path().join("film.gif"));
-    let flown = succeed(&run_line(&format!(
-        "fly --family training --seed 3 --instance 86 --quiet --log-content light --record {} -o {}",
-        text(&gif),
-        text(&runs)
-    )));
+    let (film, into) = (text(&gif), text(&runs));
+    let line = "fly --family training --seed 3 --instance 86 --quiet --log-content light";
+    let flown = succeed(&run_line(&format!("{line} --record {film} -o {into}")));
     assert!(flown.contains("film      ") && gif.is_file(), "{}", flown);
     let log = only_log(&runs);
     let seconds = Reader::open(&log).expect("a log").count() as u64 / 20;
     let bytes = std::fs::metadata(&log).expect("the log").len();
     assert!(bytes < 300_000 * seconds, "{bytes} bytes in {seconds} s");
     assert!(log.with_extension("html").is_file(), "the report");
-    for command in [["replay"].as_slice(), &["log", "derive"]] {
+    let before = std::fs::read(&log).expect("the log");
+    for (command, said) in [(&["replay"][..], ""), (&["log", "derive"], "nothing was derived from")] {
         let looked_at = run(&[command, &[text(&log)]].concat());
-        refused(&looked_at, &["recorded without its frames"]);
+        refused(&looked_at, &["recorded without its frames", said]);
     }
+    assert!(std::fs::read(&log).expect("the log") == before);
 }
 
 #[test]
@@ -271,13 +256,12 @@ fn a_course_is_handed_to_the_viewer_with_its_obstacles_way_and_what_is_seen_at_i
     let folder = tempfile::tempdir().expect("a folder");
     let python = stand_in(folder.path());
     let saved = folder.path().join("course.rrd");
+    let (to, by) = (text(&saved), text(&python));
     succeed(&run_line(&format!(
-        "courses view --family hard --seed 7 --save {} --python {}",
-        text(&saved),
-        text(&python)
+        "courses view --family hard --seed 7 --save {to} --python {by}"
     )));
     let asked = asked(folder.path());
-    has(&asked, &["- --course ", text(&saved)]);
+    has(&asked, &["- --course ", "--save /proc/"]);
     let course = json(&folder.path().join("python.json"));
     let count = |key: &str| course[key].as_array().map_or(0, Vec::len);
     let counts = ["solids", "way_ne_m", "movers"].map(count);
@@ -286,6 +270,12 @@ fn a_course_is_handed_to_the_viewer_with_its_obstacles_way_and_what_is_seen_at_i
     assert_eq!((depth.len(), depth[0].as_array().map(Vec::len)), (64, Some(128)));
     let moving = |step: usize| &course["movers"][step]["solids"][0];
     assert_ne!(moving(0), moving(10), "obstacles move");
+    // What was saved earlier stays where nothing takes its place.
+    std::fs::write(&saved, "earlier").expect("written");
+    std::fs::write(folder.path().join("python.fails"), "").expect("written");
+    let failed = run_line(&format!("courses view --seed 7 --save {to} --python {by}"));
+    refused(&failed, &["course.rrd: the viewer's script failed (exit status: 1)"]);
+    assert_eq!(std::fs::read_to_string(&saved).expect("kept"), "earlier");
 }
 
 #[test]
@@ -293,11 +283,9 @@ fn some_flights_of_a_campaign_are_handed_to_one_viewer_and_their_logs_are_kept()
     let folder = tempfile::tempdir().expect("a folder");
     let python = stand_in(folder.path());
     let json = folder.path().join("evaluate.json");
-    let flown = succeed(&run_line(&format!(
-        "evaluate --family training --flights 3 --seed 3 --view 2 --python {} -o {}",
-        text(&python),
-        text(&json)
-    )));
+    let (by, to) = (text(&python), text(&json));
+    let line = "evaluate --family training --flights 3 --seed 3 --view 2";
+    let flown = succeed(&run_line(&format!("{line} --python {by} -o {to}")));
     let asked = asked(folder.path());
     let mut words = asked.split_whitespace().skip(1);
     let logs = PathBuf::from(words.next().expect("a folder"));

@@ -10,6 +10,7 @@ pub mod peer;
 pub use mission::straight_course;
 pub use pair::{Pair, airborne, fly_monitored, reasons, texts, without};
 
+use std::cell::RefCell;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -198,11 +199,9 @@ pub fn copy_log(from: &Path, to: &Path, mut alter: impl FnMut(&mut TickRecord)) 
 
 /// The log of an attacked flight of the actor in lockstep, in which the detector raises the alarm and the recovery pilot flies.
 pub fn attacked_flight(folder: &Path) -> PathBuf {
-    succeed(&run_line(&format!(
-        "evaluate --flights 1 --seed 3001 --apf off --attack bim-accumulating --burst 50 --logs {} -o {}",
-        text(folder),
-        text(&folder.join("evaluate.json"))
-    )));
+    let logs = text(folder);
+    let line = "evaluate --flights 1 --seed 3001 --apf off --attack bim-accumulating --burst 50";
+    succeed(&run_line(&format!("{line} --logs {logs} -o {logs}/evaluate.json")));
     folder.join("3001.mcap")
 }
 
@@ -230,6 +229,8 @@ pub fn side_by_side<T: Send + Sync>(
 pub struct Running {
     child: Child,
     lines: Receiver<String>,
+    /// What [`Self::wait_for_words`] passed over.
+    heard: RefCell<Vec<String>>,
 }
 
 impl Running {
@@ -260,7 +261,8 @@ impl Running {
                 }
             });
         }
-        Self { child, lines }
+        let heard = RefCell::default();
+        Self { child, lines, heard }
     }
 
     /// Waits for a line that `wanted` accepts; the lines before it are passed over.
@@ -281,6 +283,22 @@ impl Running {
                 Err(error) => panic!("waited for {what}: {error}; last line: {last}"),
             }
         }
+    }
+
+    /// Waits for a line with these words, if it was not passed over by an earlier such wait: piped diagnostics come in any order.
+    pub fn wait_for_words(&self, words: &str) -> String {
+        let mut heard = self.heard.borrow_mut();
+        if let Some(at) = heard.iter().position(|line| line.contains(words)) {
+            return heard.remove(at);
+        }
+        let begun = Instant::now();
+        while let Some(line) = self.line(PATIENCE.saturating_sub(begun.elapsed())) {
+            if line.contains(words) {
+                return line;
+            }
+            heard.push(line);
+        }
+        panic!("never said `{words}`: {heard:#?}");
     }
 
     /// Waits for a status line of a simulator that `wanted` accepts.

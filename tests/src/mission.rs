@@ -3,24 +3,23 @@
 use crate::ground::{STATION, packet, set_auto_mode};
 use std::path::{Path, PathBuf};
 use vigil_autopilot::Saved;
+use vigil_autopilot::geo::to_global;
 use vigil_mavlink::common::{MavCmd, MavFrame};
-use vigil_mavlink::{globe, message};
+use vigil_mavlink::message;
 use vigil_sim::SimConfig;
+use vigil_types::NedVector;
 
 /// The vehicle's plan at so many metres per second: by way of these places, metres north and east, to the goal; with the nose towards the
 /// next, or always this way, degrees from north.
 pub fn plan(config: &SimConfig, speed_m_s: f32, via_m: &[(f32, f32)], nose_deg: Option<f32>) -> Saved {
     let goal = config.course.goal_ned_m();
-    let home = config.endpoint.home;
     let nose = nose_deg.map_or("nan".to_owned(), |deg| format!("{deg:?}"));
     let mut text = format!("[parameters]\nMPC_XY_CRUISE = {speed_m_s:?}\n");
     for (north_m, east_m) in via_m.iter().copied().chain([(goal.x, goal.y)]) {
-        let (latitude, longitude) = globe::to_global((home.latitude_deg, home.longitude_deg), north_m, east_m);
+        let (x, y, _) = to_global(NedVector::new(north_m, east_m, 0.0));
         text += &format!(
             "[[mission]]\ncommand = 16\nframe = 6\nautocontinue = 1\nparams = [0.0, 0.0, 0.0, {nose}]\n\
-             x = {}\ny = {}\nz = {:?}\n",
-            (latitude * 1e7).round() as i32,
-            (longitude * 1e7).round() as i32,
+             x = {x}\ny = {y}\nz = {:?}\n",
             -goal.z
         );
     }
@@ -45,9 +44,7 @@ pub fn start() -> Vec<u8> {
 
 /// A command of a ground station: go to the course's goal, which leaves the vehicle in hold.
 pub fn go_to(config: &SimConfig) -> Vec<u8> {
-    let goal = config.course.goal_ned_m();
-    let home = config.endpoint.home;
-    let (latitude, longitude) = globe::to_global((home.latitude_deg, home.longitude_deg), goal.x, goal.y);
+    let (x, y, above_sea_m) = to_global(config.course.goal_ned_m());
     let message = message!(
         COMMAND_INT,
         command = MavCmd::MAV_CMD_DO_REPOSITION,
@@ -55,9 +52,9 @@ pub fn go_to(config: &SimConfig) -> Vec<u8> {
         param1 = -1.0,
         param2 = 1.0,
         param4 = f32::NAN,
-        x = (latitude * 1e7).round() as i32,
-        y = (longitude * 1e7).round() as i32,
-        z = home.altitude_m as f32 - goal.z,
+        x,
+        y,
+        z = above_sea_m as f32,
         target_system = 1,
         target_component = 1
     );

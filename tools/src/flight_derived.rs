@@ -22,13 +22,13 @@ const SHAP_LIMIT: usize = 120;
 const AROUND_ALARM_NS: Nanos = 1_000_000_000;
 const ALARMS: usize = 3;
 
-/// What to derive.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Wanted {
-    /// The map and the planned path, twice a second.
-    pub map: bool,
-    /// SHAP values of the pixels, once a second for the first two minutes, and of each frame within a second of the first alarms.
-    pub shap: bool,
+/// What can be derived.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Derivable {
+    /// The map and the planned path.
+    Map,
+    /// SHAP of the pixels.
+    Shap,
 }
 
 /// What became of it.
@@ -42,32 +42,23 @@ pub struct Derived {
     pub gap_before_step: Option<u64>,
 }
 
-/// Replays `log` and puts what is wanted into it, in the place of what was derived of it earlier. What a replay reads stays as it is.
+/// Replays `log` and puts what follows from it, or `only` that, into it, in the place of what was derived of it earlier. What a replay
+/// reads stays as it is.
 ///
 /// # Errors
 /// A log that cannot be read or replayed, a file that cannot be written; the log is then as it was.
-pub fn derive(log: &Path, wanted: Wanted) -> Result<Derived> {
-    let notes = log.with_extension("derived.part");
-    let derived = write(log, &notes, wanted).and_then(|derived| {
-        merge_derived(log, &notes, wanted.map, wanted.shap)?;
-        Ok(derived)
-    });
-    // Its content is in the log, or of no use.
-    let _ = std::fs::remove_file(&notes);
-    derived
-}
-
-fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
+pub fn derive(log: &Path, only: Option<Derivable>) -> Result<Derived> {
+    let [map, shap] = [Derivable::Shap, Derivable::Map].map(|other| only != Some(other));
     let mut reader = Reader::open(log)?;
     let mut firmware = firmware_of(&reader)?;
-    let mut explainer = if wanted.shap { explainer(&reader)? } else { None };
+    let mut explainer = if shap { explainer(&reader)? } else { None };
     let seen = explainer.is_some().then(|| LogSeen::read(log)).transpose()?;
     let alarms = seen
         .iter()
         .flat_map(|seen| seen.alarms().into_iter().map(|i| seen.steps[i].now_ns));
     let alarms_ns: Vec<Nanos> = alarms.take(ALARMS).collect();
     let mut sparse = 0;
-    let mut to = DerivedLog::create(notes)?;
+    let mut to = DerivedLog::create(log)?;
     let mut derived = Derived::default();
     let mut record = Box::<TickRecord>::default();
     let mut sent = Box::<Datagrams>::default();
@@ -79,21 +70,21 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
         }
         let (now_ns, step) = (record.now_ns, record.timing.step as u32);
         step_again(&mut firmware, &record, &mut sent);
-        if wanted.map
+        if map
             && now_ns >= next_map_ns
             && let Some(pilot) = firmware.mapping()
             && let Some(corner_ned_m) = pilot.grid().corner_ned_m()
         {
             next_map_ns = now_ns + MAP_NS;
             derived.maps += 1;
-            let map = MapSeen {
+            let seen = MapSeen {
                 corner_ned_m,
                 cell_m: CELL_M,
                 cols: SIDE,
                 scores: pilot.grid().scores(),
                 score_limit: SCORE_LIMIT,
             };
-            to.map(now_ns, step, &map)?;
+            to.map(now_ns, step, &seen)?;
             let kinematics = record.report.telemetry.kinematics;
             let down_m = kinematics.map_or(0.0, |kinematics| kinematics.position_ned_m.z);
             to.way(now_ns, step, pilot.path_ned_m(), down_m)?;
@@ -112,7 +103,7 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
             }
         }
     }
-    to.finish()?;
+    merge_derived(log, to, map, shap)?;
     Ok(derived)
 }
 

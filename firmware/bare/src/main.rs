@@ -196,13 +196,9 @@ extern "C" fn main() -> ! {
     println!("stack {start_stack} B at most while starting, {tick_stack} B in a step (whole loop)");
     println!("allocations in flight: {}", tick_heap.calls - start_heap.calls);
     if verdicts > 0 {
-        println!(
-            "counter in a step with a verdict: {} to {}, mean {} (Hz: {})",
-            tick_counts.0,
-            tick_counts.1,
-            tick_counts.2 / verdicts,
-            memory::count_hz()
-        );
+        let ((least, most, sum), hz) = (tick_counts, memory::count_hz());
+        let mean = sum / verdicts;
+        println!("counter in a step with a verdict: {least} to {most}, mean {mean} (Hz: {hz})");
     }
     assert!(tick_heap.calls == start_heap.calls, "a step allocated memory");
     exit(0)

@@ -7,7 +7,7 @@
 //! leads into nothing.
 
 use crate::conditions::{STOP_LIMIT_NS, STOPPED_M_S, UNKNOWN_LIMIT};
-use crate::input::Risk;
+use crate::input::GuidanceInput;
 use vigil_types::parameters::{self, OutOfRange};
 use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, ParameterSpec, STEP_S, Verdict};
 
@@ -115,26 +115,6 @@ impl AlarmConfig {
     }
 }
 
-/// What the alarm looks at in one step.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct AlarmInput {
-    pub now_ns: Nanos,
-    /// `None` without a detector.
-    pub verdict: Option<Verdict>,
-    /// `None` when the guard did not look.
-    pub risk: Option<Risk>,
-    /// Share of one surface among the new frame's cells in which something is seen; `None` without a new frame.
-    pub smooth_share: Option<f32>,
-    /// How far the yaw outputs of actor and recovery pilot are apart; `None` when one of them did not decide.
-    pub yaw_apart: Option<f32>,
-    /// Guidance is in a flight.
-    pub in_flight: bool,
-    /// The pilot's actions reach the vehicle.
-    pub guided: bool,
-    /// Speed of the vehicle; `None` when it is not known.
-    pub speed_m_s: Option<f32>,
-}
-
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Raised {
     cause: AlarmCause,
@@ -169,7 +149,7 @@ pub(crate) fn count(steps: &mut u16, holds: bool) {
 }
 
 impl Evidence {
-    fn note(&mut self, config: &AlarmConfig, input: &AlarmInput, is_raised: bool) {
+    fn note(&mut self, config: &AlarmConfig, input: &GuidanceInput<'_>, is_raised: bool, guided: bool) {
         let on_collision_course = input.risk.is_some_and(|risk| risk.collision_course);
         // Without a detector a step is clean when the guard looked and saw nothing; when nobody looked it is not.
         let looks_clean = match input.verdict {
@@ -185,7 +165,7 @@ impl Evidence {
         // Who knows the detector goes on supplying clean verdicts.
         let is_rough = self.rough & 1 != 0;
         count(&mut self.clean_steps, looks_clean && !is_rough && !on_collision_course);
-        match (is_raised, input.guided) {
+        match (is_raised, guided) {
             (true, _) => {}
             // What is scored while the vehicle holds moves nothing.
             (false, false) => (self.attacks, self.rough, self.unknown_steps, self.course_steps) = (0, 0, 0, 0),
@@ -193,7 +173,7 @@ impl Evidence {
         }
     }
 
-    fn note_flight(&mut self, config: &AlarmConfig, input: &AlarmInput) {
+    fn note_flight(&mut self, config: &AlarmConfig, input: &GuidanceInput<'_>) {
         // Of two vehicles, one along the path at a constant speed, the other flown by the actor: Page's cumulative sum (1954), which shows a
         // lasting change soonest and forgets what went well before.
         if let Some(speed_m_s) = input.risk.map(|risk| risk.speed_along_path_m_s)
@@ -201,7 +181,8 @@ impl Evidence {
         {
             self.behind_m = (self.behind_m + (config.path_speed_m_s - speed_m_s) * STEP_S).max(0.0);
         }
-        if let Some(apart) = input.yaw_apart {
+        if let Some((actor, own)) = input.action.zip(input.recovery) {
+            let apart = (actor.clipped().yaw - own.clipped().yaw).abs();
             self.apart_steps = if apart > config.apart_yaw {
                 self.apart_steps.saturating_add(1)
             } else {
@@ -264,13 +245,19 @@ impl AlarmLogic {
         };
     }
 
-    /// One step; says what is raised after it.
-    pub fn step(&mut self, config: &AlarmConfig, input: &AlarmInput) -> Option<Alarm> {
-        if !input.in_flight {
+    /// One step; says what is raised after it. `in_flight`: guidance is in a flight; `guided`: the pilot's actions reach the vehicle.
+    pub fn step(
+        &mut self,
+        config: &AlarmConfig,
+        input: &GuidanceInput<'_>,
+        in_flight: bool,
+        guided: bool,
+    ) -> Option<Alarm> {
+        if !in_flight {
             *self = Self::default();
             return None;
         }
-        self.evidence.note(config, input, self.raised.is_some());
+        self.evidence.note(config, input, self.raised.is_some(), guided);
         let evidence = &self.evidence;
         let cause = TRIGGERS
             .iter()
@@ -298,7 +285,7 @@ impl AlarmLogic {
             _ => {}
         }
         let raised = self.raised.as_mut()?;
-        let recovers = raised.stopped && input.guided && config.policy == AlarmPolicy::Recover;
+        let recovers = raised.stopped && guided && config.policy == AlarmPolicy::Recover;
         count(
             &mut self.recovery_course_steps,
             recovers && input.risk.is_some_and(|risk| risk.recovery_course),
@@ -309,7 +296,8 @@ impl AlarmLogic {
             (raised.since_ns, raised.stopped, raised.recovery_stopped) = (input.now_ns, false, true);
         }
         let begins = raised.since_ns == input.now_ns;
-        let still = input.speed_m_s.is_some_and(|speed_m_s| speed_m_s < STOPPED_M_S);
+        let kinematics = input.telemetry.kinematics;
+        let still = kinematics.is_some_and(|k| k.velocity_ned_m_s.norm() < STOPPED_M_S);
         let long = input.now_ns.saturating_sub(raised.since_ns) >= STOP_LIMIT_NS;
         raised.stopped |= !begins && (still || long);
         raised.recovery_stopped &= !raised.stopped;
@@ -325,168 +313,5 @@ impl AlarmLogic {
                 AlarmPolicy::Stop | AlarmPolicy::Recover => AlarmResponse::Stop,
             },
         })
-    }
-}
-
-#[cfg(test)]
-#[allow(clippy::indexing_slicing, reason = "lists of the tests' own")]
-mod tests {
-    use super::*;
-    use Verdict::{Attack, Clean, Unknown};
-
-    const QUIET: Risk = Risk {
-        collision_course: false,
-        recovery_course: false,
-        speed_along_path_m_s: 1.2,
-    };
-    const FLYING: AlarmInput = AlarmInput {
-        now_ns: 0,
-        verdict: Some(Clean),
-        risk: Some(QUIET),
-        yaw_apart: Some(0.2),
-        smooth_share: Some(0.8),
-        in_flight: true,
-        guided: true,
-        speed_m_s: Some(1.5),
-    };
-
-    /// The response after each verdict; 50 ms a step.
-    fn responses(config: &AlarmConfig, verdicts: &[Verdict]) -> Vec<Option<AlarmResponse>> {
-        let mut logic = AlarmLogic::default();
-        let step = |(i, verdict): (usize, &Verdict)| {
-            let input = AlarmInput {
-                now_ns: i as u64 * 50_000_000,
-                verdict: Some(*verdict),
-                ..FLYING
-            };
-            logic.step(config, &input).map(|alarm| alarm.response)
-        };
-        verdicts.iter().enumerate().map(step).collect()
-    }
-
-    #[test]
-    fn four_verdicts_of_six_raise_nothing_and_five_do() {
-        let config = AlarmConfig::default();
-        let quiet = responses(
-            &config,
-            &[
-                Attack, Attack, Clean, Attack, Attack, Clean, Attack, Attack, Unknown, Attack,
-            ],
-        );
-        assert!(quiet.iter().all(Option::is_none));
-        let raised = responses(&config, &[Attack, Attack, Unknown, Attack, Attack, Attack]);
-        assert_eq!(raised, [None, None, None, None, None, Some(AlarmResponse::Stop)]);
-        assert_eq!(responses(&config, &[Attack; 5])[4], Some(AlarmResponse::Stop));
-    }
-
-    #[test]
-    fn a_vehicle_that_gusts_keep_moving_is_handed_to_the_recovery_pilot_all_the_same() {
-        let raised = responses(&AlarmConfig::default(), &[Attack; 70]);
-        assert_eq!(raised[63], Some(AlarmResponse::Stop));
-        assert_eq!(raised[64], Some(AlarmResponse::Recovery), "3 s after the alarm");
-    }
-
-    #[test]
-    fn nothing_is_counted_on_the_ground_or_while_the_vehicle_holds_or_when_nothing_watches() {
-        let mut logic = AlarmLogic::default();
-        let config = AlarmConfig::default();
-        let course = Risk {
-            collision_course: true,
-            ..QUIET
-        };
-        for (verdict, risk, in_flight, guided) in [
-            (Some(Attack), Some(course), false, false),
-            (None, None, true, true),
-            (Some(Attack), Some(course), true, false),
-        ] {
-            let input = AlarmInput {
-                verdict,
-                risk,
-                in_flight,
-                guided,
-                ..FLYING
-            };
-            for _ in 0..50 {
-                assert_eq!(logic.step(&config, &input), None);
-            }
-        }
-    }
-
-    /// Steps, each as `change` says, before the one that raises the alarm for this cause.
-    fn steps_until(cause: AlarmCause, config: &AlarmConfig, change: impl Fn(usize, &mut AlarmInput)) -> Option<usize> {
-        let mut logic = AlarmLogic::default();
-        (0..2400).find(|&i| {
-            let mut input = FLYING;
-            input.now_ns = i as u64 * 50_000_000;
-            change(i, &mut input);
-            logic.step(config, &input).map(|alarm| alarm.cause) == Some(cause)
-        })
-    }
-
-    #[test]
-    fn pictures_that_are_rough_again_and_again_raise_the_alarm_for_good_and_single_ones_do_not() {
-        let config = AlarmConfig::default();
-        let off = AlarmConfig {
-            smooth_share: 0.0,
-            ..config
-        };
-        let steps_until_rough = |smooth_shares: &[f32], config: &AlarmConfig| {
-            steps_until(AlarmCause::RoughPicture, config, |i, input| {
-                input.smooth_share = Some(smooth_shares[i % smooth_shares.len()]);
-            })
-        };
-        assert_eq!(steps_until_rough(&[0.3], &config), Some(4));
-        assert_eq!(steps_until_rough(&[0.3, 0.3, 0.8], &config), None);
-        assert_eq!(steps_until_rough(&[0.65], &config), None, "a crowded hall");
-        assert_eq!(steps_until_rough(&[f32::NAN], &config), None);
-        assert_eq!(steps_until_rough(&[0.0], &off), None);
-        assert!(AlarmCause::RoughPicture.is_of_guard());
-    }
-
-    /// Steps until the guard finds that the actor goes astray, when the vehicle flies along its way as these speeds say, over and over.
-    fn steps_until_astray(speeds_m_s: &[f32]) -> Option<usize> {
-        let config = AlarmConfig {
-            astray_limit_m: 3.0,
-            path_speed_m_s: 0.3,
-            ..AlarmConfig::default()
-        };
-        steps_until(AlarmCause::LedAstray, &config, |i, input| {
-            let speed_along_path_m_s = speeds_m_s[i % speeds_m_s.len()];
-            input.risk = Some(Risk {
-                speed_along_path_m_s,
-                ..QUIET
-            });
-        })
-    }
-
-    #[test]
-    fn a_vehicle_turned_away_is_found_in_seconds_one_turned_in_circles_later_and_one_that_gets_on_never() {
-        assert!(
-            steps_until_astray(&[-1.2]).is_some_and(|steps| (39..=40).contains(&steps)),
-            "3 m at 1.5 m/s: two seconds"
-        );
-        assert!(
-            steps_until_astray(&[1.2, -1.2]).is_some_and(|steps| (180..240).contains(&steps)),
-            "3 m at 0.3 m/s: ten seconds"
-        );
-        assert_eq!(steps_until_astray(&[0.4]), None);
-        // Round something, away for a second and on for two.
-        let detour: Vec<f32> = (0..60).map(|i| if i < 20 { -0.5 } else { 1.2 }).collect();
-        assert_eq!(steps_until_astray(&detour), None);
-        assert_eq!(steps_until_astray(&[f32::NAN]), None);
-    }
-
-    #[test]
-    fn pilots_that_go_on_turning_apart_raise_the_alarm_and_those_that_differ_now_and_then_do_not() {
-        let steps_until_disagreement = |apart: &[f32]| {
-            steps_until(AlarmCause::Disagreement, &AlarmConfig::default(), |i, input| {
-                input.yaw_apart = Some(apart[i % apart.len()]);
-            })
-        };
-        assert_eq!(steps_until_disagreement(&[3.0]), Some(70), "three and a half seconds");
-        assert!(steps_until_disagreement(&[3.0, 3.0, 0.0]).is_some_and(|steps| (200..220).contains(&steps)));
-        assert_eq!(steps_until_disagreement(&[3.0, 0.0]), None);
-        assert_eq!(steps_until_disagreement(&[1.9]), None, "a swerve");
-        assert_eq!(steps_until_disagreement(&[f32::NAN]), None);
     }
 }

@@ -95,7 +95,7 @@ pub static CONDITIONS: [Condition; 34] = conditions! {
         "the recovery pilot saw the flying actor's action run into something in {guard_steps} consecutive steps, or its own in {recovery_guard_steps}, and the policy is *stop* or *recover*";
         "*recover*: as *attack*; *stop*: an operator engages; the end of the flight";
     BlindSensor, Hold, true:
-        "the frames show no return where the ground must be seen, or zeros for ranges, over 15° or more of the view";
+        "the frames show zeros for ranges, or over 15° or more of the view no return where the ground must be seen";
         "3 frames in a row that show it";
     FrozenSensor, Hold, false:
         "in flight the picture, or a part of it, stays as it was although the vehicle moved";
@@ -125,7 +125,7 @@ pub static CONDITIONS: [Condition; 34] = conditions! {
         "the yaw outputs of the flying actor and the recovery pilot were more than {apart} (of 3) apart, for {disagreement} longer than they were not; and the policy is *stop* or *recover*";
         "as *collision course*";
     RoughPicture, Hold, false:
-        "in `detector.raise_count` of the last `detector.raise_window` frames fewer than {smooth_share} of the cells of 4 × 4 pixels in which something is seen showed one surface, or a part of the picture was torn; and the policy is *stop* or *recover*";
+        "in `detector.raise_count` of the last `detector.raise_window` frames fewer than {smooth_share} of the cells of 4 × 4 pixels in which something is seen showed one surface, or a part of the picture was torn or moved; and the policy is *stop* or *recover*";
         "as *collision course*";
     SecondSensorSilent, Hold, true: "`second_sensor` is on, and nothing usable came from it for 0.3 s, or ever";
         "a report of it that can be used";

@@ -3,7 +3,7 @@
 mod present;
 mod requests;
 
-use crate::alarm::{AlarmInput, AlarmLogic, count};
+use crate::alarm::{AlarmLogic, count};
 use crate::conditions::{Demand, HANDOVER_LIMIT_NS, HANDOVER_PAUSE_NS, blocking_ready, demanding};
 use crate::config::{ConfigError, GuidanceConfig};
 use crate::input::{GuidanceInput, GuidanceOutput};
@@ -301,23 +301,11 @@ impl Guidance {
     }
 
     fn note_verdict(&mut self, input: &GuidanceInput<'_>) -> Option<Alarm> {
-        let kinematics = input.telemetry.kinematics;
-        let both = input.action.zip(input.recovery);
-        self.alarm.step(
-            &self.config.alarm,
-            &AlarmInput {
-                now_ns: input.now_ns,
-                verdict: input.verdict,
-                risk: input.risk,
-                smooth_share: input.smooth_share,
-                yaw_apart: both.map(|(actor, own)| (actor.clipped().yaw - own.clipped().yaw).abs()),
-                // A hand-over in the air regains a flight; the alarm survives it.
-                in_flight: self.in_flight() || self.state == GuidanceState::Engaging,
-                // On a climb or descent on the spot the action leads nowhere.
-                guided: self.state == GuidanceState::Guided && !self.changes_height(kinematics),
-                speed_m_s: kinematics.map(|k| k.velocity_ned_m_s.norm()),
-            },
-        )
+        // A hand-over in the air regains a flight; the alarm survives it.
+        let in_flight = self.in_flight() || self.state == GuidanceState::Engaging;
+        // On a climb or descent on the spot the action leads nowhere.
+        let guided = self.state == GuidanceState::Guided && !self.changes_height(input.telemetry.kinematics);
+        self.alarm.step(&self.config.alarm, input, in_flight, guided)
     }
 
     fn changes_height(&self, kinematics: Option<Kinematics>) -> bool {

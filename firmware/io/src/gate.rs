@@ -314,7 +314,6 @@ mod tests {
     use super::*;
     use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
     use vigil_mavlink::framing::encode;
-    use vigil_mavlink::message;
 
     const NOW: Timestamp = 40_000_000_000_000;
 
@@ -402,17 +401,6 @@ mod tests {
     }
 
     #[test]
-    fn links_that_share_a_gate_have_their_own_policy_but_one_memory() {
-        let mut shared = gate(Some(signing()), AllowUnsigned::Loopback);
-        let mut received = Datagrams::default();
-        assert!(!shared.admit_by(AllowUnsigned::Never, true, 3, &heartbeat(0), &mut received));
-        assert!(shared.admit_by(AllowUnsigned::Loopback, true, 1, &heartbeat(0), &mut received));
-        assert!(shared.admit_by(AllowUnsigned::Never, false, 3, &signed(0), &mut received));
-        assert!(!shared.admit_by(AllowUnsigned::Always, true, 1, &signed(0), &mut received));
-        assert_eq!(shared.counters().replayed, 1, "on another link");
-    }
-
-    #[test]
     fn a_new_key_takes_the_place_of_the_old_one_and_its_time_is_not_in_the_far_future() {
         let mut gate = gate(Some(signing()), AllowUnsigned::Never);
         gate.set_key(SigningKey([9; 32]), NOW * 2);
@@ -425,36 +413,6 @@ mod tests {
         let mut timestamp = [0; 8];
         timestamp[..6].copy_from_slice(&sealed[stamp..stamp + 6]);
         assert_eq!(u64::from_le_bytes(timestamp), NOW + MAX_AHEAD + 1);
-    }
-
-    fn setup(secret_key: [u8; 32]) -> Vec<u8> {
-        let (target_system, target_component) = (1, 191);
-        let message = message!(SETUP_SIGNING, target_system, target_component, secret_key);
-        encode((255, 190), 0, &message)
-    }
-
-    #[test]
-    fn another_key_passes_only_when_signed_with_the_present_one_and_a_first_one_only_when_asked_for() {
-        let rest = [[heartbeat(1), heartbeat(2)].concat()];
-        for policy in [AllowUnsigned::Loopback, AllowUnsigned::Always] {
-            let mut with_key = gate(Some(signing()), policy);
-            let datagram = [heartbeat(1), setup([9; 32]), heartbeat(2)].concat();
-            assert_eq!(admitted(&mut with_key, true, &datagram), rest);
-            assert_eq!(with_key.counters().unsigned_key, 1);
-            let right = gate(Some(signing()), policy).seal(&setup([9; 32])).to_vec();
-            assert_eq!(admitted(&mut with_key, true, &right), std::slice::from_ref(&right));
-
-            let mut without = gate(None, policy);
-            assert_eq!(admitted(&mut without, true, &datagram), rest);
-            assert_eq!(without.counters().unsigned_key, 1);
-            let mut waiting = gate(None, policy).accepting_first_key(true);
-            assert_eq!(admitted(&mut waiting, true, &setup([9; 32])), [setup([9; 32])]);
-            assert!(waiting.set_key(SigningKey([9; 32]), 0));
-            assert!(
-                admitted(&mut waiting, true, &setup([8; 32])).is_empty(),
-                "now there is one"
-            );
-        }
     }
 
     #[test]

@@ -94,11 +94,11 @@ pub fn frame_keys(paths: &[PathBuf], sensor_id: u32) -> Result<FrameKeys, KeyFil
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
     use vigil_types::DepthFrame;
 
-    pub(crate) fn key_file(folder: &Path, content: &[u8], mode: u32) -> PathBuf {
+    fn key_file(folder: &Path, content: &[u8], mode: u32) -> PathBuf {
         let path = folder.join("vigil.key");
         std::fs::write(&path, content).unwrap();
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();

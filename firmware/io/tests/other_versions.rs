@@ -18,13 +18,17 @@ fn other_version(domain: &Domain) -> Node<ipc::Service> {
 }
 
 #[test]
-fn frames_of_another_type_are_refused_by_name() {
+fn frames_and_a_lockstep_of_another_type_are_refused_by_name() {
     let (_instance, domain) = Instance::joined(1);
     let node = other_version(&domain);
-    let topic = node.service_builder(&DEPTH_TOPIC.try_into().unwrap());
-    let _service = topic.publish_subscribe::<u64>().create().unwrap();
-    let refused = FrameSubscriber::create(&domain, DEPTH_TOPIC).err().unwrap().to_string();
-    assert!(refused.contains("carries another type of data"), "{refused}");
+    let service = |name: &str| node.service_builder(&name.try_into().unwrap());
+    let _frames = service(DEPTH_TOPIC).publish_subscribe::<u64>().create().unwrap();
+    let _lockstep = service("lockstep").request_response::<u64, u64>().create().unwrap();
+    let frames = FrameSubscriber::create(&domain, DEPTH_TOPIC).err().unwrap().to_string();
+    let lockstep = LockstepServer::create(&domain).err().unwrap().to_string();
+    for refused in [frames, lockstep] {
+        assert!(refused.contains("carries another type of data"), "{refused}");
+    }
 }
 
 #[test]
@@ -38,14 +42,4 @@ fn a_process_that_ended_while_it_joined_keeps_nobody_out() {
     let not_yet = std::os::unix::fs::PermissionsExt::from_mode(0o200);
     std::fs::set_permissions(first.unwrap().path(), not_yet).unwrap();
     assert!(Domain::open(instance.0, "test").is_ok());
-}
-
-#[test]
-fn a_lockstep_of_another_type_is_refused_by_name() {
-    let (_instance, domain) = Instance::joined(2);
-    let node = other_version(&domain);
-    let exchange = node.service_builder(&"lockstep".try_into().unwrap());
-    let _service = exchange.request_response::<u64, u64>().create().unwrap();
-    let refused = LockstepServer::create(&domain).err().unwrap().to_string();
-    assert!(refused.contains("carries another type of data"), "{refused}");
 }

@@ -89,10 +89,14 @@ pub(crate) struct Container<R = BufReader<File>> {
 
 impl Container {
     pub(crate) fn open(path: &Path) -> Result<Self, FileError> {
-        Ok(Self {
-            file: BufReader::new(vigil_types::files::open(path).map_err(at(path))?),
+        Ok(Self::new(vigil_types::files::open(path).map_err(at(path))?))
+    }
+
+    pub(crate) fn new(file: File) -> Self {
+        Self {
+            file: BufReader::new(file),
             reader: linear_reader(LinearReaderOptions::default()),
-        })
+        }
     }
 }
 

@@ -8,19 +8,8 @@ use vigil_types::{
     Vector, VehicleMode, VehicleTelemetry, VelocitySetpoint, Verdict,
 };
 
-/// A message that decodes as protobuf and yet is no step: which field, and what is wrong with it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum RecordDefect {
-    /// A field that every record has is not there.
-    #[error("field `{0}` is missing")]
-    Missing(&'static str),
-    /// A number is outside what its field can hold.
-    #[error("field `{0}` has the impossible value {1}")]
-    Impossible(&'static str, u32),
-    /// More datagrams than a step can hold.
-    #[error("field `{0}` holds more datagrams than a step can")]
-    TooManyDatagrams(&'static str),
-}
+/// Why a message that decodes as protobuf is no step all the same: which field, and what is wrong with it.
+type Defect = String;
 
 /// The message of a record; the frame's pixels are not in it.
 pub(crate) fn to_wire(record: &TickRecord) -> Tick {
@@ -37,7 +26,7 @@ pub(crate) fn to_wire(record: &TickRecord) -> Tick {
 
 /// Fills `record` from its message. Returns whether the step had a frame: its header is then in place, its pixels are
 /// the caller's to fill.
-pub(crate) fn from_wire(tick: &Tick, record: &mut TickRecord) -> Result<bool, RecordDefect> {
+pub(crate) fn from_wire(tick: &Tick, record: &mut TickRecord) -> Result<bool, Defect> {
     record.now_ns = tick.now_ns;
     record.timing = Part::from(&tick.timing, "timing")?;
     record.dropped_before = tick.dropped_before;
@@ -49,21 +38,21 @@ pub(crate) fn from_wire(tick: &Tick, record: &mut TickRecord) -> Result<bool, Re
     Ok(header.is_some())
 }
 
-fn need<T>(value: Option<T>, field: &'static str) -> Result<T, RecordDefect> {
-    value.ok_or(RecordDefect::Missing(field))
+fn need<T>(value: Option<T>, field: &'static str) -> Result<T, Defect> {
+    value.ok_or_else(|| format!("field `{field}` is missing"))
 }
 
 /// A value of the loop's whose field in a message is an `M`.
 trait Part<M>: Sized {
     fn to(self) -> M;
-    fn from(on_disk: &M, field: &'static str) -> Result<Self, RecordDefect>;
+    fn from(on_disk: &M, field: &'static str) -> Result<Self, Defect>;
 }
 
 /// A struct of the loop's that is a message of its own.
 trait Record: Sized {
     type Message;
     fn message(self) -> Self::Message;
-    fn of(message: &Self::Message) -> Result<Self, RecordDefect>;
+    fn of(message: &Self::Message) -> Result<Self, Defect>;
 }
 
 impl<T: Record> Part<Option<T::Message>> for Option<T> {
@@ -71,7 +60,7 @@ impl<T: Record> Part<Option<T::Message>> for Option<T> {
         self.map(T::message)
     }
 
-    fn from(on_disk: &Option<T::Message>, _: &'static str) -> Result<Self, RecordDefect> {
+    fn from(on_disk: &Option<T::Message>, _: &'static str) -> Result<Self, Defect> {
         on_disk.as_ref().map(T::of).transpose()
     }
 }
@@ -83,7 +72,7 @@ macro_rules! as_it_is {
                 self
             }
 
-            fn from(on_disk: &$type, _: &'static str) -> Result<Self, RecordDefect> {
+            fn from(on_disk: &$type, _: &'static str) -> Result<Self, Defect> {
                 Ok(*on_disk)
             }
         }
@@ -99,9 +88,9 @@ macro_rules! by_number {
                 self as u32
             }
 
-            fn from(on_disk: &u32, field: &'static str) -> Result<Self, RecordDefect> {
+            fn from(on_disk: &u32, field: &'static str) -> Result<Self, Defect> {
                 let value = usize::try_from(*on_disk).ok().and_then(|i| Self::ALL.get(i).copied());
-                value.ok_or(RecordDefect::Impossible(field, *on_disk))
+                value.ok_or_else(|| impossible(field, *on_disk))
             }
         }
     )+};
@@ -113,13 +102,17 @@ impl Part<u32> for u16 {
         self.into()
     }
 
-    fn from(on_disk: &u32, field: &'static str) -> Result<Self, RecordDefect> {
+    fn from(on_disk: &u32, field: &'static str) -> Result<Self, Defect> {
         small(*on_disk, field)
     }
 }
 
-fn small<T: TryFrom<u32>>(value: u32, field: &'static str) -> Result<T, RecordDefect> {
-    T::try_from(value).map_err(|_| RecordDefect::Impossible(field, value))
+fn small<T: TryFrom<u32>>(value: u32, field: &'static str) -> Result<T, Defect> {
+    T::try_from(value).map_err(|_| impossible(field, value))
+}
+
+fn impossible(field: &str, value: u32) -> Defect {
+    format!("field `{field}` has the impossible value {value}")
 }
 
 impl Part<Option<f32>> for f32 {
@@ -127,7 +120,7 @@ impl Part<Option<f32>> for f32 {
         Some(self)
     }
 
-    fn from(on_disk: &Option<f32>, field: &'static str) -> Result<Self, RecordDefect> {
+    fn from(on_disk: &Option<f32>, field: &'static str) -> Result<Self, Defect> {
         need(*on_disk, field)
     }
 }
@@ -137,7 +130,7 @@ impl<T: Record> Part<Option<T::Message>> for T {
         Some(self.message())
     }
 
-    fn from(on_disk: &Option<T::Message>, field: &'static str) -> Result<Self, RecordDefect> {
+    fn from(on_disk: &Option<T::Message>, field: &'static str) -> Result<Self, Defect> {
         Self::of(need(on_disk.as_ref(), field)?)
     }
 }
@@ -147,7 +140,7 @@ impl Part<Option<proto::Xyz>> for Option<Goal> {
         self.and_then(|goal| goal.position_ned_m.to())
     }
 
-    fn from(on_disk: &Option<proto::Xyz>, field: &'static str) -> Result<Self, RecordDefect> {
+    fn from(on_disk: &Option<proto::Xyz>, field: &'static str) -> Result<Self, Defect> {
         let position = on_disk.map(|_| Part::from(on_disk, field)).transpose()?;
         Ok(position.map(|position_ned_m| Goal { position_ned_m }))
     }
@@ -162,7 +155,7 @@ impl<F: Frame> Part<Option<proto::Xyz>> for Vector<F> {
         })
     }
 
-    fn from(on_disk: &Option<proto::Xyz>, field: &'static str) -> Result<Self, RecordDefect> {
+    fn from(on_disk: &Option<proto::Xyz>, field: &'static str) -> Result<Self, Defect> {
         let v = need(on_disk.as_ref(), field)?;
         Ok(Self::new(need(v.x, field)?, need(v.y, field)?, need(v.z, field)?))
     }
@@ -178,7 +171,7 @@ impl Part<Option<proto::Wxyz>> for Attitude {
         })
     }
 
-    fn from(on_disk: &Option<proto::Wxyz>, field: &'static str) -> Result<Self, RecordDefect> {
+    fn from(on_disk: &Option<proto::Wxyz>, field: &'static str) -> Result<Self, Defect> {
         let q = need(on_disk.as_ref(), field)?;
         Ok(Self {
             w: need(q.w, field)?,
@@ -198,13 +191,12 @@ impl Part<Vec<u8>> for [u8; FRAME_TAG_BYTES] {
         }
     }
 
-    fn from(on_disk: &Vec<u8>, _: &'static str) -> Result<Self, RecordDefect> {
+    fn from(on_disk: &Vec<u8>, _: &'static str) -> Result<Self, Defect> {
         match on_disk.as_slice() {
             [] => Ok([0; FRAME_TAG_BYTES]),
-            tag => {
-                let defect = RecordDefect::Impossible("frame.tag, bytes", tag.len() as u32);
-                tag.try_into().map_err(|_| defect)
-            }
+            tag => tag
+                .try_into()
+                .map_err(|_| impossible("frame.tag, bytes", tag.len() as u32)),
         }
     }
 }
@@ -214,7 +206,7 @@ impl<const N: usize> Part<Vec<f32>> for [f32; N] {
         self.to_vec()
     }
 
-    fn from(on_disk: &Vec<f32>, field: &'static str) -> Result<Self, RecordDefect> {
+    fn from(on_disk: &Vec<f32>, field: &'static str) -> Result<Self, Defect> {
         need(on_disk.as_slice().try_into().ok(), field)
     }
 }
@@ -234,7 +226,7 @@ macro_rules! records {
                 proto::$message { $($on_disk: $field.to(),)+ $($first, $second)? }
             }
 
-            fn of(message: &proto::$message) -> Result<Self, RecordDefect> {
+            fn of(message: &proto::$message) -> Result<Self, Defect> {
                 Ok(Self {
                     $($field: Part::from(&message.$on_disk$(.or(Some($absent)))?, concat!($at, stringify!($on_disk)))?,)+
                     $($bits: Reasons::from_words([message.$first, message.$second]))?
@@ -285,11 +277,11 @@ fn datagrams_to_proto(datagrams: &Datagrams) -> Vec<proto::Datagram> {
     datagrams.iter().map(message).collect()
 }
 
-fn datagrams_from_proto(from: &[proto::Datagram], to: &mut Datagrams, field: &'static str) -> Result<(), RecordDefect> {
+fn datagrams_from_proto(from: &[proto::Datagram], to: &mut Datagrams, field: &'static str) -> Result<(), Defect> {
     to.clear();
     for datagram in from {
         if !to.push(small(datagram.link, field)?, &datagram.data) {
-            return Err(RecordDefect::TooManyDatagrams(field));
+            return Err(format!("field `{field}` holds more datagrams than a step can"));
         }
     }
     Ok(())

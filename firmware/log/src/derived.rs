@@ -31,21 +31,23 @@ pub struct MapSeen<'a> {
 
 /// A file of derived messages, in the order of their times; [`crate::merge_derived`] puts them into the log and stamps them.
 pub struct DerivedLog {
-    file: SideFile,
+    pub(crate) file: SideFile,
 }
 
 impl DerivedLog {
-    /// Starts a file, in the place of what may be there.
+    /// Starts a file beside `log` that has no name: it ends with the process, however that ends.
     ///
     /// # Errors
     /// A file that cannot be written.
-    pub fn create(path: &Path) -> Result<Self, SideError> {
+    pub fn create(log: &Path) -> Result<Self, SideError> {
         let kinds = [
             (topic::GRID, "foxglove.Grid"),
             (topic::WAY, "foxglove.PosesInFrame"),
             (topic::SHAP, "foxglove.RawImage"),
         ];
-        SideFile::create(path, &kinds).map(|file| Self { file })
+        let folder = log.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let sink = tempfile::tempfile_in(folder.unwrap_or(Path::new(".")));
+        SideFile::new(log, sink, &kinds).map(|file| Self { file })
     }
 
     /// A pilot's map at `at_ns` of the loop's clock, drawn on the ground: evidence of an obstacle in percent. `sequence` is the step's.
@@ -108,13 +110,5 @@ impl DerivedLog {
         let data = sums.iter().flat_map(|v| v.to_le_bytes()).collect();
         let message = display::image(SHAP_ROWS, SHAP_COLS, "32FC1", data, None);
         self.file.put(topic::SHAP, (at_ns, sequence), &message)
-    }
-
-    /// Closes the file.
-    ///
-    /// # Errors
-    /// A file that cannot be written.
-    pub fn finish(self) -> Result<(), SideError> {
-        self.file.finish()
     }
 }

@@ -194,11 +194,7 @@ impl PathTrail {
     pub(crate) fn offer(&mut self, pose: Pose) {
         if self.offered.is_multiple_of(self.stride) {
             if self.poses.len() >= Self::MAX_POSES {
-                let mut keep = false;
-                self.poses.retain(|_| {
-                    keep = !keep;
-                    keep
-                });
+                self.poses = std::mem::take(&mut self.poses).into_iter().step_by(2).collect();
                 self.stride *= 2;
             }
             self.poses.push(pose);

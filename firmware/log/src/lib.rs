@@ -47,7 +47,6 @@ mod story;
 mod tlog;
 mod ulog;
 
-pub use convert::RecordDefect;
 pub use derived::{DerivedLog, MapSeen, SHAP_COLS, SHAP_ROWS};
 pub use info::FlightInfo;
 pub use log_file::LOG_FORMAT;
@@ -56,6 +55,6 @@ pub use record::TickRecord;
 pub use recorder::{LogPlace, Recorder, RecorderConfig, StartError, Summary, WhenFull, epoch_offset_ns};
 pub use recover::{Gap, RecoverError, Recovery, recover};
 pub use scene::{Scene, SceneError, SceneSolid};
-pub use side::{SideError, SideLog, merge_derived, merge_into, merge_into_light};
-pub use story::{AttackMark, CleanFrame, Line, Story, Weight};
+pub use side::{SideError, SideLog, merge_derived, merge_into};
+pub use story::{AttackMark, CleanFrame, Line, Story};
 pub use ulog::{ULog, ulog};

@@ -2,7 +2,7 @@
 
 use crate::display::{self, MAP_FRAME, Narrator, PathTrail};
 use crate::proto::foxglove::log::Level;
-use crate::{FlightInfo, Scene, TickRecord, convert, proto};
+use crate::{RecorderConfig, TickRecord, convert, proto};
 use mcap::records::{AttachmentHeader, MessageHeader, Metadata};
 use mcap::{Compression, McapError, McapResult, WriteOptions};
 use prost::Message;
@@ -92,11 +92,7 @@ pub(crate) fn write_options() -> WriteOptions {
 /// An open log. Everything up to the last flush can be read even if nothing more is ever written.
 pub(crate) struct LogFile<W: Write + Seek> {
     pub(crate) sheet: Sheet<W>,
-    epoch_offset_ns: u64,
-    scene: Option<Scene>,
-    content: LogContent,
-    /// Score above which the detector's verdict is attack.
-    threshold: Option<f32>,
+    config: RecorderConfig,
     narrator: Narrator,
     trail: PathTrail,
     goal: Option<Goal>,
@@ -107,26 +103,17 @@ pub(crate) struct LogFile<W: Write + Seek> {
 
 impl<W: Write + Seek> LogFile<W> {
     /// Writes what stands before the first record (who flies with which settings, the channels) and flushes it.
-    pub(crate) fn create(
-        sink: W,
-        info: &FlightInfo,
-        epoch_offset_ns: u64,
-        scene: Option<Scene>,
-        content: LogContent,
-    ) -> McapResult<Self> {
+    pub(crate) fn create(sink: W, config: RecorderConfig) -> McapResult<Self> {
         let mut writer = write_options().create(sink)?;
         writer.write_metadata(&Metadata {
             name: META.to_owned(),
-            metadata: info.to_metadata(epoch_offset_ns),
+            metadata: config.info.to_metadata(config.epoch_offset_ns),
         })?;
         let mut sheet = Sheet::new(writer, &RECORDED)?;
         sheet.writer.flush()?;
         Ok(Self {
             sheet,
-            epoch_offset_ns,
-            scene,
-            content,
-            threshold: info.detector_threshold,
+            config,
             narrator: Narrator::default(),
             trail: PathTrail::new(),
             goal: None,
@@ -139,12 +126,13 @@ impl<W: Write + Seek> LogFile<W> {
     /// Writes a record into the present chunk. `true` when that made a flush due and it was done: all records so far
     /// are then in the file.
     pub(crate) fn write(&mut self, record: &TickRecord) -> McapResult<bool> {
-        let at_ns = record.now_ns.saturating_add(self.epoch_offset_ns);
+        let at_ns = record.now_ns.saturating_add(self.config.epoch_offset_ns);
         // The number wraps after 2³² steps, as the MCAP field does.
         let place = (at_ns, record.timing.step as u32);
         let sheet = &mut self.sheet;
-        let (exact, drawn) = (self.content != LogContent::Light, self.content != LogContent::Replay);
-        if let Some(scene) = self.scene.take() {
+        let content = self.config.content;
+        let (exact, drawn) = (content != LogContent::Light, content != LogContent::Replay);
+        if let Some(scene) = self.config.scene.take() {
             sheet.put(topic::SCENE, place, &scene.to_update(at_ns))?;
             if drawn {
                 sheet.put(topic::SCENE_POINTS, place, &scene.to_point_cloud(at_ns))?;
@@ -160,7 +148,11 @@ impl<W: Write + Seek> LogFile<W> {
         }
         sheet.put(topic::TICK, place, &tick)?;
         if drawn {
-            sheet.put(topic::STATUS, place, &display::status(record, self.threshold))?;
+            sheet.put(
+                topic::STATUS,
+                place,
+                &display::status(record, self.config.info.detector_threshold),
+            )?;
             let slow_due = due(&mut self.last_slow_ns, record.now_ns, SLOW_NS);
             if let Some(frame) = record.frame()
                 && due(&mut self.last_range_ns, record.now_ns, RANGE_NS)

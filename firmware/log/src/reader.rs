@@ -3,7 +3,7 @@
 use crate::container::{Container, Next};
 use crate::log_file::{LOG_FORMAT, META, META_END, topic};
 use crate::proto::foxglove::RawImage;
-use crate::{FlightInfo, RecordDefect, TickRecord, convert, display, proto, salvage};
+use crate::{FlightInfo, TickRecord, convert, display, proto, salvage};
 use mcap::McapError;
 use mcap::records::Record;
 use prost::Message;
@@ -45,9 +45,9 @@ pub enum ReadError {
     Metadata(PathBuf, &'static str),
     /// The file is damaged; the records before are good.
     #[error(
-        "{path} is damaged after record {records}{}: {what}; the records before it are good, and \
+        "{path} is damaged after record {records}, {at_s:.2} s into the log{}: {what}; the records before it are good, and \
          `vigil recover` saves those behind it as well",
-        place(*at_s, *at_byte)
+        at_byte.map(|byte| format!(", at byte {byte}")).unwrap_or_default()
     )]
     Damaged {
         /// The file.
@@ -61,13 +61,6 @@ pub enum ReadError {
         /// What is wrong.
         what: Damage,
     },
-}
-
-fn place(at_s: f64, at_byte: Option<u64>) -> String {
-    match at_byte {
-        Some(byte) => format!(", {at_s:.2} s into the log, at byte {byte}"),
-        None => format!(", {at_s:.2} s into the log"),
-    }
 }
 
 /// What is wrong with a container, in words of what was recorded.
@@ -115,29 +108,9 @@ pub enum Damage {
     /// The MCAP container does not hold together (length, checksum, compression).
     #[error("{}", in_words(.0))]
     Container(McapError),
-    /// A message does not decode.
-    #[error("a message of {topic} does not decode: {source}")]
-    Message {
-        /// The channel.
-        topic: &'static str,
-        /// What the decoder said.
-        source: prost::DecodeError,
-    },
-    /// A tick's message decodes but is no step.
-    #[error("a message of /vigil/tick is no step: {0}")]
-    Record(RecordDefect),
-    /// A step's time is one to which a replay cannot add.
-    #[error("step {0} has the time {1} ns, later than any loop runs")]
-    Late(u64, Nanos),
-    /// A step speaks of a frame and the depth channel has none for it, or the reverse.
-    #[error("step {0} and the depth channel disagree on whether it had a frame")]
-    FrameMissing(u64),
-    /// The depth image has another size or encoding than this program's frames.
-    #[error("the depth image of step {0} is no {DEPTH_ROWS} x {DEPTH_COLS} image in 32FC1")]
-    Image(u64),
-    /// The log's end counts other records than there are.
-    #[error("the log ends with a count of {0} records")]
-    Count(u64),
+    /// It does, and what it holds are no steps, not these steps, or not all of them.
+    #[error("{0}")]
+    Content(String),
 }
 
 /// A record of a later time is none of a flight: a step that is replayed adds to its time.
@@ -187,25 +160,28 @@ pub(crate) fn read_step(
     image: Option<(u32, &[u8])>,
     record: &mut TickRecord,
 ) -> Result<proto::Tick, Damage> {
-    let broken = |topic| move |source| Damage::Message { topic, source };
+    let broken = |topic| move |error| Damage::Content(format!("a message of {topic} does not decode: {error}"));
     let decoded = image
         .map(|(number, image)| Ok((number, RawImage::decode(image)?)))
         .transpose();
     let image = decoded.map_err(broken(topic::DEPTH))?;
     let tick = proto::Tick::decode(tick).map_err(broken(topic::TICK))?;
-    let has_frame = convert::from_wire(&tick, record).map_err(Damage::Record)?;
-    let step = record.timing.step;
-    if record.now_ns > LATEST_NS {
-        return Err(Damage::Late(step, record.now_ns));
-    }
-    match (has_frame, image) {
-        (false, None) => Ok(tick),
+    let has_frame = convert::from_wire(&tick, record)
+        .map_err(|defect| Damage::Content(format!("a message of /vigil/tick is no step: {defect}")))?;
+    let (step, now_ns) = (record.timing.step, record.now_ns);
+    let defect = match (has_frame, image) {
+        // A time to which a replay cannot add.
+        _ if now_ns > LATEST_NS => format!("step {step} has the time {now_ns} ns, later than any loop runs"),
+        (false, None) => return Ok(tick),
         (true, Some((number, image))) if number == step as u32 => {
-            let is_ours = display::read_depth_image(&image, &mut record.frame_slot(true).depth);
-            is_ours.then_some(tick).ok_or(Damage::Image(step))
+            if display::read_depth_image(&image, &mut record.frame_slot(true).depth) {
+                return Ok(tick);
+            }
+            format!("the depth image of step {step} is no {DEPTH_ROWS} x {DEPTH_COLS} image in 32FC1")
         }
-        _ => Err(Damage::FrameMissing(step)),
-    }
+        _ => format!("step {step} and the depth channel disagree on whether it had a frame"),
+    };
+    Err(Damage::Content(defect))
 }
 
 /// A log being read.
@@ -332,7 +308,10 @@ impl Reader {
                     self.end = Some(match self.counted {
                         // Of a log that is cut, only the index behind all records is missing then.
                         Some((counted, dropped)) if counted == self.records => LogEnd::Closed { dropped },
-                        Some((counted, _)) if matches!(end, Next::End) => return Err(Damage::Count(counted)),
+                        Some((counted, _)) if matches!(end, Next::End) => {
+                            let text = format!("the log ends with a count of {counted} records");
+                            return Err(Damage::Content(text));
+                        }
                         _ => LogEnd::Interrupted { records: self.records },
                     });
                     return Ok(false);

@@ -182,16 +182,11 @@ impl Recorder {
         W: Write + Seek + Send + 'static,
         T: Write + Send + 'static,
     {
-        let file = LogFile::create(
-            BufWriter::new(log_sink),
-            &config.info,
-            config.epoch_offset_ns,
-            config.scene,
-            config.content,
-        )
-        .map_err(|what| StartError::Write(path.clone(), what))?;
-        let (mut free_in, free) = RingBuffer::new(config.slots);
-        let (full, full_out) = RingBuffer::new(config.slots);
+        let (slots, when_full, epoch_offset_ns) = (config.slots, config.when_full, config.epoch_offset_ns);
+        let file = LogFile::create(BufWriter::new(log_sink), config);
+        let file = file.map_err(|what| StartError::Write(path.clone(), what))?;
+        let (mut free_in, free) = RingBuffer::new(slots);
+        let (full, full_out) = RingBuffer::new(slots);
         while !free_in.is_full() {
             // The ring has room: that is the loop's condition.
             let _ = free_in.push(Box::default());
@@ -203,10 +198,10 @@ impl Recorder {
             tlog: Some(BufWriter::new(tlog_sink)),
             file: Some(file),
             shared: Arc::clone(&shared),
-            epoch_offset_ns: config.epoch_offset_ns,
+            epoch_offset_ns,
             failure: None,
             path: path.clone(),
-            pause: match config.when_full {
+            pause: match when_full {
                 WhenFull::Drop => Duration::from_millis(10),
                 WhenFull::Wait => Duration::from_millis(1),
             },
@@ -219,7 +214,7 @@ impl Recorder {
         Ok(Self {
             free,
             full: Some(full),
-            when_full: config.when_full,
+            when_full,
             shared,
             thread: Some(thread),
             lock: None,

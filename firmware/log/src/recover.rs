@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
-use vigil_types::files::at;
+use vigil_types::files::{at, sync_folder};
 use vigil_types::{Nanos, STEP_S};
 
 /// Why a log could not be recovered.
@@ -139,28 +139,35 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
         });
     };
     let (_, epoch_offset_ns) = flight_of(from.to_owned(), &start.metadata)?;
+    let exists = || RecoverError::Exists(to.to_owned());
     let unwritable = |what: McapError| RecoverError::Write(to.to_owned(), what);
-    let sink = File::create_new(to).map_err(|error| match error.kind() {
-        io::ErrorKind::AlreadyExists => RecoverError::Exists(to.to_owned()),
-        _ => unwritable(error.into()),
-    })?;
-    let copied = copy(from, &description, sink).map_err(unwritable);
-    let result = copied.and_then(|copy| match copy.records {
-        0 => Err(RecoverError::Nothing(
-            from.to_owned(),
-            description.unknown_compression.clone(),
-        )),
-        _ => Ok(copy.recovery(&description, from, epoch_offset_ns)),
-    });
-    if result.is_err() {
-        // It was made above, and there is nothing in it that is not in the old log.
-        let _ = std::fs::remove_file(to);
+    if to.symlink_metadata().is_ok() {
+        return Err(exists());
     }
-    result
+    // Half a copy would be read as a whole log: it has its name once it is whole.
+    let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new("."));
+    let beside = tempfile::Builder::new()
+        .prefix(".vigil-recover.")
+        .make_in(folder, |path| File::create_new(path))
+        .map_err(|error| unwritable(error.into()))?;
+    let copied = copy(from, &description, beside.as_file()).map_err(unwritable)?;
+    if copied.records == 0 {
+        let compression = description.unknown_compression.clone();
+        return Err(RecoverError::Nothing(from.to_owned(), compression));
+    }
+    let recovery = copied.recovery(&description, from, epoch_offset_ns);
+    beside
+        .persist_noclobber(to)
+        .map_err(|failed| match failed.error.kind() {
+            io::ErrorKind::AlreadyExists => exists(),
+            _ => unwritable(failed.error.into()),
+        })?;
+    sync_folder(folder).map_err(|error| unwritable(error.into()))?;
+    Ok(recovery)
 }
 
-fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Copy, McapError> {
-    let keep = to.try_clone()?;
+fn copy<'a>(from: &Path, description: &salvage::Description, to: &'a File) -> Result<Copy<'a>, McapError> {
     let of = |topic: &str| description.channels.values().find(|channel| channel.topic == topic);
     let number = |topic| of(topic).map(|channel| channel.id);
     let mut copy = Copy {
@@ -220,13 +227,13 @@ fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Cop
             .write_metadata(&log_file::end_metadata(copy.records, dropped.saturating_add(lost)))?;
     }
     copy.writer.finish()?;
-    keep.sync_all()?;
+    to.sync_all()?;
     Ok(copy)
 }
 
 /// What was copied so far.
-struct Copy {
-    writer: mcap::Writer<BufWriter<File>>,
+struct Copy<'a> {
+    writer: mcap::Writer<BufWriter<&'a File>>,
     /// The channels of the copy: a message of another has a damaged number, or what says whose it was is lost.
     known: BTreeSet<u16>,
     depth: Option<u16>,
@@ -243,7 +250,7 @@ struct Copy {
     counted: Option<(u64, u64)>,
 }
 
-impl Copy {
+impl Copy<'_> {
     fn take(&mut self, header: MessageHeader, data: Vec<u8>) -> Result<(), McapError> {
         if !self.known.contains(&header.channel_id) {
             return Ok(());

@@ -7,7 +7,8 @@ use crate::proto::foxglove::{
     SceneUpdate, Vector3,
 };
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::Path;
 use vigil_types::NedVector;
 use vigil_types::files::{self, FileError};
 
@@ -54,26 +55,11 @@ pub enum SceneSolid {
 /// A scene of a thousand obstacles has 200 kB.
 const SIZE_LIMIT: u64 = 16 << 20;
 
-/// Why a scene could not be read or written.
+/// Why a scene could not be read or written. Of a file that is no scene it names line, column and field, or the number that no solid
+/// can have.
 #[derive(Debug, thiserror::Error)]
-pub enum SceneError {
-    /// The file could not be read or written.
-    #[error("scene file {0}")]
-    Io(#[from] FileError),
-    /// The file is no scene; the message names line, column and field.
-    #[error(
-        "scene file {path}: {source}; expected {{ \"solids\": [ {{ \"cuboid\": {{…}} }}, {{ \"cylinder\": {{…}} }} ] }}"
-    )]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong and where.
-        source: serde_json::Error,
-    },
-    /// A number that no solid can have.
-    #[error("scene file {0}: {1}")]
-    Value(PathBuf, String),
-}
+#[error("scene file {0}")]
+pub struct SceneError(#[from] FileError);
 
 impl Scene {
     /// Reads a scene file.
@@ -81,18 +67,17 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] when the file is missing, unreadable or not a scene.
     pub fn load(path: &Path) -> Result<Self, SceneError> {
+        let wrong = |text: String| files::at(path)(io::Error::other(text));
         let text = files::read_text(path, SIZE_LIMIT).map_err(files::at(path))?;
-        let scene: Self = serde_json::from_str(&text).map_err(|source| SceneError::Format {
-            path: path.to_owned(),
-            source,
+        let scene: Self = serde_json::from_str(&text).map_err(|error| {
+            let form = "expected { \"solids\": [ { \"cuboid\": {…} }, { \"cylinder\": {…} } ] }";
+            wrong(format!("{error}; {form}"))
         })?;
-        for (index, solid) in scene.solids.iter().enumerate() {
-            if let Some(defect) = solid.defect() {
-                let text = format!("solid {index} has {defect}");
-                return Err(SceneError::Value(path.to_owned(), text));
-            }
+        let mut solids = scene.solids.iter().enumerate();
+        match solids.find_map(|(index, solid)| Some(format!("solid {index} has {}", solid.defect()?))) {
+            Some(text) => Err(wrong(text).into()),
+            None => Ok(scene),
         }
-        Ok(scene)
     }
 
     /// Writes a scene file.
@@ -100,11 +85,9 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] when the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), SceneError> {
-        let text = serde_json::to_string_pretty(self).map_err(|source| SceneError::Format {
-            path: path.to_owned(),
-            source,
-        })?;
-        Ok(files::replace(path, (text + "\n").as_bytes(), files::Access::Shared).map_err(files::at(path))?)
+        let text = serde_json::to_string_pretty(self).map_err(io::Error::other);
+        let saved = text.and_then(|text| files::replace(path, (text + "\n").as_bytes(), files::Access::Shared));
+        Ok(saved.map_err(files::at(path))?)
     }
 
     /// The solids as one entity of a 3D view, in the z-up `map` frame.
@@ -116,23 +99,17 @@ impl Scene {
             ..Default::default()
         };
         for solid in &self.solids {
-            match *solid {
-                SceneSolid::Cuboid {
-                    centre_ned_m,
-                    half_extents_m: [hx, hy, hz],
-                    yaw_rad,
-                } => entity.cubes.push(CubePrimitive {
-                    pose: Some(upright_pose(centre_ned_m, yaw_rad)),
-                    size: Some(size(hx, hy, hz)),
+            let (centre_ned_m, half_m, yaw_rad) = solid.parts();
+            let (pose, size) = (Some(upright_pose(centre_ned_m, yaw_rad)), Some(size(half_m)));
+            match solid {
+                SceneSolid::Cuboid { .. } => entity.cubes.push(CubePrimitive {
+                    pose,
+                    size,
                     color: Some(color(0.55, 0.60, 0.68)),
                 }),
-                SceneSolid::Cylinder {
-                    centre_ned_m,
-                    radius_m,
-                    half_height_m,
-                } => entity.cylinders.push(CylinderPrimitive {
-                    pose: Some(upright_pose(centre_ned_m, 0.0)),
-                    size: Some(size(radius_m, radius_m, half_height_m)),
+                SceneSolid::Cylinder { .. } => entity.cylinders.push(CylinderPrimitive {
+                    pose,
+                    size,
                     bottom_scale: 1.0,
                     top_scale: 1.0,
                     color: Some(color(0.72, 0.54, 0.36)),
@@ -199,33 +176,36 @@ pub(crate) fn solids_of(update: &SceneUpdate) -> Vec<SceneSolid> {
 }
 
 impl SceneSolid {
-    /// The first number that is not finite or, for a size, not positive, and what is allowed.
-    fn defect(&self) -> Option<String> {
-        let (centre_ned_m, yaw_rad, sizes) = match *self {
+    /// Centre, half of length, width and height, and direction: a cylinder is as long and as wide as its radius says, and points north.
+    pub fn parts(&self) -> ([f32; 3], [f32; 3], f32) {
+        match *self {
             Self::Cuboid {
                 centre_ned_m,
                 half_extents_m,
                 yaw_rad,
-            } => (
-                centre_ned_m,
-                yaw_rad,
-                half_extents_m.map(|v| ("half_extents_m", v)).to_vec(),
-            ),
+            } => (centre_ned_m, half_extents_m, yaw_rad),
             Self::Cylinder {
                 centre_ned_m,
                 radius_m,
                 half_height_m,
-            } => {
-                let sizes = vec![("radius_m", radius_m), ("half_height_m", half_height_m)];
-                (centre_ned_m, 0.0, sizes)
-            }
+            } => (centre_ned_m, [radius_m, radius_m, half_height_m], 0.0),
+        }
+    }
+
+    /// The first number that is not finite or, for a size, not positive, and what is allowed.
+    fn defect(&self) -> Option<String> {
+        let (centre_ned_m, half_m, yaw_rad) = self.parts();
+        let names = match self {
+            Self::Cuboid { .. } => ["half_extents_m"; 3],
+            Self::Cylinder { .. } => ["radius_m", "radius_m", "half_height_m"],
         };
-        let centre = centre_ned_m.map(|v| ("centre_ned_m", v));
-        let anywhere = centre.into_iter().chain([("yaw_rad", yaw_rad)]);
-        let endless = anywhere.map(|(field, v)| (field, v, v.is_finite(), "finite"));
-        let shapeless = sizes
+        let anywhere = centre_ned_m
+            .map(|v| ("centre_ned_m", v))
             .into_iter()
-            .map(|(field, v)| (field, v, v.is_finite() && v > 0.0, "positive"));
+            .chain([("yaw_rad", yaw_rad)]);
+        let endless = anywhere.map(|(field, v)| (field, v, v.is_finite(), "finite"));
+        let sizes = names.into_iter().zip(half_m);
+        let shapeless = sizes.map(|(field, v)| (field, v, v.is_finite() && v > 0.0, "positive"));
         let (field, value, _, expected) = endless.chain(shapeless).find(|(_, _, fits, _)| !fits)?;
         Some(format!("{field} = {value}; give a {expected} number"))
     }
@@ -233,12 +213,9 @@ impl SceneSolid {
     /// Points on the solid's faces (the bottom left out), NED metres: some viewers show point clouds and no solids.
     fn surface_points(&self) -> Vec<[f32; 3]> {
         let mut points = Vec::new();
-        match *self {
-            Self::Cuboid {
-                centre_ned_m: [north, east, down],
-                half_extents_m: [hx, hy, hz],
-                yaw_rad,
-            } => {
+        let ([north, east, down], [hx, hy, hz], yaw_rad) = self.parts();
+        match self {
+            Self::Cuboid { .. } => {
                 let (sin, cos) = yaw_rad.sin_cos();
                 let mut put = |x: f32, y: f32, z: f32| {
                     points.push([north + cos * x - sin * y, east + sin * x + cos * y, down + z])
@@ -255,14 +232,10 @@ impl SceneSolid {
                     put(hx, y, z);
                 }
             }
-            Self::Cylinder {
-                centre_ned_m: [north, east, down],
-                radius_m,
-                half_height_m,
-            } => {
-                for (angle, z) in grid(std::f32::consts::PI, half_height_m) {
+            Self::Cylinder { .. } => {
+                for (angle, z) in grid(std::f32::consts::PI, hz) {
                     let (sin, cos) = angle.sin_cos();
-                    points.push([north + radius_m * cos, east + radius_m * sin, down + z]);
+                    points.push([north + hx * cos, east + hx * sin, down + z]);
                 }
             }
         }
@@ -282,12 +255,9 @@ fn color(r: f64, g: f64, b: f64) -> Color {
     Color { r, g, b, a: 0.9 }
 }
 
-fn size(half_x: f32, half_y: f32, half_z: f32) -> Vector3 {
-    Vector3 {
-        x: 2.0 * f64::from(half_x),
-        y: 2.0 * f64::from(half_y),
-        z: 2.0 * f64::from(half_z),
-    }
+fn size(half_m: [f32; 3]) -> Vector3 {
+    let [x, y, z] = half_m.map(|half| 2.0 * f64::from(half));
+    Vector3 { x, y, z }
 }
 
 /// A solid's pose in the map frame: its length axis points `yaw_rad` clockwise from north, which is π/2 − yaw
@@ -337,10 +307,8 @@ mod tests {
             error.contains("solid 0 has radius_m = 0; give a positive number"),
             "{error}"
         );
-        assert!(matches!(
-            Scene::load(&dir.path().join("none.json")),
-            Err(SceneError::Io(_))
-        ));
+        let error = Scene::load(&dir.path().join("none.json")).unwrap_err().to_string();
+        assert!(error.contains("none.json: No such file"), "{error}");
     }
 
     #[test]

@@ -8,16 +8,16 @@ use crate::display::{self, MAP_FRAME};
 use crate::log_file::{self, Kind, META_STORY, Sheet, topic};
 use crate::proto;
 use crate::proto::foxglove::PosesInFrame;
-use crate::{ReadError, Reader};
+use crate::{DerivedLog, ReadError, Reader};
 use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata, Record};
 use prost::Message;
 use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, TryLockError};
-use std::io::{self, BufWriter};
+use std::io::{self, BufWriter, Seek};
 use std::path::{Path, PathBuf};
 use vigil_types::files::{self, Access, FileError};
-use vigil_types::{Attitude, DepthFrame, Nanos, NedVector};
+use vigil_types::{Attitude, DepthFrame, LogContent, Nanos, NedVector};
 
 /// Names of channels.
 type Topics = &'static [&'static str];
@@ -32,22 +32,14 @@ pub enum SideError {
     #[error(transparent)]
     Io(#[from] FileError),
     /// A file is no MCAP file, or is damaged.
-    #[error("{path}: {}", crate::reader::in_words(.source))]
-    Mcap {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        source: McapError,
-    },
+    #[error("{}: {}", .0.display(), crate::reader::in_words(.1))]
+    Mcap(PathBuf, McapError),
 }
 
 fn at(path: &Path) -> impl Fn(McapError) -> SideError + '_ {
     |source| match source {
         McapError::Io(error) => files::at(path)(error).into(),
-        source => SideError::Mcap {
-            path: path.to_owned(),
-            source,
-        },
+        source => SideError::Mcap(path.to_owned(), source),
     }
 }
 
@@ -77,7 +69,7 @@ impl SideLog {
             (topic::CLEAN_DEPTH, "foxglove.RawImage"),
         ];
         Ok(Self {
-            file: SideFile::create(path, &kinds)?,
+            file: SideFile::new(path, File::create(path), &kinds)?,
             last_clean_ns: None,
             altered: 0,
         })
@@ -137,7 +129,7 @@ impl SideLog {
     /// # Errors
     /// A file that cannot be written.
     pub fn finish(self) -> Result<(), SideError> {
-        self.file.finish()
+        self.file.finish().map(drop)
     }
 }
 
@@ -148,8 +140,9 @@ pub(crate) struct SideFile {
 }
 
 impl SideFile {
-    pub(crate) fn create(path: &Path, kinds: &[Kind]) -> Result<Self, SideError> {
-        let sink = File::create(path).map_err(files::at(path))?;
+    /// In `sink`, which is named by `path` where something fails.
+    pub(crate) fn new(path: &Path, sink: io::Result<File>, kinds: &[Kind]) -> Result<Self, SideError> {
+        let sink = sink.map_err(files::at(path))?;
         let writer = log_file::write_options().create(BufWriter::new(sink));
         let sheet = writer.and_then(|writer| Sheet::new(writer, kinds)).map_err(at(path))?;
         Ok(Self {
@@ -162,27 +155,34 @@ impl SideFile {
         self.sheet.put(topic, place, message).map_err(at(&self.path))
     }
 
-    pub(crate) fn finish(mut self) -> Result<(), SideError> {
-        self.sheet.writer.finish().map(|_| ()).map_err(at(&self.path))
+    pub(crate) fn finish(mut self) -> Result<File, SideError> {
+        self.sheet.writer.finish().map_err(at(&self.path))?;
+        let file = self.sheet.writer.into_inner().into_inner();
+        file.map_err(|error| files::at(&self.path)(error.into_error()).into())
     }
 }
 
 /// Puts the messages of side logs among those of the flight log `log`, by time, and notes `about` (how the flight ended, the
 /// command that flew it) in its metadata `vigil.flight`. What a replay reads stays as it is, bit for bit. The file is replaced
-/// whole or not at all; one that was not closed is then still marked as such. A side log that was cut off gives what is whole.
+/// whole or not at all; one that was not closed is then still marked as such. A side log that was cut off gives what is whole. From
+/// a log without frames ([`LogContent::Light`]) those before they were altered stay out, too.
 ///
 /// # Errors
 /// [`SideError`]: a log that cannot be read, a file that cannot be written; the log is then as it was.
-pub fn merge_into(log: &Path, sides: &[&Path], about: &BTreeMap<String, String>) -> Result<(), SideError> {
-    replace_merged(log, sides, about, [&[], &[]])
-}
-
-/// As [`merge_into`], for a log without frames ([`vigil_types::LogContent::Light`]): those before they were altered stay out, too.
-///
-/// # Errors
-/// As [`merge_into`].
-pub fn merge_into_light(log: &Path, sides: &[&Path], about: &BTreeMap<String, String>) -> Result<(), SideError> {
-    replace_merged(log, sides, about, [&[], &[topic::CLEAN_DEPTH]])
+pub fn merge_into(
+    log: &Path,
+    sides: &[&Path],
+    about: &BTreeMap<String, String>,
+    content: LogContent,
+) -> Result<(), SideError> {
+    let without: Topics = match content {
+        LogContent::Light => &[topic::CLEAN_DEPTH],
+        _ => &[],
+    };
+    let sides = sides
+        .iter()
+        .map(|path| Ok(Source::new(path, Container::open(path)?, without)));
+    replace_merged(log, sides.collect::<Result<_, SideError>>()?, about, &[])
 }
 
 /// Puts what was derived from the log among its messages ([`crate::DerivedLog`]): `map` and way, `shap`, or both, in the place of
@@ -190,24 +190,30 @@ pub fn merge_into_light(log: &Path, sides: &[&Path], about: &BTreeMap<String, St
 ///
 /// # Errors
 /// As [`merge_into`].
-pub fn merge_derived(log: &Path, derived: &Path, map: bool, shap: bool) -> Result<(), SideError> {
+pub fn merge_derived(log: &Path, derived: DerivedLog, map: bool, shap: bool) -> Result<(), SideError> {
+    let mut derived = derived.file.finish()?;
+    derived.rewind().map_err(files::at(log))?;
     let replaced: Topics = match (map, shap) {
         (true, true) => &[topic::GRID, topic::WAY, topic::SHAP],
         (true, false) => &[topic::GRID, topic::WAY],
         (false, true) => &[topic::SHAP],
         (false, false) => &[],
     };
-    replace_merged(log, &[derived], &BTreeMap::new(), [replaced, &[]])
+    let derived = Source::new(log, Container::new(derived), &[]);
+    replace_merged(log, vec![derived], &BTreeMap::new(), replaced)
 }
 
-/// `without`: topics of the log, and of the side logs, that are left out.
+/// `without`: topics of the log that are left out.
 fn replace_merged(
     log: &Path,
-    sides: &[&Path],
+    mut sides: Vec<Source<'_>>,
     about: &BTreeMap<String, String>,
-    without: [Topics; 2],
+    without: Topics,
 ) -> Result<(), SideError> {
     let epoch_offset_ns = Reader::open(log)?.epoch_offset_ns();
+    for side in &mut sides {
+        side.lacks_ns = Some(epoch_offset_ns);
+    }
     // Its recorder would go on with a file that has no name any more. Where there are no locks, nobody holds one.
     let before = files::open(log).map_err(files::at(log))?;
     if let Err(TryLockError::WouldBlock) = before.try_lock_shared() {
@@ -215,28 +221,23 @@ fn replace_merged(
         return Err(files::at(log)(busy).into());
     }
     let merged = files::replace_with(log, Access::Shared, |file| {
-        merge(log, sides, about, without, epoch_offset_ns, file).map_err(io::Error::other)
+        merge(log, sides, about, without, file).map_err(io::Error::other)
     });
     merged.map_err(|error| error.downcast().unwrap_or_else(|error| files::at(log)(error).into()))
 }
 
 fn merge(
     log: &Path,
-    sides: &[&Path],
+    mut sides: Vec<Source<'_>>,
     about: &BTreeMap<String, String>,
-    [without, sides_without]: [Topics; 2],
-    epoch_offset_ns: u64,
+    without: Topics,
     to: &mut File,
 ) -> Result<(), SideError> {
     let mut writer = log_file::write_options().create(BufWriter::new(to)).map_err(at(log))?;
     let mut main = Source {
         keeps_story: about.is_empty(),
-        ..Source::open(log, None, without)?
+        ..Source::new(log, Container::open(log)?, without)
     };
-    let mut sides = sides
-        .iter()
-        .map(|path| Source::open(path, Some(epoch_offset_ns), sides_without))
-        .collect::<Result<Vec<_>, _>>()?;
     // What stands before the first message goes first: a reader expects the metadata at the start.
     main.advance(&mut writer)?;
     if !about.is_empty() {
@@ -290,18 +291,18 @@ struct Source<'a> {
 }
 
 impl<'a> Source<'a> {
-    fn open(path: &'a Path, lacks_ns: Option<u64>, without: Topics) -> Result<Self, SideError> {
-        Ok(Self {
+    fn new(path: &'a Path, container: Container, without: Topics) -> Self {
+        Self {
             path,
-            container: Container::open(path)?,
-            lacks_ns,
+            container,
+            lacks_ns: None,
             schemas: HashMap::new(),
             channels: HashMap::new(),
             next: None,
             end: None,
             without,
             keeps_story: false,
-        })
+        }
     }
 
     fn time_ns(&self) -> Option<u64> {
@@ -373,7 +374,7 @@ fn with_stamp(at_ns: u64, message: &[u8]) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DerivedLog, FlightInfo, Recorder, RecorderConfig, SHAP_COLS, SHAP_ROWS};
+    use crate::{FlightInfo, Recorder, RecorderConfig, SHAP_COLS, SHAP_ROWS};
 
     /// The messages of a topic: times in the log and contents.
     fn messages(log: &Path, topic: &str) -> Vec<(u64, Vec<u8>)> {
@@ -395,7 +396,9 @@ mod tests {
         })
         .unwrap();
         recorder.record(|_| {});
-        let early = merge_into(&log, &[], &BTreeMap::new()).unwrap_err().to_string();
+        let early = merge_into(&log, &[], &BTreeMap::new(), LogContent::Light)
+            .unwrap_err()
+            .to_string();
         assert!(early.contains("it is still being written"), "{early}");
         assert_eq!(recorder.finish().failure, None);
 
@@ -413,7 +416,7 @@ mod tests {
         };
         truth.file.sheet.writer.attach(&film).unwrap();
         truth.finish().unwrap();
-        merge_into_light(&log, &[side.as_path()], &BTreeMap::new()).unwrap();
+        merge_into(&log, &[side.as_path()], &BTreeMap::new(), LogContent::Light).unwrap();
         let of_frames = [topic::ATTACK, topic::CLEAN_DEPTH].map(|topic| messages(&log, topic).len());
         assert_eq!(of_frames, [1, 0], "what was done to the frames, without the frames");
         let shown_ns = epoch_offset_ns + at_ns;
@@ -424,15 +427,16 @@ mod tests {
         assert!(messages(&log, topic::TRANSFORM).contains(&(shown_ns, turned)));
 
         for (map, shap) in [(true, true), (true, false), (false, true)] {
-            let mut derived = DerivedLog::create(&side).unwrap();
+            let mut derived = DerivedLog::create(&log).unwrap();
+            // Whoever ends it now leaves nothing: log, its tlog, and the other's notes.
+            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 3);
             if map {
                 derived.way(at_ns, 1, &[(0.0, 1.0)], -1.5).unwrap();
             }
             if shap {
                 derived.shap(at_ns, 1, &[0.5; SHAP_ROWS * SHAP_COLS]).unwrap();
             }
-            derived.finish().unwrap();
-            merge_derived(&log, &side, map, shap).unwrap();
+            merge_derived(&log, derived, map, shap).unwrap();
             for topic in [topic::WAY, topic::SHAP] {
                 let held = messages(&log, topic);
                 assert_eq!(held.len(), 1, "{topic}, {map}, {shap}");

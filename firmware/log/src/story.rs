@@ -13,24 +13,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use vigil_types::{DEPTH_PIXELS, Nanos, NedVector};
 
-/// How serious a line of the log panel is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Weight {
-    /// Something happened.
-    Info,
-    /// Something keeps the vehicle from flying on.
-    Warning,
-    /// An alarm, or records that are missing.
-    Error,
-}
-
 /// A line of the log panel.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Line {
     /// When, by the loop's clock.
     pub at_ns: Nanos,
-    /// How serious.
-    pub weight: Weight,
+    /// How serious: `info`, something happened; `warning`, it keeps the vehicle from flying on; `error`, an alarm, or missing records.
+    pub weight: &'static str,
     /// What.
     pub text: String,
 }
@@ -134,9 +123,9 @@ impl Story {
                 self.lines.push(Line {
                     at_ns,
                     weight: match log.level {
-                        level if level >= Level::Error as i32 => Weight::Error,
-                        level if level >= Level::Warning as i32 => Weight::Warning,
-                        _ => Weight::Info,
+                        level if level >= Level::Error as i32 => "error",
+                        level if level >= Level::Warning as i32 => "warning",
+                        _ => "info",
                     },
                     text: log.message,
                 });

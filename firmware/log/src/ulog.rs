@@ -3,7 +3,7 @@
 //! Topics that PX4 has, by its names and fields, as far as the guidance computer knows them, and one of our own, `vigil_status`. Format:
 //! <https://docs.px4.io/main/en/dev_log/ulog_file_format.html>.
 
-use crate::{LogEnd, ReadError, Reader, Story, TickRecord, Weight};
+use crate::{LogEnd, ReadError, Reader, Story, TickRecord};
 use std::path::Path;
 use vigil_types::{Nanos, VehicleMode};
 
@@ -214,9 +214,9 @@ pub fn ulog(path: &Path) -> Result<ULog, ReadError> {
         }
         while let Some(line) = lines.next_if(|line| line.at_ns <= record.now_ns) {
             let level = match line.weight {
-                Weight::Info => b'6',
-                Weight::Warning => b'4',
-                Weight::Error => b'3',
+                "error" => b'3',
+                "warning" => b'4',
+                _ => b'6',
             };
             out.put(b'L', &[&[level], &micros(line.at_ns), line.text.as_bytes()]);
         }

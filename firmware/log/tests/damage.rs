@@ -120,7 +120,7 @@ fn a_log_that_was_not_closed_is_recovered_into_a_new_file_with_an_index() {
         .unwrap_err()
         .to_string();
     assert!(
-        nowhere.contains("x.mcap cannot be written: No such file or directory"),
+        nowhere.ends_with("x.mcap cannot be written: No such file or directory (os error 2)"),
         "{nowhere}"
     );
 }
@@ -253,7 +253,7 @@ fn a_compression_that_nobody_knows_is_named() {
         );
         assert!(error.contains("lz4, zstd and nothing are what can be read"), "{error}");
     }
-    assert!(!copy.exists());
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "no half of a copy");
 }
 
 /// The same log with some of its chunks, which are not packed, taken apart: their messages lie outside of any.

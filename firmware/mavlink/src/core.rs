@@ -63,6 +63,8 @@ pub(crate) struct Core {
     pub streaming: bool,
     /// The vehicle is to hold by itself while it still flies by our setpoints.
     pub letting_go: bool,
+    /// It was let go of on purpose, as at the firmware's end: nobody needs to hear that guidance waits.
+    pub let_go: bool,
     /// Mean time between the last positions or attitudes, whichever is longer.
     pub telemetry_interval_ns: Option<Nanos>,
     /// A ground station was heard for the first time: it gets the state.

@@ -87,6 +87,22 @@ impl Parameter {
             in_flight: mavlink.in_flight,
         })
     }
+
+    /// The value of its type and within its limits that a number stands for.
+    fn accepted(&self, number: f64) -> Result<ParameterValue, ValueError> {
+        let (least, greatest) = (self.least, self.greatest);
+        // A file has decimals, the limits are the floats next to them.
+        let rounded = number as f32;
+        // NaN is in no range.
+        if !(least..=greatest).contains(&rounded) {
+            return Err(ValueError::OutOfRange { least, greatest });
+        }
+        match self.value {
+            ParameterValue::Real(_) => Ok(ParameterValue::Real(rounded)),
+            ParameterValue::Integer(_) if libm::trunc(number) == number => Ok(ParameterValue::Integer(number as i32)),
+            ParameterValue::Integer(_) => Err(ValueError::NotWhole),
+        }
+    }
 }
 
 /// Why a value from a file is no value of a parameter.
@@ -174,18 +190,7 @@ impl Parameters {
     /// What is wrong: no such name, not a whole number, out of range.
     pub fn check(&self, name: &str, value: f64) -> Result<ParameterValue, ValueError> {
         let parameter = self.all.iter().find(|p| p.name == name).ok_or(ValueError::NoSuchName)?;
-        let (least, greatest) = (parameter.least, parameter.greatest);
-        // A file has decimals, the limits are the floats next to them.
-        let rounded = value as f32;
-        // NaN is in no range.
-        if !(least..=greatest).contains(&rounded) {
-            return Err(ValueError::OutOfRange { least, greatest });
-        }
-        match parameter.value {
-            ParameterValue::Real(_) => Ok(ParameterValue::Real(rounded)),
-            ParameterValue::Integer(_) if libm::trunc(value) == value => Ok(ParameterValue::Integer(value as i32)),
-            ParameterValue::Integer(_) => Err(ValueError::NotWhole),
-        }
+        parameter.accepted(value)
     }
 
     /// Whether a value was set since the last call.
@@ -216,23 +221,14 @@ impl Parameters {
         let Some(parameter) = self.all.get_mut(index) else {
             return Ok(());
         };
-        let value = match (parameter.value, mav_type, flavour) {
-            (ParameterValue::Real(_), REAL32, _) => ParameterValue::Real(f32::from_le_bytes(raw)),
-            (ParameterValue::Integer(_), INT32, Flavour::Px4) => ParameterValue::Integer(i32::from_le_bytes(raw)),
-            (ParameterValue::Integer(_), INT32, Flavour::ArduPilot) => {
-                let number = f32::from_le_bytes(raw);
-                if libm::truncf(number) != number {
-                    return Err("out of range");
-                }
-                ParameterValue::Integer(number as i32)
+        let number = match (parameter.value, mav_type, flavour) {
+            (ParameterValue::Real(_), REAL32, _) | (ParameterValue::Integer(_), INT32, Flavour::ArduPilot) => {
+                f32::from_le_bytes(raw).into()
             }
+            (ParameterValue::Integer(_), INT32, Flavour::Px4) => i32::from_le_bytes(raw).into(),
             _ => return Err("wrong type"),
         };
-        // NaN is in no range.
-        let range = f64::from(parameter.least)..=f64::from(parameter.greatest);
-        if !range.contains(&value.as_f64()) {
-            return Err("out of range");
-        }
+        let value = parameter.accepted(number).map_err(|_| "out of range")?;
         if value == parameter.value {
             return Ok(());
         }

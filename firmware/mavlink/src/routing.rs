@@ -141,27 +141,24 @@ mod tests {
     }
 
     #[test]
-    fn a_targeted_packet_goes_where_its_target_was_seen_and_never_back() {
+    fn broadcasts_go_everywhere_else_and_targeted_packets_where_their_target_was_seen_but_never_back() {
         let mut routing = Routing::default();
-        routing.note(1, id(1, 191), 0);
-        routing.note(2, id(245, 190), 1);
-        assert_eq!(onward(&routing, Some((1, 191)), 1), [0]);
-        assert_eq!(onward(&routing, Some((245, 190)), 0), [1]);
-        assert!(onward(&routing, Some((1, 191)), 0).is_empty());
-        assert!(onward(&routing, Some((9, 9)), 0).is_empty());
-        routing.note(3, id(245, 190), 2);
-        assert_eq!(onward(&routing, Some((245, 190)), 0), [1, 2], "it was seen on both");
-    }
-
-    #[test]
-    fn broadcasts_go_everywhere_else_and_what_is_for_the_vehicle_stays() {
-        let mut routing = Routing::default();
-        routing.note(1, id(1, 191), 0);
-        assert_eq!(onward(&routing, None, 0), [1, 2]);
-        assert_eq!(onward(&routing, Some((0, 0)), 2), [0, 1]);
-        assert!(onward(&routing, Some((1, 1)), 2).is_empty());
-        // All components of the vehicle's system: the companion is one of them.
-        assert_eq!(onward(&routing, Some((1, 0)), 2), [0]);
+        for (component, link) in [(id(1, 191), 0), (id(245, 190), 1), (id(245, 190), 2)] {
+            routing.note(1, component, link);
+        }
+        for (target, from_link, links) in [
+            (None, 0, &[1, 2][..]),
+            (Some((0, 0)), 2, &[0, 1]),
+            (Some((1, 191)), 1, &[0]),
+            (Some((1, 191)), 0, &[]),
+            (Some((245, 190)), 0, &[1, 2]),
+            (Some((9, 9)), 0, &[]),
+            (Some((1, 1)), 2, &[]),
+            // All components of the vehicle's system: the companion is one of them.
+            (Some((1, 0)), 2, &[0]),
+        ] {
+            assert_eq!(onward(&routing, target, from_link), links, "{target:?}");
+        }
     }
 
     #[test]

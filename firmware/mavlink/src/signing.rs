@@ -97,83 +97,65 @@ impl SigningMemory {
     }
 }
 
-/// Why a packet is not accepted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Refusal {
-    /// It carries no signature, and none is not allowed here.
-    Unsigned,
-    /// The signature is another key's, or the packet was altered.
-    WrongSignature,
-    /// Its stream has sent this timestamp or a later one before.
-    Replayed,
-    /// It begins a stream, more than a minute behind.
-    Outdated,
-    /// It is more than a minute ahead.
-    FromTheFuture,
-    /// It begins a stream, and [`MAX_STREAMS`] are known whose newest packet is less than a minute old.
-    TooManyStreams,
-    /// It brings a key (SETUP_SIGNING) and is not signed with the present one.
-    UnsignedKey,
-}
-
 /// Whether a packet holds a signing key (SETUP_SIGNING), which is its receiver's business only.
 pub fn carries_key(packet: &Packet<'_>) -> bool {
     packet.message_id() == SETUP_SIGNING_DATA::ID
 }
 
-/// What was accepted and refused since start.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct SigningCounters {
-    /// Packets accepted for their signature.
-    pub signed: u64,
-    /// Packets without a signature that were accepted because the link allows it.
-    pub unsigned_allowed: u64,
-    /// [`Refusal::Unsigned`].
-    pub unsigned: u64,
-    /// [`Refusal::WrongSignature`].
-    pub wrong_signature: u64,
-    /// [`Refusal::Replayed`].
-    pub replayed: u64,
-    /// [`Refusal::Outdated`].
-    pub outdated: u64,
-    /// [`Refusal::FromTheFuture`].
-    pub from_the_future: u64,
-    /// [`Refusal::TooManyStreams`].
-    pub too_many_streams: u64,
-    /// [`Refusal::UnsignedKey`].
-    pub unsigned_key: u64,
+macro_rules! refusals {
+    ($($(#[$doc:meta])+ $refusal:ident: $counter:ident = $name:literal,)+) => {
+        /// Why a packet is not accepted.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub enum Refusal {
+            $($(#[$doc])+ $refusal,)+
+        }
+
+        /// What was accepted and refused since start.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+        pub struct SigningCounters {
+            /// Packets accepted for their signature.
+            pub signed: u64,
+            /// Packets without a signature that were accepted because the link allows it.
+            pub unsigned_allowed: u64,
+            $(#[doc = concat!("[`Refusal::", stringify!($refusal), "`].")] pub $counter: u64,)+
+        }
+
+        impl SigningCounters {
+            /// Counts a verdict.
+            pub fn count(&mut self, signed: bool, verdict: Result<(), Refusal>) {
+                *match verdict {
+                    Ok(()) if signed => &mut self.signed,
+                    Ok(()) => &mut self.unsigned_allowed,
+                    $(Err(Refusal::$refusal) => &mut self.$counter,)+
+                } += 1;
+            }
+
+            /// Packets refused, with the reason's name.
+            pub fn refusals(&self) -> [(&'static str, u64); [$($name),+].len()] {
+                [$(($name, self.$counter)),+]
+            }
+        }
+    };
+}
+
+refusals! {
+    /// It carries no signature, and none is not allowed here.
+    Unsigned: unsigned = "unsigned",
+    /// The signature is another key's, or the packet was altered.
+    WrongSignature: wrong_signature = "wrong signature",
+    /// Its stream has sent this timestamp or a later one before.
+    Replayed: replayed = "replayed",
+    /// It begins a stream, more than a minute behind.
+    Outdated: outdated = "outdated",
+    /// It is more than a minute ahead.
+    FromTheFuture: from_the_future = "from the future",
+    /// It begins a stream, and [`MAX_STREAMS`] are known whose newest packet is less than a minute old.
+    TooManyStreams: too_many_streams = "too many senders",
+    /// It brings a key (SETUP_SIGNING) and is not signed with the present one.
+    UnsignedKey: unsigned_key = "keys without a signature",
 }
 
 impl SigningCounters {
-    /// Counts a verdict.
-    pub fn count(&mut self, signed: bool, verdict: Result<(), Refusal>) {
-        let counter = match verdict {
-            Ok(()) if signed => &mut self.signed,
-            Ok(()) => &mut self.unsigned_allowed,
-            Err(Refusal::Unsigned) => &mut self.unsigned,
-            Err(Refusal::WrongSignature) => &mut self.wrong_signature,
-            Err(Refusal::Replayed) => &mut self.replayed,
-            Err(Refusal::Outdated) => &mut self.outdated,
-            Err(Refusal::FromTheFuture) => &mut self.from_the_future,
-            Err(Refusal::TooManyStreams) => &mut self.too_many_streams,
-            Err(Refusal::UnsignedKey) => &mut self.unsigned_key,
-        };
-        *counter += 1;
-    }
-
-    /// Packets refused, with the reason's name.
-    pub fn refusals(&self) -> [(&'static str, u64); 7] {
-        [
-            ("unsigned", self.unsigned),
-            ("wrong signature", self.wrong_signature),
-            ("replayed", self.replayed),
-            ("outdated", self.outdated),
-            ("from the future", self.from_the_future),
-            ("too many senders", self.too_many_streams),
-            ("keys without a signature", self.unsigned_key),
-        ]
-    }
-
     /// Packets refused, for whatever reason.
     pub fn refused(&self) -> u64 {
         self.refusals().iter().map(|(_, count)| count).sum()

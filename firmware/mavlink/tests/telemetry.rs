@@ -98,6 +98,11 @@ fn the_first_autopilot_heard_is_the_vehicle_and_nobody_else_is() {
     let mut b = Bench::new(Flavour::Px4);
     b.hear((1, 195), &heartbeat(0, MavAutopilot::MAV_AUTOPILOT_INVALID, 0));
     b.hear(GROUND_STATION, &heartbeat(0, MavAutopilot::MAV_AUTOPILOT_INVALID, 0));
+    // As routers and programs that gomavlib made, which name an autopilot: stations, controllers, gimbals.
+    for mav_type in [6, 18, 26] {
+        let packet = encode_payload(vehicle(125), 0, 0, &[0, 0, 0, 0, mav_type, 0, 0, 4, 3]).unwrap();
+        b.companion.receive(b.now_ns, 0, &packet);
+    }
     b.hear(vehicle(3), &position(1, 9.0));
     assert_eq!((b.companion.system_id(), north_m(&b)), (None, None));
     b.hear(vehicle(7), &px4());
@@ -115,27 +120,20 @@ fn the_first_autopilot_heard_is_the_vehicle_and_nobody_else_is() {
 }
 
 #[test]
-fn the_vehicle_is_heard_on_its_own_link_only() {
-    let mut c = Companion::new(CompanionConfig::default());
-    c.receive(1, 1, &bytes_of(vehicle(7), &px4()));
-    assert_eq!((c.system_id(), c.telemetry().heartbeat), (None, None));
-    c.receive(1, 0, &bytes_of(vehicle(3), &px4()));
-    assert_eq!(c.system_id(), Some(3));
-    c.receive(1, 0, &bytes_of(vehicle(3), &position(10, 5.0)));
-    c.receive(2, 1, &bytes_of(vehicle(3), &position(20, 9.0)));
-    assert_eq!(c.telemetry().kinematics.unwrap().position_ned_m.x, 5.0);
-}
-
-#[test]
-fn a_configured_system_is_the_only_one() {
-    let mut c = Companion::new(CompanionConfig {
-        system_id: Some(3),
-        ..Default::default()
-    });
-    c.receive(1, 0, &bytes_of(vehicle(7), &px4()));
-    assert!(c.telemetry().heartbeat.is_none());
-    c.receive(1, 0, &bytes_of(vehicle(3), &px4()));
-    assert!(c.telemetry().heartbeat.is_some());
+fn the_vehicle_is_heard_on_its_own_link_only_and_a_configured_system_is_the_only_one() {
+    for (system_id, other_link) in [(None, 1), (Some(3), 0)] {
+        let mut c = Companion::new(CompanionConfig {
+            system_id,
+            ..Default::default()
+        });
+        c.receive(1, other_link, &bytes_of(vehicle(7), &px4()));
+        assert_eq!((c.system_id(), c.telemetry().heartbeat), (system_id, None));
+        c.receive(1, 0, &bytes_of(vehicle(3), &px4()));
+        assert!(c.system_id() == Some(3) && c.telemetry().heartbeat.is_some());
+        c.receive(1, 0, &bytes_of(vehicle(3), &position(10, 5.0)));
+        c.receive(2, 1, &bytes_of(vehicle(3), &position(20, 9.0)));
+        assert_eq!(c.telemetry().kinematics.unwrap().position_ned_m.x, 5.0);
+    }
 }
 
 #[test]

@@ -14,6 +14,7 @@ pub const RESCALE_THRESHOLD: f32 = 1e-6;
 
 /// An element-wise function. Each has a derivative that follows from its value, so a gradient pass needs only outputs.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[allow(missing_docs, reason = "the formulas say what the fields are")]
 pub enum Activation {
     /// `y = x`.
     #[default]
@@ -23,18 +24,12 @@ pub enum Activation {
     /// `y = x` for `x > 0`, else `exp(x) − 1`.
     Elu,
     /// `y = scale · tanh(x)`. See [`Activation::TANH`].
-    Tanh {
-        /// Limit of the output.
-        scale: f32,
-    },
+    Tanh { scale: f32 },
     /// `y = 1 / (1 + exp(−x))`.
     Sigmoid,
     /// `y = 1 / (1 + gain · x)`: gives near obstacles contrast. A range that is normalised by 100 m becomes
     /// `1 / (1 + range / 3 m)` with the gain of [`Activation::NEAR_CONTRAST`]. Inputs are to be ≥ 0.
-    NearContrast {
-        /// Full scale over the range at which the value is one half.
-        gain: f32,
-    },
+    NearContrast { gain: f32 },
 }
 
 impl Activation {

@@ -10,31 +10,18 @@ use crate::shape::{ShapeError, expect};
 /// A function of single values. Unlike an [`Activation`](crate::Activation) it is no part of the layer before it, and its derivative
 /// needs its input.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[allow(missing_docs, reason = "the formulas say what the fields are")]
 pub enum Function {
     /// `y = x` for `x ≥ 0`, else `alpha · x`.
-    LeakyRelu {
-        /// Slope below 0.
-        alpha: f32,
-    },
+    LeakyRelu { alpha: f32 },
     /// `y = x` for `x > 0`, else `alpha · (exp(x) − 1)`.
-    Elu {
-        /// Minus the limit far below 0.
-        alpha: f32,
-    },
+    Elu { alpha: f32 },
     /// `y = ln(1 + exp(x))`.
     Softplus,
     /// `y = min(max(x, least), most)`.
-    Clip {
-        /// Least value.
-        least: f32,
-        /// Most, which counts where it is below `least`.
-        most: f32,
-    },
+    Clip { least: f32, most: f32 },
     /// `y = x ^ exponent`.
-    Power {
-        /// The exponent.
-        exponent: f32,
-    },
+    Power { exponent: f32 },
     /// `y = exp(x)`.
     Exp,
     /// `y = ln(x)`.

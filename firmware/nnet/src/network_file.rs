@@ -44,6 +44,7 @@ pub struct Tensor {
 
 /// Why a file is refused. Every message names the file.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the texts say what the fields are")]
 pub enum FileError {
     /// It cannot be read or written.
     #[cfg(feature = "std")]
@@ -52,13 +53,9 @@ pub enum FileError {
     /// Another version, architecture or normalisation.
     #[error("{file} has {key} \"{found}\", this program takes \"{expected}\"")]
     Other {
-        /// The file, and what it should be.
         file: String,
-        /// The entry.
         key: &'static str,
-        /// Its value.
         found: String,
-        /// What it must be.
         expected: &'static str,
     },
     /// Truncated, altered, or without a valid entry or tensor of its kind.
@@ -212,12 +209,22 @@ fn quoted(text: &str) -> String {
     format!("\"{}\"", escaped.collect::<String>())
 }
 
-/// Digest, reading and writing of a type that is stored as a file of this kind: it has `contents`, `from_bytes` and, with the
-/// feature `std` of its own crate, `to_bytes`.
+/// Digest, reading and writing of a type that is stored as a file of this kind: it has `contents` and `from_bytes`, and
+/// may have a check of what a reader would refuse besides. Files come with the feature `std` of its own crate.
 #[macro_export]
 macro_rules! stored_network {
-    ($type:ty, $kind:expr) => {
+    ($type:ty, $kind:expr $(, $check:ident)?) => {
         impl $type {
+            /// The file's content.
+            ///
+            /// # Errors
+            /// [`FileError`]: what a reader would refuse, parameters of another length or not finite.
+            #[cfg(feature = "std")]
+            pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
+                $(self.$check("to be written")?;)?
+                self.contents().to_bytes(&$kind)
+            }
+
             /// The digest of the network and its metadata.
             pub fn sha256(&self) -> String {
                 self.contents().sha256()

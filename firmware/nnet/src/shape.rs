@@ -2,25 +2,18 @@
 
 /// A buffer or a description that does not fit. Nothing was computed; the message says what to change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the texts say what the fields are")]
 pub enum ShapeError {
     /// A slice is not as long as the layer's description says.
     #[error("{what} holds {got} values, expected {expected}")]
     Length {
-        /// Which slice.
         what: &'static str,
-        /// Length required.
         expected: usize,
-        /// Length given.
         got: usize,
     },
     /// A layer's description is not usable (a zero size, a window larger than its padded input, an unknown node).
     #[error("{what} is not a usable layer description: {why}")]
-    Description {
-        /// Which layer or node.
-        what: &'static str,
-        /// What is wrong.
-        why: &'static str,
-    },
+    Description { what: &'static str, why: &'static str },
 }
 
 /// Checks a slice's length.

@@ -105,35 +105,29 @@ mod tests {
     }
 
     #[test]
-    fn far_goals_pull_with_two_over_d_and_turn_only_when_behind() {
-        // 2 cos 60° / 8 = 0.125
-        let f = attraction(goal(8.0, 60.0));
-        close(f.forward_m_s, 0.125);
-        close(f.yaw, 0.0);
-        // 2 cos 120° / 10 = −0.1; tan³ 40° = 0.83910³ = 0.59080
-        let f = attraction(goal(10.0, 120.0));
-        close(f.forward_m_s, -0.1);
-        close(f.yaw, 0.590_80);
-        close(attraction(goal(10.0, -120.0)).yaw, -0.590_80);
-        // tan³ 60° = 5.196: clipped
-        close(attraction(goal(10.0, 180.0)).yaw, 1.5);
-        // π/2 itself belongs to "else".
-        close(attraction(goal(10.0, 89.9)).yaw, 0.0);
-    }
-
-    #[test]
-    fn near_goals_pull_with_twenty_over_d_squared_and_turn_always() {
-        // 20 cos 60° / 16 = 0.625; tan 24° = 0.44523
-        let f = attraction(goal(4.0, 60.0));
-        close(f.forward_m_s, 0.625);
-        close(f.yaw, 0.445_23);
-        // tan 72° = 3.078: clipped; 20 cos 180° / 16 = −1.25
-        let f = attraction(goal(4.0, -180.0));
-        close(f.forward_m_s, -1.25);
-        close(f.yaw, -1.5);
-        // The branch changes at 5 m: 20/25 = 0.8 just inside, 2/5 = 0.4 at it.
-        close(attraction(goal(4.999_9, 0.0)).forward_m_s, 0.800_03);
-        close(attraction(goal(5.0, 0.0)).forward_m_s, 0.4);
+    fn goals_pull_with_two_over_d_or_near_by_with_twenty_over_d_squared_and_turn_near_by_or_when_behind() {
+        for (distance_m, bearing_deg, forward_m_s, yaw) in [
+            // 2 cos 60° / 8
+            (8.0, 60.0, 0.125, 0.0),
+            // 2 cos 120° / 10; tan³ 40° = 0.83910³
+            (10.0, 120.0, -0.1, 0.590_80),
+            (10.0, -120.0, -0.1, -0.590_80),
+            // tan³ 60° = 5.196: clipped
+            (10.0, 180.0, -0.2, 1.5),
+            // π/2 itself belongs to "else".
+            (10.0, 89.9, 0.000_349, 0.0),
+            // 20 cos 60° / 16; tan 24°
+            (4.0, 60.0, 0.625, 0.445_23),
+            // 20 cos 180° / 16; tan 72° = 3.078: clipped
+            (4.0, -180.0, -1.25, -1.5),
+            // The branch changes at 5 m: 20/25 just inside, 2/5 at it.
+            (4.999_9, 0.0, 0.800_03, 0.0),
+            (5.0, 0.0, 0.4, 0.0),
+        ] {
+            let f = attraction(goal(distance_m, bearing_deg));
+            close(f.forward_m_s, forward_m_s);
+            close(f.yaw, yaw);
+        }
     }
 
     #[test]
@@ -146,31 +140,28 @@ mod tests {
     }
 
     #[test]
-    fn an_obstacle_turns_the_vehicle_away_from_itself() {
-        // −3 + 3 tan 30° = −1.26795
-        close(repulsion(obstacle(2.0, 60.0), 3.0).yaw, -1.267_95);
-        close(repulsion(obstacle(2.0, -60.0), 3.0).yaw, 1.267_95);
-        // −3 + 3 tan 5° = −2.7375: clipped
-        close(repulsion(obstacle(2.0, 10.0), 3.0).yaw, -1.5);
-        close(repulsion(obstacle(0.0, -10.0), 3.0).yaw, 1.5);
-        assert_eq!(repulsion(obstacle(2.0, 60.0), 3.0).forward_m_s, 0.0);
-    }
-
-    #[test]
-    fn repulsion_fades_at_the_beam_and_ends_at_its_range() {
+    fn an_obstacle_turns_the_vehicle_away_from_itself_up_to_the_beam_and_its_range() {
+        for (distance_m, bearing_deg, yaw) in [
+            // −3 + 3 tan 30° = −1.26795
+            (2.0, 60.0, -1.267_95),
+            (2.0, -60.0, 1.267_95),
+            // −3 + 3 tan 5° = −2.7375: clipped
+            (2.0, 10.0, -1.5),
+            (0.0, -10.0, 1.5),
+            // The limits towards dead ahead are the two sides.
+            (1.0, 1e-4, -1.5),
+            (1.0, -1e-4, 1.5),
+        ] {
+            let f = repulsion(obstacle(distance_m, bearing_deg), 3.0);
+            close(f.yaw, yaw);
+            assert_eq!(f.forward_m_s, 0.0);
+        }
         assert!(repulsion(obstacle(1.0, 89.99), 3.0).yaw.abs() < 1e-3);
         assert!(repulsion(obstacle(1.0, -89.99), 3.0).yaw.abs() < 1e-3);
-        for o in [
-            obstacle(1.0, 90.0),
-            obstacle(1.0, -120.0),
-            obstacle(3.0, 20.0),
-            obstacle(1.0, 0.0),
-        ] {
+        for (distance_m, bearing_deg) in [(1.0, 90.0), (1.0, -120.0), (3.0, 20.0), (1.0, 0.0)] {
+            let o = obstacle(distance_m, bearing_deg);
             assert_eq!(repulsion(o, 3.0), Action::HOVER, "{o:?}");
         }
-        // The limits towards dead ahead are the two sides.
-        close(repulsion(obstacle(1.0, 1e-4), 3.0).yaw, -1.5);
-        close(repulsion(obstacle(1.0, -1e-4), 3.0).yaw, 1.5);
         close(repulsion(obstacle(4.0, 10.0), 5.0).yaw, -1.5);
     }
 

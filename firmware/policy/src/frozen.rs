@@ -1,10 +1,10 @@
 //! A learned pilot's file, of our own architecture or imported, and what detectors and adversaries need of either.
 
-use crate::actor::{ACTOR_OUTPUTS, Actor, ActorSpec, LowDim};
+use crate::actor::{ActorSpec, Decider};
 use crate::imported::Head;
 #[cfg(feature = "std")]
 use crate::imported::POLICY_FORMAT;
-use crate::{FrozenActor, FrozenPolicy, ImportedPilot, PilotInput};
+use crate::{FrozenActor, FrozenPolicy};
 use alloc::boxed::Box;
 use alloc::string::String;
 use alloc::vec::Vec;
@@ -12,7 +12,6 @@ use alloc::vec::Vec;
 use std::path::Path;
 use vigil_nnet::network_file::FileError;
 use vigil_nnet::{Graph, Isa, Purpose, ShapeError};
-use vigil_types::Action;
 
 /// A pilot that comes from a file.
 #[derive(Debug, Clone, PartialEq)]
@@ -108,57 +107,7 @@ impl FrozenPilot {
     pub fn decider(&self, isa: Isa) -> Result<Decider, FileError> {
         Ok(match self {
             Self::Actor(actor) => Decider::Actor(actor.actor(isa)?),
-            Self::Imported(policy) => Decider::Imported(Box::new(policy.pilot(isa, false)?)),
+            Self::Imported(policy) => Decider::Imported(Box::new(policy.pilot(isa)?)),
         })
-    }
-}
-
-/// A learned pilot without the vehicle around it.
-#[derive(Debug, Clone)]
-#[expect(clippy::large_enum_variant, reason = "one per flight")]
-pub enum Decider {
-    /// An actor of ours.
-    Actor(Actor),
-    /// A policy of others.
-    Imported(Box<ImportedPilot>),
-}
-
-impl Decider {
-    /// Decides on the newest frame: forward speed in m/s, and yaw within ±1.5.
-    ///
-    /// # Errors
-    /// A frame of another length.
-    pub fn decide(&mut self, input: &PilotInput<'_>) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
-        match self {
-            Self::Actor(actor) => actor.decide(input),
-            Self::Imported(policy) => {
-                let Action { forward_m_s, yaw } = policy.decide_on(&input.depth.depth, LowDim::of_goal(input.goal));
-                Ok([forward_m_s, yaw])
-            }
-        }
-    }
-
-    /// Metres per second that one unit of its forward output is ([`Actor::unit_m_s`]).
-    pub fn unit_m_s(&self) -> f32 {
-        match self {
-            Self::Actor(actor) => actor.unit_m_s(),
-            Self::Imported(_) => 1.0,
-        }
-    }
-
-    /// What it decided from beside frames and memory, in the last decision.
-    pub fn low_dim(&self) -> Option<LowDim> {
-        match self {
-            Self::Actor(actor) => Some(actor.low_dim()),
-            Self::Imported(policy) => policy.low_dim(),
-        }
-    }
-
-    /// The values at its split point, of the last decision; none without one.
-    pub fn state(&self) -> &[f32] {
-        match self {
-            Self::Actor(actor) => actor.state(),
-            Self::Imported(policy) => policy.state().unwrap_or_default(),
-        }
     }
 }

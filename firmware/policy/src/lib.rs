@@ -1,6 +1,6 @@
 //! Pilots: what turns a depth frame and a goal into an action.
 //!
-//! [`ActorPilot`] flies the frozen network ([`actor::ActorSpec`]), [`GeometricPilot`] needs none, [`RecoveryPilot`] takes over after an alarm;
+//! [`LearnedPilot`] flies the frozen network ([`actor::ActorSpec`]), [`GeometricPilot`] needs none, [`RecoveryPilot`] takes over after an alarm;
 //! [`PlausibilityCheck`] says before all of them whether a frame can be believed. None of them moves the vehicle: guidance does.
 //!
 //! ```
@@ -34,11 +34,11 @@ mod take_off;
 
 #[cfg(feature = "actor-file")]
 pub use actor::FrozenActor;
-pub use actor::{ActorPilot, FlightPilot};
+pub use actor::{Decider, FlightPilot, LearnedPilot};
 pub use apf::NearestObstacle;
 pub use field::FlightField;
 #[cfg(feature = "actor-file")]
-pub use frozen::{Decider, ExplainedHead, FrozenPilot};
+pub use frozen::{ExplainedHead, FrozenPilot};
 pub use geometric::{Aside, ForwardCheck, GeometricConfig, GeometricPilot, RangeScan, RecoveryPilot, Scan};
 #[cfg(feature = "actor-file")]
 pub use imported::FrozenPolicy;

@@ -42,7 +42,7 @@ impl Head {
     }
 }
 
-/// Checks each report of the second sensor, or of each of several. No allocation.
+/// Checks each report of the second sensor, or of each of several; by default one that has seen nothing. No allocation.
 #[derive(Debug, Clone, Default)]
 pub struct SecondSensor {
     scan: RangeScan,
@@ -55,11 +55,6 @@ pub struct SecondSensor {
 }
 
 impl SecondSensor {
-    /// One that has seen nothing.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// What is wrong now: [`Reason::SecondSensorSilent`], [`Reason::SensorsDisagree`]. `newest` is the newest report of each component, `input`
     /// the newest frame with where the vehicle is, `None` while either is stale. To be asked once in every step.
     pub fn check(
@@ -194,7 +189,7 @@ mod tests {
 
     #[test]
     fn three_reports_of_what_the_frames_hide_hold_the_flight_until_fifteen_agree() {
-        let mut sensor = SecondSensor::new();
+        let mut sensor = SecondSensor::default();
         let disagrees = Reasons::of(Reason::SensorsDisagree);
         assert_eq!(check(&mut sensor, 0, 20, 2.0, 2.2, true), Reasons::NONE, "both see it");
         assert_eq!(
@@ -224,7 +219,7 @@ mod tests {
         };
         let mut frame = DepthFrame::EMPTY;
         for by_turns in [false, true] {
-            let mut sensor = SecondSensor::new();
+            let mut sensor = SecondSensor::default();
             let mut held = alloc::vec::Vec::new();
             for i in 0..75 {
                 let (now_ns, ahead_m) = (i * REPORT_NS, if i < 12 { 1.0 } else { free });
@@ -254,7 +249,7 @@ mod tests {
 
     #[test]
     fn a_sensor_that_is_silent_or_stale_is_named_and_one_that_speaks_again_is_not() {
-        let mut sensor = SecondSensor::new();
+        let mut sensor = SecondSensor::default();
         let silent = Reasons::of(Reason::SecondSensorSilent);
         assert_eq!(sensor.check(0, &[None], None, false), silent);
         let old = report(1_000, 2.0);
@@ -269,7 +264,7 @@ mod tests {
 
     #[test]
     fn where_the_camera_does_not_look_nothing_is_hidden() {
-        let mut sensor = SecondSensor::new();
+        let mut sensor = SecondSensor::default();
         let mut frame = DepthFrame::EMPTY;
         frame.depth.fill(0.2);
         let input = hovering(0, &frame);
@@ -289,7 +284,7 @@ mod tests {
 
     #[test]
     fn a_narrow_beam_is_compared_with_what_is_nearest_to_it_and_one_wider_than_the_view_is_none() {
-        let mut sensor = SecondSensor::new();
+        let mut sensor = SecondSensor::default();
         let mut frame = DepthFrame::EMPTY;
         frame.depth.fill(0.03);
         let input = hovering(0, &frame);

@@ -1,10 +1,8 @@
 //! The frozen actor's file and the pilot made of it.
 
 use vigil_nnet::{Isa, Purpose};
-use vigil_policy::actor::{ACTOR_LIMIT, Actor, ActorSpec};
-use vigil_policy::{
-    ActorPilot, FlightPilot, FrozenActor, GeometricConfig, GeometricPilot, Pilot, PilotInput, RecoveryPilot, apf,
-};
+use vigil_policy::actor::{ACTOR_LIMIT, ActorSpec};
+use vigil_policy::{Decider, FrozenActor, LearnedPilot, Pilot, PilotInput, RecoveryPilot, apf};
 use vigil_types::{Attitude, DepthFrame, GoalRelative};
 
 fn frozen() -> FrozenActor {
@@ -62,7 +60,7 @@ fn an_actor_trained_to_be_twice_as_fast_flies_twice_as_fast_with_its_field_and_f
     assert_ne!(fast.sha256(), frozen().sha256());
     let frame = DepthFrame::EMPTY;
     for field in [false, true] {
-        let pilot = |actor: &FrozenActor| ActorPilot::new(actor.actor(Isa::detect()).unwrap(), field);
+        let pilot = |actor: &FrozenActor| LearnedPilot::new(Decider::Actor(actor.actor(Isa::detect()).unwrap()), field);
         let (mut slow, mut quick) = (pilot(&frozen()), pilot(&read));
         // Of its last action the actor knows in units, so that both decide alike from step to step.
         for _ in 0..3 {
@@ -121,8 +119,8 @@ fn input(frame: &DepthFrame) -> PilotInput<'_> {
 
 #[test]
 fn the_field_is_added_to_the_actor_s_action() {
-    let actor = Actor::new(ActorSpec::FULL, Isa::detect(), &frozen().params).unwrap();
-    let (mut with, mut without) = (ActorPilot::new(actor.clone(), true), ActorPilot::new(actor, false));
+    let pilot = |field| LearnedPilot::new(Decider::Actor(frozen().actor(Isa::detect()).unwrap()), field);
+    let (mut with, mut without) = (pilot(true), pilot(false));
     // A surface on the right half of the picture, another 10 m away on the left.
     let mut decide = |right: f32| {
         let mut frame = DepthFrame::EMPTY;
@@ -149,23 +147,6 @@ fn the_field_is_added_to_the_actor_s_action() {
         pilot.decide(&seen);
     }
     assert_ne!(with.decide(&seen), apf::add(without.decide(&seen), pull));
-}
-
-#[test]
-fn a_flight_s_pilot_is_the_one_it_was_made_of() {
-    let actor = Actor::new(ActorSpec::FULL, Isa::detect(), &frozen().params).unwrap();
-    let frame = DepthFrame::EMPTY;
-    let mut alone = ActorPilot::new(actor.clone(), true);
-    let mut flown = FlightPilot::Actor(ActorPilot::new(actor, true));
-    assert_eq!(flown.decide(&input(&frame)), alone.decide(&input(&frame)));
-    assert_eq!(flown.surroundings().scan(), alone.surroundings().scan());
-    let geometric = GeometricPilot::new(GeometricConfig::default());
-    let mut alone = geometric.clone();
-    let mut flown = FlightPilot::Geometric(geometric);
-    assert_eq!(flown.decide(&input(&frame)), alone.decide(&input(&frame)));
-    flown.reset();
-    alone.reset();
-    assert_eq!(flown.decide(&input(&frame)), alone.decide(&input(&frame)));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Flight, Scene, beam, block, column, fly};
+use common::{Flight, Scene, beam, block, ceiling, column, fly};
 use vigil_policy::{GeometricConfig, GeometricPilot};
 
 fn flight(scene: &Scene, start_yaw_rad: f32, goal: (f32, f32), limit_s: f32) -> Flight {
@@ -68,11 +68,11 @@ fn columns_walls_dead_ends_gaps_and_forests_are_passed() {
 
 #[test]
 fn what_lies_below_or_above_is_no_obstacle() {
-    let mut scene = Scene::new([
+    let scene = Scene::new([
         beam([5.0, 7.0], [-10.0, 10.0], [0.0, 1.0]),
         beam([9.0, 11.0], [-10.0, 10.0], [2.0, 4.0]),
+        ceiling(2.3),
     ]);
-    scene.ceiling_up = Some(2.3);
     let f = flight(&scene, 0.0, (20.0, 0.0), 30.0);
     assert!(f.reached && f.time_s < 15.5, "{} s", f.time_s);
     assert!(f.positions.iter().all(|p| p.y.abs() < 0.3));

@@ -62,7 +62,7 @@ fn near(found: [f32; 2], expected: [f32; 2]) {
 fn a_policy_sees_the_middle_of_each_of_its_pixels_the_newest_frame_last() {
     // Pixel (1, 2) of 4 × 8: our column (2 · 2 + 1) · 256 / 16 = 80.
     let pixel = (8 + 2) * 3;
-    let mut pilot = picking(INPUTS, [pixel, pixel + 2]).pilot(Isa::detect(), false).unwrap();
+    let mut pilot = picking(INPUTS, [pixel, pixel + 2]).pilot(Isa::detect()).unwrap();
     assert_eq!((DEPTH_ROWS, DEPTH_COLS), (128, 256));
     near(decide(&mut pilot, &frame(0.1)), [0.18, 0.18]);
     near(decide(&mut pilot, &frame(0.2)), [0.18, 0.28]);
@@ -84,14 +84,14 @@ fn pixels_are_scaled_and_outputs_limited_as_the_file_says() {
     };
     let policy = picking(inputs, [0, 93]);
     let policy = FrozenPolicy::from_bytes("the file", &policy.to_bytes().unwrap()).unwrap();
-    let mut pilot = policy.pilot(Isa::detect(), false).unwrap();
+    let mut pilot = policy.pilot(Isa::detect()).unwrap();
     let contrast = |range: f32| 1.02 / (1.0 + 100.0 / 3.0 * range);
     near(decide(&mut pilot, &frame(0.0)), [contrast(0.016), contrast(0.240)]);
     let wild = PolicyInputs {
         output_scale: 100.0,
         ..inputs
     };
-    let mut pilot = picking(wild, [0, 93]).pilot(Isa::detect(), false).unwrap();
+    let mut pilot = picking(wild, [0, 93]).pilot(Isa::detect()).unwrap();
     near(decide(&mut pilot, &frame(0.0)), [1.5, 1.5]);
     // A pixel that is no number is a decision that is none: the caller holds.
     let mut blind = frame(0.0);
@@ -187,7 +187,7 @@ fn what_lies_behind_a_split_point_decides_as_the_whole_policy_does() {
         let policy = branched(Some(split));
         let Head { network, params, width } = policy.head().unwrap();
         let graph = network.graph(Purpose::Multipliers).unwrap();
-        let mut pilot = policy.pilot(Isa::detect(), false).unwrap();
+        let mut pilot = policy.pilot(Isa::detect()).unwrap();
         assert_eq!(pilot.state(), None, "nothing was decided");
         let mut tape = vec![0.0; graph.tape_len()];
         for level in [0.1, 0.5, 0.3] {

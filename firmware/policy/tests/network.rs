@@ -1,61 +1,18 @@
-//! Networks of our layers against PyTorch's, and the actor in flight against the graph of the whole.
+//! The actor in flight against the graph of the whole.
 
 #[path = "../../nnet/tests/common/mod.rs"]
 mod plain;
 #[path = "common/mod.rs"]
 mod scene;
-#[path = "common/torch.rs"]
-mod torch;
 
 use plain::{Evaluated, distance, rng, uniform, wide};
 use scene::{Scene, block, column, walk};
-use torch::{Given, Tensors, actor_params, reference};
 use vigil_nnet::{ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
 use vigil_policy::PilotInput;
 use vigil_policy::actor::{Actor, ActorSpec, CONTEXT, LOW_DIM};
 use vigil_types::{Ablation, DepthFrame, GoalRelative, HeadingVector};
 
 const FRAME: usize = 128 * 256;
-
-#[test]
-fn the_second_half_gives_what_pytorch_gives() {
-    let (t, params) = (Tensors::load("second_half"), actor_params());
-    let graph = reference(Given::State, Purpose::Gradients);
-    let mut tape = vec![0.0; graph.tape_len()];
-    for isa in Isa::available() {
-        for (h, pos, want) in [("x_h", "x_pos", "f_x"), ("bg_h", "bg_pos", "f_bg")] {
-            let (h, pos, want) = (t.get(h), t.get(pos), t.get(want));
-            let rows = h.chunks_exact(48).zip(pos.chunks_exact(2)).zip(want.chunks_exact(2));
-            for ((h, pos), want) in rows {
-                graph.forward(isa, &params, &[h, pos], &mut tape).unwrap();
-                let error = distance(graph.output(&tape).unwrap(), &wide(want));
-                assert!(error < 1e-6, "{error:e} on {}", isa.name());
-            }
-        }
-    }
-}
-
-#[test]
-fn the_whole_actor_gives_what_pytorch_gives() {
-    let (t, params) = (Tensors::load("pixel"), actor_params());
-    let graph = reference(Given::Frames(false), Purpose::Gradients);
-    for isa in Isa::available() {
-        let actor = Evaluated::new(graph.clone(), isa, &params);
-        let evaluate = |images: &[f32], pos: &[f32]| {
-            let inputs: Vec<Vec<f32>> = images.chunks_exact(FRAME).chain([pos]).map(<[f32]>::to_vec).collect();
-            wide(&actor.output(&actor.tape(&inputs)))
-        };
-        let mut difference = evaluate(&t.get("x_img"), &t.get("x_pos"));
-        let (images, positions) = (t.get("bg_img"), t.get("bg_pos"));
-        for (images, pos) in images.chunks_exact(5 * FRAME).zip(positions.chunks_exact(2)) {
-            let f = evaluate(images, pos);
-            difference.iter_mut().zip(f).for_each(|(d, f)| *d -= f / 3.0);
-        }
-        // The images are rounded to 1/65535.
-        let error = distance(&t.get("f_diff"), &difference);
-        assert!(error < 1e-5, "{error:e} on {}", isa.name());
-    }
-}
 
 /// Some weights of either sign, small enough not to saturate.
 fn params() -> Vec<f32> {

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Scene, beam, block, column, frame_of, input};
+use common::{Scene, beam, block, ceiling, column, frame_of, input};
 use vigil_policy::geometric::range_scan::{BAND_HALF_HEIGHT_M, SECTORS};
 use vigil_policy::{RangeScan, Scan};
 use vigil_types::{Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, HeadingVector, NedVector};
@@ -41,10 +41,7 @@ fn a_column_is_seen_at_its_distance_and_bearing() {
 
 #[test]
 fn floor_and_ceiling_are_not_obstacles_however_the_vehicle_tilts() {
-    let scene = Scene {
-        solids: Vec::new(),
-        ceiling_up: Some(2.2),
-    };
+    let scene = Scene::new([ceiling(2.2)]);
     for (roll, pitch) in [
         (0.0, 0.0),
         (0.0, -0.35),

@@ -69,7 +69,7 @@ fn an_operator_sets_policy_and_threshold_and_values_out_of_range_change_nothing(
 }
 
 #[test]
-fn a_gap_in_the_frames_leaves_the_verdict_unknown_until_ten_explanations_are_there_again() {
+fn a_gap_in_the_frames_means_hold_and_leaves_the_verdict_unknown_until_ten_explanations_are_there_again() {
     let folder = tempfile::tempdir().unwrap();
     let mut flight = Flight::guided_by(&monitored_config(folder.path()));
     for _ in 0..8 {
@@ -77,10 +77,13 @@ fn a_gap_in_the_frames_leaves_the_verdict_unknown_until_ten_explanations_are_the
         flight.step_with(None, &telemetry);
     }
     assert_eq!((flight.last.judgement, flight.last.state), (None, GuidanceState::Hold));
+    assert!(flight.last.reasons.contains(Reason::StaleFrame), "within half a second");
+    assert_eq!((flight.velocity(), flight.last.action), ([0.0; 4], None));
     for _ in 0..9 {
         assert_eq!(flight.step().judgement.unwrap().verdict, Verdict::Unknown);
     }
     assert_eq!(flight.step().judgement.unwrap().verdict, Verdict::Clean);
+    flight.until(GuidanceState::Guided, 5.0);
 }
 
 #[test]

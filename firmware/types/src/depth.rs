@@ -119,24 +119,21 @@ const _: () = assert!(cfg!(target_endian = "little"), "frames are little-endian 
 impl FrameHeader {
     /// The fields that checksum and tag cover, little-endian, in order.
     pub(crate) fn covered(&self) -> [u8; COVERED_BYTES] {
-        let mut head = [0u8; COVERED_BYTES];
-        let mut at = 0;
-        let mut put = |bytes: &[u8]| {
-            if let Some(slot) = head.get_mut(at..at + bytes.len()) {
-                slot.copy_from_slice(bytes);
-            }
-            at += bytes.len();
-        };
-        put(&self.stamp_ns.to_le_bytes());
-        put(&self.sequence.to_le_bytes());
-        put(&self.sensor_id.to_le_bytes());
-        put(&self.rows.to_le_bytes());
-        put(&self.cols.to_le_bytes());
-        for v in self.position_ned_m.to_array() {
-            put(&v.to_le_bytes());
-        }
-        for v in [self.attitude.w, self.attitude.x, self.attitude.y, self.attitude.z] {
-            put(&v.to_le_bytes());
+        let Attitude { w, x, y, z } = self.attitude;
+        let whole = self
+            .stamp_ns
+            .to_le_bytes()
+            .into_iter()
+            .chain(self.sequence.to_le_bytes());
+        let whole = whole.chain(self.sensor_id.to_le_bytes());
+        let size = [self.rows, self.cols].into_iter().flat_map(u16::to_le_bytes);
+        let pose = self.position_ned_m.to_array().into_iter().chain([w, x, y, z]);
+        let mut head = [0; COVERED_BYTES];
+        for (slot, byte) in head
+            .iter_mut()
+            .zip(whole.chain(size).chain(pose.flat_map(f32::to_le_bytes)))
+        {
+            *slot = byte;
         }
         head
     }

@@ -429,7 +429,7 @@ table! {
     )
     .or_zero();
     ON_NO_PROGRESS = choice("limits.no_progress", OnNoProgress::WORDS, OnNoProgress::Land as usize, "what to do then");
-    SPEED_LIMIT = real("limits.speed_m_s", SPEED_M_S, "m/s", ACTION_LIMIT as f64, "greatest forward speed, whatever the pilot wants").mavlink("GD_SPEED_LIM", true);
+    SPEED_LIMIT = real("limits.speed_m_s", SPEED_M_S, "m/s", ACTION_LIMIT as f64, "greatest forward speed that a pilot may want").mavlink("GD_SPEED_LIM", true);
     BATTERY = real("limits.battery", (0.0, 1.0), "", 0.15, "charge below which to land");
     FLIGHT_TIME = real("limits.flight_time_s", LONG_TIME_S, "s", 0.0, "longest flight, then land; without it there is no limit").absent("300.0");
     FENCE_RADIUS = real("limits.geofence.radius_m", LENGTH_M, "m", 0.0, "horizontal distance from home").absent("100.0");

@@ -27,23 +27,27 @@ impl StepTiming {
     }
 }
 
-/// Datagrams of one step, in order, each with the link it belongs to; fixed capacity, no allocation.
+/// Datagrams of one step, in order, each with the link it belongs to; fixed capacity, no allocation. Plain data with a fixed layout: it
+/// crosses shared memory, and whatever another process wrote there can be read.
 #[derive(Clone)]
+#[repr(C)]
 pub struct Datagrams {
-    bytes: [u8; Self::CAPACITY],
-    /// (end offset, link) of each datagram.
-    marks: [(u16, u8); Self::MAX_COUNT],
-    count: usize,
     dropped: u64,
+    count: u32,
+    /// End offset of each datagram.
+    ends: [u16; Self::MAX_COUNT],
+    links: [u8; Self::MAX_COUNT],
+    bytes: [u8; Self::CAPACITY],
 }
 
 impl Default for Datagrams {
     fn default() -> Self {
         Self {
-            bytes: [0; Self::CAPACITY],
-            marks: [(0, 0); Self::MAX_COUNT],
-            count: 0,
             dropped: 0,
+            count: 0,
+            ends: [0; Self::MAX_COUNT],
+            links: [0; Self::MAX_COUNT],
+            bytes: [0; Self::CAPACITY],
         }
     }
 }
@@ -68,12 +72,14 @@ impl Datagrams {
     /// Datagrams that fit in one step.
     pub const MAX_COUNT: usize = 256;
 
-    /// Takes over what another holds. Copies only the bytes in use: a whole buffer is ten times a usual step's traffic.
-    pub fn copy_from(&mut self, from: &Self) {
+    /// Takes over what another holds; `false` with fewer than it counts, where that contradicts itself. Copies only the bytes in use: a
+    /// whole buffer is ten times a usual step's traffic.
+    pub fn copy_from(&mut self, from: &Self) -> bool {
         self.clear();
         for (link, bytes) in from.iter() {
             self.push(link, bytes);
         }
+        self.len() == from.len()
     }
 
     /// Empties the buffer; the drop counter goes on.
@@ -81,24 +87,28 @@ impl Datagrams {
         self.count = 0;
     }
 
-    fn used(&self) -> usize {
-        self.count
-            .checked_sub(1)
-            .and_then(|i| self.marks.get(i))
-            .map_or(0, |m| usize::from(m.0))
+    /// Where the datagrams before this many from the end do.
+    fn end_before(&self, last: usize) -> usize {
+        let place = self.len().checked_sub(last + 1);
+        place.and_then(|i| self.ends.get(i)).map_or(0, |end| usize::from(*end))
     }
 
     /// Appends a datagram of `link`. When it does not fit, it is dropped and counted: the return value is `false`.
     pub fn push(&mut self, link: u8, datagram: &[u8]) -> bool {
-        let start = self.used();
-        let end = start + datagram.len();
-        let (Some(slot), Some(mark)) = (self.bytes.get_mut(start..end), self.marks.get_mut(self.count)) else {
+        let (start, at) = (self.end_before(0), self.len());
+        let stop = start + datagram.len();
+        let slots = (
+            self.bytes.get_mut(start..stop),
+            self.ends.get_mut(at),
+            self.links.get_mut(at),
+        );
+        let (Some(bytes), Some(end), Some(of)) = slots else {
             self.dropped += 1;
             return false;
         };
-        slot.copy_from_slice(datagram);
-        // CAPACITY fits u16: `end` is at most 32 768.
-        *mark = (end as u16, link);
+        bytes.copy_from_slice(datagram);
+        // CAPACITY fits u16: `stop` is at most 32 768.
+        (*end, *of) = (stop as u16, link);
         self.count += 1;
         true
     }
@@ -106,18 +116,18 @@ impl Datagrams {
     /// The datagrams with their link, in order.
     pub fn iter(&self) -> impl Iterator<Item = (u8, &[u8])> {
         let mut start = 0;
-        self.marks.iter().take(self.count).filter_map(move |&(end, link)| {
-            let range = start..usize::from(end);
-            start = usize::from(end);
-            self.bytes.get(range).map(|b| (link, b))
+        let each = self.ends.iter().zip(&self.links).take(self.len());
+        each.filter_map(move |(end, link)| {
+            let range = start..usize::from(*end);
+            start = range.end;
+            self.bytes.get(range).map(|b| (*link, b))
         })
     }
 
     /// The datagram that was appended last.
     pub fn last(&self) -> Option<&[u8]> {
-        let before = self.count.checked_sub(2).and_then(|i| self.marks.get(i));
-        let start = before.map_or(0, |mark| usize::from(mark.0));
-        self.bytes.get(start..self.used()).filter(|_| self.count > 0)
+        let range = self.end_before(1)..self.end_before(0);
+        self.bytes.get(range).filter(|_| self.count > 0)
     }
 
     /// Whether there is none.
@@ -127,12 +137,12 @@ impl Datagrams {
 
     /// Number of datagrams.
     pub fn len(&self) -> usize {
-        self.count
+        self.count as usize
     }
 
     /// Bytes that still fit.
     pub fn free_bytes(&self) -> usize {
-        Self::CAPACITY - self.used()
+        Self::CAPACITY - self.end_before(0)
     }
 
     /// Datagrams dropped since start because a step held too many.
@@ -193,6 +203,19 @@ mod tests {
         assert!(d.iter().eq([(0, &b"abc"[..]), (2, &b""[..]), (1, &b"xy"[..])]));
         d.clear();
         assert!(d.is_empty() && d.iter().next().is_none());
+    }
+
+    #[test]
+    fn what_another_process_wrote_is_copied_and_of_lies_only_what_can_be() {
+        let (mut sent, mut received) = (Datagrams::default(), Datagrams::default());
+        assert!(sent.push(0, b"heartbeat") && sent.push(2, b"") && sent.push(1, &[7; 2000]));
+        assert!(received.copy_from(&sent));
+        assert_eq!(received, sent);
+        // Beyond the end, before its start, and more than there can be.
+        for (end, count) in [(Datagrams::CAPACITY as u16 + 1, 3), (3, 3), (9, 257), (9, u32::MAX)] {
+            (sent.ends[1], sent.count) = (end, count);
+            assert!(!received.copy_from(&sent), "{end} {count}");
+        }
     }
 
     #[test]

@@ -103,24 +103,21 @@ impl AttackArgs {
     pub fn hand_on(&self, command: &mut std::process::Command) {
         let Some(method) = self.attack else { return };
         command.args(["--attack", method.name(), "--towards", self.towards.name()]);
-        command.arg(format!("--epsilon={}", self.epsilon));
-        command.arg(format!("--iterations={}", self.iterations));
-        command.arg(format!("--burst={}", self.burst));
-        if let Some(file) = &self.attack_actor {
-            command.arg("--attack-actor").arg(file);
+        for (name, value) in [
+            ("epsilon", self.epsilon.to_string()),
+            ("iterations", self.iterations.to_string()),
+            ("burst", self.burst.to_string()),
+            ("region", self.region.to_string()),
+            ("truthful-ahead", self.truthful_ahead.to_string()),
+        ] {
+            command.arg(format!("--{name}={value}"));
         }
-        if let Some(file) = &self.evade {
-            command.arg("--evade").arg(file);
+        for (name, file) in [("--attack-actor", &self.attack_actor), ("--evade", &self.evade)] {
+            if let Some(file) = file {
+                command.arg(name).arg(file);
+            }
         }
-        if self.region != AttackConfig::PAPER.region_pixels {
-            command.arg(format!("--region={}", self.region));
-        }
-        if self.evade_guard {
-            command.arg("--evade-guard");
-        }
-        if self.truthful_ahead != 0.0 {
-            command.arg(format!("--truthful-ahead={}", self.truthful_ahead));
-        }
+        command.args(self.evade_guard.then_some("--evade-guard"));
     }
 }
 
@@ -147,7 +144,7 @@ impl Attack {
     pub fn interceptor(&self, seed: u64, goal_ned_m: NedVector) -> Result<Interceptor, AttackError> {
         let config = AttackConfig { seed, ..self.config };
         let attack = match (FrameAttack::on(&self.pilot, Isa::detect(), &config)?, &self.evade) {
-            (FrameAttack::Actor(attack), Some(detector)) => attack.evading(detector)?.into(),
+            (FrameAttack::Actor(attack), Some(detector)) => FrameAttack::Actor(attack.evading(detector)?),
             (FrameAttack::Policy(_), Some(_)) => return Err(AttackError::EvadingPolicy),
             (attack, None) => attack,
         };

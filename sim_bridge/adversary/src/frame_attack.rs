@@ -18,12 +18,6 @@ pub enum FrameAttack {
     Policy(PolicyAttack),
 }
 
-impl From<StreamAttack> for FrameAttack {
-    fn from(attack: StreamAttack) -> Self {
-        Self::Actor(attack)
-    }
-}
-
 impl FrameAttack {
     /// An attack by one who has this pilot's weights. Allocates; attacking and passing do not.
     ///

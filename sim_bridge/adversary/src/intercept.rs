@@ -51,9 +51,9 @@ pub struct Interceptor {
 
 impl Interceptor {
     /// An adversary that knows where the vehicle is to fly.
-    pub fn new(attack: impl Into<FrameAttack>, plan: BurstPlan, goal_ned_m: NedVector) -> Self {
+    pub fn new(attack: FrameAttack, plan: BurstPlan, goal_ned_m: NedVector) -> Self {
         Self {
-            attack: attack.into(),
+            attack,
             plan,
             goal_ned_m,
             taken: Box::new(DepthFrame::EMPTY),

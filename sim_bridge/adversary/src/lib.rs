@@ -16,7 +16,7 @@
 //! frame.depth.fill(0.2); // a wall at 20 m all around
 //! let goal = GoalRelative { distance_m: 20.0, bearing_rad: 0.0 };
 //! let taken = PilotInput { height_m: 1.5, ..PilotInput::at_rest(&frame, goal) };
-//! adversary.attack(&taken, &mut delivered)?;
+//! adversary.attack_while(&taken, &mut delivered, || true)?;
 //! let most = delivered.depth.iter().map(|range| (range - 0.2).abs()).fold(0.0, f32::max);
 //! assert!(most > 0.0 && most <= 2.0 / 255.0 + 1e-6, "two iterations of 1/255: {most}");
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -67,7 +67,10 @@ impl Perturber {
             clean: vec![0.0; DEPTH_PIXELS],
             gradient: vec![0.0; DEPTH_PIXELS],
             extra: vec![0.0; DEPTH_PIXELS],
-            kept: kept_for(&config),
+            kept: match config.method {
+                Method::Replay => vec![0.0; REPLAYED_FRAMES as usize * DEPTH_PIXELS],
+                _ => Vec::new(),
+            },
             seen_from: (Attitude::LEVEL_NORTH, STATES_HEIGHT_M),
         })
     }
@@ -75,14 +78,6 @@ impl Perturber {
     /// Whence the next frames are taken: attitude, and height above the ground in metres.
     pub fn see_from(&mut self, attitude: Attitude, height_m: f32) {
         self.seen_from = (attitude, height_m);
-    }
-
-    pub fn configure(&mut self, config: AttackConfig) -> Result<(), AttackError> {
-        config.check()?;
-        self.kept = kept_for(&config);
-        self.config = config;
-        self.calls = 0;
-        Ok(())
     }
 
     /// Draws from the beginning again.
@@ -402,14 +397,6 @@ fn sign_of(stream: u64, number: usize) -> f32 {
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     if (z ^ (z >> 31)) & 1 == 0 { 1.0 } else { -1.0 }
-}
-
-/// Room for what [`Method::Replay`] shows again.
-fn kept_for(config: &AttackConfig) -> Vec<f32> {
-    match config.method {
-        Method::Replay => vec![0.0; REPLAYED_FRAMES as usize * DEPTH_PIXELS],
-        _ => Vec::new(),
-    }
 }
 
 fn norm(values: impl Iterator<Item = f32>) -> f64 {

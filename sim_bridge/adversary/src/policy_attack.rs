@@ -91,7 +91,7 @@ impl PolicyAttack {
     /// A configuration out of range, a policy that does not fit itself.
     pub fn new(isa: Isa, policy: &FrozenPolicy, config: &AttackConfig) -> Result<Self, AttackError> {
         let inputs = policy.inputs;
-        policy.pilot(isa, false).map_err(refused)?;
+        policy.pilot(isa).map_err(refused)?;
         let evaluated = |network: &Network| -> Result<_, AttackError> {
             let graph = network.graph(Purpose::Gradients).map_err(refused)?;
             Ok(Evaluated::new(isa, graph, &policy.params)?)

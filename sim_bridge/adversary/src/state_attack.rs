@@ -35,7 +35,8 @@ impl StateAttack {
     /// # Errors
     /// A configuration out of range; the earlier one stays.
     pub fn configure(&mut self, config: &AttackConfig) -> Result<(), AttackError> {
-        self.perturber.configure(*config)
+        self.perturber = Perturber::new(*config)?;
+        Ok(())
     }
 
     /// Draws from the beginning again, from another seed: with one seed for each state the results do not depend on which

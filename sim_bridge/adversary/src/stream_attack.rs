@@ -78,15 +78,8 @@ impl StreamAttack {
 
     /// Alters what the actor is given: `delivered` becomes the frame taken with other pixels, each within 0 to 1; it is to be sealed again.
     /// `clean` of the outcome is what the actor would decide had no frame been altered at all, flown as it is: its last action is the one
-    /// that was flown. A burst keeps the direction of its first frame.
-    ///
-    /// # Errors
-    /// None for an actor of this project's frames.
-    pub fn attack(&mut self, taken: &PilotInput<'_>, delivered: &mut DepthFrame) -> Result<AttackOutcome, AttackError> {
-        self.attack_while(taken, delivered, || true)
-    }
-
-    /// The same within a deadline: after each iteration `go_on` says whether there is time for another.
+    /// that was flown. A burst keeps the direction of its first frame. After each iteration `go_on` says whether there is
+    /// time for another.
     ///
     /// # Errors
     /// None for an actor of this project's frames.
@@ -172,7 +165,7 @@ mod tests {
                     height_m: 1.5,
                     ..PilotInput::at_rest(&frame, GoalRelative::new(20.0, 0.0))
                 };
-                adversary.attack(&taken, &mut altered).unwrap()
+                adversary.attack_while(&taken, &mut altered, || true).unwrap()
             });
             last.last().unwrap().attacked[1]
         };

@@ -271,7 +271,7 @@ fn a_replay_shows_what_passed_first_a_blinded_sensor_sees_nothing_and_a_swelling
         (0..REPLAYED_FRAMES + 3)
             .map(|step| {
                 let (given, mut altered) = (taken(&frame(20 + step), step, 0.05), DepthFrame::EMPTY);
-                attack.attack(&input(&given), &mut altered).unwrap();
+                attack.attack_while(&input(&given), &mut altered, || true).unwrap();
                 (given.depth, altered.depth)
             })
             .collect::<Vec<_>>()
@@ -408,7 +408,7 @@ fn the_streaming_attacker_knows_to_the_bit_what_the_actor_decides() {
                 let burst = begins..begins + 4;
                 let attacks = burst.contains(&step);
                 let outcome = if attacks {
-                    Some(attack.attack(&input(&given), &mut delivered).unwrap())
+                    Some(attack.attack_while(&input(&given), &mut delivered, || true).unwrap())
                 } else {
                     attack.pass(&input(&given)).unwrap();
                     None
@@ -452,7 +452,7 @@ fn a_burst_keeps_its_direction_though_the_clean_decision_changes_sides() {
                 velocity_m_s: HeadingVector::ZERO,
                 ..input(&given)
             };
-            attack.attack(&moved, &mut given.clone()).unwrap()
+            attack.attack_while(&moved, &mut given.clone(), || true).unwrap()
         })
         .collect();
     let (first, last) = (outcomes.first().unwrap(), outcomes.last().unwrap());
@@ -513,7 +513,7 @@ fn score_after(attack: &mut StreamAttack, attacked: bool, detector: &FrozenDetec
         let given = taken(&frame(100), step, 0.05);
         let mut delivered = given.clone();
         if attacked && step >= 10 {
-            let outcome = attack.attack(&input(&given), &mut delivered).unwrap();
+            let outcome = attack.attack_while(&input(&given), &mut delivered, || true).unwrap();
             bent = outcome.yaw_change().abs();
         } else {
             attack.pass(&input(&given)).unwrap();

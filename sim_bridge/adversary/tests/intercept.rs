@@ -1,21 +1,21 @@
 //! When the adversary acts, and what it leaves of a frame.
 
 use vigil_adversary::{
-    AttackConfig, Burst, BurstPlan, Interceptor, PassedStep, SINGLE_BURST_FIRST, SINGLE_BURST_LAST, StreamAttack,
+    AttackConfig, Burst, BurstPlan, FrameAttack, Interceptor, PassedStep, SINGLE_BURST_FIRST, SINGLE_BURST_LAST,
     goal_seen_from,
 };
 use vigil_nnet::Isa;
-use vigil_policy::{ActorPilot, FrozenActor, Pilot, PilotInput};
+use vigil_policy::{Decider, FrozenActor, LearnedPilot, Pilot, PilotInput};
 use vigil_types::{
     Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics, NedVector, STEP_NS,
 };
 
-fn attack(actor: &FrozenActor, iterations: u32) -> StreamAttack {
+fn attack(actor: &FrozenActor, iterations: u32) -> FrameAttack {
     let settings = AttackConfig {
         iterations,
         ..AttackConfig::PAPER
     };
-    StreamAttack::new(Isa::detect(), actor, &settings).unwrap()
+    FrameAttack::on(&actor.into(), Isa::detect(), &settings).unwrap()
 }
 
 fn attacked(plan: BurstPlan, steps: u64) -> Vec<u64> {
@@ -100,7 +100,7 @@ fn the_adversary_knows_what_the_actor_remembers_and_how_it_moves() {
     let mut plans = (0..).map(|seed| BurstPlan::new(Burst::Steps(20), seed));
     let plan = plans.find(|plan| plan.attacks(SINGLE_BURST_FIRST + 10)).unwrap();
     let mut interceptor = Interceptor::new(attack, plan, goal);
-    let mut pilot = ActorPilot::new(actor.actor(Isa::detect()).unwrap(), false);
+    let mut pilot = LearnedPilot::new(Decider::Actor(actor.actor(Isa::detect()).unwrap()), false);
     let mut attacked = 0;
     for step in 0..60 {
         let mut frame = DepthFrame::EMPTY;

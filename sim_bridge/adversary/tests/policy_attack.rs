@@ -93,7 +93,7 @@ fn pilot(frozen: &FrozenPilot) -> ImportedPilot {
     let FrozenPilot::Imported(policy) = frozen else {
         unreachable!()
     };
-    policy.pilot(Isa::detect(), false).unwrap()
+    policy.pilot(Isa::detect()).unwrap()
 }
 
 fn yaw(pilot: &mut ImportedPilot, frame: &[f32]) -> f32 {

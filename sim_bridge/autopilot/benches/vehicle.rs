@@ -20,10 +20,8 @@ fn hovering() -> Vehicle {
     vehicle
 }
 
-const CRUISE: ControlCommand = ControlCommand::VelocityHeading {
-    velocity_m_s: HeadingVector::new(1.5, 0.0, 0.0),
-    yaw: YawCommand::Rate(0.2),
-};
+const CRUISE: ControlCommand =
+    ControlCommand::VelocityHeading(HeadingVector::new(1.5, 0.0, 0.0), YawCommand::Rate(0.2));
 
 /// One simulation step: 50 physics steps.
 #[divan::bench]
@@ -62,7 +60,7 @@ fn second_of_telemetry(bencher: Bencher, links: usize) {
             now_ns += 1_000_000;
             black_box(endpoint.step(now_ns, black_box(&view)));
             if ms % 50 == 0 {
-                endpoint.transmit(|_, datagram| {
+                endpoint.transmit(|_, _, datagram| {
                     black_box(datagram);
                 });
             }
@@ -86,5 +84,5 @@ fn receive_a_setpoint(bencher: Bencher) {
     );
     let packet = encode((1, 191), 0, &message);
     let mut endpoint = Endpoint::new(EndpointConfig::default()).expect("default configuration is valid");
-    bencher.bench_local(|| endpoint.receive(1, LinkId::ONBOARD, black_box(&packet)));
+    bencher.bench_local(|| endpoint.receive_from(1, LinkId::ONBOARD, 0, black_box(&packet)));
 }

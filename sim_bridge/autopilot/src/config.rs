@@ -3,6 +3,7 @@
 use crate::vehicle_parameters::ParameterError;
 use std::collections::BTreeMap;
 use vigil_mavlink::routing::ComponentId;
+use vigil_types::Nanos;
 
 /// A link of the vehicle: index into [`EndpointConfig::links`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -49,52 +50,30 @@ impl LinkRole {
     pub const ALL: [Self; 3] = [Self::Onboard, Self::Api, Self::Gcs];
 }
 
-/// Where the local origin lies on the globe.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct HomePosition {
-    /// Latitude in degrees.
-    pub latitude_deg: f64,
-    /// Longitude in degrees.
-    pub longitude_deg: f64,
-    /// Height above mean sea level in metres.
-    pub altitude_m: f64,
-}
-
-impl Default for HomePosition {
-    /// Where PX4's simulation starts.
-    fn default() -> Self {
-        Self {
-            latitude_deg: 47.397_742,
-            longitude_deg: 8.545_594,
-            altitude_m: 488.0,
-        }
-    }
-}
-
 /// An endpoint's configuration. Every field has a default.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EndpointConfig {
     /// MAVLink system id of the vehicle; its component id is always 1.
     pub system_id: u8,
-    /// The local origin.
-    pub home: HomePosition,
     /// The links, in the order of their [`LinkId`].
     pub links: Vec<LinkRole>,
     /// Parameters that differ from their defaults, by name (`MIS_TAKEOFF_ALT = 4.0`).
     pub parameters: BTreeMap<String, f64>,
     /// Unix time in microseconds at time 0 of the clock, for SYSTEM_TIME. Fixed by default: the endpoint reads no clock.
     pub unix_time_at_zero_us: u64,
+    /// When it starts, by that clock.
+    pub started_ns: Nanos,
 }
 
 impl Default for EndpointConfig {
     fn default() -> Self {
         Self {
             system_id: 1,
-            home: HomePosition::default(),
             links: LinkRole::ALL.to_vec(),
             parameters: BTreeMap::new(),
             // 2026-01-01T00:00:00Z.
             unix_time_at_zero_us: 1_767_225_600_000_000,
+            started_ns: 0,
         }
     }
 }
@@ -118,12 +97,6 @@ impl EndpointConfig {
         if self.links.is_empty() || self.links.len() > Self::MAX_LINKS {
             return Err(ConfigError::Links(self.links.len()));
         }
-        let home = &self.home;
-        let sound =
-            home.latitude_deg.abs() <= 85.0 && home.longitude_deg.abs() <= 180.0 && home.altitude_m.abs() <= 9000.0;
-        if !sound {
-            return Err(ConfigError::Home(self.home));
-        }
         Ok(())
     }
 }
@@ -137,11 +110,6 @@ pub enum ConfigError {
     /// No link, or too many: as many as this.
     #[error("links has {0} entries: use 1 to {max}", max = EndpointConfig::MAX_LINKS)]
     Links(usize),
-    /// Home is not a place where local coordinates work.
-    #[error(
-        "home {0:?} is not usable: latitude within 85 degrees, longitude within 180 degrees, altitude_m within 9000"
-    )]
-    Home(HomePosition),
     /// A plan that was saved.
     #[error("{kind}: {reason}")]
     Plan {
@@ -169,7 +137,6 @@ mod tests {
         };
         assert!(with(|c| c.system_id = 0).contains("use 1 to 255"));
         assert!(with(|c| c.links.clear()).contains("use 1 to 8"));
-        assert!(with(|c| c.home.latitude_deg = f64::NAN).contains("latitude"));
         assert!(with(|c| c.parameters.extend([("MIS_TAKEOFF_ATL".into(), 3.0)])).contains("MIS_TAKEOFF_ATL"));
         assert!(with(|c| c.parameters.extend([("MIS_TAKEOFF_ALT".into(), -3.0)])).contains("0.5"));
     }

@@ -9,7 +9,7 @@ use crate::outbox::{Outbox, Traffic};
 use crate::plan::Plans;
 use crate::vehicle::{HoldLaw, Truth, VehicleView};
 use crate::vehicle_parameters::{ParamId, ParameterValue, Parameters};
-use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
+use crate::{ConfigError, EndpointConfig, LinkId, LinkRole};
 use vigil_mavlink::common::MavSeverity;
 use vigil_mavlink::framing::{FramingCounters, Packet};
 use vigil_mavlink::mavlink::MessageData;
@@ -142,8 +142,6 @@ pub(crate) struct Core {
     pub view: VehicleView,
     /// What the vehicle's hold is.
     pub hold_law: HoldLaw,
-    /// Where the local origin is, which is home until it is moved.
-    pub home: HomePosition,
     /// Where home is: metres north and east of the local origin, at its height.
     pub home_m: (f32, f32),
     pub unix_time_at_zero_us: u64,
@@ -189,8 +187,8 @@ impl Core {
         (view.sensors.battery_remaining, view.on_ground) = (1.0, true);
         Ok(Self {
             view,
-            home: config.home,
             unix_time_at_zero_us: config.unix_time_at_zero_us,
+            now_ns: config.started_ns,
             parameters,
             outbox: Outbox::new(config.system_id, config.links.len()),
             received: vec![Traffic::default(); config.links.len()],

@@ -13,8 +13,8 @@ use vigil_types::{Nanos, STEP_NS};
 
 /// A PX4-flavoured MAVLink vehicle, sans IO.
 ///
-/// Call [`Endpoint::receive`] for every datagram that came, [`Endpoint::step`] once per millisecond of simulated time, and
-/// [`Endpoint::transmit`] whenever datagrams can go out (at least once per 50 ms step).
+/// Call [`Endpoint::receive_from`] for every datagram that came, [`Endpoint::step`] once per millisecond of simulated
+/// time, and [`Endpoint::transmit`] whenever datagrams can go out (at least once per 50 ms step).
 pub struct Endpoint {
     pub(crate) core: Core,
     services: Vec<Box<dyn Service + Send>>,
@@ -71,12 +71,8 @@ impl Endpoint {
     }
 
     /// Takes one datagram that came on `link`. Whatever it holds, it is obeyed, passed on or counted; never a panic.
-    /// A link that the configuration does not have is ignored.
-    pub fn receive(&mut self, now_ns: Nanos, link: LinkId, datagram: &[u8]) {
-        self.receive_from(now_ns, link, 0, datagram);
-    }
-
-    /// The same on a link with several ends: `peer` is another number for another end. Ownership is of one of them.
+    /// A link that the configuration does not have is ignored. On a link with several ends `peer` is another number for
+    /// another end, else 0: ownership is of one of them.
     pub fn receive_from(&mut self, now_ns: Nanos, link: LinkId, peer: u64, datagram: &[u8]) {
         if usize::from(link.0) >= self.core.outbox.links() {
             return;
@@ -197,13 +193,9 @@ impl Endpoint {
         self.core.ranges = Some(ranges);
     }
 
-    /// Hands out the datagrams that wait, in order.
-    pub fn transmit(&mut self, mut send: impl FnMut(LinkId, &[u8])) {
-        self.transmit_marked(|link, _, datagram| send(link, datagram));
-    }
-
-    /// The same with whether each is of a stream other than the heartbeat: on a slow link it gives way to all others.
-    pub fn transmit_marked(&mut self, send: impl FnMut(LinkId, bool, &[u8])) {
+    /// Hands out the datagrams that wait, in order, with whether each is of a stream other than the heartbeat: on a slow
+    /// link it gives way to all others.
+    pub fn transmit(&mut self, send: impl FnMut(LinkId, bool, &[u8])) {
         self.core.outbox.drain(send);
     }
 

@@ -15,7 +15,7 @@
 //! for ms in 1..=1000 {
 //!     let command = endpoint.step(ms * 1_000_000, &vehicle.view());
 //!     vehicle.step(&command);
-//!     endpoint.transmit(|_link, _datagram| datagrams += 1);
+//!     endpoint.transmit(|_link, _is_telemetry, _datagram| datagrams += 1);
 //! }
 //! assert!(datagrams > 10, "a second of telemetry: {datagrams}");
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -32,7 +32,7 @@ mod core;
 mod endpoint;
 mod files;
 mod flight;
-mod geo;
+pub mod geo;
 mod outbox;
 mod plan;
 mod saved;
@@ -49,7 +49,7 @@ mod testing;
 #[cfg(test)]
 mod tests;
 
-pub use config::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
+pub use config::{ConfigError, EndpointConfig, LinkId, LinkRole};
 pub use core::{EndpointStatus, Refusals, SigningSetup, ZoneRanges};
 pub use endpoint::Endpoint;
 pub use flight::{Failsafe, FlightMode, LandedState};

@@ -25,14 +25,14 @@ impl Endpoint {
             info.default != *value && info.role != ParameterRole::Fixed
         };
         let differing = self.core.parameters.all().filter(differs);
-        let items = |kind| self.core.plans.wire(kind).items.clone();
+        let [mission, geofence, rally] = PlanKind::ALL.map(|kind| self.core.plans.wire(kind).items.clone());
         Saved {
             parameters: differing
                 .map(|(info, value)| (info.name.to_owned(), exact(value)))
                 .collect(),
-            mission: items(PlanKind::Mission),
-            geofence: items(PlanKind::Fence),
-            rally: items(PlanKind::Rally),
+            mission,
+            geofence,
+            rally,
         }
     }
 
@@ -44,11 +44,10 @@ impl Endpoint {
         for (name, value) in &saved.parameters {
             self.core.parameters.set_by_name(name, *value)?;
         }
-        for (kind, items) in [
-            (PlanKind::Mission, &saved.mission),
-            (PlanKind::Fence, &saved.geofence),
-            (PlanKind::Rally, &saved.rally),
-        ] {
+        for (kind, items) in PlanKind::ALL
+            .into_iter()
+            .zip([&saved.mission, &saved.geofence, &saved.rally])
+        {
             let refused = |reason: &str| ConfigError::Plan {
                 kind: kind.name(),
                 reason: reason.to_owned(),
@@ -60,10 +59,10 @@ impl Endpoint {
             for (i, item) in items.iter().enumerate() {
                 let PlanItem { command, frame, .. } = item;
                 let at = |reason| format!("item {i} (command {command}, frame {frame}): {reason}");
-                Plans::read(kind, item, &core.home).map_err(|defect| refused(&at(defect.reason)))?;
+                Plans::read(kind, item).map_err(|defect| refused(&at(defect.reason)))?;
             }
             core.plans
-                .replace(kind, items.clone(), &core.home)
+                .replace(kind, items.clone())
                 .map_err(|defect| refused(defect.reason))?;
         }
         Ok(())

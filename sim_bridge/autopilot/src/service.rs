@@ -106,7 +106,7 @@ pub(crate) type Handler = fn(&Command, Source, &mut Core) -> Answer;
 
 /// One protocol service. All methods have a default, so that a service implements what it needs.
 ///
-/// It knows the core; neither the core nor the endpoint knows it. To add one: a file in `services`, and its line in the table
+/// It knows the core; neither the core nor the endpoint knows it. To add one: a type in `services`, and its line in the table
 /// of `services::all`.
 pub(crate) trait Service {
     /// Runs once, before everything else.

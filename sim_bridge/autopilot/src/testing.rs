@@ -2,8 +2,9 @@
 
 use crate::core::EndpointStatus;
 use crate::vehicle::{Vehicle, VehicleParams, VehicleView, Wind};
-use crate::{Endpoint, HomePosition, geo};
+use crate::{Endpoint, geo};
 use vigil_mavlink::framing::{self, Command, CommandAck, CommandForm, FramingCounters, MAX_PACKET_LEN};
+use vigil_mavlink::globe;
 use vigil_mavlink::mavlink::{MavHeader, MavlinkVersion, Message};
 use vigil_types::{Nanos, NedVector};
 
@@ -36,8 +37,6 @@ pub struct Sent {
     pub from: ComponentId,
     pub raw: Vec<u8>,
     pub message: Option<MavMessage>,
-    version: MavlinkVersion,
-    payload: Vec<u8>,
     pub ack: Option<CommandAck>,
 }
 
@@ -136,7 +135,7 @@ impl Bench {
 
     fn collect(&mut self) {
         let (sent, at_ns) = (&mut self.sent, self.now_ns);
-        self.endpoint.transmit(|link, datagram| {
+        self.endpoint.transmit(|link, _, datagram| {
             let mut counters = FramingCounters::default();
             let packets: Vec<_> = framing::packets(datagram, &mut counters).collect();
             assert_eq!(packets.len(), 1, "one packet per datagram");
@@ -150,8 +149,6 @@ impl Bench {
                     },
                     raw: packet.raw().to_vec(),
                     message: packet.message().ok(),
-                    version: packet.version(),
-                    payload: packet.payload().to_vec(),
                     ack: packet.command_ack(),
                 });
             }
@@ -218,22 +215,11 @@ impl Bench {
         (lat, lon): (f64, f64),
         z: f32,
     ) -> u8 {
-        let [param1, param2, param3, param4] = params;
-        let (x, y) = (geo::deg_e7(lat), geo::deg_e7(lon));
-        let before = self.sent.len();
-        self.tell(message!(
-            COMMAND_INT,
-            param1,
-            param2,
-            param3,
-            param4,
-            x,
-            y,
-            z,
-            command,
-            frame
-        ));
-        self.sent[before..].iter().find_map(|s| s.ack).expect("answered").result
+        let (number, [p1, p2, p3, p4]) = (command as u16, params);
+        let (frame, x, y) = (frame as u8, geo::deg_e7(lat), geo::deg_e7(lon));
+        let params = [p1, p2, p3, p4, f32::NAN, f32::NAN, z];
+        let packet = self::command(SCRIPT, number, params, CommandForm::Int { frame, x, y });
+        self.answer(API, SCRIPT, number, &packet)
     }
 
     /// Sends DO_REPOSITION and returns the result.
@@ -362,7 +348,7 @@ impl Bench {
     pub fn all<M: MessageData<Message = MavMessage>>(&self, link: LinkId) -> Vec<M> {
         let own = self.sent.iter().filter(|s| s.link == link && s.from == VEHICLE);
         let of_kind = own.filter(|s| s.message.as_ref().is_some_and(|m| m.message_id() == M::ID));
-        let read = |s: &Sent| M::deser(s.version, &s.payload).expect("it was read once");
+        let read = |s: &Sent| M::deser(MavlinkVersion::V2, &s.raw[10..s.raw.len() - 2]).expect("it was read once");
         of_kind.map(read).collect()
     }
 
@@ -498,6 +484,6 @@ pub fn attitude_setpoint(mask: u8, pitch_deg: f32, body_yaw_rate: f32, thrust: f
 
 /// Latitude and longitude of a place, metres north and east of home.
 pub fn on_globe((north, east): (f32, f32)) -> (f64, f64) {
-    let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(north, east, 0.0));
-    (lat, lon)
+    let origin = (geo::ORIGIN.latitude_deg, geo::ORIGIN.longitude_deg);
+    globe::to_global(origin, north, east)
 }

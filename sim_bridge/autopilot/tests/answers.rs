@@ -21,10 +21,10 @@ fn ours(seed: u64) -> Vehicle {
 const HOVER: ControlCommand = setpoint(0.0, 0.0, 0.0, 0.0);
 
 const fn setpoint(forward: f32, right: f32, down: f32, yaw_rate_rad_s: f32) -> ControlCommand {
-    ControlCommand::VelocityHeading {
-        velocity_m_s: HeadingVector::new(forward, right, down),
-        yaw: YawCommand::Rate(yaw_rate_rad_s),
-    }
+    ControlCommand::VelocityHeading(
+        HeadingVector::new(forward, right, down),
+        YawCommand::Rate(yaw_rate_rad_s),
+    )
 }
 
 /// Flies with this setpoint and gives the truth at 50 Hz.

@@ -203,10 +203,7 @@ impl Environment {
 
     /// [`Self::advance`] without the next frame, whose rays are most of a step's cost.
     pub fn advance_unseen(&mut self, setpoint: VelocitySetpoint) -> Option<Outcome> {
-        let command = ControlCommand::VelocityHeading {
-            velocity_m_s: setpoint.velocity_m_s,
-            yaw: YawCommand::Rate(setpoint.yaw_rate_rad_s),
-        };
+        let command = ControlCommand::VelocityHeading(setpoint.velocity_m_s, YawCommand::Rate(setpoint.yaw_rate_rad_s));
         for _ in 0..PHYSICS_STEPS {
             self.vehicle.step(&command);
             let truth = self.vehicle.truth();

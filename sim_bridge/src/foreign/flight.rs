@@ -7,7 +7,7 @@ use crate::world::{Course, LidarConfig, LidarConfigError, Referee, Shot, World};
 use mavlink::dialects::common::{HIL_STATE_QUATERNION_DATA, MavMessage};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{self, FramingCounters, Packet};
-use vigil_types::{Attitude, DepthFrame, FrameKey, Kinematics, Nanos, NedVector, named};
+use vigil_types::{Attitude, DepthFrame, FrameKey, Kinematics, Landed, Nanos, NedVector, named};
 
 /// A report older than this is no pose; the firmware's own limit of telemetry.
 const REPORT_AGE_NS: Nanos = vigil_types::parameters::TELEMETRY_AGE.nanos();
@@ -99,7 +99,6 @@ pub struct ForeignFlight {
     world: World,
     referee: Referee,
     sensor: DepthSensor,
-    counters: FramingCounters,
     pub(super) vehicle: Vehicle,
     /// The vehicle's system, once it is known.
     pub(super) system: Option<u8>,
@@ -132,7 +131,6 @@ impl ForeignFlight {
             world: World::new(course),
             referee: Referee::new(course),
             sensor: DepthSensor::new(config.lidar, config.seed, config.sensor_fault, config.frame_key.clone())?,
-            counters: FramingCounters::default(),
             vehicle: Vehicle::new(None),
             system: config.system,
             system_is_named: config.system.is_some(),
@@ -154,11 +152,9 @@ impl ForeignFlight {
 
     /// Takes a datagram that arrived at `now_ns`. Packets of others than the vehicle's autopilot are passed over.
     pub fn receive(&mut self, now_ns: Nanos, datagram: &[u8]) {
-        let mut counters = self.counters;
-        for packet in framing::packets(datagram, &mut counters) {
+        for packet in framing::packets(datagram, &mut FramingCounters::default()) {
             self.packet(now_ns, &packet);
         }
-        self.counters = counters;
     }
 
     fn packet(&mut self, now_ns: Nanos, packet: &Packet<'_>) {
@@ -257,7 +253,10 @@ impl ForeignFlight {
             return;
         };
         let position_ned_m = motion.position_ned_m;
-        if self.lifted_off_ns.is_none() && -position_ned_m.z >= LIFT_OFF_M {
+        // Before home is known an estimate's height may be anything: one that is not armed, or says that it stands, does not fly.
+        let telemetry = &self.vehicle.telemetry;
+        let may_fly = telemetry.heartbeat.is_some_and(|h| h.armed) && telemetry.landed != Landed::OnGround;
+        if self.lifted_off_ns.is_none() && may_fly && -position_ned_m.z >= LIFT_OFF_M {
             self.lifted_off_ns = Some(now_ns);
         }
         let Some(lifted_off_ns) = self.lifted_off_ns else {

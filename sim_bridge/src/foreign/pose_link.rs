@@ -6,9 +6,10 @@ use mavlink::dialects::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, GPS_GLOBAL_ORIGIN_DATA, HIL_STATE_QUATERNION_DATA, HOME_POSITION_DATA,
     LOCAL_POSITION_NED_DATA,
 };
+use vigil_io::Link;
 use vigil_io::gate::{AllowUnsigned, SigningGate};
 use vigil_io::link_spec::LinkSpec;
-use vigil_io::links::{LinkAdmission, LinkError, PeerRule, Wire, open_wire, somebody_is_heard};
+use vigil_io::links::{Gated, LinkError, PeerRule, somebody_is_heard};
 use vigil_mavlink::Sender;
 use vigil_mavlink::framing::{Command, FramingCounters, packets};
 use vigil_types::{Datagrams, Nanos};
@@ -21,21 +22,21 @@ const COMPONENT: u8 = 158;
 const SET_MESSAGE_INTERVAL: u16 = 511;
 const REQUEST_MESSAGE: u16 = 512;
 
-/// Messages that are asked for by an interval, in microseconds, with what counts for the same.
-const STREAMS: [(u32, u32, f32); 3] = [
-    (LOCAL_POSITION_NED_DATA::ID, LOCAL_POSITION_NED_DATA::ID, 20_000.0),
-    (ATTITUDE_QUATERNION_DATA::ID, ATTITUDE_DATA::ID, 20_000.0),
-    (HIL_STATE_QUATERNION_DATA::ID, HIL_STATE_QUATERNION_DATA::ID, 20_000.0),
+/// Messages that are asked for by an interval, with what counts for the same.
+const STREAMS: [[u32; 2]; 3] = [
+    [LOCAL_POSITION_NED_DATA::ID; 2],
+    [ATTITUDE_QUATERNION_DATA::ID, ATTITUDE_DATA::ID],
+    [HIL_STATE_QUATERNION_DATA::ID; 2],
 ];
+/// The interval, microseconds.
+const INTERVAL_US: f32 = 20_000.0;
 /// Those asked for once.
 const PLACES: [u32; 2] = [HOME_POSITION_DATA::ID, GPS_GLOBAL_ORIGIN_DATA::ID];
 
 /// One link, with what came on it last.
 pub struct PoseLink {
     spec: LinkSpec,
-    wire: Box<dyn Wire>,
-    gate: SigningGate,
-    allow_unsigned: AllowUnsigned,
+    link: Gated,
     received: Box<Datagrams>,
     to_send: Box<Datagrams>,
     /// The vehicle on it, by its heartbeat.
@@ -44,6 +45,7 @@ pub struct PoseLink {
     ask_next_ns: Nanos,
     asked: usize,
     sender: Sender,
+    has_looked: bool,
 }
 
 impl PoseLink {
@@ -72,10 +74,8 @@ impl PoseLink {
         let gate = SigningGate::new(None, allow_unsigned);
         somebody_is_heard(&spec.url, gate.has_key(), allow_unsigned)?;
         Ok(Self {
-            wire: open_wire(&spec.url, PeerRule::Vehicle { system: spec.system })?,
+            link: Gated::open(&spec.url, PeerRule::Vehicle { system: spec.system }, gate)?,
             spec: spec.clone(),
-            gate,
-            allow_unsigned,
             received: Box::default(),
             to_send: Box::default(),
             system: None,
@@ -83,19 +83,14 @@ impl PoseLink {
             ask_next_ns: 0,
             asked: 0,
             sender: Sender::new(1, COMPONENT),
+            has_looked: false,
         })
     }
 
     /// Hands over what arrived. Never waits.
     pub fn receive(&mut self, now_ns: Nanos, mut on_datagram: impl FnMut(&[u8])) {
-        self.gate.begin(now_ns);
         self.received.clear();
-        let mut admission = LinkAdmission {
-            gate: &mut self.gate,
-            allow_unsigned: self.allow_unsigned,
-            link: 0,
-        };
-        self.wire.receive(now_ns, &mut admission, &mut self.received);
+        self.link.receive(now_ns, &mut self.received);
         let mut counters = FramingCounters::default();
         for (_, datagram) in self.received.iter() {
             for packet in packets(datagram, &mut counters) {
@@ -103,14 +98,26 @@ impl PoseLink {
                     self.system.get_or_insert(packet.system_id());
                 }
                 let is_the_vehicles = self.system.is_none_or(|system| system == packet.system_id());
-                for (heard_ns, (id, or, _)) in self.heard_ns.iter_mut().zip(STREAMS) {
-                    if is_the_vehicles && (packet.message_id() == id || packet.message_id() == or) {
+                for (heard_ns, ids) in self.heard_ns.iter_mut().zip(STREAMS) {
+                    if is_the_vehicles && ids.contains(&packet.message_id()) {
                         *heard_ns = now_ns;
                     }
                 }
             }
             on_datagram(datagram);
         }
+    }
+
+    /// What a person reads, once, where others had sent to the port before the vehicle was heard: they are not. Later the kernel lets in
+    /// nobody else, and what is counted may be the vehicle's own from another port.
+    pub fn others_put_aside(&mut self) -> Option<String> {
+        let heard = self.system.filter(|_| self.spec.system.is_none() && !self.has_looked)?;
+        self.has_looked = true;
+        let url = &self.spec.url;
+        let line = || {
+            format!("pose       others beside system {heard} send to {url}, unheard: name one by its option system=")
+        };
+        (self.link.statistics().foreign > 0).then(line)
     }
 
     /// Once a second: says that somebody listens, and asks for what is missing. `wants_truth`: HIL_STATE_QUATERNION too;
@@ -127,25 +134,25 @@ impl PoseLink {
         if let Some(system) = self.system {
             self.ask_for_what_is_missing(now_ns, system, wants_truth, wants_places);
         }
-        self.wire.send(&mut self.gate, &self.to_send);
+        self.link.send(&self.to_send);
     }
 
     fn ask_for_what_is_missing(&mut self, now_ns: Nanos, system: u8, wants_truth: bool, wants_places: bool) {
-        for (stream, (id, _, interval_us)) in STREAMS.into_iter().enumerate() {
+        for ([id, _], heard_ns) in STREAMS.into_iter().zip(self.heard_ns) {
             let is_wanted = wants_truth || id != HIL_STATE_QUATERNION_DATA::ID;
-            if is_wanted && now_ns.saturating_sub(self.heard_ns[stream]) > MISSING_NS {
-                let params = [id as f32, interval_us, 0.0, 0.0, 0.0, 0.0, 0.0];
-                self.command(system, SET_MESSAGE_INTERVAL, params);
+            if is_wanted && now_ns.saturating_sub(heard_ns) > MISSING_NS {
+                self.command(system, SET_MESSAGE_INTERVAL, [id as f32, INTERVAL_US]);
             }
         }
         if wants_places {
             let id = PLACES[self.asked % PLACES.len()];
             self.asked += 1;
-            self.command(system, REQUEST_MESSAGE, [id as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+            self.command(system, REQUEST_MESSAGE, [id as f32, 0.0]);
         }
     }
 
-    fn command(&mut self, system: u8, number: u16, params: [f32; 7]) {
+    fn command(&mut self, system: u8, number: u16, [first, second]: [f32; 2]) {
+        let params = [first, second, 0.0, 0.0, 0.0, 0.0, 0.0];
         let command = Command::to_autopilot(system, number, params, 0);
         self.sender.command(&mut self.to_send, 0, &command);
     }

@@ -194,6 +194,7 @@ impl Sensor {
         let wants_places = vehicle.home_ned_m().is_none() || !vehicle.is_origin_known();
         for link in &mut self.links {
             link.ask(now_ns, self.wants_truth, wants_places);
+            link.others_put_aside().iter().for_each(|line| announce(line));
         }
     }
 

@@ -4,69 +4,52 @@ use crate::world::check::FieldProblem;
 use crate::world::course::Course;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
-use vigil_types::files::{self, FileError, at};
+use vigil_types::files::{self, at};
 use vigil_types::settings::{self, Refused};
 
 /// A course of a thousand obstacles has 100 kB.
 const SIZE_LIMIT: u64 = 4 << 20;
 
-/// Why a course could not be read or written.
+/// Why a course could not be read or written: file, line (from 1), field (as `column[2].radius_m`, from 0) and what would be right.
 #[derive(Debug, thiserror::Error)]
-pub enum CourseError {
-    /// The file cannot be read.
-    #[error("cannot read course {0}")]
-    Read(FileError),
-    /// The file cannot be written.
-    #[error("cannot write course {0}")]
-    Write(FileError),
-    /// The text is not a course.
-    #[error("{file}:{line}: {}{problem}", if field.is_empty() { String::new() } else { format!("`{field}`: ") })]
-    Invalid {
-        /// Name of the file.
-        file: String,
-        /// Line, counted from 1.
-        line: usize,
-        /// Dotted path of the field, as `column[2].radius_m`, counted from 0; empty where the text is not TOML at all.
-        field: String,
-        /// What is wrong and what would be right.
-        problem: String,
-    },
-    /// TOML's integers do not hold the seed.
-    #[error("the course cannot be written as TOML: its seed {0} is not below 2⁶³")]
-    Unwritable(u64),
+#[error("{0}")]
+pub struct CourseError(String);
+
+fn failed<'a>(what: &'a str, path: &'a Path) -> impl FnOnce(std::io::Error) -> CourseError + 'a {
+    move |error| CourseError(format!("cannot {what} course {}", at(path)(error)))
 }
 
 impl Course {
     /// Reads a course from TOML text and checks it; `file_name` is for messages, and meshes are looked for beside it.
     ///
     /// # Errors
-    /// [`CourseError::Invalid`] with line and field.
+    /// [`CourseError`] with line and field.
     pub fn from_toml_str(text: &str, file_name: &str) -> Result<Self, CourseError> {
         Self::read(text, file_name, Path::new(file_name))
     }
 
     fn read(text: &str, file_name: &str, path: &Path) -> Result<Self, CourseError> {
-        let invalid = |at: usize, field, problem| CourseError::Invalid {
-            file: file_name.to_owned(),
-            line: 1 + text.bytes().take(at).filter(|b| *b == b'\n').count(),
-            field,
-            problem,
+        let invalid = |at: usize, field: &str, problem: &str| {
+            let line = 1 + text.bytes().take(at).filter(|b| *b == b'\n').count();
+            // A text that is not TOML at all has no field.
+            let field = (!field.is_empty()).then(|| format!("`{field}`: "));
+            CourseError(format!("{file_name}:{line}: {}{problem}", field.unwrap_or_default()))
         };
-        let refused = |r: Refused| invalid(r.at, r.key, r.message);
+        let refused = |r: Refused| invalid(r.at, &r.key, &r.message);
         let root = settings::parse(text).map_err(refused)?;
         let mut course: Self = settings::from_table(root.get_ref()).map_err(refused)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let checked = course.read_meshes(folder).and_then(|()| course.check());
-        checked.map_err(|wrong| invalid(offset_of(root.get_ref(), &wrong.field), wrong.field, wrong.problem))?;
+        checked.map_err(|wrong| invalid(offset_of(root.get_ref(), &wrong.field), &wrong.field, &wrong.problem))?;
         Ok(course)
     }
 
     fn read_meshes(&mut self, folder: &Path) -> Result<(), FieldProblem> {
         for (i, mesh) in self.meshes.iter_mut().enumerate() {
             mesh.check_values(i)?;
-            mesh.read(folder).map_err(|error| FieldProblem {
+            mesh.read(folder).map_err(|problem| FieldProblem {
                 field: format!("mesh[{i}].file"),
-                problem: error.to_string(),
+                problem,
             })?;
         }
         Ok(())
@@ -75,31 +58,37 @@ impl Course {
     /// Reads and checks a course file.
     ///
     /// # Errors
-    /// [`CourseError::Read`] or [`CourseError::Invalid`].
+    /// [`CourseError`].
     pub fn load(path: &Path) -> Result<Self, CourseError> {
-        let text = files::read_text(path, SIZE_LIMIT).map_err(at(path));
-        Self::read(&text.map_err(CourseError::Read)?, &path.display().to_string(), path)
+        let text = files::read_text(path, SIZE_LIMIT).map_err(failed("read", path))?;
+        Self::read(&text, &path.display().to_string(), path)
     }
 
     /// The course as TOML text.
     ///
     /// # Errors
-    /// [`CourseError::Unwritable`] for a seed of 2⁶³ or more, which TOML's integers cannot hold.
+    /// What TOML cannot hold: a seed of 2⁶³ or more, a path that is not Unicode.
     pub fn to_toml_string(&self) -> Result<String, CourseError> {
-        match i64::try_from(self.seed) {
-            Ok(_) => Ok(settings::to_toml(self)),
-            Err(_) => Err(CourseError::Unwritable(self.seed)),
-        }
+        let problem = if i64::try_from(self.seed).is_err() {
+            format!("seed {} is not below 2⁶³", self.seed)
+        } else if let Some(mesh) = self.meshes.iter().find(|mesh| mesh.file.to_str().is_none()) {
+            let file = mesh.file.display();
+            format!("mesh {file} lies in a folder whose name is not Unicode: move it")
+        } else {
+            return Ok(settings::to_toml(self));
+        };
+        Err(CourseError(format!(
+            "the course cannot be written as TOML: its {problem}"
+        )))
     }
 
     /// Writes the course to a file.
     ///
     /// # Errors
-    /// [`CourseError::Unwritable`] or [`CourseError::Write`].
+    /// As of [`to_toml_string`](Self::to_toml_string), and what the system says.
     pub fn save(&self, path: &Path) -> Result<(), CourseError> {
         let text = self.to_toml_string()?;
-        let written = files::replace(path, text.as_bytes(), files::Access::Shared);
-        written.map_err(|error| CourseError::Write(at(path)(error)))
+        files::replace(path, text.as_bytes(), files::Access::Shared).map_err(failed("write", path))
     }
 }
 
@@ -167,6 +156,11 @@ to_m = [16.0, 4.0]
 speed_m_s = 0.5
 height_m = 2.0
 shape = { column = { radius_m = 0.35 } }
+
+[[wire]]
+from_m = [5.0, 0.0, 1.0]
+to_m = [5.0, 2.0, 1.0]
+radius_m = 0.02
 "#;
 
     fn error_of(text: &str) -> String {
@@ -213,6 +207,11 @@ shape = { column = { radius_m = 0.35 } }
             to_m = [16.0, 4.0] => to_m = [22.0, 7.5] => 27: `mover[0]`: covers the goal
             shape = { column => shape = { box = { length_m = 1, width_m = 1 }, column => 32: `mover[0].shape`: one of `column` and `box`
             column = { radius_m = 0.35 } => column = { radius_m = 0.0 } => 32: `mover[0].shape.column.radius_m`
+            to_m = [5.0, 2.0, 1.0] => to_m = [5.0, 0.0, 1.0] => 36: `wire[0].to_m`: is the same point as from_m
+            radius_m = 0.02 => radius_m = 0.06 => 37: `wire[0].radius_m`: is 0.06, must be from 0.005 to 0.05 m
+            from_m = [5.0, 0.0, 1.0] => from_m = [5.0, nan, 1.0] => 35: `wire[0].from_m[1]`: is NaN
+            [5.0, 0.0, 1.0]\nto_m = [5.0, 2.0, 1.0] => [0.2, -1.0, 1.0]\nto_m = [0.2, 1.0, 1.0] => 34: `wire[0]`: covers the start
+            [5.0, 0.0, 1.0]\nto_m = [5.0, 2.0, 1.0] => [20.0, 4.0, 1.8]\nto_m = [20.0, 6.0, 1.2] => 34: `wire[0]`: covers the goal
         "#;
         let mut count = 0;
         for case in cases.lines().filter(|case| !case.trim().is_empty()) {
@@ -229,7 +228,7 @@ shape = { column = { radius_m = 0.35 } }
             assert!(message.starts_with(&format!("bad.toml:{expected}")), "{to}: {message}");
             count += 1;
         }
-        assert_eq!(count, 20);
+        assert_eq!(count, 25);
     }
 
     #[test]

@@ -31,12 +31,12 @@ pub use course::{Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPo
 pub use course_file::CourseError;
 pub use draw::{FlightPath, Image, ImageError, check_png_name, draw, draw_svg};
 pub use generate::{LONG_GOAL_M, generate, generate_long};
+pub(crate) use lidar::ZoneSensor;
 pub use lidar::{
-    LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Ranges, Shot, ZONE_COLUMNS,
-    ZONE_FOV_RAD, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor, beam_direction_frd, pixel_of,
+    LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Ranges, Shot, beam_direction_frd,
     ring_row, split_mix,
 };
-pub use mesh::{MAX_TRIANGLES, Mesh, MeshError, Up};
+pub use mesh::{MAX_TRIANGLES, Mesh, Up};
 pub use mover::{BoxOutline, ColumnOutline, MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee};
 pub(crate) use solid::Rectangle;

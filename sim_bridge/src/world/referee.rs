@@ -46,8 +46,11 @@ impl core::fmt::Display for Outcome {
 pub struct Referee {
     goal_ned_m: NedVector,
     goal_radius_m: f32,
-    estimate_error_ned_m: NedVector,
-    motors_run: bool,
+    /// How far the vehicle's estimate is from the truth from now on. A goal is a place in that estimate, so arriving is decided by it;
+    /// collisions and bounds are decided by the truth.
+    pub estimate_error_ned_m: NedVector,
+    /// Whether the motors run from now on: what falls without them hits the ground as a drop.
+    pub motors_run: bool,
     time_limit_ns: Nanos,
     bounds: crate::world::course::Bounds,
     /// With cosine and sine of their headings.
@@ -83,17 +86,6 @@ impl Referee {
             free_radius_m: -1.0,
             ..Self::default()
         }
-    }
-
-    /// How far the vehicle's estimate is from the truth from now on. A goal is a place in that estimate, so arriving is decided by it;
-    /// collisions and bounds are decided by the truth.
-    pub fn set_estimate_error(&mut self, estimate_error_ned_m: NedVector) {
-        self.estimate_error_ned_m = estimate_error_ned_m;
-    }
-
-    /// Whether the motors run from now on: what falls without them hits the ground as a drop.
-    pub fn set_motors(&mut self, run: bool) {
-        self.motors_run = run;
     }
 
     /// Shows the referee the truth at `at_ns`, with the world at the same moment ([`World::set_time_ns`], whose clock may have

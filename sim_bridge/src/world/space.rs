@@ -13,7 +13,7 @@ use parry3d::shape::{Cylinder, SharedShape};
 use std::sync::Arc;
 use vigil_types::{Attitude, Nanos, NedVector};
 
-/// The obstacles of a course with the shapes and the tree that collision and single rays share, at one time.
+/// The obstacles of a course with the shapes and the tree of collision, at one time.
 pub struct World {
     /// What stands still.
     solids: Vec<Solid>,
@@ -23,7 +23,7 @@ pub struct World {
     /// No obstacle moves faster; 0 where all stand still.
     pub(crate) fastest_mover_m_s: f32,
     shapes: Vec<(Pose3, SharedShape)>,
-    pub(crate) bvh: Bvh,
+    bvh: Bvh,
     pub(crate) surfaces: Vec<Arc<Surface>>,
     ceiling_height_m: Option<f32>,
 }

@@ -15,7 +15,9 @@ fn advance(simulator: &mut Simulator, ms: u32) -> Vec<u8> {
     let mut said = Vec::new();
     for _ in 0..ms {
         simulator.advance_1ms();
-        simulator.transmit(|_, _, datagram| said.extend_from_slice(datagram));
+        simulator
+            .endpoint
+            .transmit(|_, _, datagram| said.extend_from_slice(datagram));
     }
     said
 }

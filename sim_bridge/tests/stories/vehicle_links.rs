@@ -56,11 +56,10 @@ fn passing(links: &mut VehicleLinks, now_ns: Nanos) -> Vec<(LinkId, Vec<u8>)> {
     got
 }
 
-/// Links of a vehicle with these further ones.
-fn config(instance: u32, extra: &[String]) -> LinksConfig {
+/// With these further links.
+fn config(extra: &[String]) -> LinksConfig {
     LinksConfig {
-        instance,
-        extra: extra.iter().map(|link| link.parse().unwrap()).collect(),
+        link: extra.iter().map(|link| link.parse().unwrap()).collect(),
         ..LinksConfig::default()
     }
 }
@@ -81,9 +80,9 @@ fn with_a_key_each_of_several_links_has_its_policy_and_a_replay_is_refused_on_al
     ];
     let config = LinksConfig {
         signing_key: Some(key_file),
-        ..config(95, &extra)
+        ..config(&extra)
     };
-    let mut links = VehicleLinks::open(&config).unwrap();
+    let mut links = VehicleLinks::open(95, &config).unwrap();
     let (api, on_strict) = (14580 + 95, LinkId(3));
     let station = station();
     let say = |port: u16, bytes: &[u8]| station.send_to(bytes, (Ipv4Addr::LOCALHOST, port)).unwrap();
@@ -113,7 +112,7 @@ fn with_a_key_each_of_several_links_has_its_policy_and_a_replay_is_refused_on_al
 
     // The state is stored, so a restart does not make a replay good.
     drop(links);
-    let mut links = VehicleLinks::open(&config).unwrap();
+    let mut links = VehicleLinks::open(95, &config).unwrap();
     say(strict, &right);
     assert!(passing(&mut links, 3 * SECOND).is_empty());
 
@@ -138,11 +137,10 @@ fn only_a_packet_signed_with_the_present_key_brings_another_which_is_in_force_at
         let folder = tempfile::tempdir().unwrap();
         let key_file = key_file(&folder);
         let config = LinksConfig {
-            instance: 89,
             signing_key: has_key.then(|| key_file.clone()),
             ..LinksConfig::default()
         };
-        let mut links = VehicleLinks::open(&config).unwrap();
+        let mut links = VehicleLinks::open(89, &config).unwrap();
         let mut vehicle = Endpoint::new(EndpointConfig::default()).unwrap();
         let station = station();
         let say = |bytes: &[u8]| station.send_to(bytes, (Ipv4Addr::LOCALHOST, 14580 + 89)).unwrap();
@@ -184,7 +182,7 @@ fn only_a_packet_signed_with_the_present_key_brings_another_which_is_in_force_at
             assert_eq!(passing(&mut links, SECOND).len(), 1, "ahead by {ahead}");
             drop(links);
             assert_eq!(std::fs::read(&key_file).unwrap(), "09".repeat(32).into_bytes());
-            links = VehicleLinks::open(&config).unwrap();
+            links = VehicleLinks::open(89, &config).unwrap();
         }
     }
 }
@@ -192,11 +190,10 @@ fn only_a_packet_signed_with_the_present_key_brings_another_which_is_in_force_at
 #[test]
 fn a_first_key_is_taken_where_that_was_asked_for() {
     let config = LinksConfig {
-        instance: 88,
         accept_first_key: true,
         ..LinksConfig::default()
     };
-    let mut links = VehicleLinks::open(&config).unwrap();
+    let mut links = VehicleLinks::open(88, &config).unwrap();
     let station = station();
     for (key, passes) in [([5; 32], 1), ([6; 32], 0)] {
         station.send_to(&setup(key), (Ipv4Addr::LOCALHOST, 14580 + 88)).unwrap();
@@ -211,7 +208,7 @@ fn a_first_key_is_taken_where_that_was_asked_for() {
 #[test]
 fn a_tcp_link_on_all_addresses_without_a_key_hears_callers_of_this_machine() {
     let port = free_port();
-    let mut links = VehicleLinks::open(&config(87, &[format!("tcpin://0.0.0.0:{port}")])).unwrap();
+    let mut links = VehicleLinks::open(87, &config(&[format!("tcpin://0.0.0.0:{port}")])).unwrap();
     let mut station = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).unwrap();
     station.write_all(&packet(0)).unwrap();
     assert_eq!(passing(&mut links, SECOND), [(LinkId(3), packet(0))]);
@@ -221,7 +218,7 @@ fn a_tcp_link_on_all_addresses_without_a_key_hears_callers_of_this_machine() {
 fn a_link_sends_no_faster_than_its_rate_and_answers_find_room_between_telemetry() {
     let port = free_port();
     let slow = format!("udpout://127.0.0.1:{port},rate=2000");
-    let mut links = VehicleLinks::open(&config(93, &[slow])).unwrap();
+    let mut links = VehicleLinks::open(93, &config(&[slow])).unwrap();
     let sent = packet(0);
     for millisecond in 0..10_000 {
         links.receive(millisecond * 1_000_000, |_, _, _| {});
@@ -239,7 +236,7 @@ fn a_link_sends_no_faster_than_its_rate_and_answers_find_room_between_telemetry(
 #[test]
 fn a_link_on_which_nobody_would_be_heard_is_not_opened() {
     let open = |link: &str| {
-        let opened = VehicleLinks::open(&config(92, &[link.to_owned()]));
+        let opened = VehicleLinks::open(92, &config(&[link.to_owned()]));
         opened.map_or_else(|e| e.to_string(), |_| String::new())
     };
     assert!(open("udpout://10.1.2.3:14550").contains("--signing-key"));

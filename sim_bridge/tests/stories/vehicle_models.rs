@@ -3,10 +3,11 @@
 
 use crate::command;
 use vigil_autopilot::Saved;
-use vigil_mavlink::globe;
+use vigil_autopilot::geo::to_global;
 use vigil_sim::vehicle::{VehicleModel, Wind};
 use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_types::NedVector;
 
 /// A ground station's change of mode: PX4's AUTO with this sub mode.
 fn change_to(sub_mode: f32) -> Vec<u8> {
@@ -24,13 +25,10 @@ fn hovering(model: VehicleModel) -> Simulator {
     config.start = Start::Airborne;
     config.vehicle = model.params();
     config.wind = Wind::CALM;
-    let home = config.endpoint.home;
-    let (latitude, longitude) = globe::to_global((home.latitude_deg, home.longitude_deg), 200.0, 0.0);
+    let (x, y, _) = to_global(NedVector::new(200.0, 0.0, 0.0));
     let text = format!(
         "[parameters]\nMPC_XY_CRUISE = 5.0\n[[mission]]\ncommand = 16\nframe = 6\nautocontinue = 1\n\
-         params = [0.0, 0.0, 0.0, nan]\nx = {}\ny = {}\nz = 2.5\n",
-        (latitude * 1e7).round() as i32,
-        (longitude * 1e7).round() as i32,
+         params = [0.0, 0.0, 0.0, nan]\nx = {x}\ny = {y}\nz = 2.5\n"
     );
     config.saved = vigil_types::settings::from_toml::<Saved>(&text).expect("a plan");
     Simulator::new(&config, 0).expect("valid")

@@ -42,7 +42,7 @@ def policies(tmp_path_factory):
     python = TOP / "target" / "venv-onnx" / "bin" / "python"
     subprocess.run([python, HERE.parent / "onnx_models.py", folder], check=True, timeout=120)
     found = {}
-    for name in ("goal_beside_the_frame", "three_channels_last", "gru"):
+    for name in ("goal_beside_the_frame", "three_channels_last", "gru", "at_its_limit"):
         found[name] = folder / f"{name}.safetensors"
         subprocess.run([VIGIL, "import", folder / f"{name}.onnx", "-o", found[name]], check=True, timeout=120)
     return found

@@ -138,7 +138,7 @@ def test_an_imported_policy_decides_as_in_flight_and_is_explained_and_attacked(f
     assert found.phi.shape == own.shape
     assert found.output == pytest.approx(outputs[1], abs=1e-5)
     assert found.base + found.phi.sum() + found.bearing + found.distance + found.told == pytest.approx(found.output, abs=5e-5)
-    assert (found.bearing != 0.0) == policy.native.has_position
+    assert (found.bearing != 0.0) == policy.has_goal
 
     for method in PolicyAttack.METHODS:
         attacked = PolicyAttack(policy, method, epsilon=4.0, iterations=5, towards="right").attack(own, goal)
@@ -150,6 +150,17 @@ def test_an_imported_policy_decides_as_in_flight_and_is_explained_and_attacked(f
     start = np.clip(own + np.random.default_rng(3).uniform(-reach, reach, own.shape), 0.0, policy.scale)
     once = PolicyAttack(policy, "pgd", epsilon=4.0, iterations=1, seed=3).attack(own, goal)
     assert np.abs(once.frames - start).max() <= reach * 1.001
+
+
+def test_a_policy_at_its_limit_is_attacked_all_the_same_and_one_whose_gradient_is_no_number_is_refused(flown, policies):
+    policy = Policy(policies["at_its_limit"])
+    own = policy.own_frame(flown[0][30][-1:])
+    assert not policy.gradient(own, [10.0, 0.5]).any()
+    for method in PolicyAttack.METHODS:
+        attacked = PolicyAttack(policy, method, epsilon=64.0).attack(own, [10.0, 0.5])
+        assert attacked.yaw_change == pytest.approx(-2.0 * attacked.clean.yaw), method
+    with pytest.raises(ValueError, match="policy: its gradient here is not finite"):
+        PolicyAttack(policy).attack(own, [10.0, 0.0])
 
 
 @pytest.mark.parametrize("name", ["goal_beside_the_frame", "three_channels_last"])
@@ -258,9 +269,9 @@ def test_a_detector_is_trained_on_rows_of_any_width_and_kept(tmp_path):
     assert len(trained.epochs) == 4 and trained.epochs[trained.chosen - 1][1] == min(e[1] for e in trained.epochs)
     again = train(learn, choose, epochs=4, threads=1)
     np.testing.assert_array_equal(again.lstm.params, trained.lstm.params)
-    trained.lstm.save(tmp_path / "own")
+    trained.lstm.save(os.fsencode(tmp_path / "own"))
     copies = pickle.loads(pickle.dumps(trained)).lstm, copy.deepcopy(trained).lstm
-    for same in (Lstm.load(tmp_path / "own"), Detector.load(tmp_path / "own"), *copies):
+    for same in (Lstm.load(os.fsencode(tmp_path / "own")), Detector.load(tmp_path / "own"), *copies):
         np.testing.assert_array_equal(same.scores(rows), scores)
     found, labels = windows([rows_of(1), (rows[:5], attacked[:5])])
     assert found.shape == (51, 10, 7) and labels.sum() == 30

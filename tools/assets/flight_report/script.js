@@ -13,6 +13,7 @@
   const WHO = data.who_names;
   const COLOUR = { actor: "--actor", "geometric pilot": "--geometric", "recovery pilot": "--recovery", hold: "--hold" };
   const colour = (who) => css(COLOUR[WHO[who]] || "--idle");
+  const date = (s) => `${new Date(1000 * s).toISOString().slice(0, 19).replace("T", " ")} UTC`;
   const seconds = (t) => `${t.toFixed(2)} s`;
 
   // Header and facts.
@@ -24,7 +25,7 @@
   for (const [name, value] of data.facts) {
     const pair = text($("facts"), "div", "");
     text(pair, "dt", name);
-    text(pair, "dd", value);
+    text(pair, "dd", name === "Began" ? date(value) : value);
   }
   if (data.command) {
     $("command").textContent = data.command;

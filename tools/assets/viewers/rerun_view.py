@@ -451,4 +451,7 @@ def open_viewer(args, recording, place):
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except RuntimeError as error:
+        sys.exit(f"rerun: {error}")

@@ -163,14 +163,8 @@ impl Constant {
     }
 
     /// Some of its values in another shape.
-    pub fn moved(&self, shape: Vec<usize>, places: &[usize]) -> Self {
-        fn pick<T: Copy>(values: &[T], places: &[usize]) -> Vec<T> {
-            places.iter().filter_map(|place| values.get(*place).copied()).collect()
-        }
-        let data = match &self.data {
-            Data::Real(values) => Data::Real(pick(values, places)),
-            Data::Whole(values) => Data::Whole(pick(values, places)),
-        };
-        Self { shape, data }
+    pub fn moved(&self, shape: Vec<usize>, places: &[usize]) -> Result<Self, String> {
+        let of_one: Vec<(usize, usize)> = places.iter().map(|place| (0, *place)).collect();
+        Self::picked(&[self], &of_one).map(|data| Self { shape, data })
     }
 }

@@ -7,9 +7,9 @@ mod writer;
 
 use crate::proto::{Entry, Graph, Model, Node, OperatorSet};
 use prost::Message;
-use vigil_nnet::{Activation, Dense, GraphBuilder, Params};
+use vigil_nnet::{Activation, Dense, Params};
 use vigil_policy::actor::{ACTOR_LIMIT, ActorSpec, CONTEXT, LOW_DIM};
-use vigil_policy::imported::{Layer, NetworkError};
+use vigil_policy::imported::{Layer, Network, NetworkError};
 use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy};
 use writer::{Input, Writer, value_info, value_of};
 
@@ -18,38 +18,46 @@ const OPERATOR_SET: i64 = 17;
 /// Of the same release.
 const IR_VERSION: i64 = 8;
 
-/// Layers with the places of their parameters.
-struct Placed<'a> {
-    layers: Vec<(Layer, Params)>,
-    output: usize,
-    params: &'a [f32],
-    inputs: Vec<Input>,
-}
-
 /// A pilot's network as a model of ONNX. Inputs of an actor of ours: `frame` `[1, 1, 128, 256]`, ranges over 100 m, `context` `[1, 328]`,
 /// what it remembers ([`CONTEXT`]), and `low_dim` `[1, 8]` ([`LOW_DIM`]); of an imported policy `frame` `[1, channels, rows, columns]` and,
 /// if it has one, `position` `[1, 2]`. Output: `action` `[1, 2]`, of an imported policy before its
 /// factor. What is to be known beside it is in the model's metadata. With it comes the name of the imported policy's split point in the
 /// model, if it has one.
 pub fn export(pilot: &FrozenPilot) -> Result<(Vec<u8>, Option<String>), NetworkError> {
-    let (placed, about) = match pilot {
-        FrozenPilot::Actor(actor) => (of_actor(actor), about_actor(actor)),
-        FrozenPilot::Imported(policy) => (of_policy(policy)?, about_policy(policy)),
+    let (network, params, inputs, about) = match pilot {
+        FrozenPilot::Actor(actor) => (of_actor(), &actor.params, inputs_of_actor(), about_actor(actor)),
+        FrozenPilot::Imported(policy) => {
+            policy.network.check()?;
+            let network = policy.network.clone();
+            (network, &policy.params, inputs_of_policy(policy), about_policy(policy))
+        }
     };
     let mut writer = Writer {
-        params: placed.params,
+        params,
         graph: Graph {
             name: "vigil".to_owned(),
             ..Default::default()
         },
     };
     let mut values: Vec<(String, usize)> = Vec::new();
-    let mut inputs = placed.inputs.iter();
-    for (layer, params) in &placed.layers {
-        let value = writer.layer(layer, *params, &values, &mut inputs)?;
+    let mut inputs = inputs.iter();
+    let (mut placed, mut at): (Vec<Params>, usize) = (Vec::new(), 0);
+    for (number, layer) in network.layers.iter().enumerate() {
+        let own = Params {
+            at,
+            len: layer.param_len(),
+        };
+        // Those of an earlier layer, or its own.
+        let params = layer
+            .params_of(number)
+            .and_then(|of| placed.get(of).copied())
+            .unwrap_or(own);
+        at += if params == own { own.len } else { 0 };
+        placed.push(params);
+        let value = writer.layer(layer, params, &values, &mut inputs)?;
         values.push(value);
     }
-    let (output, len) = value_of(&values, placed.output)?;
+    let (output, len) = value_of(&values, network.output)?;
     writer.graph.node.push(Node {
         input: vec![output.to_owned()],
         output: vec!["action".to_owned()],
@@ -80,82 +88,62 @@ pub fn export(pilot: &FrozenPilot) -> Result<(Vec<u8>, Option<String>), NetworkE
     Ok((model.encode_to_vec(), split.map(|(name, _)| name.clone())))
 }
 
-fn of_policy(policy: &FrozenPolicy) -> Result<Placed<'_>, NetworkError> {
-    policy.network.check()?;
-    let (mut layers, mut at): (Vec<(Layer, Params)>, usize) = (Vec::new(), 0);
-    for (number, layer) in policy.network.layers.iter().enumerate() {
-        let params = match layers.get(layer.params_of(number).unwrap_or(number)) {
-            Some((_, params)) => *params,
-            None => {
-                let len = layer.param_len();
-                at += len;
-                Params { at: at - len, len }
-            }
-        };
-        layers.push((layer.clone(), params));
+fn inputs_of_policy(policy: &FrozenPolicy) -> Vec<Input> {
+    let own = &policy.inputs;
+    let mut inputs = vec![("frame", vec![1, own.channels, own.rows, own.cols])];
+    if own.has_position {
+        inputs.insert(1 - own.frame_input.min(1), ("position", vec![1, 2]));
     }
-    let of_inputs = &policy.inputs;
-    let frame_shape = vec![1, of_inputs.channels, of_inputs.rows, of_inputs.cols];
-    let mut inputs = vec![("frame", frame_shape)];
-    if of_inputs.has_position {
-        inputs.insert(1 - of_inputs.frame_input.min(1), ("position", vec![1, 2]));
-    }
-    Ok(Placed {
-        layers,
-        output: policy.network.output,
-        params: &policy.params,
-        inputs,
-    })
+    inputs
 }
 
-fn of_actor(actor: &FrozenActor) -> Placed<'_> {
+fn inputs_of_actor() -> Vec<Input> {
     let spec = ActorSpec::FULL;
-    let own = spec.reserve(&mut GraphBuilder::new());
-    let mut layers: Vec<(Layer, Params)> = Vec::new();
-    let mut push = |step: Layer, params: Params| {
-        layers.push((step, params));
+    vec![
+        ("frame", vec![1, 1, spec.rows, spec.cols]),
+        ("context", vec![1, CONTEXT]),
+        ("low_dim", vec![1, LOW_DIM]),
+    ]
+}
+
+/// An actor of ours as layers, whose parameters stand in the order of [`ActorSpec::reserve`].
+fn of_actor() -> Network {
+    let spec = ActorSpec::FULL;
+    let mut layers: Vec<Layer> = Vec::new();
+    let mut push = |layer: Layer| {
+        layers.push(layer);
         layers.len() - 1
     };
-    let none = Params::default();
-    let [frame, context, low] = [spec.frame_len(), CONTEXT, LOW_DIM].map(|len| push(Layer::Input { len }, none));
+    let [frame, context, low] = [spec.frame_len(), CONTEXT, LOW_DIM].map(|len| push(Layer::Input { len }));
     let curved = |x, curve| Layer::Curve { x, curve };
     let dense = |x, layer: Dense, curve| Layer::Dense { x, layer, curve };
     let joined = |parts: [usize; 2]| Layer::Concat { parts: parts.to_vec() };
     // The encoder.
-    let mut x = push(curved(frame, Activation::NEAR_CONTRAST), none);
-    for (layer, params) in spec.convolutions().into_iter().zip(own.convolutions) {
+    let mut x = push(curved(frame, Activation::NEAR_CONTRAST));
+    for layer in spec.convolutions() {
         let curve = Activation::Elu;
-        x = push(Layer::Conv2d { x, layer, curve }, params);
+        x = push(Layer::Conv2d { x, layer, curve });
     }
-    let scan = push(dense(x, spec.scan(), Activation::Sigmoid), own.scan);
+    let scan = push(dense(x, spec.scan(), Activation::Sigmoid));
     // The trunk.
-    let mut x = push(joined([scan, context]), none);
-    for (layer, (params, norm)) in spec.trunk().into_iter().zip(own.trunk) {
-        x = push(dense(x, layer, Activation::Identity), params);
+    let mut x = push(joined([scan, context]));
+    for layer in spec.trunk() {
+        x = push(dense(x, layer, Activation::Identity));
         let layer = ActorSpec::norm(layer);
-        x = push(Layer::LayerNorm { x, layer }, norm);
-        x = push(curved(x, Activation::Elu), none);
+        x = push(Layer::LayerNorm { x, layer });
+        x = push(curved(x, Activation::Elu));
     }
-    let state = push(dense(x, spec.state(), Activation::Identity), own.state);
+    let state = push(dense(x, spec.state(), Activation::Identity));
     // The second half.
-    let state = push(curved(state, Activation::TANH), none);
-    let low = push(dense(low, spec.low(), Activation::TANH), own.low);
-    let mut x = push(joined([state, low]), none);
-    for (layer, params) in spec.head().into_iter().zip(own.head) {
-        x = push(dense(x, layer, Activation::Elu), params);
+    let state = push(curved(state, Activation::TANH));
+    let low = push(dense(low, spec.low(), Activation::TANH));
+    let mut x = push(joined([state, low]));
+    for layer in spec.head() {
+        x = push(dense(x, layer, Activation::Elu));
     }
     let scale = ACTOR_LIMIT;
-    let output = push(dense(x, spec.output(), Activation::Tanh { scale }), own.output);
-    Placed {
-        layers,
-        output,
-        params: &actor.params,
-        inputs: vec![
-            ("frame", vec![1, 1, spec.rows, spec.cols]),
-            ("context", vec![1, CONTEXT]),
-            ("low_dim", vec![1, LOW_DIM]),
-        ],
-    }
+    let output = push(dense(x, spec.output(), Activation::Tanh { scale }));
+    Network { layers, output }
 }
 
 fn about_actor(actor: &FrozenActor) -> Vec<(&'static str, String)> {

@@ -2,7 +2,7 @@
 //! become constants.
 
 use crate::constant::{Constant, Data, len_of};
-use crate::movement::axis;
+use crate::movement::{axis, steps, strided};
 use std::rc::Rc;
 
 const MIXED: &str = "one of its constants is of whole numbers, the other of real ones";
@@ -32,20 +32,9 @@ pub fn spread_places(own: &[usize], shape: &[usize]) -> Result<Vec<usize>, Strin
     if own.iter().zip(shape).any(|(own, size)| *own != 1 && own != size) {
         return Err(wrong());
     }
-    let len = len_of(shape)?;
-    let place_of = |i: usize| {
-        let (mut rest, mut place, mut stride) = (i, 0, 1);
-        for (size, own) in shape.iter().zip(&own).rev() {
-            let index = rest % size;
-            rest /= size;
-            if *own != 1 {
-                place += index * stride;
-                stride *= own;
-            }
-        }
-        place
-    };
-    Ok((0..len).map(place_of).collect())
+    let once = |(size, step): (&usize, usize)| if *size == 1 { 0 } else { step };
+    let steps: Vec<usize> = own.iter().zip(steps(&own)).map(once).collect();
+    strided(shape, &steps)
 }
 
 /// The axes that a reduction goes along, and the shape that it leaves.

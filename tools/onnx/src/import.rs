@@ -17,7 +17,6 @@ use crate::adapter::Adapter;
 use crate::beside;
 use crate::proto::{Graph, Model};
 use importer::Importer;
-use needed::Needed;
 use prost::Message;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenPolicy;
@@ -47,11 +46,9 @@ pub fn import(
     beside::bring_in(graph, beside).map_err(of_model)?;
     let graph = &*graph;
     let action = action_name(graph, adapter.output.as_deref()).map_err(of_model)?;
-    let needed = Needed::by(graph, action);
-    let mut importer = Importer::new(graph, action, &needed).map_err(of_model)?;
-    let inputs = importer.inputs(graph, action, &needed, adapter).map_err(of_model)?;
-    let nodes = graph.node.iter().enumerate();
-    for (number, node) in nodes.filter(|(number, _)| needed.nodes.get(*number) == Some(&true)) {
+    let mut importer = Importer::new(graph, action).map_err(of_model)?;
+    let inputs = importer.inputs(graph, action, adapter).map_err(of_model)?;
+    for (number, node) in importer.needed.nodes.clone() {
         importer.node(node).map_err(|message| {
             let output = node.output.first().filter(|_| node.name.is_empty());
             let (name, operator) = (output.unwrap_or(&node.name), &node.op_type);
@@ -73,7 +70,7 @@ pub fn import(
         source: format!("{} {}", model.producer_name, graph.name).trim().to_owned(),
     };
     policy.network.check().map_err(|e| of_model(e.to_string()))?;
-    let flies = policy.pilot(Isa::PORTABLE, false);
+    let flies = policy.pilot(Isa::PORTABLE);
     flies.map_err(|e| ImportError(e.to_string()))?;
     Ok(policy)
 }
@@ -92,62 +89,5 @@ fn action_name<'a>(graph: &'a Graph, wanted: Option<&str>) -> Result<&'a str, St
             names.len(),
             names.join(", ")
         )),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::importer::{Importer, Live, Value, identity};
-    use crate::constant::{Constant, Data};
-    use crate::proto::{Attribute, Node};
-    use std::rc::Rc;
-    use vigil_policy::imported::Layer;
-
-    #[test]
-    fn shapes_of_other_ranks_or_beyond_all_numbers_and_divisions_by_zero_are_refused() {
-        for (operator, name, i, shapes, said) in [
-            ("Concat", "axis", 1, vec![vec![1, 16], vec![1]], "shape"),
-            (
-                "Conv",
-                "group",
-                1 << 20,
-                vec![vec![1, 1, 4, 4], vec![0, 1 << 50, 1, 1]],
-                "shape",
-            ),
-            (
-                "LSTM",
-                "hidden_size",
-                1,
-                vec![vec![1, 1, 16], vec![1, 0, 16], vec![1, 0, 1 << 62]],
-                "shape",
-            ),
-            // Its alpha is 0.
-            ("Celu", "alpha", 0, vec![vec![1, 16]], "not finite (a division by zero"),
-        ] {
-            let name = name.to_owned();
-            let node = Node {
-                input: (0..shapes.len()).map(|i| i.to_string()).collect(),
-                output: vec!["y".to_owned()],
-                op_type: operator.to_owned(),
-                attribute: vec![Attribute {
-                    name,
-                    i,
-                    ..Attribute::default()
-                }],
-                ..Node::default()
-            };
-            let mut importer = Importer::default();
-            importer.push(Layer::Input { len: 16 }, Vec::new(), 16).unwrap();
-            for (name, shape) in node.input.iter().zip(shapes) {
-                let data = Data::Real(vec![0.0; shape.iter().product()]);
-                let value = match importer.tensors.is_empty() {
-                    true => Value::Live(Live::of(0, shape, identity(16))),
-                    false => Value::Constant(Rc::new(Constant { shape, data })),
-                };
-                importer.tensors.insert(name, value);
-            }
-            let refused = importer.node(&node).unwrap_err();
-            assert!(refused.contains(said), "{operator}: {refused}");
-        }
     }
 }

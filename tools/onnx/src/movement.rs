@@ -13,6 +13,28 @@ pub fn axis(given: i64, rank: usize) -> Result<usize, String> {
     axis.ok_or_else(|| format!("axis {given} of {rank} axes"))
 }
 
+/// Places of the values of `shape`, whose axes go these steps in what they are taken from.
+pub fn strided(shape: &[usize], steps: &[usize]) -> Result<Vec<usize>, String> {
+    if len_of(shape)? == 0 {
+        return Ok(Vec::new());
+    }
+    let axes = shape.iter().zip(steps);
+    Ok(axes.fold(vec![0], |places, (size, step)| {
+        let along = |place: usize| (0..*size).map(move |i| place + i * step);
+        places.into_iter().flat_map(along).collect()
+    }))
+}
+
+/// What a step along each axis of `shape` goes.
+pub fn steps(shape: &[usize]) -> Vec<usize> {
+    let mut steps = vec![1usize; shape.len()];
+    for i in (1..shape.len()).rev() {
+        // Beyond the largest where nothing is moved: another axis has no places.
+        steps[i - 1] = steps[i].saturating_mul(shape[i]);
+    }
+    steps
+}
+
 /// The values of `shape` where axis `along` takes the indices `taken`.
 pub fn take(shape: &[usize], along: usize, taken: &[usize]) -> Result<Moved, String> {
     let (Some(outer), Some(size), Some(inner)) = (shape.get(..along), shape.get(along), shape.get(along + 1..)) else {
@@ -22,17 +44,10 @@ pub fn take(shape: &[usize], along: usize, taken: &[usize]) -> Result<Moved, Str
         return Err(format!("index {index} on an axis of {size}"));
     }
     let (outer_len, inner_len) = (len_of(outer)?, len_of(inner)?);
-    let mut result = shape.to_vec();
-    if let Some(along) = result.get_mut(along) {
-        *along = taken.len();
-    }
-    let mut places = Vec::with_capacity(len_of(&result)?);
-    for o in 0..outer_len {
-        for index in taken {
-            places.extend((0..inner_len).map(|i| (o * size + index) * inner_len + i));
-        }
-    }
-    Ok((result, places))
+    let result = [outer, &[taken.len()], inner].concat();
+    len_of(&result)?;
+    let begins = (0..outer_len).flat_map(|o| taken.iter().map(move |index| (o * size + index) * inner_len));
+    Ok((result, begins.flat_map(|begin| begin..begin + inner_len).collect()))
 }
 
 /// The axes in another order.
@@ -42,25 +57,9 @@ pub fn transpose(shape: &[usize], order: &[usize]) -> Result<Moved, String> {
     if !sorted.into_iter().eq(0..shape.len()) {
         return Err(format!("the order {order:?} of {} axes", shape.len()));
     }
-    let mut strides = vec![1usize; shape.len()];
-    for i in (1..shape.len()).rev() {
-        // Beyond the largest where nothing is moved: another axis has no places.
-        strides[i - 1] = strides[i].saturating_mul(shape[i]);
-    }
-    let result: Vec<usize> = order.iter().map(|axis| shape[*axis]).collect();
-    let len = len_of(&result)?;
-    let mut index = vec![0usize; result.len()];
-    let mut places = Vec::with_capacity(len);
-    for _ in 0..len {
-        places.push(index.iter().zip(order).map(|(i, axis)| i * strides[*axis]).sum());
-        for (place, size) in index.iter_mut().zip(&result).rev() {
-            *place += 1;
-            if *place < *size {
-                break;
-            }
-            *place = 0;
-        }
-    }
+    let of_axes = |values: &[usize]| -> Vec<usize> { order.iter().map(|axis| values[*axis]).collect() };
+    let result = of_axes(shape);
+    let places = strided(&result, &of_axes(&steps(shape)))?;
     Ok((result, places))
 }
 

@@ -61,7 +61,7 @@ messages! {
         floats: Vec<f32> = (float, repeated, tag = "7"),
         ints: Vec<i64> = (int64, repeated, tag = "8"),
         strings: Vec<Vec<u8>> = (bytes = "vec", repeated, tag = "9"),
-        /// Which of the others counts: one of [`attribute_type`].
+        /// Which of the others counts, in the numbers of `AttributeProto.AttributeType`.
         r#type: i32 = (int32, tag = "20"),
     }
     /// A constant.
@@ -102,18 +102,4 @@ messages! {
         dim_value: i64 = (int64, tag = "1"),
         dim_param: String = (string, tag = "2"),
     }
-}
-
-/// Numbers of `AttributeProto.AttributeType`.
-pub mod attribute_type {
-    pub const INT: i32 = 2;
-    pub const FLOAT: i32 = 1;
-    pub const INTS: i32 = 7;
-    pub const STRINGS: i32 = 8;
-}
-
-/// Numbers of `TensorProto.DataType`.
-pub mod data_type {
-    pub const FLOAT: i32 = 1;
-    pub const INT64: i32 = 7;
 }

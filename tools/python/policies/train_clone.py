@@ -75,48 +75,40 @@ def seen(frame_m: np.ndarray) -> np.ndarray:
     return contrast(frame_m[rows[:, None], columns[None, :]]).astype(np.float16)
 
 
-def fly(policy: Policy, teacher: Actor, memory: Memory, courses: range, teachers_share: float, random: np.random.Generator) -> float:
-    """Flies courses with the policy, or with the teacher for a share of the stretches, and remembers what the teacher says; completion."""
-    env = vigil.gym.VigilEnv("training", frames=1, actor=teacher, time_limit=60.0)
-    arrived = 0
-    for course in courses:
-        observation, _ = env.reset(options={"course_seed": course})
-        teacher.reset()
-        stack, over, taught, step = memory.begin(seen(observation["frames"])), False, False, 0
-        while not over:
-            goal = goal_inputs(observation["goal"])
-            right = teacher.decide(observation["frames"], observation["position"])
-            memory.goals.append(goal)
-            memory.actions.append(tuple(right))
-            memory.stacks.append(stack)
-            if step % 40 == 0:
-                taught = random.random() < teachers_share
-            step += 1
-            action = tuple(right) if taught else decided(policy, memory, stack, goal)
-            observation, _, ended, cut, info = env.step(action)
-            over = ended or cut
-            memory.frames.append(seen(observation["frames"]))
-            stack = [*stack[1:], len(memory.frames) - 1]
-        arrived += info["is_success"]
-    return arrived / len(courses)
-
-
 @torch.no_grad()
 def decided(policy: Policy, memory: Memory, stack: list[int], goal: np.ndarray) -> np.ndarray:
     frames = torch.from_numpy(np.stack([memory.frames[i] for i in stack]).astype(np.float32))
     return policy(frames[None], torch.from_numpy(goal)[None])[0].numpy()
 
 
-def validated(policy: Policy, courses: range) -> float:
-    """Share of courses of the validation family that the policy completes alone."""
-    env = vigil.gym.VigilEnv("validation", frames=1, time_limit=60.0)
+def fly(
+    policy: Policy,
+    family: str,
+    courses: range,
+    teacher: Actor | None = None,
+    taught_by: tuple[Memory, float, np.random.Generator] | None = None,
+) -> float:
+    """Share of courses that the policy completes: alone, or with the teacher for a share of the stretches, whose decisions are remembered."""
+    env = vigil.gym.VigilEnv(family, frames=1, actor=teacher, time_limit=60.0)
     arrived = 0
     for course in courses:
         observation, _ = env.reset(options={"course_seed": course})
-        memory, over = Memory(), False
-        stack = memory.begin(seen(observation["frames"]))
+        memory, teachers_share, random = taught_by or (Memory(), 0.0, None)
+        stack, over, taught, step = memory.begin(seen(observation["frames"])), False, False, 0
+        if teacher is not None:
+            teacher.reset()
         while not over:
-            observation, _, ended, cut, info = env.step(decided(policy, memory, stack, goal_inputs(observation["goal"])))
+            goal = goal_inputs(observation["goal"])
+            if teacher is not None:
+                right = teacher.decide(observation["frames"], observation["position"])
+                memory.goals.append(goal)
+                memory.actions.append(tuple(right))
+                memory.stacks.append(stack)
+                if step % 40 == 0:
+                    taught = random.random() < teachers_share
+            step += 1
+            action = tuple(right) if taught else decided(policy, memory, stack, goal)
+            observation, _, ended, cut, info = env.step(action)
             over = ended or cut
             memory.frames.append(seen(observation["frames"]))
             stack = [*stack[1:], len(memory.frames) - 1]
@@ -164,9 +156,9 @@ def main() -> None:
     for number in range(arguments.rounds):
         first = 1_000_000 + number * arguments.courses
         share = 1.0 if number == 0 else max(0.0, 0.5 - 0.15 * (number - 1))
-        flown = fly(policy, teacher, memory, range(first, first + arguments.courses), share, random)
+        flown = fly(policy, "training", range(first, first + arguments.courses), teacher, (memory, share, random))
         loss = learn(policy, memory, arguments.updates, arguments.batch, arguments.rate, random)
-        validation = validated(policy, range(1_000, 1_000 + arguments.flights))
+        validation = fly(policy, "validation", range(1_000, 1_000 + arguments.flights))
         rows.append([number + 1, len(memory.stacks), round(time.monotonic() - begun, 1), round(time.process_time(), 1), flown, round(loss, 5), validation])
         with (arguments.output / "curve.csv").open("w", newline="") as file:
             writer = csv.writer(file)

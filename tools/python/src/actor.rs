@@ -1,14 +1,14 @@
 //! Actors and imported policies for Python.
 
-use crate::given::{Floats, array, at_moment, failed, refused, values};
+use crate::given::{Floats, array, at_moment, failed, frames, refused, values};
 use numpy::PyReadonlyArrayDyn;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::actor::ACTOR_OUTPUTS;
-use vigil_policy::imported::{Channels, Depth};
+use vigil_policy::imported::Network;
 use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy, ImportedPilot, Pilot, PilotInput};
-use vigil_types::Nanos;
+use vigil_types::{DEPTH_PIXELS, Nanos};
 
 /// A frozen actor of Vigil's architecture.
 #[pyclass(module = "vigil._vigil")]
@@ -110,33 +110,39 @@ impl Actor {
 /// An imported policy (docs/import.md).
 #[pyclass(module = "vigil._vigil")]
 pub struct Policy {
-    /// Rows, columns and channels of its frame.
-    #[pyo3(get)]
-    frame_shape: (usize, usize, usize),
-    /// Its channels are the last frames.
-    #[pyo3(get)]
-    stacked: bool,
-    /// Near is bright.
-    #[pyo3(get)]
-    contrast: bool,
-    /// What its pixels are multiplied by.
-    #[pyo3(get)]
-    scale: f32,
-    /// What its outputs are multiplied by.
-    #[pyo3(get)]
-    output_scale: f32,
-    /// Place of the frame among its inputs.
-    #[pyo3(get)]
-    frame_input: usize,
-    /// It is given the goal.
-    #[pyo3(get)]
-    has_position: bool,
     pub frozen: FrozenPolicy,
     pilot: ImportedPilot,
+    network: Evaluated,
+    /// Its network before the outputs saturate.
+    unsaturated: Evaluated,
+}
+
+/// A network with its values, forwards and back.
+struct Evaluated {
     graph: Graph,
     packed: Vec<f32>,
     tape: Vec<f32>,
     work: Vec<f32>,
+}
+
+impl Evaluated {
+    fn new(network: &Network, params: &[f32]) -> PyResult<Self> {
+        let graph = network.graph(Purpose::Gradients).map_err(refused)?;
+        let mut packed = vec![0.0; graph.param_len()];
+        graph.pack(params, &mut packed).map_err(refused)?;
+        Ok(Self {
+            tape: vec![0.0; graph.tape_len()],
+            work: vec![0.0; graph.work_len()],
+            packed,
+            graph,
+        })
+    }
+
+    fn forward(&mut self, params: &[f32], inputs: &[PyReadonlyArrayDyn<'_, f32>]) -> PyResult<&[f32]> {
+        let slices = own_inputs(&self.graph, inputs)?;
+        let forward = self.graph.forward(Isa::detect(), params, &slices, &mut self.tape);
+        forward.and_then(|()| self.graph.output(&self.tape)).map_err(failed)
+    }
 }
 
 /// Either.
@@ -163,25 +169,32 @@ impl Policy {
     #[new]
     fn new(path: PathBuf) -> PyResult<Self> {
         let frozen = FrozenPolicy::load(&path).map_err(refused)?;
-        let graph = frozen.network.graph(Purpose::Gradients).map_err(refused)?;
-        let mut packed = vec![0.0; graph.param_len()];
-        graph.pack(&frozen.params, &mut packed).map_err(refused)?;
-        let inputs = &frozen.inputs;
+        let params = &frozen.params;
         Ok(Self {
-            frame_shape: (inputs.rows, inputs.cols, inputs.channels),
-            stacked: inputs.order == Channels::Stack,
-            contrast: inputs.depth == Depth::Contrast,
-            scale: inputs.scale,
-            output_scale: inputs.output_scale,
-            frame_input: inputs.frame_input,
-            has_position: inputs.has_position,
-            pilot: frozen.pilot(Isa::detect(), false).map_err(refused)?,
-            tape: vec![0.0; graph.tape_len()],
-            work: vec![0.0; graph.work_len()],
-            packed,
-            graph,
+            pilot: frozen.pilot(Isa::detect()).map_err(refused)?,
+            network: Evaluated::new(&frozen.network, params)?,
+            unsaturated: Evaluated::new(&frozen.network.unsaturated(params), params)?,
             frozen,
         })
+    }
+
+    /// Its frame's rows, columns and channels; what pixels and outputs are multiplied by; the frame's place among its inputs; whether it
+    /// is given the goal.
+    fn inputs(&self) -> ((usize, usize, usize), f32, f32, usize, bool) {
+        let own = &self.frozen.inputs;
+        let shape = (own.rows, own.cols, own.channels);
+        (shape, own.scale, own.output_scale, own.frame_input, own.has_position)
+    }
+
+    /// Its own frame of as many of ours, metres, as it has channels, the newest last.
+    fn own_frame<'py>(&self, py: Python<'py>, given: PyReadonlyArrayDyn<'py, f32>) -> PyResult<Floats<'py>> {
+        let inputs = &self.frozen.inputs;
+        let places: Vec<u32> = inputs.places().collect();
+        let mut own = vec![0.0; inputs.rows * inputs.cols * inputs.channels];
+        for frame in frames("frames", &given, inputs.channels)?.chunks_exact(DEPTH_PIXELS) {
+            inputs.see(&places, frame, false, &mut own);
+        }
+        Ok(array(py, own))
     }
 
     /// One decision on the newest frame, metres, as in flight.
@@ -212,27 +225,32 @@ impl Policy {
 
     /// The network's outputs for its own inputs.
     fn forward<'py>(&mut self, py: Python<'py>, inputs: Vec<PyReadonlyArrayDyn<'py, f32>>) -> PyResult<Floats<'py>> {
-        self.evaluate(&inputs)?;
-        Ok(array(py, self.graph.output(&self.tape).map_err(failed)?.to_vec()))
+        Ok(array(py, self.network.forward(&self.frozen.params, &inputs)?.to_vec()))
     }
 
-    /// Gradient of the outputs, weighted, at each of the network's own inputs.
+    /// Gradient of the outputs, weighted, at its own frame; of what the outputs are before they saturate, where that is wanted.
     fn gradient<'py>(
         &mut self,
         py: Python<'py>,
         inputs: Vec<PyReadonlyArrayDyn<'py, f32>>,
         weights: [f32; ACTOR_OUTPUTS],
-    ) -> PyResult<Vec<Floats<'py>>> {
-        self.evaluate(&inputs)?;
-        self.graph
-            .backward(Isa::detect(), &self.packed, &self.tape, &weights, None, &mut self.work)
-            .map_err(failed)?;
-        (0..self.graph.input_count())
-            .map(|i| {
-                let gradient = self.graph.input_gradient(&self.work, i).map_err(failed)?;
-                Ok(array(py, gradient.to_vec()))
-            })
-            .collect()
+        unsaturated: bool,
+    ) -> PyResult<Floats<'py>> {
+        let network = if unsaturated {
+            &mut self.unsaturated
+        } else {
+            &mut self.network
+        };
+        network.forward(&self.frozen.params, &inputs)?;
+        let Evaluated {
+            graph,
+            packed,
+            tape,
+            work,
+        } = network;
+        let backward = graph.backward(Isa::detect(), packed, tape, &weights, None, work);
+        let gradient = backward.and_then(|()| graph.input_gradient(work, self.frozen.inputs.frame_input));
+        Ok(array(py, gradient.map_err(failed)?.to_vec()))
     }
 
     /// What it was made of.
@@ -245,15 +263,6 @@ impl Policy {
     #[getter]
     fn sha256(&self) -> String {
         self.frozen.sha256()
-    }
-}
-
-impl Policy {
-    fn evaluate(&mut self, inputs: &[PyReadonlyArrayDyn<'_, f32>]) -> PyResult<()> {
-        let slices = own_inputs(&self.graph, inputs)?;
-        self.graph
-            .forward(Isa::detect(), &self.frozen.params, &slices, &mut self.tape)
-            .map_err(failed)
     }
 }
 

@@ -388,7 +388,7 @@ impl Flights {
     }
 
     /// What is known of a flight.
-    fn info<'py>(&self, py: Python<'py>, number: usize) -> PyResult<Bound<'py, PyDict>> {
+    fn info<'py>(&mut self, py: Python<'py>, number: usize) -> PyResult<Bound<'py, PyDict>> {
         let begun = self.begun(number)?;
         let truth = begun.flight.truth();
         let (passed, all) = begun.flight.checkpoints();
@@ -405,15 +405,14 @@ impl Flights {
 
     /// The action of the paper's potential field here and now.
     fn field(&mut self, number: usize, half_angle_rad: f32, range_m: f32) -> PyResult<(f32, f32)> {
-        let flight = self.flights.get_mut(number).and_then(Option::as_mut);
-        let flight = flight.ok_or_else(|| refused("no such flight has begun"))?;
-        flight.flight.look_again();
-        let action = flight.flight.field(half_angle_rad, range_m).clipped();
+        let flight = &mut self.begun(number)?.flight;
+        flight.look_again();
+        let action = flight.field(half_angle_rad, range_m).clipped();
         Ok((action.forward_m_s, action.yaw))
     }
 
     /// The course from above with the way flown, `[rows][columns][red, green, blue]`.
-    fn map<'py>(&self, py: Python<'py>, number: usize) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    fn map<'py>(&mut self, py: Python<'py>, number: usize) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let begun = self.begun(number)?;
         let path = FlightPath {
             label: begun.outcome.map(|o| o.to_string()).unwrap_or_default(),
@@ -434,8 +433,8 @@ impl Flights {
 }
 
 impl Flights {
-    fn begun(&self, number: usize) -> PyResult<&Begun> {
-        let flight = self.flights.get(number).and_then(Option::as_deref);
+    fn begun(&mut self, number: usize) -> PyResult<&mut Begun> {
+        let flight = self.flights.get_mut(number).and_then(Option::as_deref_mut);
         flight.ok_or_else(|| refused("no such flight has begun: reset first"))
     }
 }

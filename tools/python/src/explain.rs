@@ -19,37 +19,27 @@ pub struct Explainer {
 
 type Inputs<'py> = Vec<PyReadonlyArrayDyn<'py, f32>>;
 
-fn explainer(py: Python<'_>, graph: Graph, params: &[f32], backgrounds: &[Inputs<'_>]) -> PyResult<Explainer> {
-    let views: Vec<Vec<&[f32]>> = backgrounds
-        .iter()
-        .map(|inputs| own_inputs(&graph, inputs))
-        .collect::<PyResult<_>>()?;
-    let shap = py.detach(|| DeepShap::new(Isa::detect(), graph, params, &views));
-    let shap = shap.map_err(refused)?;
-    Ok(Explainer {
-        graph: shap.graph().clone(),
-        shap: Mutex::new(shap),
-    })
-}
-
 #[pymethods]
 impl Explainer {
-    /// What lies behind the split point: inputs are the values of the state and those beside it (8, or 2 of an imported policy).
-    #[staticmethod]
-    fn split_point(py: Python<'_>, pilot: Learned<'_>, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
-        let head = pilot.frozen().head(Purpose::Multipliers).map_err(refused)?;
-        explainer(py, head.graph, &head.params, &backgrounds)
-    }
-
-    /// All of it: inputs are an imported policy's own, or the frame over 100 m, what is remembered and the low-dimensional observation.
-    #[staticmethod]
-    fn whole(py: Python<'_>, pilot: Learned<'_>, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
+    /// Of the whole network inputs are an imported policy's own, or the frame over 100 m, what is remembered and the low-dimensional
+    /// observation; of what lies behind the split point the values of the state and those beside it (8, or 2 of an imported policy).
+    #[new]
+    fn new(py: Python<'_>, pilot: Learned<'_>, whole: bool, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
         let of = Purpose::Multipliers;
+        let head;
         let (graph, params) = match &pilot {
+            pilot if !whole => {
+                head = pilot.frozen().head(of).map_err(refused)?;
+                (head.graph, &head.params)
+            }
             Learned::Actor(actor) => (ActorSpec::FULL.graph(of).map_err(refused)?, &actor.frozen.params),
             Learned::Policy(policy) => (policy.frozen.network.graph(of).map_err(refused)?, &policy.frozen.params),
         };
-        explainer(py, graph, params, &backgrounds)
+        let views = backgrounds.iter().map(|inputs| own_inputs(&graph, inputs));
+        let views: Vec<Vec<&[f32]>> = views.collect::<PyResult<_>>()?;
+        let shap = py.detach(|| DeepShap::new(Isa::detect(), graph.clone(), params, &views));
+        let shap = Mutex::new(shap.map_err(refused)?);
+        Ok(Self { graph, shap })
     }
 
     /// One of the network's outputs for a state, its mean over the background sample, and what each value of the inputs contributed to it.

@@ -49,19 +49,14 @@ fn read(path: &Path, with_frames: bool) -> Result<Content, vigil_log::ReadError>
     }
     content.end = reader.end().map(|end| end.to_string()).unwrap_or_default();
     let (info, mut about) = (reader.info(), Story::about(path)?);
+    // Firmware that flew in a process of its own does not know them all.
+    let mut or_about = |name: &'static str, known: Option<String>| (name, known.or_else(|| about.remove(name)));
     content.info = vec![
         ("program", Some(info.program.clone())),
-        // Firmware that flew in a process of its own does not know them.
-        (
-            "git_commit",
-            info.git_commit.clone().or_else(|| about.remove("git_commit")),
-        ),
-        (
-            "seed",
-            info.seed.map(|seed| seed.to_string()).or_else(|| about.remove("seed")),
-        ),
-        ("course", about.remove("course")),
-        ("outcome", about.remove("outcome")),
+        or_about("git_commit", info.git_commit.clone()),
+        or_about("seed", info.seed.map(|seed| seed.to_string())),
+        or_about("course", None),
+        or_about("outcome", None),
         ("actor_sha256", info.actor_sha256.clone()),
         ("detector_sha256", info.detector_sha256.clone()),
         ("detector_threshold", info.detector_threshold.map(|t| t.to_string())),

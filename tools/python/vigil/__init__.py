@@ -18,4 +18,4 @@ bottom, columns from left to right, 120° × 60°. A goal is ``(distance in metr
 
 from vigil._vigil import VERSION as VERSION
 
-__version__ = VERSION
+__version__: str = VERSION

@@ -50,7 +50,8 @@ def _checked(epsilon: float, iterations: int, towards: str, seed: int) -> tuple[
 
 
 class StateAttack:
-    """Alters the newest frame of a state of our actor, given what it remembers of the older ones: the paper's attack.
+    """Alters the newest frame of a state of our actor, given what it remembers of the older ones: the paper's attack. Threads may share it
+    (of a method that draws the calls' order then decides), but none may be in a call of it while the process forks.
 
     Args:
         actor: the actor attacked.
@@ -163,8 +164,11 @@ class PolicyAttack:
             start = self._random.uniform(-epsilon, epsilon, frame.shape).astype(np.float32)
             frame = np.clip(frame + start, low, high)
         for _ in range(self.iterations):
-            along = np.sign(self.policy.gradient(frame, goal)) * np.float32(sign)
-            frame = frame + step * along
+            # At a limit of its outputs the gradient of what they are is 0.
+            gradient = self.policy._gradient(frame, goal, (0.0, 1.0), unsaturated=True)
+            if not np.isfinite(gradient).all():
+                raise ValueError("policy: its gradient here is not finite")
+            frame = frame + step * (np.sign(gradient) * np.float32(sign))
             if self.method in ("bim-clipped", "pgd"):
                 frame = np.clip(frame, clean_frame - epsilon, clean_frame + epsilon)
             frame = np.clip(frame, low, high).astype(np.float32)

@@ -46,12 +46,13 @@ class Lstm:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Writes it as ``.npz``, under the very name that is given."""
-        with open(path, "wb") as file:
+        with open(_given.path("path", path), "wb") as file:
             np.savez(file, params=self.params, centre=self.centre, scale=self.scale)
 
     @staticmethod
     def load(path: str | PathLike[str]) -> Lstm:
         """Reads what :meth:`save` wrote; a ``ValueError`` names any other file."""
+        path = _given.path("path", path)
         try:
             with np.load(path, allow_pickle=False) as file:
                 return Lstm(file["params"], file["centre"], file["scale"])

@@ -1,6 +1,7 @@
 """DeepSHAP (docs/deepshap.md): what each input contributed to an output, against a background sample.
 
-The contributions of an :class:`Explanation` and its ``base`` add up to the network's output, but for rounding.
+The contributions of an :class:`Explanation` and its ``base`` add up to the network's output, but for rounding. Threads may share an
+explainer, but none may be in a call of it while the process forks: in the child it would be waited for without end.
 """
 
 from __future__ import annotations
@@ -76,12 +77,12 @@ class SplitPoint:
 
     def __init__(self, actor: Actor | Policy, backgrounds: tuple[Any, Any] | Detector | None = None) -> None:
         _given.made("actor", actor, Actor, Policy)
-        self._scale = actor.native.output_scale if isinstance(actor, Policy) else 1.0
+        self._scale = actor.output_scale if isinstance(actor, Policy) else 1.0
         if backgrounds is None or isinstance(backgrounds, Detector):
             states, positions = (backgrounds or Detector()).backgrounds()
         else:
             states, positions = _given.backgrounds(backgrounds, actor.positional_inputs)
-        self.native = _vigil.Explainer.split_point(actor.native, [[s, p] for s, p in zip(states, positions)])
+        self.native = _vigil.Explainer(actor.native, False, [[s, p] for s, p in zip(states, positions)])
 
     def explain(self, state: Any, beside: Any, output: int = YAW) -> Explanation:
         """Explains the decision made from a state ``[values]`` (:meth:`Actor.state`, :meth:`Policy.state`) and what was beside it:
@@ -109,7 +110,7 @@ class Pixels:
         frames, contexts, low_dims = backgrounds
         if not len(frames) == len(contexts) == len(low_dims):
             raise ValueError(f"backgrounds: {len(frames)} frames, {len(contexts)} contexts, {len(low_dims)} low-dimensional observations")
-        self.native = _vigil.Explainer.whole(actor.native, [_pixel_inputs(*given) for given in zip(frames, contexts, low_dims)])
+        self.native = _vigil.Explainer(actor.native, True, [_pixel_inputs(*given) for given in zip(frames, contexts, low_dims)])
 
     def explain(self, frame: Any, context: Any, low_dim: Any, output: int = YAW) -> Explanation:
         """Explains the decision on a frame ``[128, 256]`` in metres, beside which the actor held ``context`` and ``low_dim``
@@ -128,11 +129,10 @@ class PolicyPixels:
 
     def __init__(self, policy: Policy, backgrounds: Iterable[tuple[Any, Any]]) -> None:
         self.policy: Policy = _given.made("policy", policy, Policy)
-        self.native = _vigil.Explainer.whole(policy.native, [policy.inputs(f, g) for f, g in backgrounds])
+        self.native = _vigil.Explainer(policy.native, True, [policy.inputs(f, g) for f, g in backgrounds])
 
     def explain(self, own_frame: Any, goal: Any, output: int = YAW) -> Explanation:
         """Explains the decision on its own frame. ``phi`` is ``[rows, columns, channels]``; outputs before they are limited."""
-        native = self.policy.native
-        inputs = self.policy.inputs(own_frame, goal)
-        found = _explanation(self.native, inputs, output, native.frame_input, native.output_scale)
-        return replace(found, phi=found.phi.reshape(self.policy.frame_shape))
+        policy = self.policy
+        found = _explanation(self.native, policy.inputs(own_frame, goal), output, policy.frame_input, policy.output_scale)
+        return replace(found, phi=found.phi.reshape(policy.frame_shape))

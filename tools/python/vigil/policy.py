@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vigil import _given, _vigil
-from vigil._given import COLUMNS, FULL_SCALE_M, LOW_DIM, ROWS, Floats
+from vigil._given import LOW_DIM, Floats
 
 
 class Action(NamedTuple):
@@ -142,27 +142,28 @@ class Policy(_Frozen):
     positional_inputs = 2
     native: _vigil.Policy
     path: str
+    frame_shape: tuple[int, int, int]
+    """Rows, columns and channels of its own frame."""
+    scale: float
+    """Its pixels are 0 to this."""
+    output_scale: float
+    """What its outputs are multiplied by."""
+    frame_input: int
+    """Place of the frame among its inputs."""
+    has_goal: bool
+    """The goal is one of them."""
 
     def __init__(self, path: str | PathLike[str]) -> None:
         given = _given.path("path", path)
         self.path = os.path.abspath(given)
         """Its file."""
         self.native = _vigil.Policy(given)
+        self.frame_shape, self.scale, self.output_scale, self.frame_input, self.has_goal = self.native.inputs()
 
     def decide(self, frame: Any, goal: Any) -> Action:
         """As :meth:`Actor.decide`, exactly as in flight; of a position it takes the goal alone."""
         distance_m, bearing_rad, *_ = _given.position(goal)
         return Action(*self.native.decide(_given.frames_of("frame", frame, None), distance_m, bearing_rad))
-
-    @property
-    def frame_shape(self) -> tuple[int, int, int]:
-        """Rows, columns and channels of its own frame."""
-        return self.native.frame_shape
-
-    @property
-    def scale(self) -> float:
-        """Its pixels are 0 to this."""
-        return self.native.scale
 
     @property
     def source(self) -> str:
@@ -174,30 +175,24 @@ class Policy(_Frozen):
 
         A policy whose channels are all the newest frame takes the last of them.
         """
-        rows, columns, channels = self.frame_shape
-        given = _given.frames_of("frames", frames, channels)
-        given = given if self.native.stacked else np.repeat(given[-1:], channels, axis=0)
-        row = (2 * np.arange(rows) + 1) * ROWS // (2 * rows)
-        column = (2 * np.arange(columns) + 1) * COLUMNS // (2 * columns)
-        pixels = given[:, row[:, None], column[None, :]].transpose(1, 2, 0) / np.float32(FULL_SCALE_M)
-        if self.native.contrast:
-            pixels = 1.0 / (1.0 + np.float32(FULL_SCALE_M / 3.0) * pixels)
-        return np.ascontiguousarray(pixels * np.float32(self.scale), np.float32)
+        return self.native.own_frame(_given.frames_of("frames", frames, self.frame_shape[2])).reshape(self.frame_shape)
 
     def inputs(self, own_frame: Any, goal: Any) -> list[Floats]:
         """The network's inputs, in its order, of its own frame ``[rows, columns, channels]`` and a goal."""
         frame = _given.floats("own frame", own_frame, self.frame_shape).ravel()
-        if not self.native.has_position:
+        if not self.has_goal:
             return [frame]
         position = _given.beside(goal)
-        return [frame, position] if self.native.frame_input == 0 else [position, frame]
+        return [frame, position] if self.frame_input == 0 else [position, frame]
 
     def outputs(self, own_frame: Any, goal: Any) -> Floats:
         """Forward speed and yaw ``[2]`` for its own frame, before they are limited to ±1.5."""
-        return self.native.forward(self.inputs(own_frame, goal)) * np.float32(self.native.output_scale)
+        return self.native.forward(self.inputs(own_frame, goal)) * np.float32(self.output_scale)
 
     def gradient(self, own_frame: Any, goal: Any, weights: tuple[float, float] = (0.0, 1.0)) -> Floats:
         """Gradient of ``weights · outputs`` at the pixels of its own frame, ``[rows, columns, channels]``."""
-        scale = float(self.native.output_scale)
-        given = self.native.gradient(self.inputs(own_frame, goal), [weights[0] * scale, weights[1] * scale])
-        return given[self.native.frame_input].reshape(self.frame_shape)
+        return self._gradient(own_frame, goal, weights, unsaturated=False)
+
+    def _gradient(self, own_frame: Any, goal: Any, weights: tuple[float, float], *, unsaturated: bool) -> Floats:
+        scaled = [weight * self.output_scale for weight in weights]
+        return self.native.gradient(self.inputs(own_frame, goal), scaled, unsaturated).reshape(self.frame_shape)

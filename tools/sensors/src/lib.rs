@@ -36,6 +36,7 @@ pub use projector::{Counts, Projector, Resolution, check_unit};
 pub use view::View;
 
 /// What a projection cannot be made of.
+#[allow(missing_docs, reason = "the texts say what the fields are")]
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ProjectionError {
     /// A mount's position is not finite or its quaternion is not of unit length.
@@ -47,21 +48,11 @@ pub enum ProjectionError {
     /// A camera's focal length, principal point or size is impossible.
     #[error("camera: `{field}` is {value}, must be {expected}")]
     Camera {
-        /// The field.
         field: &'static str,
-        /// Its value.
         value: f32,
-        /// What it may be.
         expected: &'static str,
     },
     /// An image has not as many pixels as its camera.
     #[error("the image has {pixels} pixels, its camera {width} x {height}")]
-    ImageSize {
-        /// Pixels given.
-        pixels: usize,
-        /// Width of the camera's image.
-        width: usize,
-        /// Height of the camera's image.
-        height: usize,
-    },
+    ImageSize { pixels: usize, width: usize, height: usize },
 }

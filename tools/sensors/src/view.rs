@@ -43,7 +43,9 @@ impl View {
 
 impl fmt::Display for View {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let ([left, right], [low, high]) = (self.across_deg, self.up_deg);
+        // No zero with a sign.
+        let whole = |degrees: f32| if degrees.abs() <= 0.5 { 0.0 } else { degrees };
+        let ([left, right], [low, high]) = (self.across_deg.map(whole), self.up_deg.map(whole));
         write!(
             f,
             "{left:.0}° to {right:.0}° across and {low:.0}° to {high:.0}° in height, {:.0} % of the image's ±60° and ±30°",

@@ -1,7 +1,7 @@
 //! A depth camera's raw bytes become the part of the image that it sees.
 
 use vigil_sensors::adapters::{DepthStream, Fault, SetupError};
-use vigil_sensors::{Mount, Pinhole};
+use vigil_sensors::{Mount, Pinhole, View};
 use vigil_types::{Attitude, DEPTH_COLS, DEPTH_PIXELS, FrdVector};
 
 /// Of a camera that is mounted so, in units of so many metres.
@@ -28,6 +28,9 @@ fn millimetres_of_a_wall_are_its_ranges_along_the_rays() {
     );
     let view = stream.view;
     assert!((view.across_deg[1] - 44.0).abs() < 0.6 && !view.is_whole(), "{view}");
+    let up_deg = [-0.2, 22.0];
+    let upwards = View { up_deg, ..view }.to_string();
+    assert!(upwards.contains(" 0° to 22° in height"), "{upwards}");
 }
 
 #[test]

@@ -348,8 +348,10 @@ where
     /// Takes the flights of a file.
     fn read(&mut self, path: &Path) -> Result<()> {
         let (text, name) = (read(path)?, path.display());
-        // A process that was killed leaves half a line at the end.
-        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+        // A process that was killed leaves half a line at the end; an editor leaves a whole one without its newline.
+        let (lines, tail) = text.split_at(text.rfind('\n').map_or(0, |end| end + 1));
+        let is_whole = serde_json::from_str::<Value>(tail).is_ok();
+        let whole = if is_whole { &text } else { lines };
         let begins = whole.lines().next().is_some_and(is_heading);
         ensure!(begins, "{name} has no heading: it is no campaign's");
         for line in whole.lines().filter(|line| is_heading(line)) {

@@ -157,18 +157,17 @@ pub fn fly_recorded(
     attack: Option<&Attack>,
     recording: Option<Recording>,
 ) -> Result<Flight> {
-    let mut recording = recording.map(|r| r.begin(config, firmware)).transpose()?;
     let mut simulator = Simulator::new(config, 0)?;
+    let mut flying = LockstepFirmware::new(firmware)?;
+    let begun = recording.map(|recording| recording.begin(config, firmware, &mut flying));
+    let mut recording = begun.transpose()?;
     let mut firmware = SameProcess {
-        firmware: LockstepFirmware::new(firmware)?,
+        firmware: flying,
         watch: WatchRecord::default(),
         sensor: SensorRecord::default(),
         altered: Rc::default(),
         altered_frames_used: 0,
     };
-    if let Some(recorder) = recording.as_mut().and_then(|r| r.recorder.take()) {
-        firmware.firmware.record(recorder);
-    }
     if let Some(key) = &config.frame_key {
         firmware.firmware.require_frame_keys(FrameKeys {
             current: Some(key.clone()),

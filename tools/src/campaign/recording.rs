@@ -5,11 +5,11 @@ use anyhow::{Context, Result};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use vigil_adversary::PassedStep;
-use vigil_firmware::FirmwareConfig;
-use vigil_log::{LogPlace, Recorder, RecorderConfig, SideError, SideLog, WhenFull, merge_into};
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_log::{Recorder, RecorderConfig, SideError, SideLog, merge_into};
 use vigil_sim::SimConfig;
 use vigil_sim::lockstep_flight::{FlightRecord, PATH_STRIDE};
-use vigil_types::{DepthFrame, STEP_NS};
+use vigil_types::{DepthFrame, LogContent, STEP_NS};
 
 /// What to keep of a flight.
 pub struct Recording {
@@ -44,16 +44,21 @@ impl Recording {
         Ok(())
     }
 
-    pub(super) fn begin(self, config: &SimConfig, firmware: &FirmwareConfig) -> Result<Begun> {
+    /// Has `flying`, which is of the configuration `firmware`, recorded.
+    pub(super) fn begin(
+        self,
+        config: &SimConfig,
+        firmware: &FirmwareConfig,
+        flying: &mut LockstepFirmware,
+    ) -> Result<Begun> {
         let mut info = firmware.flight_info();
         info.seed = Some(config.seed);
         let recorder = Recorder::start(RecorderConfig {
-            when_full: WhenFull::Wait,
             scene: Some(crate::cli::scene::of(&config.course)),
-            ..RecorderConfig::new(LogPlace::File(self.log.clone()), info)
+            ..RecorderConfig::lossless(&self.log, info)
         })?;
+        flying.record(recorder);
         Ok(Begun {
-            recorder: Some(recorder),
             notes: SideLog::create(&self.log.with_extension("part"))?,
             failure: None,
             recording: self,
@@ -63,8 +68,6 @@ impl Recording {
 
 /// A recording that runs.
 pub(super) struct Begun {
-    /// For the firmware.
-    pub recorder: Option<Recorder>,
     notes: SideLog,
     failure: Option<SideError>,
     recording: Recording,
@@ -103,7 +106,7 @@ impl Begun {
         let text = format!("{} after {seconds:.1} s and {metres:.1} m", super::outcome_name(how));
         about.insert("outcome".to_owned(), text);
         let sides: [&Path; 2] = [&truth_file, &notes_file];
-        let merged = merge_into(&log, &sides, &about);
+        let merged = merge_into(&log, &sides, &about, LogContent::Everything);
         for side in sides {
             // What they hold is in the log.
             let _ = std::fs::remove_file(side);

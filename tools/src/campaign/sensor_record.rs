@@ -154,9 +154,11 @@ impl FaultTally {
             match flight.record.outcome {
                 Some(Outcome::Success) => tally.arrived += 1,
                 Some(Outcome::Collision | Outcome::OutOfBounds) => tally.collisions += 1,
-                // A vehicle that never took off was held on the ground.
                 None => tally.held += 1,
-                Some(Outcome::TimeOut) if flight.sensor.held_at_end => tally.held += 1,
+                // One that guidance never flew was held from the start, on the ground as in the air.
+                Some(Outcome::TimeOut) if flight.sensor.held_at_end || flight.sensor.flown_steps == 0 => {
+                    tally.held += 1;
+                }
                 Some(Outcome::TimeOut) => tally.time_outs += 1,
             }
         }
@@ -202,6 +204,29 @@ mod tests {
         assert_eq!((record.holds, record.hold_steps, record.first_step), (2, 3, Some(2)));
         assert!(record.held_at_end);
         assert_eq!(record.reasons, ["blind sensor", "bad frame"]);
+    }
+
+    #[test]
+    fn a_flight_that_guidance_never_flew_was_held_on_the_ground_as_in_the_air() {
+        let flight = |outcome: Option<&str>, flown_steps: u64| {
+            let of_sensor = SensorRecord {
+                flown_steps,
+                ..SensorRecord::default()
+            };
+            let flight = serde_json::json!({
+                "seed": 4, "from_ground": false, "sensor_fault": "zeros", "outcome": outcome, "flight_time_s": 45.0,
+                "path_length_m": 0.0, "closest_goal_m": 20.0, "closest_obstacle_m": 1.0, "steps": 900, "state_hash": "0",
+                "sensor": of_sensor,
+            });
+            serde_json::from_value::<Flight>(flight).unwrap()
+        };
+        let flights = [
+            flight(None, 0),
+            flight(Some("time-out"), 0),
+            flight(Some("time-out"), 900),
+        ];
+        let tally = FaultTally::of("zeros", &flights.iter().collect::<Vec<_>>());
+        assert_eq!((tally.held, tally.time_outs), (2, 1));
     }
 
     #[test]

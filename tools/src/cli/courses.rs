@@ -10,9 +10,8 @@ use vigil_sim::world::{Course, Image, Mesh};
 use vigil_sim::{CourseChoice, Models, SimConfig, Simulator, Start};
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame};
 
-/// Arguments of `vigil courses`.
-#[derive(Debug, Clone, clap::Args)]
-#[command(after_help = "\
+/// What `vigil courses` can be used for.
+pub(super) const EXAMPLES: &str = "\
 Examples:
   vigil courses draw --seed 7 -o 7.png               top view of validation course 7
   vigil courses draw --seed 7 -o 7.svg               the same as vectors, for print
@@ -20,14 +19,11 @@ Examples:
   vigil courses view --course my.toml --save my.rrd  the same as a recording: `rerun my.rrd` opens it
   vigil courses view --seed 7 -o view.png            what the LiDAR sees at its start, as a picture
   vigil courses write --family training --seed 3     the course as TOML, to edit and fly with --course
-  vigil courses check my.toml                        is it well formed, and is there a path to the goal?")]
-pub struct CoursesArgs {
-    #[command(subcommand)]
-    command: CoursesCommand,
-}
+  vigil courses check my.toml                        is it well formed, and is there a path to the goal?";
 
+/// Commands of `vigil courses`.
 #[derive(Debug, Clone, clap::Subcommand)]
-enum CoursesCommand {
+pub enum CoursesCommand {
     /// Draw a course from above, as a PNG or an SVG.
     Draw {
         #[command(flatten)]
@@ -69,8 +65,8 @@ enum CoursesCommand {
 ///
 /// # Errors
 /// Unreadable or malformed courses (file, line, field), a picture that cannot be written, no viewer.
-pub fn run(args: &CoursesArgs) -> Result<ExitCode> {
-    match &args.command {
+pub fn run(command: &CoursesCommand) -> Result<ExitCode> {
+    match command {
         CoursesCommand::Draw { course, output } => {
             let ending = output.extension().map(|e| e.to_ascii_lowercase());
             let is_svg = ending.as_deref().is_some_and(|e| e == "svg");

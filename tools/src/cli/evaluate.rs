@@ -1,18 +1,16 @@
 //! `vigil evaluate`: many seeded flights in lockstep over all cores.
 
-mod goal_distance;
 mod report;
 mod shown;
 
 use crate::campaign::flights::{Campaign, Existing, Jobs, difference, sha256};
-use crate::campaign::{self, FaultChoice, Flight, Recording, outcome_name};
+use crate::campaign::{self, FaultChoice, Flight, Recording, outcome_name, spread};
 use crate::cli::fly::SecondSensorArgs;
 use crate::cli::output::{self, tell};
 use crate::cli::view::ViewerArgs;
 use crate::flight_report;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, ensure};
-use goal_distance::GoalDistance;
 use report::{NO_FAULT, Took, report};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
@@ -24,7 +22,7 @@ use vigil_adversary::{Attack, AttackArgs, AttackConfig, Burst};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::arguments::PilotArgs;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_sim::world::{Family, FlightPath, generate, generate_long};
+use vigil_sim::world::{Family, FlightPath, LONG_GOAL_M, generate, generate_long};
 use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Simulator, Start, VehicleChoice, family_parser};
 use vigil_types::{FrameKey, NedVector};
 
@@ -281,6 +279,37 @@ fn as_written<'de, D: Deserializer<'de>>(from: D) -> Result<Value, D::Error> {
         Some(again).filter(|again| difference(again, &found, "").is_none())
     };
     Ok(again(found.clone()).unwrap_or(found))
+}
+
+/// How far away the goals are.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct GoalDistance {
+    from_m: f32,
+    to_m: f32,
+}
+
+impl GoalDistance {
+    fn parse(text: &str) -> Result<Self, String> {
+        let (from, to) = text.split_once("..").unwrap_or((text, text));
+        let length = |text: &str| match text.trim().parse::<f32>() {
+            Ok(length_m) if LONG_GOAL_M.contains(&length_m) => Ok(length_m),
+            _ => Err(format!(
+                "a distance is a number from {} to {} metres, a range two of them: 150 or 30..300",
+                LONG_GOAL_M.start(),
+                LONG_GOAL_M.end()
+            )),
+        };
+        let (from_m, to_m) = (length(from)?, length(to)?);
+        if from_m > to_m {
+            return Err(format!("the range {text} is empty: the nearer distance comes first"));
+        }
+        Ok(Self { from_m, to_m })
+    }
+
+    /// The distance of a flight.
+    fn of(self, seed: u64) -> f32 {
+        self.from_m + (self.to_m - self.from_m) * spread(seed) as f32
+    }
 }
 
 /// Longest flight with a fault of the sensor, seconds: one that is held stays where it is.

@@ -16,16 +16,13 @@ use vigil_types::{Attitude, Nanos, NedVector};
 const LANDING_LIMIT: Duration = Duration::from_secs(30);
 /// A vehicle that flew and stands disarmed for so long does not go on: its autopilot, or a person, ended the flight.
 const DISARMED_LIMIT: Duration = Duration::from_secs(5);
-/// Above this height it flies, metres.
+/// Above this height it flies, metres; above half of a course's that is flown lower than twice this.
 const FLIES_M: f32 = 1.0;
 /// A simulator that says nothing for so many looks in a row is given up: looks, since time goes on while this process is stopped.
 const SILENT_LOOKS: u32 = 25;
 
-pub(super) struct TruePose {
-    pub(super) at_ns: Nanos,
-    pub(super) position_ned_m: NedVector,
-    pub(super) attitude: Attitude,
-}
+/// When, where and how the vehicle was in truth.
+pub(super) type TruePose = (Nanos, NedVector, Attitude);
 
 /// What was seen of a flight.
 #[derive(Default)]
@@ -61,11 +58,7 @@ impl Flight {
                 self.path.push(position_ned_m);
             }
             let [w, x, y, z] = status.attitude;
-            self.truth.push(TruePose {
-                at_ns: status.at_ns,
-                position_ned_m,
-                attitude: Attitude { w, x, y, z },
-            });
+            self.truth.push((status.at_ns, position_ned_m, Attitude { w, x, y, z }));
         }
         self.last = Some(status);
     }
@@ -93,14 +86,17 @@ pub(super) fn watch(
     processes: &mut Processes,
     interrupt: &Interrupt,
     flight: &mut Flight,
+    height_m: f32,
 ) -> Result<()> {
+    let flies_m = FLIES_M.min(0.5 * height_m);
     let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{msg}")?);
     let mut reached_at: Option<Instant> = None;
     let (mut has_flown, mut disarmed_at, mut silent_looks) = (false, None::<Instant>, 0);
     let (mut pose, mut pilot) = (PoseWatch::default(), PilotWatch::default());
     let is_quiet = matches!(terminal, Terminal::Quiet);
     while !interrupt.came() {
-        let when = if has_flown { "in flight" } else { "before the flight" };
+        let in_flight = has_flown || flight.last.as_ref().is_some_and(|status| status.armed);
+        let when = if in_flight { "in flight" } else { "before the flight" };
         match next_status(&mut processes.simulator, &processes.statuses, when)? {
             Some(status) => {
                 silent_looks = 0;
@@ -134,8 +130,8 @@ pub(super) fn watch(
             }
             Some(_) => break,
             None => {
-                has_flown |= status.armed && status.position_ned_m[2] < -FLIES_M;
-                let landed = has_flown && !status.armed && status.position_ned_m[2] > -FLIES_M;
+                has_flown |= status.armed && status.position_ned_m[2] < -flies_m;
+                let landed = has_flown && !status.armed && status.position_ned_m[2] > -flies_m;
                 disarmed_at = disarmed_at.or_else(|| Some(Instant::now())).filter(|_| landed);
                 if disarmed_at.is_some_and(|at| at.elapsed() > DISARMED_LIMIT) {
                     let away_m = status.goal_distance_m;

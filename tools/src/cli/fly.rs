@@ -9,7 +9,7 @@ use crate::cli::log::film_name;
 use crate::cli::output::{self, EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
 use crate::cli::replay::find_log;
 use crate::cli::view::{self, ViewerArgs};
-use crate::flight_derived::{Wanted, derive};
+use crate::flight_derived::{Derivable, derive};
 use crate::flight_report::{self, EXPLAINED};
 use anyhow::{Context, Result, ensure};
 use std::collections::BTreeMap;
@@ -22,7 +22,7 @@ use vigil_adversary::AttackArgs;
 use vigil_adversary::process::RAW_TOPIC;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::arguments::{PilotArgs, choice};
-use vigil_log::{SideLog, merge_into, merge_into_light};
+use vigil_log::{SideLog, merge_into};
 use vigil_sim::program::{Status, ending_code};
 use vigil_sim::world::{Course, FlightPath, Outcome};
 use vigil_sim::{CourseChoice, SensorFault, VehicleChoice};
@@ -156,7 +156,9 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let mut viewer = args.view.then(|| args.viewer.follow(&folder)).transpose()?;
     let mut terminal = terminal(args, &course, seed);
     let mut flight = Flight::default();
-    let monitored = watch(&mut terminal, &mut processes, &interrupt, &mut flight);
+    let height_m = -course.goal_ned_m().z;
+    let monitored = watch(&mut terminal, &mut processes, &interrupt, &mut flight, height_m);
+    let interrupted = interrupt.came();
     let said = processes.end()?;
     let Flight { last, path, truth } = flight;
     let monitored = match monitored {
@@ -165,7 +167,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         monitored => monitored,
     };
     // The path ends with the flight, the truth with the watch.
-    let ended_ns = truth.get(path.len()).map(|pose| pose.at_ns);
+    let ended_ns = truth.get(path.len()).map(|(at_ns, ..)| *at_ns);
     let drawn = FlightPath {
         label: "flown".to_owned(),
         points_ned_m: path,
@@ -182,8 +184,8 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     }
     // What ended it is reported last.
     let ended = match monitored {
-        Ok(()) => summarise(&course, &last, &folder, &said, interrupt.came()),
-        Err(error) => Err(error.context(format!("{} holds what was flown", folder.display()))),
+        Ok(()) => summarise(&course, &last, &folder, &said, interrupted),
+        Err(error) => Err(error.context(format!("{} holds the log", folder.display()))),
     };
     match film {
         Some(Ok(text)) if !text.is_empty() => say!("film      {}", text.trim_end()),
@@ -210,8 +212,14 @@ fn terminal(args: &FlyArgs, course: &Course, seed: u64) -> Terminal {
         Terminal::Quiet
     } else if std::io::stderr().is_terminal() {
         let size = rustix::termios::tcgetwinsize(std::io::stderr());
-        let columns = size.map_or(80, |size| usize::from(size.ws_col).max(20));
-        Terminal::Live(Box::new(Live::new(title, course, threshold(args, course), columns)))
+        let (columns, rows) = size.map_or((80, 24), |size| (size.ws_col.max(20), size.ws_row));
+        Terminal::Live(Box::new(Live::new(
+            title,
+            course,
+            threshold(args, course),
+            columns,
+            rows,
+        )))
     } else {
         // The first line comes at once.
         let printed_s = f64::NEG_INFINITY;
@@ -330,23 +338,21 @@ fn complete_log(
     let log = find_log(folder)?;
     let truth_file = folder.join(SIMULATOR_NOTES);
     let mut notes = SideLog::create(&truth_file)?;
-    for pose in truth {
-        notes.truth(pose.at_ns, pose.position_ned_m, Some(pose.attitude))?;
+    for (at_ns, position_ned_m, attitude) in truth {
+        notes.truth(*at_ns, *position_ned_m, Some(*attitude))?;
     }
     notes.finish()?;
     let adversary_file = folder.join(ADVERSARY_NOTES);
     let mut sides = vec![truth_file.as_path(), &adversary_file];
     sides.retain(|path| path.is_file());
-    let is_light = content == LogContent::Light;
-    let merge = if is_light { merge_into_light } else { merge_into };
-    let merged = merge(&log, &sides, about);
+    let merged = merge_into(&log, &sides, about, content);
     // Their content is in the log; one that stays behind does no harm.
     for side in sides.into_iter().filter(|_| merged.is_ok()) {
         let _ = std::fs::remove_file(side);
     }
-    let derived = match is_light {
-        true => Ok(()),
-        false => derive(&log, Wanted { map: true, shap: false }).map(drop),
+    let derived = match content {
+        LogContent::Light => Ok(()),
+        _ => derive(&log, Some(Derivable::Map)).map(drop),
     };
     let report = flight_report::beside(&log);
     let reported = crate::cli::log::write_report(&log, &report, EXPLAINED);
@@ -458,6 +464,7 @@ fn summarise(
     say!("{} on {}", paint.verdict(success, &verdict), course.name);
     if success {
         match status.armed {
+            true if interrupted => say!("vehicle   still armed: interrupted while it landed"),
             true => say!("vehicle   still armed: it did not land in time"),
             false => say!("vehicle   landed, disarmed"),
         }

@@ -7,6 +7,10 @@ use vigil_types::NedVector;
 /// Widest and tallest map, in characters of 2 × 4 dots.
 const MOST_COLS: usize = 76;
 const MOST_ROWS: usize = 14;
+/// A map of fewer rows is worth less than the depth picture's.
+const LEAST_ROWS: usize = 3;
+/// Characters of the lines around the pictures at their longest: behind the title, score, step, state.
+const LINES: [usize; 4] = [44, 78, 76, 160];
 /// Ground around the obstacles that is shown, metres.
 const MARGIN_M: f32 = 1.0;
 /// Characters of the score's bar.
@@ -24,13 +28,22 @@ pub struct Live {
     dot_m: f32,
     cols: usize,
     rows: usize,
+    shows_depth: bool,
     /// Braille dots of each character.
     ground: Vec<u8>,
 }
 
 impl Live {
-    /// For a terminal of so many columns.
-    pub fn new(title: String, course: &Course, threshold: Option<f32>, columns: usize) -> Self {
+    /// For a terminal of so many columns and rows. What is too high makes room: the map, then the depth picture.
+    pub fn new(title: String, course: &Course, threshold: Option<f32>, columns: u16, rows: u16) -> Self {
+        let columns = usize::from(columns.max(1));
+        let [behind_title, lines @ ..] = LINES;
+        let lines = lines.into_iter().chain([title.chars().count() + behind_title]);
+        let around: usize = lines.map(|chars| chars.div_ceil(columns)).sum();
+        let room = usize::from(if rows == 0 { 24 } else { rows }).saturating_sub(around);
+        let depth_rows = NEARNESS_ROWS * NEARNESS_COLS.div_ceil(columns);
+        let shows_depth = room >= LEAST_ROWS + depth_rows;
+        let most_rows = if shows_depth { room - depth_rows } else { room }.clamp(1, MOST_ROWS);
         let solids = course.corridor_solids();
         let goal_ned_m = course.goal_ned_m();
         let mut low = (goal_ned_m.x.min(0.0), goal_ned_m.y.min(0.0));
@@ -43,9 +56,9 @@ impl Live {
         let low = (low.0 - MARGIN_M, low.1 - MARGIN_M);
         let (length_m, width_m) = (high.0 + MARGIN_M - low.0, high.1 + MARGIN_M - low.1);
         let most_cols = MOST_COLS.min(columns.saturating_sub(2)).max(8);
-        let dot_m = (length_m / (2 * most_cols) as f32).max(width_m / (4 * MOST_ROWS) as f32);
+        let dot_m = (length_m / (2 * most_cols) as f32).max(width_m / (4 * most_rows) as f32);
         let cols = ((length_m / dot_m / 2.0).ceil() as usize).clamp(1, most_cols);
-        let rows = ((width_m / dot_m / 4.0).ceil() as usize).clamp(1, MOST_ROWS);
+        let rows = ((width_m / dot_m / 4.0).ceil() as usize).clamp(1, most_rows);
         let mut live = Self {
             title,
             goal_ned_m,
@@ -54,6 +67,7 @@ impl Live {
             dot_m,
             cols,
             rows,
+            shows_depth,
             ground: vec![0; cols * rows],
         };
         for x in 0..2 * cols {
@@ -101,7 +115,8 @@ impl Live {
             text.push('\n');
         }
         let digits = status.nearness.as_bytes();
-        for row in digits.chunks_exact(NEARNESS_COLS).take(NEARNESS_ROWS) {
+        let depth_rows = if self.shows_depth { NEARNESS_ROWS } else { 0 };
+        for row in digits.chunks_exact(NEARNESS_COLS).take(depth_rows) {
             text.extend(row.iter().map(|digit| match digit {
                 b'8'.. => '█',
                 b'6'.. => '▓',
@@ -186,13 +201,13 @@ mod tests {
     #[test]
     fn the_map_shows_obstacles_vehicle_goal_and_path_within_the_terminal() {
         let course = generate(Family::Validation, 7);
-        let live = Live::new("course 7".to_owned(), &course, Some(0.8), 60);
+        let live = Live::new("course 7".to_owned(), &course, Some(0.8), 66, 40);
         let path: Vec<NedVector> = (0..50).map(|i| NedVector::new(0.1 * i as f32, 0.0, -1.5)).collect();
         let before = live.picture(&[], &status(None, [0.0, 0.0, -1.5]));
         let after = live.picture(&path, &status(Some(0.95), [5.0, 0.0, -1.5]));
         for text in [&before, &after] {
             let mut rows = text.lines().skip(1).take(live.rows);
-            assert!(rows.all(|line| line.chars().count() == live.cols && live.cols <= 58));
+            assert!(rows.all(|line| line.chars().count() == live.cols && live.cols <= 64));
             assert_eq!((text.matches('◆').count(), text.matches('×').count()), (1, 1), "{text}");
         }
         let of_depth = after.matches('▒').count();
@@ -200,6 +215,26 @@ mod tests {
         assert!(live.ground.iter().any(|dots| *dots != 0), "obstacles");
         assert_ne!(before.find('◆'), after.find('◆'));
         assert!(before.contains("no verdict is unknown") && after.contains("0.950, threshold 0.800: ATTACK"));
+    }
+
+    #[test]
+    fn a_small_terminal_keeps_score_step_and_state_and_loses_map_and_depth_picture_first() {
+        let course = generate(Family::Validation, 7);
+        let flying = Status {
+            guidance: Some("guided".to_owned()),
+            reasons: vec!["within distance of an obstacle".to_owned(); 2],
+            slips: 12,
+            ..status(Some(0.95), [5.0, 0.0, -1.5])
+        };
+        for (columns, rows, has_depth) in [(80, 24, true), (80, 0, true), (80, 12, false), (40, 24, false)] {
+            let live = Live::new("validation course 7".to_owned(), &course, Some(0.8), columns, rows);
+            let text = live.picture(&[], &flying);
+            let height = |line: &str| line.chars().count().max(1).div_ceil(columns.into());
+            let lines: usize = text.lines().map(height).sum();
+            let fits = (19..25).contains(&lines) || rows == 12 && (7..13).contains(&lines);
+            assert!(fits, "{columns} × {rows}: {lines}\n{text}");
+            assert_eq!(text.contains('▒'), has_depth, "{columns} × {rows}");
+        }
     }
 
     #[test]

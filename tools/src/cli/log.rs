@@ -2,22 +2,16 @@
 
 use crate::cli::output::{self, is_stdout, say};
 use crate::cli::replay::{check_not_over, find_log};
-use crate::flight_derived::{Wanted, derive};
+use crate::flight_derived::{Derivable, derive};
 use crate::flight_report::{self, EXPLAINED};
 use anyhow::{Context, Result, ensure};
 use clap::builder::RangedU64ValueParser;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Arguments of `vigil log`.
-#[derive(Debug, Clone, clap::Args)]
-pub struct LogArgs {
-    #[command(subcommand)]
-    command: LogCommand,
-}
-
+/// Commands of `vigil log`.
 #[derive(Debug, Clone, clap::Subcommand)]
-enum LogCommand {
+pub enum LogCommand {
     /// One HTML file that shows the flight: map, plots, film, events. Opens from disk, without a network.
     Report(ReportArgs),
     /// An animated picture (GIF) or a video (mp4) of the flight: from behind, from above, what the sensor saw and what in it moved the
@@ -86,14 +80,6 @@ pub struct DeriveArgs {
     only: Option<Derivable>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Derivable {
-    /// The map and the planned path.
-    Map,
-    /// SHAP of the pixels.
-    Shap,
-}
-
 /// Takes the name of a film.
 ///
 /// # Errors
@@ -119,8 +105,8 @@ pub fn is_video(path: &Path) -> bool {
 ///
 /// # Errors
 /// A log that is missing, unreadable or of another version, a report that cannot be written.
-pub fn run(args: &LogArgs) -> Result<ExitCode> {
-    match &args.command {
+pub fn run(command: &LogCommand) -> Result<ExitCode> {
+    match command {
         LogCommand::Report(args) => {
             let (log, to) = from_and_to(&args.log, args.output.as_deref(), flight_report::beside)?;
             let (bytes, incomplete) = write_report(&log, &to, args.shap)?;
@@ -143,12 +129,8 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
         }
         LogCommand::Derive(args) => {
             let log = find_log(&args.log)?;
-            let wanted = Wanted {
-                map: args.only != Some(Derivable::Shap),
-                shap: args.only != Some(Derivable::Map),
-            };
             let derived =
-                derive(&log, wanted).with_context(|| format!("nothing was derived from {}", log.display()))?;
+                derive(&log, args.only).with_context(|| format!("nothing was derived from {}", log.display()))?;
             let (maps, frames) = (derived.maps, derived.explained);
             say!("{}: {maps} maps, {frames} explained frames", log.display());
             if let Some(step) = derived.gap_before_step {

@@ -12,7 +12,6 @@ pub mod lab;
 mod live;
 pub mod log;
 pub mod output;
-mod recover;
 pub mod replay;
 pub(crate) mod scene;
 mod sensor;
@@ -92,17 +91,20 @@ pub enum Command {
     /// Run the tick over a flight log's recorded inputs and compare every output byte.
     Replay(replay::ReplayArgs),
     /// Make a report or a film of a flight log, or complete it.
-    Log(log::LogArgs),
+    #[command(subcommand)]
+    Log(log::LogCommand),
     /// Open a flight log in the Rerun viewer, in a ready layout.
     View(view::ViewArgs),
     /// Save what is whole of a flight log that was cut off or damaged.
-    Recover(recover::RecoverArgs),
+    Recover(replay::RecoverArgs),
     /// Look at a vehicle and its depth sensor, and say what is missing before Vigil can fly them.
     Doctor(doctor::DoctorArgs),
     /// Check a publisher of depth frames, or be one for a foreign vehicle.
-    Sensor(sensor::SensorArgs),
+    #[command(subcommand)]
+    Sensor(sensor::SensorCommand),
     /// Draw, write or check courses.
-    Courses(courses::CoursesArgs),
+    #[command(subcommand, after_help = courses::EXAMPLES)]
+    Courses(courses::CoursesCommand),
 }
 
 /// Reads the arguments of the process and does what they say.
@@ -135,6 +137,7 @@ impl EveryCommand {
 
     /// Does what is asked of every command, then the command; its end is the process's.
     pub fn run(&self, command: impl FnOnce() -> Result<ExitCode>) -> ExitCode {
+        vigil_io::interrupt::outlive_file_limits();
         output::start_tracing(self.verbose);
         output::finish(match self.ends_with.map(child_process::end_with) {
             Some(Err(error)) => Err(error),
@@ -154,7 +157,7 @@ pub fn execute(command: Command) -> Result<ExitCode> {
         Command::Replay(args) => replay::run(&args),
         Command::Log(args) => log::run(&args),
         Command::View(args) => view::run(&args),
-        Command::Recover(args) => recover::run(&args),
+        Command::Recover(args) => replay::recover(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Sensor(args) => sensor::run(&args),
         Command::Courses(args) => courses::run(&args),

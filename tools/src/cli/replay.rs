@@ -1,4 +1,5 @@
-//! `vigil replay`: does the tick give the same bytes again?
+//! `vigil replay`, which asks whether the tick gives the same bytes again, and `vigil recover`, which copies a log that was not closed or
+//! is damaged.
 
 use crate::cli::output::{Paint, checked, say};
 use anyhow::{Context, Result, ensure};
@@ -32,6 +33,31 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     ensure!(!is_empty, "{name} holds no step: there is nothing to compare");
     say!("{}", Paint::stdout().verdict(report.is_equal(), &report.to_string()));
     Ok(checked(report.is_equal()))
+}
+
+/// Arguments of `vigil recover`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Example:
+  vigil recover runs/fly-1760000000-7/flight-0001.mcap whole.mcap
+
+`vigil replay` reads an unclosed log as it is; some viewers do not. Of a damaged log everything is saved but the pieces that are
+damaged themselves, and what is lost is given in steps, records and seconds.")]
+pub struct RecoverArgs {
+    /// The log that was not closed, or is damaged.
+    from: PathBuf,
+    /// A copy with an index; where the log was not closed, the copy goes on saying so. Must not exist yet.
+    to: PathBuf,
+}
+
+/// Writes the copy.
+///
+/// # Errors
+/// A log that is missing or unreadable, a copy that exists or cannot be written.
+pub fn recover(args: &RecoverArgs) -> Result<ExitCode> {
+    let recovery = vigil_log::recover(&args.from, &args.to)?;
+    say!("{}: {recovery}", args.to.display());
+    Ok(ExitCode::SUCCESS)
 }
 
 /// The path itself, or the one MCAP file in it if it is a folder.

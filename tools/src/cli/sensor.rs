@@ -16,16 +16,9 @@ use vigil_types::{DEPTH_FULL_SCALE_M, DepthFrame};
 /// How often the service is looked at; arrival is known to this.
 const LOOK: Duration = Duration::from_micros(200);
 
-/// Arguments of `vigil sensor`.
-#[derive(Debug, Clone, clap::Args)]
-#[command(arg_required_else_help = true)]
-pub struct SensorArgs {
-    #[command(subcommand)]
-    command: SensorCommand,
-}
-
+/// Commands of `vigil sensor`.
 #[derive(Debug, Clone, clap::Subcommand)]
-enum SensorCommand {
+pub enum SensorCommand {
     /// Listen to a publisher of depth frames and say whether it keeps to the interface.
     Check(CheckArgs),
     /// Publish the depth frames of a course as a foreign vehicle would see it, from the pose that it reports by MAVLink.
@@ -36,6 +29,7 @@ enum SensorCommand {
     Z16(DepthStreamArgs),
 }
 
+/// Arguments of `vigil sensor check`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -46,7 +40,7 @@ Examples:
 
 Exit code: 0 all is as it should be or only warned of, 3 something fails, 1 the check could not be made.
 docs/sensor-interface.md is the interface; tools/publishers has drivers to begin with.")]
-struct CheckArgs {
+pub struct CheckArgs {
     #[command(flatten)]
     service: ServiceArgs,
 
@@ -143,8 +137,8 @@ pub(super) fn report<F: Serialize>(
 ///
 /// # Errors
 /// Shared memory that cannot be used, a key that is refused.
-pub fn run(args: &SensorArgs) -> Result<ExitCode> {
-    match &args.command {
+pub fn run(command: &SensorCommand) -> Result<ExitCode> {
+    match command {
         SensorCommand::Check(args) => check(args),
         SensorCommand::Render(args) => vigil_sim::foreign::render::run(args),
         SensorCommand::Ouster(args) => adapter::ouster(args),

@@ -1,14 +1,17 @@
 //! `vigil view`: a flight log in the viewers that people have.
 
-use crate::cli::output::{self, say, tell};
+use crate::cli::output::{self, Interrupt, say, tell};
 use crate::cli::replay::{check_not_over, find_log};
 use anyhow::{Context, Result, bail, ensure};
+use std::ffi::OsStr;
 use std::fs::File;
-use std::io::{ErrorKind, Write};
+use std::io::{self, ErrorKind, Write};
 use std::net::TcpListener;
+use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
 use vigil_log::Reader;
+use vigil_types::files::{Access, replace_with};
 
 /// The viewer that the script was written for.
 const RERUN_VERSION: &str = "0.41.0";
@@ -115,7 +118,7 @@ impl ViewerArgs {
     }
 
     /// Starts the script, which opens the viewer; what it says goes to the file `log`, or to standard error.
-    fn start(&self, arguments: &[&std::ffi::OsStr], log: Option<&Path>) -> Result<Child> {
+    fn start(&self, arguments: &[&OsStr], log: Option<&Path>) -> Result<Child> {
         let mut command = Command::new(&self.python);
         command.arg("-").args(arguments);
         command.args(["--port", &self.view_port.to_string()]);
@@ -159,10 +162,23 @@ impl ViewerArgs {
     }
 
     /// Shows what the arguments name, or writes it into a file.
-    fn show<'a>(&self, mut what: Vec<&'a std::ffi::OsStr>, save: Option<&'a Path>) -> Result<ExitCode> {
-        what.extend(save.into_iter().flat_map(|to| ["--save".as_ref(), to.as_os_str()]));
-        let status = self.start(&what, None)?.wait()?;
-        ensure!(status.success(), "the viewer was not opened ({status})");
+    fn show(&self, what: &[&OsStr], save: Option<&Path>) -> Result<ExitCode> {
+        let run = |more: &[&OsStr], failed: &str| {
+            let status = self.start(&[what, more].concat(), None)?.wait()?;
+            ensure!(status.success(), "{failed} ({status})");
+            Ok(ExitCode::SUCCESS)
+        };
+        let Some(to) = save else {
+            return run(&[], "the viewer was not opened");
+        };
+        // The script writes a file of ours, which has the name once it is whole. Ctrl-C ends the script; ours is then taken away.
+        let _interrupt = Interrupt::on_ctrl_c()?;
+        let saved = replace_with(to, Access::Shared, |file| {
+            let ours = format!("/proc/{}/fd/{}", std::process::id(), file.as_raw_fd());
+            let ran = run(&["--save".as_ref(), ours.as_ref()], "the viewer's script failed");
+            ran.map(drop).map_err(io::Error::other)
+        });
+        saved.with_context(|| format!("cannot write {}", to.display()))?;
         Ok(ExitCode::SUCCESS)
     }
 
@@ -180,7 +196,7 @@ impl ViewerArgs {
         let mut file = named.context("cannot make a file for the course")?;
         file.write_all(json.as_bytes())
             .context("the course could not be written")?;
-        self.show(vec!["--course".as_ref(), file.path().as_os_str()], save)?;
+        self.show(&["--course".as_ref(), file.path().as_os_str()], save)?;
         Ok(())
     }
 }
@@ -197,7 +213,7 @@ pub(super) fn tell_ended_early(folder: &Path) {
 pub fn run(args: &ViewArgs) -> Result<ExitCode> {
     if args.follow {
         args.viewer.check_with_port()?;
-        return args.viewer.show(vec![args.log.as_os_str(), "--follow".as_ref()], None);
+        return args.viewer.show(&[args.log.as_os_str(), "--follow".as_ref()], None);
     }
     let log = find_log(&args.log)?;
     if let Some(to) = &args.save {
@@ -213,5 +229,5 @@ pub fn run(args: &ViewArgs) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     args.viewer.ready(args.save.as_deref())?;
-    args.viewer.show(vec![log.as_os_str()], args.save.as_deref())
+    args.viewer.show(&[log.as_os_str()], args.save.as_deref())
 }

@@ -85,8 +85,8 @@ const PX4: [Row; 6] = [
     Row {
         name: "COM_RCL_EXCEPT",
         unit: "",
-        wanted: "bit 2 on (add 4) where nobody has sticks",
-        why: "without it, and without sticks, OFFBOARD ends in the failsafe of lost sticks as soon as it begins",
+        wanted: "bit 2 on (add 4) where sticks may fall silent",
+        why: "without it OFFBOARD ends in the failsafe of lost sticks when those that were there at arming fall silent",
         grade: |v| if has_bit(v, 4) { Good } else { Warning },
     },
     Row {

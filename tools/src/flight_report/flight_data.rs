@@ -190,25 +190,18 @@ fn map(log: &LogSeen) -> Value {
 
 /// Corners of a solid seen from above: north, east in metres.
 pub fn outline_of(solid: &SceneSolid) -> Vec<[f64; 2]> {
-    let points: Vec<[f32; 2]> = match *solid {
-        SceneSolid::Cuboid {
-            centre_ned_m: [north, east, _],
-            half_extents_m: [length, width, _],
-            yaw_rad,
-        } => {
+    let ([north, east, _], [length, width, _], yaw_rad) = solid.parts();
+    let points: Vec<[f32; 2]> = match solid {
+        SceneSolid::Cuboid { .. } => {
             let (sin, cos) = yaw_rad.sin_cos();
             [(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)]
                 .map(|(a, b): (f32, f32)| (a * length, b * width))
                 .map(|(x, y)| [north + cos * x - sin * y, east + sin * x + cos * y])
                 .to_vec()
         }
-        SceneSolid::Cylinder {
-            centre_ned_m: [north, east, _],
-            radius_m,
-            ..
-        } => (0..20_u8)
+        SceneSolid::Cylinder { .. } => (0..20_u8)
             .map(|i| (f32::from(i) * std::f32::consts::TAU / 20.0).sin_cos())
-            .map(|(sin, cos)| [north + radius_m * cos, east + radius_m * sin])
+            .map(|(sin, cos)| [north + length * cos, east + length * sin])
             .collect(),
     };
     points.into_iter().map(|p| p.map(f64::from)).collect()

@@ -4,7 +4,7 @@ use crate::flight_report::log_seen::{LogSeen, StepSeen, WHO, rounded};
 use crate::statistics::quantile;
 use serde_json::{Value, json};
 use std::path::Path;
-use vigil_log::{LogEnd, Weight};
+use vigil_log::LogEnd;
 use vigil_types::{Choice, GuidanceState, Landed, PilotKind, Reason, Reasons, STEP_S};
 
 pub fn title(path: &Path, log: &LogSeen) -> String {
@@ -95,24 +95,7 @@ fn standby_reasons(log: &LogSeen) -> String {
     }
 }
 
-/// Seconds since 1970 as a date, UTC.
-fn date(unix_s: u64) -> String {
-    let (mut day, second, mut months) = (unix_s / 86_400 + 1, unix_s % 86_400, 0);
-    let days_of = |months: u64| match (1970 + months / 12, months % 12 + 1) {
-        (year, 2) if year.is_multiple_of(4) && (!year.is_multiple_of(100) || year.is_multiple_of(400)) => 29,
-        (_, 2) => 28,
-        (_, 4 | 6 | 9 | 11) => 30,
-        _ => 31,
-    };
-    while day > days_of(months) {
-        day -= days_of(months);
-        months += 1;
-    }
-    let (year, month) = (1970 + months / 12, months % 12 + 1);
-    let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
-    format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02} UTC")
-}
-
+/// What the flight was, by name. When it began is in seconds since 1970, which the page shows as a date.
 pub fn facts(path: &Path, log: &LogSeen) -> Vec<(String, String)> {
     let mut facts: Vec<(String, String)> = Vec::new();
     let mut put = |name: &str, value: String| facts.push((name.to_owned(), value));
@@ -120,7 +103,7 @@ pub fn facts(path: &Path, log: &LogSeen) -> Vec<(String, String)> {
     let span_s = last.map_or(0.0, |s| log.seconds(s.now_ns));
     if let Some(first) = first.filter(|_| log.epoch_offset_ns > 0) {
         let began_ns = first.now_ns.saturating_add(log.epoch_offset_ns);
-        put("Began", date(began_ns / 1_000_000_000));
+        put("Began", (began_ns / 1_000_000_000).to_string());
     }
     put("Length", format!("{span_s:.1} s, {} steps", log.steps.len()));
     let info = &log.info;
@@ -269,12 +252,7 @@ pub fn events(log: &LogSeen) -> Vec<Value> {
     let mut events: Vec<(f64, &str, String)> = Vec::new();
     let mut put = |at_ns: u64, weight, text| events.push((log.seconds(at_ns), weight, text));
     for line in &log.story.lines {
-        let weight = match line.weight {
-            Weight::Info => "info",
-            Weight::Warning => "warning",
-            Weight::Error => "error",
-        };
-        put(line.at_ns, weight, line.text.clone());
+        put(line.at_ns, line.weight, line.text.clone());
     }
     // Runs of altered frames.
     let marks = &log.story.attack;
@@ -300,21 +278,4 @@ pub fn events(log: &LogSeen) -> Vec<Value> {
     events.sort_by(|a, b| a.0.total_cmp(&b.0));
     let shown = |(t, weight, text)| json!({ "t": t, "weight": weight, "text": text });
     events.into_iter().map(shown).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::date;
-
-    #[test]
-    fn a_date_is_that_of_the_calendar() {
-        for (unix_s, text) in [
-            (0, "1970-01-01 00:00:00 UTC"),
-            (951_782_400, "2000-02-29 00:00:00 UTC"),
-            (1_767_323_045, "2026-01-02 03:04:05 UTC"),
-            (4_107_542_399, "2100-02-28 23:59:59 UTC"),
-        ] {
-            assert_eq!(date(unix_s), text);
-        }
-    }
 }

@@ -275,5 +275,102 @@ fn an_alarm_lasts_no_longer_than_its_flight() {
     assert!(s.run(seconds(1.0)).alarm.is_some());
     s.armed = false;
     assert_eq!(s.until(Standby), 1);
-    assert_eq!(s.step().alarm, None, "what is scored on the ground raises nothing");
+    assert_eq!(s.run(50).alarm, None, "what is scored on the ground raises nothing");
+
+    let mut s = monitored(AlarmPolicy::Recover);
+    (s.verdict, s.risk.collision_course, s.frame.refused) = (Some(Verdict::Attack), true, true);
+    assert_eq!(s.run(50).alarm, None, "nor does what is scored while the vehicle holds");
+}
+
+#[test]
+fn four_verdicts_of_six_raise_nothing_and_five_do() {
+    use Verdict::{Attack, Clean, Unknown};
+    let raised_at = |verdicts: &[Verdict]| {
+        let mut s = monitored(AlarmPolicy::Recover);
+        verdicts.iter().position(|verdict| {
+            s.verdict = Some(*verdict);
+            s.step().alarm.is_some()
+        })
+    };
+    let four = [
+        Attack, Attack, Clean, Attack, Attack, Clean, Attack, Attack, Unknown, Attack,
+    ];
+    assert_eq!(raised_at(&four), None);
+    assert_eq!(raised_at(&[Attack, Attack, Unknown, Attack, Attack, Attack]), Some(5));
+}
+
+#[test]
+fn a_vehicle_that_gusts_keep_moving_is_handed_to_the_recovery_pilot_all_the_same() {
+    let mut s = monitored(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Attack);
+    let response = |out: GuidanceOutput| out.alarm.unwrap().response;
+    assert_eq!(response(s.run(64)), AlarmResponse::Stop);
+    assert_eq!(response(s.step()), AlarmResponse::Recovery, "3 s after the alarm");
+}
+
+/// Steps, before each of which `change` is given the next of these values, over and over, until the one that raises the alarm for this cause.
+fn steps_until(cause: AlarmCause, mut s: Story, values: &[f32], change: impl Fn(&mut Story, f32)) -> Option<usize> {
+    s.reconfigure(|config| config.no_progress_limit_ns = None);
+    (0..2400).find(|&i| {
+        change(&mut s, values[i % values.len()]);
+        s.step().alarm.map(|alarm| alarm.cause) == Some(cause)
+    })
+}
+
+#[test]
+fn pictures_that_are_rough_again_and_again_raise_the_alarm_for_good_and_single_ones_do_not() {
+    let steps_until_rough = |smooth_shares: &[f32], limit: f32| {
+        let mut s = monitored(AlarmPolicy::Recover);
+        s.reconfigure(|config| config.alarm.smooth_share = limit);
+        steps_until(AlarmCause::RoughPicture, s, smooth_shares, |s, share| {
+            s.smooth_share = Some(share)
+        })
+    };
+    assert_eq!(steps_until_rough(&[0.3], ROUGH_BELOW), Some(4));
+    assert_eq!(steps_until_rough(&[0.3, 0.3, 0.8], ROUGH_BELOW), None);
+    assert_eq!(steps_until_rough(&[0.65], ROUGH_BELOW), None, "a crowded hall");
+    assert_eq!(steps_until_rough(&[f32::NAN], ROUGH_BELOW), None);
+    assert_eq!(steps_until_rough(&[0.0], 0.0), None);
+    assert!(AlarmCause::RoughPicture.is_of_guard());
+}
+
+#[test]
+fn a_vehicle_turned_away_is_found_in_seconds_one_turned_in_circles_later_and_one_that_gets_on_never() {
+    let steps_until_astray = |speeds_m_s: &[f32]| {
+        let mut s = monitored(AlarmPolicy::Recover);
+        s.reconfigure(|config| (config.alarm.astray_limit_m, config.alarm.path_speed_m_s) = (3.0, 0.3));
+        steps_until(AlarmCause::LedAstray, s, speeds_m_s, |s, m_s| {
+            s.risk.speed_along_path_m_s = m_s
+        })
+    };
+    let away = steps_until_astray(&[-1.2]);
+    assert!(
+        away.is_some_and(|steps| (39..=40).contains(&steps)),
+        "3 m at 1.5 m/s: two seconds"
+    );
+    let in_circles = steps_until_astray(&[1.2, -1.2]);
+    assert!(
+        in_circles.is_some_and(|steps| (180..240).contains(&steps)),
+        "3 m at 0.3 m/s: ten seconds"
+    );
+    assert_eq!(steps_until_astray(&[0.4]), None);
+    // Round something, away for a second and on for two.
+    let detour: Vec<f32> = (0..60).map(|i| if i < 20 { -0.5 } else { 1.2 }).collect();
+    assert_eq!(steps_until_astray(&detour), None);
+    assert_eq!(steps_until_astray(&[f32::NAN]), None);
+}
+
+#[test]
+fn pilots_that_turn_apart_more_often_than_not_raise_the_alarm_and_those_that_differ_now_and_then_do_not() {
+    let steps_until_disagreement = |apart: &[f32]| {
+        let s = monitored(AlarmPolicy::Recover);
+        steps_until(AlarmCause::Disagreement, s, apart, |s, apart| {
+            s.action.as_mut().unwrap().yaw = -1.5;
+            s.recovery.as_mut().unwrap().yaw = apart - 1.5;
+        })
+    };
+    assert!(steps_until_disagreement(&[3.0, 3.0, 0.0]).is_some_and(|steps| (200..220).contains(&steps)));
+    assert_eq!(steps_until_disagreement(&[3.0, 0.0]), None);
+    assert_eq!(steps_until_disagreement(&[1.9]), None, "a swerve");
+    assert_eq!(steps_until_disagreement(&[f32::NAN]), None);
 }

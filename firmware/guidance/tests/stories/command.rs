@@ -225,12 +225,15 @@ fn a_failed_hand_over_is_tried_again_by_policy_auto_after_a_pause_and_never_by_p
 
 #[test]
 fn a_hand_over_that_never_ends_fails_after_a_minute_and_a_second_a_metre() {
-    let mut s = Story::begin(GuidanceConfig::default());
-    s.until(Ready);
-    assert_eq!(s.engages(), Engaging);
-    s.vehicle.handover = HandoverProgress::InProgress { stream_setpoints: true };
-    assert_eq!(s.run(seconds(63.0)).state, Engaging);
-    assert_eq!(s.step().state, Standby);
+    for height_m in [3.0, 100.0] {
+        let mut s = Story::begin(auto());
+        assert_eq!(s.ask(goal(20.0, 5.0, Some(height_m))), RequestOutcome::Accepted);
+        s.until(Engaging);
+        (s.armed, s.mode) = (true, VehicleMode::Takeoff);
+        s.vehicle.handover = HandoverProgress::InProgress { stream_setpoints: true };
+        assert_eq!(s.run(seconds(60.0 + f64::from(height_m)) - 1).state, Engaging);
+        assert!(s.until(Standby) <= 2, "{height_m} m");
+    }
 }
 
 #[test]

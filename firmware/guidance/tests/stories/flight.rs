@@ -456,14 +456,3 @@ fn a_landing_that_was_due_is_not_ordered_over_who_has_just_taken_the_vehicle() {
     );
     assert!(s.guidance.taken_over());
 }
-
-#[test]
-fn a_high_climb_has_the_time_that_it_takes() {
-    let mut s = Story::begin(auto());
-    assert_eq!(s.ask(goal(20.0, 5.0, Some(100.0))), RequestOutcome::Accepted);
-    s.until(Engaging);
-    (s.armed, s.mode) = (true, VehicleMode::Takeoff);
-    s.vehicle.handover = HandoverProgress::InProgress { stream_setpoints: true };
-    assert_eq!(s.run(seconds(150.0)).state, Engaging);
-    assert!(s.until(Standby) < seconds(12.0));
-}

@@ -7,7 +7,9 @@ mod common;
 mod flight;
 
 use common::{GOAL, Story};
-use vigil_guidance::{AlarmPolicy, AtGoal, EngagePolicy, Geofence, GuidanceConfig, GuidanceOutput, OnNoProgress};
+use vigil_guidance::{
+    AlarmPolicy, AtGoal, EngagePolicy, Geofence, GuidanceConfig, GuidanceOutput, OnNoProgress, ROUGH_BELOW,
+};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
 use vigil_types::{
     Action, AlarmCause, AlarmResponse, HandoverProgress, Landed, NedVector, OperatorRequest, Reason, Reasons,

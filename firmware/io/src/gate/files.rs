@@ -161,7 +161,6 @@ fn stream_of(line: &str) -> Option<StreamTime> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::key_file::tests::key_file;
     use std::os::unix::fs::PermissionsExt;
 
     fn memory() -> SigningMemory {
@@ -196,18 +195,6 @@ mod tests {
         }
         let state = folder.path().join("vigil.key.3.state");
         assert_eq!(std::fs::metadata(state).unwrap().permissions().mode() & 0o777, 0o600);
-    }
-
-    #[test]
-    fn a_key_that_was_replaced_is_in_its_file_for_the_next_run_and_closed_to_others() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = key_file(folder.path(), &[1; 32], 0o600);
-        let (mut writer, ..) = SigningStateWriter::start(&path, "3", (0, 50)).unwrap();
-        let key = SigningKey([0xA5; 32]);
-        writer.replace_key(key, memory());
-        drop(writer);
-        assert_eq!(read_key(&path).unwrap(), key);
-        assert_eq!(SigningStateWriter::start(&path, "3", (0, 50)).unwrap().1, memory());
     }
 
     #[test]

@@ -1,11 +1,13 @@
 //! Who may become the peer of a link that listens, and stay it.
 
+use vigil_mavlink::common::HEARTBEAT_DATA;
 use vigil_mavlink::framing::{FramingCounters, Packet, packets};
+use vigil_mavlink::mavlink::MessageData;
 
 /// By what a caller shows that it may be the peer. What it sends must also pass the gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PeerRule {
-    /// The vehicle: by an autopilot's heartbeat, of `system` if one is given. Where packets are signed, any packet of the
+    /// The vehicle: by an autopilot's heartbeat, of `system` if one is given. Where packets are signed, any other packet of the
     /// autopilot does that is signed with the key.
     Vehicle {
         /// The vehicle's system; `None` takes the first that calls.
@@ -24,7 +26,9 @@ impl PeerRule {
         match self {
             Self::Anyone => packet.is_known(),
             Self::Vehicle { system } => {
-                let is_signed = has_key && packet.is_signed() && packet.component_id() == AUTOPILOT;
+                // A router's heartbeat may be signed as well.
+                let is_other = packet.component_id() == AUTOPILOT && packet.message_id() != HEARTBEAT_DATA::ID;
+                let is_signed = has_key && packet.is_signed() && is_other;
                 system.is_none_or(|system| system == packet.system_id())
                     && (packet.is_autopilots_heartbeat() || is_signed)
             }

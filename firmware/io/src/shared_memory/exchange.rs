@@ -1,7 +1,7 @@
 //! Lockstep between two processes: the simulator asks (client), the firmware answers (server), one step at a time.
 
 use super::Domain;
-use super::layout::{WireDatagrams, WireRequest, WireResponse};
+use super::layout::{WireRequest, WireResponse};
 use iceoryx2::port::client::Client;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
@@ -109,10 +109,29 @@ impl Bell {
         let _ = self.notifier.notify();
     }
 
-    /// Waits for a ring, at most a slice and not past `deadline`.
-    fn wait(&self, deadline: Instant) {
-        let left = deadline.saturating_duration_since(Instant::now()).min(WAIT_SLICE);
-        let _ = self.listener.timed_wait(|_| {}, left);
+    /// Waits for what `receive` gives, at most `timeout`; the error then says who was `silent` for so many seconds. `cancelled` is asked a
+    /// few times a second.
+    fn wait_for<T>(
+        &self,
+        timeout: Duration,
+        mut cancelled: impl FnMut() -> bool,
+        mut receive: impl FnMut() -> Result<Option<T>, LockstepError>,
+        silent: impl FnOnce(f64) -> String,
+    ) -> Result<T, LockstepError> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            if let Some(found) = receive()? {
+                return Ok(found);
+            }
+            if cancelled() {
+                return Err(LockstepError::Cancelled);
+            }
+            if Instant::now() >= deadline {
+                return Err(LockstepError::Failed(silent(timeout.as_secs_f64())));
+            }
+            let left = deadline.saturating_duration_since(Instant::now()).min(WAIT_SLICE);
+            let _ = self.listener.timed_wait(|_| {}, left);
+        }
     }
 }
 
@@ -153,26 +172,15 @@ impl LockstepClient {
             timeout,
             cancelled: Box::new(cancelled),
         };
-        let deadline = Instant::now() + timeout;
-        while this.factory.dynamic_config().number_of_servers() == 0 {
-            if Instant::now() >= deadline {
-                let waited_s = timeout.as_secs_f64();
-                return Err(LockstepError::Failed(format!(
-                    "no firmware came to lockstep on instance {instance} within {waited_s} s: start it with \
-                     `--lockstep --instance {instance}`"
-                )));
-            }
-            this.go_on()?;
-            this.bell.wait(deadline);
-        }
+        let servers = || this.factory.dynamic_config().number_of_servers();
+        let firmware = || Ok((servers() > 0).then_some(()));
+        this.bell.wait_for(timeout, &this.cancelled, firmware, |waited_s| {
+            format!(
+                "no firmware came to lockstep on instance {instance} within {waited_s} s: start it with \
+                 `--lockstep --instance {instance}`"
+            )
+        })?;
         Ok(this)
-    }
-
-    fn go_on(&self) -> Result<(), LockstepError> {
-        match (self.cancelled)() {
-            true => Err(LockstepError::Cancelled),
-            false => Ok(()),
-        }
     }
 
     /// One step: hands time, a new frame if there is one, and the received datagrams to the firmware; fills `sent`
@@ -188,16 +196,18 @@ impl LockstepClient {
         received: &Datagrams,
         sent: &mut Datagrams,
     ) -> Result<(), LockstepError> {
-        self.go_on()?;
+        if (self.cancelled)() {
+            return Err(LockstepError::Cancelled);
+        }
         let fill = |request: &mut WireRequest| {
             request.now_ns = now_ns;
-            request.received.fill(received);
+            request.received.copy_from(received);
             request.has_frame = u32::from(frame.is_some());
             if let Some(frame) = frame {
                 request.frame.clone_from(frame);
             }
         };
-        match self.ask(step, fill, |answer| answer.step == step && answer.sent.read_into(sent))? {
+        match self.ask(step, fill, |answer| answer.step == step && sent.copy_from(&answer.sent))? {
             true => Ok(()),
             false => Err(malformed("firmware", step)),
         }
@@ -231,26 +241,16 @@ impl LockstepClient {
             now_ns: 0,
             finishes: 0,
             has_frame: 0,
-            received: WireDatagrams::EMPTY,
+            received: Datagrams::default(),
             frame: DepthFrame::EMPTY,
         });
         fill(request.payload_mut());
         let pending = request.send().map_err(|e| transport_error(instance, "send", e))?;
         self.bell.ring();
-        let deadline = Instant::now() + self.timeout;
-        loop {
-            let answer = pending.receive();
-            if let Some(answer) = answer.map_err(|e| transport_error(instance, "receive", e))? {
-                return Ok(read(&answer));
-            }
-            if Instant::now() >= deadline {
-                let waited_s = self.timeout.as_secs_f64();
-                let text = format!("firmware did not answer step {step} within {waited_s} s");
-                return Err(LockstepError::Failed(text));
-            }
-            self.go_on()?;
-            self.bell.wait(deadline);
-        }
+        let answer = || pending.receive().map_err(|e| transport_error(instance, "receive", e));
+        let silent = |waited_s| format!("firmware did not answer step {step} within {waited_s} s");
+        let answer = self.bell.wait_for(self.timeout, &self.cancelled, answer, silent)?;
+        Ok(read(&answer))
     }
 }
 
@@ -319,27 +319,19 @@ impl LockstepServer {
     pub fn serve<'a>(
         &mut self,
         timeout: Duration,
-        mut cancelled: impl FnMut() -> bool,
+        cancelled: impl FnMut() -> bool,
         tick: impl FnOnce(StepRequest<'_>) -> &'a Datagrams,
     ) -> Result<Served, LockstepError> {
-        let deadline = Instant::now() + timeout;
-        let request = loop {
-            let waiting = self
-                .server
+        let (instance, step) = (self.instance, self.next_step);
+        let request = || {
+            self.server
                 .receive()
-                .map_err(|e| transport_error(self.instance, "receive", e))?;
-            if let Some(request) = waiting {
-                break request;
-            }
-            if cancelled() {
-                return Ok(Served::Cancelled);
-            }
-            if Instant::now() >= deadline {
-                let (step, waited_s) = (self.next_step, timeout.as_secs_f64());
-                let text = format!("simulator did not send step {step} within {waited_s} s");
-                return Err(LockstepError::Failed(text));
-            }
-            self.bell.wait(deadline);
+                .map_err(|e| transport_error(instance, "receive", e))
+        };
+        let silent = |waited_s| format!("simulator did not send step {step} within {waited_s} s");
+        let request = match self.bell.wait_for(timeout, cancelled, request, silent) {
+            Err(LockstepError::Cancelled) => return Ok(Served::Cancelled),
+            request => request?,
         };
         let step = request.step;
         let response = request
@@ -347,12 +339,12 @@ impl LockstepServer {
             .map_err(|e| transport_error(self.instance, "loan memory", e))?;
         let mut response = response.write_payload(WireResponse {
             step,
-            sent: WireDatagrams::EMPTY,
+            sent: Datagrams::default(),
         });
         let served = if request.finishes == 1 {
             Served::Finished
         } else {
-            if !request.received.read_into(&mut self.received) {
+            if !self.received.copy_from(&request.received) {
                 return Err(malformed("simulator", step));
             }
             let sent = tick(StepRequest {
@@ -361,7 +353,7 @@ impl LockstepServer {
                 frame: (request.has_frame != 0).then_some(&request.frame),
                 received: &self.received,
             });
-            response.payload_mut().sent.fill(sent);
+            response.payload_mut().sent.copy_from(sent);
             Served::Step
         };
         response.send().map_err(|e| transport_error(self.instance, "send", e))?;

@@ -13,6 +13,12 @@ const SIGNATURE_LEN: usize = 13;
 const AUTOPILOT: u8 = 1;
 /// MAV_AUTOPILOT_INVALID: not a vehicle.
 const NO_AUTOPILOT: u8 = 8;
+
+/// Whether a MAV_TYPE is no vehicle's: a tracking antenna's, ground station's, controller's, gimbal's, receiver's or another part's.
+const fn is_equipment(mav_type: u8) -> bool {
+    matches!(mav_type, 5 | 6 | 18 | 26 | 27 | 30..=34 | 36..=42 | 44 | 48 | 49)
+}
+
 /// The one incompatibility flag that a receiver of ours understands; a packet with any other must be discarded.
 const INCOMPATIBILITY_SIGNED: u8 = 0x01;
 
@@ -33,66 +39,45 @@ pub struct FramingCounters {
     pub garbage_bytes: u64,
 }
 
-/// One packet with a valid checksum (or of an unknown message), borrowed from the bytes it came in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Packet<'a> {
-    raw: &'a [u8],
-    payload: &'a [u8],
-    version: MavlinkVersion,
-    system_id: u8,
-    component_id: u8,
-    sequence: u8,
-    message_id: u32,
-    signed: bool,
-    known: bool,
+macro_rules! packet {
+    ($($(#[$doc:meta])+ $name:ident: $type:ty,)+) => {
+        /// One packet with a valid checksum (or of an unknown message), borrowed from the bytes it came in.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub struct Packet<'a> {
+            $($name: $type,)+
+        }
+
+        impl<'a> Packet<'a> {
+            $($(#[$doc])+
+            pub fn $name(&self) -> $type {
+                self.$name
+            })+
+        }
+    };
 }
 
-impl<'a> Packet<'a> {
+packet! {
     /// All bytes, from the start marker to the checksum or signature.
-    pub fn raw(&self) -> &'a [u8] {
-        self.raw
-    }
-
+    raw: &'a [u8],
     /// The payload as sent; MAVLink 2 cuts trailing zeros.
-    pub fn payload(&self) -> &'a [u8] {
-        self.payload
-    }
-
+    payload: &'a [u8],
     /// Protocol version of the packet.
-    pub fn version(&self) -> MavlinkVersion {
-        self.version
-    }
-
+    version: MavlinkVersion,
     /// The sender's system.
-    pub fn system_id(&self) -> u8 {
-        self.system_id
-    }
-
+    system_id: u8,
     /// The sender's component.
-    pub fn component_id(&self) -> u8 {
-        self.component_id
-    }
-
+    component_id: u8,
     /// The sender's packet counter.
-    pub fn sequence(&self) -> u8 {
-        self.sequence
-    }
-
+    sequence: u8,
     /// The message's number.
-    pub fn message_id(&self) -> u32 {
-        self.message_id
-    }
-
+    message_id: u32,
     /// Whether the packet carries a signature (which is not verified here).
-    pub fn is_signed(&self) -> bool {
-        self.signed
-    }
-
+    is_signed: bool,
     /// Whether the dialect knows the message, so that its checksum was verified.
-    pub fn is_known(&self) -> bool {
-        self.known
-    }
+    is_known: bool,
+}
 
+impl Packet<'_> {
     /// The sender as the crate's header type.
     pub fn header(&self) -> MavHeader {
         MavHeader {
@@ -121,16 +106,19 @@ impl<'a> Packet<'a> {
         CommandAck::from_payload(self.message_id, self.payload)
     }
 
-    /// Whether this is the heartbeat of an autopilot: of component 1, naming a MAV_AUTOPILOT. Ground stations, cameras and
-    /// companions name none (MAV_AUTOPILOT_INVALID).
+    /// Whether this is the heartbeat of a vehicle's autopilot: of component 1, naming a MAV_AUTOPILOT. Ground stations, cameras and
+    /// companions name none (MAV_AUTOPILOT_INVALID), or are of a MAV_TYPE that no vehicle has, as routers that gomavlib made.
     pub fn is_autopilots_heartbeat(&self) -> bool {
-        // A heartbeat's sixth byte is its MAV_AUTOPILOT.
-        let names_autopilot = self.payload.get(5).is_some_and(|autopilot| *autopilot != NO_AUTOPILOT);
-        self.known
+        // Type and autopilot.
+        let &[_, _, _, _, mav_type, autopilot, ..] = self.payload else {
+            return false;
+        };
+        self.is_known
             && self.message_id == HEARTBEAT_DATA::ID
             && self.component_id == AUTOPILOT
             && self.system_id != 0
-            && names_autopilot
+            && autopilot != NO_AUTOPILOT
+            && !is_equipment(mav_type)
     }
 
     /// Whether the autopilot of `system` sent it. While no system is known, the first heartbeat of an autopilot names it.
@@ -215,14 +203,14 @@ impl Scanner {
             let fresh = self.at >= self.refused_until;
             let (refused, len) = match candidate(rest) {
                 // Its checksum is unknown: only where a packet is expected, and where another one or nothing follows.
-                Candidate::Whole(p) if !(p.known || fresh && is_boundary(rest, p.raw.len())) => {
+                Candidate::Whole(p) if !(p.is_known || fresh && is_boundary(rest, p.raw.len())) => {
                     self.refuse(1, counters);
                     continue;
                 }
                 Candidate::Whole(p) => {
                     self.at += p.raw.len();
                     counters.packets += 1;
-                    counters.unknown_message += u64::from(!p.known);
+                    counters.unknown_message += u64::from(!p.is_known);
                     return Some(p);
                 }
                 Candidate::Short if !whole => return None,
@@ -301,8 +289,8 @@ fn candidate(bytes: &[u8]) -> Candidate<'_> {
         component_id,
         sequence,
         message_id,
-        signed: signature_len > 0,
-        known: extra_crc.is_some(),
+        is_signed: signature_len > 0,
+        is_known: extra_crc.is_some(),
     })
 }
 

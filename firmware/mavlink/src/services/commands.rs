@@ -34,8 +34,8 @@ impl CommandService {
         let why = match outcome {
             RequestOutcome::Accepted => {
                 match pending.request {
-                    OperatorRequest::Disengage => core.letting_go = pending.lets_go,
-                    OperatorRequest::Engage => core.letting_go = false,
+                    OperatorRequest::Disengage => (core.letting_go, core.let_go) = (pending.lets_go, pending.lets_go),
+                    OperatorRequest::Engage => (core.letting_go, core.let_go) = (false, false),
                     _ => {}
                 }
                 Reasons::NONE

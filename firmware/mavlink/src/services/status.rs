@@ -65,7 +65,7 @@ impl Service for StatusService {
         }
         // Not before the vehicle is known to be ready otherwise: then it is what is waited for.
         let waits = report.state == GuidanceState::Ready && report.reasons.contains(Reason::PilotInCommand);
-        if waits && !core::mem::replace(&mut self.pilot_said, waits) {
+        if waits && !core.let_go && !core::mem::replace(&mut self.pilot_said, waits) {
             let instead = match core.vehicle.flavour() {
                 // It refuses OFFBOARD while nobody streams setpoints, and guidance streams none while a person has the vehicle.
                 Flavour::Px4 => " when it may go on",

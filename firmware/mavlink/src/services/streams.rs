@@ -38,8 +38,6 @@ struct Needed {
 /// Places in the table.
 const POSITION: usize = 0;
 const ATTITUDE: usize = 1;
-/// Wanted only by who flies a mission around something.
-const MISSION_PLACE: usize = 5;
 
 /// A message with the interval that is wanted and the longest mean one that is borne, and the rest as most have it.
 const fn needed<M: MessageData>(interval_us: f32, slow_ns: Nanos) -> Needed {
@@ -100,8 +98,6 @@ const ARRIVALS: usize = 5;
 /// How one message comes.
 #[derive(Debug, Clone, Copy, Default)]
 struct Monitored {
-    /// An ArduPilot sends it too slowly unless asked.
-    ask: bool,
     /// The last arrivals, newest first.
     arrivals_ns: [Option<Nanos>; ARRIVALS],
     /// Since when it is waited for.
@@ -165,19 +161,6 @@ pub(crate) struct StreamService {
 }
 
 impl StreamService {
-    fn of(flavour: Flavour, guards: bool) -> Self {
-        let mut new = Self {
-            guards,
-            flavour,
-            ..Self::default()
-        };
-        let asks = flavour == Flavour::ArduPilot;
-        for (place, monitored) in new.monitored.iter_mut().enumerate() {
-            monitored.ask = if place == MISSION_PLACE { guards } else { asks };
-        }
-        new
-    }
-
     /// Mean time between the last positions or attitudes, whichever is longer.
     fn flight_interval_ns(&self) -> Option<Nanos> {
         let of = |place: usize| self.monitored.get(place)?.mean_interval_ns();
@@ -194,7 +177,9 @@ impl StreamService {
         if self.restarts != vehicle.restarts || self.flavour != vehicle.flavour() {
             *self = Self {
                 restarts: vehicle.restarts,
-                ..Self::of(vehicle.flavour(), self.guards)
+                flavour: vehicle.flavour(),
+                guards: self.guards,
+                ..Self::default()
             };
         }
         if !heard || vehicle.is_other_autopilot() || now_ns.saturating_sub(self.asked_ns) < PAUSE_NS {
@@ -206,15 +191,16 @@ impl StreamService {
                 continue;
             }
             monitored.since_ns.get_or_insert(now_ns);
-            if !monitored.ask && !monitored.is_wanting(now_ns, needed) {
+            // An ArduPilot sends it too slowly unless asked; the mission's place is wanted only by who flies around something.
+            let is_new = (is_place || self.flavour == Flavour::ArduPilot) && monitored.asked_ns.is_none();
+            if !is_new && !monitored.is_wanting(now_ns, needed) {
                 continue;
             }
             let wanted_hz = 1e6 / needed.interval_us;
-            let is_said = !monitored.ask && needed.flies && monitored.is_slow(needed);
+            let is_said = !is_new && needed.flies && monitored.is_slow(needed);
             if let Some(interval_ns) = monitored.mean_interval_ns().filter(|_| is_said) {
                 self.slow = Some((needed.name, 1e9 / interval_ns as f32, wanted_hz));
             }
-            monitored.ask = false;
             // Every third time in the old way, where there is one.
             let old_way = monitored.asked % 3 == 2 && needed.stream != 0 && self.flavour == Flavour::ArduPilot;
             monitored.asked = monitored.asked.saturating_add(1);
@@ -264,7 +250,10 @@ impl StreamService {
 
 impl Service for StreamService {
     fn new(config: &CompanionConfig) -> Self {
-        Self::of(Flavour::Px4, config.guards)
+        Self {
+            guards: config.guards,
+            ..Self::default()
+        }
     }
 
     fn hear_vehicle(&mut self, core: &mut Core, now_ns: Nanos, packet: &Packet<'_>) {

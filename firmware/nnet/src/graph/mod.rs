@@ -14,6 +14,8 @@ pub use build::GraphBuilder;
 pub(crate) use build::description;
 
 use crate::shape::{ShapeError, part};
+#[cfg(feature = "train")]
+use crate::shape::{expect, part_mut};
 use alloc::vec::Vec;
 use operation::AnyOperation;
 
@@ -169,8 +171,25 @@ impl Graph {
 
 #[cfg(feature = "train")]
 impl Graph {
-    /// Operations and where their parameters lie, in order of computation.
-    pub(crate) fn operations(&self) -> impl Iterator<Item = (&dyn operation::Operation, Params)> {
-        self.nodes.iter().map(|node| (node.operation.get(), node.params))
+    /// Draws first weights as PyTorch does: convolutions and dense layers uniform within ±1/√(inputs of a unit),
+    /// recurrent layers within ±1/√hidden, biases alike; batch norm starts as the identity.
+    ///
+    /// # Errors
+    /// A slice of another length.
+    pub fn initialize(&self, rng: &mut impl rand::Rng, params: &mut [f32]) -> Result<(), ShapeError> {
+        expect("network parameters", params, self.param_len)?;
+        // Shared parameters are drawn once, by their first user.
+        let mut done = Vec::new();
+        for node in &self.nodes {
+            let Params { at, len } = node.params;
+            if len == 0 || done.contains(&node.params) {
+                continue;
+            }
+            done.push(node.params);
+            let own = part_mut("network parameters", params, at, len)?;
+            let draw = &mut |limit: f32| rand::RngExt::random_range(rng, -limit..=limit);
+            node.operation.get().initialize_node(own, draw);
+        }
+        Ok(())
     }
 }

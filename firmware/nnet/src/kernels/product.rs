@@ -70,17 +70,15 @@ impl Product {
         }
         let summed = self.n_u > 0 && self.n_v > 0 && self.n_k > 0;
         if summed {
-            let sums = [(self.n_u, 0), (self.n_v, 1), (self.n_k, 2)];
-            let a_strides = [self.a_u, self.a_v, self.a_k];
-            let b_strides = [self.b_u, self.b_v, self.b_k];
             let mut a_range = Range::at(self.a_at);
             let mut b_range = Range::at(self.b_at);
             a_range.walk(self.rows, self.a_row);
             a_range.walk(self.bands, self.a_band);
             b_range.walk(self.cols, 1);
-            for (n, which) in sums {
-                a_range.walk(n, a_strides.get(which).copied().unwrap_or(0));
-                b_range.walk(n, b_strides.get(which).copied().unwrap_or(0));
+            let (u, v, k) = ([self.a_u, self.b_u], [self.a_v, self.b_v], [self.a_k, self.b_k]);
+            for (n, [a, b]) in [(self.n_u, u), (self.n_v, v), (self.n_k, k)] {
+                a_range.walk(n, a);
+                b_range.walk(n, b);
             }
             a_range.check("left factor", a.len())?;
             b_range.check("right factor", b.len())?;

@@ -30,11 +30,11 @@ macro_rules! compiled_for {
     };
 }
 
-/// Vector operations, each an expression of intrinsics.
-#[cfg(any(target_arch = "x86_64", all(target_arch = "aarch64", target_feature = "neon")))]
+/// Vector operations, each an expression.
 macro_rules! operations {
     ($($name:ident($($arg:ident: $type:ty),*) $(-> $out:ty)? = $body:expr;)*) => {$(
         #[inline(always)]
+        #[allow(unused_unsafe, reason = "not every one needs it")]
         unsafe fn $name($($arg: $type),*) $(-> $out)? {
             unsafe { $body }
         }
@@ -81,51 +81,31 @@ impl Simd for Portable {
     const ROWS_1: usize = 8;
     const CONSTANT: bool = false;
 
-    #[inline(always)]
-    unsafe fn splat(x: f32) -> Self::V {
-        [x; 4]
-    }
-
-    #[inline(always)]
-    unsafe fn load(p: *const f32) -> Self::V {
-        // SAFETY: the caller vouches for four readable floats; an array of f32 has the alignment of f32.
-        unsafe { p.cast::<[f32; 4]>().read() }
-    }
-
-    #[inline(always)]
-    unsafe fn store(p: *mut f32, v: Self::V) {
-        // SAFETY: the caller vouches for four writable floats.
-        unsafe { p.cast::<[f32; 4]>().write(v) }
-    }
-
-    #[inline(always)]
-    unsafe fn load_first(p: *const f32, n: usize) -> Self::V {
-        let mut v = [0.0; 4];
-        for (i, lane) in v.iter_mut().enumerate() {
-            if i < n {
-                // SAFETY: the caller vouches for the first `n`.
-                *lane = unsafe { p.add(i).read() };
+    // SAFETY of the bodies: the caller vouches for the lanes; an array of f32 has the alignment of f32.
+    operations! {
+        splat(x: f32) -> Self::V = [x; 4];
+        load(p: *const f32) -> Self::V = p.cast::<[f32; 4]>().read();
+        store(p: *mut f32, v: Self::V) = p.cast::<[f32; 4]>().write(v);
+        load_first(p: *const f32, n: usize) -> Self::V = {
+            let mut v = [0.0; 4];
+            for (i, lane) in v.iter_mut().enumerate() {
+                if i < n {
+                    *lane = p.add(i).read();
+                }
             }
-        }
-        v
-    }
-
-    #[inline(always)]
-    unsafe fn store_first(p: *mut f32, v: Self::V, n: usize) {
-        for (i, lane) in v.iter().enumerate() {
-            if i < n {
-                // SAFETY: the caller vouches for the first `n`.
-                unsafe { p.add(i).write(*lane) };
+            v
+        };
+        store_first(p: *mut f32, v: Self::V, n: usize) = {
+            for (i, lane) in v.iter().enumerate() {
+                if i < n {
+                    p.add(i).write(*lane);
+                }
             }
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
-        let [a0, a1, a2, a3] = a;
-        let [b0, b1, b2, b3] = b;
-        let [c0, c1, c2, c3] = c;
-        [a0 * b0 + c0, a1 * b1 + c1, a2 * b2 + c2, a3 * b3 + c3]
+        };
+        mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V = {
+            let ([a0, a1, a2, a3], [b0, b1, b2, b3], [c0, c1, c2, c3]) = (a, b, c);
+            [a0 * b0 + c0, a1 * b1 + c1, a2 * b2 + c2, a3 * b3 + c3]
+        };
     }
 }
 

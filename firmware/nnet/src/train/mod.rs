@@ -3,7 +3,6 @@
 //! Randomness comes from the caller's generator, so the same seed gives the same bits.
 
 pub mod adam;
-mod initial;
 mod sum_tree;
 
 pub use adam::Adam;

@@ -138,15 +138,6 @@ impl FrozenActor {
         ExplainedHead::of_actor(&self.params, purpose).map_err(|e| KIND.content_error("in memory", e.to_string()))
     }
 
-    /// The file's content.
-    ///
-    /// # Errors
-    /// Parameters of another length, or not finite.
-    #[cfg(feature = "std")]
-    pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
-        self.contents().to_bytes(&KIND)
-    }
-
     /// Reads and verifies a file's content. `file` names it in errors.
     ///
     /// # Errors

@@ -13,5 +13,5 @@ pub use file::{FrozenActor, SLOWEST_M_S};
 pub use low_dim::{BEARING_SCALE_RAD, DISTANCE_SCALE_M, FARTHEST_KNOWN_M, GOAL_INPUTS, LowDim};
 pub use memory::{CONTEXT, SCAN};
 pub use network::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, Actor, ActorParams, ActorSpec, LOW_UNITS, TRUNK};
-pub use pilot::{ActorPilot, FlightPilot};
+pub use pilot::{Decider, FlightPilot, LearnedPilot};
 pub use senses::LOW_DIM;

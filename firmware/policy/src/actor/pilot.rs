@@ -1,88 +1,124 @@
-//! The learned pilot: a frozen actor, alone or with the potential field added (docs/paper.md, Algorithm 1).
+//! A flight stack's pilot: a learned one, alone or with the potential field added (docs/paper.md, Algorithm 1), or the
+//! geometric one.
 
-use crate::actor::{ACTOR_HIDDEN, Actor, LowDim};
+use crate::actor::{ACTOR_OUTPUTS, Actor, LowDim};
 use crate::field::FlightField;
 use crate::geometric::range_scan::RangeScan;
 use crate::{GeometricPilot, ImportedPilot, Pilot, PilotInput};
+use alloc::boxed::Box;
+use vigil_nnet::ShapeError;
 use vigil_types::{Ablation, Action};
 
-/// Flies what a frozen actor decides. Each step encodes the new frame only; the actor remembers what the frames before it showed. No
-/// allocation after it was made.
+/// A learned pilot without the vehicle around it.
 #[derive(Debug, Clone)]
-pub struct ActorPilot {
-    actor: Actor,
-    surroundings: RangeScan,
-    field: Option<FlightField>,
-    /// The observation of the last decision; `None` before the first.
-    low_dim: Option<LowDim>,
+#[expect(clippy::large_enum_variant, reason = "one per flight")]
+pub enum Decider {
+    /// An actor of ours.
+    Actor(Actor),
+    /// A policy of others.
+    Imported(Box<ImportedPilot>),
 }
 
-impl ActorPilot {
-    /// A pilot that has seen nothing. `field` adds the potential field to the actor's action.
-    pub fn new(actor: Actor, field: bool) -> Self {
+impl Decider {
+    /// Decides on the newest frame: forward speed in m/s, and yaw within ±1.5.
+    ///
+    /// # Errors
+    /// A frame of another length.
+    pub fn decide(&mut self, input: &PilotInput<'_>) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
+        match self {
+            Self::Actor(actor) => actor.decide(input),
+            Self::Imported(policy) => {
+                let Action { forward_m_s, yaw } = policy.decide(input);
+                Ok([forward_m_s, yaw])
+            }
+        }
+    }
+
+    /// Metres per second that one unit of its forward output is ([`Actor::unit_m_s`]).
+    pub fn unit_m_s(&self) -> f32 {
+        match self {
+            Self::Actor(actor) => actor.unit_m_s(),
+            Self::Imported(_) => 1.0,
+        }
+    }
+
+    /// What it decided from beside frames and memory, in the last decision.
+    pub fn low_dim(&self) -> Option<LowDim> {
+        match self {
+            Self::Actor(actor) => Some(actor.low_dim()),
+            Self::Imported(policy) => policy.low_dim(),
+        }
+    }
+
+    /// The values at its split point, of the last decision: the actor's 48, an imported policy's own; none without one.
+    pub fn state(&self) -> &[f32] {
+        match self {
+            Self::Actor(actor) => actor.state(),
+            Self::Imported(policy) => policy.state().unwrap_or_default(),
+        }
+    }
+}
+
+/// Flies what a learned pilot decides. Each step encodes the new frame only; an actor remembers what the frames before
+/// it showed. No allocation after it was made.
+#[derive(Debug, Clone)]
+pub struct LearnedPilot {
+    decider: Decider,
+    surroundings: RangeScan,
+    field: Option<FlightField>,
+}
+
+impl LearnedPilot {
+    /// A pilot that has seen nothing. `field` adds the potential field to its action.
+    pub fn new(decider: Decider, field: bool) -> Self {
         Self {
-            actor,
+            decider,
             surroundings: RangeScan::new(),
             field: field.then(FlightField::default),
-            low_dim: None,
         }
     }
 
     /// The same pilot, something taken from its actor.
     #[must_use]
-    pub fn without(mut self, what: Ablation) -> Self {
-        self.actor = self.actor.without(what);
-        self
-    }
-
-    /// The low-dimensional observation of the last decision; `None` before the first.
-    pub fn low_dim(&self) -> Option<LowDim> {
-        self.low_dim
-    }
-
-    /// The network with what it remembers, as of the last decision.
-    pub fn actor(&self) -> &Actor {
-        &self.actor
-    }
-
-    /// What the last frame showed.
-    pub fn surroundings(&self) -> &RangeScan {
-        &self.surroundings
-    }
-
-    /// The 48 values at the paper's split point, of the last decision.
-    pub fn state(&self) -> &[f32; ACTOR_HIDDEN] {
-        self.actor.state()
+    pub fn without(self, what: Ablation) -> Self {
+        let decider = match self.decider {
+            Decider::Actor(actor) => Decider::Actor(actor.without(what)),
+            imported => imported,
+        };
+        Self { decider, ..self }
     }
 }
 
-impl Pilot for ActorPilot {
+impl Pilot for LearnedPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
         let scan = self.surroundings.observe(input);
-        let Ok([forward_m_s, yaw]) = self.actor.decide(input) else {
+        let Ok([forward_m_s, yaw]) = self.decider.decide(input) else {
             // Only an actor of other dimensions refuses a frame. An action that is not finite makes the caller hold.
             return Action::new(f32::NAN, f32::NAN);
         };
-        self.low_dim = Some(self.actor.low_dim());
         let own = Action { forward_m_s, yaw };
-        match &mut self.field {
-            Some(field) if own.is_finite() => {
-                let flown = field.add_to(own, self.actor.unit_m_s(), input, scan);
-                self.actor.note_action(flown);
-                flown
-            }
-            _ => own,
+        let Some(field) = self.field.as_mut().filter(|_| own.is_finite()) else {
+            return own;
+        };
+        let flown = field.add_to(own, self.decider.unit_m_s(), input, scan);
+        if let Decider::Actor(actor) = &mut self.decider {
+            actor.note_action(flown);
         }
+        flown
     }
 
     fn reset(&mut self) {
         self.pause();
-        self.actor.reset();
+        if let Decider::Actor(actor) = &mut self.decider {
+            actor.reset();
+        }
     }
 
     fn pause(&mut self) {
-        self.actor.pause();
-        self.low_dim = None;
+        match &mut self.decider {
+            Decider::Actor(actor) => actor.pause(),
+            Decider::Imported(policy) => policy.reset(),
+        }
         self.field = self.field.as_ref().map(|_| FlightField::default());
     }
 }
@@ -96,10 +132,8 @@ impl Pilot for ActorPilot {
 pub enum FlightPilot {
     /// Goal seeking, potential field and memory.
     Geometric(GeometricPilot),
-    /// A frozen actor.
-    Actor(ActorPilot),
-    /// A policy of others.
-    Imported(ImportedPilot),
+    /// A frozen actor, or a policy of others.
+    Learned(LearnedPilot),
 }
 
 impl FlightPilot {
@@ -107,42 +141,30 @@ impl FlightPilot {
     pub fn surroundings(&self) -> &RangeScan {
         match self {
             Self::Geometric(pilot) => pilot.surroundings(),
-            Self::Actor(pilot) => pilot.surroundings(),
-            Self::Imported(pilot) => pilot.surroundings(),
+            Self::Learned(pilot) => &pilot.surroundings,
         }
     }
 
     fn pilot(&mut self) -> &mut dyn Pilot {
         match self {
             Self::Geometric(pilot) => pilot,
-            Self::Actor(pilot) => pilot,
-            Self::Imported(pilot) => pilot,
+            Self::Learned(pilot) => pilot,
         }
     }
 
-    /// The learned pilot's low-dimensional observation of the last decision; `None` without one, and before its first.
-    pub fn low_dim(&self) -> Option<LowDim> {
+    /// The learned pilot with what it remembers, as of the last decision; `None` without one.
+    pub fn decider(&self) -> Option<&Decider> {
         match self {
             Self::Geometric(_) => None,
-            Self::Actor(pilot) => pilot.low_dim(),
-            Self::Imported(pilot) => pilot.low_dim(),
+            Self::Learned(pilot) => Some(&pilot.decider),
         }
     }
 
-    /// How often a jump of the odometry made the actor forget everything.
-    pub fn forgotten(&self) -> u32 {
-        match self {
-            Self::Actor(pilot) => pilot.actor.forgotten(),
-            Self::Geometric(_) | Self::Imported(_) => 0,
-        }
-    }
-
-    /// The values at the split point, of the last decision: the actor's 48, an imported policy's own; `None` without one.
-    pub fn state(&self) -> Option<&[f32]> {
-        match self {
-            Self::Geometric(_) => None,
-            Self::Actor(pilot) => Some(pilot.state()),
-            Self::Imported(pilot) => pilot.state(),
+    /// The actor, if one of ours flies.
+    pub fn actor(&self) -> Option<&Actor> {
+        match self.decider() {
+            Some(Decider::Actor(actor)) => Some(actor),
+            _ => None,
         }
     }
 }

@@ -44,7 +44,7 @@ impl Aside {
     }
 }
 
-/// The grid and what fills it. Fixed size, no allocation.
+/// The grid and what fills it; by default nothing. Fixed size, no allocation.
 #[derive(Debug, Clone, Default)]
 pub struct ForwardCheck {
     surroundings: RangeScan,
@@ -55,11 +55,6 @@ pub struct ForwardCheck {
 impl ForwardCheck {
     /// Farther than this, metres, nothing is entered into the grid, and nothing is looked for.
     pub const FARTHEST_M: f32 = 11.0;
-
-    /// One that has seen nothing.
-    pub fn new() -> Self {
-        Self::default()
-    }
 
     /// Enters what a frame shows; the same frame again changes nothing. The input's goal is not looked at.
     pub fn observe(&mut self, input: &PilotInput<'_>) {
@@ -148,7 +143,7 @@ mod tests {
         let grid = *OccupancyGrid::of(places.iter().copied());
         Box::new(ForwardCheck {
             grid,
-            ..ForwardCheck::new()
+            ..ForwardCheck::default()
         })
     }
 

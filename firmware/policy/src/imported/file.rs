@@ -58,15 +58,6 @@ impl FrozenPolicy {
         contents
     }
 
-    /// The file's content.
-    ///
-    /// # Errors
-    /// Parameters that are not finite.
-    #[cfg(feature = "std")]
-    pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
-        self.contents().to_bytes(&KIND)
-    }
-
     /// Reads and verifies a file's content. `file` names it in errors.
     ///
     /// # Errors
@@ -105,12 +96,12 @@ impl FrozenPolicy {
             params: read.into_values().flatten().collect(),
         };
         // Whatever does not fit each other is found here, not in flight.
-        policy.build(file, Isa::PORTABLE, false)?;
+        policy.build(file, Isa::PORTABLE)?;
         Ok(policy)
     }
 
-    fn build(&self, file: &str, isa: Isa, field: bool) -> Result<ImportedPilot, FileError> {
-        let pilot = ImportedPilot::new(&self.network, &self.params, self.inputs, self.split, field, isa);
+    fn build(&self, file: &str, isa: Isa) -> Result<ImportedPilot, FileError> {
+        let pilot = ImportedPilot::new(&self.network, &self.params, self.inputs, self.split, isa);
         pilot.map_err(|e| not_flown(file, &e))
     }
 
@@ -118,8 +109,8 @@ impl FrozenPolicy {
     ///
     /// # Errors
     /// A network that does not fit the step or its own inputs.
-    pub fn pilot(&self, isa: Isa, field: bool) -> Result<ImportedPilot, FileError> {
-        self.build("in memory", isa, field)
+    pub fn pilot(&self, isa: Isa) -> Result<ImportedPilot, FileError> {
+        self.build("in memory", isa)
     }
 
     /// The layers behind its split point.

@@ -22,118 +22,49 @@ pub const SPLIT_VALUES: core::ops::RangeInclusive<usize> = 8..=512;
 const MOST_SIZE: usize = 1 << 24;
 pub(super) const MOST_LAYERS: usize = 4096;
 
-/// A layer; `x` and the like are numbers of earlier layers.
+/// A layer. `x`, `y`, `h`, `state` and `parts` are numbers of earlier layers, `layer` its dimensions, `curve` what
+/// follows it, `params_of` the step whose parameters a recurrent one has: an earlier layer, or its own number.
 #[derive(Debug, Clone, PartialEq)]
+#[allow(missing_docs, reason = "the texts say what the fields are")]
 pub enum Layer {
-    /// An input of the network.
-    Input {
-        /// Values.
-        len: usize,
-    },
+    /// An input of the network, of so many values.
+    Input { len: usize },
     /// Constant zeros.
-    Zeros {
-        /// Values.
-        len: usize,
-    },
+    Zeros { len: usize },
     /// Values `from..from + len` of a layer.
-    Slice {
-        /// Of which.
-        x: usize,
-        /// The first.
-        from: usize,
-        /// How many.
-        len: usize,
-    },
+    Slice { x: usize, from: usize, len: usize },
     /// Layers one after the other.
-    Concat {
-        /// Which.
-        parts: Vec<usize>,
-    },
+    Concat { parts: Vec<usize> },
     /// An element-wise function.
-    Curve {
-        /// Of which.
-        x: usize,
-        /// Which function.
-        curve: Activation,
-    },
+    Curve { x: usize, curve: Activation },
     /// A convolution.
-    Conv2d {
-        /// Of which.
-        x: usize,
-        /// Dimensions.
-        layer: Conv2d,
-        /// What follows.
-        curve: Activation,
-    },
+    Conv2d { x: usize, layer: Conv2d, curve: Activation },
     /// A fully connected layer.
-    Dense {
-        /// Of which.
-        x: usize,
-        /// Dimensions.
-        layer: Dense,
-        /// What follows.
-        curve: Activation,
-    },
+    Dense { x: usize, layer: Dense, curve: Activation },
     /// Max pooling.
-    MaxPool2d {
-        /// Of which.
-        x: usize,
-        /// Dimensions.
-        layer: MaxPool2d,
-    },
+    MaxPool2d { x: usize, layer: MaxPool2d },
     /// Batch normalisation with running statistics.
-    BatchNorm {
-        /// Of which.
-        x: usize,
-        /// Dimensions.
-        layer: BatchNorm,
-    },
+    BatchNorm { x: usize, layer: BatchNorm },
     /// A function of single values that is no part of a layer.
-    Function {
-        /// Of which.
-        x: usize,
-        /// Which.
-        function: Function,
-    },
+    Function { x: usize, function: Function },
     /// Layers of one length, added value by value.
-    Sum {
-        /// Which.
-        parts: Vec<usize>,
-    },
+    Sum { parts: Vec<usize> },
     /// Two layers of one length, multiplied value by value.
-    Product {
-        /// One.
-        x: usize,
-        /// The other.
-        y: usize,
-    },
+    Product { x: usize, y: usize },
     /// Layer normalisation.
-    LayerNorm {
-        /// Of which.
-        x: usize,
-        /// Dimensions.
-        layer: LayerNorm,
-    },
-    /// One step of a GRU.
+    LayerNorm { x: usize, layer: LayerNorm },
+    /// One step of a GRU from an input and a state.
     Gru {
-        /// Input.
         x: usize,
-        /// State.
         h: usize,
-        /// Dimensions.
         layer: Gru,
-        /// The step whose parameters it has: an earlier layer, or its own number.
         params_of: usize,
     },
-    /// One step of an LSTM.
+    /// One step of an LSTM from an input and a state: `h`, then `c`. The cell's curve is tanh.
     Lstm {
-        /// Input.
         x: usize,
-        /// State: `h`, then `c`.
         state: usize,
-        /// Dimensions; the cell's curve is tanh.
         layer: Lstm,
-        /// The step whose parameters it has: an earlier layer, or its own number.
         params_of: usize,
     },
 }
@@ -228,13 +159,12 @@ impl Layer {
         }
     }
 
-    /// Parameters, values and multiply-adds at most, without overflow.
+    /// Parameters, values (0 where it has as many as it reads) and multiply-adds at most, without overflow.
     pub(super) fn cost(&self) -> (u64, u64, u64) {
         match self {
             Self::Input { len } | Self::Zeros { len } | Self::Slice { len, .. } => (0, *len as u64, 0),
-            Self::Concat { .. } | Self::Curve { .. } | Self::Function { .. } => (0, 0, 0),
-            Self::Sum { .. } | Self::Product { .. } => (0, 0, 0),
-            Self::LayerNorm { layer, .. } => (2 * layer.width as u64, layer.width as u64, 0),
+            Self::LayerNorm { layer, .. } => (2 * layer.width as u64, 0, 0),
+            Self::BatchNorm { layer, .. } => (4 * layer.channels as u64, 0, 0),
             Self::Conv2d { layer: l, .. } => {
                 let weights = product(&[l.kernel, l.kernel, l.channels, l.filters]);
                 let out = |size: usize| places(size, l.kernel, l.stride, l.padding);
@@ -264,9 +194,9 @@ impl Layer {
                 let compared = pixels.saturating_mul(product(&[height, width, l.channels]));
                 (0, values.max(product(&[l.rows, l.cols, l.channels])), compared)
             }
-            Self::BatchNorm { layer, .. } => (4 * layer.channels as u64, layer.channels as u64, 0),
             Self::Gru { layer, .. } => recurrent(3, layer.inputs, layer.hidden),
             Self::Lstm { layer, .. } => recurrent(4, layer.inputs, layer.hidden),
+            _ => (0, 0, 0),
         }
     }
 
@@ -345,11 +275,8 @@ impl Network {
             let len_of = |source: &usize| lens.get(*source).copied().unwrap_or(0);
             let v = match layer {
                 Layer::Concat { .. } => line.sources.iter().map(len_of).fold(0, u64::saturating_add),
-                Layer::Curve { .. } | Layer::Function { .. } | Layer::Sum { .. } | Layer::Product { .. } => {
-                    line.sources.first().map_or(0, len_of)
-                }
-                // As many as there are groups of channels, or rows.
-                Layer::BatchNorm { .. } | Layer::LayerNorm { .. } => line.sources.first().map_or(own, len_of),
+                // As many as it reads.
+                _ if own == 0 => line.sources.first().map_or(0, len_of),
                 _ => own,
             };
             lens.push(v);

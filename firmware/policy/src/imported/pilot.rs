@@ -2,8 +2,6 @@
 
 use super::network::{Network, NetworkError};
 use crate::actor::LowDim;
-use crate::field::FlightField;
-use crate::geometric::range_scan::RangeScan;
 use crate::{Pilot, PilotInput};
 use alloc::format;
 use alloc::vec;
@@ -59,7 +57,7 @@ pub struct PolicyInputs {
     pub output_scale: f32,
 }
 
-/// Flies what an imported policy decides, alone or with the potential field. No allocation after it was made.
+/// Flies what an imported policy decides. No allocation after it was made.
 #[derive(Debug, Clone)]
 pub struct ImportedPilot {
     isa: Isa,
@@ -75,8 +73,6 @@ pub struct ImportedPilot {
     /// The split point, if it has one.
     split: Option<NodeId>,
     low_dim: Option<LowDim>,
-    surroundings: RangeScan,
-    field: Option<FlightField>,
 }
 
 impl PolicyInputs {
@@ -138,7 +134,6 @@ impl ImportedPilot {
         params: &[f32],
         inputs: PolicyInputs,
         split: Option<usize>,
-        field: bool,
         isa: Isa,
     ) -> Result<Self, NetworkError> {
         let (graph, nodes) = network.graph_and_nodes(Purpose::Gradients)?;
@@ -182,14 +177,7 @@ impl ImportedPilot {
             split: split.and_then(|layer| nodes.get(layer).copied()),
             low_dim: None,
             started: false,
-            surroundings: RangeScan::new(),
-            field: field.then(FlightField::default),
         })
-    }
-
-    /// What the last frame showed.
-    pub fn surroundings(&self) -> &RangeScan {
-        &self.surroundings
     }
 
     /// The values at the split point, of the last decision; `None` without either.
@@ -203,7 +191,7 @@ impl ImportedPilot {
         self.low_dim
     }
 
-    /// Decides on our newest frame, ranges over 100 m; within ±1.5, without the field. Not finite if its network does not give a number.
+    /// Decides on our newest frame, ranges over 100 m; within ±1.5. Not finite if its network does not give a number.
     pub fn decide_on(&mut self, depth: &[f32], low_dim: LowDim) -> Action {
         self.inputs.see(&self.places, depth, !self.started, &mut self.frame);
         self.started = true;
@@ -229,17 +217,11 @@ impl ImportedPilot {
 
 impl Pilot for ImportedPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
-        let own = self.decide_on(&input.depth.depth, LowDim::of_goal(input.goal));
-        let scan = self.surroundings.observe(input);
-        match &mut self.field {
-            Some(field) if own.is_finite() => field.add_to(own, 1.0, input, scan),
-            _ => own,
-        }
+        self.decide_on(&input.depth.depth, LowDim::of_goal(input.goal))
     }
 
     fn reset(&mut self) {
         self.started = false;
         self.low_dim = None;
-        self.field = self.field.as_ref().map(|_| FlightField::default());
     }
 }

@@ -27,7 +27,11 @@ pub enum Solid {
 #[derive(Debug, Clone, Default)]
 pub struct Scene {
     pub solids: Vec<Solid>,
-    pub ceiling_up: Option<f32>,
+}
+
+/// A ceiling from this height on.
+pub fn ceiling(up: f32) -> Solid {
+    beam([-100.0, 100.0], [-100.0, 100.0], [up, 4.0])
 }
 
 pub fn block(north: [f32; 2], east: [f32; 2]) -> Solid {
@@ -112,10 +116,7 @@ impl Solid {
 
 impl Scene {
     pub fn new(solids: impl Into<Vec<Solid>>) -> Self {
-        Self {
-            solids: solids.into(),
-            ceiling_up: None,
-        }
+        Self { solids: solids.into() }
     }
 
     pub fn range(&self, position: NedVector, attitude: Attitude, row: usize, col: usize) -> f32 {
@@ -123,14 +124,8 @@ impl Scene {
         let d = attitude.to_ned(FrdVector::new(e.cos() * b.cos(), e.cos() * b.sin(), -e.sin()));
         let (from, dir) = ([position.x, position.y, -position.z], [d.x, d.y, -d.z]);
         let floor = if dir[2] < 0.0 { -from[2] / dir[2] } else { f32::INFINITY };
-        let ceiling = match self.ceiling_up {
-            Some(up) if dir[2] > 0.0 => (up - from[2]) / dir[2],
-            _ => f32::INFINITY,
-        };
-        self.solids
-            .iter()
-            .filter_map(|s| s.hit(from, dir))
-            .fold(floor.min(ceiling), f32::min)
+        let hits = self.solids.iter().filter_map(|s| s.hit(from, dir));
+        hits.fold(floor, f32::min)
     }
 
     pub fn render(&self, position: NedVector, attitude: Attitude, stamp_ns: u64, frame: &mut DepthFrame) {

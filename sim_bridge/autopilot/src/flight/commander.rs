@@ -35,6 +35,10 @@ pub(super) enum Response {
     Disarm,
 }
 
+fn broken(what: &str) -> Denial {
+    Denial::Other(format!("{what} denied: broken by a collision, reboot first"))
+}
+
 impl Core {
     /// Whether the vehicle could be armed now.
     pub fn arming_check(&self) -> Result<(), Denial> {
@@ -42,7 +46,7 @@ impl Core {
             return Err(Denial::Terminated("arming"));
         }
         if self.commander.broken {
-            return Err(Denial::Broken("arming"));
+            return Err(broken("arming"));
         }
         let attitude = self.view.estimate.attitude;
         if attitude.roll_rad().abs() > ARMING_TILT_RAD || attitude.pitch_rad().abs() > ARMING_TILT_RAD {
@@ -58,19 +62,20 @@ impl Core {
             return Ok(());
         }
         // A mode can be chosen before what it needs is there.
+        let denied = |why: &str| Err(Denial::Other(format!("arming denied: {why}")));
         match self.commander.mode {
             mode if mode.needs_sticks() => match self.current_sticks() {
-                None => Err(Denial::ArmingWithout("manual control")),
-                Some(sticks) if sticks.up > mode.arming_throttle() => Err(Denial::ThrottleHigh),
+                None => denied("no manual control"),
+                Some(sticks) if sticks.up > mode.arming_throttle() => denied("throttle is up"),
                 Some(_) => Ok(()),
             },
-            FlightMode::Mission => self.mission_check().map_err(|denial| match denial {
-                Denial::NoMission => Denial::ArmingWithout("mission"),
-                other => other,
-            }),
-            FlightMode::Offboard if !self.has_setpoints() => Err(Denial::ArmingWithout("setpoints")),
+            FlightMode::Mission => match self.mission_check() {
+                Err(Denial::NoMission) => denied("no mission"),
+                outcome => outcome,
+            },
+            FlightMode::Offboard if !self.has_setpoints() => denied("no setpoints"),
             mode @ (FlightMode::Land | FlightMode::Return | FlightMode::Follow | FlightMode::Orbit) => {
-                Err(Denial::ArmingIn(mode))
+                denied(&format!("not in {}, change the mode", mode.name()))
             }
             _ => Ok(()),
         }
@@ -110,7 +115,7 @@ impl Core {
             return Ok(());
         }
         if !forced && !self.commander.is_on_ground() && !self.commander.terminated {
-            return Err(Denial::NotLanded);
+            return Err(Denial::Other("disarming denied: not landed".to_owned()));
         }
         self.disarm_with(if forced { "disarmed: kill" } else { "disarmed" });
         Ok(())
@@ -176,7 +181,7 @@ impl Core {
             FlightMode::Takeoff => return self.take_off(None),
             // While disarmed a mode that is flown by sticks waits for them.
             _ if mode.needs_sticks() && self.commander.armed && self.current_sticks().is_none() => {
-                return Err(Denial::NoSticks(mode));
+                return Err(Denial::Other(format!("{} denied: no manual control", mode.name())));
             }
             _ => {}
         }
@@ -204,14 +209,14 @@ impl Core {
             // Whoever streams itself and is not the owner wants something else than what is flown.
             let claims = self.setpoints.claims(self.now_ns, max_age_ns, commander);
             return if claims == [commander] && commander != owner {
-                Err(Denial::OwnedByOther(owner))
+                Err(Denial::Other(format!("offboard denied: {owner} owns it")))
             } else {
                 Ok(())
             };
         }
         match self.take_ownership(commander) {
             // While disarmed a mode waits for what it needs: arming is refused until then.
-            Err(Denial::NoSetpoints | Denial::SetpointsRefused(_)) if !self.commander.armed => {
+            Err(Denial::NoSetpoints(_)) if !self.commander.armed => {
                 self.clear_failsafe();
                 self.enter(FlightMode::Offboard, Maneuver::Offboard);
                 Ok(())
@@ -227,7 +232,9 @@ impl Core {
         match claims.as_slice() {
             [] => {
                 let defect = self.setpoints.refused(self.now_ns, max_age_ns);
-                Err(defect.map_or(Denial::NoSetpoints, Denial::SetpointsRefused))
+                Err(Denial::NoSetpoints(
+                    defect.map_or("no setpoints".to_owned(), |defect| defect.to_string()),
+                ))
             }
             &[owner] => {
                 self.clear_failsafe();
@@ -237,14 +244,20 @@ impl Core {
                 self.announce::<NAMED_VALUE_FLOAT_DATA>();
                 Ok(())
             }
-            _ => Err(Denial::SeveralSources(claims)),
+            several => {
+                let names: Vec<String> = several.iter().map(|source| source.id.to_string()).collect();
+                Err(Denial::Other(format!(
+                    "offboard denied: setpoints from {}",
+                    names.join(", ")
+                )))
+            }
         }
     }
 
     /// Climbs to `height_m` above home, or by MIS_TAKEOFF_ALT where none is given; stays at its height where that is below it.
     pub fn take_off(&mut self, height_m: Option<f32>) -> Result<(), Denial> {
         if self.commander.broken {
-            return Err(Denial::Broken("takeoff"));
+            return Err(broken("takeoff"));
         }
         if self.commander.terminated {
             return Err(Denial::Terminated("takeoff"));
@@ -302,7 +315,7 @@ impl Core {
     fn position_check(&self, mode: FlightMode) -> Result<(), Denial> {
         match mode.is_flown_without_position() || self.knows_position() {
             true => Ok(()),
-            false => Err(Denial::PositionUnknown(mode)),
+            false => Err(Denial::Other(format!("{} denied: position lost", mode.name()))),
         }
     }
 
@@ -310,7 +323,7 @@ impl Core {
     pub(super) fn in_air_check(&self, mode: FlightMode) -> Result<(), Denial> {
         match self.commander.armed && !self.commander.is_on_ground() {
             true => self.position_check(mode),
-            false => Err(Denial::NotInAir),
+            false => Err(Denial::Other("denied: not in the air".to_owned())),
         }
     }
 

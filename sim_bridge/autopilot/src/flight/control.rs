@@ -68,9 +68,7 @@ impl Core {
             _ if on_ground => ControlCommand::Idle,
             Maneuver::Brake { began, height_m } => self.fly_brake(began, height_m),
             Maneuver::Station(goal) => self.fly_station(goal),
-            Maneuver::Descend => ControlCommand::Descend {
-                rate_m_s: self.descent_rate_m_s(),
-            },
+            Maneuver::Descend => ControlCommand::Descend(self.descent_rate_m_s()),
             Maneuver::Orbit(orbit) => self.fly_orbit(orbit),
             Maneuver::Follow { waits_ned_m } => self.fly_follow(waits_ned_m),
             // In the air there is nothing to wait for.
@@ -91,16 +89,15 @@ impl Core {
         let down_to_ground_m_s = limit_m_s.min(self.param(ParamId::MaxDownMS));
         let estimate = &self.view.estimate;
         match &mut command {
-            ControlCommand::VelocityHeading { velocity_m_s: v, .. } => v.z = v.z.min(limit_m_s),
-            ControlCommand::VelocityNed { velocity_m_s: v, .. } => v.z = v.z.min(limit_m_s),
-            ControlCommand::Descend { rate_m_s: down } => *down = down.min(limit_m_s),
+            ControlCommand::VelocityHeading(v, _) => v.z = v.z.min(limit_m_s),
+            ControlCommand::VelocityNed(v, _) => v.z = v.z.min(limit_m_s),
+            ControlCommand::Descend(down) => *down = down.min(limit_m_s),
             ControlCommand::Position(goal) if goal.held == Held::Level => {
                 goal.velocity_m_s.z = goal.velocity_m_s.z.min(limit_m_s);
             }
             ControlCommand::Position(goal) if goal.position_ned_m.z >= 0.0 && goal.held == Held::Height => {
-                let (v, yaw) = (goal.velocity_m_s, goal.yaw);
-                let velocity_m_s = NedVector::new(v.x, v.y, down_to_ground_m_s);
-                return ControlCommand::VelocityNed { velocity_m_s, yaw };
+                let NedVector { x, y, .. } = goal.velocity_m_s;
+                return ControlCommand::VelocityNed(NedVector::new(x, y, down_to_ground_m_s), goal.yaw);
             }
             ControlCommand::Position(goal) if goal.position_ned_m.z >= 0.0 => {
                 let off_m = (goal.position_ned_m - estimate.position_ned_m).horizontal_norm();
@@ -112,10 +109,7 @@ impl Core {
                     goal.position_ned_m.z = -TOUCH_DOWN_HEIGHT_M;
                 }
             }
-            ControlCommand::Acceleration {
-                acceleration_ned_m_s2: a,
-                ..
-            } => {
+            ControlCommand::Acceleration(a, _) => {
                 let slowing_m_s2 = (limit_m_s - estimate.velocity_ned_m_s.z) * TOUCH_DOWN_GAIN_PER_S;
                 a.z = a.z.min(slowing_m_s2.max(-TOUCH_DOWN_BRAKING_M_S2));
             }
@@ -141,10 +135,7 @@ impl Core {
                 began: Some((began_ns, from_m_s)),
                 height_m,
             };
-            return ControlCommand::VelocityNed {
-                velocity_m_s: wanted,
-                yaw: YawCommand::Hold,
-            };
+            return ControlCommand::VelocityNed(wanted, YawCommand::Hold);
         }
         let speed_limit_m_s = self.cruise_speed_m_s(self.commander.speed_m_s);
         self.hold_at(self.view.estimate.position_ned_m, height_m, speed_limit_m_s)
@@ -192,10 +183,7 @@ impl Core {
 
     fn fly_climb(&mut self, climb: Climb) -> ControlCommand {
         if climb.is_cruising(self.view.estimate.position_ned_m.z) {
-            return ControlCommand::VelocityNed {
-                velocity_m_s: NedVector::new(0.0, 0.0, -climb.rate_m_s),
-                yaw: YawCommand::Hold,
-            };
+            return ControlCommand::VelocityNed(NedVector::new(0.0, 0.0, -climb.rate_m_s), YawCommand::Hold);
         }
         let speed_limit_m_s = self.cruise_speed_m_s(None);
         let goal = |place| Goal::new(place, YawCommand::Hold, speed_limit_m_s);
@@ -264,7 +252,7 @@ impl Core {
         match self.commander.mode {
             FlightMode::Stabilized | FlightMode::Manual | FlightMode::Acro => self.current_sticks().map(manual::thrust),
             _ => match self.owners_setpoint()? {
-                ControlCommand::Attitude { thrust, .. } | ControlCommand::Rates { thrust, .. } => Some(thrust),
+                ControlCommand::Attitude(.., thrust) | ControlCommand::Rates(_, thrust) => Some(thrust),
                 _ => None,
             },
         }
@@ -273,15 +261,12 @@ impl Core {
     /// Whether a setpoint means to leave the ground.
     fn lifts(&self, command: &ControlCommand) -> bool {
         match command {
-            ControlCommand::VelocityHeading { velocity_m_s, .. } => velocity_m_s.z < -0.1,
-            ControlCommand::VelocityNed { velocity_m_s, .. } => velocity_m_s.z < -0.1,
+            ControlCommand::VelocityHeading(velocity_m_s, _) => velocity_m_s.z < -0.1,
+            ControlCommand::VelocityNed(upward, _) | ControlCommand::Acceleration(upward, _) => upward.z < -0.1,
             ControlCommand::Position(goal) if goal.held == Held::Level => goal.velocity_m_s.z < -0.1,
             ControlCommand::Position(goal) => goal.position_ned_m.z < self.view.estimate.position_ned_m.z - 0.3,
-            ControlCommand::Acceleration {
-                acceleration_ned_m_s2, ..
-            } => acceleration_ned_m_s2.z < -0.1,
             // More than the weight.
-            ControlCommand::Attitude { thrust, .. } | ControlCommand::Rates { thrust, .. } => *thrust > HOVER_THRUST,
+            ControlCommand::Attitude(.., thrust) | ControlCommand::Rates(_, thrust) => *thrust > HOVER_THRUST,
             _ => false,
         }
     }
@@ -296,8 +281,8 @@ impl Core {
         let max_m_s = self.param(ParamId::MaxSpeedMS);
         let (up, down) = (self.param(ParamId::MaxUpMS), self.param(ParamId::MaxDownMS));
         match &mut command {
-            ControlCommand::VelocityHeading { velocity_m_s: v, .. } => *v = within(*v, max_m_s, v.z.clamp(-up, down)),
-            ControlCommand::VelocityNed { velocity_m_s: v, .. } => *v = within(*v, max_m_s, v.z.clamp(-up, down)),
+            ControlCommand::VelocityHeading(v, _) => *v = within(*v, max_m_s, v.z.clamp(-up, down)),
+            ControlCommand::VelocityNed(v, _) => *v = within(*v, max_m_s, v.z.clamp(-up, down)),
             ControlCommand::Position(Goal {
                 velocity_m_s: v, held, ..
             }) => match held {
@@ -326,10 +311,8 @@ pub(crate) fn position_target(core: &Core) -> Option<MavMessage> {
     let yaw_rad = core.view.estimate.attitude.yaw_rad();
     let still = NedVector::ZERO;
     let (position, velocity, mask, yaw) = match command {
-        ControlCommand::VelocityHeading { velocity_m_s, yaw } => {
-            (still, velocity_m_s.to_ned(yaw_rad), VELOCITY_ONLY, yaw)
-        }
-        ControlCommand::VelocityNed { velocity_m_s, yaw } => (still, velocity_m_s, VELOCITY_ONLY, yaw),
+        ControlCommand::VelocityHeading(ahead, yaw) => (still, ahead.to_ned(yaw_rad), VELOCITY_ONLY, yaw),
+        ControlCommand::VelocityNed(velocity_m_s, yaw) => (still, velocity_m_s, VELOCITY_ONLY, yaw),
         ControlCommand::Position(goal) => {
             let mask = match goal.held {
                 Held::All => POSITION_ONLY,
@@ -338,41 +321,30 @@ pub(crate) fn position_target(core: &Core) -> Option<MavMessage> {
             };
             (goal.position_ned_m, goal.velocity_m_s, mask, goal.yaw)
         }
-        ControlCommand::Descend { rate_m_s } => {
+        ControlCommand::Descend(rate_m_s) => {
             let descent = NedVector::new(0.0, 0.0, rate_m_s);
             (still, descent, VELOCITY_ONLY, YawCommand::Hold)
         }
-        ControlCommand::Acceleration {
-            acceleration_ned_m_s2,
-            yaw,
-        } => {
+        ControlCommand::Acceleration(acceleration_ned_m_s2, yaw) => {
             acceleration = acceleration_ned_m_s2;
             (still, still, ACCELERATION_ONLY, yaw)
         }
         ControlCommand::Idle | ControlCommand::MotorsOff => (still, still, VELOCITY_ONLY, YawCommand::Hold),
-        ControlCommand::Attitude { .. } | ControlCommand::Rates { .. } => return None,
+        ControlCommand::Attitude(..) | ControlCommand::Rates(..) => return None,
     };
     let (yaw, yaw_rate, mask) = match yaw {
         YawCommand::Hold => (0.0, 0.0, mask),
         YawCommand::Angle(yaw_rad) => (yaw_rad, 0.0, mask & !0x400),
         YawCommand::Rate(yaw_rate_rad_s) => (0.0, yaw_rate_rad_s, mask & !0x800),
     };
-    Some(MavMessage::POSITION_TARGET_LOCAL_NED(POSITION_TARGET_LOCAL_NED_DATA {
-        time_boot_ms: core.time_boot_ms(),
-        x: position.x,
-        y: position.y,
-        z: position.z,
-        vx: velocity.x,
-        vy: velocity.y,
-        vz: velocity.z,
-        afx: acceleration.x,
-        afy: acceleration.y,
-        afz: acceleration.z,
-        yaw,
-        yaw_rate,
-        type_mask: PositionTargetTypemask::from_bits_truncate(mask),
-        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
-    }))
+    let mut m = POSITION_TARGET_LOCAL_NED_DATA::default();
+    [m.x, m.y, m.z] = position.to_array();
+    [m.vx, m.vy, m.vz] = velocity.to_array();
+    [m.afx, m.afy, m.afz] = acceleration.to_array();
+    (m.yaw, m.yaw_rate, m.time_boot_ms) = (yaw, yaw_rate, core.time_boot_ms());
+    m.type_mask = PositionTargetTypemask::from_bits_truncate(mask);
+    m.coordinate_frame = MavFrame::MAV_FRAME_LOCAL_NED;
+    Some(MavMessage::POSITION_TARGET_LOCAL_NED(m))
 }
 
 /// The attitude or body rates that OFFBOARD flies to, as ATTITUDE_TARGET reports them. Where positions or velocities are flown,
@@ -383,19 +355,14 @@ pub(crate) fn attitude_target(core: &Core) -> Option<MavMessage> {
     const ATTITUDE_IGNORED: u8 = 0x80;
     let (estimate, throttle) = (&core.view.estimate, core.view.sensors.throttle);
     let (attitude, rates, thrust, mask) = match core.owners_setpoint() {
-        Some(ControlCommand::Attitude {
-            attitude,
-            yaw_rate_rad_s,
-            thrust,
-        }) => {
+        Some(ControlCommand::Attitude(attitude, yaw_rate_rad_s, thrust)) => {
             let turns = yaw_rate_rad_s != 0.0;
             let mask = if turns { TILT_RATES_IGNORED } else { RATES_IGNORED };
             (attitude, FrdVector::new(0.0, 0.0, yaw_rate_rad_s), thrust, mask)
         }
-        Some(ControlCommand::Rates {
-            rates_frd_rad_s,
-            thrust,
-        }) => (Attitude::LEVEL_NORTH, rates_frd_rad_s, thrust, ATTITUDE_IGNORED),
+        Some(ControlCommand::Rates(rates_frd_rad_s, thrust)) => {
+            (Attitude::LEVEL_NORTH, rates_frd_rad_s, thrust, ATTITUDE_IGNORED)
+        }
         _ => (estimate.attitude, estimate.rates_frd_rad_s, throttle, 0),
     };
     Some(MavMessage::ATTITUDE_TARGET(ATTITUDE_TARGET_DATA {

@@ -4,7 +4,7 @@ use crate::core::Core;
 use crate::flight::commander::Response;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::Failsafe;
-use crate::plan::Breach;
+use crate::plan::{Breach, PlanKind};
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::{FENCE_STATUS_DATA, MavSeverity};
 
@@ -22,7 +22,7 @@ impl Core {
 
     /// Whether there is any limit.
     pub fn has_fence(&self) -> bool {
-        !self.plans.fence.wire.items.is_empty()
+        !self.plans.wire(PlanKind::Fence).items.is_empty()
             || self.param(ParamId::FenceRadiusM) > 0.0
             || self.param(ParamId::FenceHeightM) > 0.0
     }

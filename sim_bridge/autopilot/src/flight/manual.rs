@@ -84,10 +84,8 @@ impl Core {
         let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
         let norm = libm::hypotf(forward, right).max(1.0);
         let speed_m_s = self.cruise_speed_m_s(None) / norm;
-        ControlCommand::VelocityHeading {
-            velocity_m_s: HeadingVector::new(forward * speed_m_s, right * speed_m_s, -self.climb_m_s(sticks)),
-            yaw: YawCommand::Rate(clockwise * MAX_YAW_RATE_RAD_S),
-        }
+        let velocity_m_s = HeadingVector::new(forward * speed_m_s, right * speed_m_s, -self.climb_m_s(sticks));
+        ControlCommand::VelocityHeading(velocity_m_s, YawCommand::Rate(clockwise * MAX_YAW_RATE_RAD_S))
     }
 
     fn climb_m_s(&self, sticks: Deflections) -> f32 {
@@ -113,27 +111,20 @@ impl Core {
             .clamp(-MAX_CLIMB_ACCELERATION_M_S2, MAX_CLIMB_ACCELERATION_M_S2);
         let level_m_s2 = |stick: f32| GRAVITY_M_S2 * libm::tanf(stick * MAX_TILT_RAD);
         let wanted = HeadingVector::new(level_m_s2(forward), level_m_s2(right), down_m_s2);
-        ControlCommand::Acceleration {
-            acceleration_ned_m_s2: wanted.to_ned(estimate.attitude.yaw_rad()),
-            yaw: YawCommand::Rate(clockwise * MAX_YAW_RATE_RAD_S),
-        }
+        let acceleration_ned_m_s2 = wanted.to_ned(estimate.attitude.yaw_rad());
+        ControlCommand::Acceleration(acceleration_ned_m_s2, YawCommand::Rate(clockwise * MAX_YAW_RATE_RAD_S))
     }
 
     fn attitude_by(&self, sticks: Deflections) -> ControlCommand {
         let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
         let heading_rad = self.view.estimate.attitude.yaw_rad();
-        ControlCommand::Attitude {
-            attitude: Attitude::from_euler_rad(right * MAX_TILT_RAD, -forward * MAX_TILT_RAD, heading_rad),
-            yaw_rate_rad_s: clockwise * MAX_YAW_RATE_RAD_S,
-            thrust: thrust(sticks),
-        }
+        let attitude = Attitude::from_euler_rad(right * MAX_TILT_RAD, -forward * MAX_TILT_RAD, heading_rad);
+        ControlCommand::Attitude(attitude, clockwise * MAX_YAW_RATE_RAD_S, thrust(sticks))
     }
 }
 
 fn rates_by(sticks: Deflections) -> ControlCommand {
     let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
-    ControlCommand::Rates {
-        rates_frd_rad_s: FrdVector::new(right, -forward, clockwise) * MAX_ACRO_RATE_RAD_S,
-        thrust: thrust(sticks),
-    }
+    let rates_frd_rad_s = FrdVector::new(right, -forward, clockwise) * MAX_ACRO_RATE_RAD_S;
+    ControlCommand::Rates(rates_frd_rad_s, thrust(sticks))
 }

@@ -43,7 +43,9 @@ impl Core {
             return Err(Denial::NoMission);
         }
         match self.plans.mission.legs().find(|(_, leg)| !self.fence_allows_leg(leg)) {
-            Some((index, _)) => Err(Denial::MissionOutsideFence(index)),
+            Some((index, _)) => Err(Denial::Other(format!(
+                "mission denied: item {index} is outside the geofence"
+            ))),
             None => Ok(()),
         }
     }
@@ -163,8 +165,8 @@ impl Core {
     /// Zero where the vehicle stops.
     fn passing_at(&self, from: (f32, f32), at: (f32, f32), leg: &Leg) -> (f32, f32) {
         const STOPS: (f32, f32) = (0.0, 0.0);
-        let passes = matches!(leg.purpose, Purpose::Visit { stay_ns: 0 } | Purpose::TakeOff)
-            && !self.plans.mission.pauses_after_item();
+        let passes =
+            matches!(leg.purpose, Purpose::Visit { stay_ns: 0 } | Purpose::TakeOff) && !self.plans.mission_pauses();
         let Some(to) = self.plans.mission.next_place_m().filter(|_| passes) else {
             return STOPS;
         };
@@ -240,7 +242,7 @@ impl Core {
     /// The current item is done; after the last one the vehicle holds where it is.
     fn end_item(&mut self, is_reached: bool) {
         self.plans.mission.not_before_ns = self.now_ns + ITEM_PAUSE_NS;
-        let pauses = self.plans.mission.pauses_after_item();
+        let pauses = self.plans.mission_pauses();
         let goes_on = self.plans.mission.advance(is_reached);
         if is_reached {
             self.announce::<MISSION_ITEM_REACHED_DATA>();

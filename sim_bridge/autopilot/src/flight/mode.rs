@@ -1,6 +1,6 @@
 //! Flight modes and their PX4 numbers: `custom_mode = main << 16 | sub << 24`.
 
-use vigil_mavlink::common::MavStandardMode as Standard;
+use vigil_mavlink::common::MavStandardMode::{self as Standard, *};
 use vigil_types::named;
 
 const MAIN_MANUAL: u8 = 1;
@@ -74,33 +74,21 @@ impl FlightMode {
 
     /// Main and sub mode, `vehicle_status.nav_state`, name and the standard mode that it is, all as PX4 has them.
     pub(crate) const fn px4(self) -> (u8, u8, u8, &'static str, Standard) {
-        const NONE: Standard = Standard::MAV_STANDARD_MODE_NON_STANDARD;
+        const NONE: Standard = MAV_STANDARD_MODE_NON_STANDARD;
         match self {
-            Self::Takeoff => (MAIN_AUTO, 2, 17, "Takeoff", Standard::MAV_STANDARD_MODE_TAKEOFF),
+            Self::Takeoff => (MAIN_AUTO, 2, 17, "Takeoff", MAV_STANDARD_MODE_TAKEOFF),
             Self::Hold => (MAIN_AUTO, 3, 4, "Hold", NONE),
-            Self::Mission => (MAIN_AUTO, 4, 3, "Mission", Standard::MAV_STANDARD_MODE_MISSION),
-            Self::Return => (MAIN_AUTO, 5, 5, "Return", Standard::MAV_STANDARD_MODE_SAFE_RECOVERY),
-            Self::Land => (MAIN_AUTO, 6, 18, "Land", Standard::MAV_STANDARD_MODE_LAND),
+            Self::Mission => (MAIN_AUTO, 4, 3, "Mission", MAV_STANDARD_MODE_MISSION),
+            Self::Return => (MAIN_AUTO, 5, 5, "Return", MAV_STANDARD_MODE_SAFE_RECOVERY),
+            Self::Land => (MAIN_AUTO, 6, 18, "Land", MAV_STANDARD_MODE_LAND),
             Self::Offboard => (MAIN_OFFBOARD, 0, 14, "Offboard", NONE),
             Self::Follow => (MAIN_AUTO, 8, 19, "Follow Target", NONE),
-            Self::Position => (
-                MAIN_POSITION,
-                0,
-                2,
-                "Position",
-                Standard::MAV_STANDARD_MODE_POSITION_HOLD,
-            ),
-            Self::Altitude => (
-                MAIN_ALTITUDE,
-                0,
-                1,
-                "Altitude",
-                Standard::MAV_STANDARD_MODE_ALTITUDE_HOLD,
-            ),
+            Self::Position => (MAIN_POSITION, 0, 2, "Position", MAV_STANDARD_MODE_POSITION_HOLD),
+            Self::Altitude => (MAIN_ALTITUDE, 0, 1, "Altitude", MAV_STANDARD_MODE_ALTITUDE_HOLD),
             Self::Stabilized => (MAIN_STABILIZED, 0, 15, "Stabilized", NONE),
             Self::Manual => (MAIN_MANUAL, 0, 0, "Manual", NONE),
             Self::Acro => (MAIN_ACRO, 0, 10, "Acro", NONE),
-            Self::Orbit => (MAIN_POSITION, 1, 21, "Orbit", Standard::MAV_STANDARD_MODE_ORBIT),
+            Self::Orbit => (MAIN_POSITION, 1, 21, "Orbit", MAV_STANDARD_MODE_ORBIT),
         }
     }
 

@@ -1,7 +1,7 @@
 //! What a setpoint asks for: which masks and frames are flown, and which values are absurd.
 
+use crate::geo;
 use crate::vehicle::{ControlCommand, Goal, Held, YawCommand};
-use crate::{HomePosition, geo};
 use vigil_mavlink::common::{
     AttitudeTargetTypemask as AttitudeMask, MavFrame, PositionTargetTypemask as PositionMask, SET_ATTITUDE_TARGET_DATA,
     SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA,
@@ -123,22 +123,18 @@ pub(crate) fn position_setpoint(
             let climb = NedVector::new(0.0, 0.0, m.vz);
             goal(Held::Level, (m.x, m.y, 0.0), climb, speed_limit_m_s)
         }
-        (NONE, ALL) if is_local => Ok(ControlCommand::VelocityNed {
-            velocity_m_s: velocity_ned,
+        (NONE, ALL) if is_local => Ok(ControlCommand::VelocityNed(velocity_ned, yaw)),
+        (NONE, ALL) => Ok(ControlCommand::VelocityHeading(
+            HeadingVector::new(m.vx, m.vy, m.vz),
             yaw,
-        }),
-        (NONE, ALL) => Ok(ControlCommand::VelocityHeading {
-            velocity_m_s: HeadingVector::new(m.vx, m.vy, m.vz),
-            yaw,
-        }),
-        (NONE, NONE) if acceleration == ALL => Ok(ControlCommand::Acceleration {
-            acceleration_ned_m_s2: if is_local {
-                NedVector::new(m.afx, m.afy, m.afz)
-            } else {
-                HeadingVector::new(m.afx, m.afy, m.afz).to_ned(heading_rad)
-            },
-            yaw,
-        }),
+        )),
+        (NONE, NONE) if acceleration == ALL => {
+            let acceleration_ned_m_s2 = match is_local {
+                true => NedVector::new(m.afx, m.afy, m.afz),
+                false => HeadingVector::new(m.afx, m.afy, m.afz).to_ned(heading_rad),
+            };
+            Ok(ControlCommand::Acceleration(acceleration_ned_m_s2, yaw))
+        }
         (NONE, NONE) if acceleration == NONE => Err(SetpointDefect::Mask(m.type_mask.bits())),
         _ => Err(SetpointDefect::Incomplete(m.type_mask.bits())),
     }
@@ -149,18 +145,17 @@ pub(crate) fn position_setpoint(
 /// is none.
 pub(crate) fn global_setpoint(
     m: &SET_POSITION_TARGET_GLOBAL_INT_DATA,
-    home: &HomePosition,
     speed_limit_m_s: f32,
 ) -> Result<ControlCommand, SetpointDefect> {
     let place = PositionMask::from_bits_retain(0x007);
     let is_placed = !m.type_mask.intersects(place);
     let height_m = match m.coordinate_frame {
-        MavFrame::MAV_FRAME_GLOBAL_INT => (f64::from(m.alt) - home.altitude_m) as f32,
+        MavFrame::MAV_FRAME_GLOBAL_INT => (f64::from(m.alt) - geo::ORIGIN.altitude_m) as f32,
         MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT | MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT => m.alt,
         other if is_placed => return Err(SetpointDefect::Frame(other as u8)),
         _ => 0.0,
     };
-    let (x, y) = geo::to_local(home, f64::from(m.lat_int) * 1e-7, f64::from(m.lon_int) * 1e-7);
+    let (x, y) = geo::ORIGIN.north_east_m(f64::from(m.lat_int) * 1e-7, f64::from(m.lon_int) * 1e-7);
     let local = SET_POSITION_TARGET_LOCAL_NED_DATA {
         x,
         y,
@@ -208,11 +203,8 @@ pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlC
         if !attitude.is_valid() {
             return Err(SetpointDefect::Value("q"));
         }
-        return Ok(ControlCommand::Attitude {
-            attitude,
-            yaw_rate_rad_s: if turns { m.body_yaw_rate } else { 0.0 },
-            thrust: m.thrust,
-        });
+        let yaw_rate_rad_s = if turns { m.body_yaw_rate } else { 0.0 };
+        return Ok(ControlCommand::Attitude(attitude, yaw_rate_rad_s, m.thrust));
     }
     if m.type_mask.intersects(rates) {
         return Err(not_flown);
@@ -221,10 +213,7 @@ pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlC
     let names = ["body_roll_rate", "body_pitch_rate", "body_yaw_rate"];
     check(ALL, names, wanted, ABSURD_RATE_RAD_S)?;
     let [p, q, r] = wanted;
-    Ok(ControlCommand::Rates {
-        rates_frd_rad_s: FrdVector::new(p, q, r),
-        thrust: m.thrust,
-    })
+    Ok(ControlCommand::Rates(FrdVector::new(p, q, r), m.thrust))
 }
 
 #[cfg(test)]
@@ -258,11 +247,8 @@ mod tests {
         let rate = YawCommand::Rate(0.2);
         let (angle, held) = (YawCommand::Angle(0.7), YawCommand::Hold);
         let velocity_m_s = NedVector::new(0.5, -0.5, 0.1);
-        let ahead = ControlCommand::VelocityHeading {
-            velocity_m_s: HeadingVector::new(0.5, -0.5, 0.1),
-            yaw: rate,
-        };
-        let north = |yaw| ControlCommand::VelocityNed { velocity_m_s, yaw };
+        let ahead = ControlCommand::VelocityHeading(HeadingVector::new(0.5, -0.5, 0.1), rate);
+        let north = |yaw| ControlCommand::VelocityNed(velocity_m_s, yaw);
         let goal = |held, position_ned_m, velocity_m_s, yaw, speed_limit_m_s| {
             ControlCommand::Position(Goal {
                 held,
@@ -297,11 +283,7 @@ mod tests {
             [(LOCAL, 1.0, 1.0, 0.0), (BODY, core::f32::consts::FRAC_PI_2, 0.0, 1.0)]
         {
             let taken = read(frame, 0xC3F, heading_rad);
-            let Ok(ControlCommand::Acceleration {
-                acceleration_ned_m_s2: a,
-                yaw: YawCommand::Hold,
-            }) = taken
-            else {
+            let Ok(ControlCommand::Acceleration(a, YawCommand::Hold)) = taken else {
                 panic!("{taken:?}");
             };
             let is_turned = (a.x - north).abs() < 1e-6 && (a.y - east).abs() < 1e-6;
@@ -350,18 +332,17 @@ mod tests {
 
     #[test]
     fn a_place_on_the_globe_is_flown_to_as_the_local_point_it_is() {
-        let home = HomePosition::default();
-        let (lat, lon, _) = geo::to_global(&home, NedVector::new(40.0, -30.0, 0.0));
-        let read = |coordinate_frame, lat_deg, alt, mask| {
+        let (lat, lon, _) = geo::to_global(NedVector::new(40.0, -30.0, 0.0));
+        let read = |coordinate_frame, lat_int, alt, mask| {
             let m = SET_POSITION_TARGET_GLOBAL_INT_DATA {
-                lat_int: geo::deg_e7(lat_deg),
-                lon_int: geo::deg_e7(lon),
+                lat_int,
+                lon_int: lon,
                 alt,
                 type_mask: PositionMask::from_bits_retain(mask),
                 coordinate_frame,
                 ..Default::default()
             };
-            global_setpoint(&m, &home, 5.0)
+            global_setpoint(&m, 5.0)
         };
         let wanted = NedVector::new(40.0, -30.0, -7.0);
         // Above the ground is above home.
@@ -393,16 +374,9 @@ mod tests {
             type_mask: AttitudeMask::from_bits_retain(mask),
             ..Default::default()
         };
-        let attitude = ControlCommand::Attitude {
-            attitude: Attitude::LEVEL_NORTH,
-            yaw_rate_rad_s: 0.0,
-            thrust: 0.5,
-        };
+        let attitude = ControlCommand::Attitude(Attitude::LEVEL_NORTH, 0.0, 0.5);
         assert_eq!(attitude_setpoint(&target(0x07)), Ok(attitude));
-        let rates = ControlCommand::Rates {
-            rates_frd_rad_s: FrdVector::new(0.0, 0.0, 0.3),
-            thrust: 0.5,
-        };
+        let rates = ControlCommand::Rates(FrdVector::new(0.0, 0.0, 0.3), 0.5);
         assert_eq!(attitude_setpoint(&target(0x80)), Ok(rates));
         for mask in [0x47, 0x27, 0x87] {
             let refused = Err(SetpointDefect::Mask(u16::from(mask)));

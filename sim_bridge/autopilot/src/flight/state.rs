@@ -3,7 +3,6 @@
 
 use crate::config::Source;
 use crate::flight::mode::FlightMode;
-use crate::flight::setpoints::SetpointDefect;
 use crate::plan::Breach;
 use crate::vehicle::{ControlCommand, Estimate, Goal};
 use vigil_types::{FrdVector, Nanos, NedVector};
@@ -41,50 +40,24 @@ vigil_types::named! {
     }
 }
 
-/// Why arming, disarming or a mode change is refused.
+/// Why arming, disarming or a mode change is refused: what somebody distinguishes, and all else as text.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum Denial {
     #[error("{0} denied: flight terminated, reboot first")]
     Terminated(&'static str),
-    #[error("{0} denied: broken by a collision, reboot first")]
-    Broken(&'static str),
     #[error("arming denied: vehicle is tilted")]
     Tilted,
-    #[error("{} denied: no manual control", .0.name())]
-    NoSticks(FlightMode),
-    #[error("arming denied: no {0}")]
-    ArmingWithout(&'static str),
-    #[error("arming denied: throttle is up")]
-    ThrottleHigh,
-    #[error("arming denied: not in {}, change the mode", .0.name())]
-    ArmingIn(FlightMode),
-    #[error("disarming denied: not landed")]
-    NotLanded,
-    #[error("offboard denied: no setpoints")]
-    NoSetpoints,
+    /// None, or refused ones.
     #[error("offboard denied: {0}")]
-    SetpointsRefused(SetpointDefect),
-    #[error("offboard denied: setpoints from {}", list(.0))]
-    SeveralSources(Vec<Source>),
-    #[error("offboard denied: {0} owns it")]
-    OwnedByOther(Source),
-    #[error("denied: not in the air")]
-    NotInAir,
+    NoSetpoints(String),
     #[error("mission denied: no mission")]
     NoMission,
-    #[error("mission denied: item {0} is outside the geofence")]
-    MissionOutsideFence(usize),
     #[error("denied: outside the geofence")]
     OutsideFence,
-    #[error("{} denied: position lost", .0.name())]
-    PositionUnknown(FlightMode),
     #[error("arming denied: {0} lost")]
     SensorLost(&'static str),
-}
-
-fn list(sources: &[Source]) -> String {
-    let names: Vec<String> = sources.iter().map(|source| source.id.to_string()).collect();
-    names.join(", ")
+    #[error("{0}")]
+    Other(String),
 }
 
 /// Flight state.

@@ -1,7 +1,6 @@
 //! The geofence: areas to stay in and areas to stay out of. <https://mavlink.io/en/services/mission.html#geofence-plan>
 
-use crate::HomePosition;
-use crate::plan::{PlanDefect, PlanItem, Wire};
+use crate::plan::{PlanDefect, PlanItem};
 use vigil_mavlink::common::MavMissionResult;
 
 const NAV_FENCE_POLYGON_VERTEX_INCLUSION: u16 = 5001;
@@ -82,16 +81,18 @@ fn is_empty(item: &PlanItem) -> bool {
     matches!(form(item), Some((false, _))) && item.params[0] == 0.0
 }
 
+/// Whether a circle of radius 0 is among the items of a geofence.
+pub(crate) fn has_empty_circle(items: &[PlanItem]) -> bool {
+    items.iter().any(is_empty)
+}
+
 /// The geofence. Without areas everything is allowed.
 #[derive(Debug, Default)]
-pub(crate) struct Fence {
-    pub wire: Wire,
-    areas: Vec<Area>,
-}
+pub(crate) struct Fence(Vec<Area>);
 
 impl Fence {
     /// Whether an item by itself can be part of a geofence.
-    pub fn check(item: &PlanItem, home: &HomePosition) -> Result<(), PlanDefect> {
+    pub fn check(item: &PlanItem) -> Result<(), PlanDefect> {
         let size = item.param(1).unwrap_or(0.0);
         let is_sound = match form(item) {
             Some((true, _)) => (3.0..=200.0).contains(&size) && size.fract() == 0.0,
@@ -103,22 +104,22 @@ impl Fence {
         }
         match is_empty(item) {
             true => Ok(()),
-            false => item.point(home).map(|_| ()),
+            false => item.point().map(|_| ()),
         }
     }
 
-    pub fn new(items: Vec<PlanItem>, home: &HomePosition) -> Result<Self, PlanDefect> {
+    pub fn new(items: &[PlanItem]) -> Result<Self, PlanDefect> {
         let mut areas = Vec::new();
-        let mut rest = items.as_slice();
+        let mut rest = items;
         while let [first, ..] = rest {
-            Self::check(first, home)?;
+            Self::check(first)?;
             let size = first.param(1).unwrap_or(0.0);
             let (is_polygon, is_inclusion) = form(first).unwrap_or_default();
             let used = if is_polygon { size as usize } else { 1 };
             if !is_empty(first) {
                 let is_same = |item: &&PlanItem| item.command == first.command && item.params[0] == size;
                 let same = rest.iter().take(used).take_while(is_same);
-                let vertices_m = same.map(|item| item.point(home)).collect::<Result<Vec<_>, _>>()?;
+                let vertices_m = same.map(PlanItem::point).collect::<Result<Vec<_>, _>>()?;
                 if vertices_m.len() < used {
                     return Err(PlanDefect::of_parameter(1, "polygon with too few vertices"));
                 }
@@ -134,23 +135,15 @@ impl Fence {
             }
             rest = rest.get(used..).unwrap_or_default();
         }
-        Ok(Self {
-            wire: Wire::new(items),
-            areas,
-        })
-    }
-
-    /// Whether a circle of radius 0 is among its items.
-    pub fn has_empty_circle(&self) -> bool {
-        self.wire.items.iter().any(is_empty)
+        Ok(Self(areas))
     }
 
     /// Whether a place (metres north and east of home) is inside one of the areas to stay in, if there are any, and
     /// outside all areas to stay out of. Several areas to stay in are a union, as in PX4.
     pub fn allows(&self, place_m: (f32, f32)) -> bool {
-        let mut inclusions = self.areas.iter().filter(|a| a.is_inclusion).peekable();
+        let mut inclusions = self.0.iter().filter(|a| a.is_inclusion).peekable();
         let included = inclusions.peek().is_none() || inclusions.any(|a| a.contains(place_m));
-        let excluded = self.areas.iter().any(|a| !a.is_inclusion && a.contains(place_m));
+        let excluded = self.0.iter().any(|a| !a.is_inclusion && a.contains(place_m));
         included && !excluded
     }
 }
@@ -170,11 +163,11 @@ mod tests {
     }
 
     fn fence(items: Vec<PlanItem>) -> Fence {
-        Fence::new(items, &HomePosition::default()).expect("valid")
+        Fence::new(&items).expect("valid")
     }
 
     fn refused(items: Vec<PlanItem>) -> PlanDefect {
-        Fence::new(items, &HomePosition::default()).expect_err("refused")
+        Fence::new(&items).expect_err("refused")
     }
 
     /// An L: the corner at 10..20, 10..20 is missing.
@@ -218,8 +211,8 @@ mod tests {
 
     #[test]
     fn a_circle_of_radius_0_holds_nothing_and_forbids_nothing() {
-        let alone = fence(vec![item(5003, 0.0, (0.0, 5.0))]);
-        assert!(alone.has_empty_circle() && alone.allows((0.0, 0.0)));
+        let alone = vec![item(5003, 0.0, (0.0, 5.0))];
+        assert!(has_empty_circle(&alone) && fence(alone).allows((0.0, 0.0)));
         let mut items = polygon(5001, &L);
         let off_africa = PlanItem {
             x: 0,
@@ -229,7 +222,7 @@ mod tests {
         items.extend([off_africa, item(5003, 0.0, (50.0, 50.0)), item(5004, 0.0, (5.0, 5.0))]);
         let beside = fence(items);
         assert!(beside.allows((5.0, 5.0)) && !beside.allows((50.0, 50.0)));
-        assert!(!fence(polygon(5001, &L)).has_empty_circle());
+        assert!(!has_empty_circle(&polygon(5001, &L)));
     }
 
     #[test]

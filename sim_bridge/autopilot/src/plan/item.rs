@@ -2,9 +2,9 @@
 //! that they do not know, but such an item must be answered.
 
 use crate::core::padded;
+use crate::geo;
 use crate::plan::PlanDefect;
 use crate::services::{BELOW_HOME_M, GLOBAL_FRAMES, MAX_DISTANCE_M, MAX_HEIGHT_M};
-use crate::{HomePosition, geo};
 use vigil_mavlink::common::{MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA, MavMissionResult};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::settings;
@@ -105,25 +105,13 @@ impl PlanItem {
     }
 
     /// The payload of MISSION_ITEM_INT, or of MISSION_ITEM, each with its own form of a global frame.
-    pub fn payload(&self, envelope: Envelope, target: (u8, u8), as_int: bool) -> [u8; ITEM_PAYLOAD_LEN] {
-        let mut p = [0; ITEM_PAYLOAD_LEN];
-        let mut put = |at: usize, bytes: &[u8]| p[at..at + bytes.len()].copy_from_slice(bytes);
-        for (i, param) in self.params.iter().enumerate() {
-            put(4 * i, &param.to_le_bytes());
-        }
-        for (at, v) in [(16, self.x), (20, self.y)] {
-            if as_int {
-                put(at, &v.to_le_bytes());
-            } else {
-                let scale = if is_global(self.frame) { 1e-7 } else { 1.0 };
-                let float = if v == i32::MAX {
-                    f32::NAN
-                } else {
-                    (f64::from(v) * scale) as f32
-                };
-                put(at, &float.to_le_bytes());
-            }
-        }
+    pub fn payload(&self, e: Envelope, (system, component): (u8, u8), as_int: bool) -> [u8; ITEM_PAYLOAD_LEN] {
+        let scale = if is_global(self.frame) { 1e-7 } else { 1.0 };
+        let coordinate = |v: i32| match (as_int, v) {
+            (true, v) => v.to_le_bytes(),
+            (false, i32::MAX) => f32::NAN.to_le_bytes(),
+            (false, v) => ((f64::from(v) * scale) as f32).to_le_bytes(),
+        };
         let frame = match (self.frame, as_int) {
             (0, true) => 5,
             (3, true) => 6,
@@ -131,12 +119,11 @@ impl PlanItem {
             (6, false) => 3,
             (frame, _) => frame,
         };
-        put(24, &self.z.to_le_bytes());
-        put(28, &envelope.seq.to_le_bytes());
-        put(30, &self.command.to_le_bytes());
-        put(32, &[target.0, target.1, frame, envelope.current]);
-        put(36, &[self.autocontinue, envelope.mission_type]);
-        p
+        let ([p1, p2, p3, p4], [x, y]) = (self.params.map(f32::to_le_bytes), [self.x, self.y].map(coordinate));
+        let numbers = [p1, p2, p3, p4, x, y, self.z.to_le_bytes()];
+        let words = [e.seq, self.command].map(u16::to_le_bytes);
+        let bytes = [system, component, frame, e.current, self.autocontinue, e.mission_type];
+        padded(&[numbers.as_flattened(), words.as_flattened(), &bytes].concat())
     }
 
     /// The bytes that make items equal.
@@ -150,7 +137,7 @@ impl PlanItem {
     }
 
     /// Parameters 5 and 6 as metres north and east of home; `None` where both are zero or not given.
-    pub fn north_east_m(&self, home: &HomePosition) -> Result<Option<(f32, f32)>, PlanDefect> {
+    pub fn north_east_m(&self) -> Result<Option<(f32, f32)>, PlanDefect> {
         if !is_global(self.frame) {
             let result = MavMissionResult::MAV_MISSION_UNSUPPORTED_FRAME;
             return Err(PlanDefect::new(result, "frame is not global"));
@@ -166,7 +153,7 @@ impl PlanItem {
         if lon.abs() > 180.0 {
             return Err(PlanDefect::of_parameter(6, "no such longitude"));
         }
-        let (north, east) = geo::to_local(home, lat, lon);
+        let (north, east) = geo::ORIGIN.north_east_m(lat, lon);
         // NaN fails the comparison.
         if libm::hypotf(north, east) <= MAX_DISTANCE_M {
             Ok(Some((north, east)))
@@ -176,12 +163,12 @@ impl PlanItem {
     }
 
     /// Where parameters 5 to 7 are.
-    pub fn place(&self, home: &HomePosition) -> Result<Place, PlanDefect> {
-        let north_east_m = self.north_east_m(home)?;
+    pub fn place(&self) -> Result<Place, PlanDefect> {
+        let north_east_m = self.north_east_m()?;
         let height_m = if matches!(self.frame, 3 | 6) {
             self.z
         } else {
-            (f64::from(self.z) - home.altitude_m) as f32
+            (f64::from(self.z) - geo::ORIGIN.altitude_m) as f32
         };
         if height_m.abs() > MAX_HEIGHT_M {
             return Err(PlanDefect::of_parameter(7, "height beyond 500 m"));
@@ -196,8 +183,8 @@ impl PlanItem {
     }
 
     /// Metres north and east of home where coordinates are needed and the height means nothing.
-    pub fn point(&self, home: &HomePosition) -> Result<(f32, f32), PlanDefect> {
-        self.north_east_m(home)?
+    pub fn point(&self) -> Result<(f32, f32), PlanDefect> {
+        self.north_east_m()?
             .ok_or(PlanDefect::of_parameter(5, "no coordinates"))
     }
 }

@@ -1,8 +1,7 @@
 //! The mission: what its items mean, and how far it is done. How it is flown is `flight::mission`.
 
-use crate::HomePosition;
 use crate::core::nanos;
-use crate::plan::{Place, PlanDefect, PlanItem, Wire};
+use crate::plan::{Place, PlanDefect, PlanItem};
 use vigil_mavlink::common::{MavMissionResult, MissionState};
 use vigil_types::Nanos;
 
@@ -119,14 +118,14 @@ fn check_frame(item: &PlanItem, is_known: bool) -> Result<(), PlanDefect> {
 
 impl MissionItem {
     /// Reads an item.
-    pub fn read(item: &PlanItem, home: &HomePosition) -> Result<Self, PlanDefect> {
-        let meaning = Self::meaning(item, home);
+    pub fn read(item: &PlanItem) -> Result<Self, PlanDefect> {
+        let meaning = Self::meaning(item);
         check_frame(item, meaning != Err(UNKNOWN))?;
         meaning
     }
 
     /// What it means in the frames of its command.
-    fn meaning(item: &PlanItem, home: &HomePosition) -> Result<Self, PlanDefect> {
+    fn meaning(item: &PlanItem) -> Result<Self, PlanDefect> {
         let leg = |place, yaw_rad, acceptance_m, purpose| {
             Ok(Self::Leg(Leg {
                 place,
@@ -135,7 +134,7 @@ impl MissionItem {
                 purpose,
             }))
         };
-        let to = |purpose| leg(item.place(home)?, heading_rad(item, 4)?, None, purpose);
+        let to = |purpose| leg(item.place()?, heading_rad(item, 4)?, None, purpose);
         let stay = |stay_ns| Purpose::Visit { stay_ns };
         let look_at = |place_m| Ok(Self::Interest(place_m));
         let misused = |reason| Err(PlanDefect::of_parameter(1, reason));
@@ -145,17 +144,17 @@ impl MissionItem {
                 if !(0.0..=1000.0).contains(&radius_m) {
                     return Err(PlanDefect::of_parameter(2, "acceptance radius"));
                 }
-                item.point(home)?;
+                item.point()?;
                 let (acceptance_m, visit) = ((radius_m > 0.0).then_some(radius_m), stay(seconds(item)?));
-                leg(item.place(home)?, heading_rad(item, 4)?, acceptance_m, visit)
+                leg(item.place()?, heading_rad(item, 4)?, acceptance_m, visit)
             }
             NAV_LOITER_UNLIM => to(Purpose::Stay),
             NAV_LOITER_TIME => to(stay(seconds(item)?)),
             // Parameter 4 is not a heading here.
-            NAV_LOITER_TO_ALT => leg(item.place(home)?, None, None, stay(0)),
+            NAV_LOITER_TO_ALT => leg(item.place()?, None, None, stay(0)),
             // Where the ground is, is not the item's to say.
             NAV_LAND => {
-                let north_east_m = item.north_east_m(home)?;
+                let north_east_m = item.north_east_m()?;
                 let place = Place {
                     north_east_m,
                     height_m: None,
@@ -170,10 +169,10 @@ impl MissionItem {
             NAV_DELAY | CONDITION_DELAY => Ok(Self::Delay(seconds(item)?)),
             DO_CHANGE_SPEED => Self::speed(item),
             DO_JUMP => Self::jump(item),
-            DO_SET_ROI_LOCATION => look_at(Some(item.point(home)?)),
+            DO_SET_ROI_LOCATION => look_at(Some(item.point()?)),
             DO_SET_ROI_NONE => look_at(None),
             NAV_ROI | DO_SET_ROI => match item.param(1) {
-                Some(ROI_LOCATION) => look_at(Some(item.point(home)?)),
+                Some(ROI_LOCATION) => look_at(Some(item.point()?)),
                 None | Some(0.0) => look_at(None),
                 // A waypoint, without a frame only: the nose points there anyway.
                 Some(1.0 | 2.0) if item.frame == FRAME_MISSION => look_at(None),
@@ -233,7 +232,6 @@ pub(crate) enum Stage {
 /// The mission and its progress.
 #[derive(Debug, Default)]
 pub(crate) struct Mission {
-    pub wire: Wire,
     items: Vec<MissionItem>,
     /// How often each item has jumped.
     jumped: Vec<u16>,
@@ -253,15 +251,14 @@ pub(crate) struct Mission {
 }
 
 impl Mission {
-    pub fn new(items: Vec<PlanItem>, home: &HomePosition) -> Result<Self, PlanDefect> {
-        let read = items.iter().map(|item| MissionItem::read(item, home));
+    pub fn new(items: &[PlanItem]) -> Result<Self, PlanDefect> {
+        let read = items.iter().map(MissionItem::read);
         let meanings = read.collect::<Result<Vec<_>, _>>()?;
         let astray = |item: &MissionItem| matches!(item, MissionItem::Jump { to, .. } if *to >= meanings.len());
         if meanings.iter().any(astray) {
             return Err(PlanDefect::of_parameter(1, "no such item to jump to"));
         }
         Ok(Self {
-            wire: Wire::new(items),
             jumped: vec![0; meanings.len()],
             items: meanings,
             ..Self::default()
@@ -289,11 +286,6 @@ impl Mission {
     /// The current item.
     pub fn item(&self) -> Option<MissionItem> {
         self.items.get(self.current).copied()
-    }
-
-    /// Whether the mission pauses after the current item.
-    pub fn pauses_after_item(&self) -> bool {
-        self.wire.items.get(self.current).is_some_and(|i| i.autocontinue == 0)
     }
 
     /// Where the next way leads, in metres north and east, if nothing that takes time comes before it.
@@ -398,7 +390,7 @@ mod tests {
         let there = waypoint((1.0, 0.0), 5.0);
         let jump = |times: f32| action(177, [0.0, times, 0.0, 0.0]);
         let items = vec![there, jump(2.0), there, jump(1.0)];
-        let mut mission = Mission::new(items, &HomePosition::default()).expect("valid");
+        let mut mission = Mission::new(&items).expect("valid");
         mission.start();
         let mut visited = vec![mission.current()];
         while mission.advance(true) {
@@ -412,8 +404,7 @@ mod tests {
 
     #[test]
     fn a_speed_can_go_back_to_its_default() {
-        let home = HomePosition::default();
-        let read = |i: PlanItem| MissionItem::read(&i, &home).expect("valid");
+        let read = |i: PlanItem| MissionItem::read(&i).expect("valid");
         let default = MissionItem::Speed(None);
         assert_eq!(read(action(178, [1.0, -2.0, -1.0, 0.0])), default);
         assert_eq!(read(action(178, [1.0, -1.0, -1.0, 0.0])), MissionItem::PassedOver);

@@ -6,12 +6,11 @@ mod item;
 pub(crate) mod mission;
 mod rally;
 
-pub(crate) use fence::{Breach, Fence};
+pub(crate) use fence::{Breach, Fence, has_empty_circle};
 pub(crate) use item::{Envelope, Place, PlanItem};
 pub(crate) use mission::{Leg, Mission, MissionItem, Purpose, Stage};
 pub(crate) use rally::Rally;
 
-use crate::HomePosition;
 use crate::used_parameters::misused_in_item;
 use vigil_mavlink::common::{MavMissionResult, MavMissionType};
 
@@ -108,42 +107,49 @@ pub(crate) struct Plans {
     pub mission: Mission,
     pub fence: Fence,
     pub rally: Rally,
+    wires: [Wire; 3],
 }
 
 impl Plans {
     /// Whether a plan of this kind can be made with an item.
-    pub fn read(kind: PlanKind, item: &PlanItem, home: &HomePosition) -> Result<(), PlanDefect> {
+    pub fn read(kind: PlanKind, item: &PlanItem) -> Result<(), PlanDefect> {
         match kind {
-            PlanKind::Mission => MissionItem::read(item, home).map(|_| ()),
-            PlanKind::Fence => Fence::check(item, home),
-            PlanKind::Rally => Rally::read(item, home).map(|_| ()),
+            PlanKind::Mission => MissionItem::read(item).map(|_| ()),
+            PlanKind::Fence => Fence::check(item),
+            PlanKind::Rally => Rally::read(item).map(|_| ()),
         }
     }
 
     /// Whether an item may be part of a plan of this kind.
-    pub fn check(kind: PlanKind, item: &PlanItem, home: &HomePosition) -> Result<(), PlanDefect> {
-        Self::read(kind, item, home)?;
+    pub fn check(kind: PlanKind, item: &PlanItem) -> Result<(), PlanDefect> {
+        Self::read(kind, item)?;
         let misused = misused_in_item(item.command, item.params, item.x, item.y, item.z);
         let defect = |number| Err(PlanDefect::of_parameter(number, "a parameter that has no meaning"));
         misused.map_or(Ok(()), defect)
     }
 
     /// Puts a plan in the place of the one of its kind, which stays as it is if the new one is refused.
-    pub fn replace(&mut self, kind: PlanKind, items: Vec<PlanItem>, home: &HomePosition) -> Result<(), PlanDefect> {
+    pub fn replace(&mut self, kind: PlanKind, items: Vec<PlanItem>) -> Result<(), PlanDefect> {
         match kind {
-            PlanKind::Mission => self.mission = Mission::new(items, home)?,
-            PlanKind::Fence => self.fence = Fence::new(items, home)?,
-            PlanKind::Rally => self.rally = Rally::new(items, home)?,
+            PlanKind::Mission => self.mission = Mission::new(&items)?,
+            PlanKind::Fence => self.fence = Fence::new(&items)?,
+            PlanKind::Rally => self.rally = Rally::new(&items)?,
         }
+        self.wires[kind as usize] = Wire::new(items);
         Ok(())
+    }
+
+    /// Whether the mission pauses after the current item.
+    pub fn mission_pauses(&self) -> bool {
+        let item = self
+            .wire(PlanKind::Mission)
+            .items
+            .get(usize::from(self.mission.current()));
+        item.is_some_and(|item| item.autocontinue == 0)
     }
 
     /// The items of a plan as they came.
     pub fn wire(&self, kind: PlanKind) -> &Wire {
-        match kind {
-            PlanKind::Mission => &self.mission.wire,
-            PlanKind::Fence => &self.fence.wire,
-            PlanKind::Rally => &self.rally.wire,
-        }
+        &self.wires[kind as usize]
     }
 }

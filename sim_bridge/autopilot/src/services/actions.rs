@@ -102,8 +102,8 @@ fn check_frame(frame: u8) -> Answer {
 }
 
 /// Height above home of a command's altitude. PX4 reads it above sea level whatever the frame says.
-fn height_m(core: &Core, altitude_m: f32) -> f32 {
-    (f64::from(altitude_m) - core.home.altitude_m) as f32
+fn height_m(altitude_m: f32) -> f32 {
+    (f64::from(altitude_m) - geo::ORIGIN.altitude_m) as f32
 }
 
 fn too_far() -> Refusal {
@@ -122,7 +122,7 @@ fn check_height(height_m: f32) -> Answer {
 
 /// Parameter 7 is the altitude; NaN is MIS_TAKEOFF_ALT above the vehicle.
 fn take_off(command: &Command, _source: Source, core: &mut Core) -> Answer {
-    let height = command.param(7).map(|altitude_m| height_m(core, altitude_m));
+    let height = command.param(7).map(height_m);
     if height.is_some_and(|height| height > MAX_HEIGHT_M) {
         return Err(too_far());
     }
@@ -140,17 +140,17 @@ pub(super) fn latitude_longitude_deg(command: &Command) -> Option<(f64, f64)> {
 }
 
 /// Metres north and east of the local origin.
-pub(super) fn to_local(core: &Core, (lat, lon): (f64, f64)) -> Result<(f32, f32), Refusal> {
+pub(super) fn to_local((lat, lon): (f64, f64)) -> Result<(f32, f32), Refusal> {
     let is_on_globe = lat.abs() <= 90.0 && lon.abs() <= 180.0;
     let refusal = || Refusal::DENIED.saying("denied: no such latitude or longitude");
     is_on_globe
-        .then(|| geo::to_local(&core.home, lat, lon))
+        .then(|| geo::ORIGIN.north_east_m(lat, lon))
         .ok_or_else(refusal)
 }
 
 /// The place of parameters 5 to 7 in a global frame.
 fn place(command: &Command, core: &Core) -> Result<NedVector, Refusal> {
-    let height_m = command.param(7).map(|altitude_m| height_m(core, altitude_m));
+    let height_m = command.param(7).map(height_m);
     place_at(command, height_m, core)
 }
 
@@ -159,7 +159,7 @@ fn place_at(command: &Command, height_m: Option<f32>, core: &Core) -> Result<Ned
     check_frame(command.frame())?;
     height_m.map_or(Ok(()), check_height)?;
     let here = core.view.estimate.position_ned_m;
-    let (x, y) = latitude_longitude_deg(command).map_or(Ok((here.x, here.y)), |place| to_local(core, place))?;
+    let (x, y) = latitude_longitude_deg(command).map_or(Ok((here.x, here.y)), to_local)?;
     let z = height_m.map_or(here.z, |height_m| -height_m);
     let position = NedVector::new(x, y, z);
     // NaN fails the comparison.
@@ -192,7 +192,7 @@ fn change_altitude(command: &Command, _source: Source, core: &mut Core) -> Answe
     let (Some(altitude_m), Some(frame @ 0.0..=11.0)) = (command.param(1), command.param(2)) else {
         return Err(Refusal::DENIED);
     };
-    let height = height_m(core, altitude_m);
+    let height = height_m(altitude_m);
     check_frame(frame as u8)?;
     check_height(height)?;
     let here = core.view.estimate.position_ned_m;
@@ -301,12 +301,12 @@ fn orbit(command: &Command, _source: Source, core: &mut Core) -> Answer {
 /// Nothing while it does not circle.
 fn orbit_status(core: &Core) -> Option<MavMessage> {
     let orbit = core.orbit()?;
-    let (lat, lon, altitude_m) = geo::to_global(&core.home, orbit.centre_ned_m);
+    let (x, y, altitude_m) = geo::to_global(orbit.centre_ned_m);
     Some(MavMessage::ORBIT_EXECUTION_STATUS(ORBIT_EXECUTION_STATUS_DATA {
         time_usec: core.time_boot_us(),
         radius: orbit.radius_m * if orbit.is_clockwise { 1.0 } else { -1.0 },
-        x: geo::deg_e7(lat),
-        y: geo::deg_e7(lon),
+        x,
+        y,
         z: altitude_m as f32,
         frame: MavFrame::MAV_FRAME_GLOBAL_INT,
     }))

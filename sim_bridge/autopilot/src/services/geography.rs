@@ -4,7 +4,7 @@
 //! Home and origin are both the local origin until DO_SET_HOME moves home, which changes where a return flies to and what
 //! GF_MAX_HOR_DIST is counted from. Home keeps its height: the world is level, and heights are above it.
 
-use crate::geo::{self, deg_e7};
+use crate::geo::{self, ORIGIN, deg_e7};
 use crate::plan::Breach;
 use crate::plan::mission::DO_SET_HOME;
 use crate::service::prelude::*;
@@ -23,11 +23,10 @@ const SAME_HEIGHT_M: f64 = 1.0;
 
 /// The origin is where the simulated world has it; whoever wants another is sent the one in force.
 pub(super) fn set_origin(wanted: SET_GPS_GLOBAL_ORIGIN_DATA, _source: Source, core: &mut Core) {
-    let own = core.home;
     let off = [
-        f64::from(wanted.latitude) - own.latitude_deg * 1e7,
-        f64::from(wanted.longitude) - own.longitude_deg * 1e7,
-        f64::from(wanted.altitude) - own.altitude_m * 1e3,
+        f64::from(wanted.latitude) - ORIGIN.latitude_deg * 1e7,
+        f64::from(wanted.longitude) - ORIGIN.longitude_deg * 1e7,
+        f64::from(wanted.altitude) - ORIGIN.altitude_m * 1e3,
     ];
     // Clients cut off what they cannot send.
     if off.iter().any(|off| off.abs() > 2.0) {
@@ -43,12 +42,12 @@ fn set_home(command: &Command, _source: Source, core: &mut Core) -> Answer {
     let home_m = match (command.param(1), latitude_longitude_deg(command)) {
         (Some(1.0), _) => (here.x, here.y),
         (Some(0.0) | None, Some(place)) if GLOBAL_FRAMES.contains(&command.frame()) => {
-            let altitude_m = command.param(7).map_or(core.home.altitude_m, f64::from);
+            let altitude_m = command.param(7).map_or(ORIGIN.altitude_m, f64::from);
             // An infinite altitude is at no height.
-            if (altitude_m - core.home.altitude_m).abs() > SAME_HEIGHT_M {
+            if (altitude_m - ORIGIN.altitude_m).abs() > SAME_HEIGHT_M {
                 return Err(Refusal::DENIED.saying("denied: home keeps its height"));
             }
-            to_local(core, place)?
+            to_local(place)?
         }
         _ => return Err(Refusal::DENIED),
     };
@@ -62,11 +61,11 @@ fn set_home(command: &Command, _source: Source, core: &mut Core) -> Answer {
 
 fn home(core: &Core) -> Option<MavMessage> {
     let (x, y) = core.home_m;
-    let (latitude_deg, longitude_deg, altitude_m) = geo::to_global(&core.home, NedVector::new(x, y, 0.0));
+    let (latitude, longitude, altitude_m) = geo::to_global(NedVector::new(x, y, 0.0));
     Some(message!(
         HOME_POSITION,
-        latitude = deg_e7(latitude_deg),
-        longitude = deg_e7(longitude_deg),
+        latitude,
+        longitude,
         altitude = (altitude_m * 1e3) as i32,
         x,
         y,
@@ -77,9 +76,9 @@ fn home(core: &Core) -> Option<MavMessage> {
 
 fn origin(core: &Core) -> Option<MavMessage> {
     Some(MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
-        latitude: deg_e7(core.home.latitude_deg),
-        longitude: deg_e7(core.home.longitude_deg),
-        altitude: (core.home.altitude_m * 1e3) as i32,
+        latitude: deg_e7(ORIGIN.latitude_deg),
+        longitude: deg_e7(ORIGIN.longitude_deg),
+        altitude: (ORIGIN.altitude_m * 1e3) as i32,
         time_usec: core.time_boot_us(),
     }))
 }

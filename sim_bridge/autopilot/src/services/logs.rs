@@ -46,9 +46,8 @@ enum Work {
 }
 
 /// A log that is sent while it is written.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 struct Stream {
-    client: Source,
     path: String,
     offset: usize,
     /// Where the next message of the log begins.
@@ -67,7 +66,7 @@ pub(crate) struct Logs {
     record_ns: Nanos,
     send_ns: Nanos,
     work: Vec<(Source, Work)>,
-    streams: Vec<Stream>,
+    streams: Vec<(Source, Stream)>,
 }
 
 impl Service for Logs {
@@ -116,18 +115,12 @@ impl Service for Logs {
     }
 
     fn command(&mut self, command: &Command, source: Source, _core: &mut Core) -> Answer {
-        self.streams.retain(|s| s.client != source);
+        self.streams.retain(|(client, _)| *client != source);
         if command.number == LOGGING_START {
             if self.streams.len() >= MAX_DOWNLOADS {
                 return Err(Refusal::REJECTED.saying("log streaming denied: four clients have it"));
             }
-            self.streams.push(Stream {
-                client: source,
-                path: String::new(),
-                offset: 0,
-                message: 0,
-                sequence: 0,
-            });
+            self.streams.push((source, Stream::default()));
         }
         Ok(())
     }
@@ -142,7 +135,9 @@ impl Service for Logs {
             self.record_ns = core.now_ns + RECORD_NS;
             self.record(core);
             if let Some(path) = &self.recording {
-                self.streams.iter_mut().for_each(|s| s.send(path, core));
+                for (client, stream) in &mut self.streams {
+                    stream.send(*client, path, core);
+                }
             }
         }
         if !self.work.is_empty() && self.send_ns <= core.now_ns {
@@ -211,7 +206,7 @@ impl Work {
 
 impl Stream {
     /// Sends what was written to the log at `path` since the last call.
-    fn send(&mut self, path: &str, core: &mut Core) {
+    fn send(&mut self, client: Source, path: &str, core: &mut Core) {
         if self.path != path {
             self.path = path.to_owned();
             (self.offset, self.message) = (0, 0);
@@ -234,7 +229,7 @@ impl Stream {
             );
             self.offset = to;
             self.sequence = self.sequence.wrapping_add(1);
-            core.outbox.send_to(self.client, message);
+            core.outbox.send_to(client, message);
         }
     }
 }

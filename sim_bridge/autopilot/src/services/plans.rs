@@ -8,7 +8,7 @@
 use crate::core::padded;
 use crate::flight::FlightMode;
 use crate::plan::mission::DO_CHANGE_SPEED;
-use crate::plan::{Envelope, MissionItem, PlanDefect, PlanItem, PlanKind, Plans};
+use crate::plan::{Envelope, MissionItem, PlanDefect, PlanItem, PlanKind, Plans, has_empty_circle};
 use crate::service::prelude::*;
 use MavMissionResult::*;
 
@@ -70,7 +70,7 @@ fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>, current: Optio
         true => (0, None),
         false => (core.plans.mission.goes_on_with(), core.plans.mission.speed_m_s),
     };
-    core.plans.replace(kind, items, &core.home)?;
+    core.plans.replace(kind, items)?;
     match kind {
         PlanKind::Mission => {
             let mission = &mut core.plans.mission;
@@ -82,7 +82,7 @@ fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>, current: Optio
             }
             core.mission_changed();
         }
-        PlanKind::Fence if core.plans.fence.has_empty_circle() => {
+        PlanKind::Fence if has_empty_circle(&core.plans.wire(kind).items) => {
             core.warn("geofence: a circle of radius 0 holds nothing");
         }
         PlanKind::Fence | PlanKind::Rally => {}
@@ -93,7 +93,7 @@ fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>, current: Optio
 /// Whether a mission's item leads to where the vehicle may be.
 fn inside_fence(item: &PlanItem, kind: PlanKind, core: &Core) -> Result<(), PlanDefect> {
     let outside = PlanDefect::new(MAV_MISSION_DENIED, "outside the geofence");
-    match MissionItem::read(item, &core.home) {
+    match MissionItem::read(item) {
         Ok(MissionItem::Leg(leg)) if kind == PlanKind::Mission && !core.fence_allows_leg(&leg) => Err(outside),
         _ => Ok(()),
     }
@@ -213,8 +213,7 @@ impl PlanTransfer {
             self.upload = Some(upload);
             return;
         }
-        let checked =
-            Plans::check(upload.kind, &item, &core.home).and_then(|()| inside_fence(&item, upload.kind, core));
+        let checked = Plans::check(upload.kind, &item).and_then(|()| inside_fence(&item, upload.kind, core));
         if let Err(defect) = checked {
             self.finished = Some((source, upload.kind, 0, core.now_ns));
             let reason = format!("item {wanted}: {}", defect.reason);

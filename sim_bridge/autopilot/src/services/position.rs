@@ -39,13 +39,13 @@ fn local_position(core: &Core) -> Option<MavMessage> {
 
 fn global_position(core: &Core) -> Option<MavMessage> {
     let e = &core.view.estimate;
-    let (lat, lon, alt_m) = geo::to_global(&core.home, e.position_ned_m);
+    let (lat, lon, alt_m) = geo::to_global(e.position_ned_m);
     let [vx, vy, vz] = e.velocity_ned_m_s.to_array().map(|m_s| (m_s * 100.0) as i16);
     Some(message!(
         GLOBAL_POSITION_INT,
         time_boot_ms = core.time_boot_ms(),
-        lat = geo::deg_e7(lat),
-        lon = geo::deg_e7(lon),
+        lat,
+        lon,
         alt = (alt_m * 1e3) as i32,
         relative_alt = (-e.position_ned_m.z * 1e3) as i32,
         vx,
@@ -60,7 +60,7 @@ fn heads_up_display(core: &Core) -> Option<MavMessage> {
     Some(MavMessage::VFR_HUD(VFR_HUD_DATA {
         airspeed: e.velocity_ned_m_s.norm(),
         groundspeed: e.velocity_ned_m_s.horizontal_norm(),
-        alt: (core.home.altitude_m - f64::from(e.position_ned_m.z)) as f32,
+        alt: (geo::ORIGIN.altitude_m - f64::from(e.position_ned_m.z)) as f32,
         climb: -e.velocity_ned_m_s.z,
         heading: bearing_deg(e.attitude.yaw_rad()) as i16,
         throttle: (core.view.sensors.throttle * 100.0) as u16,
@@ -69,7 +69,7 @@ fn heads_up_display(core: &Core) -> Option<MavMessage> {
 
 fn altitude(core: &Core) -> Option<MavMessage> {
     let height_m = -core.view.estimate.position_ned_m.z;
-    let amsl_m = (core.home.altitude_m + f64::from(height_m)) as f32;
+    let amsl_m = (geo::ORIGIN.altitude_m + f64::from(height_m)) as f32;
     Some(MavMessage::ALTITUDE(ALTITUDE_DATA {
         time_usec: core.time_boot_us(),
         altitude_monotonic: amsl_m,
@@ -113,12 +113,12 @@ fn global_target(core: &Core) -> Option<MavMessage> {
         }
         _ => core.place_flown_to()?,
     };
-    let (lat, lon, alt_m) = geo::to_global(&core.home, place);
+    let (lat_int, lon_int, alt_m) = geo::to_global(place);
     Some(message!(
         POSITION_TARGET_GLOBAL_INT,
         time_boot_ms = core.time_boot_ms(),
-        lat_int = geo::deg_e7(lat),
-        lon_int = geo::deg_e7(lon),
+        lat_int,
+        lon_int,
         alt = alt_m as f32,
         // A position alone.
         type_mask = PositionTargetTypemask::from_bits_truncate(0xDF8),
@@ -156,12 +156,12 @@ impl Service for GroundTruth {
             return None;
         }
         let truth = core.truth?;
-        let (lat, lon, altitude_m) = geo::to_global(&core.home, truth.position_ned_m);
+        let (lat, lon, altitude_m) = geo::to_global(truth.position_ned_m);
         let mut m = HIL_STATE_QUATERNION_DATA {
             time_usec: core.time_boot_us(),
             attitude_quaternion: [truth.attitude.w, truth.attitude.x, truth.attitude.y, truth.attitude.z],
-            lat: geo::deg_e7(lat),
-            lon: geo::deg_e7(lon),
+            lat,
+            lon,
             alt: (altitude_m * 1e3) as i32,
             // There is no wind that the telemetry knows of.
             ind_airspeed: (truth.velocity_ned_m_s.norm() * 100.0) as u16,

@@ -55,7 +55,7 @@ fn pressure_hpa(altitude_m: f64) -> f32 {
 /// What the barometer reports, as metres above sea level; `None` where it is off.
 fn barometric_altitude_m(core: &Core) -> Option<f64> {
     let (fault, measured_m) = (core.lost_sensors.barometer, core.view.sensors.barometer_height_m);
-    Some(core.home.altitude_m + f64::from(fault.unwrap_or(Some(measured_m))?))
+    Some(geo::ORIGIN.altitude_m + f64::from(fault.unwrap_or(Some(measured_m))?))
 }
 
 /// The earth's field about the vehicle in gauss.
@@ -73,7 +73,7 @@ fn compass_gauss(core: &Core) -> FrdVector {
 fn imu(core: &Core) -> Option<MavMessage> {
     let s = &core.view.sensors;
     let barometric_m = barometric_altitude_m(core);
-    let altitude_m = barometric_m.unwrap_or(core.home.altitude_m);
+    let altitude_m = barometric_m.unwrap_or(geo::ORIGIN.altitude_m);
     // All but differential pressure.
     let mut updated = Updated::from_bits_truncate(0x1BFF);
     if barometric_m.is_none() {
@@ -153,13 +153,13 @@ fn gps(core: &Core) -> Option<MavMessage> {
         ));
     }
     let s = &core.view.sensors;
-    let (lat, lon, alt_m) = geo::to_global(&core.home, s.gps_position_ned_m);
+    let (lat, lon, alt_m) = geo::to_global(s.gps_position_ned_m);
     let v = s.gps_velocity_ned_m_s;
     let course_deg = bearing_deg(libm::atan2f(v.y, v.x));
     Some(MavMessage::GPS_RAW_INT(GPS_RAW_INT_DATA {
         time_usec: core.time_boot_us(),
-        lat: geo::deg_e7(lat),
-        lon: geo::deg_e7(lon),
+        lat,
+        lon,
         alt: (alt_m * 1e3) as i32,
         eph: 80,
         epv: 120,

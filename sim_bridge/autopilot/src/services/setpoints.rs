@@ -69,7 +69,7 @@ impl Service for SetpointService {
             }
             SET_POSITION_TARGET_GLOBAL_INT_DATA::ID => {
                 let read = core.read(packet);
-                read.map(|m| global_setpoint(&m, &core.home, speed_limit_m_s))
+                read.map(|m| global_setpoint(&m, speed_limit_m_s))
             }
             SET_ATTITUDE_TARGET_DATA::ID => core.read(packet).map(|m| attitude_setpoint(&m)),
             SET_ACTUATOR_CONTROL_TARGET_DATA::ID => Some(Err(SetpointDefect::Actuators)),
@@ -175,8 +175,8 @@ impl Service for Follow {
             return;
         };
         let (lat, lon) = (f64::from(m.lat) * 1e-7, f64::from(m.lon) * 1e-7);
-        let (x, y) = geo::to_local(&core.home, lat, lon);
-        let down_m = (core.home.altitude_m - f64::from(m.alt)) as f32;
+        let (x, y) = geo::ORIGIN.north_east_m(lat, lon);
+        let down_m = (geo::ORIGIN.altitude_m - f64::from(m.alt)) as f32;
         let position = NedVector::new(x, y, down_m);
         let [vx, vy, vz] = m.vel;
         let velocity = (m.est_capabilities & HAS_VELOCITY != 0).then(|| NedVector::new(vx, vy, vz));

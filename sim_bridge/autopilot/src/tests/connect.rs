@@ -3,7 +3,6 @@
 use crate::ParameterRole;
 use crate::testing::*;
 use crate::tests::plans::{MISSION, item, waypoint};
-use vigil_mavlink::mavlink::Message;
 
 fn request(b: &mut Bench, id: u32, index: f32) -> u8 {
     b.ask(512, &[id as f32, index])
@@ -76,18 +75,6 @@ fn the_hash_of_the_parameters_is_that_of_their_names_and_values_and_ends_a_list(
     b.set_parameter("_HASH_CHECK", ParameterValue::Real(f32::from_bits(before)));
     b.run_ms(2_000);
     assert!(values(&b) < 20, "a station that knows them all wants no list");
-}
-
-#[test]
-fn set_up_pages_cannot_change_what_the_vehicle_is() {
-    let mut b = Bench::new();
-    b.set_parameter("SYS_AUTOSTART", ParameterValue::Integer(10_016));
-    let answers: Vec<u32> = b.messages(API).map(Message::message_id).take(2).collect();
-    assert_eq!(answers, [PARAM_ERROR_DATA::ID, PARAM_VALUE_DATA::ID]);
-    let error = b.one::<PARAM_ERROR_DATA>().error;
-    assert_eq!(error, MavParamError::MAV_PARAM_ERROR_READ_ONLY);
-    assert_eq!(b.one::<PARAM_VALUE_DATA>().param_value.to_bits(), 4001);
-    b.assert_said("SYS_AUTOSTART cannot be set");
 }
 
 /// Which these are is in tests/python/ground_habits.py.

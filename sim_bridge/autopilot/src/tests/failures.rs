@@ -1,12 +1,13 @@
 //! Sensors that are switched off.
 
 use crate::testing::*;
+use crate::tests::scenarios::{current_item, start_mission, upload_square, wait_until_disarmed};
 
 const GPS: f32 = 4.0;
-pub(super) const BAROMETER: f32 = 3.0;
-pub(super) const MAGNETOMETER: f32 = 2.0;
+const BAROMETER: f32 = 3.0;
+const MAGNETOMETER: f32 = 2.0;
 
-pub(super) fn inject(b: &mut Bench, unit: f32, kind: f32) -> u8 {
+fn inject(b: &mut Bench, unit: f32, kind: f32) -> u8 {
     b.ask(420, &[unit, kind])
 }
 
@@ -60,6 +61,7 @@ fn without_gps_the_vehicle_lands_and_is_not_armed_again() {
     assert_eq!(b.arm(), ACCEPTED);
 }
 
+/// PX4's own flight test too: a mission goes on without them and with readings that are stuck.
 #[test]
 fn without_barometer_or_compass_it_flies_on_and_does_not_arm() {
     use MavSysStatusSensor as Sensor;
@@ -67,12 +69,16 @@ fn without_barometer_or_compass_it_flies_on_and_does_not_arm() {
         (BAROMETER, Sensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE, "barometer"),
         (MAGNETOMETER, Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG, "compass"),
     ] {
-        let mut b = Bench::airborne();
+        let mut b = Bench::new();
+        upload_square(&mut b);
+        assert_eq!(b.arm(), ACCEPTED);
         enable(&mut b);
+        start_mission(&mut b);
+        b.run_until(60, "the first item", |b| current_item(b) == Some(1));
         assert_eq!(inject(&mut b, unit, 1.0), ACCEPTED);
         b.sent.clear();
-        b.run_ms(8_000);
-        assert_eq!((b.status().mode, b.status().failsafe), (FlightMode::Hold, None));
+        b.run_ms(4_000);
+        assert_eq!((b.status().mode, b.status().failsafe), (FlightMode::Mission, None));
         assert!(!health(&b).contains(bit));
         assert_eq!(b.arm(), ACCEPTED, "as it is armed already");
         if name == "barometer" {
@@ -89,6 +95,9 @@ fn without_barometer_or_compass_it_flies_on_and_does_not_arm() {
             _ => imu.iter().map(|m| [m.xmag, m.ymag, m.zmag]).collect(),
         };
         assert!(readings.len() > 50 && readings.iter().all(|reading| *reading == readings[0]));
+        b.run_until(90, "the return", |b| b.status().mode == FlightMode::Return);
+        wait_until_disarmed(&mut b, 120);
+        assert!(b.is_at((0.0, 0.0), 0.0, 2.0), "{:?}", b.position_m());
         assert_eq!(inject(&mut b, unit, 0.0), ACCEPTED);
         b.run_ms(2_000);
         assert!(health(&b).contains(bit));

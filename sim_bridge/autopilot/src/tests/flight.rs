@@ -1,6 +1,6 @@
 //! Arm, fly, land: what a script does.
 
-use crate::HomePosition;
+use crate::geo::ORIGIN;
 use crate::testing::*;
 
 #[test]
@@ -203,7 +203,6 @@ fn goto_is_refused_on_the_ground_far_away_and_in_a_foreign_frame() {
 fn home_can_be_moved_and_return_flies_there() {
     const SET_HOME: u16 = 179;
     let mut b = Bench::airborne();
-    let origin = HomePosition::default();
     let (lat, lon) = on_globe((8.0, -6.0));
     let place = |use_current: f32, lat: f64, alt: f32| [use_current, 0.0, 0.0, 0.0, lat as f32, lon as f32, alt];
     for (use_current, lat, alt) in [
@@ -219,7 +218,7 @@ fn home_can_be_moved_and_return_flies_there() {
     b.run_ms(2_500);
     let before = home_of(&b);
     assert_eq!((before.x, before.y, before.z), (0.0, 0.0, 0.0));
-    assert_eq!(before.latitude, (origin.latitude_deg * 1e7).round() as i32);
+    assert_eq!(before.latitude, (ORIGIN.latitude_deg * 1e7).round() as i32);
 
     // A COMMAND_LONG holds a latitude to less than half a metre.
     assert_eq!(b.ask(SET_HOME, &place(0.0, lat, 488.0)), ACCEPTED);
@@ -249,7 +248,7 @@ fn home_can_be_moved_and_return_flies_there() {
         assert_eq!(b.texts().len(), texts, "{latitude}");
     }
     let last_origin = b.last::<GPS_GLOBAL_ORIGIN_DATA>(API).latitude;
-    assert_eq!(last_origin, (origin.latitude_deg * 1e7).round() as i32);
+    assert_eq!(last_origin, (ORIGIN.latitude_deg * 1e7).round() as i32);
     assert_eq!(b.ask(SET_HOME, &[1.0]), ACCEPTED);
     b.run_ms(100);
     let home = home_of(&b);

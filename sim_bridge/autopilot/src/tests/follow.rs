@@ -67,13 +67,31 @@ fn a_target_that_is_nowhere_near_is_not_followed() {
     assert_eq!(b.status().refusals.setpoint_value, 2);
     b.run_ms(3_000);
     report(&mut b, (5.0, 0.0), Some([0.0, f32::INFINITY, 0.0]));
-    b.run_ms(100);
+    b.run_ms(6_000);
+    // What MAVSDK makes of a place that is not a number, with a velocity.
+    for _ in 0..15 {
+        let (lat, lon, alt, vel) = (i32::MIN, i32::MIN, f32::NAN, [2.0, 1.0, 0.5]);
+        b.send(
+            API,
+            SCRIPT,
+            &message!(FOLLOW_TARGET, lat, lon, alt, vel, est_capabilities = 0b10),
+        );
+        b.run_ms(300);
+    }
+    assert!(b.position_m()[0].abs() < 0.2);
     // Who waits for it to follow hears why it does not, once in a while.
     let texts = b.texts().into_iter();
     let reasons: Vec<String> = texts
         .filter_map(|text| Some(text.strip_prefix("target of 245/190: ")?.to_owned()))
         .collect();
-    assert_eq!(reasons, ["too far from home", "vel is NaN or absurd"]);
+    assert_eq!(
+        reasons,
+        [
+            "too far from home",
+            "vel is NaN or absurd",
+            "lat, lon or alt is no place"
+        ]
+    );
 }
 
 /// Between reports milliseconds apart a centimetre of their resolution looks like metres per second.

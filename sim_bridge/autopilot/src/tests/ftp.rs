@@ -178,7 +178,13 @@ fn a_file_that_was_written_reads_back_with_its_checksum() {
 
 #[test]
 fn directories_list_in_pieces_with_sizes_and_times() {
-    let (mut b, mut c) = (Bench::new(), Client::new());
+    let config = EndpointConfig {
+        started_ns: 1_000_000_000,
+        ..EndpointConfig::default()
+    };
+    let (mut b, mut c) = (Bench::with(config), Client::new());
+    let own = c.list(&mut b, LIST_TIME, "/");
+    assert!(own.contains(&"Detc\t0\t1767225601".to_owned()), "{own:?}");
     assert!(c.ask(&mut b, MKDIR, 0, 0, b"/d").is_ack);
     assert!(c.list(&mut b, LIST, "/d").is_empty());
     for i in 0..40 {

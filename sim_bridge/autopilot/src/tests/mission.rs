@@ -130,7 +130,9 @@ fn a_loop_of_items_that_take_no_time_does_not_flood_the_links() {
 fn the_current_item_can_be_chosen() {
     let mut b = Bench::airborne();
     let places = [((30.0, 0.0), 3.0), ((0.0, 10.0), 3.0), ((0.0, 10.0), 5.0)];
-    b.upload(MISSION, &places.map(|(place, height_m)| waypoint(place, height_m)));
+    let mut plan = places.map(|(place, height_m)| waypoint(place, height_m)).to_vec();
+    plan.push(action(177, [0.0, 1.0, 0.0, 0.0]));
+    b.upload(MISSION, &plan);
     b.sent.clear();
     b.tell(message!(MISSION_SET_CURRENT, seq = 1));
     assert_eq!(current(&b).seq, 1, "sent at once");
@@ -139,9 +141,13 @@ fn the_current_item_can_be_chosen() {
     b.assert_said("no mission item 9");
     assert_eq!(start(&mut b), ACCEPTED);
     b.run_until(15, "second waypoint", |b| reached(b) == [1]);
-    // In flight: back to the first.
-    b.tell(message!(MISSION_SET_CURRENT, seq = 0));
+    // In flight: back to the first, by a jump that is made the current item, as in PX4's own flight test.
+    b.tell(message!(MISSION_SET_CURRENT, seq = 3));
+    b.run_ms(1_000);
+    assert_eq!(current(&b).seq, 0, "jumped");
     b.run_until(30, "first waypoint", |b| b.position_m()[0] > 28.0);
+    b.tell(message!(MISSION_SET_CURRENT, seq = 2));
+    b.run_until(30, "third waypoint", |b| b.position_m()[0] < 2.0 && b.height_m() > 4.0);
 }
 
 #[test]
@@ -348,7 +354,7 @@ fn where_it_flies_to_is_reported_on_the_globe_in_hold_go_to_return_and_landing()
         assert_eq!(answer == ACCEPTED, target.is_some());
         target.map(|m| {
             let (lat, lon) = (f64::from(m.lat_int) * 1e-7, f64::from(m.lon_int) * 1e-7);
-            let (north, east) = crate::geo::to_local(&crate::HomePosition::default(), lat, lon);
+            let (north, east) = crate::geo::ORIGIN.north_east_m(lat, lon);
             (north.round(), east.round(), (m.alt - 488.0).round())
         })
     };

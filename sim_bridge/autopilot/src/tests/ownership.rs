@@ -11,7 +11,7 @@ fn owner_in_telemetry(b: &Bench) -> f32 {
 
 /// The velocity that is commanded.
 fn flown(b: &Bench) -> HeadingVector {
-    let ControlCommand::VelocityHeading { velocity_m_s, .. } = b.command else {
+    let ControlCommand::VelocityHeading(velocity_m_s, _) = b.command else {
         panic!("{:?}", b.command);
     };
     velocity_m_s

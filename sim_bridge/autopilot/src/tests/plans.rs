@@ -3,7 +3,6 @@
 use crate::geo;
 use crate::plan::{Envelope, PlanItem};
 use crate::testing::*;
-use proptest::prelude::*;
 
 pub const MISSION: u8 = 0;
 pub const FENCE: u8 = 1;
@@ -371,50 +370,6 @@ fn ids_tell_which_plan_is_on_board() {
     assert_eq!(current(&mut b).mission_id, one.mission_id, "the same plan");
     assert_eq!(one.mission_state, MissionState::MISSION_STATE_NOT_STARTED);
     assert_eq!((one.fence_id, one.rally_points_id), (0, 0));
-}
-
-/// Messages of the mission protocol, where their target fields are, and how much of them is sent.
-const MESSAGES: [(u32, usize, usize); 10] = [
-    (MISSION_REQUEST_PARTIAL_LIST_DATA::ID, 4, 9),
-    (MISSION_WRITE_PARTIAL_LIST_DATA::ID, 4, 9),
-    (MISSION_ITEM_DATA::ID, 32, 38),
-    (MISSION_REQUEST_DATA::ID, 2, 9),
-    (MISSION_SET_CURRENT_DATA::ID, 2, 9),
-    (MISSION_REQUEST_LIST_DATA::ID, 0, 9),
-    (MISSION_COUNT_DATA::ID, 2, 9),
-    (MISSION_ACK_DATA::ID, 0, 9),
-    (MISSION_REQUEST_INT_DATA::ID, 2, 9),
-    (MISSION_ITEM_INT_DATA::ID, 32, 38),
-];
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
-
-    #[test]
-    fn nonsense_in_the_mission_protocol_does_no_harm(
-        messages in proptest::collection::vec((0_usize..10, proptest::collection::vec(any::<u8>(), 38)), 1..60),
-    ) {
-        let mut b = Bench::airborne();
-        prop_assert_eq!(b.upload(MISSION, &[waypoint((10.0, 2.0), 5.0)]), R::MAV_MISSION_ACCEPTED);
-        for (which, mut payload) in messages {
-            let (id, target_at, len) = MESSAGES[which];
-            payload[target_at..target_at + 2].copy_from_slice(&[1, 1]);
-            // Few kinds and small counts, so that uploads do begin.
-            if id == MISSION_COUNT_DATA::ID {
-                payload[0] &= 3;
-                payload[1] = 0;
-                payload[4] = payload[4] & 1 | 1;
-            }
-            b.send_raw(API, &raw(SCRIPT, id, &payload[..len]));
-            b.run_ms(20);
-        }
-        b.run_ms(6_000);
-        prop_assert_eq!(b.status().mode, FlightMode::Hold);
-        prop_assert_eq!(b.download(MISSION).len(), 1);
-        prop_assert!((b.height_m() - 3.0).abs() < 0.5);
-        // The protocol still works.
-        prop_assert_eq!(b.upload(RALLY, &[item(5100, [0.0; 4], (1.0, 1.0), 0.0)]), R::MAV_MISSION_ACCEPTED);
-    }
 }
 
 /// An altitude above the ground in a frame that counts from the sea, home being 488 m above it; a landing's altitude says nothing.

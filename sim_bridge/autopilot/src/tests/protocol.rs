@@ -2,6 +2,7 @@
 
 use crate::testing::*;
 use crate::tests::plans::{MISSION, waypoint};
+use vigil_mavlink::mavlink::Message;
 
 #[test]
 fn telemetry_streams_unasked_at_the_rates_of_each_link() {
@@ -229,22 +230,28 @@ fn parameters_are_read_by_name_and_index_and_integers_travel_bytewise() {
 #[test]
 fn a_set_parameter_acts_and_everybody_hears_of_it() {
     let mut b = Bench::new();
-    b.set_parameter("MIS_TAKEOFF_ALT", ParameterValue::Real(4.0));
-    assert_eq!(values(&b, API)[0].param_value, 4.0);
-    assert_eq!(values(&b, GCS)[0].param_value, 4.0);
+    b.set_parameter("MIS_TAKEOFF_ALT", ParameterValue::Real(10.0));
+    assert_eq!(values(&b, API)[0].param_value, 10.0);
+    assert_eq!(values(&b, GCS)[0].param_value, 10.0);
     b.take_off();
-    assert!((b.height_m() - 4.0).abs() < 0.4, "{}", b.height_m());
+    // PX4's own flight test: the height is kept for a minute.
+    let down_m = |b: &Bench| b.view().estimate.position_ned_m.z;
+    b.run_until(30, "the height", |b| (down_m(b) + 10.0).abs() < 0.35);
+    let before_m = down_m(&b);
+    assert!(b.most(60_000, |b| (down_m(b) - before_m).abs()) < 0.25);
 }
 
 #[test]
 fn a_bad_parameter_set_changes_nothing_and_says_why() {
     let mut b = Bench::new();
     use MavParamError::{
-        MAV_PARAM_ERROR_DOES_NOT_EXIST as UNKNOWN, MAV_PARAM_ERROR_TYPE_MISMATCH as TYPE,
-        MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE as RANGE,
+        MAV_PARAM_ERROR_DOES_NOT_EXIST as UNKNOWN, MAV_PARAM_ERROR_READ_ONLY as FIXED,
+        MAV_PARAM_ERROR_TYPE_MISMATCH as TYPE, MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE as RANGE,
     };
     use MavParamType::{MAV_PARAM_TYPE_INT32 as INT32, MAV_PARAM_TYPE_REAL32 as REAL32, MAV_PARAM_TYPE_UINT8 as UINT8};
     let bad = [
+        // What set-up pages cannot change.
+        ("SYS_AUTOSTART", f32::from_bits(10_016), INT32, FIXED),
         ("MIS_TAKEOFF_ALT", f32::NAN, REAL32, RANGE),
         ("MIS_TAKEOFF_ALT", -2.0, REAL32, RANGE),
         ("MIS_TAKEOFF_ALT", f32::from_bits(3), INT32, TYPE),
@@ -256,15 +263,18 @@ fn a_bad_parameter_set_changes_nothing_and_says_why() {
     for (name, value, kind, _) in bad {
         b.set_parameter_as(name, value, kind);
     }
-    assert_eq!(b.status().refusals.parameter, 7);
+    assert_eq!(b.status().refusals.parameter, 8);
+    let ids: Vec<u32> = b.messages(API).map(Message::message_id).take(2).collect();
+    assert_eq!(ids, [PARAM_ERROR_DATA::ID, PARAM_VALUE_DATA::ID]);
     let errors = b.all::<PARAM_ERROR_DATA>(API).into_iter();
     let answers: Vec<_> = errors.map(|e| (e.target_system, e.error)).collect();
     assert_eq!(answers, bad.map(|(.., error)| (SCRIPT.system, error)));
     for value in values(&b, API) {
-        let unchanged = value.param_value == 2.5 || value.param_value.to_bits() == 5;
+        let unchanged = value.param_value == 2.5 || [5, 4001].contains(&value.param_value.to_bits());
         assert!(unchanged, "{value:?}");
     }
     b.assert_said("is not within 0.5 to 80");
+    b.assert_said("SYS_AUTOSTART cannot be set");
     assert!(values(&b, GCS).is_empty());
     // Each of a flood is answered to its sender; the texts, which go to all, are few, and come again for the next mistake.
     b.run_ms(1_000);

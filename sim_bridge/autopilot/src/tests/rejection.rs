@@ -1,6 +1,7 @@
 //! Bytes that must not be obeyed, and cannot do harm.
 
 use crate::testing::*;
+use crate::tests::plans::{MISSION, RALLY, item, waypoint};
 use proptest::prelude::*;
 use vigil_mavlink::framing::{CommandForm, FramingCounters, packets};
 
@@ -66,48 +67,69 @@ fn a_caller_that_never_transmits_costs_bounded_memory() {
     }
     assert!(endpoint.status().dropped > 0);
     let mut bytes = 0;
-    endpoint.transmit(|_, datagram| bytes += datagram.len());
+    endpoint.transmit(|_, _, datagram| bytes += datagram.len());
     assert!(bytes <= 256 * 1024);
 }
 
+/// Messages of the services, where their target fields are, and how much of them is sent.
+const MESSAGES: [(u32, usize, usize); 16] = [
+    (FILE_TRANSFER_PROTOCOL_DATA::ID, 1, 100),
+    (LOG_REQUEST_LIST_DATA::ID, 4, 6),
+    (LOG_REQUEST_DATA_DATA::ID, 10, 12),
+    (LOG_ERASE_DATA::ID, 0, 2),
+    (SERIAL_CONTROL_DATA::ID, 79, 100),
+    (REQUEST_EVENT_DATA::ID, 4, 6),
+    (MISSION_REQUEST_PARTIAL_LIST_DATA::ID, 4, 9),
+    (MISSION_WRITE_PARTIAL_LIST_DATA::ID, 4, 9),
+    (MISSION_ITEM_DATA::ID, 32, 38),
+    (MISSION_REQUEST_DATA::ID, 2, 9),
+    (MISSION_SET_CURRENT_DATA::ID, 2, 9),
+    (MISSION_REQUEST_LIST_DATA::ID, 0, 9),
+    (MISSION_COUNT_DATA::ID, 2, 9),
+    (MISSION_ACK_DATA::ID, 0, 9),
+    (MISSION_REQUEST_INT_DATA::ID, 2, 9),
+    (MISSION_ITEM_INT_DATA::ID, 32, 38),
+];
+
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
+    #![proptest_config(ProptestConfig::with_cases(200))]
 
     #[test]
-    fn any_payloads_of_files_logs_shell_and_events_are_survived(
+    fn any_payloads_of_files_logs_shell_events_and_plans_are_survived(
         packets in prop::collection::vec(
-            (
-                prop::sample::select(vec![
-                    FILE_TRANSFER_PROTOCOL_DATA::ID,
-                    LOG_REQUEST_LIST_DATA::ID,
-                    LOG_REQUEST_DATA_DATA::ID,
-                    LOG_ERASE_DATA::ID,
-                    SERIAL_CONTROL_DATA::ID,
-                    REQUEST_EVENT_DATA::ID,
-                ]),
-                0..18_u8,
-                prop::collection::vec(any::<u8>(), 20..100),
-            ),
-            1..20,
+            (prop::sample::select(&MESSAGES[..]), 0..18_u8, prop::collection::vec(any::<u8>(), 100), 0..40_usize),
+            1..80,
         ),
     ) {
         let mut b = Bench::airborne();
-        for (id, opcode, mut payload) in packets {
+        let taken = MavMissionResult::MAV_MISSION_ACCEPTED;
+        prop_assert_eq!(b.upload(MISSION, &[waypoint((10.0, 2.0), 5.0)]), taken);
+        for ((id, target_at, len), opcode, mut payload, more) in packets {
+            payload[target_at..target_at + 2].copy_from_slice(&[1, 1]);
             if id == FILE_TRANSFER_PROTOCOL_DATA::ID {
-                // Target, session, an operation that there is, a size that fits.
-                payload[1] = 1;
-                payload[2] = 1;
+                // Session, an operation that there is, a size that fits.
                 payload[5] &= 3;
                 payload[6] = opcode;
                 payload[7] &= 0x3F;
+            } else if id == MISSION_COUNT_DATA::ID {
+                // Few kinds and small counts, so that uploads do begin.
+                payload[0] &= 3;
+                payload[1] = 0;
+                payload[4] = payload[4] & 1 | 1;
             }
             b.sent.clear();
-            b.send_raw(API, &raw(id, &payload));
-            b.run_ms(3);
+            b.send_raw(API, &raw(id, &payload[..(len + more).min(100)]));
+            b.run_ms(20);
             // A shell line may answer in several packets; nothing answers without bound.
             prop_assert!(b.sent.len() < 200, "{}", b.sent.len());
         }
         prop_assert!(b.status().armed && b.status().dropped == 0);
+        b.run_ms(6_000);
+        prop_assert_eq!(b.status().mode, FlightMode::Hold);
+        prop_assert_eq!(b.download(MISSION).len(), 1);
+        prop_assert!((b.height_m() - 3.0).abs() < 0.5);
+        // The protocols still work.
+        prop_assert_eq!(b.upload(RALLY, &[item(5100, [0.0; 4], (1.0, 1.0), 0.0)]), taken);
     }
 }
 
@@ -185,7 +207,7 @@ fn every_command_of_the_dialect_is_answered_once_with_extremes_in_every_paramete
 fn every_command_of_the_dialect_as_a_mission_item_is_answered_with_extremes_in_every_field() {
     for number in commands() {
         let mut b = Bench::airborne();
-        let plain = crate::tests::plans::item(number, [0.0; 4], (1.0, 1.0), 5.0);
+        let plain = item(number, [0.0; 4], (1.0, 1.0), 5.0);
         let mut items = Vec::new();
         for extreme in EXTREMES {
             for place in 0..4 {

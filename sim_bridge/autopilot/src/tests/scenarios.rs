@@ -2,31 +2,30 @@
 //! sends, what it asks for and how long it waits are theirs.
 
 use crate::testing::*;
-use crate::tests::failures::{BAROMETER, MAGNETOMETER, inject};
 use crate::tests::follow::report;
-use crate::tests::plans::{MISSION, action, item, waypoint};
+use crate::tests::plans::{MISSION, action, waypoint};
 
 const START_MISSION: u16 = 300;
 const SQUARE_M: f32 = 20.0;
 const HEIGHT_M: f32 = 10.0;
 
 /// MAVSDK's mission with "return to launch" as its last item.
-fn upload_square(b: &mut Bench) {
+pub(super) fn upload_square(b: &mut Bench) {
     let corners = [(SQUARE_M, 0.0), (SQUARE_M, SQUARE_M), (0.0, SQUARE_M)];
     let mut plan: Vec<_> = corners.map(|corner| waypoint(corner, HEIGHT_M)).to_vec();
     plan.push(action(20, [0.0; 4]));
     assert_eq!(b.upload(MISSION, &plan), MavMissionResult::MAV_MISSION_ACCEPTED);
 }
 
-fn start_mission(b: &mut Bench) {
+pub(super) fn start_mission(b: &mut Bench) {
     assert_eq!(b.ask(START_MISSION, &[]), ACCEPTED);
 }
 
-fn current_item(b: &Bench) -> Option<u16> {
+pub(super) fn current_item(b: &Bench) -> Option<u16> {
     b.all::<MISSION_CURRENT_DATA>(API).pop().map(|m| m.seq)
 }
 
-fn wait_until_disarmed(b: &mut Bench, limit_s: u64) {
+pub(super) fn wait_until_disarmed(b: &mut Bench, limit_s: u64) {
     b.run_until(limit_s, "disarmed", |b| !b.status().armed);
     assert_eq!(b.status().landed, LandedState::OnGround);
 }
@@ -93,68 +92,6 @@ fn a_straight_mission_keeps_its_speed() {
 }
 
 #[test]
-fn a_mission_goes_on_without_compass_or_barometer_and_with_readings_that_are_stuck() {
-    const OFF: f32 = 1.0;
-    const STUCK: f32 = 2.0;
-    for (unit, kind) in [
-        (MAGNETOMETER, OFF),
-        (MAGNETOMETER, STUCK),
-        (BAROMETER, OFF),
-        (BAROMETER, STUCK),
-    ] {
-        let mut b = Bench::new();
-        upload_square(&mut b);
-        assert_eq!(b.arm(), ACCEPTED);
-        b.set_parameter("SYS_FAILURE_EN", ParameterValue::Integer(1));
-        start_mission(&mut b);
-        b.run_until(60, "the first item", |b| current_item(b) == Some(1));
-        assert_eq!(inject(&mut b, unit, kind), ACCEPTED);
-        b.run_until(90, "the return", |b| b.status().mode == FlightMode::Return);
-        wait_until_disarmed(&mut b, 120);
-        let [x, y, _] = b.position_m();
-        assert!(x.hypot(y) < 2.0, "{x} {y}");
-    }
-}
-
-#[test]
-fn a_take_off_keeps_its_height_for_a_minute() {
-    let mut b = Bench::new();
-    b.set_parameter("MIS_TAKEOFF_ALT", ParameterValue::Real(10.0));
-    b.take_off();
-    b.run_until(30, "the height", |b| {
-        (b.view().estimate.position_ned_m.z + 10.0).abs() < 0.35
-    });
-    let down_m = b.view().estimate.position_ned_m.z;
-    for _ in 0..600 {
-        b.run_ms(100);
-        assert!((b.view().estimate.position_ned_m.z - down_m).abs() < 0.25);
-    }
-}
-
-#[test]
-fn a_jump_that_is_made_the_current_item_is_jumped() {
-    let mut b = Bench::new();
-    let leg_m = 60.0;
-    let plan = [
-        item(22, [0.0, 0.0, 0.0, 0.0], (0.0, 0.0), 15.0),
-        item(16, [0.0, 0.0, 0.0, 0.0], (leg_m, 0.0), 15.0),
-        item(16, [0.0, 0.0, 0.0, 0.0], (leg_m, leg_m), 15.0),
-        action(177, [1.0, 1.0, 0.0, 0.0]),
-        item(16, [0.0, 0.0, 0.0, 0.0], (0.0, leg_m), 15.0),
-        item(21, [0.0, 0.0, 0.0, 0.0], (0.0, 0.0), 0.0),
-    ];
-    assert_eq!(b.upload(MISSION, &plan), MavMissionResult::MAV_MISSION_ACCEPTED);
-    assert_eq!(b.arm(), ACCEPTED);
-    start_mission(&mut b);
-    b.run_until(60, "the second way", |b| current_item(b) == Some(2));
-    b.run_until(30, "away from the first place", |b| b.position_m()[1] > 10.0);
-    b.tell(message!(MISSION_SET_CURRENT, seq = 3));
-    b.run_ms(1_000);
-    assert_eq!(current_item(&b), Some(1), "jumped");
-    wait_until_disarmed(&mut b, 240);
-}
-
-#[test]
 fn a_target_is_followed_from_every_side_though_its_reports_are_noisy() {
     // Standard normal deviates, drawn once.
     const NOISE: [f32; 12] = [0.3, -1.1, 0.6, 1.4, -0.2, -0.7, 0.1, 0.9, -1.6, 0.4, -0.5, 0.8];
@@ -200,26 +137,4 @@ fn a_target_is_followed_from_every_side_though_its_reports_are_noisy() {
         assert_eq!(b.command_long(API, SCRIPT, 21, [f32::NAN; 7]), ACCEPTED);
         wait_until_disarmed(&mut b, 300);
     }
-}
-
-#[test]
-fn reports_of_a_velocity_alone_move_nothing() {
-    let mut b = Bench::airborne();
-    assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
-    let before = b.position_m();
-    for _ in 0..15 {
-        // What MAVSDK makes of a place that is not a number.
-        let message = message!(
-            FOLLOW_TARGET,
-            lat = i32::MIN,
-            lon = i32::MIN,
-            alt = f32::NAN,
-            vel = [2.0, 1.0, 0.5],
-            est_capabilities = 0b10
-        );
-        b.send(API, SCRIPT, &message);
-        b.run_ms(1_000);
-    }
-    let after = b.position_m();
-    assert!((after[0] - before[0]).hypot(after[1] - before[1]) < 1.0);
 }

@@ -86,10 +86,10 @@ fn what_streams_is_marked_as_telemetry_but_heartbeats_and_answers_are_not() {
     let mut b = Bench::new();
     let (version, heartbeat) = (AUTOPILOT_VERSION_DATA::ID, HEARTBEAT_DATA::ID);
     let ask = command(SCRIPT, 512, [version as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], LONG);
-    b.endpoint.receive(b.now_ns, API, &ask);
+    b.endpoint.receive_from(b.now_ns, API, 0, &ask);
     b.endpoint.step(b.now_ns + 1_000_000_000, &b.view());
     let mut sent = [Vec::new(), Vec::new()];
-    b.endpoint.transmit_marked(|_, is_telemetry, datagram| {
+    b.endpoint.transmit(|_, is_telemetry, datagram| {
         let id = u32::from_le_bytes([datagram[7], datagram[8], datagram[9], 0]);
         sent[usize::from(is_telemetry)].push(id);
     });

@@ -130,35 +130,27 @@ impl Controller {
         match *command {
             ControlCommand::MotorsOff => self.stop(Stage::Off),
             ControlCommand::Idle => self.stop(Stage::Idle),
-            ControlCommand::Attitude {
-                attitude,
-                yaw_rate_rad_s,
-                thrust,
-            } if attitude.is_valid() && yaw_rate_rad_s.is_finite() && thrust.is_finite() => {
+            ControlCommand::Attitude(attitude, yaw_rate_rad_s, thrust)
+                if attitude.is_valid() && yaw_rate_rad_s.is_finite() && thrust.is_finite() =>
+            {
                 self.stage = Stage::Attitude;
                 self.thrust_wanted_n = self.thrust_for(thrust);
                 let yaw_rate = self.limit_yaw_rate(yaw_rate_rad_s);
                 self.rates_wanted_rad_s = self.rates_towards(&from_attitude(attitude), belief, yaw_rate);
             }
-            ControlCommand::Acceleration {
-                acceleration_ned_m_s2,
-                yaw,
-            } if acceleration_ned_m_s2.is_finite() => self.accelerate(&vec3(acceleration_ned_m_s2), yaw, belief),
-            ControlCommand::Rates {
-                rates_frd_rad_s,
-                thrust,
-            } if rates_frd_rad_s.is_finite() && thrust.is_finite() => {
+            ControlCommand::Acceleration(ned_m_s2, yaw) if ned_m_s2.is_finite() => {
+                self.accelerate(&vec3(ned_m_s2), yaw, belief);
+            }
+            ControlCommand::Rates(frd_rad_s, thrust) if frd_rad_s.is_finite() && thrust.is_finite() => {
                 self.stage = Stage::Rates;
                 self.thrust_wanted_n = self.thrust_for(thrust);
-                self.rates_wanted_rad_s = vec3(rates_frd_rad_s).map(|r| r.clamp(-RATE_MAX_RAD_S, RATE_MAX_RAD_S));
+                self.rates_wanted_rad_s = vec3(frd_rad_s).map(|r| r.clamp(-RATE_MAX_RAD_S, RATE_MAX_RAD_S));
             }
             _ => {
                 self.enter(Stage::Path, belief);
                 let (velocity, yaw) = self.path_velocity(command, belief);
                 let law = match command {
-                    ControlCommand::VelocityHeading { .. } | ControlCommand::VelocityNed { .. } => {
-                        self.params.velocity_law
-                    }
+                    ControlCommand::VelocityHeading(..) | ControlCommand::VelocityNed(..) => self.params.velocity_law,
                     _ => VelocityLaw::Shaped,
                 };
                 self.follow(&velocity, yaw, (belief, on_ground), law, dt_s);
@@ -169,10 +161,10 @@ impl Controller {
     /// The velocity that a command wants now, and the yaw.
     fn path_velocity(&self, command: &ControlCommand, belief: &Body) -> (Vec3, YawCommand) {
         match *command {
-            ControlCommand::VelocityHeading { velocity_m_s, yaw } if velocity_m_s.is_finite() => {
+            ControlCommand::VelocityHeading(velocity_m_s, yaw) if velocity_m_s.is_finite() => {
                 (heading(yaw_of(&belief.attitude)) * vec3(velocity_m_s), yaw)
             }
-            ControlCommand::VelocityNed { velocity_m_s, yaw } if velocity_m_s.is_finite() => (vec3(velocity_m_s), yaw),
+            ControlCommand::VelocityNed(velocity_m_s, yaw) if velocity_m_s.is_finite() => (vec3(velocity_m_s), yaw),
             ControlCommand::Position(goal) if goal.position_ned_m.is_finite() && goal.velocity_m_s.is_finite() => {
                 let (mut place, mut velocity) = (vec3(goal.position_ned_m), vec3(goal.velocity_m_s));
                 let here = self.reference.position_ned_m;
@@ -184,7 +176,7 @@ impl Controller {
                 let limit_m_s = f64::from(goal.speed_limit_m_s);
                 (self.velocity_towards(&place, &velocity, limit_m_s), goal.yaw)
             }
-            ControlCommand::Descend { rate_m_s } if rate_m_s.is_finite() => {
+            ControlCommand::Descend(rate_m_s) if rate_m_s.is_finite() => {
                 (Vec3::new(0.0, 0.0, f64::from(rate_m_s.max(0.0))), YawCommand::Hold)
             }
             _ => (Vec3::zeros(), YawCommand::Hold),

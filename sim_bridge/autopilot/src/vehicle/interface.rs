@@ -2,10 +2,10 @@
 
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
 
-/// What the autopilot's estimator believes: what telemetry reports and what the controllers use. Never the truth.
+/// Where a vehicle is and how it moves.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Estimate {
-    /// Simulated time of the estimate.
+pub struct Motion {
+    /// Simulated time.
     pub at_ns: Nanos,
     /// Metres from home (local origin, on the ground at the start).
     pub position_ned_m: NedVector,
@@ -17,20 +17,10 @@ pub struct Estimate {
     pub rates_frd_rad_s: FrdVector,
 }
 
+/// What the autopilot's estimator believes: what telemetry reports and what the controllers use. Never the truth.
+pub type Estimate = Motion;
 /// The simulator's truth: for the referee, the LiDAR and tests; telemetry never carries it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Truth {
-    /// Simulated time.
-    pub at_ns: Nanos,
-    /// Metres from home.
-    pub position_ned_m: NedVector,
-    /// Metres per second.
-    pub velocity_ned_m_s: NedVector,
-    /// Body to NED.
-    pub attitude: Attitude,
-    /// Body rates.
-    pub rates_frd_rad_s: FrdVector,
-}
+pub type Truth = Motion;
 
 /// Raw-ish sensor readings, for the telemetry that reports them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -129,56 +119,24 @@ pub enum ControlCommand {
     MotorsOff,
     /// Armed on the ground: motors idle.
     Idle,
-    /// Velocity along the heading (yaw-only frame): the companion's setpoint.
-    VelocityHeading {
-        /// Metres per second.
-        velocity_m_s: HeadingVector,
-        /// Yaw.
-        yaw: YawCommand,
-    },
-    /// Velocity in NED.
-    VelocityNed {
-        /// Metres per second.
-        velocity_m_s: NedVector,
-        /// Yaw.
-        yaw: YawCommand,
-    },
+    /// Velocity along the heading (yaw-only frame), metres per second: the companion's setpoint.
+    VelocityHeading(HeadingVector, YawCommand),
+    /// Velocity in NED, metres per second.
+    VelocityNed(NedVector, YawCommand),
     /// Go to and hold a place or a part of it.
     Position(Goal),
-    /// Acceleration beside gravity's, within the limits of tilt and thrust: no velocity or place is held.
-    Acceleration {
-        /// Metres per second squared.
-        acceleration_ned_m_s2: NedVector,
-        /// Yaw.
-        yaw: YawCommand,
-    },
-    /// Attitude and collective thrust.
-    Attitude {
-        /// Wanted body-to-NED attitude.
-        attitude: Attitude,
-        /// Rate at which the wanted heading turns, clockwise.
-        yaw_rate_rad_s: f32,
-        /// 0 to 1; 0.5 hovers.
-        thrust: f32,
-    },
-    /// Body rates and collective thrust.
-    Rates {
-        /// Wanted rates.
-        rates_frd_rad_s: FrdVector,
-        /// 0 to 1; 0.5 hovers.
-        thrust: f32,
-    },
-    /// Descend over the present point at this rate until on the ground.
-    Descend {
-        /// Metres per second, positive down.
-        rate_m_s: f32,
-    },
+    /// Acceleration beside gravity's, m/s², within the limits of tilt and thrust: no velocity or place is held.
+    Acceleration(NedVector, YawCommand),
+    /// Attitude, body to NED; the rate at which its heading turns, radians per second, clockwise; and collective thrust, 0
+    /// to 1: 0.5 hovers.
+    Attitude(Attitude, f32, f32),
+    /// Body rates, radians per second, and collective thrust as above.
+    Rates(FrdVector, f32),
+    /// Descend over the present point at this rate, metres per second, until on the ground.
+    Descend(f32),
 }
 
 impl ControlCommand {
     /// Stands still in the air, the heading kept.
-    pub const STOP: Self = Self::VelocityNed {
-        velocity_m_s: NedVector::ZERO,
-        yaw: YawCommand::Hold,
-    };
+    pub const STOP: Self = Self::VelocityNed(NedVector::ZERO, YawCommand::Hold);
 }

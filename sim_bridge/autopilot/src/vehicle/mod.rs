@@ -9,10 +9,7 @@
 //!
 //! let mut vehicle = Vehicle::new(VehicleParams::default(), Wind::default(), 1)?;
 //! vehicle.place(NedVector::new(0.0, 0.0, -2.5), 0.0, true);
-//! let ahead = ControlCommand::VelocityHeading {
-//!     velocity_m_s: HeadingVector::new(1.5, 0.0, 0.0),
-//!     yaw: YawCommand::Rate(0.0),
-//! };
+//! let ahead = ControlCommand::VelocityHeading(HeadingVector::new(1.5, 0.0, 0.0), YawCommand::Rate(0.0));
 //! for _ in 0..4000 {
 //!     vehicle.step(&ahead); // 1 ms
 //! }
@@ -34,7 +31,7 @@ mod sensors;
 mod shaping;
 mod validate;
 
-pub use interface::{ControlCommand, Estimate, Goal, Held, Sensors, Truth, VehicleView, YawCommand};
+pub use interface::{ControlCommand, Estimate, Goal, Held, Motion, Sensors, Truth, VehicleView, YawCommand};
 pub use model::VehicleModel;
 pub use noise::normal_of;
 pub use params::{

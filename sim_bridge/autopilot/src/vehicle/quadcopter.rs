@@ -3,7 +3,7 @@
 use crate::vehicle::body::{Body, Inertia};
 use crate::vehicle::control::{Controller, Stage};
 use crate::vehicle::ground::Ground;
-use crate::vehicle::interface::{ControlCommand, Estimate, Truth, VehicleView};
+use crate::vehicle::interface::{ControlCommand, Motion, Truth, VehicleView};
 use crate::vehicle::math::{StateBytes, Vec3, attitude, frd, heading, ned, vec3};
 use crate::vehicle::noise::{Noise, OrnsteinUhlenbeck};
 use crate::vehicle::params::{GRAVITY_M_S2, VehicleParams, Wind};
@@ -196,15 +196,8 @@ impl Vehicle {
     pub fn view(&self) -> VehicleView {
         let specific = self.acceleration_ned_m_s2 - Vec3::new(0.0, 0.0, GRAVITY_M_S2);
         let specific_frd = self.body.attitude.inverse_transform_vector(&specific);
-        let belief = self.errors.belief(&self.body);
         VehicleView {
-            estimate: Estimate {
-                at_ns: self.now_ns(),
-                position_ned_m: ned(&belief.position_ned_m),
-                velocity_ned_m_s: ned(&belief.velocity_ned_m_s),
-                attitude: attitude(&belief.attitude),
-                rates_frd_rad_s: frd(&belief.rates_frd_rad_s),
-            },
+            estimate: self.motion(&self.errors.belief(&self.body)),
             sensors: self
                 .errors
                 .readings(&self.body, &specific_frd, &self.battery, &self.rotors),
@@ -215,12 +208,16 @@ impl Vehicle {
 
     /// The truth, for referee, LiDAR and tests.
     pub fn truth(&self) -> Truth {
-        Truth {
+        self.motion(&self.body)
+    }
+
+    fn motion(&self, body: &Body) -> Motion {
+        Motion {
             at_ns: self.now_ns(),
-            position_ned_m: ned(&self.body.position_ned_m),
-            velocity_ned_m_s: ned(&self.body.velocity_ned_m_s),
-            attitude: attitude(&self.body.attitude),
-            rates_frd_rad_s: frd(&self.body.rates_frd_rad_s),
+            position_ned_m: ned(&body.position_ned_m),
+            velocity_ned_m_s: ned(&body.velocity_ned_m_s),
+            attitude: attitude(&body.attitude),
+            rates_frd_rad_s: frd(&body.rates_frd_rad_s),
         }
     }
 

@@ -14,6 +14,7 @@ struct Scripted {
     flight: ForeignFlight,
     step: u64,
     height_m: f32,
+    base_mode: MavModeFlag,
     frame: Box<DepthFrame>,
 }
 
@@ -32,6 +33,7 @@ impl Scripted {
             flight: ForeignFlight::new(&course, &config, 0).expect("valid"),
             step: 0,
             height_m: 2.5,
+            base_mode: MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED,
             frame: Box::new(DepthFrame::EMPTY),
         }
     }
@@ -46,7 +48,8 @@ impl Scripted {
 
     fn heartbeat(&mut self, system: u8) {
         let (autopilot, mavtype) = (MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA, MavType::MAV_TYPE_QUADROTOR);
-        self.hear_of((system, 1), &message!(HEARTBEAT, autopilot, mavtype));
+        let base_mode = self.base_mode;
+        self.hear_of((system, 1), &message!(HEARTBEAT, autopilot, mavtype, base_mode));
     }
 
     fn attitude(&mut self) {
@@ -148,6 +151,22 @@ fn of_two_vehicles_the_one_that_is_named_is_rendered() {
     assert_eq!(vehicle.report(0.0, 0.0), (true, PoseState::Tracking));
     vehicle.heartbeat(2);
     assert_eq!(vehicle.look(), (true, PoseState::Tracking));
+}
+
+#[test]
+fn one_that_is_not_armed_does_not_fly_wherever_its_estimate_strays() {
+    let mut vehicle = Scripted::new(Some(8.0));
+    vehicle.base_mode = MavModeFlag::empty();
+    vehicle.report(0.0, 0.0);
+    assert_eq!(
+        vehicle.report(8.0, 0.0),
+        (true, PoseState::Tracking),
+        "no jump in flight"
+    );
+    assert_eq!(vehicle.flight.ending(), None);
+    vehicle.base_mode = MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED;
+    vehicle.report(8.0, 0.0);
+    assert!(vehicle.flight.ending().is_some());
 }
 
 #[test]

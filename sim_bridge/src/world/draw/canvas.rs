@@ -5,7 +5,7 @@ use core::convert::Infallible;
 use core::ops::Range;
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use vigil_types::files;
 
 /// Shapes are drawn this much larger in both directions and averaged.
@@ -19,29 +19,22 @@ pub struct Image {
     rgb: Vec<u8>,
 }
 
-/// Why a picture could not be written.
+/// Why a picture could not be written: the file and what to do.
 #[derive(Debug, thiserror::Error)]
-pub enum ImageError {
-    /// The file cannot be written.
-    #[error("cannot write picture {}: {source}", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// What went wrong.
-        source: png::EncodingError,
-    },
-    /// The file's name promises another format.
-    #[error("cannot write picture {}: pictures are PNG files; name it {}", .0.display(), .0.with_extension("png").display())]
-    Format(PathBuf),
-}
+#[error("cannot write picture {0}")]
+pub struct ImageError(String);
 
 /// Refuses a picture's file whose name promises another format than PNG, before the work is done.
 ///
 /// # Errors
-/// [`ImageError::Format`].
+/// [`ImageError`].
 pub fn check_png_name(path: &Path) -> Result<(), ImageError> {
     match path.extension() {
-        Some(extension) if !extension.eq_ignore_ascii_case("png") => Err(ImageError::Format(path.to_owned())),
+        Some(extension) if !extension.eq_ignore_ascii_case("png") => {
+            let (file, better) = (path.display(), path.with_extension("png"));
+            let better = better.display();
+            Err(ImageError(format!("{file}: pictures are PNG files; name it {better}")))
+        }
         _ => Ok(()),
     }
 }
@@ -83,10 +76,7 @@ impl Image {
     pub fn write_png(&self, path: &Path) -> Result<(), ImageError> {
         check_png_name(path)?;
         let write = || Ok(files::replace(path, &self.to_png()?, files::Access::Shared)?);
-        write().map_err(|source| ImageError::Write {
-            path: path.to_owned(),
-            source,
-        })
+        write().map_err(|e: png::EncodingError| ImageError(format!("{}: {e}", path.display())))
     }
 
     /// The picture as PNG.

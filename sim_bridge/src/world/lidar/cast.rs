@@ -1,4 +1,4 @@
-//! The ranges of all beams of one sweep, and of one ray by parry's tree, with the same bits.
+//! The ranges of all beams of one sweep, and of one ray, with the same bits.
 
 use super::beams::{BeamTable, LIDAR_BEAMS, LIDAR_RINGS};
 use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, MISS, Ray, inverse, lesser, plan2};
@@ -6,26 +6,21 @@ use super::scene::Scene;
 use super::simd::vectorised;
 use super::tiles::{TILE_FIRINGS, Tiles};
 use super::triangles::{Looks, ray_range_m};
-use crate::world::World;
-use glamx::Vec3;
-use vigil_types::NedVector;
 
 /// Range along every beam in metres, infinite where it meets nothing; beam `ring × LIDAR_FIRINGS + firing`.
 pub type Ranges = [f32; LIDAR_BEAMS];
 
-/// The range along one direction (NED, of length 1) in metres, infinite where there is nothing. `scene` is of this place and world.
-pub(crate) fn cast_ray(world: &World, sensor_ned_m: NedVector, scene: &Scene, direction: (f32, f32, f32)) -> f32 {
-    let origin = Vec3::new(sensor_ned_m.x, sensor_ned_m.y, sensor_ned_m.z);
+/// The range along one direction (NED, of length 1) in metres, infinite where there is nothing.
+pub(crate) fn cast_ray(scene: &Scene, direction: (f32, f32, f32)) -> f32 {
     let ray = Ray::new(direction);
-    let nearest_plane = scene.planes_range_m(ray.inverse_z);
-    let tree_ray = parry3d::query::Ray::new(origin, Vec3::new(direction.0, direction.1, direction.2));
-    let hit = world
-        .bvh
-        .cast_ray(&tree_ray, nearest_plane.min(f32::MAX), |leaf, nearest| {
-            let t = scene.leaves[leaf as usize].range_m(&ray);
-            (t < nearest).then_some(t)
-        });
-    let nearest = hit.map_or(nearest_plane, |(_, t)| lesser(t, nearest_plane));
+    let mut nearest = scene.planes_range_m(ray.inverse_z);
+    for number in &scene.nearest_first {
+        let leaf = &scene.leaves[*number as usize];
+        if leaf.nearest_m() >= nearest {
+            break;
+        }
+        nearest = lesser(leaf.range_m(&ray), nearest);
+    }
     let surfaces = scene.surfaces.iter();
     surfaces.fold(nearest, |nearest, surface| {
         ray_range_m(surface, scene.sensor_ned_m, direction, nearest)

@@ -11,10 +11,10 @@ mod tiles;
 mod triangles;
 mod zones;
 
-pub use beams::{LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, beam_direction_frd, pixel_of, ring_row};
+pub use beams::{LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, beam_direction_frd, ring_row};
 pub use cast::Ranges;
 pub use noise::split_mix;
-pub use zones::{ZONE_COLUMNS, ZONE_FOV_RAD, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor};
+pub(crate) use zones::ZoneSensor;
 
 use crate::world::World;
 use beams::BeamTable;
@@ -24,7 +24,7 @@ use scene::Scene;
 use simd::Simd;
 use vigil_types::settings::{Outside, within};
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FrameHeader, FrdVector, Nanos, NedVector, settings,
+    Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FrameHeader, Nanos, NedVector, settings,
 };
 
 settings! {
@@ -217,15 +217,6 @@ impl Lidar {
     fn image(&mut self, scale: f32, pixels: &mut [f32; DEPTH_PIXELS]) {
         let tolerance_m = self.config.surface_tolerance_m;
         image::image(self.simd, tolerance_m, scale, &self.inverse, &mut self.filled, pixels);
-    }
-
-    /// The point cloud that was last measured, in body axes: one point per beam that returned.
-    pub fn points_frd_m(&self) -> impl Iterator<Item = FrdVector> + '_ {
-        self.inverse
-            .iter()
-            .enumerate()
-            .filter(|(_, q)| **q > 0.0)
-            .map(|(beam, q)| beam_direction_frd(beam / LIDAR_FIRINGS, beam % LIDAR_FIRINGS) * (1.0 / q))
     }
 }
 

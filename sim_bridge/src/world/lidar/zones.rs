@@ -8,18 +8,19 @@ use super::cast::cast_ray;
 use super::noise::{NoiseKeys, SPREAD};
 use super::scene::Scene;
 use crate::world::World;
-use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
+use vigil_autopilot::ZoneRanges;
+use vigil_types::{Attitude, FrdVector, Nanos, NedVector, RANGE_SECTORS};
 
 /// Columns of one sensor's zones, and rows.
-pub const ZONE_COLUMNS: usize = 8;
+const ZONE_COLUMNS: usize = 8;
 /// Most sensors side by side.
-pub const ZONE_MOST_HEADS: usize = 5;
+const ZONE_MOST_HEADS: usize = 5;
 /// Field of view of one, each way, radians.
-pub const ZONE_FOV_RAD: f32 = core::f32::consts::FRAC_PI_4;
+const ZONE_FOV_RAD: f32 = core::f32::consts::FRAC_PI_4;
 /// Nothing farther away is measured.
-pub const ZONE_MAX_RANGE_M: f32 = 4.0;
+const ZONE_MAX_RANGE_M: f32 = 4.0;
 /// Between two measurements: 15 Hz.
-pub const ZONE_INTERVAL_NS: Nanos = 66_666_667;
+const ZONE_INTERVAL_NS: Nanos = 66_666_667;
 /// Rays across a zone, each way: it measures the nearest of what they meet.
 const RAYS: usize = 3;
 /// Standard deviation of a range: 2 cm and 1 % of it.
@@ -32,46 +33,46 @@ const DROPOUT: u32 = u32::MAX / 100;
 const BAND_HALF_HEIGHT_M: f32 = 0.35;
 
 /// The sensor.
-pub struct ZoneSensor {
+pub(crate) struct ZoneSensor {
     seed: u64,
     heads: usize,
     sequence: u64,
+    due_ns: Nanos,
     scene: Scene,
 }
 
 impl ZoneSensor {
     /// So many side by side, at most [`ZONE_MOST_HEADS`], the middle of all straight ahead; the seed fixes their noise.
-    pub fn new(seed: u64, heads: usize) -> Self {
+    pub(crate) fn new(seed: u64, heads: usize) -> Self {
         Self {
             heads: heads.min(ZONE_MOST_HEADS),
             // Not the LiDAR's noise again.
             seed: seed ^ 0x5A4F_4E45,
             sequence: 0,
+            due_ns: 0,
             scene: Scene::default(),
         }
     }
 
-    /// Field of view of all of them, radians.
-    pub fn fov_rad(&self) -> f32 {
-        self.heads as f32 * ZONE_FOV_RAD
-    }
-
-    /// Measures: the horizontal distance of the nearest surface at the vehicle's height in each column of all sensors, left to right, infinite where
-    /// none is within reach.
-    pub fn measure<'a>(
+    /// Measures when it is time: the horizontal distance of the nearest surface at the vehicle's height in each column of all sensors, left to
+    /// right, infinite where none is within reach.
+    pub(crate) fn measure(
         &mut self,
+        now_ns: Nanos,
         world: &World,
         position_ned_m: NedVector,
         attitude: Attitude,
-        nearest_m: &'a mut [f32; ZONE_MOST_HEADS * ZONE_COLUMNS],
-    ) -> &'a [f32] {
+    ) -> Option<ZoneRanges> {
+        if now_ns < self.due_ns {
+            return None;
+        }
+        self.due_ns += ZONE_INTERVAL_NS;
         self.scene.place(world, position_ned_m, attitude);
         self.sequence += 1;
         let keys = NoiseKeys::new(self.seed, self.sequence);
         let yaw_rad = attitude.yaw_rad();
-        let (columns, fov_rad) = (self.heads * ZONE_COLUMNS, self.fov_rad());
-        let nearest_m = &mut nearest_m[..columns];
-        nearest_m.fill(f32::INFINITY);
+        let (columns, fov_rad) = (self.heads * ZONE_COLUMNS, self.heads as f32 * ZONE_FOV_RAD);
+        let mut nearest_m = [f32::INFINITY; RANGE_SECTORS];
         for zone in 0..ZONE_COLUMNS * columns {
             let (row, column) = (zone / columns, zone % columns);
             // The nearest of its rays that meets something at the vehicle's height, as range and direction.
@@ -89,7 +90,7 @@ impl ZoneSensor {
                     libm::sinf(depression_rad),
                 ));
                 let along = (direction.x, direction.y, direction.z);
-                let range_m = cast_ray(world, position_ned_m, &self.scene, along);
+                let range_m = cast_ray(&self.scene, along);
                 let counts = (direction.z * range_m).abs() <= BAND_HALF_HEIGHT_M && range_m <= ZONE_MAX_RANGE_M;
                 if counts && nearest.is_none_or(|(other_m, _)| range_m < other_m) {
                     nearest = Some((range_m, direction));
@@ -104,12 +105,17 @@ impl ZoneSensor {
             // In the column that its bearing belongs to, which is another where the vehicle banks.
             let place = (libm::atan2f(level.y, level.x) / fov_rad + 0.5) * columns as f32;
             if place >= 0.0
-                && let Some(column_m) = nearest_m.get_mut(place as usize)
+                && let Some(column_m) = nearest_m[..columns].get_mut(place as usize)
             {
                 *column_m = column_m.min(measured_m * libm::hypotf(level.x, level.y));
             }
         }
-        nearest_m
+        Some(ZoneRanges {
+            range_m: nearest_m,
+            columns,
+            fov_rad,
+            farthest_m: ZONE_MAX_RANGE_M,
+        })
     }
 }
 
@@ -122,26 +128,31 @@ mod tests {
         let world = |column: &str| World::new(&crate::testing::field(5.0, 10.0, column));
         let place = NedVector::new(0.0, 0.0, -1.5);
         let (mut one, mut three) = (ZoneSensor::new(3, 1), ZoneSensor::new(3, 3));
-        let mut room = [0.0; ZONE_MOST_HEADS * ZONE_COLUMNS];
-        let nothing = three.measure(&world(""), place, Attitude::LEVEL_NORTH, &mut room);
+        let see = |sensor: &mut ZoneSensor, world: &World, attitude| {
+            let seen = sensor
+                .measure(sensor.due_ns, world, place, attitude)
+                .expect("it is time");
+            seen.range_m[..seen.columns].to_vec()
+        };
+        let nothing = see(&mut three, &world(""), Attitude::LEVEL_NORTH);
         assert_eq!(nothing.len(), 24);
         assert!(nothing.iter().all(|m| m.is_infinite()), "{nothing:?}");
         let with_column = world("column = [{ north_m = 3.0, east_m = 0.0, radius_m = 0.5, height_m = 4.0 }]");
         for _ in 0..20 {
-            let seen = one.measure(&with_column, place, Attitude::LEVEL_NORTH, &mut room);
+            let seen = see(&mut one, &with_column, Attitude::LEVEL_NORTH);
             let ahead = seen[3].min(seen[4]);
             assert!((2.3..2.7).contains(&ahead), "{seen:?}");
             assert!(seen[0].is_infinite() && seen[7].is_infinite(), "{seen:?}");
             // It stands 45° to the right of a vehicle that is turned to the left by as much.
             let turned = Attitude::from_euler_rad(0.0, 0.0, -ZONE_FOV_RAD);
-            let seen = one.measure(&with_column, place, turned, &mut room);
+            let seen = see(&mut one, &with_column, turned);
             assert!(seen.iter().all(|m| m.is_infinite()), "{seen:?}");
-            let seen = three.measure(&with_column, place, turned, &mut room);
+            let seen = see(&mut three, &with_column, turned);
             assert!((2.3..2.7).contains(&seen[19].min(seen[20])), "{seen:?}");
         }
         // Nose down the ground comes into view, and is none of what is in the way.
         let nose_down = Attitude::from_euler_rad(0.0, -0.4, 0.0);
-        let seen = one.measure(&world(""), place, nose_down, &mut room);
+        let seen = see(&mut one, &world(""), nose_down);
         assert!(seen.iter().all(|m| m.is_infinite()), "{seen:?}");
     }
 }

@@ -63,17 +63,25 @@ fn is_convex(corners: &[[f32; 3]]) -> bool {
     })
 }
 
-/// The corners and faces of a text as tobj reads them: without comments, and each on one line.
+/// The corners and faces of a text as tobj reads them: without comments, each on one line, and of a face's corners the places alone.
 fn faces(text: &str) -> String {
-    let (mut faces, mut goes_on) = (String::new(), false);
+    let (mut faces, mut goes_on) = (String::new(), None);
     for line in text.lines() {
         let line = line.split('#').next().unwrap_or_default().trim();
-        // Names and materials are not seen; a line of several points would be taken for a face.
-        if goes_on || matches!(line.split_whitespace().next(), Some("v" | "vt" | "vn" | "f")) {
+        // Names, materials and textures are not seen; a line of several points would be taken for a face.
+        let kind = goes_on.or_else(|| line.split_whitespace().next());
+        if matches!(kind, Some("v" | "f")) {
             let begun = line.strip_suffix('\\');
-            goes_on = begun.is_some();
-            faces += begun.unwrap_or(line);
-            faces.push(if goes_on { ' ' } else { '\n' });
+            for word in begun.unwrap_or(line).split_whitespace() {
+                let place = word
+                    .split('/')
+                    .next()
+                    .filter(|place| kind == Some("f") && !place.is_empty());
+                faces += place.unwrap_or(word);
+                faces.push(' ');
+            }
+            goes_on = begun.and(kind);
+            faces += if goes_on.is_some() { "" } else { "\n" };
         }
     }
     faces

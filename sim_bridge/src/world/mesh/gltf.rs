@@ -47,11 +47,15 @@ struct Object {
     count: usize,
     r#type: String,
     sparse: Option<serde::de::IgnoredAny>,
+    extensions: BTreeMap<String, serde::de::IgnoredAny>,
     uri: Option<String>,
 }
 
 /// Extensions that begin so change how a surface looks, not where it is.
 const LOOKS: [&str; 4] = ["KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_"];
+/// Many copies of a mesh; a file need not require it.
+const INSTANCES: &str = "EXT_mesh_gpu_instancing";
+
 /// A file's triangles where its nodes put them, y up.
 pub(super) fn triangles(content: &[u8], path: &Path) -> Result<Vec<Triangle>, String> {
     let (text, binary) = parts(content)?;
@@ -78,6 +82,9 @@ pub(super) fn triangles(content: &[u8], path: &Path) -> Result<Vec<Triangle>, St
         let placed = Mat4::from_scale_rotation_translation(scale, turn, shift);
         let here = above * node.matrix.map_or(placed, |matrix| Mat4::from_cols_array(&matrix));
         if let Some(mesh) = node.mesh {
+            if node.extensions.contains_key(INSTANCES) {
+                return Err(format!("node {number} is instanced by {INSTANCES}: export it without"));
+            }
             for primitive in &of(&file.meshes, mesh, "mesh")?.primitives {
                 add(&file, &buffers, primitive, &here, &mut all)?;
             }

@@ -63,19 +63,9 @@ pub enum Up {
 
 named_setting!(Up, [("y", Up::Y), ("z", Up::Z)]);
 
-/// Why a file is no surface for a course.
-#[derive(Debug, thiserror::Error)]
-#[error("{} {problem}", .path.display())]
-pub struct MeshError {
-    /// The file.
-    pub path: PathBuf,
-    /// What is wrong and what to do.
-    pub problem: String,
-}
-
-fn refused(path: &Path) -> impl FnOnce(String) -> MeshError {
-    let path = path.to_owned();
-    |problem| MeshError { path, problem }
+/// What is wrong with a file and what to do.
+fn refused(path: &Path) -> impl FnOnce(String) -> String + '_ {
+    |problem| format!("{} {problem}", path.display())
 }
 
 impl Mesh {
@@ -83,7 +73,7 @@ impl Mesh {
     ///
     /// # Errors
     /// As for a file.
-    pub fn of_triangles(triangles: &[[NedVector; 3]]) -> Result<Self, MeshError> {
+    pub fn of_triangles(triangles: &[[NedVector; 3]]) -> Result<Self, String> {
         let placed = triangles.iter().map(|t| t.map(|p| p.to_array())).collect();
         let file = PathBuf::from("a mesh in memory");
         let surface = Some(Arc::new(surface_of_mesh(placed).map_err(refused(&file))?));
@@ -97,8 +87,8 @@ impl Mesh {
     /// Reads the file, which is in `folder` where its name is not absolute.
     ///
     /// # Errors
-    /// [`MeshError`] names the file and says what to do.
-    pub fn read(&mut self, folder: &Path) -> Result<(), MeshError> {
+    /// The file's name and what to do.
+    pub fn read(&mut self, folder: &Path) -> Result<(), String> {
         let path = folder.join(&self.file);
         self.surface = Some(Arc::new(self.surface_of(&path).map_err(refused(&path))?));
         self.file = std::path::absolute(&path).unwrap_or(path);

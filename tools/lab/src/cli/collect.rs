@@ -3,7 +3,10 @@
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::cli::detector::Stage;
 use crate::cli::output::{self, Interrupt, Progress, say};
-use crate::detector_training::{BLOCK, Counts, Flights, LstmConfig, Record, Recorded, Scenario, WEAK_YAW, fly};
+use crate::detector_training::{
+    BLOCK, LstmConfig, Record, Recorded, Scenario, WEAK_YAW, count, counts_of, fly, from_bytes, load_flights,
+    save_flights, to_bytes,
+};
 use anyhow::{Context, Result, ensure};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -63,12 +66,12 @@ impl Stage<'_> {
         if let (Some(set), Some(first_seed), Some(flights)) = (args.set, args.seed, args.flights) {
             let mut campaign = self.campaign(set, first_seed, flights)?;
             let interrupt = campaign.fly(pool, |seed, _, _| self.fly(seed))?;
-            let hint = interrupt.came().then_some("; the same command goes on");
-            say!(
-                "flights          {}{}",
-                self.lines(set).display(),
-                hint.unwrap_or_default()
-            );
+            let hint = if interrupt.came() {
+                "; the same command goes on"
+            } else {
+                ""
+            };
+            say!("flights          {}{hint}", self.lines(set).display());
             return Ok(());
         }
         for (set, seed, windows) in [
@@ -77,9 +80,9 @@ impl Stage<'_> {
         ] {
             let path = self.lines(set).with_extension("safetensors");
             let flights = if path.exists() {
-                let kept = Flights::load(&path, &self.pilot)?;
+                let kept = load_flights(&path, &self.pilot)?;
                 ensure!(
-                    Counts::of(&kept.records).reach(windows as usize),
+                    has(&counts_of(&kept), windows),
                     "{} holds fewer than {windows} windows of each class: remove it, or name another folder with -o",
                     path.display()
                 );
@@ -91,21 +94,18 @@ impl Stage<'_> {
                     say!("interrupted: what was flown is kept in {lines}; the same command goes on");
                     return Ok(());
                 };
-                flights.save(&path)?;
+                save_flights(&path, &self.pilot, &flights)?;
                 // What it held is in the file just written.
                 let _ = std::fs::remove_file(lines);
                 flights
             };
-            let counts = Counts::of(&flights.records);
-            let seed = flights.records.first().map_or(seed, |record| record.scenario.seed);
+            let [attacked, weak, lingering, unattacked] = counts_of(&flights);
+            let seed = flights.first().map_or(seed, |record| record.scenario.seed);
             say!(
-                "{:<20} {} flights from seed {seed}: {} attacked windows, {} unattacked, {} weak, {} lingering",
+                "{:<20} {} flights from seed {seed}: {attacked} attacked windows, {unattacked} unattacked, \
+                 {weak} weak, {lingering} lingering",
                 format!("{}.safetensors", set.name()),
-                flights.records.len(),
-                counts.attacked,
-                counts.unattacked,
-                counts.weak,
-                counts.lingering
+                flights.len()
             );
         }
         Ok(())
@@ -123,13 +123,13 @@ impl Stage<'_> {
     }
 
     /// A dozen after the other until there are as many windows of each class; none when Ctrl-C came first.
-    fn gather(&self, set: SetName, first_seed: u64, windows: u64, pool: &ThreadPool) -> Result<Option<Flights>> {
+    fn gather(&self, set: SetName, first_seed: u64, windows: u64, pool: &ThreadPool) -> Result<Option<Vec<Record>>> {
         // Each flight has a window or more.
         let mut campaign = self.campaign(set, first_seed, windows)?;
         let mut jobs = jobs(first_seed, BLOCK);
         let (bar, interrupt) = (Progress::new(windows, "attacked windows")?, Interrupt::on_ctrl_c()?);
-        let (mut counts, mut records) = (Counts::default(), Vec::new());
-        while !counts.reach(windows as usize) {
+        let (mut counts, mut records) = ([0; 4], Vec::new());
+        while !has(&counts, windows) {
             campaign.fly_some(&jobs, pool, &interrupt, |seed, _| self.fly(seed))?;
             if interrupt.came() {
                 bar.finish();
@@ -138,31 +138,33 @@ impl Stage<'_> {
             for seed in (0..BLOCK).map(|i| jobs.first_seed.wrapping_add(i)) {
                 let packed = campaign.flight(seed, 0).context("it was flown")?;
                 let record = unpacked(campaign.settings(), seed, packed)?;
-                counts.add(&record);
+                count(&mut counts, &record);
                 records.push(record);
             }
+            let [attacked, .., unattacked] = counts;
             ensure!(
-                counts.attacked > 0 || records.len() < FLIGHTS_IN_VAIN,
+                attacked > 0 || records.len() < FLIGHTS_IN_VAIN,
                 "no attack in {FLIGHTS_IN_VAIN} flights moved the yaw output by {WEAK_YAW}: a detector has nothing to learn from"
             );
             jobs.first_seed += BLOCK;
-            bar.set_message(format!("{} unattacked, {} flights", counts.unattacked, records.len()));
-            bar.set_position(counts.attacked as u64);
+            bar.set_message(format!("{unattacked} unattacked, {} flights", records.len()));
+            bar.set_position(attacked as u64);
         }
         bar.finish();
-        let actor_sha256 = self.pilot.sha256();
-        Ok(Some(Flights { actor_sha256, records }))
+        Ok(Some(records))
     }
 
     /// Two of three flights are attacked.
     fn fly(&self, seed: u64) -> Result<Packed> {
         let scenario = Scenario::drawn(seed, !seed.is_multiple_of(3));
-        let flown = Flights {
-            actor_sha256: self.pilot.sha256(),
-            records: vec![fly(self.isa, &self.pilot, &scenario, &mut |_, _| Ok(()))?],
-        };
-        Ok(BASE64.encode(flown.to_bytes()?))
+        let flown = fly(self.isa, &self.pilot, &scenario, &mut |_, _| Ok(()))?;
+        Ok(BASE64.encode(to_bytes(&self.pilot, &[flown])?))
     }
+}
+
+/// Whether there are so many attacked windows and as many unattacked.
+fn has([attacked, .., unattacked]: &[usize; 4], windows: u64) -> bool {
+    *attacked.min(unattacked) as u64 >= windows
 }
 
 fn jobs(first_seed: u64, flights: u64) -> Jobs {
@@ -177,8 +179,8 @@ fn jobs(first_seed: u64, flights: u64) -> Jobs {
 fn unpacked(recorded: &Recorded, seed: u64, packed: &Packed) -> Result<Record> {
     let name = || format!("the flight of seed {seed}");
     let bytes = BASE64.decode(packed).with_context(name)?;
-    let mut flights = Flights::from_bytes(Path::new(&name()), &bytes, recorded)?;
-    flights.records.pop().with_context(name)
+    let mut flights = from_bytes(Path::new(&name()), &bytes, recorded)?;
+    flights.pop().with_context(name)
 }
 
 /// Puts the lines of several files into one, which `vigil detector collect` takes its flights from.

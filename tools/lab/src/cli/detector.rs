@@ -8,13 +8,15 @@ pub(crate) use report::roc;
 use crate::cli::collect::CollectArgs;
 use crate::cli::output::{self, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
-    EvaluationSize, Feature, Flights, LstmConfig, Proportion, Record, Role, Scenario, Set, WindowScorer, fly_all, sets,
+    EvaluationSize, Feature, Fitted, LstmConfig, Proportion, Record, Role, Scenario, Set, WindowScorer, draw_windows,
+    evaluate, fly, load_flights, save_flights, sets,
 };
 use crate::report::{Figure, Picture, TextTable, to_csv};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, bail, ensure};
 use clap::builder::RangedU64ValueParser;
+use rayon::prelude::*;
 use report::{curves_png, percent, roc_figure, text};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -176,9 +178,6 @@ pub(crate) struct TimeRow {
     pub paper_s: f64,
 }
 
-/// The sets of an evaluation, and the flights of each.
-type JudgedFlights = (Vec<Set>, Vec<Vec<Record>>);
-
 /// What every stage needs.
 pub(super) struct Stage<'a> {
     pub(super) isa: Isa,
@@ -212,12 +211,7 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
             attacked,
             pictures,
             detector,
-        } => {
-            let actor = stage.actor("figures")?;
-            let detector = stage.detector(detector.as_deref())?;
-            let course = (*seed, *attacked);
-            crate::cli::figures::draw(stage.isa, actor, &detector, course, *pictures as usize, stage.folder)
-        }
+        } => stage.figures(*seed, *attacked, *pictures as usize, detector.as_deref()),
         DetectorCommand::Times {
             seed,
             pictures,
@@ -231,7 +225,7 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
 
 impl Stage<'_> {
     /// The actor, for what explains all pixels of its frame.
-    fn actor(&self, command: &str) -> Result<&FrozenActor> {
+    pub(super) fn actor(&self, command: &str) -> Result<&FrozenActor> {
         match &self.pilot {
             FrozenPilot::Actor(actor) => Ok(actor),
             FrozenPilot::Imported(_) => bail!(
@@ -241,28 +235,33 @@ impl Stage<'_> {
         }
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub(super) fn path(&self, name: &str) -> PathBuf {
         self.folder.join(name)
     }
 
-    fn training_flights(&self) -> Result<[Flights; 2]> {
+    fn training_flights(&self) -> Result<[Vec<Record>; 2]> {
         let load = |name| {
             let path = self.path(name);
             let file = path.display();
             ensure!(path.exists(), "no {file}: run `vigil detector collect` first");
-            Flights::load(&path, &self.pilot)
+            load_flights(&path, &self.pilot)
         };
         Ok([load("learn.safetensors")?, load("choose.safetensors")?])
     }
 
-    fn train_on(&self, feature: Feature, [learn, choose]: &[Flights; 2], config: &LstmConfig) -> Result<WindowScorer> {
-        let steps = crate::detector_training::train_steps(&learn.records, config) as u64;
-        let bar = Progress::new(steps, "steps")?;
-        let scorer = crate::detector_training::train(
+    fn train_on(
+        &self,
+        feature: Feature,
+        [learn, choose]: &[Vec<Record>; 2],
+        config: &LstmConfig,
+    ) -> Result<(WindowScorer, Fitted)> {
+        let steps = draw_windows(learn, config).len().div_ceil(config.fit.batch) * config.fit.epochs;
+        let bar = Progress::new(steps as u64, "steps")?;
+        let trained = crate::detector_training::train(
             self.isa,
             &self.pilot,
             feature,
-            (&learn.records, &choose.records),
+            (learn, choose),
             config,
             &mut |step, epoch| {
                 bar.set_position(step as u64);
@@ -272,7 +271,7 @@ impl Stage<'_> {
             },
         )?;
         bar.finish();
-        Ok(scorer)
+        Ok(trained)
     }
 
     fn train(&self, epochs: usize, seed: u64) -> Result<()> {
@@ -280,21 +279,21 @@ impl Stage<'_> {
         config.fit.epochs = epochs;
         config.fit.seed = seed;
         let flights = self.training_flights()?;
-        let scorer = self.train_on(Feature::Shap, &flights, &config)?;
+        let (scorer, fitted) = self.train_on(Feature::Shap, &flights, &config)?;
         let file = self.path("lstm_ad.safetensors");
-        let threshold = scorer.threshold(self.isa, &self.pilot, &flights[1].records)?;
+        let threshold = scorer.threshold(self.isa, &self.pilot, &flights[1])?;
         scorer
             .freeze(&self.pilot, &config, threshold, git_commit())
             .save(&file)?;
-        self.write("lstm_ad.csv", to_csv(&scorer.fitted.epochs))?;
-        self.write("lstm_ad.png", curves_png(&scorer.fitted.epochs))?;
-        let chosen = scorer.fitted.epochs.get(scorer.fitted.chosen.saturating_sub(1));
+        self.write("lstm_ad.csv", to_csv(&fitted.epochs))?;
+        self.write("lstm_ad.png", curves_png(&fitted.epochs))?;
+        let chosen = fitted.epochs.get(fitted.chosen.saturating_sub(1));
         say!(
             "LSTM-AD          {} after epoch {} of {epochs}, {} windows: {} right, loss {} on the flights that choose; \
              threshold {threshold:.3}",
             file.display(),
-            scorer.fitted.chosen,
-            scorer.windows,
+            fitted.chosen,
+            draw_windows(&flights[0], &config).len(),
             or_dash(100.0 * chosen.map_or(f64::NAN, |e| e.choose_accuracy), 2, " %"),
             or_dash(chosen.map_or(f64::NAN, |e| e.choose_loss), 4, ""),
         );
@@ -302,48 +301,50 @@ impl Stage<'_> {
     }
 
     /// The evaluation's flights, flown or kept; none when Ctrl-C came first.
-    fn evaluation(&self, size: &EvaluationSize) -> Result<Option<JudgedFlights>> {
+    fn evaluation(&self, size: &EvaluationSize) -> Result<Option<Vec<Set<Record>>>> {
         const FILE: &str = "evaluate.safetensors";
         let (sets, path) = (sets(size), self.path(FILE));
-        let scenarios: Vec<&Scenario> = sets.iter().flat_map(|s| &s.scenarios).collect();
-        let kept = path.exists().then(|| Flights::load(&path, &self.pilot)).transpose()?;
-        let is_same = |kept: &Flights| kept.records.iter().map(|r| &r.scenario).eq(scenarios.iter().copied());
-        let flights = match kept.filter(is_same) {
+        let scenarios: Vec<&Scenario> = sets.iter().flat_map(|s| &s.flights).collect();
+        let kept = path.exists().then(|| load_flights(&path, &self.pilot)).transpose()?;
+        let is_same = |kept: &Vec<Record>| kept.iter().map(|r| &r.scenario).eq(scenarios.iter().copied());
+        let records = match kept.filter(is_same) {
             Some(kept) => kept,
             None => {
                 let bar = Progress::new(scenarios.len() as u64, "flights")?;
                 let interrupt = Interrupt::on_ctrl_c()?;
-                let records = fly_all(self.isa, &self.pilot, &scenarios, &mut |flights| {
-                    bar.inc(flights);
-                    interrupt.flow()
-                })?;
+                let mut records = Vec::new();
+                for block in scenarios.chunks(8).take_while(|_| !interrupt.came()) {
+                    let flown = block
+                        .par_iter()
+                        .map(|scenario| fly(self.isa, &self.pilot, scenario, &mut |_, _| Ok(())));
+                    records.extend(flown.collect::<Result<Vec<_>>>()?);
+                    bar.inc(block.len() as u64);
+                }
                 bar.finish();
-                let Some(records) = records else {
+                if interrupt.came() {
                     say!("interrupted: nothing of the evaluation is kept");
                     return Ok(None);
-                };
-                let actor_sha256 = self.pilot.sha256();
-                let flights = Flights { actor_sha256, records };
-                flights.save(&path)?;
-                flights
+                }
+                save_flights(&path, &self.pilot, &records)?;
+                records
             }
         };
-        let mut records = flights.records.into_iter();
-        let of_set = |set: &Set| records.by_ref().take(set.scenarios.len()).collect();
-        let flown = sets.iter().map(of_set).collect();
-        Ok(Some((sets, flown)))
+        let mut records = records.into_iter();
+        let flown = sets.into_iter().map(|Set { name, role, flights }| Set {
+            name,
+            role,
+            flights: records.by_ref().take(flights.len()).collect(),
+        });
+        Ok(Some(flown.collect()))
     }
 
     fn evaluate(&self, size: &EvaluationSize, detector: Option<&Path>) -> Result<()> {
         let frozen = self.detector(detector)?;
-        let Some((sets, records)) = self.evaluation(size)? else {
+        let Some(sets) = self.evaluation(size)? else {
             return Ok(());
         };
         let scorer = WindowScorer::from_frozen(&frozen);
-        let at = |threshold| {
-            let flights = (sets.as_slice(), records.as_slice());
-            crate::detector_training::evaluate(self.isa, &self.pilot, &scorer, threshold, flights)
-        };
+        let at = |threshold| evaluate(self.isa, &self.pilot, &scorer, threshold, &sets);
         let (report, mut in_flight) = (at(0.5)?, at(frozen.threshold)?);
         // The curves are those of any threshold: once is enough.
         in_flight.roc.clear();
@@ -366,7 +367,7 @@ impl Stage<'_> {
     }
 
     /// The frozen LSTM-AD of this actor: of the file, of the folder, or the one built in.
-    fn detector(&self, file: Option<&Path>) -> Result<FrozenDetector> {
+    pub(super) fn detector(&self, file: Option<&Path>) -> Result<FrozenDetector> {
         let own = self.path("lstm_ad.safetensors");
         detector_of(&self.pilot.sha256(), file.or(own.exists().then_some(&own)))
     }
@@ -419,7 +420,7 @@ impl Stage<'_> {
 
     fn ablate(&self, size: &EvaluationSize) -> Result<()> {
         let flights = self.training_flights()?;
-        let Some((sets, records)) = self.evaluation(size)? else {
+        let Some(sets) = self.evaluation(size)? else {
             return Ok(());
         };
         let config = LstmConfig::default();
@@ -432,8 +433,8 @@ impl Stage<'_> {
                 say!("interrupted: nothing of the comparison is kept");
                 return Ok(());
             }
-            let scorer = self.train_on(feature, &flights, &config)?;
-            let report = crate::detector_training::evaluate(self.isa, &self.pilot, &scorer, 0.5, (&sets, &records))?;
+            let (scorer, _) = self.train_on(feature, &flights, &config)?;
+            let report = evaluate(self.isa, &self.pilot, &scorer, 0.5, &sets)?;
             let untrained = report.sets.iter().filter(|s| s.role == Role::Untrained);
             let (count, of) = untrained.fold((0, 0), |(c, o), s| (c + s.detected.count, o + s.detected.of));
             let s = &report.separation;
@@ -461,7 +462,7 @@ impl Stage<'_> {
         Ok(())
     }
 
-    fn write(&self, name: &str, content: impl AsRef<[u8]>) -> Result<()> {
+    pub(super) fn write(&self, name: &str, content: impl AsRef<[u8]>) -> Result<()> {
         let path = self.path(name);
         std::fs::create_dir_all(self.folder).with_context(|| format!("cannot make {}", self.folder.display()))?;
         output::write(&path, content)

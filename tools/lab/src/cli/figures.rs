@@ -1,10 +1,11 @@
 //! `vigil detector figures`: the paper's figures 12 to 14 of one flight. What they are drawn from is left beside them, so that
 //! `vigil reproduce` draws the same.
 
-use crate::cli::output::{self, range_grey, say};
+use crate::cli::detector::Stage;
+use crate::cli::output::{range_grey, say};
 use crate::detector_training::{Adversary, Frame, PixelExplainer, Plan, Record, Scenario, YAW, fly};
 use crate::report::{ColourScale, Figure, Panel, Picture, Plate, decimals, maybe_decimals, png_bytes, to_csv};
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use serde::{Deserialize, Serialize};
@@ -133,59 +134,54 @@ impl Pixels {
     }
 }
 
-/// Flies validation course `seed`, attacked or not, and draws into the folder.
-pub fn draw(
-    isa: Isa,
-    actor: &FrozenActor,
-    detector: &FrozenDetector,
-    (seed, attacked): (u64, bool),
-    pictures: usize,
-    folder: &Path,
-) -> Result<()> {
-    let scenario = Scenario {
-        adversary: attacked.then(|| Adversary {
-            config: AttackConfig::PAPER,
-            bursts: vec![BURST],
-        }),
-        ..Scenario::unattacked(Family::Validation, seed, Plan::Actor)
-    };
-    let (record, lines, frames) = explained(isa, (actor, detector), &scenario, pictures)?;
-    let steps = record.steps.len();
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    let write = |name: &str, content: &[u8]| {
-        let path = folder.join(name);
-        say!("{}", path.display());
-        output::write(&path, content)
-    };
-    let (full_strength, frames) = Pixels::of(&frames);
-    let pixels = Pixels {
-        version: env!("CARGO_PKG_VERSION").to_owned(),
-        actor_sha256: actor.sha256(),
-        detector_sha256: detector.sha256(),
-        seed,
-        steps,
-        attacked: attacked.then_some((BURST.start, BURST.end)),
-        outcome: record
-            .outcome
-            .map_or("cut off".to_owned(), |o| format!("{o:?}").to_lowercase()),
-        threshold: detector.threshold,
-        full_strength,
-        frames,
-    };
-    write("pixels.json", &serde_json::to_vec_pretty(&pixels)?)?;
-    write("explanations.csv", to_csv(&lines).as_bytes())?;
-    let drawn = [
-        figure_12(&pixels)?.save(folder, "figure-12")?,
-        figure_13(&pixels, &lines).save(folder, "figure-13")?,
-        figure_14(&pixels, &lines).save(folder, "figure-14")?,
-    ];
-    for path in drawn.as_flattened() {
-        say!("{}", path.display());
+impl Stage<'_> {
+    /// Flies validation course `seed`, attacked or not, and draws into the folder.
+    pub fn figures(&self, seed: u64, attacked: bool, pictures: usize, detector: Option<&Path>) -> Result<()> {
+        let (actor, detector) = (self.actor("figures")?, self.detector(detector)?);
+        let scenario = Scenario {
+            adversary: attacked.then(|| Adversary {
+                config: AttackConfig::PAPER,
+                bursts: vec![BURST],
+            }),
+            ..Scenario::unattacked(Family::Validation, seed, Plan::Actor)
+        };
+        let (record, lines, frames) = explained(self.isa, (actor, &detector), &scenario, pictures)?;
+        let steps = record.steps.len();
+        let write = |name: &str, content: &[u8]| {
+            self.write(name, content)?;
+            say!("{}", self.path(name).display());
+            Ok::<_, anyhow::Error>(())
+        };
+        let (full_strength, frames) = Pixels::of(&frames);
+        let pixels = Pixels {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            actor_sha256: actor.sha256(),
+            detector_sha256: detector.sha256(),
+            seed,
+            steps,
+            attacked: attacked.then_some((BURST.start, BURST.end)),
+            outcome: record
+                .outcome
+                .map_or("cut off".to_owned(), |o| format!("{o:?}").to_lowercase()),
+            threshold: detector.threshold,
+            full_strength,
+            frames,
+        };
+        write("pixels.json", &serde_json::to_vec_pretty(&pixels)?)?;
+        write("explanations.csv", to_csv(&lines).as_bytes())?;
+        let drawn = [
+            figure_12(&pixels)?.save(self.folder, "figure-12")?,
+            figure_13(&pixels, &lines).save(self.folder, "figure-13")?,
+            figure_14(&pixels, &lines).save(self.folder, "figure-14")?,
+        ];
+        for path in drawn.as_flattened() {
+            say!("{}", path.display());
+        }
+        let burst = attacked.then(|| format!(", those from {} to {} attacked", BURST.start, BURST.end - 1));
+        let (burst, outcome) = (burst.unwrap_or_default(), pixels.outcome);
+        say!("validation course {seed}, {steps} steps{burst}, flight ended: {outcome}");
+        Ok(())
     }
-    let burst = attacked.then(|| format!(", those from {} to {} attacked", BURST.start, BURST.end - 1));
-    let (burst, outcome) = (burst.unwrap_or_default(), pixels.outcome);
-    say!("validation course {seed}, {steps} steps{burst}, flight ended: {outcome}");
-    Ok(())
 }
 
 fn seconds(step: usize) -> f64 {

@@ -61,8 +61,10 @@ fn speed(text: &str) -> Result<f64, String> {
 /// # Errors
 /// A log that cannot be read, a flight that never took off, a film that cannot be written.
 pub fn run(args: &FilmArgs) -> Result<ExitCode> {
+    // Whether a film of this name can be made.
+    let check = |to: &Path| is_video(to).then(Video::check).transpose();
     if let Some(to) = args.output.as_deref().filter(|_| args.check) {
-        check_film(to)?;
+        check(to)?;
         return Ok(ExitCode::SUCCESS);
     }
     let log = find_log(args.log.as_deref().context("no log")?)?;
@@ -71,7 +73,7 @@ pub fn run(args: &FilmArgs) -> Result<ExitCode> {
     let course = Story::about(&log)?.remove("course");
     let title = args.title.clone().or(course).unwrap_or_default();
     let shown = (args.speed, &*title);
-    check_film(&to)?;
+    check(&to)?;
     let none = || format!("no film of {}", log.display());
     let ((pictures, incomplete), bytes) = if is_video(&to) {
         let mut video = Video::begin(&to).with_context(none)?;
@@ -82,10 +84,9 @@ pub fn run(args: &FilmArgs) -> Result<ExitCode> {
         };
         (filmed, file.len())
     } else {
-        let mut bytes = Vec::new();
-        let mut gif = Gif::begin(&mut bytes).with_context(none)?;
+        let mut gif = Gif::begin().with_context(none)?;
         let filmed = film(&log, shown, args.shap, &mut |canvas, cs| gif.picture(canvas, cs)).with_context(none)?;
-        drop(gif);
+        let bytes = gif.finish().with_context(none)?;
         output::write(&to, &bytes)?;
         (filmed, bytes.len() as u64)
     };
@@ -97,12 +98,4 @@ pub fn run(args: &FilmArgs) -> Result<ExitCode> {
         missing.iter().for_each(|missing| say!("{missing}"));
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Whether a film of this name can be made.
-fn check_film(to: &Path) -> Result<()> {
-    if is_video(to) {
-        Video::check()?;
-    }
-    Ok(())
 }

@@ -75,7 +75,7 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
     config.apf_share = args.apf_share.unwrap_or(config.apf_share);
     config.check()?;
     if args.print_config {
-        put!("{}", config.to_toml());
+        put!("{}", vigil_types::settings::to_toml(&config));
         return Ok(ExitCode::SUCCESS);
     }
     let whole = args.encoder_of.as_deref().map(FrozenActor::load).transpose()?;

@@ -321,17 +321,4 @@ mod tests {
         // A row of another table is no flight.
         assert!(from_csv::<Flight>(&(flights.to_owned() + "50,12000,42.2\n")).is_err());
     }
-
-    #[test]
-    fn a_band_spans_the_seeds_that_got_so_far() {
-        let series = over_seeds("two", &[vec![(1.0, 0.0), (2.0, 4.0)], vec![(1.0, 2.0)]]);
-        assert_eq!(series.points, [(1.0, 1.0), (2.0, 4.0)]);
-        assert_eq!(series.band, [(1.0, 0.0, 2.0), (2.0, 4.0, 4.0)]);
-    }
-
-    #[test]
-    fn a_rolling_mean_begins_when_it_has_enough() {
-        assert_eq!(rolling(&[1.0, 3.0, 5.0], 2), [(2.0, 2.0), (3.0, 4.0)]);
-        assert!(rolling(&[1.0], 2).is_empty());
-    }
 }

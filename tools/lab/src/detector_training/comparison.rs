@@ -149,7 +149,7 @@ pub fn pca_scores(learn: &States, choose: &States, test: &States) -> Vec<f32> {
 /// # Errors
 /// Parameters of another architecture.
 pub fn lstm_scores(isa: Isa, pilot: &FrozenPilot, scorer: &WindowScorer, states: &States) -> Result<Vec<f32>> {
-    let scores = scorer.scores(isa, pilot, &states.flights.records)?;
+    let scores = scorer.scores(isa, pilot, &states.records)?;
     let of = |s: &State| scores.get(s.flight).and_then(|f| *f.get(s.step)?);
     Ok(states.states.iter().map(|s| of(s).unwrap_or(f32::NAN)).collect())
 }

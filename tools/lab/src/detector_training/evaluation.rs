@@ -3,13 +3,11 @@
 use crate::detector_training::features::Feature;
 use crate::detector_training::lstm::WindowScorer;
 use crate::detector_training::metrics::{Proportion, Separation, corners, roc};
-use crate::explained::{Adversary, Ending, Frame, MAX_STEPS, Plan, Record, Scenario, Step, fly};
+use crate::explained::{Adversary, Ending, Frame, MAX_STEPS, Plan, Record, Scenario, Step};
 use anyhow::Result;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::ops::ControlFlow;
 use vigil_adversary::{AttackConfig, EFFECTIVE_YAW, Method, Towards};
 use vigil_detector::WINDOW;
 use vigil_nnet::Isa;
@@ -17,12 +15,11 @@ use vigil_policy::FrozenPilot;
 use vigil_sim::world::Family;
 use vigil_types::STEP_NS;
 
-/// Flights of one kind, scored together.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Set {
+/// Flights of one kind, scored together: as they are to be flown, or as they were.
+pub struct Set<F> {
     pub name: String,
     pub role: Role,
-    pub scenarios: Vec<Scenario>,
+    pub flights: Vec<F>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -78,7 +75,7 @@ pub(super) fn plan_of(flight: u64) -> Plan {
 /// Attacked frames after which a flight is cut off.
 const ALTERED: u64 = 100;
 
-pub fn sets(size: &EvaluationSize) -> Vec<Set> {
+pub fn sets(size: &EvaluationSize) -> Vec<Set<Scenario>> {
     let validation = |i: u64, plan| Scenario::unattacked(Family::Validation, size.first_seed.wrapping_add(i), plan);
     let attacked = |method, epsilon_255, iterations, i: u64| {
         let mut scenario = validation(i, plan_of(i));
@@ -99,7 +96,7 @@ pub fn sets(size: &EvaluationSize) -> Vec<Set> {
     let set = |name: &str, role, count, scenario: &dyn Fn(u64) -> Scenario| Set {
         name: name.to_owned(),
         role,
-        scenarios: (0..count).map(scenario).collect(),
+        flights: (0..count).map(scenario).collect(),
     };
     let unattacked = |i| validation(i, Plan::Actor);
     let mut sets = vec![set("unattacked", Role::Unattacked, size.unattacked, &unattacked)];
@@ -137,26 +134,6 @@ pub fn sets(size: &EvaluationSize) -> Vec<Set> {
     sets.push(control("geometric pilot flies", &|s| s.plan = Plan::Geometric));
     sets.push(control("pilots change", &|s| s.plan = Plan::Switching));
     sets
-}
-
-/// Flies them all; `progress` is called after each block of flights with how many, and may end it: nothing is returned then.
-pub fn fly_all(
-    isa: Isa,
-    pilot: &FrozenPilot,
-    scenarios: &[&Scenario],
-    progress: &mut dyn FnMut(u64) -> ControlFlow<()>,
-) -> Result<Option<Vec<Record>>> {
-    let mut records = Vec::with_capacity(scenarios.len());
-    for block in scenarios.chunks(8) {
-        let flown = block
-            .par_iter()
-            .map(|scenario| fly(isa, pilot, scenario, &mut |_, _| Ok(())));
-        records.extend(flown.collect::<Result<Vec<_>>>()?);
-        if progress(block.len() as u64).is_break() {
-            return Ok(None);
-        }
-    }
-    Ok(Some(records))
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -279,7 +256,8 @@ fn alarms(scores: &[Option<f32>], threshold: f32) -> usize {
     raised.len() - raised.windows(2).filter(|w| w[1] - w[0] <= ONE_ALARM).count()
 }
 
-fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32, unattacked: &[f32]) -> SetReport {
+fn report_set(set: &Set<Record>, scores: &Scores, threshold: f32, unattacked: &[f32]) -> SetReport {
+    let records = &set.flights;
     let flights = || records.iter().zip(scores);
     let above = |keep: &dyn Fn(&Record, usize) -> bool| Proportion::above(threshold, scores_of(flights(), keep));
     let attacks = scores_of(flights(), &attacked);
@@ -320,20 +298,18 @@ pub fn evaluate(
     pilot: &FrozenPilot,
     scorer: &WindowScorer,
     threshold: f32,
-    (sets, records): (&[Set], &[Vec<Record>]),
+    sets: &[Set<Record>],
 ) -> Result<Report> {
-    let scores = records
-        .iter()
-        .map(|records| scorer.scores(isa, pilot, records))
-        .collect::<Result<Vec<Scores>, _>>()?;
-    Ok(report(scorer.feature, threshold, sets, records, &scores))
+    let scores = sets.iter().map(|set| scorer.scores(isa, pilot, &set.flights));
+    let scores = scores.collect::<Result<Vec<Scores>>>()?;
+    Ok(report(scorer.feature, threshold, sets, &scores))
 }
 
-fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>], scores: &[Scores]) -> Report {
-    let all = || sets.iter().zip(records.iter().zip(scores));
+fn report(feature: Feature, threshold: f32, sets: &[Set<Record>], scores: &[Scores]) -> Report {
+    let all = || sets.iter().zip(scores);
     let flights = |role: Role| {
         let own = all().filter(move |(set, _)| set.role == role);
-        own.flat_map(|(_, (records, scores))| records.iter().zip(scores))
+        own.flat_map(|(set, scores)| set.flights.iter().zip(scores))
     };
     let unattacked = scores_of(flights(Role::Unattacked), &|_, _| true);
     let paper = |keep: &dyn Fn(&Record, usize) -> bool| scores_of(flights(Role::Paper), keep);
@@ -370,7 +346,7 @@ fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>
         rows,
         after,
         sets: all()
-            .map(|(set, (records, scores))| report_set(set, records, scores, threshold, &unattacked))
+            .map(|(set, scores)| report_set(set, scores, threshold, &unattacked))
             .collect(),
         roc: corners(&roc(&under_attack, &unattacked)),
     }
@@ -452,22 +428,22 @@ mod tests {
 
     #[test]
     fn a_report_counts_each_kind_of_window_apart() {
-        let sets = [Role::Unattacked, Role::Paper, Role::Control].map(|role| Set {
+        let sets = [
+            (Role::Unattacked, "...................."),
+            (Role::Paper, "..........aaww......"),
+            (Role::Control, "..........nn........"),
+        ];
+        let sets = sets.map(|(role, frames)| Set {
             name: format!("{role:?}"),
             role,
-            scenarios: Vec::new(),
+            flights: vec![record(frames)],
         });
-        let records = [
-            vec![record("....................")],
-            vec![record("..........aaww......")],
-            vec![record("..........nn........")],
-        ];
         let all = [
             vec![scores("...............!....")],
             vec![scores("...........!!.!!....")],
             vec![scores("...........!........")],
         ];
-        let r = report(Feature::Shap, 0.5, &sets, &records, &all);
+        let r = report(Feature::Shap, 0.5, &sets, &all);
         let counts = |p: &Proportion| (p.count, p.of);
         assert_eq!(counts(&r.separation.detected), (2, 4));
         assert_eq!(counts(&r.separation_effective.detected), (1, 2));

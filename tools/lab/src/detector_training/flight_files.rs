@@ -11,52 +11,21 @@ use vigil_detector::WINDOW;
 use vigil_policy::FrozenPilot;
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, GOAL_INPUTS, LOW_DIM, LowDim};
 
-/// Flights of one actor.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Flights {
-    /// Digest of the actor.
-    pub actor_sha256: String,
-    /// The flights.
-    pub records: Vec<Record>,
+/// How many windows there are of each [`Class`], in the order of these.
+pub type Counts = [usize; 4];
+
+/// Counts a flight's windows too.
+pub fn count(counts: &mut Counts, record: &Record) {
+    for (_, class) in Class::of_windows(record) {
+        counts[class as usize] += 1;
+    }
 }
 
-/// How many windows there are of each class.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Counts {
-    /// Windows whose newest frame was attacked.
-    pub attacked: usize,
-    /// Windows without an altered frame among the newest ones that make the actor's state.
-    pub unattacked: usize,
-    /// Windows in which an attack had next to no effect.
-    pub weak: usize,
-    /// Windows in which one lingers.
-    pub lingering: usize,
-}
-
-impl Counts {
-    /// Adds a flight's.
-    pub fn add(&mut self, record: &Record) {
-        for (_, class) in Class::of_windows(record) {
-            *match class {
-                Class::Attacked => &mut self.attacked,
-                Class::Unattacked => &mut self.unattacked,
-                Class::Weak => &mut self.weak,
-                Class::Lingering => &mut self.lingering,
-            } += 1;
-        }
-    }
-
-    /// Whether there are so many attacked ones and as many unattacked.
-    pub fn reach(&self, windows: usize) -> bool {
-        self.attacked.min(self.unattacked) >= windows
-    }
-
-    /// Of some flights.
-    pub fn of(records: &[Record]) -> Self {
-        let mut counts = Self::default();
-        records.iter().for_each(|r| counts.add(r));
-        counts
-    }
+/// Of some flights.
+pub fn counts_of(records: &[Record]) -> Counts {
+    let mut counts = [0; 4];
+    records.iter().for_each(|record| count(&mut counts, record));
+    counts
 }
 
 /// What a window is, by its newest step.
@@ -160,121 +129,109 @@ struct Entry {
     steps: usize,
 }
 
-impl Flights {
-    /// Writes them.
-    pub fn save(&self, path: &Path) -> Result<()> {
-        let bytes = self.to_bytes()?;
-        output::prepare(path)?;
-        output::write(path, bytes)
-    }
+/// Writes a pilot's flights.
+pub fn save_flights(path: &Path, pilot: &FrozenPilot, records: &[Record]) -> Result<()> {
+    let bytes = to_bytes(pilot, records)?;
+    output::prepare(path)?;
+    output::write(path, bytes)
+}
 
-    /// A file's content: `steps` (float32: split point's values, low-dimensional observation, outputs, change of yaw), `frames` (0 unaltered, 1
-    /// attacked, 2 noisy; and 4 where the picture is rough), and what was flown as JSON in the metadata.
-    pub fn to_bytes(&self) -> Result<Vec<u8>> {
-        let steps = || self.records.iter().flat_map(|r| &r.steps);
-        let count = steps().count();
-        let width = BESIDE_STATE + steps().next().map_or(0, |step| step.state.len() + step.low_dim.len());
-        let mut values = Vec::with_capacity(4 * width * count);
-        let mut frames = Vec::with_capacity(count);
-        for step in steps() {
-            let numbers = step.state.iter().chain(&step.low_dim[..]).chain(&step.output);
-            for number in numbers.chain([&step.yaw_change]) {
-                values.extend(number.to_le_bytes());
-            }
-            frames.push(step.frame as u8 | if step.rough { ROUGH } else { 0 });
+/// A file's content: `steps` (float32: split point's values, low-dimensional observation, outputs, change of yaw), `frames` (0 unaltered, 1
+/// attacked, 2 noisy; and 4 where the picture is rough), and what was flown as JSON in the metadata.
+pub fn to_bytes(pilot: &FrozenPilot, records: &[Record]) -> Result<Vec<u8>> {
+    let steps = || records.iter().flat_map(|r| &r.steps);
+    let count = steps().count();
+    let width = BESIDE_STATE + steps().next().map_or(0, |step| step.state.len() + step.low_dim.len());
+    let mut values = Vec::with_capacity(4 * width * count);
+    let mut frames = Vec::with_capacity(count);
+    for step in steps() {
+        let numbers = step.state.iter().chain(&step.low_dim[..]).chain(&step.output);
+        for number in numbers.chain([&step.yaw_change]) {
+            values.extend(number.to_le_bytes());
         }
-        let flights: Vec<Entry> = self
-            .records
-            .iter()
-            .map(|r| Entry {
-                scenario: r.scenario.clone(),
-                outcome: r.outcome,
-                steps: r.steps.len(),
-            })
-            .collect();
-        let about = About {
-            actor_sha256: self.actor_sha256.clone(),
-            flights,
-        };
-        let json = serde_json::to_string(&about)?;
-        let metadata = HashMap::from([(FORMAT.to_owned(), json)]);
-        let tensors = [
-            ("steps", TensorView::new(Dtype::F32, vec![count, width], &values)?),
-            ("frames", TensorView::new(Dtype::U8, vec![count], &frames)?),
-        ];
-        Ok(safetensors::serialize(tensors, Some(metadata))?)
+        frames.push(step.frame as u8 | if step.rough { ROUGH } else { 0 });
     }
+    let entry = |r: &Record| Entry {
+        scenario: r.scenario.clone(),
+        outcome: r.outcome,
+        steps: r.steps.len(),
+    };
+    let about = About {
+        actor_sha256: pilot.sha256(),
+        flights: records.iter().map(entry).collect(),
+    };
+    let json = serde_json::to_string(&about)?;
+    let metadata = HashMap::from([(FORMAT.to_owned(), json)]);
+    let tensors = [
+        ("steps", TensorView::new(Dtype::F32, vec![count, width], &values)?),
+        ("frames", TensorView::new(Dtype::U8, vec![count], &frames)?),
+    ];
+    Ok(safetensors::serialize(tensors, Some(metadata))?)
+}
 
-    /// Reads them.
-    ///
-    /// # Errors
-    /// A file that cannot be read, holds something else, or was gathered with another actor.
-    pub fn load(path: &Path, pilot: &FrozenPilot) -> Result<Self> {
-        let bytes =
-            vigil_types::files::read(path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))?;
-        Self::from_bytes(path, &bytes, &Recorded::by(pilot)?)
+/// Reads a pilot's flights.
+///
+/// # Errors
+/// A file that cannot be read, holds something else, or was gathered with another actor.
+pub fn load_flights(path: &Path, pilot: &FrozenPilot) -> Result<Vec<Record>> {
+    let bytes =
+        vigil_types::files::read(path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))?;
+    from_bytes(path, &bytes, &Recorded::by(pilot)?)
+}
+
+/// Reads a file's content. `path` names it in errors.
+///
+/// # Errors
+/// Something else, or flights of another actor.
+pub fn from_bytes(path: &Path, bytes: &[u8], recorded: &Recorded) -> Result<Vec<Record>> {
+    let data = |message: &str| not_collected(path, message);
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| data(&e.to_string()))?;
+    let content = SafeTensors::deserialize(bytes).map_err(|e| data(&e.to_string()))?;
+    let metadata = header.metadata().as_ref();
+    let json = metadata
+        .and_then(|entries| entries.get(FORMAT))
+        .ok_or_else(|| data("it is of another format"))?;
+    let about: About = serde_json::from_str(json).map_err(|e| data(&e.to_string()))?;
+    let (path, found, expected) = (path.display(), &about.actor_sha256, &recorded.actor_sha256);
+    ensure!(
+        found == expected,
+        "{path} was collected with the actor {found}, this is the actor {expected}; remove it, or name another folder \
+         with -o, and collect anew"
+    );
+    let entries = about.flights;
+    let tensor = |name| content.tensor(name).map_err(|e| data(&e.to_string()));
+    let (values, frames) = (tensor("steps")?, tensor("frames")?);
+    let numbers = values.data().as_chunks::<4>().0.iter();
+    let values: Vec<f32> = numbers.map(|b| f32::from_le_bytes(*b)).collect();
+    let (hidden, low_dim) = (recorded.state, recorded.low_dim);
+    let width = BESIDE_STATE + hidden + low_dim;
+    if entries.iter().map(|e| e.steps).sum::<usize>() * width != values.len()
+        || frames.data().len() * width != values.len()
+    {
+        return Err(data("its flights and its steps do not belong together"));
     }
-
-    /// Reads a file's content. `path` names it in errors.
-    ///
-    /// # Errors
-    /// Something else, or flights of another actor.
-    pub fn from_bytes(path: &Path, bytes: &[u8], recorded: &Recorded) -> Result<Self> {
-        let data = |message: &str| not_collected(path, message);
-        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| data(&e.to_string()))?;
-        let content = SafeTensors::deserialize(bytes).map_err(|e| data(&e.to_string()))?;
-        let metadata = header.metadata().as_ref();
-        let json = metadata
-            .and_then(|entries| entries.get(FORMAT))
-            .ok_or_else(|| data("it is of another format"))?;
-        let about: About = serde_json::from_str(json).map_err(|e| data(&e.to_string()))?;
-        let (path, found, expected) = (path.display(), &about.actor_sha256, &recorded.actor_sha256);
-        ensure!(
-            found == expected,
-            "{path} was collected with the actor {found}, this is the actor {expected}; remove it, or name another folder \
-             with -o, and collect anew"
-        );
-        let entries = about.flights;
-        let tensor = |name| content.tensor(name).map_err(|e| data(&e.to_string()));
-        let (values, frames) = (tensor("steps")?, tensor("frames")?);
-        let numbers = values.data().as_chunks::<4>().0.iter();
-        let values: Vec<f32> = numbers.map(|b| f32::from_le_bytes(*b)).collect();
-        let (hidden, low_dim) = (recorded.state, recorded.low_dim);
-        let width = BESIDE_STATE + hidden + low_dim;
-        if entries.iter().map(|e| e.steps).sum::<usize>() * width != values.len()
-            || frames.data().len() * width != values.len()
-        {
-            return Err(data("its flights and its steps do not belong together"));
+    let mut steps = values.chunks_exact(width).zip(frames.data()).map(|(values, frame)| {
+        let (state, rest) = values.split_at(hidden);
+        let (low_dim, rest) = rest.split_at(low_dim);
+        let (output, yaw_change) = rest.split_at(ACTOR_OUTPUTS);
+        Step {
+            state: state.to_vec(),
+            low_dim: LowDim::from_values(low_dim).unwrap_or_else(|| unreachable!("as many as an actor has")),
+            output: core::array::from_fn(|k| output[k]),
+            frame: match frame & !ROUGH {
+                1 => Frame::Attacked,
+                2 => Frame::Noisy,
+                _ => Frame::Unaltered,
+            },
+            yaw_change: yaw_change[0],
+            rough: frame & ROUGH != 0,
         }
-        let mut steps = values.chunks_exact(width).zip(frames.data()).map(|(values, frame)| {
-            let (state, rest) = values.split_at(hidden);
-            let (low_dim, rest) = rest.split_at(low_dim);
-            let (output, yaw_change) = rest.split_at(ACTOR_OUTPUTS);
-            Step {
-                state: state.to_vec(),
-                low_dim: LowDim::from_values(low_dim).unwrap_or_else(|| unreachable!("as many as an actor has")),
-                output: core::array::from_fn(|k| output[k]),
-                frame: match frame & !ROUGH {
-                    1 => Frame::Attacked,
-                    2 => Frame::Noisy,
-                    _ => Frame::Unaltered,
-                },
-                yaw_change: yaw_change[0],
-                rough: frame & ROUGH != 0,
-            }
-        });
-        let records = entries
-            .into_iter()
-            .map(|entry| Record {
-                frame_ages: recorded.frame_ages.clone(),
-                scenario: entry.scenario,
-                outcome: entry.outcome,
-                steps: steps.by_ref().take(entry.steps).collect(),
-            })
-            .collect();
-        Ok(Self {
-            actor_sha256: about.actor_sha256,
-            records,
-        })
-    }
+    });
+    let record = |entry: Entry| Record {
+        frame_ages: recorded.frame_ages.clone(),
+        scenario: entry.scenario,
+        outcome: entry.outcome,
+        steps: steps.by_ref().take(entry.steps).collect(),
+    };
+    Ok(entries.into_iter().map(record).collect())
 }

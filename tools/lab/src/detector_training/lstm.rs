@@ -2,7 +2,7 @@
 
 use crate::detector_training::features::{Extractor, Feature, Rows};
 use crate::detector_training::fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
-use crate::detector_training::flight_files::{Class, Counts};
+use crate::detector_training::flight_files::{Class, counts_of};
 use crate::detector_training::metrics::moments;
 use crate::explained::Record;
 use anyhow::{Result, bail};
@@ -66,7 +66,7 @@ impl Examples for Windows<'_> {
 }
 
 /// Windows of both classes in the configured proportion, drawn.
-fn draw_windows(records: &[Record], config: &LstmConfig) -> Vec<(usize, usize, bool)> {
+pub fn draw_windows(records: &[Record], config: &LstmConfig) -> Vec<(usize, usize, bool)> {
     let (mut attacked, mut unattacked) = (Vec::new(), Vec::new());
     for (flight, record) in records.iter().enumerate() {
         for (step, class) in Class::of_windows(record) {
@@ -116,16 +116,14 @@ pub struct WindowScorer {
     pub centre: Vec<f32>,
     /// Divides a row.
     pub scale: Vec<f32>,
-    /// How training went; its parameters are the network's.
-    pub fitted: Fitted,
-    /// Windows learned from, both classes together.
-    pub windows: usize,
+    /// The network's.
+    pub params: Vec<f32>,
 }
 
 /// Highest threshold: an attack's score still passes it.
 const HIGHEST_THRESHOLD: f32 = 0.999;
 
-/// Trains.
+/// Trains; also how that went.
 ///
 /// # Errors
 /// Too few windows, parameters of another architecture, a loss that is not finite.
@@ -136,14 +134,12 @@ pub fn train(
     (learn, choose): (&[Record], &[Record]),
     config: &LstmConfig,
     progress: &mut dyn FnMut(usize, Option<&Epoch>),
-) -> Result<WindowScorer> {
+) -> Result<(WindowScorer, Fitted)> {
     let seed = config.fit.seed;
     let (learn_at, choose_at) = (draw_windows(learn, config), draw_windows(choose, config));
     for (purpose, at, records) in [("training", &learn_at, learn), ("choosing", &choose_at, choose)] {
         if at.is_empty() {
-            let Counts {
-                attacked, unattacked, ..
-            } = Counts::of(records);
+            let [attacked, .., unattacked] = counts_of(records);
             bail!("the data hold {attacked} attacked and {unattacked} unattacked windows for {purpose}; collect more");
         }
     }
@@ -158,20 +154,14 @@ pub fn train(
     graph.initialize(&mut ChaCha8Rng::seed_from_u64(seed), &mut first)?;
     let (learn, choose) = (Windows(&learn_rows, learn_at), Windows(&choose_rows, choose_at));
     let fitted = fit(&graph, isa, first, &learn, &choose, &config.fit, progress)?;
-    Ok(WindowScorer {
+    let scorer = WindowScorer {
         feature,
         backgrounds,
         centre,
         scale,
-        fitted,
-        windows: learn.count(),
-    })
-}
-
-/// Steps of the optimiser that [`train`] takes at most, for a progress bar.
-pub fn train_steps(learn: &[Record], config: &LstmConfig) -> usize {
-    let windows = draw_windows(learn, config).len();
-    windows.div_ceil(config.fit.batch) * config.fit.epochs
+        params: fitted.params.clone(),
+    };
+    Ok((scorer, fitted))
 }
 
 impl WindowScorer {
@@ -194,7 +184,7 @@ impl WindowScorer {
             threshold_choice: format!(
                 "raises no alarm in the unattacked windows of the flights that choose; 0.5 to {HIGHEST_THRESHOLD}"
             ),
-            params: self.fitted.params.clone(),
+            params: self.params.clone(),
             training_config: toml::to_string(config).unwrap_or_else(|e| unreachable!("plain numbers: {e}")),
             seed: config.fit.seed,
             git_commit,
@@ -239,12 +229,7 @@ impl WindowScorer {
             backgrounds: frozen.backgrounds.clone(),
             centre: frozen.centre.to_vec(),
             scale: frozen.scale.to_vec(),
-            fitted: Fitted {
-                params: frozen.params.clone(),
-                chosen: 0,
-                epochs: Vec::new(),
-            },
-            windows: 0,
+            params: frozen.params.clone(),
         }
     }
 
@@ -260,7 +245,7 @@ impl WindowScorer {
         let at = all.flat_map(|(flight, r)| (WINDOW - 1..r.steps.len()).map(move |step| (flight, step, false)));
         let windows = Windows(&rows, at.collect());
         let graph = LstmAd::graph(self.feature.width(), LstmAd::CELL, Activation::Sigmoid)?;
-        let outputs = outputs(&graph, isa, &self.fitted.params, &windows)?;
+        let outputs = outputs(&graph, isa, &self.params, &windows)?;
         let mut scores: Vec<Vec<Option<f32>>> = records.iter().map(|r| vec![None; r.steps.len()]).collect();
         for ((flight, step, _), score) in windows.1.iter().zip(outputs) {
             scores[*flight][*step] = Some(score);

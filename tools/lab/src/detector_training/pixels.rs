@@ -2,7 +2,7 @@
 
 use crate::cli::output;
 use crate::detector_training::evaluation::plan_of;
-use crate::detector_training::flight_files::{Flights, not_collected};
+use crate::detector_training::flight_files::{load_flights, not_collected, save_flights};
 use crate::explained::{Adversary, Frame, MAX_STEPS, Record, Scenario, YAW, explainer, fly};
 use anyhow::{Context, Result};
 use rand::{RngExt, SeedableRng};
@@ -40,7 +40,7 @@ pub struct State {
 /// States with their flights.
 #[derive(Debug, Clone, PartialEq)]
 pub struct States {
-    pub flights: Flights,
+    pub records: Vec<Record>,
     /// The states, half of them attacked.
     pub states: Vec<State>,
     /// States of the background sample; `None` in older files.
@@ -121,7 +121,7 @@ pub fn gather_states(
 ) -> Result<(States, bool)> {
     let pilot = FrozenPilot::from(actor);
     let mut shap = explainer(isa, actor, backgrounds)?;
-    let (mut records, mut states) = begun.map_or_else(Default::default, |begun| (begun.flights.records, begun.states));
+    let (mut records, mut states) = begun.map_or_else(Default::default, |begun| (begun.records, begun.states));
     let of_class = |states: &[State], attacked: bool| states.iter().filter(|s| s.attacked == attacked).count();
     let fewer = |states: &[State]| of_class(states, true).min(of_class(states, false));
     // A flight for each seed.
@@ -142,11 +142,9 @@ pub fn gather_states(
             *left < count
         });
     }
-    let actor_sha256 = actor.sha256();
-    let flights = Flights { actor_sha256, records };
     let backgrounds = Some(backgrounds as u32);
     let states = States {
-        flights,
+        records,
         states,
         backgrounds,
     };
@@ -160,8 +158,9 @@ const FORMAT: &str = "vigil detector images 2";
 
 impl States {
     /// Writes the images to `path` and the flights beside, `.flights`.
-    pub fn save(&self, path: &Path) -> Result<()> {
-        self.flights.save(&path.with_extension("flights"))?;
+    pub fn save(&self, path: &Path, actor: &FrozenActor) -> Result<()> {
+        let flights = path.with_extension("flights");
+        save_flights(&flights, &FrozenPilot::from(actor), &self.records)?;
         let images: Vec<u8> = self.states.iter().flat_map(|s| s.image.iter().copied()).collect();
         let places: Vec<u8> = self
             .states
@@ -188,7 +187,7 @@ impl States {
     /// # Errors
     /// A file that cannot be read, holds something else, or was gathered with another actor.
     pub fn load(path: &Path, actor: &FrozenActor) -> Result<Self> {
-        let flights = Flights::load(&path.with_extension("flights"), &FrozenPilot::from(actor))?;
+        let records = load_flights(&path.with_extension("flights"), &FrozenPilot::from(actor))?;
         let bytes =
             vigil_types::files::read(path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))?;
         let data = |message: &str| not_collected(path, message);
@@ -204,7 +203,7 @@ impl States {
         let numbers: Vec<usize> = numbers.map(|b| u32::from_le_bytes(*b) as usize).collect();
         let places = numbers.as_chunks::<3>().0;
         let known = |[flight, step, _]: &[usize; 3]| {
-            let record = flights.records.get(*flight);
+            let record = records.get(*flight);
             record.is_some_and(|r| (WINDOW - 1..r.steps.len()).contains(step))
         };
         if images.data().len() != places.len() * IMAGE || !places.iter().all(known) {
@@ -223,7 +222,7 @@ impl States {
                     image: image.to_vec(),
                 })
                 .collect(),
-            flights,
+            records,
         })
     }
 }
@@ -236,16 +235,12 @@ mod tests {
     fn a_file_of_images_says_how_many_backgrounds_they_are_against() {
         let (folder, actor) = (tempfile::tempdir().unwrap(), FrozenActor::built_in().unwrap());
         let path = folder.path().join("images.safetensors");
-        let flights = Flights {
-            actor_sha256: actor.sha256(),
-            records: Vec::new(),
-        };
         let states = States {
-            flights,
+            records: Vec::new(),
             states: Vec::new(),
             backgrounds: Some(30),
         };
-        states.save(&path).unwrap();
+        states.save(&path, &actor).unwrap();
         assert_eq!(States::load(&path, &actor).unwrap(), states);
     }
 }

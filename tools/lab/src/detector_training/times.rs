@@ -16,13 +16,11 @@ use vigil_types::DEPTH_PIXELS;
 /// CNN-AD's verdict on their image, and FCN-AD's.
 pub type Times = [Vec<f64>; 6];
 
-/// Judges an image; how long it takes does not depend on its weights, which are drawn.
-type ImageDetector = Box<dyn FnMut(&[f32]) -> Result<(), ShapeError>>;
-
-fn image_detector(isa: Isa, network: ImageNetwork) -> Result<ImageDetector> {
+/// Scores an image; how long it takes does not depend on its weights, which are drawn.
+fn image_detector(isa: Isa, network: ImageNetwork) -> Result<impl FnMut(&[f32]) -> Result<(), ShapeError>> {
     let (graph, params) = network.drawn(Activation::Sigmoid, 1)?;
     let mut tape = vec![0.0; graph.tape_len()];
-    Ok(Box::new(move |image| graph.forward(isa, &params, &[image], &mut tape)))
+    Ok(move |image: &[f32]| graph.forward(isa, &params, &[image], &mut tape))
 }
 
 /// Steps between two explanations of all pixels.

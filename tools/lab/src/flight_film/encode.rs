@@ -19,16 +19,16 @@ fn not_made(why: impl std::fmt::Display) -> Error {
 }
 
 /// An animated GIF: only what changed is written.
-pub struct Gif<W: Write> {
-    encoder: Encoder<W>,
+pub struct Gif {
+    encoder: Encoder<Vec<u8>>,
     shown: Option<Canvas>,
 }
 
-impl<W: Write> Gif<W> {
+impl Gif {
     /// Begins it.
-    pub fn begin(sink: W) -> Result<Self> {
+    pub fn begin() -> Result<Self> {
         let palette: Vec<u8> = PALETTE.iter().flatten().copied().collect();
-        let mut encoder = Encoder::new(sink, WIDTH as u16, HEIGHT as u16, &palette).context(NOT_WRITTEN)?;
+        let mut encoder = Encoder::new(Vec::new(), WIDTH as u16, HEIGHT as u16, &palette).context(NOT_WRITTEN)?;
         encoder.set_repeat(Repeat::Infinite).context(NOT_WRITTEN)?;
         Ok(Self { encoder, shown: None })
     }
@@ -39,6 +39,11 @@ impl<W: Write> Gif<W> {
         self.encoder.write_frame(&frame).context(NOT_WRITTEN)?;
         self.shown = Some(canvas.clone());
         Ok(())
+    }
+
+    /// The file's content.
+    pub fn finish(self) -> Result<Vec<u8>> {
+        self.encoder.into_inner().context(NOT_WRITTEN)
     }
 }
 

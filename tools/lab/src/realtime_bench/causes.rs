@@ -1,7 +1,7 @@
 //! Why a step began late or took long, as far as what was counted shows it.
 
 use super::ObservedStep;
-use super::text::or;
+use super::report::or;
 use std::fmt;
 use vigil_types::{StepReport, Verdict, named};
 

@@ -4,7 +4,6 @@ mod causes;
 mod counters;
 mod machine;
 mod report;
-mod text;
 
 pub use causes::Work;
 pub use counters::{Counters, ThreadCounters};

@@ -172,38 +172,3 @@ impl Picture for Bars {
         write(&self.x_label, 12, HPos::Center, VPos::Bottom, at)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::super::picture::assert_shows;
-    use super::*;
-
-    #[test]
-    fn bars_are_as_long_as_their_values_and_named() {
-        let bar = |series, value| Bar {
-            series,
-            value,
-            interval: (value - 5.0, value + 5.0),
-            note: format!("{value} %"),
-        };
-        let mut chart = Bars {
-            title: "Completed".to_owned(),
-            x_label: "share (%)".to_owned(),
-            x_range: (0.0, 100.0),
-            logarithmic: false,
-            threshold: Some(("half".to_owned(), 50.0)),
-            series: vec!["undefended".to_owned(), "defended".to_owned()],
-            rows: vec![BarRow {
-                label: "continuous".to_owned(),
-                bars: vec![bar(0, 10.0), bar(1, 90.0)],
-                paper: Some(35.0),
-            }],
-        };
-        assert_eq!(chart.at(50.0, 1), (LEFT + (WIDTH - LEFT - RIGHT) / 2) as i32);
-        let texts = "Completed|share (%)|undefended|the paper|half|90 %|continuous|>\n40\n<";
-        assert_shows(&chart.svg(), texts);
-        (chart.logarithmic, chart.x_range) = (true, (1.0, 100.0));
-        assert_eq!(chart.at(10.0, 1), (LEFT + (WIDTH - LEFT - RIGHT) / 2) as i32);
-        assert_eq!(chart.ticks(), [1.0, 10.0, 100.0]);
-    }
-}

@@ -8,7 +8,5 @@ mod plate;
 pub use bars::{Bar, BarRow, Bars};
 pub use chart::{Figure, Panel, Scale, Series};
 pub use picture::Picture;
-#[cfg(test)]
-pub use picture::assert_shows;
 pub use plate::{ColourScale, Plate};
 pub use vigil_tools::report::*;

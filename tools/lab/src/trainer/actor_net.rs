@@ -1,9 +1,8 @@
 //! The actor behind its encoder over whole batches, with its gradient. Parameters are in the order of
 //! [`ActorParams`](vigil_policy::actor::ActorParams), without the encoder's; a test holds it against the graph that flies.
 
-use crate::trainer::mlp::{Mlp, MlpTape, draw};
+use crate::trainer::mlp::{Mlp, draw};
 use crate::trainer::observation::{FIRST_HALF, OBSERVATION};
-use core::ops::Range;
 use rand::Rng;
 use vigil_nnet::{Activation, Dense, Isa, ShapeError};
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, LOW_UNITS, TRUNK};
@@ -16,68 +15,43 @@ const FORWARD_AT_FIRST: f32 = 0.5;
 /// Values joined behind the split point.
 const JOINED: usize = ACTOR_HIDDEN + LOW_UNITS;
 
-/// A layer, and where its parameters lie.
-type Layer = (Dense, Range<usize>);
-
 /// The actor's network with buffers for batches.
 pub struct ActorNet {
     trunk: Mlp,
-    tape: MlpTape,
-    low: Layer,
-    /// Those behind the split point, the output last.
-    head: [Layer; 3],
-    rows: usize,
+    low: Dense,
+    /// Behind the split point.
+    head: Mlp,
     first_half: Vec<f32>,
     low_dim: Vec<f32>,
-    /// What goes into each of the head's layers.
-    x: [Vec<f32>; 3],
-    d_x: [Vec<f32>; 3],
-    d_state: Vec<f32>,
-    packed: Vec<f32>,
+    /// What goes into the head.
+    joined: Vec<f32>,
 }
 
 impl ActorNet {
     /// For batches of up to `rows`.
     pub fn new(rows: usize) -> Self {
         let spec = ActorSpec::FULL;
-        let trunk = Mlp::new(FIRST_HALF, &TRUNK, ACTOR_HIDDEN);
-        let mut len = trunk.param_len();
-        let mut layer = |layer: Dense| {
-            let at = len;
-            len += layer.param_len();
-            (layer, at..len)
-        };
-        let low = layer(spec.low());
-        let [first, second] = spec.head();
-        let head = [first, second, spec.output()].map(layer);
-        let inputs = || head.each_ref().map(|(layer, _)| vec![0.0; rows * layer.inputs]);
+        let units = spec.head().map(|layer| layer.outputs);
         Self {
-            tape: trunk.tape(rows),
-            trunk,
-            low,
-            rows: 0,
+            trunk: Mlp::new(rows, FIRST_HALF, &TRUNK, ACTOR_HIDDEN, true),
+            low: spec.low(),
+            head: Mlp::new(rows, JOINED, &units, ACTOR_OUTPUTS, false),
             first_half: Vec::new(),
             low_dim: Vec::new(),
-            x: inputs(),
-            d_x: inputs(),
-            d_state: vec![0.0; rows * ACTOR_HIDDEN],
-            packed: vec![0.0; head[2].1.end],
-            head,
+            joined: Vec::new(),
         }
     }
 
     /// First weights.
     pub fn initial(&self, rng: &mut impl Rng) -> Vec<f32> {
         let mut params = self.trunk.initial(rng, (3.0 / TRUNK[1] as f32).sqrt());
-        params.resize(self.packed.len(), 0.0);
-        let [first, second, (output, at)] = &self.head;
-        for (layer, at) in [&self.low, first, second] {
-            let limit = (3.0 / layer.inputs as f32).sqrt();
-            draw(&mut params[at.clone()][..layer.weight_len()], limit, rng);
-        }
-        let last = &mut params[at.clone()];
-        draw(&mut last[..output.weight_len()], LAST_LAYER_LIMIT, rng);
-        last[output.weight_len()] = FORWARD_AT_FIRST;
+        let mut low = vec![0.0; self.low.param_len()];
+        let limit = (3.0 / self.low.inputs as f32).sqrt();
+        draw(&mut low[..self.low.weight_len()], limit, rng);
+        params.extend(low);
+        params.extend(self.head.initial(rng, LAST_LAYER_LIMIT));
+        let forward = params.len() - ACTOR_OUTPUTS;
+        params[forward] = FORWARD_AT_FIRST;
         params
     }
 
@@ -85,37 +59,28 @@ impl ActorNet {
     ///
     /// # Errors
     /// Parameters of another length.
-    pub fn forward(&mut self, isa: Isa, params: &[f32], rows: &[f32], out: &mut [f32]) -> Result<(), ShapeError> {
-        self.rows = rows.len() / OBSERVATION;
+    pub fn forward(&mut self, isa: Isa, params: &[f32], rows: &[f32]) -> Result<&[f32], ShapeError> {
         self.first_half.clear();
         self.low_dim.clear();
         for row in rows.chunks_exact(OBSERVATION) {
             self.first_half.extend_from_slice(&row[..FIRST_HALF]);
             self.low_dim.extend_from_slice(&row[FIRST_HALF..]);
         }
-        let (layer, at) = &self.low;
-        self.trunk
-            .forward(isa, &params[..at.start], &self.first_half, &mut self.tape)?;
-        let mut low = vec![0.0; self.rows * LOW_UNITS];
-        let own = &params[at.clone()];
-        layer.forward(isa, own, Activation::TANH, &self.low_dim, None, &mut low)?;
-        let states = self.tape.out.chunks_exact(ACTOR_HIDDEN);
-        let parts = states.zip(low.chunks_exact(LOW_UNITS));
-        for (joined, (state, low)) in self.x[0].chunks_exact_mut(JOINED).zip(parts) {
-            joined[..ACTOR_HIDDEN].copy_from_slice(state);
-            joined[ACTOR_HIDDEN..].copy_from_slice(low);
-            Activation::TANH.apply_in_place(isa, &mut joined[..ACTOR_HIDDEN]);
+        let (own, rest) = params.split_at(self.trunk.param_len());
+        self.trunk.forward(isa, own, &self.first_half)?;
+        let (own, rest) = rest.split_at(self.low.param_len());
+        let mut low = vec![0.0; rows.len() / OBSERVATION * LOW_UNITS];
+        self.low
+            .forward(isa, own, Activation::TANH, &self.low_dim, None, &mut low)?;
+        let mut states = self.trunk.out.clone();
+        Activation::TANH.apply_in_place(isa, &mut states);
+        self.joined.clear();
+        for (state, low) in states.chunks_exact(ACTOR_HIDDEN).zip(low.chunks_exact(LOW_UNITS)) {
+            self.joined.extend_from_slice(state);
+            self.joined.extend_from_slice(low);
         }
-        for (i, (layer, at)) in self.head.iter().enumerate() {
-            let (before, behind) = self.x.split_at_mut(i + 1);
-            let (curve, y) = match behind.first_mut() {
-                Some(y) => (Activation::Elu, &mut y[..self.rows * layer.outputs]),
-                None => (Activation::Identity, &mut *out),
-            };
-            let x = &before[i][..self.rows * layer.inputs];
-            layer.forward(isa, &params[at.clone()], curve, x, None, y)?;
-        }
-        Ok(())
+        self.head.forward(isa, rest, &self.joined)?;
+        Ok(&self.head.out)
     }
 
     /// Adds the parameters' gradient of the last forward pass to `d_params`, from `d`, that at its outputs.
@@ -123,31 +88,21 @@ impl ActorNet {
     /// # Errors
     /// Slices of other lengths.
     pub fn backward(&mut self, isa: Isa, params: &[f32], d: &[f32], d_params: &mut [f32]) -> Result<(), ShapeError> {
-        let rows = self.rows;
-        for (i, (layer, at)) in self.head.iter().enumerate().rev() {
-            let (below, above) = self.d_x.split_at_mut(i + 1);
-            let d = above.first().map_or(d, |d| &d[..rows * layer.outputs]);
-            let inputs = rows * layer.inputs;
-            let (x, d_x) = (&self.x[i][..inputs], &mut below[i][..inputs]);
-            let packed = &mut self.packed[at.clone()];
-            layer.pack(&params[at.clone()], packed)?;
-            layer.weight_gradient(isa, x, d, &mut d_params[at.clone()])?;
-            layer.input_gradient(isa, packed, d, d_x)?;
-            let curve = if i == 0 { Activation::TANH } else { Activation::Elu };
-            curve.gradient(isa, x, d_x)?;
+        let (of_trunk, of_low) = (self.trunk.param_len(), self.low.param_len());
+        let (d_trunk, d_rest) = d_params.split_at_mut(of_trunk);
+        let (d_low, d_head) = d_rest.split_at_mut(of_low);
+        let (own, mut d_joined) = (&params[of_trunk + of_low..], vec![0.0; self.joined.len()]);
+        let to_joined = Some(&mut d_joined[..]);
+        self.head.backward(isa, own, &self.joined, d, Some(d_head), to_joined)?;
+        Activation::TANH.gradient(isa, &self.joined, &mut d_joined)?;
+        let (mut d_state, mut d_units) = (Vec::new(), Vec::new());
+        for d_joined in d_joined.chunks_exact(JOINED) {
+            d_state.extend_from_slice(&d_joined[..ACTOR_HIDDEN]);
+            d_units.extend_from_slice(&d_joined[ACTOR_HIDDEN..]);
         }
-        let mut d_low = Vec::with_capacity(rows * LOW_UNITS);
-        let d_state = &mut self.d_state[..rows * ACTOR_HIDDEN];
-        let d_states = d_state.chunks_exact_mut(ACTOR_HIDDEN);
-        for (d_joined, d_state) in self.d_x[0].chunks_exact(JOINED).zip(d_states) {
-            d_state.copy_from_slice(&d_joined[..ACTOR_HIDDEN]);
-            d_low.extend_from_slice(&d_joined[ACTOR_HIDDEN..]);
-        }
-        let (low, at) = &self.low;
-        low.weight_gradient(isa, &self.low_dim, &d_low, &mut d_params[at.clone()])?;
-        let (own, x, tape) = (&params[..at.start], &self.first_half, &mut self.tape);
-        let d_own = Some(&mut d_params[..at.start]);
-        self.trunk.backward(isa, own, x, tape, d_state, d_own, None)
+        self.low.weight_gradient(isa, &self.low_dim, &d_units, d_low)?;
+        let (own, x) = (&params[..of_trunk], &self.first_half);
+        self.trunk.backward(isa, own, x, &d_state, Some(d_trunk), None)
     }
 }
 
@@ -194,8 +149,7 @@ mod tests {
         let mut x = vec![0.0; ROWS * OBSERVATION];
         draw(&mut x, 1.0, &mut rng);
         let d = [0.3, -0.7, 1.0, 0.1, -0.4, 0.2, 0.9, 0.5, -1.0, 0.6];
-        let mut out = [0.0; 2 * ROWS];
-        net.forward(isa, &all[encoder..], &x, &mut out).unwrap();
+        let out = net.forward(isa, &all[encoder..], &x).unwrap().to_vec();
         let mut d_params = vec![0.0; all.len() - encoder];
         net.backward(isa, &all[encoder..], &d, &mut d_params).unwrap();
         let (mut tape, mut work) = (vec![0.0; graph.tape_len()], vec![0.0; graph.work_len()]);

@@ -186,11 +186,6 @@ impl LearnConfig {
         Ok(config)
     }
 
-    /// TOML that [`Self::load`] reads back unchanged.
-    pub fn to_toml(&self) -> String {
-        settings::to_toml(self)
-    }
-
     /// Updates that belong to so many decisions.
     pub fn updates_due(&self, decisions: u64) -> u64 {
         decisions.saturating_sub(self.warm_up) / self.learning.decisions_per_update.max(1)
@@ -226,7 +221,7 @@ mod tests {
     #[test]
     fn a_configuration_survives_its_own_toml_and_what_is_wrong_is_named() {
         let default = LearnConfig::default();
-        let read: LearnConfig = settings::from_toml(&default.to_toml()).unwrap();
+        let read: LearnConfig = settings::from_toml(&settings::to_toml(&default)).unwrap();
         assert_eq!(read, default);
         assert!(default.check().is_ok());
         for (text, expected) in [

@@ -70,7 +70,7 @@ impl Photographer {
     }
 
     /// Takes the next frame, and the scan that it should give.
-    fn take(&mut self) {
+    fn take(&mut self) -> &mut Self {
         if self.left == 0 {
             let family = FAMILIES[self.rng.random_range(0..FAMILIES.len())];
             self.course = generate(family, self.next_seed);
@@ -106,11 +106,7 @@ impl Photographer {
         for (target, range_m) in self.target.iter_mut().zip(ranges_m) {
             *target = proximity(range_m);
         }
-    }
-
-    fn mirror(&mut self) {
-        self.target.reverse();
-        self.frame.depth.chunks_exact_mut(DEPTH_COLS).for_each(<[f32]>::reverse);
+        self
     }
 }
 
@@ -135,14 +131,15 @@ impl Shard {
         self.d_encoder.fill(0.0);
         self.loss = 0.0;
         for _ in 0..frames {
-            self.photographer.take();
-            if self.photographer.rng.random_bool(0.5) {
-                self.photographer.mirror();
+            let Photographer { rng, frame, target, .. } = self.photographer.take();
+            if rng.random_bool(0.5) {
+                target.reverse();
+                frame.depth.chunks_exact_mut(DEPTH_COLS).for_each(<[f32]>::reverse);
             }
-            graph.forward(isa, params, &[&self.photographer.frame.depth], &mut self.tape)?;
+            graph.forward(isa, params, &[&frame.depth], &mut self.tape)?;
             let mut d = [0.0; SCAN];
             let seen = graph.output(&self.tape)?;
-            for ((d, seen), target) in d.iter_mut().zip(seen).zip(&self.photographer.target) {
+            for ((d, seen), target) in d.iter_mut().zip(seen).zip(&*target) {
                 let error = seen - target;
                 self.loss += error * error / count;
                 *d = 2.0 * error / count;

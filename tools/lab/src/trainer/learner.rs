@@ -3,7 +3,7 @@
 
 use crate::trainer::actor_net::{ActorNet, LAST_LAYER_LIMIT, squash};
 use crate::trainer::config::{LearnConfig, LearningConfig};
-use crate::trainer::mlp::{Mlp, MlpTape};
+use crate::trainer::mlp::Mlp;
 use crate::trainer::noise::normal;
 use crate::trainer::observation::OBSERVATION;
 use crate::trainer::replay::{Sample, Stored};
@@ -63,7 +63,7 @@ impl Trained {
 
 struct Critic {
     net: Trained,
-    tape: MlpTape,
+    mlp: Mlp,
     d_out: Vec<f32>,
     loss: f32,
 }
@@ -105,7 +105,6 @@ pub struct Learner {
     net: ActorNet,
     /// The actor behind the encoder.
     pub actor: Trained,
-    critic_mlp: Mlp,
     critics: [Critic; 2],
     x: Vec<f32>,
     observations: Vec<f32>,
@@ -119,12 +118,14 @@ impl Learner {
         let rows = l.batch;
         let net = ActorNet::new(rows);
         let actor = Trained::new(net.initial(rng));
-        let critic_mlp = Mlp::new(CRITIC_INPUTS, &l.critic_units, 1);
-        let critics = core::array::from_fn(|_| Critic {
-            net: Trained::new(critic_mlp.initial(rng, LAST_LAYER_LIMIT)),
-            tape: critic_mlp.tape(rows),
-            d_out: Vec::new(),
-            loss: 0.0,
+        let critics = core::array::from_fn(|_| {
+            let mlp = Mlp::new(rows, CRITIC_INPUTS, &l.critic_units, 1, true);
+            Critic {
+                net: Trained::new(mlp.initial(rng, LAST_LAYER_LIMIT)),
+                mlp,
+                d_out: Vec::new(),
+                loss: 0.0,
+            }
         });
         Self {
             isa,
@@ -132,7 +133,6 @@ impl Learner {
             updates: 0,
             actor,
             net,
-            critic_mlp,
             critics,
             x: Vec::new(),
             observations: Vec::new(),
@@ -161,10 +161,10 @@ impl Learner {
     fn look<'a>(&mut self, of_target: bool, states: impl Iterator<Item = Stored<'a>>) -> Result<(), ShapeError> {
         self.observations.clear();
         states.for_each(|state| state.push_observation(&mut self.observations));
-        self.pre.resize(self.observations.len() / OBSERVATION * ACTIONS, 0.0);
         let actor = &self.actor;
         let params = if of_target { &actor.target } else { &actor.params };
-        self.net.forward(self.isa, params, &self.observations, &mut self.pre)
+        self.pre = self.net.forward(self.isa, params, &self.observations)?.to_vec();
+        Ok(())
     }
 
     /// Sets the critics' inputs: true states, actions, the observations last looked at.
@@ -207,10 +207,10 @@ impl Learner {
             })
             .collect();
         self.arrange(batch.iter().map(|s| s.next).zip(actions));
-        let (isa, mlp, x) = (self.isa, &self.critic_mlp, &self.x);
+        let (isa, x) = (self.isa, &self.x);
         let critics = self.critics.par_iter_mut();
-        critics.try_for_each(|c| mlp.forward(isa, &c.net.target, x, &mut c.tape))?;
-        let [first, second] = self.critics.each_ref().map(|c| &c.tape.out);
+        critics.try_for_each(|c| c.mlp.forward(isa, &c.net.target, x))?;
+        let [first, second] = self.critics.each_ref().map(|c| &c.mlp.out);
         let lowest = first.iter().zip(second).map(|(a, b)| f32::INFINITY.min(*a).min(*b));
         let worth = |(step, lowest): (&Sample<'_>, f32)| {
             let share = step.discount;
@@ -224,20 +224,20 @@ impl Learner {
         let targets = &self.targets(batch, rng)?;
         self.look(false, batch.iter().map(|s| s.state))?;
         self.arrange(batch.iter().map(|s| (s.state, s.action)));
-        let (isa, mlp, x, count) = (self.isa, &self.critic_mlp, &self.x, batch.len() as f32);
+        let (isa, x, count) = (self.isa, &self.x, batch.len() as f32);
         self.critics
             .par_iter_mut()
             .try_for_each(|c| -> Result<(), ShapeError> {
                 let net = &mut c.net;
-                mlp.forward(isa, &net.params, x, &mut c.tape)?;
+                c.mlp.forward(isa, &net.params, x)?;
                 c.loss = 0.0;
                 c.d_out.clear();
-                for ((value, target), step) in c.tape.out.iter().zip(targets).zip(batch) {
+                for ((value, target), step) in c.mlp.out.iter().zip(targets).zip(batch) {
                     let error = value - target;
                     c.d_out.push(2.0 * step.weight * error / count);
                     c.loss += step.weight * error * error / count;
                 }
-                mlp.backward(isa, &net.params, x, &mut c.tape, &c.d_out, Some(&mut net.d), None)?;
+                c.mlp.backward(isa, &net.params, x, &c.d_out, Some(&mut net.d), None)?;
                 net.norm = adam::norm(&net.d) as f32;
                 Ok(())
             })?;
@@ -257,17 +257,17 @@ impl Learner {
         for (row, pre) in self.x.chunks_exact_mut(CRITIC_INPUTS).zip(actions) {
             row[TRUE_STATE..TRUE_STATE + ACTIONS].copy_from_slice(&squash(pre));
         }
-        let (mlp, critic) = (&self.critic_mlp, &mut self.critics[0]);
-        let (params, tape) = (&critic.net.params, &mut critic.tape);
-        mlp.forward(isa, params, &self.x, tape)?;
+        let critic = &mut self.critics[0];
+        let (params, mlp) = (&critic.net.params, &mut critic.mlp);
+        mlp.forward(isa, params, &self.x)?;
         let mut report = UpdateReport {
-            value: tape.out.iter().sum::<f32>() / count,
+            value: mlp.out.iter().sum::<f32>() / count,
             critic_loss: critic.loss,
             critic_norm: critic.net.norm,
             ..UpdateReport::default()
         };
         let mut d_x = vec![0.0; rows * CRITIC_INPUTS];
-        mlp.backward(isa, params, &self.x, tape, &vec![1.0; rows], None, Some(&mut d_x))?;
+        mlp.backward(isa, params, &self.x, &vec![1.0; rows], None, Some(&mut d_x))?;
         let d_pre = self.pre.iter().enumerate().map(|(i, before)| {
             let squashed = libm::tanhf(*before);
             let d_action = -d_x[i / ACTIONS * CRITIC_INPUTS + TRUE_STATE + i % ACTIONS];

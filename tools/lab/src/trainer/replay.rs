@@ -141,7 +141,6 @@ pub struct Replay {
     tree: SumTree,
     /// The largest priority that was ever set.
     largest: f64,
-    capacity: usize,
     config: LearnConfig,
 }
 
@@ -157,15 +156,14 @@ impl Replay {
             trajectories: vec![lane; count],
             tree: SumTree::new(count * capacity),
             largest: 1.0,
-            capacity,
             config: config.clone(),
         }
     }
 
     /// Gives new decisions whose outcome is known their place in the tree and takes out those that are overwritten.
     pub fn settle(&mut self) {
-        for (i, lane) in self.trajectories.iter_mut().enumerate() {
-            let leaf = |number: u64| i * self.capacity + (number % lane.capacity) as usize;
+        for (i, lane) in (0..).zip(&mut self.trajectories) {
+            let leaf = |number: u64| (i * lane.capacity + number % lane.capacity) as usize;
             while lane.settled < lane.next && lane.is_known(lane.settled, self.config.learning.n_steps) {
                 // Sampled as if its error were the largest, unless nothing was done in it.
                 let is_nothing = lane.transition(lane.settled).next == Next::Nothing;
@@ -202,10 +200,11 @@ impl Replay {
     }
 
     fn step(&self, leaf: usize, mirror: bool) -> Sample<'_> {
-        let lane = &self.trajectories[leaf / self.capacity];
-        let (slot, last) = ((leaf % self.capacity) as u64, lane.next - 1);
+        let capacity = self.trajectories[0].capacity;
+        let (lane, slot) = (&self.trajectories[leaf / capacity as usize], leaf as u64 % capacity);
+        let last = lane.next - 1;
         // The newest that lies there.
-        let number = last - (last + lane.capacity - slot) % lane.capacity;
+        let number = last - (last + capacity - slot) % capacity;
         let (mut reward, mut discount, mut at) = (0.0, 1.0, number);
         let next = loop {
             let decision = lane.transition(at);

@@ -25,7 +25,7 @@ use std::time::Instant;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
 use vigil_sim::world::{Family, Outcome};
-use vigil_types::Ablation;
+use vigil_types::{Ablation, settings};
 
 /// Updates that a row of the curve sums up.
 const UPDATES_PER_ROW: u64 = 1_000;
@@ -243,7 +243,7 @@ impl<'a> Run<'a> {
         }
         // It says that the run is complete: at the end it is written again.
         let _ = std::fs::remove_file(folder.join("result.json"));
-        replace(&folder.join("config.toml"), config.to_toml().as_bytes())?;
+        replace(&folder.join("config.toml"), settings::to_toml(config).as_bytes())?;
         Ok(Some(run))
     }
 
@@ -282,7 +282,7 @@ impl<'a> Run<'a> {
         let mut pre = vec![0.0; 2 * self.workers.len()];
         if !warm_up {
             let (params, rows) = (&self.learner.actor.params, observations.as_flattened());
-            self.deciding.forward(self.isa, params, rows, &mut pre)?;
+            pre = self.deciding.forward(self.isa, params, rows)?.to_vec();
         }
         let sigma = self.sigma();
         let ended = self
@@ -400,7 +400,7 @@ impl<'a> Run<'a> {
     fn frozen(&self, params: &[f32], updates: u64) -> FrozenActor {
         FrozenActor {
             params: [self.encoder_params.as_slice(), params].concat(),
-            training_config: self.config.to_toml(),
+            training_config: settings::to_toml(self.config),
             seed: self.config.seed,
             updates,
             cruise_m_s: self.config.cruise_m_s,

@@ -142,7 +142,6 @@ impl Current {
 pub struct EnvWorker {
     rng: ChaCha8Rng,
     number: u64,
-    environments: u64,
     flights: u64,
     encoder: Arc<Encoder>,
     current: Option<Current>,
@@ -156,7 +155,6 @@ impl EnvWorker {
         Self {
             rng,
             number: number as u64,
-            environments: config.environments as u64,
             flights: 0,
             encoder,
             current: None,
@@ -193,7 +191,7 @@ impl EnvWorker {
     pub fn observation(&mut self, config: &LearnConfig, warm_up: bool) -> Result<[f32; OBSERVATION]> {
         if self.current.is_none() {
             let run = config.seed.wrapping_mul(1 << 24);
-            let seed = FIRST_TRAINING_SEED.wrapping_add(run) + self.flights * self.environments + self.number;
+            let seed = FIRST_TRAINING_SEED.wrapping_add(run) + self.flights * config.environments as u64 + self.number;
             self.flights += 1;
             let rng = &mut self.rng;
             let family = config.families[rng.random_range(0..config.families.len())];

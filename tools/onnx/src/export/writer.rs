@@ -1,10 +1,12 @@
 //! The graph that is being written: each layer's nodes, constants and names.
 
-use crate::proto::{
-    Attribute, Dim, Graph, Node, Shape, Tensor, TensorType, Type, ValueInfo, attribute_type, data_type,
-};
+use crate::proto::{Attribute, Dim, Graph, Node, Shape, Tensor, TensorType, Type, ValueInfo};
 use vigil_nnet::{Activation, BatchNorm, Conv2d, Function, Gru, LayerNorm, Lstm, Params};
 use vigil_policy::imported::{Layer, NetworkError};
+
+/// Numbers of `TensorProto.DataType`.
+const FLOAT: i32 = 1;
+const INT64: i32 = 7;
 
 /// An input: its name and its shape in ONNX.
 pub(super) type Input = (&'static str, Vec<usize>);
@@ -28,7 +30,7 @@ pub(super) fn value_info(name: &str, shape: &[usize]) -> ValueInfo {
         name: name.to_owned(),
         r#type: Some(Type {
             tensor_type: Some(TensorType {
-                elem_type: data_type::FLOAT,
+                elem_type: FLOAT,
                 shape: Some(Shape {
                     dim: shape.iter().map(dim).collect(),
                 }),
@@ -37,7 +39,7 @@ pub(super) fn value_info(name: &str, shape: &[usize]) -> ValueInfo {
     }
 }
 
-/// A setting of this name and of one of [`attribute_type`], which `set` puts in its place.
+/// A setting of this name and of this number of `AttributeProto.AttributeType`, which `set` puts in its place.
 fn attribute(name: &str, r#type: i32, set: impl FnOnce(&mut Attribute)) -> Attribute {
     let mut attribute = Attribute::default();
     (attribute.name, attribute.r#type) = (name.to_owned(), r#type);
@@ -46,21 +48,21 @@ fn attribute(name: &str, r#type: i32, set: impl FnOnce(&mut Attribute)) -> Attri
 }
 
 fn int(name: &str, i: usize) -> Attribute {
-    attribute(name, attribute_type::INT, |a| a.i = i as i64)
+    attribute(name, 2, |a| a.i = i as i64)
 }
 
 fn ints(name: &str, ints: &[usize]) -> Attribute {
     let ints = ints.iter().map(|i| *i as i64);
-    attribute(name, attribute_type::INTS, |a| a.ints = ints.collect())
+    attribute(name, 7, |a| a.ints = ints.collect())
 }
 
 fn float(name: &str, f: f32) -> Attribute {
-    attribute(name, attribute_type::FLOAT, |a| a.f = f)
+    attribute(name, 1, |a| a.f = f)
 }
 
 fn strings(name: &str, words: &[&str]) -> Attribute {
     let words = words.iter().map(|word| word.as_bytes().to_vec());
-    attribute(name, attribute_type::STRINGS, |a| a.strings = words.collect())
+    attribute(name, 8, |a| a.strings = words.collect())
 }
 
 /// How a window moves over an image.
@@ -104,7 +106,7 @@ impl<'a> Writer<'a> {
     fn floats(&mut self, name: &str, dims: &[usize], values: impl FnOnce() -> Vec<f32>) -> String {
         self.constant(name, || Tensor {
             dims: dims.iter().map(|size| *size as i64).collect(),
-            data_type: data_type::FLOAT,
+            data_type: FLOAT,
             raw_data: values().iter().flat_map(|value| value.to_le_bytes()).collect(),
             ..Tensor::default()
         })
@@ -119,7 +121,7 @@ impl<'a> Writer<'a> {
         let words: Vec<String> = values.iter().map(usize::to_string).collect();
         self.constant(&format!("size_{}", words.join("_")), || Tensor {
             dims: vec![values.len() as i64],
-            data_type: data_type::INT64,
+            data_type: INT64,
             raw_data: values.iter().flat_map(|value| (*value as i64).to_le_bytes()).collect(),
             ..Tensor::default()
         })

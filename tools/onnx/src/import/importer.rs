@@ -84,27 +84,28 @@ pub(super) struct Importer<'a> {
     pub(super) bounds: HashSet<&'a str>,
     /// Those that are among the parameters already, and of which layer.
     pub(super) recurrent_weights: Vec<(RecurrentWeights<'a>, usize)>,
-    /// [`Needed::pieces`].
-    pub(super) pieces: HashSet<&'a str>,
+    pub(super) needed: Needed<'a>,
 }
 
 impl<'a> Importer<'a> {
-    pub(super) fn new(graph: &'a Graph, action: &'a str, needed: &Needed<'a>) -> Result<Self, String> {
+    pub(super) fn new(graph: &'a Graph, action: &'a str) -> Result<Self, String> {
         let mut importer = Self {
             bounds: bounds(graph),
-            pieces: needed.pieces.clone(),
+            needed: Needed::by(graph, action),
             ..Self::default()
         };
-        let initializers = graph.initializer.iter();
-        for tensor in initializers.filter(|tensor| needed.tensors.contains(tensor.name.as_str())) {
+        for tensor in &graph.initializer {
+            if !importer.needed.tensors.contains(tensor.name.as_str()) {
+                continue;
+            }
             let is_bound = importer.bounds.contains(tensor.name.as_str());
             let constant = Constant::of(tensor).and_then(|constant| constant.checked(is_bound));
             let constant = constant.map_err(|e| format!("the tensor `{}`: {e}", tensor.name))?;
             let value = Value::Constant(Rc::new(constant));
             importer.tensors.insert(&tensor.name, value);
         }
-        let nodes = graph.node.iter().zip(&needed.nodes).filter(|(_, needed)| **needed);
-        let read = nodes.flat_map(|(node, _)| node.input.iter().map(String::as_str));
+        let nodes = importer.needed.nodes.iter();
+        let read = nodes.flat_map(|(_, node)| node.input.iter().map(String::as_str));
         for name in read.chain([action]) {
             *importer.uses.entry(name).or_default() += 1;
         }

@@ -1,7 +1,6 @@
 //! The inputs of a policy: which is the frame, how it lies, and where the goal is.
 
 use super::importer::{Importer, Live, Value, identity, image_places};
-use super::needed::Needed;
 use crate::adapter::{Adapter, Flat};
 use crate::constant::len_of;
 use crate::proto::{Graph, ValueInfo};
@@ -10,20 +9,14 @@ use std::rc::Rc;
 use vigil_policy::imported::{Layer, PolicyInputs};
 
 impl<'a> Importer<'a> {
-    pub(super) fn inputs(
-        &mut self,
-        graph: &'a Graph,
-        action: &str,
-        needed: &Needed<'a>,
-        adapter: &Adapter,
-    ) -> Result<PolicyInputs, String> {
+    pub(super) fn inputs(&mut self, graph: &'a Graph, action: &str, adapter: &Adapter) -> Result<PolicyInputs, String> {
         let mut found = None;
         let mut positions = 0;
         // Old exports list the weights among the inputs.
         let weights: HashSet<&str> = graph.initializer.iter().map(|tensor| tensor.name.as_str()).collect();
         let real = graph.input.iter().filter(|input| {
             let name = input.name.as_str();
-            needed.tensors.contains(name) && !weights.contains(name)
+            self.needed.tensors.contains(name) && !weights.contains(name)
         });
         let real: Vec<&ValueInfo> = real.collect();
         if let Some(flat) = adapter.flat {
@@ -38,7 +31,7 @@ impl<'a> Importer<'a> {
             let places = match *shape.as_slice() {
                 [1, a, b, c] if found.is_none() => {
                     // A single channel may be reshaped instead of transposed; an image of width 1 is none.
-                    let channels_last = c == 1 && a > 1 || is_channels_last(graph, needed, &info.name).unwrap_or(c < a);
+                    let channels_last = c == 1 && a > 1 || self.is_channels_last(&info.name).unwrap_or(c < a);
                     let (rows, cols, channels) = if channels_last { (a, b, c) } else { (b, c, a) };
                     found = Some(([rows, cols, channels], number));
                     match channels_last {
@@ -110,6 +103,24 @@ impl<'a> Importer<'a> {
         self.tensors.insert(&info.name, Value::Live(value));
         Ok(adapter.inputs([rows, cols, channels], 0, has_position))
     }
+
+    /// Whether a frame's channels are its last axis: it is transposed before a layer looks at it as an image; `None` where none does.
+    fn is_channels_last(&self, frame: &str) -> Option<bool> {
+        let mut of_frame = HashSet::from([frame]);
+        for node in self.needed.nodes.values() {
+            if !node.input.iter().any(|input| of_frame.contains(input.as_str())) {
+                continue;
+            }
+            match node.op_type.as_str() {
+                "Transpose" => return Some(node.list("perm") == Some(&[0, 3, 1, 2])),
+                "Conv" | "MaxPool" | "AveragePool" => return Some(false),
+                // What they give is no frame.
+                "Gemm" | "MatMul" | "GlobalAveragePool" | "GlobalMaxPool" | "Concat" | "Shape" => {}
+                _ => of_frame.extend(node.output.iter().map(String::as_str)),
+            }
+        }
+        None
+    }
 }
 
 fn sizes_of(info: &ValueInfo) -> Result<Vec<usize>, String> {
@@ -130,24 +141,4 @@ fn sizes_of(info: &ValueInfo) -> Result<Vec<usize>, String> {
         )),
     });
     sizes.collect()
-}
-
-/// Whether a frame's channels are its last axis: it is transposed before a layer looks at it as an image; `None` where none does.
-pub(super) fn is_channels_last(graph: &Graph, needed: &Needed<'_>, frame: &str) -> Option<bool> {
-    // Nodes stand in the order of computation.
-    let mut of_frame = HashSet::from([frame]);
-    let nodes = graph.node.iter().zip(&needed.nodes).filter(|(_, needed)| **needed);
-    for (node, _) in nodes {
-        if !node.input.iter().any(|input| of_frame.contains(input.as_str())) {
-            continue;
-        }
-        match node.op_type.as_str() {
-            "Transpose" => return Some(node.list("perm") == Some(&[0, 3, 1, 2])),
-            "Conv" | "MaxPool" | "AveragePool" => return Some(false),
-            // What they give is no frame.
-            "Gemm" | "MatMul" | "GlobalAveragePool" | "GlobalMaxPool" | "Concat" | "Shape" => {}
-            _ => of_frame.extend(node.output.iter().map(String::as_str)),
-        }
-    }
-    None
 }

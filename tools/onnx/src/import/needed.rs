@@ -2,11 +2,13 @@
 
 use crate::constant::Constant;
 use crate::proto::{Graph, Node};
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 /// What the action is computed from: nothing else of a model is looked at.
+#[derive(Default)]
 pub(super) struct Needed<'a> {
-    pub(super) nodes: Vec<bool>,
+    /// By their numbers, in the order of computation.
+    pub(super) nodes: BTreeMap<usize, &'a Node>,
     pub(super) tensors: HashSet<&'a str>,
     /// Outputs of nodes that are [`is_softplus_in_pieces`]: their third input, the others are not computed.
     pub(super) pieces: HashSet<&'a str>,
@@ -20,16 +22,15 @@ impl<'a> Needed<'a> {
                 producers.entry(output.as_str()).or_insert(number);
             }
         }
-        let mut nodes = vec![false; graph.node.len()];
-        let (mut tensors, mut pieces) = (HashSet::new(), HashSet::new());
+        let (mut nodes, mut tensors, mut pieces) = (BTreeMap::new(), HashSet::new(), HashSet::new());
         let mut open = vec![action];
         while let Some(name) = open.pop() {
             if !tensors.insert(name) {
                 continue;
             }
             if let Some(number) = producers.get(name)
-                && let (Some(is_needed), Some(node)) = (nodes.get_mut(*number), graph.node.get(*number))
-                && !std::mem::replace(is_needed, true)
+                && let Some(node) = graph.node.get(*number)
+                && nodes.insert(*number, node).is_none()
             {
                 let in_pieces = is_softplus_in_pieces(graph, |name| producers.get(name).copied(), node);
                 if in_pieces {

@@ -19,10 +19,13 @@ impl<'a> Importer<'a> {
     pub(super) fn node(&mut self, node: &'a Node) -> Result<(), String> {
         let unknown = || format!("this operator is not supported; there are {KNOWN}");
         if !(node.domain.is_empty() || node.domain == "ai.onnx") {
-            return Err(unknown());
+            return Err(format!(
+                "operators of `{}` are not supported; if a runtime optimised the model, import it from before",
+                node.domain
+            ));
         }
         let is_in = |names: &HashSet<&str>| node.output.first().is_some_and(|name| names.contains(name.as_str()));
-        if is_in(&self.pieces) {
+        if is_in(&self.needed.pieces) {
             let (_, softplus) = self.input(node, 2)?;
             return self.set(node, 0, softplus);
         }
@@ -120,12 +123,12 @@ impl<'a> Importer<'a> {
                     return Err("its value is not one number".to_owned());
                 }
                 let places = vec![0; len_of(&shape)?];
-                return Ok(Some(value.moved(shape, &places)));
+                return value.moved(shape, &places).map(Some);
             }
             "Expand" => {
                 let wanted = given.get(1).ok_or("it has no shape")?;
                 let (shape, places) = expanded(&first.shape, wanted)?;
-                return Ok(Some(first.moved(shape, &places)));
+                return first.moved(shape, &places).map(Some);
             }
             "ReduceMean" | "ReduceSum" | "ReduceProd" | "ReduceMax" | "ReduceMin" => {
                 let (along, shape) = self.reduction(node, &first.shape)?;

@@ -68,7 +68,7 @@ impl<'a> Importer<'a> {
     /// The result of an operator that only moves values.
     pub(super) fn moved(&self, node: &Node, value: &Value, (shape, places): Moved) -> Result<Value, String> {
         match value {
-            Value::Constant(constant) => Ok(Value::Constant(Rc::new(constant.moved(shape, &places)))),
+            Value::Constant(constant) => Ok(Value::Constant(Rc::new(constant.moved(shape, &places)?))),
             Value::Live(_) => self.live(node, 0)?.moved(shape, &places).map(Value::Live),
         }
     }
@@ -252,26 +252,23 @@ impl<'a> Importer<'a> {
                 places.extend((o * run..(o + 1) * run).map(|place| (input, place)));
             }
         }
-        if values.iter().all(|value| matches!(value, Value::Constant(_))) {
-            let constants = values.iter().filter_map(|value| match value {
-                Value::Constant(constant) => Some(constant.as_ref()),
-                Value::Live(_) => None,
-            });
-            let data = Constant::picked(&constants.collect::<Vec<_>>(), &places)?;
-            return Ok(Value::Constant(Rc::new(Constant { shape, data })));
-        }
-        let mut parts = Vec::new();
+        let (mut constants, mut parts, mut begins, mut len) = (Vec::new(), Vec::new(), Vec::new(), 0usize);
         for value in &values {
             match value {
-                Value::Live(live) => parts.push(self.narrowed(live)?),
-                Value::Constant(_) => return Err("constants beside values are not supported".to_owned()),
+                Value::Constant(constant) => constants.push(constant.as_ref()),
+                Value::Live(live) => {
+                    let part = self.narrowed(live)?;
+                    begins.push(len);
+                    len += self.lens.get(part.layer).copied().unwrap_or(0);
+                    parts.push(part);
+                }
             }
         }
-        let mut begins = Vec::new();
-        let mut len = 0usize;
-        for part in &parts {
-            begins.push(len);
-            len += self.lens.get(part.layer).copied().unwrap_or(0);
+        if parts.is_empty() {
+            let data = Constant::picked(&constants, &places)?;
+            return Ok(Value::Constant(Rc::new(Constant { shape, data })));
+        } else if !constants.is_empty() {
+            return Err("constants beside values are not supported".to_owned());
         }
         let places = places
             .into_iter()

@@ -4,13 +4,11 @@ use super::elementwise::spread;
 use super::importer::{Importer, Live, broadcast, identity, image_places, positive};
 use crate::constant::{Constant, len_of};
 use crate::fold;
-use crate::movement::axis;
+use crate::movement::{axis, transpose};
 use crate::proto::Node;
 use std::rc::Rc;
 use vigil_nnet::{Activation, Conv2d, Dense, LayerNorm, MaxPool2d};
 use vigil_policy::imported::Layer;
-
-const WIDE_PADDING: &str = "padding as large as the kernel is not supported";
 
 impl Importer<'_> {
     /// `y = x W + b` with `W` `[x's values][outputs]`.
@@ -59,15 +57,12 @@ impl Importer<'_> {
         let [rows, cols] = *w.shape.as_slice() else {
             return Err(format!("weights of shape {:?}", w.shape));
         };
-        let turned = node.whole("transB", 0) != 0;
-        let (inputs, outputs) = if turned { (cols, rows) } else { (rows, cols) };
-        let values = w.real()?;
-        let weights: Vec<f32> = match turned {
-            true => (0..values.len())
-                .map(|i| alpha * values[(i % outputs) * inputs + i / outputs])
-                .collect(),
-            false => values.iter().map(|value| alpha * value).collect(),
+        let (outputs, places) = match node.whole("transB", 0) {
+            0 => (cols, (0..rows * cols).collect()),
+            _ => (rows, transpose(&w.shape, &[1, 0])?.1),
         };
+        let values = w.real()?;
+        let weights: Vec<f32> = places.iter().map(|place| alpha * values[*place]).collect();
         let bias = self.optional(node, 2)?;
         let bias: Option<Vec<f32>> = match &bias {
             Some(bias) => Some(bias.real()?.iter().map(|value| beta * value).collect()),
@@ -109,7 +104,7 @@ impl Importer<'_> {
         let x = self.narrowed(&x)?;
         let whole = self.lens.get(x.layer) == Some(&x.places.len());
         if !whole || *x.places != image_places(channels, rows, cols) {
-            return Err("the values of its image were put in another order before; that is not supported".to_owned());
+            return Err("its image was cut, joined or reordered before; that is not supported".to_owned());
         }
         Ok((x.layer, [channels, rows, cols]))
     }
@@ -125,8 +120,11 @@ impl Importer<'_> {
         }
     }
 
-    /// Stride, padding and dilation, which have to be the same both ways.
-    fn window(node: &Node) -> Result<[usize; 3], String> {
+    /// Width with its dilation, stride, padding and dilation of a kernel, which have to be the same both ways.
+    fn window(node: &Node, height: usize, width: usize) -> Result<[usize; 4], String> {
+        if height != width || height == 0 {
+            return Err(format!("a kernel of {height} × {width} is not supported: squares only"));
+        }
         Self::refuse_auto_pad(node)?;
         node.only("ceil_mode", 0)?;
         let same = |what: &str, default: i64| match node.list(what) {
@@ -138,18 +136,20 @@ impl Importer<'_> {
         };
         let padding = usize::try_from(same("pads", 0)?).map_err(|_| "negative padding is not supported".to_owned())?;
         let [stride, dilation] = ["strides", "dilations"].map(|what| same(what, 1).and_then(|n| positive(n, what)));
-        Ok([stride?, padding, dilation?])
+        let (stride, dilation) = (stride?, dilation?);
+        // A dilated kernel is a larger one with zeros between.
+        let kernel = (height - 1).saturating_mul(dilation).saturating_add(1);
+        match padding < kernel {
+            true => Ok([kernel, stride, padding, dilation]),
+            false => Err("padding as large as the kernel is not supported".to_owned()),
+        }
     }
 
     /// A square kernel with its stride and padding, for pooling.
     fn square(node: &Node) -> Result<[usize; 3], String> {
         let (height, width) = Self::kernel_shape(node)?;
-        if height != width || height == 0 {
-            return Err(not_square(height, width));
-        }
-        match Self::window(node)? {
-            [stride, padding, 1] if padding < height => Ok([height, stride, padding]),
-            [_, _, 1] => Err(WIDE_PADDING.to_owned()),
+        match Self::window(node, height, width)? {
+            [kernel, stride, padding, 1] => Ok([kernel, stride, padding]),
             _ => Err("dilations of pooling are not supported".to_owned()),
         }
     }
@@ -177,15 +177,7 @@ impl Importer<'_> {
                 "weights of shape {shape:?} in {groups} groups for {channels} channels"
             ));
         }
-        if height != width || height == 0 {
-            return Err(not_square(height, width));
-        }
-        let [stride, padding, dilation] = Self::window(node)?;
-        // A dilated kernel is a larger one with zeros between.
-        let kernel = (height - 1).saturating_mul(dilation).saturating_add(1);
-        if padding >= kernel {
-            return Err(WIDE_PADDING.to_owned());
-        }
+        let [kernel, stride, padding, dilation] = Self::window(node, height, width)?;
         let layer = Conv2d::new([rows, cols, channels], filters, kernel, stride, padding);
         let taps = len_of(&[kernel, kernel, channels, filters])?;
         let mut params = vec![0.0; taps + filters];
@@ -249,7 +241,10 @@ impl Importer<'_> {
     }
 
     pub(super) fn batch_norm(&mut self, node: &Node) -> Result<Live, String> {
-        node.only("training_mode", 0)?;
+        // Before operator set 14 further outputs alone say so.
+        if node.whole("training_mode", 0) != 0 || node.output.iter().skip(1).any(|name| !name.is_empty()) {
+            return Err("it is in training mode: export the model after .eval()".to_owned());
+        }
         let x = self.live(node, 0)?;
         let Some(channels) = x.shape.get(1).copied() else {
             return Err(format!("an input of shape {:?}", x.shape));
@@ -352,8 +347,4 @@ impl Importer<'_> {
         let live = self.max_pool(node)?;
         Ok(Live { shape, ..live })
     }
-}
-
-fn not_square(height: usize, width: usize) -> String {
-    format!("a kernel of {height} × {width} is not supported: squares only")
 }

@@ -5,18 +5,14 @@ use std::mem::discriminant;
 use vigil_types::Nanos;
 
 /// Why a packet, or a whole picture, did not become a frame.
+#[allow(missing_docs, reason = "the texts say what the fields are")]
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum Fault {
     /// A datagram is not as long as the device's packets are.
     #[error(
         "a packet of {got} bytes, {expected} expected: truncated, of another device or number of beams, or of another packet format than LEGACY"
     )]
-    PacketLength {
-        /// Its bytes.
-        got: usize,
-        /// Bytes of a packet as the metadata tell.
-        expected: usize,
-    },
+    PacketLength { got: usize, expected: usize },
     /// A packet has the length but not the content.
     #[error(
         "a packet whose column numbers cannot be this device's: is the metadata file that of this sensor in this mode?"
@@ -27,12 +23,7 @@ pub enum Fault {
     LatePacket,
     /// Columns of the view did not arrive, or the device marked them as bad.
     #[error("a turn without {missing} of the {needed} columns in view: packets were lost, no frame")]
-    LostColumns {
-        /// Columns that are missing.
-        missing: usize,
-        /// Columns in view.
-        needed: usize,
-    },
+    LostColumns { missing: usize, needed: usize },
     /// The device's clock went back by so many seconds.
     #[error("the device's clock went back by {0:.3} s: no frame until its stamps fit again")]
     ClockBack(f64),
@@ -43,32 +34,21 @@ pub enum Fault {
     ClockBehind(f64),
     /// The stream ended within an image.
     #[error("the stream ended {got} bytes into an image of {expected}: is --size that of the stream?")]
-    ImageLength {
-        /// Bytes that came.
-        got: usize,
-        /// Bytes of an image.
-        expected: usize,
-    },
+    ImageLength { got: usize, expected: usize },
     /// An image in which nothing returned at all.
     #[error("an image without a single range: a covered lens, a stream that is not depth, or z16's --unit is wrong")]
     EmptyImage,
     /// Nothing came for a while.
     #[error("nothing for {since_s:.1} s: is the device on, and does it send to this address?")]
-    Silence {
-        /// Since when.
-        since_s: f64,
-    },
+    Silence { since_s: f64 },
     /// The vehicle's pose at the moment of capture is not known.
     #[error("the vehicle's pose at the moment of capture is not known: is its telemetry heard, position and attitude?")]
     NoPose,
-    /// A stamp of the future, of long ago, or not newer than that of the frame before.
+    /// A stamp of the future (its age is negative), of long ago, or not newer than that of the frame before.
     #[error(
         "a stamp that is {age_s:.3} s old, or not newer than that of the frame before: is --latency-ms right? no frame"
     )]
-    Stamp {
-        /// How old it is by this machine's clock; negative where it is of the future.
-        age_s: f64,
-    },
+    Stamp { age_s: f64 },
 }
 
 /// A fault is reported at once, then at most this often.

@@ -7,19 +7,10 @@ use serde_json::Value;
 use std::ops::RangeInclusive;
 use vigil_types::FrdVector;
 
-/// What a metadata file lacks.
+/// What a metadata file lacks, and what to do.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MetadataError {
-    /// It is no JSON.
-    #[error("the metadata file is no JSON: {0}")]
-    Json(String),
-    /// A value, by its name, is missing or not what it should be.
-    #[error("the metadata file's `{0}` is missing or {1} was expected: save it from the sensor again")]
-    Field(&'static str, &'static str),
-    /// The packets are of another format.
-    #[error("the sensor sends the packet format {0}; this adapter reads LEGACY: set udp_profile_lidar to LEGACY")]
-    Profile(String),
-}
+#[error("{0}")]
+pub struct MetadataError(String);
 
 /// A scanner's beams and packets.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,16 +48,26 @@ impl OusterDevice {
     /// # Errors
     /// [`MetadataError`].
     pub fn from_metadata(text: &str) -> Result<Self, MetadataError> {
-        let root: Value = serde_json::from_str(text).map_err(|e| MetadataError::Json(e.to_string()))?;
+        let root: Value =
+            serde_json::from_str(text).map_err(|e| MetadataError(format!("the metadata file is no JSON: {e}")))?;
         let find = |field: &str| {
             let inner = || GROUPS.iter().find_map(|group| root.get(group)?.get(field));
             root.get(field).or_else(inner)
         };
-        let wrong = MetadataError::Field;
+        let wrong = |field: &str, expected: &str| {
+            let what = match find(field) {
+                Some(_) => format!("wrong, {expected} was expected: save it from the sensor again"),
+                // As in files of the first firmware.
+                None => "missing: update the sensor's firmware to 2.0 or newer, and save it again".to_owned(),
+            };
+            MetadataError(format!("the metadata file's `{field}` is {what}"))
+        };
         if let Some(profile) = find("udp_profile_lidar").and_then(Value::as_str)
             && profile != "LEGACY"
         {
-            return Err(MetadataError::Profile(profile.to_owned()));
+            return Err(MetadataError(format!(
+                "the sensor sends the packet format {profile}; this adapter reads LEGACY: set udp_profile_lidar to LEGACY"
+            )));
         }
         let mode = find("lidar_mode")
             .and_then(Value::as_str)

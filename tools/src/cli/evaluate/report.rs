@@ -8,6 +8,7 @@ use crate::report::TextTable;
 use crate::statistics::{quantile, wilson_95};
 use anyhow::Result;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::path::Path;
 use vigil_sim::world::Outcome;
 use vigil_types::STEP_S;
@@ -126,7 +127,10 @@ fn print_flights(flights: &[&Flight], is_attacked: bool) {
 fn print_failed(flights: &[&Flight]) {
     const SHOWN: usize = 12;
     let failed = flights.iter().filter(|f| !f.record.is_success());
-    let failed: Vec<String> = failed.map(|f| f.seed.to_string()).collect();
+    let mut failed: Vec<String> = failed.map(|f| f.seed.to_string()).collect();
+    // With all faults a seed may fail several times, each in its turn.
+    let mut known = BTreeSet::new();
+    failed.retain(|seed| known.insert(seed.clone()));
     if !failed.is_empty() {
         let more = if failed.len() > SHOWN { " …" } else { "" };
         say!("failed seeds     {}{more}", failed[..failed.len().min(SHOWN)].join(" "));

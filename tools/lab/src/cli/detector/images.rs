@@ -19,9 +19,9 @@ const JUDGE_SEED: u64 = 7000;
 
 impl Stage<'_> {
     pub(super) fn images(&self, states: usize, scored: usize, backgrounds: usize) -> Result<()> {
-        let interrupt = Interrupt::on_ctrl_c()?;
+        let (interrupt, actor) = (Interrupt::on_ctrl_c()?, self.actor("images")?);
         let load = |path: &Path| -> Result<States> {
-            let there = States::load(path, self.actor("images")?)?;
+            let there = States::load(path, actor)?;
             ensure!(
                 there.backgrounds.is_none_or(|of| of as usize == backgrounds),
                 "{} is of {} backgrounds, not {backgrounds}: remove it, or name another folder with -o",
@@ -62,19 +62,19 @@ impl Stage<'_> {
                 bar.set_position(count as u64);
                 interrupt.flow()
             };
-            let (states, complete) = gather_states(self.isa, self.actor("images")?, place, size, begun, &mut progress)?;
+            let (states, complete) = gather_states(self.isa, actor, place, size, begun, &mut progress)?;
             bar.finish();
             if !complete {
-                states.save(&part)?;
+                states.save(&part, actor)?;
                 let (count, part) = (states.states.len(), part.display());
                 say!("interrupted: {count} states are kept in {part}; the same command goes on with them");
                 return Ok(());
             }
-            states.save(&path)?;
+            states.save(&path, actor)?;
             // What they held is in the files just written.
             let _ = std::fs::remove_file(&part);
             let _ = std::fs::remove_file(part.with_extension("flights"));
-            let (count, flights) = (states.states.len(), states.flights.records.len());
+            let (count, flights) = (states.states.len(), states.records.len());
             say!("{name:<26} {count} states of {flights} flights from seed {seed}");
         }
         Ok(())

@@ -60,12 +60,8 @@ impl Data {
         Self::open(folder, false)
     }
 
-    /// What this command has measured so far in its output folder.
-    pub fn fresh(folder: &Path) -> Result<Self> {
-        Self::open(folder, true)
-    }
-
-    fn open(folder: &Path, is_fresh: bool) -> Result<Self> {
+    /// A folder's; fresh is what this command has measured so far in its output folder.
+    pub fn open(folder: &Path, is_fresh: bool) -> Result<Self> {
         let path = folder.join(INDEX);
         let index = match path.exists() {
             false => Index::default(),
@@ -102,11 +98,6 @@ impl Data {
                 .with_context(|| format!("cannot read {}", path.display()))?;
             unit.files.insert(file, sha256(&content));
         }
-        self.enter_whole(name, unit)
-    }
-
-    /// Enters a unit whose files lie in their places and have the digests that it says.
-    pub fn enter_whole(&mut self, name: &str, unit: Unit) -> Result<()> {
         self.index.units.insert(name.to_owned(), unit);
         output::write(&self.folder.join(INDEX), toml::to_string_pretty(&self.index)?)
     }
@@ -240,7 +231,7 @@ mod tests {
     #[test]
     fn a_unit_is_there_when_its_files_are_whole_and_its_command_is_the_same() {
         let folder = tempfile::tempdir().unwrap();
-        let mut data = Data::fresh(folder.path()).unwrap();
+        let mut data = Data::open(folder.path(), true).unwrap();
         let file = data.folder.join("wall").join("table.json");
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
         let mut enter = || data.enter("wall", unit("vigil wall"), &["table.json".to_owned()]);
@@ -248,7 +239,7 @@ mod tests {
         std::fs::write(&file, "[1, 2]").unwrap();
         enter().unwrap();
 
-        let again = Data::fresh(folder.path()).unwrap();
+        let again = Data::open(folder.path(), true).unwrap();
         assert!(again.has("wall", "vigil wall") && !again.has("wall", "vigil wall --states 2"));
         assert!(!again.has("others", "vigil wall"));
         assert_eq!(again.json::<Vec<u8>>("wall").unwrap(), [1, 2]);

@@ -5,9 +5,6 @@ use crate::detector_training::Proportion;
 use crate::report::Picture;
 use anyhow::Result;
 
-/// A figure's two files, SVG and PNG.
-pub type Drawn = (String, Vec<u8>);
-
 /// A table: headings, and rows as wide.
 pub struct Grid {
     pub columns: Vec<String>,
@@ -47,7 +44,8 @@ impl Grid {
 
 /// An item made of data.
 pub struct Made {
-    pub figure: Option<Drawn>,
+    /// SVG and PNG.
+    pub figure: Option<(String, Vec<u8>)>,
     /// Ours beside the paper's.
     pub table: Grid,
     pub caption: String,

@@ -225,11 +225,11 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
         false => {
             let folder = args.output.join("data");
             std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
-            let mut fresh = Data::fresh(&folder)?;
+            let mut fresh = Data::open(&folder, true)?;
             let names: Vec<&str> = items.iter().flat_map(|item| item.units()).collect();
             for folder in &args.from {
                 made_by.expect_in(folder, "")?;
-                units::take(&names, &setting, &Data::fresh(&folder.join("data"))?, &mut fresh)?;
+                units::take(&names, &setting, &Data::open(&folder.join("data"), true)?, &mut fresh)?;
             }
             whole = units::measure(&names, &setting, &mut fresh, &super::run_words)?;
             Some(fresh)

@@ -66,7 +66,8 @@ pub fn html(made_by: &MadeBy, all: &[Shown]) -> String {
     let _ = write!(out, "<p class=\"soft\">vigil {}", escaped(&made_by.version));
     // What is committed was measured at other commits, which each section names.
     if made_by.mode != "committed" {
-        let [actor, detector] = [&made_by.actor_sha256, &made_by.detector_sha256].map(|digest| short(digest));
+        let [actor, detector] =
+            [&made_by.actor_sha256, &made_by.detector_sha256].map(|digest| digest.get(..12).unwrap_or(digest));
         let commit = escaped(&made_by.commit);
         let _ = write!(out, " · commit {commit} · actor {actor} · detector {detector}");
     }
@@ -82,10 +83,6 @@ pub fn html(made_by: &MadeBy, all: &[Shown]) -> String {
     out += "</main>\n<footer>Made by <code>vigil reproduce</code>; figures as SVG and PNG and tables as CSV lie beside this file, \
             manifest.json names them all.</footer>\n</body>\n</html>\n";
     out
-}
-
-fn short(digest: &str) -> &str {
-    digest.get(..12).unwrap_or(digest)
 }
 
 fn section(out: &mut String, shown: &Shown, is_quick: bool) {

@@ -168,7 +168,7 @@ pub fn take(names: &[&str], setting: &Setting<'_>, from: &Data, data: &mut Data)
             output::prepare(&to)?;
             output::write(&to, from.content(unit, file)?)?;
         }
-        data.enter_whole(&spec.name, unit.clone())?;
+        data.enter(&spec.name, spec.unit(setting), &spec.files)?;
         say!("{}: taken from {}", spec.what, from.folder.display());
     }
     Ok(())

@@ -100,7 +100,7 @@ impl Run<'_> {
         let (priorities, largest, lanes) = self.replay.places();
         let mut state = RunState {
             format: FORMAT.to_owned(),
-            config: self.config.to_toml(),
+            config: settings::to_toml(self.config),
             so_far: self.so_far.clone(),
             updates: self.learner.updates,
             elapsed_s: self.elapsed_s(),

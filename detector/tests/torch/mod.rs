@@ -1,11 +1,9 @@
 //! Reference tensors in PyTorch's order, and their reordering into this project's.
-#![allow(dead_code, reason = "each test binary uses its own part")]
 
 use flate2::read::GzDecoder;
 use safetensors::{Dtype, SafeTensors};
 use std::fs::File;
 use std::io::Read;
-use std::path::Path;
 use vigil_nnet::{Activation, Conv2d, Dense, Graph, GraphBuilder, Gru, Purpose};
 
 /// What the reference network is given beside the two positional values.
@@ -68,13 +66,8 @@ pub struct Tensors(Vec<u8>);
 
 impl Tensors {
     pub fn load(name: &str) -> Self {
-        let own = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let data = [own.join("tests/data"), own.join("../firmware/policy/tests/data")];
-        let file = data
-            .iter()
-            .map(|dir| dir.join(format!("{name}.safetensors.gz")))
-            .find(|f| f.exists());
-        let file = File::open(file.expect("reference vectors of the policy crate")).unwrap();
+        let data = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware/policy/tests/data");
+        let file = File::open(format!("{data}/{name}.safetensors.gz")).unwrap();
         let mut bytes = Vec::new();
         GzDecoder::new(file).read_to_end(&mut bytes).unwrap();
         Self(bytes)
@@ -94,7 +87,7 @@ impl Tensors {
         }
     }
 
-    pub fn shape(&self, name: &str) -> Vec<usize> {
+    fn shape(&self, name: &str) -> Vec<usize> {
         let file = SafeTensors::deserialize(&self.0).unwrap();
         file.tensor(name).unwrap().shape().to_vec()
     }
